@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "limits/segment.hpp"
+
 namespace surg {
 namespace {
 
@@ -10,11 +12,8 @@ constexpr double kTouching = 1e-9;  // [m] between axes: the direction from one 
 
 Vector3 at(const Capsule& capsule, double t) { return capsule.a + t * (capsule.b - capsule.a); }
 
-/// Parameter in [0, 1] of the point of a segment that is nearest to p.
 double nearest(const Capsule& capsule, const Vector3& p) {
-  const Vector3 along = capsule.b - capsule.a;
-  const double squared = along.squaredNorm();
-  return squared > 0 ? std::clamp(along.dot(p - capsule.a) / squared, 0.0, 1.0) : 0.0;
+  return nearest_share(capsule.a, capsule.b - capsule.a, p);
 }
 
 Gap gap(const Vector3& p, const Vector3& p_other, double radii) {

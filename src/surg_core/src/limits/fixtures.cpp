@@ -4,6 +4,8 @@
 #include <cctype>
 #include <cstdio>
 
+#include "limits/segment.hpp"
+
 namespace surg {
 namespace {
 
@@ -13,13 +15,6 @@ std::string number(double value) {
   char text[32];
   std::snprintf(text, sizeof text, "%.6g", value);
   return text;
-}
-
-/// The point of the segment from 'from' along 'axis' that is nearest to p.
-Vector3 nearest_on_axis(const Vector3& from, const Vector3& axis, const Vector3& p, double& share) {
-  const double squared = axis.squaredNorm();
-  share = squared > 0 ? std::clamp(axis.dot(p - from) / squared, 0.0, 1.0) : 0.0;
-  return from + share * axis;
 }
 
 /// Share of the shaft, from the trocar at the origin to the tip, that is nearest to the segment.
@@ -93,8 +88,8 @@ Wall wall_at(const Fixture& f, const Vector3& p_Tip) {
     wall.lever = nearest_on_shaft(p_Tip, f.point, f.axis);
     p = wall.lever * p_Tip;
   }
-  double share = 0;
-  const Vector3 out = p - nearest_on_axis(f.point, f.axis, p, share);
+  const double share = nearest_share(f.point, f.axis, p);
+  const Vector3 out = p - (f.point + share * f.axis);
   const double off = out.norm();
   wall.away = side * (off > kNoDirection ? Vector3(out / off) : any_across(f.axis));
   wall.distance = side * (off - f.radius);

@@ -40,9 +40,9 @@ Vector3 lateral_acceleration(const ShaftState& shaft, const Vector6& twist, cons
   return L2 * s + 2 * L1 * s1 + shaft.depth * s2 - a;
 }
 
-/// Distance within which every joint has the tip [m].
-double reach(const Chain& chain, const Tool& tool) {
-  double sum = chain.X_LF().translation().norm() + tool.p_FTip.norm();
+/// Distance within which every joint has the flange [m].
+double reach(const Chain& chain) {
+  double sum = chain.X_LF().translation().norm();
   for (const Joint& joint : chain.joints()) sum += joint.X_PJ.translation().norm();
   return sum;
 }
@@ -55,12 +55,7 @@ JointLimits joint_limits(const RobotConfig& robot, const Limits& limits) {
 }
 
 LimitedStep::LimitedStep(const Chain& chain, const Tool& tool, const JointLimits& limits, double T)
-    : chain_(chain),
-      tool_(tool),
-      limits_(limits),
-      barrier_(chain),
-      reach_(reach(chain, tool)),
-      T_(T) {}
+    : chain_(chain), tool_(tool), limits_(limits), barrier_(chain), reach_(reach(chain)), T_(T) {}
 
 LimitedStep::Here LimitedStep::at(const JointVector& q, const JointVector& qd_last,
                                   double flange_lead) const {
@@ -150,8 +145,9 @@ void LimitedStep::cap_sagitta(const Law& law, const Here& here, const Affine& af
   // the sum of all joints' motion.
   const double part = T_ * speed, w = part * affine.qd1.lpNorm<1>();
   const Vector3 second = lateral_acceleration(shaft, flange_twist(here.J, affine.qd1), affine.bias);
+  const double reach = reach_ + tool_.p_FTip.norm();  // from any joint to the tip
   const double bound =
-      part * part * second.norm() / 8 + (20 * reach_ + 8 * std::abs(shaft.depth)) * w * w * w / 16;
+      part * part * second.norm() / 8 + (20 * reach + 8 * std::abs(shaft.depth)) * w * w * w / 16;
   if (bound < kSagitta) return;
   const auto off = [&](const Pose& X_BF) { return shaft_state(X_BF, tool_, p_BRcm).e; };
   const Vector3 begin = shaft.e, middle = off(chain_.forward(here.q + half)),

@@ -146,7 +146,7 @@ class LimitedStep {
   Tool tool_;
   JointLimits limits_;
   Barrier barrier_;
-  double reach_;  ///< [m]
+  double reach_;  ///< [m] from any joint to the flange, at most
   double T_;
   const ClearanceGuard* clearance_ = nullptr;
 };
