@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 def main(options: argparse.Namespace, command: str) -> int:
     """End the systems of this checkout."""
-    systems = [s for s in running.systems() if options.port in (None, s.port)]
+    systems = running.systems(options.port)
     if not systems:
         say("down: no system of this checkout is running")
         return 0

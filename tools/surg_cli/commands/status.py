@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Describe one system; exit status 1 if there is none or a node is missing."""
-    systems = [s for s in running.systems() if options.port in (None, s.port)]
+    systems = running.systems(options.port)
     if not systems and options.port is None:
         say("status: no system of this checkout is running (./surg up CELL starts one)")
         return 1

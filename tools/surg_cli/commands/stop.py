@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Pause, then check that every arm has left ENABLED; exit status 1 if one has not."""
-    systems = [s for s in running.systems() if options.port in (None, s.port)]
+    systems = running.systems(options.port)
     for system in systems:  # its supervising process is connected already: the fastest way
         with contextlib.suppress(ProcessLookupError):
             os.kill(system.pid, PAUSE_SIGNAL)

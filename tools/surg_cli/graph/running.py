@@ -110,7 +110,7 @@ def of_cell(cell: Path, port: int | None = None) -> System | None:
     Raises:
         Problem: Nothing runs on the port, or another cell does.
     """
-    found = [s for s in systems() if port in (None, s.port)]
+    found = systems(port)
     if port is not None and not found:
         raise Problem(f"no system of this checkout runs on port {port}; see ./surg status")
     mine = [s for s in found if Path(s.cell) == cell and s.command in ("up", "teleop")]
@@ -119,16 +119,16 @@ def of_cell(cell: Path, port: int | None = None) -> System | None:
     return mine[0] if mine else None
 
 
-def systems() -> list[System]:
-    """All running systems of this checkout, by port; entries of dead ones are removed."""
+def systems(port: int | None = None) -> list[System]:
+    """Running systems of this checkout, by port, or on one port; drops entries of dead ones."""
     alive = []
     for file in sorted(paths.SYSTEMS.glob("*.json")):
         try:
             system = System(**json.loads(file.read_text("utf-8")))
         except (OSError, ValueError, TypeError):
             continue
-        if system.alive:
-            alive.append(system)
-        else:
+        if not system.alive:
             file.unlink(missing_ok=True)
+        elif port in (None, system.port):
+            alive.append(system)
     return alive

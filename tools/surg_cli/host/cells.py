@@ -64,6 +64,20 @@ def described_robots() -> list[str]:
     return sorted(file.stem for file in ROBOTS.glob("*.yaml"))
 
 
+def chosen_arms(cell: Any, arm: str | None) -> list[str]:
+    """Names of a cell's arms, or the one of `--arm`.
+
+    Raises:
+        Problem: The cell has no such arm.
+    """
+    arms = list(cell.arms)
+    if arm is None:
+        return arms
+    if arm not in arms:
+        raise Problem(f"--arm {arm}: no such arm; allowed: {', '.join(arms)}", 2)
+    return [arm]
+
+
 def load(folder: Path) -> Any:
     """Read and check a cell with everything it names; returns a `surg_core` Cell.
 

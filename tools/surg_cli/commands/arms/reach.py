@@ -24,11 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 def main(options: argparse.Namespace, command: str) -> int:
     """Sample, draw and tell; exit status 1 where an arm stands too close at home."""
     cell = cells.load(cells.find(options.cell))
-    arms = list(cell.arms)
-    if options.arm is not None:
-        if options.arm not in arms:
-            raise Problem(f"--arm {options.arm}: no such arm; allowed: {', '.join(arms)}", 2)
-        arms = [options.arm]
+    arms = cells.chosen_arms(cell, options.arm)
     try:
         found = [reach(cell, arm) for arm in arms]
     except ValueError as error:

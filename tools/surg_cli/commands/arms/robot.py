@@ -48,11 +48,7 @@ class Lag:
 def main(options: argparse.Namespace, command: str) -> int:
     """Measure; exit status 1 if an arm did not move or its lag differs."""
     folder = cells.find(options.cell)
-    arms = list(cells.load(folder).arms)
-    if options.arm is not None:
-        if options.arm not in arms:
-            raise Problem(f"--arm {options.arm}: no such arm; allowed: {', '.join(arms)}", 2)
-        arms = [options.arm]
+    arms = cells.chosen_arms(cells.load(folder), options.arm)
     system = running.of_cell(folder, options.port)
     if system is None:
         raise Problem(
