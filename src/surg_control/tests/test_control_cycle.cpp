@@ -121,7 +121,8 @@ TEST(ControlCycle, F33ALinkThatNeverSaidItsConditionOrNoLongerDoesIsLost) {
   int k = 1;
   while (arm.step().out.state == surg::State::kEnabled && k < 1000) ++k;
   EXPECT_EQ(arm.cycle->record().out.reason, surg::Reason::kLinkLost);
-  EXPECT_EQ(k, std::lround(arm.link_timeout() / kTick) + 1);
+  constexpr double kTwoPeriodsOfTheStatus = 0.040;  // [s] robot/status comes at 50 Hz
+  EXPECT_EQ(k, std::lround((arm.link_timeout() + kTwoPeriodsOfTheStatus) / kTick) + 1);
 }
 
 TEST(ControlCycle, F33AConditionFaultsInItsOwnCycle) {
