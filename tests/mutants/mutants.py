@@ -778,4 +778,21 @@ MUTANTS: tuple[Mutant, ...] = (
         "if (false) {",
         ("test_black_box",),
     ),
+    # -- clearance
+    one(
+        "way_back_counts_as_away",
+        "two arms come millimetres closer than the cell says",
+        "src/limits/clearance.cpp",
+        "-gap.away.dot(waiting_.at(joint, gap.p)));",
+        "-gap.away.dot(still_.at(joint, gap.p)));",
+        ("test_clearance_guard",),
+    ),
+    one(
+        "clearance_without_the_distance",
+        "arms touch",
+        "src/limits/clearance.cpp",
+        "if (gap.distance < far) keep(joint, gap, gap.distance - target.required - kReserve);",
+        "if (gap.distance < far) keep(joint, gap, gap.distance);",
+        ("test_clearance_guard",),
+    ),
 )

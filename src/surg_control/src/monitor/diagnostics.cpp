@@ -95,6 +95,7 @@ void Diagnostics::publish(const CycleRecord& record, double rate) {
                    count("accepted", out.accepted),
                    count("refused", out.refused + record.refused_by_node + record.refused_by_cycle),
                    number("rcm_error_m", out.rcm_error),
+                   number("clearance_m", out.clearance),
                    number("scale", out.scale),
                    entry("limited_by", out.limited_by),
                    count("tier", out.tier),

@@ -172,10 +172,11 @@ bool ClearanceGuard::other_lost() const {
 class ClearanceGuard::Approach {
  public:
   Approach(const ClearanceGuard& guard, const JointVector& q, const JointVector& qd0,
-           const JointVector& qd1, const JointVector& acceleration)
+           const JointVector& back, const JointVector& qd1, const JointVector& acceleration)
       : guard_(guard),
         own_(guard.setup_.own, Pose::Identity(), q),
         still_(own_.axis, own_.origin, qd0),
+        waiting_(own_.axis, own_.origin, qd0 - back),
         moving_(own_.axis, own_.origin, qd1) {
     for (Eigen::Index i = 0; i < qd1.size(); ++i) {
       const double speed = std::max(std::abs(qd1[i]), 1e-9);
@@ -184,8 +185,9 @@ class ClearanceGuard::Approach {
     const ClearanceSetup& setup = guard.setup_;
     for (std::size_t i = 0; i < setup.own.capsules.size(); ++i) {
       const int joint = setup.own.capsules[i].joint;
-      speed_[i] =
-          moving_.fastest(joint, own_.capsules[i]) + still_.fastest(joint, own_.capsules[i]);
+      speed_[i] = moving_.fastest(joint, own_.capsules[i]) +
+                  std::max(still_.fastest(joint, own_.capsules[i]),
+                           waiting_.fastest(joint, own_.capsules[i]));
     }
     for (std::size_t i = 0; i < setup.others.size(); ++i) {
       others_[i].emplace(setup.others[i], guard.X_BOther_[i], guard.others_[i].q);
@@ -238,7 +240,9 @@ class ClearanceGuard::Approach {
     const double closing = -gap.away.dot(moving_.at(joint, gap.p));
     if (!(closing > 0)) return;  // away
     const double a = std::min(kClosing, braking_ * closing);
-    const double already = -gap.away.dot(still_.at(joint, gap.p));
+    // 'back' may be taken or wait: where it leads away, nothing is gained by it.
+    const double already =
+        std::max(-gap.away.dot(still_.at(joint, gap.p)), -gap.away.dot(waiting_.at(joint, gap.p)));
     const double fastest = approach_speed(left, a, 0, guard_.T_);
     alpha_ = std::min(alpha_, std::max((fastest - already) / closing, 0.0));
   }
@@ -258,7 +262,7 @@ class ClearanceGuard::Approach {
 
   const ClearanceGuard& guard_;
   Placed own_;
-  Twists still_, moving_;
+  Twists still_, waiting_, moving_;
   double braking_ = INFINITY;  // [1/s^2] of the clock: what the joints can do all together
   double alpha_ = INFINITY;
   std::array<double, kMaxLinkCapsules> speed_;  // of the fastest point of each capsule
@@ -268,12 +272,12 @@ class ClearanceGuard::Approach {
   std::array<std::optional<Twists>, kMaxOtherArms> theirs_;
 };
 
-double ClearanceGuard::cap(const JointVector& q, const JointVector& qd0, const JointVector& qd1,
-                           const JointVector& acceleration) const {
+double ClearanceGuard::cap(const JointVector& q, const JointVector& qd0, const JointVector& back,
+                           const JointVector& qd1, const JointVector& acceleration) const {
   for (std::size_t i = 0; i < setup_.others.size(); ++i) {
     if (!others_[i].valid) return 0;  // it may be anywhere
   }
-  Approach approach(*this, q, qd0, qd1, acceleration);
+  Approach approach(*this, q, qd0, back, qd1, acceleration);
   each_pair([&](std::size_t i, const Target& target) { approach.keep_clear(i, target); });
   return approach.alpha();
 }

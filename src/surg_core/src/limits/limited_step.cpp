@@ -119,7 +119,10 @@ LimitedStep::Cap LimitedStep::cap(const Law& law, const Here& here, const Affine
     cap.limit(here.flange_velocity / flange, "flange_velocity");
   }
   if (clearance_ && clearance_->active()) {
-    cap.limit(clearance_->cap(here.q, affine.qd0, affine.qd1, limits_.acceleration), "clearance");
+    const JointVector back =
+        affine.returning ? affine.back : JointVector(JointVector::Zero(here.q.size()));
+    cap.limit(clearance_->cap(here.q, affine.qd0, back, affine.qd1, limits_.acceleration),
+              "clearance");
   }
   cap_sagitta(law, here, affine, cap);
   if (law.has_barrier()) cap_approach(here, affine, cap);

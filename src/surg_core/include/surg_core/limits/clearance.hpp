@@ -80,9 +80,10 @@ class ClearanceGuard {
   bool other_lost() const;
 
   /// The largest alpha for joint velocities qd0 + alpha qd1 [rad/s] at joint positions q; infinite:
-  /// no limit. acceleration [rad/s^2]: of the joints, with which the arm brakes.
-  double cap(const JointVector& q, const JointVector& qd0, const JointVector& qd1,
-             const JointVector& acceleration) const;
+  /// no limit. back [rad/s]: part of qd0 that the step may leave out. acceleration [rad/s^2]: of
+  /// the joints, with which the arm brakes.
+  double cap(const JointVector& q, const JointVector& qd0, const JointVector& back,
+             const JointVector& qd1, const JointVector& acceleration) const;
   /// Smallest distance at joint positions q [m]. Two shafts do not count.
   double distance(const JointVector& q) const;
   /// The same with names.
