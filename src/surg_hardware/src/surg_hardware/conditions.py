@@ -1,0 +1,114 @@
+"""One condition for what a vendor's controller says of itself, with a sentence and a cure.
+
+The link's own state is no part of it: an arm that could move reads READY here, and the link
+(`robot_link`) says ACTIVE once it drives the arm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+
+class Condition(IntEnum):
+    """Numbered as in surg_msgs/LinkStatus. The driver of an arm runs without ROS."""
+
+    OFFLINE = 0
+    OFF = 1
+    BRAKED = 2
+    READY = 3
+    ACTIVE = 4
+    GUIDED = 5
+    SLOWED = 6
+    STOPPED = 7
+    ESTOP = 8
+    BROKEN = 9
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What the robot says: its condition, why it does not move, what to do, and its speed.
+
+    ``sentence`` is empty where nothing is wrong; ``speed_scaling`` is motion against command.
+    """
+
+    condition: Condition
+    sentence: str = ""
+    cure: str = ""
+    speed_scaling: float = 1.0
+
+    @property
+    def text(self) -> str:
+        """Sentence and cure, for `LinkStatus.fault`."""
+        return ": ".join(part for part in (self.sentence, self.cure) if part)
+
+
+START = "./surg robot CELL start"
+OFFLINE = Reading(
+    Condition.OFFLINE, "the robot does not answer", "check its power, its cable and its address"
+)
+READY = Reading(Condition.READY, "the robot is not started", START)
+
+FULL_SPEED = 0.999
+"""A speed scaling below it is no rounding."""
+
+RUNNING, BACKDRIVE = 7, 6
+"""UR robot modes."""
+_UR_MODES = {
+    -1: Reading(Condition.BROKEN, "the robot's controller does not run", "restart the robot"),
+    0: Reading(Condition.BROKEN, "the arm is disconnected from its controller", "check its cable"),
+    1: Reading(Condition.BROKEN, "the safety settings are not confirmed", "confirm on the pendant"),
+    2: Reading(Condition.OFF, "the arm starts up", "wait"),
+    3: Reading(Condition.OFF, "the arm is powered off", "power it on, release its brakes"),
+    4: Reading(Condition.OFF, "the arm is being powered on", "wait, release its brakes"),
+    5: Reading(Condition.BRAKED, "the brakes are on", "release them on the pendant"),
+    BACKDRIVE: Reading(Condition.GUIDED, "the arm is back-driven by hand", "end the back-driving"),
+    8: Reading(Condition.OFF, "the arm's firmware is being updated", "wait"),
+}
+_STOPPED = "look for the cause, unlock it on the pendant, then " + START
+_ESTOP = "release it, power the arm on, release the brakes, then " + START
+_UR_SAFETY = {
+    3: Reading(Condition.STOPPED, "protective stop", _STOPPED),
+    4: Reading(Condition.BROKEN, "recovery mode", "move the arm back inside its limits by hand"),
+    5: Reading(Condition.STOPPED, "safeguard stop", "close the safeguard, then " + START),
+    6: Reading(Condition.ESTOP, "emergency stop of the system", _ESTOP),
+    7: Reading(Condition.ESTOP, "emergency stop", _ESTOP),
+    8: Reading(Condition.BROKEN, "safety violation", "see the pendant's log, restart the robot"),
+    9: Reading(Condition.BROKEN, "safety fault", "see the pendant's log, restart the robot"),
+    10: Reading(Condition.BROKEN, "joint identities are being checked", "see the pendant"),
+    11: Reading(Condition.BROKEN, "undefined safety mode", "see the pendant"),
+    12: Reading(Condition.STOPPED, "safeguard stop of the automatic mode", "close the safeguard"),
+    13: Reading(Condition.STOPPED, "the three-position switch is released", "press it half-way"),
+}
+_NORMAL, _REDUCED = 1, 2
+
+
+def ur_reading(
+    robot_mode: int, safety: int, speed_scaling: float = 1.0, guided: bool = False
+) -> Reading:
+    """What a UR controller's modes mean.
+
+    Args:
+        robot_mode: RTDE ``robot_mode``.
+        safety: RTDE ``safety_status`` (or ``safety_mode``).
+        speed_scaling: Slider times limiter, 0 to 1.
+        guided: Whether a person guides the arm: free-drive.
+    """
+    if safety in _UR_SAFETY:
+        return _UR_SAFETY[safety]
+    if safety not in (_NORMAL, _REDUCED):
+        return Reading(Condition.BROKEN, f"unknown safety mode {safety}", "see the pendant")
+    if robot_mode != RUNNING:
+        unknown = Reading(Condition.BROKEN, f"unknown robot mode {robot_mode}", "see the pendant")
+        return _UR_MODES.get(robot_mode, unknown)
+    if guided:
+        return Reading(Condition.GUIDED, "the arm is guided by hand", "end it, then " + START)
+    if not speed_scaling >= FULL_SPEED:
+        return Reading(
+            Condition.SLOWED,
+            f"the speed slider is at {100 * speed_scaling:.0f} %",
+            "set it to 100 %, and slow the arm down by the cell's limits",
+            speed_scaling,
+        )
+    warning = "the safety mode is reduced" if safety == _REDUCED else ""
+    return Reading(Condition.READY, warning, speed_scaling=speed_scaling)

@@ -1,0 +1,111 @@
+"""Whether the arm at the address is the one that the cell means."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FLANGE_DISTANCE = 0.0005
+"""[m] Between our flange and the robot's own: its factory kinematics differ by millimetres."""
+FLANGE_ANGLE = math.radians(0.1)
+"""[rad]"""
+MASS, COG = 0.1, 0.02
+"""[kg], [m] Tolerances of the payload that the robot has set."""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What the cell says of its arm: serial, model, payload mass [kg] and its centre [m] (3,)."""
+
+    serial: str
+    model: str
+    mass: float
+    cog: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the robot says of itself; ``serial`` and ``model`` are empty where unknown."""
+
+    serial: str
+    model: str
+    mass: float
+    cog: tuple[float, float, float]
+
+
+def mismatches(expected: Expected, found: Found) -> list[str]:
+    """One sentence per difference: the cell's key, what it says, what the robot says, the cure."""
+    wrong = []
+    if found.serial != expected.serial:
+        wrong.append(
+            f"hardware.serial: the cell says {expected.serial!r}, the robot is {found.serial!r}: "
+            "check address and serial; this is another arm"
+        )
+    if not same_model(expected.model, found.model):
+        wrong.append(
+            f"robot: the cell says {expected.model!r}, the robot is a {found.model!r}: "
+            "name the YAML of this model"
+        )
+    if not abs(found.mass - expected.mass) <= MASS:
+        wrong.append(
+            f"hardware.payload.mass: the cell says {expected.mass:g} kg, the robot has "
+            f"{found.mass:g} kg set; allowed is a difference of {MASS:g} kg: set it on the pendant"
+        )
+    away = math.dist(expected.cog, found.cog)
+    if not away <= COG:
+        wrong.append(
+            f"hardware.payload.cog: the cell and the robot differ by {1e3 * away:.0f} mm; allowed "
+            f"is {1e3 * COG:.0f} mm: set it on the pendant"
+        )
+    return wrong
+
+
+def same_model(ours: str, theirs: str) -> bool:
+    """Whether a robot's name is of our model: ``UR5`` (as an e-Series says) is ``ur5e``."""
+    name = theirs.strip().lower()
+    return bool(name) and ours.lower() in (name, name + "e")
+
+
+def flange_mismatch(ours: Array, theirs: Array) -> str:
+    """A sentence if two flange poses (4, 4) in the robot's base differ too much, else empty."""
+    distance = float(np.linalg.norm(ours[:3, 3] - theirs[:3, 3]))
+    R = ours[:3, :3].T @ theirs[:3, :3]
+    twice_sine = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    angle = math.atan2(float(np.linalg.norm(twice_sine)), float(np.trace(R)) - 1)
+    if distance <= FLANGE_DISTANCE and angle <= FLANGE_ANGLE:
+        return ""
+    return (
+        f"forward kinematics: our flange is {1e3 * distance:.2f} mm and {math.degrees(angle):.2f} "
+        f"degrees from the robot's own; allowed are {1e3 * FLANGE_DISTANCE:g} mm and "
+        f"{math.degrees(FLANGE_ANGLE):g} degrees: check the model, the TCP and the robot's "
+        "calibration"
+    )
+
+
+def ur_pose(values: Sequence[float]) -> Array:
+    """A UR pose, (x, y, z) [m] and rotation vector [rad], as a matrix (4, 4)."""
+    pose = np.eye(4)
+    pose[:3, 3] = values[:3]
+    vector = np.array(values[3:6], dtype=np.float64)
+    angle = float(np.linalg.norm(vector))
+    if angle > 1e-12:
+        x, y, z = vector / angle
+        K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        pose[:3, :3] += math.sin(angle) * K + (1 - math.cos(angle)) * (K @ K)
+    return pose
+
+
+def ur_flange(tcp_pose: Sequence[float], tcp_offset: Sequence[float]) -> Array:
+    """The flange in ROS's base_link (4, 4), from RTDE's ``actual_TCP_pose`` and ``tcp_offset``.
+
+    ROS turns UR's own base by 180 degrees about z.
+    """
+    turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    flange: Array = turn @ ur_pose(tcp_pose) @ np.linalg.inv(ur_pose(tcp_offset))
+    return flange

@@ -1,0 +1,78 @@
+"""The programs that the link uploads to a UR controller.
+
+There is no motion through RTDE alone: its registers only feed a program on the robot. This program
+obeys joint velocities, and has a dead-man of its own.
+"""
+
+from __future__ import annotations
+
+REGISTER = 24
+"""First of the registers that belong to external RTDE clients. Input: integer REGISTER is the
+command's number, doubles REGISTER to REGISTER + 5 are the velocities. Output: integer REGISTER is
+the number of the command in force."""
+ACCELERATION = 40.0
+"""[rad/s^2] Of ``speedj``; the link itself limits the change of a command below it."""
+GUIDING = 1
+"""In output integer REGISTER + 1 while a person guides the arm."""
+DEAD_MAN_CYCLES = 10
+"""Cycles without a new command number after which the program stops the arm: 20 ms."""
+
+_FOLLOW = """\
+def surg_link():
+  write_output_integer_register({n1}, 0)
+  global command = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+  thread drive():
+    while True:
+      speedj(command, {acceleration}, 0.002)
+    end
+  end
+  last = read_input_integer_register({n0})
+  silent = 0
+  driving = run drive()
+  while silent < {cycles}:
+    number = read_input_integer_register({n0})
+    if number == last:
+      silent = silent + 1
+    else:
+      silent = 0
+      last = number
+      command = [{velocities}]
+      write_output_integer_register({n0}, number)
+    end
+    sync()
+  end
+  kill driving
+  stopj({deceleration})
+end
+"""
+_GUIDE = """\
+def surg_guide():
+  write_output_integer_register({n1}, {guiding})
+  freedrive_mode()
+  while True:
+    sync()
+  end
+end
+"""
+
+
+def follow_program(deceleration: float) -> str:
+    """The program that follows the link's velocities.
+
+    Args:
+        deceleration: [rad/s^2] of the leading joint when commands cease.
+    """
+    velocities = ", ".join(f"read_input_float_register({REGISTER + i})" for i in range(6))
+    return _FOLLOW.format(
+        acceleration=ACCELERATION,
+        n0=REGISTER,
+        n1=REGISTER + 1,
+        cycles=DEAD_MAN_CYCLES,
+        velocities=velocities,
+        deceleration=float(deceleration),
+    )
+
+
+def guide_program() -> str:
+    """The program that lets a person guide the arm by hand, until it is stopped."""
+    return _GUIDE.format(n1=REGISTER + 1, guiding=GUIDING)
