@@ -1,0 +1,1 @@
+"""Emulated arms: controllers that refuse what the arm refuses."""

@@ -1,0 +1,162 @@
+"""Text protocol of mishaps: what goes wrong with an emulated arm, and when.
+
+One mishap per line: `[at SECONDS] NAME [WORD ...]`. Text behind `#` is a comment. The time counts
+from the moment when the line was read. Lines come from a file or over the control port; there each
+line is answered by `ok` or `error: ...`.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+
+class MishapError(ValueError):
+    """A line that is no mishap; states what is wrong and what is allowed."""
+
+
+@dataclass(frozen=True)
+class Mishap:
+    """One line.
+
+    Attributes:
+        delay: Seconds from reading it.
+        name: What happens.
+        words: Its arguments.
+    """
+
+    delay: float
+    name: str
+    words: tuple[str, ...]
+
+
+Action = Callable[..., str | None]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A mishap that an emulator knows.
+
+    Attributes:
+        action: What it does; takes the words of the line.
+        words: Its arguments, for people.
+        help: What happens.
+    """
+
+    action: Action
+    words: str
+    help: str
+
+
+def parse(line: str) -> Mishap | None:
+    """The mishap of a line; None: the line is empty.
+
+    Raises:
+        MishapError: The time is no number of seconds from 0.
+    """
+    words = line.partition("#")[0].split()
+    delay = 0.0
+    if words[:1] == ["at"]:
+        delay = number(words[1] if len(words) > 1 else "", "at", 0.0, 1e6)
+        words = words[2:]
+        if not words:
+            raise MishapError(f"{line.strip()!r}: a name must follow the time")
+    return Mishap(delay, words[0], tuple(words[1:])) if words else None
+
+
+def number(word: str, what: str, least: float, most: float) -> float:
+    """A number within its range.
+
+    Raises:
+        MishapError: It is not.
+    """
+    try:
+        value = float(word)
+    except ValueError:
+        value = math.nan
+    if not least <= value <= most:
+        raise MishapError(f"{what} {word!r}: must be a number from {least:g} to {most:g}")
+    return value
+
+
+class Schedule:
+    """Mishaps that are still to come, on the emulator's own time.
+
+    Args:
+        kinds: Name -> mishap that this emulator knows.
+    """
+
+    def __init__(self, kinds: Mapping[str, Kind]) -> None:
+        self._kinds = kinds
+        self._waiting: list[tuple[float, Mishap]] = []
+
+    def read(self, text: str, now: float) -> None:
+        """Take over the lines of a file.
+
+        Args:
+            text: The lines.
+            now: The emulator's time [s].
+
+        Raises:
+            MishapError: A line is wrong; states which one. Nothing has been taken over then.
+        """
+        taken = []
+        for place, line in enumerate(text.splitlines(), 1):
+            try:
+                mishap = parse(line)
+                if mishap is not None:
+                    self._kind(mishap)
+                    taken.append((now + mishap.delay, mishap))
+            except MishapError as error:
+                raise MishapError(f"line {place}: {error}") from error
+        self._waiting = sorted([*self._waiting, *taken], key=lambda each: each[0])
+
+    def answer(self, line: str, now: float) -> str:
+        """Carry out or schedule a line of the control port; returns the answer."""
+        try:
+            mishap = parse(line)
+            if mishap is None:
+                return "ok"
+            if mishap.delay == 0.0:
+                return self._carry_out(mishap)
+            self.read(line, now)
+        except MishapError as error:
+            return f"error: {error}"
+        return "ok"
+
+    def due(self, now: float) -> list[str]:
+        """Carry out what is due; returns one sentence for each."""
+        said = []
+        while self._waiting and self._waiting[0][0] <= now + 1e-9:
+            mishap = self._waiting.pop(0)[1]
+            try:
+                answer = self._carry_out(mishap)
+            except MishapError as error:
+                answer = f"error: {error}"
+            said.append(f"{' '.join([mishap.name, *mishap.words])}: {answer}")
+        return said
+
+    def help(self) -> str:
+        """All mishaps, one per line."""
+        rows = [(f"{name} {kind.words}".strip(), kind.help) for name, kind in self._kinds.items()]
+        width = max(len(usage) for usage, _ in rows)
+        return "\n".join(f"{usage:<{width}}  {text}" for usage, text in rows)
+
+    def _kind(self, mishap: Mishap) -> Kind:
+        if mishap.name not in self._kinds:
+            known = ", ".join(self._kinds)
+            raise MishapError(f"{mishap.name!r} is not known; there are: {known}")
+        return self._kinds[mishap.name]
+
+    def _carry_out(self, mishap: Mishap) -> str:
+        kind = self._kind(mishap)
+        try:
+            inspect.signature(kind.action).bind(*mishap.words)
+        except TypeError as error:
+            raise MishapError(
+                f"{mishap.name} takes: {kind.words or 'no arguments'}; given: "
+                f"{' '.join(mishap.words) or 'none'}"
+            ) from error
+        return kind.action(*mishap.words) or "ok"

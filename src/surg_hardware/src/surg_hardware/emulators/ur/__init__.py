@@ -1,0 +1,1 @@
+"""An emulated controller of a UR e-Series arm."""
