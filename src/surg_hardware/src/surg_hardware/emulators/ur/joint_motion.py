@@ -73,8 +73,10 @@ class Move:
         distance = leading(way)
         if distance < 1e-9:
             return [0.0] * 6
-        # The largest speed from which braking with `a` in steps of dt still ends at the goal.
-        braking = self.a * (math.sqrt(dt * dt / 4.0 + 2.0 * distance / self.a) - dt / 2.0)
+        # The largest speed from which braking in steps of dt still ends at the goal. It brakes
+        # softer than `a`, so that the last cycle, in which it has to hit the goal, keeps to `a`.
+        a = 0.85 * self.a
+        braking = a * (math.sqrt(dt * dt / 4.0 + 2.0 * distance / a) - dt / 2.0)
         speed = min(self.v, leading(qd) + self.a * dt, braking, distance / dt)
         return [speed * each / distance for each in way]
 
@@ -156,7 +158,7 @@ class JointMotion:
     def drag(self, qd: Sequence[float]) -> None:
         """One cycle in which a hand moves the joints [rad/s]; the target goes with them."""
         self.command, self._unscaled = REST, [0.0] * 6
-        self.q = [now + DT * rate for now, rate in zip(self.q, qd, strict=True)]
+        self.q = [now + DT * rate for now, rate in zip(self.actual_q, qd, strict=True)]
         self.qd, self.qdd = [0.0] * 6, [0.0] * 6
         self.actual_q, self.actual_qd = list(self.q), list(qd)
 

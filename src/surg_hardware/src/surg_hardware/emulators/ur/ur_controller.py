@@ -206,7 +206,7 @@ class UrController:
         """Second half of a cycle: take over inputs, run the program."""
         staged, self._staged = self._staged, {}
         for name, value in staged.items():
-            self._set_input(name, value)
+            self._set_input(name, value, staged)
         self._check_watchdog(staged)
         if self.program is None or self.runtime != Runtime.PLAYING or self._braking:
             return
@@ -224,7 +224,8 @@ class UrController:
         """Inputs of a client; they count from the next `execute` on."""
         self._staged.update(values)
 
-    def _set_input(self, name: str, value: Any) -> None:
+    def _set_input(self, name: str, value: Any, written: Mapping[str, Any]) -> None:
+        """Take over one input; a mask of the same client says whether the value is meant."""
         parts = name.split("_")
         if name.startswith("input_bit_registers"):
             first = 0 if name.endswith("0_to_31") else 32
@@ -232,12 +233,13 @@ class UrController:
             self.inputs["bit"][first : first + 32] = bits
         elif parts[0] == "input":
             self.inputs[parts[1]][int(parts[3])] = value
-        elif name == "speed_slider_fraction" and 0.0 <= value <= 1.0:
-            self.slider = value
+        elif name == "speed_slider_fraction":
+            if written.get("speed_slider_mask", 0) and 0.0 <= value <= 1.0:
+                self.slider = value
         elif name in ("standard_digital_output", "configurable_digital_output"):
             shift = 0 if name.startswith("standard") else 8
-            self.digital_outputs &= ~(0xFF << shift)
-            self.digital_outputs |= int(value) << shift
+            mask = int(written.get(f"{name}_mask", 0)) << shift
+            self.digital_outputs = self.digital_outputs & ~mask | int(value) << shift & mask
         elif name == "external_force_torque":
             self.wrench = list(value)
 
