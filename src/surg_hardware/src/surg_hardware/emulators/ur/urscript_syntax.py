@@ -168,7 +168,7 @@ class _Parser:
 
     def emit(self, function: Function, *instruction: Any) -> int:
         function.code.append(instruction)
-        function.lines.append(self.now.line)
+        function.lines.append(self.words[max(self.place - 1, 0)].line)
         return len(function.code) - 1
 
     # Statements ------------------------------------------------------------------------------
