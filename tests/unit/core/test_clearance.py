@@ -142,6 +142,12 @@ def test_random_motions_never_come_closer_than_the_cell_says(part: int) -> None:
     assert tally.least > 0.0
 
 
+def test_an_arm_of_small_accelerations_returns_to_its_path_while_it_moves() -> None:
+    # A change of direction takes the Panda 9 mm off its path. A second one within a second would
+    # pause it (not_following) if it had not come back by then.
+    play(CELLS[1], 101, 1, first=99)
+
+
 def test_without_a_guard_the_same_motions_come_closer() -> None:
     assert play(CELLS[0], 100, 100, guarded=False).least < -0.005
 

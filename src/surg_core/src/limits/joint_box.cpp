@@ -97,6 +97,38 @@ AlphaRange LimitedStep::Box::alphas(const JointVector& qd0, const JointVector& q
   return range;
 }
 
+/// Each joint bounds alpha from below and above by a line over the share; every lower line must
+/// stay below every upper one.
+AlphaRange LimitedStep::Box::shares(const JointVector& qd0, const JointVector& back,
+                                    const JointVector& qd1) const {
+  struct Line {
+    double at_0, slope;
+  };
+  std::array<Line, kMaxJoints + 1> lower, upper;
+  lower[0] = {0, 0};
+  upper[0] = {1, 0};
+  int n = 1;
+  AlphaRange range;
+  for (Eigen::Index i = 0; i < qd0.size(); ++i) {
+    if (std::abs(qd1[i]) < 1e-12) {
+      range.keep(qd0[i], back[i], low_[i], high_[i], "", "");
+      continue;
+    }
+    const double slope = -back[i] / qd1[i];
+    lower[n] = {(low_[i] - qd0[i]) / qd1[i], slope};
+    upper[n] = {(high_[i] - qd0[i]) / qd1[i], slope};
+    if (qd1[i] < 0) std::swap(lower[n], upper[n]);
+    ++n;
+  }
+  for (int i = 0; i < n; ++i) {
+    for (int k = 0; k < n; ++k) {
+      range.keep(upper[k].at_0 - lower[i].at_0, upper[k].slope - lower[i].slope, 0, INFINITY, "",
+                 "");
+    }
+  }
+  return range;
+}
+
 /// Convex in alpha: ternary search.
 double LimitedStep::Box::least_beyond(const JointVector& qd0, const JointVector& qd1,
                                       double highest) const {

@@ -37,6 +37,9 @@ class LimitedStep::Box {
   JointVector clamped(const JointVector& qd) const;
   /// The alphas for which qd0 + alpha qd1 is inside.
   AlphaRange alphas(const JointVector& qd0, const JointVector& qd1) const;
+  /// The shares in [0, 1] for which, at some alpha in [0, 1], qd0 + share back + alpha qd1 is
+  /// inside.
+  AlphaRange shares(const JointVector& qd0, const JointVector& back, const JointVector& qd1) const;
   /// The alpha in [0, highest] that leaves the box least.
   double least_beyond(const JointVector& qd0, const JointVector& qd1, double highest) const;
   /// The joint velocities nearest to 'wanted' inside the box with rows J qd = J wanted + e. Returns

@@ -216,8 +216,8 @@ void LimitedStep::cap_unseen(const Law& law, const Here& here, const Affine& aff
 // --- tiers ------------------------------------------------------------------------------------
 
 /// First tier: on the path. How much of the way back is taken goes down before the path is left;
-/// the last try is what the joints have room for where the path stands still, or an arm of small
-/// accelerations would never start back from rest.
+/// the last try is what the joints have room for beside some motion along the path, or an arm of
+/// small accelerations would never start back.
 bool LimitedStep::on_path(const Law& law, const Affine& affine, const Box& box, const Cap& cap,
                           Step& step) const {
   if (!affine.regular) return false;
@@ -225,8 +225,9 @@ bool LimitedStep::on_path(const Law& law, const Affine& affine, const Box& box, 
     if (on_path(law, affine, box, cap, beta, step)) return true;
     if (!affine.returning) return false;
   }
-  const AlphaRange room = box.alphas(affine.qd0 - affine.back, affine.back);
-  const double beta = room.empty() ? 0.0 : kRoomUsed * std::min(room.high, 0.16);
+  const AlphaRange room = box.shares(affine.qd0 - affine.back, affine.back, affine.qd1);
+  const double most = std::max(std::min(room.high, 0.16), room.low);
+  const double beta = room.empty() ? 0.0 : room.low + kRoomUsed * (most - room.low);
   return on_path(law, affine, box, cap, beta, step) ||
          (beta > 0 && on_path(law, affine, box, cap, 0.0, step));
 }
