@@ -42,6 +42,7 @@ COMMANDS = {
     "check-frames": Command("robot", "check_frames", "compare commanded and observed tip motion"),
     "reach": Command("robot", "arms.reach", "tell and draw where the tips of a cell can go"),
     "robot": Command("robot", "arms.robot", "measure the lag of a running cell's arms"),
+    "emulate": Command("robot", "arms.emulate", "emulate the controller of a real arm"),
     "ptp": Command("robot", "ptp", "synchronise the clocks of two machines", needs_workspace=False),
     "setup": Command("develop", "setup", "install packages and .venv", needs_workspace=False),
     "build": Command("develop", "setup", "set up and build the workspace", needs_workspace=False),

@@ -36,12 +36,12 @@ def test_ur_rtde_drives_the_emulated_arm(tmp_path: Path) -> None:
     assert found["cycle"] == pytest.approx(0.002, abs=1e-6)
     assert found["speed_error"] < 1e-4  # rad/s, steady
     assert 0.03 < found["servo_late"] < 0.06  # s; its look-ahead alone is 0.03
-    assert found["move_error"] < 1e-4  # rad
-    assert found["custom_error"] < 1e-4
+    assert found["move_error"] < 1e-6  # rad
+    assert found["custom_error"] < 1e-6
     stop = found["stop"]
     assert stop["stopped"] and stop["still_stopped"] and stop["unlocked"] and stop["again"]
     assert stop["safety"] == "Safetystatus: PROTECTIVE_STOP"
     assert stop["early"] is True
     assert stop["late"] is False
     assert stop["moved"] < 1e-6  # rad, by unlocking
-    assert stop["move_error"] < 1e-4
+    assert stop["move_error"] < 1e-6

@@ -435,6 +435,13 @@ def start(options: argparse.Namespace) -> UrEmulator:
     return emulator
 
 
+def greeting(address: str, emulator: UrEmulator, real_time: bool) -> str:
+    """What a person reads first: model, address, ports."""
+    granted = "with" if real_time else "without"
+    model = emulator.controller.model
+    return f"Emulated {model} on {address}: {_said(emulator.ports)}; {granted} real-time priority"
+
+
 def _ports(text: str) -> dict[str, int]:
     found = {}
     for part in text.split(",") if text else []:
@@ -459,12 +466,7 @@ def main(words: Sequence[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
-    real_time = "with" if ask_real_time() else "without"
-    print(
-        f"UR emulator on {options.address}: {_said(emulator.ports)}; "
-        f"{real_time} real-time priority",
-        flush=True,
-    )
+    print(greeting(options.address, emulator, ask_real_time()), flush=True)
     try:
         emulator.run(tell=lambda text: print(text, flush=True))
     except KeyboardInterrupt:
