@@ -131,9 +131,11 @@ def test_the_slider_scales_speedj() -> None:
     controller = turning()
     controller.slider = 0.5
     settle(controller, 0.05)
-    assert 0.5 < controller.speed_scaling < 1.0
+    assert 0.5 < controller.motion.scale < 1.0
     settle(controller, 0.3)
-    assert controller.speed_scaling == 0.5
+    assert controller.motion.scale == 0.5
+    # The slider itself is `target_speed_fraction`; clients multiply the two.
+    assert controller.speed_scaling == 1.0
     assert controller.motion.actual_qd[0] == pytest.approx(0.25, abs=1e-3)
     assert controller.safety_mode == SafetyMode.NORMAL
 
@@ -144,8 +146,10 @@ def test_pause_slows_down_along_the_way_and_play_goes_on() -> None:
     settle(controller, 0.4)
     assert controller.runtime == Runtime.PAUSED
     assert controller.motion.at_rest
+    assert controller.speed_scaling == 0.0
     assert controller.play()
     settle(controller, 0.5)
+    assert controller.speed_scaling == 1.0
     assert controller.motion.actual_qd[0] == pytest.approx(0.5, abs=1e-3)
     assert controller.safety_mode == SafetyMode.NORMAL
 

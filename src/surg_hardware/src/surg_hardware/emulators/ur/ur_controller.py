@@ -73,7 +73,6 @@ class UrController:
     remote: bool
     guided: bool
     slider: float
-    speed_scaling: float
     payload: float
     payload_cog: list[float]
     tcp_offset: list[float]
@@ -118,7 +117,7 @@ class UrController:
         self.cycles = 0
         self.robot_mode = RobotMode.BOOTING
         self.safety_mode = SafetyMode.NORMAL
-        self.speed_scaling = 1.0
+        self._scale = 1.0  # of every motion: slider and pause together
         self.guided = False
         self.hand_qd = [0.0] * 6
         self.digital_outputs = 0
@@ -154,6 +153,11 @@ class UrController:
     def program_runs(self) -> bool:
         """Whether a program runs or is paused."""
         return self.program is not None
+
+    @property
+    def speed_scaling(self) -> float:
+        """RTDE's `speed_scaling`: speed of the motion as a share of what the slider allows."""
+        return min(1.0, self._scale / self.slider) if self.slider > 0.0 else 1.0
 
     @property
     def shown_mode(self) -> int:
@@ -244,14 +248,13 @@ class UrController:
             self.wrench = list(value)
 
     def _scale_speed(self) -> None:
-        """Let the speed scaling follow the slider; it is 0 while a program is paused."""
+        """Let the speed follow the slider; it goes to 0 while a program is paused."""
         paused = self.runtime in (Runtime.PAUSING, Runtime.PAUSED)
         goal = 0.0 if paused else self.slider
         step = SCALING_RATE * DT
-        change = min(max(goal - self.speed_scaling, -step), step)
-        self.speed_scaling += change
-        self.motion.scale = self.speed_scaling
-        if self.runtime == Runtime.PAUSING and self.speed_scaling == 0.0:
+        self._scale += min(max(goal - self._scale, -step), step)
+        self.motion.scale = self._scale
+        if self.runtime == Runtime.PAUSING and self._scale == 0.0:
             self.runtime = Runtime.PAUSED
 
     # Program ---------------------------------------------------------------------------------
@@ -273,7 +276,7 @@ class UrController:
             return False
         self.stop()
         self.guided = False
-        self.speed_scaling = self.slider
+        self._scale = self.slider
         self.program, self.runtime = program, Runtime.PLAYING
         return True
 

@@ -11,6 +11,7 @@ import ipaddress
 import json
 import os
 import select
+import signal
 import socket
 import struct
 import sys
@@ -18,7 +19,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TextIO
 
 from surg_hardware.emulators.mishaps import MishapError, Schedule
 from surg_hardware.emulators.ur import ur_mishaps
@@ -126,6 +127,7 @@ class UrEmulator:
         self._stalled_until = self._booted_at = -1.0
         self._connections: list[Connection] = []
         self._listeners: dict[str, socket.socket] = {}
+        self._record: TextIO | None = None
         self.ports = PORTS | (ports or {})
         try:
             for service in PORTS:
@@ -149,6 +151,25 @@ class UrEmulator:
             if isinstance(session, RtdeSession | PrimarySession):
                 self._send(connection, session.output())
         self.controller.execute()
+        if self._record is not None:
+            self._write_row(self._record)
+
+    def record(self, file: TextIO) -> None:
+        """Write one row per cycle: both clocks, modes, joints."""
+        self._record = file
+        joints = (f"{name}{joint}" for name in ("q", "target_qd") for joint in range(1, 7))
+        head = ("time", "monotonic", "robot_mode", "safety_mode", "runtime", *joints)
+        file.write(",".join(head) + "\n")
+
+    def _write_row(self, file: TextIO) -> None:
+        c = self.controller
+        modes = (c.robot_mode, c.safety_mode, c.runtime)
+        row = (
+            f"{self._now:.3f},{time.monotonic():.6f}",
+            *(str(int(mode)) for mode in modes),
+            *(f"{value:.9f}" for value in (*c.motion.actual_q, *c.motion.qd)),
+        )
+        file.write(",".join(row) + "\n")
 
     def poll(self, timeout: float = 0.0) -> None:
         """Serve clients until something came or the time [s] is up."""
@@ -309,6 +330,9 @@ class UrEmulator:
             self._drop(each)
         for service in list(self._listeners):
             self._close_listener(service)
+        if self._record is not None:
+            self._record.close()
+            self._record = None
 
     def _listen(self, service: str) -> None:
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -411,6 +435,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--address", default="127.0.0.1", help="loopback address (default: 127.0.0.1)")
     add("--ports", metavar="NAME=PORT,...", default="", help=f"other ports than {_said(PORTS)}")
     add("--mishap", type=Path, metavar="FILE", help="mishaps, one per line: [at SECONDS] NAME ...")
+    add("--record", type=Path, metavar="FILE", help="write modes and joints of every cycle as CSV")
     add("--model", choices=tuple(TABLES), default="UR5e", help="default: UR5e")
     add("--serial", default="20225500001", help="serial number")
     add("--off", action="store_true", help="begin with the power off")
@@ -426,12 +451,14 @@ def start(options: argparse.Namespace) -> UrEmulator:
     """
     controller = UrController(options.model, options.serial, ready=not options.off)
     emulator = UrEmulator(controller, options.address, _ports(options.ports), options.lock_step)
-    if options.mishap is not None:
-        try:
+    try:
+        if options.mishap is not None:
             emulator.mishaps(options.mishap.read_text("utf-8"))
-        except (MishapError, OSError) as error:
-            emulator.close()
-            raise ValueError(f"--mishap {options.mishap}: {error}") from error
+        if options.record is not None:
+            emulator.record(options.record.open("w", encoding="utf-8"))
+    except (MishapError, OSError) as error:
+        emulator.close()
+        raise ValueError(f"{options.mishap or options.record}: {error}") from error
     return emulator
 
 
@@ -467,6 +494,7 @@ def main(words: Sequence[str] | None = None) -> int:
         print(error, file=sys.stderr)
         return 2
     print(greeting(options.address, emulator, ask_real_time()), flush=True)
+    signal.signal(signal.SIGTERM, lambda *_: setattr(emulator, "stopped", True))
     try:
         emulator.run(tell=lambda text: print(text, flush=True))
     except KeyboardInterrupt:

@@ -180,7 +180,7 @@ def _velocities(c: UrController) -> dict[str, Builtin]:
         wanted = six(qd, "speedj: qd")
         c.motion.command = Speed(wanted, number(a, "speedj: a", 1e-6))
         if t is None:
-            return Wait(2, lambda: _close(c.motion.qd, wanted, c.speed_scaling), motion=True)
+            return Wait(2, lambda: _close(c.motion.qd, wanted, c.motion.scale), motion=True)
         return Wait(_cycles(t), motion=True)
 
     def speedl(xd: Any, a: Any = 1.2, t: Any = None, **named: Any) -> Wait:
