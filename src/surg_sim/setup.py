@@ -11,7 +11,7 @@ CARRIED = {
     "cells": HERE.parents[1] / "cells",
     **{
         f"src/surg_description/{part}": HERE.parent / "surg_description" / part
-        for part in ("robots", "instruments", "urdf")
+        for part in ("robots", "instruments", "links", "urdf")
     },
 }
 """What a machine without a checkout needs of it; placed as the cells' paths expect it."""

@@ -44,6 +44,8 @@ USED = {
     "sim_bridge_node.py": {"/sim/undeclared", "/sim/inject", "/sim/by_hand"},
     "watch.py": {"topic"},
     "record.py": {"name"},
+    "link_node.py": {"warning"},
+    "robot_request.py": {"warning"},
 }
 """File -> last part of the topics that it offers or takes as std_msgs/String."""
 

@@ -41,7 +41,7 @@ COMMANDS = {
     "calibrate": Command("robot", "calibrate", "solve tool and trocar from recorded poses"),
     "check-frames": Command("robot", "check_frames", "compare commanded and observed tip motion"),
     "reach": Command("robot", "arms.reach", "tell and draw where the tips of a cell can go"),
-    "robot": Command("robot", "arms.robot", "measure the lag of a running cell's arms"),
+    "robot": Command("robot", "arms.robot", "start, stop or guide robots, measure their lag"),
     "emulate": Command("robot", "arms.emulate", "emulate the controller of a real arm"),
     "ptp": Command("robot", "ptp", "synchronise the clocks of two machines", needs_workspace=False),
     "setup": Command("develop", "setup", "install packages and .venv", needs_workspace=False),

@@ -86,6 +86,14 @@ constexpr TuningKey kTuningKeys[] = {
 /// Keys of a link's YAML. A status comes at 50 Hz: a shorter time-out would miss it.
 constexpr double kLinkTimeout[] = {0.03, 0.2}, kLinkLag[] = {0.0, 0.05},
                  kLinkAcceleration[] = {0.05, 1.0};
+/// A dead-man may not wait longer than a controller's own time-out, and a stop not take longer than
+/// 0.8 s from the fastest joint.
+constexpr double kDeadMan[] = {0.01, 0.1}, kStopDeceleration[] = {4.0, 40.0};
+// What a cell may state of a real arm.
+constexpr double kHeaviestPayload = 20.0;  // [kg]
+constexpr double kFarthestPayload = 0.5;   // [m]
+constexpr int kPriorities[] = {1, 90};     // of SCHED_FIFO; above are the kernel's own threads
+constexpr int kUrJoints = 6;
 
 // Distances that a cell may keep. The guard itself needs the least one (clearance.cpp).
 constexpr double kClosest = 0.005;  // [m]
@@ -550,6 +558,13 @@ LinkConfig read_link(const Document& document) {
   link.link_lag = reader.real("link_lag", kLinkLag[0], kLinkLag[1], "s");
   link.acceleration =
       reader.real("acceleration", kLinkAcceleration[0], kLinkAcceleration[1], "of the robot's");
+  if (reader.has("dead_man")) {
+    link.dead_man = reader.real("dead_man", kDeadMan[0], kDeadMan[1], "s");
+  }
+  if (reader.has("stop_deceleration")) {
+    link.stop_deceleration =
+        reader.real("stop_deceleration", kStopDeceleration[0], kStopDeceleration[1], "rad/s^2");
+  }
   reader.finish();
   return link;
 }
@@ -650,6 +665,63 @@ Fixture read_fixture(Reader& reader, const std::string& key, const std::string& 
   const std::string problem = check_fixture(f);
   if (!problem.empty()) reader.fail(key, problem);
   return f;
+}
+
+bool is_path(const CellArm& arm) {
+  const std::string yaml = ".yaml";
+  return arm.link.size() > yaml.size() &&
+         arm.link.compare(arm.link.size() - yaml.size(), yaml.size(), yaml) == 0;
+}
+
+/// The section 'hardware' of an arm; a cell without one is a simulator's, or has a link that
+/// somebody starts by hand.
+std::optional<CellHardware> read_hardware(Reader& reader, const CellArm& arm) {
+  const std::string section = "arms." + arm.name + ".hardware", prefix = section + ".";
+  const bool named = arm.link != kSimulator && !is_path(arm);
+  if (!named && reader.has(section)) {
+    reader.fail(section, "belongs to a link that has a name, such as 'ur'; the link is '" +
+                             arm.link + "': remove the section, or name the link");
+  }
+  if (!reader.has(section)) return std::nullopt;
+  CellHardware hardware;
+  hardware.address = reader.word(prefix + "address");
+  const auto parts = ipv4(hardware.address);
+  if (!parts) {
+    reader.fail(prefix + "address",
+                "'" + hardware.address + "' is not an IPv4 address such as 192.168.56.2");
+  }
+  if (!stays_local(*parts) && !hardware.emulated()) {
+    reader.fail(prefix + "address",
+                hardware.address +
+                    " is routable; a robot hangs on a cable of its own: allowed are 10.x.x.x, "
+                    "172.16.x.x to 172.31.x.x, 192.168.x.x, 169.254.x.x, and 127.x.x.x for an "
+                    "emulator");
+  }
+  hardware.serial = reader.word(prefix + "serial");
+  hardware.payload_mass = reader.real(prefix + "payload.mass", 0.0, kHeaviestPayload, "kg");
+  hardware.payload_cog = reader.vector(prefix + "payload.cog", kFarthestPayload, "m");
+  hardware.tool_link = reader.choice(prefix + "tool_link", {"passive", "none"});
+  hardware.realtime = static_cast<int>(
+      reader.real(prefix + "realtime", kPriorities[0], kPriorities[1], "(SCHED_FIFO)"));
+  return hardware;
+}
+
+/// Refuses an arm whose robot another arm of the cell has.
+void check_shared_robot(const Reader& reader, const std::vector<CellArm>& before,
+                        const CellArm& arm) {
+  if (!arm.hardware) return;
+  for (const CellArm& other : before) {
+    if (!other.hardware) continue;
+    const std::string prefix = "arms." + arm.name + ".hardware.";
+    if (other.hardware->address == arm.hardware->address) {
+      reader.fail(prefix + "address", arm.hardware->address + " is that of " + other.name +
+                                          " too; each arm has an address of its own");
+    }
+    if (other.hardware->serial == arm.hardware->serial) {
+      reader.fail(prefix + "serial", "'" + arm.hardware->serial + "' is that of " + other.name +
+                                         " too; each arm has a serial of its own");
+    }
+  }
 }
 
 constexpr const char* kRoles[] = {"robot", "operator", "endoscope"};
@@ -763,6 +835,9 @@ CellConfig read_cell(const Document& document) {
       }
       arm.fixtures.push_back(read_fixture(reader, key, fixture));
     }
+    arm.hardware = read_hardware(reader, arm);
+    arm.where["hardware"] = place(document, prefix + "hardware");
+    check_shared_robot(reader, cell.arms, arm);
     cell.arms.push_back(arm);
   }
   reader.finish();
@@ -779,6 +854,8 @@ LinkConfig parse_link(const Document& document) { return parse_with_hints(docume
 /// (F10). Its lag is 4 ms of delay and 8 ms of the joints' servos (sim_arm.py).
 LinkConfig simulator_link() { return {kSimulator, 0.1, 0.012, 1.0}; }
 
+bool CellHardware::emulated() const { return address.rfind("127.", 0) == 0; }
+
 RobotConfig with_link(const RobotConfig& robot, const LinkConfig& link) {
   RobotConfig result = robot;
   result.tuning.link_timeout = link.link_timeout;
@@ -788,11 +865,9 @@ RobotConfig with_link(const RobotConfig& robot, const LinkConfig& link) {
 }
 
 std::string link_file(const CellArm& arm) {
-  const std::string yaml = ".yaml";
-  const bool path = arm.link.size() > yaml.size() &&
-                    arm.link.compare(arm.link.size() - yaml.size(), yaml.size(), yaml) == 0;
-  return path ? arm.link
-              : arm.robot.substr(0, arm.robot.rfind('/') + 1) + "../links/" + arm.link + yaml;
+  return is_path(arm)
+             ? arm.link
+             : arm.robot.substr(0, arm.robot.rfind('/') + 1) + "../links/" + arm.link + ".yaml";
 }
 
 std::string unknown_link(const CellArm& arm, const std::string& cell_file,
@@ -874,6 +949,35 @@ void check_tool(const ToolCalibration& tool, const Limits& limits, const std::st
                     number(limits.depth_max) +
                     " m would push the flange into the trocar: tighten depth_max in the cell to "
                     "less than that, or calibrate the tool again");
+}
+
+void check_hardware(const CellArm& arm, const RobotConfig& robot,
+                    const InstrumentConfig& instrument, const ToolCalibration& tool,
+                    const TrocarCalibration& trocar, const std::string& cell_file) {
+  if (!arm.hardware) {
+    if (arm.link == kSimulator || is_path(arm)) return;
+    throw ConfigError(place(arm, "hardware", cell_file) + ": is missing; the link '" + arm.link +
+                      "' needs address, serial, payload, tool_link and realtime");
+  }
+  if (arm.link == "ur" && robot.joint_names.size() != kUrJoints) {
+    throw ConfigError(place(arm, "link", cell_file) + ": 'ur' drives arms of " +
+                      std::to_string(kUrJoints) + " joints; " + robot.name + " has " +
+                      std::to_string(robot.joint_names.size()));
+  }
+  const std::string key = place(arm, "hardware", cell_file);
+  if ((arm.hardware->tool_link == "passive") != instrument.passive) {
+    throw ConfigError(key + ".tool_link: '" + arm.hardware->tool_link + "', and " +
+                      instrument.file +
+                      " states passive: " + (instrument.passive ? "true" : "false") +
+                      "; allowed is 'passive' with a passive instrument, 'none' with another");
+  }
+  if (arm.hardware->emulated()) return;
+  for (const auto& [what, source] :
+       {std::pair{"tool", &tool.source}, std::pair{"trocar", &trocar.source}}) {
+    if (*source == "measured") continue;
+    throw ConfigError(key + ": the calibration of the " + what + " is " + *source +
+                      "; a real arm needs a measured one: ./surg calibrate");
+  }
 }
 
 std::string limits_hash(const RobotConfig& robot, const Limits& limits) {

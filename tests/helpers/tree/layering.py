@@ -22,7 +22,7 @@ FUNCTIONAL = frozenset(
     }
 )
 LIBRARIES = frozenset({"surg_core", "surg_description", "surg_recording", "surg_ros"})
-PURE_IN_SURG_ROS = frozenset({"camera_topic", "params"})
+PURE_IN_SURG_ROS = frozenset({"camera_topic", "link_messages", "params"})
 """Modules of surg_ros that need no ROS; everything else in it does."""
 ALLOWED: dict[str, frozenset[str]] = {
     "crtk_msgs": frozenset(),

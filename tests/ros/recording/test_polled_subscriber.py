@@ -101,10 +101,10 @@ class Link:
         self.publisher.publish(self.kind(position=[value], effort=[0.0] * padding))
 
     def hears(self, count: int) -> bool:
-        from surg_sim.nodes import bridge_messages
+        from surg_ros import link_messages
 
         self.heard += [
-            float(bridge_messages.unpack_joint_state(data)[1][0]) for data in self.polled.fetch()
+            float(link_messages.unpack_joint_state(data)[1][0]) for data in self.polled.fetch()
         ]
         return len(self.heard) >= count
 

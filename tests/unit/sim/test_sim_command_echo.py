@@ -65,7 +65,7 @@ def test_a_stall_is_refused_and_what_is_sent_after_it_is_obeyed(
     monkeypatch.setattr(node, "DirectPublisher", lambda *_: output)
 
     def message(tick: int, place: float) -> SimpleNamespace:
-        layout = node.bridge_messages.JointStateLayout(["yaw", "pitch", "insertion", "roll"])
+        layout = node.link_messages.JointStateLayout(["yaw", "pitch", "insertion", "roll"])
         data = layout.pack(0, tick * TICK_NS, np.full(4, place), np.zeros(0))
         return SimpleNamespace(data=data, _connection_header={"callerid": "/teleop"})
 

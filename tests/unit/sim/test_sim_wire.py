@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from surg_core.contract import SECOND_NS
+from surg_ros import link_messages
 from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.sim_parameters import BridgeSettings, EndoscopeSettings
 from surg_sim.physics.ground_truth import ArmTruth
@@ -34,14 +35,14 @@ def test_joint_state() -> None:
     for n in (1, 6, 7):
         names = [f"joint_{i}" for i in range(n)]
         position, velocity = rng.normal(size=n), rng.normal(size=n)
-        data = bridge_messages.JointStateLayout(names).pack(9, STAMP_NS, position, velocity)
+        data = link_messages.JointStateLayout(names).pack(9, STAMP_NS, position, velocity)
         message = JointState(name=names, position=list(position), velocity=list(velocity))
         message.header.seq = 9
         message.header.stamp = rospy.Time(*divmod(STAMP_NS, SECOND_NS))
         assert data == serialised(message)
         message.header.frame_id = "base"
         message.effort = [1.0]
-        stamp_ns, p, v = bridge_messages.unpack_joint_state(serialised(message))
+        stamp_ns, p, v = link_messages.unpack_joint_state(serialised(message))
         assert stamp_ns == STAMP_NS
         assert np.array_equal(p, position) and np.array_equal(v, velocity)
 
@@ -56,7 +57,7 @@ def test_link_status() -> None:
     message.header.seq = 2**40 & 0xFFFFFFFF
     message.header.stamp = rospy.Time(*divmod(STAMP_NS, SECOND_NS))
     message.last_command = rospy.Time(3, 4_000_000)
-    says = bridge_messages.LinkSays(
+    says = link_messages.LinkSays(
         LinkStatus.STOPPED, "joint_velocity", 3_004_000_000, True, False, "no state", 0.5
     )
     assert says.pack(STAMP_NS, 2**40) == serialised(message)
@@ -71,7 +72,7 @@ def test_point_velocity() -> None:
     message.header.frame_id = "PSM1_base"
     message.point.x, message.point.y, message.point.z = point = np.array([0.1, -0.2, 0.3])
     message.velocity.x, message.velocity.y, message.velocity.z = velocity = -0.1 * point
-    frame = bridge_messages.text("PSM1_base")
+    frame = link_messages.text("PSM1_base")
     assert bridge_messages.pack_point_velocity(STAMP_NS, 12, frame, point, velocity) == serialised(
         message
     )
@@ -101,7 +102,7 @@ def test_twist() -> None:
     message.header.frame_id = "PSM1_base"
     message.header.stamp = rospy.Time(7, 8)
     message.twist.linear.y, message.twist.angular.z = 2.0, 6.0
-    stamp_ns, twist = bridge_messages.unpack_twist(serialised(message))
+    stamp_ns, twist = link_messages.unpack_twist(serialised(message))
     assert stamp_ns == 7_000_000_008
     assert twist.tolist() == [0, 2, 0, 0, 0, 6]
 
@@ -111,7 +112,7 @@ def test_garbage_is_refused_with_one_kind_of_error() -> None:
     refused = 0
     for _ in range(2000):
         data = rng.integers(0, 256, rng.integers(0, 80), dtype=np.uint8).tobytes()
-        for read in (bridge_messages.unpack_joint_state, bridge_messages.unpack_twist):
+        for read in (link_messages.unpack_joint_state, link_messages.unpack_twist):
             try:
                 read(data)
             except struct.error:
@@ -193,6 +194,6 @@ def test_wrench() -> None:
     message.header.seq, message.header.frame_id = 9, "PSM1_base"
     message.header.stamp = rospy.Time(*divmod(STAMP_NS, SECOND_NS))
     message.wrench.force.x, message.wrench.force.y, message.wrench.force.z = 1.5, -2.0, 0.25
-    frame = bridge_messages.text("PSM1_base")
+    frame = link_messages.text("PSM1_base")
     data = bridge_messages.pack_wrench(STAMP_NS, 9, frame, np.array([1.5, -2.0, 0.25]))
     assert data == serialised(message)

@@ -91,6 +91,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         cell=cell,
         arms=arms,
         simulated=simulated,
+        driven=tuple(arm for arm in arms if loaded.arms[arm].hardware is not None),
         lockstep=options.lock_step,
         cameras=()
         if options.no_video or not simulated
@@ -194,7 +195,13 @@ def describe_arms(arms: Mapping[str, Any]) -> None:
     """Print which arms the simulator does not drive, and what nobody has measured of them."""
     for name, arm in arms.items():
         real = arm.link != "simulator"
-        if real:
+        if arm.hardware is not None:
+            emulated = ", emulated" if arm.hardware.emulated else ""
+            say(
+                f"{name} is driven by the link '{arm.link}'{emulated}, at {arm.hardware.address}. "
+                "Start the robot: ./surg robot CELL start"
+            )
+        elif real:
             say(
                 f"{name} is driven by '{arm.link}': start its link now. enable is refused until "
                 "its robot/status is ACTIVE."

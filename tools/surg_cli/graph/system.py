@@ -61,6 +61,7 @@ class Plan:
     view: bool = False  # whether the simulator opens its window
     # arms that the simulator drives; None: all. Without any there is no simulator and no picture
     simulated: tuple[str, ...] | None = None
+    driven: tuple[str, ...] = ()  # arms whose link is started: those with `hardware` in the cell
     law: str = "ours"  # "ours", "velocity" or "paper"
     link: str | None = None  # "joint", "twist", or None for what the robot's YAML says
     # lateral feedback [1/s], or None for what the robot's YAML says
@@ -170,6 +171,9 @@ def nodes(plan: Plan) -> list[Node]:
     if plan.cameras:
         params = {**plan.scene, "views": list(plan.cameras)}
         started.append(Node(f"/{ENDOSCOPE}", "surg_sim", "endoscope_node.py", params))
+    for arm in plan.driven:
+        params = {"cell": str(plan.cell), "arm": arm}
+        started.append(Node(f"/{arm}/link", "surg_hardware", "link_node.py", params, prompt=True))
     for arm in plan.arms:
         params = {
             "cell": str(plan.cell),

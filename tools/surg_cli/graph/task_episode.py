@@ -50,7 +50,7 @@ def write_plan(plan: Plan) -> None:
 def read_plan(folder: Path) -> Plan:
     """The plan in a folder."""
     values = json.loads((folder / PLAN).read_text("utf-8"))
-    tuples = ("arms", "cameras", "extra_participants", "record_topics", "record_cameras")
+    tuples = ("arms", "cameras", "driven", "extra_participants", "record_topics", "record_cameras")
     for name in tuples:
         values[name] = tuple(values[name])
     values["senders"] = {name: tuple(arms) for name, arms in values["senders"].items()}

@@ -200,6 +200,8 @@ ArmSetup load_arm(const std::string& cell, const std::string& arm_name) {
   setup.trocar =
       surg::parse_trocar(load_document(beside(cell_file, "calibration/trocar_" + name + ".yaml")));
   setup.robot_urdf = beside(robot_file, setup.robot.urdf);
+  surg::check_hardware(setup.arm, setup.robot, setup.mounted.instrument, setup.mounted.tool,
+                       setup.trocar, cell_file);
   return setup;
 }
 

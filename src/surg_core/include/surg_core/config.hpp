@@ -6,6 +6,7 @@
 
 #include <limits>
 #include <map>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <variant>
@@ -112,6 +113,8 @@ struct LinkConfig {
   std::string name;
   double link_timeout, link_lag;  ///< [s] as in Tuning
   double acceleration;            ///< share of the robot's joint acceleration that it obeys
+  double dead_man = 0.04;         ///< [s] without a command, after which it stops the arm
+  double stop_deceleration = 20;  ///< [rad/s^2] of the leading joint in that stop
 };
 
 /// The link that a cell names 'simulator'; it has no file.
@@ -152,6 +155,17 @@ struct TrocarCalibration {
   std::string source = {};  ///< "measured", "simulated" or "computed"
 };
 
+/// What a cell states of a real arm, or of an emulated one: nothing in it has a default.
+struct CellHardware {
+  std::string address;      ///< IPv4, private; on loopback: an emulator
+  std::string serial;       ///< of the robot; another arm is refused
+  double payload_mass = 0;  ///< [kg] that the robot must have set
+  Vector3 payload_cog;      ///< [m] in the robot's flange frame
+  std::string tool_link;    ///< "passive": no drive; "none": another node speaks tool/...
+  int realtime = 0;         ///< priority of the driver
+  bool emulated() const;    ///< whether the address is on loopback
+};
+
 /// One arm of a cell, as cell.yaml states it.
 struct CellArm {
   std::string name;        ///< CRTK name, e.g. "PSM1"
@@ -163,7 +177,8 @@ struct CellArm {
   std::map<std::string, double> limits;  ///< tightened limits by name
   /// [rad] preferred swivel angle of a seven-joint arm's elbow; NaN: none
   double elbow = std::numeric_limits<double>::quiet_NaN();
-  std::vector<Fixture> fixtures = {};  ///< virtual fixtures, in the robot's base frame
+  std::vector<Fixture> fixtures = {};         ///< virtual fixtures, in the robot's base frame
+  std::optional<CellHardware> hardware = {};  ///< only with a link that has a name, such as "ur"
   /// "file:line" of the values above, for errors: "home", "limits.cone".
   std::map<std::string, std::string> where = {};
 };
@@ -219,6 +234,12 @@ std::string link_file(const CellArm& arm);
 /// The error where that file, looked for as 'tried', does not exist.
 std::string unknown_link(const CellArm& arm, const std::string& cell_file,
                          const std::string& tried);
+
+/// Throws if what the cell states of a real arm does not fit the arm: its joints, its instrument,
+/// and calibrations that nobody has measured.
+void check_hardware(const CellArm& arm, const RobotConfig& robot,
+                    const InstrumentConfig& instrument, const ToolCalibration& tool,
+                    const TrocarCalibration& trocar, const std::string& cell_file);
 
 /// Throws if an instrument's tip could go deeper than its shaft is long.
 void check_tool(const ToolCalibration& tool, const Limits& limits, const std::string& tool_file);

@@ -165,7 +165,9 @@ void bind_link(py::module_& m) {
       .def_readonly("name", &LinkConfig::name)
       .def_readonly("link_timeout", &LinkConfig::link_timeout, "[s]")
       .def_readonly("link_lag", &LinkConfig::link_lag, "[s]")
-      .def_readonly("acceleration", &LinkConfig::acceleration, "Share of the robot's.");
+      .def_readonly("acceleration", &LinkConfig::acceleration, "Share of the robot's.")
+      .def_readonly("dead_man", &LinkConfig::dead_man, "[s]")
+      .def_readonly("stop_deceleration", &LinkConfig::stop_deceleration, "[rad/s^2]");
   m.def("parse_link", &parse_link, py::arg("document"),
         "Checks the document against the schema. Raises ConfigError.");
   m.def("simulator_link", &simulator_link, "The parameters of the simulator's link.");
@@ -230,6 +232,17 @@ void bind_calibrations(py::module_& m) {
 }
 
 void bind_cell(py::module_& m) {
+  py::class_<CellHardware>(m, "CellHardware", "What a cell states of a real or emulated arm.")
+      .def_readonly("address", &CellHardware::address)
+      .def_readonly("serial", &CellHardware::serial)
+      .def_readonly("payload_mass", &CellHardware::payload_mass, "[kg]")
+      .def_property_readonly(
+          "payload_cog", [](const CellHardware& h) { return frozen(from_matrix(h.payload_cog)); },
+          "[m] (3,)")
+      .def_readonly("tool_link", &CellHardware::tool_link, "passive or none.")
+      .def_readonly("realtime", &CellHardware::realtime, "Priority of the driver.")
+      .def_property_readonly("emulated", &CellHardware::emulated, "The address is on loopback.");
+
   py::class_<CellArm>(m, "CellArm", "One arm as cell.yaml states it.")
       .def_readonly("name", &CellArm::name)
       .def_readonly("robot", &CellArm::robot, "As written: relative to the cell file's folder.")
@@ -244,6 +257,9 @@ void bind_cell(py::module_& m) {
           "home", [](const CellArm& a) { return py::tuple(py::cast(a.home)); },
           "[rad] Instead of the robot's; empty: the robot's.")
       .def_readonly("elbow", &CellArm::elbow, "Preferred swivel angle [rad]; NaN: none.")
+      .def_property_readonly(
+          "hardware", [](const CellArm& a) { return a.hardware; },
+          "None: driven by the simulator, or by a link that somebody starts by hand.")
       .def_property_readonly("limits", [](const CellArm& a) { return a.limits; })
       .def_property_readonly(
           "fixtures", [](const CellArm& a) { return py::tuple(py::cast(a.fixtures)); },
@@ -293,6 +309,9 @@ void bind_config(py::module_& m, py::module_& testing) {
         "Limits with a cell's values put in. Raises ConfigError when a value would loosen one.");
   m.def("with_home", &with_home, py::arg("robot"), py::arg("arm"), py::arg("cell_file"),
         "The robot with the cell's home posture put in. Raises ConfigError when it does not fit.");
+  m.def("check_hardware", &check_hardware, py::arg("arm"), py::arg("robot"), py::arg("instrument"),
+        py::arg("tool"), py::arg("trocar"), py::arg("cell_file"),
+        "Raises ConfigError when what the cell states of a real arm does not fit it.");
   m.def("check_tool", &check_tool, py::arg("tool"), py::arg("limits"), py::arg("tool_file"),
         "Raises ConfigError when depth_max is not less than the shaft's length from the flange.");
   testing.def("limits_hash", &limits_hash, py::arg("robot"), py::arg("limits"),

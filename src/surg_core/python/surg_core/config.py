@@ -20,6 +20,7 @@ import yaml  # type: ignore[import]
 from surg_core._core import (
     CellArm,
     CellConfig,
+    CellHardware,
     Chain,
     ConfigError,
     Document,
@@ -30,6 +31,7 @@ from surg_core._core import (
     RobotConfig,
     ToolCalibration,
     TrocarCalibration,
+    check_hardware,
     check_tool,
     link_file,
     parse_cell,
@@ -76,6 +78,9 @@ class Arm:
         chain: joints from base link to flange link.
         urdf_path: the robot's URDF, absolute.
         instrument_urdf: the instrument's URDF, absolute.
+        link_config: parameters of what moves it.
+        hardware: what the cell states of a real or emulated arm; None: it is simulated, or its link
+            is started by hand.
     """
 
     name: str
@@ -90,6 +95,8 @@ class Arm:
     chain: Chain
     urdf_path: Path
     instrument_urdf: Path
+    link_config: LinkConfig
+    hardware: CellHardware | None
 
 
 @dataclass(frozen=True)
@@ -150,7 +157,8 @@ def load_cell(path: PathLike) -> Cell:
         robot_file = _beside(file, stated.robot)
         instrument_file = _beside(file, stated.instrument)
         robot = with_home(load_robot(robot_file), stated, str(file))
-        robot = with_link(robot, _load_link(stated, file))
+        link_config = _load_link(stated, file)
+        robot = with_link(robot, link_config)
         instrument = load_instrument(instrument_file)
         urdf = _beside(robot_file, robot.urdf)
         instrument_urdf = _beside(instrument_file, instrument.urdf)
@@ -166,6 +174,8 @@ def load_cell(path: PathLike) -> Cell:
         tool_file = file.parent / "calibration" / f"tool_{stated.name}.yaml"
         tool = load_tool(tool_file)
         check_tool(tool, limits, str(tool_file))
+        trocar = load_trocar(file.parent / "calibration" / f"trocar_{stated.name}.yaml")
+        check_hardware(stated, robot, instrument, tool, trocar, str(file))
         X_WB = make_pose(stated.base_xyz, stated.base_rpy)
         X_WB.setflags(write=False)
         arms[stated.name] = Arm(
@@ -176,11 +186,13 @@ def load_cell(path: PathLike) -> Cell:
             limits=limits,
             fixtures=stated.fixtures,
             tool=tool,
-            trocar=load_trocar(file.parent / "calibration" / f"trocar_{stated.name}.yaml"),
+            trocar=trocar,
             X_WB=X_WB,
             chain=chain,
             urdf_path=urdf,
             instrument_urdf=instrument_urdf,
+            link_config=link_config,
+            hardware=stated.hardware,
         )
     return Cell(config=config, arms=MappingProxyType(arms), folder=file.parent)
 

@@ -1,4 +1,4 @@
-"""`./surg robot CELL lag`: how late each arm of a running cell follows its commands."""
+"""`./surg robot CELL ACTION`: the robots of a running cell, and how late they follow."""
 
 from __future__ import annotations
 
@@ -11,11 +11,18 @@ from dataclasses import dataclass
 from typing import Any
 
 from surg_cli.graph import running
+from surg_cli.graph.robot_request import RobotRequests, condition_name
 from surg_cli.host import cells
 from surg_cli.host.option_types import positive, tcp_port
 from surg_cli.host.terminal import Problem, Progress, say, table, warn
 
-ACTIONS = {"lag": "measure the lag of each arm's link from its motion"}
+ACTIONS = {
+    "status": "condition of each robot, and what to do",
+    "start": "let each robot obey its commands; nothing moves by it",
+    "stop": "bring each robot to rest; it obeys nothing until the next start",
+    "guide": "let a person guide each robot by hand, until stop",
+    "lag": "measure the lag of each arm's link from its motion",
+}
 TOLERANCE_S = 0.003
 """Above this difference the controller warns (docs/reference/safety.md)."""
 TIMEOUT_S = 60.0
@@ -26,9 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
     add = parser.add_argument
     add("cell", metavar="CELL", help="name in cells/, or a folder; it must be running")
-    add("action", choices=tuple(ACTIONS), help=ACTIONS["lag"])
+    add("action", choices=tuple(ACTIONS), help="; ".join(f"{a}: {h}" for a, h in ACTIONS.items()))
     add("--arm", metavar="ARM", help="only this arm (default: every arm)")
-    add("--timeout", type=positive, default=TIMEOUT_S, metavar="S", help="default 60 s")
+    add("--timeout", type=positive, default=TIMEOUT_S, metavar="S", help="of lag: default 60 s")
     add("--port", type=tcp_port, metavar="P", help="of the ROS master")
 
 
@@ -46,21 +53,48 @@ class Lag:
 
 
 def main(options: argparse.Namespace, command: str) -> int:
-    """Measure; exit status 1 if an arm did not move or its lag differs."""
+    """Ask or measure; exit status 1 if a robot refused, did not move, or its lag differs."""
     folder = cells.find(options.cell)
     arms = cells.chosen_arms(cells.load(folder), options.arm)
     system = running.of_cell(folder, options.port)
     if system is None:
         raise Problem(
             f"no system of {folder.name} is running. Start it with ./surg up {options.cell}, "
-            "enable the arm, then repeat this command and move the arm"
+            + (
+                "enable the arm, then repeat this command and move the arm"
+                if options.action == "lag"
+                else "then repeat this command"
+            )
         )
+    if options.action != "lag":
+        return _ask(system.master_uri, arms, options.action)
     lags = _measure(system.master_uri, arms, options.timeout)
     say(table([row(arm, lags.get(arm)) for arm in arms]))
     for arm in arms:
         if text := advice(arm, lags.get(arm)):
             warn(f"surg: {text}")
     return 1 if any(advice(arm, lags.get(arm)) for arm in arms) else 0
+
+
+def _ask(uri: str, arms: list[str], word: str) -> int:
+    """Ask each robot for something, and print what it is doing then."""
+    failed = False
+    with RobotRequests(uri, arms) as links:
+        for arm in arms if word != "status" else ():
+            if refusal := links.ask(arm, word):
+                warn(f"surg: {arm}: {refusal}")
+                failed = True
+        statuses = links.statuses()
+        say(table([status_row(arm, statuses[arm]) for arm in arms]))
+    return 1 if failed or None in statuses.values() else 0
+
+
+def status_row(arm: str, status: Any) -> list[str]:
+    """One line of the table; status None: its link says nothing."""
+    if status is None:
+        return [arm, "no link", "start it, or see ./surg status"]
+    serial = f"serial {status.serial}" if status.serial else "no serial"
+    return [arm, condition_name(status), serial, status.fault]
 
 
 def row(arm: str, lag: Lag | None) -> list[str]:

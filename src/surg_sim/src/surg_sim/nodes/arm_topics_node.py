@@ -7,15 +7,15 @@ from collections.abc import Callable
 from typing import Any
 
 import rospy
-from geometry_msgs.msg import TwistStamped
 from sensor_msgs.msg import JointState
 
 import surg_core
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_msgs.msg import LinkStatus, PointVelocityStamped
+from surg_ros import link_messages
 from surg_ros.transport.direct_publisher import DirectPublisher, speakers
+from surg_ros.transport.message_bytes import JointStateBytes, TwistBytes
 from surg_ros.transport.polled_subscriber import PolledSubscriber
-from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.latest_value import LatestValue
 from surg_sim.physics.sim_arm import ArmCommand
 
@@ -26,25 +26,6 @@ Arrival = tuple[int, Any, Any]
 """A command: stamp [ns], joint velocities or jaw, twist; None where it has no such part."""
 Receiver = Callable[["ArmTopics", str, Arrival], None]
 """Called with the arm, ``robot`` or ``tool``, and the command."""
-
-
-class _Bytes:
-    """Put before a message class: keeps the bytes for the ``unpack`` functions."""
-
-    data = b""
-
-    def deserialize(self, data: bytes) -> Any:
-        """Called by rospy."""
-        self.data = data
-        return self
-
-
-class JointStateBytes(_Bytes, JointState):
-    """A JointState as on the wire."""
-
-
-class TwistBytes(_Bytes, TwistStamped):
-    """A TwistStamped as on the wire."""
 
 
 class ArmTopics:
@@ -59,9 +40,9 @@ class ArmTopics:
     ) -> None:
         self.name: str = arm.name
         self.command = ""  # obeyed; a simulated link takes whichever comes
-        self.layout = bridge_messages.JointStateLayout(list(arm.robot.joint_names))
+        self.layout = link_messages.JointStateLayout(list(arm.robot.joint_names))
         self.last_command_ns = 0
-        self.said: bridge_messages.LinkSays | None = None  # the last status, without its stamps
+        self.said: link_messages.LinkSays | None = None  # the last status, without its stamps
         self.arrived: dict[str, LatestValue[Arrival]] = {
             link: LatestValue() for link in ("robot", "tool")
         }
@@ -73,7 +54,7 @@ class ArmTopics:
         self.tool_ticks = 1 if lockstep or has_jaw else _JAWLESS_TICKS
         # The track is advertised only if it is published.
         self.stale = round(track_stale * SECOND_NS / TICK_NS)
-        self.frame = bridge_messages.text(f"{arm.name}_base")
+        self.frame = link_messages.text(f"{arm.name}_base")
         self.tracked = 0
         self.track: DirectPublisher | None = None
         if self.stale >= 0:
@@ -102,15 +83,15 @@ class ArmTopics:
         return rospy.Subscriber(name, kind, lambda message: receive(message.data), tcp_nodelay=True)
 
     def _on_velocity(self, data: bytes) -> None:
-        stamp_ns, _, velocity = bridge_messages.unpack_joint_state(data)
+        stamp_ns, _, velocity = link_messages.unpack_joint_state(data)
         self._receive(self, "robot", (stamp_ns, velocity, None))
 
     def _on_twist(self, data: bytes) -> None:
-        stamp_ns, twist = bridge_messages.unpack_twist(data)
+        stamp_ns, twist = link_messages.unpack_twist(data)
         self._receive(self, "robot", (stamp_ns, None, twist))
 
     def _on_jaw(self, data: bytes) -> None:
-        stamp_ns, position, _ = bridge_messages.unpack_joint_state(data)
+        stamp_ns, position, _ = link_messages.unpack_joint_state(data)
         jaw = float(position[0]) if len(position) else None
         self._receive(self, "tool", (stamp_ns, jaw, None))
 

@@ -10,8 +10,8 @@ import numpy as np
 import rospy
 from sensor_msgs.msg import JointState
 
+from surg_ros import link_messages
 from surg_ros.transport.direct_publisher import DirectPublisher
-from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.arm_topics_node import JointStateBytes
 from surg_sim.nodes.command_echo import CommandEcho
 from surg_sim.physics.assistant_arm import AssistantCommand
@@ -35,15 +35,15 @@ class AssistantTopics:
         self._waiting: deque[tuple[int, str, str, Any]] = deque()
         self._state = DirectPublisher("/assistant/measured_js", JointState, bridge.lockstep)
         self._jaw = DirectPublisher("/assistant/jaw/measured_js", JointState, bridge.lockstep)
-        self._layout = bridge_messages.JointStateLayout(JOINTS)
-        self._jaw_layout = bridge_messages.JointStateLayout(["jaw"])
+        self._layout = link_messages.JointStateLayout(JOINTS)
+        self._jaw_layout = link_messages.JointStateLayout(["jaw"])
         self._command_echo = CommandEcho()
 
         def listen(topic: str, what: str, size: int) -> Any:
             def callback(message: Any) -> None:
                 sender = str(message._connection_header.get("callerid", "")).lstrip("/")
                 try:
-                    stamp_ns, position, _ = bridge_messages.unpack_joint_state(message.data)
+                    stamp_ns, position, _ = link_messages.unpack_joint_state(message.data)
                     if len(position) != size or not np.isfinite(position).all():
                         raise ValueError(f"{position}, allowed: {size} finite numbers")
                     if not bridge.lockstep and self._command_echo.is_late(stamp_ns):

@@ -1,78 +1,17 @@
-"""The bridge's 500 Hz messages as bytes, packed in one go from prebuilt layouts.
-
-A ROS 1 message is its members in order, little endian, with a length before every string and
-array. Building and serialising message objects at this rate would cost more than the physics; a
-test compares every layout with the generated classes.
-"""
+"""The simulator's own 500 Hz messages as bytes, beside those of a link (`link_messages`)."""
 
 from __future__ import annotations
 
 import math
 import struct
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from surg_core.contract import SECOND_NS
+from surg_ros.link_messages import doubles, header, text
 from surg_sim.arrays import Array
 from surg_sim.physics.ground_truth import ArmTruth
 from surg_sim.tasks import Verdict
-
-
-def text(words: str) -> bytes:
-    """A string with its length in front."""
-    data = words.encode()
-    return struct.pack("<I", len(data)) + data
-
-
-def header(seq: int, stamp_ns: int, frame: bytes = b"\0\0\0\0") -> bytes:
-    """A std_msgs/Header; ``frame`` is the frame id with its length in front."""
-    return struct.pack("<3I", seq & 0xFFFFFFFF, *divmod(stamp_ns, SECOND_NS)) + frame
-
-
-def _doubles(values: Array) -> bytes:
-    return struct.pack("<I", len(values)) + np.ascontiguousarray(values, dtype="<f8").tobytes()
-
-
-class JointStateLayout:
-    """sensor_msgs/JointState with fixed names, positions and velocities, no efforts."""
-
-    def __init__(self, names: Sequence[str]) -> None:
-        self._names = struct.pack("<I", len(names)) + b"".join(map(text, names))
-
-    def pack(self, seq: int, stamp_ns: int, position: Array, velocity: Array) -> bytes:
-        """The message as bytes; position and velocity are (n,)."""
-        values = _doubles(position), _doubles(velocity)
-        return b"".join((header(seq, stamp_ns), self._names, *values, b"\0\0\0\0"))
-
-
-@dataclass(frozen=True)
-class LinkSays:
-    """What a link says of itself beside the tick; members as in surg_msgs/LinkStatus."""
-
-    condition: int
-    command: str
-    last_command_ns: int
-    dead_man: bool
-    lockstep: bool
-    fault: str
-    speed_scaling: float = 1.0
-
-    def pack(self, stamp_ns: int, tick: int) -> bytes:
-        """A surg_msgs/LinkStatus as bytes; a simulated arm has no serial number."""
-        return b"".join(
-            (
-                header(tick, stamp_ns),
-                struct.pack("<QB", tick, self.condition),
-                text(self.command),
-                struct.pack("<2I", *divmod(self.last_command_ns, SECOND_NS)),
-                struct.pack("<2B", self.dead_man, self.lockstep),
-                text(self.fault),
-                text(""),
-                struct.pack("<dB", self.speed_scaling, 1),
-            )
-        )
 
 
 def pack_point_velocity(
@@ -121,7 +60,7 @@ class TaskStateLayout:
                 header(tick, stamp_ns),
                 struct.pack("<Q", tick),
                 self._head,
-                _doubles(values),
+                doubles(values),
                 text(verdict.phase),
                 struct.pack("<2B", verdict.done, verdict.success),
                 text(verdict.reason),
@@ -159,53 +98,3 @@ def task_state(names: Iterable[str], values: Sequence[float]) -> dict[str, float
 def pack_wrench(stamp_ns: int, seq: int, frame: bytes, force: Array) -> bytes:
     """A geometry_msgs/WrenchStamped without torque; ``frame`` as for ``header``."""
     return header(seq, stamp_ns, frame) + struct.pack("<6d", *force, 0.0, 0.0, 0.0)
-
-
-def unpack_header(data: bytes) -> tuple[int, int]:
-    """Stamp [ns] and offset behind the header.
-
-    Raises:
-        struct.error: The data are too short.
-    """
-    _, seconds, nanoseconds, length = struct.unpack_from("<4I", data)
-    return seconds * SECOND_NS + nanoseconds, 16 + length
-
-
-def _skip_strings(data: bytes, offset: int) -> int:
-    (count,) = struct.unpack_from("<I", data, offset)
-    offset += 4
-    for _ in range(count):
-        (length,) = struct.unpack_from("<I", data, offset)
-        offset += 4 + length
-    return offset
-
-
-def _read_doubles(data: bytes, offset: int) -> tuple[Array, int]:
-    (count,) = struct.unpack_from("<I", data, offset)
-    end = offset + 4 + 8 * count
-    if end > len(data):
-        raise struct.error(f"array of {count} doubles in {len(data)} bytes")
-    return np.frombuffer(data, dtype="<f8", count=count, offset=offset + 4), end
-
-
-def unpack_joint_state(data: bytes) -> tuple[int, Array, Array]:
-    """Stamp [ns], positions and velocities of a sensor_msgs/JointState.
-
-    Raises:
-        struct.error: The data are not such a message.
-    """
-    stamp_ns, offset = unpack_header(data)
-    offset = _skip_strings(data, offset)
-    position, offset = _read_doubles(data, offset)
-    velocity, _ = _read_doubles(data, offset)
-    return stamp_ns, position, velocity
-
-
-def unpack_twist(data: bytes) -> tuple[int, Array]:
-    """Stamp [ns] and (6,) linear, angular of a geometry_msgs/TwistStamped.
-
-    Raises:
-        struct.error: The data are not such a message.
-    """
-    stamp_ns, offset = unpack_header(data)
-    return stamp_ns, np.array(struct.unpack_from("<6d", data, offset))

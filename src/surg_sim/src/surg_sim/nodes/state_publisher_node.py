@@ -13,6 +13,7 @@ from rosgraph_msgs.msg import Clock
 import surg_core
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_msgs.msg import GroundTruth, Ready, SimSnapshot
+from surg_ros import link_messages
 from surg_ros.transport.direct_publisher import DirectPublisher, listeners
 from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.arm_topics_node import ArmTopics
@@ -24,7 +25,7 @@ from surg_sim.physics.world import World
 
 _STATUS_TICKS = 10
 """50 Hz."""
-_JAW = bridge_messages.JointStateLayout(["jaw"])
+_JAW = link_messages.JointStateLayout(["jaw"])
 
 
 class StatePublisher:
@@ -103,7 +104,7 @@ class StatePublisher:
     def _publish_status(self, arm: ArmTopics, link: ArmLink, tick: int, stamp_ns: int) -> None:
         """The link's status: in lock-step part of every tick, else on change and at 50 Hz."""
         condition, scaling = self._injector.robot(arm.name)
-        says = bridge_messages.LinkSays(
+        says = link_messages.LinkSays(
             condition=condition.value,
             command=arm.command,
             last_command_ns=arm.last_command_ns,

@@ -9,6 +9,7 @@ from geometry_msgs.msg import WrenchStamped
 
 from surg_core.contract import GRID
 from surg_msgs.msg import TaskState, TaskStatus
+from surg_ros import link_messages
 from surg_ros.transport.direct_publisher import DirectPublisher
 from surg_sim.envs.cell_session import FORCE_TICKS
 from surg_sim.nodes import bridge_messages
@@ -30,7 +31,7 @@ class _ForceSensor:
     """
 
     def __init__(self, arm: str, place: str, read: Callable[[str], Any], lockstep: bool) -> None:
-        self.arm, self._frame, self._read = arm, bridge_messages.text(f"{arm}_base"), read
+        self.arm, self._frame, self._read = arm, link_messages.text(f"{arm}_base"), read
         self.topic = f"/{arm}/{place}/measured_cf"
         self.output = DirectPublisher(self.topic, WrenchStamped, lockstep)
 

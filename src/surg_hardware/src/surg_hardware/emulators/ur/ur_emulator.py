@@ -28,7 +28,7 @@ from surg_hardware.emulators.ur.dh_kinematics import TABLES
 from surg_hardware.emulators.ur.joint_motion import DT
 from surg_hardware.emulators.ur.primary_server import PrimarySession
 from surg_hardware.emulators.ur.rtde_server import RtdeSession
-from surg_hardware.emulators.ur.ur_controller import UrController
+from surg_hardware.emulators.ur.ur_controller import HOME, UrController
 
 PORTS = {
     "dashboard": 29999,
@@ -438,6 +438,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--record", type=Path, metavar="FILE", help="write modes and joints of every cycle as CSV")
     add("--model", choices=tuple(TABLES), default="UR5e", help="default: UR5e")
     add("--serial", default="20225500001", help="serial number")
+    add("--q", type=float, nargs=6, metavar="RAD", help="joint angles at the start")
     add("--off", action="store_true", help="begin with the power off")
     add("--lock-step", action="store_true", help="each cycle waits for the client's commands")
 
@@ -449,7 +450,9 @@ def start(options: argparse.Namespace) -> UrEmulator:
         ValueError: An option is wrong; states which.
         OSError: A port is taken, or a file cannot be read.
     """
-    controller = UrController(options.model, options.serial, ready=not options.off)
+    controller = UrController(
+        options.model, options.serial, options.q or HOME, ready=not options.off
+    )
     emulator = UrEmulator(controller, options.address, _ports(options.ports), options.lock_step)
     try:
         if options.mishap is not None:

@@ -1,0 +1,139 @@
+"""`hardware:` in a cell: what it gives the link, and every refusal with file, key and value."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+import surg_core
+from surg_cli.commands import up
+from surg_cli.graph import system
+from surg_cli.host import paths
+from surg_hardware import link_node
+from surg_hardware.emulators.ur.dh_kinematics import TABLES, frames, pose_vector
+from surg_hardware.identity import flange_mismatch, ur_flange
+
+BUNDLED = paths.CELLS / "emulated_ur5e"
+Edit = Callable[[dict[str, Any]], object]
+
+
+def written(folder: Path, edit: Edit) -> Path:
+    """A copy of the bundled cell with its arm PSM1 edited; returns its cell.yaml."""
+    cell = folder / "cells" / "mine"
+    shutil.copytree(BUNDLED, cell)
+    (folder / "src").mkdir()
+    (folder / "src" / "surg_description").symlink_to(paths.ROOT / "src" / "surg_description")
+    file = cell / "cell.yaml"
+    document = yaml.safe_load(file.read_text("utf-8"))
+    edit(document["arms"]["PSM1"])
+    file.write_text(yaml.safe_dump(document), "utf-8")
+    return file
+
+
+def test_the_driver_gets_what_cell_and_link_state() -> None:
+    arm = surg_core.load_cell(BUNDLED).arms["PSM1"]
+    settings = link_node.driver_settings(arm)
+    assert settings.address == "127.0.0.1" and arm.hardware.emulated
+    assert settings.velocity == tuple(arm.robot.velocity)
+    assert settings.acceleration == pytest.approx([40.0] * 6)
+    assert (settings.dead_man, settings.stop_deceleration) == (0.04, 20.0)
+    assert arm.robot.tuning.link_timeout == 0.04
+
+
+def test_up_starts_the_link_and_no_simulator() -> None:
+    plan = system.Plan(BUNDLED, ("PSM1",), False, (), Path("out"), simulated=(), driven=("PSM1",))
+    nodes = {node.name: node for node in system.nodes(plan)}
+    assert nodes["/PSM1/link"].package == "surg_hardware" and "/sim" not in nodes
+
+
+def test_up_says_that_the_arm_is_emulated(capsys: pytest.CaptureFixture[str]) -> None:
+    up.describe_arms(surg_core.load_cell(BUNDLED).arms)
+    assert "emulated, at 127.0.0.1" in capsys.readouterr().out
+
+
+def test_our_kinematics_are_those_of_the_data_sheet() -> None:
+    """The URDF's flange against the DH table of the emulated arm, 200 postures."""
+    arm = surg_core.load_cell(BUNDLED).arms["PSM1"]
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        q = rng.uniform(-np.pi, np.pi, 6)
+        theirs = ur_flange(pose_vector(frames(q, TABLES["UR5e"])[-1]), [0.0] * 6)
+        assert flange_mismatch(arm.chain.forward(q), theirs) == ""
+        other = ur_flange(pose_vector(frames(q, TABLES["UR10e"])[-1]), [0.0] * 6)
+        assert flange_mismatch(arm.chain.forward(q), other)
+
+
+def hardware(**changed: object) -> Edit:
+    return lambda arm: arm["hardware"].update(changed)
+
+
+def without(key: str) -> Edit:
+    return lambda arm: arm["hardware"].pop(key)
+
+
+REFUSED: dict[str, tuple[Edit, str, str]] = {
+    "a public address": (hardware(address="8.8.8.8"), "hardware.address", "8.8.8.8"),
+    "a name": (hardware(address="robot.local"), "hardware.address", "robot.local"),
+    "no address": (without("address"), "hardware.address", "missing"),
+    "no serial": (without("serial"), "hardware.serial", "missing"),
+    "an empty serial": (hardware(serial=""), "hardware.serial", "empty"),
+    "no payload": (without("payload"), "hardware.payload.mass", "missing"),
+    "a heavy payload": (
+        hardware(payload={"mass": 30.0, "cog": [0.0, 0.0, 0.0]}), "hardware.payload.mass", "30",
+    ),
+    "a far payload": (
+        hardware(payload={"mass": 1.0, "cog": [0.0, 0.0, 0.6]}), "hardware.payload.cog", "0.6",
+    ),
+    "no tool link": (without("tool_link"), "hardware.tool_link", "missing"),
+    "an unknown tool link": (hardware(tool_link="active"), "hardware.tool_link", "active"),
+    "no priority": (without("realtime"), "hardware.realtime", "missing"),
+    "a priority of the kernel": (hardware(realtime=99), "hardware.realtime", "99"),
+    "an unknown key": (hardware(password="x"), "hardware.password", "known"),
+    "no hardware": (lambda arm: arm.pop("hardware"), "arms.PSM1.hardware", "missing"),
+    "hardware of a simulator": (
+        lambda arm: arm.update(link="simulator"), "arms.PSM1.hardware", "'simulator'",
+    ),
+    "hardware of a link by hand": (
+        lambda arm: arm.update(link="own.yaml"), "arms.PSM1.hardware", "'own.yaml'",
+    ),
+    "an unknown link": (lambda arm: arm.update(link="kuka"), "arms.PSM1.link", "'kuka'"),
+    "a driven instrument": (
+        lambda arm: arm.update(instrument=arm["instrument"].replace("grasper_fixed", "grasper")),
+        "hardware.tool_link", "'passive'",
+    ),
+    "a passive instrument": (hardware(tool_link="none"), "hardware.tool_link", "'none'"),
+    "seven joints": (
+        lambda arm: arm.update(robot=arm["robot"].replace("ur5e", "panda")), "arms.PSM1.link", "7",
+    ),
+    "a real arm with a computed calibration": (
+        hardware(address="192.168.56.2"), "arms.PSM1.hardware", "computed",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_must_not_be_used_is_refused_with_file_and_key(what: str, tmp_path: Path) -> None:
+    edit, key, value = REFUSED[what]
+    file = written(tmp_path, edit)
+    with pytest.raises(surg_core.ConfigError) as caught:
+        surg_core.load_cell(file)
+    assert key in str(caught.value) and value in str(caught.value)
+    assert str(file) in str(caught.value)
+
+
+def test_a_robot_has_one_arm(tmp_path: Path) -> None:
+    file = written(tmp_path, lambda arm: None)
+    document = yaml.safe_load(file.read_text("utf-8"))
+    for key, other in (("address", "127.0.0.9"), ("serial", "other")):
+        arm = yaml.safe_load(yaml.safe_dump(document["arms"]["PSM1"]))
+        arm["hardware"][key] = other
+        both = {**document, "arms": {"PSM1": document["arms"]["PSM1"], "PSM2": arm}}
+        file.write_text(yaml.safe_dump(both), "utf-8")
+        with pytest.raises(surg_core.ConfigError, match=r"arms\.PSM2\.hardware\.(serial|address)"):
+            surg_core.load_cell(file)

@@ -1,0 +1,108 @@
+"""Asks the links of a running cell about their robots, and to start, stop or guide them."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+CONNECT_S, ANSWER_S = 3.0, 4.0
+"""[s] For the links to be heard; for a robot to do what was asked."""
+LOOK_S = 0.02
+
+
+@dataclass
+class Heard:
+    """What one arm's link has said."""
+
+    status: Any = None  # the newest surg_msgs/LinkStatus
+    said: list[str] = field(default_factory=list)  # its warnings, for people
+
+
+def condition_name(status: Any) -> str:
+    """The condition of a LinkStatus in words."""
+    from surg_core import RobotCondition
+
+    names = {int(value): name for name, value in RobotCondition.__members__.items()}
+    return names.get(int(status.condition), f"unknown ({status.condition})")
+
+
+def reached(word: str, condition: str) -> bool:
+    """Whether a robot in this condition does what a request asks for."""
+    if word == "start":
+        return condition == "ACTIVE"
+    if word == "guide":
+        return condition == "GUIDED"
+    return condition not in ("ACTIVE", "GUIDED")
+
+
+class RobotRequests:
+    """Speaks with the links of some arms; a context manager, while a master answers."""
+
+    def __init__(self, uri: str, arms: Sequence[str]) -> None:
+        os.environ["ROS_MASTER_URI"] = uri
+        import rospy
+        from std_msgs.msg import String
+
+        from crtk_msgs.msg import StringStamped
+        from surg_msgs.msg import LinkStatus
+
+        rospy.init_node("surg_robot", anonymous=True, disable_signals=True)
+        self._lock = threading.Lock()
+        self._heard = {arm: Heard() for arm in arms}
+        self._message = StringStamped
+        self._out = {
+            arm: rospy.Publisher(f"/{arm}/robot/request", StringStamped, queue_size=1)
+            for arm in arms
+        }
+        for arm in arms:
+            rospy.Subscriber(f"/{arm}/robot/status", LinkStatus, self._on_status, arm)
+            rospy.Subscriber(f"/{arm}/warning", String, self._on_warning, arm)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        import rospy
+
+        rospy.signal_shutdown("done")
+
+    def statuses(self) -> Mapping[str, Any]:
+        """Arm -> its newest status; None: its link is not heard."""
+        self._wait(lambda: all(heard.status is not None for heard in self._heard.values()))
+        with self._lock:
+            return {arm: heard.status for arm, heard in self._heard.items()}
+
+    def ask(self, arm: str, word: str) -> str:
+        """Send a request and wait until the robot does it; returns why not, or nothing."""
+        if self.statuses()[arm] is None:
+            return "its link says nothing"
+        if not self._wait(lambda: self._out[arm].get_num_connections() > 0):
+            return "its link takes no requests: it was started by hand"
+        with self._lock:
+            self._heard[arm].said.clear()
+        self._out[arm].publish(self._message(string=word))
+        heard = self._heard[arm]
+        if self._wait(lambda: reached(word, condition_name(heard.status)), ANSWER_S):
+            return ""
+        with self._lock:
+            return "; ".join(heard.said) or heard.status.fault or "the robot did not do it"
+
+    def _wait(self, condition: Any, timeout_s: float = CONNECT_S) -> bool:
+        end = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() > end:
+                return False
+            time.sleep(LOOK_S)
+        return True
+
+    def _on_status(self, message: Any, arm: str) -> None:
+        with self._lock:
+            self._heard[arm].status = message
+
+    def _on_warning(self, message: Any, arm: str) -> None:
+        with self._lock:
+            self._heard[arm].said.append(message.data)
