@@ -143,9 +143,7 @@ class PrimarySession:
         )
         return (
             struct.pack(">Q7?", max(round(c.timestamp * 1e6), 0), *flags)
-            + struct.pack(
-                ">bB3d", c.shown_mode, 2 if c.guided else 0, c.slider, c.speed_scaling, 1.0
-            )
+            + struct.pack(">bB3d", c.shown_mode, 2 if c.guided else 0, c.slider, 1.0, 1.0)
             + b"\x00"
         )
 

@@ -1,8 +1,8 @@
 """An emulated controller of a UR e-Series arm: values in, values out, no sockets and no clock.
 
-One cycle lasts 2 ms. `advance` moves the arm; then clients see the state; `execute` takes over what
-clients have sent by then and runs the program. So a register is read one cycle after the state it
-answers, and the motion that it commands begins in the cycle after that.
+One cycle lasts 2 ms. `advance` moves the arm; then clients see the state; `execute` runs the
+program with what clients had sent before the cycle. So a register is read one cycle after the state
+that it answers, and the motion that it commands begins in the cycle after that.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from surg_hardware.emulators.ur import dh_kinematics as dh
-from surg_hardware.emulators.ur.joint_motion import DT, Command, JointMotion
+from surg_hardware.emulators.ur.joint_motion import DT, REST, Command, JointMotion
 from surg_hardware.emulators.ur.robot_states import DEAD, MOVES, RobotMode, Runtime, SafetyMode
 from surg_hardware.emulators.ur.rtde_fields import REGISTERS
 from surg_hardware.emulators.ur.urscript_functions import functions
@@ -128,6 +128,7 @@ class UrController:
         self.runtime = Runtime.STOPPED
         self.program_line = 0
         self._staged: dict[str, Any] = {}
+        self._arrived: dict[str, Any] = {}
         self._watchdog: Watchdog | None = None
         self._interrupted: Command | None = None  # by a stop for safety; `play` goes on with it
         self._stopped_at = -math.inf
@@ -135,7 +136,6 @@ class UrController:
         self._reduced = False
         self._power_goal = RobotMode.POWER_OFF
         self._power_at = BOOT_TIME
-        self.motion.lock()
 
     # What clients see ------------------------------------------------------------------------
 
@@ -153,11 +153,6 @@ class UrController:
     def program_runs(self) -> bool:
         """Whether a program runs or is paused."""
         return self.program is not None
-
-    @property
-    def speed_scaling(self) -> float:
-        """RTDE's `speed_scaling`: speed of the motion as a share of what the slider allows."""
-        return min(1.0, self._scale / self.slider) if self.slider > 0.0 else 1.0
 
     @property
     def shown_mode(self) -> int:
@@ -188,9 +183,10 @@ class UrController:
     def advance(self) -> None:
         """First half of a cycle: time, power and motion."""
         self.cycles += 1
+        self._arrived, self._staged = self._staged, {}
         self._switch_power()
         if self.robot_mode != RobotMode.RUNNING:
-            self.motion.lock()
+            self._hold()
             return
         if self.guided:
             self.motion.drag(self.hand_qd)
@@ -208,10 +204,9 @@ class UrController:
 
     def execute(self) -> None:
         """Second half of a cycle: take over inputs, run the program."""
-        staged, self._staged = self._staged, {}
-        for name, value in staged.items():
-            self._set_input(name, value, staged)
-        self._check_watchdog(staged)
+        for name, value in self._arrived.items():
+            self._set_input(name, value, self._arrived)
+        self._check_watchdog(self._arrived)
         if self.program is None or self.runtime != Runtime.PLAYING or self._braking:
             return
         try:
@@ -225,7 +220,7 @@ class UrController:
             self.stop()
 
     def stage(self, values: Mapping[str, Any]) -> None:
-        """Inputs of a client; they count from the next `execute` on."""
+        """Inputs of a client; they count from the next cycle on."""
         self._staged.update(values)
 
     def _set_input(self, name: str, value: Any, written: Mapping[str, Any]) -> None:
@@ -403,6 +398,15 @@ class UrController:
             self._interrupted = self.motion.command
         self.guided = False
         self._brake()
+
+    def _hold(self) -> None:
+        """Without power the brakes stop the arm and hold it."""
+        if self.motion.at_rest:
+            self.motion.lock()
+            return
+        if self.motion.command is not REST:
+            self.motion.brake()
+        self.motion.step()
 
     def _brake(self) -> None:
         self.motion.brake()

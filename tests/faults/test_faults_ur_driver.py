@@ -1,0 +1,80 @@
+"""A UR driver on an emulated arm stops whatever happens, and stays stopped.
+
+Real time, without ROS and without the controller: a motion through a trocar is played to the
+driver. ``SURG_TEST_FULL=1`` runs every row at three speeds.
+"""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from helpers.hardware.ur_driver_rig import Record, Rig, Stop, plan, rig
+from surg_hardware.conditions import Condition
+
+FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
+SPEEDS = (0.012, 0.05, 0.25)
+"""Of the tip [m/s]."""
+MOVING = 1.6
+"""The mishap comes this long after the start [s]."""
+JUDGED = 1.0
+"""The arm is watched for this long [s]."""
+LATE = 0.05
+"""Beside the tests' other load [s]."""
+TO_REST = {0.012: 0.12, 0.05: 0.12, 0.25: 0.3}
+"""Tip speed -> longest time to rest [s]. At the highest, the arm's own braking takes most of it."""
+OFF = {0.012: 0.0002, 0.05: 0.0002, 0.25: 0.005}
+"""Tip speed -> largest deviation from the pivot that the stop adds [m]."""
+
+
+def frozen(arm: Rig) -> float:
+    when = arm.kill(signal.SIGSTOP)
+    time.sleep(0.5)
+    arm.kill(signal.SIGCONT)
+    return when
+
+
+def silent(arm: Rig) -> float:
+    arm.sending = False
+    return time.monotonic()
+
+
+MISHAPS = {
+    "protective stop": lambda arm: arm.mishap("protective_stop"),
+    "emergency stop": lambda arm: arm.mishap("estop"),
+    "stall 100 ms": lambda arm: arm.mishap("stall 0.1"),
+    "connections reset": lambda arm: arm.mishap("reset"),
+    "reboot": lambda arm: arm.mishap("reboot"),
+    "driver killed": lambda arm: arm.kill(signal.SIGKILL),
+    "driver frozen": frozen,
+    "controller silent": silent,
+}
+SHORT = {("protective stop", 0.05), ("stall 100 ms", 0.05), ("driver killed", 0.05)}
+"""What the normal tier runs."""
+ROWS = [(what, speed) for what in MISHAPS for speed in SPEEDS]
+
+
+@pytest.mark.parametrize(
+    ("what", "speed"), ROWS if FULL else sorted(SHORT), ids=lambda each: str(each)
+)
+def test_the_arm_comes_to_rest_and_stays_there(what: str, speed: float, tmp_path: Path) -> None:
+    rows = plan(speed, MOVING + 2.0)
+    with rig(tmp_path) as (arm, file):
+        arm.start()
+        arm.move(rows, MOVING)
+        event = MISHAPS[what](arm)
+        time.sleep(max(0.0, event + JUDGED - time.monotonic()))
+        if what != "driver killed":
+            assert arm.condition() is not Condition.ACTIVE  # it latches
+        end = time.monotonic()
+    stop = Stop.after(Record.read(file), event, end)
+    print(
+        f"{what}, {1e3 * speed:.0f} mm/s: rest {1e3 * stop.to_rest:.0f} ms, "
+        f"{1e3 * stop.way:.1f} mm, off the pivot {1e3 * stop.off:.3f} mm "
+        f"(before {1e3 * stop.before:.3f})"
+    )
+    assert stop.to_rest <= TO_REST[speed] + LATE
+    assert stop.off - stop.before <= OFF[speed]
+    assert stop.later < 1e-8  # rad

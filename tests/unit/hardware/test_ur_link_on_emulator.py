@@ -1,0 +1,196 @@
+"""The UR link and its program on the emulated arm, exact in cycles: what ends a motion.
+
+``SURG_TEST_FULL=1`` runs 100 seeds of every mishap.
+"""
+
+import os
+import random
+
+import pytest
+
+from helpers.hardware.ur_chain import DEAD_MAN, Chain
+from surg_hardware.conditions import Condition
+from surg_hardware.emulators.ur.joint_motion import DT
+from surg_hardware.emulators.ur.robot_states import SafetyMode
+from surg_hardware.emulators.ur.ur_controller import POWER_TIME, UNLOCK_AFTER
+
+FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
+SEEDS = 100 if FULL else 4
+QD = (0.1, -0.05, 0.08, 0.02, -0.1, 0.05)
+
+
+def moving(qd: tuple[float, ...] = QD, cycles: int = 150) -> Chain:
+    """A chain whose arm moves."""
+    chain = Chain()
+    chain.cycles(5)
+    chain.start()
+    chain.cycles(cycles, qd)
+    assert chain.condition is Condition.ACTIVE
+    assert chain.controller.motion.actual_qd == pytest.approx(qd, abs=1e-3)
+    return chain
+
+
+def protective(chain: Chain) -> None:
+    chain.controller.protective_stop("test")
+
+
+def estop(chain: Chain) -> None:
+    chain.controller.fall_to(SafetyMode.ROBOT_EMERGENCY_STOP, "test")
+
+
+def safeguard(chain: Chain) -> None:
+    chain.controller.safeguard(True)
+
+
+def pause(chain: Chain) -> None:
+    assert chain.controller.pause()
+
+
+def stop(chain: Chain) -> None:
+    chain.controller.stop()
+
+
+def freedrive(chain: Chain) -> None:
+    chain.controller.guide(True)
+
+
+def unlock(chain: Chain) -> None:
+    chain.cycles(round(UNLOCK_AFTER / DT))
+    assert chain.controller.unlock()
+
+
+def power_up(chain: Chain) -> None:
+    chain.controller.release()
+    chain.controller.release_brakes()
+    chain.cycles(round(2.1 * POWER_TIME / DT))
+
+
+def close_safeguard(chain: Chain) -> None:
+    chain.controller.safeguard(False)
+
+
+def let_go(chain: Chain) -> None:
+    chain.controller.guide(False)
+    chain.cycle()
+
+
+MISHAPS = {
+    protective: (unlock, Condition.STOPPED),
+    estop: (power_up, Condition.ESTOP),
+    safeguard: (close_safeguard, Condition.STOPPED),
+    stop: (lambda chain: None, Condition.READY),
+    freedrive: (let_go, Condition.GUIDED),
+}
+"""What ends the motion -> how people mend it, and what the link says at once."""
+
+
+def test_starting_moves_nothing_and_takes_a_few_cycles() -> None:
+    chain = Chain()
+    chain.cycles(5)
+    before = list(chain.controller.motion.actual_q)
+    assert chain.start() <= 10
+    assert chain.controller.motion.actual_q == before
+
+
+def test_a_command_is_executed_after_two_cycles_and_its_stamp_comes_back() -> None:
+    chain = moving(cycles=300)
+    ages = []
+    for _ in range(100):
+        chain.cycle(QD)
+        assert chain.status is not None
+        ages.append(chain._now - 1e-9 * chain.status.last_command_ns)
+    assert max(ages) == pytest.approx(2 * DT)
+    target = list(chain.controller.motion.qd)
+    count = 0
+    while chain.controller.motion.qd == pytest.approx(target):
+        chain.cycle(tuple(2.0 * rate for rate in QD))
+        count += 1
+    print(f"echo after {max(ages) / DT:.0f} cycles, motion after {count - 1}")
+    assert count - 1 == 2
+
+
+@pytest.mark.parametrize("mishap", MISHAPS, ids=lambda each: each.__name__)
+def test_the_link_says_it_with_the_state_and_sends_nothing_more(mishap) -> None:  # type: ignore[no-untyped-def]
+    chain = moving()
+    mishap(chain)
+    chain.cycle(QD)
+    assert chain.condition is MISHAPS[mishap][1]
+    for _ in range(500):
+        chain.cycle(QD)
+        assert chain.sent is None
+    assert chain.controller.motion.at_rest
+
+
+@pytest.mark.parametrize("mishap", MISHAPS, ids=lambda each: each.__name__)
+def test_nothing_moves_until_a_person_has_started_and_the_controller_commands(mishap) -> None:  # type: ignore[no-untyped-def]
+    worst = 0.0
+    for seed in range(SEEDS):
+        generator = random.Random(seed)
+        qd = tuple(generator.uniform(-0.1, 0.1) for _ in range(6))
+        chain = moving(qd, generator.randrange(120, 200))
+        mishap(chain)
+        chain.cycles(generator.randrange(100, 200), qd if seed % 2 else None)
+        assert chain.controller.motion.at_rest
+        rest = list(chain.controller.motion.actual_q)
+        MISHAPS[mishap][0](chain)
+        chain.cycles(600)
+        assert chain.condition is Condition.READY
+        chain.start()
+        chain.cycles(200)
+        moved = max(abs(b - a) for a, b in zip(rest, chain.controller.motion.actual_q, strict=True))
+        worst = max(worst, moved)
+        chain.cycles(100, QD)
+        assert chain.controller.motion.actual_qd == pytest.approx(QD, abs=1e-3)
+    print(f"{mishap.__name__}: {SEEDS} seeds, {worst:.1e} rad")
+    assert worst < 1e-8
+
+
+@pytest.mark.parametrize("mishap", [protective, safeguard, pause], ids=lambda each: each.__name__)
+def test_play_on_the_pendant_goes_on_until_the_dead_man_only(mishap) -> None:  # type: ignore[no-untyped-def]
+    """A person presses play: the program goes on where it was interrupted, with its old command."""
+    chain = moving()
+    mishap(chain)
+    chain.cycles(300, QD)
+    assert chain.controller.motion.at_rest
+    rest = list(chain.controller.motion.actual_q)
+    if mishap in MISHAPS:
+        MISHAPS[mishap][0](chain)
+    played = chain.controller.play()
+    chain.cycles(500, QD)
+    moved = max(abs(b - a) for a, b in zip(rest, chain.controller.motion.actual_q, strict=True))
+    print(f"{mishap.__name__}: played {played}, moved {moved:.1e} rad")
+    assert moved < DEAD_MAN * max(map(abs, QD))
+    assert chain.controller.motion.at_rest
+    assert chain.condition is Condition.READY
+
+
+def test_a_silent_controller_ends_the_motion_by_the_dead_man() -> None:
+    chain = moving()
+    cycles = 0
+    while not chain.controller.motion.at_rest:
+        chain.cycle(None)
+        cycles += 1
+    assert DEAD_MAN / DT <= cycles <= DEAD_MAN / DT + 35
+    chain.cycles(50, QD)
+    assert chain.controller.motion.at_rest
+    assert chain.condition is Condition.READY
+
+
+def test_a_silent_driver_ends_the_motion_by_the_robots_own_dead_man() -> None:
+    chain = moving()
+    cycles = 0
+    while not chain.controller.motion.at_rest:
+        chain.controller.advance()
+        chain.controller.execute()
+        cycles += 1
+    assert 10 <= cycles <= 45
+    assert chain.controller.program is None
+
+
+def test_the_slider_is_told_in_the_next_state() -> None:
+    chain = moving()
+    chain.controller.slider = 0.5
+    chain.cycle(QD)
+    assert chain.condition is Condition.SLOWED
+    assert chain.status is not None
+    assert chain.status.speed_scaling == 0.5
