@@ -4,6 +4,7 @@
 #include "support/lagging_arm.hpp"
 #include "support/test_support.hpp"
 #include "surg_core/limits/flange_cap.hpp"
+#include "surg_core/limits/limited_step.hpp"
 
 namespace surg {
 namespace {
@@ -52,6 +53,55 @@ TEST(Flange, AMixtureKeepsTheSpeedAndEveryJointLimitOfBoth) {
   EXPECT_EQ(braked_together(JointVector::Zero(6), JointVector::Constant(6, 15.0), kT),
             JointVector::Zero(6));
   report("mixtures", mixed);
+}
+
+/// A joint that is too fast for its position limit leaves no way to stay on the pivot: the joints
+/// brake one by one, and without the others one of them would lead the flange on.
+TEST(Flange, JointsThatBrakeOneByOneDoNotSpeedItUp) {
+  Random random(36);
+  const int runs = family(300, 20000);
+  const Chain chain = ur5e_chain();
+  const RobotConfig robot = Bench::robot_with_lag(0);
+  const ToolCalibration tool = offset_tool();
+  int braked = 0;
+  double fastest = 0;
+  for (int run = 0; run < runs; ++run) {
+    JointLimits limits = joint_limits(robot, robot.limits);
+    JointVector q = robot.home;
+    const Pose X_BF = chain.forward(q);
+    const Vector3 s = X_BF.linear() * tool.s_F, p_BRcm = X_BF * tool.p_FTip - 0.12 * s;
+    const Home home{s, X_BF.linear()};
+    const Vector3 v(random.uniform(-0.25, 0.25), random.uniform(-0.25, 0.25),
+                    random.uniform(-0.25, 0.25));
+    Pose X;
+    Jacobian J;
+    chain.forward(q, X, J);
+    const Vector6 twist = rcm_twist(shaft_state(X, {tool.s_F, tool.p_FTip}, p_BRcm), v,
+                                    random.uniform(-1, 1), Vector3::Zero(), 0, 0.02);
+    StepRequest request;
+    request.forward = twist;
+    JointVector qd = inverse_velocity(J, twist, JointVector::Zero(6)).qd;
+    if (!((J * qd).head<3>().norm() < 0.9 * limits.flange_velocity)) continue;
+    const int joint = random.integer(0, 5);
+    const double room = random.uniform(0.2, 0.9) * qd[joint] * qd[joint] / 30;
+    (qd[joint] > 0 ? limits.position_max : limits.position_min)[joint] =
+        q[joint] + std::copysign(room, qd[joint]);
+    limits.position_margin = 0;
+    const LimitedStep limited(chain, {tool.s_F, tool.p_FTip}, limits, kT);
+    for (int k = 0; k < 30; ++k) {
+      const Step step = limited.velocity(q, qd, home, p_BRcm, request);
+      chain.forward(q, X, J);
+      const double speed = (J * step.qd).head<3>().norm();
+      braked += step.tier == 2;
+      fastest = std::max(fastest, speed / limits.flange_velocity);
+      qd = step.qd;
+      q += kT * qd;
+    }
+  }
+  std::printf("[   count  ] %d cycles of braking one by one, flange %.3f of its limit\n", braked,
+              fastest);
+  EXPECT_GT(braked, runs / 10);
+  EXPECT_LE(fastest, 1.1);  // the joint at its position limit comes first
 }
 
 /// Speed of the flange that the last command asks for, at the joints it was made for.

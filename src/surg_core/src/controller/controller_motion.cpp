@@ -28,6 +28,7 @@ void Controller::Impl::move() {
   out.v_set.setZero();
   Setpoint& setpoint = handler.setpoint();
   setpoint.elapse(T);
+  setpoint.set_rest_time((qd_last.array().abs() / robot.acceleration.array()).maxCoeff());
   if (!state_known || !trocar.taught() || !operating.homed()) {
     // The geometry is unknown (F02, F10): a ramp through the law would be blind, also when the
     // state returns.

@@ -288,6 +288,9 @@ void LimitedStep::off_path(const Law& law, const Here& here, const Affine& affin
   step.tier = 2;
   step.alpha = 0;
   on_rows(law, box, JointVector::Zero(here.q.size()), step.qd);
+  // Joints that brake one by one may speed the flange up.
+  const JointVector together = braked_together(here.qd_last, limits_.acceleration, T_);
+  step.qd = slowed_flange(here.J, here.flange_velocity, step.qd, box.clamped(together));
 }
 
 /// The joint velocities nearest to 'wanted' on the pivot; whether they are on it.

@@ -426,7 +426,8 @@ void Setpoint::advance_velocity(double dt, const Fixtures& fixtures) {
   // At the boundary: stop if a stop begun two ticks later would end outside, and do not start if
   // the requested velocity leads farther outside. Motion back inside is never restricted.
   const Vector3 p = p_RTip(), v = v_RTip();
-  const double stop_time = v.norm() / (2 * limits_.stop_deceleration) + 2 * dt;
+  const double rest_time = std::max(v.norm() / limits_.stop_deceleration, rest_time_);
+  const double stop_time = rest_time / 2 + 2 * dt;
   if (leaves_workspace(p + stop_time * v)) {
     at_wall_ = true;
     stop();

@@ -2,6 +2,7 @@
 // cause of a fault; authority while the arm moves.
 #include "support/controller_bench.hpp"
 #include "support/test_support.hpp"
+#include "surg_core/limits/workspace.hpp"
 #include "surg_core/state/gate.hpp"
 
 namespace surg {
@@ -123,6 +124,41 @@ TEST(ControllerLimits, AWeakArmStartsBackToItsSetPointFromRest) {
     EXPECT_GT(off, 1e-3);
     for (int i = 0; i < 1000; ++i) out = bench.tick();
     EXPECT_LT((out.p_BTip - out.p_set).norm(), 0.02 * off) << "law " << static_cast<int>(law);
+  }
+}
+
+/// Joints of 15 rad/s^2 brake a tip later than its own limits ask for.
+TEST(ControllerLimits, AVelocityStopsBeforeTheWallAsTheJointsCan) {
+  test::Random random(46);
+  const int runs = test::family(60, 1000);
+  for (const Law law : {Law::kExact, Law::kVelocity}) {
+    double worst = -1;
+    int walls = 0;
+    for (int run = 0; run < runs; ++run) {
+      RobotConfig robot = Bench::robot_with_lag(0);
+      robot.velocity.setConstant(6);
+      for (int i = 0; i < 6; ++i) robot.home[i] += random.uniform(-0.2, 0.2);
+      Controller::Options options;
+      options.law = law;
+      Bench bench(options, 0, 0, 0, &robot);
+      MotionCommand command;
+      command.source = test::kMe;
+      command.motion = Motion::kServoJv;
+      command.joints = Vector4(random.uniform(-1.5, 1.5), random.uniform(-1.5, 1.5),
+                               random.uniform(0, 0.2), random.uniform(-1, 1));
+      double outside = -1;
+      for (int k = 0; k < 1000; ++k) {
+        bench.send(command);
+        bench.tick();
+        outside = std::max(outside, outside_workspace(bench.robot().limits, bench.tip_in_R()));
+      }
+      walls += outside > -5e-3;
+      worst = std::max(worst, outside);
+    }
+    std::printf("law %d: %.2f mm outside at most, %d of %d runs at a wall\n", static_cast<int>(law),
+                1e3 * worst, walls, runs);
+    EXPECT_LT(worst, 2e-3);
+    EXPECT_GT(walls, runs / 3);
   }
 }
 

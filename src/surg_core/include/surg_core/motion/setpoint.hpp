@@ -87,6 +87,9 @@ class Setpoint {
   void elapse(double T, bool heard = true);
   /// At which cycles come [s], if they are late: a stream is followed more softly then.
   void set_period(double period) { period_ = period; }
+  /// Time [s] that the joints need to come to rest together. A velocity is braked before a wall as
+  /// early as they need it.
+  void set_rest_time(double time) { rest_time_ = time; }
   /// Advances the set-point by dt <= T of its own clock. Streams, velocities and stops slide along
   /// the fixtures; a profile is planned clear of them.
   void advance(double dt, const Fixtures& fixtures = Fixtures::none());
@@ -164,6 +167,7 @@ class Setpoint {
   Space target_space_ = Space::kCartesian;
   double tick_ = 0;              ///< the control period [s]
   double period_ = 0;            ///< at which late cycles come [s]
+  double rest_time_ = 0;         ///< of the joints [s]
   double clock_rate_ = 1;        ///< the set-point's time per real time in the last advance
   double profile_duration_ = 0;  ///< base duration of the present profile [s]
   Profiler profiler_;
