@@ -236,6 +236,35 @@ def test_lock_step_waits_for_the_command_of_every_cycle() -> None:
     assert ends[0][0] > 0.1
 
 
+@pytest.mark.parametrize("share", [-0.05, 0.0, 0.046])
+def test_the_robots_clock_may_run_fast_or_slow(
+    share: float, emulator: UrEmulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(emulator, "poll", lambda left=0.0: now.__setitem__(0, now[0] + left))
+    assert emulator.mishap(f"drift {share}") == "ok"
+    emulator.run(10.0)
+    assert emulator.controller.timestamp == pytest.approx(10.0)
+    assert now[0] - 100.0 == pytest.approx(10.0 / (1.0 + share), abs=DT)
+
+
+def test_a_late_emulator_leaves_cycles_out_rather_than_hurrying(
+    emulator: UrEmulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, waits = [100.0], []
+
+    def poll(left: float = 0.0) -> None:
+        waits.append(left)
+        now[0] += 1.0 if len(waits) == 100 else left
+
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(emulator, "poll", poll)
+    emulator.run(1.0)
+    assert waits.count(0.0) <= 1
+    assert now[0] - 100.0 == pytest.approx(2.0, abs=0.01)
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -285,7 +285,10 @@ class Machine:
             thread.frames.append(frame)
             return
         values, named = self._arguments(scope, count, names)
-        result = self._builtins[name](*values, **named)
+        try:
+            result = self._builtins[name](*values, **named)
+        except TypeError as error:
+            raise ScriptError(f"{name}: {str(error).partition('() ')[2] or error}") from error
         if isinstance(result, Wait):
             self._suspend(thread, result)
             result = None
