@@ -92,7 +92,8 @@ constexpr double kDeadMan[] = {0.01, 0.1}, kStopDeceleration[] = {4.0, 40.0};
 // What a cell may state of a real arm.
 constexpr double kHeaviestPayload = 20.0;  // [kg]
 constexpr double kFarthestPayload = 0.5;   // [m]
-constexpr int kPriorities[] = {1, 90};     // of SCHED_FIFO; above are the kernel's own threads
+constexpr int kPriorities[] = {
+    2, 78};  // of SCHED_FIFO; the controller has 79 and 80, the node one less
 constexpr int kUrJoints = 6;
 
 // Distances that a cell may keep. The guard itself needs the least one (clearance.cpp).

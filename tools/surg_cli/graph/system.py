@@ -183,6 +183,8 @@ def nodes(plan: Plan) -> list[Node]:
             "others": [other for other in plan.arms if other != arm],
             "law": plan.law,
         }
+        if arm in plan.driven:
+            params["realtime"] = True
         if plan.link is not None:
             params["link"] = plan.link
         if plan.feedback_gain is not None:

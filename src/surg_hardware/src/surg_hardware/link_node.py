@@ -37,7 +37,7 @@ from surg_hardware.driver_datagrams import (
     StateDatagram,
     decode_from_driver,
 )
-from surg_hardware.driver_process import is_emulated
+from surg_hardware.driver_process import NotHere, is_emulated, realtime
 from surg_hardware.robot_link import Status
 from surg_hardware.ur.ur_driver import DriverSettings
 from surg_msgs.msg import LinkStatus
@@ -285,8 +285,12 @@ def main() -> int:
         cell = surg_core.load_cell(parameters.cell)
         if parameters.arm not in cell.arms:
             raise ValueError(f"~arm {parameters.arm!r}; allowed: {', '.join(cell.arms)}")
-        node = LinkNode(cell.arms[parameters.arm], cell.folder.name)
-    except (ValueError, OSError) as error:
+        arm = cell.arms[parameters.arm]
+        settings = driver_settings(arm)
+        # Threads inherit it: those that receive commands start later.
+        realtime(settings.realtime - 1, settings.address)
+        node = LinkNode(arm, cell.folder.name)
+    except (ValueError, OSError, NotHere) as error:
         print(f"surg_hardware: {error}", file=sys.stderr, flush=True)
         return REFUSED
     return node.run()
