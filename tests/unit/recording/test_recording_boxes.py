@@ -134,15 +134,6 @@ class Cases:
             self.file.write_bytes(data)
             assert self.module.is_plain(self.file) is plain
 
-    def cutting_leaves_what_is_before(self) -> None:
-        data, end = HEAD + ONE + TWO + INDEX, len(HEAD + ONE)
-        self.file.write_bytes(data)
-        assert self.module.cut_behind(self.file, end) == len(data) - end
-        assert self.file.read_bytes() == data[:end]
-        assert self.module.cut_behind(self.file, end) == 0
-        assert self.module.cut_behind(self.file, end + 5) == 0
-        assert self.file.read_bytes() == data[:end], "it is never made longer"
-
 
 CASES: list[Callable[[Cases], None]] = [
     case for name, case in vars(Cases).items() if not name.startswith("_") and name != "found"
@@ -181,10 +172,6 @@ MUTANTS = {
     "an empty file is closed": ("return bool(boxes) and", "return not boxes or"),
     "with fragments it is plain too": (' and b"moof" not in kinds', ""),
     "without pictures it is plain": ('b"mdat" in kinds and', ""),
-    "it cuts a byte too much": ("file.truncate(end)", "file.truncate(end - 1)"),
-    "it cuts nothing": ("file.truncate(end)", "pass"),
-    "it makes a file longer": ("if removed > 0:", "if removed:"),
-    "it says less than nothing": ("return max(0, removed)", "return removed"),
 }
 """Text of mp4_boxes.py that occurs once, and what the mutant has there."""
 

@@ -17,7 +17,7 @@ from surg_recording.clock import clock_segments
 from surg_recording.episode import episode_reader, finishing, recovery
 from surg_recording.episode.episode_writer import LOCK, EpisodeWriter
 from surg_recording.recording_errors import EpisodeError
-from surg_recording.video import mp4_boxes, video_file
+from surg_recording.video import mp4_boxes, mp4_headers, video_file
 from surg_recording.video.image_frame import frame_of
 from surg_recording.video.video_sink import VideoSink
 
@@ -96,7 +96,7 @@ def test_a_table_cut_or_zeroed_anywhere_keeps_its_whole_lines(
     for number in range(200):
         size = rng.randrange(16, len(data) + 1)
         path.write_bytes(data[:size] + bytes(rng.randrange(9000)) * (number % 2))
-        finishing.cut_broken_end(path)
+        os.truncate(path, finishing.whole_lines(path))
         table = episode_reader.read_table(path)
         assert len(table) == data[:size].count(b"\n") - 1
         assert table["stamp_ns"].tolist() == list(range(len(table)))
@@ -125,6 +125,7 @@ def unfinished(folder: Path, video: Path) -> Path:
 
 def test_what_is_recovered_says_so_and_keeps_what_it_was_told(tmp_path: Path, video: Path) -> None:
     folder = unfinished(tmp_path / "e", video)
+    before = {name: (folder / name).read_bytes() for name in ("cam.mp4", "cam.csv")}
     final = recovery.recover_one(folder)
     assert final == tmp_path / "e" and not folder.exists()
     recorded = episode_reader.read(final)
@@ -134,9 +135,19 @@ def test_what_is_recovered_says_so_and_keeps_what_it_was_told(tmp_path: Path, vi
     assert len(recorded.cycle("PSM1")) == 39
     frames = sum(f.frames for f in mp4_boxes.fragments(video / "cam.mp4")[:6])
     assert len(recorded.video("cam").frames) == frames
-    names = sorted(path.name for path in final.iterdir())
+    names = sorted(path.name for path in final.iterdir() if path.suffix != ".damaged")
     files = ["cam.csv", "cam.mp4", "cycle_PSM1.csv", "events.csv", "manifest.json", "topics"]
     assert names == files
+    cut = {path.name: path.read_bytes() for path in final.glob("**/*.damaged")}
+    assert set(cut) == {
+        *("cam.csv.damaged", "cam.mp4.damaged", "cycle_PSM1.csv.damaged", "events.csv.damaged"),
+        *("manifest.json.tmp.damaged", "n.csv.damaged"),
+    }
+    assert cut["cycle_PSM1.csv.damaged"] == b"40,4" and cut["n.csv.damaged"] == b"0"
+    assert (final / "cam.mp4").read_bytes() + cut["cam.mp4.damaged"] == before["cam.mp4"]
+    assert (final / "cam.csv").read_bytes() + cut["cam.csv.damaged"] == before["cam.csv"]
+    for said in ("cycle_PSM1.csv: its end was broken: 4 bytes cut, kept in", "cam.mp4: its end"):
+        assert said in recorded.manifest["reason"]
     assert recorded.stages == [{"name": "cut", "begin_ns": 1, "end_ns": 5}]
     assert recorded.tags == [{"stamp_ns": 5, "text": "oops", "by": "/c"}]
     (numbers,) = recorded.topic("/n")
@@ -179,6 +190,86 @@ def test_a_hand_edited_table_and_a_missing_sidecar_are_named(tmp_path: Path, vid
     assert "events: a line's stamp is no integer" in recorded.manifest["reason"]
     assert (recorded.folder / "cam.mp4").exists(), "nothing recorded is thrown away"
     assert recorded.cameras == []
+
+
+def overwritten(path: Path, place: int, data: bytes) -> None:
+    with open(path, "rb+") as file:
+        file.seek(place)
+        file.write(data)
+
+
+@pytest.mark.parametrize(
+    "junk", [b"\xff\xff\xff\xff", b"junk", bytes(4), b"\0\0\0\x09", b"12345678"]
+)
+def test_a_video_with_overwritten_first_bytes_keeps_its_frames(
+    tmp_path: Path, video: Path, junk: bytes
+) -> None:
+    folder = unfinished(tmp_path / "e", video)
+    for name in ("cam.mp4", "cam.csv"):
+        shutil.copy(video / name, folder / name)
+    overwritten(folder / "cam.mp4", 0, junk)
+    recorded = episode_reader.read(recovery.recover_one(folder))
+    found = recorded.video("cam")
+    assert len(found.frames) == 60
+    assert video_file.presentation_times(found.path) == found.frames["pts"].tolist()
+    assert len(video_file.grab(found.path, list(range(60)))) == 60
+    assert (
+        "cam.mp4: the header of box ftyp at byte 0 was " + junk[:4].hex()
+        in (recorded.manifest["reason"])
+    )
+    assert (found.path).read_bytes() == (video / "cam.mp4").read_bytes()
+
+
+def test_any_overwritten_header_is_written_anew(
+    tmp_path: Path, video: Path, rng: random.Random, full: bool
+) -> None:
+    """Of every box but the last one, size, kind or both."""
+    whole = (video / "cam.mp4").read_bytes()
+    path, places = tmp_path / "cam.mp4", []
+    place = 0
+    while place < len(whole):
+        places.append(place)
+        place += int.from_bytes(whole[place : place + 4], "big")
+    for number in range(400 if full else 100):
+        path.write_bytes(whole)
+        place = rng.choice(places[:-1])
+        first, count = rng.choice([(0, 4), (4, 4), (0, 8)])
+        overwritten(path, place + first, rng.randbytes(count))
+        if path.read_bytes() == whole:
+            continue
+        (said,) = mp4_headers.repair(path)
+        assert f"at byte {place} " in said, number
+        assert path.read_bytes() == whole, (number, place, first, count)
+    path.write_bytes(whole)
+    assert mp4_headers.repair(path) == [], "an intact file stays as it is"
+
+
+def test_nothing_that_was_recorded_is_deleted(tmp_path: Path, video: Path) -> None:
+    """Files of which nothing can be used are set aside, and what is lost is named."""
+    folder = unfinished(tmp_path / "e", video)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest.update(cameras=["cam", "other"], arms=["PSM1", "PSM2"])
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    (folder / "cam.mp4").write_bytes(b"no video at all, but something")
+    broken = b"\0" * 10 + (folder / "cycle_PSM1.csv").read_bytes()
+    (folder / "cycle_PSM1.csv").write_bytes(broken)
+    recorded = episode_reader.read(recovery.recover_one(folder))
+    reason = recorded.manifest["reason"]
+    assert "cam: no frame can be read; kept as cam.mp4.damaged, cam.csv.damaged" in reason
+    assert "other: no frame is left" in reason and "PSM2: no control cycle is left" in reason
+    assert "cycle_PSM1.csv: no line of it is whole; kept as cycle_PSM1.csv.damaged" in reason
+    assert (recorded.folder / "cycle_PSM1.csv.damaged").read_bytes() == broken
+    assert (recorded.folder / "cam.mp4.damaged").read_bytes().startswith(b"no video")
+
+
+@pytest.mark.parametrize("text", ['{"format": "surg_ep', "[" * 100_000, '{"format": 7}', "[]"])
+def test_an_unusable_manifest_is_kept_aside(tmp_path: Path, video: Path, text: str) -> None:
+    folder = unfinished(tmp_path / "e", video)
+    (folder / "manifest.json").write_text(text)
+    recorded = episode_reader.read(recovery.recover_one(folder))
+    assert (recorded.folder / "manifest.json.damaged").read_text() == text
+    assert "kept as manifest.json.damaged" in recorded.manifest["reason"]
+    assert recorded.cameras == ["cam"] and recorded.arms == ["PSM1"]
 
 
 def test_folders_that_must_be_left_alone(tmp_path: Path, video: Path) -> None:

@@ -17,8 +17,12 @@ from typing import Any
 
 import numpy as np
 
+from surg_recording.episode import damaged
 from surg_recording.episode.episode_reader import MANIFEST, TOPICS
-from surg_recording.video import video_file
+from surg_recording.episode.integrity import HASH, VIDEO_HASH
+from surg_recording.file_io import file_hash, read_json
+from surg_recording.recording_errors import EpisodeError
+from surg_recording.video import mp4_headers, video_file
 
 _TICKED = ("cycle_", "ground_truth_")
 """Tables that have a row for every tick."""
@@ -33,10 +37,11 @@ def complete(
     incomplete (None: no reason known). The manifest gets ``tables``, ``videos``, ``outcome``, ….
     """
     for leftover in [*folder.glob("*.tmp"), *folder.glob(f"{TOPICS}/*.tmp")]:
-        leftover.unlink()
+        damaged.set_aside(leftover)
     reasons = [reason] if reason else []
     videos = _videos(folder, drops, reasons)
     tables = _tables(folder, videos, drops, reasons)
+    _name_what_is_lost(manifest, tables, videos, reasons)
     manifest.setdefault("topics", _topics(tables))
     manifest.update(
         tables=tables,
@@ -48,24 +53,47 @@ def complete(
     write_json(folder / MANIFEST, manifest)
 
 
+def _name_what_is_lost(
+    manifest: Mapping[str, Any],
+    tables: Mapping[str, Any],
+    videos: Mapping[str, Any],
+    reasons: list[str],
+) -> None:
+    """Add a reason per camera and arm of which nothing is left, unless one says so already."""
+    told = "; ".join(reasons)
+    lost = [(c, "no frame") for c in manifest.get("cameras") or () if c not in videos]
+    lost += [
+        (a, "no control cycle") for a in manifest.get("arms") or () if f"cycle_{a}" not in tables
+    ]
+    reasons += [f"{name}: {what} is left" for name, what in lost if f"{name}: " not in told]
+
+
 def _videos(folder: Path, drops: Mapping[str, int], reasons: list[str]) -> dict[str, Any]:
-    """Repair and describe the videos; those without any frame are removed."""
+    """Repair and describe the videos; those without any frame are set aside."""
     videos: dict[str, Any] = {}
     for path in sorted(folder.glob("*.mp4")):
         sidecar = path.with_suffix(".csv")
+        if not damaged.is_regular(path):
+            reasons.append(f"{path.name}: is no file")
+            continue
         if not sidecar.exists():
             reasons.append(f"{path.name}: its sidecar is missing, so its frames have no stamps")
             continue
-        frames = video_file.mend(path, sidecar)
-        if not frames and video_file.is_empty(path):
-            path.unlink()
-            sidecar.unlink()
+        if not damaged.is_regular(sidecar):
+            reasons.append(f"{sidecar.name}: is no file, so its frames have no stamps")
             continue
+        reasons += mp4_headers.repair(path)
+        readable = video_file.has_frames(path)
+        frames = video_file.mend(path, sidecar, reasons) if readable else 0
         if not frames:
-            reasons.append(f"{path.name}: no stamp is left of its frames")
+            kept = [name for name in map(damaged.set_aside, (path, sidecar)) if name]
+            where = f"; kept as {', '.join(kept)}" if kept else ""
+            what = "no stamp is left of its frames" if readable else "no frame can be read"
+            reasons.append(f"{path.stem}: {what}{where}")
             continue
         entry = describe_table(sidecar)
         entry["frames"] = entry.pop("rows")
+        entry[VIDEO_HASH] = file_hash(path)
         camera, part, _ = path.stem.partition(".")
         entry["dropped"] = 0 if part else int(drops.get(camera, 0))
         if part:
@@ -77,15 +105,16 @@ def _videos(folder: Path, drops: Mapping[str, int], reasons: list[str]) -> dict[
 def _tables(
     folder: Path, videos: Mapping[str, Any], drops: Mapping[str, int], reasons: list[str]
 ) -> dict[str, Any]:
-    """Repair and describe the tables; a file without even a header is removed."""
+    """Repair and describe the tables; a file without even a header is set aside."""
     tables: dict[str, Any] = {}
     for path in [*sorted(folder.glob("*.csv")), *sorted(folder.glob(f"{TOPICS}/*.csv"))]:
         name = str(path.relative_to(folder).with_suffix(""))
-        if name in videos or path.with_suffix(".mp4").exists():
+        if name in videos or os.path.lexists(path.with_suffix(".mp4")):
             continue
-        cut_broken_end(path)
-        if path.stat().st_size == 0:
-            path.unlink()
+        if not damaged.is_regular(path):
+            reasons.append(f"{name}.csv: is no file")
+            continue
+        if not _repaired(path, reasons):
             continue
         entry: dict[str, Any] = {"file": f"{name}.csv", **describe_table(path)}
         entry["dropped"] = int(drops.get(name, 0))
@@ -116,14 +145,28 @@ def _topics(tables: Mapping[str, Any]) -> dict[str, Any]:
 def _about(path: Path) -> dict[str, Any]:
     """Topic, type and kinds that the recorder noted when it opened a topic's table."""
     try:
-        about = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        about = read_json(path)
+    except EpisodeError:
         return {}
-    return about if isinstance(about, dict) else {}
+    kinds = {"topic": str, "type": str, "kinds": dict}
+    about = about if isinstance(about, dict) else {}
+    return {key: about[key] for key, kind in kinds.items() if isinstance(about.get(key), kind)}
 
 
-def cut_broken_end(path: Path) -> int:
-    """Truncate a CSV file behind its last complete line; returns the number of bytes removed.
+def _repaired(path: Path, reasons: list[str]) -> bool:
+    """Cut the broken end of a table; False if not even its header is left."""
+    size, end = path.stat().st_size, whole_lines(path)
+    if end:
+        if end < size:
+            reasons.append(damaged.cut_words(path, size - end, damaged.cut(path, end)))
+        return True
+    if kept := damaged.set_aside(path):
+        reasons.append(f"{path.name}: no line of it is whole; kept as {kept}")
+    return False
+
+
+def whole_lines(path: Path) -> int:
+    """Size of a CSV file up to its last complete line [bytes].
 
     A kill or a full disk can only break the last line, because lines are appended. A machine that
     went down may leave zeros at the end; a line never holds one.
@@ -133,27 +176,24 @@ def cut_broken_end(path: Path) -> int:
         return 0
     with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         zero = data.find(b"\0")
-        end = data.rfind(b"\n", 0, size if zero < 0 else zero) + 1
-    if end < size:
-        os.truncate(path, end)
-    return size - end
+        return data.rfind(b"\n", 0, size if zero < 0 else zero) + 1
 
 
 def describe_table(path: Path) -> dict[str, Any]:
-    """Rows, rate and gaps of a CSV file, from its stamps and ticks.
+    """Hash, rows, rate and gaps of a CSV file, from its stamps and ticks.
 
     ``rate_hz`` is rows − 1 over the time from first to last stamp (of reception if there are none).
     A gap is a distance above 1.5 times the median; ``missing_ticks`` counts ticks between the first
     and the last without a row. ``problem``: the recorder did not write this file.
     """
     with open(path, encoding="utf-8", errors="replace", newline="") as file:
-        header: list[str] = next(csv.reader([file.readline()]), [])
+        header = _header(file.readline())
         wanted = [header.index(name) for name in ("stamp_ns", "receive_ns") if name in header]
         # The columns asked for stand before any text, so that splitting at commas is right.
         tick = header.index("tick") if "tick" in header[:3] else None
         parts = max([*wanted, tick or 0], default=0) + 2
         lines = [line.split(",", parts) for line in file]
-    entry: dict[str, Any] = {"columns": header, "rows": len(lines)}
+    entry: dict[str, Any] = {"columns": header, "rows": len(lines), HASH: file_hash(path)}
     entry.update(first_stamp_ns=None, last_stamp_ns=None, rate_hz=None, gap_max_s=None, gaps=0)
     if len(wanted) < 2 or not lines:
         return entry
@@ -169,13 +209,20 @@ def describe_table(path: Path) -> dict[str, Any]:
     entry["first_stamp_ns"], entry["last_stamp_ns"] = int(stamps[0]), int(stamps[-1])
     if len(stamps) > 1:
         distance = np.diff(stamps) * 1e-9
-        span = (stamps[-1] - stamps[0]) * 1e-9
+        span = (int(stamps[-1]) - int(stamps[0])) * 1e-9
         entry["rate_hz"] = float((len(stamps) - 1) / span) if span > 0 else None
         entry["gap_max_s"] = float(distance.max())
         entry["gaps"] = int(np.sum(distance > 1.5 * np.median(distance)))
     if ticks is not None:
         entry["missing_ticks"] = int(ticks.max() - ticks.min() + 1 - len(np.unique(ticks)))
     return entry
+
+
+def _header(line: str) -> list[str]:
+    try:
+        return next(csv.reader([line]), [])
+    except csv.Error:
+        return []
 
 
 def utc_now() -> str:

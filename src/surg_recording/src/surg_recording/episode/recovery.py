@@ -9,19 +9,18 @@ recovery can be repeated.
 from __future__ import annotations
 
 import fcntl
-import json
 import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from surg_recording.clock.clock_steps import CLOCK_STEP
-from surg_recording.episode import finishing
+from surg_recording.episode import damaged, finishing, manifest_check
 from surg_recording.episode.annotations import Annotations, parse_tag
 from surg_recording.episode.episode_reader import FORMAT, MANIFEST, PARTIAL, read_table
 from surg_recording.episode.episode_writer import LOCK, RESERVE
 from surg_recording.episode.table_columns import EVENTS
-from surg_recording.file_io import sync_folder
+from surg_recording.file_io import read_json, sync_folder
 from surg_recording.recording_errors import EpisodeError
 
 REASON = "the recorder was killed; recovered at the next start"
@@ -81,13 +80,15 @@ def recover_one(folder: Path, reason: str = REASON) -> Path:
             raise HeldError(f"{folder}: is being recorded now, or its encoder still runs") from None
         if final.exists():
             raise EpisodeError(f"{folder}: {final.name} is there already; move one of them away")
-        (folder / RESERVE).unlink(missing_ok=True)
-        manifest = _manifest(folder)
+        if os.path.lexists(reserve := folder / RESERVE):
+            damaged.cut(reserve, 0)  # space for the manifest; it holds zeros
+            reserve.unlink()
+        manifest, reasons = _manifest(folder)
         manifest["recovered"] = finishing.utc_now()
-        finishing.complete(folder, manifest, {}, reason)
+        finishing.complete(folder, manifest, {}, "; ".join([reason, *reasons]))
         manifest.update(_recorded_annotations(folder))
         finishing.write_json(folder / MANIFEST, manifest)
-        (folder / LOCK).unlink(missing_ok=True)
+        damaged.set_aside(folder / LOCK)
         os.rename(folder, final)
         sync_folder(final.parent)
     except OSError as problem:
@@ -126,13 +127,24 @@ def _recorded_annotations(folder: Path) -> dict[str, Any]:
     }
 
 
-def _manifest(folder: Path) -> dict[str, Any]:
-    """The manifest written at the start, or what is known without one."""
+def _manifest(folder: Path) -> tuple[dict[str, Any], list[str]]:
+    """The manifest written at the start, or what is known without one; and what is wrong with it.
+
+    A manifest that cannot be used is set aside.
+    """
+    path, reasons = folder / MANIFEST, []
     try:
-        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        manifest = None
-    if not isinstance(manifest, dict):
-        arms = sorted(path.stem.removeprefix("cycle_") for path in folder.glob("cycle_*.csv"))
-        return {"format": FORMAT, "created": finishing.utc_now(), "arms": arms}
-    return manifest
+        manifest = read_json(path)
+        if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+            raise EpisodeError(f"its format is not {FORMAT}")
+        manifest_check.check(MANIFEST, {"tables": {}, "videos": {}, **manifest})
+        return manifest, []
+    except EpisodeError as problem:
+        if os.path.lexists(path):
+            reasons.append(f"{MANIFEST}: {problem}; kept as {damaged.set_aside(path)}")
+        else:
+            reasons.append(f"{MANIFEST} is missing")
+    arms = sorted(path.stem.removeprefix("cycle_") for path in folder.glob("cycle_*.csv"))
+    cameras = sorted({path.stem.partition(".")[0] for path in folder.glob("*.mp4")})
+    known = {"format": FORMAT, "created": finishing.utc_now(), "arms": arms, "cameras": cameras}
+    return known, reasons

@@ -1,4 +1,4 @@
-"""Reads and truncates the box structure of a fragmented MP4 file, without decoding anything.
+"""Reads the box structure of a fragmented MP4 file, without decoding anything.
 
 Such a file is a sequence of boxes: ``ftyp``, ``moov`` (no frames), then for every fragment ``moof``
 (how many frames, how long) and ``mdat`` (the frames), and ``mfra`` (an index) if it was closed.
@@ -37,19 +37,6 @@ def fragments(path: Path) -> list[Fragment]:
                 complete.append(Fragment(end, frames))
                 frames = None
     return complete
-
-
-def cut_behind(path: Path, end: int) -> int:
-    """Truncate a file behind a fragment.
-
-    This removes the index of a closed file too; players do not need it.
-    """
-    removed = path.stat().st_size - end
-    if removed > 0:
-        with open(path, "rb+") as file:
-            file.truncate(end)
-            os.fsync(file.fileno())
-    return max(0, removed)
 
 
 def is_closed(path: Path) -> bool:

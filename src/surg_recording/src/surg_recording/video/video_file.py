@@ -12,9 +12,9 @@ import av
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording.episode import table_columns
+from surg_recording.episode import damaged, table_columns
 from surg_recording.recording_errors import EpisodeError
-from surg_recording.video import mp4_boxes
+from surg_recording.video import mp4_boxes, mp4_headers
 
 Image = npt.NDArray[np.uint8]
 
@@ -68,13 +68,20 @@ def grab(path: Path, indices: Sequence[int]) -> list[Image]:
     return images
 
 
-def mend(path: Path, sidecar: Path) -> int:
+def mend(path: Path, sidecar: Path, notes: list[str] | None = None) -> int:
     """Make a video and its sidecar agree, in place; returns the number of frames kept.
 
-    A truncated fragment at the end and sidecar lines without a frame are removed. A video with more
-    frames than the sidecar has lines loses the fragments behind the last stamp. A file in which
-    nothing is readable is left as it is, with an empty sidecar.
+    Overwritten headers of its boxes are written anew. A truncated fragment at the end and sidecar
+    lines without a frame are removed. A video with more frames than the sidecar has lines loses the
+    fragments behind the last stamp. A file in which nothing is readable is left as it is, with an
+    empty sidecar.
+
+    ``notes`` receives a sentence about every change, and what is cut then goes into files of its
+    own (``damaged``). None: of a live recording, whose frames go into the next part.
     """
+    repaired = mp4_headers.repair(path)
+    if notes is not None:
+        notes += repaired
     lines = _sidecar_lines(sidecar)
     whole = mp4_boxes.fragments(path)
     frames, end, total = 0, 0, 0
@@ -86,17 +93,26 @@ def mend(path: Path, sidecar: Path) -> int:
     if mp4_boxes.is_plain(path):  # not made by this recorder
         frames = min(_readable(path), len(lines))
     elif frames and not (fragment is whole[-1] and total == frames and mp4_boxes.is_closed(path)):
-        mp4_boxes.cut_behind(path, end)
+        _cut(path, end, notes)
     if len(lines) != frames or not _ends_whole(sidecar):
-        _keep(sidecar, lines[:frames])
+        _keep(sidecar, lines[:frames], notes)
     return frames
 
 
-def is_empty(path: Path) -> bool:
-    """Whether a video holds no readable frame."""
-    if mp4_boxes.is_plain(path):
-        return not _readable(path)
-    return not any(fragment.frames for fragment in mp4_boxes.fragments(path))
+def _cut(path: Path, end: int, notes: list[str] | None) -> None:
+    """Truncate a file; with ``notes`` what is cut is kept, and said."""
+    removed = path.stat().st_size - end
+    if removed <= 0:
+        return
+    if notes is None:
+        os.truncate(path, end)
+    else:
+        notes.append(damaged.cut_words(path, removed, damaged.cut(path, end)))
+
+
+def has_frames(path: Path) -> bool:
+    """Whether a video holds a readable frame."""
+    return _readable(path) > 0
 
 
 def last_stamp(sidecar: Path) -> int:
@@ -121,14 +137,17 @@ def _sidecar_lines(sidecar: Path) -> list[list[str]]:
     return good
 
 
-def _keep(sidecar: Path, lines: list[list[str]]) -> None:
+def _keep(sidecar: Path, lines: list[list[str]], notes: list[str] | None) -> None:
     """Truncate a sidecar behind these lines, in place: the disk may be full."""
     data = sidecar.read_bytes() if sidecar.exists() else b""
     ends = [place + 1 for place, byte in enumerate(data) if byte == ord("\n")]
     head = (",".join(table_columns.VIDEO) + "\n").encode()
     if len(ends) > len(lines) and data.startswith(head) and b"\0" not in data[: ends[len(lines)]]:
-        os.truncate(sidecar, ends[len(lines)])
+        _cut(sidecar, ends[len(lines)], notes)
         return
+    if notes is not None and data:
+        kept = damaged.set_aside(sidecar)
+        notes.append(f"{sidecar.name}: {len(lines)} lines of it are usable; as it was: {kept}")
     temporary = sidecar.with_suffix(".csv.tmp")
     with open(temporary, "w", newline="", encoding="utf-8") as file:
         csv.writer(file, lineterminator="\n").writerows([table_columns.VIDEO, *lines])
