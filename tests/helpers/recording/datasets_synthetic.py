@@ -15,6 +15,7 @@ import numpy.typing as npt
 from helpers.recording import recording_synthetic as base
 from helpers.recording.picture_identity import HEIGHT, WIDTH, Identity, draw
 from helpers.recording.recording_synthetic import TICK_NS, Synthetic
+from helpers.recording.restated import edit_field, restate
 from surg_recording.episode.episode_recorder import Recording
 
 CAMERAS = ("endoscope_left", "endoscope_right")
@@ -79,10 +80,12 @@ def record(
 
 
 def copy(source: Path, target: Path, **changes: Any) -> Path:
-    """A recording once more with other keys in its manifest."""
+    """A recording once more with other keys in its manifest; with some it is another recording."""
     shutil.copytree(source, target)
     if changes:
         edit(target, **changes)
+        edit_field(target / "command_PSM1.csv", 1, "source", f"/{target.name}".replace(",", ""))
+        restate(target)
     return target
 
 
@@ -95,9 +98,7 @@ def shift_pictures(folder: Path, by_ns: int) -> None:
         for line in lines[1:]:
             line[1] = str(int(line[1]) + by_ns)
         path.write_text("".join(",".join(line) + "\n" for line in lines), "utf-8")
-        for key in ("first_stamp_ns", "last_stamp_ns"):
-            entry[key] += by_ns
-    edit(folder, videos=manifest["videos"])
+    restate(folder)
 
 
 def edit(folder: Path, **changes: Any) -> None:

@@ -67,6 +67,26 @@ def test_without_any_episode_it_says_how_to_make_some(
             run()
 
 
+def test_a_reference_set_needs_no_episode(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(paths, "RUNS", tmp_path / "runs")
+    folder = jigsaws_synthetic.write_task(tmp_path, {"B001": "E", "B002": "E", "C001": "N"})
+    assert run("--reference", f"jigsaws:{folder}", "--out", tmp_path / "out") == 0
+    said = capsys.readouterr().out
+    assert "JIGSAWS Knot Tying, expert" in said and "No episode" not in said
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text("utf-8"))
+    assert summary["conditions"] == {} and summary["reference"]["by_skill"]["expert"]["trials"] == 2
+    assert [file.name for file in sorted((tmp_path / "out" / "figures").iterdir())] == [
+        "smoothness.png",
+        "smoothness.svg",
+    ]
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert "No episode could be evaluated" not in page and "data:image/png" in page
+    with pytest.raises(Problem, match="no such folder"):
+        run(tmp_path / "runs", "--reference", f"jigsaws:{folder}")
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -17,6 +17,7 @@ from helpers.recording import dataset_readers, datasets_synthetic, picture_ident
 from helpers.recording.dataset_readers import FORMATS
 from helpers.recording.datasets_synthetic import CAMERAS, FRAME_NS
 from helpers.recording.recording_synthetic import TICK_NS, Synthetic, path
+from helpers.recording.restated import edit_field, restate
 from helpers.results.dataset_results import note
 from surg_recording import datasets
 from surg_recording.datasets import ExportError, ExportOptions, Report
@@ -298,14 +299,6 @@ def drop_line(file: Path, number: int) -> None:
     file.write_text("".join(lines))
 
 
-def change(file: Path, line: int, column: str, value: str) -> None:
-    lines = file.read_text().splitlines()
-    header, fields = lines[0].split(","), lines[line].split(",")
-    fields[header.index(column)] = value
-    lines[line] = ",".join(fields)
-    file.write_text("\n".join(lines) + "\n")
-
-
 def without(folder: Path, key: str, **changes: Any) -> None:
     manifest = json.loads((folder / "manifest.json").read_text())
     manifest["tables"][key].update(changes)
@@ -337,11 +330,11 @@ BROKEN: dict[str, tuple[Any, str]] = {
     "empty": (empty, "no control cycle of PSM1 was recorded"),
     "no sidecar": (
         lambda f: (f / "endoscope_left.csv").unlink(),
-        "endoscope_left.csv: cannot be read",
+        "endoscope_left.csv: the file is missing",
     ),
     "no video": (
         lambda f: (f / "endoscope_right.mp4").unlink(),
-        "endoscope_right.mp4: cannot be read",
+        "endoscope_right.mp4: the file is missing",
     ),
     "torn line": (
         lambda f: (f / "cycle_PSM1.csv").write_text((f / "cycle_PSM1.csv").read_text()[:-40]),
@@ -350,16 +343,16 @@ BROKEN: dict[str, tuple[Any, str]] = {
     "a row is gone": (lambda f: drop_line(f / "cycle_PSM1.csv", 77), "rows, the manifest says"),
     "last rows are gone": (lambda f: drop_line(f / "task_state.csv", -1), "task_state.csv: "),
     "not a number": (
-        lambda f: change(f / "cycle_PSM1.csv", 90, "p_tip_y", "nan"),
+        lambda f: (edit_field(f / "cycle_PSM1.csv", 90, "p_tip_y", "nan"), restate(f)),
         "column p_tip_y: not a number",
     ),
-    "a word": (lambda f: change(f / "cycle_PSM1.csv", 90, "q0", "abc"), "column q0: 'abc'"),
+    "a word": (lambda f: edit_field(f / "cycle_PSM1.csv", 90, "q0", "abc"), "column q0: 'abc'"),
     "edited stamp": (
-        lambda f: change(f / "endoscope_left.csv", 9, "stamp_ns", "460000000"),
+        lambda f: edit_field(f / "endoscope_left.csv", 9, "stamp_ns", "460000000"),
         "endoscope_left.csv, line 10: frame, stamp_ns and pts do not fit the video",
     ),
     "stamp goes back": (
-        lambda f: change(f / "cycle_PSM1.csv", 90, "stamp_ns", "1"),
+        lambda f: (edit_field(f / "cycle_PSM1.csv", 90, "stamp_ns", "1"), restate(f)),
         "line 91: stamp_ns 1 is earlier",
     ),
     "cut video": (cut_video, "frames can be read, its sidecar endoscope_left.csv lists"),

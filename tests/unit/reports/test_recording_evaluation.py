@@ -15,6 +15,7 @@ import pytest
 from helpers.recording import jigsaws_synthetic
 from helpers.recording.evaluated import DONE, episode
 from helpers.recording.recording_synthetic import Synthetic
+from helpers.recording.restated import edit_field, restate
 from surg_recording import metrics
 from surg_recording.episode import episode_reader as episodes
 from surg_recording.recording_errors import EpisodeError
@@ -53,6 +54,8 @@ def entry(seed: int, **changes: Any) -> dict[str, Any]:
         "operator": "scripted expert",
         "success": True,
         "failure_reason": None,
+        "judged_by": "task",
+        "disagreement": None,
         "duration_s": 10.0 + seed,
         "rcm_kinematic_mm": {"mean": mean, "median": mean, "p95": peak, "max": peak},
         "rcm_true_mm": {"mean": 2 * mean, "median": mean, "p95": peak, "max": 2 * peak},
@@ -97,6 +100,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for row in rows:
         row[place] = "0"
     table.write_text("\n".join([lines[0], *map(",".join, rows)]) + "\n")
+    restate(made)
     killed = {"outcome": "incomplete", "reason": "the recorder was killed"}
     episode(bad / "killed", 21, task=DONE, setting="phantom", manifest=killed)
     made = episode(bad / "torn", 22, task=DONE, setting="phantom")
@@ -182,14 +186,12 @@ def test_an_arm_that_is_not_there_is_said(recorded: Path) -> None:
 
 def test_numbers_that_are_none_leave_the_episode_out(tmp_path: Path) -> None:
     made = episode(tmp_path / "e", 1, Synthetic(seconds=1.0), task=DONE, setting="phantom")
-    table = made / "ground_truth_PSM1.csv"
-    lines = table.read_text().splitlines()
-    fields = lines[300].split(",")
-    fields[lines[0].split(",").index("tip_x")] = ""
-    lines[300] = ",".join(fields)
-    table.write_text("\n".join(lines) + "\n")
+    edit_field(made / "ground_truth_PSM1.csv", 300, "tip_x", "")
+    restate(made)
     entries, (left,) = evaluation.measure_all([made], None, False, quiet)
-    assert entries == [] and "not finite" in left.reason and str(made) in left.reason
+    assert (
+        entries == [] and "column tip_x: not a number" in left.reason and str(made) in left.reason
+    )
 
 
 def test_a_recording_without_a_simulator(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import pytest
 
 from helpers.recording import recording_synthetic as synthetic
 from helpers.recording.recording_synthetic import Synthetic
+from helpers.recording.restated import edit_field, restate
 from surg_recording.episode import episode_reader
 from surg_recording.recording_errors import EpisodeError, NoMotionError
 from surg_recording.reports import run_report, run_series, run_summary
@@ -156,6 +157,7 @@ def test_velocity_commands_are_compared_with_the_goal(tmp_path: Path) -> None:
     folder = synthetic.record(tmp_path / "episode", Synthetic(seconds=2.0))
     lines = (folder / "command_PSM1.csv").read_text().splitlines()
     (folder / "command_PSM1.csv").write_text(lines[0] + "\n")
+    restate(folder)
     got = run_summary.summarise(episode_reader.read(folder))
     assert got["input_source"] == "cycle.p_goal"
     assert got["tip_lag_ms"] == pytest.approx(12.4, abs=0.01)
@@ -166,6 +168,7 @@ def test_a_30_hz_stream_and_a_late_start_are_interpolated(tmp_path: Path) -> Non
     path = folder / "command_PSM1.csv"
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join([lines[0], *lines[1::16]]))
+    restate(folder)
     got = run_summary.summarise(episode_reader.read(folder))
     assert got["tip_lag_ms"] == pytest.approx(12.4, abs=0.3)
     assert got["tip_error_mm"]["rms"] < 0.05
@@ -185,12 +188,8 @@ def test_missing_ticks_in_lockstep_are_a_reason(tmp_path: Path) -> None:
 
 def test_nan_anywhere_fails(tmp_path: Path) -> None:
     folder = synthetic.record(tmp_path / "episode", Synthetic(seconds=1.0))
-    path = folder / "ground_truth_PSM1.csv"
-    lines = path.read_text().splitlines()
-    fields = lines[200].split(",")
-    fields[3] = "nan"
-    lines[200] = ",".join(fields)
-    path.write_text("\n".join(lines) + "\n")
+    edit_field(folder / "ground_truth_PSM1.csv", 200, "shaft_x", "nan")
+    restate(folder)
     got = run_summary.summarise(episode_reader.read(folder))
     assert not got["ok"]
     assert any("true RCM deviation, max [mm]: not measured" in r for r in got["reasons"])

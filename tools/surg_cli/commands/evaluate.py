@@ -42,7 +42,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         known = ", ".join(PRESETS)
         raise Problem(f"--preset {options.preset}: no such preset; there are {known}", 2)
     out = paths.run_folder(options.out)
-    folders = _find(options.episodes)
+    folders = _find(options.episodes, options.reference is not None)
     compared = None
     with Progress("evaluate") as progress:
         if options.reference is not None:
@@ -57,6 +57,8 @@ def main(options: argparse.Namespace, command: str) -> int:
         )
         for each in left_out:
             warn(f"surg: left out: {each.reason}")
+        for text in evaluation.remarks(entries):
+            warn(f"surg: note: {text}")
         info = {"versions": provenance.versions()}
         summary = evaluation.summarise(entries, left_out, options.preset, compared, info)
         progress.update(1.0, "figures")
@@ -67,13 +69,17 @@ def main(options: argparse.Namespace, command: str) -> int:
     _print_summary(summary)
     say(str(out / "report.html"))
     say(str(out / "summary.json"))
-    if not entries:
+    if folders and not entries:
         warn(f"surg: none of {len(folders)} episodes could be evaluated")
-    return 0 if entries else 1
+        return 1
+    return 0
 
 
-def _find(wanted: list[Path]) -> list[Path]:
-    """The episodes to evaluate; if there are none, the error names a command that records some."""
+def _find(wanted: list[Path], alone: bool) -> list[Path]:
+    """The episodes to evaluate; if there are none, the error names a command that records some.
+
+    ``alone``: a reference set may be evaluated without any episode.
+    """
     from surg_recording.recording_errors import EpisodeError
     from surg_recording.reports import evaluation
 
@@ -82,6 +88,8 @@ def _find(wanted: list[Path]) -> list[Path]:
     except EpisodeError as problem:
         if wanted:
             raise Problem(str(problem), 2) from problem
+        if alone:
+            return []
         raise Problem(f"runs/ holds no episode yet; record some with {RECORD_SOME}", 2) from problem
 
 
@@ -94,15 +102,21 @@ def _print_summary(summary: dict[str, Any]) -> None:
     for label, entry in summary["conditions"].items():
         rate = entry["success_rate"]
         success = "not judged" if rate is None else interval(rate)
-        rows.append([label, str(entry["n"]), success, *(_median(entry[name]) for name in shown)])
+        numbers = [_median(entry[name], entry["n"]) for name in shown]
+        rows.append([label, str(entry["n"]), success, *numbers])
     compared = summary["reference"]
     if compared:
-        ends = (_median(compared["sparc"]), _median(compared["ldlj"]))
-        rows.append([compared["name"], str(compared["trials"]), "", "", "", *ends])
+        levels = {"": compared, **{f", {k}": v for k, v in compared["by_skill"].items()}}
+        for label, level in levels.items():
+            ends = [_median(level[name], level["trials"]) for name in ("sparc", "ldlj")]
+            rows.append([compared["name"] + label, str(level["trials"]), "", "", "", *ends])
     if len(rows) > 1:
         say(table(rows))
         say(f"  medians over the episodes; smoothness by preset {summary['preset']['name']}")
 
 
-def _median(spread: dict[str, Any]) -> str:
-    return f"{spread['median']:.4g}" if spread["n"] else "not measured"
+def _median(spread: dict[str, Any], n: int) -> str:
+    """The median; the number of values if it is not that of the episodes."""
+    if not spread["n"]:
+        return "not measured"
+    return f"{spread['median']:.4g}" + (f" (n = {spread['n']})" if spread["n"] != n else "")

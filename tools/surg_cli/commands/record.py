@@ -1,4 +1,4 @@
-"""`./surg record`: start, stop and tag a recording of a running system."""
+"""`./surg record`: start, stop and tag a recording of a running system; declare an edit of one."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import time
+from pathlib import Path
 from typing import Any
 
 from surg_cli.graph import follow, master, processes, running
@@ -19,7 +20,9 @@ ACTIONS = {
     "status": "what is being recorded, what was dropped, what is missing",
     "tag": "note TEXT at this moment",
     "stage": "the stage TEXT begins now",
+    "amend": "declare deliberate edits of the files of the episode TEXT, with --by and --why",
 }
+_WITH_TEXT = ("tag", "stage", "amend")
 STATUS = "/record/status"
 CONNECT_S = 5.0
 START_S = 20.0
@@ -32,10 +35,12 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     parser.epilog = "\n".join(f"  {name:7s} {text}" for name, text in ACTIONS.items())
     add = parser.add_argument
     add("action", choices=tuple(ACTIONS), metavar="ACTION", help=", ".join(ACTIONS))
-    add("text", nargs="?", default="", metavar="TEXT", help="of tag and stage")
+    add("text", nargs="?", default="", metavar="TEXT", help="of tag, stage, amend")
     add("--port", type=tcp_port, metavar="P", help="of the ROS master")
     for fact in ("operator", "task", "setting", "seed"):
         add(f"--{fact}", metavar="X", help=f"start: the {fact}, for the manifest")
+    add("--by", metavar="NAME", help="amend: who edited the files")
+    add("--why", metavar="TEXT", help="amend: what was edited, and for what reason")
     verdict = parser.add_mutually_exclusive_group()
     verdict.add_argument("--success", action="store_true", help="stop: the episode succeeded")
     verdict.add_argument("--failure", metavar="WHY", help="stop: it failed, and why")
@@ -44,15 +49,34 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 def main(options: argparse.Namespace, command: str) -> int:
     """Do one thing; exit status 1 when the recorder says that something is wrong."""
     action = options.action
-    if action in ("tag", "stage") and not options.text:
+    if action in _WITH_TEXT and not options.text:
         raise Problem(f"record {action}: TEXT is missing", 2)
-    if action not in ("tag", "stage") and options.text:
+    if action not in _WITH_TEXT and options.text:
         raise Problem(f"record {action}: takes no text ({options.text!r})", 2)
     judged = options.success or options.failure is not None
     if judged and action != "stop":
         raise Problem("--success and --failure belong to record stop", 2)
+    if action == "amend":
+        return _amend(Path(options.text), options.by, options.why)
+    if options.by or options.why:
+        raise Problem("--by and --why belong to record amend", 2)
     with Recorder(_port(options.port)) as recorder:
         return _do(recorder, action, options)
+
+
+def _amend(folder: Path, by: str | None, why: str | None) -> int:
+    """Declare the edits of an episode in its manifest."""
+    from surg_recording.episode import amendments
+    from surg_recording.recording_errors import EpisodeError
+
+    if not by or not why:
+        raise Problem("record amend: --by NAME and --why TEXT are missing", 2)
+    try:
+        note = amendments.amend(folder, by, why)
+    except EpisodeError as problem:
+        raise Problem(f"record amend: {problem}", 2) from None
+    say(f"record: {folder}: {', '.join(note['files'])} as edited by {by}: {why}")
+    return 0
 
 
 def _do(recorder: Recorder, action: str, options: argparse.Namespace) -> int:

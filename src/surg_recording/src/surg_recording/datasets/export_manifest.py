@@ -10,7 +10,7 @@ from typing import Any
 
 from surg_recording.datasets.exporter import MANIFEST, Dataset, Exporter, ExportError, Report
 from surg_recording.datasets.options import ExportOptions
-from surg_recording.datasets.parts import file_hash
+from surg_recording.file_io import file_hash
 
 FORMAT = "surg_export/1"
 

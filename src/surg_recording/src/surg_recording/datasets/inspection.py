@@ -7,18 +7,20 @@ recording.
 from __future__ import annotations
 
 import dataclasses
-import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from surg_core.contract import TASK_STATE_KEY
-from surg_recording.clock import clock_agreement, clock_segments
 from surg_recording.clock.clock_segments import Segment
 from surg_recording.datasets import pictures, schema
 from surg_recording.datasets.options import ExportOptions
-from surg_recording.episode import episode_reader, table_columns
+from surg_recording.episode import episode_reader, integrity, table_columns
+from surg_recording.episode.checked_reading import segment_of
 from surg_recording.episode.episode_reader import Episode
+from surg_recording.episode.verdicts import NOT_JUDGED, Verdict, has_tag, verdict
+from surg_recording.file_io import read_json
 from surg_recording.recording_errors import EpisodeError
 
 SUCCESS, RECOVERY, FAILURE = "success", "recovery", "failure"
@@ -77,6 +79,9 @@ class Candidate:
     """Facts for the dataset's page: task, operator, setting, seed, dates, software."""
     segment: Segment | None = None
     """The exported segment of a recording whose clock was set; None: all of it."""
+    verdict: Verdict = NOT_JUDGED
+    remarks: tuple[str, ...] = ()
+    """What a reader should be told: no hashes, declared edits, verdicts that disagree."""
 
 
 def look(folder: Path, options: ExportOptions) -> Candidate:
@@ -88,14 +93,17 @@ def look(folder: Path, options: ExportOptions) -> Candidate:
             f"{folder}: the recording is {manifest.get('outcome')}: {manifest.get('reason')};"
             " --allow-incomplete exports what is there"
         )
-    segment = _segment(recorded)
+    segment = segment_of(recorded)
     sync = _sync(recorded, segment)
     if sync and sync.get("verdict") == "fail" and not options.allow_unsynchronised:
         raise EpisodeError(
             f"{folder}: its sync report ({SYNC_REPORT}) says 'fail': pictures and motion may not"
             " belong together; --allow-unsynchronised exports it anyway"
         )
-    run = _mapping(manifest.get("run"))
+    run, judged = _mapping(manifest.get("run")), verdict(manifest)
+    remarks = integrity.remarks(recorded)
+    if judged.disagreement:
+        remarks.append(f"verdicts disagree, the first counts: {judged.disagreement}")
     return Candidate(
         folder=folder,
         layout=layout_of(recorded, options),
@@ -110,6 +118,8 @@ def look(folder: Path, options: ExportOptions) -> Candidate:
             "sync": sync,
         },
         segment=segment,
+        verdict=judged,
+        remarks=tuple(remarks),
     )
 
 
@@ -181,7 +191,7 @@ def _cameras(
                 f"{folder}: no camera {camera!r}; there are {', '.join(own) or 'none'}"
             )
         further = any(_mapping(video).get("part_of") == camera for video in videos.values())
-        if further and _segment(recorded) is None:
+        if further and segment_of(recorded) is None:
             raise EpisodeError(
                 f"{folder}: {camera} has more than one video (its size changed, or its encoder was"
                 " killed); --cameras names those to take"
@@ -193,53 +203,26 @@ def _cameras(
 
 
 def kind_of(manifest: Mapping[str, Any]) -> str:
-    """Success, recovery or failure: by tag, then by the result, then by the simulated task."""
-    tags = _texts(manifest.get("tags"))
-    for kind in (FAILURE, RECOVERY):
-        if kind in tags:
-            return kind
-    verdicts = (manifest.get("result"), _mapping(manifest.get("sim")).get("task"))
-    successes = [_mapping(verdict).get("success") for verdict in verdicts]
-    judged = [success for success in successes if success is not None]
-    return FAILURE if judged and judged[0] is False else SUCCESS
+    """Success, recovery or failure: by the verdict, then by the tag ``recovery``."""
+    if verdict(manifest).success is False:
+        return FAILURE
+    return RECOVERY if has_tag(manifest, RECOVERY) else SUCCESS
 
 
 def _sync(recorded: Episode, segment: Segment | None) -> dict[str, Any] | None:
     """The recording's sync report, if readable; that of the segment after a clock step."""
-    try:
-        report = json.loads((recorded.folder / SYNC_REPORT).read_text("utf-8"))
-    except FileNotFoundError:
+    path = recorded.folder / SYNC_REPORT
+    if not os.path.lexists(path):
         return None
-    except (OSError, ValueError) as problem:
-        raise EpisodeError(f"{recorded.folder / SYNC_REPORT}: not valid JSON ({problem})") from None
+    report = read_json(path)
     if not isinstance(report, dict):
         return None
     part = report.get("segment") if segment is not None else None
     return part if isinstance(part, dict) else report
 
 
-def _segment(recorded: Episode) -> Segment | None:
-    """The segment to export after a clock step; an EpisodeError if stamps cannot be compared."""
-    try:
-        segment = clock_segments.longest(recorded.manifest)
-    except EpisodeError as problem:
-        raise EpisodeError(f"{recorded.folder}: {problem}") from None
-    if segment is not None and clock_agreement.machines(recorded.manifest) > 1:
-        raise EpisodeError(
-            f"{recorded.folder}: {segment.words}; but two machines took part, and it is not known"
-            " which of their clocks was set"
-        )
-    return segment
-
-
 def _mapping(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, Mapping) else {}
-
-
-def _texts(tags: Any) -> list[str]:
-    """Texts of a manifest's tags, which are strings or objects."""
-    listed = tags if isinstance(tags, list) else []
-    return [str(tag.get("text")) if isinstance(tag, dict) else str(tag) for tag in listed]
 
 
 def _words(value: Any) -> str:

@@ -23,6 +23,7 @@ from surg_recording.datasets.exporter import PART, Exporter, Part
 from surg_recording.datasets.inspection import Layout
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import sample
+from surg_recording.file_io import file_hash
 from surg_recording.recording_errors import EpisodeError
 
 _UNFINISHED = ".unfinished-"
@@ -74,18 +75,6 @@ def input_hash(folder: Path, layout: Layout, options: ExportOptions, exporter: E
         "exporter": [exporter.name, exporter.version, surg_recording.__version__],
     }
     return hashlib.sha256(json.dumps(stated, sort_keys=True, default=str).encode()).hexdigest()
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file; an EpisodeError if it cannot be read."""
-    digest = hashlib.sha256()
-    try:
-        with open(path, "rb") as file:
-            while block := file.read(1 << 20):
-                digest.update(block)
-    except OSError as problem:
-        raise EpisodeError(f"{path}: cannot be read ({problem.strerror})") from None
-    return digest.hexdigest()
 
 
 def make(job: Job) -> Outcome:

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from surg_recording.datasets.options import ExportOptions
+from surg_recording.file_io import regular_file
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.video import video_file
 
@@ -179,6 +180,7 @@ def join(parts: Sequence[Path], path: Path, fps: int) -> list[int]:
 
 def size_of(path: Path) -> tuple[int, int]:
     """Width and height of a video [px]; an EpisodeError if it cannot be read."""
+    regular_file(path)
     try:
         with av.open(str(path)) as container:
             context = container.streams.video[0].codec_context

@@ -31,6 +31,7 @@ from surg_recording.datasets.options import SPLITS, ExportOptions
 from surg_recording.datasets.parts import Job, Outcome, input_hash, sweep
 from surg_recording.datasets.sampling import sample
 from surg_recording.episode import episode_reader
+from surg_recording.episode.identity import Known
 from surg_recording.recording_errors import EpisodeError
 
 UNFINISHED = ".unfinished"
@@ -106,7 +107,8 @@ def make_plan(
         raise ExportError(f"no recording in {', '.join(map(str, episodes))}")
     refused: dict[str, str] = {}
     candidates: list[Candidate] = []
-    keys: dict[str, Path] = {}
+    keys: list[str] = []
+    known = Known()
     for number, folder in enumerate(folders):
         progress(0.1 * number / len(folders), f"looking at {folder.name}")
         try:
@@ -115,14 +117,17 @@ def make_plan(
             if other is not None:
                 raise EpisodeError(f"{folder}: {other}; export it with others of its kind")
             key = input_hash(folder, candidate.layout, options, exporter)
+            recorded = episode_reader.read(folder)
+            if (twin := known.twin(recorded)) is not None:
+                raise EpisodeError(f"{folder}: {twin}")
         except EpisodeError as problem:
             refused[str(folder)] = str(problem)
-            continue
-        if key in keys:
-            refused[str(folder)] = f"{folder}: the same recording as {keys[key]}"
-            continue
-        keys[key] = folder
-        candidates.append(candidate)
+        except Exception as problem:  # one recording, not the export
+            refused[str(folder)] = f"{folder}: {type(problem).__name__}: {problem}"
+        else:
+            known.add(recorded)
+            keys.append(key)
+            candidates.append(candidate)
     return Plan(tuple(candidates), tuple(keys), refused)
 
 
@@ -143,7 +148,7 @@ def dry_run(
             continue
         report.recordings += 1
         report.frames += sampled.grid.frames
-        report.warnings += _segment_warning(str(candidate.folder), sampled.notes)
+        report.warnings += _told(str(candidate.folder), sampled.notes)
         kinds[candidate.kind] = kinds.get(candidate.kind, 0) + 1
         report.facts.setdefault("features", {f.name: list(f.shape) for f in sampled.features})
     report.facts["kinds"] = kinds
@@ -207,7 +212,7 @@ def _assemble(
         report.errors += validated.errors
         report.warnings += validated.warnings
         for part in dataset.parts:
-            report.warnings += _segment_warning(part.source, part.notes)
+            report.warnings += _told(part.source, part.notes)
         report.facts.update(validated.facts)
         if validated.recordings != len(dataset.parts) or validated.frames != dataset.frames:
             report.errors.append(
@@ -229,9 +234,10 @@ def _assemble(
         shutil.rmtree(staging, ignore_errors=True)
 
 
-def _segment_warning(source: str, notes: Mapping[str, Any]) -> list[str]:
-    """Tells that only a segment of a recording is exported."""
-    return [f"{source}: {notes['segment']} is exported"] if "segment" in notes else []
+def _told(source: str, notes: Mapping[str, Any]) -> list[str]:
+    """What the report says of an exported recording."""
+    told = [f"{source}: {notes['segment']} is exported"] if "segment" in notes else []
+    return told + [f"{source}: {remark}" for remark in notes.get("remarks", ())]
 
 
 def _nothing_left(report: Report) -> None:

@@ -32,11 +32,12 @@ from surg_recording.datasets import pictures, schema
 from surg_recording.datasets.frame_columns import Columns
 from surg_recording.datasets.inspection import Candidate
 from surg_recording.datasets.options import ExportOptions
-from surg_recording.datasets.reading import checked_cycle, checked_table, checked_video
 from surg_recording.datasets.resample import Grid, Stamps, linear, offsets_ns, previous, slerp
 from surg_recording.datasets.schema import Feature
 from surg_recording.episode import episode_reader, table_columns
+from surg_recording.episode.checked_reading import checked_cycle, checked_table, checked_video
 from surg_recording.episode.episode_reader import Episode, Table
+from surg_recording.episode.verdicts import PERSON, Verdict
 from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
@@ -115,11 +116,14 @@ def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
     made = Columns(grid, options)
     if segment is not None:
         made.notes["segment"] = segment.words
+    if candidate.remarks:
+        made.notes["remarks"] = list(candidate.remarks)
     _observe(made, candidate, arms, cycles)
     _act(made, arms)
     shown = _show(made, candidate, videos)
     if task is not None:
-        _label(made, task)
+        at_the_end = segment is None or segment.until is None
+        _label(made, task, candidate.verdict, at_the_end)
         if layout.task_numbers:
             _privileged_task(made, task, layout.task_numbers)
     if truth:
@@ -319,8 +323,11 @@ def _show(
     return shown
 
 
-def _label(made: Columns, task: Table) -> None:
-    """Reward and success of the frame that an action leads to; the last frame has the verdict."""
+def _label(made: Columns, task: Table, verdict: Verdict, at_the_end: bool) -> None:
+    """Reward and success of the frame that an action leads to; the last frame has the verdict.
+
+    A person's verdict counts first: what somebody called a failure has no frame of success.
+    """
     row = previous(task["stamp_ns"], made.grid.next_ns, "task_state.csv")
     row[-1] = len(task) - 1
     last = np.zeros(made.grid.frames, dtype=bool)
@@ -328,6 +335,9 @@ def _label(made: Columns, task: Table) -> None:
     made.number("next.reward", task["reward"][row], "float32", ("1",), _NEXT, "reward of the task")
     made.number("next.done", last, "bool", ("1",), "", "the recording's last frame")
     success = task["success"][row] == 1
+    if verdict.by == PERSON:
+        success[:] = success & bool(verdict.success)
+        success[-1] = bool(verdict.success) and at_the_end
     made.number("next.success", success, "bool", ("1",), _NEXT, "the task was solved by then")
 
 

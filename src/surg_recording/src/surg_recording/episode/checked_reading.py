@@ -1,21 +1,67 @@
 """Reads tables and videos of a recording that are as the recorder left them.
 
-An edited file, a truncated file and a clock step are found here, before a dataset is made of it;
-the error states file, line and value.
+Whoever computes with a recording reads it here: exports and evaluations. An edited file, a
+truncated file, an impossible stamp or value and a clock step are found before anything is made of
+them; the error states file, line and value.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from surg_core.contract import SECOND_NS, STREAMS
+from surg_recording.clock import clock_agreement, clock_segments
 from surg_recording.clock.clock_segments import GUARD_NS, Segment
-from surg_recording.episode import episode_reader, table_columns
+from surg_recording.episode import episode_reader, integrity, table_columns
 from surg_recording.episode.episode_reader import Episode, Table
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.video import video_file
+
+LONGEST_GAP_NS = 3600 * SECOND_NS
+"""Stamps of neighbouring rows are closer than this [ns]."""
+
+LARGEST = 1e6
+"""No measured position, angle, speed or force is larger [SI]."""
+
+CYCLE_GAP_NS = 50_000_000
+"""Longest time without a control cycle that a metric may bridge [ns]; as of an export."""
+
+
+def segment_of(recorded: Episode) -> Segment | None:
+    """The segment to use after a clock step; an EpisodeError if stamps cannot be compared."""
+    try:
+        segment = clock_segments.longest(recorded.manifest)
+    except EpisodeError as problem:
+        raise EpisodeError(f"{recorded.folder}: {problem}") from None
+    if segment is not None and clock_agreement.machines(recorded.manifest) > 1:
+        raise EpisodeError(
+            f"{recorded.folder}: {segment.words}; but two machines took part, and it is not known"
+            " which of their clocks was set"
+        )
+    return segment
+
+
+def for_metrics(recorded: Episode, arm: str) -> Episode:
+    """The episode with the tables of an arm as an export reads them; only those are checked.
+
+    Raises:
+        EpisodeError: A table is not as recorded, or holds an impossible stamp or value; or the
+            commanded window of a complete recording lacks control cycles.
+    """
+    segment, tables = segment_of(recorded), {}
+    cycle = tables[f"cycle_{arm}"] = finite_cycle(recorded, arm, segment)
+    if recorded.complete:
+        _without_gap(recorded.folder / f"cycle_{arm}.csv", cycle)
+    truth = recorded.manifest["tables"].get(f"ground_truth_{arm}")
+    if truth and truth["rows"]:
+        tables[f"ground_truth_{arm}"] = _finite_truth(recorded, arm, segment)
+    command = f"command_{arm}"
+    if command in recorded.tables:
+        table = recorded.table(command)
+        tables[command] = table if segment is None else segment.table(table, command)
+    return recorded.holding(tables)
 
 
 def checked_table(recorded: Episode, name: str, segment: Segment | None = None) -> Table:
@@ -25,9 +71,8 @@ def checked_table(recorded: Episode, name: str, segment: Segment | None = None) 
         EpisodeError: Truncated, edited or missing; no row in the segment.
     """
     table = recorded.table(name)
-    entry = recorded.manifest["tables"][name]
     path = recorded.folder / f"{name}.csv"
-    _as_recorded(path, entry, entry.get("rows"), table)
+    _stamped(path, table)
     if segment is None:
         _forward(path, table)
         return table
@@ -61,7 +106,8 @@ def _whole_video(recorded: Episode, video: episode_reader.Video) -> episode_read
     if missing:
         raise EpisodeError(f"{sidecar}: no column {', '.join(missing)}")
     entry = recorded.manifest["videos"][video.name]
-    _as_recorded(sidecar, entry, entry.get("frames"), frames)
+    integrity.check_rows(sidecar, entry, frames)
+    _stamped(sidecar, frames)
     _forward(sidecar, frames)
     times = np.array(video_file.presentation_times(video.path), dtype=np.int64)
     if len(times) != len(frames):
@@ -80,36 +126,40 @@ def _whole_video(recorded: Episode, video: episode_reader.Video) -> episode_read
             f"{sidecar}, line {line}: frame, stamp_ns and pts do not fit the video"
             " (pts is its presentation time in microseconds since the first frame); was it edited?"
         )
+    integrity.check_hash(sidecar, entry.get(integrity.HASH))
+    integrity.check_hash(video.path, entry.get(integrity.VIDEO_HASH))
     return video
 
 
-def _as_recorded(path: Path, entry: Any, rows: Any, table: Table) -> None:
-    """Compare a file with its entry in the manifest."""
-    if rows is not None and rows != len(table):
-        raise EpisodeError(
-            f"{path}: {len(table)} rows, the manifest says {rows}: the file was cut or edited after"
-            " the recording; restore it"
-        )
+def _stamped(path: Path, table: Table) -> None:
+    """Refuse a table without rows, or without integer stamps."""
+    for column in ("stamp_ns", "receive_ns"):
+        if column not in table:
+            raise EpisodeError(f"{path}: no column {column}")
     if not len(table):
         raise EpisodeError(f"{path}: holds no row")
-    stamps = table["stamp_ns"]
-    for key, row in (("first_stamp_ns", 0), ("last_stamp_ns", -1)):
-        if entry.get(key) is not None and entry[key] != int(stamps[row]):
-            raise EpisodeError(
-                f"{path}: {key} is {int(stamps[row])}, the manifest says {entry[key]}: the file was"
-                " edited after the recording; restore it"
-            )
 
 
 def _forward(path: Path, table: Table, first: int = 0) -> None:
-    """Refuse stamps that go back; ``first`` is the position of the first row in the file."""
+    """Refuse stamps that go back or jump; ``first`` is the place of the first row in the file."""
     stamps = table["stamp_ns"]
-    back = np.flatnonzero(np.diff(stamps) < 0)
+    earlier, later = stamps[:-1], stamps[1:]
+    back = np.flatnonzero(later < earlier)
     if len(back):
         row = int(back[0]) + 1
         raise EpisodeError(
             f"{path}, line {first + row + 2}: stamp_ns {stamps[row]} is earlier than"
             f" {stamps[row - 1]} in the line before; the clock was set back, or the file edited"
+        )
+    if stamps[0] < 0:
+        raise EpisodeError(f"{path}, line {first + 2}: stamp_ns {stamps[0]} is before 1970")
+    far = np.flatnonzero(later - earlier > LONGEST_GAP_NS)
+    if len(far):
+        row = int(far[0]) + 1
+        raise EpisodeError(
+            f"{path}, line {first + row + 2}: stamp_ns {stamps[row]} is"
+            f" {(int(stamps[row]) - int(stamps[row - 1])) / SECOND_NS:.0f} s after"
+            f" {stamps[row - 1]} in the line before; the clock was set, or the file edited"
         )
 
 
@@ -127,23 +177,61 @@ def _of_the_segment(path: Path, table: Table, segment: Segment) -> None:
         )
 
 
+def _without_gap(path: Path, cycle: Table) -> None:
+    """Refuse a commanded window with a long gap: a metric would bridge it by a straight line."""
+    commanded = np.flatnonzero(np.isin(cycle["command"], STREAMS))
+    if not len(commanded):
+        return
+    stamps = cycle["stamp_ns"][commanded[0] : commanded[-1] + 1]
+    gaps = np.flatnonzero(np.diff(stamps) > CYCLE_GAP_NS)
+    if len(gaps):
+        row = int(gaps[0])
+        raise EpisodeError(
+            f"{path}: no control cycle for {(stamps[row + 1] - stamps[row]) * 1e-6:.0f} ms after"
+            f" stamp_ns {stamps[row]}; at most {CYCLE_GAP_NS * 1e-6:.0f} ms can be bridged"
+        )
+
+
 def checked_cycle(recorded: Episode, name: str, segment: Segment | None = None) -> Table:
     """An arm's control cycles with strictly increasing stamps, all measured values finite.
 
     Raises:
-        EpisodeError: Truncated, edited or missing, or a non-finite value.
+        EpisodeError: Truncated, edited or missing, or an impossible value.
     """
-    path = recorded.folder / f"cycle_{name}.csv"
-    cycle = checked_table(recorded, f"cycle_{name}", segment)
+    cycle = finite_cycle(recorded, name, segment)
     # A cycle without a new joint state repeats its stamp: the last one knows most.
-    cycle = cycle.select(np.flatnonzero(np.append(np.diff(cycle["stamp_ns"]) > 0, True)))
+    return cycle.select(np.flatnonzero(np.append(np.diff(cycle["stamp_ns"]) > 0, True)))
+
+
+def finite_cycle(recorded: Episode, name: str, segment: Segment | None = None) -> Table:
+    """An arm's control cycles, all measured values finite; else an EpisodeError."""
+    cycle = checked_table(recorded, f"cycle_{name}", segment)
     joints = table_columns.joint_count(cycle.columns)
     used = [*("p_tip_x", "p_tip_y", "p_tip_z", "s_x", "s_y", "s_z", "roll", "jaw")]
     used += [f"{prefix}{i}" for prefix in ("q", "qd") for i in range(joints)]
-    for column in used:
-        bad = np.flatnonzero(~np.isfinite(cycle[column]))
-        if len(bad):
-            raise EpisodeError(
-                f"{path}, column {column}: not a number at stamp_ns {cycle['stamp_ns'][bad[0]]}"
-            )
+    path = recorded.folder / f"cycle_{name}.csv"
+    _finite(path, cycle, used)
+    of_the_trocar = [f"p_rcm_{axis}" for axis in "xyz"] + [f"q_br_{axis}" for axis in "xyzw"]
+    _finite(path, cycle.select(cycle["homed"] == 1), of_the_trocar)
     return cycle
+
+
+def _finite_truth(recorded: Episode, arm: str, segment: Segment | None) -> Table:
+    """The simulator's ground truth of an arm, all values finite; else an EpisodeError."""
+    name = f"ground_truth_{arm}"
+    table = checked_table(recorded, name, segment)
+    groups = ("shaft", "axis", "tip", "trocar", "trocar_loaded", "force")
+    used = [f"{group}_{axis}" for group in groups for axis in "xyz"]
+    _finite(recorded.folder / f"{name}.csv", table, used)
+    return table
+
+
+def _finite(path: Path, table: Table, columns: list[str]) -> None:
+    """Refuse a value that cannot have been measured."""
+    for column in columns:
+        values = table[column]
+        bad = np.flatnonzero(~(np.abs(values) <= LARGEST))
+        if len(bad):
+            value, stamp = values[bad[0]], table["stamp_ns"][bad[0]]
+            what = f"{value:g} is too large" if np.isfinite(value) else "not a number"
+            raise EpisodeError(f"{path}, column {column}: {what} at stamp_ns {stamp}")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import array
 import csv
 import dataclasses
-import json
+import os
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording.episode import table_columns
+from surg_recording.episode import integrity, manifest_check, table_columns
+from surg_recording.file_io import read_json, regular_file
 from surg_recording.recording_errors import EpisodeError
 
 FORMAT = "surg_episode/1"
@@ -140,6 +141,11 @@ class Episode:
         return list(self.manifest.get("segments") or [])
 
     @property
+    def amendments(self) -> list[dict[str, Any]]:
+        """Edits declared after the recording: ``at``, ``by``, ``why``, ``files``."""
+        return list(self.manifest.get("amendments") or [])
+
+    @property
     def warnings(self) -> list[str]:
         """Warnings of the recorder."""
         return list(self.manifest.get("warnings") or [])
@@ -149,8 +155,17 @@ class Episode:
         """Whether the recording ended normally and nothing was lost."""
         return self.manifest.get("outcome") == "complete"
 
+    def holding(self, tables: Mapping[str, Table]) -> Episode:
+        """The same episode with these tables instead of those in its files."""
+        held = Episode(self.folder, self.manifest)
+        held._tables = {**self._tables, **tables}
+        return held
+
     def table(self, name: str) -> Table:
-        """Read a table; an EpisodeError if there is none, or for a broken file with its line."""
+        """Read a table; an EpisodeError if there is none, or if its file is not as recorded.
+
+        A broken file is named with its line, an edited one by its rows, stamps or hash.
+        """
         if name not in self._tables:
             if name not in self.manifest["tables"]:
                 why = self.manifest.get("reason")
@@ -158,8 +173,11 @@ class Episode:
                     f"{self.folder}: no table {name!r}; there are {', '.join(self.tables)}"
                     + (f" (the recording is incomplete: {why})" if why else "")
                 )
-            kinds = self.manifest["tables"][name].get("kinds")
-            self._tables[name] = read_table(self.folder / f"{name}.csv", kinds)
+            entry, path = self.manifest["tables"][name], self.folder / f"{name}.csv"
+            table = read_table(path, entry.get("kinds"))
+            integrity.check_rows(path, entry, table)
+            integrity.check_hash(path, entry.get(integrity.HASH))
+            self._tables[name] = table
         return self._tables[name]
 
     def topic(self, topic: str) -> list[Table]:
@@ -187,9 +205,7 @@ class Episode:
             raise EpisodeError(
                 f"{self.folder}: no video {name!r}; there are {', '.join(self.cameras) or 'none'}"
             )
-        path = self.folder / f"{name}.mp4"
-        if not path.exists():
-            raise EpisodeError(f"{path}: the manifest names this video, but the file is missing")
+        path = regular_file(self.folder / f"{name}.mp4")
         return Video(name, path, read_table(self.folder / f"{name}.csv"))
 
     def parts(self, camera: str) -> list[Video]:
@@ -219,14 +235,11 @@ def read(folder: Path | str) -> Episode:
         )
     if not folder.is_dir():
         raise EpisodeError(f"{folder}: no such folder")
-    try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise EpisodeError(f"{folder}: no episode, {MANIFEST} is missing") from None
-    except ValueError as problem:
-        raise EpisodeError(f"{path}: not valid JSON ({problem})") from problem
+    if not os.path.lexists(path):
+        raise EpisodeError(f"{folder}: no episode, {MANIFEST} is missing")
+    manifest = read_json(path)
     name = manifest.get("format") if isinstance(manifest, dict) else None
-    if name not in _READERS:
+    if not isinstance(name, str) or name not in _READERS:
         raise EpisodeError(
             f"{path}: format is {name!r}; this version reads {', '.join(_READERS)}."
             " A newer format needs a newer surg_recording"
@@ -238,23 +251,21 @@ def below(path: Path) -> list[Path]:
     """The episode folders at or below a path, by name; an EpisodeError if there is no such path."""
     if not path.is_dir():
         raise EpisodeError(f"{path}: no such folder")
-    if (path / MANIFEST).is_file():
+    if os.path.lexists(path / MANIFEST):
         return [path]
     return [file.parent for file in sorted(path.rglob(MANIFEST)) if _may_be_an_episode(file)]
 
 
 def _may_be_an_episode(manifest: Path) -> bool:
     try:
-        content = json.loads(manifest.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        content = read_json(manifest)
+    except EpisodeError:
         return True
     return isinstance(content, dict) and str(content.get("format", "")).startswith("surg_episode/")
 
 
 def _read_1(folder: Path, manifest: dict[str, Any]) -> Episode:
-    for key in ("tables", "videos"):
-        if not isinstance(manifest.get(key), dict):
-            raise EpisodeError(f"{folder / MANIFEST}: key {key!r} is missing or no object")
+    manifest_check.check(folder / MANIFEST, manifest)
     return Episode(folder, manifest)
 
 
@@ -276,6 +287,7 @@ def read_table(
         EpisodeError: Missing or empty file, a wrong number of fields, or a wrong value; states
             file, line, column and value.
     """
+    regular_file(path)
     try:
         with open(path, newline="", encoding="utf-8") as file:
             lines = csv.reader(file)
@@ -296,8 +308,8 @@ def read_table(
                     )
                 for place, column in kept:
                     column.append(line[place], number)
-    except FileNotFoundError:
-        raise EpisodeError(f"{path}: the file is missing") from None
+    except OSError as problem:
+        raise EpisodeError(f"{path}: cannot be read ({problem.strerror})") from None
     except (csv.Error, UnicodeDecodeError) as problem:
         raise EpisodeError(f"{path}: not a CSV file ({problem})") from problem
     return Table(path.stem, {column.name: column.array() for _, column in kept})

@@ -17,6 +17,7 @@ from pathlib import Path
 from surg_recording.clock import sync_report
 from surg_recording.episode import episode_reader as episodes
 from surg_recording.episode.episode_reader import Episode
+from surg_recording.episode.verdicts import verdict
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.reports import episode_view_data
 from surg_recording.reports.episode_view_data import MAX_ROWS, VIDEO_BUDGET, Progress
@@ -71,6 +72,12 @@ def _badges(episode: Episode) -> str:
     outcome = str(episode.manifest.get("outcome"))
     reason = episode.manifest.get("reason")
     badges = [("pass" if outcome == "complete" else "fail", outcome, reason or "nothing was lost")]
+    judged = verdict(episode.manifest)
+    if judged.success is not None:
+        label = "success" if judged.success else "failure"
+        why = judged.disagreement or f"by {judged.by}" + (judged.reason and f": {judged.reason}")
+        label += ", verdicts disagree" if judged.disagreement else ""
+        badges.append(("pass" if judged.success else "fail", label, why))
     sync = sync_report.load(episode)
     if sync is not None:
         words = {"pass": "in sync", "fail": "OUT OF SYNC", "cannot_tell": "sync: unknown"}

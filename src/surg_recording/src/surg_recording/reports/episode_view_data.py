@@ -20,6 +20,7 @@ from surg_core.contract import STATE_NAMES
 from surg_core.transforms import rotate_back
 from surg_recording import metrics
 from surg_recording.episode import episode_reader as episodes
+from surg_recording.episode import integrity
 from surg_recording.episode.episode_reader import Episode, Table
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.reports.figure_style import EXECUTED, TRUE
@@ -108,6 +109,8 @@ def collect(
         raise EpisodeError(f"{episode.folder}: nothing to show: {'; '.join(missing)}")
     origin, end = min(firsts), max(lasts)
     arms = [_arm(episode, arm, table, origin, max_rows, missing) for arm, table in tables.items()]
+    missing += [text for text in integrity.changes(episode) if text not in missing]
+    missing += integrity.remarks(episode)
     clock = next(iter(tables.values()), None)
     events = _events(episode, origin, end, clock, missing)
     data = {
@@ -243,7 +246,7 @@ def _events(
     events: list[dict[str, Any]] = []
     try:
         if "events" in episode.tables:
-            table = episode.table("events")
+            table = episodes.read_table(episode.folder / "events.csv")
             columns = (table[name] for name in ("stamp_ns", "receive_ns", "topic", "text"))
             for stamp, receive, topic, content in zip(*columns, strict=True):
                 t, exact = _when(int(stamp), int(receive), cycle, origin, end)

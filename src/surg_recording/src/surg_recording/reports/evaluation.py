@@ -12,12 +12,16 @@ from pathlib import Path
 from typing import Any
 
 from surg_recording import metrics
+from surg_recording.episode import checked_reading, integrity
 from surg_recording.episode import episode_reader as episodes
 from surg_recording.episode.episode_reader import Episode
+from surg_recording.episode.identity import Known
+from surg_recording.episode.verdicts import verdict
 from surg_recording.metrics import reference_sets
 from surg_recording.metrics.confidence_intervals import spread, success_rate
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.reports import run_summary, trials
+from surg_recording.reports.run_series import chosen_arm
 
 IDENTITY = ("task", "setting", "robot", "law", "source")
 SIMULATION, REAL = "simulation", "real"
@@ -89,7 +93,12 @@ def find(paths: Sequence[Path]) -> list[Path]:
 
 
 def measure(recorded: Episode, arm: str | None = None) -> dict[str, Any]:
-    """The entry of an episode, of the first arm by default; an EpisodeError without motion."""
+    """The entry of an episode, of the first arm by default.
+
+    Raises:
+        EpisodeError: It is not as recorded, or without motion.
+    """
+    recorded = checked_reading.for_metrics(recorded, chosen_arm(recorded, arm))
     try:
         measured = run_summary.summarise(recorded, arm)
     except ValueError as problem:  # a metric was given what is no number
@@ -97,25 +106,26 @@ def measure(recorded: Episode, arm: str | None = None) -> dict[str, Any]:
     if measured["duration_s"] is None:
         raise EpisodeError(f"{recorded.folder}: {measured['reasons'][0]}")
     manifest = recorded.manifest
-    info, sim = manifest.get("run") or {}, manifest.get("sim")
-    verdict = (sim or {}).get("task")
-    ended = verdict and bool(verdict.get("success")) and bool(verdict.get("done"))
+    info, judged = manifest.get("run") or {}, verdict(manifest)
     return {
         "folder": str(recorded.folder),
         "task": manifest.get("task") or measured["motion"],
         "setting": info.get("setting"),
         "robot": measured["robot"],
         "law": measured["law"],
-        "source": SIMULATION if sim or measured["rcm_true_mm"] else REAL,
+        "source": SIMULATION if manifest.get("sim") or measured["rcm_true_mm"] else REAL,
         "arm": measured["arm"],
         "seed": measured["seed"],
         "operator": info.get("operator") or manifest.get("operator"),
-        "success": None if verdict is None else ended,
-        "failure_reason": None if verdict is None or ended else str(verdict.get("reason") or ""),
+        "success": judged.success,
+        "failure_reason": judged.reason if judged.success is False else None,
+        "judged_by": judged.by,
+        "disagreement": judged.disagreement,
         "duration_s": measured["duration_s"],
         **trials.pick(measured),
         "complete": recorded.complete,
         "problem": manifest.get("reason"),
+        "remarks": integrity.remarks(recorded),
         "state_hash": measured["state_hash"],
     }
 
@@ -125,30 +135,49 @@ def measure_all(
 ) -> tuple[list[dict[str, Any]], list[LeftOut]]:
     """Entries of many episodes (first arm by default), and what was left out, with reasons.
 
-    Left out: unreadable, without motion, incomplete (unless ``incomplete``), or the same simulation
-    a second time. ``progress`` is called with the fraction done in [0, 1] and the current folder.
+    Left out: not as recorded, without motion, incomplete (unless ``incomplete``), or the same
+    recording a second time. ``progress`` is called with the fraction done in [0, 1] and the
+    current folder.
     """
     entries: list[dict[str, Any]] = []
     left_out: list[LeftOut] = []
-    seen: dict[str, str] = {}
+    known = Known()
     for i, folder in enumerate(folders):
         progress(i / len(folders), f"{i + 1} of {len(folders)}, {folder}")
         try:
-            entry = measure(episodes.read(folder), arm)
+            recorded = episodes.read(folder)
+            if not recorded.complete and not incomplete:
+                reason = recorded.manifest.get("reason")
+                raise EpisodeError(f"{folder}: incomplete recording: {reason}")
+            entry = measure(recorded, arm)
+            if (twin := known.twin(recorded)) is not None:
+                raise EpisodeError(f"{folder}: {twin}")
         except EpisodeError as problem:
             left_out.append(LeftOut(str(folder), str(problem)))
-            continue
-        state = entry["state_hash"]
-        if not entry["complete"] and not incomplete:
-            reason = f"incomplete recording: {entry['problem']}"
-        elif state and state in seen:
-            reason = f"the same simulation as {seen[state]} (state hash {state[:12]})"
+        except Exception as problem:  # one recording, not the evaluation
+            reason = f"{folder}: {type(problem).__name__}: {problem}"
+            left_out.append(LeftOut(str(folder), reason))
         else:
-            seen.setdefault(state, str(folder))
+            known.add(recorded)
             entries.append(entry)
-            continue
-        left_out.append(LeftOut(str(folder), reason))
     return entries, left_out
+
+
+def remarks(entries: Iterable[Mapping[str, Any]]) -> list[str]:
+    """What a reader should be told: verdicts that disagree, declared edits, no hashes."""
+    told: dict[str, list[str]] = {}
+    for entry in entries:
+        found = list(entry.get("remarks") or [])
+        if entry.get("disagreement"):
+            found.append(f"verdicts disagree, the first counts: {entry['disagreement']}")
+        for each in found:
+            told.setdefault(each, []).append(entry["folder"])
+    return [
+        f"{folders[0]}: {words}"
+        if len(folders) == 1
+        else f"{len(folders)} episodes, first {folders[0]}: {words}"
+        for words, folders in told.items()
+    ]
 
 
 def grouped(entries: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:

@@ -40,7 +40,7 @@ def smoothness(summary: Mapping[str, Any]) -> Figure:
     figure = blank(3.9)
     for axes, name in zip(figure.subplots(1, 2), ("sparc", "ldlj"), strict=True):
         metric = _boxes(axes, name, [*groups, *others], summary, own=len(groups))
-        if others:
+        if groups and others:
             axes.axvline(len(groups) - 0.5, color=GRID, linewidth=1.6)
         axes.set(title=f"{metric.title} (closer to zero: smoother)", ylabel=metric.title)
     figure.supxlabel(f"{origin(summary)}\n{preset.label()}", fontsize=8.5, color=INK)
@@ -64,10 +64,12 @@ def _boxes(
 ) -> evaluation.Metric:
     """Boxes of a metric, which is returned; groups after the first ``own`` are references."""
     metric = next(m for m in evaluation.METRICS if m.name == name)
+    counts = []
     for i, (_, entries) in enumerate(groups):
         values = metric.values(entries, summary["preset"]["name"])
+        counts.append([len(values)])
         trial_figures.box(axes, i, 0.6, values, EXECUTED if i < own else INPUT)
-    trial_figures.name_groups(axes, [label for label, _ in groups])
+    trial_figures.name_groups(axes, [label for label, _ in groups], counts)
     return metric
 
 
@@ -94,14 +96,17 @@ FIGURES: Figures = {
 
 
 def save_figures(summary: Mapping[str, Any], folder: Path) -> list[Drawn]:
-    """Draw every figure of at least one condition as PNG and SVG files in a folder."""
-    drawn = save_all(FIGURES, folder, summary, formats=("png", "svg"))
+    """Draw the figures as PNG and SVG files; without episodes only that of the reference set."""
+    figures = FIGURES if summary["conditions"] else {"smoothness": FIGURES["smoothness"]}
+    drawn = save_all(figures, folder, summary, formats=("png", "svg"))
     return [dataclasses.replace(d, caption=f"{d.caption} {origin(summary)}.") for d in drawn]
 
 
 def origin(summary: Mapping[str, Any]) -> str:
     """Source (simulation or real), and whatever else all conditions have in common."""
     conditions = list(summary["conditions"].values())
+    if not conditions:
+        return "No episode"
     common = [_common(conditions, key) for key in ("source", "task", "robot", "law")]
     sources = {condition["source"] for condition in conditions}
     if len(sources) > 1:
@@ -119,7 +124,7 @@ def _common(conditions: Sequence[Mapping[str, Any]], key: str) -> Any:
 def _groups(summary: Mapping[str, Any]) -> trial_figures.Groups:
     """Episodes of each condition under its label, one part per line."""
     return [
-        (f"{label}\nn = {len(entries)}".replace(", ", "\n"), entries)
+        (label.replace(", ", "\n"), entries)
         for label, entries in evaluation.grouped(summary["episodes"]).items()
     ]
 
@@ -131,8 +136,8 @@ def _references(summary: Mapping[str, Any]) -> trial_figures.Groups:
         return []
     each = compared["each"]
     name = textwrap.fill(str(compared["name"]), 11, break_long_words=False)
-    groups = [(f"{name}\nn = {len(each)}", each)]
+    groups = [(name, each)]
     experts = [trial for trial in each if trial["skill"] == "expert"]
     if 0 < len(experts) < len(each):
-        groups.append((f"{name}\nexperts\nn = {len(experts)}", experts))
+        groups.append((f"{name}\nexperts", experts))
     return groups

@@ -8,7 +8,7 @@ from typing import Any
 
 from surg_recording.episode.finishing import write_json
 from surg_recording.metrics import PRESETS
-from surg_recording.reports import evaluation_figures, evaluation_tables
+from surg_recording.reports import evaluation, evaluation_figures, evaluation_tables
 from surg_recording.reports.evaluation import METRICS
 from surg_recording.reports.html_page import (
     Html,
@@ -43,10 +43,11 @@ def write(summary: Mapping[str, Any], folder: Path) -> None:
     write_json(folder / "summary.json", summary)
     evaluation_tables.save_all(summary, folder / "tables")
     drawn = []
-    if summary["conditions"]:
+    if summary["conditions"] or summary["reference"]:
         drawn = evaluation_figures.save_figures(summary, folder / "figures")
     title = "Evaluation of recorded episodes"
     left_out = [each["reason"] for each in summary["left_out"]]
+    remarks = evaluation.remarks(summary["episodes"])
     sections = [
         f"<h1>{text(title)}</h1>",
         _what_was_evaluated(summary),
@@ -54,6 +55,7 @@ def write(summary: Mapping[str, Any], folder: Path) -> None:
         *map(figure_section, drawn),
         _reference(summary["reference"]),
         _episodes(summary),
+        section("Remarks", bullets(remarks, "small")) if remarks else "",
         section("Left out", bullets(left_out, "small")) if left_out else "",
         definitions(*_TERMS),
     ]
@@ -75,6 +77,8 @@ def _what_was_evaluated(summary: Mapping[str, Any]) -> str:
 
 def _conditions(summary: Mapping[str, Any]) -> str:
     columns = summary["conditions"].values()
+    if not columns and not summary["left_out"]:
+        return ""  # the reference alone was asked for
     if not columns:
         return section("No episode could be evaluated", verdict="bad")
     rates = [c["success_rate"] for c in columns]
@@ -86,8 +90,8 @@ def _conditions(summary: Mapping[str, Any]) -> str:
     return section(
         "By condition",
         note(
-            "Median [quartiles] over the episodes; below it the 95 % interval of the median. First"
-            " arm."
+            "Median [quartiles] over the episodes; below it the 95 % interval of the median and"
+            " the number of values. First arm."
         ),
         table(("", *summary["conditions"]), rows, right=range(1, len(columns) + 1)),
     )
@@ -119,7 +123,10 @@ def _episodes(summary: Mapping[str, Any]) -> str:
     rows = []
     for entry in summary["episodes"]:
         end = {True: "success", False: f"failed: {entry['failure_reason']}", None: "not judged"}
-        mark = "" if entry["complete"] else f"; incomplete: {entry['problem']}"
+        mark = f" ({entry['judged_by']})" if entry.get("judged_by") else ""
+        if entry.get("disagreement"):
+            mark += f"; verdicts disagree: {entry['disagreement']}"
+        mark += "" if entry["complete"] else f"; incomplete: {entry['problem']}"
         rows.append(
             (
                 Html(f"<code>{text(entry['folder'])}</code>"),

@@ -32,7 +32,7 @@ def save_all(summary: Mapping[str, Any], folder: Path) -> None:
 def episodes(summary: Mapping[str, Any]) -> list[list[Any]]:
     """A header and a line per episode."""
     preset = summary["preset"]["name"]
-    own = (*IDENTITY, "seed", "success", "complete", "folder")
+    own = (*IDENTITY, "seed", "success", "judged_by", "disagreement", "complete", "folder")
     rows: list[list[Any]] = [[*own, "preset", *(metric.name for metric in METRICS)]]
     for entry in summary["episodes"]:
         numbers = [metric.value(entry, preset) for metric in METRICS]
@@ -59,12 +59,12 @@ def conditions(summary: Mapping[str, Any]) -> list[list[Any]]:
 
 
 def latex(summary: Mapping[str, Any]) -> str:
-    """A tabular of medians with quartiles; needs no package."""
+    """A tabular of medians with quartiles and counts; needs no package."""
     shown = [metric for metric in METRICS if metric.name in LATEX]
     preset = PRESETS[summary["preset"]["name"]]
     sources = sorted({values["source"] for values in summary["conditions"].values()})
     lines = [
-        f"% {' and '.join(sources)}; median [quartiles] over the episodes;"
+        f"% {' and '.join(sources)}; median [quartiles] (number of values);"
         " success with Wilson's 95 % interval",
         f"% smoothness: {preset.label()}",
         rf"\begin{{tabular}}{{lrr{'r' * len(shown)}}}",
@@ -86,7 +86,7 @@ def latex(summary: Mapping[str, Any]) -> str:
 
 
 def markdown(summary: Mapping[str, Any]) -> str:
-    """A line per metric, a column per condition: median [quartiles], then 95 % interval."""
+    """A line per metric, a column per condition: median [quartiles], 95 % interval, count."""
     columns = [*summary["conditions"].items(), *_references(summary)]
     rows = [["", *(label for label, _ in columns)], ["---"] * (1 + len(columns))]
     rows.append(["episodes or trials", *(str(f.get("n", f.get("trials"))) for _, f in columns)])
@@ -113,16 +113,17 @@ def _latex(spread: Mapping[str, Any] | None) -> str:
     if not spread or not spread["n"]:
         return "--"
     first, third = map(number, spread["quartiles"])
-    return f"${number(spread['median'])}$ $[{first},\\,{third}]$"
+    return f"${number(spread['median'])}$ $[{first},\\,{third}]$ $({spread['n']})$"
 
 
 def spread_words(spread: Mapping[str, Any] | None) -> tuple[str, str]:
-    """Median with quartiles, and the interval of the median; empty where there is none."""
+    """Median with quartiles; the interval of the median and the count of values."""
     if not spread or not spread["n"]:
         return "–", ""
     first, third = map(number, spread["quartiles"])
     interval = " to ".join(map(number, spread["interval"] or ()))
-    return f"{number(spread['median'])} [{first}, {third}]", interval
+    sure = ", ".join(filter(None, (interval, f"n = {spread['n']}")))
+    return f"{number(spread['median'])} [{first}, {third}]", sure
 
 
 def _rate(rate: Mapping[str, Any] | None) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 
 from surg_recording.episode import episode_reader
 from surg_recording.episode.episode_reader import Episode
+from surg_recording.episode.verdicts import verdict
 from surg_recording.metrics import unsafe_commands
 from surg_recording.reports import trials
 
@@ -59,11 +60,9 @@ def demonstration(folder: Path) -> dict[str, Any]:
     """The entry of a demonstration's folder; an EpisodeError if it cannot be read."""
     recorded = episode_reader.read(folder)
     run = recorded.manifest.get("run") or {}
-    verdict = (recorded.manifest.get("sim") or {}).get("task") or {}
+    judged = verdict(recorded.manifest)
     ticks = (recorded.manifest.get("sim") or {}).get("sim_time_s") or 0.0
-    outcome = trials.Outcome(
-        bool(verdict.get("success")), str(verdict.get("reason")), "", float(ticks)
-    )
+    outcome = trials.Outcome(bool(judged.success), judged.reason, "", float(ticks))
     return trials.describe(run["seed"], run["setting"], run["law"], outcome, recorded)
 
 

@@ -103,19 +103,22 @@ def grouped(summary: Mapping[str, Any]) -> Groups:
         setting, law = condition["setting"], condition["law"]
         entries = [e for e in summary["episodes"] if (e["setting"], e["law"]) == (setting, law)]
         name = setting if law == "ours" else f"{setting}\n{law}"
-        groups.append((f"{name}\nn = {len(entries)}", entries))
+        groups.append((name, entries))
     return groups
 
 
 def _boxes(axes: Axes, groups: Groups, series: Series) -> None:
     """Boxes of all series side by side, for each group."""
     width = 0.7 / len(series)
+    counts: list[list[int]] = [[] for _ in groups]
     for j, (label, colour, path) in enumerate(series):
         offset = (j - (len(series) - 1) / 2) * width
         for i, (_, entries) in enumerate(groups):
-            box(axes, i + offset, width, trials.values(entries, *path), colour)
+            values = trials.values(entries, *path)
+            counts[i].append(len(values))
+            box(axes, i + offset, width, values, colour)
         axes.plot([], [], "o", color=colour, markersize=5, label=label)
-    name_groups(axes, [label for label, _ in groups])
+    name_groups(axes, [label for label, _ in groups], counts)
 
 
 def box(axes: Axes, x: float, width: float, numbers: Sequence[float], colour: str) -> None:
@@ -138,9 +141,17 @@ def box(axes: Axes, x: float, width: float, numbers: Sequence[float], colour: st
     axes.plot(across, numbers, "o", color=colour, markersize=3.2, alpha=0.65, zorder=3)
 
 
-def name_groups(axes: Axes, labels: Sequence[str]) -> None:
-    """Label the groups at 0, 1, …; in smaller type if there are many."""
+def name_groups(axes: Axes, labels: Sequence[str], counts: Sequence[Sequence[int]]) -> None:
+    """Label the groups at 0, 1, … with the number of values in their boxes, from left to right.
+
+    In smaller type if there are many.
+    """
     crowded = len(labels) * len(axes.figure.axes) > 9
-    axes.set_xticks(range(len(labels)), labels, fontsize=7 if crowded else None)
+    numbers = [dict.fromkeys(each) if len(set(each)) == 1 else each for each in counts]
+    full = [
+        f"{label}\nn = {', '.join(map(str, each))}"
+        for label, each in zip(labels, numbers, strict=True)
+    ]
+    axes.set_xticks(range(len(labels)), full, fontsize=7 if crowded else None)
     axes.set_xlim(-0.6, len(labels) - 0.4)
     axes.grid(visible=False, axis="x")

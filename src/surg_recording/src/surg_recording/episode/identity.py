@@ -1,0 +1,51 @@
+"""Tells whether two folders hold the same recording, so that no data set counts one twice."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+
+from surg_recording.episode.episode_reader import Episode
+from surg_recording.file_io import file_hash
+
+SIMULATION, RECORDING = "the same simulation as", "the same recording as"
+
+
+class Known:
+    """The recordings seen so far."""
+
+    def __init__(self) -> None:
+        self._folders: dict[tuple[str, str], str] = {}
+
+    def twin(self, recorded: Episode) -> str | None:
+        """The recording that this one repeats, in words; None if it is a new one.
+
+        Raises:
+            EpisodeError: A table cannot be read.
+        """
+        for (what, value), short in fingerprints(recorded).items():
+            if (folder := self._folders.get((what, value))) is not None:
+                return f"{what} {folder} ({short})"
+        return None
+
+    def add(self, recorded: Episode) -> None:
+        """Remember a recording."""
+        for key in fingerprints(recorded):
+            self._folders.setdefault(key, str(recorded.folder))
+
+
+def fingerprints(recorded: Episode) -> Mapping[tuple[str, str], str]:
+    """What the copies of a recording share, each with a short form for people.
+
+    The state hash of the simulation, and the hash of all tables as they are on the disk.
+    """
+    found = {}
+    state = (recorded.manifest.get("sim") or {}).get("state_hash")
+    if state:
+        found[SIMULATION, state] = f"state hash {state[:12]}"
+    digest = hashlib.sha256()
+    for name in sorted(recorded.tables):
+        digest.update(f"{name} {file_hash(recorded.folder / f'{name}.csv')}\n".encode())
+    tables = digest.hexdigest()
+    found[RECORDING, tables] = f"hash of the tables {tables[:12]}"
+    return found
