@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import functools
 import json
 import math
 import os
@@ -58,6 +59,7 @@ SENDING = 50
 """Priority of the sending thread, where it is granted."""
 
 
+@functools.cache
 def plan(speed: float, seconds: float) -> Matrix:
     """Joint velocities of a motion about the pivot, one row per cycle [rad/s].
 
@@ -174,6 +176,8 @@ class Rig:
         self.notices: list[str] = []
         self.heard: list[tuple[float, StateDatagram]] = []
         """Every change of the status, with our time [s]."""
+        self.ages: list[float] = []
+        """Age of the newest command that the robot obeys, at every state [s]."""
         self.sending = True
         self._rows: Matrix | None = None
         self._row = 0
@@ -234,11 +238,17 @@ class Rig:
         os.kill(self.driver.pid, number)
         return when
 
+    def leave(self) -> None:
+        """End the node's side of the socket, as when the node is killed."""
+        with contextlib.suppress(OSError):
+            self._ours.shutdown(socket.SHUT_RDWR)
+        with contextlib.suppress(OSError):
+            self._ours.close()
+
     def close(self) -> None:
         """End driver and thread."""
         self._closing = True
-        with contextlib.suppress(OSError):
-            self._ours.close()
+        self.leave()
         self._thread.join(2.0)
         self.driver.terminate()
         self.driver.send_signal(signal.SIGCONT)
@@ -266,6 +276,8 @@ class Rig:
         if self.state is None or message.status.condition != self.state.status.condition:
             self.heard.append((time.monotonic(), message))
         self.state = message
+        if message.status.last_command_ns:
+            self.ages.append(1e-9 * (time.time_ns() - message.status.last_command_ns))
         if not self.sending or not message.q:
             return
         qd = (0.0,) * 6
