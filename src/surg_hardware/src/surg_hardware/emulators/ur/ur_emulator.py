@@ -214,12 +214,12 @@ class UrEmulator:
                 self.poll(0.1)
             return wake
         wake += self._period
+        left = wake - time.monotonic()
+        if left < -LATE:
+            wake, left = time.monotonic(), 0.0
+        self.poll(left)
         while (left := wake - time.monotonic()) > 0.0 and not self.stopped:
             self.poll(left)
-        if left < -LATE:
-            return time.monotonic()
-        if left <= 0.0:
-            self.poll(0.0)
         return wake
 
     def _all_answered(self) -> bool:
