@@ -66,12 +66,13 @@ class RtdeSession:
     Attributes:
         closed: The client broke the protocol: the connection must be closed.
         started: Whether it gets states.
-        answered: Whether it sent inputs since the last state (for lock-step).
+        answered: Whether it has sent inputs since the last state, or none was sent yet.
         inputs: Its input recipes by number.
     """
 
     def __init__(self, controller: UrController) -> None:
-        self.closed = self.started = self.answered = False
+        self.closed = self.started = False
+        self.answered = True
         self.inputs: dict[int, Recipe] = {}
         self._controller = controller
         self._buffer = bytearray()
