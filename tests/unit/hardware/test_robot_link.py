@@ -15,6 +15,7 @@ from surg_hardware.robot_link import Command, RobotLink, RobotState, Settings, S
 T = 0.002
 SETTINGS = Settings((3.14,) * 6, (38.0,) * 6, 0.04, 20.0)
 READY = ur_reading(7, 1)
+ZERO = (0.0,) * 6
 MOTION = (0.3, -0.2, 0.1, 0.0, 0.05, -0.4)
 FULL = os.environ.get("SURG_TEST_FULL") == "1"
 
@@ -181,12 +182,13 @@ def test_a_robot_that_stops_is_said_in_the_same_cycle_and_latched(reading: Readi
     robot.run(50, MOTION)
     robot.reading = reading
     step = robot.run(1, MOTION)
-    assert step.qd is None and step.status.condition is reading.condition
+    assert step.qd == ZERO and step.status.condition is reading.condition
     assert step.status.fault == reading.text
     robot.reading = READY  # unlocked; its program may even run again
     for _ in range(1000):
         step = robot.run(1, MOTION)
         assert step.qd is None and step.status.condition is Condition.READY
+    assert robot.sent[-1] == (robot.sent[-2][0], ZERO)  # no new number: the program ends
 
 
 def test_after_a_stop_and_a_start_nothing_of_before_is_obeyed() -> None:
@@ -207,6 +209,7 @@ def test_a_program_that_ends_is_the_end() -> None:
     robot = Robot().started()
     robot.run(50, MOTION)
     robot.program = False
+    assert robot.run(1, MOTION).qd == ZERO
     assert robot.run(1, MOTION).qd is None
 
 
@@ -233,7 +236,7 @@ def test_a_slowed_robot_is_ramped_down_and_latched() -> None:
     assert step.qd == MOTION  # the controller ramps down by itself
     for share in np.linspace(1, 0, 20):
         robot.step(robot.command(tuple(share * v for v in MOTION)))
-    assert robot.run(2).qd is None
+    assert robot.run(3).qd is None
     robot.reading = READY
     assert robot.run(5, MOTION).qd is None
 
@@ -250,7 +253,7 @@ def test_a_stall_of_the_driver_ends_the_motion_without_a_late_command() -> None:
     robot = Robot().started()
     robot.run(50, MOTION)
     robot.k += 250
-    assert robot.run(1, MOTION).qd is None
+    assert robot.run(1, MOTION).qd == ZERO
     assert robot.run(100, MOTION).qd is None
 
 
@@ -279,7 +282,7 @@ def test_a_bad_command_is_refused_and_the_arm_is_ramped_down(bad: tuple[float, .
     robot.run(50, MOTION)
     before = np.array(MOTION)
     while (step := robot.run(1, bad)).qd is not None:
-        assert np.abs(np.array(step.qd)).max() < np.abs(before).max()
+        assert np.abs(np.array(step.qd)).max() < np.abs(before).max() or step.qd == ZERO
         before = np.array(step.qd)
     assert step.status.condition is Condition.READY and "refused" in step.status.fault
 
@@ -293,7 +296,7 @@ def test_ending_ramps_down_before_the_driver_may_go() -> None:
         robot.run(1, MOTION)
         cycles += 1
     assert cycles == pytest.approx(0.4 / 20.0 / T, abs=1)
-    assert robot.sent[-1][1] == (0.0,) * 6
+    assert robot.sent[-1][1] == ZERO
 
 
 @pytest.mark.parametrize("seed", range(200 if FULL else 10))
@@ -331,6 +334,8 @@ def test_whatever_comes_the_robot_gets_finite_bounded_smooth_commands(seed: int)
         qd_sent = np.array(step.qd)
         assert np.isfinite(qd_sent).all() and (np.abs(qd_sent) <= 3.14).all()
         assert len(robot.sent) == n + 1
+        if n and robot.sent[-1][0] == robot.sent[-2][0]:
+            assert step.qd == ZERO
         if last_k == k:
             assert (np.abs(qd_sent - last) <= 38.0 * T + 1e-12).all() or not qd_sent.any()
         moves += int(qd_sent.any())

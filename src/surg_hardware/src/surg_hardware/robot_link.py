@@ -83,7 +83,11 @@ class Status:
 
 @dataclass(frozen=True)
 class Step:
-    """One cycle: the velocity for the robot with its number; ``qd`` None: nothing is sent."""
+    """One cycle: the velocity for the robot with its number; ``qd`` None: nothing is sent.
+
+    Zeros with the number of before end the motion: a program that a person resumes after a stop
+    finds no old velocity.
+    """
 
     qd: tuple[float, ...] | None
     number: int
@@ -106,6 +110,7 @@ class RobotLink:
         self._why = ""  # why the last motion ended, until the next start
         self._reading = OFFLINE
         self._silent = False
+        self._driving = False  # whether a velocity was sent in the last cycle
         self._sent = tuple(0.0 for _ in settings.velocity)
         self._number = self._first = self._executed = 0
         self._stamps: deque[tuple[int, int]] = deque(maxlen=_KEPT)
@@ -195,7 +200,9 @@ class RobotLink:
                 self.end(self._reading.sentence)
         if self._phase is _Phase.IDLE:
             self._sent = tuple(0.0 for _ in self._sent)
-            return Step(None, self._number, self._status())
+            ended, self._driving = self._driving, False
+            return Step(self._sent if ended else None, self._number, self._status())
+        self._driving = True
         if self._phase is _Phase.ACTIVE and not silent and command is not None:
             self._sent = self._toward(command.qd, elapsed)
         elif self._phase is _Phase.ENDING:

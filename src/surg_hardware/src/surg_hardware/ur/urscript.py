@@ -31,12 +31,12 @@ def surg_link():
   driving = run drive()
   while silent < {cycles}:
     number = read_input_integer_register({n0})
+    command = [{velocities}]
     if number == last:
       silent = silent + 1
     else:
       silent = 0
       last = number
-      command = [{velocities}]
       write_output_integer_register({n0}, number)
     end
     sync()

@@ -1,0 +1,168 @@
+"""F33 behind the link to a UR arm: the emulated robot stops by itself, and nothing leaps later.
+
+Exact in cycles, on a made-up clock; judged by the emulated arm's own joints.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from helpers.hardware.emulated_chain import Chain
+from helpers.results.reactions import Reactions
+from surg_core import Reason, State, StateCommand
+from surg_hardware.conditions import Condition
+from surg_hardware.emulators.ur.robot_states import SafetyMode
+from surg_hardware.emulators.ur.ur_controller import UrController
+
+pytestmark = pytest.mark.untimed
+
+SPEEDS = {"scale 1": 0.012, "scale 0.1": 0.0012}
+"""[m/s] Of the tip: the bundled motion at the stop, and a tenth of it."""
+STOPS: dict[str, tuple[Callable[[UrController], object], Condition]] = {
+    "protective stop": (lambda c: c.protective_stop("test"), Condition.STOPPED),
+    "safeguard stop": (lambda c: c.safeguard(True), Condition.STOPPED),
+    "emergency stop": (
+        lambda c: c.fall_to(SafetyMode.ROBOT_EMERGENCY_STOP, "test"), Condition.ESTOP,
+    ),
+    "violation": (lambda c: c.fall_to(SafetyMode.VIOLATION, "test"), Condition.BROKEN),
+    "power off": (lambda c: c.power_off(), Condition.OFF),
+    "hand on the arm": (lambda c: c.guide(True, [0.0] * 6), Condition.GUIDED),
+    "program stopped": (lambda c: c.stop(), Condition.READY),
+    "program paused": (lambda c: c.pause(), Condition.READY),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", STOPS)
+@pytest.mark.parametrize("scale", SPEEDS)
+def test_robot_condition_a_stop_faults_within_three_cycles(
+    reactions: Reactions, scale: str, what: str
+) -> None:
+    stop, condition = STOPS[what]
+    chain = Chain()
+    for _ in range(150):
+        assert chain.stream(SPEEDS[scale]).state == State.ENABLED
+    stop(chain.robot)
+    cycles = 0
+    while chain.stream(SPEEDS[scale]).state == State.ENABLED:
+        cycles += 1
+        assert cycles < 100, "nobody noticed"
+    assert chain.out.reason == Reason.ROBOT
+    assert not np.any(chain.out.qd_command)
+    assert chain.status is not None and chain.status.condition is condition
+    assert chain.status.fault
+    for word in (StateCommand.ENABLE, StateCommand.HOME):
+        assert chain.controller.request(word) == Reason.ROBOT
+    most = 3 if condition is not Condition.READY else 10
+    reactions.add("F33", f"emulated UR, {what}, {scale}", "FAULT(robot)", [cycles], most)
+
+
+def test_robot_condition_a_slider_is_ramped_and_latched(reactions: Reactions) -> None:
+    chain = Chain()
+    for _ in range(150):
+        chain.stream(0.012)
+    chain.robot.slider = 0.5
+    away = 0.0
+    for _ in range(400):
+        chain.stream(0.012)
+        away = max(away, chain.deviation)
+    assert (chain.out.state, chain.out.reason) == (State.FAULT, Reason.ROBOT)
+    chain.robot.slider = 1.0
+    rest = chain.tip
+    chain.run(500)
+    assert chain.status is not None and chain.status.condition is Condition.READY
+    assert np.array_equal(chain.tip, rest)
+    reactions.add("F33", "emulated UR, slider 50 %", "deviation", [1e3 * away], 0.2, "mm")
+
+
+@pytest.mark.parametrize("scale", SPEEDS)
+@pytest.mark.parametrize("resumed", ["unlocked and started", "unlocked and resumed on the pendant"])
+def test_after_a_protective_stop_nothing_moves_until_a_person_enables(
+    full: bool, reactions: Reactions, scale: str, resumed: str
+) -> None:
+    """The sender and the controller go on as if nothing had happened."""
+    unlocked, enabled = [], []
+    for seed in range(100 if full else 1):
+        rng = np.random.default_rng(seed)
+        chain = Chain()
+        for _ in range(int(rng.integers(100, 400))):
+            chain.stream(SPEEDS[scale])
+        chain.robot.protective_stop("test")
+        for _ in range(2600 + int(rng.integers(0, 200))):
+            chain.stream(SPEEDS[scale])
+        assert chain.robot.unlock()
+        rest, farthest = chain.tip, 0.0
+        if "pendant" in resumed:
+            assert chain.robot.play()
+        else:
+            chain.stream(SPEEDS[scale])
+            assert chain.start() == ""
+        for _ in range(700):
+            assert chain.stream(SPEEDS[scale]).state == State.FAULT
+            farthest = max(farthest, 1e3 * float(np.linalg.norm(chain.tip - rest)))
+        unlocked.append(farthest)
+        if "pendant" in resumed:
+            assert chain.status is not None and chain.status.condition is Condition.READY
+            assert chain.start() == ""
+            chain.run(20)
+        assert chain.controller.request(StateCommand.ENABLE) == Reason.NONE
+        for _ in range(300):
+            assert chain.step().state == State.ENABLED
+        enabled.append(1e3 * float(np.linalg.norm(chain.tip - rest)))
+    name = f"emulated UR, protective stop {resumed}, {scale}"
+    reactions.add("F33", name, "tip before enable", unlocked, 0.0005, "mm")
+    reactions.add("F33", name, "tip after enable", enabled, 0.1, "mm")
+
+
+def test_start_is_refused_under_a_moving_command_and_while_enabled() -> None:
+    chain = Chain()
+    chain.stream(0.012)
+    assert "already" in chain.start()
+    chain.link.end("asked")
+    chain.run(5)
+    assert chain.out.state == State.FAULT  # the link said so in the same cycle
+    chain = Chain(enabled=False)
+    assert chain.link.start(True, chain.clock.known_for, chain.now) != ""
+    assert not chain.link.active
+
+
+@pytest.mark.parametrize("scale", SPEEDS)
+def test_an_arm_that_stands_still_while_its_link_says_active_is_noticed(
+    reactions: Reactions, scale: str
+) -> None:
+    chain = Chain()
+    chain.moves = False
+    cycles, speed = 0, SPEEDS[scale]
+    while chain.out.state == State.ENABLED:
+        cycles += 1
+        chain.stream(speed * math.cos(speed * cycles * 0.002 / 0.004))
+        assert cycles < 2000, "nobody noticed"
+    assert chain.out.reason in (Reason.NOT_FOLLOWING, Reason.RCM_ERROR)
+    most = 0.5 if scale == "scale 1" else 1.5
+    name = f"emulated UR stands still, {scale}"
+    reactions.add("F33", name, "PAUSED(not_following)", [0.002 * cycles], most, "s")
+
+
+@pytest.mark.parametrize(("speed", "most"), [(0.012, 0.2), (0.05, 0.3)])
+def test_a_silent_controller_leaves_the_arm_at_rest_near_its_pivot(
+    reactions: Reactions, speed: float, most: float
+) -> None:
+    """The joints of the emulated arm lag by 5 to 8.5 ms: each runs on by its own lag."""
+    chain = Chain()
+    for _ in range(300):
+        chain.stream(speed)
+    chain.obeys_commands = False
+    last, cycles, moved = chain.tip, 0, math.inf
+    while moved > 1e-6:  # 0.5 mm/s
+        chain.step()
+        cycles += 1
+        moved, last = float(np.linalg.norm(chain.tip - last)), chain.tip
+        assert cycles < 500, "it goes on for ever"
+    chain.run(20)
+    assert chain.status is not None and chain.status.condition is Condition.READY
+    name = f"emulated UR, silent controller, {1e3 * speed:g} mm/s"
+    reactions.add("F10", name, "rest", [2.0 * cycles], 120, "ms")
+    reactions.add("F10", name, "deviation", [1e3 * chain.deviation], most, "mm")
