@@ -31,7 +31,7 @@ from surg_recording.datasets.options import SPLITS, ExportOptions
 from surg_recording.datasets.parts import Job, Outcome, input_hash, sweep
 from surg_recording.datasets.sampling import sample
 from surg_recording.episode import episode_reader
-from surg_recording.episode.identity import Known
+from surg_recording.episode.same_recording import Known
 from surg_recording.recording_errors import EpisodeError
 
 UNFINISHED = ".unfinished"

@@ -15,7 +15,7 @@ from surg_recording import metrics
 from surg_recording.episode import checked_reading, integrity
 from surg_recording.episode import episode_reader as episodes
 from surg_recording.episode.episode_reader import Episode
-from surg_recording.episode.identity import Known
+from surg_recording.episode.same_recording import Known
 from surg_recording.episode.verdicts import verdict
 from surg_recording.metrics import reference_sets
 from surg_recording.metrics.confidence_intervals import spread, success_rate
