@@ -145,9 +145,17 @@ def test_nothing_moves_until_a_person_has_started_and_the_controller_commands(mi
     assert worst < 1e-8
 
 
-@pytest.mark.parametrize("mishap", [protective, safeguard, pause], ids=lambda each: each.__name__)
-def test_play_on_the_pendant_goes_on_until_the_dead_man_only(mishap) -> None:  # type: ignore[no-untyped-def]
-    """A person presses play: the program goes on where it was interrupted, with its old command."""
+@pytest.mark.parametrize(
+    ("mishap", "most"),
+    [(protective, 1e-6), (safeguard, 1e-6), (pause, DEAD_MAN * max(map(abs, QD)))],
+    ids=lambda each: getattr(each, "__name__", ""),
+)
+def test_play_on_the_pendant_does_not_go_on_with_the_old_command(mishap, most) -> None:  # type: ignore[no-untyped-def]
+    """A person presses play: the program goes on where it was interrupted.
+
+    After a stop it must find zeros. A paused arm still has the speed of its trajectory: `play`
+    gives it back, and the arm brakes from there.
+    """
     chain = moving()
     mishap(chain)
     chain.cycles(300, QD)
@@ -159,7 +167,7 @@ def test_play_on_the_pendant_goes_on_until_the_dead_man_only(mishap) -> None:  #
     chain.cycles(500, QD)
     moved = max(abs(b - a) for a, b in zip(rest, chain.controller.motion.actual_q, strict=True))
     print(f"{mishap.__name__}: played {played}, moved {moved:.1e} rad")
-    assert moved < DEAD_MAN * max(map(abs, QD))
+    assert moved < most
     assert chain.controller.motion.at_rest
     assert chain.condition is Condition.READY
 
