@@ -23,6 +23,7 @@ from surg_teleop.console.session.system_state import Robot
 from surg_teleop.console.web import http_policy
 from surg_teleop.console.web.access import Access
 from surg_teleop.console.web.encoder_process import EncoderProcess
+from surg_teleop.console.web.listener import Connection, Listener, listen
 from surg_teleop.console.web.page_connection import MessageBudget, Outbox, Viewer
 from surg_teleop.console.web.page_dispatch import dispatch
 from surg_teleop.console.web.page_protocol import (
@@ -45,6 +46,8 @@ STATUS = 0.05
 """[s] Period of the status reports."""
 LIST = 1.0
 """[s] Period of the list of episodes."""
+ROOM_WAIT = 1.0
+"""[s] Longest wait of a new page for room: pages that flood leave within this time."""
 HELLO_WAIT = 3.0
 """[s] Timeout of a page's `hello`."""
 GOODBYE_WAIT = 1.0
@@ -107,7 +110,7 @@ class Server:
 
     def application(self) -> web.Application:
         """The aiohttp application."""
-        app = web.Application(middlewares=[self._guard], client_max_size=LONGEST)
+        app = web.Application(middlewares=[self._in_turn, self._guard], client_max_size=LONGEST)
         app.router.add_get("/", self._page)
         app.router.add_get("/page/{name}", self._page)
         app.router.add_get("/control", self._control)
@@ -125,17 +128,15 @@ class Server:
         await runner.setup()
         loops = (self._session_loop, self._status_loop, self._episodes_loop)
         tasks = [asyncio.create_task(loop()) for loop in loops]
+        listening: asyncio.Task[None] | None = None
         try:
-            site = web.TCPSite(
-                runner,
-                self._access.bind,
-                self._access.port,
-                shutdown_timeout=GOODBYE_WAIT,
-                ssl_context=http_policy.tls_context(self._access),
-            )
-            await site.start()
+            assert runner.server is not None
+            listener = Listener(runner.server, http_policy.tls_context(self._access))
+            sockets = listen(self._access.bind, self._access.port)
+            listening = asyncio.create_task(listener.serve(sockets))
             stopped = asyncio.create_task(stop.wait())
-            done, _ = await asyncio.wait([stopped, *tasks], return_when=asyncio.FIRST_COMPLETED)
+            ends = [stopped, listening, *tasks]
+            done, _ = await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
                 task.result()  # raises what a failed task has raised
         finally:
@@ -144,6 +145,11 @@ class Server:
             for task in tasks:
                 task.cancel()
             await self._close_sockets()
+            if listening is not None:
+                listening.cancel()
+                await asyncio.wait([listening])
+            if runner.server is not None:
+                await runner.server.shutdown(GOODBYE_WAIT)
             await runner.cleanup()
 
     async def _close_sockets(self) -> None:
@@ -219,6 +225,18 @@ class Server:
         response: web.StreamResponse = await handler(request)
         return response
 
+    @web.middleware
+    async def _in_turn(self, request: web.Request, handler: Any) -> web.StreamResponse:
+        """Answer requests at a bounded rate: a flood must not hold up inputs and status."""
+        connection = request.protocol
+        assert isinstance(connection, Connection)
+        await connection.begin()
+        try:
+            response: web.StreamResponse = await handler(request)
+            return response
+        finally:
+            connection.end()
+
     async def _page(self, request: web.Request) -> web.StreamResponse:
         name = request.match_info.get("name", "index.html")
         content = self._files.get(name)
@@ -231,7 +249,9 @@ class Server:
         self, request: web.Request, open_pages: Callable[[], int]
     ) -> web.WebSocketResponse | None:
         """Open a socket and check its `hello`; None: it was closed again."""
-        socket = web.WebSocketResponse(max_msg_size=4 * LONGEST, heartbeat=10.0, compress=False)
+        socket = web.WebSocketResponse(
+            max_msg_size=4 * LONGEST, heartbeat=10.0, compress=False, timeout=GOODBYE_WAIT
+        )
         await socket.prepare(request)
         try:
             hello = parse(await asyncio.wait_for(socket.receive_str(), HELLO_WAIT))
@@ -241,10 +261,16 @@ class Server:
             await asyncio.sleep(0.5)  # slows down guessing
             await socket.close(code=CLOSE_HELLO, message=b"open the whole address, with its token")
             return None
+        deadline = self._clock() + ROOM_WAIT
+        while open_pages() >= MAX_PAGES and self._clock() < deadline:
+            await asyncio.sleep(TICK)
         if open_pages() >= MAX_PAGES:
             await socket.close(code=CLOSE_FULL, message=b"too many pages are open")
             return None
         self._sockets.add(socket)
+        connection = request.protocol
+        assert isinstance(connection, Connection)
+        connection.become_page()
         return socket
 
     # --- input and status ---------------------------------------------------------------------
@@ -261,25 +287,27 @@ class Server:
         if self._episodes:
             outbox.update("episodes", self._episodes)
         sender = asyncio.create_task(_send_texts(socket, outbox))
+        violation = b""
         try:
-            await self._receive(socket, page, outbox)
+            violation = await self._receive(socket, page, outbox)
         finally:
             self.session.leave(page, self._clock())
             self._send_orders()
             del self._outboxes[page]
             self._sockets.discard(socket)
             sender.cancel()
+            # Last: a page that floods may never answer, and must not keep its place until then.
+            await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=violation)
         return socket
 
-    async def _receive(self, socket: web.WebSocketResponse, page: str, outbox: Outbox) -> None:
-        """Handle a page's messages until it disconnects or breaks the protocol."""
+    async def _receive(self, socket: web.WebSocketResponse, page: str, outbox: Outbox) -> bytes:
+        """Handle a page's messages until it disconnects or breaks the protocol; returns how."""
         budget, errors = MessageBudget(self._clock()), 0
-        violation = WSCloseCode.POLICY_VIOLATION
         async for frame in socket:
+            await asyncio.sleep(0)  # messages that wait in the buffer must not hold up the others
             now = self._clock()
             if not budget.spend(now):
-                await socket.close(code=violation, message=b"too many messages")
-                return
+                return b"too many messages"
             try:
                 if frame.type is not WSMsgType.TEXT:
                     raise ProtocolError("a message is a text")
@@ -288,8 +316,8 @@ class Server:
                 errors += 1
                 outbox.reply(json.dumps({"say": "refused", "why": str(error)}))
                 if errors >= MAX_ERRORS:
-                    await socket.close(code=violation, message=b"too many invalid messages")
-                    return
+                    return b"too many invalid messages"
+        return b""
 
     def _handle(self, message: PageMessage, page: str, outbox: Outbox, now: float) -> None:
         stops = isinstance(message, Press) and message.button == "stop"
@@ -328,6 +356,7 @@ class Server:
         """Handle a viewer's messages until it disconnects or breaks the protocol."""
         budget = MessageBudget(self._clock())
         async for frame in socket:
+            await asyncio.sleep(0)
             message = parse(frame.data) if frame.type is WSMsgType.TEXT else None
             if not budget.spend(self._clock()):
                 return
