@@ -23,6 +23,7 @@ COMPARED = 20
 def demonstrate(request: Request, cell: Path, out: Path) -> dict[str, Any]:
     """Play demonstrations by the scripted expert, in processes of their own, without ROS."""
     from surg_recording.episode import episode_reader
+    from surg_recording.episode.verdicts import verdict
     from surg_recording.recording_errors import EpisodeError
     from surg_sim.envs import demonstrations
     from surg_sim.tasks import episode_seeds
@@ -47,14 +48,11 @@ def demonstrate(request: Request, cell: Path, out: Path) -> dict[str, Any]:
             demonstrations.play(plan, chosen, _jobs(), show)
         except (EpisodeError, OSError, ValueError) as problem:
             raise Problem(str(problem)) from problem
-    reasons = {}
-    for seed in chosen:
-        sim = episode_reader.read(plan.folder(seed)).manifest["sim"]["task"]
-        reasons[seed] = sim["reason"]
-    failed = {seed: reason for seed, reason in reasons.items() if reason}
+    judged = {seed: verdict(episode_reader.read(plan.folder(seed)).manifest) for seed in chosen}
+    failed = {seed: each.reason for seed, each in judged.items() if not each.success}
     for seed, reason in failed.items():
         say(f"  failed, left out of the dataset: seed {seed}: {reason}")
-    return {"success": len(reasons) - len(failed), "failed": failed}
+    return {"success": len(judged) - len(failed), "failed": failed}
 
 
 def measure(request: Request, out: Path) -> list[dict[str, Any]]:

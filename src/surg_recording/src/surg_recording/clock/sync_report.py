@@ -16,7 +16,7 @@ Command line: ``python -m surg_recording.clock.sync_report EPISODE…``.
 from __future__ import annotations
 
 import argparse
-import json
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -35,6 +35,7 @@ from surg_recording.clock.verdict import FAIL, PASS, worst
 from surg_recording.episode import episode_reader as episodes
 from surg_recording.episode.episode_reader import MANIFEST, Episode
 from surg_recording.episode.finishing import clean_json, write_json
+from surg_recording.file_io import read_json
 from surg_recording.recording_errors import EpisodeError
 
 FILE = "sync.json"
@@ -123,6 +124,8 @@ def ensure(episode: Episode, progress: Progress | None = None) -> dict[str, Any]
     known = load(episode)
     if known is not None:
         return known
+    if os.path.lexists(episode.folder / FILE):
+        return make(episode, progress)  # something else lies there: it is left alone
     try:
         return write(episode.folder, progress)
     except EpisodeError:
@@ -132,10 +135,14 @@ def ensure(episode: Episode, progress: Progress | None = None) -> dict[str, Any]
 def load(episode: Episode) -> dict[str, Any] | None:
     """Content of ``sync.json``; None if there is none that can be read."""
     try:
-        content = json.loads((episode.folder / FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        content = read_json(episode.folder / FILE)
+    except EpisodeError:
         return None
-    return content if isinstance(content, dict) and "verdict" in content else None
+    if not isinstance(content, dict) or not isinstance(content.get("verdict"), str):
+        return None
+    reasons = content.get("reasons") or []
+    right = isinstance(reasons, list) and all(isinstance(reason, str) for reason in reasons)
+    return content if right else None
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

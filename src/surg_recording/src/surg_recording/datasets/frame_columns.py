@@ -33,14 +33,16 @@ class Columns:
         self.features.append(feature)
         if values is None:  # a video
             return
+        if feature.dtype != "string":
+            with np.errstate(over="ignore"):
+                values = values.astype(feature.dtype)
         if feature.dtype in ("float32", "float64") and not np.isfinite(values).all():
             row = int(np.argwhere(~np.isfinite(values))[0][0])
             raise EpisodeError(
-                f"{feature.name}: not a number at frame {row}; --drop {feature.name} leaves it out"
+                f"{feature.name}: not a number, or too large for {feature.dtype}, at frame {row};"
+                f" --drop {feature.name} leaves it out"
             )
-        self.columns[feature.name] = (
-            values if feature.dtype == "string" else values.astype(feature.dtype)
-        )
+        self.columns[feature.name] = values
 
     def vector(
         self,

@@ -24,7 +24,7 @@ from surg_recording.datasets.inspection import Layout
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import sample
 from surg_recording.file_io import file_hash
-from surg_recording.recording_errors import EpisodeError
+from surg_recording.recording_errors import words_of
 
 _UNFINISHED = ".unfinished-"
 
@@ -81,10 +81,8 @@ def make(job: Job) -> Outcome:
     """Convert a recording unless that is done. Never raises: the outcome states the problem."""
     try:
         return Outcome(job.folder, job.key, made=_make(job))
-    except EpisodeError as problem:
-        return Outcome(job.folder, job.key, str(problem))
     except Exception as problem:  # an exporter's or a library's own: one recording, not the export
-        return Outcome(job.folder, job.key, f"{job.folder}: {type(problem).__name__}: {problem}")
+        return Outcome(job.folder, job.key, words_of(problem, job.folder))
 
 
 def _make(job: Job) -> bool:

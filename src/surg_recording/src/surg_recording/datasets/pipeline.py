@@ -32,7 +32,7 @@ from surg_recording.datasets.parts import Job, Outcome, input_hash, sweep
 from surg_recording.datasets.sampling import sample
 from surg_recording.episode import episode_reader
 from surg_recording.episode.same_recording import Known
-from surg_recording.recording_errors import EpisodeError
+from surg_recording.recording_errors import EpisodeError, words_of
 
 UNFINISHED = ".unfinished"
 """Suffix of a dataset that is being assembled."""
@@ -99,12 +99,13 @@ def make_plan(
     The first good one decides what the export holds; those that hold something else are refused.
     """
     try:
-        below = [folder for path in episodes for folder in episode_reader.below(path)]
+        found = {path: episode_reader.below(path) for path in episodes}
     except EpisodeError as problem:
         raise ExportError(f"{problem}; name folders of recordings") from None
-    folders = list({folder.resolve(): folder for folder in reversed(below)}.values())[::-1]
-    if not folders:
+    if not any(found.values()):
         raise ExportError(f"no recording in {', '.join(map(str, episodes))}")
+    below = [folder for path, here in found.items() for folder in here or [path]]
+    folders = list({folder.resolve(): folder for folder in reversed(below)}.values())[::-1]
     refused: dict[str, str] = {}
     candidates: list[Candidate] = []
     keys: list[str] = []
@@ -120,10 +121,8 @@ def make_plan(
             recorded = episode_reader.read(folder)
             if (twin := known.twin(recorded)) is not None:
                 raise EpisodeError(f"{folder}: {twin}")
-        except EpisodeError as problem:
-            refused[str(folder)] = str(problem)
         except Exception as problem:  # one recording, not the export
-            refused[str(folder)] = f"{folder}: {type(problem).__name__}: {problem}"
+            refused[str(folder)] = words_of(problem, folder)
         else:
             known.add(recorded)
             keys.append(key)
@@ -143,8 +142,8 @@ def dry_run(
         progress(number / len(plan.candidates), f"reading {candidate.folder.name}")
         try:
             sampled = sample(candidate, options)
-        except EpisodeError as problem:
-            report.refused[str(candidate.folder)] = str(problem)
+        except Exception as problem:  # one recording, not the export
+            report.refused[str(candidate.folder)] = words_of(problem, candidate.folder)
             continue
         report.recordings += 1
         report.frames += sampled.grid.frames

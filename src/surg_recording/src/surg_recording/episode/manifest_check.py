@@ -82,6 +82,15 @@ _WITHIN: dict[str, dict[str, Check]] = {
     "result": {"success": _is_truth, "reason": _is_text, "by": _is_text},
     "cell": {"arms": _is_object, "name": _is_scalar},
 }
+_ITEMS: dict[str, dict[str, Check]] = {
+    "stages": {"name": _is_text, "begin_ns": _is_integer, "end_ns": _is_integer},
+    "segments": {
+        **dict.fromkeys(("begin_ns", "step_ns"), _is_integer),
+        **dict.fromkeys(("rows", "frames"), _is_object),
+    },
+    "amendments": {"files": _is_object},
+}
+"""Keys of the objects in a list."""
 _FILE: dict[str, Check] = {
     **dict.fromkeys(("rows", "frames", "dropped"), _is_count),
     **dict.fromkeys(("first_stamp_ns", "last_stamp_ns", "missing_ticks"), _is_integer),
@@ -113,6 +122,9 @@ def check(place: object, manifest: Mapping[str, Any]) -> None:
     _check_keys(place, "", manifest, _TOP)
     for key, checks in _WITHIN.items():
         _check_keys(place, key, manifest.get(key) or {}, checks)
+    for key, checks in _ITEMS.items():
+        for number, item in enumerate(manifest.get(key) or []):
+            _check_keys(place, f"{key}[{number}]", item, checks)
     for arm, entry in ((manifest.get("cell") or {}).get("arms") or {}).items():
         parts = dict.fromkeys(("robot", "instrument"), _is_object)
         if not _is_object(entry):

@@ -6,7 +6,9 @@ import hashlib
 from collections.abc import Mapping
 
 from surg_recording.episode.episode_reader import Episode
+from surg_recording.episode.integrity import HASH
 from surg_recording.file_io import file_hash
+from surg_recording.recording_errors import EpisodeError
 
 SIMULATION, RECORDING = "the same simulation as", "the same recording as"
 
@@ -18,11 +20,7 @@ class Known:
         self._folders: dict[tuple[str, str], str] = {}
 
     def twin(self, recorded: Episode) -> str | None:
-        """The recording that this one repeats, in words; None if it is a new one.
-
-        Raises:
-            EpisodeError: A table cannot be read.
-        """
+        """The recording that this one repeats, in words; None if it is a new one."""
         for (what, value), short in fingerprints(recorded).items():
             if (folder := self._folders.get((what, value))) is not None:
                 return f"{what} {folder} ({short})"
@@ -37,7 +35,8 @@ class Known:
 def fingerprints(recorded: Episode) -> Mapping[tuple[str, str], str]:
     """What the copies of a recording share, each with a short form for people.
 
-    The state hash of the simulation, and the hash of all tables as they are on the disk.
+    The state hash of the simulation, and the hash of all tables as they are on the disk. A table
+    that cannot be read counts as it was recorded.
     """
     found = {}
     state = (recorded.manifest.get("sim") or {}).get("state_hash")
@@ -45,7 +44,14 @@ def fingerprints(recorded: Episode) -> Mapping[tuple[str, str], str]:
         found[SIMULATION, state] = f"state hash {state[:12]}"
     digest = hashlib.sha256()
     for name in sorted(recorded.tables):
-        digest.update(f"{name} {file_hash(recorded.folder / f'{name}.csv')}\n".encode())
+        digest.update(f"{name} {_hash(recorded, name)}\n".encode())
     tables = digest.hexdigest()
     found[RECORDING, tables] = f"hash of the tables {tables[:12]}"
     return found
+
+
+def _hash(recorded: Episode, name: str) -> str:
+    try:
+        return file_hash(recorded.folder / f"{name}.csv")
+    except EpisodeError:
+        return str(recorded.manifest["tables"][name].get(HASH))

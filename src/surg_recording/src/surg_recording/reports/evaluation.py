@@ -19,7 +19,7 @@ from surg_recording.episode.same_recording import Known
 from surg_recording.episode.verdicts import verdict
 from surg_recording.metrics import reference_sets
 from surg_recording.metrics.confidence_intervals import spread, success_rate
-from surg_recording.recording_errors import EpisodeError
+from surg_recording.recording_errors import EpisodeError, words_of
 from surg_recording.reports import run_summary, trials
 from surg_recording.reports.run_series import chosen_arm
 
@@ -83,13 +83,20 @@ class LeftOut:
 
 
 def find(paths: Sequence[Path]) -> list[Path]:
-    """Episode folders at or below the paths, each once; an EpisodeError for a path without any."""
-    folders: dict[Path, Path] = {}
-    for path in paths:
-        if not (here := episodes.below(path)):
-            raise EpisodeError(f"{path}: no episode (a folder with {episodes.MANIFEST}) in it")
-        folders.update((folder.resolve(), folder) for folder in here)
-    return list(folders.values())
+    """Episode folders at or below the paths, each once; a path without any beside others too.
+
+    Raises:
+        EpisodeError: There is no such path, or no episode at all.
+    """
+    found = {path: episodes.below(path) for path in paths}
+    if not any(found.values()):
+        words = ", ".join(map(str, paths))
+        raise EpisodeError(f"{words}: no episode (a folder with {episodes.MANIFEST}) in it")
+    folders = [folder for path, here in found.items() for folder in here or [path]]
+    unique: dict[Path, Path] = {}
+    for folder in folders:
+        unique.setdefault(folder.resolve(), folder)
+    return list(unique.values())
 
 
 def measure(recorded: Episode, arm: str | None = None) -> dict[str, Any]:
@@ -152,11 +159,8 @@ def measure_all(
             entry = measure(recorded, arm)
             if (twin := known.twin(recorded)) is not None:
                 raise EpisodeError(f"{folder}: {twin}")
-        except EpisodeError as problem:
-            left_out.append(LeftOut(str(folder), str(problem)))
         except Exception as problem:  # one recording, not the evaluation
-            reason = f"{folder}: {type(problem).__name__}: {problem}"
-            left_out.append(LeftOut(str(folder), reason))
+            left_out.append(LeftOut(str(folder), words_of(problem, folder)))
         else:
             known.add(recorded)
             entries.append(entry)
