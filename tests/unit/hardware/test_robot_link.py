@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from surg_hardware.conditions import Condition, Reading, ur_reading
-from surg_hardware.robot_link import Command, RobotLink, RobotState, Settings, Step
+from surg_hardware.robot_link import Command, CommandPhase, RobotLink, RobotState, Settings, Step
 
 T = 0.002
 SETTINGS = Settings((3.14,) * 6, (38.0,) * 6, 0.04, 20.0)
@@ -341,3 +341,21 @@ def test_whatever_comes_the_robot_gets_finite_bounded_smooth_commands(seed: int)
         moves += int(qd_sent.any())
         last, last_k = qd_sent, robot.k
     assert moves > 100
+
+
+@pytest.mark.parametrize("offset", np.arange(0.0, 2.0, 0.1))
+def test_two_cycles_with_jitter_neither_repeat_nor_skip_commands(offset: float) -> None:
+    """Commands come once per cycle at any offset from the states, with 0.1 ms of jitter."""
+    rng = np.random.default_rng(round(10 * offset))
+    phase, taken = CommandPhase(), []
+    arrivals = [2e-3 * k + 1e-3 * offset + rng.uniform(-1e-4, 1e-4) for k in range(2000)]
+    for k in range(5, 1990):
+        state = 2e-3 * k
+        newest = max(n for n in range(k - 3, k + 3) if arrivals[n] <= state)
+        wait = phase.wait(state - arrivals[newest])
+        assert 0 <= wait <= 1.4e-3
+        if wait and arrivals[newest + 1] <= state + wait:
+            newest += 1
+        taken.append(newest)
+    steps = np.diff(taken[10:])
+    assert (steps != 1).sum() == 0

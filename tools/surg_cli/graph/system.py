@@ -26,6 +26,8 @@ POLICY = "policy"
 CAMERA_START_S = 180.0
 """[s] Lock-step: longest wait for everybody where a camera is drawn, which on a machine that has
 other work takes its time to compile the scene."""
+DRIVES_PRIORITY = 20
+"""Of the threads of nodes that a robot waits for; their own loops have higher ones."""
 POLICY_TOPICS = ("/policy/action", "/policy/rejected", "/policy/status")
 
 
@@ -142,6 +144,7 @@ class Node:
     arguments: tuple[str, ...] = ()  # words behind the executable
     essential: bool = True  # whether its end ends the system
     prompt: bool = False  # whether it must answer soon: it gets short slices of the processor
+    drives: bool = False  # whether a robot waits for it: all its threads get a real-time priority
 
     def words(self) -> list[str]:
         """Name and namespace in the form ROS nodes take on their command line."""
@@ -173,7 +176,7 @@ def nodes(plan: Plan) -> list[Node]:
         started.append(Node(f"/{ENDOSCOPE}", "surg_sim", "endoscope_node.py", params))
     for arm in plan.driven:
         params = {"cell": str(plan.cell), "arm": arm}
-        started.append(Node(f"/{arm}/link", "surg_hardware", "link_node.py", params, prompt=True))
+        started.append(Node(f"/{arm}/link", "surg_hardware", "link_node.py", params, drives=True))
     for arm in plan.arms:
         params = {
             "cell": str(plan.cell),
@@ -197,6 +200,7 @@ def nodes(plan: Plan) -> list[Node]:
                 params,
                 ("standalone", "surg_control/RcmNodelet"),
                 prompt=prompt,
+                drives=arm in plan.driven,
             )
         )
     if plan.record:
@@ -277,7 +281,23 @@ def start(supervisor: Supervisor, node: Node) -> Child:
         master.call(uri, "setParam", f"{node.name}/{key}", value)
     argv = [str(executable(node.package, node.executable)), *node.arguments, *node.words()]
     with turns.short() if node.prompt else contextlib.nullcontext():
-        return supervisor.start(node.name, argv, essential=node.essential)
+        child = supervisor.start(node.name, argv, essential=node.essential)
+    if node.drives:
+        prefer(child)
+    return child
+
+
+def prefer(child: Child) -> bool:
+    """Give a process that has just begun a real-time priority, which its threads inherit.
+
+    Without it the threads that receive states wait for other work of the machine. Returns whether
+    it was granted; a node that needs it asks by itself and says so.
+    """
+    try:
+        os.sched_setscheduler(child.process.pid, os.SCHED_FIFO, os.sched_param(DRIVES_PRIORITY))
+    except OSError:
+        return False
+    return True
 
 
 def executable(package: str, name: str) -> Path:

@@ -94,6 +94,25 @@ class Step:
     status: Status
 
 
+class CommandPhase:
+    """How long the driver waits for the next command when a state has come.
+
+    Robot and controller have cycles of their own. Where a command usually comes just after the
+    state, it is waited for: otherwise each jitter would repeat one command and skip the next. With
+    a hysteresis, because a choice that changes to and fro does the same.
+    """
+
+    def __init__(self, cycle: float = 0.002) -> None:
+        self._cycle, self._waits = cycle, False
+
+    def wait(self, age: float) -> float:
+        """The longest wait [s] for the next command, when the newest one has this age [s]."""
+        if age > 2 * self._cycle:
+            return 0.0  # commands do not come in time anyway
+        self._waits = age > (0.5 if self._waits else 0.85) * self._cycle
+        return max(1.2 * self._cycle - age, 0.0) if self._waits else 0.0
+
+
 class _Phase(Enum):
     IDLE = 0
     STARTING = 1  # zeros are sent until the robot echoes their numbers

@@ -30,7 +30,7 @@ from surg_hardware.driver_datagrams import (
     decode_to_driver,
 )
 from surg_hardware.robot_clock import RobotClock
-from surg_hardware.robot_link import Command, RobotLink, RobotState, Settings, Status
+from surg_hardware.robot_link import Command, CommandPhase, RobotLink, RobotState, Settings, Status
 from surg_hardware.ur import dashboard, urscript
 from surg_hardware.ur.rtde import Rtde, RtdeError, RtdeRefused, Values
 
@@ -107,6 +107,7 @@ class UrDriver:
             )
         )
         self._clock = RobotClock()
+        self._phase = CommandPhase()
         self._rtde: Rtde | None = None
         self._command: Command | None = None
         self._program = False  # whether any program runs on the robot
@@ -159,6 +160,7 @@ class UrDriver:
             values = self._rtde.newest()
             if values is not None:
                 self._arrived = now
+                self._await_command(now)
                 self._cycle(self._rtde, values, now)
             elif now - self._arrived > SILENCE:
                 raise RtdeError(f"no state for {SILENCE:g} s")
@@ -166,6 +168,14 @@ class UrDriver:
                 self._say_lost()
         except OSError as error:
             self._disconnect(str(error))
+
+    def _await_command(self, now: float) -> None:
+        """Wait for a command that comes just after the state."""
+        if self._command is None or not self._link.active:
+            return
+        wait = self._phase.wait(now - self._command.received)
+        if wait > 0 and select.select((self._node,), (), (), wait)[0]:
+            self._read_node()
 
     def _cycle(self, rtde: Rtde, values: Values, now: float) -> None:
         """Answer one state of the robot."""

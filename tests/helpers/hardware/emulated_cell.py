@@ -1,0 +1,71 @@
+"""The bundled emulated cell at another address, and what its arm did by its own record."""
+
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+import surg_core
+from surg_cli.host import paths
+from surg_hardware.emulators.ur.dh_kinematics import TABLES, frames
+
+BUNDLED = paths.CELLS / "emulated_ur5e"
+TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
+"""From ROS's base to UR's own."""
+HOME = surg_core.load_cell(BUNDLED).arms["PSM1"].robot.home
+
+
+def emulated_cell(folder: Path, address: str) -> Path:
+    """A copy of the cell; returns its folder."""
+    cell = folder / "cell"
+    shutil.copytree(BUNDLED, cell)
+    document = yaml.safe_load((cell / "cell.yaml").read_text("utf-8"))
+    arm = document["arms"]["PSM1"]
+    arm["hardware"]["address"] = address
+    for key in ("robot", "instrument"):
+        arm[key] = os.path.normpath(BUNDLED / arm[key])
+    (cell / "cell.yaml").write_text(yaml.safe_dump(document), "utf-8")
+    return cell
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What an emulated arm did, one row per cycle: steady clock [s], true joints and velocities."""
+
+    monotonic: np.ndarray
+    q: np.ndarray
+    target_qd: np.ndarray
+
+    @staticmethod
+    def of(file: Path) -> Recorded:
+        """Read the emulator's record; an unfinished last row is left out."""
+        with file.open(encoding="utf-8") as stream:
+            rows = list(csv.reader(stream))
+        names, rows = rows[0], [row for row in rows[1:] if len(row) == len(rows[0])][:-1]
+        values = np.array(rows, dtype=np.float64)
+        at = [names.index(f"q{n}") for n in range(1, 7)]
+        speeds = [names.index(f"target_qd{n}") for n in range(1, 7)]
+        return Recorded(values[:, names.index("monotonic")], values[:, at], values[:, speeds])
+
+    def deviations(self) -> np.ndarray:
+        """Of the shaft from the trocar [m] in every fifth cycle, by the maker's table."""
+        arm = surg_core.load_cell(BUNDLED).arms["PSM1"]
+        found = []
+        for q in self.q[::5]:
+            X = TURN @ frames(q, TABLES["UR5e"])[-1]
+            away = arm.trocar.p_BRcm - X[:3, :3] @ arm.tool.p_FTip - X[:3, 3]
+            s = X[:3, :3] @ arm.tool.s_F
+            found.append(float(np.linalg.norm(away - (away @ s) * s)))
+        return np.array(found)
+
+    def rest_after(self, moment: float, least: float = 1e-3) -> float:
+        """Time from a moment of the steady clock until no joint moves any more [s]."""
+        speed = np.abs(np.diff(self.q, axis=0)).max(axis=1) / 0.002
+        moving = self.monotonic[1:][(speed > least) & (self.monotonic[1:] > moment)]
+        return float(moving[-1] - moment) if len(moving) else 0.0

@@ -1,0 +1,170 @@
+"""The link to a UR arm as processes: emulator, driver, node, controller, operator, in real time."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rospy
+
+from crtk_msgs.msg import StringStamped
+from helpers.graph.ros import RosGraph
+from helpers.hardware import emulated_ur
+from helpers.hardware.emulated_cell import HOME, Recorded, emulated_cell
+from surg_cli.graph import system
+from surg_cli.graph.processes import Child, wait_until
+from surg_msgs.msg import Cycle, LinkStatus
+
+pytestmark = pytest.mark.ros
+
+MACHINE_S = 0.05
+"""What a shared machine may add."""
+REAL_TIME = os.geteuid() == 0
+"""Whether SCHED_FIFO is granted; figures without it say nothing of the link."""
+
+
+class Rig:
+    """Emulated arm at home, its link, a controller, and what they say."""
+
+    def __init__(self, graph: RosGraph, folder: Path, address: str) -> None:
+        self.graph, self.address = graph, address
+        self.cell = emulated_cell(folder, address)
+        params: dict[str, object] = {"cell": self.cell, "arm": "PSM1"}
+        self.link = graph.node("surg_hardware", "link_node", "/PSM1/link", params)
+        controller = {**params, "mode": "freerun", "realtime": REAL_TIME}
+        self.controller = graph.node(
+            "surg_control", "rcm_node", "/PSM1/controller", {**controller, "participants": []}
+        )
+        for child in (self.link, self.controller):
+            system.prefer(child)
+        self.status: LinkStatus | None = None
+        self.cycle: Cycle | None = None
+        self._out = rospy.Publisher("/PSM1/robot/request", StringStamped, queue_size=1)
+        self._ears = [
+            rospy.Subscriber("/PSM1/robot/status", LinkStatus, self._on_status),
+            rospy.Subscriber("/PSM1/cycle", Cycle, self._on_cycle, tcp_nodelay=True),
+        ]
+        graph.wait_for(
+            lambda: self.condition == LinkStatus.READY and self.cycle is not None, 15.0, "the link"
+        )
+
+    def _on_status(self, message: LinkStatus) -> None:
+        self.status = message
+
+    def _on_cycle(self, message: Cycle) -> None:
+        self.cycle = message
+
+    @property
+    def condition(self) -> int:
+        return -1 if self.status is None else int(self.status.condition)
+
+    def start(self) -> None:
+        """Ask for it until the robot obeys: at first its states are too young."""
+
+        def asked() -> bool:
+            self._out.publish(StringStamped(string="start"))
+            return wait_until(lambda: self.condition == LinkStatus.ACTIVE, 0.5)
+
+        self.graph.wait_for(asked, 10.0, "the robot's start")
+
+    def operator(self, **params: object) -> Child:
+        """Play the bundled motion."""
+        return self.graph.node(
+            "surg_teleop", "operator_node", "/operator", {"cell": self.cell, **params}
+        )
+
+    def moving(self) -> bool:
+        return self.cycle is not None and float(np.abs(self.cycle.qd_command).max()) > 0.02
+
+    def driver(self) -> int:
+        """Process id of the driver, the node's only child."""
+        pid = self.link.process.pid
+        return int(Path(f"/proc/{pid}/task/{pid}/children").read_text().split()[0])
+
+
+@pytest.fixture
+def record(tmp_path: Path) -> Path:
+    return tmp_path / "arm.csv"
+
+
+@pytest.fixture
+def rig(ros_graph: RosGraph, rospy_node: str, tmp_path: Path, record: Path) -> Iterator[Rig]:
+    at = [f"{angle:.6f}" for angle in HOME]
+    log = tmp_path / "emulator.log"
+    with emulated_ur.program(log, "--q", *at, "--record", str(record)) as address:
+        yield Rig(ros_graph, tmp_path, address)
+        ros_graph.supervisor.stop()
+
+
+def test_the_bundled_motion_keeps_the_pivot(rig: Rig, record: Path) -> None:
+    rig.start()
+    operator = rig.operator(duration=8.0)
+    rig.graph.wait_for(lambda: operator.exit_code is not None, 40.0, "the operator's end")
+    assert operator.exit_code == 0, operator.log_tail()
+    deviation = 1e3 * Recorded.of(record).deviations()
+    assert np.ptp(Recorded.of(record).q, axis=0).max() > 0.05, "nothing has moved"
+    print(f"8 s of the bundled motion: mean {deviation.mean():.4f}, max {deviation.max():.4f} mm")
+    assert deviation.max() < (0.15 if REAL_TIME else 0.5)
+
+
+def test_a_protective_stop_ends_the_motion(rig: Rig) -> None:
+    rig.start()
+    operator = rig.operator(duration=20.0)
+    rig.graph.wait_for(rig.moving, 20.0, "motion")
+    assert emulated_ur.mishap(rig.address, "protective_stop") == "ok"
+    rig.graph.wait_for(lambda: operator.exit_code is not None, 10.0, "the operator's end")
+    assert operator.exit_code == 1
+    assert rig.condition == LinkStatus.STOPPED
+    assert rig.cycle is not None and rig.cycle.state == Cycle.FAULT
+
+
+def test_a_robot_that_is_not_started_never_plays_a_motion_to_its_end(rig: Rig) -> None:
+    operator = rig.operator(duration=3.0)
+    rig.graph.wait_for(lambda: operator.exit_code is not None, 30.0, "the operator's end")
+    assert operator.exit_code == 1
+
+
+@pytest.mark.parametrize("victim", ["driver", "node", "controller", "driver frozen"])
+def test_a_process_that_dies_leaves_the_arm_at_rest_and_latched(
+    rig: Rig, record: Path, victim: str
+) -> None:
+    rig.start()
+    rig.operator(duration=30.0)
+    rig.graph.wait_for(rig.moving, 20.0, "motion")
+    pid = {"node": rig.link.process.pid, "controller": rig.controller.process.pid}
+    frozen = victim == "driver frozen"
+    os.kill(pid.get(victim, rig.driver()), signal.SIGSTOP if frozen else signal.SIGKILL)
+    moment, driver = time.monotonic(), rig.driver() if frozen else 0
+    time.sleep(0.5)
+    if frozen:
+        os.kill(driver, signal.SIGCONT)
+    time.sleep(0.5)
+    recorded = Recorded.of(record)
+    rest = recorded.rest_after(moment)
+    print(f"{victim} killed: rest after {1e3 * rest:.0f} ms")
+    assert rest < 0.12 + MACHINE_S
+    assert 1e3 * recorded.deviations()[-1] < 0.3
+    if victim != "node":
+        wait_until(lambda: rig.condition == LinkStatus.READY, 5.0)
+        assert rig.condition == LinkStatus.READY, "it waits for a person"
+
+
+def test_another_arm_is_refused(ros_graph: RosGraph, rospy_node: str, tmp_path: Path) -> None:
+    with emulated_ur.program(tmp_path / "emulator.log", "--serial", "77") as address:
+        params: dict[str, object] = {"cell": emulated_cell(tmp_path, address), "arm": "PSM1"}
+        link = ros_graph.node("surg_hardware", "link_node", "/PSM1/link", params)
+        assert wait_until(lambda: link.exit_code is not None, 15.0)
+        assert link.exit_code == 2
+        assert "hardware.serial" in link.log_tail() and "'77'" in link.log_tail()
+    nobody: dict[str, object] = {
+        "cell": emulated_cell(tmp_path / "nobody", "127.9.9.9"),
+        "arm": "PSM1",
+    }
+    link = ros_graph.node("surg_hardware", "link_node", "/PSM1/link", nobody)
+    assert wait_until(lambda: link.exit_code is not None, 15.0)
+    assert link.exit_code == 2 and "hardware.address" in link.log_tail()
