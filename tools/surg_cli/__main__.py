@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 from surg_cli.command_table import COMMANDS, parse, usage
 from surg_cli.graph.processes import interrupt_on_signals
-from surg_cli.host import environment, paths, provision, workspace
+from surg_cli.host import environment, paths, preflight, provision, workspace
 from surg_cli.host.terminal import Problem, say, warn
 
 READY = "SURG_READY"
@@ -57,6 +57,9 @@ def main() -> int:
         warn(f"\nsurg: stopped by {str(interrupt) or 'Ctrl-C'}")
         return 130
     except BrokenPipeError:
+        return 1
+    except OSError as error:
+        warn(f"surg: {preflight.sentence(error)}")
         return 1
 
 

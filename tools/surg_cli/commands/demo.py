@@ -14,7 +14,7 @@ from typing import Any
 
 from surg_cli.graph import motion_run
 from surg_cli.graph.system import Plan
-from surg_cli.host import cells, paths
+from surg_cli.host import cells, paths, preflight
 from surg_cli.host.option_types import feedback_gain, positive, tcp_port
 from surg_cli.host.terminal import Problem, Progress, say, table, warn
 
@@ -47,6 +47,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         raise Problem("--view needs a display: neither DISPLAY nor WAYLAND_DISPLAY is set", 2)
     # All input is checked before anything moves.
     out = paths.run_folder(options.out)
+    preflight.check_space(out)
     try:
         cell = cells.for_robot(options.robot, out / "cell")
         loaded = cells.load(cell)

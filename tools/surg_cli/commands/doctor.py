@@ -127,7 +127,7 @@ def _rendering() -> list[Finding]:
             lines = done.stderr.strip().splitlines()
             text = lines[-1][:160] if lines else f"ended with {done.returncode}"
             other = "osmesa" if driver == "egl" else "egl"
-            cure = f"./surg setup, or MUJOCO_GL={other}, or --no-video"
+            cure = f"./surg setup, or MUJOCO_GL={other} before ./surg"
             findings.append(Finding(False, f"rendering by {driver}", text, cure))
     return findings
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.graph import episode_plans
-from surg_cli.host import cells, paths
+from surg_cli.host import cells, paths, preflight
 from surg_cli.host.terminal import Problem, say, table, warn
 from surg_cli.learning import learn_stages, rollouts
 from surg_cli.learning.recipes import CAMERA_RECIPES, LEARNERS, STATE_RECIPES, Request
@@ -183,6 +183,7 @@ def _folder(wanted: Path | None, request: Request) -> Path:
         out = wanted.absolute()
     else:
         out = paths.run_folder(wanted)
+    preflight.check_space(out)
     paths.write_text(out / "wanted.json", json.dumps(asdict(request), indent=1) + "\n")
     return out
 

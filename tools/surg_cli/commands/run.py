@@ -10,7 +10,7 @@ from typing import Any
 from surg_cli.graph import episode_plans, episode_process, policy_program, system, task_episode
 from surg_cli.graph.episode_plans import VIEWS, Condition
 from surg_cli.graph.system import Plan
-from surg_cli.host import cells, paths
+from surg_cli.host import cells, paths, preflight
 from surg_cli.host.terminal import Problem, Progress, is_interactive, say, table, warn
 
 LAWS = ("ours", "velocity", "paper")
@@ -56,6 +56,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     conditions = [Condition(setting, law) for setting in settings for law in laws]
     _check_numbers(options)
     out = paths.run_folder(options.out)
+    preflight.check_space(out)
     cell = episode_plans.find_cell(options.robot)
     policy = _policy(options)
     plan = episode_plans.make_plan(

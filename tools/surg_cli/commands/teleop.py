@@ -26,7 +26,7 @@ from surg_cli.graph import (
 from surg_cli.graph.operator_nodes import BROWSER, WEB_PORT
 from surg_cli.graph.system import Node, Plan
 from surg_cli.graph.watch import Watch
-from surg_cli.host import cells, environment, paths
+from surg_cli.host import cells, environment, paths, preflight
 from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import Problem, Progress, say
 
@@ -83,6 +83,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     place = None if attached is None else _place(attached, options)
     web, fragment = _web(options)
     plan = _plan(options) if attached is None else _plan_of(attached)
+    preflight.check_space(plan.out)
     logs = paths.SYSTEMS / f"{options.port}_teleop_logs"
     nodes = _operator_nodes(options, plan, web, [] if attached is None else _there(attached))
     env = environment.for_nodes(ros_home=logs / "ros")

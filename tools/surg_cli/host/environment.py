@@ -7,7 +7,7 @@ import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 
-from surg_cli.host import paths
+from surg_cli.host import paths, rendering
 from surg_cli.host.terminal import Problem
 
 # A pyenv or conda Python announces itself in these; inherited, it breaks Debian's modules.
@@ -75,7 +75,7 @@ def for_nodes(port: int | None = None, ros_home: Path | None = None) -> dict[str
         PYTHONUNBUFFERED="1",
         **KEEPS_MEMORY,
     )
-    env.setdefault("MUJOCO_GL", "egl")
+    env["MUJOCO_GL"] = rendering.backend()
     if port is not None:
         env["ROS_MASTER_URI"] = f"http://localhost:{port}"
     else:

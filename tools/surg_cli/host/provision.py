@@ -13,7 +13,7 @@ import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from surg_cli.host import logged, paths
+from surg_cli.host import logged, paths, preflight
 from surg_cli.host.terminal import Problem, Progress, say
 
 VENV_STAMP = paths.VENV / ".surg-lock"
@@ -24,6 +24,7 @@ APT_LINES_PER_PACKAGE = 5
 
 def make_ready() -> bool:
     """Install missing packages and fill `.venv`; returns whether anything had to be done."""
+    preflight.check_path()
     logs = paths.STATE / "logs"
     done = install_packages(logs / "apt.log")
     return install_python(logs / "pip.log") or done
@@ -96,9 +97,12 @@ def install_python(log: Path) -> bool:
     wanted = paths.file_digest(paths.LOCK_FILE)
     if paths.VENV_PYTHON.exists() and VENV_STAMP.exists() and VENV_STAMP.read_text() == wanted:
         return False
+    preflight.check_tree()
+    preflight.check_space(paths.VENV)
     say(f"Python environment: {paths.VENV} (log: {log})")
     with Progress("Python environment") as progress:
-        if not paths.VENV_PYTHON.exists():
+        if not _has_pip():
+            shutil.rmtree(paths.VENV, ignore_errors=True)  # Ctrl-C ended its making
             make = [str(paths.SYSTEM_PYTHON), "-m", "venv", "--system-site-packages"]
             logged.run([*make, str(paths.VENV)], log, progress, anew=True)
         pip = [str(paths.VENV_PYTHON), "-m", "pip", "--disable-pip-version-check", "install"]
@@ -106,6 +110,17 @@ def install_python(log: Path) -> bool:
         logged.run([*pip, *strict, "-r", str(paths.LOCK_FILE)], log, progress)
     paths.write_text(VENV_STAMP, wanted)
     return True
+
+
+def _has_pip() -> bool:
+    """Whether `.venv` was made to its end: pip comes last."""
+    if not paths.VENV_PYTHON.exists():
+        return False
+    asked = subprocess.run(
+        [str(paths.VENV_PYTHON), "-I", "-m", "pip", "--version"], capture_output=True, check=False
+    )
+    # Debian's pip, if installed, would answer for a folder that has none.
+    return asked.returncode == 0 and str(paths.VENV) in asked.stdout.decode(errors="replace")
 
 
 def _root_prefix() -> list[str] | None:

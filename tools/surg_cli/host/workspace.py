@@ -9,10 +9,10 @@ import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from surg_cli.host import logged, paths
+from surg_cli.host import logged, paths, preflight
 from surg_cli.host.terminal import Problem, Progress, say
 
-STAMP = paths.STATE / "build.stamp"
+STAMP = paths.TREE_STATE / "build.stamp"
 GIB_PER_JOB = 1.6  # one Eigen-heavy translation unit of the pybind11 binding at -O3
 
 
@@ -66,6 +66,9 @@ def build(log: Path, force: bool = False) -> bool:
     before = fingerprint()
     if not force and is_current():
         return False
+    preflight.check_path()
+    preflight.check_tree()
+    preflight.check_space(paths.BUILD)
     say(f"build: {paths.BUILD} -> {paths.DEVEL} (log: {log})")
     _forget_moved_tree()
     configure = [_cmake(), "-S", str(paths.ROOT), "-B", str(paths.BUILD)]
