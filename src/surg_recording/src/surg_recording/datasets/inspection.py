@@ -173,6 +173,8 @@ def _joint_count(recorded: Episode, arm: str) -> int:
         raise EpisodeError(
             f"{recorded.folder}: no control cycle of {arm} was recorded; nothing to export"
         )
+    if not entry.get("columns"):
+        raise EpisodeError(f"{recorded.folder}: the manifest lacks 'tables.cycle_{arm}.columns'")
     return table_columns.joint_count(entry["columns"])
 
 

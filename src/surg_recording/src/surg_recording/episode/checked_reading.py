@@ -55,7 +55,7 @@ def for_metrics(recorded: Episode, arm: str) -> Episode:
     if recorded.complete:
         _without_gap(recorded.folder / f"cycle_{arm}.csv", cycle)
     truth = recorded.manifest["tables"].get(f"ground_truth_{arm}")
-    if truth and truth["rows"]:
+    if truth is not None and truth.get("rows") != 0:
         tables[f"ground_truth_{arm}"] = _finite_truth(recorded, arm, segment)
     command = f"command_{arm}"
     if command in recorded.tables:

@@ -105,7 +105,7 @@ _PART = re.compile(r"(.+)\.\d+")
 
 def check(place: object, manifest: Mapping[str, Any]) -> None:
     """Raise an EpisodeError that names the first key of a wrong type; ``place`` is the file."""
-    for key, count in (("tables", "rows"), ("videos", "frames")):
+    for key in ("tables", "videos"):
         if not isinstance(manifest.get(key), dict):
             raise EpisodeError(f"{place}: key {key!r} is missing or no object")
         for name, entry in manifest[key].items():
@@ -113,9 +113,7 @@ def check(place: object, manifest: Mapping[str, Any]) -> None:
             _check_name(place, where, name, folders=key == "tables")
             if not _is_object(entry):
                 _refuse(place, where, entry, _is_object)
-            if count not in entry:
-                raise EpisodeError(f"{place}: key '{where}.{count}' is missing")
-            _check_keys(place, where, entry, _FILE, required=count)
+            _check_keys(place, where, entry, _FILE)
             part_of = entry.get("part_of")
             if part_of and ((match := _PART.fullmatch(name)) is None or match[1] != part_of):
                 raise EpisodeError(f"{place}: key {where!r} is no name of a part of {part_of!r}")
@@ -140,16 +138,12 @@ def _check_name(place: object, where: str, name: str, folders: bool) -> None:
 
 
 def _check_keys(
-    place: object,
-    within: str,
-    entry: Mapping[str, Any],
-    checks: Mapping[str, Check],
-    required: str = "",
+    place: object, within: str, entry: Mapping[str, Any], checks: Mapping[str, Check]
 ) -> None:
-    """Check the keys that are there; null means "not stated", but not for ``required``."""
+    """Check the keys that are there; null means "not stated"."""
     for key, fits in checks.items():
         value = entry.get(key)
-        if (value is not None or (key == required and key in entry)) and not fits(value):
+        if value is not None and not fits(value):
             _refuse(place, f"{within}.{key}" if within else key, value, fits)
 
 

@@ -251,9 +251,9 @@ def _counts(episode: Episode, arm: str) -> dict[str, Any]:
     return {
         "cycles": len(cycle),
         "window_cycles": 0,
-        "rows": {name: entry["rows"] for name, entry in tables.items()},
-        "frames": {name: entry["frames"] for name, entry in videos.items()},
-        "dropped": {name: entry["dropped"] for name, entry in {**tables, **videos}.items()},
+        "rows": {name: entry.get("rows") for name, entry in tables.items()},
+        "frames": {name: entry.get("frames") for name, entry in videos.items()},
+        "dropped": {name: entry.get("dropped", 0) for name, entry in {**tables, **videos}.items()},
         "commands_accepted": int(cycle["accepted"][-1]) if len(cycle) else 0,
         "commands_refused": int(cycle["refused"][-1]) if len(cycle) else 0,
     }
