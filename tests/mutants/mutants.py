@@ -745,7 +745,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "inverse_a_little_off",
         "joint velocities give another flange velocity than asked for",
-        "src/kinematics/kinematics.cpp",
+        "src/kinematics/jacobian_inverse.cpp",
         "M.col(c) -= factor * M(best, c);",
         "M.col(c) -= 0.999 * factor * M(best, c);",
         ("test_kinematics",),

@@ -20,6 +20,14 @@ using Matrix3 = Eigen::Matrix3d;
 using Pose = Eigen::Isometry3d;
 /// One number per joint, at most kMaxJoints of them, stored inline.
 using JointVector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxJoints, 1>;
+/// The same padded with zeros: what is done to all joints at once has a fixed size, no loop and no
+/// copy of a length that the compiler does not know. The inner loops use it.
+using Joints = Eigen::Matrix<double, kMaxJoints, 1>;
+inline Joints padded(const JointVector& v) {
+  Joints all = Joints::Zero();
+  for (Eigen::Index i = 0; i < v.size(); ++i) all[i] = v[i];
+  return all;
+}
 /// Geometric Jacobian of the flange, 6 x n: rows 0-2 linear (flange origin), rows 3-5 angular, in
 /// B.
 using Jacobian = Eigen::Matrix<double, 6, Eigen::Dynamic, 0, 6, kMaxJoints>;

@@ -50,8 +50,7 @@ ElbowTurn elbow_turn(const Chain& chain, const JointVector& q, const Jacobian& J
   // times the unit null vector.
   JointVector null = JointVector::Zero(q.size());
   for (Eigen::Index i = 0; i < q.size() && !(null.norm() > kLargeEnough); ++i) {
-    const JointVector projected =
-        inverse(Vector6::Zero(), JointVector(JointVector::Unit(q.size(), i)));
+    const JointVector projected = inverse(Vector6::Zero(), Joints(Joints::Unit(i))).head(q.size());
     if (projected.norm() > null.norm()) null = projected;
   }
   null /= null.norm();

@@ -10,11 +10,6 @@
 namespace surg {
 namespace {
 
-using Matrix6 = Eigen::Matrix<double, 6, 6>;
-
-// Pivots this far apart mean that the solution would be rounding noise.
-constexpr double kSingular = 1e-12;
-
 bool is_rotation(const Matrix3& R) {
   return (R * R.transpose() - Matrix3::Identity()).cwiseAbs().maxCoeff() < 1e-6 &&
          R.determinant() > 0;
@@ -25,79 +20,6 @@ void check_pose(const Pose& X, const std::string& what) {
   if (!is_rotation(X.linear())) {
     throw std::invalid_argument(what + ": the pose's rotation part is not a rotation matrix");
   }
-}
-
-// Smallest over largest magnitude on a triangular factor's diagonal; 0 for anything not finite.
-double pivot_ratio(const Vector6& pivots) {
-  const double largest = pivots.cwiseAbs().maxCoeff();
-  const double smallest = pivots.cwiseAbs().minCoeff();
-  const double ratio = smallest / largest;
-  return std::isfinite(largest) && ratio > kSingular ? ratio : 0.0;
-}
-
-/// x of A x = b with the pivots that were met, by Gauss-Jordan elimination with partial pivoting.
-/// Rows stay where they are and every step works on whole columns, which a general factorisation
-/// does not; it takes three times as long for six rows.
-struct Solution6 {
-  Vector6 x, pivots;
-};
-Solution6 solve(const Jacobian& A, const Vector6& b) {
-  static const Matrix6 kOthers = Matrix6::Ones() - Matrix6::Identity();
-  Eigen::Matrix<double, 6, 7> M;  // A and b side by side: one loop serves both
-  M.leftCols<6>() = A;
-  M.col(6) = b;
-  Vector6 inverse;
-  std::array<int, 6> row;  // of each pivot
-  std::array<bool, 6> taken{};
-  for (int k = 0; k < 6; ++k) {
-    int best = -1;
-    double largest = -1;
-    for (int i = 0; i < 6; ++i) {
-      const double magnitude = std::abs(M(i, k));
-      if (!taken[i] && !(magnitude <= largest)) {  // a NaN is taken, and seen by the caller
-        best = i;
-        largest = magnitude;
-      }
-    }
-    row[k] = best;
-    taken[best] = true;
-    inverse[k] = 1.0 / M(best, k);
-    const Vector6 factor = M.col(k).cwiseProduct(kOthers.col(best)) * inverse[k];
-    for (int c = k + 1; c < 7; ++c) M.col(c) -= factor * M(best, c);
-  }
-  Solution6 solution;
-  for (int k = 0; k < 6; ++k) {
-    solution.x[k] = M(row[k], 6) * inverse[k];
-    solution.pivots[k] = M(row[k], k);
-  }
-  return solution;
-}
-
-/// x of J J^T x = b with the pivots, by L D L^T: no square roots, and no products of dynamic size
-/// that might take a heap-using path.
-Solution6 solve_gram(const Jacobian& J, const Vector6& b) {
-  std::array<Vector6, 6> A;
-  for (int k = 0; k < 6; ++k) {
-    A[k] = J.col(0) * J(k, 0);
-    for (Eigen::Index i = 1; i < J.cols(); ++i) A[k] += J.col(i) * J(k, i);
-  }
-  Solution6 solution;
-  Vector6& x = solution.x;
-  x = b;
-  Vector6 inverse;
-  for (int k = 0; k < 6; ++k) {
-    solution.pivots[k] = A[k][k];
-    inverse[k] = 1.0 / A[k][k];
-    const Vector6 factor = A[k] * inverse[k];
-    for (int c = k + 1; c < 6; ++c) A[c] -= factor * A[k][c];
-    for (int i = k + 1; i < 6; ++i) x[i] -= factor[i] * x[k];
-    A[k] = factor;
-  }
-  x = x.cwiseProduct(inverse);
-  for (int k = 4; k >= 0; --k) {
-    for (int i = k + 1; i < 6; ++i) x[k] -= A[k][i] * x[i];
-  }
-  return solution;
 }
 
 }  // namespace
@@ -231,33 +153,6 @@ Vector6 bias_acceleration(const Jacobian& J, const JointVector& qd) {
   Vector6 acceleration;
   acceleration << linear, angular;
   return acceleration;
-}
-
-InverseVelocity inverse_velocity(const Jacobian& J, const Vector6& twist,
-                                 const JointVector& posture) {
-  const Eigen::Index n = J.cols();
-  InverseVelocity result;
-  if (n == 6) {
-    const Solution6 solution = solve(J, twist);
-    if (solution.x.allFinite()) result.conditioning = pivot_ratio(solution.pivots);
-    if (result.conditioning > 0) result.qd = solution.x;
-  } else if (n > 6 && posture.size() == n) {
-    // qd = J^T (J J^T)^-1 (twist - J posture) + posture, which is J^+ twist + (I - J^+ J) posture.
-    Vector6 rest = twist;
-    for (Eigen::Index i = 0; i < n; ++i) rest -= J.col(i) * posture[i];
-    const Solution6 multiplier = solve_gram(J, rest);
-    // The root scales like J itself, so the ratio compares with the one for six joints.
-    if (multiplier.x.allFinite()) {
-      result.conditioning = pivot_ratio(multiplier.pivots.cwiseMax(0.0).cwiseSqrt());
-    }
-    if (result.conditioning > 0) {
-      result.qd = posture;
-      for (Eigen::Index i = 0; i < n; ++i) result.qd[i] += J.col(i).dot(multiplier.x);
-      if (!result.qd.allFinite()) result.conditioning = 0;
-    }
-  }
-  if (!(result.conditioning > 0)) result.qd.setZero(n);
-  return result;
 }
 
 }  // namespace surg

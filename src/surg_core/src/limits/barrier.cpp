@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "kinematics/jacobian_inverse.hpp"
+
 namespace surg {
 namespace {
 
@@ -11,51 +13,6 @@ constexpr double kParallel = 1e-9;
 Vector3 axis(const Jacobian& J, int i) { return J.col(i).tail<3>(); }
 /// Velocity of the flange origin by joint i: axis x (flange - joint).
 Vector3 moment(const Jacobian& J, int i) { return J.col(i).head<3>(); }
-
-/// Pivots of J (six joints) or of the Cholesky factor of J J^T (more): smallest over largest, with
-/// the determinant's sign where it has one.
-double signed_pivot_ratio(const Jacobian& J) {
-  Eigen::Matrix<double, 6, 6> A;
-  const Eigen::Index n = J.cols();
-  if (n < 6) return 0;
-  if (n == 6) {
-    A = J;
-  } else {
-    A.setZero();
-    for (Eigen::Index i = 0; i < n; ++i) {
-      const Vector6 column = J.col(i);
-      A.noalias() += column * column.transpose();
-    }
-  }
-  double smallest = INFINITY, largest = 0, sign = 1;
-// Unrolled: asked for at every point ahead.
-#pragma GCC unroll 6
-  for (int k = 0; k < 6; ++k) {
-    int best = k;
-    if (n == 6) {  // J J^T needs no pivoting
-      for (int i = k + 1; i < 6; ++i) {
-        if (std::abs(A(i, k)) > std::abs(A(best, k))) best = i;
-      }
-    }
-    if (best != k) {
-      for (int c = k; c < 6; ++c) std::swap(A(k, c), A(best, c));
-      sign = -sign;
-    }
-    const double pivot = A(k, k);
-    if (pivot < 0) sign = -sign;
-    smallest = std::min(smallest, std::abs(pivot));
-    largest = std::max(largest, std::abs(pivot));
-    if (!(std::abs(pivot) > 0)) return 0;
-#pragma GCC unroll 6
-    for (int i = k + 1; i < 6; ++i) {
-      const double factor = A(i, k) / pivot;
-#pragma GCC unroll 6
-      for (int c = k + 1; c < 6; ++c) A(i, c) -= factor * A(k, c);
-    }
-  }
-  if (n > 6) return std::sqrt(smallest / largest);  // pivots of J J^T are squares
-  return sign * smallest / largest;
-}
 
 }  // namespace
 
@@ -97,10 +54,15 @@ Barrier::Barrier(const Chain& chain) {
 }
 
 SingularityMeasures Barrier::measures(const Pose& X_BF, const Jacobian& J) const {
+  return measures(X_BF, J, like_ur_ || J.cols() < 6 ? Pivots() : Inverse(J).pivots());
+}
+
+SingularityMeasures Barrier::measures(const Pose& X_BF, const Jacobian& J,
+                                      const Pivots& pivots) const {
   SingularityMeasures m;
   if (!like_ur_) {
     m.n = 1;
-    m.phi[0] = signed_pivot_ratio(J);
+    m.phi[0] = pivots.signed_ratio();
     return m;
   }
   m.n = 3;

@@ -28,19 +28,14 @@ double approach_speed(double distance, double a, double margin, double T) {
   return std::min(hardest, std::hypot(gentle, before));
 }
 
-double approach_speed(double most, double distance, double a, double margin, double T) {
-  // More than it takes to brake from 'most' before the margin.
-  if (distance > margin + most * (most / a + 2 * T)) return most;
-  return std::min(most, approach_speed(distance, a, margin, T));
-}
-
 void AlphaRange::keep(double at_0, double rate, double lowest, double highest, const char* low_by,
                       const char* top_by) {
   if (std::abs(rate) < 1e-12) {
     if (at_0 < lowest || at_0 > highest) low = INFINITY;
     return;
   }
-  double from = (lowest - at_0) / rate, to = (highest - at_0) / rate;
+  const double per = 1 / rate;
+  double from = (lowest - at_0) * per, to = (highest - at_0) * per;
   const char* by = top_by;
   if (rate < 0) {
     std::swap(from, to);
@@ -53,12 +48,9 @@ void AlphaRange::keep(double at_0, double rate, double lowest, double highest, c
   }
 }
 
-LimitedStep::Box::Box(const JointLimits& limits, double T, const JointVector& q,
-                      const JointVector& qd_last) {
-  const Eigen::Index n = q.size();
-  low_.resize(n);
-  high_.resize(n);
-  for (Eigen::Index i = 0; i < n; ++i) {
+LimitedStep::Box::Box(const JointLimits& limits, double T, const Here& here) : n_(here.n) {
+  const Joints &q = here.q, &qd_last = here.qd_last;
+  for (Eigen::Index i = 0; i < n_; ++i) {
     const double a = limits.acceleration[i], v = limits.velocity[i];
     const double margin = limits.position_margin;
     const double to_top = limits.position_max[i] - q[i] - kPositionGuard;
@@ -78,20 +70,17 @@ LimitedStep::Box::Box(const JointLimits& limits, double T, const JointVector& q,
   }
 }
 
-bool LimitedStep::Box::holds(const JointVector& qd) const {
-  for (Eigen::Index i = 0; i < qd.size(); ++i) {
-    if (!(qd[i] >= low_[i] && qd[i] <= high_[i])) return false;
-  }
-  return true;
+bool LimitedStep::Box::holds(const Joints& qd) const {
+  return (qd.array() >= low_.array()).all() && (qd.array() <= high_.array()).all();
 }
 
-JointVector LimitedStep::Box::clamped(const JointVector& qd) const {
+Joints LimitedStep::Box::clamped(const Joints& qd) const {
   return qd.cwiseMax(low_).cwiseMin(high_);
 }
 
-AlphaRange LimitedStep::Box::alphas(const JointVector& qd0, const JointVector& qd1) const {
+AlphaRange LimitedStep::Box::alphas(const Joints& qd0, const Joints& qd1) const {
   AlphaRange range;
-  for (Eigen::Index i = 0; i < qd0.size(); ++i) {
+  for (Eigen::Index i = 0; i < n_; ++i) {
     range.keep(qd0[i], qd1[i], low_[i], high_[i], low_by_[i], high_by_[i]);
   }
   return range;
@@ -99,8 +88,8 @@ AlphaRange LimitedStep::Box::alphas(const JointVector& qd0, const JointVector& q
 
 /// Each joint bounds alpha from below and above by a line over the share; every lower line must
 /// stay below every upper one.
-AlphaRange LimitedStep::Box::shares(const JointVector& qd0, const JointVector& back,
-                                    const JointVector& qd1) const {
+AlphaRange LimitedStep::Box::shares(const Joints& qd0, const Joints& back,
+                                    const Joints& qd1) const {
   struct Line {
     double at_0, slope;
   };
@@ -109,7 +98,7 @@ AlphaRange LimitedStep::Box::shares(const JointVector& qd0, const JointVector& b
   upper[0] = {1, 0};
   int n = 1;
   AlphaRange range;
-  for (Eigen::Index i = 0; i < qd0.size(); ++i) {
+  for (Eigen::Index i = 0; i < n_; ++i) {
     if (std::abs(qd1[i]) < 1e-12) {
       range.keep(qd0[i], back[i], low_[i], high_[i], "", "");
       continue;
@@ -130,11 +119,10 @@ AlphaRange LimitedStep::Box::shares(const JointVector& qd0, const JointVector& b
 }
 
 /// Convex in alpha: ternary search.
-double LimitedStep::Box::least_beyond(const JointVector& qd0, const JointVector& qd1,
-                                      double highest) const {
+double LimitedStep::Box::least_beyond(const Joints& qd0, const Joints& qd1, double highest) const {
   const auto excess = [&](double alpha) {
     double worst = 0;
-    for (Eigen::Index i = 0; i < qd0.size(); ++i) {
+    for (Eigen::Index i = 0; i < n_; ++i) {
       const double v = qd0[i] + alpha * qd1[i];
       worst = std::max({worst, low_[i] - v, v - high_[i]});
     }

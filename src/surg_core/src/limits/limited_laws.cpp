@@ -8,6 +8,8 @@ namespace {
 
 constexpr double kOnPivot = 1e-12;      // [m]
 constexpr double kExact = 1e-15;        // [m] left on the pivot: not worth a look
+constexpr double kOnPath = 1e-9;        // [m, rad] beside the path: taken back at once
+constexpr double kNearlyFull = 0.98;    // of the clock's rate: the whole cycle's secant, bent back
 constexpr double kBent = 0.1;           // of a step, that the arm's own bending may be
 constexpr double kPivotTurns = 0.005;   // [m] deeper than that, a moving trocar turns the shaft
 constexpr double kPostureShare = 0.05;  // of the velocity limits, at most, for the null space
@@ -35,33 +37,35 @@ double kept(double off, double acceleration, double at_once, double T) {
 
 }  // namespace
 
-double LimitedStep::Affine::expected(const JointVector& qd_last, double T) const {
+double LimitedStep::Affine::expected(const Joints& qd_last, double T) const {
   const double squared = tangent.squaredNorm();
-  return squared > 0 ? std::clamp(qd_last.dot(tangent) / squared, kTwistSpacing / T, 1.0) : 1.0;
+  const double rate = squared > 0 ? qd_last.dot(tangent) / squared : 1.0;
+  return std::clamp(rate, kTwistSpacing / T, 1.0);
 }
 
 // --- what the laws share ----------------------------------------------------------------------
 
 /// Newton's method from 'guess', one step: joints, and their direction from the second pose. A step
 /// as long as the arc itself has left the path or is at its end.
-bool LimitedStep::Law::pose_node(const JointVector& guess, const Pose& pose, const Pose& later,
+bool LimitedStep::Law::pose_node(const Joints& guess, const Pose& pose, const Pose& later,
                                  double arc, Node& node) const {
-  const JointVector still = JointVector::Zero(guess.size());
   Pose X;
   Jacobian J;
   self_.chain_.forward(guess, X, J);
-  const Inverse inverse(J);
-  if (!inverse.regular()) return false;
-  const JointVector rest = inverse(displacement(X, pose), still);
-  if (largest(rest) > 0.35 * arc + kArcReserve) return false;
+  Vectors6<2> twists;
+  twists.col(0) = displacement(X, pose);
+  twists.col(1) = (displacement(X, later) - twists.col(0)) / kTwistSpacing;
+  const Steps<2> steps = least_steps<2>(J, twists);
+  const Joints &rest = steps.dq[0], &direction = steps.dq[1];
+  if (!(steps.pivots.ratio() > 0) || largest(rest) > 0.35 * arc + kArcReserve) return false;
   node.q = guess + rest;
-  node.direction = (inverse(displacement(X, later), still) - rest) / kTwistSpacing;
-  node.measures = self_.barrier_.measures(X, J);
+  node.direction = direction;
+  node.measures = self_.barrier_.measures(X, J, steps.pivots);
   node.flange = (later.translation() - pose.translation()).norm() / kTwistSpacing;
   return true;
 }
 
-RcmRows LimitedStep::Law::rows_after(const JointVector& qd, const Vector3& p_BRcm) const {
+RcmRows LimitedStep::Law::rows_after(const Joints& qd, const Vector3& p_BRcm) const {
   Pose X;
   Jacobian J;
   self_.chain_.forward(here_.q + self_.T_ * qd, X, J);
@@ -72,30 +76,29 @@ RcmRows LimitedStep::Law::rows_after(const JointVector& qd, const Vector3& p_BRc
 
 /// A wish for the null space, small beside what the joints need for the path; zero where there is
 /// no null space or no wish.
-JointVector LimitedStep::Law::gentle(const JointVector& posture) const {
-  const Eigen::Index n = self_.chain_.dof();
-  if (n <= 6 || posture.size() != n || !posture.allFinite()) return JointVector::Zero(n);
+Joints LimitedStep::Law::gentle(const JointVector& posture) const {
+  if (here_.n <= 6 || posture.size() != here_.n || !posture.allFinite()) return Joints::Zero();
   const double share = (posture.array() / self_.limits_.velocity.array()).abs().maxCoeff();
-  return posture * std::min(1.0, kPostureShare / std::max(share, 1e-12));
+  return padded(posture) * std::min(1.0, kPostureShare / std::max(share, 1e-12));
 }
 
 // --- the exact form ---------------------------------------------------------------------------
 
 LimitedStep::ExactLaw::ExactLaw(const LimitedStep& self, const Here& here, const Home& home,
                                 const StepRequest& request)
-    : Law(self, here),
-      home_(home),
-      request_(request),
-      inverse_(here.J),
-      still_(JointVector::Zero(here.q.size())) {
+    : Law(self, here), home_(home), request_(request), inverse_(here.J) {
   ShaftGoal goal = request.path(0);
   p_BRcm_ = goal.p_BRcm;
-  if (!request.v_BRcm.isZero(0)) {  // the trocar is still where it was
+  to_0_ = displacement(here.X_BF, pose_on_pivot(home, self.tool_, goal));
+  const bool turns = !request.v_BRcm.isZero(0);
+  if (!turns && to_0_.cwiseAbs().maxCoeff() < kOnPath) return;
+  if (turns) {  // the trocar is still where it was
     const Vector3 p_BTip = goal.p_BTip();
     goal.p_BRcm -= self.T_ * request.v_BRcm;
     if (goal.depth > kPivotTurns) goal = tip_goal(goal.p_BRcm, p_BTip, goal.roll, goal.s_B);
   }
   measure_displacement(goal);
+  if (returning_) to_0_ = displacement(here.X_BF, pose(0, keep_));
 }
 
 /// Where the instrument is, relative to where its path is now: zero unless a limit pushed it off.
@@ -117,53 +120,68 @@ void LimitedStep::ExactLaw::measure_displacement(const ShaftGoal& goal) {
 LimitedStep::Affine LimitedStep::ExactLaw::affine() const {
   const double T = self_.T_;
   Affine a;
-  const JointVector posture = T * gentle(request_.posture);
+  const Joints posture = T * gentle(request_.posture);
   const bool pulled = posture.squaredNorm() > 0;
-  const auto to = [&](double t) { return displacement(here_.X_BF, pose(t, keep_)); };
   a.regular = inverse_.regular();
-  const JointVector rest = inverse_(to(0), posture);
-  a.tangent = (inverse_(to(kTwistSpacing), posture) - rest) / kTwistSpacing;
-  const double expected = a.expected(here_.qd_last, T);
+  a.measures = self_.barrier_.measures(here_.X_BF, here_.J, inverse_.pivots());
+  const Joints rest = inverse_(to_0_, posture);
+  const auto along = [&](const Pose& pose, double t) -> Vector6 {
+    return (displacement(here_.X_BF, pose) - to_0_) / t;
+  };
+  const Vector6 tangent = along(pose(kTwistSpacing, keep_), kTwistSpacing);
+  a.tangent = inverse_(tangent);
+  const double expected = a.expected(here_.qd_last, T), t = expected * T;
+  // The whole cycle's end is where the step most often ends: not to be computed twice.
+  a.end_at = expected > kNearlyFull ? T : t;
+  a.end = pose(a.end_at, keep_);
   a.qd0 = rest / T;
-  a.qd1 = (inverse_(to(expected * T), posture) - rest) / (expected * T);
+  a.twist = along(a.end, a.end_at);
+  if (t < a.end_at) a.twist += (t - a.end_at) / (a.end_at - kTwistSpacing) * (a.twist - tangent);
+  a.qd1 = inverse_(a.twist);
   a.returning = (returning_ || pulled) && a.regular;
   if (a.returning) {
-    a.back = (rest - inverse_(displacement(here_.X_BF, pose(0, 1.0)), still_)) / T;
+    const Vector6 all = returning_ ? displacement(here_.X_BF, pose(0, 1.0)) : to_0_;
+    a.back = (rest - inverse_(all)) / T;
   }
   a.moves = a.qd1.cwiseAbs().maxCoeff() > 1e-9;
   a.bias = bias_acceleration(here_.J, a.qd1);
-  a.qdd = inverse_(a.bias, still_);
+  a.qdd = inverse_(a.bias);
   const bool bent = !(T * largest(a.qdd) < kBent * largest(a.qd1));
   if (bent) a.qdd.setZero();
   // Redundant arms bend in their null space as well.
-  if (!bent && here_.q.size() == 6) a.secant = expected * T;
+  if (!bent && here_.n == 6) a.secant = t;
   return a;
 }
 
-JointVector LimitedStep::ExactLaw::finish(const Affine& affine, double alpha, double beta,
-                                          const JointVector& qd) const {
+Joints LimitedStep::ExactLaw::finish(const Affine& affine, double alpha, double beta,
+                                     const Joints& qd) const {
   const double T = self_.T_;
   const double keep = 1 - beta * (1 - keep_);
-  JointVector q = here_.q + T * (qd - 0.5 * T * alpha * alpha * affine.qdd);
+  Joints q = here_.q + T * (qd - 0.5 * T * alpha * alpha * affine.qdd);
   Pose X;
   Jacobian J;
   self_.chain_.forward(q, X, J);
-  const InverseVelocity left = inverse_velocity(J, displacement(X, pose(alpha * T, keep)), still_);
-  q += left.qd;
-  // What Newton's method leaves is of second order.
-  const double moved = left.qd.lpNorm<1>();
-  if (left.conditioning > 0 && 2 * self_.reach_ * moved * moved < kExact) return (q - here_.q) / T;
+  const double t = alpha * T;
+  const bool known = t == affine.end_at && keep == keep_;
+  const Steps<1> left = least_steps<1>(J, displacement(X, known ? affine.end : pose(t, keep)));
+  if (left.pivots.ratio() > 0) {
+    const Joints& step = left.dq[0];
+    q += step;
+    // What Newton's method leaves is of second order.
+    const double moved = step.lpNorm<1>();
+    if (2 * self_.reach_ * moved * moved < kExact) return (q - here_.q) / T;
+  }
   // The pivot's own rows: well conditioned even where J is singular.
   for (int pass = 0; pass < 2; ++pass) {
     X = self_.chain_.forward(q);
     const ShaftState shaft = shaft_state(X, self_.tool_, p_BRcm());
     if (shaft.e.squaredNorm() < kOnPivot * kOnPivot) break;
-    q += rcm_correction(rcm_rows(J, shaft)).dq;
+    q += padded(rcm_correction(rcm_rows(J, shaft)).dq);
   }
   return (q - here_.q) / T;
 }
 
-bool LimitedStep::ExactLaw::node(double t, const JointVector& guess, double arc, Node& node) const {
+bool LimitedStep::ExactLaw::node(double t, const Joints& guess, double arc, Node& node) const {
   return pose_node(guess, pose(t, 1.0), pose(t + kTwistSpacing, 1.0), arc, node);
 }
 
@@ -187,38 +205,38 @@ Pose LimitedStep::ExactLaw::pose(double t, double keep) const {
 
 LimitedStep::Affine LimitedStep::VelocityLaw::affine() const {
   Affine a;
-  const JointVector none = JointVector::Zero(here_.q.size());
-  const JointVector posture = gentle(request_.posture);
+  const Joints posture = gentle(request_.posture);
   const Inverse inverse(here_.J);
   a.regular = inverse.regular();
+  a.measures = self_.barrier_.measures(here_.X_BF, here_.J, inverse.pivots());
   a.qd0 = inverse(request_.feedback, posture);
-  a.qd1 = a.tangent = inverse(request_.forward, none);
+  a.twist = request_.forward;
+  a.qd1 = a.tangent = inverse(a.twist);
   a.moves = a.qd1.cwiseAbs().maxCoeff() > 1e-9;
   a.bias = bias_acceleration(here_.J, a.qd1);
   // Lateral velocity that the pivot needs; the rest of the feedback may wait.
   Vector6 pivot = Vector6::Zero();
   const Vector3 v = feedback_at_pivot();
   pivot.head<3>() = v - here_.shaft.s * here_.shaft.s.dot(v);
-  a.back = a.qd0 - inverse(pivot, none);
+  a.back = a.qd0 - inverse(pivot);
   a.returning = a.regular;
   return a;
 }
 
-RcmRows LimitedStep::VelocityLaw::rows(const JointVector& qd) const {
+RcmRows LimitedStep::VelocityLaw::rows(const Joints& qd) const {
   RcmRows rows = rows_;
   const Vector3& s = here_.shaft.s;
   const Vector3 u = s.unitOrthogonal(), w = s.cross(u);
   const Vector3 v = feedback_at_pivot();
   rows.e = {u.dot(v), w.dot(v)};
-  for (Eigen::Index i = 0; i < qd.size(); ++i) {
+  for (Eigen::Index i = 0; i < here_.n; ++i) {
     rows.e[0] -= rows.J(0, i) * qd[i];
     rows.e[1] -= rows.J(1, i) * qd[i];
   }
   return rows;
 }
 
-bool LimitedStep::VelocityLaw::node(double t, const JointVector& guess, double arc,
-                                    Node& node) const {
+bool LimitedStep::VelocityLaw::node(double t, const Joints& guess, double arc, Node& node) const {
   if (!request_.path) return false;
   return pose_node(guess, pose_on_pivot(home_, self_.tool_, request_.path(t)),
                    pose_on_pivot(home_, self_.tool_, request_.path(t + kTwistSpacing)), arc, node);
@@ -236,7 +254,7 @@ LimitedStep::RetraceLaw::RetraceLaw(const LimitedStep& self, const Here& here,
                                     const JointTrace& trace, double back, double rate,
                                     const Vector3& p_BRcm)
     : Law(self, here), trace_(trace), back_(back), rate_(rate), p_BRcm_(p_BRcm) {
-  at_0_ = on_pivot(trace.at(back));
+  at_0_ = on_pivot(padded(trace.at(back)));
   off_ = here.q - at_0_;
   keep_ = kept(largest(off_), kRetraceReturn, kRetraceAtOnce, self.T_);
 }
@@ -247,43 +265,44 @@ LimitedStep::Affine LimitedStep::RetraceLaw::affine() const {
   const double T = self_.T_;
   Affine a;
   a.qd0 = (at_0_ + keep_ * off_ - here_.q) / T;
-  a.tangent = (on_pivot(trace_.at(back_ + rate_ * kTraceSpacing)) - at_0_) / kTraceSpacing;
+  a.tangent = (on_pivot(padded(trace_.at(back_ + rate_ * kTraceSpacing))) - at_0_) / kTraceSpacing;
   const double expected = a.expected(here_.qd_last, T);
-  a.qd1 = (on_pivot(trace_.at(back_ + expected * rate_ * T)) - at_0_) / (expected * T);
+  a.qd1 = (on_pivot(padded(trace_.at(back_ + expected * rate_ * T))) - at_0_) / (expected * T);
   a.back = (keep_ - 1) * off_ / T;
   a.returning = true;
+  a.twist = flange_twist(here_.J, a.qd1);
   a.moves = back_ < trace_.length();
   a.bias = bias_acceleration(here_.J, a.qd1);
   return a;
 }
 
-JointVector LimitedStep::RetraceLaw::finish(const Affine&, double alpha, double beta,
-                                            const JointVector&) const {
+Joints LimitedStep::RetraceLaw::finish(const Affine&, double alpha, double beta,
+                                       const Joints&) const {
   const double T = self_.T_;
   const double keep = 1 - beta * (1 - keep_);
-  const JointVector on_trace = on_pivot(trace_.at(back_ + alpha * rate_ * T));
+  const Joints on_trace = on_pivot(padded(trace_.at(back_ + alpha * rate_ * T)));
   return (on_pivot(on_trace + keep * off_) - here_.q) / T;
 }
 
-bool LimitedStep::RetraceLaw::node(double t, const JointVector&, double, Node& node) const {
-  node.q = on_pivot(trace_.at(back_ + rate_ * t));
+bool LimitedStep::RetraceLaw::node(double t, const Joints&, double, Node& node) const {
+  node.q = on_pivot(padded(trace_.at(back_ + rate_ * t)));
   node.direction =
-      (on_pivot(trace_.at(back_ + rate_ * (t + kTraceSpacing))) - node.q) / kTraceSpacing;
+      (on_pivot(padded(trace_.at(back_ + rate_ * (t + kTraceSpacing)))) - node.q) / kTraceSpacing;
   Pose X;
   Jacobian J;
   self_.chain_.forward(node.q, X, J);
-  node.flange = (J * node.direction).head<3>().norm();
+  node.flange = flange_twist(J, node.direction).head<3>().norm();
   return true;
 }
 
-JointVector LimitedStep::RetraceLaw::on_pivot(JointVector q) const {
+Joints LimitedStep::RetraceLaw::on_pivot(Joints q) const {
   for (int pass = 0; pass < 3; ++pass) {
     Pose X;
     Jacobian J;
     self_.chain_.forward(q, X, J);
     const ShaftState shaft = shaft_state(X, self_.tool_, p_BRcm_);
     if (shaft.e.squaredNorm() < kOnPivot * kOnPivot) break;
-    q += rcm_correction(rcm_rows(J, shaft)).dq;
+    q += padded(rcm_correction(rcm_rows(J, shaft)).dq);
   }
   return q;
 }

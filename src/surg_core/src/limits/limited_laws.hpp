@@ -13,11 +13,12 @@ namespace surg {
 constexpr double kTwistSpacing = 1e-4;     ///< [s] of the clock, for a path's direction
 constexpr double kPlanAcceleration = 0.8;  ///< of the limits: the step keeps reserves to follow
 
-inline double largest(const JointVector& v) { return v.size() > 0 ? v.cwiseAbs().maxCoeff() : 0.0; }
+inline double largest(const Joints& v) { return v.cwiseAbs().maxCoeff(); }
 
 /// Where the arm is at the beginning of the cycle.
 struct LimitedStep::Here {
-  JointVector q, qd_last;
+  Eigen::Index n;  ///< joints
+  Joints q, qd_last;
   Pose X_BF;
   Jacobian J;
   ShaftState shaft;
@@ -26,11 +27,15 @@ struct LimitedStep::Here {
 
 /// q_dot(alpha) to first order. 'back' is the part of the correction that may be delayed.
 struct LimitedStep::Affine {
-  JointVector qd0, qd1;
-  JointVector tangent;  ///< d q / d clock at the beginning
-  JointVector back;
-  Vector6 bias;            ///< flange's acceleration at constant joint velocities qd1 (J_dot qd1)
-  JointVector qdd;         ///< J^-1 bias, exact form only; zero next to a singularity
+  Joints qd0, qd1;
+  Joints tangent;  ///< d q / d clock at the beginning
+  Joints back;
+  Vector6 twist;  ///< of the flange, by qd1
+  Vector6 bias;   ///< flange's acceleration at constant joint velocities qd1 (J_dot qd1)
+  Joints qdd;     ///< J^-1 bias, exact form only; zero next to a singularity
+  SingularityMeasures measures;  ///< here, where the barrier applies
+  Pose end;  ///< exact form only: where the path is at 'end_at' [s] of the clock
+  double end_at = 0;
   double secant = 0;       ///< [s] of the clock that qd1 spans; 0: tells no bend
   bool returning = false;  ///< 'back' is not zero
   bool moves = false;      ///< the path is not at rest
@@ -39,12 +44,12 @@ struct LimitedStep::Affine {
   /// Clock rate expected from the arm's momentum. qd1 is the secant of the path over that part of
   /// the cycle: the secant over the whole cycle would miss a curved path by more than the joints
   /// can brake.
-  double expected(const JointVector& qd_last, double T) const;
+  double expected(const Joints& qd_last, double T) const;
 };
 
 /// A point of the path ahead.
 struct LimitedStep::Node {
-  JointVector q, direction;  ///< direction: d q / d clock
+  Joints q, direction;  ///< direction: d q / d clock
   SingularityMeasures measures;
   double flange = 0;  ///< [m/s] speed of its origin at full clock
 };
@@ -70,26 +75,26 @@ class LimitedStep::Law {
   virtual Affine affine() const = 0;
   /// The step without linearisation, near the linear one qd. beta: share of the way back to the
   /// path.
-  virtual JointVector finish(const Affine& affine, double alpha, double beta,
-                             const JointVector& qd) const = 0;
+  virtual Joints finish(const Affine& affine, double alpha, double beta,
+                        const Joints& qd) const = 0;
   /// Rows of the pivot at the end of a cycle with qd: J qd' = J qd + e puts it on the trocar.
-  virtual RcmRows rows(const JointVector& qd) const = 0;
+  virtual RcmRows rows(const Joints& qd) const = 0;
   virtual Vector3 p_BRcm() const = 0;
   /// [s] of the clock to look ahead; 0: none.
   virtual double horizon() const = 0;
   /// The path at t [s] of the clock, near the joints 'guess', 'arc' [rad] from the node before;
   /// false where it cannot be followed.
-  virtual bool node(double t, const JointVector& guess, double arc, Node& node) const = 0;
+  virtual bool node(double t, const Joints& guess, double arc, Node& node) const = 0;
   /// Whether the singularity barrier applies.
   virtual bool has_barrier() const { return true; }
 
  protected:
   /// A node by its flange pose, and the pose kTwistSpacing later.
-  bool pose_node(const JointVector& guess, const Pose& pose, const Pose& later, double arc,
+  bool pose_node(const Joints& guess, const Pose& pose, const Pose& later, double arc,
                  Node& node) const;
   /// Rows of the pivot's point on the shaft after qd, in velocities.
-  RcmRows rows_after(const JointVector& qd, const Vector3& p_BRcm) const;
-  JointVector gentle(const JointVector& posture) const;
+  RcmRows rows_after(const Joints& qd, const Vector3& p_BRcm) const;
+  Joints gentle(const JointVector& posture) const;
 
   const LimitedStep& self_;
   const Here& here_;
@@ -101,12 +106,11 @@ class LimitedStep::ExactLaw : public Law {
   ExactLaw(const LimitedStep& self, const Here& here, const Home& home, const StepRequest& request);
 
   Affine affine() const override;
-  JointVector finish(const Affine& affine, double alpha, double beta,
-                     const JointVector& qd) const override;
-  RcmRows rows(const JointVector& qd) const override { return rows_after(qd, p_BRcm()); }
+  Joints finish(const Affine& affine, double alpha, double beta, const Joints& qd) const override;
+  RcmRows rows(const Joints& qd) const override { return rows_after(qd, p_BRcm()); }
   Vector3 p_BRcm() const override { return p_BRcm_; }
   double horizon() const override { return request_.path ? request_.horizon : 0.0; }
-  bool node(double t, const JointVector& guess, double arc, Node& node) const override;
+  bool node(double t, const Joints& guess, double arc, Node& node) const override;
 
  private:
   void measure_displacement(const ShaftGoal& goal);
@@ -116,8 +120,9 @@ class LimitedStep::ExactLaw : public Law {
   const StepRequest& request_;
   Inverse inverse_;  ///< of the Jacobian here
   Vector3 p_BRcm_;
-  JointVector still_;
-  Vector3 off_swing_;  ///< the tip's displacement off its path: of the shaft, as rotation vector
+  Vector6 to_0_;  ///< flange's displacement to the path now, of which 'keep_' is left
+  Vector3 off_swing_ =
+      Vector3::Zero();  ///< the tip's displacement off its path: of the shaft, as rotation vector
   double off_depth_ = 0, off_roll_ = 0;
   double keep_ = 0;  ///< share of it that is left after this cycle
   bool returning_ = false;
@@ -131,13 +136,11 @@ class LimitedStep::VelocityLaw : public Law {
       : Law(self, here), home_(home), request_(request), rows_(rcm_rows(here.J, here.shaft)) {}
 
   Affine affine() const override;
-  JointVector finish(const Affine&, double, double, const JointVector& qd) const override {
-    return qd;
-  }
-  RcmRows rows(const JointVector& qd) const override;
+  Joints finish(const Affine&, double, double, const Joints& qd) const override { return qd; }
+  RcmRows rows(const Joints& qd) const override;
   Vector3 p_BRcm() const override { return here_.shaft.p_BNear + here_.shaft.e; }
   double horizon() const override { return request_.path ? request_.horizon : 0.0; }
-  bool node(double t, const JointVector& guess, double arc, Node& node) const override;
+  bool node(double t, const Joints& guess, double arc, Node& node) const override;
 
  private:
   Vector3 feedback_at_pivot() const;
@@ -155,20 +158,20 @@ class LimitedStep::RetraceLaw : public Law {
              double rate, const Vector3& p_BRcm);
 
   Affine affine() const override;
-  JointVector finish(const Affine&, double alpha, double beta, const JointVector&) const override;
-  RcmRows rows(const JointVector& qd) const override { return rows_after(qd, p_BRcm_); }
+  Joints finish(const Affine&, double alpha, double beta, const Joints&) const override;
+  RcmRows rows(const Joints& qd) const override { return rows_after(qd, p_BRcm_); }
   Vector3 p_BRcm() const override { return p_BRcm_; }
   double horizon() const override;
-  bool node(double t, const JointVector&, double, Node& node) const override;
+  bool node(double t, const Joints&, double, Node& node) const override;
   bool has_barrier() const override { return false; }
 
  private:
-  JointVector on_pivot(JointVector q) const;
+  Joints on_pivot(Joints q) const;
 
   const JointTrace& trace_;
   double back_, rate_;
   Vector3 p_BRcm_;
-  JointVector at_0_, off_;
+  Joints at_0_, off_;
   double keep_ = 0;
 };
 

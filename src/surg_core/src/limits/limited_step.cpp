@@ -23,8 +23,9 @@ constexpr double kSlightBend = 0.25;   // of the bend that caps alpha: less need
 constexpr double kLongSecant = 0.9;    // of the cycle: a secant as long shows the path's bend
 constexpr double kNearSingular = 0.3;  // of a measure: farther away the barrier has no word
 
-double flange_speed(const Jacobian& J, const JointVector& qd) {
-  return flange_twist(J, qd).head<3>().norm();
+double flange_speed(const Jacobian& J, const Joints& qd) {
+  const Vector6 twist = flange_twist(J, qd);
+  return twist.head<3>().norm();
 }
 
 /// Lateral vector e'' of the shaft for the flange's twist and acceleration.
@@ -60,8 +61,9 @@ LimitedStep::LimitedStep(const Chain& chain, const Tool& tool, const JointLimits
 LimitedStep::Here LimitedStep::at(const JointVector& q, const JointVector& qd_last,
                                   double flange_lead) const {
   Here here;
-  here.q = q;
-  here.qd_last = qd_last;
+  here.n = q.size();
+  here.q = padded(q);
+  here.qd_last = padded(qd_last);
   here.flange_velocity = limits_.flange_velocity - flange_lead;
   chain_.forward(q, here.X_BF, here.J);
   return here;
@@ -88,13 +90,13 @@ Step LimitedStep::retrace(const JointVector& q, const JointVector& qd_last, cons
 }
 
 Step LimitedStep::run(const Law& law, const Here& here) const {
-  const Box box(limits_, T_, here.q, here.qd_last);
+  const Box box(limits_, T_, here);
   const Affine affine = law.affine();
   const Cap most = affine.regular ? cap(law, here, affine) : Cap{0.0, ""};
   Step step;
   const bool found = on_path(law, affine, box, most, step);
   // On the path the joints may not be able to brake as hard as the flange needs it.
-  const bool too_fast = found && flange_speed(here.J, step.qd) > here.flange_velocity;
+  const bool too_fast = found && flange_speed(here.J, padded(step.qd)) > here.flange_velocity;
   if (found && !too_fast) {
     step.held = affine.moves && step.alpha < kHeld && is_still(step.qd);
   } else {
@@ -114,14 +116,15 @@ bool LimitedStep::is_still(const JointVector& qd) const {
 LimitedStep::Cap LimitedStep::cap(const Law& law, const Here& here, const Affine& affine) const {
   Cap cap;
   if (!affine.moves) return cap;
-  const double flange = flange_speed(here.J, affine.qd1);
+  const double flange = affine.twist.head<3>().norm();
   if (flange > here.flange_velocity) {
     cap.limit(here.flange_velocity / flange, "flange_velocity");
   }
   if (clearance_ && clearance_->active()) {
-    const JointVector back =
-        affine.returning ? affine.back : JointVector(JointVector::Zero(here.q.size()));
-    cap.limit(clearance_->cap(here.q, affine.qd0, back, affine.qd1, limits_.acceleration),
+    const Joints back = affine.returning ? affine.back : Joints(Joints::Zero());
+    const auto unpadded = [&](const Joints& v) -> JointVector { return v.head(here.n); };
+    cap.limit(clearance_->cap(unpadded(here.q), unpadded(affine.qd0), unpadded(back),
+                              unpadded(affine.qd1), limits_.acceleration),
               "clearance");
   }
   cap_sagitta(law, here, affine, cap);
@@ -141,13 +144,13 @@ LimitedStep::Cap LimitedStep::cap(const Law& law, const Here& here, const Affine
 void LimitedStep::cap_sagitta(const Law& law, const Here& here, const Affine& affine,
                               Cap& cap) const {
   const double speed = affine.expected(here.qd_last, T_);
-  const JointVector half = 0.5 * T_ * speed * affine.qd1;
+  const Joints half = 0.5 * T_ * speed * affine.qd1;
   const Vector3 p_BRcm = law.p_BRcm();
   const ShaftState shaft = shaft_state(here.X_BF, tool_, p_BRcm);
   // An eighth of e'' here, and what its change can add: |e'''| is below (20 reach + 8 |L|) w^3, w
   // the sum of all joints' motion.
   const double part = T_ * speed, w = part * affine.qd1.lpNorm<1>();
-  const Vector3 second = lateral_acceleration(shaft, flange_twist(here.J, affine.qd1), affine.bias);
+  const Vector3 second = lateral_acceleration(shaft, affine.twist, affine.bias);
   const double reach = reach_ + tool_.p_FTip.norm();  // from any joint to the tip
   const double bound =
       part * part * second.norm() / 8 + (20 * reach + 8 * std::abs(shaft.depth)) * w * w * w / 16;
@@ -163,7 +166,7 @@ void LimitedStep::cap_sagitta(const Law& law, const Here& here, const Affine& af
 
 /// Singularity barrier: rate of each measure along the path, from a small step of it.
 void LimitedStep::cap_approach(const Here& here, const Affine& affine, Cap& cap) const {
-  const SingularityMeasures now = barrier_.measures(here.X_BF, here.J);
+  const SingularityMeasures& now = affine.measures;
   double closest = 1;
   for (int i = 0; i < now.n; ++i) closest = std::min(closest, std::abs(now.phi[i]));
   if (!(closest < kNearSingular)) return;
@@ -182,7 +185,7 @@ void LimitedStep::cap_approach(const Here& here, const Affine& affine, Cap& cap)
 /// before the first of them meets its position limit.
 void LimitedStep::cap_unseen(const Law& law, const Here& here, const Affine& affine,
                              Cap& cap) const {
-  const Eigen::Index n = here.q.size();
+  const Eigen::Index n = here.n;
   double deceleration = INFINITY;  // of the clock
   for (Eigen::Index i = 0; i < n; ++i) {
     const double speed = std::max(std::abs(affine.qd1[i]), 1e-9);
@@ -195,13 +198,16 @@ void LimitedStep::cap_unseen(const Law& law, const Here& here, const Affine& aff
                                           : here.q[i] - limits_.position_min[i];
     const double in =
         approach_speed(speed, left, deceleration * speed, limits_.position_margin, T_);
-    cap.limit(in / speed, "joint_limit");
+    if (in < speed) cap.limit(in / speed, "joint_limit");
   }
   if (affine.secant > kLongSecant * T_) {
     // The path's own bend, less what the arm's makes of it.
-    const JointVector about = 2 / affine.secant * (affine.qd1 - affine.tangent) - affine.qdd;
-    const auto caps = kPlanAcceleration * limits_.acceleration.array();
-    if ((about.array().abs() < kSlightBend * caps).all()) return;
+    const Joints about = 2 / affine.secant * (affine.qd1 - affine.tangent) - affine.qdd;
+    bool slight = true;
+    for (Eigen::Index i = 0; i < n; ++i) {
+      slight &= std::abs(about[i]) < kSlightBend * kPlanAcceleration * limits_.acceleration[i];
+    }
+    if (slight) return;
   }
   Node next;
   if (!law.node(T_, here.q + T_ * affine.tangent, T_ * largest(affine.tangent), next)) return;
@@ -236,11 +242,11 @@ bool LimitedStep::on_path(const Law& law, const Affine& affine, const Box& box, 
 /// was missed into the picture, and again.
 bool LimitedStep::on_path(const Law& law, const Affine& affine, const Box& box, const Cap& cap,
                           double beta, Step& step) const {
-  JointVector missed = JointVector::Zero(affine.qd0.size());
+  Joints missed = Joints::Zero();
   double alpha = 0;
   bool found = false;
   for (int pass = 0; pass < kPasses; ++pass) {
-    JointVector qd0 = affine.qd0 + missed;
+    Joints qd0 = affine.qd0 + missed;
     if (beta < 1 && affine.returning) qd0 -= (1 - beta) * affine.back;
     const AlphaRange range = box.alphas(qd0, affine.qd1);
     const bool bent = range.empty();  // the linear picture is worthless: go back by halves
@@ -251,12 +257,12 @@ bool LimitedStep::on_path(const Law& law, const Affine& affine, const Box& box, 
     if (found) next += 0.1 * std::max(alpha - next, 0.0);
     if (found && !(next < alpha)) break;
     alpha = next;
-    const JointVector linear = qd0 + alpha * affine.qd1;
-    const JointVector qd = law.finish(affine, alpha, beta, box.clamped(linear));
+    const Joints linear = qd0 + alpha * affine.qd1;
+    const Joints qd = law.finish(affine, alpha, beta, box.clamped(linear));
     const bool holds = box.holds(qd);
     if (holds) {
       found = true;
-      step.qd = qd;
+      step.qd = box.unpadded(qd);
       step.alpha = alpha;
       step.limited_by = alpha >= 1 ? "" : (range.high <= cap.alpha ? range.high_by : cap.by);
     }
@@ -279,27 +285,30 @@ void LimitedStep::off_path(const Law& law, const Here& here, const Affine& affin
   step.limited_by = !affine.regular ? "singularity"
                     : too_fast      ? "flange_velocity"
                                     : "joint_acceleration";
-  JointVector still = JointVector::Zero(here.q.size());  // what the set-point at rest asks for
+  Joints still = Joints::Zero();  // what the set-point at rest asks for
   if (affine.regular) still = affine.qd0;
   if (affine.regular && affine.returning) still -= affine.back;
-  JointVector wanted = still + braked_together(here.qd_last - still, limits_.acceleration, T_);
+  const JointVector moving = (here.qd_last - still).head(here.n);
+  JointVector wanted = still.head(here.n) + braked_together(moving, limits_.acceleration, T_);
   if (too_fast) wanted = slowed_flange(here.J, here.flange_velocity, step.qd, wanted);
   if (on_rows(law, box, wanted, step.qd)) return;
   step.tier = 2;
   step.alpha = 0;
-  on_rows(law, box, JointVector::Zero(here.q.size()), step.qd);
+  on_rows(law, box, JointVector::Zero(here.n), step.qd);
   // Joints that brake one by one may speed the flange up.
-  const JointVector together = braked_together(here.qd_last, limits_.acceleration, T_);
-  step.qd = slowed_flange(here.J, here.flange_velocity, step.qd, box.clamped(together));
+  const JointVector last = here.qd_last.head(here.n);
+  const Joints together = padded(braked_together(last, limits_.acceleration, T_));
+  step.qd =
+      slowed_flange(here.J, here.flange_velocity, step.qd, box.unpadded(box.clamped(together)));
 }
 
 /// The joint velocities nearest to 'wanted' on the pivot; whether they are on it.
 bool LimitedStep::on_rows(const Law& law, const Box& box, const JointVector& wanted,
                           JointVector& qd) const {
-  qd = box.clamped(wanted);
+  qd = box.unpadded(box.clamped(padded(wanted)));
   double left = INFINITY;
   for (int pass = 0; pass < kRowPasses; ++pass) {
-    RcmRows rows = law.rows(qd);
+    RcmRows rows = law.rows(padded(qd));
     if (pass > 0 && rows.e.norm() * T_ < kOnPivot) return true;
     // Rows that hold at 'qd', written for 'wanted'.
     for (Eigen::Index i = 0; i < qd.size(); ++i) {

@@ -64,20 +64,39 @@ double largest_x(const Rows& rows, int n, double X, double Y) {
 LimitedStep::LookAhead::LookAhead(const LimitedStep& self, const Law& law, const Here& here,
                                   const Affine& affine)
     : self_(self),
+      n_(here.n),
       horizon_(law.horizon()),
       flange_velocity_(here.flange_velocity),
       spacing_(kFirstSpacing),
       arc_(kFirstArc) {
   at_[0] = here.q;
   direction_[0] = affine.tangent;
-  flange_[0] = (here.J * affine.tangent).head<3>().norm();
-  if (law.has_barrier()) measures_ = self.barrier_.measures(here.X_BF, here.J);
+  flange_[0] = flange_twist(here.J, affine.tangent).head<3>().norm();
+  measures_ = affine.measures;
+  most_[0] = fastest(0);
+  double enough = stopping_time();
   while (last_ < kNodes && evaluations_ < 2 * kNodes && t_[last_] < horizon_) {
-    if (advance(law, here)) continue;
-    if (by_[0] == 'p') by_ = "unreachable";
-    break;
+    if (!advance(law, here)) {
+      if (by_[0] == 'p') by_ = "unreachable";
+      break;
+    }
+    most_[last_] = fastest(last_);
+    if (t_[last_] < enough || most_[0] < 1 || most_[1] < 1) continue;
+    plan();
+    if (alpha() == 1) return;  // stops in time already: what lies behind only adds room
+    enough = 2 * t_[last_];
   }
   plan();
+}
+
+/// Of the clock, from full speed, if the joints stayed as fast as here [s].
+double LimitedStep::LookAhead::stopping_time() const {
+  double longest = 0;
+  for (Eigen::Index j = 0; j < n_; ++j) {
+    const double deceleration = kPlanAcceleration * self_.limits_.acceleration[j];
+    longest = std::max(longest, std::abs(direction_[0][j]) / (2 * deceleration));
+  }
+  return longest;
 }
 
 /// One node more, at first as far as the spacing allows; false where there is none.
@@ -125,9 +144,9 @@ bool LimitedStep::LookAhead::passes(const SingularityMeasures& to) const {
 }
 
 /// Within the position limits, or not further beyond one than 'from'.
-bool LimitedStep::LookAhead::inside_positions(const JointVector& q, const JointVector& from) const {
+bool LimitedStep::LookAhead::inside_positions(const Joints& q, const Joints& from) const {
   const JointLimits& limits = self_.limits_;
-  for (Eigen::Index i = 0; i < q.size(); ++i) {
+  for (Eigen::Index i = 0; i < n_; ++i) {
     if (q[i] > std::max(limits.position_max[i], from[i])) return false;
     if (q[i] < std::min(limits.position_min[i], from[i])) return false;
   }
@@ -140,7 +159,7 @@ double LimitedStep::LookAhead::fastest(int i) const {
   const JointLimits& limits = self_.limits_;
   const double top = kPlanVelocity * flange_velocity_ / std::max(flange_[i], 1e-9);
   double most = std::min(1.0, top * top);
-  for (Eigen::Index j = 0; j < limits.velocity.size(); ++j) {
+  for (Eigen::Index j = 0; j < n_; ++j) {
     const double speed = direction_[i][j];
     const double left =
         speed > 0 ? limits.position_max[j] - at_[i][j] : at_[i][j] - limits.position_min[j];
@@ -161,7 +180,7 @@ void LimitedStep::LookAhead::plan() {
     const double dt = t_[i + 1] - t_[i];
     Rows rows;
     int n = 0;
-    for (Eigen::Index j = 0; j < acceleration.size(); ++j) {
+    for (Eigen::Index j = 0; j < n_; ++j) {
       const double bend = (direction_[i + 1][j] - direction_[i][j]) / dt;
       const double along = 0.5 * (direction_[i + 1][j] + direction_[i][j]) / dt;
       const double a = kPlanAcceleration * acceleration[j];
@@ -170,7 +189,7 @@ void LimitedStep::LookAhead::plan() {
       rows[n++] = {A, B, a};
       rows[n++] = {-A, -B, a};
     }
-    square_[i] = largest_x(rows, n, fastest(i), square_[i + 1]);
+    square_[i] = largest_x(rows, n, most_[i], square_[i + 1]);
   }
 }
 

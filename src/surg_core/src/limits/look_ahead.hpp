@@ -24,16 +24,19 @@ class LimitedStep::LookAhead {
   double alpha() const;
   bool advance(const Law& law, const Here& here);
   double fastest(int i) const;
+  double stopping_time() const;
   void plan();
   bool passes(const SingularityMeasures& to) const;
-  bool inside_positions(const JointVector& q, const JointVector& from) const;
+  bool inside_positions(const Joints& q, const Joints& from) const;
 
   const LimitedStep& self_;
+  const Eigen::Index n_;  ///< joints
   double horizon_;
   int last_ = 0;                                   ///< index of the last node; 0 is here
   std::array<double, kNodes + 1> t_{}, square_{};  ///< [s] of the clock; its largest squared speed
-  std::array<JointVector, kNodes + 1> direction_;  ///< d q / d clock
-  std::array<JointVector, kNodes + 1> at_;         ///< q
+  std::array<double, kNodes + 1> most_{};          ///< what flange and joints allow of it there
+  std::array<Joints, kNodes + 1> direction_;       ///< d q / d clock
+  std::array<Joints, kNodes + 1> at_;              ///< q
   std::array<double, kNodes + 1> flange_{};        ///< [m/s] at full clock
   double flange_velocity_;                         ///< [m/s] what there is of the limit
   // Of the last node, and of the way to the next.

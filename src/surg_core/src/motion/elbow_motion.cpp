@@ -79,7 +79,7 @@ Reason ElbowMotion::go_to(double angle, const JointVector& q, int& by) {
     Jacobian J;
     chain_.forward(next, X_BF, J);
     const Inverse inverse(J);
-    here = at(next + inverse(displacement(X_BF, X_BFGoal), JointVector::Zero(next.size())));
+    here = at(next + inverse(displacement(X_BF, X_BFGoal)).head(next.size()));
   }
   by = chain_.dof();
   return Reason::kElbowOutOfReach;

@@ -56,6 +56,18 @@ class Chain {
 /// J_dot qd: the flange's acceleration, linear then angular, at constant joint velocities qd.
 Vector6 bias_acceleration(const Jacobian& J, const JointVector& qd);
 
+/// Pivots of an elimination of J (six joints), or of J J^T without pivoting (more).
+struct Pivots {
+  Vector6 value = Vector6::Zero();
+  std::array<int, 6> row{0, 1, 2, 3, 4, 5};  ///< of the pivot in each column
+  bool squares = false;                      ///< of J J^T, which has the squares
+
+  /// J's smallest over its largest magnitude; 0: singular, or not finite.
+  double ratio() const;
+  /// The same with the determinant's sign, for six joints.
+  double signed_ratio() const;
+};
+
 /// Joint velocities that give a flange twist: J^-1 for six joints; for more, the pseudo-inverse
 /// plus 'posture' [rad/s] projected into the null space. For fewer than six joints: not supported.
 struct InverseVelocity {

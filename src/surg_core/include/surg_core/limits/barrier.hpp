@@ -27,6 +27,8 @@ class Barrier {
   bool like_ur() const { return like_ur_; }
   /// X_BF and J as Chain::forward gives them.
   SingularityMeasures measures(const Pose& X_BF, const Jacobian& J) const;
+  /// The same where J has been eliminated already.
+  SingularityMeasures measures(const Pose& X_BF, const Jacobian& J, const Pivots& pivots) const;
   /// Smallest allowed |phi| of every measure.
   double phi_min() const { return phi_min_; }
   /// Fastest approach |dphi/dt| [1/s] at |phi|: sqrt(2 a (|phi| - phi_min)).
