@@ -99,6 +99,7 @@ def test_without_arms_it_acts_on_the_grid() -> None:
 def test_in_free_run_the_first_arms_cycles_count() -> None:
     seen: list[Seen] = []
     node = make(seen, lockstep=False)
+    node._connected = True
     node.on_cycle(Cycle(tick=10), "PSM1")
     assert node.silent == ["PSM2"] and not seen
     node.on_cycle(Cycle(tick=990), "PSM2")  # its controller counts for itself
@@ -106,3 +107,16 @@ def test_in_free_run_the_first_arms_cycles_count() -> None:
         node.on_cycle(Cycle(tick=tick), "PSM1")
     assert [each.tick for each in seen] == [11, 12]
     assert seen[-1].cycles["PSM2"].tick == 990
+
+
+def test_in_free_run_nothing_is_sent_before_the_connections_are_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seen: list[Seen] = []
+    node = make(seen, arms=("PSM1",), lockstep=False)
+    node.on_cycle(Cycle(tick=1), "PSM1")
+    assert seen == []
+    monkeypatch.setattr(node, "_missing", lambda: "")
+    node.connect(1.0)
+    node.on_cycle(Cycle(tick=2), "PSM1")
+    assert [each.tick for each in seen] == [2]

@@ -124,6 +124,19 @@ def test_arguments_out_of_range_are_refused(arguments: dict[str, float], words: 
         make_plan(lissajous(), WORKSPACE, **arguments)
 
 
+def test_a_duration_before_the_motion_begins_names_the_shortest_that_moves() -> None:
+    """The bundled motion rests in its first second."""
+    motion = read_motion(BUNDLED)
+    with pytest.raises(ConstantMotionError, match=r"--duration 1: .*allowed: (\S+) to") as caught:
+        make_plan(motion, WORKSPACE, duration=1.0)
+    found = re.search(r"allowed: (\S+) to", str(caught.value))
+    assert found is not None
+    shortest = float(found.group(1))
+    make_plan(motion, WORKSPACE, duration=shortest)
+    with pytest.raises(ConstantMotionError):
+        make_plan(motion, WORKSPACE, duration=shortest - 0.1)
+
+
 def test_a_constant_motion_is_refused() -> None:
     still = moving(np.random.default_rng(0).normal(0, 1e-5, (200, 3)))
     with pytest.raises(ConstantMotionError, match=r"constant.*at least 1 mm"):

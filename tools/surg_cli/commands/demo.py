@@ -74,6 +74,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     for reason in summary["reasons"]:
         if reason not in reasons:
             warn(f"surg: {reason}")
+    say(str(out / "report.html"))
     say(str(out / "summary.json"))
     return 0 if summary["ok"] else 1
 

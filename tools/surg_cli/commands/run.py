@@ -82,6 +82,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     _print_summary(summary)
     for reason in summary["reasons"]:
         warn(f"surg: {reason}")
+    say(str(out / "report.html"))
     say(str(out / "summary.json"))
     return 0 if summary["ok"] else 1
 

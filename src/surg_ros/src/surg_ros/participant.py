@@ -72,8 +72,8 @@ class Participant:
         arms: Arms whose cycles it needs. With none it needs the task's state only, acts on the
             grid, and says Ready from one grid tick to the next.
         task: Whether it needs the task's state on the grid too.
-        lockstep: False: no Ready; ``act`` is called for every cycle of the first arm once all arms
-            have been heard.
+        lockstep: False: no Ready; ``act`` is called for every cycle of the first arm, after
+            :meth:`connect` and once all arms have been heard.
         listen: False: the node subscribes itself, and calls :meth:`on_cycle` and :meth:`on_task`.
         lock: Of the node; default: its own.
     """
@@ -92,6 +92,8 @@ class Participant:
         self._task, self._lockstep = task, lockstep
         self._lock = lock or threading.RLock()
         self._done = False
+        # In lock-step no tick follows before this node's first Ready.
+        self._connected = lockstep
         self.tick = 0
         """The tick that was seen last."""
         self._cycles: dict[str, tuple[int, Cycle]] = {}
@@ -131,6 +133,7 @@ class Participant:
         """
         wait_for_all(lambda: self._missing() or also(), timeout, over)
         with self._lock:
+            self._connected = True
             if self._lockstep and self.tick == 0:
                 self._say_ready(1 if self._arms else GRID)
 
@@ -187,8 +190,8 @@ class Participant:
         on_grid = self._task and tick % GRID == 0
         if on_grid and self._state[0] != tick:
             return  # its state is still to come
-        if not complete or tick <= self.tick:
-            return
+        if not complete or tick <= self.tick or not self._connected:
+            return  # a command that is sent before the connection is lost
         self.tick = tick
         if self._done:  # the others' ticks still wait for this Ready
             self.ready(True)

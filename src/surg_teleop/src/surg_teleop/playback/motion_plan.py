@@ -212,10 +212,16 @@ def make_plan(
             f"are centred at {CENTRE_DEPTH} m, which must lie inside"
         )
     played = motion.duration if duration is None else duration
-    motion = motion.cut(played)
+    whole, motion = motion, motion.cut(played)
     if duration is not None and duration < motion.duration + CHECK_STEP:
         played = motion.duration
     extent = scale * np.ptp(motion.p, axis=0)
+    if extent.max() < MIN_EXTENT <= scale * np.ptp(whole.p, axis=0).max():
+        raise ConstantMotionError(
+            f"--duration {played:g}: in this time the motion moves the tip by {_mm(extent)} mm; at "
+            f"least {1e3 * MIN_EXTENT:.0f} mm in one axis are needed; allowed: "
+            f"{_shortest(whole, scale):.1f} to {MAX_DURATION:.0f} s"
+        )
     if extent.max() < MIN_EXTENT:
         raise ConstantMotionError(
             f"{motion.file}: the motion is constant: at scale {scale:g} its box is "
@@ -224,6 +230,13 @@ def make_plan(
     plan = _lay_out(motion, scale, played)
     _check_fit(plan, workspace, scale)
     return plan
+
+
+def _shortest(motion: Motion, scale: float) -> float:
+    """Shortest part of a motion [s], rounded up to 0.1 s, that moves enough."""
+    extents = np.maximum.accumulate(motion.p, axis=0) - np.minimum.accumulate(motion.p, axis=0)
+    first = int(np.argmax(scale * extents.max(axis=1) >= MIN_EXTENT))
+    return max(1.0, float(np.ceil(10.0 * motion.t[first]) / 10.0))
 
 
 def _lay_out(motion: Motion, scale: float, played: float) -> Plan:
