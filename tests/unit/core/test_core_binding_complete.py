@@ -29,7 +29,7 @@ ABSENT = {
     "Harmonics RateSearch BreathingFilter": "part",
     "StreamInput StreamEstimate TremorNotch nearest_inside": "part",
     "ForceGuard ElbowMotion ElbowTurn elbow_turn swivel_angle": "part",
-    "StandstillGuard bias_acceleration": "part",
+    "StandstillGuard bias_acceleration Pivots padded": "part",
     "Wall Fixtures check_fixture wall_at Constraint Slide nearest_in": "part",
     "OperatingState Conditions Authority CycleClock LagMeter": "part",
     "velocity_twist axial_twist paper_twist TwistParts Gains to_spherical to_cartesian": "part",
