@@ -138,6 +138,48 @@ TEST(CycleTime, LateCyclesLeaveThePivotAloneOrPauseTheArm) {
   test::report("runs", runs);
 }
 
+/// Largest distance [m] of the arm's tip from where the hand was in the last 40 ms; the hand sends
+/// one pose in each cycle, so none in a late one.
+double off_the_hand(Law law, const Arm& arm, const Periods& periods, bool stamped) {
+  Random random(5);
+  TimedBench bench(law, arm.plant, arm.link_lag);
+  const double begin = bench.time();
+  double worst = 0;
+  while (bench.time() - begin < test::family(10, 60)) {
+    const double period = periods(random), now = bench.time() + period;
+    MotionCommand& pose = bench.servo_cp(hand(now - begin));
+    if (stamped) pose.stamp_ns = 1 + std::llround(1e9 * now);
+    const Outputs& out = bench.cycle(period);
+    EXPECT_EQ(out.state, State::kEnabled) << name(out.reason);
+    const Vector3 tip = bench.controller().X_BR().inverse() * out.p_BTip;
+    double nearest = 1;
+    for (double late = 0; late <= 0.0401; late += 0.002) {
+      nearest = std::min(nearest, (tip - hand(std::max(now - late - begin, 0.0))).norm());
+    }
+    if (now - begin > 2) worst = std::max(worst, nearest);
+  }
+  return worst;
+}
+
+TEST(CycleTime, APoseFromEachCycleIsFollowedThroughLateOnes) {
+  const Case& some_late = kCases[1];
+  const Case& drawn = kCases[3];
+  int runs = 0;
+  for (const Arm& arm : kArms) {
+    for (const Law law : {Law::kExact, Law::kVelocity}) {
+      for (const auto& [c, stamped] :
+           {std::pair(some_late, true), std::pair(some_late, false), std::pair(drawn, true)}) {
+        const double off = off_the_hand(law, arm, c.periods, stamped);
+        std::printf("%-8s law %d, %-18s %s: %.2f mm off the hand's path\n", arm.name,
+                    static_cast<int>(law), c.name, stamped ? "stamped" : "not stamped", 1e3 * off);
+        EXPECT_LE(off, 1e-3) << c.name;
+        ++runs;
+      }
+    }
+  }
+  test::report("runs", runs);
+}
+
 // F03: the stream's deadline is one of real time.
 TEST(CycleTime, ASilentStreamStopsInRealTime) {
   for (const Law law : {Law::kExact, Law::kVelocity}) {

@@ -31,8 +31,9 @@ from helpers.control.stream_laws import (
     paper_quintic,
     play,
     truth,
+    violations,
 )
-from helpers.control.stream_transport import Option, Transport
+from helpers.control.stream_transport import Option, Transport, run
 from helpers.control.stream_transport import gain as stream_gain
 from surg_core import testing
 
@@ -235,3 +236,27 @@ def test_the_notch_takes_half_of_a_tremor(hertz: float) -> None:
     row = stream_table.measure(500, Transport(), notch, hands=1)
     assert row.lag == pytest.approx(18, abs=2)
     assert row.violations == 0
+
+
+@pytest.mark.parametrize("rate", [500, 30])
+def test_a_weak_arm_stays_near_the_path_of_a_hard_hand(rate: int) -> None:
+    """Hands that ask for 2.5 times the acceleration of the arm."""
+    worst = {}
+    for delay in (0.0, 0.05):
+        for family, seed in stream_table.HELD_OUT[: max(HANDS, 2)]:
+            hand = family(seed, 12.0)
+            taken = np.arange(int(12.0 * rate)) / rate
+            option = Option(delay=delay)
+            t, states, _ = run(hand(taken), taken, Transport(), stream_table.PANDA, option, seed)
+            near = np.min(
+                [
+                    np.linalg.norm(states[:, :, 0] - hand(np.maximum(t - late, 0)), axis=1)
+                    for late in np.arange(-0.01, 0.16, 0.005)
+                ],
+                axis=0,
+            )
+            worst[delay] = max(worst.get(delay, 0.0), float(1e3 * near[t > 2].max()))
+            assert sum(violations(states, stream_table.PANDA)) == 0
+    print(rate, worst)
+    assert worst[0.05] <= (0.6 if rate == 500 else 0.75) * worst[0.0]
+    assert worst[0.05] <= (2.5 if rate == 500 else 4.0)

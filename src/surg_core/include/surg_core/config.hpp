@@ -72,7 +72,7 @@ struct Tuning {
   double roll_gain;          ///< [1/s] absolute roll
   double posture_gain;       ///< [1/s] null-space pull to the home posture (redundant arms)
   double profiler_duration;  ///< [s] the paper's d
-  double stream_delay;       ///< [s] a stream is followed that much later, and more gently
+  double stream_delay;       ///< [s] largest delay with which a stream is followed
   double tremor;             ///< [Hz] centre of the notch against a hand's tremor; 0: off
   double servo_timeout;      ///< [s] F03
   double link_timeout;       ///< [s] F10, free-run; of the link, see LinkConfig

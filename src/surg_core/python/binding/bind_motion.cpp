@@ -50,31 +50,50 @@ struct RecordedStream {
   bool stamped;
 };
 
-/// One axis of a recorded stream through input and filter; 'states' is n x 3 with a stride.
-void filter_axis(const RecordedStream& stream, const std::vector<double>& x,
-                 const DofLimits& limits, double T, py::ssize_t n, StreamInput input,
-                 double* states, py::ssize_t stride) {
-  StreamFilter filter(limits);
-  filter.reset({x[0], 0, 0});
+/// Up to four axes of a recorded stream through input and filters, from 'first' of 'axes' on; they
+/// share clock and delay. samples: rows x axes, states: n x axes x 3.
+void filter_axes(const RecordedStream& stream, const double* samples, py::ssize_t axes,
+                 py::ssize_t first, const DofLimits& limits, double T, py::ssize_t n,
+                 StreamInput input, double* states) {
+  const auto count = static_cast<int>(std::min<py::ssize_t>(axes - first, kDof));
+  const auto sample = [&](std::size_t row) {
+    StreamInput::Values x{};
+    for (int i = 0; i < count; ++i) x[i] = samples[row * axes + first + i];
+    return x;
+  };
+  std::array<StreamFilter, kDof> filters;
+  StreamInput::State from{};
+  StreamInput::Values acceleration{};
+  for (int i = 0; i < count; ++i) {
+    from[i].x = sample(0)[i];
+    acceleration[i] = limits.acceleration;
+    filters[i] = StreamFilter(limits);
+    filters[i].reset(from[i]);
+  }
   std::size_t next = 0;
-  for (py::ssize_t k = 0; k < n; ++k, states += stride) {
+  for (py::ssize_t k = 0; k < n; ++k) {
     const double now = stream.arrivals[0] + static_cast<double>(k) * T;
-    for (; next < x.size() && stream.arrivals[next] <= now + 1e-9; ++next) {
+    for (; next < stream.t.size() && stream.arrivals[next] <= now + 1e-9; ++next) {
       const double age = std::max(now - stream.arrivals[next], 0.0);
       // Stamps of 0 are none.
       const double taken = stream.t[next] - stream.t[0];
       const std::int64_t stamp_ns = stream.stamped ? 1 + std::llround(1e9 * taken) : 0;
       if (next == 0) {
-        input.begin({x[0]}, {Kinematic{x[0], 0, 0}}, age, stamp_ns);
+        input.begin(sample(0), from, acceleration, age, stamp_ns);
       } else {
-        input.add({x[next]}, age, stamp_ns);
+        input.add(sample(next), age, stamp_ns);
       }
     }
     input.elapse(T);
-    filter.step(input.target(T)[0], T);
-    states[0] = filter.state().x;
-    states[1] = filter.state().v;
-    states[2] = filter.state().a;
+    const StreamInput::State target = input.target(T);
+    const StreamInput::State hand = input.estimate(T);
+    for (int i = 0; i < count; ++i) {
+      filters[i].step(target[i], T, 0, input.delayed() ? &hand[i] : nullptr);
+      double* state = states + 3 * (k * axes + first + i);
+      state[0] = filters[i].state().x;
+      state[1] = filters[i].state().v;
+      state[2] = filters[i].state().a;
+    }
   }
 }
 
@@ -109,10 +128,8 @@ Array stream_filter(const Array& t, const Array& samples, const DofLimits& limit
   const double* values = samples.data();
   {
     py::gil_scoped_release release;
-    std::vector<double> x(rows);
-    for (py::ssize_t axis = 0; axis < axes; ++axis) {
-      for (py::ssize_t i = 0; i < rows; ++i) x[i] = values[i * axes + axis];
-      filter_axis(stream, x, limits, T, n, StreamInput(delay, tremor), states + 3 * axis, 3 * axes);
+    for (py::ssize_t first = 0; first < axes; first += kDof) {
+      filter_axes(stream, values, axes, first, limits, T, n, StreamInput(delay, tremor), states);
     }
   }
   return out;
@@ -224,6 +241,10 @@ void bind_profiler(py::module_& testing) {
           py::arg("dof"));
 }
 
+void step_filter(StreamFilter& filter, const Kinematic& target, double T, double period) {
+  filter.step(target, T, period);
+}
+
 void bind_stream(py::module_& testing) {
   py::class_<StreamClock>(testing, "StreamClock",
                           "Puts the samples of one sender on the receiver's clock.")
@@ -260,7 +281,7 @@ void bind_stream(py::module_& testing) {
       "Follows a stream of targets within velocity, acceleration and jerk limits.")
       .def(py::init<const DofLimits&>(), py::arg("limits"))
       .def("reset", &StreamFilter::reset, py::arg("state"))
-      .def("step", &StreamFilter::step, py::arg("target"), py::arg("T"), py::arg("period") = 0.0,
+      .def("step", &step_filter, py::arg("target"), py::arg("T"), py::arg("period") = 0.0,
            "One tick of T seconds towards a target predicted one tick ahead.")
       .def("brake", &StreamFilter::brake, py::arg("T"),
            "One tick of the hardest braking inside the limits.")
@@ -275,7 +296,8 @@ void bind_stream(py::module_& testing) {
       "when the samples were taken; samples: (n, axes); limits: of every axis; arrivals: (n,) "
       "[s],\n"
       "t where not given; stamped: whether the receiver sees t; delay [s], tremor [Hz]: as in the\n"
-      "robot's file. Returns (ticks, axes, 3): position, velocity, acceleration at the end of "
+      "robot's file; four axes each share a delay. Returns (ticks, axes, 3): position, velocity, "
+      "acceleration at the end of "
       "each\n"
       "tick. Releases the GIL.");
 }

@@ -89,7 +89,10 @@ void Setpoint::add_stream_sample(Space space, const std::array<double, 4>& targe
     switch_space(space);
     if (paper_) profiler_ = Profiler(dof_limits(space), base_duration_);
     mode_ = Mode::kStream;
-    input_.begin(target, dofs_, age, stamp_ns);
+    std::array<double, 4> acceleration;
+    const auto limits = dof_limits(space);
+    for (int i = 0; i < 4; ++i) acceleration[i] = limits[i].acceleration;
+    input_.begin(target, dofs_, acceleration, age, stamp_ns);
   } else {
     input_.add(target, age, stamp_ns);
   }
@@ -230,7 +233,7 @@ void Setpoint::coast(double dt, const Fixtures& fixtures) {
   const Vector3 p_before = p_RTip();
   const Slide from_here = slide(fixtures);
   for (int i = 0; i < 4; ++i) {
-    dofs_[i] = {dofs_[i].x + dt * dofs_[i].v, dofs_[i].v, 0};
+    dofs_[i].x += dt * dofs_[i].v;  // a goes on in the next cycle: rebuilt from 0, it never could
     filters_[i].reset(dofs_[i]);
   }
   restrict_step(p_before);
@@ -384,7 +387,9 @@ void Setpoint::advance_stream(double dt, const Fixtures& fixtures) {
   // stop begins or continues; it was possible before.
   auto next = filters_;
   const Dofs target = target_clear_of(fixtures, input_.target(dt));
-  for (int i = 0; i < 4; ++i) next[i].step(target[i], dt, period_);
+  const Dofs hand = input_.estimate(dt);
+  const bool delayed = input_.delayed();
+  for (int i = 0; i < 4; ++i) next[i].step(target[i], dt, period_, delayed ? &hand[i] : nullptr);
   at_wall_ = stop_leaves_workspace(next);
   for (int i = 0; i < 4; ++i) {
     if (at_wall_ && i < 3) {

@@ -94,7 +94,7 @@ StreamFilter::StreamFilter(const DofLimits& limits) : limits_(limits) {
 
 void StreamFilter::reset(const Kinematic& state) { state_ = state; }
 
-void StreamFilter::step(const Kinematic& target, double T, double period) {
+void StreamFilter::step(const Kinematic& target, double T, double period, const Kinematic* ahead) {
   if (!(T > 0) || !(limits_.velocity > 0)) return;
   const double V = limits_.velocity, A = limits_.acceleration, J = limits_.jerk;
   const Kinematic& own = state_;
@@ -104,9 +104,14 @@ void StreamFilter::step(const Kinematic& target, double T, double period) {
   // A target that is not finite means: come to rest.
   const bool known = std::isfinite(target.x) && std::isfinite(target.v);
   const double slower = std::min(1.0, kFastestGain / (kVelocityGain * std::max(T, period)));
-  const double wish =
-      known ? target.v + approach(target.x - x1, slower * kPositionGain, kAccelerationShare * A)
-            : 0.0;
+  const auto speed_to = [&](const Kinematic& to) {
+    return to.v + approach(to.x - x1, slower * kPositionGain, kAccelerationShare * A);
+  };
+  double wish = known ? speed_to(target) : 0.0;
+  if (known && ahead) {
+    const double soon = speed_to(*ahead);
+    wish = wish * soon > 0 ? std::copysign(std::min(std::abs(wish), std::abs(soon)), wish) : 0.0;
+  }
   const double vc = clamp_to(wish, V);
   const double ac = clamp_to(approach(vc - v1, slower * kVelocityGain, kJerkShare * J), A);
   const double gain = slower * kAccelerationGain;

@@ -1,6 +1,7 @@
 #include "surg_core/motion/stream_input.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 namespace surg {
 namespace {
@@ -10,19 +11,39 @@ constexpr double kShortestGap = 0.004;  // [s] a gap that is always bridged
 constexpr double kLongestGap = 0.06;    // [s] the longest one: 1.5 times a burst every 40 ms
 constexpr double kLateBy = 0.28;        // of a period: less to predict, and a smoother path
 constexpr double kLatestBy = 0.005;     // [s]
+constexpr double kShortest = 0.008;     // [s] delay of a gentle hand, where there is any
+constexpr double kGentle = 0.8;         // of the arm's acceleration: demands no more delay
+constexpr double kHard = 1.5;           // of it: demands the largest delay
+constexpr double kUnseen = 30;          // [1/s] per period, of a demand that slow samples hide
+constexpr double kGrowth = 0.5;         // [s/s] of the delay
+constexpr double kRelease = 0.02;       // [s/s]
 
 }  // namespace
 
-StreamInput::StreamInput(double delay, double tremor) {
-  notches_.fill(TremorNotch(tremor));
-  delays_.fill(StreamDelay(delay));
+StreamLateness::StreamLateness(double most) : most_(most) { reset(); }
+
+void StreamLateness::reset() { delay_ = std::min(kShortest, most_); }
+
+void StreamLateness::step(double demand, double period, double T) {
+  const double asked = (1 + kUnseen * period) * demand;
+  const double share = std::clamp((asked - kGentle) / (kHard - kGentle), 0.0, 1.0);
+  const double least = std::min(kShortest, most_), wanted = least + share * (most_ - least);
+  delay_ = std::clamp(wanted, delay_ - kRelease * T, delay_ + kGrowth * T);
 }
 
-void StreamInput::begin(const Values& x, const State& from, double age, std::int64_t stamp_ns) {
+StreamInput::StreamInput(double delay, double tremor) : lateness_(delay) {
+  notches_.fill(TremorNotch(tremor));
+}
+
+void StreamInput::begin(const Values& x, const State& from, const Values& acceleration, double age,
+                        std::int64_t stamp_ns) {
+  lateness_.reset();
   for (int i = 0; i < kDof; ++i) {
     notches_[i].reset(from[i]);
+    delays_[i].set(lateness_.delay());
     delays_[i].reset(from[i]);
   }
+  acceleration_ = acceleration;
   last_ = x;
   arrival_ = now_ - age;
   unheard_ = 0;
@@ -44,23 +65,33 @@ void StreamInput::elapse(double T, bool heard) {
   tick_ = T;
   if (!notches_[0].works() && !delays_[0].works(T)) return;
   const State stream = estimate(0);
+  lateness_.step(demand(stream), clock_.period(), T);
   for (int i = 0; i < kDof; ++i) {
+    delays_[i].set(lateness_.delay());
     notches_[i].step(stream[i], T);
     delays_[i].step(notches_[i].works() ? notches_[i].predict(0).x : stream[i].x, T);
   }
 }
 
+/// Largest acceleration of a stream over what the arm can. All degrees of freedom are delayed
+/// alike, or the path would bend.
+double StreamInput::demand(const State& stream) const {
+  double most = 0;
+  for (int i = 0; i < kDof; ++i) {
+    if (acceleration_[i] > 0) most = std::max(most, std::abs(stream[i].a) / acceleration_[i]);
+  }
+  return most;
+}
+
 StreamInput::State StreamInput::target(double ahead) const {
-  const bool delayed = delays_[0].works(tick_);
-  if (!delayed && !notches_[0].works()) return estimate(ahead);
+  if (!delayed() && !notches_[0].works()) return estimate(ahead);
   State out{};
   for (int i = 0; i < kDof; ++i) {
-    out[i] = delayed ? delays_[i].predict(ahead) : notches_[i].predict(ahead);
+    out[i] = delayed() ? delays_[i].predict(ahead) : notches_[i].predict(ahead);
   }
   return out;
 }
 
-/// Before notch and delay.
 StreamInput::State StreamInput::estimate(double ahead) const {
   if (overdue()) {
     State rest{};

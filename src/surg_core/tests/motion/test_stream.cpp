@@ -205,7 +205,7 @@ Following follow(double rate, const std::function<double(double)>& motion) {
   const int ticks = 10000;
   StreamFilter filter(kTip);
   StreamInput input;
-  input.begin({motion(0)}, {Kinematic{motion(0), 0, 0}}, 0, 0);
+  input.begin({motion(0)}, {Kinematic{motion(0), 0, 0}}, {}, 0, 0);
   filter.reset({motion(0), 0, 0});
   int samples = 0;
   std::vector<double> position(ticks);
@@ -324,7 +324,7 @@ TEST(StreamDelay, SparesAWeakArmWhatItWouldOvershootBy) {
     StreamDelay delay(D);
     delay.reset({-0.1 * D, 0.1, 0});
     StreamInput input;
-    input.begin({0}, {Kinematic{0, 0.1, 0}}, 0, 0);
+    input.begin({0}, {Kinematic{0, 0.1, 0}}, {}, 0, 0);
     double farthest = 0;
     for (int k = 0; k < 1000; ++k) {
       const double hand = std::min(0.1 * (k + 1) * T, 0.1);
@@ -347,7 +347,7 @@ TEST(Stream, LeavesTheHeapAlone) {
   StreamFilter filter(kTip);
   StreamInput input(0.01, 9.8);
   test::HeapWatch heap;
-  input.begin({0}, {}, 0, 1);
+  input.begin({0}, {}, {}, 0, 1);
   for (int k = 1; k < 100; ++k) {
     input.elapse(0.002);
     input.add({0.001 * k}, 0, 1 + 0.002 * k);

@@ -155,7 +155,7 @@ TEST(StreamEstimate, SamplesOfOneInstantAreNoVelocity) {
 TEST(StreamInput, ASilentStreamEndsAtItsLastSample) {
   for (const double rate : {30.0, 500.0}) {
     StreamInput input;
-    input.begin({0}, {}, 0, 0);
+    input.begin({0}, {}, {}, 0, 0);
     const int every = static_cast<int>(500 / rate);
     double x = 0;
     for (int k = 1; k <= 1000; ++k) {
@@ -166,6 +166,75 @@ TEST(StreamInput, ASilentStreamEndsAtItsLastSample) {
     EXPECT_EQ(input.target(0.002)[0].x, x);
     EXPECT_EQ(input.target(0.002)[0].v, 0);
   }
+}
+
+// --- a delay that grows with what the hand asks for ----------------------------------------------
+
+TEST(StreamLateness, GrowsWhileTheHandIsHardAndShrinksSlowly) {
+  constexpr double kTick = 0.002, kPeriod = 0.002;
+  StreamLateness lateness(0.05);
+  EXPECT_EQ(lateness.delay(), 0.008);
+  for (int k = 0; k < 500; ++k) lateness.step(0.7, kPeriod, kTick);
+  EXPECT_EQ(lateness.delay(), 0.008);  // gentle
+  double before = lateness.delay();
+  int rising = 0;
+  while (lateness.delay() < 0.05 && rising < 1000) {
+    lateness.step(3, kPeriod, kTick);
+    EXPECT_LE(lateness.delay() - before, 0.5 * kTick + 1e-12);  // slowed to half at most
+    before = lateness.delay();
+    ++rising;
+  }
+  EXPECT_NEAR(rising * kTick, 0.042 / 0.5, 2 * kTick);
+  for (int k = 0; k < 500; ++k) lateness.step(0, kPeriod, kTick);
+  EXPECT_NEAR(lateness.delay(), 0.05 - 0.02 * 500 * kTick, 1e-9);
+  lateness.reset();
+  EXPECT_EQ(lateness.delay(), 0.008);
+}
+
+TEST(StreamLateness, IsNeverMoreThanItsMost) {
+  for (const double most : {0.0, 0.003, 0.008, 0.02, 0.1}) {
+    StreamLateness lateness(most);
+    for (int k = 0; k < 1000; ++k) lateness.step(5, 0.033, 0.002);
+    EXPECT_NEAR(lateness.delay(), most, 1e-12);
+    for (int k = 0; k < 5000; ++k) lateness.step(0, 0.033, 0.002);
+    EXPECT_NEAR(lateness.delay(), std::min(most, 0.008), 1e-12);
+  }
+}
+
+/// Strokes of 30 mm in 0.3 s, which take 3.5 times the acceleration of the arm, and rests.
+double stroke(double t) {
+  const double phase = std::fmod(t, 1.2), s = std::min(phase / 0.3, 1.0);
+  const double up = 0.03 * s * s * s * (10 + s * (6 * s - 15));
+  return std::fmod(t, 2.4) < 1.2 ? up : 0.03 - up;
+}
+
+TEST(StreamLateness, AWeakArmOvershootsLessAndFollowsAGentleHandAtOnce) {
+  const DofLimits weak{0.25, 0.6, 100};
+  const auto follow = [&](double delay, const std::function<double(double)>& hand) {
+    const double T = 0.002;
+    StreamInput input(delay, 0);
+    StreamFilter filter(weak);
+    filter.reset({hand(0), 0, 0});
+    input.begin({hand(0)}, {Kinematic{hand(0), 0, 0}}, {weak.acceleration}, 0, 0);
+    double beyond = 0, late = 0;
+    for (int k = 1; k < 6000; ++k) {
+      input.elapse(T);
+      input.add({hand(k * T)}, 0, 0);
+      const Kinematic soon = input.estimate(T)[0];
+      filter.step(input.target(T)[0], T, 0, input.delayed() ? &soon : nullptr);
+      beyond = std::max({beyond, filter.state().x - 0.03, -filter.state().x});
+      late = std::max(late, input.delay());
+    }
+    return std::pair(1e3 * beyond, 1e3 * late);
+  };
+  const auto fixed = follow(0, stroke), adaptive = follow(0.05, stroke);
+  std::printf("[  figures ] overshoot %.2f mm at once, %.2f mm up to %.0f ms later\n", fixed.first,
+              adaptive.first, adaptive.second);
+  EXPECT_GT(fixed.first, 2);
+  EXPECT_LT(adaptive.first, 0.7 * fixed.first);  // 9.8 mm if it does not look ahead
+  EXPECT_NEAR(adaptive.second, 50, 1e-9);
+  const auto gentle = [](double t) { return 0.015 + 0.01 * std::sin(3 * t); };
+  EXPECT_NEAR(follow(0.05, gentle).second, 8, 1e-9);
 }
 
 TEST(TremorNotch, TakesTheTremorAndDelaysTheRestByWhatIsStated) {

@@ -163,7 +163,7 @@ class FixtureBench {
       d.values["limits.roll_velocity"] = 2.0;
       d.values["limits.roll_acceleration"] = 8.0;
       d.values["limits.roll_jerk"] = 250.0;
-      d.values["tuning.stream_delay"] = 0.018;
+      d.values["tuning.stream_delay"] = 0.008;
     }
     return robot_behind(d, 0.01);
   }

@@ -15,6 +15,8 @@ class StreamDelay {
   /// delay [s] >= 0; 0 is no delay.
   explicit StreamDelay(double delay) : delay_(delay) {}
   void reset(const Kinematic& state) { state_ = state; }
+  /// From now on another delay [s]. Position, velocity and acceleration go on from where they are.
+  void set(double delay) { delay_ = delay; }
   /// Whether the delay has an effect at this tick; a delay below one tick has none.
   bool works(double T) const { return delay_ > 0 && delay_ >= T; }
   /// Advances T seconds with the input at x.
@@ -35,8 +37,9 @@ class StreamFilter {
   void reset(const Kinematic& state);
   /// One tick of T seconds towards a target predicted one tick ahead. Never exceeds the velocity,
   /// acceleration and jerk limits. Comes to rest if the target is not finite. period [s]: at which
-  /// ticks come, if they are longer than T; then the gains are lower.
-  void step(const Kinematic& target, double T, double period = 0);
+  /// ticks come, if they are longer than T; then the gains are lower. ahead: of a delayed target,
+  /// where it will be soon; the filter brakes as early as either needs it.
+  void step(const Kinematic& target, double T, double period = 0, const Kinematic* ahead = nullptr);
   /// One tick of the hardest braking inside the limits, down to standstill. It stops where
   /// Braking::stop predicts, to within |v| T + |a| T^2, because jerk changes only between ticks.
   void brake(double T);

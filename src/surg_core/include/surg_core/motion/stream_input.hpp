@@ -9,6 +9,25 @@
 
 namespace surg {
 
+/// How late a stream is followed: at once as long as the hand is gentle, later as soon as it
+/// accelerates harder than the arm can. The delay changes slowly, so a path is slowed down and
+/// never jumps.
+class StreamLateness {
+ public:
+  StreamLateness() = default;
+  /// most [s]: the largest delay.
+  explicit StreamLateness(double most);
+  /// Back to the shortest delay.
+  void reset();
+  /// One tick of T seconds. demand: the hand's acceleration over what the arm can; period [s]: of
+  /// the samples.
+  void step(double demand, double period, double T);
+  double delay() const { return delay_; }
+
+ private:
+  double most_ = 0, delay_ = 0;  ///< [s]
+};
+
 /// Samples of four degrees of freedom in, the target of the stream filters out. The target is late
 /// by the mean transport delay, at slow rates by up to 5 ms more, and by notch and delay where they
 /// are on.
@@ -18,12 +37,14 @@ class StreamInput {
   using State = StreamEstimate::State;
 
   StreamInput() = default;
-  /// delay [s]: see StreamDelay; tremor [Hz]: see TremorNotch. 0: off.
+  /// delay [s]: the largest one, see StreamLateness; tremor [Hz]: see TremorNotch. 0: off.
   StreamInput(double delay, double tremor);
 
   /// Starts a stream with its first sample, which arrived 'age' seconds ago with the stamp of
   /// its sender (0: none). 'from': the present state; notch and delay lead from there.
-  void begin(const Values& x, const State& from, double age, std::int64_t stamp_ns);
+  /// acceleration: what the arm can in each degree of freedom.
+  void begin(const Values& x, const State& from, const Values& acceleration, double age,
+             std::int64_t stamp_ns);
   void add(const Values& x, double age, std::int64_t stamp_ns);
   /// Advances real time by T, one control period. heard: samples could arrive; otherwise the
   /// stream is not overdue for it.
@@ -31,16 +52,22 @@ class StreamInput {
   /// Where the stream is 'ahead' seconds from now. After an overdue sample: at rest at the last
   /// one.
   State target(double ahead) const;
+  /// The same before notch and delay.
+  State estimate(double ahead) const;
+  bool delayed() const { return delays_[0].works(tick_); }
   const StreamClock& clock() const { return clock_; }
+  double delay() const { return lateness_.delay(); }
 
  private:
   bool overdue() const;
-  State estimate(double ahead) const;
+  double demand(const State& stream) const;
 
   StreamClock clock_;
   StreamEstimate estimate_;
   std::array<TremorNotch, StreamEstimate::kDof> notches_{};
   std::array<StreamDelay, StreamEstimate::kDof> delays_{};
+  StreamLateness lateness_;
+  Values acceleration_{};
   Values last_{};
   double now_ = 0;      ///< [s] real time from an arbitrary origin
   double arrival_ = 0;  ///< [s] of the last sample
