@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -190,3 +191,25 @@ def test_home_frame_is_what_homing_finds() -> None:
     arm = session.cell.arms["PSM1"]
     X_WR = np.asarray(arm.X_WB) @ np.asarray(session.controllers["PSM1"].X_BR)
     assert np.abs(X_WR - home_frame(arm)).max() < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("members", "named"),
+    [
+        ({"done": "yes"}, "done"),
+        ({"done": True, "success": None}, "success"),
+        ({"reason": None}, "reason"),
+        ({"phase": 3}, "phase"),
+        ({"reward": "0.5"}, "reward"),
+        ({"reward": float("nan")}, "reward"),
+        ({"success": True}, "success"),
+    ],
+)
+def test_a_wrong_verdict_is_refused_where_it_is_made(members: dict[str, Any], named: str) -> None:
+    with pytest.raises(TaskError, match=rf"Verdict\.{named} "):
+        tasks.Verdict(**members)
+
+
+def test_verdicts_may_hold_numpys_scalars() -> None:
+    verdict = tasks.Verdict(done=np.bool_(True), success=np.bool_(True), reward=np.float32(1.0))
+    assert verdict.success

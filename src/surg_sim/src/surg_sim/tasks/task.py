@@ -46,6 +46,9 @@ class Verdict:
         timeout: It ended at its time limit.
         reward: Reward of this tick.
         phase: Phase of the task.
+
+    Raises:
+        TaskError: A member has a wrong type or value; names it.
     """
 
     done: bool = False
@@ -54,6 +57,20 @@ class Verdict:
     timeout: bool = False
     reward: float = 0.0
     phase: str = ""
+
+    def __post_init__(self) -> None:
+        """Check the members here: the nodes would fail far from the task."""
+        for name in ("done", "success", "timeout"):
+            if not isinstance(getattr(self, name), (bool, np.bool_)):
+                raise TaskError(f"Verdict.{name} is {getattr(self, name)!r}; allowed: True, False")
+        for name in ("reason", "phase"):
+            if not isinstance(getattr(self, name), str):
+                raise TaskError(f"Verdict.{name} is {getattr(self, name)!r}; allowed: a string")
+        number = isinstance(self.reward, (int, float, np.integer, np.floating))
+        if not (number and np.isfinite(self.reward)):
+            raise TaskError(f"Verdict.reward is {self.reward!r}; allowed: a finite number")
+        if self.success and not self.done:
+            raise TaskError("Verdict.success is True without done; a success ends the episode")
 
 
 class Task(ABC):
