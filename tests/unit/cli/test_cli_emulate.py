@@ -34,3 +34,19 @@ def test_wrong_options_end_with_2(surg: Callable[..., int], option: str, value: 
         surg("emulate", "ur", option, value, *address)
     assert problem.value.code == 2
     assert value in str(problem.value)
+
+
+def test_it_is_the_arm_of_a_cell(surg: Callable[..., int], monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = {}
+    monkeypatch.setattr(ur_emulator, "start", lambda options: asked.update(vars(options)) or 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        surg("emulate", "ur", "--cell", "emulated_ur5e")
+    assert (asked["address"], asked["serial"]) == ("127.0.0.1", "20225500001")
+    assert asked["model"] == "UR5e"
+    assert asked["q"] == pytest.approx([-0.294, -1.234, 1.511, -1.29, -1.63, -2.134])
+
+
+def test_a_simulators_cell_has_no_arm_to_emulate(surg: Callable[..., int]) -> None:
+    with pytest.raises(Problem, match=r"arms.PSM1.hardware.address") as problem:
+        surg("emulate", "ur", "--cell", "sim_ur5e")
+    assert problem.value.code == 2

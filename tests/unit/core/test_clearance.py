@@ -24,6 +24,7 @@ FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 MOTIONS = 10_000 if FULL else 300
 PARTS = range(10) if FULL else range(2)
 CELLS = ("sim_two_arms", "sim_two_arms_panda")
+MOVING = (Reason.NONE, Reason.UNREACHABLE)
 Array = NDArray[np.float64]
 
 
@@ -94,6 +95,8 @@ class Tally:
     limited: int = 0
     least: float = np.inf  # distance less the cell's [m]
     closest: int = -1  # start of that
+    starts: int = 0
+    paused: int = 0  # starts that ended in PAUSED(not_following)
 
 
 def play(name: str, seed: int, motions: int, guarded: bool = True, first: int = 0) -> Tally:
@@ -118,15 +121,21 @@ def play(name: str, seed: int, motions: int, guarded: bool = True, first: int = 
         senders = [RandomMotion(arm, rng) for arm in pair]
         apart = free
         for k in range(3000):
-            tick(pair, [sender.commands(k) for sender in senders], guarded)
+            paused = any(arm.out.state != surg_core.State.ENABLED for arm in pair)
+            if paused and all(np.abs(arm.qd).max() < 1e-6 for arm in pair):
+                break
+            tick(pair, [[] if paused else sender.commands(k) for sender in senders], guarded)
             tally.limited += sum(arm.out.limited_by == "clearance" for arm in pair)
             if apart < distance + 0.003 or k % 5 == 0:
                 apart = judge.distance(*(arm.q for arm in pair))
                 if apart - distance < tally.least:
                     tally.least, tally.closest = apart - distance, start
-            assert all(arm.out.state == surg_core.State.ENABLED for arm in pair)
             tally.ticks += 1
+        # A sharp turn at full speed may take a Panda 10 mm off its path.
+        assert {arm.out.reason for arm in pair} - {Reason.NOT_FOLLOWING} <= {*MOVING}
+        tally.paused += paused
         tally.motions += sum(sender.motions for sender in senders)
+        tally.starts += 1
     return tally
 
 
@@ -136,16 +145,18 @@ def test_random_motions_never_come_closer_than_the_cell_says(part: int) -> None:
     print(
         f"part {part}: {tally.motions} motions, {tally.ticks} ticks, limited in "
         f"{50 * tally.limited / tally.ticks:.1f} %; smallest distance "
-        f"{1e3 * tally.least:+.3f} mm of the cell's (start {tally.closest})"
+        f"{1e3 * tally.least:+.3f} mm of the cell's (start {tally.closest}); "
+        f"{tally.paused} of {tally.starts} starts paused"
     )
     assert tally.limited > 0.01 * tally.ticks
     assert tally.least > 0.0
+    assert tally.paused <= 0.02 * tally.starts
 
 
 def test_an_arm_of_small_accelerations_returns_to_its_path_while_it_moves() -> None:
     # A change of direction takes the Panda 9 mm off its path. A second one within a second would
     # pause it (not_following) if it had not come back by then.
-    play(CELLS[1], 101, 1, first=99)
+    assert play(CELLS[1], 101, 1, first=99).paused == 0
 
 
 def test_without_a_guard_the_same_motions_come_closer() -> None:

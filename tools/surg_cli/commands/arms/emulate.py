@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
+from surg_cli.host import cells
 from surg_cli.host.terminal import Problem, say
 from surg_hardware.emulators.ur import ur_emulator
 
@@ -11,12 +13,18 @@ from surg_hardware.emulators.ur import ur_emulator
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
     parser.add_argument("arm", choices=("ur",), help="ur: UR3e, UR5e, UR10e")
+    parser.add_argument("--cell", help="be the arm of this cell: its address, serial, model, home")
+    parser.add_argument(
+        "--arm", dest="name", metavar="NAME", help="of the cell; default: its first"
+    )
     ur_emulator.add_arguments(parser)
     parser.add_argument("--seconds", type=float, help="end after this time (default: Ctrl-C)")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Serve until Ctrl-C."""
+    if options.cell is not None:
+        _be_of_cell(options, cells.find(options.cell))
     try:
         emulator = ur_emulator.start(options)
     except (ValueError, OSError) as error:
@@ -31,3 +39,24 @@ def main(options: argparse.Namespace, command: str) -> int:
     finally:
         emulator.close()
     return 0
+
+
+def _be_of_cell(options: argparse.Namespace, folder: Path) -> None:
+    """Take address, serial, model and home from a cell's arm.
+
+    Raises:
+        Problem: The cell has no such arm, or the arm is not an emulated UR.
+    """
+    cell = cells.load(folder)
+    name = cells.chosen_arms(cell, options.name)[0]
+    arm = cell.arms[name]
+    models = {model.lower(): model for model in ur_emulator.MODELS}
+    place = f"{folder / 'cell.yaml'}: arms.{name}"
+    if arm.hardware is None or not arm.hardware.emulated:
+        raise Problem(
+            f"{place}.hardware.address: must be on loopback (127.x.x.x) to be emulated", 2
+        )
+    if arm.robot.name not in models:
+        raise Problem(f"{place}.robot: {arm.robot.name!r}; allowed: {', '.join(models)}", 2)
+    options.address, options.serial = arm.hardware.address, arm.hardware.serial
+    options.model, options.q = models[arm.robot.name], list(arm.robot.home)

@@ -30,6 +30,7 @@ from surg_hardware.emulators.ur.primary_server import PrimarySession
 from surg_hardware.emulators.ur.rtde_server import RtdeSession
 from surg_hardware.emulators.ur.ur_controller import HOME, UrController
 
+MODELS = tuple(TABLES)
 PORTS = {
     "dashboard": 29999,
     "primary": 30001,
@@ -436,7 +437,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--ports", metavar="NAME=PORT,...", default="", help=f"other ports than {_said(PORTS)}")
     add("--mishap", type=Path, metavar="FILE", help="mishaps, one per line: [at SECONDS] NAME ...")
     add("--record", type=Path, metavar="FILE", help="write modes and joints of every cycle as CSV")
-    add("--model", choices=tuple(TABLES), default="UR5e", help="default: UR5e")
+    add("--model", choices=MODELS, default="UR5e", help="default: UR5e")
     add("--serial", default="20225500001", help="serial number")
     add("--q", type=float, nargs=6, metavar="RAD", help="joint angles at the start")
     add("--off", action="store_true", help="begin with the power off")
