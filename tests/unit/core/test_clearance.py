@@ -119,11 +119,8 @@ def play(name: str, seed: int, motions: int, guarded: bool = True, first: int = 
         both = setups(cell, distance, round_it)
         pair = started(arms, list(both) if guarded else [None, None])
         senders = [RandomMotion(arm, rng) for arm in pair]
-        apart = free
+        apart, paused = free, False
         for k in range(3000):
-            paused = any(arm.out.state != surg_core.State.ENABLED for arm in pair)
-            if paused and all(np.abs(arm.qd).max() < 1e-6 for arm in pair):
-                break
             tick(pair, [[] if paused else sender.commands(k) for sender in senders], guarded)
             tally.limited += sum(arm.out.limited_by == "clearance" for arm in pair)
             if apart < distance + 0.003 or k % 5 == 0:
@@ -131,6 +128,9 @@ def play(name: str, seed: int, motions: int, guarded: bool = True, first: int = 
                 if apart - distance < tally.least:
                     tally.least, tally.closest = apart - distance, start
             tally.ticks += 1
+            paused = any(arm.out.state != surg_core.State.ENABLED for arm in pair)
+            if paused and all(np.abs(arm.qd).max() < 1e-6 for arm in pair):
+                break
         # A sharp turn at full speed may take a Panda 10 mm off its path.
         assert {arm.out.reason for arm in pair} - {Reason.NOT_FOLLOWING} <= {*MOVING}
         tally.paused += paused
