@@ -47,12 +47,13 @@ struct Filter : Follower {
     name = "filter";
     what = "surg_core, stream filter";
     for (auto& filter : filters) filter = surg::StreamFilter(limits);
+    acceleration.fill(limits.acceleration);
   }
   void reset(const Sample& first) override {
     for (int i = 0; i < 3; ++i) filters[i].reset({first.x[i], 0, 0});
     const auto& x = first.x;
     input = surg::StreamInput();
-    input.begin({x[0], x[1], x[2]}, {}, 0, first.t + 1);  // a stamp of 0 is none
+    input.begin({x[0], x[1], x[2]}, {}, acceleration, 0, first.t + 1);  // a stamp of 0 is none
     begun = false;
   }
   const Axes& tick(double t, const Sample& newest, bool fresh) override {
@@ -70,6 +71,7 @@ struct Filter : Follower {
     return state;
   }
   surg::StreamInput input;
+  surg::StreamInput::Values acceleration{};
   std::array<surg::StreamFilter, 3> filters;
   Axes state{};
   bool begun = false;
