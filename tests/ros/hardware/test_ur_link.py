@@ -24,7 +24,20 @@ pytestmark = pytest.mark.ros
 
 MACHINE_S = 0.05
 """What a shared machine may add."""
-REAL_TIME = os.geteuid() == 0
+FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
+VICTIMS = ["driver", "controller", "node", "driver frozen"]
+
+
+def _granted() -> bool:
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except OSError:
+        return False
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    return True
+
+
+REAL_TIME = _granted()
 """Whether SCHED_FIFO is granted; figures without it say nothing of the link."""
 
 
@@ -103,12 +116,13 @@ def rig(ros_graph: RosGraph, rospy_node: str, tmp_path: Path, record: Path) -> I
 
 def test_the_bundled_motion_keeps_the_pivot(rig: Rig, record: Path) -> None:
     rig.start()
-    operator = rig.operator(duration=8.0)
-    rig.graph.wait_for(lambda: operator.exit_code is not None, 40.0, "the operator's end")
+    seconds = 60.0 if FULL else 4.0
+    operator = rig.operator(duration=seconds)
+    rig.graph.wait_for(lambda: operator.exit_code is not None, seconds + 40.0, "the operator's end")
     assert operator.exit_code == 0, operator.log_tail()
     deviation = 1e3 * Recorded.of(record).deviations()
     assert np.ptp(Recorded.of(record).q, axis=0).max() > 0.05, "nothing has moved"
-    print(f"8 s of the bundled motion: mean {deviation.mean():.4f}, max {deviation.max():.4f} mm")
+    print(f"{seconds:.0f} s: mean {deviation.mean():.4f}, max {deviation.max():.4f} mm")
     assert deviation.max() < (0.15 if REAL_TIME else 0.5)
 
 
@@ -129,7 +143,7 @@ def test_a_robot_that_is_not_started_never_plays_a_motion_to_its_end(rig: Rig) -
     assert operator.exit_code == 1
 
 
-@pytest.mark.parametrize("victim", ["driver", "node", "controller", "driver frozen"])
+@pytest.mark.parametrize("victim", VICTIMS if FULL else VICTIMS[:2])
 def test_a_process_that_dies_leaves_the_arm_at_rest_and_latched(
     rig: Rig, record: Path, victim: str
 ) -> None:
