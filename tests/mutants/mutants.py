@@ -6,7 +6,10 @@ instead, and why it matters. Where two checks guard the same thing, the mutant t
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,24 @@ class Mutant:
     why: str
     edits: tuple[Edit, ...]
     first: tuple[str, ...] = ()
+
+
+@contextmanager
+def applied(mutant: Mutant, root: Path) -> Iterator[None]:
+    """The fault in the files below ``root``, which are as before afterwards."""
+    before = {edit.file: (root / edit.file).read_text() for edit in mutant.edits}
+    try:
+        for edit in mutant.edits:
+            text = (root / edit.file).read_text()
+            assert text.count(edit.text) == 1, (
+                f"{edit.file} holds this {text.count(edit.text)} times, once is needed; write the "
+                f"mutant anew:\n{edit.text}"
+            )
+            (root / edit.file).write_text(text.replace(edit.text, edit.instead))
+        yield
+    finally:
+        for file, text in before.items():
+            (root / file).write_text(text)
 
 
 def one(

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from mutants.hardware_mutants import MUTANTS
-from mutants.mutants import Mutant
+from mutants.mutants import Mutant, applied
 from surg_cli.host import paths
 
 pytestmark = pytest.mark.mutants
@@ -65,15 +65,7 @@ def test_without_a_mutant_nothing_fails(copy: Path) -> None:
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
 def test_the_hardware_mutant_is_noticed(copy: Path, mutant: Mutant) -> None:
-    before = {edit.file: (copy / "surg_hardware" / edit.file).read_text() for edit in mutant.edits}
-    try:
-        for edit in mutant.edits:
-            assert before[edit.file].count(edit.text) == 1, edit
-            path = copy / "surg_hardware" / edit.file
-            path.write_text(before[edit.file].replace(edit.text, edit.instead))
+    with applied(mutant, copy / "surg_hardware"):
         noticed = killer(copy, mutant.first)
-    finally:
-        for file, text in before.items():
-            (copy / "surg_hardware" / file).write_text(text)
     assert noticed is not None, f"nobody notices {mutant.name}: {mutant.why}"
     print(f"{mutant.name}: {noticed}")

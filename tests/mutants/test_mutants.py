@@ -18,7 +18,7 @@ from time import monotonic
 
 import pytest
 
-from mutants.mutants import MUTANTS, Mutant
+from mutants.mutants import MUTANTS, Mutant, applied
 from surg_cli.host import environment, paths, workspace
 
 pytestmark = pytest.mark.mutants
@@ -144,21 +144,9 @@ def write_table(killers: list[tuple[Mutant, str, float]]) -> None:
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
 def test_the_mutant_is_noticed(workshop: Workshop, mutant: Mutant) -> None:
     started = monotonic()
-    before = {edit.file: (workshop.source / edit.file).read_text() for edit in mutant.edits}
-    try:
-        for edit in mutant.edits:
-            path = workshop.source / edit.file
-            text = path.read_text()
-            assert text.count(edit.text) == 1, (
-                f"{edit.file} holds this {text.count(edit.text)} times, once is needed; write the "
-                f"mutant anew:\n{edit.text}"
-            )
-            path.write_text(text.replace(edit.text, edit.instead))
+    with applied(mutant, workshop.source):
         workshop.make()
         killer = workshop.killer(mutant.first)
-    finally:
-        for file, text in before.items():
-            (workshop.source / file).write_text(text)
     assert killer is not None, f"nobody notices {mutant.name}: {mutant.why}"
     workshop.killers.append((mutant, killer, monotonic() - started))
     print(f"{mutant.name}: {killer} ({monotonic() - started:.0f} s)")

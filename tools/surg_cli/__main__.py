@@ -33,7 +33,7 @@ def run(arguments: Sequence[str]) -> int:
         if not (wants_help and name != "shell"):
             provision.make_ready()
             workspace.build(paths.STATE / "logs" / "build.log")
-            env = environment.for_nodes()
+            env = environment.for_nodes(draws=COMMANDS[name].draws)
             python_path = env.get("PYTHONPATH", "")
             env["PYTHONPATH"] = f"{paths.ROOT / 'tools'}:{python_path}".rstrip(":")
             env["SURG_CALLER_MASTER"] = os.environ.get("ROS_MASTER_URI", "")

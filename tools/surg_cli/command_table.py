@@ -21,6 +21,7 @@ class Command:
     module: str  # of `surg_cli.commands`
     help: str
     needs_workspace: bool = True  # whether everything is set up and built before it runs
+    draws: bool = True  # whether it may start what draws pictures
 
 
 COMMANDS = {
@@ -29,9 +30,9 @@ COMMANDS = {
     "teleop": Command("run", "teleop", "operate the phantom from the browser console"),
     "up": Command("run", "up", "bring a cell up and keep it until Ctrl-C"),
     "down": Command("run", "down", "end what `up` started", needs_workspace=False),
-    "stop": Command("run", "stop", "pause every arm of the running systems"),
-    "status": Command("run", "status", "list nodes, topic rates and last errors of a system"),
-    "record": Command("data", "record", "start, stop and tag a recording of a running system"),
+    "stop": Command("run", "stop", "pause every arm of the running systems", draws=False),
+    "status": Command("run", "status", "list nodes, topic rates and last errors", draws=False),
+    "record": Command("data", "record", "start, stop and tag a recording", draws=False),
     "recover": Command("data", "recover", "complete recordings that were interrupted"),
     "view": Command("data", "view", "show an episode: video, tip path and curves on one page"),
     "evaluate": Command("data", "evaluate", "compare recorded episodes in figures and tables"),
@@ -41,8 +42,8 @@ COMMANDS = {
     "calibrate": Command("robot", "calibrate", "solve tool and trocar from recorded poses"),
     "check-frames": Command("robot", "check_frames", "compare commanded and observed tip motion"),
     "reach": Command("robot", "arms.reach", "tell and draw where the tips of a cell can go"),
-    "robot": Command("robot", "arms.robot", "start, stop or guide robots, measure their lag"),
-    "emulate": Command("robot", "arms.emulate", "emulate the controller of a real arm"),
+    "robot": Command("robot", "arms.robot", "start, stop, guide robots; their lag", draws=False),
+    "emulate": Command("robot", "arms.emulate", "emulate a real arm's controller", draws=False),
     "ptp": Command("robot", "ptp", "synchronise the clocks of two machines", needs_workspace=False),
     "setup": Command("develop", "setup", "install packages and .venv", needs_workspace=False),
     "build": Command("develop", "setup", "set up and build the workspace", needs_workspace=False),

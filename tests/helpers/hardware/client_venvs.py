@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
 
-import pytest
-
-from surg_cli.host import paths
+from helpers.tree import oracle_venv
 
 MODULES = {
     "ur_rtde==1.6.5": ("rtde_control", "rtde_receive", "dashboard_client"),
@@ -24,20 +21,5 @@ def python(requirement: str) -> Path:
     Args:
         requirement: One of `MODULES`.
     """
-    folder = paths.ROOT / f".venv-oracle-{requirement.replace('==', '-')}"
-    interpreter, stamp = folder / "bin" / "python", folder / ".complete"
-    if stamp.exists():
-        return interpreter
-    pip = [str(interpreter), "-m", "pip", "--disable-pip-version-check", "install", "-q"]
-    steps = [
-        [str(paths.SYSTEM_PYTHON), "-m", "venv", str(folder)],
-        [*pip, requirement, *BESIDE.get(requirement, ())],
-        [str(interpreter), "-c", f"import {', '.join(MODULES[requirement])}"],
-    ]
-    for step in steps:
-        done = subprocess.run(step, capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            last = done.stderr.strip().splitlines()[-1:]
-            pytest.skip(f"missing: an environment with {requirement}: {last}")
-    stamp.touch()
-    return interpreter
+    words = (requirement, *BESIDE.get(requirement, ()))
+    return oracle_venv.python(requirement.replace("==", "-"), [words], MODULES[requirement])

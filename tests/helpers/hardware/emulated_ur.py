@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.host import paths
-from surg_hardware.emulators.ur.rtde_fields import PACKING
+from surg_hardware.emulators.ur.rtde_fields import COUNT, PACKING
 from surg_hardware.emulators.ur.rtde_server import RtdeSession
 from surg_hardware.emulators.ur.ur_controller import UrController
 
@@ -100,9 +100,8 @@ class Client:
         values = list(struct.unpack(">" + "".join(PACKING[t] for t in self.types), body[1:]))
         found: dict[str, Any] = {}
         for name, code in zip(self.names, self.types, strict=True):
-            count = int(PACKING[code][0]) if PACKING[code][0].isdigit() else 1
-            part = [values.pop(0) for _ in range(count)]
-            found[name] = part if count > 1 else part[0]
+            part = [values.pop(0) for _ in range(COUNT[code])]
+            found[name] = part if COUNT[code] > 1 else part[0]
         return found
 
 

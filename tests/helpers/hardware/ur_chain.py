@@ -1,4 +1,7 @@
-"""Link, program and emulated UR arm in one thread on a fake clock: exact in cycles."""
+"""Link, program and emulated UR arm in one thread on a fake clock: exact in cycles.
+
+The bytes between link and robot are RTDE's. Not in it: sockets, the driver's loop, ROS.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,15 @@ from surg_hardware.conditions import Condition
 from surg_hardware.emulators.ur.joint_motion import DT
 from surg_hardware.emulators.ur.rtde_server import RtdeSession
 from surg_hardware.emulators.ur.ur_controller import UrController
-from surg_hardware.robot_link import Command, RobotLink, Settings, Status
+from surg_hardware.robot_clock import RobotClock
+from surg_hardware.robot_link import Command, RobotLink, RobotState, Settings, Status
 from surg_hardware.ur import urscript
 from surg_hardware.ur.rtde import INPUTS, OUTPUTS, Decoder, Recipe
 from surg_hardware.ur.ur_driver import robot_state
 
 DEAD_MAN, STOP = 0.04, 20.0
 REST = (0.0,) * 6
+SETTINGS = Settings((math.pi,) * 6, (40.0,) * 6, DEAD_MAN, STOP)
 
 
 class Chain:
@@ -25,12 +30,16 @@ class Chain:
     Attributes:
         controller: The emulated arm.
         link: The link.
+        clock: The robot's time on ours.
+        command: The controller's newest one.
         status: What the link says.
         sent: The velocities of this cycle [rad/s]; None: nothing was sent.
     """
 
-    def __init__(self) -> None:
-        self.controller = UrController()
+    def __init__(
+        self, settings: Settings = SETTINGS, controller: UrController | None = None
+    ) -> None:
+        self.controller = controller or UrController()
         client = Client(RtdeSession(self.controller))
         self._session = client.session
         number = client.set_up(OUTPUTS, INPUTS)
@@ -39,47 +48,65 @@ class Chain:
         answer = bytes([number]) + ",".join(client.inputs[number]).encode()
         self._inputs = Recipe.of(INPUTS, answer)
         self._decoder = Decoder()
-        limits = Settings((math.pi,) * 6, (40.0,) * 6, DEAD_MAN, STOP)
-        self.link = RobotLink(limits)
+        self._stop_deceleration = settings.stop_deceleration
+        self.link, self.clock = RobotLink(settings), RobotClock()
         self.status: Status | None = None
         self.sent: tuple[float, ...] | None = None
-        self._command: Command | None = None
-        self._now = 0.0
+        self.command: Command | None = None
+        self._count = 0
 
     @property
     def condition(self) -> Condition:
         """What the link says of the robot."""
         return Condition.OFFLINE if self.status is None else self.status.condition
 
-    def cycle(self, qd: Sequence[float] | None = REST) -> None:
-        """One cycle of robot, link and controller.
+    @property
+    def now(self) -> float:
+        """Our clock [s]."""
+        return DT * self._count
+
+    def say(self, qd: Sequence[float]) -> None:
+        """A command of the controller [rad/s]."""
+        self.command = Command(tuple(qd), round(1e9 * self.now), self.now)
+
+    def cycle(self, qd: Sequence[float] | None = REST) -> RobotState:
+        """One cycle of robot and link.
 
         Args:
             qd: The controller's velocities [rad/s]; None: it sends nothing.
         """
-        self._now += DT
+        self._count += 1
         self.controller.advance()
         ((_, payload),) = self._decoder.add(self._session.output())
         values = self._outputs.unpack(payload)
         assert values is not None
+        state = robot_state(values)
+        self.clock.arrived(state.time, self.now)
         if qd is not None:
-            self._command = Command(tuple(qd), round(1e9 * self._now), self._now)
-        step = self.link.step(robot_state(values), self._command, self._now)
+            self.say(qd)
+        step = self.link.step(state, self.command, self.now)
         self.status, self.sent = step.status, step.qd
         if step.qd is not None:
             assert self._session.receive(self._inputs.pack(step.number, *step.qd)) == b""
         self.controller.execute()
+        return state
 
     def cycles(self, count: int, qd: Sequence[float] | None = REST) -> None:
         """Several cycles with one command."""
         for _ in range(count):
             self.cycle(qd)
 
+    def ask_to_start(self, enabled: bool, known_for: float) -> str:
+        """As a person asks for it: the refusal, or nothing."""
+        refusal = self.link.start(enabled, known_for, self.now)
+        if not refusal:
+            assert self.controller.run_script(urscript.follow_program(self._stop_deceleration))
+        return refusal
+
     def start(self) -> int:
         """Start the robot; returns the cycles until the link drives it."""
-        refusal = self.link.start(False, math.inf, self._now)
+        refusal = self.ask_to_start(False, math.inf)
         assert refusal == "", refusal
-        assert self.controller.run_script(urscript.follow_program(STOP))
         for count in range(100):
             if self.condition is Condition.ACTIVE:
                 return count

@@ -5,12 +5,9 @@ Each has the real robomimic too, which needs the same torch.
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
 
-import pytest
-
-from surg_cli.host import paths
+from helpers.tree import oracle_venv
 
 # lerobot's own pins ask for CUDA and much that reading needs not: it comes without dependencies.
 TORCH = ("torch==2.13.0", "torchvision==0.28.0", "torchcodec==0.13.0")
@@ -30,22 +27,8 @@ def python(version: str) -> Path:
     A torch for the processor alone is needed: its wheel (``torch==2.13.0+cpu``) must be in reach of
     pip, by its settings or ``PIP_FIND_LINKS``. Skips the test where the environment cannot be made.
     """
-    folder = paths.ROOT / f".venv-oracle-lerobot-{version}"
-    interpreter, stamp = folder / "bin" / "python", folder / ".complete"
-    if stamp.exists():
-        return interpreter
-    pip = [str(interpreter), "-m", "pip", "--disable-pip-version-check", "install", "-q"]
-    steps = [
-        [str(paths.SYSTEM_PYTHON), "-m", "venv", str(folder)],
-        [*pip, *PLAIN, DATASETS[version]],
-        [*pip, "--no-deps", *TORCH, "accelerate", f"lerobot=={version}", ROBOMIMIC],
-        [str(interpreter), "-c", "import torch, torchcodec"],
-    ]
-    for step in steps:
-        done = subprocess.run(step, capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            last = done.stderr.strip().splitlines()[-1:]
-            said = f"{' '.join(step[:5])} …: {last}"
-            pytest.skip(f"missing: an environment with lerobot {version}: {said}")
-    stamp.touch()
-    return interpreter
+    installs = (
+        (*PLAIN, DATASETS[version]),
+        ("--no-deps", *TORCH, "accelerate", f"lerobot=={version}", ROBOMIMIC),
+    )
+    return oracle_venv.python(f"lerobot-{version}", installs, ("torch", "torchcodec"))

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 
 from surg_hardware import identity
-from surg_hardware.identity import Expected, Found
+from surg_hardware.identity import Identity
 
-CELL = Expected("20225500123", "ur5e", 0.85, (0.0, 0.02, 0.11))
+CELL = Identity("20225500123", "ur5e", 0.85, (0.0, 0.02, 0.11))
 
 
-def found(**changed: object) -> Found:
+def found(**changed: object) -> Identity:
     values: dict[str, object] = {
         "serial": "20225500123",
         "model": "UR5",
         "mass": 0.85,
         "cog": (0.0, 0.02, 0.11),
     }
-    return Found(**{**values, **changed})  # type: ignore[arg-type]
+    return Identity(**{**values, **changed})  # type: ignore[arg-type]
 
 
 def test_the_arm_of_the_cell_is_accepted() -> None:

@@ -98,7 +98,7 @@ def test_a_command_is_executed_after_two_cycles_and_its_stamp_comes_back() -> No
     for _ in range(100):
         chain.cycle(QD)
         assert chain.status is not None
-        ages.append(chain._now - 1e-9 * chain.status.last_command_ns)
+        ages.append(chain.now - 1e-9 * chain.status.last_command_ns)
     assert max(ages) == pytest.approx(2 * DT)
     target = list(chain.controller.motion.qd)
     count = 0

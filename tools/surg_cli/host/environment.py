@@ -40,11 +40,14 @@ def clean(base: Mapping[str, str] | None = None) -> dict[str, str]:
     return env
 
 
-def for_nodes(port: int | None = None, ros_home: Path | None = None) -> dict[str, str]:
+def for_nodes(
+    port: int | None = None, ros_home: Path | None = None, draws: bool = True
+) -> dict[str, str]:
     """The environment nodes run in: the built workspace, a master, the loopback interface.
 
     Without a port ROS_MASTER_URI stays as the caller has it. ``ros_home`` (default `.surg/ros`)
-    becomes ROS_HOME, and its `ros_log` ROS_LOG_DIR.
+    becomes ROS_HOME, and its `ros_log` ROS_LOG_DIR. ``draws``: what draws is looked for, which a
+    broken driver can make slow.
 
     Raises:
         Problem: The workspace has not been built.
@@ -75,7 +78,8 @@ def for_nodes(port: int | None = None, ros_home: Path | None = None) -> dict[str
         PYTHONUNBUFFERED="1",
         **KEEPS_MEMORY,
     )
-    env["MUJOCO_GL"] = rendering.backend()
+    if draws:
+        env["MUJOCO_GL"] = rendering.backend()
     if port is not None:
         env["ROS_MASTER_URI"] = f"http://localhost:{port}"
     else:

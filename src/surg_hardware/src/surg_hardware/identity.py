@@ -20,8 +20,11 @@ MASS, COG = 0.1, 0.02
 
 
 @dataclass(frozen=True)
-class Expected:
-    """What the cell says of its arm: serial, model, payload mass [kg] and its centre [m] (3,)."""
+class Identity:
+    """What the cell, or the robot, says of an arm: payload mass [kg] and its centre [m] (3,).
+
+    A robot's ``serial`` and ``model`` are empty where unknown.
+    """
 
     serial: str
     model: str
@@ -29,17 +32,7 @@ class Expected:
     cog: tuple[float, float, float]
 
 
-@dataclass(frozen=True)
-class Found:
-    """What the robot says of itself; ``serial`` and ``model`` are empty where unknown."""
-
-    serial: str
-    model: str
-    mass: float
-    cog: tuple[float, float, float]
-
-
-def mismatches(expected: Expected, found: Found) -> list[str]:
+def mismatches(expected: Identity, found: Identity) -> list[str]:
     """One sentence per difference: the cell's key, what it says, what the robot says, the cure."""
     wrong = []
     if found.serial != expected.serial:

@@ -211,10 +211,10 @@ class LinkNode:
         assert hardware is not None  # driver_settings has checked it
         self._serial = found.serial
         x, y, z = hardware.payload_cog.tolist()
-        expected = identity.Expected(
+        expected = identity.Identity(
             hardware.serial, self._arm.robot.name, hardware.payload_mass, (x, y, z)
         )
-        said = identity.Found(found.serial, found.model, found.mass, found.cog)
+        said = identity.Identity(found.serial, found.model, found.mass, found.cog)
         wrong = identity.mismatches(expected, said)
         ours = self._arm.chain.forward(np.array(found.q))
         theirs = identity.ur_flange(found.tcp_pose, found.tcp_offset)
