@@ -6,6 +6,7 @@ Exact in cycles, on a made-up clock; judged by the emulated arm's own joints.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 
 import numpy as np
@@ -20,6 +21,7 @@ from surg_hardware.emulators.ur.ur_controller import UrController
 
 pytestmark = pytest.mark.untimed
 
+FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 SPEEDS = {"scale 1": 0.012, "scale 0.1": 0.0012}
 """[m/s] Of the tip: the bundled motion at the stop, and a tenth of it."""
 STOPS: dict[str, tuple[Callable[[UrController], object], Condition]] = {
@@ -78,43 +80,67 @@ def test_robot_condition_a_slider_is_ramped_and_latched(reactions: Reactions) ->
     reactions.add("F33", "emulated UR, slider 50 %", "deviation", [1e3 * away], 0.2, "mm")
 
 
-@pytest.mark.parametrize("scale", SPEEDS)
-@pytest.mark.parametrize("resumed", ["unlocked and started", "unlocked and resumed on the pendant"])
-def test_after_a_protective_stop_nothing_moves_until_a_person_enables(
-    full: bool, reactions: Reactions, scale: str, resumed: str
+def unlocked(chain: Chain) -> None:
+    assert chain.robot.unlock()
+
+
+def powered(chain: Chain) -> None:
+    chain.robot.release()
+    chain.robot.release_brakes()
+
+
+def played(chain: Chain) -> None:
+    """In local control: the link may not end the program, so a person can resume it."""
+    assert chain.robot.safety_mode == SafetyMode.NORMAL or chain.robot.unlock()
+    assert chain.robot.play()
+
+
+RECOVERIES: dict[str, tuple[Callable[[Chain], object], Callable[[Chain], None]]] = {
+    "protective stop, unlocked": (lambda c: c.robot.protective_stop("test"), unlocked),
+    "protective stop, unlocked and played": (lambda c: c.robot.protective_stop("test"), played),
+    "pause, played": (lambda c: c.robot.pause(), played),
+    "emergency stop, released": (
+        lambda c: c.robot.fall_to(SafetyMode.ROBOT_EMERGENCY_STOP, "test"), powered,
+    ),
+    "reboot": (lambda c: c.ur.reboot(600), powered),
+}  # fmt: skip
+"""What stops the robot, and what people then do."""
+
+
+@pytest.mark.parametrize("scale", SPEEDS if FULL else ["scale 0.1"])
+@pytest.mark.parametrize("what", RECOVERIES)
+def test_after_a_stop_and_a_start_nothing_moves_until_a_person_enables(
+    reactions: Reactions, scale: str, what: str
 ) -> None:
     """The sender and the controller go on as if nothing had happened."""
-    unlocked, enabled = [], []
-    for seed in range(100 if full else 1):
+    stop, recover = RECOVERIES[what]
+    before, after = [], []
+    for seed in range((100 if scale == "scale 0.1" else 10) if FULL else 1):
         rng = np.random.default_rng(seed)
         chain = Chain()
+        chain.ur.dashboard = recover is not played
         for _ in range(int(rng.integers(100, 400))):
-            chain.stream(SPEEDS[scale])
-        chain.robot.protective_stop("test")
+            assert chain.stream(SPEEDS[scale]).state == State.ENABLED
+        stop(chain)
         for _ in range(2600 + int(rng.integers(0, 200))):
             chain.stream(SPEEDS[scale])
-        assert chain.robot.unlock()
         rest, farthest = chain.tip, 0.0
-        if "pendant" in resumed:
-            assert chain.robot.play()
-        else:
-            chain.stream(SPEEDS[scale])
-            assert chain.start() == ""
-        for _ in range(700):
+        recover(chain)
+        started = False
+        for cycle in range(1800):
+            started = started or (cycle >= 1100 and chain.start() == "")
             assert chain.stream(SPEEDS[scale]).state == State.FAULT
             farthest = max(farthest, 1e3 * float(np.linalg.norm(chain.tip - rest)))
-        unlocked.append(farthest)
-        if "pendant" in resumed:
-            assert chain.status is not None and chain.status.condition is Condition.READY
-            assert chain.start() == ""
-            chain.run(20)
+        before.append(farthest)
+        assert started and chain.status is not None
+        assert chain.status.condition is Condition.ACTIVE, chain.status
         assert chain.controller.request(StateCommand.ENABLE) == Reason.NONE
         for _ in range(300):
             assert chain.step().state == State.ENABLED
-        enabled.append(1e3 * float(np.linalg.norm(chain.tip - rest)))
-    name = f"emulated UR, protective stop {resumed}, {scale}"
-    reactions.add("F33", name, "tip before enable", unlocked, 0.0005, "mm")
-    reactions.add("F33", name, "tip after enable", enabled, 0.1, "mm")
+        after.append(1e3 * float(np.linalg.norm(chain.tip - rest)))
+    name = f"emulated UR, {what}, started, {scale}"
+    reactions.add("F33", name, "tip before enable", before, 0.0005, "mm")
+    reactions.add("F33", name, "tip after enable", after, 0.1, "mm")
 
 
 def test_start_is_refused_under_a_moving_command_and_while_enabled() -> None:

@@ -101,6 +101,22 @@ MUTANTS: tuple[Mutant, ...] = (
         CHAIN,
     ),
     one(
+        "paused_program_left_on_the_robot",
+        "play on the pendant gives the arm its old speed back",
+        "robot_link.py",
+        "self._ours and state.paused)",
+        "False)",
+        CHAIN,
+    ),
+    one(
+        "watchdog_of_the_robot_off",
+        "play in local control gives the arm its old speed back",
+        "ur/urscript.py",
+        '  rtde_set_watchdog("input_int_register_{n0}", {watchdog}, "stop")\n',
+        "",
+        CHAIN,
+    ),
+    one(
         "slider_unseen",
         "the arm is slower than the controller believes",
         "conditions.py",

@@ -37,8 +37,8 @@ class Chain:
         settings = Settings(
             given.velocity, given.acceleration, given.dead_man, given.stop_deceleration
         )
-        self._chain = ur_chain.Chain(settings, self.robot)
-        self.link, self.clock, self.law = self._chain.link, self._chain.clock, law
+        self.ur = ur_chain.Chain(settings, self.robot)
+        self.link, self.clock, self.law = self.ur.link, self.ur.clock, law
         self.obeys_commands = True  # False: the controller's commands are lost on their way
         self.moves = True  # False: the controller sees an arm that stands still
         self.controller = surg_core.Controller(
@@ -64,21 +64,21 @@ class Chain:
     @property
     def now(self) -> float:
         """Our clock [s]."""
-        return self._chain.now
+        return self.ur.now
 
     @property
     def status(self) -> Status | None:
         """What the link says."""
-        return self._chain.status
+        return self.ur.status
 
     def start(self) -> str:
         """As a person asks for it: the refusal, or nothing."""
         enabled = self.out.state == State.ENABLED
-        return self._chain.ask_to_start(enabled, self.clock.known_for)
+        return self.ur.ask_to_start(enabled, self.clock.known_for)
 
     def step(self, *commands: MotionCommand) -> surg_core.Outputs:
         """One cycle of all: the robot's state, the link's answer, the controller's next command."""
-        state = self._chain.cycle(None)
+        state = self.ur.cycle(None)
         assert self.status is not None
         q, qd = np.array(state.q), np.array(state.qd)
         if not self.moves:
@@ -91,7 +91,7 @@ class Chain:
             readings=Readings(condition=RobotCondition(int(self.status.condition))),
         )
         if self.obeys_commands:
-            self._chain.say([float(value) for value in self.out.qd_command])
+            self.ur.say([float(value) for value in self.out.qd_command])
         return self.out
 
     def run(self, cycles: int) -> surg_core.Outputs:

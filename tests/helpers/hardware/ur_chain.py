@@ -34,12 +34,24 @@ class Chain:
         command: The controller's newest one.
         status: What the link says.
         sent: The velocities of this cycle [rad/s]; None: nothing was sent.
+        dashboard: Whether the robot obeys its dashboard server; False: it is in local control.
     """
 
     def __init__(
         self, settings: Settings = SETTINGS, controller: UrController | None = None
     ) -> None:
         self.controller = controller or UrController()
+        self._connect()
+        self._down = 0  # cycles until the robot answers again
+        self._stop_deceleration = settings.stop_deceleration
+        self.link, self.clock = RobotLink(settings), RobotClock()
+        self.status: Status | None = None
+        self.sent: tuple[float, ...] | None = None
+        self.command: Command | None = None
+        self.dashboard = True
+        self._count = 0
+
+    def _connect(self) -> None:
         client = Client(RtdeSession(self.controller))
         self._session = client.session
         number = client.set_up(OUTPUTS, INPUTS)
@@ -48,12 +60,6 @@ class Chain:
         answer = bytes([number]) + ",".join(client.inputs[number]).encode()
         self._inputs = Recipe.of(INPUTS, answer)
         self._decoder = Decoder()
-        self._stop_deceleration = settings.stop_deceleration
-        self.link, self.clock = RobotLink(settings), RobotClock()
-        self.status: Status | None = None
-        self.sent: tuple[float, ...] | None = None
-        self.command: Command | None = None
-        self._count = 0
 
     @property
     def condition(self) -> Condition:
@@ -69,18 +75,29 @@ class Chain:
         """A command of the controller [rad/s]."""
         self.command = Command(tuple(qd), round(1e9 * self.now), self.now)
 
+    def reboot(self, cycles: int) -> None:
+        """The robot's controller starts again, and does not answer for some cycles."""
+        self.controller.boot()
+        self._down = cycles
+
     def cycle(self, qd: Sequence[float] | None = REST) -> RobotState:
         """One cycle of robot and link.
 
         Args:
             qd: The controller's velocities [rad/s]; None: it sends nothing.
+
+        Returns:
+            The newest state of the robot.
         """
         self._count += 1
         self.controller.advance()
+        if self._down > 0:
+            self._offline()
+            return self._state
         ((_, payload),) = self._decoder.add(self._session.output())
         values = self._outputs.unpack(payload)
         assert values is not None
-        state = robot_state(values)
+        self._state = state = robot_state(values)
         self.clock.arrived(state.time, self.now)
         if qd is not None:
             self.say(qd)
@@ -88,8 +105,19 @@ class Chain:
         self.status, self.sent = step.status, step.qd
         if step.qd is not None:
             assert self._session.receive(self._inputs.pack(step.number, *step.qd)) == b""
+        if step.end_program and self.dashboard:
+            self.controller.stop()
         self.controller.execute()
         return state
+
+    def _offline(self) -> None:
+        """One cycle in which no state comes."""
+        self._down -= 1
+        self.status, self.sent = self.link.lost(), None
+        self.controller.execute()
+        if self._down == 0:
+            self._connect()
+            self.clock.reset()
 
     def cycles(self, count: int, qd: Sequence[float] | None = REST) -> None:
         """Several cycles with one command."""

@@ -59,6 +59,7 @@ class RobotState:
     reading: Reading
     program: bool = False  # whether a program runs on the robot
     executed: int = 0  # number of the command that the program obeys
+    paused: bool = False  # whether its program waits, and goes on when a person presses play
 
 
 @dataclass(frozen=True)
@@ -86,12 +87,14 @@ class Step:
     """One cycle: the velocity for the robot with its number; ``qd`` None: nothing is sent.
 
     Zeros with the number of before end the motion: a program that a person resumes after a stop
-    finds no old velocity.
+    finds no old velocity. The robot itself may keep the old speed of a paused program and give it
+    back on `play`: where `end_program` is set, the driver ends the program.
     """
 
     qd: tuple[float, ...] | None
     number: int
     status: Status
+    end_program: bool = False
 
 
 class CommandPhase:
@@ -130,6 +133,7 @@ class RobotLink:
         self._reading = OFFLINE
         self._silent = False
         self._driving = False  # whether a velocity was sent in the last cycle
+        self._ours = False  # whether the program on the robot is this link's
         self._sent = tuple(0.0 for _ in settings.velocity)
         self._number = self._first = self._executed = 0
         self._stamps: deque[tuple[int, int]] = deque(maxlen=_KEPT)
@@ -172,6 +176,7 @@ class RobotLink:
         if known_for < SETTLED:
             return f"the robot has answered for less than {SETTLED:g} s: wait"
         self._phase, self._why, self._since = _Phase.STARTING, "", now
+        self._ours = True
         self._sent = tuple(0.0 for _ in self._sent)
         # An old echo must not pass for a new one.
         self._number = self._first = (self._executed + 1000) % 2**30
@@ -220,7 +225,9 @@ class RobotLink:
         if self._phase is _Phase.IDLE:
             self._sent = tuple(0.0 for _ in self._sent)
             ended, self._driving = self._driving, False
-            return Step(self._sent if ended else None, self._number, self._status())
+            self._ours &= state.program or state.paused
+            qd = self._sent if ended else None
+            return Step(qd, self._number, self._status(), self._ours and state.paused)
         self._driving = True
         if self._phase is _Phase.ACTIVE and not silent and command is not None:
             self._sent = self._toward(command.qd, elapsed)

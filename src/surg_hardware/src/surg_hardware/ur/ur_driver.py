@@ -14,6 +14,7 @@ import select
 import signal
 import socket
 import sys
+import threading
 import time
 from dataclasses import dataclass
 
@@ -48,6 +49,7 @@ LAST_RAMP = 0.5
 IDENTITY_PERIOD = 1.0
 """[s] Between two looks at the robot's identity, at rest."""
 _PLAYING = 2
+_PAUSED = (3, 4)  # pausing, paused
 _TEACH_BUTTON = 4  # bit of robot_status_bits
 
 
@@ -88,6 +90,7 @@ def robot_state(values: Values) -> RobotState:
             guided,
         ),
         program=playing,
+        paused=values["runtime_state"][0] in _PAUSED,
         executed=int(values["output_int_register_24"][0]),
     )
 
@@ -114,6 +117,7 @@ class UrDriver:
         self._serial = self._model = ""
         self._tick = 0
         self._arrived = self._tried = self._identified = -1e9  # our clock
+        self._ended_program = -1e9
         self._sent: Status | None = None
         self._ended = ""
 
@@ -196,6 +200,10 @@ class UrDriver:
         if now - taken <= STALE:
             stamp = time.time_ns() - round(1e9 * (now - taken))
             self._say(StateDatagram(stamp, self._tick, state.q, state.qd, step.status).pack())
+        if step.end_program and now - self._ended_program > AGAIN:
+            self._ended_program = now
+            # Beside the loop: the dashboard may take its time.
+            threading.Thread(target=self._end_program, daemon=True).start()
         if self._link.at_rest and now - self._identified > IDENTITY_PERIOD:
             self._identified = now
             self._say_identity(values)
@@ -295,6 +303,15 @@ class UrDriver:
         elif self._program:
             dashboard.ask(self._settings.address, ("stop",))
         return ""
+
+    def _end_program(self) -> None:
+        """End the paused program: `play` would give the arm its old speed back."""
+        try:
+            (answer,) = dashboard.ask(self._settings.address, ("stop",))
+        except OSError as error:
+            answer = str(error)
+        if not answer.startswith("Stopped"):
+            self._notice(f"a paused program is still on the robot: stop it there ({answer})")
 
     def _upload(self, program: str) -> str:
         (remote,) = dashboard.ask(self._settings.address, ("is in remote control",))

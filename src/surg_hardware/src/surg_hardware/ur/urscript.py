@@ -16,9 +16,13 @@ GUIDING = 1
 """In output integer REGISTER + 1 while a person guides the arm."""
 DEAD_MAN_CYCLES = 10
 """Cycles without a new command number after which the program stops the arm: 20 ms."""
+WATCHDOG = 25.0
+"""[1/s] The controller itself stops a program whose command number is written less often. It also
+stops a program that wakes from a pause, before the arm has its old speed again."""
 
 _FOLLOW = """\
 def surg_link():
+  rtde_set_watchdog("input_int_register_{n0}", {watchdog}, "stop")
   write_output_integer_register({n1}, 0)
   global command = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
   thread drive():
@@ -65,6 +69,7 @@ def follow_program(deceleration: float) -> str:
     velocities = ", ".join(f"read_input_float_register({REGISTER + i})" for i in range(6))
     return _FOLLOW.format(
         acceleration=ACCELERATION,
+        watchdog=WATCHDOG,
         n0=REGISTER,
         n1=REGISTER + 1,
         cycles=DEAD_MAN_CYCLES,
