@@ -28,7 +28,7 @@ def run(arguments: Sequence[str]) -> int:
     if name not in COMMANDS:
         warn(f"surg: no command {name!r}; there are: {', '.join(COMMANDS)}")
         return 2
-    if COMMANDS[name].needs_workspace and READY not in os.environ:
+    if COMMANDS[name].wants_workspace(rest) and READY not in os.environ:
         wants_help = any(word in ("-h", "--help") for word in rest)
         if not (wants_help and name != "shell"):
             provision.make_ready()

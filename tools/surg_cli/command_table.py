@@ -22,6 +22,12 @@ class Command:
     help: str
     needs_workspace: bool = True  # whether everything is set up and built before it runs
     draws: bool = True  # whether it may start what draws pictures
+    workspace_option: str = ""  # an option that needs everything set up and built
+
+    def wants_workspace(self, words: Sequence[str]) -> bool:
+        """Whether it needs the workspace when called with these words."""
+        asked = any(word.partition("=")[0] == self.workspace_option for word in words)
+        return self.needs_workspace or (bool(self.workspace_option) and asked)
 
 
 COMMANDS = {
@@ -51,7 +57,14 @@ COMMANDS = {
     "bench": Command("develop", "bench", "run a benchmark"),
     "shell": Command("develop", "shell", "open a shell with the workspace sourced"),
     "topics": Command("develop", "topics", "compare a graph with docs/reference/topics.yaml"),
-    "doctor": Command("develop", "doctor", "list what is installed, missing and running", False),
+    "doctor": Command(
+        "develop",
+        "doctor",
+        "list what is installed, missing and running; --robot CELL: examine an arm",
+        needs_workspace=False,
+        draws=False,
+        workspace_option="--robot",
+    ),
 }
 MOVED = {("demo", "--task"): "./surg run TASK", ("demo", "--full"): "./surg learn TASK"}
 """Options that earlier versions had, and the command that does the same now."""

@@ -7,6 +7,7 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ from surg_cli.host import paths
 from surg_hardware.emulators.ur.rtde_fields import COUNT, PACKING
 from surg_hardware.emulators.ur.rtde_server import RtdeSession
 from surg_hardware.emulators.ur.ur_controller import UrController
+from surg_hardware.emulators.ur.ur_emulator import UrEmulator
 
 SOURCES = paths.ROOT / "src" / "surg_hardware" / "src"
 QD_REGISTERS = tuple(f"input_double_register_{n}" for n in range(24, 30))
@@ -179,3 +181,17 @@ def mishap(address: str, line: str) -> str:
     with socket.create_connection((address, 29990), timeout=5.0) as control:
         control.sendall(f"{line}\n".encode())
         return control.makefile().readline().strip()
+
+
+@contextmanager
+def in_process(controller: UrController) -> Iterator[UrEmulator]:
+    """An emulator behind the usual ports of a free address, run by a thread."""
+    emulator = UrEmulator(controller, free_address())
+    thread = threading.Thread(target=emulator.run, daemon=True)
+    thread.start()
+    try:
+        yield emulator
+    finally:
+        emulator.stopped = True
+        thread.join(5.0)
+        emulator.close()

@@ -39,8 +39,8 @@ def test_the_arm_of_the_cell_is_accepted() -> None:
     ],
 )
 def test_another_arm_is_refused_by_the_cells_key(changed: dict[str, object], key: str) -> None:
-    (sentence,) = identity.mismatches(CELL, found(**changed))
-    assert sentence.startswith(key + ":")
+    (mismatch,) = identity.mismatches(CELL, found(**changed))
+    assert mismatch.key == key and mismatch.cure
 
 
 def rotation(axis: int, angle: float) -> np.ndarray:

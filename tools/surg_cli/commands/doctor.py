@@ -6,11 +6,14 @@ import argparse
 import os
 import shutil
 import subprocess
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from surg_cli.graph import master, running
 from surg_cli.host import environment, paths, provision, workspace
+from surg_cli.host.option_types import positive
 from surg_cli.host.terminal import Problem, say
 
 FREE_GIB = 3.0
@@ -38,12 +41,31 @@ class Finding:
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
-    """There are no options."""
+    """Declare the options."""
+    add = parser.add_argument
+    add("--robot", metavar="CELL", help="examine the real arms of this cell; moves nothing")
+    add("--arm", metavar="ARM", help="with --robot: only this arm (default: every arm)")
+    add(
+        "--seconds",
+        type=positive,
+        default=10.0,
+        metavar="S",
+        help="with --robot: length of its measurements (default 10 s)",
+    )
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Print all findings; exit status 1 if one is bad."""
-    findings = [
+    if options.robot is not None:
+        from surg_cli.graph import robot_doctor
+
+        return report(robot_doctor.findings(options.robot, options.arm, options.seconds))
+    return report(_machine())
+
+
+def _machine() -> list[Finding]:
+    """All findings about this machine and checkout."""
+    return [
         _system(),
         _packages(),
         _python(),
@@ -53,6 +75,10 @@ def main(options: argparse.Namespace, command: str) -> int:
         _default_port(),
         *_running(),
     ]
+
+
+def report(findings: Sequence[Any]) -> int:
+    """Print findings, with ``good``, ``what``, ``text`` and ``cure``; returns the exit status."""
     for finding in findings:
         sign = {True: "ok  ", False: "BAD ", None: "    "}[finding.good]
         say(f"{sign} {finding.what}: {finding.text}")

@@ -5,9 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import surg_core
 
 Array = NDArray[np.float64]
 
@@ -17,6 +21,7 @@ FLANGE_ANGLE = math.radians(0.1)
 """[rad]"""
 MASS, COG = 0.1, 0.02
 """[kg], [m] Tolerances of the payload that the robot has set."""
+KINEMATICS = "check the model; then read the arm's own kinematics: ./surg robot CELL kinematics"
 
 
 @dataclass(frozen=True)
@@ -32,29 +37,64 @@ class Identity:
     cog: tuple[float, float, float]
 
 
-def mismatches(expected: Identity, found: Identity) -> list[str]:
-    """One sentence per difference: the cell's key, what it says, what the robot says, the cure."""
+def of_cell(arm: surg_core.Arm) -> Identity:
+    """What the cell says of a real or emulated arm."""
+    hardware = arm.hardware
+    if hardware is None:
+        raise ValueError(f"{arm.name} has no 'hardware' in its cell")
+    x, y, z = hardware.payload_cog.tolist()
+    return Identity(hardware.serial, arm.robot.name, hardware.payload_mass, (x, y, z))
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """One difference: the cell's key, what cell and robot say, and what to do."""
+
+    key: str
+    text: str
+    cure: str
+
+    def __str__(self) -> str:
+        return f"{self.key}: {self.text}: {self.cure}"
+
+
+def mismatches(expected: Identity, found: Identity) -> list[Mismatch]:
+    """Where the robot is not the one that the cell means; empty: it is."""
     wrong = []
     if found.serial != expected.serial:
         wrong.append(
-            f"hardware.serial: the cell says {expected.serial!r}, the robot is {found.serial!r}: "
-            "check address and serial; this is another arm"
+            Mismatch(
+                "hardware.serial",
+                f"the cell says {expected.serial!r}, the robot is {found.serial!r}",
+                "check address and serial; this is another arm",
+            )
         )
     if not same_model(expected.model, found.model):
         wrong.append(
-            f"robot: the cell says {expected.model!r}, the robot is a {found.model!r}: "
-            "name the YAML of this model"
+            Mismatch(
+                "robot",
+                f"the cell says {expected.model!r}, the robot is a {found.model!r}",
+                "name the YAML of this model",
+            )
         )
     if not abs(found.mass - expected.mass) <= MASS:
         wrong.append(
-            f"hardware.payload.mass: the cell says {expected.mass:g} kg, the robot has "
-            f"{found.mass:g} kg set; allowed is a difference of {MASS:g} kg: set it on the pendant"
+            Mismatch(
+                "hardware.payload.mass",
+                f"the cell says {expected.mass:g} kg, the robot has {found.mass:g} kg set; "
+                f"allowed is a difference of {MASS:g} kg",
+                "set it on the pendant",
+            )
         )
     away = math.dist(expected.cog, found.cog)
     if not away <= COG:
         wrong.append(
-            f"hardware.payload.cog: the cell and the robot differ by {1e3 * away:.0f} mm; allowed "
-            f"is {1e3 * COG:.0f} mm: set it on the pendant"
+            Mismatch(
+                "hardware.payload.cog",
+                f"the cell and the robot differ by {1e3 * away:.0f} mm; allowed is "
+                f"{1e3 * COG:.0f} mm",
+                "set it on the pendant",
+            )
         )
     return wrong
 
@@ -65,19 +105,25 @@ def same_model(ours: str, theirs: str) -> bool:
     return bool(name) and ours.lower() in (name, name + "e")
 
 
-def flange_mismatch(ours: Array, theirs: Array) -> str:
-    """A sentence if two flange poses (4, 4) in the robot's base differ too much, else empty."""
+def flange_difference(ours: Array, theirs: Array) -> tuple[float, float]:
+    """Distance [m] and angle [rad] between two flange poses (4, 4)."""
     distance = float(np.linalg.norm(ours[:3, 3] - theirs[:3, 3]))
     R = ours[:3, :3].T @ theirs[:3, :3]
     twice_sine = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    angle = math.atan2(float(np.linalg.norm(twice_sine)), float(np.trace(R)) - 1)
+    return distance, math.atan2(float(np.linalg.norm(twice_sine)), float(np.trace(R)) - 1)
+
+
+def flange_mismatch(ours: Array, theirs: Array) -> Mismatch | None:
+    """The difference of two flange poses (4, 4) in the robot's base, if it is too large."""
+    distance, angle = flange_difference(ours, theirs)
     if distance <= FLANGE_DISTANCE and angle <= FLANGE_ANGLE:
-        return ""
-    return (
-        f"forward kinematics: our flange is {1e3 * distance:.2f} mm and {math.degrees(angle):.2f} "
-        f"degrees from the robot's own; allowed are {1e3 * FLANGE_DISTANCE:g} mm and "
-        f"{math.degrees(FLANGE_ANGLE):g} degrees: check the model, the TCP and the robot's "
-        "calibration"
+        return None
+    return Mismatch(
+        "forward kinematics",
+        f"our flange is {1e3 * distance:.2f} mm and {math.degrees(angle):.2f} degrees from the "
+        f"robot's own; allowed are {1e3 * FLANGE_DISTANCE:g} mm and "
+        f"{math.degrees(FLANGE_ANGLE):g} degrees",
+        KINEMATICS,
     )
 
 

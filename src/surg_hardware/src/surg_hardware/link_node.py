@@ -207,20 +207,16 @@ class LinkNode:
 
     def _check_identity(self, found: IdentityDatagram) -> None:
         """Whether this is the arm that the cell means; another one is refused for good."""
-        hardware = self._arm.hardware
-        assert hardware is not None  # driver_settings has checked it
         self._serial = found.serial
-        x, y, z = hardware.payload_cog.tolist()
-        expected = identity.Identity(
-            hardware.serial, self._arm.robot.name, hardware.payload_mass, (x, y, z)
-        )
         said = identity.Identity(found.serial, found.model, found.mass, found.cog)
-        wrong = identity.mismatches(expected, said)
+        wrong = identity.mismatches(identity.of_cell(self._arm), said)
         ours = self._arm.chain.forward(np.array(found.q))
         theirs = identity.ur_flange(found.tcp_pose, found.tcp_offset)
-        wrong += [each for each in (identity.flange_mismatch(ours, theirs),) if each]
+        if (flange := identity.flange_mismatch(ours, theirs)) is not None:
+            wrong.append(flange)
         if wrong:
-            self.refusal = f"{self._arm.name}: " + "; ".join(wrong)
+            sentences = "; ".join(map(str, wrong)).replace("robot CELL", f"robot {self._cell}")
+            self.refusal = f"{self._arm.name}: {sentences}"
         self._known = not wrong
 
     # --- to the driver --------------------------------------------------------------------------

@@ -14,7 +14,7 @@ def ask(address: str, questions: Sequence[str], timeout: float = 1.0) -> list[st
     """Ask the dashboard server, one line each; returns its answers.
 
     Raises:
-        OSError: It does not answer, or not within the time [s] for each line.
+        OSError: It does not answer, not within the time [s] for each line, or it is another server.
     """
     with socket.create_connection((address, DASHBOARD_PORT), timeout) as peer:
         rest = b""
@@ -29,6 +29,8 @@ def ask(address: str, questions: Sequence[str], timeout: float = 1.0) -> list[st
                 rest += data
             line, _, rest = rest.partition(b"\n")
             answers.append(line.decode("utf-8", "replace").strip())
+            if "Dashboard Server" not in answers[0]:
+                raise ConnectionError(f"port {DASHBOARD_PORT} belongs to something else than a UR")
     return answers[1:]
 
 

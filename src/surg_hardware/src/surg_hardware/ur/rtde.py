@@ -146,6 +146,32 @@ def _package(letter: int, payload: bytes = b"") -> bytes:
     return _HEADER.pack(_HEADER.size + len(payload), letter) + payload
 
 
+def round_trips(address: str, seconds: float, pause: float = 0.02) -> list[float]:
+    """Times from a question to its answer [s], asked over and over; moves nothing.
+
+    Raises:
+        OSError: Nobody answers, or not within 1 s.
+        RtdeError: The answer is not RTDE.
+    """
+    trips: list[float] = []
+    end = time.monotonic() + seconds
+    with socket.create_connection((address, PORT), 1.0) as peer:
+        peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        decoder = Decoder()
+        while not trips or time.monotonic() < end:
+            asked = time.monotonic()
+            peer.sendall(_package(_GET_VERSION))
+            answered = False
+            while not answered:
+                data = peer.recv(_CHUNK)
+                if not data:
+                    raise RtdeError("the robot has closed the connection")
+                answered = any(letter == _GET_VERSION for letter, _ in decoder.add(data))
+            trips.append(time.monotonic() - asked)
+            time.sleep(pause)
+    return trips
+
+
 class Rtde:
     """A connection that exchanges `OUTPUTS` and `INPUTS`.
 

@@ -104,6 +104,7 @@ class UrEmulator:
 
     Attributes:
         controller: The controller.
+        address: Address that it listens on.
         ports: Service -> port that it listens on.
         stopped: Set it to True to end `run`.
 
@@ -122,7 +123,7 @@ class UrEmulator:
         if not ipaddress.ip_address(address).is_loopback:
             raise ValueError(f"address {address}: only loopback (127.0.0.0/8) is allowed")
         self.controller, self.stopped = controller, False
-        self._address, self._lock_step = address, lock_step
+        self.address, self._lock_step = address, lock_step
         self._now = 0.0  # emulated time [s]; goes on through a reboot
         self._period = DT
         self._stalled_until = self._booted_at = -1.0
@@ -339,11 +340,11 @@ class UrEmulator:
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         try:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listener.bind((self._address, self.ports[service]))
+            listener.bind((self.address, self.ports[service]))
             listener.listen()
         except OSError as error:
             listener.close()
-            where = f"{self._address}:{self.ports[service]} ({service})"
+            where = f"{self.address}:{self.ports[service]} ({service})"
             raise OSError(error.errno, f"{where}: {error.strerror}") from error
         listener.setblocking(False)
         self.ports[service] = listener.getsockname()[1]
