@@ -35,7 +35,7 @@ class Peer:
 
     def __init__(self, emulator: UrEmulator, service: str) -> None:
         self.emulator = emulator
-        self.socket = socket.create_connection((emulator._address, emulator.ports[service]), 2.0)
+        self.socket = socket.create_connection((emulator.address, emulator.ports[service]), 2.0)
         self.socket.setblocking(False)
         self.work(3)
 
@@ -96,8 +96,8 @@ def test_only_loopback_is_served(address: str) -> None:
 
 
 def test_a_taken_port_is_named(emulator: UrEmulator) -> None:
-    with pytest.raises(OSError, match=f"{emulator._address}:29999"):
-        UrEmulator(UrController(), emulator._address)
+    with pytest.raises(OSError, match=f"{emulator.address}:29999"):
+        UrEmulator(UrController(), emulator.address)
 
 
 def test_free_ports_can_be_asked_for() -> None:

@@ -7,17 +7,30 @@ from pathlib import Path
 
 from surg_cli.host import cells
 from surg_cli.host.terminal import Problem, say
+from surg_hardware.emulators import emulator_ports
+from surg_hardware.emulators.emulator_ports import PortedEmulator
+from surg_hardware.emulators.franka import franka_emulator
 from surg_hardware.emulators.ur import ur_emulator
+
+MODELS = {
+    "ur": {model.lower(): model for model in ur_emulator.MODELS},
+    "fer": {"panda": "Panda"},
+    "fr3": {"fr3": "FR3"},
+}
+"""Emulator -> the robots of cells that it can be, and their names at the maker's."""
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
-    parser.add_argument("arm", choices=("ur",), help="ur: UR3e, UR5e, UR10e")
+    parser.add_argument(
+        "arm", choices=tuple(MODELS), help="ur: UR3e, UR5e, UR10e; fer: Panda; fr3: FR3"
+    )
     parser.add_argument("--cell", help="be the arm of this cell: its address, serial, model, home")
     parser.add_argument(
         "--arm", dest="name", metavar="NAME", help="of the cell; default: its first"
     )
-    ur_emulator.add_arguments(parser)
+    emulator_ports.add_arguments(parser)
+    parser.add_argument("--model", choices=ur_emulator.MODELS, help="of a UR; default: UR5e")
     parser.add_argument("--seconds", type=float, help="end after this time (default: Ctrl-C)")
 
 
@@ -26,11 +39,11 @@ def main(options: argparse.Namespace, command: str) -> int:
     if options.cell is not None:
         _be_of_cell(options, cells.find(options.cell))
     try:
-        emulator = ur_emulator.start(options)
+        emulator = _start(options)
     except (ValueError, OSError) as error:
         raise Problem(f"emulate: {error}", 2) from error
-    granted = ur_emulator.ask_real_time()
-    say(ur_emulator.greeting(options.address, emulator, granted))
+    granted = emulator_ports.ask_real_time()
+    say(emulator_ports.greeting(emulator, granted))
     if not granted:
         say("Without real-time priority its cycles come late under load (ulimit -r).")
     say(f"Mishaps: one per line to port {emulator.ports['control']}; `help` lists them.")
@@ -41,16 +54,25 @@ def main(options: argparse.Namespace, command: str) -> int:
     return 0
 
 
+def _start(options: argparse.Namespace) -> PortedEmulator:
+    if options.arm != "ur":
+        if options.model is not None and options.cell is None:
+            raise ValueError(f"--model {options.model}: only `ur` has models")
+        return franka_emulator.start(options.arm, options)
+    options.model = options.model or "UR5e"
+    return ur_emulator.start(options)
+
+
 def _be_of_cell(options: argparse.Namespace, folder: Path) -> None:
     """Take address, serial, model and home from a cell's arm.
 
     Raises:
-        Problem: The cell has no such arm, or the arm is not an emulated UR.
+        Problem: The cell has no such arm, or the arm is none that this emulator can be.
     """
     cell = cells.load(folder)
     name = cells.chosen_arms(cell, options.name)[0]
     arm = cell.arms[name]
-    models = {model.lower(): model for model in ur_emulator.MODELS}
+    models = MODELS[options.arm]
     place = f"{folder / 'cell.yaml'}: arms.{name}"
     if arm.hardware is None or not arm.hardware.emulated:
         raise Problem(

@@ -11,6 +11,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 
 class MishapError(ValueError):
@@ -33,6 +34,7 @@ class Mishap:
 
 
 Action = Callable[..., str | None]
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,26 @@ def number(word: str, what: str, least: float, most: float) -> float:
     if not least <= value <= most:
         raise MishapError(f"{what} {word!r}: must be a number from {least:g} to {most:g}")
     return value
+
+
+def choice(word: str, choices: Mapping[str, Value], what: str) -> Value:
+    """What a word stands for.
+
+    Raises:
+        MishapError: It is none of the choices.
+    """
+    if word not in choices:
+        raise MishapError(f"{what} {word!r}: must be one of {', '.join(choices)}")
+    return choices[word]
+
+
+def switch(word: str) -> bool:
+    """`on` or `off`.
+
+    Raises:
+        MishapError: It is neither.
+    """
+    return choice(word, {"on": True, "off": False}, "switch")
 
 
 class Schedule:

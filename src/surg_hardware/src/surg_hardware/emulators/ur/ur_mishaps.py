@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
-from surg_hardware.emulators.mishaps import Kind, MishapError, number
+from surg_hardware.emulators.mishaps import Kind, MishapError, choice, number, switch
 from surg_hardware.emulators.ur.robot_states import SafetyMode
 from surg_hardware.emulators.ur.rtde_server import DATA, packet
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from surg_hardware.emulators.ur.ur_emulator import UrEmulator
 
 SCRIPT_BYTES = 1 << 20
-Value = TypeVar("Value")
 
 
 def kinds(emulator: UrEmulator) -> dict[str, Kind]:
@@ -36,7 +35,7 @@ def _safety(c: UrController) -> dict[str, Kind]:
             "robot": SafetyMode.ROBOT_EMERGENCY_STOP,
             "system": SafetyMode.SYSTEM_EMERGENCY_STOP,
         }
-        c.fall_to(_choice(which, modes, "estop"), "button pressed")
+        c.fall_to(choice(which, modes, "estop"), "button pressed")
 
     def unlock() -> str | None:
         return None if c.unlock() else "error: too early, 5 s must have passed"
@@ -44,23 +43,23 @@ def _safety(c: UrController) -> dict[str, Kind]:
     return {
         "protective_stop": Kind(lambda: c.protective_stop("mishap"), "", "as after a collision"),
         "unlock": Kind(unlock, "", "a person unlocks it on the pendant, 5 s later at the earliest"),
-        "safeguard": Kind(lambda on="on": c.safeguard(_switch(on)), "[on|off]", "safeguard stop"),
+        "safeguard": Kind(lambda on="on": c.safeguard(switch(on)), "[on|off]", "safeguard stop"),
         "estop": Kind(estop, "[robot|system]", "emergency stop; cuts the power"),
         "release": Kind(c.release, "", "release the emergency stop, restart the safety system"),
         "violation": Kind(
             lambda: c.fall_to(SafetyMode.VIOLATION, "mishap"), "", "a safety limit was broken"
         ),
         "fault": Kind(lambda: c.fall_to(SafetyMode.FAULT, "mishap"), "", "the safety system fails"),
-        "reduced": Kind(lambda on="on": c.reduce(_switch(on)), "[on|off]", "reduced mode"),
+        "reduced": Kind(lambda on="on": c.reduce(switch(on)), "[on|off]", "reduced mode"),
     }
 
 
 def _people(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
     def power(on: str) -> None:
-        c.power_on() if _switch(on) else c.power_off()
+        c.power_on() if switch(on) else c.power_off()
 
     def brakes(how: str) -> None:
-        _choice(how, {"release": c.release_brakes, "engage": c.engage_brakes}, "brakes")()
+        choice(how, {"release": c.release_brakes, "engage": c.engage_brakes}, "brakes")()
 
     def slider(percent: str) -> None:
         c.slider = number(percent, "slider", 0.0, 100.0) / 100.0
@@ -72,7 +71,7 @@ def _people(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
         rates = [number(word, "freedrive", -3.0, 3.0) for word in qd] or [0.0] * 6
         if len(rates) != 6:
             raise MishapError(f"freedrive: {len(rates)} velocities; six are needed [rad/s]")
-        c.guide(_switch(on), rates)
+        c.guide(switch(on), rates)
 
     def done(worked: bool) -> str | None:
         return None if worked else "error: not possible now"
@@ -165,7 +164,7 @@ def _wrong_states(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
 
     return {
         "nan": Kind(
-            lambda on="on": fake("actual_q", [math.nan] * 6 if _switch(on) else None),
+            lambda on="on": fake("actual_q", [math.nan] * 6 if switch(on) else None),
             "[on|off]",
             "the joint positions are not numbers",
         ),
@@ -176,13 +175,3 @@ def _wrong_states(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
             "timestamps jump back",
         ),
     }
-
-
-def _switch(word: str) -> bool:
-    return _choice(word, {"on": True, "off": False}, "switch")
-
-
-def _choice(word: str, choices: dict[str, Value], what: str) -> Value:
-    if word not in choices:
-        raise MishapError(f"{what} {word!r}: must be one of {', '.join(choices)}")
-    return choices[word]

@@ -1,0 +1,1 @@
+"""Emulated controllers of Franka arms: FER (Panda) and FR3."""
