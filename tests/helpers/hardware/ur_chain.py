@@ -17,7 +17,7 @@ from surg_hardware.robot_clock import RobotClock
 from surg_hardware.robot_link import Command, RobotLink, RobotState, Settings, Status
 from surg_hardware.ur import urscript
 from surg_hardware.ur.rtde import INPUTS, OUTPUTS, Decoder, Recipe
-from surg_hardware.ur.ur_driver import robot_state
+from surg_hardware.ur.ur_driver import STALE, robot_state
 
 DEAD_MAN, STOP = 0.04, 20.0
 REST = (0.0,) * 6
@@ -42,6 +42,8 @@ class Chain:
     ) -> None:
         self.controller = controller or UrController()
         self._connect()
+        self.silence: int | None = None
+        self.driver_runs = True
         self._down = 0  # cycles until the robot answers again
         self._stop_deceleration = settings.stop_deceleration
         self.link, self.clock = RobotLink(settings), RobotClock()
@@ -94,6 +96,9 @@ class Chain:
         if self._down > 0:
             self._offline()
             return self._state
+        if self.silence is not None:
+            self._hold()
+            return self._state
         ((_, payload),) = self._decoder.add(self._session.output())
         values = self._outputs.unpack(payload)
         assert values is not None
@@ -118,6 +123,15 @@ class Chain:
         if self._down == 0:
             self._connect()
             self.clock.reset()
+
+    def _hold(self) -> None:
+        """One cycle without a state: a stalled network, or a driver that does not run."""
+        assert self.silence is not None
+        self._late = self._session.output()
+        self.silence += 1
+        if self.driver_runs and self.silence * DT > STALE:
+            self.status = self.link.lost()
+        self.controller.execute()
 
     def cycles(self, count: int, qd: Sequence[float] | None = REST) -> None:
         """Several cycles with one command."""

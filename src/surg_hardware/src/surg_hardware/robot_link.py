@@ -5,9 +5,9 @@ link's status come out. The rules:
 
 * Nothing moves before `RobotLink.start`, which a person asks for. It is refused while the
   controller is ENABLED or has just commanded motion: an arm that starts under a command leaps.
-* Whatever ends the motion latches until the next start: the robot's own stop, a silent controller
-  (the dead-man ramps the arm down along a straight line in joint space), a command that must not
-  be obeyed, a late or restarted robot.
+* Whatever ends the motion latches until the next start: the robot's own stop, a silent controller,
+  a slowed robot, a command that must not be obeyed (the link ramps the arm down along a straight
+  line in joint space, `stop_ramp`), a late or restarted robot.
 * The last check before the wire: number of joints, finite, velocity; the change within a cycle is
   limited, with the direction of the change kept.
 """
@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from surg_hardware.conditions import OFFLINE, START, Condition, Reading
+from surg_hardware.stop_ramp import StopRamp
 
 MOVING = 1e-3
 """[rad/s] A command above it is motion."""
@@ -32,8 +33,6 @@ START_TIMEOUT = 3.0
 """[s] For the robot to obey after a start."""
 ECHO_TIMEOUT = 0.04
 """[s] Without an executed command, after which the program on the robot counts as ended."""
-SLOWED_TIME = 0.5
-"""[s] A slowed robot is obeyed for this long at most, so that the controller can ramp down."""
 _KEPT = 64
 """Sent commands whose stamps are remembered."""
 
@@ -59,6 +58,7 @@ class RobotState:
     reading: Reading
     program: bool = False  # whether a program runs on the robot
     executed: int = 0  # number of the command that the program obeys
+    ahead: tuple[float, ...] = ()  # targets of its joints minus their angles [rad]; empty: unknown
     paused: bool = False  # whether its program waits, and goes on when a person presses play
 
 
@@ -135,12 +135,13 @@ class RobotLink:
         self._driving = False  # whether a velocity was sent in the last cycle
         self._ours = False  # whether the program on the robot is this link's
         self._sent = tuple(0.0 for _ in settings.velocity)
+        self._ramp: StopRamp | None = None  # while it ends
         self._number = self._first = self._executed = 0
         self._stamps: deque[tuple[int, int]] = deque(maxlen=_KEPT)
         self._last_command_ns = 0
         self._last_motion = -math.inf  # of a command, on our clock
         self._last_time = math.nan  # of a state, on the robot's clock
-        self._last_now = self._since = self._echoed = self._slowed = math.nan
+        self._last_now = self._since = self._echoed = math.nan
 
     @property
     def active(self) -> bool:
@@ -186,7 +187,7 @@ class RobotLink:
     def end(self, why: str) -> None:
         """Ramp down and stop driving the robot, until the next start."""
         if self._phase in (_Phase.STARTING, _Phase.ACTIVE):
-            self._phase, self._why = _Phase.ENDING, why
+            self._phase, self._why, self._ramp = _Phase.ENDING, why, None
 
     def lost(self) -> Status:
         """No state comes any more; returns the status."""
@@ -220,7 +221,7 @@ class RobotLink:
                 self.end(problem)
             elif silent and not self.at_rest:
                 self.end(f"no command for {1e3 * self._settings.dead_man:.0f} ms")
-            elif self._slowed_for(now) > SLOWED_TIME:
+            elif state.reading.condition is Condition.SLOWED:
                 self.end(self._reading.sentence)
         if self._phase is _Phase.IDLE:
             self._sent = tuple(0.0 for _ in self._sent)
@@ -232,7 +233,9 @@ class RobotLink:
         if self._phase is _Phase.ACTIVE and not silent and command is not None:
             self._sent = self._toward(command.qd, elapsed)
         elif self._phase is _Phase.ENDING:
-            self._sent = self._ramp(elapsed)
+            if self._ramp is None:
+                self._ramp = StopRamp(self._sent, state.ahead, self._settings.stop_deceleration)
+            self._sent = self._ramp.velocity(elapsed)
         self._number += 1
         self._stamps.append((self._number, 0 if command is None else command.stamp_ns))
         step = Step(self._sent, self._number, self._status())
@@ -270,17 +273,6 @@ class RobotLink:
             not state.program or now - self._echoed > ECHO_TIMEOUT
         ):
             self._drop("the program on the robot has ended")
-        slowed = state.reading.condition is Condition.SLOWED
-        if not slowed:
-            self._slowed = math.nan
-        elif math.isnan(self._slowed):
-            self._slowed = now
-
-    def _slowed_for(self, now: float) -> float:
-        """How long the robot has been slower than commanded [s]; no end of it once at rest."""
-        if math.isnan(self._slowed):
-            return 0.0
-        return math.inf if self.at_rest else now - self._slowed
 
     def _problem(self, command: Command | None) -> str:
         """Why a command must not be obeyed; empty: it may."""
@@ -308,13 +300,6 @@ class RobotLink:
             return tuple(wanted)
         return tuple(now + share * (then - now) for now, then, _ in pairs)
 
-    def _ramp(self, elapsed: float) -> tuple[float, ...]:
-        """All joints slow down together: the arm stays on its straight way in joint space."""
-        leading = max(abs(value) for value in self._sent)
-        less = self._settings.stop_deceleration * elapsed
-        share = 0.0 if leading <= less else 1 - less / leading
-        return tuple(share * value for value in self._sent)
-
     def _is_motion(self, qd: Sequence[float]) -> bool:
         return any(not abs(value) <= MOVING for value in qd)
 
@@ -322,22 +307,17 @@ class RobotLink:
         """Stop driving at once: the robot stops by itself, or rests."""
         self._phase, self._why = _Phase.IDLE, why
         self._sent = tuple(0.0 for _ in self._sent)
-        self._slowed = math.nan
 
     def _status(self) -> Status:
         reading = self._reading
         condition, fault = reading.condition, reading.text
-        if condition in (Condition.READY, Condition.SLOWED):
+        if condition is Condition.READY:
             if self._phase is _Phase.ACTIVE:
-                slowed = condition is Condition.SLOWED
-                condition = condition if slowed else Condition.ACTIVE
-                fault = fault if slowed else ""
+                condition, fault = Condition.ACTIVE, ""
             elif self._phase is _Phase.STARTING:
                 fault = "the robot is being started"
-            elif condition is Condition.READY or self._phase is _Phase.ENDING:
-                condition = Condition.READY
-                reason = self._why or "the robot is not started"
-                fault = f"{reason}: {START}"
+            else:
+                fault = f"{self._why or 'the robot is not started'}: {START}"
         return Status(
             condition,
             fault,

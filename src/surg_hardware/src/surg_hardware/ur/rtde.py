@@ -20,6 +20,7 @@ OUTPUTS = (
     "timestamp",
     "actual_q",
     "actual_qd",
+    "target_q",
     "robot_mode",
     "safety_status",
     "runtime_state",

@@ -92,6 +92,7 @@ def robot_state(values: Values) -> RobotState:
         program=playing,
         paused=values["runtime_state"][0] in _PAUSED,
         executed=int(values["output_int_register_24"][0]),
+        ahead=tuple(b - a for a, b in zip(values["actual_q"], values["target_q"], strict=True)),
     )
 
 

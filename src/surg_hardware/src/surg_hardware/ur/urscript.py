@@ -45,6 +45,7 @@ def surg_link():
     end
     sync()
   end
+  rtde_set_watchdog("input_int_register_{n0}", 0.0, "ignore")
   kill driving
   stopj({deceleration})
 end
