@@ -31,6 +31,7 @@ class Touch(Task):
 
     name = "touch"
     title = "Touch the ball"
+    instruction = "Touch the ball with the tip of the instrument."
     time_limit = 5.0
     home_cell = "sim_ur5e"
 

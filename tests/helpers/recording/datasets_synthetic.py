@@ -22,6 +22,10 @@ CAMERAS = ("endoscope_left", "endoscope_right")
 IMAGE_TICKS = 25
 """A picture every 50 ms."""
 FRAME_NS = IMAGE_TICKS * TICK_NS
+STAGES = {"reach": "Reach for the path.", "follow": "Follow the path to its end."}
+"""Of the made-up task, in words; its first phase has none."""
+PHASES = {0: "wait", 75: "reach", 200: "follow"}
+"""First tick -> phase of the task's state."""
 
 
 def record(
@@ -46,7 +50,7 @@ def record(
     what = Synthetic(seconds=seconds)
     rng = np.random.default_rng(recording)
     info = {"robot": robot, "task": "synthetic", "seed": recording, "operator": "nobody"}
-    info.update(instruction="follow the path", setting="phantom", **run)
+    info.update(instruction="follow the path", stages=STAGES, setting="phantom", **run)
     cell = {"name": "made up", "arms": {"PSM1": _arm(robot)}}
     manifest = {**{k: info[k] for k in ("task", "operator", "seed")}, "run": info, "cell": cell}
     recorder = Recording(
@@ -118,7 +122,7 @@ def _task(tick: int, last: int, success: bool) -> SimpleNamespace:
     return SimpleNamespace(
         header=base.header(tick * TICK_NS),
         tick=tick,
-        phase="move",
+        phase=next(name for begin, name in reversed(PHASES.items()) if tick >= begin),
         done=over,
         success=over and success,
         reward=float(over and success),

@@ -12,6 +12,7 @@ import random
 import sys
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -27,6 +28,13 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
 from helpers.recording import picture_identity  # noqa: E402
 
 VERSIONS = ("lerobot", "torch", "torchvision", "torchcodec", "datasets", "pyarrow", "numpy")
+
+
+def _stage(meta: Any, item: dict[str, Any]) -> str:
+    """The stage in words: lerobot's own sub-task, or GR00T's place in the list of tasks."""
+    if "subtask_index" in meta.features:
+        return str(item["subtask"])
+    return str(meta.tasks[int(item["annotation.human.action.subtask_description"])])
 
 
 def main(root: str, count: int, seed: int) -> None:
@@ -55,6 +63,8 @@ def main(root: str, count: int, seed: int) -> None:
             "timestamp": float(item["timestamp"]),
             "grid_ns": int(item["timing.grid_ns"]),
             "task": item["task"],
+            "stage": _stage(meta, item),
+            "stage_text": item["instruction.stage"],
             "tool": item["observation.meta.tool"],
             "state": item["observation.state"].tolist(),
             "action": item["action"].tolist(),

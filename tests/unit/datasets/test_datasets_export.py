@@ -10,12 +10,13 @@ from typing import Any
 
 import h5py
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from helpers.recording import dataset_readers, datasets_synthetic, picture_identity
 from helpers.recording.dataset_readers import FORMATS
-from helpers.recording.datasets_synthetic import CAMERAS, FRAME_NS
+from helpers.recording.datasets_synthetic import CAMERAS, FRAME_NS, STAGES
 from helpers.recording.recording_synthetic import TICK_NS, Synthetic, path
 from helpers.recording.restated import edit_field, restate
 from helpers.results.dataset_results import note
@@ -226,6 +227,57 @@ def test_lerobot_says_what_everything_is(recordings: dict[str, Path], tmp_path: 
     for fact in ("CC BY 4.0", "somebody@example.org", "ur5e", "follow the path", "simulator ticks"):
         assert fact in page
     assert "not stated" in page, "what nobody said is not made up"
+
+
+def _phase_texts(recording: Path, times_ns: list[int]) -> list[str]:
+    """The sentence of the phase at each time, from the task's own table."""
+    rows = [line.split(",") for line in (recording / "task_state.csv").read_text().splitlines()]
+    stamp, phase, done = map(rows[0].index, ("stamp_ns", "phase", "done"))
+    texts = []
+    for t in times_ns:
+        row = [row for row in rows[1:] if int(row[stamp]) <= t][-1]
+        sentence = STAGES.get(row[phase], row[phase])
+        texts.append("follow the path" if row[done] == "1" else sentence)
+    return texts
+
+
+@pytest.mark.parametrize("version", ["lerobot_v21", "lerobot_v30"])
+def test_every_row_leads_to_the_sentence_of_its_stage(
+    version: str, recordings: dict[str, Path], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    assert export([recordings["one"]], out, version).ok
+    info = json.loads((out / "meta/info.json").read_text())
+    path = next((out / "data").rglob("*.parquet"))
+    table = pq.read_table(path)
+    if version == "lerobot_v21":
+        column = "annotation.human.action.subtask_description"
+        lines = (out / "meta/tasks.jsonl").read_text().splitlines()
+        texts = [json.loads(line)["task"] for line in lines]
+        modality = json.loads((out / "meta/modality.json").read_text())
+        assert {f"annotation.{name}" for name in modality["annotation"]} == {
+            column,
+            "annotation.human.action.task_description",
+        }
+        assert modality["action"] == {"PSM1": {"start": 0, "end": 5}}
+        assert modality["video"]["endoscope_left"] == {
+            "original_key": "observation.images.endoscope.left"
+        }
+        task = table.column("annotation.human.action.task_description").to_pylist()
+        assert {texts[place] for place in task} == {"follow the path"}
+    else:
+        column = "subtask_index"
+        rows = pq.read_table(out / "meta/subtasks.parquet").to_pylist()
+        texts = [row["__index_level_0__"] for row in sorted(rows, key=lambda r: r[column])]
+    assert info["features"][column] == {"dtype": "int64", "shape": [1], "names": None}
+    said = [texts[place] for place in table.column(column).to_pylist()]
+    assert said == _phase_texts(recordings["one"], table.column("timing.grid_ns").to_pylist())
+    assert set(STAGES.values()) <= set(said)
+    assert said == table.column("instruction.stage").to_pylist()
+    place = table.column_names.index(column)
+    wrong = pa.array([(n + 1) % len(texts) for n in table.column(column).to_pylist()])
+    pq.write_table(table.set_column(place, column, wrong), path)
+    assert any(column in error for error in datasets.load(version).validate(out).errors)
 
 
 def test_statistics_are_those_of_the_data(recordings: dict[str, Path], tmp_path: Path) -> None:

@@ -18,8 +18,8 @@ import pytest
 
 from helpers.policy import lerobot_venv
 from helpers.recording import datasets_synthetic
-from helpers.recording.datasets_synthetic import FRAME_NS
-from helpers.recording.recording_synthetic import Synthetic
+from helpers.recording.datasets_synthetic import FRAME_NS, PHASES, STAGES
+from helpers.recording.recording_synthetic import TICK_NS, Synthetic
 from helpers.results.dataset_results import READERS
 from surg_recording import datasets
 from surg_recording.datasets import ExportOptions
@@ -88,10 +88,14 @@ def test_lerobot_gives_every_frame_right(
         assert frame["index"] == frame["asked"]
         assert frame["task"] == "follow the path"
         assert frame["tool"] == "PSM1: grasper"
+        assert frame["stage"] == frame["stage_text"]
+        begun = [name for begin, name in PHASES.items() if begin * TICK_NS <= frame["grid_ns"]]
+        assert frame["stage"] in (STAGES.get(begun[-1], begun[-1]), "follow the path")
         assert frame["timestamp"] == pytest.approx(frame["frame"] / 20, abs=1e-6)
         what.seconds = 1.0 + 0.35 * IDENTITIES[frame["episode"]]
         expected = what.executed(frame["grid_ns"] * 1e-9)
         assert frame["state"][:3] == pytest.approx(list(expected), abs=1e-7)
+    assert set(STAGES.values()) <= {frame["stage"] for frame in frames}
     READERS.note(f"lerobot {version}", len(frames), f"{2 * len(frames)} pictures, 0 misplaced")
 
 

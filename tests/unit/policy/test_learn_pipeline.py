@@ -25,6 +25,7 @@ from surg_sim.envs import demonstrations, policy_rollouts
 from surg_sim.envs.recorded_episode import RecordedSession
 from surg_sim.envs.surg_env import SurgEnv
 from surg_sim.physics import cell_files
+from surg_sim.tasks.bgr import bgr_definition as defined
 from surg_sim.tasks.perturbed_sender import PerturbedExpert
 from surg_sim.tasks.scripted_arm import ArmExpert
 
@@ -61,6 +62,18 @@ def exported(recorded: Path) -> Path:
     report = datasets.load("lerobot").write([recorded], out, options)
     assert report.ok and report.recordings == 2
     return out
+
+
+def test_the_phases_of_a_real_task_are_stages_in_words(recorded: Path) -> None:
+    found = episode_reader.read(recorded / str(SEEDS[0]))
+    assert found.manifest["run"]["instruction"] == defined.INSTRUCTION
+    names = [stage["name"] for stage in found.stages]
+    assert names == list(defined.PHASES[: len(names)]) and len(names) >= 2
+    state = found.table("task_state")
+    for stage in found.stages:
+        assert stage["text"] == defined.STAGES[stage["name"]]
+        inside = (state["stamp_ns"] >= stage["begin_ns"]) & (state["stamp_ns"] < stage["end_ns"])
+        assert inside.any() and set(state["phase"][inside]) == {stage["name"]}
 
 
 def test_an_action_is_what_the_expert_said_at_that_look(exported: Path) -> None:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from surg_recording.episode import episode_reader
+from helpers.recording import datasets_synthetic
+from surg_recording.episode import episode_reader, recovery
 from surg_recording.episode.annotations import Annotations, parse_info, parse_tag
 from surg_recording.episode.episode_recorder import Recording
 
@@ -28,8 +29,8 @@ def test_stages_follow_one_another_and_end_with_the_episode(tmp_path: Path) -> N
     assert recording.status()["stage"] == "grasp"
     recorded = episode_reader.read(recording.close({}, end_stamp_ns=60))
     assert recorded.stages == [
-        {"name": "approach", "begin_ns": 10, "end_ns": 30},
-        {"name": "grasp", "begin_ns": 30, "end_ns": 60},
+        {"name": "approach", "begin_ns": 10, "end_ns": 30, "by": "/console"},
+        {"name": "grasp", "begin_ns": 30, "end_ns": 60, "by": "/console"},
     ]
     assert [(t["stamp_ns"], t["text"]) for t in recorded.tags] == [
         (20, "slipped, once"),
@@ -40,6 +41,33 @@ def test_stages_follow_one_another_and_end_with_the_episode(tmp_path: Path) -> N
     assert events["stamp_ns"].tolist() == [10, 20, 30, 40, 45]
     assert list(events["text"]) == [text for _, text in said]
     assert set(events["topic"]) == {"/record/tag"}
+
+
+def test_phases_of_the_task_are_stages_unless_a_person_marked_one() -> None:
+    found, run = Annotations(), {"stages": {"grasp": "Grasp the ring."}}
+    for stamp, phase, done in ((0, "reach", 0), (5, "reach", 0), (10, "grasp", 0), (20, "x", 1)):
+        found.phase(phase, stamp, bool(done))
+    found.end(25)
+    assert found.stages(run) == [
+        {"name": "reach", "begin_ns": 0, "end_ns": 10, "by": "task"},
+        {"name": "grasp", "begin_ns": 10, "end_ns": 20, "by": "task", "text": "Grasp the ring."},
+    ]
+    assert found.stage is None
+    found.add(parse_tag('{"stage": "mine", "stamp_ns": 7}'), 30, "/console")
+    assert found.stage == "mine"
+    assert [stage["name"] for stage in found.stages("nonsense")] == ["mine"]
+
+
+def test_a_recovery_finds_the_phases_of_the_task(tmp_path: Path) -> None:
+    source = datasets_synthetic.record(tmp_path / "source", 1, 0.7, cameras=())
+    stages = episode_reader.read(source).stages
+    assert [stage["name"] for stage in stages] == ["wait", "reach", "follow"]
+    partial = source.rename(tmp_path / "killed.partial")
+    last = json.loads((partial / "manifest.json").read_text())
+    datasets_synthetic.edit(partial, stages=[], tables={}, videos={}, outcome="recording")
+    found = episode_reader.read(recovery.recover_one(partial)).stages
+    assert found[:-1] == last["stages"][:-1]
+    assert found[-1] | {"end_ns": 0} == last["stages"][-1] | {"end_ns": 0}
 
 
 def test_the_tasks_verdict_counts_where_nobody_judged() -> None:

@@ -148,7 +148,7 @@ def test_what_is_recovered_says_so_and_keeps_what_it_was_told(tmp_path: Path, vi
     assert (final / "cam.csv").read_bytes() + cut["cam.csv.damaged"] == before["cam.csv"]
     for said in ("cycle_PSM1.csv: its end was broken: 4 bytes cut, kept in", "cam.mp4: its end"):
         assert said in recorded.manifest["reason"]
-    assert recorded.stages == [{"name": "cut", "begin_ns": 1, "end_ns": 5}]
+    assert recorded.stages == [{"name": "cut", "begin_ns": 1, "end_ns": 5, "by": "/c"}]
     assert recorded.tags == [{"stamp_ns": 5, "text": "oops", "by": "/c"}]
     (numbers,) = recorded.topic("/n")
     assert numbers["data"].tolist() == [7]

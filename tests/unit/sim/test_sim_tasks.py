@@ -20,6 +20,7 @@ from surg_sim.envs.episode_runner import run_episode
 from surg_sim.physics import cell_files
 from surg_sim.physics.patient_settings import find_setting
 from surg_sim.tasks import TaskError, episode_seeds
+from surg_sim.tasks.bgr.bgr_definition import PHASES
 
 EXAMPLE = paths.ROOT / "examples/04_task.py"
 
@@ -36,6 +37,14 @@ def test_bundled_tasks_load(name: str) -> None:
     task = tasks.load(name)
     assert task.name == name
     assert task.title and task.time_limit > 0.0
+    language = task.language()
+    assert len(language["stages"]) >= 2
+    for sentence in (language["instruction"], *language["stages"].values()):
+        assert sentence[0].isupper() and sentence.endswith(".")
+
+
+def test_bgr_says_what_to_do_in_every_phase() -> None:
+    assert list(tasks.load("bgr").stages) == list(PHASES[:-1])
 
 
 def test_unknown_setting_law_and_cell_list_what_exists() -> None:

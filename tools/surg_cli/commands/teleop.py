@@ -185,8 +185,7 @@ def _plan(options: argparse.Namespace) -> Plan:
     task = options.task or (TASK_OF_TWO_ARMS if len(arms) > 1 else "none")
     if task.endswith(".py"):
         task = str(Path(task).absolute())
-    if task != "none":
-        _check_task(loaded, task, options.setting)
+    language = {} if task == "none" else _language_of(loaded, task, options.setting)
     return Plan(
         cell=cell,
         arms=arms,
@@ -201,17 +200,20 @@ def _plan(options: argparse.Namespace) -> Plan:
             "cell": str(cell),
             "seed": options.seed,
             "operator": options.leader,
+            **language,
         },
     )
 
 
-def _check_task(loaded: Any, task: str, setting: str) -> None:
-    """Check task and setting as the simulator does later."""
+def _language_of(loaded: Any, task: str, setting: str) -> dict[str, Any]:
+    """The task's instructions; task and setting are checked as the simulator does later."""
     from surg_sim import tasks
     from surg_sim.physics.patient_settings import find_setting
 
     try:
-        tasks.load(task).prepare(loaded, find_setting(setting))
+        found = tasks.load(task)
+        found.prepare(loaded, find_setting(setting))
+        return found.language()
     except ValueError as error:  # a TaskError is one
         raise Problem(str(error), 2) from error
 

@@ -88,7 +88,7 @@ def make_plan(
         out=out,
         run_info={
             "task": loaded_task.name,
-            "title": loaded_task.title,
+            **loaded_task.language(),
             "operator": "scripted expert" if policy is None else f"policy {policy.label}",
             "robot": loaded.arms[arms[0]].robot.name,
             "mode": "cartesian",

@@ -240,7 +240,7 @@ def model_server(plan: Plan) -> Node:
         "arms": list(plan.senders[POLICY]),
         "mode": plan.mode,
         "task": str(plan.run_info.get("task", "")),
-        "instruction": str(plan.run_info.get("title", "")),
+        "instruction": str(plan.run_info.get("instruction", "")),
         "privileged": policy.privileged,
         "cameras": plan.streams,
         "autostart": True,

@@ -98,6 +98,8 @@ class Part:
     source: str
     kind: str
     instruction: str
+    stages: tuple[str, ...]
+    """Instructions of the stages, each once, in order of appearance."""
     frames: int
     fps: int
     features: tuple[Feature, ...]
@@ -117,6 +119,7 @@ class Part:
         try:
             stated = json.loads((folder / PART).read_text("utf-8"))
             stated["folder"] = folder
+            stated["stages"] = tuple(stated["stages"])
             stated["features"] = tuple(map(from_description, stated["features"]))
             return Part(**stated)
         except (OSError, ValueError, KeyError, TypeError) as problem:
@@ -151,6 +154,11 @@ class Dataset:
     def tasks(self) -> list[str]:
         """Instructions in words, each once, in order of appearance."""
         return list(dict.fromkeys(part.instruction for part in self.parts))
+
+    @property
+    def stages(self) -> list[str]:
+        """Instructions of the stages, each once, in order of appearance."""
+        return list(dict.fromkeys(stage for part in self.parts for stage in part.stages))
 
     @property
     def frames(self) -> int:

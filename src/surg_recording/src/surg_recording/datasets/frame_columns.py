@@ -76,10 +76,12 @@ class Columns:
         last = name.rpartition(".")[2]
         self.add(Feature(name, dtype, (1,), (last,), units, "", method, text, privileged), values)
 
-    def text(self, name: str, value: str, text: str) -> None:
-        """Add the same text for every frame."""
+    def text(
+        self, name: str, value: str | npt.NDArray[Any], text: str, method: str = "constant"
+    ) -> None:
+        """Add a text for every frame: the same, or one of (frames,) objects each."""
         words = np.full(self.grid.frames, value, dtype=object)
-        self.add(Feature(name, "string", (1,), ("text",), text=text, method="constant"), words)
+        self.add(Feature(name, "string", (1,), ("text",), text=text, method=method), words)
 
     def timing(self, name: str, stamps: Stamps, index: Stamps, times: Stamps, text: str) -> None:
         """Add true stamps and ages of the samples behind a series."""

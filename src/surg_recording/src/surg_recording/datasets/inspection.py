@@ -68,6 +68,15 @@ _FIELD_NAMES = {
 
 
 @dataclasses.dataclass(frozen=True)
+class Stage:
+    """A stage of a recording: from ``begin_ns`` until before ``end_ns`` [ns], in words."""
+
+    text: str
+    begin_ns: int
+    end_ns: int | None
+
+
+@dataclasses.dataclass(frozen=True)
 class Candidate:
     """A recording that may be exported."""
 
@@ -75,6 +84,7 @@ class Candidate:
     layout: Layout
     kind: str
     instruction: str
+    stages: tuple[Stage, ...]
     about: dict[str, Any]
     """Facts for the dataset's page: task, operator, setting, seed, dates, software."""
     segment: Segment | None = None
@@ -110,6 +120,11 @@ def look(folder: Path, options: ExportOptions) -> Candidate:
         kind=kind_of(manifest),
         instruction=options.instruction
         or str(run.get("instruction") or manifest.get("task") or run.get("motion") or "not stated"),
+        stages=tuple(
+            Stage(str(s.get("text") or s.get("name")), int(s["begin_ns"]), s.get("end_ns"))
+            for s in recorded.stages
+            if isinstance(s.get("begin_ns"), int)
+        ),
         about={
             **{key: manifest.get(key) for key in _FACTS},
             "setting": run.get("setting"),

@@ -7,6 +7,7 @@ Written with pyarrow and PyAV alone. Facts about the readers, found in lerobot 0
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -30,6 +31,12 @@ INDEX_FEATURES: dict[str, dict[str, Any]] = {
     name: {"dtype": "float32" if name == "timestamp" else "int64", "shape": [1], "names": None}
     for name in ("timestamp", "frame_index", "episode_index", "index", "task_index")
 }
+
+TASK_TEXT = "annotation.human.action.task_description"
+STAGE_TEXT = "annotation.human.action.subtask_description"
+"""Columns of GR00T and Open-H: places in ``tasks.jsonl``."""
+SUBTASK = "subtask_index"
+"""Column of lerobot: place in ``subtasks.parquet``."""
 
 _ARROW = {
     "float32": pa.float32(),
@@ -59,11 +66,50 @@ def _array(values: npt.NDArray[Any], dtype: str, length: int) -> pa.Array:
     return pa.FixedSizeListArray.from_arrays(flat, length)
 
 
-def indexed(table: pa.Table, fps: int, episode: int, first: int, task: int) -> pa.Table:
-    """A part's table with the columns of its position in the dataset."""
-    places = _places(table.num_rows, fps, episode, first)
-    for name, values in {**places, "task_index": np.full(table.num_rows, task)}.items():
-        kind = _ARROW[INDEX_FEATURES[name]["dtype"]]
+@dataclasses.dataclass(frozen=True)
+class Language:
+    """Texts of a dataset with their places, and the columns that hold a row's places."""
+
+    tasks: Mapping[str, int]
+    task_columns: tuple[str, ...]
+    stages: Mapping[str, int]
+    stage_column: str
+
+    @property
+    def features(self) -> dict[str, dict[str, Any]]:
+        """The columns for info.json that are not among ``INDEX_FEATURES``."""
+        names = {*self.task_columns, *([self.stage_column] if self.stages else [])}
+        entry = {"dtype": "int64", "shape": [1], "names": None}
+        return {name: dict(entry) for name in sorted(names - set(INDEX_FEATURES))}
+
+    def places(self, table: pa.Table, instruction: str) -> dict[str, npt.NDArray[Any]]:
+        """Column → places of the texts of a recording's rows, (N,)."""
+        task = np.full(table.num_rows, self.tasks[instruction])
+        columns = dict.fromkeys(self.task_columns, task)
+        if self.stages:
+            texts = table.column(schema.STAGE).to_pylist()
+            columns[self.stage_column] = np.array([self.stages[text] for text in texts])
+        return columns
+
+
+def check_language(table: pa.Table, texts: Sequence[str], column: str, said: str) -> list[str]:
+    """An error if a column of places does not lead to the texts of another column."""
+    if column not in table.column_names or said not in table.column_names:
+        return []
+    found = numbers(table, column)
+    if not np.isin(found, np.arange(len(texts))).all():
+        return [f"column {column} holds a place outside of the {len(texts)} texts"]
+    if [texts[place] for place in found] != table.column(said).to_pylist():
+        return [f"column {column} does not lead to the texts of {said}"]
+    return []
+
+
+def indexed(
+    table: pa.Table, fps: int, episode: int, first: int, language: Mapping[str, npt.NDArray[Any]]
+) -> pa.Table:
+    """A part's table with the columns of its position in the dataset, and of its texts."""
+    for name, values in {**_places(table.num_rows, fps, episode, first), **language}.items():
+        kind = pa.float32() if name == "timestamp" else pa.int64()
         table = table.append_column(name, pa.array(values, kind))
     return table
 
@@ -143,18 +189,21 @@ def described(features: Sequence[Feature], fps: int) -> dict[str, dict[str, Any]
     return {**entries, **INDEX_FEATURES}
 
 
-def info(dataset: Dataset, version: str) -> dict[str, Any]:
+def info(dataset: Dataset, version: str, language: Language) -> dict[str, Any]:
     """Content of info.json that both versions share."""
     return {
         "codebase_version": version,
         "robot_type": dataset.robot_type,
         "total_episodes": len(dataset.parts),
         "total_frames": dataset.frames,
-        "total_tasks": len(dataset.tasks),
+        "total_tasks": len(language.tasks),
         "chunks_size": CHUNK,
         "fps": dataset.options.fps,
         "splits": {name: f"{a}:{b}" for name, (a, b) in dataset.splits.items()},
-        "features": described(dataset.features, dataset.options.fps),
+        "features": {
+            **described(dataset.features, dataset.options.fps),
+            **language.features,
+        },
     }
 
 

@@ -18,15 +18,22 @@ import pyarrow.parquet as pq
 from surg_recording.datasets import lerobot_tables, pictures, readme, schema, statistics
 from surg_recording.datasets.exporter import Dataset, Part, Report
 from surg_recording.datasets.lerobot_part import LONGEST_S, LeRobotExporter
+from surg_recording.recording_errors import EpisodeError
 
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
 TASKS_PATH = "meta/tasks.parquet"
+SUBTASKS_PATH = "meta/subtasks.parquet"
 DATA_MB, VIDEO_MB = 100, 200
 """A file that would grow over this is followed by another [MiB]."""
 
 _PANDAS_INDEX = "__index_level_0__"
+
+
+_SAID = {"task_index": schema.INSTRUCTION, lerobot_tables.SUBTASK: schema.STAGE}
+"""Column of places → column of the texts that they lead to."""
+_TEXTS = {"task_index": TASKS_PATH, lerobot_tables.SUBTASK: SUBTASKS_PATH}
 
 
 class LeRobotV30(LeRobotExporter):
@@ -37,9 +44,9 @@ class LeRobotV30(LeRobotExporter):
 
     def assemble(self, dataset: Dataset, out: Path) -> None:
         """Join tables and videos into files, write ``meta``."""
-        tasks = {task: index for index, task in enumerate(dataset.tasks)}
+        language = _language(dataset)
         rows = _episode_rows(dataset.parts)
-        stats = self._write_tables(dataset, rows, tasks, out)
+        stats = self._write_tables(dataset, rows, language, out)
         videos = schema.videos_of(dataset.features)
         for feature in videos:
             self._join(feature.name, dataset.parts, rows, dataset.options.fps, out)
@@ -48,9 +55,12 @@ class LeRobotV30(LeRobotExporter):
         path = out / EPISODES_PATH
         path.parent.mkdir(parents=True)
         pq.write_table(pa.Table.from_pylist(rows), path)
-        pq.write_table(tasks_table(tasks), out / TASKS_PATH)
+        pq.write_table(texts_table(language.tasks, "task_index"), out / TASKS_PATH)
+        if language.stages:
+            stages = texts_table(language.stages, lerobot_tables.SUBTASK)
+            pq.write_table(stages, out / SUBTASKS_PATH)
         lerobot_tables.write_json(out / "meta" / "stats.json", statistics.to_json(stats))
-        stated = lerobot_tables.info(dataset, "v3.0")
+        stated = lerobot_tables.info(dataset, "v3.0", language)
         stated.update(
             data_files_size_in_mb=DATA_MB,
             video_files_size_in_mb=VIDEO_MB,
@@ -61,7 +71,11 @@ class LeRobotV30(LeRobotExporter):
         (out / "meta" / "README.md").write_text(readme.page(dataset, "LeRobot 3.0"), "utf-8")
 
     def _write_tables(
-        self, dataset: Dataset, rows: list[dict[str, Any]], tasks: Mapping[str, int], out: Path
+        self,
+        dataset: Dataset,
+        rows: list[dict[str, Any]],
+        language: lerobot_tables.Language,
+        out: Path,
     ) -> dict[str, statistics.Stats]:
         """Join the tables, note their places and statistics; returns the dataset's statistics."""
         parts = dataset.parts
@@ -72,13 +86,9 @@ class LeRobotV30(LeRobotExporter):
             tables = []
             for index in members:
                 part, row = parts[index], rows[index]
-                table = lerobot_tables.indexed(
-                    pq.read_table(part.folder / lerobot_tables.DATA),
-                    dataset.options.fps,
-                    index,
-                    row["dataset_from_index"],
-                    tasks[part.instruction],
-                )
+                table = pq.read_table(part.folder / lerobot_tables.DATA)
+                texts, first = language.places(table, part.instruction), row["dataset_from_index"]
+                table = lerobot_tables.indexed(table, dataset.options.fps, index, first, texts)
                 histograms = lerobot_tables.colours_of(part)
                 for name, entry in histograms.items():
                     colours.setdefault(name, []).append(entry)
@@ -125,6 +135,7 @@ class LeRobotV30(LeRobotExporter):
         stats = lerobot_tables.read_json(out / "meta" / "stats.json")
         rows = pq.read_table(out / EPISODES_PATH).to_pylist()
         videos = [k for k, f in stated["features"].items() if f["dtype"] == "video"]
+        texts = {column: _texts(out / path) for column, path in _TEXTS.items()}
         files: dict[Path, pa.Table] = {}
         ends: dict[Path, float] = {}
         for index, row in enumerate(rows):
@@ -134,6 +145,8 @@ class LeRobotV30(LeRobotExporter):
             here = lerobot_tables.numbers(files[path], "episode_index") == index
             table = files[path].filter(pa.array(here))
             report.errors += lerobot_tables.check_rows(table, stated, index, report.frames)
+            for column, said in _SAID.items():
+                report.errors += lerobot_tables.check_language(table, texts[column], column, said)
             if row["length"] != table.num_rows or row["dataset_from_index"] != report.frames:
                 report.errors.append(f"recording {index}: {table.num_rows} rows, row says {row}")
             for name in videos:
@@ -161,8 +174,7 @@ class LeRobotV30(LeRobotExporter):
             report.errors.append("info.json and the tables disagree on recordings or frames")
         computed = lerobot_tables.stats_of(pa.concat_tables(files.values()), {}, quantiles=True)
         report.errors += statistics.differ(stats, computed, list(computed))
-        tasks = pq.read_table(out / TASKS_PATH).to_pylist()
-        if [task["task_index"] for task in tasks] != list(range(stated["total_tasks"])):
+        if len(texts["task_index"]) != stated["total_tasks"]:
             report.errors.append("tasks.parquet and info.json disagree")
         report.errors += lerobot_tables.check_splits(stated)
         lerobot_tables.check_openness(stated, report)
@@ -184,14 +196,25 @@ def _episode_rows(parts: Sequence[Part]) -> list[dict[str, Any]]:
     ]
 
 
-def tasks_table(tasks: Mapping[str, int]) -> pa.Table:
-    """``tasks.parquet``: the task's text is the pandas index, as lerobot requires.
+def _language(dataset: Dataset) -> lerobot_tables.Language:
+    """Instructions of tasks and of stages, in two lists as lerobot has them."""
+    return lerobot_tables.Language(
+        tasks={text: index for index, text in enumerate(dataset.tasks)},
+        task_columns=("task_index",),
+        stages={text: index for index, text in enumerate(dataset.stages)},
+        stage_column=lerobot_tables.SUBTASK,
+    )
 
-    This schema entry marks the index, so writing it does not need pandas.
+
+def texts_table(texts: Mapping[str, int], name: str) -> pa.Table:
+    """``tasks.parquet``, ``subtasks.parquet``: the text is the pandas index, as lerobot requires.
+
+    ``name`` is the column of the places. This schema entry marks the index, so writing it does not
+    need pandas.
     """
     keys = ("name", "field_name", "pandas_type", "numpy_type", "metadata")
     columns = (
-        ("task_index", "task_index", "int64", "int64", None),
+        (name, name, "int64", "int64", None),
         (None, _PANDAS_INDEX, "unicode", "object", None),
     )
     described = {
@@ -203,11 +226,21 @@ def tasks_table(tasks: Mapping[str, int]) -> pa.Table:
     }
     table = pa.table(
         {
-            "task_index": pa.array(tasks.values(), pa.int64()),
-            _PANDAS_INDEX: pa.array(tasks.keys(), pa.string()),
+            name: pa.array(texts.values(), pa.int64()),
+            _PANDAS_INDEX: pa.array(texts.keys(), pa.string()),
         }
     )
     return table.replace_schema_metadata({"pandas": json.dumps(described)})
+
+
+def _texts(path: Path) -> list[str]:
+    """The texts of ``tasks.parquet`` or ``subtasks.parquet`` by place; none without the file."""
+    if not path.exists():
+        return []
+    name, rows = path.stem.removesuffix("s") + "_index", pq.read_table(path).to_pylist()
+    if [row[name] for row in rows] != list(range(len(rows))):
+        raise EpisodeError(f"{path}: {name} does not count from 0")
+    return [row[_PANDAS_INDEX] for row in rows]
 
 
 def _groups(sizes: list[float] | list[int], limit: float) -> list[list[int]]:

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import surg_recording
 from surg_recording.datasets import exporter as exporters
-from surg_recording.datasets import inspection
+from surg_recording.datasets import inspection, schema
 from surg_recording.datasets.exporter import PART, Exporter, Part
 from surg_recording.datasets.inspection import Layout
 from surg_recording.datasets.options import ExportOptions
@@ -102,6 +102,7 @@ def _make(job: Job) -> bool:
             source=str(job.folder),
             kind=candidate.kind,
             instruction=candidate.instruction,
+            stages=tuple(dict.fromkeys(sampled.columns.get(schema.STAGE, ()))),
             frames=sampled.grid.frames,
             fps=sampled.grid.fps,
             features=sampled.features,

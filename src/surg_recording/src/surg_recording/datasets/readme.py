@@ -87,6 +87,8 @@ def _description(dataset: Dataset, about: Mapping[str, Any], format_name: str) -
         "Tasks, as instructions:",
         "",
         *[f"- {task}" for task in dataset.tasks],
+        *(["", "Stages, as instructions (`instruction.stage`):", ""] if dataset.stages else []),
+        *[f"- {stage}" for stage in dataset.stages],
     ]
 
 

@@ -129,6 +129,7 @@ def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
     if truth:
         _privileged_truth(made, layout.arms, truth)
     made.text(schema.INSTRUCTION, candidate.instruction, "what the operator was to do")
+    made.text(schema.STAGE, _stage_texts(candidate, grid), "the same of the current stage", _HOLD)
     tools = "; ".join(f"{a}: {i}" for a, i in zip(layout.arms, layout.instruments, strict=True))
     made.text(schema.TOOL, tools, "instrument of each arm")
     text = "time of the frame on the recording's clock"
@@ -379,6 +380,17 @@ def _privileged_truth(made: Columns, arms: tuple[str, ...], truth: list[Table]) 
         "the simulator's tip, and the force of the shaft on the trocar's wall",
         privileged=True,
     )
+
+
+def _stage_texts(candidate: Candidate, grid: Grid) -> npt.NDArray[Any]:
+    """What was to be done in each frame, (frames,); outside of all stages the instruction."""
+    words = np.full(grid.frames, candidate.instruction, dtype=object)
+    for stage in candidate.stages:
+        inside = grid.times_ns >= stage.begin_ns
+        if stage.end_ns is not None:
+            inside &= grid.times_ns < stage.end_ns
+        words[inside] = stage.text
+    return words
 
 
 def _named(arms: list[str], names: tuple[str, ...]) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from typing import Any
 from surg_core.contract import ACTION_KEY, IMAGE_PREFIX, STATE_KEY, TASK_STATE_KEY
 
 INSTRUCTION = "instruction.text"
+STAGE = "instruction.stage"
 TOOL = "observation.meta.tool"
 GROUND_TRUTH = "privileged.ground_truth"
 

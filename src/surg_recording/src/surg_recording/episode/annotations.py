@@ -4,6 +4,9 @@
 ``stage`` (a new stage begins; empty: none), ``success`` (true, false or null) with ``reason``, and
 ``stamp_ns``. ``/record/info`` carries a JSON object of facts: ``operator``, ``task``, ``setting``,
 ``seed`` or anything else for the manifest's ``run``.
+
+A simulated task reports its phase. Its phases are the stages of an episode in which no person
+marked a stage.
 """
 
 from __future__ import annotations
@@ -11,6 +14,8 @@ from __future__ import annotations
 import dataclasses
 import json
 from typing import Any
+
+from surg_recording.episode.verdicts import TASK
 
 KEYS = ("tag", "stage", "success", "reason", "stamp_ns")
 
@@ -83,7 +88,8 @@ class Annotations:
 
     def __init__(self) -> None:
         self.tags: list[dict[str, Any]] = []
-        self.stages: list[dict[str, Any]] = []
+        self._marked: list[dict[str, Any]] = []
+        self._phases: list[dict[str, Any]] = []
         self.result: dict[str, Any] = {"success": None, "reason": "", "by": None}
 
     def add(self, tag: Tag, stamp_ns: int, by: str) -> None:
@@ -92,23 +98,56 @@ class Annotations:
         if tag.tag is not None:
             self.tags.append({"stamp_ns": stamp, "text": tag.tag, "by": by})
         if tag.stage is not None:
-            self.end(stamp)
-            if tag.stage:
-                self.stages.append({"name": tag.stage, "begin_ns": stamp, "end_ns": None})
+            _begin(self._marked, tag.stage, stamp, by)
         if tag.judged:
             self.result = {"success": tag.success, "reason": tag.reason, "by": by}
 
+    def phase(self, name: str, stamp_ns: int, done: bool) -> None:
+        """The phase of the simulated task at ``stamp_ns`` [ns]; the last one ends with the task."""
+        name = "" if done else name
+        if name != _current(self._phases):
+            _begin(self._phases, name, stamp_ns, TASK)
+
+    @property
+    def stage(self) -> str | None:
+        """The current stage; None: there is none."""
+        return _current(self._marked or self._phases) or None
+
+    def stages(self, run: Any = None) -> list[dict[str, Any]]:
+        """The stages: those that a person marked, else the task's phases.
+
+        ``run`` is the manifest's entry: its ``stages`` give a stage's sentence by name.
+        """
+        texts = run.get("stages") if isinstance(run, dict) else None
+        texts = texts if isinstance(texts, dict) else {}
+        return [
+            {**stage, **({"text": texts[stage["name"]]} if stage["name"] in texts else {})}
+            for stage in self._marked or self._phases
+        ]
+
     def end(self, stamp_ns: int) -> None:
         """End the current stage."""
-        if self.stages and self.stages[-1]["end_ns"] is None:
-            self.stages[-1]["end_ns"] = max(stamp_ns, self.stages[-1]["begin_ns"])
+        for stages in (self._marked, self._phases):
+            _begin(stages, "", stamp_ns, "")
 
     def judged(self, task: Any) -> dict[str, Any]:
         """The verdict: a person's if there is one, else the simulated task's."""
         if self.result["by"] is None and isinstance(task, dict) and task.get("done"):
             reason = str(task.get("reason") or "")
-            return {"success": task.get("success"), "reason": reason, "by": "task"}
+            return {"success": task.get("success"), "reason": reason, "by": TASK}
         return self.result
+
+
+def _begin(stages: list[dict[str, Any]], name: str, stamp_ns: int, by: str) -> None:
+    """End the current stage at ``stamp_ns`` [ns], and begin another unless ``name`` is empty."""
+    if stages and stages[-1]["end_ns"] is None:
+        stages[-1]["end_ns"] = max(stamp_ns, stages[-1]["begin_ns"])
+    if name:
+        stages.append({"name": name, "begin_ns": stamp_ns, "end_ns": None, "by": by})
+
+
+def _current(stages: list[dict[str, Any]]) -> str:
+    return str(stages[-1]["name"]) if stages and stages[-1]["end_ns"] is None else ""
 
 
 def _text(value: Any, key: str) -> str:

@@ -161,7 +161,6 @@ class Recording:
     def status(self) -> dict[str, Any]:
         """Counters: rows, frames, drops, backlog."""
         tables, sinks = dict(self._tables), self.cameras.sinks
-        stages = self._annotations.stages
         return {
             "folder": str(self._folder.final),
             "rows": {name: table.rows for name, table in tables.items()},
@@ -175,7 +174,7 @@ class Recording:
             "future_stamps": dict(self._future),
             "silent_cameras": self.cameras.silent,
             "segments": len(self._segments) + 1,
-            "stage": stages[-1]["name"] if stages and stages[-1]["end_ns"] is None else None,
+            "stage": self._annotations.stage,
         }
 
     # --- messages -------------------------------------------------------------------------------
@@ -202,7 +201,9 @@ class Recording:
             except ValueError as problem:
                 self._problems.append(f"{TASK_STATE}: {problem}")
                 return
-        self._put_fitting(table, table_rows.task_state(message, receive_ns), "number of values")
+        row = table_rows.task_state(message, receive_ns)
+        self._annotations.phase(message.phase, row[0], message.done)
+        self._put_fitting(table, row, "number of values")
 
     def command(self, arm: str, topic: str, message: Any, source: str, receive_ns: int) -> None:
         """Record a motion command sent to an arm."""
@@ -319,7 +320,7 @@ class Recording:
             },
             "segments": self._segments,
             "future_stamps": dict(self._future),
-            "stages": self._annotations.stages,
+            "stages": self._annotations.stages({**self._folder.manifest, **manifest}.get("run")),
             "tags": self._annotations.tags,
             "result": self._annotations.judged(dict(manifest.get("sim") or {}).get("task")),
             "warnings": self.warnings,

@@ -39,6 +39,10 @@ def _is_objects(value: Any) -> bool:
     return isinstance(value, list) and all(map(_is_object, value))
 
 
+def _is_texts_by_name(value: Any) -> bool:
+    return isinstance(value, dict) and all(map(_is_text, value.values()))
+
+
 def _is_texts(value: Any) -> bool:
     return isinstance(value, list) and all(map(_is_text, value))
 
@@ -59,6 +63,7 @@ _WORDS: dict[Check, str] = {
     _is_object: "an object",
     _is_objects: "a list of objects",
     _is_texts: "a list of texts",
+    _is_texts_by_name: "an object of texts",
     _is_tags: "a list of texts or objects",
     _is_truth: "true, false or null",
 }
@@ -71,19 +76,20 @@ _TOP: dict[str, Check] = {
     "tags": _is_tags,
 }
 _WITHIN: dict[str, dict[str, Check]] = {
-    "run": dict.fromkeys(
-        (
-            *("robot", "motion", "mode", "law", "link", "setting", "task", "title", "operator"),
-            *("seed", "scale", "instruction"),
-        ),
-        _is_scalar,
-    ),
+    "run": {
+        **dict.fromkeys(("robot", "motion", "mode", "law", "link", "setting"), _is_scalar),
+        **dict.fromkeys(("task", "title", "operator", "seed", "scale", "instruction"), _is_scalar),
+        "stages": _is_texts_by_name,
+    },
     "sim": {"task": _is_object, "state_hash": _is_text},
     "result": {"success": _is_truth, "reason": _is_text, "by": _is_text},
     "cell": {"arms": _is_object, "name": _is_scalar},
 }
 _ITEMS: dict[str, dict[str, Check]] = {
-    "stages": {"name": _is_text, "begin_ns": _is_integer, "end_ns": _is_integer},
+    "stages": {
+        **dict.fromkeys(("name", "text", "by"), _is_text),
+        **dict.fromkeys(("begin_ns", "end_ns"), _is_integer),
+    },
     "segments": {
         **dict.fromkeys(("begin_ns", "step_ns"), _is_integer),
         **dict.fromkeys(("rows", "frames"), _is_object),

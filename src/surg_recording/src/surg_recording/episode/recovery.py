@@ -8,6 +8,7 @@ recovery can be repeated.
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 from collections.abc import Callable
@@ -24,6 +25,7 @@ from surg_recording.file_io import read_json, sync_folder
 from surg_recording.recording_errors import EpisodeError
 
 REASON = "the recorder was killed; recovered at the next start"
+_PHASES = ("stamp_ns", "phase", "done")
 BY_HAND = "the recorder was killed; recovered by hand"
 
 
@@ -86,7 +88,7 @@ def recover_one(folder: Path, reason: str = REASON) -> Path:
         manifest, reasons = _manifest(folder)
         manifest["recovered"] = finishing.utc_now()
         finishing.complete(folder, manifest, {}, "; ".join([reason, *reasons]))
-        manifest.update(_recorded_annotations(folder))
+        manifest.update(_recorded_annotations(folder, manifest.get("run")))
         finishing.write_json(folder / MANIFEST, manifest)
         damaged.set_aside(folder / LOCK)
         os.rename(folder, final)
@@ -100,8 +102,8 @@ def recover_one(folder: Path, reason: str = REASON) -> Path:
     return final
 
 
-def _recorded_annotations(folder: Path) -> dict[str, Any]:
-    """Stages, tags, verdict and clock steps from the events.
+def _recorded_annotations(folder: Path, run: Any) -> dict[str, Any]:
+    """Stages, tags, verdict and clock steps from the events, phases from the task's state.
 
     The numbers of rows before a clock step are lost.
     """
@@ -118,9 +120,14 @@ def _recorded_annotations(folder: Path) -> dict[str, Any]:
                 steps.append({"begin_ns": last, "step_ns": int(text.split()[-2])})
     except (EpisodeError, ValueError, IndexError):
         return {}
+    with contextlib.suppress(EpisodeError):
+        state = read_table(folder / "task_state.csv")
+        for stamp, phase, done in zip(*map(state.__getitem__, _PHASES), strict=True):
+            annotations.phase(str(phase), int(stamp), bool(done))
+            last = max(last, int(stamp))
     annotations.end(last)
     return {
-        "stages": annotations.stages,
+        "stages": annotations.stages(run),
         "tags": annotations.tags,
         "result": annotations.result,
         "segments": steps,

@@ -106,8 +106,7 @@ class RecordedSession(Session):
         """The key ``run`` of the manifest."""
         return {
             "task": self.task.name,
-            "title": self.task.title,
-            "instruction": self.task.title,
+            **self.task.language(),
             "operator": operator,
             "robot": self.cell.arms[self.world.arms[0]].robot.name,
             "mode": "cartesian",

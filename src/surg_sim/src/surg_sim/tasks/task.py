@@ -79,6 +79,8 @@ class Task(ABC):
     Attributes:
         name: Name on the command line.
         title: Name for people.
+        instruction: What shall be done, as one sentence to whoever does it; empty: the title.
+        stages: Phase of ``Verdict.phase`` -> its instruction, in their usual order.
         time_limit: Longest episode [s].
         home_cell: Bundled cell used if none is given.
         fitting_cells: Bundled cells that fit, for error messages.
@@ -91,6 +93,8 @@ class Task(ABC):
 
     name: ClassVar[str]
     title: ClassVar[str]
+    instruction: ClassVar[str] = ""
+    stages: ClassVar[Mapping[str, str]] = {}
     time_limit: ClassVar[float]
     home_cell: ClassVar[str] = "sim_two_arms"
     fitting_cells: ClassVar[tuple[str, ...]] = (
@@ -103,6 +107,14 @@ class Task(ABC):
         self.tick = 0
         self.assistant: Any = None
         self.skins: Sequence[Any] = ()
+
+    def language(self) -> dict[str, Any]:
+        """The instructions as a recording's manifest and a dataset state them."""
+        return {
+            "title": self.title,
+            "instruction": self.instruction or self.title,
+            "stages": dict(self.stages),
+        }
 
     # --- before an episode --------------------------------------------------------------------
 

@@ -25,5 +25,14 @@ STILL_FOR = 2.0
 
 PHASES = ("point", "grasp", "assist", "retract", "still", "done")
 """Phases of an episode in their order."""
+INSTRUCTION = "Grasp the bowel where the assistant points, and retract it together."
+STAGES = {
+    "point": "Wait until the assistant points at the bowel.",
+    "grasp": "Grasp the bowel where the assistant points.",
+    "assist": "Hold the bowel still while the assistant grasps it beside you.",
+    "retract": "Retract the bowel together with the assistant until it is taut and visible.",
+    "still": "Hold the taut bowel still.",
+}
+"""Sentences for datasets and policies; a phase's is said to the robot."""
 NOBODY = -1.0
 """Value of a node number in the task state while nothing is held."""

@@ -40,6 +40,8 @@ class Bgr(Task):
 
     name = "bgr"
     title = "Bowel grasping and retraction"
+    instruction = defined.INSTRUCTION
+    stages: ClassVar[Mapping[str, str]] = defined.STAGES
     time_limit = 45.0
     plotted: ClassVar[Mapping[str, str]] = {"tension": "N", "still": "s"}
 

@@ -73,6 +73,11 @@ class EndoscopeGuidance(Task):
 
     name = "endoscope_guidance"
     title = "Endoscope guidance"
+    instruction = "Keep the tip of the moving instrument in the centre of the picture."
+    stages: ClassVar[Mapping[str, str]] = {
+        "ready": "Hold the endoscope still until the instrument moves.",
+        "follow": "Follow the tip of the instrument so that it stays in the centre.",
+    }
     time_limit = READY + DURATION
     fitting_cells = ("sim_two_arms", "sim_two_arms_panda")
     commanded = (SCOPE,)

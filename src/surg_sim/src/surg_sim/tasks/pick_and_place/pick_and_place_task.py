@@ -60,6 +60,12 @@ class PickAndPlace(Task):
 
     name = "pick_and_place"
     title = "Peg transfer"
+    instruction = "Move the ring from its peg to the goal peg on the other board."
+    stages: ClassVar[Mapping[str, str]] = {
+        "grasp": "Grasp the ring on its peg.",
+        "carry": "Carry the ring to the goal peg and lower it over the peg.",
+        "release": "Open the jaws and let the ring rest on the peg.",
+    }
     time_limit = 30.0
     home_cell = "sim_ur5e"
     plotted: ClassVar[Mapping[str, str]] = {"held": "0 or 1"}
