@@ -167,7 +167,7 @@ def test_a_dask_worker_is_killed_on_the_way(tmp_path: Path, full: bool) -> None:
         def kill() -> None:
             deadline = time.monotonic() + 120
             while time.monotonic() < deadline:
-                if len(list(tmp_path.glob("set.parts/*/part.json"))) >= count // 8:
+                if len(list(tmp_path.glob("set.parts/*/1/part.json"))) >= count // 8:
                     os.kill(victim, signal.SIGKILL)
                     killed.set()
                     return

@@ -53,7 +53,7 @@ def is_up_to_date(
         return False
     stated = read_manifest(out)
     same = stated["exporter"] == exporter.name
-    same = same and sorted(r["key"] for r in stated["recordings"]) == sorted(keys)
+    same = same and {r["key"] for r in stated["recordings"]} == set(keys)
     same = same and stated["arranged"] == _arranged(options)
     if same:
         for name, entry in stated["files"].items():
@@ -108,6 +108,7 @@ def write_manifest(exporter: Exporter, dataset: Dataset, out: Path, report: Repo
                 "instruction": part.instruction,
                 "about": dict(part.about),
                 "notes": dict(part.notes),
+                **({"piece": part.piece} if part.piece else {}),
             }
             for index, part in enumerate(dataset.parts)
         ],

@@ -90,7 +90,7 @@ class Report:
 
 @dataclasses.dataclass(frozen=True)
 class Part:
-    """One converted recording, to be assembled with others."""
+    """One converted recording, or a piece of a long one, to be assembled with others."""
 
     folder: Path
     key: str
@@ -105,6 +105,8 @@ class Part:
     features: tuple[Feature, ...]
     about: Mapping[str, Any]
     notes: Mapping[str, Any]
+    piece: str = ""
+    """Which piece of a long recording this is, such as ``2 of 3``; empty: all of it."""
 
     def save(self) -> None:
         """Write ``part.json``."""
@@ -112,6 +114,12 @@ class Part:
         stated["folder"] = None
         stated["features"] = [feature.describe() for feature in self.features]
         (self.folder / PART).write_text(json.dumps(stated, indent=1, default=str) + "\n", "utf-8")
+
+    @staticmethod
+    def load_all(folder: Path) -> list[Part]:
+        """The parts of one recording in order; an EpisodeError if one is missing or broken."""
+        pieces = sorted(folder.iterdir(), key=lambda piece: int(piece.name))
+        return [Part.load(piece) for piece in pieces]
 
     @staticmethod
     def load(folder: Path) -> Part:
@@ -177,6 +185,8 @@ class Exporter(abc.ABC):
     """Increase it when the same input gives another output."""
     needs: ClassVar[Mapping[str, str]] = {}
     """Module → how to get it."""
+    longest_s: ClassVar[float | None] = None
+    """A longer recording becomes several episodes of at most this length [s]; None: no limit."""
 
     def write(
         self,

@@ -19,7 +19,7 @@ from pathlib import Path
 import surg_recording
 from surg_recording.datasets import exporter as exporters
 from surg_recording.datasets import inspection, schema
-from surg_recording.datasets.exporter import PART, Exporter, Part
+from surg_recording.datasets.exporter import Exporter, Part
 from surg_recording.datasets.inspection import Layout
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import sample
@@ -87,7 +87,7 @@ def make(job: Job) -> Outcome:
 
 def _make(job: Job) -> bool:
     place = job.parts / job.key
-    if (place / PART).exists():
+    if place.exists():
         return False
     exporter = exporters.load(job.exporter)
     candidate = inspection.look(job.folder, job.options)
@@ -95,25 +95,30 @@ def _make(job: Job) -> bool:
     owner = f"{_UNFINISHED}{socket.gethostname()}-{os.getpid()}-"
     work = Path(tempfile.mkdtemp(prefix=owner, dir=job.parts))
     try:
-        exporter.write_part(sampled, work, job.options)
-        Part(
-            folder=work,
-            key=job.key,
-            source=str(job.folder),
-            kind=candidate.kind,
-            instruction=candidate.instruction,
-            stages=tuple(dict.fromkeys(sampled.columns.get(schema.STAGE, ()))),
-            frames=sampled.grid.frames,
-            fps=sampled.grid.fps,
-            features=sampled.features,
-            about=candidate.about,
-            notes=sampled.notes,
-        ).save()
+        pieces = sampled.pieces(exporter.longest_s)
+        for number, piece in enumerate(pieces, start=1):
+            folder = work / str(number)
+            folder.mkdir()
+            exporter.write_part(piece, folder, job.options)
+            Part(
+                folder=folder,
+                key=job.key,
+                source=str(job.folder),
+                kind=candidate.kind,
+                instruction=candidate.instruction,
+                stages=tuple(dict.fromkeys(piece.columns.get(schema.STAGE, ()))),
+                frames=piece.grid.frames,
+                fps=job.options.fps,
+                features=piece.features,
+                about=candidate.about,
+                notes=sampled.notes,
+                piece=f"{number} of {len(pieces)}" if len(pieces) > 1 else "",
+            ).save()
         os.chmod(work, 0o755)
         try:
             os.rename(work, place)
         except OSError:
-            if not (place / PART).exists():  # no other worker was faster
+            if not place.exists():  # no other worker was faster
                 raise
     finally:
         shutil.rmtree(work, ignore_errors=True)

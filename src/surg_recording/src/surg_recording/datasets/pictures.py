@@ -8,6 +8,7 @@ encoding again.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
@@ -55,8 +56,9 @@ def recorded_frames(path: Path, indices: Sequence[int]) -> Iterator[av.VideoFram
     due = next(wanted, None)
     number = -1
     try:
+        first = _key_frame(path, due or 0)
         with av.open(str(path)) as container:
-            for number, frame in enumerate(_decoded(container)):
+            for number, frame in enumerate(_decoded(container, first), start=first):
                 while due == number:
                     yield frame
                     due = next(wanted, None)
@@ -68,15 +70,31 @@ def recorded_frames(path: Path, indices: Sequence[int]) -> Iterator[av.VideoFram
         raise EpisodeError(f"{path}: ends after {number + 1} frames, frame {due} is needed")
 
 
-def _decoded(container: av.container.InputContainer) -> Iterator[av.VideoFrame]:
-    """Frames of a video, decoded in this thread.
+def _key_frame(path: Path, number: int) -> int:
+    """The last key frame not later than a frame, so that a piece of a long video is found fast."""
+    if number == 0:
+        return 0
+    with av.open(str(path)) as container:
+        if container.streams.video[0].codec_context.has_b_frames:
+            return 0  # packets and frames are in different order
+        packets = itertools.islice(video_file.packets(container), number + 1)
+        return max((n for n, packet in enumerate(packets) if packet.is_keyframe), default=0)
+
+
+def _decoded(container: av.container.InputContainer, first: int = 0) -> Iterator[av.VideoFrame]:
+    """Frames of a video from the key frame ``first`` on, decoded in this thread.
 
     Recordings are converted in parallel, so threads would gain nothing; and a decoder thread that
     logs while its container is being closed waits for the interpreter forever.
     """
     context = container.streams.video[0].codec_context
     context.thread_type, context.thread_count = "NONE", 1
-    yield from container.decode(video=0)
+    if not first:
+        yield from container.decode(video=0)
+        return
+    for packet in itertools.islice(video_file.packets(container), first, None):
+        yield from packet.decode()
+    yield from context.decode(None)
 
 
 def _scaled(frame: av.VideoFrame, size: tuple[int, int] | None) -> av.VideoFrame:

@@ -8,6 +8,7 @@ recordings (parts) are in ``<out>.parts``, so that an interrupted export can con
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import os
 import shutil
 from collections.abc import Mapping, Sequence
@@ -18,7 +19,6 @@ from surg_core.plugins import source_file
 from surg_recording.datasets import executors, inspection
 from surg_recording.datasets.export_manifest import is_up_to_date, write_manifest
 from surg_recording.datasets.exporter import (
-    PART,
     Dataset,
     Exporter,
     ExportError,
@@ -74,9 +74,10 @@ def export(
     _convert(jobs, options, report, progress)
     if options.shard is not None:
         report.facts["shard"] = "{}/{}".format(*options.shard)
-        report.recordings = sum(1 for job in jobs if (parts / job.key / PART).exists())
+        report.recordings = sum(1 for job in jobs if (parts / job.key).exists())
         return report
-    finished = [Part.load(parts / job.key) for job in jobs if (parts / job.key / PART).exists()]
+    made = [parts / job.key for job in jobs if (parts / job.key).exists()]
+    finished = [part for folder in made for part in Part.load_all(folder)]
     for part in finished:
         if part.features != finished[0].features:
             report.refused[part.source] = "its features are not those of the first recording"
@@ -145,8 +146,11 @@ def dry_run(
         except Exception as problem:  # one recording, not the export
             report.refused[str(candidate.folder)] = words_of(problem, candidate.folder)
             continue
-        report.recordings += 1
+        pieces = len(sampled.pieces(exporter.longest_s))
+        report.recordings += pieces
         report.frames += sampled.grid.frames
+        if pieces > 1:
+            report.warnings.append(split_words(candidate.folder, pieces, exporter))
         report.warnings += _told(str(candidate.folder), sampled.notes)
         kinds[candidate.kind] = kinds.get(candidate.kind, 0) + 1
         report.facts.setdefault("features", {f.name: list(f.shape) for f in sampled.features})
@@ -157,14 +161,18 @@ def dry_run(
 def arrange(
     name: str, parts: Sequence[Part], layout: inspection.Layout, options: ExportOptions
 ) -> Dataset:
-    """Order the recordings so that each split is one range: train, val, test, recovery, failure."""
+    """Order the recordings so that each split is one range: train, val, test, recovery, failure.
+
+    The pieces of a long recording stay together.
+    """
     plain = [part for part in parts if part.kind == SUCCESS]
+    recordings = [list(pieces) for _, pieces in itertools.groupby(plain, lambda part: part.key)]
     groups: dict[str, list[Part]] = {}
     begin, share = 0, 0.0
     for split in SPLITS:
         share += options.splits.get(split, 0.0)
-        end = len(plain) if share > 1.0 - 1e-9 else round(share * len(plain))
-        groups[split] = plain[begin:end]
+        end = len(recordings) if share > 1.0 - 1e-9 else round(share * len(recordings))
+        groups[split] = [part for pieces in recordings[begin:end] for part in pieces]
         begin = end
     for kind in (RECOVERY, FAILURE):
         groups[kind] = [part for part in parts if part.kind == kind]
@@ -182,7 +190,7 @@ def _convert(jobs: list[Job], options: ExportOptions, report: Report, progress: 
     if options.shard is not None:
         index, count = options.shard
         jobs[:] = jobs[index::count]
-    todo = [job for job in jobs if not (job.parts / job.key / PART).exists()]
+    todo = [job for job in jobs if not (job.parts / job.key).exists()]
     done = 0
 
     def note(outcome: Outcome) -> None:
@@ -211,7 +219,11 @@ def _assemble(
         report.errors += validated.errors
         report.warnings += validated.warnings
         for part in dataset.parts:
-            report.warnings += _told(part.source, part.notes)
+            if part.piece and part.piece.startswith("1 of "):
+                pieces = int(part.piece.rpartition(" ")[2])
+                report.warnings.append(split_words(Path(part.source), pieces, exporter))
+            if not part.piece or part.piece.startswith("1 of "):
+                report.warnings += _told(part.source, part.notes)
         report.facts.update(validated.facts)
         if validated.recordings != len(dataset.parts) or validated.frames != dataset.frames:
             report.errors.append(
@@ -237,6 +249,14 @@ def _told(source: str, notes: Mapping[str, Any]) -> list[str]:
     """What the report says of an exported recording."""
     told = [f"{source}: {notes['segment']} is exported"] if "segment" in notes else []
     return told + [f"{source}: {remark}" for remark in notes.get("remarks", ())]
+
+
+def split_words(source: Path, pieces: int, exporter: Exporter) -> str:
+    """What the report says of a long recording."""
+    return (
+        f"{source}: longer than the {exporter.longest_s:g} s that one episode of {exporter.title}"
+        f" can hold; it is exported as {pieces} episodes of the same split"
+    )
 
 
 def _nothing_left(report: Report) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_recording.datasets import schema
-from surg_recording.datasets.exporter import Dataset
+from surg_recording.datasets.exporter import Dataset, Part
 from surg_recording.datasets.inspection import FAILURE, RECOVERY
 
 KNOWN = {
@@ -69,13 +69,14 @@ def page(dataset: Dataset, format_name: str) -> str:
 
 
 def _description(dataset: Dataset, about: Mapping[str, Any], format_name: str) -> list[str]:
-    parts = dataset.parts
+    parts, recordings = dataset.parts, _recordings(dataset)
     hours = dataset.frames / dataset.options.fps / 3600
     simulated = sum(bool(part.about.get("simulated")) for part in parts)
     return [
         "| | |",
         "|---|---|",
-        f"| Recordings | {len(parts)} |",
+        f"| Recordings | {len(recordings)} |",
+        f"| Episodes | {len(parts)} |",
         f"| Frames | {dataset.frames} at {dataset.options.fps} per second |",
         f"| Hours | {hours:.3f} |",
         "| Domain | surgical robotics |",
@@ -191,6 +192,11 @@ def missing_sections(text: str) -> list[str]:
     return [f"README.md has no section '{name}'" for name in SECTIONS if f"## {name}" not in text]
 
 
+def _recordings(dataset: Dataset) -> list[Part]:
+    """One part of each recording: long ones have several."""
+    return list({part.key: part for part in dataset.parts}.values())
+
+
 def _stated(about: Mapping[str, Any], key: str) -> str:
     return str(about.get(key) or "not stated").strip()
 
@@ -238,16 +244,16 @@ def _clocks(dataset: Dataset) -> str:
 
 def _notes(dataset: Dataset) -> list[str]:
     """Repeated, skipped and oldest pictures of each camera."""
-    rows = []
+    rows, recordings = [], _recordings(dataset)
     for camera in dataset.layout.cameras:
-        repeated = sum(int(p.notes.get(f"repeated_{camera}", 0)) for p in dataset.parts)
-        skipped = sum(int(p.notes.get(f"skipped_{camera}", 0)) for p in dataset.parts)
-        oldest = max(float(p.notes.get(f"oldest_{camera}_s", 0.0)) for p in dataset.parts)
+        repeated = sum(int(p.notes.get(f"repeated_{camera}", 0)) for p in recordings)
+        skipped = sum(int(p.notes.get(f"skipped_{camera}", 0)) for p in recordings)
+        oldest = max(float(p.notes.get(f"oldest_{camera}_s", 0.0)) for p in recordings)
         rows.append(
             f"- {camera}: {repeated} pictures shown twice, {skipped} left out, the oldest"
             f" {oldest * 1000:.1f} ms old"
         )
-    for part in dataset.parts:
+    for part in recordings:
         if "segment" in part.notes:
             rows.append(f"- {Path(part.source).name}: {part.notes['segment']}, is in the dataset")
     return rows

@@ -80,6 +80,17 @@ def previous(stamps: Stamps, times: Stamps, what: str, max_age_ns: int | None = 
     return index.astype(np.int64)
 
 
+def around(stamps: Stamps, times: Stamps) -> Stamps:
+    """Rows (M,), increasing, that the functions of this module need to resample at ``times``.
+
+    With these rows only, they give the same values and errors as with all N samples. The first and
+    the last row are among them.
+    """
+    last = len(stamps) - 1
+    before = np.clip(np.searchsorted(stamps, times, side="right") - 1, 0, last)
+    return np.unique(np.concatenate([[0, last], before, np.minimum(before + 1, last)]))
+
+
 def _brackets(
     stamps: Stamps, times: Stamps, what: str, max_gap_ns: int
 ) -> tuple[Stamps, Stamps, Array]:

@@ -9,6 +9,8 @@ surg_sim.envs.surg_env.
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -27,23 +29,29 @@ from surg_core.contract import (
     TASK_STATE_KEY,
     image_key,
 )
-from surg_core.transforms import multiply_quaternions, rotate_back, tip_quaternions
 from surg_recording.datasets import pictures, schema
+from surg_recording.datasets.arm_motion import ArmCycles, ArmMotion
 from surg_recording.datasets.frame_columns import Columns
 from surg_recording.datasets.inspection import Candidate
 from surg_recording.datasets.options import ExportOptions
-from surg_recording.datasets.resample import Grid, Stamps, linear, offsets_ns, previous, slerp
+from surg_recording.datasets.resample import (
+    Grid,
+    Stamps,
+    around,
+    linear,
+    offsets_ns,
+    previous,
+    slerp,
+)
 from surg_recording.datasets.schema import Feature
-from surg_recording.episode import episode_reader, table_columns
-from surg_recording.episode.checked_reading import checked_cycle, checked_table, checked_video
-from surg_recording.episode.episode_reader import Episode, Table
+from surg_recording.episode import episode_reader, long_table, table_columns
+from surg_recording.episode.checked_reading import checked_table, checked_video
+from surg_recording.episode.episode_reader import Table
+from surg_recording.episode.long_table import LongTable
 from surg_recording.episode.verdicts import PERSON, Verdict
 from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
-
-POSE_COMMANDS = (1, 2, 5, 6, 9, 10, 11, 12)
-"""Values of surg_msgs/Cycle.command whose goal is ``p_goal``; otherwise the set-point counts."""
 
 _LINEAR = "linear interpolation"
 _HOLD = "zero-order hold"
@@ -72,35 +80,44 @@ class Sampled:
     notes: dict[str, Any]
     """Facts for the report: repeated, skipped and oldest pictures."""
 
+    def pieces(self, longest_s: float | None) -> list[Sampled]:
+        """The recording in pieces of nearly equal length, none longer than ``longest_s`` [s]."""
+        fps, frames = self.grid.fps, self.grid.frames
+        if longest_s is None or frames <= longest_s * fps:
+            return [self]
+        count = math.ceil(frames / (math.floor(longest_s) * fps))
+        # Pieces begin at whole seconds of the grid: there its times need no rounding.
+        ends = [math.ceil(frames / fps * n / count) * fps for n in range(count)] + [frames]
+        return [self._piece(first, end) for first, end in itertools.pairwise(ends)]
+
+    def _piece(self, first: int, end: int) -> Sampled:
+        """The frames from ``first`` to before ``end``."""
+        start = int(self.grid.times_ns[first])
+        return dataclasses.replace(
+            self,
+            grid=dataclasses.replace(self.grid, start_ns=start, frames=end - first),
+            columns={name: values[first:end] for name, values in self.columns.items()},
+            pictures={
+                name: dataclasses.replace(shown, index=shown.index[first:end])
+                for name, shown in self.pictures.items()
+            },
+        )
+
     def frames(self, feature: str) -> Iterator[av.VideoFrame]:
         """The pictures of a video feature in the grid's order."""
         shown = self.pictures[feature]
         return pictures.recorded_frames(shown.video.path, [int(i) for i in shown.index])
 
 
-@dataclasses.dataclass(frozen=True)
-class _Arm:
-    """An arm's cycles with the vectors that are resampled; N rows of strictly later stamps."""
-
-    name: str
-    stamps: Stamps
-    cycle: Table
-    state: Array
-    """(N, 9) ``contract.ARM_STATE``, rcm frame."""
-    goal: Array
-    """(N, 5) ``contract.ARM_ACTION``, rcm frame."""
-    goal_row: Stamps
-    """(N,) row since which the goal of a row is in force."""
-    p_BTip: Array
-    q_BTool: Array
-
-
 def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
     """Read and resample a recording; an EpisodeError names what is missing, broken or too old."""
     recorded = episode_reader.read(candidate.folder)
     layout, segment = candidate.layout, candidate.segment
-    cycles = {name: checked_cycle(recorded, name, segment) for name in layout.arms}
-    arms = [_arm(recorded, name, cycles[name]) for name in layout.commanded]
+    cycles = {
+        name: ArmCycles.read(recorded, name, segment, name in layout.commanded)
+        for name in layout.arms
+    }
+    commanded = [cycles[name] for name in layout.commanded]
     videos = {camera: checked_video(recorded, camera, segment) for camera in layout.cameras}
     for (camera, video), size in zip(videos.items(), layout.sizes, strict=True):
         if segment is not None and pictures.size_of(video.path) != size:
@@ -108,18 +125,20 @@ def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
                 f"{video.path}: another size than {camera} has before; {segment.words}"
             )
     task = checked_table(recorded, "task_state", segment) if layout.labelled else None
-    true = [f"ground_truth_{arm}" for arm in layout.arms if layout.truth]
-    truth = [checked_table(recorded, name, segment) for name in true]
-    others = [*cycles.values(), *([task] if task else []), *truth]
-    grid = _grid(candidate, arms, videos, others, options)
+    true = layout.arms if layout.truth else ()
+    truth = [long_table.truth(recorded, arm, segment) for arm in true]
+    long = [*(arm.table for arm in cycles.values()), *truth]
+    others = [*(table.index for table in long), *([task] if task else [])]
+    grid = _grid(candidate, commanded, videos, others, options)
+    arms = {name: arm.at(grid) for name, arm in cycles.items()}
 
     made = Columns(grid, options)
     if segment is not None:
         made.notes["segment"] = segment.words
     if candidate.remarks:
         made.notes["remarks"] = list(candidate.remarks)
-    _observe(made, candidate, arms, cycles)
-    _act(made, arms)
+    _observe(made, [arms[name] for name in layout.commanded], list(arms.values()))
+    _act(made, [arms[name] for name in layout.commanded])
     shown = _show(made, candidate, videos)
     if task is not None:
         at_the_end = segment is None or segment.until is None
@@ -144,49 +163,18 @@ def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
     return Sampled(candidate, grid, features, made.columns, shown, made.notes)
 
 
-def _arm(recorded: Episode, name: str, cycle: Table) -> _Arm:
-    """A commanded arm from homing on, with the vectors to resample."""
-    homed = np.flatnonzero(cycle["homed"] == 1)
-    if not len(homed):
-        path = recorded.folder / f"cycle_{name}.csv"
-        raise EpisodeError(f"{path}: {name} was never homed, so its rcm frame is not known")
-    cycle = cycle.select(slice(int(homed[0]), None))
-    q_BR = cycle.vector("q_br", "xyzw")
-    p_BRcm = cycle.vector("p_rcm")
-    p_BTip = cycle.vector("p_tip")
-    tip = rotate_back(q_BR, p_BTip - p_BRcm)
-    p_set = rotate_back(q_BR, cycle.vector("p_set") - p_BRcm)
-    goal = rotate_back(q_BR, cycle.vector("p_goal") - p_BRcm)
-    roll, roll_set = np.unwrap(cycle["roll"]), np.unwrap(cycle["roll_set"])
-    posed = np.isin(cycle["command"], POSE_COMMANDS)
-    p_action = np.where(posed[:, None], goal, p_set)
-    roll_action = np.where(posed, cycle["roll_goal"], roll_set)
-    began = np.diff(cycle["accepted"], prepend=-1) != 0
-    s_R = rotate_back(q_BR, cycle.vector("s"))
-    return _Arm(
-        name=name,
-        stamps=cycle["stamp_ns"],
-        cycle=cycle,
-        state=np.column_stack([tip, roll, cycle["jaw"], p_set, roll_set]),
-        goal=np.column_stack([p_action, np.unwrap(roll_action), cycle["jaw_set"]]),
-        goal_row=np.maximum.accumulate(np.where(began, np.arange(len(cycle)), 0)),
-        p_BTip=p_BTip,
-        q_BTool=multiply_quaternions(q_BR, tip_quaternions(s_R, roll)),
-    )
-
-
 # --- the grid ---------------------------------------------------------------------------------
 
 
 def _grid(
     candidate: Candidate,
-    arms: list[_Arm],
+    arms: list[ArmCycles],
     videos: dict[str, episode_reader.Video],
     others: list[Table],
     options: ExportOptions,
 ) -> Grid:
     period = int(offsets_ns(np.array([1]), options.fps)[0])
-    obeyed = [arm.stamps[arm.cycle["command"] > 0] for arm in arms]
+    obeyed = [arm.stamps[arm.command > 0] for arm in arms]
     commands = [int(stamps[0]) for stamps in obeyed if len(stamps)]
     if not commands:
         raise EpisodeError(
@@ -218,20 +206,17 @@ def _grid(
 # --- features ---------------------------------------------------------------------------------
 
 
-def _observe(
-    made: Columns, candidate: Candidate, arms: list[_Arm], cycles: dict[str, Table]
-) -> None:
+def _observe(made: Columns, commanded: list[ArmMotion], arms: list[ArmMotion]) -> None:
     """Measured values: joints of all arms, tips of those that are commanded and so homed."""
     grid, gap = made.grid, round(made.options.max_gap_s * SECOND_NS)
     states, poses = [], []
-    for arm in arms:
-        what = str(candidate.folder / f"cycle_{arm.name}.csv")
+    for arm in commanded:
         both = np.column_stack([arm.state, arm.p_BTip])
-        resampled, _ = linear(arm.stamps, both, grid.times_ns, what, gap)
-        quaternion, _ = slerp(arm.stamps, arm.q_BTool, grid.times_ns, what, gap)
+        resampled, _ = linear(arm.stamps, both, grid.times_ns, arm.path, gap)
+        quaternion, _ = slerp(arm.stamps, arm.q_BTool, grid.times_ns, arm.path, gap)
         states.append(resampled[:, : arm.state.shape[1]])
         poses.append(np.column_stack([resampled[:, arm.state.shape[1] :], quaternion]))
-    names = [arm.name for arm in arms]
+    names = [arm.name for arm in commanded]
     made.vector(
         STATE_KEY,
         np.hstack(states),
@@ -252,16 +237,14 @@ def _observe(
     )
     for kind, prefix, unit in (("positions", "q", "rad"), ("velocities", "qd", "rad/s")):
         values, flat = [], []
-        for name, cycle in cycles.items():
-            what = str(candidate.folder / f"cycle_{name}.csv")
-            resampled, before = linear(
-                cycle["stamp_ns"], cycle.joints(prefix), grid.times_ns, what, gap
-            )
+        for arm in arms:
+            measured = arm.q if prefix == "q" else arm.qd
+            resampled, before = linear(arm.stamps, measured, grid.times_ns, arm.path, gap)
             values.append(resampled)
-            flat += [f"{name}/{prefix}{i}" for i in range(resampled.shape[1])]
+            flat += [f"{arm.name}/{prefix}{i}" for i in range(resampled.shape[1])]
             if prefix == "q":
-                text = f"cycle of {name} before this frame"
-                made.timing(name, cycle["stamp_ns"], before, grid.times_ns, text)
+                text = f"cycle of {arm.name} before this frame"
+                made.timing(arm.name, arm.stamps, before, grid.times_ns, text)
         made.vector(
             f"observation.joint_{kind}",
             np.hstack(values),
@@ -273,7 +256,7 @@ def _observe(
         )
 
 
-def _act(made: Columns, arms: list[_Arm]) -> None:
+def _act(made: Columns, arms: list[ArmMotion]) -> None:
     """The commands in force at the next grid times."""
     times = made.grid.next_ns
     goals = []
@@ -281,7 +264,7 @@ def _act(made: Columns, arms: list[_Arm]) -> None:
         row = previous(arm.stamps, times, f"commands of {arm.name}")
         goals.append(arm.goal[row])
         text = f"cycle that accepted the action of {arm.name}"
-        made.timing(f"{arm.name}.action", arm.stamps, arm.goal_row[row], times, text)
+        made.timing(f"{arm.name}.action", arm.goal_since_ns, row, times, text)
     made.vector(
         ACTION_KEY,
         np.hstack(goals),
@@ -359,11 +342,11 @@ def _privileged_task(made: Columns, task: Table, numbers: tuple[str, ...]) -> No
     made.timing("task_state", task["stamp_ns"], row, made.grid.times_ns, text)
 
 
-def _privileged_truth(made: Columns, arms: tuple[str, ...], truth: list[Table]) -> None:
+def _privileged_truth(made: Columns, arms: tuple[str, ...], truth: list[LongTable]) -> None:
     parts, names = [], []
-    for arm, table in zip(arms, truth, strict=True):
-        stamps = table["stamp_ns"]
-        table = table.select(np.flatnonzero(np.append(np.diff(stamps) > 0, True)))
+    columns = [f"{name}_{axis}" for name in ("tip", "force") for axis in "xyz"]
+    for arm, long in zip(arms, truth, strict=True):
+        table = long.at(around(long.index["stamp_ns"], made.grid.times_ns), columns)
         values = np.column_stack([table.vector("tip"), table.vector("force")])
         gap = round(made.options.max_gap_s * SECOND_NS)
         what = f"ground_truth_{arm}.csv"

@@ -7,6 +7,7 @@ them; the error states file, line and value.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -64,13 +65,29 @@ def for_metrics(recorded: Episode, arm: str) -> Episode:
     return recorded.holding(tables)
 
 
-def checked_table(recorded: Episode, name: str, segment: Segment | None = None) -> Table:
+def checked_table(
+    recorded: Episode,
+    name: str,
+    segment: Segment | None = None,
+    columns: Collection[str] | None = None,
+    numbered: str | None = None,
+) -> Table:
     """A table with the rows and stamps of the manifest, or its rows within a segment.
+
+    Args:
+        recorded: The episode.
+        name: Name of the table.
+        segment: Only rows within it; None for all.
+        columns: Columns to read besides the stamps; None for all. The episode does not keep a table
+            with some of its columns.
+        numbered: Name of a further column with the number of each row in the file, from 0.
 
     Raises:
         EpisodeError: Truncated, edited or missing; no row in the segment.
     """
-    table = recorded.table(name)
+    table = recorded.table(name) if columns is None else recorded.columns(name, columns)
+    if numbered is not None:
+        table = table.with_column(numbered, np.arange(len(table)))
     path = recorded.folder / f"{name}.csv"
     _stamped(path, table)
     if segment is None:
@@ -192,28 +209,30 @@ def _without_gap(path: Path, cycle: Table) -> None:
         )
 
 
-def checked_cycle(recorded: Episode, name: str, segment: Segment | None = None) -> Table:
-    """An arm's control cycles with strictly increasing stamps, all measured values finite.
-
-    Raises:
-        EpisodeError: Truncated, edited or missing, or an impossible value.
-    """
-    cycle = finite_cycle(recorded, name, segment)
-    # A cycle without a new joint state repeats its stamp: the last one knows most.
-    return cycle.select(np.flatnonzero(np.append(np.diff(cycle["stamp_ns"]) > 0, True)))
-
-
 def finite_cycle(recorded: Episode, name: str, segment: Segment | None = None) -> Table:
     """An arm's control cycles, all measured values finite; else an EpisodeError."""
     cycle = checked_table(recorded, f"cycle_{name}", segment)
-    joints = table_columns.joint_count(cycle.columns)
-    used = [*("p_tip_x", "p_tip_y", "p_tip_z", "s_x", "s_y", "s_z", "roll", "jaw")]
-    used += [f"{prefix}{i}" for prefix in ("q", "qd") for i in range(joints)]
-    path = recorded.folder / f"cycle_{name}.csv"
-    _finite(path, cycle, used)
-    of_the_trocar = [f"p_rcm_{axis}" for axis in "xyz"] + [f"q_br_{axis}" for axis in "xyzw"]
-    _finite(path, cycle.select(cycle["homed"] == 1), of_the_trocar)
+    check_cycle(recorded.folder / f"cycle_{name}.csv", cycle)
     return cycle
+
+
+MEASURED = ("p_tip_x", "p_tip_y", "p_tip_z", "s_x", "s_y", "s_z", "roll", "jaw")
+"""Columns of the cycles that always hold a measurement; also ``q0``…, ``qd0``…."""
+
+TROCAR = (*(f"p_rcm_{axis}" for axis in "xyz"), *(f"q_br_{axis}" for axis in "xyzw"))
+"""Columns of the cycles that are known once the arm is homed."""
+
+
+def cycle_columns(joints: int) -> tuple[str, ...]:
+    """The columns that ``check_cycle`` needs."""
+    return (*MEASURED, *TROCAR, "homed", *(f"{p}{i}" for p in ("q", "qd") for i in range(joints)))
+
+
+def check_cycle(path: Path, cycle: Table) -> None:
+    """Raise an EpisodeError unless all measured values of control cycles are possible."""
+    joints = table_columns.joint_count(cycle.columns)
+    _finite(path, cycle, [*MEASURED, *(f"{p}{i}" for p in ("q", "qd") for i in range(joints))])
+    _finite(path, cycle.select(cycle["homed"] == 1), TROCAR)
 
 
 def _finite_truth(recorded: Episode, arm: str, segment: Segment | None) -> Table:
@@ -226,7 +245,7 @@ def _finite_truth(recorded: Episode, arm: str, segment: Segment | None) -> Table
     return table
 
 
-def _finite(path: Path, table: Table, columns: list[str]) -> None:
+def _finite(path: Path, table: Table, columns: Sequence[str]) -> None:
     """Refuse a value that cannot have been measured."""
     for column in columns:
         values = table[column]

@@ -9,8 +9,9 @@ from __future__ import annotations
 import array
 import csv
 import dataclasses
+import itertools
 import os
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,9 @@ TOPICS = "topics"
 
 PARTIAL = ".partial"
 """Suffix of a folder whose recording has not been finished."""
+
+_BLOCK = 16384
+"""Rows in memory while a whole file is checked."""
 
 Column = npt.NDArray[Any]
 
@@ -74,6 +78,10 @@ class Table:
         """Columns ``<prefix>0``, ``<prefix>1``, … as (N, joints)."""
         count = table_columns.joint_count(self.columns)
         return np.stack([self[f"{prefix}{i}"] for i in range(count)], axis=1)
+
+    def with_column(self, name: str, values: Column) -> Table:
+        """The table with one more column."""
+        return Table(self.name, {**self._arrays, name: values})
 
     def select(self, rows: npt.NDArray[Any] | slice) -> Table:
         """The table with these rows only."""
@@ -167,18 +175,30 @@ class Episode:
         A broken file is named with its line, an edited one by its rows, stamps or hash.
         """
         if name not in self._tables:
-            if name not in self.manifest["tables"]:
-                why = self.manifest.get("reason")
-                raise EpisodeError(
-                    f"{self.folder}: no table {name!r}; there are {', '.join(self.tables)}"
-                    + (f" (the recording is incomplete: {why})" if why else "")
-                )
-            entry, path = self.manifest["tables"][name], self.folder / f"{name}.csv"
-            table = read_table(path, entry.get("kinds"))
-            integrity.check_rows(path, entry, table)
-            integrity.check_hash(path, entry.get(integrity.HASH))
-            self._tables[name] = table
+            self._tables[name] = self._read(name, None)
         return self._tables[name]
+
+    def columns(self, name: str, wanted: Collection[str]) -> Table:
+        """The stamps and these columns of a table, checked as ``table`` does, and not kept."""
+        return self._read(name, {"stamp_ns", "receive_ns", *wanted})
+
+    def _read(self, name: str, wanted: Collection[str] | None) -> Table:
+        if name not in self.manifest["tables"]:
+            why = self.manifest.get("reason")
+            raise EpisodeError(
+                f"{self.folder}: no table {name!r}; there are {', '.join(self.tables)}"
+                + (f" (the recording is incomplete: {why})" if why else "")
+            )
+        entry, path = self.manifest["tables"][name], self.folder / f"{name}.csv"
+        table = read_table(path, entry.get("kinds"), wanted)
+        integrity.check_rows(path, entry, table)
+        try:
+            integrity.check_hash(path, entry.get(integrity.HASH))
+        except EpisodeError:
+            for _ in read_blocks(path, entry.get("kinds"), rows=_BLOCK):
+                pass  # a value in a column that was not read says more than the hash
+            raise
+        return table
 
     def topic(self, topic: str) -> list[Table]:
         """The tables of a topic (several if its arrays grew); an EpisodeError if not recorded."""
@@ -287,6 +307,20 @@ def read_table(
         EpisodeError: Missing or empty file, a wrong number of fields, or a wrong value; states
             file, line, column and value.
     """
+    (table,) = read_blocks(path, kinds, wanted)
+    return table
+
+
+def read_blocks(
+    path: Path,
+    kinds: Mapping[str, str] | None = None,
+    wanted: Collection[str] | None = None,
+    rows: int | None = None,
+) -> Iterator[Table]:
+    """Read one CSV table in blocks of at most ``rows`` rows; None: in one block.
+
+    Arguments and errors as for ``read_table``. A file without rows gives one empty block.
+    """
     regular_file(path)
     try:
         with open(path, newline="", encoding="utf-8") as file:
@@ -296,23 +330,33 @@ def read_table(
                 raise EpisodeError(f"{path}: empty, not even a header line")
             if len(set(header)) != len(header):
                 raise EpisodeError(f"{path}, line 1: a column name occurs twice")
-            kept = [
-                (place, _Column(path, name, kinds))
-                for place, name in enumerate(header)
-                if wanted is None or name in wanted
-            ]
-            for number, line in enumerate(lines, start=2):
-                if len(line) != len(header):
-                    raise EpisodeError(
-                        f"{path}, line {number}: {len(line)} fields, the header has {len(header)}"
-                    )
-                for place, column in kept:
-                    column.append(line[place], number)
+            numbered = enumerate(lines, start=2)
+            first = True
+            while True:
+                kept = [
+                    (place, _Column(path, name, kinds))
+                    for place, name in enumerate(header)
+                    if wanted is None or name in wanted
+                ]
+                filled = 0
+                for number, line in itertools.islice(numbered, rows):
+                    if len(line) != len(header):
+                        raise EpisodeError(
+                            f"{path}, line {number}: {len(line)} fields, the header has"
+                            f" {len(header)}"
+                        )
+                    for place, column in kept:
+                        column.append(line[place], number)
+                    filled += 1
+                if filled or first:
+                    yield Table(path.stem, {column.name: column.array() for _, column in kept})
+                first = False
+                if rows is None or filled < rows:
+                    return
     except OSError as problem:
         raise EpisodeError(f"{path}: cannot be read ({problem.strerror})") from None
     except (csv.Error, UnicodeDecodeError) as problem:
         raise EpisodeError(f"{path}: not a CSV file ({problem})") from problem
-    return Table(path.stem, {column.name: column.array() for _, column in kept})
 
 
 _KINDS = {"int": int, "float": float, "text": str}
@@ -348,4 +392,5 @@ class _Column:
             texts = np.empty(len(self._values), dtype=object)
             texts[:] = self._values
             return texts
-        return np.array(self._values, dtype=np.int64 if self._kind is int else np.float64)
+        dtype = np.int64 if self._kind is int else np.float64
+        return np.frombuffer(self._values, dtype) if len(self._values) else np.empty(0, dtype)

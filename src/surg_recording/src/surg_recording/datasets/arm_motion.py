@@ -1,0 +1,133 @@
+"""The motion of one arm, from its control cycles: state, goal and pose at the rows a grid needs.
+
+A recording of half an hour has a million cycles, a grid uses some ten thousand of them. What
+depends on all cycles (the turns of the roll, when a goal began) is computed from a few columns of
+every row; all other columns are read at the used rows only.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from surg_core.transforms import multiply_quaternions, rotate_back, tip_quaternions
+from surg_recording.clock.clock_segments import Segment
+from surg_recording.datasets.resample import Grid, Stamps, around
+from surg_recording.episode import long_table
+from surg_recording.episode.checked_reading import TROCAR
+from surg_recording.episode.episode_reader import Episode
+from surg_recording.episode.long_table import LongTable
+from surg_recording.recording_errors import EpisodeError
+
+Array = npt.NDArray[np.float64]
+
+POSE_COMMANDS = (1, 2, 5, 6, 9, 10, 11, 12)
+"""Values of surg_msgs/Cycle.command whose goal is ``p_goal``; otherwise the set-point counts."""
+
+_VECTORS = [f"{name}_{axis}" for name in ("p_tip", "s", "p_set", "p_goal") for axis in "xyz"]
+
+
+@dataclasses.dataclass(frozen=True)
+class ArmMotion:
+    """An arm at the M rows that a grid needs, with strictly increasing stamps."""
+
+    name: str
+    path: str
+    """The file, for messages."""
+    stamps: Stamps
+    q: Array
+    """(M, joints) [rad]."""
+    qd: Array
+    """(M, joints) [rad/s]."""
+    state: Array
+    """(M, 9) ``contract.ARM_STATE``, rcm frame; without columns if the arm is not commanded."""
+    goal: Array
+    """(M, 5) ``contract.ARM_ACTION``, rcm frame."""
+    goal_since_ns: Stamps
+    """(M,) stamp since which the goal of a row is in force."""
+    p_BTip: Array
+    q_BTool: Array
+
+
+@dataclasses.dataclass(frozen=True)
+class ArmCycles:
+    """The control cycles of an arm; those of a commanded arm from homing on."""
+
+    name: str
+    table: LongTable
+    first: int
+    """First row used."""
+    commanded: bool
+
+    @classmethod
+    def read(
+        cls, recorded: Episode, name: str, segment: Segment | None, commanded: bool
+    ) -> ArmCycles:
+        """Read what decides which rows are used; an EpisodeError if the table is broken."""
+        table = long_table.cycles(recorded, name, segment)
+        homed = np.flatnonzero(table.index["homed"] == 1)
+        if commanded and not len(homed):
+            raise EpisodeError(
+                f"{table.path}: {name} was never homed, so its rcm frame is not known"
+            )
+        return cls(name, table, int(homed[0]) if commanded else 0, commanded)
+
+    @property
+    def stamps(self) -> Stamps:
+        """(N,) stamps of the used rows [ns]."""
+        return self._index("stamp_ns")
+
+    @property
+    def command(self) -> Stamps:
+        """(N,) kind of the command obeyed; 0: none."""
+        return self._index("command")
+
+    def at(self, grid: Grid) -> ArmMotion:
+        """The rows for the grid times and for the times after each; EpisodeError as ``at``."""
+        rows = around(self.stamps, np.concatenate([grid.times_ns, grid.next_ns]))
+        joints = [f"{p}{i}" for p in ("q", "qd") for i in range(self.table.joints)]
+        columns = [*_VECTORS, *TROCAR, "jaw", "jaw_set"] if self.commanded else []
+        cycle = self.table.at(self.first + rows, [*joints, *columns])
+        count = self.table.joints
+        q = np.column_stack([cycle[name] for name in joints[:count]])
+        qd = np.column_stack([cycle[name] for name in joints[count:]])
+        motion = ArmMotion(
+            name=self.name,
+            path=str(self.table.path),
+            stamps=cycle["stamp_ns"],
+            q=q,
+            qd=qd,
+            state=np.empty((len(rows), 0)),
+            goal=np.empty((len(rows), 0)),
+            goal_since_ns=cycle["stamp_ns"],
+            p_BTip=np.empty((len(rows), 0)),
+            q_BTool=np.empty((len(rows), 0)),
+        )
+        if not self.commanded:
+            return motion
+        posed = np.isin(self.command, POSE_COMMANDS)
+        roll, roll_set = np.unwrap(self._index("roll")), np.unwrap(self._index("roll_set"))
+        roll_action = np.unwrap(np.where(posed, self._index("roll_goal"), roll_set))
+        began = np.diff(self._index("accepted"), prepend=-1) != 0
+        since = np.maximum.accumulate(np.where(began, np.arange(len(began)), 0))
+        q_BR, p_BTip = cycle.vector("q_br", "xyzw"), cycle.vector("p_tip")
+        p_BRcm = cycle.vector("p_rcm")
+        tip, p_set, goal = (
+            rotate_back(q_BR, cycle.vector(name) - p_BRcm) for name in ("p_tip", "p_set", "p_goal")
+        )
+        p_action = np.where(posed[rows][:, None], goal, p_set)
+        s_R = rotate_back(q_BR, cycle.vector("s"))
+        return dataclasses.replace(
+            motion,
+            state=np.column_stack([tip, roll[rows], cycle["jaw"], p_set, roll_set[rows]]),
+            goal=np.column_stack([p_action, roll_action[rows], cycle["jaw_set"]]),
+            goal_since_ns=self.stamps[since[rows]],
+            p_BTip=p_BTip,
+            q_BTool=multiply_quaternions(q_BR, tip_quaternions(s_R, roll[rows])),
+        )
+
+    def _index(self, column: str) -> npt.NDArray[Any]:
+        return self.table.index[column][self.first :]
