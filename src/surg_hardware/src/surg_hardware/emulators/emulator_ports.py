@@ -280,7 +280,8 @@ class PortedEmulator:
             served = [each for each in served if each.service == CONTROL]
             listeners = [self._listeners[CONTROL]] if CONTROL in self._listeners else []
             datagrams = []
-        readers = [*listeners, *datagrams, *(each for each in served if not each.ending)]
+        # Clients that leave go before clients that come: a service may take only one.
+        readers = [*(each for each in served if not each.ending), *datagrams, *listeners]
         writers = [each for each in served if each.waiting]
         readable, writable, _ = select.select(readers, writers, [], max(timeout, 0.0))
         for each in readable:

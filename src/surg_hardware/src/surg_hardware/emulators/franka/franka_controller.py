@@ -195,7 +195,7 @@ class FrankaController:
         return True
 
     def _set_frame(self, name: str, pose: Sequence[float]) -> bool:
-        matrix = np.array(pose).reshape(4, 4).T
+        matrix = kinematics.from_columns(pose)
         rotation = matrix[:3, :3]
         good = np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0), atol=1e-5) and np.allclose(
             rotation @ rotation.T, np.eye(3), atol=1e-4
@@ -209,11 +209,6 @@ class FrankaController:
             return False
         self.load = list(values)
         return True
-
-    @property
-    def answered(self) -> bool:
-        """Whether the command that answers the newest state has come."""
-        return self._command is not None
 
     # What people and the surroundings do ---------------------------------------------------------
 
@@ -234,10 +229,14 @@ class FrankaController:
 
     def guide(self, on: bool, dq: Sequence[float]) -> bool:
         """A hand guides the arm with joint velocities [rad/s]; whether that is possible now."""
-        if self.mode not in (RobotMode.IDLE, RobotMode.GUIDING) or not self.motion.at_rest:
+        if self.mode is not RobotMode.GUIDING and not (
+            self.mode is RobotMode.IDLE and self.motion.at_rest
+        ):
             return False
         self.mode = RobotMode.GUIDING if on else RobotMode.IDLE
         self.hand_dq = list(dq)
+        if not on:
+            self.motion.lock()
         return True
 
     def brakes(self, released: bool) -> None:
@@ -368,11 +367,10 @@ class FrankaController:
     def state(self) -> bytes:
         """The state's datagram."""
         protocol, motion = self.protocol, self.motion
-        to_ee = np.array(self.NE_T_EE).reshape(4, 4).T
-        pose = kinematics.flange(motion.q) @ to_ee
-        wanted = (kinematics.flange(motion.q_d) @ to_ee).T.ravel().tolist()
+        poses = kinematics.flange((motion.q, motion.q_d)) @ kinematics.from_columns(self.NE_T_EE)
+        pose, wanted = poses[0], kinematics.to_columns(poses[1])
         found: dict[str, Sequence[float]] = {
-            "O_T_EE": pose.T.ravel().tolist(),
+            "O_T_EE": kinematics.to_columns(pose),
             "O_T_EE_d": wanted,
             "O_T_EE_c": wanted,
             "F_T_EE": self.NE_T_EE,
@@ -392,7 +390,7 @@ class FrankaController:
             "theta": motion.q,
             "dtheta": motion.dq,
             "O_ddP_O": (0.0, 0.0, -9.81),
-            **self._contacts(pose @ np.array(self.EE_T_K).reshape(4, 4).T),
+            **(self._contacts(pose) if any(self.wrench) else {}),
         }
         values = [0.0] * protocol.numbers
         for name, part in found.items():
@@ -413,10 +411,8 @@ class FrankaController:
             return fci.IDLE_GENERATOR, fci.IDLE_CONTROLLER
         return fci.MODE_NAMES.index(self.active.generator) + 1, self.active.controller
 
-    def _contacts(self, stiffness_pose: kinematics.Matrix) -> dict[str, Sequence[float]]:
-        if not any(self.wrench):
-            return {}
-        axes = stiffness_pose[:3, :3]
+    def _contacts(self, pose: kinematics.Matrix) -> dict[str, Sequence[float]]:
+        axes = (pose @ kinematics.from_columns(self.EE_T_K))[:3, :3]
         wrench, (contact, collision) = np.array(self.wrench), self.force_thresholds
         return {
             "O_F_ext_hat_K": self.wrench,

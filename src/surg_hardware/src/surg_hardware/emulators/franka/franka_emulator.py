@@ -63,6 +63,7 @@ class FrankaEmulator(PortedEmulator):
         self._states, self._commands = DatagramChannel(1), DatagramChannel(2)
         self._udp: socket.socket | None = None
         self._client = ""
+        self._expects = False  # the last state has gone out, no datagram has come back
         self._booted_at = -1.0
         super().__init__(controller, DT, address, PORTS | (ports or {}), lock_step, SHORTEST)
 
@@ -88,7 +89,9 @@ class FrankaEmulator(PortedEmulator):
 
     def _send_state(self, state: bytes, port: int) -> None:
         self._states.stalled = self._stalled
-        for data in self._states.pass_on(state):
+        passed = self._states.pass_on(state)
+        self._expects = bool(passed)
+        for data in passed:
             self._send_datagram(data, port)
 
     def _send_datagram(self, data: bytes, port: int) -> None:
@@ -106,6 +109,7 @@ class FrankaEmulator(PortedEmulator):
                 data = receiver.recv(LARGEST)
             except OSError:
                 return
+            self._expects = False
             for each in self._commands.pass_on(data):
                 self.controller.receive(each)
 
@@ -116,10 +120,13 @@ class FrankaEmulator(PortedEmulator):
                 self._send_datagram(b"\x07" * 40, each.session.udp_port)
 
     def _all_answered(self) -> bool:
-        self.poll(0.0005)
+        """Whether a command came for the last state, if that reached a client that commands."""
         active = self.controller.active
-        idle = active is None or not active.started or active.finishing
-        return idle or self.controller.answered
+        if active is None or not active.started or active.finishing:
+            self.poll(DT)
+            return True
+        self.poll(0.0)
+        return not self._expects
 
     # Connections ---------------------------------------------------------------------------------
 

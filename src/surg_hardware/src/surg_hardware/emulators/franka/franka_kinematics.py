@@ -28,7 +28,7 @@ FLANGE = 0.107
 """From the last joint to the flange along its axis [m]."""
 
 
-def _fixed(a: float, d: float, alpha: float) -> Matrix:
+def fixed(a: float, d: float, alpha: float) -> Matrix:
     """A joint's transform at angle zero, (4, 4)."""
     ca, sa = math.cos(alpha), math.sin(alpha)
     return np.array(
@@ -36,24 +36,35 @@ def _fixed(a: float, d: float, alpha: float) -> Matrix:
     )
 
 
-_FIXED = np.array([_fixed(*row) for row in TABLE])
-_TO_FLANGE = _fixed(0.0, FLANGE, 0.0)
+_FIXED = np.array([fixed(*row) for row in TABLE])
+_TO_FLANGE = fixed(0.0, FLANGE, 0.0)
 
 
-def flange(q: Sequence[float]) -> Matrix:
-    """Pose of the flange in the base frame, (4, 4).
+def flange(q: Sequence[float] | Sequence[Sequence[float]]) -> Matrix:
+    """Poses of the flange in the base frame, (..., 4, 4).
 
     Args:
-        q: Joint positions [rad], 7.
+        q: Joint positions [rad], (..., 7).
     """
-    angles = np.asarray(q)
-    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
-    links = _FIXED.copy()
+    angles = np.asarray(q)[..., None]
+    c, s = np.cos(angles), np.sin(angles)
     x, y = _FIXED[:, :, 0], _FIXED[:, :, 1]
-    links[:, :, 0] = c * x + s * y
-    links[:, :, 1] = c * y - s * x
-    pose = links[0]
-    for link in links[1:]:
-        pose = pose @ link
-    reached: Matrix = pose @ _TO_FLANGE
-    return reached
+    links = np.empty((*angles.shape[:-1], 4, 4))
+    links[...] = _FIXED
+    links[..., 0] = c * x + s * y
+    links[..., 1] = c * y - s * x
+    pose: Matrix = links[..., 0, :, :]
+    for joint in range(1, 7):
+        pose = pose @ links[..., joint, :, :]
+    return pose @ _TO_FLANGE
+
+
+def from_columns(values: Sequence[float]) -> Matrix:
+    """A pose (4, 4) from the interface's 16 numbers, column by column."""
+    return np.array(values).reshape(4, 4).T
+
+
+def to_columns(pose: Matrix) -> list[float]:
+    """The interface's 16 numbers of a pose (4, 4)."""
+    columns: list[float] = pose.T.ravel().tolist()
+    return columns

@@ -119,14 +119,24 @@ class GeneratorMotion:
         self._execute([rate - share * rate for rate in self.dq_d])
 
     def drag(self, dq: Sequence[float]) -> None:
-        """One cycle in which a hand moves the joints [rad/s]; the set-point goes with them."""
-        self.q = [now + DT * rate for now, rate in zip(self.q, dq, strict=True)]
-        self.dq, self.q_d = list(dq), list(self.q)
-        self.dq_d, self.ddq_d = [0.0] * 7, [0.0] * 7
+        """One cycle in which a hand moves the joints [rad/s] within their limits of position.
+
+        The set-point goes with them.
+        """
+        before, robot = self.q, self.robot
+        self.q = [
+            min(max(now + DT * rate, low), high)
+            for now, rate, low, high in zip(
+                before, dq, robot.position_min, robot.position_max, strict=True
+            )
+        ]
+        self.dq = [(new - old) / DT for new, old in zip(self.q, before, strict=True)]
+        self.q_d, self.dq_d, self.ddq_d = list(self.q), [0.0] * 7, [0.0] * 7
 
     def lock(self) -> None:
         """One cycle with the brakes on."""
-        self.drag([0.0] * 7)
+        self.q_d, self.dq = list(self.q), [0.0] * 7
+        self.dq_d, self.ddq_d = [0.0] * 7, [0.0] * 7
 
     def _check(self, dq: Sequence[float]) -> None:
         self._check_range(dq)

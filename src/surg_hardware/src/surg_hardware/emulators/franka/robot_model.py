@@ -15,7 +15,7 @@ def urdf(robot: FrankaRobot) -> str:
     lines = ['<?xml version="1.0"?>', f'<robot name="{robot.name}">']
     lines.append(f'<link name="{robot.name}_link0"/>')
     for joint, (a, d, alpha) in enumerate(kinematics.TABLE):
-        xyz = kinematics._fixed(a, d, alpha)[:3, 3]
+        xyz = kinematics.fixed(a, d, alpha)[:3, 3]
         lines += [_link(robot, joint + 1), _joint(robot, joint, xyz.tolist(), alpha)]
     lines += [
         f'<link name="{robot.name}_link8"/>',
