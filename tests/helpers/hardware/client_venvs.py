@@ -1,4 +1,4 @@
-"""Environments with other people's clients of UR arms, beside the checkout and never in git."""
+"""Environments with other people's clients of robot arms, beside the checkout and never in git."""
 
 from __future__ import annotations
 
@@ -9,9 +9,15 @@ from helpers.tree import oracle_venv
 MODULES = {
     "ur_rtde==1.6.5": ("rtde_control", "rtde_receive", "dashboard_client"),
     "urx==0.11.0": ("urx",),
+    "panda-python==1.1.1": ("panda_py",),
+    "pylibfranka==0.21.3": ("pylibfranka",),
 }
 """Requirement -> modules that must be there."""
-BESIDE = {"urx==0.11.0": ("numpy==2.2.6", "math3d==4.0.0")}
+BESIDE = {
+    "urx==0.11.0": ("numpy==2.2.6", "math3d==4.0.0"),
+    "panda-python==1.1.1": ("numpy==2.2.6", "requests==2.32.5", "websockets==15.0.1"),
+    "pylibfranka==0.21.3": ("numpy==2.2.6",),
+}
 """What a requirement leaves open."""
 
 

@@ -11,17 +11,20 @@ EFFORT = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
 
 
 def urdf(robot: FrankaRobot) -> str:
-    """The model as a URDF with the limits of velocity by position that libfranka reads."""
+    """The model as a URDF with the limits of velocity by position that libfranka reads.
+
+    libfranka finds them by their names: `joint1` to `joint7`, and `link8` at the flange.
+    """
     lines = ['<?xml version="1.0"?>', f'<robot name="{robot.name}">']
-    lines.append(f'<link name="{robot.name}_link0"/>')
+    lines.append('<link name="link0"/>')
     for joint, (a, d, alpha) in enumerate(kinematics.TABLE):
         xyz = kinematics.fixed(a, d, alpha)[:3, 3]
         lines += [_link(robot, joint + 1), _joint(robot, joint, xyz.tolist(), alpha)]
     lines += [
-        f'<link name="{robot.name}_link8"/>',
-        f'<joint name="{robot.name}_joint8" type="fixed">',
+        '<link name="link8"/>',
+        '<joint name="joint8" type="fixed">',
         f'<origin xyz="0 0 {kinematics.FLANGE}" rpy="0 0 0"/>',
-        f'<parent link="{robot.name}_link7"/><child link="{robot.name}_link8"/></joint>',
+        '<parent link="link7"/><child link="link8"/></joint>',
         "</robot>",
     ]
     return "\n".join(lines) + "\n"
@@ -30,7 +33,7 @@ def urdf(robot: FrankaRobot) -> str:
 def _link(robot: FrankaRobot, number: int) -> str:
     mass = MASSES[number - 1]
     return (
-        f'<link name="{robot.name}_link{number}"><inertial><mass value="{mass}"/>'
+        f'<link name="link{number}"><inertial><mass value="{mass}"/>'
         '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial></link>'
     )
 
@@ -39,9 +42,9 @@ def _joint(robot: FrankaRobot, joint: int, xyz: list[float], alpha: float) -> st
     curve = robot.curves[joint]
     place = " ".join(f"{value:.9g}" for value in xyz)
     return (
-        f'<joint name="{robot.name}_joint{joint + 1}" type="revolute">'
+        f'<joint name="joint{joint + 1}" type="revolute">'
         f'<origin xyz="{place}" rpy="{alpha:.15g} 0 0"/>'
-        f'<parent link="{robot.name}_link{joint}"/><child link="{robot.name}_link{joint + 1}"/>'
+        f'<parent link="link{joint}"/><child link="link{joint + 1}"/>'
         '<axis xyz="0 0 1"/>'
         f'<limit effort="{EFFORT[joint]}" lower="{curve.lower}" upper="{curve.upper}"'
         f' velocity="{robot.velocity[joint]}"/>'
