@@ -54,6 +54,7 @@ def test_the_policy_client_has_the_same_keys() -> None:
     assert observation.STATE == contract.STATE_KEY
     assert tuple(observation._HELD) == contract.ARM_ACTION
     assert set(observation._HELD.values()) < set(contract.ARM_STATE)
+    assert spec.ACTION_SPACES == contract.ACTION_SPACES
     assert contract.IMAGE_PREFIX in spec.HOW
     assert contract.TASK_STATE_KEY.startswith(tuple(spec.HOW))
 

@@ -39,6 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--cameras", nargs="+", metavar="NAME", help="default: all of the first recording")
     add("--size", type=_size, metavar="WxH", help="scale pictures (default: as recorded)")
     add("--instruction", metavar="TEXT", help="in words (default: the recording's own)")
+    spaces = ("absolute", "relative", "velocity", "joint")
+    add("--action-space", default="absolute", choices=spaces, help="of the actions (absolute)")
     add("--drop", nargs="+", default=[], metavar="FEATURE", help="features to leave out")
     add("--max-image-age", type=float, default=0.1, metavar="S", help="oldest picture (0.1 s)")
     add("--max-gap", type=float, default=0.05, metavar="S", help="longest bridged gap (0.05 s)")

@@ -35,6 +35,13 @@ PRESENCE_TIMEOUT = 0.25
 ARM_ACTION = ("x", "y", "z", "roll", "jaw")
 """Action of each commanded arm: tip, roll and jaw at the next grid time, in the rcm frame."""
 ARM_ACTION_UNITS = ("m", "m", "m", "rad", "rad")
+ACTION_SPACES = {
+    "absolute": dict(zip(ARM_ACTION, ARM_ACTION_UNITS, strict=True)),
+    "relative": {"dx": "m", "dy": "m", "dz": "m", "droll": "rad", "jaw": "rad"},
+    "velocity": {"vx": "m/s", "vy": "m/s", "vz": "m/s", "vroll": "rad/s", "jaw": "rad"},
+    "joint": {"yaw": "rad", "pitch": "rad", "insertion": "m", "roll": "rad", "jaw": "rad"},
+}
+"""Columns and units of an arm's action, by action space (``surg_core.action_space``)."""
 ARM_STATE = (
     *("tip_x", "tip_y", "tip_z", "roll", "jaw"),
     *("set_x", "set_y", "set_z", "roll_set"),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Mapping
 
 import numpy as np
 
 from surg_policy_client.errors import BadAction, SpecMismatch
-from surg_policy_client.spec import Spec
+from surg_policy_client.spec import CHANGES, Spec
 from surg_policy_client.wire import Message
 
 STATE = "observation.state"
@@ -79,9 +80,19 @@ class Observation:
         values = []
         for name in self.spec.action.names:
             arm, _, part = name.rpartition("/")
-            column = _HELD.get(part, part)
-            values.append(self.named(f"{arm}/{column}" if arm else column))
+            values.append(self._held(f"{arm}/" if arm else "", part))
         return np.array(values)
+
+    def _held(self, arm: str, part: str) -> float:
+        """The value of an action's column that keeps an arm where it is."""
+        if part in CHANGES:
+            return 0.0
+        if part not in ("yaw", "pitch", "insertion"):
+            return self.named(arm + _HELD.get(part, part))
+        x, y, z = (self.named(f"{arm}set_{axis}") for axis in "xyz")
+        insertion = math.sqrt(x * x + y * y + z * z)
+        joints = {"yaw": math.atan2(x, z), "pitch": math.asin(y / insertion)}
+        return joints.get(part, insertion)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,15 @@ MAX_SIDE = 1 << 16
 MAX_NAMES = 1024
 MAX_TEXT = 256
 MAX_FEATURES = 64
+ACTION_SPACES = {
+    "absolute": {"x": "m", "y": "m", "z": "m", "roll": "rad", "jaw": "rad"},
+    "relative": {"dx": "m", "dy": "m", "dz": "m", "droll": "rad", "jaw": "rad"},
+    "velocity": {"vx": "m/s", "vy": "m/s", "vz": "m/s", "vroll": "rad/s", "jaw": "rad"},
+    "joint": {"yaw": "rad", "pitch": "rad", "insertion": "m", "roll": "rad", "jaw": "rad"},
+}
+"""Columns of an arm's action and their units, by action space (docs/reference/policies.md)."""
+CHANGES = frozenset((*ACTION_SPACES["relative"], *ACTION_SPACES["velocity"])) - {"jaw"}
+"""Columns that hold a change: 0 keeps the target."""
 HOW = {
     "observation.images.": "pictures are served with ./surg run TASK --cameras, or ~cameras",
     "privileged.": "simulator truth is served with ./surg run TASK --privileged, or ~privileged",
@@ -53,7 +62,10 @@ class Feature:
 
 @dataclass(frozen=True)
 class ActionSpec:
-    """One row of a chunk: absolute targets for one grid time.
+    """One row of a chunk: targets for one grid time.
+
+    The names of the columns choose the action space (`ACTION_SPACES`): a server offers each, and
+    serves the one whose names a policy wants; without names the absolute one.
 
     Attributes:
         names: Of the columns, such as ``PSM1/x``.
@@ -68,6 +80,19 @@ class ActionSpec:
     frame: str | None = None
     low: tuple[float, ...] | None = None
     high: tuple[float, ...] | None = None
+
+    @classmethod
+    def of_space(cls, space: str, arms: Sequence[str] = ("PSM1",)) -> ActionSpec:
+        """The actions of an action space, for arms in their order.
+
+        Raises:
+            SpecError: There is no such space.
+        """
+        if space not in ACTION_SPACES:
+            raise SpecError(f"action space {space!r}; allowed: {', '.join(ACTION_SPACES)}")
+        columns = ACTION_SPACES[space]
+        names = tuple(f"{arm}/{name}" for arm in arms for name in columns)
+        return cls(names, tuple(columns.values()) * len(arms))
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,13 @@ from surg_policy_bridge.server.counters import Counters
 from surg_policy_bridge.server.observer import Observation
 from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_bridge.server.safety_controller import SafetyController
-from surg_policy_bridge.server.sessions import SentObservation, Session, refusal, spec_for
+from surg_policy_bridge.server.sessions import (
+    SentObservation,
+    Session,
+    in_space_of,
+    refusal,
+    spec_for,
+)
 from surg_policy_bridge.server.step_executor import StepExecutor
 from surg_policy_bridge.server.stop_reason import StopReason
 from surg_policy_bridge.server.timers import EMPTY, MAX_OBS_AGE, REJECTS, SILENCE, Timeout
@@ -379,10 +385,12 @@ class ModelServer:
             self._lose_session(StopReason.POLICY_SILENT, "the policy is silent")
         if self._spec is None:
             self._early_hello, self.waiting = (peer, head), True
-        elif refused := refusal(head, VERSIONS, self._spec):
+            return
+        spec = in_space_of(head, self._spec, self._settings.arms)
+        if refused := refusal(head, VERSIONS, spec):
             self._refuse(peer, *refused)
         else:
-            self._open_session(peer, head, self._spec, now)
+            self._open_session(peer, head, spec, now)
 
     def _open_session(self, peer: bytes, head: dict[str, Any], spec: Spec, now: int) -> None:
         self.session = Session(
@@ -424,7 +432,7 @@ class ModelServer:
         else:
             session.answered, session.acted = seq, True
             self.counters.round_trip.add(now - sent.sent)
-            self.steps.splice(session, first, rows, seq, sent, self._at)
+            self.steps.splice(session, first, rows, seq, sent, self._views, self._at)
         self._pause_after_rejects()
         self._acknowledge(seq)
 

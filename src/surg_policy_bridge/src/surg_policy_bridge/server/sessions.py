@@ -7,13 +7,14 @@ server. Its number is random, so messages of a former client, or a replay, are r
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+from surg_core import action_space
 from surg_core.contract import SECOND_NS
 from surg_policy_bridge.server.timers import SILENCE, Timeout
-from surg_policy_client.spec import Spec
+from surg_policy_client.spec import ActionSpec, Spec
 
 RATE, BURST = 500, 200
 """Messages of a peer per second, and at once; more are dropped undecoded (F18)."""
@@ -94,6 +95,16 @@ class Session:
         if len(self.sent) > SENT:
             self.sent.popitem(last=False)
         return self.seq
+
+
+def in_space_of(head: Mapping[str, Any], served: Spec, arms: Sequence[str]) -> Spec:
+    """The served specification, in the action space whose columns a HELLO wants."""
+    action = Spec.from_map(head["wants"]).action if head["wants"] is not None else None
+    space = None if action is None else action_space.of_columns(action.names, arms)
+    if space is None or served.action is None or served.action.names == space.columns(arms):
+        return served
+    names, units = space.columns(arms), space.units(arms)
+    return replace(served, action=ActionSpec(names, units, served.action.frame))
 
 
 def refusal(head: Mapping[str, Any], versions: range, served: Spec) -> tuple[str, str] | None:

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core import action_space
+from surg_core.action_space import ActionSpace
 from surg_core.arm_view import ArmView
-from surg_core.contract import ARM_ACTION
+from surg_core.contract import ARM_ACTION, STEP
 from surg_policy_bridge.server.chunk_queue import ChunkQueue, Step
 from surg_policy_bridge.server.counters import Counters
 from surg_policy_bridge.server.policy_arm import Target
@@ -19,6 +21,9 @@ from surg_policy_bridge.server.sessions import SentObservation, Session
 from surg_policy_bridge.server.timers import Timeout
 
 Array = NDArray[np.float64]
+
+KEPT = 64
+"""Targets sent that a relative step may refer to."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,7 @@ class StepExecutor:
         self.queue = ChunkQueue()
         self.judged: list[JudgedStep] = []
         self.rejected_in_a_row = 0
+        self._sent: dict[int, Array] = {}
 
     def start(self, at: int) -> None:
         """The policy begins to run; the next step starts a stream."""
@@ -69,6 +75,7 @@ class StepExecutor:
         """The policy does not run any more; nothing queued is executed."""
         self.queue.flush()
         self._safety.forget()
+        self._sent.clear()
         self._empty.clear()
 
     def take(self, number: int, past: int | None, at: int) -> Step | None:
@@ -101,6 +108,9 @@ class StepExecutor:
             self.reject(session, step.number, worst.rule, worst.text, at, step.seq, step.row)
             return {}
         self.rejected_in_a_row = 0
+        values = np.concatenate([target.row for target in passed.values()])
+        self._sent[step.number] = values
+        self._sent.pop(step.number - KEPT, None)
         self._counters.accepted += 1
         self._counters.obs_age.add(at - step.seen)
         self._tally.accepted += 1
@@ -112,7 +122,7 @@ class StepExecutor:
                 seq=step.seq,
                 step=step.number,
                 obs_age=at - step.seen,
-                values=np.concatenate([target.row for target in passed.values()]),
+                values=values,
                 passed=True,
                 rule=",".join(violation.rule for violation in violations),
                 text="; ".join(violation.text for violation in violations),
@@ -140,17 +150,49 @@ class StepExecutor:
         self.rejected_in_a_row += 1
 
     def splice(
-        self, session: Session, first: int, rows: Array, seq: int, sent: SentObservation, at: int
+        self,
+        session: Session,
+        first: int,
+        rows: Array,
+        seq: int,
+        sent: SentObservation,
+        views: Mapping[str, ArmView],
+        at: int,
     ) -> None:
-        """Queue a chunk (K, A) that answers an observation, or refuse it if its shape is wrong."""
+        """Queue a chunk (K, A) that answers an observation, or refuse it if its shape is wrong.
+
+        It is in the action space of the session; the queue holds absolute targets.
+        """
         if at - sent.seen > self._max_obs_age:
             self.count_stale(len(rows))
         elif len(rows) and (wrong := session.spec.check_chunk(rows)):
             self.reject(session, first, "shape", "; ".join(wrong), at, seq)
         elif len(rows):
+            space = self._space(session)
+            if space != ActionSpace():
+                rows = space.decode(rows, self._before(first, views), STEP)
             late = self.queue.splice(first, rows, seq, sent.seen)
             self._counters.late += late
             self._tally.late += late
+
+    def _space(self, session: Session) -> ActionSpace:
+        names = session.spec.action.names if session.spec.action is not None else ()
+        return action_space.of_columns(names, self._arms) or ActionSpace()
+
+    def _before(self, first: int, views: Mapping[str, ArmView]) -> Array:
+        """The target (A,) to which a relative step refers: that of the step before.
+
+        If that one was neither queued nor sent, the newest target sent before; at the start of a
+        stream the set-point.
+        """
+        queued = self.queue.peek(first - 1)
+        if queued is not None:
+            return queued.row
+        earlier = [number for number in self._sent if number < first]
+        if earlier:
+            return self._sent[max(earlier)]
+        held = [views[arm] for arm in self._arms]
+        return np.concatenate([Target(v.p_set, v.roll_set, v.jaw_set).row for v in held])
 
     def count_stale(self, steps: int) -> None:
         """So many steps answered an observation that was too old."""

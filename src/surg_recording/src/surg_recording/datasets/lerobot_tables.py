@@ -199,6 +199,7 @@ def info(dataset: Dataset, version: str, language: Language) -> dict[str, Any]:
         "total_tasks": len(language.tasks),
         "chunks_size": CHUNK,
         "fps": dataset.options.fps,
+        "action_space": dataset.options.action_space,
         "splits": {name: f"{a}:{b}" for name, (a, b) in dataset.splits.items()},
         "features": {
             **described(dataset.features, dataset.options.fps),

@@ -6,6 +6,9 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+from surg_core import action_space
+from surg_core.contract import ACTION_SPACES
+
 EXECUTORS = ("process", "serial", "dask")
 SPLITS = ("train", "val", "test")
 
@@ -25,6 +28,8 @@ class ExportOptions:
     max_gap_s: float = 0.05
     """Kinematic samples further apart are not bridged [s]."""
     drop: tuple[str, ...] = ()
+    action_space: str = action_space.ABSOLUTE
+    """How actions are expressed: a key of ``surg_core.contract.ACTION_SPACES``."""
     instruction: str | None = None
     """Instruction in words; None: the recording's own, or its task's name."""
     crf: int = 18
@@ -59,6 +64,8 @@ class ExportOptions:
     def __post_init__(self) -> None:
         """Check the options; a ValueError names the option, its value and what is allowed."""
         _need(isinstance(self.fps, int) and 1 <= self.fps <= 1000, "fps", self.fps, "1 to 1000")
+        known = self.action_space in ACTION_SPACES
+        _need(known, "action-space", self.action_space, ", ".join(ACTION_SPACES))
         _need(0 <= self.crf <= 51, "crf", self.crf, "0 to 51")
         _need(1 <= self.gop <= 1000, "gop", self.gop, "1 to 1000")
         _need(0 < self.max_image_age_s < 3600, "max-image-age", self.max_image_age_s, "over 0 s")
@@ -85,7 +92,7 @@ class ExportOptions:
 
 _CONTENT = (
     *("fps", "cameras", "size", "max_image_age_s", "max_gap_s", "drop", "instruction"),
-    *("crf", "gop", "preset", "allow_incomplete", "allow_unsynchronised"),
+    *("action_space", "crf", "gop", "preset", "allow_incomplete", "allow_unsynchronised"),
 )
 
 

@@ -158,8 +158,8 @@ def _synchronization(dataset: Dataset) -> list[str]:
 def _action_and_state(dataset: Dataset) -> list[str]:
     lines = [
         "Positions in metres, angles in radians, quaternions x, y, z, w. The rcm frame has its"
-        " origin at the trocar and z along the home shaft axis into the patient. Actions are"
-        " absolute.",
+        " origin at the trocar and z along the home shaft axis into the patient. The action"
+        f" space is `{dataset.options.action_space}`.",
         "",
         "| feature | type | numbers | unit | frame | resampling |",
         "|---|---|---|---|---|---|",

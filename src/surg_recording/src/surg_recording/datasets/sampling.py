@@ -18,10 +18,9 @@ import av
 import numpy as np
 import numpy.typing as npt
 
+from surg_core.action_space import ActionSpace
 from surg_core.contract import (
     ACTION_KEY,
-    ARM_ACTION,
-    ARM_ACTION_UNITS,
     ARM_STATE,
     ARM_STATE_UNITS,
     SECOND_NS,
@@ -256,23 +255,34 @@ def _observe(made: Columns, commanded: list[ArmMotion], arms: list[ArmMotion]) -
         )
 
 
+_ACTIONS = {
+    "absolute": "where tip, roll and jaw shall be at the next frame; absolute",
+    "relative": "change of the command for tip and roll from this frame to the next; jaw absolute",
+    "velocity": "the same change per second: mean velocity of the command; jaw absolute",
+    "joint": "where tip, roll and jaw shall be at the next frame, as joints of the instrument",
+}
+"""Description of the action, by action space."""
+
+
 def _act(made: Columns, arms: list[ArmMotion]) -> None:
-    """The commands in force at the next grid times."""
-    times = made.grid.next_ns
-    goals = []
+    """The commands in force at the next grid times, in the action space of the export."""
+    grid, goals, before = made.grid, [], []
     for arm in arms:
-        row = previous(arm.stamps, times, f"commands of {arm.name}")
+        what = f"commands of {arm.name}"
+        row = previous(arm.stamps, grid.next_ns, what)
         goals.append(arm.goal[row])
+        before.append(arm.goal[previous(arm.stamps, grid.times_ns, what)])
         text = f"cycle that accepted the action of {arm.name}"
-        made.timing(f"{arm.name}.action", arm.goal_since_ns, row, times, text)
+        made.timing(f"{arm.name}.action", arm.goal_since_ns, row, grid.next_ns, text)
+    names, space = [arm.name for arm in arms], ActionSpace(made.options.action_space)
     made.vector(
         ACTION_KEY,
-        np.hstack(goals),
-        _named([arm.name for arm in arms], ARM_ACTION),
-        ARM_ACTION_UNITS * len(arms),
+        space.encode(np.hstack(goals), np.hstack(before), 1.0 / grid.fps),
+        space.columns(names),
+        space.units(names),
         "rcm frame of each arm",
         _NEXT,
-        "where tip, roll and jaw shall be at the next frame; absolute",
+        f"{_ACTIONS[space.name]} (action space: {space.name})",
     )
 
 

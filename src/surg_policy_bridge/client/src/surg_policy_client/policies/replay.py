@@ -17,28 +17,31 @@ import numpy as np
 
 from surg_policy_client.observation import STATE, Observation
 from surg_policy_client.policies.command_line import run
+from surg_policy_client.spec import ACTION_SPACES, CHANGES, ActionSpec, Feature, Spec
 
 ROWS = 10
 
 
 class Replay:
-    """Sends row k for the k-th grid time after the first observation, and holds the last row.
+    """Sends row k for the k-th grid time after the first observation, and holds the last target.
 
-    Columns are matched by name; a recording that lacks one is refused.
+    Columns are matched by name; a recording that lacks one is refused. The server is asked for the
+    action space of the recording.
 
     Args:
         names: Of the columns.
         rows: [K, A].
     """
 
-    wants = (STATE,)
-
     def __init__(self, names: list[str], rows: np.ndarray) -> None:
         if rows.ndim != 2 or rows.shape[1] != len(names) or not len(rows):
             raise ValueError(f"{len(names)} names for an array {list(rows.shape)}")
         if not np.isfinite(rows).all():
             raise ValueError("the recording has actions that are no numbers")
-        self._names, self._rows = names, rows
+        rest = rows[-1].copy()
+        rest[[name.rpartition("/")[2] in CHANGES for name in names]] = 0.0
+        self._names, self._rows = names, np.vstack([rows, rest])
+        self.wants = Spec(observation={STATE: Feature()}, action=_action(names))
         self._begun: int | None = None
 
     def reset(self, instruction: str, seed: int | None) -> None:
@@ -94,6 +97,15 @@ def _of_dataset(root: Path, index: int) -> Replay:
             rows = np.array(table["action"].to_pylist(), dtype=np.float64)[order]
             return Replay(_flat(feature["names"]), rows)
     raise ValueError(f"{root} has no episode {index}")
+
+
+def _action(names: list[str]) -> ActionSpec | None:
+    """The actions of the space of which the recording has all columns; None: none of them."""
+    arms = tuple(dict.fromkeys(name.rpartition("/")[0] for name in names if "/" in name))
+    for space in ACTION_SPACES:
+        if arms and set(names) >= set((action := ActionSpec.of_space(space, arms)).names):
+            return action if space != "absolute" else None
+    return None
 
 
 def _flat(names: Any) -> list[str]:
