@@ -9,6 +9,7 @@ from __future__ import annotations
 from mutants.mutants import Mutant, one
 
 LINK, CHAIN = ("test_robot_link",), ("test_ur_link_on_emulator",)
+FRANKA, FRANKA_LIMITS = ("test_franka_emulator_states",), ("test_franka_emulator_limits",)
 STATES, RTDE = ("test_ur_emulator_states",), ("test_ur_emulator_rtde",)
 MUTANTS: tuple[Mutant, ...] = (
     # -- link and program
@@ -214,5 +215,86 @@ MUTANTS: tuple[Mutant, ...] = (
         "(0.0, -0.3922, 0.0)",
         "(0.0, -0.3932, 0.0)",
         ("test_ur_emulator_motion",),
+    ),
+    # -- emulated Franka arms
+    one(
+        "jerk_of_the_generator_unchecked",
+        "a staircase of commands passes here and is a reflex on the arm",
+        "emulators/franka/generator_motion.py",
+        "            if not abs(jerk) <= most * SLACK + 4.0 * rounding / DT**2:\n",
+        "            if False:\n",
+        FRANKA_LIMITS,
+    ),
+    one(
+        "velocity_limit_of_a_posture_unchecked",
+        "an FR3 near its end stop is driven as fast as anywhere",
+        "emulators/franka/franka_robots.py",
+        "        if not self.curves:\n",
+        "        if True:\n",
+        FRANKA_LIMITS,
+    ),
+    one(
+        "end_of_a_motion_unchecked",
+        "a driver that ends its motion at speed is not refused",
+        "emulators/franka/franka_controller.py",
+        "            self.motion.end()\n",
+        "",
+        FRANKA_LIMITS,
+    ),
+    one(
+        "lost_packet_holds_the_velocity",
+        "the arm continues the acceleration, the emulator does not",
+        "emulators/franka/generator_motion.py",
+        "        dq = [rate + DT * change for",
+        "        dq = [rate + 0.0 * change for",
+        FRANKA,
+    ),
+    one(
+        "lost_packets_uncounted",
+        "a driver that hangs leaves the arm in motion",
+        "emulators/franka/franka_controller.py",
+        "        if active.lost > most:\n",
+        "        if False:\n",
+        FRANKA,
+    ),
+    one(
+        "late_command_obeyed",
+        "what a stall has kept is executed afterwards",
+        "emulators/franka/franka_controller.py",
+        "        if command.message != self.number:\n",
+        "        if command.message > self.number:\n",
+        FRANKA,
+    ),
+    one(
+        "recovery_out_of_the_user_stop",
+        "software ends what a person's button has begun",
+        "emulators/franka/franka_controller.py",
+        "        if self.mode is not RobotMode.REFLEX:\n",
+        "        if self.mode not in (RobotMode.REFLEX, RobotMode.USER_STOPPED):\n",
+        FRANKA,
+    ),
+    one(
+        "version_of_the_library_unchecked",
+        "a library for another arm misreads every state",
+        "emulators/franka/fci_session.py",
+        "        if version != self._protocol.version:\n",
+        "        if False:\n",
+        FRANKA,
+    ),
+    one(
+        "measured_for_commanded",
+        "a client continues from where the joints are, not from the set-point",
+        "emulators/franka/franka_controller.py",
+        '            "dq_d": motion.dq_d,\n',
+        '            "dq_d": motion.dq,\n',
+        FRANKA,
+    ),
+    one(
+        "client_that_leaves_unnoticed",
+        "a killed driver leaves the arm in motion",
+        "emulators/franka/franka_emulator.py",
+        "            self.controller.disconnect()\n",
+        "            pass\n",
+        ("test_franka_emulator_ports",),
     ),
 )

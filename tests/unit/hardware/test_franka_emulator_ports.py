@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import random
 import resource
@@ -214,6 +215,7 @@ def test_a_reboot_closes_the_ports_and_then_the_brakes_are_closed(
         emulator.cycle()
     again = connected(emulator)
     assert again.states[-1].mode == RobotMode.OTHER
+    assert again.states[-1].number < peer.states[-1].number + DOWN / DT  # counted anew
     mishap(emulator, "brakes release")
     again.cycles(1001)
     assert again.states[-1].mode == RobotMode.IDLE
@@ -250,6 +252,25 @@ def test_people_by_the_control_port(emulator: FrankaEmulator) -> None:
     assert modes == [5, 1, 3, 1, 4]
     found = json.loads(mishap(emulator, "status"))
     assert (found["mode"], found["errors"]) == ("REFLEX", ["joint_reflex"])
+    peer.close()
+
+
+@BOTH
+def test_states_can_be_wrong_on_request(emulator: FrankaEmulator) -> None:
+    peer = connected(emulator)
+    for line in ("nan on", "mode 99", "clock_back 1000", "load 0.8 0 0.02 0.11"):
+        mishap(emulator, line)
+    peer.cycles(1)
+    state = peer.states[-1]
+    assert all(math.isnan(q) for q in state.values["q"])
+    assert (state.mode, state.number) == (99, 0)
+    assert state.values["m_load"] == pytest.approx((0.8,))
+    for line in ("nan off", "mode off", "clock_back 0"):
+        mishap(emulator, line)
+    peer.cycles(1)
+    state = peer.states[-1]
+    assert (state.mode, state.number) == (RobotMode.IDLE, emulator.controller.number)
+    assert all(math.isfinite(q) for q in state.values["q"])
     peer.close()
 
 

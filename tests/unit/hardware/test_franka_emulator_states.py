@@ -58,6 +58,22 @@ def test_sizes_of_the_published_messages(robot: FrankaRobot) -> None:
 
 
 @BOTH
+def test_places_of_a_state_that_the_makers_library_reads(robot: FrankaRobot) -> None:
+    """Bytes counted by hand in the published structures; the oracle reads the same ones."""
+    client = moving(robot)
+    for command in ramp(robot, 3):
+        client.step(command)
+    client.controller.reflex(Error.joint_reflex, "test")
+    data, motion = client.controller.state(), client.controller.motion
+    code, size, errors = {5: ("d", 8, 2282), 10: ("f", 4, 1290)}[robot.version]
+    for first, wanted in ((147, motion.q), (154, motion.q_d), (161, motion.dq), (168, motion.dq_d)):
+        assert struct.unpack_from(f"<7{code}", data, 8 + first * size) == pytest.approx(wanted)
+    assert struct.unpack_from("<Q", data)[0] == client.controller.number
+    assert data[errors + 6] == data[errors + 41 + 6] == 1
+    assert data[errors + 82] == RobotMode.REFLEX
+
+
+@BOTH
 @pytest.mark.parametrize("other", [0, 4, 6, 9, 11, 65535])
 def test_another_version_is_refused_and_told_the_arms_own(robot: FrankaRobot, other: int) -> None:
     client = Client(FrankaController(robot))

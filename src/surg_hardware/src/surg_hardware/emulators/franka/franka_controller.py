@@ -81,9 +81,10 @@ class FrankaController:
         ready: Whether the brakes are released.
 
     Attributes:
-        answers: Answers to earlier commands that are due now: command and status.
         number: Of the newest state.
+        answers: Answers to earlier commands that are due now: command and status.
         sent_late: Commands that answered an older state.
+        faked: What states hold in place of the truth: `q`, `mode`, `back` [ms].
     """
 
     def __init__(
@@ -95,13 +96,13 @@ class FrankaController:
         self.messages: deque[str] = deque(maxlen=MESSAGES)
         self.said = 0
         self.answers: deque[tuple[str, str]] = deque()
-        self.number = 0
         self.boot()
         if ready:
             self.mode = RobotMode.IDLE
 
     def boot(self) -> None:
         """Start as after switching the controller on: settings and motion are lost, brakes on."""
+        self.number = 0
         self.mode = RobotMode.OTHER
         self.active: Motion | None = None
         self.errors: set[Error] = set()
@@ -111,7 +112,7 @@ class FrankaController:
         self.load = [0.0] * 13
         self.NE_T_EE, self.EE_T_K = list(IDENTITY), list(IDENTITY)
         self.force_thresholds = [THRESHOLD] * 6, [THRESHOLD] * 6  # contact, collision
-        self.faked: dict[str, object] = {}
+        self.faked: dict[str, float] = {}
         self.sent_late = 0
         self.answers.clear()
         self._command: MotionCommand | None = None
@@ -395,10 +396,12 @@ class FrankaController:
         values = [0.0] * protocol.numbers
         for name, part in found.items():
             values[protocol.places[name]] = part
-        modes = (*self._generator_modes(), self.mode)
+        if "q" in self.faked:
+            values[protocol.places["q"]] = [self.faked["q"]] * 7
+        modes = (*self._generator_modes(), int(self.faked.get("mode", self.mode)))
         return fci.pack_state(
             protocol,
-            self.number,
+            max(0, self.number - int(self.faked.get("back", 0))),
             values,
             modes,
             _flags(self.errors),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from surg_hardware.emulators.franka.franka_errors import Error
@@ -14,7 +15,8 @@ if TYPE_CHECKING:
 
 def kinds(emulator: FrankaEmulator) -> dict[str, Kind]:
     """All mishaps of an emulator."""
-    return {**_people(emulator.controller, emulator), **_network(emulator)}
+    c = emulator.controller
+    return {**_people(c, emulator), **_network(emulator), **_wrong_states(c)}
 
 
 def _people(c: FrankaController, emulator: FrankaEmulator) -> dict[str, Kind]:
@@ -32,6 +34,10 @@ def _people(c: FrankaController, emulator: FrankaEmulator) -> dict[str, Kind]:
         worked = c.guide(switch(on), _numbers(dq, 7, "guide", 2.0))
         return None if worked else "error: only an arm that is idle can be guided"
 
+    def load(mass: str, *centre: str) -> None:
+        place = _numbers(centre, 3, "load", 1.0)
+        c.load = [number(mass, "load: mass", 0.0, 20.0), *place, *[0.0] * 9]
+
     def brakes(how: str) -> None:
         c.brakes(choice(how, {"release": True, "close": False}, "brakes"))
 
@@ -39,6 +45,7 @@ def _people(c: FrankaController, emulator: FrankaEmulator) -> dict[str, Kind]:
         "user_stop": Kind(lambda on="on": c.user_stop(switch(on)), "[on|off]", "user stop"),
         "guide": Kind(guide, "[on|off] [DQ1 ... DQ7]", "a hand guides the arm [rad/s]"),
         "brakes": Kind(brakes, "release|close", "brakes of the joints, as in Desk"),
+        "load": Kind(load, "MASS [X Y Z]", "load that is set in Desk [kg, m]"),
         "collision": Kind(collision, "[JOINT]", "a joint meets something: joint_reflex"),
         "push": Kind(push, "[FX FY FZ TX TY TZ]", "a wrench at the end effector [N, Nm]"),
         "reflex": Kind(reflex, "NAME", "any other error, by libfranka's name"),
@@ -75,6 +82,31 @@ def _network(emulator: FrankaEmulator) -> dict[str, Kind]:
         "reset": Kind(emulator.reset_connections, "", "the connection is reset"),
         "reboot": Kind(emulator.reboot, "", "the controller starts again, with its brakes closed"),
         "garbage": Kind(emulator.send_garbage, "", "a datagram that is no state"),
+    }
+
+
+def _wrong_states(c: FrankaController) -> dict[str, Kind]:
+    def fake(name: str, value: float | None) -> None:
+        if value is None:
+            c.faked.pop(name, None)
+        else:
+            c.faked[name] = value
+
+    def mode(word: str) -> None:
+        fake("mode", None if word == "off" else int(number(word, "mode", 0, 255)))
+
+    return {
+        "nan": Kind(
+            lambda on="on": fake("q", math.nan if switch(on) else None),
+            "[on|off]",
+            "the joint positions are not numbers",
+        ),
+        "mode": Kind(mode, "NUMBER|off", "states hold this robot mode, such as 99"),
+        "clock_back": Kind(
+            lambda seconds: fake("back", 1000.0 * number(seconds, "clock_back", 0.0, 1e6)),
+            "SECONDS",
+            "numbers of the states jump back",
+        ),
     }
 
 
