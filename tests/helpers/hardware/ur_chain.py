@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from helpers.hardware.emulated_ur import Client
 from surg_hardware.conditions import Condition
@@ -34,6 +35,9 @@ class Chain:
         command: The controller's newest one.
         status: What the link says.
         sent: The velocities of this cycle [rad/s]; None: nothing was sent.
+        silence: Cycles since the last state, while none comes; None: they come. Set it to 0 for a
+            stalled network, and `driver_runs` to False for a driver that is frozen or dead.
+        driver_runs: Whether the driver does.
         dashboard: Whether the robot obeys its dashboard server; False: it is in local control.
     """
 
@@ -127,10 +131,11 @@ class Chain:
     def _hold(self) -> None:
         """One cycle without a state: a stalled network, or a driver that does not run."""
         assert self.silence is not None
-        self._late = self._session.output()
+        self._session.output()  # too late when it comes: only the newest state counts
         self.silence += 1
-        if self.driver_runs and self.silence * DT > STALE:
-            self.status = self.link.lost()
+        if self.silence * DT > STALE and self.status is not None:
+            lost = replace(self.status, condition=Condition.OFFLINE)  # says the node
+            self.status = self.link.lost() if self.driver_runs else lost
         self.controller.execute()
 
     def cycles(self, count: int, qd: Sequence[float] | None = REST) -> None:

@@ -154,12 +154,13 @@ class Stop:
         # The first time that the arm stands for 20 ms is the stop. The joints still creep to their
         # targets; after that nothing must move.
         still = next((n for n in range(first, last) if (speed[n : n + 10] <= RESTING).all()), rest)
+        settled = min(still + SETTLED, last - 1)
         return Stop(
             float(record.clock[still] - event),
             float(np.linalg.norm(np.diff(tip[first : still + 1], axis=0), axis=1).sum()),
             float(deviation[:first].max()),
             float(deviation[first:last].max()),
-            float(np.abs(record.q[still + SETTLED : last] - record.q[still + SETTLED]).max()),
+            float(np.abs(record.q[settled:last] - record.q[settled]).max()),
         )
 
 

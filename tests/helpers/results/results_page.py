@@ -14,10 +14,12 @@ class ResultsPage:
         name: Of the file in docs/results.
         head: What stands above the table's rows, with the table's own head.
         rows: All rows, in order.
+        keep: Whether rows of the page that stands stay until they are found anew: for pages whose
+            rows no single run finds.
     """
 
-    def __init__(self, name: str, head: str, rows: Sequence[str]) -> None:
-        self._name, self._head, self._rows = name, head, tuple(rows)
+    def __init__(self, name: str, head: str, rows: Sequence[str], keep: bool = False) -> None:
+        self._name, self._head, self._rows, self._keep = name, head, tuple(rows), keep
         self._found: dict[str, tuple[int, str]] = {}
 
     def note(self, row: str, cases: int, result: str) -> None:
@@ -27,9 +29,19 @@ class ResultsPage:
         print(f"{row}: {cases}: {result}")
         self._found[row] = (cases, result)
         folder = os.environ.get("SURG_RESULTS_DIR")
-        if folder and len(self._found) == len(self._rows):
-            lines = [f"| {each} | {n} | {said} |\n" for each, (n, said) in self._sorted()]
-            Path(folder, self._name).write_text(self._head + "".join(lines), "utf-8")
+        if not folder:
+            return
+        page = Path(folder, self._name)
+        lines = self._standing(page) | {
+            each: f"| {each} | {n} | {said} |" for each, (n, said) in self._found.items()
+        }
+        if self._keep or lines.keys() >= set(self._rows):
+            text = "".join(f"{lines[each]}\n" for each in self._rows if each in lines)
+            page.write_text(self._head + text, "utf-8")
 
-    def _sorted(self) -> list[tuple[str, tuple[int, str]]]:
-        return [(row, self._found[row]) for row in self._rows]
+    def _standing(self, page: Path) -> dict[str, str]:
+        """The rows of the page that stands, by name."""
+        if not self._keep or not page.exists():
+            return {}
+        lines = page.read_text("utf-8").splitlines()
+        return {line.split(" | ")[0].removeprefix("| "): line for line in lines}

@@ -1,0 +1,120 @@
+"""Controller, link and emulated UR arm: whatever stops the arm, at which speed; exact in cycles.
+
+Judged by the emulated arm's own joints. ``SURG_TEST_FULL=1`` runs every row at three speeds.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from helpers.hardware.emulated_chain import Chain, T
+from helpers.results.hardware_results import SPEEDS, chain_row, note
+from surg_core import State
+from surg_hardware.conditions import Condition
+from surg_hardware.emulators.ur.robot_states import SafetyMode
+
+pytestmark = pytest.mark.untimed
+
+FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
+TO_REST = {0.012: 120, 0.05: 120, 0.25: 200}
+"""Tip speed -> longest time to rest [ms]."""
+OURS, ITS_OWN = 0.2, 0.25
+"""[mm] Largest deviation from the pivot at 12 and 50 mm/s, of a stop by the link and of a stop by
+the robot. The emulated joints lag behind their targets by 5 to 8.5 ms, each by its own (assumed);
+the controller holds the pivot with the joints, and a robot that stops itself ends at its targets.
+Only the link can end on the way of the joints."""
+CREEP = 5e-4
+"""[m/s] A slower tip is at rest."""
+
+
+@dataclass(frozen=True)
+class Mishap:
+    """What happens; ``lasting`` 0: until the end of the test [s]."""
+
+    begin: Callable[[Chain], object]
+    end: Callable[[Chain], object] = lambda chain: None
+    lasting: float = 0.0
+    off: float = ITS_OWN
+    latched: bool = True
+
+
+def stall(chain: Chain) -> None:
+    chain.ur.silence = 0
+
+
+def freeze(chain: Chain) -> None:
+    chain.ur.silence, chain.ur.driver_runs = 0, False
+
+
+def again(chain: Chain) -> None:
+    chain.ur.silence, chain.ur.driver_runs = None, True
+
+
+def silent(chain: Chain) -> None:
+    chain.obeys_commands = False
+
+
+def gone(chain: Chain) -> None:
+    chain.obeys_commands = False
+    chain.link.end("the link's node has ended")
+
+
+def slider(chain: Chain) -> None:
+    chain.robot.slider = 0.5
+
+
+MISHAPS = {
+    "protective stop": Mishap(lambda c: c.robot.protective_stop("test")),
+    "emergency stop": Mishap(lambda c: c.robot.fall_to(SafetyMode.ROBOT_EMERGENCY_STOP, "test")),
+    "user stop": Mishap(lambda c: c.robot.stop()),
+    "user pause": Mishap(lambda c: c.robot.pause()),
+    "power off": Mishap(lambda c: c.robot.power_off()),
+    "reboot": Mishap(lambda c: c.ur.reboot(600)),
+    "slider at 50 %": Mishap(slider, off=OURS),
+    "stall 15 ms": Mishap(stall, again, 0.015, OURS, latched=False),
+    "stall 100 ms": Mishap(stall, again, 0.1),
+    "driver killed": Mishap(freeze),
+    "driver frozen 0.5 s": Mishap(freeze, again, 0.5),
+    "controller silent": Mishap(silent, off=OURS),
+    "node gone": Mishap(gone, off=OURS),
+}
+SHORT = {("protective stop", 0.05), ("stall 100 ms", 0.05), ("controller silent", 0.05)}
+"""What the normal tier runs."""
+ROWS = [(what, speed) for what in MISHAPS for speed in SPEEDS]
+
+
+@pytest.mark.parametrize(("what", "speed"), ROWS if FULL else sorted(SHORT))
+def test_robot_condition_whatever_stops_the_arm_it_rests_near_its_pivot(
+    what: str, speed: float
+) -> None:
+    mishap, chain = MISHAPS[what], Chain()
+    for cycle in range(90 if speed > 0.1 else 300):  # the workspace ends 20 mm away
+        assert chain.stream(speed * min(cycle / 60, 1.0)).state == State.ENABLED, chain.out.reason
+    mishap.begin(chain)
+    tips, away = [chain.tip], [chain.deviation]
+    for cycle in range(round((0.3 + mishap.lasting) / T)):
+        if cycle == round(mishap.lasting / T):
+            mishap.end(chain)
+        chain.stream(speed)
+        tips.append(chain.tip)
+        away.append(chain.deviation)
+    speeds = np.linalg.norm(np.diff(tips, axis=0), axis=1) / T
+    moving = np.flatnonzero(speeds > CREEP)
+    rest = 1e3 * T * (moving[-1] + 1)
+    off, reached = 1e3 * max(away), 1e3 * speeds[0]
+    assert off <= mishap.off or speed > 0.1
+    said = f"from {reached:.0f} mm/s, deviation {off:.3f} mm"
+    if not mishap.latched:
+        note(chain_row(what, speed), 1, f"goes on {said}")
+        assert chain.out.state == State.ENABLED
+        return
+    note(chain_row(what, speed), 1, f"rest {rest:.0f} ms {said}")
+    assert rest <= TO_REST[speed]
+    assert chain.out.state != State.ENABLED
+    assert chain.status is not None and chain.status.condition is not Condition.ACTIVE
+    assert not chain.link.active or what == "driver killed"
