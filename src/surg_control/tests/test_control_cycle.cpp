@@ -6,101 +6,11 @@
 #include <string>
 #include <vector>
 
-#include "surg_control/files/config_loader.hpp"
-#include "surg_control/files/model_loader.hpp"
-#include "surg_control/loop/control_cycle.hpp"
+#include "support/ideal_arm.hpp"
 #include "surg_control/topics/virtual_kinematics.hpp"
 
 namespace surg_control {
 namespace {
-
-using Kind = CommandItem::Kind;
-
-/// The bundled UR5e with an ideal link, homed and ENABLED unless a test says otherwise.
-class Arm {
- public:
-  explicit Arm(bool track = false)
-      : setup_(load_arm(std::string(SURG_CELLS) + "/sim_ur5e", "")),
-        model_(load_model(setup_.robot, setup_.robot_urdf)) {
-    surg::Controller::Options options;
-    options.track_rcm = track;
-    const surg::ControllerSetup made{model_.chain,        setup_.robot,
-                                     setup_.limits,       setup_.mounted.instrument,
-                                     setup_.mounted.tool, options};
-    controller = std::make_unique<surg::Controller>(made.chain, made.robot, made.limits,
-                                                    made.instrument, made.tool, made.options);
-    box = std::make_unique<surg::BlackBox>(*controller, made);
-    box->set_rcm(setup_.trocar.p_BRcm);
-    cycle = std::make_unique<ControlCycle>(*controller, *box, "PSM1_rcm");
-    link.q = setup_.robot.home;
-    link.qd = surg::JointVector::Zero(link.q.size());
-    link.jaw = 0.2;
-    link.condition = surg::RobotCondition::kActive;
-  }
-
-  const CycleRecord& step(const std::vector<CommandItem>& items = {}) {
-    now_ns += static_cast<std::int64_t>(kTickNs);
-    link.stamp_ns = static_cast<std::uint64_t>(now_ns);
-    link.received_ns = link.jaw_received_ns = now_ns;
-    if (says_its_condition) link.condition_received_ns = now_ns;
-    const CycleRecord& record = cycle->run(link, now_ns, 0, items.data(), items.size());
-    link.qd = record.out.qd_command;
-    link.q += link.qd * kTick;
-    return record;
-  }
-
-  double link_timeout() const { return setup_.robot.tuning.link_timeout; }
-
-  const CycleRecord& enable() {
-    step();
-    step({state(surg::StateCommand::kHome)});
-    return step({state(surg::StateCommand::kEnable)});
-  }
-
-  static CommandItem state(surg::StateCommand command) {
-    CommandItem item;
-    item.kind = Kind::kState;
-    item.source = 1;
-    item.state = command;
-    return item;
-  }
-
-  static CommandItem pose(surg::Motion motion, const ToolPose& at, const std::string& frame = "") {
-    CommandItem item;
-    item.source = 1;
-    item.frame = FrameName(frame);
-    item.motion.motion = motion;
-    item.motion.p = at.p;
-    item.motion.rotation = at.q;
-    return item;
-  }
-
-  static CommandItem frame(const std::string& name, const surg::Pose& X_UR) {
-    CommandItem item;
-    item.kind = Kind::kSetFrame;
-    item.source = 1;
-    item.frame = FrameName(name);
-    item.X_UR = X_UR;
-    return item;
-  }
-
-  /// The measured tool in R.
-  ToolPose tip() const {
-    const CycleRecord& record = cycle->record();
-    return {record.X_BR.inverse() * record.out.p_BTip, record.q_RTool};
-  }
-
-  std::unique_ptr<surg::Controller> controller;
-  std::unique_ptr<surg::BlackBox> box;
-  std::unique_ptr<ControlCycle> cycle;
-  LinkState link;
-  std::int64_t now_ns = 0;
-  bool says_its_condition = true;
-
- private:
-  ArmSetup setup_;
-  Model model_;
-};
 
 surg::Pose some_frame() {
   surg::Pose X_UR = surg::Pose::Identity();
@@ -110,12 +20,12 @@ surg::Pose some_frame() {
 }
 
 TEST(ControlCycle, F33ALinkThatNeverSaidItsConditionOrNoLongerDoesIsLost) {
-  Arm silent;
+  IdealArm silent;
   silent.says_its_condition = false;
   silent.step();
-  EXPECT_EQ(silent.step({Arm::state(surg::StateCommand::kEnable)}).answers[0].reason,
+  EXPECT_EQ(silent.step({IdealArm::state(surg::StateCommand::kEnable)}).answers[0].reason,
             surg::Reason::kLinkLost);
-  Arm arm;
+  IdealArm arm;
   arm.enable();
   arm.says_its_condition = false;
   int k = 1;
@@ -126,7 +36,7 @@ TEST(ControlCycle, F33ALinkThatNeverSaidItsConditionOrNoLongerDoesIsLost) {
 }
 
 TEST(ControlCycle, F33AConditionFaultsInItsOwnCycle) {
-  Arm arm;
+  IdealArm arm;
   arm.enable();
   arm.link.condition = surg::RobotCondition::kEstop;
   const CycleRecord& record = arm.step();
@@ -135,15 +45,15 @@ TEST(ControlCycle, F33AConditionFaultsInItsOwnCycle) {
 }
 
 TEST(ControlCycle, ATargetInTheUsersFrameIsTheSameTarget) {
-  Arm plain, user;
+  IdealArm plain, user;
   plain.enable();
-  user.step({Arm::frame("camera", some_frame())});
+  user.step({IdealArm::frame("camera", some_frame())});
   user.enable();
   ToolPose target = plain.tip();
   target.p += surg::Vector3(0.02, -0.01, 0.01);
-  const CycleRecord& a = plain.step({Arm::pose(surg::Motion::kMoveCp, target)});
-  const CycleRecord& b =
-      user.step({Arm::pose(surg::Motion::kMoveCp, pose_from_rcm(some_frame(), target), "camera")});
+  const CycleRecord& a = plain.step({IdealArm::pose(surg::Motion::kMoveCp, target)});
+  const CycleRecord& b = user.step(
+      {IdealArm::pose(surg::Motion::kMoveCp, pose_from_rcm(some_frame(), target), "camera")});
   EXPECT_EQ(a.out.verdicts[0].reason, surg::Reason::kNone);
   EXPECT_EQ(b.out.verdicts[0].reason, surg::Reason::kNone);
   EXPECT_LT((a.out.p_goal - b.out.p_goal).norm(), 1e-12);
@@ -154,9 +64,9 @@ TEST(ControlCycle, ATargetInTheUsersFrameIsTheSameTarget) {
 }
 
 TEST(ControlCycle, AVelocityInTheUsersFrameIsTheSameVelocity) {
-  Arm plain, user;
+  IdealArm plain, user;
   plain.enable();
-  user.step({Arm::frame("camera", some_frame())});
+  user.step({IdealArm::frame("camera", some_frame())});
   user.enable();
   CommandItem item;
   item.source = 1;
@@ -173,69 +83,70 @@ TEST(ControlCycle, AVelocityInTheUsersFrameIsTheSameVelocity) {
 }
 
 TEST(ControlCycle, FrameChangesOnlyWhileNotEnabled) {
-  Arm arm;
+  IdealArm arm;
   const auto answer = [](const CycleRecord& record) { return record.answers[0].reason; };
-  EXPECT_EQ(answer(arm.step({Arm::frame("a", some_frame())})), surg::Reason::kNone);
+  EXPECT_EQ(answer(arm.step({IdealArm::frame("a", some_frame())})), surg::Reason::kNone);
   arm.enable();
-  const CycleRecord& refused = arm.step({Arm::frame("b", some_frame())});
+  const CycleRecord& refused = arm.step({IdealArm::frame("b", some_frame())});
   EXPECT_EQ(answer(refused), surg::Reason::kFrameWhileEnabled);
   EXPECT_STREQ(refused.frame.name.c_str(), "a");
   const CycleRecord& paused =
-      arm.step({Arm::frame("b", some_frame()), Arm::state(surg::StateCommand::kPause)});
+      arm.step({IdealArm::frame("b", some_frame()), IdealArm::state(surg::StateCommand::kPause)});
   EXPECT_STREQ(paused.frame.name.c_str(), "a");  // it came before the pause
-  EXPECT_EQ(answer(arm.step({Arm::frame("b", some_frame())})), surg::Reason::kNone);
+  EXPECT_EQ(answer(arm.step({IdealArm::frame("b", some_frame())})), surg::Reason::kNone);
   const CycleRecord& resumed =
-      arm.step({Arm::state(surg::StateCommand::kResume), Arm::frame("c", some_frame())});
+      arm.step({IdealArm::state(surg::StateCommand::kResume), IdealArm::frame("c", some_frame())});
   EXPECT_EQ(resumed.answers[1].reason, surg::Reason::kFrameWhileEnabled);
   EXPECT_STREQ(resumed.frame.name.c_str(), "b");
 }
 
 TEST(ControlCycle, OnlyTheExpectedFrameIsTaken) {
-  Arm arm;
+  IdealArm arm;
   arm.enable();
   const ToolPose here = arm.tip();
-  const CycleRecord& wrong = arm.step({Arm::pose(surg::Motion::kServoCp, here, "world")});
+  const CycleRecord& wrong = arm.step({IdealArm::pose(surg::Motion::kServoCp, here, "world")});
   EXPECT_EQ(wrong.answers[0].reason, surg::Reason::kWrongFrame);
   EXPECT_EQ(wrong.answers[0].motion, surg::Motion::kServoCp);
   EXPECT_STREQ(wrong.wrong_frame.c_str(), "world");
   EXPECT_EQ(wrong.refused_by_cycle, 1U);
   EXPECT_EQ(wrong.out.n_verdicts, 0);
   for (const std::string name : {"PSM1_rcm", ""}) {
-    const CycleRecord& taken = arm.step({Arm::pose(surg::Motion::kServoCp, here, name)});
+    const CycleRecord& taken = arm.step({IdealArm::pose(surg::Motion::kServoCp, here, name)});
     EXPECT_EQ(taken.n_answers, 0);
     EXPECT_EQ(taken.out.verdicts[0].reason, surg::Reason::kNone);
   }
-  arm.step({Arm::state(surg::StateCommand::kDisable)});
-  arm.step({Arm::frame("camera", some_frame())});
-  arm.step({Arm::state(surg::StateCommand::kEnable)});
-  EXPECT_EQ(arm.step({Arm::pose(surg::Motion::kServoCp, here, "PSM1_rcm")}).answers[0].reason,
+  arm.step({IdealArm::state(surg::StateCommand::kDisable)});
+  arm.step({IdealArm::frame("camera", some_frame())});
+  arm.step({IdealArm::state(surg::StateCommand::kEnable)});
+  EXPECT_EQ(arm.step({IdealArm::pose(surg::Motion::kServoCp, here, "PSM1_rcm")}).answers[0].reason,
             surg::Reason::kWrongFrame);
 }
 
 TEST(ControlCycle, NotFiniteSurvivesTheFrame) {
   for (const double bad : std::vector<double>{NAN, HUGE_VAL, -HUGE_VAL, 1e308}) {
-    Arm arm;
-    arm.step({Arm::frame("camera", some_frame())});
+    IdealArm arm;
+    arm.step({IdealArm::frame("camera", some_frame())});
     arm.enable();
     ToolPose target = pose_from_rcm(some_frame(), arm.tip());
     target.p.x() = bad;
-    const CycleRecord& record = arm.step({Arm::pose(surg::Motion::kServoCp, target, "camera")});
+    const CycleRecord& record =
+        arm.step({IdealArm::pose(surg::Motion::kServoCp, target, "camera")});
     EXPECT_NE(record.out.verdicts[0].reason, surg::Reason::kNone) << bad;
     EXPECT_TRUE(record.out.qd_command.allFinite());
   }
 }
 
 TEST(ControlCycle, SaysWhatFourDegreesOfFreedomCannotFollow) {
-  Arm arm;
+  IdealArm arm;
   arm.enable();
   ToolPose target = arm.tip();
-  EXPECT_EQ(arm.step({Arm::pose(surg::Motion::kServoCp, target)}).orientation.motion,
+  EXPECT_EQ(arm.step({IdealArm::pose(surg::Motion::kServoCp, target)}).orientation.motion,
             surg::Motion::kNone);
   target.q = target.q * Eigen::AngleAxisd(0.01, surg::Vector3::UnitZ());  // roll is followed
-  EXPECT_EQ(arm.step({Arm::pose(surg::Motion::kServoCp, target)}).orientation.motion,
+  EXPECT_EQ(arm.step({IdealArm::pose(surg::Motion::kServoCp, target)}).orientation.motion,
             surg::Motion::kNone);
   target.q = target.q * Eigen::AngleAxisd(0.3, surg::Vector3::UnitX());
-  EXPECT_EQ(arm.step({Arm::pose(surg::Motion::kServoCp, target)}).orientation.motion,
+  EXPECT_EQ(arm.step({IdealArm::pose(surg::Motion::kServoCp, target)}).orientation.motion,
             surg::Motion::kServoCp);
   EXPECT_EQ(arm.step().orientation.motion, surg::Motion::kNone);
 
@@ -252,7 +163,7 @@ TEST(ControlCycle, SaysWhatFourDegreesOfFreedomCannotFollow) {
 }
 
 TEST(ControlCycle, AgesAreCountedFromReceipt) {
-  Arm arm;
+  IdealArm arm;
   EXPECT_FALSE(arm.cycle->inputs().state_valid);
   arm.step();
   EXPECT_EQ(arm.cycle->inputs().state_age, 0);
@@ -268,11 +179,11 @@ TEST(ControlCycle, AgesAreCountedFromReceipt) {
 }
 
 TEST(ControlCycle, TrackAgesAndListensToOneTracker) {
-  Arm arm(true);
+  IdealArm arm(true);
   arm.step();
   EXPECT_FALSE(arm.cycle->inputs().track_valid);
   CommandItem item;
-  item.kind = Kind::kTrack;
+  item.kind = CommandItem::Kind::kTrack;
   item.source = 5;
   item.p_B = surg::Vector3(1, 2, 3);
   item.v_B = surg::Vector3(4, 5, 6);
@@ -292,37 +203,37 @@ TEST(ControlCycle, TrackAgesAndListensToOneTracker) {
 }
 
 TEST(ControlCycle, AClaimKeepsOthersOut) {
-  Arm arm;
+  IdealArm arm;
   arm.enable();
   CommandItem claim;
-  claim.kind = Kind::kClaim;
+  claim.kind = CommandItem::Kind::kClaim;
   claim.source = 7;
   EXPECT_EQ(arm.step({claim}).answers[0].reason, surg::Reason::kNone);
   for (int k = 0; k < 500; ++k) arm.step();  // a second of rest does not end a claim
   EXPECT_EQ(arm.cycle->record().out.source, 7U);
-  const CycleRecord& other = arm.step({Arm::pose(surg::Motion::kServoCp, arm.tip())});
+  const CycleRecord& other = arm.step({IdealArm::pose(surg::Motion::kServoCp, arm.tip())});
   EXPECT_EQ(other.out.verdicts[0].reason, surg::Reason::kNoAuthority);
   claim.source = 1;
   EXPECT_EQ(arm.step({claim}).answers[0].reason, surg::Reason::kNoAuthority);
-  arm.step({Arm::state(surg::StateCommand::kPause)});
-  arm.step({Arm::state(surg::StateCommand::kResume)});
-  const CycleRecord& after = arm.step({Arm::pose(surg::Motion::kServoCp, arm.tip())});
+  arm.step({IdealArm::state(surg::StateCommand::kPause)});
+  arm.step({IdealArm::state(surg::StateCommand::kResume)});
+  const CycleRecord& after = arm.step({IdealArm::pose(surg::Motion::kServoCp, arm.tip())});
   EXPECT_EQ(after.out.verdicts[0].reason, surg::Reason::kNone);
 }
 
 TEST(ControlCycle, AToolIsNamedFromTheCycleInWhichItIsMounted) {
-  Arm arm;
+  IdealArm arm;
   arm.enable();
   MountedTool next = load_arm(std::string(SURG_CELLS) + "/sim_ur5e", "").mounted;
   next.tool.p_FTip.z() += 0.01;
   CommandItem mount;
-  mount.kind = Kind::kTool;
+  mount.kind = CommandItem::Kind::kTool;
   mount.source = 7;
   mount.tool = &next;
   EXPECT_EQ(arm.step({mount}).answers[0].reason, surg::Reason::kToolWhileEnabled);
   EXPECT_EQ(arm.cycle->record().tool, nullptr);
   const double depth = arm.cycle->record().out.depth;
-  arm.step({Arm::state(surg::StateCommand::kDisable)});
+  arm.step({IdealArm::state(surg::StateCommand::kDisable)});
   const CycleRecord& changed = arm.step({mount});
   EXPECT_EQ(changed.answers[0].reason, surg::Reason::kNone);
   EXPECT_EQ(changed.tool, &next);
@@ -332,14 +243,14 @@ TEST(ControlCycle, AToolIsNamedFromTheCycleInWhichItIsMounted) {
 }
 
 TEST(ControlCycle, ASenderMaySlideAlongTheWallAndOthersAreRefused) {
-  Arm arm;
+  IdealArm arm;
   arm.enable();
   CommandItem wish;
-  wish.kind = Kind::kAtWall;
+  wish.kind = CommandItem::Kind::kAtWall;
   wish.source = 7;
   wish.slide = true;
   EXPECT_EQ(arm.step({wish}).answers[0].reason, surg::Reason::kNone);
-  CommandItem pose = Arm::pose(surg::Motion::kServoCp, arm.tip());
+  CommandItem pose = IdealArm::pose(surg::Motion::kServoCp, arm.tip());
   pose.stamp_ns = 5'000'000'000;
   arm.step({pose});
   EXPECT_FALSE(arm.cycle->inputs().commands[0].slide);
@@ -355,13 +266,13 @@ TEST(ControlCycle, ASenderMaySlideAlongTheWallAndOthersAreRefused) {
 
 /// F03: a network stalls while a hand streams, and delivers everything when the stall ends.
 TEST(ControlCycle, WhatWasSentBeforeTheStopIsLateAndMovesNothing) {
-  Arm arm;
+  IdealArm arm;
   arm.enable();
   const ToolPose start = arm.tip();
   const auto answer = [&](int k, surg::Motion motion = surg::Motion::kServoCp) {
     ToolPose target = start;
     target.p.x() += 1e-4 * k;
-    CommandItem item = Arm::pose(motion, target);
+    CommandItem item = IdealArm::pose(motion, target);
     item.stamp_ns = arm.cycle->record().stamp_ns;  // of the cycle that its sender saw
     return item;
   };
@@ -395,7 +306,7 @@ TEST(ControlCycle, WhatWasSentBeforeTheStopIsLateAndMovesNothing) {
   hold.stamp_ns = stalled[0].stamp_ns;
   EXPECT_EQ(arm.step({hold}).out.verdicts[0].reason, surg::Reason::kNone);
   for (int quiet = 0; quiet < 60; ++quiet) arm.step();
-  CommandItem anew = Arm::pose(surg::Motion::kServoCp, arm.tip());
+  CommandItem anew = IdealArm::pose(surg::Motion::kServoCp, arm.tip());
   anew.stamp_ns = arm.cycle->record().stamp_ns;
   EXPECT_EQ(arm.step({anew}).out.verdicts[0].reason, surg::Reason::kNone);
 }

@@ -30,6 +30,25 @@ double age(std::int64_t received_ns, std::int64_t now_ns) {
   return received_ns == 0 ? std::numeric_limits<double>::infinity() : seconds(now_ns - received_ns);
 }
 
+/// Whether a client waits for the command's end by is_busy.
+bool is_waited_for(const CommandItem& item) {
+  if (item.kind == CommandItem::Kind::kState) return item.state == surg::StateCommand::kHome;
+  if (item.kind != CommandItem::Kind::kMotion) return false;
+  switch (item.motion.motion) {
+    case surg::Motion::kMoveCp:
+    case surg::Motion::kMoveJp:
+    case surg::Motion::kMoveJr:
+    case surg::Motion::kJawMoveJp:
+    case surg::Motion::kElbowMoveJp:
+    case surg::Motion::kInsert:
+    case surg::Motion::kWithdraw:
+    case surg::Motion::kRetrace:
+      return true;
+    default:
+      return false;
+  }
+}
+
 bool is_pose(surg::Motion motion) {
   return motion == surg::Motion::kServoCp || motion == surg::Motion::kInterpolateCp ||
          motion == surg::Motion::kMoveCp;
@@ -222,6 +241,7 @@ const CycleRecord& ControlCycle::run(const LinkState& link, std::int64_t now_ns,
                                               reason,    item.source, item.slide};
     }
   }
+  record_.moves += static_cast<std::uint32_t>(std::count_if(items, items + taken, is_waited_for));
   note_fixtures();
   sense(link, now_ns);
   inputs_.elapsed = seconds(elapsed_ns);

@@ -144,6 +144,7 @@ void RcmLoop::try_step() {
   CycleRecord& record = cycle_->record();
   record.tick = answered_tick_ = robot_tick_;
   record.refused_by_node = refused_by_node_;
+  record.moves_refused_by_node = moves_refused_by_node_;
   robot_->send(LinkCommand::of(record));
   publishers_->publish_cycle(record);
   publishers_->publish_rest(record, now());
@@ -170,6 +171,7 @@ void RcmLoop::control_thread() {
     cycle_->run(link, steady_ns(), period_ns, items.data(), n);
     ++record.tick;
     record.refused_by_node = refused_by_node_;
+    record.moves_refused_by_node = moves_refused_by_node_;
     hand_over(LinkCommand::of(record));
     update_at_rest();
     if (records_.push(record)) {

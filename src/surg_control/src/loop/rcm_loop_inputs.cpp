@@ -127,7 +127,7 @@ void RcmLoop::on_command(const std::string& topic, const std::string& caller,
     decoded.detail = surg::sentence(decoded.reason);
   }
   if (decoded.reason != surg::Reason::kNone) {
-    ++refused_by_node_;
+    count_refused(topic);
     reporter_->warning(topic + surg::name(decoded.reason),
                        arm_ + ": " + topic + " from " + caller + " refused: " + decoded.detail,
                        now());
@@ -135,7 +135,7 @@ void RcmLoop::on_command(const std::string& topic, const std::string& caller,
     decoded.item.source = sources_.id(caller);
     decoded.item.stamp_ns = stamp.toNSec();
     if (!enqueue(topic, sender, decoded)) {
-      ++refused_by_node_;
+      count_refused(topic);
       reporter_->warning("flood",
                          arm_ + ": commands come faster than 500 Hz can take them; " + topic +
                              " from " + caller + " is dropped: send at most one per cycle",
@@ -170,6 +170,11 @@ bool RcmLoop::enqueue(const std::string& topic, const std::string& sender, const
   CommandItem item = decoded.item;
   item.received_ns = steady_ns();
   return commands_.push(item);
+}
+
+void RcmLoop::count_refused(const std::string& topic) {
+  ++refused_by_node_;
+  if (topic.find("move_") != std::string::npos) ++moves_refused_by_node_;
 }
 
 void RcmLoop::report_undeclared(const std::string& caller) {

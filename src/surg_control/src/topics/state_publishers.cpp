@@ -5,6 +5,7 @@
 #include <surg_msgs/Fixtures.h>
 #include <tf2_msgs/TFMessage.h>
 
+#include <algorithm>
 #include <cmath>
 
 #include "surg_control/topics/decode.hpp"
@@ -17,14 +18,8 @@ namespace {
 
 // Ticks between two messages.
 constexpr std::uint64_t kFeedbackLockstep = 5;  // 100 Hz of simulated time
-constexpr std::uint64_t kStateTicks = 50;       // 10 Hz
+constexpr double kFeedbackPeriod = 0.005;       // [s] free-run
 constexpr std::uint64_t kTfTicks = 10;          // 50 Hz
-
-/// 200 Hz on the 500 Hz grid: two of five ticks, evenly.
-bool feedback_due(std::uint64_t tick, bool lockstep) {
-  if (lockstep) return tick % kFeedbackLockstep == 0;
-  return tick * 2 / 5 != (tick - 1) * 2 / 5;
-}
 
 void fill_joints(sensor_msgs::JointState& message, const surg::Vector4& q,
                  const surg::Vector4* qd) {
@@ -89,7 +84,7 @@ StatePublishers::StatePublishers(ros::NodeHandle& node, const ArmSetup& setup, c
   rcm_limit_.publish(limit);
   publish_tool(at_start_);
   publish_static_tf(setup, model);
-  publish_state(CycleRecord(), true);
+  publish_state(CycleRecord());
 }
 
 void StatePublishers::publish_static_tf(const ArmSetup& setup, const Model& model) {
@@ -118,16 +113,27 @@ void StatePublishers::publish_cycle(const CycleRecord& record) {
 }
 
 void StatePublishers::publish_rest(const CycleRecord& record, double now) {
-  publish_state(record, reporter_.report(record, now));
+  reporter_.report(record, now);
+  publish_state(record);
   publish_fixtures(record);
   if (record.tool != mounted_) publish_tool(*record.tool);
   mounted_ = record.tool;
-  if (feedback_due(record.tick, lockstep_)) {
+  if (feedback_due(record)) {
     publish_feedback(record);
     publish_rcm(record);
   }
   if (record.tick % kTfTicks == 0) publish_tf(record);
   diagnostics_.add(record, now);
+}
+
+/// Free-run: 200 Hz by the cycles' own time, two of five of them. Where cycles are lost, as many as
+/// are left: clients give up on feedback that is older than 20 ms.
+bool StatePublishers::feedback_due(const CycleRecord& record) {
+  if (lockstep_) return record.tick % kFeedbackLockstep == 0;
+  since_feedback_ += 1e-6 * record.period_us;
+  if (since_feedback_ < kFeedbackPeriod - 1e-4) return false;
+  since_feedback_ = std::min(since_feedback_ - kFeedbackPeriod, kTick);
+  return true;
 }
 
 void StatePublishers::publish_feedback(const CycleRecord& record) {
@@ -205,15 +211,16 @@ void StatePublishers::publish_rcm(const CycleRecord& record) {
   });
 }
 
-void StatePublishers::publish_state(const CycleRecord& record, bool changed) {
-  if (!changed && record.tick % kStateTicks != 0) return;
+void StatePublishers::publish_state(const CycleRecord& record) {
+  const StateEdges::Report report = edges_.next(record);
+  if (!report.due) return;
   crtk_msgs::OperatingState message;
   // Clients wait for an is_busy that is stamped later than the moment they sent their command. The
   // joint state that the cycle was computed from may be older than that.
   message.header.stamp = lockstep_ ? to_time(record.stamp_ns) : wall_time();
   message.state = surg::name(record.out.state);
   message.is_homed = record.out.homed;
-  message.is_busy = record.out.busy;
+  message.is_busy = report.busy;
   operating_state_.publish(message);
 }
 

@@ -117,12 +117,12 @@ std::string StatusReporter::explain(surg::Reason reason) {
   return says ? robot_says_ : surg::sentence(reason);
 }
 
-bool StatusReporter::report(const CycleRecord& record, double now) {
+void StatusReporter::report(const CycleRecord& record, double now) {
   report_answers(record, now);
   report_ignored(record);
   report_verdicts(record, now);
   report_lag(record.out.link_lag);
-  return report_changes(record, now);
+  report_changes(record, now);
 }
 
 void StatusReporter::report_answers(const CycleRecord& record, double now) {
@@ -228,11 +228,10 @@ void StatusReporter::report_lag(double measured) {
   }
 }
 
-bool StatusReporter::report_changes(const CycleRecord& record, double now) {
+void StatusReporter::report_changes(const CycleRecord& record, double now) {
   const surg::Outputs& out = record.out;
   const bool new_state = first_ || out.state != state_;
   const bool new_reason = out.reason != reason_;
-  const bool changed = new_state || out.homed != homed_ || out.busy != busy_;
   const std::string why =
       out.reason == surg::Reason::kNone
           ? ""
@@ -267,9 +266,7 @@ bool StatusReporter::report_changes(const CycleRecord& record, double now) {
   state_ = out.state;
   reason_ = out.reason;
   homed_ = out.homed;
-  busy_ = out.busy;
   first_ = false;
-  return changed;
 }
 
 }  // namespace surg_control

@@ -114,6 +114,9 @@ struct CycleRecord {
   std::uint32_t overruns = 0;
   std::uint32_t refused_by_node = 0;   ///< commands that never reached the cycle
   std::uint32_t refused_by_cycle = 0;  ///< motions that the cycle kept from the controller
+  /// Commands so far that clients wait for by is_busy: moves and home, refused ones included.
+  std::uint32_t moves = 0;
+  std::uint32_t moves_refused_by_node = 0;  ///< moves among refused_by_node
 };
 
 /// What a cycle tells robot and tool.

@@ -69,6 +69,7 @@ class RcmLoop {
   void on_ready(const surg_msgs::Ready& message);
   void on_link_status(const surg_msgs::LinkStatus& message);
   surg::RobotCondition condition_of(const surg_msgs::LinkStatus& message);
+  void count_refused(const std::string& topic);
   void report_undeclared(const std::string& caller);
   void note_stamp(const ros::Time& stamp);
 
@@ -121,7 +122,7 @@ class RcmLoop {
   std::atomic<bool> disabled_{true};  // after the last cycle
 
   LinkState link_;  // as received; in free-run handed over through latest_link_
-  std::atomic<std::uint32_t> refused_by_node_{0};
+  std::atomic<std::uint32_t> refused_by_node_{0}, moves_refused_by_node_{0};
 
   LockstepGate lockstep_gate_;
   std::uint64_t robot_tick_ = 0, tool_tick_ = 0, status_tick_ = 0, answered_tick_ = 0;

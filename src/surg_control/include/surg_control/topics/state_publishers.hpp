@@ -17,6 +17,7 @@
 #include "surg_control/loop/cycle_data.hpp"
 #include "surg_control/monitor/diagnostics.hpp"
 #include "surg_control/topics/source_table.hpp"
+#include "surg_control/topics/state_edges.hpp"
 #include "surg_control/topics/status_reporter.hpp"
 
 namespace surg_control {
@@ -64,7 +65,8 @@ class StatePublishers {
   void publish_tool(const MountedTool& tool);
   void publish_elbow(const CycleRecord& record, bool valid);
   void publish_rcm(const CycleRecord& record);
-  void publish_state(const CycleRecord& record, bool changed);
+  bool feedback_due(const CycleRecord& record);
+  void publish_state(const CycleRecord& record);
   void publish_fixtures(const CycleRecord& record);
   void publish_static_tf(const ArmSetup& setup, const Model& model);
   void publish_tf(const CycleRecord& record);
@@ -78,6 +80,8 @@ class StatePublishers {
   bool lockstep_;
   const SourceTable& sources_;
   StatusReporter& reporter_;
+  StateEdges edges_;
+  double since_feedback_ = 0;  // [s]
   Diagnostics diagnostics_;
 
   ros::Publisher cycle_, operating_state_, tf_, tf_static_, rcm_limit_, fixtures_, mounted_tool_;

@@ -34,9 +34,8 @@ class StatusReporter {
   /// Notes the link's sentence on its robot, for Reason::kRobot.
   void robot_says(const std::string& sentence);
 
-  /// Reports refusals, ignored parts and changes of state in one cycle. One thread only. Returns
-  /// whether operating state, homed or busy changed.
-  bool report(const CycleRecord& record, double now);
+  /// Reports refusals, ignored parts and changes of state in one cycle. One thread only.
+  void report(const CycleRecord& record, double now);
 
  private:
   struct LastWarning {
@@ -48,7 +47,7 @@ class StatusReporter {
   void report_refused(const Answer& answer, const CycleRecord& record, double now);
   void report_ignored(const CycleRecord& record);
   void report_verdicts(const CycleRecord& record, double now);
-  bool report_changes(const CycleRecord& record, double now);
+  void report_changes(const CycleRecord& record, double now);
   std::string explain(surg::Reason reason);
   void report_lag(double measured);
   std::string what_holds_the_elbow(int limit) const;
@@ -66,7 +65,7 @@ class StatusReporter {
   // The last reported cycle; only report() uses them.
   surg::State state_ = surg::State::kDisabled;
   surg::Reason reason_ = surg::Reason::kNone;
-  bool homed_ = false, busy_ = false, first_ = true;
+  bool homed_ = false, first_ = true;
   std::uint32_t ignored_reported_ = 0;  // one bit per motion
   bool lag_reported_ = false;
 };
