@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -168,6 +169,7 @@ def test_a_crtk_leader_drives_both_arms_in_free_run(ros_graph: RosGraph, hand: C
     arms = ("PSM1", "ECM")
     assert contract.found(ros_graph, "/teleop", others) == contract.promised("teleop", "hand", arms)
     freeze_the_picture(ros_graph, hand)
+    select_as_a_dvrk_console_does(ros_graph, hand)
     hand.enable.publish(True)
     wait(lambda: hand.engaged("PSM1"), 10.0, "the instrument to follow")
     wait(lambda: hand.states["ECM"] == "CLUTCHED", 10.0, "the endoscope to be clutched")
@@ -237,6 +239,43 @@ def test_a_crtk_leader_drives_both_arms_in_free_run(ros_graph: RosGraph, hand: C
     hand.teleop.process.terminate()
     wait(lambda: hand.cycles["PSM1"].state == 2, 5.0, "PAUSED by a node that ends")
     assert hand.teleop.process.wait(10) == 0
+
+
+def select_as_a_dvrk_console_does(graph: RosGraph, hand: CrtkHand) -> None:
+    """The console's pairs: each stated to who comes late; an unselected one is not enabled."""
+    import rospy
+    from std_msgs.msg import Float64, String
+
+    scales: list[float] = []
+    pairs: dict[str, list[str]] = {"selected": [], "unselected": []}
+    ends: list[Any] = [
+        rospy.Subscriber("/console/teleop/scale", Float64, lambda m: scales.append(m.data)),
+        *(
+            rospy.Subscriber(f"/console/teleop/{name}", String, lambda m, to: to.append(m.data), to)
+            for name, to in pairs.items()
+        ),
+    ]
+    words = {
+        name: rospy.Publisher(f"/console/teleop/{name}", String, queue_size=2)
+        for name in ("select", "unselect")
+    }
+    ends += words.values()
+    graph.wait_for(lambda: all(e.get_num_connections() for e in ends), 10.0, "the connections")
+    graph.wait_for(lambda: len(pairs["selected"]) >= 2, 5.0, "the pairs")
+    assert sorted(set(pairs["selected"])) == ["hand_ECM", "hand_PSM1"]
+    graph.wait_for(lambda: scales == [0.5], 5.0, "the scale")
+    words["unselect"].publish("hand_PSM1")
+    graph.wait_for(lambda: pairs["unselected"] == ["hand_PSM1"], 5.0, "the unselected pair")
+    hand.enable.publish(True)
+    graph.wait_for(lambda: hand.states["ECM"] == "CLUTCHED", 10.0, "the other pair")
+    assert hand.states["PSM1"] == "DISABLED"
+    words["select"].publish("hand_nobody")
+    graph.wait_for(lambda: any("hand_nobody" in t for t in hand.warnings), 5.0, "the refusal")
+    words["select"].publish("hand_PSM1")
+    graph.wait_for(lambda: pairs["selected"][-1] == "hand_PSM1", 5.0, "the selected pair")
+    assert hand.states["PSM1"] == "DISABLED"
+    for end in ends:
+        end.unregister()
 
 
 def freeze_the_picture(graph: RosGraph, hand: CrtkHand) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from surg_cli.graph.topic_contract import load
-from surg_dvrk_compat.interface import COMMANDS, FEEDBACK, Throttle, answer
+from surg_dvrk_compat.interface import COMMANDS, FEEDBACK, SYSTEM_COMMANDS, Throttle, answer
 
 # What the public classes arm and psm publish and subscribe, below the arm's name.
 PUBLISHED = {
@@ -18,6 +18,12 @@ SUBSCRIBED = {
     "local/measured_cp", "local/setpoint_cp", "trajectory_j/ratio", "jaw/measured_js",
     "jaw/setpoint_js",
 }  # fmt: skip
+# What the public classes console and system publish and subscribe.
+CONSOLE = {
+    "in": {"enable", "set_scale", "select", "unselect"},
+    "out": {"scale", "selected", "unselected"},
+}
+SYSTEM = {"power_off", "power_on", "home", "set_volume", "beep", "string_to_speech"}
 SERVICES = {"forward_kinematics", "inverse_kinematics", "local/forward_kinematics"}
 
 
@@ -33,12 +39,16 @@ def test_every_topic_of_a_dvrk_client_has_another_side() -> None:
     assert offered("in", "controller", "dvrk_compat") >= PUBLISHED
     assert offered("out", "controller", "dvrk_compat") >= SUBSCRIBED
     assert offered("service", "controller") >= SERVICES
+    for direction, topics in CONSOLE.items():
+        assert offered(direction, "teleop") >= {f"/console/teleop/{topic}" for topic in topics}
+    assert offered("in", "dvrk_compat") >= {f"/system/{topic}" for topic in SYSTEM}
 
 
 def test_the_node_offers_what_the_page_says_and_nothing_of_the_controllers() -> None:
     commands, feedback = {c.topic for c in COMMANDS}, {f.topic for f in FEEDBACK}
-    assert commands == offered("in", "dvrk_compat")
-    assert feedback == offered("out", "dvrk_compat")
+    system = {f"/system/{c.topic}" for c in SYSTEM_COMMANDS}
+    assert commands | system == offered("in", "dvrk_compat")
+    assert feedback | {"/system/warning"} == offered("out", "dvrk_compat")
     assert not commands & offered("in", "controller")
     assert not feedback & offered("out", "controller")
 

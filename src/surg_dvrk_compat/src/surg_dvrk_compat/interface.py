@@ -17,7 +17,7 @@ QUIET = 1.0
 class Command:
     """A command topic that is ignored."""
 
-    topic: str  # relative to the arm
+    topic: str  # relative to the arm, or to ``/system``
     type: str  # its ROS type
     why: str  # why it is ignored, and what to use instead
 
@@ -72,6 +72,19 @@ COMMANDS = (
     ),
 )
 
+_POWER = "this system has no power switch: send 'enable' or 'disable' to <arm>/state_command"
+_SOUND = "this system makes no sounds"
+
+SYSTEM_COMMANDS = (
+    Command("power_off", "std_msgs/Empty", _POWER),
+    Command("power_on", "std_msgs/Empty", _POWER),
+    Command("home", "std_msgs/Empty", "send 'home' to <arm>/state_command of each arm"),
+    Command("set_volume", "std_msgs/Float64", _SOUND),
+    Command("beep", "std_msgs/Float64MultiArray", _SOUND),
+    Command("string_to_speech", "std_msgs/String", _SOUND),
+)
+"""Of the class ``system``."""
+
 FEEDBACK = (
     Feedback("spatial/measured_cf", "geometry_msgs/WrenchStamped"),
     Feedback("body/measured_cf", "geometry_msgs/WrenchStamped"),
@@ -82,9 +95,9 @@ FEEDBACK = (
 )
 
 
-def answer(arm: str, command: Command, sender: str) -> str:
-    """Warning for an ignored command."""
-    return f"{arm}: {command.topic} from {sender} ignored: {command.why}"
+def answer(owner: str, command: Command, sender: str) -> str:
+    """Warning for an ignored command of an arm or of the system."""
+    return f"{owner}: {command.topic} from {sender} ignored: {command.why}"
 
 
 class Throttle:

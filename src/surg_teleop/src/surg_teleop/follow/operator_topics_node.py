@@ -8,9 +8,10 @@ from typing import Any
 
 import rospy
 from sensor_msgs.msg import Joy
-from std_msgs.msg import Bool, Float64
+from std_msgs.msg import Bool, Float64, String
 
 from crtk_msgs.msg import StringStamped
+from surg_teleop.follow.console_topics_node import ConsoleTopics
 from surg_teleop.follow.pedal_monitor import PedalMonitor
 from surg_teleop.follow.teleop_setup import Hand
 from surg_teleop.follow.teleop_status_node import TeleopStatusPublisher
@@ -31,6 +32,7 @@ class OperatorTopics:
         wake: threading.Event,
     ) -> None:
         self.pedals = PedalMonitor()
+        self._console = ConsoleTopics(hands)
         self._hands, self._status, self._lock, self._wake = hands, status, lock, wake
         self._recording = False
         self._record = rospy.Publisher("/record/record", Bool, queue_size=2)
@@ -48,15 +50,23 @@ class OperatorTopics:
                 listen(f"{source}/{topic}", Joy, self._on_pedal, (source, button))
         listen("/console/teleop/enable", Bool, self._on_enable)
         listen("/console/teleop/set_scale", Float64, self._on_scale, teleops)
+        listen("/console/teleop/select", String, self._on_select, True)
+        listen("/console/teleop/unselect", String, self._on_select, False)
         listen("/record/recording", Bool, self._on_recording)
 
     def switch(self, hand: Hand, on: bool) -> None:
-        """Enable or disable a leader's arms."""
-        if on:
-            self.pedals.forget(time.monotonic())
-            hand.switch.enable()
-        else:
+        """Enable a leader's selected arms, or disable all of them."""
+        if not on:
             hand.switch.disable()
+            return
+        self.pedals.forget(time.monotonic())
+        for arm, teleop in hand.switch.arms.items():
+            if self._console.may_enable(f"{hand.leader.name}_{arm}"):
+                teleop.enable()
+
+    def publish(self) -> None:
+        """Publish what has changed."""
+        self._console.publish_scale()
 
     def toggle_recording(self) -> None:
         """Start or stop the recorder."""
@@ -91,6 +101,11 @@ class OperatorTopics:
     def _on_scale(self, message: Float64, teleops: list[Teleop]) -> None:
         with self._lock:
             for refused in {text for t in teleops if (text := t.set_scale(message.data))}:
+                self._status.warn(refused)
+
+    def _on_select(self, message: String, selected: bool) -> None:
+        with self._lock:
+            if refused := self._console.select(message.data, selected):
                 self._status.warn(refused)
 
     def _on_lock(self, message: Bool, which: tuple[Teleop, str]) -> None:

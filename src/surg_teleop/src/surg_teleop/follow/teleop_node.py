@@ -193,6 +193,7 @@ class TeleopNode:
                 commands = self._setup.assistant.convert(commands)
             self._ports[arm].send(commands)
             self._status.state(hand, arm, output)
+        self._operator.publish()
 
 
 def main() -> int:

@@ -7,7 +7,8 @@ autorepeat), ``measured_cp`` and ``measured_cv`` in the view frame, ``spherical/
 is repeated, and a clutch pedal that fails to pressed.
 
 Parameters: ``~leader`` (gamepad; name or path of a ``.py`` file), ``~settings`` (of its class, a
-dictionary), ``~rate`` [Hz] (100), ``~pedals`` (true: its buttons are pedals).
+dictionary), ``~rate`` [Hz] (200: public clients
+read data that are at most 20 ms old), ``~pedals`` (true: its buttons are pedals).
 Exit code 0: ended by the user; 1: the device is not there or must not be read; 2: a parameter that
 must not be used.
 """
@@ -134,7 +135,7 @@ class Parameters:
 
     leader: str = text("gamepad")
     settings: dict[str, Any] = dictionary()
-    rate: float = real(*RATES, 100.0)
+    rate: float = real(*RATES, 200.0)
     pedals: bool = flag(True)
 
 
