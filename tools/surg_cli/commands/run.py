@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--seed", type=int, default=0, metavar="S", help="of the first episode; then S + 1, …")
     add("--law", default="ours", metavar="L", help="control law: " + ", ".join(LAWS))
     add("--out", type=Path, metavar="DIR", help="folder of the run (default runs/<UTC time>)")
-    add("--robot", default="ur5e", metavar="R", help="ur5e, panda, or a cell with two arms")
+    add("--robot", metavar="R", help="ur5e, panda, or a cell (default: the task's home_cell)")
     add(
         "--policy",
         metavar="P",
@@ -57,7 +57,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     _check_numbers(options)
     out = paths.run_folder(options.out)
     preflight.check_space(out)
-    cell = episode_plans.find_cell(options.robot)
+    cell = episode_plans.cell_of(options.task, options.robot)
     policy = _policy(options)
     plan = episode_plans.make_plan(
         options.task,

@@ -56,6 +56,26 @@ def parse_settings(text: str) -> list[str]:
     return list(dict.fromkeys(wanted))
 
 
+def cell_of(task: str, robot: str | None) -> Path:
+    """The cell of `--robot`; without it the task's `home_cell`.
+
+    Raises:
+        Problem: There is no such cell, or no such task.
+    """
+    from surg_sim import tasks
+
+    if robot is not None:
+        return find_cell(robot)
+    try:
+        home = tasks.load(task).home_cell
+    except ValueError as error:  # a TaskError is one
+        raise Problem(str(error), 2) from error
+    try:
+        return cells.find(home)
+    except Problem as problem:
+        raise Problem(f"task '{task}': its home_cell: {problem}", 2) from problem
+
+
 def make_plan(
     task: str,
     cell: Path,
