@@ -115,8 +115,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
             RuntimeError: An arm does not become ready; states why.
         """
         super().reset(seed=seed)
-        drawn = self.np_random.integers(episode_seeds.TRAINING.start, episode_seeds.TRAINING.stop)
-        self.seed = int(drawn) if seed is None else seed
+        self.seed = self.seed_of(seed, self.np_random)
         session = self.session
         session.reset(self.seed)
         senders = dict(session.task.experts(session.cell, self.seed))
@@ -138,6 +137,12 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
             why = "; ".join(f"{arm}: {reason or 'too late'}" for arm, reason in failed.items())
             raise RuntimeError(f"not ready: {why} {self._info()['reason'] or ''}".rstrip())
         return self._observation(), self._info()
+
+    @staticmethod
+    def seed_of(seed: int | None, rng: np.random.Generator) -> int:
+        """The episode of a seed; None: a drawn one of ``episode_seeds.TRAINING``."""
+        drawn = rng.integers(episode_seeds.TRAINING.start, episode_seeds.TRAINING.stop)
+        return int(drawn) if seed is None else seed
 
     def _bring_up(self, bring_up: BringUp, arm: str) -> ArmCommands:
         assert self._tick is not None
