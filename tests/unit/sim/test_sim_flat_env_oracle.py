@@ -15,7 +15,13 @@ from surg_cli.host import paths
 
 pytestmark = pytest.mark.oracle
 
-PACKAGES = ("stable-baselines3==2.7.0", "torch==2.13.0", "gymnasium==1.2.3", "mujoco==4.0.0", "mujoco-core==4.0.0")
+PACKAGES = (
+    "stable-baselines3==2.7.0",
+    "torch==2.13.0",
+    "gymnasium==1.2.3",
+    "mujoco==4.0.0",
+    "mujoco-core==4.0.0",
+)
 SCRIPT = """
 import gymnasium, numpy as np, warnings
 import surg_sim.envs.flat_env
