@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import struct
-import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from helpers.hardware.emulated_ur import SOURCES, free_address, wait_for
+from helpers.hardware.emulated_ur import emulator
 from surg_hardware.emulators.franka.fci_messages import HEADER, Protocol
 from surg_hardware.emulators.franka.fci_session import FciSession
 from surg_hardware.emulators.franka.franka_controller import FrankaController
@@ -141,19 +138,6 @@ def ramp(robot: FrankaRobot, cycles: int, joint: int = 0) -> list[list[float]]:
 @contextmanager
 def program(kind: str, log: Path, *options: str) -> Iterator[str]:
     """The emulator as a process with the usual ports; yields its address."""
-    address = free_address()
-    command = [sys.executable, "-m", "surg_hardware.emulators.franka.franka_emulator", kind]
-    env = os.environ | {"PYTHONPATH": f"{SOURCES}:{os.environ.get('PYTHONPATH', '')}".rstrip(":")}
-    with log.open("w") as output:
-        process = subprocess.Popen(
-            [*command, "--address", address, *options],
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            env=env,
-        )
-        try:
-            wait_for(address, 29990)
-            yield address
-        finally:
-            process.terminate()
-            process.wait(10.0)
+    module = "surg_hardware.emulators.franka.franka_emulator"
+    with emulator(module, log, kind, *options) as address:
+        yield address

@@ -146,16 +146,18 @@ def free_address() -> str:
 @contextmanager
 def program(log: Path, *options: str) -> Iterator[str]:
     """The emulator as a process with the usual ports; yields its address."""
+    with emulator("surg_hardware.emulators.ur.ur_emulator", log, *options) as address:
+        yield address
+
+
+@contextmanager
+def emulator(module: str, log: Path, *words: str) -> Iterator[str]:
+    """An emulator's module as a process at an address of its own, which it yields."""
     address = free_address()
-    command = [sys.executable, "-m", "surg_hardware.emulators.ur.ur_emulator"]
+    command = [sys.executable, "-m", module, *words, "--address", address]
     env = os.environ | {"PYTHONPATH": f"{SOURCES}:{os.environ.get('PYTHONPATH', '')}".rstrip(":")}
     with log.open("w") as output:
-        process = subprocess.Popen(
-            [*command, "--address", address, *options],
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            env=env,
-        )
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, env=env)
         try:
             wait_for(address, 29990)
             yield address
