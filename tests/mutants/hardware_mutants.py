@@ -102,6 +102,14 @@ MUTANTS: tuple[Mutant, ...] = (
         CHAIN,
     ),
     one(
+        "stop_beside_the_way",
+        "a stop of the link takes the arm to the robot's targets, off the pivot",
+        "stop_ramp.py",
+        "share * u - taken * back",
+        "share * u",
+        ("test_stop_ramp",),
+    ),
+    one(
         "paused_program_left_on_the_robot",
         "play on the pendant gives the arm its old speed back",
         "robot_link.py",

@@ -101,8 +101,8 @@ class LaggingArm:
     def step(self, commands: ArmCommands, source: int = SOURCE) -> surg_core.Outputs:
         """One cycle with the commands of one sender, then one tick of the plant."""
         q, self.tick = self._q, self.tick + 1
-        asked = _decode(commands, self.controller, source)
-        self.out = self.controller.step(q, (q - self._q_before) / TICK, asked)
+        orders = asked(commands, self.controller, source)
+        self.out = self.controller.step(q, (q - self._q_before) / TICK, orders)
         self._pending.append(np.array(self.out.qd_command))
         self._servo = self._servo + self._pending.popleft() * TICK
         self._q_before, self._q = q, q + (self._servo - q) * (1.0 - np.exp(-TICK / LAG))
@@ -114,27 +114,38 @@ class LaggingArm:
         Args:
             names: Senders' names by number.
         """
-        out, R_BR = self.out, np.asarray(self.controller.X_BR)[:3, :3]
-        holder = (names or {}).get(out.source, "")
-        return ArmView(
-            stamp_ns=self.tick * TICK_NS,
-            state=ArmState(int(out.state)),
-            homed=out.homed,
-            busy=out.busy,
-            reason=surg_core.reason_name(out.reason),
-            refused=out.refused,
-            accepted=out.accepted,
-            p_BSet=out.p_set,
-            p_BTip=out.p_BTip,
-            p_BRcm=out.p_BRcm,
-            R_BR=R_BR,
-            roll_set=out.roll_set,
-            jaw_set=out.jaw_set,
-            holder=holder,
-            stream=holder if out.motion == surg_core.Motion.SERVO_CP else "",
-            R_WB=np.asarray(self.arm.X_WB)[:3, :3],
-            received=self.tick * TICK,
-        )
+        return view_of(self.arm, self.controller, self.out, self.tick, names)
+
+
+def view_of(
+    arm: surg_core.Arm,
+    controller: surg_core.Controller,
+    out: surg_core.Outputs,
+    tick: int,
+    names: dict[int, str] | None = None,
+) -> ArmView:
+    """What a sender sees of a cycle; ``names`` are the senders', by number."""
+    R_BR = np.asarray(controller.X_BR)[:3, :3]
+    holder = (names or {}).get(out.source, "")
+    return ArmView(
+        stamp_ns=tick * TICK_NS,
+        state=ArmState(int(out.state)),
+        homed=out.homed,
+        busy=out.busy,
+        reason=surg_core.reason_name(out.reason),
+        refused=out.refused,
+        accepted=out.accepted,
+        p_BSet=out.p_set,
+        p_BTip=out.p_BTip,
+        p_BRcm=out.p_BRcm,
+        R_BR=R_BR,
+        roll_set=out.roll_set,
+        jaw_set=out.jaw_set,
+        holder=holder,
+        stream=holder if out.motion == surg_core.Motion.SERVO_CP else "",
+        R_WB=np.asarray(arm.X_WB)[:3, :3],
+        received=tick * TICK,
+    )
 
 
 def play(
@@ -191,9 +202,10 @@ def play(
     )
 
 
-def _decode(
-    commands: ArmCommands, controller: surg_core.Controller, source: int
+def asked(
+    commands: ArmCommands, controller: surg_core.Controller, source: int = SOURCE
 ) -> list[surg_core.MotionCommand]:
+    """The motion commands of a sender; its words and its claim go to the controller at once."""
     motion, command = surg_core.Motion, surg_core.MotionCommand
     if commands.state is not None:
         controller.request(getattr(surg_core.StateCommand, commands.state.upper()))

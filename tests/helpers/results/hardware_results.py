@@ -17,6 +17,8 @@ the limits of the joints allow.
   beside the way that the controller has kept; a stop of the link ends on it.
   *started*: `tests/faults/test_faults_hardware.py`; people mend the robot after a stop in motion,
   and start it, while sender and controller go on: how far the tip moves before `enable`.
+  *pivot*: `tests/faults/test_faults_hardware_motion.py`; motions at scale 1. The recording is no
+  part of the project: `SURG_TEST_MOTION=FILE`.
 - *processes* (`tests/faults/test_faults_ur_driver.py`): the UR driver and `./surg emulate ur` in
   real time, without ROS and without the controller. The shaft of a 0.3 m tool turns about a pivot;
   nothing corrects the arm. The deviation is what the stop adds.
@@ -64,6 +66,10 @@ RECOVERIES = (
     "reboot",
 )
 SCALES = ("scale 0.1", "scale 1")
+SURGEON = "chain: synthetic surgeon's motions, pivot"
+BUNDLED = "chain: bundled motion, pivot"
+RECORDED = "chain: recorded knot tying, pivot"
+HASH = "chain: a seeded motion with a protective stop, twice"
 AGE = "a command until it is executed"
 
 
@@ -86,6 +92,10 @@ note = ResultsPage(
     "hardware.md",
     _HEAD,
     (
+        BUNDLED,
+        SURGEON,
+        RECORDED,
+        HASH,
         *(chain_row(what, speed) for what in CHAIN for speed in SPEEDS),
         *(recovery_row(what, scale) for what in RECOVERIES for scale in SCALES),
         AGE,

@@ -18,6 +18,8 @@ READY = ur_reading(7, 1)
 ZERO = (0.0,) * 6
 MOTION = (0.3, -0.2, 0.1, 0.0, 0.05, -0.4)
 FULL = os.environ.get("SURG_TEST_FULL") == "1"
+LONGEST = 100_000
+"""Cycles of a test."""
 
 
 class Robot:
@@ -25,7 +27,7 @@ class Robot:
 
     def __init__(self) -> None:
         self.link = RobotLink(SETTINGS)
-        self.k = 1000
+        self.k, self.steps = 1000, 0
         self.reading: Reading = READY
         self.program = False
         self.executed = 0
@@ -45,6 +47,8 @@ class Robot:
 
     def step(self, command: Command | None) -> Step:
         self.k += 1
+        self.steps += 1
+        assert self.steps < LONGEST, "it goes on for ever"
         if self.program and len(self.sent) > 2:
             self.executed = self.sent[-2][0]
         step = self.link.step(self.state(), command, self.now)
