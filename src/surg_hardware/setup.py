@@ -10,6 +10,6 @@ setuptools.setup(
     python_requires=">=3.11",
     packages=setuptools.find_packages("src"),
     package_dir={"": "src"},
-    package_data={"surg_hardware": ["py.typed"]},
+    package_data={"surg_hardware": ["py.typed", "franka/packages.lock"]},
     install_requires=["numpy>=1.24"],
 )

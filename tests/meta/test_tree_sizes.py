@@ -37,8 +37,8 @@ def crowded(files: list[Path]) -> dict[str, int]:
 
 
 def repeated(files: list[Path]) -> list[str]:
-    """Names that several files have; a start script is named after the node it starts."""
-    names = [file.name for file in files if file.parent.name != "scripts"]
+    """Names that several files have; scripts are named after nodes, links after arms."""
+    names = [file.name for file in files if file.parent.name not in ("scripts", "links")]
     return [each for each, n in Counter(names).items() if n > 1 and each not in REPEATED]
 
 

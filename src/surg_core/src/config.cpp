@@ -94,7 +94,13 @@ constexpr double kHeaviestPayload = 20.0;  // [kg]
 constexpr double kFarthestPayload = 0.5;   // [m]
 constexpr int kPriorities[] = {
     2, 78};  // of SCHED_FIFO; the controller has 79 and 80, the node one less
-constexpr int kUrJoints = 6;
+/// The arms that a link drives: their number of joints, and the robot's name if it is one model.
+struct DrivenArms {
+  const char* link;
+  std::size_t joints;
+  const char* robot;
+};
+constexpr DrivenArms kDrivenArms[] = {{"ur", 6, ""}, {"fr3", 7, "fr3"}, {"panda", 7, "panda"}};
 
 // Distances that a cell may keep. The guard itself needs the least one (clearance.cpp).
 constexpr double kClosest = 0.005;  // [m]
@@ -307,6 +313,13 @@ class Reader {
 
   std::vector<std::string> words(const std::string& key) {
     return get<std::vector<std::string>>(key, "a list of texts");
+  }
+
+  /// Leaves a section to somebody else, who checks its keys.
+  void leave(const std::string& section) {
+    for (const auto& [key, value] : document_.values) {
+      if (key.rfind(section + ".", 0) == 0) known_.insert(key);
+    }
   }
 
   /// Refuses keys that nobody asked for: a misspelt limit must not pass for a set one.
@@ -566,6 +579,8 @@ LinkConfig read_link(const Document& document) {
     link.stop_deceleration =
         reader.real("stop_deceleration", kStopDeceleration[0], kStopDeceleration[1], "rad/s^2");
   }
+  if (reader.has("driver")) link.driver = reader.word("driver");
+  reader.leave("settings");  // of the robot's maker; the driver checks them
   reader.finish();
   return link;
 }
@@ -678,12 +693,11 @@ bool is_path(const CellArm& arm) {
 /// somebody starts by hand.
 std::optional<CellHardware> read_hardware(Reader& reader, const CellArm& arm) {
   const std::string section = "arms." + arm.name + ".hardware", prefix = section + ".";
-  const bool named = arm.link != kSimulator && !is_path(arm);
-  if (!named && reader.has(section)) {
-    reader.fail(section, "belongs to a link that has a name, such as 'ur'; the link is '" +
-                             arm.link + "': remove the section, or name the link");
-  }
   if (!reader.has(section)) return std::nullopt;
+  if (arm.link == kSimulator) {
+    reader.fail(section, "belongs to a real or an emulated arm; the link is '" + arm.link +
+                             "': remove the section, or name the arm's link");
+  }
   CellHardware hardware;
   hardware.address = reader.word(prefix + "address");
   const auto parts = ipv4(hardware.address);
@@ -960,10 +974,17 @@ void check_hardware(const CellArm& arm, const RobotConfig& robot,
     throw ConfigError(place(arm, "hardware", cell_file) + ": is missing; the link '" + arm.link +
                       "' needs address, serial, payload, tool_link and realtime");
   }
-  if (arm.link == "ur" && robot.joint_names.size() != kUrJoints) {
-    throw ConfigError(place(arm, "link", cell_file) + ": 'ur' drives arms of " +
-                      std::to_string(kUrJoints) + " joints; " + robot.name + " has " +
-                      std::to_string(robot.joint_names.size()));
+  for (const auto& [link, joints, name] : kDrivenArms) {
+    if (arm.link != link) continue;
+    const std::string where = place(arm, "link", cell_file) + ": '" + arm.link + "' drives ";
+    if (*name && robot.name != name) {
+      throw ConfigError(where + "the robot '" + name + "'; the cell's robot is '" + robot.name +
+                        "': name that robot's link");
+    }
+    if (robot.joint_names.size() != joints) {
+      throw ConfigError(where + "arms of " + std::to_string(joints) + " joints; " + robot.name +
+                        " has " + std::to_string(robot.joint_names.size()));
+    }
   }
   const std::string key = place(arm, "hardware", cell_file);
   if ((arm.hardware->tool_link == "passive") != instrument.passive) {

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from helpers.hardware.emulated_ur import Client
+from surg_hardware.arm_driver import STALE
 from surg_hardware.conditions import Condition
 from surg_hardware.emulators.ur.joint_motion import DT
 from surg_hardware.emulators.ur.rtde_server import RtdeSession
@@ -18,7 +19,7 @@ from surg_hardware.robot_clock import RobotClock
 from surg_hardware.robot_link import Command, RobotLink, RobotState, Settings, Status
 from surg_hardware.ur import urscript
 from surg_hardware.ur.rtde import INPUTS, OUTPUTS, Decoder, Recipe
-from surg_hardware.ur.ur_driver import STALE, robot_state
+from surg_hardware.ur.ur_driver import robot_state
 
 DEAD_MAN, STOP = 0.04, 20.0
 REST = (0.0,) * 6

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from helpers.hardware import emulated_ur
+from surg_hardware.arm_driver import DriverSettings
 from surg_hardware.conditions import Condition
 from surg_hardware.driver_datagrams import (
     LONGEST,
@@ -40,7 +41,6 @@ from surg_hardware.driver_datagrams import (
 from surg_hardware.emulators.ur import dh_kinematics as dh
 from surg_hardware.emulators.ur.joint_motion import DT
 from surg_hardware.emulators.ur.ur_controller import HOME
-from surg_hardware.ur.ur_driver import DriverSettings
 
 Matrix = NDArray[np.float64]
 TABLE = dh.TABLES["UR5e"]

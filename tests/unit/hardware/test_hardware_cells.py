@@ -17,6 +17,8 @@ from surg_cli.graph import system
 from surg_cli.host import paths
 from surg_hardware import link_node
 from surg_hardware.emulators.ur.dh_kinematics import TABLES, frames, pose_vector
+from surg_hardware.franka.franka_adapter import FrankaAdapter
+from surg_hardware.franka.joint_limits import FR3, PANDA
 from surg_hardware.identity import flange_mismatch, ur_flange
 
 BUNDLED = paths.CELLS / "emulated_ur5e"
@@ -44,6 +46,31 @@ def test_the_driver_gets_what_cell_and_link_state() -> None:
     assert settings.acceleration == pytest.approx([40.0] * 6)
     assert (settings.dead_man, settings.stop_deceleration) == (0.04, 20.0)
     assert arm.robot.tuning.link_timeout == 0.04
+
+
+@pytest.mark.parametrize("name", ["fr3", "panda"])
+def test_the_bundled_franka_cells_state_all_that_the_driver_needs(name: str) -> None:
+    arm = surg_core.load_cell(paths.CELLS / f"emulated_{name}").arms["PSM1"]
+    settings = link_node.driver_settings(arm)
+    assert settings.driver == name and arm.hardware.emulated
+    limits = {"fr3": FR3, "panda": PANDA}[name]
+    assert settings.acceleration == pytest.approx([joint.acceleration for joint in limits])
+    assert settings.stop_deceleration < min(settings.acceleration)
+    assert all(u <= j.velocity for u, j in zip(settings.velocity, limits, strict=True))
+    assert arm.robot.tuning.link_timeout == 0.04 and settings.dead_man == 0.02
+    FrankaSettings(settings.address, settings.options)
+    home = arm.chain.forward(arm.robot.home)
+    away = arm.trocar.p_BRcm - home[:3, 3]
+    s = home[:3, :3] @ arm.tool.s_F
+    p = home[:3, :3] @ arm.tool.p_FTip
+    assert np.linalg.norm(np.cross(away - p, s)) < 1e-9, "the trocar is on the shaft at home"
+
+
+class FrankaSettings(FrankaAdapter):
+    """Checks a link's settings, without a library."""
+
+    limits = PANDA
+    _begin = _read = _write = connect = close = None  # type: ignore[assignment]
 
 
 def test_up_starts_the_link_and_no_simulator() -> None:
@@ -99,8 +126,8 @@ REFUSED: dict[str, tuple[Edit, str, str]] = {
     "hardware of a simulator": (
         lambda arm: arm.update(link="simulator"), "arms.PSM1.hardware", "'simulator'",
     ),
-    "hardware of a link by hand": (
-        lambda arm: arm.update(link="own.yaml"), "arms.PSM1.hardware", "'own.yaml'",
+    "a link's YAML that is not there": (
+        lambda arm: arm.update(link="own.yaml"), "arms.PSM1.link", "'own.yaml'",
     ),
     "an unknown link": (lambda arm: arm.update(link="kuka"), "arms.PSM1.link", "'kuka'"),
     "a driven instrument": (
@@ -110,6 +137,14 @@ REFUSED: dict[str, tuple[Edit, str, str]] = {
     "a passive instrument": (hardware(tool_link="none"), "hardware.tool_link", "'none'"),
     "seven joints": (
         lambda arm: arm.update(robot=arm["robot"].replace("ur5e", "panda")), "arms.PSM1.link", "7",
+    ),
+    "a Panda's library for an FR3": (
+        lambda arm: arm.update(robot=arm["robot"].replace("ur5e", "fr3"), link="panda"),
+        "arms.PSM1.link", "'fr3'",
+    ),
+    "an FR3's library for a Panda": (
+        lambda arm: arm.update(robot=arm["robot"].replace("ur5e", "panda"), link="fr3"),
+        "arms.PSM1.link", "'panda'",
     ),
     "a real arm with a computed calibration": (
         hardware(address="192.168.56.2"), "arms.PSM1.hardware", "computed",

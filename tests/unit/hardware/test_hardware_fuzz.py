@@ -125,7 +125,9 @@ STATUS = Status(Condition.STOPPED, "protective stop: unlock it", True, 17, 0.5)
 UPWARDS = (
     wire.StateDatagram(12, 34, (0.1,) * 6, (-0.2,) * 6, STATUS),
     wire.StateDatagram(0, 0, (), (), STATUS),
-    wire.IdentityDatagram((0.3,) * 7, (0.1,) * 6, (0.2,) * 6, 0.85, (0, 0.02, 0.11), "12", "UR5"),
+    wire.StateDatagram(12, 34, (0.1,) * 7, (-0.2,) * 7, STATUS, (1.0, -2.0, 3.0, 0.1, 0.2, 0.3)),
+    wire.IdentityDatagram((0.3,) * 7, (0.1,) * 12, 0.85, (0, 0.02, 0.11), "12", "UR5"),
+    wire.IdentityDatagram((0.3,) * 7, (0.1,) * 12, 0.85, (0, 0.02, 0.11), None, "fr3"),
     wire.NoticeDatagram("start: it is not in remote control"),
 )
 DOWNWARDS = (wire.CommandDatagram(5, (0.1, -3.0)), wire.RequestDatagram("start", True))

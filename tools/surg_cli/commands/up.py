@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 from surg_cli.graph import follow, join, master, network, processes, roles, running, system
 from surg_cli.graph.system import Plan
 from surg_cli.graph.watch import Watch
-from surg_cli.host import cells, environment, paths, preflight
+from surg_cli.host import cells, environment, link_environments, paths, preflight
 from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import Problem, Progress, say, warn
 
@@ -108,6 +108,9 @@ def main(options: argparse.Namespace, command: str) -> int:
     )
     if options.print:
         return _print_lines(plan, link, leader)
+    if link is None or link.role is roles.Role.ROBOT:
+        for arm in plan.driven:
+            link_environments.make_ready(loaded.arms[arm])
     preflight.check_space(plan.out)
     logs = paths.SYSTEMS / f"{running.tag(options.port, options.role or '')}_logs"
     with processes.orphans_adopted():

@@ -36,6 +36,8 @@ def reached(word: str, condition: str) -> bool:
         return condition == "ACTIVE"
     if word == "guide":
         return condition == "GUIDED"
+    if word == "recover":
+        return condition not in ("STOPPED", "BROKEN", "OFFLINE")
     return condition not in ("ACTIVE", "GUIDED")
 
 

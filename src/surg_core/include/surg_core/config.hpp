@@ -115,6 +115,7 @@ struct LinkConfig {
   double acceleration;            ///< share of the robot's joint acceleration that it obeys
   double dead_man = 0.04;         ///< [s] without a command, after which it stops the arm
   double stop_deceleration = 20;  ///< [rad/s^2] of the leading joint in that stop
+  std::string driver = {};        ///< folder with driver.py, relative to the YAML; empty: none
 };
 
 /// The link that a cell names 'simulator'; it has no file.
@@ -178,7 +179,7 @@ struct CellArm {
   /// [rad] preferred swivel angle of a seven-joint arm's elbow; NaN: none
   double elbow = std::numeric_limits<double>::quiet_NaN();
   std::vector<Fixture> fixtures = {};         ///< virtual fixtures, in the robot's base frame
-  std::optional<CellHardware> hardware = {};  ///< only with a link that has a name, such as "ur"
+  std::optional<CellHardware> hardware = {};  ///< of an arm that is not simulated
   /// "file:line" of the values above, for errors: "home", "limits.cone".
   std::map<std::string, std::string> where = {};
 };

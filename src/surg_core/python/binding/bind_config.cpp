@@ -167,7 +167,8 @@ void bind_link(py::module_& m) {
       .def_readonly("link_lag", &LinkConfig::link_lag, "[s]")
       .def_readonly("acceleration", &LinkConfig::acceleration, "Share of the robot's.")
       .def_readonly("dead_man", &LinkConfig::dead_man, "[s]")
-      .def_readonly("stop_deceleration", &LinkConfig::stop_deceleration, "[rad/s^2]");
+      .def_readonly("stop_deceleration", &LinkConfig::stop_deceleration, "[rad/s^2]")
+      .def_readonly("driver", &LinkConfig::driver, "Folder, relative to the YAML; empty: none.");
   m.def("parse_link", &parse_link, py::arg("document"),
         "Checks the document against the schema. Raises ConfigError.");
   m.def("simulator_link", &simulator_link, "The parameters of the simulator's link.");

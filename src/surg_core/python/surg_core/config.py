@@ -81,6 +81,8 @@ class Arm:
         link_config: parameters of what moves it.
         hardware: what the cell states of a real or emulated arm; None: it is simulated, or its link
             is started by hand.
+        driver: folder with the driver of a link from outside the platform, absolute.
+        link_settings: section ``settings`` of the link's YAML, for the driver.
     """
 
     name: str
@@ -97,6 +99,8 @@ class Arm:
     instrument_urdf: Path
     link_config: LinkConfig
     hardware: CellHardware | None
+    driver: Path | None
+    link_settings: Mapping[str, Value]
 
 
 @dataclass(frozen=True)
@@ -157,7 +161,7 @@ def load_cell(path: PathLike) -> Cell:
         robot_file = _beside(file, stated.robot)
         instrument_file = _beside(file, stated.instrument)
         robot = with_home(load_robot(robot_file), stated, str(file))
-        link_config = _load_link(stated, file)
+        link_config, driver, link_settings = _load_link(stated, file)
         robot = with_link(robot, link_config)
         instrument = load_instrument(instrument_file)
         urdf = _beside(robot_file, robot.urdf)
@@ -193,17 +197,30 @@ def load_cell(path: PathLike) -> Cell:
             instrument_urdf=instrument_urdf,
             link_config=link_config,
             hardware=stated.hardware,
+            driver=driver,
+            link_settings=link_settings,
         )
     return Cell(config=config, arms=MappingProxyType(arms), folder=file.parent)
 
 
-def _load_link(arm: CellArm, cell_file: Path) -> LinkConfig:
+def _load_link(
+    arm: CellArm, cell_file: Path
+) -> tuple[LinkConfig, Path | None, Mapping[str, Value]]:
+    """A link's parameters, the folder of its driver, and the settings for that driver."""
     if arm.link == SIMULATOR:
-        return simulator_link()
+        return simulator_link(), None, MappingProxyType({})
     file = _beside(cell_file, link_file(arm))
     if not file.is_file():
         raise ConfigError(unknown_link(arm, str(cell_file), str(file)))
-    return parse_link(read_document(file))
+    document = read_document(file)
+    link = parse_link(document)
+    settings = {
+        key.removeprefix("settings."): value
+        for key, value in document.values.items()
+        if key.startswith("settings.")
+    }
+    driver = _beside(file, link.driver) if link.driver else None
+    return link, driver, MappingProxyType(settings)
 
 
 def _beside(file: Path, name: str) -> Path:

@@ -48,7 +48,7 @@ def identity_findings(
     wrong = {each.key: each for each in identity.mismatches(expected, said)}
     x, y, z = said.cog
     lines = {
-        "hardware.serial": said.serial,
+        "hardware.serial": said.serial or "unknown: the robot tells none",
         "robot": said.model,
         "hardware.payload.mass": f"{said.mass:g} kg",
         "hardware.payload.cog": f"[{x:g}, {y:g}, {z:g}] m",

@@ -6,6 +6,7 @@ The link's own state is no part of it: an arm that could move reads READY here, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -112,3 +113,30 @@ def ur_reading(
         )
     warning = "the safety mode is reduced" if safety == _REDUCED else ""
     return Reading(Condition.READY, warning, speed_scaling=speed_scaling)
+
+
+_RECOVER = "look for the cause, then ./surg robot CELL recover"
+_FRANKA_MODES = {
+    "other": Reading(Condition.BRAKED, "the brakes are on", "release them in Desk, activate FCI"),
+    "guiding": Reading(Condition.GUIDED, "the arm is guided by hand", "end it, then " + START),
+    "user_stopped": Reading(
+        Condition.ESTOP, "user stop", "release the external activation device, then " + START
+    ),
+    "automatic_error_recovery": Reading(Condition.STOPPED, "the robot recovers", "wait"),
+}
+
+
+def franka_reading(mode: str, errors: Sequence[str], slow: str = "") -> Reading:
+    """What a Franka's mode means.
+
+    Args:
+        mode: Name of libfranka's robot mode: ``idle``, ``move``, ``user_stopped``.
+        errors: The library's names of the errors that are set.
+        slow: A warning about the connection.
+    """
+    if mode == "reflex":
+        return Reading(Condition.STOPPED, f"reflex: {', '.join(errors) or 'no error'}", _RECOVER)
+    if mode in ("idle", "move"):
+        return Reading(Condition.READY, slow)
+    unknown = Reading(Condition.BROKEN, f"unknown robot mode {mode!r}", "see Desk")
+    return _FRANKA_MODES.get(mode, unknown)

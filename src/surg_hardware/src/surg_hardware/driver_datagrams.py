@@ -17,13 +17,16 @@ MOST_TEXT = 400
 """[bytes] Of a sentence."""
 LONGEST = 1024
 """[bytes] Of a datagram."""
-REQUESTS = ("start", "stop", "guide")
+REQUESTS = ("start", "stop", "guide", "recover")
 
 _STATE, _IDENTITY, _NOTICE, _COMMAND, _REQUEST = range(1, 6)
-_STATE_LAYOUT = struct.Struct("<BBBBBqQqd8d8d")
-_IDENTITY_LAYOUT = struct.Struct("<B8dB6d6dd3d32s32s")
+_STATE_LAYOUT = struct.Struct("<BBBBBqQqd8d8d6d")
+_IDENTITY_LAYOUT = struct.Struct("<B8dB12dd3dB32s32s")
 _COMMAND_LAYOUT = struct.Struct("<BBq8d")
 _REQUEST_LAYOUT = struct.Struct("<BB8s")
+
+
+_NO_WRENCH = (0.0,) * 6
 
 
 class DatagramError(ValueError):
@@ -39,6 +42,9 @@ class StateDatagram:
     q: tuple[float, ...]
     qd: tuple[float, ...]
     status: Status
+    # (6,) force [N] and torque [N m] from outside, in the robot's base as ROS has it, by the
+    # robot's own estimate; empty: it makes none
+    wrench: tuple[float, ...] = ()
 
     def pack(self) -> bytes:
         """As bytes."""
@@ -48,27 +54,31 @@ class StateDatagram:
             len(self.q),
             status.condition,
             status.dead_man,
-            0,
+            len(self.wrench),
             self.stamp_ns,
             self.tick,
             status.last_command_ns,
             status.speed_scaling,
             *_padded(self.q),
             *_padded(self.qd),
+            *(self.wrench or _NO_WRENCH),
         )
         return head + _cut(status.fault)
 
 
 @dataclass(frozen=True)
 class IdentityDatagram:
-    """What the robot says of itself, at rest; poses as a UR states them (RTDE)."""
+    """What the robot says of itself, at rest.
+
+    ``flange`` is the upper three rows of its pose in the robot's base as ROS has it; ``serial`` is
+    None for a robot that tells none.
+    """
 
     q: tuple[float, ...]
-    tcp_pose: tuple[float, ...]  # (6,) [m], [rad]
-    tcp_offset: tuple[float, ...]  # (6,)
+    flange: tuple[float, ...]  # (12,) row by row
     mass: float
     cog: tuple[float, float, float]
-    serial: str
+    serial: str | None
     model: str
 
     def pack(self) -> bytes:
@@ -77,11 +87,11 @@ class IdentityDatagram:
             _IDENTITY,
             *_padded(self.q),
             len(self.q),
-            *self.tcp_pose,
-            *self.tcp_offset,
+            *self.flange,
             self.mass,
             *self.cog,
-            self.serial.encode()[:32],
+            self.serial is not None,
+            (self.serial or "").encode()[:32],
             self.model.encode()[:32],
         )
 
@@ -134,15 +144,17 @@ def decode_from_driver(data: bytes) -> FromDriver:
     """
     kind = data[0] if data else 0
     if kind == _STATE and _STATE_LAYOUT.size <= len(data) <= _STATE_LAYOUT.size + MOST_TEXT:
-        _, n, condition, dead_man, _, stamp_ns, tick, last_ns, scaling, *joints = (
+        _, n, condition, dead_man, forces, stamp_ns, tick, last_ns, scaling, *joints = (
             _STATE_LAYOUT.unpack_from(data)
         )
-        if n > MOST_JOINTS or condition not in Condition.__members__.values():
-            raise DatagramError(f"{n} joints, condition {condition}")
+        known = condition in Condition.__members__.values()
+        if n > MOST_JOINTS or not known or forces not in (0, 6):
+            raise DatagramError(f"{n} joints, condition {condition}, {forces} forces")
         fault = data[_STATE_LAYOUT.size :].decode("utf-8", "replace")
         status = Status(Condition(condition), fault, bool(dead_man), last_ns, scaling)
         q, qd = joints[:n], joints[MOST_JOINTS : MOST_JOINTS + n]
-        return StateDatagram(stamp_ns, tick, tuple(q), tuple(qd), status)
+        wrench = joints[2 * MOST_JOINTS :][:forces]
+        return StateDatagram(stamp_ns, tick, tuple(q), tuple(qd), status, tuple(wrench))
     if kind == _IDENTITY and len(data) == _IDENTITY_LAYOUT.size:
         values = _IDENTITY_LAYOUT.unpack(data)
         n = values[9]
@@ -150,12 +162,11 @@ def decode_from_driver(data: bytes) -> FromDriver:
             raise DatagramError(f"{n} joints")
         return IdentityDatagram(
             values[1 : 1 + n],
-            values[10:16],
-            values[16:22],
+            values[10:22],
             values[22],
             (values[23], values[24], values[25]),
-            _text(values[26]),
-            _text(values[27]),
+            _text(values[27]) if values[26] else None,
+            _text(values[28]),
         )
     if kind == _NOTICE and len(data) <= 1 + MOST_TEXT:
         return NoticeDatagram(data[1:].decode("utf-8", "replace"))

@@ -28,10 +28,10 @@ KINEMATICS = "check the model; then read the arm's own kinematics: ./surg robot 
 class Identity:
     """What the cell, or the robot, says of an arm: payload mass [kg] and its centre [m] (3,).
 
-    A robot's ``serial`` and ``model`` are empty where unknown.
+    A robot's ``serial`` and ``model`` are empty where unknown; its serial is None if it tells none.
     """
 
-    serial: str
+    serial: str | None
     model: str
     mass: float
     cog: tuple[float, float, float]
@@ -61,7 +61,7 @@ class Mismatch:
 def mismatches(expected: Identity, found: Identity) -> list[Mismatch]:
     """Where the robot is not the one that the cell means; empty: it is."""
     wrong = []
-    if found.serial != expected.serial:
+    if found.serial is not None and found.serial != expected.serial:
         wrong.append(
             Mismatch(
                 "hardware.serial",
@@ -148,3 +148,16 @@ def ur_flange(tcp_pose: Sequence[float], tcp_offset: Sequence[float]) -> Array:
     turn = np.diag([-1.0, -1.0, 1.0, 1.0])
     flange: Array = turn @ ur_pose(tcp_pose) @ np.linalg.inv(ur_pose(tcp_offset))
     return flange
+
+
+def ur_wrench(values: Sequence[float]) -> tuple[float, ...]:
+    """RTDE's ``actual_TCP_force`` in ROS's base_link: force [N], torque [N m] (6,)."""
+    fx, fy, fz, tx, ty, tz = values
+    return -fx, -fy, fz, -tx, -ty, tz
+
+
+def rigid(rows: Sequence[float]) -> Array:
+    """A pose (4, 4) from its upper three rows, row by row (12,)."""
+    pose = np.eye(4)
+    pose[:3] = np.array(rows, dtype=np.float64).reshape(3, 4)
+    return pose

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import select
 import socket
 import struct
@@ -20,12 +21,14 @@ from typing import Any
 
 import numpy as np
 import rospy
+from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 import surg_core
 from crtk_msgs.msg import OperatingState, StringStamped
 from surg_hardware import identity
+from surg_hardware.arm_driver import DriverSettings
 from surg_hardware.conditions import OFFLINE, Condition
 from surg_hardware.driver_datagrams import (
     LONGEST,
@@ -38,8 +41,8 @@ from surg_hardware.driver_datagrams import (
     decode_from_driver,
 )
 from surg_hardware.driver_process import NotHere, is_emulated, realtime
+from surg_hardware.link_programs import NoProgram, driver_name, driver_words, search_path
 from surg_hardware.robot_link import Status
-from surg_hardware.ur.ur_driver import DriverSettings
 from surg_msgs.msg import LinkStatus
 from surg_ros import link_messages
 from surg_ros.params import read, text
@@ -70,11 +73,15 @@ def driver_settings(arm: surg_core.Arm) -> DriverSettings:
     """What the driver needs of an arm.
 
     Raises:
-        ConfigError: The cell states no hardware for it.
+        ConfigError: The cell states no hardware for it, or nothing drives its link.
     """
     hardware = arm.hardware
     if hardware is None:
         raise surg_core.ConfigError(f"arms.{arm.name}.hardware: is missing; link_node needs it")
+    try:
+        driver = driver_name(arm.link, arm.driver)
+    except NoProgram as error:
+        raise surg_core.ConfigError(f"arms.{arm.name}.{error}") from error
     return DriverSettings(
         address=hardware.address,
         realtime=hardware.realtime,
@@ -83,6 +90,8 @@ def driver_settings(arm: surg_core.Arm) -> DriverSettings:
         acceleration=tuple((arm.robot.acceleration / arm.link_config.acceleration).tolist()),
         dead_man=arm.link_config.dead_man,
         stop_deceleration=arm.link_config.stop_deceleration,
+        driver=driver,
+        options=dict(arm.link_settings),
     )
 
 
@@ -104,6 +113,10 @@ class LinkNode:
         root = f"/{arm.name}"
         self._state_out = DirectPublisher(f"{root}/robot/measured_js", JointState, blocking=False)
         self._status_out = DirectPublisher(f"{root}/robot/status", LinkStatus, blocking=False)
+        self._force_out = DirectPublisher(
+            f"{root}/robot/measured_cf", WrenchStamped, blocking=False
+        )
+        self._force_frame = link_messages.text(f"{arm.name}_base")
         self._warning_out = rospy.Publisher(f"{root}/warning", String, queue_size=10)
         self._driver, self._socket = self._start_driver()
         keys: dict[str, Any] = {"tcp_nodelay": True}
@@ -115,11 +128,14 @@ class LinkNode:
 
     def _start_driver(self) -> tuple[subprocess.Popen[bytes], socket.socket]:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        program = driver_words(self._arm.link, self._arm.driver)
         words = [json.dumps(asdict(self._settings)), str(theirs.fileno())]
+        ours_only = program[0] == sys.executable
         driver = subprocess.Popen(
-            [sys.executable, "-s", "-m", "surg_hardware.ur.ur_driver", *words],
+            [*program, *words],
             pass_fds=(theirs.fileno(),),
             stdin=subprocess.DEVNULL,
+            env=None if ours_only else {**os.environ, "PYTHONPATH": search_path()},
         )
         theirs.close()
         ours.setblocking(False)
@@ -195,6 +211,11 @@ class LinkNode:
         self._say_status()
         q, qd = np.array(state.q), np.array(state.qd)
         self._state_out.send(self._layout.pack(state.tick, state.stamp_ns, q, qd))
+        if state.wrench:
+            frame = self._force_frame
+            self._force_out.send(
+                link_messages.pack_wrench(state.tick, state.stamp_ns, frame, state.wrench)
+            )
 
     def _check_silence(self) -> None:
         if time.monotonic() - self._heard_at > SILENCE:
@@ -207,11 +228,11 @@ class LinkNode:
 
     def _check_identity(self, found: IdentityDatagram) -> None:
         """Whether this is the arm that the cell means; another one is refused for good."""
-        self._serial = found.serial
+        self._serial = found.serial or ""
         said = identity.Identity(found.serial, found.model, found.mass, found.cog)
         wrong = identity.mismatches(identity.of_cell(self._arm), said)
         ours = self._arm.chain.forward(np.array(found.q))
-        theirs = identity.ur_flange(found.tcp_pose, found.tcp_offset)
+        theirs = identity.rigid(found.flange)
         if (flange := identity.flange_mismatch(ours, theirs)) is not None:
             wrong.append(flange)
         if wrong:

@@ -21,9 +21,14 @@ class RobotClock:
 
     ``known_for`` is how long states have come since the first one or the last restart, on our
     clock [s].
+
+    Args:
+        window: In which the least delay is looked for [s]. Where states come as datagrams and are
+            never buffered, a short one follows a clock that runs slow, such as a simulator's.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, window: float = WINDOW) -> None:
+        self._window = window
         self.reset()
 
     def reset(self) -> None:
@@ -54,6 +59,6 @@ class RobotClock:
         while self._least and self._least[-1][1] >= offset:
             self._least.pop()
         self._least.append((now, offset))
-        while self._least[0][0] < now - WINDOW:
+        while self._least[0][0] < now - self._window:
             self._least.popleft()
         return robot_time + self._least[0][1]

@@ -60,6 +60,7 @@ class RobotState:
     executed: int = 0  # number of the command that the program obeys
     ahead: tuple[float, ...] = ()  # targets of its joints minus their angles [rad]; empty: unknown
     paused: bool = False  # whether its program waits, and goes on when a person presses play
+    wrench: tuple[float, ...] = ()  # from outside, as in `StateDatagram`; empty: not measured
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ class StopRamp:
 
     def __init__(self, start: Sequence[float], ahead: Sequence[float], deceleration: float) -> None:
         self._start = tuple(start)
-        leading = max(map(abs, self._start))
+        leading = max(abs(each) for each in self._start)
         self._braking = leading / deceleration
         self._back = _beside(ahead, self._start, LARGEST_LAG * leading)
         self._duration = max(self._braking, LEAST) if any(self._back) else self._braking

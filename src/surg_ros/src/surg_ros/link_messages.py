@@ -80,6 +80,18 @@ class LinkSays:
         )
 
 
+def pack_wrench(seq: int, stamp_ns: int, frame: bytes, wrench: Sequence[float]) -> bytes:
+    """A geometry_msgs/WrenchStamped as bytes.
+
+    Args:
+        seq: Of the header.
+        stamp_ns: When it was measured [ns].
+        frame: Id of the frame with its length in front, see `text`.
+        wrench: Force [N] and torque [N m] (6,).
+    """
+    return header(seq, stamp_ns, frame) + struct.pack("<6d", *wrench)
+
+
 def unpack_header(data: bytes) -> tuple[int, int]:
     """Stamp [ns] and offset behind the header.
 

@@ -21,6 +21,7 @@ ACTIONS = {
     "start": "let each robot obey its commands; nothing moves by it",
     "stop": "bring each robot to rest; it obeys nothing until the next start",
     "guide": "let a person guide each robot by hand, until stop",
+    "recover": "clear a reflex of a Franka, after a person has looked for its cause",
     "lag": "measure the lag of each arm's link from its motion",
 }
 TOLERANCE_S = 0.003

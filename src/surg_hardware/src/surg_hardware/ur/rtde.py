@@ -28,6 +28,7 @@ OUTPUTS = (
     "target_speed_fraction",
     "robot_status_bits",
     "actual_TCP_pose",
+    "actual_TCP_force",
     "tcp_offset",
     "payload",
     "payload_cog",

@@ -1,76 +1,43 @@
 """The process that drives one UR arm: a loop on the robot's own cycle, without ROS.
 
-``python3 -m surg_hardware.ur.ur_driver SETTINGS FD``: settings as JSON (`DriverSettings`), and the
-number of the socket that the node shares with it. Exit code 0: asked to end; 1: the node has gone,
-or an error; 2: this robot must not be driven, with the reason on stderr.
+``python3 -m surg_hardware.ur.ur_driver SETTINGS FD``, see `arm_driver`.
 """
 
 from __future__ import annotations
 
-import gc
-import json
 import math
 import select
-import signal
 import socket
 import sys
 import threading
 import time
-from dataclasses import dataclass
 
-from surg_hardware import driver_process
-from surg_hardware.conditions import OFFLINE, ur_reading
-from surg_hardware.driver_datagrams import (
-    LONGEST,
-    REQUESTS,
-    CommandDatagram,
-    DatagramError,
-    IdentityDatagram,
-    NoticeDatagram,
-    StateDatagram,
-    decode_to_driver,
+from surg_hardware.arm_driver import (
+    AGAIN,
+    FIRST_CONNECTION,
+    LAST_RAMP,
+    STALE,
+    ArmDriver,
+    DriverSettings,
+    RobotRefused,
+    serve,
 )
-from surg_hardware.robot_clock import RobotClock
-from surg_hardware.robot_link import Command, CommandPhase, RobotLink, RobotState, Settings, Status
+from surg_hardware.conditions import OFFLINE, ur_reading
+from surg_hardware.driver_datagrams import IdentityDatagram
+from surg_hardware.identity import ur_flange, ur_wrench
+from surg_hardware.robot_link import CommandPhase, RobotState
 from surg_hardware.ur import dashboard, urscript
 from surg_hardware.ur.rtde import Rtde, RtdeError, RtdeRefused, Values
 
-JOINTS = 6
-STALE = 0.04
-"""[s] A state that is older is not sent on; without any for this time the robot is lost."""
-LATE_COMMAND = 0.2
-"""[s] A command that answers an older state came too late and is ignored."""
+CYCLE = 0.002
+"""[s] Of an e-Series."""
 WAIT = 0.02
 """[s] Longest wait for a packet."""
-FIRST_CONNECTION, AGAIN, SILENCE = 5.0, 0.5, 1.0
-"""[s] Longest wait for the robot at the start; pause between attempts; silence that ends one."""
-LAST_RAMP = 0.5
-"""[s] The arm comes to rest before the driver ends."""
-IDENTITY_PERIOD = 1.0
-"""[s] Between two looks at the robot's identity, at rest."""
+SILENCE = 1.0
+"""[s] Without a packet, after which the connection is given up."""
 _PLAYING = 2
 _PAUSED = (3, 4)  # pausing, paused
 _TEACH_BUTTON = 4  # bit of robot_status_bits
-
-
-@dataclass(frozen=True)
-class DriverSettings:
-    """Of one driver; ``realtime`` is the priority, ``link`` as in `robot_link.Settings`."""
-
-    address: str
-    realtime: int
-    velocity: tuple[float, ...]
-    acceleration: tuple[float, ...]
-    dead_man: float
-    stop_deceleration: float
-
-    @staticmethod
-    def from_json(text: str) -> DriverSettings:
-        """Read what `json.dumps` of the fields has written."""
-        given = json.loads(text)
-        given["velocity"] = tuple(given["velocity"])
-        given["acceleration"] = tuple(given["acceleration"])
-        return DriverSettings(**given)
 
 
 def robot_state(values: Values) -> RobotState:
@@ -93,48 +60,31 @@ def robot_state(values: Values) -> RobotState:
         paused=values["runtime_state"][0] in _PAUSED,
         executed=int(values["output_int_register_24"][0]),
         ahead=tuple(b - a for a, b in zip(values["actual_q"], values["target_q"], strict=True)),
+        wrench=ur_wrench(values["actual_TCP_force"]),
     )
 
 
-class UrDriver:
+class UrDriver(ArmDriver):
     """Drives one arm; `run` returns when it shall end."""
 
     def __init__(self, settings: DriverSettings, node: socket.socket) -> None:
-        self._settings, self._node = settings, node
-        node.setblocking(False)
-        self._link = RobotLink(
-            Settings(
-                settings.velocity,
-                settings.acceleration,
-                settings.dead_man,
-                settings.stop_deceleration,
-            )
-        )
-        self._clock = RobotClock()
-        self._phase = CommandPhase()
+        super().__init__(settings, node, CYCLE)
+        self._phase = CommandPhase(CYCLE)
         self._rtde: Rtde | None = None
-        self._command: Command | None = None
         self._program = False  # whether any program runs on the robot
         self._serial = self._model = ""
-        self._tick = 0
-        self._arrived = self._tried = self._identified = -1e9  # our clock
-        self._ended_program = -1e9
-        self._sent: Status | None = None
-        self._ended = ""
-
-    def end(self, why: str) -> None:
-        """Let `run` end once the arm is at rest; for signals too."""
-        self._ended = self._ended or why
+        self._arrived = self._ended_program = -1e9  # our clock
+        self._requests = {
+            "start": self._start,
+            "stop": self._stop,
+            "guide": self._guide,
+            "recover": self._recover,
+        }
 
     # --- the loop -------------------------------------------------------------------------------
 
     def run(self) -> None:
-        """Serve until `end`, or until the node has gone.
-
-        Raises:
-            RtdeRefused: This robot cannot be driven.
-            TimeoutError: Nobody answers at the address.
-        """
+        """As `ArmDriver.run`."""
         self._connect_first()
         deadline = math.inf
         try:
@@ -186,27 +136,17 @@ class UrDriver:
         """Answer one state of the robot."""
         state = robot_state(values)
         self._program = state.program
-        if not driver_process.finite((state.time, *state.q, *state.qd)):
-            self._say_lost()
+        step = self._step(state, now)
+        if step is None:
             return
-        if self._clock.restarted(state.time):
-            self._link.lost()
-            self._notice("the robot was restarted: its clock went back")
-        taken = self._clock.arrived(state.time, now)
-        step = self._link.step(state, self._command, now)
         if step.qd is not None:
             rtde.send(step.number, step.qd)
-        self._tick += 1
-        self._sent = step.status
-        if now - taken <= STALE:
-            stamp = time.time_ns() - round(1e9 * (now - taken))
-            self._say(StateDatagram(stamp, self._tick, state.q, state.qd, step.status).pack())
+        self._report(state, step.status, now)
         if step.end_program and now - self._ended_program > AGAIN:
             self._ended_program = now
             # Beside the loop: the dashboard may take its time.
             threading.Thread(target=self._end_program, daemon=True).start()
-        if self._link.at_rest and now - self._identified > IDENTITY_PERIOD:
-            self._identified = now
+        if self._identity_is_due(now):
             self._say_identity(values)
         for text in rtde.messages:
             self._notice(f"the robot says: {text}")
@@ -228,8 +168,8 @@ class UrDriver:
             try:
                 self._connect()
                 return
-            except RtdeRefused:
-                raise
+            except RtdeRefused as error:
+                raise RobotRefused(str(error)) from error
             except OSError as error:
                 if time.monotonic() > deadline:
                     raise TimeoutError(f"hardware.address: {error}") from error
@@ -248,39 +188,13 @@ class UrDriver:
         self._notice(f"the connection to the robot has ended: {why}")
         self._say_lost()
 
-    # --- the node -------------------------------------------------------------------------------
-
-    def _read_node(self) -> None:
-        """Take the node's newest command and its requests."""
-        try:
-            while True:
-                data = self._node.recv(LONGEST)
-                if not data:
-                    self.end("the link's node has ended")
-                    return
-                try:
-                    message = decode_to_driver(data)
-                except DatagramError as error:
-                    self._notice(f"from the node: {error}")
-                    continue
-                if isinstance(message, CommandDatagram):
-                    if time.time_ns() - message.stamp_ns <= LATE_COMMAND * 1e9:
-                        self._command = Command(message.qd, message.stamp_ns, time.monotonic())
-                elif refusal := self._obey(message.word, message.enabled):
-                    self._notice(f"{message.word}: {refusal}")
-        except BlockingIOError:
-            pass
-        except OSError as error:
-            self.end(f"the link's node: {error}")
+    # --- requests of the node -------------------------------------------------------------------
 
     def _obey(self, word: str, enabled: bool) -> str:
-        """Obey a request; returns why not, or nothing."""
-        if word not in REQUESTS:
-            return f"is unknown; allowed: {', '.join(REQUESTS)}"
         if self._rtde is None:
             return OFFLINE.text
         try:
-            return {"start": self._start, "stop": self._stop, "guide": self._guide}[word](enabled)
+            return super()._obey(word, enabled)
         except OSError as error:
             self._link.end(f"the robot could not be asked: {error}")
             return f"the robot does not answer its dashboard or script port: {error}"
@@ -322,20 +236,16 @@ class UrDriver:
         dashboard.upload(self._settings.address, program)
         return ""
 
-    def _say_lost(self) -> None:
-        """Tell the node, on change, that no state comes."""
-        status = self._link.lost()
-        if status != self._sent:
-            self._say(StateDatagram(0, self._tick, (), (), status).pack())
-        self._sent = status
+    def _recover(self, enabled: bool) -> str:
+        return "a UR is unlocked on its pendant"
 
     def _say_identity(self, values: Values) -> None:
         x, y, z = values["payload_cog"]
+        flange = ur_flange(values["actual_TCP_pose"], values["tcp_offset"])
         self._say(
             IdentityDatagram(
                 values["actual_q"],
-                values["actual_TCP_pose"],
-                values["tcp_offset"],
+                tuple(flange[:3].ravel().tolist()),
                 values["payload"][0],
                 (x, y, z),
                 self._serial,
@@ -343,38 +253,6 @@ class UrDriver:
             ).pack()
         )
 
-    def _notice(self, text: str) -> None:
-        self._say(NoticeDatagram(text).pack())
-
-    def _say(self, data: bytes) -> None:
-        """Send to the node; one that does not read misses it."""
-        try:
-            self._node.send(data)
-        except BlockingIOError:
-            pass
-        except OSError as error:
-            self.end(f"the link's node: {error}")
-
-
-def main(arguments: list[str]) -> int:
-    """Entry point; returns the exit code."""
-    settings = DriverSettings.from_json(arguments[0])
-    node = socket.socket(fileno=int(arguments[1]))
-    driver = UrDriver(settings, node)
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, lambda *_: driver.end("the driver was asked to end"))
-    try:
-        with driver_process.alone(settings.address):
-            driver_process.die_with_parent()
-            driver_process.realtime(settings.realtime, settings.address)
-            gc.freeze()
-            gc.disable()  # the loop makes no cycles, and a collection would be late
-            driver.run()
-    except (driver_process.NotHere, RtdeRefused, TimeoutError) as error:
-        print(f"{settings.address}: {error}", file=sys.stderr, flush=True)
-        return 2
-    return 0
-
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(serve(UrDriver, sys.argv[1:]))

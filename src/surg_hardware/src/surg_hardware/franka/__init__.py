@@ -1,0 +1,1 @@
+"""Links to Franka arms: FR3 by pylibfranka, Panda by panda-python."""

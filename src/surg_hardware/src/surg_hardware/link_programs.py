@@ -1,0 +1,74 @@
+"""Which program drives the arm of a link, and in which Python."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+MODULES = {
+    "ur": "surg_hardware.ur.ur_driver",
+    "fr3": "surg_hardware.adapter_driver",
+    "panda": "surg_hardware.adapter_driver",
+}
+"""Links of the platform -> module of their driver."""
+REQUIREMENTS = "packages.lock"
+"""Packages of a driver's own environment, pinned with hashes; beside the driver."""
+_PACKAGE = Path(__file__).resolve().parent
+_FOLDERS = {"fr3": _PACKAGE / "franka", "panda": _PACKAGE / "franka"}
+
+
+class NoProgram(ValueError):
+    """There is nothing that drives this link; says what is missing, and the cure."""
+
+
+def requirements(link: str, driver: Path | None) -> Path | None:
+    """The packages that a link's driver needs; None: it needs none.
+
+    Args:
+        link: The link, as the cell names it.
+        driver: Folder of a driver from elsewhere.
+    """
+    folder = driver or _FOLDERS.get(link)
+    if folder is None or not (folder / REQUIREMENTS).is_file():
+        return None
+    return folder / REQUIREMENTS
+
+
+def environment(lock: Path) -> Path:
+    """The folder of the environment for these packages: beside the platform's own."""
+    return Path(sys.prefix).parent / f".venv-link-{lock.parent.name}"
+
+
+def driver_name(link: str, driver: Path | None) -> str:
+    """What drives an arm: the link's name, or the folder of a driver from elsewhere.
+
+    Raises:
+        NoProgram: Nothing does.
+    """
+    if driver is None and link not in MODULES:
+        raise NoProgram(
+            f"link: {link!r} has a section hardware, and its YAML names no driver: "
+            "add 'driver: FOLDER' to it, or remove hardware and start the link by hand"
+        )
+    return str(driver or link)
+
+
+def driver_words(link: str, driver: Path | None) -> list[str]:
+    """The words that start the driver of a link.
+
+    Raises:
+        NoProgram: There is no driver, or its environment is missing.
+    """
+    driver_name(link, driver)
+    python = sys.executable
+    if (lock := requirements(link, driver)) is not None:
+        python = str(environment(lock) / "bin" / "python")
+        if not Path(python).is_file():
+            raise NoProgram(f"{lock}: its environment {python} is missing: ./surg up makes it")
+    module = "surg_hardware.adapter_driver" if driver is not None else MODULES[link]
+    return [python, "-s", "-m", module]
+
+
+def search_path() -> str:
+    """PYTHONPATH of a driver with an environment of its own: this package, and nothing of ROS."""
+    return str(_PACKAGE.parent)

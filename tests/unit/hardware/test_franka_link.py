@@ -1,0 +1,259 @@
+"""The links to FR3 and Panda with a made-up library on a made-up clock: exact in milliseconds."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import socket
+import sys
+import types
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from helpers.hardware import fake_libfranka
+from helpers.hardware.fake_libfranka import Arm, RobotMode
+from surg_hardware import adapter_driver, arm_driver, robot_link
+from surg_hardware import driver_datagrams as wire
+from surg_hardware.arm_driver import DriverSettings, RobotRefused
+from surg_hardware.conditions import Condition
+from surg_hardware.franka.joint_limits import FR3, PANDA
+from surg_hardware.franka.versions import refusal
+
+LIBRARIES: dict[str, Callable[[Arm], dict[str, types.ModuleType]]] = {
+    "fr3": lambda arm: {"pylibfranka": fake_libfranka.pylibfranka(arm)},
+    "panda": lambda arm: {"panda_py": fake_libfranka.panda_py(arm)},
+}
+LIMITS = {"fr3": FR3, "panda": PANDA}
+OPTIONS: dict[str, object] = {
+    "collision_torque": [20.0] * 7,
+    "collision_force": [25.0] * 6,
+    "success_rate": 0.95,
+}
+SPEED = (0.2, -0.1, 0.05, 0.0, 0.1, -0.2, 0.3)
+
+
+class Rig:
+    """A driver in this thread, with the node's side of its socket."""
+
+    def __init__(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+        middle = [0.5 * (joint.lower + joint.upper) for joint in LIMITS[name]]
+        self.arm = Arm(LIMITS[name], middle)
+        for module, made in LIBRARIES[name](self.arm).items():
+            monkeypatch.setitem(sys.modules, module, made)
+        monkeypatch.delitem(sys.modules, f"surg_hardware.franka.{name}_adapter", raising=False)
+        clock = types.SimpleNamespace(
+            monotonic=lambda: fake_libfranka.T * self.arm.count,
+            time_ns=lambda: round(1e9 * fake_libfranka.T * self.arm.count),
+            sleep=lambda seconds: None,
+        )
+        monkeypatch.setattr(arm_driver, "time", clock)
+        monkeypatch.setattr(adapter_driver, "time", clock)
+        monkeypatch.setattr(robot_link, "SETTLED", 0.1)
+        self._node, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._node.setblocking(False)
+        velocity = tuple(joint.velocity for joint in LIMITS[name])
+        settings = DriverSettings(
+            "127.0.0.1", 40, velocity, (math.inf,) * 7, 0.02, 6.0, name, OPTIONS
+        )
+        self.driver = adapter_driver.made(settings, theirs)
+        self.driver._connect_first()
+        self.status = None
+        self.states: list[wire.StateDatagram] = []
+        self.notices: list[str] = []
+        self.identity: wire.IdentityDatagram | None = None
+
+    def cycles(self, count: int, qd: tuple[float, ...] | None = (0.0,) * 7) -> None:
+        """Some milliseconds, with a command every second one."""
+        for _ in range(count):
+            if qd is not None and self.arm.count % 2 == 0:
+                stamp = round(1e6 * self.arm.count)
+                self._node.send(wire.CommandDatagram(stamp, qd).pack())
+            self.driver._turn()
+            self._hear()
+
+    def _hear(self) -> None:
+        try:
+            while True:
+                said = wire.decode_from_driver(self._node.recv(wire.LONGEST))
+                if isinstance(said, wire.StateDatagram):
+                    self.states.append(said)
+                elif isinstance(said, wire.NoticeDatagram):
+                    self.notices.append(said.text)
+                else:
+                    self.identity = said
+        except BlockingIOError:
+            pass
+
+    @property
+    def condition(self) -> Condition:
+        return self.states[-1].status.condition
+
+    def ask(self, word: str, enabled: bool = False) -> None:
+        self._node.send(wire.RequestDatagram(word, enabled).pack())
+        self.cycles(2)
+
+    def started(self) -> Rig:
+        self.cycles(110)
+        self.ask("start")
+        self.cycles(30)
+        assert self.condition is Condition.ACTIVE, self.notices
+        return self
+
+    def close(self) -> None:
+        self.driver._adapter.close()
+        self._node.close()
+
+
+@pytest.fixture(params=LIBRARIES)
+def rig(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
+    made = Rig(request.param, monkeypatch)
+    yield made
+    made.close()
+
+
+def test_it_moves_as_commanded_and_ends_at_rest(rig: Rig) -> None:
+    rig.started().cycles(300, SPEED)
+    assert rig.arm.dq_d == pytest.approx(SPEED, abs=1e-3)
+    rig.cycles(100)
+    rig.ask("stop")
+    rig.cycles(100)
+    assert rig.arm.mode is RobotMode.Idle and rig.arm.ended is not None
+    assert rig.arm.ended < 1e-3
+    assert rig.condition is Condition.READY and "start" in rig.states[-1].status.fault
+    assert max(rig.arm.excess) <= 0.951
+
+
+def test_a_stop_from_motion_is_no_step(rig: Rig) -> None:
+    rig.started().cycles(300, SPEED)
+    rig.ask("stop")
+    rig.cycles(200, SPEED)
+    assert rig.arm.mode is RobotMode.Idle
+    assert rig.arm.ended is not None and rig.arm.ended < 1e-3
+    assert max(rig.arm.excess) <= 0.951
+
+
+def test_a_silent_controller_ends_the_motion_within_20_ms_and_it_latches(rig: Rig) -> None:
+    rig.started().cycles(300, SPEED)
+    before = rig.arm.count
+    while rig.arm.mode is RobotMode.Move:
+        rig.cycles(1, None)
+    stopped = rig.arm.count - before
+    print(f"at rest after {stopped} ms")
+    assert stopped <= 90 and rig.arm.ended is not None and rig.arm.ended < 1e-3
+    rig.cycles(200, SPEED)
+    assert rig.condition is Condition.READY and max(map(abs, rig.arm.dq_d)) < 1e-9
+
+
+def test_lost_commands_do_not_end_in_a_reflex(rig: Rig) -> None:
+    rig.started()
+    for k in range(20):
+        rig.arm.lose = k % 5
+        rig.cycles(37, SPEED if k % 2 else tuple(-v for v in SPEED))
+    assert rig.arm.mode is RobotMode.Move and max(rig.arm.excess) <= 0.96
+
+
+def test_a_reflex_is_named_latches_and_is_recovered(rig: Rig) -> None:
+    rig.started().cycles(100, SPEED)
+    rig.arm.reflex("joint_reflex")
+    rig.cycles(4, SPEED)
+    assert rig.condition is Condition.STOPPED
+    assert "joint_reflex" in rig.states[-1].status.fault
+    rig.cycles(1200)
+    rig.ask("start")
+    assert rig.condition is Condition.STOPPED
+    rig.ask("recover", enabled=True)
+    assert rig.condition is Condition.STOPPED, "a controller that is ENABLED keeps it stopped"
+    rig.ask("recover")
+    rig.cycles(10)
+    assert rig.condition is Condition.READY
+    rig.ask("start")
+    rig.cycles(20)
+    assert rig.condition is Condition.ACTIVE, rig.notices
+
+
+MODES = {
+    RobotMode.Other: Condition.BRAKED,
+    RobotMode.Guiding: Condition.GUIDED,
+    RobotMode.UserStopped: Condition.ESTOP,
+}
+
+
+@pytest.mark.parametrize("mode", MODES, ids=lambda mode: mode.name)
+def test_other_modes_end_the_motion_within_3_cycles(rig: Rig, mode: RobotMode) -> None:
+    rig.started().cycles(100, SPEED)
+    rig.arm.mode = mode
+    rig.cycles(3, SPEED)
+    assert rig.condition is MODES[mode] and rig.states[-1].status.fault
+    rig.arm.mode = RobotMode.Idle
+    rig.cycles(100, SPEED)
+    assert rig.condition is Condition.READY, "it waits for a person"
+
+
+def test_states_come_every_second_cycle_with_the_robots_wrench(rig: Rig) -> None:
+    rig.cycles(1000)
+    assert 480 < len(rig.states) < 520
+    assert rig.states[-1].wrench == (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
+
+
+def test_it_says_who_it_is(rig: Rig) -> None:
+    rig.cycles(10)
+    found = rig.identity
+    assert found is not None and found.serial is None
+    assert found.model == rig.driver._settings.driver
+    assert (found.mass, found.cog) == (0.7, (0.0, 0.01, 0.03))
+    assert found.flange == pytest.approx((0, -1, 0, 0.3, 1, 0, 0, 0.4, 0, 0, 1, 0.4))
+
+
+def test_collision_thresholds_are_set_at_the_start(rig: Rig) -> None:
+    torque, force = OPTIONS["collision_torque"], OPTIONS["collision_force"]
+    assert rig.arm.collision == (torque, torque, force, force)
+
+
+def test_a_bad_connection_is_a_warning(rig: Rig) -> None:
+    rig.started()
+    rig.notices.clear()
+    rig.arm.rate = 0.9
+    rig.cycles(900)
+    assert not rig.notices
+    rig.cycles(150)
+    assert rig.condition is Condition.ACTIVE
+    assert any("10 %" in text for text in rig.notices)
+
+
+@pytest.mark.parametrize(
+    ("options", "key"),
+    [
+        ({**OPTIONS, "collision_torque": [20.0] * 6}, "collision_torque"),
+        ({**OPTIONS, "collision_force": [0.0] * 6}, "collision_force"),
+        ({**OPTIONS, "success_rate": 2.0}, "success_rate"),
+        ({**OPTIONS, "collision": 1.0}, "settings.collision:"),
+        ({}, "collision_torque"),
+    ],
+)
+def test_wrong_settings_are_refused(rig: Rig, options: dict[str, object], key: str) -> None:
+    settings = DriverSettings("127.0.0.1", 40, (), (), 0.02, 6.0, rig.driver._settings.driver)
+    with pytest.raises(RobotRefused, match=key):
+        adapter_driver.made(
+            DriverSettings(**{**settings.__dict__, "options": options}), socket.socket()
+        )
+
+
+INCOMPATIBLE = (
+    "libfranka: Incompatible library version (server version: {}, library version: {}). "
+    "Please check https://frankarobotics.github.io for Panda support"
+)
+
+
+def test_the_wrong_library_is_refused_with_the_link_to_name() -> None:
+    assert "link: panda" in refusal(INCOMPATIBLE.format(5, 10), "fr3")
+    assert "link: fr3" in refusal(INCOMPATIBLE.format(10, 5), "panda")
+    assert "link: fr3" in refusal("libfranka: incorrect object size", "panda")
+    older = refusal(INCOMPATIBLE.format(7, 10), "fr3")
+    assert older and "link: panda" not in older
+    assert refusal("libfranka: Connection to FCI refused.", "fr3") == ""
+
+
+def test_the_adapters_import_where_their_library_is(rig: Rig) -> None:
+    name = rig.driver._settings.driver
+    assert importlib.import_module(f"surg_hardware.franka.{name}_adapter").Driver.model == name
