@@ -272,8 +272,15 @@ def test_automatic_error_recovery_ends_a_reflex_and_nothing_moves(robot: FrankaR
 def test_beyond_a_position_limit_only_a_person_recovers(robot: FrankaRobot) -> None:
     client = connected(robot)
     client.controller.reflex(Error.joint_position_limits_violation, "test")
-    client.controller.motion.q[3] = robot.position_max[3] + 0.01
+    motion = client.controller.motion
+    motion.q[3] = motion.q_d[3] = robot.position_max[3] + 0.01
     assert client.ask("automatic_error_recovery") == "manual"
+    assert client.controller.guide(True, REST)
+    client.wait(1)
+    assert motion.q[3] == robot.position_max[3]
+    assert client.controller.guide(False, REST)
+    assert client.state().mode == RobotMode.REFLEX
+    assert client.ask("automatic_error_recovery") == ""
 
 
 @BOTH

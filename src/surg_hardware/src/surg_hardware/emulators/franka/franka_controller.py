@@ -229,15 +229,21 @@ class FrankaController:
             self.mode = RobotMode.REFLEX if self.errors else RobotMode.IDLE
 
     def guide(self, on: bool, dq: Sequence[float]) -> bool:
-        """A hand guides the arm with joint velocities [rad/s]; whether that is possible now."""
-        if self.mode is not RobotMode.GUIDING and not (
-            self.mode is RobotMode.IDLE and self.motion.at_rest
-        ):
+        """A hand guides the arm with joint velocities [rad/s]; whether that is possible now.
+
+        It is for an idle arm, and for one that no recovery brings back within its limits.
+        """
+        free = self.mode is RobotMode.IDLE or (
+            self.mode is RobotMode.REFLEX and not self._within_limits()
+        )
+        if self.mode is not RobotMode.GUIDING and not (free and self.motion.at_rest):
             return False
-        self.mode = RobotMode.GUIDING if on else RobotMode.IDLE
         self.hand_dq = list(dq)
-        if not on:
+        if on:
+            self.mode = RobotMode.GUIDING
+        else:
             self.motion.lock()
+            self.mode = RobotMode.REFLEX if self.errors else RobotMode.IDLE
         return True
 
     def brakes(self, released: bool) -> None:

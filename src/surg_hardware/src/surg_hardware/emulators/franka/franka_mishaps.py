@@ -32,7 +32,7 @@ def _people(c: FrankaController, emulator: FrankaEmulator) -> dict[str, Kind]:
 
     def guide(on: str = "on", *dq: str) -> str | None:
         worked = c.guide(switch(on), _numbers(dq, 7, "guide", 2.0))
-        return None if worked else "error: only an arm that is idle can be guided"
+        return None if worked else "error: only an idle arm can be guided, or one beyond its limits"
 
     def load(mass: str, *centre: str) -> None:
         place = _numbers(centre, 3, "load", 1.0)
