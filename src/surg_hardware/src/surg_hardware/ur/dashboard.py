@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import time
 from collections.abc import Sequence
 
 DASHBOARD_PORT = 29999
@@ -22,7 +23,9 @@ def ask(address: str, questions: Sequence[str], timeout: float = 1.0) -> list[st
         for question in ("", *questions):  # the server greets first
             if question:
                 peer.sendall(question.encode("ascii") + b"\n")
+            deadline = time.monotonic() + timeout
             while b"\n" not in rest:
+                peer.settimeout(max(deadline - time.monotonic(), 1e-6))
                 data = peer.recv(_LONGEST)
                 if not data or len(rest) > _LONGEST:
                     raise ConnectionError("the dashboard server sent no line")
