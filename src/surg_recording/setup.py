@@ -35,6 +35,8 @@ setuptools.setup(
             "robomimic = surg_recording.datasets.robomimic:Robomimic",
             "act = surg_recording.datasets.act:Act",
             "diffusion_policy = surg_recording.datasets.diffusion_policy:DiffusionPolicy",
+            "mcap = surg_recording.nodes.mcap_exporter_node:Mcap",
+            "rosbag = surg_recording.nodes.rosbag_exporter_node:Rosbag",
         ]
     },
 )

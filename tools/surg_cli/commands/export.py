@@ -11,7 +11,7 @@ from typing import Any
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem, Progress, say, table, warn
 
-FORMATS = ("lerobot", "lerobot_v30", "robomimic", "act", "diffusion_policy")
+FORMATS = ("lerobot", "lerobot_v30", "robomimic", "act", "diffusion_policy", "mcap", "rosbag")
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:

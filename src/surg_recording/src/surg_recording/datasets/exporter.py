@@ -36,11 +36,18 @@ _BUNDLED = {
     "act": "act",
     "diffusion_policy": "diffusion_policy",
 }
-"""Name on the command line → module; ``lerobot`` is the default version."""
+"""Name on the command line → module of this package; ``lerobot`` is the default version."""
+_WITH_ROS = {
+    "mcap": "surg_recording.nodes.mcap_exporter_node",
+    "rosbag": "surg_recording.nodes.rosbag_exporter_node",
+}
 _KIND = PluginKind(
     noun="exporter",
     group=GROUP,
-    bundled={name: f"surg_recording.datasets.{module}" for name, module in _BUNDLED.items()},
+    bundled={
+        **{name: f"surg_recording.datasets.{module}" for name, module in _BUNDLED.items()},
+        **_WITH_ROS,
+    },
     accepts=lambda kind: all(hasattr(kind, part) for part in ("name", "write", "validate")),
     shape="one class with name, write and validate (see surg_recording.datasets.Exporter)",
 )

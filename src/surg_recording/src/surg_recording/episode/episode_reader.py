@@ -11,7 +11,7 @@ import csv
 import dataclasses
 import itertools
 import os
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +78,10 @@ class Table:
         """Columns ``<prefix>0``, ``<prefix>1``, … as (N, joints)."""
         count = table_columns.joint_count(self.columns)
         return np.stack([self[f"{prefix}{i}"] for i in range(count)], axis=1)
+
+    def without(self, name: str) -> Table:
+        """The table without a column."""
+        return Table(self.name, {n: kept for n, kept in self._arrays.items() if n != name})
 
     def with_column(self, name: str, values: Column) -> Table:
         """The table with one more column."""
@@ -190,7 +194,10 @@ class Episode:
                 + (f" (the recording is incomplete: {why})" if why else "")
             )
         entry, path = self.manifest["tables"][name], self.folder / f"{name}.csv"
-        table = read_table(path, entry.get("kinds"), wanted)
+        if wanted is None:
+            table = read_table(path, entry.get("kinds"))
+        else:
+            table = concatenated(read_blocks(path, entry.get("kinds"), wanted, _BLOCK))
         integrity.check_rows(path, entry, table)
         try:
             integrity.check_hash(path, entry.get(integrity.HASH))
@@ -357,6 +364,27 @@ def read_blocks(
         raise EpisodeError(f"{path}: cannot be read ({problem.strerror})") from None
     except (csv.Error, UnicodeDecodeError) as problem:
         raise EpisodeError(f"{path}: not a CSV file ({problem})") from problem
+
+
+def concatenated(blocks: Iterable[Table]) -> Table:
+    """One table of blocks with the same columns; small integers take a byte each."""
+    parts: dict[str, list[Column]] = {}
+    name = ""
+    for block in blocks:
+        name = block.name
+        for column in block.columns:
+            values = block[column] if column.endswith("_ns") else _small(block[column])
+            parts.setdefault(column, []).append(values)
+    whole: dict[str, Column] = {}
+    for column in list(parts):
+        whole[column] = np.concatenate(parts.pop(column))
+    return Table(name, whole)
+
+
+def _small(values: Column) -> Column:
+    if values.dtype == np.int64 and len(values) and values.min() >= 0 and values.max() < 128:
+        return values.astype(np.int8)
+    return values
 
 
 _KINDS = {"int": int, "float": float, "text": str}

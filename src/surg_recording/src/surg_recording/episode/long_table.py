@@ -51,7 +51,7 @@ class LongTable:
         Raises:
             EpisodeError: A column is missing, or a row of the recording holds an impossible value.
         """
-        places = self.index[_ROW][rows]
+        places = self.index[_ROW][rows] if _ROW in self.index else rows
         checked = checked_reading.cycle_columns(self.joints) if self._is_cycle else ()
         kept: list[Table] = []
         begin = 0
@@ -82,10 +82,16 @@ def truth(recorded: Episode, arm: str, segment: Segment | None = None) -> LongTa
 def _open(
     recorded: Episode, name: str, segment: Segment | None, columns: tuple[str, ...]
 ) -> LongTable:
-    table = checked_reading.checked_table(recorded, name, segment, columns, numbered=_ROW)
+    numbered = None if segment is None else _ROW
+    table = checked_reading.checked_table(recorded, name, segment, columns, numbered)
     path = recorded.folder / f"{name}.csv"
     joints = table_columns.joint_count(next(read_blocks(path, rows=1)).columns)
-    first, last = int(table[_ROW][0]), int(table[_ROW][-1])
+    first, last = 0, len(table) - 1
+    if numbered is not None:
+        first, last = int(table[_ROW][0]), int(table[_ROW][-1])
+    index = table.without("receive_ns")
     later = np.append(np.diff(table["stamp_ns"]) > 0, True)
-    index = table if later.all() else table.select(np.flatnonzero(later))
+    if not later.all():
+        index = index if numbered else index.with_column(_ROW, np.arange(len(table)))
+        index = index.select(np.flatnonzero(later))
     return LongTable(path, index, joints, first, last, name.startswith("cycle_"))
