@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from surg_cli.commands.arms import robot_file
 from surg_cli.host.terminal import Problem
 
 GROUPS = ("run", "data", "learn", "robot", "develop")
@@ -97,6 +98,9 @@ def parse(name: str, words: Sequence[str]) -> tuple[argparse.Namespace, Callable
         SystemExit: An option or argument is wrong otherwise; argparse has printed why.
     """
     own, main = parser(name)
+    if name == "robot" and words and words[0] in robot_file.WORDS:
+        own, main = _robot_file(words[0])
+        words = words[1:]
     options, unknown = own.parse_known_args(words)
     for word in unknown:
         option = word.partition("=")[0]
@@ -105,6 +109,13 @@ def parse(name: str, words: Sequence[str]) -> tuple[argparse.Namespace, Callable
     if unknown:
         own.error(f"unrecognized arguments: {' '.join(unknown)}")
     return options, main
+
+
+def _robot_file(word: str) -> tuple[argparse.ArgumentParser, Callable[[Any, str], int]]:
+    """The parser of `./surg robot check FILE` or `home FILE`, and the function that runs it."""
+    made = argparse.ArgumentParser(prog=f"./surg robot {word}", description=robot_file.WORDS[word])
+    robot_file.add_arguments(made, word)
+    return made, lambda options, _: robot_file.main(options, word)
 
 
 def commands_with(option: str) -> str:

@@ -21,6 +21,7 @@ PACKAGES = (
     "gymnasium==1.2.3",
     "mujoco==4.0.0",
     "mujoco-core==4.0.0",
+    "pyyaml",
 )
 SCRIPT = """
 import gymnasium, numpy as np, warnings

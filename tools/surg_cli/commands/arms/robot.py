@@ -33,7 +33,12 @@ LOOK_S = 0.1
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
     add = parser.add_argument
-    add("cell", metavar="CELL", help="name in cells/, or a folder; it must be running")
+    add(
+        "cell",
+        metavar="CELL",
+        help="name in cells/, or a folder; it must be running. Instead, without a cell: "
+        "check FILE or home FILE, for a robot's YAML",
+    )
     add("action", choices=tuple(ACTIONS), help="; ".join(f"{a}: {h}" for a, h in ACTIONS.items()))
     add("--arm", metavar="ARM", help="only this arm (default: every arm)")
     add("--timeout", type=positive, default=TIMEOUT_S, metavar="S", help="of lag: default 60 s")

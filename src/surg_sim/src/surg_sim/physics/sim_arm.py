@@ -22,6 +22,7 @@ from surg_sim.arrays import Array
 from surg_sim.looks.drawing import OUTSIDE
 from surg_sim.physics.spec_parts import quaternion
 from surg_sim.physics.stability import all_finite
+from surg_sim.physics.urdf_reading import read_urdf
 
 _URDF_VISUAL = 1  # group that MuJoCo gives to what a URDF calls visual
 
@@ -126,7 +127,7 @@ def add_arm(
         ValueError: A link or joint of the YAML is not in the URDF.
     """
     prefix = f"{arm.name}_"
-    robot = mujoco.MjSpec.from_string(arm.urdf_path.read_text("utf-8"))
+    robot = mujoco.MjSpec.from_string(read_urdf(arm.urdf_path))
     instrument = mujoco.MjSpec.from_string(arm.instrument_urdf.read_text("utf-8"))
     base = _find_body(robot, arm.robot.base_link, arm.urdf_path)
     _find_body(robot, arm.robot.flange_link, arm.urdf_path)

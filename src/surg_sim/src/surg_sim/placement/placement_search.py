@@ -112,7 +112,7 @@ def find_placements(
                 if q is None:
                     continue
                 q = (q + np.pi) % (2 * np.pi) - np.pi
-                if np.any(q < low + 0.3) or np.any(q > high - 0.3) or not _elbow_up(arm, q):
+                if np.any(q < low + 0.3) or np.any(q > high - 0.3) or not elbow_up(arm, q):
                     continue
                 J = np.asarray(arm.chain.jacobian(q))
                 candidates.append((float(np.linalg.svd(J, compute_uv=False)[5]), base, yaw, q))
@@ -125,7 +125,7 @@ def find_placements(
     return sorted(best, key=lambda placement: -placement.reserve.score)
 
 
-def _elbow_up(arm: surg_core.Arm, q: Array) -> bool:
+def elbow_up(arm: surg_core.Arm, q: Array) -> bool:
     """Whether every joint from the second on stays above the base: no forearm in the drapes."""
     return all(_joint_origin(arm.chain, q, i)[2] > 0.05 for i in range(2, len(q)))
 

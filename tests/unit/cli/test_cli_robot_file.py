@@ -1,0 +1,138 @@
+"""`./surg robot check` and `home`: vendors' URDFs, kinematics, homes by another solver."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+
+import surg_core
+from helpers.control import reach
+from surg_cli import command_table
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem
+from surg_description.make_cell import make_cell
+from surg_sim.physics.sim_arm import ActuatorParameters, add_arm
+from surg_sim.placement import home_search, urdf_kinematics
+
+DESCRIPTION = paths.ROOT / "src" / "surg_description"
+GRASPER = DESCRIPTION / "instruments" / "grasper.yaml"
+
+
+def run(*words: str | Path) -> int:
+    options, main = command_table.parse("robot", [str(word) for word in words])
+    return main(options, "robot")
+
+
+@pytest.fixture
+def vendor(tmp_path: Path) -> Path:
+    """A UR10e as vendors publish arms: meshes by package://, nothing for MuJoCo."""
+    robot = tmp_path / "ur10.yaml"
+    document = yaml.safe_load((DESCRIPTION / "robots" / "ur10e.yaml").read_text())
+    urdf = (DESCRIPTION / "robots" / document["urdf"]).resolve()
+    document["urdf"] = "ur10.urdf"
+    robot.write_text(yaml.safe_dump(document))
+    root = ElementTree.parse(urdf).getroot()
+    root.remove(root.find("mujoco"))  # type: ignore[arg-type]
+    for link in root.findall("link"):
+        for kind in ("visual", "collision"):
+            part = ElementTree.SubElement(ElementTree.SubElement(link, kind), "geometry")
+            name = f"package://ur_description/meshes/ur10/{kind}/{link.get('name')}.dae"
+            ElementTree.SubElement(part, "mesh", {"filename": name})
+    ElementTree.ElementTree(root).write(tmp_path / "ur10.urdf")
+    return robot
+
+
+def load(robot: Path, folder: Path) -> surg_core.Arm:
+    make_cell(robot, folder / "cell", GRASPER)
+    return surg_core.load_cell(folder / "cell").arms["PSM1"]
+
+
+def compiled(arm: surg_core.Arm) -> mujoco.MjModel:
+    spec = mujoco.MjSpec()
+    add_arm(spec, arm, ActuatorParameters())
+    return spec.compile()
+
+
+def test_a_vendor_s_urdf_with_meshes_is_ready(
+    vendor: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("check", vendor) == 0
+    said = capsys.readouterr().out
+    assert "meshes are left out" in said
+    assert "wrist_3_joint" in said
+
+
+@pytest.mark.filterwarnings("ignore:.*meshes are left out")
+def test_without_its_meshes_it_has_the_same_masses_and_kinematics(
+    vendor: Path, tmp_path: Path
+) -> None:
+    ours = compiled(load(DESCRIPTION / "robots" / "ur10e.yaml", tmp_path / "a"))
+    theirs = compiled(load(vendor, tmp_path / "b"))
+    assert ours.nbody == theirs.nbody
+    assert ours.body_mass == pytest.approx(theirs.body_mass)
+    for model in (ours, theirs):
+        assert model.body("PSM1_flange").id > 0
+    flanges = []
+    for model in (ours, theirs):
+        data = mujoco.MjData(model)
+        data.qpos[:6] = [0.3, -1.2, 1.4, -1.0, -1.5, 0.2]
+        mujoco.mj_kinematics(model, data)
+        flanges.append(np.array(data.body("PSM1_flange").xpos))
+    assert flanges[0] == pytest.approx(flanges[1], abs=1e-9)
+
+
+def test_a_millimetre_between_chain_and_urdf_is_found(tmp_path: Path) -> None:
+    arm = load(DESCRIPTION / "robots" / "ur5e.yaml", tmp_path)
+    same = urdf_kinematics.compare(arm, postures=50)
+    assert same.position < 1e-12
+    text = arm.urdf_path.read_text()
+    root = ElementTree.fromstring(text)
+    joint = next(j for j in root.findall("joint") if j.get("name") == "elbow_joint")
+    origin = joint.find("origin")
+    assert origin is not None
+    x, y, z = (float(word) for word in str(origin.get("xyz")).split())
+    origin.set("xyz", f"{x + 0.001} {y} {z}")
+    other = tmp_path / "other.urdf"
+    other.write_bytes(ElementTree.tostring(root))
+    assert urdf_kinematics.compare(replace(arm, urdf_path=other), 50).position == pytest.approx(
+        1e-3
+    )
+
+
+def test_a_found_home_is_a_good_one_by_another_solver(tmp_path: Path) -> None:
+    robot = tmp_path / "ur5e.yaml"
+    document = yaml.safe_load((DESCRIPTION / "robots" / "ur5e.yaml").read_text())
+    shutil.copy(DESCRIPTION / "robots" / document["urdf"], tmp_path / "ur5e.urdf")
+    document["urdf"] = "ur5e.urdf"
+    document["joints"]["home"] = [0.0, -1.57, 0.1, -1.57, 0.1, 0.0]  # stretched upwards
+    robot.write_text(yaml.safe_dump(document))
+    arm = load(robot, tmp_path)
+    assert home_search.judge(arm, np.array(arm.robot.home)) is None
+    found = home_search.search(arm, seed=1, draws=60, rounds=4)
+    assert found is not None
+    document["joints"]["home"] = [float(angle) for angle in found.q]
+    robot.write_text(yaml.safe_dump(document))
+    seen = reach.sweep(robot, GRASPER, 0.120)
+    print(seen)
+    assert seen.tilt_deg <= 50.0
+    assert seen.joint_margin > 0.3
+    assert seen.singular_value > 0.1
+    assert seen.velocity < 1.0
+    assert seen.velocity == pytest.approx(found.reserve.speed, rel=0.05)
+
+
+def test_a_file_that_cannot_be_used_is_named(tmp_path: Path, vendor: Path) -> None:
+    with pytest.raises(Problem, match="no such file"):
+        run("check", tmp_path / "none.yaml")
+    document = yaml.safe_load(vendor.read_text())
+    document["flange_link"] = "nowhere"
+    vendor.write_text(yaml.safe_dump(document))
+    with pytest.raises(Problem, match="nowhere"):
+        run("home", vendor)
