@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from surg_cli.host import paths
+from surg_cli.host import option_types, paths
 from surg_cli.host.terminal import Problem, Progress, say, table, warn
 
 RECORD_SOME = "./surg run bgr --setting all --episodes 10"
@@ -28,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--reference", metavar="KIND:PATH", help=f"compare the smoothness with {REFERENCES}")
     add("--preset", default=PRESETS[0], metavar="P", help="smoothness: " + ", ".join(PRESETS))
     add("--arm", metavar="ARM", help="whose motion (default: the first arm of each episode)")
+    add("--where", metavar="EXPR", help=option_types.WHERE)
     add("--incomplete", action="store_true", help="include incomplete recordings, marked")
     add("--out", type=Path, metavar="DIR", help="new or empty folder (default runs/<UTC time>)")
 
@@ -35,12 +36,17 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 def main(options: argparse.Namespace, command: str) -> int:
     """Find, measure, report; the last line printed is the path of summary.json."""
     from surg_recording.episode import provenance
+    from surg_recording.episode.selection import Selection, SelectionError
     from surg_recording.recording_errors import EpisodeError, ReferenceSetError
     from surg_recording.reports import evaluation, evaluation_report
 
     if options.preset not in PRESETS:
         known = ", ".join(PRESETS)
         raise Problem(f"--preset {options.preset}: no such preset; there are {known}", 2)
+    try:
+        selection = None if options.where is None else Selection(options.where)
+    except SelectionError as problem:
+        raise Problem(f"--where: {problem}", 2) from problem
     out = paths.run_folder(options.out)
     folders = _find(options.episodes, options.reference is not None)
     compared = None
@@ -52,14 +58,17 @@ def main(options: argparse.Namespace, command: str) -> int:
                 raise Problem(f"--reference: {problem}", 2) from problem
             for reason in compared["left_out"]:
                 warn(f"surg: reference: {reason}")
-        entries, left_out = evaluation.measure_all(
-            folders, options.arm, options.incomplete, progress.update
-        )
+        try:
+            entries, left_out = evaluation.measure_all(
+                folders, options.arm, options.incomplete, progress.update, selection
+            )
+        except SelectionError as problem:
+            raise Problem(f"--where: {problem}", 2) from problem
         for each in left_out:
             warn(f"surg: left out: {each.reason}")
         for text in evaluation.remarks(entries):
             warn(f"surg: note: {text}")
-        info = {"versions": provenance.versions()}
+        info = {"versions": provenance.versions(), "where": options.where}
         summary = evaluation.summarise(entries, left_out, options.preset, compared, info)
         progress.update(1.0, "figures")
         try:

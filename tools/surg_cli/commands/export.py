@@ -8,10 +8,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from surg_cli.host import paths
+from surg_cli.host import option_types, paths
 from surg_cli.host.terminal import Problem, Progress, say, table, warn
 
 FORMATS = ("lerobot", "lerobot_v30", "robomimic", "act", "diffusion_policy", "mcap", "rosbag")
+
+
+SPLIT_BY = "order: exact shares (default); hash: a recording keeps its split in every export"
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -33,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--out", type=Path, metavar="DIR", help="the dataset; a new folder")
     add("--dry-run", action="store_true", help="read and check everything, write nothing")
     add("--check", action="store_true", help="read and check the whole dataset in --out")
+    add("--where", metavar="EXPR", help=option_types.WHERE)
     content = parser.add_argument_group("content")
     add = content.add_argument
     add("--fps", type=int, default=20, metavar="N", help="frames per second (default 20)")
@@ -57,6 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add = content.add_argument
     shares = "default: train=0.8,val=0.1,test=0.1"
     add("--splits", type=_splits, metavar="NAME=SHARE,…", help=shares)
+    add("--split-by", choices=("order", "hash"), default="order", help=SPLIT_BY)
     add("--about", type=Path, metavar="FILE", help="YAML file with facts for the dataset card")
     add("--replace", action="store_true", help="replace an earlier export")
     add("--keep-parts", action="store_true", help="keep converted parts for a later, larger export")
@@ -133,7 +138,7 @@ def _say(report: Any, options: argparse.Namespace) -> int:
     facts = report.facts
     if facts.get("up_to_date"):
         rows.append(["state", "up to date"])
-    for key in ("splits", "kinds", "files"):
+    for key in ("not selected", "splits", "kinds", "files"):
         if facts.get(key):
             shown = facts[key]
             if isinstance(shown, dict):

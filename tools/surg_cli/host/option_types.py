@@ -1,9 +1,12 @@
-"""Types of command-line options, for argparse: numbers with a range."""
+"""Types of command-line options, for argparse: numbers with a range. Help that several share."""
 
 from __future__ import annotations
 
 import argparse
 import math
+
+WHERE = "which episodes: 'success and setting == \"ex_vivo\"' (docs/guide/labelling.md)"
+"""Help of the option that selects episodes."""
 
 
 def positive(text: str) -> float:

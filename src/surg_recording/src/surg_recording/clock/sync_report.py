@@ -113,7 +113,7 @@ def write(folder: Path | str, progress: Progress | None = None) -> dict[str, Any
     mark = {"verdict": result["verdict"], "reasons": result["reasons"]}
     try:
         write_json(episode.folder / FILE, result)
-        write_json(episode.folder / MANIFEST, {**episode.manifest, "sync": mark})
+        write_json(episode.folder / MANIFEST, {**episode.as_recorded, "sync": mark})
     except OSError as problem:
         raise EpisodeError(f"{folder}: cannot write {FILE}: {problem.strerror}") from problem
     return result

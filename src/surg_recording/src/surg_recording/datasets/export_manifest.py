@@ -54,7 +54,7 @@ def is_up_to_date(
     stated = read_manifest(out)
     same = stated["exporter"] == exporter.name
     same = same and {r["key"] for r in stated["recordings"]} == set(keys)
-    same = same and stated["arranged"] == _arranged(options)
+    same = same and {**_arranged(ExportOptions()), **stated["arranged"]} == _arranged(options)
     if same:
         for name, entry in stated["files"].items():
             if not (out / name).is_file() or (out / name).stat().st_size != entry["bytes"]:
@@ -78,6 +78,8 @@ def _arranged(options: ExportOptions) -> dict[str, Any]:
     """Choices that change how recordings are put together."""
     return {
         "splits": dict(options.splits),
+        "split_by": options.split_by,
+        "where": options.where,
         "about": json.loads(json.dumps(options.about, default=str)),
     }
 

@@ -16,7 +16,7 @@ from surg_core.contract import TASK_STATE_KEY
 from surg_recording.clock.clock_segments import Segment
 from surg_recording.datasets import pictures, schema
 from surg_recording.datasets.options import ExportOptions
-from surg_recording.episode import episode_reader, integrity, table_columns
+from surg_recording.episode import episode_reader, integrity, same_recording, table_columns
 from surg_recording.episode.checked_reading import segment_of
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.verdicts import NOT_JUDGED, Verdict, has_tag, verdict
@@ -130,6 +130,7 @@ def look(folder: Path, options: ExportOptions) -> Candidate:
             "setting": run.get("setting"),
             "software": _mapping(manifest.get("versions")).get("software"),
             "simulated": bool(manifest.get("sim")),
+            "identity": same_recording.identity(recorded),
             "sync": sync,
         },
         segment=segment,

@@ -8,9 +8,11 @@ from typing import Any
 
 from surg_core import action_space
 from surg_core.contract import ACTION_SPACES
+from surg_recording.episode.selection import Selection, SelectionError
 
 EXECUTORS = ("process", "serial", "dask")
 SPLITS = ("train", "val", "test")
+SPLIT_BY = ("order", "hash")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,6 +48,10 @@ class ExportOptions:
         default_factory=lambda: {"train": 0.8, "val": 0.1, "test": 0.1}
     )
     """Shares of the recordings that are neither failures nor recoveries."""
+    split_by: str = SPLIT_BY[0]
+    """``order``: exact shares; ``hash``: a recording keeps its split in every export."""
+    where: str | None = None
+    """Which recordings to take (``episode.selection``); None: all."""
     about: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Facts that only people know, for the dataset's page (``readme.KNOWN``)."""
 
@@ -82,6 +88,12 @@ class ExportOptions:
         good = set(shares) <= set(SPLITS) and all(0 <= share <= 1 for share in shares.values())
         good = good and abs(sum(shares.values()) - 1.0) < 1e-9
         _need(good, "splits", shares, f"shares of {', '.join(SPLITS)} that add up to 1")
+        _need(self.split_by in SPLIT_BY, "split-by", self.split_by, ", ".join(SPLIT_BY))
+        if self.where is not None:
+            try:
+                Selection(self.where)
+            except SelectionError as problem:
+                raise ValueError(f"where: {problem}") from None
         dask = self.scheduler is None or self.executor == "dask"
         _need(dask, "scheduler", self.scheduler, "only with the executor dask")
 

@@ -23,6 +23,7 @@ from surg_recording.datasets.exporter import Exporter, Part
 from surg_recording.datasets.inspection import Layout
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import sample
+from surg_recording.episode.labels import LABELS
 from surg_recording.file_io import file_hash
 from surg_recording.recording_errors import words_of
 
@@ -55,7 +56,7 @@ class Outcome:
 
 def input_hash(folder: Path, layout: Layout, options: ExportOptions, exporter: Exporter) -> str:
     """SHA-256 of all inputs of a conversion; an EpisodeError if a file is missing."""
-    names = ["manifest.json", inspection.SYNC_REPORT]
+    names = ["manifest.json", inspection.SYNC_REPORT, LABELS]
     names += [f"cycle_{arm}.csv" for arm in layout.arms]
     names += [f"ground_truth_{arm}.csv" for arm in layout.arms if layout.truth]
     names += ["task_state.csv"] if layout.labelled else []
@@ -65,7 +66,7 @@ def input_hash(folder: Path, layout: Layout, options: ExportOptions, exporter: E
     files = {}
     for name in names:
         path = folder / name
-        if name == inspection.SYNC_REPORT and not path.exists():
+        if name in (inspection.SYNC_REPORT, LABELS) and not path.exists():
             continue
         files[name] = file_hash(path)
     stated = {

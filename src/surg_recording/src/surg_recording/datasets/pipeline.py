@@ -32,6 +32,7 @@ from surg_recording.datasets.parts import Job, Outcome, input_hash, sweep
 from surg_recording.datasets.sampling import sample
 from surg_recording.episode import episode_reader
 from surg_recording.episode.same_recording import Known
+from surg_recording.episode.selection import Selection, SelectionError
 from surg_recording.recording_errors import EpisodeError, words_of
 
 UNFINISHED = ".unfinished"
@@ -45,6 +46,8 @@ class Plan:
     candidates: tuple[Candidate, ...]
     keys: tuple[str, ...]
     refused: dict[str, str]
+    unselected: int
+    """Recordings that ``options.where`` leaves out."""
 
 
 def export(
@@ -58,6 +61,8 @@ def export(
     exporter.require()
     plan = make_plan(exporter, episodes, options, progress)
     report = Report(exporter.name, out, refused=dict(plan.refused))
+    if options.where is not None:
+        report.facts["not selected"] = plan.unselected
     if not plan.candidates:
         _nothing_left(report)
     parts = out.with_name(out.name + ".parts")
@@ -110,10 +115,14 @@ def make_plan(
     refused: dict[str, str] = {}
     candidates: list[Candidate] = []
     keys: list[str] = []
-    known = Known()
+    known, unselected = Known(), 0
+    selection = None if options.where is None else Selection(options.where)
     for number, folder in enumerate(folders):
         progress(0.1 * number / len(folders), f"looking at {folder.name}")
         try:
+            if selection is not None and not selection.matches(episode_reader.read(folder)):
+                unselected += 1
+                continue
             candidate = inspection.look(folder, options)
             other = candidates[0].layout.difference(candidate.layout) if candidates else None
             if other is not None:
@@ -122,13 +131,17 @@ def make_plan(
             recorded = episode_reader.read(folder)
             if (twin := known.twin(recorded)) is not None:
                 raise EpisodeError(f"{folder}: {twin}")
+        except SelectionError as problem:
+            raise ExportError(f"--where: {problem}") from None
         except Exception as problem:  # one recording, not the export
             refused[str(folder)] = words_of(problem, folder)
         else:
             known.add(recorded)
             keys.append(key)
             candidates.append(candidate)
-    return Plan(tuple(candidates), tuple(keys), refused)
+    if unselected == len(folders):
+        raise ExportError(f"--where {options.where!r}: none of {unselected} recordings fits")
+    return Plan(tuple(candidates), tuple(keys), refused, unselected)
 
 
 def dry_run(
@@ -138,6 +151,8 @@ def dry_run(
     exporter.require()
     plan = make_plan(exporter, episodes, options, progress)
     report = Report(exporter.name, Path(), refused=dict(plan.refused))
+    if options.where is not None:
+        report.facts["not selected"] = plan.unselected
     kinds: dict[str, int] = {}
     for number, candidate in enumerate(plan.candidates):
         progress(number / len(plan.candidates), f"reading {candidate.folder.name}")
@@ -167,13 +182,11 @@ def arrange(
     """
     plain = [part for part in parts if part.kind == SUCCESS]
     recordings = [list(pieces) for _, pieces in itertools.groupby(plain, lambda part: part.key)]
-    groups: dict[str, list[Part]] = {}
-    begin, share = 0, 0.0
-    for split in SPLITS:
-        share += options.splits.get(split, 0.0)
-        end = len(recordings) if share > 1.0 - 1e-9 else round(share * len(recordings))
-        groups[split] = [part for pieces in recordings[begin:end] for part in pieces]
-        begin = end
+    split = _by_hash if options.split_by == "hash" else _by_order
+    groups = {
+        name: [part for pieces in members for part in pieces]
+        for name, members in split(recordings, options).items()
+    }
     for kind in (RECOVERY, FAILURE):
         groups[kind] = [part for part in parts if part.kind == kind]
     ordered: list[Part] = []
@@ -183,6 +196,36 @@ def arrange(
             splits[split] = (len(ordered), len(ordered) + len(members))
             ordered += members
     return Dataset(name, tuple(ordered), splits, layout, options)
+
+
+Pieces = list[Part]
+"""One recording: several parts if it is long."""
+
+
+def _by_order(recordings: list[Pieces], options: ExportOptions) -> dict[str, list[Pieces]]:
+    """Split → its recordings: the shares of the recordings in their order."""
+    groups: dict[str, list[Pieces]] = {}
+    begin, share = 0, 0.0
+    for split in SPLITS:
+        share += options.splits.get(split, 0.0)
+        end = len(recordings) if share > 1.0 - 1e-9 else round(share * len(recordings))
+        groups[split] = recordings[begin:end]
+        begin = end
+    return groups
+
+
+def _by_hash(recordings: list[Pieces], options: ExportOptions) -> dict[str, list[Pieces]]:
+    """Split → its recordings: each by its own hash, whatever else is exported."""
+    groups: dict[str, list[Pieces]] = {split: [] for split in SPLITS}
+    for pieces in recordings:
+        place = int(str(pieces[0].about["identity"])[:13], 16) / 16**13
+        share = 0.0
+        for split in SPLITS:
+            share += options.splits.get(split, 0.0)
+            if place < share or share > 1.0 - 1e-9:
+                groups[split].append(pieces)
+                break
+    return groups
 
 
 def _convert(jobs: list[Job], options: ExportOptions, report: Report, progress: Progress) -> None:

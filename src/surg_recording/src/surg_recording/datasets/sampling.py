@@ -43,7 +43,7 @@ from surg_recording.datasets.resample import (
     slerp,
 )
 from surg_recording.datasets.schema import Feature
-from surg_recording.episode import episode_reader, long_table, table_columns
+from surg_recording.episode import episode_reader, labels, long_table, table_columns
 from surg_recording.episode.checked_reading import checked_table, checked_video
 from surg_recording.episode.episode_reader import Table
 from surg_recording.episode.long_table import LongTable
@@ -128,7 +128,8 @@ def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
     truth = [long_table.truth(recorded, arm, segment) for arm in true]
     long = [*(arm.table for arm in cycles.values()), *truth]
     others = [*(table.index for table in long), *([task] if task else [])]
-    grid = _grid(candidate, commanded, videos, others, options)
+    trim = labels.trim(recorded.manifest)
+    grid = _grid(candidate, commanded, videos, others, options, trim)
     arms = {name: arm.at(grid) for name, arm in cycles.items()}
 
     made = Columns(grid, options)
@@ -171,7 +172,9 @@ def _grid(
     videos: dict[str, episode_reader.Video],
     others: list[Table],
     options: ExportOptions,
+    trim: tuple[int, int],
 ) -> Grid:
+    """The grid within the labels' ``trim``: first and last stamp to use [ns]."""
     period = int(offsets_ns(np.array([1]), options.fps)[0])
     obeyed = [arm.stamps[arm.command > 0] for arm in arms]
     commands = [int(stamps[0]) for stamps in obeyed if len(stamps)]
@@ -182,13 +185,13 @@ def _grid(
     tables = {table.name: table["stamp_ns"] for table in others}
     pictures_ns = [video.frames["stamp_ns"] for video in videos.values()]
     firsts = [*(arm.stamps[0] for arm in arms), *(s[0] for s in (*pictures_ns, *tables.values()))]
-    begin = int(max(*firsts, min(commands) - period))
+    begin = int(max(*firsts, min(commands) - period, trim[0]))
     # A command answers an observation one tick before it. A grid on the commands' stamps would
     # pair every observation with the answer to the next one.
     observed = tables.pop("task_state", None)
     lasts = [*(arm.stamps[-1] - period for arm in arms)]
     lasts += [s[-1] for s in (*pictures_ns, *tables.values())]
-    end = int(min(lasts))
+    end = int(min(*lasts, trim[1]))
     reference = pictures_ns[0] if pictures_ns else observed
     if reference is not None:
         later = reference[reference >= begin]

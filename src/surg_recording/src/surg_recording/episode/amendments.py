@@ -29,7 +29,7 @@ def amend(folder: Path, by: str, why: str) -> dict[str, Any]:
         EpisodeError: A file is missing or unreadable, or no file differs from the manifest.
     """
     recorded = episode_reader.read(folder)
-    manifest = dict(recorded.manifest)
+    manifest = dict(recorded.as_recorded)
     changed: dict[str, Any] = {}
     for kind in ("tables", "videos"):
         manifest[kind] = {

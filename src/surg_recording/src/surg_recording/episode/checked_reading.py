@@ -15,7 +15,7 @@ import numpy as np
 from surg_core.contract import SECOND_NS, STREAMS
 from surg_recording.clock import clock_agreement, clock_segments
 from surg_recording.clock.clock_segments import GUARD_NS, Segment
-from surg_recording.episode import episode_reader, integrity, table_columns
+from surg_recording.episode import episode_reader, integrity, labels, table_columns
 from surg_recording.episode.episode_reader import Episode, Table
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.video import video_file
@@ -62,7 +62,19 @@ def for_metrics(recorded: Episode, arm: str) -> Episode:
     if command in recorded.tables:
         table = recorded.table(command)
         tables[command] = table if segment is None else segment.table(table, command)
+    if labels.KEY in recorded.manifest:
+        tables = {name: _trimmed(recorded, name, table) for name, table in tables.items()}
     return recorded.holding(tables)
+
+
+def _trimmed(recorded: Episode, name: str, table: Table) -> Table:
+    """The rows between the ends of the labels' trim; an EpisodeError if that leaves no cycle."""
+    begin, end = labels.trim(recorded.manifest)
+    stamps = table["stamp_ns"]
+    kept = table.select((stamps >= begin) & (stamps <= end))
+    if name.startswith("cycle_") and not len(kept):
+        raise EpisodeError(f"{recorded.folder / labels.LABELS}: the trim leaves no row of {name}")
+    return kept
 
 
 def checked_table(

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording.episode import integrity, manifest_check, table_columns
+from surg_recording.episode import integrity, labels, manifest_check, table_columns
 from surg_recording.file_io import read_json, regular_file
 from surg_recording.recording_errors import EpisodeError
 
@@ -105,9 +105,16 @@ class Video:
 class Episode:
     """A finished episode folder. Tables are read on first use."""
 
-    def __init__(self, folder: Path, manifest: Mapping[str, Any]) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        manifest: Mapping[str, Any],
+        as_recorded: Mapping[str, Any] | None = None,
+    ) -> None:
         self.folder = folder
         self.manifest = manifest
+        self.as_recorded = manifest if as_recorded is None else as_recorded
+        """The manifest on the disk: without labels."""
         self._tables: dict[str, Table] = {}
 
     @property
@@ -169,7 +176,7 @@ class Episode:
 
     def holding(self, tables: Mapping[str, Table]) -> Episode:
         """The same episode with these tables instead of those in its files."""
-        held = Episode(self.folder, self.manifest)
+        held = Episode(self.folder, self.manifest, self.as_recorded)
         held._tables = {**self._tables, **tables}
         return held
 
@@ -293,7 +300,9 @@ def _may_be_an_episode(manifest: Path) -> bool:
 
 def _read_1(folder: Path, manifest: dict[str, Any]) -> Episode:
     manifest_check.check(folder / MANIFEST, manifest)
-    return Episode(folder, manifest)
+    stated = labels.read(folder)
+    labelled = manifest if stated is None else labels.apply(manifest, stated)
+    return Episode(folder, labelled, manifest)
 
 
 _READERS: dict[str, Callable[[Path, dict[str, Any]], Episode]] = {"surg_episode/1": _read_1}

@@ -1,7 +1,8 @@
 """Whether an episode succeeded: the one place that decides it.
 
-A person's verdict counts first: of ``./surg record stop``, or of the tag ``failure``. Without one
-the simulated task's counts; a real robot has none. A disagreement is stated.
+A label given after the recording counts first, then a person's verdict: of ``./surg record stop``,
+or of the tag ``failure``. Without one the simulated task's counts; a real robot has none. A
+disagreement is stated.
 """
 
 from __future__ import annotations
@@ -37,12 +38,13 @@ NOT_JUDGED = Verdict(None)
 
 def verdict(manifest: Mapping[str, Any]) -> Verdict:
     """The verdict on an episode, by its manifest."""
-    persons, task = _of_persons(manifest), _of_the_task(manifest)
-    judged = [*persons, *([task] if task else [])]
+    label, persons, task = _of_the_label(manifest), _of_persons(manifest), _of_the_task(manifest)
+    judged = [*label, *persons, *([task] if task else [])]
     if not judged:
         return NOT_JUDGED
     # Two verdicts of persons: what somebody called a failure is no success.
-    first = next((each for each in persons if not each.success), judged[0])
+    failed = next((each for each in persons if not each.success), judged[0])
+    first = label[0] if label else failed
     others = [each for each in judged if each.success != first.success]
     if not others:
         return first
@@ -55,6 +57,15 @@ def has_tag(manifest: Mapping[str, Any], text: str) -> bool:
     tags = manifest.get("tags")
     listed = tags if isinstance(tags, list) else []
     return any((tag.get("text") if isinstance(tag, dict) else tag) == text for tag in listed)
+
+
+def _of_the_label(manifest: Mapping[str, Any]) -> list[Verdict]:
+    """Of ``labels.json``: it was given with the film at hand, and so replaces earlier ones."""
+    labels = _mapping(manifest.get("labels"))
+    success = labels.get("success")
+    if success is None:
+        return []
+    return [Verdict(success, "" if success else str(labels.get("note") or ""), PERSON)]
 
 
 def _of_persons(manifest: Mapping[str, Any]) -> list[Verdict]:

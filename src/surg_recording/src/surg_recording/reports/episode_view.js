@@ -379,7 +379,7 @@
     const keys = { " ": () => play(!playing), Home: () => go(0), End: () => go(data.duration),
       ArrowLeft: () => (event.shiftKey ? go(cursor - 1e9) : step(-1)),
       ArrowRight: () => (event.shiftKey ? go(cursor + 1e9) : step(1)) };
-    if (!keys[event.key] || event.target.tagName === "SELECT") return;
+    if (!keys[event.key] || ["SELECT", "INPUT", "TEXTAREA"].includes(event.target.tagName)) return;
     event.preventDefault();
     keys[event.key]();
   });
@@ -398,4 +398,6 @@
   build();
   const start = /^#t=([\d.]+)$/.exec(location.hash); // view.html#t=12.5 opens at 12.5 s
   if (start) go(Number(start[1]) * 1e9);
+  window.episodeView = { data, now: () => cursor, go: (t) => { play(false); go(t); }, drawAll,
+                         across: (t) => x(t, $("timeline").clientWidth) };
 })();

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import base64
+import dataclasses
 import json
 import sys
 from collections.abc import Sequence
@@ -24,13 +25,25 @@ from surg_recording.reports.episode_view_data import MAX_ROWS, VIDEO_BUDGET, Pro
 from surg_recording.reports.html_page import document, text
 
 
+@dataclasses.dataclass(frozen=True)
+class Panel:
+    """Markup below the videos, and what follows the script of the page."""
+
+    markup: str
+    after: str
+
+
 def page(
     episode: Episode,
     budget: int = VIDEO_BUDGET,
     max_rows: int = MAX_ROWS,
     progress: Progress | None = None,
+    panel: Panel | None = None,
 ) -> str:
-    """The page of an episode (see ``collect``); an EpisodeError if there is nothing to show."""
+    """The page of an episode (see ``collect``); an EpisodeError if there is nothing to show.
+
+    ``panel`` adds what a program of its own needs on the page, such as that of labels.
+    """
     viewed = episode_view_data.collect(episode, budget, max_rows, progress)
     info = episode.manifest.get("run") or {}
     subject = info.get("title") or info.get("motion") or episode.manifest.get("task") or "episode"
@@ -46,6 +59,7 @@ def page(
         "FOLDER": text(episode.folder.name),
         "BADGES": _badges(episode),
         "NOTES": f"<ul class='notes'>{notes}</ul>" if notes else "",
+        "PANEL": panel.markup if panel else "",
     }.items():
         body = body.replace(f"@{key}@", value)
     files = "".join(
@@ -63,6 +77,7 @@ def page(
             files,
             f"<script type='application/json' id='data'>{data}</script>",
             f"<script>{script}</script>",
+            panel.after if panel else "",
         ],
     )
 

@@ -16,6 +16,7 @@ from surg_recording.episode import checked_reading, integrity
 from surg_recording.episode import episode_reader as episodes
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.same_recording import Known
+from surg_recording.episode.selection import Selection, SelectionError
 from surg_recording.episode.verdicts import verdict
 from surg_recording.metrics import reference_sets
 from surg_recording.metrics.confidence_intervals import spread, success_rate
@@ -138,13 +139,17 @@ def measure(recorded: Episode, arm: str | None = None) -> dict[str, Any]:
 
 
 def measure_all(
-    folders: Sequence[Path], arm: str | None, incomplete: bool, progress: Progress
+    folders: Sequence[Path],
+    arm: str | None,
+    incomplete: bool,
+    progress: Progress,
+    selection: Selection | None = None,
 ) -> tuple[list[dict[str, Any]], list[LeftOut]]:
     """Entries of many episodes (first arm by default), and what was left out, with reasons.
 
     Left out: not as recorded, without motion, incomplete (unless ``incomplete``), or the same
-    recording a second time. ``progress`` is called with the fraction done in [0, 1] and the
-    current folder.
+    recording a second time. Those that ``selection`` does not fit are skipped. ``progress`` is
+    called with the fraction done in [0, 1] and the current folder.
     """
     entries: list[dict[str, Any]] = []
     left_out: list[LeftOut] = []
@@ -153,12 +158,16 @@ def measure_all(
         progress(i / len(folders), f"{i + 1} of {len(folders)}, {folder}")
         try:
             recorded = episodes.read(folder)
+            if selection is not None and not selection.matches(recorded):
+                continue
             if not recorded.complete and not incomplete:
                 reason = recorded.manifest.get("reason")
                 raise EpisodeError(f"{folder}: incomplete recording: {reason}")
             entry = measure(recorded, arm)
             if (twin := known.twin(recorded)) is not None:
                 raise EpisodeError(f"{folder}: {twin}")
+        except SelectionError:
+            raise
         except Exception as problem:  # one recording, not the evaluation
             left_out.append(LeftOut(str(folder), words_of(problem, folder)))
         else:

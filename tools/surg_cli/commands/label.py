@@ -1,0 +1,84 @@
+"""`./surg label EPISODES…`: judge, mark and trim recordings in the browser, by keyboard."""
+
+from __future__ import annotations
+
+import argparse
+import getpass
+import os
+import webbrowser
+from pathlib import Path
+
+from surg_cli.host import option_types, paths
+from surg_cli.host.terminal import Problem, say, warn
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Declare the options."""
+    add = parser.add_argument
+    add("episodes", nargs="*", type=Path, metavar="EPISODES", help="default: all in runs/")
+    add("--where", metavar="EXPR", help=option_types.WHERE)
+    add("--by", metavar="NAME", help="who labels (default: the user)")
+    add(
+        "--port",
+        type=option_types.tcp_port,
+        default=0,
+        metavar="N",
+        help="of this machine (default: a free one)",
+    )
+    add("--no-open", action="store_true", help="print the address, open no browser")
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """Serve the pages until Ctrl-C, then say how many episodes have labels."""
+    from surg_recording.episode import labels
+    from surg_recording.labelling.label_pages import LabelPages
+    from surg_recording.labelling.label_server import LabelServer
+
+    folders = _chosen(options)
+    pages = LabelPages(folders, options.by or getpass.getuser())
+    try:
+        server = LabelServer(pages, options.port)
+    except (OSError, OverflowError) as problem:
+        raise Problem(f"--port {options.port}: {problem}", 2) from None
+    with server:
+        say(f"label: {len(folders)} episodes; Ctrl-C ends. Labels are kept in {labels.LABELS}.")
+        say(server.url)
+        can_show = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+        if not options.no_open and can_show:
+            webbrowser.open(server.url)
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            done = sum((folder / labels.LABELS).exists() for folder in folders)
+            say(f"label: {done} of {len(folders)} episodes have labels")
+    return 0
+
+
+def _chosen(options: argparse.Namespace) -> list[Path]:
+    """The episodes to label.
+
+    Raises:
+        Problem: There is none, or the expression is wrong.
+    """
+    from surg_recording.episode import episode_reader
+    from surg_recording.episode.selection import Selection, SelectionError
+    from surg_recording.recording_errors import EpisodeError
+    from surg_recording.reports import evaluation
+
+    try:
+        folders = evaluation.find(options.episodes or [paths.RUNS])
+        if options.where is None:
+            return folders
+        selection, chosen = Selection(options.where), []
+        for folder in folders:
+            try:
+                chosen += [folder] if selection.matches(episode_reader.read(folder)) else []
+            except EpisodeError as problem:  # one recording, not the session
+                warn(f"surg: left out: {problem}")
+    except SelectionError as problem:
+        raise Problem(f"--where: {problem}", 2) from None
+    except EpisodeError as problem:
+        raise Problem(str(problem), 2) from None
+    if not chosen:
+        raise Problem(f"--where {options.where!r}: none of {len(folders)} episodes fits", 2)
+    return chosen
