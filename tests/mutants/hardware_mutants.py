@@ -10,6 +10,7 @@ from mutants.mutants import Mutant, one
 
 LINK, CHAIN = ("test_robot_link",), ("test_ur_link_on_emulator",)
 FRANKA, FRANKA_LIMITS = ("test_franka_emulator_states",), ("test_franka_emulator_limits",)
+FRANKA = ("test_franka_link",)
 STATES, RTDE = ("test_ur_emulator_states",), ("test_ur_emulator_rtde",)
 MUTANTS: tuple[Mutant, ...] = (
     # -- link and program
@@ -148,6 +149,40 @@ MUTANTS: tuple[Mutant, ...] = (
         "            if length < _HEADER.size:\n",
         "            if False:\n",
         ("test_hardware_fuzz",),
+    ),
+    # -- links to Franka arms
+    one(
+        "stale_dq_d",
+        "after a lost command the next one is a jump, which the arm answers by a reflex",
+        "franka/franka_adapter.py",
+        "robot.q, robot.dq_d, robot.ddq_d)\n",
+        'robot.q, *getattr(self, "_old", (robot.dq_d, robot.ddq_d)))\n'
+        "        self._old = robot.dq_d, robot.ddq_d\n",
+        FRANKA,
+    ),
+    one(
+        "jerk_off",
+        "every second command is a jump in acceleration",
+        "shaper.py",
+        "        acceleration = min(max(acceleration, ddq_d - JT), ddq_d + JT)\n",
+        "",
+        ("test_shaper",),
+    ),
+    one(
+        "joints_of_a_franka_in_another_order",
+        "the arm moves another joint",
+        "franka/franka_adapter.py",
+        "self._write(_ZERO if finished else velocities, finished)",
+        "self._write(_ZERO if finished else velocities[::-1], finished)",
+        FRANKA,
+    ),
+    one(
+        "a_step_to_zero",
+        "the end of a motion is a reflex",
+        "franka/franka_adapter.py",
+        "        finished = ending and rest\n",
+        "        finished = ending\n",
+        FRANKA,
     ),
     # -- emulated arm
     one(

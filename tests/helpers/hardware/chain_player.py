@@ -11,7 +11,8 @@ import numpy as np
 
 from helpers.control import hand_motions
 from helpers.control.lagging_arm import asked, view_of
-from helpers.hardware.emulated_chain import Chain, T
+from helpers.hardware import emulated_chain, franka_chain
+from helpers.hardware.emulated_chain import T
 from surg_core.arm_view import ArmCommands, JawRange
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.playback.motion_file import read_motion
@@ -54,7 +55,7 @@ class Played:
 
 
 def play(
-    chain: Chain,
+    chain: emulated_chain.Chain | franka_chain.Chain,
     motion: Path,
     scale: float = 1.0,
     duration: float | None = None,
@@ -78,7 +79,7 @@ def play(
     for cycle in range(200_000):
         each(cycle)
         out = chain.step(*asked(commands, chain.controller))
-        digest.update(np.array(chain.robot.motion.actual_q).tobytes() + out.qd_command.tobytes())
+        digest.update(np.array(chain.joints).tobytes() + out.qd_command.tobytes())
         if player.stage is Stage.PLAY:
             away.append(chain.deviation)
             tips.append(chain.tip)

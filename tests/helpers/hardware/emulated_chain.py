@@ -107,6 +107,11 @@ class Chain:
         return self.step(MotionCommand(Motion.SERVO_CP, 1, p=p, rotation=[0, 0, 0, 1]))
 
     @property
+    def joints(self) -> list[float]:
+        """Of the emulated arm itself [rad]."""
+        return list(self.robot.motion.actual_q)
+
+    @property
     def flange(self) -> np.ndarray:
         """Of the emulated arm's own joints and its maker's table, in our base (4, 4)."""
         return np.array(TURN @ frames(self.robot.motion.actual_q, self.robot.table)[-1])

@@ -1,0 +1,205 @@
+"""Controller, driver and emulated Franka arm in one thread on a made-up clock.
+
+All of ours but the library is in it: the driver with its datagrams, the adapter, the shaper.
+The same figures on any machine.
+"""
+
+from __future__ import annotations
+
+import random
+import socket
+import types
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+import surg_core
+from helpers.hardware.emulated_franka import Client
+from surg_cli.host import paths
+from surg_core import Law, MotionCommand, Readings, RobotCondition
+from surg_hardware import adapter_driver, arm_driver, link_node, robot_link
+from surg_hardware import driver_datagrams as wire
+from surg_hardware.emulators.franka import franka_kinematics
+from surg_hardware.emulators.franka.franka_controller import FrankaController, RobotMode
+from surg_hardware.emulators.franka.franka_robots import FER, FR3
+from surg_hardware.emulators.franka.generator_motion import DT
+from surg_hardware.franka import joint_limits
+from surg_hardware.franka.franka_adapter import FrankaAdapter, MotionEnded
+from surg_hardware.robot_adapter import AdapterError
+
+ROBOTS = {"panda": FER, "fr3": FR3}
+LIMITS = {"panda": joint_limits.PANDA, "fr3": joint_limits.FR3}
+
+
+class CoreAdapter(FrankaAdapter):
+    """The adapter on the emulator's core.
+
+    Attributes:
+        loss: Share of the commands that are lost.
+        raw: Whether commands pass without the shaper.
+    """
+
+    def __init__(self, name: str, core: FrankaController, options: Any) -> None:
+        self.model, self.limits = name, LIMITS[name]
+        super().__init__("127.0.0.1", options)
+        self.core, self.client = core, Client(core)
+        assert self.client.connect() == "success"
+        self.loss, self.raw, self._random = 0.0, False, random.Random(1)
+
+    def connect(self) -> None:
+        """Connected from the beginning."""
+
+    def close(self) -> None:
+        """It stays."""
+
+    def _read(self) -> Any:
+        self.client.wait(1)
+        core, motion = self.core, self.core.motion
+        if self._moving and core.mode is not RobotMode.MOVE:
+            raise MotionEnded
+        names = {error.name: True for error in core.errors | core.reflex_reason}
+        errors = types.SimpleNamespace(**names)
+        return types.SimpleNamespace(
+            time=types.SimpleNamespace(to_sec=lambda: DT * core.number),
+            robot_mode=types.SimpleNamespace(name=core.mode.name.title().replace("_", "")),
+            current_errors=errors,
+            last_motion_errors=errors,
+            q=list(motion.q),
+            q_d=list(motion.q_d),
+            dq=list(motion.dq),
+            dq_d=list(motion.dq_d),
+            ddq_d=list(motion.ddq_d),
+            O_F_ext_hat_K=list(core.wrench),
+            O_T_EE=list(franka_kinematics.flange(motion.q).T.ravel()),
+            F_T_EE=list(np.eye(4).ravel()),
+            m_total=0.0,
+            F_x_Ctotal=[0.0] * 3,
+            control_command_success_rate=core.success_rate,
+        )
+
+    def recover(self) -> str:
+        """The answer comes later."""
+        self.client.ask("automatic_error_recovery")
+        return ""
+
+    def _begin(self) -> None:
+        if self.client.move() != "started":
+            raise AdapterError(f"the robot does not move in the mode {self.core.mode.name}")
+
+    def _write(self, velocities: Sequence[float], finished: bool) -> None:
+        if self._random.random() >= self.loss:
+            self.core.receive(self.client.datagram(list(velocities), last=finished))
+
+    def send(self, qd: Sequence[float]) -> None:
+        """As the controller commands it, where the shaper is off."""
+        if self.raw and self._moving:
+            self._answered = True
+            self._write(qd, False)
+        else:
+            super().send(qd)
+
+
+class Chain:
+    """A bundled emulated cell with its arm at home, started.
+
+    Args:
+        name: ``panda`` or ``fr3``.
+        patch: Puts the made-up clock in.
+    """
+
+    def __init__(self, name: str, patch: pytest.MonkeyPatch) -> None:
+        self.arm = surg_core.load_cell(paths.CELLS / f"emulated_{name}").arms["PSM1"]
+        self.core = FrankaController(ROBOTS[name], q=self.arm.robot.home.tolist())
+        self.adapter = CoreAdapter(name, self.core, dict(self.arm.link_settings))
+        self._cycles = 0
+        clock = types.SimpleNamespace(
+            monotonic=lambda: DT * self._cycles,
+            time_ns=lambda: round(1e9 * DT * self._cycles),
+            sleep=lambda seconds: None,
+        )
+        patch.setattr(arm_driver, "time", clock)
+        patch.setattr(adapter_driver, "time", clock)
+        patch.setattr(robot_link, "SETTLED", 0.1)
+        self._node, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._node.setblocking(False)
+        settings = link_node.driver_settings(self.arm)
+        self.driver = adapter_driver.AdapterDriver(settings, theirs, self.adapter)
+        self.driver._connect_first()
+        arm = self.arm
+        self.controller = surg_core.Controller(
+            arm.chain, arm.robot, arm.limits, arm.instrument, arm.tool, law=Law.EXACT
+        )
+        self.controller.set_rcm(arm.trocar.p_BRcm)
+        self.state: wire.StateDatagram | None = None
+        self.notices: list[str] = []
+        self.identity: wire.IdentityDatagram | None = None
+        self.run(600)  # longer than no motion must have been commanded
+        self.ask("start")
+        self.run(20)
+
+    def ask(self, word: str) -> None:
+        """As a person does."""
+        enabled = self.out.state == surg_core.State.ENABLED
+        self._node.send(wire.RequestDatagram(word, enabled).pack())
+
+    def step(self, *commands: MotionCommand) -> surg_core.Outputs:
+        """One cycle of the controller, two of the robot."""
+        for _ in range(2):
+            self._cycles += 1
+            self.driver._turn()
+        self._hear()
+        assert self.state is not None
+        self.out = self.controller.step(
+            np.array(self.state.q),
+            np.array(self.state.qd),
+            list(commands),
+            jaw=0.0,
+            readings=Readings(condition=RobotCondition(int(self.state.status.condition))),
+        )
+        stamp = round(1e9 * DT * self._cycles)
+        self._node.send(wire.CommandDatagram(stamp, tuple(self.out.qd_command.tolist())).pack())
+        return self.out
+
+    def run(self, cycles: int) -> surg_core.Outputs:
+        """Some cycles without a command to the controller."""
+        for _ in range(cycles):
+            self.step()
+        return self.out
+
+    def _hear(self) -> None:
+        try:
+            while True:
+                said = wire.decode_from_driver(self._node.recv(wire.LONGEST))
+                if isinstance(said, wire.StateDatagram):
+                    self.state = said
+                elif isinstance(said, wire.NoticeDatagram):
+                    self.notices.append(said.text)
+                else:
+                    self.identity = said
+        except BlockingIOError:
+            pass
+
+    @property
+    def joints(self) -> list[float]:
+        """Of the emulated arm itself [rad]."""
+        return list(self.core.motion.q)
+
+    @property
+    def flange(self) -> np.ndarray:
+        """By the emulated arm's own joints and its maker's table (4, 4)."""
+        return np.array(franka_kinematics.flange(self.core.motion.q))
+
+    @property
+    def tip(self) -> np.ndarray:
+        """Position in the base [m]."""
+        X = self.flange
+        return np.array(X[:3, :3] @ self.arm.tool.p_FTip + X[:3, 3])
+
+    @property
+    def deviation(self) -> float:
+        """Of the shaft from the trocar [m]."""
+        away = self.arm.trocar.p_BRcm - self.tip
+        s = self.flange[:3, :3] @ self.arm.tool.s_F
+        return float(np.linalg.norm(away - (away @ s) * s))
