@@ -1,12 +1,16 @@
 """`./surg emulate` starts an emulator, tells its ports, and refuses wrong options."""
 
 from collections.abc import Callable
+from types import ModuleType
 
 import pytest
 
+import surg_core
 from helpers.hardware.emulated_ur import free_address
+from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
 from surg_hardware.emulators import emulator_ports
+from surg_hardware.emulators.franka import franka_emulator
 from surg_hardware.emulators.ur import ur_emulator
 
 
@@ -55,14 +59,32 @@ def test_wrong_options_end_with_2(
     assert option in str(problem.value) or value in str(problem.value)
 
 
-def test_it_is_the_arm_of_a_cell(surg: Callable[..., int], monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("arm", "cell", "module"),
+    [
+        ("ur", "emulated_ur5e", ur_emulator),
+        ("fer", "emulated_panda", franka_emulator),
+        ("fr3", "emulated_fr3", franka_emulator),
+    ],
+)
+def test_it_is_the_arm_of_a_cell(
+    arm: str,
+    cell: str,
+    module: ModuleType,
+    surg: Callable[..., int],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     asked = {}
-    monkeypatch.setattr(ur_emulator, "start", lambda options: asked.update(vars(options)) or 1 / 0)
+    monkeypatch.setattr(module, "start", lambda *given: asked.update(vars(given[-1])) or 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        surg("emulate", "ur", "--cell", "emulated_ur5e")
-    assert (asked["address"], asked["serial"]) == ("127.0.0.1", "20225500001")
-    assert asked["model"] == "UR5e"
-    assert asked["q"] == pytest.approx([-0.294, -1.234, 1.511, -1.29, -1.63, -2.134])
+        surg("emulate", arm, "--cell", cell)
+    wanted = surg_core.load_cell(paths.CELLS / cell).arms["PSM1"]
+    assert (asked["address"], asked["serial"]) == (
+        wanted.hardware.address,
+        wanted.hardware.serial,
+    )
+    assert str(asked["model"]).lower() == wanted.robot.name
+    assert asked["q"] == pytest.approx(wanted.robot.home)
 
 
 def test_another_arm_than_the_cells_is_refused(surg: Callable[..., int]) -> None:

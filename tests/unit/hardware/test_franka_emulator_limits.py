@@ -206,7 +206,7 @@ def test_random_steps_are_refused_exactly_where_they_break_a_limit(robot: Franka
         ddq = motion.ddq_d + rng.uniform(-1.1, 1.1, 7) * jerk * DT
         change = (np.abs(ddq) - most) / most, (np.abs(ddq - motion.ddq_d) / DT - jerk) / jerk
         beyond = max(change[0].max(), change[1].max())
-        if abs(beyond) < 1e-5:
+        if abs(beyond) < 3e-4:  # an FR3 allows for the rounding of its states
             continue
         try:
             motion.velocity_command((np.array(motion.dq_d) + DT * ddq).tolist())
