@@ -302,6 +302,34 @@ def test_a_late_emulator_leaves_its_client_time(
 
 
 @BOTH
+@pytest.mark.parametrize("share", [-0.05, 0.05])
+def test_the_robots_clock_may_run_fast_or_slow(
+    share: float, emulator: FrankaEmulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(emulator, "poll", lambda left=0.0: now.__setitem__(0, now[0] + left))
+    mishap(emulator, f"drift {share}")
+    emulator.run(2.0)
+    assert emulator.controller.number == 2000
+    assert now[0] - 100.0 == pytest.approx(2.0 / (1.0 + share), abs=DT)
+
+
+@BOTH
+def test_a_command_that_came_while_the_emulator_was_late_counts(emulator: FrankaEmulator) -> None:
+    peer = connected(emulator)
+    peer.move()
+    for _ in range(30):  # nobody polls: the program was not scheduled
+        emulator.cycle()
+        peer.take()
+        peer.answer()
+    emulator.cycle()
+    assert emulator.controller.active is not None
+    assert emulator.controller.active.lost == 0
+    peer.close()
+
+
+@BOTH
 def test_in_lock_step_a_cycle_waits_for_its_command(robot: FrankaRobot) -> None:
     emulator = FrankaEmulator(FrankaController(robot), free_address(), lock_step=True)
     try:

@@ -1,8 +1,8 @@
 """A Franka controller as a program: the emulated controller behind its TCP port and its datagrams.
 
 States go to the client's UDP port each millisecond; its commands come back to the port that they
-came from. A client has the whole period to answer: when this program itself is late, its clock
-falls behind instead of counting packets as lost.
+came from. When this program itself is late, its clock falls behind: a packet that counts as lost is
+the client's fault or a mishap's.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ SHORTEST = 0.8
 """Share of a period that a client has at least, where the emulator was late."""
 DOWN = 2.0
 """Time without any port during a reboot [s]; an arm's is longer."""
-LARGEST = 4096
+LARGEST, MOST_AT_ONCE = 4096, 1000
+"""Bytes of a datagram that are read; datagrams that are read in a row."""
 
 
 class FrankaEmulator(PortedEmulator):
@@ -69,6 +70,8 @@ class FrankaEmulator(PortedEmulator):
 
     def cycle(self) -> None:
         """One cycle of the controller: command, answers, next state."""
+        if self._udp is not None and not self._stalled:
+            self._receive_datagram(self._udp)  # what came while this program was late
         self._begin_cycle()
         if self._booted_at >= 0.0 and self._now >= self._booted_at + DOWN:
             self._booted_at = -1.0
@@ -104,7 +107,7 @@ class FrankaEmulator(PortedEmulator):
             self._udp.sendto(data, (self._client, port))
 
     def _receive_datagram(self, receiver: socket.socket) -> None:
-        while True:
+        for _ in range(MOST_AT_ONCE):
             try:
                 data = receiver.recv(LARGEST)
             except OSError:
