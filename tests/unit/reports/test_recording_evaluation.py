@@ -76,7 +76,8 @@ def many(count: int, start: int = 0, **changes: Any) -> list[dict[str, Any]]:
 
 def of(entries: list[dict[str, Any]], preset: str = "reference", **more: Any) -> dict[str, Any]:
     left_out, compared = more.get("left_out", []), more.get("compared")
-    return evaluation.summarise(entries, left_out, preset, compared, {"versions": {}})
+    info = {"versions": {}, "paper_values": more.get("paper_values", False)}
+    return evaluation.summarise(entries, left_out, preset, compared, info)
 
 
 @pytest.fixture(scope="module")
@@ -252,7 +253,7 @@ def test_one_evaluation_has_one_preset(preset: str, tmp_path: Path) -> None:
     assert sorted(drawn) == sorted(values)
     label = figure.get_supxlabel() if hasattr(figure, "get_supxlabel") else ""
     texts = label + " ".join(text.get_text() for text in figure.texts)
-    assert metrics.PRESETS[preset].label() in texts and "Simulation" in texts
+    assert metrics.PRESETS[preset].label() in texts.replace("\n", " ") and "Simulation" in texts
     evaluation_report.write(summary, tmp_path)
     page = html.unescape((tmp_path / "report.html").read_text("utf-8"))
     assert f"preset {preset}:" in page
@@ -287,7 +288,7 @@ def test_the_page_is_whole_and_safe(written: tuple[dict[str, Any], Path]) -> Non
     assert "<b>50" not in page and "<torn>" not in page
     assert "&lt;torn&gt;" in page and "9 of 10 (95 % interval" in page
     assert "JIGSAWS Knot Tying" in page and "Knot_Tying_I001" in page
-    assert "Simulation, bgr, ur5e, law ours" in page
+    assert "Simulation, Bowel grasping and retraction, UR5e, law ours" in page
     names = {f"{name}.{kind}" for name in evaluation_figures.FIGURES for kind in ("png", "svg")}
     assert {file.name for file in (out / "figures").iterdir()} == names
     found = json.loads((out / "summary.json").read_text("utf-8"))
@@ -351,7 +352,7 @@ def test_a_box_per_condition_and_the_reference_apart(
     axes = figure.axes[0]
     labels = [tick.get_text() for tick in axes.get_xticklabels()]
     assert labels == [
-        "phantom\nn = 10", "in_vivo\nn = 7",
+        "phantom\nn = 10", "in vivo\nn = 7",
         "JIGSAWS\nKnot Tying\nn = 4", "JIGSAWS\nKnot Tying\nexperts\nn = 2",
     ]  # fmt: skip
     dots = [line.get_ydata() for line in axes.lines if line.get_marker() == "o"]
@@ -363,7 +364,49 @@ def test_a_box_per_condition_and_the_reference_apart(
     heights = [line.get_ydata() for line in deviation.axes[1].lines if line.get_marker() == "o"]
     assert sorted(len(line) for line in heights if len(line)) == [7, 7, 10, 10]
     words = [text.get_text() for text in deviation.axes[0].get_legend().get_texts()]
-    assert words == ["kinematic", "true"]
+    assert words == ["mean", "max"]
+    titles = [axes.get_title() for axes in deviation.axes]
+    assert titles == ["RCM deviation, kinematic", "RCM deviation, true"]
+
+
+def test_figures_for_print(tmp_path: Path) -> None:
+    """One value is no box, no dot is cut, every axis has its unit, small print fits."""
+    summary = of([*many(6), *many(1, 50, setting="ex_vivo")], "paper", paper_values=True)
+    for name, (_, _, draw) in evaluation_figures.FIGURES.items():
+        figure = draw(summary)
+        figure.savefig(tmp_path / f"{name}.png")
+        for axes in figure.axes:
+            assert re.search(r"\[(mm|s|–)\]", axes.get_ylabel()), axes.get_ylabel()
+            dots = [
+                line for line in axes.lines if line.get_marker() == "o" and len(line.get_ydata())
+            ]
+            assert all(not line.get_clip_on() for line in dots)
+            of_one = [line for line in dots if len(line.get_ydata()) == 1]
+            assert of_one and len(axes.patches) == len(dots) - len(of_one)
+            low, high = sorted(axes.get_ylim())
+            for line in axes.lines:
+                assert all(low <= y <= high for y in line.get_ydata()), name
+        for text in figure.texts:
+            box = text.get_window_extent()
+            assert box.x0 >= 0 and box.x1 <= figure.bbox.width and box.y0 >= 0
+
+
+def test_published_values_are_marked_where_asked_for() -> None:
+    entries = [*many(3), *many(3, 50, setting="ex_vivo")]
+
+    def marks(draw: Any, summary: Any) -> list[float]:
+        lines = draw(summary).axes[0].lines
+        return [float(y) for line in lines if line.get_marker() == "D" for y in line.get_ydata()]
+
+    asked = of(entries, "paper", paper_values=True)
+    assert marks(evaluation_figures.deviation, asked) == [0.035, 0.052]
+    assert marks(evaluation_figures.smoothness, asked) == [-2.0, -2.0]
+    other_preset = of(entries, paper_values=True)
+    assert marks(evaluation_figures.deviation, other_preset) == [0.035, 0.052]
+    assert marks(evaluation_figures.smoothness, other_preset) == []
+    assert marks(evaluation_figures.deviation, of(entries, "paper")) == []
+    other_task = of([{**entry, "task": "knots"} for entry in entries], "paper", paper_values=True)
+    assert marks(evaluation_figures.deviation, other_task) == []
 
 
 def test_the_same_episodes_make_the_same_files(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from helpers.recording.recording_synthetic import Synthetic
 from helpers.recording.restated import edit_field, restate
 from surg_recording.episode import episode_reader
 from surg_recording.recording_errors import EpisodeError, NoMotionError
-from surg_recording.reports import run_report, run_series, run_summary
+from surg_recording.reports import run_figures, run_report, run_series, run_summary
 
 KEYS = {
     *("robot", "motion", "mode", "law", "link", "duration_s", "scale", "rcm_kinematic_mm"),
@@ -286,3 +286,14 @@ def test_a_lost_video_is_said_and_the_rest_goes_on(tmp_path: Path) -> None:
     (folder / "endoscope_left.mp4").unlink()
     run_report.make(tmp_path)
     assert "the file is missing" in (tmp_path / "report.html").read_text()
+
+
+def test_an_envelope_keeps_the_extremes_of_all_samples() -> None:
+    rng = np.random.default_rng(3)
+    t, values = np.sort(rng.uniform(0, 10, 5000)), rng.normal(size=5000)
+    middle, low, high, centre = run_figures.envelope(t, values)
+    assert len(middle) == run_figures.BANDS and (np.diff(middle) > 0).all()
+    assert low.min() == values.min() and high.max() == values.max()
+    assert (low <= centre).all() and (centre <= high).all()
+    few = run_figures.envelope(t[:3], values[:3])
+    assert sorted(few[3]) == sorted(values[:3])

@@ -95,13 +95,13 @@ def test_a_box_shows_the_quartiles_of_its_episodes() -> None:
     summary = trials.summarise(episodes, INFO)
     groups = trial_figures.grouped(summary)
     figure = trial_figures.deviation(groups, summary)
-    axes = figure.axes[1]
+    axes = figure.axes[0]
     labels = [tick.get_text() for tick in axes.get_xticklabels()]
-    assert labels == ["phantom\nn = 20", "ex_vivo\nn = 7"]
-    assert "max" in axes.get_title(loc="left") + axes.get_title()
+    assert labels == ["phantom\nn = 20", "ex vivo\nn = 7"]
+    assert "kinematic" in axes.get_title()
     for i, (_, entries) in enumerate(groups):
         kinematic = np.array(trials.values(entries, "rcm_kinematic_mm", "max"))
-        lines = [line for line in axes.lines if near(line, i - 0.175)]
+        lines = [line for line in axes.lines if near(line, i + 0.175)]
         heights = {round(float(y), 9) for line in lines for y in line.get_ydata()}
         quartiles = np.percentile(kinematic, (25, 50, 75))
         assert round(float(quartiles[1]), 9) in heights

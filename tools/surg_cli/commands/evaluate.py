@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     )
     add("--reference", metavar="KIND:PATH", help=f"compare the smoothness with {REFERENCES}")
     add("--preset", default=PRESETS[0], metavar="P", help="smoothness: " + ", ".join(PRESETS))
+    add("--paper-values", action="store_true", help="mark the paper's published values")
     add("--arm", metavar="ARM", help="whose motion (default: the first arm of each episode)")
     add("--where", metavar="EXPR", help=option_types.WHERE)
     add("--incomplete", action="store_true", help="include incomplete recordings, marked")
@@ -69,6 +70,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         for text in evaluation.remarks(entries):
             warn(f"surg: note: {text}")
         info = {"versions": provenance.versions(), "where": options.where}
+        info["paper_values"] = options.paper_values
         summary = evaluation.summarise(entries, left_out, options.preset, compared, info)
         progress.update(1.0, "figures")
         try:

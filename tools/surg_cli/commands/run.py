@@ -159,6 +159,7 @@ def _report(plan: Plan, entries: list[dict[str, Any]], out: Path) -> dict[str, A
 
     info = {
         "task": plan.run_info["task"],
+        "title": plan.run_info["title"],
         "robot": plan.run_info["robot"],
         "cell": plan.cell.name,
         "time": plan.mode,

@@ -163,7 +163,9 @@ def _arm(
         rcm.insert(0, _series("true", TRUE, "truth", true[kept] * 1e3, 5))
         series = [_series("force on the trocar", TRUE, "truth", force[kept], 4)]
         curves.append(_curve("Force on the trocar", "N", series))
-    if not np.any(np.isfinite(in_rcm)):
+    commands = episode.manifest["tables"].get(f"command_{arm}") or {}
+    # An arm that nobody commanded was not meant to move.
+    if not np.any(np.isfinite(in_rcm)) and commands.get("rows") != 0:
         missing.append(f"{arm}: no tip path: the arm was never homed")
     return {
         "name": arm,

@@ -118,6 +118,7 @@ def measure(recorded: Episode, arm: str | None = None) -> dict[str, Any]:
     return {
         "folder": str(recorded.folder),
         "task": manifest.get("task") or measured["motion"],
+        "title": info.get("title"),
         "setting": info.get("setting"),
         "robot": measured["robot"],
         "law": measured["law"],
@@ -193,8 +194,13 @@ def remarks(entries: Iterable[Mapping[str, Any]]) -> list[str]:
     ]
 
 
-def grouped(entries: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
-    """Episodes by condition; the label states what distinguishes the conditions."""
+def grouped(
+    entries: Sequence[Mapping[str, Any]], names: Callable[[Any], Any] = lambda value: value
+) -> dict[str, list[Mapping[str, Any]]]:
+    """Episodes by condition; the label states what distinguishes the conditions.
+
+    ``names`` turns an identifier of a label into words.
+    """
     groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
     for entry in entries:
         groups.setdefault(tuple(entry[key] for key in IDENTITY), []).append(entry)
@@ -205,7 +211,10 @@ def grouped(entries: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str,
         task, setting, robot, law, source = identity
         return str(task), str(robot), source, order.get(setting, len(order)), str(setting), str(law)
 
-    return {_label(identity, differing): groups[identity] for identity in sorted(groups, key=rank)}
+    return {
+        _label([value and names(value) for value in identity], differing): groups[identity]
+        for identity in sorted(groups, key=rank)
+    }
 
 
 def _label(identity: Sequence[Any], differing: Sequence[int]) -> str:
@@ -244,6 +253,7 @@ def _condition(entries: Sequence[Mapping[str, Any]], preset: str) -> dict[str, A
     judged = [bool(entry["success"]) for entry in entries if entry["success"] is not None]
     return {
         **{key: entries[0][key] for key in IDENTITY},
+        "title": entries[0].get("title"),
         "n": len(entries),
         "incomplete": sum(not entry["complete"] for entry in entries),
         "success_rate": success_rate(judged) if judged else None,

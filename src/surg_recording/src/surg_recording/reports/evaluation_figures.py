@@ -12,9 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from surg_recording.metrics import PRESETS
+from surg_recording.metrics.paper_values import PAPER_VALUES
 from surg_recording.reports import evaluation, trial_figures
 from surg_recording.reports.figure_style import (
     EXECUTED,
+    FOOTNOTE,
     GRID,
     INK,
     INPUT,
@@ -23,13 +25,15 @@ from surg_recording.reports.figure_style import (
     blank,
     save_all,
 )
+from surg_recording.reports.terms import named
 
 
 def deviation(summary: Mapping[str, Any]) -> Figure:
     """Mean and maximum of the RCM deviation of each episode."""
-    groups = _groups(summary)
-    figure = trial_figures.deviation(groups, {"conditions": list(summary["conditions"].values())})
-    figure.supxlabel(origin(summary), fontsize=8.5, color=INK)
+    groups, marks = _groups(summary), [mark for mark in _paper(summary) if mark["metric"] == "rcm"]
+    conditions = {"conditions": list(summary["conditions"].values()), "paper": marks}
+    figure = trial_figures.deviation(groups, conditions)
+    _footnote(figure, origin(summary))
     return figure
 
 
@@ -42,8 +46,14 @@ def smoothness(summary: Mapping[str, Any]) -> Figure:
         metric = _boxes(axes, name, [*groups, *others], summary, own=len(groups))
         if groups and others:
             axes.axvline(len(groups) - 0.5, color=GRID, linewidth=1.6)
-        axes.set(title=f"{metric.title} (closer to zero: smoother)", ylabel=metric.title)
-    figure.supxlabel(f"{origin(summary)}\n{preset.label()}", fontsize=8.5, color=INK)
+        axes.set(title=f"{metric.title} (closer to zero: smoother)", ylabel=f"{metric.title} [–]")
+        axes.margins(y=0.1)
+        for mark in _paper(summary):
+            if mark["metric"] == name:
+                trial_figures.paper_mark(axes, mark, [*groups, *others])
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(loc="best", fontsize=8)
+    _footnote(figure, origin(summary), preset.label())
     return figure
 
 
@@ -53,10 +63,24 @@ def effort(summary: Mapping[str, Any]) -> Figure:
     names = ("path_length_mm", "duration_s", "idle_s")
     for axes, name in zip(figure.subplots(1, len(names)), names, strict=True):
         metric = _boxes(axes, name, groups, summary, own=len(groups))
-        axes.set(title=metric.title.capitalize(), ylabel=metric.unit)
+        axes.set(title=metric.title.capitalize(), ylabel=metric.heading)
         axes.set_ylim(0, 1.05 * axes.get_ylim()[1])
-    figure.supxlabel(origin(summary), fontsize=8.5, color=INK)
+    _footnote(figure, origin(summary))
     return figure
+
+
+def _footnote(figure: Figure, *lines: str) -> None:
+    """Small print below a figure, in lines that fit it."""
+    wrapped = [each for line in lines for each in textwrap.wrap(line, FOOTNOTE)]
+    figure.supxlabel("\n".join(wrapped), fontsize=8.5, color=INK)
+
+
+def _paper(summary: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
+    """The published values to mark: those asked for, smoothness only of the paper's preset."""
+    if not summary.get("paper_values"):
+        return ()
+    ours = summary["preset"]["name"] == "paper"
+    return [mark for mark in PAPER_VALUES if ours or mark["metric"] == "rcm"]
 
 
 def _boxes(
@@ -107,7 +131,10 @@ def origin(summary: Mapping[str, Any]) -> str:
     conditions = list(summary["conditions"].values())
     if not conditions:
         return "No episode"
-    common = [_common(conditions, key) for key in ("source", "task", "robot", "law")]
+    keys = ("source", "title", "robot", "law")
+    common = [_common(conditions, key) for key in keys]
+    common[1] = common[1] or _common(conditions, "task")
+    common[1], common[2] = (value and named(value) for value in common[1:3])
     sources = {condition["source"] for condition in conditions}
     if len(sources) > 1:
         common[0] = "simulation and real, see the labels"
@@ -125,7 +152,7 @@ def _groups(summary: Mapping[str, Any]) -> trial_figures.Groups:
     """Episodes of each condition under its label, one part per line."""
     return [
         (label.replace(", ", "\n"), entries)
-        for label, entries in evaluation.grouped(summary["episodes"]).items()
+        for label, entries in evaluation.grouped(summary["episodes"], named).items()
     ]
 
 

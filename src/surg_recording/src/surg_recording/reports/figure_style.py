@@ -15,6 +15,7 @@ Figures = Mapping[str, tuple[str, str, Callable[..., Figure]]]
 """Name → the question that the figure answers, caption, function that draws it."""
 
 INK, FAINT, GRID = "#1f2933", "#7b8794", "#e4e7eb"
+EXECUTED_FAINT, TRUE_FAINT = "#74a9d8", "#e8ad80"
 INPUT, EXECUTED, TRUE, LIMIT = "#8a94a0", "#1d6fb8", "#d9762b", "#c62f3b"
 
 STYLE: dict[str, Any] = {
@@ -44,6 +45,8 @@ STYLE: dict[str, Any] = {
     "path.simplify_threshold": 0.5,
 }
 
+FOOTNOTE = 110
+"""Characters of a line below a figure."""
 WIDTH = 9.0
 """Width of every figure [inch]."""
 

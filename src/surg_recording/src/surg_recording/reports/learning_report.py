@@ -61,8 +61,8 @@ def write(
             bullets(summary["reasons"]),
             verdict="ok" if summary["ok"] else "bad",
         ),
-        _what_was_done(summary),
         *map(figure_section, drawn),
+        _what_was_done(summary),
         _rollouts(summary["rollouts"]),
         _unsafe(summary),
     ]

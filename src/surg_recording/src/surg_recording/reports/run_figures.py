@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from matplotlib.figure import Figure
 from surg_recording import metrics
 from surg_recording.reports.figure_style import (
     EXECUTED,
+    FOOTNOTE,
     INK,
     INPUT,
     LIMIT,
@@ -44,9 +46,10 @@ def rcm_deviation(run: Run, summary: Values, robot: Values) -> Figure:
     top = max(float(np.nanmax(d)) for _, _, d, _ in series) * 1e3
     for name, t, deviation, colour in series:
         mm = np.maximum(deviation * 1e3, floor)
-        # With exact calibration the two coincide: the true one shows as a broad band behind.
         broad = name == "true"
-        over_time.plot(t, mm, color=colour, linewidth=1.8 if broad else 0.7)
+        middle, low_mm, high_mm, centre = envelope(t, mm)
+        over_time.fill_between(middle, low_mm, high_mm, color=colour, alpha=0.3, linewidth=0)
+        over_time.plot(middle, centre, color=colour, linewidth=1.2)
         levels = metrics.percentiles(mm, *np.linspace(0, 100, 201))
         mean = float(np.mean(mm))
         spread.plot(np.linspace(0, 100, 201), levels, color=colour, linewidth=3.2 if broad else 1.4)
@@ -62,12 +65,31 @@ def rcm_deviation(run: Run, summary: Values, robot: Values) -> Figure:
     low = float(np.percentile(np.concatenate([d for _, _, d, _ in series]), 1)) * 1e3
     over_time.set_ylim(max(floor, low / 2), max(1.2, top * 2.5))
     over_time.yaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda y, _: f"{y:g}"))
-    over_time.set(title="Distance between pivot and shaft", xlabel="time [s]", ylabel="mm")
+    over_time.set(title="Distance between pivot and shaft", xlabel="time [s]")
+    over_time.set_ylabel("RCM deviation [mm]")
     over_time.legend(loc="upper left", ncols=2)
     over_time.set_xlim(0, run.t[-1])
     spread.set(title="Distribution", xlabel="% of samples below")
     spread.set_xlim(0, 100)
     return figure
+
+
+BANDS = 240
+"""Intervals over which an envelope is drawn."""
+
+
+def envelope(t: Array, values: Array) -> tuple[Array, Array, Array, Array]:
+    """Middle time, minimum, maximum and median of values in equal intervals, each (n,), n <= 240.
+
+    The extremes of all samples are kept; an interval without a sample is left out.
+    """
+    edges = np.linspace(t[0], t[-1], min(BANDS, len(t)) + 1)
+    place = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, len(edges) - 2)
+    firsts = np.flatnonzero(np.diff(place, prepend=-1))
+    pieces = np.split(values, firsts[1:])
+    levels = [(np.nanmin(piece), np.nanmax(piece), np.nanmedian(piece)) for piece in pieces]
+    low, high, centre = np.array(levels).T
+    return (edges[place[firsts]] + edges[place[firsts] + 1]) / 2, low, high, centre
 
 
 def tip_error(run: Run, summary: Values, robot: Values) -> Figure:
@@ -91,7 +113,7 @@ def tip_error(run: Run, summary: Values, robot: Values) -> Figure:
     lag = tracking.lag * 1e3
     rms, most = tracking.rms * 1e3, tracking.max * 1e3
     title = f"Tip error:  rms {rms:.3f} mm (line),  max {most:.3f} mm,  after {lag:.1f} ms lag"
-    axes.set(title=title, xlabel="time [s]", ylabel="mm")
+    axes.set(title=title, xlabel="time [s]", ylabel="tip error [mm]")
     return figure
 
 
@@ -118,7 +140,8 @@ def speed(run: Run, summary: Values, robot: Values) -> Figure:
         f"Tip speed    SPARC {_value(first['sparc'])} (input {_value(first['input']['sparc'])}),"
         f"  LDLJ {_value(first['ldlj'])} (input {_value(first['input']['ldlj'])})"
     )
-    axes.set(xlabel=f"time [s]\n{preset.label()}", ylabel="mm/s")
+    footnote = "\n".join(textwrap.wrap(preset.label(), FOOTNOTE))
+    axes.set(xlabel=f"time [s]\n{footnote}", ylabel="tip speed [mm/s]")
     axes.set_xlim(0, run.t[-1])
     axes.set_ylim(bottom=0)
     axes.margins(y=0.12)
@@ -135,18 +158,18 @@ def joints(run: Run, summary: Values, robot: Values) -> Figure:
     names = stated.get("names") or [f"q{i}" for i in range(q.shape[1])]
     low, high = _numbers(stated, "position_min", q), _numbers(stated, "position_max", q)
     fastest = _numbers(stated, "velocity", q)
-    position.set(title="Joint positions", ylabel="rad")
-    velocity.set(title="Joint velocities", ylabel="rad/s", xlabel="time [s]")
+    position.set(title="Joint positions", ylabel="position [rad]")
+    velocity.set(title="Joint velocities", ylabel="velocity [rad/s]", xlabel="time [s]")
     if low is not None and high is not None:
         q = 200.0 * (q - low) / (high - low) - 100.0
-        position.set(title="Joint positions within their range", ylabel="% of range (±100: limit)")
+        position.set(title="Joint positions within their range", ylabel="position [% of range]")
         position.set_ylim(-112, 112)
         _bounds_at_100(position)
     if fastest is not None:
         qd = 100.0 * qd / fastest
         fast = float(np.max(np.abs(qd)))
         title = f"Joint velocities: at most {fast:.0f} % of their limits"
-        velocity.set(title=title, ylabel="% of limit")
+        velocity.set(title=title, ylabel="velocity [% of limit]")
         if fast > 50.0:
             _bounds_at_100(velocity)
     for i, name in enumerate(names[: q.shape[1]]):
@@ -178,7 +201,7 @@ def trocar(run: Run, summary: Values, robot: Values) -> Figure:
         axes.plot(run.t_truth, values, color=TRUE, linewidth=0.9)
         mean, most = float(np.mean(values)), float(np.max(values))
         axes.set_title(f"{title}:  mean {mean:.3g} {unit},  max {most:.3g} {unit}")
-        axes.set_ylabel(unit)
+        axes.set_ylabel(f"{title.partition(' ')[0].lower()} [{unit}]")
         axes.set_ylim(0, max(1.15 * most, 1e-6))
     moved.set_xlabel("time [s]")
     moved.set_xlim(0, run.t[-1])
@@ -206,7 +229,8 @@ FIGURES: Figures = {
     "rcm_deviation": (
         "Does the shaft stay in the trocar?",
         "Kinematic: from the commanded pivot to the shaft line computed from the joints. True: from"
-        " the trocar's unloaded point to the simulator's shaft axis. Logarithmic scale.",
+        " the trocar's unloaded point to the simulator's shaft axis. Line: median, band: smallest"
+        " and largest value, in 240 intervals. Logarithmic scale.",
         rcm_deviation,
     ),
     "tip_path": (
@@ -278,7 +302,7 @@ def _histogram(axes: Axes, values: Array, levels: Mapping[str, float], title: st
     axes.plot([], [], " ", label=worst)
     axes.set_ylim(0.7, axes.get_ylim()[1] ** 1.6)  # logarithmic: room for the legend
     axes.legend(loc="upper right", ncols=3, columnspacing=1.0, handlelength=1.2)
-    axes.set(title=title, xlabel="µs", ylabel="cycles")
+    axes.set(title=title, xlabel="time [µs]", ylabel="cycles")
 
 
 def _value(value: float | None) -> str:

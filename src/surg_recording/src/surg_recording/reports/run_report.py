@@ -35,6 +35,7 @@ from surg_recording.reports.html_page import (
     table,
     text,
 )
+from surg_recording.reports.terms import named
 from surg_recording.video import video_file
 
 STRIP_FRAMES = 6
@@ -71,8 +72,9 @@ def make(
 
 
 def _page(recorded: episodes.Episode, result: Mapping[str, Any], drawn: Sequence[Drawn]) -> str:
-    subject = result["motion"] or recorded.manifest.get("task") or "motion"
-    title = f"{result['robot'] or 'robot'}: {subject}"
+    run = recorded.manifest.get("run") or {}
+    subject = run.get("title") or result["motion"] or recorded.manifest.get("task") or "motion"
+    title = f"{named(subject)}: {named(result['robot'] or 'robot')}"
     measured = [_limits(result), _numbers(result)] if result["limits"] else []
     return document(
         title,
@@ -80,11 +82,12 @@ def _page(recorded: episodes.Episode, result: Mapping[str, Any], drawn: Sequence
             f"<h1>{text(title)}</h1>",
             f"<p class='faint'>Recorded {text(recorded.manifest.get('created'))}"
             f" with software version {text(result['versions'].get('software') or 'unknown')}</p>",
-            _verdict(result),
-            _what_was_run(recorded, result),
-            *measured,
             _frames(recorded),
+            _verdict(result),
+            *measured[:1],
             *map(figure_section, drawn),
+            _what_was_run(recorded, result),
+            *measured[1:],
             sync_page.section(sync_report.ensure(recorded)),
             _recording(recorded, result),
             definitions(*_TERMS),

@@ -2,6 +2,34 @@
 
 from __future__ import annotations
 
+NAMES = {
+    "phantom": "phantom",
+    "ex_vivo": "ex vivo",
+    "in_vivo": "in vivo",
+    "bgr": "Bowel grasping and retraction",
+    "endoscope_guidance": "Endoscope guidance",
+    "pick_and_place": "Peg transfer",
+    "ur3e": "UR3e",
+    "ur5e": "UR5e",
+    "ur10e": "UR10e",
+    "panda": "Panda",
+    "fr3": "FR3",
+    "teleop": "Teleoperation",
+}
+"""Identifier -> its name in figures and titles; others show as they are."""
+
+
+def named(identifier: object) -> str:
+    """The name of an identifier; of a path, that of its file."""
+    words = str(identifier)
+    known = NAMES.get(words)
+    if known is not None:
+        return known
+    if words.endswith(".py"):
+        words = words.rpartition("/")[2].removesuffix(".py")
+    return words
+
+
 TERMS = {
     "Window": "All values are measured from the first to the last control cycle that followed a"
     " servo command stream.",

@@ -11,7 +11,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from surg_recording.reports import trials
-from surg_recording.reports.figure_style import EXECUTED, FAINT, INK, LIMIT, TRUE, Figures, blank
+from surg_recording.reports.figure_style import (
+    EXECUTED,
+    EXECUTED_FAINT,
+    FAINT,
+    INK,
+    LIMIT,
+    TRUE,
+    TRUE_FAINT,
+    Figures,
+    blank,
+)
+from surg_recording.reports.terms import named
 
 Entries = Sequence[Mapping[str, Any]]
 Groups = Sequence[tuple[str, Entries]]
@@ -21,34 +32,65 @@ Series = Sequence[tuple[str, str, tuple[str, ...]]]
 
 
 def deviation(groups: Groups, summary: Mapping[str, Any]) -> Figure:
-    """Mean and maximum of the RCM deviation of each episode."""
+    """Mean and maximum of the RCM deviation of each episode: kinematic, and by the simulator."""
+    panels = [("kinematic", "rcm_kinematic_mm", EXECUTED, EXECUTED_FAINT)]
+    if any(trials.values(entries, "rcm_true_mm", "max") for _, entries in groups):
+        panels.append(("true", "rcm_true_mm", TRUE, TRUE_FAINT))
     figure = blank(4.2)
-    for axes, metric in zip(figure.subplots(1, 2), ("mean", "max"), strict=True):
-        series = [
-            ("kinematic", EXECUTED, ("rcm_kinematic_mm", metric)),
-            ("true", TRUE, ("rcm_true_mm", metric)),
-        ]
-        if not any(trials.values(entries, *series[1][2]) for _, entries in groups):
-            series.pop()  # no simulator, no truth
+    drawn = list(np.atleast_1d(figure.subplots(1, len(panels))))
+    for axes, (name, key, colour, faint) in zip(drawn, panels, strict=True):
+        series = [("mean", faint, (key, "mean")), ("max", colour, (key, "max"))]
         _boxes(axes, groups, series)
-        for i, condition in enumerate(summary["conditions"]):
-            for bound in condition.get("bounds", ()):
-                if bound["metric"] == metric:
-                    # Over the kinematic box only: the other one is not held against it.
-                    axes.plot([i - 0.4, i - 0.02], [bound["value"]] * 2, "--", color=LIMIT, lw=1.2)
         axes.set_yscale("log")
         axes.margins(y=0.12)
         axes.yaxis.set_major_locator(matplotlib.ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda y, _: f"{y:g}"))
         axes.yaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
-        axes.set(title=f"RCM deviation, {metric} of each episode", ylabel="mm")
-    if any(condition.get("bounds") for condition in summary["conditions"]):
-        axes.plot([], [], "--", color=LIMIT, lw=1.0, label="bound (kinematic)")
-    first, (low, high) = figure.axes[0], figure.axes[0].get_ylim()
-    first.set_ylim(low, high * (high / low) ** 0.15)  # logarithmic: room for the legend
-    handles, labels = axes.get_legend_handles_labels()
-    first.legend(handles, labels, loc="upper center", ncols=3, columnspacing=1.0, fontsize=8)
+        axes.set(title=f"RCM deviation, {name}", ylabel="RCM deviation of each episode [mm]")
+    marks = [_bound_marks(drawn[0], i, c) for i, c in enumerate(summary["conditions"])]
+    if any(marks):
+        drawn[0].plot([], [], "--", color=LIMIT, lw=1.2, label="bound")
+    for mark in summary.get("paper", ()):
+        paper_mark(drawn[0], mark, groups)
+    for axes in drawn:
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high * (high / low) ** 0.15)  # logarithmic: room for the legend
+        axes.legend(loc="upper center", ncols=4, columnspacing=1.0, fontsize=8)
     return figure
+
+
+def _bound_marks(axes: Axes, place: int, condition: Mapping[str, Any]) -> int:
+    """Lines over the kinematic boxes of one condition; returns their number."""
+    ends = {"mean": (-0.38, -0.02), "max": (0.02, 0.38)}
+    bounds = condition.get("bounds", ())
+    for bound in bounds:
+        left, right = ends[bound["metric"]]
+        axes.plot([place + left, place + right], [bound["value"]] * 2, "--", color=LIMIT, lw=1.2)
+    return len(bounds)
+
+
+def paper_mark(axes: Axes, mark: Mapping[str, Any], groups: Groups) -> None:
+    """A published value beside the boxes of its setting; ``mark`` is of ``paper_values``."""
+    labels = axes.get_legend_handles_labels()[1]
+    for place, (_, entries) in enumerate(groups):
+        of_the_task = all(entry.get("task", PAPER_TASK) == PAPER_TASK for entry in entries)
+        if entries and of_the_task and all(e.get(mark["key"]) == mark["of"] for e in entries):
+            axes.plot(
+                [place + mark["shift"]],
+                [mark["value"]],
+                "D",
+                color="white",
+                markeredgecolor=INK,
+                markeredgewidth=1.4,
+                markersize=7,
+                zorder=5,
+                clip_on=False,
+                label=None if PAPER in labels else PAPER,
+            )
+            labels.append(PAPER)
+
+
+PAPER, PAPER_TASK = "published in the paper", "bgr"
 
 
 def smoothness(groups: Groups, summary: Mapping[str, Any]) -> Figure:
@@ -56,7 +98,7 @@ def smoothness(groups: Groups, summary: Mapping[str, Any]) -> Figure:
     figure = blank(3.5)
     for axes, name in zip(figure.subplots(1, 2), ("sparc", "ldlj"), strict=True):
         _boxes(axes, groups, [("tip", EXECUTED, ("smoothness", name))])
-        axes.set(title=f"{name.upper()} (closer to zero: smoother)", ylabel=name.upper())
+        axes.set(title=f"{name.upper()} (closer to zero: smoother)", ylabel=f"{name.upper()} [–]")
     return figure
 
 
@@ -66,12 +108,12 @@ def load(groups: Groups, summary: Mapping[str, Any]) -> Figure:
     panels = (
         ("Trocar force, max", "N", ("trocar", "force_n", "max"), TRUE),
         ("Trocar displacement, max", "mm", ("trocar", "displacement_mm", "max"), TRUE),
-        ("Duration", "s simulated", ("duration_s",), FAINT),
+        ("Duration", "s, simulated", ("duration_s",), FAINT),
     )
     for axes, (title, unit, path, colour) in zip(figure.subplots(1, 3), panels, strict=True):
         _boxes(axes, groups, [(title, colour, path)])
-        axes.set(title=title, ylabel=unit)
-        axes.set_ylim(bottom=0)
+        axes.set(title=title, ylabel=f"{title.partition(',')[0]} [{unit}]")
+        axes.set_ylim(0, 1.05 * axes.get_ylim()[1])
     return figure
 
 
@@ -102,7 +144,7 @@ def grouped(summary: Mapping[str, Any]) -> Groups:
     for condition in summary["conditions"]:
         setting, law = condition["setting"], condition["law"]
         entries = [e for e in summary["episodes"] if (e["setting"], e["law"]) == (setting, law)]
-        name = setting if law == "ours" else f"{setting}\n{law}"
+        name = named(setting) if law == "ours" else f"{named(setting)}\nlaw {law}"
         groups.append((name, entries))
     return groups
 
@@ -121,24 +163,28 @@ def _boxes(axes: Axes, groups: Groups, series: Series) -> None:
     name_groups(axes, [label for label, _ in groups], counts)
 
 
+FEWEST = 3
+"""Values that a box needs; quartiles of fewer say nothing."""
+
+
 def box(axes: Axes, x: float, width: float, numbers: Sequence[float], colour: str) -> None:
-    """One box with its numbers as dots; nothing without numbers."""
-    if not numbers:
-        return
-    axes.boxplot(
-        numbers,
-        positions=[x],
-        widths=0.8 * width,
-        showfliers=False,
-        patch_artist=True,
-        boxprops={"facecolor": "white", "edgecolor": colour},
-        medianprops={"color": INK, "linewidth": 1.6},
-        whiskerprops={"color": colour},
-        capprops={"color": colour},
-    )
+    """One box with its numbers as dots; fewer than ``FEWEST`` are dots alone."""
+    if len(numbers) >= FEWEST:
+        axes.boxplot(
+            numbers,
+            positions=[x],
+            widths=0.8 * width,
+            showfliers=False,
+            patch_artist=True,
+            boxprops={"facecolor": "white", "edgecolor": colour},
+            medianprops={"color": INK, "linewidth": 1.6},
+            whiskerprops={"color": colour},
+            capprops={"color": colour},
+        )
     # The dots are spread evenly over the box in the episodes' order: no random numbers.
     across = x + np.linspace(-0.25, 0.25, len(numbers) + 2)[1:-1] * width
-    axes.plot(across, numbers, "o", color=colour, markersize=3.2, alpha=0.65, zorder=3)
+    style = {"markersize": 3.2 if len(numbers) >= FEWEST else 5.0, "alpha": 0.65, "zorder": 3}
+    axes.plot(across, numbers, "o", color=colour, clip_on=False, **style)
 
 
 def name_groups(axes: Axes, labels: Sequence[str], counts: Sequence[Sequence[int]]) -> None:

@@ -21,6 +21,7 @@ from surg_recording.reports.html_page import (
     table,
     text,
 )
+from surg_recording.reports.terms import named
 
 _TERMS = (
     *("Success", "95 % interval", "Window", "Kinematic RCM deviation", "True RCM deviation"),
@@ -38,12 +39,12 @@ def write(summary: Mapping[str, Any], folder: Path) -> None:
     if summary["episodes"]:
         groups = trial_figures.grouped(summary)
         drawn = save_all(trial_figures.FIGURES, folder / "figures", groups, summary)
-    title = f"{summary['task']}: {summary['robot']}"
+    title = f"{named(summary.get('title') or summary['task'])}: {named(summary['robot'])}"
     sections = [
         f"<h1>{text(title)}</h1>",
         _verdict(summary),
-        _conditions(summary["conditions"]),
         *map(figure_section, drawn),
+        _conditions(summary["conditions"]),
         _episodes(summary["episodes"]),
         definitions(*_TERMS),
     ]
