@@ -1,7 +1,7 @@
 """Hand-written mutants of the links to real arms and of their emulators.
 
 As in `mutants`, but the files are below `src/surg_hardware/src/surg_hardware`, and `first` names
-test files of `tests/unit/hardware`.
+test files of `tests/unit/hardware` and `tests/unit/emulators`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from mutants.mutants import Mutant, one
 
 LINK, CHAIN = ("test_robot_link",), ("test_ur_link_on_emulator",)
-FRANKA, FRANKA_LIMITS = ("test_franka_emulator_states",), ("test_franka_emulator_limits",)
+FER, LIMITS = ("test_franka_emulator_states",), ("test_franka_emulator_limits",)
 FRANKA = ("test_franka_link",)
 STATES, RTDE = ("test_ur_emulator_states",), ("test_ur_emulator_rtde",)
 MUTANTS: tuple[Mutant, ...] = (
@@ -266,7 +266,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "emulators/franka/generator_motion.py",
         "            if not abs(jerk) <= most * SLACK + 4.0 * rounding / DT**2:\n",
         "            if False:\n",
-        FRANKA_LIMITS,
+        LIMITS,
     ),
     one(
         "velocity_limit_of_a_posture_unchecked",
@@ -274,7 +274,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "emulators/franka/franka_robots.py",
         "        if not self.curves:\n",
         "        if True:\n",
-        FRANKA_LIMITS,
+        LIMITS,
     ),
     one(
         "end_of_a_motion_unchecked",
@@ -282,7 +282,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "emulators/franka/franka_controller.py",
         "            self.motion.end()\n",
         "",
-        FRANKA_LIMITS,
+        LIMITS,
     ),
     one(
         "lost_packet_holds_the_velocity",
@@ -290,7 +290,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "emulators/franka/generator_motion.py",
         "        dq = [rate + DT * change for",
         "        dq = [rate + 0.0 * change for",
-        FRANKA,
+        FER,
     ),
     one(
         "lost_packets_uncounted",
@@ -298,7 +298,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "emulators/franka/franka_controller.py",
         "        if active.lost > most:\n",
         "        if False:\n",
-        FRANKA,
+        FER,
     ),
     one(
         "late_command_obeyed",
@@ -306,7 +306,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "emulators/franka/franka_controller.py",
         "        if command.message != self.number:\n",
         "        if command.message > self.number:\n",
-        FRANKA,
+        FER,
     ),
     one(
         "recovery_out_of_the_user_stop",
@@ -314,7 +314,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "emulators/franka/franka_controller.py",
         "        if self.mode is not RobotMode.REFLEX:\n",
         "        if self.mode not in (RobotMode.REFLEX, RobotMode.USER_STOPPED):\n",
-        FRANKA,
+        FER,
     ),
     one(
         "version_of_the_library_unchecked",
@@ -322,7 +322,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "emulators/franka/fci_session.py",
         "        if version != self._protocol.version:\n",
         "        if False:\n",
-        FRANKA,
+        FER,
     ),
     one(
         "measured_for_commanded",
@@ -330,7 +330,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "emulators/franka/franka_controller.py",
         '            "dq_d": motion.dq_d,\n',
         '            "dq_d": motion.dq,\n',
-        FRANKA,
+        FER,
     ),
     one(
         "client_that_leaves_unnoticed",

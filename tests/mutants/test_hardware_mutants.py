@@ -1,7 +1,7 @@
 """Every hand-written mutant of surg_hardware is noticed. Opt-in: `./surg test --tier mutants`.
 
-Each runs in a copy of the package: the tests of `tests/unit/hardware` run on it until the first
-that fails.
+Each runs in a copy of the package: the tests of `tests/unit/hardware` and `tests/unit/emulators`
+run on it until the first that fails.
 """
 
 from __future__ import annotations
@@ -21,7 +21,12 @@ from surg_cli.host import paths
 
 pytestmark = pytest.mark.mutants
 SOURCES = paths.ROOT / "src" / "surg_hardware" / "src"
-TESTS = paths.ROOT / "tests" / "unit" / "hardware"
+TESTS = {
+    file.stem: str(file)
+    for folder in ("hardware", "emulators")
+    for file in (paths.ROOT / "tests" / "unit" / folder).glob("test_*.py")
+}
+"""Name of a test file -> its path."""
 FIRST, REST = 60.0, 300.0
 """A mutant may hang a test: time for the tests that are named first, and for the others [s]."""
 

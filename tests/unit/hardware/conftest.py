@@ -1,24 +1,5 @@
-"""A limit for every test of the links: one that hangs fails by itself."""
+"""A test that hangs fails by itself."""
 
-from __future__ import annotations
+from helpers.hardware.time_limit import time_limit
 
-import os
-import signal
-from collections.abc import Iterator
-
-import pytest
-
-LONGEST = 1200.0 if os.environ.get("SURG_TEST_FULL", "") not in ("", "0") else 60.0
-"""[s]"""
-
-
-@pytest.fixture(autouse=True)
-def _limit() -> Iterator[None]:
-    def hangs(number: int, frame: object) -> None:
-        raise TimeoutError(f"the test has not ended within {LONGEST:.0f} s")
-
-    before = signal.signal(signal.SIGALRM, hangs)
-    signal.setitimer(signal.ITIMER_REAL, LONGEST)
-    yield
-    signal.setitimer(signal.ITIMER_REAL, 0.0)
-    signal.signal(signal.SIGALRM, before)
+__all__ = ["time_limit"]

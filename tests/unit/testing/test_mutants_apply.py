@@ -29,3 +29,10 @@ def test_every_mutant_finds_its_text_exactly_once(folder: str, chosen: tuple[Mut
         assert edit.text != edit.instead, f"{name} changes nothing"
     print(f"{len(chosen)} mutants, {len(places)} places")
     assert not wrong, "\n".join(wrong)
+
+
+def test_the_tests_that_mutants_name_are_there() -> None:
+    """A missing file would end the run like a test that fails, and count as noticed."""
+    named = {name for mutant in hardware_mutants.MUTANTS for name in mutant.first}
+    files = {file.stem for file in (paths.ROOT / "tests" / "unit").rglob("test_*.py")}
+    assert named <= files, named - files
