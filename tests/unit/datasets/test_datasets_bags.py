@@ -20,8 +20,8 @@ from helpers.recording.datasets_synthetic import FRAME_NS
 from helpers.recording.picture_identity import Identity
 from helpers.recording.recording_synthetic import Synthetic, path
 from helpers.tree import oracle_venv
-from surg_recording import datasets
-from surg_recording.datasets import ExportOptions, mcap_file
+from surg_recording import datasets, mcap_file
+from surg_recording.datasets import ExportOptions
 from surg_recording.recording_errors import EpisodeError
 
 OPTIONS = ExportOptions(executor="serial", splits={"train": 1.0})

@@ -12,6 +12,7 @@ from helpers.recording import dataset_readers, datasets_synthetic
 from helpers.recording.datasets_synthetic import FRAME_NS
 from surg_recording import datasets
 from surg_recording.datasets import ExportOptions
+from surg_recording.datasets.arm_motion import unwrapped
 from surg_recording.datasets.inspection import look
 from surg_recording.datasets.lerobot_part import LeRobotExporter
 from surg_recording.datasets.resample import around, linear
@@ -107,3 +108,13 @@ def test_a_value_in_a_row_that_is_not_used_is_still_checked(
     datasets_synthetic.restate(folder)
     with pytest.raises(datasets.ExportError, match=r"column q2: 1e\+308 is too large"):
         datasets.load("act").write([folder], tmp_path / "set", SERIAL)
+
+
+def test_angles_are_unwrapped_at_some_rows_as_at_all() -> None:
+    rng = np.random.default_rng(2)
+    angles = np.cumsum(rng.normal(0, 0.8, 5000))
+    wrapped = (angles + np.pi) % (2 * np.pi) - np.pi
+    rows = np.unique(rng.integers(0, 5000, 300))
+    for chosen in (rows, np.array([0]), np.arange(5000)):
+        expected = np.unwrap(wrapped)[chosen]
+        np.testing.assert_allclose(unwrapped(wrapped, chosen), expected, atol=1e-9)

@@ -109,10 +109,10 @@ class ArmCycles:
         if not self.commanded:
             return motion
         posed = np.isin(self.command, POSE_COMMANDS)
-        roll, roll_set = np.unwrap(self._index("roll")), np.unwrap(self._index("roll_set"))
-        roll_action = np.unwrap(np.where(posed, self._index("roll_goal"), roll_set))
-        began = np.diff(self._index("accepted"), prepend=-1) != 0
-        since = np.maximum.accumulate(np.where(began, np.arange(len(began)), 0))
+        roll, roll_set = (unwrapped(self._index(name), rows) for name in ("roll", "roll_set"))
+        goals = np.where(posed, self._index("roll_goal"), self._index("roll_set"))
+        began = np.flatnonzero(np.diff(self._index("accepted"), prepend=-1) != 0)
+        since = began[np.maximum(np.searchsorted(began, rows, side="right") - 1, 0)]
         q_BR, p_BTip = cycle.vector("q_br", "xyzw"), cycle.vector("p_tip")
         p_BRcm = cycle.vector("p_rcm")
         tip, p_set, goal = (
@@ -122,12 +122,22 @@ class ArmCycles:
         s_R = rotate_back(q_BR, cycle.vector("s"))
         return dataclasses.replace(
             motion,
-            state=np.column_stack([tip, roll[rows], cycle["jaw"], p_set, roll_set[rows]]),
-            goal=np.column_stack([p_action, roll_action[rows], cycle["jaw_set"]]),
-            goal_since_ns=self.stamps[since[rows]],
+            state=np.column_stack([tip, roll, cycle["jaw"], p_set, roll_set]),
+            goal=np.column_stack([p_action, unwrapped(goals, rows), cycle["jaw_set"]]),
+            goal_since_ns=self.stamps[since],
             p_BTip=p_BTip,
-            q_BTool=multiply_quaternions(q_BR, tip_quaternions(s_R, roll[rows])),
+            q_BTool=multiply_quaternions(q_BR, tip_quaternions(s_R, roll)),
         )
 
     def _index(self, column: str) -> npt.NDArray[Any]:
         return self.table.index[column][self.first :]
+
+
+def unwrapped(angles: Array, rows: Stamps) -> Array:
+    """Some rows of ``np.unwrap(angles)`` [rad], with memory for one further array only."""
+    turns = np.diff(angles)
+    turns /= -2.0 * np.pi
+    np.cumsum(np.rint(turns, out=turns), out=turns)
+    counted = np.zeros(len(rows))
+    counted[rows > 0] = turns[rows[rows > 0] - 1]
+    return np.asarray(angles[rows] + 2.0 * np.pi * counted)

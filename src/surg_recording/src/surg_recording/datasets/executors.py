@@ -7,6 +7,8 @@ gives the job to another worker.
 from __future__ import annotations
 
 import concurrent.futures
+import contextlib
+import ctypes
 import multiprocessing
 import os
 import signal
@@ -26,6 +28,9 @@ DASK_HINT = (
 )
 _RETRIES = 10
 """Workers that may die under one Dask task before it is given up."""
+
+_M_MMAP_THRESHOLD = -3
+"""Parameter of mallopt(3): larger blocks are mapped, and unmapped when they are freed."""
 
 CONNECT_S = 20
 """Longest wait for a scheduler [s]."""
@@ -60,7 +65,7 @@ def _processes(jobs: Sequence[Job], options: ExportOptions, done: Done) -> None:
 def _pool(jobs: list[Job], workers: int, done: Done) -> list[Job]:
     """Run jobs in one pool; returns those without an outcome because a process died."""
     context = multiprocessing.get_context("spawn")  # forks of a process with threads may hang
-    pool = concurrent.futures.ProcessPoolExecutor(workers, context, _leave_signals_to_the_parent)
+    pool = concurrent.futures.ProcessPoolExecutor(workers, context, _begin_worker)
     waiting = {pool.submit(make, job): job for job in jobs}
     left: list[Job] = []
     try:
@@ -78,9 +83,15 @@ def _pool(jobs: list[Job], workers: int, done: Done) -> list[Job]:
     return left
 
 
-def _leave_signals_to_the_parent() -> None:
-    """Ctrl-C reaches the whole terminal group; the parent ends its workers itself."""
+def _begin_worker() -> None:
+    """Leave signals to the parent, and give freed arrays back to the system.
+
+    Ctrl-C reaches the whole terminal group; the parent ends its workers itself. glibc keeps freed
+    blocks of up to 32 MiB, so that a worker would stay as large as its largest recording made it.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(AttributeError, OSError):  # not glibc
+        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, 1 << 16)
 
 
 def _dask(jobs: Sequence[Job], options: ExportOptions, done: Done) -> None:

@@ -54,7 +54,8 @@ def for_metrics(recorded: Episode, arm: str) -> Episode:
     segment, tables = segment_of(recorded), {}
     cycle = tables[f"cycle_{arm}"] = finite_cycle(recorded, arm, segment)
     if recorded.complete:
-        _without_gap(recorded.folder / f"cycle_{arm}.csv", cycle)
+        limit = max(CYCLE_GAP_NS, round(1.5 * imported_period_s(recorded) * SECOND_NS))
+        _without_gap(recorded.folder / f"cycle_{arm}.csv", cycle, limit)
     truth = recorded.manifest["tables"].get(f"ground_truth_{arm}")
     if truth is not None and truth.get("rows") != 0:
         tables[f"ground_truth_{arm}"] = _finite_truth(recorded, arm, segment)
@@ -206,18 +207,25 @@ def _of_the_segment(path: Path, table: Table, segment: Segment) -> None:
         )
 
 
-def _without_gap(path: Path, cycle: Table) -> None:
+def imported_period_s(recorded: Episode) -> float:
+    """Median period of the samples that another program recorded [s]; 0: not an import."""
+    imported = recorded.manifest.get("imported")
+    period = imported.get("period_s") if isinstance(imported, dict) else None
+    return period if isinstance(period, float) and 0.0 < period < 10.0 else 0.0
+
+
+def _without_gap(path: Path, cycle: Table, limit: int) -> None:
     """Refuse a commanded window with a long gap: a metric would bridge it by a straight line."""
     commanded = np.flatnonzero(np.isin(cycle["command"], STREAMS))
     if not len(commanded):
         return
     stamps = cycle["stamp_ns"][commanded[0] : commanded[-1] + 1]
-    gaps = np.flatnonzero(np.diff(stamps) > CYCLE_GAP_NS)
+    gaps = np.flatnonzero(np.diff(stamps) > limit)
     if len(gaps):
         row = int(gaps[0])
         raise EpisodeError(
             f"{path}: no control cycle for {(stamps[row + 1] - stamps[row]) * 1e-6:.0f} ms after"
-            f" stamp_ns {stamps[row]}; at most {CYCLE_GAP_NS * 1e-6:.0f} ms can be bridged"
+            f" stamp_ns {stamps[row]}; at most {limit * 1e-6:.0f} ms can be bridged"
         )
 
 

@@ -6,7 +6,7 @@ import io
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
-from surg_recording.datasets import mcap_file
+from surg_recording import mcap_file
 from surg_recording.nodes.bag_exporter_node import BagExporter
 from surg_recording.nodes.ros_messages_node import Stamped
 

@@ -52,7 +52,7 @@ def messages(sampled: Sampled, options: ExportOptions) -> Iterator[Stamped]:
             streams += [_motion(sampled, arm), _commands(sampled, arm)]
     for feature in schema.videos_of(sampled.features):
         streams.append(_pictures(sampled, feature, options))
-    return heapq.merge(*streams, key=lambda stamped: stamped.time_ns)
+    yield from heapq.merge(*streams, key=lambda stamped: stamped.time_ns)
 
 
 def topic_of(camera: str) -> str:

@@ -18,6 +18,7 @@ from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.same_recording import Known
 from surg_recording.episode.selection import Selection, SelectionError
 from surg_recording.episode.verdicts import verdict
+from surg_recording.imports.arm_series import DEVIATION
 from surg_recording.metrics import reference_sets
 from surg_recording.metrics.confidence_intervals import spread, success_rate
 from surg_recording.recording_errors import EpisodeError, words_of
@@ -114,6 +115,8 @@ def measure(recorded: Episode, arm: str | None = None) -> dict[str, Any]:
     if measured["duration_s"] is None:
         raise EpisodeError(f"{recorded.folder}: {measured['reasons'][0]}")
     manifest = recorded.manifest
+    if DEVIATION in ((manifest.get("imported") or {}).get("not_measured") or ()):
+        measured["rcm_kinematic_mm"] = None
     info, judged = manifest.get("run") or {}, verdict(manifest)
     return {
         "folder": str(recorded.folder),
