@@ -33,8 +33,7 @@ FIRST, REST = 60.0, 300.0
 
 def killer(copy: Path, first: tuple[str, ...]) -> str | None:
     """Run the tests on a copy until one fails; what failed, or None."""
-    files = {file.stem: file for file in sorted(TESTS.rglob("test_*.py"))}
-    others = [name for name in files if name not in first]
+    others = [name for name in sorted(TESTS) if name not in first]
     for batch, timeout in ((list(first), FIRST), (others, REST)):
         if not batch:
             continue
@@ -42,7 +41,7 @@ def killer(copy: Path, first: tuple[str, ...]) -> str | None:
         env = {**os.environ, "PYTHONPATH": f"{copy}:{os.environ['PYTHONPATH']}"}
         try:
             done = subprocess.run(
-                [*argv, *(str(files[name]) for name in batch)],
+                [*argv, *(TESTS[name] for name in batch)],
                 cwd=paths.ROOT,
                 capture_output=True,
                 text=True,
