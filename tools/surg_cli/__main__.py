@@ -31,7 +31,10 @@ def run(arguments: Sequence[str]) -> int:
     if COMMANDS[name].wants_workspace(rest) and READY not in os.environ:
         wants_help = any(word in ("-h", "--help") for word in rest)
         if not (wants_help and name != "shell"):
-            provision.make_ready()
+            everything = COMMANDS[name].everything
+            if stages := provision.overview(everything):
+                say(stages)
+            provision.make_ready(everything)
             workspace.build(paths.STATE / "logs" / "build.log")
             env = environment.for_nodes(draws=COMMANDS[name].draws)
             python_path = env.get("PYTHONPATH", "")

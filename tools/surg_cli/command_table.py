@@ -23,6 +23,7 @@ class Command:
     help: str
     needs_workspace: bool = True  # whether everything is set up and built before it runs
     draws: bool = True  # whether it may start what draws pictures
+    everything: bool = False  # whether it needs the packages that others do without
     workspace_option: str = ""  # an option that needs everything set up and built
 
     def wants_workspace(self, words: Sequence[str]) -> bool:
@@ -44,7 +45,9 @@ COMMANDS = {
     "view": Command("data", "view", "show an episode: video, tip path and curves on one page"),
     "label": Command("data", "label", "judge, mark and trim recordings, by keyboard", draws=False),
     "evaluate": Command("data", "evaluate", "compare recorded episodes in figures and tables"),
-    "export": Command("data", "export", "write a dataset: LeRobot, robomimic, ACT, Zarr, bags"),
+    "export": Command(
+        "data", "export", "write a dataset: LeRobot, robomimic, ACT, Zarr, bags", everything=True
+    ),
     "import": Command("data", "import_recordings", "import bags and LeRobot data sets"),
     "learn": Command("learn", "learn", "demonstrate, export, train, deploy and judge a policy"),
     "keys": Command("learn", "make_keys", "make key pairs for a model server and its policies"),
@@ -56,8 +59,8 @@ COMMANDS = {
     "ptp": Command("robot", "ptp", "synchronise the clocks of two machines", needs_workspace=False),
     "setup": Command("develop", "setup", "install packages and .venv", needs_workspace=False),
     "build": Command("develop", "setup", "set up and build the workspace", needs_workspace=False),
-    "test": Command("develop", "run_tests", "build and run the tests"),
-    "bench": Command("develop", "bench", "run a benchmark"),
+    "test": Command("develop", "run_tests", "build and run the tests", everything=True),
+    "bench": Command("develop", "bench", "run a benchmark", everything=True),
     "shell": Command("develop", "shell", "open a shell with the workspace sourced"),
     "topics": Command("develop", "topics", "compare a graph with docs/reference/topics.yaml"),
     "doctor": Command(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from surg_cli import command_table
 from surg_cli.host import environment, logged, paths, provision, workspace
 from surg_cli.host.terminal import Problem, Progress
 
@@ -15,6 +16,44 @@ def test_package_list_ignores_comments(tmp_path: Path) -> None:
     path = tmp_path / "list"
     path.write_text("# heading\n\ncmake   # builds\nlibegl1\n")
     assert provision.listed_packages(path) == ["cmake", "libegl1"]
+
+
+def test_packages_of_tests_and_exports_wait_for_their_commands(tmp_path: Path) -> None:
+    path = tmp_path / "list"
+    path.write_text(f"cmake\n{provision.LATER}\nchromium  # tests\n")
+    assert provision.listed_packages(path, everything=False) == ["cmake"]
+    assert provision.listed_packages(path) == ["cmake", "chromium"]
+    first = set(provision.listed_packages(everything=False))
+    later = set(provision.listed_packages()) - first
+    assert {"chromium", "clang-tidy", "python3-distributed", "python3-pytest"} <= later
+    assert {"cmake", "python3-rospy", "libegl1"} <= first
+    waiting = {name for name, each in command_table.COMMANDS.items() if each.everything}
+    assert waiting == {"test", "export", "bench"}
+
+
+def test_the_sizes_are_stated_as_apt_get_states_them(tmp_path: Path) -> None:
+    program = tmp_path / "apt-get"
+    program.write_text(
+        "#!/bin/sh\n"
+        "echo 3 upgraded, 724 newly installed, 0 to remove and 3 not upgraded.\n"
+        "echo Need to get 1,200 kB/445 MB of archives.\n"
+        "echo After this operation, 1969 MB of additional disk space will be used.\n"
+        "exit 1\n"
+    )
+    program.chmod(0o755)
+    text = provision.sizes([str(program), "-y", "install", "cmake"])
+    assert "724 with what they need, 445 MB to load, 1969 MB on disk" in text
+    assert provision.sizes(["/bin/true"]) == ""
+
+
+def test_the_overview_names_each_stage_that_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(provision, "missing_packages", lambda names: ["cmake", "libegl1"])
+    monkeypatch.setattr(provision, "_python_is_current", lambda: False)
+    monkeypatch.setattr(workspace, "is_current", lambda: True)
+    assert provision.overview(False).startswith("first: 2 Debian packages (1 to 5 minutes), then a")
+    monkeypatch.setattr(provision, "missing_packages", lambda names: [])
+    monkeypatch.setattr(provision, "_python_is_current", lambda: True)
+    assert provision.overview(True) == ""
 
 
 def test_missing_packages_are_those_dpkg_does_not_call_installed() -> None:
@@ -87,8 +126,8 @@ def test_progress_is_read_from_apt_and_make() -> None:
     lines.append("0 upgraded, 2 newly installed, 0 to remove and 0 not upgraded.")
     assert fraction(lines) == pytest.approx(2 / 12)
     assert fraction([*lines, *20 * ["Setting up"]]) == 1.0
-    assert workspace._make_fraction(["-- Configuring"]) is None
-    assert workspace._make_fraction(["[  5%] a", "[ 42%] Building", "a warning"]) == 0.42
+    assert workspace.make_fraction(["-- Configuring"]) is None
+    assert workspace.make_fraction(["[  5%] a", "[ 42%] Building", "a warning"]) == 0.42
 
 
 def test_foreign_python_and_workspace_do_not_leak() -> None:
@@ -137,6 +176,15 @@ def test_fingerprint_follows_the_sources(tmp_path: Path, monkeypatch: pytest.Mon
     source.write_text("int ab;")
     changed = workspace.fingerprint()
     assert changed != before
+    module, setup = source.with_name("a.py"), source.with_name("setup.py")
+    module.write_text("a = 1")
+    setup.write_text("b = 1")
+    named = workspace.fingerprint()
+    assert named != changed
+    module.write_text("a = 12")
+    assert workspace.fingerprint() == named, "Python runs where it stands"
+    setup.write_text("b = 12")
+    assert workspace.fingerprint() != named
     source.with_name("b.cpp").write_text("")
     assert workspace.fingerprint() not in (before, changed)
 

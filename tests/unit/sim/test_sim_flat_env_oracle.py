@@ -21,6 +21,9 @@ PACKAGES = (
     "gymnasium==1.2.3",
     "mujoco==4.0.0",
     "mujoco-core==4.0.0",
+    "numpy==1.26.4",  # the workspace's binding of surg_core is built for numpy 1
+    "pandas==2.2.3",
+    "matplotlib==3.8.4",
     "pyyaml",
 )
 SCRIPT = """

@@ -102,7 +102,7 @@ def _system() -> Finding:
 
 def _packages() -> Finding:
     """Debian packages."""
-    names = provision.listed_packages()
+    names = provision.listed_packages(everything=False)
     try:
         missing = provision.missing_packages(names)
     except Problem as problem:

@@ -10,13 +10,18 @@ from surg_cli.host.terminal import say
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options of the two commands."""
+    parser.add_argument(
+        "--all", action="store_true", help="also the packages of test, export and bench"
+    )
     if command == "build":
         parser.add_argument("--force", action="store_true", help="build even if nothing changed")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Set up the machine; build for `build`."""
-    done = provision.make_ready()
+    if stages := provision.overview(options.all):
+        say(stages)
+    done = provision.make_ready(options.all)
     if command == "build":
         done |= workspace.build(paths.STATE / "logs" / "build.log", options.force)
     if not done:

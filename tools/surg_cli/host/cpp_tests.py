@@ -7,7 +7,7 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from surg_cli.host import environment, paths, workspace
+from surg_cli.host import environment, logged, paths, workspace
 from surg_cli.host.terminal import Problem, Progress, say, warn
 
 CORE = paths.ROOT / "src" / "surg_core"
@@ -16,6 +16,7 @@ CORE_BUILD = paths.STATE / "core_tests"
 RACE_BUILD = paths.STATE / "race_tests"
 SANITIZED_BUILD = paths.STATE / "core_sanitized"
 CONTROL_TEST = "surg_control_test"
+LIBRARY = paths.DEVEL / "lib" / "libsurg_core.so"
 
 
 def run(env: Mapping[str, str]) -> tuple[int, int]:
@@ -41,8 +42,9 @@ def plain_environment(env: Mapping[str, str]) -> dict[str, str]:
 
 
 def core_tests(env: Mapping[str, str]) -> tuple[int, int]:
-    """Build surg_core by CMake alone, as on a machine without ROS, and run its tests."""
-    cmake("C++ tests: build", CORE, CORE_BUILD, core_options(), [], env)
+    """Build the tests of surg_core by CMake alone round the workspace's library, and run them."""
+    options = [*core_options(), f"-DSURG_CORE_LIBRARY={LIBRARY}"]
+    cmake("C++ tests: build", CORE, CORE_BUILD, options, [], env)
     # Long counts measure times as well: then one program after the other.
     jobs = 1 if "SURG_TEST_FULL" in env else workspace.jobs()
     return gtests(
@@ -64,7 +66,7 @@ def sanitized_tests(env: Mapping[str, str]) -> tuple[int, int]:
     minute or two, so the short run has it without them. Returns how many programs passed and
     failed.
     """
-    core = [f"-DSURG_CORE_BUILD={CORE_BUILD}"]
+    core = [f"-DSURG_CORE_BUILD={LIBRARY.parent}"]
     cmake("thread sanitizer: build", RACE, RACE_BUILD, core, [], env)
     programs = [RACE_BUILD / "race_thread_channels"]
     if "SURG_TEST_FULL" in env:
@@ -125,13 +127,17 @@ def build(title: str, name: str, commands: Sequence[Sequence[str]], env: Mapping
         Problem: One of them fails.
     """
     log = paths.STATE / "logs" / f"{name}.log"
-    log.parent.mkdir(parents=True, exist_ok=True)
-    with Progress(title), log.open("w") as stream:
-        for argv in commands:
-            done = subprocess.run(argv, env=env, stdout=stream, stderr=subprocess.STDOUT)
-            if done.returncode != 0:
-                lines = log.read_text(errors="replace").splitlines()
-                raise Problem(workspace.failure_text(lines, log))
+    with Progress(title) as progress:
+        for i, argv in enumerate(commands):
+            logged.run(
+                argv,
+                log,
+                progress,
+                anew=i == 0,
+                fraction=workspace.make_fraction,
+                failure=workspace.failure_text,
+                env=env,
+            )
 
 
 def gtests(argv: Sequence[str], name: str, env: Mapping[str, str]) -> tuple[int, int]:
@@ -143,16 +149,31 @@ def gtests(argv: Sequence[str], name: str, env: Mapping[str, str]) -> tuple[int,
     Raises:
         Problem: There was no test.
     """
-    done = subprocess.run(
-        argv, env=env, capture_output=True, text=True, errors="replace", check=False
-    )
-    text = done.stdout + done.stderr
-    (paths.STATE / "logs" / f"{name}.log").write_text(text)
+    log = paths.STATE / "logs" / f"{name}.log"
+    status = 0
+    with Progress(name.replace("_", " ")) as progress:
+        try:
+            logged.run(argv, log, progress, anew=True, fraction=_tests_fraction, env=env)
+        except Problem:
+            status = 1
+    text = log.read_text(errors="replace")
     passed = sum(int(n) for n in re.findall(r"\[  PASSED  \] (\d+) test", text))
     failed = sum(int(n) for n in re.findall(r"\[  FAILED  \] (\d+) test", text))
-    if done.returncode != 0:
+    if status != 0:
         failed = max(failed, 1)
         say(text[-6000:])
     if passed + failed == 0:
         raise Problem(f"no C++ tests: {' '.join(argv)} ran none (log: {name}.log)")
     return passed, failed
+
+
+def _tests_fraction(lines: Sequence[str]) -> float | None:
+    """How far ctest or one gtest program is."""
+    done = (re.match(r"\s*(\d+)/(\d+) Test ", line) for line in reversed(lines))
+    if found := next((match for match in done if match), None):
+        return int(found[1]) / int(found[2])
+    total = next(
+        (m for line in lines if (m := re.match(r"\[=+\] Running (\d+) tests", line))), None
+    )
+    passed = sum("[       OK ]" in line or "[  FAILED  ]" in line for line in lines)
+    return passed / int(total[1]) if total else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from surg_cli.host.environment import clean
@@ -20,8 +20,9 @@ def run(
     anew: bool = False,
     fraction: Callable[[Sequence[str]], float | None] = lambda lines: None,
     failure: Callable[[Sequence[str], Path], str] | None = None,
+    env: Mapping[str, str] | None = None,
 ) -> None:
-    """Run a program to its end, in a clean environment and without an input.
+    """Run a program to its end, in ``env`` or a clean environment and without an input.
 
     ``fraction`` makes the done part (None: unknown) of the lines so far, ``failure`` the text of
     the problem of all lines and the log; by default the last lines.
@@ -40,7 +41,7 @@ def run(
             stderr=subprocess.STDOUT,
             text=True,
             errors="replace",
-            env=clean(),
+            env=clean() if env is None else env,
         )
         assert process.stdout is not None
         for line in process.stdout:

@@ -13,26 +13,37 @@ import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from surg_cli.host import logged, paths, preflight
+from surg_cli.host import logged, paths, preflight, workspace
 from surg_cli.host.terminal import Problem, Progress, say
 
 VENV_STAMP = paths.VENV / ".surg-lock"
 APT_OPTIONS = ("-o", "DPkg::Lock::Timeout=600", "-y", "--no-install-recommends")
 # apt-get prints: Get, Selecting, Preparing, Unpacking, Setting up.
 APT_LINES_PER_PACKAGE = 5
+LATER = "# == later"
+"""Line of the package list below which packages wait for a command that needs them."""
 
 
-def make_ready() -> bool:
-    """Install missing packages and fill `.venv`; returns whether anything had to be done."""
+def make_ready(everything: bool = False) -> bool:
+    """Install missing packages and fill `.venv`; returns whether anything had to be done.
+
+    Args:
+        everything: Also what only test, export and bench need.
+    """
     preflight.check_path()
     logs = paths.STATE / "logs"
-    done = install_packages(logs / "apt.log")
+    done = install_packages(logs / "apt.log", everything)
     return install_python(logs / "pip.log") or done
 
 
-def listed_packages(path: Path = paths.APT_LIST) -> list[str]:
-    """Names in the package list: the first word of each line, `#` starts a comment."""
-    lines = (line.partition("#")[0].split() for line in path.read_text("utf-8").splitlines())
+def listed_packages(path: Path = paths.APT_LIST, everything: bool = True) -> list[str]:
+    """Names in the package list: the first word of each line, `#` starts a comment.
+
+    Without ``everything`` only those above the line ``LATER``.
+    """
+    text = path.read_text("utf-8")
+    chosen = text if everything else text.partition(f"\n{LATER}\n")[0]
+    lines = (line.partition("#")[0].split() for line in chosen.splitlines())
     return [words[0] for words in lines if words]
 
 
@@ -57,13 +68,14 @@ def missing_packages(names: Sequence[str]) -> list[str]:
     return [name for name in names if name not in installed]
 
 
-def install_packages(log: Path) -> bool:
+def install_packages(log: Path, everything: bool = False) -> bool:
     """Install what is missing from the package list; returns whether anything was.
 
     Raises:
         Problem: Without root and sudo, with the one line to run; or apt-get fails.
     """
-    missing = missing_packages(listed_packages())
+    listed = listed_packages(everything=everything)
+    missing = missing_packages(listed)
     if not missing:
         return False
     line = "apt-get install -y --no-install-recommends " + " ".join(missing)
@@ -74,15 +86,52 @@ def install_packages(log: Path) -> bool:
             f"is at hand. Run this once as root, then ./surg again:\n\n"
             f"apt-get update && {line}\n"
         )
-    say(f"Debian packages: installing {len(missing)} of {len(listed_packages())} (log: {log})")
+    say(f"Debian packages: installing {len(missing)} of {len(listed)} (log: {log})")
     base = [*prefix, "/usr/bin/env", "DEBIAN_FRONTEND=noninteractive", "apt-get", *APT_OPTIONS]
     with Progress("apt-get") as progress:
         logged.run([*base, "update"], log, progress, anew=True)
+        if size := sizes([*base, "install", *missing]):
+            say(size)
         logged.run([*base, "install", *missing], log, progress, fraction=_apt_fraction())
     still = missing_packages(missing)
     if still:
         raise Problem(f"apt-get ended well but {', '.join(still)} is still missing; see {log}")
     return True
+
+
+def sizes(install: Sequence[str]) -> str:
+    """What a command line of `apt-get install` would load and fill; empty if it does not say."""
+    asked = subprocess.run(
+        [*(word for word in install if word != "-y"), "--assume-no"],
+        capture_output=True,
+        text=True,
+        check=False,
+        stdin=subprocess.DEVNULL,
+        env={"LC_ALL": "C", "PATH": "/usr/sbin:/usr/bin:/sbin:/bin"},
+    ).stdout
+    load = re.search(r"Need to get (?:[\d.,]+ ?\w*/)?([\d.,]+ ?[kMG]?B)", asked)
+    disk = re.search(r"operation, ([\d.,]+ ?[kMG]?B) of additional", asked)
+    count = re.search(r"(\d+) newly installed", asked)
+    if load is None or disk is None or count is None:
+        return ""
+    return f"Debian packages: {count[1]} with what they need, {load[1]} to load, {disk[1]} on disk"
+
+
+def overview(everything: bool) -> str:
+    """What the first use of a command will do, before it begins; empty if all of it is done."""
+    stages = []
+    if missing := missing_packages(listed_packages(everything=everything)):
+        stages.append(f"{len(missing)} Debian packages (1 to 5 minutes)")
+    if not _python_is_current():
+        stages.append("a Python environment (100 MB, half a minute)")
+    if not workspace.is_current():
+        stages.append("a build (2 to 6 minutes on 2 idle cores)")
+    return f"first: {', then '.join(stages)}" if stages else ""
+
+
+def _python_is_current() -> bool:
+    wanted = paths.file_digest(paths.LOCK_FILE)
+    return paths.VENV_PYTHON.exists() and VENV_STAMP.exists() and VENV_STAMP.read_text() == wanted
 
 
 def install_python(log: Path) -> bool:
@@ -94,8 +143,7 @@ def install_python(log: Path) -> bool:
     Raises:
         Problem: A step fails; the text holds the last lines of its output.
     """
-    wanted = paths.file_digest(paths.LOCK_FILE)
-    if paths.VENV_PYTHON.exists() and VENV_STAMP.exists() and VENV_STAMP.read_text() == wanted:
+    if _python_is_current():
         return False
     preflight.check_tree()
     preflight.check_space(paths.VENV)
@@ -108,7 +156,7 @@ def install_python(log: Path) -> bool:
         pip = [str(paths.VENV_PYTHON), "-m", "pip", "--disable-pip-version-check", "install"]
         strict = ["--no-deps", "--require-hashes", "--only-binary", ":all:"]
         logged.run([*pip, *strict, "-r", str(paths.LOCK_FILE)], log, progress)
-    paths.write_text(VENV_STAMP, wanted)
+    paths.write_text(VENV_STAMP, paths.file_digest(paths.LOCK_FILE))
     return True
 
 

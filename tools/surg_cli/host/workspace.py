@@ -13,6 +13,8 @@ from surg_cli.host import logged, paths, preflight
 from surg_cli.host.terminal import Problem, Progress, say
 
 STAMP = paths.TREE_STATE / "build.stamp"
+RUN_IN_PLACE = (".py", ".pyi", ".html", ".js", ".css", ".svg", ".yaml", ".urdf", ".md")
+GOOGLETEST = Path("/usr/include/gtest/gtest.h")
 GIB_PER_JOB = 1.6  # one Eigen-heavy translation unit of the pybind11 binding at -O3
 
 
@@ -29,16 +31,23 @@ def source_files() -> Iterator[Path]:
                 yield Path(folder, name)
 
 
+def _is_built(path: Path) -> bool:
+    """Whether the build reads a file's content. The devel space runs Python where it stands."""
+    return path.suffix not in RUN_IN_PLACE or path.name == "setup.py"
+
+
 def fingerprint() -> str:
-    """Digest of the names, sizes and change times of all sources, and of the Python in use."""
+    """Digest of what the build reads: names; sizes and times of sources; Python, GoogleTest."""
     digest = hashlib.sha256()
     for path in source_files():
         try:
             info = path.stat()
         except FileNotFoundError:  # an editor's file that has just gone
             continue
-        digest.update(f"{path}|{info.st_size}|{info.st_mtime_ns}\n".encode())
+        content = f"|{info.st_size}|{info.st_mtime_ns}" if _is_built(path) else ""
+        digest.update(f"{path}{content}\n".encode())
     digest.update(str(paths.VENV_PYTHON.exists()).encode())
+    digest.update(str(GOOGLETEST.exists()).encode())  # it came later: the tests need a new pass
     return digest.hexdigest()
 
 
@@ -76,7 +85,7 @@ def build(log: Path, force: bool = False) -> bool:
     compile_ = [_cmake(), "--build", str(paths.BUILD), f"-j{jobs()}"]
     with Progress("build") as progress:
         logged.run(configure, log, progress, anew=True, failure=failure_text)
-        logged.run(compile_, log, progress, fraction=_make_fraction, failure=failure_text)
+        logged.run(compile_, log, progress, fraction=make_fraction, failure=failure_text)
     # Sources may have changed meanwhile: the stamp says what was there at the start.
     paths.write_text(STAMP, before)
     return True
@@ -105,7 +114,7 @@ def _forget_moved_tree() -> None:
         shutil.rmtree(paths.BUILD)
 
 
-def _make_fraction(lines: Sequence[str]) -> float | None:
+def make_fraction(lines: Sequence[str]) -> float | None:
     """How far make is: CMake's rules begin their lines with it."""
     done = (re.match(r"\[\s*(\d+)%\]", line) for line in reversed(lines))
     return next((int(match.group(1)) / 100 for match in done if match), None)
