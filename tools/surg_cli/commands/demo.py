@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from surg_cli.graph import motion_run
+from surg_cli.graph import episode_film, motion_run
 from surg_cli.graph.system import Plan
 from surg_cli.host import cells, paths, preflight
 from surg_cli.host.option_types import feedback_gain, positive, tcp_port
@@ -68,6 +68,8 @@ def main(options: argparse.Namespace, command: str) -> int:
     reasons = motion_run.play(plan, motion.duration_s, options.port)
     for reason in reasons:
         warn(f"surg: {reason}")
+    if plan.cameras:
+        episode_film.for_report([out / "episode"], cell, out)
     summary = make_report(out, reasons)
     print_summary(summary)
     # The reasons printed above ended the run early; these come from the recording.

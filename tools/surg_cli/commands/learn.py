@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from surg_cli.graph import episode_plans
+from surg_cli.graph import episode_film, episode_plans
 from surg_cli.host import cells, paths, preflight
 from surg_cli.host.terminal import Problem, say, table, warn
 from surg_cli.learning import learn_stages, rollouts
@@ -97,6 +97,7 @@ def _learn(request: Request, ledger: Ledger, out: Path) -> dict[str, Any]:
     info = _info(request, player, demos, trained, ledger)
     least = recipe.least(request.rollouts)
     summary = learning.summarise([e["rollout"] for e in entries], compared, info, least)
+    episode_film.for_report(sorted(folder.glob("*/episode")), cell, out)
     learning_report.write(summary, [e["episode"] for e in entries], compared, out)
     return summary
 

@@ -7,7 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli.graph import episode_plans, episode_process, policy_program, system, task_episode
+from surg_cli.graph import (
+    episode_film,
+    episode_plans,
+    episode_process,
+    policy_program,
+    system,
+    task_episode,
+)
 from surg_cli.graph.episode_plans import VIEWS, Condition
 from surg_cli.graph.system import Plan
 from surg_cli.host import cells, paths, preflight
@@ -166,6 +173,9 @@ def _report(plan: Plan, entries: list[dict[str, Any]], out: Path) -> dict[str, A
         "versions": provenance.versions(),
     }
     summary = trials.summarise(entries, info)
+    ranked = sorted(entries, key=lambda entry: not entry["success"])
+    folders = [out / entry["folder"] / "episode" for entry in ranked if entry.get("folder")]
+    episode_film.for_report(folders if plan.cameras else [], plan.cell, out)
     trial_report.write(summary, out)
     return summary
 

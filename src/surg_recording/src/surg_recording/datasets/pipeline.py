@@ -182,10 +182,10 @@ def arrange(
     """
     plain = [part for part in parts if part.kind == SUCCESS]
     recordings = [list(pieces) for _, pieces in itertools.groupby(plain, lambda part: part.key)]
-    split = _by_hash if options.split_by == "hash" else _by_order
+    divide = _by_hash if options.split_by == "hash" else _by_order
     groups = {
         name: [part for pieces in members for part in pieces]
-        for name, members in split(recordings, options).items()
+        for name, members in divide(recordings, options).items()
     }
     for kind in (RECOVERY, FAILURE):
         groups[kind] = [part for part in parts if part.kind == kind]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 from collections.abc import Collection, Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 from surg_recording.reports.figure_style import Drawn
@@ -27,7 +28,7 @@ th, td { text-align: left; padding: 4px 12px 4px 0; border-bottom: 1px solid #e4
 th { font-weight: 600; } td.n { font-variant-numeric: tabular-nums; }
 td.n, th.n { text-align: right; }
 .met { color: #2f8f5b; font-weight: 600; } .missed { color: #c62f3b; font-weight: 600; }
-img { max-width: 100%; height: auto; display: block; }
+img, video { max-width: 100%; height: auto; display: block; }
 .strip { display: grid; grid-template-columns: repeat(3, 1fr); gap: 8px; }
 .strip figure { margin: 0; } figcaption { color: #5f6c7b; font-size: 13px; }
 dt { font-weight: 600; margin-top: 8px; } dd { margin: 0 0 4px; }
@@ -100,6 +101,16 @@ def figure_section(figure: Drawn) -> str:
     """A figure under its question, with its caption."""
     image = f"<img alt='{text(figure.title)}' src='{embed(figure.path.read_bytes(), 'png')}'>"
     return section(figure.title, image, note(figure.caption))
+
+
+def film_section(folder: Path, caption: str) -> str:
+    """The film ``film.mp4`` of a report's folder; nothing without one."""
+    film = folder / "film.mp4"
+    if not film.is_file():
+        return ""
+    source = f"data:video/mp4;base64,{base64.b64encode(film.read_bytes()).decode()}"
+    player = f"<video src='{source}' controls autoplay muted loop playsinline></video>"
+    return f"<section>{player}{note(caption)}</section>"
 
 
 def embed(data: bytes, kind: str) -> str:

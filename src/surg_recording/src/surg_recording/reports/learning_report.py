@@ -15,6 +15,7 @@ from surg_recording.reports.html_page import (
     document,
     facts,
     figure_section,
+    film_section,
     note,
     number,
     section,
@@ -56,6 +57,9 @@ def write(
     title = f"{summary['title']}: a learned policy"
     sections = [
         f"<h1>{text(title)}</h1>",
+        film_section(
+            folder, "Endoscope as recorded, and the room drawn from the recorded joint positions."
+        ),
         section(
             f"{interval(summary['success_rate'])} succeeded",
             bullets(summary["reasons"]),

@@ -30,6 +30,7 @@ from surg_recording.reports.html_page import (
     embed,
     facts,
     figure_section,
+    film_section,
     number,
     section,
     table,
@@ -67,11 +68,13 @@ def make(
         robot = (arms.get(run.arm) or {}).get("robot") or {}
         drawn = run_figures.save_figures(run, result, robot, folder / "figures")
     write_json(folder / "summary.json", result)
-    (folder / "report.html").write_text(_page(recorded, result, drawn), encoding="utf-8")
+    (folder / "report.html").write_text(_page(recorded, result, drawn, folder), encoding="utf-8")
     return dict(result)
 
 
-def _page(recorded: episodes.Episode, result: Mapping[str, Any], drawn: Sequence[Drawn]) -> str:
+def _page(
+    recorded: episodes.Episode, result: Mapping[str, Any], drawn: Sequence[Drawn], folder: Path
+) -> str:
     run = recorded.manifest.get("run") or {}
     subject = run.get("title") or result["motion"] or recorded.manifest.get("task") or "motion"
     title = f"{named(subject)}: {named(result['robot'] or 'robot')}"
@@ -82,7 +85,11 @@ def _page(recorded: episodes.Episode, result: Mapping[str, Any], drawn: Sequence
             f"<h1>{text(title)}</h1>",
             f"<p class='faint'>Recorded {text(recorded.manifest.get('created'))}"
             f" with software version {text(result['versions'].get('software') or 'unknown')}</p>",
-            _frames(recorded),
+            film_section(
+                folder,
+                "Endoscope as recorded, and the room drawn from the recorded joint positions.",
+            )
+            or _frames(recorded),
             _verdict(result),
             *measured[:1],
             *map(figure_section, drawn),

@@ -15,6 +15,7 @@ from surg_recording.reports.html_page import (
     definitions,
     document,
     figure_section,
+    film_section,
     note,
     number,
     section,
@@ -42,6 +43,9 @@ def write(summary: Mapping[str, Any], folder: Path) -> None:
     title = f"{named(summary.get('title') or summary['task'])}: {named(summary['robot'])}"
     sections = [
         f"<h1>{text(title)}</h1>",
+        film_section(
+            folder, "Endoscope as recorded, and the room drawn from the recorded joint positions."
+        ),
         _verdict(summary),
         *map(figure_section, drawn),
         _conditions(summary["conditions"]),

@@ -97,6 +97,10 @@ class Assistant:
         self._data.qpos[self._jaw_qpos] = self.jaw_target
         self._drive()
 
+    def pose(self, joints: Array) -> None:
+        """Show the instrument at virtual joints (4,), without any motion."""
+        self._data.qpos[self._qpos] = self._servo_joints(np.asarray(joints, dtype=np.float64))
+
     def accept(self, command: AssistantCommand | None) -> None:
         """Take this tick's command. What is not finite or of wrong length is refused (``fault``).
 
