@@ -158,6 +158,36 @@ def test_files_that_are_no_tables_are_refused(
         read_motion(path)
 
 
+@pytest.mark.parametrize(
+    ("scale", "column", "hint"),
+    [(1000.0, "xyz", "looks like millimetres"), (1000.0, "t", "looks like milliseconds")],
+)
+def test_another_unit_is_recognised(scale: float, column: str, hint: str, tmp_path: Path) -> None:
+    data = {
+        name: [scale * float(value) for value in values] if name[0] in column else values  # type: ignore[arg-type]
+        for name, values in table().items()
+    }
+    with pytest.raises(MotionError, match=hint):
+        read_motion(write(tmp_path / "m.csv", data))
+
+
+def test_a_glitch_in_metres_has_no_hint_of_another_unit(tmp_path: Path) -> None:
+    data = table()
+    data["x_m"][20] = 0.4
+    with pytest.raises(MotionError) as caught:
+        read_motion(write(tmp_path / "m.csv", data))
+    assert "jumps" in str(caught.value)
+    assert "looks like" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("mark", "name"), [(";", "a semicolon"), ("\t", "a tab")])
+def test_another_separator_is_named(mark: str, name: str, tmp_path: Path) -> None:
+    path = write(tmp_path / "m.csv", table())
+    path.write_text(path.read_text().replace(",", mark))
+    with pytest.raises(MotionError, match=f"the separator is {name}"):
+        read_motion(path)
+
+
 def test_a_fast_but_human_motion_passes(tmp_path: Path) -> None:
     """Just below the jump's threshold; just above it is refused."""
     for factor, good in ((0.99, True), (1.2, False)):

@@ -42,6 +42,11 @@ ROLL_JUMP_SLACK = 0.1
 """[rad] Allowance for noise of the roll."""
 ROTATION_TOLERANCE = 1e-2
 """Largest entry of R R^T - I, for rotations printed with few digits."""
+HAND_SPACE = 2.0
+"""[m] No hand moves so far; numbers that do are in another unit."""
+SEPARATORS = {";": "a semicolon", "\t": "a tab"}
+LIKE_MILLIMETRES = "; this looks like millimetres: divide x, y and z by 1000"
+LIKE_MILLISECONDS = "; this looks like milliseconds: divide t_s by 1000"
 
 
 @dataclass(frozen=True)
@@ -165,6 +170,11 @@ def _check_header(path: Path, header: list[str]) -> None:
     if not header:
         raise MotionError(f"{path}: line 1: empty; allowed: a header with {','.join(REQUIRED)}")
     missing = [name for name in REQUIRED if name not in header]
+    other = next((name for mark, name in SEPARATORS.items() if mark in header[0]), "")
+    if missing and len(header) == 1 and other:
+        raise MotionError(
+            f"{path}: line 1: the separator is {other}; allowed: a comma (and a point in decimals)"
+        )
     if missing:
         raise MotionError(
             f"{path}: line 1: column {', '.join(missing)} missing; the header is "
@@ -224,6 +234,7 @@ def _check_time(path: Path, t: Array, lines: list[int]) -> None:
         raise MotionError(
             f"{path}: line {lines[i]}: t_s is {t[i]:.6f}, {steps[i - 1]:.3f} s after the sample "
             f"before; allowed: {MAX_GAP} s"
+            + (LIKE_MILLISECONDS if float(np.median(steps)) > 1.0 else "")
         )
     if t[-1] - t[0] < MIN_DURATION:
         raise MotionError(
@@ -241,6 +252,7 @@ def _check_jumps(path: Path, t: Array, p: Array, lines: list[int]) -> None:
             f"{path}: line {lines[i + 1]}: the position jumps by {1e3 * step[i]:.1f} mm in "
             f"{t[i + 1] - t[i]:.4f} s; allowed: {1e3 * allowed[i]:.1f} mm "
             f"({JUMP_SPEED} m/s and {1e3 * JUMP_SLACK:.0f} mm)"
+            + (LIKE_MILLIMETRES if float(np.ptp(p, axis=0).max()) > HAND_SPACE else "")
         )
 
 
