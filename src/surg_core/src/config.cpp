@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <cstdio>
 #include <cstring>
+#include <ctime>
 #include <functional>
 #include <initializer_list>
 #include <limits>
@@ -101,6 +102,9 @@ struct DrivenArms {
   const char* robot;
 };
 constexpr DrivenArms kDrivenArms[] = {{"ur", 6, ""}, {"fr3", 7, "fr3"}, {"panda", 7, "panda"}};
+constexpr int kUrJoints = 6;
+constexpr double kOldestCalibration = 366;             // [d]
+constexpr double kSlowTip = 0.02, kSlowFlange = 0.05;  // [m/s] of an arm being commissioned
 
 // Distances that a cell may keep. The guard itself needs the least one (clearance.cpp).
 constexpr double kClosest = 0.005;  // [m]
@@ -416,7 +420,7 @@ void check_limits(const Limits& limits,
 struct Evidence {
   double residual, condition;
   int n;
-  std::string date, source;
+  std::string date, source, serial;
 };
 
 /// What every calibration file carries beside its value. A bad calibration is refused here.
@@ -431,6 +435,7 @@ Evidence read_evidence(Reader& reader) {
                         ? reader.choice("source", {"measured", "simulated", "computed"})
                     : evidence.residual > 0 ? "measured"
                                             : "computed";
+  if (reader.has("serial")) evidence.serial = reader.word("serial");
   return evidence;
 }
 
@@ -634,6 +639,7 @@ ToolCalibration read_tool(const Document& document) {
   tool.n = evidence.n;
   tool.date = evidence.date;
   tool.source = evidence.source;
+  tool.serial = evidence.serial;
   reader.finish();
   return tool;
 }
@@ -648,8 +654,24 @@ TrocarCalibration read_trocar(const Document& document) {
   trocar.n = evidence.n;
   trocar.date = evidence.date;
   trocar.source = evidence.source;
+  trocar.serial = evidence.serial;
   reader.finish();
   return trocar;
+}
+
+UrKinematics read_kinematics(const Document& document) {
+  Reader reader(document, "surg_kinematics/1");
+  UrKinematics own;
+  own.file = document.file;
+  own.model = reader.word("model");
+  own.serial = reader.word("serial");
+  own.date = reader.word("date");
+  own.theta = reader.joints("theta", kUrJoints, -7.0, 7.0, "rad");
+  own.d = reader.joints("d", kUrJoints, -1e4, 1e4, "m");
+  own.a = reader.joints("a", kUrJoints, -10.0, 10.0, "m");
+  own.alpha = reader.joints("alpha", kUrJoints, -4.0, 4.0, "rad");
+  reader.finish();
+  return own;
 }
 
 Fixture read_fixture(Reader& reader, const std::string& key, const std::string& name) {
@@ -718,6 +740,19 @@ std::optional<CellHardware> read_hardware(Reader& reader, const CellArm& arm) {
   hardware.tool_link = reader.choice(prefix + "tool_link", {"passive", "none"});
   hardware.realtime = static_cast<int>(
       reader.real(prefix + "realtime", kPriorities[0], kPriorities[1], "(SCHED_FIFO)"));
+  if (reader.has(prefix + "calibration_days")) {
+    hardware.calibration_days =
+        static_cast<int>(reader.real(prefix + "calibration_days", 1, kOldestCalibration, "days"));
+  }
+  if (reader.has(prefix + "link_lag")) {
+    hardware.link_lag = reader.real(prefix + "link_lag", kLinkLag[0], kLinkLag[1], "s");
+  }
+  if (reader.has(prefix + "home_confirmed")) {
+    hardware.home_confirmed = reader.flag(prefix + "home_confirmed");
+  }
+  if (reader.has(prefix + "commissioning")) {
+    hardware.commissioning = reader.flag(prefix + "commissioning");
+  }
   return hardware;
 }
 
@@ -859,6 +894,56 @@ CellConfig read_cell(const Document& document) {
   return cell;
 }
 
+/// The day of a date such as "2026-11-23", counted from 1970; nothing where it is none.
+std::optional<int> day_of(const std::string& date) {
+  std::tm when{};
+  int used = 0;
+  if (std::sscanf(date.c_str(), "%4d-%2d-%2d%n", &when.tm_year, &when.tm_mon, &when.tm_mday,
+                  &used) != 3 ||
+      used != static_cast<int>(date.size())) {
+    return std::nullopt;
+  }
+  when.tm_year -= 1900;
+  when.tm_mon -= 1;
+  const std::tm asked = when;
+  const std::time_t seconds = timegm(&when);
+  if (when.tm_mon != asked.tm_mon || when.tm_mday != asked.tm_mday) return std::nullopt;
+  return static_cast<int>(seconds / 86400);
+}
+
+constexpr const char* kCommission = ": set commissioning: true, ";
+
+/// Refuses a calibration that must not move a real arm.
+template <typename Calibration>
+void check_calibration(const CellHardware& hardware, const std::string& what,
+                       const Calibration& found, const std::string& key, const std::string& today) {
+  const std::string subject = "the calibration of the " + what;
+  const std::string cure = kCommission + std::string("then ./surg calibrate CELL ") + what;
+  if (found.source != "measured") {
+    throw ConfigError(key + ": " + subject + " is " + found.source +
+                      "; a real arm needs a measured one" + cure);
+  }
+  if (found.serial != hardware.serial) {
+    throw ConfigError(key + ".serial: '" + hardware.serial + "', and " + subject +
+                      " was measured with " +
+                      (found.serial.empty() ? "an unknown arm" : "'" + found.serial + "'") + cure);
+  }
+  if (hardware.calibration_days == 0) {
+    throw ConfigError(key +
+                      ".calibration_days: is missing; a real arm needs the age [days] at which "
+                      "its calibrations must be repeated, 1 to 366");
+  }
+  const std::optional<int> day = day_of(found.date), now = day_of(today);
+  const bool readable = day && now;
+  if (!readable || *now - *day > hardware.calibration_days || *day > *now + 1) {
+    throw ConfigError(
+        key + ".calibration_days: " + std::to_string(hardware.calibration_days) + ", and " +
+        subject + " is of '" + found.date + "'" +
+        (readable ? ", " + std::to_string(*now - *day) + " days ago" : ", which is no date") +
+        cure);
+  }
+}
+
 }  // namespace
 
 RobotConfig parse_robot(const Document& document) { return parse_with_hints(document, read_robot); }
@@ -870,6 +955,14 @@ LinkConfig parse_link(const Document& document) { return parse_with_hints(docume
 LinkConfig simulator_link() { return {kSimulator, 0.1, 0.012, 1.0}; }
 
 bool CellHardware::emulated() const { return address.rfind("127.", 0) == 0; }
+
+LinkConfig with_measured_lag(const LinkConfig& link, const CellArm& arm) {
+  LinkConfig result = link;
+  if (arm.hardware && std::isfinite(arm.hardware->link_lag)) {
+    result.link_lag = arm.hardware->link_lag;
+  }
+  return result;
+}
 
 RobotConfig with_link(const RobotConfig& robot, const LinkConfig& link) {
   RobotConfig result = robot;
@@ -904,6 +997,10 @@ TrocarCalibration parse_trocar(const Document& document) {
   return parse_with_hints(document, read_trocar);
 }
 
+UrKinematics parse_kinematics(const Document& document) {
+  return parse_with_hints(document, read_kinematics);
+}
+
 CellConfig parse_cell(const Document& document) { return parse_with_hints(document, read_cell); }
 
 Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell_file) {
@@ -923,6 +1020,10 @@ Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell
                         number(lowest) + " to " + number(highest) + " " + key->unit);
     }
     result.*key->member = value;
+  }
+  if (arm.hardware && arm.hardware->commissioning) {
+    result.tip_velocity = std::min(result.tip_velocity, kSlowTip);
+    result.flange_velocity = std::min(result.flange_velocity, kSlowFlange);
   }
   check_limits(result, [&](const std::string& limit) {
     return arm.limits.count(limit) ? place(arm, "limits." + limit, cell_file) : std::string();
@@ -968,7 +1069,8 @@ void check_tool(const ToolCalibration& tool, const Limits& limits, const std::st
 
 void check_hardware(const CellArm& arm, const RobotConfig& robot,
                     const InstrumentConfig& instrument, const ToolCalibration& tool,
-                    const TrocarCalibration& trocar, const std::string& cell_file) {
+                    const TrocarCalibration& trocar, const std::string& cell_file,
+                    const std::string& today) {
   if (!arm.hardware) {
     if (arm.link == kSimulator || is_path(arm)) return;
     throw ConfigError(place(arm, "hardware", cell_file) + ": is missing; the link '" + arm.link +
@@ -993,12 +1095,28 @@ void check_hardware(const CellArm& arm, const RobotConfig& robot,
                       " states passive: " + (instrument.passive ? "true" : "false") +
                       "; allowed is 'passive' with a passive instrument, 'none' with another");
   }
-  if (arm.hardware->emulated()) return;
-  for (const auto& [what, source] :
-       {std::pair{"tool", &tool.source}, std::pair{"trocar", &trocar.source}}) {
-    if (*source == "measured") continue;
-    throw ConfigError(key + ": the calibration of the " + what + " is " + *source +
-                      "; a real arm needs a measured one: ./surg calibrate");
+  if (arm.hardware->emulated() || arm.hardware->commissioning) return;
+  check_calibration(*arm.hardware, "tool", tool, key, today);
+  check_calibration(*arm.hardware, "trocar", trocar, key, today);
+  if (!std::isfinite(arm.hardware->link_lag)) {
+    throw ConfigError(key + ".link_lag: is missing; a real arm needs its own, not the emulator's" +
+                      kCommission + "then measure it: ./surg robot CELL lag");
+  }
+  if (!arm.hardware->home_confirmed) {
+    throw ConfigError(key + ".home_confirmed: is not true; nobody has seen this arm at its home" +
+                      kCommission + "then home the arm with nobody near and look");
+  }
+}
+
+void check_kinematics(const UrKinematics& own, const CellArm& arm, const RobotConfig& robot) {
+  const char* cure = ": delete the file, then read the arm's own: ./surg robot CELL kinematics";
+  if (own.model != robot.name) {
+    throw ConfigError(own.file + ": model: '" + own.model + "', and the cell's robot is '" +
+                      robot.name + "'" + cure);
+  }
+  if (arm.hardware && arm.hardware->serial != own.serial) {
+    throw ConfigError(own.file + ": serial: '" + own.serial + "', and the cell's arm is '" +
+                      arm.hardware->serial + "'" + cure);
   }
 }
 

@@ -16,6 +16,7 @@ from surg_cli.host import paths
 from surg_hardware.emulators.ur.dh_kinematics import TABLES, frames
 
 BUNDLED = paths.CELLS / "emulated_ur5e"
+SERIAL = "20225500001"
 TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 """From ROS's base to UR's own."""
 HOME = surg_core.load_cell(BUNDLED).arms["PSM1"].robot.home

@@ -215,8 +215,12 @@ class Rig:
         end = time.monotonic() + 6.0
         while self.condition() is not Condition.ACTIVE:
             assert time.monotonic() < end, self.notices
-            self._ours.send(RequestDatagram("start", False).pack())
+            self.request("start")
             time.sleep(0.3)
+
+    def request(self, word: str, enabled: bool = False) -> None:
+        """Ask the driver for something; `enabled`: what it is told of the controller."""
+        self._ours.send(RequestDatagram(word, enabled).pack())
 
     def move(self, rows: Matrix, seconds: float) -> None:
         """Send the rows, one per state; returns while it moves."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import datetime
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -160,6 +162,78 @@ def test_what_must_not_be_used_is_refused_with_file_and_key(what: str, tmp_path:
         surg_core.load_cell(file)
     assert key in str(caught.value) and value in str(caught.value)
     assert str(file) in str(caught.value)
+
+
+def real_cell(folder: Path, edit: Edit = lambda arm: None) -> Path:
+    """The cell of a real arm, calibrated and confirmed, then edited."""
+
+    def make(arm: dict[str, Any]) -> None:
+        arm["hardware"].update(
+            address="192.168.56.2", calibration_days=30, link_lag=0.0101, home_confirmed=True
+        )
+        edit(arm)
+
+    file = written(folder, make)
+    today = datetime.date.today().isoformat()
+    for what in ("tool", "trocar"):
+        calibration = file.parent / "calibration" / f"{what}_PSM1.yaml"
+        text = calibration.read_text("utf-8").replace("source: computed", "source: measured")
+        text = re.sub("date: .*", f'date: "{today}"\nserial: "20225500001"', text)
+        calibration.write_text(text, "utf-8")
+    return file
+
+
+BAD_CALIBRATIONS: dict[str, tuple[str, str, str, str, str]] = {
+    "a simulated tool": ("tool", "measured", "simulated", "hardware", "simulated"),
+    "a computed trocar": ("trocar", "measured", "computed", "hardware", "trocar"),
+    "another arm's tool": ("tool", "20225500001", "77", "hardware.serial", "'77'"),
+    "no arm's trocar": ("trocar", "serial: .*\n", "", "hardware.serial", "an unknown arm"),
+    "an old tool": ("tool", "date: .*", "date: x2026-01-31x", "calibration_days", "days ago"),
+    "a future tool": ("tool", "date: .*", "date: x2999-01-31x", "calibration_days", "2999"),
+    "no day": ("tool", "date: .*", "date: x2026-02-31x", "calibration_days", "no date"),
+}
+"""What is wrong -> file, its text, the text instead, the key that is named, and a word."""
+BAD_HARDWARE: dict[str, tuple[Edit, str, str]] = {
+    "no longest age": (without("calibration_days"), "calibration_days", "missing"),
+    "an endless age": (hardware(calibration_days=1000), "calibration_days", "366"),
+    "the emulator's lag": (without("link_lag"), "link_lag", "robot CELL lag"),
+    "a lag that no link has": (hardware(link_lag=0.3), "link_lag", "0.3"),
+    "a home that nobody has seen": (
+        hardware(home_confirmed=False), "home_confirmed", "nobody has seen",
+    ),
+}  # fmt: skip
+
+
+def test_a_calibrated_and_confirmed_real_arm_is_accepted(tmp_path: Path) -> None:
+    arm = surg_core.load_cell(real_cell(tmp_path)).arms["PSM1"]
+    assert not arm.hardware.emulated
+    assert arm.robot.tuning.link_lag == 0.0101, "the arm's own lag, not the emulator's"
+
+
+@pytest.mark.parametrize("what", [*BAD_CALIBRATIONS, *BAD_HARDWARE])
+def test_what_a_real_arm_must_not_use_is_refused_with_its_key(what: str, tmp_path: Path) -> None:
+    if what in BAD_HARDWARE:
+        edit, key, word = BAD_HARDWARE[what]
+        file = real_cell(tmp_path, edit)
+    else:
+        name, old, new, key, word = BAD_CALIBRATIONS[what]
+        file = real_cell(tmp_path)
+        calibration = file.parent / "calibration" / f"{name}_PSM1.yaml"
+        text = re.sub(old, new.replace("x", '"'), calibration.read_text("utf-8"))
+        calibration.write_text(text, "utf-8")
+    with pytest.raises(surg_core.ConfigError) as caught:
+        surg_core.load_cell(file)
+    said = str(caught.value)
+    assert "arms.PSM1.hardware" in said and key in said and word in said and str(file) in said
+
+
+def test_a_real_arm_that_is_being_commissioned_moves_slowly(tmp_path: Path) -> None:
+    """Nothing is calibrated yet: it can be measured, at 20 mm/s."""
+    file = written(tmp_path, hardware(address="192.168.56.2", commissioning=True))
+    arm = surg_core.load_cell(file).arms["PSM1"]
+    assert (arm.limits.tip_velocity, arm.limits.flange_velocity) == (0.02, 0.05)
+    bundled = surg_core.load_cell(BUNDLED).arms["PSM1"].limits
+    assert bundled.tip_velocity > 0.02 and bundled.flange_velocity > 0.05
 
 
 def test_a_robot_has_one_arm(tmp_path: Path) -> None:

@@ -12,13 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 import surg_core
 from helpers.hardware import emulated_ur
-from surg_cli.graph import robot_doctor
+from helpers.hardware.emulated_cell import BUNDLED, HOME, SERIAL, emulated_cell
 from surg_cli.graph.roles import Route
-from surg_cli.host import paths
+from surg_cli.robots import robot_doctor
 from surg_hardware import checkup
 from surg_hardware.checkup import Finding
 from surg_hardware.emulators.ur import dashboard_server
@@ -28,22 +27,7 @@ from surg_hardware.emulators.ur.ur_controller import UrController
 from surg_hardware.emulators.ur.ur_emulator import UrEmulator
 from surg_hardware.ur import dashboard, ur_checkup
 
-CELL = paths.CELLS / "emulated_ur5e"
-SERIAL = "20225500001"
-HOME = (-0.294, -1.234, 1.511, -1.29, -1.63, -2.134)
 Wrong = Callable[[UrEmulator], object]
-
-
-def cell_at(folder: Path, address: str) -> Path:
-    """A copy of the bundled cell with its arm at this address."""
-    document = yaml.safe_load((CELL / "cell.yaml").read_text("utf-8"))
-    arm = document["arms"]["PSM1"]
-    arm["hardware"]["address"] = address
-    for key in ("robot", "instrument"):
-        arm[key] = str((CELL / arm[key]).resolve())
-    (folder / "calibration").symlink_to(CELL / "calibration")
-    (folder / "cell.yaml").write_text(yaml.safe_dump(document), "utf-8")
-    return folder
 
 
 def mishap(line: str) -> Wrong:
@@ -88,7 +72,7 @@ def examined(
     with emulated_ur.in_process(controller or UrController(serial=SERIAL, q=HOME)) as emulator:
         wrong(emulator)
         before = list(emulator.controller.motion.actual_q)
-        lines = robot_doctor.findings(str(cell_at(folder, emulator.address)), None, seconds)
+        lines = robot_doctor.findings(str(emulated_cell(folder, emulator.address)), None, seconds)
         assert emulator.controller.motion.actual_q == before
     return lines
 
@@ -137,7 +121,7 @@ def test_an_old_controller_and_a_fast_clock_are_named(
 
 
 def test_nobody_and_somebody_else_at_the_address_are_told_apart(tmp_path: Path) -> None:
-    arm = surg_core.load_cell(cell_at(tmp_path, emulated_ur.free_address())).arms["PSM1"]
+    arm = surg_core.load_cell(emulated_cell(tmp_path, emulated_ur.free_address())).arms["PSM1"]
     (nobody,) = ur_checkup.examine(arm, 0.1)
     assert nobody.good is False and "refused" in nobody.text and nobody.cure
     with socket.create_server((arm.hardware.address, dashboard.DASHBOARD_PORT)) as server:
@@ -150,7 +134,7 @@ def test_nobody_and_somebody_else_at_the_address_are_told_apart(tmp_path: Path) 
 
 
 def test_a_broken_cell_is_one_finding(tmp_path: Path) -> None:
-    folder = cell_at(tmp_path, "8.8.8.8")
+    folder = emulated_cell(tmp_path, "8.8.8.8")
     (found,) = bad(robot_doctor.findings(str(folder), None, 0.1))
     assert "hardware.address" in found.text and "8.8.8.8" in found.text
 
@@ -199,7 +183,7 @@ def test_late_states_are_bad_on_a_real_cable() -> None:
 
 
 def test_the_age_of_a_calibration_is_told() -> None:
-    arm = surg_core.load_cell(CELL).arms["PSM1"]
+    arm = surg_core.load_cell(BUNDLED).arms["PSM1"]
     tool, trocar = checkup.calibration_findings(arm, datetime.date(2026, 11, 23))
     assert "computed, 2 days old" in tool.text and "trocar" in trocar.what
 
@@ -209,7 +193,7 @@ def test_doctor_ends_with_1_where_a_line_is_bad(
 ) -> None:
     controller = UrController(serial=SERIAL, q=HOME)
     with emulated_ur.in_process(controller) as emulator:
-        folder = cell_at(tmp_path, emulator.address)
+        folder = emulated_cell(tmp_path, emulator.address)
         assert surg("doctor", "--robot", str(folder), "--seconds", "0.1") == 0
         controller.fall_to(SafetyMode.ROBOT_EMERGENCY_STOP, "test")
         assert surg("doctor", "--robot", str(folder), "--seconds", "0.1") == 1

@@ -22,8 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("cell", metavar="CELL", help="name in cells/, or a cell's folder")
     add(
         "what",
-        choices=("collect", "tool", "trocar"),
-        help="record poses, or solve for tool or trocar",
+        choices=("collect", "tool", "trocar", "bases"),
+        help="record poses, or solve for tool or trocar, or for the bases of two arms",
     )
     add("--arm", metavar="NAME", help="of the cell (default: its only arm)")
     add("--from", dest="source", type=Path, metavar="FILE", help="the recording, CSV")
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     collect = parser.add_argument_group("collect")
     collect.add_argument("--to", type=Path, metavar="FILE", help="the recording; rows are appended")
     collect.add_argument(
-        "--motion", choices=("tip", "roll", "second", "trocar"), help="kind of motion"
+        "--motion", choices=("tip", "roll", "second", "trocar", "touch"), help="kind of motion"
     )
     collect.add_argument("--count", type=int, default=12, metavar="N", help="poses (default 12)")
     collect.add_argument("--port", type=tcp_port, default=11311, metavar="P", help="of the master")
@@ -40,11 +40,18 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         "--timeout", type=float, default=600.0, metavar="S", help="longest wait for a pose"
     )
 
+    bases = parser.add_argument_group("bases")
+    bases.add_argument("--other", metavar="NAME", help="the second arm (default: the cell's other)")
+    bases.add_argument("--other-from", type=Path, metavar="FILE", help="its recording of `touch`")
+
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Collect or solve."""
     folder = cells.find(options.cell)
     cell = cells.load(folder)
+    if options.what == "bases":
+        _bases(folder, cell, options)
+        return 0
     arm = choose_arm(cell, options.arm)
     if options.what == "collect":
         from surg_cli.graph.collect import collect
@@ -56,11 +63,20 @@ def main(options: argparse.Namespace, command: str) -> int:
         return collect(arm, options.to, options.motion, options.count, options)
     if options.source is None:
         raise Problem(f"calibrate {options.what}: --from FILE is missing", 2)
-    date = options.date or datetime.date.today().isoformat()
+    solve(folder, arm, options.what, options.source, _date(options.date), options.dry_run)
+    return 0
+
+
+def _date(stated: str | None) -> str:
+    """The date of `--date`; None means today.
+
+    Raises:
+        Problem: It is no date.
+    """
+    date = stated or datetime.date.today().isoformat()
     if not re.fullmatch(r"\d{4}-\d{2}-\d{2}", date):
         raise Problem(f"--date {date}: expected a date such as 2026-11-21", 2)
-    solve(folder, arm, options.what, options.source, date, options.dry_run)
-    return 0
+    return date
 
 
 def choose_arm(cell: Any, name: str | None) -> Any:
@@ -89,10 +105,10 @@ def solve(folder: Path, arm: Any, what: str, source: Path, date: str, dry_run: b
     from surg_core import calibration
 
     path = folder / "calibration" / f"{what}_{arm.name}.yaml"
-    origin = "simulated" if arm.link == "simulator" else "measured"
+    origin, serial = origin_of(arm), "" if arm.hardware is None else arm.hardware.serial
     note = f"Measured: ./surg calibrate {folder.name} {what} --from {source.name}"
     try:
-        recording = calibration.read_recording(source, arm.chain, arm.robot.joint_names)
+        recording = read(source, arm)
         if what == "tool":
             solution = calibration.solve_tool(recording, date)
             before = np.asarray(arm.tool.p_FTip)
@@ -107,17 +123,87 @@ def solve(folder: Path, arm: Any, what: str, source: Path, date: str, dry_run: b
             moved = 1e3 * np.linalg.norm(solution.tool.p_FTip - before)
             say(f"change {moved:.3f} mm and {angle:.3f} deg from the previous {path.name}")
             if not dry_run:
-                calibration.write_tool(path, solution.tool, note, origin)
+                calibration.write_tool(path, solution.tool, note, origin, serial)
         else:
             point = calibration.solve_trocar(recording, arm.tool, date)
             say(f"trocar {_mm(point.trocar.p_BRcm)} mm in the robot base; {_fit(point.point)}")
             moved = 1e3 * np.linalg.norm(point.trocar.p_BRcm - arm.trocar.p_BRcm)
             say(f"change {moved:.3f} mm from the previous {path.name}")
             if not dry_run:
-                calibration.write_trocar(path, point.trocar, note, origin)
+                calibration.write_trocar(path, point.trocar, note, origin, serial)
     except (calibration.CalibrationError, OSError) as error:
         raise Problem(f"calibrate {what}: {error}; {path} is unchanged", 1) from error
     say("nothing written (--dry-run)" if dry_run else f"written: {path}; restart the system")
+
+
+def read(source: Path, arm: Any) -> Any:
+    """The recording of an arm.
+
+    Raises:
+        Problem: It is another arm's.
+        CalibrationError: It cannot be read.
+    """
+    from surg_core import calibration
+
+    recording = calibration.read_recording(source, arm.chain, arm.robot.joint_names)
+    if arm.hardware is not None and recording.serial != arm.hardware.serial:
+        found = f"is of {recording.serial!r}" if recording.serial else "has no column 'serial'"
+        raise Problem(
+            f"{source}: serial: the recording {found}, the cell's {arm.name} is "
+            f"{arm.hardware.serial!r}: record it with this arm, ./surg calibrate CELL collect",
+            2,
+        )
+    return recording
+
+
+def origin_of(arm: Any) -> str:
+    """Where an arm's calibrations come from: `simulated`, also from an emulator, or `measured`."""
+    emulated = arm.hardware is not None and arm.hardware.emulated
+    return "simulated" if arm.link == "simulator" or emulated else "measured"
+
+
+def _bases(folder: Path, cell: Any, options: argparse.Namespace) -> None:
+    """Solve for the base of a second arm in the first one's, print it for the cell, write it.
+
+    Raises:
+        Problem: The options or recordings do not determine it.
+    """
+    import surg_core
+    from surg_core import base_calibration, calibration
+
+    names = list(cell.arms)
+    if len(names) < 2:
+        raise Problem(f"calibrate bases: the cell has one arm, {names[0]}; two are needed", 2)
+    first = choose_arm(cell, options.arm or names[0])
+    others = [name for name in names if name != first.name]
+    second = choose_arm(cell, options.other or (others[0] if len(others) == 1 else None))
+    if second.name == first.name or options.source is None or options.other_from is None:
+        raise Problem("calibrate bases: --from FILE, --other NAME, --other-from FILE are needed", 2)
+    path = folder / "calibration" / f"bases_{first.name}_{second.name}.yaml"
+    date = _date(options.date)
+    try:
+        points = [
+            calibration.touched_points(read(file, arm), arm.tool)
+            for file, arm in ((options.source, first), (options.other_from, second))
+        ]
+        fit = base_calibration.solve_bases(*points)
+        X_WB2 = first.X_WB @ fit.X_B1B2
+        moved = surg_core.inverse_pose(second.X_WB) @ X_WB2
+        xyz, rpy = X_WB2[:3, 3], surg_core.matrix_to_rpy(X_WB2[:3, :3])
+        say(
+            f"{second.name} in {first.name}: n {fit.n}, rms {1e3 * fit.rms:.3f} mm, worst "
+            f"{1e3 * fit.worst:.3f} mm (point {fit.worst_point}), condition {fit.condition:.1f}"
+        )
+        say(f"change {_mm(moved[:3, 3])} mm from arms.{second.name}.base. Put into cell.yaml:")
+        say(f"      xyz: [{', '.join(f'{value:.6f}' for value in xyz)}]")
+        say(f"      rpy: [{', '.join(f'{value:.6f}' for value in rpy)}]")
+        if not options.dry_run:
+            note = f"Measured by touch: {options.source.name}, {options.other_from.name}"
+            source = max(origin_of(first), origin_of(second))  # simulated, if one of them is
+            calibration.write_bases(path, (first.name, second.name), fit, date, note, source)
+    except (calibration.CalibrationError, OSError) as error:
+        raise Problem(f"calibrate bases: {error}; {path} is unchanged", 1) from error
+    say("nothing written (--dry-run)" if options.dry_run else f"written: {path}")
 
 
 def _mm(vector: Any) -> str:

@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 def main(options: argparse.Namespace, command: str) -> int:
     """Print all findings; exit status 1 if one is bad."""
     if options.robot is not None:
-        from surg_cli.graph import robot_doctor
+        from surg_cli.robots import robot_doctor
 
         return report(robot_doctor.findings(options.robot, options.arm, options.seconds))
     return report(_machine())

@@ -18,14 +18,16 @@ from surg_cli.host.terminal import Problem, say
 def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Namespace) -> int:
     """Append one row of joint angles to a recording whenever the arm has come to rest anew.
 
-    ``motion`` is the first column of the rows; ``options`` has the `port` of the ROS master and the
-    `timeout` for one pose [s].
+    ``motion`` is the first column of the rows; a real or emulated arm's serial is the second one.
+    ``options`` has the `port` of the ROS master and the `timeout` for one pose [s].
 
     Raises:
         Problem: The file has other columns, no system runs, or the arm does not come to rest.
     """
     names = list(arm.robot.joint_names)
-    header = ",".join(["motion", *names])
+    # The link drives no arm but the one with the cell's serial.
+    serial = [] if arm.hardware is None else [arm.hardware.serial]
+    header = ",".join(["motion", *(["serial"] if serial else []), *names])
     _check(to, header)
     uri = f"http://localhost:{options.port}"
     master.nodes(uri)
@@ -60,7 +62,7 @@ def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Names
             with to.open("a", encoding="utf-8") as file:
                 if file.tell() == 0:
                     file.write(header + "\n")
-                file.write(",".join([motion, *(f"{value:.9f}" for value in q)]) + "\n")
+                file.write(",".join([motion, *serial, *(f"{value:.9f}" for value in q)]) + "\n")
             say(f"  {done} of {count}")
     finally:
         listener.unregister()

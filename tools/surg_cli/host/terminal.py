@@ -35,6 +35,17 @@ def warn(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
+def confirm(question: str) -> None:
+    """Ask a person, and go on only after the whole word `yes`.
+
+    Raises:
+        Problem: Any other answer, or nobody to ask.
+    """
+    say(f"{question} Type yes:")
+    if sys.stdin.readline().strip().lower() != "yes":
+        raise Problem("not confirmed: nothing was done")
+
+
 class Progress:
     """One line that is redrawn on a terminal, and a line every ten seconds elsewhere.
 

@@ -36,8 +36,7 @@ ClearanceFiles load_clearance(const ArmSetup& setup, const Model& model,
     files.setup.own = shape_of(setup, model.chain);
     for (const std::string& name : names) {
       const ArmSetup other = load_arm(setup.cell_file, name);
-      files.setup.others.push_back(
-          shape_of(other, load_model(other.robot, other.robot_urdf).chain));
+      files.setup.others.push_back(shape_of(other, load_model(other).chain));
       files.joint_names.push_back(other.robot.joint_names);
     }
   } catch (const surg::ConfigError& error) {

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cctype>
 #include <charconv>
+#include <ctime>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
@@ -145,7 +146,17 @@ surg::LinkConfig load_link(const surg::CellArm& arm, const std::string& cell_fil
   if (!fs::is_regular_file(file, error)) {
     throw surg::ConfigError(surg::unknown_link(arm, cell_file, file));
   }
-  return surg::parse_link(load_document(file));
+  return surg::with_measured_lag(surg::parse_link(load_document(file)), arm);
+}
+
+/// Such as 2026-11-23, in local time.
+std::string today() {
+  const std::time_t now = std::time(nullptr);
+  std::tm local{};
+  localtime_r(&now, &local);
+  char text[11];
+  std::strftime(text, sizeof text, "%Y-%m-%d", &local);
+  return text;
 }
 
 surg::CellArm find_arm(const surg::CellConfig& cell, const std::string& name) {
@@ -201,7 +212,12 @@ ArmSetup load_arm(const std::string& cell, const std::string& arm_name) {
       surg::parse_trocar(load_document(beside(cell_file, "calibration/trocar_" + name + ".yaml")));
   setup.robot_urdf = beside(robot_file, setup.robot.urdf);
   surg::check_hardware(setup.arm, setup.robot, setup.mounted.instrument, setup.mounted.tool,
-                       setup.trocar, cell_file);
+                       setup.trocar, cell_file, today());
+  const std::string kinematics = beside(cell_file, "calibration/kinematics_" + name + ".yaml");
+  if (fs::exists(kinematics, error)) {
+    setup.kinematics = surg::parse_kinematics(load_document(kinematics));
+    surg::check_kinematics(*setup.kinematics, setup.arm, setup.robot);
+  }
   return setup;
 }
 

@@ -253,4 +253,15 @@ Model load_model(const surg::RobotConfig& robot, const std::string& urdf_path) {
   return model;
 }
 
+Model load_model(const ArmSetup& setup) {
+  Model model = load_model(setup.robot, setup.robot_urdf);
+  if (!setup.kinematics) return model;
+  try {
+    model.chain = surg::with_kinematics(model.chain, *setup.kinematics);
+  } catch (const std::invalid_argument& error) {
+    refuse(setup.kinematics->file, error.what());
+  }
+  return model;
+}
+
 }  // namespace surg_control

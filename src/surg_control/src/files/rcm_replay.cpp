@@ -114,7 +114,7 @@ int main(int argc, char** argv) {
   try {
     if (!arguments.black_box.empty()) return replay_black_box(arguments.black_box);
     const surg_control::ArmSetup setup = surg_control::load_arm(arguments.cell, arguments.arm);
-    const surg_control::Model model = surg_control::load_model(setup.robot, setup.robot_urdf);
+    const surg_control::Model model = surg_control::load_model(setup);
     std::ifstream in(arguments.csv);
     if (!in) wrong("cannot read '" + arguments.csv + "'");
     std::ofstream out(arguments.out);

@@ -35,7 +35,7 @@ const char* name_of(surg::Law law) {
 RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
     : options_(read_options(private_node)),
       setup_(load_arm(options_.cell, options_.arm)),
-      model_(load_model(setup_.robot, setup_.robot_urdf)),
+      model_(load_model(setup_)),
       clearance_(load_clearance(setup_, model_, options_.others)),
       arm_(setup_.arm.name),
       lockstep_gate_(options_.participants),

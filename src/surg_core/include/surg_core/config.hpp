@@ -12,6 +12,7 @@
 #include <variant>
 #include <vector>
 
+#include "surg_core/kinematics/ur_kinematics.hpp"
 #include "surg_core/limits/capsule.hpp"
 #include "surg_core/limits/fixtures.hpp"
 #include "surg_core/types.hpp"
@@ -145,6 +146,7 @@ struct ToolCalibration {
   int n;
   std::string date;
   std::string source = {};  ///< "measured", "simulated" or "computed"
+  std::string serial = {};  ///< of the arm that it was measured with; empty: not stated
 };
 
 /// Taught trocar point in the robot base frame B.
@@ -154,6 +156,7 @@ struct TrocarCalibration {
   int n;
   std::string date;
   std::string source = {};  ///< "measured", "simulated" or "computed"
+  std::string serial = {};  ///< of the arm that it was measured with; empty: not stated
 };
 
 /// What a cell states of a real arm, or of an emulated one: nothing in it has a default.
@@ -164,7 +167,14 @@ struct CellHardware {
   Vector3 payload_cog;      ///< [m] in the robot's flange frame
   std::string tool_link;    ///< "passive": no drive; "none": another node speaks tool/...
   int realtime = 0;         ///< priority of the driver
-  bool emulated() const;    ///< whether the address is on loopback
+  // Needed at a real address, unless it is being commissioned.
+  int calibration_days = 0;  ///< [d] an older calibration is refused; 0: not stated
+  /// [s] measured on this arm; NaN: not stated
+  double link_lag = std::numeric_limits<double>::quiet_NaN();
+  bool home_confirmed = false;  ///< somebody has seen the arm at its home posture
+  /// The arm may move before all that is known, and slowly only (tighten).
+  bool commissioning = false;
+  bool emulated() const;  ///< whether the address is on loopback
 };
 
 /// One arm of a cell, as cell.yaml states it.
@@ -220,11 +230,17 @@ ToolCalibration parse_tool(const Document& document);
 TrocarCalibration parse_trocar(const Document& document);
 CellConfig parse_cell(const Document& document);
 
-/// Returns the limits with a cell's values applied. Throws if a value would loosen a limit.
+UrKinematics parse_kinematics(const Document& document);
+
+/// Returns the limits with a cell's values applied. Throws if a value would loosen a limit. An arm
+/// that is being commissioned moves slowly.
 Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell_file);
 
 /// Returns the robot with the cell's home posture and elbow. Throws if they do not fit the joints.
 RobotConfig with_home(const RobotConfig& robot, const CellArm& arm, const std::string& cell_file);
+
+/// Returns the link with the lag that the cell states of this arm.
+LinkConfig with_measured_lag(const LinkConfig& link, const CellArm& arm);
 
 /// Returns the robot as this link drives it.
 RobotConfig with_link(const RobotConfig& robot, const LinkConfig& link);
@@ -237,10 +253,15 @@ std::string unknown_link(const CellArm& arm, const std::string& cell_file,
                          const std::string& tried);
 
 /// Throws if what the cell states of a real arm does not fit the arm: its joints, its instrument,
-/// and calibrations that nobody has measured.
+/// and calibrations that nobody has measured, that are too old or of another arm.
+/// today: such as "2026-11-23".
 void check_hardware(const CellArm& arm, const RobotConfig& robot,
                     const InstrumentConfig& instrument, const ToolCalibration& tool,
-                    const TrocarCalibration& trocar, const std::string& cell_file);
+                    const TrocarCalibration& trocar, const std::string& cell_file,
+                    const std::string& today);
+
+/// Throws if an arm's own kinematics are of another arm or model.
+void check_kinematics(const UrKinematics& own, const CellArm& arm, const RobotConfig& robot);
 
 /// Throws if an instrument's tip could go deeper than its shaft is long.
 void check_tool(const ToolCalibration& tool, const Limits& limits, const std::string& tool_file);

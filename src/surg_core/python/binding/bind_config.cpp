@@ -219,7 +219,8 @@ void bind_calibrations(py::module_& m) {
       .def_readonly("condition", &ToolCalibration::condition)
       .def_readonly("n", &ToolCalibration::n)
       .def_readonly("date", &ToolCalibration::date)
-      .def_readonly("source", &ToolCalibration::source, "measured, simulated or computed.");
+      .def_readonly("source", &ToolCalibration::source, "measured, simulated or computed.")
+      .def_readonly("serial", &ToolCalibration::serial, "Of the arm; empty: not stated.");
 
   py::class_<TrocarCalibration>(m, "TrocarCalibration", "Taught trocar point in the robot base.")
       .def_property_readonly(
@@ -229,7 +230,8 @@ void bind_calibrations(py::module_& m) {
       .def_readonly("condition", &TrocarCalibration::condition)
       .def_readonly("n", &TrocarCalibration::n)
       .def_readonly("date", &TrocarCalibration::date)
-      .def_readonly("source", &TrocarCalibration::source, "measured, simulated or computed.");
+      .def_readonly("source", &TrocarCalibration::source, "measured, simulated or computed.")
+      .def_readonly("serial", &TrocarCalibration::serial, "Of the arm; empty: not stated.");
 }
 
 void bind_cell(py::module_& m) {
@@ -242,6 +244,10 @@ void bind_cell(py::module_& m) {
           "[m] (3,)")
       .def_readonly("tool_link", &CellHardware::tool_link, "passive or none.")
       .def_readonly("realtime", &CellHardware::realtime, "Priority of the driver.")
+      .def_readonly("calibration_days", &CellHardware::calibration_days, "0: not stated.")
+      .def_readonly("link_lag", &CellHardware::link_lag, "[s] Measured; NaN: not stated.")
+      .def_readonly("home_confirmed", &CellHardware::home_confirmed)
+      .def_readonly("commissioning", &CellHardware::commissioning, "Slow, not yet calibrated.")
       .def_property_readonly("emulated", &CellHardware::emulated, "The address is on loopback.");
 
   py::class_<CellArm>(m, "CellArm", "One arm as cell.yaml states it.")
@@ -278,6 +284,19 @@ void bind_cell(py::module_& m) {
                              [](const CellConfig& c) { return py::tuple(py::cast(c.arms)); });
 }
 
+/// Functions of what a cell states of a real arm.
+void bind_hardware(py::module_& m) {
+  m.def("check_hardware", &check_hardware, py::arg("arm"), py::arg("robot"), py::arg("instrument"),
+        py::arg("tool"), py::arg("trocar"), py::arg("cell_file"), py::arg("today"),
+        "Raises ConfigError when what the cell states of a real arm does not fit it.");
+  m.def("with_measured_lag", &with_measured_lag, py::arg("link"), py::arg("arm"),
+        "The link with the lag that the cell states of this arm.");
+  m.def("parse_kinematics", &parse_kinematics, py::arg("document"),
+        "Checks the document against the schema. Raises ConfigError.");
+  m.def("check_kinematics", &check_kinematics, py::arg("own"), py::arg("arm"), py::arg("robot"),
+        "Raises ConfigError when an arm's own kinematics are of another arm or model.");
+}
+
 }  // namespace
 
 void bind_config(py::module_& m, py::module_& testing) {
@@ -310,9 +329,7 @@ void bind_config(py::module_& m, py::module_& testing) {
         "Limits with a cell's values put in. Raises ConfigError when a value would loosen one.");
   m.def("with_home", &with_home, py::arg("robot"), py::arg("arm"), py::arg("cell_file"),
         "The robot with the cell's home posture put in. Raises ConfigError when it does not fit.");
-  m.def("check_hardware", &check_hardware, py::arg("arm"), py::arg("robot"), py::arg("instrument"),
-        py::arg("tool"), py::arg("trocar"), py::arg("cell_file"),
-        "Raises ConfigError when what the cell states of a real arm does not fit it.");
+  bind_hardware(m);
   m.def("check_tool", &check_tool, py::arg("tool"), py::arg("limits"), py::arg("tool_file"),
         "Raises ConfigError when depth_max is not less than the shaft's length from the flange.");
   testing.def("limits_hash", &limits_hash, py::arg("robot"), py::arg("limits"),

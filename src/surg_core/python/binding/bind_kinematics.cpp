@@ -4,6 +4,7 @@
 
 #include "convert.hpp"
 #include "surg_core/kinematics/kinematics.hpp"
+#include "surg_core/kinematics/ur_kinematics.hpp"
 
 namespace surg::python {
 namespace {
@@ -123,6 +124,13 @@ void bind_kinematics(py::module_& m, py::module_& testing) {
       .def(
           "jacobian_batch", &jacobian_batch, py::arg("q"),
           "Jacobians (m, 6, n), read-only, at m joint positions q (m, n) [rad]. Releases the GIL.");
+  py::class_<UrKinematics>(m, "UrKinematics", "A UR arm's own Denavit-Hartenberg parameters.")
+      .def_readonly("file", &UrKinematics::file)
+      .def_readonly("model", &UrKinematics::model)
+      .def_readonly("serial", &UrKinematics::serial)
+      .def_readonly("date", &UrKinematics::date);
+  m.def("with_kinematics", &with_kinematics, py::arg("drawn"), py::arg("own"),
+        "The chain with the arm's own axes and flange. Raises ValueError for another model's.");
   bind_inverse_velocity(testing);
 }
 

@@ -17,7 +17,10 @@ tip      the tip rests in a fixed divot; tilted about two axes and rolled betwee
 roll     the shaft lies in a snug guide; turned about itself between the poses, free to slide
 second   as ``tip``, with a rod of another length in the same holder (instead of ``roll``)
 trocar   the shaft runs through the trocar, differently tilted
+touch    the tip touches points that another arm's tip touches too, in the same order
 ======== ==========================================================================================
+
+A column ``serial`` may state the arm that was measured, the same in every row.
 """
 
 from __future__ import annotations
@@ -49,10 +52,18 @@ from surg_core._core import (
     tool_calibration,
     trocar_calibration,
 )
-from surg_core.config import PathLike, load_tool, load_trocar
-from surg_core.transforms import FloatArray, quaternion_xyzw_to_matrix
+from surg_core.base_calibration import BasesFit
+from surg_core.config import (
+    PathLike,
+    load_kinematics,
+    load_tool,
+    load_trocar,
+    read_document,
+)
+from surg_core.transforms import FloatArray, matrix_to_rpy, quaternion_xyzw_to_matrix
 
-MOTIONS = ("tip", "roll", "second", "trocar")
+MOTIONS = ("tip", "roll", "second", "trocar", "touch")
+SERIAL = "serial"
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 _Calibration = TypeVar("_Calibration", ToolCalibration, TrocarCalibration)
@@ -65,10 +76,12 @@ class Recording:
     Attributes:
         file: Where they come from; named in errors.
         poses: Motion -> ``(n, 4, 4)`` flange poses X_BF.
+        serial: Of the arm that was measured; empty: not stated.
     """
 
     file: str
     poses: Mapping[str, FloatArray]
+    serial: str = ""
 
     def of(self, motion: str, purpose: str) -> FloatArray:
         """The poses of one motion.
@@ -128,13 +141,15 @@ def read_recording(path: PathLike, chain: Chain, joint_names: Sequence[str]) -> 
     rows = [(number, [word.strip() for word in next(csv.reader([line]))]) for number, line in lines]
     header = rows[0][1]
     joints = tuple(joint_names)
-    if sorted(header) not in (sorted(("motion", *joints)), sorted(("motion", *POSE))):
+    stated = sorted(name for name in header if name != SERIAL)
+    if stated not in (sorted(("motion", *joints)), sorted(("motion", *POSE))):
         raise CalibrationError(
             f"{path}:{rows[0][0]}: the header is {','.join(header)}; needed is "
-            f"motion,{','.join(joints)} or motion,{','.join(POSE)}"
+            f"motion,{','.join(joints)} or motion,{','.join(POSE)}, and serial where known"
         )
-    columns = joints if sorted(header) == sorted(("motion", *joints)) else POSE
+    columns = joints if stated == sorted(("motion", *joints)) else POSE
     found: dict[str, list[FloatArray]] = {}
+    serials: set[str] = set()
     for number, words in rows[1:]:
         where = f"{path}:{number}"
         if len(words) != len(header):
@@ -145,10 +160,14 @@ def read_recording(path: PathLike, chain: Chain, joint_names: Sequence[str]) -> 
             raise CalibrationError(
                 f"{where}: motion '{motion}' is unknown; allowed are {', '.join(MOTIONS)}"
             )
+        serials.add(row.get(SERIAL, ""))
+        if len(serials) > 1:
+            raise CalibrationError(f"{where}: serial {row[SERIAL]!r}, and other rows have another")
         values = np.array([_number(row[name], f"{where}: {name}") for name in columns])
         pose = _pose(values, where) if columns is POSE else chain.forward(values)
         found.setdefault(motion, []).append(pose)
-    return Recording(str(path), {motion: np.array(poses) for motion, poses in found.items()})
+    poses = {motion: np.array(each) for motion, each in found.items()}
+    return Recording(str(path), poses, serials.pop() if serials else "")
 
 
 def _number(word: str, where: str) -> float:
@@ -227,6 +246,46 @@ def solve_trocar(
     return TrocarSolution(trocar_calibration(point, date), point)
 
 
+def touched_points(recording: Recording, tool: ToolCalibration) -> FloatArray:
+    """The points ``(n, 3)`` that the tip has touched, in the robot base [m].
+
+    Raises:
+        CalibrationError: The recording has no motion ``touch``.
+    """
+    X_BF = recording.of("touch", "the bases")
+    points: FloatArray = X_BF[:, :3, :3] @ tool.p_FTip + X_BF[:, :3, 3]
+    return points
+
+
+def write_bases(
+    path: PathLike, arms: Sequence[str], fit: BasesFit, date: str, note: str, source: str
+) -> None:
+    """Writes a surg_bases/1 file: the second arm's base in the first one's; as :func:`write_tool`.
+
+    Args:
+        path: such as ``calibration/bases_PSM1_PSM2.yaml``.
+        arms: names of the two arms.
+        fit: the solution.
+        date: such as ``2026-11-23``.
+        note: one line for people, put at the top.
+        source: ``measured`` or ``simulated``.
+    """
+    xyz, rpy = fit.X_B1B2[:3, 3], matrix_to_rpy(fit.X_B1B2[:3, :3])
+    text = (
+        f"# {_one_line(note)}\n"
+        "format: surg_bases/1\n"
+        f"arms: [{', '.join(arms)}]  # pose of the second base in the first\n"
+        f"xyz: {_vector(xyz)}  # m\n"
+        f"rpy: {_vector(rpy)}  # rad\n"
+        f"residual: {fit.rms:.9f}  # m, rms\n"
+        f"n: {fit.n}\n"
+        f"condition: {fit.condition:.4f}\n"
+        f'date: "{_one_line(date)}"\n'
+        f"source: {source}\n"
+    )
+    _replace(Path(path), text, read_document)
+
+
 _Fit = TypeVar("_Fit")
 
 
@@ -238,7 +297,9 @@ def _named(recording: Recording, solve: Callable[[], _Fit]) -> _Fit:
         raise CalibrationError(f"{recording.file}: {error}") from error
 
 
-def write_tool(path: PathLike, tool: ToolCalibration, note: str, source: str = "measured") -> None:
+def write_tool(
+    path: PathLike, tool: ToolCalibration, note: str, source: str = "measured", serial: str = ""
+) -> None:
     """Writes a surg_tool/1 file; the file that was there stays beside it as ``<name>.previous``.
 
     Args:
@@ -246,6 +307,7 @@ def write_tool(path: PathLike, tool: ToolCalibration, note: str, source: str = "
         tool: what to write.
         note: one line for people, put at the top.
         source: ``measured``, ``simulated`` or ``computed``.
+        serial: of the arm that was measured; empty: it has none.
 
     Raises:
         ConfigError: when the schema does not take it (nothing is replaced then).
@@ -255,21 +317,55 @@ def write_tool(path: PathLike, tool: ToolCalibration, note: str, source: str = "
         f"# {_one_line(note)}\n"
         "format: surg_tool/1\n"
         f"shaft_axis: {_vector(tool.s_F)}  # unit vector, flange to tip\n"
-        f"tip: {_vector(tool.p_FTip)}  # m\n" + _evidence(tool, source)
+        f"tip: {_vector(tool.p_FTip)}  # m\n" + _evidence(tool, source, serial)
     )
     _replace(Path(path), text, load_tool)
 
 
 def write_trocar(
-    path: PathLike, trocar: TrocarCalibration, note: str, source: str = "measured"
+    path: PathLike,
+    trocar: TrocarCalibration,
+    note: str,
+    source: str = "measured",
+    serial: str = "",
 ) -> None:
     """Writes a surg_trocar/1 file; as :func:`write_tool`."""
     text = (
         f"# {_one_line(note)}\n"
         "format: surg_trocar/1\n"
-        f"point: {_vector(trocar.p_BRcm)}  # m\n" + _evidence(trocar, source)
+        f"point: {_vector(trocar.p_BRcm)}  # m\n" + _evidence(trocar, source, serial)
     )
     _replace(Path(path), text, load_trocar)
+
+
+def kinematics_text(
+    model: str, serial: str, date: str, parameters: Mapping[str, Sequence[float]]
+) -> str:
+    """A surg_kinematics/1 file: an arm's own kinematics, as its controller states them.
+
+    Args:
+        model: the robot's name, such as ``ur5e``.
+        serial: of the arm.
+        date: of the reading, such as ``2026-11-23``.
+        parameters: ``theta``, ``a``, ``d``, ``alpha``: standard Denavit-Hartenberg parameters, one
+            value per joint [rad, m]; ``theta`` is added to the joint position.
+    """
+    rows = "".join(
+        f"{name}: [{', '.join(repr(float(value)) for value in parameters[name])}]  # {unit}\n"
+        for name, unit in (("theta", "rad"), ("a", "m"), ("d", "m"), ("alpha", "rad"))
+    )
+    return (
+        "# This arm's own Denavit-Hartenberg parameters: ./surg robot CELL kinematics\n"
+        "format: surg_kinematics/1\n"
+        f"model: {model}\n"
+        f'serial: "{_one_line(serial)}"\n'
+        f'date: "{_one_line(date)}"\n' + rows
+    )
+
+
+def write_kinematics(path: PathLike, text: str) -> None:
+    """Writes a surg_kinematics/1 file; as :func:`write_tool`."""
+    _replace(Path(path), text, load_kinematics)
 
 
 def _one_line(note: str) -> str:
@@ -281,13 +377,14 @@ def _vector(values: FloatArray) -> str:
     return "[" + ", ".join(f"{round(float(value), 12) + 0.0:.12f}" for value in values) + "]"
 
 
-def _evidence(found: _Calibration, source: str) -> str:
+def _evidence(found: _Calibration, source: str, serial: str) -> str:
+    of_arm = f'serial: "{_one_line(serial)}"  # of the arm\n' if serial else ""
     return (
         f"residual: {found.residual:.9f}  # m, rms\n"
         f"n: {found.n}\n"
         f"condition: {max(found.condition, 1.0):.4f}\n"
         f'date: "{_one_line(found.date)}"\n'
-        f"source: {source}\n"
+        f"source: {source}\n" + of_arm
     )
 
 

@@ -8,6 +8,7 @@ everything else is text, dates included.
 
 from __future__ import annotations
 
+import datetime
 import os
 import re
 from collections.abc import Mapping
@@ -31,11 +32,14 @@ from surg_core._core import (
     RobotConfig,
     ToolCalibration,
     TrocarCalibration,
+    UrKinematics,
     check_hardware,
+    check_kinematics,
     check_tool,
     link_file,
     parse_cell,
     parse_instrument,
+    parse_kinematics,
     parse_link,
     parse_robot,
     parse_tool,
@@ -44,7 +48,9 @@ from surg_core._core import (
     tighten,
     unknown_link,
     with_home,
+    with_kinematics,
     with_link,
+    with_measured_lag,
 )
 from surg_core.transforms import FloatArray, make_pose
 from surg_core.urdf import chain_from_urdf, fixed_transform
@@ -75,7 +81,7 @@ class Arm:
         fixtures: virtual fixtures, in the robot base frame.
         trocar: taught trocar point in the robot base frame.
         X_WB: ``(4, 4)`` robot base in the world, read-only.
-        chain: joints from base link to flange link.
+        chain: joints from base link to flange link, with the arm's own kinematics where known.
         urdf_path: the robot's URDF, absolute.
         instrument_urdf: the instrument's URDF, absolute.
         link_config: parameters of what moves it.
@@ -83,6 +89,7 @@ class Arm:
             is started by hand.
         driver: folder with the driver of a link from outside the platform, absolute.
         link_settings: section ``settings`` of the link's YAML, for the driver.
+        kinematics: the arm's own, which the chain has; None: the drawing's.
     """
 
     name: str
@@ -101,6 +108,7 @@ class Arm:
     hardware: CellHardware | None
     driver: Path | None
     link_settings: Mapping[str, Value]
+    kinematics: UrKinematics | None
 
 
 @dataclass(frozen=True)
@@ -142,6 +150,16 @@ def load_trocar(path: PathLike) -> TrocarCalibration:
     return parse_trocar(read_document(path))
 
 
+def load_kinematics(path: PathLike) -> UrKinematics:
+    """Reads an arm's own kinematics; errors as :func:`load_robot`."""
+    return parse_kinematics(read_document(path))
+
+
+def kinematics_of(text: str, file: str) -> UrKinematics:
+    """An arm's own kinematics from the text of their file; ``file`` is named in errors."""
+    return parse_kinematics(Document(file, *flatten(text, file)))
+
+
 def load_cell(path: PathLike) -> Cell:
     """Reads a cell with everything it refers to.
 
@@ -179,7 +197,9 @@ def load_cell(path: PathLike) -> Cell:
         tool = load_tool(tool_file)
         check_tool(tool, limits, str(tool_file))
         trocar = load_trocar(file.parent / "calibration" / f"trocar_{stated.name}.yaml")
-        check_hardware(stated, robot, instrument, tool, trocar, str(file))
+        today = datetime.date.today().isoformat()
+        check_hardware(stated, robot, instrument, tool, trocar, str(file), today)
+        chain, kinematics = _own_chain(chain, stated, robot, file)
         X_WB = make_pose(stated.base_xyz, stated.base_rpy)
         X_WB.setflags(write=False)
         arms[stated.name] = Arm(
@@ -199,6 +219,7 @@ def load_cell(path: PathLike) -> Cell:
             hardware=stated.hardware,
             driver=driver,
             link_settings=link_settings,
+            kinematics=kinematics,
         )
     return Cell(config=config, arms=MappingProxyType(arms), folder=file.parent)
 
@@ -220,7 +241,22 @@ def _load_link(
         if key.startswith("settings.")
     }
     driver = _beside(file, link.driver) if link.driver else None
-    return link, driver, MappingProxyType(settings)
+    return with_measured_lag(link, arm), driver, MappingProxyType(settings)
+
+
+def _own_chain(
+    drawn: Chain, arm: CellArm, robot: RobotConfig, cell_file: Path
+) -> tuple[Chain, UrKinematics | None]:
+    """The chain with the arm's own kinematics, where the cell has their file."""
+    file = cell_file.parent / "calibration" / f"kinematics_{arm.name}.yaml"
+    if not file.exists():
+        return drawn, None
+    own = load_kinematics(file)
+    check_kinematics(own, arm, robot)
+    try:
+        return with_kinematics(drawn, own), own
+    except ValueError as error:
+        raise ConfigError(f"{file}: {error}") from error
 
 
 def _beside(file: Path, name: str) -> Path:

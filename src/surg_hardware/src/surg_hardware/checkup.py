@@ -59,9 +59,7 @@ def identity_findings(
     ours = arm.chain.forward(np.array(q))
     flange = identity.flange_mismatch(ours, theirs)
     distance, angle = identity.flange_difference(ours, theirs)
-    text = (
-        f"our flange is the robot's own to {1e3 * distance:.3f} mm, {math.degrees(angle):.3f} deg"
-    )
+    text = f"our flange differs by {1e3 * distance:.3f} mm, {math.degrees(angle):.3f} deg"
     return [*found, Finding("forward kinematics", text) if flange is None else _bad(flange)]
 
 

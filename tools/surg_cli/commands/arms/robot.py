@@ -1,4 +1,4 @@
-"""`./surg robot CELL ACTION`: the robots of a running cell, and how late they follow."""
+"""`./surg robot CELL ACTION`: power, start, stop and guide the robots of a cell; their lag."""
 
 from __future__ import annotations
 
@@ -8,21 +8,24 @@ import os
 import threading
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from surg_cli.graph import running
-from surg_cli.graph.robot_request import RobotRequests, condition_name
 from surg_cli.host import cells
 from surg_cli.host.option_types import positive, tcp_port
-from surg_cli.host.terminal import Problem, Progress, say, table, warn
+from surg_cli.host.terminal import Problem, Progress, confirm, say, table, warn
+from surg_cli.robots import rehearsal, robot_service
+from surg_cli.robots.robot_request import RobotRequests, condition_name
 
 ACTIONS = {
     "status": "condition of each robot, and what to do",
     "start": "let each robot obey its commands; nothing moves by it",
     "stop": "bring each robot to rest; it obeys nothing until the next start",
     "guide": "let a person guide each robot by hand, until stop",
-    "recover": "clear a reflex of a Franka, after a person has looked for its cause",
     "lag": "measure the lag of each arm's link from its motion",
+    **robot_service.ACTIONS,
+    "rehearse": "lead through the next stop of the rehearsal, measure it, write the report",
 }
 TOLERANCE_S = 0.003
 """Above this difference the controller warns (docs/reference/safety.md)."""
@@ -36,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add(
         "cell",
         metavar="CELL",
-        help="name in cells/, or a folder; it must be running. Instead, without a cell: "
+        help="name in cells/, or a folder. Instead, without a cell: "
         "check FILE or home FILE, for a robot's YAML",
     )
     add("action", choices=tuple(ACTIONS), help="; ".join(f"{a}: {h}" for a, h in ACTIONS.items()))
@@ -61,7 +64,14 @@ class Lag:
 def main(options: argparse.Namespace, command: str) -> int:
     """Ask or measure; exit status 1 if a robot refused, did not move, or its lag differs."""
     folder = cells.find(options.cell)
-    arms = cells.chosen_arms(cells.load(folder), options.arm)
+    cell = cells.load(folder)
+    arms = cells.chosen_arms(cell, options.arm)
+    served = [arm for arm in arms if robot_service.serves(options.action, cell.arms[arm])]
+    for arm in served:
+        robot_service.serve(options.action, cell.arms[arm], folder)
+    arms = [arm for arm in arms if arm not in served]
+    if not arms:
+        return 0
     system = running.of_cell(folder, options.port)
     if system is None:
         raise Problem(
@@ -72,6 +82,8 @@ def main(options: argparse.Namespace, command: str) -> int:
                 else "then repeat this command"
             )
         )
+    if options.action == "rehearse":
+        return max(_rehearse(system, cell.arms[arm], folder) for arm in arms)
     if options.action != "lag":
         return _ask(system.master_uri, arms, options.action)
     lags = _measure(system.master_uri, arms, options.timeout)
@@ -80,6 +92,31 @@ def main(options: argparse.Namespace, command: str) -> int:
         if text := advice(arm, lags.get(arm)):
             warn(f"surg: {text}")
     return 1 if any(advice(arm, lags.get(arm)) for arm in arms) else 0
+
+
+def _rehearse(system: running.System, arm: Any, folder: Path) -> int:
+    """Perform the first stop that an arm has not passed; exit status 1 where it fails."""
+    from surg_cli.robots import rehearse_stop
+
+    if arm.hardware is None:
+        raise Problem(f"{arm.name}: link {arm.link!r} has nothing to rehearse", 2)
+    serial = f"{arm.hardware.serial}{' (emulated)' if arm.hardware.emulated else ''}"
+    data = folder / f"rehearsal_{arm.name}.jsonl"
+    page = data.with_suffix(".md")
+    step = rehearsal.next_step(rehearsal.load(data), serial)
+    if step is None:
+        say(f"{arm.name}: all stops are passed: {page}")
+        return 0
+    does = step.do or f"this program kills the {step.victim}"
+    confirm(f"{arm.name}: {step.name}. The arm will move at 10 mm/s; then {does}. Ready?")
+    outcome = rehearse_stop.perform(system, arm, folder, step)
+    rehearsal.append(data, outcome)
+    outcomes = rehearsal.load(data)
+    page.write_text(rehearsal.report(outcomes, f"{arm.name} of {folder.name}"), "utf-8")
+    say(f"{step.name}: {'; '.join(outcome.problems) or 'passed'}; report: {page}")
+    after = step.after.replace("robot CELL", f"robot {folder.name}")
+    say(f"Then: {after}; ./surg robot {folder.name} start; ./surg robot {folder.name} rehearse")
+    return 1 if outcome.problems else 0
 
 
 def _ask(uri: str, arms: list[str], word: str) -> int:

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstddef>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -32,6 +33,7 @@ struct ArmSetup {
   surg::Limits limits;                       ///< the robot's, tightened by the cell
   surg::Pose X_WB = surg::Pose::Identity();  ///< robot base in the world
   std::string robot_urdf;
+  std::optional<surg::UrKinematics> kinematics;  ///< the arm's own, where its file is there
 };
 
 /// Flattens one YAML file: nested keys joined by '.', each with its 1-based line. Scalars follow

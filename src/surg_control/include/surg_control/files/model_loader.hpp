@@ -4,6 +4,7 @@
 
 #include <string>
 
+#include "surg_control/files/config_loader.hpp"
 #include "surg_core/config.hpp"
 #include "surg_core/kinematics/kinematics.hpp"
 
@@ -25,6 +26,10 @@ struct Model {
 /// the URDF's; forward kinematics and Jacobian agree with KDL to 1e-9 on 100 random postures.
 /// Throws surg::ConfigError.
 Model load_model(const surg::RobotConfig& robot, const std::string& urdf_path);
+
+/// The model of a cell's arm: the same, with the arm's own kinematics in the chain where the cell
+/// has them.
+Model load_model(const ArmSetup& setup);
 
 /// Largest difference between 'chain' and KDL's chain of the same URDF text: pose entries and
 /// Jacobian entries, over 'postures' seeded random postures within the robot's limits. Throws

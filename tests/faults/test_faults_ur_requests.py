@@ -1,0 +1,77 @@
+"""What a person may ask of a UR link, and when: guide, start and stop against the emulated arm."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from helpers.hardware import emulated_ur
+from helpers.hardware.ur_driver_rig import Rig, rig
+from surg_cli.graph.processes import wait_until
+from surg_hardware.conditions import Condition
+from surg_hardware.emulators.ur.ur_controller import HOME
+
+OTHER = "def other():\n  while True:\n    sync()\n  end\nend\n"
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Iterator[Rig]:
+    """A driver and its arm; the commands are zero."""
+    with rig(tmp_path) as (made, _):
+        made.wait(Condition.READY)
+        yield made
+
+
+def ask(arm: Rig, word: str, enabled: bool = False) -> str:
+    """The driver's refusal; empty: it has said none within 0.5 s."""
+    arm.notices.clear()
+    arm.request(word, enabled)
+    wait_until(lambda: bool(arm.notices), 0.5)
+    return arm.notices[0] if arm.notices else ""
+
+
+def said(arm: Rig) -> dict[str, object]:
+    """The emulated controller's own state."""
+    found: dict[str, object] = json.loads(emulated_ur.mishap(arm.address, "status"))
+    return found
+
+
+def test_a_hand_guides_the_arm_only_while_the_controller_is_disabled(arm: Rig) -> None:
+    assert "DISABLED" in ask(arm, "guide", enabled=True)
+    assert said(arm)["runtime"] == "STOPPED"
+    assert ask(arm, "guide") == ""
+    arm.wait(Condition.GUIDED)
+    arm.mishap("freedrive on 0.2 0 0 0 0 0")
+    assert wait_until(lambda: arm.state is not None and arm.state.q[:1] > (HOME[0] + 0.02,), 3.0), (
+        "the joint states go on, so that poses can be collected"
+    )
+    arm.mishap("freedrive on")
+    assert "guided" in ask(arm, "start"), "an arm in a hand is not started"
+    assert ask(arm, "stop") == ""
+    arm.wait(Condition.READY)
+    before = said(arm)["q"]
+    time.sleep(0.2)
+    assert said(arm)["q"] == pytest.approx(before, abs=1e-9)
+
+
+def test_a_start_is_refused_with_its_cure(arm: Rig, tmp_path: Path) -> None:
+    program = tmp_path / "other.script"
+    program.write_text(OTHER)
+    arm.mishap(f"load {program}")
+    arm.mishap("play")
+    assert wait_until(lambda: "a program runs" in ask(arm, "start"), 5.0)
+    arm.mishap("stop")
+    arm.mishap("brakes engage")
+    arm.wait(Condition.BRAKED)
+    assert "brakes" in ask(arm, "start")
+    arm.mishap("brakes release")
+    arm.wait(Condition.READY)
+    arm.mishap("local")
+    assert wait_until(lambda: "local control" in ask(arm, "start"), 5.0)
+    assert "allowed: " in ask(arm, "dance")
+    assert arm.condition() is Condition.READY
+    assert said(arm)["q"] == pytest.approx(list(HOME), abs=1e-9), "nothing has moved"

@@ -1,0 +1,1 @@
+"""What a person does to real and emulated arms: examine, power, request, rehearse."""

@@ -1,0 +1,194 @@
+"""Performs one stop of the rehearsal on a running arm: listens, lets it move, kills, measures."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import signal
+import subprocess
+import threading
+import time
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from surg_cli.graph import processes
+from surg_cli.graph.running import System
+from surg_cli.host.terminal import Problem, say
+from surg_cli.robots import rehearsal
+from surg_cli.robots.rehearsal import Outcome, Step, Trace
+from surg_cli.robots.robot_request import condition_name
+
+SCALE = 0.8
+"""Of the bundled motion: its tip then moves at about 10 mm/s."""
+MOVING = 0.005
+"""[m/s] Set-point of the tip: the arm moves as the rehearsal wants it."""
+BRING_UP_S, PERSON_S, AFTER_S = 60.0, 120.0, 2.0
+"""[s] To enable, home and move; for a person to act; recorded after the event."""
+GONE_S = 0.1
+"""[s] Without a joint state: the robot has stopped, as far as anybody can tell."""
+
+
+class Listener:
+    """What link and controller of one arm say; a context manager."""
+
+    def __init__(self, system: System, arm: Any) -> None:
+        os.environ["ROS_MASTER_URI"] = system.master_uri
+        import rospy
+        from sensor_msgs.msg import JointState
+
+        from surg_msgs.msg import Cycle, LinkStatus
+
+        self._arm, self._lock = arm, threading.Lock()
+        self._times: list[float] = []
+        self._q: list[tuple[float, ...]] = []
+        self._speeds: list[float] = []
+        self.status: Any = None
+        self.cycle: Any = None
+        self.heard = 0.0  # when the controller's last word came
+        self.stopped_at: float | None = None  # when the link first left ACTIVE
+        self.fault = ""  # the controller's first FAULT since then
+        rospy.init_node("surg_rehearse", anonymous=True, disable_signals=True)
+        name, keys = arm.name, {"queue_size": 1000, "tcp_nodelay": True}
+        rospy.Subscriber(f"/{name}/robot/measured_js", JointState, self._on_state, **keys)
+        rospy.Subscriber(f"/{name}/robot/status", LinkStatus, self._on_status, **keys)
+        rospy.Subscriber(f"/{name}/cycle", Cycle, self._on_cycle, **keys)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        import rospy
+
+        rospy.signal_shutdown("done")
+
+    def _on_state(self, message: Any) -> None:
+        with self._lock:
+            self._times.append(time.monotonic())
+            self._q.append(tuple(message.position))
+            self._speeds.append(max((abs(float(rate)) for rate in message.velocity), default=0.0))
+
+    def _on_status(self, message: Any) -> None:
+        active = condition_name(message) == "ACTIVE"
+        if not active and self.stopped_at is None and self.status is not None:
+            self.stopped_at = time.monotonic()
+        elif active:
+            self.stopped_at = None
+        self.status = message
+
+    def _on_cycle(self, message: Any) -> None:
+        self.heard = time.monotonic()
+        if message.state == message.FAULT and not self.fault:
+            self.fault = message.reason
+        self.cycle = message
+
+    @property
+    def moves(self) -> bool:
+        """Whether the arm is driven at the rehearsal's speed."""
+        return (
+            self.cycle is not None
+            and self.status is not None
+            and condition_name(self.status) == "ACTIVE"
+            and float(np.linalg.norm(self.cycle.v_set)) > MOVING
+        )
+
+    @property
+    def silent(self) -> bool:
+        """Whether no joint state comes any more."""
+        with self._lock:
+            return bool(self._times) and time.monotonic() - self._times[-1] > GONE_S
+
+    def trace(self, since: float) -> Trace:
+        """Everything since a moment of the steady clock."""
+        with self._lock:
+            first = next((n for n, at in enumerate(self._times) if at >= since), len(self._times))
+            times, q = self._times[first:], np.array(self._q[first:])
+            speeds = self._speeds[first:]
+        deviations = _deviations(self._arm, q) if len(q) else []
+        condition = "" if self.status is None else condition_name(self.status)
+        return Trace(times, speeds, deviations, condition, self.fault)
+
+
+def _deviations(arm: Any, q: np.ndarray) -> list[float]:
+    """Of the shaft from the cell's trocar [m]."""
+    X_BF = np.asarray(arm.chain.forward_batch(q))
+    away = arm.trocar.p_BRcm - X_BF[:, :3, :3] @ arm.tool.p_FTip - X_BF[:, :3, 3]
+    s_B = X_BF[:, :3, :3] @ arm.tool.s_F
+    along = np.sum(away * s_B, axis=1, keepdims=True)
+    distances: list[float] = np.linalg.norm(away - along * s_B, axis=1).tolist()
+    return distances
+
+
+def perform(system: System, arm: Any, folder: Path, step: Step) -> Outcome:
+    """Let the arm move, let the stop happen, and measure it.
+
+    Raises:
+        Problem: The arm does not move, or nobody acts.
+    """
+    with Listener(system, arm) as listener:
+        operator = _operator(system, arm, folder)
+        try:
+            if not processes.wait_until(lambda: listener.moves, BRING_UP_S):
+                said = "" if listener.status is None else listener.status.fault
+                raise Problem(
+                    f"{arm.name} does not move: {said or 'no link'}. It must be started: "
+                    f"./surg robot {folder.name} start"
+                )
+            event = _await_event(listener, system, arm, step)
+            time.sleep(AFTER_S)
+        finally:
+            operator.terminate()
+            operator.wait()
+        serial = "" if listener.status is None else listener.status.serial
+        date = datetime.date.today().isoformat()
+        return rehearsal.judge(step, event, listener.trace(event - 0.1), date, serial)
+
+
+def _operator(system: System, arm: Any, folder: Path) -> subprocess.Popen[bytes]:
+    """The bundled motion, slowly, in a process of its own."""
+    words = [f"_cell:={folder}", f"_arm:={arm.name}", f"_scale:={SCALE}"]
+    return subprocess.Popen(
+        ["rosrun", "surg_teleop", "operator_node.py", "__name:=rehearsal_operator", *words],
+        env={**os.environ, "ROS_MASTER_URI": system.master_uri},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+    )
+
+
+def _await_event(listener: Listener, system: System, arm: Any, step: Step) -> float:
+    """The moment of the stop, on the steady clock.
+
+    Raises:
+        Problem: Nobody has acted, or there is no such process.
+    """
+    if step.victim:
+        pid = _victim(system, arm.name, step.victim)
+        moment = time.monotonic()
+        os.kill(pid, signal.SIGKILL)
+        return moment
+    say(f"{step.name}: now {step.do}.")
+    stopped = processes.wait_until(
+        lambda: listener.stopped_at is not None or listener.silent, PERSON_S
+    )
+    if not stopped:
+        raise Problem(f"{step.name}: nothing has happened within {PERSON_S:g} s")
+    return listener.stopped_at or time.monotonic() - GONE_S
+
+
+def _victim(system: System, arm: str, victim: str) -> int:
+    """The process id of a node or of the link's driver.
+
+    Raises:
+        Problem: There is none.
+    """
+    node = f"/{arm}/{'controller' if victim == 'controller' else 'link'}"
+    pid = system.nodes.get(node)
+    if pid is None:
+        raise Problem(f"{node} does not run in the system of {system.cell}")
+    if victim != "driver":
+        return pid
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text("ascii").split()
+    if not children:
+        raise Problem(f"{node} has no driver")
+    return int(children[0])
