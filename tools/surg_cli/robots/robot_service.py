@@ -24,7 +24,7 @@ _QUESTIONS = {
 
 
 def serves(action: str, arm: Any) -> bool:
-    """Whether an action is done here, without the arm's link; a Franka's link recovers by itself."""
+    """Whether an action is done here, without the link; a Franka's recovers by itself."""
     return action in ACTIONS and (action != "recover" or arm.link == "ur")
 
 

@@ -174,54 +174,57 @@ def load_cell(path: PathLike) -> Cell:
         file = file / "cell.yaml"
     file = file.absolute()
     config = parse_cell(read_document(file))
-    arms: dict[str, Arm] = {}
-    for stated in config.arms:
-        robot_file = _beside(file, stated.robot)
-        instrument_file = _beside(file, stated.instrument)
-        robot = with_home(load_robot(robot_file), stated, str(file))
-        link_config, driver, link_settings = _load_link(stated, file)
-        robot = with_link(robot, link_config)
-        instrument = load_instrument(instrument_file)
-        urdf = _beside(robot_file, robot.urdf)
-        instrument_urdf = _beside(instrument_file, instrument.urdf)
-        try:
-            chain = chain_from_urdf(urdf, robot.base_link, robot.flange_link, robot.joint_names)
-        except ConfigError as error:
-            raise ConfigError(f"{robot_file}: urdf: {error}") from error
-        try:
-            fixed_transform(instrument_urdf, instrument.mount_link, instrument.tip_link)
-        except ConfigError as error:
-            raise ConfigError(f"{instrument_file}: urdf: {error}") from error
-        limits = tighten(robot.limits, stated, str(file))
-        tool_file = file.parent / "calibration" / f"tool_{stated.name}.yaml"
-        tool = load_tool(tool_file)
-        check_tool(tool, limits, str(tool_file))
-        trocar = load_trocar(file.parent / "calibration" / f"trocar_{stated.name}.yaml")
-        today = datetime.date.today().isoformat()
-        check_hardware(stated, robot, instrument, tool, trocar, str(file), today)
-        chain, kinematics = _own_chain(chain, stated, robot, file)
-        X_WB = make_pose(stated.base_xyz, stated.base_rpy)
-        X_WB.setflags(write=False)
-        arms[stated.name] = Arm(
-            name=stated.name,
-            link=stated.link,
-            robot=robot,
-            instrument=instrument,
-            limits=limits,
-            fixtures=stated.fixtures,
-            tool=tool,
-            trocar=trocar,
-            X_WB=X_WB,
-            chain=chain,
-            urdf_path=urdf,
-            instrument_urdf=instrument_urdf,
-            link_config=link_config,
-            hardware=stated.hardware,
-            driver=driver,
-            link_settings=link_settings,
-            kinematics=kinematics,
-        )
+    arms = {stated.name: _load_arm(stated, file) for stated in config.arms}
     return Cell(config=config, arms=MappingProxyType(arms), folder=file.parent)
+
+
+def _load_arm(stated: CellArm, file: Path) -> Arm:
+    """One arm with everything that its cell, the file, refers to."""
+    robot_file = _beside(file, stated.robot)
+    instrument_file = _beside(file, stated.instrument)
+    robot = with_home(load_robot(robot_file), stated, str(file))
+    link_config, driver, link_settings = _load_link(stated, file)
+    robot = with_link(robot, link_config)
+    instrument = load_instrument(instrument_file)
+    urdf = _beside(robot_file, robot.urdf)
+    instrument_urdf = _beside(instrument_file, instrument.urdf)
+    try:
+        chain = chain_from_urdf(urdf, robot.base_link, robot.flange_link, robot.joint_names)
+    except ConfigError as error:
+        raise ConfigError(f"{robot_file}: urdf: {error}") from error
+    try:
+        fixed_transform(instrument_urdf, instrument.mount_link, instrument.tip_link)
+    except ConfigError as error:
+        raise ConfigError(f"{instrument_file}: urdf: {error}") from error
+    limits = tighten(robot.limits, stated, str(file))
+    tool_file = file.parent / "calibration" / f"tool_{stated.name}.yaml"
+    tool = load_tool(tool_file)
+    check_tool(tool, limits, str(tool_file))
+    trocar = load_trocar(file.parent / "calibration" / f"trocar_{stated.name}.yaml")
+    today = datetime.date.today().isoformat()
+    check_hardware(stated, robot, instrument, tool, trocar, str(file), today)
+    chain, kinematics = _own_chain(chain, stated, robot, file)
+    X_WB = make_pose(stated.base_xyz, stated.base_rpy)
+    X_WB.setflags(write=False)
+    return Arm(
+        name=stated.name,
+        link=stated.link,
+        robot=robot,
+        instrument=instrument,
+        limits=limits,
+        fixtures=stated.fixtures,
+        tool=tool,
+        trocar=trocar,
+        X_WB=X_WB,
+        chain=chain,
+        urdf_path=urdf,
+        instrument_urdf=instrument_urdf,
+        link_config=link_config,
+        hardware=stated.hardware,
+        driver=driver,
+        link_settings=link_settings,
+        kinematics=kinematics,
+    )
 
 
 def _load_link(
