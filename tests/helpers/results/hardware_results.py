@@ -17,8 +17,9 @@ the limits of the joints allow.
   beside the way that the controller has kept; a stop of the link ends on it.
   *started*: `tests/faults/test_faults_hardware.py`; people mend the robot after a stop in motion,
   and start it, while sender and controller go on: how far the tip moves before `enable`.
-  *panda*, *fr3*: `tests/faults/test_faults_hardware_franka.py`; the emulated arm stops by a reflex
-  where a command is above Franka's limits.
+  *panda*, *fr3*: `tests/faults/test_faults_hardware_franka.py`, and as processes with the maker's
+  libraries `tests/ros/hardware/test_franka_processes.py`; the emulated arm stops by a reflex where
+  a command is above Franka's limits. franky-sim has no limits.
   *pivot*: `tests/faults/test_faults_hardware_motion.py`; motions at scale 1. The recording is no
   part of the project: `SURG_TEST_MOTION=FILE`.
 - *processes* (`tests/faults/test_faults_ur_driver.py`): the UR driver and `./surg emulate ur` in
@@ -75,10 +76,14 @@ HASH = "chain: a seeded motion with a protective stop, twice"
 AGE = "a command until it is executed"
 
 
-def franka(name: str, loss: float) -> str:
+FRANKA = (("panda", 0.0), ("panda", 0.002), ("fr3", 0.0))
+FRANKY_SIM = "processes: our FR3 link on PyPI's franky-sim, bundled motion, pivot"
+
+
+def franka(name: str, loss: float, where: str = "chain") -> str:
     """Name of a row of a Franka arm that plays the bundled motion."""
     lost = f", {100 * loss:g} % of the commands lost" if loss else ""
-    return f"chain, {name}: bundled motion, pivot{lost}"
+    return f"{where}, {name}: bundled motion, pivot{lost}"
 
 
 def chain_row(what: str, speed: float) -> str:
@@ -105,6 +110,8 @@ note = ResultsPage(
         RECORDED,
         HASH,
         *(franka(name, loss) for name in ("panda", "fr3") for loss in (0.0, 0.002)),
+        *(franka(name, loss, "processes") for name, loss in FRANKA),
+        FRANKY_SIM,
         *(chain_row(what, speed) for what in CHAIN for speed in SPEEDS),
         *(recovery_row(what, scale) for what in RECOVERIES for scale in SCALES),
         AGE,

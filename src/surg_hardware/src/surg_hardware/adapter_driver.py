@@ -35,8 +35,6 @@ ADAPTERS = {
 }
 """Links of the platform -> module of their adapter."""
 FILE = "driver.py"
-CLOCK_WINDOW = 0.25
-"""[s] See `RobotClock`."""
 
 
 def load(driver: str) -> type[RobotAdapter]:
@@ -74,7 +72,7 @@ class AdapterDriver(ArmDriver):
     def __init__(
         self, settings: DriverSettings, node: socket.socket, adapter: RobotAdapter
     ) -> None:
-        super().__init__(settings, node, adapter.cycle, CLOCK_WINDOW)
+        super().__init__(settings, node, adapter.cycle, adapter.clock_window)
         self._adapter = adapter
         self._connected = self._driving = False
         self._number = 0  # of the velocities sent last

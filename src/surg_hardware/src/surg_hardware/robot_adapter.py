@@ -12,6 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from surg_hardware import robot_clock
 from surg_hardware.conditions import Reading
 
 
@@ -61,6 +62,8 @@ class RobotAdapter(ABC):
 
     cycle = 0.002
     """[s] Between two states."""
+    clock_window = robot_clock.WINDOW
+    """[s] See `robot_clock.RobotClock`."""
 
     def __init__(self, address: str, options: Mapping[str, object]) -> None:
         self.address = address
