@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 import shutil
-import subprocess
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -20,18 +16,12 @@ from sensor_msgs.msg import JointState
 import surg_core
 from crtk_msgs.msg import StringStamped
 from helpers.graph.ros import RosGraph
-from helpers.hardware import client_venvs
-from helpers.hardware.emulated_ur import free_address
 from surg_cli.commands.arms.robot import lags_of
 from surg_cli.graph import system
 from surg_cli.graph.processes import Child, wait_until
 from surg_cli.host import link_environments, paths
 from surg_hardware.emulators.franka import franka_kinematics
 from surg_msgs.msg import LinkStatus
-
-PRIORITY = 30
-"""Of the simulator, below the driver and the controller."""
-FRANKY_SIM = "franky-sim==1.0.4"
 
 
 def cell_at(name: str, folder: Path, address: str, payload: dict[str, object]) -> Path:
@@ -46,25 +36,6 @@ def cell_at(name: str, folder: Path, address: str, payload: dict[str, object]) -
         arm[key] = os.path.normpath(bundled / arm[key])
     (cell / "cell.yaml").write_text(yaml.safe_dump(document), "utf-8")
     return cell
-
-
-@contextmanager
-def franky_sim(log: Path, home: np.ndarray) -> Iterator[str]:
-    """Somebody else's FR3 simulator as a process; yields its address."""
-    python = client_venvs.python(FRANKY_SIM)
-    address = free_address()
-    program = paths.ROOT / "tests" / "helpers" / "hardware" / "franky_sim_server.py"
-    words = [str(python), str(program), address, *map(str, home)]
-    with log.open("w") as output:
-        process = subprocess.Popen(words, stdout=output, stderr=subprocess.STDOUT, env={})
-        with contextlib.suppress(OSError):  # beside other work it would fall behind real time
-            os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(PRIORITY))
-        try:
-            assert wait_until(lambda: "ready" in log.read_text(), 60.0), log.read_text()
-            yield address
-        finally:
-            process.terminate()
-            process.wait(10.0)
 
 
 class Graph:

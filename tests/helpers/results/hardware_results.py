@@ -19,7 +19,7 @@ the limits of the joints allow.
   and start it, while sender and controller go on: how far the tip moves before `enable`.
   *panda*, *fr3*: `tests/faults/test_faults_hardware_franka.py`, and as processes with the maker's
   libraries `tests/ros/hardware/test_franka_processes.py`; the emulated arm stops by a reflex where
-  a command is above Franka's limits. franky-sim has no limits.
+  a command is above Franka's limits.
   *pivot*: `tests/faults/test_faults_hardware_motion.py`; motions at scale 1. The recording is no
   part of the project: `SURG_TEST_MOTION=FILE`.
 - *processes* (`tests/faults/test_faults_ur_driver.py`): the UR driver and `./surg emulate ur` in
@@ -77,7 +77,6 @@ AGE = "a command until it is executed"
 
 
 FRANKA = (("panda", 0.0), ("panda", 0.002), ("fr3", 0.0))
-FRANKY_SIM = "processes: our FR3 link on PyPI's franky-sim, bundled motion, pivot"
 
 
 def franka(name: str, loss: float, where: str = "chain") -> str:
@@ -111,7 +110,6 @@ note = ResultsPage(
         HASH,
         *(franka(name, loss) for name in ("panda", "fr3") for loss in (0.0, 0.002)),
         *(franka(name, loss, "processes") for name, loss in FRANKA),
-        FRANKY_SIM,
         *(chain_row(what, speed) for what in CHAIN for speed in SPEEDS),
         *(recovery_row(what, scale) for what in RECOVERIES for scale in SCALES),
         AGE,

@@ -1,7 +1,6 @@
 """The links to Franka arms as processes, in real time, with the maker's own libraries.
 
-Opt-in (`SURG_TEST_FULL=1`, and tier `oracle` for somebody else's simulator): the libraries are put
-into an environment of their own at the first run.
+Opt-in (`SURG_TEST_FULL=1`): the libraries get an environment of their own at the first run.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import pytest
 from helpers.graph.ros import RosGraph
 from helpers.hardware import emulated_franka
 from helpers.hardware.emulated_ur import mishap
-from helpers.hardware.franka_graph import Graph, cell_at, franky_sim
+from helpers.hardware.franka_graph import Graph, cell_at
 from helpers.results import hardware_results as page
 from surg_cli.host import paths
 from surg_core import load_cell
@@ -24,9 +23,9 @@ from surg_msgs.msg import LinkStatus
 pytestmark = pytest.mark.ros
 
 SECONDS = float(os.environ.get("SURG_TEST_SECONDS", "60"))
+OFF = 0.1
+"""[mm] Largest deviation from the pivot; 0.05 without other work of the machine."""
 NOTHING = {"mass": 0.0, "cog": [0.0, 0.0, 0.0]}
-HAND = {"mass": 0.73, "cog": [-0.01, 0.0, 0.03]}
-"""What franky-sim carries."""
 KINDS = {"panda": "fer", "fr3": "fr3"}
 
 
@@ -72,18 +71,4 @@ def test_the_bundled_motion_keeps_the_pivot_without_a_reflex(
     print(said)
     if SECONDS >= 60.0:
         page.note(page.franka(name, loss, "processes"), 1, f"{said}, {SECONDS:.0f} s")
-    assert deviation.max() < (0.05 if REAL_TIME else 0.5)
-
-
-@pytest.mark.oracle
-def test_somebody_elses_fr3_is_driven(ros_graph: RosGraph, rospy_node: str, tmp_path: Path) -> None:
-    home = load_cell(paths.CELLS / "emulated_fr3").arms["PSM1"].robot.home
-    with franky_sim(tmp_path / "log", home) as address:
-        rig = Graph(ros_graph, cell_at("fr3", tmp_path, address, HAND), REAL_TIME)
-        deviation = play(rig)
-        ros_graph.supervisor.stop()
-    said = f"mean {deviation.mean():.4f} mm, max {deviation.max():.3f} mm"
-    print(said)
-    if SECONDS >= 60.0:
-        page.note(page.FRANKY_SIM, 1, f"{said}, {SECONDS:.0f} s")
-    assert deviation.max() <= 0.5
+    assert deviation.max() < (OFF if REAL_TIME else 0.5)
