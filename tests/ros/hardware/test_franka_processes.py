@@ -23,8 +23,8 @@ from surg_msgs.msg import LinkStatus
 pytestmark = pytest.mark.ros
 
 SECONDS = float(os.environ.get("SURG_TEST_SECONDS", "60"))
-OFF = 0.1
-"""[mm] Largest deviation from the pivot; 0.05 without other work of the machine."""
+OFF = 0.2
+"""[mm] Largest deviation from the pivot beside other work of the machine; the chain has less."""
 NOTHING = {"mass": 0.0, "cog": [0.0, 0.0, 0.0]}
 KINDS = {"panda": "fer", "fr3": "fr3"}
 
