@@ -50,7 +50,7 @@ def test_a_hand_guides_the_arm_only_while_the_controller_is_disabled(arm: Rig) -
         "the joint states go on, so that poses can be collected"
     )
     arm.mishap("freedrive on")
-    assert "guided" in ask(arm, "start"), "an arm in a hand is not started"
+    assert "hand guiding" in ask(arm, "start"), "an arm in a hand is not started"
     assert ask(arm, "stop") == ""
     arm.wait(Condition.READY)
     before = said(arm)["q"]

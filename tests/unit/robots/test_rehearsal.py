@@ -62,6 +62,12 @@ def test_a_stop_that_is_not_as_it_must_be_says_why(found: Trace, word: str) -> N
     assert word in problem
 
 
+def test_an_arm_that_stood_still_has_rehearsed_nothing() -> None:
+    found = trace(rest_ms=-1000.0)
+    (problem,) = judged(ESTOP, found).problems
+    assert "stood still" in problem
+
+
 def test_a_pulled_cable_leaves_the_way_to_rest_unmeasured() -> None:
     found = trace(rest_ms=5000.0, condition="OFFLINE", reason="link_lost", ends=EVENT + 0.01)
     outcome = judged(BY_NAME["unplugged cable"], found)

@@ -132,6 +132,8 @@ def judge(step: Step, event: float, trace: Trace, date: str, serial: str) -> Out
     to_rest = trace.times[still] - event if still is not None else math.nan
     deviation = max((trace.deviations[n] for n in after), default=math.nan)
     problems = []
+    if not any(speed > RESTING for n, speed in enumerate(trace.speeds) if trace.times[n] < event):
+        problems.append("the arm stood still when it happened: repeat this stop")
     if not math.isnan(to_rest) and to_rest > REST_S:
         problems.append(f"at rest after {1e3 * to_rest:.0f} ms; allowed {1e3 * REST_S:.0f} ms")
     if deviation > PIVOT_M:

@@ -201,7 +201,7 @@ class UrDriver(ArmDriver):
 
     def _start(self, enabled: bool) -> str:
         if self._program and not self._link.active:
-            return "a program runs on the robot: stop it on the pendant"
+            return "a program runs on the robot, such as hand guiding: ./surg robot CELL stop"
         refusal = self._link.start(enabled, self._clock.known_for, time.monotonic())
         if refusal:
             return refusal
