@@ -27,8 +27,8 @@ BUNDLED = paths.ROOT / "src/surg_teleop/motions/bundled.csv"
 SECONDS = 40.0 if FULL else 2.0
 """Of a synthetic surgeon's motion."""
 SEEDS = range(1, 4 if FULL else 2)
-OFF = 0.15
-"""[mm] Largest deviation from the pivot."""
+OFF, OFF_RECORDED = 0.15, 0.2
+"""[mm] Largest deviation from the pivot; of a recording, whose accelerations nobody knows."""
 
 
 def started(law: Law = Law.EXACT) -> Chain:
@@ -39,7 +39,7 @@ def started(law: Law = Law.EXACT) -> Chain:
     return chain
 
 
-def report(row: str, runs: list[Played]) -> None:
+def report(row: str, runs: list[Played], limit: float = OFF) -> None:
     """Note the deviation in these runs, and judge it."""
     for each in runs:
         assert each.stage is Stage.DONE, each.reason
@@ -49,7 +49,7 @@ def report(row: str, runs: list[Played]) -> None:
     seconds = 0.002 * sum(len(each.deviation) for each in runs)
     said = f"mean {max(means):.4f} mm, max {most:.3f} mm, tip up to {fastest:.0f} mm/s"
     page.note(row, len(runs), f"{said}, {seconds:.0f} s")
-    assert most <= OFF
+    assert most <= limit
 
 
 def test_a_surgeons_motion_keeps_the_pivot(tmp_path: Path) -> None:
@@ -65,7 +65,7 @@ def test_the_bundled_motion_keeps_the_pivot() -> None:
 @pytest.mark.skipif(not GIVEN, reason="SURG_TEST_MOTION names a recording")
 def test_a_recorded_motion_keeps_the_pivot() -> None:
     assert GIVEN is not None
-    report(page.RECORDED, [play(started(), Path(GIVEN))])
+    report(page.RECORDED, [play(started(), Path(GIVEN))], OFF_RECORDED)
 
 
 UNMOVED = ("joint link", "twist link", "commands on a wrong topic")

@@ -6,7 +6,7 @@ from pathlib import Path
 from surg_cli.host import paths
 
 PAGE = paths.ROOT / "docs" / "reference" / "safety.md"
-REQUIREMENTS = [f"F{n:02}" for n in range(1, 37)]
+REQUIREMENTS = [f"F{n:02}" for n in range(1, 39)]
 
 
 def sources() -> list[Path]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 import surg_core
@@ -18,7 +20,7 @@ from surg_core import (
     StateCommand,
 )
 from surg_hardware import link_node
-from surg_hardware.emulators.ur.dh_kinematics import frames
+from surg_hardware.emulators.ur.dh_kinematics import Table, frames
 from surg_hardware.emulators.ur.ur_controller import UrController
 from surg_hardware.robot_link import Settings, Status
 
@@ -27,17 +29,27 @@ TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 T = 0.002
 
 
+def link_settings(arm: surg_core.Arm) -> Settings:
+    """Of the link of an arm with hardware."""
+    given = link_node.driver_settings(arm)
+    return Settings(given.velocity, given.acceleration, given.dead_man, given.stop_deceleration)
+
+
+def pivot_deviation(arm: surg_core.Arm, q: Sequence[float], table: Table) -> float:
+    """Of the shaft from the trocar [m], by a robot's joints [rad] and its maker's table."""
+    X = TURN @ frames(q, table)[-1]
+    away = arm.trocar.p_BRcm - X[:3, :3] @ arm.tool.p_FTip - X[:3, 3]
+    s = X[:3, :3] @ arm.tool.s_F
+    return float(np.linalg.norm(away - (away @ s) * s))
+
+
 class Chain:
     """The bundled cell `emulated_ur5e` with its arm at home, started and enabled."""
 
     def __init__(self, law: Law = Law.EXACT, enabled: bool = True) -> None:
         self.arm = surg_core.load_cell(paths.CELLS / "emulated_ur5e").arms["PSM1"]
         self.robot = UrController(q=self.arm.robot.home.tolist())
-        given = link_node.driver_settings(self.arm)
-        settings = Settings(
-            given.velocity, given.acceleration, given.dead_man, given.stop_deceleration
-        )
-        self.ur = ur_chain.Chain(settings, self.robot)
+        self.ur = ur_chain.Chain(link_settings(self.arm), self.robot)
         self.link, self.clock, self.law = self.ur.link, self.ur.clock, law
         self.obeys_commands = True  # False: the controller's commands are lost on their way
         self.moves = True  # False: the controller sees an arm that stands still
@@ -125,6 +137,4 @@ class Chain:
     @property
     def deviation(self) -> float:
         """Of the shaft from the trocar [m]."""
-        away = self.arm.trocar.p_BRcm - self.tip
-        s = self.flange[:3, :3] @ self.arm.tool.s_F
-        return float(np.linalg.norm(away - (away @ s) * s))
+        return pivot_deviation(self.arm, self.robot.motion.actual_q, self.robot.table)

@@ -22,6 +22,10 @@ the limits of the joints allow.
   a command is above Franka's limits.
   *pivot*: `tests/faults/test_faults_hardware_motion.py`; motions at scale 1. The recording is no
   part of the project: `SURG_TEST_MOTION=FILE`.
+- *policy* (`tests/faults/test_faults_hardware_policy.py`): an episode of bowel grasping and
+  retraction, seed 3, by the task's expert, and by the learned policy of `SURG_BGR_WEIGHTS=FILE`.
+  The emulated UR5e stands in the simulator's tissue: the drawn arm follows the emulated joints.
+- *fuzz* (`tests/unit/hardware`): random and broken input; nobody hangs or dies, memory stays flat.
 - *processes* (`tests/faults/test_faults_ur_driver.py`): the UR driver and `./surg emulate ur` in
   real time, without ROS and without the controller. The shaft of a 0.3 m tool turns about a pivot;
   nothing corrects the arm. The deviation is what the stop adds.
@@ -73,6 +77,11 @@ SURGEON = "chain: synthetic surgeon's motions, pivot"
 BUNDLED = "chain: bundled motion, pivot"
 RECORDED = "chain: recorded knot tying, pivot"
 HASH = "chain: a seeded motion with a protective stop, twice"
+FUZZ_STATES = "fuzz: states to the driver"
+FUZZ_DATAGRAMS = "fuzz: datagrams between driver and node"
+FUZZ_DASHBOARD = "fuzz: answers of the dashboard server"
+FUZZ_SERVER = "fuzz: packets to the emulated RTDE server"
+POLICIES, ROBOTS = ("expert", "learned"), ("simulated arm", "emulated UR5e")
 AGE = "a command until it is executed"
 
 
@@ -95,6 +104,11 @@ def recovery_row(what: str, scale: str) -> str:
     return f"chain: {what}, started, {scale}"
 
 
+def policy_row(which: str, robot: str) -> str:
+    """Name of a row of a policy for bowel grasping and retraction."""
+    return f"policy: bgr, {which}, {robot}"
+
+
 def row(what: str, speed: float) -> str:
     """Name of a row of the processes."""
     return f"processes: {what}, {1e3 * speed:.0f} mm/s"
@@ -110,6 +124,11 @@ note = ResultsPage(
         HASH,
         *(franka(name, loss) for name in ("panda", "fr3") for loss in (0.0, 0.002)),
         *(franka(name, loss, "processes") for name, loss in FRANKA),
+        *(policy_row(which, robot) for which in POLICIES for robot in ROBOTS),
+        FUZZ_STATES,
+        FUZZ_DATAGRAMS,
+        FUZZ_DASHBOARD,
+        FUZZ_SERVER,
         *(chain_row(what, speed) for what in CHAIN for speed in SPEEDS),
         *(recovery_row(what, scale) for what in RECOVERIES for scale in SCALES),
         AGE,

@@ -8,6 +8,7 @@ import tracemalloc
 import pytest
 
 from helpers.hardware.emulated_ur import Client, cycle, made, packets
+from helpers.results.hardware_results import FUZZ_SERVER, note
 from surg_hardware.emulators.ur.rtde_fields import INPUTS, OUTPUTS
 from surg_hardware.emulators.ur.rtde_server import RtdeSession
 from surg_hardware.emulators.ur.ur_controller import VERSION, UrController
@@ -195,7 +196,7 @@ def test_fuzzed_packets_leave_controller_and_memory_as_they_were() -> None:
             controller.execute()
     grown = tracemalloc.get_traced_memory()[0] - before
     tracemalloc.stop()
-    print(f"{PACKETS} packets, {restarts} connections, {grown} bytes more")
+    note(FUZZ_SERVER, PACKETS, f"{restarts} connections, {grown / 1e3:.1f} kB more memory")
     assert grown < MEMORY
     client.session.leave()
     assert controller.claims == {}

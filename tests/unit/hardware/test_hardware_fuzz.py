@@ -11,6 +11,7 @@ import threading
 import numpy as np
 import pytest
 
+from helpers.results.hardware_results import FUZZ_DATAGRAMS, FUZZ_STATES, note
 from surg_hardware import driver_datagrams as wire
 from surg_hardware.conditions import Condition
 from surg_hardware.robot_link import Status
@@ -70,8 +71,9 @@ def test_fuzzed_streams_and_states() -> None:
             errors += 1
             decoder = Decoder()
     assert errors > 0 and states > COUNT // 20
-    assert memory() - before < 20_000
-    print(f"{COUNT} packages: {states} states, {errors} errors")
+    more = memory() - before
+    assert more < 20_000
+    note(FUZZ_STATES, COUNT, f"{states} states, {errors} errors, {more} kB more memory")
 
 
 @pytest.mark.parametrize(
@@ -171,4 +173,6 @@ def test_fuzzed_datagrams_are_read_or_refused() -> None:
             if isinstance(message, wire.StateDatagram | wire.CommandDatagram):
                 assert len(message.qd) <= wire.MOST_JOINTS
     assert read > COUNT // 2 and refused > COUNT // 2
-    assert memory() - before < 20_000
+    more = memory() - before
+    assert more < 20_000
+    note(FUZZ_DATAGRAMS, COUNT, f"{read} read, {refused} refused, {more} kB more memory")

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import pytest
 
+from helpers.results.hardware_results import FUZZ_DASHBOARD, note
 from surg_hardware.ur import dashboard
 
 ROUNDS = 30_000 if os.environ.get("SURG_TEST_FULL", "") not in ("", "0") else 300
@@ -51,7 +52,7 @@ def test_random_answers_are_read_or_refused(ask: Callable[[bytes], list[str]]) -
             read += 1
         except OSError:
             refused += 1
-    print(f"{ROUNDS} dialogues: {read} read, {refused} refused")
+    note(FUZZ_DASHBOARD, ROUNDS, f"{read} read, {refused} refused")
     assert read > ROUNDS // 10 and refused > ROUNDS // 10
 
 
