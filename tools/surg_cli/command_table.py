@@ -49,7 +49,7 @@ COMMANDS = {
     "export": Command(
         "data", "export", "write a dataset: LeRobot, robomimic, ACT, Zarr, bags", everything=True
     ),
-    "import": Command("data", "import_recordings", "import bags and LeRobot data sets"),
+    "import": Command("data", "data.import_recordings", "import bags and LeRobot data sets"),
     "learn": Command("learn", "learn", "demonstrate, export, train, deploy and judge a policy"),
     "keys": Command("learn", "make_keys", "make key pairs for a model server and its policies"),
     "calibrate": Command("robot", "calibrate", "solve tool and trocar from recorded poses"),

@@ -174,7 +174,7 @@ def _about(path: Path) -> dict[str, Any]:
     """Facts for the dataset card, from a YAML file with known keys only."""
     import yaml  # missing before the first setup
 
-    from surg_recording.datasets.readme import KNOWN
+    from surg_recording.datasets.pages.readme import KNOWN
 
     try:
         stated = yaml.safe_load(path.read_text("utf-8"))

@@ -14,9 +14,15 @@ from typing import Any
 import pyarrow.parquet as pq
 
 from surg_core.contract import ACTION_KEY, STATE_KEY
-from surg_recording.datasets import lerobot_tables, pictures, readme, schema, statistics
+from surg_recording.datasets import (
+    lerobot_tables,
+    pictures,
+    schema,
+    statistics,
+)
 from surg_recording.datasets.exporter import Dataset, Report
 from surg_recording.datasets.lerobot_part import LeRobotExporter
+from surg_recording.datasets.pages import dataset_card, readme
 from surg_recording.recording_errors import EpisodeError
 
 DATA_PATH = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
@@ -74,7 +80,9 @@ class LeRobotV21(LeRobotExporter):
         lerobot_tables.write_json(meta / "modality.json", _modality(dataset, language))
         lerobot_tables.write_lines(meta / "episodes.jsonl", episodes)
         lerobot_tables.write_lines(meta / "episodes_stats.jsonl", stats)
-        (meta / "README.md").write_text(readme.page(dataset, "LeRobot 2.1"), "utf-8")
+        page = readme.page(dataset, "LeRobot 2.1")
+        (meta / "README.md").write_text(page, "utf-8")
+        dataset_card.write(dataset, out, "v2.1", page)
 
     def validate(self, out: Path) -> Report:
         """Read everything: rows, videos, statistics, splits, the page."""

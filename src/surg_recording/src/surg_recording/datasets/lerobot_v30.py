@@ -15,9 +15,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from surg_recording.datasets import lerobot_tables, pictures, readme, schema, statistics
+from surg_recording.datasets import (
+    lerobot_tables,
+    pictures,
+    schema,
+    statistics,
+)
 from surg_recording.datasets.exporter import Dataset, Part, Report
 from surg_recording.datasets.lerobot_part import LONGEST_S, LeRobotExporter
+from surg_recording.datasets.pages import dataset_card, readme
 from surg_recording.recording_errors import EpisodeError
 
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -68,7 +74,9 @@ class LeRobotV30(LeRobotExporter):
             video_path=VIDEO_PATH if videos else None,
         )
         lerobot_tables.write_json(out / "meta" / "info.json", stated)
-        (out / "meta" / "README.md").write_text(readme.page(dataset, "LeRobot 3.0"), "utf-8")
+        page = readme.page(dataset, "LeRobot 3.0")
+        (out / "meta" / "README.md").write_text(page, "utf-8")
+        dataset_card.write(dataset, out, "v3.0", page)
 
     def _write_tables(
         self,

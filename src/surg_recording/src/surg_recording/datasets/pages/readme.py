@@ -13,6 +13,7 @@ from typing import Any
 from surg_recording.datasets import schema
 from surg_recording.datasets.exporter import Dataset, Part
 from surg_recording.datasets.inspection import FAILURE, RECOVERY
+from surg_recording.datasets.pages.dataset_card import DATA_TYPES, METHODS, boxes, data_type, method
 
 KNOWN = {
     "name": "name of the dataset",
@@ -71,7 +72,6 @@ def page(dataset: Dataset, format_name: str) -> str:
 def _description(dataset: Dataset, about: Mapping[str, Any], format_name: str) -> list[str]:
     parts, recordings = dataset.parts, _recordings(dataset)
     hours = dataset.frames / dataset.options.fps / 3600
-    simulated = sum(bool(part.about.get("simulated")) for part in parts)
     return [
         "| | |",
         "|---|---|",
@@ -80,7 +80,7 @@ def _description(dataset: Dataset, about: Mapping[str, Any], format_name: str) -
         f"| Frames | {dataset.frames} at {dataset.options.fps} per second |",
         f"| Hours | {hours:.3f} |",
         "| Domain | surgical robotics |",
-        f"| Data type | {_data_type(simulated, len(parts))} |",
+        f"| Data type | {boxes(DATA_TYPES, (data_type(p.about) for p in parts))} |",
         f"| Format | {format_name} |",
         f"| Licence | {_stated(about, 'license')} |",
         f"| Version | {_stated(about, 'version')} |",
@@ -130,6 +130,7 @@ def _collection(dataset: Dataset, about: Mapping[str, Any]) -> list[str]:
     kinds = {kind: sum(p.kind == kind for p in parts) for kind in (RECOVERY, FAILURE)}
     dates = sorted(str(p.about["created"])[:10] for p in parts if p.about.get("created"))
     return [
+        f"- Collection method: {boxes(METHODS, (method(p.about) for p in parts))}",
         f"- Operators: {_stated(about, 'operators')}; named in the recordings:"
         f" {_each(dataset, 'operator')}",
         f"- Tasks: {_each(dataset, 'task')}; settings: {_each(dataset, 'setting')}",
@@ -219,12 +220,6 @@ def _summary(dataset: Dataset) -> str:
     count = len(dataset.parts)
     noun = "recording" if count == 1 else "recordings"
     return f"{count} {noun} of {robots}: {'; '.join(dataset.tasks)}."
-
-
-def _data_type(simulated: int, total: int) -> str:
-    if simulated == total:
-        return "physical simulation"
-    return "real robot" if not simulated else f"{simulated} simulated, {total - simulated} real"
 
 
 def _clocks(dataset: Dataset) -> str:
