@@ -84,7 +84,7 @@ def test_every_observation_holds_the_picture_of_its_own_tick(
         pytest.skip(str(error))
     account, out = tmp_path / "account.txt", tmp_path / "run"
     monkeypatch.setenv(WITNESS, str(account))
-    words = ("--policy", LOOKING, "--cameras", "left", "--seed", SEED, "--out", out)
+    words = ("--policy", LOOKING, "--cameras", "left", "--no-film", "--seed", SEED, "--out", out)
     done = surg("run", TASK, *words)
     assert done.returncode == 0, done.stdout + done.stderr
     (entry,) = json.loads((out / "summary.json").read_text("utf-8"))["episodes"]

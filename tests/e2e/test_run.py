@@ -105,6 +105,9 @@ def test_bowel_grasping_and_retraction_with_the_camera(tmp_path: Path, robot: st
     assert np.array_equal(left, right)
     assert np.all(np.diff(left) == 50_000_000)
     assert len(left) >= one["duration_s"] * 20 - 1
+    film = out / "film.mp4"
+    assert 20_000 < film.stat().st_size < 2_000_000
+    assert "data:video/mp4" in (out / "report.html").read_text("utf-8")
 
 
 def test_trouble_is_noticed() -> None:

@@ -42,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         choices=tuple(VIEWS),
         help="record the endoscope: left, or stereo (the option without a value)",
     )
+    add("--no-film", action="store_true", help="no film in the report, although there is a camera")
     add("--seed", type=int, default=0, metavar="S", help="of the first episode; then S + 1, …")
     add("--law", default="ours", metavar="L", help="control law: " + ", ".join(LAWS))
     add("--out", type=Path, metavar="DIR", help="folder of the run (default runs/<UTC time>)")
@@ -85,7 +86,8 @@ def main(options: argparse.Namespace, command: str) -> int:
         f"{count} episode{'s' * (count != 1)} from seed {options.seed} -> {out}"
     )
     seeds = range(options.seed, options.seed + options.episodes)
-    summary = _report(plan, _play_all(plan, conditions, seeds, out), out)
+    film = bool(plan.cameras) and not options.no_film
+    summary = _report(plan, _play_all(plan, conditions, seeds, out), out, film)
     _print_summary(summary)
     for reason in summary["reasons"]:
         warn(f"surg: {reason}")
@@ -159,7 +161,7 @@ def _play(plan: Plan, index: int, count: int, progress: Progress) -> dict[str, A
 # --- results ------------------------------------------------------------------------------------
 
 
-def _report(plan: Plan, entries: list[dict[str, Any]], out: Path) -> dict[str, Any]:
+def _report(plan: Plan, entries: list[dict[str, Any]], out: Path, film: bool) -> dict[str, Any]:
     """Write summary.json, figures and report.html."""
     from surg_recording.episode import provenance
     from surg_recording.reports import trial_report, trials
@@ -175,7 +177,7 @@ def _report(plan: Plan, entries: list[dict[str, Any]], out: Path) -> dict[str, A
     summary = trials.summarise(entries, info)
     ranked = sorted(entries, key=lambda entry: not entry["success"])
     folders = [out / entry["folder"] / "episode" for entry in ranked if entry.get("folder")]
-    episode_film.for_report(folders if plan.cameras else [], plan.cell, out)
+    episode_film.for_report(folders if film else [], plan.cell, out)
     trial_report.write(summary, out)
     return summary
 

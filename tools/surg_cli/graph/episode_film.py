@@ -9,7 +9,7 @@ from typing import Any
 from surg_cli.host.terminal import Progress, warn
 
 FILM = "film.mp4"
-SECONDS = 8.0
+SECONDS = 6.0
 """Longest film in a report; a longer episode is played faster."""
 _HEIGHT, _ROOM = 360, 540  # [px]
 
