@@ -41,7 +41,7 @@ COMMANDS = {
     "stop": Command("run", "stop", "pause every arm of the running systems", draws=False),
     "status": Command("run", "status", "list nodes, topic rates and last errors", draws=False),
     "record": Command("data", "record", "start, stop and tag a recording", draws=False),
-    "recover": Command("data", "recover", "complete recordings that were interrupted"),
+    "recover": Command("data", "data.recover", "complete recordings that were interrupted"),
     "view": Command("data", "view", "show an episode: video, tip path and curves on one page"),
     "film": Command("data", "film", "make a short film of an episode: endoscope beside the room"),
     "label": Command("data", "label", "judge, mark and trim recordings, by keyboard", draws=False),

@@ -1,1 +1,1 @@
-"""Commands that bring recordings in."""
+"""Commands that bring recordings in, or mend them."""
