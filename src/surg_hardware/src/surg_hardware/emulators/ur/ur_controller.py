@@ -312,6 +312,7 @@ class UrController:
     def stop(self) -> None:
         """End the program and stop the arm."""
         if self.program is not None:
+            self.guided = False  # free-drive ends with the program that asked for it
             self._brake()
         self.program, self.runtime, self.program_line = None, Runtime.STOPPED, 0
         self._watchdog, self._interrupted = None, None
