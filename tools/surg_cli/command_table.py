@@ -43,8 +43,12 @@ COMMANDS = {
     "record": Command("data", "record", "start, stop and tag a recording", draws=False),
     "recover": Command("data", "data.recover", "complete recordings that were interrupted"),
     "view": Command("data", "view", "show an episode: video, tip path and curves on one page"),
-    "film": Command("data", "film", "make a short film of an episode: endoscope beside the room"),
-    "label": Command("data", "label", "judge, mark and trim recordings, by keyboard", draws=False),
+    "film": Command(
+        "data", "episodes.make_film", "make a short film of an episode: endoscope beside the room"
+    ),
+    "label": Command(
+        "data", "episodes.label", "judge, mark and trim recordings, by keyboard", draws=False
+    ),
     "evaluate": Command("data", "evaluate", "compare recorded episodes in figures and tables"),
     "export": Command(
         "data", "export", "write a dataset: LeRobot, robomimic, ACT, Zarr, bags", everything=True
