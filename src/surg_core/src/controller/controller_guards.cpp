@@ -27,7 +27,8 @@ bool finite(const MotionCommand& command) {
 
 void Controller::Impl::catch_up() {
   catching_up = true;
-  handler.setpoint().set_period(std::max(clock.elapsed(), T + kSofter * clock.excess()));
+  const double soft_period = std::max(clock.elapsed(), T + kSofter * clock.excess());
+  handler.setpoint().begin_cycle(soft_period, clock.rest());
   for (int i = 1; i < clock.periods(); ++i) {
     handler.setpoint().elapse(T, false);
     arm.record_command(qd_last);

@@ -16,6 +16,9 @@ constexpr double kRoughness = 0.001;  // [s] by which good stamps may be rougher
 constexpr double kRoughest = 0.05;    // [s] a single jump counts for no more
 constexpr double kMissing = 0.6;      // of a period: a sample is missing
 constexpr double kRegular = 0.1;      // of a period: less jitter shows missing samples
+constexpr double kAlone = 0.9;        // of the samples: each was the only one of its cycle
+constexpr double kUneven = 1e-4;      // [s] by which cycles differ that are no period
+constexpr double kKeepsTo = 0.5;      // of it: a sample that answers a cycle keeps to it
 
 double share_of(double time) { return std::min(time / kMemory, 1.0); }
 
@@ -25,6 +28,7 @@ void StreamClock::reset(const SampleTime& first) {
   *this = StreamClock{};
   time_ = stamp_time_ = arrival_ = first.arrival;
   stamp_ns_ = first.stamp_ns;
+  cycle_ = first.cycle;
 }
 
 double StreamClock::advance(const SampleTime& sample) {
@@ -40,6 +44,7 @@ double StreamClock::advance(const SampleTime& sample) {
   span_ += since;
   count_ += 1;
   wait_ = std::max(since, wait_ - share_of(since) * wait_);
+  compare_cycles(sample, since);
   const bool trusted = trusted_ || count_ == 1;
   trusted_ = judge(ran, since);
   if (trusted_) {
@@ -77,19 +82,33 @@ bool StreamClock::judge(double ran, double since) {
   return !failed_;
 }
 
-/// Takes the samples as equally spaced. Returns the time [s] since the last one.
+/// Follows how well the arrivals keep to the cycles.
+void StreamClock::compare_cycles(const SampleTime& sample, double since) {
+  const double off = std::abs(since - (sample.cycle - cycle_));
+  cycle_ = sample.cycle;
+  rough_cycles_ += share_of(since) * (std::min(off, kRoughest) - rough_cycles_);
+  alone_ += std::max(1 / count_, 0.02) * ((sample.cycles == 1 ? 1.0 : 0.0) - alone_);
+}
+
+bool StreamClock::answers() const {
+  return alone_ > kAlone && rough_arrivals_ > kUneven && rough_cycles_ < kKeepsTo * rough_arrivals_;
+}
+
+/// Takes the samples as equally spaced, or as answers to the cycles. Returns the time [s] since
+/// the last one.
 double StreamClock::follow_arrivals(double since) {
   if (span_ < kStart) {
     period_ = span_ / count_;
     time_ = arrival_;
     return since;
   }
-  double ran = period_, late = arrival_ - time_ - ran;
+  const bool answer = answers();
+  double ran = answer ? since : period_, late = arrival_ - time_ - ran;
   if (std::abs(late) > kFarOff) {
     time_ = arrival_;
     return since;
   }
-  if (jitter_ < kRegular * period_ && late > kMissing * period_) {
+  if (!answer && jitter_ < kRegular * period_ && late > kMissing * period_) {
     ran += period_ * std::round(late / period_);
     late = arrival_ - time_ - ran;
   }
@@ -97,7 +116,8 @@ double StreamClock::follow_arrivals(double since) {
   const double gain = std::min(period_ / std::min(span_, kMemory), 0.5);
   jitter_ += gain * (std::abs(late) - jitter_);
   time_ += ran + 2 * gain * late;
-  period_ = std::max(period_ + gain * gain * late, 1e-5);
+  period_ += answer ? gain * (ran - period_) : gain * gain * late;
+  period_ = std::max(period_, 1e-5);
   return ran;
 }
 

@@ -45,18 +45,25 @@ void StreamInput::begin(const Values& x, const State& from, const Values& accele
   }
   acceleration_ = acceleration;
   last_ = x;
-  arrival_ = now_ - age;
+  arrival_ = now_ + rest_ - age;
   unheard_ = 0;
-  clock_.reset({arrival_, stamp_ns});
+  cycles_ = 0;
+  clock_.reset({arrival_, stamp_ns, now_ + rest_});
   estimate_.reset(x);
 }
 
 void StreamInput::add(const Values& x, double age, std::int64_t stamp_ns) {
   last_ = x;
-  arrival_ = std::max(arrival_, now_ - age);
+  arrival_ = std::max(arrival_, now_ + rest_ - age);
   unheard_ = 0;
-  const double elapsed = clock_.advance({arrival_, stamp_ns});
+  const double elapsed = clock_.advance({arrival_, stamp_ns, now_ + rest_, cycles_});
+  cycles_ = 0;
   estimate_.update(x, elapsed, clock_.period());
+}
+
+void StreamInput::begin_cycle(double rest) {
+  rest_ = rest;
+  ++cycles_;
 }
 
 void StreamInput::elapse(double T, bool heard) {

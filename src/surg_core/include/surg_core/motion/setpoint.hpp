@@ -85,8 +85,12 @@ class Setpoint {
   /// Advances real time by T: the age of stream samples and their delay. heard: samples could
   /// arrive; otherwise a stream is not overdue for it.
   void elapse(double T, bool heard = true);
-  /// At which cycles come [s], if they are late: a stream is followed more softly then.
-  void set_period(double period) { period_ = period; }
+  /// A control cycle begins. period [s]: at which they come, if they are late: a stream is followed
+  /// more softly then; rest [s]: since the last whole period.
+  void begin_cycle(double period, double rest) {
+    period_ = period;
+    input_.begin_cycle(rest);
+  }
   /// Time [s] that the joints need to come to rest together. A velocity is braked before a wall as
   /// early as they need it.
   void set_rest_time(double time) { rest_time_ = time; }

@@ -46,6 +46,9 @@ class StreamInput {
   void begin(const Values& x, const State& from, const Values& acceleration, double age,
              std::int64_t stamp_ns);
   void add(const Values& x, double age, std::int64_t stamp_ns);
+  /// A control cycle begins, 'rest' seconds after the time that has elapsed. Samples that it adds
+  /// have their age from then.
+  void begin_cycle(double rest);
   /// Advances real time by T, one control period. heard: samples could arrive; otherwise the
   /// stream is not overdue for it.
   void elapse(double T, bool heard = true);
@@ -73,6 +76,8 @@ class StreamInput {
   double arrival_ = 0;  ///< [s] of the last sample
   double unheard_ = 0;  ///< [s] since the last sample in which none could arrive
   double tick_ = 0;     ///< [s] the control period
+  double rest_ = 0;     ///< [s] from now_ to the present cycle
+  int cycles_ = 0;      ///< since the last sample
 };
 
 }  // namespace surg
