@@ -163,13 +163,24 @@ Joints LimitedStep::ExactLaw::finish(const Affine& affine, double alpha, double 
   self_.chain_.forward(q, X, J);
   const double t = alpha * T;
   const bool known = t == affine.end_at && keep == keep_;
-  const Steps<1> left = least_steps<1>(J, displacement(X, known ? affine.end : pose(t, keep)));
+  const Vector6 to_path = displacement(X, known ? affine.end : pose(t, keep));
+  // What Newton's method leaves is of second order.
+  const auto exact = [&](double moved) { return 2 * self_.reach_ * moved * moved < kExact; };
+  // The inverse of the Jacobian at the beginning, refined once with the one here: what that leaves
+  // is less by the factor by which the second part was less than the first.
+  if (inverse_.regular()) {
+    const Joints step = inverse_(to_path);
+    const Joints more = inverse_(to_path - flange_twist(J, step));
+    const double moved = step.lpNorm<1>(), again = more.lpNorm<1>();
+    if (exact(moved) && self_.reach_ * again * again <= kExact * moved) {
+      return (q + step + more - here_.q) / T;
+    }
+  }
+  const Steps<1> left = least_steps<1>(J, to_path);
   if (left.pivots.ratio() > 0) {
     const Joints& step = left.dq[0];
     q += step;
-    // What Newton's method leaves is of second order.
-    const double moved = step.lpNorm<1>();
-    if (2 * self_.reach_ * moved * moved < kExact) return (q - here_.q) / T;
+    if (exact(step.lpNorm<1>())) return (q - here_.q) / T;
   }
   // The pivot's own rows: well conditioned even where J is singular.
   for (int pass = 0; pass < 2; ++pass) {
