@@ -319,7 +319,7 @@ TEST(TrackNoise, RegularBreathingIsKeptFromPositionsAloneWhateverItsShape) {
       {"cos^6", shaped(Shape::kCos6), 32, 3e-4},
       {"inhales 35 %, exhales 65 %", shaped(Shape::kAsymmetric), 32, 3e-4},
       {"cos^4, drift 2 mm/min", shaped(Shape::kCos4, 0, 3.3e-5), 32, 3e-4},
-      {"ventilator: ramp, exponential", shaped(Shape::kVentilator), 32, 6e-4},
+      {"ventilator: ramp, exponential", shaped(Shape::kVentilator), 32, 3e-4},
       {"cos^4, irregular", shaped(Shape::kCos4, 0.05), 2, 2.5e-3},
       {"inhales 35 %, irregular", shaped(Shape::kAsymmetric, 0.05), 2, 2.5e-3},
   };

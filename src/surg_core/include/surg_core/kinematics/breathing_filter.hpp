@@ -1,10 +1,42 @@
 // Filter for a trocar that breathes regularly, from positions alone.
 #pragma once
 
+#include <array>
+
 #include "surg_core/kinematics/harmonics.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {
+
+/// The harmonics above those of Harmonics, up to a frequency: what a kink in the wave adds to them.
+/// Samples of whole breaths hardly correlate them, so each has a variance of its own. It begins
+/// with the one that a kink has, so that the noise does not enter where no kink can be.
+class Overtones {
+ public:
+  Overtones() {
+    cos_.fill(Vector3::Zero());
+    sin_.fill(Vector3::Zero());
+  }
+  /// rate [rad/s]; size [m]: amplitude of the fundamental.
+  void start(double rate, double size);
+  void predict(double dt);
+  /// Takes what a sample differs from the prediction; variance [m^2]: of that difference.
+  void correct(double phase, const Vector3& miss, double variance);
+
+  Vector3 p(double phase) const;               ///< [m]
+  Vector3 v(double phase, double rate) const;  ///< [m/s]
+  double variance() const;                     ///< of the position per axis [m^2]
+
+ private:
+  static constexpr int kFirst = Harmonics::kHarmonics + 1, kLast = 24;
+  static constexpr int kMost = kLast - kFirst + 1;
+
+  int n_ = 0;
+  double rate_ = 0;                       // [rad/s]
+  double breath_ = 0;                     // share of a breath since the last sample
+  std::array<Vector3, kMost> cos_, sin_;  // coefficients [m]
+  std::array<double, kMost> variance_{};  // of both [m^2]
+};
 
 /// Kalman filter of the harmonics of a regular motion, at a rate that RateSearch finds. A
 /// ventilator repeats itself, so this filter averages over several breaths, where a filter that
@@ -37,6 +69,7 @@ class BreathingFilter {
   double rate_ = 0, phase_ = 0;  // [rad/s], [rad]
   Harmonics::Coefficients x_ = Harmonics::Coefficients::Zero();
   Harmonics::Covariance P_ = Harmonics::Covariance::Zero();
+  Overtones overtones_;
   Vector3 bias_ = Vector3::Zero();  // [m] low-passed innovation
 };
 
