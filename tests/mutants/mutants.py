@@ -804,7 +804,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "way_back_counts_as_away",
         "two arms come millimetres closer than the cell says",
         "src/limits/clearance.cpp",
-        "-gap.away.dot(waiting_.at(joint, gap.p)));",
+        "-gap.away.dot(waiting_->at(joint, gap.p)));",
         "-gap.away.dot(still_.at(joint, gap.p)));",
         ("test_clearance_guard",),
     ),

@@ -105,6 +105,9 @@ constexpr DrivenArms kDrivenArms[] = {{"ur", 6, ""}, {"fr3", 7, "fr3"}, {"panda"
 constexpr int kUrJoints = 6;
 constexpr double kOldestCalibration = 366;             // [d]
 constexpr double kSlowTip = 0.02, kSlowFlange = 0.05;  // [m/s] of an arm being commissioned
+// Together what clearance.hpp has room for.
+constexpr int kMostArmCapsules = 24;
+constexpr int kMostToolCapsules = 8;
 
 // Distances that a cell may keep. The guard itself needs the least one (clearance.cpp).
 constexpr double kClosest = 0.005;  // [m]
@@ -504,6 +507,11 @@ std::vector<LinkCapsule> read_capsules(Reader& reader, const Document& document,
       capsule.joint = static_cast<int>(found - joints.begin());
     }
     capsules.push_back(capsule);
+  }
+  const int most = joints.empty() ? kMostToolCapsules : kMostArmCapsules;
+  if (static_cast<int>(capsules.size()) > most) {
+    reader.fail("capsules",
+                "has " + std::to_string(capsules.size()) + "; allowed are " + std::to_string(most));
   }
   return capsules;
 }

@@ -25,19 +25,24 @@ ArmShape arm_shape(const std::string& name, const Chain& chain, const Pose& X_WB
                       ": capsules: is missing; the clearance guard needs the shape of every link");
   }
   ArmShape shape{name, chain, X_WB, robot.capsules};
-  const int last = chain.dof() - 1;
+  mount(shape, robot, instrument, tool);
+  return shape;
+}
+
+void mount(ArmShape& shape, const RobotConfig& robot, const InstrumentConfig& instrument,
+           const ToolCalibration& tool) {
+  shape.capsules.resize(robot.capsules.size());
   for (LinkCapsule capsule : instrument.capsules) {
     if (capsule.shaft) {
       const double length = (capsule.shape.b - capsule.shape.a).norm();
       capsule.shape.a = tool.p_FTip - length * tool.s_F;
       capsule.shape.b = tool.p_FTip;
     }
-    capsule.joint = last;
-    capsule.shape.a = chain.X_LF() * capsule.shape.a;
-    capsule.shape.b = chain.X_LF() * capsule.shape.b;
+    capsule.joint = shape.chain.dof() - 1;
+    capsule.shape.a = shape.chain.X_LF() * capsule.shape.a;
+    capsule.shape.b = shape.chain.X_LF() * capsule.shape.b;
     shape.capsules.push_back(capsule);
   }
-  return shape;
 }
 
 // --- where the capsules are, and how they move ---------------------------------------------------
@@ -161,6 +166,11 @@ ClearanceGuard::ClearanceGuard(const ClearanceSetup& setup, double lag, double T
   }
 }
 
+void ClearanceGuard::mount(const RobotConfig& robot, const InstrumentConfig& instrument,
+                           const ToolCalibration& tool) {
+  if (active_) surg::mount(setup_.own, robot, instrument, tool);
+}
+
 bool ClearanceGuard::other_lost() const {
   for (std::size_t i = 0; i < setup_.others.size(); ++i) {
     if (!others_[i].valid || !(others_[i].age <= kStale)) return true;
@@ -176,8 +186,8 @@ class ClearanceGuard::Approach {
       : guard_(guard),
         own_(guard.setup_.own, Pose::Identity(), q),
         still_(own_.axis, own_.origin, qd0),
-        waiting_(own_.axis, own_.origin, qd0 - back),
         moving_(own_.axis, own_.origin, qd1) {
+    if (!back.isZero(0)) waiting_.emplace(own_.axis, own_.origin, qd0 - back);
     for (Eigen::Index i = 0; i < qd1.size(); ++i) {
       const double speed = std::max(std::abs(qd1[i]), 1e-9);
       braking_ = std::min(braking_, kPlanAcceleration * acceleration[i] / speed);
@@ -185,9 +195,9 @@ class ClearanceGuard::Approach {
     const ClearanceSetup& setup = guard.setup_;
     for (std::size_t i = 0; i < setup.own.capsules.size(); ++i) {
       const int joint = setup.own.capsules[i].joint;
-      speed_[i] = moving_.fastest(joint, own_.capsules[i]) +
-                  std::max(still_.fastest(joint, own_.capsules[i]),
-                           waiting_.fastest(joint, own_.capsules[i]));
+      double waiting = still_.fastest(joint, own_.capsules[i]);
+      if (waiting_) waiting = std::max(waiting, waiting_->fastest(joint, own_.capsules[i]));
+      speed_[i] = moving_.fastest(joint, own_.capsules[i]) + waiting;
     }
     for (std::size_t i = 0; i < setup.others.size(); ++i) {
       others_[i].emplace(setup.others[i], guard.X_BOther_[i], guard.others_[i].q);
@@ -202,7 +212,7 @@ class ClearanceGuard::Approach {
     // Farther away than it takes to stop from the present speed, no pair limits anything.
     const double far = std::max(speed_[i] * speed_[i] / kClosing, speed_[i] / braking_) +
                        speed_[i] * guard_.T_ + kReserve + target.required;
-    if (!target.obstacle) {
+    if (target.arm >= 0) {
       keep_clear_of_arm(joint, capsule, far, target);
     } else if (target.obstacle->half_space) {
       for (const Gap& gap : gaps(capsule, target.obstacle->space)) {
@@ -241,8 +251,8 @@ class ClearanceGuard::Approach {
     if (!(closing > 0)) return;  // away
     const double a = std::min(kClosing, braking_ * closing);
     // 'back' may be taken or wait: where it leads away, nothing is gained by it.
-    const double already =
-        std::max(-gap.away.dot(still_.at(joint, gap.p)), -gap.away.dot(waiting_.at(joint, gap.p)));
+    double already = -gap.away.dot(still_.at(joint, gap.p));
+    if (waiting_) already = std::max(already, -gap.away.dot(waiting_->at(joint, gap.p)));
     const double fastest = approach_speed(left, a, 0, guard_.T_);
     alpha_ = std::min(alpha_, std::max((fastest - already) / closing, 0.0));
   }
@@ -262,8 +272,9 @@ class ClearanceGuard::Approach {
 
   const ClearanceGuard& guard_;
   Placed own_;
-  Twists still_, waiting_, moving_;
-  double braking_ = INFINITY;  // [1/s^2] of the clock: what the joints can do all together
+  Twists still_, moving_;
+  std::optional<Twists> waiting_;  // without 'back', where there is any
+  double braking_ = INFINITY;      // [1/s^2] of the clock: what the joints can do all together
   double alpha_ = INFINITY;
   std::array<double, kMaxLinkCapsules> speed_;  // of the fastest point of each capsule
   /// [m] from where a lost arm was last seen: its distance may not become smaller.

@@ -172,6 +172,10 @@ BlackBoxRecording BlackBox::recording(const BlackBoxLabel& label) const {
   recording.setup = setup_;
   if (instrument_) recording.setup.instrument = *instrument_;
   if (tool_) recording.setup.tool = *tool_;
+  ControllerSetup& setup = recording.setup;
+  if (instrument_ && setup.clearance.active()) {
+    mount(setup.clearance.own, setup.robot, setup.instrument, setup.tool);
+  }
   int trailing = 0;  // calls behind the last step of the block before
   for (int i = 0; i < used_; ++i) {
     const Block& block = blocks_[(present_ + 1 + kBlocks - used_ + i) % kBlocks];

@@ -130,6 +130,50 @@ TEST(ToolChange, OldWayBackAndTargetsAreGone) {
   EXPECT_LT((bench.in().q - q).cwiseAbs().maxCoeff(), 1e-3);
 }
 
+/// Distance of a point to the shaft of a tool [m], by hand.
+double to_shaft(Bench& bench, const ToolCalibration& tool, double length, const Vector3& p) {
+  const Pose X_BF = bench.chain().forward(bench.in().q);
+  const Vector3 tip = X_BF * tool.p_FTip, s = X_BF.linear() * tool.s_F;
+  const double along = std::clamp((p - tip).dot(s), -length, 0.0);
+  return (p - tip - along * s).norm();
+}
+
+TEST(ToolChange, ClearanceGuardKnowsTheNewShaftAndItsInstrument) {
+  RobotConfig robot = Bench::robot_with_lag(0);
+  robot.capsules = {{"forearm", 2, {{0, 0, 0}, {-0.39, 0, 0}, 0.06}, false}};
+  InstrumentConfig first = instrument(), next = other_instrument();
+  first.capsules = {{"shaft", -1, {{0, 0, 0}, {0, 0, 0.3}, 0.004}, true},
+                    {"motor", -1, {{0, 0, 0}, {0, 0, 0.05}, 0.03}, false}};
+  next.capsules = {{"shaft", -1, {{0, 0, 0}, {0, 0, 0.3}, 0.003}, true}};
+  ToolCalibration longer = offset_tool();
+  longer.p_FTip += 0.05 * longer.s_F;
+  ClearanceSetup setup;
+  setup.distance = 0.02;
+  setup.own = arm_shape("arm", ur5e_chain(), Pose::Identity(), robot, first, offset_tool());
+  Vector3 p_BBall;
+  {
+    Bench bench;
+    p_BBall = tip_of(bench, offset_tool(), bench.in().q) + Vector3(0.06, 0.02, -0.05);
+  }
+  ArmShape ball{"other", ur5e_chain(), Pose::Identity(), {}};
+  ball.capsules = {{"ball", -1, {p_BBall, p_BBall, 0.01}, false}};
+  setup.others = {ball};
+  Bench bench({}, 0, 0, 0, &robot, setup);
+  Inputs& in = bench.in();
+  in.others[0] = {true, 0, JointVector::Zero(6), JointVector::Zero(6)};
+  bench.tick();
+  const double before = to_shaft(bench, offset_tool(), 0.3, p_BBall) - 0.014;
+  EXPECT_NEAR(bench.out().clearance, before, 1e-12);
+  bench.controller().request(StateCommand::kDisable);
+  for (int i = 0; i < 100; ++i) bench.tick();
+  ASSERT_EQ(bench.controller().change_tool(next, longer), Reason::kNone);
+  bench.tick();
+  const double after = to_shaft(bench, longer, 0.3, p_BBall) - 0.013;
+  std::printf("to the shaft %.4f m, to the longer one %.4f m\n", before, after);
+  ASSERT_GT(std::abs(after - before), 0.005);
+  EXPECT_NEAR(bench.out().clearance, after, 1e-12);
+}
+
 TEST(ToolChange, BlackBoxReplaysWithTheToolThatWasMounted) {
   const RobotConfig robot = parse_robot(good_robot());
   const ControllerSetup setup{ur5e_chain(), robot, robot.limits, instrument(), offset_tool(), {}};

@@ -18,11 +18,12 @@ constexpr std::uint32_t kMe = 7, kOther = 8;
 class Bench {
  public:
   explicit Bench(Controller::Options options = {}, int delay = 0, double tau = 0,
-                 double link_lag = 0, const RobotConfig* robot = nullptr)
+                 double link_lag = 0, const RobotConfig* robot = nullptr,
+                 const ClearanceSetup& clearance = {})
       : robot_(robot ? *robot : robot_with_lag(link_lag)),
         chain_(test::ur5e_chain()),
-        controller_(chain_, robot_, robot_.limits, test::instrument(), test::offset_tool(),
-                    options),
+        controller_(chain_, robot_, robot_.limits, test::instrument(), test::offset_tool(), options,
+                    clearance),
         tau_(tau),
         pipeline_(delay, JointVector::Zero(6)) {
     in_.state_valid = true;

@@ -37,6 +37,10 @@ ArmShape arm_shape(const std::string& name, const Chain& chain, const Pose& X_WB
                    const RobotConfig& robot, const InstrumentConfig& instrument,
                    const ToolCalibration& tool);
 
+/// Puts another instrument on an arm: its capsules replace those that follow the robot's.
+void mount(ArmShape& shape, const RobotConfig& robot, const InstrumentConfig& instrument,
+           const ToolCalibration& tool);
+
 /// The capsules at joint positions q, one row each: both ends in W and the radius [m].
 Eigen::Matrix<double, Eigen::Dynamic, 7> placed(const ArmShape& shape, const JointVector& q);
 
@@ -64,7 +68,7 @@ struct Clearance {
   std::string own, other;      ///< names of the capsules or obstacles, for people
 };
 
-/// The guard of one arm. Construct once; nothing allocates but 'closest'.
+/// The guard of one arm. Construct once; nothing allocates but 'closest' and 'mount'.
 class ClearanceGuard {
  public:
   ClearanceGuard() = default;
@@ -73,6 +77,9 @@ class ClearanceGuard {
   ClearanceGuard(const ClearanceSetup& setup, double lag, double T);
 
   bool active() const { return active_; }
+  /// Another instrument on this arm.
+  void mount(const RobotConfig& robot, const InstrumentConfig& instrument,
+             const ToolCalibration& tool);
   /// Takes the other arms' states, in the order of ClearanceSetup::others.
   void sense(const OtherArms& others) { others_ = others; }
   /// Whether another arm's state is missing or too old. The arm may then only move away from where
