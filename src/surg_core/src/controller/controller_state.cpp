@@ -50,6 +50,10 @@ Reason Controller::Impl::request(StateCommand command) {
   // A ramp in progress continues: dropping it would change the velocity in one cycle.
   const bool moving = is_moving();
   if (command == StateCommand::kHome && !keep_home && moving) return Reason::kNotAtRest;
+  // An arm that brakes without feedback leaves its pivot: nothing starts before it stands.
+  const bool starts = command == StateCommand::kEnable || command == StateCommand::kResume ||
+                      (command == StateCommand::kHome && !keep_home);
+  if (starts && fading && !may_stop_at_once()) return Reason::kNotAtRest;
   // Without home nothing may move, so the command would drop to zero at once.
   if (command == StateCommand::kUnhome && !enabled() && !may_stop_at_once()) {
     return Reason::kNotAtRest;
@@ -121,6 +125,7 @@ Reason Controller::Impl::change_tool(const InstrumentConfig& instrument,
   retraced = 0;
   arm.mount(tool, trocar);
   limited.mount(tool);
+  clearance.mount(robot, instrument, calibration);
   jaw = Jaw(instrument, T);
   inserted = false;
   return Reason::kNone;
