@@ -8,6 +8,7 @@ import contextlib
 import io
 import time
 from collections.abc import AsyncIterator, Coroutine
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from helpers.results.console_results import keeps, note
 from helpers.teleop import chromium
 from helpers.teleop.chromium import GAMEPAD, Chromium, Tab, until
 from helpers.teleop.console import Console, console
+from surg_core import Fixture
 from surg_teleop.console.session import operator_messages
 from surg_teleop.console.session.console_orders import (
     Camera,
@@ -29,6 +31,7 @@ from surg_teleop.console.session.console_orders import (
     SetScale,
 )
 from surg_teleop.console.session.console_session import Phase
+from surg_teleop.console.session.fixture_view import FixtureView
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
 
@@ -266,6 +269,42 @@ def test_the_picture_is_the_one_that_was_sent_and_a_lost_console_is_named() -> N
             await tab.until(f"{headline} === 'No connection'", "words")
             text = await tab.run("document.querySelector('#sentence').innerText")
             assert "Reconnecting every second. The arm holds" in text
+
+    run(test())
+
+
+def test_the_page_shows_clearance_and_virtual_fixtures() -> None:
+    up = np.array([0.0, 0.0, 1.0])
+    floor = Fixture("floor", "plane", "stay_in", "tip", np.zeros(3), up, 0.0)
+    vessel = Fixture("vessel", "sphere", "keep_out", "tip", np.array([0.03, 0, 0.02]), up, 0.01)
+    X_BR = np.diag([1.0, -1.0, -1.0, 1.0])
+    X_BR[2, 3] = 0.1
+
+    async def test() -> None:
+        async with opened() as (made, _, tab):
+            assert await tab.run("document.querySelector('#fixtures-card').hidden")
+            fixtures = FixtureView((floor, vessel), np.array([0.0, 0.0, 0.004]), X_BR)
+            for clearance, tone in ((0.1, "good"), (0.03, "warn"), (0.015, "bad")):
+                gauges = replace(made.system.now.gauges, clearance=clearance)
+                made.system.now = replace(made.system.now, gauges=gauges, fixtures=fixtures)
+                node = "document.querySelector('#clearance')"
+                shown = f"{node}.querySelector('b').innerText === '{clearance * 1e3:.0f}'"
+                await tab.until(shown, tone, 20.0)
+                assert await tab.run(f"{node}.dataset.tone") == tone
+            rows = await tab.run("document.querySelector('#fixtures-list').innerText")
+            assert "floor" in rows and "stay in: 4.0 mm" in rows
+            away = np.hypot(0.03, 0.016) - 0.01
+            assert f"keep out: {away * 1e3:.1f} mm" in rows
+            # The sphere's middle and the shaft, by their colours.
+            sphere, shaft = await tab.run(
+                "(() => { const c = document.querySelector('#fixtures');"
+                " const scale = Math.min(c.width / 4 / 0.09, (c.height - 12) / 0.24);"
+                " const at = (x, z) => [...c.getContext('2d').getImageData("
+                "c.width / 4 + scale * x, 10 + scale * z, 1, 1).data];"
+                " return [at(0.03, 0.08), at(0, 0.05)] })()"
+            )
+            assert sphere[0] > 2 * sphere[2] and sphere[3] > 100, sphere
+            assert min(shaft[:3]) > 150, shaft
 
     run(test())
 

@@ -5,6 +5,7 @@
 #include <memory>
 #include <string>
 
+#include "support/fixture_bench.hpp"
 #include "support/test_arm.hpp"
 #include "support/test_support.hpp"
 #include "surg_core/state/black_box.hpp"
@@ -104,6 +105,8 @@ class Arm {
       if (random_.integer(0, 300) == 0) {
         box_.set_rcm(out_->p_BTip - out_->depth * out_->s_B);
       }
+      if (random_.integer(0, 250) == 0) box_.set_fixture(wall_before_the_tip());
+      if (random_.integer(0, 500) == 0) box_.remove_fixture("wall");
       if (harsh && random_.integer(0, 400) == 0 && in_.n_commands > 0) {
         in_.commands[0].p.x() = std::nan("");
       }
@@ -111,6 +114,15 @@ class Arm {
       tick();
     }
     in_.state_valid = true;
+  }
+
+  /// A keep-out sphere 2 to 20 mm from the tip.
+  Fixture wall_before_the_tip() {
+    const Vector3 to = Vector3(random_.normal(), random_.normal(), random_.normal()).normalized();
+    const double radius = 0.01;
+    const Vector3 center = out_->p_BTip + (radius + random_.uniform(0.002, 0.02)) * to;
+    return test::fixture("wall", Fixture::Shape::kSphere, Fixture::Side::kKeepOut, center,
+                         Vector3::Zero(), radius);
   }
 
   BlackBox& box() { return box_; }
@@ -182,6 +194,31 @@ TEST(BlackBox, GoesOnFromAnyImageLikeTheOneThatWasSaved) {
     steps += static_cast<long>(recording.steps.size());
   }
   test::report("steps replayed from random images", steps);
+}
+
+TEST(BlackBox, AFixtureOfTheRunIsPartOfTheReplay) {
+  using Kind = BlackBoxEvent::Kind;
+  int set = 0, removed = 0, missed = 0;
+  for (int seed = 0; seed < 40; ++seed) {
+    Arm arm(seed, Law::kExact);
+    arm.run(1000, false);
+    BlackBoxRecording recording = arm.box().recording(label());
+    const auto difference = replay(decode(encode(recording)));
+    ASSERT_FALSE(difference) << "seed " << seed << ": " << told(difference);
+    for (BlackBoxEvent& event : recording.events) {
+      const bool taken = event.answer == Reason::kNone;
+      removed += event.kind == Kind::kRemoveFixture && taken;
+      if (event.kind != Kind::kSetFixture || !taken) continue;
+      ++set;
+      event.fixture.point = arm.out().p_BTip;  // the tip stands within the region
+      event.fixture.radius = 0.05;
+    }
+    missed += !replay(recording);
+  }
+  test::report("fixtures set in the runs", set);
+  EXPECT_GT(set, 20);
+  EXPECT_GT(removed, 2);
+  EXPECT_LT(missed, 10) << "runs whose replay does not notice other fixtures";
 }
 
 TEST(BlackBox, HoldsTwoSecondsWithWhatFollowedTheFault) {

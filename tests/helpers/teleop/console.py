@@ -29,6 +29,7 @@ LIMITS = {
     "tip_force_hard": 8.0,
     "depth_min": 0.02,
     "depth_max": 0.22,
+    "clearance": 0.02,
 }
 FACTS = {
     "cell": "test_cell",

@@ -61,6 +61,7 @@ class Bench:
         self.cycle = pub("/PSM1/cycle", surg_msgs.Cycle)
         self.warning = pub("/PSM1/warning", String)
         self.deviation = pub("/PSM1/rcm/error", surg_msgs.ScalarStamped)
+        self.clearance = pub("/PSM1/clearance", surg_msgs.ScalarStamped)
         self.joints = pub("/PSM1/measured_js", JointState)
         self.trocar = pub("/PSM1/trocar/measured_cf", WrenchStamped)
         self.teleop = pub("/teleop/status", surg_msgs.TeleopStatus, True)
@@ -98,6 +99,7 @@ class Bench:
             self.state.publish(state)
             scalar = surg_msgs.ScalarStamped(value=4e-4 if count % 10 == 0 else 1e-4)
             self.deviation.publish(scalar)
+            self.clearance.publish(surg_msgs.ScalarStamped(value=0.031))
             self.joints.publish(JointState(position=[0.1, 0.2, 0.123, 0.3]))
             force = WrenchStamped()
             force.wrench.force.x, force.wrench.force.z = 3.0, 4.0
@@ -148,6 +150,7 @@ def test_a_page_is_a_leader_on_topics(ros_graph: RosGraph, rospy_node: str, tmp_
             await when(lambda: found.status["gauges"]["rcm_peak"] == 4e-4, "the peak")
             assert found.status["gauges"]["rcm"] in (1e-4, 4e-4)
             assert found.status["gauges"]["depth"] == pytest.approx(0.123)
+            assert found.status["gauges"]["clearance"] == pytest.approx(0.031)
             await when(lambda: [e["name"] for e in found.episodes] == ["episode"], "the list")
 
             await found.drive()

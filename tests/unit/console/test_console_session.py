@@ -577,6 +577,7 @@ def test_the_report_is_json_in_words(bench: Bench) -> None:
         "depth": 0.1,
         "trocar": None,
         "tip": None,
+        "clearance": None,
     }
     assert said["headline"] == "Following" and "follows your hand" in text
     bench.session.hide("a", "hidden")

@@ -76,7 +76,8 @@ StatePublishers::StatePublishers(ros::NodeHandle& node, const ArmSetup& setup, c
       goal_cp_(node, "/" + arm_ + "/goal_cp"),
       rcm_measured_cp_(node, "/" + arm_ + "/rcm/measured_cp"),
       measured_cv_(node, "/" + arm_ + "/measured_cv"),
-      rcm_error_(node, "/" + arm_ + "/rcm/error") {
+      rcm_error_(node, "/" + arm_ + "/rcm/error"),
+      clearance_(node, "/" + arm_ + "/clearance") {
   surg_msgs::ScalarStamped limit;
   limit.header.stamp = wall_time();
   limit.header.frame_id = base_;
@@ -204,6 +205,11 @@ void StatePublishers::publish_rcm(const CycleRecord& record) {
   rcm_error_.publish(valid, stamp, [&](surg_msgs::ScalarStamped& message) {
     message.header.frame_id = base_;
     message.value = record.out.rcm_error;
+  });
+  const bool guarded = valid && std::isfinite(record.out.clearance);
+  clearance_.publish(guarded, stamp, [&](surg_msgs::ScalarStamped& message) {
+    message.header.frame_id = base_;
+    message.value = record.out.clearance;
   });
   rcm_measured_cp_.publish(valid, stamp, [&](geometry_msgs::PoseStamped& message) {
     message.header.frame_id = base_;

@@ -92,6 +92,7 @@ class StatePublishers {
       rcm_measured_cp_;
   Feedback<geometry_msgs::TwistStamped> measured_cv_;
   Feedback<surg_msgs::ScalarStamped> rcm_error_;
+  Feedback<surg_msgs::ScalarStamped> clearance_;
 
   surg_msgs::Cycle cycle_message_;
 };

@@ -95,7 +95,9 @@ class Settings:
     def limits(self) -> dict[str, float]:
         """What the page draws its bars against [SI]."""
         limits = self.cell.arms[self.arm].limits
-        return {name: float(getattr(limits, name)) for name in LIMITS}
+        guard = surg_core.clearance_setup(self.cell, self.arm)
+        kept = {} if guard is None else {"clearance": guard.distance}
+        return {name: float(getattr(limits, name)) for name in LIMITS} | kept
 
 
 async def serve(settings: Settings, stop: asyncio.Event) -> None:

@@ -58,6 +58,7 @@ FAST = {
     "joints": "measured_js",
     "trocar": "trocar/measured_cf",
     "tip": "tool/measured_cf",
+    "clearance": "clearance",
 }
 """Topics of the driven arm with live values."""
 
@@ -181,6 +182,7 @@ class RosSystem:
                     depth=depth(newest.get("joints", b"")),
                     trocar=force(newest.get("trocar", b"")),
                     tip=force(newest.get("tip", b"")),
+                    clearance=last_double(newest.get("clearance", b"")),
                 ),
                 fixtures=self._fixtures(),
                 recorder=_recorder(record) if record else Recorder(),

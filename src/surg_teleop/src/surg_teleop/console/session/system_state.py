@@ -46,6 +46,7 @@ class Gauges:
     depth: float | None = None  # of the tip behind the trocar [m]
     trocar: float | None = None  # force of the shaft on the trocar [N]
     tip: float | None = None  # force at the tip [N]
+    clearance: float | None = None  # to other arms and obstacles [m]; None: no guard
 
 
 @dataclass(frozen=True)

@@ -53,10 +53,14 @@ function drawRegion(context, region, axis, at, scale, tip) {
   context.lineCap = "round";
   if (region.shape === "plane") {
     drawPlane(context, region, axis, at, tip);
+  } else if (region.shape === "sphere") {
+    context.beginPath(); // browsers draw nothing for a line of no length
+    context.arc(...at(region.point), region.radius * scale, 0, 2 * Math.PI);
+    context.fill();
   } else {
     const end = region.point.map((x, i) => x + region.axis[i]);
     context.lineWidth = 2 * region.radius * scale;
-    line(context, at(region.point), at(end)); // a round cap makes a sphere of no length
+    line(context, at(region.point), at(end));
   }
   context.globalAlpha = 1;
 }

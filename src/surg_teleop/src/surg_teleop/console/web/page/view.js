@@ -28,12 +28,13 @@ export function sink(button, on) {
 
 /** One figure with its bar. */
 class Gauge {
-  constructor(id, { unit, digits, full, warn, bad }) {
+  /** `below`: small values are the bad ones. */
+  constructor(id, { unit, digits, full, warn, bad, below = false }) {
     this.node = element(id);
     this.value = this.node.querySelector("b");
     this.bar = this.node.querySelector("i");
     this.tick = this.node.querySelector("em");
-    Object.assign(this, { unit, digits, full, warn, bad });
+    Object.assign(this, { unit, digits, full, warn, bad, below });
     this.tick.hidden = warn === null;
     if (warn !== null) this.tick.style.left = `${(100 * warn) / full}%`;
   }
@@ -44,7 +45,7 @@ class Gauge {
     const known = value !== null && value !== undefined;
     write(this.value, known ? (value * this.unit).toFixed(this.digits) : "–");
     this.bar.style.width = known ? `${Math.max(0, Math.min(1, value / this.full)) * 100}%` : "0";
-    const beyond = (limit) => known && limit !== null && value >= limit;
+    const beyond = (limit) => known && limit !== null && (this.below ? value <= limit : value >= limit);
     mark(this.node, "tone", beyond(this.bad) ? "bad" : beyond(this.warn) ? "warn" : "good");
   }
 }
@@ -107,6 +108,11 @@ export class View {
       tip: new Gauge("tip", { unit: 1, digits: 1, full: limits.tip_force_hard, warn: limits.tip_force_soft, bad: limits.tip_force_hard }),
       depth: new Gauge("depth", { unit: 1e3, digits: 1, full: limits.depth_max, warn: null, bad: null }),
     };
+    if (limits.clearance !== undefined) {
+      const { clearance } = limits;
+      element("clearance").hidden = false;
+      this.gauges.clearance = new Gauge("clearance", { unit: 1e3, digits: 0, full: 10 * clearance, warn: 2 * clearance, bad: clearance, below: true });
+    }
     this.trend = new Trend("trend", limits.rcm_error_warn / 20);
     this.page = facts.page;
     this.leads = facts.leads;
