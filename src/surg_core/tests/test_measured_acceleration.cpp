@@ -84,7 +84,7 @@ TEST(MeasuredAcceleration, UnhomeIsRefusedWhileEnabled) {
 
 // --- a start ------------------------------------------------------------------------------------
 
-TEST(MeasuredAcceleration, ResumeWhileTheLastCommandFadesContinuesFromIt) {
+TEST(MeasuredAcceleration, NothingResumesWhileTheLastCommandFades) {
   for (const Law law : {Law::kExact, Law::kVelocity}) {
     for (const int later : {0, 1, 3}) {
       TimedBench bench(law);
@@ -93,6 +93,9 @@ TEST(MeasuredAcceleration, ResumeWhileTheLastCommandFadesContinuesFromIt) {
       ASSERT_EQ(bench.cycle(0.06).reason, Reason::kOverrun);
       for (int i = 0; i < later; ++i) bench.cycle();
       ASSERT_GT(bench.out().qd_command.cwiseAbs().maxCoeff(), 0.2);
+      EXPECT_EQ(bench.controller().request(StateCommand::kResume), Reason::kNotAtRest);
+      for (int i = 0; i < 200; ++i) bench.cycle();
+      EXPECT_EQ(bench.out().state, State::kPaused);
       ASSERT_EQ(bench.controller().request(StateCommand::kResume), Reason::kNone);
       for (int i = 0; i < 200; ++i) bench.cycle();
       EXPECT_LE(bench.arm().worst_acceleration(), kRounding) << later;

@@ -26,7 +26,7 @@ ABSENT = {
     # parts of Controller, reachable through step() and run(), whose types own no meaning alone
     "ArmState InstrumentState CommandHandler TipPose Setpoint Space Dofs": "part",
     "Trocar TrackSample PointKalman NoiseEstimate TrackFilter Jaw LagMeter": "part",
-    "Harmonics RateSearch BreathingFilter": "part",
+    "Harmonics Overtones RateSearch BreathingFilter": "part",
     "StreamInput StreamEstimate StreamLateness TremorNotch nearest_inside": "part",
     "ForceGuard ElbowMotion ElbowTurn elbow_turn swivel_angle": "part",
     "StandstillGuard bias_acceleration Pivots padded": "part",
@@ -36,7 +36,7 @@ ABSENT = {
     "StepRequest PathView Barrier SingularityMeasures": "part",
     "robot_condition is_servo is_jaw Inputs newton_step wrapped aside_near_trocar"
     " braked_together slowed_flange lateral_fade": "part",
-    "Gap gaps distance distance_at_least Clearance ClearanceGuard placed": "part",
+    "Gap gaps distance distance_at_least Clearance ClearanceGuard placed mount": "part",
     # plain bytes for the black box, which has a program of its own (rcm_replay)
     "IsPlain SnapshotWriter SnapshotReader": "bytes",
     "BlackBox BlackBoxEvent BlackBoxStep BlackBoxLabel": "bytes",

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow.parquet as pq
 
-from surg_core.contract import ACTION_KEY, ARM_ACTION, SECOND_NS, STATE_KEY
+from surg_core.contract import ACTION_KEY, ARM_ACTION, ARM_STATE, SECOND_NS, STATE_KEY
 from surg_recording.datasets import schema
 from surg_recording.datasets.resample import offsets_ns
 from surg_recording.imports.arm_series import ArmSeries, Picture, header, write
@@ -27,7 +27,7 @@ from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
 
-_MEASURED = ("tip_x", "tip_y", "tip_z", "roll", "jaw")
+_MEASURED = ARM_STATE[: len(ARM_ACTION)]  # the measured ones come first
 START_NS = SECOND_NS
 """Stamp of the first frame where the data set states none [ns]."""
 
@@ -159,11 +159,11 @@ def _mapped(data: LeRobotData, arm: str, entry: Any) -> ArmColumns:
             _index(data, feature, stated.get(name), f"arms.{arm}.{key}.{name}") for name in wanted
         )
 
-    measured = place("measured", ("x", "y", "z", "roll", "jaw"))
+    measured = place("measured", ARM_ACTION)
     assert measured is not None
     if min(measured[1][:3]) < 0:
         raise EpisodeError(f"--map, arms.{arm}.measured: x, y and z are needed")
-    return ArmColumns(arm, measured, place("goal", ("x", "y", "z", "roll", "jaw")), None)
+    return ArmColumns(arm, measured, place("goal", ARM_ACTION), None)
 
 
 def _index(data: LeRobotData, feature: str, stated: Any, where: str) -> int:
