@@ -21,7 +21,10 @@ from surg_recording.episode import episode_reader
 from surg_recording.labelling.label_pages import LabelPages
 from surg_recording.labelling.label_server import LabelServer
 
-pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
+pytestmark = [
+    pytest.mark.untimed,
+    pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing()),
+]
 
 EPISODES = 20 if FULL else 3
 KEY_S = float(os.environ.get("SURG_TEST_KEY_S", "0"))

@@ -71,7 +71,7 @@ MISHAPS = {
     "controller silent": silent,
     "node gone": gone,
 }
-SHORT = {("protective stop", 0.05), ("driver killed", 0.05)}
+SHORT = {("driver killed", 0.05)}
 """What the normal tier runs."""
 ROWS = [(what, speed) for what in MISHAPS for speed in SPEEDS]
 

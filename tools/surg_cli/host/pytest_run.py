@@ -16,7 +16,7 @@ GROUP = "@real-time"
 """What pytest-xdist appends to the ids of the tests in real time."""
 MAX_WORKERS = 3
 """One that drives graphs in real time, and those that run the other tests."""
-MAX_REPEATED = 5
+MAX_REPEATED = 8
 """Tests in real time that may be repeated; more failures are not the machine's."""
 
 
