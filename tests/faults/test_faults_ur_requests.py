@@ -56,6 +56,9 @@ def test_a_hand_guides_the_arm_only_while_the_controller_is_disabled(arm: Rig) -
     before = said(arm)["q"]
     time.sleep(0.2)
     assert said(arm)["q"] == pytest.approx(before, abs=1e-9)
+    # The register in which the ended program said that a hand guides the arm still says so.
+    assert wait_until(lambda: ask(arm, "start") == "", 5.0)
+    arm.wait(Condition.ACTIVE)
 
 
 def test_a_start_is_refused_with_its_cure(arm: Rig, tmp_path: Path) -> None:

@@ -40,11 +40,15 @@ _PAUSED = (3, 4)  # pausing, paused
 _TEACH_BUTTON = 4  # bit of robot_status_bits
 
 
-def robot_state(values: Values) -> RobotState:
-    """What a state of RTDE means to the link."""
+def robot_state(values: Values, starting: bool = False) -> RobotState:
+    """What a state of RTDE means to the link.
+
+    ``starting``: the link's own program has been uploaded. Registers outlive a program, so that of
+    hand guiding means nothing until the new program has written it.
+    """
     playing = values["runtime_state"][0] == _PLAYING
     guided = bool(int(values["robot_status_bits"][0]) & _TEACH_BUTTON) or (
-        playing and values["output_int_register_25"][0] == urscript.GUIDING
+        playing and not starting and _says_guiding(values)
     )
     return RobotState(
         time=values["timestamp"][0],
@@ -64,6 +68,10 @@ def robot_state(values: Values) -> RobotState:
     )
 
 
+def _says_guiding(values: Values) -> bool:
+    return bool(values["output_int_register_25"][0] == urscript.GUIDING)
+
+
 class UrDriver(ArmDriver):
     """Drives one arm; `run` returns when it shall end."""
 
@@ -72,6 +80,7 @@ class UrDriver(ArmDriver):
         self._phase = CommandPhase(CYCLE)
         self._rtde: Rtde | None = None
         self._program = False  # whether any program runs on the robot
+        self._starting = False  # uploaded, and not seen to run
         self._serial = self._model = ""
         self._arrived = self._ended_program = -1e9  # our clock
         self._requests = {
@@ -134,7 +143,8 @@ class UrDriver(ArmDriver):
 
     def _cycle(self, rtde: Rtde, values: Values, now: float) -> None:
         """Answer one state of the robot."""
-        state = robot_state(values)
+        self._starting = self._starting and _says_guiding(values)
+        state = robot_state(values, self._starting)
         self._program = state.program
         step = self._step(state, now)
         if step is None:
@@ -205,11 +215,13 @@ class UrDriver(ArmDriver):
         refusal = self._link.start(enabled, self._clock.known_for, time.monotonic())
         if refusal:
             return refusal
+        self._starting = True
         return self._upload(urscript.follow_program(self._settings.stop_deceleration))
 
     def _guide(self, enabled: bool) -> str:
         if enabled or self._link.active:
             return "only while the controller is DISABLED and the robot is not started"
+        self._starting = False
         return self._upload(urscript.guide_program())
 
     def _stop(self, enabled: bool) -> str:
