@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import math
 import socket
 import sys
 import time
@@ -17,7 +16,6 @@ from pathlib import Path
 from surg_hardware.arm_driver import (
     AGAIN,
     FIRST_CONNECTION,
-    LAST_RAMP,
     STALE,
     ArmDriver,
     DriverSettings,
@@ -78,26 +76,14 @@ class AdapterDriver(ArmDriver):
         self._number = 0  # of the velocities sent last
         self._obeys = False
         self._heard = -1e9  # our clock
-        self._requests = {
-            "start": self._start,
-            "stop": self._stop,
-            "guide": self._guide,
-            "recover": self._recover,
-        }
 
-    def run(self) -> None:
-        """As `ArmDriver.run`."""
-        self._connect_first()
-        deadline = math.inf
-        try:
-            while deadline == math.inf or (self._driving and time.monotonic() < deadline):
-                self._turn()
-                if self._ended and deadline == math.inf:
-                    deadline = time.monotonic() + LAST_RAMP
-                    self._link.end(self._ended)
-        finally:
-            if self._connected:
-                self._adapter.close()
+    @property
+    def _may_move(self) -> bool:
+        return self._driving
+
+    def _close(self) -> None:
+        if self._connected:
+            self._adapter.close()
 
     def _turn(self) -> None:
         """Wait for the robot, and answer it with the node's newest command."""
@@ -202,11 +188,6 @@ class AdapterDriver(ArmDriver):
 
     def _recover(self, enabled: bool) -> str:
         return self._at_rest(enabled) or self._adapter.recover()
-
-    def _at_rest(self, enabled: bool) -> str:
-        if enabled or self._link.active:
-            return "only while the controller is DISABLED and the robot is not started"
-        return ""
 
     def _say_identity(self, arm: ArmState) -> None:
         found = self._adapter.identity()

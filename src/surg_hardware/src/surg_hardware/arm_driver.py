@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import gc
 import json
+import math
 import signal
 import socket
 import sys
@@ -109,20 +110,75 @@ class ArmDriver(ABC):
         self._sent: Status | None = None
         self._warned = False
         self._ended = ""
-        self._requests: dict[str, Callable[[bool], str]] = {}
+        self._requests = {
+            "start": self._start,
+            "stop": self._stop,
+            "guide": self._guide,
+            "recover": self._recover,
+        }
 
-    @abstractmethod
     def run(self) -> None:
-        """Serve until `end`, or until the node has gone.
+        """Serve until `end`, or until the node has gone; the arm is then at rest.
 
         Raises:
             RobotRefused: This robot cannot be driven.
             TimeoutError: Nobody answers at the address.
         """
+        self._connect_first()
+        deadline = math.inf
+        try:
+            while deadline == math.inf or (self._may_move and time.monotonic() < deadline):
+                self._turn()
+                if self._ended and deadline == math.inf:
+                    deadline = time.monotonic() + LAST_RAMP
+                    self._link.end(self._ended)
+        finally:
+            self._close()
 
     def end(self, why: str) -> None:
         """Let `run` end once the arm is at rest; for signals too."""
         self._ended = self._ended or why
+
+    # --- what each driver does in its own way ---------------------------------------------------
+
+    @abstractmethod
+    def _connect_first(self) -> None:
+        """Wait for the robot; errors as those of `run`."""
+
+    @abstractmethod
+    def _turn(self) -> None:
+        """Wait for the robot or the node, and answer."""
+
+    @property
+    @abstractmethod
+    def _may_move(self) -> bool:
+        """Whether the arm may still move by this driver."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """End the connection."""
+
+    @abstractmethod
+    def _start(self, enabled: bool) -> str:
+        """Let the robot obey; returns why not. ``enabled``: the controller is."""
+
+    @abstractmethod
+    def _stop(self, enabled: bool) -> str:
+        """As `_start`: the robot no longer obeys."""
+
+    @abstractmethod
+    def _guide(self, enabled: bool) -> str:
+        """As `_start`: let a person move the arm by hand."""
+
+    @abstractmethod
+    def _recover(self, enabled: bool) -> str:
+        """As `_start`: clear the error of the robot."""
+
+    def _at_rest(self, enabled: bool) -> str:
+        """Why the arm cannot be taken as standing; empty: it stands."""
+        if enabled or self._link.active:
+            return "only while the controller is DISABLED and the robot is not started"
+        return ""
 
     # --- one cycle ------------------------------------------------------------------------------
 

@@ -7,10 +7,8 @@ from typing import Any
 
 import pylibfranka  # type: ignore[import]
 
-from surg_hardware.arm_driver import RobotRefused
 from surg_hardware.franka import joint_limits
 from surg_hardware.franka.franka_adapter import FrankaAdapter, MotionEnded, as_error
-from surg_hardware.franka.versions import refusal
 
 _ERRORS = (pylibfranka.FrankaException, RuntimeError)
 
@@ -20,28 +18,8 @@ class Driver(FrankaAdapter):
 
     model = "fr3"
     limits = joint_limits.FR3
-    _robot: Any = None
+    library, errors = pylibfranka, _ERRORS
     _control: Any = None
-
-    def connect(self) -> None:
-        """As `RobotAdapter.connect`; sets the collision thresholds."""
-        # The driver has asked for a real-time priority itself, and refuses a real arm without.
-        try:
-            self._robot = pylibfranka.Robot(self.address, pylibfranka.RealtimeConfig.kIgnore)
-            torque, force = self._torque, self._force
-            self._robot.set_collision_behavior(torque, torque, force, force)
-        except _ERRORS as error:
-            if why := refusal(str(error), self.model):
-                raise RobotRefused(why) from error
-            raise as_error(error) from error
-
-    def recover(self) -> str:
-        """As `RobotAdapter.recover`; the library blocks until the robot has recovered."""
-        try:
-            self._robot.automatic_error_recovery()
-        except _ERRORS as error:
-            return str(error)
-        return ""
 
     def close(self) -> None:
         """As `RobotAdapter.close`."""

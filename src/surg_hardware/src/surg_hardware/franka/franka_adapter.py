@@ -11,8 +11,10 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from surg_hardware.arm_driver import RobotRefused
 from surg_hardware.conditions import franka_reading
 from surg_hardware.franka import joint_limits
+from surg_hardware.franka.versions import refusal
 from surg_hardware.robot_adapter import (
     AdapterError,
     ArmIdentity,
@@ -55,6 +57,11 @@ class FrankaAdapter(RobotAdapter):
     clock_window = 0.05
     model = ""
     limits: Sequence[joint_limits.JointLimits] = ()
+    library: Any = None
+    """The maker's module."""
+    errors: tuple[type[Exception], ...] = ()
+    """What its calls raise."""
+    _robot: Any = None
 
     def __init__(self, address: str, options: Mapping[str, object]) -> None:
         super().__init__(address, options)
@@ -69,6 +76,26 @@ class FrankaAdapter(RobotAdapter):
         self._newest: Any = None
         self._slow = 0  # cycles with too few commands in time
         self._moving = self._ending = self._answered = False
+
+    def connect(self) -> None:
+        """As `RobotAdapter.connect`; sets the collision thresholds."""
+        # The driver has asked for a real-time priority itself, and refuses a real arm without.
+        try:
+            self._robot = self.library.Robot(self.address, self.library.RealtimeConfig.kIgnore)
+            torque, force = self._torque, self._force
+            self._robot.set_collision_behavior(torque, torque, force, force)
+        except self.errors as error:
+            if why := refusal(str(error), self.model):
+                raise RobotRefused(why) from error
+            raise as_error(error) from error
+
+    def recover(self) -> str:
+        """As `RobotAdapter.recover`; the library blocks until the robot has recovered."""
+        try:
+            self._robot.automatic_error_recovery()
+        except self.errors as error:
+            return str(error)
+        return ""
 
     # --- what each library does in its own way --------------------------------------------------
 

@@ -13,10 +13,8 @@ from typing import Any
 
 from panda_py import libfranka  # type: ignore[import]
 
-from surg_hardware.arm_driver import RobotRefused
 from surg_hardware.franka import joint_limits
 from surg_hardware.franka.franka_adapter import FrankaAdapter, MotionEnded, as_error
-from surg_hardware.franka.versions import refusal
 
 WAIT = 0.1
 """[s] For the next state of a motion: the library itself waits longer."""
@@ -29,27 +27,8 @@ class Driver(FrankaAdapter):
 
     model = "panda"
     limits = joint_limits.PANDA
-    _robot: Any = None
+    library, errors = libfranka, (RuntimeError,)
     _motion: threading.Thread | None = None
-
-    def connect(self) -> None:
-        """As `RobotAdapter.connect`; sets the collision thresholds."""
-        try:
-            self._robot = libfranka.Robot(self.address, libfranka.RealtimeConfig.kIgnore)
-            torque, force = self._torque, self._force
-            self._robot.set_collision_behavior(torque, torque, force, force)
-        except RuntimeError as error:
-            if why := refusal(str(error), self.model):
-                raise RobotRefused(why) from error
-            raise as_error(error) from error
-
-    def recover(self) -> str:
-        """As `RobotAdapter.recover`; the library blocks until the robot has recovered."""
-        try:
-            self._robot.automatic_error_recovery()
-        except RuntimeError as error:
-            return str(error)
-        return ""
 
     def close(self) -> None:
         """As `RobotAdapter.close`."""

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 import select
 import socket
 import sys
@@ -15,7 +14,6 @@ import time
 from surg_hardware.arm_driver import (
     AGAIN,
     FIRST_CONNECTION,
-    LAST_RAMP,
     STALE,
     ArmDriver,
     DriverSettings,
@@ -83,29 +81,17 @@ class UrDriver(ArmDriver):
         self._starting = False  # uploaded, and not seen to run
         self._serial = self._model = ""
         self._arrived = self._ended_program = -1e9  # our clock
-        self._requests = {
-            "start": self._start,
-            "stop": self._stop,
-            "guide": self._guide,
-            "recover": self._recover,
-        }
 
     # --- the loop -------------------------------------------------------------------------------
 
-    def run(self) -> None:
-        """As `ArmDriver.run`."""
-        self._connect_first()
-        deadline = math.inf
-        try:
-            while deadline == math.inf or (self._link.active and time.monotonic() < deadline):
-                self._turn()
-                if self._ended and deadline == math.inf:
-                    deadline = time.monotonic() + LAST_RAMP
-                    self._link.end(self._ended)
-        finally:
-            # Whatever has happened: without new commands the robot's own program stops the arm.
-            if self._rtde is not None:
-                self._rtde.close()
+    @property
+    def _may_move(self) -> bool:
+        return self._link.active
+
+    def _close(self) -> None:
+        # Without new commands the robot's own program stops the arm.
+        if self._rtde is not None:
+            self._rtde.close()
 
     def _turn(self) -> None:
         """Wait for the robot or the node, and answer."""
@@ -219,8 +205,8 @@ class UrDriver(ArmDriver):
         return self._upload(urscript.follow_program(self._settings.stop_deceleration))
 
     def _guide(self, enabled: bool) -> str:
-        if enabled or self._link.active:
-            return "only while the controller is DISABLED and the robot is not started"
+        if refusal := self._at_rest(enabled):
+            return refusal
         self._starting = False
         return self._upload(urscript.guide_program())
 
