@@ -134,3 +134,16 @@ def test_no_page_holds_an_unfilled_figure() -> None:
         if re.search(r"@@\w+@@", line)
     ]
     assert not open_figures
+
+
+def test_a_build_without_googletest_touches_no_test_target() -> None:
+    """`demo` installs no GoogleTest: `catkin_add_gtest` then makes no target."""
+    checked = 0
+    for file in sorted((paths.ROOT / "src").glob("*/CMakeLists.txt")):
+        lines = [line.strip() for line in file.read_text().splitlines()]
+        for i, line in enumerate(lines):
+            added = re.match(r"catkin_add_gtest\((\S+)", line)
+            if added:
+                checked += 1
+                assert lines[i + 1].startswith(f"if(TARGET {added[1]})"), f"{file}:{i + 2}"
+    assert checked >= 2
