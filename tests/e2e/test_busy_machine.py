@@ -1,0 +1,149 @@
+"""A fast hand at the console while other programs want the same processors.
+
+The arm may slow down, hold or pause. It may not leave its pivot. The simulator's truth decides, and
+no figure depends on how fast the machine is.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from helpers.graph.surg import environment, start
+from helpers.teleop.console_page import Page, page, when
+from surg_cli.graph import master
+from surg_cli.host import paths
+
+pytestmark = [pytest.mark.ros, pytest.mark.full, pytest.mark.untimed]
+
+SECONDS = float(os.environ.get("SURG_STORM_SECONDS", "600"))
+LOAD = int(os.environ.get("SURG_STORM_LOAD", "8"))
+"""Programs that never rest, beside the system."""
+HAND_SPEED = 0.5
+"""[m/s]; a tenth of a metre a second at the tip."""
+SCALE = 0.2
+REACH = 0.1
+"""[m] of the hand to each side."""
+
+
+@contextlib.contextmanager
+def busy(programs: int) -> Iterator[None]:
+    """Other programs that never rest."""
+    load = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(programs)]
+    try:
+        yield
+    finally:
+        for program in load:
+            program.kill()
+            program.wait()
+
+
+class Judged:
+    """What `pivot_judge.py` has counted."""
+
+    def __init__(self) -> None:
+        self.seen: dict[str, Any] = {}
+
+    async def read(self, lines: asyncio.StreamReader) -> None:
+        async for line in lines:
+            self.seen = json.loads(line)
+
+
+@contextlib.asynccontextmanager
+async def system(folder: Path, cell: str) -> AsyncIterator[tuple[int, Judged]]:
+    """A running `./surg teleop` with its console's port, and the judge of its instrument's arm."""
+    port, web = master.free_port(), master.free_port()
+    log, judged = folder / "teleop.log", Judged()
+    words = ("teleop", cell, "--port", port, "--web-port", web, "--out", folder / "out")
+    with start(log, *words) as process:
+        judge = None
+        try:
+            await when(lambda: "Open http" in log.read_text(), "the system", 120.0)
+            judge = await asyncio.create_subprocess_exec(
+                sys.executable,
+                str(paths.ROOT / "tests" / "helpers" / "graph" / "pivot_judge.py"),
+                "PSM1",
+                env={**environment(), "ROS_MASTER_URI": f"http://localhost:{port}"},
+                stdout=asyncio.subprocess.PIPE,
+            )
+            assert judge.stdout is not None
+            reading = asyncio.create_task(judged.read(judge.stdout))
+            await when(lambda: judged.seen.get("cycles"), "the arm's cycles", 60.0)
+            yield web, judged
+            assert process.poll() is None, log.read_text()
+            reading.cancel()
+        finally:
+            if judge is not None:
+                judge.kill()
+                await judge.wait()
+            process.send_signal(signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(90)
+
+
+async def storm(found: Page, rng: np.random.Generator, until: float) -> int:
+    """A hand to and fro at full speed, clutching, halting, changing its way; presses when held.
+
+    Returns:
+        How often the operator had to enable anew.
+    """
+    enabled, pressed = 0, 0.0
+    hand, way = np.zeros(3), np.array([1.0, 0.0, 0.0])
+    before, change = time.monotonic(), 0.0
+    clutch = False
+    while time.monotonic() < until:
+        now = time.monotonic()
+        hand += HAND_SPEED * (now - before) * way
+        before = now
+        outside = np.linalg.norm(hand) > REACH
+        if now > change or outside:
+            way = rng.normal(size=3) * (1, 1, 0.5)
+            way /= np.linalg.norm(way)
+            if outside and hand @ way > 0:
+                way = -way
+            clutch = bool(rng.random() < 0.15)
+            change = now + rng.uniform(0.05, 0.6)
+        found.hand = {"hand": "position", "p": hand.round(5).tolist(), "clutch": clutch}
+        if found.status["phase"] != "driving" and now > pressed + 1.0:
+            pressed = now
+            enabled += 1
+            await found.press("enable")
+        await asyncio.sleep(0.01)
+    return enabled
+
+
+@pytest.mark.parametrize("cell", ["sim_ur5e"])
+def test_a_fast_hand_on_a_busy_machine_never_leaves_the_pivot(tmp_path: Path, cell: str) -> None:
+    rng = np.random.default_rng(7)
+
+    async def test() -> None:
+        async with system(tmp_path, cell) as (web, judged), page(web) as found:
+            found.hand = {"hand": "position", "p": [0.0, 0.0, 0.0]}
+            await found.drive()
+            await found.say("scale", value=SCALE)
+            with busy(LOAD):
+                began = time.monotonic()
+                enabled = await storm(found, rng, began + SECONDS)
+            await asyncio.sleep(1.0)
+            seen = judged.seen
+            print(
+                f"{cell}: {SECONDS:.0f} s, {LOAD} programs beside it, load {os.getloadavg()[0]:.1f}"
+            )
+            print(f"enabled anew {enabled} times; {json.dumps(seen)}")
+            assert "FAULT(rcm_error)" not in seen["ended"]
+            assert seen["pivot_mm"] <= 0.5
+            assert seen["way_m"] > 0.005 * SECONDS
+
+    asyncio.run(test())
