@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from helpers.hardware.emulated_chain import Chain, T
-from helpers.results.hardware_results import SPEEDS, chain_row, note
+from helpers.results.hardware_results import SPEEDS, chain_row, note, spread_row
 from surg_core import State
 from surg_hardware.conditions import Condition
+from surg_hardware.emulators.ur.joint_motion import LAGS
 from surg_hardware.emulators.ur.robot_states import SafetyMode
 
 pytestmark = pytest.mark.untimed
@@ -24,10 +25,10 @@ FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 TO_REST = {0.012: 120, 0.05: 120, 0.25: 200}
 """Tip speed -> longest time to rest [ms]."""
 OURS, ITS_OWN = 0.2, 0.25
-"""[mm] Largest deviation from the pivot at 12 and 50 mm/s, of a stop by the link and of a stop by
-the robot. The emulated joints lag behind their targets by 5 to 8.5 ms, each by its own (assumed);
-the controller holds the pivot with the joints, and a robot that stops itself ends at its targets.
-Only the link can end on the way of the joints."""
+"""[mm] Largest deviation from the pivot at 12 and 50 mm/s: of a stop by the link or its program on
+the robot, and of a stop by the robot. The emulated joints lag behind their targets by 5 to 8.5 ms,
+each by its own (assumed). The controller holds the pivot with the joints. A robot that stops itself
+ends at its targets; link and program end on the way of the joints."""
 CREEP = 5e-4
 """[m/s] A slower tip is at rest."""
 
@@ -77,15 +78,38 @@ MISHAPS = {
     "reboot": Mishap(lambda c: c.ur.reboot(600)),
     "slider at 50 %": Mishap(slider, off=OURS),
     "stall 15 ms": Mishap(stall, again, 0.015, OURS, latched=False),
-    "stall 100 ms": Mishap(stall, again, 0.1),
-    "driver killed": Mishap(freeze),
-    "driver frozen 0.5 s": Mishap(freeze, again, 0.5),
+    "stall 100 ms": Mishap(stall, again, 0.1, OURS),
+    "driver killed": Mishap(freeze, off=OURS),
+    "driver frozen 0.5 s": Mishap(freeze, again, 0.5, OURS),
     "controller silent": Mishap(silent, off=OURS),
     "node gone": Mishap(gone, off=OURS),
 }
 SHORT = {("protective stop", 0.05), ("stall 100 ms", 0.05), ("controller silent", 0.05)}
 """What the normal tier runs."""
 ROWS = [(what, speed) for what in MISHAPS for speed in SPEEDS]
+
+
+LAG_SPREADS = {(0.005, 0.0085): 0.25, (0.005, 0.007): 0.2, (0.0066, 0.0066): 0.03}
+"""Least and largest lag of the joints [s] -> largest deviation [mm]."""
+
+
+@pytest.mark.parametrize(("least", "largest"), LAG_SPREADS if FULL else [(0.005, 0.007)])
+def test_where_a_robot_rests_that_stops_itself_is_set_by_how_its_joint_lags_differ(
+    least: float, largest: float
+) -> None:
+    """The shares of the lags between least and largest are those of the emulated UR5e."""
+    shares = (np.array(LAGS) - min(LAGS)) / (max(LAGS) - min(LAGS))
+    chain = Chain(lags=[float(lag) for lag in least + shares * (largest - least)])
+    for cycle in range(300):
+        chain.stream(0.05 * min(cycle / 60, 1.0))
+    chain.robot.protective_stop("test")
+    away = []
+    for _ in range(150):
+        chain.stream(0.05)
+        away.append(chain.deviation)
+    off = 1e3 * max(away)
+    note(spread_row(1e3 * (largest - least)), 1, f"deviation {off:.3f} mm")
+    assert off <= LAG_SPREADS[least, largest]
 
 
 @pytest.mark.parametrize(("what", "speed"), ROWS if FULL else sorted(SHORT))

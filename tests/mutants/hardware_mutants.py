@@ -31,6 +31,14 @@ MUTANTS: tuple[Mutant, ...] = (
         CHAIN,
     ),
     one(
+        "robots_program_ends_beside_the_way",
+        "a killed driver takes the shaft off its pivot",
+        "ur/urscript.py",
+        "      next[i] = share * start[i] - rate * back[i]",
+        "      next[i] = share * start[i]",
+        CHAIN,
+    ),
+    one(
         "latch_off",
         "an unlocked arm goes on by itself",
         "robot_link.py",

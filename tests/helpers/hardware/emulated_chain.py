@@ -21,6 +21,7 @@ from surg_core import (
 )
 from surg_hardware import link_node
 from surg_hardware.emulators.ur.dh_kinematics import Table, frames
+from surg_hardware.emulators.ur.joint_motion import LAGS
 from surg_hardware.emulators.ur.ur_controller import UrController
 from surg_hardware.robot_link import Settings, Status
 
@@ -44,11 +45,16 @@ def pivot_deviation(arm: surg_core.Arm, q: Sequence[float], table: Table) -> flo
 
 
 class Chain:
-    """The bundled cell `emulated_ur5e` with its arm at home, started and enabled."""
+    """The bundled cell `emulated_ur5e` with its arm at home, started and enabled.
 
-    def __init__(self, law: Law = Law.EXACT, enabled: bool = True) -> None:
+    ``lags``: of the emulated joints behind their targets [s].
+    """
+
+    def __init__(
+        self, law: Law = Law.EXACT, enabled: bool = True, lags: Sequence[float] = LAGS
+    ) -> None:
         self.arm = surg_core.load_cell(paths.CELLS / "emulated_ur5e").arms["PSM1"]
-        self.robot = UrController(q=self.arm.robot.home.tolist())
+        self.robot = UrController(q=self.arm.robot.home.tolist(), lags=lags)
         self.ur = ur_chain.Chain(link_settings(self.arm), self.robot)
         self.link, self.clock, self.law = self.ur.link, self.ur.clock, law
         self.obeys_commands = True  # False: the controller's commands are lost on their way

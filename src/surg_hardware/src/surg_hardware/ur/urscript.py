@@ -6,6 +6,8 @@ obeys joint velocities, and has a dead-man of its own.
 
 from __future__ import annotations
 
+from surg_hardware.stop_ramp import LARGEST_LAG, LEAST
+
 REGISTER = 24
 """First of the registers that belong to external RTDE clients. Input: integer REGISTER is the
 command's number, doubles REGISTER to REGISTER + 5 are the velocities. Output: integer REGISTER is
@@ -46,10 +48,59 @@ def surg_link():
     sync()
   end
   rtde_set_watchdog("input_int_register_{n0}", 0.0, "ignore")
+  start = command
+  targets = get_target_joint_positions()
+  angles = get_actual_joint_positions()
+  back = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+  leading = 0.0
+  square = 0.0
+  along = 0.0
+  i = 0
+  while i < 6:
+    back[i] = targets[i] - angles[i]
+    along = along + back[i] * start[i]
+    square = square + start[i] * start[i]
+    if norm(start[i]) > leading:
+      leading = norm(start[i])
+    end
+    i = i + 1
+  end
+  i = 0
+  while i < 6 and square > 0.0:
+    back[i] = back[i] - start[i] * along / square
+    if norm(back[i]) > {lag} * leading:
+      back[i] = back[i] / norm(back[i]) * {lag} * leading
+    end
+    i = i + 1
+  end
+  braking = leading / {deceleration}
+  duration = braking
+  if duration < {least}:
+    duration = {least}
+  end
+  passed = 0.001
+  while passed < duration and square > 0.0:
+    share = 1.0 - passed / braking
+    if share < 0.0:
+      share = 0.0
+    end
+    rate = 6.0 * passed * (duration - passed) / pow(duration, 3)
+    next = start
+    i = 0
+    while i < 6:
+      next[i] = share * start[i] - rate * back[i]
+      i = i + 1
+    end
+    command = next
+    passed = passed + 0.002
+    sync()
+  end
   kill driving
   stopj({deceleration})
 end
 """
+"""When commands cease, the program brings the arm to rest as `stop_ramp.StopRamp` does, evaluated
+in the middle of each cycle. It uses only loops and scalars, which every version of URScript has."""
 _GUIDE = """\
 def surg_guide():
   write_output_integer_register({n1}, {guiding})
@@ -75,6 +126,8 @@ def follow_program(deceleration: float) -> str:
         n1=REGISTER + 1,
         cycles=DEAD_MAN_CYCLES,
         velocities=velocities,
+        lag=LARGEST_LAG,
+        least=LEAST,
         deceleration=float(deceleration),
     )
 

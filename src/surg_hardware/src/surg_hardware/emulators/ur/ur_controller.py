@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from surg_hardware.emulators.ur import dh_kinematics as dh
-from surg_hardware.emulators.ur.joint_motion import DT, REST, Command, JointMotion
+from surg_hardware.emulators.ur.joint_motion import DT, LAGS, REST, Command, JointMotion
 from surg_hardware.emulators.ur.robot_states import DEAD, MOVES, RobotMode, Runtime, SafetyMode
 from surg_hardware.emulators.ur.rtde_fields import REGISTERS
 from surg_hardware.emulators.ur.urscript_functions import functions
@@ -63,6 +63,7 @@ class UrController:
         dh_errors: Calibration of this arm: corrections of d [m], a [m] and alpha [rad] of each
             joint, added to the model's.
         ready: Whether the arm is powered with the brakes released; otherwise it is off.
+        lags: Of each joint behind its target [s].
     """
 
     cycles: int
@@ -89,6 +90,7 @@ class UrController:
         q: Sequence[float] = HOME,
         dh_errors: Sequence[tuple[float, float, float]] = ((0.0, 0.0, 0.0),) * 6,
         ready: bool = True,
+        lags: Sequence[float] = LAGS,
     ) -> None:
         self.model, self.serial = model, serial
         self.dh_errors = dh_errors
@@ -97,7 +99,7 @@ class UrController:
             (d + e[0], a + e[1], alpha + e[2])
             for (d, a, alpha), e in zip(nominal, dh_errors, strict=True)
         ]
-        self.motion = JointMotion([float(value) for value in q])
+        self.motion = JointMotion([float(value) for value in q], lags=lags)
         self.remote = True
         self.payload, self.payload_cog = 0.0, [0.0] * 3
         self.tcp_offset = [0.0] * 6
