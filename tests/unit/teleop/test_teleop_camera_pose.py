@@ -12,7 +12,7 @@ import surg_core
 from helpers.control.gate_arm import TICK, GateArm
 from helpers.teleop.hand import Hand, settings
 from surg_cli.host import paths
-from surg_teleop.follow import camera_file
+from surg_core import camera_file
 from surg_teleop.follow.endoscope_pose import held_camera
 from surg_teleop.follow.teleop_types import CameraView
 from surg_teleop.follow.teleoperation import Teleop

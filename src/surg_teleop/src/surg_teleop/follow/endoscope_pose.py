@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 import surg_core
+from surg_core import camera_file
 from surg_core.arm_view import Array
-from surg_teleop.follow import camera_file
 
 
 @dataclass(frozen=True)
