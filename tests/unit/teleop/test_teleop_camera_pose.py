@@ -12,7 +12,6 @@ import surg_core
 from helpers.control.gate_arm import TICK, GateArm
 from helpers.teleop.hand import Hand, settings
 from surg_cli.host import paths
-from surg_core import camera_file
 from surg_teleop.follow.endoscope_pose import held_camera
 from surg_teleop.follow.teleop_types import CameraView
 from surg_teleop.follow.teleoperation import Teleop
@@ -57,7 +56,7 @@ def test_a_measured_camera_replaces_the_drawing(tmp_path: Path) -> None:
     assert not np.allclose(measured.R_FV, drawn.R_FV)
     assert pytest.approx(Rotation.from_quat([0, 0, 0.6, 0.8]).as_matrix()) == measured.R_FV
     file.write_text(yaml.safe_dump({**CAMERA, "n": 2}))
-    with pytest.raises(surg_core.ConfigError, match=r"camera_ECM.yaml: n: 2; allowed: number of"):
+    with pytest.raises(surg_core.ConfigError, match=r"camera_ECM.yaml:\d+: n: 2.0; allowed"):
         held_camera(surg_core.load_cell(folder))
 
 
@@ -68,40 +67,6 @@ CAMERA = {
     "n": 15,
     "date": "2026-11-21",
 }
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"format": "surg_camera/2"}, "format: 'surg_camera/2'; allowed: surg_camera/1"),
-        ({"quaternion": [0, 0, 0, 2]}, "quaternion: .* is not of unit length"),
-        ({"quaternion": [0, 0, 1]}, "quaternion: .* is not of unit length"),
-        ({"quaternion": "up"}, "quaternion: 'up' is not of unit length"),
-        ({"quaternion": [math.nan, 0, 0, 1]}, "quaternion: .* is not of unit length"),
-        ({"residual": 0.06}, "residual: 0.06; allowed: 0 to 0.05"),
-        ({"residual": -1e-9}, "residual: -1e-09; allowed"),
-        ({"residual": math.nan}, "residual: nan; allowed"),
-        ({"residual": True}, "residual: True; allowed"),
-        ({"n": 2}, "n: 2; allowed: number of views, 3 or more"),
-        ({"n": 12.5}, "n: 12.5; allowed"),
-        ({"n": math.nan}, "n: nan; allowed"),
-        ({"n": True}, "n: True; allowed"),
-        ({"date": "yesterday"}, "date: 'yesterday'; allowed: day of the measurement"),
-        ({"date": 20261121.5}, "date: '20261121.5'; allowed"),
-        ({"residuals": 0.0}, "residuals: unknown; allowed: format, quaternion, residual, n, date"),
-        *(({key: None}, f"camera.yaml: {key}: is missing; allowed") for key in CAMERA),
-    ],
-)
-def test_a_camera_without_evidence_is_refused(change: dict[str, object], words: str) -> None:
-    values = {k: v for k, v in {**CAMERA, **change}.items() if v is not None}
-    with pytest.raises(surg_core.ConfigError, match=words):
-        camera_file.parse(values, "camera.yaml")
-
-
-def test_a_measured_camera_says_how_good_it_is() -> None:
-    found = camera_file.parse(CAMERA, "camera.yaml")
-    assert (found.residual, found.n, found.date.isoformat()) == (0.004, 15, "2026-11-21")
-    assert pytest.approx(Rotation.from_quat([0, 0, 0.6, 0.8]).as_matrix()) == found.R_FV
 
 
 def test_a_moving_endoscope_is_applied_exactly_once() -> None:

@@ -27,8 +27,6 @@ from __future__ import annotations
 
 import csv
 import math
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,6 +58,7 @@ from surg_core.config import (
     load_trocar,
     read_document,
 )
+from surg_core.replace_file import fixed_decimals, one_line, replace_file
 from surg_core.transforms import FloatArray, matrix_to_rpy, quaternion_xyzw_to_matrix
 
 MOTIONS = ("tip", "roll", "second", "trocar", "touch")
@@ -272,18 +271,18 @@ def write_bases(
     """
     xyz, rpy = fit.X_B1B2[:3, 3], matrix_to_rpy(fit.X_B1B2[:3, :3])
     text = (
-        f"# {_one_line(note)}\n"
+        f"# {one_line(note)}\n"
         "format: surg_bases/1\n"
         f"arms: [{', '.join(arms)}]  # pose of the second base in the first\n"
-        f"xyz: {_vector(xyz)}  # m\n"
-        f"rpy: {_vector(rpy)}  # rad\n"
+        f"xyz: {fixed_decimals(xyz)}  # m\n"
+        f"rpy: {fixed_decimals(rpy)}  # rad\n"
         f"residual: {fit.rms:.9f}  # m, rms\n"
         f"n: {fit.n}\n"
         f"condition: {fit.condition:.4f}\n"
-        f'date: "{_one_line(date)}"\n'
+        f'date: "{one_line(date)}"\n'
         f"source: {source}\n"
     )
-    _replace(Path(path), text, read_document)
+    replace_file(Path(path), text, read_document)
 
 
 _Fit = TypeVar("_Fit")
@@ -314,12 +313,12 @@ def write_tool(
         OSError: when it cannot be written.
     """
     text = (
-        f"# {_one_line(note)}\n"
+        f"# {one_line(note)}\n"
         "format: surg_tool/1\n"
-        f"shaft_axis: {_vector(tool.s_F)}  # unit vector, flange to tip\n"
-        f"tip: {_vector(tool.p_FTip)}  # m\n" + _evidence(tool, source, serial)
+        f"shaft_axis: {fixed_decimals(tool.s_F)}  # unit vector, flange to tip\n"
+        f"tip: {fixed_decimals(tool.p_FTip)}  # m\n" + _evidence(tool, source, serial)
     )
-    _replace(Path(path), text, load_tool)
+    replace_file(Path(path), text, load_tool)
 
 
 def write_trocar(
@@ -331,11 +330,11 @@ def write_trocar(
 ) -> None:
     """Writes a surg_trocar/1 file; as :func:`write_tool`."""
     text = (
-        f"# {_one_line(note)}\n"
+        f"# {one_line(note)}\n"
         "format: surg_trocar/1\n"
-        f"point: {_vector(trocar.p_BRcm)}  # m\n" + _evidence(trocar, source, serial)
+        f"point: {fixed_decimals(trocar.p_BRcm)}  # m\n" + _evidence(trocar, source, serial)
     )
-    _replace(Path(path), text, load_trocar)
+    replace_file(Path(path), text, load_trocar)
 
 
 def kinematics_text(
@@ -358,52 +357,22 @@ def kinematics_text(
         "# This arm's own Denavit-Hartenberg parameters: ./surg robot CELL kinematics\n"
         "format: surg_kinematics/1\n"
         f"model: {model}\n"
-        f'serial: "{_one_line(serial)}"\n'
-        f'date: "{_one_line(date)}"\n' + rows
+        f'serial: "{one_line(serial)}"\n'
+        f'date: "{one_line(date)}"\n' + rows
     )
 
 
 def write_kinematics(path: PathLike, text: str) -> None:
     """Writes a surg_kinematics/1 file; as :func:`write_tool`."""
-    _replace(Path(path), text, load_kinematics)
-
-
-def _one_line(note: str) -> str:
-    return " ".join(note.split())
-
-
-def _vector(values: FloatArray) -> str:
-    # 12 decimals: 1e-12 m. Adding 0.0 turns -0.0 into 0.0.
-    return "[" + ", ".join(f"{round(float(value), 12) + 0.0:.12f}" for value in values) + "]"
+    replace_file(Path(path), text, load_kinematics)
 
 
 def _evidence(found: _Calibration, source: str, serial: str) -> str:
-    of_arm = f'serial: "{_one_line(serial)}"  # of the arm\n' if serial else ""
+    of_arm = f'serial: "{one_line(serial)}"  # of the arm\n' if serial else ""
     return (
         f"residual: {found.residual:.9f}  # m, rms\n"
         f"n: {found.n}\n"
         f"condition: {max(found.condition, 1.0):.4f}\n"
-        f'date: "{_one_line(found.date)}"\n'
+        f'date: "{one_line(found.date)}"\n'
         f"source: {source}\n" + of_arm
     )
-
-
-def _replace(path: Path, text: str, load: Callable[[PathLike], object]) -> None:
-    """Never a moment without a whole file: written beside it, read back, then renamed over it."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".yaml", dir=path.parent)
-    fresh = Path(name)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        load(fresh)
-        fresh.chmod(0o644)
-        if path.exists():
-            previous = path.with_name(path.name + ".previous")
-            kept = fresh.with_suffix(".previous")
-            kept.write_bytes(path.read_bytes())
-            kept.replace(previous)
-        fresh.replace(path)
-    finally:
-        fresh.unlink(missing_ok=True)

@@ -1,86 +1,160 @@
-"""``calibration/camera_<arm>.yaml``: a measured camera in its flange, and how good it is.
+"""``calibration/camera_<arm>.yaml``: the left camera of an endoscope in the flange of its arm.
 
-Pure: a document in, values out. Where the camera looks decides which way the hand moves the tip, so
-a file without evidence is not used, and neither is one with a key that nobody reads.
+surg_camera/2 states the pose with its covariance. surg_camera/1 states the rotation only: enough
+to map a hand into the picture, not to draw into it. Where the camera looks decides which way the
+hand moves the tip, so a file without evidence is not used.
 """
 
 from __future__ import annotations
 
 import datetime
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
 
-import numpy as np
+from surg_core._core import ConfigError, Document
+from surg_core.checked_document import (
+    NO_HASH,
+    CheckedDocument,
+    Evidence,
+    evidence_text,
+    file_sha256,
+    pose_text,
+)
+from surg_core.config import PathLike, read_document
+from surg_core.replace_file import one_line, replace_file
+from surg_core.transforms import FloatArray
 
-from surg_core import ConfigError, quaternion_xyzw_to_matrix
-from surg_core.arm_view import Array
-
-FORMAT = "surg_camera/1"
+FORMATS = ("surg_camera/1", "surg_camera/2")
 LEAST_VIEWS = 3
 """Two pairs of postures, turned about different axes, are the least that fix a rotation."""
 LARGEST_RESIDUAL = 0.05
-"""[rad] rms, 3 degrees; assumed: an operator notices some 10 degrees."""
-_ALLOWED = {
-    "format": FORMAT,
-    "quaternion": "x, y, z, w of the left camera in the flange, of unit length",
-    "residual": f"0 to {LARGEST_RESIDUAL:g} [rad], rms of the views' rotations",
-    "n": f"number of views, {LEAST_VIEWS} or more",
-    "date": 'day of the measurement, "2026-11-21"',
-}
+"""[rad] rms, 3 degrees, of surg_camera/1; assumed: an operator notices some 10 degrees."""
+LARGEST_PIXELS = 5.0
+"""[px] rms, of surg_camera/2. What the reader takes; ``./surg calibrate`` accepts much less."""
+LARGEST_OFFSET = 1.5
+"""[m] Of the camera from the flange, each axis."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CameraCalibration:
-    """A measured camera."""
+    """A measured camera.
 
-    R_FV: Array  # (3, 3) the view frame V, the left camera's optical axes, in the flange F
-    residual: float  # of the fit, rms [rad]
-    n: int
-    date: datetime.date  # when it was measured
-
-
-def parse(values: Mapping[str, Any], file: str) -> CameraCalibration:
-    """The content of a camera's file, checked; `file` is its name for messages.
-
-    Raises:
-        ConfigError: A key is missing, unknown or out of its range; names file, key and what is
-            allowed.
+    Attributes:
+        R_FV: (3, 3) the view frame V, the left camera's optical axes, in the flange F.
+        X_FV: (4, 4) its pose [m]; None: the file is surg_camera/1 and states the rotation only.
+        residual: Of the fit, rms: [px] with X_FV, else [rad].
+        n: Number of views.
+        date: Day of the measurement, such as ``2026-11-23``.
+        evidence: With the covariance of X_FV; None for surg_camera/1.
+        left_sha256: Of the left lens file that it was measured with; empty for surg_camera/1.
+        right_sha256: Of the right one; ``none`` with a single camera.
     """
 
-    def refuse(key: str, why: str) -> ConfigError:
-        return ConfigError(f"{file}: {key}: {why}; allowed: {_ALLOWED[key]}")
+    R_FV: FloatArray
+    X_FV: FloatArray | None
+    residual: float
+    n: int
+    date: str
+    evidence: Evidence | None = None
+    left_sha256: str = ""
+    right_sha256: str = ""
 
-    if unknown := sorted(set(values) - set(_ALLOWED)):
-        raise ConfigError(f"{file}: {unknown[0]}: unknown; allowed: {', '.join(_ALLOWED)}")
-    for key in _ALLOWED:
-        if key not in values:
-            raise refuse(key, "is missing")
-    if values["format"] != FORMAT:
-        raise refuse("format", repr(values["format"]))
-    residual, n = values["residual"], values["n"]
-    # Written so that NaN is refused.
-    if not _is_number(residual) or not 0.0 <= residual <= LARGEST_RESIDUAL:
-        raise refuse("residual", f"{residual!r}")
-    if not _is_number(n) or n % 1 != 0 or n < LEAST_VIEWS:
-        raise refuse("n", f"{n:g}" if _is_number(n) else f"{n!r}")
-    q = values["quaternion"]
-    try:
-        vector = np.asarray(q, dtype=np.float64)
-        good = vector.shape == (4,) and abs(float(np.linalg.norm(vector)) - 1.0) <= 1e-6
-    except (TypeError, ValueError):
-        good = False
-    if not good:
-        raise refuse("quaternion", f"{q!r} is not of unit length")
-    day = str(values["date"])
-    try:
-        date = datetime.date.fromisoformat(day)
-    except ValueError:
-        raise refuse("date", repr(day)) from None
-    if date.isoformat() != day:  # some Pythons accept other formats
-        raise refuse("date", repr(day))
-    return CameraCalibration(quaternion_xyzw_to_matrix(vector), float(residual), int(n), date)
+    @property
+    def day(self) -> datetime.date:
+        """When it was measured."""
+        return datetime.date.fromisoformat(self.date)
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+def camera_calibration(
+    X_FV: FloatArray, evidence: Evidence, left_sha256: str, right_sha256: str = NO_HASH
+) -> CameraCalibration:
+    """A camera for surg_camera/2; arguments as in :class:`CameraCalibration`."""
+    return CameraCalibration(
+        X_FV[:3, :3],
+        X_FV,
+        evidence.residual,
+        evidence.n,
+        evidence.date,
+        evidence,
+        left_sha256,
+        right_sha256,
+    )
+
+
+def parse_camera(document: Document) -> CameraCalibration:
+    """The content of a camera's file of either version, checked.
+
+    Raises:
+        ConfigError: A key is missing, unknown or out of its range; names file, line, key, value
+            and what is allowed.
+    """
+    doc = CheckedDocument(document)
+    if doc.choice("format", FORMATS) == "surg_camera/2":
+        X_FV = doc.pose(LARGEST_OFFSET)
+        evidence = doc.evidence(LEAST_VIEWS, LARGEST_PIXELS, "px")
+        lenses = doc.sha256("left_sha256"), doc.sha256("right_sha256", optional=True)
+        found = camera_calibration(X_FV, evidence, *lenses)
+    else:
+        found = CameraCalibration(
+            R_FV=doc.rotation(),
+            X_FV=None,
+            residual=doc.number("residual", 0.0, LARGEST_RESIDUAL, "rad"),
+            n=doc.count("n", LEAST_VIEWS),
+            date=doc.date(),
+        )
+    doc.finish()
+    return found
+
+
+def load_camera(path: PathLike) -> CameraCalibration:
+    """Read ``camera_<arm>.yaml``; errors as :func:`parse_camera`."""
+    return parse_camera(read_document(path))
+
+
+def write_camera(path: PathLike, camera: CameraCalibration, note: str) -> None:
+    """Write a surg_camera/2 file; the old one stays as ``<name>.previous``.
+
+    Args:
+        path: Such as ``calibration/camera_ECM.yaml``; its folder must exist.
+        camera: What to write, with pose and evidence.
+        note: One line for people, put at the top.
+
+    Raises:
+        ConfigError: The reader would refuse it; nothing is replaced then.
+        OSError: It cannot be written.
+    """
+    if camera.X_FV is None or camera.evidence is None:
+        raise ConfigError(f"{path}: position: is missing; surg_camera/2 states the whole pose")
+    text = (
+        f"# {one_line(note)}\n"
+        "format: surg_camera/2\n"
+        + pose_text(camera.X_FV, "X_FV: the left camera's optical axes in the flange")
+        + evidence_text(camera.evidence, "px")
+        + f'left_sha256: "{one_line(camera.left_sha256)}"  # of endoscope_left.yaml\n'
+        f'right_sha256: "{one_line(camera.right_sha256)}"\n'
+    )
+    replace_file(Path(path), text, load_camera)
+
+
+def check_camera_lenses(
+    camera: CameraCalibration, file: PathLike, left_file: Path, right_file: Path
+) -> None:
+    """Refuse a surg_camera/2 file whose lens files have changed: it is stale.
+
+    Raises:
+        ConfigError: With both files and the cure.
+    """
+    stated = (
+        ("left_sha256", camera.left_sha256, left_file),
+        ("right_sha256", camera.right_sha256, right_file),
+    )
+    for key, hash_then, lens_file in stated:
+        if hash_then in ("", NO_HASH):
+            continue
+        now = file_sha256(lens_file) if lens_file.is_file() else "no such file"
+        if now != hash_then:
+            raise ConfigError(
+                f"{file}: {key}: {hash_then[:12]}…; allowed: {now[:12]}, the hash of {lens_file}: "
+                "the lens has been measured again since. Repeat ./surg calibrate CELL handeye, "
+                "or put back the lens's .previous file"
+            )

@@ -49,7 +49,7 @@ def held_camera(cell: surg_core.Cell) -> HeldCamera | None:
 def _mounted(cell: surg_core.Cell, arm: surg_core.Arm, frame: str) -> Array:
     file = cell.folder / "calibration" / f"camera_{arm.name}.yaml"
     if file.is_file():
-        return camera_file.parse(surg_core.read_document(file).values, str(file)).R_FV
+        return camera_file.load_camera(file).R_FV
     mount = arm.instrument.mount_link
     X_FV = surg_core.fixed_transform(arm.instrument_urdf, mount, frame)
     return np.asarray(X_FV)[:3, :3]
