@@ -811,6 +811,53 @@ std::map<std::string, std::string> read_machines(Reader& reader, const std::stri
   return machines;
 }
 
+constexpr double kPictureSize[] = {16, 7680};  // [px]
+constexpr double kPictureRate[] = {1, 240};    // [1/s]
+constexpr double kMostLatency = 1.0;           // [s]
+
+/// The section 'endoscope'; a cell without one has the simulator's.
+std::optional<CellEndoscope> read_endoscope(Reader& reader) {
+  const std::string prefix = "endoscope.";
+  if (!reader.has("endoscope")) return std::nullopt;
+  CellEndoscope endoscope;
+  endoscope.source = reader.word(prefix + "source");
+  const auto colon = endoscope.source.find(':');
+  if (colon == 0 || colon == std::string::npos || colon + 1 == endoscope.source.size()) {
+    reader.fail(prefix + "source",
+                "'" + endoscope.source +
+                    "' is not KIND:ADDRESS, such as v4l2:/dev/video0, decklink:0, gst:PIPELINE, "
+                    "file:PATH, pipe:PATH or ros:/left,/right");
+  }
+  endoscope.layout =
+      reader.choice(prefix + "layout", {"two", "sbs", "sbs_half", "top_bottom", "rows", "mono"});
+  if (reader.has(prefix + "size")) {
+    const std::vector<double> size = reader.numbers(prefix + "size");
+    const bool good = size.size() == 2 && std::all_of(size.begin(), size.end(), [](double pixels) {
+                        return pixels == std::floor(pixels) && pixels >= kPictureSize[0] &&
+                               pixels <= kPictureSize[1];
+                      });
+    if (!good) {
+      reader.fail(prefix + "size",
+                  "must be [width, height] of a grabbed picture in whole px; allowed is " +
+                      number(kPictureSize[0]) + " to " + number(kPictureSize[1]));
+    }
+    endoscope.width = static_cast<int>(size[0]);
+    endoscope.height = static_cast<int>(size[1]);
+  }
+  if (reader.has(prefix + "rate")) {
+    endoscope.rate = reader.real(prefix + "rate", kPictureRate[0], kPictureRate[1], "1/s");
+  }
+  if (reader.has(prefix + "swap")) endoscope.swap = reader.flag(prefix + "swap");
+  if (reader.has(prefix + "flip")) {
+    endoscope.flip =
+        reader.choice(prefix + "flip", {"none", "horizontal", "vertical", "rotate_180"});
+  }
+  if (reader.has(prefix + "latency")) {
+    endoscope.latency = reader.real(prefix + "latency", 0.0, kMostLatency, "s");
+  }
+  return endoscope;
+}
+
 Obstacle read_obstacle(Reader& reader, const std::string& name) {
   const std::string prefix = "clearance.obstacles." + name + ".";
   Obstacle obstacle;
@@ -855,6 +902,7 @@ CellConfig read_cell(const Document& document) {
   cell.network = reader.choice("network", {"loopback", "isolated"});
   cell.machines = read_machines(reader, cell.network);
   cell.clearance = read_clearance(reader, document);
+  cell.endoscope = read_endoscope(reader);
   const std::vector<std::string> names = names_in(document, "arms.");
   if (names.empty()) reader.fail("arms", "is missing; a cell needs at least one arm");
   for (const auto& name : names) {

@@ -223,6 +223,24 @@ MUTANTS: list[tuple[str, tuple[str, str], list[str]]] = [
             ("{robot: 10.7.0.1, surgeon: 10.7.0.2}", ["machines.surgeon", "known"]),
         )
     ],
+    *[
+        (CELL, ("arms:", f"endoscope: {{{section}}}\narms:"), [f"endoscope.{key}", *words])
+        for section, key, words in (
+            ("layout: sbs", "source", ["missing"]),
+            ("source: /dev/video0, layout: sbs", "source", ["'/dev/video0'", "v4l2:/dev/video0"]),
+            ("source: 'v4l2:', layout: sbs", "source", ["'v4l2:'", "KIND:ADDRESS"]),
+            ("source: 'file:a.mp4'", "layout", ["missing"]),
+            ("source: 'file:a.mp4', layout: 3d", "layout", ["'3d'", "'sbs_half'", "'rows'"]),
+            ("source: 'file:a.mp4', layout: sbs, size: [1920]", "size", ["width, height"]),
+            ("source: 'file:a.mp4', layout: sbs, size: [8, 8]", "size", ["16 to 7680"]),
+            ("source: 'file:a.mp4', layout: sbs, size: [640.5, 480]", "size", ["whole"]),
+            ("source: 'file:a.mp4', layout: sbs, rate: 0", "rate", ["0 1/s", "1 to 240"]),
+            ("source: 'file:a.mp4', layout: sbs, swap: 1", "swap", ["true or false"]),
+            ("source: 'file:a.mp4', layout: sbs, flip: both", "flip", ["'both'", "'rotate_180'"]),
+            ("source: 'file:a.mp4', layout: sbs, latency: 80", "latency", ["80 s", "0 to 1"]),
+            ("source: 'file:a.mp4', layout: sbs, port: 1", "port", ["known", "endoscope.layout"]),
+        )
+    ],
     (CELL, ("robot: ../robot.yaml", "robot: ../robt.yaml"), ["robt.yaml", "cannot be read"]),
     (CELL, ("link: simulator", "link: telepathy"), ["arms.PSM1.link", "telepathy"]),
     (CELL, ("xyz: [0.1, 0, 0]", "xyz: [0.1, 0]"), ["arms.PSM1.base.xyz", "three"]),
@@ -237,6 +255,27 @@ MUTANTS: list[tuple[str, tuple[str, str], list[str]]] = [
     (TROCAR, ("n: 12", "n: 0"), ["n", "0"]),
     (TROCAR, ("surg_trocar", "surg_tool"), ["format", "surg_tool/1"]),
 ]
+
+
+def test_an_endoscope_is_read_with_its_defaults(folder: Path) -> None:
+    assert surg_core.load_cell(folder / "cell").config.endoscope is None
+    path = folder / CELL
+    text = path.read_text(encoding="utf-8")
+    least = "endoscope:\n  source: v4l2:/dev/video0\n  layout: mono\n"
+    path.write_text(least + text, encoding="utf-8")
+    found = surg_core.load_cell(folder / "cell").config.endoscope
+    assert (found.source, found.layout) == ("v4l2:/dev/video0", "mono")
+    assert (found.size, found.rate, found.swap, found.flip, found.latency) == (
+        (0, 0), 0.0, False, "none", 0.0,
+    )  # fmt: skip
+    more = (
+        "  size: [1920, 1080]\n  rate: 29.97\n  swap: true\n  flip: rotate_180\n  latency: 0.08\n"
+    )
+    path.write_text(least + more + text, encoding="utf-8")
+    found = surg_core.load_cell(folder / "cell").config.endoscope
+    assert (found.size, found.rate, found.swap, found.flip, found.latency) == (
+        (1920, 1080), 29.97, True, "rotate_180", 0.08,
+    )  # fmt: skip
 
 
 def test_machines_are_read_by_role(folder: Path) -> None:

@@ -210,6 +210,17 @@ struct CellClearance {
   int line = 0;  ///< of the section in the file; 0: the values above are the defaults
 };
 
+/// The source of a real endoscope's pictures.
+struct CellEndoscope {
+  std::string source;         ///< URI such as "v4l2:/dev/video0"
+  std::string layout;         ///< of the eyes in a grabbed picture: "two", "sbs", ...
+  int width = 0, height = 0;  ///< [px] of a grabbed picture; 0: as the device has it
+  double rate = 0;            ///< [1/s]; 0: as the device has it
+  bool swap = false;          ///< the left eye comes where the layout has the right one
+  std::string flip = "none";  ///< of each eye: "none", "horizontal", "vertical", "rotate_180"
+  double latency = 0;         ///< [s] from glass to stamp; subtracted from every stamp
+};
+
 /// A complete system: arms, machines, network.
 struct CellConfig {
   std::string file, name;
@@ -219,6 +230,7 @@ struct CellConfig {
   std::map<std::string, std::string> machines;
   std::vector<CellArm> arms;  ///< in the file's order
   CellClearance clearance = {};
+  std::optional<CellEndoscope> endoscope = {};  ///< none: the simulator's
 };
 
 /// With the simulator's link; see with_link.

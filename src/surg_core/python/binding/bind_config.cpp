@@ -272,6 +272,17 @@ void bind_cell(py::module_& m) {
           "fixtures", [](const CellArm& a) { return py::tuple(py::cast(a.fixtures)); },
           "Virtual fixtures, in the robot's base frame.");
 
+  py::class_<CellEndoscope>(m, "CellEndoscope", "The source of a real endoscope's pictures.")
+      .def_readonly("source", &CellEndoscope::source, "URI such as v4l2:/dev/video0.")
+      .def_readonly("layout", &CellEndoscope::layout, "Of the eyes in a grabbed picture.")
+      .def_property_readonly(
+          "size", [](const CellEndoscope& e) { return py::make_tuple(e.width, e.height); },
+          "Width and height of a grabbed picture [px]; 0, 0: as the device has it.")
+      .def_readonly("rate", &CellEndoscope::rate, "[1/s]; 0: as the device has it.")
+      .def_readonly("swap", &CellEndoscope::swap)
+      .def_readonly("flip", &CellEndoscope::flip)
+      .def_readonly("latency", &CellEndoscope::latency, "[s] From glass to stamp.");
+
   py::class_<CellConfig>(m, "CellConfig", "A user's whole system: cell.yaml.")
       .def_readonly("file", &CellConfig::file)
       .def_readonly("name", &CellConfig::name)
@@ -280,6 +291,8 @@ void bind_cell(py::module_& m) {
           "machines", [](const CellConfig& c) { return c.machines; },
           "IPv4 address on the isolated network by role: robot, operator, endoscope.")
       .def_readonly("clearance", &CellConfig::clearance)
+      .def_property_readonly(
+          "endoscope", [](const CellConfig& c) { return c.endoscope; }, "None: the simulator's.")
       .def_property_readonly("arms",
                              [](const CellConfig& c) { return py::tuple(py::cast(c.arms)); });
 }
