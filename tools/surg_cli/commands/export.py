@@ -48,6 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--drop", nargs="+", default=[], metavar="FEATURE", help="features to leave out")
     add("--max-image-age", type=float, default=0.1, metavar="S", help="oldest picture (0.1 s)")
     add("--max-gap", type=float, default=0.05, metavar="S", help="longest bridged gap (0.05 s)")
+    copy_help = "copy: take recorded videos as they are where possible (default encode)"
+    add("--video", choices=("encode", "copy"), default="encode", help=copy_help)
     add("--crf", type=int, default=18, metavar="Q", help="video quality, 0 best to 51 (18)")
     add("--gop", type=int, default=2, metavar="N", help="distance of key frames (2)")
     add("--preset", default="veryfast", help="of x264 (veryfast)")

@@ -18,6 +18,7 @@ from surg_cli.graph import (
 from surg_cli.graph.episode_plans import VIEWS, Condition
 from surg_cli.graph.system import Plan
 from surg_cli.host import cells, paths, preflight
+from surg_cli.host.option_types import add_video_quality, video_quality
 from surg_cli.host.terminal import Problem, Progress, is_interactive, say, table, warn
 
 LAWS = ("ours", "velocity", "paper")
@@ -42,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         choices=tuple(VIEWS),
         help="record the endoscope: left, or stereo (the option without a value)",
     )
+    add_video_quality(parser)
     add("--no-film", action="store_true", help="no film in the report, although there is a camera")
     add("--seed", type=int, default=0, metavar="S", help="of the first episode; then S + 1, …")
     add("--law", default="ours", metavar="L", help="control law: " + ", ".join(LAWS))
@@ -79,6 +81,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     )
     if options.free_run:
         plan = replace(plan, lockstep=False, run_info={**plan.run_info, "timing": "freerun"})
+    plan = replace(plan, record_quality=video_quality(options))
     out.mkdir(parents=True, exist_ok=True)
     count = len(conditions) * options.episodes
     say(

@@ -27,7 +27,7 @@ from surg_cli.graph.operator_nodes import BROWSER, WEB_PORT
 from surg_cli.graph.system import Node, Plan
 from surg_cli.graph.watch import Watch
 from surg_cli.host import cells, environment, paths, preflight
-from surg_cli.host.option_types import tcp_port
+from surg_cli.host.option_types import add_video_quality, tcp_port, video_quality
 from surg_cli.host.terminal import Problem, Progress, say
 
 DEFAULT_CELL = "sim_two_arms"
@@ -46,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--setting", default="phantom", metavar="W", help="phantom, ex_vivo or in_vivo")
     add("--seed", type=int, default=0, metavar="N", help="seed of the phantom")
     add("--stereo", action="store_true", help="both views of the endoscope")
+    add_video_quality(parser)
     add("--scale", type=float, default=0.2, metavar="K", help="tip motion per hand motion")
     add(
         "--leader",
@@ -191,6 +192,7 @@ def _plan(options: argparse.Namespace) -> Plan:
         arms=arms,
         lockstep=False,
         cameras=("left", "right") if options.stereo else ("left",),
+        record_quality=video_quality(options),
         seed=options.seed,
         out=paths.run_folder(options.out),
         task="" if task == "none" else task,

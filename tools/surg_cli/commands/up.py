@@ -14,7 +14,7 @@ from surg_cli.graph import follow, join, master, network, processes, roles, runn
 from surg_cli.graph.system import Plan
 from surg_cli.graph.watch import Watch
 from surg_cli.host import cells, environment, link_environments, paths, preflight
-from surg_cli.host.option_types import tcp_port
+from surg_cli.host.option_types import add_video_quality, tcp_port, video_quality
 from surg_cli.host.terminal import Problem, Progress, say, warn
 
 READY_TICKS = 100
@@ -62,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--no-video", action="store_true", help="without the endoscope camera")
     add("--stereo", action="store_true", help="both eyes of a stereo endoscope")
     add("--view", action="store_true", help="open the simulator's window (needs a display)")
+    add_video_quality(parser)
     for option, metavar, what in RECORDED:
         add(option, nargs="+", action="extend", default=[], metavar=metavar, help=what)
     add("--print", action="store_true", help="only print the rosrun line of every node")
@@ -104,6 +105,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         extra_participants=tuple(options.participant),
         record_topics=recorded[0],
         record_cameras=recorded[1],
+        record_quality=video_quality(options),
         run_info={"task": "up", "cell": str(cell)},
     )
     if options.print:

@@ -72,6 +72,7 @@ class Plan:
     record: bool = True
     record_topics: tuple[str, ...] = ()  # names and patterns of further topics to record
     record_cameras: tuple[str, ...] = ()  # topics of further cameras to record
+    record_quality: Mapping[str, object] = field(default_factory=dict)  # of videos: ~video_…
     # parameters of the operator node, None for a system without one
     operator: dict[str, object] | None = None
     task: str = ""  # name or file of the task that is played; empty: none
@@ -213,6 +214,7 @@ def nodes(plan: Plan) -> list[Node]:
             "cameras": [*plan.streams, *plan.record_cameras],
             "topics": list(plan.record_topics),
             "run_info": json.dumps(plan.run_info, sort_keys=True),
+            **plan.record_quality,
             **({"topics": list(POLICY_TOPICS)} if plan.policy is not None else {}),
         }
         started.append(Node(f"/{RECORDER}", "surg_recording", "recorder_node.py", params))

@@ -9,6 +9,33 @@ WHERE = "which episodes: 'success and setting == \"ex_vivo\"' (docs/guide/labell
 """Help of the option that selects episodes."""
 
 
+def add_video_quality(parser: argparse.ArgumentParser) -> None:
+    """Options of the quality of recorded videos; ``video_quality`` reads them."""
+    chosen = parser.add_mutually_exclusive_group()
+    chosen.add_argument(
+        "--video-crf", type=crf, metavar="Q", help="quality of recorded video, 0 best to 51 (23)"
+    )
+    chosen.add_argument(
+        "--video-lossless", action="store_true", help="keep every pixel of a recorded video"
+    )
+
+
+def video_quality(options: argparse.Namespace) -> dict[str, object]:
+    """The recorder's parameters of these options."""
+    chosen: dict[str, object] = (
+        {} if options.video_crf is None else {"video_crf": options.video_crf}
+    )
+    return {**chosen, **({"video_lossless": True} if options.video_lossless else {})}
+
+
+def crf(text: str) -> int:
+    """A constant quality of x264."""
+    value = _number_between(text, 0, 51, "a whole number from 0 (best) to 51")
+    if value != int(value):
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number from 0 (best) to 51")
+    return int(value)
+
+
 def positive(text: str) -> float:
     """A positive finite number."""
     return _number_between(text, math.ulp(0.0), 1e6, "a positive number")

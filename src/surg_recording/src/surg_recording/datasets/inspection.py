@@ -22,6 +22,7 @@ from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.verdicts import NOT_JUDGED, Verdict, has_tag, verdict
 from surg_recording.file_io import read_json
 from surg_recording.recording_errors import EpisodeError
+from surg_recording.video.video_encoder import ENCODINGS
 
 SUCCESS, RECOVERY, FAILURE = "success", "recovery", "failure"
 """Kinds of recordings; the last two get a split of their own."""
@@ -112,6 +113,10 @@ def look(folder: Path, options: ExportOptions) -> Candidate:
         )
     run, judged = _mapping(manifest.get("run")), verdict(manifest)
     remarks = integrity.remarks(recorded)
+    if options.cameras is None:
+        remarks += [
+            f"left out: {name}, values of {kind}" for name, kind in _measured(recorded).items()
+        ]
     if judged.disagreement:
         remarks.append(f"verdicts disagree, the first counts: {judged.disagreement}")
     return Candidate(
@@ -199,11 +204,17 @@ def _cameras(
 ) -> tuple[tuple[str, ...], tuple[tuple[int, int], ...]]:
     """Names of the cameras to export, and width and height of their pictures [px]."""
     videos, folder = recorded.manifest["videos"], recorded.folder
-    own = tuple(recorded.cameras)
+    measured = _measured(recorded)
+    own = tuple(camera for camera in recorded.cameras if camera not in measured)
     cameras = own if options.cameras is None else options.cameras
     sizes = []
     for camera in cameras:
         entry = videos.get(camera)
+        if camera in measured:
+            raise EpisodeError(
+                f"{folder}: {camera} holds values ({measured[camera]}), and data sets hold pictures"
+                f" of colours; allowed: {', '.join(own) or 'none'}"
+            )
         if not entry:
             raise EpisodeError(
                 f"{folder}: no camera {camera!r}; there are {', '.join(own) or 'none'}"
@@ -218,6 +229,16 @@ def _cameras(
             raise EpisodeError(f"{folder}: {camera} holds no frame")
         sizes.append(pictures.size_of(folder / f"{camera}.mp4"))
     return tuple(cameras), tuple(sizes)
+
+
+def _measured(recorded: Episode) -> dict[str, str]:
+    """Encodings of the cameras that hold measured values, such as depth."""
+    found, streams = {}, _mapping(recorded.manifest.get("camera_streams"))
+    for camera in recorded.cameras:
+        encoding = str(_mapping(streams.get(camera)).get("encoding"))
+        if encoding in ENCODINGS and ENCODINGS[encoding].codec != "h264":
+            found[camera] = encoding
+    return found
 
 
 def kind_of(manifest: Mapping[str, Any]) -> str:

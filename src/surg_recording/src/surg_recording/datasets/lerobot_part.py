@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
+import av
 import pyarrow.parquet as pq
 
-from surg_recording.datasets import pictures, schema
+from surg_recording.datasets import pictures, schema, stream_copy
 from surg_recording.datasets.exporter import Exporter
 from surg_recording.datasets.lerobot_tables import COLOURS, DATA, table_of
-from surg_recording.datasets.options import ExportOptions
+from surg_recording.datasets.options import COPY, ExportOptions
 from surg_recording.datasets.sampling import Sampled
 from surg_recording.recording_errors import EpisodeError
 
@@ -41,7 +42,7 @@ class LeRobotExporter(Exporter):
             seen = pictures.Seen()
             target = folder / f"{feature.name}.mp4"
             frames = pictures.watch(sampled.frames(feature.name), seen, grid.frames, options.size)
-            pictures.encode(frames, target, options)
+            self._write_video(sampled, feature.name, frames, target, options)
             pictures.check_video(target, options, seen.prints)
             if len(seen.prints) != grid.frames:
                 raise EpisodeError(
@@ -49,3 +50,27 @@ class LeRobotExporter(Exporter):
                 )
             counted[feature.name] = {"sampled": seen.sampled, "histogram": seen.histogram.tolist()}
         (folder / COLOURS).write_text(json.dumps(counted) + "\n", "utf-8")
+
+    def _write_video(
+        self,
+        sampled: Sampled,
+        feature: str,
+        frames: Iterator[av.VideoFrame],
+        target: Path,
+        options: ExportOptions,
+    ) -> None:
+        """Copy the recorded stream where that is asked for and possible; else encode anew."""
+        if options.video == COPY:
+            shown = sampled.pictures[feature]
+            path, indices = shown.video.path, [int(i) for i in shown.index]
+            obstacle = stream_copy.obstacle(path, indices, options)
+            if obstacle is None:
+                stream_copy.copy(path, indices, target, options)
+                for _ in frames:  # looked at all the same: thumbnails and colours
+                    pass
+                return
+            remark = f"{path.name} is encoded anew: {obstacle}"
+            remarks = sampled.notes.setdefault("remarks", [])
+            if remark not in remarks:  # a long recording has several pieces
+                remarks.append(remark)
+        pictures.encode(frames, target, options)

@@ -121,7 +121,8 @@ class LeRobotV30(LeRobotExporter):
         longest = [part.frames / fps / LONGEST_S for part in parts]
         sizes = [path.stat().st_size / (VIDEO_MB << 20) for path in paths]
         weights = [max(pair) for pair in zip(longest, sizes, strict=True)]
-        for file, members in enumerate(_groups(weights, 1.0)):
+        headers = [pictures.header_of(path) for path in paths]  # one codec setting in each file
+        for file, members in enumerate(_groups(weights, 1.0, headers)):
             path = out / VIDEO_PATH.format(video_key=name, **_numbers(file))
             path.parent.mkdir(parents=True, exist_ok=True)
             starts = pictures.join([paths[index] for index in members], path, fps)
@@ -251,12 +252,15 @@ def _texts(path: Path) -> list[str]:
     return [row[_PANDAS_INDEX] for row in rows]
 
 
-def _groups(sizes: list[float] | list[int], limit: float) -> list[list[int]]:
-    """Indices in order, in groups whose sizes sum to at most the limit (one at least)."""
+def _groups(
+    sizes: list[float] | list[int], limit: float, kinds: list[bytes] | None = None
+) -> list[list[int]]:
+    """Indices in order, in groups of one kind whose sizes sum to at most the limit (or one)."""
     groups: list[list[int]] = []
     filled = 0.0
     for index, size in enumerate(sizes):
-        if not groups or filled + size > limit:
+        other = bool(groups) and kinds is not None and kinds[index] != kinds[groups[-1][-1]]
+        if not groups or other or filled + size > limit:
             groups.append([])
             filled = 0.0
         groups[-1].append(index)

@@ -11,6 +11,8 @@ from surg_core.contract import ACTION_SPACES
 from surg_recording.episode.selection import Selection, SelectionError
 
 EXECUTORS = ("process", "serial", "dask")
+COPY = "copy"
+VIDEO = ("encode", COPY)
 SPLITS = ("train", "val", "test")
 SPLIT_BY = ("order", "hash")
 
@@ -34,6 +36,8 @@ class ExportOptions:
     """How actions are expressed: a key of ``surg_core.contract.ACTION_SPACES``."""
     instruction: str | None = None
     """Instruction in words; None: the recording's own, or its task's name."""
+    video: str = VIDEO[0]
+    """``copy``: do not encode a recorded video a second time where it can be taken as it is."""
     crf: int = 18
     """Constant quality of x264, 0 to 51, smaller is better."""
     gop: int = 2
@@ -72,6 +76,7 @@ class ExportOptions:
         _need(isinstance(self.fps, int) and 1 <= self.fps <= 1000, "fps", self.fps, "1 to 1000")
         known = self.action_space in ACTION_SPACES
         _need(known, "action-space", self.action_space, ", ".join(ACTION_SPACES))
+        _need(self.video in VIDEO, "video", self.video, ", ".join(VIDEO))
         _need(0 <= self.crf <= 51, "crf", self.crf, "0 to 51")
         _need(1 <= self.gop <= 1000, "gop", self.gop, "1 to 1000")
         _need(0 < self.max_image_age_s < 3600, "max-image-age", self.max_image_age_s, "over 0 s")
@@ -104,7 +109,7 @@ class ExportOptions:
 
 _CONTENT = (
     *("fps", "cameras", "size", "max_image_age_s", "max_gap_s", "drop", "instruction"),
-    *("action_space", "crf", "gop", "preset", "allow_incomplete", "allow_unsynchronised"),
+    *("action_space", "video", "crf", "gop", "preset", "allow_incomplete", "allow_unsynchronised"),
 )
 
 

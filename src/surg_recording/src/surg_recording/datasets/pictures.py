@@ -196,6 +196,12 @@ def join(parts: Sequence[Path], path: Path, fps: int) -> list[int]:
     return starts
 
 
+def header_of(path: Path) -> bytes:
+    """The decoder's settings of a video; only equal ones can be joined."""
+    with av.open(str(path)) as container:
+        return bytes(container.streams.video[0].codec_context.extradata or b"")
+
+
 def size_of(path: Path) -> tuple[int, int]:
     """Width and height of a video [px]; an EpisodeError if it cannot be read."""
     regular_file(path)

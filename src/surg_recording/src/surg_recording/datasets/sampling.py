@@ -28,11 +28,11 @@ from surg_core.contract import (
     TASK_STATE_KEY,
     image_key,
 )
-from surg_recording.datasets import pictures, schema
+from surg_recording.datasets import pictures, schema, stream_copy
 from surg_recording.datasets.arm_motion import ArmCycles, ArmMotion
 from surg_recording.datasets.frame_columns import Columns
 from surg_recording.datasets.inspection import Candidate
-from surg_recording.datasets.options import ExportOptions
+from surg_recording.datasets.options import COPY, ExportOptions
 from surg_recording.datasets.resample import (
     Grid,
     Stamps,
@@ -193,6 +193,12 @@ def _grid(
     lasts += [s[-1] for s in (*pictures_ns, *tables.values())]
     end = int(min(*lasts, trim[1]))
     reference = pictures_ns[0] if pictures_ns else observed
+    if videos and options.video == COPY:  # a copied video begins with a key frame
+        video = next(iter(videos.values()))
+        keys = video.frames["stamp_ns"][
+            np.isin(video.frames["frame"], stream_copy.keys(video.path))
+        ]
+        reference = keys if (keys >= begin).any() else reference
     if reference is not None:
         later = reference[reference >= begin]
         begin = int(later[0]) if len(later) else end + 1

@@ -23,6 +23,7 @@ from surg_recording.episode.message_fields import Flat
 from surg_recording.episode.topic_tables import TopicTables
 from surg_recording.video.camera_set import CameraSet
 from surg_recording.video.image_frame import frame_of
+from surg_recording.video.video_encoder import CRF
 
 TASK_STATE = "task_state"
 """Table of a task's ground truth."""
@@ -50,6 +51,7 @@ class Recording:
         manifest: Mapping[str, Any],
         min_free_bytes: int = MIN_FREE_BYTES,
         video_preset: str = "ultrafast",
+        video_quality: str = str(CRF),
         stop_free_bytes: int = STOP_FREE_BYTES,
     ) -> None:
         """Create the folder and start writing.
@@ -62,6 +64,7 @@ class Recording:
             manifest: Facts known at the start.
             min_free_bytes: Free space needed to start [bytes].
             video_preset: Preset of x264.
+            video_quality: crf of x264, or ``lossless``.
             stop_free_bytes: Free space at which the recording ends by itself [bytes].
 
         Raises:
@@ -92,6 +95,7 @@ class Recording:
             cameras,
             block=self._lockstep,
             preset=video_preset,
+            quality=video_quality,
             keep_open=(self._folder.lock,),
         )
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_recording.episode.episode_writer import MIN_FREE_BYTES
+from surg_recording.video.video_encoder import CRF, LOSSLESS
 from surg_ros.camera_topic import camera_topic
 from surg_ros.params import ParamError, dictionary, flag, names, one_of, path, whole
 
@@ -29,6 +30,8 @@ class Settings:
         autostart: Record from the first message; False: wait for /record/record.
         min_free_bytes: Stop with less free space on the disk [bytes].
         video_preset: Encoder preset.
+        video_crf: Quality of videos: crf of x264, 0 (best) to 51.
+        video_lossless: Keep every pixel as it was, whatever ``video_crf`` says.
     """
 
     out: Path = path()
@@ -41,12 +44,19 @@ class Settings:
     autostart: bool = flag(True)
     min_free_bytes: int = whole(0, 10**19, MIN_FREE_BYTES)
     video_preset: str = one_of(PRESETS, "ultrafast")
+    video_crf: int = whole(0, 51, CRF)
+    video_lossless: bool = flag(False)
 
     def __post_init__(self) -> None:
         """Strips slashes off the arms' names; a ParamError if a camera is named twice."""
         object.__setattr__(self, "arms", tuple(name.strip("/") for name in self.arms))
         if len(self.camera_topics) != len(self.cameras):
             raise ParamError("cameras", list(self.cameras), "each camera once, by name or by topic")
+
+    @property
+    def video_quality(self) -> str:
+        """Quality of videos, for ``EpisodeRecorder``."""
+        return LOSSLESS if self.video_lossless else str(self.video_crf)
 
     @property
     def camera_topics(self) -> dict[str, str]:

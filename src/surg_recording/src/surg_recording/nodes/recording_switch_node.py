@@ -67,6 +67,7 @@ class RecordingSwitch:
                     manifest=manifest,
                     min_free_bytes=settings.min_free_bytes,
                     video_preset=settings.video_preset,
+                    video_quality=settings.video_quality,
                 )
                 state.problem = state.finished = None
                 state.started = True

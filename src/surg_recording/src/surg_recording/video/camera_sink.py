@@ -1,9 +1,9 @@
 """Writes one camera of an episode: one video, or several parts.
 
 A video has one size and increasing times. The next part, ``<camera>.2.mp4`` with its own sidecar,
-begins when the camera changes its size, its clock is set back or jumps far ahead, or its encoder
-dies. Frames that the encoder had not taken go into the next part. A camera that needs too many
-parts is no longer recorded, and its frames are counted as dropped.
+begins when the camera changes its size or kind of pixels, its clock is set back or jumps far ahead,
+or its encoder dies. Frames that the encoder had not taken go into the next part. A camera that
+needs too many parts is no longer recorded, and its frames are counted as dropped.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
+from surg_recording.video.video_encoder import ENCODINGS
 from surg_recording.video.video_sink import Frame, VideoSink, unusable
 
 MAX_PARTS = 8
@@ -81,6 +82,7 @@ class CameraSink:
         return {
             "size": self._parts[0].size,
             "encoding": self._parts[0].encoding,
+            "quality": self._parts[0].quality,
             "last_skip": self.last_skip,
             "repeated": self.repeated,
             "parts": len([part for part in self._parts if part.frames]),
@@ -108,8 +110,12 @@ class CameraSink:
         size = self.part.size
         if self.part.error is not None:
             self._next_part(f"the encoder failed ({self.part.error})")
-        elif size and unusable(frame) is None and size != f"{frame.width}x{frame.height}":
-            self._next_part(f"its size changed from {size} to {frame.width}x{frame.height}")
+        elif size and unusable(frame) is None:
+            if size != f"{frame.width}x{frame.height}":
+                self._next_part(f"its size changed from {size} to {frame.width}x{frame.height}")
+            elif _codec(frame.encoding) != _codec(self.part.encoding):
+                change = f"from {self.part.encoding} to {frame.encoding}"
+                self._next_part(f"its encoding changed {change}")
         return self.part.put(frame)
 
     def _discontinuity(self, frame: Frame, last: int) -> str | None:
@@ -169,3 +175,8 @@ class CameraSink:
         self._number += 1
         suffix = "" if self._number == 1 else f".{self._number}"
         return self._start(f"{self.name}{suffix}", missed=missed)
+
+
+def _codec(encoding: str) -> str:
+    """The codec of a ROS image encoding."""
+    return ENCODINGS[encoding].codec

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from surg_recording.video import compressed_image
 from surg_recording.video.video_sink import Frame
+
+_WIDE = {"mono16": "<u2", "16UC1": "<u2", "32FC1": "<u4"}
+"""Encodings whose values have several bytes, and their type."""
 
 
 def frame_of(message: Any, stamp_ns: int, receive_ns: int) -> Frame:
@@ -13,6 +18,12 @@ def frame_of(message: Any, stamp_ns: int, receive_ns: int) -> Frame:
     data, coding = message.data, getattr(message, "format", None)
     if coding is None:
         size = message.width, message.height, message.step
+        if message.encoding in _WIDE and message.is_bigendian:
+            kind = np.dtype(_WIDE[message.encoding])
+            if len(data) % kind.itemsize:
+                problem = f"{len(data)} bytes are no whole number of {message.encoding} values"
+                return Frame(data, *size, message.encoding, stamp_ns, receive_ns, problem)
+            data = np.frombuffer(data, kind).byteswap().tobytes()
         return Frame(data, *size, message.encoding, stamp_ns, receive_ns)
     try:
         coded = compressed_image.look(data, coding)

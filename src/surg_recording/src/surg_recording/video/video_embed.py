@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from surg_recording.recording_errors import EpisodeError
-from surg_recording.video import video_file
+from surg_recording.video import exact_values, video_file
 from surg_recording.video.video_encoder import MICROSECONDS
 
 SMALL_WIDTH = 480
@@ -38,14 +38,22 @@ def embed(path: Path, budget: int, progress: Callable[[int], None] | None = None
     """Read a video so that a browser can seek in it; an EpisodeError if it is unreadable.
 
     The recorder's fragments are joined without encoding them again. A file of more than ``budget``
-    bytes is encoded again: smaller, and only every n-th frame.
+    bytes, or in a format that browsers do not play, is encoded again: smaller, and perhaps not
+    every frame. Measured values become grey pictures.
     """
     try:
-        if path.stat().st_size <= budget:
+        if path.stat().st_size <= budget and _plays(path):
             return _copy(path)
         return _thin_out(path, budget, progress)
     except (av.error.FFmpegError, IndexError, OSError) as problem:
         raise EpisodeError(f"{path}: no readable video ({problem})") from problem
+
+
+def _plays(path: Path) -> bool:
+    """Whether browsers play a video as it is."""
+    with av.open(str(path)) as source:
+        context = source.streams.video[0].codec_context
+        return bool(context.name == "h264" and context.pix_fmt == "yuv420p")
 
 
 def _copy(path: Path) -> Embedded:
@@ -73,7 +81,8 @@ def _thin_out(path: Path, budget: int, progress: Callable[[int], None] | None) -
     frames: list[int] = []
     pts: list[int] = []
     with av.open(str(path)) as source, av.open(target, "w", format="mp4") as out:
-        given = source.streams.video[0].codec_context
+        video = source.streams.video[0]
+        given, exact = video.codec_context, exact_values.is_exact(video)
         width = min(SMALL_WIDTH, given.width) & ~1
         height = round(given.height * width / given.width) & ~1
         options = {"preset": "veryfast", "crf": "28", "bf": "0"}
@@ -87,7 +96,8 @@ def _thin_out(path: Path, budget: int, progress: Callable[[int], None] | None) -
                 if number % nth:
                     continue
                 at = _microseconds(frame)
-                small = frame.reformat(width=width, height=height, format="yuv420p")
+                shown = exact_values.picture(frame) if exact else frame
+                small = shown.reformat(width=width, height=height, format="yuv420p")
                 small.pts, small.time_base = at, MICROSECONDS
                 small.pict_type = "NONE"
                 out.mux(stream.encode(small))

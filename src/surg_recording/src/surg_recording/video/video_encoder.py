@@ -17,31 +17,53 @@ import os
 import signal
 import struct
 import sys
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import av
 import numpy as np
 import numpy.typing as npt
 
 Image = npt.NDArray[np.uint8]
+Values = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 HEADER = struct.Struct("<qqqIIIIQ")
 """stamp_ns, receive_ns, frames dropped before this one, width, height, bytes per row, encoding
 (index into ``ENCODINGS``), number of bytes that follow."""
 
-ENCODINGS: dict[str, tuple[str, int]] = {
-    "rgb8": ("rgb24", 3),
-    "bgr8": ("bgr24", 3),
-    "mono8": ("gray", 1),
-    "8UC3": ("bgr24", 3),
-    "8UC1": ("gray", 1),
-    "rgba8": ("rgba", 4),
-    "bgra8": ("bgra", 4),
-    "yuv422_yuy2": ("yuyv422", 2),
-    "jpeg": ("bgr24", 0),
-    "png": ("bgr24", 0),
+CRF = 23
+"""Quality of a recording, if nothing else is asked for."""
+
+LOSSLESS = "lossless"
+"""Quality at which every pixel comes back as it was; the others are x264's crf, 0 to 51."""
+
+
+class Pixels(NamedTuple):
+    """How the pixels of a ROS image encoding are written."""
+
+    format: str
+    """PyAV pixel format of the frames given to the encoder."""
+    size: int
+    """Bytes per pixel; 0: a compressed picture."""
+    codec: str = "h264"
+    """``png``: measured values, such as depth, which are always kept bit for bit."""
+
+
+ENCODINGS: dict[str, Pixels] = {
+    "rgb8": Pixels("rgb24", 3),
+    "bgr8": Pixels("bgr24", 3),
+    "mono8": Pixels("gray", 1),
+    "8UC3": Pixels("bgr24", 3),
+    "8UC1": Pixels("gray", 1),
+    "rgba8": Pixels("rgba", 4),
+    "bgra8": Pixels("bgra", 4),
+    "yuv422_yuy2": Pixels("yuyv422", 2),
+    "jpeg": Pixels("bgr24", 0),
+    "png": Pixels("bgr24", 0),
+    "mono16": Pixels("gray16le", 2, "png"),
+    "16UC1": Pixels("gray16le", 2, "png"),
+    "32FC1": Pixels("rgba", 4, "png"),  # the four bytes of a number, little-endian
 }
-"""ROS image encoding → PyAV pixel format and bytes per pixel; 0: a compressed picture."""
+"""ROS image encoding → how it is written. Values of several bytes are little-endian here."""
 
 _FORMATS = list(ENCODINGS.values())
 
@@ -57,18 +79,18 @@ CONTAINER_OPTIONS = {
 
 
 class Encoder:
-    """One MP4 file (H.264, variable frame rate, microseconds) and its sidecar CSV."""
+    """One MP4 file (variable frame rate, microseconds) and its sidecar CSV.
 
-    def __init__(self, path: str, sidecar: str, preset: str) -> None:
+    H.264, in 4:2:0 or without loss; measured values are PNG pictures in the same container, because
+    FFmpeg writes no FFV1 into MP4 and only fragmented MP4 survives a killed recorder.
+    """
+
+    def __init__(self, path: str, sidecar: str, preset: str, quality: str) -> None:
         self._path, self._sidecar_path = path, sidecar
         self._container: av.container.OutputContainer | None = None
         self._sidecar = -1
-        self._options = {
-            "preset": preset,
-            "crf": "23",
-            "tune": "zerolatency",  # no look-ahead: a frame that went in comes out at once
-            "bf": "0",
-        }
+        self._preset, self._quality = preset, quality
+        self._pixels = ""
         self._stream: av.video.stream.VideoStream | None = None
         self._first_stamp = 0
         self._last_pts = -1
@@ -77,7 +99,7 @@ class Encoder:
         self.frames = 0
 
     def add(
-        self, image: Image, pixels: str, stamp_ns: int, receive_ns: int, dropped: int
+        self, image: Image, pixels: Pixels, stamp_ns: int, receive_ns: int, dropped: int
     ) -> str | None:
         """Encode one image; returns why it was skipped, or None.
 
@@ -86,7 +108,10 @@ class Encoder:
         self._missing += dropped
         height, width = image.shape[:2]
         if self._stream is None:
-            self._open(width, height, stamp_ns)
+            self._open(width, height, pixels, stamp_ns)
+        if pixels.codec != self._pixels:
+            self._missing += 1
+            return f"the camera changed from {self._pixels} to {pixels.codec}"
         if (width, height) != self._size:
             self._missing += 1
             before = "x".join(map(str, self._size))
@@ -96,13 +121,12 @@ class Encoder:
             self._missing += 1
             return f"stamp {stamp_ns} is not later than the frame before"
         self._last_pts = pts
-        # H.264 4:2:0 has even sizes: an odd last row or column is cut off.
-        frame = av.VideoFrame.from_ndarray(
-            np.ascontiguousarray(image[: height & ~1, : width & ~1]), format=pixels
-        )
+        assert self._stream is not None and self._container is not None
+        values, layout = self._values(image, pixels)
+        cut = values[: self._stream.height, : self._stream.width]
+        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(cut), format=layout)
         frame.pts = pts
         frame.time_base = MICROSECONDS
-        assert self._stream is not None and self._container is not None
         packets = self._stream.encode(frame)
         os.write(
             self._sidecar, f"{self.frames},{stamp_ns},{receive_ns},{pts},{self._missing}\n".encode()
@@ -111,6 +135,15 @@ class Encoder:
         self._missing = 0
         self._container.mux(packets)
         return None
+
+    def _values(self, image: Image, pixels: Pixels) -> tuple[Values, str]:
+        """An image as the encoder takes it, and its PyAV pixel format."""
+        if pixels.format == "gray16le":
+            return image.reshape(*image.shape[:2], 2).view("<u2")[..., 0], "gray16le"
+        if self._quality == LOSSLESS and pixels.format == "gray":
+            # FFmpeg would stretch grey to the levels of video, and back with rounding.
+            return np.repeat(image.reshape(*image.shape[:2], 1), 3, axis=2), "rgb24"
+        return image, pixels.format
 
     def miss(self, dropped: int) -> None:
         """Count an image that could not be decoded, and those lost before it."""
@@ -128,20 +161,38 @@ class Encoder:
             os.fsync(self._sidecar)
             os.close(self._sidecar)
 
-    def _open(self, width: int, height: int, stamp_ns: int) -> None:
+    def _open(self, width: int, height: int, pixels: Pixels, stamp_ns: int) -> None:
         """Create the files for the first image."""
         flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
         self._sidecar = os.open(self._sidecar_path, flags, 0o644)
         os.write(self._sidecar, b"frame,stamp_ns,receive_ns,pts,dropped\n")
         self._container = av.open(self._path, "w", format="mp4", options=CONTAINER_OPTIONS)
-        stream = self._container.add_stream("libx264", rate=60, options=self._options)
-        stream.width, stream.height = width & ~1, height & ~1
-        stream.pix_fmt = "yuv420p"
+        name, layout, options = _codec(pixels, self._preset, self._quality)
+        stream = self._container.add_stream(name, rate=60, options=options)
+        stream.pix_fmt = layout
+        # 4:2:0 and 4:2:2 have even sizes: an odd last row or column is cut off.
+        last = 1 if layout.startswith("yuv") else 0
+        stream.width, stream.height = width - (width & last), height - (height & last)
         stream.time_base = MICROSECONDS
         stream.codec_context.time_base = MICROSECONDS
         stream.codec_context.gop_size = 20
         stream.codec_context.thread_count = 1
         self._stream, self._size, self._first_stamp = stream, (width, height), stamp_ns
+        self._pixels = pixels.codec
+
+
+def _codec(pixels: Pixels, preset: str, quality: str) -> tuple[str, str, dict[str, str]]:
+    """FFmpeg's encoder, its pixel format and options."""
+    if pixels.codec == "png":
+        layout = "gray16be" if pixels.format == "gray16le" else pixels.format
+        return "png", layout, {"compression_level": "1", "pred": "up"}
+    # No look-ahead and no B-frames: a frame that went in comes out at once.
+    options = {"preset": preset, "tune": "zerolatency", "bf": "0"}
+    if quality != LOSSLESS:
+        return "libx264", "yuv420p", {**options, "crf": quality}
+    if pixels.format == "yuyv422":
+        return "libx264", "yuv422p", {**options, "qp": "0"}
+    return "libx264rgb", "rgb24", {**options, "qp": "0"}
 
 
 def _read_exactly(source: BinaryIO, count: int) -> bytes | None:
@@ -165,9 +216,11 @@ def run(source: BinaryIO, encoder: Encoder) -> None:
         data = _read_exactly(source, size)
         if data is None:
             return
-        pixels, channels = _FORMATS[code]
+        pixels = _FORMATS[code]
         try:
-            image = rows_of(data, width, height, step, channels) if channels else decoded(data)
+            image = (
+                rows_of(data, width, height, step, pixels.size) if pixels.size else decoded(data)
+            )
             if image.shape[:2] != (height, width):
                 raise ValueError(f"{image.shape[1]}x{image.shape[0]} pixels came out")
         except ValueError as problem:
@@ -203,7 +256,7 @@ def decoded(data: bytes) -> Image:
 
 
 def main(arguments: list[str]) -> int:
-    """``video_encoder.py VIDEO SIDECAR PRESET``; returns the exit code."""
+    """``video_encoder.py VIDEO SIDECAR PRESET QUALITY``; returns the exit code."""
     # Ctrl-C reaches the whole terminal group: the end of the input is the only stop.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)

@@ -56,6 +56,7 @@ class VideoSink:
         *,
         block: bool,
         preset: str = "ultrafast",
+        quality: str = str(video_encoder.CRF),
         queue_limit: int = QUEUE_LIMIT,
         keep_open: tuple[int, ...] = (),
         missed: int = 0,
@@ -67,12 +68,14 @@ class VideoSink:
             name: Camera; both files are named after it.
             block: Wait for room instead of dropping (lock-step).
             preset: x264: ``ultrafast`` (13 ms per 2×720p pair) or ``veryfast`` (23 ms, smaller).
+            quality: x264's crf, or ``lossless``.
             queue_limit: Frames that may wait.
             keep_open: File descriptors that the encoder inherits (the episode's lock).
             missed: Frames of the camera that were lost before the first of this video.
         """
         self.path, self.sidecar = folder / f"{name}.mp4", folder / f"{name}.csv"
         self.name = name
+        self.quality = quality
         self.received = 0
         self.dropped = 0
         """Frames not written: queue full, unusable, or after a failure."""
@@ -87,15 +90,17 @@ class VideoSink:
         self._ending = self._counted = False
         self._ready = threading.Event()
         self._dropped_since = missed
-        self._process = self._start_encoder(preset, keep_open)
+        self._process = self._start_encoder(preset, quality, keep_open)
         self._feeder = threading.Thread(target=self._feed, name=f"video_{name}", daemon=True)
         self._listener = threading.Thread(target=self._listen, name=f"answers_{name}", daemon=True)
         self._feeder.start()
         self._listener.start()
 
-    def _start_encoder(self, preset: str, keep_open: tuple[int, ...]) -> subprocess.Popen[bytes]:
+    def _start_encoder(
+        self, preset: str, quality: str, keep_open: tuple[int, ...]
+    ) -> subprocess.Popen[bytes]:
         process = subprocess.Popen(
-            [sys.executable, video_encoder.__file__, self.path, self.sidecar, preset],
+            [sys.executable, video_encoder.__file__, self.path, self.sidecar, preset, quality],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             pass_fds=keep_open,
@@ -110,6 +115,13 @@ class VideoSink:
     def wait_ready(self, timeout_s: float) -> bool:
         """Wait until the encoder takes frames; until then they stay in memory."""
         return self._ready.wait(timeout_s)
+
+    @property
+    def exact(self) -> bool:
+        """Whether every value comes back as it was."""
+        pixels = video_encoder.ENCODINGS.get(self.encoding)
+        lossless = self.quality == video_encoder.LOSSLESS
+        return lossless or (pixels is not None and pixels.codec == "png")
 
     @property
     def pid(self) -> int:
@@ -278,7 +290,7 @@ def unusable(frame: Frame) -> str | None:
     if frame.encoding not in video_encoder.ENCODINGS:
         return f"encoding {frame.encoding!r}; allowed: {', '.join(video_encoder.ENCODINGS)}"
     width, height, step, size = frame.width, frame.height, frame.step, len(frame.data)
-    channels = video_encoder.ENCODINGS[frame.encoding][1]
+    channels = video_encoder.ENCODINGS[frame.encoding].size
     if not channels and min(width, height) >= 2:
         return None
     if width < 2 or height < 2 or step < width * channels or size != step * height:

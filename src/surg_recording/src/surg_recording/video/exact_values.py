@@ -1,0 +1,82 @@
+"""Frames of measured values, such as depth: as numbers, and as pictures to look at.
+
+The recorder keeps them bit for bit: 16-bit values as grey PNG pictures, 32-bit numbers as the four
+bytes of an RGBA picture (``video_encoder.ENCODINGS``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import numpy.typing as npt
+
+from surg_recording.recording_errors import EpisodeError
+
+Values = npt.NDArray[Any]
+
+FORMATS = {"gray16be": "16UC1", "rgba": "32FC1"}
+"""Pixel formats of the recorder's PNG videos, and what their values are."""
+
+
+def is_exact(video: av.VideoStream) -> bool:
+    """Whether a video holds measured values."""
+    return video.codec_context.name == "png" and video.codec_context.pix_fmt in FORMATS
+
+
+def read(path: Path, indices: Sequence[int] | None = None) -> Iterator[Values]:
+    """The values of a video's frames: (height, width), uint16 or float32, as the camera sent them.
+
+    Args:
+        path: Video of a camera whose encoding is mono16, 16UC1 or 32FC1.
+        indices: Frames to read, increasing; None: all.
+
+    Raises:
+        EpisodeError: The video cannot be read, holds colours, or ends before an index.
+    """
+    wanted = None if indices is None else list(indices)
+    try:
+        with av.open(str(path)) as container:
+            video = container.streams.video[0]
+            if not is_exact(video):
+                kind = f"{video.codec_context.name}, {video.codec_context.pix_fmt}"
+                raise EpisodeError(
+                    f"{path}: a video of colours ({kind}); values of mono16, 16UC1 and 32FC1 "
+                    "cameras can be read"
+                )
+            for number, frame in enumerate(container.decode(video=0)):
+                if wanted is None:
+                    yield values(frame)
+                elif not wanted:
+                    return
+                elif number == wanted[0]:
+                    wanted.pop(0)
+                    yield values(frame)
+    except (av.error.FFmpegError, IndexError) as problem:
+        raise EpisodeError(f"{path}: no readable video ({problem})") from problem
+    if wanted:
+        raise EpisodeError(f"{path}: frame {wanted[0]} is needed, it has {number + 1}")
+
+
+def values(frame: av.VideoFrame) -> Values:
+    """The numbers of a frame, (height, width)."""
+    if frame.format.name == "rgba":
+        return np.ascontiguousarray(frame.to_ndarray()).view("<f4")[..., 0]
+    return frame.to_ndarray(format="gray16le")
+
+
+def picture(frame: av.VideoFrame) -> av.VideoFrame:
+    """A grey picture of a frame's values: near is bright, what is zero or not finite is black."""
+    numbers = values(frame).astype(np.float64)
+    known = np.isfinite(numbers) & (numbers > 0)
+    shown = np.zeros(numbers.shape, np.uint8)
+    if known.any():
+        near, far = np.percentile(numbers[known], (2, 98))
+        share = (far - numbers[known]) / max(far - near, 1e-9)
+        shown[known] = np.round(40 + 215 * np.clip(share, 0, 1))
+    made = av.VideoFrame.from_ndarray(shown, format="gray")
+    made.pts, made.time_base = frame.pts, frame.time_base
+    return made
