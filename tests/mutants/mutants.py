@@ -351,6 +351,13 @@ MUTANTS: tuple[Mutant, ...] = (
         "requested - std::min(0.0, requested.dot(push)) * push",
         "requested - std::max(0.0, requested.dot(push)) * push",
     ),
+    one(
+        "overshoot_pulled_back",
+        "F25: an arm that overshot away from a force is pulled back against it",
+        "src/law/exact_follower.cpp",
+        "if (into > 0) error +=",
+        "if (false) error +=",
+    ),
     # -- state
     one(
         "watchdog_one_cycle_late",

@@ -610,6 +610,7 @@ class Run {
       }
     }
     at_ = truth(measured(), out.qd_command.size() == 6 ? out.qd_command : last_, tool_, p_rcm_);
+    v_slow_ += std::min(1.0, robot_.tuning.rcm_gain * kT) * (out.v_set - v_slow_);
     (void)in;
   }
 
@@ -792,6 +793,28 @@ class Run {
     return truth(measured() + ahead * out.qd_command, out.qd_command, tool_, p_rcm_).v_tip;
   }
 
+  /// What is left of 'rest' beside a pull towards the set-point and some of 'late'.
+  static Vector3 beyond(const Vector3& rest, const Vector3& error, const Vector3& late) {
+    const auto share = [](const Vector3& v, const Vector3& of, double most) {
+      return of.squaredNorm() > 0 ? std::clamp(v.dot(of) / of.squaredNorm(), 0.0, most) : 0.0;
+    };
+    double g = 0, h = 0;
+    for (int i = 0; i < 5; ++i) {
+      g = share(rest - h * late, error, 1 / kT);
+      h = share(rest - g * error, late, 1);
+    }
+    return rest - g * error - h * late;
+  }
+
+  /// [m/s] with which the exact form puts right a lag L that it does not know: e' = L a - K e for
+  /// the part of the error that comes from it, beside what a limit may have left. Of that
+  /// K e = L K (v - v behind a low-pass of 1 / K).
+  Vector3 late_correction(const Outputs& out) const {
+    const double K = robot_.tuning.rcm_gain;
+    const bool unknown = plant_kind() == kLagUnknown && options_.law == Law::kExact;
+    return unknown ? Vector3(kLag * K * (out.v_set - v_slow_)) : Vector3(Vector3::Zero());
+  }
+
   /// The tip moves as the set-point does, plus towards the set-point: v - v_set = g (p_set - p_tip)
   /// with some 0 <= g <= 1/T. Holds for every form of the law; one with a wrong vector fails.
   Failure tip_velocity(const Inputs& in, const Outputs& out) {
@@ -817,9 +840,7 @@ class Run {
     }
     if (!plain || limited_ago_ < 100) return {};
     const Vector3 error = before_.p_set - at_.p_tip, rest = v_tip(out) - out.v_set;
-    const double size = error.squaredNorm();
-    const double g = size > 0 ? std::clamp(rest.dot(error) / size, 0.0, 1 / kT) : 0.0;
-    const double residual = (rest - g * error).norm();
+    const double residual = beyond(rest, error, late_correction(out)).norm();
     ++figures_.tip_checked;
     double& worst = figures_.worst_tip_velocity[plant_kind()][options_.track_rcm];
     worst = std::max(worst, residual);
@@ -976,8 +997,9 @@ class Run {
   int blind_for_ = 0, tool_blind_for_ = 0;
   long still_for_ = 0, stop_from_ = -1;
   Vector3 p_stop_ = Vector3::Zero(), p_rcm_stop_ = Vector3::Zero();
-  double excess_ = 0;  // of the command over the joints' acceleration limits
-  double into_ = 0;    // [m/s] against the force
+  double excess_ = 0;                 // of the command over the joints' acceleration limits
+  double into_ = 0;                   // [m/s] against the force
+  Vector3 v_slow_ = Vector3::Zero();  // [m/s] of the set-point
   double stop_bound_ = 0, v_tip_before_ = 0, pivot_start_ = 0, pivot_since_ = 0;
   double outside_start_ = 0;
 };

@@ -183,6 +183,8 @@ struct Controller::Impl {
   Step exact_step(const Setpoint& next, JointVector& qd);
   /// Moves the reference by a step and returns the command with which the arm follows it.
   JointVector follow(const Step& step);
+  /// The force at the tip while the force guard yields, as the follower needs it.
+  ExactFollower::Push push_on_joints() const;
   /// Velocity form and the paper's law, from the measured state predicted for the command.
   Step velocity_step(const Setpoint& next, JointVector& qd) const;
   /// Ends a retrace: the trace continues from the point that was reached.

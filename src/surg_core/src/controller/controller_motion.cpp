@@ -2,6 +2,7 @@
 #include <cmath>
 
 #include "controller/controller_impl.hpp"
+#include "surg_core/law/rcm.hpp"
 #include "surg_core/limits/flange_cap.hpp"
 
 namespace surg {
@@ -157,7 +158,20 @@ JointVector Controller::Impl::follow(const Step& step) {
     follower.skip(dq);
     return qd_last;
   }
-  return follower.advance(dq, arm.measured().q, arm.measured().J, feedback_scale(), clock.rest());
+  ExactFollower::Push push;
+  const bool pushed = !force.push().isZero(0) && !handler.retracing();
+  if (pushed) push = push_on_joints();
+  return follower.advance(dq, arm.measured().q, arm.measured().J, feedback_scale(), clock.rest(),
+                          pushed ? &push : nullptr);
+}
+
+ExactFollower::Push Controller::Impl::push_on_joints() const {
+  const Jacobian& J = arm.measured().J;
+  const Vector3 f = force.push(), lever = shaft().p_BTip - shaft().p_BF;
+  Vector6 wrench;
+  wrench << f, lever.cross(f);
+  const Vector6 twist = rcm_twist(shaft(), f, 0, Vector3::Zero(), 0, limits.depth_min);
+  return {J.transpose() * wrench, inverse_velocity(J, twist, JointVector::Zero(J.cols())).qd};
 }
 
 Step Controller::Impl::velocity_step(const Setpoint& next, JointVector& qd) const {

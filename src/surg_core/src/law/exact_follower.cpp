@@ -61,7 +61,7 @@ void ExactFollower::take_up(const JointVector& qd) {
 }
 
 JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, const Jacobian& J,
-                                   double feedback_scale, double since) {
+                                   double feedback_scale, double since, const Push* push) {
   const double gain = feedback_scale * options_.gain;
   const JointVector v = push_reference(dq);
   const JointVector& a = history_[newest_].a;
@@ -72,7 +72,10 @@ JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, 
                                  : history_[(newest_ + kHistory - n_late_ + 1) % kHistory].q;
     late += since / options_.T * (next - late);
   }
-  const JointVector error = late - q;
+  JointVector error = late - q;
+  // An arm that overshot away from the force stays there: the way back raises the force.
+  const double into = push ? -push->tip.dot(error) : 0.0;
+  if (into > 0) error += into * push->way;
   if (rejoins_) {  // from the last command, all joints by one factor
     correction_ = qd_last_ - v;
     rejoins_ = false;
@@ -80,7 +83,7 @@ JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, 
   }
   settling_ = std::max(settling_ - 1, 0);
   JointVector change(q.size());
-  bool linear = true;
+  bool linear = !(into > 0);
   for (Eigen::Index i = 0; i < q.size(); ++i) {
     const double pull = feedback(i, error[i], gain);
     linear = linear && pull == gain * error[i];

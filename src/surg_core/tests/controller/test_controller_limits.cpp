@@ -106,6 +106,40 @@ TEST(ControllerLimits, F25TheWayBackToThePathYieldsInTheExactFormToo) {
   }
 }
 
+TEST(ControllerLimits, F25AnArmThatOvershotAwayFromAForceIsNotPulledBackAgainstIt) {
+  for (const double side : {-1.0, 1.0}) {  // the force stands against the way back, or helps
+    Bench bench({}, 2, 0.008);             // a lag of 12 ms that nobody has stated
+    MotionCommand command;
+    command.source = test::kMe;
+    command.motion = Motion::kServoCv;
+    const auto drive = [&](double v, int cycles) {
+      command.p = Vector3(v, 0, 0);
+      for (int i = 0; i < cycles; ++i) {
+        bench.send(command);
+        bench.tick();
+      }
+    };
+    drive(0.08, 150);
+    drive(0, 40);  // the arm is 0.4 mm beyond its set-point
+    const Vector3 x = bench.controller().X_BR().linear().col(0);
+    bench.in().tip_force = {true, Vector3(6 * -side * x)};
+    double farthest = -1, back = 0;  // [m]
+    for (int k = 0; k < 45; ++k) {
+      drive(0, 1);
+      farthest = std::max(farthest, bench.tip_in_R().x());
+      back = farthest - bench.tip_in_R().x();
+      ASSERT_EQ(bench.out().state, State::kEnabled);
+    }
+    std::printf("force %s the way back: back by %.3f mm\n", side < 0 ? "against" : "along",
+                1e3 * back);
+    if (side < 0) {
+      EXPECT_LT(back, 2e-5);
+    } else {
+      EXPECT_GT(back, 2e-4);
+    }
+  }
+}
+
 TEST(ControllerLimits, AWeakArmStartsBackToItsSetPointFromRest) {
   for (const Law law : {Law::kVelocity, Law::kExact}) {
     Controller::Options options;

@@ -44,6 +44,11 @@ class ExactFollower {
     /// [m/s] limit of the flange origin's speed; applies where 'advance' gets the arm's Jacobian.
     double flange_velocity = std::numeric_limits<double>::infinity();
   };
+  /// A force on the tip, against which the feedback must not move it (F25).
+  struct Push {
+    JointVector tip;  ///< speed of the tip along the force, per joint velocity [m/rad]
+    JointVector way;  ///< joints that move the tip along the force on the pivot [rad/m]
+  };
   ExactFollower(int joints, const Options& options);
 
   /// Sets the reference to the arm's position, at rest. The adapted lags stay. qd: the last
@@ -53,9 +58,10 @@ class ExactFollower {
   const JointVector& reference() const { return q_ref_; }
   /// Advances the reference by dq (a step of the law within limits) and returns the command for the
   /// link [rad/s]. q: measured before the step; J: the arm's Jacobian there; feedback_scale: factor
-  /// of the gain, in (0, 1]; since [s]: time since the reference was where it is now, less than T.
+  /// of the gain, in (0, 1]; since [s]: time since the reference was where it is now, less than T;
+  /// push: nullptr without a force.
   JointVector advance(const JointVector& dq, const JointVector& q, const Jacobian& J = {},
-                      double feedback_scale = 1, double since = 0);
+                      double feedback_scale = 1, double since = 0, const Push* push = nullptr);
   /// Advances the reference by dq over a period that passed without a command.
   void skip(const JointVector& dq);
   /// The same at constant velocity, as the arm moves meanwhile.
