@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 
+from surg_cli.host import paths
 from surg_core import base_file, camera_file, lens_file, stereo_file
 from surg_core.checked_document import NO_HASH, Evidence, file_sha256
 from surg_core.transforms import make_pose
 
 DATE = "2026-11-23"
+
+
+def copied_cell(folder: Path, name: str = "sim_two_arms") -> Path:
+    """A copy of a bundled cell in which calibration files can be written."""
+    copy = folder / name
+    shutil.copytree(paths.CELLS / name, copy)
+    text = (copy / "cell.yaml").read_text()
+    (copy / "cell.yaml").write_text(text.replace("../../src", str(paths.ROOT / "src")))
+    return copy
 
 
 def covariance(rng: np.random.Generator, turn: float = 1e-3, shift: float = 1e-4) -> np.ndarray:

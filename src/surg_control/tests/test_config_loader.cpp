@@ -108,6 +108,70 @@ TEST(ConfigLoader, LoadsWholeArm) {
   }
 }
 
+/// A small cell with a second arm, PSM2, whose base was measured.
+void add_measured_arm(const SmallCell& cell) {
+  cell.write("cell/cell.yaml",
+             cell.read("cell/cell.yaml") +
+                 "  PSM2:\n    robot: ../robot.yaml\n    instrument: ../instrument.yaml\n"
+                 "    link: simulator\n    base: {xyz: [1, 0, 0], rpy: [0, 0, 0]}\n");
+  for (const std::string kind : {"tool", "trocar"}) {
+    const std::string folder = "cell/calibration/" + kind;
+    cell.write(folder + "_PSM2.yaml", cell.read(folder + "_PSM1.yaml"));
+  }
+  std::string covariance = "[";
+  for (int i = 0; i < 36; ++i) covariance += i % 7 == 0 ? "1e-6, " : "0, ";
+  cell.write("cell/calibration/base_PSM2.yaml",
+             "format: surg_base/1\nposition: [1.005, 0, 0]\nquaternion: [0, 0, 0.6, 0.8]\n"
+             "covariance: " +
+                 covariance +
+                 "]\nmethod: touch\nresidual: 0.0002\nn: 8\n"
+                 "condition: 2.5\ndate: \"2026-11-23\"\nsource: simulated\nreference: PSM1\n"
+                 "reference_xyz: [0.1, 0.2, 0.3]\nreference_rpy: [0, 0, 1.5707963267948966]\n"
+                 "camera_sha256: none\n");
+}
+
+TEST(ConfigLoader, AMeasuredBaseReplacesTheStatedOne) {
+  SmallCell cell;
+  const surg::Pose stated = load_arm(cell.cell(), "").X_WB;
+  add_measured_arm(cell);
+  EXPECT_TRUE(load_arm(cell.cell(), "PSM1").X_WB.isApprox(stated, 0));
+  const surg::Pose X_WB = load_arm(cell.cell(), "PSM2").X_WB;
+  EXPECT_EQ(X_WB.translation(), surg::Vector3(1.005, 0, 0));
+  EXPECT_TRUE((X_WB.linear() * surg::Vector3::UnitX()).isApprox(surg::Vector3(0.28, 0.96, 0)));
+  std::filesystem::remove(cell.path("cell/calibration/base_PSM2.yaml"));
+  EXPECT_EQ(load_arm(cell.cell(), "PSM2").X_WB.translation(), surg::Vector3(1, 0, 0));
+}
+
+TEST(ConfigLoader, ABaseThatWasNotMeasuredInThisCellIsRefused) {
+  const std::string file = "cell/calibration/base_PSM2.yaml";
+  struct Case {
+    std::string file, old_text, new_text;
+    std::vector<std::string> parts;
+  };
+  for (const Case& one : std::vector<Case>{
+           {file, "reference: PSM1", "reference: PSM3", {"base_PSM2.yaml", "'PSM1'", "repeat"}},
+           {"cell/cell.yaml", "[0.1, 0.2, 0.3]", "[0.1, 0.2, 0.31]", {"differ", "0.01", "repeat"}},
+           {file, "0.6, 0.8", "0.6, 0.9", {"base_PSM2.yaml:3", "quaternion", "length"}},
+           {file, "[1e-6, ", "[-1e-6, ", {"covariance", "variance"}},
+           {file, "[1e-6, ", "[.nan, ", {"covariance", "nan"}},
+           {file, "[1e-6, 0, ", "[1e-6, 1e-7, ", {"covariance", "symmetric"}},
+           {file, "none", "abc", {"camera_sha256", "64 hexadecimal"}},
+           {file, "2026-11-23", "yesterday", {"date", "yesterday"}},
+           {file, "n: 8", "n: 8.5", {"n: ", "whole"}},
+           {file, "method: touch", "method: eye", {"method", "touch"}}}) {
+    SmallCell cell;
+    add_measured_arm(cell);
+    cell.replace(one.file, one.old_text, one.new_text);
+    const std::string error = error_of(cell, "PSM2");
+    ASSERT_NE(error, "") << one.new_text << " was accepted";
+    expect_parts(error, one.parts);
+  }
+  SmallCell cell;
+  add_measured_arm(cell);
+  cell.write("cell/calibration/base_PSM1.yaml", cell.read(file));
+  expect_parts(error_of(cell, "PSM1"), {"base_PSM1.yaml", "first arm", "delete"});
+}
+
 TEST(ConfigLoader, RefusesWithFileAndLine) {
   struct Case {
     const char* file;

@@ -1,5 +1,6 @@
 #include "surg_core/config.hpp"
 
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <array>
 #include <cctype>
@@ -103,6 +104,14 @@ struct DrivenArms {
 };
 constexpr DrivenArms kDrivenArms[] = {{"ur", 6, ""}, {"fr3", 7, "fr3"}, {"panda", 7, "panda"}};
 constexpr int kUrJoints = 6;
+// A measured base; the same bounds as in base_file.py and checked_document.py.
+constexpr double kFarthestBase = 10.0;         // [m]
+constexpr double kLargestBaseResidual = 0.02;  // [m]
+constexpr int kLeastBasePoints = 6;
+constexpr double kLargestTurnSd = 0.35, kLargestShiftSd = 0.1;  // [rad], [m]
+constexpr double kLeastEigenvalue = 1e-9;                       // of the correlations
+constexpr double kUnit = 1e-6;                         // from the length of a unit quaternion
+constexpr double kSameBase = 1e-9;                     // [m, rad]
 constexpr double kOldestCalibration = 366;             // [d]
 constexpr double kSlowTip = 0.02, kSlowFlange = 0.05;  // [m/s] of an arm being commissioned
 // Together what clearance.hpp has room for.
@@ -682,6 +691,112 @@ UrKinematics read_kinematics(const Document& document) {
   return own;
 }
 
+/// The day of a date such as "2026-11-23", counted from 1970; nothing where it is none.
+std::optional<int> day_of(const std::string& date) {
+  std::tm when{};
+  int used = 0;
+  if (std::sscanf(date.c_str(), "%4d-%2d-%2d%n", &when.tm_year, &when.tm_mon, &when.tm_mday,
+                  &used) != 3 ||
+      used != static_cast<int>(date.size())) {
+    return std::nullopt;
+  }
+  when.tm_year -= 1900;
+  when.tm_mon -= 1;
+  const std::tm asked = when;
+  const std::time_t seconds = timegm(&when);
+  if (when.tm_mon != asked.tm_mon || when.tm_mday != asked.tm_mday) return std::nullopt;
+  return static_cast<int>(seconds / 86400);
+}
+
+/// A list of a known number of values, each within +-largest.
+template <int n>
+Eigen::Matrix<double, n, 1> read_numbers(Reader& reader, const std::string& key, double largest) {
+  const std::vector<double> list = reader.numbers(key);
+  if (list.size() != n) {
+    reader.fail(key, "has " + std::to_string(list.size()) +
+                         " values; allowed: " + std::to_string(n) + " numbers");
+  }
+  for (double item : list) {
+    // Written so that NaN fails too.
+    if (!(std::abs(item) <= largest)) {
+      reader.fail(key, "holds " + number(item) + "; allowed: -" + number(largest) + " to " +
+                           number(largest));
+    }
+  }
+  return Eigen::Map<const Eigen::Matrix<double, n, 1>>(list.data());
+}
+
+Eigen::Quaterniond read_quaternion(Reader& reader, const std::string& key) {
+  const Eigen::Vector4d q = read_numbers<4>(reader, key, 1.0 + kUnit);  // x, y, z, w
+  if (!(std::abs(q.norm() - 1.0) <= kUnit)) {
+    reader.fail(key, "has length " + number(q.norm()) + "; allowed: x, y, z, w of length 1");
+  }
+  return Eigen::Quaterniond(q[3], q[0], q[1], q[2]).normalized();
+}
+
+/// The rules of surg_core.checked_document: symmetric, positive definite, of a believable size.
+Eigen::Matrix<double, 6, 6> read_covariance(Reader& reader, const std::string& key) {
+  const Eigen::Matrix<double, 36, 1> list = read_numbers<36>(reader, key, 1.0);
+  const Eigen::Matrix<double, 6, 6> C =
+      Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(list.data());
+  if (!((C - C.transpose()).cwiseAbs().maxCoeff() <= 1e-9 * C.cwiseAbs().maxCoeff())) {
+    reader.fail(key, "is not symmetric; allowed: a symmetric 6 x 6 matrix");
+  }
+  if (!(C.diagonal().minCoeff() > 0)) {
+    reader.fail(key, "holds the variance " + number(C.diagonal().minCoeff()) +
+                         "; allowed: positive variances");
+  }
+  const Eigen::Matrix<double, 6, 1> sd = C.diagonal().cwiseSqrt();
+  const Eigen::Matrix<double, 6, 6> scaled =
+      sd.cwiseInverse().asDiagonal() * C * sd.cwiseInverse().asDiagonal();
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix<double, 6, 6>> solver(scaled,
+                                                                          Eigen::EigenvaluesOnly);
+  if (!(solver.eigenvalues()[0] > kLeastEigenvalue)) {
+    reader.fail(key, "has the eigenvalue " + number(solver.eigenvalues()[0]) +
+                         " (scaled); allowed: a positive definite matrix");
+  }
+  for (const int at : {0, 3}) {
+    const double most = at == 0 ? kLargestTurnSd : kLargestShiftSd;
+    const double found = sd.segment<3>(at).maxCoeff();
+    const char* unit = at == 0 ? " rad" : " m";
+    if (!(found <= most)) {
+      reader.fail(key, "holds the standard deviation " + number(found) + unit +
+                           "; allowed: at most " + number(most) + unit + ". Measure again");
+    }
+  }
+  return C;
+}
+
+BaseCalibration read_base(const Document& document) {
+  Reader reader(document, "surg_base/1");
+  BaseCalibration base;
+  base.file = document.file;
+  base.X_WB.translation() = reader.vector("position", kFarthestBase, "m");
+  base.X_WB.linear() = read_quaternion(reader, "quaternion").toRotationMatrix();
+  base.covariance = read_covariance(reader, "covariance");
+  base.method = reader.choice("method", {"touch", "tip", "points"});
+  base.residual = reader.real("residual", 0.0, kLargestBaseResidual, "m");
+  base.condition = reader.real("condition", 1.0, 1e6, "");
+  const double n = reader.real("n", kLeastBasePoints, 1e6, "points");
+  if (std::floor(n) != n) reader.fail("n", number(n) + "; allowed: a whole number");
+  base.n = static_cast<int>(n);
+  base.date = reader.word("date");
+  if (!day_of(base.date)) reader.fail("date", "'" + base.date + "'; allowed: \"2026-11-23\"");
+  base.source = reader.choice("source", {"measured", "simulated"});
+  base.reference = reader.word("reference");
+  base.reference_xyz = reader.vector("reference_xyz", kFarthestBase, "m");
+  base.reference_rpy = reader.vector("reference_rpy", 6.3, "rad");
+  base.camera_sha256 = reader.word("camera_sha256");
+  const bool hex = base.camera_sha256.size() == 64 &&
+                   base.camera_sha256.find_first_not_of("0123456789abcdef") == std::string::npos;
+  if (!hex && base.camera_sha256 != "none") {
+    reader.fail("camera_sha256",
+                "'" + base.camera_sha256 + "'; allowed: 64 hexadecimal digits, or none");
+  }
+  reader.finish();
+  return base;
+}
+
 Fixture read_fixture(Reader& reader, const std::string& key, const std::string& name) {
   Fixture f;
   if (name.size() > Fixture::kLongestName) {
@@ -950,23 +1065,6 @@ CellConfig read_cell(const Document& document) {
   return cell;
 }
 
-/// The day of a date such as "2026-11-23", counted from 1970; nothing where it is none.
-std::optional<int> day_of(const std::string& date) {
-  std::tm when{};
-  int used = 0;
-  if (std::sscanf(date.c_str(), "%4d-%2d-%2d%n", &when.tm_year, &when.tm_mon, &when.tm_mday,
-                  &used) != 3 ||
-      used != static_cast<int>(date.size())) {
-    return std::nullopt;
-  }
-  when.tm_year -= 1900;
-  when.tm_mon -= 1;
-  const std::tm asked = when;
-  const std::time_t seconds = timegm(&when);
-  if (when.tm_mon != asked.tm_mon || when.tm_mday != asked.tm_mday) return std::nullopt;
-  return static_cast<int>(seconds / 86400);
-}
-
 constexpr const char* kCommission = ": set commissioning: true, ";
 
 /// Refuses a calibration that must not move a real arm.
@@ -1055,6 +1153,10 @@ TrocarCalibration parse_trocar(const Document& document) {
 
 UrKinematics parse_kinematics(const Document& document) {
   return parse_with_hints(document, read_kinematics);
+}
+
+BaseCalibration parse_base(const Document& document) {
+  return parse_with_hints(document, read_base);
 }
 
 CellConfig parse_cell(const Document& document) { return parse_with_hints(document, read_cell); }
@@ -1173,6 +1275,33 @@ void check_kinematics(const UrKinematics& own, const CellArm& arm, const RobotCo
   if (arm.hardware && arm.hardware->serial != own.serial) {
     throw ConfigError(own.file + ": serial: '" + own.serial + "', and the cell's arm is '" +
                       arm.hardware->serial + "'" + cure);
+  }
+}
+
+void check_base(const BaseCalibration& base, const CellArm& arm, const CellConfig& cell) {
+  const CellArm& first = cell.arms.front();
+  const std::string cure = ": delete the file, or repeat ./surg calibrate CELL bases";
+  if (arm.name == first.name) {
+    throw ConfigError(base.file + ": position: " + arm.name + " is the cell's first arm; allowed " +
+                      "is the base that " + cell.file + " states, to which the others are " +
+                      "measured: delete the file");
+  }
+  if (base.reference != first.name) {
+    throw ConfigError(base.file + ": reference: '" + base.reference + "'; allowed is the cell's " +
+                      "first arm, '" + first.name + "'" + cure);
+  }
+  const double moved = std::max((base.reference_xyz - first.base_xyz).cwiseAbs().maxCoeff(),
+                                (base.reference_rpy - first.base_rpy).cwiseAbs().maxCoeff());
+  if (!(moved <= kSameBase)) {
+    throw ConfigError(base.file + ": reference_xyz, reference_rpy: differ from arms." + first.name +
+                      ".base in " + cell.file + " by up to " + number(moved) +
+                      "; allowed is the same: the first arm was moved after this measurement" +
+                      cure);
+  }
+  const bool real = arm.hardware && !arm.hardware->emulated() && !arm.hardware->commissioning;
+  if (real && base.source != "measured") {
+    throw ConfigError(base.file + ": source: '" + base.source +
+                      "'; allowed for a real arm is 'measured'" + cure);
   }
 }
 

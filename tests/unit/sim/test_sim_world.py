@@ -263,7 +263,7 @@ def test_truth_is_in_the_base_frame(ur5e: surg_core.Cell) -> None:
     X_WB = np.eye(4)
     X_WB[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
     X_WB[:3, 3] = [1.0, -2.0, 0.3]
-    moved = replace(ur5e, arms={"PSM1": replace(arm, X_WB=X_WB)})
+    moved = replace(ur5e, arms={"PSM1": replace(arm, X_WB=X_WB, X_WB_stated=X_WB)})
     here, there = World(ur5e), World(moved)
     velocity = np.array([0.05, 0.02, -0.03, 0.04, 0.01, 0.1])
     for _ in range(200):

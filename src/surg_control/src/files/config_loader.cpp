@@ -149,6 +149,16 @@ surg::LinkConfig load_link(const surg::CellArm& arm, const std::string& cell_fil
   return surg::with_measured_lag(surg::parse_link(load_document(file)), arm);
 }
 
+/// Where the arm's base is: as measured where there is a file, else as the cell states it.
+surg::Pose load_base(const surg::CellConfig& cell, const surg::CellArm& arm) {
+  const std::string file = beside(cell.file, "calibration/base_" + arm.name + ".yaml");
+  std::error_code error;
+  if (!fs::exists(file, error)) return pose_from_xyz_rpy(arm.base_xyz, arm.base_rpy);
+  const surg::BaseCalibration base = surg::parse_base(load_document(file));
+  surg::check_base(base, arm, cell);
+  return base.X_WB;
+}
+
 /// Such as 2026-11-23, in local time.
 std::string today() {
   const std::time_t now = std::time(nullptr);
@@ -202,7 +212,7 @@ ArmSetup load_arm(const std::string& cell, const std::string& arm_name) {
   setup.clearance = config.clearance;
   setup.arm = find_arm(config, arm_name);
   const std::string& name = setup.arm.name;
-  setup.X_WB = pose_from_xyz_rpy(setup.arm.base_xyz, setup.arm.base_rpy);
+  setup.X_WB = load_base(config, setup.arm);
   const std::string robot_file = beside(cell_file, setup.arm.robot);
   setup.robot = surg::with_home(surg::parse_robot(load_document(robot_file)), setup.arm, cell_file);
   setup.robot = surg::with_link(setup.robot, load_link(setup.arm, cell_file));

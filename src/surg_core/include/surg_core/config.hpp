@@ -159,6 +159,22 @@ struct TrocarCalibration {
   std::string serial = {};  ///< of the arm that it was measured with; empty: not stated
 };
 
+/// Where an arm's base was measured in the world.
+struct BaseCalibration {
+  Pose X_WB = Pose::Identity();
+  /// Rotation first [rad^2, rad m, m^2]: of (theta, d) with R_true = exp([theta]) R and
+  /// p_true = p + d, in the world's axes.
+  Eigen::Matrix<double, 6, 6> covariance;
+  double residual, condition;
+  int n;
+  std::string date, source;              ///< source: "measured" or "simulated"
+  std::string method;                    ///< "touch", "tip" or "points"
+  std::string reference;                 ///< the cell's first arm, whose base is the stated one
+  Vector3 reference_xyz, reference_rpy;  ///< that base, as the cell stated it then
+  std::string camera_sha256;             ///< of the camera's file that it was seen through
+  std::string file = {};
+};
+
 /// What a cell states of a real arm, or of an emulated one: nothing in it has a default.
 struct CellHardware {
   std::string address;      ///< IPv4, private; on loopback: an emulator
@@ -183,7 +199,7 @@ struct CellArm {
   std::string robot;       ///< path of the robot YAML, relative to the cell file
   std::string instrument;  ///< path of the instrument YAML, relative to the cell file
   std::string link;        ///< "simulator", or a link's YAML: a name, or a path that ends in .yaml
-  Vector3 base_xyz, base_rpy;            ///< X_WB
+  Vector3 base_xyz, base_rpy;            ///< X_WB as stated; the simulator builds it there
   std::vector<double> home;              ///< [rad] instead of the robot's; empty: the robot's
   std::map<std::string, double> limits;  ///< tightened limits by name
   /// [rad] preferred swivel angle of a seven-joint arm's elbow; NaN: none
@@ -243,6 +259,7 @@ TrocarCalibration parse_trocar(const Document& document);
 CellConfig parse_cell(const Document& document);
 
 UrKinematics parse_kinematics(const Document& document);
+BaseCalibration parse_base(const Document& document);
 
 /// Returns the limits with a cell's values applied. Throws if a value would loosen a limit. An arm
 /// that is being commissioned moves slowly.
@@ -274,6 +291,10 @@ void check_hardware(const CellArm& arm, const RobotConfig& robot,
 
 /// Throws if an arm's own kinematics are of another arm or model.
 void check_kinematics(const UrKinematics& own, const CellArm& arm, const RobotConfig& robot);
+
+/// Throws if the base was not measured against the cell's first arm as it is stated now, or if the
+/// arm is that first arm, or if a real arm has a base that nobody measured.
+void check_base(const BaseCalibration& base, const CellArm& arm, const CellConfig& cell);
 
 /// Throws if an instrument's tip could go deeper than its shaft is long.
 void check_tool(const ToolCalibration& tool, const Limits& limits, const std::string& tool_file);

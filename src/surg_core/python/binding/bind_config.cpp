@@ -232,6 +232,28 @@ void bind_calibrations(py::module_& m) {
       .def_readonly("date", &TrocarCalibration::date)
       .def_readonly("source", &TrocarCalibration::source, "measured, simulated or computed.")
       .def_readonly("serial", &TrocarCalibration::serial, "Of the arm; empty: not stated.");
+
+  py::class_<BaseCalibration>(m, "BaseCalibration", "A measured robot base; surg_base/1.")
+      .def_property_readonly(
+          "X_WB", [](const BaseCalibration& b) { return frozen(from_pose(b.X_WB)); }, "(4, 4) [m]")
+      .def_property_readonly(
+          "covariance", [](const BaseCalibration& b) { return frozen(from_matrix(b.covariance)); },
+          "(6, 6) rotation first.")
+      .def_readonly("residual", &BaseCalibration::residual, "[m]")
+      .def_readonly("condition", &BaseCalibration::condition)
+      .def_readonly("n", &BaseCalibration::n)
+      .def_readonly("date", &BaseCalibration::date)
+      .def_readonly("source", &BaseCalibration::source, "measured or simulated.")
+      .def_readonly("method", &BaseCalibration::method, "touch, tip or points.")
+      .def_readonly("reference", &BaseCalibration::reference, "The cell's first arm.")
+      .def_property_readonly(
+          "reference_xyz",
+          [](const BaseCalibration& b) { return frozen(from_matrix(b.reference_xyz)); }, "[m] (3,)")
+      .def_property_readonly(
+          "reference_rpy",
+          [](const BaseCalibration& b) { return frozen(from_matrix(b.reference_rpy)); },
+          "[rad] (3,)")
+      .def_readonly("camera_sha256", &BaseCalibration::camera_sha256, "none: seen by no camera.");
 }
 
 void bind_cell(py::module_& m) {
@@ -337,6 +359,9 @@ void bind_config(py::module_& m, py::module_& testing) {
   m.def("parse_instrument", &parse_instrument, py::arg("document"), text);
   m.def("parse_tool", &parse_tool, py::arg("document"), text);
   m.def("parse_trocar", &parse_trocar, py::arg("document"), text);
+  m.def("parse_base", &parse_base, py::arg("document"), text);
+  m.def("check_base", &check_base, py::arg("base"), py::arg("arm"), py::arg("cell"),
+        "Raises ConfigError when the base was not measured in this cell as it is stated now.");
   m.def("parse_cell", &parse_cell, py::arg("document"), text);
   m.def("tighten", &tighten, py::arg("limits"), py::arg("arm"), py::arg("cell_file"),
         "Limits with a cell's values put in. Raises ConfigError when a value would loosen one.");

@@ -1,6 +1,7 @@
 """``calibration/base_<arm>.yaml``, surg_base/1: where an arm's base was measured in the world.
 
 The first arm of a cell keeps the base that ``cell.yaml`` states; it is the reference of the others.
+The schema is ``config.cpp``'s, which the controller reads too.
 """
 
 from __future__ import annotations
@@ -8,8 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from surg_core.checked_document import CheckedDocument, Evidence, evidence_text, pose_text
-from surg_core.config import PathLike
+from surg_core._core import parse_base
+from surg_core.checked_document import Evidence, evidence_text, pose_text
+from surg_core.config import PathLike, read_document
 from surg_core.replace_file import exact_numbers, one_line, replace_file
 from surg_core.transforms import FloatArray
 
@@ -17,11 +19,6 @@ FORMAT = "surg_base/1"
 METHODS = ("touch", "tip", "points")
 """touch: the tip touches the board that the scope sees; tip: the tip as the scope sees it, turn
 only; points: both arms' tips touch the same points."""
-LEAST_POINTS = 6
-LARGEST_RESIDUAL = 0.02
-"""[m] What the reader takes; ``./surg calibrate`` accepts much less."""
-FARTHEST = 10.0
-"""[m] Of a base from the world's origin, each axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,19 +52,17 @@ def load_base(path: PathLike) -> BaseCalibration:
         ConfigError: A key is missing, unknown or out of its range; names file, line, key, value
             and what is allowed.
     """
-    doc = CheckedDocument.read(path)
-    doc.choice("format", (FORMAT,))
-    found = BaseCalibration(
-        X_WB=doc.pose(FARTHEST),
-        method=doc.choice("method", METHODS),
-        evidence=doc.evidence(LEAST_POINTS, LARGEST_RESIDUAL, "m"),
-        reference=doc.text("reference", "name of the cell's first arm", r"[A-Za-z][A-Za-z0-9_]*"),
-        reference_xyz=doc.numbers("reference_xyz", 3, FARTHEST, "m"),
-        reference_rpy=doc.numbers("reference_rpy", 3, 6.3, "rad"),
-        camera_sha256=doc.sha256("camera_sha256", optional=True),
+    base = parse_base(read_document(path))
+    covariance = base.covariance, base.residual, base.n, base.condition
+    return BaseCalibration(
+        X_WB=base.X_WB,
+        method=base.method,
+        evidence=Evidence(*covariance, base.date, base.source),
+        reference=base.reference,
+        reference_xyz=base.reference_xyz,
+        reference_rpy=base.reference_rpy,
+        camera_sha256=base.camera_sha256,
     )
-    doc.finish()
-    return found
 
 
 def write_base(path: PathLike, base: BaseCalibration, note: str) -> None:

@@ -33,10 +33,12 @@ from surg_core._core import (
     ToolCalibration,
     TrocarCalibration,
     UrKinematics,
+    check_base,
     check_hardware,
     check_kinematics,
     check_tool,
     link_file,
+    parse_base,
     parse_cell,
     parse_instrument,
     parse_kinematics,
@@ -80,7 +82,10 @@ class Arm:
         tool: calibrated shaft axis and tip in the flange frame.
         fixtures: virtual fixtures, in the robot base frame.
         trocar: taught trocar point in the robot base frame.
-        X_WB: ``(4, 4)`` robot base in the world, read-only.
+        X_WB: ``(4, 4)`` robot base in the world, read-only: as measured in
+            ``calibration/base_<arm>.yaml`` where that file is, else as stated.
+        X_WB_stated: ``(4, 4)`` as ``cell.yaml`` states it. The simulator builds the arm there, and
+            nobody else reads it.
         chain: joints from base link to flange link, with the arm's own kinematics where known.
         urdf_path: the robot's URDF, absolute.
         instrument_urdf: the instrument's URDF, absolute.
@@ -101,6 +106,7 @@ class Arm:
     tool: ToolCalibration
     trocar: TrocarCalibration
     X_WB: FloatArray
+    X_WB_stated: FloatArray
     chain: Chain
     urdf_path: Path
     instrument_urdf: Path
@@ -174,11 +180,11 @@ def load_cell(path: PathLike) -> Cell:
         file = file / "cell.yaml"
     file = file.absolute()
     config = parse_cell(read_document(file))
-    arms = {stated.name: _load_arm(stated, file) for stated in config.arms}
+    arms = {stated.name: _load_arm(stated, config, file) for stated in config.arms}
     return Cell(config=config, arms=MappingProxyType(arms), folder=file.parent)
 
 
-def _load_arm(stated: CellArm, file: Path) -> Arm:
+def _load_arm(stated: CellArm, config: CellConfig, file: Path) -> Arm:
     """One arm with everything that its cell, the file, refers to."""
     robot_file = _beside(file, stated.robot)
     instrument_file = _beside(file, stated.instrument)
@@ -204,8 +210,8 @@ def _load_arm(stated: CellArm, file: Path) -> Arm:
     today = datetime.date.today().isoformat()
     check_hardware(stated, robot, instrument, tool, trocar, str(file), today)
     chain, kinematics = _own_chain(chain, stated, robot, file)
-    X_WB = make_pose(stated.base_xyz, stated.base_rpy)
-    X_WB.setflags(write=False)
+    X_WB_stated = make_pose(stated.base_xyz, stated.base_rpy)
+    X_WB_stated.setflags(write=False)
     return Arm(
         name=stated.name,
         link=stated.link,
@@ -215,7 +221,8 @@ def _load_arm(stated: CellArm, file: Path) -> Arm:
         fixtures=stated.fixtures,
         tool=tool,
         trocar=trocar,
-        X_WB=X_WB,
+        X_WB=_measured_base(stated, config, file, X_WB_stated),
+        X_WB_stated=X_WB_stated,
         chain=chain,
         urdf_path=urdf,
         instrument_urdf=instrument_urdf,
@@ -245,6 +252,18 @@ def _load_link(
     }
     driver = _beside(file, link.driver) if link.driver else None
     return with_measured_lag(link, arm), driver, MappingProxyType(settings)
+
+
+def _measured_base(
+    arm: CellArm, config: CellConfig, cell_file: Path, stated: FloatArray
+) -> FloatArray:
+    """X_WB from ``base_<arm>.yaml``; the stated one where the cell has no such file."""
+    file = cell_file.parent / "calibration" / f"base_{arm.name}.yaml"
+    if not file.exists():
+        return stated
+    base = parse_base(read_document(file))
+    check_base(base, arm, config)
+    return base.X_WB
 
 
 def _own_chain(

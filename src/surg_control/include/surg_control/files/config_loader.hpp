@@ -31,7 +31,7 @@ struct ArmSetup {
   MountedTool mounted;
   surg::TrocarCalibration trocar;
   surg::Limits limits;                       ///< the robot's, tightened by the cell
-  surg::Pose X_WB = surg::Pose::Identity();  ///< robot base in the world
+  surg::Pose X_WB = surg::Pose::Identity();  ///< robot base in the world, as measured where known
   std::string robot_urdf;
   std::optional<surg::UrKinematics> kinematics;  ///< the arm's own, where its file is there
 };

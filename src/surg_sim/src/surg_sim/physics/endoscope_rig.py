@@ -13,6 +13,7 @@ import surg_core
 from surg_sim.arrays import Array
 from surg_sim.looks.drawing import add_seen, look
 from surg_sim.physics.patient_site import Site
+from surg_sim.physics.pose_error import PoseError
 from surg_sim.physics.spec_parts import quaternion
 
 LEFT, RIGHT = "endoscope_left", "endoscope_right"
@@ -41,8 +42,10 @@ def cameras(arm: surg_core.Arm | None) -> tuple[str, ...]:
     return (LEFT, RIGHT) if two else (LEFT,)
 
 
-def camera_poses(arm: surg_core.Arm) -> list[Array]:
+def camera_poses(arm: surg_core.Arm, error: PoseError | None = None) -> list[Array]:
     """Optical frames (x right, y down, z away) of the holder's cameras in the flange, (4, 4) each.
+
+    By the URDF; the true ones differ from it by ``error`` of the left camera, as one rigid pair.
 
     Raises:
         ValueError: A frame is not in the URDF, or the two do not fit the stated baseline.
@@ -65,21 +68,32 @@ def camera_poses(arm: surg_core.Arm) -> list[Array]:
                 f"lies at {np.round(X[:3, 3], 6).tolist()} m from the left one in "
                 f"{arm.instrument_urdf.name}; needed are parallel frames, the right one along x"
             )
-    return poses
+    if error is None:
+        return poses
+    moved = poses[0] @ error.motion() @ np.linalg.inv(poses[0])
+    return [moved @ X_FV for X_FV in poses]
 
 
-def add_held(spec: mujoco.MjSpec, arm: surg_core.Arm) -> None:
+def add_held(spec: mujoco.MjSpec, arm: surg_core.Arm, error: PoseError | None = None) -> None:
     """Put cameras and light into the tip of the arm's instrument.
+
+    The cameras look elsewhere than the URDF says by ``error``.
 
     Raises:
         ValueError: as ``camera_poses``.
     """
-    camera_poses(arm)
+    drawn = camera_poses(arm)
     camera = arm.instrument.camera
     assert camera is not None
-    for name, frame in zip((LEFT, RIGHT), camera.frames, strict=False):
+    for name, frame, X_FV, X_FTrue in zip(
+        (LEFT, RIGHT), camera.frames, drawn, camera_poses(arm, error), strict=False
+    ):
+        X = np.eye(4) if error is None else np.linalg.inv(X_FV) @ X_FTrue
         spec.body(f"{arm.name}_{frame}").add_camera(
-            name=name, quat=quaternion(_OPTICAL).tolist(), fovy=float(np.degrees(camera.fovy))
+            name=name,
+            pos=X[:3, 3].tolist(),
+            quat=quaternion(X[:3, :3] @ _OPTICAL).tolist(),
+            fovy=float(np.degrees(camera.fovy)),
         )
     _add_light(spec.body(f"{arm.name}_{arm.instrument.tip_link}"), np.zeros(3), np.eye(3)[2])
 

@@ -44,8 +44,8 @@ class TruthReader:
     ) -> None:
         self._model, self._data, self._trocar = model, data, trocar
         self._tip = model.body(f"{arm.name}_{arm.instrument.tip_link}").id
-        self._R_BW = np.array(arm.X_WB[:3, :3].T, dtype=np.float64)
-        self._p_WB = np.array(arm.X_WB[:3, 3], dtype=np.float64)
+        self._R_BW = np.array(arm.X_WB_stated[:3, :3].T, dtype=np.float64)
+        self._p_WB = np.array(arm.X_WB_stated[:3, 3], dtype=np.float64)
         self._velocity = np.empty(6)
         # The scene's own numbers: what is in the state's arrays now, whenever it is read.
         self._p_WTip = data.xpos[self._tip]

@@ -9,12 +9,14 @@ is the same in every setting, and so are its drives and encoders.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import pi, radians
+from typing import Any
 
 import numpy as np
 
 from surg_sim.arrays import Array
+from surg_sim.physics.pose_error import PoseError
 from surg_sim.physics.sim_arm import ActuatorParameters, ToolError
 from surg_sim.physics.tissue import TissueParameters
 from surg_sim.physics.trocar import TrocarParameters
@@ -54,6 +56,9 @@ class PatientSetting:
     trocar: TrocarParameters = field(default_factory=TrocarParameters)
     breathing: Breathing = field(default_factory=Breathing)
     tool_error: ToolError | None = None  # how wrong the instrument's calibration is; None: exact
+    # How wrong the registrations of a cell are that nobody has measured; None: exact.
+    base_error: PoseError | None = None  # of every base but the first arm's
+    camera_error: PoseError | None = None  # of the left camera in the flange that holds it
     encoder: float = 0.0  # smallest joint angle that the robot reports [rad]; 0: exact
     tissue: TissueParameters = field(default_factory=TissueParameters)
 
@@ -85,6 +90,15 @@ SETTINGS: Mapping[str, PatientSetting] = {
     ),
 }
 
+VARIANTS: Mapping[str, Mapping[str, Any]] = {
+    "unregistered": {
+        "base_error": PoseError(shift=0.008, turn=radians(2.0)),
+        "camera_error": PoseError(shift=0.005, turn=radians(4.0)),
+    },
+}
+"""What a setting can have besides, as in ``phantom+unregistered``; assumed: bases typed from a
+drawing, an endoscope clamped by hand."""
+
 SOURCES: Mapping[str, str] = {
     "wall stiffness": "order of modulus times thickness of the insufflated human wall: "
     "22.5 to 42.5 kPa (Song et al. 2006, Surg Endosc 20:987) times 25 mm (assumed) is 560 to "
@@ -111,11 +125,19 @@ SOURCES: Mapping[str, str] = {
 
 
 def find_setting(name: str) -> PatientSetting:
-    """The setting of this name.
+    """The setting of this name, with its variants: ``in_vivo``, ``phantom+unregistered``.
 
     Raises:
         ValueError: There is none; the message lists what exists.
     """
-    if name not in SETTINGS:
-        raise ValueError(f"no setting '{name}': there are {', '.join(SETTINGS)}")
-    return SETTINGS[name]
+    base, *variants = name.split("+")
+    if base not in SETTINGS:
+        raise ValueError(f"no setting '{base}': there are {', '.join(SETTINGS)}")
+    found = SETTINGS[base]
+    for variant in variants:
+        if variant not in VARIANTS:
+            raise ValueError(
+                f"setting '{name}': no variant '{variant}': there are {', '.join(VARIANTS)}"
+            )
+        found = replace(found, name=name, **VARIANTS[variant])
+    return found

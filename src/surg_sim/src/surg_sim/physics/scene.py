@@ -20,6 +20,7 @@ from surg_sim.looks.drawing import add_materials
 from surg_sim.looks.patient import add_patient, draw_cannula
 from surg_sim.physics import endoscope_rig
 from surg_sim.physics.patient_site import Site
+from surg_sim.physics.pose_error import PoseError
 from surg_sim.physics.sim_arm import ActuatorParameters, ToolError, add_arm
 from surg_sim.physics.tool_drive import add_tool_drive
 from surg_sim.physics.trocar import TrocarParameters, add_trocar, shaft_in_flange, wall_frame
@@ -43,7 +44,7 @@ def site_of(arms: list[surg_core.Arm]) -> Site:
     scope = endoscope_rig.holder(arms)
     arm = next((arm for arm in arms if arm is not scope), arms[0])
     trocar, s = wall_frame(arm)
-    away = trocar - arm.X_WB[:3, 3]
+    away = trocar - arm.X_WB_stated[:3, 3]
     away[2] = 0.0
     length = np.linalg.norm(away)
     x = away / length if length > 0.05 else np.array([1.0, 0.0, 0.0])
@@ -57,10 +58,10 @@ def site_of(arms: list[surg_core.Arm]) -> Site:
     return Site(
         work=trocar + WORK_DEPTH * s,
         trocar=trocar,
-        base=np.array(arm.X_WB[:3, 3]),
+        base=np.array(arm.X_WB_stated[:3, 3]),
         R=np.column_stack([x, y, [0.0, 0.0, 1.0]]),
         ports=np.array([wall_frame(other)[0] for other in ordered]),
-        bases=np.array([other.X_WB[:3, 3] for other in ordered]),
+        bases=np.array([other.X_WB_stated[:3, 3] for other in ordered]),
     )
 
 
@@ -90,7 +91,8 @@ def check_reach(arms: Iterable[surg_core.Arm]) -> None:
         p_WRcm, s = wall_frame(arm)
         p_FTip, _ = shaft_in_flange(arm)
         X_BF = np.asarray(arm.chain.forward(np.asarray(arm.robot.home)))
-        tip = arm.X_WB[:3, :3] @ (X_BF[:3, :3] @ p_FTip + X_BF[:3, 3]) + arm.X_WB[:3, 3]
+        X_WB = arm.X_WB_stated
+        tip = X_WB[:3, :3] @ (X_BF[:3, :3] @ p_FTip + X_BF[:3, 3]) + X_WB[:3, 3]
         depth = float(s @ (tip - p_WRcm))
         off = float(np.linalg.norm(tip - p_WRcm - depth * s))
         limits = arm.limits
@@ -135,7 +137,7 @@ def _check_patient(arm: surg_core.Arm, scope: surg_core.Arm) -> None:
             f"{PATIENT:.2f} m, one patient{advice}"
         )
     p_FTip, _ = shaft_in_flange(scope)
-    X_WF = scope.X_WB @ np.asarray(scope.chain.forward(np.asarray(scope.robot.home)))
+    X_WF = scope.X_WB_stated @ np.asarray(scope.chain.forward(np.asarray(scope.robot.home)))
     to_work = work - (X_WF[:3, :3] @ p_FTip + X_WF[:3, 3])
     ahead = float(view @ to_work)
     beside = float(np.linalg.norm(to_work - ahead * view))
@@ -157,6 +159,7 @@ def build(
     actuators: ActuatorParameters | None = None,
     trocar: TrocarParameters | None = None,
     tool_errors: Mapping[str, ToolError] | None = None,
+    camera_error: PoseError | None = None,
     add: Callable[[mujoco.MjSpec, Site], None] | None = None,
 ) -> mujoco.MjModel:
     """Compile the scene once; parameters as for ``World``.
@@ -177,7 +180,7 @@ def build(
         add_tool_drive(spec, arm)
     scope = endoscope_rig.holder(arms)
     if scope is not None:
-        endoscope_rig.add_held(spec, scope)
+        endoscope_rig.add_held(spec, scope, camera_error)
     for arm in arms:
         add_trocar(spec, arm, trocar or TrocarParameters(), errors.get(arm.name))
     site = site_of(arms)

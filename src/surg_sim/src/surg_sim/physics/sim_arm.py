@@ -143,7 +143,7 @@ def add_arm(
     for geom in robot.geoms:  # the instrument's are seen from inside, too
         geom.group = OUTSIDE if geom.group == _URDF_VISUAL else geom.group
     pose = spec.worldbody.add_frame(
-        pos=arm.X_WB[:3, 3].tolist(), quat=quaternion(arm.X_WB[:3, :3]).tolist()
+        pos=arm.X_WB_stated[:3, 3].tolist(), quat=quaternion(arm.X_WB_stated[:3, :3]).tolist()
     )
     root = pose.attach_body(base, prefix, "")
     D = np.eye(4) if error is None else error.mount(tip_in_flange(arm))
@@ -234,7 +234,7 @@ class ArmLink:
         self._spring_ctrl = evenly([s.id for s in springs])
         self._damper_ctrl = evenly([d.id for d in dampers])
         self._flange = model.body(prefix + arm.robot.flange_link).id
-        self._R_BW = np.asarray(arm.X_WB[:3, :3], dtype=np.float64).T
+        self._R_BW = np.asarray(arm.X_WB_stated[:3, :3], dtype=np.float64).T
         self._filter = 1.0 - np.exp(-TICK / SUBSTEPS / parameters.lag)
         self._jacobian = np.empty((2, 3, model.nv))
         self._standstill = ArmCommand(velocity=np.zeros(self.dof))

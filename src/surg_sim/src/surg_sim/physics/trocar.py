@@ -51,10 +51,10 @@ def shaft_in_flange(arm: surg_core.Arm, error: ToolError | None = None) -> tuple
 
 def wall_frame(arm: surg_core.Arm) -> tuple[Array, Array]:
     """The wall at rest: taught trocar point p_WRcm (3,) [m], home shaft axis s_W (3,), inwards."""
-    p_WRcm = arm.X_WB[:3, :3] @ np.asarray(arm.trocar.p_BRcm) + arm.X_WB[:3, 3]
+    p_WRcm = arm.X_WB_stated[:3, :3] @ np.asarray(arm.trocar.p_BRcm) + arm.X_WB_stated[:3, 3]
     _, s_F = shaft_in_flange(arm)
     R_BF = arm.chain.forward(np.asarray(arm.robot.home))[:3, :3]
-    return p_WRcm, arm.X_WB[:3, :3] @ R_BF @ s_F
+    return p_WRcm, arm.X_WB_stated[:3, :3] @ R_BF @ s_F
 
 
 def add_trocar(
@@ -85,7 +85,9 @@ def _add_wall(spec: mujoco.MjSpec, arm: surg_core.Arm, parameters: TrocarParamet
     """A body on three spring-damper slides at the taught trocar point."""
     p_WRcm, _ = wall_frame(arm)
     wall = spec.worldbody.add_body(
-        name=f"{arm.name}_wall", pos=p_WRcm.tolist(), quat=quaternion(arm.X_WB[:3, :3]).tolist()
+        name=f"{arm.name}_wall",
+        pos=p_WRcm.tolist(),
+        quat=quaternion(arm.X_WB_stated[:3, :3]).tolist(),
     )
     state_mass(wall, parameters.mass, [1e-5] * 3)
     for axis, name in zip(np.eye(3), "xyz", strict=True):
@@ -139,7 +141,7 @@ class Trocar:
         self._qpos = slice(joints[0].qposadr[0], joints[0].qposadr[0] + 3)
         self._dofs = slice(joints[0].dofadr[0], joints[0].dofadr[0] + 3)
         self._sites = [model.site(f"{arm.name}_{name}").id for name in ("sleeve", "wall")]
-        self._R_BW = np.asarray(arm.X_WB[:3, :3], dtype=np.float64).T
+        self._R_BW = np.asarray(arm.X_WB_stated[:3, :3], dtype=np.float64).T
         self._p_BRcm: Array = np.array(arm.trocar.p_BRcm, dtype=np.float64)
         self.point = MovingPoint(self._p_BRcm)
         """The unloaded trocar point; moves on command, otherwise stays where it was taught."""

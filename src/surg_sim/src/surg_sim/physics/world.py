@@ -18,6 +18,7 @@ from surg_sim.arrays import Array
 from surg_sim.physics import scene
 from surg_sim.physics.ground_truth import ArmTruth, TruthReader
 from surg_sim.physics.patient_settings import PatientSetting
+from surg_sim.physics.pose_error import with_base_error
 from surg_sim.physics.sim_arm import SUBSTEPS, ActuatorParameters, ArmCommand, ArmLink, ToolError
 from surg_sim.physics.tool_drive import ToolDrive
 from surg_sim.physics.trocar import Trocar, TrocarParameters
@@ -88,16 +89,20 @@ class World:
         self._setting = setting
         if task is not None:
             task.prepare(cell, setting or PatientSetting(name="default"))
-        chosen = scene.choose_arms(cell, arms)
-        self.cell, self.task, self._seed = cell, task, seed
+        built = with_base_error(cell, None if setting is None else setting.base_error)
+        chosen = scene.choose_arms(built, arms)
+        self.cell, self.task, self._seed = built, task, seed
 
         def add(spec: mujoco.MjSpec, site: scene.Site) -> None:
             if task is not None:
                 task.add(spec, site, looks)
 
-        self.model = scene.build(chosen, seed, looks, actuators, trocar, tool_errors, add)
+        camera_error = None if setting is None else setting.camera_error
+        self.model = scene.build(
+            chosen, seed, looks, actuators, trocar, tool_errors, camera_error, add
+        )
         self.data = mujoco.MjData(self.model)
-        self._R_WB = {arm.name: np.asarray(arm.X_WB)[:3, :3] for arm in chosen}
+        self._R_WB = {arm.name: np.asarray(arm.X_WB_stated)[:3, :3] for arm in chosen}
         self._members: dict[str, _Member] = {}
         for arm in chosen:
             sleeve = Trocar(self.model, self.data, arm, trocar)

@@ -28,7 +28,7 @@ class ClearanceModel:
     ) -> None:
         spec = mujoco.MjSpec()
         for arm, X_PB in zip(arms, bases, strict=True):
-            add_arm(spec, replace(arm, X_WB=X_PB), ActuatorParameters())
+            add_arm(spec, replace(arm, X_WB_stated=X_PB), ActuatorParameters())
         fixed = spec.worldbody
         fixed.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.30, 0.62, 0.05],
                        pos=[0.0, 0.0, bed - 0.05])  # fmt: skip
