@@ -232,7 +232,9 @@ void bind_calibrations(py::module_& m) {
       .def_readonly("date", &TrocarCalibration::date)
       .def_readonly("source", &TrocarCalibration::source, "measured, simulated or computed.")
       .def_readonly("serial", &TrocarCalibration::serial, "Of the arm; empty: not stated.");
+}
 
+void bind_base(py::module_& m) {
   py::class_<BaseCalibration>(m, "BaseCalibration", "A measured robot base; surg_base/1.")
       .def_property_readonly(
           "X_WB", [](const BaseCalibration& b) { return frozen(from_pose(b.X_WB)); }, "(4, 4) [m]")
@@ -254,6 +256,19 @@ void bind_calibrations(py::module_& m) {
           [](const BaseCalibration& b) { return frozen(from_matrix(b.reference_rpy)); },
           "[rad] (3,)")
       .def_readonly("camera_sha256", &BaseCalibration::camera_sha256, "none: seen by no camera.");
+}
+
+void bind_cell_endoscope(py::module_& m) {
+  py::class_<CellEndoscope>(m, "CellEndoscope", "The source of a real endoscope's pictures.")
+      .def_readonly("source", &CellEndoscope::source, "URI such as v4l2:/dev/video0.")
+      .def_readonly("layout", &CellEndoscope::layout, "Of the eyes in a grabbed picture.")
+      .def_property_readonly(
+          "size", [](const CellEndoscope& e) { return py::make_tuple(e.width, e.height); },
+          "Width and height of a grabbed picture [px]; 0, 0: as the device has it.")
+      .def_readonly("rate", &CellEndoscope::rate, "[1/s]; 0: as the device has it.")
+      .def_readonly("swap", &CellEndoscope::swap)
+      .def_readonly("flip", &CellEndoscope::flip)
+      .def_readonly("latency", &CellEndoscope::latency, "[s] From glass to stamp.");
 }
 
 void bind_cell(py::module_& m) {
@@ -293,17 +308,6 @@ void bind_cell(py::module_& m) {
       .def_property_readonly(
           "fixtures", [](const CellArm& a) { return py::tuple(py::cast(a.fixtures)); },
           "Virtual fixtures, in the robot's base frame.");
-
-  py::class_<CellEndoscope>(m, "CellEndoscope", "The source of a real endoscope's pictures.")
-      .def_readonly("source", &CellEndoscope::source, "URI such as v4l2:/dev/video0.")
-      .def_readonly("layout", &CellEndoscope::layout, "Of the eyes in a grabbed picture.")
-      .def_property_readonly(
-          "size", [](const CellEndoscope& e) { return py::make_tuple(e.width, e.height); },
-          "Width and height of a grabbed picture [px]; 0, 0: as the device has it.")
-      .def_readonly("rate", &CellEndoscope::rate, "[1/s]; 0: as the device has it.")
-      .def_readonly("swap", &CellEndoscope::swap)
-      .def_readonly("flip", &CellEndoscope::flip)
-      .def_readonly("latency", &CellEndoscope::latency, "[s] From glass to stamp.");
 
   py::class_<CellConfig>(m, "CellConfig", "A user's whole system: cell.yaml.")
       .def_readonly("file", &CellConfig::file)
@@ -351,6 +355,8 @@ void bind_config(py::module_& m, py::module_& testing) {
   bind_numbers(m, "Tuning", "Gains [1/s] and times [s] of the controller.", kTuning);
   bind_robot(m);
   bind_calibrations(m);
+  bind_base(m);
+  bind_cell_endoscope(m);
   bind_cell(m);
   bind_link(m);
 
