@@ -107,7 +107,7 @@ def test_packages_are_declared_and_have_one_licence() -> None:
 
 
 def test_debian_package_list_is_sorted_out() -> None:
-    names = provision.listed_packages()
+    names = provision.listed_packages(optional=provision.OPTIONAL)
     assert len(names) == len(set(names))
     assert all(re.fullmatch(r"[a-z0-9][a-z0-9+.-]+", name) for name in names)
     assert "libopencv-dev" not in names  # 581 MB that nothing needs

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from surg_cli.graph import (
+    endoscope,
     follow,
     join,
     master,
@@ -187,11 +188,13 @@ def _plan(options: argparse.Namespace) -> Plan:
     if task.endswith(".py"):
         task = str(Path(task).absolute())
     language = {} if task == "none" else _language_of(loaded, task, options.setting)
+    scope = endoscope.of_cell(loaded.config, True, options.stereo)
     return Plan(
         cell=cell,
         arms=arms,
         lockstep=False,
-        cameras=("left", "right") if options.stereo else ("left",),
+        cameras=scope.views,
+        capture=scope.capture,
         record_quality=video_quality(options),
         seed=options.seed,
         out=paths.run_folder(options.out),

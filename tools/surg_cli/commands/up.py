@@ -10,7 +10,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from surg_cli.graph import follow, join, master, network, processes, roles, running, system
+from surg_cli.graph import (
+    endoscope,
+    follow,
+    join,
+    master,
+    network,
+    processes,
+    roles,
+    running,
+    system,
+)
+from surg_cli.graph.endoscope import Endoscope
 from surg_cli.graph.system import Plan
 from surg_cli.graph.watch import Watch
 from surg_cli.host import cells, environment, link_environments, paths, preflight
@@ -60,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--link", choices=("joint", "twist"), help="command of the robot link (default: its YAML)")
     add("--seed", type=int, default=0, metavar="N", help="seed of the simulator")
     add("--no-video", action="store_true", help="without the endoscope camera")
-    add("--stereo", action="store_true", help="both eyes of a stereo endoscope")
+    add("--stereo", action="store_true", help="both eyes of the simulator's endoscope")
     add("--view", action="store_true", help="open the simulator's window (needs a display)")
     add_video_quality(parser)
     for option, metavar, what in RECORDED:
@@ -86,6 +97,9 @@ def main(options: argparse.Namespace, command: str) -> int:
             raise Problem("--lock-step needs one machine; leave --role or --lock-step out", 2)
         link = join.link(loaded.config, roles.Role(options.role), options.port, options.port_guard)
     leader = options.leader or join.LEADER
+    scope = Endoscope(())
+    if not options.no_video:
+        scope = endoscope.of_cell(loaded.config, bool(simulated), options.stereo, options.lock_step)
     recorded = recorded_too(options.record_topics, options.record_cameras, link)
     now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
     plan = Plan(
@@ -94,9 +108,8 @@ def main(options: argparse.Namespace, command: str) -> int:
         simulated=simulated,
         driven=tuple(arm for arm in arms if loaded.arms[arm].hardware is not None),
         lockstep=options.lock_step,
-        cameras=()
-        if options.no_video or not simulated
-        else ("left", "right")[: 1 + options.stereo],
+        cameras=scope.views,
+        capture=scope.capture,
         view=options.view,
         law=options.law,
         link=options.link,

@@ -57,9 +57,11 @@ class Plan:
     cell: Path  # folder of the cell
     arms: tuple[str, ...]  # CRTK names of its arms
     lockstep: bool  # step by step and reproducible, or in real time
-    # views that the endoscope renders: "left", "right"; none: there is no endoscope
+    # views of the endoscope: "left", "right"; none: there is no endoscope
     cameras: tuple[str, ...]
     out: Path  # folder of the run
+    # parameters of the node that captures a real endoscope's pictures; None: the simulator's
+    capture: dict[str, object] | None = None
     view: bool = False  # whether the simulator opens its window
     # arms that the simulator drives; None: all. Without any there is no simulator and no picture
     simulated: tuple[str, ...] | None = None
@@ -131,7 +133,7 @@ class Plan:
     def observers(self) -> list[str]:
         """Names of the nodes that may fall behind by a bounded number of ticks only."""
         names = [RECORDER] if self.record else []
-        return [*names, ENDOSCOPE] if self.cameras else names
+        return [*names, ENDOSCOPE] if self.cameras and self.capture is None else names
 
 
 @dataclass(frozen=True)
@@ -173,8 +175,7 @@ def nodes(plan: Plan) -> list[Node]:
     if plan.simulates:
         started.append(Node("/sim", "surg_sim", "bridge_node.py", params, prompt=prompt))
     if plan.cameras:
-        params = {**plan.scene, "views": list(plan.cameras)}
-        started.append(Node(f"/{ENDOSCOPE}", "surg_sim", "endoscope_node.py", params))
+        started.append(endoscope(plan))
     for arm in plan.driven:
         params = {"cell": str(plan.cell), "arm": arm}
         started.append(Node(f"/{arm}/link", "surg_hardware", "link_node.py", params, drives=True))
@@ -219,6 +220,16 @@ def nodes(plan: Plan) -> list[Node]:
         }
         started.append(Node(f"/{RECORDER}", "surg_recording", "recorder_node.py", params))
     return started
+
+
+def endoscope(plan: Plan) -> Node:
+    """The node that publishes the endoscope's pictures: a real one's, or the simulator's."""
+    params: dict[str, object]
+    if plan.capture is not None:
+        params = {"cell": str(plan.cell), **plan.capture}
+        return Node(f"/{ENDOSCOPE}", "surg_perception", "capture_node.py", params)
+    params = {**plan.scene, "views": list(plan.cameras)}
+    return Node(f"/{ENDOSCOPE}", "surg_sim", "endoscope_node.py", params)
 
 
 def senders(plan: Plan) -> list[Node]:

@@ -22,27 +22,37 @@ APT_OPTIONS = ("-o", "DPkg::Lock::Timeout=600", "-y", "--no-install-recommends")
 APT_LINES_PER_PACKAGE = 5
 LATER = "# == later"
 """Line of the package list below which packages wait for a command that needs them."""
+OPTIONAL = ("gstreamer",)
+"""Sets at the end of the package list, each below a line `# == NAME`: installed on request only."""
 
 
-def make_ready(everything: bool = False) -> bool:
+def make_ready(everything: bool = False, optional: Sequence[str] = ()) -> bool:
     """Install missing packages and fill `.venv`; returns whether anything had to be done.
 
     Args:
         everything: Also what only test, export and bench need.
+        optional: Also these sets of ``OPTIONAL``.
     """
     preflight.check_path()
     logs = paths.STATE / "logs"
-    done = install_packages(logs / "apt.log", everything)
+    done = install_packages(logs / "apt.log", everything, optional)
     return install_python(logs / "pip.log") or done
 
 
-def listed_packages(path: Path = paths.APT_LIST, everything: bool = True) -> list[str]:
+def listed_packages(
+    path: Path = paths.APT_LIST, everything: bool = True, optional: Sequence[str] = ()
+) -> list[str]:
     """Names in the package list: the first word of each line, `#` starts a comment.
 
-    Without ``everything`` only those above the line ``LATER``.
+    Without ``everything`` only those above the line ``LATER``; ``optional`` names sets of
+    ``OPTIONAL`` that are added.
     """
     text = path.read_text("utf-8")
+    sets = {}
+    for name in reversed(OPTIONAL):
+        text, _, sets[name] = text.partition(f"\n# == {name}\n")
     chosen = text if everything else text.partition(f"\n{LATER}\n")[0]
+    chosen = "\n".join([chosen, *(sets[name] for name in optional)])
     lines = (line.partition("#")[0].split() for line in chosen.splitlines())
     return [words[0] for words in lines if words]
 
@@ -68,13 +78,13 @@ def missing_packages(names: Sequence[str]) -> list[str]:
     return [name for name in names if name not in installed]
 
 
-def install_packages(log: Path, everything: bool = False) -> bool:
+def install_packages(log: Path, everything: bool = False, optional: Sequence[str] = ()) -> bool:
     """Install what is missing from the package list; returns whether anything was.
 
     Raises:
         Problem: Without root and sudo, with the one line to run; or apt-get fails.
     """
-    listed = listed_packages(everything=everything)
+    listed = listed_packages(everything=everything, optional=optional)
     missing = missing_packages(listed)
     if not missing:
         return False

@@ -1,0 +1,1 @@
+"""Capture of endoscope pictures: layouts, pairs, clocks, signal; the node is `capture_node`."""

@@ -1,0 +1,1 @@
+"""Sources of endoscope pictures, one module per kind of URI (`capture.picture_source`)."""

@@ -1,0 +1,1 @@
+"""Endoscopes for tests of capture and calibration."""

@@ -1,0 +1,140 @@
+"""The capture node in the place of the simulator's endoscope: what its readers get."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from helpers.graph.ros import RosGraph
+from helpers.perception import recorded_pairs
+from surg_perception.capture import eye_lenses
+from surg_teleop.console.web import picture_packet
+
+pytestmark = pytest.mark.ros
+
+RATE = 30
+COUNT = 90
+MOST_MS = 40.0
+
+
+class Eyes:
+    """What arrives of both eyes."""
+
+    def __init__(self) -> None:
+        import rospy
+        from diagnostic_msgs.msg import DiagnosticArray
+        from sensor_msgs.msg import CameraInfo, Image
+
+        self.images: dict[str, list[Any]] = {"left": [], "right": []}
+        self.infos: dict[str, list[Any]] = {"left": [], "right": []}
+        self.diagnostics: list[Any] = []
+        self.inputs = [rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics)]
+        for eye in self.images:
+            keys = {"tcp_nodelay": True, "buff_size": 1 << 24}
+            root = f"/endoscope/{eye}"
+            self.inputs += [
+                rospy.Subscriber(f"{root}/image_raw", Image, self.images[eye].append, **keys),
+                rospy.Subscriber(f"{root}/camera_info", CameraInfo, self.infos[eye].append),
+            ]
+
+    def _on_diagnostics(self, message: Any) -> None:
+        self.diagnostics += [s for s in message.status if s.name == "endoscope"]
+
+    def close(self) -> None:
+        for each in self.inputs:
+            each.unregister()
+
+
+def picture(message: Any) -> recorded_pairs.Image:
+    flat = np.frombuffer(message.data, np.uint8)
+    return flat.reshape(message.height, message.width, 3)
+
+
+def test_a_file_has_the_topics_of_an_endoscope(
+    ros_graph: RosGraph, rospy_node: str, tmp_path: Path
+) -> None:
+    video = recorded_pairs.side_by_side(tmp_path / "pairs.mp4", COUNT, 320, 240)
+    eyes = Eyes()
+    params: dict[str, object] = {"source": f"file:{video}", "layout": "sbs"}
+    try:
+        ros_graph.node("surg_perception", "capture_node.py", "/endoscope", params)
+        ros_graph.wait_for(
+            lambda: any("ended" in s.message for s in eyes.diagnostics), 30.0, "the recording's end"
+        )
+    finally:
+        eyes.close()
+    left, right = eyes.images.values()
+    assert {m.header.frame_id for m in left} == {eye_lenses.FRAMES["left"]}
+    assert {m.header.frame_id for m in right} == {eye_lenses.FRAMES["right"]}
+    assert [m.header.stamp for m in left] == [m.header.stamp for m in right]
+    numbers = [recorded_pairs.number_of(picture(m)) for m in left]
+    assert numbers == list(range(numbers[0], COUNT)), "the subscription may come late, no more"
+    assert len(numbers) > COUNT - 30
+    assert [recorded_pairs.number_of(picture(m)) for m in right] == numbers
+    assert picture(left[0]).mean() > picture(right[0]).mean() + 30, "each its own half"
+    info = eyes.infos["left"][-1]
+    assert (info.width, info.height, info.K[0]) == (320, 240, 0.0), "nobody has measured a lens"
+
+
+class Console:
+    """The console's encoder, as the console starts it; its packets and when they came."""
+
+    def __init__(self, env: dict[str, str]) -> None:
+        argv = [sys.executable, "-m", "surg_teleop.console.ros.video_node", "video", "left,right"]
+        self._process = subprocess.Popen(
+            argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=env
+        )
+        assert self._process.stdin is not None
+        self._process.stdin.write(b"want stereo:h264\n")
+        self._process.stdin.flush()
+
+    def packets(self, seconds: float) -> list[tuple[int, int]]:
+        """Stamp and arrival of each picture [us]."""
+        found: list[tuple[int, int]] = []
+        out = self._process.stdout
+        assert out is not None
+        end = None
+        while end is None or time.monotonic() < end:
+            header = out.read(picture_packet.HEADER_BYTES)
+            packet = picture_packet.unpack(header + out.read(picture_packet.size_of(header)))
+            end = end or time.monotonic() + seconds
+            found.append((packet.exposed_us, time.time_ns() // 1000))
+        return found
+
+    def close(self) -> None:
+        self._process.kill()
+        self._process.wait()
+
+
+def test_no_picture_is_lost_on_the_way_to_the_console(
+    ros_graph: RosGraph, rospy_node: str, tmp_path: Path, full: bool
+) -> None:
+    if not full:
+        pytest.skip("five minutes; SURG_TEST_FULL=1")
+    seconds = 300.0
+    video = recorded_pairs.side_by_side(tmp_path / "pairs.mp4", COUNT)
+    console = Console(ros_graph.env)
+    params: dict[str, object] = {
+        "source": f"file:{video}?loop=1", "layout": "sbs", "rate": RATE,
+    }  # fmt: skip
+    try:
+        ros_graph.node("surg_perception", "capture_node.py", "/endoscope", params)
+        packets = console.packets(seconds)[RATE:]
+    finally:
+        console.close()
+    stamps = np.array([stamp for stamp, _ in packets])
+    ages = np.array([arrived - stamp for stamp, arrived in packets]) * 1e-3
+    steps = np.diff(stamps) * 1e-6 * RATE
+    lost = int(np.round(steps).sum()) - len(steps)
+    print(
+        f"{len(packets)} pairs, {lost} lost; stamp to console {np.median(ages):.1f} ms p50, "
+        f"{np.percentile(ages, 99):.1f} ms p99"
+    )
+    assert lost == 0
+    assert np.median(ages) <= MOST_MS
