@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
+from scipy.spatial.transform import Rotation
 
 import surg_core
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
+from surg_core import base_calibration, base_file
 from surg_core.base_calibration import BasesFit, solve_bases
 
 SEEDS = 200
@@ -127,14 +128,16 @@ def test_the_command_prints_the_base_and_writes_it(
     ]
     words = ["calibrate", str(folder), "bases", "--from", files[0], "--other-from", files[1]]
     assert surg(*map(str, words), "--date", "2026-11-23") == 0
-    said = capsys.readouterr().out
-    written = folder / "calibration" / f"bases_{first.name}_{second.name}.yaml"
-    found = yaml.safe_load(written.read_text())
-    np.testing.assert_allclose(found["xyz"], X_B1B2[:3, 3], atol=1e-9)
-    np.testing.assert_allclose(surg_core.rpy_to_matrix(found["rpy"]), X_B1B2[:3, :3], atol=1e-9)
-    assert (found["n"], found["date"], found["source"]) == (7, "2026-11-23", "simulated")
-    X_WB2 = first.X_WB @ X_B1B2
-    assert f"xyz: [{', '.join(f'{value:.6f}' for value in X_WB2[:3, 3])}]" in said
+    assert "n 7" in capsys.readouterr().out
+    found = base_file.load_base(folder / "calibration" / f"base_{second.name}.yaml")
+    np.testing.assert_allclose(found.X_WB, first.X_WB @ X_B1B2, atol=1e-9)
+    kind = found.evidence.n, found.evidence.date, found.evidence.source, found.method
+    assert kind == (7, "2026-11-23", "simulated", "points")
+    believed = surg_core.load_cell(folder).arms[second.name]
+    np.testing.assert_array_equal(believed.X_WB, found.X_WB)
+    np.testing.assert_array_equal(believed.X_WB_stated, second.X_WB_stated)
+    with pytest.raises(Problem, match="keeps its base"):
+        surg(*map(str, words), "--arm", second.name, "--other", first.name)
     with pytest.raises(Problem, match="one arm"):
         surg("calibrate", "sim_ur5e", "bases", "--from", str(files[0]))
 
@@ -145,3 +148,22 @@ def test_a_fit_says_how_good_it_is() -> None:
     away = np.linalg.norm(p_B1 - (p_B2 @ fit.X_B1B2[:3, :3].T + fit.X_B1B2[:3, 3]), axis=1)
     assert fit.worst == pytest.approx(away.max())
     assert fit.worst_point == int(away.argmax()) + 1
+
+
+def test_the_stated_covariance_is_that_of_repeated_touches() -> None:
+    """300 recordings of the same 8 points, each touched with an error of its own."""
+    rng = np.random.default_rng(11)
+    X, sigma = surg_core.make_pose([0.6, -0.2, 0.1], rotation(rng)), 0.0002
+    p_B2 = rng.uniform(-0.06, 0.06, (8, 3)) + np.array([0.4, 0.1, 0.2])
+    p_B1 = p_B2 @ X[:3, :3].T + X[:3, 3]
+    within = 0
+    for _ in range(300):
+        fit = solve_bases(p_B1 + rng.normal(0.0, sigma, p_B1.shape), p_B2)
+        theta = Rotation.from_matrix(X[:3, :3] @ fit.X_B1B2[:3, :3].T).as_rotvec()
+        error = np.concatenate([theta, X[:3, 3] - fit.X_B1B2[:3, 3]])
+        within += bool((np.abs(error) < 2.5 * np.sqrt(np.diag(fit.covariance))).all())
+    print(f"within 2.5 sigma on all six axes: {within} of 300")
+    assert 240 <= within < 300  # about 95 % for the axes' correlations, and few points
+    R = rotation(rng)
+    moved = base_calibration.in_axes(fit.covariance, R)
+    np.testing.assert_allclose(moved[:3, 3:], R @ fit.covariance[:3, 3:] @ R.T, atol=1e-15)

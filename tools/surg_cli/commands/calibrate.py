@@ -163,7 +163,7 @@ def origin_of(arm: Any) -> str:
 
 
 def _bases(folder: Path, cell: Any, options: argparse.Namespace) -> None:
-    """Solve for the base of a second arm in the first one's, print it for the cell, write it.
+    """Solve for the base of a second arm against the cell's first one, and write it.
 
     Raises:
         Problem: The options or recordings do not determine it.
@@ -175,11 +175,17 @@ def _bases(folder: Path, cell: Any, options: argparse.Namespace) -> None:
     if len(names) < 2:
         raise Problem(f"calibrate bases: the cell has one arm, {names[0]}; two are needed", 2)
     first = choose_arm(cell, options.arm or names[0])
-    others = [name for name in names if name != first.name]
+    others = [name for name in names if name != names[0]]
     second = choose_arm(cell, options.other or (others[0] if len(others) == 1 else None))
-    if second.name == first.name or options.source is None or options.other_from is None:
+    if first.name != names[0] or second.name == names[0]:
+        raise Problem(
+            f"calibrate bases: --arm {first.name} --other {second.name}; allowed: the cell's first "
+            f"arm, {names[0]}, keeps its base, and another is measured against it",
+            2,
+        )
+    if options.source is None or options.other_from is None:
         raise Problem("calibrate bases: --from FILE, --other NAME, --other-from FILE are needed", 2)
-    path = folder / "calibration" / f"bases_{first.name}_{second.name}.yaml"
+    path = folder / "calibration" / f"base_{second.name}.yaml"
     date = _date(options.date)
     try:
         points = [
@@ -187,23 +193,42 @@ def _bases(folder: Path, cell: Any, options: argparse.Namespace) -> None:
             for file, arm in ((options.source, first), (options.other_from, second))
         ]
         fit = base_calibration.solve_bases(*points)
-        X_WB2 = first.X_WB @ fit.X_B1B2
-        moved = surg_core.inverse_pose(second.X_WB) @ X_WB2
-        xyz, rpy = X_WB2[:3, 3], surg_core.matrix_to_rpy(X_WB2[:3, :3])
+        moved = surg_core.inverse_pose(second.X_WB) @ first.X_WB @ fit.X_B1B2
         say(
             f"{second.name} in {first.name}: n {fit.n}, rms {1e3 * fit.rms:.3f} mm, worst "
             f"{1e3 * fit.worst:.3f} mm (point {fit.worst_point}), condition {fit.condition:.1f}"
         )
-        say(f"change {_mm(moved[:3, 3])} mm from arms.{second.name}.base. Put into cell.yaml:")
-        say(f"      xyz: [{', '.join(f'{value:.6f}' for value in xyz)}]")
-        say(f"      rpy: [{', '.join(f'{value:.6f}' for value in rpy)}]")
+        say(f"change {_mm(moved[:3, 3])} mm from the base believed before")
         if not options.dry_run:
-            note = f"Measured by touch: {options.source.name}, {options.other_from.name}"
             source = max(origin_of(first), origin_of(second))  # simulated, if one of them is
-            calibration.write_bases(path, (first.name, second.name), fit, date, note, source)
-    except (calibration.CalibrationError, OSError) as error:
+            note = f"Measured by touch: {options.source.name}, {options.other_from.name}"
+            _write_base(path, cell, fit, (date, source), note)
+    except (calibration.CalibrationError, surg_core.ConfigError, OSError) as error:
         raise Problem(f"calibrate bases: {error}; {path} is unchanged", 1) from error
-    say("nothing written (--dry-run)" if options.dry_run else f"written: {path}")
+    say(
+        "nothing written (--dry-run)" if options.dry_run else f"written: {path}; restart the system"
+    )
+
+
+def _write_base(path: Path, cell: Any, fit: Any, when_and_how: tuple[str, str], note: str) -> None:
+    """Write a fit against the cell's first arm as a surg_base/1 file."""
+    from surg_core import base_calibration, base_file
+    from surg_core.checked_document import NO_HASH, Evidence
+
+    first = next(iter(cell.arms.values()))
+    stated = cell.config.arms[0]
+    covariance = base_calibration.in_axes(fit.covariance, first.X_WB[:3, :3])
+    evidence = Evidence(covariance, fit.rms, fit.n, fit.condition, *when_and_how)
+    base = base_file.BaseCalibration(
+        X_WB=first.X_WB @ fit.X_B1B2,
+        method="points",
+        evidence=evidence,
+        reference=first.name,
+        reference_xyz=stated.base_xyz,
+        reference_rpy=stated.base_rpy,
+        camera_sha256=NO_HASH,
+    )
+    base_file.write_base(path, base, note)
 
 
 def _mm(vector: Any) -> str:

@@ -20,6 +20,8 @@ LARGEST_RMS = 0.001
 """[m] Of the distances that remain between the two arms' points."""
 LEAST_SPREAD = 0.005
 """[m] rms distance of the points from their best plane: below it the rotation is guessed."""
+STEADIEST_HAND = 1e-5
+"""[m] Error of a touched point, one axis, that a fit never falls below."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ class BasesFit:
         worst_point: Its number in the recording, from 1.
         n: Number of points.
         condition: Largest over smallest spread of the points; 1 is best.
+        covariance: (6, 6) of X_B1B2 in the first base's axes, rotation first; see
+            ``checked_document.Evidence``.
     """
 
     X_B1B2: FloatArray
@@ -41,6 +45,7 @@ class BasesFit:
     worst_point: int
     n: int
     condition: float
+    covariance: FloatArray
 
 
 def solve_bases(p_B1: FloatArray, p_B2: FloatArray) -> BasesFit:
@@ -86,7 +91,36 @@ def solve_bases(p_B1: FloatArray, p_B2: FloatArray) -> BasesFit:
             f"{worst + 1} with {1e3 * away[worst]:.2f} mm; allowed are {1e3 * LARGEST_RMS:g} mm: "
             "touch the same points in the same order, with calibrated tools"
         )
-    return BasesFit(X_B1B2, rms, float(away[worst]), worst + 1, n, float(spread[0] / spread[2]))
+    covariance = _covariance(first - X_B1B2[:3, 3], rms)
+    condition = float(spread[0] / spread[2])
+    return BasesFit(X_B1B2, rms, float(away[worst]), worst + 1, n, condition, covariance)
+
+
+def _covariance(arms: FloatArray, rms: float) -> FloatArray:
+    """Of (theta, d), where each point is touched with an error of its own.
+
+    Least squares: sigma^2 (J^T J)^-1 with J = [-[r] I] for a point at r (3,) from the base's
+    origin. ``arms`` is (n, 3), ``rms`` that of the distances which remain [m].
+    """
+    n = len(arms)
+    J = np.zeros((n, 3, 6))
+    x, y, z = arms.T
+    J[:, 0, 1], J[:, 0, 2] = z, -y
+    J[:, 1, 0], J[:, 1, 2] = -z, x
+    J[:, 2, 0], J[:, 2, 1] = y, -x
+    J[:, :, 3:] = np.eye(3)
+    variance = max(n * rms**2 / (3 * n - 6), STEADIEST_HAND**2)
+    stacked = J.reshape(-1, 6)
+    C = variance * np.linalg.inv(stacked.T @ stacked)
+    return np.asarray((C + C.T) / 2)
+
+
+def in_axes(covariance: FloatArray, R: FloatArray) -> FloatArray:
+    """A covariance (6, 6) in other axes: R (3, 3) turns from the old axes to the new ones."""
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = R
+    C = turn @ covariance @ turn.T
+    return np.asarray((C + C.T) / 2)
 
 
 def _spread(centred: FloatArray) -> FloatArray:

@@ -50,16 +50,14 @@ from surg_core._core import (
     tool_calibration,
     trocar_calibration,
 )
-from surg_core.base_calibration import BasesFit
 from surg_core.config import (
     PathLike,
     load_kinematics,
     load_tool,
     load_trocar,
-    read_document,
 )
 from surg_core.replace_file import fixed_decimals, one_line, replace_file
-from surg_core.transforms import FloatArray, matrix_to_rpy, quaternion_xyzw_to_matrix
+from surg_core.transforms import FloatArray, quaternion_xyzw_to_matrix
 
 MOTIONS = ("tip", "roll", "second", "trocar", "touch")
 SERIAL = "serial"
@@ -254,35 +252,6 @@ def touched_points(recording: Recording, tool: ToolCalibration) -> FloatArray:
     X_BF = recording.of("touch", "the bases")
     points: FloatArray = X_BF[:, :3, :3] @ tool.p_FTip + X_BF[:, :3, 3]
     return points
-
-
-def write_bases(
-    path: PathLike, arms: Sequence[str], fit: BasesFit, date: str, note: str, source: str
-) -> None:
-    """Writes a surg_bases/1 file: the second arm's base in the first one's; as :func:`write_tool`.
-
-    Args:
-        path: such as ``calibration/bases_PSM1_PSM2.yaml``.
-        arms: names of the two arms.
-        fit: the solution.
-        date: such as ``2026-11-23``.
-        note: one line for people, put at the top.
-        source: ``measured`` or ``simulated``.
-    """
-    xyz, rpy = fit.X_B1B2[:3, 3], matrix_to_rpy(fit.X_B1B2[:3, :3])
-    text = (
-        f"# {one_line(note)}\n"
-        "format: surg_bases/1\n"
-        f"arms: [{', '.join(arms)}]  # pose of the second base in the first\n"
-        f"xyz: {fixed_decimals(xyz)}  # m\n"
-        f"rpy: {fixed_decimals(rpy)}  # rad\n"
-        f"residual: {fit.rms:.9f}  # m, rms\n"
-        f"n: {fit.n}\n"
-        f"condition: {fit.condition:.4f}\n"
-        f'date: "{one_line(date)}"\n'
-        f"source: {source}\n"
-    )
-    replace_file(Path(path), text, read_document)
 
 
 _Fit = TypeVar("_Fit")
