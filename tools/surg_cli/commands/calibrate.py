@@ -14,6 +14,7 @@ from typing import Any
 from surg_cli.host import cells
 from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import Problem, say
+from surg_cli.robots import endoscope_steps
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -22,11 +23,17 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("cell", metavar="CELL", help="name in cells/, or a cell's folder")
     add(
         "what",
-        choices=("collect", "tool", "trocar", "bases"),
-        help="record poses, or solve for tool or trocar, or for the bases of two arms",
+        choices=("collect", "tool", "trocar", "bases", *endoscope_steps.STEPS),
+        help="record poses, solve for tool, trocar or bases, or calibrate the endoscope",
     )
     add("--arm", metavar="NAME", help="of the cell (default: its only arm)")
-    add("--from", dest="source", type=Path, metavar="FILE", help="the recording, CSV")
+    add(
+        "--from",
+        dest="source",
+        type=Path,
+        metavar="FILE",
+        help="the recording, CSV; of the endoscope: the folder of views",
+    )
     add("--date", metavar="DAY", help="date of the calibration (default: today)")
     add("--dry-run", action="store_true", help="solve and print, write nothing")
     collect = parser.add_argument_group("collect")
@@ -43,12 +50,17 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     bases = parser.add_argument_group("bases")
     bases.add_argument("--other", metavar="NAME", help="the second arm (default: the cell's other)")
     bases.add_argument("--other-from", type=Path, metavar="FILE", help="its recording of `touch`")
+    endoscope_steps.add_arguments(parser, bases)
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Collect or solve."""
     folder = cells.find(options.cell)
     cell = cells.load(folder)
+    if options.what in endoscope_steps.STEPS or options.by is not None:
+        origin = max(origin_of(arm) for arm in cell.arms.values())  # simulated, if one of them is
+        endoscope_steps.run(cell, options, origin, _date(options.date))
+        return 0
     if options.what == "bases":
         _bases(folder, cell, options)
         return 0

@@ -1,0 +1,199 @@
+"""The left eye in the flange of the arm that holds the endoscope.
+
+The scope looks at a still board from many postures. A closed form (F. Park and B. Martin, "Robot
+sensor calibration: solving AX = XB on the Euclidean group", 1994) starts an adjustment of the
+residuals of all corners in both eyes over two poses: the eye in the flange, the board in the base.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from surg_core.transforms import FloatArray, inverse_pose
+from surg_perception.calibration.adjustment import Adjusted, adjust
+from surg_perception.calibration.intrinsics import (
+    PoseProblem,
+    SeenCorners,
+    board_pose,
+)
+from surg_perception.calibration.small_motions import (
+    expected_error,
+    mean_pose,
+    moved,
+    rotation_vector,
+    skew,
+    transform,
+)
+from surg_perception.calibration.triangulation import Stereo
+
+
+@dataclass(frozen=True)
+class HandEyeProblem:
+    """The eye in the flange and the board in the base.
+
+    Shared parameters: steps of X_FV and of X_BBoard. With ``free`` also two that should be 0: the
+    logarithms of a factor of all focal lengths and of a factor of the board's size.
+
+    Attributes:
+        stereo: Both eyes, measured before.
+        X_FV: Pose (4, 4) of the left eye in the flange.
+        X_BBoard: Pose (4, 4) of the board in the robot base.
+        X_BF: Pose (4, 4) of the flange, of each view.
+        seen: What each view shows: left, right.
+        free: Whether focal length and board size are parameters too.
+        factors: (2,) logarithms of the factors of focal length and board size.
+    """
+
+    stereo: Stereo
+    X_FV: FloatArray
+    X_BBoard: FloatArray
+    X_BF: FloatArray
+    seen: Sequence[tuple[SeenCorners, SeenCorners]]
+    free: bool = False
+    factors: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def views(self) -> int:
+        """Number of views."""
+        return len(self.seen)
+
+    def linearise(self, view: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """As ``adjustment.Problem``."""
+        X_RL = inverse_pose(self.stereo.X_LR)
+        R_VF, size = self.X_FV[:3, :3].T, np.exp(self.factors[1])
+        X_FB = inverse_pose(self.X_BF[view])
+        eyes = ((self.stereo.left, np.eye(4)), (self.stereo.right, X_RL))
+        residuals, slopes = [], []
+        for (lens, X_EV), seen in zip(eyes, self.seen[view], strict=True):
+            zoomed = replace(lens, values=lens.values * _zoom(len(lens.values), self.factors[0]))
+            p_B = transform(self.X_BBoard, size * seen.p_Board)
+            away = transform(X_FB, p_B) - self.X_FV[:3, 3]
+            found, by_point, by_values = zoomed.derivatives(transform(X_EV, away @ R_VF.T))
+            in_flange = by_point @ (X_EV[:3, :3] @ R_VF)
+            in_base = in_flange @ X_FB[:3, :3]
+            on_board = p_B - self.X_BBoard[:3, 3]
+            slope = np.zeros((*found.shape, 14))
+            slope[..., :3] = in_flange @ skew(away)
+            slope[..., 3:6] = -in_flange
+            slope[..., 6:9] = -in_base @ skew(on_board)
+            slope[..., 9:12] = in_base
+            slope[..., 12] = by_values[..., :2] @ zoomed.values[:2]
+            slope[..., 13] = (in_base @ on_board[..., None])[..., 0]
+            residuals.append((found - seen.pixels).ravel())
+            slopes.append(slope.reshape(-1, 14)[:, : 14 if self.free else 12])
+        r = np.concatenate(residuals)
+        return r, np.concatenate(slopes), np.zeros((len(r), 0))
+
+    def moved(self, shared: FloatArray, own: list[FloatArray]) -> HandEyeProblem:
+        """As ``adjustment.Problem``."""
+        factors = self.factors
+        if self.free:
+            factors = (factors[0] + float(shared[12]), factors[1] + float(shared[13]))
+        return replace(
+            self,
+            X_FV=moved(self.X_FV, shared[:6]),
+            X_BBoard=moved(self.X_BBoard, shared[6:12]),
+            factors=factors,
+        )
+
+
+@dataclass(frozen=True)
+class HandEyeFit:
+    """The result with its evidence.
+
+    Attributes:
+        fit: The adjustment.
+        factors: Of focal length and board size that would fit these views best.
+        factors_sd: Standard deviations of both, by jackknife.
+        turns: (2,) largest turn between two views, and largest turn about an axis across it [rad].
+    """
+
+    fit: Adjusted[HandEyeProblem]
+    factors: FloatArray
+    factors_sd: FloatArray
+    turns: FloatArray
+
+    @property
+    def X_FV(self) -> FloatArray:
+        """The result."""
+        return self.fit.solution.X_FV
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (6, 6) of X_FV, rotation first, axes of the flange."""
+        return self.fit.covariance[:6, :6]
+
+    @property
+    def pose_error(self) -> tuple[float, float]:
+        """Expected error of X_FV: rotation [rad], position [m]."""
+        return expected_error(self.covariance)
+
+
+def solve_handeye(
+    stereo: Stereo, X_BF: FloatArray, seen: Sequence[tuple[SeenCorners, SeenCorners]]
+) -> HandEyeFit:
+    """The left eye in the flange.
+
+    Args:
+        stereo: Both eyes.
+        X_BF: (n, 4, 4) flange poses in the robot base.
+        seen: What each view shows: left, right.
+    """
+    X_VBoard = np.array([pair_pose(stereo, pair) for pair in seen])
+    X_FV = park(X_BF, X_VBoard)
+    X_BBoard = mean_pose(X_BF @ X_FV @ X_VBoard)
+    fit = adjust(HandEyeProblem(stereo, X_FV, X_BBoard, X_BF, seen))
+    freed = adjust(replace(fit.solution, free=True))
+    sd = np.sqrt(np.diag(freed.covariance)[12:])
+    return HandEyeFit(fit, np.exp(freed.solution.factors), sd, _turns(X_BF))
+
+
+def pair_pose(stereo: Stereo, pair: tuple[SeenCorners, SeenCorners]) -> FloatArray:
+    """Pose (4, 4) of the board before the left eye, from both eyes."""
+    eyes = [(stereo.left, np.eye(4), pair[0]), (stereo.right, inverse_pose(stereo.X_LR), pair[1])]
+    return adjust(PoseProblem(board_pose(stereo.left, pair[0]), eyes)).solution.X_LBoard
+
+
+def park(X_BF: FloatArray, X_VBoard: FloatArray) -> FloatArray:
+    """X_FV (4, 4) from flange poses and board poses (n, 4, 4), in closed form, from all pairs."""
+    motions = []
+    for i in range(len(X_BF)):
+        for j in range(i):
+            A = inverse_pose(X_BF[i]) @ X_BF[j]
+            B = X_VBoard[i] @ inverse_pose(X_VBoard[j])
+            motions.append((A, B))
+    M = sum(
+        (np.outer(rotation_vector(B[:3, :3]), rotation_vector(A[:3, :3])) for A, B in motions),
+        np.zeros((3, 3)),
+    )
+    # R that turns each motion of the eye, seen in the eye, into that of the flange.
+    U, _, Vt = np.linalg.svd(M)
+    R = Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T
+    left = np.concatenate([A[:3, :3] - np.eye(3) for A, _ in motions])
+    right = np.concatenate([R @ B[:3, 3] - A[:3, 3] for A, B in motions])
+    X = np.eye(4)
+    X[:3, :3], X[:3, 3] = R, np.linalg.lstsq(left, right, rcond=None)[0]
+    return X
+
+
+def _turns(X_BF: FloatArray) -> FloatArray:
+    """Largest turn between two views, and the largest one across its axis (2,) [rad]."""
+    turns = np.array(
+        [
+            rotation_vector(X_BF[i, :3, :3].T @ X_BF[j, :3, :3])
+            for i in range(len(X_BF))
+            for j in range(i)
+        ]
+    )
+    lengths = np.linalg.norm(turns, axis=1)
+    axis = turns[np.argmax(lengths)] / lengths.max()
+    across = turns - np.outer(turns @ axis, axis)
+    return np.array([lengths.max(), np.linalg.norm(across, axis=1).max()])
+
+
+def _zoom(n: int, factor: float) -> FloatArray:
+    """Factors (n,) of a lens's values when its focal lengths change."""
+    return np.concatenate([np.exp([factor, factor]), np.ones(n - 2)])

@@ -1,0 +1,173 @@
+"""Lens from views of the board: the simplest model that predicts views it has not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from surg_core.lens_file import DISTORTION_MODELS
+from surg_core.transforms import FloatArray
+from surg_perception.calibration.adjustment import Adjusted, adjust
+from surg_perception.calibration.lens_model import MODELS, LensModel
+from surg_perception.calibration.small_motions import moved, skew, transform
+
+GOOD_ENOUGH = 1.05
+"""A simpler model wins when its held-out error is at most this many times the best one's."""
+
+
+@dataclass(frozen=True)
+class SeenCorners:
+    """Corners of one view in one eye.
+
+    Attributes:
+        p_Board: ``(n, 3)`` in the board frame [m].
+        pixels: ``(n, 2)`` [px].
+    """
+
+    p_Board: FloatArray
+    pixels: FloatArray
+
+
+@dataclass(frozen=True)
+class LensProblem:
+    """One lens and the board's pose in each view.
+
+    Attributes:
+        lens: The lens.
+        X_CBoard: Pose (4, 4) of the board before the camera, of each view.
+        seen: What each view shows.
+    """
+
+    lens: LensModel
+    X_CBoard: list[FloatArray]
+    seen: Sequence[SeenCorners]
+
+    @property
+    def views(self) -> int:
+        """Number of views."""
+        return len(self.seen)
+
+    def linearise(self, view: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """As ``adjustment.Problem``."""
+        seen, X = self.seen[view], self.X_CBoard[view]
+        found, by_point, by_values = self.lens.derivatives(transform(X, seen.p_Board))
+        own = by_point @ by_pose(X, seen.p_Board)
+        return (
+            (found - seen.pixels).ravel(),
+            by_values.reshape(-1, by_values.shape[2]),
+            own.reshape(-1, 6),
+        )
+
+    def moved(self, shared: FloatArray, own: list[FloatArray]) -> LensProblem:
+        """As ``adjustment.Problem``."""
+        poses = [moved(X, step) for X, step in zip(self.X_CBoard, own, strict=True)]
+        return replace(self, lens=self.lens.moved(shared), X_CBoard=poses)
+
+
+@dataclass(frozen=True)
+class PoseProblem:
+    """The board's pose before one or two known eyes; the pose is the only shared parameter.
+
+    Attributes:
+        X_LBoard: Pose (4, 4) of the board before the left eye.
+        eyes: Of each eye: lens, pose of the left eye in it (4, 4), what it sees.
+    """
+
+    X_LBoard: FloatArray
+    eyes: Sequence[tuple[LensModel, FloatArray, SeenCorners]]
+    views: int = 1
+
+    def linearise(self, view: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """As ``adjustment.Problem``."""
+        residuals, slopes = [], []
+        for lens, X_EL, seen in self.eyes:
+            p_L = transform(self.X_LBoard, seen.p_Board)
+            found, by_point, _ = lens.derivatives(transform(X_EL, p_L))
+            by_step = by_point @ (X_EL[:3, :3] @ by_pose(self.X_LBoard, seen.p_Board))
+            residuals.append((found - seen.pixels).ravel())
+            slopes.append(by_step.reshape(-1, 6))
+        r = np.concatenate(residuals)
+        return r, np.concatenate(slopes), np.zeros((len(r), 0))
+
+    def moved(self, shared: FloatArray, own: list[FloatArray]) -> PoseProblem:
+        """As ``adjustment.Problem``."""
+        return replace(self, X_LBoard=moved(self.X_LBoard, shared))
+
+
+def by_pose(X_AB: FloatArray, p_B: FloatArray) -> FloatArray:
+    """Derivatives (n, 3, 6) of points of B in A by a step of X_AB."""
+    slope = np.zeros((len(p_B), 3, 6))
+    slope[:, :, :3] = -skew(p_B @ X_AB[:3, :3].T)
+    slope[:, :, 3:] = np.eye(3)
+    return slope
+
+
+def board_pose(lens: LensModel, seen: SeenCorners) -> FloatArray:
+    """A first estimate (4, 4) of the board's pose before the camera (Collins and Bartoli, 2014)."""
+    rays = lens.rays(seen.pixels)[:, :2]
+    good = np.isfinite(rays).all(axis=1)
+    done, r, t = cv2.solvePnP(
+        seen.p_Board[good], rays[good], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
+    )
+    if not done:
+        raise ValueError("the board's pose cannot be estimated")
+    X = np.eye(4)
+    X[:3, :3], X[:3, 3] = cv2.Rodrigues(r)[0], t.ravel()
+    return X
+
+
+def fit_lens(
+    seen: Sequence[SeenCorners], size: tuple[int, int], model: str
+) -> Adjusted[LensProblem]:
+    """The lens of one model with the least squared residuals.
+
+    Args:
+        seen: What each view shows; three views or more.
+        size: Width and height of the pictures [px].
+        model: One of ``MODELS``.
+    """
+    K = cv2.initCameraMatrix2D(
+        [each.p_Board.astype(np.float32) for each in seen],
+        [each.pixels.astype(np.float32) for each in seen],
+        size,
+        0.0,
+    )
+    values = np.concatenate(
+        [[K[0, 0], K[1, 1], K[0, 2], K[1, 2]], np.zeros(DISTORTION_MODELS[model])]
+    )
+    lens = LensModel(model, size, values)
+    poses = [board_pose(lens, each) for each in seen]
+    return adjust(LensProblem(lens, poses, seen))
+
+
+def held_out_error(fit: Adjusted[LensProblem]) -> float:
+    """Residual of each view under the lens fitted without it, rms over the views [px]."""
+    problem = fit.solution
+    errors = []
+    for view, step in enumerate(fit.without()):
+        eye = (problem.lens.moved(step), np.eye(4), problem.seen[view])
+        errors.append(adjust(PoseProblem(problem.X_CBoard[view], [eye])).rms)
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def choose_model(
+    seen: Sequence[Sequence[SeenCorners]], size: tuple[int, int]
+) -> tuple[str, dict[str, float]]:
+    """The simplest model whose held-out error is within 5 % of the best one's.
+
+    Args:
+        seen: Of each eye, what each view shows.
+        size: Width and height of the pictures [px].
+
+    Returns:
+        The model, and the held-out error of every model, rms over the eyes [px].
+    """
+    errors = {}
+    for model in MODELS:
+        each = [held_out_error(fit_lens(eye, size, model)) for eye in seen]
+        errors[model] = float(np.sqrt(np.mean(np.square(each))))
+    best = min(error for error in errors.values() if np.isfinite(error))
+    return next(m for m in MODELS if errors[m] <= GOOD_ENOUGH * best), errors

@@ -1,0 +1,89 @@
+"""Small motions of poses: how a solver moves a pose, and in which terms a covariance is stated.
+
+A step ``(6,)`` of a pose X_AB is a rotation vector and a translation, both in the axes of A: the
+rotation becomes exp(w) R, the position p + v.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from surg_core.transforms import FloatArray, axis_angle_to_matrix, inverse_pose
+
+
+def skew(v: FloatArray) -> FloatArray:
+    """Matrices (n, 3, 3) of the cross product with each row of v (n, 3)."""
+    x, y, z = np.atleast_2d(v).T
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
+
+
+def turn(w: FloatArray) -> FloatArray:
+    """Rotation (3, 3) of a rotation vector (3,) [rad]."""
+    angle = float(np.linalg.norm(w))
+    return np.eye(3) if angle < 1e-300 else axis_angle_to_matrix(w, angle)
+
+
+def rotation_vector(R: FloatArray) -> FloatArray:
+    """Rotation vector (3,) [rad] of a rotation (3, 3); its length is at most pi."""
+    sine = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    s, c = float(np.linalg.norm(sine)), 0.5 * (float(np.trace(R)) - 1.0)
+    angle = math.atan2(s, c)
+    if s > 1e-6:
+        return np.asarray(sine * (angle / s))
+    if c > 0.0:
+        return sine
+    values, vectors = np.linalg.eigh((R + R.T) / 2.0)  # half a turn: the axis, of either sign
+    return np.asarray(angle * vectors[:, int(np.argmax(values))])
+
+
+def moved(X_AB: FloatArray, step: FloatArray) -> FloatArray:
+    """The pose (4, 4) after a step (6,)."""
+    X = X_AB.copy()
+    X[:3, :3] = turn(step[:3]) @ X[:3, :3]
+    X[:3, 3] += step[3:]
+    return X
+
+
+def difference(X_AB: FloatArray, X_AB0: FloatArray) -> FloatArray:
+    """The step (6,) that takes X_AB0 to X_AB."""
+    turned = rotation_vector(X_AB[:3, :3] @ X_AB0[:3, :3].T)
+    return np.concatenate([turned, X_AB[:3, 3] - X_AB0[:3, 3]])
+
+
+def covariance_of_inverse(X_AB: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Covariance (6, 6) of X_BA from that of X_AB."""
+    R_BA = X_AB[:3, :3].T
+    J = np.zeros((6, 6))
+    J[:3, :3] = -R_BA
+    # p_BA = -R_BA p_AB; with exp(w): -R_BA (1 - [w]x) p_AB = p_BA - R_BA [p_AB]x w.
+    J[3:, :3] = -R_BA @ skew(X_AB[:3, 3])[0]
+    J[3:, 3:] = -R_BA
+    return np.asarray(J @ covariance @ J.T)
+
+
+def transform(X_AB: FloatArray, p_B: FloatArray) -> FloatArray:
+    """Points (n, 3) of B in A."""
+    return np.asarray(p_B @ X_AB[:3, :3].T + X_AB[:3, 3])
+
+
+def expected_error(covariance: FloatArray) -> tuple[float, float]:
+    """Expected error of a pose: of its rotation [rad] and position [m], one sigma of the length."""
+    return math.sqrt(np.trace(covariance[:3, :3])), math.sqrt(np.trace(covariance[3:, 3:]))
+
+
+def mean_pose(poses: FloatArray) -> FloatArray:
+    """The mean (4, 4) of poses (n, 4, 4): mean position, nearest rotation to the mean matrix."""
+    mean = poses.mean(axis=0)
+    U, _, Vt = np.linalg.svd(mean[:3, :3])
+    X = np.eye(4)
+    X[:3, :3] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    X[:3, 3] = mean[:3, 3]
+    return X
+
+
+def relative(X_AB: FloatArray, X_AC: FloatArray) -> FloatArray:
+    """X_BC (4, 4) of X_AB and X_AC."""
+    return np.asarray(inverse_pose(X_AB) @ X_AC)

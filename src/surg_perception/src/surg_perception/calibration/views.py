@@ -1,0 +1,192 @@
+"""A folder of views: pairs of pictures and the joints of all arms. The folder is the interface.
+
+::
+
+    views.csv                    view,stamp,touch,PSM1/shoulder_pan_joint,...,ECM/...
+    000_left.png 000_right.png   of the view 000
+    board.yaml                   the board (optional: the cell's own calibration/board.yaml)
+
+``stamp`` is in seconds, joints in rad. ``touch`` is the number of the corner that an instrument
+touches, empty for none. Without a right picture there is one eye. Deleting a row, or both pictures
+of a view, leaves it out.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from surg_core.transforms import FloatArray
+from surg_perception.calibration.board import Board, Corners, Picture
+from surg_perception.calibration.intrinsics import SeenCorners
+
+EYES = ("left", "right")
+
+
+class ViewsError(ValueError):
+    """A folder of views must not be used; names file, line and what to do."""
+
+
+@dataclass(frozen=True)
+class View:
+    """One rest.
+
+    Attributes:
+        name: Of the view, such as ``007``.
+        stamp: Of the exposure [s].
+        joints: Positions by ``<arm>/<joint>`` [rad].
+        touch: Corner that an instrument touches; None: none.
+        corners: What each eye sees: left, right; None: the board is not seen.
+    """
+
+    name: str
+    stamp: float
+    joints: Mapping[str, float]
+    touch: int | None
+    corners: tuple[Corners | None, Corners | None]
+
+    def of_arm(self, arm: str, joints: Sequence[str]) -> FloatArray:
+        """Joint positions (n,) of an arm [rad].
+
+        Raises:
+            ViewsError: The folder does not have them.
+        """
+        missing = [joint for joint in joints if f"{arm}/{joint}" not in self.joints]
+        if missing:
+            raise ViewsError(
+                f"view {self.name}: no column {arm}/{missing[0]}: the joints of {arm} are silent; "
+                "record the views while its state is published"
+            )
+        return np.array([self.joints[f"{arm}/{joint}"] for joint in joints])
+
+    def seen(self, board: Board) -> tuple[SeenCorners, SeenCorners] | None:
+        """What both eyes see; None: one of them does not see the board."""
+        left, right = self.corners
+        if left is None or right is None:
+            return None
+        places = board.corners
+        return (
+            SeenCorners(places[left.ids], left.pixels),
+            SeenCorners(places[right.ids], right.pixels),
+        )
+
+
+@dataclass(frozen=True)
+class Views:
+    """The views of a folder.
+
+    Attributes:
+        folder: Where they come from.
+        board: What they show.
+        size: Width and height of the pictures [px].
+        views: In the order of the file.
+        skipped: Views without the board in an eye, each with the reason.
+    """
+
+    folder: Path
+    board: Board
+    size: tuple[int, int]
+    views: Sequence[View]
+    skipped: Sequence[str]
+
+    @property
+    def with_board(self) -> list[View]:
+        """The views that show the board to both eyes."""
+        return [view for view in self.views if view.seen(self.board) is not None]
+
+
+def read_views(folder: Path, board: Board) -> Views:
+    """Read a folder and find the board in its pictures.
+
+    Raises:
+        ViewsError: The folder, its table or a picture must not be used.
+    """
+    file = folder / "views.csv"
+    try:
+        rows = list(csv.DictReader(file.read_text(encoding="utf-8").splitlines(), strict=True))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ViewsError(f"{file}: cannot be read: {error}") from error
+    if not rows:
+        raise ViewsError(f"{file}: has no views; a header and rows are needed")
+    if missing := [key for key in ("view", "stamp") if key not in rows[0]]:
+        raise ViewsError(f"{file}:1: no column '{missing[0]}'; needed are view, stamp and joints")
+    views, skipped = [], []
+    sizes: dict[tuple[int, int], str] = {}
+    for line, row in enumerate(rows, start=2):
+        name, where = row["view"], f"{file}:{line}"
+        if not name or not name.replace("_", "").replace("-", "").isalnum():
+            raise ViewsError(f"{where}: view: {name!r}; allowed: letters, digits, '-', '_'")
+        pictures = [_picture(folder / f"{name}_{eye}.png") for eye in EYES]
+        if pictures[0] is None:
+            skipped.append(f"{name}: no picture {name}_left.png")
+            continue
+        sizes.update({(p.shape[1], p.shape[0]): name for p in pictures if p is not None})
+        if len(sizes) > 1:
+            (a, first), (b, second) = list(sizes.items())[:2]
+            raise ViewsError(
+                f"{folder}: view {first} has {a[0]} x {a[1]} px, view {second} {b[0]} x {b[1]}; "
+                "all pictures must have one size"
+            )
+        corners = [None if p is None else board.find(p) for p in pictures]
+        for eye, picture, found in zip(EYES, pictures, corners, strict=True):
+            if picture is not None and found is None:
+                skipped.append(f"{name}_{eye}.png: {board.why_not(picture)}")
+        views.append(_view(name, row, where, (corners[0], corners[1]), board))
+    if not sizes:
+        raise ViewsError(f"{folder}: has no pictures; needed are {rows[0]['view']}_left.png, ...")
+    return Views(folder, board, next(iter(sizes)), views, skipped)
+
+
+def _view(
+    name: str,
+    row: Mapping[str, str],
+    where: str,
+    corners: tuple[Corners | None, Corners | None],
+    board: Board,
+) -> View:
+    """One row of the table."""
+    joints = {}
+    for key, word in row.items():
+        if key in ("view", "stamp", "touch"):
+            continue
+        if key is None or word is None:
+            raise ViewsError(f"{where}: has another number of values than the header")
+        joints[key] = _number(word, f"{where}: {key}")
+    touch = row.get("touch") or ""
+    if touch and not (touch.isdigit() and int(touch) < len(board.corners)):
+        raise ViewsError(
+            f"{where}: touch: {touch!r}; allowed: a corner from 0 to {len(board.corners) - 1}"
+        )
+    stamp = _number(row["stamp"], f"{where}: stamp")
+    return View(name, stamp, joints, int(touch) if touch else None, corners)
+
+
+def _number(word: str, where: str) -> float:
+    try:
+        value = float(word)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ViewsError(f"{where}: {word!r} is not a finite number")
+    return value
+
+
+def _picture(file: Path) -> Picture | None:
+    """A grey picture (h, w); None: there is none.
+
+    Raises:
+        ViewsError: It is no picture.
+    """
+    if not file.is_file():
+        return None
+    data = np.frombuffer(file.read_bytes(), dtype=np.uint8)
+    picture = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+    if picture is None:
+        raise ViewsError(f"{file}: is not a picture; delete it, or record the view again")
+    return np.asarray(picture, dtype=np.uint8)
