@@ -93,6 +93,18 @@ async def system(folder: Path, cell: str) -> AsyncIterator[tuple[int, Judged]]:
                 process.wait(90)
 
 
+async def drive(found: Page) -> None:
+    """Enable until the tip follows; where others have the processors, that takes more than one try."""
+    for attempt in range(5):
+        try:
+            await found.drive()
+            return
+        except AssertionError:
+            if attempt == 4:
+                raise
+            found.fall_silent()
+
+
 async def storm(found: Page, rng: np.random.Generator, until: float) -> int:
     """A hand to and fro at full speed, clutching, halting, changing its way; presses when held.
 
@@ -131,7 +143,7 @@ def test_a_fast_hand_on_a_busy_machine_never_leaves_the_pivot(tmp_path: Path, ce
     async def test() -> None:
         async with system(tmp_path, cell) as (web, judged), page(web) as found:
             found.hand = {"hand": "position", "p": [0.0, 0.0, 0.0]}
-            await found.drive()
+            await drive(found)
             await found.say("scale", value=SCALE)
             with busy(LOAD):
                 began = time.monotonic()

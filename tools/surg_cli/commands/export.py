@@ -45,6 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--instruction", metavar="TEXT", help="in words (default: the recording's own)")
     spaces = ("absolute", "relative", "velocity", "joint")
     add("--action-space", default="absolute", choices=spaces, help="of the actions (absolute)")
+    keep = "features to keep, with * (beside action, instruction, tool): recordings may then differ"
+    add("--columns", nargs="+", metavar="FEATURE", help=f"{keep} in task, robot and instrument")
     add("--drop", nargs="+", default=[], metavar="FEATURE", help="features to leave out")
     add("--max-image-age", type=float, default=0.1, metavar="S", help="oldest picture (0.1 s)")
     add("--max-gap", type=float, default=0.05, metavar="S", help="longest bridged gap (0.05 s)")
@@ -118,6 +120,7 @@ def choices(options: argparse.Namespace, kind: Any) -> Any:
         "max_gap_s": options.max_gap,
         "cameras": None if options.cameras is None else tuple(options.cameras),
         "drop": tuple(options.drop),
+        "columns": None if options.columns is None else tuple(options.columns),
     }
     for field in dataclasses.fields(kind):
         if field.name not in given and hasattr(options, field.name):
@@ -140,7 +143,7 @@ def _say(report: Any, options: argparse.Namespace) -> int:
     facts = report.facts
     if facts.get("up_to_date"):
         rows.append(["state", "up to date"])
-    for key in ("not selected", "splits", "kinds", "files"):
+    for key in ("not selected", "splits", "kinds", "mixed", "files"):
         if facts.get(key):
             shown = facts[key]
             if isinstance(shown, dict):

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import fnmatch
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from surg_core.contract import ACTION_KEY
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.resample import Grid, Stamps, ages_s
-from surg_recording.datasets.schema import Feature
+from surg_recording.datasets.schema import ALWAYS, Feature
 from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
@@ -26,8 +28,8 @@ class Columns:
         self.notes: dict[str, Any] = {}
 
     def add(self, feature: Feature, values: npt.NDArray[Any] | None) -> None:
-        """Add a feature unless ``options.drop`` names it."""
-        if feature.name in self.options.drop:
+        """Add a feature unless ``options.drop`` names it, or ``options.columns`` does not."""
+        if feature.name in self.options.drop or not self._kept(feature.name):
             self.dropped.append(feature.name)
             return
         self.features.append(feature)
@@ -43,6 +45,21 @@ class Columns:
                 f" --drop {feature.name} leaves it out"
             )
         self.columns[feature.name] = values
+
+    def _kept(self, name: str) -> bool:
+        columns = self.options.columns
+        if columns is None or name in (ACTION_KEY, *ALWAYS):
+            return True
+        return any(fnmatch.fnmatchcase(name, column) for column in columns)
+
+    def check_columns(self) -> None:
+        """An EpisodeError if ``options.columns`` asks for what the recording does not have."""
+        names = [*(feature.name for feature in self.features), *self.dropped]
+        for column in self.options.columns or ():
+            if not any(fnmatch.fnmatchcase(name, column) for name in names):
+                raise EpisodeError(
+                    f"--columns {column}: no such feature; there are {sorted(names)}"
+                )
 
     def vector(
         self,

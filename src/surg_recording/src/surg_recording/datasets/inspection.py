@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,33 @@ class Candidate:
     verdict: Verdict = NOT_JUDGED
     remarks: tuple[str, ...] = ()
     """What a reader should be told: no hashes, declared edits, verdicts that disagree."""
+
+
+def mixture(candidates: Sequence[Candidate]) -> dict[str, str]:
+    """Task, robots and instruments of recordings that do not all agree in them, in words."""
+    found = {
+        "task": [c.instruction for c in candidates],
+        "robots": ["+".join(c.layout.robots) for c in candidates],
+        "instruments": ["+".join(c.layout.instruments) for c in candidates],
+    }
+    counts = {name: Counter(values) for name, values in found.items()}
+    return {
+        name: ", ".join(f"{value} ({n})" for value, n in each.items())
+        for name, each in counts.items()
+        if len(each) > 1
+    }
+
+
+def common(candidates: Sequence[Candidate]) -> Layout:
+    """The first recording's layout, with the robots and instruments of all."""
+    robots = dict.fromkeys("+".join(c.layout.robots) for c in candidates)
+    tools = dict.fromkeys("+".join(c.layout.instruments) for c in candidates)
+    first = candidates[0].layout
+    return dataclasses.replace(
+        first,
+        robots=first.robots if len(robots) == 1 else ("|".join(robots),),
+        instruments=first.instruments if len(tools) == 1 else ("|".join(tools),),
+    )
 
 
 def look(folder: Path, options: ExportOptions) -> Candidate:

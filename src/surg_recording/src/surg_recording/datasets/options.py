@@ -32,6 +32,11 @@ class ExportOptions:
     max_gap_s: float = 0.05
     """Kinematic samples further apart are not bridged [s]."""
     drop: tuple[str, ...] = ()
+    columns: tuple[str, ...] | None = None
+    """Features to keep beside action, instruction and tool, with ``*``; None: all but ``drop``.
+
+    Recordings may then differ in task, robot and instrument, if these features are the same in all.
+    """
     action_space: str = action_space.ABSOLUTE
     """How actions are expressed: a key of ``surg_core.contract.ACTION_SPACES``."""
     instruction: str | None = None
@@ -104,7 +109,9 @@ class ExportOptions:
 
     def content(self) -> dict[str, Any]:
         """The choices that change what a recording becomes, for its input hash."""
-        return {**{name: getattr(self, name) for name in _CONTENT}, "drop": sorted(self.drop)}
+        kept = {} if self.columns is None else {"columns": sorted(self.columns)}
+        own = {name: getattr(self, name) for name in _CONTENT}
+        return {**own, **kept, "drop": sorted(self.drop)}
 
 
 _CONTENT = (

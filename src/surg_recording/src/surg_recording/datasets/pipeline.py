@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_core.plugins import source_file
-from surg_recording.datasets import executors, inspection
+from surg_recording.datasets import executors, inspection, schema
 from surg_recording.datasets.export_manifest import is_up_to_date, write_manifest
 from surg_recording.datasets.exporter import (
     Dataset,
@@ -30,6 +30,7 @@ from surg_recording.datasets.inspection import FAILURE, RECOVERY, SUCCESS, Candi
 from surg_recording.datasets.options import SPLITS, ExportOptions
 from surg_recording.datasets.parts import Job, Outcome, input_hash, sweep
 from surg_recording.datasets.sampling import sample
+from surg_recording.datasets.schema import Feature
 from surg_recording.episode import episode_reader
 from surg_recording.episode.same_recording import Known
 from surg_recording.episode.selection import Selection, SelectionError
@@ -85,12 +86,17 @@ def export(
     finished = [part for folder in made for part in Part.load_all(folder)]
     for part in finished:
         if part.features != finished[0].features:
-            report.refused[part.source] = "its features are not those of the first recording"
+            report.refused[part.source] = _unlike(finished[0].features, part.features, part.source)
     finished = [part for part in finished if part.features == finished[0].features]
     if not finished:
         _nothing_left(report)
     progress(None, "assembling")
-    dataset = arrange(out.name, finished, plan.candidates[0].layout, options)
+    sources = {part.source for part in finished}
+    taken = [c for c in plan.candidates if str(c.folder) in sources]
+    mixed = inspection.mixture(taken)
+    if mixed:
+        report.facts["mixed"] = mixed
+    dataset = arrange(out.name, finished, inspection.common(taken), options)
     _assemble(exporter, dataset, out, options, report)
     if not report.errors and not options.keep_parts:
         shutil.rmtree(parts, ignore_errors=True)
@@ -124,9 +130,13 @@ def make_plan(
                 unselected += 1
                 continue
             candidate = inspection.look(folder, options)
-            other = candidates[0].layout.difference(candidate.layout) if candidates else None
+            alike = options.columns is not None or not candidates
+            other = None if alike else candidates[0].layout.difference(candidate.layout)
             if other is not None:
-                raise EpisodeError(f"{folder}: {other}; export it with others of its kind")
+                raise EpisodeError(
+                    f"{folder}: {other}; export it with others of its kind, or"
+                    " with the features that they share (--columns)"
+                )
             key = input_hash(folder, candidate.layout, options, exporter)
             recorded = episode_reader.read(folder)
             if (twin := known.twin(recorded)) is not None:
@@ -154,12 +164,22 @@ def dry_run(
     if options.where is not None:
         report.facts["not selected"] = plan.unselected
     kinds: dict[str, int] = {}
+    first: tuple[Feature, ...] | None = None
+    mixed = inspection.mixture(plan.candidates)
+    if mixed:
+        report.facts["mixed"] = mixed
     for number, candidate in enumerate(plan.candidates):
         progress(number / len(plan.candidates), f"reading {candidate.folder.name}")
         try:
             sampled = sample(candidate, options)
         except Exception as problem:  # one recording, not the export
             report.refused[str(candidate.folder)] = words_of(problem, candidate.folder)
+            continue
+        first = first or sampled.features
+        if sampled.features != first:
+            report.refused[str(candidate.folder)] = _unlike(
+                first, sampled.features, str(candidate.folder)
+            )
             continue
         pieces = len(sampled.pieces(exporter.longest_s))
         report.recordings += pieces
@@ -286,6 +306,15 @@ def _assemble(
         report.errors.append(str(problem))
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def _unlike(first: Sequence[Feature], features: Sequence[Feature], source: str) -> str:
+    """Why a recording does not fit the first one."""
+    return (
+        f"{source}: its features are not those of the first recording"
+        f" ({schema.difference(first, features)}); --columns without this one, or --drop, leaves it"
+        " out"
+    )
 
 
 def _told(source: str, notes: Mapping[str, Any]) -> list[str]:

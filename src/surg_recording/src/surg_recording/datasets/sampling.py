@@ -160,6 +160,7 @@ def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
             f"--drop {', '.join(sorted(unknown))}: no such feature; there are"
             f" {', '.join(feature.name for feature in features)}"
         )
+    made.check_columns()
     return Sampled(candidate, grid, features, made.columns, shown, made.notes)
 
 

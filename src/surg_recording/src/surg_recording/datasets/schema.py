@@ -19,6 +19,9 @@ STAGE = "instruction.stage"
 TOOL = "observation.meta.tool"
 GROUND_TRUTH = "privileged.ground_truth"
 
+ALWAYS = (INSTRUCTION, STAGE, TOOL)
+"""Texts that every data set keeps: they say what a recording is."""
+
 OPTIONAL = frozenset((TASK_STATE_KEY, GROUND_TRUTH))
 """Features that a recording need not have."""
 
@@ -68,10 +71,33 @@ class Feature:
         """A camera's pictures."""
         return self.dtype == "video"
 
+    def difference(self, other: Feature) -> str:
+        """What ``other``, of the same name, has differently, in words; empty: nothing."""
+        for field in dataclasses.fields(self):
+            mine, theirs = getattr(self, field.name), getattr(other, field.name)
+            if mine != theirs:
+                return f"{self.name}: {field.name} {_words(theirs)}, not {_words(mine)}"
+        return ""
+
     def describe(self) -> dict[str, Any]:
         """The feature for the JSON files of an export."""
         fields = dataclasses.asdict(self)
         return {key: list(v) if isinstance(v, tuple) else v for key, v in fields.items()}
+
+
+def difference(mine: Sequence[Feature], theirs: Sequence[Feature]) -> str:
+    """The first difference of a recording's features from those of another; empty: none."""
+    own, others = ({feature.name: feature for feature in side} for side in (mine, theirs))
+    for name in own.keys() | others.keys():
+        if name not in others:
+            return f"{name} is missing"
+        if name not in own:
+            return f"{name}: the others do not have it"
+    return next(filter(None, (own[name].difference(others[name]) for name in own)), "")
+
+
+def _words(value: object) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def from_description(described: dict[str, Any]) -> Feature:
