@@ -94,7 +94,7 @@ async def system(folder: Path, cell: str) -> AsyncIterator[tuple[int, Judged]]:
 
 
 async def drive(found: Page) -> None:
-    """Enable until the tip follows; where others have the processors, that takes more than one try."""
+    """Enable until the tip follows; beside other programs it takes more than one try."""
     for attempt in range(5):
         try:
             await found.drive()
