@@ -5,6 +5,7 @@ from __future__ import annotations
 import builtins
 import errno
 import os
+import time
 from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
@@ -49,8 +50,8 @@ class FakeTime:
 
 
 def wanted(**changes: Any) -> Wanted:
-    time = FakeTime()
-    return Wanted(time.now, time.sleep, **changes)
+    clock = FakeTime()
+    return Wanted(clock.now, clock.sleep, **changes)
 
 
 def refused(uri: str, **changes: Any) -> SourceError:
@@ -216,7 +217,6 @@ def test_without_gstreamer_the_package_set_is_named(monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize(
     ("text", "code", "words"),
     [
-        ("Failed to acquire input", "no_library", "Desktop Video"),
         ('no element "decklinkvideosrc"', "no_library", "--gstreamer"),
         ("Cannot identify device '/dev/video9'. No such file", "no_device", "no such device"),
         ("Internal data stream error: not-negotiated (-4)", "wrong_format", "size, rate"),
@@ -227,6 +227,50 @@ def test_messages_of_gstreamer_are_translated(text: str, code: str, words: str) 
     error = gstreamer_source.translated("decklink:0", text)
     assert error.code == code
     assert words in str(error)
+
+
+def test_a_decklink_input_that_does_not_answer_names_the_library(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The element only fails to start, as the real one did without a card."""
+    bus = SimpleNamespace(timed_pop_filtered=lambda *_: None)
+    states = []
+    pipeline = SimpleNamespace(
+        get_by_name=lambda _: None,
+        set_state=states.append,
+        get_state=lambda _: ("failure", None, None),
+        get_bus=lambda: bus,
+    )
+    gst = SimpleNamespace(
+        parse_launch=lambda _: pipeline,
+        State=SimpleNamespace(PLAYING="playing", NULL="null"),
+        StateChangeReturn=SimpleNamespace(FAILURE="failure"),
+        MessageType=SimpleNamespace(ERROR=1, EOS=2),
+        SECOND=NS,
+        MSECOND=NS // 1000,
+    )
+    monkeypatch.setattr(gstreamer_source, "gstreamer", lambda _: gst)
+    error = refused("decklink:0")
+    assert error.code == "no_library"
+    assert "Desktop Video" in str(error)
+    assert states == ["playing", "null"]
+    assert refused("gst:whatever").code == "failed"
+
+
+def test_gstreamers_pictures_are_rgb_and_young() -> None:
+    gi = pytest.importorskip("gi")
+    if not gi.Repository.get_default().enumerate_versions("Gst"):
+        pytest.skip("GStreamer is optional: ./surg setup --gstreamer")
+    red = "videotestsrc pattern=red is-live=true num-buffers=3 ! video/x-raw,width=33,height=18"
+    source = SourceUri.parse(f"gst:{red}").open(Wanted(time.time_ns, time.sleep))
+    grabbed: list[Grabbed] = []
+    with pytest.raises(SourceError) as error:
+        grabbed.extend(source.pictures())
+    source.close()
+    assert error.value.code == "ended"
+    assert [g.pictures[0].shape for g in grabbed] == [(18, 33, 3)] * 3
+    assert np.abs(grabbed[0].pictures[0].astype(int) - (255, 0, 0)).max() < 8
+    assert all(0 <= g.received_ns - g.stamp_ns < NS for g in grabbed)
 
 
 def test_a_folder_of_pairs_is_played_at_its_rate(tmp_path: Path) -> None:
@@ -274,13 +318,13 @@ def test_files_that_cannot_be_played_are_named(tmp_path: Path) -> None:
 def test_a_slow_machine_plays_later_and_never_falls_behind_for_good(tmp_path: Path) -> None:
     for number in range(6):
         cv2.imwrite(str(tmp_path / f"{number}.png"), np.zeros((8, 8, 3), np.uint8))
-    time = FakeTime()
+    clock = FakeTime()
     ages = []
-    source = SourceUri.parse(f"file:{tmp_path}?rate=10").open(Wanted(time.now, time.sleep))
+    source = SourceUri.parse(f"file:{tmp_path}?rate=10").open(Wanted(clock.now, clock.sleep))
     with pytest.raises(SourceError):
         for grabbed in source.pictures():
-            ages.append(time.now_ns - grabbed.stamp_ns)
-            time.now_ns += NS  # the reader needs a second for each
+            ages.append(clock.now_ns - grabbed.stamp_ns)
+            clock.now_ns += NS  # the reader needs a second for each
     assert len(ages) == 6
     assert max(ages) == 0
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.host import cells
-from surg_cli.host.option_types import tcp_port
+from surg_cli.host.option_types import positive, tcp_port
 from surg_cli.host.terminal import Problem, say
 from surg_cli.robots import endoscope_steps
 
@@ -23,8 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("cell", metavar="CELL", help="name in cells/, or a cell's folder")
     add(
         "what",
-        choices=("collect", "tool", "trocar", "bases", *endoscope_steps.STEPS),
-        help="record poses, solve for tool, trocar or bases, or calibrate the endoscope",
+        choices=("collect", "tool", "trocar", "bases", "latency", *endoscope_steps.STEPS),
+        help="record poses, solve for tool, trocar or bases, calibrate the endoscope, or measure "
+        "the latency of its pictures",
     )
     add("--arm", metavar="NAME", help="of the cell (default: its only arm)")
     add(
@@ -47,6 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         "--timeout", type=float, default=600.0, metavar="S", help="longest wait for a pose"
     )
 
+    latency = parser.add_argument_group("latency (docs/guide/endoscope/capture.md)")
+    latency.add_argument("--seconds", type=positive, default=20.0, metavar="S", help="default 20 s")
     bases = parser.add_argument_group("bases")
     bases.add_argument("--other", metavar="NAME", help="the second arm (default: the cell's other)")
     bases.add_argument("--other-from", type=Path, metavar="FILE", help="its recording of `touch`")
@@ -57,6 +60,10 @@ def main(options: argparse.Namespace, command: str) -> int:
     """Collect or solve."""
     folder = cells.find(options.cell)
     cell = cells.load(folder)
+    if options.what == "latency":
+        from surg_cli.graph import glass_to_stamp
+
+        return glass_to_stamp.measure(folder, options.port, options.seconds)
     if options.what in endoscope_steps.STEPS or options.by is not None:
         origin = max(origin_of(arm) for arm in cell.arms.values())  # simulated, if one of them is
         endoscope_steps.run(cell, options, origin, _date(options.date))

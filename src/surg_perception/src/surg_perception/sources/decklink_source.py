@@ -53,3 +53,12 @@ class DecklinkSource(gstreamer_source.GstreamerSource):
             f"decklinkvideosrc device-number={self.address} connection={connection} mode={mode} "
             "drop-no-signal-frames=true"
         )
+
+    def _silent_failure(self) -> SourceError:
+        """The element writes "Failed to acquire input" into its log and sends no message."""
+        return SourceError(
+            "no_library",
+            f"{self._where}: the DeckLink input does not answer: install Blackmagic's Desktop "
+            "Video (driver and libDeckLinkAPI.so come from Blackmagic alone), then look for the "
+            "card with BlackmagicFirmwareUpdater status",
+        )

@@ -17,14 +17,9 @@ SINK = (
     "videoconvert ! video/x-raw,format=RGB ! appsink name=surg sync=false max-buffers=2 drop=true"
 )
 START_S, SILENT_S = 10, 2
+MESSAGE_MS = 200
+"""A message may come a little later than its effect."""
 ERRORS = (
-    (
-        "Failed to acquire input",
-        "no_library",
-        "the DeckLink card does not answer: install Blackmagic's Desktop Video (its library "
-        "libDeckLinkAPI.so and its driver come from Blackmagic alone), then check the card with "
-        "BlackmagicFirmwareUpdater status",
-    ),
     (
         "No such element",
         "no_library",
@@ -85,7 +80,7 @@ class GstreamerSource(PictureSource):
         if done == self._gst.StateChangeReturn.FAILURE:
             why = self._error()
             self.close()
-            raise why or SourceError("failed", f"{self._where}: the pipeline does not start")
+            raise why or self._silent_failure()
 
     @classmethod
     def devices(cls, address: str) -> list[str]:
@@ -98,9 +93,14 @@ class GstreamerSource(PictureSource):
     def _description(self) -> str:
         return self.address
 
+    def _silent_failure(self) -> SourceError:
+        """Why a pipeline does not start that says nothing."""
+        return SourceError("failed", f"{self._where}: the pipeline does not start")
+
     def _error(self) -> SourceError | None:
         kinds = self._gst.MessageType.ERROR | self._gst.MessageType.EOS
-        message = self._pipeline.get_bus().pop_filtered(kinds)
+        bus = self._pipeline.get_bus()
+        message = bus.timed_pop_filtered(MESSAGE_MS * self._gst.MSECOND, kinds)
         if message is None:
             return None
         if message.type == self._gst.MessageType.EOS:
