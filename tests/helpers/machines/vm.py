@@ -52,13 +52,16 @@ class MissingError(RuntimeError):
     """What a virtual machine needs is not on this machine; says what to type."""
 
 
-def run(words: Sequence[str], env: dict[str, str], timeout_s: float) -> tuple[int, str]:
+def run(
+    words: Sequence[str], env: dict[str, str], timeout_s: float, modules: Sequence[str] = ()
+) -> tuple[int, str]:
     """Boots, runs a program of the host's files in the guest, powers off.
 
     Args:
         words: Its command line; the first word is an absolute path.
         env: Its whole environment; values without white space.
         timeout_s: Wall clock, after which the machine is taken away.
+        modules: Further modules of the kernel, in the order in which they must be loaded.
 
     Returns:
         The program's exit status (-1: it did not come to its end), and all that was said.
@@ -69,12 +72,13 @@ def run(words: Sequence[str], env: dict[str, str], timeout_s: float) -> tuple[in
     kernel = _kernel()
     line = [*(f"{name}={value}" for name, value in env.items()), *words]
     assert not any(" " in word for word in line), "words go through a shell"
-    found = {name: next(kernel.parents[1].rglob(f"{name}.ko"), None) for name in MODULES}
-    modules = {name: path for name, path in found.items() if path is not None}
-    init = INIT.format(modules=" ".join(modules), words=" ".join(line))
+    wanted = (*MODULES, *modules)
+    found = {name: next(kernel.parents[1].rglob(f"{name}.ko"), None) for name in wanted}
+    there = {name: path for name, path in found.items() if path is not None}
+    init = INIT.format(modules=" ".join(there), words=" ".join(line))
     initrd = FOLDER / f"initrd.{os.getpid()}"
     files = {"init": init.encode(), "bin/busybox": Path(_program("busybox")).read_bytes()}
-    files |= {f"modules/{name}.ko": path.read_bytes() for name, path in modules.items()}
+    files |= {f"modules/{name}.ko": path.read_bytes() for name, path in there.items()}
     initrd.write_bytes(cpio(files))
     argv = [_program("qemu-system-x86_64"), "-accel", "tcg,thread=multi", "-cpu", "Nehalem"]
     argv += ["-smp", "1", "-m", "1024", "-nodefaults", "-no-reboot", "-display", "none"]

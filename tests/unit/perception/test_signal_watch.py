@@ -29,6 +29,14 @@ def bars() -> np.ndarray:
     return np.broadcast_to(row, SHAPE).copy()
 
 
+def labelled_bars() -> np.ndarray:
+    """With a text at the upper left and a grey scale below."""
+    picture = bars()
+    picture[8:40, 8:200][::3] = 255
+    picture[180:] = np.linspace(0, 255, 320)[:, None]
+    return picture
+
+
 def half() -> np.ndarray:
     picture = scene()
     picture[125:] = (0, 135, 0)  # what a decoder makes of rows that never came
@@ -57,10 +65,11 @@ def test_a_live_scene_passes(noise: float) -> None:
         (np.full(SHAPE, (0, 0, 255), np.uint8), Signal.BLUE),
         (np.full(SHAPE, (20, 30, 190), np.uint8), Signal.BLUE),
         (bars(), Signal.BARS),
+        (labelled_bars(), Signal.BARS),
         (half(), Signal.HALF),
         (scene()[:120], Signal.WRONG_SIZE),
     ],
-    ids=["black", "blue", "dark_blue", "bars", "half", "size"],
+    ids=["black", "blue", "dark_blue", "bars", "labelled_bars", "half", "size"],
 )
 def test_what_is_no_live_picture_is_named_at_once(picture: np.ndarray, expected: Signal) -> None:
     assert SignalWatch((320, 240)).judge(picture, 0) is expected

@@ -23,6 +23,8 @@ FROZEN_NS = 1_000_000_000
 """The noise of a sensor changes every picture; one that stays the same for so long is frozen."""
 GRID = 8
 """Only every 8th row and column is looked at, but for interlacing."""
+STRIPED = 0.6
+"""Share of the picture that colour bars fill at least."""
 BARS = (5, 9)
 """Number of colour bars side by side."""
 LEAST_HALF = 0.25
@@ -119,11 +121,13 @@ def _uniform(sparse: Image) -> Signal:
 
 
 def _bars(sparse: Image) -> bool:
-    """Whether the upper half has vertical stripes of one colour each, most of them saturated."""
-    upper = sparse[: max(2, len(sparse) // 2)].astype(int)
-    if (upper.max(0) - upper.min(0)).max() > EVEN:
+    """Whether most of the picture is vertical stripes of one colour each, most of them saturated.
+
+    A text or a grey scale may stand in them.
+    """
+    row = np.median(sparse, 0)
+    if (np.abs(sparse - row).max(2) <= EVEN).mean() < STRIPED:
         return False
-    row = np.median(upper, 0)
     edges = np.abs(np.diff(row, axis=0)).max(1) > 40
     starts = np.flatnonzero(edges[1:] & ~edges[:-1]).size + int(edges[0])
     saturated = np.mean(row.max(1) - row.min(1) > 80)

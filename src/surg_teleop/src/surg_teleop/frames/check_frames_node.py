@@ -144,7 +144,11 @@ class CheckNode:
         """Verdict, and the tip in the pictures by step."""
         lens = self.eyes.lens()
         if self.check.reason or lens is None:
-            return not_seen(self.check.reason or "no camera_info has arrived"), {}
+            unknown = (
+                "/endoscope/left/camera_info has not arrived, or its K is 0: measure the lens "
+                "with ./surg calibrate CELL stereo"
+            )
+            return not_seen(self.check.reason or unknown), {}
         try:
             places = find_places(*split(self.check.pictures))
         except NotSeen as error:

@@ -61,8 +61,8 @@ class EndoscopePictures:
             self.newest = Pair(stamp, pictures[0], pictures[1] if len(pictures) > 1 else None)
 
     def lens(self) -> Lens | None:
-        """Camera model; None: camera_info has not arrived yet."""
-        if set(self._infos) != set(self.names):
+        """Camera model; None: camera_info has not arrived yet, or nobody has measured the lens."""
+        if set(self._infos) != set(self.names) or not self._infos["left"].K[0]:
             return None
         left = self._infos["left"]
         baseline = 0.0
