@@ -108,6 +108,7 @@ class Eye:
 def test_a_published_pair_triangulates_a_bead(ros_graph: RosGraph, rospy_node: str) -> None:
     """2 mm bead at 60 mm from both topics, with the P of their camera_info and nothing else."""
     import rospy
+    from tf2_msgs.msg import TFMessage
 
     import surg_core
     from helpers.sim.bead_task import BeadTask
@@ -125,7 +126,9 @@ def test_a_published_pair_triangulates_a_bead(ros_graph: RosGraph, rospy_node: s
     X_WC = arm.X_WB @ arm.chain.forward(arm.robot.home) @ endoscope_rig.camera_poses(arm)[0]
     snapshots = rospy.Publisher("/sim/snapshot", SimSnapshot, queue_size=0)
     eyes = [Eye("left"), Eye("right")]
-    topics = [snapshots, *eyes[0].topics, *eyes[1].topics]
+    frames: list[TFMessage] = []
+    tf_static = rospy.Subscriber("/tf_static", TFMessage, frames.append)
+    topics = [snapshots, tf_static, *eyes[0].topics, *eyes[1].topics]
     params = {
         "cell": str(path),
         "mode": "lockstep",
@@ -171,6 +174,19 @@ def test_a_published_pair_triangulates_a_bead(ros_graph: RosGraph, rospy_node: s
         errors.append(float(np.linalg.norm(found - p_C)))
     print(f"worst {1e3 * max(errors):.3f} mm of {len(errors)}")
     assert max(errors) < 0.0005
+    drawn, drawn_right = endoscope_rig.camera_poses(arm)
+    wanted = {
+        ("ECM_flange", "endoscope_left"): drawn,
+        ("endoscope_left", "endoscope_right"): np.linalg.inv(drawn) @ drawn_right,
+    }
+    found_frames = {(t.header.frame_id, t.child_frame_id): t for t in frames[0].transforms}
+    assert set(found_frames) == set(wanted)
+    for name, X in wanted.items():
+        to, turn = found_frames[name].transform.translation, found_frames[name].transform.rotation
+        q = [turn.x, turn.y, turn.z, turn.w]
+        np.testing.assert_allclose([to.x, to.y, to.z], X[:3, 3], atol=1e-9)
+        R = surg_core.quaternion_xyzw_to_matrix(q)
+        np.testing.assert_allclose(R, X[:3, :3], atol=1e-9)
 
 
 def test_a_picture_too_large_is_refused(ros_graph: RosGraph, rospy_node: str) -> None:

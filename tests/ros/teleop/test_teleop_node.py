@@ -18,7 +18,7 @@ from helpers.teleop.moving_hand import MovingHand
 from surg_cli.graph import master, system
 from surg_cli.graph.processes import Child
 from surg_cli.host import paths
-from surg_teleop.follow.endoscope_pose import held_camera
+from surg_core.held_endoscope import held_endoscope
 
 pytestmark = pytest.mark.ros
 
@@ -110,7 +110,7 @@ class CrtkHand(MovingHand):
         graph.wait_for(gone, 20.0, f"{arm} to move")
         self.v = np.zeros(3)
         way = self.cell.arms[arm].X_WB[:3, :3] @ (self.tip(arm) - before)
-        R_WV = held_camera(self.cell).view(np.array(self.cycles["ECM"].q))
+        R_WV = held_endoscope(self.cell).rotation(np.array(self.cycles["ECM"].q))
         return R_WV.T @ way / np.linalg.norm(way)
 
     def tip(self, arm: str) -> np.ndarray:

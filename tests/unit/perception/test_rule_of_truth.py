@@ -16,13 +16,13 @@ import pytest
 import surg_core
 from helpers import endoscope_files
 from surg_core import base_file, clearance
+from surg_core.held_endoscope import held_endoscope
 from surg_sim.physics import endoscope_rig
 from surg_sim.physics.endoscope_projection import EndoscopeView
 from surg_sim.physics.patient_settings import PatientSetting, find_setting
 from surg_sim.physics.pose_error import PoseError
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.world import World
-from surg_teleop.follow.endoscope_pose import held_camera
 
 ARM = "ECM"
 OFF = np.array([0.003, 0.0, 0.004])
@@ -83,7 +83,7 @@ def test_all_but_the_simulator_believe_the_measurement(
     stated: surg_core.Cell, measured: surg_core.Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     q = np.array(stated.arms[ARM].robot.home)
-    views = [held_camera(cell).view(q) for cell in (stated, measured)]
+    views = [held_endoscope(cell).rotation(q) for cell in (stated, measured)]
     turned = surg_core.axis_angle_to_matrix([1, 2, 0], math.radians(3))
     np.testing.assert_allclose(views[1], turned @ views[0], atol=1e-12)
     guarded: list[np.ndarray] = []

@@ -12,7 +12,7 @@ import surg_core
 from helpers.control.gate_arm import TICK, GateArm
 from helpers.teleop.hand import Hand, settings
 from surg_cli.host import paths
-from surg_teleop.follow.endoscope_pose import held_camera
+from surg_core.held_endoscope import held_endoscope
 from surg_teleop.follow.teleop_types import CameraView
 from surg_teleop.follow.teleoperation import Teleop
 
@@ -26,7 +26,7 @@ def test_the_view_is_the_simulators_camera_wherever_the_endoscope_is() -> None:
     from surg_sim.physics.world import World
 
     cell = surg_core.load_cell(TWO_ARMS)
-    held = held_camera(cell)
+    held = held_endoscope(cell)
     world = World(cell)
     view = EndoscopeView(world.model, world.data)
     joints = [
@@ -37,7 +37,7 @@ def test_the_view_is_the_simulators_camera_wherever_the_endoscope_is() -> None:
         q = np.array(cell.arms["ECM"].robot.home) + rng.uniform(-0.6, 0.6, 6)
         world.data.qpos[joints] = q
         mujoco.mj_kinematics(world.model, world.data)
-        assert held.view(q) == pytest.approx(view.pose[:3, :3], abs=1e-6)
+        assert held.rotation(q) == pytest.approx(view.pose[:3, :3], abs=1e-6)
 
 
 def test_a_measured_camera_replaces_the_drawing(tmp_path: Path) -> None:
@@ -50,14 +50,14 @@ def test_a_measured_camera_replaces_the_drawing(tmp_path: Path) -> None:
         )
     folder = tmp_path / "cells/sim_two_arms"
     file = folder / "calibration/camera_ECM.yaml"
-    drawn = held_camera(surg_core.load_cell(folder))
+    drawn = held_endoscope(surg_core.load_cell(folder))
     file.write_text(yaml.safe_dump(CAMERA))
-    measured = held_camera(surg_core.load_cell(folder))
+    measured = held_endoscope(surg_core.load_cell(folder))
     assert not np.allclose(measured.R_FV, drawn.R_FV)
     assert pytest.approx(Rotation.from_quat([0, 0, 0.6, 0.8]).as_matrix()) == measured.R_FV
     file.write_text(yaml.safe_dump({**CAMERA, "n": 2}))
     with pytest.raises(surg_core.ConfigError, match=r"camera_ECM.yaml:\d+: n: 2.0; allowed"):
-        held_camera(surg_core.load_cell(folder))
+        held_endoscope(surg_core.load_cell(folder))
 
 
 CAMERA = {

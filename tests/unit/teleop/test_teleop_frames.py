@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation
 import surg_core
 from helpers.teleop.stage import Stage, stage_of, turn
 from surg_cli.host import paths
+from surg_core.held_endoscope import HeldEndoscope, held_endoscope
 from surg_sim.looks.render import Picture
-from surg_teleop.follow.endoscope_pose import HeldCamera, held_camera
 from surg_teleop.frames.probe_moves import REST, SIDE, SPEED, STEPS, Step, between
 from surg_teleop.frames.registration_verdict import (
     MATCHED,
@@ -287,7 +287,7 @@ REGISTRATIONS: dict[str, tuple[Callable[[Path], None], Array, Cause]] = {
 
 
 @pytest.fixture(scope="module")
-def beliefs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, HeldCamera]:
+def beliefs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, HeldEndoscope]:
     """What wrong cells say of the camera, by the name of what is wrong with them."""
     bundled, found = paths.CELLS / "sim_two_arms", {}
     for name, (spoil, _, _) in REGISTRATIONS.items():
@@ -296,14 +296,14 @@ def beliefs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, HeldCamera]:
         text = (cell / "cell.yaml").read_text("utf-8")
         (cell / "cell.yaml").write_text(text.replace("../../src", str(paths.ROOT / "src")), "utf-8")
         spoil(cell)
-        camera = held_camera(surg_core.load_cell(cell))
+        camera = held_endoscope(surg_core.load_cell(cell))
         assert camera is not None
         found[name] = camera
     return found
 
 
 def test_right_passes_and_wrong_is_caught_at_random_views(
-    stage: Stage, beliefs: dict[str, HeldCamera]
+    stage: Stage, beliefs: dict[str, HeldEndoscope]
 ) -> None:
     """Every wrong registration at every view: camera wiring and cell, twenty views in full."""
     rng = np.random.default_rng(20)
@@ -315,9 +315,9 @@ def test_right_passes_and_wrong_is_caught_at_random_views(
         stage.put(stage.tool, rest)
         stage.pictures()
         R_WV = stage.X_WV()[:3, :3]
-        own = held_camera(stage.cell)
+        own = held_endoscope(stage.cell)
         assert own is not None
-        assert np.abs(own.view(stage.joints("ECM")) - R_WV).max() < 1e-9
+        assert np.abs(own.rotation(stage.joints("ECM")) - R_WV).max() < 1e-9
         right = shoot(stage, rest, R_WV)
         assert right is not None, f"view {view}: out of reach"
         for k, (name, (change, cause)) in enumerate(WIRINGS.items()):
@@ -331,7 +331,7 @@ def test_right_passes_and_wrong_is_caught_at_random_views(
         names = list(REGISTRATIONS) if FULL else [list(REGISTRATIONS)[view % len(REGISTRATIONS)]]
         for name in names:
             _, handed, cause = REGISTRATIONS[name]
-            believed = beliefs[name].view(stage.joints("ECM")) @ handed
+            believed = beliefs[name].rotation(stage.joints("ECM")) @ handed
             pictures = shoot(stage, rest, believed)
             assert pictures is not None, f"view {view}, {name}: out of reach"
             verdict = verdict_of(pictures, lens(stage))

@@ -20,8 +20,8 @@ from helpers.control.gate_arm import TICK, GateArm
 from helpers.teleop.hand import Hand, settings
 from helpers.teleop.stage import Stage, stage_of
 from surg_cli.host import paths
+from surg_core.held_endoscope import HeldEndoscope, held_endoscope
 from surg_sim.looks.render import Picture
-from surg_teleop.follow.endoscope_pose import HeldCamera, held_camera
 from surg_teleop.follow.teleop_types import CameraView, State
 from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.frames.probe_moves import REST, SIDE, STEPS, Step
@@ -42,7 +42,7 @@ class Session:
     """A hand that follows its picture: the core, and beside it the pictures of what it did."""
 
     stage: Stage
-    camera: HeldCamera
+    camera: HeldEndoscope
     arm: GateArm
     teleop: Teleop
     hand: Hand = field(default_factory=Hand)
@@ -51,7 +51,7 @@ class Session:
     @classmethod
     def on(cls, stage: Stage) -> Session:
         """At the controls, following."""
-        camera = held_camera(stage.cell)
+        camera = held_endoscope(stage.cell)
         assert camera is not None
         session = cls(stage, camera, GateArm(), Teleop(settings(jaw=None)))
         session.arm.R_WR = rcm_axes(stage)
@@ -64,7 +64,7 @@ class Session:
 
     def tick(self, n: int, step: Array | None = None) -> None:
         """N cycles; the hand moves by ``step`` in each [m], in the picture's axes."""
-        R_WV = self.belief(self.camera.view(self.stage.joints(self.camera.arm)))
+        R_WV = self.belief(self.camera.rotation(self.stage.joints(self.camera.arm)))
         for _ in range(n):
             if step is not None:
                 self.hand.move(step)
@@ -146,7 +146,7 @@ def test_the_tip_goes_where_the_hand_goes_in_the_picture(stage: Stage) -> None:
         assert session.teleop.set_scale(scale) == ""
         home = session.arm.R_WR.T @ (stage.work - stage.pivot(stage.tool))
         wanted = home + rng.uniform(-0.008, 0.008, 3)
-        R_RV = session.arm.R_WR.T @ session.camera.view(stage.joints(session.camera.arm))
+        R_RV = session.arm.R_WR.T @ session.camera.rotation(stage.joints(session.camera.arm))
         session.move(R_RV.T @ (wanted - session.arm.p) / scale)
         assert np.abs(session.arm.p - wanted).max() < 1e-6
         places = session.places(scale)
@@ -182,7 +182,7 @@ def test_a_wrong_mapping_is_seen_in_the_picture(what: str, stage: Stage) -> None
     rng = np.random.default_rng(201)
     stage.aim(rng)
     session = Session.on(stage)
-    old = session.camera.view(stage.joints(session.camera.arm))
+    old = session.camera.rotation(stage.joints(session.camera.arm))
     scope = stage.shaft(stage.scope)
     tip = stage.pivot(stage.scope) + 0.06 * scope
     assert stage.put(stage.scope, tip, 2.0)  # far from the view at the engagement
@@ -194,7 +194,7 @@ def test_a_wrong_mapping_is_seen_in_the_picture(what: str, stage: Stage) -> None
     }
     session.belief = wrong[what]
     if what == "as it was at the engagement":
-        now = session.camera.view(stage.joints(session.camera.arm))
+        now = session.camera.rotation(stage.joints(session.camera.arm))
         assert np.degrees(np.arccos((np.trace(old.T @ now) - 1.0) / 2.0)) > 25.0
     session.teleop.set_scale(1.0)
     try:

@@ -15,6 +15,7 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
+import surg_core
 from surg_core import ConfigError
 from surg_core.lens_file import Lens
 from surg_perception.capture import capture_parameters, eye_lenses, frame_pipe
@@ -25,6 +26,7 @@ from surg_perception.capture.eye_layout import eyes_of
 from surg_perception.capture.eye_pairing import EyePairer
 from surg_perception.capture.frame_pipe import DeviceState, Pictures
 from surg_perception.capture.picture_source import SourceUri
+from surg_ros.endoscope_tf import EndoscopeTf
 from surg_ros.params import ParamError
 
 QUEUE = 4
@@ -197,10 +199,13 @@ def main() -> int:
     rospy.init_node("endoscope")
     try:
         settings = capture_parameters.parse(rospy.get_param("~", {}))
-    except ParamError as error:
+        cell = surg_core.load_cell(settings.cell) if settings.cell else None
+    except (ParamError, surg_core.ConfigError) as error:
         print(f"surg_perception: {error}", file=sys.stderr, flush=True)
         return 2
+    frames = EndoscopeTf(cell) if cell else None
     Capture(settings).run()
+    del frames
     return 0
 
 

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from surg_sim.arrays import Array, Picture
 from surg_sim.looks.drawing import OUTSIDE
 from surg_sim.looks.render import Renderer, show_only
+from surg_sim.physics import endoscope_rig
+from surg_sim.physics.endoscope_projection import EndoscopeView
 from surg_sim.physics.endoscope_rig import FRAMES
 from surg_sim.physics.world import World
 
@@ -28,6 +30,9 @@ class EndoscopeRenderer:
         self.intrinsics, self.backend = self._renderer.intrinsics, self._renderer.backend
         self.baseline = self._renderer.baseline
         """Distance of the right camera from the left one [m]; 0 with one view."""
+        held = endoscope_rig.holder([world.cell.arms[name] for name in world.arms])
+        self.standing_pose = None if held else EndoscopeView(world.model, world.data).pose
+        """X_WV (4, 4) of an endoscope that no arm holds; None: an arm holds it."""
         self.close = self._renderer.close
 
     def render(self, qpos: Array) -> dict[str, Picture]:

@@ -12,6 +12,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 import surg_core
 from surg_msgs.msg import Ready, SimSnapshot
+from surg_ros.endoscope_tf import EndoscopeTf
 from surg_ros.params import read
 from surg_sim import tasks
 from surg_sim.arrays import Picture
@@ -113,7 +114,7 @@ class Endoscope:
             self._ready.publish(rendered)
 
 
-def make_renderer(settings: EndoscopeSettings) -> EndoscopeRenderer:
+def make_renderer(settings: EndoscopeSettings, cell: surg_core.Cell) -> EndoscopeRenderer:
     """Build the bridge's scene with looks, and its renderer.
 
     Raises:
@@ -121,7 +122,7 @@ def make_renderer(settings: EndoscopeSettings) -> EndoscopeRenderer:
         NoOpenGL: No OpenGL platform works.
     """
     world = World(
-        surg_core.load_cell(settings.cell),
+        cell,
         settings.seed,
         looks=True,
         arms=settings.arms,
@@ -137,7 +138,8 @@ def main() -> int:
     rospy.init_node("endoscope")
     try:
         settings = read(EndoscopeSettings, rospy.get_param("~", {}))
-        renderer = make_renderer(settings)
+        cell = surg_core.load_cell(settings.cell)
+        renderer = make_renderer(settings, cell)
     except (ValueError, OSError) as error:
         print(f"surg_sim: {error}", file=sys.stderr, flush=True)
         return 2
@@ -145,7 +147,9 @@ def main() -> int:
         print(f"surg_sim: {error}", file=sys.stderr, flush=True)
         return 1
     rospy.loginfo(f"endoscope: {settings.width} x {settings.height} by {renderer.backend}")
+    frames = EndoscopeTf(cell, renderer.standing_pose)
     Endoscope(renderer, keep_all=settings.mode == "lockstep").run()
+    del frames
     renderer.close()
     return 0
 

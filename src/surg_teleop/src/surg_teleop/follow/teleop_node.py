@@ -29,13 +29,13 @@ from sensor_msgs.msg import JointState
 from surg_core import ConfigError
 from surg_core.arm_view import ArmView
 from surg_core.contract import SECOND_NS, TICK_NS
+from surg_core.held_endoscope import HeldEndoscope
 from surg_msgs.msg import Cycle
 from surg_ros.arm_port import KINDS, SERVO_INSTRUMENT, ArmPort, arm_view
 from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError
 from surg_ros.participant import Participant, Seen
 from surg_ros.transport.polled_subscriber import PolledSubscriber
-from surg_teleop.follow.endoscope_pose import HeldCamera
 from surg_teleop.follow.message_lateness import Arrivals
 from surg_teleop.follow.operator_topics_node import OperatorTopics, listen
 from surg_teleop.follow.picture_watch import PictureWatch
@@ -170,13 +170,13 @@ class TeleopNode:
 
     def _camera(self) -> CameraView | None:
         held = self._setup.camera
-        if not isinstance(held, HeldCamera):
+        if not isinstance(held, HeldEndoscope):
             return held
         if held.arm not in self._cycles:
             return None
         received, cycle = self._cycles[held.arm]
         q = np.array(cycle.q)
-        return CameraView(held.view(q), received) if q.shape == (held.chain.dof,) else None
+        return CameraView(held.rotation(q), received) if q.shape == (held.chain.dof,) else None
 
     def _move(
         self, hand: Hand, now: float, views: dict[str, ArmView], camera: CameraView | None

@@ -9,9 +9,9 @@ from typing import Any
 
 import surg_core
 from surg_core.arm_view import Array, JawRange
+from surg_core.held_endoscope import HeldEndoscope, held_endoscope
 from surg_ros.params import ParamError, dictionary, flag, one_of, read, real, text, vector
 from surg_teleop.follow.arm_switch import ArmSwitch
-from surg_teleop.follow.endoscope_pose import HeldCamera, held_camera
 from surg_teleop.follow.servo_instrument import ServoInstrument
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.follow.teleop_types import (
@@ -110,7 +110,7 @@ class TeleopSetup:
 
     hands: list[Hand]
     bases: dict[str, Array]  # (3, 3) base in the world of every arm that a leader may drive
-    camera: HeldCamera | CameraView  # an endoscope held by an arm, or a fixed view
+    camera: HeldEndoscope | CameraView  # an endoscope held by an arm, or a fixed view
     assistant: ServoInstrument | None  # the assistant's instrument, if a leader drives it
     picture: str  # topic of the supervised picture; empty: none
     lockstep: bool
@@ -119,7 +119,7 @@ class TeleopSetup:
     @property
     def heard(self) -> list[str]:
         """Arms whose cycles are needed."""
-        held = [self.camera.arm] if isinstance(self.camera, HeldCamera) else []
+        held = [self.camera.arm] if isinstance(self.camera, HeldEndoscope) else []
         return list(dict.fromkeys([*self.bases, *held]))
 
 
@@ -136,7 +136,7 @@ def read_setup(parameters: dict[str, Any], node: str) -> TeleopSetup:
     setup = TeleopSetup(
         hands=[],
         bases={},
-        camera=held_camera(cell) or _fixed_view(given, cell),
+        camera=held_endoscope(cell) or _fixed_view(given, cell),
         assistant=None,
         picture=given.picture,
         lockstep=given.lockstep,
@@ -172,7 +172,7 @@ def _add_hand(
     leader = leaders.load(given.of(prefix, "leader"), given.of(prefix, "settings"))
     switch = ArmSwitch(_teleop(leader, cell, arm, node, given, prefix))
     camera = setup.camera
-    if not prefix and isinstance(camera, HeldCamera):
+    if not prefix and isinstance(camera, HeldEndoscope):
         switch.endoscope = _teleop(leader, cell, camera.arm, node, given, prefix)
         switch.endoscope.lock_rotation = True  # keeps the horizon
         setup.bases[camera.arm] = cell.arms[camera.arm].X_WB[:3, :3]

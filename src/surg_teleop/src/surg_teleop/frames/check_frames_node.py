@@ -94,7 +94,7 @@ class CheckNode:
         else:
             q = np.array(scope.q)
             valid = q.shape == (self.task.camera.chain.dof,) and bool(np.isfinite(q).all())
-            R_WV = self.task.camera.view(q) if valid else None
+            R_WV = self.task.camera.rotation(q) if valid else None
             R_WB = np.asarray(self.task.cell.arms[self.task.arm].X_WB)[:3, :3]
             view = seen.view(self.task.arm, R_WB)
             self._port.send(self.check.tick(view, R_WV, self.eyes.newest))

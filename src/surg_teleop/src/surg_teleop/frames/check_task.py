@@ -11,8 +11,8 @@ from typing import Any
 import surg_core
 from surg_core import ConfigError
 from surg_core.arm_view import Array
+from surg_core.held_endoscope import HeldEndoscope, held_endoscope
 from surg_ros.params import ParamError, flag, path, read, text
-from surg_teleop.follow.endoscope_pose import HeldCamera, held_camera
 from surg_teleop.frames.registration_verdict import Verdict
 from surg_teleop.frames.tip_tracker import Place
 
@@ -23,7 +23,7 @@ class CheckTask:
 
     cell: surg_core.Cell
     arm: str
-    camera: HeldCamera
+    camera: HeldEndoscope
     enable: bool  # home and enable the arm if needed
     lockstep: bool  # run in lock-step with the simulator
     out: Path | None  # file of the report; None: no file
@@ -49,7 +49,7 @@ def read_task(parameters: Mapping[str, Any]) -> CheckTask:
     """
     given = read(Parameters, parameters)
     cell = surg_core.load_cell(given.cell)
-    camera = held_camera(cell)
+    camera = held_endoscope(cell)
     if camera is None:
         raise ConfigError(
             f"check_frames: {cell.config.file}: no arm holds an endoscope (an instrument with a "
