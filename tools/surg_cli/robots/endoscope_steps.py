@@ -46,7 +46,7 @@ def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
         return
     if what != "check" and options.source is None:
         raise Problem(f"calibrate {what}: --from FOLDER is missing: the folder of views", 2)
-    from surg_perception.calibration import steps
+    from surg_perception.calibration import base_steps, steps
     from surg_perception.calibration.result_files import Origin
 
     # A path of this machine does not belong into the cell's files.
@@ -54,7 +54,11 @@ def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
     origin = Origin(f"./surg calibrate {cell.folder.name} {what} --from {folder}", date, source)
     write = not options.dry_run
     try:
-        if what == "stereo":
+        if what == "check":
+            lines, write = base_steps.check(cell), False
+        elif what == "bases":
+            *_, lines = base_steps.bases(cell, options.source, options.by, origin, write)
+        elif what == "stereo":
             folder = cell.folder / "calibration"
             _, lines = steps.stereo(folder, options.source, origin, options.lens_state, write)
         else:
@@ -63,7 +67,8 @@ def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
         raise Problem(f"calibrate {what}: {error}; nothing is written", 1) from error
     for line in lines:
         say(line)
-    say("restart the system" if write else "nothing written (--dry-run)")
+    if what != "check":
+        say("restart the system" if write else "nothing written (--dry-run)")
 
 
 def _board(cell: Any, options: argparse.Namespace) -> None:

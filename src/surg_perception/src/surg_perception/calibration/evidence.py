@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from surg_core.transforms import FloatArray
+from surg_perception.calibration.bases import SeenBase
 from surg_perception.calibration.handeye import HandEyeFit
 from surg_perception.calibration.intrinsics import SeenCorners
 from surg_perception.calibration.stereo import StereoFit
@@ -30,6 +31,11 @@ LARGEST_RMS = 1.0
 """[px]"""
 LARGEST_SHIFT, LARGEST_TILT = 0.001, np.radians(0.5)
 """[m], [rad] Largest expected error of the hand-eye pose."""
+LEAST_TOUCHES, LEAST_RESTS = 6, 8
+LEAST_PATCH = 0.004
+"""[m] rms extent of the touched corners along the shorter side of the board."""
+LEAST_SPREAD = 0.030
+"""[m] Between the places of the tip that lie farthest apart."""
 LARGEST_MISFIT, MISFIT_SIGMAS = 0.0025, 4.0
 """Share by which focal length or board size may seem wrong, unless within so many sigma."""
 
@@ -135,3 +141,52 @@ def check_handeye(result: HandEyeFit) -> None:
             reasons.append(f"{name}: {100 * (factor - 1):+.2f} % would fit better; {cure}")
     if reasons:
         raise Refused("handeye", reasons)
+
+
+def check_touch(result: SeenBase) -> None:
+    """Refuse a base by touch without enough evidence.
+
+    Raises:
+        Refused: With each limit that is not met.
+    """
+    reasons = []
+    turn, shift = result.error
+    if result.n < LEAST_TOUCHES:
+        reasons.append(f"touches: {result.n}; at least {LEAST_TOUCHES}: touch more corners")
+    if not result.spread[1] >= LEAST_PATCH:
+        reasons.append(
+            f"touches: {1e3 * result.spread[1]:.1f} mm (rms) across their longest direction; at "
+            f"least {1e3 * LEAST_PATCH:g}: touch corners all over the board, and move the board"
+        )
+    if not (shift <= 0.001 and turn <= np.radians(0.3)):
+        reasons.append(
+            f"expected error: {1e3 * shift:.2f} mm, {np.degrees(turn):.2f} deg; at most 1 mm, "
+            "0.3 deg: touch more corners, farther apart; is the tool calibrated?"
+        )
+    if reasons:
+        raise Refused("bases", reasons)
+
+
+def check_tip(result: SeenBase, p_S: FloatArray) -> None:
+    """Refuse a turn by tip without enough evidence; p_S (n, 3) are the places of the tip.
+
+    Raises:
+        Refused: With each limit that is not met.
+    """
+    reasons = []
+    if result.n < LEAST_RESTS:
+        reasons.append(f"rests: {result.n}; at least {LEAST_RESTS}: take more")
+    apart = float(np.linalg.norm(p_S[:, None] - p_S[None], axis=2).max())
+    if not apart >= LEAST_SPREAD:
+        reasons.append(
+            f"rests: {1e3 * apart:.0f} mm apart at most; at least {1e3 * LEAST_SPREAD:g}: go to "
+            "places all over the view"
+        )
+    turn = result.error[0]
+    if not turn <= np.radians(2.0):
+        reasons.append(
+            f"expected error: {np.degrees(turn):.2f} deg; at most 2 deg: go to places farther "
+            "apart, also nearer and farther from the lens"
+        )
+    if reasons:
+        raise Refused("bases", reasons)

@@ -87,3 +87,14 @@ def mean_pose(poses: FloatArray) -> FloatArray:
 def relative(X_AB: FloatArray, X_AC: FloatArray) -> FloatArray:
     """X_BC (4, 4) of X_AB and X_AC."""
     return np.asarray(inverse_pose(X_AB) @ X_AC)
+
+
+def shift_at(covariance: FloatArray, lever: FloatArray) -> float:
+    """Expected shift [m] of a point that a pose carries, one sigma of the length.
+
+    Args:
+        covariance: (6, 6) of the pose X_AB, rotation first, axes of A.
+        lever: (3,) from the origin of B to the point, axes of A [m].
+    """
+    J = np.hstack([-skew(lever)[0], np.eye(3)])
+    return float(np.sqrt(np.trace(J @ covariance @ J.T)))

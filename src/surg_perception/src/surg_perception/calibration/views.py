@@ -7,8 +7,9 @@
     board.yaml                   the board (optional: the cell's own calibration/board.yaml)
 
 ``stamp`` is in seconds, joints in rad. ``touch`` is the number of the corner that an instrument
-touches, empty for none. Without a right picture there is one eye. Deleting a row, or both pictures
-of a view, leaves it out.
+touches, empty for none. ``tip_left_x``, ``tip_left_y``, ``tip_right_x``, ``tip_right_y`` are the
+pixels of an instrument's tip, for bases by tip. Without a right picture there is one eye. Deleting
+a row, or both pictures of a view, leaves it out.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from surg_perception.calibration.board import Board, Corners, Picture
 from surg_perception.calibration.intrinsics import SeenCorners
 
 EYES = ("left", "right")
+TIP = ("tip_left_x", "tip_left_y", "tip_right_x", "tip_right_y")
+"""Columns with the pixels of an instrument's tip."""
 
 
 class ViewsError(ValueError):
@@ -43,6 +46,8 @@ class View:
         joints: Positions by ``<arm>/<joint>`` [rad].
         touch: Corner that an instrument touches; None: none.
         corners: What each eye sees: left, right; None: the board is not seen.
+        tip: ``(4,)`` an instrument's tip: x, y in the left, x, y in the right picture [px]; None:
+            not stated.
     """
 
     name: str
@@ -50,6 +55,7 @@ class View:
     joints: Mapping[str, float]
     touch: int | None
     corners: tuple[Corners | None, Corners | None]
+    tip: FloatArray | None = None
 
     def of_arm(self, arm: str, joints: Sequence[str]) -> FloatArray:
         """Joint positions (n,) of an arm [rad].
@@ -153,7 +159,7 @@ def _view(
     """One row of the table."""
     joints = {}
     for key, word in row.items():
-        if key in ("view", "stamp", "touch"):
+        if key in ("view", "stamp", "touch", *TIP):
             continue
         if key is None or word is None:
             raise ViewsError(f"{where}: has another number of values than the header")
@@ -164,7 +170,13 @@ def _view(
             f"{where}: touch: {touch!r}; allowed: a corner from 0 to {len(board.corners) - 1}"
         )
     stamp = _number(row["stamp"], f"{where}: stamp")
-    return View(name, stamp, joints, int(touch) if touch else None, corners)
+    words = [row.get(key) or "" for key in TIP]
+    tip = None
+    if any(words):
+        tip = np.array(
+            [_number(word, f"{where}: {key}") for word, key in zip(words, TIP, strict=True)]
+        )
+    return View(name, stamp, joints, int(touch) if touch else None, corners, tip)
 
 
 def _number(word: str, where: str) -> float:

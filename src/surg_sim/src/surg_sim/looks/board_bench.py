@@ -9,7 +9,7 @@ folder of views that ``./surg calibrate CELL ... --from FOLDER`` reads: ``<view>
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,6 +36,14 @@ DISTANCES = (0.055, 0.105)
 """[m] From the lens to the middle of the board."""
 TILT = 0.6
 """[rad] Largest tilt of the board against the picture."""
+
+_PLACES = (
+    (0.080, (0.25, -0.15, 0.1), (0.0, 0.0)),
+    (0.100, (-0.3, 0.1, 0.0), (0.2, 0.12)),
+    (0.065, (0.1, 0.3, 0.2), (-0.1, 0.08)),
+    (0.090, (0.2, 0.2, -0.3), (-0.2, -0.12)),
+)
+"""Distance [m], turn [rad] and offset (share of the distance) of a board that is touched."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +188,7 @@ class BoardBench:
         left, right = camera_poses(scope)
         self.X_FV = left if X_FV is None else X_FV
         self.X_LR = surg_core.inverse_pose(left) @ right if X_LR is None else X_LR
-        self.X_WB = {name: arm.X_WB for name, arm in cell.arms.items()} | dict(X_WB or {})
+        self.X_WB = {name: arm.X_WB_stated for name, arm in cell.arms.items()} | dict(X_WB or {})
         fovy = float(scope.instrument.camera.fovy)
         self.eyes = tuple(TrueEye.of(fovy, *size, lens) for lens in lenses)
         self._painters: list[BoardPainter] = []
@@ -228,22 +236,24 @@ class BoardBench:
         if found < count:
             raise RuntimeError(f"only {found} of {count} poses see the board and are within reach")
 
-    def touches(self, corners: Array, numbers: list[int]) -> Iterator[BenchView]:
-        """Another arm's tip touches corners of the still board; the scope stands at home.
+    def touches(self, corners: Array, numbers: Sequence[int]) -> Iterator[BenchView]:
+        """Another arm's tip touches corners of the board; the scope stands at home.
+
+        A person moves the board after every fourth touch.
 
         Args:
             corners: (n, 3) all corners in the board frame [m].
             numbers: Of the corners that are touched.
         """
-        tool = self.tool
-        X_WBoard = self.X_WB[self.scope.arm.name] @ self.X_BBoard
-        X_TBoard = surg_core.inverse_pose(self.X_WB[tool.arm.name]) @ X_WBoard
-        X_VBoard = surg_core.inverse_pose(self.scope.X_home @ self.X_FV) @ self.X_BBoard
-        for number in numbers:
-            place = X_TBoard[:3, :3] @ corners[number] + X_TBoard[:3, 3]
+        tool, name = self.tool, self.scope.arm.name
+        X_WV = self.X_WB[name] @ self.scope.X_home @ self.X_FV
+        X_TV = surg_core.inverse_pose(self.X_WB[tool.arm.name]) @ X_WV
+        for count, number in enumerate(numbers):
+            distance, turn, beside = _PLACES[count // 4 % len(_PLACES)]
+            X_VBoard = self._facing(distance, np.array(turn), np.array(beside))
+            place = (X_TV @ X_VBoard @ np.append(corners[number], 1.0))[:3]
             place = place + self.rng.normal(scale=self.hand, size=3)
-            q = self._touching(tool, place)
-            joints = {tool.arm.name: q, self.scope.arm.name: self.scope.home}
+            joints = {tool.arm.name: self._touching(tool, place), name: self.scope.home}
             yield BenchView(self._measured(joints), X_VBoard, number)
 
     def _touching(self, tool: Bench, place: Array) -> Array:

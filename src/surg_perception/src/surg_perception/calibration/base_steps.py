@@ -1,0 +1,249 @@
+"""The steps ``bases`` and ``check`` of ``./surg calibrate``; see ``steps`` for the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+import surg_core
+from surg_core.base_calibration import in_axes
+from surg_core.base_file import BaseCalibration, load_base, write_base
+from surg_core.camera_file import CameraCalibration, check_camera_lenses, load_camera
+from surg_core.checked_document import Evidence, file_sha256
+from surg_core.transforms import FloatArray
+from surg_perception.calibration import evidence
+from surg_perception.calibration.bases import SeenBase, solve_base
+from surg_perception.calibration.board import Board
+from surg_perception.calibration.chain import DISTANCE, ChainError
+from surg_perception.calibration.handeye import pair_pose
+from surg_perception.calibration.result_files import LEFT, RIGHT, Origin, read_stereo
+from surg_perception.calibration.small_motions import covariance_of_inverse, shift_at, transform
+from surg_perception.calibration.steps import enough, find_board, scope_arm
+from surg_perception.calibration.triangulation import Stereo
+from surg_perception.calibration.views import View, read_views
+
+STATED_PLACE = 0.005
+"""[m] Standard deviation of each axis of a base's stated place; assumed. A turn by tip keeps it."""
+
+
+def measured_camera(cell: surg_core.Cell) -> tuple[CameraCalibration, Path]:
+    """The camera in the flange of the scope's arm, and its file.
+
+    Raises:
+        ConfigError: It is missing, states a rotation only, or is stale.
+    """
+    folder = cell.folder / "calibration"
+    file = folder / f"camera_{scope_arm(cell).name}.yaml"
+    if not file.is_file():
+        raise surg_core.ConfigError(f"{file}: is missing; run ./surg calibrate CELL handeye first")
+    camera = load_camera(file)
+    if camera.X_FV is None or camera.evidence is None:
+        raise surg_core.ConfigError(
+            f"{file}: format: surg_camera/1 states a rotation only; allowed here: surg_camera/2, "
+            "which ./surg calibrate CELL handeye writes"
+        )
+    check_camera_lenses(camera, file, folder / LEFT, folder / RIGHT)
+    return camera, file
+
+
+def tool_arm(cell: surg_core.Cell) -> surg_core.Arm:
+    """The arm whose tip the scope sees: the first that does not hold the scope.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    scope = scope_arm(cell).name
+    for arm in cell.arms.values():
+        if arm.name != scope:
+            return arm
+    raise surg_core.ConfigError(f"{cell.config.file}: one arm; bases need two")
+
+
+def bases(
+    cell: surg_core.Cell, source: Path, by: str, origin: Origin, write: bool = True
+) -> tuple[FloatArray, SeenBase, list[str]]:
+    """The base of the arm that is not the cell's first, through the endoscope.
+
+    Args:
+        cell: With a calibrated endoscope.
+        source: Folder of views.
+        by: ``touch`` or ``tip``.
+        origin: Of the file.
+        write: Whether the file is written.
+
+    Returns:
+        X_WB (4, 4) of that arm, the fit, and lines for people.
+
+    Raises:
+        ValueError: The folder, the cell or the evidence must not be used.
+    """
+    file = measured_camera(cell)[1]
+    fit = _fit(cell, source, by)
+    arm, base = base_in_world(cell, fit, by, origin, file)
+    turn, shift = fit.error
+    before = arm.X_WB_stated
+    away = base.X_WB[:3, 3] - before[:3, 3]
+    lines = [
+        f"{arm.name}: expected error {1e3 * shift:.2f} mm amid the points, "
+        f"{np.degrees(turn):.3f} deg; n {fit.n}, rms {1e3 * fit.rms:.2f} mm",
+        f"change {np.round(1e3 * away, 3).tolist()} mm from arms.{arm.name}.base",
+    ]
+    if write:
+        path = cell.folder / "calibration" / f"base_{arm.name}.yaml"
+        write_base(path, base, origin.note)
+        lines.append(f"written: {path}")
+    return base.X_WB, fit, lines
+
+
+def _fit(cell: surg_core.Cell, source: Path, by: str) -> SeenBase:
+    """The tool arm's base in the scope arm's base, with its evidence checked."""
+    scope, tool = scope_arm(cell), tool_arm(cell)
+    camera, _ = measured_camera(cell)
+    eyes, _ = read_stereo(cell.folder / "calibration")
+    assert camera.X_FV is not None and camera.evidence is not None
+    views = read_views(source, find_board(cell.folder / "calibration", source))
+    X_FV, covariance = np.array(camera.X_FV), camera.evidence.covariance
+    if by == "touch":
+        enough(views, evidence.LEAST_TOUCHES)
+        used = [view for view in views.with_board if view.touch is not None]
+        if len(used) < evidence.LEAST_TOUCHES:
+            raise evidence.Refused(
+                "bases", [f"touches: {len(used)}; at least {evidence.LEAST_TOUCHES}: touch more"]
+            )
+        X_SF, p_T = _postures(scope, used), _tips(tool, used)
+        p_S = _touched(X_SF @ X_FV, eyes, used, views.board)
+        fit = solve_base(p_S, p_T, X_SF, X_FV, covariance)
+        evidence.check_touch(fit)
+    else:
+        used = [view for view in views.views if view.tip is not None]
+        if len(used) < evidence.LEAST_RESTS:
+            raise evidence.Refused(
+                "bases", [f"rests: {len(used)}; at least {evidence.LEAST_RESTS}: take more"]
+            )
+        X_SF, p_T = _postures(scope, used), _tips(tool, used)
+        tips = np.array([view.tip for view in used])
+        p_V = eyes.triangulate(tips[:, :2], tips[:, 2:])
+        p_S = np.array([transform(X @ X_FV, p[None])[0] for X, p in zip(X_SF, p_V, strict=True)])
+        fit = solve_base(p_S, p_T, X_SF, X_FV, covariance)
+        evidence.check_tip(fit, p_S)
+    return fit
+
+
+def _touched(X_SV: FloatArray, eyes: Stereo, views: Sequence[View], board: Board) -> FloatArray:
+    """The touched corners as the scope sees them, in its arm's base (n, 3) [m]."""
+    points = []
+    for X, view in zip(X_SV, views, strict=True):
+        pair = view.seen(board)
+        assert pair is not None and view.touch is not None
+        X_VBoard = pair_pose(eyes, pair)
+        points.append(transform(X @ X_VBoard, board.corners[view.touch][None])[0])
+    return np.array(points)
+
+
+def _postures(scope: surg_core.Arm, views: Sequence[View]) -> FloatArray:
+    """Flange of the scope's arm (n, 4, 4)."""
+    names = scope.robot.joint_names
+    return np.array([scope.chain.forward(view.of_arm(scope.name, names)) for view in views])
+
+
+def _tips(tool: surg_core.Arm, views: Sequence[View]) -> FloatArray:
+    """The tip by its joints, in the tool arm's base (n, 3) [m]."""
+    names = tool.robot.joint_names
+    poses = [tool.chain.forward(view.of_arm(tool.name, names)) for view in views]
+    return np.array([X[:3, :3] @ tool.tool.p_FTip + X[:3, 3] for X in poses])
+
+
+def base_in_world(
+    cell: surg_core.Cell, fit: SeenBase, by: str, origin: Origin, camera_file: Path
+) -> tuple[surg_core.Arm, BaseCalibration]:
+    """The measured arm, which is not the cell's first, and its base in the world."""
+    scope, tool = scope_arm(cell), tool_arm(cell)
+    first = next(iter(cell.arms.values()))
+    X, covariance, arm = fit.X_ST, fit.covariance, tool
+    if first.name == tool.name:
+        X = surg_core.inverse_pose(X)
+        covariance, arm = covariance_of_inverse(fit.X_ST, covariance), scope
+    known = tool if arm is scope else scope
+    X_WB = known.X_WB @ X
+    covariance = in_axes(covariance, known.X_WB[:3, :3])
+    if by == "tip":
+        X_WB[:3, 3] = arm.X_WB_stated[:3, 3]
+        covariance[3:, :3] = covariance[:3, 3:] = 0.0
+        covariance[3:, 3:] = STATED_PLACE**2 * np.eye(3)
+    condition = float(fit.spread[0] / max(fit.spread[1], 1e-9))
+    stated = cell.config.arms[0]
+    return arm, BaseCalibration(
+        X_WB=X_WB,
+        method=by,
+        evidence=Evidence(
+            covariance, fit.rms, fit.n, max(1.0, condition), origin.date, origin.source
+        ),
+        reference=first.name,
+        reference_xyz=np.array(stated.base_xyz),
+        reference_rpy=np.array(stated.base_rpy),
+        camera_sha256=file_sha256(camera_file),
+    )
+
+
+def chain_error(cell: surg_core.Cell) -> ChainError:
+    """What the chain of a cell is worth, 80 mm before the scope at its home posture.
+
+    Raises:
+        ConfigError: A file is missing, invalid or stale.
+    """
+    scope, tool = scope_arm(cell), tool_arm(cell)
+    camera, file = measured_camera(cell)
+    _, stereo = read_stereo(cell.folder / "calibration")
+    assert camera.X_FV is not None and camera.evidence is not None
+    X_WF = scope.X_WB @ scope.chain.forward(scope.robot.home)
+    in_flange = camera.X_FV[:3, :3] @ [0.0, 0.0, DISTANCE]
+    p_W = (X_WF @ np.append(in_flange + camera.X_FV[:3, 3], 1.0))[:3]
+    first = next(iter(cell.arms.values()))
+    arm = scope if first.name == tool.name else tool
+    path = cell.folder / "calibration" / f"base_{arm.name}.yaml"
+    if not path.is_file():
+        raise surg_core.ConfigError(
+            f"{path}: is missing; run ./surg calibrate CELL bases --by touch first"
+        )
+    base = load_base(path)
+    if base.camera_sha256 not in ("none", file_sha256(file)):
+        raise surg_core.ConfigError(
+            f"{path}: camera_sha256: {base.camera_sha256[:12]}…; allowed: "
+            f"{file_sha256(file)[:12]}…, the hash of {file}: the camera has been measured again "
+            "since. Repeat ./surg calibrate CELL bases"
+        )
+    return ChainError(
+        tool=tool.tool.residual,
+        base=shift_at(base.evidence.covariance, p_W - base.X_WB[:3, 3]),
+        handeye=shift_at(camera.evidence.covariance, in_flange),
+        # The file states the median; an error along the ray is normal.
+        stereo=float(stereo.held_out[1]) / 0.6745,
+    )
+
+
+def check(cell: surg_core.Cell) -> list[str]:
+    """What is there, how old it is, what the chain is worth, and what to do next."""
+    folder, scope = cell.folder / "calibration", scope_arm(cell)
+    lines = []
+    names = [LEFT, RIGHT, "endoscope_stereo.yaml", f"camera_{scope.name}.yaml"]
+    names += [f"base_{arm.name}.yaml" for arm in list(cell.arms.values())[1:]]
+    for name in names:
+        if not (folder / name).is_file():
+            lines.append(f"{name:24s} missing")
+            continue
+        date = surg_core.read_document(folder / name).values.get("date", "")
+        lines.append(f"{name:24s} {date}")
+    try:
+        chain = chain_error(cell)
+    except ValueError as error:
+        return [*lines, f"next: {error}"]
+    parts = {"tool": chain.tool, "bases": chain.base, "hand-eye": chain.handeye}
+    parts["stereo"] = chain.stereo
+    lines.append(", ".join(f"{name} {1e3 * sd:.2f} mm" for name, sd in parts.items()))
+    lines.append(
+        f"joints and picture agree within {1e3 * chain.two_sigma:.2f} mm (2 sigma) at "
+        f"{1e3 * DISTANCE:g} mm"
+    )
+    return lines

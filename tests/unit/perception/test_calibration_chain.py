@@ -1,0 +1,191 @@
+"""Hand-eye, bases and the whole chain: errors against what is stated, over seeds."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import surg_core
+from helpers.results.perception_results import PAGE
+from helpers.sim.board_views import copied_cell, scope_cell
+from helpers.sim.calibrated_chain import BOARD, ORIGIN, Chain
+from surg_perception.calibration import evidence
+from surg_perception.calibration.base_steps import chain_error, check, measured_camera
+from surg_perception.calibration.bases import SeenBase
+from surg_perception.calibration.handeye import HandEyeFit, solve_handeye
+from surg_perception.calibration.result_files import save_handeye, save_stereo
+from surg_perception.calibration.small_motions import difference, expected_error
+from surg_perception.calibration.stereo import StereoFit
+
+SIGMAS = 2.5
+FEW, MANY = 3, 100
+
+
+@cache
+def solved(seed: int) -> tuple[Chain, StereoFit, HandEyeFit, SeenBase]:
+    """A cell with errors that nobody knows, and what was measured of it."""
+    chain = Chain(seed, scope_cell())
+    stereo = chain.stereo()
+    handeye = chain.handeye(stereo)
+    return chain, stereo, handeye, chain.touch(stereo, handeye)
+
+
+def lengths(step: np.ndarray) -> np.ndarray:
+    """Rotation [rad] and shift [m] of a step (2,)."""
+    return np.array([np.linalg.norm(step[:3]), np.linalg.norm(step[3:])])
+
+
+def test_handeye_through_the_trocar_is_as_good_as_it_states(full: bool) -> None:
+    rows, naive, seeds = [], [], MANY if full else FEW
+    for seed in range(seeds):
+        chain, _, result, _ = solved(seed)
+        evidence.check_handeye(result)
+        error = lengths(difference(result.X_FV, chain.bench.X_FV))
+        rows.append(np.concatenate([error, error / result.pose_error]))
+        corners = expected_error(result.fit.covariance_of_corners[:6, :6])
+        naive.append(error / corners)
+    turn, shift, *_ = np.array(rows).T
+    inside = int((np.array(rows)[:, 2:] < SIGMAS).all(axis=1).sum())
+    by_corners = int((np.array(naive) < SIGMAS).all(axis=1).sum())
+    PAGE.note(
+        "hand-eye through the trocar, 15 views",
+        seeds,
+        f"median {1e3 * np.median(shift):.3f} mm, {np.degrees(np.median(turn)):.3f}°, largest "
+        f"{1e3 * shift.max():.3f} mm, {np.degrees(turn.max()):.3f}°; inside 2.5 sigma in {inside}, "
+        f"with a covariance over corners in {by_corners}",
+    )
+    assert np.median(shift) <= 3e-4 and np.median(turn) <= np.radians(0.1)
+    assert shift.max() <= 3e-4 and turn.max() <= np.radians(0.2)
+    assert inside >= 0.95 * seeds
+    assert by_corners < 0.5 * seeds
+
+
+def test_the_stated_error_of_a_baseline_holds(full: bool) -> None:
+    rows, seeds = [], MANY if full else FEW
+    for seed in range(seeds):
+        result, true = solved(seed)[1], np.eye(4)
+        true[0, 3] = 0.004
+        rows.append(lengths(difference(result.stereo.X_LR, true)) / result.pose_error)
+    inside = int((np.array(rows) < SIGMAS).all(axis=1).sum())
+    PAGE.note("stereo pose, 20 views", seeds, f"inside 2.5 sigma in {inside}")
+    assert inside >= 0.95 * seeds
+
+
+def test_a_base_by_touch_is_as_good_as_it_states(full: bool) -> None:
+    rows, seeds = [], MANY if full else FEW
+    for seed in range(seeds):
+        chain, _, _, result = solved(seed)
+        evidence.check_touch(result)
+        true = surg_core.inverse_pose(chain.X_W_ECM) @ chain.cell.arms["PSM1"].X_WB_stated
+        amid = surg_core.inverse_pose(result.X_ST) @ np.append(result.middle, 1.0)
+        turn = np.linalg.norm(difference(result.X_ST, true)[:3])
+        shift = np.linalg.norm((true @ amid)[:3] - result.middle)
+        rows.append([turn, shift, turn / result.error[0], shift / result.error[1]])
+    turn, shift, *_ = np.array(rows).T
+    inside = int((np.array(rows)[:, 2:] < SIGMAS).all(axis=1).sum())
+    PAGE.note(
+        "base by touch, 16 touches of 0.1 mm",
+        seeds,
+        f"median {1e3 * np.median(shift):.3f} mm, {np.degrees(np.median(turn)):.3f}°, largest "
+        f"{1e3 * shift.max():.3f} mm, {np.degrees(turn.max()):.3f}°; inside 2.5 sigma in {inside}",
+    )
+    assert shift.max() <= 5e-4
+    assert np.percentile(turn, 95) <= np.radians(0.2)
+    assert inside >= 0.95 * seeds
+
+
+def test_check_states_the_error_of_the_whole_chain(full: bool, tmp_path: Path) -> None:
+    folder, found = copied_cell(tmp_path), []
+    seeds = MANY if full else 2
+    fresh = folder.with_name("fresh")
+    shutil.copytree(folder, fresh)
+    for seed in range(seeds):
+        chain = Chain(seed, surg_core.load_cell(fresh))
+        chain.write(folder / "calibration")
+        believed = surg_core.load_cell(folder)
+        stated = chain_error(believed).two_sigma
+        camera, _ = measured_camera(believed)
+        before = chain.disagreement(
+            replace(chain.cell, folder=folder), np.asarray(measured_in_urdf(chain.cell))
+        )
+        after = chain.disagreement(believed, np.asarray(camera.X_FV))
+        found.append([before, after, stated])
+    before, after, stated = 1e3 * np.array(found).T
+    inside = int((after <= stated).sum())
+    PAGE.note(
+        "whole chain, joints against picture at 80 mm",
+        seeds,
+        f"before {np.median(before):.1f} mm, after {np.median(after):.2f} mm (median), stated "
+        f"{np.median(stated):.2f} mm (2 sigma), inside in {inside}",
+    )
+    assert inside >= 0.95 * seeds
+    assert np.median(after) <= 1.0 and np.median(before) >= 5.0 * np.median(after)
+    assert "joints and picture agree within" in check(believed)[-1]
+
+
+def measured_in_urdf(cell: surg_core.Cell) -> np.ndarray:
+    """The eye in the flange as the instrument's drawing states it (4, 4)."""
+    arm = cell.arms["ECM"]
+    frame = arm.instrument.camera.frames[0]
+    return surg_core.fixed_transform(arm.instrument_urdf, arm.instrument.mount_link, frame)
+
+
+def test_handeye_with_a_wrong_lens_is_refused() -> None:
+    chain, stereo, good, _ = solved(1)
+    wrong = stereo.fit.solution.stereo
+    step = np.zeros(2 * len(wrong.left.values) + 6)
+    step[[0, 1]] = step[[9, 10]] = 0.01 * wrong.left.values[0]
+    step[[2, 11]] = 2.0
+    solution = replace(stereo.fit.solution, stereo=wrong.moved(step))
+    bad = chain.handeye(replace(stereo, fit=replace(stereo.fit, solution=solution)))
+    away = lengths(difference(bad.X_FV, chain.bench.X_FV))
+    print(f"wrong lens: rms {good.fit.rms:.3f} -> {bad.fit.rms:.3f} px, off {1e3 * away[1]:.2f} mm")
+    assert bad.fit.rms < evidence.LARGEST_RMS  # the residuals alone do not show it
+    evidence.check_handeye(good)
+    with pytest.raises(evidence.Refused) as refused:
+        evidence.check_handeye(bad)
+    assert any(reason.startswith("focal length") for reason in refused.value.reasons)
+
+
+def test_a_board_printed_too_small_is_refused() -> None:
+    chain, stereo, _, _ = solved(2)
+    views = list(chain.bench.moved_scope(12))
+    X_BF = np.array([chain.cell.arms["ECM"].chain.forward(v.joints["ECM"]) for v in views])
+    seen = [
+        tuple(replace(eye, p_Board=eye.p_Board / 0.97) for eye in pair)
+        for pair in chain.seen(views)
+    ]
+    with pytest.raises(evidence.Refused) as refused:
+        evidence.check_handeye(solve_handeye(stereo.stereo, X_BF, seen))  # type: ignore[arg-type]
+    assert any(reason.startswith("board size") for reason in refused.value.reasons)
+
+
+def test_a_new_lens_file_makes_the_camera_stale(tmp_path: Path) -> None:
+    folder = copied_cell(tmp_path)
+    cell, calibration = surg_core.load_cell(folder), folder / "calibration"
+    _, stereo, handeye, _ = solved(0)
+    save_stereo(calibration, stereo, BOARD, "", ORIGIN)
+    save_handeye(calibration, "ECM", handeye, ORIGIN)
+    measured_camera(cell)
+    save_stereo(calibration, solved(1)[1], BOARD, "", ORIGIN)
+    with pytest.raises(surg_core.ConfigError, match="left_sha256"):
+        measured_camera(cell)
+    assert check(cell)[-1].startswith("next: ")
+
+
+def test_each_limit_of_the_hand_eye_refuses() -> None:
+    good = solved(1)[2]
+    evidence.check_handeye(good)
+    few = replace(good, fit=replace(good.fit, residuals=good.fit.residuals[:9]))
+    narrow = replace(good, turns=np.radians([25.0, 19.9]))
+    moved = replace(good, fit=replace(good.fit, residuals=[20 * r for r in good.fit.residuals]))
+    vague = replace(good, fit=replace(good.fit, gradient=40.0 * good.fit.gradient))
+    for made, reason in ((few, "views"), (narrow, "turns"), (moved, "rms"), (vague, "expected")):
+        with pytest.raises(evidence.Refused) as refused:
+            evidence.check_handeye(made)
+        assert any(each.startswith(reason) for each in refused.value.reasons)
