@@ -1,0 +1,39 @@
+"""docs/results/busy_machine.md: a fast hand at the console beside other programs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from helpers.results.results_page import ResultsPage
+
+_HEAD = """# A fast hand on a busy machine
+
+Written by `SURG_TEST_FULL=1 ./surg test tests/e2e/test_busy_machine.py`: a page of the console sends a hand
+of 0.5 m/s at scale 0.2 with clutches, and presses Enable when the arm is held. The simulator's truth is the
+judge. FAULT(link) means that the simulator or the controller was not served for 0.1 s.
+
+| cell | s | result |
+|---|---|---|
+"""
+_PAGE = ResultsPage("busy_machine.md", _HEAD, ("sim_ur5e", "sim_panda"), keep=True)
+
+
+def note(cell: str, seconds: float, load: float, enabled: int, seen: dict[str, Any]) -> None:
+    """Print and keep what the judge has seen.
+
+    Args:
+        cell: The cell.
+        seconds: Of the storm [s].
+        load: Mean number of programs that want a processor.
+        enabled: How often the operator pressed Enable.
+        seen: Counts of ``pivot_judge.py``.
+    """
+    ended = ", ".join(f"{how} {count}" for how, count in sorted(seen["ended"].items())) or "never"
+    _PAGE.note(
+        cell,
+        round(seconds),
+        f"load {load:.0f}: pivot at most **{seen['pivot_mm']:.3f} mm**, no FAULT(rcm_error); "
+        f"{seen['way_m']:.1f} m of the tip, fastest tick {seen['speed']:.2f} m/s; "
+        f"{seen['late_cycles']} of {seen['cycles']} cycles late, longest "
+        f"{seen['longest_cycle_ms']:.0f} ms; let go by {ended}; Enable pressed {enabled} times",
+    )
