@@ -8,9 +8,9 @@ from helpers.results.results_page import ResultsPage
 
 _HEAD = """# A fast hand on a busy machine
 
-Written by `SURG_TEST_FULL=1 ./surg test tests/e2e/test_busy_machine.py`: a page of the console sends a hand
-of 0.5 m/s at scale 0.2 with clutches, and presses Enable when the arm is held. The simulator's truth is the
-judge. FAULT(link) means that the simulator or the controller was not served for 0.1 s.
+Written by `SURG_TEST_FULL=1 ./surg test tests/e2e/test_busy_machine.py`: a page of the console
+sends a hand of 0.5 m/s at scale 0.2 with clutches, and presses Enable when the arm is held. The
+simulator's truth is the judge. FAULT(link): simulator or controller was not served for 0.1 s.
 
 | cell | s | result |
 |---|---|---|
