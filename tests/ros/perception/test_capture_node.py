@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers import endoscope_files
 from helpers.graph.ros import RosGraph
 from helpers.graph.surg import surg
 from helpers.perception import recorded_pairs
 from surg_cli.graph import master
+from surg_core import lens_file
 from surg_perception.capture import eye_lenses
 from surg_teleop.console.web import picture_packet
 
@@ -61,9 +63,14 @@ def picture(message: Any) -> recorded_pairs.Image:
 def test_a_file_has_the_topics_of_an_endoscope(
     ros_graph: RosGraph, rospy_node: str, tmp_path: Path
 ) -> None:
-    video = recorded_pairs.side_by_side(tmp_path / "pairs.mp4", COUNT, 320, 240)
+    recorded_pairs.side_by_side(tmp_path / "pairs.mp4", COUNT, 320, 240)
     eyes = Eyes()
-    params: dict[str, object] = {"source": f"file:{video}", "layout": "sbs"}
+    (tmp_path / "calibration").mkdir()
+    for eye in eyes.images:
+        lens_file.write_lens(
+            tmp_path / f"calibration/endoscope_{eye}.yaml", endoscope_files.lens(eye)
+        )
+    params: dict[str, object] = {"source": "file:pairs.mp4", "layout": "sbs", "cell": str(tmp_path)}
     try:
         ros_graph.node("surg_perception", "capture_node.py", "/endoscope", params)
         ros_graph.wait_for(
@@ -80,8 +87,9 @@ def test_a_file_has_the_topics_of_an_endoscope(
     assert len(numbers) > COUNT - 30
     assert [recorded_pairs.number_of(picture(m)) for m in right] == numbers
     assert picture(left[0]).mean() > picture(right[0]).mean() + 30, "each its own half"
-    info = eyes.infos["left"][-1]
-    assert (info.width, info.height, info.K[0]) == (320, 240, 0.0), "nobody has measured a lens"
+    info = eyes.infos["right"][-1]
+    assert (info.width, info.height, info.K[0]) == (320, 240, pytest.approx(0.7 * 320))
+    assert -info.P[3] / info.P[0] == pytest.approx(0.004), "the baseline is not scaled"
 
 
 class Console:

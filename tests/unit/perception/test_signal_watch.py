@@ -102,3 +102,11 @@ def test_a_dark_lower_edge_of_the_endoscopes_circle_is_no_missing_half() -> None
     picture = scene()
     picture[235:] = 4
     assert SignalWatch().judge(picture, 0) is Signal.LIVE
+
+
+@pytest.mark.parametrize("radius", [60, 85, 110])
+def test_a_small_circle_in_a_dark_picture_is_whole(radius: float) -> None:
+    picture = scene()
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    picture[np.hypot(x - 159.5, y - 70) > radius] = 4
+    assert SignalWatch().judge(picture, 0) is Signal.LIVE

@@ -68,11 +68,7 @@ class EyeTopics:
         height, width, _ = picture.shape
         problem = ""
         if self._info is None or (self._info.width, self._info.height) != (width, height):
-            lens = self._lens
-            try:
-                lens = lens and lens.resized(width, height)
-            except ConfigError as error:
-                lens, problem = None, str(error)
+            lens, problem = eye_lenses.fitted(self._lens, width, height)
             self._info = camera_info(self._eye, lens, width, height)
         self._info.header.stamp = stamp
         image = Image(height=height, width=width, encoding="rgb8", step=3 * width)

@@ -34,3 +34,13 @@ def load(folder: Path | None, eyes: tuple[str, ...]) -> dict[str, lens_file.Lens
             lenses["left"], lenses["right"], str(files["left"]), str(files["right"])
         )
     return lenses
+
+
+def fitted(
+    lens: lens_file.Lens | None, width: int, height: int
+) -> tuple[lens_file.Lens | None, str]:
+    """The lens for a picture of this size; None with the reason where the aspect differs."""
+    try:
+        return (lens and lens.resized(width, height)), ""
+    except ConfigError as error:
+        return None, str(error)

@@ -65,12 +65,10 @@ class EyePairer:
 
         Args:
             eye: 0 left, 1 right.
-            stamp_ns: Must increase for an eye; an older stamp means that its clock was set back.
+            stamp_ns: Of the picture; it may jump where a clock is set.
             picture: Anything.
         """
-        if stamp_ns <= self._newest[eye]:
-            self._forget()
-        elif self._newest[eye]:
+        if 0 < self._newest[eye] < stamp_ns:
             self._intervals[eye].append(stamp_ns - self._newest[eye])
         self._newest[eye] = stamp_ns
         mine, others = self._waiting[eye], self._waiting[1 - eye]
@@ -102,10 +100,3 @@ class EyePairer:
         free = high - low > LARGEST_SPREAD * self.period_ns
         problem = NOT_SYNCHRONISED if alone or free else ""
         return OffsetReport(offsets.size, float(median), float(high - low), problem)
-
-    def _forget(self) -> None:
-        for waiting in self._waiting:
-            waiting.clear()
-        for intervals in self._intervals:
-            intervals.clear()
-        self._newest = [0, 0]
