@@ -28,8 +28,15 @@ from surg_teleop.frames.check_task import CheckTask, read_task, report
 from surg_teleop.frames.endoscope_pictures_node import EndoscopePictures, wait_for_eyes
 from surg_teleop.frames.frame_check import FramesCheck, Stage, split
 from surg_teleop.frames.probe_moves import REST, WORDS
-from surg_teleop.frames.registration_verdict import Verdict, judge, not_seen
+from surg_teleop.frames.registration_verdict import (
+    ANGLE,
+    CALIBRATED_ANGLE,
+    Verdict,
+    judge,
+    not_seen,
+)
 from surg_teleop.frames.tip_tracker import NotSeen, Place, find_places
+from surg_teleop.frames.undistortion import straighten
 from surg_teleop.playback.workspace_fit import Workspace
 
 CONNECT_TIMEOUT = 180.0
@@ -153,7 +160,9 @@ class CheckNode:
             places = find_places(*split(self.check.pictures))
         except NotSeen as error:
             return not_seen(str(error)), {}
-        return judge(places, lens), {str(step): place for step, place in places.items()}
+        straight = straighten(places, *self.eyes.eyes())
+        limit = CALIBRATED_ANGLE if self.task.calibrated else ANGLE
+        return judge(straight, lens, limit), {str(step): place for step, place in places.items()}
 
 
 def main() -> int:

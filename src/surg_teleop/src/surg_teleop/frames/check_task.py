@@ -28,6 +28,13 @@ class CheckTask:
     lockstep: bool  # run in lock-step with the simulator
     out: Path | None  # file of the report; None: no file
 
+    @property
+    def calibrated(self) -> bool:
+        """Whether the camera and every base but the first arm's are measured."""
+        folder = self.cell.folder / "calibration"
+        bases = [folder / f"base_{name}.yaml" for name in list(self.cell.arms)[1:]]
+        return self.camera.measured and all(file.is_file() for file in bases)
+
 
 @dataclass(frozen=True)
 class Parameters:

@@ -15,6 +15,7 @@ from surg_ros.peers import publishers
 from surg_teleop.frames.frame_check import Pair
 from surg_teleop.frames.registration_verdict import Lens
 from surg_teleop.frames.tip_tracker import Picture
+from surg_teleop.frames.undistortion import EyeModel
 
 EYES = ("left", "right")
 KEPT = 8
@@ -70,6 +71,22 @@ class EndoscopePictures:
             P = self._infos["right"].P
             baseline = abs(P[3] / P[0]) if P[0] else 0.0
         return Lens(left.K[0], np.array([left.K[2], left.K[5]]), baseline)
+
+    def eyes(self) -> tuple[EyeModel, EyeModel | None]:
+        """Both eyes as their camera_info states them; None: there is one.
+
+        Raises:
+            KeyError: A camera_info has not arrived yet.
+        """
+        left = _eye(self._infos["left"])
+        return left, _eye(self._infos["right"]) if "right" in self.names else None
+
+
+def _eye(info: CameraInfo) -> EyeModel:
+    K, R = (np.array(values, dtype=np.float64).reshape(3, 3) for values in (info.K, info.R))
+    if not R.any():  # nobody has filled it in
+        R = np.eye(3)
+    return EyeModel(K, np.array(info.D, dtype=np.float64), info.distortion_model, R)
 
 
 def decode(message: Image) -> Picture | None:

@@ -20,6 +20,8 @@ from surg_teleop.frames.tip_tracker import Place
 
 ANGLE = np.radians(20.0)
 """[rad] Largest rotation error between hand and picture that operators do not notice."""
+CALIBRATED_ANGLE = np.radians(8.0)
+"""[rad] The same in a cell whose camera and bases are measured; the check itself errs by 3."""
 SIZES = (0.6, 1.6)
 """Allowed ratio of observed to commanded motion."""
 MATCHED = 0.8
@@ -87,8 +89,14 @@ def not_seen(reason: str) -> Verdict:
     return Verdict(Outcome.CANNOT_TELL, Cause.NOT_SEEN, f"cannot tell: {reason}")
 
 
-def judge(places: Mapping[Step, Place], lens: Lens) -> Verdict:
-    """Compare observed with commanded motion, at rest and at both sides of every axis."""
+def judge(places: Mapping[Step, Place], lens: Lens, limit: float = ANGLE) -> Verdict:
+    """Compare observed with commanded motion, at rest and at both sides of every axis.
+
+    Args:
+        places: The tip in the pictures of pinholes, by step.
+        lens: Of these pinholes.
+        limit: Largest rotation between hand and picture that passes [rad].
+    """
     rest = places[REST]
     two_eyes = rest.disparity is not None and lens.baseline > 0.0
     seen = tuple(_axis(places, axis, lens, two_eyes) for axis in AXES)
@@ -99,8 +107,8 @@ def judge(places: Mapping[Step, Place], lens: Lens) -> Verdict:
             "that no tissue holds it, that the picture is live, and that the endoscope is at rest"
         )
     if two_eyes:
-        return _judge_pair(seen, rest, lens)
-    return _judge_flat(seen)
+        return _judge_pair(seen, rest, lens, limit)
+    return _judge_flat(seen, limit)
 
 
 def _axis(places: Mapping[Step, Place], axis: int, lens: Lens, two_eyes: bool) -> AxisMotion:
@@ -130,7 +138,7 @@ def _triangulate(place: Place, lens: Lens) -> Array:
     return np.array([across[0], across[1], z])
 
 
-def _judge_pair(seen: tuple[AxisMotion, ...], rest: Place, lens: Lens) -> Verdict:
+def _judge_pair(seen: tuple[AxisMotion, ...], rest: Place, lens: Lens, limit: float) -> Verdict:
     assert rest.disparity is not None
     S = np.column_stack([s.metres for s in seen])
     U, _, Vt = np.linalg.svd(S)
@@ -140,7 +148,7 @@ def _judge_pair(seen: tuple[AxisMotion, ...], rest: Place, lens: Lens) -> Verdic
     angle = _angle(R)
     if np.linalg.det(R) < 0.0:
         return _mirrored(seen, R, swapped)
-    if angle < ANGLE:
+    if angle < limit:
         if swapped or upright:
             text = (
                 "left and right eye are swapped: the tip is farther left in the left picture than "
@@ -159,7 +167,7 @@ def _judge_pair(seen: tuple[AxisMotion, ...], rest: Place, lens: Lens) -> Verdic
     return _turned(seen, R, angle, swapped or upright)
 
 
-def _judge_flat(seen: tuple[AxisMotion, ...]) -> Verdict:
+def _judge_flat(seen: tuple[AxisMotion, ...], limit: float) -> Verdict:
     """With one eye: only motion across the view."""
     S = np.column_stack([s.metres[:2] for s in seen[:2]])
     U, sizes, Vt = np.linalg.svd(S)
@@ -168,7 +176,7 @@ def _judge_flat(seen: tuple[AxisMotion, ...]) -> Verdict:
     angle = _angle(R)
     if np.linalg.det(R) < 0.0:
         return _mirrored(seen, R, False)
-    if angle >= ANGLE:
+    if angle >= limit:
         return _turned(seen, R, angle, False)
     if sizes.max() > sizes.min() * SIZES[1]:
         return _wrong_size(seen, sizes / sizes.max(), angle)
