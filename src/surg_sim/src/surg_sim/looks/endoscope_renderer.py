@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from surg_sim.arrays import Array, Picture
 from surg_sim.looks.drawing import OUTSIDE
-from surg_sim.looks.render import Renderer, show_only
+from surg_sim.looks.lens import LensRemap
+from surg_sim.looks.render import Intrinsics, Renderer, Vignette, show_only
 from surg_sim.physics import endoscope_rig
 from surg_sim.physics.endoscope_projection import EndoscopeView
 from surg_sim.physics.endoscope_rig import FRAMES
@@ -26,8 +29,21 @@ class EndoscopeRenderer:
         skins = () if world.task is None else world.task.skins
         self.views = tuple(views)
         cameras = [FRAMES[view] for view in views]
-        self._renderer = Renderer(world.model, cameras, width, height, vignette, [OUTSIDE], skins)
-        self.intrinsics, self.backend = self._renderer.intrinsics, self._renderer.backend
+        fovy = float(world.model.camera(cameras[0]).fovy[0])
+        self.intrinsics = Intrinsics.from_fovy(width, height, fovy)
+        """The pinhole that the instrument's file states, whatever lens there really is."""
+        self._remap, self._edge = None, None
+        size, cut = (width, height), vignette
+        lens = world.endoscope_lens
+        if not lens.perfect:
+            self._remap = LensRemap(lens, self.intrinsics.f, width, height)
+            size, cut = self._remap.wide_size, False
+            self._edge = Vignette(width, height) if vignette else None
+            for camera in cameras:
+                angle = 2.0 * np.degrees(np.arctan(size[1] / 2 / self.intrinsics.f))
+                world.model.camera(camera).fovy[0] = angle
+        self._renderer = Renderer(world.model, cameras, *size, cut, [OUTSIDE], skins)
+        self.backend = self._renderer.backend
         self.baseline = self._renderer.baseline
         """Distance of the right camera from the left one [m]; 0 with one view."""
         held = endoscope_rig.holder([world.cell.arms[name] for name in world.arms])
@@ -37,4 +53,19 @@ class EndoscopeRenderer:
 
     def render(self, qpos: Array) -> dict[str, Picture]:
         """Picture of each view at joint positions qpos, (height, width, 3), rgb8."""
-        return dict(zip(self.views, self._renderer.render(qpos), strict=True))
+        pictures = self._renderer.render(qpos)
+        if self._remap is not None:
+            pictures = [self._real(self._remap.apply(picture)) for picture in pictures]
+        return dict(zip(self.views, pictures, strict=True))
+
+    def _real(self, picture: Picture) -> Picture:
+        """A picture through the lens with the endoscope's round edge."""
+        if self._edge is None:
+            return picture
+        left = self._edge.left
+        whole = np.zeros_like(picture)
+        self._edge.cut(
+            picture[:, left : picture.shape[1] - left],
+            out=whole[:, left : picture.shape[1] - left],
+        )
+        return whole

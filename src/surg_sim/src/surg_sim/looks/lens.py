@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import cv2
 import numpy as np
 
 from surg_sim.arrays import Array, Picture
@@ -98,12 +97,12 @@ class LensRemap:
     height: int
 
     @cached_property
-    def margin(self) -> tuple[float, float]:
-        """How much wider and higher the pinhole's picture must be: factors of 1 or more."""
-        xy = np.abs(self._rays()).reshape(-1, 2).max(axis=0) * self.f
-        half = (np.array([self.width, self.height]) - 1) / 2
-        wide, high = np.maximum(1.0, xy / half)
-        return float(wide), float(high)
+    def wide_size(self) -> tuple[int, int]:
+        """Width and height of the pinhole's picture that holds all rays of the lens [px]."""
+        half = np.abs(self._rays()).reshape(-1, 2).max(axis=0) * self.f + 1.0
+        stated = np.array([self.width, self.height])
+        wide, high = np.maximum(stated, 2 * np.ceil(half).astype(int))
+        return int(wide), int(high)
 
     def _rays(self) -> Array:
         y, x = np.mgrid[: self.height, : self.width].astype(np.float64)
@@ -119,6 +118,8 @@ class LensRemap:
 
     def apply(self, wide: Picture) -> Picture:
         """The lens's picture from a pinhole's of the same focal length [px], rgb8."""
+        import cv2  # only a lens needs it: the rest of the package runs without OpenCV
+
         height, width = wide.shape[:2]
         middle = np.array([(width - 1) / 2, (height - 1) / 2], dtype=np.float32)
         bent = cv2.remap(wide, self._map + middle, None, cv2.INTER_LINEAR)

@@ -96,7 +96,7 @@ class Renderer:
             )
         self._model, self._data = model, mujoco.MjData(model)
         self._skins = tuple(skins)
-        self._round = _Vignette(width, height) if vignette else None
+        self._round = Vignette(width, height) if vignette else None
         self._shape = (height, width, 3)
         # What the vignette hides at both sides is not drawn: a sixth of a picture of 4 : 3.
         self._left = 0 if self._round is None else self._round.left
@@ -212,7 +212,7 @@ def show_only(model: mujoco.MjModel, lamps: bool) -> None:
         model.light_active[model.light(name).id] = lamps
 
 
-class _Vignette:
+class Vignette:
     """The round edge of an endoscope's picture: black outside, soft over three pixels.
 
     ``left`` columns at either side are all black.

@@ -5,12 +5,14 @@ from __future__ import annotations
 import sys
 import threading
 from collections import deque
+from collections.abc import Mapping
 
 import numpy as np
 import rospy
 from sensor_msgs.msg import CameraInfo, Image
 
 import surg_core
+from surg_core.lens_file import Lens, load_lens
 from surg_msgs.msg import Ready, SimSnapshot
 from surg_ros.endoscope_tf import EndoscopeTf
 from surg_ros.params import read
@@ -26,10 +28,23 @@ from surg_sim.physics.endoscope_rig import FRAMES
 from surg_sim.physics.world import World
 
 
-def camera_info(intrinsics: Intrinsics, frame: str, baseline: float = 0.0) -> CameraInfo:
-    """The camera's model as a message without a stamp.
+def measured_lens(cell: surg_core.Cell, view: str, size: tuple[int, int]) -> Lens | None:
+    """The lens of a view as the cell has measured it, for a size [px]; None: it has not.
 
-    Its optical frame lies ``baseline`` to the right of the first camera's [m].
+    Raises:
+        ConfigError: The lens file is invalid, or of another aspect.
+    """
+    file = cell.folder / "calibration" / f"{FRAMES[view]}.yaml"
+    return load_lens(file).resized(*size) if file.is_file() else None
+
+
+def camera_info(
+    intrinsics: Intrinsics, frame: str, baseline: float = 0.0, lens: Lens | None = None
+) -> CameraInfo:
+    """The camera's model as a message without a stamp: what is believed, not what is rendered.
+
+    Its optical frame lies ``baseline`` to the right of the first camera's [m]. A measured lens
+    replaces the pinhole of the instrument's file.
     """
     info = CameraInfo(
         width=intrinsics.width,
@@ -40,6 +55,10 @@ def camera_info(intrinsics: Intrinsics, frame: str, baseline: float = 0.0) -> Ca
         R=np.eye(3).ravel().tolist(),
         P=intrinsics.P(baseline).ravel().tolist(),
     )
+    if lens is not None:
+        info.distortion_model = lens.distortion_model
+        info.D, info.K = lens.D.tolist(), lens.K.ravel().tolist()
+        info.R, info.P = lens.R.ravel().tolist(), lens.P.ravel().tolist()
     info.header.frame_id = frame
     return info
 
@@ -76,14 +95,16 @@ class Endoscope:
     ``keep_all``: every snapshot in order (lock-step); else the newest only (free-run).
     """
 
-    def __init__(self, renderer: EndoscopeRenderer, keep_all: bool) -> None:
+    def __init__(
+        self, renderer: EndoscopeRenderer, keep_all: bool, lenses: Mapping[str, Lens | None]
+    ) -> None:
         self._renderer, self._keep_all = renderer, keep_all
         self._waiting: deque[SimSnapshot] = deque(maxlen=None if keep_all else 1)
         self._arrived = threading.Condition()
         self._cameras = {}
         for view in renderer.views:
             baseline = renderer.baseline if view == "right" else 0.0
-            info = camera_info(renderer.intrinsics, FRAMES[view], baseline)
+            info = camera_info(renderer.intrinsics, FRAMES[view], baseline, lenses[view])
             self._cameras[view] = CameraTopics(view, info, 0 if keep_all else 2)
         self._ready = rospy.Publisher("/sim/ready", Ready, queue_size=0, tcp_nodelay=True)
         rospy.Subscriber("/sim/snapshot", SimSnapshot, self._on_snapshot, tcp_nodelay=True)
@@ -139,6 +160,8 @@ def main() -> int:
     try:
         settings = read(EndoscopeSettings, rospy.get_param("~", {}))
         cell = surg_core.load_cell(settings.cell)
+        size = (settings.width, settings.height)
+        lenses = {view: measured_lens(cell, view, size) for view in settings.views}
         renderer = make_renderer(settings, cell)
     except (ValueError, OSError) as error:
         print(f"surg_sim: {error}", file=sys.stderr, flush=True)
@@ -148,7 +171,7 @@ def main() -> int:
         return 1
     rospy.loginfo(f"endoscope: {settings.width} x {settings.height} by {renderer.backend}")
     frames = EndoscopeTf(cell, renderer.standing_pose)
-    Endoscope(renderer, keep_all=settings.mode == "lockstep").run()
+    Endoscope(renderer, settings.mode == "lockstep", lenses).run()
     del frames
     renderer.close()
     return 0

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from surg_sim.arrays import Array
+from surg_sim.looks.lens import EndoscopeLens
 from surg_sim.physics.pose_error import PoseError
 from surg_sim.physics.sim_arm import ActuatorParameters, ToolError
 from surg_sim.physics.tissue import TissueParameters
@@ -59,6 +60,8 @@ class PatientSetting:
     # How wrong the registrations of a cell are that nobody has measured; None: exact.
     base_error: PoseError | None = None  # of every base but the first arm's
     camera_error: PoseError | None = None  # of the left camera in the flange that holds it
+    # Of each eye of the endoscope; default: a pinhole.
+    lens: EndoscopeLens = field(default_factory=EndoscopeLens)
     encoder: float = 0.0  # smallest joint angle that the robot reports [rad]; 0: exact
     tissue: TissueParameters = field(default_factory=TissueParameters)
 
@@ -94,6 +97,14 @@ VARIANTS: Mapping[str, Mapping[str, Any]] = {
     "unregistered": {
         "base_error": PoseError(shift=0.008, turn=radians(2.0)),
         "camera_error": PoseError(shift=0.005, turn=radians(4.0)),
+    },
+    "lens": {
+        "lens": EndoscopeLens(
+            distortion=(-0.3, 0.08, 0.0005, -0.0005, 0.0),
+            zoom=1.01,
+            centre=(0.01, -0.008),
+            edge=0.4,
+        ),
     },
 }
 """What a setting can have besides, as in ``phantom+unregistered``; assumed: bases typed from a

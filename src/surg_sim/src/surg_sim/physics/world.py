@@ -15,6 +15,7 @@ import numpy as np
 
 import surg_core
 from surg_sim.arrays import Array
+from surg_sim.looks.lens import EndoscopeLens
 from surg_sim.physics import scene
 from surg_sim.physics.ground_truth import ArmTruth, TruthReader
 from surg_sim.physics.patient_settings import PatientSetting
@@ -115,6 +116,11 @@ class World:
         if task is not None:
             task.bind(self)
         self.reset()
+
+    @property
+    def endoscope_lens(self) -> EndoscopeLens:
+        """The true lens of each eye of the endoscope; a pinhole unless the setting has one."""
+        return EndoscopeLens() if self._setting is None else self._setting.lens
 
     @property
     def arms(self) -> tuple[str, ...]:
