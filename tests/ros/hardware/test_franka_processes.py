@@ -14,7 +14,7 @@ import pytest
 from helpers.graph.ros import RosGraph
 from helpers.hardware import emulated_franka
 from helpers.hardware.emulated_ur import mishap
-from helpers.hardware.franka_graph import Graph, cell_at
+from helpers.hardware.arm_graph import Graph, cell_at
 from helpers.results import hardware_results as page
 from surg_cli.host import paths
 from surg_core import load_cell
