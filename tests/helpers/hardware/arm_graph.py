@@ -1,15 +1,13 @@
-"""The link to a Franka arm as processes: emulator, driver, node, controller, operator."""
+"""The link to an arm as processes: driver, node, controller, operator."""
 
 from __future__ import annotations
 
 import math
 import os
-import shutil
 from pathlib import Path
 
 import numpy as np
 import rospy
-import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 
@@ -19,26 +17,25 @@ from helpers.graph.ros import RosGraph
 from surg_cli.commands.arms.robot import lags_of
 from surg_cli.graph import system
 from surg_cli.graph.processes import Child, wait_until
-from surg_cli.host import link_environments, paths
+from surg_cli.host import link_environments
 from surg_hardware.emulators.franka import franka_kinematics
-from surg_msgs.msg import LinkStatus
+from surg_msgs.msg import Cycle, LinkStatus
 
 
-def cell_at(name: str, folder: Path, address: str, payload: dict[str, object]) -> Path:
-    """A copy of a bundled cell at another address; returns its folder."""
-    bundled = paths.CELLS / f"emulated_{name}"
-    cell = folder / "cell"
-    shutil.copytree(bundled, cell)
-    document = yaml.safe_load((cell / "cell.yaml").read_text("utf-8"))
-    arm = document["arms"]["PSM1"]
-    arm["hardware"].update(address=address, payload=payload)
-    for key in ("robot", "instrument"):
-        arm[key] = os.path.normpath(bundled / arm[key])
-    (cell / "cell.yaml").write_text(yaml.safe_dump(document), "utf-8")
-    return cell
+def _granted() -> bool:
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except OSError:
+        return False
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    return True
 
 
-class Graph:
+REAL_TIME = _granted()
+"""Whether SCHED_FIFO is granted; figures without it say nothing of a link."""
+
+
+class ArmGraph:
     """Link, controller and operator of one arm, and what the arm does.
 
     Attributes:
@@ -46,29 +43,36 @@ class Graph:
         lag: Of the link, as the controller measures it [s]; NaN: not known yet.
     """
 
-    def __init__(self, graph: RosGraph, cell: Path, realtime: bool) -> None:
+    def __init__(self, graph: RosGraph, cell: Path) -> None:
         self.graph, self.cell = graph, cell
         self.arm = surg_core.load_cell(cell).arms["PSM1"]
         link_environments.make_ready(self.arm)
         params: dict[str, object] = {"cell": cell, "arm": "PSM1"}
         self.link = graph.node("surg_hardware", "link_node", "/PSM1/link", params)
-        controller = {**params, "mode": "freerun", "realtime": realtime, "participants": []}
+        controller = {**params, "mode": "freerun", "realtime": REAL_TIME, "participants": []}
         self.controller = graph.node("surg_control", "rcm_node", "/PSM1/controller", controller)
         for child in (self.link, self.controller):
             system.prefer(child)
         self.status: LinkStatus | None = None
+        self.cycle: Cycle | None = None
         self.joints: list[tuple[float, ...]] = []
         self._out = rospy.Publisher("/PSM1/robot/request", StringStamped, queue_size=1)
         self._ears = [
             rospy.Subscriber("/PSM1/robot/status", LinkStatus, self._on_status),
             rospy.Subscriber("/PSM1/robot/measured_js", JointState, self._on_joints),
+            rospy.Subscriber("/PSM1/cycle", Cycle, self._on_cycle, tcp_nodelay=True),
+            rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics),
         ]
         self.lag = math.nan
-        self._ears.append(rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics))
-        graph.wait_for(lambda: self.condition == LinkStatus.READY, 20.0, "the link")
+        graph.wait_for(
+            lambda: self.condition == LinkStatus.READY and self.cycle is not None, 20.0, "the link"
+        )
 
     def _on_status(self, message: LinkStatus) -> None:
         self.status = message
+
+    def _on_cycle(self, message: Cycle) -> None:
+        self.cycle = message
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for found in lags_of(message.status).values():
@@ -97,8 +101,23 @@ class Graph:
             "surg_teleop", "operator_node", "/operator", {"cell": self.cell, **params}
         )
 
+    def play(self, seconds: float) -> Child:
+        """Play the bundled motion to its end; returns the operator, which has ended."""
+        operator = self.operator(duration=seconds)
+        self.graph.wait_for(lambda: operator.exit_code is not None, seconds + 60.0, "the operator")
+        return operator
+
+    def moving(self) -> bool:
+        """Whether the controller commands a motion."""
+        return self.cycle is not None and float(np.abs(self.cycle.qd_command).max()) > 0.02
+
+    def driver(self) -> int:
+        """Process id of the driver, the node's only child."""
+        pid = self.link.process.pid
+        return int(Path(f"/proc/{pid}/task/{pid}/children").read_text().split()[0])
+
     def deviations(self) -> np.ndarray:
-        """Of the shaft from the trocar [m] at every state, by the maker's table."""
+        """Of a Franka's shaft from the trocar [m] at every state, by the maker's table."""
         X = franka_kinematics.flange(np.array(self.joints))
         R, p = X[:, :3, :3], X[:, :3, 3]
         away = self.arm.trocar.p_BRcm - R @ self.arm.tool.p_FTip - p

@@ -1,4 +1,4 @@
-"""The bundled emulated cell at another address, and what its arm did by its own record."""
+"""The bundled emulated cells at another address, and what an emulated UR5e did by its record."""
 
 from __future__ import annotations
 
@@ -22,15 +22,23 @@ TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 HOME = surg_core.load_cell(BUNDLED).arms["PSM1"].robot.home
 
 
-def emulated_cell(folder: Path, address: str) -> Path:
-    """A copy of the cell; returns its folder."""
+def emulated_cell(folder: Path, address: str, name: str = "ur5e", **hardware: object) -> Path:
+    """A copy of a bundled cell at another address; returns its folder.
+
+    Args:
+        folder: Where `cell` is made.
+        address: Of the emulated arm.
+        name: Of the cell `emulated_<name>`.
+        hardware: Other keys of `hardware:`.
+    """
+    bundled = paths.CELLS / f"emulated_{name}"
     cell = folder / "cell"
-    shutil.copytree(BUNDLED, cell)
+    shutil.copytree(bundled, cell)
     document = yaml.safe_load((cell / "cell.yaml").read_text("utf-8"))
     arm = document["arms"]["PSM1"]
-    arm["hardware"]["address"] = address
+    arm["hardware"].update(hardware, address=address)
     for key in ("robot", "instrument"):
-        arm[key] = os.path.normpath(BUNDLED / arm[key])
+        arm[key] = os.path.normpath(bundled / arm[key])
     (cell / "cell.yaml").write_text(yaml.safe_dump(document), "utf-8")
     return cell
 

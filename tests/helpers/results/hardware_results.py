@@ -89,6 +89,8 @@ POLICIES, ROBOTS = ("expert", "learned"), ("simulated arm", "emulated UR5e")
 AGE = "a command until it is executed"
 
 
+FRANKY = "processes, fr3 of franky-sim: bundled motion, pivot"
+FRANKY_CHAIN = "chain, fr3 with the joints of franky-sim: bundled motion, pivot"
 FRANKA = (("panda", 0.0), ("panda", 0.002), ("fr3", 0.0))
 
 
@@ -133,6 +135,8 @@ note = ResultsPage(
         HASH,
         *(franka(name, loss) for name in ("panda", "fr3") for loss in (0.0, 0.002)),
         *(franka(name, loss, "processes") for name, loss in FRANKA),
+        FRANKY_CHAIN,
+        FRANKY,
         *(policy_row(which, robot) for which in POLICIES for robot in ROBOTS),
         FUZZ_STATES,
         FUZZ_DATAGRAMS,

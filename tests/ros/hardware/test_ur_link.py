@@ -10,14 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rospy
 
-from crtk_msgs.msg import StringStamped
 from helpers.graph.ros import RosGraph
 from helpers.hardware import emulated_ur
+from helpers.hardware.arm_graph import REAL_TIME, ArmGraph
 from helpers.hardware.emulated_cell import HOME, Recorded, emulated_cell
-from surg_cli.graph import system
-from surg_cli.graph.processes import Child, wait_until
+from surg_cli.graph.processes import wait_until
 from surg_msgs.msg import Cycle, LinkStatus
 
 pytestmark = pytest.mark.ros
@@ -28,76 +26,12 @@ FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 VICTIMS = ["driver", "controller", "node", "driver frozen"]
 
 
-def _granted() -> bool:
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-    except OSError:
-        return False
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    return True
-
-
-REAL_TIME = _granted()
-"""Whether SCHED_FIFO is granted; figures without it say nothing of the link."""
-
-
-class Rig:
-    """Emulated arm at home, its link, a controller, and what they say."""
+class Rig(ArmGraph):
+    """An emulated arm's graph, and where its mishaps are asked for."""
 
     def __init__(self, graph: RosGraph, folder: Path, address: str) -> None:
-        self.graph, self.address = graph, address
-        self.cell = emulated_cell(folder, address)
-        params: dict[str, object] = {"cell": self.cell, "arm": "PSM1"}
-        self.link = graph.node("surg_hardware", "link_node", "/PSM1/link", params)
-        controller = {**params, "mode": "freerun", "realtime": REAL_TIME}
-        self.controller = graph.node(
-            "surg_control", "rcm_node", "/PSM1/controller", {**controller, "participants": []}
-        )
-        for child in (self.link, self.controller):
-            system.prefer(child)
-        self.status: LinkStatus | None = None
-        self.cycle: Cycle | None = None
-        self._out = rospy.Publisher("/PSM1/robot/request", StringStamped, queue_size=1)
-        self._ears = [
-            rospy.Subscriber("/PSM1/robot/status", LinkStatus, self._on_status),
-            rospy.Subscriber("/PSM1/cycle", Cycle, self._on_cycle, tcp_nodelay=True),
-        ]
-        graph.wait_for(
-            lambda: self.condition == LinkStatus.READY and self.cycle is not None, 15.0, "the link"
-        )
-
-    def _on_status(self, message: LinkStatus) -> None:
-        self.status = message
-
-    def _on_cycle(self, message: Cycle) -> None:
-        self.cycle = message
-
-    @property
-    def condition(self) -> int:
-        return -1 if self.status is None else int(self.status.condition)
-
-    def start(self) -> None:
-        """Ask for it until the robot obeys: at first its states are too young."""
-
-        def asked() -> bool:
-            self._out.publish(StringStamped(string="start"))
-            return wait_until(lambda: self.condition == LinkStatus.ACTIVE, 0.5)
-
-        self.graph.wait_for(asked, 10.0, "the robot's start")
-
-    def operator(self, **params: object) -> Child:
-        """Play the bundled motion."""
-        return self.graph.node(
-            "surg_teleop", "operator_node", "/operator", {"cell": self.cell, **params}
-        )
-
-    def moving(self) -> bool:
-        return self.cycle is not None and float(np.abs(self.cycle.qd_command).max()) > 0.02
-
-    def driver(self) -> int:
-        """Process id of the driver, the node's only child."""
-        pid = self.link.process.pid
-        return int(Path(f"/proc/{pid}/task/{pid}/children").read_text().split()[0])
+        self.address = address
+        super().__init__(graph, emulated_cell(folder, address))
 
 
 @pytest.fixture
@@ -117,8 +51,7 @@ def rig(ros_graph: RosGraph, rospy_node: str, tmp_path: Path, record: Path) -> I
 def test_the_bundled_motion_keeps_the_pivot(rig: Rig, record: Path) -> None:
     rig.start()
     seconds = 60.0 if FULL else 4.0
-    operator = rig.operator(duration=seconds)
-    rig.graph.wait_for(lambda: operator.exit_code is not None, seconds + 40.0, "the operator's end")
+    operator = rig.play(seconds)
     assert operator.exit_code == 0, operator.log_tail()
     deviation = 1e3 * Recorded.of(record).deviations()
     assert np.ptp(Recorded.of(record).q, axis=0).max() > 0.05, "nothing has moved"
@@ -138,8 +71,7 @@ def test_a_protective_stop_ends_the_motion(rig: Rig) -> None:
 
 
 def test_a_robot_that_is_not_started_never_plays_a_motion_to_its_end(rig: Rig) -> None:
-    operator = rig.operator(duration=3.0)
-    rig.graph.wait_for(lambda: operator.exit_code is not None, 30.0, "the operator's end")
+    operator = rig.play(3.0)
     assert operator.exit_code == 1
 
 

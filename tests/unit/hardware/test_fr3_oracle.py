@@ -1,6 +1,8 @@
-"""Our FR3 link drives somebody else's FR3: PyPI's franky-sim, by the maker's pylibfranka.
+"""Our FR3 link drives somebody else's FR3: PyPI's franky-sim.
 
-It has no limits of its own, so acceleration and jerk are judged on the wire.
+By the maker's pylibfranka in real time: it has no limits of its own, so acceleration and jerk are
+judged on the wire. And with controller and link on a made-up clock: its joints in MuJoCo take the
+place of the emulator's. ``SURG_TEST_FULL=1`` plays the whole bundled motion there.
 """
 
 from __future__ import annotations
@@ -15,13 +17,21 @@ import pytest
 
 import surg_core
 from helpers.hardware import client_venvs
+from helpers.hardware.chain_player import play
 from helpers.hardware.emulated_ur import SOURCES
-from helpers.hardware.other_fr3 import FRANKY_SIM, running
+from helpers.hardware.franka_chain import Chain
+from helpers.hardware.other_fr3 import FRANKY_SIM, joints, running
+from helpers.results import hardware_results as page
 from surg_cli.host import paths
 from surg_hardware.conditions import Condition
+from surg_hardware.emulators.franka.generator_motion import GeneratorMotion
+from surg_teleop.playback.motion_player import Stage
 
 pytestmark = pytest.mark.oracle
 CLIENT = paths.ROOT / "tests" / "helpers" / "hardware" / "fr3_adapter_client.py"
+BUNDLED = paths.ROOT / "src/surg_teleop/motions/bundled.csv"
+FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
+SECONDS = 60.0 if FULL else 3.0
 SHARES = np.array((0.5, -0.4, 0.6, 0.8, -1.0, -0.9, 1.0))
 
 
@@ -56,3 +66,17 @@ def test_our_fr3_link_drives_franky_sim(pythons: tuple[Path, Path], tmp_path: Pa
     print(f"flange: {1e3 * away:.3f} mm from ours")
     assert away < 5e-4
     assert found["mass"] == pytest.approx(0.73)
+
+
+def test_the_bundled_motion_keeps_the_pivot_with_somebody_elses_joints(
+    pythons: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm = surg_core.load_cell(paths.CELLS / "emulated_fr3").arms["PSM1"]
+    with joints(pythons[1], arm.robot.home) as settle:
+        monkeypatch.setattr(GeneratorMotion, "settle", settle)
+        played = play(Chain("fr3", monkeypatch), BUNDLED, duration=SECONDS)
+    assert played.stage is Stage.DONE, played.reason
+    off = 1e3 * played.deviation
+    said = f"mean {off.mean():.4f} mm, max {off.max():.3f} mm, {SECONDS:.0f} s"
+    page.note(page.FRANKY_CHAIN, 1, said)
+    assert off.max() <= 0.5

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from surg_cli.host import paths
-from surg_cli.robots import rehearsal
+from surg_cli.robots import rehearsal, rehearse_stop
 from surg_cli.robots.rehearsal import STEPS, Outcome, Step, Trace
 
 DT, EVENT = 0.002, 1.0
@@ -62,6 +62,30 @@ def test_a_stop_that_is_not_as_it_must_be_says_why(found: Trace, word: str) -> N
     assert word in problem
 
 
+def test_a_machine_that_hears_late_does_not_make_a_stop_longer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The arm rests 60 ms after the stop; states and status come 300 ms late, all at once."""
+    ours = {"now": 0.0}
+    monkeypatch.setattr(rehearse_stop.time, "monotonic", lambda: ours["now"])
+    record, arm = rehearse_stop.Record(), trace()
+    stopped = False
+    for n, stamp in enumerate(arm.times):
+        ours["now"] = stamp if stamp < EVENT else max(stamp, EVENT + 0.3)
+        record.state(stamp, [0.0] * 6, [arm.speeds[n]] * 6)
+        stopped = stopped or stamp >= EVENT
+        record.status(stamp, not stopped)
+    assert record.stopped_at is not None
+    times, _, speeds = record.since(record.stopped_at - 0.1)
+    found = Trace(times, speeds, [0.0] * len(times), "ESTOP", "robot")
+    outcome = rehearsal.judge(ESTOP, record.stopped_at, found, "2026-11-23", "77")
+    assert outcome.problems == ()
+    assert outcome.to_rest == pytest.approx(0.06, abs=2 * DT)
+    assert not record.silent
+    ours["now"] += 2 * rehearse_stop.GONE_S
+    assert record.silent
+
+
 def test_an_arm_that_stood_still_has_rehearsed_nothing() -> None:
     found = trace(rest_ms=-1000.0)
     (problem,) = judged(ESTOP, found).problems
@@ -72,6 +96,19 @@ def test_a_pulled_cable_leaves_the_way_to_rest_unmeasured() -> None:
     found = trace(rest_ms=5000.0, condition="OFFLINE", reason="link_lost", ends=EVENT + 0.01)
     outcome = judged(BY_NAME["unplugged cable"], found)
     assert outcome.problems == () and math.isnan(outcome.to_rest)
+
+
+def test_a_driver_that_is_started_again_has_not_seen_the_arm_come_to_rest() -> None:
+    found = trace(condition="READY")
+    seen = [n for n, time in enumerate(found.times) if not EVENT < time < EVENT + 0.8]
+    again = Trace(
+        *([values[n] for n in seen] for values in (found.times, found.speeds, found.deviations)),
+        found.condition,
+        found.reason,
+    )
+    outcome = judged(BY_NAME["driver killed"], again)
+    assert outcome.problems == () and math.isnan(outcome.to_rest)
+    assert outcome.deviation == pytest.approx(1e-4)
 
 
 def test_each_stop_is_led_through_until_this_arm_has_passed_it(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ Each stop of the table in docs/guide/first_power_on.md once, while the tip moves
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Sequence
@@ -15,6 +16,8 @@ REST_S = 0.12
 """[s] From the event to rest at most."""
 PIVOT_M = 0.0002
 """[m] Deviation of the shaft from its pivot at most."""
+SEEN_S = 0.05
+"""[s] A longer pause between two states hides the way to rest."""
 RESTING = 1e-3
 """[rad/s] Of the fastest joint: the arm is at rest."""
 
@@ -73,7 +76,7 @@ STEPS = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was measured at one stop; NaN: the states ceased before the arm was at rest.
+    """What was measured at one stop; NaN: no states came while the arm came to rest.
 
     Attributes:
         step: Name of the stop.
@@ -129,7 +132,8 @@ def judge(step: Step, event: float, trace: Trace, date: str, serial: str) -> Out
     moving = [n for n in after if trace.speeds[n] > RESTING]
     rests = bool(after) and (not moving or moving[-1] < after[-1])
     still = next((n for n in after if trace.speeds[n] <= RESTING), None)
-    to_rest = trace.times[still] - event if still is not None else math.nan
+    seen = still is not None and _longest_pause(trace.times, event, still) <= SEEN_S
+    to_rest = trace.times[still] - event if still is not None and seen else math.nan
     deviation = max((trace.deviations[n] for n in after), default=math.nan)
     problems = []
     if not any(speed > RESTING for n, speed in enumerate(trace.speeds) if trace.times[n] < event):
@@ -149,6 +153,12 @@ def judge(step: Step, event: float, trace: Trace, date: str, serial: str) -> Out
     return Outcome(
         step.name, date, serial, to_rest, deviation, trace.condition, trace.reason, tuple(problems)
     )
+
+
+def _longest_pause(times: Sequence[float], event: float, until: int) -> float:
+    """Longest time without a state from the event to the state `until` [s]."""
+    seen = [event, *(time for time in times[: until + 1] if time > event)]
+    return max((b - a for a, b in itertools.pairwise(seen)), default=0.0)
 
 
 def load(file: Path) -> dict[str, Outcome]:

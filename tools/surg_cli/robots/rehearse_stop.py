@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import datetime
+import math
 import os
 import signal
 import subprocess
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -30,6 +32,57 @@ GONE_S = 0.1
 """[s] Without a joint state: the robot has stopped, as far as anybody can tell."""
 
 
+class Record:
+    """What a link says of its arm, at the times of the robot: a busy machine hears it late.
+
+    Attributes:
+        stopped_at: When the link first left ACTIVE [s]; None: it has not.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._times: list[float] = []
+        self._q: list[tuple[float, ...]] = []
+        self._speeds: list[float] = []
+        self._heard = math.nan  # our steady clock
+        self._known = False
+        self.stopped_at: float | None = None
+
+    def state(self, stamp: float, q: Sequence[float], qd: Sequence[float]) -> None:
+        """Take joint angles and velocities, and when the robot was there [s]."""
+        with self._lock:
+            self._times.append(stamp)
+            self._q.append(tuple(q))
+            self._speeds.append(max((abs(float(rate)) for rate in qd), default=0.0))
+            self._heard = time.monotonic()
+
+    def status(self, stamp: float, active: bool) -> None:
+        """Take whether the arm obeys, and of which state that was said [s]."""
+        if active:
+            self.stopped_at = None
+        elif self.stopped_at is None and self._known:
+            self.stopped_at = stamp
+        self._known = True
+
+    @property
+    def silent(self) -> bool:
+        """Whether no joint state comes any more."""
+        with self._lock:
+            return time.monotonic() - self._heard > GONE_S
+
+    @property
+    def newest(self) -> float:
+        """When the newest state was [s]."""
+        with self._lock:
+            return self._times[-1]
+
+    def since(self, moment: float) -> tuple[list[float], np.ndarray, list[float]]:
+        """Times [s], angles [rad] and speeds of the fastest joint [rad/s] since a moment [s]."""
+        with self._lock:
+            first = next((n for n, at in enumerate(self._times) if at >= moment), len(self._times))
+            return self._times[first:], np.array(self._q[first:]), self._speeds[first:]
+
+
 class Listener:
     """What link and controller of one arm say; a context manager."""
 
@@ -40,15 +93,10 @@ class Listener:
 
         from surg_msgs.msg import Cycle, LinkStatus
 
-        self._arm, self._lock = arm, threading.Lock()
-        self._times: list[float] = []
-        self._q: list[tuple[float, ...]] = []
-        self._speeds: list[float] = []
+        self._arm, self.record = arm, Record()
         self.status: Any = None
         self.cycle: Any = None
-        self.heard = 0.0  # when the controller's last word came
-        self.stopped_at: float | None = None  # when the link first left ACTIVE
-        self.fault = ""  # the controller's first FAULT since then
+        self.fault = ""  # the controller's first FAULT
         rospy.init_node("surg_rehearse", anonymous=True, disable_signals=True)
         name, keys = arm.name, {"queue_size": 1000, "tcp_nodelay": True}
         rospy.Subscriber(f"/{name}/robot/measured_js", JointState, self._on_state, **keys)
@@ -64,21 +112,13 @@ class Listener:
         rospy.signal_shutdown("done")
 
     def _on_state(self, message: Any) -> None:
-        with self._lock:
-            self._times.append(time.monotonic())
-            self._q.append(tuple(message.position))
-            self._speeds.append(max((abs(float(rate)) for rate in message.velocity), default=0.0))
+        self.record.state(message.header.stamp.to_sec(), message.position, message.velocity)
 
     def _on_status(self, message: Any) -> None:
-        active = condition_name(message) == "ACTIVE"
-        if not active and self.stopped_at is None and self.status is not None:
-            self.stopped_at = time.monotonic()
-        elif active:
-            self.stopped_at = None
+        self.record.status(message.header.stamp.to_sec(), condition_name(message) == "ACTIVE")
         self.status = message
 
     def _on_cycle(self, message: Any) -> None:
-        self.heard = time.monotonic()
         if message.state == message.FAULT and not self.fault:
             self.fault = message.reason
         self.cycle = message
@@ -93,18 +133,9 @@ class Listener:
             and float(np.linalg.norm(self.cycle.v_set)) > MOVING
         )
 
-    @property
-    def silent(self) -> bool:
-        """Whether no joint state comes any more."""
-        with self._lock:
-            return bool(self._times) and time.monotonic() - self._times[-1] > GONE_S
-
     def trace(self, since: float) -> Trace:
-        """Everything since a moment of the steady clock."""
-        with self._lock:
-            first = next((n for n, at in enumerate(self._times) if at >= since), len(self._times))
-            times, q = self._times[first:], np.array(self._q[first:])
-            speeds = self._speeds[first:]
+        """Everything since a moment of the robot's time."""
+        times, q, speeds = self.record.since(since)
         deviations = _deviations(self._arm, q) if len(q) else []
         condition = "" if self.status is None else condition_name(self.status)
         return Trace(times, speeds, deviations, condition, self.fault)
@@ -157,23 +188,22 @@ def _operator(system: System, arm: Any, folder: Path) -> subprocess.Popen[bytes]
 
 
 def _await_event(listener: Listener, system: System, arm: Any, step: Step) -> float:
-    """The moment of the stop, on the steady clock.
+    """The moment of the stop, on the clock of the robot's stamps.
 
     Raises:
         Problem: Nobody has acted, or there is no such process.
     """
     if step.victim:
         pid = _victim(system, arm.name, step.victim)
-        moment = time.monotonic()
+        moment = time.time()
         os.kill(pid, signal.SIGKILL)
         return moment
     say(f"{step.name}: now {step.do}.")
-    stopped = processes.wait_until(
-        lambda: listener.stopped_at is not None or listener.silent, PERSON_S
-    )
+    record = listener.record
+    stopped = processes.wait_until(lambda: record.stopped_at is not None or record.silent, PERSON_S)
     if not stopped:
         raise Problem(f"{step.name}: nothing has happened within {PERSON_S:g} s")
-    return listener.stopped_at or time.monotonic() - GONE_S
+    return record.stopped_at or record.newest
 
 
 def _victim(system: System, arm: str, victim: str) -> int:
