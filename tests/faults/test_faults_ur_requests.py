@@ -1,8 +1,10 @@
-"""What a person may ask of a UR link, and when: guide, start and stop against the emulated arm."""
+"""What a person may ask of a UR link, and when; whom its driver refuses. On the emulated arm."""
 
 from __future__ import annotations
 
 import json
+import socket
+import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,10 +12,11 @@ from pathlib import Path
 import pytest
 
 from helpers.hardware import emulated_ur
-from helpers.hardware.ur_driver_rig import Rig, rig
+from helpers.hardware.ur_driver_rig import Rig, driver, rig
 from surg_cli.graph.processes import wait_until
 from surg_hardware.conditions import Condition
-from surg_hardware.emulators.ur.ur_controller import HOME
+from surg_hardware.emulators.ur import rtde_server
+from surg_hardware.emulators.ur.ur_controller import HOME, UrController
 
 OTHER = "def other():\n  while True:\n    sync()\n  end\nend\n"
 
@@ -78,3 +81,31 @@ def test_a_start_is_refused_with_its_cure(arm: Rig, tmp_path: Path) -> None:
     assert "allowed: " in ask(arm, "dance")
     assert arm.condition() is Condition.READY
     assert said(arm)["q"] == pytest.approx(list(HOME), abs=1e-9), "nothing has moved"
+
+
+def refused(address: str, **env: str) -> str:
+    """Why a driver that is started now ends with exit code 2."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, driver(address, theirs, subprocess.PIPE, **env) as second:
+        _, said = second.communicate(timeout=20.0)
+    assert second.returncode == 2, said
+    return said
+
+
+def test_two_controllers_do_not_drive_one_robot(arm: Rig, tmp_path: Path) -> None:
+    """The first goes on; the second is refused here by a lock, elsewhere by the robot's inputs."""
+    arm.start()
+    assert "another driver" in refused(arm.address)
+    elsewhere = refused(arm.address, TMPDIR=str(tmp_path))  # its lock lies there
+    assert "input_int_register_24" in elsewhere and "IN_USE" in elsewhere
+    assert arm.state is not None
+    busy_machine = "stood still" in arm.state.status.fault
+    assert arm.condition() is Condition.ACTIVE or busy_machine, arm.state.status
+
+
+def test_a_field_that_the_robot_does_not_know_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = {name: kind for name, kind in rtde_server.OUTPUTS.items() if name != "payload_cog"}
+    monkeypatch.setattr(rtde_server, "OUTPUTS", known)
+    with emulated_ur.in_process(UrController()) as emulator:
+        said = refused(emulator.address)
+    assert "payload_cog" in said and "NOT_FOUND" in said

@@ -21,6 +21,7 @@ from surg_cli.host import paths
 from surg_core import Law, MotionCommand, Readings, RobotCondition
 from surg_hardware import adapter_driver, arm_driver, link_node, robot_link
 from surg_hardware import driver_datagrams as wire
+from surg_hardware.driver_checkup import Heard
 from surg_hardware.emulators.franka import franka_kinematics
 from surg_hardware.emulators.franka.franka_controller import FrankaController, RobotMode
 from surg_hardware.emulators.franka.franka_robots import FER, FR3
@@ -132,9 +133,7 @@ class Chain:
             arm.chain, arm.robot, arm.limits, arm.instrument, arm.tool, law=Law.EXACT
         )
         self.controller.set_rcm(arm.trocar.p_BRcm)
-        self.state: wire.StateDatagram | None = None
-        self.notices: list[str] = []
-        self.identity: wire.IdentityDatagram | None = None
+        self._heard = Heard()
         self.run(600)  # longer than no motion must have been commanded
         self.ask("start")
         self.run(20)
@@ -149,7 +148,7 @@ class Chain:
         for _ in range(2):
             self._cycles += 1
             self.driver._turn()
-        self._hear()
+        self._heard.read(self._node, DT * self._cycles)
         assert self.state is not None
         self.out = self.controller.step(
             np.array(self.state.q),
@@ -168,18 +167,20 @@ class Chain:
             self.step()
         return self.out
 
-    def _hear(self) -> None:
-        try:
-            while True:
-                said = wire.decode_from_driver(self._node.recv(wire.LONGEST))
-                if isinstance(said, wire.StateDatagram):
-                    self.state = said
-                elif isinstance(said, wire.NoticeDatagram):
-                    self.notices.append(said.text)
-                else:
-                    self.identity = said
-        except BlockingIOError:
-            pass
+    @property
+    def state(self) -> wire.StateDatagram | None:
+        """The newest of the driver."""
+        return self._heard.newest
+
+    @property
+    def notices(self) -> list[str]:
+        """The driver's sentences."""
+        return self._heard.notices
+
+    @property
+    def identity(self) -> wire.IdentityDatagram | None:
+        """What the robot said of itself."""
+        return self._heard.identity
 
     @property
     def joints(self) -> list[float]:

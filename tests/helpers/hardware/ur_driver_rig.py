@@ -164,6 +164,30 @@ class Stop:
         )
 
 
+def driver(
+    address: str, node: socket.socket, errors: int | None = None, **env: str
+) -> subprocess.Popen[str]:
+    """Start the driver of an arm; closes its end of the socket here.
+
+    Args:
+        address: Of the arm.
+        node: What the driver shares with the node.
+        errors: Where its standard error goes, as `subprocess.Popen` takes it.
+        env: Added to its environment.
+    """
+    settings = DriverSettings(address, 40, (math.pi,) * 6, (40.0,) * 6, DEAD_MAN, STOP)
+    words = [json.dumps(asdict(settings)), str(node.fileno())]
+    path = f"{emulated_ur.SOURCES}:{os.environ['PYTHONPATH']}"
+    with node:
+        return subprocess.Popen(
+            [sys.executable, "-s", "-m", "surg_hardware.ur.ur_driver", *words],
+            pass_fds=(node.fileno(),),
+            env={**os.environ, "PYTHONPATH": path, **env},
+            stderr=errors,
+            text=True,
+        )
+
+
 class Rig:
     """The node's side of the driver's socket: sends a command for each state.
 
@@ -183,15 +207,7 @@ class Rig:
         self._rows: Matrix | None = None
         self._row = 0
         self._ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        settings = DriverSettings(address, 40, (math.pi,) * 6, (40.0,) * 6, DEAD_MAN, STOP)
-        words = [json.dumps(asdict(settings)), str(theirs.fileno())]
-        env = os.environ | {"PYTHONPATH": f"{emulated_ur.SOURCES}:{os.environ['PYTHONPATH']}"}
-        self.driver = subprocess.Popen(
-            [sys.executable, "-s", "-m", "surg_hardware.ur.ur_driver", *words],
-            pass_fds=(theirs.fileno(),),
-            env=env,
-        )
-        theirs.close()
+        self.driver = driver(address, theirs)
         self._ours.settimeout(0.05)
         self._closing = False
         self._thread = threading.Thread(target=self._serve, daemon=True)

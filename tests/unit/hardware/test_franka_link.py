@@ -17,6 +17,7 @@ from surg_hardware import adapter_driver, arm_driver, robot_link
 from surg_hardware import driver_datagrams as wire
 from surg_hardware.arm_driver import DriverSettings, RobotRefused
 from surg_hardware.conditions import Condition
+from surg_hardware.driver_checkup import Heard
 from surg_hardware.franka.joint_limits import FR3, PANDA
 from surg_hardware.franka.versions import refusal
 
@@ -59,9 +60,7 @@ class Rig:
         self.driver = adapter_driver.made(settings, theirs)
         self.driver._connect_first()
         self.status = None
-        self.states: list[wire.StateDatagram] = []
-        self.notices: list[str] = []
-        self.identity: wire.IdentityDatagram | None = None
+        self.heard = Heard()
 
     def cycles(self, count: int, qd: tuple[float, ...] | None = (0.0,) * 7) -> None:
         """Some milliseconds, with a command every second one."""
@@ -70,24 +69,16 @@ class Rig:
                 stamp = round(1e6 * self.arm.count)
                 self._node.send(wire.CommandDatagram(stamp, qd).pack())
             self.driver._turn()
-            self._hear()
-
-    def _hear(self) -> None:
-        try:
-            while True:
-                said = wire.decode_from_driver(self._node.recv(wire.LONGEST))
-                if isinstance(said, wire.StateDatagram):
-                    self.states.append(said)
-                elif isinstance(said, wire.NoticeDatagram):
-                    self.notices.append(said.text)
-                else:
-                    self.identity = said
-        except BlockingIOError:
-            pass
+            self.heard.read(self._node, 0.0)
 
     @property
     def condition(self) -> Condition:
-        return self.states[-1].status.condition
+        return self.newest.status.condition
+
+    @property
+    def newest(self) -> wire.StateDatagram:
+        assert self.heard.newest is not None
+        return self.heard.newest
 
     def ask(self, word: str, enabled: bool = False) -> None:
         self._node.send(wire.RequestDatagram(word, enabled).pack())
@@ -97,7 +88,7 @@ class Rig:
         self.cycles(110)
         self.ask("start")
         self.cycles(30)
-        assert self.condition is Condition.ACTIVE, self.notices
+        assert self.condition is Condition.ACTIVE, self.heard.notices
         return self
 
     def close(self) -> None:
@@ -120,7 +111,7 @@ def test_it_moves_as_commanded_and_ends_at_rest(rig: Rig) -> None:
     rig.cycles(100)
     assert rig.arm.mode is RobotMode.Idle and rig.arm.ended is not None
     assert rig.arm.ended < 1e-3
-    assert rig.condition is Condition.READY and "start" in rig.states[-1].status.fault
+    assert rig.condition is Condition.READY and "start" in rig.newest.status.fault
     assert max(rig.arm.excess) <= 0.951
 
 
@@ -158,7 +149,7 @@ def test_a_reflex_is_named_latches_and_is_recovered(rig: Rig) -> None:
     rig.arm.reflex("joint_reflex")
     rig.cycles(4, SPEED)
     assert rig.condition is Condition.STOPPED
-    assert "joint_reflex" in rig.states[-1].status.fault
+    assert "joint_reflex" in rig.newest.status.fault
     rig.cycles(1200)
     rig.ask("start")
     assert rig.condition is Condition.STOPPED
@@ -169,7 +160,7 @@ def test_a_reflex_is_named_latches_and_is_recovered(rig: Rig) -> None:
     assert rig.condition is Condition.READY
     rig.ask("start")
     rig.cycles(20)
-    assert rig.condition is Condition.ACTIVE, rig.notices
+    assert rig.condition is Condition.ACTIVE, rig.heard.notices
 
 
 MODES = {
@@ -184,7 +175,7 @@ def test_other_modes_end_the_motion_within_3_cycles(rig: Rig, mode: RobotMode) -
     rig.started().cycles(100, SPEED)
     rig.arm.mode = mode
     rig.cycles(3, SPEED)
-    assert rig.condition is MODES[mode] and rig.states[-1].status.fault
+    assert rig.condition is MODES[mode] and rig.newest.status.fault
     rig.arm.mode = RobotMode.Idle
     rig.cycles(100, SPEED)
     assert rig.condition is Condition.READY, "it waits for a person"
@@ -192,13 +183,13 @@ def test_other_modes_end_the_motion_within_3_cycles(rig: Rig, mode: RobotMode) -
 
 def test_states_come_every_second_cycle_with_the_robots_wrench(rig: Rig) -> None:
     rig.cycles(1000)
-    assert 480 < len(rig.states) < 520
-    assert rig.states[-1].wrench == (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
+    assert 480 < len(rig.heard.states) < 520
+    assert rig.newest.wrench == (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
 
 
 def test_it_says_who_it_is(rig: Rig) -> None:
     rig.cycles(10)
-    found = rig.identity
+    found = rig.heard.identity
     assert found is not None and found.serial is None
     assert found.model == rig.driver._settings.driver
     assert (found.mass, found.cog) == (0.7, (0.0, 0.01, 0.03))
@@ -212,13 +203,13 @@ def test_collision_thresholds_are_set_at_the_start(rig: Rig) -> None:
 
 def test_a_bad_connection_is_a_warning(rig: Rig) -> None:
     rig.started()
-    rig.notices.clear()
+    rig.heard.notices.clear()
     rig.arm.rate = 0.9
     rig.cycles(900)
-    assert not rig.notices
+    assert not rig.heard.notices
     rig.cycles(150)
     assert rig.condition is Condition.ACTIVE
-    assert any("10 %" in text for text in rig.notices)
+    assert any("10 %" in text for text in rig.heard.notices)
 
 
 @pytest.mark.parametrize(
@@ -239,6 +230,10 @@ def test_wrong_settings_are_refused(rig: Rig, options: dict[str, object], key: s
         )
 
 
+PANDA_PYTHON = (
+    "The robot speaks protocol version {}, but this panda-py was built with a "
+    "libfranka that speaks version {}."
+)
 INCOMPATIBLE = (
     "libfranka: Incompatible library version (server version: {}, library version: {}). "
     "Please check https://frankarobotics.github.io for Panda support"
@@ -249,6 +244,7 @@ def test_the_wrong_library_is_refused_with_the_link_to_name() -> None:
     assert "link: panda" in refusal(INCOMPATIBLE.format(5, 10), "fr3")
     assert "link: fr3" in refusal(INCOMPATIBLE.format(10, 5), "panda")
     assert "link: fr3" in refusal("libfranka: incorrect object size", "panda")
+    assert "link: fr3" in refusal(PANDA_PYTHON.format(10, 5), "panda")
     older = refusal(INCOMPATIBLE.format(7, 10), "fr3")
     assert older and "link: panda" not in older
     assert refusal("libfranka: Connection to FCI refused.", "fr3") == ""

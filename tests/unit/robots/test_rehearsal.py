@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import surg_core
 from surg_cli.host import paths
 from surg_cli.robots import rehearsal, rehearse_stop
 from surg_cli.robots.rehearsal import STEPS, Outcome, Step, Trace
@@ -93,7 +94,7 @@ def test_an_arm_that_stood_still_has_rehearsed_nothing() -> None:
 
 
 def test_a_pulled_cable_leaves_the_way_to_rest_unmeasured() -> None:
-    found = trace(rest_ms=5000.0, condition="OFFLINE", reason="link_lost", ends=EVENT + 0.01)
+    found = trace(rest_ms=5000.0, condition="OFFLINE", reason="link", ends=EVENT + 0.01)
     outcome = judged(BY_NAME["unplugged cable"], found)
     assert outcome.problems == () and math.isnan(outcome.to_rest)
 
@@ -109,6 +110,12 @@ def test_a_driver_that_is_started_again_has_not_seen_the_arm_come_to_rest() -> N
     outcome = judged(BY_NAME["driver killed"], again)
     assert outcome.problems == () and math.isnan(outcome.to_rest)
     assert outcome.deviation == pytest.approx(1e-4)
+
+
+def test_every_expected_reason_is_one_of_the_controllers() -> None:
+    named = [getattr(surg_core.Reason, name) for name in dir(surg_core.Reason) if name.isupper()]
+    names = {surg_core.reason_name(each) for each in named}
+    assert {step.reason for step in STEPS} - {""} <= names
 
 
 def test_each_stop_is_led_through_until_this_arm_has_passed_it(tmp_path: Path) -> None:

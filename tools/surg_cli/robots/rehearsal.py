@@ -57,7 +57,7 @@ STEPS = (
         "set the speed slider to 100 %",
     ),
     Step(
-        "unplugged cable", "pull the robot's cable out", "", ("OFFLINE",), "link_lost",
+        "unplugged cable", "pull the robot's cable out", "", ("OFFLINE",), "link",
         "plug the cable in and wait 5 s",
     ),
     Step(
@@ -69,7 +69,7 @@ STEPS = (
         "end ./surg up with Ctrl-C and start it again",
     ),
     Step(
-        "node killed", "", "node", (), "link_lost", "end ./surg up with Ctrl-C and start it again"
+        "node killed", "", "node", (), "link", "end ./surg up with Ctrl-C and start it again"
     ),
 )  # fmt: skip
 

@@ -28,6 +28,8 @@ MOVING = 0.005
 """[m/s] Set-point of the tip: the arm moves as the rehearsal wants it."""
 BRING_UP_S, PERSON_S, AFTER_S = 60.0, 120.0, 2.0
 """[s] To enable, home and move; for a person to act; recorded after the event."""
+HEARD_S, RETRY_S = 10.0, 0.5
+"""[s] For the controller's first word; between two requests."""
 GONE_S = 0.1
 """[s] Without a joint state: the robot has stopped, as far as anybody can tell."""
 
@@ -91,6 +93,7 @@ class Listener:
         import rospy
         from sensor_msgs.msg import JointState
 
+        from crtk_msgs.msg import StringStamped
         from surg_msgs.msg import Cycle, LinkStatus
 
         self._arm, self.record = arm, Record()
@@ -99,6 +102,8 @@ class Listener:
         self.fault = ""  # the controller's first FAULT
         rospy.init_node("surg_rehearse", anonymous=True, disable_signals=True)
         name, keys = arm.name, {"queue_size": 1000, "tcp_nodelay": True}
+        self._word = StringStamped
+        self._out = rospy.Publisher(f"/{name}/state_command", StringStamped, queue_size=1)
         rospy.Subscriber(f"/{name}/robot/measured_js", JointState, self._on_state, **keys)
         rospy.Subscriber(f"/{name}/robot/status", LinkStatus, self._on_status, **keys)
         rospy.Subscriber(f"/{name}/cycle", Cycle, self._on_cycle, **keys)
@@ -122,6 +127,23 @@ class Listener:
         if message.state == message.FAULT and not self.fault:
             self.fault = message.reason
         self.cycle = message
+
+    def leave_fault(self) -> None:
+        """Disable a controller that is still in FAULT from the last stop.
+
+        Raises:
+            Problem: It stays in FAULT, or says nothing.
+        """
+
+        def left() -> bool:
+            if self.cycle is not None and self.cycle.state == self.cycle.FAULT:
+                self._out.publish(self._word(string="disable"))
+                processes.wait_until(lambda: self.cycle.state != self.cycle.FAULT, RETRY_S)
+            return self.cycle is not None and self.cycle.state != self.cycle.FAULT
+
+        if not processes.wait_until(left, HEARD_S):
+            raise Problem(f"{self._arm.name}: the controller does not answer: see ./surg status")
+        self.fault = ""
 
     @property
     def moves(self) -> bool:
@@ -158,6 +180,7 @@ def perform(system: System, arm: Any, folder: Path, step: Step) -> Outcome:
         Problem: The arm does not move, or nobody acts.
     """
     with Listener(system, arm) as listener:
+        listener.leave_fault()
         operator = _operator(system, arm, folder)
         try:
             if not processes.wait_until(lambda: listener.moves, BRING_UP_S):

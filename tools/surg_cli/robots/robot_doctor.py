@@ -11,12 +11,12 @@ from typing import Any
 from surg_cli.graph.roles import Route, routes
 from surg_cli.host import cells
 from surg_cli.host.terminal import Problem
-from surg_hardware import checkup
+from surg_hardware import checkup, driver_checkup
 from surg_hardware.checkup import Finding
 from surg_hardware.ur import ur_checkup
 
 EXAMINERS = {"ur": ur_checkup.examine}
-"""Name of a link -> its part of the check-up."""
+"""Name of a link -> its part of the check-up; that of any other is done by its driver."""
 
 
 def findings(name: str, only: str | None, seconds: float) -> list[Finding]:
@@ -56,11 +56,7 @@ def _of_arm(arm: Any, seconds: float) -> list[Finding]:
     if not emulated:
         table = routes(Path("/proc/net/route").read_text("utf-8"))
         lines.append(cable(address, table, _plugged))
-    if arm.link in EXAMINERS:
-        lines += EXAMINERS[arm.link](arm, seconds)
-    else:
-        lines.append(Finding("link", f"there are no checks of a {arm.link!r}", None))
-    return lines
+    return lines + EXAMINERS.get(arm.link, driver_checkup.examine)(arm, seconds)
 
 
 def cable(address: str, table: Sequence[Route], plugged: Any) -> Finding:

@@ -8,15 +8,13 @@ moves again only after a person has started it.
 from __future__ import annotations
 
 import contextlib
-import json
-import os
 import select
 import socket
 import struct
 import subprocess
 import sys
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +26,6 @@ from std_msgs.msg import String
 import surg_core
 from crtk_msgs.msg import OperatingState, StringStamped
 from surg_hardware import identity
-from surg_hardware.arm_driver import DriverSettings
 from surg_hardware.conditions import OFFLINE, Condition
 from surg_hardware.driver_datagrams import (
     LONGEST,
@@ -41,7 +38,7 @@ from surg_hardware.driver_datagrams import (
     decode_from_driver,
 )
 from surg_hardware.driver_process import NotHere, is_emulated, realtime
-from surg_hardware.link_programs import NoProgram, driver_name, driver_words, search_path
+from surg_hardware.driver_start import driver_settings, start_driver
 from surg_hardware.robot_link import Status
 from surg_msgs.msg import LinkStatus
 from surg_ros import link_messages
@@ -67,32 +64,6 @@ class Parameters:
 
     cell: str = text()
     arm: str = text()
-
-
-def driver_settings(arm: surg_core.Arm) -> DriverSettings:
-    """What the driver needs of an arm.
-
-    Raises:
-        ConfigError: The cell states no hardware for it, or nothing drives its link.
-    """
-    hardware = arm.hardware
-    if hardware is None:
-        raise surg_core.ConfigError(f"arms.{arm.name}.hardware: is missing; link_node needs it")
-    try:
-        driver = driver_name(arm.link, arm.driver)
-    except NoProgram as error:
-        raise surg_core.ConfigError(f"arms.{arm.name}.{error}") from error
-    return DriverSettings(
-        address=hardware.address,
-        realtime=hardware.realtime,
-        velocity=tuple(arm.robot.velocity.tolist()),
-        # The controller keeps to the link's share of it.
-        acceleration=tuple((arm.robot.acceleration / arm.link_config.acceleration).tolist()),
-        dead_man=arm.link_config.dead_man,
-        stop_deceleration=arm.link_config.stop_deceleration,
-        driver=driver,
-        options=dict(arm.link_settings),
-    )
 
 
 class LinkNode:
@@ -127,18 +98,7 @@ class LinkNode:
     # --- the driver's process -------------------------------------------------------------------
 
     def _start_driver(self) -> tuple[subprocess.Popen[bytes], socket.socket]:
-        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        program = driver_words(self._arm.link, self._arm.driver)
-        words = [json.dumps(asdict(self._settings)), str(theirs.fileno())]
-        ours_only = program[0] == sys.executable
-        driver = subprocess.Popen(
-            [*program, *words],
-            pass_fds=(theirs.fileno(),),
-            stdin=subprocess.DEVNULL,
-            env=None if ours_only else {**os.environ, "PYTHONPATH": search_path()},
-        )
-        theirs.close()
-        ours.setblocking(False)
+        driver, ours = start_driver(self._arm)
         self._heard_at = time.monotonic()
         return driver, ours
 

@@ -448,10 +448,25 @@ def greeting(emulator: PortedEmulator, real_time: bool) -> str:
     return f"Emulated {emulator.title} on {where}; {granted} real-time priority"
 
 
-def serve(start: Callable[[], PortedEmulator]) -> int:
-    """Run an emulator as a program until it is interrupted; returns the exit code."""
+def serve(
+    description: str | None,
+    declare: Callable[[argparse.ArgumentParser], object],
+    start: Callable[[argparse.Namespace], PortedEmulator],
+    words: Sequence[str] | None,
+) -> int:
+    """Run an emulator as a program until it is interrupted; returns the exit code.
+
+    Args:
+        description: For `--help`.
+        declare: Declares the options that only this emulator has.
+        start: Makes the emulator of the options.
+        words: Of the command line; None: the program's own.
+    """
+    parser = argparse.ArgumentParser(description=description)
+    declare(parser)
+    add_arguments(parser)
     try:
-        emulator = start()
+        emulator = start(parser.parse_args(words))
     except (ValueError, OSError) as error:
         print(error, file=sys.stderr)
         return 2

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import re
 
-_VERSIONS = re.compile(r"server version: (\d+).*library version: (\d+)", re.DOTALL)
+_VERSIONS = re.compile(
+    r"(?:server version: |robot speaks protocol version )(\d+)"
+    r".*(?:library version: |libfranka that speaks version )(\d+)",
+    re.DOTALL,
+)
+"""As libfranka says it, and as panda-python does."""
 _OTHERS = {"fr3": ("a Panda", "panda"), "panda": ("an FR3", "fr3")}
 LAST_OF_PANDA = 5
 """Version of the research interface; later ones belong to the FR3."""

@@ -20,7 +20,6 @@ from surg_hardware.emulators.emulator_ports import (
     Connection,
     PortedEmulator,
     Session,
-    add_arguments,
     parse_ports,
     prepare,
     serve,
@@ -224,11 +223,11 @@ def start(kind: str, options: argparse.Namespace) -> FrankaEmulator:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the emulator until it is interrupted."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("arm", choices=tuple(ROBOTS))
-    add_arguments(parser)
-    options = parser.parse_args(words)
-    return serve(lambda: start(options.arm, options))
+
+    def declare(parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("arm", choices=tuple(ROBOTS))
+
+    return serve(__doc__, declare, lambda options: start(options.arm, options), words)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,6 @@ from surg_hardware.emulators.emulator_ports import (
     Connection,
     PortedEmulator,
     Session,
-    add_arguments,
     parse_ports,
     prepare,
     serve,
@@ -216,11 +215,11 @@ def start(options: argparse.Namespace) -> UrEmulator:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the emulator until it is interrupted."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    add_arguments(parser)
-    parser.add_argument("--model", choices=MODELS, default="UR5e", help="default: UR5e")
-    options = parser.parse_args(words)
-    return serve(lambda: start(options))
+
+    def declare(parser: argparse.ArgumentParser) -> None:
+        parser.add_argument("--model", choices=MODELS, default="UR5e", help="default: UR5e")
+
+    return serve(__doc__, declare, start, words)
 
 
 if __name__ == "__main__":
