@@ -192,3 +192,51 @@ def test_calibrate_latency_reads_the_screens_clock(
     assert done.returncode == 0
     found = float(done.stdout.split("latency: ")[1].split()[0])
     assert found == pytest.approx(0.0705, abs=0.003), "the node's 20 ms are added again"
+
+
+def test_another_drivers_topics_are_paired(
+    ros_graph: RosGraph, rospy_node: str, full: bool
+) -> None:
+    if not full:
+        pytest.skip("SURG_TEST_FULL=1")
+    import cv2
+    import rospy
+    from sensor_msgs.msg import CompressedImage, Image
+
+    keys: dict[str, Any] = {"queue_size": 5, "tcp_nodelay": True}
+    left = rospy.Publisher("/driver/left", Image, **keys)
+    right = rospy.Publisher("/driver/right/compressed", CompressedImage, **keys)
+    eyes = Eyes()
+    params: dict[str, object] = {
+        "source": "ros:/driver/left,/driver/right/compressed", "layout": "two", "rate": 10.0,
+    }  # fmt: skip
+    try:
+        ros_graph.node("surg_perception", "capture_node.py", "/endoscope", params)
+        ends = (left, right, *eyes.inputs)
+        ros_graph.wait_for(lambda: all(e.get_num_connections() for e in ends), 30.0, "the node")
+        sent = []
+        for number in range(20):
+            time.sleep(0.1)
+            stamp = time.time_ns()
+            sent.append(stamp + 1_500_000)
+            picture_ = recorded_pairs.scene(number, 320, 240)
+            message = Image(height=240, width=320, step=320 * 3, encoding="bgr8")
+            message.data = picture_[..., ::-1].tobytes()
+            message.header.stamp = rospy.Time(*divmod(stamp, 10**9))
+            _, jpeg = cv2.imencode(".jpg", picture_[..., ::-1])
+            coded = CompressedImage(format="jpeg", data=jpeg.tobytes())
+            coded.header.stamp = rospy.Time(*divmod(stamp + 3_000_000, 10**9))
+            left.publish(message)
+            right.publish(coded)
+        ros_graph.wait_for(lambda: len(eyes.images["right"]) >= 18, 10.0, "pairs")
+    finally:
+        eyes.close()
+        left.unregister()
+        right.unregister()
+    for messages in eyes.images.values():
+        assert {m.header.stamp.to_nsec() for m in messages} <= set(sent)
+        numbers = [recorded_pairs.number_of(picture(m)) for m in messages]
+        assert numbers == sorted(numbers)
+        first = picture(messages[0]).astype(int)
+        expected = recorded_pairs.scene(numbers[0], 320, 240).astype(int)
+        assert np.abs(first - expected).mean() < 5, "red stays red"

@@ -186,6 +186,34 @@ def test_another_size_rate_or_format_is_refused(
     assert made[0].options["timestamps"] == "abs"
 
 
+def test_a_driver_without_stamps_gets_a_clock_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    class Unstamped(FakeContainer):
+        """Reads only with FFmpeg's own stamps, as its v4l2 input does."""
+
+        def demux(self, _: object) -> Any:
+            asked.append(self.options["timestamps"])
+            if asked[-1] == "abs":
+                raise OSError(errno.EIO, os.strerror(errno.EIO))
+            yield SimpleNamespace(pts=1)
+
+    monkeypatch.setattr(av, "open", lambda _, options, **__: Unstamped(options))
+    source = SourceUri.parse("v4l2:/dev/video0").open(wanted())
+    assert asked == ["abs", "default"]
+    assert source.stamps == picture_source.DEVICE_TIME
+
+
+def test_an_unplugged_device_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(av, "open", lambda _, options, **__: FakeContainer(options))
+    source = SourceUri.parse("v4l2:/dev/video0").open(wanted())
+    source._first = SimpleNamespace(pts=1, time_base=1, decode=list, stream=None)  # type: ignore[attr-defined]
+    with pytest.raises(SourceError) as error:
+        list(source.pictures())
+    assert error.value.code == "gone"
+    assert "plug it in again" in str(error.value)
+
+
 def test_a_device_is_opened_again_by_its_persistent_name(tmp_path: Path) -> None:
     device = tmp_path / "video4"
     device.touch()

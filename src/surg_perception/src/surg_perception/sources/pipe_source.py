@@ -1,4 +1,4 @@
-"""``pipe:PATH``: a named pipe, or ``-`` alike, that another program fills with y4m or MJPEG.
+"""``pipe:PATH``: a named pipe that another program fills with y4m or MJPEG.
 
 A picture is stamped on arrival. FFmpeg's MJPEG parser waits for the next picture, so MJPEG is one
 picture late; y4m is not.

@@ -16,7 +16,6 @@ import av
 
 from surg_perception.capture.picture_source import (
     DEVICE_TIME,
-    ROS_TIME,
     Grabbed,
     PictureSource,
     SourceError,
@@ -56,12 +55,14 @@ class V4l2Source(PictureSource):
         super().__init__(address, options, wanted)
         self._where = f"endoscope.source: v4l2:{address}"
         self._reopen = persistent_name(address)
+        self._container = self._open("abs")
         try:
-            self._container = self._open("abs")
             self._first = self._next()
         except SourceError as error:
-            if error.code != "no_stamps":
+            self.close()
+            if error.code != "gone":
                 raise
+            # FFmpeg ends so where the driver has no stamps that it could turn into wall time.
             self.stamps = DEVICE_TIME
             self._container = self._open("default")
             self._first = self._next()
@@ -93,11 +94,7 @@ class V4l2Source(PictureSource):
         except StopIteration:
             raise self._gone() from None
         except (OSError, av.error.FFmpegError) as error:
-            number = getattr(error, "errno", 0)
-            if number == errno.EIO and self.stamps == ROS_TIME and not hasattr(self, "_first"):
-                self._container.close() if hasattr(self, "_container") else None
-                raise SourceError("no_stamps", f"{self._where}: {error}") from error
-            if number in (errno.ENODEV, errno.EIO, errno.EPIPE):
+            if getattr(error, "errno", 0) in (errno.ENODEV, errno.EIO, errno.EPIPE):
                 raise self._gone() from error
             raise av_input.refusal(self._where, error) from error
         if packet.pts is None:
