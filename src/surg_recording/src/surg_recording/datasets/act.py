@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 
 from surg_core.contract import ACTION_KEY, STATE_KEY
-from surg_recording.datasets import hdf5, pictures, schema
+from surg_recording.datasets import calibration_record, hdf5, pictures, schema
 from surg_recording.datasets.exporter import Dataset, Exporter, Report
 from surg_recording.datasets.frames import check_frames
 from surg_recording.datasets.options import ExportOptions
@@ -52,6 +52,8 @@ class Act(Exporter):
             root.attrs["frames"] = sampled.grid.frames
             root.attrs["instruction"] = sampled.candidate.instruction
             root.attrs["kind"] = sampled.candidate.kind
+            calibration = sampled.candidate.about["calibration"]
+            root.attrs["calibration"] = calibration_record.text_of(calibration)
             by_name = {feature.name: feature for feature in sampled.features}
             for place, name in layout.items():
                 if by_name[name].is_video:

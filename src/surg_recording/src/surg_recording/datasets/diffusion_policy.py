@@ -18,7 +18,7 @@ import zarr
 from numcodecs import Blosc
 
 from surg_core.contract import ACTION_KEY, STATE_KEY
-from surg_recording.datasets import pictures
+from surg_recording.datasets import calibration_record, pictures
 from surg_recording.datasets.exporter import Dataset, Exporter, Part, Report
 from surg_recording.datasets.frames import check_frames, put_frames
 from surg_recording.datasets.options import ExportOptions
@@ -75,7 +75,10 @@ class DiffusionPolicy(Exporter):
         _array(meta, "episode_ends", ends)
         _array(meta, "instruction", np.array([part.instruction for part in dataset.parts]))
         _array(meta, "kind", np.array([part.kind for part in dataset.parts]))
+        places, calibrations = calibration_record.grouped([part.about for part in dataset.parts])
         root.attrs.update(
+            calibrations=calibrations,
+            calibration_of_episode=places,
             fps=dataset.options.fps,
             robot_type=dataset.robot_type,
             splits={name: list(ends) for name, ends in dataset.splits.items()},

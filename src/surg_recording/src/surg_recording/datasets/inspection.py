@@ -15,7 +15,7 @@ from typing import Any
 
 from surg_core.contract import TASK_STATE_KEY
 from surg_recording.clock.clock_segments import Segment
-from surg_recording.datasets import pictures, schema
+from surg_recording.datasets import calibration_record, pictures, schema
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.episode import episode_reader, integrity, same_recording, table_columns
 from surg_recording.episode.checked_reading import segment_of
@@ -48,6 +48,8 @@ class Layout:
     task_numbers: tuple[str, ...]
     """Columns of the task's ground truth."""
     truth: bool
+    scope: str = ""
+    """The arm that holds the endoscope, where its pose follows from the joints; empty: unknown."""
 
     def difference(self, other: Layout) -> str | None:
         """The property that excludes ``other`` from an export with this layout, or None."""
@@ -66,6 +68,7 @@ _FIELD_NAMES = {
     "labelled": "judged by a task",
     "task_numbers": "numbers of the task's state",
     "truth": "ground truth",
+    "scope": "arm with the pose of the camera",
 }
 
 
@@ -164,6 +167,7 @@ def look(folder: Path, options: ExportOptions) -> Candidate:
             "software": _mapping(manifest.get("versions")).get("software"),
             "simulated": bool(manifest.get("sim")),
             "identity": same_recording.identity(recorded),
+            "calibration": calibration_record.of_manifest(folder, manifest),
             "sync": sync,
         },
         segment=segment,
@@ -212,7 +216,22 @@ def layout_of(recorded: Episode, options: ExportOptions) -> Layout:
             if keep_task and name.startswith(table_columns.TASK_PREFIX)
         ),
         truth=all(truths) and schema.GROUND_TRUTH not in options.drop,
+        scope=_scope(recorded, options),
     )
+
+
+def _scope(recorded: Episode, options: ExportOptions) -> str:
+    """The recorded arm from whose joints the camera's pose follows; empty: there is none."""
+    held = calibration_record.endoscope_of(recorded.folder, recorded.manifest)
+    if held is None or held.arm not in recorded.arms or schema.CAMERA_POSE in options.drop:
+        return ""
+    joints = _joint_count(recorded, held.arm)
+    if joints != held.chain.dof:
+        raise EpisodeError(
+            f"{recorded.folder}: {held.arm} has {joints} joints in its cycles, and"
+            f" {held.chain.dof} in 'cell.endoscope' of the manifest"
+        )
+    return held.arm
 
 
 def _joint_count(recorded: Episode, arm: str) -> int:

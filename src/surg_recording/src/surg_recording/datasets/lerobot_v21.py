@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 
 from surg_core.contract import ACTION_KEY, STATE_KEY
 from surg_recording.datasets import (
+    calibration_record,
     lerobot_tables,
     pictures,
     schema,
@@ -80,6 +81,7 @@ class LeRobotV21(LeRobotExporter):
         lerobot_tables.write_json(meta / "modality.json", _modality(dataset, language))
         lerobot_tables.write_lines(meta / "episodes.jsonl", episodes)
         lerobot_tables.write_lines(meta / "episodes_stats.jsonl", stats)
+        calibration_record.write([part.about for part in dataset.parts], out / "meta")
         page = readme.page(dataset, "LeRobot 2.1")
         (meta / "README.md").write_text(page, "utf-8")
         dataset_card.write(dataset, out, "v2.1", page)
@@ -130,6 +132,7 @@ class LeRobotV21(LeRobotExporter):
         if report.frames != stated["total_frames"]:
             report.errors.append(f"{report.frames} rows, info.json says {stated['total_frames']}")
         report.errors += lerobot_tables.check_splits(stated)
+        report.errors += calibration_record.check(out / "meta", stated["total_episodes"])
         text = (out / "meta" / "README.md").read_text("utf-8")
         report.errors += readme.missing_sections(text)
         lerobot_tables.check_openness(stated, report)

@@ -16,6 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from surg_recording.datasets import (
+    calibration_record,
     lerobot_tables,
     pictures,
     schema,
@@ -74,6 +75,7 @@ class LeRobotV30(LeRobotExporter):
             video_path=VIDEO_PATH if videos else None,
         )
         lerobot_tables.write_json(out / "meta" / "info.json", stated)
+        calibration_record.write([part.about for part in dataset.parts], out / "meta")
         page = readme.page(dataset, "LeRobot 3.0")
         (out / "meta" / "README.md").write_text(page, "utf-8")
         dataset_card.write(dataset, out, "v3.0", page)
@@ -186,6 +188,7 @@ class LeRobotV30(LeRobotExporter):
         if len(texts["task_index"]) != stated["total_tasks"]:
             report.errors.append("tasks.parquet and info.json disagree")
         report.errors += lerobot_tables.check_splits(stated)
+        report.errors += calibration_record.check(out / "meta", stated["total_episodes"])
         lerobot_tables.check_openness(stated, report)
         report.facts.update(splits=stated["splits"], features=list(stated["features"]))
 

@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 
 from surg_core.contract import ACTION_KEY, STATE_KEY
-from surg_recording.datasets import hdf5, schema
+from surg_recording.datasets import calibration_record, hdf5, schema
 from surg_recording.datasets.exporter import Dataset, Exporter, Report
 from surg_recording.datasets.frames import check_frames
 from surg_recording.datasets.options import ExportOptions
@@ -58,6 +58,8 @@ class Robomimic(Exporter):
             demo.attrs["num_samples"] = n
             demo.attrs["instruction"] = sampled.candidate.instruction
             demo.attrs["kind"] = sampled.candidate.kind
+            calibration = sampled.candidate.about["calibration"]
+            demo.attrs["calibration"] = calibration_record.text_of(calibration)
             demo["rewards"] = rewards
             demo["dones"] = last.astype(np.int64)
             demo["timestamp"] = sampled.grid.timestamps

@@ -28,7 +28,7 @@ from surg_core.contract import (
     TASK_STATE_KEY,
     image_key,
 )
-from surg_recording.datasets import pictures, schema, stream_copy
+from surg_recording.datasets import calibration_record, pictures, schema, stream_copy
 from surg_recording.datasets.arm_motion import ArmCycles, ArmMotion
 from surg_recording.datasets.frame_columns import Columns
 from surg_recording.datasets.inspection import Candidate
@@ -138,6 +138,8 @@ def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
     if candidate.remarks:
         made.notes["remarks"] = list(candidate.remarks)
     _observe(made, [arms[name] for name in layout.commanded], list(arms.values()))
+    if layout.scope:
+        _look(made, recorded, arms[layout.scope])
     _act(made, [arms[name] for name in layout.commanded])
     shown = _show(made, candidate, videos)
     if task is not None:
@@ -263,6 +265,23 @@ def _observe(made: Columns, commanded: list[ArmMotion], arms: list[ArmMotion]) -
             _LINEAR,
             f"measured joint {kind}",
         )
+
+
+def _look(made: Columns, recorded: episode_reader.Episode, arm: ArmMotion) -> None:
+    """The pose of the left camera, from the joints of the arm that holds it."""
+    held = calibration_record.endoscope_of(recorded.folder, recorded.manifest)
+    assert held is not None
+    gap = round(made.options.max_gap_s * SECOND_NS)
+    q, _ = linear(arm.stamps, arm.q, made.grid.times_ns, arm.path, gap)
+    made.vector(
+        schema.CAMERA_POSE,
+        calibration_record.camera_poses(held, q),
+        schema.POSE,
+        schema.POSE_UNITS,
+        "world",
+        _LINEAR,
+        "pose X_WV of the left camera (x right, y down, z away), by joints and calibration",
+    )
 
 
 _ACTIONS = {

@@ -17,12 +17,13 @@ from surg_core.contract import ACTION_KEY, IMAGE_PREFIX, STATE_KEY, TASK_STATE_K
 INSTRUCTION = "instruction.text"
 STAGE = "instruction.stage"
 TOOL = "observation.meta.tool"
+CAMERA_POSE = "observation.camera_pose"
 GROUND_TRUTH = "privileged.ground_truth"
 
 ALWAYS = (INSTRUCTION, STAGE, TOOL)
 """Texts that every data set keeps: they say what a recording is."""
 
-OPTIONAL = frozenset((TASK_STATE_KEY, GROUND_TRUTH))
+OPTIONAL = frozenset((TASK_STATE_KEY, GROUND_TRUTH, CAMERA_POSE))
 """Features that a recording need not have."""
 
 _ORDER = (

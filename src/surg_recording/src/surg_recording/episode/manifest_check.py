@@ -71,6 +71,7 @@ _TOP: dict[str, Check] = {
     **dict.fromkeys(("created", "outcome", "reason", "mode", "clock"), _is_text),
     **dict.fromkeys(("arms", "cameras", "warnings"), _is_texts),
     **dict.fromkeys(("run", "sim", "result", "cell", "versions", "topics"), _is_object),
+    "camera_info": _is_object,
     **dict.fromkeys(("stages", "segments", "amendments"), _is_objects),
     **dict.fromkeys(("task", "setting", "operator", "seed"), _is_scalar),
     "tags": _is_tags,
@@ -83,7 +84,11 @@ _WITHIN: dict[str, dict[str, Check]] = {
     },
     "sim": {"task": _is_object, "state_hash": _is_text},
     "result": {"success": _is_truth, "reason": _is_text, "by": _is_text},
-    "cell": {"arms": _is_object, "name": _is_scalar},
+    "cell": {
+        **dict.fromkeys(("arms", "endoscope"), _is_object),
+        **dict.fromkeys(("calibration", "files"), _is_texts_by_name),
+        "name": _is_scalar,
+    },
 }
 _ITEMS: dict[str, dict[str, Check]] = {
     "stages": {

@@ -20,6 +20,7 @@ from typing import Any
 import yaml  # type: ignore[import]
 
 import surg_recording
+from surg_recording.episode import endoscope_record
 
 _PACKAGES = ("numpy", "scipy", "mujoco", "av", "opencv-python", "surg_core", "surg_recording")
 
@@ -35,8 +36,9 @@ def describe_cell(cell: Path, mounted: Mapping[str, str] | None = None) -> dict[
     Returns:
         ``name``, ``folder``, ``files`` {path: SHA-256}, ``hash`` (SHA-256 over those), ``arms``
         {name: {robot, instrument, tool, trocar, mounted, limits, …}} with the contents of the YAML
-        files and the limits as tightened by the cell. ``problems`` lists files that could not be
-        read.
+        files and the limits as tightened by the cell, ``calibration`` {path: text} (the files as
+        they are), ``endoscope`` (joints to camera, where an arm holds one). ``problems`` lists
+        files that could not be read.
     """
     files = _CellFiles(cell if cell.is_file() else cell / "cell.yaml")
     content = files.load(files.cell_file)
@@ -47,6 +49,11 @@ def describe_cell(cell: Path, mounted: Mapping[str, str] | None = None) -> dict[
         )
         for name, arm in (stated if isinstance(stated, dict) else {}).items()
     }
+    known = endoscope_record.calibration_files(files.cell_file.parent, arms)
+    endoscope, problems = None, files.problems
+    if not problems:
+        endoscope, problems = endoscope_record.describe_endoscope(files.cell_file)
+    texts = {files.relative(path.resolve()): files.add(path.resolve()) for path in known}
     total = "".join(f"{path}:{digest}\n" for path, digest in sorted(files.hashes.items()))
     return {
         "name": content.get("name", files.cell_file.parent.name),
@@ -55,7 +62,11 @@ def describe_cell(cell: Path, mounted: Mapping[str, str] | None = None) -> dict[
         "files": files.hashes,
         "hash": hashlib.sha256(total.encode()).hexdigest(),
         "arms": arms,
-        "problems": files.problems,
+        "calibration": {
+            path: text.decode("utf-8", "replace") for path, text in texts.items() if text
+        },
+        "endoscope": endoscope,
+        "problems": problems,
     }
 
 
@@ -115,6 +126,9 @@ def _describe_arm(
         entry[key] = part
     for key, file in calibrations.items():
         entry[key] = files.load((folder / file).resolve())
+    for key in ("camera", "base"):
+        if (path := (folder / f"calibration/{key}_{name}.yaml").resolve()).is_file():
+            entry[f"{key}_calibration"] = files.load(path)
     entry["limits"] = {**(entry["robot"].get("limits") or {}), **(entry.get("limits") or {})}
     listed = "".join(f"{key}:{value!r}\n" for key, value in sorted(entry["limits"].items()))
     entry["limits_hash"] = hashlib.sha256(listed.encode()).hexdigest()

@@ -29,6 +29,7 @@ class RecorderState:
         run_info: Facts about the run received on /record/info.
         sim_outcome: The manifest's entry about the simulator; empty until it has reported.
         operating_states: Last operating state of each arm, as recorded.
+        camera_models: Content of ``camera_info`` of each camera that has said it.
         mounted: Instrument and calibration of each arm, as on ``tool/mounted``.
         last_row: Steady time of the last tick that arrived [s].
         choice: Further topics to record.
@@ -50,6 +51,7 @@ class RecorderState:
         self.sim_outcome: dict[str, Any] = {}
         self.operating_states: dict[str, str] = {}
         self.mounted: dict[str, str] = {}
+        self.camera_models: dict[str, dict[str, Any]] = {}
         self.last_row = time.monotonic()
         self.clock = SteppedClock(self._on_clock_step)
         taken = frozenset((*own_topics, *settings.camera_topics.values()))

@@ -11,7 +11,7 @@ from typing import Any
 
 import rospy
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import CameraInfo, JointState
 from std_msgs.msg import Bool, Empty, String
 
 from crtk_msgs.msg import OperatingState, StringStamped
@@ -19,6 +19,7 @@ from surg_core.status_check import Newest
 from surg_msgs.msg import ClockSync, Cycle, GroundTruth, SimStatus, TaskState
 from surg_recording.episode import table_rows
 from surg_recording.episode.annotations import parse_info, parse_tag
+from surg_recording.episode.endoscope_record import camera_info_topic, camera_model
 from surg_recording.episode.episode_recorder import Recording
 from surg_recording.episode.message_fields import Flat
 from surg_recording.episode.topic_selection import IMAGES, NOT_TABLES
@@ -80,6 +81,9 @@ class RecorderTopics:
         self._subscribe("/sim/status", SimStatus, self._on_sim_status)
         for camera, topic in state.settings.camera_topics.items():
             self._subscribe(topic, rospy.AnyMsg, self._on_image, camera)
+            model = camera_info_topic(topic)
+            if model not in state.choice.chosen:
+                self._subscribe(model, CameraInfo, self._on_camera_info, camera)
         self._subscribe(CLOCK_TOPIC, ClockSync, self._on_clock_sync)
         self._subscribe("/record/record", Bool, self._on_record)
         self._subscribe("/record/tag", String, self._on_tag)
@@ -207,6 +211,13 @@ class RecorderTopics:
             header = (image.header.seq, table_rows.nanoseconds(image.header.stamp))
             if self._is_new(topic, message, header):
                 recording.image(camera, image, received)
+
+    def _on_camera_info(self, camera: str, message: CameraInfo) -> None:
+        """The model of a camera; a recording through two lenses says so."""
+        model, before = camera_model(message), self._state.camera_models.get(camera)
+        if before not in (None, model) and (recording := self._state.recording) is not None:
+            recording.warn(f"{camera}: camera_info has changed; the manifest states the last one")
+        self._state.camera_models[camera] = model
 
     def _on_any(self, topic: str, message: Any) -> None:
         recording = self._state.recording

@@ -136,6 +136,7 @@ class RecordingSwitch:
             **({} if self._names_the_tools() else {"cell": self._cell()}),
             "stopped_ns": stopped_ns,
             "repeats": duplicates,
+            "camera_info": dict(state.camera_models),
         }
         folder = recording.close(
             known,

@@ -128,10 +128,30 @@ class RecordedSession(Session):
                 **{key: run[key] for key in ("task", "operator", "seed")},
                 "clock": "simulator ticks",
                 "cell": self._described,
+                "camera_info": self._camera_models(),
                 "versions": self._versions,
                 "host": provenance.host(),
             },
         )
+
+    def _camera_models(self) -> dict[str, Any]:
+        """The key ``camera_info`` of the manifest, as in a graph."""
+        if self._renderer is None:
+            return {}
+        K, baseline = self._renderer.intrinsics, self._renderer.baseline
+        return {
+            FRAMES[view]: {
+                "width": K.width,
+                "height": K.height,
+                "distortion_model": "plumb_bob",
+                "D": [0.0] * 5,
+                "K": K.K.ravel().tolist(),
+                "R": np.eye(3).ravel().tolist(),
+                "P": K.P(baseline if view == "right" else 0.0).ravel().tolist(),
+                "frame_id": FRAMES[view],
+            }
+            for view in self._views
+        }
 
     def _outcome(self, report: EpisodeReport, ticks: int) -> dict[str, Any]:
         """The key ``sim`` of the manifest."""

@@ -122,7 +122,26 @@ def _sensors(dataset: Dataset, about: Mapping[str, Any]) -> list[str]:
         "| feature | width x height | recorded as |",
         "|---|---|---|",
         *rows,
+        *_calibration(dataset),
     ]
+
+
+def _calibration(dataset: Dataset) -> list[str]:
+    """Where lenses, hand-eye and bases are stated."""
+    found = [part.about.get("calibration") or {} for part in dataset.parts]
+    if not any(each.get("files") or each.get("camera_info") for each in found):
+        return []
+    text = (
+        "Lenses, stereo, hand-eye, bases and tools as measured are in `meta/calibration/`: the"
+        " files as they were, and `index.json` with their SHA-256, the camera models and the"
+        " episodes."
+    )
+    if dataset.layout.scope:
+        text += (
+            f" `{schema.CAMERA_POSE}` is the left camera in the world, from the joints of"
+            f" {dataset.layout.scope} and these files."
+        )
+    return ["", text]
 
 
 def _collection(dataset: Dataset, about: Mapping[str, Any]) -> list[str]:

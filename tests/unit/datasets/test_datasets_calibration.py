@@ -1,0 +1,204 @@
+"""A data set says through which lens it looks and from where: lenses, hand-eye, bases, poses.
+
+A scope that follows the instrument is recorded with measured files. MuJoCo's own camera and tip are
+the oracle of what is drawn into the exported video.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import surg_core
+from helpers import endoscope_files
+from surg_cli.host import paths
+from surg_core import base_file
+from surg_core.contract import TICK_NS
+from surg_core.held_endoscope import held_endoscope
+from surg_recording import datasets
+from surg_recording.datasets import calibration_record
+from surg_recording.episode import episode_reader
+from surg_recording.recording_errors import EpisodeError
+
+ARM, SCOPE = "PSM1", "ECM"
+FILES = ("endoscope_left", "endoscope_right", "endoscope_stereo", "camera_ECM", "base_ECM")
+EYES = ("left", "right")
+
+
+def example() -> Any:
+    path = paths.ROOT / "examples/picture/draw_tip.py"
+    spec = importlib.util.spec_from_file_location("draw_tip", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, np.ndarray]]:
+    """An episode of 3.2 s, and where the true tip is in both pictures at each stamp [px]."""
+    from surg_sim.envs.recorded_episode import RecordedSession
+    from surg_sim.looks.opengl import NoOpenGL
+    from surg_sim.physics import endoscope_rig
+    from surg_sim.physics.endoscope_projection import EndoscopeView
+    from surg_sim.tasks.endoscope_guidance.endoscope_guidance_task import EndoscopeGuidance
+
+    width, height = 320, 240
+    root = tmp_path_factory.mktemp("calibrated")
+    cell = endoscope_files.copied_cell(root)
+    measure(cell)
+    truth: dict[int, np.ndarray] = {}
+
+    class Watched(RecordedSession):
+        """Notes what MuJoCo says before each tick."""
+
+        def tick(self, *args: Any, **keys: Any) -> Any:
+            data, model = self.world.data, self.world.model
+            tip = data.xpos[model.body(f"{ARM}_tip").id]
+            eyes = (endoscope_rig.LEFT, endoscope_rig.RIGHT)
+            uv = [EndoscopeView(model, data, eye).project(tip)[0] for eye in eyes]
+            centre = np.array([(width - 1) / 2, (height - 1) / 2])
+            truth[self.world.tick * TICK_NS] = height * np.array(uv) + centre
+            return super().tick(*args, **keys)
+
+    before = EndoscopeGuidance.time_limit
+    EndoscopeGuidance.time_limit = 3.2
+    try:
+        session = Watched(cell, "endoscope_guidance", cameras=EYES, size=(width, height))
+        session.record(root / "episode", 7)
+        session.close()
+    except NoOpenGL as error:
+        pytest.skip(str(error))
+    finally:
+        EndoscopeGuidance.time_limit = before
+    return root / "episode", truth
+
+
+def measure(folder: Path) -> None:
+    """Files as a good calibration would leave them: they state what is built."""
+    cell = surg_core.load_cell(folder)
+    arm, first = cell.arms[SCOPE], cell.config.arms[0]
+    calibration = folder / "calibration"
+    endoscope_files.write_endoscope(calibration, SCOPE, held_endoscope(cell).X_FV)
+    stated = endoscope_files.base(arm.X_WB_stated, ARM, first.base_xyz, first.base_rpy)
+    base_file.write_base(calibration / f"base_{SCOPE}.yaml", stated, "a test")
+
+
+@pytest.fixture(scope="module")
+def exported(
+    recorded: tuple[Path, dict[int, np.ndarray]], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    out = tmp_path_factory.mktemp("export") / "dataset"
+    options = datasets.ExportOptions(fps=20, splits={"train": 1.0})
+    report = datasets.load("lerobot").write([recorded[0]], out, options)
+    assert report.ok, [*report.errors, *report.refused.values()]
+    assert datasets.load("lerobot").validate(out).ok
+    return out
+
+
+def test_the_manifest_carries_the_files_their_hashes_and_the_lenses(
+    recorded: tuple[Path, dict[int, np.ndarray]],
+) -> None:
+    manifest = episode_reader.read(recorded[0]).manifest
+    cell, folder = manifest["cell"], recorded[0].parent / "sim_two_arms"
+    assert cell["problems"] == []
+    for name in FILES:
+        path = f"calibration/{name}.yaml"
+        data = (folder / path).read_bytes()
+        assert cell["calibration"][path].encode() == data
+        assert cell["files"][path] == hashlib.sha256(data).hexdigest()
+    assert cell["arms"][SCOPE]["camera_calibration"]["format"] == "surg_camera/2"
+    assert cell["arms"][SCOPE]["base_calibration"]["reference"] == ARM
+    models = manifest["camera_info"]
+    assert set(models) == {"endoscope_left", "endoscope_right"}
+    assert (models["endoscope_right"]["width"], models["endoscope_right"]["height"]) == (320, 240)
+    assert models["endoscope_right"]["P"][3] == pytest.approx(
+        -0.004 * models["endoscope_right"]["P"][0]
+    )
+
+
+def test_the_drawn_tip_is_the_true_one(
+    recorded: tuple[Path, dict[int, np.ndarray]], exported: Path, tmp_path: Path
+) -> None:
+    """In every frame, in both eyes, through a scope that moves."""
+    from pyarrow import parquet
+
+    drawing, truth = example(), recorded[1]
+    table = parquet.read_table(next((exported / "data").rglob("*.parquet")))
+    stamps = table["timing.grid_ns"].to_pylist()
+    poses = np.array(table["observation.camera_pose"].to_pylist())
+    assert np.ptp(poses[:, :3], axis=0).max() > 0.0005, "the scope does not move"
+    worst = []
+    for eye, feature in enumerate(drawing.EYES):
+        pixels = drawing.tip_pixels(exported, ARM, feature)
+        wanted = np.array([truth[stamp][eye] for stamp in stamps])
+        worst.append(float(np.linalg.norm(pixels - wanted, axis=1).max()))
+    print(f"{len(stamps)} frames, worst {worst[0]:.2f} and {worst[1]:.2f} px of 320 x 240")
+    assert max(worst) <= 2.0
+    video = next(exported.glob("videos/*/observation.images.endoscope.left/*.mp4"))
+    assert drawing.draw(video, pixels, tmp_path / "tip.mp4") == len(stamps)
+    assert (tmp_path / "tip.mp4").stat().st_size > 1000
+
+
+def test_the_data_set_has_the_files_as_they_were(
+    recorded: tuple[Path, dict[int, np.ndarray]], exported: Path
+) -> None:
+    folder, meta = recorded[0].parent / "sim_two_arms/calibration", exported / "meta"
+    for name in FILES:
+        copy = meta / f"calibration/0/{name}.yaml"
+        assert copy.read_bytes() == (folder / f"{name}.yaml").read_bytes()
+    index = json.loads((meta / "calibration/index.json").read_text())
+    assert index["episodes"] == [0]
+    assert (
+        index["sets"][0]["files"]["camera_ECM.yaml"]
+        == hashlib.sha256((folder / "camera_ECM.yaml").read_bytes()).hexdigest()
+    )
+    page = (meta / "README.md").read_text()
+    assert "meta/calibration/" in page
+    assert "observation.camera_pose" in page
+
+
+def test_an_edited_calibration_is_found(exported: Path, tmp_path: Path) -> None:
+    shutil.copytree(exported, tmp_path / "copy")
+    file = tmp_path / "copy/meta/calibration/0/base_ECM.yaml"
+    file.write_text(file.read_text().replace("touch", "tip"))
+    errors = datasets.load("lerobot").validate(tmp_path / "copy").errors
+    assert any("base_ECM.yaml" in error for error in errors)
+
+
+def test_a_manifest_with_an_edited_calibration_is_refused(
+    recorded: tuple[Path, dict[int, np.ndarray]],
+) -> None:
+    manifest = json.loads((recorded[0] / "manifest.json").read_text())
+    place = "calibration/camera_ECM.yaml"
+    good = manifest["cell"]["calibration"][place]
+    for path, text in ((place, good + "#"), ("../../etc/x.yaml", good), (place, "")):
+        manifest["cell"]["calibration"] = {path: text}
+        with pytest.raises(EpisodeError, match="the manifest was edited"):
+            calibration_record.of_manifest("manifest.json", manifest)
+    manifest["cell"]["endoscope"]["X_FV"] = [[1.0]]
+    with pytest.raises(EpisodeError, match=r"cell\.endoscope"):
+        calibration_record.endoscope_of("manifest.json", manifest)
+
+
+@pytest.mark.parametrize("format_name", ["act", "robomimic"])
+def test_other_formats_carry_it_as_an_attribute(
+    recorded: tuple[Path, dict[int, np.ndarray]], tmp_path: Path, format_name: str
+) -> None:
+    h5py = pytest.importorskip("h5py")
+    options = datasets.ExportOptions(fps=20, cameras=())
+    report = datasets.load(format_name).write([recorded[0]], tmp_path / "out", options)
+    assert report.ok, [*report.errors, *report.refused.values()]
+    file = {"act": "episode_0.hdf5", "robomimic": "demos.hdf5"}[format_name]
+    with h5py.File(tmp_path / "out" / file, "r") as root:
+        attrs = root.attrs if format_name == "act" else root["data/demo_0"].attrs
+        found = json.loads(attrs["calibration"])
+    assert set(found) == {"files", "camera_info", "endoscope"}
+    assert found["files"]["endoscope_left.yaml"].startswith("# made up")
