@@ -23,7 +23,7 @@ from surg_core import base_file
 from surg_core.contract import TICK_NS
 from surg_core.held_endoscope import held_endoscope
 from surg_recording import datasets
-from surg_recording.datasets import calibration_record
+from surg_recording.calibration import calibration_record
 from surg_recording.episode import episode_reader
 from surg_recording.recording_errors import EpisodeError
 

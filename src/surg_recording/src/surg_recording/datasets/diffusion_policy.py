@@ -18,7 +18,8 @@ import zarr
 from numcodecs import Blosc
 
 from surg_core.contract import ACTION_KEY, STATE_KEY
-from surg_recording.datasets import calibration_record, pictures
+from surg_recording.calibration import calibration_record
+from surg_recording.datasets import pictures
 from surg_recording.datasets.exporter import Dataset, Exporter, Part, Report
 from surg_recording.datasets.frames import check_frames, put_frames
 from surg_recording.datasets.options import ExportOptions

@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from surg_core.contract import TASK_STATE_KEY
+from surg_recording.calibration import calibration_record
 from surg_recording.clock.clock_segments import Segment
-from surg_recording.datasets import calibration_record, pictures, schema
+from surg_recording.datasets import pictures, schema
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.episode import episode_reader, integrity, same_recording, table_columns
 from surg_recording.episode.checked_reading import segment_of

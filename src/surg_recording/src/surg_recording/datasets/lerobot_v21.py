@@ -14,8 +14,8 @@ from typing import Any
 import pyarrow.parquet as pq
 
 from surg_core.contract import ACTION_KEY, STATE_KEY
+from surg_recording.calibration import calibration_record
 from surg_recording.datasets import (
-    calibration_record,
     lerobot_tables,
     pictures,
     schema,

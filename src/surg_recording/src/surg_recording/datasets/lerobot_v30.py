@@ -15,8 +15,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from surg_recording.calibration import calibration_record
 from surg_recording.datasets import (
-    calibration_record,
     lerobot_tables,
     pictures,
     schema,

@@ -28,7 +28,8 @@ from surg_core.contract import (
     TASK_STATE_KEY,
     image_key,
 )
-from surg_recording.datasets import calibration_record, pictures, schema, stream_copy
+from surg_recording.calibration import calibration_record
+from surg_recording.datasets import pictures, schema, stream_copy
 from surg_recording.datasets.arm_motion import ArmCycles, ArmMotion
 from surg_recording.datasets.frame_columns import Columns
 from surg_recording.datasets.inspection import Candidate

@@ -20,7 +20,7 @@ from typing import Any
 import yaml  # type: ignore[import]
 
 import surg_recording
-from surg_recording.episode import endoscope_record
+from surg_recording.calibration import endoscope_record
 
 _PACKAGES = ("numpy", "scipy", "mujoco", "av", "opencv-python", "surg_core", "surg_recording")
 

@@ -17,9 +17,9 @@ from std_msgs.msg import Bool, Empty, String
 from crtk_msgs.msg import OperatingState, StringStamped
 from surg_core.status_check import Newest
 from surg_msgs.msg import ClockSync, Cycle, GroundTruth, SimStatus, TaskState
+from surg_recording.calibration.endoscope_record import camera_info_topic, camera_model
 from surg_recording.episode import table_rows
 from surg_recording.episode.annotations import parse_info, parse_tag
-from surg_recording.episode.endoscope_record import camera_info_topic, camera_model
 from surg_recording.episode.episode_recorder import Recording
 from surg_recording.episode.message_fields import Flat
 from surg_recording.episode.topic_selection import IMAGES, NOT_TABLES

@@ -1,0 +1,1 @@
+"""Lenses, hand-eye and bases of an endoscope in manifests and data sets."""
