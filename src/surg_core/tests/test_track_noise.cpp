@@ -312,6 +312,23 @@ Breathing changed(Event event) {
   return b;
 }
 
+TEST(TrackNoise, TheFirstSampleDoesNotThrowTheArmOff) {
+  const int draws = test::family(300, 3000);
+  int stopped = 0, n = 0;
+  for (const Shape shape : {Shape::kSine, Shape::kCos6}) {
+    Random random(17);
+    for (int i = 1; i <= draws; ++i, ++n) {
+      Tracker tracker;
+      tracker.hertz = 30;
+      tracker.noise = 4e-4;
+      const Wall wall(draw(shaped(shape), random, 2), 1);
+      stopped += follow(tracker, wall, 0.3, static_cast<unsigned>(i), 1).stopped >= 0;
+    }
+  }
+  std::printf("[  figures ] the first 0.3 s of a track: %d of %d draws stopped\n", stopped, n);
+  EXPECT_EQ(stopped, 0);
+}
+
 TEST(TrackNoise, RegularBreathingIsKeptFromPositionsAloneWhateverItsShape) {
   const Family families[] = {
       {"sine", shaped(Shape::kSine), 32, 3e-4},

@@ -15,6 +15,7 @@ constexpr double kDeviations = 3;      // of the estimated velocity that may be 
 constexpr double kNoisy = 1.5;         // times the stated noise
 constexpr double kAgree = 1e-3;        // [m] and
 constexpr double kAgreeNoise = 5;      // times the noise: outliers that see the same point
+constexpr double kNear = 2e-3;         // [m] of the first sample; farther away it counts at once
 constexpr int kJump = 3;               // outliers in a row that see the same point
 
 bool usable(const Vector3& v) { return v.norm() <= kHuge; }  // false for NaN
@@ -82,8 +83,7 @@ Reason Trocar::track(const TrackSample& sample, double dt) {
     seen_ = true;
     filter_.start(sample.p, sample.v);
     filtered_ = usable_ = sample.age;
-    lead_.setZero();
-    lead_rate_.setZero();
+    join(sample.age);
     since_ = spacing_ = 0;
     outliers_ = 0;
   } else if (since > 0.5 * dt) {
@@ -100,6 +100,15 @@ Reason Trocar::track(const TrackSample& sample, double dt) {
   const bool within =
       (filter_.p(filtered_) - p_taught_).norm() <= kRange && filter_.v(filtered_).norm() <= fastest;
   return within ? Reason::kNone : lose(Reason::kRcmError);
+}
+
+/// The first sample has its noise: the trocar goes there from where it was, as at any correction. A
+/// step would ask of the joints what they cannot do, and throw the tip off its path.
+void Trocar::join(double age) {
+  const Vector3 off = p_ - filter_.p(age);
+  const bool near = off.norm() <= kNear;
+  lead_ = near ? off : Vector3(Vector3::Zero());
+  lead_rate_ = near ? Vector3(v_ - filter_.v(age)) : Vector3(Vector3::Zero());
 }
 
 void Trocar::take(const TrackSample& sample, double since) {

@@ -59,6 +59,7 @@ class Trocar {
 
  private:
   Reason lose(Reason reason);
+  void join(double age);
   void take(const TrackSample& sample, double since);
   void count_outlier(const Vector3& p, double since);
   bool jumped() const;
