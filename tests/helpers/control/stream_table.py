@@ -98,7 +98,7 @@ def table() -> str:
 
 
 def options_table() -> str:
-    """Markdown of streams without stamps, of the tremor notch, of delays."""
+    """Markdown of streams without stamps, without tremor, of delays."""
     lines = [f"| limits | rate | transport | option | {COLUMNS} |", "|---" * 9 + "|"]
     blind = [
         (rate, Transport(how.burst, how.jitter, stamped=False), Option(), "ur5e")
@@ -106,7 +106,7 @@ def options_table() -> str:
         for how in (TRANSPORTS[0], TRANSPORTS[2], TRANSPORTS[4], TRANSPORTS[5])
         if how.burst == 0 or how.burst * rate > 1
     ]
-    notched = [(rate, TRANSPORTS[0], Option(tremor=10.2), "ur5e") for rate in (30, 100, 500, 2000)]
+    steady = [(rate, TRANSPORTS[0], Option(tremor=10.0), "ur5e") for rate in (30, 100, 500, 2000)]
     later = [
         (rate, TRANSPORTS[0], Option(delay=delay), name)
         for name, rate, delays in (
@@ -116,7 +116,7 @@ def options_table() -> str:
         )
         for delay in delays
     ]
-    for rate, how, option, name in (*blind, *notched, *later):
+    for rate, how, option, name in (*blind, *steady, *later):
         row = measure(rate, how, option, UR5E if name == "ur5e" else PANDA)
         text = ", ".join(
             [f"tremor {option.tremor:g} Hz"] * (option.tremor > 0)

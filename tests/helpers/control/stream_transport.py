@@ -53,7 +53,7 @@ class Transport:
 
 @dataclass(frozen=True)
 class Option:
-    """Delay [s] and tremor notch [Hz] of the robot's file."""
+    """Delay [s] and tremor [Hz] of the robot's file."""
 
     delay: float = 0.0
     tremor: float = 0.0

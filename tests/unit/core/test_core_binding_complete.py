@@ -27,7 +27,7 @@ ABSENT = {
     "ArmState InstrumentState CommandHandler TipPose Setpoint Space Dofs": "part",
     "Trocar TrackSample PointKalman NoiseEstimate TrackFilter Jaw LagMeter": "part",
     "Harmonics Overtones RateSearch BreathingFilter": "part",
-    "StreamInput StreamEstimate StreamLateness TremorNotch nearest_inside": "part",
+    "StreamInput StreamEstimate StreamLateness TremorEstimate nearest_inside": "part",
     "ForceGuard ElbowMotion ElbowTurn elbow_turn swivel_angle": "part",
     "StandstillGuard bias_acceleration Pivots padded": "part",
     "Wall Fixtures check_fixture wall_at Constraint Slide nearest_in": "part",

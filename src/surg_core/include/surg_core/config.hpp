@@ -74,7 +74,7 @@ struct Tuning {
   double posture_gain;       ///< [1/s] null-space pull to the home posture (redundant arms)
   double profiler_duration;  ///< [s] the paper's d
   double stream_delay;       ///< [s] largest delay with which a stream is followed
-  double tremor;             ///< [Hz] centre of the notch against a hand's tremor; 0: off
+  double tremor;             ///< [Hz] centre of a hand's tremor to take out; 0: off
   double servo_timeout;      ///< [s] F03
   double link_timeout;       ///< [s] F10, free-run; of the link, see LinkConfig
   double link_lag;           ///< [s] from a velocity command to the motion it causes; 0: unknown

@@ -31,15 +31,12 @@ void StreamLateness::step(double demand, double period, double T) {
   delay_ = std::clamp(wanted, delay_ - kRelease * T, delay_ + kGrowth * T);
 }
 
-StreamInput::StreamInput(double delay, double tremor) : lateness_(delay) {
-  notches_.fill(TremorNotch(tremor));
-}
+StreamInput::StreamInput(double delay, double tremor) : steady_(tremor), lateness_(delay) {}
 
 void StreamInput::begin(const Values& x, const State& from, const Values& acceleration, double age,
                         std::int64_t stamp_ns) {
   lateness_.reset();
   for (int i = 0; i < kDof; ++i) {
-    notches_[i].reset(from[i]);
     delays_[i].set(lateness_.delay());
     delays_[i].reset(from[i]);
   }
@@ -50,6 +47,7 @@ void StreamInput::begin(const Values& x, const State& from, const Values& accele
   cycles_ = 0;
   clock_.reset({arrival_, stamp_ns, now_ + rest_});
   estimate_.reset(x);
+  if (steady_.works()) steady_.reset(x);
 }
 
 void StreamInput::add(const Values& x, double age, std::int64_t stamp_ns) {
@@ -59,6 +57,7 @@ void StreamInput::add(const Values& x, double age, std::int64_t stamp_ns) {
   const double elapsed = clock_.advance({arrival_, stamp_ns, now_ + rest_, cycles_});
   cycles_ = 0;
   estimate_.update(x, elapsed, clock_.period());
+  if (steady_.works()) steady_.update(x, elapsed);
 }
 
 void StreamInput::begin_cycle(double rest) {
@@ -70,13 +69,12 @@ void StreamInput::elapse(double T, bool heard) {
   now_ += T;
   if (!heard) unheard_ += T;
   tick_ = T;
-  if (!notches_[0].works() && !delays_[0].works(T)) return;
+  if (!delays_[0].works(T)) return;
   const State stream = estimate(0);
   lateness_.step(demand(stream), clock_.period(), T);
   for (int i = 0; i < kDof; ++i) {
     delays_[i].set(lateness_.delay());
-    notches_[i].step(stream[i], T);
-    delays_[i].step(notches_[i].works() ? notches_[i].predict(0).x : stream[i].x, T);
+    delays_[i].step(stream[i].x, T);
   }
 }
 
@@ -91,11 +89,9 @@ double StreamInput::demand(const State& stream) const {
 }
 
 StreamInput::State StreamInput::target(double ahead) const {
-  if (!delayed() && !notches_[0].works()) return estimate(ahead);
+  if (!delayed()) return estimate(ahead);
   State out{};
-  for (int i = 0; i < kDof; ++i) {
-    out[i] = delayed() ? delays_[i].predict(ahead) : notches_[i].predict(ahead);
-  }
+  for (int i = 0; i < kDof; ++i) out[i] = delays_[i].predict(ahead);
   return out;
 }
 
@@ -104,6 +100,10 @@ StreamInput::State StreamInput::estimate(double ahead) const {
     State rest{};
     for (int i = 0; i < kDof; ++i) rest[i].x = last_[i];
     return rest;
+  }
+  if (steady_.works()) {
+    const double late = TremorEstimate::late(clock_.period());
+    return steady_.predict(now_ + ahead - late - clock_.time());
   }
   const double late = std::min(kLateBy * clock_.period(), kLatestBy);
   return estimate_.predict(now_ + ahead - late - clock_.time());

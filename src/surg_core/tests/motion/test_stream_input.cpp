@@ -237,31 +237,48 @@ TEST(StreamLateness, AWeakArmOvershootsLessAndFollowsAGentleHandAtOnce) {
   EXPECT_NEAR(follow(0.05, gentle).second, 8, 1e-9);
 }
 
-TEST(TremorNotch, TakesTheTremorAndDelaysTheRestByWhatIsStated) {
-  const auto gain_and_lag = [](double hertz) {
-    const double T = 0.002, w = 2 * M_PI * hertz;
-    TremorNotch notch(10);
-    notch.reset({});
-    double sine = 0, cosine = 0;
-    const int n = static_cast<int>(std::round(10 / hertz) * std::round(1 / (hertz * T) * hertz));
-    int used = 0;
-    for (int k = 1; k <= n + 1000; ++k) {
-      const double t = k * T;
-      notch.step({std::sin(w * t), w * std::cos(w * t), -w * w * std::sin(w * t)}, T);
-      if (k <= 1000) continue;
-      sine += notch.predict(0).x * std::sin(w * t);
-      cosine += notch.predict(0).x * std::cos(w * t);
-      ++used;
+/// Gain and lag [s] for a sine through the estimate alone.
+std::pair<double, double> gain_and_lag(double hertz, double rate, double tremor) {
+  const double T = 0.002, w = 2 * M_PI * hertz, begin = 4, end = 14;
+  StreamInput input(0, tremor);
+  double sine = 0, cosine = 0;
+  long sent = 0;
+  for (long k = 0; k * T < end; ++k) {
+    for (; sent / rate <= k * T + 1e-9; ++sent) {
+      const double taken = sent / rate, x = std::sin(w * taken);
+      const std::int64_t stamp = 1 + std::llround(1e9 * taken);
+      if (sent == 0) {
+        input.begin({x, 0, 0, 0}, {}, {}, 0, stamp);
+      } else {
+        input.add({x, 0, 0, 0}, k * T - taken, stamp);
+      }
     }
-    sine *= 2.0 / used, cosine *= 2.0 / used;
-    return std::pair(std::hypot(sine, cosine), -std::atan2(cosine, sine) / w);
-  };
-  for (const double hertz : {8.0, 10.0, 12.5}) EXPECT_LT(gain_and_lag(hertz).first, 0.42) << hertz;
-  const auto [gain, lag] = gain_and_lag(0.5);
-  EXPECT_NEAR(gain, 1, 0.01);
-  EXPECT_NEAR(lag, 0.019, 0.001);
-  TremorNotch off;
-  EXPECT_FALSE(off.works());
+    input.elapse(T);
+    const double t = (k + 1) * T;
+    if (t < begin) continue;
+    sine += input.target(0)[0].x * std::sin(w * t);
+    cosine += input.target(0)[0].x * std::cos(w * t);
+  }
+  sine *= 2 * T / (end - begin), cosine *= 2 * T / (end - begin);
+  return {std::hypot(sine, cosine), -std::atan2(cosine, sine) / w};
+}
+
+TEST(TremorEstimate, TakesTheTremorAndDelaysTheRestByWhatIsStatedAtAnyRate) {
+  for (const double rate : {25.0, 30.0, 60.0, 100.0, 500.0}) {
+    for (const double hertz : {8.0, 9.0, 10.0, 11.0, 12.0}) {
+      EXPECT_LT(gain_and_lag(hertz, rate, 10).first, 0.4) << hertz << " of " << rate;
+    }
+    for (const double hertz : {0.5, 1.0, 2.0, 3.0}) {
+      const auto [gain, lag] = gain_and_lag(hertz, rate, 10);
+      EXPECT_NEAR(gain, 1, 0.05) << hertz << " of " << rate;
+      const double within = hertz > 1 ? 0.004 : 0.001;
+      EXPECT_NEAR(lag, TremorEstimate::late(1 / rate), within) << hertz << " of " << rate;
+    }
+  }
+  EXPECT_NEAR(TremorEstimate::late(0.002), 0.016, 5e-4);
+  EXPECT_NEAR(TremorEstimate::late(1 / 30.0), 0.042, 5e-4);
+  EXPECT_GT(gain_and_lag(9, 30, 0).first, 1.5);  // without it
+  EXPECT_FALSE(TremorEstimate().works());
 }
 
 MotionCommand at(const Bench& bench, const Vector3& p_RTip) {

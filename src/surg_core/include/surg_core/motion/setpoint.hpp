@@ -35,7 +35,7 @@ class Setpoint {
     /// options below do nothing then.
     bool paper = false;
     double stream_delay = 0;  ///< [s] see StreamDelay
-    double tremor = 0;        ///< [Hz] see TremorNotch; 0: off
+    double tremor = 0;        ///< [Hz] see TremorEstimate; 0: off
   };
 
   Setpoint() = default;

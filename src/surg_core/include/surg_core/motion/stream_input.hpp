@@ -1,11 +1,10 @@
-// A stream on its way from its sender to the filters: time and estimate of the samples, notch,
-// delay.
+// A stream on its way from its sender to the filters: time and estimate of the samples, delay.
 #pragma once
 
 #include "surg_core/motion/stream.hpp"
 #include "surg_core/motion/stream_clock.hpp"
 #include "surg_core/motion/stream_estimate.hpp"
-#include "surg_core/motion/tremor_notch.hpp"
+#include "surg_core/motion/tremor_estimate.hpp"
 
 namespace surg {
 
@@ -29,19 +28,19 @@ class StreamLateness {
 };
 
 /// Samples of four degrees of freedom in, the target of the stream filters out. The target is late
-/// by the mean transport delay, at slow rates by up to 5 ms more, and by notch and delay where they
-/// are on.
+/// by the mean transport delay and at slow rates by up to 5 ms more; by TremorEstimate::late
+/// instead where a tremor is taken out; by the delay where there is one.
 class StreamInput {
  public:
   using Values = StreamEstimate::Values;
   using State = StreamEstimate::State;
 
   StreamInput() = default;
-  /// delay [s]: the largest one, see StreamLateness; tremor [Hz]: see TremorNotch. 0: off.
+  /// delay [s]: the largest one, see StreamLateness; tremor [Hz]: see TremorEstimate. 0: off.
   StreamInput(double delay, double tremor);
 
   /// Starts a stream with its first sample, which arrived 'age' seconds ago with the stamp of
-  /// its sender (0: none). 'from': the present state; notch and delay lead from there.
+  /// its sender (0: none). 'from': the present state, from which the delay leads.
   /// acceleration: what the arm can in each degree of freedom.
   void begin(const Values& x, const State& from, const Values& acceleration, double age,
              std::int64_t stamp_ns);
@@ -55,7 +54,7 @@ class StreamInput {
   /// Where the stream is 'ahead' seconds from now. After an overdue sample: at rest at the last
   /// one.
   State target(double ahead) const;
-  /// The same before notch and delay.
+  /// The same before the delay.
   State estimate(double ahead) const;
   bool delayed() const { return delays_[0].works(tick_); }
   const StreamClock& clock() const { return clock_; }
@@ -67,7 +66,7 @@ class StreamInput {
 
   StreamClock clock_;
   StreamEstimate estimate_;
-  std::array<TremorNotch, StreamEstimate::kDof> notches_{};
+  TremorEstimate steady_;  ///< instead of estimate_, where a tremor is to be taken out
   std::array<StreamDelay, StreamEstimate::kDof> delays_{};
   StreamLateness lateness_;
   Values acceleration_{};

@@ -1,0 +1,101 @@
+#include "surg_core/motion/tremor_estimate.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace surg {
+namespace {
+
+// In units of a sample's variance. Tuned for gains below 0.5 at 8 to 12 Hz and 1.05 up to 3 Hz, at
+// the least lag for samples of 25 to 500 Hz.
+constexpr double kJerk = 1.1e12;         // [1/s^5] spectral density of the motion's jerk
+constexpr double kTremor = 2.4e4;        // variance of the tremor
+constexpr double kDecay = 17.5;          // [1/s] with which an oscillation of the tremor fades
+constexpr double kLate = 0.0146;         // [s] and
+constexpr double kLatePeriods = 0.81;    // periods that the motion is asked for late
+constexpr double kFirstPosition = 1e10;  // variances at the start
+constexpr double kFirstVelocity = 2.5e7;
+constexpr double kFirstAcceleration = 1e10;
+constexpr double kLongestGap = 0.2;  // [s] beyond it the motion before says nothing
+
+}  // namespace
+
+TremorEstimate::TremorEstimate(double centre) : omega_(2 * M_PI * centre) {
+  state_.fill(Mixed::Zero());
+}
+
+double TremorEstimate::late(double period) { return kLate + kLatePeriods * period; }
+
+void TremorEstimate::reset(const Values& x) {
+  for (int i = 0; i < StreamEstimate::kDof; ++i) {
+    state_[i].setZero();
+    state_[i][0] = x[i];
+  }
+  Mixed variances;
+  variances << kFirstPosition, kFirstVelocity, kFirstAcceleration, kTremor,
+      omega_ * omega_ * kTremor;
+  covariance_ = variances.asDiagonal();
+  take(x);
+}
+
+void TremorEstimate::update(const Values& x, double elapsed) {
+  if (!(elapsed < kLongestGap)) {
+    reset(x);
+    return;
+  }
+  const double h = std::max(elapsed, 0.0);
+  const Covariance F = transition(h);
+  for (Mixed& state : state_) state = (F * state).eval();
+  covariance_ = (F * covariance_ * F.transpose() + process(F, h)).eval();
+  take(x);
+}
+
+void TremorEstimate::take(const Values& x) {
+  const Mixed with_sample = covariance_.col(0) + covariance_.col(3);
+  const Mixed gain = with_sample / (with_sample[0] + with_sample[3] + 1);
+  for (int i = 0; i < StreamEstimate::kDof; ++i) {
+    state_[i] += (x[i] - state_[i][0] - state_[i][3]) * gain;
+  }
+  covariance_ -= gain * with_sample.transpose();
+}
+
+TremorEstimate::Covariance TremorEstimate::transition(double h) const {
+  const double fast = std::sqrt(std::max(omega_ * omega_ - kDecay * kDecay, 1.0));
+  const double faded = std::exp(-kDecay * h), c = faded * std::cos(fast * h),
+               s = faded * std::sin(fast * h) / fast;
+  Covariance F = Covariance::Identity();
+  F(0, 1) = F(1, 2) = h;
+  F(0, 2) = 0.5 * h * h;
+  F(3, 3) = c + kDecay * s;
+  F(3, 4) = s;
+  F(4, 3) = -(fast * fast + kDecay * kDecay) * s;
+  F(4, 4) = c - kDecay * s;
+  return F;
+}
+
+/// What noise adds over h: to the motion by its jerk, to the tremor what has faded of it.
+TremorEstimate::Covariance TremorEstimate::process(const Covariance& F, double h) const {
+  Covariance Q = Covariance::Zero();
+  const double q = kJerk * h, h2 = h * h;
+  Q(0, 0) = q * h2 * h2 / 20;
+  Q(0, 1) = Q(1, 0) = q * h2 * h / 8;
+  Q(0, 2) = Q(2, 0) = q * h2 / 6;
+  Q(1, 1) = q * h2 / 3;
+  Q(1, 2) = Q(2, 1) = q * h / 2;
+  Q(2, 2) = q;
+  const Eigen::Matrix2d tremor = Eigen::Vector2d(kTremor, omega_ * omega_ * kTremor).asDiagonal();
+  const Eigen::Matrix2d kept = F.bottomRightCorner<2, 2>();
+  Q.bottomRightCorner<2, 2>() = tremor - kept * tremor * kept.transpose();
+  return Q;
+}
+
+TremorEstimate::State TremorEstimate::predict(double age) const {
+  State out;
+  for (int i = 0; i < StreamEstimate::kDof; ++i) {
+    const double x = state_[i][0], v = state_[i][1], a = state_[i][2];
+    out[i] = {x + age * (v + 0.5 * age * a), v + age * a, a};
+  }
+  return out;
+}
+
+}  // namespace surg
