@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser, bases: Any) -> None:
         "--by", choices=("touch", "tip"), help="measure through the endoscope (default: --other)"
     )
     scope = parser.add_argument_group("endoscope")
-    scope.add_argument("--out", type=Path, metavar="FILE", help="board: the PDF")
+    scope.add_argument("--out", type=Path, metavar="FILE", help="board: the PDF, or a PNG")
     scope.add_argument("--squares", default="11x8", metavar="CxR", help="board (default 11x8)")
     scope.add_argument("--square", type=float, default=5.0, metavar="MM", help="side (default 5)")
     scope.add_argument(
@@ -82,8 +82,11 @@ def _board(cell: Any, options: argparse.Namespace) -> None:
     try:
         drawn = boards.Board(*boards.parse_squares(options.squares), 1e-3 * options.square)
         if options.out is not None:
-            options.out.write_bytes(board_pdf(drawn))
-            say(f"written: {options.out}; print it at 100 %, glue it on something flat")
+            if options.out.suffix == ".png":  # for the bench of the simulator
+                boards.write_picture(options.out, drawn)
+            else:
+                options.out.write_bytes(board_pdf(drawn))
+            say(f"written: {options.out}; print a PDF at 100 %, glue it on something flat")
         side = drawn.square
         if options.measured is not None:
             side = boards.printed_square(side, options.measured)

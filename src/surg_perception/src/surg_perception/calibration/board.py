@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -185,6 +186,16 @@ def printed_square(square: float, measured_mm: float) -> float:
             "it at 100 %, without fitting it to the page"
         )
     return square * measured_mm / 100.0
+
+
+def write_picture(file: Path, board: Board, pixels: int = 60) -> None:
+    """Write the pattern as a picture with so many pixels for each square, without a margin.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    if not cv2.imwrite(str(file), board.picture(pixels)):
+        raise OSError(f"{file}: cannot be written")
 
 
 def _charuco(grey: Picture, pattern: Any, dictionary: str) -> tuple[Any, Any]:

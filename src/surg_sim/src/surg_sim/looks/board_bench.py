@@ -3,12 +3,16 @@
 The bench traces the rays of a real lens (``EndoscopeLens``) onto a flat pattern. It shares no code
 with what solves the calibration, so that a test of one by the other means something. It writes the
 folder of views that ``./surg calibrate CELL ... --from FOLDER`` reads: ``<view>_left.png``,
-``<view>_right.png`` and ``views.csv`` with the joints of each arm.
+``<view>_right.png`` and ``views.csv`` with the joints of each arm. ::
+
+    python3 -m surg_sim.looks.board_bench CELL board.png FOLDER --step handeye
 """
 
 from __future__ import annotations
 
+import argparse
 import csv
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +27,8 @@ from surg_sim.arrays import Array, Picture
 from surg_sim.looks.lens import EndoscopeLens
 from surg_sim.physics.calibration_bench import Bench, across
 from surg_sim.physics.endoscope_rig import camera_poses, holder
+from surg_sim.physics.patient_settings import find_setting
+from surg_sim.physics.pose_error import with_base_error
 
 SAMPLES = 3
 """Rays across and down in each pixel."""
@@ -328,3 +334,65 @@ class BoardBench:
                 touch = "" if view.touch is None else view.touch
                 joints = [f"{q:.9f}" for arm in arms for q in view.joints[arm]]
                 rows.writerow([name, f"{float(number):.9f}", touch, *joints])
+
+
+def inner_corners(columns: int, rows: int, square: float) -> Array:
+    """Corners (n, 3) of a board, row by row from the upper left [m]."""
+    row, column = np.divmod(np.arange((columns - 1) * (rows - 1)), columns - 1)
+    places = [square * (column + 1), square * (rows - 1 - row), np.zeros(len(row))]
+    return np.asarray(np.column_stack(places))
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Record views of a board before the simulated endoscope of a cell."""
+    parser = argparse.ArgumentParser(prog="surg_sim.looks.board_bench", description=main.__doc__)
+    parser.add_argument("cell", type=Path)
+    parser.add_argument("board", type=Path, help="./surg calibrate CELL board --out board.png")
+    parser.add_argument("folder", type=Path, help="for ./surg calibrate CELL ... --from FOLDER")
+    parser.add_argument("--step", choices=("stereo", "handeye", "touch"), default="stereo")
+    parser.add_argument("--squares", default="11x8")
+    parser.add_argument("--square", type=float, default=5.0, help="[mm]")
+    parser.add_argument("--count", type=int, default=20)
+    parser.add_argument("--setting", default="phantom", help="such as phantom+unregistered+lens")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(words)
+    try:
+        columns, rows = (int(word) for word in options.squares.split("x"))
+        picture = cv2.imread(str(options.board), cv2.IMREAD_GRAYSCALE)
+        if picture is None:
+            raise ValueError(f"{options.board}: is not a picture")
+        square = 1e-3 * options.square
+        pattern = Pattern(np.asarray(picture, np.uint8), (columns * square, rows * square))
+        bench = of_setting(options.cell, pattern, options.setting, options.seed)
+        corners = inner_corners(columns, rows, square)
+        ends = [0, columns - 2, len(corners) - columns + 1, len(corners) - 1]
+        views = {
+            "stereo": lambda: bench.held_board(options.count),
+            "handeye": lambda: bench.moved_scope(options.count),
+            "touch": lambda: bench.touches(corners, [ends[k % 4] for k in range(options.count)]),
+        }[options.step]
+        bench.write(options.folder, list(views()))
+    except (ValueError, OSError, RuntimeError) as error:
+        print(f"surg_sim.looks.board_bench: {error}", file=sys.stderr)
+        return 2
+    print(f"{options.folder}: {options.count} views for {options.step}")
+    return 0
+
+
+def of_setting(cell: Path, pattern: Pattern, setting: str, seed: int) -> BoardBench:
+    """The bench with the errors of base, camera and lens that a setting has."""
+    loaded, true = surg_core.load_cell(cell), find_setting(setting)
+    scope = holder(list(loaded.arms.values()))
+    if scope is None:
+        raise ValueError(f"{cell}: no arm holds an endoscope")
+    built = with_base_error(loaded, true.base_error)
+    X_FV = camera_poses(scope)[0]
+    if true.camera_error is not None:
+        X_FV = X_FV @ true.camera_error.motion()
+    bases = {name: np.array(arm.X_WB_stated) for name, arm in built.arms.items()}
+    lenses = (true.lens, true.lens)
+    return BoardBench(loaded, pattern, seed=seed, lenses=lenses, X_FV=X_FV, X_WB=bases)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
