@@ -128,39 +128,57 @@ def test_every_line_of_the_page_works(lab: Lab) -> None:
             lab.run(command)
 
 
+STARTS = 3
+"""A busy machine may stop the arm before it moves as it shall: a person starts it again."""
+
+
 def rehearse(lab: Lab, command: str) -> None:
     """Each stop, with a person's hands."""
     for step in STEPS:
-        lab.run(f"./surg robot {lab.cell} start")
-        act, undo = HANDS.get(step.name, ("", ""))
-        running = subprocess.Popen(
-            command.split(),
-            cwd=paths.ROOT,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert running.stdin is not None and running.stdout is not None
-        running.stdin.write("yes\n")
-        running.stdin.flush()
-        said = ""
-        for text in running.stdout:
-            said += text
-            if act and "now " in text:
-                assert emulated_ur.mishap(lab.address, act) == "ok"
-        assert running.wait(60.0) == 0, said
-        print(said)
-        if undo:
-            assert emulated_ur.mishap(lab.address, undo) == "ok"
-        if step.name == "emergency stop":
-            lab.run(f"./surg robot {lab.cell} on")
-        if step.name == "protective stop":
-            time.sleep(5.0)
-            lab.run(f"./surg robot {lab.cell} recover")
-        if step.name in AGAIN:
-            lab.end()
-            lab.begin(f"./surg up {lab.cell}")
-        time.sleep(3.0)
+        for _ in range(STARTS):
+            lab.run(f"./surg robot {lab.cell} start")
+            code, said = one_stop(lab, command, HANDS.get(step.name, ("", ""))[0])
+            print(said)
+            if "does not move" not in said:
+                break
+        assert code == 0, said
+        mend(lab, step.name)
     report = (lab.cell / "rehearsal_PSM1.md").read_text("utf-8")
     print(report)
     assert report.count("| passed |") == len(STEPS)
+
+
+def one_stop(lab: Lab, command: str, act: str) -> tuple[int, str]:
+    """One call of `rehearse`, in which a person acts when asked to; exit code and words."""
+    running = subprocess.Popen(
+        command.split(),
+        cwd=paths.ROOT,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    assert running.stdin is not None and running.stdout is not None
+    running.stdin.write("yes\n")
+    running.stdin.flush()
+    said = ""
+    for text in running.stdout:
+        said += text
+        if act and ": now " in text:
+            assert emulated_ur.mishap(lab.address, act) == "ok"
+    return running.wait(60.0), said
+
+
+def mend(lab: Lab, stop: str) -> None:
+    """What a person does after a stop."""
+    if undo := HANDS.get(stop, ("", ""))[1]:
+        assert emulated_ur.mishap(lab.address, undo) == "ok"
+    if stop == "emergency stop":
+        lab.run(f"./surg robot {lab.cell} on")
+    if stop == "protective stop":
+        time.sleep(5.0)
+        lab.run(f"./surg robot {lab.cell} recover")
+    if stop in AGAIN:
+        lab.end()
+        lab.begin(f"./surg up {lab.cell}")
+    time.sleep(3.0)

@@ -100,7 +100,7 @@ def test_a_pulled_cable_leaves_the_way_to_rest_unmeasured() -> None:
 
 
 def test_a_driver_that_is_started_again_has_not_seen_the_arm_come_to_rest() -> None:
-    found = trace(condition="READY")
+    found = trace(condition="READY", reason="link")
     seen = [n for n, time in enumerate(found.times) if not EVENT < time < EVENT + 0.8]
     again = Trace(
         *([values[n] for n in seen] for values in (found.times, found.speeds, found.deviations)),

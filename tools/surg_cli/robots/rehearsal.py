@@ -61,7 +61,7 @@ STEPS = (
         "plug the cable in and wait 5 s",
     ),
     Step(
-        "driver killed", "", "driver", ("OFFLINE", "READY"), "robot",
+        "driver killed", "", "driver", ("OFFLINE", "READY"), "link",
         "nothing: the node has started the driver again",
     ),
     Step(
