@@ -6,6 +6,7 @@ import builtins
 import errno
 import os
 import time
+from fractions import Fraction
 from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
@@ -145,15 +146,21 @@ def test_a_device_that_is_not_there_is_named() -> None:
 class FakeContainer:
     """A device that gives what it has, whatever is asked for."""
 
-    def __init__(self, options: dict[str, str]) -> None:
-        self.options = options
+    def __init__(self, options: dict[str, str], driver_us: int = 1) -> None:
+        self.options, self.driver_us = options, driver_us
         codec = SimpleNamespace(name="rawvideo", pix_fmt="yuyv422")
         stream = SimpleNamespace(width=1280, height=720, average_rate=25, codec_context=codec)
         self.streams = SimpleNamespace(video=[stream])
         self.closed = False
 
     def demux(self, _: object) -> Any:
-        yield SimpleNamespace(pts=1)
+        frame = SimpleNamespace(to_ndarray=lambda format: np.zeros((2, 2, 3), np.uint8))
+        yield SimpleNamespace(
+            pts=self.driver_us,
+            time_base=Fraction(1, 10**6),
+            decode=lambda: [frame],
+            stream=self.streams.video[0],
+        )
         raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
 
     def close(self) -> None:
@@ -183,31 +190,31 @@ def test_another_size_rate_or_format_is_refused(
     assert f"endoscope.{key}" in str(error)
     assert words in str(error)
     assert made[0].closed
-    assert made[0].options["timestamps"] == "abs"
+    assert made[0].options["timestamps"] == "default"
 
 
-def test_a_driver_without_stamps_gets_a_clock_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
-
-    class Unstamped(FakeContainer):
-        """Reads only with FFmpeg's own stamps, as its v4l2 input does."""
-
-        def demux(self, _: object) -> Any:
-            asked.append(self.options["timestamps"])
-            if asked[-1] == "abs":
-                raise OSError(errno.EIO, os.strerror(errno.EIO))
-            yield SimpleNamespace(pts=1)
-
-    monkeypatch.setattr(av, "open", lambda _, options, **__: Unstamped(options))
-    source = SourceUri.parse("v4l2:/dev/video0").open(wanted())
-    assert asked == ["abs", "default"]
-    assert source.stamps == picture_source.DEVICE_TIME
+@pytest.mark.parametrize(
+    ("driver_us", "expected"),
+    [
+        (50_000_000 - 30_000, 1_700_000_000 * NS - 30_000_000),
+        (1_700_000_000_000_000 - 30_000, 1_700_000_000 * NS - 30_000_000),
+        (7_000, 7_000_000),
+    ],
+    ids=["monotonic", "wall", "own"],
+)
+def test_a_drivers_stamp_is_the_time_of_capture(
+    driver_us: int, expected: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(av, "open", lambda _, options, **__: FakeContainer(options, driver_us))
+    source = SourceUri.parse("v4l2:/dev/video0").open(wanted(monotonic=lambda: 50 * NS))
+    assert next(source.pictures()).stamp_ns == expected
+    own = expected == 7_000_000
+    assert source.stamps == (picture_source.DEVICE_TIME if own else picture_source.ROS_TIME)
 
 
 def test_an_unplugged_device_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(av, "open", lambda _, options, **__: FakeContainer(options))
     source = SourceUri.parse("v4l2:/dev/video0").open(wanted())
-    source._first = SimpleNamespace(pts=1, time_base=1, decode=list, stream=None)  # type: ignore[attr-defined]
     with pytest.raises(SourceError) as error:
         list(source.pictures())
     assert error.value.code == "gone"

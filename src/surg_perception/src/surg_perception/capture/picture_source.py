@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import abc
+import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -65,6 +66,7 @@ class Wanted:
         folder: Relative paths begin here.
         now: ROS time [ns].
         sleep: Waits so many seconds.
+        monotonic: The system's monotonic clock [ns].
         coded: Whether JPEG pictures are wanted as they are, too.
     """
 
@@ -74,6 +76,7 @@ class Wanted:
     rate: float = 0.0
     folder: Path = Path()
     coded: bool = False
+    monotonic: Callable[[], int] = time.monotonic_ns
 
 
 class PictureSource(abc.ABC):
