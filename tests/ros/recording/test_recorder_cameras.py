@@ -21,7 +21,7 @@ from surg_cli.graph import master
 rospy = pytest.importorskip("rospy")
 surg_msgs = pytest.importorskip("surg_msgs.msg")
 
-from sensor_msgs.msg import CompressedImage, Image  # noqa: E402
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image  # noqa: E402
 from std_msgs.msg import Bool, Int64  # noqa: E402
 
 from surg_recording.episode import episode_reader  # noqa: E402
@@ -31,6 +31,8 @@ pytestmark = pytest.mark.ros
 
 FRAMES = 20
 CAMERAS = ["/raw/image_raw", "/scope/image_raw/compressed", "/any/name", "/no/camera"]
+
+K = [450.0, 0.0, 31.5, 0.0, 451.0, 23.5, 0.0, 0.0, 1.0]
 
 
 class Bench:
@@ -42,6 +44,11 @@ class Bench:
             rospy.Publisher(topic, kind, queue_size=0)
             for topic, kind in zip(CAMERAS, kinds, strict=True)
         ]
+        # Latched, as the endoscope's: said once, before anybody records.
+        self.model = rospy.Publisher("/raw/camera_info", CameraInfo, queue_size=1, latch=True)
+        self.model.publish(
+            CameraInfo(width=WIDTH, height=HEIGHT, K=K, distortion_model="plumb_bob")
+        )
         self.cycle = rospy.Publisher("/PSM1/cycle", surg_msgs.Cycle, queue_size=0)
         self.record = rospy.Publisher("/record/record", Bool, queue_size=0)
         self.status = surg_msgs.RecordStatus()
@@ -55,7 +62,7 @@ class Bench:
         return {one.received for one in self.status.streams if one.kind == camera}
 
     def connected(self) -> bool:
-        ends = [*self.cameras, self.cycle, self.record]
+        ends = [*self.cameras, self.model, self.cycle, self.record]
         return all(end.get_num_connections() > 0 for end in ends)
 
     def send(self, number: int) -> CompressedImage:
@@ -86,7 +93,7 @@ class Bench:
         return file.getvalue()
 
     def close(self) -> None:
-        for end in (*self.cameras, self.cycle, self.record, self._ear):
+        for end in (*self.cameras, self.model, self.cycle, self.record, self._ear):
             end.unregister()
 
 
@@ -131,6 +138,9 @@ def test_any_image_topic_is_recorded_raw_or_compressed(
         images = video_file.grab(video.path, list(range(len(expected))))
         found = [picture_identity.read(image) for image in images]
         assert found == [Identity(recording, 0, k) for k in expected]
+    model = recorded.manifest["camera_info"]
+    assert list(model) == ["raw"], "the only camera that has said it"
+    assert (model["raw"]["width"], model["raw"]["K"]) == (WIDTH, K)
     assert recorded.manifest["repeats"] == {CAMERAS[2]: FRAMES}
     reason, warnings = recorded.manifest["reason"], "; ".join(recorded.warnings)
     assert "scope: 1 dropped (the last that could not be recorded: a JPEG picture that is" in reason
