@@ -358,6 +358,20 @@ MUTANTS: tuple[Mutant, ...] = (
         "if (into > 0) error +=",
         "if (false) error +=",
     ),
+    one(
+        "first_sample_jumps",
+        "the noise of a track's first sample throws the tip off its path",
+        "src/kinematics/trocar.cpp",
+        "const bool near = off.norm() <= kNear;",
+        "const bool near = false;",
+    ),
+    one(
+        "tremor_is_motion",
+        "a tremor that the filter knows still pulls at the motion",
+        "src/motion/tremor_estimate.cpp",
+        "(x[i] - state_[i][0] - state_[i][3]) * gain",
+        "(x[i] - state_[i][0]) * gain",
+    ),
     # -- state
     one(
         "watchdog_one_cycle_late",
