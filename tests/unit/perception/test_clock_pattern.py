@@ -38,11 +38,11 @@ def test_a_drawn_pattern_is_read_back(time_ms: int) -> None:
 
 def test_a_pattern_is_read_at_any_turn_and_slant_and_never_wrong() -> None:
     random = np.random.default_rng(7)
-    times = random.integers(0, 2**24, 60)
+    times = random.integers(0, 2**24, 24)
     found = [clock_pattern.read(seen(int(t), seed)) for seed, t in enumerate(times)]
     print(f"{sum(f is not None for f in found)} of {len(times)} read")
     assert all(f in (None, t) for f, t in zip(found, times, strict=True))
-    assert sum(f is not None for f in found) >= 57
+    assert sum(f is not None for f in found) >= 23
 
 
 def test_two_times_in_one_exposure_are_no_time() -> None:
