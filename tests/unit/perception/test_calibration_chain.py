@@ -16,10 +16,10 @@ from helpers.sim.board_views import copied_cell, scope_cell
 from helpers.sim.calibrated_chain import BOARD, ORIGIN, Chain
 from surg_perception.calibration import evidence
 from surg_perception.calibration.base_steps import chain_error, check, measured_camera
-from surg_perception.calibration.bases import SeenBase
+from surg_perception.calibration.bases import SeenBase, solve_base
 from surg_perception.calibration.handeye import HandEyeFit, solve_handeye
 from surg_perception.calibration.result_files import save_handeye, save_stereo
-from surg_perception.calibration.small_motions import difference, expected_error
+from surg_perception.calibration.small_motions import difference, expected_error, transform
 from surg_perception.calibration.stereo import StereoFit
 
 SIGMAS = 2.5
@@ -97,6 +97,33 @@ def test_a_base_by_touch_is_as_good_as_it_states(full: bool) -> None:
     assert shift.max() <= 5e-4
     assert np.percentile(turn, 95) <= np.radians(0.2)
     assert inside >= 0.95 * seeds
+
+
+def test_a_base_by_tip_has_the_right_turn() -> None:
+    """The place that is followed lies up the shaft; the turn does not mind."""
+    chain, stereo, handeye, _ = solved(0)
+    rng, scope, tool = np.random.default_rng(5), chain.bench.scope, chain.bench.tool
+    X_SV = scope.X_home @ chain.bench.X_FV
+    X_TS = surg_core.inverse_pose(tool.arm.X_WB_stated) @ chain.X_W_ECM
+    p_S, p_T = [], []
+    for _ in range(12):
+        p_V = np.append(rng.uniform(-0.018, 0.018, 2), rng.uniform(0.065, 0.1))
+        q = chain.bench._touching(tool, (X_TS @ X_SV @ np.append(p_V, 1.0))[:3])
+        X = tool.arm.chain.forward(q)
+        up = X_SV[:3, :3].T @ X_TS[:3, :3].T @ X[:3, :3] @ tool.s_F
+        followed = (p_V - 0.004 * up)[None]
+        left = chain.bench.eyes[0].project(followed)
+        right = chain.bench.eyes[1].project(chain.bench._right(followed))
+        noise = rng.normal(scale=0.15, size=(2, 1, 2))
+        seen = stereo.stereo.triangulate(left + noise[0], right + noise[1])
+        p_S.append(transform(scope.X_home @ handeye.X_FV, seen)[0])
+        p_T.append(chain.tip(q))
+    X_SF = np.repeat(scope.X_home[None], 12, axis=0)
+    result = solve_base(np.array(p_S), np.array(p_T), X_SF, handeye.X_FV, handeye.covariance)
+    evidence.check_tip(result, np.array(p_S))
+    turn = np.degrees(lengths(difference(result.X_ST, surg_core.inverse_pose(X_TS)))[0])
+    print(f"by tip, 12 rests: turn {turn:.2f} deg off, stated {np.degrees(result.error[0]):.2f}")
+    assert turn <= 2.0
 
 
 def test_check_states_the_error_of_the_whole_chain(full: bool, tmp_path: Path) -> None:

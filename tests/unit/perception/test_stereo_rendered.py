@@ -59,6 +59,8 @@ def test_the_command_writes_what_the_loader_reads(
     write_board(folder / "board.yaml", BOARD)
     assert surg("calibrate", cell, "stereo", "--from", folder, "--lens-state", "ring at 2") == 0
     assert "held out" in capsys.readouterr().out
+    page = (cell / "calibration" / "views" / "report.html").read_text("utf-8")
+    assert page.count("<line ") > 13 * 2 * 40 and "held out" in page
     eyes, content = read_stereo(cell / "calibration")
     result, _ = steps.stereo(tmp_path, folder, ORIGIN, write=False)
     check(result, stand, views)

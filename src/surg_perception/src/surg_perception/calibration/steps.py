@@ -14,6 +14,7 @@ from surg_core.stereo_file import HELD_OUT_DISTANCES
 from surg_perception.calibration import evidence
 from surg_perception.calibration.board import Board, BoardError
 from surg_perception.calibration.board_file import load_board
+from surg_perception.calibration.calibration_report import stereo_page
 from surg_perception.calibration.handeye import HandEyeFit, solve_handeye
 from surg_perception.calibration.result_files import (
     Origin,
@@ -82,7 +83,10 @@ def stereo(
     evidence.check_stereo(result, views.size)
     if write:
         paths = save_stereo(calibration, result, views.board, lens_state, origin)
-        lines += [f"written: {path}" for path in paths]
+        page = calibration / "views" / "report.html"
+        page.parent.mkdir(exist_ok=True)
+        page.write_text(stereo_page(result, origin.note), encoding="utf-8")
+        lines += [f"written: {path}" for path in (*paths, page)]
     return result, lines
 
 
