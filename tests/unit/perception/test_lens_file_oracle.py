@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.sim.calibrated_chain import BOARD, ORIGIN, Chain, scope_cell
+from helpers.sim.board_views import BOARD, scope_cell
+from helpers.sim.calibrated_chain import ORIGIN, Chain
 from surg_core.lens_file import load_lens
 from surg_perception.calibration.result_files import save_stereo
 
