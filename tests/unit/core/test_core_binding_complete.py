@@ -304,7 +304,7 @@ def test_readings_reach_the_controller() -> None:
         arm.chain, arm.robot, arm.limits, arm.instrument, arm.tool, track_rcm=True
     )
     tracking.set_rcm(arm.trocar.p_BRcm)
-    moved = np.add(arm.trocar.p_BRcm, [0.001, 0.0, 0.0])
+    moved = np.add(arm.trocar.p_BRcm, [0.003, 0.0, 0.0])  # nearer than 2 mm it would fade in
     readings = surg_core.Readings(p_BTrack=moved, v_BTrack=[0.0, 0.0, 0.0])
     assert readings.track_valid
     out = tracking.step(home, rest, readings=readings)
