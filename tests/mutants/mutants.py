@@ -795,7 +795,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "cell_loosens_limits",
         "F15: a cell file switches a limit off",
-        "src/config.cpp",
+        "src/config/robot_config.cpp",
         "if (!(value >= lowest && value <= highest)) {\n"
         '      throw ConfigError(where + number(value) + " " + key->unit +\n'
         '                        " would loosen',

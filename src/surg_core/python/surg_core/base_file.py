@@ -1,7 +1,7 @@
 """``calibration/base_<arm>.yaml``, surg_base/1: where an arm's base was measured in the world.
 
 The first arm of a cell keeps the base that ``cell.yaml`` states; it is the reference of the others.
-The schema is ``config.cpp``'s, which the controller reads too.
+The schema is ``calibration_config.cpp``'s, which the controller reads too.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Reads robot, instrument, calibration and cell files; the schema itself is C++ (``config.cpp``).
+"""Reads robot, instrument, calibration and cell files; the schema itself is C++ (``src/config``).
 
 A file is parsed into PyYAML's node tree (no objects are ever constructed) and flattened to dotted
 keys, with the line of each key. Plain scalars are read by the rules of YAML 1.2, as the C++ nodes

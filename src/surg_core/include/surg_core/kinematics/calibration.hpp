@@ -20,7 +20,7 @@ class CalibrationError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-/// Acceptance limits of a calibration. The schema of the files (config.cpp) sets the outer bounds.
+/// Acceptance limits of a calibration. The schema of the files sets the outer bounds.
 struct CalibrationLimits {
   int n_min = 6;              ///< poses or lines
   double condition_max = 30;  ///< some 3 deg (rms) of change in the orientation

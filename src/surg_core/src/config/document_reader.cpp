@@ -1,0 +1,105 @@
+#include "document_reader.hpp"
+
+#include <cstdio>
+#include <ctime>
+
+namespace surg::config {
+
+std::string number(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.6g", value);
+  return text;
+}
+
+std::string show(const Value& value) {
+  if (const auto* b = std::get_if<bool>(&value)) return *b ? "true" : "false";
+  if (const auto* d = std::get_if<double>(&value)) return number(*d);
+  if (const auto* s = std::get_if<std::string>(&value)) return "'" + *s + "'";
+  std::string text = "[";
+  if (const auto* list = std::get_if<std::vector<double>>(&value)) {
+    for (double item : *list) text += (text.size() > 1 ? ", " : "") + number(item);
+  } else {
+    for (const auto& item : std::get<std::vector<std::string>>(value)) {
+      text += (text.size() > 1 ? ", '" : "'") + item + "'";
+    }
+  }
+  return text + "]";
+}
+
+std::string place(const Document& document, const std::string& key) {
+  const auto line = document.lines.find(key);
+  const bool known = line != document.lines.end();
+  return document.file + (known ? ":" + std::to_string(line->second) : "");
+}
+
+std::string place(const CellArm& arm, const std::string& key, const std::string& cell_file) {
+  const auto found = arm.where.find(key);
+  const std::string file = found == arm.where.end() ? cell_file : found->second;
+  return file + ": arms." + arm.name + "." + key;
+}
+
+std::size_t edits_between(const std::string& a, const std::string& b) {
+  std::vector<std::size_t> before(b.size() + 1), last(b.size() + 1), row(b.size() + 1);
+  for (std::size_t j = 0; j <= b.size(); ++j) row[j] = j;
+  for (std::size_t i = 1; i <= a.size(); ++i) {
+    before = std::exchange(last, row);
+    row[0] = i;
+    for (std::size_t j = 1; j <= b.size(); ++j) {
+      row[j] = std::min({last[j] + 1, row[j - 1] + 1, last[j - 1] + (a[i - 1] != b[j - 1])});
+      const bool swapped = i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1];
+      if (swapped) row[j] = std::min(row[j], before[j - 2] + 1);
+    }
+  }
+  return row[b.size()];
+}
+
+bool alike(const std::string& a, const std::string& b) {
+  const auto last_word = [](const std::string& key) { return key.size() - (key.rfind('.') + 1); };
+  return edits_between(a, b) <= std::max<std::size_t>(std::min(last_word(a), last_word(b)) / 3, 1);
+}
+
+std::vector<std::string> names_in(const Document& document, const std::string& prefix) {
+  std::vector<std::string> names;
+  for (const auto& [key, value] : document.values) {
+    if (key.rfind(prefix, 0) != 0) continue;
+    const auto dot = key.find('.', prefix.size());
+    const auto length = dot == std::string::npos ? dot : dot - prefix.size();
+    const std::string name = key.substr(prefix.size(), length);
+    if (names.empty() || names.back() != name) names.push_back(name);  // keys are sorted
+  }
+  const auto line = [&](const std::string& name) {
+    const auto found = document.lines.find(prefix + name);
+    return found == document.lines.end() ? 0 : found->second;
+  };
+  std::stable_sort(names.begin(), names.end(), [&line](const std::string& a, const std::string& b) {
+    return line(a) < line(b);
+  });
+  return names;
+}
+
+std::optional<int> day_of(const std::string& date) {
+  std::tm when{};
+  int used = 0;
+  if (std::sscanf(date.c_str(), "%4d-%2d-%2d%n", &when.tm_year, &when.tm_mon, &when.tm_mday,
+                  &used) != 3 ||
+      used != static_cast<int>(date.size())) {
+    return std::nullopt;
+  }
+  when.tm_year -= 1900;
+  when.tm_mon -= 1;
+  const std::tm asked = when;
+  const std::time_t seconds = timegm(&when);
+  if (when.tm_mon != asked.tm_mon || when.tm_mday != asked.tm_mday) return std::nullopt;
+  return static_cast<int>(seconds / 86400);
+}
+
+/// 'prefix': "capsules.NAME." or an obstacle's.
+Capsule read_capsule(Reader& reader, const std::string& prefix, double farthest, double widest) {
+  Capsule capsule;
+  capsule.a = reader.vector(prefix + "from", farthest, "m");
+  capsule.b = reader.vector(prefix + "to", farthest, "m");
+  capsule.radius = reader.real(prefix + "radius", 0.001, widest, "m");
+  return capsule;
+}
+
+}  // namespace surg::config
