@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,15 +25,6 @@ PINHOLE = EndoscopeLens()
 def scope_cell() -> surg_core.Cell:
     """The bundled cell whose arm ECM holds an endoscope."""
     return surg_core.load_cell(paths.ROOT / "cells" / "sim_two_arms")
-
-
-def copied_cell(folder: Path) -> Path:
-    """A copy of that cell which still finds its robots and instruments."""
-    cell = folder / "cells" / "theatre"
-    shutil.copytree(paths.ROOT / "cells" / "sim_two_arms", cell)
-    text = (cell / "cell.yaml").read_text()
-    (cell / "cell.yaml").write_text(text.replace("../../src", str(paths.ROOT / "src")))
-    return cell
 
 
 def bench(

@@ -63,14 +63,12 @@ def picture(message: Any) -> recorded_pairs.Image:
 def test_a_file_has_the_topics_of_an_endoscope(
     ros_graph: RosGraph, rospy_node: str, tmp_path: Path
 ) -> None:
-    recorded_pairs.side_by_side(tmp_path / "pairs.mp4", COUNT, 320, 240)
+    cell = endoscope_files.copied_cell(tmp_path, "sim_ur5e")
+    recorded_pairs.side_by_side(cell / "pairs.mp4", COUNT, 320, 240)
     eyes = Eyes()
-    (tmp_path / "calibration").mkdir()
     for eye in eyes.images:
-        lens_file.write_lens(
-            tmp_path / f"calibration/endoscope_{eye}.yaml", endoscope_files.lens(eye)
-        )
-    params: dict[str, object] = {"source": "file:pairs.mp4", "layout": "sbs", "cell": str(tmp_path)}
+        lens_file.write_lens(cell / f"calibration/endoscope_{eye}.yaml", endoscope_files.lens(eye))
+    params: dict[str, object] = {"source": "file:pairs.mp4", "layout": "sbs", "cell": str(cell)}
     try:
         ros_graph.node("surg_perception", "capture_node.py", "/endoscope", params)
         ros_graph.wait_for(

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 from pathlib import Path
 
 import pytest
 
+from helpers.endoscope_files import copied_cell
 from surg_cli.commands import up
-from surg_cli.host import paths, provision
+from surg_cli.host import provision
 from surg_cli.host.terminal import Problem
 
 SECTION = "endoscope: {source: 'v4l2:/dev/video0', layout: LAYOUT, size: [1920, 1080], rate: 30}\n"
@@ -25,10 +25,8 @@ def printed(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
 @pytest.fixture
 def cell(tmp_path: Path) -> Path:
     """The bundled cell with a grabber."""
-    folder = tmp_path / "cell"
-    shutil.copytree(paths.CELLS / "sim_ur5e", folder)
+    folder = copied_cell(tmp_path, "sim_ur5e")
     text = (folder / "cell.yaml").read_text("utf-8")
-    text = text.replace("../../src", str(paths.ROOT / "src"))
     (folder / "cell.yaml").write_text(text + SECTION.replace("LAYOUT", "sbs"), "utf-8")
     return folder
 

@@ -94,7 +94,7 @@ def test_the_second_hand_moves_its_tip_as_the_picture_shows_it() -> None:
     system = read_setup(params, "/teleop")
     world = World(cell, 0, task=tasks.load("bgr"))
     arm, seat, instrument = system.assistant, system.hands[1].switch, world.task.assistant
-    camera = CameraView(system.camera.view(np.array(cell.arms["ECM"].robot.home)))
+    camera = CameraView(system.camera.rotation(np.array(cell.arms["ECM"].robot.home)))
     R_VA = camera.R_WV.T @ arm.R_WR
     seat.enable()
     start = R_VA @ forward(instrument.joints)[:3, 3]

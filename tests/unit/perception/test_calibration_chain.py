@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 import surg_core
+from helpers.endoscope_files import copied_cell
 from helpers.results.perception_results import PAGE
-from helpers.sim.board_views import copied_cell, scope_cell
+from helpers.sim.board_views import scope_cell
 from helpers.sim.calibrated_chain import BOARD, ORIGIN, Chain
 from surg_perception.calibration import evidence
 from surg_perception.calibration.base_steps import chain_error, check, measured_camera

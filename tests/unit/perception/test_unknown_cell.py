@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 import surg_core
+from helpers.endoscope_files import copied_cell
 from helpers.results.perception_results import PAGE
-from helpers.sim.board_views import BARREL, Array, bench, copied_cell
+from helpers.sim.board_views import BARREL, Array, bench
 from helpers.sim.calibrated_chain import Chain
 from surg_core.held_endoscope import HeldEndoscope, held_endoscope
 from surg_core.lens_file import load_lens
