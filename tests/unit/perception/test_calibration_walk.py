@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import surg_core
+from helpers.endoscope_files import copied_cell
 from helpers.results.perception_results import PAGE
-from helpers.sim.board_views import copied_cell
 from surg_core.camera_file import load_camera
 from surg_perception.calibration.base_steps import chain_error
 from surg_perception.calibration.small_motions import difference

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surg_sim.looks.lens import EndoscopeLens, LensRemap
+from surg_sim.looks.lens import EndoscopeLens, LensRemap, TrueEye
 from surg_sim.physics.patient_settings import SETTINGS, find_setting
 
 BARREL = find_setting("phantom+lens").lens
@@ -25,7 +25,8 @@ def test_rays_are_the_inverse_of_the_bend() -> None:
 
 
 def test_each_pixel_shows_what_lies_on_its_ray() -> None:
-    remap = LensRemap(EndoscopeLens(BARREL.distortion, BARREL.zoom, BARREL.centre), 200.0, 320, 240)
+    lens = EndoscopeLens(BARREL.distortion, BARREL.zoom, BARREL.centre)
+    remap = LensRemap(TrueEye(lens, 200.0, 320, 240))
     width, height = remap.wide_size
     assert width >= 320 and height >= 240
     # The pinhole's picture states its own columns and rows.
@@ -34,7 +35,7 @@ def test_each_pixel_shows_what_lies_on_its_ray() -> None:
     seen = remap.apply(wide)
     assert seen.shape == (240, 320, 3)
     for u, v in ((0, 0), (319, 239), (160, 120), (40, 200)):
-        ray = remap.lens.rays(np.array([u, v], dtype=float), 200.0, 320, 240)
+        ray = lens.rays(np.array([u, v], dtype=float), 200.0, 320, 240)
         expected = (200.0 * ray + [(width - 1) / 2, (height - 1) / 2]) / 2.0
         assert np.abs(seen[v, u, :2] - expected).max() <= 1.0
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.endoscope_files import copied_cell
 from helpers.results.perception_results import PAGE, SIZES
-from helpers.sim.board_views import BARREL, BOARD, PINHOLE, bench, copied_cell
+from helpers.sim.board_views import BARREL, BOARD, PINHOLE, bench
 from surg_core.lens_file import load_lens
 from surg_core.stereo_file import load_stereo
 from surg_perception.calibration import steps

@@ -24,7 +24,7 @@ import surg_core
 from surg_core import axis_angle_to_matrix
 from surg_core.transforms import minimal_rotation
 from surg_sim.arrays import Array, Picture
-from surg_sim.looks.lens import EndoscopeLens
+from surg_sim.looks.lens import EndoscopeLens, TrueEye
 from surg_sim.physics.calibration_bench import Bench, across
 from surg_sim.physics.endoscope_rig import camera_poses, holder
 from surg_sim.physics.patient_settings import find_setting
@@ -60,49 +60,16 @@ class Pattern:
     size: tuple[float, float]
 
 
-@dataclass(frozen=True)
-class TrueEye:
-    """One eye as it really is.
-
-    Attributes:
-        lens: The lens.
-        f: Focal length that the instrument's file states [px].
-        width: Of the picture [px].
-        height: Of the picture [px].
-    """
-
-    lens: EndoscopeLens
-    f: float
-    width: int
-    height: int
-
-    @classmethod
-    def of(cls, fovy: float, width: int, height: int, lens: EndoscopeLens) -> TrueEye:
-        """From the vertical field of view [rad] that the instrument's file states."""
-        return cls(lens, height / 2 / float(np.tan(fovy / 2)), width, height)
-
-    @property
-    def K(self) -> Array:
-        """True camera matrix (3, 3)."""
-        return self.lens.camera_matrix(self.f, self.width, self.height)
-
-    def project(self, p_C: Array) -> Array:
-        """Pixels (n, 2) of points (n, 3) before the eye."""
-        bent = self.lens.bend(p_C[:, :2] / p_C[:, 2:])
-        return np.asarray(bent * self.K[0, 0] + self.K[:2, 2])
-
-
 class BoardPainter:
     """Draws a pattern as an eye sees it."""
 
     def __init__(self, pattern: Pattern, eye: TrueEye) -> None:
         self._pattern, self._eye = pattern, eye
-        y, x = np.mgrid[: eye.height, : eye.width].astype(np.float64)
-        rays = eye.lens.rays(np.stack([x, y], axis=-1), eye.f, eye.width, eye.height)
+        rays = eye.rays()
         # Rays are smooth: between pixels, linear interpolation is exact to 1e-6 px.
         fine = (SAMPLES * eye.width, SAMPLES * eye.height)
         self._rays = cv2.resize(rays, fine, interpolation=cv2.INTER_LINEAR).astype(np.float32)
-        self._light = eye.lens.light(eye.width, eye.height)
+        self._light = eye.light()
 
     def draw(self, X_CBoard: Array, rng: np.random.Generator) -> Picture:
         """Picture (h, w) of a board at X_CBoard, its frame x right, y up, z out, lower left."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from surg_sim.arrays import Array, Picture
 from surg_sim.looks.drawing import OUTSIDE
-from surg_sim.looks.lens import LensRemap
+from surg_sim.looks.lens import LensRemap, TrueEye
 from surg_sim.looks.render import Intrinsics, Renderer, Vignette, show_only
 from surg_sim.physics import endoscope_rig
 from surg_sim.physics.endoscope_projection import EndoscopeView
@@ -36,7 +36,7 @@ class EndoscopeRenderer:
         size, cut = (width, height), vignette
         lens = world.endoscope_lens
         if not lens.perfect:
-            self._remap = LensRemap(lens, self.intrinsics.f, width, height)
+            self._remap = LensRemap(TrueEye(lens, self.intrinsics.f, width, height))
             size, cut = self._remap.wide_size, False
             self._edge = Vignette(width, height) if vignette else None
             for camera in cameras:

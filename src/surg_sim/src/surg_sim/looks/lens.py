@@ -81,8 +81,8 @@ class EndoscopeLens:
 
 
 @dataclass(frozen=True)
-class LensRemap:
-    """Makes the picture of a lens from a wider picture of a pinhole.
+class TrueEye:
+    """One eye as it really is.
 
     Attributes:
         lens: The lens.
@@ -96,25 +96,52 @@ class LensRemap:
     width: int
     height: int
 
-    @cached_property
-    def wide_size(self) -> tuple[int, int]:
-        """Width and height of the pinhole's picture that holds all rays of the lens [px]."""
-        half = np.abs(self._rays()).reshape(-1, 2).max(axis=0) * self.f + 1.0
-        stated = np.array([self.width, self.height])
-        wide, high = np.maximum(stated, 2 * np.ceil(half).astype(int))
-        return int(wide), int(high)
+    @classmethod
+    def of(cls, fovy: float, width: int, height: int, lens: EndoscopeLens) -> TrueEye:
+        """From the vertical field of view [rad] that the instrument's file states."""
+        return cls(lens, height / 2 / float(np.tan(fovy / 2)), width, height)
 
-    def _rays(self) -> Array:
+    @property
+    def K(self) -> Array:
+        """True camera matrix (3, 3)."""
+        return self.lens.camera_matrix(self.f, self.width, self.height)
+
+    def project(self, p_C: Array) -> Array:
+        """Pixels (n, 2) of points (n, 3) before the eye."""
+        bent = self.lens.bend(p_C[:, :2] / p_C[:, 2:])
+        return np.asarray(bent * self.K[0, 0] + self.K[:2, 2])
+
+    def rays(self) -> Array:
+        """Rays (height, width, 2) of the plane z = 1 that its pixels see."""
         y, x = np.mgrid[: self.height, : self.width].astype(np.float64)
         return self.lens.rays(np.stack([x, y], axis=-1), self.f, self.width, self.height)
 
+    def light(self) -> Array:
+        """Share of the light (height, width) that reaches each pixel."""
+        return self.lens.light(self.width, self.height)
+
+
+@dataclass(frozen=True)
+class LensRemap:
+    """Makes the picture of an eye with a lens from a wider picture of a pinhole."""
+
+    eye: TrueEye
+
+    @cached_property
+    def wide_size(self) -> tuple[int, int]:
+        """Width and height of the pinhole's picture that holds all rays of the lens [px]."""
+        half = np.abs(self.eye.rays()).reshape(-1, 2).max(axis=0) * self.eye.f + 1.0
+        stated = np.array([self.eye.width, self.eye.height])
+        wide, high = np.maximum(stated, 2 * np.ceil(half).astype(int))
+        return int(wide), int(high)
+
     @cached_property
     def _map(self) -> Array:
-        return np.asarray(self._rays() * self.f, dtype=np.float32)
+        return np.asarray(self.eye.rays() * self.eye.f, dtype=np.float32)
 
     @cached_property
     def _light(self) -> Array:
-        return np.asarray(self.lens.light(self.width, self.height)[:, :, None], dtype=np.float32)
+        return np.asarray(self.eye.light()[:, :, None], dtype=np.float32)
 
     def apply(self, wide: Picture) -> Picture:
         """The lens's picture from a pinhole's of the same focal length [px], rgb8."""
@@ -123,6 +150,6 @@ class LensRemap:
         height, width = wide.shape[:2]
         middle = np.array([(width - 1) / 2, (height - 1) / 2], dtype=np.float32)
         bent = cv2.remap(wide, self._map + middle, None, cv2.INTER_LINEAR)
-        if self.lens.edge:
+        if self.eye.lens.edge:
             bent = np.asarray(bent * self._light + 0.5, dtype=np.uint8)
         return np.asarray(bent)
