@@ -3,15 +3,12 @@
 The kernel's test driver vivid delivers pictures, is busy, is unplugged and comes back.
 """
 
-import json
-import os
 from typing import Any
 
 import numpy as np
 import pytest
 
-from helpers.machines import vm
-from surg_cli.host import paths
+from helpers.machines.vm_result import result_of
 
 pytestmark = pytest.mark.vm
 
@@ -25,24 +22,7 @@ MODULES = (
 @pytest.fixture(scope="module")
 def found() -> dict[str, Any]:
     """What the guest found."""
-    env = {
-        "PATH": "/usr/bin:/bin",
-        "PYTHONPATH": f"{paths.ROOT / 'tests'}:{paths.ROOT / 'tools'}:{os.environ['PYTHONPATH']}",
-        "PYTHONDONTWRITEBYTECODE": "1",
-        "LD_LIBRARY_PATH": os.environ.get("LD_LIBRARY_PATH", ""),
-        "HOME": "/run",
-    }
-    words = [str(paths.VENV_PYTHON), "-m", "helpers.perception.vm_capture"]
-    try:
-        status, said = vm.run(words, env, 1800.0, MODULES)
-    except vm.MissingError as missing:
-        pytest.skip(f"missing: {missing}")
-    lines = [line for line in said.splitlines() if line.startswith("RESULT ")]
-    assert status == 0, said[-4000:]
-    assert lines, said[-4000:]
-    result: dict[str, Any] = json.loads(lines[-1].removeprefix("RESULT "))
-    print(json.dumps(result, indent=2))
-    return result
+    return result_of("helpers.perception.vm_capture", modules=MODULES)
 
 
 @pytest.mark.parametrize(

@@ -4,13 +4,11 @@ A gamepad and foot pedals made by uinput drive the core controller and an arm wi
 them stops it. Elsewhere the same code reads pipes (tests/unit/teleop/test_teleop_inputs.py).
 """
 
-import json
-import os
 from typing import Any
 
 import pytest
 
-from helpers.machines import vm
+from helpers.machines.vm_result import result_of
 from surg_cli.host import paths
 
 pytestmark = pytest.mark.vm
@@ -21,25 +19,7 @@ TICK_MS = 2.0
 @pytest.fixture(scope="module")
 def found() -> dict[str, Any]:
     """What the guest found."""
-    env = {
-        "PATH": "/usr/bin:/bin",
-        "PYTHONPATH": f"{paths.ROOT / 'tests'}:{paths.ROOT / 'tools'}:{os.environ['PYTHONPATH']}",
-        "PYTHONDONTWRITEBYTECODE": "1",
-        "LD_LIBRARY_PATH": os.environ.get("LD_LIBRARY_PATH", ""),
-        "HOME": "/run",
-    }
-    cell = str(paths.CELLS / "sim_ur5e")
-    words = [str(paths.VENV_PYTHON), "-m", "helpers.machines.vm_devices", cell]
-    try:
-        status, said = vm.run(words, env, 1800.0)
-    except vm.MissingError as missing:
-        pytest.skip(f"missing: {missing}")
-    lines = [line for line in said.splitlines() if line.startswith("RESULT ")]
-    assert status == 0, said[-4000:]
-    assert lines, said[-4000:]
-    result: dict[str, Any] = json.loads(lines[-1].removeprefix("RESULT "))
-    print(json.dumps(result, indent=2))
-    return result
+    return result_of("helpers.machines.vm_devices", str(paths.CELLS / "sim_ur5e"))
 
 
 def test_what_cannot_be_opened_says_why(found: dict[str, Any]) -> None:
