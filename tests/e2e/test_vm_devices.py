@@ -23,7 +23,7 @@ def found() -> dict[str, Any]:
 
 
 def test_what_cannot_be_opened_says_why(found: dict[str, Any]) -> None:
-    assert "plug" in found["nothing"]
+    assert "connect one that fits" in found["nothing"]
     assert "no permission to read /dev/input/event" in found["no_permission"]
     assert "usermod -aG input" in found["no_permission"]
 
