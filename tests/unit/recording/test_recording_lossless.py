@@ -90,6 +90,19 @@ def test_measured_values_come_back_as_they_were(tmp_path: Path, encoding: str) -
         list(exact_values.read(sink.path, [1, 9]))
 
 
+def test_a_video_without_frames_says_which_one_is_missing(tmp_path: Path) -> None:
+    path = tmp_path / "empty.mp4"
+    with av.open(str(path), "w", format="mp4", options={"movflags": "empty_moov"}) as container:
+        stream = container.add_stream("png", rate=20)
+        stream.pix_fmt, stream.width, stream.height = "gray16be", WIDTH, HEIGHT
+        stream.codec_context.open()
+        container.start_encoding()
+    with pytest.raises(EpisodeError, match=r"no measured values|frame 0 is needed"):
+        list(exact_values.read(path, [0]))
+    with pytest.raises(EpisodeError, match=r"no readable video|holds no frame"):
+        video_embed.embed(path, 10**7)
+
+
 def test_colours_are_no_measured_values(tmp_path: Path) -> None:
     path = written(tmp_path, "rgb8", noise(7, 3)).path
     with pytest.raises(EpisodeError, match="h264"):

@@ -45,8 +45,9 @@ def obstacle(path: Path, indices: Sequence[int], how: ExportOptions) -> str | No
         with av.open(str(path)) as container:
             context = container.streams.video[0].codec_context
             size = (context.width, context.height)
-            if context.name != "h264" or context.pix_fmt != "yuv420p" or context.has_b_frames:
-                return f"it is {context.name}, {context.pix_fmt}; H.264, yuv420p is written"
+            codec, pixels = video_file.codec_of(container.streams.video[0])
+            if (codec, pixels) != ("h264", "yuv420p") or context.has_b_frames:
+                return f"it is {codec}, {pixels}; H.264, yuv420p is written"
             if how.size not in (None, size):
                 return f"it has {size[0]}x{size[1]} pixels"
             packet = next(itertools.islice(video_file.packets(container), first, None), None)

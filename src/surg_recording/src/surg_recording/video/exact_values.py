@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from surg_recording.recording_errors import EpisodeError
+from surg_recording.video import video_file
 
 Values = npt.NDArray[Any]
 
@@ -24,7 +25,8 @@ FORMATS = {"gray16be": "16UC1", "rgba": "32FC1"}
 
 def is_exact(video: av.VideoStream) -> bool:
     """Whether a video holds measured values."""
-    return video.codec_context.name == "png" and video.codec_context.pix_fmt in FORMATS
+    codec, pixels = video_file.codec_of(video)
+    return codec == "png" and pixels in FORMATS
 
 
 def read(path: Path, indices: Sequence[int] | None = None) -> Iterator[Values]:
@@ -38,13 +40,14 @@ def read(path: Path, indices: Sequence[int] | None = None) -> Iterator[Values]:
         EpisodeError: The video cannot be read, holds colours, or ends before an index.
     """
     wanted = None if indices is None else list(indices)
+    number = -1
     try:
         with av.open(str(path)) as container:
             video = container.streams.video[0]
             if not is_exact(video):
-                kind = f"{video.codec_context.name}, {video.codec_context.pix_fmt}"
+                kind = ", ".join(video_file.codec_of(video))
                 raise EpisodeError(
-                    f"{path}: a video of colours ({kind}); values of mono16, 16UC1 and 32FC1 "
+                    f"{path}: holds no measured values ({kind}); those of mono16, 16UC1 and 32FC1 "
                     "cameras can be read"
                 )
             for number, frame in enumerate(container.decode(video=0)):

@@ -52,8 +52,7 @@ def embed(path: Path, budget: int, progress: Callable[[int], None] | None = None
 def _plays(path: Path) -> bool:
     """Whether browsers play a video as it is."""
     with av.open(str(path)) as source:
-        context = source.streams.video[0].codec_context
-        return bool(context.name == "h264" and context.pix_fmt == "yuv420p")
+        return video_file.codec_of(source.streams.video[0]) == ("h264", "yuv420p")
 
 
 def _copy(path: Path) -> Embedded:

@@ -21,6 +21,14 @@ Image = npt.NDArray[np.uint8]
 _INTEGER = re.compile(r"-?\d+$")
 
 
+def codec_of(video: av.VideoStream) -> tuple[str, str]:
+    """Codec and pixel format of a video; ``unknown`` where there is no decoder for it."""
+    try:
+        return str(video.codec_context.name), str(video.codec_context.pix_fmt)
+    except AttributeError:  # PyAV has no codec then, and asks it for its name
+        return "unknown", ""
+
+
 def packets(container: av.container.InputContainer) -> Iterator[av.Packet]:
     """The packets of a video that hold a frame."""
     for packet in container.demux(container.streams.video[0]):
