@@ -44,6 +44,46 @@ TEST(ControlCycle, F33AConditionFaultsInItsOwnCycle) {
   EXPECT_EQ(record.out.reason, surg::Reason::kRobot);
 }
 
+TEST(ControlCycle, F25AnArmThatRequiresAForcePausesWhileItIsNotKnown) {
+  IdealArm arm;
+  arm.cycle->require_force_below(0.03);
+  arm.step();
+  ASSERT_GT(arm.step().out.depth, 0.03);
+  // Nobody has spoken yet.
+  EXPECT_EQ(arm.step({IdealArm::state(surg::StateCommand::kEnable)}).answers[0].reason,
+            surg::Reason::kForce);
+  const auto say = [&arm](bool known) {
+    const double value = known ? 0.0 : std::numeric_limits<double>::infinity();
+    arm.link.tip = arm.link.trocar = {surg::Vector3::Constant(value), arm.now_ns};
+  };
+  say(true);
+  arm.step();
+  arm.enable();
+  say(false);  // the sensor says that it does not know
+  const CycleRecord& record = arm.step();
+  EXPECT_EQ(record.out.state, surg::State::kPaused);
+  EXPECT_EQ(record.out.reason, surg::Reason::kForce);
+  say(false);
+  EXPECT_EQ(arm.step({IdealArm::state(surg::StateCommand::kResume)}).answers[0].reason,
+            surg::Reason::kForce);
+  say(true);
+  arm.step();
+  say(true);
+  EXPECT_EQ(arm.step({IdealArm::state(surg::StateCommand::kResume)}).answers[0].reason,
+            surg::Reason::kNone);
+}
+
+TEST(ControlCycle, F25AForceThatIsNotKnownStopsNoArmThatDoesNotRequireIt) {
+  for (const double depth : {std::numeric_limits<double>::infinity(), 0.5}) {
+    IdealArm arm;
+    arm.cycle->require_force_below(depth);  // none; deeper than the tip is
+    arm.enable();
+    arm.link.tip = arm.link.trocar = {
+        surg::Vector3::Constant(std::numeric_limits<double>::infinity()), arm.now_ns};
+    EXPECT_EQ(arm.step().out.state, surg::State::kEnabled);
+  }
+}
+
 TEST(ControlCycle, ATargetInTheUsersFrameIsTheSameTarget) {
   IdealArm plain, user;
   plain.enable();

@@ -322,6 +322,53 @@ TEST(Config, ALinkHasItsOwnParametersAndTheRobotHasNoneOfThem) {
             std::string::npos);
 }
 
+TEST(Config, ALinkStatesOneLagOrOnePerJoint) {
+  const RobotConfig robot = parse_robot(good_robot());
+  const RobotConfig alike = with_link(robot, parse_link(good_link()));
+  EXPECT_EQ(alike.joint_lag.size(), 0);
+  Document d = good_link();
+  d.values["link_lag"] = std::vector<double>{0.008, 0.009, 0.0085, 0.0101, 0.011, 0.0097};
+  const LinkConfig link = parse_link(d);
+  const RobotConfig each = with_link(robot, link);
+  EXPECT_EQ(each.tuning.link_lag, 0.011) << "of the slowest joint";
+  EXPECT_EQ(each.joint_lag[3], 0.0101);
+  RobotConfig other = each;
+  other.joint_lag[3] += 1e-4;
+  EXPECT_NE(limits_hash(each, each.limits), limits_hash(other, other.limits));
+
+  RobotConfig seven = robot;
+  seven.name = "panda";
+  seven.joint_names.push_back("g");
+  CellArm simulated;
+  simulated.name = "PSM1";
+  simulated.link = kSimulator;
+  const auto check = [&](const RobotConfig& driven) {
+    check_hardware(simulated, driven, {}, {}, {}, "cell.yaml", "2026-11-23");
+  };
+  EXPECT_EQ(error_of([&] {
+              check(with_link(seven, link));
+            }).find("cell.yaml: arms.PSM1.link: link_lag has 6 values; panda has 7"),
+            0U);
+  EXPECT_NO_THROW(check(each));
+  for (const auto& [bad, part] :
+       std::map<std::string, std::vector<double>>{{"value 2, 0.06 s", {0.01, 0.06}},
+                                                  {"value 1, -0.001 s", {-0.001, 0.01}},
+                                                  {"has 0 values", {}},
+                                                  {"has 9 values", std::vector<double>(9, 0.01)}}) {
+    d.values["link_lag"] = part;
+    EXPECT_NE(error_of([&] { parse_link(d); }).find(bad), std::string::npos) << bad;
+  }
+
+  CellArm arm;
+  arm.name = "PSM1";
+  arm.hardware.emplace();
+  EXPECT_EQ(with_measured_lag(link, arm).joint_lag, link.joint_lag) << "not stated by the cell";
+  arm.hardware->link_lag = 0.012;
+  EXPECT_EQ(with_measured_lag(link, arm).joint_lag.size(), 0) << "the cell's number is for all";
+  arm.hardware->joint_lag = JointVector::Constant(6, 0.007);
+  EXPECT_EQ(with_measured_lag(link, arm).joint_lag, arm.hardware->joint_lag);
+}
+
 TEST(Config, ALinkIsANameOrAPath) {
   CellArm arm;
   arm.name = "PSM1";

@@ -184,6 +184,73 @@ TEST(ExactFollower, IsStableWithTwiceTheLagItWasTold) {
   test::report("slow arms", n);
 }
 
+/// Lags of six joints [s], as stated: each random, its servo's time constant and 2 ms of delay.
+JointVector random_lags(Random& random) {
+  JointVector lags(6);
+  for (int i = 0; i < 6; ++i) lags[i] = 0.002 + random.uniform(0.004, 0.010);
+  return lags;
+}
+
+TEST(ExactFollower, JointsOfKnownLagsMoveInStep) {
+  // The same hand-like motion for every joint: what differs between them moves the pivot.
+  Random random(4);
+  const int n = test::family(10, 200);
+  double worst = 0, worst_gain = 1e9;
+  for (int k = 0; k < n; ++k) {
+    const JointVector lags = random_lags(random);
+    const JointVector tau = lags.array() - 0.002;
+    double spread[2] = {0, 0};
+    for (const bool listed : {false, true}) {
+      ExactFollower::Options options{lags.maxCoeff(), 50, 0.3, kT};
+      if (listed) options.joint_lag = lags;
+      ExactFollower follower(6, options);
+      LaggingArm arm(JointVector::Zero(6), tau);
+      follower.reset(arm.measured());
+      double q_ref = 0;
+      for (int i = 0; i < 1500; ++i) {
+        const double t = (i + 1) * kT;
+        const double next = 0.05 * (1 - std::cos(3 * t)) + 0.03 * std::sin(t) * std::sin(17 * t);
+        arm.obey(follower.advance(JointVector::Constant(6, next - q_ref), arm.measured()));
+        q_ref = next;
+        const JointVector& q = arm.truth();
+        spread[listed] = std::max(spread[listed], q.maxCoeff() - q.minCoeff());
+      }
+    }
+    worst = std::max(worst, spread[1]);
+    worst_gain = std::min(worst_gain, spread[0] / spread[1]);
+  }
+  std::printf("joints are apart by %.1f urad at most, %.1f times less than with one lag\n",
+              1e6 * worst, worst_gain);
+  EXPECT_LT(worst, 60e-6);
+  EXPECT_GT(worst_gain, 8);
+  test::report("random arms", n);
+}
+
+TEST(ExactFollower, KnownLagsNeverAskForMoreThanTheReference) {
+  Random random(5);
+  const int n = test::family(20000, 1000000);
+  ExactFollower::Options options;
+  options.joint_lag = random_lags(random);
+  options.lag = options.joint_lag.maxCoeff();
+  options.gain = options.learning = 0;  // the feed-forward alone
+  ExactFollower follower(6, options);
+  JointVector v = JointVector::Zero(6), last = v;
+  follower.reset(v);
+  double fastest = 0, steepest = 0;
+  for (int k = 0; k < n; ++k) {
+    for (int i = 0; i < 6; ++i) {
+      v[i] = std::clamp(v[i] + 0.03 * random.uniform(-1, 1), -0.5, 0.5);
+    }
+    const JointVector qd = follower.advance(kT * v, v);
+    fastest = std::max(fastest, qd.cwiseAbs().maxCoeff());
+    steepest = std::max(steepest, (qd - last).cwiseAbs().maxCoeff());
+    last = qd;
+  }
+  EXPECT_LE(fastest, 0.5 * (1 + 1e-12));
+  EXPECT_LE(steepest, 0.03 * (1 + 1e-12));
+  test::report("cycles", n);
+}
+
 TEST(ExactFollower, LeavesTheHeapAlone) {
   if (!SURG_HEAP_IS_WATCHED) GTEST_SKIP();
   const JointVector q = JointVector::Zero(7), dq = JointVector::Constant(7, 1e-4);

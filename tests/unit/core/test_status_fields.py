@@ -30,6 +30,7 @@ from surg_teleop.console.ros.ros_system_node import RosSystem
 from surg_teleop.console.session.console_orders import OtherMapping, Policy
 from surg_teleop.console.session.console_session import SETTLED, Session
 from surg_teleop.console.session.system_state import Arm, Robot
+from surg_teleop.console.web import calibration_socket
 from surg_teleop.playback.operator_node import OperatorNode
 
 TIME = time.monotonic
@@ -147,6 +148,13 @@ def console_may_put_an_arm_back(status: Any) -> bool:
     return page_in_control().put_back("page", console_state(status)) == ""
 
 
+# --- CalibrationStatus -----------------------------------------------------------------------
+
+
+def console_may_ask_the_collector(status: Any) -> bool:
+    return calibration_socket.refusal(console_state(status).calibration) == ""
+
+
 # --- SenderStatus ----------------------------------------------------------------------------
 
 
@@ -170,6 +178,7 @@ def console_state(status: Any) -> Robot:
         "PolicyStatus": "/policy/status",
         "RecordStatus": "/record/status",
         "SimStatus": "/sim/status",
+        "CalibrationStatus": "/calibrate/status",
     }
     made = RosSystem.__new__(RosSystem)
     heard = {topic: newest(topic, None) for topic in topics.values()}
@@ -277,6 +286,9 @@ DECIDERS: dict[str, list[Decider]] = {
         Decider(system_is_up, ("tick",), {}),
         Decider(console_may_put_an_arm_back, (), {}),
     ],
+    "CalibrationStatus": [
+        Decider(console_may_ask_the_collector, ("state", "step"), {}),
+    ],
     "SenderStatus": [
         Decider(sender_has_given_up, ("stage",), {"stage": msg.SenderStatus.STAGE_FAILED}),
     ],
@@ -312,6 +324,11 @@ NOBODY: dict[str, dict[str, str]] = {
         **dict.fromkeys(("detail", "task.name", "task.setting", "task.phase"), SHOWN),
         **dict.fromkeys(("task.detail", "faults"), SHOWN),
         **dict.fromkeys(("mode", "sim_time", "deterministic", "state_hash", "overruns"), RESULT),
+    },
+    "CalibrationStatus": {
+        **dict.fromkeys(("hint", "missing", "result", "folder"), SHOWN),
+        **dict.fromkeys(("views", "wanted", "progress", "residual"), RESULT),
+        **dict.fromkeys(("columns", "rows", "fields", "needed", "corners"), "drawn on the picture"),
     },
     "SenderStatus": {
         **dict.fromkeys(("detail", "motion", "mode"), SHOWN),

@@ -89,7 +89,15 @@ def test_nobody_present_gives_nothing_away() -> None:
 
 
 @pytest.mark.parametrize(
-    "kind", ["TeleopStatus", "PolicyStatus", "RecordStatus", "SimStatus", "SenderStatus"]
+    "kind",
+    [
+        "TeleopStatus",
+        "PolicyStatus",
+        "RecordStatus",
+        "SimStatus",
+        "SenderStatus",
+        "CalibrationStatus",
+    ],
 )
 def test_every_status_declares_version_stamp_and_enumerations_without_zero(kind: str) -> None:
     message = complete(kind)

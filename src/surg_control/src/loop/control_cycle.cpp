@@ -16,11 +16,17 @@ constexpr std::int64_t kTrackHeldNs = 100'000'000;  // younger samples exclude o
 
 constexpr std::int64_t kForceLostNs = 200'000'000;  // F25: a sensor that has spoken must go on
 
-/// The force of a silent sensor is unknown, not zero.
-surg::ForceSample force_of(const MeasuredForce& measured, std::int64_t now_ns) {
-  if (measured.received_ns == 0) return {};
-  if (now_ns - measured.received_ns <= kForceLostNs) return {true, measured.f_B};
-  return {true, surg::Vector3::Constant(std::numeric_limits<double>::quiet_NaN())};
+/// The force of a silent sensor is unknown, not zero. A sensor that says that it does not know, or
+/// has not spoken yet, is missed only where the cell requires it.
+surg::ForceSample force_of(const MeasuredForce& measured, std::int64_t now_ns, bool required) {
+  const bool spoken = measured.received_ns != 0;
+  if (spoken && now_ns - measured.received_ns > kForceLostNs) {
+    return {true, surg::Vector3::Constant(std::numeric_limits<double>::quiet_NaN())};
+  }
+  // Infinite: not known (RcmLoop::on_force). NaN is a broken sensor, and halts.
+  if (spoken && !measured.f_B.array().isInf().any()) return {true, measured.f_B};
+  if (!required) return {};
+  return {false, surg::Vector3::Constant(std::numeric_limits<double>::infinity())};
 }
 
 double seconds(std::int64_t ns) { return static_cast<double>(ns) * 1e-9; }
@@ -202,8 +208,10 @@ void ControlCycle::sense(const LinkState& link, std::int64_t now_ns) {
   inputs_.condition_age = age(link.condition_received_ns, now_ns);
   inputs_.jaw = link.jaw;
   inputs_.jaw_age = age(link.jaw_received_ns, now_ns);
-  inputs_.tip_force = force_of(link.tip, now_ns);
-  inputs_.trocar_force = force_of(link.trocar, now_ns);
+  // Near the trocar a sensor at the flange cannot tell the two forces apart.
+  const bool required = record_.out.depth > force_depth_;
+  inputs_.tip_force = force_of(link.tip, now_ns, required);
+  inputs_.trocar_force = force_of(link.trocar, now_ns, required);
   for (std::size_t i = 0; i < link.others.size(); ++i) {
     const OtherState& other = link.others[i];
     inputs_.others[i] = {other.received_ns != 0, seconds(now_ns - other.received_ns), other.q,

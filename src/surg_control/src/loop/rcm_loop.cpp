@@ -30,6 +30,18 @@ const char* name_of(surg::Law law) {
   return "unknown";
 }
 
+ControllerInfo info_of(const Options& options, surg::Law law, bool twist, const ArmSetup& setup) {
+  ControllerInfo info;
+  info.lockstep = options.lockstep;
+  info.twist = twist;
+  info.track_rcm = options.track_rcm;
+  info.law = name_of(law);
+  info.limits_hash = surg::limits_hash(setup.robot, setup.limits);
+  info.link_lag = setup.robot.tuning.link_lag;
+  info.joint_lag = setup.robot.joint_lag;
+  return info;
+}
+
 }  // namespace
 
 RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
@@ -66,12 +78,7 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
   node_.setCallbackQueue(&queue_);
   node_.setParam("/" + arm_ + "/robot_description", model_.urdf);
   reporter_ = std::make_unique<StatusReporter>(node_, arm_, setup_.robot, setup_.limits, sources_);
-  const ControllerInfo info{options_.lockstep,
-                            twist,
-                            options_.track_rcm,
-                            name_of(law.law),
-                            surg::limits_hash(setup_.robot, setup_.limits),
-                            setup_.robot.tuning.link_lag};
+  const ControllerInfo info = info_of(options_, law.law, twist, setup_);
   publishers_ =
       std::make_unique<StatePublishers>(node_, setup_, model_, info, health_, sources_, *reporter_);
   services_ = std::make_unique<KinematicsServices>(node_, arm_, setup_.limits);

@@ -1,6 +1,9 @@
 // RcmLoop's incoming half: what links, participants and commanders send, in the thread of run().
 #include <std_msgs/String.h>
 
+#include <limits>
+
+#include "surg_control/files/force_sensor.hpp"
 #include "surg_control/loop/rcm_loop.hpp"
 #include "surg_control/loop/realtime.hpp"
 #include "surg_control/monitor/clock_watch.hpp"
@@ -40,6 +43,10 @@ void RcmLoop::subscribe_link() {
                                                      ros::VoidConstPtr(), hints));
   subscribers_.push_back(node_.subscribe<JointState>(prefix + "tool/measured_js", depth, tool,
                                                      ros::VoidConstPtr(), hints));
+  // In lock-step the simulator's own forces come, where a task has them.
+  if (!options_.lockstep && force_is_required(setup_)) {
+    cycle_->require_force_below(setup_.limits.depth_slow);
+  }
   for (const auto& [topic, which] : {std::pair{"tool/measured_cf", &LinkState::tip},
                                      std::pair{"trocar/measured_cf", &LinkState::trocar}}) {
     const boost::function<void(const geometry_msgs::WrenchStamped::ConstPtr&)> force =
@@ -233,7 +240,6 @@ void RcmLoop::on_tool_state(const sensor_msgs::JointState& message) {
 
 void RcmLoop::on_force(const geometry_msgs::WrenchStamped& message,
                        MeasuredForce LinkState::*which) {
-  if (message.header.stamp.isZero()) return;
   const std::string& frame = message.header.frame_id;
   if (!frame.empty() && frame != arm_ + "_base") {
     reporter_->warning("force_frame",
@@ -245,6 +251,9 @@ void RcmLoop::on_force(const geometry_msgs::WrenchStamped& message,
   const geometry_msgs::Vector3& f = message.wrench.force;
   MeasuredForce& force = link_.*which;
   force.f_B = {f.x, f.y, f.z};
+  constexpr double kNotKnown = std::numeric_limits<double>::infinity();
+  if (!force.f_B.allFinite()) force.f_B.setConstant(std::numeric_limits<double>::quiet_NaN());
+  if (message.header.stamp.isZero()) force.f_B.setConstant(kNotKnown);  // CRTK: data not valid
   force.received_ns =
       options_.lockstep ? static_cast<std::int64_t>(robot_tick_ * kTickNs) + 1 : steady_ns();
   if (!options_.lockstep) latest_link_.put(link_);

@@ -25,6 +25,12 @@ diagnostic_msgs::KeyValue number(const std::string& key, double value) {
   return entry(key, std::to_string(value));
 }
 
+diagnostic_msgs::KeyValue numbers(const std::string& key, const surg::JointVector& values) {
+  std::string text;
+  for (const double value : values) text += (text.empty() ? "" : " ") + std::to_string(value);
+  return entry(key, text);
+}
+
 diagnostic_msgs::KeyValue count(const std::string& key, std::uint32_t value) {
   return entry(key, std::to_string(value));
 }
@@ -92,6 +98,8 @@ void Diagnostics::publish(const CycleRecord& record, double rate) {
                    number("late_share", out.late_share),
                    number("link_lag_s", out.link_lag),
                    number("link_lag_stated_s", info_.link_lag),
+                   numbers("joint_lag_s", out.joint_lag),
+                   numbers("joint_lag_stated_s", info_.joint_lag),
                    count("accepted", out.accepted),
                    count("refused", out.refused + record.refused_by_node + record.refused_by_cycle),
                    number("rcm_error_m", out.rcm_error),

@@ -62,6 +62,7 @@ StatusReporter::StatusReporter(ros::NodeHandle& node, const std::string& arm,
     : arm_(arm),
       limits_(limits),
       link_lag_(robot.tuning.link_lag),
+      joint_lag_(robot.joint_lag),
       joint_names_(robot.joint_names),
       sources_(sources),
       warning_(node.advertise<std_msgs::String>("/" + arm + "/warning", 100)),
@@ -121,7 +122,7 @@ void StatusReporter::report(const CycleRecord& record, double now) {
   report_answers(record, now);
   report_ignored(record);
   report_verdicts(record, now);
-  report_lag(record.out.link_lag);
+  report_lag(record.out);
   report_changes(record, now);
 }
 
@@ -217,13 +218,25 @@ std::string StatusReporter::what_holds_the_elbow(int limit) const {
   return " (joint '" + joint_names_[limit] + "' comes to its limit)";
 }
 
-void StatusReporter::report_lag(double measured) {
+/// Of the link where one value is stated, else of the joint that differs most.
+void StatusReporter::report_lag(const surg::Outputs& out) {
+  double measured = out.link_lag, stated = link_lag_;
   if (std::isnan(measured)) return;
-  const std::string text = "the robot link lags " + milliseconds(measured) +
-                           " behind its commands; link_lag is " + milliseconds(link_lag_);
+  std::string who = "the robot link";
+  for (Eigen::Index i = 0, first = 1; i < joint_lag_.size() && i < out.joint_lag.size(); ++i) {
+    const double lag = out.joint_lag[i];
+    if (std::isnan(lag)) continue;
+    if (!first && std::abs(lag - joint_lag_[i]) <= std::abs(measured - stated)) continue;
+    first = 0;
+    measured = lag;
+    stated = joint_lag_[i];
+    who = "joint '" + joint_names_[i] + "'";
+  }
+  const std::string text = who + " lags " + milliseconds(measured) +
+                           " behind its commands; link_lag is " + milliseconds(stated);
   if (!lag_reported_) status(arm_ + ": " + text);
   lag_reported_ = true;
-  if (std::abs(measured - link_lag_) > kLagTolerance) {
+  if (std::abs(measured - stated) > kLagTolerance) {
     warning_once("link_lag", arm_ + ": " + text + ": set the measured value in the link's YAML");
   }
 }

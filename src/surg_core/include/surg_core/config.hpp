@@ -77,10 +77,11 @@ struct Tuning {
   double tremor;             ///< [Hz] centre of a hand's tremor to take out; 0: off
   double servo_timeout;      ///< [s] F03
   double link_timeout;       ///< [s] F10, free-run; of the link, see LinkConfig
-  double link_lag;           ///< [s] from a velocity command to the motion it causes; 0: unknown
-  double track_noise;        ///< [m] rms per axis of a position on rcm/track
-  double track_jerk;         ///< [m/s^3] that a breathing trocar reaches
-  double track_timeout;      ///< [s] without a usable sample on rcm/track; then PAUSED
+  double link_lag;       ///< [s] from a velocity command to the motion it causes, of the slowest
+                         ///< joint; 0: unknown
+  double track_noise;    ///< [m] rms per axis of a position on rcm/track
+  double track_jerk;     ///< [m/s^3] that a breathing trocar reaches
+  double track_timeout;  ///< [s] without a usable sample on rcm/track; then PAUSED
 };
 
 /// The command interface of a robot link.
@@ -103,6 +104,7 @@ struct RobotConfig {
   JointVector home, position_min, position_max, velocity, acceleration;
   Limits limits;
   Tuning tuning;
+  JointVector joint_lag = {};  ///< [s] of each joint; empty: all have tuning.link_lag
   double elbow = std::numeric_limits<double>::quiet_NaN();  ///< [rad] preferred; NaN: none
   /// Each link lies inside its capsules. Empty: no clearance guard for this robot. No part of the
   /// black box, which has them in its clearance setup.
@@ -117,6 +119,7 @@ struct LinkConfig {
   double dead_man = 0.04;         ///< [s] without a command, after which it stops the arm
   double stop_deceleration = 20;  ///< [rad/s^2] of the leading joint in that stop
   std::string driver = {};        ///< folder with driver.py, relative to the YAML; empty: none
+  JointVector joint_lag = {};     ///< [s] as in RobotConfig
 };
 
 /// The link that a cell names 'simulator'; it has no file.
@@ -185,8 +188,9 @@ struct CellHardware {
   int realtime = 0;         ///< priority of the driver
   // Needed at a real address, unless it is being commissioned.
   int calibration_days = 0;  ///< [d] an older calibration is refused; 0: not stated
-  /// [s] measured on this arm; NaN: not stated
+  /// [s] measured on this arm, of its slowest joint; NaN: not stated
   double link_lag = std::numeric_limits<double>::quiet_NaN();
+  JointVector joint_lag = {};   ///< [s] of each joint; empty: all alike
   bool home_confirmed = false;  ///< somebody has seen the arm at its home posture
   /// The arm may move before all that is known, and slowly only (tighten).
   bool commissioning = false;

@@ -73,6 +73,7 @@ struct Outputs {
   bool warn_rcm = false;                       ///< rcm error above the warn level
   /// [s] of the link, measured from the motion so far; NaN: not enough motion yet
   double link_lag = std::numeric_limits<double>::quiet_NaN();
+  JointVector joint_lag;  ///< [s] the same of each joint; empty before the first motion
   TrackWarning warn_track = TrackWarning::kNone;
   // geometry, in B
   Pose X_BF = Pose::Identity();

@@ -155,6 +155,8 @@ void bind_robot(py::module_& m) {
       .def_property_readonly("acceleration", joints(&RobotConfig::acceleration), "[rad/s^2]")
       .def_property_readonly("limits", [](const RobotConfig& self) { return self.limits; })
       .def_property_readonly("tuning", [](const RobotConfig& self) { return self.tuning; })
+      .def_property_readonly("joint_lag", joints(&RobotConfig::joint_lag),
+                             "[s] Of each joint; empty: all have tuning.link_lag.")
       .def_property_readonly(
           "capsules", [](const RobotConfig& self) { return py::tuple(py::cast(self.capsules)); },
           "Empty: no clearance guard.");
@@ -164,7 +166,10 @@ void bind_link(py::module_& m) {
   py::class_<LinkConfig>(m, "LinkConfig", "A robot link's own parameters.")
       .def_readonly("name", &LinkConfig::name)
       .def_readonly("link_timeout", &LinkConfig::link_timeout, "[s]")
-      .def_readonly("link_lag", &LinkConfig::link_lag, "[s]")
+      .def_readonly("link_lag", &LinkConfig::link_lag, "[s] Of the slowest joint.")
+      .def_property_readonly(
+          "joint_lag", [](const LinkConfig& l) { return frozen(from_matrix(l.joint_lag)); },
+          "[s] Of each joint; empty: all alike.")
       .def_readonly("acceleration", &LinkConfig::acceleration, "Share of the robot's.")
       .def_readonly("dead_man", &LinkConfig::dead_man, "[s]")
       .def_readonly("stop_deceleration", &LinkConfig::stop_deceleration, "[rad/s^2]")
@@ -282,7 +287,11 @@ void bind_cell(py::module_& m) {
       .def_readonly("tool_link", &CellHardware::tool_link, "passive or none.")
       .def_readonly("realtime", &CellHardware::realtime, "Priority of the driver.")
       .def_readonly("calibration_days", &CellHardware::calibration_days, "0: not stated.")
-      .def_readonly("link_lag", &CellHardware::link_lag, "[s] Measured; NaN: not stated.")
+      .def_readonly("link_lag", &CellHardware::link_lag,
+                    "[s] Measured, of the slowest joint; NaN: not stated.")
+      .def_property_readonly(
+          "joint_lag", [](const CellHardware& h) { return frozen(from_matrix(h.joint_lag)); },
+          "[s] Of each joint; empty: all alike.")
       .def_readonly("home_confirmed", &CellHardware::home_confirmed)
       .def_readonly("commissioning", &CellHardware::commissioning, "Slow, not yet calibrated.")
       .def_property_readonly("emulated", &CellHardware::emulated, "The address is on loopback.");

@@ -151,6 +151,14 @@ void bind_elbow(py::class_<Outputs>& type) {
       "-1: nothing.");
 }
 
+void bind_lag(py::class_<Outputs>& type) {
+  type.def_readonly("link_lag", &Outputs::link_lag,
+                    "Measured lag of the link [s]; not a number until known.");
+  type.def_property_readonly(
+      "joint_lag", [](const Outputs& self) { return frozen(from_matrix(self.joint_lag)); },
+      "Measured lag of each joint (n,) [s]; not a number until known; empty before a motion.");
+}
+
 void bind_outputs(py::module_& m) {
   py::class_<Outputs> type(m, "Outputs",
                            "Everything one cycle decided; vectors in B unless named R.");
@@ -171,7 +179,6 @@ void bind_outputs(py::module_& m) {
   number("refused", &Outputs::refused, "Commands refused since construction.");
   number("warn_rcm", &Outputs::warn_rcm, "RCM deviation above the warning level.");
   number("warn_force", &Outputs::warn_force, "Load of the trocar above the warning level.");
-  number("link_lag", &Outputs::link_lag, "Measured lag of the link [s]; not a number until known.");
   number("warn_track", &Outputs::warn_track, "What is wrong with rcm/track.");
   number("roll", &Outputs::roll, "Absolute roll [rad].");
   number("depth", &Outputs::depth, "Insertion [m], positive inside.");
@@ -181,6 +188,7 @@ void bind_outputs(py::module_& m) {
   number("jaw", &Outputs::jaw, "Measured [rad].");
   number("jaw_set", &Outputs::jaw_set, "Commanded [rad]; not a number until measured.");
   bind_elbow(type);
+  bind_lag(type);
   number("scale", &Outputs::scale, "Uniform factor alpha.");
   number("clearance", &Outputs::clearance,
          "Smallest distance to other arms and obstacles [m]; infinite without a guard.");

@@ -95,6 +95,8 @@ class Arm:
         driver: folder with the driver of a link from outside the platform, absolute.
         link_settings: section ``settings`` of the link's YAML, for the driver.
         kinematics: the arm's own, which the chain has; None: the drawing's.
+        force_sensor: ``force_sensor_<arm>.yaml`` beside the cell's file, absolute: the sensor
+            between flange and tool; None: there is none.
     """
 
     name: str
@@ -115,6 +117,7 @@ class Arm:
     driver: Path | None
     link_settings: Mapping[str, Value]
     kinematics: UrKinematics | None
+    force_sensor: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -231,6 +234,7 @@ def _load_arm(stated: CellArm, config: CellConfig, file: Path) -> Arm:
         driver=driver,
         link_settings=link_settings,
         kinematics=kinematics,
+        force_sensor=_if_there(file.parent / f"force_sensor_{stated.name}.yaml"),
     )
 
 
@@ -279,6 +283,10 @@ def _own_chain(
         return with_kinematics(drawn, own), own
     except ValueError as error:
         raise ConfigError(f"{file}: {error}") from error
+
+
+def _if_there(file: Path) -> Path | None:
+    return file if file.exists() else None
 
 
 def _beside(file: Path, name: str) -> Path:

@@ -128,7 +128,9 @@ std::optional<CellHardware> read_hardware(Reader& reader, const CellArm& arm) {
         static_cast<int>(reader.real(prefix + "calibration_days", 1, kOldestCalibration, "days"));
   }
   if (reader.has(prefix + "link_lag")) {
-    hardware.link_lag = reader.real(prefix + "link_lag", kLinkLag[0], kLinkLag[1], "s");
+    const StatedLag lag = read_lag(reader, prefix + "link_lag");
+    hardware.link_lag = lag.slowest;
+    hardware.joint_lag = lag.joints;
   }
   if (reader.has(prefix + "home_confirmed")) {
     hardware.home_confirmed = reader.flag(prefix + "home_confirmed");
@@ -358,6 +360,17 @@ void check_calibration(const CellHardware& hardware, const std::string& what,
   }
 }
 
+/// Refuses a list of lags, of the cell or of its link, that does not fit the robot.
+void check_lags(const CellArm& arm, const RobotConfig& robot, const std::string& cell_file) {
+  const auto lags = static_cast<std::size_t>(robot.joint_lag.size());
+  const std::size_t n = robot.joint_names.size();
+  if (lags == 0 || lags == n) return;
+  const bool own = arm.hardware && arm.hardware->joint_lag.size() != 0;
+  throw ConfigError(place(arm, own ? "hardware.link_lag" : "link", cell_file) + ": link_lag has " +
+                    std::to_string(lags) + " values; " + robot.name + " has " + std::to_string(n) +
+                    " joints: state one number, or one per joint");
+}
+
 }  // namespace
 
 bool CellHardware::emulated() const { return address.rfind("127.", 0) == 0; }
@@ -366,6 +379,7 @@ LinkConfig with_measured_lag(const LinkConfig& link, const CellArm& arm) {
   LinkConfig result = link;
   if (arm.hardware && std::isfinite(arm.hardware->link_lag)) {
     result.link_lag = arm.hardware->link_lag;
+    result.joint_lag = arm.hardware->joint_lag;
   }
   return result;
 }
@@ -390,6 +404,7 @@ void check_hardware(const CellArm& arm, const RobotConfig& robot,
                     const TrocarCalibration& trocar, const std::string& cell_file,
                     const std::string& today) {
   if (!arm.hardware) {
+    check_lags(arm, robot, cell_file);
     if (arm.link == kSimulator || is_path(arm)) return;
     throw ConfigError(place(arm, "hardware", cell_file) + ": is missing; the link '" + arm.link +
                       "' needs address, serial, payload, tool_link and realtime");
@@ -406,6 +421,7 @@ void check_hardware(const CellArm& arm, const RobotConfig& robot,
                         " has " + std::to_string(robot.joint_names.size()));
     }
   }
+  check_lags(arm, robot, cell_file);
   const std::string key = place(arm, "hardware", cell_file);
   if ((arm.hardware->tool_link == "passive") != instrument.passive) {
     throw ConfigError(key + ".tool_link: '" + arm.hardware->tool_link + "', and " +

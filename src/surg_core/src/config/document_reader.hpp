@@ -157,6 +157,13 @@ class Reader {
            (next != document_.values.end() && next->first.rfind(name + ".", 0) == 0);
   }
 
+  /// Whether the value of a key is a list of numbers.
+  bool is_list(const std::string& key) const {
+    const auto found = document_.values.find(key);
+    return found != document_.values.end() &&
+           std::holds_alternative<std::vector<double>>(found->second);
+  }
+
   std::vector<double> numbers(const std::string& key) {
     return get<std::vector<double>>(key, "a list of numbers");
   }
@@ -212,6 +219,13 @@ class Reader {
   const Document& document_;
   std::set<std::string> known_;
 };
+
+/// The lag of a link: one number, or one per joint.
+struct StatedLag {
+  double slowest;      ///< [s]
+  JointVector joints;  ///< [s] empty: one number for all
+};
+StatedLag read_lag(Reader& reader, const std::string& key);
 
 /// A capsule on a link or in the world, with bounds of its coordinates and its radius [m].
 Capsule read_capsule(Reader& reader, const std::string& prefix, double farthest, double widest);

@@ -21,8 +21,6 @@ struct LimitKey {
   Tighter tighter = Tighter::kSmaller;
 };
 
-inline constexpr double kLinkLag[] = {0.0, 0.05};  // [s]
-
 /// The limit of that name; nullptr where there is none.
 const LimitKey* find_limit(const std::string& name);
 /// Why a name is no limit, with the one that was probably meant.

@@ -213,7 +213,9 @@ LinkConfig read_link(const Document& document) {
   LinkConfig link;
   link.name = reader.word("name");
   link.link_timeout = reader.real("link_timeout", kLinkTimeout[0], kLinkTimeout[1], "s");
-  link.link_lag = reader.real("link_lag", kLinkLag[0], kLinkLag[1], "s");
+  const StatedLag lag = read_lag(reader, "link_lag");
+  link.link_lag = lag.slowest;
+  link.joint_lag = lag.joints;
   link.acceleration =
       reader.real("acceleration", kLinkAcceleration[0], kLinkAcceleration[1], "of the robot's");
   if (reader.has("dead_man")) {
@@ -287,6 +289,7 @@ RobotConfig with_link(const RobotConfig& robot, const LinkConfig& link) {
   RobotConfig result = robot;
   result.tuning.link_timeout = link.link_timeout;
   result.tuning.link_lag = link.link_lag;
+  result.joint_lag = link.joint_lag;
   result.acceleration *= link.acceleration;
   return result;
 }
@@ -361,7 +364,7 @@ std::string limits_hash(const RobotConfig& robot, const Limits& limits) {
   mix(robot.tuning.link_timeout);
   mix(robot.tuning.link_lag);
   for (const JointVector* values : {&robot.home, &robot.position_min, &robot.position_max,
-                                    &robot.velocity, &robot.acceleration}) {
+                                    &robot.velocity, &robot.acceleration, &robot.joint_lag}) {
     for (int i = 0; i < values->size(); ++i) mix((*values)[i]);
   }
   if (std::isfinite(robot.elbow)) mix(robot.elbow);

@@ -12,10 +12,17 @@ namespace {
 constexpr double kPositionReserve = 0.01;  // [rad] a lagging joint overshoots its command
 constexpr double kFlangeReserve = 0.97;  // of its speed; the rest is for the follower's correction
 
-/// The link's lag is compensated by feedback only; open-loop laws use 0.
-double lag_for(const RobotConfig& robot, const Controller::Options& options) {
-  const bool open = options.law == Law::kPaper || options.feedback_gain == 0;
-  return open ? 0.0 : robot.tuning.link_lag;
+/// An open loop does not compensate the link's lag.
+bool compensates_lag(const Controller::Options& options) {
+  return options.law != Law::kPaper && options.feedback_gain != 0;
+}
+
+/// [s] of each joint for the look-ahead, which only the velocity form needs.
+JointVector look_ahead_lag(const RobotConfig& robot, const Controller::Options& options) {
+  const Eigen::Index n = robot.velocity.size();
+  if (options.law == Law::kExact || !compensates_lag(options)) return JointVector::Zero(n);
+  if (robot.joint_lag.size() == n) return robot.joint_lag;
+  return JointVector::Constant(n, robot.tuning.link_lag);
 }
 
 /// Joint limits of the step. The virtual reference leaves a reserve for the follower.
@@ -32,9 +39,12 @@ JointLimits step_limits(const RobotConfig& robot, const Limits& limits, Law law)
 }
 
 ExactFollower::Options follower_options(const RobotConfig& robot, const Limits& limits, double gain,
-                                        double lag, double T) {
+                                        bool compensates_lag, double T) {
   ExactFollower::Options out;
-  out.lag = lag;
+  if (compensates_lag) {
+    out.lag = robot.tuning.link_lag;
+    out.joint_lag = robot.joint_lag;
+  }
   out.gain = gain;
   out.T = T;
   out.velocity = robot.velocity;
@@ -86,8 +96,7 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
       authority(options.dt),
       trocar(
           {robot_in.tuning.track_noise, robot_in.tuning.track_jerk, robot_in.tuning.track_timeout}),
-      arm(chain, {tool.s_F, tool.p_FTip},
-          options.law == Law::kExact ? 0.0 : lag_for(robot_in, options), options.dt),
+      arm(chain, {tool.s_F, tool.p_FTip}, look_ahead_lag(robot_in, options), options.dt),
       handler(limits_in, robot_in.tuning, options.dt, options.law == Law::kPaper),
       jaw(instrument, options.dt),
       force(limits_in),
@@ -95,7 +104,7 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
               options.dt),
       clearance(clearance_in, robot_in.tuning.link_lag, options.dt),
       follower(chain.dof(), follower_options(robot_in, limits_in, gains.rcm,
-                                             lag_for(robot_in, options), options.dt)),
+                                             compensates_lag(options), options.dt)),
       elbow(chain, step_limits(robot_in, limits_in, options.law), robot_in.elbow, options.dt),
       standstill(robot_in.tuning.link_timeout),
       trocar_before(trocar),

@@ -4,15 +4,22 @@
 
 namespace surg {
 
-ArmState::ArmState(const Chain& chain, const Tool& tool, double link_lag, double dt)
+ArmState::ArmState(const Chain& chain, const Tool& tool, const JointVector& lag, double dt)
     : chain_(chain),
       tool_(tool),
-      lag_(link_lag),
-      dt_(dt),
+      lag_(lag.maxCoeff()),
+      keep_(JointVector::Zero(chain.dof())),
+      enter_(keep_),
       in_flight_(JointVector::Zero(chain.dof())) {
   for (InstrumentState* state : {&measured_, &predicted_}) {
     state->q = JointVector::Zero(chain.dof());
     state->J = Jacobian::Zero(6, chain.dof());
+  }
+  // First-order model of the link: a command takes effect with the time constant of its joint.
+  for (Eigen::Index i = 0; i < lag.size(); ++i) {
+    if (lag[i] <= 0) continue;
+    keep_[i] = std::exp(-dt / lag[i]);
+    enter_[i] = lag[i] * (1 - keep_[i]);
   }
 }
 
@@ -62,10 +69,8 @@ void ArmState::set_home() {
 }
 
 void ArmState::record_command(const JointVector& qd_command) {
-  // First-order model of the link: a command takes effect with time constant link_lag.
   if (lag_ <= 0) return;
-  const double keep = std::exp(-dt_ / lag_);
-  in_flight_ = keep * in_flight_ + lag_ * (1 - keep) * qd_command;
+  in_flight_ = keep_.cwiseProduct(in_flight_) + enter_.cwiseProduct(qd_command);
 }
 
 }  // namespace surg

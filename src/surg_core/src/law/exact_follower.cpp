@@ -17,8 +17,16 @@ constexpr double kAdaptAbove =
 }  // namespace
 
 ExactFollower::ExactFollower(int joints, const Options& options)
-    : options_(options), lag_(JointVector::Constant(joints, options.lag)) {
-  n_late_ = std::clamp(static_cast<int>(std::lround(options_.lag / options_.T)), 0, kHistory - 1);
+    : options_(options),
+      lag_(options.joint_lag.size() == joints
+               ? options.joint_lag
+               : JointVector(JointVector::Constant(joints, options.lag))) {
+  const double periods = options_.lag / options_.T;
+  const bool listed = options_.joint_lag.size() == joints;
+  // Rounded up, so that no joint of a list is ever ahead of the reference.
+  n_late_ = static_cast<int>(
+      std::clamp(listed ? std::ceil(periods) : std::round(periods), 0.0, kHistory - 1.0));
+  smoothing_ = listed ? 1 / (n_late_ + 1.0) : 1;
   reset(JointVector::Zero(joints));
 }
 
@@ -36,8 +44,10 @@ void ExactFollower::reset(const JointVector& q, const JointVector& qd) {
 /// The reference's velocity over a step, after which it is in the history.
 JointVector ExactFollower::push_reference(const JointVector& dq) {
   const JointVector v = dq / options_.T;
+  JointVector a = (v - v_last_) / options_.T;
+  if (smoothing_ < 1) a = history_[newest_].a + smoothing_ * (a - history_[newest_].a);
   newest_ = (newest_ + 1) % kHistory;
-  history_[newest_] = {q_ref_, (v - v_last_) / options_.T};
+  history_[newest_] = {q_ref_, a};
   return v;
 }
 

@@ -199,7 +199,7 @@ BlackBoxRecording BlackBox::recording(const BlackBoxLabel& label) const {
 namespace {
 
 constexpr char kMagic[] = "SURGBBX";  // eight bytes with its end
-constexpr std::uint32_t kVersion = 3;
+constexpr std::uint32_t kVersion = 4;
 constexpr std::size_t kHead = sizeof kMagic + sizeof kVersion + sizeof(std::uint64_t);
 
 static_assert(sizeof kMagic == 8 && sizeof(double) == 8);
@@ -320,7 +320,7 @@ class Coder {
   void value(RobotConfig& c) {
     (*this)(c.file, c.name, c.urdf, c.base_link, c.flange_link, c.command, c.joint_names, c.home,
             c.position_min, c.position_max, c.velocity, c.acceleration, c.limits, c.tuning,
-            c.elbow);
+            c.joint_lag, c.elbow);
   }
   void value(InstrumentConfig& c) {
     (*this)(c.file, c.name, c.urdf, c.mount_link, c.tip_link, c.jaw_min, c.jaw_max, c.jaw_velocity,
@@ -389,6 +389,7 @@ void each_field(Outputs& out, Visit visit) {
   visit("warn_rcm", out.warn_rcm);
   visit("warn_force", out.warn_force);
   visit("link_lag", out.link_lag);
+  visit("joint_lag", out.joint_lag);
   visit("warn_track", out.warn_track);
   visit("X_BF", out.X_BF);
   visit("p_BTip", out.p_BTip);

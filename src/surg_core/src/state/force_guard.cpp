@@ -3,6 +3,13 @@
 #include <cmath>
 
 namespace surg {
+namespace {
+
+bool is_missing(const ForceSample& sample) {
+  return !sample.valid && sample.f_B.array().isInf().any();
+}
+
+}  // namespace
 
 ForceGuard::ForceGuard(const Limits& limits)
     : soft_(limits.tip_force_soft),
@@ -24,6 +31,7 @@ ForceGuard::Verdict ForceGuard::judge(const ForceSample& tip, const ForceSample&
   if (force <= soft_) above_ = 0;
   if (force > hard_) return Verdict::kHalt;
   if (load > fault_) return Verdict::kStop;
+  if (is_missing(tip) || is_missing(trocar)) return Verdict::kPause;
   acceptable_ = true;
   if (force <= soft_) return Verdict::kFree;
   push_ = tip.f_B / force;

@@ -15,7 +15,10 @@ constexpr double kEnough = 0.005;
 
 }  // namespace
 
-void LagMeter::restart(int joints) { q_last_ = lead_ = moved_ = JointVector::Zero(joints); }
+void LagMeter::restart(int joints) {
+  q_last_ = lead_ = moved_ = JointVector::Zero(joints);
+  if (square_.size() != joints) cross_ = square_ = JointVector::Zero(joints);
+}
 
 void LagMeter::step(const JointVector& qd_command, const JointVector& q, double age, double dt) {
   const bool fresh = running_ && q_last_.size() == q.size();
@@ -34,17 +37,23 @@ void LagMeter::step(const JointVector& qd_command, const JointVector& q, double 
     const double moved = keep * (moved_[i] + dq);
     // Half-way between command and motion, in the middle of the cycle: no bias from curvature.
     const double v = (moved - moved_[i] + 0.5 * (lead - lead_[i])) / dt;
-    cross_ += (0.5 * (lead + lead_[i]) - age * v) * v * dt;
-    square_ += v * v * dt;
+    cross_[i] += (0.5 * (lead + lead_[i]) - age * v) * v * dt;
+    square_[i] += v * v * dt;
     lead_[i] = lead;
     moved_[i] = moved;
   }
   q_last_ = q;
 }
 
-double LagMeter::lag() const {
-  if (!(square_ > kEnough)) return std::numeric_limits<double>::quiet_NaN();
-  return std::max(cross_ / square_, 0.0);
+double LagMeter::lag_of(double cross, double square) {
+  if (!(square > kEnough)) return std::numeric_limits<double>::quiet_NaN();
+  return std::max(cross / square, 0.0);
+}
+
+JointVector LagMeter::joint_lag() const {
+  JointVector lags(square_.size());
+  for (Eigen::Index i = 0; i < lags.size(); ++i) lags[i] = lag_of(cross_[i], square_[i]);
+  return lags;
 }
 
 }  // namespace surg

@@ -104,7 +104,8 @@ Text text(Reason reason) {
       return {
           "force",
           "too much force at the tip or on the trocar: see limits.tip_force_soft, tip_force_hard "
-          "and trocar_force_fault; move away from the contact after 'resume' or 'enable'"};
+          "and trocar_force_fault; move away from the contact after 'resume' or 'enable'. Or the "
+          "cell requires a force sensor that measures nothing: see force/status"};
     case Reason::kMasterLost:
       return {"master_lost",
               "the ROS master is gone: start it again, then restart every node of the system"};

@@ -489,6 +489,28 @@ TEST(Surface, ATrackOutOfItsBoundsFaultsAndASilentOnePauses) {  // F23
   }
 }
 
+TEST(Surface, F23ATrackThatCreepsAwayFaultsAtItsRange) {
+  const Vector3 creep(0.008, 0.006, 0);  // [m/s] slower than the trocar's speed limit
+  for (const bool outside_at_once : {false, true}) {
+    Controller::Options options;
+    options.track_rcm = true;
+    Bench bench(options);
+    const Vector3 p_BTaught = bench.out().p_BRcm;
+    const Vector3 start = outside_at_once ? Vector3(0.0101, 0, 0) : Vector3::Zero();
+    Vector3 moved;
+    for (int i = 0; i < 1000 && bench.out().state == State::kEnabled; ++i) {
+      moved = start + i * kT * creep;
+      bench.in().track_valid = true;
+      bench.in().p_BTrack = p_BTaught + moved;
+      bench.in().v_BTrack = creep;
+      bench.tick();
+    }
+    EXPECT_EQ(bench.out().state, State::kFault);
+    EXPECT_EQ(bench.out().reason, Reason::kRcmError) << name(bench.out().reason);
+    EXPECT_NEAR(moved.norm(), outside_at_once ? 0.0101 : 0.010, 2e-4);
+  }
+}
+
 TEST(Surface, AClaimHoldsThroughRestAndEndsWithEnabled) {
   Bench bench;
   EXPECT_EQ(bench.controller().claim(kOther), Reason::kNone);

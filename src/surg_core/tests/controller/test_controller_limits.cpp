@@ -334,5 +334,16 @@ TEST(ControllerLimits, AStreamThatPausedMayNotMakeUpForMoreThanStepDtMax) {
   }
 }
 
+TEST(ControllerLimits, F03AStreamStartsAtTheSetPointHoweverLongTheSilenceWas) {
+  const Limits limits = Bench().robot().limits;
+  for (const double since : {0.0, limits.step_dt_max, 10.0}) {
+    EXPECT_EQ(check_step(limits, true, since, 0.999 * limits.step_slack, 0), Reason::kNone);
+    EXPECT_EQ(check_step(limits, true, since, 1.001 * limits.step_slack, 0),
+              Reason::kStreamStartTooFar);
+    EXPECT_EQ(check_step(limits, true, since, 0, 1.001 * limits.step_roll_slack),
+              Reason::kStreamStartTooFar);
+  }
+}
+
 }  // namespace
 }  // namespace surg

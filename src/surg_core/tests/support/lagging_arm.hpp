@@ -20,6 +20,10 @@ class LaggingArm {
     tau_.resize(n);
     for (Eigen::Index i = 0; i < n; ++i) tau_[i] = random.uniform(shortest, longest);
   }
+  /// With these first-order lags [s].
+  LaggingArm(const JointVector& q, const JointVector& tau) : q_(q), tau_(tau) {
+    qd_ = waiting_ = JointVector::Zero(q.size());
+  }
   /// Each joint's first-order lag [s].
   const JointVector& tau() const { return tau_; }
   const JointVector& truth() const { return q_; }

@@ -5,6 +5,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <string_view>
 
 #include "surg_control/loop/cycle_data.hpp"
@@ -28,6 +29,8 @@ class ControlCycle {
   const CycleRecord& run(const LinkState& link, std::int64_t now_ns, std::int64_t elapsed_ns,
                          const CommandItem* items, std::size_t count);
 
+  /// From now on a tip deeper than 'depth' [m] needs known forces at tip and trocar (F25).
+  void require_force_below(double depth) { force_depth_ = depth; }
   CycleRecord& record() { return record_; }
   /// The controller's inputs in the last cycle.
   const surg::Inputs& inputs() const { return inputs_; }
@@ -55,6 +58,7 @@ class ControlCycle {
   const surg::Controller& controller_;
   surg::BlackBox& box_;  // every call that changes the controller goes through it
   FrameName rcm_frame_;
+  double force_depth_ = std::numeric_limits<double>::infinity();  // [m] forces required below
   bool enabled_ = false;
   Track track_;
   std::array<std::uint32_t, 16>

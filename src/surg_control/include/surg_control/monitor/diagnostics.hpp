@@ -19,7 +19,8 @@ struct ControllerInfo {
   bool track_rcm;
   std::string law;
   std::string limits_hash;
-  double link_lag;  // as configured [s]
+  double link_lag;              // as configured, of the slowest joint [s]
+  surg::JointVector joint_lag;  // as configured [s]; empty: one value for all
 };
 
 /// Publishes every kDiagnosticsTicks cycles.

@@ -49,12 +49,13 @@ class StatusReporter {
   void report_verdicts(const CycleRecord& record, double now);
   void report_changes(const CycleRecord& record, double now);
   std::string explain(surg::Reason reason);
-  void report_lag(double measured);
+  void report_lag(const surg::Outputs& out);
   std::string what_holds_the_elbow(int limit) const;
 
   std::string arm_;
   surg::Limits limits_;
-  double link_lag_;
+  double link_lag_;              // [s] as stated
+  surg::JointVector joint_lag_;  // [s] as stated of each joint; empty: one value
   std::vector<std::string> joint_names_;
   const SourceTable& sources_;
   ros::Publisher warning_, status_, error_;

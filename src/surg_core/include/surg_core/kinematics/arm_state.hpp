@@ -25,8 +25,8 @@ struct IsPlain<InstrumentState> : std::true_type {};
 
 class ArmState {
  public:
-  /// link_lag [s]: delay from a velocity command to the motion; 0: no prediction.
-  ArmState(const Chain& chain, const Tool& tool, double link_lag, double dt);
+  /// lag [s]: of each joint, from a velocity command to the motion; 0: no prediction.
+  ArmState(const Chain& chain, const Tool& tool, const JointVector& lag, double dt);
 
   /// Updates from a finite joint state of the right size. 'trocar' is the present pivot.
   void sense(const JointVector& q, const JointVector& qd, const Trocar& trocar);
@@ -62,7 +62,8 @@ class ArmState {
 
   Chain chain_;
   Tool tool_;
-  double lag_, dt_;
+  double lag_;                // [s] of the slowest joint
+  JointVector keep_, enter_;  // of the motion in flight per cycle; [s] of a command
   bool homed_ = false;
   Vector3 s_home_ = Vector3::UnitZ();
   Matrix3 R_home_ = Matrix3::Identity();

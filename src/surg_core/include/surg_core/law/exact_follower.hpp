@@ -16,11 +16,18 @@ namespace surg {
 /// reference satisfies the constraint and has neither noise nor lag. An arm whose joints all have
 /// the same lag therefore stays on the pivot, only later. Compensating the common lag would amplify
 /// every jerk of the input (pivot error on a surgeon's motion: 0.16 instead of 0.02 mm). Only
-/// differences between the joints' lags move the pivot, so each joint's lag is estimated: a wrong
-/// lag leaves the error e = (lag error) phi with phi' = a_delayed - gain phi, and a normalised
-/// gradient step on e adapts the lag. It stays between 0 and three times the stated lag and does
-/// not change at zero acceleration. The feedback acts on joints, so pivot, tip and roll converge
-/// together.
+/// differences between the joints' lags move the pivot.
+///
+/// Lags stated joint by joint (Options::joint_lag): 'delay' is the slowest joint's lag, rounded up,
+/// and 'a' passes a first-order filter with this time constant. The command of joint i is then the
+/// reference's velocity through (1 + lag_i s) / (1 + delay s). Its first-order servo 1 / (1 + lag_i
+/// s) makes 1 / (1 + delay s) of it, the same for every joint, and the command never asks for more
+/// velocity or acceleration than the reference (docs/design/control_law.md).
+///
+/// Each joint's lag is also estimated: a wrong lag leaves the error e = (lag error) phi with phi' =
+/// a_delayed - gain phi, and a normalised gradient step on e adapts the lag. It stays between 0 and
+/// three times the stated lag and does not change at zero acceleration. The feedback acts on
+/// joints, so pivot, tip and roll converge together.
 ///
 /// The feedback is gain e. For a large e it is the speed from which the joint can still brake to
 /// the reference at half its acceleration limit. If measured states are late, the caller reduces
@@ -34,7 +41,7 @@ class ExactFollower {
   static constexpr double kReferenceAcceleration = 0.97;
 
   struct Options {
-    double lag = 0;         ///< [s] of the link, as stated; 0: none, and nothing is learnt
+    double lag = 0;         ///< [s] of the slowest joint, as stated; 0: none; nothing is learnt
     double gain = 50;       ///< [1/s] feedback; stable up to about 1 / lag
     double learning = 0.3;  ///< [1/s] of the lags; 0: they stay as stated
     double T = 0.002;       ///< [s] control period
@@ -43,6 +50,8 @@ class ExactFollower {
     JointVector velocity = {}, acceleration = {};
     /// [m/s] limit of the flange origin's speed; applies where 'advance' gets the arm's Jacobian.
     double flange_velocity = std::numeric_limits<double>::infinity();
+    /// [s] of each joint, as stated; empty: 'lag' for all of them.
+    JointVector joint_lag = {};
   };
   /// A force on the tip, against which the feedback must not move it (F25).
   struct Push {
@@ -100,6 +109,7 @@ class ExactFollower {
 
   Options options_;
   int n_late_ = 0;
+  double smoothing_ = 1;                           // share of a new acceleration; 1: not filtered
   std::array<ReferenceSample, kHistory> history_;  // of the reference
   int newest_ = 0;
   bool rejoins_ = false;  // the last command is not the reference's velocity plus the correction

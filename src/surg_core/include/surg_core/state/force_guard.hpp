@@ -7,7 +7,8 @@
 
 namespace surg {
 
-/// A measured force. 'valid' is false for arms without a sensor; nothing is guarded then.
+/// A measured force. 'valid' is false for arms without a sensor; nothing is guarded then. Not valid
+/// and infinite: the cell requires a force, and nobody knows it.
 struct ForceSample {
   bool valid = false;
   Vector3 f_B = Vector3::Zero();  ///< of the environment on the instrument [N], in B
@@ -23,8 +24,8 @@ class ForceGuard {
   explicit ForceGuard(const Limits& limits);
 
   /// Call it once per cycle, 'periods' of dt [s] after the last time. kYield: above the soft limit;
-  /// kPause: above it for kPatience; kStop: trocar load; kHalt: above the hard limit, or not finite
-  /// (contact geometry unknown).
+  /// kPause: above it for kPatience, or missing; kStop: trocar load; kHalt: above the hard limit,
+  /// or not finite (contact geometry unknown).
   Verdict judge(const ForceSample& tip, const ForceSample& trocar, double dt, int periods = 1);
   /// Restarts the time above the soft limit, so that an arm in contact can move away.
   void restart() { above_ = 0; }

@@ -13,8 +13,8 @@ namespace surg {
 ///
 ///   c - q = lag * v,   lag = sum (c - q) v / sum v^2   over all joints and the recent past.
 ///
-/// One value for all joints, like `tuning.link_lag`. The estimate needs motion; until enough of it
-/// has been seen, it is NaN.
+/// Of all joints together, and of each of them. The estimate needs motion; until enough of it has
+/// been seen, it is NaN.
 class LagMeter {
  public:
   explicit LagMeter(int joints = 0) { restart(joints); }
@@ -24,15 +24,18 @@ class LagMeter {
   void step(const JointVector& qd_command, const JointVector& q, double age, double dt);
   /// Call it in cycles in which the arm does not obey commands. The estimate is kept.
   void interrupt() { running_ = false; }
-  /// [s], or NaN.
-  double lag() const;
+  /// [s] of all joints together, or NaN.
+  double lag() const { return lag_of(cross_.sum(), square_.sum()); }
+  /// [s] of each joint, or NaN.
+  JointVector joint_lag() const;
 
  private:
   void restart(int joints);
+  static double lag_of(double cross, double square);
 
   bool running_ = false;
   JointVector q_last_, lead_, moved_;  // lead_: filtered c - q; moved_: filtered q
-  double cross_ = 0, square_ = 0;      // the two sums, in [rad^2] and [rad^2 / s]
+  JointVector cross_, square_;         // the two sums of each joint, in [rad^2] and [rad^2 / s]
 };
 
 }  // namespace surg
