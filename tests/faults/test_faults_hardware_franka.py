@@ -16,7 +16,7 @@ from helpers.hardware.chain_player import Played, play
 from helpers.hardware.franka_chain import Chain
 from helpers.results import hardware_results as page
 from surg_cli.host import paths
-from surg_core import Reason, State, StateCommand
+from surg_core import Motion, MotionCommand, Reason, State, StateCommand
 from surg_hardware.conditions import Condition
 from surg_hardware.emulators.franka.franka_controller import FrankaController, RobotMode
 from surg_hardware.emulators.franka.franka_errors import Error
@@ -51,6 +51,17 @@ def test_the_bundled_motion_keeps_the_pivot_without_a_reflex(
     page.note(page.franka(name, loss), 1, f"{said}, {SECONDS:.0f} s")
     assert deviation.max() <= OFF
     assert chain.core.mode is RobotMode.MOVE
+
+
+@pytest.mark.full
+def test_an_acceleration_that_is_reported_late_keeps_the_pivot_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    chain = Chain("fr3", monkeypatch)
+    chain.adapter.sluggish = 0.95
+    played = play(chain, BUNDLED, duration=SECONDS)
+    assert played.stage is Stage.DONE, (played.reason, list(chain.core.messages))
+    assert 1e3 * played.deviation.max() <= OFF
 
 
 def test_without_the_shaper_the_arm_stops_by_a_reflex(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -124,6 +135,36 @@ def test_a_stopped_robot_faults_the_controller_within_3_cycles_and_latches(
     chain.run(100)
     assert chain.state.status.condition is Condition.ACTIVE, chain.notices
     assert np.abs(np.array(chain.joints) - at).max() < 1e-9, "it waits for a person to enable it"
+
+
+STALLS = [("fr3", 20), ("fr3", 104), ("fr3", 40), ("panda", 24)]
+"""Arm, and ms."""
+
+
+@pytest.mark.parametrize(("name", "stall"), STALLS if FULL else STALLS[:2])
+def test_a_driver_that_stands_still_ends_in_a_fault_that_names_it(
+    name: str, stall: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another process holds the driver up for so many ms, at 50 mm/s; the arm stops by itself."""
+    chain = enabled(name, monkeypatch)
+    depth = float(np.linalg.norm(chain.out.p_set - chain.out.p_BRcm))
+    x, away = 0.0, []
+    for cycle in range(400):
+        if cycle == 200:
+            chain.hold_driver(stall)
+        x += 0.002 * 0.05 * min(cycle / 60, 1.0)
+        p = [x, 0.0, depth]
+        chain.step(MotionCommand(Motion.SERVO_CP, 1, p=p, rotation=[0, 0, 0, 1]))
+        away.append(chain.deviation)
+        if cycle == 199:
+            assert chain.out.state == State.ENABLED, chain.out.reason
+    assert chain.state is not None
+    off = 1e3 * max(away)
+    print(f"{name}, {stall} ms: {off:.3f} mm, {chain.out.reason}, {chain.state.status.fault}")
+    assert chain.out.state == State.FAULT
+    assert chain.out.reason in (Reason.ROBOT, Reason.LINK_LOST)
+    assert "the driver stood still" in chain.state.status.fault
+    assert off <= 0.5
 
 
 def test_a_guided_arm_goes_on_telling_its_joints(monkeypatch: pytest.MonkeyPatch) -> None:

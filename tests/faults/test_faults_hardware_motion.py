@@ -27,7 +27,7 @@ BUNDLED = paths.ROOT / "src/surg_teleop/motions/bundled.csv"
 SECONDS = 40.0 if FULL else 2.0
 """Of a synthetic surgeon's motion."""
 SEEDS = range(1, 4 if FULL else 2)
-OFF, OFF_RECORDED = 0.15, 0.2
+OFF, OFF_RECORDED = 0.1, 0.15
 """[mm] Largest deviation from the pivot; of a recording, whose accelerations nobody knows."""
 
 

@@ -5,13 +5,16 @@ Judged by the emulated arm's own joints. ``SURG_TEST_FULL=1`` runs every row at 
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from helpers.hardware.emulated_cell import emulated_cell
 from helpers.hardware.emulated_chain import Chain, T
 from helpers.results.hardware_results import SPEEDS, chain_row, note, spread_row
 from surg_core import State
@@ -95,11 +98,16 @@ LAG_SPREADS = {(0.005, 0.0085): 0.25, (0.005, 0.007): 0.2, (0.0066, 0.0066): 0.0
 
 @pytest.mark.parametrize(("least", "largest"), LAG_SPREADS if FULL else [(0.005, 0.007)])
 def test_where_a_robot_rests_that_stops_itself_is_set_by_how_its_joint_lags_differ(
-    least: float, largest: float
+    tmp_path: Path, least: float, largest: float
 ) -> None:
-    """The shares of the lags between least and largest are those of the emulated UR5e."""
+    """The shares of the lags between least and largest are those of the emulated UR5e.
+
+    The cell states each joint's lag: two cycles until the target moves, and the joint's own.
+    """
     shares = (np.array(LAGS) - min(LAGS)) / (max(LAGS) - min(LAGS))
-    chain = Chain(lags=[float(lag) for lag in least + shares * (largest - least)])
+    lags = [float(lag) for lag in least + shares * (largest - least)]
+    stated = [2 * T + T / math.expm1(T / lag) for lag in lags]
+    chain = Chain(lags=lags, cell=emulated_cell(tmp_path, "127.0.0.1", link_lag=stated))
     for cycle in range(300):
         chain.stream(0.05 * min(cycle / 60, 1.0))
     chain.robot.protective_stop("test")

@@ -163,9 +163,17 @@ MUTANTS: tuple[Mutant, ...] = (
         "stale_dq_d",
         "after a lost command the next one is a jump, which the arm answers by a reflex",
         "franka/franka_adapter.py",
-        "robot.q, robot.dq_d, robot.ddq_d)\n",
-        'robot.q, *getattr(self, "_old", (robot.dq_d, robot.ddq_d)))\n'
-        "        self._old = robot.dq_d, robot.ddq_d\n",
+        "robot.q, robot.dq_d, ddq_d)\n",
+        'robot.q, *getattr(self, "_old", (robot.dq_d, ddq_d)))\n'
+        "        self._old = robot.dq_d, ddq_d\n",
+        FRANKA,
+    ),
+    one(
+        "reported_acceleration_believed",
+        "an arm whose reported acceleration is late swings, until it stops by a reflex",
+        "franka/franka_adapter.py",
+        "        if abs(time - time_before - self.cycle) > 0.1 * self.cycle:\n",
+        "        if True:\n",
         FRANKA,
     ),
     one(

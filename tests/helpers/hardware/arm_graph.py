@@ -40,6 +40,7 @@ class ArmGraph:
 
     Attributes:
         joints: What the robot said of its joints, in the whole run.
+        played: Of each of them, whether the motion was being played.
         lag: Of the link, as the controller measures it [s]; NaN: not known yet.
     """
 
@@ -56,6 +57,7 @@ class ArmGraph:
         self.status: LinkStatus | None = None
         self.cycle: Cycle | None = None
         self.joints: list[tuple[float, ...]] = []
+        self.played: list[bool] = []
         self._out = rospy.Publisher("/PSM1/robot/request", StringStamped, queue_size=1)
         self._ears = [
             rospy.Subscriber("/PSM1/robot/status", LinkStatus, self._on_status),
@@ -80,6 +82,10 @@ class ArmGraph:
 
     def _on_joints(self, message: JointState) -> None:
         self.joints.append(tuple(message.position))
+        cycle = self.cycle
+        self.played.append(
+            cycle is not None and cycle.command == Cycle.SERVO_CP and cycle.state == Cycle.ENABLED
+        )
 
     @property
     def condition(self) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -47,13 +48,17 @@ def pivot_deviation(arm: surg_core.Arm, q: Sequence[float], table: Table) -> flo
 class Chain:
     """The bundled cell `emulated_ur5e` with its arm at home, started and enabled.
 
-    ``lags``: of the emulated joints behind their targets [s].
+    ``lags``: of the emulated joints behind their targets [s]; ``cell``: another folder.
     """
 
     def __init__(
-        self, law: Law = Law.EXACT, enabled: bool = True, lags: Sequence[float] = LAGS
+        self,
+        law: Law = Law.EXACT,
+        enabled: bool = True,
+        lags: Sequence[float] = LAGS,
+        cell: Path = paths.CELLS / "emulated_ur5e",
     ) -> None:
-        self.arm = surg_core.load_cell(paths.CELLS / "emulated_ur5e").arms["PSM1"]
+        self.arm = surg_core.load_cell(cell).arms["PSM1"]
         self.robot = UrController(q=self.arm.robot.home.tolist(), lags=lags)
         self.ur = ur_chain.Chain(link_settings(self.arm), self.robot)
         self.link, self.clock, self.law = self.ur.link, self.ur.clock, law

@@ -59,6 +59,8 @@ class Arm:
     Attributes:
         excess: Largest acceleration and jerk of the commands, as a share of the limits.
         ended: Speed at which the last motion was finished [rad/s].
+        sluggish: Share of its last value in the acceleration that the arm reports; a real arm
+            reports the newest one alone.
     """
 
     def __init__(self, limits: Sequence[JointLimits], q: Sequence[float]) -> None:
@@ -71,6 +73,7 @@ class Arm:
         self.excess = [0.0, 0.0]
         self.ended: float | None = None
         self.collision: tuple[Any, ...] = ()
+        self.sluggish, self._reported = 0.0, [0.0] * n
         self.lose = 0  # commands that will be lost
         self.rate = 1.0
         self.on_cycle: Callable[[], None] = lambda: None
@@ -79,6 +82,8 @@ class Arm:
         """The next state, one millisecond later."""
         self.count += 1
         self.on_cycle()
+        old, pairs = self.sluggish, zip(self._reported, self.ddq_d, strict=True)
+        self._reported = [old * a + (1.0 - old) * b for a, b in pairs]
         return types.SimpleNamespace(
             time=Duration(T * self.count),
             robot_mode=self.mode,
@@ -88,7 +93,7 @@ class Arm:
             q_d=list(self.q),
             dq=list(self.dq_d),
             dq_d=list(self.dq_d),
-            ddq_d=list(self.ddq_d),
+            ddq_d=list(self._reported),
             O_F_ext_hat_K=[1.0, 2.0, 3.0, 0.1, 0.2, 0.3],
             O_T_EE=[0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 0.3, 0.4, 0.5, 1],
             F_T_EE=[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.0, 0.0, 0.1, 1],

@@ -6,6 +6,7 @@ The same figures on any machine.
 
 from __future__ import annotations
 
+import functools
 import random
 import socket
 import types
@@ -40,6 +41,8 @@ class CoreAdapter(FrankaAdapter):
     Attributes:
         loss: Share of the commands that are lost.
         raw: Whether commands pass without the shaper.
+        sluggish: Share of its last value in the acceleration that the robot reports; a real arm
+            reports the newest one alone.
     """
 
     def __init__(self, name: str, core: FrankaController, options: Any) -> None:
@@ -48,6 +51,7 @@ class CoreAdapter(FrankaAdapter):
         self.core, self.client = core, Client(core)
         assert self.client.connect() == "success"
         self.loss, self.raw, self._random = 0.0, False, random.Random(1)
+        self.sluggish, self._reported = 0.0, np.zeros(7)
 
     def connect(self) -> None:
         """Connected from the beginning."""
@@ -60,10 +64,12 @@ class CoreAdapter(FrankaAdapter):
         core, motion = self.core, self.core.motion
         if self._moving and core.mode is not RobotMode.MOVE:
             raise MotionEnded
+        share = 1.0 - self.sluggish
+        self._reported = self.sluggish * self._reported + share * np.array(motion.ddq_d)
         names = {error.name: True for error in core.errors | core.reflex_reason}
         errors = types.SimpleNamespace(**names)
         return types.SimpleNamespace(
-            time=types.SimpleNamespace(to_sec=lambda: DT * core.number),
+            time=types.SimpleNamespace(to_sec=functools.partial(float, DT * core.number)),
             robot_mode=types.SimpleNamespace(name=core.mode.name.title().replace("_", "")),
             current_errors=errors,
             last_motion_errors=errors,
@@ -71,7 +77,7 @@ class CoreAdapter(FrankaAdapter):
             q_d=list(motion.q_d),
             dq=list(motion.dq),
             dq_d=list(motion.dq_d),
-            ddq_d=list(motion.ddq_d),
+            ddq_d=self._reported.tolist(),
             O_F_ext_hat_K=list(core.wrench),
             O_T_EE=list(franka_kinematics.flange(motion.q).T.ravel()),
             F_T_EE=list(np.eye(4).ravel()),
@@ -114,7 +120,7 @@ class Chain:
         self.arm = surg_core.load_cell(paths.CELLS / f"emulated_{name}").arms["PSM1"]
         self.core = FrankaController(ROBOTS[name], q=self.arm.robot.home.tolist())
         self.adapter = CoreAdapter(name, self.core, dict(self.arm.link_settings))
-        self._cycles = 0
+        self._cycles = self._held = self._silent = 0
         clock = types.SimpleNamespace(
             monotonic=lambda: DT * self._cycles,
             time_ns=lambda: round(1e9 * DT * self._cycles),
@@ -143,19 +149,32 @@ class Chain:
         enabled = self.out.state == surg_core.State.ENABLED
         self._node.send(wire.RequestDatagram(word, enabled).pack())
 
+    def hold_driver(self, cycles: int) -> None:
+        """Let the driver stand still for the next cycles of the robot."""
+        self._held = cycles
+
     def step(self, *commands: MotionCommand) -> surg_core.Outputs:
         """One cycle of the controller, two of the robot."""
         for _ in range(2):
             self._cycles += 1
-            self.driver._turn()
+            if self._held > 0:
+                self._held -= 1
+                self._silent += 1
+                self.adapter.client.wait(1)
+            else:
+                self._silent = 0
+                self.driver._turn()
         self._heard.read(self._node, DT * self._cycles)
         assert self.state is not None
+        condition = RobotCondition(int(self.state.status.condition))
+        if self._silent * DT > link_node.SILENCE:  # says the node
+            condition = RobotCondition.OFFLINE
         self.out = self.controller.step(
             np.array(self.state.q),
             np.array(self.state.qd),
             list(commands),
             jaw=0.0,
-            readings=Readings(condition=RobotCondition(int(self.state.status.condition))),
+            readings=Readings(condition=condition),
         )
         stamp = round(1e9 * DT * self._cycles)
         self._node.send(wire.CommandDatagram(stamp, tuple(self.out.qd_command.tolist())).pack())

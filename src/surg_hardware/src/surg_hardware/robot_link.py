@@ -33,6 +33,8 @@ START_TIMEOUT = 3.0
 """[s] For the robot to obey after a start."""
 ECHO_TIMEOUT = 0.04
 """[s] Without an executed command, after which the program on the robot counts as ended."""
+STILL = 0.2
+"""Share of the fastest joint's speed by which an arm may differ that still moves as commanded."""
 _KEPT = 64
 """Sent commands whose stamps are remembered."""
 
@@ -131,6 +133,7 @@ class RobotLink:
         self._settings = settings
         self._phase = _Phase.IDLE
         self._why = ""  # why the last motion ended, until the next start
+        self._stalled = ""  # that our own stall ended it, until the robot is ready again
         self._reading = OFFLINE
         self._silent = False
         self._driving = False  # whether a velocity was sent in the last cycle
@@ -236,6 +239,7 @@ class RobotLink:
         elif self._phase is _Phase.ENDING:
             if self._ramp is None:
                 self._ramp = StopRamp(self._sent, state.ahead, self._settings.stop_deceleration)
+                elapsed = self._settings.cycle  # the arm cannot brake for what was missed
             self._sent = self._ramp.velocity(elapsed)
         self._number += 1
         self._stamps.append((self._number, 0 if command is None else command.stamp_ns))
@@ -245,10 +249,19 @@ class RobotLink:
         return step
 
     def _elapsed(self, state: RobotState, now: float) -> float:
-        """Time since the last state [s]; a stall of our own ends the motion without a word."""
+        """Time since the last state [s]; a stall of our own ends the motion.
+
+        An arm that still moves as it was told is brought to rest along the ramp: braking joint by
+        joint would take the shaft off its pivot. One that has stopped by itself gets nothing more.
+        """
         cycle = self._settings.cycle
         if not now - self._last_now <= self._settings.dead_man and self._phase is _Phase.ACTIVE:
-            self._drop(f"the driver stood still for {1e3 * (now - self._last_now):.0f} ms")
+            self._stalled = f"the driver stood still for {1e3 * (now - self._last_now):.0f} ms"
+            off = max(abs(speed - told) for speed, told in zip(state.qd, self._sent, strict=True))
+            if off <= STILL * max(abs(told) for told in self._sent):
+                self.end(self._stalled)
+            else:
+                self._drop(self._stalled)
         self._last_now = now
         passed = state.time - self._last_time
         self._last_time = state.time
@@ -266,14 +279,16 @@ class RobotLink:
             if self._phase is _Phase.STARTING and state.program:
                 self._phase = _Phase.ACTIVE
         if self._phase is _Phase.IDLE:
+            if state.reading.condition is Condition.READY:
+                self._stalled = ""
             return
         good = (Condition.READY, Condition.SLOWED)
         if state.reading.condition not in good:
-            self._drop(state.reading.sentence)
+            self._drop(self._stalled or state.reading.sentence)
         elif self._phase is not _Phase.STARTING and (
             not state.program or now - self._echoed > ECHO_TIMEOUT
         ):
-            self._drop("the program on the robot has ended")
+            self._drop(self._stalled or "the program on the robot has ended")
 
     def _problem(self, command: Command | None) -> str:
         """Why a command must not be obeyed; empty: it may."""
@@ -312,6 +327,8 @@ class RobotLink:
     def _status(self) -> Status:
         reading = self._reading
         condition, fault = reading.condition, reading.text
+        if condition is Condition.STOPPED and self._stalled:
+            fault = f"{self._stalled}; {fault}"
         if condition is Condition.READY:
             if self._phase is _Phase.ACTIVE:
                 condition, fault = Condition.ACTIVE, ""
