@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from surg_core.base_file import write_base
 from surg_perception.calibration import evidence
 from surg_perception.calibration.base_steps import base_in_world
 from surg_perception.calibration.bases import SeenBase, solve_base
+from surg_perception.calibration.chain import DISTANCE
 from surg_perception.calibration.handeye import HandEyeFit, pair_pose, solve_handeye
 from surg_perception.calibration.result_files import Origin, read_stereo, save_handeye, save_stereo
 from surg_perception.calibration.small_motions import moved, transform
@@ -21,7 +23,7 @@ from surg_sim.looks.board_bench import BenchView, BoardBench
 
 NOISE = 0.05
 """[px] Noise of a corner: what rendered boards have."""
-TOUCHED = [0, 9, 60, 69] * 4
+TOUCHED = [0, 9, 60, 69] * 8
 ORIGIN = Origin("synthetic", "2026-11-23", "simulated")
 
 
@@ -68,13 +70,31 @@ class Chain:
         X_BF = np.array([chain.forward(view.joints["ECM"]) for view in views])
         return solve_handeye(stereo.stereo, X_BF, self.seen(views))
 
-    def touch(self, stereo: StereoFit, handeye: HandEyeFit) -> SeenBase:
-        """The base of PSM1 in that of ECM."""
-        views = list(self.bench.touches(BOARD.corners, TOUCHED))
+    def base(self, stereo: StereoFit, handeye: HandEyeFit) -> tuple[HandEyeFit, SeenBase, int]:
+        """Hand-eye and base as a person measures them who does what a refusal asks for.
+
+        Returns:
+            The hand-eye pose, the base, and how often it was refused.
+        """
+        for refused in range(3):
+            touch = self.touch(stereo, handeye, TOUCHED * (1 + refused))
+            try:
+                evidence.check_touch(touch)
+                return handeye, touch, refused
+            except evidence.Refused:
+                if touch.camera_share > 0.5:
+                    handeye = self.handeye(stereo, 30)
+        raise AssertionError(f"seed {self.seed}: three refusals, {touch.error}")
+
+    def touch(
+        self, stereo: StereoFit, handeye: HandEyeFit, numbers: Sequence[int] = TOUCHED
+    ) -> SeenBase:
+        """The base of PSM1 in that of ECM, by touches of these corners."""
+        views = list(self.bench.touches(BOARD.corners, numbers))
         X_SF = np.array([self.cell.arms["ECM"].chain.forward(v.joints["ECM"]) for v in views])
         p_S = [
             transform(X @ handeye.X_FV @ pair_pose(stereo.stereo, pair), BOARD.corners[k][None])[0]
-            for X, pair, k in zip(X_SF, self.seen(views), TOUCHED, strict=True)
+            for X, pair, k in zip(X_SF, self.seen(views), numbers, strict=True)
         ]
         p_T = np.array([self.tip(v.joints["PSM1"]) for v in views])
         return solve_base(np.array(p_S), p_T, X_SF, handeye.X_FV, handeye.covariance)
@@ -91,18 +111,17 @@ class Chain:
         evidence.check_stereo(stereo, self.bench.size)
         save_stereo(folder, stereo, BOARD, "", ORIGIN)
         handeye = self.handeye(stereo)
+        handeye, touch, _ = self.base(stereo, handeye)
         evidence.check_handeye(handeye)
         camera = save_handeye(folder, "ECM", handeye, ORIGIN)
-        touch = self.touch(stereo, handeye)
-        evidence.check_touch(touch)
         arm, base = base_in_world(self.cell, touch, "touch", ORIGIN, camera)
         write_base(folder / f"base_{arm.name}.yaml", base, "synthetic")
 
     def disagreement(self, believed: surg_core.Cell, X_FV: Array) -> float:
-        """Between the tip by joints and by picture, about 80 mm before the scope at home [m]."""
+        """Between the tip by joints and by picture, 80 mm before the scope at home [m]."""
         scope, tool = believed.arms["ECM"], believed.arms["PSM1"]
         home = np.array(scope.robot.home)
-        p_V = np.append(self.rng.uniform(-0.015, 0.015, 2), self.rng.uniform(0.07, 0.09))
+        p_V = np.append(self.rng.uniform(-0.015, 0.015, 2), DISTANCE)
         # True place of the tip, and the joints that bring it there.
         X_SV = scope.chain.forward(home) @ self.bench.X_FV
         X_TV = surg_core.inverse_pose(tool.X_WB_stated) @ self.X_W_ECM @ X_SV

@@ -117,6 +117,7 @@ def test_both_arms_commanded(tmp_path: Path) -> None:
     assert_same(tmp_path / "run", cell, NUDGE, "ex_vivo", 3)
 
 
+@pytest.mark.full
 def test_the_same_hash_without_the_transport_optimisations(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -156,7 +157,7 @@ def test_the_jaws_feel_the_same_here_and_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("task", ["bgr", "pick_and_place", "endoscope_guidance"])
+@pytest.mark.parametrize("task", ["bgr", "pick_and_place", "endoscope_guidance", "needle_driving"])
 @pytest.mark.parametrize("cell", ["sim_two_arms", "sim_two_arms_panda"])
 @pytest.mark.parametrize("setting", ["phantom", "ex_vivo", "in_vivo"])
 def test_whole_episodes(tmp_path: Path, task: str, cell: str, setting: str) -> None:

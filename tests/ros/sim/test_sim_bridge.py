@@ -130,6 +130,7 @@ def point_of(message: object) -> tuple[float, float, float]:
     return message.x, message.y, message.z
 
 
+@pytest.mark.full  # `test_run_hash` compares hashes
 def test_two_runs_have_one_hash(ros_graph: RosGraph, rospy_node: str) -> None:
     began = time.monotonic()
     first = lockstep(ros_graph, 0.05, 500)

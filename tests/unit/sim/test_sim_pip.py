@@ -44,11 +44,14 @@ def test_pip_install_and_demo_without_ros(tmp_path: Path) -> None:
     no_litter = shutil.ignore_patterns("__pycache__", "*.egg-info", "build")
     for part in ("src/surg_sim", "src/surg_description", "cells"):
         shutil.copytree(paths.ROOT / part, tree / part, ignore=no_litter)
+    make = [sys.executable, "setup.py", "--quiet", "sdist", "--dist-dir", str(tmp_path)]
+    subprocess.run(make, check=True, timeout=120, capture_output=True, cwd=tree / "src/surg_sim")
+    shutil.rmtree(tree)  # the archive builds apart from the tree
+    (archive,) = tmp_path.glob("surg_sim-*.tar.gz")
     # The dependencies are the machine's; what is tested is that the package itself is complete.
     install = ["-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
-    install += ["--no-build-isolation", "--target", str(target), str(tree / "src/surg_sim")]
+    install += ["--no-build-isolation", "--target", str(target), str(archive)]
     subprocess.run([sys.executable, *install], check=True, timeout=120, capture_output=True)
-    shutil.rmtree(tree)
     core.provide(target)
     words = ["--task", "pick_and_place", "--out", str(tmp_path / "out")]
     words += ["--size", "160", "120"] if FULL else ["--no-video"]
@@ -72,3 +75,13 @@ def test_pip_install_and_demo_without_ros(tmp_path: Path) -> None:
     )
     for part in ("cells/sim_ur5e/cell.yaml", "src/surg_description/urdf/ur5e.urdf"):
         assert (target / "surg_sim/data" / part).is_file()
+
+
+def test_alone_it_names_what_is_missing(tmp_path: Path) -> None:
+    shutil.copytree(paths.ROOT / "src/surg_sim", tmp_path / "surg_sim")
+    build = [sys.executable, "setup.py", "--quiet", "build"]
+    done = subprocess.run(
+        build, cwd=tmp_path / "surg_sim", capture_output=True, text=True, check=False
+    )
+    assert done.returncode != 0
+    assert f"needs {tmp_path.parent / 'cells'}" in done.stderr

@@ -26,7 +26,7 @@ EXAMPLE = paths.ROOT / "examples/04_task.py"
 
 
 def test_unknown_task_lists_what_exists() -> None:
-    with pytest.raises(TaskError, match="bgr, endoscope_guidance, pick_and_place"):
+    with pytest.raises(TaskError, match="bgr, endoscope_guidance, needle_driving, pick_and_place"):
         tasks.load("knitting")
     with pytest.raises(TaskError, match="no such file"):
         tasks.load("/nowhere/task.py")
@@ -78,6 +78,7 @@ def cell_of(folder: Path, arm: str, instrument: str) -> Path:
     [
         ("bgr", "PSM1", "endoscope", "needs PSM1 with an instrument that has jaws; .* endoscope"),
         ("bgr", "PSM2", "grasper", "needs the arms PSM1; .* has PSM2 with grasper"),
+        ("needle_driving", "PSM1", "endoscope", "needs PSM1 with an instrument that has jaws"),
         ("pick_and_place", "PSM1", "endoscope", "needs PSM1 with an instrument that has jaws"),
         ("pick_and_place", "ECM", "endoscope", "needs the arms PSM1; .* has ECM with endoscope"),
         ("endoscope_guidance", "ECM", "endoscope", "needs PSM1 with an instrument and ECM"),

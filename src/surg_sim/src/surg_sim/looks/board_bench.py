@@ -45,9 +45,13 @@ TILT = 0.6
 
 _PLACES = (
     (0.080, (0.25, -0.15, 0.1), (0.0, 0.0)),
-    (0.100, (-0.3, 0.1, 0.0), (0.2, 0.12)),
-    (0.065, (0.1, 0.3, 0.2), (-0.1, 0.08)),
-    (0.090, (0.2, 0.2, -0.3), (-0.2, -0.12)),
+    (0.110, (-0.3, 0.1, 0.0), (0.3, 0.2)),
+    (0.060, (0.1, 0.3, 0.2), (-0.1, 0.08)),
+    (0.105, (0.2, 0.2, -0.3), (-0.3, -0.2)),
+    (0.060, (-0.2, 0.2, -0.1), (0.1, -0.08)),
+    (0.110, (0.2, -0.2, 0.1), (-0.3, 0.2)),
+    (0.065, (0.2, -0.2, 0.1), (0.0, 0.1)),
+    (0.110, (0.2, -0.2, 0.1), (0.3, -0.2)),
 )
 """Distance [m], turn [rad] and offset (share of the distance) of a board that is touched."""
 
@@ -319,7 +323,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--step", choices=("stereo", "handeye", "touch"), default="stereo")
     parser.add_argument("--squares", default="11x8")
     parser.add_argument("--square", type=float, default=5.0, help="[mm]")
-    parser.add_argument("--count", type=int, default=20)
+    parser.add_argument("--count", type=int, help="default: 20; touches: 32")
     parser.add_argument("--setting", default="phantom", help="such as phantom+unregistered+lens")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(words)
@@ -330,19 +334,20 @@ def main(words: Sequence[str] | None = None) -> int:
             raise ValueError(f"{options.board}: is not a picture")
         square = 1e-3 * options.square
         pattern = Pattern(np.asarray(picture, np.uint8), (columns * square, rows * square))
+        count = options.count or (32 if options.step == "touch" else 20)
         bench = of_setting(options.cell, pattern, options.setting, options.seed)
         corners = inner_corners(columns, rows, square)
         ends = [0, columns - 2, len(corners) - columns + 1, len(corners) - 1]
         views = {
-            "stereo": lambda: bench.held_board(options.count),
-            "handeye": lambda: bench.moved_scope(options.count),
-            "touch": lambda: bench.touches(corners, [ends[k % 4] for k in range(options.count)]),
+            "stereo": lambda: bench.held_board(count),
+            "handeye": lambda: bench.moved_scope(count),
+            "touch": lambda: bench.touches(corners, [ends[k % 4] for k in range(count)]),
         }[options.step]
         bench.write(options.folder, list(views()))
     except (ValueError, OSError, RuntimeError) as error:
         print(f"surg_sim.looks.board_bench: {error}", file=sys.stderr)
         return 2
-    print(f"{options.folder}: {options.count} views for {options.step}")
+    print(f"{options.folder}: {count} views for {options.step}")
     return 0
 
 

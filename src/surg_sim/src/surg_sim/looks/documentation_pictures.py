@@ -3,7 +3,8 @@
 Run ``python -m surg_sim.looks.documentation_pictures docs/pictures``.
 
 Scripted senders act, one seed, no ROS. Bowel grasping and retraction: a stereo pair of each of its
-four steps and the room at the end of the third. Then a sheet of all tasks, inside above outside.
+four steps and the room at the end of the third. Needle driving: before the hole and behind it. Then
+a sheet of all tasks, inside above outside.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ _LOOK_AT, _NARROW = (-0.30, -0.05, 0.19), 31.0  # [m] patient axes, [deg]
 _INSIDE, _OUTSIDE = (520, 390), (1200, 675)
 _CELL = (376, 282)  # [px] of one picture of the sheet
 _GAP = 8  # [px]
+_BEFORE = 0.0045  # [m] of the needle's point before the hole
 
 
 def stereo(world: World) -> Picture:
@@ -138,16 +140,37 @@ def of_bgr(seed: int) -> dict[str, Picture]:
     return episode("bgr", {**wanted, ROOM: (after(0.2, in_phase("retract")), room)}, seed)
 
 
+def inside(world: World) -> Picture:
+    """What the left camera of the endoscope sees."""
+    return cell_picture.take(world, scene.ENDOSCOPE, *_INSIDE)
+
+
+def of_needle_driving(seed: int) -> dict[str, Picture]:
+    """The needle's point before the hole, and behind it."""
+
+    def before(state: State, phase: str) -> bool:
+        way = np.asarray(state["holes"])[int(float(np.asarray(state["asked"])))] - state["point"]
+        return float(np.linalg.norm(way)) < _BEFORE
+
+    wanted = {
+        "needle_place": (after(0.0, before), inside),
+        "needle_hold": (after(0.3, in_phase("hold")), inside),
+    }
+    return episode("needle_driving", wanted, seed)
+
+
 def of_all_tasks(seed: int) -> Picture:
     """A column for each bundled task."""
     moments = {
         "bgr": after(1.0, in_phase("still")),
         "endoscope_guidance": after(8.0, in_phase("follow")),
+        "needle_driving": after(0.3, in_phase("hold")),
         "pick_and_place": after(0.6, in_phase("carry")),
     }
     columns = [episode(task, {SHEET: (now, column)}, seed)[SHEET] for task, now in moments.items()]
     gap = np.full((columns[0].shape[0], _GAP, 3), 255, dtype=np.uint8)
-    return np.concatenate([columns[0], gap, columns[1], gap, columns[2]], axis=1)
+    spaced = [part for one in columns for part in (gap, one)]
+    return np.concatenate(spaced[1:], axis=1)
 
 
 def main(words: list[str] | None = None) -> int:
@@ -158,12 +181,16 @@ def main(words: list[str] | None = None) -> int:
     )
     parser.add_argument("out", type=Path, help="folder to write into")
     parser.add_argument("--seed", type=int, default=episode_seeds.TRAINING.start + 1)
-    parser.add_argument("--only", choices=("bgr", SHEET), help="leave the other out")
+    parser.add_argument("--only", choices=("bgr", "needle", SHEET), help="leave the others out")
     options = parser.parse_args(words)
     options.out.mkdir(parents=True, exist_ok=True)
     try:
-        pictures = of_bgr(options.seed) if options.only != SHEET else {}
-        if options.only != "bgr":
+        pictures: dict[str, Picture] = {}
+        if options.only in (None, "bgr"):
+            pictures |= of_bgr(options.seed)
+        if options.only in (None, "needle"):
+            pictures |= of_needle_driving(options.seed)
+        if options.only in (None, SHEET):
             pictures[SHEET] = of_all_tasks(options.seed)
     except (ValueError, NoOpenGL) as error:
         print(f"surg_sim.looks.documentation_pictures: {error}", file=sys.stderr)

@@ -95,6 +95,8 @@ def task_state(names: Iterable[str], values: Sequence[float]) -> dict[str, float
     return state
 
 
-def pack_wrench(stamp_ns: int, seq: int, frame: bytes, force: Array) -> bytes:
-    """A geometry_msgs/WrenchStamped without torque; ``frame`` as for ``header``."""
-    return header(seq, stamp_ns, frame) + struct.pack("<6d", *force, 0.0, 0.0, 0.0)
+def pack_wrench(
+    stamp_ns: int, seq: int, frame: bytes, force: Array, torque: Sequence[float] | Array = (0, 0, 0)
+) -> bytes:
+    """A geometry_msgs/WrenchStamped; ``frame`` as for ``header``."""
+    return header(seq, stamp_ns, frame) + struct.pack("<6d", *force, *torque)

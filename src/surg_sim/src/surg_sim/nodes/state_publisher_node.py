@@ -19,6 +19,7 @@ from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.arm_topics_node import ArmTopics
 from surg_sim.nodes.exposure_schedule import ExposureSchedule
 from surg_sim.nodes.fault_injector import Injector
+from surg_sim.nodes.flange_topic_node import FlangeTopics
 from surg_sim.nodes.task_topics_node import TaskTopics
 from surg_sim.physics.sim_arm import ArmLink
 from surg_sim.physics.world import World
@@ -56,6 +57,7 @@ class StatePublisher:
         self._tracker: rospy.Publisher | None = None
         if lockstep and any(arm.track is not None for arm in arms):
             self._tracker = rospy.Publisher("/sim/ready", Ready, queue_size=0, tcp_nodelay=True)
+        self._flanges = None if lockstep else FlangeTopics(world)
         self._truth = DirectPublisher("/sim/ground_truth/state", GroundTruth, lockstep)
 
     def publish(self, stamp_ns: int) -> None:
@@ -78,6 +80,8 @@ class StatePublisher:
         if self._tracker is not None:
             names, sent = [arm.name for arm in self._arms], [arm.tracked for arm in self._arms]
             self._tracker.publish(Ready(tick=tick, participant=self._name, arms=names, sent=sent))
+        if self._flanges is not None:
+            self._flanges.publish(tick, stamp_ns)
         # The joint states go last: their arrival starts the controller's work.
         for arm in self._arms:
             for stamp, state in self._injector.states(arm.name, stamp_ns):

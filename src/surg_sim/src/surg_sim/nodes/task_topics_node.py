@@ -54,14 +54,17 @@ class TaskTopics:
         self._state = DirectPublisher("/sim/task_state", TaskState, bridge.lockstep, latch=True)
         self._assistant = None if self._task.assistant is None else AssistantTopics(bridge)
         lockstep = bridge.lockstep
+        # An arm with a sensor at its flange is told what that sensor makes of it.
+        sensed = [] if lockstep else list(world.force_sensors)
         self._free = not lockstep  # in free-run an end is news once, also where the phantom goes on
         self._forces = [
             _ForceSensor(name, "trocar", lambda arm: world.trocar(arm).force, lockstep)
             for name in world.arms
+            if name not in sensed
         ] + [
             _ForceSensor(name, "tool", world.tip_force, lockstep)
             for name in world.arms
-            if world.tip_force(name) is not None
+            if world.tip_force(name) is not None and name not in sensed
         ]
         self.verdict = self._task.verdict()
         """How the episode stands at the state that is out."""

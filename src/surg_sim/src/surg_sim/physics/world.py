@@ -23,6 +23,7 @@ from surg_sim.physics.pose_error import with_base_error
 from surg_sim.physics.sim_arm import SUBSTEPS, ActuatorParameters, ArmCommand, ArmLink, ToolError
 from surg_sim.physics.tool_drive import ToolDrive
 from surg_sim.physics.trocar import Trocar, TrocarParameters
+from surg_sim.sensing.flange_sensor import FlangeSensor, sensor_of
 
 if TYPE_CHECKING:
     from surg_sim.physics.assistant_arm import AssistantCommand
@@ -113,6 +114,12 @@ class World:
                 trocar=sleeve,
                 truth=TruthReader(self.model, self.data, arm, sleeve),
             )
+        self.force_sensors = {
+            arm.name: FlangeSensor(self.model, self.data, arm, sensor, seed)
+            for arm in chosen
+            if (sensor := sensor_of(arm)) is not None
+        }
+        """Sensors between flange and tool, by arm; read in every tick."""
         if task is not None:
             task.bind(self)
         self.reset()
@@ -145,6 +152,8 @@ class World:
         if self.task is not None:
             self.task.reset(np.random.default_rng(self._seed if seed is None else seed))
         mujoco.mj_forward(self.model, self.data)
+        for sensor in self.force_sensors.values():
+            sensor.reset(seed)
         self.tick = 1
         self._hash = hashlib.sha256()
 
@@ -166,14 +175,21 @@ class World:
             self.task.advance()
         # mj_step is step1 (positions, velocities) then step2 (forces, integration). Ending on step1
         # leaves kinematics that belong to the new state, at no extra cost.
-        for _ in range(SUBSTEPS):
+        for substep in range(SUBSTEPS):
             for member in self._members.values():
                 member.link.substep()
             mujoco.mj_step2(self.model, self.data)
+            if self.force_sensors and substep == SUBSTEPS - 1:
+                self._sample_forces()  # accelerations and contact forces are this step's
             mujoco.mj_step1(self.model, self.data)
         self.tick += 1
         self._hash.update(self.data.qpos.tobytes())
         self._hash.update(self.data.qvel.tobytes())
+
+    def _sample_forces(self) -> None:
+        mujoco.mj_rnePostConstraint(self.model, self.data)
+        for sensor in self.force_sensors.values():
+            sensor.sample()
 
     def state(self, arm: str) -> ArmState:
         """What the links of an arm measure now."""

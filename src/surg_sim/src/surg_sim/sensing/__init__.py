@@ -1,0 +1,1 @@
+"""Simulated force sensors: a sensor between flange and tool, and its bench."""

@@ -1,0 +1,1 @@
+"""Needle driving: the task, its board, its needle and its scripted sender."""

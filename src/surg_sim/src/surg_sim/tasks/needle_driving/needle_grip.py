@@ -1,0 +1,152 @@
+"""Jaws that hold a needle with limited strength.
+
+The hold is a weld whose rest pose yields: above a limit of force the needle slides in the jaws,
+above a limit of torque it turns in them, as an elastic, perfectly plastic joint does. A needle that
+has slid or turned too far falls, and so does one whose jaws open.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from surg_sim.arrays import Array
+from surg_sim.tasks.needle_driving.curved_needle import NEEDLE, arc
+
+GRIP_ANGLE = np.radians(60.0)
+"""Where on the arc the jaws hold: a third of the needle from its rear end [rad]."""
+GRIP_DEPTH = 0.002
+"""Behind the tip on the shaft axis [m]."""
+SLIDE_FORCE, TURN_TORQUE = 1.5, 0.012
+"""Load above which the needle slides [N] and turns [N m] in the jaws; assumed."""
+LARGEST_SLIDE, LARGEST_TURN = 0.003, np.radians(45.0)
+"""A needle that has slid [m] or turned [rad] further is dropped; assumed."""
+OPEN = 0.15
+"""Jaw angle above which the jaws let go [rad]; assumed."""
+SHIFT, TURN = 0.0005, np.radians(5.0)
+"""Largest error of the drawn grasp: along the needle and the shaft [m]; about both [rad]."""
+
+
+def add_grip(spec: mujoco.MjSpec, arm: str, tip: str) -> None:
+    """Add the weld between the arm's tip and the needle, and switch contacts on."""
+    spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    spec.add_equality(
+        name=f"{arm}_holds_{NEEDLE}",
+        type=mujoco.mjtEq.mjEQ_WELD,
+        objtype=mujoco.mjtObj.mjOBJ_BODY,
+        name1=f"{arm}_{tip}",
+        name2=NEEDLE,
+        active=True,
+        solref=[0.004, 1.0],
+        solimp=[0.98, 0.98, 0.001, 0.5, 2.0],
+    )
+
+
+def rotation(vector: Array) -> Array:
+    """Quaternion w, x, y, z of a rotation vector (3,) [rad]."""
+    angle = float(np.linalg.norm(vector))
+    quat = np.empty(4)
+    mujoco.mju_axisAngle2Quat(quat, vector / angle if angle > 0.0 else np.eye(3)[2], angle)
+    return quat
+
+
+def times(a: Array, b: Array) -> Array:
+    """Product of two quaternions."""
+    out = np.empty(4)
+    mujoco.mju_mulQuat(out, a, b)
+    return out
+
+
+def between(a: Array, b: Array) -> Array:
+    """Rotation vector (3,) from quaternion b to a, in the outer frame [rad]."""
+    back, vector = np.empty(4), np.empty(3)
+    mujoco.mju_negQuat(back, b)
+    mujoco.mju_quat2Vel(vector, times(a, back), 1.0)
+    return vector
+
+
+class NeedleGrip:
+    """The hold of one jawed tool on the needle in a compiled scene.
+
+    Attributes:
+        held: Whether the jaws hold the needle.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, arm: str, tip: str) -> None:
+        self._model, self._data = model, data
+        self._tip, self._needle = (int(model.body(n).id) for n in (f"{arm}_{tip}", NEEDLE))
+        self._jaw = int(model.joint(f"{arm}_jaw").qposadr[0])
+        self._weld = int(model.equality(f"{arm}_holds_{NEEDLE}").id)
+        self._free = int(model.joint(NEEDLE).qposadr[0])
+        self.held = False
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Take the needle as drawn; the arms' kinematics are up to date."""
+        data = self._data
+        along, deep = rng.uniform(-SHIFT, SHIFT, 2)
+        about_shaft, about_needle = rng.uniform(-TURN, TURN, 2)
+        self._angle = float(GRIP_ANGLE + along / np.linalg.norm(arc(0.0)))
+        # z of N along the shaft, and the arc's radius at the grip along y of the tip.
+        nominal = rotation(np.array([0.0, 0.0, np.pi / 2 - self._angle + about_shaft]))
+        self._rest = times(rotation(np.array([about_needle, 0.0, 0.0])), nominal)
+        self._at = np.array([0.0, 0.0, -GRIP_DEPTH + deep])
+        self._first = self._rest.copy(), self._at.copy()
+        self.held = True
+        self._write()
+        data.eq_active[self._weld] = 1
+        R_WT = data.xmat[self._tip].reshape(3, 3)
+        quat = times(data.xquat[self._tip], self._rest)
+        R_WN = np.empty(9)
+        mujoco.mju_quat2Mat(R_WN, quat)
+        grip = data.xpos[self._tip] + R_WT @ self._at
+        data.qpos[self._free : self._free + 3] = grip - R_WN.reshape(3, 3) @ arc(self._angle)
+        data.qpos[self._free + 3 : self._free + 7] = quat
+
+    def _write(self) -> None:
+        # Point of the needle, its place in the tip's frame, pose of the needle in it, torque scale.
+        self._model.eq_data[self._weld, :11] = [*arc(self._angle), *self._at, *self._rest, 1.0]
+
+    @property
+    def place(self) -> Array:
+        """Point of the needle that the jaws hold, world [m], (3,)."""
+        R = self._data.xmat[self._needle].reshape(3, 3)
+        return np.asarray(self._data.xpos[self._needle] + R @ arc(self._angle))
+
+    @property
+    def slid(self) -> float:
+        """How far the needle has slid in the jaws [m]."""
+        return float(np.linalg.norm(self._at - self._first[1]))
+
+    @property
+    def turned(self) -> float:
+        """How far it has turned in them [rad]."""
+        return float(np.linalg.norm(between(self._rest, self._first[0])))
+
+    def advance(self, force: Array, torque: Array) -> None:
+        """Yield to the load on the needle; called before the physics of each tick.
+
+        Force (3,) [N] and torque about ``place`` (3,) [N m] of the board on the needle, world.
+        """
+        if not self.held:
+            return
+        if (
+            float(self._data.qpos[self._jaw]) > OPEN
+            or self.slid > LARGEST_SLIDE
+            or self.turned > LARGEST_TURN
+        ):
+            self.held = False
+            self._data.eq_active[self._weld] = 0
+            return
+        slides = 1.0 - SLIDE_FORCE / max(float(np.linalg.norm(force)), SLIDE_FORCE)
+        turns = 1.0 - TURN_TORQUE / max(float(np.linalg.norm(torque)), TURN_TORQUE)
+        if slides > 0.0:
+            R_WT = self._data.xmat[self._tip].reshape(3, 3)
+            now = R_WT.T @ (self.place - self._data.xpos[self._tip])
+            self._at = self._at + slides * (now - self._at)
+        if turns > 0.0:
+            back = np.empty(4)
+            mujoco.mju_negQuat(back, self._data.xquat[self._tip])
+            now = times(back, self._data.xquat[self._needle])
+            self._rest = times(rotation(turns * between(now, self._rest)), self._rest)
+        if slides > 0.0 or turns > 0.0:
+            self._write()
