@@ -1,0 +1,1 @@
+"""The force sensor at an arm's flange: from its readings to the forces that the guards take."""
