@@ -180,6 +180,7 @@ def test_a_page_is_a_leader_on_topics(ros_graph: RosGraph, rospy_node: str, tmp_
             await found.press("record")
             await when(lambda: bench.of("/record/record"), "the recording")
             assert bench.of("/record/record")[-1].data
+            await when(lambda: bench.of("/console/teleop/set_scale"), "the scale")
             assert bench.of("/console/teleop/set_scale")[-1].data == 0.4
             bench.record.publish(record_status("RECORDING"))
             bench.sim.publish(sim_status(task="RUNNING", name="bgr", phase="point"))

@@ -187,6 +187,7 @@ def test_lockstep_from_connection_to_done(ros_graph: RosGraph, arm: ScriptedArm)
     assert first > streamed[0][0] * PERIOD_NS
 
 
+@pytest.mark.full  # `test_demo` shakes the same node
 def test_lockstep_is_the_same_under_jitter(ros_graph: RosGraph, rospy_node: str) -> None:
     runs = []
     for jitter in (0.0, 3.0):

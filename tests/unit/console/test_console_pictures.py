@@ -8,6 +8,7 @@ import av
 import numpy as np
 import pytest
 
+from surg_teleop.console.web import codec as codec_module
 from surg_teleop.console.web import picture_packet
 from surg_teleop.console.web.codec import CodecError, frame_of, image_of
 from surg_teleop.console.web.picture_queue import IN_FLIGHT, KEY_PERIOD, STALLED, PictureQueue
@@ -56,8 +57,13 @@ def test_each_picture_comes_out_at_once_and_looks_as_it_did(codec: str, layout: 
         assert error.mean() < 8.0, error.mean()
 
 
+@pytest.mark.parametrize("installed", [True, False])
 @pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "mono8"])
-def test_colours_stay_what_they_are(encoding: str) -> None:
+def test_colours_stay_what_they_are_without_opencv_too(
+    encoding: str, installed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not installed:
+        monkeypatch.setattr(codec_module, "cv2", None)
     red_then_blue = np.zeros((32, 64, 3), np.uint8)
     red_then_blue[:, :32, 0] = red_then_blue[:, 32:, 2] = 220
     seen = {"rgb8": red_then_blue, "bgr8": red_then_blue[..., ::-1], "mono8": red_then_blue[..., 0]}

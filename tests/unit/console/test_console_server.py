@@ -9,6 +9,7 @@ import ssl
 import subprocess
 import time
 from collections.abc import Coroutine
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,10 @@ from helpers.teleop.console import console
 from helpers.teleop.console_page import Page, page, when
 from surg_cli.graph import master
 from surg_teleop.console.session.console_orders import Follow, Move, Present, Record, StateCommand
+from surg_teleop.console.session.system_state import Calibration
 from surg_teleop.console.web import picture_packet
 from surg_teleop.console.web.page_connection import MESSAGE_BURST, MessageBudget
-from surg_teleop.console.web.web_server import CLOSE_HELLO, MAX_ERRORS
+from surg_teleop.console.web.web_server import CLOSE_HELLO, MAX_ERRORS, SOCKETS
 
 TOKEN = "0123456789abcdef0123"
 
@@ -36,6 +38,7 @@ def test_the_page_and_its_headers() -> None:
             root = f"http://localhost:{made.port}"
             for path, kind in {
                 "/": "text/html",
+                "/calibrate": "text/html",
                 "/page/main.js": "text/javascript",
                 "/page/console.css": "text/css",
                 "/page/mark.svg": "image/svg+xml",
@@ -59,7 +62,7 @@ def test_another_host_name_is_not_answered() -> None:
     async def test() -> None:
         async with console() as made, aiohttp.ClientSession() as http:
             for host in ("evil.example", f"evil.example:{made.port}", "localhost", "localhost:1"):
-                for path in ("/", "/page/main.js", "/control", "/pictures"):
+                for path in ("/", "/page/main.js", "/control", "/pictures", "/calibration"):
                     url = f"http://localhost:{made.port}{path}"
                     async with http.get(url, headers={"Host": host}) as answer:
                         assert answer.status == 421, (host, path)
@@ -70,7 +73,7 @@ def test_another_host_name_is_not_answered() -> None:
 def test_a_socket_from_another_page_is_refused() -> None:
     async def test() -> None:
         async with console() as made, aiohttp.ClientSession() as http:
-            for path in ("/control", "/pictures"):
+            for path in SOCKETS:
                 url = f"ws://localhost:{made.port}{path}"
                 for origin in (
                     None,
@@ -99,11 +102,33 @@ def test_without_the_token_nothing_is_said() -> None:
                 assert answer.data == CLOSE_HELLO
 
             wrong = ('{"say": "hello", "token": ""}', '{"say": "hello", "token": "x"}', "x")
-            paths = ("/control", "/pictures")
-            await asyncio.gather(*(refused(path, first) for path in paths for first in wrong))
+            await asyncio.gather(*(refused(path, first) for path in SOCKETS for first in wrong))
             assert made.session.pages == 0
             async with page(made.port, TOKEN) as found:
                 assert found.name and found.status["holder"] == found.name
+
+    run(test())
+
+
+def test_no_message_of_the_session_is_heard_on_the_socket_of_calibration() -> None:
+    async def test() -> None:
+        async with console() as made, aiohttp.ClientSession() as http:
+            made.system.now = replace(made.system.now, calibration=Calibration("DONE", "STEREO"))
+            origin = f"http://localhost:{made.port}"
+
+            async def said(text: str) -> list[aiohttp.WSMsgType]:
+                url = f"ws://localhost:{made.port}/calibration"
+                socket = await http.ws_connect(url, origin=origin)
+                await socket.send_str('{"say": "hello", "token": ""}')
+                await socket.send_str(text)
+                return [message.type async for message in socket]
+
+            press = '{"say": "press", "button": "enable", "at": 1.0}'
+            take = '{"say": "press", "button": "take", "at": 1.0}'
+            moves = '{"say": "input", "seq": 1, "at": 1.0, "v": [0.01, 0, 0]}'
+            wrong = '{"say": "calibrate", "request": "MOVE"}'
+            await asyncio.gather(*(said(text) for text in (press, take, moves, wrong)))
+            assert made.system.orders == [] and made.session.pages == 0
 
     run(test())
 

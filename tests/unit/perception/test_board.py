@@ -62,6 +62,18 @@ def test_a_picture_without_the_board_has_a_reason() -> None:
     assert "blurred" in BOARD.why_not(np.zeros((480, 640), np.uint8))
 
 
+@pytest.mark.parametrize("squares", [(9, 7), (10, 8), (13, 9), (8, 11)])
+def test_a_board_with_another_number_of_columns_is_not_taken_for_the_stated_one(
+    squares: tuple[int, int],
+) -> None:
+    """Its markers are the same ones: corners would be found, two squares off."""
+    picture = cv2.copyMakeBorder(BOARD.picture(), 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
+    other = Board(*squares)
+    assert other._seen(picture) is not None
+    assert other.find(picture) is None
+    assert f"{squares[0]}x{squares[1]}" in other.why_not(picture)
+
+
 @pytest.mark.parametrize("text", ["", "11", "11x", "x8", "11x8x2", "-3x8", "2x8", "11x99", "a"])
 def test_squares_that_are_no_board_are_refused(text: str) -> None:
     with pytest.raises(BoardError):

@@ -28,12 +28,12 @@ FEW, MANY = 3, 100
 
 
 @cache
-def solved(seed: int) -> tuple[Chain, StereoFit, HandEyeFit, SeenBase]:
+def solved(seed: int) -> tuple[Chain, StereoFit, HandEyeFit, SeenBase, int]:
     """A cell with errors that nobody knows, and what was measured of it."""
     chain = Chain(seed, scope_cell())
     stereo = chain.stereo()
     handeye = chain.handeye(stereo)
-    return chain, stereo, handeye, chain.touch(stereo, handeye)
+    return chain, stereo, *chain.base(stereo, handeye)
 
 
 def lengths(step: np.ndarray) -> np.ndarray:
@@ -44,7 +44,7 @@ def lengths(step: np.ndarray) -> np.ndarray:
 def test_handeye_through_the_trocar_is_as_good_as_it_states(full: bool) -> None:
     rows, naive, seeds = [], [], MANY if full else FEW
     for seed in range(seeds):
-        chain, _, result, _ = solved(seed)
+        chain, _, result, *_ = solved(seed)
         evidence.check_handeye(result)
         error = lengths(difference(result.X_FV, chain.bench.X_FV))
         rows.append(np.concatenate([error, error / result.pose_error]))
@@ -78,10 +78,10 @@ def test_the_stated_error_of_a_baseline_holds(full: bool) -> None:
 
 
 def test_a_base_by_touch_is_as_good_as_it_states(full: bool) -> None:
-    rows, seeds = [], MANY if full else FEW
+    rows, repeated, seeds = [], 0, MANY if full else FEW
     for seed in range(seeds):
-        chain, _, _, result = solved(seed)
-        evidence.check_touch(result)
+        chain, _, _, result, refused = solved(seed)
+        repeated += refused > 0
         true = surg_core.inverse_pose(chain.X_W_ECM) @ chain.cell.arms["PSM1"].X_WB_stated
         amid = surg_core.inverse_pose(result.X_ST) @ np.append(result.middle, 1.0)
         turn = np.linalg.norm(difference(result.X_ST, true)[:3])
@@ -90,19 +90,20 @@ def test_a_base_by_touch_is_as_good_as_it_states(full: bool) -> None:
     turn, shift, *_ = np.array(rows).T
     inside = int((np.array(rows)[:, 2:] < SIGMAS).all(axis=1).sum())
     PAGE.note(
-        "base by touch, 16 touches of 0.1 mm",
+        "base by touch, 32 touches of 0.1 mm",
         seeds,
         f"median {1e3 * np.median(shift):.3f} mm, {np.degrees(np.median(turn)):.3f}°, largest "
-        f"{1e3 * shift.max():.3f} mm, {np.degrees(turn.max()):.3f}°; inside 2.5 sigma in {inside}",
+        f"{1e3 * shift.max():.3f} mm, {np.degrees(turn.max()):.3f}°; inside 2.5 sigma in {inside}; "
+        f"{repeated} refused at first",
     )
     assert shift.max() <= 5e-4
-    assert np.percentile(turn, 95) <= np.radians(0.2)
+    assert turn.max() <= np.radians(0.2)
     assert inside >= 0.95 * seeds
 
 
 def test_a_base_by_tip_has_the_right_turn() -> None:
     """The place that is followed lies up the shaft; the turn does not mind."""
-    chain, stereo, handeye, _ = solved(0)
+    chain, stereo, handeye, *_ = solved(0)
     rng, scope, tool = np.random.default_rng(5), chain.bench.scope, chain.bench.tool
     X_SV = scope.X_home @ chain.bench.X_FV
     X_TS = surg_core.inverse_pose(tool.arm.X_WB_stated) @ chain.X_W_ECM
@@ -164,7 +165,7 @@ def measured_in_urdf(cell: surg_core.Cell) -> np.ndarray:
 
 
 def test_handeye_with_a_wrong_lens_is_refused() -> None:
-    chain, stereo, good, _ = solved(1)
+    chain, stereo, good, *_ = solved(1)
     wrong = stereo.fit.solution.stereo
     step = np.zeros(2 * len(wrong.left.values) + 6)
     step[[0, 1]] = step[[9, 10]] = 0.01 * wrong.left.values[0]
@@ -181,7 +182,7 @@ def test_handeye_with_a_wrong_lens_is_refused() -> None:
 
 
 def test_a_board_printed_too_small_is_refused() -> None:
-    chain, stereo, _, _ = solved(2)
+    chain, stereo, *_ = solved(2)
     views = list(chain.bench.moved_scope(12))
     X_BF = np.array([chain.cell.arms["ECM"].chain.forward(v.joints["ECM"]) for v in views])
     seen = [
@@ -196,7 +197,7 @@ def test_a_board_printed_too_small_is_refused() -> None:
 def test_a_new_lens_file_makes_the_camera_stale(tmp_path: Path) -> None:
     folder = copied_cell(tmp_path)
     cell, calibration = surg_core.load_cell(folder), folder / "calibration"
-    _, stereo, handeye, _ = solved(0)
+    _, stereo, handeye, *_ = solved(0)
     save_stereo(calibration, stereo, BOARD, "", ORIGIN)
     save_handeye(calibration, "ECM", handeye, ORIGIN)
     measured_camera(cell)
@@ -204,16 +205,3 @@ def test_a_new_lens_file_makes_the_camera_stale(tmp_path: Path) -> None:
     with pytest.raises(surg_core.ConfigError, match="left_sha256"):
         measured_camera(cell)
     assert check(cell)[-1].startswith("next: ")
-
-
-def test_each_limit_of_the_hand_eye_refuses() -> None:
-    good = solved(1)[2]
-    evidence.check_handeye(good)
-    few = replace(good, fit=replace(good.fit, residuals=good.fit.residuals[:9]))
-    narrow = replace(good, turns=np.radians([25.0, 19.9]))
-    moved = replace(good, fit=replace(good.fit, residuals=[20 * r for r in good.fit.residuals]))
-    vague = replace(good, fit=replace(good.fit, gradient=40.0 * good.fit.gradient))
-    for made, reason in ((few, "views"), (narrow, "turns"), (moved, "rms"), (vague, "expected")):
-        with pytest.raises(evidence.Refused) as refused:
-            evidence.check_handeye(made)
-        assert any(each.startswith(reason) for each in refused.value.reasons)

@@ -1,7 +1,9 @@
-"""The steps of docs/guide/endoscope/calibration.md, on rendered views of an unknown cell."""
+"""docs/guide/endoscope/calibration.md, read and done line by line on rendered views."""
 
 from __future__ import annotations
 
+import re
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +13,8 @@ import pytest
 import surg_core
 from helpers.endoscope_files import copied_cell
 from helpers.results.perception_results import PAGE
+from surg_cli import command_table
+from surg_cli.host import paths
 from surg_core.camera_file import load_camera
 from surg_perception.calibration.base_steps import chain_error
 from surg_perception.calibration.small_motions import difference
@@ -19,7 +23,52 @@ from surg_sim.physics.endoscope_rig import camera_poses
 from surg_sim.physics.patient_settings import find_setting
 from surg_sim.physics.pose_error import with_base_error
 
+GUIDE = paths.ROOT / "docs" / "guide" / "endoscope" / "calibration.md"
+TRY = "Try it in the simulator"
 SETTING = "phantom+unregistered+lens"
+RUNNING = ("--live", "live", "teleop")
+"""Words of lines that need a running system; the tests of live views do them."""
+
+
+def boxes(kind: str) -> list[tuple[str, list[str]]]:
+    """(heading, lines) of each box of the page that is marked as ``kind``."""
+    found = []
+    heading = ""
+    for part in re.split(r"(?m)^(?=## )|(?=^```)", GUIDE.read_text("utf-8"), flags=re.M):
+        if match := re.match(r"## (.*)", part):
+            heading = match[1]
+        if match := re.match(rf"```{kind}\n(.*)", part, flags=re.S):
+            found.append((heading, match[1].splitlines()))
+    return found
+
+
+def commands() -> list[list[str]]:
+    """The page's shell lines as words: first those that make the folders, then the others."""
+    lines = [(heading == TRY, line) for heading, box in boxes("sh") for line in box]
+    ordered = [line for first, line in lines if first] + [
+        line for first, line in lines if not first
+    ]
+    return [shlex.split(line, comments=True) for line in ordered]
+
+
+def test_every_line_of_the_page_is_a_command_that_exists() -> None:
+    lines = commands()
+    assert len(lines) >= 12 and sum(words[0] == "python3" for words in lines) == 3
+    for words in lines:
+        if words[0] == "./surg":
+            command_table.parse(words[1], words[2:])
+        elif words[0] == "python3":
+            assert words[1:3] == ["-m", "surg_sim.looks.board_bench"], words
+        else:
+            assert words == ["cp", "-r", "cells/sim_two_arms", "cells/my_cell"]
+
+
+def test_every_option_on_the_page_exists() -> None:
+    parsers = [command_table.parser(name)[0] for name in ("calibrate", "teleop")]
+    known = {word for parser in parsers for a in parser._actions for word in a.option_strings}
+    text = re.sub(r"(?m)^python3 .*$", "", GUIDE.read_text("utf-8"))
+    options = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", text))
+    assert len(options) >= 8 and options <= known, options - known
 
 
 def lengths(step: np.ndarray) -> tuple[float, float]:
@@ -27,33 +76,71 @@ def lengths(step: np.ndarray) -> tuple[float, float]:
     return float(np.degrees(np.linalg.norm(step[:3]))), float(1e3 * np.linalg.norm(step[3:]))
 
 
+def walk(surg: Callable[..., int], cell: Path) -> None:
+    """Do the lines that need no running system; every one must succeed."""
+    done = 0
+    for words in commands():
+        if any(word in RUNNING for word in words):
+            continue
+        place = {"cells/my_cell": str(cell), "my_cell": str(cell)}
+        words = [place.get(word, word) for word in words]
+        if words[0] == "cp":
+            copied_cell(cell.parent, "sim_two_arms").rename(cell)
+        elif words[0] == "python3":
+            assert board_bench.main(words[3:]) == 0, words
+        else:
+            assert surg(*words[1:]) == 0, words
+        done += 1
+    assert done >= 11
+
+
+def expected(line: str) -> str:
+    """A pattern for an answer of the page: other figures, another folder."""
+    words = re.split(r"-?\d+(?:\.\d+)?", line.replace("cells/my_cell", "CELL"))
+    return r"-?\d+(?:\.\d+)?".join(re.escape(word) for word in words).replace("CELL", r"\S+")
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
 @pytest.mark.full
-def test_the_guide_calibrates_a_cell_with_unknown_errors(
-    surg: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_the_page_calibrates_a_cell_with_unknown_errors(
+    surg: Callable[..., int],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    cell, board = copied_cell(tmp_path), tmp_path / "board.png"
+    monkeypatch.chdir(tmp_path)
+    cell = tmp_path / "cells" / "my_cell"
+    walk(surg, cell)
+    said = capsys.readouterr().out
+    answers = [line for _, box in boxes("text") for line in box if line != "```"]
+    assert len(answers) == 5
+    for line in answers:
+        assert re.search(expected(line), said), line
     calibration = cell / "calibration"
-    built = with_base_error(surg_core.load_cell(cell), find_setting(SETTING).base_error)
+    for step in ("stereo", "handeye", "bases", "check"):
+        assert "80 mm" in (calibration / "views" / f"{step}.html").read_text("utf-8")
+    assert (calibration / "board.yaml.previous").is_file()
+    before = files(cell)
+    assert surg("calibrate", cell, "handeye", "--from", "scope", "--dry-run") == 0
+    assert files(cell) == before
+    judge(cell)
+
+
+def judge(cell: Path) -> None:
+    """The last sentence of the page, by the truth that only the bench knows."""
+    stated_by_cell = surg_core.load_cell(cell)
+    built = with_base_error(stated_by_cell, find_setting(SETTING).base_error)
     true_base = np.array(built.arms["ECM"].X_WB_stated)
-    assert surg("calibrate", cell, "board", "--out", board) == 0
-    views = (("lenses", "stereo", 20), ("scope", "handeye", 15), ("tip", "touch", 16))
-    for name, step, count in views:
-        words = [cell, board, tmp_path / name, "--step", step, "--setting", SETTING]
-        assert board_bench.main([*map(str, words), "--count", str(count)]) == 0
-    assert surg("calibrate", cell, "stereo", "--from", tmp_path / "lenses") == 0
-    assert surg("calibrate", cell, "handeye", "--from", tmp_path / "scope") == 0
-    assert surg("calibrate", cell, "bases", "--by", "touch", "--from", tmp_path / "tip") == 0
-    capsys.readouterr()
-    assert surg("calibrate", cell, "check") == 0
-    assert "joints and picture agree within" in capsys.readouterr().out
-    believed = surg_core.load_cell(cell)
     error = find_setting(SETTING).camera_error
     assert error is not None
-    X_FV = camera_poses(believed.arms["ECM"])[0] @ error.motion()
-    found = np.array(load_camera(calibration / "camera_ECM.yaml").X_FV)
+    X_FV = camera_poses(stated_by_cell.arms["ECM"])[0] @ error.motion()
+    found = np.array(load_camera(cell / "calibration" / "camera_ECM.yaml").X_FV)
     turn, shift = lengths(difference(found, X_FV))
-    base, _ = lengths(difference(np.array(believed.arms["ECM"].X_WB), true_base))
-    stated = 1e3 * chain_error(believed).two_sigma
+    base, _ = lengths(difference(np.array(stated_by_cell.arms["ECM"].X_WB), true_base))
+    stated = 1e3 * chain_error(stated_by_cell).two_sigma
     PAGE.note(
         "the guide's steps, rendered",
         1,

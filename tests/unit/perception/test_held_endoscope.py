@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -12,6 +13,8 @@ from scipy.spatial.transform import Rotation
 
 import surg_core
 from helpers import endoscope_files
+from surg_core.base_file import write_base
+from surg_core.checked_document import file_sha256
 from surg_core.held_endoscope import from_description, held_endoscope, pose_numbers
 from surg_sim.physics import endoscope_rig
 from surg_sim.physics.endoscope_projection import EndoscopeView
@@ -67,6 +70,30 @@ def test_a_measured_camera_is_believed_and_a_stale_one_refused(folder: Path) -> 
     (calibration / "endoscope_stereo.yaml").unlink()
     with pytest.raises(surg_core.ConfigError, match=r"camera_ECM.yaml: left_sha256.*handeye"):
         held_endoscope(surg_core.load_cell(folder))
+
+
+def test_a_base_seen_through_an_older_camera_is_refused(folder: Path) -> None:
+    calibration, cell = folder / "calibration", surg_core.load_cell(folder)
+    names = list(cell.arms)
+    stated = cell.config.arms[0]
+    endoscope_files.write_endoscope(calibration, ARM)
+    camera = calibration / f"camera_{ARM}.yaml"
+    base = endoscope_files.base(
+        cell.arms[names[1]].X_WB_stated, names[0], stated.base_xyz, stated.base_rpy
+    )
+    seen = replace(base, camera_sha256=file_sha256(camera))
+    file = calibration / f"base_{names[1]}.yaml"
+    write_base(file, seen, "made up")
+    assert held_endoscope(surg_core.load_cell(folder)) is not None
+    endoscope_files.write_endoscope(calibration, ARM, seed=1)
+    stale = rf"{file.name}: camera_sha256: .*{camera.name}.*Repeat ./surg calibrate CELL bases"
+    with pytest.raises(surg_core.ConfigError, match=stale):
+        held_endoscope(surg_core.load_cell(folder))
+    camera.unlink()
+    with pytest.raises(surg_core.ConfigError, match="no such file"):
+        held_endoscope(surg_core.load_cell(folder))
+    write_base(file, base, "made up")  # no camera had a part in it
+    assert held_endoscope(surg_core.load_cell(folder)) is not None
 
 
 def test_a_rotation_alone_gives_no_pose(folder: Path) -> None:

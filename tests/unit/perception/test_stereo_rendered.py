@@ -51,8 +51,15 @@ def check(result: StereoFit, stand: BoardBench, views: list[BenchView]) -> None:
 
 
 def test_the_command_writes_what_the_loader_reads(
-    surg: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    surg: Callable[..., int],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    solve, results = steps.solve_stereo, []
+    monkeypatch.setattr(
+        steps, "solve_stereo", lambda *given: results.append(solve(*given)) or results[-1]
+    )
     cell, folder = copied_cell(tmp_path), tmp_path / "views"
     stand = bench(1, BARREL)
     views = list(stand.held_board(13))
@@ -60,10 +67,10 @@ def test_the_command_writes_what_the_loader_reads(
     write_board(folder / "board.yaml", BOARD)
     assert surg("calibrate", cell, "stereo", "--from", folder, "--lens-state", "ring at 2") == 0
     assert "held out" in capsys.readouterr().out
-    page = (cell / "calibration" / "views" / "report.html").read_text("utf-8")
+    page = (cell / "calibration" / "views" / "stereo.html").read_text("utf-8")
     assert page.count("<line ") > 13 * 2 * 40 and "held out" in page
     eyes, content = read_stereo(cell / "calibration")
-    result, _ = steps.stereo(tmp_path, folder, ORIGIN, write=False)
+    (result,) = results
     check(result, stand, views)
     np.testing.assert_allclose(eyes.X_LR, result.stereo.X_LR, atol=1e-12)
     assert (content.lens_state, content.evidence.n) == ("ring at 2", 13)

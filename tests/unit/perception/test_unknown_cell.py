@@ -14,17 +14,13 @@ import pytest
 import surg_core
 from helpers.endoscope_files import copied_cell
 from helpers.results.perception_results import PAGE
-from helpers.sim.board_views import BARREL, Array, bench
-from helpers.sim.calibrated_chain import Chain
+from helpers.sim.board_views import BARREL, Array
+from helpers.sim.unknown_scene import UnknownScene
 from surg_core.held_endoscope import HeldEndoscope, held_endoscope
 from surg_core.lens_file import load_lens
 from surg_perception.calibration.small_motions import rotation_vector
-from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
-from surg_sim.looks.opengl import NoOpenGL
-from surg_sim.physics.endoscope_projection import EndoscopeView
 from surg_sim.physics.patient_settings import PatientSetting
 from surg_sim.physics.pose_error import PoseError
-from surg_sim.physics.world import World
 from surg_teleop.frames.probe_moves import STEPS
 from surg_teleop.frames.registration_verdict import (
     CALIBRATED_ANGLE,
@@ -36,7 +32,6 @@ from surg_teleop.frames.registration_verdict import (
 from surg_teleop.frames.tip_tracker import find_places
 from surg_teleop.frames.undistortion import EyeModel, straighten
 
-SIZE = (640, 480)
 UNKNOWN = PatientSetting(
     "unknown",
     base_error=PoseError(0.008, np.radians(3.0), seed=1),
@@ -45,39 +40,8 @@ UNKNOWN = PatientSetting(
 )
 
 
-class Scene:
-    """The simulated cell with errors that only it knows, and its pictures."""
-
-    def __init__(self, cell: surg_core.Cell) -> None:
-        self.cell, self.world = cell, World(cell, looks=True, setting=UNKNOWN)
-        try:
-            self.renderer = EndoscopeRenderer(self.world, ("left", "right"), *SIZE)
-        except NoOpenGL as error:
-            pytest.skip(str(error))
-        self.qpos = np.array(self.world.data.qpos)
-        self.home = np.array(cell.arms["ECM"].robot.home)
-        true = self.world.cell.arms["ECM"]
-        X_WF = true.X_WB_stated @ true.chain.forward(self.home)
-        X_WV = EndoscopeView(self.world.model, self.world.data).pose
-        self.chain = Chain(7, cell)
-        self.chain.X_W_ECM = np.array(true.X_WB_stated)
-        self.chain.bench = bench(
-            7,
-            BARREL,
-            cell=cell,
-            pixels=8,
-            X_FV=surg_core.inverse_pose(X_WF) @ X_WV,
-            X_WB={"ECM": self.chain.X_W_ECM},
-        )
-
-    def pictures(self, shift_W: Array) -> dict[str, np.ndarray]:
-        """With the tip moved from home by (3,) in the world [m]."""
-        tool = self.chain.bench.tool
-        R_WB = np.asarray(tool.arm.X_WB_stated)[:3, :3]
-        q = self.chain.bench._touching(tool, tool.tip_home + R_WB.T @ shift_W)
-        for joint, angle in zip(tool.arm.robot.joint_names, q, strict=True):
-            self.qpos[self.world.model.joint(f"{tool.arm.name}_{joint}").qposadr[0]] = angle
-        return self.renderer.render(self.qpos)
+class Scene(UnknownScene):
+    """With check-frames looking at it."""
 
     def off(self, camera: HeldEndoscope) -> float:
         """True angle between where the picture looks and where it is believed to look [deg]."""
@@ -108,7 +72,7 @@ class Scene:
 @pytest.mark.full
 def test_the_chain_brings_hand_and_picture_together(tmp_path: Path) -> None:
     folder = copied_cell(tmp_path)
-    scene = Scene(surg_core.load_cell(folder))
+    scene = Scene(surg_core.load_cell(folder), UNKNOWN)
     stated = held_endoscope(scene.cell)
     assert stated is not None
     unknown = scene.verdict(stated, np.eye(3))

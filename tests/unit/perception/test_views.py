@@ -36,7 +36,7 @@ def rewrite(folder: Path, *lines: str) -> None:
 
 def test_views_have_corners_joints_and_touches(folder: Path) -> None:
     views = read_views(folder, BOARD)
-    assert [view.name for view in views.with_board] == ["000", "001"]
+    assert [view.name for view in views.with_board()] == ["000", "001"]
     assert views.size == (PICTURE.shape[1], PICTURE.shape[0])
     first, second = views.views
     assert (first.touch, second.touch) == (None, 7)
@@ -49,7 +49,7 @@ def test_a_view_without_the_board_is_left_out_with_its_reason(folder: Path) -> N
     cv2.imwrite(str(folder / "000_right.png"), PICTURE[:, ::-1])
     (folder / "001_left.png").unlink()
     views = read_views(folder, BOARD)
-    assert views.with_board == [] and len(views.skipped) == 2
+    assert views.with_board() == [] and len(views.skipped) == 2
     assert any("mirrored" in reason for reason in views.skipped)
     with pytest.raises(evidence.Refused) as refused:
         enough(views, 1)

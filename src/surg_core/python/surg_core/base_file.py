@@ -10,7 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from surg_core._core import parse_base
-from surg_core.checked_document import Evidence, evidence_text, pose_text
+from surg_core.checked_document import (
+    Evidence,
+    check_measured_with,
+    evidence_text,
+    pose_text,
+)
 from surg_core.config import PathLike, read_document
 from surg_core.replace_file import exact_numbers, one_line, replace_file
 from surg_core.transforms import FloatArray
@@ -89,3 +94,18 @@ def write_base(path: PathLike, base: BaseCalibration, note: str) -> None:
         f'camera_sha256: "{one_line(base.camera_sha256)}"\n'
     )
     replace_file(Path(path), text, load_base)
+
+
+def check_base_camera(base: BaseCalibration, file: Path, camera_file: Path) -> None:
+    """Refuse a base that was measured through another camera file: it is stale.
+
+    Raises:
+        ConfigError: With both files and the cure.
+    """
+    check_measured_with(
+        file,
+        (("camera_sha256", base.camera_sha256, camera_file),),
+        "the camera has been measured again since",
+        "Repeat ./surg calibrate CELL bases, or put back the camera's .previous file. Without "
+        f"{file.name} the arm stands where cell.yaml states it",
+    )

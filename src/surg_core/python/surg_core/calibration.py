@@ -122,20 +122,7 @@ def read_recording(path: PathLike, chain: Chain, joint_names: Sequence[str]) -> 
     Raises:
         CalibrationError: with file, line and what is wrong.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise CalibrationError(f"{path}: is not UTF-8 text: {error.reason}") from error
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be read: {error.strerror or error}") from error
-    lines = [
-        (number, line)
-        for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if not lines:
-        raise CalibrationError(f"{path}: is empty; a header and rows are needed")
-    rows = [(number, [word.strip() for word in next(csv.reader([line]))]) for number, line in lines]
+    rows = read_rows(path)
     header = rows[0][1]
     joints = tuple(joint_names)
     stated = sorted(name for name in header if name != SERIAL)
@@ -149,9 +136,7 @@ def read_recording(path: PathLike, chain: Chain, joint_names: Sequence[str]) -> 
     serials: set[str] = set()
     for number, words in rows[1:]:
         where = f"{path}:{number}"
-        if len(words) != len(header):
-            raise CalibrationError(f"{where}: {len(words)} values; the header has {len(header)}")
-        row = dict(zip(header, words))
+        row = by_name(header, words, where)
         motion = row["motion"]
         if motion not in MOTIONS:
             raise CalibrationError(
@@ -160,14 +145,49 @@ def read_recording(path: PathLike, chain: Chain, joint_names: Sequence[str]) -> 
         serials.add(row.get(SERIAL, ""))
         if len(serials) > 1:
             raise CalibrationError(f"{where}: serial {row[SERIAL]!r}, and other rows have another")
-        values = np.array([_number(row[name], f"{where}: {name}") for name in columns])
+        values = np.array([finite_number(row[name], f"{where}: {name}") for name in columns])
         pose = _pose(values, where) if columns is POSE else chain.forward(values)
         found.setdefault(motion, []).append(pose)
     poses = {motion: np.array(each) for motion, each in found.items()}
     return Recording(str(path), poses, serials.pop() if serials else "")
 
 
-def _number(word: str, where: str) -> float:
+def read_rows(path: PathLike) -> list[tuple[int, list[str]]]:
+    """Line number and words of each row, the header first; comments begin with ``#``.
+
+    Raises:
+        CalibrationError: The file cannot be read, is no UTF-8 text, or is empty.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise CalibrationError(f"{path}: is not UTF-8 text: {error.reason}") from error
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be read: {error.strerror or error}") from error
+    numbered = enumerate(text.splitlines(), start=1)
+    lines = [(n, line) for n, line in numbered if line.strip() and line.lstrip()[:1] != "#"]
+    if not lines:
+        raise CalibrationError(f"{path}: is empty; a header and rows are needed")
+    return [(n, [word.strip() for word in next(csv.reader([line]))]) for n, line in lines]
+
+
+def by_name(header: Sequence[str], words: Sequence[str], where: str) -> dict[str, str]:
+    """A row's words by column.
+
+    Raises:
+        CalibrationError: It has another number of values than the header.
+    """
+    if len(words) != len(header):
+        raise CalibrationError(f"{where}: {len(words)} values; the header has {len(header)}")
+    return dict(zip(header, words, strict=True))
+
+
+def finite_number(word: str, where: str) -> float:
+    """A number.
+
+    Raises:
+        CalibrationError: It is none, or not finite.
+    """
     try:
         value = float(word)
     except ValueError:

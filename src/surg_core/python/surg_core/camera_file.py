@@ -16,8 +16,8 @@ from surg_core.checked_document import (
     NO_HASH,
     CheckedDocument,
     Evidence,
+    check_measured_with,
     evidence_text,
-    file_sha256,
     pose_text,
 )
 from surg_core.config import PathLike, read_document
@@ -144,17 +144,12 @@ def check_camera_lenses(
     Raises:
         ConfigError: With both files and the cure.
     """
-    stated = (
-        ("left_sha256", camera.left_sha256, left_file),
-        ("right_sha256", camera.right_sha256, right_file),
+    check_measured_with(
+        file,
+        (
+            ("left_sha256", camera.left_sha256, left_file),
+            ("right_sha256", camera.right_sha256, right_file),
+        ),
+        "the lens has been measured again since",
+        "Repeat ./surg calibrate CELL handeye, or put back the lens's .previous file",
     )
-    for key, hash_then, lens_file in stated:
-        if hash_then in ("", NO_HASH):
-            continue
-        now = file_sha256(lens_file) if lens_file.is_file() else "no such file"
-        if now != hash_then:
-            raise ConfigError(
-                f"{file}: {key}: {hash_then[:12]}…; allowed: {now[:12]}, the hash of {lens_file}: "
-                "the lens has been measured again since. Repeat ./surg calibrate CELL handeye, "
-                "or put back the lens's .previous file"
-            )

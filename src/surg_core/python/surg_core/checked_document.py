@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -76,6 +76,31 @@ def file_sha256(path: PathLike) -> str:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
+def check_measured_with(
+    file: PathLike, stated: Iterable[tuple[str, str, PathLike]], why: str, cure: str
+) -> None:
+    """Refuse a file of results whose sources have changed since: it is stale.
+
+    Args:
+        file: The file of results.
+        stated: Key, stated SHA-256 and source of each; no hash or ``none``: no source.
+        why: What the change means.
+        cure: What to do.
+
+    Raises:
+        ConfigError: Of the first source that differs; names both files.
+    """
+    for key, then, source in stated:
+        if then in ("", NO_HASH):
+            continue
+        now = file_sha256(source) if Path(source).is_file() else "no such file"
+        if now != then:
+            raise ConfigError(
+                f"{file}: {key}: {then[:12]}…; allowed: {now[:12]}, the hash of {source}: {why}. "
+                f"{cure}"
+            )
+
+
 class CheckedDocument:
     """A flat document whose keys are asked for one by one."""
 
@@ -107,12 +132,23 @@ class CheckedDocument:
             raise self.refusal(key, "is missing", allowed)
         return self._values[key]
 
+    def has(self, key: str) -> bool:
+        """Whether the file states a key that may be left out."""
+        return key in self._values
+
     def choice(self, key: str, choices: Sequence[str]) -> str:
         """One of the texts."""
         value = self._get(key, ", ".join(choices))
         if value not in choices:
             raise self.refusal(key, repr(value), ", ".join(choices))
         return str(value)
+
+    def flag(self, key: str) -> bool:
+        """True or false."""
+        value = self._get(key, "true, false")
+        if not isinstance(value, bool):
+            raise self.refusal(key, repr(value), "true, false")
+        return value
 
     def text(self, key: str, allowed: str, pattern: str = r"[^\n]*\S[^\n]*") -> str:
         """A text of one line that matches the pattern; ``allowed`` describes it for people."""

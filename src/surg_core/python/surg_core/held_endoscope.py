@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from surg_core import camera_file, lens_file, stereo_file
+from surg_core import base_file, camera_file, lens_file, stereo_file
 from surg_core._core import Chain, ConfigError, Joint
 from surg_core.config import Arm, Cell
 from surg_core.transforms import FloatArray, matrix_to_quaternion_xyzw
@@ -155,6 +155,10 @@ def _held(cell: Cell, arm: Arm) -> HeldEndoscope:
         camera_file.check_camera_lenses(found, file, *lenses)
         R_FV, X_FV = found.R_FV, found.X_FV
     X_LR = np.linalg.inv(drawn[0]) @ drawn[1] if len(drawn) == 2 else None
+    for name in cell.arms:
+        base = folder / f"base_{name}.yaml"
+        if base.is_file():
+            base_file.check_base_camera(base_file.load_base(base), base, file)
     stereo = folder / f"{STEREO}.yaml"
     if X_LR is not None and stereo.is_file():
         X_LR = stereo_file.load_stereo(stereo).X_LR

@@ -75,11 +75,17 @@ class Lens:
                 f"Set the size to {self.width} x {self.height}, or repeat ./surg calibrate CELL "
                 "stereo"
             )
-        scale = np.diag([width / self.width, height / self.height, 1.0])
-        # Centres of pixels are whole numbers, edges lie at halves.
-        half = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
-        change = np.linalg.inv(half) @ scale @ half
+        change = resizing((self.width, self.height), (width, height))
         return replace(self, width=width, height=height, K=change @ self.K, P=change @ self.P)
+
+
+def resizing(size: tuple[int, int], to: tuple[int, int]) -> FloatArray:
+    """(3, 3) matrix from a picture's pixels to those of the same picture in another size.
+
+    Both sizes are width and height [px]. Centres of pixels are whole numbers, edges lie at halves.
+    """
+    x, y = to[0] / size[0], to[1] / size[1]
+    return np.array([[x, 0.0, (x - 1) / 2], [0.0, y, (y - 1) / 2], [0.0, 0.0, 1.0]])
 
 
 def parse_lens(document: Document) -> Lens:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from surg_core._core import ConfigError
 from surg_core.checked_document import (
     CheckedDocument,
     Evidence,
+    check_measured_with,
     evidence_text,
-    file_sha256,
     pose_text,
 )
 from surg_core.config import PathLike
@@ -135,14 +134,15 @@ def check_lenses(
     Raises:
         ConfigError: A lens file has changed since; names both files and the cure.
     """
-    for key, lens_file in (("left_sha256", left_file), ("right_sha256", right_file)):
-        stated, found = getattr(stereo, key), file_sha256(lens_file)
-        if stated != found:
-            raise ConfigError(
-                f"{file}: {key}: {stated[:12]}…; allowed: {found[:12]}…, the hash of {lens_file}: "
-                "they were not measured together. Repeat ./surg calibrate CELL stereo, or put "
-                "back the .previous files"
-            )
+    check_measured_with(
+        file,
+        (
+            ("left_sha256", stereo.left_sha256, left_file),
+            ("right_sha256", stereo.right_sha256, right_file),
+        ),
+        "they were not measured together",
+        "Repeat ./surg calibrate CELL stereo, or put back the .previous files",
+    )
 
 
 def _deviations(doc: CheckedDocument, key: str) -> FloatArray:

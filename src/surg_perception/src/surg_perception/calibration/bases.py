@@ -31,24 +31,58 @@ class SeenBase:
     Attributes:
         X_ST: (4, 4).
         covariance: (6, 6) rotation first, axes of S: of the points and of the hand-eye pose.
+        handeye_covariance: (6, 6) its part that the hand-eye pose causes; more points leave it.
         rms: Of the distances that remain [m].
         n: Number of points.
+        p_S: (n, 3) the points as the scope sees them, in S [m].
+        residuals: (n, 3) from there to the tip by its joints, in S [m].
+        X_SV: (4, 4) the left eye at the first point.
         spread: Extents of the points, rms along their principal axes, largest first (3,) [m].
         middle: (3,) of the points, in S [m].
     """
 
     X_ST: FloatArray
     covariance: FloatArray
+    handeye_covariance: FloatArray
     rms: float
     n: int
+    p_S: FloatArray
+    residuals: FloatArray
+    X_SV: FloatArray
     spread: FloatArray
     middle: FloatArray
 
     @property
     def error(self) -> tuple[float, float]:
         """Expected error: of the turn [rad], and of the place amid the points [m]."""
-        turn, _ = expected_error(self.covariance)
-        return turn, shift_at(self.covariance, self.middle - self.X_ST[:3, 3])
+        return self._error(self.covariance)
+
+    @property
+    def camera_share(self) -> float:
+        """Share of the hand-eye pose in the variance of the turn."""
+        return float((self._error(self.handeye_covariance)[0] / max(self.error[0], 1e-300)) ** 2)
+
+    def points_for(self, turn: float, shift: float) -> int | None:
+        """Number of points, spread like these, that would bring the expected error below limits.
+
+        Args:
+            turn: Largest expected turn [rad].
+            shift: Largest expected error of the place amid the points [m].
+
+        Returns:
+            The number; None: the hand-eye pose alone exceeds a limit.
+        """
+        by_all = np.square(self.error)
+        by_handeye = np.square(self._error(self.handeye_covariance))
+        allowed = np.square([turn, shift]) - by_handeye
+        if not (allowed > 0.0).all():
+            return None
+        share = float(np.max((by_all - by_handeye) / allowed))
+        return int(np.ceil(self.n * share)) if np.isfinite(share) else None
+
+    def _error(self, covariance: FloatArray) -> tuple[float, float]:
+        turn, _ = expected_error(covariance)
+        return turn, shift_at(covariance, self.middle - self.X_ST[:3, 3])
 
 
 def solve_base(
@@ -73,23 +107,37 @@ def solve_base(
         difference(rigid_fit(np.delete(p_T, k, axis=0), np.delete(p_S, k, axis=0)), X_ST)
         for k in range(n)
     ]
-    J = _by_handeye(X_ST, X_SF, X_FV)
-    covariance = jackknife(np.array(steps)) + J @ handeye_covariance @ J.T
-    away = np.linalg.norm(p_S - transform(X_ST, p_T), axis=1)
+    J = _by_handeye(p_S, p_T, X_SF, X_FV)
+    by_handeye = J @ handeye_covariance @ J.T
+    covariance = jackknife(np.array(steps)) + by_handeye
+    residuals = transform(X_ST, p_T) - p_S
     middle = p_S.mean(axis=0)
-    spread = np.linalg.svd(p_S - middle, compute_uv=False) / np.sqrt(n)
-    return SeenBase(X_ST, covariance, float(np.sqrt(np.mean(away**2))), n, spread, middle)
+    return SeenBase(
+        X_ST=X_ST,
+        covariance=covariance,
+        handeye_covariance=by_handeye,
+        rms=float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)))),
+        n=n,
+        p_S=p_S,
+        residuals=residuals,
+        X_SV=X_SF[0] @ X_FV,
+        spread=np.linalg.svd(p_S - middle, compute_uv=False) / np.sqrt(n),
+        middle=middle,
+    )
 
 
-def _by_handeye(X_ST: FloatArray, X_SF: FloatArray, X_FV: FloatArray) -> FloatArray:
-    """Derivative (6, 6) of X_ST by a step of X_FV, mean over the scope's postures.
+def _by_handeye(p_S: FloatArray, p_T: FloatArray, X_SF: FloatArray, X_FV: FloatArray) -> FloatArray:
+    """Derivative (6, 6) of the fit by a step of X_FV; what the eye sees moves with the eye.
 
-    What the eye sees moves with the eye: X_ST becomes X_SF X_FV' X_FV^-1 X_SF^-1 X_ST.
+    In each posture of the scope a step moves its points otherwise, so the fit is made anew.
     """
-    J = np.zeros((6, 6))
-    step = 1e-6
+    J, step = np.zeros((6, 6)), 1e-6
+    X_ST = rigid_fit(p_T, p_S)
     for k in range(6):
         change = moved(X_FV, step * np.eye(6)[k]) @ inverse_pose(X_FV)
-        each = [difference(X @ change @ inverse_pose(X) @ X_ST, X_ST) / step for X in X_SF]
-        J[:, k] = np.mean(each, axis=0)
+        seen = [
+            transform(X @ change @ inverse_pose(X), p[None])[0]
+            for X, p in zip(X_SF, p_S, strict=True)
+        ]
+        J[:, k] = difference(rigid_fit(p_T, np.array(seen)), X_ST) / step
     return J

@@ -31,6 +31,8 @@ WINDOW_SHARE = 0.1
 
 A larger window reaches the markers, a smaller one sees more noise.
 """
+LARGEST_BEND = 0.5
+"""Largest distance of corners from a flat board in perspective, rms, in sides of a square."""
 LEAST_CORNERS = 8
 """Corners of the board that a picture must show to count."""
 MARKER_SHARE = 0.7
@@ -119,7 +121,15 @@ class Board:
         return np.asarray(drawn, dtype=np.uint8)
 
     def find(self, picture: Picture) -> Corners | None:
-        """The corners that a picture (h, w) or (h, w, 3) shows; None: fewer than eight."""
+        """The corners that a picture (h, w) or (h, w, 3) shows.
+
+        None: there are fewer than eight, or they do not lie as on this board.
+        """
+        found = self._seen(picture)
+        return found if found is not None and self._lies_as_stated(found) else None
+
+    def _seen(self, picture: Picture) -> Corners | None:
+        """The corners of a picture, wherever they lie; None: fewer than eight."""
         grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
         pixels, ids = _charuco(np.ascontiguousarray(grey), _pattern(self), self.dictionary)
         if ids is None or len(ids) < LEAST_CORNERS:
@@ -130,8 +140,23 @@ class Board:
         )
         return Corners(found.ids, self._refined(np.ascontiguousarray(grey), found))
 
-    def _refined(self, grey: Picture, found: Corners) -> FloatArray:
-        """Pixels (n, 2) of the corners, refined in windows that fit the squares in the picture."""
+    def _lies_as_stated(self, found: Corners) -> bool:
+        """Whether the corners are a flat board's, up to what a lens bends.
+
+        Markers of a board with another number of columns are numbered otherwise: their corners
+        are two squares or more off. A barrel lens bends a board by less than a tenth of a square.
+        """
+        flat = self.corners[found.ids][:, :2]
+        H, _ = cv2.findHomography(flat, found.pixels)
+        if H is None:
+            return False
+        away = cv2.perspectiveTransform(flat[None], H)[0] - found.pixels
+        return float(np.sqrt(np.mean(np.sum(away**2, axis=1)))) <= LARGEST_BEND * self.side_in(
+            found
+        )
+
+    def side_in(self, found: Corners) -> float:
+        """Side of a square in a picture, median over neighbours [px]; 0: none are seen."""
         row = {int(number): row for row, number in enumerate(found.ids)}
         sides = [
             float(np.linalg.norm(found.pixels[row[number]] - found.pixels[row[number + step]]))
@@ -139,7 +164,11 @@ class Board:
             for step in (1, self.columns - 1)
             if number + step in row and not (step == 1 and (number + 1) % (self.columns - 1) == 0)
         ]
-        half = max(2, round(WINDOW_SHARE * float(np.median(sides)))) if sides else 2
+        return float(np.median(sides)) if sides else 0.0
+
+    def _refined(self, grey: Picture, found: Corners) -> FloatArray:
+        """Pixels (n, 2) of the corners, refined in windows that fit the squares in the picture."""
+        half = max(2, round(WINDOW_SHARE * self.side_in(found)))
         start = np.array(found.pixels[:, None], dtype=np.float32, order="C")
         ends = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
         refined = cv2.cornerSubPix(grey, start, (half, half), (-1, -1), ends)[:, 0]
@@ -154,6 +183,12 @@ class Board:
             count = _markers(grey, name)
             if name != self.dictionary and count > max(4, 2 * _markers(grey, self.dictionary)):
                 return f"the markers are of {name}, the board is stated as {self.dictionary}"
+        seen = self._seen(grey)
+        if seen is not None and not self._lies_as_stated(seen):
+            return (
+                f"its corners do not lie as on {self.columns}x{self.rows} squares: count them, and "
+                "state them by ./surg calibrate CELL board --squares"
+            )
         if _markers(grey, self.dictionary):
             return (
                 "its markers are seen, but fewer than eight corners; show more of the board, and "

@@ -9,7 +9,7 @@ import numpy as np
 from surg_core.transforms import FloatArray
 from surg_perception.calibration.bases import SeenBase
 from surg_perception.calibration.handeye import HandEyeFit
-from surg_perception.calibration.intrinsics import SeenCorners
+from surg_perception.calibration.intrinsics import LensFit, SeenCorners
 from surg_perception.calibration.stereo import StereoFit
 
 LEAST_VIEWS = 12
@@ -34,6 +34,8 @@ LARGEST_SHIFT, LARGEST_TILT = 0.001, np.radians(0.5)
 LEAST_TOUCHES, LEAST_RESTS = 6, 8
 LEAST_PATCH = 0.004
 """[m] rms extent of the touched corners along the shorter side of the board."""
+TOUCH_TURN, TOUCH_SHIFT = np.radians(0.2) / 2.5, 0.0005 / 2.5
+"""[rad], [m] Largest expected error of a base by touch: 0.2 degrees and 0.5 mm at 2.5 sigma."""
 LEAST_SPREAD = 0.030
 """[m] Between the places of the tip that lie farthest apart."""
 LARGEST_MISFIT, MISFIT_SIGMAS = 0.0025, 4.0
@@ -64,6 +66,43 @@ def coverage(seen: Sequence[SeenCorners], size: tuple[int, int]) -> FloatArray:
     return np.array([out[quarter == k].max(initial=0.0) for k in range(4)])
 
 
+def _lens_reasons(views: int, held_out: float) -> list[str]:
+    """Why there are too few views, or views that do not agree."""
+    reasons = []
+    if views < LEAST_VIEWS:
+        reasons.append(f"views: {views}; at least {LEAST_VIEWS}: take more")
+    if not held_out <= LARGEST_HELD_OUT:
+        reasons.append(
+            f"held-out error: {held_out:.2f} px; at most {LARGEST_HELD_OUT:g}: the board is bent, "
+            "moved during exposure or is not the stated one"
+        )
+    return reasons
+
+
+def _coverage_reasons(seen: Sequence[SeenCorners], size: tuple[int, int], eye: str) -> list[str]:
+    """Which corner of an eye's picture the board must still be shown in."""
+    reached = coverage(seen, size)
+    if reached.min() >= LEAST_COVERAGE:
+        return []
+    corner = ("upper left", "upper right", "lower left", "lower right")[reached.argmin()]
+    return [
+        f"coverage of the {eye} picture: {reached.min():.2f}; at least {LEAST_COVERAGE:g} of the "
+        f"half height: show the board in the {corner} too"
+    ]
+
+
+def check_lens(result: LensFit, size: tuple[int, int]) -> None:
+    """Refuse the lens of a single eye without enough evidence.
+
+    Raises:
+        Refused: With each limit that is not met.
+    """
+    seen = result.fit.solution.seen
+    reasons = _lens_reasons(len(seen), result.held_out) + _coverage_reasons(seen, size, "left")
+    if reasons:
+        raise Refused("camera", reasons)
+
+
 def check_stereo(result: StereoFit, size: tuple[int, int]) -> None:
     """Refuse a pair of lenses without enough evidence.
 
@@ -71,22 +110,9 @@ def check_stereo(result: StereoFit, size: tuple[int, int]) -> None:
         Refused: With each limit that is not met.
     """
     seen = result.fit.solution.seen
-    reasons = []
-    if len(seen) < LEAST_VIEWS:
-        reasons.append(f"views: {len(seen)}; at least {LEAST_VIEWS}: take more")
-    if not result.held_out <= LARGEST_HELD_OUT:
-        reasons.append(
-            f"held-out error: {result.held_out:.2f} px; at most {LARGEST_HELD_OUT:g}: the board is "
-            "bent, moved during exposure or is not the stated one"
-        )
+    reasons = _lens_reasons(len(seen), result.held_out)
     for eye, name in enumerate(("left", "right")):
-        reached = coverage([view[eye] for view in seen], size)
-        if not reached.min() >= LEAST_COVERAGE:
-            corner = ("upper left", "upper right", "lower left", "lower right")[reached.argmin()]
-            reasons.append(
-                f"coverage of the {name} picture: {reached.min():.2f}; at least {LEAST_COVERAGE:g} "
-                f"of the half height: show the board in the {corner} too"
-            )
+        reasons += _coverage_reasons([view[eye] for view in seen], size, name)
     x = float(result.stereo.X_LR[0, 3])
     if not BASELINES[0] <= x <= BASELINES[1]:
         why = "the eyes are swapped" if x < 0 else "is the size of the squares right?"
@@ -122,9 +148,12 @@ def check_handeye(result: HandEyeFit) -> None:
             "in more directions and roll it"
         )
     if not result.fit.rms <= LARGEST_RMS:
+        of_views = [float(np.sqrt(2.0 * np.mean(r**2))) for r in result.fit.residuals]
+        worst = int(np.argmax(of_views))
         reasons.append(
             f"rms: {result.fit.rms:.2f} px; at most {LARGEST_RMS:g}: the board or the arm moved "
-            "during a view, or the joints are another arm's"
+            "during a view, or the joints are another arm's; the worst view is number "
+            f"{worst + 1} of {n} ({of_views[worst]:.2f} px): delete its row"
         )
     turn, shift = result.pose_error
     if not (shift <= LARGEST_SHIFT and turn <= LARGEST_TILT):
@@ -158,10 +187,17 @@ def check_touch(result: SeenBase) -> None:
             f"touches: {1e3 * result.spread[1]:.1f} mm (rms) across their longest direction; at "
             f"least {1e3 * LEAST_PATCH:g}: touch corners all over the board, and move the board"
         )
-    if not (shift <= 0.001 and turn <= np.radians(0.3)):
+    if not (shift <= TOUCH_SHIFT and turn <= TOUCH_TURN):
+        needed = result.points_for(TOUCH_TURN, TOUCH_SHIFT)
+        cure = (
+            "the camera alone errs more: repeat ./surg calibrate CELL handeye with more views"
+            if needed is None or result.camera_share > 0.5
+            else f"{needed} touches like these would do, or fewer that lie farther apart, also "
+            "nearer and farther from the lens; is the tool calibrated?"
+        )
         reasons.append(
-            f"expected error: {1e3 * shift:.2f} mm, {np.degrees(turn):.2f} deg; at most 1 mm, "
-            "0.3 deg: touch more corners, farther apart; is the tool calibrated?"
+            f"expected error: {1e3 * shift:.2f} mm, {np.degrees(turn):.3f} deg; at most "
+            f"{1e3 * TOUCH_SHIFT:g} mm, {np.degrees(TOUCH_TURN):g} deg: {cure}"
         )
     if reasons:
         raise Refused("bases", reasons)

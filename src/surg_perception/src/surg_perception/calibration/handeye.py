@@ -148,7 +148,7 @@ def solve_handeye(
     fit = adjust(HandEyeProblem(stereo, X_FV, X_BBoard, X_BF, seen))
     freed = adjust(replace(fit.solution, free=True))
     sd = np.sqrt(np.diag(freed.covariance)[12:])
-    return HandEyeFit(fit, np.exp(freed.solution.factors), sd, _turns(X_BF))
+    return HandEyeFit(fit, np.exp(freed.solution.factors), sd, turns_between(X_BF))
 
 
 def pair_pose(stereo: Stereo, pair: tuple[SeenCorners, SeenCorners]) -> FloatArray:
@@ -179,7 +179,7 @@ def park(X_BF: FloatArray, X_VBoard: FloatArray) -> FloatArray:
     return X
 
 
-def _turns(X_BF: FloatArray) -> FloatArray:
+def turns_between(X_BF: FloatArray) -> FloatArray:
     """Largest turn between two views, and the largest one across its axis (2,) [rad]."""
     turns = np.array(
         [
@@ -189,7 +189,7 @@ def _turns(X_BF: FloatArray) -> FloatArray:
         ]
     )
     lengths = np.linalg.norm(turns, axis=1)
-    axis = turns[np.argmax(lengths)] / lengths.max()
+    axis = turns[np.argmax(lengths)] / max(float(lengths.max()), 1e-12)
     across = turns - np.outer(turns @ axis, axis)
     return np.array([lengths.max(), np.linalg.norm(across, axis=1).max()])
 

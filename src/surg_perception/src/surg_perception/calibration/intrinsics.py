@@ -171,3 +171,37 @@ def choose_model(
         errors[model] = float(np.sqrt(np.mean(np.square(each))))
     best = min(error for error in errors.values() if np.isfinite(error))
     return next(m for m in MODELS if errors[m] <= GOOD_ENOUGH * best), errors
+
+
+@dataclass(frozen=True)
+class LensFit:
+    """One lens with the evidence.
+
+    Attributes:
+        fit: The adjustment; ``fit.solution.lens`` is the result.
+        errors_of_models: Held-out error of each lens model [px].
+    """
+
+    fit: Adjusted[LensProblem]
+    errors_of_models: dict[str, float]
+
+    @property
+    def lens(self) -> LensModel:
+        """The result."""
+        return self.fit.solution.lens
+
+    @property
+    def held_out(self) -> float:
+        """Residual of views under the solution without them, rms [px]."""
+        return self.errors_of_models[self.lens.model]
+
+
+def solve_lens(seen: Sequence[SeenCorners], size: tuple[int, int]) -> LensFit:
+    """The lens of a single eye, by the simplest good model.
+
+    Args:
+        seen: What each view shows.
+        size: Width and height of the pictures [px].
+    """
+    model, errors = choose_model([seen], size)
+    return LensFit(fit_lens(seen, size, model), errors)

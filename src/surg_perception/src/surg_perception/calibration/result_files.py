@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from surg_core import ConfigError
 from surg_core.camera_file import camera_calibration, write_camera
 from surg_core.checked_document import Evidence, file_sha256
 from surg_core.lens_file import Lens, load_lens, write_lens
@@ -83,6 +84,41 @@ def _lens(name: str, lens: LensModel, R: FloatArray, P: FloatArray) -> Lens:
     return Lens(*lens.size, name, lens.K, lens.model, lens.D, R, P)
 
 
+def check_one_eye(folder: Path) -> None:
+    """Refuse to measure the left eye alone where a cell has two.
+
+    Raises:
+        ConfigError: The cell has files of a second eye.
+    """
+    for name in (RIGHT, STEREO):
+        if (folder / name).exists():
+            raise ConfigError(
+                f"{folder / name}: this cell has two eyes; run ./surg calibrate CELL stereo. For "
+                f"one eye delete {RIGHT} and {STEREO} first"
+            )
+
+
+def save_camera(folder: Path, lens: LensModel, origin: Origin) -> Path:
+    """Write the lens of a single eye."""
+    P = np.column_stack([lens.K, np.zeros(3)])
+    write_lens(folder / LEFT, _lens(Path(LEFT).stem, lens, np.eye(3), P), origin.note)
+    return folder / LEFT
+
+
+def read_eyes(folder: Path) -> tuple[Stereo, StereoCalibration | None]:
+    """The eyes that a cell's ``calibration`` folder has: two, or the left one alone.
+
+    With one eye the right one of the result is the left one again, and the second value is None.
+
+    Raises:
+        ConfigError: As `read_stereo`.
+    """
+    if (folder / STEREO).exists() or (folder / RIGHT).exists() or not (folder / LEFT).exists():
+        return read_stereo(folder)
+    lens = LensModel.of(load_lens(folder / LEFT))
+    return Stereo(lens, lens, np.eye(4)), None
+
+
 def read_stereo(folder: Path) -> tuple[Stereo, StereoCalibration]:
     """Both lenses and the pose between them from a cell's ``calibration`` folder.
 
@@ -103,7 +139,16 @@ def save_handeye(folder: Path, arm: str, result: HandEyeFit, origin: Origin) -> 
         result.covariance, fit.rms, len(fit.residuals), max(1.0, fit.condition), origin.date,
         origin.source,
     )  # fmt: skip
-    hashes = [file_sha256(folder / name) for name in (LEFT, RIGHT)]
+    eyes = [folder / name for name in (LEFT, RIGHT)]
+    hashes = [file_sha256(path) for path in eyes if path.exists()]
     path = folder / f"camera_{arm}.yaml"
     write_camera(path, camera_calibration(result.X_FV, evidence, *hashes), origin.note)
+    return path
+
+
+def save_page(folder: Path, step: str, page: str) -> Path:
+    """Write the page about a step into ``views`` of a cell's ``calibration`` folder."""
+    path = folder / "views" / f"{step}.html"
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(page, encoding="utf-8")
     return path

@@ -14,16 +14,21 @@ from surg_core.stereo_file import HELD_OUT_DISTANCES
 from surg_perception.calibration import evidence
 from surg_perception.calibration.board import Board, BoardError
 from surg_perception.calibration.board_file import load_board
-from surg_perception.calibration.calibration_report import stereo_page
 from surg_perception.calibration.handeye import HandEyeFit, solve_handeye
+from surg_perception.calibration.intrinsics import LensFit, solve_lens
+from surg_perception.calibration.lens_model import LensModel
 from surg_perception.calibration.result_files import (
     Origin,
-    read_stereo,
+    check_one_eye,
+    read_eyes,
+    save_camera,
     save_handeye,
+    save_page,
     save_stereo,
 )
 from surg_perception.calibration.stereo import StereoFit, solve_stereo
 from surg_perception.calibration.views import Views, read_views
+from surg_perception.output.calibration_report import camera_page, handeye_page, stereo_page
 
 BOARD = "board.yaml"
 
@@ -44,19 +49,18 @@ def find_board(calibration: Path, source: Path) -> Board:
     )
 
 
-def enough(views: Views, least: int) -> None:
+def enough(views: Views, least: int, eyes: int = 2) -> None:
     """Refuse a folder with too few views of the board.
 
     Raises:
         Refused: It states the reasons of the views that were left out.
     """
-    n = len(views.with_board)
+    n = len(views.with_board(eyes))
     if n < least:
         why = f" ({views.skipped[0]})" if views.skipped else ""
-        raise evidence.Refused(
-            str(views.folder),
-            [f"views that show the board to both eyes: {n}; at least {least}{why}"],
-        )
+        who = "both eyes" if eyes == 2 else "the left eye"
+        reason = f"views that show the board to {who}: {n}; at least {least}{why}"
+        raise evidence.Refused(str(views.folder), [reason])
 
 
 def stereo(
@@ -76,18 +80,50 @@ def stereo(
     """
     views = read_views(source, find_board(calibration, source))
     enough(views, evidence.LEAST_VIEWS)
-    pairs = [view.seen(views.board) for view in views.with_board]
+    pairs = [view.seen(views.board) for view in views.with_board()]
     result = solve_stereo([pair for pair in pairs if pair is not None], views.size)
     lines = [f"left out {reason}" for reason in views.skipped]
     lines += _stereo_lines(result)
     evidence.check_stereo(result, views.size)
     if write:
         paths = save_stereo(calibration, result, views.board, lens_state, origin)
-        page = calibration / "views" / "report.html"
-        page.parent.mkdir(exist_ok=True)
-        page.write_text(stereo_page(result, origin.note), encoding="utf-8")
-        lines += [f"written: {path}" for path in (*paths, page)]
+        page = stereo_page(result, views.board, origin.note)
+        paths.append(save_page(calibration, "stereo", page))
+        lines += [f"written: {path}" for path in paths]
     return result, lines
+
+
+def camera(
+    calibration: Path, source: Path, origin: Origin, write: bool = True
+) -> tuple[LensFit, list[str]]:
+    """The lens of an endoscope with one eye; arguments as `stereo`."""
+    check_one_eye(calibration)
+    views = read_views(source, find_board(calibration, source))
+    enough(views, evidence.LEAST_VIEWS, 1)
+    pairs = [view.seen(views.board, 1) for view in views.with_board(1)]
+    result = solve_lens([pair[0] for pair in pairs if pair is not None], views.size)
+    lens = result.lens
+    errors = ", ".join(f"{model} {px:.3f}" for model, px in result.errors_of_models.items())
+    lines = [
+        *(f"left out {reason}" for reason in views.skipped),
+        f"lens     {lens.model} (held out [px]: {errors})",
+        _eye_line("left", lens),
+        f"evidence n {len(result.fit.residuals)}, rms {result.fit.rms:.3f} px, held out "
+        f"{result.held_out:.3f} px",
+    ]
+    evidence.check_lens(result, views.size)
+    if write:
+        page = camera_page(result, views.board, origin.note)
+        paths = save_camera(calibration, lens, origin), save_page(calibration, "camera", page)
+        lines += [f"written: {path}" for path in paths]
+    return result, lines
+
+
+def _eye_line(name: str, eye: LensModel) -> str:
+    return (
+        f"{name:8s} fx {eye.values[0]:.2f}, fy {eye.values[1]:.2f}, cx {eye.values[2]:.2f}, "
+        f"cy {eye.values[3]:.2f} px; D {np.round(eye.D, 4).tolist()}"
+    )
 
 
 def _stereo_lines(result: StereoFit) -> list[str]:
@@ -99,11 +135,8 @@ def _stereo_lines(result: StereoFit) -> list[str]:
     )
     return [
         f"lens     {lens.model} (held out [px]: {errors})",
-        *(
-            f"{name:8s} fx {eye.values[0]:.2f}, fy {eye.values[1]:.2f}, cx {eye.values[2]:.2f}, "
-            f"cy {eye.values[3]:.2f} px; D {np.round(eye.D, 4).tolist()}"
-            for name, eye in (("left", result.stereo.left), ("right", result.stereo.right))
-        ),
+        _eye_line("left", result.stereo.left),
+        _eye_line("right", result.stereo.right),
         f"stereo   baseline {1e3 * result.stereo.baseline:.3f} mm; expected error "
         f"{shift:.3f} mm, {turn:.3f} deg",
         f"evidence n {len(fit.residuals)}, rms {fit.rms:.3f} px, held out "
@@ -132,7 +165,8 @@ def handeye(
     """The left eye in the flange of the arm that holds the endoscope; arguments as `stereo`."""
     calibration = cell.folder / "calibration"
     arm = scope_arm(cell)
-    eyes, _ = read_stereo(calibration)
+    eyes, two = read_eyes(calibration)
+    count = 1 if two is None else 2
     views = read_views(source, find_board(calibration, source))
     if views.size != eyes.left.size:
         raise evidence.Refused(
@@ -140,10 +174,10 @@ def handeye(
             [f"size: {views.size[0]} x {views.size[1]} px; the lens files are for "
              f"{eyes.left.size[0]} x {eyes.left.size[1]}: take views of that size"],
         )  # fmt: skip
-    enough(views, evidence.LEAST_POSTURES)
+    enough(views, evidence.LEAST_POSTURES, count)
     seen, poses = [], []
-    for view in views.with_board:
-        pair = view.seen(views.board)
+    for view in views.with_board(count):
+        pair = view.seen(views.board, count)
         if pair is not None:
             seen.append(pair)
             poses.append(arm.chain.forward(view.of_arm(arm.name, arm.robot.joint_names)))
@@ -160,5 +194,8 @@ def handeye(
     ]
     evidence.check_handeye(result)
     if write:
-        lines.append(f"written: {save_handeye(calibration, arm.name, result, origin)}")
+        page = handeye_page(result, views.board, origin.note)
+        paths = [save_handeye(calibration, arm.name, result, origin)]
+        paths.append(save_page(calibration, "handeye", page))
+        lines += [f"written: {path}" for path in paths]
     return result, lines

@@ -71,9 +71,16 @@ class View:
             )
         return np.array([self.joints[f"{arm}/{joint}"] for joint in joints])
 
-    def seen(self, board: Board) -> tuple[SeenCorners, SeenCorners] | None:
-        """What both eyes see; None: one of them does not see the board."""
+    def seen(self, board: Board, eyes: int = 2) -> tuple[SeenCorners, SeenCorners] | None:
+        """What both eyes see; None: one of them does not see the board.
+
+        Args:
+            board: What is seen.
+            eyes: 1: the right eye is left out; it sees no corner then.
+        """
         left, right = self.corners
+        if eyes == 1:
+            right = Corners(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
         if left is None or right is None:
             return None
         places = board.corners
@@ -101,14 +108,18 @@ class Views:
     views: Sequence[View]
     skipped: Sequence[str]
 
-    @property
-    def with_board(self) -> list[View]:
-        """The views that show the board to both eyes."""
-        return [view for view in self.views if view.seen(self.board) is not None]
+    def with_board(self, eyes: int = 2) -> list[View]:
+        """The views that show the board to both eyes, or with ``eyes`` 1 to the left one."""
+        return [view for view in self.views if view.seen(self.board, eyes) is not None]
 
 
-def read_views(folder: Path, board: Board) -> Views:
+def read_views(folder: Path, board: Board, look: bool = True) -> Views:
     """Read a folder and find the board in its pictures.
+
+    Args:
+        folder: Of the views.
+        board: What they show.
+        look: Whether the board is looked for; False: the pictures show something else.
 
     Raises:
         ViewsError: The folder, its table or a picture must not be used.
@@ -139,9 +150,9 @@ def read_views(folder: Path, board: Board) -> Views:
                 f"{folder}: view {first} has {a[0]} x {a[1]} px, view {second} {b[0]} x {b[1]}; "
                 "all pictures must have one size"
             )
-        corners = [None if p is None else board.find(p) for p in pictures]
+        corners = [board.find(p) if look and p is not None else None for p in pictures]
         for eye, picture, found in zip(EYES, pictures, corners, strict=True):
-            if picture is not None and found is None:
+            if look and picture is not None and found is None:
                 skipped.append(f"{name}_{eye}.png: {board.why_not(picture)}")
         views.append(_view(name, row, where, (corners[0], corners[1]), board))
     if not sizes:

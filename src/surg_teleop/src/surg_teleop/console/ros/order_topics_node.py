@@ -11,6 +11,7 @@ from std_msgs.msg import Bool, Float64, String
 
 from crtk_msgs.msg import StringStamped
 from surg_core import rpy_to_matrix
+from surg_msgs.msg import CalibrationRequest
 from surg_teleop.console.session import console_orders as orders
 from surg_teleop.console.web.page_protocol import Input
 from surg_teleop.leaders.leader import HandlePose, HandRate, LeaderSample
@@ -29,6 +30,7 @@ KINDS = {
     orders.Present.topic: Joy,
     orders.Clutch.topic: Joy,
     orders.Camera.topic: Joy,
+    orders.Calibrate.topic: CalibrationRequest,
     RATE: Joy,
     "/sim/by_hand": String,
 }
@@ -52,6 +54,9 @@ class OrderTopics:
         if isinstance(order, orders.Button):
             self._held[order.topic] = bool(order.value)
             self._press(order.topic, bool(order.value))
+        elif isinstance(order, orders.Calibrate):
+            request = getattr(CalibrationRequest, str(order.value))
+            self._topics[order.topic].publish(request)
         elif isinstance(order, orders.Request):
             self._topics[order.topic].publish(order.value)
         elif isinstance(order, orders.StateCommand):

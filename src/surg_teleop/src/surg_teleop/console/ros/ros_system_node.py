@@ -5,6 +5,7 @@ Messages of fast topics are kept as bytes and decoded only when the page needs a
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 import time
 from dataclasses import replace
@@ -20,6 +21,7 @@ from surg_core import Fixture
 from surg_core.status_check import Newest, value_name
 from surg_core.transforms import quaternion_xyzw_to_matrix
 from surg_msgs.msg import (
+    CalibrationStatus,
     Cycle,
     Fixtures,
     HandStatus,
@@ -38,6 +40,7 @@ from surg_teleop.console.session.fixture_view import FixtureView, region_of
 from surg_teleop.console.session.page_status import finite
 from surg_teleop.console.session.system_state import (
     Arm,
+    Calibration,
     Follower,
     Gauges,
     PolicyServer,
@@ -52,6 +55,7 @@ STATUSES = {
     "/record/status": RecordStatus,
     "/sim/status": SimStatus,
     "/policy/status": PolicyStatus,
+    "/calibrate/status": CalibrationStatus,
 }
 FAST = {
     "rcm": "rcm/error",
@@ -170,7 +174,7 @@ class RosSystem:
             hands = self._hands(now)
             first, others = hands[0], hands[1:]
             own = [hand for hand in others if hand.leader == first.leader]
-            record, sim, policy = (self._statuses[topic].at(now) for topic in STATUSES)
+            record, sim, policy, calibration = (self._statuses[topic].at(now) for topic in STATUSES)
             return Robot(
                 tuple(self._arms.values()),
                 first,
@@ -189,6 +193,7 @@ class RosSystem:
                 simulated=sim is not None,
                 task=_task(sim) if sim else SimTask(),
                 policy=_policy(policy) if policy else PolicyServer(),
+                calibration=_calibration(calibration) if calibration else None,
             )
 
     def _hands(self, now: float) -> list[Follower]:
@@ -247,6 +252,15 @@ def _recorder(status: RecordStatus) -> Recorder:
 def _task(status: SimStatus) -> SimTask:
     task = status.task
     return SimTask(value_name(task, "state"), task.name, task.phase, task.detail)
+
+
+def _calibration(status: CalibrationStatus) -> Calibration:
+    content = {each.name: getattr(status, each.name) for each in dataclasses.fields(Calibration)}
+    content = {
+        k: tuple(v) if isinstance(v, list | tuple | bytes) else v for k, v in content.items()
+    }
+    names = {"state": value_name(status, "state"), "step": value_name(status, "step")}
+    return Calibration(**{**content, **names})
 
 
 def _policy(status: PolicyStatus) -> PolicyServer:

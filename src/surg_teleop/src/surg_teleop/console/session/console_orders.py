@@ -70,6 +70,12 @@ class PutBack(Request):
     topic = "/sim/by_hand"
 
 
+class Calibrate(Request):
+    """A request to the collector of calibration views, by its name in CalibrationRequest."""
+
+    topic = "/calibrate/request"
+
+
 class Button(Request):
     """Whether a button is held; re-published, because receivers drop silent sources."""
 

@@ -94,9 +94,17 @@ class Shown:
     seq: int
 
 
-PageMessage = Hello | Input | Press | Scale | Hidden | Ping | Watch | Shown
+@dataclass(frozen=True)
+class CalibrationPress:
+    """A button of the page /calibrate."""
+
+    request: str  # one of `CALIBRATION_REQUESTS`, names of surg_msgs/CalibrationRequest
+
+
+PageMessage = Hello | Input | Press | Scale | Hidden | Ping | Watch | Shown | CalibrationPress
 
 PRESSES = ("take", "release", "enable", "stop", "record", "record_stop", "policy", "put_back")
+CALIBRATION_REQUESTS = ("START_STEREO", "START_HANDEYE", "UNDO", "SOLVE")
 HIDDEN = ("hidden", "closed", "gamepad", "pointer")
 
 
@@ -203,6 +211,7 @@ _READERS: dict[str, Callable[[_Keys], PageMessage]] = {
     "hidden": lambda keys: Hidden(keys.word("why", HIDDEN)),
     "ping": lambda keys: Ping(keys.number("at", 0.0, _CLOCK)),
     "watch": lambda keys: Watch(keys.word("layout", LAYOUTS), keys.word("codec", CODECS)),
+    "calibrate": lambda keys: CalibrationPress(keys.word("request", CALIBRATION_REQUESTS)),
     "shown": lambda keys: Shown(keys.whole("seq", 2**32)),
 }
 

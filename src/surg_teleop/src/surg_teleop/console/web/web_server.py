@@ -1,7 +1,8 @@
 """The console's web server: page, control socket and picture socket. No ROS.
 
 ``/`` and ``/page/…`` serve the page, ``/control`` its input and status, ``/pictures`` the
-endoscope's pictures. The page itself is public; both sockets demand the token in a first `hello`.
+endoscope's pictures. ``/calibrate`` is the page that collects calibration views, ``/calibration``
+its socket. The pages are public; all sockets demand the token in a first `hello`.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from surg_teleop.console.session.page_status import report
 from surg_teleop.console.session.system_state import Robot
 from surg_teleop.console.web import http_policy
 from surg_teleop.console.web.access import Access
+from surg_teleop.console.web.calibration_socket import CalibrationPages
 from surg_teleop.console.web.encoder_process import EncoderProcess
 from surg_teleop.console.web.listener import Connection, Listener, listen
 from surg_teleop.console.web.page_connection import MessageBudget, Outbox, Viewer
@@ -56,6 +58,7 @@ MAX_PAGES = 8
 MAX_ERRORS = 5
 """Invalid messages after which a page is disconnected."""
 
+SOCKETS = ("/control", "/pictures", "/calibration")
 CLOSE_HELLO, CLOSE_FULL = 4401, 4429
 """WebSocket close codes: wrong or missing token; too many pages."""
 
@@ -103,6 +106,7 @@ class Server:
         self._files = http_policy.page_files()
         self._outboxes: dict[str, Outbox] = {}
         self._viewers: set[Viewer] = set()
+        self._calibrators = CalibrationPages(system, {"cell": facts["cell"]}, clock)
         self._sockets: set[web.WebSocketResponse] = set()
         self._pages_so_far, self._ending = 0, False
         self._episodes = ""
@@ -112,7 +116,9 @@ class Server:
         """The aiohttp application."""
         app = web.Application(middlewares=[self._in_turn, self._guard], client_max_size=LONGEST)
         app.router.add_get("/", self._page)
+        app.router.add_get("/calibrate", self._page)
         app.router.add_get("/page/{name}", self._page)
+        app.router.add_get("/calibration", self._calibration)
         app.router.add_get("/control", self._control)
         app.router.add_get("/pictures", self._stream)
         app.on_response_prepare.append(http_policy.add_headers)
@@ -218,7 +224,7 @@ class Server:
         if not self._access.host_allowed(request.headers.get("Host")):
             text = "421: unknown host name; open the address that the console has printed"
             return web.Response(status=421, text=text + "\n")
-        if request.path in ("/control", "/pictures") and not self._access.origin_allowed(
+        if request.path in SOCKETS and not self._access.origin_allowed(
             request.headers.get("Origin")
         ):
             return web.Response(status=403, text="403: only the console's own page may connect\n")
@@ -238,7 +244,8 @@ class Server:
             connection.end()
 
     async def _page(self, request: web.Request) -> web.StreamResponse:
-        name = request.match_info.get("name", "index.html")
+        pages = {"/": "index.html", "/calibrate": "calibrate.html"}
+        name = pages.get(request.path) or request.match_info["name"]
         content = self._files.get(name)
         if content is None:
             return web.Response(status=404, text="404: no such file\n")
@@ -331,6 +338,16 @@ class Server:
         self._send_orders()
         if refused:
             outbox.reply(json.dumps({"say": "refused", "why": refused}))
+
+    async def _calibration(self, request: web.Request) -> web.StreamResponse:
+        socket = await self._admit(request, lambda: self._calibrators.open)
+        if socket is None:
+            return web.Response()
+        try:
+            await self._calibrators.serve(socket)
+        finally:
+            self._sockets.discard(socket)
+        return socket
 
     # --- pictures -----------------------------------------------------------------------------
 

@@ -1,0 +1,1 @@
+"""Views of the calibration board from a running system."""

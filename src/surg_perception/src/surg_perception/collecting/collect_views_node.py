@@ -1,0 +1,221 @@
+"""Collects calibration views from a running system: topics in, ``/calibrate/status`` out.
+
+It moves nothing. Pictures of the newest pair only; a pair has one stamp. The node is part of
+``./surg calibrate CELL stereo|handeye --live``, which starts a step, and of ``live``, which waits
+for ``/calibrate/request``.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from typing import Any
+
+import cv2
+import numpy as np
+import rospy
+from sensor_msgs.msg import CameraInfo, Image, JointState
+
+from surg_core.standstill import REST_S, resting
+from surg_core.transforms import FloatArray
+from surg_msgs.msg import CalibrationRequest, CalibrationStatus
+from surg_perception.calibration.board import Picture
+from surg_perception.collecting import collector
+from surg_perception.collecting.collector import Step
+from surg_perception.collecting.live_calibration import LiveCalibration, State, Status
+
+EYES = ("left", "right")
+GREY = {"rgb8": cv2.COLOR_RGB2GRAY, "bgr8": cv2.COLOR_BGR2GRAY, "mono8": None}
+SILENT_S = 2.0
+"""Silence of pictures or joints after which the person is told."""
+REPORT_S = 0.2
+
+
+class CollectViews:
+    """The node's topics around a calibration."""
+
+    def __init__(self, live: LiveCalibration) -> None:
+        self._live = live
+        self._newest: dict[str, Image] = {}
+        self._pair: tuple[Image, Image] | None = None
+        self._arrived = threading.Condition()
+        self._joints: deque[tuple[float, FloatArray]] = deque()
+        self._listener: Any = None
+        self._names: list[str] = []
+        self._seen = rospy.get_time()
+        self._requests: list[int] = []
+        self._status = rospy.Publisher(
+            "/calibrate/status", CalibrationStatus, queue_size=10, latch=True
+        )
+        self._inputs = [
+            rospy.Subscriber("/calibrate/request", CalibrationRequest, self._on_request),
+            rospy.Subscriber("/endoscope/left/camera_info", CameraInfo, self._on_info),
+        ]
+        for eye in EYES:
+            self._inputs.append(
+                rospy.Subscriber(
+                    f"/endoscope/{eye}/image_raw",
+                    Image,
+                    self._on_image,
+                    eye,
+                    queue_size=1,
+                    buff_size=1 << 25,
+                    tcp_nodelay=True,
+                )
+            )
+
+    def start(self, step: Step) -> None:
+        """Begin a step; raises as `LiveCalibration.start`."""
+        self._live.start(step)
+        self._seen = rospy.get_time()
+        if self._listener is not None:
+            self._listener.unregister()
+            self._listener = None
+        arm = self._live.arm
+        if arm is not None:
+            self._joints.clear()
+            self._names = list(arm.robot.joint_names)
+            self._listener = rospy.Subscriber(
+                f"/{arm.name}/robot/measured_js",
+                JointState,
+                self._on_joints,
+                queue_size=1000,
+                tcp_nodelay=True,
+            )
+
+    def _on_request(self, message: CalibrationRequest) -> None:
+        with self._arrived:
+            self._requests.append(message.request)
+            self._arrived.notify()
+
+    def _on_info(self, message: CameraInfo) -> None:
+        self._live.lens(np.array(message.K).reshape(3, 3))
+
+    def _on_image(self, message: Image, eye: str) -> None:
+        with self._arrived:
+            self._newest[eye] = message
+            left, right = (self._newest.get(each) for each in EYES)
+            if left is not None and right is not None and left.header.stamp == right.header.stamp:
+                self._pair = (left, right)
+                self._arrived.notify()
+
+    def _on_joints(self, message: JointState) -> None:
+        where = dict(zip(message.name, message.position, strict=False)) if message.name else {}
+        known = set(self._names) <= set(where)
+        q = [where[name] for name in self._names] if known else list(message.position)
+        if len(q) != len(self._names) or message.header.stamp.to_nsec() == 0:
+            return
+        with self._arrived:
+            states, now = self._joints, message.header.stamp.to_sec()
+            if states and now <= states[-1][0]:
+                states.clear()
+            states.append((now, np.array(q)))
+            while now - states[0][0] > 4 * REST_S:
+                states.popleft()
+
+    def turn(self, wait: float = REPORT_S) -> Status:
+        """Look at the newest pair, if one arrives in time [s], and publish the status."""
+        with self._arrived:
+            if self._pair is None and not self._requests:
+                self._arrived.wait(wait)
+            pair, self._pair = self._pair, None
+            requests, self._requests = self._requests, []
+            joints = list(self._joints)
+        for request in requests:
+            self._obey(request)
+        if pair is not None:
+            self._look(pair, joints)
+        elif self._live.status.state is State.COLLECTING:
+            self._silence()
+        self._live.step_on(self._report)
+        self._report()
+        return self._live.status
+
+    def _look(self, pair: tuple[Image, Image], joints: list[tuple[float, FloatArray]]) -> None:
+        try:
+            left, right = (grey_of(image) for image in pair)
+        except ValueError as error:
+            self._live.say(str(error))
+            return
+        self._seen = rospy.get_time()
+        stamp = pair[0].header.stamp.to_sec()
+        arm = self._live.arm
+        if arm is not None and (not joints or stamp - joints[-1][0] > SILENT_S):
+            self._live.say(f"{arm.name} states no joints (/{arm.name}/robot/measured_js).")
+            return
+        self._live.see(stamp, (left, right), None if arm is None else resting(joints, stamp))
+
+    def _silence(self) -> None:
+        """Tell the person that pictures are missing."""
+        now = rospy.get_time()
+        if now - self._seen > SILENT_S:
+            silent = [eye for eye in EYES if eye not in self._newest]
+            if silent:
+                which = " and ".join(f"/endoscope/{eye}/image_raw" for eye in silent)
+                self._live.say(f"No pictures on {which}. Start the endoscope's node.")
+            else:
+                self._live.say("The endoscope is silent, or its eyes have different stamps.")
+
+    def _obey(self, request: int) -> None:
+        starts = {
+            CalibrationRequest.START_STEREO: Step.STEREO,
+            CalibrationRequest.START_HANDEYE: Step.HANDEYE,
+        }
+        if request in starts:
+            try:
+                self.start(starts[request])
+            except (ValueError, OSError) as error:
+                self._live.refuse(str(error))
+        elif request == CalibrationRequest.UNDO:
+            self._live.undo()
+        elif request == CalibrationRequest.SOLVE:
+            self._live.ask_to_solve()
+
+    def _report(self) -> None:
+        self._status.publish(status_message(self._live.status))
+
+    def close(self) -> None:
+        """Leave the graph."""
+        for each in (*self._inputs, self._status, self._listener):
+            if each is not None:
+                each.unregister()
+
+
+def grey_of(image: Any) -> Picture:
+    """A picture (h, w), grey.
+
+    Raises:
+        ValueError: It has another encoding.
+    """
+    if image.encoding not in GREY:
+        raise ValueError(f"Pictures are {image.encoding!r}; allowed: {', '.join(GREY)}.")
+    channels = 1 if image.encoding == "mono8" else 3
+    rows = np.frombuffer(image.data, np.uint8).reshape(image.height, image.step)
+    picture = rows[:, : channels * image.width].reshape(image.height, image.width, channels)
+    code = GREY[image.encoding]
+    grey = picture[..., 0] if code is None else cv2.cvtColor(picture, code)
+    return np.ascontiguousarray(grey, dtype=np.uint8)
+
+
+def status_message(status: Status) -> CalibrationStatus:
+    """The status as a message."""
+    message = CalibrationStatus(
+        version=CalibrationStatus.VERSION,
+        state=getattr(CalibrationStatus, f"STATE_{status.state.name}"),
+        step=getattr(CalibrationStatus, f"STEP_{status.step.name if status.step else 'NONE'}"),
+        views=status.views,
+        wanted=status.wanted,
+        progress=status.progress,
+        hint=status.hint,
+        missing=list(status.missing),
+        columns=collector.COLUMNS,
+        rows=collector.ROWS,
+        fields=list(status.fields),
+        needed=list(status.needed),
+        corners=list(status.corners),
+        residual=status.residual,
+        result=list(status.result),
+        folder=status.folder,
+    )
+    message.header.stamp = rospy.Time.now()
+    return message

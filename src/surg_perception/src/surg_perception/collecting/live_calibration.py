@@ -1,0 +1,270 @@
+"""One calibration from a running system: takes views, solves, states what is missing. No ROS."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+
+import surg_core
+from surg_core.transforms import FloatArray
+from surg_perception.calibration import steps
+from surg_perception.calibration.board import Board, Picture
+from surg_perception.calibration.result_files import Origin, read_stereo
+from surg_perception.collecting import collector
+from surg_perception.collecting.board_look import look_at, rough_lens
+from surg_perception.collecting.collector import Collector, Step
+from surg_perception.collecting.views_folder import ViewsFolder
+
+
+class State(Enum):
+    """What is going on; the names are those of surg_msgs/CalibrationStatus."""
+
+    IDLE = "idle"
+    COLLECTING = "collecting"
+    SOLVING = "solving"
+    DONE = "done"
+
+
+@dataclass(frozen=True)
+class Status:
+    """What people and pages see; see surg_msgs/CalibrationStatus."""
+
+    state: State = State.IDLE
+    step: Step | None = None
+    views: int = 0
+    wanted: int = 0
+    progress: float = 0.0
+    hint: str = ""
+    missing: tuple[str, ...] = ()
+    fields: tuple[int, ...] = ()
+    needed: tuple[bool, ...] = ()
+    corners: tuple[float, ...] = ()
+    residual: float = math.nan
+    result: tuple[str, ...] = ()
+    folder: str = ""
+
+
+@dataclass
+class LiveCalibration:
+    """Collects the views of a step and solves it.
+
+    Args:
+        cell: Whose endoscope is calibrated.
+        new_folder: Gives a new folder for the views of a step.
+        origin: Of the files that a step writes.
+        lens_state: Focus and zoom in words.
+        write: Whether the files are written.
+
+    Attributes:
+        status: Read it from any thread.
+    """
+
+    cell: surg_core.Cell
+    new_folder: Callable[[Step], Path]
+    origin: Callable[[Step, Path], Origin]
+    lens_state: str = ""
+    write: bool = True
+    status: Status = field(default_factory=Status, init=False)
+
+    def __post_init__(self) -> None:
+        """Nothing is collected yet."""
+        self._lock = threading.Lock()
+        self._collector: Collector | None = None
+        self._folder: ViewsFolder | None = None
+        self._board: Board | None = None
+        self._step: Step | None = None
+        self._state, self._hint = State.IDLE, "Choose a step."
+        self._result: tuple[str, ...] = ()
+        self._residual = math.nan
+        self._corners: tuple[float, ...] = ()
+        self._K: FloatArray | None = None
+        self._asked = False
+        self._publish()
+
+    @property
+    def arm(self) -> surg_core.Arm | None:
+        """The arm whose joints the views hold; None: they hold none."""
+        return steps.scope_arm(self.cell) if self._step is Step.HANDEYE else None
+
+    def start(self, step: Step) -> None:
+        """Begin a step with a new folder.
+
+        Raises:
+            ValueError: The cell lacks what the step needs.
+            OSError: The folder cannot be made.
+        """
+        with self._lock:
+            folder = self.new_folder(step)
+            calibration = self.cell.folder / "calibration"
+            board = steps.find_board(calibration, folder)
+            joints: list[str] = []
+            if step is Step.HANDEYE:
+                read_stereo(calibration)
+                arm = steps.scope_arm(self.cell)
+                joints = [f"{arm.name}/{joint}" for joint in arm.robot.joint_names]
+            self._folder, self._board = ViewsFolder(folder, board, joints), board
+            self._step, self._state, self._collector = step, State.COLLECTING, None
+            self._result, self._residual, self._corners = (), math.nan, ()
+            self._asked = False
+            self._hint = "Waiting for pictures of both eyes."
+            self._publish()
+
+    def lens(self, K: FloatArray) -> None:
+        """The camera matrix (3, 3) of the running system, for a first idea of distances."""
+        self._K = K
+
+    def undo(self) -> None:
+        """Delete the last view."""
+        with self._lock:
+            if self._state is not State.COLLECTING or self._collector is None:
+                self._hint = "There is no view to delete."
+            elif self._collector.undo():
+                assert self._folder is not None
+                self._folder.undo()
+                self._hint = "The last view is deleted."
+            self._publish()
+
+    def ask_to_solve(self) -> None:
+        """Solve with the views so far, at the next opportunity of `step_on`."""
+        with self._lock:
+            self._asked = self._state is State.COLLECTING
+
+    def refuse(self, why: str) -> None:
+        """State why a step was not started."""
+        with self._lock:
+            self._result, self._hint = (why,), f"Not started: {why}."
+            self._publish()
+
+    def say(self, hint: str) -> None:
+        """State what is wrong with the running system."""
+        with self._lock:
+            if self._state is State.COLLECTING:
+                self._hint, self._corners = hint, ()
+                self._publish()
+
+    def see(
+        self,
+        stamp: float,
+        pair: tuple[Picture, Picture],
+        q: FloatArray | None = None,
+    ) -> None:
+        """Look at a pair of pictures, and take it if it is a view.
+
+        Args:
+            stamp: Of the exposure [s].
+            pair: Left and right picture (h, w), grey.
+            q: Joint positions (n,) of `arm` in rest at the exposure [rad]; None: it moves.
+        """
+        with self._lock:
+            if self._state is not State.COLLECTING or self._folder is None:
+                return
+            size = (pair[0].shape[1], pair[0].shape[0])
+            if self._collector is None:
+                assert self._step is not None and self._board is not None
+                self._collector = Collector(self._step, self._board, size)
+            self._hint = self._judge(self._collector, self._folder, stamp, pair, q)
+            self._publish()
+
+    def _judge(
+        self,
+        collecting: Collector,
+        folder: ViewsFolder,
+        stamp: float,
+        pair: tuple[Picture, Picture],
+        q: FloatArray | None,
+    ) -> str:
+        """Offer a pair to the collector; returns what to tell the person."""
+        size = collecting.size
+        if any((p.shape[1], p.shape[0]) != size for p in pair):
+            return "The pictures have changed their size. Start the step again."
+        look = look_at(collecting.board, pair, rough_lens(size, self._K), stamp)
+        if isinstance(look, str):
+            collecting.lose()
+            self._corners = ()
+            return f"Show the board: {look}."
+        share = (look.corners[0].pixels + 0.5) / np.array(size)
+        self._corners = tuple(float(value) for value in share.ravel())
+        arm = self.arm
+        if arm is not None and q is not None:
+            look = replace(look, X_BF=np.array(arm.chain.forward(q)), q=q)
+        why = collecting.offer(look)
+        if why:
+            return why
+        try:
+            folder.add(stamp, pair, None if arm is None else q)
+        except OSError as error:
+            collecting.undo()
+            return f"The view is not stored: {error}."
+        return collector.hint(collecting.missing)
+
+    def step_on(self, before: Callable[[], None] = lambda: None) -> bool:
+        """Solve when the views suffice or a person asked for it; True: the step is done.
+
+        It takes seconds. `status` says SOLVING meanwhile, and ``before`` is called first.
+        """
+        with self._lock:
+            collecting, folder, step = self._collector, self._folder, self._step
+            due = collecting is not None and (self._asked or collecting.complete)
+            if self._state is not State.COLLECTING or not due:
+                return False
+            self._state, self._asked, self._hint = State.SOLVING, False, "Solving."
+            self._publish()
+        assert collecting is not None and folder is not None and step is not None
+        before()
+        solved, residual, lines = self._solve(step, folder.path)
+        with self._lock:
+            self._result, self._residual = tuple(lines), residual
+            if solved:
+                self._state = State.DONE
+                self._hint = f"The step {step.value} is done."
+                if self.write:
+                    self._hint += " Restart the system."
+            else:
+                self._state = State.COLLECTING
+                collecting.more()
+                self._hint = "Not accepted yet; see the reasons. " + collector.hint(
+                    collecting.missing
+                ).removeprefix("View taken. ")
+            self._publish()
+        return solved
+
+    def _solve(self, step: Step, path: Path) -> tuple[bool, float, Sequence[str]]:
+        """Whether it is accepted, its residual [px] (NaN: none), and lines for people."""
+        origin, calibration = self.origin(step, path), self.cell.folder / "calibration"
+        try:
+            if step is Step.STEREO:
+                found, lines = steps.stereo(calibration, path, origin, self.lens_state, self.write)
+                return True, found.held_out, lines
+            result, lines = steps.handeye(self.cell, path, origin, self.write)
+            return True, result.fit.rms, lines
+        except steps.evidence.Refused as refused:
+            return False, math.nan, refused.reasons
+        except (ValueError, OSError, np.linalg.LinAlgError) as error:
+            return False, math.nan, [str(error)]
+
+    def _publish(self) -> None:
+        """Make the status anew; with the lock held."""
+        collecting = self._collector
+        self.status = Status(
+            self._state,
+            self._step,
+            views=0 if collecting is None else len(collecting.taken),
+            wanted=0 if collecting is None else collecting.wanted,
+            progress=0.0 if collecting is None else collecting.progress,
+            hint=self._hint,
+            missing=() if collecting is None else tuple(collecting.missing),
+            fields=() if collecting is None else tuple(int(n) for n in collecting.fields),
+            needed=()
+            if collecting is None
+            else tuple(bool(n) for n in collector.needed_fields(collecting.size)),
+            corners=self._corners,
+            residual=self._residual,
+            result=self._result,
+            folder="" if self._folder is None else str(self._folder.path),
+        )

@@ -1,0 +1,1 @@
+"""What a calibration leaves for people and for other programs."""

@@ -1,0 +1,138 @@
+"""An endoscope with one eye, and what the hand-eye step writes for others, by the very commands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+import surg_core
+from helpers.endoscope_files import copied_cell, write_endoscope
+from helpers.perception.made_up_views import folders, made_up
+from helpers.sim.board_views import BOARD, scope_cell
+from helpers.sim.calibrated_chain import TOUCHED, Chain
+from surg_cli.host.terminal import Problem
+from surg_core.camera_file import load_camera
+from surg_core.lens_file import load_lens
+from surg_perception.calibration.base_steps import chain_error
+from surg_perception.calibration.lens_model import LensModel
+from surg_perception.calibration.small_motions import difference
+
+
+@pytest.fixture(scope="module")
+def chain() -> Chain:
+    return Chain(3, scope_cell())
+
+
+def one_eyed(chain: Chain, monkeypatch: pytest.MonkeyPatch, root: Path) -> dict[str, Path]:
+    bench = chain.bench
+    shown = {
+        "lenses": list(bench.held_board(20)),
+        "scope": list(bench.moved_scope(15)),
+        "tip": list(bench.touches(BOARD.corners, TOUCHED * 2)),
+    }
+    views = {name: (bench, made_up(bench, each, chain.rng)) for name, each in shown.items()}
+    for _, each in views.values():
+        for number, view in enumerate(each):
+            each[number] = type(view)(**{**vars(view), "corners": (view.corners[0], None)})
+    return folders(monkeypatch, root, views)
+
+
+def test_the_chain_of_one_eye(
+    chain: Chain, surg: Callable[..., int], monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    cell, of = copied_cell(tmp_path), one_eyed(chain, monkeypatch, tmp_path)
+    calibration = cell / "calibration"
+    with pytest.raises(Problem, match="both eyes: 0"):
+        surg("calibrate", cell, "stereo", "--from", of["lenses"])
+    assert surg("calibrate", cell, "camera", "--from", of["lenses"], "--keep") == 0
+    lens = LensModel.of(load_lens(calibration / "endoscope_left.yaml"))
+    pixels = np.array([[40.0, 40.0], [320.0, 240.0], [600.0, 440.0]])
+    eye = chain.bench.eyes[0]
+    true = chain.bench.lenses[0].rays(pixels, eye.f, *chain.bench.size)
+    off = np.abs(lens.rays(pixels)[:, :2] - true).max() * eye.f
+    words = ["calibrate", cell, "handeye", "--from", of["scope"]]
+    assert surg(*words, "--also", "easy_handeye", "--keep") == 0
+    camera = load_camera(calibration / "camera_ECM.yaml")
+    assert camera.right_sha256 == "none"
+    step = difference(np.array(camera.X_FV), chain.bench.X_FV)
+    assert surg("calibrate", cell, "bases", "--by", "touch", "--from", of["tip"]) == 0
+    assert surg("calibrate", cell, "check") == 0
+    assert "joints and picture agree within" in capsys.readouterr().out
+    turn, shift = np.degrees(np.linalg.norm(step[:3])), 1e3 * np.linalg.norm(step[3:])
+    stated = 1e3 * chain_error(surg_core.load_cell(cell)).two_sigma
+    print(
+        f"one eye: ray {off:.2f} px, camera {shift:.3f} mm, {turn:.3f} deg; chain {stated:.2f} mm"
+    )
+    assert off < 1.0 and shift <= 0.6 and turn <= 0.2 and stated <= 2.0
+    exported(calibration, camera.X_FV)
+    for step_name in ("camera", "handeye"):
+        kept = calibration / "views" / step_name
+        assert sorted(p.name for p in kept.iterdir()) == ["000_left.png", "board.yaml", "views.csv"]
+        assert (calibration / "views" / f"{step_name}.html").is_file()
+
+
+def exported(calibration: Path, X_FV: np.ndarray) -> None:
+    """The other package's keys, read as it reads them; both lines state X_FV."""
+    file = calibration / "easy_handeye_ECM.yaml"
+    content = yaml.safe_load(file.read_text())
+    assert set(content["parameters"]) == {
+        "namespace", "move_group_namespace", "move_group", "eye_on_hand", "robot_base_frame",
+        "robot_effector_frame", "tracking_base_frame", "tracking_marker_frame",
+    }  # fmt: skip
+    assert content["parameters"]["eye_on_hand"] is True
+    assert content["parameters"]["robot_effector_frame"] == "ECM_flange"
+    pose = content["transformation"]
+    line = file.read_text().splitlines()[0].split()
+    assert line[-2:] == ["ECM_flange", "endoscope_left"]
+    seven = [float(word) for word in line[-9:-2]]
+    assert seven == [pose[key] for key in ("x", "y", "z", "qx", "qy", "qz", "qw")]
+    np.testing.assert_allclose(seven[:3], X_FV[:3, 3], atol=1e-12)
+    turn = Rotation.from_quat(seven[3:]).as_matrix()
+    np.testing.assert_allclose(turn, X_FV[:3, :3], atol=1e-9)
+
+
+def test_one_eye_does_not_replace_two(surg: Callable[..., int], tmp_path: Path) -> None:
+    cell = copied_cell(tmp_path)
+    write_endoscope(cell / "calibration", "ECM")
+    before = (cell / "calibration" / "endoscope_left.yaml").read_text()
+    with pytest.raises(Problem, match=r"endoscope_right.yaml: this cell has two eyes"):
+        surg("calibrate", cell, "camera", "--from", tmp_path)
+    assert (cell / "calibration" / "endoscope_left.yaml").read_text() == before
+
+
+def test_kept_views_leave_the_earlier_ones_beside(tmp_path: Path) -> None:
+    from surg_perception.output.kept_views import keep_views
+
+    source, calibration = tmp_path / "views", tmp_path / "calibration"
+    source.mkdir(), calibration.mkdir()
+    (source / "views.csv").write_text("one")
+    (source / "notes.txt").write_text("not a view")
+    kept = keep_views(calibration, "stereo", source)
+    assert [p.name for p in kept.iterdir()] == ["views.csv"]
+    (source / "views.csv").write_text("two")
+    assert keep_views(calibration, "stereo", source) == kept
+    assert (kept / "views.csv").read_text() == "two"
+    assert (calibration / "views" / "stereo.previous" / "views.csv").read_text() == "one"
+    assert keep_views(calibration, "stereo", kept) == kept  # solved again from what was kept
+    assert (kept / "views.csv").read_text() == "two"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["stereo", "--from", "views", "--also", "easy_handeye"], "goes with handeye"),
+        (["camera"], "--from FOLDER"),
+        (["stereo", "--live", "--keep"], "--keep and --also go with --from"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(
+    words: list[str], said: str, surg: Callable[..., int], tmp_path: Path
+) -> None:
+    with pytest.raises(Problem, match=said):
+        surg("calibrate", copied_cell(tmp_path), *words)
