@@ -58,7 +58,8 @@ def main(out: Path, fps: int, episodes: list[Path]) -> None:
             }
             dataset.add_frame({**shown, **numbers, "task": "bench"})
             frames += 1
-        dataset.save_episode()
+        # Encoders forked beside the image writer's threads may wait for ever; x264 has threads too.
+        dataset.save_episode(parallel_encoding=False)
     dataset.finalize()
     wall = time.monotonic() - started
     print(

@@ -166,6 +166,23 @@ NESTED = b"[" * 200_000
 FIFO, FOLDER, LOOP = os.mkfifo, Path.mkdir, link("")
 FAR, BACK = str(2**63 - 1), str(-(2**63))
 STEP = {"begin_ns": "x", "step_ns": [], "rows": 1}
+LABELS = "labels.json"
+MODEL = {"width": 96, "height": 64, "distortion_model": "plumb_bob", "D": [0.0] * 5,
+         "K": [80.0, 0.0, 48.0, 0.0, 80.0, 32.0, 0.0, 0.0, 1.0], "R": [1.0, 0, 0, 0, 1, 0, 0, 0, 1],
+         "P": [80.0, 0.0, 48.0, 0.0, 0.0, 80.0, 32.0, 0.0, 0.0, 0.0, 1.0, 0.0]}  # fmt: skip
+
+
+def model(**changes: Any) -> Break:
+    """A camera model with other entries."""
+    return keys(camera_info={CAMERA: {**MODEL, **changes}})
+
+
+def said(**entries: Any) -> Break:
+    """Labels with other entries."""
+    good = {"format": "surg_labels/1", "by": "A", "at": "2026-11-23T07:08:21Z"}
+    empty = {"success": None, "note": "", "stages": None, "trim": None}
+    return written(LABELS, json.dumps({**good, **empty, **entries}).encode())
+
 
 ALL = (
     Corruption("manifest: missing", missing(MANIFEST), "vex"),
@@ -214,6 +231,29 @@ ALL = (
     Corruption("manifest: a video is null", within("videos", CAMERA, value=None), "vex"),
     Corruption("manifest: outcome is a number", keys(outcome=1), "vex"),
     Corruption("manifest: it was incomplete", keys(outcome="incomplete", reason="disk"), "ex"),
+    Corruption("camera model: a good one", model(), ""),
+    Corruption("camera model: a list of models", keys(camera_info=[MODEL]), "vex"),
+    Corruption("camera model: a number", keys(camera_info={CAMERA: 7}), "x", True),
+    Corruption("camera model: three numbers for K", model(K=[80.0, 48.0, 32.0]), "x"),
+    Corruption("camera model: nulls in K", model(K=[None] * 9), "x"),
+    Corruption("camera model: a text in P", model(P=["f"] * 12), "x"),
+    Corruption("camera model: no width", model(width=0), "x"),
+    Corruption("calibration: a file that is not as recorded",
+               keys(cell={"files": {"calibration/endoscope_left.yaml": "0" * 64},
+                          "calibration": {"calibration/endoscope_left.yaml": "K: 1"}}), "x"),
+    Corruption("calibration: a chain of wrong types",
+               within("cell", "endoscope", value={"arm": "PSM1", "X_FV": 1}), "x"),
+    Corruption("labels: empty", written(LABELS, b""), "vex"),
+    Corruption("labels: torn", written(LABELS, b'{"format": "surg_labels/1", "succ'), "vex"),
+    Corruption("labels: a folder", replaced(LABELS, FOLDER), "vex"),
+    Corruption("labels: a named pipe", replaced(LABELS, FIFO), "vex", True),
+    Corruption("labels: a link to itself", replaced(LABELS, LOOP), "vex"),
+    Corruption("labels: deeply nested", written(LABELS, NESTED), "vex"),
+    Corruption("labels: success is a text", said(success="yes"), "vex"),
+    Corruption("labels: a stage without a begin", said(stages=[{"name": "grasp"}]), "vex"),
+    Corruption("labels: a trim of wrong types", said(trim={"begin_ns": "x", "end_ns": 1}), "vex"),
+    Corruption("labels: a trim that leaves nothing", said(trim={"begin_ns": 5, "end_ns": 5}),
+               "vex"),
     Corruption("sync.json: deeply nested", written(SYNC, NESTED), "x"),
     Corruption("sync.json: a named pipe", replaced(SYNC, FIFO), "x", True),
     Corruption("sync.json: of wrong types", written(SYNC, b'{"verdict": [], "reasons": 1}'), ""),

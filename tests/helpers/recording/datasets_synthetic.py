@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -40,12 +41,14 @@ def record(
     stall: tuple[int, int] = (0, 0),
     size: tuple[int, int] = (WIDTH, HEIGHT),
     picture: Callable[..., npt.NDArray[np.uint8]] = draw,
+    paced: bool = False,
     **run: Any,
 ) -> Path:
     """Record a made-up episode with a moving arm; 50 ticks at rest before and after the motion.
 
     Frame n of a camera has the stamp of tick 25 n (plus a seeded jitter) and shows n; frames n in
-    ``range(*stall)`` are missing.
+    ``range(*stall)`` are missing. ``paced``: wait for the writers at every picture, as a simulator
+    in lock-step does; needed for long ones.
     """
     what = Synthetic(seconds=seconds)
     rng = np.random.default_rng(recording)
@@ -72,6 +75,8 @@ def record(
         recorder.ground_truth(base.ground_truth(what, tick), tick)
         if task and tick % IMAGE_TICKS == 0:
             recorder.task_state(_task(tick, ticks + 100, success), tick)
+        while paced and tick % IMAGE_TICKS == 0 and recorder.status()["backlog"]["rows"] > 2000:
+            time.sleep(0.002)
         if tick % IMAGE_TICKS == 0:
             late = int(rng.integers(0, jitter_ns + 1)) if jitter_ns else 0
             for number, camera in enumerate(cameras):

@@ -68,6 +68,8 @@ def main(root: str, count: int, seed: int) -> None:
             "tool": item["observation.meta.tool"],
             "state": item["observation.state"].tolist(),
             "action": item["action"].tolist(),
+            "cartesian": item["observation.cartesian_state"].tolist(),
+            "camera_pose": item.get("observation.camera_pose", torch.empty(0)).tolist(),
             "pictures": {},
         }
         for key in meta.camera_keys:

@@ -33,7 +33,9 @@ def note(cell: str, seconds: float, load: float, enabled: int, seen: dict[str, A
     _PAGE.note(
         cell,
         round(seconds),
-        f"load {load:.0f}: pivot at most **{seen['pivot_mm']:.3f} mm**, no FAULT(rcm_error); "
+        f"load {load:.0f}: pivot at most **{seen['pivot_mm']:.3f} mm** "
+        f"({seen['pivot_enabled_mm']:.3f} mm while ENABLED), "
+        f"FAULT(rcm_error) {seen['ended'].get('FAULT(rcm_error)', 0)}; "
         f"{seen['way_m']:.1f} m of the tip, fastest tick {seen['speed']:.2f} m/s; "
         f"{seen['late_cycles']} of {seen['cycles']} cycles late, longest "
         f"{seen['longest_cycle_ms']:.0f} ms; let go by {ended}; Enable pressed {enabled} times",

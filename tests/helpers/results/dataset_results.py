@@ -59,3 +59,19 @@ READERS = ResultsPage(
     [row for name in _PROGRAMS for row in (name, f"{name}, all pictures stamped a frame late")],
 )
 """docs/results/readers.md: what the real readers found."""
+
+LONG = ResultsPage(
+    "long_recording.md",
+    """# A 30-minute stereo episode
+
+Written by `./surg test --full --tier oracle test_datasets_thirty_minutes.py` (in
+`tests/unit/datasets`): 2 x 640 x 480 at 20 frames per second with grain, 500 cycles per second, in
+simulated time. Memory is the peak of each process (resident, shared libraries included); a worker
+of an export may use 300 MiB.
+
+| step | minutes or frames | result |
+|---|---|---|
+""",
+    ("recorded", "exported as LeRobot 3.0", "opened by lerobot 0.4.4"),
+)
+"""docs/results/long_recording.md."""

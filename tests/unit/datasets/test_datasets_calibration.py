@@ -10,18 +10,23 @@ import hashlib
 import importlib.util
 import json
 import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import roslib.message
 
 import surg_core
 from helpers import endoscope_files
+from helpers.recording import oracle_reading
+from helpers.tree import oracle_venv
 from surg_cli.host import paths
 from surg_core import base_file
 from surg_core.contract import TICK_NS
 from surg_core.held_endoscope import held_endoscope
+from surg_core.transforms import inverse_pose, make_pose
 from surg_recording import datasets
 from surg_recording.calibration import calibration_record
 from surg_recording.episode import episode_reader
@@ -30,6 +35,7 @@ from surg_recording.recording_errors import EpisodeError
 ARM, SCOPE = "PSM1", "ECM"
 FILES = ("endoscope_left", "endoscope_right", "endoscope_stereo", "camera_ECM", "base_ECM")
 EYES = ("left", "right")
+CAMERAS = ("endoscope_left", "endoscope_right")
 
 
 def example() -> Any:
@@ -117,7 +123,7 @@ def test_the_manifest_carries_the_files_their_hashes_and_the_lenses(
     assert cell["arms"][SCOPE]["camera_calibration"]["format"] == "surg_camera/2"
     assert cell["arms"][SCOPE]["base_calibration"]["reference"] == ARM
     models = manifest["camera_info"]
-    assert set(models) == {"endoscope_left", "endoscope_right"}
+    assert set(models) == set(CAMERAS)
     assert (models["endoscope_right"]["width"], models["endoscope_right"]["height"]) == (320, 240)
     assert models["endoscope_right"]["P"][3] == pytest.approx(
         -0.004 * models["endoscope_right"]["P"][0]
@@ -145,6 +151,36 @@ def test_the_drawn_tip_is_the_true_one(
     video = next(exported.glob("videos/*/observation.images.endoscope.left/*.mp4"))
     assert drawing.draw(video, pixels, tmp_path / "tip.mp4") == len(stamps)
     assert (tmp_path / "tip.mp4").stat().st_size > 1000
+
+
+def test_the_lenses_of_smaller_pictures_are_those_of_the_pictures(
+    recorded: tuple[Path, dict[int, np.ndarray]], tmp_path: Path
+) -> None:
+    """Half as wide and a third as high: MuJoCo's tip in the recorded pictures, scaled."""
+    from pyarrow import parquet
+
+    out = tmp_path / "dataset"
+    options = datasets.ExportOptions(fps=20, size=(160, 80), cameras=CAMERAS[1:])
+    assert datasets.load("lerobot").write([recorded[0]], out, options).ok
+    stamps = parquet.read_table(next((out / "data").rglob("*.parquet")))["timing.grid_ns"]
+    truth = np.array([recorded[1][stamp][1] for stamp in stamps.to_pylist()])
+    wanted = (truth + 0.5) * (1 / 2, 1 / 3) - 0.5
+    pixels = example().tip_pixels(out, ARM, "observation.images.endoscope.right")
+    off = float(np.linalg.norm(pixels - wanted, axis=1).max())
+    print(f"{len(pixels)} frames of 160 x 80, at most {off:.3f} px off")
+    assert off <= 1.0
+    index = json.loads((out / "meta/calibration/index.json").read_text())
+    model = index["sets"][0]["camera_info"]["endoscope_right"]
+    assert (model["width"], model["height"]) == (160, 80)
+    assert model["P"][3] == pytest.approx(-0.004 * model["P"][0])
+
+
+@pytest.mark.parametrize("broken", [[1.0], "focal", ["f"] * 9, None])
+def test_a_camera_model_that_cannot_be_resized_is_named(broken: object) -> None:
+    model = {"width": 320, "height": 240, "K": broken, "P": [0.0] * 12}
+    manifest = {"camera_info": {"endoscope_left": model}}
+    with pytest.raises(EpisodeError, match=r"camera_info\.endoscope_left"):
+        calibration_record.of_manifest("manifest.json", manifest, (160, 120))
 
 
 def test_the_data_set_has_the_files_as_they_were(
@@ -186,6 +222,105 @@ def test_a_manifest_with_an_edited_calibration_is_refused(
     manifest["cell"]["endoscope"]["X_FV"] = [[1.0]]
     with pytest.raises(EpisodeError, match=r"cell\.endoscope"):
         calibration_record.endoscope_of("manifest.json", manifest)
+
+
+@pytest.mark.parametrize("format_name", ["mcap", "rosbag"])
+def test_bags_carry_lenses_poses_and_files(
+    recorded: tuple[Path, dict[int, np.ndarray]], tmp_path: Path, format_name: str
+) -> None:
+    """The tip drawn by the messages alone: camera_info, the camera's pose, the arm's pose."""
+    out = tmp_path / "set"
+    options = datasets.ExportOptions(fps=20, executor="serial", size=(160, 120))
+    report = datasets.load(format_name).write([recorded[0]], out, options)
+    assert report.ok, [*report.errors, *report.refused.values()]
+    file = next(path for path in out.iterdir() if path.stem == "episode_000000")
+    found = by_topic(file)
+    calibration = json.loads((out / "calibration/index.json").read_text())["sets"][0]
+    for name, other in ((f"/{ARM}/measured_cp", f"{ARM}_base"), ("/endoscope/left/pose", "world")):
+        assert {m.header.frame_id for m in found[name].values()} == {other}
+    worst = 0.0
+    for time_ns, picture in found["/endoscope/left/image_raw/compressed"].items():
+        info = found["/endoscope/left/camera_info"][time_ns]
+        assert info.header == picture.header
+        assert (info.width, info.height) == (160, 120)
+        camera = found["/endoscope/left/pose"][time_ns].pose
+        p, q = camera.position, camera.orientation
+        tip = found[f"/{ARM}/measured_cp"][time_ns].pose.position
+        seven, p_BTip = [p.x, p.y, p.z, q.x, q.y, q.z, q.w], [tip.x, tip.y, tip.z]
+        model = {key: getattr(info, key) for key in ("K", "D", "distortion_model")}
+        pixel = left_pixel(seven, p_BTip, calibration, model)
+        wanted = (recorded[1][time_ns][0] + 0.5) / 2 - 0.5
+        worst = max(worst, float(np.linalg.norm(pixel - wanted)))
+    print(f"{format_name}: {report.frames} frames of 160 x 120, at most {worst:.3f} px off")
+    assert worst <= 1.0
+    assert len(found["/endoscope/right/camera_info"]) == report.frames
+    (out / "calibration/0/base_ECM.yaml").unlink()
+    assert any("base_ECM" in error for error in datasets.load(format_name).validate(out).errors)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize(
+    ("version", "format_name"), [("0.3.3", "lerobot"), ("0.4.4", "lerobot_v30")]
+)
+def test_lerobot_gives_the_camera_s_pose(
+    recorded: tuple[Path, dict[int, np.ndarray]], tmp_path: Path, version: str, format_name: str
+) -> None:
+    """The tip drawn by what lerobot itself gives, in every frame."""
+    out = tmp_path / "set"
+    options = datasets.ExportOptions(fps=20, splits={"train": 1.0})
+    assert datasets.load(format_name).write([recorded[0]], out, options).ok
+    calibration = json.loads((out / "meta/calibration/index.json").read_text())["sets"][0]
+    _, _, *frames = oracle_reading.run(version, "lerobot_reader.py", out, 1000, 1, home=tmp_path)
+    off = []
+    for frame in frames:
+        model = calibration["camera_info"][CAMERAS[0]]
+        pixel = left_pixel(frame["camera_pose"], frame["cartesian"][:3], calibration, model)
+        off.append(float(np.linalg.norm(pixel - recorded[1][frame["grid_ns"]][0])))
+    print(f"lerobot {version}: {len(off)} frames of 320 x 240, at most {max(off):.2f} px off")
+    assert max(off) <= 2.0
+
+
+def left_pixel(seven: Any, p_BTip: Any, calibration: Any, model: Any) -> np.ndarray:
+    """Where the tip is in the left picture [px]; ``seven`` is the pose of the left camera."""
+    X_WB = np.array(calibration["endoscope"]["bases"][ARM])
+    p_V = inverse_pose(make_pose(seven[:3], seven[3:])) @ X_WB @ [*p_BTip, 1.0]
+    return example().project(p_V[None, :3], model)[0]
+
+
+@pytest.mark.oracle
+def test_an_mcap_doctor_finds_nothing(
+    recorded: tuple[Path, dict[int, np.ndarray]], tmp_path: Path
+) -> None:
+    """PyPI's pymcap-cli, by others: records, checksums, indices and order of an MCAP file."""
+    python = oracle_venv.python("pymcap-cli", [("pymcap-cli==0.34.0",)], ("pymcap_cli",))
+    assert datasets.load("mcap").write([recorded[0]], tmp_path / "set", datasets.ExportOptions()).ok
+    (file,) = (tmp_path / "set").glob("*.mcap")
+
+    def doctor() -> tuple[int, list[dict[str, Any]]]:
+        words = [python.with_name("pymcap-cli"), "doctor", "--strict-message-order"]
+        argv = [*words, "--format", "jsonl", file]
+        done = subprocess.run(argv, capture_output=True, text=True, check=False)
+        return done.returncode, [json.loads(line) for line in done.stdout.splitlines()]
+
+    code, said = doctor()
+    print(said)
+    assert code == 0
+    assert {each.get("severity", "info") for each in said} == {"info"}
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)
+    assert doctor()[0] != 0, "the doctor must find a flipped bit"
+
+
+def by_topic(file: Path) -> dict[str, dict[int, Any]]:
+    """Topic → time [ns] → message of an exported bag or MCAP file."""
+    found: dict[str, dict[int, Any]] = {}
+    exporter: Any = datasets.load("mcap" if file.suffix == ".mcap" else "rosbag")
+    for time_ns, topic, kind, data in exporter.read_file(file):
+        message = roslib.message.get_message_class(kind)()
+        message.deserialize(data)
+        found.setdefault(topic, {})[time_ns] = message
+    return found
 
 
 @pytest.mark.parametrize("format_name", ["act", "robomimic"])

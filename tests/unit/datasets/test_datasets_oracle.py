@@ -7,18 +7,14 @@ docs/results/readers.md.
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from helpers.policy import lerobot_venv
 from helpers.recording import datasets_synthetic
 from helpers.recording.datasets_synthetic import FRAME_NS, PHASES, STAGES
+from helpers.recording.oracle_reading import run
 from helpers.recording.recording_synthetic import TICK_NS, Synthetic
 from helpers.results.dataset_results import READERS
 from surg_recording import datasets
@@ -26,7 +22,6 @@ from surg_recording.datasets import ExportOptions
 
 pytestmark = pytest.mark.oracle
 
-HELPERS = Path(__file__).parents[2] / "helpers" / "recording"
 VERSIONS = {"0.3.3": "lerobot_v21", "0.4.4": "lerobot_v30"}
 IDENTITIES = [1, 2, 3]
 """Of the recordings, in the order of the dataset."""
@@ -36,21 +31,6 @@ IDENTITIES = [1, 2, 3]
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     root = tmp_path_factory.mktemp("recordings")
     return [datasets_synthetic.record(root / f"r{i}", i, 1.0 + 0.35 * i) for i in IDENTITIES]
-
-
-def run(version: str, script: str, *words: object, home: Path) -> list[dict[str, Any]]:
-    """What a script says in the environment of a version of lerobot, a JSON object per line."""
-    python = lerobot_venv.python(version)
-    env = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
-    env.update(HF_HUB_OFFLINE="1", HF_HOME=str(home / "hf"), HF_DATASETS_OFFLINE="1")
-    argv = [str(python), str(HELPERS / script), *map(str, words)]
-    done = subprocess.run(argv, env=env, capture_output=True, text=True, timeout=1800, check=False)
-    assert done.returncode == 0, done.stderr[-3000:]
-    versions, *found = [
-        json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")
-    ]
-    print(", ".join(f"{name} {value}" for name, value in versions.items()), file=sys.stderr)
-    return [versions, *found]
 
 
 def read(version: str, out: Path, tmp_path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -142,6 +143,25 @@ def test_an_unfinished_folder_is_refused_with_the_cure(tmp_path: Path) -> None:
         episode_reader.read(recording.folder)
     recording.close({})
     assert episode_reader.read(tmp_path / "e").complete
+
+
+def test_a_long_table_is_described_without_being_held(tmp_path: Path) -> None:
+    """A recording of 30 minutes has 900,000 lines of 590 bytes; its recorder must not hold them."""
+    path, rows = tmp_path / "cycle_PSM1.csv", 20_000
+    with open(path, "w") as file:
+        file.write("stamp_ns,receive_ns,tick,q0\n")
+        file.writelines(f"{2_000_000 * n},{n},{n},{'7' * 560}\n" for n in range(rows))
+    tracemalloc.start()
+    entry = finishing.describe_table(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    print(f"{peak / rows:.0f} bytes per row")
+    assert (entry["rows"], entry["last_stamp_ns"], entry["missing_ticks"]) == (
+        rows,
+        2_000_000 * (rows - 1),
+        0,
+    )
+    assert peak / rows < 200
 
 
 def test_a_taken_name_gets_a_number(tmp_path: Path) -> None:

@@ -263,6 +263,27 @@ def ask(server: LabelServer, method: str, path: str, body: Any = None, **headers
     return answer.status, answer.read().decode(), dict(answer.headers)
 
 
+@pytest.mark.parametrize(
+    ("places", "names"),
+    [
+        (["a/episodes/000/episode", "a/episodes/001/episode"], ["000", "001"]),
+        (
+            ["a/episodes/000/episode", "b/episodes/000/episode"],
+            ["a/episodes/000", "b/episodes/000"],
+        ),
+        (["mine/x"], ["x"]),
+        (["mine/episode"], ["mine"]),
+    ],
+)
+def test_a_page_names_its_episode_by_what_tells_it_apart(
+    tmp_path: Path, places: list[str], names: list[str]
+) -> None:
+    pages = LabelPages([tmp_path / place for place in places], "A")
+    shown = [json.loads(pages._given(number))["place"] for number in range(1, len(places) + 1)]
+    count = len(places)
+    assert shown == [f"{n} of {count} · {name}" for n, name in enumerate(names, 1)]
+
+
 def test_the_server_serves_its_own_page_only(folder: Path) -> None:
     with serving(folder) as server:
         assert server.server_address[0] == "127.0.0.1"

@@ -2,7 +2,7 @@
 
 ``meta/calibration/`` holds each set of files once, as they were in the cell, and ``index.json``:
 ``episodes`` (number of the set of each episode) and ``sets`` (SHA-256 of each file, the camera
-models of ``camera_info``, the chain from joints to camera).
+models of ``camera_info`` in the size of the data set's pictures, the chain from joints to camera).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from surg_core import ConfigError
 from surg_core.held_endoscope import HeldEndoscope, from_description, pose_numbers
+from surg_core.lens_file import resizing
 from surg_core.transforms import continuous_quaternions
 from surg_recording.recording_errors import EpisodeError
 
@@ -29,11 +30,16 @@ _NAME = re.compile(r"[A-Za-z0-9_]+\.yaml")
 Array = npt.NDArray[np.float64]
 
 
-def of_manifest(place: object, manifest: Mapping[str, Any]) -> dict[str, Any]:
+def of_manifest(
+    place: object, manifest: Mapping[str, Any], size: tuple[int, int] | None = None
+) -> dict[str, Any]:
     """``files`` {name: text}, ``camera_info`` and ``endoscope`` of a manifest.
 
+    The camera models are those of pictures of ``size`` (width, height); None: as recorded.
+
     Raises:
-        EpisodeError: A file's text does not have the hash that the manifest states.
+        EpisodeError: A file's text does not have the hash that the manifest states, or a camera
+            model cannot be resized.
     """
     cell = manifest.get("cell") or {}
     hashes = cell.get("files") or {}
@@ -48,11 +54,30 @@ def of_manifest(place: object, manifest: Mapping[str, Any]) -> dict[str, Any]:
                 f" of 'cell.files', {str(stated)[:12]}…: the manifest was edited"
             )
         files[name] = text
-    return {
-        "files": files,
-        "camera_info": manifest.get("camera_info") or {},
-        "endoscope": cell.get("endoscope"),
+    models = {
+        camera: _model(place, camera, model, size)
+        for camera, model in (manifest.get("camera_info") or {}).items()
     }
+    return {"files": files, "camera_info": models, "endoscope": cell.get("endoscope")}
+
+
+def _model(place: object, camera: str, model: Any, size: tuple[int, int] | None) -> dict[str, Any]:
+    """A camera model, checked, for pictures of ``size``; lens and distortion stay."""
+    try:
+        recorded = (model["width"], model["height"])
+        change = resizing(recorded, size or recorded)
+        K, P = (np.reshape(model[key], (3, -1)).astype(float) for key in ("K", "P"))
+        if K.shape != (3, 3) or P.shape != (3, 4) or not np.isfinite([K.sum(), P.sum()]).all():
+            raise ValueError(f"K has the shape {K.shape}, P {P.shape}, or one is not finite")
+    except (KeyError, TypeError, ValueError, ZeroDivisionError) as problem:
+        raise EpisodeError(
+            f"{place}: key 'camera_info.{camera}' is no camera model ({problem!r}); allowed: width,"
+            " height, K (9 numbers) and P (12 numbers)"
+        ) from None
+    if size is None:
+        return dict(model)
+    matrices = {key: (change @ old).ravel().tolist() for key, old in (("K", K), ("P", P))}
+    return {**model, **matrices, "width": size[0], "height": size[1]}
 
 
 def endoscope_of(place: object, manifest: Mapping[str, Any]) -> HeldEndoscope | None:

@@ -19,7 +19,10 @@ def check(out: Path, exporter: Exporter) -> Report:
     """Validate a finished export and its checksums; an ExportError if it is no such export."""
     stated = read_manifest(out)
     if stated["exporter"] != exporter.name:
-        raise ExportError(f"{out}: an export of format {stated['exporter']}, not {exporter.name}")
+        raise ExportError(
+            f"{out}: an export of format {stated['exporter']}, not {exporter.name}; name its"
+            f" format: --format {stated['exporter']}"
+        )
     report = exporter.validate(out)
     for name, entry in stated["files"].items():
         path = out / name

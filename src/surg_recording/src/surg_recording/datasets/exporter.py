@@ -188,7 +188,7 @@ class Exporter(abc.ABC):
     """Name on the command line."""
     title: ClassVar[str]
     """Name in texts."""
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     """Increase it when the same input gives another output."""
     needs: ClassVar[Mapping[str, str]] = {}
     """Module → how to get it."""

@@ -168,7 +168,7 @@ def look(folder: Path, options: ExportOptions) -> Candidate:
             "software": _mapping(manifest.get("versions")).get("software"),
             "simulated": bool(manifest.get("sim")),
             "identity": same_recording.identity(recorded),
-            "calibration": calibration_record.of_manifest(folder, manifest),
+            "calibration": calibration_record.of_manifest(folder, manifest, options.size),
             "sync": sync,
         },
         segment=segment,

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_recording.clock.clock_steps import CLOCK_STEP
-from surg_recording.episode import damaged, finishing, manifest_check
+from surg_recording.episode import damaged, finishing, labels, manifest_check
 from surg_recording.episode.annotations import Annotations, parse_tag
 from surg_recording.episode.episode_reader import FORMAT, MANIFEST, PARTIAL, read_table
 from surg_recording.episode.episode_writer import LOCK, RESERVE
@@ -86,6 +86,7 @@ def recover_one(folder: Path, reason: str = REASON) -> Path:
             damaged.cut(reserve, 0)  # space for the manifest; it holds zeros
             reserve.unlink()
         manifest, reasons = _manifest(folder)
+        reasons += _unusable_labels(folder)
         manifest["recovered"] = finishing.utc_now()
         finishing.complete(folder, manifest, {}, "; ".join([reason, *reasons]))
         manifest.update(_recorded_annotations(folder, manifest.get("run")))
@@ -132,6 +133,16 @@ def _recorded_annotations(folder: Path, run: Any) -> dict[str, Any]:
         "result": annotations.result,
         "segments": steps,
     }
+
+
+def _unusable_labels(folder: Path) -> list[str]:
+    """What is wrong with the labels; then they are set aside, and the rest can be read."""
+    try:
+        labels.read(folder)
+    except EpisodeError as problem:
+        kept = damaged.set_aside(folder / labels.LABELS)
+        return [f"{labels.LABELS}: {problem}" + (f"; kept as {kept}" if kept else "")]
+    return []
 
 
 def _manifest(folder: Path) -> tuple[dict[str, Any], list[str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -23,6 +24,7 @@ class LabelPages:
 
     def __init__(self, folders: Sequence[Path], by: str) -> None:
         self.folders, self._by = list(folders), by
+        self._names = _names(self.folders)
         self._parts: dict[int, str] = {}
         self._lock = threading.Lock()
 
@@ -109,7 +111,7 @@ class LabelPages:
         trim = stated.get("trim") or {}
         run = known.get("run") or {}
         given = {
-            "place": f"{number} of {len(self.folders)} · {folder.name}",
+            "place": f"{number} of {len(self.folders)} · {self._names[number - 1]}",
             "back": self._place(number - 1),
             "next": self._place(number + 1),
             "success": stated.get("success"),
@@ -133,6 +135,14 @@ class LabelPages:
 
 
 _GIVEN = "@GIVEN@"
+
+
+def _names(folders: Sequence[Path]) -> list[str]:
+    """What tells the episodes apart: ``003`` for ``…/episodes/003/episode``."""
+    resolved = [folder.resolve() for folder in folders]
+    own = [each.parent if each.name == "episode" else each for each in resolved]
+    common = Path(os.path.commonpath([each.parent for each in own])) if own else Path()
+    return [str(each.relative_to(common)) for each in own]
 
 
 def _integers(stated: Mapping[str, Any]) -> dict[str, Any]:

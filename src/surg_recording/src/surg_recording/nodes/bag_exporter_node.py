@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
+from surg_recording.calibration import calibration_record
 from surg_recording.datasets import pictures
 from surg_recording.datasets.exporter import Dataset, Exporter, Report
 from surg_recording.datasets.options import ExportOptions
@@ -67,7 +68,11 @@ class BagExporter(Exporter):
         return seen.facts()
 
     def assemble(self, dataset: Dataset, out: Path) -> None:
-        """Number the files; ``dataset.json`` states what each holds."""
+        """Number the files; ``dataset.json`` states what each holds.
+
+        Beside them is ``calibration/``, as in the other formats.
+        """
+        calibration_record.write([part.about for part in dataset.parts], out)
         episodes = []
         for index, part in enumerate(dataset.parts):
             name = f"episode_{index:06d}{self.suffix}"
@@ -94,6 +99,7 @@ class BagExporter(Exporter):
                 report.recordings += 1
                 report.frames += episode["frames"]
             report.facts["splits"] = stated["splits"]
+            report.errors += calibration_record.check(out, len(stated["episodes"]))
         return report
 
 

@@ -15,12 +15,13 @@ import genpy
 import numpy as np
 import numpy.typing as npt
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
-from sensor_msgs.msg import CompressedImage, JointState
+from sensor_msgs.msg import CameraInfo, CompressedImage, JointState
 from std_msgs.msg import Header, String
 
 from surg_core.action_space import ABSOLUTE
 from surg_core.contract import ACTION_KEY, STATE_KEY
 from surg_core.transforms import tip_quaternion
+from surg_recording.calibration.endoscope_record import MODEL_KEYS
 from surg_recording.datasets import pictures, schema
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import Sampled
@@ -52,14 +53,16 @@ def messages(sampled: Sampled, options: ExportOptions) -> Iterator[Stamped]:
             streams += [_motion(sampled, arm), _commands(sampled, arm)]
     for feature in schema.videos_of(sampled.features):
         streams.append(_pictures(sampled, feature, options))
+        streams.append(_lenses(sampled, feature))
+    if schema.CAMERA_POSE in sampled.columns:
+        streams.append(_camera_poses(sampled))
     yield from heapq.merge(*streams, key=lambda stamped: stamped.time_ns)
 
 
-def topic_of(camera: str) -> str:
-    """Topic of a camera's pictures: ``endoscope_left`` is ``/endoscope/left/image_raw/…``."""
+def topics_of(camera: str) -> str:
+    """Root of a camera's topics: ``endoscope_left`` is ``/endoscope/left``."""
     stem, _, side = camera.rpartition("_")
-    place = f"{stem}/{side}" if stem and side in ("left", "right") else camera
-    return f"/{place}/image_raw/compressed"
+    return f"/{stem}/{side}" if stem and side in ("left", "right") else f"/{camera}"
 
 
 def _texts(sampled: Sampled) -> Iterator[Stamped]:
@@ -117,7 +120,7 @@ def _commands(sampled: Sampled, arm: str) -> Iterator[Stamped]:
 
 def _pictures(sampled: Sampled, feature: Feature, options: ExportOptions) -> Iterator[Stamped]:
     """JPEG pictures: the time of the frame, in the header the picture's own stamp."""
-    topic = topic_of(feature.camera)
+    topic = f"{topics_of(feature.camera)}/image_raw/compressed"
     stamps = sampled.columns[f"timing.{feature.camera}.stamp_ns"]
     frames = sampled.frames(feature.name)
     for time_ns, stamp, frame in zip(sampled.grid.times_ns, stamps, frames, strict=True):
@@ -127,6 +130,26 @@ def _pictures(sampled: Sampled, feature: Feature, options: ExportOptions) -> Ite
         header = _header(int(stamp), feature.camera)
         message = CompressedImage(header=header, format="jpeg", data=coded.tobytes())
         yield Stamped(int(time_ns), topic, message)
+
+
+def _lenses(sampled: Sampled, feature: Feature) -> Iterator[Stamped]:
+    """The model of the camera beside each picture, with the same header; none if not recorded."""
+    model = sampled.candidate.about["calibration"]["camera_info"].get(feature.camera)
+    if model is None:
+        return
+    topic = f"{topics_of(feature.camera)}/camera_info"
+    stated = {key: model[key] for key in MODEL_KEYS}
+    stamps = sampled.columns[f"timing.{feature.camera}.stamp_ns"]
+    for time_ns, stamp in zip(sampled.grid.times_ns, stamps, strict=True):
+        info = CameraInfo(header=_header(int(stamp), feature.camera), **stated)
+        yield Stamped(int(time_ns), topic, info)
+
+
+def _camera_poses(sampled: Sampled) -> Iterator[Stamped]:
+    """The pose of the left camera in the world."""
+    poses = sampled.columns[schema.CAMERA_POSE].astype(np.float64)
+    for time_ns, pose in zip(map(int, sampled.grid.times_ns), poses, strict=True):
+        yield Stamped(time_ns, "/endoscope/left/pose", _pose(time_ns, "world", pose[:3], pose[3:]))
 
 
 def _header(time_ns: int, frame: str) -> Header:

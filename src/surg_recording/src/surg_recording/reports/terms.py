@@ -8,6 +8,7 @@ NAMES = {
     "in_vivo": "in vivo",
     "bgr": "Bowel grasping and retraction",
     "endoscope_guidance": "Endoscope guidance",
+    "needle_driving": "Needle driving",
     "pick_and_place": "Peg transfer",
     "ur3e": "UR3e",
     "ur5e": "UR5e",

@@ -1,0 +1,96 @@
+"""A 30-minute stereo episode in simulated time: recorded, exported, read by lerobot 0.4.4.
+
+Opt-in (`./surg test --full --tier oracle`), about 20 minutes. SURG_TEST_MINUTES shortens it. A
+made-up arm moves in simulated time; recorder, encoders, export and reader are the real ones.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from helpers.machines.peak_memory import watched
+from helpers.policy import lerobot_venv
+from helpers.recording import datasets_synthetic, picture_identity
+from helpers.recording.datasets_synthetic import FRAME_NS
+from helpers.recording.oracle_reading import run
+from helpers.recording.picture_identity import COLUMNS, ROWS, Identity
+from helpers.recording.recording_synthetic import Synthetic
+from helpers.results.dataset_results import LONG
+from surg_recording import datasets
+from surg_recording.datasets import ExportOptions
+
+pytestmark = [pytest.mark.oracle, pytest.mark.full]
+
+MINUTES = float(os.environ.get("SURG_TEST_MINUTES", "30"))
+SIZE = 640, 480
+NUMBERS = 1 << 15
+"""Frames that a picture can tell apart; later ones count from 0 again."""
+MOST_MIB = 300
+"""Of each process of an export."""
+
+
+@functools.cache
+def _textures() -> npt.NDArray[np.uint8]:
+    """Grain that no encoder gets for nothing, by frame number modulo its length."""
+    rng = np.random.default_rng(1)
+    coarse = rng.integers(0, 30, (70, 90, 3), np.uint8).repeat(8, 0).repeat(8, 1)
+    views = [coarse[2 * n : 2 * n + SIZE[1], 2 * n : 2 * n + SIZE[0]] for n in range(32)]
+    return np.stack(views) + rng.integers(0, 10, (32, SIZE[1], SIZE[0], 3), np.uint8)
+
+
+def picture(identity: Identity, width: int, height: int) -> npt.NDArray[np.uint8]:
+    """A textured picture that says which it is (modulo ``NUMBERS``)."""
+    shown = Identity(identity.recording, identity.camera, identity.frame % NUMBERS)
+    small = picture_identity.draw(shown, COLUMNS, 2 * ROWS)[..., 0]
+    squares = np.repeat(np.repeat(small, height // (2 * ROWS), 0), width // COLUMNS, 1)
+    image = _textures()[identity.frame % 32].copy()
+    image[:, : squares.shape[1]] += (squares // 2 + 40)[..., None]
+    return image
+
+
+def test_a_long_stereo_episode_goes_all_the_way(tmp_path: Path) -> None:
+    lerobot_venv.python("0.4.4")  # before the long part: skips where it cannot be made
+    seconds = 60 * MINUTES
+    started = time.monotonic()
+    with watched(os.getpid()) as used:
+        folder = datasets_synthetic.record(
+            tmp_path / "long", 1, seconds, size=SIZE, picture=picture, paced=True
+        )
+    size = sum(path.stat().st_size for path in folder.iterdir()) / 2**20
+    told = f"{time.monotonic() - started:.0f} s, {size:.0f} MiB; recorder {used.own:.0f} MiB,"
+    LONG.note("recorded", round(MINUTES), f"{told} each encoder at most {used.child:.0f} MiB")
+
+    out = tmp_path / "set"
+    started = time.monotonic()
+    with watched(os.getpid()) as used:
+        options = ExportOptions(executor="process", workers=1, splits={"train": 1.0})
+        report = datasets.load("lerobot_v30").write([folder], out, options)
+    assert report.ok, report
+    pace = report.frames / (time.monotonic() - started)
+    told = f"{time.monotonic() - started:.0f} s, {pace:.0f} frames/s; worker"
+    told = f"{told} {used.child:.0f} MiB, the export's own process {used.own:.0f} MiB"
+    LONG.note("exported as LeRobot 3.0", report.frames, told)
+    assert used.child <= MOST_MIB
+
+    words = (out, 10, 1)
+    versions, facts, *frames = run("0.4.4", "lerobot_reader.py", *words, home=tmp_path)
+    assert versions["lerobot"] == "0.4.4"
+    assert facts["frames"] == report.frames >= 20 * (seconds - 1)
+    assert facts["episodes"] == report.recordings == int(np.ceil(report.frames / 20_000))
+    assert len(frames) == 10
+    what = Synthetic(seconds=seconds)
+    for frame in frames:
+        assert frame["index"] == frame["asked"]
+        shown = list(frame["pictures"].values())
+        number = frame["grid_ns"] // FRAME_NS % NUMBERS
+        assert shown == [[1, camera, number] for camera in (0, 1)]
+        expected = what.executed(frame["grid_ns"] * 1e-9)
+        assert frame["state"][:3] == pytest.approx(list(expected), abs=1e-7)
+    LONG.note("opened by lerobot 0.4.4", 10, "random frames, 20 pictures and all states right")
