@@ -31,10 +31,10 @@ def run(arguments: Sequence[str]) -> int:
     if COMMANDS[name].wants_workspace(rest) and READY not in os.environ:
         wants_help = any(word in ("-h", "--help") for word in rest)
         if not (wants_help and name != "shell"):
-            everything = COMMANDS[name].everything
-            if stages := provision.overview(everything):
+            needs = COMMANDS[name].everything, COMMANDS[name].packages
+            if stages := provision.overview(*needs):
                 say(stages)
-            provision.make_ready(everything)
+            provision.make_ready(*needs)
             workspace.build(paths.STATE / "logs" / "build.log")
             env = environment.for_nodes(draws=COMMANDS[name].draws)
             python_path = env.get("PYTHONPATH", "")

@@ -24,6 +24,7 @@ class Command:
     needs_workspace: bool = True  # whether everything is set up and built before it runs
     draws: bool = True  # whether it may start what draws pictures
     everything: bool = False  # whether it needs the packages that others do without
+    packages: tuple[str, ...] = ()  # sets of the package list that it needs
     workspace_option: str = ""  # an option that needs everything set up and built
 
     def wants_workspace(self, words: Sequence[str]) -> bool:
@@ -56,8 +57,12 @@ COMMANDS = {
     "import": Command("data", "data.import_recordings", "import bags and LeRobot data sets"),
     "learn": Command("learn", "learn", "demonstrate, export, train, deploy and judge a policy"),
     "keys": Command("learn", "make_keys", "make key pairs for a model server and its policies"),
-    "calibrate": Command("robot", "calibrate", "solve tool and trocar from recorded poses"),
-    "check-frames": Command("robot", "check_frames", "compare commanded and observed tip motion"),
+    "calibrate": Command(
+        "robot", "calibrate", "solve tool and trocar from recorded poses", packages=("opencv",)
+    ),
+    "check-frames": Command(
+        "robot", "check_frames", "compare commanded and observed tip motion", packages=("opencv",)
+    ),
     "reach": Command("robot", "arms.reach", "tell and draw where the tips of a cell can go"),
     "robot": Command("robot", "arms.robot", "start, stop, guide robots; their lag", draws=False),
     "emulate": Command("robot", "arms.emulate", "emulate a real arm's controller", draws=False),

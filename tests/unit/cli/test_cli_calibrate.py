@@ -13,10 +13,10 @@ import pytest
 import surg_core
 import surg_core.calibration
 from surg_cli import __main__ as cli
-from surg_cli.graph.standstill import Standstill
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
 from surg_core import calibration
+from surg_core.standstill import Standstill
 
 DATE = "2026-11-21"
 

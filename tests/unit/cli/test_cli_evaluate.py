@@ -58,6 +58,14 @@ def test_runs_are_evaluated_without_a_word(
     assert (tmp_path / "out" / "report.html").exists()
 
 
+def test_a_selection_that_nothing_fits_writes_no_report(runs: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(Problem, match="3 do not fit, 1 are left out") as problem:
+        run(runs, "--where", 'setting == "in_vivo"', "--out", out)
+    assert problem.value.code == 2
+    assert not (out / "summary.json").exists()
+
+
 def test_without_any_episode_it_says_how_to_make_some(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

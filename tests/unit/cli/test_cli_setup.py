@@ -8,6 +8,9 @@ from pathlib import Path
 import pytest
 
 from surg_cli import command_table
+from surg_cli.graph import system
+from surg_cli.graph.processes import Supervisor
+from surg_cli.graph.system import Node
 from surg_cli.host import environment, logged, paths, provision, workspace
 from surg_cli.host.terminal import Problem, Progress
 
@@ -20,15 +23,39 @@ def test_package_list_ignores_comments(tmp_path: Path) -> None:
 
 def test_packages_of_tests_and_exports_wait_for_their_commands(tmp_path: Path) -> None:
     path = tmp_path / "list"
-    path.write_text(f"cmake\n{provision.LATER}\nchromium  # tests\n")
+    path.write_text("cmake\n# == opencv\ncv\n# == later\nchromium  # tests\n")
     assert provision.listed_packages(path, everything=False) == ["cmake"]
-    assert provision.listed_packages(path) == ["cmake", "chromium"]
+    assert provision.listed_packages(path, False, ["opencv"]) == ["cmake", "cv"]
+    assert provision.listed_packages(path) == ["cmake", "cv", "chromium"]
     first = set(provision.listed_packages(everything=False))
     later = set(provision.listed_packages()) - first
-    assert {"chromium", "clang-tidy", "python3-distributed", "python3-pytest"} <= later
+    assert {"chromium", "clang-tidy", "python3-opencv", "python3-pytest"} <= later
     assert {"cmake", "python3-rospy", "libegl1"} <= first
     waiting = {name for name, each in command_table.COMMANDS.items() if each.everything}
     assert waiting == {"test", "export", "bench"}
+    seeing = {name for name, each in command_table.COMMANDS.items() if "opencv" in each.packages}
+    assert seeing == {"calibrate", "check-frames"}
+
+
+@pytest.mark.parametrize(
+    ("node", "asked"),
+    [
+        (Node("/endoscope", "surg_perception", "capture_node.py"), 1),
+        (Node("/sim", "surg_sim", "sim_bridge_node.py", {"setting": "phantom+lens"}), 1),
+        (Node("/sim", "surg_sim", "sim_bridge_node.py", {"setting": "phantom"}), 0),
+    ],
+)
+def test_opencv_comes_with_a_real_endoscope_or_a_lens(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, node: Node, asked: int
+) -> None:
+    installed: list[object] = []
+    monkeypatch.setattr(provision, "install_packages", lambda *_, **words: installed.append(words))
+    monkeypatch.setattr(system.master, "call", lambda *_: None)
+    monkeypatch.setattr(system, "executable", lambda *_: "/bin/true")
+    with Supervisor({}, tmp_path) as supervisor:
+        supervisor.env["ROS_MASTER_URI"] = "http://localhost:1"
+        system.start(supervisor, node)
+    assert installed == asked * [{"optional": ("opencv",)}]
 
 
 def test_the_sizes_are_stated_as_apt_get_states_them(tmp_path: Path) -> None:

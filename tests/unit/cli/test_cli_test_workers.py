@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from helpers.graph import worker_groups
 from surg_cli.commands import run_tests as run_tests_command
 from surg_cli.host import paths, pytest_run
 
@@ -114,6 +115,8 @@ def test_every_test_runs_once_and_real_time_in_one_worker(
     # The worker for real time has priority, whichever it is.
     niceness = {worker: int(nice) for worker, nice, _ in ran}
     assert all(niceness[first] < nice for worker, nice in niceness.items() if worker != first)
+    if os.geteuid() == 0:
+        assert niceness[first] == worker_groups.PREFERRED
     # A module's fixture ends once, behind its last test.
     assert len((tmp_path / "ended").read_text().splitlines()) == FILES
 

@@ -86,10 +86,11 @@ def test_nobody_offers_a_topic_twice(contract: Contract) -> None:
     """The compatibility node must not shadow a topic of the controller.
 
     The two leader nodes offer the same: one of them has a leader's name. So do simulator and link:
-    an arm has one of them.
+    an arm has one of them. In real time the simulator leaves an arm's forces to its sensor.
     """
-    for leader, robot in itertools.product(("leader", "lambda7"), ("link", "sim")):
-        entries = [entry for entry in contract.entries if entry.node not in (leader, robot)]
+    robots = (("link", "force"), ("sim",))
+    for leader, robot in itertools.product(("leader", "lambda7"), robots):
+        entries = [entry for entry in contract.entries if entry.node not in (leader, *robot)]
         # Anybody warns, and each node states its own frames.
         own = [e for e in entries if e.name not in ("<arm>/warning", "/tf_static")]
         ends = [(e.name, e.direction) for e in own]

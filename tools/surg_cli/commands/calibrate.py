@@ -14,7 +14,7 @@ from typing import Any
 from surg_cli.host import cells
 from surg_cli.host.option_types import positive, tcp_port
 from surg_cli.host.terminal import Problem, say
-from surg_cli.robots import endoscope_steps
+from surg_cli.robots import endoscope_steps, force_steps
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -23,9 +23,13 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("cell", metavar="CELL", help="name in cells/, or a cell's folder")
     add(
         "what",
-        choices=("collect", "tool", "trocar", "bases", "latency", *endoscope_steps.STEPS),
-        help="record poses, solve for tool, trocar or bases, calibrate the endoscope, or measure "
-        "the latency of its pictures",
+        choices=(
+            *("collect", "tool", "trocar", "bases", "latency", "live"),
+            *(*force_steps.STEPS, *endoscope_steps.STEPS),
+        ),
+        help="record poses, solve for tool, trocar or bases, calibrate the force sensor (force, "
+        "zero) or the endoscope (live: from the console's page), or measure the latency of its "
+        "pictures",
     )
     add("--arm", metavar="NAME", help="of the cell (default: its only arm)")
     add(
@@ -38,9 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--date", metavar="DAY", help="date of the calibration (default: today)")
     add("--dry-run", action="store_true", help="solve and print, write nothing")
     collect = parser.add_argument_group("collect")
-    collect.add_argument("--to", type=Path, metavar="FILE", help="the recording; rows are appended")
     collect.add_argument(
-        "--motion", choices=("tip", "roll", "second", "trocar", "touch"), help="kind of motion"
+        "--to",
+        type=Path,
+        metavar="FILE",
+        help="the recording, rows are appended; --live: a new folder of views (default in runs/)",
+    )
+    collect.add_argument(
+        "--motion", choices=("tip", "roll", "second", "trocar", "touch", "force"), help="kind"
     )
     collect.add_argument("--count", type=int, default=12, metavar="N", help="poses (default 12)")
     collect.add_argument("--port", type=tcp_port, default=11311, metavar="P", help="of the master")
@@ -64,6 +73,12 @@ def main(options: argparse.Namespace, command: str) -> int:
         from surg_cli.graph import glass_to_stamp
 
         return glass_to_stamp.measure(folder, options.port, options.seconds)
+    if options.what == "live" or options.live:
+        from surg_cli.graph import live_views
+
+        endoscope_steps.check_live(options)
+        origin = max(origin_of(arm) for arm in cell.arms.values())
+        return live_views.calibrate(cell, options, origin, _date(options.date))
     if options.what in endoscope_steps.STEPS or options.by is not None:
         origin = max(origin_of(arm) for arm in cell.arms.values())  # simulated, if one of them is
         endoscope_steps.run(cell, options, origin, _date(options.date))
@@ -79,7 +94,14 @@ def main(options: argparse.Namespace, command: str) -> int:
             raise Problem("calibrate collect: --to FILE and --motion WHAT are missing", 2)
         if options.count < 1:
             raise Problem(f"calibrate collect: --count {options.count}: 1 or more is allowed", 2)
+        if options.motion == "force":
+            from surg_cli.robots.collect_force import collect_forces
+
+            return collect_forces(arm, options.to, options.count, options)
         return collect(arm, options.to, options.motion, options.count, options)
+    if options.what in force_steps.STEPS:
+        force_steps.run(folder, arm, options, origin_of(arm), _date(options.date))
+        return 0
     if options.source is None:
         raise Problem(f"calibrate {options.what}: --from FILE is missing", 2)
     solve(folder, arm, options.what, options.source, _date(options.date), options.dry_run)

@@ -67,6 +67,9 @@ def main(options: argparse.Namespace, command: str) -> int:
             raise Problem(f"--where: {problem}", 2) from problem
         for each in left_out:
             warn(f"surg: left out: {each.reason}")
+        if selection is not None and not entries:
+            others = f"{len(folders) - len(left_out)} do not fit, {len(left_out)} are left out"
+            raise Problem(f"--where {options.where!r}: no episode remains: {others}", 2)
         for text in evaluation.remarks(entries):
             warn(f"surg: note: {text}")
         info = {"versions": provenance.versions(), "where": options.where}

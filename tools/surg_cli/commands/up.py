@@ -106,6 +106,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         cell=cell,
         arms=arms,
         simulated=simulated,
+        sensed=tuple(arm for arm in arms if loaded.arms[arm].force_sensor is not None),
         driven=tuple(arm for arm in arms if loaded.arms[arm].hardware is not None),
         lockstep=options.lock_step,
         cameras=scope.views,

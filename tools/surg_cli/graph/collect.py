@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from surg_cli.graph import master
-from surg_cli.graph.standstill import Standstill
 from surg_cli.host.terminal import Problem, say
+from surg_core.standstill import Standstill
 
 
 def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Namespace) -> int:
@@ -28,7 +28,7 @@ def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Names
     # The link drives no arm but the one with the cell's serial.
     serial = [] if arm.hardware is None else [arm.hardware.serial]
     header = ",".join(["motion", *(["serial"] if serial else []), *names])
-    _check(to, header)
+    check_columns(to, header)
     uri = f"http://localhost:{options.port}"
     master.nodes(uri)
     os.environ["ROS_MASTER_URI"] = uri
@@ -59,10 +59,7 @@ def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Names
                     f"no new standstill on {topic} within {options.timeout:g} s; "
                     f"{done - 1} of {count} poses are in {to}"
                 ) from None
-            with to.open("a", encoding="utf-8") as file:
-                if file.tell() == 0:
-                    file.write(header + "\n")
-                file.write(",".join([motion, *serial, *(f"{value:.9f}" for value in q)]) + "\n")
+            append(to, header, ",".join([motion, *serial, *(f"{value:.9f}" for value in q)]))
             say(f"  {done} of {count}")
     finally:
         listener.unregister()
@@ -70,8 +67,18 @@ def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Names
     return 0
 
 
-def _check(to: Path, header: str) -> None:
-    """An existing file must have the same columns."""
+def append(to: Path, header: str, line: str) -> None:
+    """Write a row, after the header where the file is new."""
+    with to.open("a", encoding="utf-8") as file:
+        file.write(f"{line}\n" if file.tell() else f"{header}\n{line}\n")
+
+
+def check_columns(to: Path, header: str) -> None:
+    """Refuse an existing file with other columns, and a file in no folder.
+
+    Raises:
+        Problem: With the columns.
+    """
     if not to.exists():
         if not to.parent.is_dir():
             raise Problem(f"--to {to}: no folder {to.parent}", 2)

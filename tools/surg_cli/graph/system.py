@@ -16,7 +16,7 @@ from pathlib import Path
 
 from surg_cli.graph import master, turns
 from surg_cli.graph.processes import Child, Supervisor
-from surg_cli.host import paths
+from surg_cli.host import paths, provision
 from surg_cli.host.terminal import Problem
 
 OPERATOR = "operator"
@@ -65,6 +65,7 @@ class Plan:
     view: bool = False  # whether the simulator opens its window
     # arms that the simulator drives; None: all. Without any there is no simulator and no picture
     simulated: tuple[str, ...] | None = None
+    sensed: tuple[str, ...] = ()  # arms with a force sensor at the flange
     driven: tuple[str, ...] = ()  # arms whose link is started: those with `hardware` in the cell
     law: str = "ours"  # "ours", "velocity" or "paper"
     link: str | None = None  # "joint", "twist", or None for what the robot's YAML says
@@ -149,6 +150,10 @@ class Node:
     prompt: bool = False  # whether it must answer soon: it gets short slices of the processor
     drives: bool = False  # whether a robot waits for it: all its threads get a real-time priority
 
+    def needs_opencv(self) -> bool:
+        """Whether it is a real endoscope, or simulates a lens."""
+        return self.package == "surg_perception" or "lens" in str(self.params.get("setting", ""))
+
     def words(self) -> list[str]:
         """Name and namespace in the form ROS nodes take on their command line."""
         namespace, _, base = self.name.rpartition("/")
@@ -214,12 +219,26 @@ def nodes(plan: Plan) -> list[Node]:
             "autostart": plan.lockstep,  # before the first tick; a later start would miss some
             "cameras": [*plan.streams, *plan.record_cameras],
             "topics": list(plan.record_topics),
-            "run_info": json.dumps(plan.run_info, sort_keys=True),
+            "run_info": json.dumps(plan.run_info),  # stages keep their order
             **plan.record_quality,
             **({"topics": list(POLICY_TOPICS)} if plan.policy is not None else {}),
         }
         started.append(Node(f"/{RECORDER}", "surg_recording", "recorder_node.py", params))
-    return started
+    return started + force_nodes(plan)
+
+
+def force_nodes(plan: Plan) -> list[Node]:
+    """Nodes that make forces of the sensors at the flanges; in lock-step the simulator does."""
+    return [
+        Node(
+            f"/{arm}/force",
+            "surg_hardware",
+            "force_node.py",
+            {"cell": str(plan.cell), "arm": arm},
+            prompt=True,
+        )
+        for arm in (() if plan.lockstep else plan.sensed)
+    ]
 
 
 def endoscope(plan: Plan) -> Node:
@@ -287,8 +306,10 @@ def start(supervisor: Supervisor, node: Node) -> Child:
     """Set a node's parameters and start it at the master that the supervisor's environment names.
 
     Raises:
-        Problem: Its executable does not exist.
+        Problem: Its executable does not exist, or packages that it needs cannot be installed.
     """
+    if node.needs_opencv():
+        provision.need_opencv()
     uri = supervisor.env["ROS_MASTER_URI"]
     for key, value in node.params.items():
         master.call(uri, "setParam", f"{node.name}/{key}", value)

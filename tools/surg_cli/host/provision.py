@@ -20,18 +20,18 @@ VENV_STAMP = paths.VENV / ".surg-lock"
 APT_OPTIONS = ("-o", "DPkg::Lock::Timeout=600", "-y", "--no-install-recommends")
 # apt-get prints: Get, Selecting, Preparing, Unpacking, Setting up.
 APT_LINES_PER_PACKAGE = 5
-LATER = "# == later"
-"""Line of the package list below which packages wait for a command that needs them."""
+LATER = ("opencv", "later")
+"""Sets of the package list (lines `# == NAME`) that wait for a command that needs them."""
 OPTIONAL = ("gstreamer",)
-"""Sets at the end of the package list, each below a line `# == NAME`: installed on request only."""
+"""Sets that are installed on request only."""
 
 
 def make_ready(everything: bool = False, optional: Sequence[str] = ()) -> bool:
     """Install missing packages and fill `.venv`; returns whether anything had to be done.
 
     Args:
-        everything: Also what only test, export and bench need.
-        optional: Also these sets of ``OPTIONAL``.
+        everything: Also the sets of ``LATER``.
+        optional: Also these sets of ``LATER`` or ``OPTIONAL``.
     """
     preflight.check_path()
     logs = paths.STATE / "logs"
@@ -44,17 +44,17 @@ def listed_packages(
 ) -> list[str]:
     """Names in the package list: the first word of each line, `#` starts a comment.
 
-    Without ``everything`` only those above the line ``LATER``; ``optional`` names sets of
+    Without ``everything`` only those above the first set; ``optional`` names sets of ``LATER`` or
     ``OPTIONAL`` that are added.
     """
-    text = path.read_text("utf-8")
-    sets = {}
-    for name in reversed(OPTIONAL):
-        text, _, sets[name] = text.partition(f"\n# == {name}\n")
-    chosen = text if everything else text.partition(f"\n{LATER}\n")[0]
-    chosen = "\n".join([chosen, *(sets[name] for name in optional)])
-    lines = (line.partition("#")[0].split() for line in chosen.splitlines())
-    return [words[0] for words in lines if words]
+    wanted = {"", *(LATER if everything else ()), *optional}
+    found, current = [], ""
+    for line in path.read_text("utf-8").splitlines():
+        current = line.removeprefix("# == ") if line.startswith("# == ") else current
+        words = line.partition("#")[0].split()
+        if words and current in wanted:
+            found.append(words[0])
+    return found
 
 
 def missing_packages(names: Sequence[str]) -> list[str]:
@@ -127,10 +127,15 @@ def sizes(install: Sequence[str]) -> str:
     return f"Debian packages: {count[1]} with what they need, {load[1]} to load, {disk[1]} on disk"
 
 
-def overview(everything: bool) -> str:
+def need_opencv() -> None:
+    """Install what real endoscopes and simulated lenses need; a `demo` does without it."""
+    install_packages(paths.STATE / "logs" / "apt.log", optional=("opencv",))
+
+
+def overview(everything: bool, optional: Sequence[str] = ()) -> str:
     """What the first use of a command will do, before it begins; empty if all of it is done."""
     stages = []
-    if missing := missing_packages(listed_packages(everything=everything)):
+    if missing := missing_packages(listed_packages(everything=everything, optional=optional)):
         stages.append(f"{len(missing)} Debian packages (1 to 5 minutes)")
     if not _python_is_current():
         stages.append("a Python environment (100 MB, half a minute)")

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import re
 from pathlib import Path
 from typing import Any
 
 from surg_cli.host.terminal import Problem, say
 
-STEPS = ("board", "stereo", "handeye", "check")
+STEPS = ("board", "camera", "stereo", "handeye", "check")
 """Steps of the endoscope; `bases --by` is one too."""
 
 
@@ -25,7 +24,32 @@ def add_arguments(parser: argparse.ArgumentParser, bases: Any) -> None:
     scope.add_argument(
         "--measured", type=float, metavar="MM", help="what the printed ruler of 100 mm measures"
     )
+    scope.add_argument(
+        "--live", action="store_true", help="stereo, handeye: take views from the running system"
+    )
+    scope.add_argument(
+        "--keep", action="store_true", help="copy the views to calibration/views/<step>"
+    )
+    scope.add_argument(
+        "--also",
+        choices=("easy_handeye",),
+        help="handeye: write that ROS package's YAML too, with a static_transform_publisher line",
+    )
     scope.add_argument("--lens-state", default="", metavar="TEXT", help="focus and zoom, in words")
+
+
+def check_live(options: argparse.Namespace) -> None:
+    """Refuse options that do not go with ``--live``.
+
+    Raises:
+        Problem: The step has no views from a running system, or a folder is stated as well.
+    """
+    if options.what not in ("stereo", "handeye", "live"):
+        raise Problem(f"calibrate {options.what}: --live goes with stereo and handeye", 2)
+    if options.source is not None:
+        raise Problem("calibrate: --live and --from exclude one another", 2)
+    if options.keep or options.also:
+        raise Problem("calibrate: --keep and --also go with --from; --live leaves its folder", 2)
 
 
 def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
@@ -45,30 +69,56 @@ def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
         _board(cell, options)
         return
     if what != "check" and options.source is None:
-        raise Problem(f"calibrate {what}: --from FOLDER is missing: the folder of views", 2)
-    from surg_perception.calibration import base_steps, steps
+        raise Problem(
+            f"calibrate {what}: --from FOLDER (of views) is missing"
+            + (", or --live" if what in ("stereo", "handeye") else ""),
+            2,
+        )
+    if options.also and what != "handeye":
+        raise Problem(f"calibrate {what}: --also {options.also} goes with handeye", 2)
     from surg_perception.calibration.result_files import Origin
+    from surg_perception.output.kept_views import keep_views
 
     # A path of this machine does not belong into the cell's files.
-    folder = "" if options.source is None else re.sub(r"\s+", " ", options.source.name)
-    origin = Origin(f"./surg calibrate {cell.folder.name} {what} --from {folder}", date, source)
+    words = [what] + ([f"--by {options.by}"] if what == "bases" else [])
+    if options.source is not None:
+        words.append(f"--from {' '.join(options.source.name.split())}")
+    origin = Origin(f"./surg calibrate {cell.folder.name} {' '.join(words)}", date, source)
     write = not options.dry_run
     try:
-        if what == "check":
-            lines, write = base_steps.check(cell), False
-        elif what == "bases":
-            *_, lines = base_steps.bases(cell, options.source, options.by, origin, write)
-        elif what == "stereo":
-            folder = cell.folder / "calibration"
-            _, lines = steps.stereo(folder, options.source, origin, options.lens_state, write)
-        else:
-            _, lines = steps.handeye(cell, options.source, origin, write)
+        lines = _solve(cell, options, origin, write)
     except (ValueError, OSError) as error:
         raise Problem(f"calibrate {what}: {error}; nothing is written", 1) from error
     for line in lines:
         say(line)
+    if options.keep and write and options.source is not None:
+        try:
+            say(f"kept: {keep_views(cell.folder / 'calibration', what, options.source)}")
+        except OSError as error:
+            raise Problem(f"calibrate {what}: the views are not kept: {error}", 1) from error
     if what != "check":
         say("restart the system" if write else "nothing written (--dry-run)")
+
+
+def _solve(cell: Any, options: argparse.Namespace, origin: Any, write: bool) -> list[str]:
+    """Solve a step and write its files; lines for people."""
+    from surg_perception.calibration import base_steps, steps
+    from surg_perception.output.easy_handeye import write_easy_handeye
+
+    what, source, folder = options.what, options.source, cell.folder / "calibration"
+    if what == "check":
+        return list(base_steps.check(cell, origin.note if write else ""))
+    if what == "bases":
+        return list(base_steps.bases(cell, source, options.by, origin, write)[2])
+    if what == "camera":
+        return list(steps.camera(folder, source, origin, write)[1])
+    if what == "stereo":
+        return list(steps.stereo(folder, source, origin, options.lens_state, write)[1])
+    result, lines = steps.handeye(cell, source, origin, write)
+    if options.also and write:
+        path = write_easy_handeye(folder, steps.scope_arm(cell).name, result.X_FV)
+        lines.append(f"written: {path}")
+    return list(lines)
 
 
 def _board(cell: Any, options: argparse.Namespace) -> None:

@@ -7,7 +7,7 @@ import math
 import os
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +29,14 @@ ACTIONS = {
 }
 TOLERANCE_S = 0.003
 """Above this difference the controller warns (docs/reference/safety.md)."""
+SPREAD_S = 0.0015
+"""Joints whose lags differ by more are stated one by one."""
+LATE_SHARE = 0.01
+"""Of late cycles: with more, the age of a state says little, and the lag is not believed."""
 TIMEOUT_S = 60.0
 LOOK_S = 0.1
+JOINTS_S = 5.0
+"""The wait for joints that have hardly moved, once the lag of all together is known."""
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -50,15 +56,40 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 @dataclass(frozen=True)
 class Lag:
-    """A link's lag [s]: stated in the robot's YAML, and measured (NaN: not enough motion yet)."""
+    """A link's lag [s], stated and measured (NaN: not enough motion yet).
+
+    Attributes:
+        stated: Of the slowest joint.
+        measured: Of all joints together.
+        joints_stated: Of each joint; empty: one value is stated for all.
+        joints: Of each joint, measured.
+        late: Largest share of late control cycles in the meantime.
+    """
 
     stated: float
     measured: float
+    joints_stated: tuple[float, ...] = ()
+    joints: tuple[float, ...] = ()
+    late: float = 0.0
+
+    @property
+    def unmoved(self) -> list[int]:
+        """Joints that have moved too little, counted from 1."""
+        return [i for i, lag in enumerate(self.joints, 1) if math.isnan(lag)]
+
+    @property
+    def unequal(self) -> bool:
+        """Whether the joints differ so much that each needs its own value."""
+        known = [lag for lag in self.joints if not math.isnan(lag)]
+        return bool(known) and max(known) - min(known) > SPREAD_S
 
     @property
     def differs(self) -> bool:
-        """Whether the two differ by more than the controller tolerates."""
-        return abs(self.measured - self.stated) > TOLERANCE_S
+        """Whether stated and measured lags differ by more than the controller tolerates."""
+        if self.joints_stated:
+            pairs = zip(self.joints, self.joints_stated, strict=False)
+            return any(abs(measured - stated) > TOLERANCE_S for measured, stated in pairs)
+        return self.unequal or abs(self.measured - self.stated) > TOLERANCE_S
 
 
 def main(options: argparse.Namespace, command: str) -> int:
@@ -144,22 +175,39 @@ def row(arm: str, lag: Lag | None) -> list[str]:
     """One line of the table."""
     if lag is None:
         return [arm, "no diagnostics"]
-    found = "not known" if math.isnan(lag.measured) else f"{1e3 * lag.measured:.1f} ms"
-    return [arm, f"measured {found}", f"link_lag {1e3 * lag.stated:.1f} ms"]
+    each = lag.joints if lag.unequal else (lag.measured,)
+    return [arm, f"measured {_ms(each)}", f"link_lag {_ms(lag.joints_stated or (lag.stated,))}"]
+
+
+def _ms(lags: tuple[float, ...]) -> str:
+    """In milliseconds."""
+    words = ["not known" if math.isnan(lag) else f"{1e3 * lag:.1f} ms" for lag in lags]
+    return ", ".join(words)
 
 
 def advice(arm: str, lag: Lag | None) -> str:
     """What to do about a lag; empty: nothing."""
     if lag is None:
         return f"{arm}: its controller sent no diagnostics; see ./surg status"
+    enough = "0.1 rad/s for about half a second"
     if math.isnan(lag.measured):
-        return f"{arm} moved too little: its joints need 0.1 rad/s for about half a second"
-    if lag.differs:
+        return f"{arm} moved too little: its joints need {enough}"
+    if not lag.differs:
+        return ""
+    if lag.late > LATE_SHARE:
         return (
-            f"{arm}: set link_lag to {lag.measured:.4f} s. The pivot then follows as exactly as "
-            "the link allows"
+            f"{arm}: {100 * lag.late:.0f} % of the control cycles were late, so this lag is not to "
+            "be believed; link_lag stays as it is. Free the CPU, then repeat this command"
         )
-    return ""
+    value = f"{lag.measured:.4f} s"
+    if lag.unequal and lag.unmoved:
+        joints = ", ".join(map(str, lag.unmoved))
+        return f"{arm}: the lags of its joints differ; joints that moved too little: {joints}. " + (
+            f"Each needs {enough}; then repeat this command"
+        )
+    if lag.unequal:
+        value = f"[{', '.join(f'{each:.4f}' for each in lag.joints)}] s, one value per joint"
+    return f"{arm}: set link_lag to {value}. The pivot then follows as exactly as the link allows"
 
 
 def lags_of(statuses: Any) -> dict[str, Lag]:
@@ -169,12 +217,23 @@ def lags_of(statuses: Any) -> dict[str, Lag]:
         arm, _, node = status.name.partition("/")
         values = {pair.key: pair.value for pair in status.values}
         if node == "controller" and "link_lag_s" in values:
-            found[arm] = Lag(float(values["link_lag_stated_s"]), float(values["link_lag_s"]))
+            found[arm] = Lag(
+                float(values["link_lag_stated_s"]),
+                float(values["link_lag_s"]),
+                _numbers(values.get("joint_lag_stated_s", "")),
+                _numbers(values.get("joint_lag_s", "")),
+                float(values.get("late_share", "0")),
+            )
     return found
 
 
+def _numbers(text: str) -> tuple[float, ...]:
+    """Numbers with spaces between them."""
+    return tuple(float(word) for word in text.split())
+
+
 def _measure(uri: str, arms: list[str], timeout_s: float) -> dict[str, Lag]:
-    """Listen until every arm's lag is known, or time is up."""
+    """Listen until every arm's lag is known, of its joints if they move, or time is up."""
     os.environ["ROS_MASTER_URI"] = uri
     import rospy
     from diagnostic_msgs.msg import DiagnosticArray
@@ -184,11 +243,17 @@ def _measure(uri: str, arms: list[str], timeout_s: float) -> dict[str, Lag]:
 
     def heard(message: Any) -> None:
         with lock:
-            lags.update(lags_of(message.status))
+            for arm, lag in lags_of(message.status).items():
+                before = lags[arm].late if arm in lags else 0.0
+                lags[arm] = replace(lag, late=max(before, lag.late))
 
     def missing() -> list[str]:
         with lock:
             return [a for a in arms if a not in lags or math.isnan(lags[a].measured)]
+
+    def unmoved() -> bool:
+        with lock:
+            return any(lags[arm].unmoved for arm in arms)
 
     rospy.init_node("surg_robot", anonymous=True, disable_signals=True)
     rospy.Subscriber("/diagnostics", DiagnosticArray, heard)
@@ -196,6 +261,9 @@ def _measure(uri: str, arms: list[str], timeout_s: float) -> dict[str, Lag]:
     with Progress("robot lag") as progress:
         while (still := missing()) and (left := end - time.monotonic()) > 0:
             progress.update(1 - left / timeout_s, f"move {' and '.join(still)}")
+            time.sleep(LOOK_S)
+        end = min(end, time.monotonic() + JOINTS_S)
+        while not still and unmoved() and time.monotonic() < end:
             time.sleep(LOOK_S)
     rospy.signal_shutdown("measured")
     with lock:
