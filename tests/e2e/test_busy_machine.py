@@ -14,13 +14,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from helpers.graph import busy_machine
 from helpers.graph.surg import environment, start
 from helpers.results.busy_results import note
 from helpers.teleop.console_page import Page, page, when
@@ -30,25 +31,13 @@ from surg_cli.host import paths
 pytestmark = [pytest.mark.ros, pytest.mark.full, pytest.mark.untimed]
 
 SECONDS = float(os.environ.get("SURG_STORM_SECONDS", "600"))
-LOAD = int(os.environ.get("SURG_STORM_LOAD", "8"))
+LOAD = int(os.environ.get("SURG_STORM_LOAD", str(busy_machine.LOAD)))
 """Programs that never rest, beside the system."""
 HAND_SPEED = 0.5
 """[m/s]; a tenth of a metre a second at the tip."""
 SCALE = 0.2
 REACH = 0.1
 """[m] of the hand to each side."""
-
-
-@contextlib.contextmanager
-def busy(programs: int) -> Iterator[None]:
-    """Other programs that never rest."""
-    load = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(programs)]
-    try:
-        yield
-    finally:
-        for program in load:
-            program.kill()
-            program.wait()
 
 
 class Judged:
@@ -146,14 +135,14 @@ def test_a_fast_hand_on_a_busy_machine_never_leaves_the_pivot(tmp_path: Path, ce
             found.hand = {"hand": "position", "p": [0.0, 0.0, 0.0]}
             await drive(found)
             await found.say("scale", value=SCALE)
-            with busy(LOAD):
+            with busy_machine.busy(LOAD):
                 began = time.monotonic()
                 enabled = await storm(found, rng, began + SECONDS)
             await asyncio.sleep(1.0)
             seen = judged.seen
-            assert seen["way_m"] > 0.005 * SECONDS
+            note(cell, SECONDS, os.getloadavg()[0], enabled, seen)
+            assert seen["way_m"] > 0.002 * SECONDS, "the arm hardly moved"
             assert "FAULT(rcm_error)" not in seen["ended"]
             assert seen["pivot_mm"] <= 0.5
-            note(cell, SECONDS, os.getloadavg()[0], enabled, seen)
 
     asyncio.run(test())

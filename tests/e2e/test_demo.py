@@ -23,7 +23,7 @@ from surg_cli.host.paths import ROOT
 
 pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
-SECONDS = None if FULL else 5.0
+SECONDS = None if FULL else 3.0
 DEMO_TIMEOUT_S = 900
 MOTIONS = {"bundled": None}
 if os.environ.get("SURG_TEST_MOTION"):
@@ -159,8 +159,8 @@ def test_the_papers_law_and_no_feedback_drift(tmp_path: Path) -> None:
 
 
 def test_one_seed_one_hash_whatever_the_scheduler_does(tmp_path: Path) -> None:
-    # A tick takes about a millisecond: delays of its size already shuffle everybody's messages.
-    seconds, jitter_ms = 2.0, 20.0 if FULL else 1.0
+    # A tick takes about a millisecond: half of it already shuffles everybody's messages.
+    seconds, jitter_ms = (2.0, 20.0) if FULL else (1.5, 0.5)
     plain = demo(tmp_path / "plain", "--duration", seconds)
     shaken = demo(
         tmp_path / "shaken", "--duration", seconds, env=socket_jitter.environment(jitter_ms)

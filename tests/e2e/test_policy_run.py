@@ -104,7 +104,9 @@ def test_every_observation_holds_the_picture_of_its_own_tick(
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize("more", [[], ["--privileged"]])  # refused at once, and once it is served
+@pytest.mark.parametrize(  # refused at once, and once it is served
+    "more", [[], pytest.param(["--privileged"], marks=pytest.mark.full)]
+)
 def test_an_episode_without_its_policy_ends(tmp_path: Path, more: list[str]) -> None:
     out = tmp_path / "run"
     done = surg("run", TASK, "--policy", LOOKING, *more, "--seed", SEED, "--out", out)

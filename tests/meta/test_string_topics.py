@@ -19,6 +19,7 @@ PROMISED = {
     "<arm>/error": PEOPLE,
     "<arm>/warning": PEOPLE,
     "<arm>/status": PEOPLE,
+    "<arm>/force/status": PEOPLE,
     "/<leader>/error": PEOPLE,
     "/teleop/warning": PEOPLE,
     "/<leader>_<arm>/current_state": CRTK,
@@ -53,6 +54,7 @@ USED = {
     "watch.py": {"topic"},
     "record.py": {"name"},
     "link_node.py": {"warning"},
+    "force_node.py": {"status", "warning"},
     "robot_request.py": {"warning"},
 }
 """File -> last part of the topics that it offers or takes as std_msgs/String."""

@@ -56,6 +56,25 @@ def test_no_code_from_data() -> None:
     assert len(python) > 20
 
 
+def test_demo_teleop_and_run_need_no_opencv() -> None:
+    """OpenCV comes later, and with it 90 MB: few files may import it before they are used."""
+    may = ("src/surg_perception/", "src/surg_sim/src/surg_sim/looks/board_bench.py")
+    may += ("src/surg_teleop/src/surg_teleop/frames/undistortion.py",)  # check-frames
+    may += ("src/surg_recording/src/surg_recording/nodes/ros_messages_node.py",)  # export
+    python = [file for file in tracked() if file.suffix == ".py"]
+    found = [
+        str(file.relative_to(paths.ROOT))
+        for file in python
+        if file.is_relative_to(paths.ROOT / "src") or file.is_relative_to(paths.ROOT / "tools")
+        if any(
+            isinstance(node, ast.Import) and any(alias.name == "cv2" for alias in node.names)
+            for node in ast.parse(file.read_text("utf-8")).body
+        )
+    ]
+    assert found, "nothing was read"
+    assert [file for file in found if not file.startswith(may)] == []
+
+
 @pytest.mark.parametrize(
     "line",
     [
@@ -119,7 +138,7 @@ def test_lock_file_names_no_index_and_hashes_everything() -> None:
     entries = [line for line in lines if line.strip()]
     assert "://" not in text
     assert all(re.match(r"[a-z0-9-]+==[\w.]+\s.*--hash=sha256:[0-9a-f]{64}", e) for e in entries)
-    # Debian's numpy, OpenCV and pyzmq: PyPI's would break cv_bridge.
+    # Debian's numpy, OpenCV and pyzmq: PyPI's numpy 2 would break Debian 12's OpenCV.
     assert not re.search(r"^(numpy|opencv|pyzmq)", text, re.MULTILINE)
 
 

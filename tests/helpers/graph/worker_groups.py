@@ -4,10 +4,14 @@ Tests that drive graphs in real time share one group: two such graphs at once wo
 other's cores. That group comes first, so xdist gives it to the first worker that is ready. A worker
 that begins with another group runs at a lower priority from then on. Every other file is a group of
 its own: its fixtures are made once.
+
+A test in real time gets a higher priority where the system grants it, and so do the processes that
+it starts: other programs of the machine then cost it little.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
 
@@ -18,16 +22,35 @@ FOLDERS = ("ros", "e2e", "faults")
 """Folders of tests that drive graphs, in real time unless the file is marked `untimed`."""
 NICE = 10
 """Added to the niceness of the other workers: a graph in real time must not wait for a core."""
+PREFERRED = -10
+"""Niceness of a test in real time."""
 _began: list[str] = []  # the group that this worker began with
 
 
 def begin(item: pytest.Item) -> None:
-    """Lower the priority of this process, if its first test is not one in real time."""
-    if _began or not hasattr(item.config, "workerinput"):
+    """Set the priority of this process by its first test; without workers by each test."""
+    if not hasattr(item.config, "workerinput"):
+        if in_real_time(item, Path(__file__).parents[2]):
+            _prefer()
+        return
+    if _began:
         return
     _began.append(group(item))
-    if _began[0] != REAL_TIME:
+    if _began[0] == REAL_TIME:
+        _prefer()
+    else:
         os.nice(NICE)
+
+
+def _prefer() -> None:
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, PREFERRED)
+
+
+def in_real_time(item: pytest.Item, tests: Path) -> bool:
+    """Whether a test below the folder drives graphs in real time."""
+    inside = item.path.is_relative_to(tests) and item.path.relative_to(tests).parts[0] in FOLDERS
+    return inside and item.get_closest_marker("untimed") is None
 
 
 def assign(config: pytest.Config, items: list[pytest.Item], tests: Path) -> None:
@@ -40,10 +63,10 @@ def assign(config: pytest.Config, items: list[pytest.Item], tests: Path) -> None
     """
     if not hasattr(config, "workerinput"):
         return
-    timed = {item.path for item in items if item.get_closest_marker("untimed") is None}
+    timed = {item.path for item in items if in_real_time(item, tests)}
     for item in items:
-        in_real_time = item.path in timed and item.path.relative_to(tests).parts[0] in FOLDERS
-        item.add_marker(pytest.mark.xdist_group(REAL_TIME if in_real_time else item.path.stem))
+        name = REAL_TIME if item.path in timed else item.path.stem
+        item.add_marker(pytest.mark.xdist_group(name))
     items.sort(key=lambda item: group(item) != REAL_TIME)
 
 

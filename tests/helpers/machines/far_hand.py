@@ -64,7 +64,8 @@ class Hand:
         if state is None or self.servo.get_num_connections() == 0:
             return False
         if state.state != "ENABLED":
-            self.words.publish(StringStamped(string="enable"))
+            word = "resume" if state.state == "PAUSED" else "enable"
+            self.words.publish(StringStamped(string=word))
         elif not state.is_homed:
             self.words.publish(StringStamped(string="home"))
         return state.state == "ENABLED" and state.is_homed and self.set_point is not None

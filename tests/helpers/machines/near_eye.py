@@ -1,7 +1,7 @@
 """Beside the robot: writes every control cycle down. ``near_eye.py ARM LOG``, until stdin ends.
 
 A line of LOG: steady time of receipt [s], tick, stamp [ns], accepted, refused, state, reason or
-``-``, x, y, z of the set-point and of the tip in the rcm frame [m].
+``-``, x, y, z of the set-point and of the tip in the rcm frame [m], period of the cycle [s].
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def main(arm: str, log: str) -> int:
             numbers = " ".join(f"{value:.9f}" for value in np.concatenate(places))
             head = f"{now:.6f} {cycle.tick} {cycle.header.stamp.to_nsec()} {cycle.accepted}"
             tail = f"{cycle.refused} {cycle.state} {cycle.reason or '-'}"
-            file.write(f"{head} {tail} {numbers}\n")
+            file.write(f"{head} {tail} {numbers} {1e-6 * cycle.period_us:.6f}\n")
 
         subscriber = rospy.Subscriber(f"/{arm}/cycle", Cycle, write, tcp_nodelay=True)
         print("up", flush=True)

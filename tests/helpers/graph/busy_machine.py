@@ -1,0 +1,23 @@
+"""Other programs that want the same processors."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+from collections.abc import Iterator
+
+LOAD = 8
+"""Programs that never rest, beside the system."""
+
+
+@contextlib.contextmanager
+def busy(programs: int = LOAD) -> Iterator[None]:
+    """Run programs that never rest."""
+    load = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(programs)]
+    try:
+        yield
+    finally:
+        for program in load:
+            program.kill()
+            program.wait()
