@@ -58,6 +58,7 @@ class RecorderState:
         self.choice = TopicChoice(list(settings.topics), taken)
         self._warn = warn
         self._filters: dict[tuple[str, str], DuplicateFilter] = {}
+        self._repeatable: dict[str, int] = {}
         self._ticks: dict[str, int] = {}
         for arm in settings.arms:
             self._ticks[f"cycle_{arm}"] = self._ticks[f"ground_truth_{arm}"] = 0
@@ -96,9 +97,17 @@ class RecorderState:
             known = self._filters.setdefault(publisher, DuplicateFilter())
         return known.is_duplicate(id(header), key, time.monotonic())
 
+    def is_repeated(self, topic: str, tick: int) -> bool:
+        """Whether the simulator has sent the state of this tick before.
+
+        In lock-step it publishes a state again that nobody has answered for some time.
+        """
+        newest, self._repeatable[topic] = self._repeatable.get(topic), tick
+        return self.lockstep and tick == newest
+
     def forget_duplicates(self) -> None:
         """Begin to count anew, for a new recording."""
-        self._filters = {}
+        self._filters, self._repeatable = {}, {}
 
     @property
     def duplicates(self) -> dict[str, int]:

@@ -127,6 +127,11 @@ class RecorderTopics:
         recording = self._state.recording
         return recording if recording is not None and self._is_new(topic, message) else None
 
+    def _recording_of_state(self, topic: str, message: Any) -> Recording | None:
+        """The running recording, unless it has the state of this tick already."""
+        recording = self._recording_of(topic, message)
+        return None if recording and self._state.is_repeated(topic, message.tick) else recording
+
     # --- tables -------------------------------------------------------------------------------
 
     def _on_cycle(self, arm: str, message: Cycle) -> None:
@@ -135,13 +140,13 @@ class RecorderTopics:
         self._state.received(f"cycle_{arm}", message.tick)
 
     def _on_truth(self, message: GroundTruth) -> None:
-        if recording := self._recording_of(TRUTH_TOPIC, message):
+        if recording := self._recording_of_state(TRUTH_TOPIC, message):
             recording.ground_truth(message, self._clock.now_ns())
         for arm in message.arms:
             self._state.received(f"ground_truth_{arm.arm}", message.tick)
 
     def _on_task_state(self, message: TaskState) -> None:
-        if recording := self._recording_of(TASK_TOPIC, message):
+        if recording := self._recording_of_state(TASK_TOPIC, message):
             recording.task_state(message, self._clock.now_ns())
         self._state.last_row = time.monotonic()
 
