@@ -1,0 +1,1 @@
+"""Rectified pictures of both eyes, and the depth of what they see."""
