@@ -27,6 +27,7 @@ pytestmark = [
 ]
 
 EPISODES = 20 if FULL else 3
+BADGE = "document.getElementById('judged').textContent"
 KEY_S = float(os.environ.get("SURG_TEST_KEY_S", "0"))
 """Time between two keys [s]; 0: as fast as the page takes them."""
 
@@ -73,11 +74,13 @@ def test_the_keyboard_alone_labels_episodes(tmp_path: Path) -> None:
             await press(tab, "f Home ArrowRight ArrowRight 1 ArrowRight ArrowRight 2")
             await press(tab, "ArrowRight [ ArrowRight ArrowRight ArrowRight ] n a b Escape")
             await tab.until("document.getElementById('saved').textContent === 'saved'", "saving")
+            await tab.until(f"{BADGE} === 'failure, verdicts disagree'", "the new verdict")
             if file := os.environ.get("SURG_TEST_PICTURES"):
                 await tab.screenshot(Path(file) / "label.png")
             for number in range(2, EPISODES + 1):
                 await press(tab, "Enter")
                 await ready(tab, number, EPISODES)
+                assert await tab.run(BADGE) == "success"
                 await press(tab, "s Home ArrowRight 1 0 Backspace 2 9")
             await tab.until("document.getElementById('saved').textContent === 'saved'", "saving")
             print(f"{EPISODES} episodes in {time.monotonic() - begun:.1f} s")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
 
-LOAD = 8
-"""Programs that never rest, beside the system."""
+LOAD = int(os.environ.get("SURG_STORM_LOAD", "8"))
+"""Programs that never rest, beside the system; fewer where others load the machine already."""
 
 
 @contextlib.contextmanager

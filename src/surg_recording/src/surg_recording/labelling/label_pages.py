@@ -62,6 +62,15 @@ class LabelPages:
             raise EpisodeError(f"{folder}: cannot be labelled: {problem.strerror}") from None
         return found
 
+    def badge(self, number: int) -> tuple[str, str, str]:
+        """Kind, label and reason of the verdict that counts with the newest labels."""
+        try:
+            return episode_view.verdict_badge(
+                episode_reader.read(self.folders[number - 1]).manifest
+            )
+        except EpisodeError:
+            return "", "", ""
+
     def _made(self, number: int) -> str:
         here = Path(__file__).parent
         style, markup, script = (
@@ -115,6 +124,7 @@ class LabelPages:
             "back": self._place(number - 1),
             "next": self._place(number + 1),
             "success": stated.get("success"),
+            "badge": episode_view.verdict_badge(known) if recorded else ("", "", ""),
             "note": stated.get("note", ""),
             "names": list(run.get("stages") or {}),
             "stages_edited": stated.get("stages") is not None,

@@ -37,6 +37,7 @@
         const answer = await fetch(location.pathname, {
           method: "POST", headers: { "Content-Type": "application/json" }, body });
         const said = answer.ok ? "saved" : await answer.text();
+        if (answer.ok) judge(await answer.json());
         $("saved").textContent = said;
         $("saved").className = answer.ok ? "faint" : "bad";
       } catch {
@@ -45,6 +46,12 @@
       }
     } while (again);
     sending = false;
+  }
+  function judge([kind, label, why]) { // the verdict that counts, by the program's own rule
+    const badge = $("judged");
+    badge.className = `badge ${kind}`;
+    badge.textContent = label;
+    badge.title = why;
   }
   function change(edit) { edit(); save(); show(); }
 
@@ -158,6 +165,7 @@
     requestAnimationFrame(watch);
   })();
   window.addEventListener("resize", show);
+  judge(given.badge);
   show();
   $("labels").focus();
 })();

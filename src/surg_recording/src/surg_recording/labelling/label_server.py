@@ -137,7 +137,8 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         except (EpisodeError, OSError) as problem:
             self._refuse(HTTPStatus.INTERNAL_SERVER_ERROR, f"not saved: {problem}")
         else:
-            self._answer(HTTPStatus.NO_CONTENT, b"")
+            badge = json.dumps(self.server.pages.badge(number)).encode()
+            self._answer(HTTPStatus.OK, badge, kind="application/json")
 
     def _prepare(self, number: int) -> None:
         """Make the next page while this one is looked at."""

@@ -12,8 +12,9 @@ import base64
 import dataclasses
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from surg_recording.clock import sync_report
 from surg_recording.episode import episode_reader as episodes
@@ -82,26 +83,34 @@ def page(
     )
 
 
+def verdict_badge(manifest: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Kind, label and reason of the badge that states the verdict; three empty ones without it."""
+    judged = verdict(manifest)
+    if judged.success is None:
+        return "", "", ""
+    label = "success" if judged.success else "failure"
+    why = judged.disagreement or f"by {judged.by}" + (judged.reason and f": {judged.reason}")
+    label += ", verdicts disagree" if judged.disagreement else ""
+    return "pass" if judged.success else "fail", label, why
+
+
 def _badges(episode: Episode) -> str:
     """Badges: is the recording complete, and are its streams synchronised?"""
     outcome = str(episode.manifest.get("outcome"))
-    reason = episode.manifest.get("reason")
-    badges = [("pass" if outcome == "complete" else "fail", outcome, reason or "nothing was lost")]
-    judged = verdict(episode.manifest)
-    if judged.success is not None:
-        label = "success" if judged.success else "failure"
-        why = judged.disagreement or f"by {judged.by}" + (judged.reason and f": {judged.reason}")
-        label += ", verdicts disagree" if judged.disagreement else ""
-        badges.append(("pass" if judged.success else "fail", label, why))
+    reason = episode.manifest.get("reason") or "nothing was lost"
+    shown = _badge("pass" if outcome == "complete" else "fail", outcome, reason)
+    # It has an id, and is there without a verdict too: the label page changes it.
+    shown += _badge(*verdict_badge(episode.manifest), more=" id='judged'")
     sync = sync_report.load(episode)
     if sync is not None:
         words = {"pass": "in sync", "fail": "OUT OF SYNC", "cannot_tell": "sync: unknown"}
         why = "; ".join(sync.get("reasons") or []) or "all streams are synchronised"
-        badges.append((sync["verdict"], words.get(sync["verdict"], sync["verdict"]), why))
-    return "".join(
-        f"<span class='badge {text(kind)}' title='{text(why)}'>{text(label)}</span>"
-        for kind, label, why in badges
-    )
+        shown += _badge(sync["verdict"], words.get(sync["verdict"], sync["verdict"]), why)
+    return shown
+
+
+def _badge(kind: str, label: str, why: str, more: str = "") -> str:
+    return f"<span class='badge {text(kind)}' title='{text(why)}'{more}>{text(label)}</span>"
 
 
 def write(episode: Episode, out: Path, progress: Progress | None = None) -> Path:

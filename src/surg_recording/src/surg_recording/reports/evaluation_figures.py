@@ -100,9 +100,9 @@ def _boxes(
 FIGURES: Figures = {
     "rcm_deviation": (
         "Does the shaft stay in the trocar?",
-        "One dot per episode, first arm. Box: quartiles, line: median, whiskers: 1.5 times the"
-        " box. Kinematic: from joint states and calibration, the paper's metric; true: from the"
-        " simulator's shaft axis. Logarithmic scale.",
+        f"One dot per episode, first arm. {trial_figures.BOXES}Kinematic: from joint states and"
+        " calibration, the paper's metric; true: from the simulator's shaft axis. Logarithmic"
+        " scale.",
         deviation,
     ),
     "smoothness": (
@@ -123,6 +123,7 @@ def save_figures(summary: Mapping[str, Any], folder: Path) -> list[Drawn]:
     """Draw the figures as PNG and SVG files; without episodes only that of the reference set."""
     figures = FIGURES if summary["conditions"] else {"smoothness": FIGURES["smoothness"]}
     drawn = save_all(figures, folder, summary, formats=("png", "svg"))
+    drawn = trial_figures.captioned(drawn, _groups(summary))
     return [dataclasses.replace(d, caption=f"{d.caption} {origin(summary)}.") for d in drawn]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -19,6 +20,7 @@ from surg_recording.reports.figure_style import (
     LIMIT,
     TRUE,
     TRUE_FAINT,
+    Drawn,
     Figures,
     blank,
 )
@@ -117,12 +119,13 @@ def load(groups: Groups, summary: Mapping[str, Any]) -> Figure:
     return figure
 
 
+BOXES = "Box: quartiles, line: median, whiskers: 1.5 times the box. "
+
 FIGURES: Figures = {
     "rcm_deviation": (
         "Does the shaft stay in the trocar?",
-        "One dot per episode, first arm. Box: quartiles, line: median, whiskers: 1.5 times the"
-        " box. Kinematic: computed from joint states; true: from the simulator's shaft axis."
-        " Logarithmic scale.",
+        f"One dot per episode, first arm. {BOXES}Kinematic: computed from joint"
+        " states; true: from the simulator's shaft axis. Logarithmic scale.",
         deviation,
     ),
     "smoothness": (
@@ -136,6 +139,13 @@ FIGURES: Figures = {
         load,
     ),
 }
+
+
+def captioned(drawn: Sequence[Drawn], groups: Groups) -> list[Drawn]:
+    """The figures, with boxes explained only where a group has enough episodes for one."""
+    if any(len(entries) >= FEWEST for _, entries in groups):
+        return list(drawn)
+    return [dataclasses.replace(d, caption=d.caption.replace(BOXES, "")) for d in drawn]
 
 
 def grouped(summary: Mapping[str, Any]) -> Groups:

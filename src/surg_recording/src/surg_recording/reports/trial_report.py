@@ -40,6 +40,7 @@ def write(summary: Mapping[str, Any], folder: Path) -> None:
     if summary["episodes"]:
         groups = trial_figures.grouped(summary)
         drawn = save_all(trial_figures.FIGURES, folder / "figures", groups, summary)
+        drawn = trial_figures.captioned(drawn, groups)
     title = f"{named(summary.get('title') or summary['task'])}: {named(summary['robot'])}"
     sections = [
         f"<h1>{text(title)}</h1>",
