@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import queue
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,14 +30,38 @@ def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Names
     serial = [] if arm.hardware is None else [arm.hardware.serial]
     header = ",".join(["motion", *(["serial"] if serial else []), *names])
     check_columns(to, header)
-    uri = f"http://localhost:{options.port}"
+    join_graph(options.port)
+    say(f"{count} poses of '{motion}' -> {to}; hold the arm still for 0.5 s in each")
+    for q in rests(arm, to, count, options.timeout):
+        append(to, header, ",".join([motion, *serial, *(f"{value:.9f}" for value in q)]))
+    return 0
+
+
+def join_graph(port: int) -> None:
+    """Make this process a node of the running system on this port.
+
+    Raises:
+        Problem: No system runs.
+    """
+    uri = f"http://localhost:{port}"
     master.nodes(uri)
     os.environ["ROS_MASTER_URI"] = uri
     import rospy
-    from sensor_msgs.msg import JointState
 
     rospy.init_node("surg_calibrate", anonymous=True, disable_signals=True)
-    poses: queue.Queue[np.ndarray] = queue.Queue()
+
+
+def rests(arm: Any, to: Path, count: int, timeout: float) -> Iterator[np.ndarray]:
+    """Joint angles [rad] of an arm each time that it has come to rest anew; then leaves the graph.
+
+    Raises:
+        Problem: No rest within ``timeout`` [s]; says how many rows ``to`` has got.
+    """
+    import rospy
+    from sensor_msgs.msg import JointState
+
+    names = list(arm.robot.joint_names)
+    found: queue.Queue[np.ndarray] = queue.Queue()
     standstill = Standstill()
 
     def hear(message: Any) -> None:
@@ -45,26 +70,24 @@ def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Names
         if len(q) == len(names) and message.header.stamp.to_nsec() > 0:
             rest = standstill.add(message.header.stamp.to_sec(), np.array(q))
             if rest is not None:
-                poses.put(rest)
+                found.put(rest)
 
     topic = f"/{arm.name}/robot/measured_js"
     listener = rospy.Subscriber(topic, JointState, hear, queue_size=1000, tcp_nodelay=True)
-    say(f"{topic}: {count} poses of '{motion}' -> {to}; hold the arm still for 0.5 s in each")
     try:
-        for done in range(1, count + 1):
+        for done in range(count):
             try:
-                q = poses.get(timeout=options.timeout)
+                q = found.get(timeout=timeout)
             except queue.Empty:
                 raise Problem(
-                    f"no new standstill on {topic} within {options.timeout:g} s; "
-                    f"{done - 1} of {count} poses are in {to}"
+                    f"no new standstill on {topic} within {timeout:g} s; "
+                    f"{done} of {count} are in {to}"
                 ) from None
-            append(to, header, ",".join([motion, *serial, *(f"{value:.9f}" for value in q)]))
-            say(f"  {done} of {count}")
+            yield q
+            say(f"  {done + 1} of {count}")
     finally:
         listener.unregister()
         rospy.signal_shutdown("done")
-    return 0
 
 
 def append(to: Path, header: str, line: str) -> None:
