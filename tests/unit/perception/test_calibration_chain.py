@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 from dataclasses import replace
 from functools import cache
@@ -15,6 +16,7 @@ from helpers.endoscope_files import copied_cell
 from helpers.results.perception_results import PAGE
 from helpers.sim.board_views import scope_cell
 from helpers.sim.calibrated_chain import BOARD, ORIGIN, Chain
+from surg_core.camera_file import load_camera
 from surg_perception.calibration import evidence
 from surg_perception.calibration.base_steps import chain_error, check, measured_camera
 from surg_perception.calibration.bases import SeenBase, solve_base
@@ -199,7 +201,10 @@ def test_a_new_lens_file_makes_the_camera_stale(tmp_path: Path) -> None:
     cell, calibration = surg_core.load_cell(folder), folder / "calibration"
     _, stereo, handeye, *_ = solved(0)
     save_stereo(calibration, stereo, BOARD, "", ORIGIN)
-    save_handeye(calibration, "ECM", handeye, ORIGIN)
+    camera = load_camera(save_handeye(calibration, "ECM", handeye, ORIGIN))
+    for eye, stated in (("left", camera.left_sha256), ("right", camera.right_sha256)):
+        file = calibration / f"endoscope_{eye}.yaml"
+        assert stated == hashlib.sha256(file.read_bytes()).hexdigest(), eye
     measured_camera(cell)
     save_stereo(calibration, solved(1)[1], BOARD, "", ORIGIN)
     with pytest.raises(surg_core.ConfigError, match="left_sha256"):
