@@ -5,6 +5,7 @@ import re
 import numpy as np
 from scipy.optimize import linprog
 
+from helpers.control.stream_table import LEAST_TREMOR
 from surg_cli.host import paths
 
 PAGE = paths.ROOT / "docs" / "design" / "set_points.md"
@@ -99,3 +100,5 @@ def test_the_page_states_how_late_a_filter_without_tremor_must_be() -> None:
         found = [least_tremor(1e-3 * delay, gain) for gain in BETWEEN]
         print(delay, " | ".join(f"{value:.2f}" for value in found))
         np.testing.assert_allclose(stated, found, atol=0.02)
+        if delay == 5:
+            assert stated[BETWEEN.index(1.5)] == LEAST_TREMOR

@@ -12,10 +12,24 @@ namespace {
 constexpr double kRollApproach = 5.0;    // [1/s] speed of a roll over what is left of its range
 constexpr double kFixtureBraking = 0.5;  // of the tip's acceleration, before a fixture
 constexpr double kOnWall = 1e-5;         // [m] a profile that begins on a wall may run along it
+constexpr double kRounding = 1e-9;       // [m]
 constexpr int kWaySamples = 256;         // of a profile between fixtures, at most
 
 Vector3 position(const Dofs& dofs) { return {dofs[0].x, dofs[1].x, dofs[2].x}; }
 Vector3 velocity(const Dofs& dofs) { return {dofs[0].v, dofs[1].v, dofs[2].v}; }
+
+/// More than any place of a stop can be from p. No axis is ever faster than where its full jerk has
+/// brought the acceleration to zero.
+double longest_way(const std::array<StreamFilter, 4>& filters,
+                   const std::array<DofLimits, 4>& limits, const Vector3& p, double duration) {
+  Vector3 way;
+  for (int i = 0; i < 3; ++i) {
+    const Kinematic& from = filters[i].state();
+    const double fastest = std::abs(from.v) + 0.5 * from.a * from.a / limits[i].jerk;
+    way[i] = std::abs(from.x - p[i]) + fastest * duration;
+  }
+  return way.norm();
+}
 
 }  // namespace
 
@@ -402,7 +416,9 @@ void Setpoint::advance_stream(double dt, const Fixtures& fixtures) {
 }
 
 /// Whether the tip leaves the workspace when every axis brakes as hard as its limits allow. The
-/// axes stop one after the other on a curved path, which is checked in several places.
+/// axes stop one after the other on a curved path, which is checked in several places. Most stops
+/// are too short to reach a wall, and no place is looked at: a way of r changes a distance to the
+/// walls by 2 r at the most.
 bool Setpoint::stop_leaves_workspace(const std::array<StreamFilter, 4>& filters) const {
   constexpr int kPlaces = 8;
   const auto limits = dof_limits(space_);
@@ -411,6 +427,10 @@ bool Setpoint::stop_leaves_workspace(const std::array<StreamFilter, 4>& filters)
   for (int i = 0; i < 3; ++i) {
     stops[i] = Braking::stop(filters[i].state(), limits[i]);
     duration = std::max(duration, stops[i].duration());
+  }
+  if (space_ == Space::kCartesian) {
+    const double way = longest_way(filters, limits, p_RTip(), duration);
+    if (outside_workspace(limits_, p_RTip()) + 2 * way < -kRounding) return false;
   }
   for (int k = 1; k <= kPlaces; ++k) {
     std::array<double, 3> x;
