@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import contextlib
 import json
 import os
 import shutil
@@ -191,6 +192,16 @@ class Chromium:
             elif said.get("method") == "Log.entryAdded":
                 entry = said["params"]["entry"]
                 self.errors += [entry["text"]] if entry["level"] == "error" else []
+
+    def processor_time(self) -> float:
+        """Processor time that all its processes have used [s]."""
+        ticks = 0
+        for stat in Path("/proc").glob("[0-9]*/stat"):
+            with contextlib.suppress(OSError):
+                fields = stat.read_text().rpartition(")")[2].split()
+                if int(fields[2]) == self.process.pid:  # the process group
+                    ticks += int(fields[11]) + int(fields[12])
+        return ticks / os.sysconf("SC_CLK_TCK")
 
     async def call(self, method: str, session: str = "", **params: Any) -> dict[str, Any]:
         """One DevTools command; raises AssertionError with the browser's words."""

@@ -85,10 +85,15 @@ class FakeSystem:
 
 
 class FakeCamera:
-    """Pictures with a moving bar, encoded for whoever watches."""
+    """Pictures with a moving bar, encoded for whoever watches.
+
+    Attributes:
+        eyes: Pictures of the left and the right eye instead, each (h, w, 3); None: the bar in both.
+    """
 
     def __init__(self, size: tuple[int, int] = (320, 240), period: float = 0.05) -> None:
         self.running = True
+        self.eyes: tuple[np.ndarray, np.ndarray] | None = None
         self.keys: list[tuple[str, str]] = []
         self.wanted: frozenset[tuple[str, str]] = frozenset()
         self._streams: dict[tuple[str, str], PictureStream] = {}
@@ -121,11 +126,12 @@ class FakeCamera:
                 continue
             count += 1
             now_us = time.time_ns() // 1000
-            shot = CameraFrame(now_us, now_us, self.picture(count), "rgb8")
+            seen = self.eyes or (self.picture(count),) * 2
+            shots = tuple(CameraFrame(now_us, now_us, eye, "rgb8") for eye in seen)
             for pair in self.wanted:
                 if pair not in self._streams:
                     self._streams[pair] = PictureStream(*pair)
-                packet = self._streams[pair].encode((shot,) * len(EYES[pair[0]]))
+                packet = self._streams[pair].encode(shots[: len(EYES[pair[0]])])
                 if packet is not None:
                     server.show(packet)
 

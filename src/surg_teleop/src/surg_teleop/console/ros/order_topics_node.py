@@ -11,6 +11,7 @@ from std_msgs.msg import Bool, Float64, String
 
 from crtk_msgs.msg import StringStamped
 from surg_core import rpy_to_matrix
+from surg_core.transforms import quaternion_xyzw_to_matrix
 from surg_msgs.msg import CalibrationRequest
 from surg_teleop.console.session import console_orders as orders
 from surg_teleop.console.web.page_protocol import Input
@@ -85,6 +86,8 @@ class OrderTopics:
 def leader_sample(page: Input) -> LeaderSample:
     """An input of the page as a leader's sample: the part that its kind of hand drives."""
     if page.hand == "position":
-        pose = HandlePose(np.array(page.p), rpy_to_matrix((0.0, 0.0, page.roll)))
+        rolled = rpy_to_matrix((0.0, 0.0, page.roll))
+        turned = rolled if page.q is None else quaternion_xyzw_to_matrix(page.q)
+        pose = HandlePose(np.array(page.p), turned)
         return LeaderSample(page.at, pose=pose, grip=page.grip)
     return LeaderSample(page.at, rate=HandRate(np.array(page.v), page.roll_rate), grip=page.grip)

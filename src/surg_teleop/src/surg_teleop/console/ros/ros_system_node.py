@@ -235,13 +235,15 @@ def _region(message: Any) -> Fixture:
 
 
 def _follower(hand: HandStatus) -> Follower:
+    state = value_name(hand, "state")
     return Follower(
-        state=value_name(hand, "state"),
+        state=state,
         mapping=value_name(hand, "mapping").lower(),
         reason=hand.detail,
         scale=finite(hand.scale),
         leader=hand.leader,
         arm=hand.arm,
+        at_wall=state == "FOLLOWING" and bool(hand.detail),
     )
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 
 from surg_teleop.console.session import console_orders as orders
 from surg_teleop.console.session import operator_messages
+from surg_teleop.console.session.dead_man import DeadMan
 from surg_teleop.console.session.system_state import Robot
 from surg_teleop.console.web.page_protocol import Input
 from surg_teleop.follow.message_lateness import Lateness
@@ -61,6 +62,7 @@ class _Page:
     picture_us: int = 0
     picture_changed: float = -math.inf
     late: int = 0
+    dead_man: DeadMan | None = None  # of a headset's page, from its first input on
 
 
 class Session:
@@ -165,9 +167,10 @@ class Session:
             return why
         self.phase, self.reason, self._policy_requested = Phase.STARTING, "", -math.inf
         self._enabled = self._acted = now
-        self._clutch = self._camera = False
+        self._camera = False
+        self._clutch = page.dead_man is not None  # nothing follows before a squeeze
         self._orders += [
-            orders.Clutch(False),
+            orders.Clutch(self._clutch),
             orders.Camera(False),
             orders.Present(True),
             orders.Follow(True),
@@ -213,7 +216,7 @@ class Session:
     def hide(self, name: str, why: str) -> None:
         """The page is hidden or has lost its input device; `why`: of `page_protocol.HIDDEN`."""
         page = self._pages[name]
-        page.visible = why in ("gamepad", "pointer")
+        page.visible = why in ("gamepad", "pointer", "recentred")
         active = self.phase in (Phase.STARTING, Phase.DRIVING) or self._policy_requested > -math.inf
         if page is self._holder and active:
             self._hold(operator_messages.HIDDEN[why])
@@ -241,11 +244,15 @@ class Session:
             page.picture_us, page.picture_changed = sample.picture_us, now
         silent = now - page.heard > SILENCE
         page.seq, page.heard, page.visible = sample.seq, now, True
+        if sample.squeeze is not None and page.dead_man is None:
+            page.dead_man = DeadMan()
         if page is not self._holder or self.phase not in (Phase.STARTING, Phase.DRIVING):
             return
         if silent:  # the page was frozen since the last tick
             self._hold(operator_messages.SILENT)
             return
+        if page.dead_man is not None:
+            sample = page.dead_man.pass_on(sample, now)
         if sample.clutch != self._clutch:
             self._clutch, self._acted = sample.clutch, now
             self._orders.append(orders.Clutch(sample.clutch))
@@ -309,6 +316,8 @@ class Session:
         self.reason, self._policy_requested = why, -math.inf
         if self._holder is not None:
             self.phase = Phase.HELD
+            if self._holder.dead_man is not None:
+                self._holder.dead_man.reset()
 
     def _release(self, why: str) -> None:
         """Release control."""

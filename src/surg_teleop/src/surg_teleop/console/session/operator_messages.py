@@ -30,6 +30,9 @@ HIDDEN = {
     "closed": CLOSED,
     "gamepad": "The gamepad was unplugged. The arm holds. Plug it in and press Enable",
     "pointer": "Mouse or keyboard was lost. The arm holds. Press Enable to continue",
+    "headset": "The headset was taken off, or its menu is open. The arm holds. Press Enable (A) to "
+    "continue",
+    "recentred": "The headset's room was recentred. The arm holds. Press Enable (A) to continue",
 }
 
 REASONS = {

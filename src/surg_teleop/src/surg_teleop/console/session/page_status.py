@@ -45,6 +45,7 @@ def report(
         "limits": dict(limits),
         "scale": finite(robot.follower.scale),
         "teleop": robot.follower.state,
+        "wall": (robot.scope if session.scoping else robot.follower).at_wall,
         "record": {
             "on": robot.recorder.recording,
             "finishing": robot.recorder.state == "FINISHING",

@@ -36,6 +36,7 @@ class Follower:
     scale: float | None = None
     leader: str = ""
     arm: str = ""
+    at_wall: bool = False  # the tip follows and is at a wall of its workspace
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,8 @@ HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cross-Origin-Embedder-Policy": "require-corp",
-    "Permissions-Policy": "camera=(), microphone=(), geolocation=(), gamepad=(self)",
+    "Permissions-Policy": "camera=(), microphone=(), geolocation=(), gamepad=(self), "
+    "xr-spatial-tracking=(self)",
     "Cache-Control": "no-store",
 }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +21,8 @@ ROLL_REACH, ROLL_FASTEST = 1e3, 10.0
 SCALES = (0.05, 1.0)
 """Smallest and largest scale of the console."""
 HANDS = ("position", "rate")
+UNIT = 1e-3
+"""Largest deviation of a quaternion's length from 1."""
 
 
 class ProtocolError(ValueError):
@@ -48,6 +51,10 @@ class Input:
     grip: float | None = None  # 0 closed to 1 open; None: never touched
     clutch: bool = False  # the clutch is held
     camera: bool = False  # the camera pedal is held
+    # (4,) orientation of the handle, x y z w, whose third axis points out of the hand; None: `roll`
+    q: tuple[float, float, float, float] | None = None
+    squeeze: bool | None = None  # a dead-man is held; None: the hand has none
+    tracked: bool = True  # the headset sees the controller
 
 
 @dataclass(frozen=True)
@@ -105,7 +112,7 @@ PageMessage = Hello | Input | Press | Scale | Hidden | Ping | Watch | Shown | Ca
 
 PRESSES = ("take", "release", "enable", "stop", "record", "record_stop", "policy", "put_back")
 CALIBRATION_REQUESTS = ("START_STEREO", "START_HANDEYE", "UNDO", "SOLVE")
-HIDDEN = ("hidden", "closed", "gamepad", "pointer")
+HIDDEN = ("hidden", "closed", "gamepad", "pointer", "headset", "recentred")
 
 
 def parse(text: str) -> PageMessage:
@@ -159,11 +166,26 @@ class _Keys:
         x, y, z = (_Keys({key: item}).number(key, -reach, reach) for item in value)
         return x, y, z
 
-    def flag(self, key: str) -> bool:
-        value = self._fields.pop(key, False)
+    def quaternion(self, key: str) -> tuple[float, float, float, float] | None:
+        value = self._fields.pop(key, None)
+        if value is None:
+            return None
+        if not isinstance(value, list) or len(value) != 4:
+            raise ProtocolError(f"{key}: {_short(value)}; allowed: four numbers")
+        x, y, z, w = (_Keys({key: item}).number(key, -2.0, 2.0) for item in value)
+        length = math.hypot(x, y, z, w)
+        if not abs(length - 1.0) <= UNIT:
+            raise ProtocolError(f"{key}: a quaternion of length {length:.4g}; allowed: 1")
+        return x, y, z, w
+
+    def flag(self, key: str, default: bool = False) -> bool:
+        value = self._fields.pop(key, default)
         if not isinstance(value, bool):
             raise ProtocolError(f"{key}: {_short(value)}; allowed: true or false")
         return value
+
+    def optional_flag(self, key: str) -> bool | None:
+        return self.flag(key) if self._fields.get(key) is not None else self._fields.pop(key, None)
 
     def word(self, key: str, allowed: tuple[str, ...]) -> str:
         value = self._fields.pop(key, None)
@@ -188,7 +210,7 @@ _STAMP = 2**53
 
 
 def _input(keys: _Keys) -> Input:
-    return Input(
+    read = Input(
         seq=keys.whole("seq", _STAMP),
         at=keys.number("at", 0.0, _CLOCK),
         picture_us=keys.whole("picture_us", _STAMP, 0),
@@ -200,7 +222,13 @@ def _input(keys: _Keys) -> Input:
         grip=keys.grip(),
         clutch=keys.flag("clutch"),
         camera=keys.flag("camera"),
+        q=keys.quaternion("q"),
+        squeeze=keys.optional_flag("squeeze"),
+        tracked=keys.flag("tracked", True),
     )
+    if read.squeeze is not None and (read.hand != "position" or read.q is None):
+        raise ProtocolError("squeeze: allowed with hand position and q only")
+    return read
 
 
 _READERS: dict[str, Callable[[_Keys], PageMessage]] = {

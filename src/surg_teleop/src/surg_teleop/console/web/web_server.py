@@ -2,7 +2,8 @@
 
 ``/`` and ``/page/…`` serve the page, ``/control`` its input and status, ``/pictures`` the
 endoscope's pictures. ``/calibrate`` is the page that collects calibration views, ``/calibration``
-its socket. The pages are public; all sockets demand the token in a first `hello`.
+its socket. ``/monitor`` shows the pictures on a 3D monitor, ``/status`` is its socket: status out,
+Stop in. The pages are public; all sockets demand the token in a first `hello`.
 """
 
 from __future__ import annotations
@@ -58,7 +59,15 @@ MAX_PAGES = 8
 MAX_ERRORS = 5
 """Invalid messages after which a page is disconnected."""
 
-SOCKETS = ("/control", "/pictures", "/calibration")
+PAGES = {
+    "/": "index.html",
+    "/calibrate": "calibrate.html",
+    "/monitor": "monitor.html",
+    "/headset": "headset.html",
+}
+SOCKETS = ("/control", "/status", "/pictures", "/calibration")
+Handler = Callable[[PageMessage, str, "Outbox", float], None]
+"""Handles a message of a page, by its name, with its outbox, at a time [s]."""
 CLOSE_HELLO, CLOSE_FULL = 4401, 4429
 """WebSocket close codes: wrong or missing token; too many pages."""
 
@@ -108,18 +117,18 @@ class Server:
         self._viewers: set[Viewer] = set()
         self._calibrators = CalibrationPages(system, {"cell": facts["cell"]}, clock)
         self._sockets: set[web.WebSocketResponse] = set()
-        self._pages_so_far, self._ending = 0, False
+        self._pages_so_far, self._monitors, self._ending = 0, 0, False
         self._episodes = ""
         self._picture_problem = ""
 
     def application(self) -> web.Application:
         """The aiohttp application."""
         app = web.Application(middlewares=[self._in_turn, self._guard], client_max_size=LONGEST)
-        app.router.add_get("/", self._page)
-        app.router.add_get("/calibrate", self._page)
-        app.router.add_get("/page/{name}", self._page)
+        for path in (*PAGES, "/page/{name}"):
+            app.router.add_get(path, self._page)
         app.router.add_get("/calibration", self._calibration)
         app.router.add_get("/control", self._control)
+        app.router.add_get("/status", self._status)
         app.router.add_get("/pictures", self._stream)
         app.on_response_prepare.append(http_policy.add_headers)
         return app
@@ -244,8 +253,7 @@ class Server:
             connection.end()
 
     async def _page(self, request: web.Request) -> web.StreamResponse:
-        pages = {"/": "index.html", "/calibrate": "calibrate.html"}
-        name = pages.get(request.path) or request.match_info["name"]
+        name = PAGES.get(request.path) or request.match_info["name"]
         content = self._files.get(name)
         if content is None:
             return web.Response(status=404, text="404: no such file\n")
@@ -287,27 +295,57 @@ class Server:
         if socket is None:
             return web.Response()
         self._pages_so_far += 1
-        page, outbox = f"page {self._pages_so_far}", Outbox()
+        page = f"page {self._pages_so_far}"
         self.session.join(page, self._clock())
-        self._outboxes[page] = outbox
+
+        def leave() -> None:
+            self.session.leave(page, self._clock())
+            self._send_orders()
+
+        await self._converse(socket, page, self._handle, leave)
+        return socket
+
+    async def _status(self, request: web.Request) -> web.StreamResponse:
+        """A page that watches: it is no page of the session, and Stop is all that it may ask."""
+        socket = await self._admit(request, lambda: self._monitors)
+        if socket is None:
+            return web.Response()
+        self._pages_so_far += 1
+        self._monitors += 1
+
+        def leave() -> None:
+            self._monitors -= 1
+
+        await self._converse(socket, f"monitor {self._pages_so_far}", self._handle_monitor, leave)
+        return socket
+
+    async def _converse(
+        self,
+        socket: web.WebSocketResponse,
+        page: str,
+        handle: Handler,
+        leave: Callable[[], None],
+    ) -> None:
+        """Send the status to a page and handle its messages until it ends."""
+        outbox = self._outboxes[page] = Outbox()
         outbox.reply(json.dumps({"say": "welcome", "page": page, **self._facts}))
         if self._episodes:
             outbox.update("episodes", self._episodes)
         sender = asyncio.create_task(_send_texts(socket, outbox))
         violation = b""
         try:
-            violation = await self._receive(socket, page, outbox)
+            violation = await self._receive(socket, page, outbox, handle)
         finally:
-            self.session.leave(page, self._clock())
-            self._send_orders()
+            leave()
             del self._outboxes[page]
             self._sockets.discard(socket)
             sender.cancel()
             # Last: a page that floods may never answer, and must not keep its place until then.
             await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=violation)
-        return socket
 
-    async def _receive(self, socket: web.WebSocketResponse, page: str, outbox: Outbox) -> bytes:
+    async def _receive(
+        self, socket: web.WebSocketResponse, page: str, outbox: Outbox, handle: Handler
+    ) -> bytes:
         """Handle a page's messages until it disconnects or breaks the protocol; returns how."""
         budget, errors = MessageBudget(self._clock()), 0
         async for frame in socket:
@@ -318,7 +356,13 @@ class Server:
             try:
                 if frame.type is not WSMsgType.TEXT:
                     raise ProtocolError("a message is a text")
-                self._handle(parse(frame.data), page, outbox, now)
+                message = parse(frame.data)
+                if isinstance(message, Ping):
+                    wall_us = time.time_ns() // 1000
+                    pong = {"say": "pong", "at": message.at, "wall_us": wall_us}
+                    outbox.reply(json.dumps(pong))
+                else:
+                    handle(message, page, outbox, now)
             except ProtocolError as error:
                 errors += 1
                 outbox.reply(json.dumps({"say": "refused", "why": str(error)}))
@@ -330,14 +374,16 @@ class Server:
         stops = isinstance(message, Press) and message.button == "stop"
         if self._ending and not stops:
             return
-        if isinstance(message, Ping):
-            wall_us = time.time_ns() // 1000
-            outbox.reply(json.dumps({"say": "pong", "at": message.at, "wall_us": wall_us}))
-            return
         refused = dispatch(self.session, message, page, self._system.robot(), now)
         self._send_orders()
         if refused:
             outbox.reply(json.dumps({"say": "refused", "why": refused}))
+
+    def _handle_monitor(self, message: PageMessage, page: str, outbox: Outbox, now: float) -> None:
+        if not isinstance(message, Press) or message.button != "stop":
+            raise ProtocolError("a monitor watches; allowed: ping, and the button stop")
+        self.session.stop(self._system.robot(), page)
+        self._send_orders()
 
     async def _calibration(self, request: web.Request) -> web.StreamResponse:
         socket = await self._admit(request, lambda: self._calibrators.open)

@@ -146,7 +146,7 @@ addEventListener("keydown", (event) => {
 // --- pictures ---
 
 const canvas = element("picture").transferControlToOffscreen();
-const worker = new Worker("/page/picture.js");
+const worker = new Worker("/page/picture.js", { type: "module" });
 const codec = new URLSearchParams(location.search).get("codec") === "jpeg" ? "jpeg" : "h264";
 worker.postMessage({ canvas, settings: { url: socketUrl("/pictures"), token: token(), layout: "left", codec } }, [canvas]);
 const picture = { drawn: 0 };

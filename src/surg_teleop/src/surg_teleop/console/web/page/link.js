@@ -23,8 +23,12 @@ export function socketUrl(path) {
 }
 
 export class Link {
-  /** @param hear called with every message of the console; `closed` with why the socket ended. */
-  constructor(hear, closed) {
+  /**
+   * @param hear called with every message of the console; `closed` with why the socket ended
+   * @param path "/control", or "/status" for a page that only watches
+   */
+  constructor(hear, closed, path = "/control") {
+    this.path = path;
     this.offsetUs = 0; // console's wall clock less ours
     this.roundTripMs = null;
     this.hear = hear;
@@ -39,7 +43,7 @@ export class Link {
   }
 
   connect() {
-    const socket = new WebSocket(socketUrl("/control"));
+    const socket = new WebSocket(socketUrl(this.path));
     this.socket = socket;
     socket.onopen = () => {
       this.pongs = 0;

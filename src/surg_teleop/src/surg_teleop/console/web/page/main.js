@@ -173,7 +173,7 @@ for (const [keys, text] of KEYS) {
 // --- pictures ---
 
 const canvas = element("picture").transferControlToOffscreen();
-const worker = new Worker("/page/picture.js");
+const worker = new Worker("/page/picture.js", { type: "module" });
 const parameters = new URLSearchParams(location.search);
 const settings = {
   url: socketUrl("/pictures"),
