@@ -7,6 +7,7 @@ environment and mark that by the variable `SURG_READY`.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from collections.abc import Sequence
@@ -29,23 +30,35 @@ def run(arguments: Sequence[str]) -> int:
         warn(f"surg: no command {name!r}; there are: {', '.join(COMMANDS)}")
         return 2
     if COMMANDS[name].wants_workspace(rest) and READY not in os.environ:
-        wants_help = any(word in ("-h", "--help") for word in rest)
-        if not (wants_help and name != "shell"):
+        if name != "shell" and any(word in ("-h", "--help") for word in rest):
+            _print_help(name, rest)
+        else:
             needs = COMMANDS[name].everything, COMMANDS[name].packages
             if stages := provision.overview(*needs):
                 say(stages)
             provision.make_ready(*needs)
             workspace.build(paths.STATE / "logs" / "build.log")
-            env = environment.for_nodes(draws=COMMANDS[name].draws)
-            python_path = env.get("PYTHONPATH", "")
-            env["PYTHONPATH"] = f"{paths.ROOT / 'tools'}:{python_path}".rstrip(":")
-            env["SURG_CALLER_MASTER"] = os.environ.get("ROS_MASTER_URI", "")
-            env[READY] = "1"
-            python = str(paths.VENV_PYTHON)
-            os.execve(python, [python, "-s", "-m", "surg_cli", *arguments], env)
+        _enter_workspace(name, arguments)
     os.environ.pop(READY, None)
     options, command = parse(name, rest)
     return command(options, name)
+
+
+def _print_help(name: str, rest: Sequence[str]) -> None:
+    """Print a command's help and exit; return where its options are those of the workspace."""
+    with contextlib.suppress(ModuleNotFoundError):
+        parse(name, rest)
+
+
+def _enter_workspace(name: str, arguments: Sequence[str]) -> None:
+    """Replace the process by `.venv`'s Python in the sourced environment; a Problem if unbuilt."""
+    env = environment.for_nodes(draws=COMMANDS[name].draws)
+    python_path = env.get("PYTHONPATH", "")
+    env["PYTHONPATH"] = f"{paths.ROOT / 'tools'}:{python_path}".rstrip(":")
+    env["SURG_CALLER_MASTER"] = os.environ.get("ROS_MASTER_URI", "")
+    env[READY] = "1"
+    python = str(paths.VENV_PYTHON)
+    os.execve(python, [python, "-s", "-m", "surg_cli", *arguments], env)
 
 
 def main() -> int:

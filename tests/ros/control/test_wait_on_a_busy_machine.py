@@ -18,6 +18,8 @@ pytestmark = [pytest.mark.ros, pytest.mark.full, pytest.mark.untimed]
 WAITS = int(os.environ.get("SURG_WAITS", "1000"))
 HANGS = 20.0
 """A wait of this length hangs [s]."""
+PATIENCE = 600.0
+"""To be at home again [s]: a starved simulator ends in FAULT(link) more than once on the way."""
 
 
 def changes(rng: random.Random) -> list[float]:
@@ -37,7 +39,7 @@ def test_wait_returns_for_every_move(
     arm.check_connections(60.0)
 
     def ready() -> bool:
-        return arm.enable(2.0) and arm.home(2.0)
+        return arm.enable(5.0) and arm.home(5.0)
 
     ros_graph.wait_for(ready, 60.0, "an arm at home")
     lengths, stopped = [], 0
@@ -46,7 +48,7 @@ def test_wait_returns_for_every_move(
         for _ in range(WAITS):
             if arm.state.state != "ENABLED":
                 stopped += 1
-                ros_graph.wait_for(ready, 60.0, "an arm at home again")
+                ros_graph.wait_for(ready, PATIENCE, "an arm at home again")
             began = time.monotonic()
             goal = [a + b for a, b in zip(start, changes(rng), strict=True)]
             returned = arm.move_jp(goal).wait(timeout=HANGS)  # type: ignore[arg-type]

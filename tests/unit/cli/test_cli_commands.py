@@ -5,6 +5,7 @@ import json
 import os
 import re
 import socket
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -51,6 +52,29 @@ def test_help_lists_every_command_once_under_its_group(
             assert name not in listed
             listed[name] = group
     assert listed == {name: c.group for name, c in command_table.COMMANDS.items()}
+
+
+@pytest.mark.parametrize("name", ["robot", "run"])
+def test_help_needs_no_sourced_shell(name: str) -> None:
+    """Their options are those of the workspace's packages, which a new shell does not know."""
+    words, env = [str(paths.ROOT / "surg"), name, "--help"], {"PATH": "/usr/bin:/bin"}
+    done = subprocess.run(words, env=env, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert f"usage: ./surg {name}" in done.stdout
+
+
+def test_help_of_a_tree_without_a_build_says_what_to_run(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.delenv(cli.READY, raising=False)
+    monkeypatch.setattr(paths, "DEVEL", tmp_path)
+
+    def parse(name: str, words: list[str]) -> None:
+        raise ModuleNotFoundError("No module named 'surg_hardware'")
+
+    monkeypatch.setattr(cli, "parse", parse)
+    with pytest.raises(Problem, match=r"run \./surg build"):
+        cli.run(["robot", "--help"])
 
 
 def test_an_unknown_command_names_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
