@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -89,4 +90,13 @@ def load(folder: Path) -> Any:
     try:
         return surg_core.load_cell(str(folder))
     except surg_core.ConfigError as error:
-        raise Problem(str(error), 2) from error
+        raise Problem(f"{error}{_bundled(str(error))}", 2) from error
+
+
+def _bundled(refused: str) -> str:
+    """Where the platform's file of that name is, if a cell names one that is not there."""
+    match = re.search(r"'([^']+)': there is no ", refused)
+    if match is None:
+        return ""
+    bundled = ROBOTS.parent / Path(match[1]).parent.name / Path(match[1]).name
+    return f": {bundled}" if bundled.is_file() else ""

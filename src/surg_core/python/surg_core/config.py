@@ -189,8 +189,8 @@ def load_cell(path: PathLike) -> Cell:
 
 def _load_arm(stated: CellArm, config: CellConfig, file: Path) -> Arm:
     """One arm with everything that its cell, the file, refers to."""
-    robot_file = _beside(file, stated.robot)
-    instrument_file = _beside(file, stated.instrument)
+    robot_file = _named_file(file, f"arms.{stated.name}.robot", stated.robot)
+    instrument_file = _named_file(file, f"arms.{stated.name}.instrument", stated.instrument)
     robot = with_home(load_robot(robot_file), stated, str(file))
     link_config, driver, link_settings = _load_link(stated, file)
     robot = with_link(robot, link_config)
@@ -292,6 +292,21 @@ def _if_there(file: Path) -> Path | None:
 def _beside(file: Path, name: str) -> Path:
     """A path that a file states relative to its own folder."""
     return (file.parent / name).resolve()
+
+
+def _named_file(cell_file: Path, key: str, name: str) -> Path:
+    """A file that a cell names; a ConfigError with the cure if it is not there.
+
+    A cell that was copied to another folder takes its relative paths along.
+    """
+    file = _beside(cell_file, name)
+    if not file.exists():
+        line = read_document(cell_file).lines[key]
+        raise ConfigError(
+            f"{cell_file}:{line}: {key}: '{name}': there is no {file}; a relative path starts at "
+            "the cell's folder. In a cell that was copied, write the file's absolute path"
+        )
+    return file
 
 
 def read_document(path: PathLike) -> Document:
