@@ -47,6 +47,13 @@ COMMANDS = {
     "film": Command(
         "data", "episodes.make_film", "make a short film of an episode: endoscope beside the room"
     ),
+    "depth": Command(
+        "data",
+        "episodes.compute_depth",
+        "compute the depth of a recorded stereo endoscope",
+        draws=False,
+        packages=("opencv",),
+    ),
     "label": Command(
         "data", "episodes.label", "judge, mark and trim recordings, by keyboard", draws=False
     ),

@@ -82,11 +82,23 @@ class DepthScene:
     def views(self) -> Iterator[DepthView]:
         """One for each of `PLACES`."""
         for inwards, aside in PLACES:
-            self.move(inwards, aside)
-            depth = self._depth()
-            seen = self.eyes.render(self._qpos)
-            left, right = (self._noisy(seen[eye]) for eye in ("left", "right"))
-            yield DepthView(left, right, depth)
+            yield self.view(inwards, aside)
+
+    def way(self, count: int) -> Iterator[DepthView]:
+        """Views on the way through `PLACES`, as a moving endoscope records them."""
+        steps = np.linspace(0.0, len(PLACES) - 1, count)
+        inwards, aside = np.array(PLACES).T
+        for step in steps:
+            places = (np.interp(step, np.arange(len(PLACES)), way) for way in (inwards, aside))
+            yield self.view(*map(float, places))
+
+    def view(self, inwards: float, aside: float) -> DepthView:
+        """With the eyes moved from their place at home [m]."""
+        self.move(inwards, aside)
+        depth = self._depth()
+        seen = self.eyes.render(self._qpos)
+        left, right = (self._noisy(seen[eye]) for eye in ("left", "right"))
+        return DepthView(left, right, depth)
 
     def move(self, inwards: float, aside: float) -> None:
         """Move both eyes from their place at home [m]."""

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from helpers.results.depth_results import METHODS, PAGE
+from helpers.recording.stereo_recording import EYES, camera_info, record_pairs
+from helpers.results.depth_results import CRFS, METHODS, PAGE
 from helpers.sim.depth_views import DepthScene, DepthView
 from surg_perception.depth.stereo_depth import StereoDepth
+from surg_recording.video import exact_values
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +58,42 @@ def test_each_method_at_640_x_480(method: str, scene: DepthScene, views: list[De
     PAGE.note(f"{method}, 640 x 480", len(views), said)
     if method == "sgbm":
         assert median <= 0.0012 and p90 <= 0.003
+
+
+@pytest.fixture(scope="module")
+def moving(scene: DepthScene) -> list[DepthView]:
+    return list(scene.way(24))
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("crf", CRFS)
+def test_the_command_on_a_recording(
+    crf: int,
+    scene: DepthScene,
+    moving: list[DepthView],
+    surg: Callable[..., int],
+    tmp_path: Path,
+) -> None:
+    models = {eye: camera_info(lens) for eye, lens in zip(EYES, scene.lenses(), strict=True)}
+    pairs = [(view.left, view.right) for view in moving]
+    episode = record_pairs(tmp_path / "episode", pairs, models, quality=str(crf))
+    assert surg("depth", episode) == 0
+    away = []
+    for view, values in zip(
+        moving, exact_values.read(tmp_path / "episode_depth" / "endoscope_depth.mp4"), strict=True
+    ):
+        known = view.counts & (values > 0)
+        away.append(np.abs(1e-4 * values - view.depth)[known])
+    errors = np.concatenate(away)
+    median, p90 = np.percentile(errors, [50, 90])
+    PAGE.note(
+        f"`./surg depth` on a recording with crf {crf}",
+        len(moving),
+        f"median {1e3 * median:.2f} mm, p90 {1e3 * p90:.2f} mm, over 3 mm "
+        f"{100 * np.mean(errors > 0.003):.0f} %",
+    )
+    if crf <= 18:
+        assert p90 <= 0.0035
 
 
 @pytest.mark.full

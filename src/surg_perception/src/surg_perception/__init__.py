@@ -1,4 +1,4 @@
-"""Endoscopes: capture of pictures, and the calibration of lenses, hand-eye and bases.
+"""Endoscopes: capture, calibration of lenses, hand-eye and bases, depth and marks.
 
 Pure modules take arrays and return values; modules named `*_node.py` are the ROS nodes.
 """

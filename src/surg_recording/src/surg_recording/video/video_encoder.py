@@ -33,6 +33,10 @@ HEADER = struct.Struct("<qqqIIIIQ")
 CRF = 23
 """Quality of a recording, if nothing else is asked for."""
 
+CRF_RATE = 25
+"""[1/s] What x264 is told. Its crf spends less on pictures that it believes to be short, and
+without look-ahead it believes this rate. At 25 a crf is what its name says."""
+
 LOSSLESS = "lossless"
 """Quality at which every pixel comes back as it was; the others are x264's crf, 0 to 51."""
 
@@ -168,7 +172,7 @@ class Encoder:
         os.write(self._sidecar, b"frame,stamp_ns,receive_ns,pts,dropped\n")
         self._container = av.open(self._path, "w", format="mp4", options=CONTAINER_OPTIONS)
         name, layout, options = _codec(pixels, self._preset, self._quality)
-        stream = self._container.add_stream(name, rate=60, options=options)
+        stream = self._container.add_stream(name, rate=CRF_RATE, options=options)
         stream.pix_fmt = layout
         # 4:2:0 and 4:2:2 have even sizes: an odd last row or column is cut off.
         last = 1 if layout.startswith("yuv") else 0

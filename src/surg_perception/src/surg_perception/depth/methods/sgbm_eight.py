@@ -1,4 +1,4 @@
-"""Semi-global matching along eight directions: more exact, four times as long."""
+"""Semi-global matching along eight directions: more exact, three times as long."""
 
 from __future__ import annotations
 
@@ -11,3 +11,4 @@ class SgbmEightMatcher(SemiGlobal):
     """Holds the costs of the whole picture in memory: about 60 MB at 640 x 480."""
 
     mode = cv2.STEREO_SGBM_MODE_HH
+    slow = True
