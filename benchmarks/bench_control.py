@@ -22,6 +22,8 @@
                     a sample count as well; update_us: median of the ticks with a sample
     profile         {quintic|ruckig: {cost_us, p99_us, mean_duration_s, what}}
     nodelet_us      {p50, p99} of a whole controller cycle in free-run; absent with --no-demo
+    whole_cycle_us  {plain, tremor: {median, p99}}: the same cycle, called back to back; absent
+                    where the workspace is not built
 """
 
 from __future__ import annotations
@@ -67,6 +69,7 @@ def build(found: libraries.Libraries) -> None:
         f"-DBENCH_PREFIX={found.packages or ''}",
         f"-DBENCH_DAQP={found.daqp or ''}",
         f"-DBENCH_RUCKIG={found.ruckig or ''}",
+        f"-DBENCH_DEVEL={paths.DEVEL if (paths.DEVEL / 'setup.bash').exists() else ''}",
     ]
     make = ["cmake", "--build", str(BUILD), "--parallel", str(os.cpu_count() or 1)]
     for title, argv in (("configure", configure), ("compile", make)):
@@ -173,6 +176,25 @@ def nodelet(seconds: float) -> dict[str, float] | None:
     return {"p50": float(compute["p50"]), "p99": float(compute["p99"])}
 
 
+def whole_cycles(cell: Path) -> dict[str, dict[str, float]] | None:
+    """Time of whole cycles [us], called back to back, without and with `tremor`."""
+    if not (BUILD / "bench_cycle").exists():
+        return None
+    told = {}
+    for name, tremor in (("plain", "0"), ("tremor", "10")):
+        done = subprocess.run(
+            [str(BUILD / "bench_cycle"), str(cell), tremor, "100000"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode != 0:
+            warn(f"bench: whole cycles are left out: {done.stderr.strip()}")
+            return None
+        told[name] = {key: json.loads(done.stdout)[key] for key in ("median", "p99")}
+    return told
+
+
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Everything, in the order of the JSON."""
     found = libraries.installed() if options.offline else libraries.install()
@@ -225,10 +247,11 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
                 result["stream"][f"{name}_{rate}hz"] = {**figures, **law}
         result["machine"]["motion"] = options.motion.name
         result["profile"] = call("profiles", title="profiles")["planners"]
-    if not options.no_demo:
-        compute = nodelet(10.0)
-        if compute is not None:
-            result["nodelet_us"] = compute
+    whole = {
+        "whole_cycle_us": whole_cycles(paths.CELLS / "sim_ur5e"),
+        "nodelet_us": None if options.no_demo else nodelet(10.0),
+    }
+    result.update({name: figures for name, figures in whole.items() if figures is not None})
     result["machine"]["load_after"] = [round(x, 2) for x in os.getloadavg()]
     return result
 

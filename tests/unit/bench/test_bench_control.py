@@ -17,6 +17,8 @@ sys.path.insert(0, str(ROOT / "benchmarks" / "control"))
 import bench_scene  # noqa: E402
 import streams  # noqa: E402
 
+from conftest import FULL  # noqa: E402
+
 OWN = {"exact", "velocity", "paper", "limited", "limited_preview"}
 
 
@@ -32,6 +34,24 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
         done = subprocess.run(argv, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     return build / "bench_control"
+
+
+@pytest.mark.skipif(not FULL, reason="compiles a program more; SURG_TEST_FULL=1 runs it")
+@pytest.mark.parametrize("tremor", ["0", "10"])
+def test_whole_cycles_are_timed(tmp_path_factory: pytest.TempPathFactory, tremor: str) -> None:
+    build = tmp_path_factory.getbasetemp() / "bench_cycle"
+    devel = ROOT / "devel"
+    options = [f"-DBENCH_CORE={devel}/lib/libsurg_core.so", f"-DBENCH_DEVEL={devel}"]
+    source = str(ROOT / "benchmarks" / "control")
+    for argv in (
+        ["cmake", "-S", source, "-B", str(build), *options],
+        ["cmake", "--build", str(build), "--target", "bench_cycle"],
+    ):
+        subprocess.run(argv, capture_output=True, check=True)
+    argv = [str(build / "bench_cycle"), str(ROOT / "cells" / "sim_ur5e"), tremor, "5000"]
+    told = json.loads(subprocess.run(argv, capture_output=True, text=True, check=True).stdout)
+    assert told["cycles"] == 5000
+    assert 0 < told["median"] <= told["p99"]
 
 
 def laws(program: Path, robot: str, folder: Path) -> dict[str, Any]:

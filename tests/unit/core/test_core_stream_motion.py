@@ -95,8 +95,8 @@ SLOW = """
 
 At 30 Hz no setting meets all goals. The default keeps the lag and amplifies a tremor. `tremor`
 halves the tremor and is 40 ms late. No linear filter does both: 5 ms late, none keeps 1.05 up to
-15 Hz. Where 1.5 is allowed outside both bands, the tremor keeps at least 0.87 of its size; half of
-it takes a lag of 15 ms at least ([linear program](../design/set_points.md#streams)).
+15 Hz. Where 1.5 is allowed outside both bands, the tremor keeps at least 0.87 of its size
+([linear program](../design/set_points.md#streams), `test_prediction_limit.py`).
 
 """
 
