@@ -169,7 +169,9 @@ def test_the_jaws_feel_the_same_here_and_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("task", ["bgr", "pick_and_place", "endoscope_guidance", "needle_driving"])
+@pytest.mark.parametrize(
+    "task", ["bgr", "pick_and_place", "endoscope_guidance", "needle_driving", "thread_in_hole"]
+)
 @pytest.mark.parametrize("cell", ["sim_two_arms", "sim_two_arms_panda"])
 @pytest.mark.parametrize("setting", ["phantom", "ex_vivo", "in_vivo"])
 def test_whole_episodes(tmp_path: Path, task: str, cell: str, setting: str) -> None:

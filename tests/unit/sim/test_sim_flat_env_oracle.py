@@ -34,7 +34,7 @@ from stable_baselines3.common.env_checker import check_env
 with warnings.catch_warnings():
     warnings.simplefilter("error")
     tasks = ("bgr-dense", "bgr-flat", "pick_and_place-flat", "endoscope_guidance-flat",
-             "needle_driving-flat", "needle_driving-dense")
+             "needle_driving-flat", "needle_driving-dense", "thread_in_hole-dense")
     for name in tasks:
         check_env(gymnasium.make(f"surg_sim/{name}-v0").unwrapped, skip_render_check=True)
 model = PPO("MlpPolicy", gymnasium.make("surg_sim/bgr-dense-v0"), seed=1, n_steps=1000)

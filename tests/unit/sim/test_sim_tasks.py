@@ -79,6 +79,7 @@ def cell_of(folder: Path, arm: str, instrument: str) -> Path:
         ("bgr", "PSM1", "endoscope", "needs PSM1 with an instrument that has jaws; .* endoscope"),
         ("bgr", "PSM2", "grasper", "needs the arms PSM1; .* has PSM2 with grasper"),
         ("needle_driving", "PSM1", "endoscope", "needs PSM1 with an instrument that has jaws"),
+        ("thread_in_hole", "PSM1", "endoscope", "needs PSM1 with an instrument that has jaws"),
         ("pick_and_place", "PSM1", "endoscope", "needs PSM1 with an instrument that has jaws"),
         ("pick_and_place", "ECM", "endoscope", "needs the arms PSM1; .* has ECM with endoscope"),
         ("endoscope_guidance", "ECM", "endoscope", "needs PSM1 with an instrument and ECM"),

@@ -9,6 +9,7 @@ NAMES = {
     "bgr": "Bowel grasping and retraction",
     "endoscope_guidance": "Endoscope guidance",
     "needle_driving": "Needle driving",
+    "thread_in_hole": "Thread in hole",
     "pick_and_place": "Peg transfer",
     "ur3e": "UR3e",
     "ur5e": "UR5e",

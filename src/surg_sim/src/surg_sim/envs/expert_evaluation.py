@@ -134,8 +134,7 @@ def plan(
     """The series of both tables, for cells by the label of their robot.
 
     ``episodes`` are those of bgr with the first robot in each setting, ``others`` of each other
-    task
-    and robot (None: as many), ``ablation`` of each row of the second table.
+    task and robot (None: as many), ``ablation`` of each row of the second table (0: no such table).
     """
     test = tuple(episode_seeds.test_seeds(episodes))
     less = test if others is None else tuple(episode_seeds.test_seeds(others))
@@ -148,6 +147,8 @@ def plan(
         for robot, cell in robots.items()
         for setting in SETTINGS
     ]  # fmt: skip
+    if ablation == 0:
+        return first, []
     few = tuple(episode_seeds.test_seeds(ablation))
     cell = next(iter(robots.values()))
     second = [
@@ -179,6 +180,10 @@ def report(
         *[_line(series, done) for series, done in first],
         "\nFailures:\n",
         *failures((series.label, done) for series, done in first),
+    ]
+    if not second:
+        return "\n".join(lines) + "\n"
+    lines += [
         f"\n## Each disturbance alone (bgr, {count} test seeds)\n",
         _HEAD.format("setting: disturbance"),
         *[_line(series, done) for series, done in second],
@@ -195,7 +200,9 @@ def main(words: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--episodes", type=int, default=100, help="of each row of the first table")
     parser.add_argument("--others", type=int, help="the same of all but bgr with the first robot")
-    parser.add_argument("--ablation", type=int, default=10, help="of each row of the second table")
+    parser.add_argument(
+        "--ablation", type=int, default=10, help="of each row of the second table; 0: none"
+    )
     parser.add_argument("--tasks", nargs="*", default=list(tasks.names()))
     parser.add_argument("--robots", nargs="+", choices=list(ROBOTS), default=list(ROBOTS))
     parser.add_argument("--jobs", type=int, default=2, help="processes")

@@ -3,8 +3,8 @@
 Run ``python -m surg_sim.looks.documentation_pictures docs/pictures``.
 
 Scripted senders act, one seed, no ROS. Bowel grasping and retraction: a stereo pair of each of its
-four steps and the room at the end of the third. Needle driving: before the hole and behind it. Then
-a sheet of all tasks, inside above outside.
+four steps and the room at the end of the third. Needle driving and thread in hole: before the hole
+and behind it. Then a sheet of all tasks, inside above outside.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _LOOK_AT, _NARROW = (-0.30, -0.05, 0.19), 31.0  # [m] patient axes, [deg]
 _INSIDE, _OUTSIDE = (520, 390), (1200, 675)
 _CELL = (376, 282)  # [px] of one picture of the sheet
 _GAP = 8  # [px]
-_BEFORE = 0.0045  # [m] of the needle's point before the hole
+_BEFORE = 0.0045  # [m] of the needle's point or the thread's end before the hole
 
 
 def stereo(world: World) -> Picture:
@@ -159,6 +159,19 @@ def of_needle_driving(seed: int) -> dict[str, Picture]:
     return episode("needle_driving", wanted, seed)
 
 
+def of_thread_in_hole(seed: int) -> dict[str, Picture]:
+    """The thread's end before the hole, and behind it."""
+
+    def before(state: State, phase: str) -> bool:
+        return float(np.linalg.norm(np.asarray(state["hole"]) - state["end"])) < _BEFORE
+
+    wanted = {
+        "thread_place": (after(0.0, before), inside),
+        "thread_hold": (after(0.3, in_phase("hold")), inside),
+    }
+    return episode("thread_in_hole", wanted, seed)
+
+
 def of_all_tasks(seed: int) -> Picture:
     """A column for each bundled task."""
     moments = {
@@ -166,6 +179,7 @@ def of_all_tasks(seed: int) -> Picture:
         "endoscope_guidance": after(8.0, in_phase("follow")),
         "needle_driving": after(0.3, in_phase("hold")),
         "pick_and_place": after(0.6, in_phase("carry")),
+        "thread_in_hole": after(0.3, in_phase("hold")),
     }
     columns = [episode(task, {SHEET: (now, column)}, seed)[SHEET] for task, now in moments.items()]
     gap = np.full((columns[0].shape[0], _GAP, 3), 255, dtype=np.uint8)
@@ -181,7 +195,9 @@ def main(words: list[str] | None = None) -> int:
     )
     parser.add_argument("out", type=Path, help="folder to write into")
     parser.add_argument("--seed", type=int, default=episode_seeds.TRAINING.start + 1)
-    parser.add_argument("--only", choices=("bgr", "needle", SHEET), help="leave the others out")
+    parser.add_argument(
+        "--only", choices=("bgr", "needle", "thread", SHEET), help="leave the others out"
+    )
     options = parser.parse_args(words)
     options.out.mkdir(parents=True, exist_ok=True)
     try:
@@ -190,6 +206,8 @@ def main(words: list[str] | None = None) -> int:
             pictures |= of_bgr(options.seed)
         if options.only in (None, "needle"):
             pictures |= of_needle_driving(options.seed)
+        if options.only in (None, "thread"):
+            pictures |= of_thread_in_hole(options.seed)
         if options.only in (None, SHEET):
             pictures[SHEET] = of_all_tasks(options.seed)
     except (ValueError, NoOpenGL) as error:

@@ -39,6 +39,18 @@ def add_position_servo(spec: mujoco.MjSpec, joint: str, stiffness: float, armatu
     servo.biasprm[1:3] = [-stiffness, -2.0 * np.sqrt(stiffness * armature)]
 
 
+def add_sprung_joint(
+    body: mujoco.MjsBody, name: str, kind: mujoco.mjtJoint, axis: int, k: float, m: float
+) -> None:
+    """A slide or hinge about axis 0, 1 or 2 that a critically damped spring keeps at its reference.
+
+    Stiffness k in N/m or N m/rad, armature m in kg or kg m^2.
+    """
+    damping = float(2.0 * np.sqrt(k * m))
+    joint = body.add_joint(name=name, type=kind, axis=np.eye(3)[axis].tolist(), armature=m)
+    joint.stiffness, joint.damping = [k, 0.0, 0.0], [damping, 0.0, 0.0]
+
+
 def add_pad(
     spec: mujoco.MjSpec,
     name: str,

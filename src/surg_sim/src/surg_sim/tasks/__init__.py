@@ -10,7 +10,13 @@ from surg_sim.tasks.task import State, Task, TaskError, Verdict
 
 __all__ = ["State", "Task", "TaskError", "Verdict", "load", "names"]
 
-_BUNDLED = ("bgr", "endoscope_guidance", "needle_driving", "pick_and_place")
+_BUNDLED = (
+    "bgr",
+    "endoscope_guidance",
+    "needle_driving",
+    "pick_and_place",
+    "thread_in_hole",
+)
 _KIND = PluginKind(
     noun="task",
     group="surg_sim.tasks",

@@ -13,6 +13,7 @@ import surg_core
 from surg_core.arm_view import ArmCommands, ArmState, ArmView, TipPose
 from surg_core.bring_up import BringUp
 from surg_core.contract import STEP, TICK_NS
+from surg_core.transforms import minimal_rotation
 from surg_sim.arrays import Array
 from surg_sim.tasks.scripted_sender import (
     Action,
@@ -92,3 +93,13 @@ class ArmExpert(ScriptedExpert):
     def p_set(self) -> Array:
         """Set-point of the tip, rcm frame [m], (3,)."""
         return into(self.X_WR, out_of(self.X_WB, self.me.p_BSet))
+
+    def tool_pose(self, p_W: Array, roll: float) -> Array:
+        """Pose of the tool for a place of its tip (3,) [m] and a roll [rad], world, (4, 4)."""
+        p = self.local(p_W)
+        swing = self.X_WR[:3, :3] @ minimal_rotation(np.eye(3)[2], p / np.linalg.norm(p))
+        c, s = np.cos(roll), np.sin(roll)
+        X = np.eye(4)
+        X[:3, :3] = swing @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        X[:3, 3] = p_W
+        return X

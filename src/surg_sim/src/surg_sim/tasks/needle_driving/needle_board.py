@@ -15,7 +15,8 @@ import numpy as np
 
 from surg_sim.arrays import Array
 from surg_sim.physics.patient_site import Site
-from surg_sim.physics.spec_parts import quaternion
+from surg_sim.physics.spec_parts import add_sprung_joint, quaternion
+from surg_sim.tasks.holed_disc import add_holed_disc, add_rims
 
 HOLES = 4
 """Number of holes, one below the other."""
@@ -120,27 +121,11 @@ def _add_disc(plate: mujoco.MjsBody, hole: int) -> None:
     disc.mass, disc.inertia, disc.explicitinertial = 0.01, [1e-6] * 3, True
     disc.ipos = [0.0, 0.0, 0.0]
     _add_springs(disc, f"hole_{hole}", "xy")
-    middle = (HOLE_RADIUS + _DISC_RADIUS) / 2
-    size = [middle - HOLE_RADIUS, _DISC_RADIUS * np.tan(np.pi / _WALLS), THICKNESS / 2]
-    for angle in np.arange(_WALLS) * 2.0 * np.pi / _WALLS:
-        c, s = float(np.cos(angle)), float(np.sin(angle))
-        turn = [float(np.cos(angle / 2)), 0.0, 0.0, float(np.sin(angle / 2))]
-        disc.add_geom(
-            type=_BOX, pos=[middle * c, middle * s, 0], quat=turn, size=size, rgba=_DISC, **_SURFACE
-        )
+    add_holed_disc(disc, HOLE_RADIUS, _DISC_RADIUS, THICKNESS, _WALLS, _DISC, _SURFACE)
     for side in (-1, 1):  # pins on which it tilts, seen only
         ends = [side * (_DISC_RADIUS - 0.0005), 0, 0, side * _WINDOW, 0, 0]
         disc.add_geom(type=_CAPSULE, fromto=ends, size=[0.0005, 0, 0], rgba=_PLATE, **_SEEN)
-    for face in (-1, 1):
-        _ring(disc, HOLE_RADIUS + 0.0002, face * THICKNESS / 2, 0.0002, _RIM)
-
-
-def _ring(body: mujoco.MjsBody, radius: float, z: float, thick: float, rgba: list[float]) -> None:
-    angles = np.arange(13) * 2.0 * np.pi / 12
-    x, y = radius * np.cos(angles), radius * np.sin(angles)
-    for i in range(12):
-        ends = [x[i], y[i], z, x[i + 1], y[i + 1], z]
-        body.add_geom(type=_CAPSULE, fromto=ends, size=[thick, 0, 0], rgba=rgba, **_SEEN)
+    add_rims(disc, HOLE_RADIUS + 0.0002, THICKNESS / 2, 0.0002, _RIM)
 
 
 def _add_springs(body: mujoco.MjsBody, name: str, axes: str) -> None:
@@ -150,16 +135,7 @@ def _add_springs(body: mujoco.MjsBody, name: str, axes: str) -> None:
         ("tilt", mujoco.mjtJoint.mjJNT_HINGE, _TURN_STIFFNESS, _INERTIA),
     ):
         for axis in axes:
-            _add_spring(body, f"{name}_{word}_{axis}", kind, "xyz".index(axis), k, m)
-
-
-def _add_spring(
-    body: mujoco.MjsBody, name: str, kind: mujoco.mjtJoint, axis: int, k: float, m: float
-) -> None:
-    """A joint that a critically damped spring keeps at its reference."""
-    damping = float(2.0 * np.sqrt(k * m))
-    joint = body.add_joint(name=name, type=kind, axis=np.eye(3)[axis].tolist(), armature=m)
-    joint.stiffness, joint.damping = [k, 0.0, 0.0], [damping, 0.0, 0.0]
+            add_sprung_joint(body, f"{name}_{word}_{axis}", kind, "xyz".index(axis), k, m)
 
 
 def _add_mark(plate: mujoco.MjsBody) -> None:
@@ -167,7 +143,7 @@ def _add_mark(plate: mujoco.MjsBody) -> None:
     mark = plate.add_body(name="asked_hole", gravcomp=1.0)
     mark.mass, mark.inertia, mark.explicitinertial = 0.01, [1e-6] * 3, True
     mark.ipos = [0.0, 0.0, 0.0]
-    _add_spring(mark, "asked_hole", mujoco.mjtJoint.mjJNT_SLIDE, 1, _STIFFNESS, _MASS)
+    add_sprung_joint(mark, "asked_hole", mujoco.mjtJoint.mjJNT_SLIDE, 1, _STIFFNESS, _MASS)
     out, half = _WINDOW + 0.0002, 0.0005
     for side in (-1, 1):
         for pos, size in (([side * out, 0, 0], [half, out + half, 0.0010]),

@@ -13,7 +13,6 @@ import numpy as np
 
 import surg_core
 from surg_core.contract import STEP
-from surg_core.transforms import minimal_rotation
 from surg_sim.arrays import Array
 from surg_sim.tasks.needle_driving.curved_needle import RADIUS, arc, tangent
 from surg_sim.tasks.scripted_arm import ArmExpert
@@ -64,18 +63,8 @@ class NeedleExpert(ArmExpert):
         asked = int(look.number("asked"))
         self._hole = look.point("holes")[asked] + self._error
         self._axis = look.point("axes")[asked]
-        X_WT = self._tool(look.point("tip"), self.me.roll)
+        X_WT = self.tool_pose(look.point("tip"), self.me.roll)
         self._X_TN = np.linalg.inv(X_WT) @ look.point("X_WNeedle")
-
-    def _tool(self, p_W: Array, roll: float) -> Array:
-        """Pose of the tool for a place of its tip and a roll, world, (4, 4)."""
-        p = self.local(p_W)
-        swing = self.X_WR[:3, :3] @ minimal_rotation(np.eye(3)[2], p / np.linalg.norm(p))
-        c, s = np.cos(roll), np.sin(roll)
-        X = np.eye(4)
-        X[:3, :3] = swing @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        X[:3, 3] = p_W
-        return X
 
     def _target(self, ahead: float) -> tuple[Array, float]:
         """Place of the tip [m] and roll [rad] with the point ``ahead`` of the hole [m].
@@ -86,11 +75,11 @@ class NeedleExpert(ArmExpert):
         R_TN, p_TN = self._X_TN[:3, :3], self._X_TN[:3, 3]
         p, roll = self.observation.point("tip"), self.me.roll
         for _ in range(12):
-            R = self._tool(p, roll)[:3, :3]
+            R = self.tool_pose(p, roll)[:3, :3]
             t, s = R @ R_TN @ tangent(angle), R[:, 2]
             across = np.cross(s, t)
             roll += float(np.arctan2(self._axis @ across, self._axis @ (t - (t @ s) * s)))
-            R = self._tool(p, roll)[:3, :3]
+            R = self.tool_pose(p, roll)[:3, :3]
             p = self._hole - R @ (R_TN @ arc(angle) + p_TN)
         return p, roll
 

@@ -18,6 +18,7 @@ import surg_core
 from surg_core.contract import TICK
 from surg_sim.arrays import Array
 from surg_sim.physics.patient_site import Site
+from surg_sim.tasks.jaw_weld import add_jaw_weld
 from surg_sim.tasks.needle_driving.curved_needle import NEEDLE, add_needle, arc
 from surg_sim.tasks.needle_driving.needle_board import (
     HOLE_RADIUS,
@@ -27,7 +28,7 @@ from surg_sim.tasks.needle_driving.needle_board import (
     add_board,
 )
 from surg_sim.tasks.needle_driving.needle_driving_expert import NeedleExpert
-from surg_sim.tasks.needle_driving.needle_grip import NeedleGrip, add_grip
+from surg_sim.tasks.needle_driving.needle_grip import NeedleGrip
 from surg_sim.tasks.task import State, Task, Verdict
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ class NeedleDriving(Task):
         """The board, the needle, and the jaws' hold on it."""
         add_board(spec, site, looks)
         add_needle(spec, site.work)
-        add_grip(spec, ARM, self._tip)
+        add_jaw_weld(spec, ARM, self._tip, NEEDLE)
 
     def bind(self, world: World) -> None:
         """Find needle, board and tip."""

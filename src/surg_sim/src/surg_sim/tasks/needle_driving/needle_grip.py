@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from surg_sim.arrays import Array
+from surg_sim.tasks.jaw_weld import OPEN, between, rotation, times
 from surg_sim.tasks.needle_driving.curved_needle import NEEDLE, arc
 
 GRIP_ANGLE = np.radians(60.0)
@@ -21,48 +22,8 @@ SLIDE_FORCE, TURN_TORQUE = 1.5, 0.012
 """Load above which the needle slides [N] and turns [N m] in the jaws; assumed."""
 LARGEST_SLIDE, LARGEST_TURN = 0.003, np.radians(45.0)
 """A needle that has slid [m] or turned [rad] further is dropped; assumed."""
-OPEN = 0.15
-"""Jaw angle above which the jaws let go [rad]; assumed."""
 SHIFT, TURN = 0.0005, np.radians(5.0)
 """Largest error of the drawn grasp: along the needle and the shaft [m]; about both [rad]."""
-
-
-def add_grip(spec: mujoco.MjSpec, arm: str, tip: str) -> None:
-    """Add the weld between the arm's tip and the needle, and switch contacts on."""
-    spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    spec.add_equality(
-        name=f"{arm}_holds_{NEEDLE}",
-        type=mujoco.mjtEq.mjEQ_WELD,
-        objtype=mujoco.mjtObj.mjOBJ_BODY,
-        name1=f"{arm}_{tip}",
-        name2=NEEDLE,
-        active=True,
-        solref=[0.004, 1.0],
-        solimp=[0.98, 0.98, 0.001, 0.5, 2.0],
-    )
-
-
-def rotation(vector: Array) -> Array:
-    """Quaternion w, x, y, z of a rotation vector (3,) [rad]."""
-    angle = float(np.linalg.norm(vector))
-    quat = np.empty(4)
-    mujoco.mju_axisAngle2Quat(quat, vector / angle if angle > 0.0 else np.eye(3)[2], angle)
-    return quat
-
-
-def times(a: Array, b: Array) -> Array:
-    """Product of two quaternions."""
-    out = np.empty(4)
-    mujoco.mju_mulQuat(out, a, b)
-    return out
-
-
-def between(a: Array, b: Array) -> Array:
-    """Rotation vector (3,) from quaternion b to a, in the outer frame [rad]."""
-    back, vector = np.empty(4), np.empty(3)
-    mujoco.mju_negQuat(back, b)
-    mujoco.mju_quat2Vel(vector, times(a, back), 1.0)
-    return vector
 
 
 class NeedleGrip:

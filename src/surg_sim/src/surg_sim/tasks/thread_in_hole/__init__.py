@@ -1,0 +1,1 @@
+"""Thread in hole: the task, its figure, its thread and its scripted sender."""

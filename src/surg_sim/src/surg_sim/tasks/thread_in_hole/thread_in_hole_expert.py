@@ -1,0 +1,131 @@
+"""The script of thread in hole: look, aim the thread's end, push it through, draw back, try again.
+
+The tip's place and the roll put the end of the thread before the hole and turn the thread about the
+shaft; how far it leans out of that plane cannot be chosen. The thread sags and swings, so the
+script waits until it hangs still, looks at where its end really is, and corrects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+import surg_core
+from surg_core.contract import STEP
+from surg_sim.arrays import Array
+from surg_sim.tasks.scripted_arm import ArmExpert
+from surg_sim.tasks.thread_in_hole.surgical_thread import GRIP, PIECE
+
+FAR, NEAR = 0.008, 0.003
+"""Distance of the thread's end before the middle of the hole, first and at the later looks [m]."""
+MOST = 0.016
+"""Largest length of thread that is pushed through [m]."""
+ENOUGH = 0.0065
+"""Depth of the end behind the hole at which pushing ends [m]."""
+LOOKS = 2
+"""Number of looks before the hole; each halves the hand's error."""
+ATTEMPTS = 8
+BENT = 0.005
+"""An end so far from where unbent thread would have it has met the figure [m]."""
+SPEED = 0.012
+"""Of the thread through the hole [m/s]."""
+HOLD = 0.7
+"""So long it stays behind the hole [s]."""
+HAND = 0.001
+"""Error of the hand at the hole per axis, one sigma [m]."""
+
+
+class ThreadExpert(ArmExpert):
+    """At the robot's console."""
+
+    def __init__(self, cell: surg_core.Cell, seed: int, arm: str) -> None:
+        super().__init__(cell, seed, arm)
+        self._error = self.rng.normal(scale=HAND, size=3)
+        self._reaction = float(self.rng.uniform(0.2, 0.6))
+
+    def script(self) -> Iterator[None]:
+        """See ``ArmExpert``."""
+        self.jaw = self.jaw_closed
+        yield from self.wait(self._reaction)
+        yield from self._approach()
+        for _ in range(ATTEMPTS):
+            for _ in range(LOOKS):
+                yield from self._go(NEAR, 0.5)
+                self._error = 0.5 * self._error
+                yield from self.wait(self._reaction)
+            yield from self._push()
+            if self._through:
+                return
+            yield from self._go(FAR, 0.5)
+
+    def _look(self) -> None:
+        """See the hole, and how the thread lies in the jaws."""
+        look = self.observation
+        self._hole = look.point("hole") + self._error
+        self._axis = look.point("axis")
+        X_WT = self.tool_pose(look.point("tip"), self.me.roll)
+        self._nodes_T = (look.point("nodes") - X_WT[:3, 3]) @ X_WT[:3, :3]
+
+    def _thread(self, ahead: float) -> tuple[Array, Array]:
+        """Point of the thread and its direction there, tool frame: ``ahead`` of its end [m].
+
+        A negative number is a place on the thread.
+        """
+        back = max(-ahead, 0.0) / PIECE
+        i = int(min(back, GRIP - 1))
+        near, far = self._nodes_T[i], self._nodes_T[i + 1]
+        d = (near - far) / np.linalg.norm(near - far)
+        return near + (max(ahead, 0.0) - (back - i) * PIECE) * d, d
+
+    def _target(self, ahead: float) -> tuple[Array, float]:
+        """Place of the tip [m] and roll [rad] with the thread's end ``ahead`` of the hole [m].
+
+        Solved by fixed point: the shaft's direction hardly depends on the tip's place.
+        """
+        p_T, d_T = self._thread(ahead)
+        p, roll = self.observation.point("tip"), self.me.roll
+        for _ in range(12):
+            R = self.tool_pose(p, roll)[:3, :3]
+            d, s = R @ d_T, R[:, 2]
+            across = np.cross(s, d)
+            roll += float(np.arctan2(self._axis @ across, self._axis @ (d - (d @ s) * s)))
+            p = self._hole - self.tool_pose(p, roll)[:3, :3] @ p_T
+        return p, roll
+
+    def _approach(self) -> Iterator[None]:
+        """Turn far from the figure, go past it, and only then towards it: the thread is long."""
+        self._look()
+        p, roll = self._target(FAR)
+        self.roll.go(np.array([roll]))
+        while not self.roll.arrived:
+            yield
+        yield from self.move(p - self._axis * ((p - self.observation.point("tip")) @ self._axis))
+        yield from self._go(FAR, 1.0)
+
+    def _go(self, ahead: float, seconds: float) -> Iterator[None]:
+        """Look, and bring the thread's end to a distance before the hole [m]."""
+        self._look()
+        p, roll = self._target(ahead)
+        self.roll.go(np.array([roll]), seconds)
+        yield from self.move(p, seconds)
+        while not self.roll.arrived:
+            yield
+
+    def _push(self) -> Iterator[None]:
+        """Push the thread through along its own curve; ``_through`` says whether it went."""
+        self._look()
+        self._through, pushed = False, 0.0
+        end_T = self._nodes_T[0]
+        while self.observation.number("depth") < ENOUGH:
+            pushed += SPEED * STEP
+            p, roll = self._target(NEAR - pushed)
+            self.path.stay(self.local(p))
+            self.roll.stay(np.array([roll]))
+            yield
+            unbent = p + self.tool_pose(p, roll)[:3, :3] @ end_T
+            bent = float(np.linalg.norm(self.observation.point("end") - unbent))
+            if bent > BENT or pushed > NEAR + MOST:
+                return
+        yield from self.wait(HOLD)
+        self._through = self.observation.number("depth") > 0.0
