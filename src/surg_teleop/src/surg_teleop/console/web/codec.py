@@ -131,6 +131,15 @@ def frame_of(images: tuple[Image, ...], encoding: str) -> av.VideoFrame:
     return av.VideoFrame.from_ndarray(whole, format=PIXELS[encoding][0])
 
 
+def half_size(image: Image) -> Image:
+    """The image at half its width and height, whose sides stay even."""
+    height, width = (side // 4 * 4 for side in image.shape[:2])
+    whole = image[:height, :width]
+    if cv2 is None:
+        return np.ascontiguousarray(whole[::2, ::2])
+    return np.asarray(cv2.resize(whole, (width // 2, height // 2), interpolation=cv2.INTER_AREA))
+
+
 def profile_of(data: bytes) -> tuple[int, int, int]:
     """Profile, constraints and level of an H.264 key picture; zeros if it has no parameter set.
 

@@ -13,7 +13,7 @@ _HEADER = struct.Struct("<4sBBBxBBBxHHIqqqI")
 HEADER_BYTES = _HEADER.size
 LARGEST = 16 << 20
 """[bytes] Largest encoded picture."""
-LAYOUTS = ("left", "stereo")
+LAYOUTS = ("left", "stereo", "left_half", "stereo_half")
 CODECS = ("h264", "jpeg")
 
 
@@ -25,7 +25,7 @@ class PacketError(ValueError):
 class Packet:
     """One encoded picture."""
 
-    layout: str  # "left" or "stereo" (left and right eye side by side)
+    layout: str  # "left", or "stereo": left and right eye side by side; "_half": of half the size
     codec: str  # "h264" (Annex B) or "jpeg"
     key: bool  # it can be decoded without earlier pictures
     profile: tuple[int, int, int]  # H.264's profile, constraints and level; zeros for JPEG

@@ -11,11 +11,17 @@ from surg_teleop.console.web.codec import (
     CodecError,
     Image,
     frame_of,
+    half_size,
     profile_of,
 )
 from surg_teleop.console.web.picture_packet import Packet
 
-EYES = {"left": ("left",), "stereo": ("left", "right")}
+EYES = {
+    "left": ("left",),
+    "stereo": ("left", "right"),
+    "left_half": ("left",),
+    "stereo_half": ("left", "right"),
+}
 """Cameras of each layout."""
 
 
@@ -64,7 +70,10 @@ class PictureStream:
         Raises:
             CodecError: The frames differ in size.
         """
-        frame = frame_of(tuple(f.pixels for f in frames), frames[0].encoding)
+        pixels = tuple(f.pixels for f in frames)
+        if self.layout.endswith("_half"):
+            pixels = tuple(half_size(each) for each in pixels)
+        frame = frame_of(pixels, frames[0].encoding)
         size = (frame.width, frame.height)
         if self._encoder is None or self._encoder.size != size:
             self._encoder, self._key = Codec(self.codec, size), True

@@ -1,5 +1,5 @@
-// Motion of the hand from mouse, keyboard and gamepad, in the view frame: x right, y down, z away
-// from the viewer. The mouse is a position leader; keys and gamepad are rate leaders.
+// Motion of the hand from mouse, fingers, keyboard and gamepad, in the view frame: x right, y down, z
+// away from the viewer. Mouse and fingers are a position leader; keys and gamepad are rate leaders.
 
 const METRES_PER_PIXEL = 0.0005; // of the hand; the console's scale comes on top
 const METRES_PER_NOTCH = 0.004;
@@ -18,11 +18,15 @@ const MOTION_KEYS = {
   KeyS: ["y", 1], ArrowDown: ["y", 1],
   KeyR: ["z", 1], PageUp: ["z", 1],
   KeyF: ["z", -1], PageDown: ["z", -1],
-  KeyQ: ["roll", -1], KeyE: ["roll", 1],
-  KeyK: ["grip", -1], KeyL: ["grip", 1],
+  KeyQ: ["roll", -1], KeyE: ["roll", 1], Home: ["roll", -1], End: ["roll", 1],
+  KeyK: ["grip", -1], KeyL: ["grip", 1], Delete: ["grip", -1], Insert: ["grip", 1],
 };
 const HELD_KEYS = { Space: "clutch", KeyC: "camera" };
-const PRESSED_KEYS = { Enter: "enable", Escape: "stop", KeyV: "record", KeyP: "policy", KeyM: "hand" };
+const PRESSED_KEYS = {
+  Enter: "enable", Escape: "stop", KeyV: "record", KeyP: "policy", KeyM: "hand", KeyT: "take", KeyH: "put_back",
+  KeyB: "eyes", KeyZ: "size", KeyJ: "side", Slash: "help",
+  Minus: "less_scale", Equal: "more_scale", BracketLeft: "slower", BracketRight: "faster",
+};
 
 // buttons of the standard gamepad
 const PAD = { stop: 1, record: 2, clutch: 4, camera: 5, close: 7, open: 6, back: 8, start: 9 };
@@ -30,7 +34,7 @@ const PAD = { stop: 1, record: 2, clutch: 4, camera: 5, close: 7, open: 6, back:
 export class Hand {
   /**
    * @param view the element over which the mouse moves the tip
-   * @param press called with "enable", "stop", "record" or "hand"
+   * @param press called with a word of PRESSED_KEYS
    * @param lost called with "gamepad" when a gamepad that was in use is gone, with "pointer" when
    *   mouse or keyboard are while a hand was on them
    */
@@ -50,6 +54,8 @@ export class Hand {
     this.padId = null;
     this.padName = "";
     this.pointer = null; // that drags
+    this.fingers = new Map(); // on the view: pointer -> place
+    this.several = false; // since the first of them came down there were two or more
     this.listen();
   }
 
@@ -62,13 +68,15 @@ export class Hand {
     });
     this.view.addEventListener("pointerdown", (event) => this.pointerDown(event));
     this.view.addEventListener("pointermove", (event) => this.pointerMove(event));
+    this.view.addEventListener("pointerup", (event) => this.fingerUp(event));
+    this.view.addEventListener("pointercancel", (event) => this.fingerLost(event));
     this.view.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
     this.view.addEventListener("contextmenu", (event) => event.preventDefault());
   }
 
   keyDown(event) {
     if (event.ctrlKey || event.altKey || event.metaKey) return;
-    const { code } = event;
+    const code = event.key === "?" ? "Slash" : event.code; // wherever the keyboard has it
     if (code.startsWith("Shift")) this.keys.add(code);
     const ours = code in MOTION_KEYS || code in HELD_KEYS || code in PRESSED_KEYS;
     const slider = event.target instanceof HTMLInputElement && code.startsWith("Arrow");
@@ -93,6 +101,11 @@ export class Hand {
   pointerDown(event) {
     if (event.target.closest("button")) return;
     if (!this.use("position")) return;
+    if (event.pointerType === "touch") {
+      this.fingers.set(event.pointerId, [event.clientX, event.clientY]);
+      this.several ||= this.fingers.size > 1;
+      return;
+    }
     this.pointer = event.pointerId;
     this.view.setPointerCapture(this.pointer);
   }
@@ -101,12 +114,49 @@ export class Hand {
   loseFocus() {
     const drags = this.pointer !== null && this.view.hasPointerCapture(this.pointer);
     const acts = [...this.keys].some((code) => code in MOTION_KEYS || code in HELD_KEYS);
-    if (drags || acts) this.lost("pointer");
+    if (drags || acts || this.fingers.size) this.lost("pointer");
+    this.fingers.clear();
+    this.several = false;
     if (drags) this.view.releasePointerCapture(this.pointer);
     this.keys.clear();
   }
 
+  /** One finger moves in the picture. Two move along the view, both up or down, and turn the roll. */
+  fingerMove(event) {
+    const before = this.fingers.get(event.pointerId);
+    const after = [event.clientX, event.clientY];
+    this.fingers.set(event.pointerId, after);
+    if (this.hand !== "position") return;
+    if (this.fingers.size === 2) {
+      const [other] = [...this.fingers].filter(([id]) => id !== event.pointerId).map(([, place]) => place);
+      const angle = (place) => Math.atan2(place[1] - other[1], place[0] - other[0]);
+      const turn = angle(after) - angle(before);
+      this.goal.roll += Math.atan2(Math.sin(turn), Math.cos(turn));
+      this.goal.z -= ((after[1] - before[1]) / 2) * METRES_PER_PIXEL;
+    } else if (this.fingers.size === 1 && !this.several) {
+      this.goal.x += (after[0] - before[0]) * METRES_PER_PIXEL;
+      this.goal.y += (after[1] - before[1]) * METRES_PER_PIXEL;
+    }
+  }
+
+  /** What is left of several fingers moves nothing: they are never lifted at once. */
+  fingerUp(event) {
+    this.fingers.delete(event.pointerId);
+    if (!this.fingers.size) this.several = false;
+  }
+
+  /** The system has taken the touch for itself; it is not known what the finger does. */
+  fingerLost(event) {
+    if (!this.fingers.has(event.pointerId)) return;
+    this.fingerUp(event);
+    this.lost("pointer");
+  }
+
   pointerMove(event) {
+    if (this.fingers.has(event.pointerId)) {
+      this.fingerMove(event);
+      return;
+    }
     if (!this.view.hasPointerCapture(event.pointerId) || this.hand !== "position") return;
     const along = event.shiftKey || (event.buttons & 2) !== 0;
     if (along) {
@@ -199,6 +249,7 @@ export class Hand {
   rest() {
     this.keys.clear();
     this.goal = { ...this.now };
+    this.several = this.fingers.size > 0; // they must be lifted first
     this.latched = { clutch: false, camera: false };
   }
 }

@@ -5,6 +5,8 @@ import { Link, clock, socketUrl, token, wallUs } from "./link.js";
 import { View, mark, set, sink, write } from "./view.js";
 
 const INPUT_MS = 20; // the console holds the arm after 100 ms without one
+const LEAST_S = 0.015; // between two inputs, whatever sends them
+const AFTER_TOUCH_S = 0.3;
 const OLD_PICTURE_MS = 150; // three of the endoscope's periods
 const SHOW_MS = 200; // figures for people, all together; states are shown at once
 const AGE_EVERY = 2; // times that figures are shown
@@ -25,6 +27,23 @@ const KEYS = [
   [["Drag"], "mouse; with Shift: deeper, roll"],
 ];
 
+/** What the footer has no room for. */
+const MORE_KEYS = [
+  [["↑", "↓", "←", "→", "Page up", "Page down"], "for the right hand: in the picture, deeper, back"],
+  [["Home", "End"], "for the right hand: roll"],
+  [["Delete", "Insert"], "for the right hand: close, open the jaw"],
+  [["M"], "mouse, or keys and gamepad"],
+  [["−", "="], "scale"],
+  [["[", "]"], "speed"],
+  [["P"], "policy"],
+  [["B"], "left eye, side by side"],
+  [["Z"], "size of the pictures"],
+  [["T"], "take control"],
+  [["H"], "put the arm back"],
+  [["J"], "left-handed layout"],
+  [["?"], "this help"],
+];
+
 const element = (id) => document.getElementById(id);
 
 let view = null;
@@ -39,8 +58,8 @@ const link = new Link(onMessage, lost);
 const hand = new Hand(element("view"), press, (why) => link.say("hidden", { why }));
 hand.mayChange = mayChange;
 
-// For measurements: the times of each drawn picture, and its age.
-globalThis.surgConsole = { picture, link, status: () => status };
+// For measurements: the times of each drawn picture, and its age; where the hand is.
+globalThis.surgConsole = { picture, link, hand, status: () => status };
 
 // --- messages of the console ---
 
@@ -103,14 +122,43 @@ function mayChange() {
   return free;
 }
 
+/** What the page does itself. */
+const OWN = {
+  hand: () => hand.use(hand.hand === "rate" ? "position" : "rate"),
+  eyes: () => !element("eyes").hidden && watch({ stereo: !pictures.stereo }),
+  size: () => watch({ half: !pictures.half }),
+  side: () => turnSide(document.body.dataset.side !== "left"),
+  help: () => { element("help").hidden = !element("help").hidden; },
+  less_scale: () => slide("scale", -1),
+  more_scale: () => slide("scale", 1),
+  slower: () => slide("speed", -1),
+  faster: () => slide("speed", 1),
+};
+
+/** Move a slider by steps, as its keys do. */
+function slide(id, steps) {
+  const slider = element(id);
+  if (slider.disabled) return;
+  if (steps > 0) slider.stepUp();
+  else slider.stepDown();
+  slider.dispatchEvent(new Event("input"));
+}
+
+function turnSide(left) {
+  mark(document.body, "side", left ? "left" : "right");
+  sink(element("side"), left);
+}
+
 function press(button) {
-  if (button === "hand") hand.use(hand.hand === "rate" ? "position" : "rate");
+  if (button === "stop") element("help").hidden = true;
+  if (button in OWN) OWN[button]();
   else if (button === "record") link.press(status?.record.on ? "record_stop" : "record");
   else link.press(button);
 }
 
-setInterval(() => {
+function speak() {
   const now = clock();
+  if (now - lastSample < LEAST_S) return;
   const sample = hand.sample(Math.min(0.1, now - lastSample));
   lastSample = now;
   if (mine() && document.visibilityState === "visible") {
@@ -118,7 +166,26 @@ setInterval(() => {
     link.say("input", { seq: sequence, at: now, picture_us: picture.exposedUs, ...sample });
   }
   lastHand = sample;
-}, INPUT_MS);
+}
+setInterval(speak, INPUT_MS);
+
+// Chromium stops a page's timers for 100 ms when a finger comes down. Its frames go on.
+const touching = new Set();
+let framesUntil = 0;
+function frames() {
+  speak();
+  if (touching.size || clock() < framesUntil) requestAnimationFrame(frames);
+}
+for (const kind of ["pointerdown", "pointerup", "pointercancel"]) {
+  addEventListener(kind, (event) => {
+    if (event.pointerType !== "touch") return;
+    const idle = !touching.size && clock() >= framesUntil;
+    if (kind === "pointerdown") touching.add(event.pointerId);
+    else touching.delete(event.pointerId);
+    framesUntil = clock() + AFTER_TOUCH_S;
+    if (idle) frames();
+  }, true);
+}
 
 function showHand(sample) {
   const driving = status?.phase === "driving";
@@ -145,9 +212,27 @@ for (const id of ["enable", "stop", "record", "policy", "put-back", "take"]) {
   element(id).addEventListener("click", () => press(id.replace("-", "_")));
 }
 element("veil-enable").addEventListener("click", () => press("enable"));
+// A finger holds a button down; a mouse, which is needed in the picture, switches it on and off.
 for (const name of ["clutch", "camera"]) {
-  element(name).addEventListener("click", () => { hand.latched[name] = !hand.latched[name]; });
+  const node = element(name);
+  let touched = false;
+  node.addEventListener("pointerdown", (event) => {
+    touched = event.pointerType === "touch";
+    if (touched && !node.disabled) hand.latched[name] = true;
+  });
+  node.addEventListener("pointerup", () => { if (touched) hand.latched[name] = false; });
+  node.addEventListener("pointercancel", () => { if (touched) link.say("hidden", { why: "pointer" }); });
+  node.addEventListener("click", () => { if (!touched) hand.latched[name] = !hand.latched[name]; });
 }
+for (const button of document.querySelectorAll("[data-key]")) {
+  button.addEventListener("pointerdown", () => hand.keys.add(button.dataset.key));
+  for (const end of ["pointerup", "pointerleave", "pointercancel"]) {
+    button.addEventListener(end, () => hand.keys.delete(button.dataset.key));
+  }
+}
+element("side").addEventListener("click", () => press("side"));
+element("help-stop").addEventListener("click", () => press("stop"));
+for (const id of ["help-open", "help-close"]) element(id).addEventListener("click", () => press("help"));
 for (const button of element("hands").children) {
   button.addEventListener("click", () => hand.use(button.dataset.hand));
 }
@@ -163,22 +248,26 @@ element("speed").addEventListener("input", ({ target }) => {
 });
 for (const id of ["scale", "speed"]) element(id).addEventListener("change", ({ target }) => target.blur());
 
-for (const [keys, text] of KEYS) {
-  const item = document.createElement("span");
+function keyRow(tag, keys, text) {
+  const item = document.createElement(tag);
   for (const key of keys) item.append(Object.assign(document.createElement("kbd"), { textContent: key }));
   item.append(` ${text}`);
-  element("keys").append(item);
+  return item;
 }
+for (const [keys, text] of KEYS) element("keys").append(keyRow("span", keys, text));
+for (const [keys, text] of [...KEYS, ...MORE_KEYS]) element("help-keys").append(keyRow("li", keys, text));
 
 // --- pictures ---
 
 const canvas = element("picture").transferControlToOffscreen();
 const worker = new Worker("/page/picture.js", { type: "module" });
 const parameters = new URLSearchParams(location.search);
+const pictures = { stereo: false, half: parameters.get("size") === "half" };
+const layout = () => (pictures.stereo ? "stereo" : "left") + (pictures.half ? "_half" : "");
 const settings = {
   url: socketUrl("/pictures"),
   token: token(),
-  layout: "left",
+  layout: layout(),
   codec: parameters.get("codec") === "jpeg" ? "jpeg" : "h264",
 };
 worker.postMessage({ canvas, settings }, [canvas]);
@@ -193,12 +282,20 @@ worker.onmessage = ({ data }) => {
   if (picture.drawn.length > KEPT_PICTURES) picture.drawn.splice(0, KEPT_PICTURES / 4);
 };
 
-for (const button of element("eyes").children) {
-  button.addEventListener("click", () => {
-    for (const other of element("eyes").children) sink(other, other === button);
-    worker.postMessage({ settings: { layout: button.dataset.layout } });
-  });
+function watch(change) {
+  Object.assign(pictures, change);
+  worker.postMessage({ settings: { layout: layout() } });
+  for (const button of element("eyes").children) sink(button, (button.dataset.layout === "stereo") === pictures.stereo);
+  for (const button of element("size").children) sink(button, (button.dataset.size === "half") === pictures.half);
 }
+for (const button of element("eyes").children) {
+  button.addEventListener("click", () => watch({ stereo: button.dataset.layout === "stereo" }));
+}
+for (const button of element("size").children) {
+  button.addEventListener("click", () => watch({ half: button.dataset.size === "half" }));
+}
+watch({});
+turnSide(parameters.get("side") === "left");
 
 function showAge() {
   const age = (wallUs() + link.offsetUs - picture.exposedUs) / 1000;

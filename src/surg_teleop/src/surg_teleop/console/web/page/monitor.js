@@ -155,7 +155,7 @@ const canvas = element("screen").transferControlToOffscreen();
 const stream = {
   url: socketUrl("/pictures"),
   token: token(),
-  layout: "stereo",
+  layout: address.get("size") === "half" ? "stereo_half" : "stereo",
   codec: address.get("codec") === "jpeg" ? "jpeg" : "h264",
 };
 worker.postMessage({ canvas, stream }, [canvas]);
