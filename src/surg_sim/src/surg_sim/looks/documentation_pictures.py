@@ -166,8 +166,8 @@ def of_thread_in_hole(seed: int) -> dict[str, Picture]:
         return float(np.linalg.norm(np.asarray(state["hole"]) - state["end"])) < _BEFORE
 
     wanted = {
-        "thread_place": (after(0.0, before), inside),
-        "thread_hold": (after(0.3, in_phase("hold")), inside),
+        "thread_in_hole/place": (after(0.0, before), inside),
+        "thread_in_hole/hold": (after(0.3, in_phase("hold")), inside),
     }
     return episode("thread_in_hole", wanted, seed)
 
@@ -215,6 +215,7 @@ def main(words: list[str] | None = None) -> int:
         return 1 if isinstance(error, NoOpenGL) else 2
     for name, content in pictures.items():
         file = options.out / f"{name}.png"
+        file.parent.mkdir(exist_ok=True)
         Image.fromarray(content).save(file, optimize=True)
         print(f"{file}: {file.stat().st_size / 1000:.0f} kB")
     return 0
