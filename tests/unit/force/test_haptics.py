@@ -131,6 +131,21 @@ def test_the_force_is_gone_50_ms_after_anything_ends(cause: str) -> None:
     assert back[0] < 0.01 and back[249] < 0.55 * back[-1] and back[-1] > 3.0
 
 
+def test_a_hand_that_moves_on_feels_nothing_after_the_end() -> None:
+    """Not even the controller's damping, though it gave out energy before; and no energy is kept."""
+    feedback = held(HapticLimits(), [5.0, 0.0, 0.0])
+    x = 0.0
+    for _ in range(20):  # the force pushes the hand ahead of itself: that costs energy
+        x += 2e-5
+        feedback.step(np.array([5.0, 0.0, 0.0]), 0.0, np.array([x, 0.0, 0.0]), True, DT)
+    assert feedback.energy[0] < 0.0
+    for i in range(200):
+        x += 2e-4 if i > 60 else 0.0
+        out = feedback.step(np.array([5.0, 0.0, 0.0]), 0.0, np.array([x, 0.0, 0.0]), False, DT)
+        assert i < 49 or out.tolist() == [0.0, 0.0, 0.0]
+    assert feedback.energy[0] <= 0.0
+
+
 def test_size_and_rate_are_limited() -> None:
     feedback = held(HapticLimits(max_force=4.0, max_rate=100.0), [0.0, 0.0, 0.0])
     outs = [

@@ -106,6 +106,9 @@ class HapticFeedback:
         self.gate = min(1.0, max(0.0, self.gate + step))
         if self.gate == 0.0:
             self._smooth = np.zeros(3)
+            for axis, x in zip(self._axes, position, strict=True):
+                axis.rest(float(x))
+            return np.zeros(3)
         faded = self.gate * self._smooth
         return np.array(
             [

@@ -71,3 +71,10 @@ class PassivityChannel:
             force = 0.0
         self.force = min(max(force, -self.largest_force), self.largest_force)
         return self.force
+
+    def rest(self, position: float) -> None:
+        """Give out no force, not even damping, until the next step; energy is not kept, debt is."""
+        if self.position is not None:
+            self.energy -= self.force * (position - self.position)
+        self.energy = min(self.energy, 0.0)
+        self.position, self.force = position, 0.0
