@@ -132,7 +132,7 @@ def test_the_force_is_gone_50_ms_after_anything_ends(cause: str) -> None:
 
 
 def test_a_hand_that_moves_on_feels_nothing_after_the_end() -> None:
-    """Not even the controller's damping, though it gave out energy before; and no energy is kept."""
+    """Not even the controller's damping, though it gave out energy before; none is kept."""
     feedback = held(HapticLimits(), [5.0, 0.0, 0.0])
     x = 0.0
     for _ in range(20):  # the force pushes the hand ahead of itself: that costs energy
