@@ -91,7 +91,8 @@ def _measure(
     if not processes.wait_until(lambda: watch.recording is True, START_S):
         raise Problem("the recorder did not start")
     recorder = next(c for c in supervisor.children if c.name == "/recorder").process.pid
-    folder = Path(str(watch.record_status["folder"]) + ".partial")
+    processes.wait_until(lambda: bool(watch.record_status.folder), START_S)
+    folder = Path(f"{watch.record_status.folder}.partial")
     if not processes.wait_until(lambda: _all_cameras(watch, plan), CAMERAS_S):
         raise Problem(f"the cameras sent nothing within {CAMERAS_S:g} s")
     time.sleep(WARM_UP_S)
@@ -100,7 +101,8 @@ def _measure(
     ended = _taken(recorder, folder), _taken(bag.process.pid, plan.out)
     watch.record(False)
     processes.wait_until(lambda: watch.recording is False, START_S)
-    finished = Path(str(watch.record_status.get("finished")))
+    processes.wait_until(lambda: bool(watch.record_status.finished), START_S)
+    finished = Path(watch.record_status.finished)
     bag.send(signal.SIGINT)
     processes.wait_until(lambda: bag.exit_code is not None, START_S)
     ours, theirs = _difference(begun[0], ended[0]), _difference(begun[1], ended[1])
@@ -115,8 +117,8 @@ def _measure(
 
 
 def _all_cameras(watch: Watch, plan: system.Plan) -> bool:
-    frames = watch.record_status.get("frames") or {}
-    return all(frames.get(name, 0) > 0 for name in plan.streams)
+    received = {stream.name: stream.received for stream in watch.record_status.streams}
+    return all(received.get(name, 0) > 0 for name in plan.streams)
 
 
 def _taken(pid: int, folder: Path) -> Taken:
