@@ -16,7 +16,7 @@ from helpers.teleop.hand import settings
 from surg_core.transforms import quaternion_xyzw_to_matrix
 from surg_teleop.console.session.console_orders import Camera, Clutch, Follow, Move, Order
 from surg_teleop.console.session.console_session import Phase, Session
-from surg_teleop.console.session.dead_man import SETTLE
+from surg_teleop.console.session.dead_man import SETTLE, DeadMan
 from surg_teleop.console.session.operator_messages import HIDDEN
 from surg_teleop.console.session.system_state import Arm, Follower, Robot
 from surg_teleop.console.web.page_protocol import Input
@@ -29,6 +29,8 @@ PERIOD = 0.012
 """[s] between two frames of a headset, a little more than at 90 Hz."""
 LATEST = 0.06
 """[s] Longest that an order is on its way; each topic has a delay of its own."""
+CATCHES_UP = 0.03
+"""[s] Longest that an arm goes on to its last target."""
 STRAIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -163,10 +165,10 @@ def test_the_instrument_follows_the_right_hand_and_the_endoscope_the_left_one() 
     bench.squeeze(left=True, right=True)
     bench.run(0.2)
     instrument, scope = bench.run(1.0, (0.0, 0.0, 0.05))
-    assert np.all(instrument == 0) and scope == pytest.approx([0, 0, 0.025], abs=0.003)
+    assert np.all(instrument == 0) and scope == pytest.approx([0, 0, 0.0215], abs=0.003)
     bench.squeeze(right=True)  # the endoscope's squeeze let go, the instrument's still held
     bench.run(0.2)
-    assert bench.run(0.5, RIGHT)[0, 0] > 0.008
+    assert bench.run(0.5, RIGHT)[0, 0] > 0.006
     bench.squeeze()
     bench.run(0.2)
     assert np.abs(bench.run(0.5, RIGHT)).max() == 0.0
@@ -243,6 +245,35 @@ def test_the_handles_turn_goes_on_where_it_was_let_go_and_about_its_own_axis() -
     assert found[1] == pytest.approx([0, 0, 1.0], abs=1e-9), "about the handle, however it is held"
 
 
+def test_clutch_pedal_and_motion_follow_one_another_with_a_distance() -> None:
+    """The pedal moves under a clutch that has long been closed; motion under one long open."""
+    pedals = motions = 0
+    for seed in range(40):
+        rng, man, hands, now = random.Random(seed), DeadMan(), Hands(), 0.0
+        closed = pedal = -1.0
+        before = man.pass_on(Input(1, 0.0, **hands.keys()), 0.0)
+        for seq in range(2, 300):
+            now += PERIOD
+            hand = rng.choice(("left", "right"))
+            hands.held[hand] ^= rng.random() < 0.06
+            hands.seen[hand] ^= rng.random() < 0.02
+            hands.p[hand] += 0.001
+            out = man.pass_on(Input(seq, now, **hands.keys()), now)
+            if out.camera != before.camera:
+                pedals += 1
+                assert before.clutch and out.clutch and now - closed >= SETTLE - 1e-9, (seed, now)
+                pedal = now
+            if out.clutch != before.clutch:
+                assert out.clutch or now - pedal >= SETTLE - 1e-9, (seed, now)
+                closed = now
+            if out.p != before.p:
+                motions += 1
+                assert not out.clutch and now - closed >= SETTLE - 1e-9, (seed, now)
+            before = out
+    print(f"{pedals} pedals, {motions} motions")
+    assert pedals > 40 and motions > 200
+
+
 def lives(seed: int) -> Iterator[tuple[Bench, dict[str, float], dict[str, bool]]]:
     """One random life: bench, how far each arm went, and which arm a squeeze allows to."""
     bench = Bench(seed)
@@ -293,6 +324,6 @@ def test_random_lives_move_no_arm_without_its_squeeze(full: bool) -> None:
                 if went[arm] > 1e-9:
                     moved[arm] += 1
                     late = bench.now - since[arm]
-                    assert late <= LATEST + PERIOD + 5 * TICK, (seed, arm, bench.now, late)
+                    assert late <= LATEST + PERIOD + CATCHES_UP, (seed, arm, bench.now, late)
     print(f"{lifetimes} lives: cycles with motion {moved}")
     assert min(moved.values()) > 5 * lifetimes

@@ -16,8 +16,9 @@ from surg_core.transforms import multiply_quaternions
 from surg_teleop.console.web.page_protocol import Input
 
 SETTLE = 0.1
-"""[s] After the squeeze, or a change of hands, motion counts only from here on: clutch and camera
-pedal travel on topics of their own, and must be there first."""
+"""[s] Between closing the clutch and moving the camera pedal, between that and opening the clutch,
+and from there until motion counts. Each travels on a topic of its own, and must be there first: a
+pedal that overtakes a motion would turn it over to the other arm."""
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 
 
@@ -27,8 +28,9 @@ class DeadMan:
     def __init__(self) -> None:
         self.engaged = False
         """Whether a squeeze is held that counts."""
-        self._armed = self._camera = False
-        self._since = -math.inf
+        self._armed = False
+        self._clutched, self._since = True, -math.inf  # and since when [s]
+        self._camera, self._camera_since = False, -math.inf
         self._p, self._q = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
         self._last: tuple[Array, Array] | None = None
         self._grip: float | None = None
@@ -36,22 +38,23 @@ class DeadMan:
     def reset(self) -> None:
         """Nothing goes on until all squeezes have been let go and one is held again."""
         self.engaged = self._armed = False
+        self._clutched, self._since = True, -math.inf
+        self._camera, self._camera_since = False, -math.inf
         self._last = None
 
     def pass_on(self, sample: Input, now: float) -> Input:
         """What goes out for an input of the page at a time [s]."""
         squeezed = sample.squeeze is True
         self._armed = sample.tracked and (self._armed or not squeezed)
-        engaged = squeezed and self._armed
-        camera = sample.camera and engaged
-        if (engaged, camera) != (self.engaged, self._camera):
-            self.engaged, self._camera, self._since, self._last = engaged, camera, now, None
+        self.engaged = squeezed and self._armed
+        self._move_pedals(sample.camera, now)
         settled = now - self._since >= SETTLE
-        if engaged and settled and sample.q is not None and not sample.clutch:
+        counts = settled and not self._clutched and not sample.clutch
+        if counts and sample.q is not None:
             self._add(np.array(sample.p), np.array(sample.q))
         else:
             self._last = None
-        if engaged or settled:
+        if settled or not self._clutched:
             self._grip = sample.grip
         x, y, z = self._p.tolist()
         qx, qy, qz, qw = self._q.tolist()
@@ -64,9 +67,18 @@ class DeadMan:
             v=(0.0, 0.0, 0.0),
             roll_rate=0.0,
             grip=self._grip,
-            clutch=sample.clutch or not engaged,
-            camera=camera,
+            clutch=sample.clutch or self._clutched,
+            camera=self._camera,
         )
+
+    def _move_pedals(self, camera: bool, now: float) -> None:
+        """The clutch opens for the hand that is squeezed; the camera pedal moves under it."""
+        other = self.engaged and camera != self._camera
+        if other and self._clutched and now - self._since >= SETTLE:
+            self._camera, self._camera_since, other = camera, now, False
+        open_ = self.engaged and not other and now - self._camera_since >= SETTLE
+        if open_ == self._clutched:
+            self._clutched, self._since = not open_, now
 
     def _add(self, p: Array, q: Array) -> None:
         """Add the hand's motion since the last input: its way, and its turn in its own axes."""

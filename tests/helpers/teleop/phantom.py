@@ -1,0 +1,102 @@
+"""A running `./surg teleop` for tests with a browser: address of its page, places of the tips."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+import subprocess
+import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import numpy as np
+
+from helpers.graph.surg import environment, start
+from helpers.teleop.chromium import until
+from surg_cli.graph import master
+from surg_cli.host import paths
+
+STILL = 0.0001
+"""[m] that a tip may still go while it comes to rest."""
+
+
+class Phantom:
+    """A running `./surg teleop`.
+
+    Attributes:
+        url: Of the page.
+        out: Folder of the episodes.
+        tips: Steady clock [s] and the instrument's tip in its rcm frame [m], as it came.
+        lens: The same of the endoscope's, where an arm holds it.
+    """
+
+    def __init__(self, url: str, out: Path) -> None:
+        self.url, self.out = url, out
+        self.tips: list[tuple[float, np.ndarray]] = []
+        self.lens: list[tuple[float, np.ndarray]] = []
+
+    @property
+    def tip(self) -> np.ndarray:
+        """Where the tip is now."""
+        return self.tips[-1][1]
+
+    def rest_since(self) -> float:
+        """When the tip came to where it is now [s]."""
+        end = self.tip
+        for at, tip in reversed(self.tips):
+            if np.linalg.norm(tip - end) > STILL:
+                return at
+        return self.tips[0][0]
+
+
+@contextlib.asynccontextmanager
+async def phantom(folder: Path, cell: str, *more: object) -> AsyncIterator[Phantom]:
+    """`./surg teleop CELL` with further words, until the end of the context."""
+    port, web = master.free_port(), master.free_port()
+    log, out = folder / "teleop.log", folder / "out"
+    words = ("teleop", cell, "--port", port, "--web-port", web, "--out", out, *more)
+    with start(log, *words) as process:
+        printers: list[tuple[asyncio.subprocess.Process, asyncio.Task[None]]] = []
+        try:
+            await until(lambda: _is("Open http" in log.read_text()), "the system", 120.0)
+            made = Phantom(f"http://localhost:{web}/", out)
+            printers.append(await _print_tips("PSM1", port, made.tips))
+            if "two_arms" in cell:
+                printers.append(await _print_tips("ECM", port, made.lens))
+            yield made
+            assert process.poll() is None, log.read_text()
+        finally:
+            for printer, reading in printers:
+                reading.cancel()
+                with contextlib.suppress(ProcessLookupError):
+                    printer.kill()
+                await printer.wait()
+            process.send_signal(signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(60)
+
+
+async def _print_tips(
+    arm: str, port: int, into: list[tuple[float, np.ndarray]]
+) -> tuple[asyncio.subprocess.Process, asyncio.Task[None]]:
+    """A process that says where a tip is, and the task that reads it."""
+    printer = await asyncio.create_subprocess_exec(
+        sys.executable,
+        str(paths.ROOT / "tests" / "helpers" / "graph" / "tip_printer.py"),
+        arm,
+        env={**environment(), "ROS_MASTER_URI": f"http://localhost:{port}"},
+        stdout=asyncio.subprocess.PIPE,
+    )
+    assert printer.stdout is not None
+    return printer, asyncio.create_task(_read(printer.stdout, into))
+
+
+async def _read(lines: asyncio.StreamReader, into: list[tuple[float, np.ndarray]]) -> None:
+    async for line in lines:
+        at, *tip = map(float, line.split())
+        into.append((at, np.array(tip)))
+
+
+async def _is(value: bool) -> bool:
+    return value
