@@ -166,7 +166,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "src/controller/controller_state.cpp",
         "follower.reset(arm.measured().q, qd_last);",
         "follower.reset(arm.measured().q);",
-        ("test_measured_acceleration",),
+        ("test_controller_moves",),
     ),
     one(
         "jump_onto_the_pivot",
@@ -503,14 +503,6 @@ MUTANTS: tuple[Mutant, ...] = (
         ("test_track_noise",),
     ),
     one(
-        "trocar_not_led_by_the_link",
-        "the pivot is where the trocar was when the command left",
-        "src/controller/controller_motion.cpp",
-        "const double arrives = T + (law == Law::kExact ? follower.delay() : 0.0);",
-        "const double arrives = T;",
-        ("test_track_noise",),
-    ),
-    one(
         "pivot_limits_times_three",
         "a stream in spherical mode whips the arm about the trocar",
         "src/motion/setpoint.cpp",
@@ -707,14 +699,6 @@ MUTANTS: tuple[Mutant, ...] = (
         "src/controller/controller_state.cpp",
         "if (moved) trace.clear();",
         "if (moved && trace.empty()) trace.clear();",
-        ("test_controller_moves",),
-    ),
-    one(
-        "start_forgets_the_last_command",
-        "resumed at the end of a ramp, a weak arm's velocity drops in one cycle",
-        "src/controller/controller_state.cpp",
-        "follower.reset(arm.measured().q, qd_last);",
-        "follower.reset(arm.measured().q, JointVector::Zero(qd_last.size()));",
         ("test_controller_moves",),
     ),
     # -- limits of the set-point, and what is reported

@@ -118,17 +118,20 @@ def refresh(original: Path, copy: Path) -> None:
 
 
 def write_table(killers: list[tuple[Mutant, str, float]]) -> None:
-    """docs/results/mutants.md, with SURG_RESULTS_DIR and only of a whole run."""
+    """docs/results/mutants.md, with SURG_RESULTS_DIR; a run of a part names the part."""
     folder = os.environ.get("SURG_RESULTS_DIR")
-    if not folder or len(killers) != len(MUTANTS):
+    if not folder or not killers:
         return
+    run = {mutant.name for mutant, _, _ in killers}
+    missing = [f"`{mutant.name}`" for mutant in MUTANTS if mutant.name not in run]
     lines = [
         "# Mutants of the core, and who notices",
         "",
         "Written by `./surg test --full --tier mutants` (`tests/mutants`). Each mutant is a fault",
         "put into a copy of the core on purpose; the test named is the first that failed.",
         "",
-        f"{len(killers)} mutants, all noticed.",
+        f"{len(MUTANTS)} mutants, {len(killers)} of them run, all of these noticed.",
+        *([f"Not run: {', '.join(missing)}."] if missing else []),
         "",
         "| mutant | where | what it would do | noticed by |",
         "|---|---|---|---|",
@@ -139,6 +142,11 @@ def write_table(killers: list[tuple[Mutant, str, float]]) -> None:
     path = Path(folder) / "mutants.md"
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(lines) + "\n")
+
+
+def test_no_mutant_stands_twice() -> None:
+    assert len({mutant.name for mutant in MUTANTS}) == len(MUTANTS)
+    assert len({mutant.edits for mutant in MUTANTS}) == len(MUTANTS)
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
