@@ -72,6 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--seed", type=int, default=0, metavar="N", help="seed of the simulator")
     add("--no-video", action="store_true", help="without the endoscope camera")
     add("--stereo", action="store_true", help="both eyes of the simulator's endoscope")
+    endoscope.add_arguments(parser)
     add("--view", action="store_true", help="open the simulator's window (needs a display)")
     add_video_quality(parser)
     for option, metavar, what in RECORDED:
@@ -99,7 +100,8 @@ def main(options: argparse.Namespace, command: str) -> int:
     leader = options.leader or join.LEADER
     scope = Endoscope(())
     if not options.no_video:
-        scope = endoscope.of_cell(loaded.config, bool(simulated), options.stereo, options.lock_step)
+        stereo = options.stereo or options.depth or options.marks
+        scope = endoscope.of_cell(loaded.config, bool(simulated), stereo, options.lock_step)
     recorded = recorded_too(options.record_topics, options.record_cameras, link)
     now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
     plan = Plan(
@@ -111,6 +113,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         lockstep=options.lock_step,
         cameras=scope.views,
         capture=scope.capture,
+        eyes=endoscope.eyes_of(options, scope, cell),
         view=options.view,
         law=options.law,
         link=options.link,

@@ -55,10 +55,10 @@ def nodes(plan: Plan, place: roles.Link | None, leader: str = LEADER) -> list[No
     every = system.nodes(plan)
     if place is None:
         return every
-    camera = f"/{system.ENDOSCOPE}"
+    cameras = (f"/{system.ENDOSCOPE}", f"/{system.EYES}")
     clock = clock_monitor(place.role)
     if place.role is roles.Role.ENDOSCOPE:
-        return [*(node for node in every if node.name == camera), *clock]
+        return [*(node for node in every if node.name in cameras), *clock]
     if place.role is roles.Role.OPERATOR:
         page = leader == operator_nodes.BROWSER
         hands = operator_nodes.teleoperation(plan, leader, page)
@@ -68,7 +68,7 @@ def nodes(plan: Plan, place: roles.Link | None, leader: str = LEADER) -> list[No
         here = replace(plan, record=False)  # the episodes are the robot's machine's
         return [hands, operator_nodes.console(here, True, web), *clock]
     away = roles.Role.ENDOSCOPE.value in place.others
-    return [*(node for node in every if not (away and node.name == camera)), *clock]
+    return [*(node for node in every if not (away and node.name in cameras)), *clock]
 
 
 def clock_monitor(role: roles.Role, daemon: Path | None = None) -> list[Node]:

@@ -22,6 +22,7 @@ from surg_cli.host.terminal import Problem
 OPERATOR = "operator"
 RECORDER = "recorder"
 ENDOSCOPE = "endoscope"
+EYES = "eyes"
 POLICY = "policy"
 CAMERA_START_S = 180.0
 """[s] Lock-step: longest wait for everybody where a camera is drawn, which on a machine that has
@@ -62,6 +63,8 @@ class Plan:
     out: Path  # folder of the run
     # parameters of the node that captures a real endoscope's pictures; None: the simulator's
     capture: dict[str, object] | None = None
+    # parameters of the node that makes depth and marks of the pictures; None: there is none
+    eyes: dict[str, object] | None = None
     view: bool = False  # whether the simulator opens its window
     # arms that the simulator drives; None: all. Without any there is no simulator and no picture
     simulated: tuple[str, ...] | None = None
@@ -179,8 +182,7 @@ def nodes(plan: Plan) -> list[Node]:
     started = []
     if plan.simulates:
         started.append(Node("/sim", "surg_sim", "bridge_node.py", params, prompt=prompt))
-    if plan.cameras:
-        started.append(endoscope(plan))
+    started += pictures(plan)
     for arm in plan.driven:
         params = {"cell": str(plan.cell), "arm": arm}
         started.append(Node(f"/{arm}/link", "surg_hardware", "link_node.py", params, drives=True))
@@ -239,6 +241,15 @@ def force_nodes(plan: Plan) -> list[Node]:
         )
         for arm in (() if plan.lockstep else plan.sensed)
     ]
+
+
+def pictures(plan: Plan) -> list[Node]:
+    """The endoscope's node, and the one that makes depth and marks of its pictures."""
+    found = [endoscope(plan)] if plan.cameras else []
+    if plan.eyes is not None:
+        made = ("surg_perception", "eyes_node.py", dict(plan.eyes))
+        found.append(Node(f"/{EYES}", *made, essential=False))
+    return found
 
 
 def endoscope(plan: Plan) -> Node:

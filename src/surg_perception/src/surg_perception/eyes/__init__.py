@@ -1,0 +1,1 @@
+"""The live node: rectified pictures, depth, points and marks of the endoscope."""

@@ -1,0 +1,52 @@
+"""The newest joint states of an arm, and where it was when a picture was taken. No ROS."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from surg_core.transforms import FloatArray
+
+KEPT_NS = 1_000_000_000
+MOST_GAP_NS = 100_000_000
+"""Farthest that a joint state may lie from a picture's stamp."""
+
+
+class JointHistory:
+    """Joint states by stamp."""
+
+    def __init__(self) -> None:
+        self._states: deque[tuple[int, FloatArray]] = deque()
+
+    def add(self, stamp_ns: int, values: FloatArray) -> None:
+        """Keep a state (n,); one that is not finite or not later than the last is ignored."""
+        if not np.isfinite(values).all():
+            return
+        states = self._states
+        if states and (stamp_ns <= states[-1][0] or len(values) != len(states[-1][1])):
+            if stamp_ns > states[-1][0] - KEPT_NS:
+                return
+            states.clear()  # the clock was set back
+        states.append((stamp_ns, values))
+        while stamp_ns - states[0][0] > KEPT_NS:
+            states.popleft()
+
+    def at(self, stamp_ns: int) -> FloatArray | None:
+        """The values (n,) at a time, between the two states around it; None: not known."""
+        before = after = None
+        for state in self._states:
+            if state[0] <= stamp_ns:
+                before = state
+            else:
+                after = state
+                break
+        if before is None or after is None:
+            nearest = before or after
+            if nearest is None or abs(stamp_ns - nearest[0]) > MOST_GAP_NS:
+                return None
+            return nearest[1]
+        if after[0] - before[0] > MOST_GAP_NS:
+            return None
+        share = (stamp_ns - before[0]) / (after[0] - before[0])
+        return np.asarray(before[1] + share * (after[1] - before[1]))
