@@ -34,7 +34,7 @@ def test_packages_of_tests_and_exports_wait_for_their_commands(tmp_path: Path) -
     waiting = {name for name, each in command_table.COMMANDS.items() if each.everything}
     assert waiting == {"test", "export", "bench"}
     seeing = {name for name, each in command_table.COMMANDS.items() if "opencv" in each.packages}
-    assert seeing == {"calibrate", "check-frames"}
+    assert seeing == {"calibrate", "check-frames", "depth"}
 
 
 @pytest.mark.parametrize(
