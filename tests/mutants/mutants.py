@@ -364,6 +364,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "src/kinematics/trocar.cpp",
         "const bool near = off.norm() <= kNear;",
         "const bool near = false;",
+        ("test_track_noise",),
     ),
     one(
         "tremor_is_motion",
