@@ -35,6 +35,7 @@ def demonstrate(request: Request, cell: Path, out: Path) -> dict[str, Any]:
         request.setting,
         request.recipe.cameras,
         shake=PUSH_M,
+        clumsiness=request.recipe.clumsiness,
     )
     chosen = episode_seeds.training_seeds(request.episodes)
     before = sum(plan.done(seed) for seed in chosen)

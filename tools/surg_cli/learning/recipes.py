@@ -10,6 +10,8 @@ from typing import Any
 from surg_cli.host import paths
 
 LEARNERS = paths.ROOT / "examples" / "bgr"
+CLUMSINESS = 5.0
+"""Factor of the hand's error in every fourth demonstration of a policy that looks: some miss."""
 PUSH_M = 0.003
 """Spread of the pushes in every second demonstration [m], see surg_sim.tasks.perturbed_sender."""
 
@@ -22,7 +24,9 @@ class Recipe:
     serve: str  # the policy's client
     parts: tuple[str, ...]  # what these two import
     cameras: tuple[str, ...] = ()  # views of the endoscope that are recorded and served
+    packages: tuple[str, ...] = ()  # sets of the package list that the trainer needs
     episodes: int = 80  # default number of demonstrations
+    clumsiness: float = 1.0  # of every fourth demonstration, see surg_sim.envs.demonstrations
     target: float = 0.85  # share of the roll-outs that must succeed
     """The paper's 17 of 20."""
 
@@ -47,9 +51,11 @@ CAMERA_RECIPES = {
     "bgr": Recipe(
         "train_bgr_images.py",
         "bgr_image_policy.py",
-        ("bgr_training.py", "bgr_policy.py"),
+        ("bgr_training.py", "bgr_policy.py", "bgr_eye.py", "train_bgr_eye.py"),
+        packages=("torch",),
         cameras=("left",),
         episodes=60,
+        clumsiness=CLUMSINESS,
         target=0.0,  # the success rate is reported, whatever it is
     )
 }
@@ -76,6 +82,7 @@ class Request:
     @property
     def demonstrations(self) -> dict[str, Any]:
         """What the demonstrations depend on."""
-        views = {"cameras": self.recipe.cameras} if self.cameras else {}
+        recipe = self.recipe
+        views = {"cameras": recipe.cameras, "clumsiness": recipe.clumsiness} if self.cameras else {}
         fixed = {"rollouts": 0, "seed": 0, "shake": PUSH_M}
         return {**{k: v for k, v in asdict(self).items() if k != "cameras"}, **fixed, **views}

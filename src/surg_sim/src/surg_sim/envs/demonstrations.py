@@ -31,6 +31,9 @@ class Plan:
     cameras: tuple[str, ...] = ()  # views to record
     size: tuple[int, int] = (640, 480)  # of the pictures [px]
     shake: float = 0.0  # of every second demonstration, see ``perturbed_sender`` [m]; 0: of none
+    # Factor of the hand's error in every fourth demonstration, so that its jaws close on nothing
+    # and it tries again; 1: in none.
+    clumsiness: float = 1.0
 
     def folder(self, seed: int) -> Path:
         """Where the recording of a seed lies."""
@@ -79,7 +82,7 @@ def play(
     context = get_context("fork")
     pool = ProcessPoolExecutor(min(workers, len(todo)), context, _leave_signals_to_the_parent)
     try:
-        waiting = [pool.submit(_play_one, plan, seed, seed in seeds[1::2]) for seed in todo]
+        waiting = [pool.submit(_play_one, plan, seed, seeds.index(seed)) for seed in todo]
         for future in as_completed(waiting):
             made.append(future.result())
             progress(len(made), made[-1])
@@ -101,7 +104,7 @@ def _leave_signals_to_the_parent() -> None:
 _sessions: dict[Plan, RecordedSession] = {}
 
 
-def _play_one(plan: Plan, seed: int, shaken: bool) -> Demonstration:
+def _play_one(plan: Plan, seed: int, index: int) -> Demonstration:
     """In a process of the pool, which compiles the scene once.
 
     With pictures, once for each episode: the seed draws the look of the tissue, as in a graph.
@@ -117,10 +120,12 @@ def _play_one(plan: Plan, seed: int, shaken: bool) -> Demonstration:
         shutil.rmtree(left, ignore_errors=True)  # of a run that was cut off
     session.reset(seed)
     experts = dict(session.task.experts(session.cell, seed))
-    spread = plan.shake if shaken else 0.0
-    if spread > 0.0:
-        for name, expert in experts.items():
-            if isinstance(expert, ArmExpert):
+    spread = plan.shake if index % 2 == 1 else 0.0
+    clumsiness = plan.clumsiness if index % 4 == 3 else 1.0
+    for name, expert in experts.items():
+        if isinstance(expert, ArmExpert):
+            expert.clumsiness = clumsiness
+            if spread > 0.0:
                 experts[name] = PerturbedExpert(expert, seed, spread)
-    report = session.record(folder, seed, experts, shake=spread)
+    report = session.record(folder, seed, experts, shake=spread, clumsiness=clumsiness)
     return Demonstration(seed, report.success, report.reason, report.duration)

@@ -101,11 +101,12 @@ class RobotExpert(ArmExpert):
         s = direction / np.linalg.norm(direction)
         y = minimal_rotation(self.X_WR[:3, 2], s) @ self.X_WR[:3, 1]
         self.roll.go(np.array([roll_across(s, y, along(self.observation.point("nodes"), node))]))
-        grip = GRIP_HEIGHT * UP + GRIP_DEPTH * s + self._error
+        error = self.clumsiness * self._error
+        grip = GRIP_HEIGHT * UP + GRIP_DEPTH * s + error
         yield from self.move(place + grip - ABOVE * s, 1.0)
         while not self.roll.arrived:
             yield
-        yield from take(self, node, grip, s, self._error, "held")
+        yield from take(self, node, grip, s, error, "held")
         yield from until(self, "retract")
         yield from self.wait(self._reaction)
         yield from self.move(self.observation.point("tip") + LIFT * UP, 1.5)
