@@ -186,7 +186,6 @@ class Policy:
 
     format = FORMAT
     wants = (STATE, TASK)
-    network_type: Any = Network
 
     def __init__(
         self,
@@ -246,7 +245,16 @@ class Policy:
         count = sum(name.startswith("weight_") for name in arrays)
         layers = [(arrays[f"weight_{i}"], arrays[f"bias_{i}"]) for i in range(count)]
         scales = {n[6:]: value for n, value in arrays.items() if n.startswith("scale_")}
-        return cls(cls.network_type(layers), scales, head["names"], head["chunk"], head["about"])
+        network = cls.network_of(layers, scales)
+        return cls(network, scales, head["names"], head["chunk"], head["about"])
+
+    @classmethod
+    def network_of(
+        cls, layers: Sequence[tuple[np.ndarray, np.ndarray]], scales: Mapping[str, np.ndarray]
+    ) -> Any:
+        """The network of a file's layers."""
+        del scales
+        return Network(layers)
 
     @property
     def hash(self) -> str:

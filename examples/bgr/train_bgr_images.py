@@ -2,94 +2,93 @@
 
     python3 examples/bgr/train_bgr_images.py datasets/bgr --out weights.npz --seed 0
 
-Like `train_bgr.py`, with convolutions before the perceptron, in plain numpy: the same dataset,
-options and seed give the same weights. It reads `observation.state`, `action` and the left
-endoscope's video (PyAV), and no ground truth.
+First the eye (`train_bgr_eye.py`, PyTorch), with labels from the simulator's truth. Then the hand,
+as in `train_bgr.py`, in numpy, from what the trained eye says: it learns with the eye's errors.
+It reads the left endoscope's video (PyAV). The policy reads no ground truth.
 """
 
 from __future__ import annotations
 
 import itertools
-import math
+import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from bgr_eye import Eye, small
 from bgr_image_policy import (
-    CHANNELS,
-    CONVOLUTIONS,
-    EARLIER,
+    DISTANCE,
     HERE,
-    NUMBERS,
     PICTURE,
-    ImageNetwork,
+    PLACES,
+    EyeAndHand,
     ImagePolicy,
-    grid,
-    numbers,
-    patches,
-    places,
-    shares,
-    small,
-    stacked,
+    features,
+    remembered,
 )
-from bgr_policy import ACTION, SET, STATE, state_columns
+from bgr_policy import ACTION, SET, STATE, TASK, Columns, Network, world_in_rcm
 from bgr_training import (
     Adam,
     Array,
     Dataset,
     Progress,
-    activations,
     command_line,
     facts,
     file_of,
     flat_layers,
     flat_names,
+    gradient_of,
     half_cosine,
-    huber,
     initialise,
     jaw_range,
     last_commands,
     normalised,
-    propagate,
     scales_of,
     split_episodes,
     table,
     targets_of,
 )
+from train_bgr_eye import EyeOptions, Labels, errors, labels, train_eye
 
-OPEN = 0.6
-"""Jaws more open than this hold nothing [rad]."""
+CAMERA = "observation.camera_pose"
+POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+OPEN, NEAR = 0.6, 0.03
+"""Jaws less open than this [rad] and nearer to the requested node than this [m] will grasp."""
+THERE = 0.0015
+"""Jaws may close within this distance of their target [m]."""
+SHUT = 0.1
+"""Commanded jaws less open than this close on something [rad]."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """Training options; their values were chosen on tuning seeds."""
+    """Training options of the hand; their values were chosen on tuning seeds."""
 
     chunk: int = 16
     """Actions predicted at once."""
-    ahead: tuple[int, ...] = (24, 32, 48, 64)
-    """Further steps whose actions are predicted during training only; they show the goal."""
-    maps: tuple[int, ...] = (32, 32, 32)
-    """Outputs of each convolution."""
     hidden: tuple[int, ...] = (256, 256)
-    steps: int = 0
-    """Optimiser steps; 0: enough for ``passes`` passes over all samples."""
-    passes: int = 18
-    batch: int = 64
-    rate: float = 1e-3
+    steps: int = 5000
+    """Optimiser steps."""
+    batch: int = 256
+    rate: float = 1.5e-3
     """Initial learning rate; falls to zero along half a cosine."""
-    decay: float = 1e-3
+    decay: float = 1e-4
     """Weight decay."""
     noise: float = 0.02
-    """Standard deviation of the noise on normalised measured inputs."""
-    push: float = 0.003
-    """Standard deviation of the offset of every second command with open jaws, per axis [m]."""
+    """Standard deviation of the noise on normalised inputs."""
+    noise_place: float = 0.3
+    """The same for the last command, so that the policy does not depend on absolute position."""
+    push: float = 0.004
+    """Standard deviation of the offset of every second sample without a grasp, per axis [m]."""
     back: float = 0.25
-    """Time constant of the return [s]: the goal comes from the picture, not from the command."""
+    """Time constant of the return from that offset [s]."""
+    behind: int = 2
+    """Largest lag of the observation behind the last command [steps], as in real time."""
     seed: int = 0
+    eye: EyeOptions = field(default_factory=EyeOptions)
 
 
 @dataclass
@@ -97,7 +96,10 @@ class Episode:
     """One recording of T steps."""
 
     state: Array
+    task: Array
     action: Array
+    camera: Array
+    """(T, 4, 4) pose of the left camera in the world."""
     views: Array
     """(T, SIDE, SIDE, 3), uint8, of `small`."""
 
@@ -108,23 +110,43 @@ def read(folder: Path, progress: Progress = lambda part, note: None) -> Dataset[
     Raises:
         ValueError: The folder is no dataset, or a required feature is missing.
     """
-    needed = (STATE, ACTION)
+    needed = (STATE, TASK, ACTION, CAMERA)
     info = facts(folder, (*needed, PICTURE))
     names = {name: flat_names(info["features"][name]["names"]) for name in needed}
     episodes: dict[str, list[Episode]] = {}
     found = list(split_episodes(info))
     for n, (split, index) in enumerate(found):
-        progress(0.2 * n / len(found), f"pictures of episode {n + 1} of {len(found)}")
-        state, action = table(folder, info, index, needed)
+        progress(0.1 * n / len(found), f"pictures of episode {n + 1} of {len(found)}")
+        state, task, action, camera = table(folder, info, index, needed)
         views = views_of(file_of(folder, info, "video_path", index, video_key=PICTURE))
         if len(views) != len(state):
             raise ValueError(
                 f"{folder}: episode {index} has {len(views)} pictures and {len(state)} rows"
             )
-        episodes.setdefault(split, []).append(Episode(state, action, views))
+        poses = matrices(camera, names[CAMERA])
+        episodes.setdefault(split, []).append(Episode(state, task, action, poses, views))
     shape = info["features"][PICTURE]["shape"]
     about = {"fps": info["fps"], "robot": info["robot_type"], "picture": shape}
+    about["K"] = intrinsics(folder)
     return Dataset(episodes, names, about)
+
+
+def intrinsics(folder: Path) -> list[float]:
+    """Focal length, principal point right and down, and height of the left camera's pictures [px].
+
+    Raises:
+        ValueError: The dataset does not state them, or two cameras took its pictures.
+    """
+    file = folder / "meta" / "calibration" / "index.json"
+    try:
+        sets = json.loads(file.read_text("utf-8"))["sets"]
+        models = [each["camera_info"]["endoscope_left"] for each in sets]
+        found = [[m["K"][0], m["K"][2], m["K"][5], float(m["height"])] for m in models]
+    except (OSError, ValueError, KeyError, IndexError) as error:
+        raise ValueError(f"{file}: no model of the left endoscope camera ({error!r})") from None
+    if any(each != found[0] for each in found):
+        raise ValueError(f"{file}: the pictures are of different cameras: {found}")
+    return found[0]
 
 
 def views_of(file: Path) -> Array:
@@ -145,216 +167,236 @@ def views_of(file: Path) -> Array:
         raise ValueError(f"{file}: no readable video ({problem})") from None
 
 
+def matrices(poses: Array, names: Sequence[str]) -> Array:
+    """Poses (T, 7) with columns x, y, z, qx, qy, qz, qw in the order of ``names``, as (T, 4, 4)."""
+    order = [[name.rpartition("/")[2] for name in names].index(n) for n in POSE]
+    x, y, z, w = poses[:, order[3:]].T
+    found = np.zeros((len(poses), 4, 4))
+    found[:, :3, 3], found[:, 3, 3] = poses[:, order[:3]], 1.0
+    found[:, 0, :3] = np.column_stack(
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)]
+    )
+    found[:, 1, :3] = np.column_stack(
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)]
+    )
+    found[:, 2, :3] = np.column_stack(
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]
+    )
+    return found
+
+
+def missed(jaw: Array) -> Array:
+    """Steps that lead to a grasp that holds nothing, (T,): from open jaws to the closing.
+
+    Jaws that close and open again have held nothing. How to aim is not learned from these steps.
+
+    Args:
+        jaw: (T,) commanded jaw angles [rad].
+    """
+    shut = jaw < SHUT
+    closes = np.flatnonzero(shut[1:] & ~shut[:-1]) + 1
+    found = np.zeros(len(jaw), bool)
+    for begin, end in zip(closes, [*closes[1:], len(jaw)], strict=True):
+        if not shut[begin:end].all():
+            before = np.flatnonzero(shut[:begin])
+            found[(before[-1] + 1 if len(before) else 0) : begin + 1] = True
+    return found
+
+
 @dataclass
 class Samples:
     """N training steps; SI.
 
     Attributes:
-        views: (N, SIDE, SIDE, 3), uint8.
-        before: (N, len(EARLIER)) indices of the earlier views.
-        numbers: (N, NUMBERS) of `numbers`.
-        targets: (N, outputs, 5), relative to the last command except for the jaw.
-        free: (N,) whether the jaws are open and hold nothing.
+        inputs: (N, F) of `features`.
+        targets: (N, K, 5) of `targets_of`.
+        free: (N,) whether the arm may be displaced: it holds nothing and is not about to grasp.
+        jaw: (N,) jaw angle [rad].
     """
 
-    views: Array
-    before: Array
-    numbers: Array
+    inputs: Array
     targets: Array
     free: Array
+    jaw: Array
 
     @classmethod
-    def of(cls, episodes: Sequence[Episode], columns: Array, options: Options) -> Samples:
-        """The steps of all episodes, in order."""
-        parts, begin = [], 0
-        outputs = [*range(options.chunk), *options.ahead]
-        for episode in episodes:
-            row = np.arange(len(episode.state))
-            last = last_commands(episode, columns[SET])
-            before = [begin + np.maximum(row - lag, 0) for lag in EARLIER]
-            parts.append(
-                (
-                    episode.views,
-                    np.column_stack(before),
-                    numbers(columns, episode.state, last),
-                    targets_of(episode, last, max(outputs) + 1)[:, outputs],
-                    episode.state[:, columns[4]] > OPEN,
-                )
-            )
-            begin += len(row)
+    def of(
+        cls,
+        episodes: Sequence[Episode],
+        seen: Sequence[Array],
+        columns: Columns,
+        chunk: int,
+        behind: int = 0,
+    ) -> Samples:
+        """The steps of all episodes, in order, but for those that lead to a miss.
+
+        Args:
+            episodes: Of the dataset.
+            seen: (T, n) of `remembered`, for each episode.
+            columns: Of the observations.
+            chunk: Actions ahead.
+            behind: Each step appears with its own observation and with each of the ``behind``
+                earlier ones. Last command and target are those of the step itself.
+        """
+        parts = []
+        for episode, view in zip(episodes, seen, strict=True):
+            last = last_commands(episode, columns.state[SET])
+            targets = targets_of(episode, last, chunk)
+            good = ~missed(episode.action[:, 4])
+            for steps in range(behind + 1):
+                row = np.maximum(np.arange(len(last)) - steps, 0)
+                state, task = episode.state[row], episode.task[row]
+                inputs = features(columns.state, state, view[row], last)
+                held = (task[:, columns.task["held"]] >= 0).ravel()
+                jaw = state[:, columns.state[4]]
+                free = ~held & ((jaw > OPEN) | (inputs[:, DISTANCE] > NEAR))
+                parts.append([part[good] for part in (inputs, targets, free, jaw)])
         return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
-    def pictures(self, rows: Array) -> Array:
-        """Pictures of samples as `stacked` returns them."""
-        return stacked(self.views[rows], [self.views[b] for b in self.before[rows].T])
-
     def pushed(self, rows: Array, push: Array, left: Array) -> tuple[Array, Array]:
-        """Steps with another last command, and the chunk that returns.
+        """Steps with the arm displaced, and the chunk that returns.
+
+        A free arm follows its commands, so the correct chunk is known: it closes the gap. The jaws
+        do not close before. What is seen stays: the eye looks for the tissue, not for the arm.
 
         Args:
             rows: (B,) indices of samples.
-            push: (B, 3) displacement of the command [m]; ignored if the jaws may hold something.
-            left: (outputs,) remaining share of it at each step.
+            push: (B, 3) displacement [m].
+            left: (K,) remaining share of it at each step of the chunk.
 
         Returns:
-            Numbers (B, NUMBERS) and targets (B, outputs, 5).
+            Inputs (B, F) and targets (B, K, 5).
         """
-        x, y = self.numbers[rows], self.targets[rows]
+        x, y, jaw = self.inputs[rows], self.targets[rows], self.jaw[rows][:, None]
         push = push * self.free[rows][:, None]
-        x[:, :3] -= push
-        x[:, HERE][:, :3] += push
+        x[:, PLACES] -= np.tile(push, 2)
+        x[:, DISTANCE] = np.linalg.norm(x[:, :3], axis=1)
+        x[:, HERE] += push
         y[:, :, :3] += push[:, None, :] * (left - 1.0)[:, None]
+        far = np.linalg.norm(push, axis=1)[:, None] * left > THERE
+        y[:, :, 4] = np.where(far, np.maximum(y[:, :, 4], jaw), y[:, :, 4])
         return x, y
-
-
-def shapes_of(options: Options) -> list[tuple[int, int]]:
-    """Input and output size of every layer."""
-    found, channels = [], CHANNELS
-    for (size, _, _), maps in zip(CONVOLUTIONS, options.maps, strict=True):
-        found.append((size * size * channels, maps))
-        channels = maps
-    outputs = 5 * (options.chunk + len(options.ahead))
-    return found + list(itertools.pairwise([3 * channels + NUMBERS, *options.hidden, outputs]))
-
-
-def gradient_of(
-    network: ImageNetwork,
-    grads: Sequence[tuple[Array, Array]],
-    pictures: Array,
-    numbers: Array,
-    target: Array,
-) -> float:
-    """Mean Huber loss of a batch; writes the gradient into ``grads``.
-
-    Args:
-        network: Read only.
-        grads: Weight and bias of each layer; written.
-        pictures: (B, SIDE, SIDE, CHANNELS) of `stacked`.
-        numbers: (B, NUMBERS), normalised.
-        target: (B, n_out), normalised.
-    """
-    taken, maps = [], [pictures]
-    for i, ((weight, bias), shape) in enumerate(
-        zip(network.convolutions, CONVOLUTIONS, strict=True)
-    ):
-        taken.append(patches(maps[-1], *shape))
-        made = taken[-1] @ weight + bias
-        maps.append(np.maximum(made, 0.0) if i < len(CONVOLUTIONS) - 1 else made)
-    share = shares(maps[-1])
-    seen = places(maps[-1], share)
-    kept = activations(network.head, np.concatenate([seen, numbers], axis=1))
-    loss, back = huber(kept.pop() - target)
-    back = propagate(network.head, grads[len(CONVOLUTIONS) :], kept, back)
-    slope = back @ network.head.layers[0][0][: seen.shape[1]].T
-    slope = slope_of_places(maps[-1].shape, share, seen, slope)
-    for i in range(len(CONVOLUTIONS) - 1, -1, -1):
-        flat = slope.reshape(-1, slope.shape[3])
-        np.matmul(taken[i].reshape(len(flat), -1).T, flat, out=grads[i][0])
-        np.sum(flat, axis=0, out=grads[i][1])
-        if i:
-            slope = slope_of_patches(slope, network.convolutions[i][0], CONVOLUTIONS[i])
-            slope *= maps[i] > 0
-    return loss
-
-
-def slope_of_places(shape: tuple[int, ...], share: Array, seen: Array, back: Array) -> Array:
-    """Derivative of the loss by the maps, from that by their `places`.
-
-    Args:
-        shape: Of the maps.
-        share: Of `shares`.
-        seen: Of `places`.
-        back: Derivative by the places, (B, 3 C).
-    """
-    B, h, w, C = shape
-    down, right, means = np.split(back, 3, axis=1)
-    where = np.matmul(grid(h, w, back.dtype), np.stack([down, right], axis=1))
-    middle = seen[:, :C] * down + seen[:, C : 2 * C] * right
-    found = share * (where - middle[:, None]) + means[:, None] / back.dtype.type(h * w)
-    return found.reshape(B, h, w, C)
-
-
-def slope_of_patches(back: Array, weight: Array, shape: tuple[int, int, int]) -> Array:
-    """Derivative of the loss by a convolution's inputs, from that by its outputs.
-
-    At stride 1 this is a convolution with the flipped weights.
-
-    Args:
-        back: (B, h, w, n_out).
-        weight: (size * size * n_in, n_out).
-        shape: One of `CONVOLUTIONS`.
-    """
-    size, stride, pad = shape
-    assert stride == 1
-    turned = weight.reshape(size, size, -1, weight.shape[1])[::-1, ::-1].transpose(0, 1, 3, 2)
-    return patches(back, size, 1, size - 1 - pad) @ turned.reshape(-1, turned.shape[3])
 
 
 def train(
     dataset: Dataset[Episode], options: Options, progress: Progress = lambda part, note: None
 ) -> ImagePolicy:
-    """Train on the split ``train``.
+    """Train on the split ``train``: the eye, then the hand.
 
     Raises:
         ValueError: The split is empty.
     """
-    columns = state_columns(dataset.names[STATE])
-    if not dataset.episodes.get("train"):
+    columns = Columns(dataset.names[STATE], dataset.names[TASK])
+    shown = dataset.episodes.get("train")
+    if not shown:
         raise ValueError("the dataset has no episode in its split 'train'")
+    marked = marks(dataset, columns)
+    views = np.concatenate([episode.views for episode in shown])
+    eye = train_eye(
+        views,
+        marked["train"],
+        options.eye,
+        options.seed,
+        lambda part, note: progress(0.1 + 0.7 * part, note),
+    )
+    progress(0.8, "what the eye sees in all pictures")
+    return train_hand(dataset, options, eye, marked, progress)
+
+
+def marks(dataset: Dataset[Episode], columns: Columns) -> dict[str, Labels]:
+    """Labels of all pictures of each split."""
+    X_RW = _world_in_rcm(dataset.episodes["train"], columns)
+    found, names = {}, [each.name for each in fields(Labels)]
+    for split, episodes in dataset.episodes.items():
+        parts = [labels(e.task, columns.task, X_RW, e.camera, dataset.about["K"]) for e in episodes]
+        found[split] = Labels(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
+    return found
+
+
+def look(eye: Eye, views: Array) -> Array:
+    """What the eye and its memory make of an episode's views, (T, n)."""
+    parts = np.array_split(views, len(views) // 64 + 1)
+    return remembered(np.concatenate([eye(part) for part in parts]))
+
+
+def train_hand(
+    dataset: Dataset[Episode],
+    options: Options,
+    eye: Eye,
+    marked: dict[str, Labels],
+    progress: Progress = lambda part, note: None,
+) -> ImagePolicy:
+    """Train the hand with a trained eye; see `train`."""
+    columns = Columns(dataset.names[STATE], dataset.names[TASK])
+    seen = {
+        split: [look(eye, episode.views) for episode in episodes]
+        for split, episodes in dataset.episodes.items()
+    }
     parts = {
-        split: Samples.of(episodes, columns, options)
+        split: Samples.of(episodes, seen[split], columns, options.chunk, options.behind)
         for split, episodes in dataset.episodes.items()
     }
     known = parts["train"]
     scales = {
-        **scales_of(known.numbers, known.targets),
+        **scales_of(known.inputs, known.targets),
         "jaw_range": jaw_range(known.targets),
+        "plane": eye.plane,
+        "pointed": eye.pointed,
     }
-    steps = options.steps or options.passes * math.ceil(len(known.numbers) / options.batch)
     rng = np.random.default_rng(options.seed)
-    shapes = shapes_of(options)
+    sizes = [known.inputs.shape[1], *options.hidden, 5 * options.chunk]
+    shapes = list(itertools.pairwise(sizes))
     flat, layers = flat_layers(shapes)
     initialise(layers, rng)
-    network, adam = ImageNetwork(layers), Adam(flat, options.decay)
+    hand, adam = Network(layers), Adam(flat, options.decay)
     slope, grads = flat_layers(shapes)
-    steps_ahead = np.array([*range(options.chunk), *options.ahead]) + 1
-    left = np.exp(-steps_ahead / (options.back * dataset.about["fps"]))
-    for step in range(steps):
-        rows = rng.integers(0, len(known.numbers), options.batch)
+    noise = np.full(sizes[0], options.noise, np.float32)
+    noise[HERE] = options.noise_place
+    left = np.exp(-np.arange(1, options.chunk + 1) / (options.back * dataset.about["fps"]))
+    for step in range(options.steps):
+        rows = rng.integers(0, len(known.inputs), options.batch)
         push = options.push * rng.standard_normal((options.batch, 3))
         push[::2] = 0.0
         x, y = normalised(scales, *known.pushed(rows, push, left))
-        x += options.noise * rng.standard_normal(x.shape, np.float32)
-        loss = gradient_of(network, grads, known.pictures(rows), x, y)
-        adam.step(slope, options.rate * half_cosine(step / steps))
+        x += noise * rng.standard_normal(x.shape, np.float32)
+        loss = gradient_of(hand, grads, x, y)
+        adam.step(slope, options.rate * half_cosine(step / options.steps))
         if step % 50 == 0:
-            note = f"step {step} of {steps}, loss {loss:.4f}"
-            progress(0.2 + 0.8 * step / steps, note)
+            note = f"hand, step {step} of {options.steps}, loss {loss:.4f}"
+            progress(0.85 + 0.15 * step / options.steps, note)
+    losses = {
+        split: _loss(hand, *normalised(scales, part.inputs, part.targets))
+        for split, part in parts.items()
+    }
+    network = EyeAndHand([*eye.layers, *layers], eye.plane, eye.pointed)
     about = {
         "options": asdict(options),
         "dataset": dataset.about,
         "episodes": {split: len(found) for split, found in dataset.episodes.items()},
-        "frames": len(known.numbers),
-        "parameters": int(flat.size),
-        "network": "three convolutions and a multilayer perceptron",
-        "loss": {
-            split: _loss(network, part, *normalised(scales, part.numbers, part.targets))
-            for split, part in parts.items()
+        "frames": sum(len(episode.state) for episode in dataset.episodes["train"]),
+        "parameters": int(sum(weight.size + bias.size for weight, bias in network.layers)),
+        "network": "an eye of convolutions and a hand of a multilayer perceptron",
+        "loss": losses,
+        "eye": {
+            split: errors(np.concatenate(found), marked[split]) for split, found in seen.items()
         },
         "observation": [STATE, PICTURE],
         "privileged": [],
+        "labels": [TASK],
     }
     return ImagePolicy(network, scales, dataset.names, options.chunk, about)
 
 
-def _loss(network: ImageNetwork, part: Samples, x: Array, y: Array) -> float:
-    """Mean absolute error in units of each output's standard deviation; of every eighth step."""
-    rows = np.arange(0, len(x), 8)
-    made = [
-        network(part.pictures(some), x[some])
-        for some in np.array_split(rows, max(1, len(rows) // 64))
-    ]
-    return float(np.mean(np.abs(np.concatenate(made) - y[rows])))
+def _world_in_rcm(episodes: Sequence[Episode], columns: Columns) -> Array:
+    """X_RW (4, 4) from the tips of all episodes."""
+    tips = [episode.state[:, columns.state[:3]] for episode in episodes]
+    tips_W = [episode.task[:, columns.task["tip"]] for episode in episodes]
+    return world_in_rcm(np.concatenate(tips), np.concatenate(tips_W))
+
+
+def _loss(network: Network, x: Array, y: Array) -> float:
+    """Mean absolute error in units of each output's standard deviation."""
+    return float(np.mean(np.abs(network(x) - y)))
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -2,45 +2,62 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 
 import numpy as np
 
-from helpers.policy.bgr_synthetic import ACTION, STATE
+from helpers.policy.bgr_synthetic import ACTION, STATE, TASK
 from surg_cli.host import paths
 
 sys.path.insert(0, str(paths.ROOT / "examples/bgr"))
 
+import bgr_eye
 import bgr_image_policy
+import train_bgr_eye as train_bgr_eye
 import train_bgr_images
 
-SIDE = bgr_image_policy.SIDE
+SIDE = bgr_eye.SIDE
 REACH = 0.03
 """From the middle of the picture to its edge [m]."""
+DISTANCE = 0.1
+"""From the camera to the plane of the goals [m]."""
+K = [100.0, 0.0, 0.0, 2 * 100.0 * REACH / DISTANCE]
+"""Focal length, principal point and height of the picture [px], so that `REACH` is at its edge."""
 
 
 def picture(goal: np.ndarray, tip: np.ndarray) -> np.ndarray:
     """The goal as a red spot, the tip as a green one, (SIDE, SIDE, 3)."""
     shown = np.full((SIDE, SIDE, 3), 60, np.uint8)
     for place, colour in ((goal, 0), (tip, 1)):
-        row, column = np.clip((SIDE / 2) * (1 + place[:2] / REACH), 6, SIDE - 6).astype(int)
+        column, row = np.clip((SIDE / 2) * (1 + place[:2] / REACH), 6, SIDE - 6).astype(int)
         shown[row - 5 : row + 5, column - 5 : column + 5, colour] = 240
     return shown
 
 
 def episode(seed: int, steps: int = 50) -> train_bgr_images.Episode:
-    """The tip goes a tenth of what is left to the spot in every step; then the jaws close."""
+    """The tip goes a tenth of what is left to the spot in every step; then the jaws close.
+
+    The camera looks along z. All nodes lie at the goal; so does the assistant's tip.
+    """
     rng = np.random.default_rng(seed)
     goal, tip = rng.uniform(-0.02, 0.02, 3), rng.uniform(-0.02, 0.02, 3)
-    goal[2] = 0.1
+    goal[2] = tip[2] = DISTANCE
     rows = []
     for step in range(steps):
         aim = tip + 0.1 * (goal - tip)
         jaw = 0.68 if step < 0.7 * steps else 0.0
-        rows.append(([*tip, 0.1, jaw, *tip, 0.1], [*aim, 0.1, jaw], picture(goal, tip)))
+        task = dict.fromkeys(TASK, 0.0)
+        task.update(target=18.0, held=-1.0 if jaw else 18.0, assistant_held=-1.0)
+        for i, (g, p) in enumerate(zip(goal, tip, strict=True)):
+            task.update({f"nodes_{n}_{i}": g for n in range(36)})
+            task.update({f"assistant_tip_{i}": g, f"tip_{i}": p})
+        state = [*tip, 0.1, jaw, *tip, 0.1]
+        truth = [task[name] for name in TASK]
+        rows.append((state, truth, [*aim, 0.1, jaw], np.eye(4), picture(goal, tip)))
         tip = aim
-    state, action, views = zip(*rows, strict=True)
-    return train_bgr_images.Episode(np.array(state), np.array(action), np.array(views))
+    parts = [np.array(part) for part in zip(*rows, strict=True)]
+    return train_bgr_images.Episode(*parts)
 
 
 def dataset(train: int = 6, val: int = 1) -> train_bgr_images.Dataset:
@@ -48,6 +65,27 @@ def dataset(train: int = 6, val: int = 1) -> train_bgr_images.Dataset:
     found = [episode(seed) for seed in range(train + val)]
     return train_bgr_images.Dataset(
         {"train": found[:train], "val": found[train:]},
-        {bgr_image_policy.STATE: STATE, "action": ACTION},
-        {"fps": 20, "robot": "made up"},
+        {bgr_image_policy.STATE: STATE, train_bgr_images.TASK: TASK, "action": ACTION},
+        {"fps": 20, "robot": "made up", "K": K},
     )
+
+
+def eye(seed: int = 0, channels: int = 4, hidden: int = 8) -> bgr_eye.Eye:
+    """An eye that was never trained: random weights."""
+    rng = np.random.default_rng(seed)
+    sizes = [3] + [channels] * len(bgr_eye.CONVOLUTIONS)
+    shapes: list[tuple[int, ...]] = [
+        (size, size, a, b)
+        for (size, _, _), (a, b) in zip(
+            bgr_eye.CONVOLUTIONS, itertools.pairwise(sizes), strict=True
+        )
+    ]
+    inputs = 2 * len(bgr_eye.MAPS) + channels * (1 + len(bgr_eye.MAPS))
+    shapes += [(channels, len(bgr_eye.MAPS) + 1), (inputs, hidden), (hidden, hidden), (hidden, 4)]
+    layers = [
+        (rng.normal(0, np.prod(s[:-1]) ** -0.5, s).astype(np.float32), np.zeros(s[-1], np.float32))
+        for s in shapes
+    ]
+    plane = np.zeros((6, 3))
+    plane[0, 2], plane[1, 1], plane[2, 0] = DISTANCE, REACH, REACH
+    return bgr_eye.Eye(layers, plane, np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))

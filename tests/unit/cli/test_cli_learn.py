@@ -15,6 +15,7 @@ import pytest
 
 from helpers.recording.rollouts_synthetic import entry, rollout
 from surg_cli.commands import learn
+from surg_cli.host import provision
 from surg_cli.host.terminal import Problem
 from surg_cli.learning import learn_stages, recipes, rollouts
 
@@ -196,6 +197,10 @@ def test_cameras_make_a_policy_that_looks(
     """Other programs, pictures at both ends, no truth; its figure is said, whatever it is."""
     seen = TRAINED | {"observation": ["observation.state", "pictures"], "privileged": []}
     trainers: list[str] = []
+    installed: list[tuple[str, ...]] = []
+    monkeypatch.setattr(
+        provision, "install_packages", lambda log, optional: installed.append(optional)
+    )
     monkeypatch.setattr(
         learn_stages, "train", lambda request, _: trainers.append(request.recipe.train) or seen
     )
@@ -205,7 +210,7 @@ def test_cameras_make_a_policy_that_looks(
     assert learn.main(options("bgr", *words), "learn") == 0
     (player,) = FakePlayer.made
     assert [player[4].name, *player[6:]] == ["bgr_image_policy.py", False, ("left",)]
-    assert trainers == ["train_bgr_images.py"]
+    assert trainers == ["train_bgr_images.py"] and installed == [("torch",)]
     assert recipes.Request("bgr", "phantom", "ur5e", 0, 8, 2, True).demonstrations["cameras"]
     summary = json.loads((out / "summary.json").read_text("utf-8"))
     assert summary["ok"] and summary["privileged"] == []

@@ -1,4 +1,4 @@
-"""The policy that looks, and its trainer: scaling, layers, gradient, same by seed, as in training.
+"""The policy that looks, and its trainer: scaling, eye, memory, misses, as in training.
 
 On made-up pictures: what it does in the phantom stands in docs/guide/learning.md.
 """
@@ -6,51 +6,63 @@ On made-up pictures: what it does in the phantom stands in docs/guide/learning.m
 from __future__ import annotations
 
 import dataclasses
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from helpers.policy import bgr_pictures as made
-from helpers.policy.bgr_pictures import bgr_image_policy, train_bgr_images
-from helpers.policy.bgr_synthetic import STATE, bgr_policy
+from helpers.policy.bgr_pictures import (
+    bgr_eye,
+    bgr_image_policy,
+    train_bgr_eye,
+    train_bgr_images,
+)
+from helpers.policy.bgr_synthetic import STATE, TASK, bgr_policy
 from helpers.policy.example_program import said_alone
 from surg_policy_client.spec import Spec
 
-FEW = train_bgr_images.Options(
-    steps=8, maps=(6, 6, 6), hidden=(16, 16), batch=8, chunk=4, ahead=(8,)
-)
+FEW_EYE = train_bgr_eye.EyeOptions(steps=4, batch=4, channels=(4, 4, 4, 4, 4, 4), hidden=8)
+FEW = train_bgr_images.Options(steps=8, hidden=(16, 16), batch=8, chunk=4, eye=FEW_EYE)
+
+
+def hand_trained(options: train_bgr_images.Options) -> bgr_image_policy.ImagePolicy:
+    """With an eye of random weights."""
+    dataset = made.dataset(2)
+    marked = train_bgr_images.marks(dataset, bgr_policy.Columns(STATE, TASK))
+    return train_bgr_images.train_hand(dataset, options, made.eye(), marked)
 
 
 @pytest.fixture(scope="module")
 def policy() -> bgr_image_policy.ImagePolicy:
-    return train_bgr_images.train(made.dataset(), FEW)
+    return hand_trained(FEW)
 
 
 # --- scaling ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("shape", [(96, 96), (192, 256), (480, 640), (576, 1024)])
+@pytest.mark.parametrize("shape", [(120, 120), (240, 320), (480, 640)])
 def test_a_view_is_the_rounded_mean_of_blocks_of_the_middle_square(shape: tuple[int, int]) -> None:
     height, width = shape
     whole = np.random.default_rng(height).integers(0, 256, (height, width, 3), np.uint8)
-    view = bgr_image_policy.small(whole)
-    assert view.shape == (96, 96, 3) and view.dtype == np.uint8
-    block, left = height // 96, (width - height) // 2
+    view = bgr_eye.small(whole)
+    assert view.shape == (120, 120, 3) and view.dtype == np.uint8
+    block, left = height // 120, (width - height) // 2
     rng = np.random.default_rng(0)
-    for i, k in rng.integers(0, 96, (200, 2)):
+    for i, k in rng.integers(0, 120, (200, 2)):
         part = whole[i * block : (i + 1) * block, left + k * block : left + (k + 1) * block]
         mean = part.reshape(-1, 3).astype(float).mean(axis=0)
         np.testing.assert_array_equal(view[i, k], np.floor(mean + 0.5))
-    np.testing.assert_array_equal(view, bgr_image_policy.small(whole[:, :, ::-1])[:, :, ::-1])
+    np.testing.assert_array_equal(view, bgr_eye.small(whole[:, :, ::-1])[:, :, ::-1])
 
 
 @pytest.mark.parametrize(
-    "shape", [(240, 320, 3), (480, 400, 3), (0, 640, 3), (480, 640), (96, 96, 4)]
+    "shape", [(250, 320, 3), (480, 400, 3), (0, 640, 3), (480, 640), (120, 120, 4)]
 )
 def test_a_picture_that_does_not_divide_is_refused_in_words(shape: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError, match="96, 192, 288") as said:
-        bgr_image_policy.small(np.zeros(shape, np.uint8))
+    with pytest.raises(ValueError, match="120, 240, 360") as said:
+        bgr_eye.small(np.zeros(shape, np.uint8))
     assert str(shape) in str(said.value)
 
 
@@ -73,125 +85,157 @@ def test_what_the_codec_leaves_of_a_view(tmp_path: Path) -> None:
     frames = (av.VideoFrame.from_ndarray(picture, format="rgb24") for picture in shown)
     pictures.encode(frames, file, ExportOptions())
     seen = train_bgr_images.views_of(file).astype(int)
-    off = np.abs(seen - np.stack([bgr_image_policy.small(picture) for picture in shown]))
+    off = np.abs(seen - np.stack([bgr_eye.small(picture) for picture in shown]))
     print(f"mean {off.mean():.2f}, 99 % {np.percentile(off, 99):.0f} of 255")
     assert len(seen) == 6 and off.mean() < 2.0
 
 
-# --- layers -----------------------------------------------------------------------------------
+# --- the eye ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("shape", bgr_image_policy.CONVOLUTIONS)
-def test_patches_make_a_convolution(shape: tuple[int, int, int]) -> None:
-    """Against the sum that defines it."""
-    size, stride, pad = shape
+@pytest.mark.parametrize("shape", bgr_eye.CONVOLUTIONS)
+def test_a_convolution_is_the_sum_that_defines_it(shape: tuple[int, int, int]) -> None:
+    size, stride, dilation = shape
     rng = np.random.default_rng(1)
-    x, weight = rng.normal(size=(2, 16, 20, 3)), rng.normal(size=(size, size, 3, 4))
-    found = bgr_image_policy.patches(x, size, stride, pad) @ weight.reshape(-1, 4)
+    x, weight = rng.normal(size=(2, 12, 16, 3)), rng.normal(size=(size, size, 3, 4))
+    bias = rng.normal(size=4)
+    found = bgr_eye.convolve(x, weight, bias, stride, dilation)
+    pad = dilation * (size // 2)
     padded = np.pad(x, ((0, 0), (pad, pad), (pad, pad), (0, 0)))
-    assert found.shape == (2, (16 + 2 * pad - size) // stride + 1,
-                           (20 + 2 * pad - size) // stride + 1, 4)  # fmt: skip
+    assert found.shape == (2, 12 // stride, 16 // stride, 4)
     for b, i, k in np.ndindex(*found.shape[:3]):
-        part = padded[b, i * stride : i * stride + size, k * stride : k * stride + size]
-        np.testing.assert_allclose(found[b, i, k], np.einsum("ijc,ijco->o", part, weight))
+        row, column = i * stride, k * stride
+        reach = dilation * (size - 1) + 1
+        part = padded[b, row : row + reach : dilation, column : column + reach : dilation]
+        np.testing.assert_allclose(found[b, i, k], bias + np.einsum("ijc,ijco->o", part, weight))
 
 
-def test_a_place_is_where_a_map_is_high() -> None:
-    maps = np.zeros((1, 24, 24, 2))
-    maps[0, 6, 20, 0], maps[0, 23, 0, 1] = 60.0, 60.0
-    down, right, mean = np.split(bgr_image_policy.places(maps, bgr_image_policy.shares(maps))[0], 3)
-    np.testing.assert_allclose(down, [2 * 6 / 23 - 1, 1.0], atol=1e-9)
-    np.testing.assert_allclose(right, [2 * 20 / 23 - 1, -1.0], atol=1e-9)
-    np.testing.assert_allclose(mean, 60.0 / 24**2)
+def test_a_heat_map_peaks_at_its_mark_and_is_empty_for_a_mark_outside() -> None:
+    marks = np.zeros((1, 2, 2))
+    cell = bgr_eye.grid(bgr_eye.CELLS)[7 * bgr_eye.CELLS + 21]
+    marks[0, 0], marks[0, 1] = cell, (0.0, 3.0)
+    heat = train_bgr_eye.heats(marks)[0]
+    assert heat[:, 0].argmax() == 7 * bgr_eye.CELLS + 21
+    assert heat[:, 0].sum() == pytest.approx(1.0) and heat[:, 1].sum() == 0.0
 
 
-def test_the_gradient_is_that_of_the_loss() -> None:
-    """Against central differences in float64, of parameters of every layer."""
-    rng = np.random.default_rng(3)
-    few = dataclasses.replace(FEW, maps=(4, 5, 3), hidden=(7, 6), chunk=1, ahead=())
-    shapes = train_bgr_images.shapes_of(few)
-    flat = rng.normal(0.0, 0.4, sum((a + 1) * b for a, b in shapes))
-    layers, ends, at = [], [], 0
-    for a, b in shapes:
-        weight = flat[at : at + a * b].reshape(a, b)
-        layers.append((weight, flat[at + a * b : at + (a + 1) * b]))
-        at += (a + 1) * b
-        ends.append(at)
-    network = bgr_image_policy.ImageNetwork(layers)
-    grads = [(np.zeros((a, b)), np.zeros(b)) for a, b in shapes]
-    pictures = rng.normal(size=(3, 24, 24, bgr_image_policy.CHANNELS))
-    numbers = rng.normal(size=(3, bgr_image_policy.NUMBERS))
-    target = rng.normal(size=(3, 5))
-    train_bgr_images.gradient_of(network, grads, pictures, numbers, target)
-    slope = np.concatenate([np.append(w.ravel(), b) for w, b in grads])
+def test_marks_are_where_a_pinhole_shows_the_points() -> None:
+    """Against the picture: the red spot is the target, the green one the robot's tip."""
+    shown = made.episode(3)
+    columns = bgr_policy.Columns(STATE, TASK)
+    found = train_bgr_eye.labels(shown.task, columns.task, np.eye(4), shown.camera, made.K)
+    for step in (0, 10):
+        for name, colour in (("helper", 0), ("tip", 1)):
+            spot = np.argwhere(shown.views[step][:, :, colour] > 200).mean(axis=0) + 0.5
+            mark = found.marks[step, bgr_eye.MAPS.index(name)]
+            np.testing.assert_allclose(mark, spot / (made.SIDE / 2) - 1, atol=0.02)
+    np.testing.assert_allclose(found.points[0, 2], made.DISTANCE)
 
-    def loss() -> float:
-        error = np.abs(network(pictures, numbers) - target)
-        return float(np.mean(np.where(error < 0.5, 0.5 * error**2, 0.5 * (error - 0.25))))
 
-    step, checked = 1e-6, 0
-    for begin, end in zip([0, *ends[:-1]], ends, strict=True):
-        for i in [*rng.integers(begin, end, 40), end - 1]:
-            kept = flat[i]
-            flat[i] = kept + step
-            up = loss()
-            flat[i] = kept - step
-            down = loss()
-            flat[i] = kept
-            assert slope[i] == pytest.approx((up - down) / (2 * step), abs=1e-8, rel=1e-4)
-            checked += 1
-    assert np.count_nonzero(slope) > 0.5 * len(slope)
-    print(f"{checked} of {flat.size} parameters in {len(shapes)} layers")
+def test_the_tube_is_found_beside_where_the_assistant_points() -> None:
+    """A tube drawn as a slanted ridge: the place goes onto it, the direction along it."""
+    eye = made.eye()
+    eye.pointed[0] = (0.05, 0.0)  # the place is below the assistant's tip
+    cells = bgr_eye.grid(bgr_eye.CELLS)
+    along = np.array([-0.2, 1.0]) / np.hypot(0.2, 1.0)
+    across = np.array([along[1], -along[0]])
+    foot = np.array([0.1, 0.2])
+    tube = np.exp(-0.5 * (((cells - foot) @ across) / 0.07) ** 2).reshape(30, 30)
+    helper = foot + 0.06 * across - (0.05, 0.0)
+    said = eye._points(helper, tube)
+    np.testing.assert_allclose(said[:3] / made.REACH, [foot[1], foot[0], 1 / 0.3], atol=0.02)
+    np.testing.assert_allclose(said[3:6], [along[1], along[0], 0.0], atol=0.03)
+    nothing = eye._points(helper, np.zeros((30, 30)))
+    assert np.isfinite(nothing).all() and nothing[-1] < 0.01 < said[-1]
+
+
+@pytest.mark.skipif(not os.environ.get("SURG_TEST_FULL"), reason="./surg test --full")
+def test_it_learns_to_look() -> None:
+    """Where the spot is, is said by the picture only."""
+    pytest.importorskip("torch")
+    columns = bgr_policy.Columns(STATE, TASK)
+    dataset = made.dataset(10, 2)
+    marked = train_bgr_images.marks(dataset, columns)
+    views = {k: np.concatenate([e.views for e in v]) for k, v in dataset.episodes.items()}
+    off = []
+    for steps in (1, 150):
+        options = train_bgr_eye.EyeOptions(steps=steps, batch=16, channels=(8,) * 6, hidden=32)
+        eye = train_bgr_eye.train_eye(views["train"], marked["train"], options, 0)
+        seen = train_bgr_images.look(eye, views["val"])
+        off.append(train_bgr_eye.errors(seen, marked["val"])["helper"][0])
+    print(f"median error {off[0]:.3f} -> {off[1]:.3f} half heights")
+    assert off[1] < 0.5 * off[0]
+
+
+def test_the_memory_keeps_where_the_assistant_pointed() -> None:
+    """Not where its tip passes, nor where it is when its jaws are open."""
+    memory = bgr_eye.Memory()
+    answer = np.zeros(bgr_eye.SAID)
+    answer[bgr_eye.NEAR], answer[bgr_eye.ALONG] = 0.5, (1.0, 0.0, 0.0)
+
+    def show(steps: int, target: float, jaw: float, speed: float, at: float) -> np.ndarray:
+        for step in range(steps):
+            answer[bgr_eye.TARGET], answer[bgr_eye.OTHER_JAW] = target, jaw
+            answer[bgr_eye.PLACE] = (0.0, at + step * speed)
+            said = memory.add(answer)
+        return said
+
+    passing = show(20, 0.1, 0.0, 0.02, 0.0)
+    assert passing[6] < 0.1 and passing[7] < 0.01
+    waiting = bgr_eye.Memory()
+    answer[bgr_eye.PLACE] = (0.0, 0.0)
+    for _ in range(20):  # it has not begun
+        assert waiting.add(answer)[7] == 0.0
+    pointing = show(12, 0.02, 0.0, 0.0, 0.4)
+    np.testing.assert_allclose(pointing[:3], 0.02, atol=0.001)
+    assert pointing[6] == 1.0 and pointing[7] > 0.95
+    grasping = show(60, 0.07, 0.6, 0.0, 0.4)
+    np.testing.assert_allclose(grasping[:3], pointing[:3], atol=1e-3)
+    np.testing.assert_allclose(grasping[3:6], (1.0, 0.0, 0.0))
 
 
 # --- learning and acting ----------------------------------------------------------------------
 
 
 def test_one_seed_one_policy(policy: bgr_image_policy.ImagePolicy) -> None:
-    again = train_bgr_images.train(made.dataset(), FEW)
-    other = train_bgr_images.train(made.dataset(), dataclasses.replace(FEW, seed=1))
+    again, other = hand_trained(FEW), hand_trained(dataclasses.replace(FEW, seed=1))
     assert again.hash == policy.hash != other.hash
     assert again.about["privileged"] == []
     assert again.about["observation"] == ["observation.state", bgr_image_policy.PICTURE]
 
 
-def test_the_default_network_is_small() -> None:
-    shapes = train_bgr_images.shapes_of(train_bgr_images.Options())
-    count = sum((a + 1) * b for a, b in shapes)
-    print(f"{count} parameters")
-    assert count <= 500_000
+def test_how_to_miss_is_not_learned() -> None:
+    """Jaws that close and open again have missed: the steps up to the closing are left out."""
+    jaw = np.array([0, 0, 0.7, 0.7, 0.7, 0, 0, 0, 0.7, 0.7, 0, 0, 0, 0], float)
+    out = np.flatnonzero(train_bgr_images.missed(jaw))
+    np.testing.assert_array_equal(out, [2, 3, 4, 5])
+    assert not train_bgr_images.missed(jaw[8:]).any()
 
 
-def test_it_learns_to_look() -> None:
-    """Where the spot is, is said by the picture only."""
-    options = dataclasses.replace(FEW, maps=(8, 8, 8), hidden=(32, 32), batch=24, rate=3e-3)
-    before = train_bgr_images.train(made.dataset(12), dataclasses.replace(options, steps=1))
-    after = train_bgr_images.train(made.dataset(12), dataclasses.replace(options, steps=150))
-    print(f"loss on val {before.about['loss']['val']:.3f} -> {after.about['loss']['val']:.3f}")
-    assert after.about["loss"]["val"] < 0.6 * before.about["loss"]["val"]
-
-
-def test_a_command_that_is_moved_aside_is_led_back() -> None:
-    columns = bgr_image_policy.state_columns(STATE)
-    known = train_bgr_images.Samples.of(made.dataset().episodes["train"], columns, FEW)
-    rows = np.random.default_rng(2).permutation(len(known.numbers))
+def test_a_command_that_is_moved_aside_is_led_back(policy: bgr_image_policy.ImagePolicy) -> None:
+    columns = bgr_policy.Columns(STATE, TASK)
+    shown = made.dataset(2).episodes["train"]
+    seen = [train_bgr_images.look(policy.network.eye, e.views) for e in shown]
+    known = train_bgr_images.Samples.of(shown, seen, columns, 4)
+    rows = np.random.default_rng(2).permutation(len(known.inputs))
     push = 0.005 * np.random.default_rng(3).standard_normal((len(rows), 3))
-    left = np.exp(-np.array([1, 2, 3, 4, 9]) / 5.0)
+    left = np.exp(-np.array([1, 2, 3, 4]) / 5.0)
     x, y = known.pushed(rows, push, left)
-    x_0, y_0, free = known.numbers[rows], known.targets[rows], known.free[rows]
+    x_0, y_0, free = known.inputs[rows], known.targets[rows], known.free[rows]
     assert 0.2 < free.mean() < 0.9
     here = bgr_image_policy.HERE
-    np.testing.assert_allclose((x - x_0)[:, here][free, :3], push[free], atol=1e-15)
-    np.testing.assert_allclose((x - x_0)[free, :3], -push[free], atol=1e-15)
+    np.testing.assert_allclose((x - x_0)[:, here][free], push[free], atol=1e-15)
+    for i in range(2):
+        moved = (x - x_0)[free, 3 * i : 3 * i + 3]
+        np.testing.assert_allclose(moved, -push[free], atol=1e-15)
     aside = (y[:, :, :3] + push[:, None]) - y_0[:, :, :3]
     np.testing.assert_allclose(aside[free], (push[:, None] * left[:, None])[free], atol=1e-15)
-    np.testing.assert_array_equal(y[:, :, 3:], y_0[:, :, 3:])
     np.testing.assert_array_equal(x[~free], x_0[~free])
     np.testing.assert_array_equal(y[~free], y_0[~free])
 
 
 def test_acting_step_by_step_is_what_was_trained(policy: bgr_image_policy.ImagePolicy) -> None:
-    """Pictures of before included: chunks one by one are those of the whole episode."""
+    """The memory included: chunks one by one are those of the whole episode."""
     shown = made.episode(99)
     columns = bgr_image_policy.state_columns(STATE)
     for _ in range(2):  # the second time after a reset
@@ -207,10 +251,9 @@ def test_acting_step_by_step_is_what_was_trained(policy: bgr_image_policy.ImageP
             chunks.append(policy.act(seen))
             assert chunks[-1].shape == (4, 5) and chunks[-1].dtype == np.float64
             last = chunks[-1][0, :4]
-        whole = train_bgr_images.Samples.of([shown], columns, FEW)
-        numbers = bgr_image_policy.numbers(columns, shown.state, np.array(said))
-        rows = np.arange(len(shown.state))
-        made_at_once = policy.look(whole.pictures(rows), numbers, np.array(said))
+        seen_all = train_bgr_images.look(policy.network.eye, shown.views)
+        inputs = bgr_image_policy.features(columns, shown.state, seen_all, np.array(said))
+        made_at_once = policy.predict(inputs, np.array(said))
         np.testing.assert_allclose(np.array(chunks), made_at_once, atol=1e-5)
 
 
@@ -266,6 +309,7 @@ def test_a_dataset_without_pictures_is_named(
     out = tmp_path / "w.npz"
     assert train_bgr_images.main([str(tmp_path), "--out", str(out)]) == 2
     said = capsys.readouterr().err
-    assert "action, observation.images.endoscope.left" in said and not out.exists()
+    assert "observation.camera_pose, observation.images.endoscope.left" in said
+    assert not out.exists()
     with pytest.raises(ValueError, match="'train'"):
         train_bgr_images.train(made.dataset(0, 1), FEW)

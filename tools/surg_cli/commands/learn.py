@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.graph import episode_film, episode_plans
-from surg_cli.host import cells, paths, preflight
+from surg_cli.host import cells, paths, preflight, provision
 from surg_cli.host.terminal import Problem, say, table, warn
 from surg_cli.learning import learn_stages, rollouts
 from surg_cli.learning.recipes import CAMERA_RECIPES, LEARNERS, STATE_RECIPES, Request
@@ -44,6 +44,10 @@ def main(options: argparse.Namespace, command: str) -> int:
     """Do all stages; the last line printed is the path of summary.json."""
     request = _check(options)
     out = _folder(options.out, request)
+    if request.recipe.packages:
+        provision.install_packages(
+            paths.STATE / "logs" / "apt.log", optional=request.recipe.packages
+        )
     say(
         f"learn: {request.task}{', from camera images' if request.cameras else ''}, "
         f"{request.setting}, {request.episodes} demonstrations, {request.rollouts} roll-outs "

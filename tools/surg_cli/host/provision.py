@@ -22,7 +22,7 @@ APT_OPTIONS = ("-o", "DPkg::Lock::Timeout=600", "-y", "--no-install-recommends")
 APT_LINES_PER_PACKAGE = 5
 LATER = ("opencv", "later")
 """Sets of the package list (lines `# == NAME`) that wait for a command that needs them."""
-OPTIONAL = ("gstreamer",)
+OPTIONAL = ("gstreamer", "torch")
 """Sets that are installed on request only."""
 
 

@@ -1,0 +1,231 @@
+"""What one endoscope picture says about bowel grasping and retraction; numpy only.
+
+A convolutional network finds points of the tissue and the instruments, each with an uncertainty.
+`Memory` fuses what successive pictures say. `train_bgr_eye.py` trains the network.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+Array = np.ndarray
+
+SIDE = 120
+"""Side of the input picture [px]."""
+CELLS = SIDE // 4
+"""Side of a heat map."""
+MAPS = ("helper", "tip")
+"""Heat maps of points: the assistant's tip and the robot's own."""
+CONVOLUTIONS = ((5, 2, 1), (3, 2, 1), (3, 1, 1), (3, 1, 2), (3, 1, 4), (3, 1, 1))
+"""Patch size, stride and dilation of each convolution."""
+HELD, OTHER_HELD, OTHER_JAW, TENSION = range(4)
+"""Outputs of the perceptron: the chances that the robot and the assistant hold the bowel, the
+assistant's jaw angle [rad], the tension [N]."""
+TARGET, ALONG, HELPER, PLACE, NEAR = slice(4, 7), slice(7, 10), slice(10, 13), slice(13, 15), 15
+"""Further columns of the answer, all in the rcm frame: where on the bowel the assistant would point
+[m], the tube's direction there, the assistant's tip as if it lay on the bowel [m], its place in the
+picture, and how much of the tube is seen where it would point, 0 to 1."""
+SAID = 16
+WINDOWS = (2.5, 1.5)
+"""Standard deviations of the windows in which the tube is looked for, in turn [cells]."""
+OFF = 0.1
+"""Standard deviation of the distance between the place that the assistant's tip alone tells and the
+tube [half picture heights]."""
+LAG = 4
+"""Steps between two looks at the assistant, which tell whether it moves."""
+STILL, SHUT = 0.012, 0.15
+"""An assistant that points moves less than this in `LAG` steps [half picture heights], and its jaws
+are less open than this [rad]."""
+MOVED = 0.15
+"""An assistant that points has moved at least so far since the beginning [half picture heights]."""
+FIRST = 0.05
+"""Weight of the first look, before anybody points."""
+
+
+def small(picture: Array) -> Array:
+    """The middle square of a picture, scaled down: each pixel is the mean of a block.
+
+    Training and acting use the same function.
+
+    Args:
+        picture: (height, width, 3), uint8; height a multiple of `SIDE`, width at least the height.
+
+    Returns:
+        (SIDE, SIDE, 3), uint8.
+
+    Raises:
+        ValueError: It has another shape.
+    """
+    shape = np.shape(picture)
+    if len(shape) != 3 or shape[2] != 3 or shape[0] % SIDE or not 0 < shape[0] <= shape[1]:
+        raise ValueError(
+            f"a picture of shape {shape}: a height of {SIDE}, {2 * SIDE}, {3 * SIDE}, ... pixels"
+            " is needed, at least as much width, and three colours"
+        )
+    height, block, left = shape[0], shape[0] // SIDE, (shape[1] - shape[0]) // 2
+    middle = picture[:, left : left + height]
+    rows = middle.reshape(SIDE, block, 3 * height).sum(axis=1, dtype=np.uint32)
+    sums = rows.reshape(SIDE, SIDE, block, 3).sum(axis=2, dtype=np.uint32)
+    return ((sums + block**2 // 2) // block**2).astype(np.uint8)
+
+
+def scaled(views: Array) -> Array:
+    """Input of the network from views (B, SIDE, SIDE, 3): float32, about -2 to 2."""
+    return (views.astype(np.float32) - 128.0) / 64.0
+
+
+def convolve(x: Array, weight: Array, bias: Array, stride: int, dilation: int) -> Array:
+    """Convolution with zero padding that keeps the size, but for the stride.
+
+    Args:
+        x: (B, H, W, C).
+        weight: (k, k, C, D).
+        bias: (D,).
+        stride: From one patch to the next.
+        dilation: From one pixel of a patch to the next.
+
+    Returns:
+        (B, H / stride, W / stride, D).
+    """
+    B, H, W, C = x.shape
+    k = weight.shape[0]
+    pad = dilation * (k // 2)
+    padded = np.zeros((B, H + 2 * pad, W + 2 * pad, C), x.dtype)
+    padded[:, pad : pad + H, pad : pad + W] = x
+    h, w = (H + stride - 1) // stride, (W + stride - 1) // stride
+    parts = [
+        padded[
+            :,
+            i * dilation : i * dilation + stride * (h - 1) + 1 : stride,
+            j * dilation : j * dilation + stride * (w - 1) + 1 : stride,
+        ]
+        for i in range(k)
+        for j in range(k)
+    ]
+    columns = np.concatenate(parts, axis=3).reshape(B * h * w, k * k * C)
+    return (columns @ weight.reshape(k * k * C, -1) + bias).reshape(B, h, w, -1)
+
+
+def grid(n: int) -> Array:
+    """Coordinates of a map's n x n cells, -1 to 1, (n * n, 2): down, right."""
+    line = np.linspace(-1, 1, n)
+    down, right = np.meshgrid(line, line, indexing="ij")
+    return np.column_stack([down.ravel(), right.ravel()]).astype(np.float32)
+
+
+def shares(maps: Array) -> Array:
+    """Spatial softmax of each map: (B, n, n, M) to (B, n * n, M)."""
+    flat = maps.reshape(len(maps), -1, maps.shape[3])
+    powers = np.exp(flat - flat.max(axis=1, keepdims=True))
+    return powers / powers.sum(axis=1, keepdims=True)
+
+
+def square(places: Array) -> Array:
+    """Terms of a quadratic in places (N, 2): (N, 6)."""
+    u, v = places[:, 0], places[:, 1]
+    return np.column_stack([np.ones_like(u), u, v, u * u, u * v, v * v])
+
+
+class Eye:
+    """Convolutions, heat maps, and a multilayer perceptron over what is found; float32.
+
+    A spatial softmax turns heat maps into coordinates finer than a cell (Levine et al. 2016). No
+    point is regressed from the whole picture: a network that sees few scenes learns them by heart.
+
+    Args:
+        layers: Weights and biases: of `CONVOLUTIONS` (k, k, C, D), of the heat maps and of the map
+            of the tube (C, M), of the three layers of the perceptron (n_in, n_out).
+        plane: (6, 3) from `square` of a place in the picture to the resting bowel's axis [m].
+        pointed: (3, 2) from 1 and the place of an assistant's tip that points to the place of what
+            it points at.
+    """
+
+    def __init__(self, layers: Sequence[tuple[Array, Array]], plane: Array, pointed: Array) -> None:
+        self.layers, self.plane, self.pointed = list(layers), plane, pointed
+
+    def __call__(self, views: Array) -> Array:
+        """What views (B, SIDE, SIDE, 3), uint8, say: (B, SAID), see `HELD` to `NEAR`."""
+        n = len(CONVOLUTIONS)
+        x = scaled(views)
+        for (weight, bias), (_, stride, dilation) in zip(
+            self.layers[:n], CONVOLUTIONS, strict=True
+        ):
+            x = np.maximum(convolve(x, weight, bias, stride, dilation), 0.0)
+        weight, bias = self.layers[n]
+        maps = x @ weight + bias
+        share = shares(maps[..., : len(MAPS)])
+        flat = x.reshape(len(x), -1, x.shape[3])
+        where = np.matmul(share.transpose(0, 2, 1), grid(x.shape[1]))
+        there = np.matmul(share.transpose(0, 2, 1), flat)
+        y = np.concatenate(
+            [where.reshape(len(x), -1), flat.mean(axis=1), there.reshape(len(x), -1)], axis=1
+        )
+        for weight, bias in self.layers[-3:-1]:
+            y = np.maximum(y @ weight + bias, 0.0)
+        weight, bias = self.layers[-1]
+        said = (y @ weight + bias).astype(np.float64)
+        said[:, :2] = 1.0 / (1.0 + np.exp(-np.clip(said[:, :2], -9, 9)))
+        tube = 1.0 / (1.0 + np.exp(-np.clip(maps[..., len(MAPS)], -9, 9)))
+        points = [self._points(*each) for each in zip(where[:, 0], tube, strict=True)]
+        return np.column_stack([said, points])
+
+    def _points(self, helper: Array, tube: Array) -> Array:
+        """`TARGET` to `NEAR` for the assistant's place (2,) and the map of the tube (n, n)."""
+        cells = grid(len(tube)).astype(np.float64)
+        cell = 2.0 / (len(tube) - 1)
+        at = guess = np.append(1.0, helper) @ self.pointed
+        for width in WINDOWS:
+            window = np.exp(-0.5 * ((cells - at) ** 2).sum(axis=1) / (width * cell) ** 2)
+            weight = window * tube.ravel()
+            total = weight.sum() + 1e-9
+            near = total / (window.sum() + 1e-9)
+            if near < 0.02:
+                break
+            at = weight @ cells / total
+        away = cells - at
+        _, axes = np.linalg.eigh((away * weight[:, None]).T @ away / total)
+        ends = np.array([at - cell * axes[:, 1], at, at + cell * axes[:, 1], helper])
+        # The tube goes from right to left.
+        ends[[0, 2]] = ends[[0, 2]] if axes[1, 1] > 0 else ends[[2, 0]]
+        p = square(ends) @ self.plane
+        near = min(near, 1.0) * np.exp(-0.5 * ((at - guess) @ (at - guess)) / OFF**2)
+        along = (p[2] - p[0]) / max(float(np.linalg.norm(p[2] - p[0])), 1e-6)
+        return np.concatenate([p[1], along, p[3], helper, [near]])
+
+
+class Memory:
+    """Where the assistant pointed: a mean over the pictures in which it does.
+
+    The assistant points, and is gone before the robot arrives. What its pictures said stays.
+    """
+
+    def __init__(self) -> None:
+        self._weight = 0.0
+        self._sum = np.zeros(6)
+        self._places: list[Array] = []
+        self._first: Array | None = None
+
+    def add(self, answer: Array) -> Array:
+        """Take an answer of `Eye`, (SAID,).
+
+        Returns:
+            (8,): the place pointed at [m], the tube's direction there, how certain it is, 0 to 1,
+            and whether the assistant points now, 0 to 1.
+        """
+        self._places = [*self._places[-LAG:], np.array(answer[PLACE])]
+        moved = float(np.linalg.norm(self._places[-1] - self._places[0]))
+        points = np.exp(-0.5 * (moved / STILL) ** 2) / (
+            1.0 + np.exp(np.clip((answer[OTHER_JAW] - SHUT) / 0.03, -9, 9))
+        )
+        if self._first is None:
+            self._first = self._places[0]
+        begun = float(np.linalg.norm(self._places[-1] - self._first)) > MOVED
+        points *= min(answer[NEAR] / 0.3, 1.0) * begun
+        weight = points**2 if self._weight else FIRST
+        self._weight += weight
+        self._sum += weight * np.append(answer[TARGET], answer[ALONG])
+        mean = self._sum / self._weight
+        mean[3:] /= max(float(np.linalg.norm(mean[3:])), 1e-6)
+        return np.concatenate([mean, [min(self._weight / 5.0, 1.0), points]])

@@ -1,0 +1,319 @@
+"""Trains the network of `bgr_eye.py` with PyTorch; used by `train_bgr_images.py`.
+
+Labels come from the simulator's truth (`privileged.task_state`), and are used here only. Of a real
+robot's pictures a person could mark most of them: the requested place, both tips, who holds the
+bowel. Points in space would then need two eyes or a depth camera. The tension only a simulator
+knows.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from bgr_eye import (
+    CELLS,
+    CONVOLUTIONS,
+    HELD,
+    MAPS,
+    OTHER_HELD,
+    OTHER_JAW,
+    PLACE,
+    SAID,
+    SIDE,
+    TENSION,
+    Eye,
+    grid,
+    square,
+)
+from bgr_policy import NODES
+from bgr_training import Array, half_cosine
+
+HEAT = 1.0
+"""Standard deviation of a heat map's target [cells]."""
+GRID_RATE = 20.0
+"""Pictures per second."""
+GRAINS = 32
+"""Different pictures of noise that are drawn from."""
+MOST_TENSION = 1.5
+"""Larger tensions are all alike [N]."""
+
+
+@dataclass(frozen=True)
+class EyeOptions:
+    """Training options of the eye."""
+
+    channels: tuple[int, ...] = (16, 32, 32, 32, 32, 32)
+    hidden: int = 64
+    steps: int = 1500
+    batch: int = 32
+    rate: float = 2e-3
+    """Initial learning rate; falls to zero along half a cosine."""
+    decay: float = 1e-4
+    """Weight decay."""
+    colour: float = 0.12
+    """Standard deviation of each colour's random gain."""
+    grain: float = 4.0
+    """Standard deviation of the random noise of pixels [grey levels]."""
+
+
+POINT_AT, POINT_SPEED, POINT_JAW = 0.025, 0.004, 0.1
+"""An assistant points from at most so far [m], so slowly [m/s], with jaws so shut [rad]."""
+
+
+@dataclass
+class Labels:
+    """What is to be found in N pictures.
+
+    Attributes:
+        points: (N, 3) the requested node in the rcm frame [m].
+        marks: (N, 38, 2) the assistant's tip, the robot's tip and the bowel's nodes in the picture,
+            down and right, -1 to 1 in the middle square.
+        others: (N, 4) whether the robot and the assistant hold the bowel, the assistant's jaw angle
+            [rad], the tension [N].
+        rest: (N, 36, 3) the nodes in the rcm frame [m].
+        free: (N,) whether nobody has touched the bowel.
+        pointing: (N,) whether the assistant points.
+        target: (N,) number of the requested node.
+    """
+
+    points: Array
+    marks: Array
+    others: Array
+    rest: Array
+    free: Array
+    pointing: Array
+    target: Array
+
+
+def labels(
+    task: Array, columns: dict[str, Array], X_RW: Array, X_WV: Array, K: Sequence[float]
+) -> Labels:
+    """Labels of T steps of an episode.
+
+    Args:
+        task: (T, n) `privileged.task_state`.
+        columns: Of its parts, see `bgr_policy.Columns`.
+        X_RW: (4, 4) pose of the world in the rcm frame.
+        X_WV: (T, 4, 4) pose of the camera (x right, y down, z away).
+        K: (4,) focal length, principal point right and down, and height of the picture [px].
+    """
+    T = len(task)
+    nodes = task[:, columns["nodes"]].reshape(T, NODES, 3)
+    row = np.arange(T)
+    i = np.rint(task[:, columns["target"]]).astype(int).ravel()
+    helper = task[:, columns["assistant_tip"]]
+    p_W = np.concatenate([helper[:, None], task[:, None, columns["tip"]], nodes], axis=1)
+    p_V = np.einsum("tji,tpj->tpi", X_WV[:, :3, :3], p_W - X_WV[:, None, :3, 3])
+    # The middle of the picture is the principal point.
+    places = K[0] * p_V[..., :2] / np.maximum(p_V[..., 2:], 1e-3) / (K[3] / 2)
+    rest = nodes @ X_RW[:3, :3].T + X_RW[:3, 3]
+    held = task[:, [*columns["held"].ravel(), *columns["assistant_held"].ravel()]] >= 0
+    jaw = task[:, columns["assistant_jaw"]].ravel()
+    tension = np.minimum(task[:, columns["tension"]].ravel(), MOST_TENSION)
+    speed = np.linalg.norm(np.diff(helper, axis=0, prepend=helper[:1] + 1.0), axis=1) * GRID_RATE
+    away = np.linalg.norm(helper - nodes[row, i], axis=1)
+    return Labels(
+        rest[row, i],
+        places[..., ::-1],
+        np.column_stack([held, jaw, tension]),
+        rest,
+        ~np.maximum.accumulate(held.any(axis=1)),
+        (away < POINT_AT) & (speed < POINT_SPEED) & (jaw < POINT_JAW),
+        i,
+    )
+
+
+def heats(marks: Array) -> Array:
+    """Targets of the heat maps, (B, CELLS * CELLS, M): a Gaussian about each mark, of sum 1.
+
+    A mark outside the picture has a map of zeros.
+    """
+    away = grid(CELLS)[None, :, None, :] - marks[:, None, :, :].astype(np.float32)
+    step = 2.0 / (CELLS - 1)
+    heat = np.exp(-0.5 * (away**2).sum(axis=3) / (HEAT * step) ** 2)
+    total = heat.sum(axis=1, keepdims=True)
+    return np.where(total > 1.0, heat / np.maximum(total, 1e-9), 0.0).astype(np.float32)
+
+
+def tubes(nodes: Array) -> Array:
+    """Targets of the map of the tube, (B, CELLS * CELLS): 1 on its axis, a Gaussian across.
+
+    Args:
+        nodes: (B, 36, 2) marks of the nodes.
+    """
+    between = 0.5 * (nodes[:, 1:] + nodes[:, :-1])
+    marks = np.concatenate([nodes, between], axis=1).astype(np.float32)
+    cells = grid(CELLS)
+    square_away = (
+        (cells**2).sum(axis=1)[None, :, None]
+        + (marks**2).sum(axis=2)[:, None, :]
+        - 2.0 * np.einsum("cd,bmd->bcm", cells, marks)
+    )
+    step = 2.0 / (CELLS - 1)
+    return np.exp(-0.5 * square_away.min(axis=2) / (HEAT * step) ** 2).astype(np.float32)
+
+
+def camera_maps(labels: Labels) -> tuple[Array, Array]:
+    """`plane` and `pointed` of an `Eye`, by least squares over what the labels show.
+
+    Raises:
+        ValueError: Nobody points in any picture.
+    """
+    free = labels.free & (np.arange(len(labels.free)) % 5 == 0)
+    inside = (np.abs(labels.marks[free, 2:]) < 1.0).all(axis=2)
+    plane = np.linalg.lstsq(
+        square(labels.marks[free, 2:][inside]), labels.rest[free][inside], rcond=None
+    )[0]
+    shown = np.flatnonzero(labels.pointing & labels.free)
+    if len(shown) < 3:
+        raise ValueError("the assistant points in no picture of the dataset")
+    terms = np.column_stack([np.ones(len(shown)), labels.marks[shown, 0]])
+    places = labels.marks[shown, 2 + labels.target[shown]]
+    return plane, np.linalg.lstsq(terms, places, rcond=None)[0]
+
+
+def train_eye(
+    views: Array,
+    labels: Labels,
+    options: EyeOptions,
+    seed: int,
+    progress: Callable[[float, str], None] = lambda part, note: None,
+    start: Sequence[tuple[Array, Array]] = (),
+) -> Eye:
+    """Train on N pictures.
+
+    Args:
+        views: (N, SIDE, SIDE, 3), uint8.
+        labels: Of them.
+        options: See there.
+        seed: Of weights, batches and noise.
+        progress: Called with the finished share and a note.
+        start: Weights and biases to begin with, of the first layers.
+
+    Raises:
+        ValueError: PyTorch is not installed.
+    """
+    try:
+        import torch
+    except ImportError:
+        raise ValueError("PyTorch trains the eye: apt install python3-torch") from None
+    F: Any = torch.nn.functional
+
+    torch.manual_seed(seed)
+    rng = np.random.default_rng(seed)
+    plane, pointed = camera_maps(labels)
+    shapes: list[tuple[int, ...]] = []
+    before = 3
+    for (size, _, _), channels in zip(CONVOLUTIONS, options.channels, strict=True):
+        shapes.append((channels, before, size, size))
+        before = channels
+    shapes.append((len(MAPS) + 1, before, 1, 1))
+    inputs = 2 * len(MAPS) + before * (1 + len(MAPS))
+    sizes = [inputs, options.hidden, options.hidden, TENSION + 1]
+    shapes += [(b, a) for a, b in itertools.pairwise(sizes)]
+    weights = []
+    for shape in shapes:
+        scale = np.sqrt(2.0 / np.prod(shape[1:]))
+        weights.append(torch.tensor(scale * rng.standard_normal(shape), dtype=torch.float32))
+    weights[-1] *= 0.1
+    for i, (array, _) in enumerate(start):
+        weights[i] = torch.tensor(array.transpose(3, 2, 0, 1).copy())
+    biases = [torch.zeros(shape[0]) for shape in shapes]
+    for parameter in (*weights, *biases):
+        parameter.requires_grad_(True)
+    adam = torch.optim.AdamW([*weights, *biases], lr=options.rate, weight_decay=options.decay)
+    cells = torch.from_numpy(grid(CELLS))
+    others = torch.from_numpy(labels.others.astype(np.float32))
+    k = len(CONVOLUTIONS)
+
+    def convolved(x: Any) -> Any:
+        for weight, bias, (size, stride, dilation) in zip(
+            weights, biases, CONVOLUTIONS, strict=False
+        ):
+            pad = dilation * (size // 2)
+            x = F.relu(F.conv2d(x, weight, bias, stride, pad, dilation))
+        return x
+
+    def forward(x: Any) -> tuple[Any, Any, Any]:
+        # Half the numbers' length halves the time of a step; what is trained stays float32.
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            x = convolved(x)
+        x = x.float()
+        maps = F.conv2d(x, weights[k], biases[k]).flatten(2)
+        points, tube = maps[:, : len(MAPS)], maps[:, len(MAPS)]
+        share = F.softmax(points, dim=2)
+        flat = x.flatten(2)
+        there = share @ flat.transpose(1, 2)
+        # Where the instruments are is learned from their marks alone.
+        where = (share @ cells).detach()
+        y = torch.cat([where.flatten(1), flat.mean(dim=2), there.flatten(1)], dim=1)
+        y = F.relu(F.linear(y, weights[k + 1], biases[k + 1]))
+        y = F.relu(F.linear(y, weights[k + 2], biases[k + 2]))
+        return F.log_softmax(points, dim=2), tube, F.linear(y, weights[k + 3], biases[k + 3])
+
+    grain = options.grain * rng.standard_normal((GRAINS, SIDE, SIDE, 3), np.float32)
+    for step in range(options.steps):
+        for group in adam.param_groups:
+            group["lr"] = options.rate * half_cosine(step / options.steps)
+        rows = rng.integers(0, len(views), options.batch)
+        x = views[rows].astype(np.float32)
+        gain = 1.0 + options.colour * rng.standard_normal((len(rows), 1, 1, 4)).astype(np.float32)
+        x *= gain[..., :1] * gain[..., 1:]
+        x += grain[rng.integers(0, len(grain), len(rows))]
+        x = (x - 128.0) / 64.0
+        maps, tube, raw = forward(torch.from_numpy(x.transpose(0, 3, 1, 2)))
+        heat = torch.from_numpy(heats(labels.marks[rows, : len(MAPS)])).transpose(1, 2)
+        loss_heat = -(heat * maps).sum() / heat.sum().clamp_min(1.0)
+        wanted = torch.from_numpy(tubes(labels.marks[rows, len(MAPS) :]))
+        loss_tube = F.binary_cross_entropy_with_logits(tube, wanted)
+        loss_held = F.binary_cross_entropy_with_logits(raw[:, :OTHER_JAW], others[rows][:, :2])
+        loss_other = F.smooth_l1_loss(raw[:, OTHER_JAW:], others[rows][:, 2:])
+        loss = loss_heat + 5.0 * loss_tube + 2.0 * loss_held + 10.0 * loss_other
+        adam.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_([*weights, *biases], 10.0)
+        adam.step()
+        if step % 25 == 0:
+            parts = [float(v) for v in (loss_heat, loss_tube, loss_held, loss_other)]
+            note = f"eye, step {step} of {options.steps}, losses " + ", ".join(
+                f"{v:.3f}" for v in parts
+            )
+            progress(step / options.steps, note)
+    layers = []
+    for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+        array, offset = weight.detach().numpy(), bias.detach().numpy()
+        if i < k:
+            array = array.transpose(2, 3, 1, 0)
+        elif i == k:
+            array = array[:, :, 0, 0].T
+        else:
+            array = array.T
+        layers.append((np.ascontiguousarray(array), offset.copy()))
+    return Eye(layers, plane, pointed)
+
+
+def errors(seen: Array, labels: Labels) -> dict[str, Any]:
+    """How far the eye is off: median and 90th percentile, and shares right.
+
+    Args:
+        seen: (N, n) of `bgr_image_policy.remembered`.
+        labels: Of the same pictures.
+    """
+    off = np.linalg.norm(seen[:, SAID : SAID + 3] - labels.points, axis=1)
+    placed = np.linalg.norm(seen[:, PLACE] - labels.marks[:, 0], axis=1)
+    right = (seen[:, [HELD, OTHER_HELD]] > 0.5) == (labels.others[:, :2] > 0.5)
+    # Once it was pointed at, and before it is touched.
+    known = labels.free & (seen[:, -2] > 0.9)
+    quantiles = [0.5, 0.9]
+    return {
+        "target": np.quantile(off[known], quantiles).tolist() if known.any() else None,
+        "helper": np.quantile(placed, quantiles).tolist(),
+        "held": right.mean(axis=0).tolist(),
+    }
+
+
+assert SIDE == 4 * CELLS
