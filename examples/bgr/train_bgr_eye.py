@@ -38,6 +38,8 @@ GRID_RATE = 20.0
 """Pictures per second."""
 GRAINS = 32
 """Different pictures of noise that are drawn from."""
+SHARES = (1.0, 5.0, 2.0, 10.0)
+"""Weights of the losses of heat maps, tube, who holds, and jaw and tension."""
 MOST_TENSION = 1.5
 """Larger tensions are all alike [N]."""
 
@@ -176,6 +178,115 @@ def camera_maps(labels: Labels) -> tuple[Array, Array]:
     return plane, np.linalg.lstsq(terms, places, rcond=None)[0]
 
 
+class Trained:
+    """The network of an `Eye` in PyTorch, while it is trained."""
+
+    def __init__(
+        self, options: EyeOptions, rng: np.random.Generator, start: Sequence[tuple[Array, Array]]
+    ) -> None:
+        self._torch = torch = pytorch()
+        shapes: list[tuple[int, ...]] = []
+        before = 3
+        for (size, _, _), channels in zip(CONVOLUTIONS, options.channels, strict=True):
+            shapes.append((channels, before, size, size))
+            before = channels
+        shapes.append((len(MAPS) + 1, before, 1, 1))
+        inputs = 2 * len(MAPS) + before * (1 + len(MAPS))
+        sizes = [inputs, options.hidden, options.hidden, TENSION + 1]
+        shapes += [(b, a) for a, b in itertools.pairwise(sizes)]
+        self.weights = []
+        for shape in shapes:
+            scale = np.sqrt(2.0 / np.prod(shape[1:]))
+            array = scale * rng.standard_normal(shape)
+            self.weights.append(torch.tensor(array, dtype=torch.float32))
+        self.weights[-1] *= 0.1
+        for i, (array, _) in enumerate(start):
+            self.weights[i] = torch.tensor(array.transpose(3, 2, 0, 1).copy())
+        self.biases = [torch.zeros(shape[0]) for shape in shapes]
+        for parameter in self.parameters:
+            parameter.requires_grad_(True)
+        self._cells = torch.from_numpy(grid(CELLS))
+
+    @property
+    def parameters(self) -> list[Any]:
+        """Weights and biases of all layers."""
+        return [*self.weights, *self.biases]
+
+    def __call__(self, x: Any) -> tuple[Any, Any, Any]:
+        """Logarithm of the heat maps, logits of the tube, and what else is said of pictures."""
+        torch, weights, biases = self._torch, self.weights, self.biases
+        F, k = torch.nn.functional, len(CONVOLUTIONS)
+        # Half the numbers' length halves the time of a step; what is trained stays float32.
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            for weight, bias, (size, stride, dilation) in zip(
+                weights, biases, CONVOLUTIONS, strict=False
+            ):
+                pad = dilation * (size // 2)
+                x = F.relu(F.conv2d(x, weight, bias, stride, pad, dilation))
+        x = x.float()
+        maps = F.conv2d(x, weights[k], biases[k]).flatten(2)
+        points, tube = maps[:, : len(MAPS)], maps[:, len(MAPS)]
+        share = F.softmax(points, dim=2)
+        flat = x.flatten(2)
+        there = share @ flat.transpose(1, 2)
+        # Where the instruments are is learned from their marks alone.
+        where = (share @ self._cells).detach()
+        y = torch.cat([where.flatten(1), flat.mean(dim=2), there.flatten(1)], dim=1)
+        y = F.relu(F.linear(y, weights[k + 1], biases[k + 1]))
+        y = F.relu(F.linear(y, weights[k + 2], biases[k + 2]))
+        return F.log_softmax(points, dim=2), tube, F.linear(y, weights[k + 3], biases[k + 3])
+
+    def losses(self, x: Array, marks: Array, others: Array) -> tuple[Any, Any, Any, Any]:
+        """Of heat maps, tube, who holds, and jaw and tension, for a batch of pictures (B, ...)."""
+        torch = self._torch
+        F: Any = torch.nn.functional
+        maps, tube, raw = self(torch.from_numpy(x.transpose(0, 3, 1, 2)))
+        heat = torch.from_numpy(heats(marks[:, : len(MAPS)])).transpose(1, 2)
+        wanted = torch.from_numpy(tubes(marks[:, len(MAPS) :]))
+        truth = torch.from_numpy(others.astype(np.float32))
+        return (
+            -(heat * maps).sum() / heat.sum().clamp_min(1.0),
+            F.binary_cross_entropy_with_logits(tube, wanted),
+            F.binary_cross_entropy_with_logits(raw[:, :OTHER_JAW], truth[:, :2]),
+            F.smooth_l1_loss(raw[:, OTHER_JAW:], truth[:, 2:]),
+        )
+
+    def layers(self) -> list[tuple[Array, Array]]:
+        """Weights and biases as an `Eye` has them."""
+        found, k = [], len(CONVOLUTIONS)
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            array, offset = weight.detach().numpy(), bias.detach().numpy()
+            if i < k:
+                array = array.transpose(2, 3, 1, 0)
+            elif i == k:
+                array = array[:, :, 0, 0].T
+            else:
+                array = array.T
+            found.append((np.ascontiguousarray(array), offset.copy()))
+        return found
+
+
+def pytorch() -> Any:
+    """The module.
+
+    Raises:
+        ValueError: It is not installed.
+    """
+    try:
+        import torch
+    except ImportError:
+        raise ValueError("PyTorch trains the eye: apt install python3-torch") from None
+    return torch
+
+
+def varied(x: Array, grain: Array, colour: float, rng: np.random.Generator) -> Array:
+    """Pictures (B, SIDE, SIDE, 3) in other light, with noise of a sensor, as the eye takes them."""
+    gain = 1.0 + colour * rng.standard_normal((len(x), 1, 1, 4)).astype(np.float32)
+    x = x.astype(np.float32) * gain[..., :1] * gain[..., 1:]
+    x += grain[rng.integers(0, len(grain), len(x))]
+    return (x - 128.0) / 64.0
+
+
 def train_eye(
     views: Array,
     labels: Labels,
@@ -195,105 +306,31 @@ def train_eye(
         start: Weights and biases to begin with, of the first layers.
 
     Raises:
-        ValueError: PyTorch is not installed.
+        ValueError: PyTorch is not installed, or nobody points in any picture.
     """
-    try:
-        import torch
-    except ImportError:
-        raise ValueError("PyTorch trains the eye: apt install python3-torch") from None
-    F: Any = torch.nn.functional
-
+    torch = pytorch()
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
     plane, pointed = camera_maps(labels)
-    shapes: list[tuple[int, ...]] = []
-    before = 3
-    for (size, _, _), channels in zip(CONVOLUTIONS, options.channels, strict=True):
-        shapes.append((channels, before, size, size))
-        before = channels
-    shapes.append((len(MAPS) + 1, before, 1, 1))
-    inputs = 2 * len(MAPS) + before * (1 + len(MAPS))
-    sizes = [inputs, options.hidden, options.hidden, TENSION + 1]
-    shapes += [(b, a) for a, b in itertools.pairwise(sizes)]
-    weights = []
-    for shape in shapes:
-        scale = np.sqrt(2.0 / np.prod(shape[1:]))
-        weights.append(torch.tensor(scale * rng.standard_normal(shape), dtype=torch.float32))
-    weights[-1] *= 0.1
-    for i, (array, _) in enumerate(start):
-        weights[i] = torch.tensor(array.transpose(3, 2, 0, 1).copy())
-    biases = [torch.zeros(shape[0]) for shape in shapes]
-    for parameter in (*weights, *biases):
-        parameter.requires_grad_(True)
-    adam = torch.optim.AdamW([*weights, *biases], lr=options.rate, weight_decay=options.decay)
-    cells = torch.from_numpy(grid(CELLS))
-    others = torch.from_numpy(labels.others.astype(np.float32))
-    k = len(CONVOLUTIONS)
-
-    def convolved(x: Any) -> Any:
-        for weight, bias, (size, stride, dilation) in zip(
-            weights, biases, CONVOLUTIONS, strict=False
-        ):
-            pad = dilation * (size // 2)
-            x = F.relu(F.conv2d(x, weight, bias, stride, pad, dilation))
-        return x
-
-    def forward(x: Any) -> tuple[Any, Any, Any]:
-        # Half the numbers' length halves the time of a step; what is trained stays float32.
-        with torch.autocast("cpu", dtype=torch.bfloat16):
-            x = convolved(x)
-        x = x.float()
-        maps = F.conv2d(x, weights[k], biases[k]).flatten(2)
-        points, tube = maps[:, : len(MAPS)], maps[:, len(MAPS)]
-        share = F.softmax(points, dim=2)
-        flat = x.flatten(2)
-        there = share @ flat.transpose(1, 2)
-        # Where the instruments are is learned from their marks alone.
-        where = (share @ cells).detach()
-        y = torch.cat([where.flatten(1), flat.mean(dim=2), there.flatten(1)], dim=1)
-        y = F.relu(F.linear(y, weights[k + 1], biases[k + 1]))
-        y = F.relu(F.linear(y, weights[k + 2], biases[k + 2]))
-        return F.log_softmax(points, dim=2), tube, F.linear(y, weights[k + 3], biases[k + 3])
-
+    network = Trained(options, rng, start)
+    parameters = network.parameters
+    adam = torch.optim.AdamW(parameters, lr=options.rate, weight_decay=options.decay)
     grain = options.grain * rng.standard_normal((GRAINS, SIDE, SIDE, 3), np.float32)
     for step in range(options.steps):
         for group in adam.param_groups:
             group["lr"] = options.rate * half_cosine(step / options.steps)
         rows = rng.integers(0, len(views), options.batch)
-        x = views[rows].astype(np.float32)
-        gain = 1.0 + options.colour * rng.standard_normal((len(rows), 1, 1, 4)).astype(np.float32)
-        x *= gain[..., :1] * gain[..., 1:]
-        x += grain[rng.integers(0, len(grain), len(rows))]
-        x = (x - 128.0) / 64.0
-        maps, tube, raw = forward(torch.from_numpy(x.transpose(0, 3, 1, 2)))
-        heat = torch.from_numpy(heats(labels.marks[rows, : len(MAPS)])).transpose(1, 2)
-        loss_heat = -(heat * maps).sum() / heat.sum().clamp_min(1.0)
-        wanted = torch.from_numpy(tubes(labels.marks[rows, len(MAPS) :]))
-        loss_tube = F.binary_cross_entropy_with_logits(tube, wanted)
-        loss_held = F.binary_cross_entropy_with_logits(raw[:, :OTHER_JAW], others[rows][:, :2])
-        loss_other = F.smooth_l1_loss(raw[:, OTHER_JAW:], others[rows][:, 2:])
-        loss = loss_heat + 5.0 * loss_tube + 2.0 * loss_held + 10.0 * loss_other
+        x = varied(views[rows], grain, options.colour, rng)
+        parts = network.losses(x, labels.marks[rows], labels.others[rows])
+        loss = sum(share * part for share, part in zip(SHARES, parts, strict=True))
         adam.zero_grad()
         loss.backward()
-        torch.nn.utils.clip_grad_norm_([*weights, *biases], 10.0)
+        torch.nn.utils.clip_grad_norm_(parameters, 10.0)
         adam.step()
         if step % 25 == 0:
-            parts = [float(v) for v in (loss_heat, loss_tube, loss_held, loss_other)]
-            note = f"eye, step {step} of {options.steps}, losses " + ", ".join(
-                f"{v:.3f}" for v in parts
-            )
-            progress(step / options.steps, note)
-    layers = []
-    for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
-        array, offset = weight.detach().numpy(), bias.detach().numpy()
-        if i < k:
-            array = array.transpose(2, 3, 1, 0)
-        elif i == k:
-            array = array[:, :, 0, 0].T
-        else:
-            array = array.T
-        layers.append((np.ascontiguousarray(array), offset.copy()))
-    return Eye(layers, plane, pointed)
+            said = ", ".join(f"{float(part):.3f}" for part in parts)
+            progress(step / options.steps, f"eye, step {step} of {options.steps}, losses {said}")
+    return Eye(network.layers(), plane, pointed)
 
 
 def errors(seen: Array, labels: Labels) -> dict[str, Any]:

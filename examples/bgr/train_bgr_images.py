@@ -343,27 +343,7 @@ def train_hand(
         "plane": eye.plane,
         "pointed": eye.pointed,
     }
-    rng = np.random.default_rng(options.seed)
-    sizes = [known.inputs.shape[1], *options.hidden, 5 * options.chunk]
-    shapes = list(itertools.pairwise(sizes))
-    flat, layers = flat_layers(shapes)
-    initialise(layers, rng)
-    hand, adam = Network(layers), Adam(flat, options.decay)
-    slope, grads = flat_layers(shapes)
-    noise = np.full(sizes[0], options.noise, np.float32)
-    noise[HERE] = options.noise_place
-    left = np.exp(-np.arange(1, options.chunk + 1) / (options.back * dataset.about["fps"]))
-    for step in range(options.steps):
-        rows = rng.integers(0, len(known.inputs), options.batch)
-        push = options.push * rng.standard_normal((options.batch, 3))
-        push[::2] = 0.0
-        x, y = normalised(scales, *known.pushed(rows, push, left))
-        x += noise * rng.standard_normal(x.shape, np.float32)
-        loss = gradient_of(hand, grads, x, y)
-        adam.step(slope, options.rate * half_cosine(step / options.steps))
-        if step % 50 == 0:
-            note = f"hand, step {step} of {options.steps}, loss {loss:.4f}"
-            progress(0.85 + 0.15 * step / options.steps, note)
+    hand, layers = _fit_hand(known, scales, options, dataset.about["fps"], progress)
     losses = {
         split: _loss(hand, *normalised(scales, part.inputs, part.targets))
         for split, part in parts.items()
@@ -385,6 +365,34 @@ def train_hand(
         "labels": [TASK],
     }
     return ImagePolicy(network, scales, dataset.names, options.chunk, about)
+
+
+def _fit_hand(
+    known: Samples, scales: dict[str, Array], options: Options, fps: float, progress: Progress
+) -> tuple[Network, list[tuple[Array, Array]]]:
+    """The hand, and its layers, trained on displaced and noisy samples."""
+    rng = np.random.default_rng(options.seed)
+    sizes = [known.inputs.shape[1], *options.hidden, 5 * options.chunk]
+    shapes = list(itertools.pairwise(sizes))
+    flat, layers = flat_layers(shapes)
+    initialise(layers, rng)
+    hand, adam = Network(layers), Adam(flat, options.decay)
+    slope, grads = flat_layers(shapes)
+    noise = np.full(sizes[0], options.noise, np.float32)
+    noise[HERE] = options.noise_place
+    left = np.exp(-np.arange(1, options.chunk + 1) / (options.back * fps))
+    for step in range(options.steps):
+        rows = rng.integers(0, len(known.inputs), options.batch)
+        push = options.push * rng.standard_normal((options.batch, 3))
+        push[::2] = 0.0
+        x, y = normalised(scales, *known.pushed(rows, push, left))
+        x += noise * rng.standard_normal(x.shape, np.float32)
+        loss = gradient_of(hand, grads, x, y)
+        adam.step(slope, options.rate * half_cosine(step / options.steps))
+        if step % 50 == 0:
+            note = f"hand, step {step} of {options.steps}, loss {loss:.4f}"
+            progress(0.85 + 0.15 * step / options.steps, note)
+    return hand, layers
 
 
 def _world_in_rcm(episodes: Sequence[Episode], columns: Columns) -> Array:
