@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
-from bgr_policy import Network, Policy
+from bgr_policy import Columns, Network, Policy, world_in_rcm
 
 Array = np.ndarray
 Progress = Callable[[float, str], None]
@@ -103,6 +103,24 @@ class Steps(Protocol):
 
     state: Array
     action: Array
+
+
+class Told(Steps, Protocol):
+    """An episode with the simulator's truth."""
+
+    task: Array
+
+
+def world_of(episodes: Sequence[Told], columns: Columns) -> Array:
+    """X_RW (4, 4) from the tips of all episodes, see `world_in_rcm`."""
+    tips = [episode.state[:, columns.state[:3]] for episode in episodes]
+    tips_W = [episode.task[:, columns.task["tip"]] for episode in episodes]
+    return world_in_rcm(np.concatenate(tips), np.concatenate(tips_W))
+
+
+def mean_error(network: Network, x: Array, y: Array) -> float:
+    """Mean absolute error in units of each output's standard deviation."""
+    return float(np.mean(np.abs(network(x) - y)))
 
 
 def last_commands(episode: Steps, held: Any) -> Array:

@@ -29,7 +29,6 @@ from bgr_policy import (
     Network,
     Policy,
     features,
-    world_in_rcm,
 )
 from bgr_training import (
     Adam,
@@ -45,11 +44,13 @@ from bgr_training import (
     initialise,
     jaw_range,
     last_commands,
+    mean_error,
     normalised,
     scales_of,
     split_episodes,
     table,
     targets_of,
+    world_of,
 )
 
 OPEN, NEAR = 0.6, 0.03
@@ -198,7 +199,7 @@ def train(
     shown = dataset.episodes.get("train")
     if not shown:
         raise ValueError("the dataset has no episode in its split 'train'")
-    X_RW = _world_in_rcm(shown, columns)
+    X_RW = world_of(shown, columns)
     parts = {
         split: Samples.of(episodes, columns, X_RW, options.chunk, options.behind)
         for split, episodes in dataset.episodes.items()
@@ -230,7 +231,7 @@ def train(
         if step % 50 == 0:
             progress(step / options.steps, f"step {step} of {options.steps}, loss {loss:.4f}")
     losses = {
-        split: _loss(network, *normalised(scales, part.inputs, part.targets))
+        split: mean_error(network, *normalised(scales, part.inputs, part.targets))
         for split, part in parts.items()
     }
     about = {
@@ -244,18 +245,6 @@ def train(
         "privileged": [TASK],
     }
     return Policy(network, scales, dataset.names, options.chunk, about)
-
-
-def _world_in_rcm(episodes: Sequence[Episode], columns: Columns) -> Array:
-    """X_RW (4, 4) from the tips of all episodes."""
-    tips = [episode.state[:, columns.state[:3]] for episode in episodes]
-    tips_W = [episode.task[:, columns.task["tip"]] for episode in episodes]
-    return world_in_rcm(np.concatenate(tips), np.concatenate(tips_W))
-
-
-def _loss(network: Network, x: Array, y: Array) -> float:
-    """Mean absolute error in units of each output's standard deviation."""
-    return float(np.mean(np.abs(network(x) - y)))
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -29,7 +29,7 @@ from bgr_image_policy import (
     features,
     remembered,
 )
-from bgr_policy import ACTION, SET, STATE, TASK, Columns, Network, world_in_rcm
+from bgr_policy import ACTION, SET, STATE, TASK, Columns, Network
 from bgr_training import (
     Adam,
     Array,
@@ -45,11 +45,13 @@ from bgr_training import (
     initialise,
     jaw_range,
     last_commands,
+    mean_error,
     normalised,
     scales_of,
     split_episodes,
     table,
     targets_of,
+    world_of,
 )
 from train_bgr_eye import EyeOptions, Labels, errors, labels, train_eye
 
@@ -305,7 +307,7 @@ def train(
 
 def marks(dataset: Dataset[Episode], columns: Columns) -> dict[str, Labels]:
     """Labels of all pictures of each split."""
-    X_RW = _world_in_rcm(dataset.episodes["train"], columns)
+    X_RW = world_of(dataset.episodes["train"], columns)
     found, names = {}, [each.name for each in fields(Labels)]
     for split, episodes in dataset.episodes.items():
         parts = [labels(e.task, columns.task, X_RW, e.camera, dataset.about["K"]) for e in episodes]
@@ -345,7 +347,7 @@ def train_hand(
     }
     hand, layers = _fit_hand(known, scales, options, dataset.about["fps"], progress)
     losses = {
-        split: _loss(hand, *normalised(scales, part.inputs, part.targets))
+        split: mean_error(hand, *normalised(scales, part.inputs, part.targets))
         for split, part in parts.items()
     }
     network = EyeAndHand([*eye.layers, *layers], eye.plane, eye.pointed)
@@ -393,18 +395,6 @@ def _fit_hand(
             note = f"hand, step {step} of {options.steps}, loss {loss:.4f}"
             progress(0.85 + 0.15 * step / options.steps, note)
     return hand, layers
-
-
-def _world_in_rcm(episodes: Sequence[Episode], columns: Columns) -> Array:
-    """X_RW (4, 4) from the tips of all episodes."""
-    tips = [episode.state[:, columns.state[:3]] for episode in episodes]
-    tips_W = [episode.task[:, columns.task["tip"]] for episode in episodes]
-    return world_in_rcm(np.concatenate(tips), np.concatenate(tips_W))
-
-
-def _loss(network: Network, x: Array, y: Array) -> float:
-    """Mean absolute error in units of each output's standard deviation."""
-    return float(np.mean(np.abs(network(x) - y)))
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -7,14 +7,13 @@ script waits until it hangs still, looks at where its end really is, and correct
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 
 import numpy as np
 
-import surg_core
 from surg_core.contract import STEP
 from surg_sim.arrays import Array
-from surg_sim.tasks.scripted_arm import ArmExpert
+from surg_sim.tasks.hole_expert import HoleExpert, turn_onto
 from surg_sim.tasks.thread_in_hole.surgical_thread import GRIP, PIECE
 
 FAR, NEAR = 0.008, 0.003
@@ -25,39 +24,18 @@ ENOUGH = 0.0065
 """Depth of the end behind the hole at which pushing ends [m]."""
 LOOKS = 2
 """Number of looks before the hole; each halves the hand's error."""
-ATTEMPTS = 8
 BENT = 0.005
 """An end so far from where unbent thread would have it has met the figure [m]."""
 SPEED = 0.012
 """Of the thread through the hole [m/s]."""
 HOLD = 0.7
 """So long it stays behind the hole [s]."""
-HAND = 0.001
-"""Error of the hand at the hole per axis, one sigma [m]."""
 
 
-class ThreadExpert(ArmExpert):
-    """At the robot's console."""
+class ThreadExpert(HoleExpert):
+    """See ``HoleExpert``."""
 
-    def __init__(self, cell: surg_core.Cell, seed: int, arm: str) -> None:
-        super().__init__(cell, seed, arm)
-        self._error = self.rng.normal(scale=HAND, size=3)
-        self._reaction = float(self.rng.uniform(0.2, 0.6))
-
-    def script(self) -> Iterator[None]:
-        """See ``ArmExpert``."""
-        self.jaw = self.jaw_closed
-        yield from self.wait(self._reaction)
-        yield from self._approach()
-        for _ in range(ATTEMPTS):
-            for _ in range(LOOKS):
-                yield from self._go(NEAR, 0.5)
-                self._error = 0.5 * self._error
-                yield from self.wait(self._reaction)
-            yield from self._push()
-            if self._through:
-                return
-            yield from self._go(FAR, 0.5)
+    far, near, looks = FAR, NEAR, LOOKS
 
     def _look(self) -> None:
         """See the hole, and how the thread lies in the jaws."""
@@ -88,29 +66,20 @@ class ThreadExpert(ArmExpert):
         for _ in range(12):
             R = self.tool_pose(p, roll)[:3, :3]
             d, s = R @ d_T, R[:, 2]
-            across = np.cross(s, d)
-            roll += float(np.arctan2(self._axis @ across, self._axis @ (d - (d @ s) * s)))
+            roll += turn_onto(self._axis, d, s)
             p = self._hole - self.tool_pose(p, roll)[:3, :3] @ p_T
         return p, roll
 
-    def _approach(self) -> Iterator[None]:
-        """Turn far from the figure, go past it, and only then towards it: the thread is long."""
-        self._look()
-        p, roll = self._target(FAR)
-        self.roll.go(np.array([roll]))
-        while not self.roll.arrived:
-            yield
-        yield from self.move(p - self._axis * ((p - self.observation.point("tip")) @ self._axis))
-        yield from self._go(FAR, 1.0)
+    def _clear_way(self) -> Array:
+        """The hole's axis."""
+        return self._axis
 
-    def _go(self, ahead: float, seconds: float) -> Iterator[None]:
-        """Look, and bring the thread's end to a distance before the hole [m]."""
-        self._look()
-        p, roll = self._target(ahead)
-        self.roll.go(np.array([roll]), seconds)
-        yield from self.move(p, seconds)
-        while not self.roll.arrived:
-            yield
+    def _enter(self) -> Generator[None, None, bool]:
+        """Push, and draw back what did not go through."""
+        yield from self._push()
+        if not self._through:
+            yield from self._go(FAR, 0.5)
+        return self._through
 
     def _push(self) -> Iterator[None]:
         """Push the thread through along its own curve; ``_through`` says whether it went."""
@@ -120,8 +89,7 @@ class ThreadExpert(ArmExpert):
         while self.observation.number("depth") < ENOUGH:
             pushed += SPEED * STEP
             p, roll = self._target(NEAR - pushed)
-            self.path.stay(self.local(p))
-            self.roll.stay(np.array([roll]))
+            self._put(p, roll)
             yield
             unbent = p + self.tool_pose(p, roll)[:3, :3] @ end_T
             bent = float(np.linalg.norm(self.observation.point("end") - unbent))
