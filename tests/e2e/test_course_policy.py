@@ -10,7 +10,8 @@ import pytest
 from helpers.examples.course import EXAMPLES, ROS_STEP, play
 from helpers.graph.surg import surg
 
-pytestmark = [pytest.mark.ros, pytest.mark.untimed]
+# The chain before it is in tests/unit/examples, a policy through the graph in test_policy_run.py.
+pytestmark = [pytest.mark.ros, pytest.mark.untimed, pytest.mark.full]
 
 
 def test_the_policy_of_the_course_solves_its_task_through_the_model_server(tmp_path: Path) -> None:

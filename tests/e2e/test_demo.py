@@ -23,7 +23,8 @@ from surg_cli.host.paths import ROOT
 
 pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
-SECONDS = None if FULL else 3.0
+SECONDS = None if FULL else 2.0
+SHORT_S = 2.0
 DEMO_TIMEOUT_S = 900
 MOTIONS = {"bundled": None}
 if os.environ.get("SURG_TEST_MOTION"):
@@ -88,6 +89,12 @@ def demo(
     return summary
 
 
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The UR5e's short motion; reduced, one run serves two tests."""
+    return demo(tmp_path_factory.mktemp("plain") / "run", "--duration", SHORT_S)
+
+
 def note(name: str, summary: dict[str, Any]) -> None:
     ROWS.append((name, summary))
     rcm, tip = summary["rcm_kinematic_mm"], summary["tip_error_mm"]
@@ -120,10 +127,15 @@ COMBINATIONS = [
 
 
 @pytest.mark.parametrize(("robot", "mode", "motion"), COMBINATIONS)
-def test_the_shaft_stays_in_the_trocar(robot: str, mode: str, motion: str, tmp_path: Path) -> None:
-    file = MOTIONS[motion]
-    options = ["--motion", file] if file else []
-    summary = demo(tmp_path / "run", "--robot", robot, "--mode", mode, *options)
+def test_the_shaft_stays_in_the_trocar(
+    robot: str, mode: str, motion: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    if not FULL and (robot, mode, motion) == ("ur5e", "cartesian", "bundled"):
+        summary = request.getfixturevalue("plain")
+    else:
+        file = MOTIONS[motion]
+        options = ["--motion", file] if file else []
+        summary = demo(tmp_path / "run", "--robot", robot, "--mode", mode, *options)
     note(f"{robot}, {mode}, {motion}", summary)
     assert_within_limits(summary)
 
@@ -158,12 +170,13 @@ def test_the_papers_law_and_no_feedback_drift(tmp_path: Path) -> None:
     assert open_loop["rcm_kinematic_mm"]["max"] >= 1 or faulted
 
 
-def test_one_seed_one_hash_whatever_the_scheduler_does(tmp_path: Path) -> None:
+def test_one_seed_one_hash_whatever_the_scheduler_does(
+    tmp_path: Path, plain: dict[str, Any]
+) -> None:
     # A tick takes about a millisecond: half of it already shuffles everybody's messages.
-    seconds, jitter_ms = (2.0, 20.0) if FULL else (1.5, 0.5)
-    plain = demo(tmp_path / "plain", "--duration", seconds)
+    jitter_ms = 20.0 if FULL else 0.5
     shaken = demo(
-        tmp_path / "shaken", "--duration", seconds, env=socket_jitter.environment(jitter_ms)
+        tmp_path / "shaken", "--duration", SHORT_S, env=socket_jitter.environment(jitter_ms)
     )
     print(f"{plain['counts']} ticks, jitter 0 to {jitter_ms} ms: {plain['state_hash']}")
     assert plain["deterministic"] is True

@@ -50,6 +50,7 @@ def in_one_process(images: tuple[str, ...] = ()) -> tuple[str, int, list[int]]:
     return env.session.hash, n, shown
 
 
+@pytest.mark.full  # the next one does it with pictures
 @pytest.mark.ros
 def test_a_roll_out_is_what_an_environment_computes(tmp_path: Path) -> None:
     """The same actions, through two processes, ZeroMQ, ROS and the safety controller."""

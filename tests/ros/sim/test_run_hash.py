@@ -155,6 +155,7 @@ def test_the_force_guard_acts_in_the_same_tick(tmp_path: Path) -> None:
     print(f"FAULT at tick {states.index(fault) + 1}, here and there")
 
 
+@pytest.mark.full
 def test_the_jaws_feel_the_same_here_and_there(tmp_path: Path) -> None:
     """A push of 6 N on the jaws: PAUSED 51 cycles after the first sample, in and out of ROS."""
     cell = cells.find("sim_two_arms")

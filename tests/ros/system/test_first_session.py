@@ -31,6 +31,10 @@ pytestmark = pytest.mark.ros
 PAGE = paths.ROOT / "docs" / "guide" / "first_session.md"
 START_S = 60.0
 LAG_TRIES = 6
+LINK_LOST = "robot link"
+"""F10: on a busy machine the simulator is silent for longer than its `link_timeout`."""
+LINK_TRIES = 4
+ENABLE = 'rostopic pub -1 /PSM1/state_command crtk_msgs/StringStamped "{string: enable}"'
 
 
 def lines_of(page: Path) -> list[tuple[str, str]]:
@@ -155,6 +159,16 @@ class Session:
         return text
 
     def _publish(self, line: str) -> dict[str, Any]:
+        """One line, again once a person has enabled the arm after a lost link; its answer."""
+        for _ in range(LINK_TRIES):
+            answer = self._say(line)
+            if answer["state"] != "FAULT" or not any(LINK_LOST in w for w in answer["warnings"]):
+                break
+            print(f"{line[:60]}… {answer['warnings']}")
+            self._say(ENABLE)
+        return answer
+
+    def _say(self, line: str) -> dict[str, Any]:
         assert self.client is not None, "the page publishes before ./surg up"
         assert self.client.stdin is not None
         assert self.client.stdout is not None
@@ -224,7 +238,7 @@ def test_the_page_is_done_line_by_line(session: Session) -> None:
     # No line was refused.
     for _, answer in session.said:
         if isinstance(answer, dict):
-            assert answer["state"] != "FAULT"
+            assert answer["state"] != "FAULT", answer["warnings"]
             assert answer["worst_error"] < 0.5e-3
             assert answer["worst_truth"] < 1e-3
     assert steps["Teach the trocar"][0][1]["state"] == "DISABLED"

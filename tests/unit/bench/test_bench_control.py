@@ -27,6 +27,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     build = tmp_path_factory.mktemp("bench_control")
     built = ROOT / "devel" / "lib" / "libsurg_core.so"
     core = [f"-DBENCH_CORE={built}"] if built.exists() else []
+    core += [] if FULL else ["-DCMAKE_BUILD_TYPE=Debug"]  # what is asked here is what it computes
     for argv in (
         ["cmake", "-S", str(ROOT / "benchmarks" / "control"), "-B", str(build), *core],
         ["cmake", "--build", str(build), "--parallel", "2"],
