@@ -90,6 +90,7 @@ def _learn(request: Request, ledger: Ledger, out: Path) -> dict[str, Any]:
         out / "weights.npz",
         bool(trained["privileged"]),
         recipe.cameras,
+        "observation.force" in trained["observation"],
     )
     folder = out / "rollouts" / recipe.folder(trained["weights"])
     entries = ledger.stage(

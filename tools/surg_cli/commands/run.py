@@ -57,6 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     )
     add("--policy-keys", type=Path, metavar="DIR", help="folder of ./surg keys")
     add("--privileged", action="store_true", help="serve the simulator's truth to the policy")
+    add("--forces", action="store_true", help="serve the forces at tip and trocar to the policy")
     add("--free-run", action="store_true", help="with --policy: in real time, not in lock-step")
 
 
@@ -121,8 +122,10 @@ def _check_numbers(options: argparse.Namespace) -> None:
 def _policy(options: argparse.Namespace) -> system.Policy | None:
     """The policy that plays, if one does."""
     if options.policy is not None:
-        return policy_program.read(options.policy, options.policy_keys, options.privileged)
-    for name in ("policy_keys", "privileged", "free_run"):
+        return policy_program.read(
+            options.policy, options.policy_keys, options.privileged, options.forces
+        )
+    for name in ("policy_keys", "privileged", "forces", "free_run"):
         if getattr(options, name):
             raise Problem(f"--{name.replace('_', '-')} needs --policy", 2)
     return None

@@ -19,7 +19,7 @@ CLIENT_TIMEOUT_S = 120.0
 """[s] wall clock: longest time that a script may take to connect; its own libraries load first."""
 
 
-def read(given: str, keys: Path | None, privileged: bool) -> Policy:
+def read(given: str, keys: Path | None, privileged: bool, forces: bool = False) -> Policy:
     """A policy from the command line: an address to listen at, or the path of a client's script.
 
     Raises:
@@ -34,7 +34,8 @@ def read(given: str, keys: Path | None, privileged: bool) -> Policy:
         if keys is not None:
             server_keys(keys)
         if "://" in given:
-            return Policy(listen_address.check(given, keys is not None), "", folder, privileged)
+            address = listen_address.check(given, keys is not None)
+            return Policy(address, "", folder, privileged, forces)
     except (listen_address.BindError, BadKeys, OSError) as error:
         raise Problem(f"--policy {given}: {error}", 2) from error
     script = Path(given)
@@ -44,7 +45,7 @@ def read(given: str, keys: Path | None, privileged: bool) -> Policy:
             "client's .py file",
             2,
         )
-    return Policy("", str(script.absolute()), folder, privileged)
+    return Policy("", str(script.absolute()), folder, privileged, forces)
 
 
 def connect(

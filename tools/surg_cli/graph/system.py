@@ -37,13 +37,15 @@ class Policy:
     """A policy in the place of the scripted expert.
 
     ``script`` is a client that is started with the server (empty: somebody connects), ``keys`` the
-    folder of CURVE keys (empty: none), ``privileged`` whether the simulator's truth is served.
+    folder of CURVE keys (empty: none), ``privileged`` whether the simulator's truth is served,
+    ``forces`` whether the forces at tip and trocar are.
     """
 
     address: str
     script: str = ""
     keys: str = ""
     privileged: bool = False
+    forces: bool = False
 
     @property
     def label(self) -> str:
@@ -285,6 +287,7 @@ def model_server(plan: Plan) -> Node:
         "task": str(plan.run_info.get("task", "")),
         "instruction": str(plan.run_info.get("instruction", "")),
         "privileged": policy.privileged,
+        "forces": policy.forces,
         "cameras": plan.streams,
         "autostart": True,
         "need_teleop": False,  # a roll-out has no operator

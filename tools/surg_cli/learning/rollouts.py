@@ -28,8 +28,8 @@ WEIGHTS = "SURG_BGR_WEIGHTS"
 class Player:
     """Plays roll-outs of one policy, whose client is ``script``.
 
-    ``privileged``: the simulator's truth is served. ``cameras``: views that are served and
-    recorded.
+    ``privileged``: the simulator's truth is served, ``forces``: the forces at tip and trocar.
+    ``cameras``: views that are served and recorded.
     """
 
     task: str
@@ -40,9 +40,10 @@ class Player:
     weights: Path
     privileged: bool
     cameras: tuple[str, ...] = ()
+    forces: bool = False
 
     def __post_init__(self) -> None:
-        policy = policy_program.read(str(self.script), None, self.privileged)
+        policy = policy_program.read(str(self.script), None, self.privileged, self.forces)
         self._condition = Condition(self.setting, "ours")
         self._plan = episode_plans.make_plan(
             self.task,

@@ -48,8 +48,19 @@ ARM_STATE = (
 )
 """State of each arm: measured tip, roll and jaw; set-point of tip and roll, in the rcm frame."""
 ARM_STATE_UNITS = ("m", "m", "m", "rad", "rad", "m", "m", "m", "rad")
+ARM_FORCE = (
+    *("tip_x", "tip_y", "tip_z", "tip_known"),
+    *("trocar_x", "trocar_y", "trocar_z", "trocar_known"),
+)
+"""Forces on each arm's tip and on its trocar, in the rcm frame; ``known`` is 1, or 0 with zeros."""
+ARM_FORCE_UNITS = ("N", "N", "N", "1", "N", "N", "N", "1")
+FORCE_TICKS = 5
+"""In lock-step forces are measured on every fifth tick; they count from the next cycle on."""
+FORCE_TIMEOUT_NS = 200_000_000
+"""Age at which a measured force is no longer known [ns], as for the controller's guard."""
 
 STATE_KEY = "observation.state"
+FORCE_KEY = "observation.force"
 ACTION_KEY = "action"
 TASK_STATE_KEY = "privileged.task_state"
 IMAGE_PREFIX = "observation.images."

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 
+import rosgraph
 import rospy
 
 from surg_core.arm_view import ArmView
@@ -15,6 +16,7 @@ from surg_policy_bridge.nodes.server_io_node import ServerIO
 from surg_policy_bridge.server.model_server import State
 from surg_policy_bridge.server.observer import Observation
 from surg_ros.participant import Participant, Seen
+from surg_ros.peers import publishers
 
 PATIENCE_NS = 8 * SECOND_NS
 """Longest wait for a picture; the simulator times out after 10 s."""
@@ -27,6 +29,8 @@ class LockStep:
     def __init__(self, io: ServerIO) -> None:
         self._io = io
         self._due: int | None = None
+        self.force_inputs: dict[tuple[str, str], rospy.Subscriber] = {}
+        """Subscribers of forces, by arm and place."""
         self.participant = Participant(
             io.ports,
             self._on_tick,
@@ -35,6 +39,15 @@ class LockStep:
             listen=False,  # the node needs the same messages
             lock=io.lock,
         )
+
+    @property
+    def forces(self) -> dict[str, list[str]]:
+        """Places at which the simulator measures a force, by arm."""
+        found: dict[str, list[str]] = {}
+        for (arm, place), subscriber in self.force_inputs.items():
+            if subscriber.get_num_connections():
+                found.setdefault(arm, []).append(place)
+        return found
 
     def begin(self) -> None:
         """Connect, once all subscribers are among the participant's inputs."""
@@ -56,6 +69,7 @@ class LockStep:
         io, at, number = self._io, tick * TICK_NS, tick // GRID
         # In every state, so that the start of a policy does not depend on rendering time.
         self._await_values(at, io.sources.image_keys)
+        self._wait_while(lambda: io.sources.forces_behind(at, self.forces), PATIENCE_NS)
         views = io.views()
         cause, obstacle = io.refusal()
         commands = io.server.tick(views, at, time.monotonic_ns(), obstacle, cause=cause)
@@ -78,13 +92,26 @@ class LockStep:
         """Answer tick 1, which has no cycle before it, once nothing can get lost."""
         while not self._io.over:
             try:
-                return self.participant.connect(math.inf, lambda: self._io.over)
+                over = lambda: self._io.over  # noqa: E731
+                return self.participant.connect(math.inf, over, self._missing_forces)
             except TimeoutError:
                 return None  # the node ends
             except OSError as error:
                 rospy.logwarn_throttle(10, "policy: the ROS master does not answer: %s", error)
                 time.sleep(0.5)
         return None
+
+    def _missing_forces(self) -> str:
+        """Which force is measured and does not reach this node yet; empty: none.
+
+        A simulator that knows the tip's force registers it with the trocar's.
+        """
+        master, name = rosgraph.get_master_uri(), rospy.get_name()
+        for subscriber in self.force_inputs.values():
+            topic = subscriber.resolved_name
+            if publishers(master, name, topic) and not subscriber.get_num_connections():
+                return f"{topic} is not connected yet"
+        return ""
 
     def _on_tick(self, seen: Seen) -> bool | None:
         """All cycles of a tick are here; a tick of the grid is answered by `turn`."""

@@ -2,10 +2,10 @@
 
 Parameters: ``~bind`` (tcp://127.0.0.1:5555), ``~keys`` (folder of ./surg keys), ``~cell``,
 ``~arms`` ([PSM1]), ``~mode`` (freerun | lockstep), ``~task``, ``~instruction``, ``~privileged``
-(false: do not serve ground truth), ``~cameras`` ([]), ``~camera_rate`` (20), ``~clip``
-([jaw]), ``~autostart`` (false), ``~need_teleop`` (true: no policy runs without the status of a
-teleoperation node), ``~need_present`` (false), ``~answer_timeout`` (5 s). Exit code 2: invalid
-parameter or file.
+(false: do not serve ground truth), ``~forces`` (false: do not serve forces), ``~cameras`` ([]),
+``~camera_rate`` (20), ``~clip`` ([jaw]), ``~autostart`` (false), ``~need_teleop`` (true: no policy
+runs without the status of a teleoperation node), ``~need_present`` (false), ``~answer_timeout``
+(5 s). Exit code 2: invalid parameter or file.
 """
 
 from __future__ import annotations
@@ -15,15 +15,18 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import rospy
+from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Image, Joy
 from std_msgs.msg import Bool
 
 import surg_core
 from surg_core.contract import GRID
+from surg_core.force.observed_force import TOPICS
 from surg_msgs.msg import Cycle, TaskState, TeleopStatus
 from surg_policy_bridge.nodes.free_run_node import FreeRun
 from surg_policy_bridge.nodes.lock_step_node import LockStep
@@ -58,7 +61,7 @@ class ModelServerNode:
     def _subscribe(self) -> None:
         settings = self._io.settings
 
-        def listen(topic: str, kind: type, callback: Any, *about: str, **keys: Any) -> Any:
+        def listen(topic: str, kind: type, callback: Any, *about: Any, **keys: Any) -> Any:
             keys = {"queue_size": None, "tcp_nodelay": True, **keys}
             return rospy.Subscriber(topic, kind, callback, *about, **keys)
 
@@ -68,6 +71,8 @@ class ModelServerNode:
         for camera in settings.cameras:
             topic, keys = camera_topic(camera)[1], {"queue_size": 2, "buff_size": 1 << 24}
             inputs.append(listen(topic, Image, self._on_image, camera, **keys))
+        if settings.forces:
+            inputs += self._listen_to_forces(listen)
         listen("/policy/enable", Bool, self._on_enable)
         listen("/teleop/status", TeleopStatus, self._io.on_teleop)
         if settings.need_present:
@@ -75,6 +80,24 @@ class ModelServerNode:
                 listen(f"{source}/operator_present", Joy, self._io.on_present, source)
         if self._loop.participant is not None:
             self._loop.participant.inputs += inputs
+
+    def _listen_to_forces(self, listen: Callable[..., Any]) -> list[Any]:
+        """Subscribe the forces of every arm; returns those without which nothing begins."""
+        found = {
+            (arm, place): listen(f"/{arm}/{topic}", WrenchStamped, self._on_force, (arm, place))
+            for arm in self._io.settings.arms
+            for place, topic in TOPICS.items()
+        }
+        if isinstance(self._loop, LockStep):
+            self._loop.force_inputs = found
+        return [subscriber for (_, place), subscriber in found.items() if place == "trocar"]
+
+    def _on_force(self, message: WrenchStamped, about: tuple[str, str]) -> None:
+        with self._io.lock:
+            self._sources.add_force(message, *about)
+            self._begin_serving()
+            if self._io.settings.lockstep:
+                self._io.rouse()
 
     def _on_cycle(self, message: Cycle, arm: str) -> None:
         with self._io.lock:

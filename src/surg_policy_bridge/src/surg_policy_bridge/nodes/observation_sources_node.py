@@ -1,22 +1,24 @@
-"""Sources of an observation: arm states, camera pictures, and the task's ground truth."""
+"""Sources of an observation: arm states, forces, camera pictures, the task's ground truth."""
 
 from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import rospy
+from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Image
 
 import surg_core
 from surg_core.arm_view import ArmView
-from surg_core.contract import SECOND_NS, STATE_KEY, TASK_STATE_KEY, image_key
+from surg_core.contract import FORCE_KEY, SECOND_NS, STATE_KEY, TASK_STATE_KEY, image_key
 from surg_msgs.msg import TaskState
 from surg_policy_bridge.server import cell_spec
 from surg_policy_bridge.server.observer import TOLERANCE, CameraWatch, Observer, lagging_arm
 from surg_policy_bridge.server.policy_arm import arm_state
+from surg_policy_bridge.server.served_forces import ServedForces
 from surg_policy_bridge.server.server_parameters import Settings
 from surg_policy_bridge.server.timers import CAMERA_PERIODS
 from surg_policy_client.spec import Spec
@@ -35,6 +37,7 @@ class ObservationSources:
         self._settings, self._cell = settings, cell
         self.image_keys = [image_key(camera) for camera in settings.cameras]
         keys = [STATE_KEY, *self.image_keys, *([TASK_STATE_KEY] if settings.privileged else [])]
+        keys += [FORCE_KEY] if settings.forces else []
         period = round(SECOND_NS / settings.camera_rate)
         tolerance = max(TOLERANCE, CAMERA_PERIODS * period if settings.cameras else 0)
         self.observer = Observer(keys, 0 if settings.lockstep else tolerance)
@@ -43,6 +46,7 @@ class ObservationSources:
         self._rendered = all(cell.arms[name].link == "simulator" for name in settings.arms)
         self._sizes: dict[str, tuple[int, int]] = {}
         self._task_names: list[str] | None = None
+        self._forces = ServedForces(settings.arms)
         self._homed = False
 
     def add_image(self, message: Image, camera: str) -> None:
@@ -63,6 +67,15 @@ class ObservationSources:
             return
         pixels = np.frombuffer(message.data, np.uint8).reshape(*size, 3)[:, :, order]
         self.observer.put(image_key(camera), stamp_ns, np.ascontiguousarray(pixels))
+
+    def add_force(self, message: WrenchStamped, arm: str, place: str) -> None:
+        """Take in what a sensor says of an arm's tip or trocar; stamp 0: it does not know."""
+        f = message.wrench.force
+        self._forces.take(arm, place, message.header.stamp.to_nsec(), np.array([f.x, f.y, f.z]))
+
+    def forces_behind(self, at_ns: int, expected: Mapping[str, Sequence[str]]) -> bool:
+        """Lock-step: whether a force of an observation at that time [ns] has not arrived yet."""
+        return self._settings.forces and self._forces.behind(at_ns, expected)
 
     def add_task_state(self, state: TaskState) -> None:
         """Take in the ground truth of a grid time."""
@@ -86,6 +99,8 @@ class ObservationSources:
             return None, "an arm does not know its jaw"
         stamp_ns = max(view.stamp_ns for view in views.values())
         self.observer.put(STATE_KEY, stamp_ns, numbers)
+        if self._settings.forces:
+            self.observer.put(FORCE_KEY, stamp_ns, self._forces.row(views, stamp_ns))
         return stamp_ns, ""
 
     def spec(self) -> Spec | None:
@@ -95,8 +110,12 @@ class ObservationSources:
             return None
         if settings.privileged and self._task_names is None:
             return None
+        if settings.forces and self._forces.silent:
+            return None
         sizes = {name: self._sizes[name] for name in settings.cameras}
-        return cell_spec.make(self._cell, settings.arms, settings.task, sizes, self._task_names)
+        return cell_spec.make(
+            self._cell, settings.arms, settings.task, sizes, self._task_names, settings.forces
+        )
 
     def camera_problem(self, now: int, views: Mapping[str, ArmView]) -> str:
         """Which camera no policy may use now; empty: none. ``now`` on the steady clock [ns]."""

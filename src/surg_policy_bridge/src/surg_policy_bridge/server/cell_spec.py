@@ -9,8 +9,11 @@ import surg_core
 from surg_core.contract import (
     ARM_ACTION,
     ARM_ACTION_UNITS,
+    ARM_FORCE,
+    ARM_FORCE_UNITS,
     ARM_STATE,
     ARM_STATE_UNITS,
+    FORCE_KEY,
     SECOND_NS,
     STATE_KEY,
     STEP_NS,
@@ -42,21 +45,16 @@ def make(
     task: str,
     cameras: Mapping[str, tuple[int, int]],
     numbers: Sequence[str] | None,
+    force: bool = False,
 ) -> Spec:
     """The specification for the arms that the policy commands.
 
     ``cameras`` holds height and width [px] by name, ``numbers`` the names of the task's ground
-    truth, None: it is not served.
+    truth, None: it is not served. ``force``: whether forces at tip and trocar are served.
     """
-    observation = {
-        STATE_KEY: Feature(
-            dtype="f4",
-            shape=(len(arms) * len(ARM_STATE),),
-            unit=",".join(ARM_STATE_UNITS * len(arms)),
-            frame="rcm",
-            names=tuple(f"{arm}/{name}" for arm in arms for name in ARM_STATE),
-        )
-    }
+    observation = {STATE_KEY: _of_arms(arms, ARM_STATE, ARM_STATE_UNITS)}
+    if force:
+        observation[FORCE_KEY] = _of_arms(arms, ARM_FORCE, ARM_FORCE_UNITS)
     for camera, (height, width) in cameras.items():
         observation[image_key(camera)] = Feature(dtype="u1", shape=(height, width, 3))
     if numbers is not None:
@@ -81,6 +79,17 @@ def make(
             high=tuple(high),
         ),
     ).served()
+
+
+def _of_arms(arms: Sequence[str], names: Sequence[str], units: tuple[str, ...]) -> Feature:
+    """The same numbers of each arm, in its rcm frame."""
+    return Feature(
+        dtype="f4",
+        shape=(len(arms) * len(names),),
+        unit=",".join(units * len(arms)),
+        frame="rcm",
+        names=tuple(f"{arm}/{name}" for arm in arms for name in names),
+    )
 
 
 def _range(cell: surg_core.Cell, arms: Sequence[str]) -> tuple[list[float], list[float]]:

@@ -30,6 +30,7 @@ class Settings:
     task: str = text("", empty=True, longest=MAX_TEXT)  # name of the task, for the specification
     instruction: str = text("", empty=True, longest=MAX_SENTENCE)
     privileged: bool = flag(False)  # serve the simulator's ground truth (``privileged.task_state``)
+    forces: bool = flag(False)  # serve the forces at tip and trocar (``observation.force``)
     cameras: tuple[str, ...] = names(())  # observed cameras, such as ``endoscope_left``
     camera_rate: float = real(1.0, 240.0, float(GRID_RATE))  # pictures per second [1/s]
     # rules that clip a step instead of rejecting it
@@ -52,7 +53,7 @@ class Settings:
             raise ParamError("bind", self.bind, str(error)) from error
         if self.autostart and self.need_teleop:  # its first status comes later than the session
             raise ParamError("autostart", True, "false, or ~need_teleop: false (no operator)")
-        most = MAX_PARTS - 2 - self.privileged  # beside the header and the arms' state
+        most = MAX_PARTS - 2 - self.privileged - self.forces  # beside header and arms' state
         if len(self.cameras) > most:
             raise ParamError("cameras", list(self.cameras), f"at most {most}")
 

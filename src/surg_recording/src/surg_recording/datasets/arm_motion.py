@@ -50,6 +50,12 @@ class ArmMotion:
     """(M,) stamp since which the goal of a row is in force."""
     p_BTip: Array
     q_BTool: Array
+    q_BR: Array
+    """(M, 4) orientation of the rcm frame in the base, x, y, z, w; without columns as ``state``."""
+
+    def q_BR_at(self, times: Stamps) -> Array:
+        """(K, 4) orientation of the rcm frame at the last of these rows before each time [ns]."""
+        return self.q_BR[np.searchsorted(self.stamps, times, side="right") - 1]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,6 +111,7 @@ class ArmCycles:
             goal_since_ns=cycle["stamp_ns"],
             p_BTip=np.empty((len(rows), 0)),
             q_BTool=np.empty((len(rows), 0)),
+            q_BR=np.empty((len(rows), 0)),
         )
         if not self.commanded:
             return motion
@@ -126,6 +133,7 @@ class ArmCycles:
             goal=np.column_stack([p_action, unwrapped(goals, rows), cycle["jaw_set"]]),
             goal_since_ns=self.stamps[since],
             p_BTip=p_BTip,
+            q_BR=q_BR,
             q_BTool=multiply_quaternions(q_BR, tip_quaternions(s_R, roll)),
         )
 

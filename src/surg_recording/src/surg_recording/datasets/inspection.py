@@ -13,7 +13,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from surg_core.contract import TASK_STATE_KEY
+from surg_core.contract import FORCE_KEY, TASK_STATE_KEY
+from surg_core.force.observed_force import PLACES
 from surg_recording.calibration import calibration_record
 from surg_recording.clock.clock_segments import Segment
 from surg_recording.datasets import pictures, schema
@@ -49,6 +50,8 @@ class Layout:
     task_numbers: tuple[str, ...]
     """Columns of the task's ground truth."""
     truth: bool
+    forces: bool = False
+    """Whether a force at tip or trocar was known of every commanded arm."""
     scope: str = ""
     """The arm that holds the endoscope, where its pose follows from the joints; empty: unknown."""
 
@@ -69,6 +72,7 @@ _FIELD_NAMES = {
     "labelled": "judged by a task",
     "task_numbers": "numbers of the task's state",
     "truth": "ground truth",
+    "forces": "forces at tip and trocar",
     "scope": "arm with the pose of the camera",
 }
 
@@ -197,6 +201,7 @@ def layout_of(recorded: Episode, options: ExportOptions) -> Layout:
     labelled = bool(task.get("rows"))
     keep_task = labelled and TASK_STATE_KEY not in options.drop
     truths = [_mapping(tables.get(f"ground_truth_{arm}")).get("rows") for arm in arms]
+    felt = [any(_rows(tables, f"{place}_force_{arm}") for place in PLACES) for arm in commanded]
     cameras, sizes = _cameras(recorded, options)
     return Layout(
         arms=arms,
@@ -217,8 +222,14 @@ def layout_of(recorded: Episode, options: ExportOptions) -> Layout:
             if keep_task and name.startswith(table_columns.TASK_PREFIX)
         ),
         truth=all(truths) and schema.GROUND_TRUTH not in options.drop,
+        forces=all(felt) and FORCE_KEY not in options.drop,
         scope=_scope(recorded, options),
     )
+
+
+def _rows(tables: Mapping[str, Any], name: str) -> int:
+    """Rows of a table; 0 if there is none."""
+    return int(_mapping(tables.get(name)).get("rows") or 0)
 
 
 def _scope(recorded: Episode, options: ExportOptions) -> str:

@@ -17,6 +17,7 @@ import tempfile
 from pathlib import Path
 
 import surg_recording
+from surg_core.force.observed_force import PLACES
 from surg_recording.datasets import exporter as exporters
 from surg_recording.datasets import inspection, schema
 from surg_recording.datasets.exporter import Exporter, Part
@@ -59,6 +60,9 @@ def input_hash(folder: Path, layout: Layout, options: ExportOptions, exporter: E
     names = ["manifest.json", inspection.SYNC_REPORT, LABELS]
     names += [f"cycle_{arm}.csv" for arm in layout.arms]
     names += [f"ground_truth_{arm}.csv" for arm in layout.arms if layout.truth]
+    if layout.forces:
+        forces = [f"{place}_force_{arm}.csv" for place in PLACES for arm in layout.commanded]
+        names += [name for name in forces if (folder / name).exists()]
     names += ["task_state.csv"] if layout.labelled else []
     for camera in layout.cameras:
         names += [f"{camera}.mp4", f"{camera}.csv"]

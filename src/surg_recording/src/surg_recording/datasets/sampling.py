@@ -21,14 +21,21 @@ import numpy.typing as npt
 from surg_core.action_space import ActionSpace
 from surg_core.contract import (
     ACTION_KEY,
+    ARM_FORCE,
+    ARM_FORCE_UNITS,
     ARM_STATE,
     ARM_STATE_UNITS,
+    FORCE_KEY,
+    FORCE_TIMEOUT_NS,
     SECOND_NS,
     STATE_KEY,
     TASK_STATE_KEY,
     image_key,
 )
+from surg_core.force.observed_force import PLACES
+from surg_core.transforms import rotate_back
 from surg_recording.calibration import calibration_record
+from surg_recording.clock.clock_segments import Segment
 from surg_recording.datasets import pictures, schema, stream_copy
 from surg_recording.datasets.arm_motion import ArmCycles, ArmMotion
 from surg_recording.datasets.frame_columns import Columns
@@ -45,7 +52,7 @@ from surg_recording.datasets.resample import (
 )
 from surg_recording.datasets.schema import Feature
 from surg_recording.episode import episode_reader, labels, long_table, table_columns
-from surg_recording.episode.checked_reading import checked_table, checked_video
+from surg_recording.episode.checked_reading import checked_table, checked_video, measured_force
 from surg_recording.episode.episode_reader import Table
 from surg_recording.episode.long_table import LongTable
 from surg_recording.episode.verdicts import PERSON, Verdict
@@ -55,6 +62,7 @@ Array = npt.NDArray[np.float64]
 
 _LINEAR = "linear interpolation"
 _HOLD = "zero-order hold"
+_BEFORE = "newest sample before the frame"
 _NEXT = "zero-order hold at the next grid time"
 
 
@@ -139,6 +147,8 @@ def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
     if candidate.remarks:
         made.notes["remarks"] = list(candidate.remarks)
     _observe(made, [arms[name] for name in layout.commanded], list(arms.values()))
+    if layout.forces:
+        _feel(made, recorded, segment, [arms[name] for name in layout.commanded])
     if layout.scope:
         _look(made, recorded, arms[layout.scope])
     _act(made, [arms[name] for name in layout.commanded])
@@ -266,6 +276,35 @@ def _observe(made: Columns, commanded: list[ArmMotion], arms: list[ArmMotion]) -
             _LINEAR,
             f"measured joint {kind}",
         )
+
+
+def _feel(
+    made: Columns, recorded: episode_reader.Episode, segment: Segment | None, arms: list[ArmMotion]
+) -> None:
+    """Forces at tip and trocar: the newest measured before each frame, if it is fresh."""
+    times, parts = made.grid.times_ns, []
+    for arm in arms:
+        for place in PLACES:
+            table = measured_force(recorded, place, arm.name, segment)
+            values = np.zeros((len(times), 4))
+            if table is not None:
+                row = np.searchsorted(table["stamp_ns"], times, side="left") - 1
+                known = (row >= 0) & (table["known"][row] == 1)
+                known &= times - table["stamp_ns"][row] <= FORCE_TIMEOUT_NS
+                force = table.vector("force")[row]
+                turned = rotate_back(arm.q_BR_at(times), force)
+                values = np.where(known[:, None], np.column_stack([turned, known]), 0.0)
+            parts.append(values)
+    names = [arm.name for arm in arms]
+    made.vector(
+        FORCE_KEY,
+        np.hstack(parts),
+        _named(names, ARM_FORCE),
+        ARM_FORCE_UNITS * len(names),
+        "rcm frame of each arm",
+        _BEFORE,
+        "force on the tip and of the shaft on the trocar; known: 1, or 0 and no force",
+    )
 
 
 def _look(made: Columns, recorded: episode_reader.Episode, arm: ArmMotion) -> None:

@@ -12,7 +12,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-from surg_core.contract import ACTION_KEY, IMAGE_PREFIX, STATE_KEY, TASK_STATE_KEY
+from surg_core.contract import ACTION_KEY, FORCE_KEY, IMAGE_PREFIX, STATE_KEY, TASK_STATE_KEY
 
 INSTRUCTION = "instruction.text"
 STAGE = "instruction.stage"
@@ -23,7 +23,7 @@ GROUND_TRUTH = "privileged.ground_truth"
 ALWAYS = (INSTRUCTION, STAGE, TOOL)
 """Texts that every data set keeps: they say what a recording is."""
 
-OPTIONAL = frozenset((TASK_STATE_KEY, GROUND_TRUTH, CAMERA_POSE))
+OPTIONAL = frozenset((FORCE_KEY, TASK_STATE_KEY, GROUND_TRUTH, CAMERA_POSE))
 """Features that a recording need not have."""
 
 _ORDER = (

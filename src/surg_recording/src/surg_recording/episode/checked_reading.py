@@ -265,6 +265,23 @@ def _finite_truth(recorded: Episode, arm: str, segment: Segment | None) -> Table
     return table
 
 
+def measured_force(
+    recorded: Episode, place: str, arm: str, segment: Segment | None
+) -> Table | None:
+    """What a sensor said of the force at ``tip`` or ``trocar``; None: it was never known.
+
+    Raises:
+        EpisodeError: The table is not as recorded, or a known force is impossible.
+    """
+    name = f"{place}_force_{arm}"
+    if not (recorded.manifest["tables"].get(name) or {}).get("rows"):
+        return None
+    table = checked_table(recorded, name, segment)
+    path = recorded.folder / f"{name}.csv"
+    _finite(path, table.select(table["known"] == 1), [f"force_{axis}" for axis in "xyz"])
+    return table
+
+
 def _finite(path: Path, table: Table, columns: Sequence[str]) -> None:
     """Refuse a value that cannot have been measured."""
     for column in columns:

@@ -82,6 +82,7 @@ class Recording:
         self._annotations = Annotations()
         self._segments: list[dict[str, Any]] = []
         self._future: dict[str, int] = {}
+        self._known_forces: dict[str, int] = {}  # stamps of forces that are known, by table
         self._warnings: list[str] = []
         self._lock = threading.Lock()
         self._problems: list[str] = []
@@ -195,6 +196,19 @@ class Recording:
         for arm in message.arms:
             row = table_rows.ground_truth(stamp, message.tick, arm, receive_ns)
             self._put(self._table(f"ground_truth_{arm.arm}", table_columns.GROUND_TRUTH), row)
+
+    def force(self, arm: str, place: str, message: Any, receive_ns: int) -> None:
+        """Record what a sensor says of the force on the ``tip`` or the ``trocar`` of an arm.
+
+        That a force is not known is recorded once, after a known one, with the stamp of that.
+        """
+        name = f"{place}_force_{arm}"
+        row = table_rows.force(message, receive_ns, self._known_forces.get(name, 0))
+        if row[2] == 1:
+            self._known_forces[name] = row[0]
+        elif self._known_forces.pop(name, None) is None:
+            return
+        self._put(self._table(name, table_columns.MEASURED_FORCE), row)
 
     def task_state(self, message: Any, receive_ns: int) -> None:
         """Record a surg_msgs/TaskState."""

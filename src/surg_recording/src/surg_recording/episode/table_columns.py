@@ -140,6 +140,13 @@ ARM_TRUTH: Fields = (
 )
 """surg_msgs/ArmTruth, after stamp and tick of the surg_msgs/GroundTruth that it is in."""
 
+FORCE: Fields = (
+    *_STAMPS,
+    Field("", ("known",), int),
+    _point("wrench.force", ("force_x", "force_y", "force_z"), "N"),
+)
+"""geometry_msgs/WrenchStamped of a force sensor; without ``known`` the force is empty."""
+
 TASK_STATE: Fields = (
     *_STAMPS,
     _TICK,
@@ -206,6 +213,9 @@ def cycle(joints: int) -> list[str]:
 GROUND_TRUTH: list[str] = _columns(ARM_TRUTH)
 """Columns of ``ground_truth_<arm>.csv``."""
 
+MEASURED_FORCE: list[str] = _columns(FORCE)
+"""Columns of ``tip_force_<arm>.csv`` and ``trocar_force_<arm>.csv``."""
+
 COMMAND: list[str] = _columns(_COMMANDS)
 """Columns of ``command_<arm>.csv``; a command fills its own group and leaves the others empty."""
 
@@ -225,7 +235,7 @@ TASK_PREFIX = "task."
 
 _KINDS: dict[str, type] = {
     name: each.kind
-    for table in (CYCLE, ARM_TRUTH, TASK_STATE, CLOCK, _COMMANDS, _EVENTS, _VIDEO)
+    for table in (CYCLE, ARM_TRUTH, FORCE, TASK_STATE, CLOCK, _COMMANDS, _EVENTS, _VIDEO)
     for each in table
     for name in each.columns
 }

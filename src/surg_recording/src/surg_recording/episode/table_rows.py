@@ -66,6 +66,7 @@ def _row(head: tuple[Any, ...], readers: tuple[Read, ...], message: Any) -> list
 
 _CYCLE = _readers(table_columns.CYCLE)
 _ARM_TRUTH = _readers(table_columns.ARM_TRUTH)
+_FORCE = _readers(table_columns.FORCE)
 _TASK_STATE = _readers(table_columns.TASK_STATE)
 _CLOCK = _readers(table_columns.CLOCK)
 _COMMAND = {
@@ -82,6 +83,18 @@ def cycle(message: Any, receive_ns: int) -> Row:
 def ground_truth(stamp_ns: int, tick: int, arm: Any, receive_ns: int) -> Row:
     """One surg_msgs/ArmTruth as a row of ``table_columns.GROUND_TRUTH``."""
     return tuple(_row((stamp_ns, receive_ns, tick), _ARM_TRUTH, arm))
+
+
+def force(message: Any, receive_ns: int, stamp_ns: int) -> Row:
+    """One geometry_msgs/WrenchStamped as a row of ``table_columns.MEASURED_FORCE``.
+
+    A force that is not known (its stamp is 0) or no number is left out; the row has ``stamp_ns``.
+    """
+    stamp = nanoseconds(message.header.stamp)
+    row = _row((stamp, receive_ns, 1), _FORCE, message)
+    if stamp > 0 and all(map(math.isfinite, row[3:])):
+        return tuple(row)
+    return (stamp_ns, receive_ns, 0, None, None, None)
 
 
 def task_state(message: Any, receive_ns: int) -> Row:

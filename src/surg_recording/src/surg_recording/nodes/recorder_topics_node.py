@@ -10,11 +10,12 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import rospy
-from geometry_msgs.msg import PoseStamped, TwistStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from sensor_msgs.msg import CameraInfo, JointState
 from std_msgs.msg import Bool, Empty, String
 
 from crtk_msgs.msg import OperatingState, StringStamped
+from surg_core.force.observed_force import TOPICS
 from surg_core.status_check import Newest
 from surg_msgs.msg import ClockSync, Cycle, GroundTruth, SimStatus, TaskState
 from surg_recording.calibration.endoscope_record import camera_info_topic, camera_model
@@ -55,7 +56,15 @@ CLOCK_TOPIC = "/clock_sync/status"
 
 def own_topics(arms: Sequence[str]) -> list[str]:
     """Topics that have a table of their own."""
-    names = [*COMMANDS, "cycle", "hold", "operating_state", "tool/mounted", *TEXTS]
+    names = [
+        *COMMANDS,
+        *TOPICS.values(),
+        "cycle",
+        "hold",
+        "operating_state",
+        "tool/mounted",
+        *TEXTS,
+    ]
     return [
         *(f"/{arm}/{name}" for arm in arms for name in names),
         *(f"/assistant/{name}" for name in ASSISTANT),
@@ -100,6 +109,8 @@ class RecorderTopics:
         self._subscribe(f"/{arm}/cycle", Cycle, self._on_cycle, arm)
         for name, kind in COMMANDS.items():
             self._subscribe(f"/{arm}/{name}", kind, self._on_command, arm, name)
+        for place, topic in TOPICS.items():
+            self._subscribe(f"/{arm}/{topic}", WrenchStamped, self._on_force, arm, place)
         self._subscribe(f"/{arm}/hold", Empty, self._on_hold, arm)
         self._subscribe(f"/{arm}/tool/mounted", StringStamped, self._on_tool, arm)
         self._subscribe(f"/{arm}/operating_state", OperatingState, self._on_operating_state, arm)
@@ -144,6 +155,10 @@ class RecorderTopics:
             recording.ground_truth(message, self._clock.now_ns())
         for arm in message.arms:
             self._state.received(f"ground_truth_{arm.arm}", message.tick)
+
+    def _on_force(self, arm: str, place: str, message: WrenchStamped) -> None:
+        if recording := self._recording_of(f"/{arm}/{TOPICS[place]}", message):
+            recording.force(arm, place, message, self._clock.now_ns())
 
     def _on_task_state(self, message: TaskState) -> None:
         if recording := self._recording_of_state(TASK_TOPIC, message):

@@ -18,7 +18,8 @@ import numpy as np
 
 import surg_core
 from surg_core.arm_view import ArmCommands, ArmView
-from surg_core.contract import GRID, TICK_NS
+from surg_core.contract import FORCE_TICKS, GRID, TICK_NS
+from surg_core.force.observed_force import PLACES, arm_force
 from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.patient_settings import PatientSetting, find_setting
 from surg_sim.physics.sim_arm import ArmCommand
@@ -32,9 +33,6 @@ Command = surg_core.MotionCommand | surg_core.StateCommand
 
 SOURCE = 1
 """Whose commands the arm obeys: this process is one sender."""
-
-FORCE_TICKS = 5
-"""Forces at trocar and jaws are measured on every fifth tick; they count from the next cycle on."""
 
 LAWS = {
     "ours": surg_core.Law.EXACT,
@@ -123,6 +121,7 @@ class Session:
                 controller.set_fixture(fixture)
             self.controllers[name] = controller
         self._forces: dict[str, dict[str, surg_core.ForceSample]] = {}
+        self._earlier_forces: dict[str, dict[str, surg_core.ForceSample]] = {}
 
     @property
     def hash(self) -> str:
@@ -154,12 +153,23 @@ class Session:
             jaw = out.jaw_set if math.isfinite(out.jaw_set) else None
             answers[name] = ArmCommand(velocity=out.qd_command, jaw=jaw)
             if tick % FORCE_TICKS == 0:
+                self._earlier_forces[name] = self._forces.get(name, {})
                 self._forces[name] = self._read_force_sensors(name)
         world.step(answers, assistant)
         unstable = trouble(world.data)
         if unstable:
             verdict = Verdict(done=True, reason=unstable, phase=verdict.phase)
         return Tick(tick, outputs, state, verdict)
+
+    def observed_force(self, arm: str) -> list[float]:
+        """The numbers of ``contract.ARM_FORCE`` as known at the last tick, which is on the grid.
+
+        Forces of a tick count from the next one on: these are older, as in a graph.
+        """
+        samples = [self._earlier_forces.get(arm, {}).get(f"{place}_force") for place in PLACES]
+        known = [None if s is None or not s.valid else np.asarray(s.f_B) for s in samples]
+        R_BR = np.asarray(self.controllers[arm].X_BR)[:3, :3]
+        return arm_force(known[0], known[1], R_BR)
 
     def _readings(self, arm: str) -> surg_core.Readings:
         """What a robot's link and its force sensors say beside the joints."""

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from surg_core.arm_view import ArmCommands, TipPose
-from surg_core.contract import ARM_ACTION, ARM_STATE
+from surg_core.contract import ARM_ACTION, ARM_FORCE, ARM_STATE
 from surg_sim.arrays import Array
 from surg_sim.envs.cell_session import Session, Tick
 from surg_sim.tasks.scripted_sender import home_frame, into, out_of
@@ -20,10 +20,15 @@ ASSISTANT_STATE = ("yaw", "pitch", "insertion", "roll", "jaw")
 
 
 class EnvSpaces:
-    """Spaces of a session, with pictures of these views and of this size (width, height) [px]."""
+    """Spaces of a session, with pictures of these views and of this size (width, height) [px].
 
-    def __init__(self, session: Session, images: Sequence[str], size: tuple[int, int]) -> None:
-        self._session, self._images, self._size = session, images, size
+    ``forces``: the commanded arms' forces at tip and trocar are observed.
+    """
+
+    def __init__(
+        self, session: Session, images: Sequence[str], size: tuple[int, int], forces: bool = False
+    ) -> None:
+        self._session, self._images, self._size, self._forces = session, images, size, forces
         self.arms = session.task.commanded
         """Arms that the action commands, in its order."""
         self._frames = {
@@ -33,6 +38,8 @@ class EnvSpaces:
         """Names of the numbers in ``state``, such as ``PSM1/tip_x``."""
         if session.task.assistant is not None:
             self.state_names += [f"assistant/{name}" for name in ASSISTANT_STATE]
+        self.force_names = [f"{arm}/{name}" for arm in self.arms for name in ARM_FORCE]
+        """Names of the numbers in ``force``, such as ``PSM1/tip_x``."""
         self.action_names = [f"{arm}/{name}" for arm in self.arms for name in ARM_ACTION]
         """Names of the numbers of an action, such as ``PSM1/x``."""
 
@@ -48,7 +55,7 @@ class EnvSpaces:
         return spaces.Box(np.array(low), np.array(high), dtype=np.float64)
 
     def observation(self) -> spaces.Dict:
-        """``state``, ``privileged`` and, where there are any, ``images``."""
+        """``state``, ``privileged`` and, where they are asked for, ``force`` and ``images``."""
 
         def free(shape: tuple[int, ...]) -> spaces.Box:
             return spaces.Box(-np.inf, np.inf, shape, np.float64)
@@ -58,6 +65,8 @@ class EnvSpaces:
             "state": free((len(self.state_names),)),
             "privileged": spaces.Dict({key: free(np.shape(task[key])) for key in task}),
         }
+        if self._forces:
+            members["force"] = free((len(self.force_names),))
         if self._images:
             width, height = self._size
             picture = spaces.Box(0, 255, (height, width, 3), np.uint8)
@@ -65,7 +74,7 @@ class EnvSpaces:
         return spaces.Dict(members)
 
     def observe(self, tick: Tick) -> dict[str, Any]:
-        """``state`` and ``privileged`` of a tick."""
+        """``state``, ``privileged`` and, if asked for, ``force`` of a tick."""
         task, state = self._session.task, []
         for arm, out in tick.outputs.items():
             X_WR, X_WB = self._frames[arm]
@@ -75,7 +84,11 @@ class EnvSpaces:
             state += [*task.assistant.joints, task.assistant.jaw]
         truth = tick.state or task.state()
         privileged = {key: np.asarray(truth[key], dtype=np.float64) for key in truth}
-        return {"state": np.array(state), "privileged": privileged}
+        seen: dict[str, Any] = {"state": np.array(state), "privileged": privileged}
+        if self._forces:
+            felt = [self._session.observed_force(arm) for arm in self.arms]
+            seen["force"] = np.concatenate(felt)
+        return seen
 
     def commands(self, action: Array) -> dict[str, ArmCommands]:
         """An action as commands by arm.

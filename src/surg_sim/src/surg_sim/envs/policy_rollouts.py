@@ -13,7 +13,15 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from surg_core.contract import ARM_STATE, STATE_KEY, TASK_STATE_KEY, TICK, image_key
+from surg_core.contract import (
+    ARM_FORCE,
+    ARM_STATE,
+    FORCE_KEY,
+    STATE_KEY,
+    TASK_STATE_KEY,
+    TICK,
+    image_key,
+)
 from surg_sim.arrays import Array
 from surg_sim.envs.surg_env import SurgEnv
 
@@ -50,7 +58,8 @@ def names(env: SurgEnv) -> dict[str, list[str]]:
         for place in np.ndindex(np.shape(value))
     ]
     state = [f"{arm}/{name}" for arm in env.arms for name in ARM_STATE]
-    return {STATE_KEY: state, TASK_STATE_KEY: flat}
+    force = [f"{arm}/{name}" for arm in env.arms for name in ARM_FORCE]
+    return {STATE_KEY: state, FORCE_KEY: force, TASK_STATE_KEY: flat}
 
 
 def observe(env: SurgEnv, observation: dict[str, Any]) -> dict[str, Any]:
@@ -62,6 +71,7 @@ def observe(env: SurgEnv, observation: dict[str, Any]) -> dict[str, Any]:
     return {
         STATE_KEY: observation["state"][chosen],
         TASK_STATE_KEY: np.concatenate(truth),
+        **({FORCE_KEY: observation["force"]} if "force" in observation else {}),
         **{image_key(f"endoscope_{name}"): picture for name, picture in shown.items()},
     }
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import surg_core
-from surg_core.contract import GRID, SECOND_NS, TICK_NS
+from surg_core.contract import FORCE_TICKS, GRID, SECOND_NS, TICK_NS
 from surg_core.transforms import matrix_to_quaternion_xyzw
 from surg_sim.envs.cell_session import Command, Session, Tick
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
@@ -184,6 +184,7 @@ class RecordedSession(Session):
         stamp = world.tick * TICK_NS
         before = {name: (world.state(name), world.truth(name)) for name in world.arms}
         on_grid = world.tick % GRID == 0
+        felt = self._felt() if world.tick % FORCE_TICKS == 0 else {}
         state = self.task.state() if on_grid or self.task.verdict().done else None
         if self._renderer is not None and on_grid:
             self._record_pictures(recording, stamp)
@@ -203,9 +204,20 @@ class RecordedSession(Session):
             recording.cycle(name, row, stamp)
         arms = [_truth(name, truth) for name, (_, truth) in before.items()]
         recording.ground_truth(_message(stamp, tick=tick.tick, arms=arms), stamp)
+        for (name, place), force in felt.items():
+            recording.force(name, place, _message(stamp, wrench=_wrench(force)), stamp)
         if state is not None:
             recording.task_state(_task_state(tick, state), stamp)
         return tick
+
+    def _felt(self) -> dict[tuple[str, str], Any]:
+        """What force sensors measure now, by arm and place [N], base frame."""
+        found = {}
+        for name in self.world.arms:
+            found[name, "trocar"] = self.world.truth(name).trocar_force
+            if (tip := self.world.tip_force(name)) is not None:
+                found[name, "tip"] = tip
+        return found
 
     def _orientation(self, arm: str) -> list[float]:
         """Of the rcm frame in the base, x, y, z, w; it changes when the arm is homed."""
@@ -247,6 +259,10 @@ def _message(stamp_ns: int, **members: Any) -> SimpleNamespace:
 def _xyz(v: Any) -> SimpleNamespace:
     x, y, z = np.asarray(v).tolist()
     return SimpleNamespace(x=x, y=y, z=z)
+
+
+def _wrench(force: Any) -> SimpleNamespace:
+    return SimpleNamespace(force=_xyz(force))
 
 
 def _command(command: surg_core.MotionCommand, stamp_ns: int) -> tuple[str, SimpleNamespace]:

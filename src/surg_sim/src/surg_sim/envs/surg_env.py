@@ -49,12 +49,14 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
     """One task as an environment.
 
     Observation, a dict: ``state`` (what a robot could measure; ``state_names``), ``images`` (only
-    with ``images``; left and right, (height, width, 3), rgb8), ``privileged`` (the task's ground
-    truth, which no policy for a robot may read). Action: where set-point and jaw shall be at the
-    next grid time, ``ACTION`` of every commanded arm. A step that is too large is refused by the
-    controller, as on a robot, and counted in ``info["refused"]``. Reward: the task's. Terminated:
-    success or failure; truncated: time limit. ``info``: ``success``, ``reason``, ``phase``,
-    ``seed``, ``refused``, ``rcm_error`` (largest kinematic deviation of the step, by arm [m]).
+    with ``images``; left and right, (height, width, 3), rgb8), ``force`` (only with ``forces``; at
+    tip and trocar of every commanded arm, ``contract.ARM_FORCE``, rcm frame), ``privileged`` (the
+    task's ground truth, which no policy for a robot may read). Action: where set-point and jaw
+    shall be at the next grid time, ``ACTION`` of every commanded arm. A step that is too large is
+    refused by the controller, as on a robot, and counted in ``info["refused"]``. Reward: the
+    task's. Terminated: success or failure; truncated: time limit. ``info``: ``success``,
+    ``reason``, ``phase``, ``seed``, ``refused``, ``rcm_error`` (largest kinematic deviation of the
+    step, by arm [m]).
 
     Args:
         task: Of ``tasks.names()``, or the path of a task's file.
@@ -66,6 +68,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         render_mode: None or ``rgb_array`` (left camera).
         law: Of ``cell_session.LAWS``.
         seed_look: Draws the look of the tissue, once for the environment.
+        forces: Observe the forces at tip and trocar.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": GRID_RATE}
@@ -81,6 +84,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         render_mode: str | None = None,
         law: str = "ours",
         seed_look: int = 0,
+        forces: bool = False,
     ) -> None:
         strange = [name for name in images if name not in CAMERAS]
         if strange or render_mode not in (None, "rgb_array"):
@@ -96,7 +100,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         self._renderers: dict[tuple[str, ...], Any] = {}
         self._qpos = self.session.world.data.qpos.copy()
         """Joint positions of the observed state, for pictures."""
-        self._spaces = EnvSpaces(self.session, self._images, self._size)
+        self._spaces = EnvSpaces(self.session, self._images, self._size, forces)
         self.arms, self.state_names = self._spaces.arms, self._spaces.state_names
         self.action_names = self._spaces.action_names
         self._expert: Expert | None = None

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import WrenchStamped
 
-from surg_core.contract import GRID
+from surg_core.contract import FORCE_TICKS, GRID
 from surg_msgs.msg import TaskState, TaskStatus
 from surg_ros import link_messages
 from surg_ros.transport.direct_publisher import DirectPublisher
-from surg_sim.envs.cell_session import FORCE_TICKS
 from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.assistant_topics_node import AssistantTopics
 from surg_sim.physics.assistant_arm import AssistantCommand
