@@ -12,7 +12,7 @@ setuptools.setup(
     package_dir={"": "src"},
     package_data={
         "surg_teleop": ["py.typed", "leaders/evdev/layouts/*.yaml"],
-        "surg_teleop.console.web": ["page/*"],
+        "surg_teleop.console.web": ["page/*", "page/*/*"],
     },
     install_requires=[
         "aiohttp>=3.8",

@@ -36,6 +36,7 @@ FACTS = {
     "arm": "PSM1",
     "views": ["left", "right"],
     "leads": True,
+    "beside": ["marks", "scene"],
     "limits": LIMITS,
 }
 
@@ -46,6 +47,8 @@ class FakeSystem:
     def __init__(self) -> None:
         self.orders: list[tuple[float, Order]] = []
         self.episodes: list[Entry] = []
+        self.watched: frozenset[str] = frozenset()
+        self.shown: dict[str, str] = {}
         self.now = Robot(
             arms=(Arm("PSM1", "ENABLED", True, time.monotonic()),),
             follower=Follower("DISABLED", scale=0.2),
@@ -70,6 +73,14 @@ class FakeSystem:
             if isinstance(order, Follow):
                 state = "FOLLOWING" if order.value else "DISABLED"
                 self.now = replace(self.now, follower=replace(self.now.follower, state=state))
+
+    def watch(self, what: str, wanted: bool) -> None:
+        """See `server.System`."""
+        self.watched = self.watched | {what} if wanted else self.watched - {what}
+
+    def beside(self, what: str) -> str:
+        """See `server.System`."""
+        return self.shown.get(what, "")
 
     def entries(self) -> list[Entry]:
         """See `server.System`."""

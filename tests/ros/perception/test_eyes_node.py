@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,7 @@ class Sender:
             state = JointState(name=list(arm.robot.joint_names), position=list(arm.robot.home))
             topic = f"/{name}/robot/measured_js"
             self._joints.append((rospy.Publisher(topic, JointState, queue_size=2), state))
+        self.moving = True
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -51,7 +53,7 @@ class Sender:
 
         while not self._stop.wait(0.05):
             now = rospy.Time.now()
-            for publisher, state in self._joints:
+            for publisher, state in self._joints if self.moving else ():
                 state.header.stamp = now
                 publisher.publish(state)
             for image, info, picture, lens in zip(
@@ -144,6 +146,29 @@ def test_depth_points_and_marks_of_a_pair(
     sender.pictures = (sender.pictures[0], sender.pictures[1][::2, ::2].copy())
     ros_graph.wait_for(lambda: "the right picture has 160 x 120" in told(), 20.0, "the reason")
     assert node.exit_code is None
+
+
+def test_marks_come_with_every_picture_and_need_none(sender: Sender, ros_graph: RosGraph) -> None:
+    """At the pictures' own rate, not the node's; the pictures themselves are not fetched."""
+    from surg_msgs.msg import PictureMarks
+
+    params = {"depth": False, "marks": True, "cell": str(CELL), "rate": 1.0}
+    ros_graph.node("surg_perception", "eyes_node.py", "/eyes", params)
+    marks = Listener("/endoscope/marks", PictureMarks)
+    ros_graph.wait_for(lambda: len(marks.messages) > 20, 30.0, "marks")
+    newest = marks.messages[-1]
+    stamps = np.array([m.header.stamp.to_sec() for m in marks.messages[-20:]])
+    assert 1.0 / np.diff(stamps).mean() > 10.0, "not held back by ~rate"
+    assert (newest.width, newest.height) == sender.pictures[0].shape[1::-1]
+    assert {mark.eye for mark in newest.marks} == {"left", "right"}
+    assert {mark.name for mark in newest.marks} >= {"tip", "shaft", "trocar"}
+    assert all(images.get_num_connections() == 0 for images in sender._images)
+    # The joints fall silent: no marks, for they would lie.
+    sender.moving = False
+    time.sleep(0.5)
+    before = len(marks.messages)
+    time.sleep(0.5)
+    assert len(marks.messages) == before
 
 
 def test_a_broken_parameter_ends_the_node_with_a_reason(ros_graph: RosGraph) -> None:

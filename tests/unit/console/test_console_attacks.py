@@ -171,3 +171,20 @@ def test_the_pace_lets_a_burst_pass_and_then_its_rate() -> None:
     assert waits[:10] == [0.0] * 10
     assert waits[29] == pytest.approx(0.2)
     assert pace.wait(1.0) == 0.0
+
+
+def test_every_connection_of_a_burst_is_served() -> None:
+    async def test() -> None:
+        connector = aiohttp.TCPConnector(limit=0)
+        async with (
+            console(pictures=False) as made,
+            aiohttp.ClientSession(connector=connector) as http,
+        ):
+
+            async def status() -> int:
+                async with http.get(f"http://localhost:{made.port}/page/mark.svg") as answer:
+                    return answer.status
+
+            assert await asyncio.gather(*(status() for _ in range(40))) == [200] * 40
+
+    run(test())

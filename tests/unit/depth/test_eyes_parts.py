@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 
 import numpy as np
 import pytest
@@ -10,12 +11,16 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from helpers.endoscope_files import copied_cell, lens
-from surg_cli.commands import up
+from surg_cli.commands import teleop, up
+from surg_cli.graph import running
+from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
 from surg_core import ConfigError, axis_angle_to_matrix
 from surg_perception.eyes import eyes_messages_node as messages
 from surg_perception.eyes.eyes_parameters import parse
 from surg_perception.eyes.joint_history import KEPT_NS, MOST_GAP_NS, JointHistory
+from surg_perception.eyes.live_marks_node import message_of
+from surg_perception.marks.mark_projection import PictureMark
 from surg_ros.params import ParamError
 
 MS = 1_000_000
@@ -113,6 +118,25 @@ def test_points_stand_in_the_left_eyes_frame() -> None:
     assert rows["rgb"][0] == 0xFF8001
 
 
+def test_marks_as_a_message_left_eye_first() -> None:
+    turned = np.array([[5.0, 3.0], [3.0, 5.0]])  # eigenvalues 8 and 2, at 45 degrees
+    left = [PictureMark("A", "tip", np.array([[10.123, 20.456]]), turned)]
+    right = [PictureMark("A", "shaft", np.array([[1.0, 2.0], [np.nan, np.nan]]))]
+    info = CameraInfo(width=640, height=480, header=Header(frame_id="endoscope_left"))
+    found = message_of(info, [left, right])
+    assert (found.width, found.height, found.header) == (640, 480, info.header)
+    tip, shaft = found.marks
+    assert (tip.eye, tip.name, tip.x, tip.y) == ("left", "tip", [10.12], [20.46])
+    long, short, angle = tip.ellipse
+    assert (long, short) == pytest.approx((2 * 8**0.5, 2 * 2**0.5), abs=1e-3)
+    assert abs(np.tan(angle) - 1.0) < 1e-3
+    assert shaft.eye == "right" and shaft.ellipse == [] and np.isnan(shaft.y[1])
+    buffer = io.BytesIO()
+    found.serialize(buffer)
+    assert len(buffer.getvalue()) < 500
+    assert len(message_of(info, [left]).marks) == 1, "one eye"
+
+
 def printed(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
     parser = argparse.ArgumentParser()
     up.add_arguments(parser, "up")
@@ -126,6 +150,23 @@ def test_up_starts_the_node_when_asked(capsys: pytest.CaptureFixture[str]) -> No
     assert "_depth:=true" in line and "_marks:=false" in line and "_cell" not in line
     (line,) = printed(capsys, "sim_two_arms", "--marks")
     assert "_depth:=false" in line and "_marks:=true" in line and "sim_two_arms" in line
+
+
+def test_teleop_has_the_options_of_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    def options(*words: str) -> argparse.Namespace:
+        parser = argparse.ArgumentParser()
+        teleop.add_arguments(parser, "teleop")
+        return parser.parse_args(["sim_two_arms", "--task", "none", *words])
+
+    assert teleop._plan(options()).eyes is None
+    plan = teleop._plan(options("--marks"))
+    assert plan.cameras == ("left", "right") and plan.eyes is not None
+    assert plan.eyes["marks"] is True and plan.eyes["depth"] is False
+    # Beside a system that runs there is nobody to start the node in.
+    there = running.System(11311, 1, 1, "up", str(paths.CELLS / "sim_two_arms"), "")
+    monkeypatch.setattr(running, "systems", lambda: [there])
+    with pytest.raises(Problem, match=r"start that system with it: ./surg up CELL --depth"):
+        teleop.main(options("--depth"), "teleop")
 
 
 def test_up_refuses_depth_without_two_eyes(tmp_path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -47,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--setting", default="phantom", metavar="W", help="phantom, ex_vivo or in_vivo")
     add("--seed", type=int, default=0, metavar="N", help="seed of the phantom")
     add("--stereo", action="store_true", help="both views of the endoscope")
+    endoscope.add_arguments(parser)
     add_video_quality(parser)
     add("--scale", type=float, default=0.2, metavar="K", help="tip motion per hand motion")
     add(
@@ -82,6 +83,13 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 def main(options: argparse.Namespace, command: str) -> int:
     """Check, start or attach, print the address, wait."""
     attached = next((s for s in running.systems() if s.port == options.port), None)
+    if attached is not None and (options.depth or options.marks):
+        asked = "--depth" if options.depth else "--marks"
+        raise Problem(
+            f"{asked}: port {options.port}: {attached.command} of {attached.cell} runs there; "
+            f"omit {asked}, or start that system with it: ./surg up CELL {asked}",
+            2,
+        )
     place = None if attached is None else _place(attached, options)
     web, fragment = _web(options)
     plan = _plan(options) if attached is None else _plan_of(attached)
@@ -188,13 +196,15 @@ def _plan(options: argparse.Namespace) -> Plan:
     if task.endswith(".py"):
         task = str(Path(task).absolute())
     language = {} if task == "none" else _language_of(loaded, task, options.setting)
-    scope = endoscope.of_cell(loaded.config, True, options.stereo)
+    stereo = options.stereo or options.depth or options.marks
+    scope = endoscope.of_cell(loaded.config, True, stereo)
     return Plan(
         cell=cell,
         arms=arms,
         lockstep=False,
         cameras=scope.views,
         capture=scope.capture,
+        eyes=endoscope.eyes_of(options, scope, cell),
         record_quality=video_quality(options),
         seed=options.seed,
         out=paths.run_folder(options.out),

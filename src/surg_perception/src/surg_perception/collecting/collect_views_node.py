@@ -23,8 +23,8 @@ from surg_perception.calibration.board import Picture
 from surg_perception.collecting import collector
 from surg_perception.collecting.collector import Step
 from surg_perception.collecting.live_calibration import LiveCalibration, State, Status
+from surg_perception.eyes.newest_pair_node import NewestPair
 
-EYES = ("left", "right")
 GREY = {"rgb8": cv2.COLOR_RGB2GRAY, "bgr8": cv2.COLOR_BGR2GRAY, "mono8": None}
 SILENT_S = 2.0
 """Silence of pictures or joints after which the person is told."""
@@ -36,9 +36,8 @@ class CollectViews:
 
     def __init__(self, live: LiveCalibration) -> None:
         self._live = live
-        self._newest: dict[str, Image] = {}
-        self._pair: tuple[Image, Image] | None = None
-        self._arrived = threading.Condition()
+        self._pairs = NewestPair()
+        self._lock = threading.Lock()
         self._joints: deque[tuple[float, FloatArray]] = deque()
         self._listener: Any = None
         self._names: list[str] = []
@@ -51,18 +50,7 @@ class CollectViews:
             rospy.Subscriber("/calibrate/request", CalibrationRequest, self._on_request),
             rospy.Subscriber("/endoscope/left/camera_info", CameraInfo, self._on_info),
         ]
-        for eye in EYES:
-            self._inputs.append(
-                rospy.Subscriber(
-                    f"/endoscope/{eye}/image_raw",
-                    Image,
-                    self._on_image,
-                    eye,
-                    queue_size=1,
-                    buff_size=1 << 25,
-                    tcp_nodelay=True,
-                )
-            )
+        self._pairs.listen(True)
 
     def start(self, step: Step) -> None:
         """Begin a step; raises as `LiveCalibration.start`."""
@@ -84,20 +72,12 @@ class CollectViews:
             )
 
     def _on_request(self, message: CalibrationRequest) -> None:
-        with self._arrived:
+        with self._lock:
             self._requests.append(message.request)
-            self._arrived.notify()
+        self._pairs.wake()
 
     def _on_info(self, message: CameraInfo) -> None:
         self._live.lens(np.array(message.K).reshape(3, 3))
-
-    def _on_image(self, message: Image, eye: str) -> None:
-        with self._arrived:
-            self._newest[eye] = message
-            left, right = (self._newest.get(each) for each in EYES)
-            if left is not None and right is not None and left.header.stamp == right.header.stamp:
-                self._pair = (left, right)
-                self._arrived.notify()
 
     def _on_joints(self, message: JointState) -> None:
         where = dict(zip(message.name, message.position, strict=False)) if message.name else {}
@@ -105,7 +85,7 @@ class CollectViews:
         q = [where[name] for name in self._names] if known else list(message.position)
         if len(q) != len(self._names) or message.header.stamp.to_nsec() == 0:
             return
-        with self._arrived:
+        with self._lock:
             states, now = self._joints, message.header.stamp.to_sec()
             if states and now <= states[-1][0]:
                 states.clear()
@@ -115,10 +95,8 @@ class CollectViews:
 
     def turn(self, wait: float = REPORT_S) -> Status:
         """Look at the newest pair, if one arrives in time [s], and publish the status."""
-        with self._arrived:
-            if self._pair is None and not self._requests:
-                self._arrived.wait(wait)
-            pair, self._pair = self._pair, None
+        pair = self._pairs.take(wait)
+        with self._lock:
             requests, self._requests = self._requests, []
             joints = list(self._joints)
         for request in requests:
@@ -149,7 +127,7 @@ class CollectViews:
         """Tell the person that pictures are missing."""
         now = rospy.get_time()
         if now - self._seen > SILENT_S:
-            silent = [eye for eye in EYES if eye not in self._newest]
+            silent = self._pairs.silent()
             if silent:
                 which = " and ".join(f"/endoscope/{eye}/image_raw" for eye in silent)
                 self._live.say(f"No pictures on {which}. Start the endoscope's node.")
@@ -176,6 +154,7 @@ class CollectViews:
 
     def close(self) -> None:
         """Leave the graph."""
+        self._pairs.listen(False)
         for each in (*self._inputs, self._status, self._listener):
             if each is not None:
                 each.unregister()

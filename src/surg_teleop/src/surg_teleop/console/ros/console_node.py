@@ -92,6 +92,12 @@ class Settings:
         )
 
     @property
+    def beside(self) -> list[str]:
+        """What the page can show over and beside the picture."""
+        held = any(arm.instrument.camera is not None for arm in self.cell.arms.values())
+        return [*(["marks"] if held and self.views else []), "scene"]
+
+    @property
     def limits(self) -> dict[str, float]:
         """What the page draws its bars against [SI]."""
         limits = self.cell.arms[self.arm].limits
@@ -106,12 +112,15 @@ async def serve(settings: Settings, stop: asyncio.Event) -> None:
     Raises:
         OSError: The port cannot be had.
     """
-    system = RosSystem(settings.arms, settings.leader, settings.teleop, settings.episodes)
+    system = RosSystem(
+        settings.cell, settings.arms, settings.leader, settings.teleop, settings.episodes
+    )
     facts = {
         "cell": settings.cell.config.name,
         "arm": settings.arm,
         "views": list(settings.views),
         "leads": bool(settings.leader),
+        "beside": settings.beside,
         "limits": settings.limits,
     }
     name = f"{rospy.get_name().strip('/').replace('/', '_')}_video"

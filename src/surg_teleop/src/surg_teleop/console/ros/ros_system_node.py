@@ -18,6 +18,7 @@ from std_msgs.msg import String
 
 from crtk_msgs.msg import OperatingState
 from surg_core import Fixture
+from surg_core.config import Cell
 from surg_core.status_check import Newest, value_name
 from surg_core.transforms import quaternion_xyzw_to_matrix
 from surg_msgs.msg import (
@@ -31,6 +32,7 @@ from surg_msgs.msg import (
     TeleopStatus,
 )
 from surg_ros.transport.polled_subscriber import PolledSubscriber
+from surg_teleop.console.ros.beside_topics_node import BesideTopics
 from surg_teleop.console.ros.order_topics_node import OrderTopics
 from surg_teleop.console.ros.raw_gauges import depth, force, last_double, state_and_reason
 from surg_teleop.console.session import operator_messages
@@ -71,8 +73,14 @@ class RosSystem:
     """See `web_server.System`; the driven arm comes first, an empty leader means no leader."""
 
     def __init__(
-        self, arms: tuple[str, ...], leader: str, teleop: str, episodes: Path | None
+        self,
+        cell: Cell,
+        arms: tuple[str, ...],
+        leader: str,
+        teleop: str,
+        episodes: Path | None,
     ) -> None:
+        self._beside = BesideTopics(cell)
         self._lock = threading.Lock()
         self._arms = {name: Arm(name) for name in arms}
         self._teleop = f"/{teleop}/status"
@@ -217,6 +225,14 @@ class RosSystem:
         """See `web_server.System`."""
         for order in orders:
             self._orders.send(order)
+
+    def watch(self, what: str, wanted: bool) -> None:
+        """See `web_server.System`."""
+        self._beside.watch(what, wanted)
+
+    def beside(self, what: str) -> str:
+        """See `web_server.System`."""
+        return self._beside.beside(what)
 
     def live(self) -> None:
         """See `web_server.System`."""

@@ -39,9 +39,11 @@ async def add_headers(request: web.Request, response: web.StreamResponse) -> Non
 def page_files() -> dict[str, bytes]:
     """Files of the page by name, read once; no other file is served."""
     folder = resources.files(__package__).joinpath("page")
+    groups = {f"{each.name}/": each for each in folder.iterdir() if each.is_dir()}
     return {
-        file.name: file.read_bytes()
-        for file in folder.iterdir()
+        prefix + file.name: file.read_bytes()
+        for prefix, group in {"": folder, **groups}.items()
+        for file in group.iterdir()
         if file.name.rpartition(".")[2] in TYPES
     }
 

@@ -135,12 +135,13 @@ class Listener:
         loop = asyncio.get_running_loop()
         while True:
             connection, address = await loop.sock_accept(listening)
-            for _ in range(ACCEPTED_AT_ONCE):
-                self._admit(connection, str(address[0]))
+            self._admit(connection, str(address[0]))
+            for _ in range(ACCEPTED_AT_ONCE - 1):
                 try:
                     connection, address = listening.accept()
                 except OSError:  # none waits, or it has gone, or no file descriptor is left
                     break
+                self._admit(connection, str(address[0]))
             await asyncio.sleep(ACCEPT_PAUSE)
 
     def _admit(self, connection: socket.socket, address: str) -> None:

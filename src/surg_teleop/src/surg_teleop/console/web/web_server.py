@@ -1,9 +1,10 @@
 """The console's web server: page, control socket and picture socket. No ROS.
 
 ``/`` and ``/page/…`` serve the page, ``/control`` its input and status, ``/pictures`` the
-endoscope's pictures. ``/calibrate`` is the page that collects calibration views, ``/calibration``
-its socket. ``/monitor`` shows the pictures on a 3D monitor, ``/status`` is its socket: status out,
-Stop in. The pages are public; all sockets demand the token in a first `hello`.
+endoscope's pictures, ``/marks`` and ``/scene`` what is shown over and beside them. ``/calibrate``
+is the page that collects calibration views, ``/calibration`` its socket. ``/monitor`` shows the
+pictures on a 3D monitor, ``/status`` is its socket: status out, Stop in. The pages are public; all
+sockets demand the token in a first `hello`.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from surg_teleop.console.session.page_status import report
 from surg_teleop.console.session.system_state import Robot
 from surg_teleop.console.web import http_policy
 from surg_teleop.console.web.access import Access
+from surg_teleop.console.web.beside_socket import PERIODS, BesidePages
 from surg_teleop.console.web.calibration_socket import CalibrationPages
 from surg_teleop.console.web.encoder_process import EncoderProcess
 from surg_teleop.console.web.listener import Connection, Listener, listen
@@ -65,7 +67,7 @@ PAGES = {
     "/monitor": "monitor.html",
     "/headset": "headset.html",
 }
-SOCKETS = ("/control", "/status", "/pictures", "/calibration")
+SOCKETS = ("/control", "/status", "/pictures", "/calibration", "/marks", "/scene")
 Handler = Callable[[PageMessage, str, "Outbox", float], None]
 """Handles a message of a page, by its name, with its outbox, at a time [s]."""
 CLOSE_HELLO, CLOSE_FULL = 4401, 4429
@@ -89,6 +91,12 @@ class System(Protocol):
 
     def entries(self) -> list[Entry]:
         """The recorded episodes; may read files."""
+
+    def watch(self, what: str, wanted: bool) -> None:
+        """See `beside_socket.Source`."""
+
+    def beside(self, what: str) -> str:
+        """See `beside_socket.Source`."""
 
 
 class Server:
@@ -116,6 +124,7 @@ class Server:
         self._outboxes: dict[str, Outbox] = {}
         self._viewers: set[Viewer] = set()
         self._calibrators = CalibrationPages(system, {"cell": facts["cell"]}, clock)
+        self._beside = BesidePages(system)
         self._sockets: set[web.WebSocketResponse] = set()
         self._pages_so_far, self._monitors, self._ending = 0, 0, False
         self._episodes = ""
@@ -124,8 +133,10 @@ class Server:
     def application(self) -> web.Application:
         """The aiohttp application."""
         app = web.Application(middlewares=[self._in_turn, self._guard], client_max_size=LONGEST)
-        for path in (*PAGES, "/page/{name}"):
+        for path in (*PAGES, "/page/{name:.+}"):
             app.router.add_get(path, self._page)
+        for what in PERIODS:
+            app.router.add_get(f"/{what}", self._show_beside)
         app.router.add_get("/calibration", self._calibration)
         app.router.add_get("/control", self._control)
         app.router.add_get("/status", self._status)
@@ -391,6 +402,17 @@ class Server:
             return web.Response()
         try:
             await self._calibrators.serve(socket)
+        finally:
+            self._sockets.discard(socket)
+        return socket
+
+    async def _show_beside(self, request: web.Request) -> web.StreamResponse:
+        what = request.path[1:]
+        socket = await self._admit(request, lambda: self._beside.open(what))
+        if socket is None:
+            return web.Response()
+        try:
+            await self._beside.serve(socket, what)
         finally:
             self._sockets.discard(socket)
         return socket

@@ -1,5 +1,7 @@
 // The page: connects hand, socket, pictures and view.
 
+import { Marks } from "./beside/marks.js";
+import { Scene } from "./beside/scene.js";
 import { Hand } from "./hand.js";
 import { Link, clock, socketUrl, token, wallUs } from "./link.js";
 import { View, mark, set, sink, write } from "./view.js";
@@ -38,6 +40,8 @@ const MORE_KEYS = [
   [["P"], "policy"],
   [["B"], "left eye, side by side"],
   [["Z"], "size of the pictures"],
+  [["N"], "marks of the instruments"],
+  [["O"], "the arms in the room"],
   [["T"], "take control"],
   [["H"], "put the arm back"],
   [["J"], "left-handed layout"],
@@ -61,10 +65,18 @@ hand.mayChange = mayChange;
 // For measurements: the times of each drawn picture, and its age; where the hand is.
 globalThis.surgConsole = { picture, link, hand, status: () => status };
 
+// What a page shows over or beside the picture; off until somebody asks, and then closed again.
+const marks = new Marks(element("marks"), toast);
+const scene = new Scene(element("room"), (text) => write(element("scene-note"), text));
+Object.assign(globalThis.surgConsole, { marks, scene });
+
 // --- messages of the console ---
 
 function onMessage(message) {
-  if (message.say === "welcome") view = new View(message);
+  if (message.say === "welcome") {
+    view = new View(message);
+    for (const button of element("beside").children) button.hidden = !message.beside?.includes(button.dataset.beside);
+  }
   else if (message.say === "status" && view) onStatus(message);
   else if (message.say === "episodes" && view) view.episodes(message.episodes);
   else if (message.say === "refused") toast(message.why);
@@ -127,6 +139,8 @@ const OWN = {
   hand: () => hand.use(hand.hand === "rate" ? "position" : "rate"),
   eyes: () => !element("eyes").hidden && watch({ stereo: !pictures.stereo }),
   size: () => watch({ half: !pictures.half }),
+  marks: () => turnBeside("marks"),
+  scene: () => turnBeside("scene"),
   side: () => turnSide(document.body.dataset.side !== "left"),
   help: () => { element("help").hidden = !element("help").hidden; },
   less_scale: () => slide("scale", -1),
@@ -148,6 +162,23 @@ function turnSide(left) {
   mark(document.body, "side", left ? "left" : "right");
   sink(element("side"), left);
 }
+
+function turnBeside(what) {
+  const button = document.querySelector(`[data-beside="${what}"]`);
+  if (button.hidden) return;
+  const on = button.getAttribute("aria-pressed") !== "true";
+  sink(button, on);
+  if (what === "marks") marks.turn(on);
+  else {
+    element("scene").hidden = !on;
+    mark(document.body, "scene", on ? "on" : "off");
+    scene.turn(on);
+  }
+}
+for (const button of element("beside").children) {
+  button.addEventListener("click", () => press(button.dataset.beside));
+}
+addEventListener("resize", () => scene.draw());
 
 function press(button) {
   if (button === "stop") element("help").hidden = true;
@@ -279,6 +310,7 @@ worker.onmessage = ({ data }) => {
   data.ageMs = (data.drawnUs + link.offsetUs - data.exposedUs) / 1000;
   picture.exposedUs = data.exposedUs;
   picture.drawn.push(data);
+  marks.shown(data);
   if (picture.drawn.length > KEPT_PICTURES) picture.drawn.splice(0, KEPT_PICTURES / 4);
 };
 

@@ -1,0 +1,64 @@
+"""What a page may show beside or over the picture: the sockets /marks and /scene.
+
+They are no sockets of the session: values go out while a page shows them, and nothing comes in.
+Nobody computes them while none is open.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections import Counter
+from typing import Protocol
+
+from aiohttp import web
+
+PERIODS = {"marks": 0.01, "scene": 0.1}
+"""[s] at which news are looked for."""
+
+
+class Source(Protocol):
+    """What the sockets need of the running system."""
+
+    def watch(self, what: str, wanted: bool) -> None:
+        """Begin to collect `marks` or `scene`, or stop."""
+
+    def beside(self, what: str) -> str:
+        """The newest of them as JSON; empty: there is none."""
+
+
+class BesidePages:
+    """The open sockets."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._open: Counter[str] = Counter()
+
+    def open(self, what: str) -> int:
+        """Number of open sockets of a kind."""
+        return self._open[what]
+
+    async def serve(self, socket: web.WebSocketResponse, what: str) -> None:
+        """Serve one page until it disconnects or says anything."""
+        self._open[what] += 1
+        if self._open[what] == 1:
+            self._source.watch(what, True)
+        sender = asyncio.create_task(self._send(socket, what))
+        try:
+            await socket.receive()  # its end, or a word too much
+        finally:
+            sender.cancel()
+            self._open[what] -= 1
+            if self._open[what] == 0:
+                self._source.watch(what, False)
+            await socket.close()
+
+    async def _send(self, socket: web.WebSocketResponse, what: str) -> None:
+        sent = ""
+        with contextlib.suppress(ConnectionError):
+            while True:
+                text = self._source.beside(what)
+                if text and text != sent:
+                    await socket.send_str(text)
+                    sent = text
+                await asyncio.sleep(PERIODS[what])
