@@ -63,15 +63,16 @@ std::string Handle::start(double max_force) {
   return "";
 }
 
-ReadResult Handle::cycle(Reading* reading) {
+ReadResult Handle::command(const Eigen::Vector3d& f_M, ReadResult result) {
   if (lost_) return ReadResult::kLost;
-  const ReadResult result = read(reading);
-  if (result == ReadResult::kLost) return result;
-  if (sdk_.set_force(0, 0, 0, 0, 0, 0, 0, id_) < 0) return lose("no force can be commanded");
+  if (sdk_.set_force(f_M.x(), f_M.y(), f_M.z(), 0, 0, 0, 0, id_) < 0) {
+    return lose("no force can be commanded");
+  }
   return result;
 }
 
 ReadResult Handle::read(Reading* reading) {
+  if (lost_) return ReadResult::kLost;
   double R[3][3];
   Reading now;
   const int pose = sdk_.get_pose(&now.p_MH.x(), &now.p_MH.y(), &now.p_MH.z(), R, id_);

@@ -44,8 +44,11 @@ class Handle {
   /// Gravity compensation, force limit [N], forces on. Empty, or why it failed.
   std::string start(double max_force);
 
-  /// One cycle: reads, and commands zero force in any case, which leaves the handle free.
-  ReadResult cycle(Reading* reading);
+  /// Reads; every cycle commands a force after it.
+  ReadResult read(Reading* reading);
+
+  /// Commands a force in the device's axes [N]; zero leaves the handle free. kLost, or `result`.
+  ReadResult command(const Eigen::Vector3d& f_M, ReadResult result);
 
   /// Why the device failed, after kLost.
   const std::string& error() const { return error_; }
@@ -54,7 +57,6 @@ class Handle {
   bool has_gripper() const { return has_gripper_; }
 
  private:
-  ReadResult read(Reading* reading);
   ReadResult lose(const std::string& what);
   std::string library_error() const;
 

@@ -3,10 +3,13 @@
 // Publishes /<name>/measured_cp in the view frame, gripper/measured_js, buttons, operating_state
 // and error. Parameters: ~name (lambda7), ~device (-1: the first free one; or its number from 0),
 // ~master_to_view (a rotation, nine numbers row by row), ~auto_init (true), ~max_force [N] (5),
-// ~publish_rate [Hz] (500), ~clutch_button (-1: none; or the bit that is /footpedals/clutch).
-// Exit code 0: ended by the user; 1: no library, no device, or it was lost; 2: invalid parameter.
+// ~publish_rate [Hz] (500), ~haptics (false: zero force; true: /<name>/servo_cf is felt),
+// ~haptic_scale (1: force on the hand over force at the tip), ~clutch_button (-1: none; or the bit
+// that is /footpedals/clutch). Exit code 0: ended by the user; 1: no library, no device, or it was
+// lost; 2: invalid parameter.
 #include <crtk_msgs/OperatingState.h>
 #include <geometry_msgs/PoseStamped.h>
+#include <geometry_msgs/WrenchStamped.h>
 #include <ros/ros.h>
 #include <sensor_msgs/JointState.h>
 #include <sensor_msgs/Joy.h>
@@ -17,12 +20,14 @@
 #include <chrono>
 #include <csignal>
 #include <cstdio>
+#include <mutex>
 #include <optional>
 #include <string>
 #include <thread>
 #include <vector>
 
 #include "handle.hpp"
+#include "haptics.hpp"
 #include "sdk.hpp"
 #include "view.hpp"
 
@@ -33,6 +38,9 @@ constexpr int kLoopRate = 1000;  // [Hz] as the vendor requires, so that a free 
 constexpr int kButtons = 8;
 constexpr int kStateRate = 20;         // [Hz] of state and buttons, so that their end is noticed
 constexpr double kMaxForceLimit = 20;  // [N] of a Lambda.7
+
+constexpr double kMinScale = 0.01;  // of the tip's force, and least ~max_force with it [N]
+constexpr double kMaxScale = 10.0;
 
 std::atomic<bool> stop_requested{false};
 
@@ -46,6 +54,8 @@ struct Options {
   double max_force = 5.0;
   int publish_rate = 500;
   int clutch_button = -1;
+  bool haptics = false;
+  double haptic_scale = 1.0;
 };
 
 /// Reads a parameter; false, with the reason on stderr, if its type is wrong.
@@ -70,7 +80,9 @@ std::optional<Options> read_options() {
       !parameter("master_to_view", &rows) || !parameter("auto_init", &options.auto_init) ||
       !parameter("max_force", &options.max_force) ||
       !parameter("publish_rate", &options.publish_rate) ||
-      !parameter("clutch_button", &options.clutch_button)) {
+      !parameter("clutch_button", &options.clutch_button) ||
+      !parameter("haptics", &options.haptics) ||
+      !parameter("haptic_scale", &options.haptic_scale)) {
     return std::nullopt;
   }
   std::string why;
@@ -87,7 +99,9 @@ std::optional<Options> read_options() {
   if (!in_range("device", options.device, -1, 15) ||
       !in_range("max_force", options.max_force, 0, kMaxForceLimit) ||
       !in_range("publish_rate", options.publish_rate, 50, kLoopRate) ||
-      !in_range("clutch_button", options.clutch_button, -1, kButtons - 1)) {
+      !in_range("clutch_button", options.clutch_button, -1, kButtons - 1) ||
+      !in_range("haptic_scale", options.haptic_scale, kMinScale, kMaxScale) ||
+      (options.haptics && !in_range("max_force", options.max_force, kMinScale, kMaxForceLimit))) {
     return std::nullopt;
   }
   options.R_VM = *R_VM;
@@ -170,16 +184,75 @@ class Topics {
   ros::Publisher pose_, gripper_, buttons_, state_, error_, clutch_;
 };
 
-/// Reads and commands zero force until the device is lost or the user ends it.
-int run(Handle* handle, const Options& options, Topics* topics) {
+using Clock = std::chrono::steady_clock;
+
+/// What the hand shall feel: the newest /<name>/servo_cf through HapticFeedback. Without ~haptics
+/// nothing is subscribed, and the force is zero.
+class Feeling {
+ public:
+  Feeling(ros::NodeHandle* node, const Options& options)
+      : options_(options), feedback_(limits(options)), before_(Clock::now()) {
+    if (!options.haptics) return;
+    force_ = node->subscribe("/" + options.name + "/servo_cf", 1, &Feeling::take, this,
+                             ros::TransportHints().tcpNoDelay());
+  }
+
+  /// The force of this cycle in the device's axes [N].
+  Eigen::Vector3d step(const Reading& reading, bool known) {
+    const auto now = Clock::now();
+    const double dt = std::chrono::duration<double>(now - before_).count();
+    before_ = now;
+    if (!options_.haptics || !known) return Eigen::Vector3d::Zero();
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const double age = std::chrono::duration<double>(now - received_).count();
+    const Eigen::Vector3d p_VH = options_.R_VM * reading.p_MH;
+    const Eigen::Vector3d f_V = feedback_.step(f_V_, allowed_ ? age : kNever, p_VH, allowed_, dt);
+    return options_.R_VM.transpose() * f_V;
+  }
+
+ private:
+  static constexpr double kNever = 1e9;  // [s]
+
+  static HapticLimits limits(const Options& options) {
+    HapticLimits limits;
+    limits.scale = options.haptic_scale;
+    limits.max_force = options.max_force;
+    return limits;
+  }
+
+  void take(const geometry_msgs::WrenchStamped& message) {
+    const auto& f = message.wrench.force;
+    const std::lock_guard<std::mutex> lock(mutex_);
+    f_V_ = Eigen::Vector3d(f.x, f.y, f.z);
+    allowed_ = !message.header.stamp.isZero();
+    received_ = Clock::now();
+  }
+
+  const Options options_;
+  HapticFeedback feedback_;
+  Clock::time_point before_;
+  std::mutex mutex_;  // of what follows
+  Eigen::Vector3d f_V_ = Eigen::Vector3d::Zero();
+  bool allowed_ = false;
+  Clock::time_point received_;
+  ros::Subscriber force_;
+};
+
+/// Reads and commands a force until the device is lost or the user ends it.
+int run(Handle* handle, const Options& options, Topics* topics, Feeling* feeling) {
   const int publish_every = kLoopRate / options.publish_rate;
   const auto period = std::chrono::microseconds(1000000 / kLoopRate);
-  auto next = std::chrono::steady_clock::now();
+  auto next = Clock::now();
   Reading reading;
   bool fresh = false;
+  bool known = false;  // whether there is a reading
   std::optional<unsigned int> buttons;
   for (long tick = 0; !stop_requested && ros::ok(); ++tick) {
-    const ReadResult result = handle->cycle(&reading);
+    ReadResult result = handle->read(&reading);
+    known = known || result == ReadResult::kNew;
+    if (result != ReadResult::kLost) {
+      result = handle->command(feeling->step(reading, known), result);
+    }
     if (result == ReadResult::kLost) {
       topics->publish_end("FAULT", false);
       topics->publish_error(handle->error());
@@ -196,7 +269,7 @@ int run(Handle* handle, const Options& options, Topics* topics) {
     if (repeat) topics->publish_state("ENABLED", true);
     if (buttons && (changed || repeat)) topics->publish_buttons(*buttons);
     next += period;
-    const auto now = std::chrono::steady_clock::now();
+    const auto now = Clock::now();
     if (next < now) next = now;  // lost time is not made up for
     std::this_thread::sleep_until(next);
   }
@@ -238,7 +311,10 @@ int main_in_ros() {
   int status = 1;
   if (problem.empty()) {
     std::fflush(stdout);
-    status = run(&handle, *options, &topics);
+    Feeling feeling(&node, *options);
+    ros::AsyncSpinner spinner(1);
+    spinner.start();
+    status = run(&handle, *options, &topics, &feeling);
   } else {
     topics.publish_state("FAULT", false);
     topics.publish_error(problem);

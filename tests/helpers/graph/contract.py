@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 from helpers.graph.ros import RosGraph
 from surg_cli.graph import master, topic_contract
@@ -11,19 +11,22 @@ Topics = set[tuple[str, str, str]]
 """Topic, type, and `in` or `out`."""
 
 
-def promised(node: str, leader: str, arms: Iterable[str] = ("",)) -> Topics:
+def promised(
+    node: str, leader: str, arms: Iterable[str] = ("",), parameters: Collection[str] = ()
+) -> Topics:
     """What the contract promises of a node.
 
     Args:
         node: Base name.
         leader: For `<leader>`.
         arms: For `<arm>`; every row is there for each.
+        parameters: Optional ones that are on.
     """
     names = list(arms)
     return {
         (entry.name.replace("<leader>", leader).replace("<arm>", arm), entry.type, entry.direction)
         for entry in topic_contract.load().entries
-        if entry.node == node
+        if entry.node == node and (entry.only is None or entry.only in parameters)
         for arm in names
     }
 

@@ -172,6 +172,59 @@ def test_a_left_hand_and_an_auto_init(bench: Bench) -> None:
     assert "HANDS OFF" in child.log_tail(10)
 
 
+def test_a_force_at_the_tip_reaches_the_hand_and_fades_with_silence(bench: Bench) -> None:
+    """In the device's axes, at most ~max_force; 50 cycles of 1 ms after the last word it is zero.
+
+    A cycle is never shorter than 1 ms, so that cycles count time from below on any machine.
+    """
+    import rospy
+    from geometry_msgs.msg import WrenchStamped
+
+    bench.start(haptics=True, max_force=4.0, haptic_scale=2.0)
+    bench.following()
+    force = rospy.Publisher("/MTMR/servo_cf", WrenchStamped, queue_size=1, tcp_nodelay=True)
+    bench.until(lambda: force.get_num_connections() > 0, "the force's connection")
+    state = bench.state
+
+    def say(f_V: list[float], allowed: bool = True) -> None:
+        message = WrenchStamped()
+        if allowed:
+            message.header.stamp = rospy.Time.now()
+        w = message.wrench.force
+        w.x, w.y, w.z = f_V
+        force.publish(message)
+
+    def felt() -> np.ndarray:
+        return np.array(state.force[:3])
+
+    def push(f_V: list[float], seconds: float = 1.2) -> np.ndarray:
+        end, largest = time.monotonic() + seconds, np.zeros(3)
+        while time.monotonic() < end:
+            say(f_V)
+            time.sleep(0.002)
+            largest = max(largest, felt(), key=lambda f: float(np.linalg.norm(f)))
+        return largest
+
+    # 1 N away in the view, doubled: away from the operator is -x of the device.
+    assert push([0.0, 0.0, 1.0]) == pytest.approx([-2.0, 0.0, 0.0], abs=1e-6)
+    assert push([0.0, -9.0, 0.0]) == pytest.approx([0.0, 0.0, 4.0], abs=1e-6)  # up, at most 4 N
+    for end in ("silence", "clutch"):
+        push([1.5, 0.0, 0.0])
+        bench.until(lambda: felt()[1] > 1.0 or bool(push([1.5, 0.0, 0.0], 0.1).any()), "a force")
+        if end == "clutch":
+            say([1.5, 0.0, 0.0], allowed=False)
+        begin = state.forces
+        while felt().any() and state.forces < begin + 200:
+            time.sleep(1e-4)
+        cycles = state.forces - begin
+        print(f"{end}: zero after {cycles} cycles")
+        assert not felt().any() and cycles <= 55
+        assert state.max_force == 4.0
+    quiet = state.nonzero_forces
+    push([np.nan, 0.0, 0.0], 0.3)
+    assert state.nonzero_forces == quiet
+
+
 @pytest.mark.parametrize("fault", ["fail_pose", "fail_gripper", "fail_force", "nan", "mirror"])
 def test_a_device_that_is_lost_is_silence(fault: str, bench: Bench) -> None:
     child = bench.start(clutch_button=0)
@@ -267,6 +320,8 @@ def test_a_library_without_a_function_is_named(bench: Bench, tmp_path: Path) -> 
             {"master_to_view": [-1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]},
             "~master_to_view: a mirror",
         ),
+        ({"haptics": True, "max_force": 0.0}, "~max_force: 0; allowed: 0.01 to 20"),
+        ({"haptic_scale": 0.0}, "~haptic_scale: 0; allowed: 0.01 to 10"),
         ({"max_force": 50.0}, "~max_force: 50; allowed: 0 to 20"),
         ({"publish_rate": "fast"}, "~publish_rate: wrong type"),
         ({"name": "/x"}, "~name: '/x'"),

@@ -32,9 +32,10 @@ def arm_force(
     """
     row: list[float] = []
     for f_B in (f_tip_B, f_trocar_B):
-        known = f_B is not None and bool(np.isfinite(f_B).all())
-        f_R = R_BR.T @ f_B if known else np.zeros(3)
-        row += [*(float(v) for v in f_R), float(known)]
+        if f_B is None or not np.isfinite(f_B).all():
+            row += [0.0] * 4
+        else:
+            row += [*(float(v) for v in R_BR.T @ f_B), 1.0]
     return row
 
 

@@ -36,6 +36,7 @@ from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError
 from surg_ros.participant import Participant, Seen
 from surg_ros.transport.polled_subscriber import PolledSubscriber
+from surg_teleop.follow.felt_force_node import FeltForces
 from surg_teleop.follow.message_lateness import Arrivals
 from surg_teleop.follow.operator_topics_node import OperatorTopics, listen
 from surg_teleop.follow.picture_watch import PictureWatch
@@ -85,6 +86,7 @@ class TeleopNode:
             if isinstance(hand.leader, CrtkLeader):
                 CrtkTopics(hand.leader, self._lock, self._wake)
         self._operator = OperatorTopics(setup.hands, self._status, self._lock, self._wake)
+        self._felt = FeltForces(setup.hands, self._lock) if setup.haptics else None
         if setup.assistant is not None:
             listen(f"/{ASSISTANT}/measured_js", JointState, self._on_joints, setup.assistant)
             listen(f"/{ASSISTANT}/jaw/measured_js", JointState, self._on_jaw, setup.assistant)
@@ -193,6 +195,8 @@ class TeleopNode:
                 commands = self._setup.assistant.convert(commands)
             self._ports[arm].send(commands)
             self._status.state(hand, arm, output)
+            if self._felt is not None:
+                self._felt.follow(arm, output, views.get(arm), camera)
         self._operator.publish()
 
 

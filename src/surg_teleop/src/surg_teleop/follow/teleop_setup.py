@@ -46,6 +46,7 @@ class Parameters:
     lockstep: bool = flag(False)
     enabled: bool = flag(False)
     duration: float = real(default=0.0)
+    haptics: bool = flag(False)
     assistant_frame: tuple[float, ...] | None = vector(4, None, meaning="x, y, z, w")
     leader: str = text()
     settings: dict[str, Any] = dictionary()
@@ -115,6 +116,7 @@ class TeleopSetup:
     picture: str  # topic of the supervised picture; empty: none
     lockstep: bool
     duration: float  # of a lock-step run [s]; 0: no end
+    haptics: bool = False  # the forces at the tips go to the leaders
 
     @property
     def heard(self) -> list[str]:
@@ -141,6 +143,7 @@ def read_setup(parameters: dict[str, Any], node: str) -> TeleopSetup:
         picture=given.picture,
         lockstep=given.lockstep,
         duration=given.duration,
+        haptics=given.haptics,
     )
     for prefix in ("", "second_"):
         if given.of(prefix, "leader"):
