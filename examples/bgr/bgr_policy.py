@@ -4,7 +4,8 @@
 
 `train_bgr.py` writes the weights. The policy reads `observation.state`, which a robot measures, and
 `privileged.task_state`, the simulator's ground truth: **no robot can measure that**, so this policy
-works in the phantom only. It answers each observation with a chunk of actions for the next steps.
+works in the phantom only. Trained with `--forces`, it reads `observation.force`, too. It answers
+each observation with a chunk of actions for the next steps.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ import numpy as np
 
 FORMAT = "surg_bgr_policy/1"
 STATE, TASK, ACTION = "observation.state", "privileged.task_state", "action"
+FORCE = "observation.force"
+"""Forces at tip and trocar; a policy that was trained with `--forces` reads them, too."""
 BESIDE = 8
 """Distance in nodes from the requested one to a resting one, which shows how far it was lifted."""
 LAGS = (0, 4, 8, 16)
@@ -78,6 +81,16 @@ def state_columns(names: Sequence[str]) -> np.ndarray:
     return _find(STATE, names, wanted)
 
 
+def force_columns(names: Sequence[str]) -> np.ndarray:
+    """Columns of the robot's forces at tip and trocar, each with whether it is known, (8,).
+
+    Raises:
+        ValueError: One is missing.
+    """
+    wanted = [f"{ROBOT}/{p}_{n}" for p in ("tip", "trocar") for n in ("x", "y", "z", "known")]
+    return _find(FORCE, names, wanted)
+
+
 def _find(key: str, names: Sequence[str], wanted: Sequence[str]) -> np.ndarray:
     missing = [name for name in wanted if name not in names]
     if missing:
@@ -86,13 +99,17 @@ def _find(key: str, names: Sequence[str], wanted: Sequence[str]) -> np.ndarray:
 
 
 def features(
-    columns: Columns, state: np.ndarray, task: np.ndarray, last: np.ndarray, X_RW: np.ndarray
+    columns: Columns,
+    state: np.ndarray,
+    task: np.ndarray,
+    last: np.ndarray,
+    X_RW: np.ndarray,
+    force: np.ndarray | None = None,
 ) -> np.ndarray:
     """Inputs of the network at each of T successive steps of one episode.
 
-    All are in the rcm frame, as the actions are: vectors from the last command to points, grasps as
-    numbers, and the slow features at earlier steps (`LAGS`; before the first step: those of the
-    first step). The origin is the last command and not the set-point. The set-point runs ahead of
+    All are in the rcm frame: vectors from the last command to points, grasps as numbers, the slow
+    features at earlier steps (`LAGS`). The origin is the last command: the set-point runs ahead of
     a moving stream, so "stay at the set-point" would make the arm drift.
 
     Args:
@@ -101,6 +118,7 @@ def features(
         task: (T, 148) `privileged.task_state`.
         last: (T, 4) tip and roll of the last command; at the first step, the set-point.
         X_RW: (4, 4) pose of the world in the rcm frame, see `world_in_rcm`.
+        force: (T, 8) of `force_columns`; None: a policy without forces.
 
     Returns:
         (T, F). `PLACES` are vectors from the last command, `DISTANCE` is the length of the first,
@@ -140,7 +158,7 @@ def features(
     ]
     slow = np.column_stack([held, assistant_held, pointing])
     past = [slow[np.maximum(row - lag, 0)] for lag in LAGS]
-    return np.column_stack([*now, *past, here])
+    return np.column_stack([*now, *past, *([] if force is None else [force]), here])
 
 
 def world_in_rcm(p_R: np.ndarray, p_W: np.ndarray) -> np.ndarray:
@@ -185,7 +203,7 @@ class Policy:
     """
 
     format = FORMAT
-    wants = (STATE, TASK)
+    wants: tuple[str, ...] = (STATE, TASK)
 
     def __init__(
         self,
@@ -200,6 +218,9 @@ class Policy:
         self.about = dict(about)
         self._checked = False
         self._columns = self._find_columns()
+        self._forces = force_columns(self.names[FORCE]) if FORCE in self.names else None
+        if self._forces is not None:
+            self.wants = (*type(self).wants, FORCE)
         self.reset()
 
     def _find_columns(self) -> Any:
@@ -335,9 +356,13 @@ class Policy:
         arrays = self.see(observation)
         state, task = (np.asarray(arrays[key], np.float64).ravel() for key in (STATE, TASK))
         last = self.last_command(state[self._columns.state][SET])
-        self._past.append((state, task, last))
-        parts = [np.array([step[i] for step in self._past]) for i in range(3)]
-        inputs = features(self._columns, *parts, self.scales["X_RW"])[-1:]
+        felt = (
+            () if self._forces is None else (np.asarray(arrays[FORCE], np.float64)[self._forces],)
+        )
+        self._past.append((state, task, last, *felt))
+        parts = [np.array([step[i] for step in self._past]) for i in range(3 + len(felt))]
+        parts.insert(3, self.scales["X_RW"])
+        inputs = features(self._columns, *parts)[-1:]
         chunk = self.predict(inputs, last[None])[0]
         self._said = chunk[0, :4]
         return chunk

@@ -293,6 +293,7 @@ def command_line(
     help_text: str,
     make: Callable[[Path, dict[str, Any], Progress], Policy],
     words: Sequence[str] | None,
+    forces: bool = False,
 ) -> int:
     """Command line of a trainer.
 
@@ -301,6 +302,7 @@ def command_line(
         help_text: One line.
         make: Trains; takes the dataset's folder, the given options and the progress callback.
         words: Of the command line.
+        forces: Whether there is an option `--forces`.
 
     Returns:
         Exit status: 0 done, 2 for an unusable dataset.
@@ -311,6 +313,8 @@ def command_line(
     parser.add_argument("--seed", type=int, help="seed of the training (default 0)")
     parser.add_argument("--steps", type=int, help="optimiser steps")
     parser.add_argument("--chunk", type=int, help="actions predicted at once")
+    if forces:
+        parser.add_argument("--forces", action="store_true", help="read observation.force, too")
     parser.add_argument("--json", action="store_true", help="progress as JSON lines")
     options = parser.parse_args(words)
     started = time.monotonic()
@@ -323,6 +327,7 @@ def command_line(
         for n in ("seed", "steps", "chunk")
         if getattr(options, n) is not None
     }
+    given |= {"forces": True} if forces and options.forces else {}
     try:
         policy = make(options.dataset, given, show)
     except ValueError as error:

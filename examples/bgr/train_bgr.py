@@ -20,6 +20,7 @@ import numpy as np
 from bgr_policy import (
     ACTION,
     DISTANCE,
+    FORCE,
     HERE,
     PLACES,
     SET,
@@ -29,6 +30,7 @@ from bgr_policy import (
     Network,
     Policy,
     features,
+    force_columns,
 )
 from bgr_training import (
     Adam,
@@ -81,6 +83,8 @@ class Options:
     """Standard deviation of the offset of every second sample without a grasp, per axis [m]."""
     back: float = 0.25
     """Time constant of the return from that offset [s]."""
+    forces: bool = False
+    """Read `observation.force`, too."""
     behind: int = 2
     """Largest lag of the observation behind the last command [steps], as in real time."""
     seed: int = 0
@@ -93,20 +97,24 @@ class Episode:
     state: Array
     task: Array
     action: Array
+    force: Array | None = None
+    """(T, 8) of `force_columns`; None: trained without."""
 
 
-def read(folder: Path) -> Dataset[Episode]:
-    """Read the tables of a dataset.
+def read(folder: Path, forces: bool = False) -> Dataset[Episode]:
+    """Read the tables of a dataset, with or without its forces.
 
     Raises:
         ValueError: The folder is no dataset, or a required feature is missing.
     """
-    needed = (STATE, TASK, ACTION)
+    needed = (STATE, TASK, ACTION, *((FORCE,) if forces else ()))
     info = facts(folder, needed)
     names = {name: flat_names(info["features"][name]["names"]) for name in needed}
     episodes: dict[str, list[Episode]] = {}
     for split, index in split_episodes(info):
         columns = table(folder, info, index, needed)
+        if forces:
+            columns[3] = columns[3][:, force_columns(names[FORCE])]
         episodes.setdefault(split, []).append(Episode(*columns))
     return Dataset(episodes, names, {"fps": info["fps"], "robot": info["robot_type"]})
 
@@ -153,7 +161,8 @@ class Samples:
             for steps in range(behind + 1):
                 row = np.maximum(np.arange(len(last)) - steps, 0)
                 state, task = episode.state[row], episode.task[row]
-                inputs = features(columns, state, task, last, X_RW)
+                felt = None if episode.force is None else episode.force[row]
+                inputs = features(columns, state, task, last, X_RW, felt)
                 held = task[:, columns.task["held"]] >= 0
                 jaw = state[:, columns.state[4]]
                 free = ~held & ((jaw > OPEN) | (inputs[:, DISTANCE] > NEAR))
@@ -241,7 +250,7 @@ def train(
         "frames": sum(len(episode.state) for episode in shown),
         "parameters": int(flat.size),
         "loss": losses,
-        "observation": [STATE, TASK],
+        "observation": [STATE, TASK, *([FORCE] if options.forces else [])],
         "privileged": [TASK],
     }
     return Policy(network, scales, dataset.names, options.chunk, about)
@@ -251,9 +260,10 @@ def main(words: Sequence[str] | None = None) -> int:
     """Entry point; returns 0, or 2 for an unusable dataset."""
 
     def make(folder: Path, given: dict[str, Any], show: Progress) -> Policy:
-        return train(read(folder), Options(**given), show)
+        options = Options(**given)
+        return train(read(folder, options.forces), options, show)
 
-    return command_line("train_bgr", (__doc__ or "").split("\n")[0], make, words)
+    return command_line("train_bgr", (__doc__ or "").split("\n")[0], make, words, forces=True)
 
 
 if __name__ == "__main__":
