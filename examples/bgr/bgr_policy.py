@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+Array = np.ndarray
 FORMAT = "surg_bgr_policy/1"
 STATE, TASK, ACTION = "observation.state", "privileged.task_state", "action"
 FORCE = "observation.force"
@@ -100,12 +101,12 @@ def _find(key: str, names: Sequence[str], wanted: Sequence[str]) -> np.ndarray:
 
 def features(
     columns: Columns,
-    state: np.ndarray,
-    task: np.ndarray,
-    last: np.ndarray,
-    X_RW: np.ndarray,
-    force: np.ndarray | None = None,
-) -> np.ndarray:
+    state: Array,
+    task: Array,
+    last: Array,
+    X_RW: Array,
+    force: Array | None = None,
+) -> Array:
     """Inputs of the network at each of T successive steps of one episode.
 
     All are in the rcm frame: vectors from the last command to points, grasps as numbers, the slow
