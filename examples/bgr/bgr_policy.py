@@ -122,15 +122,14 @@ def features(
         force: (T, 8) of `force_columns`; None: a policy without forces.
 
     Returns:
-        (T, F). `PLACES` are vectors from the last command, `DISTANCE` is the length of the first,
-        and `HERE` is the last command.
+        (T, F). `PLACES` are vectors from the last command, the first one `DISTANCE` long; `HERE` is
+        the last command.
     """
     s = state[:, columns.state]
     z = {name: task[:, index] for name, index in columns.task.items()}
     nodes = z["nodes"].reshape(len(task), NODES, 3)
-    row = np.arange(len(task))
+    row, here = np.arange(len(task)), last[:, :3]
     i = np.clip(np.rint(z["target"]).astype(int), 1, NODES - 2)
-    here = last[:, :3]
 
     def to(p_W: np.ndarray) -> np.ndarray:
         return p_W @ X_RW[:3, :3].T + X_RW[:3, 3] - here
@@ -158,8 +157,8 @@ def features(
         z["visible"],
     ]
     slow = np.column_stack([held, assistant_held, pointing])
-    past = [slow[np.maximum(row - lag, 0)] for lag in LAGS]
-    return np.column_stack([*now, *past, *([] if force is None else [force]), here])
+    felt = [] if force is None else [force]
+    return np.column_stack([*now, *(slow[np.maximum(row - lag, 0)] for lag in LAGS), *felt, here])
 
 
 def world_in_rcm(p_R: np.ndarray, p_W: np.ndarray) -> np.ndarray:
