@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from surg_perception.depth.rectification import Picture
 
-STRIP = 46
+STRIP = 72
 """[px] Width of the scale at the right edge."""
 
 
@@ -24,16 +24,21 @@ def coloured(depth: npt.NDArray[np.float32], near: float, far: float) -> Picture
 
 def beside(left: Picture, depth: npt.NDArray[np.float32], near: float, far: float) -> Picture:
     """The left picture, its depth, and a scale: (h', w', 3), both sides even, rgb8."""
-    height = left.shape[0]
+    whole = np.hstack([left, coloured(depth, near, far), scale(left.shape[0], near, far)])
+    height = len(whole)
+    return np.ascontiguousarray(whole[: height - height % 2, : whole.shape[1] - whole.shape[1] % 2])
+
+
+def scale(height: int, near: float, far: float) -> Picture:
+    """(height, STRIP, 3) rgb8: the colours from near to far [m], with figures in mm."""
     ramp = np.linspace(near, far, height, dtype=np.float32)[:, None].repeat(12, axis=1)
     strip = np.full((height, STRIP, 3), 255, np.uint8)
     strip[:, :12] = coloured(ramp, near, far)
     for share in (0.02, 0.25, 0.5, 0.75, 0.98):
-        text = f"{1e3 * (near + share * (far - near)):.0f}"
+        text = f"{1e3 * (near + share * (far - near)):.0f} mm"
         place = (15, int(share * (height - 1)) + 4)
         cv2.putText(strip, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
-    whole = np.hstack([left, coloured(depth, near, far), strip])
-    return np.ascontiguousarray(whole[: height - height % 2, : whole.shape[1] - whole.shape[1] % 2])
+    return strip
 
 
 def shown_range(depth: npt.NDArray[np.float32]) -> tuple[float, float]:

@@ -11,6 +11,7 @@ const SHIFT = 0.035; // of the width: 80 mm lies on the screen (guide/screens/mo
 const LEAST_S = 0.008; // between two inputs
 const PULSE_S = 0.3; // between two pulses at a wall
 const SHOW_S = 0.1; // between two looks at the lines below the screen
+const FIGURES_S = 0.5; // between two figures in them: each change draws and loads the lines anew
 const KEPT_PICTURES = 16384;
 const SECURE = "WebXR needs a secure page. By USB: adb reverse tcp:PORT tcp:PORT, then open "
   + "http://localhost:PORT/headset in the headset. By network: start the console with --cert, --key and --token-file.";
@@ -23,8 +24,9 @@ let status = null;
 let gone = "Connecting to the console.";
 let xr = null; // the running session: {session, space, layer, view}
 let screen = null; // {p, q} in the room; null: place it before the head
-let waiting = null; // {image, head}: the newest picture, not on the screen yet
+let waiting = null; // {image or planes, head}: the newest picture, not on the screen yet
 let said = { at: 0, pulsed: 0, shown: 0, seq: 0, why: "" };
+let figures = { at: -1, text: "" };
 const picture = { exposedUs: 0, drawn: [] };
 
 const link = new Link(onMessage, (why) => { status = null; gone = why; });
@@ -70,14 +72,14 @@ worker.onmessage = ({ data }) => {
 };
 
 function drop({ image, head }) {
-  image.close();
+  image?.close();
   worker.postMessage({ shown: head });
 }
 
 function showNewest(view) {
   if (!waiting) return;
   const { head } = waiting;
-  view.load(waiting.image, head, stereo() ? 2 : 1);
+  view.load(waiting, stereo() ? 2 : 1);
   drop(waiting);
   waiting = null;
   const drawnUs = wallUs();
@@ -170,9 +172,13 @@ function lines() {
   const tone = holds || headline !== "Following" ? "#f0b449" : "#4fd1c5";
   let words = status ? status.picture_problem || status.sentence : `${gone} The arm holds.`;
   if (status && !mine()) words = `${status.holder || "No page"} has control. A takes it if it is free. B stops.`;
-  const rcm = status?.gauges.rcm;
-  const deviation = rcm === null || rcm === undefined ? "" : `, RCM ${(rcm * 1000).toFixed(2)} mm`;
-  const small = picture.exposedUs ? `picture ${Math.round(age)} ms old${deviation}` : "no picture yet";
+  if (clock() - figures.at > FIGURES_S) {
+    const rcm = status?.gauges.rcm;
+    const deviation = rcm === null || rcm === undefined ? "" : `, RCM ${(rcm * 1000).toFixed(2)} mm`;
+    const text = picture.exposedUs ? `picture ${Math.round(age)} ms old${deviation}` : "no picture yet";
+    figures = { at: clock(), text };
+  }
+  const small = figures.text;
   return [
     [holds ? `HOLD · ${headline}` : headline, tone],
     [said.why || words, "#e4eaf0"],

@@ -11,7 +11,8 @@ void main() {
 }`;
 const FRAGMENT = `#version 300 es
 precision mediump float;
-uniform sampler2D picture;
+uniform sampler2D picture, blue, red; // the colours as they are, or luma and two differences
+uniform bool planes;
 uniform vec2 part;   // begin and width of the eye's part of the texture
 uniform float shift; // of the eye's picture, as a share of its width
 in vec2 at;
@@ -19,7 +20,15 @@ out vec4 colour;
 void main() {
   float x = at.x + shift;
   bool inside = x >= 0.0 && x <= 1.0;
-  colour = inside ? vec4(texture(picture, vec2(part.x + x * part.y, at.y)).rgb, 1.0) : vec4(0.0, 0.0, 0.0, 1.0);
+  vec2 from = vec2(part.x + x * part.y, at.y);
+  vec3 seen = texture(picture, from).rgb;
+  if (planes) { // ITU-R BT.601, limited range, as codec.py encodes
+    float y = 1.164384 * (seen.r - 16.0 / 255.0);
+    float b = texture(blue, from).r - 128.0 / 255.0;
+    float r = texture(red, from).r - 128.0 / 255.0;
+    seen = clamp(vec3(y + 1.596027 * r, y - 0.391762 * b - 0.812968 * r, y + 2.017232 * b), 0.0, 1.0);
+  }
+  colour = inside ? vec4(seen, 1.0) : vec4(0.0, 0.0, 0.0, 1.0);
 }`;
 const TEXT = { width: 1024, height: 200 };
 const TEXT_BELOW_M = 0.03;
@@ -37,7 +46,7 @@ export class RoomView {
     this.shift = shift;
     this.program = linked(gl);
     this.places = Object.fromEntries(
-      ["projection", "view", "place", "part", "shift"].map((name) => [name, gl.getUniformLocation(this.program, name)]),
+      ["projection", "view", "place", "part", "shift", "planes", "picture", "blue", "red"].map((name) => [name, gl.getUniformLocation(this.program, name)]),
     );
     const corners = gl.createBuffer();
     gl.bindBuffer(gl.ARRAY_BUFFER, corners);
@@ -45,7 +54,10 @@ export class RoomView {
     const corner = gl.getAttribLocation(this.program, "corner");
     gl.enableVertexAttribArray(corner);
     gl.vertexAttribPointer(corner, 2, gl.FLOAT, false, 0, 0);
-    this.picture = texture(gl);
+    this.picture = [0, 1, 2].map(() => texture(gl));
+    this.planar = false;
+    gl.useProgram(this.program);
+    ["picture", "blue", "red"].forEach((name, unit) => gl.uniform1i(this.places[name], unit));
     this.text = texture(gl);
     this.textCanvas = Object.assign(document.createElement("canvas"), TEXT);
     this.words = "";
@@ -53,13 +65,30 @@ export class RoomView {
     this.eyes = 2;
   }
 
-  /** The newest picture; both eyes side by side, or one eye for both. */
-  load(image, { width, height }, eyes) {
+  /** The newest picture, as an image or as planes; both eyes side by side, or one eye for both. */
+  load({ image, planes, head: { width, height } }, eyes) {
     const { gl } = this;
-    gl.bindTexture(gl.TEXTURE_2D, this.picture);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
+    this.planar = planes !== undefined;
+    if (planes) this.loadPlanes(planes, width, height);
+    else {
+      gl.bindTexture(gl.TEXTURE_2D, this.picture[0]);
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
+    }
     this.eyes = eyes;
     this.aspect = width / eyes / height;
+  }
+
+  loadPlanes({ data, layout }, width, height) {
+    const { gl } = this;
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    layout.forEach(({ offset, stride }, i) => {
+      const [wide, high] = i ? [width / 2, height / 2] : [width, height];
+      gl.bindTexture(gl.TEXTURE_2D, this.picture[i]);
+      gl.pixelStorei(gl.UNPACK_ROW_LENGTH, stride);
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8, wide, high, 0, gl.RED, gl.UNSIGNED_BYTE, data, offset);
+    });
+    gl.pixelStorei(gl.UNPACK_ROW_LENGTH, 0);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 4);
   }
 
   /** The lines below the screen: [text, colour] each. */
@@ -97,14 +126,19 @@ export class RoomView {
       const right = view.eye === "right";
       const shift = this.eyes === 2 ? ((right ? -1 : 1) * this.shift) / 2 : 0;
       const part = this.eyes === 2 ? [right ? 0.5 : 0, 0.5] : [0, 1];
-      this.quad(this.picture, part, shift, placed(screen, 0, this.widthM, height));
-      this.quad(this.text, [0, 1], 0, placed(screen, -(height + textHeight) / 2 - TEXT_BELOW_M, this.widthM, textHeight));
+      this.quad(this.picture, this.planar, part, shift, placed(screen, 0, this.widthM, height));
+      this.quad([this.text], false, [0, 1], 0, placed(screen, -(height + textHeight) / 2 - TEXT_BELOW_M, this.widthM, textHeight));
     }
   }
 
-  quad(from, part, shift, place) {
+  quad(from, planar, part, shift, place) {
     const { gl, places } = this;
-    gl.bindTexture(gl.TEXTURE_2D, from);
+    from.forEach((each, unit) => {
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(gl.TEXTURE_2D, each);
+    });
+    gl.activeTexture(gl.TEXTURE0);
+    gl.uniform1i(places.planes, planar ? 1 : 0);
     gl.uniform2fv(places.part, part);
     gl.uniform1f(places.shift, shift);
     gl.uniformMatrix4fv(places.place, false, place);

@@ -93,9 +93,11 @@ function drawnTest(wanted) {
     context.fillRect(i * half, 0, half, TEST.height);
     context.fillStyle = "#fff";
     context.font = "600 200px system-ui, sans-serif";
-    context.fillText(letter, half * (i + [0.3, 0.7][i]), 340);
+    context.fillText(letter, half * (i + [0.3, 0.7][i]), 290);
     context.font = "26px system-ui, sans-serif";
-    context.fillText("Close the right eye: L stays. Close the left eye: R stays.", half * (i + 0.5), 480);
+    // The depth slider cuts both eyes at their edges, and its bar covers their lower part.
+    context.fillText("Close the right eye: L stays.", half * (i + 0.5), 350);
+    context.fillText("Close the left eye: R stays.", half * (i + 0.5), 390);
     context.strokeStyle = "#fff";
     context.lineWidth = 4;
     context.strokeRect(i * half + 20, 20, half - 40, TEST.height - 40);
