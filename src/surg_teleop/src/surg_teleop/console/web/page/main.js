@@ -1,5 +1,6 @@
 // The page: connects hand, socket, pictures and view.
 
+import { Feel } from "./beside/feel.js";
 import { Marks } from "./beside/marks.js";
 import { Scene } from "./beside/scene.js";
 import { Hand } from "./hand.js";
@@ -42,6 +43,7 @@ const MORE_KEYS = [
   [["Z"], "size of the pictures"],
   [["N"], "marks of the instruments"],
   [["O"], "the arms in the room"],
+  [["Y"], "force at the tip as a tone and a rumble"],
   [["T"], "take control"],
   [["H"], "put the arm back"],
   [["J"], "left-handed layout"],
@@ -51,6 +53,7 @@ const MORE_KEYS = [
 const element = (id) => document.getElementById(id);
 
 let view = null;
+let softLimit = Infinity; // of the force at the tip [N]
 let status = null;
 let sequence = 0;
 let lastSample = clock();
@@ -68,6 +71,7 @@ globalThis.surgConsole = { picture, link, hand, status: () => status };
 // What a page shows over or beside the picture; off until somebody asks, and then closed again.
 const marks = new Marks(element("marks"), toast);
 const scene = new Scene(element("room"), (text) => write(element("scene-note"), text));
+const feel = new Feel(() => hand.gamepad());
 Object.assign(globalThis.surgConsole, { marks, scene });
 
 // --- messages of the console ---
@@ -75,6 +79,7 @@ Object.assign(globalThis.surgConsole, { marks, scene });
 function onMessage(message) {
   if (message.say === "welcome") {
     view = new View(message);
+    softLimit = message.limits.tip_force_soft;
     for (const button of element("beside").children) button.hidden = !message.beside?.includes(button.dataset.beside);
   }
   else if (message.say === "status" && view) onStatus(message);
@@ -91,6 +96,7 @@ function onStatus(message) {
     write(element("scale-value"), message.scale.toFixed(2));
   }
   view.note(message);
+  feel.felt(message.gauges.tip, softLimit, message.phase === "driving" && mine());
   if (message.phase !== before?.phase || message.headline !== before?.headline) show();
 }
 
@@ -141,6 +147,11 @@ const OWN = {
   size: () => watch({ half: !pictures.half }),
   marks: () => turnBeside("marks"),
   scene: () => turnBeside("scene"),
+  feel: () => {
+    const on = element("feel").getAttribute("aria-pressed") !== "true";
+    sink(element("feel"), on);
+    feel.turn(on);
+  },
   side: () => turnSide(document.body.dataset.side !== "left"),
   help: () => { element("help").hidden = !element("help").hidden; },
   less_scale: () => slide("scale", -1),
@@ -178,6 +189,7 @@ function turnBeside(what) {
 for (const button of element("beside").children) {
   button.addEventListener("click", () => press(button.dataset.beside));
 }
+element("feel").addEventListener("click", () => press("feel"));
 addEventListener("resize", () => scene.draw());
 
 function press(button) {

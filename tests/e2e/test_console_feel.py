@@ -1,0 +1,103 @@
+"""The console's tone and rumble: off by default, as loud as the force, gone with what ends it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from dataclasses import replace
+
+import pytest
+
+from helpers.teleop import chromium
+from helpers.teleop.chromium import GAMEPAD, Chromium, Tab
+from helpers.teleop.console import Console, console
+
+pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
+
+SOUND = """
+window.heard = [];
+window.rumbled = [];
+const param = (name) => ({
+  value: 0, cancelScheduledValues() {},
+  setTargetAtTime(value, at) { window.heard.push([name, value, at]); },
+});
+window.AudioContext = class {
+  currentTime = 0;
+  createOscillator() { return { frequency: param("pitch"), connect: (to) => to, start() {} }; }
+  createGain() { return { gain: param("gain"), connect: (to) => to }; }
+  close() { window.heard.push(["closed", 0, 0]); }
+};
+const plugged = window.plug;
+window.plug = (axes, pressed) => {
+  plugged(axes, pressed);
+  window.pad.vibrationActuator = {
+    playEffect(kind, effect) { window.rumbled.push([kind, effect]); return Promise.resolve(); },
+    reset() { window.rumbled.push(["reset", {}]); },
+  };
+};
+"""
+"""A sound card and motors that keep account; `GAMEPAD` comes before."""
+LOUDEST = "Math.max(...window.heard.filter(([n]) => n === 'gain').map(([, v]) => v))"
+SOFT = 5.0
+"""[N] The soft limit of the console's fake arm."""
+
+
+@contextlib.asynccontextmanager
+async def opened() -> AsyncIterator[tuple[Console, Tab]]:
+    async with console() as made, Chromium() as browser:
+        tab = await browser.open(made.url, GAMEPAD + SOUND)
+        await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
+        await tab.run("(window.plug([0, 0, 0, 0], {}), 0)")
+        yield made, tab
+        assert browser.errors == []
+
+
+def push(made: Console, tip: float | None) -> None:
+    made.system.now = replace(made.system.now, gauges=replace(made.system.now.gauges, tip=tip))
+
+
+async def recent(tab: Tab) -> None:
+    """Forget what was heard, and hear for a while."""
+    await tab.run("(window.heard.length = 0, window.rumbled.length = 0, 0)")
+    await asyncio.sleep(0.5)
+
+
+def test_a_force_is_heard_and_rumbles_while_the_hand_moves_the_tip() -> None:
+    async def test() -> None:
+        async with opened() as (made, tab):
+            push(made, 2.5)
+            await tab.key("Enter", True)
+            await tab.key("Enter", False)
+            await tab.until("surgConsole.status()?.phase === 'driving'", "driving", 60.0)
+            await recent(tab)
+            assert await tab.run("window.heard.length + window.rumbled.length") == 0, "off"
+            await tab.tap("KeyY")
+            await recent(tab)
+            assert await tab.run(LOUDEST) == pytest.approx(0.2 * 2.5 / SOFT)
+            kind, effect = await tab.run("window.rumbled.at(-1)")
+            assert kind == "dual-rumble" and effect["strongMagnitude"] == 2.5 / SOFT
+            # Every piece ends by itself: a console that falls silent is not heard on.
+            assert effect["duration"] <= 100
+            gains = await tab.run("window.heard.filter(([n]) => n === 'gain')")
+            assert gains[-1][1] == 0 and gains[-1][2] <= 0.1
+            push(made, 50.0)
+            await recent(tab)
+            assert await tab.run(LOUDEST) == pytest.approx(0.2), "at most"
+            for quiet in (None, 0.1):
+                push(made, quiet)
+                await asyncio.sleep(0.2)
+                await recent(tab)
+                assert await tab.run(LOUDEST) == 0
+                assert await tab.run("window.rumbled.at(-1)[0]") == "reset"
+            push(made, 2.5)
+            await tab.tap("Escape")
+            await tab.until("surgConsole.status()?.phase !== 'driving'", "the stop", 20.0)
+            await recent(tab)
+            assert await tab.run(LOUDEST) == 0, "nothing is felt of an arm that is not driven"
+            await tab.tap("KeyY")
+            assert await tab.run("window.heard.at(-1)[0]") == "closed"
+            await recent(tab)
+            assert await tab.run("window.heard.length") == 0
+
+    asyncio.run(asyncio.wait_for(test(), 120.0))
