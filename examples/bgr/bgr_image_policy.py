@@ -137,13 +137,11 @@ class ImagePolicy(Policy):
         state = np.asarray(arrays[STATE], np.float64).ravel()
         answer = self.network.eye(small(np.asarray(arrays[PICTURE]))[None])[0]
         seen = np.append(answer, self._memory.add(answer))
-        last = self.last_command(state[self._columns][SET])
+        last = self.last_command(state[self._columns][SET], observation)
         self._past.append((state, seen, last))
         parts = [np.array(part) for part in zip(*self._past, strict=True)]
         inputs = features(self._columns, *parts)[-1:]
-        chunk = self.predict(inputs, last[None])[0]
-        self._said = chunk[0, :4]
-        return chunk
+        return self.say(self.predict(inputs, last[None])[0], observation)
 
 
 if __name__ == "__main__":

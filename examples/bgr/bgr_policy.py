@@ -293,6 +293,7 @@ class Policy:
         """Forget the last episode. The policy is deterministic and knows one task."""
         del instruction, seed
         self._said: np.ndarray | None = None
+        self._said_at: int | None = None
         self._past: deque[tuple[np.ndarray, ...]] = deque(maxlen=max(LAGS) + 1)
 
     def predict(self, inputs: np.ndarray, last: np.ndarray) -> np.ndarray:
@@ -318,14 +319,31 @@ class Policy:
         y[:, :, 4] = np.clip(y[:, :, 4], *scales["jaw_range"])
         return y
 
-    def last_command(self, held: np.ndarray) -> np.ndarray:
+    def last_command(self, held: np.ndarray, observation: Any = None) -> np.ndarray:
         """Tip and roll of the command in force, (4,).
 
         Args:
             held: The set-point, (4,); used if no command was sent or the last one was refused.
+            observation: Its grid time chooses the row of the last chunk: in real time a slow answer
+                misses observations. Default: the first row.
         """
-        said = self._said
-        return held if said is None or np.linalg.norm(said[:3] - held[:3]) > REACH else said
+        if self._said is None:
+            return held
+        step, at = getattr(observation, "step", None), self._said_at
+        row = 0 if step is None or at is None else min(max(step - at, 0), len(self._said) - 1)
+        said: np.ndarray = self._said[row, :4]
+        return held if np.linalg.norm(said[:3] - held[:3]) > REACH else said
+
+    def say(self, chunk: np.ndarray, observation: Any) -> np.ndarray:
+        """Remember a chunk (K, 5) as what the arm is told, and return it."""
+        step = getattr(observation, "step", None)
+        self._said, self._said_at = chunk, None if step is None else step + 1
+        return chunk
+
+    def acknowledged(self, head: Mapping[str, Any]) -> None:
+        """The server says what became of earlier steps: after a refusal the arm is at rest."""
+        if head["rejected"]:
+            self._said = None
 
     def see(self, observation: Any) -> Mapping[str, np.ndarray]:
         """The arrays of an observation, after a check that their columns are those of the training.
@@ -355,7 +373,7 @@ class Policy:
         """
         arrays = self.see(observation)
         state, task = (np.asarray(arrays[key], np.float64).ravel() for key in (STATE, TASK))
-        last = self.last_command(state[self._columns.state][SET])
+        last = self.last_command(state[self._columns.state][SET], observation)
         felt = (
             () if self._forces is None else (np.asarray(arrays[FORCE], np.float64)[self._forces],)
         )
@@ -363,9 +381,7 @@ class Policy:
         parts = [np.array([step[i] for step in self._past]) for i in range(3 + len(felt))]
         parts.insert(3, self.scales["X_RW"])
         inputs = features(self._columns, *parts)[-1:]
-        chunk = self.predict(inputs, last[None])[0]
-        self._said = chunk[0, :4]
-        return chunk
+        return self.say(self.predict(inputs, last[None])[0], observation)
 
 
 def serve(kind: type[Policy], about: str, words: Sequence[str] | None = None) -> int:

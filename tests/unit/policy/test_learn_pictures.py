@@ -257,6 +257,31 @@ def test_acting_step_by_step_is_what_was_trained(policy: bgr_image_policy.ImageP
         np.testing.assert_allclose(np.array(chunks), made_at_once, atol=1e-5)
 
 
+@dataclasses.dataclass
+class At:
+    """An observation at a grid time."""
+
+    step: int
+    arrays: dict[str, np.ndarray]
+    spec: None = None
+
+
+def test_it_goes_on_from_what_it_was_last_told_to_do(policy: bgr_image_policy.ImagePolicy) -> None:
+    """In real time it misses observations; after a refusal the arm has not gone anywhere."""
+    shown = made.episode(7)
+    arrays = {bgr_policy.STATE: shown.state[0], bgr_image_policy.PICTURE: shown.views[0]}
+    held = shown.state[0, bgr_policy.SET]
+    policy.reset()
+    chunk = policy.act(At(10, arrays))
+    for step, row in ((11, 0), (13, 2), (90, 3)):
+        found = policy.last_command(held, At(step, arrays))
+        np.testing.assert_array_equal(found, chunk[row, :4], f"at {step}")
+    policy.acknowledged({"rejected": []})
+    np.testing.assert_array_equal(policy.last_command(held, At(12, arrays)), chunk[1, :4])
+    policy.acknowledged({"rejected": [{"step": 11, "rule": "start", "text": "too far"}]})
+    np.testing.assert_array_equal(policy.last_command(held, At(12, arrays)), held)
+
+
 def test_numpy_alone_gives_what_the_trainer_had(
     policy: bgr_image_policy.ImagePolicy, tmp_path: Path
 ) -> None:

@@ -16,6 +16,7 @@ from surg_policy_bridge.server.observer import CameraWatch, Observer, lagging_ar
 from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_bridge.server.safety_controller import (
     CLIPPABLE,
+    PACED,
     RULES,
     ArmSafety,
     SafetyController,
@@ -165,6 +166,44 @@ def test_what_may_be_clipped_lies_on_the_way_and_is_allowed() -> None:
             further = replace(verdict.target, p=HOME + 1.001 * moved, roll=turn)
             assert strict.judge(further, view(), 0).target is None, "and the longest"
     assert clipped > 100
+
+
+def test_an_arm_follows_a_late_policy_at_the_allowed_pace(full: bool) -> None:
+    """Whatever is asked for inside the workspace, what is sent passes the oracle's rules."""
+    rng = np.random.default_rng(5)
+    jaw = (arm_limits().jaw_min, arm_limits().jaw_max)
+    changed = kept = 0
+    for _ in range(300 if full else 40):
+        guard, last, v_last = safety(PACED), None, np.zeros(3)
+        for number in range(40):
+            wish = np.array([*HOME, 0.0, 0.3])
+            wish[:3] += rng.normal(scale=rng.choice([1e-3, 6e-3, 2e-2]), size=3)
+            if number % 8 > 4 and last is not None:
+                wish = last  # time to arrive
+            verdict = guard.judge(Target.of(wish), view(), number * STEP_NS)
+            assert verdict.target is not None, verdict.violations
+            sent = verdict.target.row
+            assert allowed(sent, last, v_last, jaw), (number, verdict.violations)
+            fits = allowed(wish, last, v_last, jaw)
+            assert fits == (not verdict.violations) and (not fits or (sent == wish).all())
+            changed, kept = changed + (not fits), kept + fits
+            guard.take(verdict, number * STEP_NS)
+            before = np.array([*HOME, 0.0, 0.3]) if last is None else last
+            v_last, last = (sent[:3] - before[:3]) / DT, sent
+    assert min(changed, kept) > 100, (changed, kept)
+
+
+def test_a_paced_arm_arrives() -> None:
+    """20 mm at once: it is there after three steps, one slack too far after four, and stays."""
+    guard, goal = safety(PACED), Target(HOME + np.array([0.02, 0.0, 0.0]), 0.2, 0.3)
+    sent = []
+    for number in range(12):
+        verdict = guard.judge(goal, view(), number * STEP_NS)
+        assert verdict.target is not None
+        guard.take(verdict, number * STEP_NS)
+        sent.append(verdict.target.p[0] - HOME[0])
+    assert sent[0] == pytest.approx(SLACK, rel=1e-6) and sent[-4:] == pytest.approx([0.02] * 4)
+    assert max(sent) < 0.02 + 1.01 * SLACK
 
 
 def test_a_jaw_is_clipped_into_its_range_and_never_from_afar() -> None:

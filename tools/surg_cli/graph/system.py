@@ -292,6 +292,10 @@ def model_server(plan: Plan) -> Node:
         "autostart": True,
         "need_teleop": False,  # a roll-out has no operator
     }
+    if not plan.lockstep:
+        from surg_policy_bridge.server.safety_controller import PACED
+
+        params["clip"] = list(PACED)  # answers are late in real time
     return Node(f"/{POLICY}", "surg_policy_bridge", "model_server_node.py", params)
 
 

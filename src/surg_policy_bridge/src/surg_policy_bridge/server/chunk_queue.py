@@ -3,6 +3,9 @@
 A chunk replaces the queue from its first step on. Steps are placed by absolute number, not by an
 assumed delay: a step whose time is over when it arrives is dropped and counted as late. A step that
 is being executed does not change any more; a newer version of it is dropped but is not late.
+
+An arm at rest waits for its first chunk, so that chunk is moved in time instead of cut: its middle
+may be too far from the arm to begin with.
 """
 
 from __future__ import annotations
@@ -46,12 +49,15 @@ class ChunkQueue:
         """Drop all steps."""
         self._steps.clear()
 
-    def splice(self, first: int, rows: Array, seq: int, seen: int) -> int:
+    def splice(self, first: int, rows: Array, seq: int, seen: int, at_rest: bool = False) -> int:
         """Take in rows (K, A) from the step ``first`` on; returns the number of late steps.
 
-        They answer observation ``seq``, which was taken at ``seen`` [ns].
+        They answer observation ``seq``, which was taken at ``seen`` [ns]. If the arm is at rest, a
+        chunk that is late only in part begins with its first row, as soon as it can.
         """
         late = min(max(self._open - first, 0), len(rows))
+        if at_rest and late < len(rows):
+            late, first = 0, max(first, self.next)
         begun = min(max(self.next - first, 0), len(rows))
         if begun == len(rows):
             return late

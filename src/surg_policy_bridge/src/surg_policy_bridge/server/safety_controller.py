@@ -21,10 +21,12 @@ from surg_policy_bridge.server.policy_arm import Target
 
 RULES = ("not_finite", "rcm_error", "workspace", "start", "step", "acceleration", "jaw")
 """In the order of evaluation."""
-CLIPPABLE = ("workspace", "start", "step", "jaw")
+CLIPPABLE = ("workspace", "start", "step", "acceleration", "jaw")
 """Rules that can clip a step instead of rejecting it."""
 CLIPPED = ("jaw",)
 """Rules that clip by default."""
+PACED = ("start", "step", "acceleration", "jaw")
+"""Rules that clip where the arm shall follow a policy that was late, at the allowed pace."""
 HALVINGS = 40
 """Bisections of the search for the longest step that a rule allows."""
 
@@ -106,10 +108,14 @@ class ArmSafety:
         """The stream has ended; the next step starts a new one."""
         self._last = None
 
+    def streaming(self, at: int) -> bool:
+        """Whether a step was sent so short a time before [ns] that the arm is not at rest yet."""
+        return self._last is not None and at - self._last.at <= self._own.servo_timeout
+
     def judge(self, target: Target, view: ArmView, at: int) -> Verdict:
         """Judge one step from the arm's newest cycle, sent at [ns]; `take` records it."""
-        if self._last is not None and at - self._last.at > self._own.servo_timeout:
-            self._last = None  # the arm has come to rest
+        if not self.streaming(at):
+            self._last = None
         last = self._last
         before = last.target if last else Target(view.p_set, view.roll_set, view.jaw_set)
         step = _Step(target, before, (at - last.at if last else STEP_NS) / SECOND_NS, view)
@@ -186,17 +192,23 @@ class ArmSafety:
     def _acceleration(self, step: _Step) -> str:
         if self._last is None:
             return ""
-        # The tip's limit over this time, plus the slack of a step.
-        limits, since = self._own.limits, step.since
-        velocity = (step.target.p - step.before.p) / since
-        change = float(np.abs(velocity - self._last.velocity).max())
-        allowed = limits.tip_acceleration * since + limits.step_slack / since
-        if change <= allowed:
+        change, allowed = self._change_of_velocity(step)
+        largest = float(np.abs(change).max())
+        if largest <= allowed:
             return ""
         return (
-            f"the tip's velocity changes by {1e3 * change:.4g} mm/s in {1e3 * since:g} ms; "
+            f"the tip's velocity changes by {1e3 * largest:.4g} mm/s in {1e3 * step.since:g} ms; "
             f"allowed: {1e3 * allowed:.4g} mm/s"
         )
+
+    def _change_of_velocity(self, step: _Step) -> tuple[np.ndarray, float]:
+        """Of the tip since the last step, (3,), and what is allowed on each axis [m/s]."""
+        assert self._last is not None
+        limits, since = self._own.limits, step.since
+        velocity = (step.target.p - step.before.p) / since
+        # The tip's limit over this time, plus the slack of a step.
+        allowed = limits.tip_acceleration * since + limits.step_slack / since
+        return velocity - self._last.velocity, float(allowed)
 
     def _jaw(self, step: _Step) -> str:
         low, high, jaw = self._own.jaw_min, self._own.jaw_max, step.target.jaw
@@ -211,6 +223,8 @@ class ArmSafety:
         target, before, broken = step.target, step.before, self._rules[rule]
         if rule == "jaw":
             return self._clipped_jaw(target)
+        if rule == "acceleration":
+            return self._slower_to_change(step)
         if broken(replace(step, target=before)):
             return None  # even standing still breaks the rule
         low, high = 0.0, 1.0
@@ -219,6 +233,19 @@ class ArmSafety:
             good = not broken(replace(step, target=before.toward(target, middle)))
             low, high = (middle, high) if good else (low, middle)
         return before.toward(target, low)
+
+    def _slower_to_change(self, step: _Step) -> Target | None:
+        """The velocity goes toward the wanted one as far as it may.
+
+        A velocity between two that a step may have is one as well. None: it leaves the workspace.
+        """
+        assert self._last is not None
+        change, allowed = self._change_of_velocity(step)
+        share = (1.0 - 1e-9) * allowed / float(np.abs(change).max())
+        velocity = self._last.velocity + share * change
+        target = replace(step.target, p=step.before.p + step.since * velocity)
+        slower = replace(step, target=target)
+        return None if self._workspace(slower) or self._step(slower) else target
 
     def _clipped_jaw(self, target: Target) -> Target | None:
         """Clip to the range, unless the value is off by more than the width of the range."""
@@ -253,6 +280,10 @@ class SafetyController:
         """The stream has ended; the next step starts a new one."""
         for arm in self._arms.values():
             arm.forget()
+
+    def streaming(self, at: int) -> bool:
+        """Whether the next step [ns] continues a stream; otherwise it starts one."""
+        return any(arm.streaming(at) for arm in self._arms.values())
 
     def judge(
         self, targets: Mapping[str, Target], views: Mapping[str, ArmView], at: int

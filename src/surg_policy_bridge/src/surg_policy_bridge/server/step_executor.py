@@ -171,7 +171,8 @@ class StepExecutor:
             space = self._space(session)
             if space != ActionSpace():
                 rows = space.decode(rows, self._before(first, views), STEP)
-            late = self.queue.splice(first, rows, seq, sent.seen)
+            at_rest = not self._safety.streaming(at)
+            late = self.queue.splice(first, rows, seq, sent.seen, at_rest)
             self._counters.late += late
             self._tally.late += late
 
