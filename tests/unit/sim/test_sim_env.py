@@ -91,9 +91,11 @@ def test_a_streamed_step_is_the_step_bit_for_bit(pegs: SurgEnv) -> None:
         for _ in range(5):
             action, count = pegs.expert_action(), iter(range(100))
 
-            def sender(before: Any, action: Any = action, count: Any = count) -> Any:
+            def sender(
+                before: Any, action: Any = action, count: Any = count, at: Any = when
+            ) -> Any:
                 assert before.tick + 1 == pegs.session.world.tick
-                return pegs._spaces.commands(action) if next(count) == when else {}
+                return pegs._spaces.commands(action) if next(count) == at else {}
 
             pegs.step(action) if when is None else pegs.stream(sender)
         hashes.append(pegs.session.hash)

@@ -1,0 +1,137 @@
+"""What `./surg bench imitation` shows to a policy, and what it lets it wait for."""
+
+from __future__ import annotations
+
+import sys
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surg_cli.host import paths
+
+sys.path.insert(0, str(paths.ROOT / "benchmarks"))
+
+import bench_imitation
+from policy import made_up_clock, sights
+
+PICTURE = np.random.default_rng(0).integers(20, 230, (48, 64, 3), np.uint8)
+
+
+def pictures(count: int) -> list[np.ndarray]:
+    """Different ones."""
+    rng = np.random.default_rng(1)
+    return [rng.integers(0, 255, PICTURE.shape, np.uint8) for _ in range(count)]
+
+
+def test_pictures_that_say_nothing_do_not_depend_on_the_scene() -> None:
+    shown = [condition for condition in sights.CONDITIONS if condition.blind and condition.eye]
+    assert len(shown) == 2
+    for condition in shown:
+        assert condition.eye is not None
+        eye, other = (condition.eye(np.random.default_rng(3)) for _ in range(2))
+        first = pictures(1)[0]
+        a = [eye(p) for p in (first, *pictures(4)[1:])]
+        b = [other(p) for p in (first, *pictures(9)[6:])]
+        np.testing.assert_array_equal(a, b)
+    replayed = sights.Replayed(pictures(3))
+    found = [replayed(PICTURE) for _ in range(5)]
+    np.testing.assert_array_equal(found, [*pictures(3), pictures(3)[2], pictures(3)[2]])
+
+
+@pytest.mark.parametrize("condition", sights.CONDITIONS, ids=lambda each: each.name)
+def test_a_condition_repeats_and_leaves_the_picture_alone(condition: sights.Condition) -> None:
+    if condition.eye is None:
+        return
+    kept = PICTURE.copy()
+    eyes = [condition.eye(np.random.default_rng(3)) for _ in range(2)]
+    a, b = (eye(PICTURE) for eye in eyes)
+    np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(PICTURE, kept)
+    assert a.shape == PICTURE.shape and a.dtype == np.uint8
+    plain = condition.eye is sights.as_taken or condition.name == "first picture frozen"
+    assert plain == np.array_equal(a, PICTURE)
+
+
+def test_less_light_is_a_share_and_a_smudge_hides_its_place_only() -> None:
+    dark = sights.light(0.3)(np.random.default_rng(0))(PICTURE)
+    assert np.abs(dark - 0.3 * PICTURE).max() <= 1.0
+    large = np.kron(PICTURE, np.ones((5, 5, 1), np.uint8))
+    changed = (sights.smudge(np.random.default_rng(0))(large) != large).any(axis=2)
+    off = np.abs(sights.smudge(np.random.default_rng(0))(large).astype(int) - large).max(axis=2)
+    assert changed.any() and 0.03 < (off > 20).mean() < 0.12
+
+
+def test_turns_are_those_of_scipy() -> None:
+    from scipy.spatial.transform import Rotation
+
+    rng = np.random.default_rng(4)
+    a, b = (q / np.linalg.norm(q) for q in rng.normal(size=(2, 4)))
+    wanted = Rotation.from_quat(np.roll(a, -1)) * Rotation.from_quat(np.roll(b, -1))
+    product = bench_imitation.product(a, b)
+    np.testing.assert_allclose(bench_imitation.matrix(product), wanted.as_matrix(), atol=1e-12)
+    turn = Rotation.from_quat(np.roll(sights.turned(10.0), -1)).as_rotvec(degrees=True)
+    np.testing.assert_allclose(turn, [10.0, 0.0, 0.0], atol=1e-12)
+
+
+class Straight:
+    """Goes on along x from the last command, 1.2 mm a step, whatever it sees; 16 rows."""
+
+    def __init__(self) -> None:
+        self.said: Any = None
+        self.steps: list[int] = []
+
+    def reset(self, instruction: str, seed: int | None) -> None:
+        """Nothing to forget."""
+
+    def act(self, observation: Any) -> Any:
+        """From where it believes to be, as a policy does that was trained in lock-step."""
+        state = observation["observation.state"].astype(float)
+        held = np.array([*state[5:9], state[4]])
+        last = held if self.said is None else self.said
+        rows = last + np.arange(1, 17)[:, None] * np.array([1.2e-3, 0, 0, 0, 0])
+        self.said = rows[0]
+        self.steps.append(observation.step)
+        return rows
+
+
+@pytest.mark.parametrize(("answer", "picture"), [(10.0, 0.0), (100.0, 100.0)])
+def test_late_answers_and_old_pictures_are_taken_up(answer: float, picture: float) -> None:
+    """Without rendering: the arm goes where the policy says, and nothing is refused."""
+    from surg_sim.envs.surg_env import SurgEnv
+
+    env, policy = SurgEnv("pick_and_place"), Straight()
+    seen, _ = env.reset(seed=3)
+    begin = seen["state"][0]
+    player = made_up_clock.Player(env, policy, made_up_clock.Delays(answer, picture), 0)
+    for _ in range(24):
+        player.expose(env.session.world.tick * made_up_clock.TICK_NS, {"left": PICTURE})
+        seen, *_ = env.stream(player.tick)
+    counters = player.server.counters
+    missed = np.diff(policy.steps).max() > 1
+    assert missed == (answer > 50.0) and player.stopped == "" and not counters.rejected
+    moved = seen["state"][0] - begin
+    assert 0.010 < moved < 0.030, moved
+    assert counters.accepted >= 15
+
+
+def test_a_wrong_word_names_the_conditions(monkeypatch: pytest.MonkeyPatch) -> None:
+    words = ["bench", "--weights", "w.npz", "--keep", "k", "--only", "no such"]
+    monkeypatch.setattr(sys, "argv", words)
+    from bgr_image_policy import ImagePolicy
+
+    loaded = SimpleNamespace(hash="0" * 64)
+    monkeypatch.setattr(ImagePolicy, "load", lambda file: loaded)
+    with pytest.raises(SystemExit, match="as trained; first picture frozen"):
+        bench_imitation.main()
+
+
+def test_weights_that_are_none_are_named_before_anything_runs(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["bench", "--weights", str(tmp_path / "w.npz"), "--keep", str(tmp_path / "k")]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit, match=r"w\.npz"):
+        bench_imitation.main()
+    assert not (tmp_path / "k").exists()
