@@ -18,6 +18,7 @@ from helpers.results.screen_results import FORMATS, note_times
 from helpers.teleop import chromium
 from helpers.teleop.chromium import Chromium, Tab, until
 from helpers.teleop.console import Console, console
+from helpers.teleop.headset import NO_WEBGL
 from surg_teleop.console.session.console_orders import Follow, Present
 from surg_teleop.console.session.console_session import Phase
 
@@ -167,6 +168,33 @@ def test_the_page_moves_nothing_and_its_stop_is_obeyed() -> None:
             await until(stopped, "the stop", 10.0)
             assert made.system.given(Present)[-1] == Present(False)
             assert made.session.phase is Phase.FREE
+            assert browser.errors == []
+
+    run(test())
+
+
+@pytest.mark.full
+def test_what_would_spoil_rows_is_said_and_no_webgl_is_needed() -> None:
+    async def test() -> None:
+        async with console() as made, Chromium((WIDTH, HEIGHT)) as browser:
+            tab = await browser.open(f"{made.url}monitor?format=rows", NO_WEBGL)
+            await tab.until("surgMonitor.picture.drawn.length > 3", "pictures", 60.0)
+            advice = "document.querySelector('#advice').textContent"
+            # In a window the first row may be an odd one of the screen.
+            await tab.until(f"{advice}.includes('full screen (F), or an odd offset')", "the offset")
+            size = {"width": WIDTH, "height": HEIGHT, "mobile": False}
+            await tab.run(
+                "Object.defineProperty(document, 'fullscreenElement', {value: document.body}), 0"
+            )
+            for scale, said in (
+                (1.25, f"{advice}.includes('scaling to 100 %')"),
+                (1, f"{advice} === ''"),
+            ):
+                await tab.call(
+                    "Emulation.setDeviceMetricsOverride", deviceScaleFactor=scale, **size
+                )
+                await tab.run("dispatchEvent(new Event('resize'))")
+                await tab.until(said, f"scale {scale}")
             assert browser.errors == []
 
     run(test())

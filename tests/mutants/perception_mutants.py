@@ -1,7 +1,7 @@
-"""Hand-written mutants of the endoscope's calibration.
+"""Hand-written mutants of the endoscope's calibration, depth and marks.
 
 As in `mutants`, but the files are below `src/surg_perception/src/surg_perception`, and `first`
-names test files of `tests/unit/perception`.
+names test files of `tests/unit/perception`, `collecting` or `depth`.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from mutants.mutants import Mutant, one
 
 BOARD, LENS, CHAIN = ("test_board",), ("test_lens_model",), ("test_calibration_chain",)
+DEPTH, MARKS, EYES = ("test_stereo_depth",), ("test_marks",), ("test_eyes_parts",)
 LIMITS, VIEWS, EYE = ("test_evidence_limits",), ("test_views",), ("test_one_eye",)
 MUTANTS: tuple[Mutant, ...] = (
     # -- pictures
@@ -142,5 +143,86 @@ MUTANTS: tuple[Mutant, ...] = (
         "    for name in (RIGHT, STEREO):\n        if (folder / name).exists():",
         "    for name in (RIGHT, STEREO):\n        if (folder / name).is_symlink():",
         EYE,
+    ),
+    # -- depth and marks
+    one(
+        "points_of_half_the_step",
+        "points of every 4th pixel lie four times too near the axis",
+        "depth/rectification.py",
+        "np.arange(0, depth.shape[1], step, dtype=np.float32)",
+        "np.arange(0, len(z[0]), dtype=np.float32)",
+        DEPTH,
+    ),
+    one(
+        "vertical_focal_length_ignored",
+        "points of pixels that are not square lie too high",
+        "depth/rectification.py",
+        "- np.float32(self.cy)) / self.fy",
+        "- np.float32(self.cy)) / self.f * 1.1",
+        DEPTH,
+    ),
+    one(
+        "right_eye_undistorted_as_the_left",
+        "rows of both eyes disagree, and depth is wrong",
+        "depth/rectification.py",
+        "_maps(right, P_right[:, :3], size)",
+        "_maps(left, P_right[:, :3], size)",
+        DEPTH,
+    ),
+    one(
+        "fisheye_as_a_barrel",
+        "a fisheye's pictures are bent, not straightened",
+        "depth/rectification.py",
+        'if lens.distortion_model == "equidistant":',
+        'if lens.distortion_model == "fisheye":',
+        DEPTH,
+    ),
+    one(
+        "depth_beyond_its_range",
+        "what the matcher guesses outside its range passes for depth",
+        "depth/stereo_depth.py",
+        "        depth[(depth < self.near) | (depth > self.far)] = np.nan\n",
+        "",
+        DEPTH,
+    ),
+    one(
+        "marks_in_the_left_eye_only",
+        "the right eye's marks are the left eye's",
+        "marks/mark_projection.py",
+        "self.eyes.append(EyeProjection(lenses[1], held.X_LR))",
+        "self.eyes.append(EyeProjection(lenses[1], np.eye(4)))",
+        MARKS,
+    ),
+    one(
+        "one_sigma_for_two",
+        "the ellipse round the tip is half as large as it is said to be",
+        "marks/mark_projection.py",
+        "two_sigma = 2.0 *",
+        "two_sigma = 1.0 *",
+        MARKS,
+    ),
+    one(
+        "marks_of_a_silent_arm",
+        "marks of an arm that fell silent stay where it was",
+        "eyes/joint_history.py",
+        "MOST_GAP_NS = 100_000_000",
+        "MOST_GAP_NS = 100_000_000_000",
+        EYES,
+    ),
+    one(
+        "message_with_eyes_swapped",
+        "the page draws the left eye's marks over the right eye",
+        "eyes/live_marks_node.py",
+        "for eye, marks in zip(EYES, found",
+        "for eye, marks in zip(EYES[::-1], found",
+        EYES,
+    ),
+    one(
+        "a_pair_of_two_times",
+        "depth of a left and a right picture of different moments",
+        "eyes/newest_pair_node.py",
+        " and left.header.stamp == right.header.stamp:",
+        ":",
+        ("test_newest_pair",),
     ),
 )

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mutants import hardware_mutants, perception_mutants
+from mutants import console_mutants, hardware_mutants, perception_mutants
 from mutants.mutants import Mutant, applied
 from mutants.package_tests import killer
 from surg_cli.host import paths
@@ -18,12 +18,14 @@ from surg_cli.host import paths
 pytestmark = pytest.mark.mutants
 FOLDERS = {
     "surg_hardware": ("hardware", "emulators"),
-    "surg_perception": ("perception", "collecting"),
+    "surg_perception": ("perception", "collecting", "depth"),
+    "surg_teleop": ("console",),
 }
 """Folders of `tests/unit` with the tests of a package."""
 MUTANTS = [("surg_hardware", mutant) for mutant in hardware_mutants.MUTANTS] + [
     ("surg_perception", mutant) for mutant in perception_mutants.MUTANTS
 ]
+MUTANTS += [("surg_teleop", mutant) for mutant in console_mutants.MUTANTS]
 
 
 def tests_of(package: str) -> list[Path]:
