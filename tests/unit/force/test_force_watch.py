@@ -1,18 +1,14 @@
 """What the guards are told by the watch of a sensor: a force, or why it is not known."""
 
-import argparse
 import datetime
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import surg_core
-from helpers.force.loaded_arm import SENSOR
+from helpers.force import sensed_cell
 from helpers.force.statics import Array
-from surg_cli.host import paths
-from surg_cli.robots import force_steps
 from surg_hardware.force.force_watch import SILENT_S, ForceWatch
 from surg_sim.sensing.force_bench import ForceBench
 
@@ -23,18 +19,7 @@ PERIOD = 0.002
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """The cell sim_ur5e with a calibrated sensor."""
-    source = paths.ROOT / "cells" / "sim_ur5e"
-    shutil.copytree(source / "calibration", tmp_path / "calibration")
-    text = (source / "cell.yaml").read_text("utf-8")
-    text = text.replace("../../", f"{paths.ROOT}/")
-    (tmp_path / "cell.yaml").write_text(text, encoding="utf-8")
-    shutil.copy(SENSOR, tmp_path / "force_sensor_PSM1.yaml")
-    cell = surg_core.load_cell(tmp_path)
-    file = tmp_path / "postures.csv"
-    ForceBench(cell, "PSM1", 1).record(file, 16)
-    options = argparse.Namespace(what="force", source=file, dry_run=False)
-    force_steps.run(tmp_path, cell.arms["PSM1"], options, "simulated", "2026-11-23")
-    return tmp_path
+    return sensed_cell.write(tmp_path)
 
 
 class Fed:
