@@ -123,6 +123,11 @@ class ImagePolicy(Policy):
         """See `Policy`."""
         return EyeAndHand(layers, scales["plane"], scales["pointed"])
 
+    def shape_of(self, key: str) -> tuple[int, ...] | None:
+        """See `Policy`: pictures have the size of those it was trained with."""
+        size = self.about.get("dataset", {}).get("picture") if key == PICTURE else None
+        return None if size is None else tuple(size)
+
     def _find_columns(self) -> Any:
         return state_columns(self.names[STATE])
 

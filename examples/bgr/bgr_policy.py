@@ -25,6 +25,8 @@ import numpy as np
 Array = np.ndarray
 FORMAT = "surg_bgr_policy/1"
 STATE, TASK, ACTION = "observation.state", "privileged.task_state", "action"
+ACTIONS = [f"PSM1/{name}" for name in ("x", "y", "z", "roll", "jaw")]
+"""Columns of the actions: absolute targets."""
 FORCE = "observation.force"
 """Forces at tip and trocar; a policy that was trained with `--forces` reads them, too."""
 BESIDE = 8
@@ -223,6 +225,11 @@ class Policy:
             self.wants = (*type(self).wants, FORCE)
         self.reset()
 
+    def shape_of(self, key: str) -> tuple[int, ...] | None:
+        """Shape of an observation in the training; None: any."""
+        del key
+        return None
+
     def _find_columns(self) -> Any:
         """Columns of the observations.
 
@@ -263,6 +270,12 @@ class Policy:
             raise ValueError(f"{file}: no weights of this policy ({error})") from None
         if not isinstance(head, dict) or head.get("format") != cls.format:
             raise ValueError(f"{file}: its format is not {cls.format}")
+        said = head["names"].get(ACTION, ACTIONS)
+        if said != ACTIONS:
+            raise ValueError(
+                f"{file}: trained on the actions {', '.join(said)}; allowed: {', '.join(ACTIONS)} "
+                "(a dataset with absolute actions)"
+            )
         count = sum(name.startswith("weight_") for name in arrays)
         layers = [(arrays[f"weight_{i}"], arrays[f"bias_{i}"]) for i in range(count)]
         scales = {n[6:]: value for n, value in arrays.items() if n.startswith("scale_")}
@@ -384,6 +397,20 @@ class Policy:
         return self.say(self.predict(inputs, last[None])[0], observation)
 
 
+def wanted(policy: Policy) -> Any:
+    """What the server has to serve, as a `surg_policy_client.Spec`; else it refuses the policy."""
+    from surg_policy_client.spec import ActionSpec, Feature, Spec
+
+    features = {
+        key: Feature(
+            names=tuple(policy.names[key]) if key in policy.names else None,
+            shape=policy.shape_of(key),
+        )
+        for key in policy.wants
+    }
+    return Spec(observation=features, action=ActionSpec.of_space("absolute", [ROBOT]))
+
+
 def serve(kind: type[Policy], about: str, words: Sequence[str] | None = None) -> int:
     """Command line of a policy: connect and answer until Ctrl-C.
 
@@ -415,7 +442,8 @@ def serve(kind: type[Policy], about: str, words: Sequence[str] | None = None) ->
         print(f"{parser.prog}: {error}", file=sys.stderr)
         return 2
     try:
-        surg_policy_client.serve(policy, options.server, keys=options.keys)
+        wants = wanted(policy)
+        surg_policy_client.serve(policy, options.server, wants=wants, keys=options.keys)
     except surg_policy_client.PolicyClientError as error:
         print(f"{parser.prog}: {error}", file=sys.stderr)
         return 1

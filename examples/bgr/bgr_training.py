@@ -44,7 +44,7 @@ def facts(folder: Path, needed: Sequence[str]) -> dict[str, Any]:
         needed: Required features.
 
     Raises:
-        ValueError: The folder is no dataset, or a feature is missing.
+        ValueError: The folder is no dataset, a feature is missing, or the actions are not absolute.
     """
     try:
         info: dict[str, Any] = json.loads((folder / "meta" / "info.json").read_text("utf-8"))
@@ -54,6 +54,12 @@ def facts(folder: Path, needed: Sequence[str]) -> dict[str, Any]:
     if missing:
         raise ValueError(
             f"{folder}: the dataset has no {', '.join(missing)}; export it without --drop"
+        )
+    space = info.get("action_space", "absolute")
+    if space != "absolute":
+        raise ValueError(
+            f"{folder}: its action space is {space!r} (meta/info.json); allowed: 'absolute'. "
+            "Export it again without --action-space"
         )
     return info
 

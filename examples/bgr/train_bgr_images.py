@@ -115,6 +115,8 @@ def read(folder: Path, progress: Progress = lambda part, note: None) -> Dataset[
     needed = (STATE, TASK, ACTION, CAMERA)
     info = facts(folder, (*needed, PICTURE))
     names = {name: flat_names(info["features"][name]["names"]) for name in needed}
+    shape, K = info["features"][PICTURE]["shape"], intrinsics(folder)
+    check_size(folder, shape, K[3])
     episodes: dict[str, list[Episode]] = {}
     found = list(split_episodes(info))
     for n, (split, index) in enumerate(found):
@@ -127,10 +129,31 @@ def read(folder: Path, progress: Progress = lambda part, note: None) -> Dataset[
             )
         poses = matrices(camera, names[CAMERA])
         episodes.setdefault(split, []).append(Episode(state, task, action, poses, views))
-    shape = info["features"][PICTURE]["shape"]
-    about = {"fps": info["fps"], "robot": info["robot_type"], "picture": shape}
-    about["K"] = intrinsics(folder)
+    about = {"fps": info["fps"], "robot": info["robot_type"], "picture": shape, "K": K}
     return Dataset(episodes, names, about)
+
+
+def check_size(folder: Path, shape: Sequence[int], calibrated: float) -> None:
+    """Refuse pictures that the eye cannot take, or of another size than the camera's model.
+
+    Args:
+        folder: Of the dataset.
+        shape: Height, width, 3 of its pictures [px].
+        calibrated: Height that the model is for [px].
+
+    Raises:
+        ValueError: They do not fit.
+    """
+    where = f"{folder}: {PICTURE} has the shape {list(shape)} (meta/info.json)"
+    try:
+        small(np.zeros(shape, np.uint8))
+    except ValueError as problem:
+        raise ValueError(f"{where}; {problem}") from None
+    if shape[0] != calibrated:
+        raise ValueError(
+            f"{where}, but the camera's model is for a height of {calibrated:g} pixels "
+            "(meta/calibration/index.json): export the recordings again, which scales both alike"
+        )
 
 
 def intrinsics(folder: Path) -> list[float]:

@@ -6,6 +6,7 @@ On made-up pictures: what it does in the phantom stands in docs/guide/learning.m
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 from pathlib import Path
 
@@ -21,6 +22,8 @@ from helpers.policy.bgr_pictures import (
 )
 from helpers.policy.bgr_synthetic import STATE, TASK, bgr_policy
 from helpers.policy.example_program import said_alone
+from helpers.policy.policy_bench import cell
+from surg_policy_bridge.server import cell_spec
 from surg_policy_client.spec import Spec
 
 FEW_EYE = train_bgr_eye.EyeOptions(steps=4, batch=4, channels=(4, 4, 4, 4, 4, 4), hidden=8)
@@ -338,3 +341,65 @@ def test_a_dataset_without_pictures_is_named(
     assert not out.exists()
     with pytest.raises(ValueError, match="'train'"):
         train_bgr_images.train(made.dataset(0, 1), FEW)
+
+
+def dataset_folder(folder: Path, shape: list[int], height: int = 480, **info: object) -> Path:
+    """Metadata of a dataset without rows."""
+    names = {
+        bgr_policy.STATE: STATE,
+        train_bgr_images.TASK: TASK,
+        "action": bgr_policy.ACTIONS,
+        train_bgr_images.CAMERA: list(train_bgr_images.POSE),
+    }
+    features: dict[str, object] = {key: {"names": value} for key, value in names.items()}
+    features[bgr_image_policy.PICTURE] = {"shape": shape}
+    splits = {"train": "0:1"}
+    (folder / "meta" / "calibration").mkdir(parents=True)
+    facts = {"features": features, "splits": splits, "fps": 20, "robot_type": "ur5e", **info}
+    (folder / "meta" / "info.json").write_text(json.dumps(facts))
+    K = [450.0, 0.0, 320.0, 0.0, 450.0, 240.0, 0.0, 0.0, 1.0]
+    model = {"camera_info": {"endoscope_left": {"K": K, "height": height}}}
+    index = folder / "meta" / "calibration" / "index.json"
+    index.write_text(json.dumps({"sets": [model]}))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("shape", "height", "info", "said"),
+    [
+        ([250, 320, 3], 250, {}, r"\[250, 320, 3\].*120, 240, 360"),
+        ([240, 320, 3], 480, {}, r"\[240, 320, 3\].*model is for a height of 480"),
+        ([480, 640, 3], 480, {"action_space": "relative"}, "'relative'.*allowed: 'absolute'"),
+    ],
+    ids=["resolution", "calibration", "action space"],
+)
+def test_a_dataset_that_does_not_fit_is_refused_before_a_row_is_read(
+    shape: list[int], height: int, info: dict[str, object], said: str, tmp_path: Path
+) -> None:
+    """One that fits gets as far as its rows."""
+    with pytest.raises(ValueError, match=said) as problem:
+        train_bgr_images.read(dataset_folder(tmp_path / "bad", shape, height, **info))
+    assert str(tmp_path) in str(problem.value)
+    with pytest.raises(FileNotFoundError, match="no_such"):
+        good = {"data_path": "no_such", "chunks_size": 1000}
+        train_bgr_images.read(dataset_folder(tmp_path / "good", [480, 640, 3], **good))
+
+
+def test_weights_that_do_not_fit_are_refused_before_anything_moves(
+    policy: bgr_image_policy.ImagePolicy, tmp_path: Path
+) -> None:
+    """Of another action space when they are loaded, of other pictures by the server."""
+    file = tmp_path / "weights.npz"
+    names = {**policy.names, "action": ["PSM1/dx", "PSM1/dy", "PSM1/dz", "PSM1/droll", "PSM1/jaw"]}
+    about = {**policy.about, "dataset": {"picture": [240, 320, 3]}}
+    kind = bgr_image_policy.ImagePolicy
+    kind(policy.network, policy.scales, names, policy.chunk, about).save(file)
+    with pytest.raises(ValueError, match=r"PSM1/dx.*allowed: PSM1/x"):
+        kind.load(file)
+    other = kind(policy.network, policy.scales, policy.names, policy.chunk, about)
+    wants = bgr_policy.wanted(other)
+    served = cell_spec.make(cell(), ["PSM1"], "bgr", {"endoscope_left": (480, 640)}, None)
+    (said,) = wants.mismatches(served)
+    assert "(240, 320, 3)" in said and "(480, 640, 3)" in said
+    about["dataset"]["picture"] = [480, 640, 3]
+    assert bgr_policy.wanted(other).mismatches(served) == []
