@@ -1,7 +1,7 @@
 """The main job, end to end: operator, RCM nodelet, MuJoCo bridge, held to what the README says.
 
 Reduced: the first seconds of the bundled motion on a few combinations. Full (`./surg test --full`):
-the whole motion on all of them, and the table docs/results/main_job.md is written anew. Set
+the whole motion on all of them, and their rows in docs/results/main_job.md are written anew. Set
 SURG_TEST_MOTION to a CSV of your own to have it played as well.
 """
 
@@ -28,7 +28,7 @@ SHORT_S = 2.0
 DEMO_TIMEOUT_S = 900
 MOTIONS = {"bundled": None}
 if os.environ.get("SURG_TEST_MOTION"):
-    MOTIONS["SURG_TEST_MOTION"] = os.environ["SURG_TEST_MOTION"]
+    MOTIONS["given"] = os.environ["SURG_TEST_MOTION"]
 ROWS: list[tuple[str, dict[str, Any]]] = []
 
 
@@ -39,36 +39,48 @@ def results_page() -> Iterator[None]:
     yield
     if FULL and ROWS:
         page = ROOT / "docs" / "results" / "main_job.md"
+        before = page.read_text("utf-8") if page.exists() else ""
         page.parent.mkdir(parents=True, exist_ok=True)
-        page.write_text(render(ROWS), encoding="utf-8")
+        page.write_text(render(ROWS, before), encoding="utf-8")
 
 
-def render(rows: list[tuple[str, dict[str, Any]]]) -> str:
-    """The results page as Markdown."""
-    lines = [
-        "# The main job: measured",
-        "",
-        "Written by `./surg test --full`. Whole motions at scale 1 in lock-step; definitions in",
-        "[conventions](../conventions.md). Deviations, tip error, displacement: mm; lag: ms.",
-        "",
-        "| run | RCM kinematic mean / max | RCM true max | tip rms / max | lag | path in → out "
-        "| sweep | enabled, unscaled | trocar force max, displacement max | compute p99 |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for name, s in rows:
-        rcm, true, tip = s["rcm_kinematic_mm"], s["rcm_true_mm"], s["tip_error_mm"]
-        path, trocar = s["path_length_mm"], s["trocar"]
-        lines.append(
-            f"| {name} | {rcm['mean']:.4f} / {rcm['max']:.3f} | {true['max']:.3f} "
-            f"| {tip['rms']:.3f} / {tip['max']:.2f} | {s['tip_lag_ms']:.1f} "
-            f"| {path['input']:.0f} → {path['executed']:.0f} "
-            f"({100 * (path['executed'] / path['input'] - 1):+.1f} %) "
-            f"| {s['shaft_sweep_deg']:.1f}° "
-            f"| {100 * s['enabled_fraction']:.1f} %, {100 * s['unscaled_fraction']:.2f} % "
-            f"| {trocar['force_n']['max']:.2f} N, {trocar['displacement_mm']['max']:.2f} "
-            f"| {s['controller']['compute_us']['p99']:.0f} µs |"
-        )
-    return "\n".join(lines) + "\n"
+HEAD = """\
+# The main job: measured
+
+Written by `SURG_TEST_MOTION=FILE ./surg test --full tests/e2e/test_demo.py`. Whole motions at scale
+1 in lock-step; definitions in [conventions](../reference/conventions.md). Deviations, tip error,
+displacement: mm; lag: ms.
+
+| run | RCM kinematic mean / max | RCM true max | tip rms / max | lag | path in → out \
+| sweep | enabled, unscaled | trocar force max, displacement max | compute p99 |
+|---|---|---|---|---|---|---|---|---|---|
+"""
+
+
+def render(rows: list[tuple[str, dict[str, Any]]], before: str) -> str:
+    """The page as Markdown; what the page of before says of other runs, and its notes, stay."""
+    lines = before.splitlines()
+    table = [i for i, line in enumerate(lines) if line.startswith("|")]
+    kept = {lines[i].split(" | ")[0].removeprefix("| "): lines[i] for i in table[2:]}
+    kept.update({name: row(name, summary) for name, summary in rows})
+    notes = lines[table[-1] + 1 :] if table else []
+    return HEAD + "".join(f"{line}\n" for line in (*kept.values(), *notes))
+
+
+def row(name: str, s: dict[str, Any]) -> str:
+    """A line of the table."""
+    rcm, true, tip = s["rcm_kinematic_mm"], s["rcm_true_mm"], s["tip_error_mm"]
+    path, trocar = s["path_length_mm"], s["trocar"]
+    return (
+        f"| {name} | {rcm['mean']:.4f} / {rcm['max']:.3f} | {true['max']:.3f} "
+        f"| {tip['rms']:.3f} / {tip['max']:.2f} | {s['tip_lag_ms']:.1f} "
+        f"| {path['input']:.0f} → {path['executed']:.0f} "
+        f"({100 * (path['executed'] / path['input'] - 1):+.1f} %) "
+        f"| {s['shaft_sweep_deg']:.1f}° "
+        f"| {100 * s['enabled_fraction']:.1f} %, {100 * s['unscaled_fraction']:.2f} % "
+        f"| {trocar['force_n']['max']:.2f} N, {trocar['displacement_mm']['max']:.2f} "
+        f"| {s['controller']['compute_us']['p99']:.0f} µs |"
+    )
 
 
 def demo(

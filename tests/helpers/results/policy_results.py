@@ -8,7 +8,7 @@ _HEAD = """# Policies: figures of the tests
 
 Written by `./surg test --full`. Simulation; a fake clock where cases are counted, real processes
 and the wall clock of the machine that ran it where times are. What it means:
-[policies.md](../policies.md).
+[policies.md](../reference/policies.md).
 
 | what | n | found |
 |---|---|---|
