@@ -209,6 +209,31 @@ MUTANTS: tuple[Mutant, ...] = (
         "if (delay <= 0 || gains.rcm > 0) return 1;",
         ("test_stale_state",),
     ),
+    one(
+        "reference_leaves_no_room",
+        "a wrong correction stays for as long as the reference brakes, and takes the arm off its "
+        "pivot",
+        "src/controller/controller_motion.cpp",
+        "request.room = follower.wanted_room();",
+        "",
+        ("test_late_link",),
+    ),
+    one(
+        "joints_return_at_full_gain",
+        "the way back from a late link overshoots, joint by joint, beside the pivot",
+        "src/law/exact_follower.cpp",
+        "const double pulled = share_of_pull(error, gain);",
+        "const double pulled = 1;",
+        ("test_late_link", "test_exact_follower"),
+    ),
+    one(
+        "late_link_teaches_lags",
+        "some tens of milliseconds of a starved link leave each joint a wrong lag",
+        "src/law/exact_follower.cpp",
+        "if (!explained_by_lags(error)) settling_ = kDistrust;",
+        "",
+        ("test_late_link",),
+    ),
     # -- the law
     one(
         "pivot_lever_reversed",

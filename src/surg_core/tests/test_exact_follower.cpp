@@ -122,6 +122,36 @@ TEST(ExactFollower, OneStuckJointDoesNotHoldTheOthersBack) {
   EXPECT_LT(std::abs(q[1]), 1e-5);
 }
 
+TEST(ExactFollower, JointsFarFromTheReferenceReturnByOneFactor) {
+  // Each at its own fastest they would leave the straight way back, and with it the pivot.
+  const JointVector acceleration = (JointVector(6) << 40, 7.5, 10, 3, 20, 15).finished();
+  const JointVector velocity = JointVector::Constant(6, 3);
+  const JointVector off = (JointVector(6) << 0.02, -0.03, 0.01, 0.02, -0.01, 0.04).finished();
+  ExactFollower follower(6, {0.012, 50, 0, kT, velocity, acceleration});
+  follower.reset(JointVector::Zero(6));
+  JointVector q = off;
+  double aside = 0;
+  for (int i = 0; i < 1000; ++i) {
+    q += kT * follower.advance(JointVector::Zero(6), q);
+    aside = std::max(aside, (q - off * (q.dot(off) / off.squaredNorm())).norm());
+  }
+  EXPECT_LT(aside, 1e-9);
+  EXPECT_LT(q.norm(), 1e-6);
+}
+
+TEST(ExactFollower, ALinkThatIsLateForAMomentTeachesNoLags) {
+  // As fast as a storm of a hand, 20 ms late for 0.1 s in every second.
+  ExactFollower follower(6, {0.012, 50, 0.3, kT});
+  JointVector q = swing(0, 0.3);
+  follower.reset(q);
+  for (int i = 0; i < 10000; ++i) {
+    const double late = i % 500 < 50 ? 0.032 : 0.012;
+    q = swing(std::max(0.0, i * kT - late), 0.3);
+    follower.advance(swing((i + 1) * kT, 0.3) - swing(i * kT, 0.3), q);
+  }
+  EXPECT_LT((follower.lag() - JointVector::Constant(6, 0.012)).cwiseAbs().maxCoeff(), 1e-3);
+}
+
 TEST(ExactFollower, ABrokenMeasurementTeachesNothing) {
   ExactFollower follower(6, {0.012, 50, 2, kT});
   follower.reset(JointVector::Zero(6));

@@ -146,6 +146,7 @@ Step Controller::Impl::exact_step(const Setpoint& next, JointVector& qd) {
                                      : posture_at(follower.reference());
   request.posture = clear_posture(follower.reference(), request.posture);
   request.flange_lead = flange_lead();
+  request.room = follower.wanted_room();
   const Home home{arm.s_home(), arm.R_home()};
   const Step step = limited.exact(follower.reference(), follower.velocity(), home, request);
   qd = follow(step);

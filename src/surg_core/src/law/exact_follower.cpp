@@ -8,9 +8,12 @@
 namespace surg {
 namespace {
 
-constexpr double kMaxLagRatio = 3;   // estimated over stated lag
-constexpr double kPhiFloor = 0.003;  // [rad/s] regularises the gradient step
-constexpr int kSettling = 50;        // [periods] after a gap before lags are adapted again
+constexpr double kMaxLagRatio = 3;    // estimated over stated lag
+constexpr double kPhiFloor = 0.003;   // [rad/s] regularises the gradient step
+constexpr int kSettling = 50;         // [periods] after a gap before lags are adapted again
+constexpr int kDistrust = 1000;       // [periods] after an error that no lag explains
+constexpr double kAnyError = 1e-3;    // [rad] a smaller one may be a lag's
+constexpr double kEnoughRoom = 0.02;  // [rad/s] a correction that lacks less needs no room
 constexpr double kAdaptAbove =
     0.7;  // feedback_scale below which the error may be due to late states
 
@@ -35,6 +38,7 @@ void ExactFollower::reset(const JointVector& q, const JointVector& qd) {
   v_last_.setZero(q.size());
   qd_last_ = qd.size() == q.size() ? qd : JointVector(JointVector::Zero(q.size()));
   correction_ = qd_last_;
+  cut_.setZero(q.size());
   phi_.setZero(q.size());
   history_.fill({q, JointVector::Zero(q.size())});
   newest_ = 0;
@@ -93,15 +97,16 @@ JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, 
   }
   settling_ = std::max(settling_ - 1, 0);
   JointVector change(q.size());
-  bool linear = !(into > 0);
+  const double pulled = share_of_pull(error, gain);
+  const bool linear = !(into > 0) && pulled == 1;
   for (Eigen::Index i = 0; i < q.size(); ++i) {
-    const double pull = feedback(i, error[i], gain);
-    linear = linear && pull == gain * error[i];
-    change[i] = (lag_[i] - delay()) * a[i] + pull - correction_[i];
+    change[i] = (lag_[i] - delay()) * a[i] + pulled * (gain * error[i]) - correction_[i];
   }
   const double share = largest_share(v + correction_, change);
   correction_ += share * change;
+  cut_ = (1 - share) * change;
   phi_ += options_.T * (delayed_reference().a - gain * phi_);
+  if (!explained_by_lags(error)) settling_ = kDistrust;
   // Limits or late states also cause errors; those do not depend on the lags.
   if (linear && share == 1 && settling_ == 0 && feedback_scale > kAdaptAbove) adapt_lags(error);
   q_ref_ += dq;
@@ -110,12 +115,19 @@ JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, 
   return qd_last_;
 }
 
-double ExactFollower::feedback(Eigen::Index i, double error, double gain) const {
-  const double linear = gain * error;
-  if (options_.acceleration.size() <= i || gain <= 0) return linear;
-  const double a = 0.5 * options_.acceleration[i], bend = a / (gain * gain);
-  if (!(std::abs(error) > bend)) return linear;
-  return std::copysign(std::sqrt(a * (2 * std::abs(error) - bend)), error);  // same slope there
+/// The share of gain * error with which every joint can still brake to the reference at half its
+/// acceleration limit; 1 for small errors. Joints that came back each at its own speed would leave
+/// the pivot.
+double ExactFollower::share_of_pull(const JointVector& error, double gain) const {
+  double share = 1;
+  if (!(gain > 0)) return share;
+  for (Eigen::Index i = 0; i < options_.acceleration.size(); ++i) {
+    const double a = 0.5 * options_.acceleration[i], bend = a / (gain * gain);
+    const double size = std::abs(error[i]);
+    // The same slope there.
+    if (size > bend) share = std::min(share, std::sqrt(a * (2 * size - bend)) / (gain * size));
+  }
+  return share;
 }
 
 /// The largest share of 'change' that the limits leave to all joints.
@@ -149,6 +161,15 @@ JointVector ExactFollower::within_limits(JointVector qd, const Jacobian& J) cons
     qd = slowed_flange(J, options_.flange_velocity, qd, slow);
   }
   return qd;
+}
+
+JointVector ExactFollower::wanted_room() const {
+  return cut_ - cut_.cwiseMax(-kEnoughRoom).cwiseMin(kEnoughRoom);
+}
+
+/// A lag wrong by as much as the stated one leaves an error of lag * phi.
+bool ExactFollower::explained_by_lags(const JointVector& error) const {
+  return (error.array().abs() <= options_.lag * phi_.array().abs() + kAnyError).all();
 }
 
 void ExactFollower::adapt_lags(const JointVector& error) {

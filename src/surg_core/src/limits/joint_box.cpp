@@ -7,6 +7,7 @@ namespace surg {
 namespace {
 
 constexpr double kPositionGuard = 1e-9;   // [rad] kept from position limits: rounding
+constexpr double kMostRoom = 0.5;         // of a joint's acceleration, for the correction
 constexpr double kApproachGain = 5.0;     // [1/s] speed over distance left, inside the margin
 constexpr double kApproachBraking = 0.8;  // of the acceleration, on the way into the margin
 
@@ -63,6 +64,10 @@ LimitedStep::Box::Box(const JointLimits& limits, double T, const Here& here) : n
     // Where both cannot be (a state from outside), acceleration wins: it brakes as it may.
     high_[i] = std::clamp(high, slowest, fastest);
     low_[i] = std::clamp(low, slowest, fastest);
+    // Position limits come before the correction's room.
+    const double room = std::clamp(here.room[i], -kMostRoom * change, kMostRoom * change);
+    if (room > 0) high_[i] = std::max(low_[i], std::min(high_[i], fastest - room));
+    if (room < 0) low_[i] = std::min(high_[i], std::max(low_[i], slowest - room));
     high_by_[i] =
         fastest <= high ? "joint_acceleration" : (high < v ? "joint_limit" : "joint_velocity");
     low_by_[i] =

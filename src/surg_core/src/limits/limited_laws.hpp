@@ -22,7 +22,8 @@ struct LimitedStep::Here {
   Pose X_BF;
   Jacobian J;
   ShaftState shaft;
-  double flange_velocity = 0;  ///< [m/s] what there is of the limit
+  double flange_velocity = 0;    ///< [m/s] what there is of the limit
+  Joints room = Joints::Zero();  ///< [rad/s] that the follower's correction wants to change by
 };
 
 /// q_dot(alpha) to first order. 'back' is the part of the correction that may be delayed.

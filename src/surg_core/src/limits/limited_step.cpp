@@ -59,9 +59,10 @@ LimitedStep::LimitedStep(const Chain& chain, const Tool& tool, const JointLimits
     : chain_(chain), tool_(tool), limits_(limits), barrier_(chain), reach_(reach(chain)), T_(T) {}
 
 LimitedStep::Here LimitedStep::at(const JointVector& q, const JointVector& qd_last,
-                                  double flange_lead) const {
+                                  double flange_lead, const JointVector& room) const {
   Here here;
   here.n = q.size();
+  if (room.size() == here.n) here.room = padded(room);
   here.q = padded(q);
   here.qd_last = padded(qd_last);
   here.flange_velocity = limits_.flange_velocity - flange_lead;
@@ -71,7 +72,7 @@ LimitedStep::Here LimitedStep::at(const JointVector& q, const JointVector& qd_la
 
 Step LimitedStep::exact(const JointVector& q, const JointVector& qd_last, const Home& home,
                         const StepRequest& request) const {
-  const Here here = at(q, qd_last, request.flange_lead);
+  const Here here = at(q, qd_last, request.flange_lead, request.room);
   return run(ExactLaw(*this, here, home, request), here);
 }
 

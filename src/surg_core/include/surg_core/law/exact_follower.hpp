@@ -26,14 +26,18 @@ namespace surg {
 ///
 /// Each joint's lag is also estimated: a wrong lag leaves the error e = (lag error) phi with phi' =
 /// a_delayed - gain phi, and a normalised gradient step on e adapts the lag. It stays between 0 and
-/// three times the stated lag and does not change at zero acceleration. The feedback acts on
-/// joints, so pivot, tip and roll converge together.
+/// three times the stated lag and does not change at zero acceleration. An error that no lag
+/// explains is not a lag's: from it, and for two seconds after it, nothing is learnt. A link that
+/// obeys late for some tens of milliseconds would otherwise leave every joint a wrong lag of its
+/// own. The feedback acts on joints, so pivot, tip and roll converge together.
 ///
-/// The feedback is gain e. For a large e it is the speed from which the joint can still brake to
-/// the reference at half its acceleration limit. If measured states are late, the caller reduces
-/// the gain by feedback_scale; from very late states the lags are not adapted. The command keeps
-/// the joint limits in every case. The correction added to v is scaled by one factor for all joints
-/// as far as possible: scaling joint by joint would move the pivot ten times as much.
+/// The feedback is gain e. For a large e it is less, by one factor for all joints: as much as lets
+/// every joint brake to the reference at half its acceleration limit. If measured states are late,
+/// the caller reduces the gain by feedback_scale; from very late states the lags are not adapted.
+/// The command keeps the joint limits in every case. The correction added to v is scaled by one
+/// factor for all joints as far as possible: scaling joint by joint would move the pivot ten times
+/// as much. What the limits withheld of it, the next step of the reference leaves room for
+/// (wanted_room).
 class ExactFollower {
  public:
   /// Share of the joint limits that the reference may use; the rest is for the correction.
@@ -77,12 +81,16 @@ class ExactFollower {
   void coast();
   /// Continues from another last command [rad/s] than the follower gave.
   void take_up(const JointVector& qd);
+  /// [rad/s] What the limits did not leave of the last correction's change, beyond a negligible
+  /// rest. A reference that takes all of a joint's acceleration for itself would keep a correction
+  /// that has become wrong for as long as it brakes, and the arm off its pivot.
+  JointVector wanted_room() const;
   /// Velocity of the reference in the last period [rad/s].
   const JointVector& velocity() const { return v_last_; }
   /// Serializes everything that a step reads (snapshot.hpp).
   template <typename Archive>
   void serialize(Archive& archive) {
-    archive(q_ref_, v_last_, qd_last_, correction_, lag_, phi_, newest_, rejoins_, settling_);
+    archive(q_ref_, v_last_, qd_last_, correction_, lag_, phi_, newest_, rejoins_, settling_, cut_);
     for (ReferenceSample& sample : history_) archive(sample.q, sample.a);
   }
   /// Delay of the arm behind the reference [s].
@@ -93,7 +101,8 @@ class ExactFollower {
   const JointVector& lag() const { return lag_; }
 
  private:
-  double feedback(Eigen::Index i, double error, double gain) const;
+  double share_of_pull(const JointVector& error, double gain) const;
+  bool explained_by_lags(const JointVector& error) const;
   double largest_share(const JointVector& from, const JointVector& change) const;
   JointVector push_reference(const JointVector& dq);
   JointVector within_limits(JointVector qd, const Jacobian& J) const;
@@ -113,8 +122,9 @@ class ExactFollower {
   std::array<ReferenceSample, kHistory> history_;  // of the reference
   int newest_ = 0;
   bool rejoins_ = false;  // the last command is not the reference's velocity plus the correction
-  int settling_ = 0;      // [periods] until what is left of a gap says nothing about the lags
+  int settling_ = 0;      // [periods] until what is left of a gap or a late link teaches no lags
   JointVector q_ref_, v_last_, qd_last_, correction_, lag_, phi_;
+  JointVector cut_;  // [rad/s] of the correction's change
 };
 
 }  // namespace surg

@@ -67,6 +67,9 @@ struct StepRequest {
   JointVector posture;  ///< [rad/s] wish for the null space of redundant arms; small ones only
   /// Exact form: additional flange speed of the follower compared with this step [m/s].
   double flange_lead = 0;
+  /// Exact form: change of the follower's correction that waits for acceleration [rad/s]. The step
+  /// leaves up to half of a joint's acceleration to it, in its direction.
+  JointVector room;
   // Velocity form only: the flange twist is feedback + alpha forward.
   Vector6 feedback = Vector6::Zero();  ///< tip and roll feedback, lateral feedback, trocar velocity
   Vector6 forward = Vector6::Zero();   ///< the path's own motion; lateral velocity at the trocar 0
@@ -125,7 +128,8 @@ class LimitedStep {
   class RetraceLaw;
   class LookAhead;
 
-  Here at(const JointVector& q, const JointVector& qd_last, double flange_lead) const;
+  Here at(const JointVector& q, const JointVector& qd_last, double flange_lead,
+          const JointVector& room = {}) const;
   Step run(const Law& law, const Here& here) const;
   bool is_still(const JointVector& qd) const;
 
