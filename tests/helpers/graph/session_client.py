@@ -25,7 +25,7 @@ from std_msgs.msg import String
 from crtk_msgs.msg import OperatingState
 from surg_msgs.msg import GroundTruth, ScalarStamped
 
-STATES = {"enable": "ENABLED", "disable": "DISABLED", "home": "ENABLED"}
+STATES = {"enable": "ENABLED", "disable": "DISABLED", "home": "ENABLED", "resume": "ENABLED"}
 MOTIONS = ("/rcm/insert", "/rcm/withdraw", "/move_cp", "/move_jp", "/jaw/move_jp")
 TIMEOUT_S = 40.0
 

@@ -122,7 +122,7 @@ def lockstep(
         graph.wait_for(lambda: controller.done, 60.0, "the end of the run")
     assert controller.stamps == [TICK_NS * k for k in range(1, last + 1)]
     assert controller.truths == list(range(controller.truths[0], last + 1))
-    assert controller.truths[0] <= 2
+    assert controller.truths[0] <= 5  # connected beside the joints, in any order
     return controller.status
 
 

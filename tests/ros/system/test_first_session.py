@@ -31,10 +31,9 @@ pytestmark = pytest.mark.ros
 PAGE = paths.ROOT / "docs" / "guide" / "first_session.md"
 START_S = 60.0
 LAG_TRIES = 6
-LINK_LOST = "robot link"
-"""F10: on a busy machine the simulator is silent for longer than its `link_timeout`."""
-LINK_TRIES = 4
-ENABLE = 'rostopic pub -1 /PSM1/state_command crtk_msgs/StringStamped "{string: enable}"'
+BUSY = {"FAULT": ("robot link", "enable"), "PAUSED": ("missed its deadlines", "resume")}
+"""What stops the arm on a busy machine (F10, F27), in its words, and what takes it up again."""
+TRIES = 4
 
 
 def lines_of(page: Path) -> list[tuple[str, str]]:
@@ -159,13 +158,16 @@ class Session:
         return text
 
     def _publish(self, line: str) -> dict[str, Any]:
-        """One line, again once a person has enabled the arm after a lost link; its answer."""
-        for _ in range(LINK_TRIES):
+        """One line's answer; said again if a busy machine has stopped the arm meanwhile."""
+        for _ in range(TRIES):
             answer = self._say(line)
-            if answer["state"] != "FAULT" or not any(LINK_LOST in w for w in answer["warnings"]):
+            cause, cure = BUSY.get(answer["state"], ("nothing", ""))
+            if not any(cause in warning for warning in answer["warnings"]):
                 break
             print(f"{line[:60]}… {answer['warnings']}")
-            self._say(ENABLE)
+            self._say(
+                f'rostopic pub -1 /PSM1/state_command crtk_msgs/StringStamped "{{string: {cure}}}"'
+            )
         return answer
 
     def _say(self, line: str) -> dict[str, Any]:
