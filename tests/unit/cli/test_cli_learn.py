@@ -37,12 +37,12 @@ class FakePlayer:
     """Stands in for the graph."""
 
     title, robot = "Bowel grasping and retraction", "ur5e"
-    played: list[int] = []  # noqa: RUF012: of all players
-    folders: list[Path] = []  # noqa: RUF012: of all roll-outs
+    played: list[int] = []  # of all players
+    folders: list[Path] = []  # of all roll-outs
 
-    made: list[tuple[Any, ...]] = []  # noqa: RUF012: of all
+    made: list[tuple[Any, ...]] = []  # of all
     success = True
-    broken: set[int] = set()  # noqa: RUF012: seeds of roll-outs that do not come to their end
+    broken: set[int] = set()  # seeds of roll-outs that do not come to their end
 
     def __init__(self, *arguments: Any) -> None:
         FakePlayer.made.append(arguments)

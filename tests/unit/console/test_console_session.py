@@ -55,6 +55,8 @@ class Bench:
         self.orders: list[object] = []
         self.seq: dict[str, int] = {}
         self.picture = 1
+        self.obeys = True
+        self.heard_moves = True  # False: the teleoperation hears the first input after `Follow`
 
     @property
     def robot(self) -> Robot:
@@ -63,8 +65,11 @@ class Bench:
     def flush(self) -> list[object]:
         orders = self.session.take_orders()
         for order in orders:
-            if isinstance(order, Follow):
-                state = "FOLLOWING" if order.value else "DISABLED"
+            if isinstance(order, Move):
+                self.heard_moves = True
+            elif isinstance(order, Follow) and self.obeys:
+                follows = "FOLLOWING" if self.heard_moves else "WAITING"
+                state = follows if order.value else "DISABLED"
                 self.follower = replace(self.follower, state=state)
             elif isinstance(order, OtherMapping):
                 other = "rate" if self.follower.mapping == "position" else "position"
@@ -142,6 +147,30 @@ def test_enable_says_present_and_follow_with_pedals_up(bench: Bench) -> None:
     bench.run(0.2)
     bench.session.enable("a", bench.robot, bench.now)
     assert bench.flush() == [Clutch(False), Camera(False), Present(True), Follow(True)]
+
+
+def test_the_tip_follows_although_enable_arrives_before_the_first_input(bench: Bench) -> None:
+    """Each topic has a connection of its own. A request beside a silent hand does not count."""
+    bench.session.join("a", bench.now)
+    bench.run(0.2)
+    bench.heard_moves = False
+    bench.session.enable("a", bench.robot, bench.now)
+    bench.flush()
+    assert bench.follower.state == "WAITING"
+    bench.run(1.0)
+    assert bench.session.phase is Phase.DRIVING
+    assert bench.given(Follow) == [Follow(True)] * 2
+
+
+def test_an_arm_that_stops_while_it_starts_is_not_enabled_again(bench: Bench) -> None:
+    bench.session.join("a", bench.now)
+    bench.run(0.2)
+    bench.heard_moves = False
+    bench.session.enable("a", bench.robot, bench.now)
+    bench.flush()
+    bench.arm = Arm("PSM1", "FAULT", True, bench.now, reason=Reason.RCM_ERROR)
+    bench.run(START_TIMEOUT - 0.1)
+    assert bench.given(Follow) == [Follow(True)]
 
 
 def test_f03_silence_holds_at_the_first_tick_after_its_limit(bench: Bench) -> None:
@@ -483,7 +512,7 @@ def test_what_does_not_become_ready_is_named(bench: Bench) -> None:
         bench.run(0.2)
         bench.session.enable("a", bench.robot, bench.now)
         bench.flush()
-        bench.arm, bench.follower = arm, follower
+        bench.arm, bench.follower, bench.obeys = arm, follower, False
         bench.run(START_TIMEOUT - 0.1)
         assert bench.session.phase is Phase.STARTING
         bench.run(0.2)

@@ -82,7 +82,7 @@ class Session:
         self._pages: dict[str, _Page] = {}
         self._holder: _Page | None = None
         self._orders: list[orders.Order] = []
-        self._enabled = self._acted = self._tapped = -math.inf
+        self._enabled = self._asked = self._acted = self._tapped = -math.inf
         self._policy_requested = -math.inf
         self._clutch = self._camera = False
         self._hand = "position"
@@ -166,7 +166,7 @@ class Session:
             self._hold(why)
             return why
         self.phase, self.reason, self._policy_requested = Phase.STARTING, "", -math.inf
-        self._enabled = self._acted = now
+        self._enabled = self._asked = self._acted = now
         self._camera = False
         self._clutch = page.dead_man is not None  # nothing follows before a squeeze
         self._orders += [
@@ -288,6 +288,10 @@ class Session:
                 self._hold(operator_messages.let_go(robot))
         elif now - self._enabled > START_TIMEOUT:
             self._hold(operator_messages.not_ready(robot, self._enabled, START_TIMEOUT))
+        elif self._leads and now - self._asked >= SETTLED and robot.ready:
+            # The teleoperation drops a request that reaches it before the first input does.
+            self._asked = now
+            self._orders.append(orders.Follow(True))
 
     def _start_policy(self, robot: Robot, now: float) -> None:
         """The policy gets the arm once the teleoperation states that no hand wants it."""

@@ -132,6 +132,11 @@ class Robot:
     calibration: Calibration | None = None  # None: no collector of views runs
 
     @property
+    def ready(self) -> bool:
+        """Whether every arm is enabled and homed."""
+        return bool(self.arms) and all(arm.ready() for arm in self.arms)
+
+    @property
     def astray(self) -> tuple[str, ...]:
         """Simulated arms in FAULT: nobody stands beside them who could put them back."""
         return tuple(a.name for a in self.arms if self.simulated and a.state == "FAULT")
