@@ -2,8 +2,8 @@
 
 Tests that drive graphs in real time share one group: two such graphs at once would take each
 other's cores. That group comes first, so xdist gives it to the first worker that is ready. A worker
-that begins with another group runs at a lower priority from then on. Every other file is a group of
-its own: its fixtures are made once.
+that begins with another group runs at a lower priority from then on. The rest of every file is a
+group of its own: its fixtures are made once.
 
 A test in real time gets a higher priority where the system grants it, and so do the processes that
 it starts: other programs of the machine then cost it little.
@@ -19,7 +19,7 @@ import pytest
 
 REAL_TIME = "real-time"
 FOLDERS = ("ros", "e2e", "faults")
-"""Folders of tests that drive graphs, in real time unless the file is marked `untimed`."""
+"""Folders of tests that drive graphs, in real time unless file or test is marked `untimed`."""
 NICE = 10
 """Added to the niceness of the other workers: a graph in real time must not wait for a core."""
 PREFERRED = -10
@@ -63,9 +63,8 @@ def assign(config: pytest.Config, items: list[pytest.Item], tests: Path) -> None
     """
     if not hasattr(config, "workerinput"):
         return
-    timed = {item.path for item in items if in_real_time(item, tests)}
     for item in items:
-        name = REAL_TIME if item.path in timed else item.path.stem
+        name = REAL_TIME if in_real_time(item, tests) else item.path.stem
         item.add_marker(pytest.mark.xdist_group(name))
     items.sort(key=lambda item: group(item) != REAL_TIME)
 

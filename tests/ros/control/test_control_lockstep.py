@@ -62,6 +62,7 @@ def test_every_tick_is_answered_and_the_arm_follows(ros_graph: RosGraph, rig: Ri
     assert np.allclose(p_tip, cycles[-1].p_tip, atol=1e-12)
 
 
+@pytest.mark.untimed
 def test_same_commands_give_the_same_answers(ros_graph: RosGraph, rospy_node: str) -> None:
     runs = []
     for jitter in (0.0, 3.0):
@@ -341,6 +342,7 @@ BROKEN = [
 ]
 
 
+@pytest.mark.untimed
 @pytest.mark.parametrize(("change", "part"), BROKEN)
 def test_f15_broken_parameters_exit_with_2(
     ros_graph: RosGraph, change: dict[str, object], part: str

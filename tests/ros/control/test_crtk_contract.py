@@ -24,7 +24,7 @@ from surg_cli.graph.graph_probe import Seen, observe
 from surg_cli.graph.topic_contract import PAGE, REFERENCE, Contract, Entry, compare, load, render
 from surg_cli.host.terminal import Problem
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
 ARM = topics.ARM
 TICK_NS = round(TICK * 1e9)

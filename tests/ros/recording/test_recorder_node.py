@@ -146,6 +146,7 @@ def _until(condition: Callable[[], bool], what: str, timeout: float = 15.0) -> N
         time.sleep(0.01)
 
 
+@pytest.mark.untimed
 def test_lockstep_episode_is_complete_to_the_tick(
     bench: Bench, ros_graph: RosGraph, tmp_path: Path
 ) -> None:
@@ -276,6 +277,7 @@ def test_sigterm_finishes_and_kill_is_recovered(
     assert len(recovered.video("endoscope_left").frames) >= 24 - 10
 
 
+@pytest.mark.untimed
 @pytest.mark.parametrize(
     ("params", "said"),
     [

@@ -142,12 +142,14 @@ def test_two_runs_have_one_hash(ros_graph: RosGraph, rospy_node: str) -> None:
     assert first.state_hash == second.state_hash != other.state_hash
 
 
+@pytest.mark.untimed
 def test_jitter_changes_nothing(ros_graph: RosGraph, rospy_node: str) -> None:
     calm = lockstep(ros_graph, 0.05, 50)
     nervous = lockstep(ros_graph, 0.05, 50, jitter_ms=5.0)
     assert calm.state_hash == nervous.state_hash
 
 
+@pytest.mark.untimed
 def test_the_package_steps_as_the_node_does(ros_graph: RosGraph, rospy_node: str) -> None:
     import numpy as np
 
@@ -173,6 +175,7 @@ def test_abort_names_who_is_missing(ros_graph: RosGraph, rospy_node: str) -> Non
     assert status.state == status.STATE_ABORTED and "PSM1" in status.detail
 
 
+@pytest.mark.untimed
 def test_a_stranger_is_not_taken_for_the_controller(ros_graph: RosGraph, rospy_node: str) -> None:
     """Who only looks at a topic must not start the run: the controller would miss its beginning."""
     controller = Controller(0.0, 50)
@@ -189,6 +192,7 @@ def test_a_stranger_is_not_taken_for_the_controller(ros_graph: RosGraph, rospy_n
     assert "the controller does not subscribe /PSM1/tool/measured_js" in log
 
 
+@pytest.mark.untimed
 @pytest.mark.parametrize(
     ("params", "words"),
     [
@@ -244,6 +248,7 @@ def test_faults_are_taken_on_the_loopback_only(ros_graph: RosGraph, rospy_node: 
     assert "loopback" in child.log_tail(20)
 
 
+@pytest.mark.untimed
 def test_faults_in_lockstep_are_one_hash_and_the_package_agrees(
     ros_graph: RosGraph, rospy_node: str
 ) -> None:

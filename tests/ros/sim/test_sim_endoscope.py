@@ -10,7 +10,7 @@ import pytest
 from helpers.graph.ros import RosGraph
 from surg_cli.host import paths
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
 CELL = paths.ROOT / "cells" / "sim_ur5e"
 TICK_NS = 2_000_000

@@ -166,6 +166,7 @@ def content(stepped: list[tuple[int, list[tuple[str, Any]]]]) -> list[str]:
     return lines
 
 
+@pytest.mark.untimed
 def test_lockstep_from_connection_to_done(ros_graph: RosGraph, arm: ScriptedArm) -> None:
     child = start(ros_graph)
     last = run_lockstep(ros_graph, arm)
@@ -239,6 +240,7 @@ BAD = {
 }
 
 
+@pytest.mark.untimed
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_refused_before_anything_moves(
     case: str, ros_graph: RosGraph, arm: ScriptedArm
