@@ -50,8 +50,8 @@ class Judged:
 
 
 @contextlib.asynccontextmanager
-async def system(folder: Path, cell: str) -> AsyncIterator[tuple[int, Judged]]:
-    """A running `./surg teleop` with its console's port, and the judge of its instrument's arm."""
+async def system(folder: Path, cell: str, arm: str) -> AsyncIterator[tuple[int, Judged]]:
+    """A running `./surg teleop` with its console's port, and the judge of one arm."""
     port, web = master.free_port(), master.free_port()
     log, judged = folder / "teleop.log", Judged()
     words = ("teleop", cell, "--port", port, "--web-port", web, "--out", folder / "out")
@@ -62,7 +62,7 @@ async def system(folder: Path, cell: str) -> AsyncIterator[tuple[int, Judged]]:
             judge = await asyncio.create_subprocess_exec(
                 sys.executable,
                 str(paths.ROOT / "tests" / "helpers" / "graph" / "pivot_judge.py"),
-                "PSM1",
+                arm,
                 env={**environment(), "ROS_MASTER_URI": f"http://localhost:{port}"},
                 stdout=asyncio.subprocess.PIPE,
             )
@@ -93,8 +93,14 @@ async def drive(found: Page) -> None:
             found.fall_silent()
 
 
-async def storm(found: Page, rng: np.random.Generator, until: float) -> int:
-    """A hand to and fro at full speed, clutching, halting, changing its way; presses when held.
+async def storm(found: Page, rng: np.random.Generator, until: float, scope: float) -> int:
+    """A hand to and fro at full speed, clutching, changing its way and its arm; presses when held.
+
+    Args:
+        found: The page.
+        rng: Of the storm.
+        until: Its end on the steady clock [s].
+        scope: Share of time with the camera's pedal down.
 
     Returns:
         How often the operator had to enable anew.
@@ -102,7 +108,7 @@ async def storm(found: Page, rng: np.random.Generator, until: float) -> int:
     enabled, pressed = 0, 0.0
     hand, way = np.zeros(3), np.array([1.0, 0.0, 0.0])
     before, change = time.monotonic(), 0.0
-    clutch = False
+    clutch = camera = False
     while time.monotonic() < until:
         now = time.monotonic()
         hand += HAND_SPEED * (now - before) * way
@@ -113,9 +119,10 @@ async def storm(found: Page, rng: np.random.Generator, until: float) -> int:
             way /= np.linalg.norm(way)
             if outside and hand @ way > 0:
                 way = -way
-            clutch = bool(rng.random() < 0.15)
+            clutch, camera = bool(rng.random() < 0.15), bool(rng.random() < scope)
             change = now + rng.uniform(0.05, 0.6)
-        found.hand = {"hand": "position", "p": hand.round(5).tolist(), "clutch": clutch}
+        p = hand.round(5).tolist()
+        found.hand = {"hand": "position", "p": p, "clutch": clutch, "camera": camera}
         if found.status["phase"] != "driving" and now > pressed + 1.0:
             pressed = now
             enabled += 1
@@ -124,21 +131,26 @@ async def storm(found: Page, rng: np.random.Generator, until: float) -> int:
     return enabled
 
 
-@pytest.mark.parametrize("cell", ["sim_ur5e", "sim_panda"])
-def test_a_fast_hand_on_a_busy_machine_never_leaves_the_pivot(tmp_path: Path, cell: str) -> None:
+@pytest.mark.parametrize(
+    ("cell", "arm", "scope"),
+    [("sim_ur5e", "PSM1", 0.0), ("sim_panda", "PSM1", 0.0), ("sim_two_arms", "ECM", 0.7)],
+)
+def test_a_fast_hand_on_a_busy_machine_never_leaves_the_pivot(
+    tmp_path: Path, cell: str, arm: str, scope: float
+) -> None:
     rng = np.random.default_rng(7)
 
     async def test() -> None:
-        async with system(tmp_path, cell) as (web, judged), page(web) as found:
+        async with system(tmp_path, cell, arm) as (web, judged), page(web) as found:
             found.hand = {"hand": "position", "p": [0.0, 0.0, 0.0]}
             await drive(found)
             await found.say("scale", value=SCALE)
             with busy_machine.busy():
                 began = time.monotonic()
-                enabled = await storm(found, rng, began + SECONDS)
+                enabled = await storm(found, rng, began + SECONDS, scope)
             await asyncio.sleep(1.0)
             seen = judged.seen
-            note(cell, SECONDS, os.getloadavg()[0], enabled, seen)
+            note(f"{cell}, {arm}", SECONDS, os.getloadavg()[0], enabled, seen)
             assert seen["way_m"] > 0.002 * SECONDS, "the arm hardly moved"
             assert "FAULT(rcm_error)" not in seen["ended"]
             assert seen["pivot_mm"] <= 0.5
