@@ -10,8 +10,9 @@ _HEAD = """# A fast hand on a busy machine
 
 Written by `SURG_TEST_FULL=1 ./surg test tests/e2e/test_busy_machine.py`: a page of the console
 sends a hand of 0.5 m/s at scale 0.2 with clutches, and presses Enable when the arm is held. Seven
-tenths of the time it moves the endoscope, where that is the arm. The simulator's truth is the judge. The tip's limit is 0.25 m/s along each axis. FAULT(link): simulator
-or controller was not served for 0.1 s.
+tenths of the time it moves the endoscope, where that is the arm. The simulator's truth is the
+judge. The tip's limit is 0.25 m/s along each axis. FAULT(link): simulator or controller was not
+served for 0.1 s.
 
 | cell, arm | s | result |
 |---|---|---|
