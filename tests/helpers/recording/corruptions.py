@@ -134,6 +134,11 @@ def _swapped(rows: list[str]) -> list[str]:
     return rows
 
 
+def _swapped_forces(rows: list[str]) -> list[str]:
+    rows[20], rows[30] = rows[30], rows[20]
+    return rows
+
+
 def _doubled(rows: list[str]) -> list[str]:
     return [*rows[:100], rows[99], *rows[100:]]
 
@@ -161,6 +166,7 @@ def _utf_16(folder: Path) -> None:
 
 MANIFEST, CYCLE = "manifest.json", "cycle_PSM1.csv"
 TRUTH, COMMAND, EVENTS = "ground_truth_PSM1.csv", "command_PSM1.csv", "events.csv"
+FORCE = "tip_force_PSM1.csv"
 VIDEO, SIDECAR, SYNC = f"{CAMERA}.mp4", f"{CAMERA}.csv", "sync.json"
 NESTED = b"[" * 200_000
 FIFO, FOLDER, LOOP = os.mkfifo, Path.mkdir, link("")
@@ -291,6 +297,24 @@ ALL = (
     Corruption("truth: half of the rows", lines(TRUTH, _half), "vex"),
     Corruption("truth: a NaN", field(TRUTH, 200, "tip_x", "nan", True), "ex"),
     Corruption("truth: a value of 1e308", field(TRUTH, 200, "force_x", "1e308", True), "ex"),
+    Corruption("forces: missing", missing(FORCE), "vx", True),
+    Corruption("forces: empty", written(FORCE, b""), "vx"),
+    Corruption("forces: a folder", replaced(FORCE, FOLDER), "vx"),
+    Corruption("forces: a named pipe", replaced(FORCE, FIFO), "vx", True),
+    Corruption("forces: a link to itself", replaced(FORCE, LOOP), "vx"),
+    Corruption("forces: half of the rows", lines(FORCE, _half), "vx"),
+    Corruption("forces: swapped, manifest fits", lines(FORCE, _swapped_forces, True), "x"),
+    Corruption("forces: a value edited", field(FORCE, 20, "force_x", "9.0"), "vx", True),
+    Corruption("forces: a NaN", field(FORCE, 20, "force_x", "nan", True), "x"),
+    Corruption("forces: a value of 1e308", field(FORCE, 20, "force_z", "1e308", True), "x"),
+    Corruption("forces: known, without a force", field(FORCE, 20, "force_y", "", True), "x"),
+    Corruption("forces: known is 7", field(FORCE, 20, "known", "7", True), "x"),
+    Corruption("forces: a stamp of -2^63", field(FORCE, 20, "stamp_ns", BACK, True), "x"),
+    Corruption("forces: a stamp in 2262", field(FORCE, 20, "stamp_ns", FAR, True), "x"),
+    Corruption("forces: the last stamp is in 2262",
+               field(FORCE, 85, "stamp_ns", FAR, True), "x"),
+    Corruption("forces: a word", field(FORCE, 20, "force_x", "abc"), "vx"),
+    Corruption("forces: no column for it", lines(FORCE, _renamed("force_x", "f")), "vx"),
     Corruption("commands: missing", missing(COMMAND), "ve"),
     Corruption("commands: a named pipe", replaced(COMMAND, FIFO), "ve"),
     Corruption("commands: a position edited", field(COMMAND, 50, "x", "0.5"), "ve"),

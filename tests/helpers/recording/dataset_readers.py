@@ -33,6 +33,8 @@ class Frame:
     action: np.ndarray
     pictures: list[np.ndarray]
     """Of each camera, (height, width, 3)."""
+    force: np.ndarray | None = None
+    """Of the arms; None: it is in no recording."""
 
 
 def frames(out: Path, format_name: str) -> Iterator[Frame]:
@@ -80,6 +82,7 @@ def _rows(table: Any, shown: list[list[np.ndarray]]) -> Iterator[Frame]:
             np.array(row["observation.state"]),
             np.array(row["action"]),
             pictures,
+            np.array(row["observation.force"]) if "observation.force" in row else None,
         )
 
 
@@ -128,6 +131,7 @@ def _robomimic(out: Path) -> Iterator[Frame]:
                     demo["obs/state"][k],
                     demo["actions"][k],
                     [demo[f"obs/{c}_image"][k] for c in CAMERAS],
+                    demo["obs/force"][k] if "obs/force" in demo else None,
                 )
 
 
@@ -143,6 +147,9 @@ def _act(out: Path) -> Iterator[Frame]:
                     root["/observations/qpos"][k],
                     root["/action"][k],
                     [root[f"/observations/images/{c}"][k] for c in CAMERAS],
+                    root["extra/observation.force"][k]
+                    if "extra/observation.force" in root
+                    else None,
                 )
 
 
@@ -159,5 +166,6 @@ def _zarr(out: Path) -> Iterator[Frame]:
                 root["data/state"][k],
                 root["data/action"][k],
                 [root[f"data/{c}"][k] for c in CAMERAS],
+                root["data/observation.force"][k] if "data/observation.force" in root else None,
             )
         begin = end

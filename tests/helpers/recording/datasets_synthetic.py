@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from helpers.recording import felt_forces
 from helpers.recording import recording_synthetic as base
 from helpers.recording.picture_identity import HEIGHT, WIDTH, Identity, draw
 from helpers.recording.recording_synthetic import TICK_NS, Synthetic
@@ -42,13 +43,14 @@ def record(
     size: tuple[int, int] = (WIDTH, HEIGHT),
     picture: Callable[..., npt.NDArray[np.uint8]] = draw,
     paced: bool = False,
+    felt: bool = False,
     **run: Any,
 ) -> Path:
     """Record a made-up episode with a moving arm; 50 ticks at rest before and after the motion.
 
     Frame n of a camera has the stamp of tick 25 n (plus a seeded jitter) and shows n; frames n in
     ``range(*stall)`` are missing. ``paced``: wait for the writers at every picture, as a simulator
-    in lock-step does; needed for long ones.
+    in lock-step does; needed for long ones. ``felt``: forces of ``felt_forces`` are recorded.
     """
     what = Synthetic(seconds=seconds)
     rng = np.random.default_rng(recording)
@@ -73,6 +75,9 @@ def record(
         message.accepted = max(0, min(tick - 50, ticks))
         recorder.cycle("PSM1", message, tick)
         recorder.ground_truth(base.ground_truth(what, tick), tick)
+        if felt and tick % felt_forces.SAMPLE_TICKS == 0:
+            for place in felt_forces.PLACES:
+                recorder.force("PSM1", place, felt_forces.wrench(place, tick), tick)
         if task and tick % IMAGE_TICKS == 0:
             recorder.task_state(_task(tick, ticks + 100, success), tick)
         while paced and tick % IMAGE_TICKS == 0 and recorder.status()["backlog"]["rows"] > 2000:

@@ -69,6 +69,7 @@ def main(root: str, count: int, seed: int) -> None:
             "state": item["observation.state"].tolist(),
             "action": item["action"].tolist(),
             "cartesian": item["observation.cartesian_state"].tolist(),
+            "force": item.get("observation.force", torch.empty(0)).tolist(),
             "camera_pose": item.get("observation.camera_pose", torch.empty(0)).tolist(),
             "pictures": {},
         }

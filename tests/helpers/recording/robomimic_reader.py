@@ -40,7 +40,7 @@ def main(file: str, split: str, length: int) -> None:
     """Print versions and sequences."""
     dataset = SequenceDataset(
         hdf5_path=file,
-        obs_keys=("state", *(f"{camera}_image" for camera in CAMERAS)),
+        obs_keys=("state", "force", *(f"{camera}_image" for camera in CAMERAS)),
         dataset_keys=("actions", "rewards", "dones", "timestamp", GRID),
         seq_length=length,
         filter_by_attribute=split,
@@ -57,6 +57,7 @@ def main(file: str, split: str, length: int) -> None:
                     "dones": item["dones"].tolist(),
                     "actions": item["actions"].tolist(),
                     "state": item["obs"]["state"].tolist(),
+                    "force": item["obs"]["force"].tolist(),
                     "obs": [identities(item["obs"][f"{camera}_image"]) for camera in CAMERAS],
                     "next": [identities(item["next_obs"][f"{camera}_image"]) for camera in CAMERAS],
                 }

@@ -15,7 +15,7 @@ import pytest
 import rosbag
 import roslib.message
 
-from helpers.recording import datasets_synthetic, picture_identity
+from helpers.recording import datasets_synthetic, felt_forces, picture_identity
 from helpers.recording.datasets_synthetic import FRAME_NS
 from helpers.recording.picture_identity import Identity
 from helpers.recording.recording_synthetic import Synthetic, path
@@ -26,11 +26,13 @@ from surg_recording.recording_errors import EpisodeError
 
 OPTIONS = ExportOptions(executor="serial", splits={"train": 1.0})
 SECONDS = 0.6
+FORCES = {"tip": "/PSM1/tool/measured_cf", "trocar": "/PSM1/trocar/measured_cf"}
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return datasets_synthetic.record(tmp_path_factory.mktemp("bags") / "episode", 3, SECONDS)
+    folder = tmp_path_factory.mktemp("bags") / "episode"
+    return datasets_synthetic.record(folder, 3, SECONDS, felt=True)
 
 
 def read(file: Path) -> Iterator[tuple[str, Any, int]]:
@@ -73,6 +75,18 @@ def test_every_message_says_what_was_recorded(
         for time_ns, message in found[f"/endoscope/{side}/image_raw/compressed"]:
             image = cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_COLOR)
             assert picture_identity.read(image) == Identity(3, camera, time_ns // FRAME_NS)
+    forces = {place: found.pop(topic) for place, topic in FORCES.items()}
+    times = [time_ns for time_ns, _ in found["/PSM1/measured_cp"]]
+    for first, place in ((0, "tip"), (4, "trocar")):
+        rows = {t: felt_forces.expected(t)[first : first + 4] for t in times}
+        known = [t for t in times if rows[t][3]]
+        assert [time_ns for time_ns, _ in forces[place]] == known, "only where it is known"
+        for time_ns, message in forces[place]:
+            f = message.wrench.force
+            np.testing.assert_allclose([f.x, f.y, f.z], rows[time_ns][:3], atol=1e-6)
+            assert message.header.frame_id == "PSM1_rcm"
+            assert message.header.stamp.to_nsec() == time_ns
+    assert 0 < len(forces["tip"]) < len(forces["trocar"]) == report.frames
     counts = {len(each) for topic, each in found.items() if topic.startswith(("/PSM1", "/endo"))}
     assert counts == {report.frames}
     ((_, words),) = found["/instruction"]

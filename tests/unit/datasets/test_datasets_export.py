@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from helpers.recording import dataset_readers, datasets_synthetic, picture_identity
+from helpers.recording import dataset_readers, datasets_synthetic, felt_forces, picture_identity
 from helpers.recording.dataset_readers import FORMATS
 from helpers.recording.datasets_synthetic import CAMERAS, FRAME_NS, STAGES
 from helpers.recording.recording_synthetic import TICK_NS, Synthetic, path
@@ -89,6 +89,21 @@ def test_every_frame_is_in_its_place(
     per_episode = report.frames // 4
     assert numbers == [(e, k) for e in range(4) for k in range(per_episode)]
     assert datasets.check(tmp_path / "out", datasets.load(format_name)).ok
+
+
+def test_forces_are_the_same_in_every_format(tmp_path: Path) -> None:
+    """The tip's sensor does not know its force for a while; no picture is needed to see that."""
+    felt = datasets_synthetic.record(tmp_path / "felt", 1, SECONDS, felt=True)
+    for format_name in FORMATS:
+        out = tmp_path / format_name
+        assert export([felt], out, format_name).ok
+        known = set()
+        for frame in dataset_readers.frames(out, format_name):
+            assert frame.force is not None
+            expected = felt_forces.expected(frame.grid_ns)
+            np.testing.assert_allclose(frame.force, expected, atol=1e-6, err_msg=format_name)
+            known.add(frame.force[3])
+        assert known == {0.0, 1.0}
 
 
 @pytest.mark.parametrize("format_name", FORMATS)

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from helpers.recording import datasets_synthetic
+from helpers.recording import datasets_synthetic, felt_forces
 from helpers.recording.datasets_synthetic import FRAME_NS, PHASES, STAGES
 from helpers.recording.oracle_reading import run
 from helpers.recording.recording_synthetic import TICK_NS, Synthetic
@@ -30,7 +30,9 @@ IDENTITIES = [1, 2, 3]
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     root = tmp_path_factory.mktemp("recordings")
-    return [datasets_synthetic.record(root / f"r{i}", i, 1.0 + 0.35 * i) for i in IDENTITIES]
+    return [
+        datasets_synthetic.record(root / f"r{i}", i, 1.0 + 0.35 * i, felt=True) for i in IDENTITIES
+    ]
 
 
 def read(version: str, out: Path, tmp_path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
@@ -75,8 +77,12 @@ def test_lerobot_gives_every_frame_right(
         what.seconds = 1.0 + 0.35 * IDENTITIES[frame["episode"]]
         expected = what.executed(frame["grid_ns"] * 1e-9)
         assert frame["state"][:3] == pytest.approx(list(expected), abs=1e-7)
+        assert frame["force"] == pytest.approx(felt_forces.expected(frame["grid_ns"]), abs=1e-6)
+    assert {frame["force"][3] for frame in frames} == {0.0, 1.0}, "the tip's sensor was silent"
     assert set(STAGES.values()) <= {frame["stage"] for frame in frames}
-    READERS.note(f"lerobot {version}", len(frames), f"{2 * len(frames)} pictures, 0 misplaced")
+    READERS.note(
+        f"lerobot {version}", len(frames), f"{2 * len(frames)} pictures, 0 misplaced; forces right"
+    )
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -144,10 +150,13 @@ def test_robomimic_gives_every_frame_right(recordings: list[Path], tmp_path: Pat
         )
         for grid_ns, state in zip(sequence["grid_ns"], sequence["state"], strict=True):
             assert state[:3] == pytest.approx(list(what.executed(grid_ns * 1e-9)), abs=1e-7)
+        for grid_ns, force in zip(sequence["grid_ns"], sequence["force"], strict=True):
+            assert force == pytest.approx(felt_forces.expected(grid_ns), abs=1e-6)
         pictures += 4 * LENGTH
     grids = {(s["obs"][0][0][0], s["grid_ns"][0]) for s in found}
     assert len(grids) == len(found), "every frame begins one sequence"
     told = f"sequences of {LENGTH} frames with the next ones, {pictures} pictures, 0 misplaced"
+    told += "; forces right"
     READERS.note("robomimic 0.3.0", len(found), told)
 
 

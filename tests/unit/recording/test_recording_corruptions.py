@@ -48,8 +48,8 @@ class Place:
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
     root = tmp_path_factory.mktemp("recordings")
-    whole = datasets_synthetic.record(root / "whole", 1, 1.0, (CAMERA,), size=(96, 64))
-    other = datasets_synthetic.record(root / "other", 2, 0.4, (CAMERA,), size=(96, 64))
+    whole = datasets_synthetic.record(root / "whole", 1, 1.0, (CAMERA,), size=(96, 64), felt=True)
+    other = datasets_synthetic.record(root / "other", 2, 0.4, (CAMERA,), size=(96, 64), felt=True)
     entries, _ = evaluation.measure_all([whole], None, False, lambda part, text: None)
     frames = [frames_of([folder])[0] for folder in (whole, other)]
     return Place(whole, other, without_folder(entries[0]), *frames)

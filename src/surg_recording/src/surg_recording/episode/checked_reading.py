@@ -278,6 +278,9 @@ def measured_force(
         return None
     table = checked_table(recorded, name, segment)
     path = recorded.folder / f"{name}.csv"
+    strange = table["known"][~np.isin(table["known"], (0, 1))]
+    if strange.size:
+        raise EpisodeError(f"{path}: column known: {strange[0]} is neither 1 nor 0")
     _finite(path, table.select(table["known"] == 1), [f"force_{axis}" for axis in "xyz"])
     return table
 

@@ -14,12 +14,13 @@ import cv2
 import genpy
 import numpy as np
 import numpy.typing as npt
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3, WrenchStamped
 from sensor_msgs.msg import CameraInfo, CompressedImage, JointState
 from std_msgs.msg import Header, String
 
 from surg_core.action_space import ABSOLUTE
-from surg_core.contract import ACTION_KEY, STATE_KEY
+from surg_core.contract import ACTION_KEY, FORCE_KEY, STATE_KEY
+from surg_core.force.observed_force import TOPICS
 from surg_core.transforms import tip_quaternion
 from surg_recording.calibration.endoscope_record import MODEL_KEYS
 from surg_recording.datasets import pictures, schema
@@ -51,6 +52,8 @@ def messages(sampled: Sampled, options: ExportOptions) -> Iterator[Stamped]:
         streams.append(_joints(sampled, arm))
         if arm in sampled.candidate.layout.commanded:
             streams += [_motion(sampled, arm), _commands(sampled, arm)]
+            if FORCE_KEY in sampled.columns:
+                streams.append(_forces(sampled, arm))
     for feature in schema.videos_of(sampled.features):
         streams.append(_pictures(sampled, feature, options))
         streams.append(_lenses(sampled, feature))
@@ -106,6 +109,17 @@ def _motion(sampled: Sampled, arm: str) -> Iterator[Stamped]:
         yield Stamped(time_ns, f"/{arm}/setpoint_cp", _pose(time_ns, f"{arm}_rcm", p_set, q_set))
         jaw = _jaw(time_ns, state["jaw"][k])
         yield Stamped(time_ns, f"/{arm}/jaw/measured_js", jaw)
+
+
+def _forces(sampled: Sampled, arm: str) -> Iterator[Stamped]:
+    """The force at each place where a sensor knows it."""
+    felt = _columns(sampled, FORCE_KEY, arm)
+    for k, time_ns in enumerate(map(int, sampled.grid.times_ns)):
+        for place, topic in TOPICS.items():
+            if felt[f"{place}_known"][k]:
+                message = WrenchStamped(header=_header(time_ns, f"{arm}_rcm"))
+                message.wrench.force = Vector3(*(felt[f"{place}_{axis}"][k] for axis in "xyz"))
+                yield Stamped(time_ns, f"/{arm}/{topic}", message)
 
 
 def _commands(sampled: Sampled, arm: str) -> Iterator[Stamped]:
