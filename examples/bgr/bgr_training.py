@@ -300,6 +300,7 @@ def command_line(
     make: Callable[[Path, dict[str, Any], Progress], Policy],
     words: Sequence[str] | None,
     forces: bool = False,
+    devices: Sequence[str] = (),
 ) -> int:
     """Command line of a trainer.
 
@@ -309,20 +310,12 @@ def command_line(
         make: Trains; takes the dataset's folder, the given options and the progress callback.
         words: Of the command line.
         forces: Whether there is an option `--forces`.
+        devices: Values of an option `--device`, the default first; empty: there is none.
 
     Returns:
         Exit status: 0 done, 2 for an unusable dataset.
     """
-    parser = argparse.ArgumentParser(prog=name, description=help_text)
-    parser.add_argument("dataset", type=Path, help="folder written by ./surg export")
-    parser.add_argument("--out", type=Path, required=True, help="file for the weights (.npz)")
-    parser.add_argument("--seed", type=int, help="seed of the training (default 0)")
-    parser.add_argument("--steps", type=int, help="optimiser steps")
-    parser.add_argument("--chunk", type=int, help="actions predicted at once")
-    if forces:
-        parser.add_argument("--forces", action="store_true", help="read observation.force, too")
-    parser.add_argument("--json", action="store_true", help="progress as JSON lines")
-    options = parser.parse_args(words)
+    options = _parser(name, help_text, forces, devices).parse_args(words)
     started = time.monotonic()
 
     def show(part: float, note: str) -> None:
@@ -334,6 +327,7 @@ def command_line(
         if getattr(options, n) is not None
     }
     given |= {"forces": True} if forces and options.forces else {}
+    given |= {"device": options.device} if devices else {}
     try:
         policy = make(options.dataset, given, show)
     except ValueError as error:
@@ -351,3 +345,21 @@ def command_line(
     told = {**known, "words": words, "weights": policy.hash, "s": time.monotonic() - started}
     print(json.dumps(told) if options.json else f"{words}; weights {policy.hash[:16]}", flush=True)
     return 0
+
+
+def _parser(
+    name: str, help_text: str, forces: bool, devices: Sequence[str]
+) -> argparse.ArgumentParser:
+    """See `command_line`."""
+    parser = argparse.ArgumentParser(prog=name, description=help_text)
+    parser.add_argument("dataset", type=Path, help="folder written by ./surg export")
+    parser.add_argument("--out", type=Path, required=True, help="file for the weights (.npz)")
+    parser.add_argument("--seed", type=int, help="seed of the training (default 0)")
+    parser.add_argument("--steps", type=int, help="optimiser steps")
+    parser.add_argument("--chunk", type=int, help="actions predicted at once")
+    if forces:
+        parser.add_argument("--forces", action="store_true", help="read observation.force, too")
+    if devices:
+        parser.add_argument("--device", choices=devices, default=devices[0], help="where it trains")
+    parser.add_argument("--json", action="store_true", help="progress as JSON lines")
+    return parser

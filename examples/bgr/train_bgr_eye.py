@@ -9,6 +9,7 @@ knows.
 from __future__ import annotations
 
 import itertools
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -38,6 +39,7 @@ GRID_RATE = 20.0
 """Pictures per second."""
 GRAINS = 32
 """Different pictures of noise that are drawn from."""
+DEVICES = ("auto", "cpu", "cuda")
 SHARES = (1.0, 5.0, 2.0, 10.0)
 """Weights of the losses of heat maps, tube, who holds, and jaw and tension."""
 MOST_TENSION = 1.5
@@ -182,9 +184,14 @@ class Trained:
     """The network of an `Eye` in PyTorch, while it is trained."""
 
     def __init__(
-        self, options: EyeOptions, rng: np.random.Generator, start: Sequence[tuple[Array, Array]]
+        self,
+        options: EyeOptions,
+        rng: np.random.Generator,
+        start: Sequence[tuple[Array, Array]],
+        device: str,
     ) -> None:
         self._torch = torch = pytorch()
+        self._device = device
         shapes: list[tuple[int, ...]] = []
         before = 3
         for (size, _, _), channels in zip(CONVOLUTIONS, options.channels, strict=True):
@@ -202,10 +209,12 @@ class Trained:
         self.weights[-1] *= 0.1
         for i, (array, _) in enumerate(start):
             self.weights[i] = torch.tensor(array.transpose(3, 2, 0, 1).copy())
-        self.biases = [torch.zeros(shape[0]) for shape in shapes]
+        # Drawn on the processor, so that a seed means the same on every device.
+        self.weights = [weight.to(device) for weight in self.weights]
+        self.biases = [torch.zeros(shape[0], device=device) for shape in shapes]
         for parameter in self.parameters:
             parameter.requires_grad_(True)
-        self._cells = torch.from_numpy(grid(CELLS))
+        self._cells = torch.from_numpy(grid(CELLS)).to(device)
 
     @property
     def parameters(self) -> list[Any]:
@@ -217,7 +226,7 @@ class Trained:
         torch, weights, biases = self._torch, self.weights, self.biases
         F, k = torch.nn.functional, len(CONVOLUTIONS)
         # Half the numbers' length halves the time of a step; what is trained stays float32.
-        with torch.autocast("cpu", dtype=torch.bfloat16):
+        with torch.autocast(self._device, dtype=torch.bfloat16):
             for weight, bias, (size, stride, dilation) in zip(
                 weights, biases, CONVOLUTIONS, strict=False
             ):
@@ -240,10 +249,14 @@ class Trained:
         """Of heat maps, tube, who holds, and jaw and tension, for a batch of pictures (B, ...)."""
         torch = self._torch
         F: Any = torch.nn.functional
-        maps, tube, raw = self(torch.from_numpy(x.transpose(0, 3, 1, 2)))
-        heat = torch.from_numpy(heats(marks[:, : len(MAPS)])).transpose(1, 2)
-        wanted = torch.from_numpy(tubes(marks[:, len(MAPS) :]))
-        truth = torch.from_numpy(others.astype(np.float32))
+
+        def there(array: Array) -> Any:
+            return torch.from_numpy(array).to(self._device)
+
+        maps, tube, raw = self(there(x.transpose(0, 3, 1, 2)))
+        heat = there(heats(marks[:, : len(MAPS)])).transpose(1, 2)
+        wanted = there(tubes(marks[:, len(MAPS) :]))
+        truth = there(others.astype(np.float32))
         return (
             -(heat * maps).sum() / heat.sum().clamp_min(1.0),
             F.binary_cross_entropy_with_logits(tube, wanted),
@@ -255,7 +268,7 @@ class Trained:
         """Weights and biases as an `Eye` has them."""
         found, k = [], len(CONVOLUTIONS)
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            array, offset = weight.detach().numpy(), bias.detach().numpy()
+            array, offset = weight.detach().cpu().numpy(), bias.detach().cpu().numpy()
             if i < k:
                 array = array.transpose(2, 3, 1, 0)
             elif i == k:
@@ -279,6 +292,32 @@ def pytorch() -> Any:
     return torch
 
 
+def device_for(wanted: str) -> str:
+    """Where PyTorch trains: ``cpu`` or ``cuda``.
+
+    Args:
+        wanted: One of `DEVICES`; ``auto``: a GPU where PyTorch finds one.
+
+    Raises:
+        ValueError: It is none of them, PyTorch finds no GPU, or PyTorch is not installed.
+    """
+    if wanted not in DEVICES:
+        raise ValueError(f"--device {wanted}: allowed are {', '.join(DEVICES)}")
+    if wanted == "cpu":
+        return "cpu"
+    torch = pytorch()
+    if torch.cuda.is_available():
+        return "cuda"
+    if wanted == "auto":
+        return "cpu"
+    built = torch.version.cuda
+    why = "finds no GPU" if built else "was built without CUDA"
+    raise ValueError(
+        f"--device {wanted}: PyTorch {torch.__version__} {why}; --device cpu trains on the "
+        "processor, --device auto on a GPU where there is one"
+    )
+
+
 def varied(x: Array, grain: Array, colour: float, rng: np.random.Generator) -> Array:
     """Pictures (B, SIDE, SIDE, 3) in other light, with noise of a sensor, as the eye takes them."""
     gain = 1.0 + colour * rng.standard_normal((len(x), 1, 1, 4)).astype(np.float32)
@@ -294,6 +333,7 @@ def train_eye(
     seed: int,
     progress: Callable[[float, str], None] = lambda part, note: None,
     start: Sequence[tuple[Array, Array]] = (),
+    device: str = "cpu",
 ) -> Eye:
     """Train on N pictures.
 
@@ -304,6 +344,7 @@ def train_eye(
         seed: Of weights, batches and noise.
         progress: Called with the finished share and a note.
         start: Weights and biases to begin with, of the first layers.
+        device: Of `device_for`.
 
     Raises:
         ValueError: PyTorch is not installed, or nobody points in any picture.
@@ -312,7 +353,7 @@ def train_eye(
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
     plane, pointed = camera_maps(labels)
-    network = Trained(options, rng, start)
+    network = Trained(options, rng, start, device)
     parameters = network.parameters
     adam = torch.optim.AdamW(parameters, lr=options.rate, weight_decay=options.decay)
     grain = options.grain * rng.standard_normal((GRAINS, SIDE, SIDE, 3), np.float32)
@@ -354,3 +395,17 @@ def errors(seen: Array, labels: Labels) -> dict[str, Any]:
 
 
 assert SIDE == 4 * CELLS
+
+
+def main(words: Sequence[str]) -> int:
+    """Say where `--device WORD` trains; returns 0, or 2 where it cannot."""
+    try:
+        print(device_for(*words))
+    except ValueError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -13,7 +13,7 @@ import itertools
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +53,7 @@ from bgr_training import (
     targets_of,
     world_of,
 )
-from train_bgr_eye import EyeOptions, Labels, errors, labels, train_eye
+from train_bgr_eye import DEVICES, EyeOptions, Labels, device_for, errors, labels, train_eye
 
 CAMERA = "observation.camera_pose"
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -90,6 +90,8 @@ class Options:
     behind: int = 2
     """Largest lag of the observation behind the last command [steps], as in real time."""
     seed: int = 0
+    device: str = "auto"
+    """Where the eye is trained, see `train_bgr_eye.device_for`."""
     eye: EyeOptions = field(default_factory=EyeOptions)
 
 
@@ -309,12 +311,13 @@ def train(
     """Train on the split ``train``: the eye, then the hand.
 
     Raises:
-        ValueError: The split is empty.
+        ValueError: The split is empty, or the device is not there.
     """
     columns = Columns(dataset.names[STATE], dataset.names[TASK])
     shown = dataset.episodes.get("train")
     if not shown:
         raise ValueError("the dataset has no episode in its split 'train'")
+    options = replace(options, device=device_for(options.device))
     marked = marks(dataset, columns)
     views = np.concatenate([episode.views for episode in shown])
     eye = train_eye(
@@ -323,6 +326,7 @@ def train(
         options.eye,
         options.seed,
         lambda part, note: progress(0.1 + 0.7 * part, note),
+        device=options.device,
     )
     progress(0.8, "what the eye sees in all pictures")
     return train_hand(dataset, options, eye, marked, progress)
@@ -424,9 +428,13 @@ def main(words: Sequence[str] | None = None) -> int:
     """Entry point; returns 0, or 2 for an unusable dataset."""
 
     def make(folder: Path, given: dict[str, Any], show: Progress) -> ImagePolicy:
-        return train(read(folder, show), Options(**given), show)
+        options = Options(**given)
+        if options.device != "auto":
+            device_for(options.device)  # before minutes of reading
+        return train(read(folder, show), options, show)
 
-    return command_line("train_bgr_images", (__doc__ or "").split("\n")[0], make, words)
+    title = (__doc__ or "").split("\n")[0]
+    return command_line("train_bgr_images", title, make, words, devices=DEVICES)
 
 
 if __name__ == "__main__":

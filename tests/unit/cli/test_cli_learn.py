@@ -279,3 +279,38 @@ def test_what_a_program_says_in_json_is_its_progress_and_its_result(tmp_path: Pa
     script.write_text("import sys\nsys.exit('no dataset')\n")
     with pytest.raises(Problem, match="no dataset"):
         learn_stages.follow(argv, tmp_path / "log", lambda news: None)
+
+
+# --- where it trains ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", [("--cameras",), ()], ids=["pictures", "truth"])
+def test_a_gpu_that_is_not_there_is_said_before_anything_is_played(
+    kind: tuple[str, ...],
+    tmp_path: Path,
+    done: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By a PyTorch that finds none, or by a trainer that uses none."""
+    monkeypatch.setattr(provision, "install_packages", lambda *a, **k: None)
+    (tmp_path / "modules").mkdir()
+    (tmp_path / "modules" / "torch.py").write_text(WITHOUT_GPU)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "modules"))
+    out = tmp_path / "run"
+    words = ("bgr", *kind, "--episodes", "8", "--rollouts", "2", "--out", str(out))
+    with pytest.raises(Problem, match=r"--device cuda: .*(--cameras|--device cpu)") as said:
+        learn.main(options(*words, "--device", "cuda"), "learn")
+    assert said.value.code == 2 and "\n" not in str(said.value)
+    assert done == [] and not out.exists()
+    for device in ("cpu", "auto"):
+        assert learn.main(options(*words, "--device", device), "learn") == 0
+    # Another device is another training of the same demonstrations.
+    assert (done.count("demonstrate"), done.count("train")) == (1, 2)
+
+
+WITHOUT_GPU = """
+from types import SimpleNamespace
+__version__ = "0.0"
+version = SimpleNamespace(cuda="12.0")
+cuda = SimpleNamespace(is_available=lambda: False)
+"""

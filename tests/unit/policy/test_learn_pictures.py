@@ -9,6 +9,7 @@ import dataclasses
 import json
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -403,3 +404,46 @@ def test_weights_that_do_not_fit_are_refused_before_anything_moves(
     assert "(240, 320, 3)" in said and "(480, 640, 3)" in said
     about["dataset"]["picture"] = [480, 640, 3]
     assert bgr_policy.wanted(other).mismatches(served) == []
+
+
+def stub_torch(gpu: bool, built: str | None) -> SimpleNamespace:
+    """What is asked of PyTorch about its devices."""
+    return SimpleNamespace(
+        __version__="9.9",
+        cuda=SimpleNamespace(is_available=lambda: gpu),
+        version=SimpleNamespace(cuda=built),
+    )
+
+
+@pytest.mark.parametrize(
+    ("wanted", "gpu", "built", "found"),
+    [
+        ("auto", True, "12.8", "cuda"),
+        ("auto", False, None, "cpu"),
+        ("cuda", True, "12.8", "cuda"),
+        ("cpu", True, "12.8", "cpu"),
+        ("cuda", False, None, "9.9 was built without CUDA; --device cpu"),
+        ("cuda", False, "12.8", "9.9 finds no GPU; --device cpu"),
+        ("tpu", True, "12.8", "allowed are auto, cpu, cuda"),
+    ],
+)
+def test_where_it_trains_and_a_gpu_that_is_not_there(
+    wanted: str, gpu: bool, built: str | None, found: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(train_bgr_eye, "pytorch", lambda: stub_torch(gpu, built))
+    if found in train_bgr_eye.DEVICES:
+        assert train_bgr_eye.device_for(wanted) == found
+        return
+    with pytest.raises(ValueError, match=found):
+        train_bgr_eye.device_for(wanted)
+
+
+def test_a_gpu_that_is_not_there_is_said_before_a_file_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(train_bgr_eye, "pytorch", lambda: stub_torch(False, None))
+    monkeypatch.setattr(train_bgr_images, "read", lambda *a: pytest.fail("read"))
+    words = [str(tmp_path), "--out", str(tmp_path / "w.npz"), "--device", "cuda"]
+    assert train_bgr_images.main(words) == 2
+    assert "built without CUDA" in capsys.readouterr().err
+    assert not (tmp_path / "w.npz").exists()

@@ -12,7 +12,13 @@ from surg_cli.graph import episode_film, episode_plans
 from surg_cli.host import cells, paths, preflight, provision
 from surg_cli.host.terminal import Problem, say, table, warn
 from surg_cli.learning import learn_stages, rollouts
-from surg_cli.learning.recipes import CAMERA_RECIPES, LEARNERS, STATE_RECIPES, Request
+from surg_cli.learning.recipes import (
+    CAMERA_RECIPES,
+    DEVICES,
+    LEARNERS,
+    STATE_RECIPES,
+    Request,
+)
 from surg_cli.learning.stage_ledger import Ledger
 
 
@@ -38,16 +44,18 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         action="store_true",
         help="a policy that observes camera images and joint states, not the simulator's truth",
     )
+    add("--device", choices=DEVICES, default="auto", help="where it trains (default: a GPU if any)")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Do all stages; the last line printed is the path of summary.json."""
     request = _check(options)
-    out = _folder(options.out, request)
     if request.recipe.packages:
         provision.install_packages(
             paths.STATE / "logs" / "apt.log", optional=request.recipe.packages
         )
+    learn_stages.check_device(request)
+    out = _folder(options.out, request)
     say(
         f"learn: {request.task}{', from camera images' if request.cameras else ''}, "
         f"{request.setting}, {request.episodes} demonstrations, {request.rollouts} roll-outs "
@@ -78,7 +86,7 @@ def _learn(request: Request, ledger: Ledger, out: Path) -> dict[str, Any]:
     ledger.stage("dataset", {}, lambda: learn_stages.export(out))
     trained = ledger.stage(
         "training",
-        {"seed": request.seed, "by": recipe.digests},
+        {"seed": request.seed, "by": recipe.digests, "device": request.device},
         lambda: learn_stages.train(request, out),
     )
     player = rollouts.Player(
@@ -165,6 +173,7 @@ def _check(options: argparse.Namespace) -> Request:
         episodes,
         options.rollouts,
         options.cameras,
+        options.device,
     )
 
 
@@ -176,9 +185,9 @@ def _folder(wanted: Path | None, request: Request) -> Path:
         except ValueError as error:
             raise Problem(f"--out {wanted}: wanted.json is not valid JSON ({error})", 2) from error
         now = asdict(request)
-        before = {"cameras": False, **before}
+        before = {"cameras": False, "device": "auto", **before}
         # The same demonstrations serve other numbers of roll-outs and other trainings.
-        fixed = [name for name in now if name not in ("rollouts", "seed")]
+        fixed = [name for name in now if name not in ("rollouts", "seed", "device")]
         other = [f"--{n} {before.get(n)}" for n in fixed if before.get(n) != now[n]]
         if other:
             raise Problem(
@@ -197,10 +206,10 @@ def _folder(wanted: Path | None, request: Request) -> Path:
 def _command_line(request: Request) -> str:
     """The command line that makes the same request."""
     given = asdict(request)
-    words = [f"--{name} {given[name]}" for name in given if name not in ("task", "cameras")]
-    return " ".join(
-        ["./surg learn", request.task, *words, *(["--cameras"] if request.cameras else [])]
-    )
+    words = [f"--{n} {v}" for n, v in given.items() if n not in ("task", "cameras", "device")]
+    words += ["--cameras"] if request.cameras else []
+    words += [f"--device {request.device}"] if request.device != "auto" else []
+    return " ".join(["./surg learn", request.task, *words])
 
 
 # --- results ------------------------------------------------------------------------------------

@@ -97,11 +97,33 @@ def export(out: Path) -> dict[str, Any]:
     return {"recordings": report.recordings, "frames": report.frames}
 
 
+def check_device(request: Request) -> None:
+    """Refuse a GPU that the trainer cannot use.
+
+    Raises:
+        Problem: With the trainer's own words.
+    """
+    if request.device != "cuda":
+        return
+    if not request.recipe.devices:
+        raise Problem(
+            f"--device {request.device}: the policy that observes the simulator's truth is trained "
+            "on the processor; leave --device out, or train one from pictures with --cameras",
+            2,
+        )
+    argv = [sys.executable, str(LEARNERS / request.recipe.devices), request.device]
+    asked = subprocess.run(argv, capture_output=True, text=True, check=False)
+    if asked.returncode != 0:
+        raise Problem(asked.stderr.strip().splitlines()[-1], 2)
+
+
 def train(request: Request, out: Path) -> dict[str, Any]:
     """Train with the program that a person would start, in a process of its own."""
     program = LEARNERS / request.recipe.train
     argv = [sys.executable, str(program), str(out / "dataset"), "--json"]
     argv += ["--out", str(out / "weights.npz"), "--seed", str(request.seed)]
+    if request.recipe.devices:
+        argv += ["--device", request.device]
     with Progress("training") as progress:
         last = follow(
             argv, out / "logs" / "training.log", lambda n: progress.update(n["part"], n["note"])

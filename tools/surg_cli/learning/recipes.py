@@ -25,6 +25,7 @@ class Recipe:
     parts: tuple[str, ...]  # what these two import
     cameras: tuple[str, ...] = ()  # views of the endoscope that are recorded and served
     packages: tuple[str, ...] = ()  # sets of the package list that the trainer needs
+    devices: str = ""  # program that says where a `--device` trains; empty: on the processor only
     episodes: int = 80  # default number of demonstrations
     clumsiness: float = 1.0  # of every fourth demonstration, see surg_sim.envs.demonstrations
     target: float = 0.85  # share of the roll-outs that must succeed
@@ -53,6 +54,7 @@ CAMERA_RECIPES = {
         "bgr_image_policy.py",
         ("bgr_training.py", "bgr_policy.py", "bgr_eye.py", "train_bgr_eye.py"),
         packages=("torch",),
+        devices="train_bgr_eye.py",
         cameras=("left",),
         episodes=60,
         clumsiness=CLUMSINESS,
@@ -60,6 +62,8 @@ CAMERA_RECIPES = {
     )
 }
 """By task: policies that observe camera images, with ``--cameras``."""
+
+DEVICES = ("auto", "cpu", "cuda")
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,7 @@ class Request:
     episodes: int
     rollouts: int
     cameras: bool = False
+    device: str = "auto"  # where it is trained
 
     @property
     def recipe(self) -> Recipe:
@@ -85,4 +90,5 @@ class Request:
         recipe = self.recipe
         views = {"cameras": recipe.cameras, "clumsiness": recipe.clumsiness} if self.cameras else {}
         fixed = {"rollouts": 0, "seed": 0, "shake": PUSH_M}
-        return {**{k: v for k, v in asdict(self).items() if k != "cameras"}, **fixed, **views}
+        asked = {k: v for k, v in asdict(self).items() if k not in ("cameras", "device")}
+        return {**asked, **fixed, **views}
