@@ -1,7 +1,8 @@
 """Makes a small ACT checkpoint with the real lerobot and asks it through our adapter; prints JSON.
 
 Usage: ``python lerobot_policy.py FOLDER``. The weights are random: what is compared is the way of
-an observation into the policy and of its chunk out of it.
+an observation into the policy and of its chunk out of it. Compared with are lerobot's pipeline and
+its asynchronous policy server.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ _OPERATORS = torch.library.Library("torchvision", "DEF")
 for _name in ("nms", "qnms"):
     _OPERATORS.define(f"{_name}(Tensor a, Tensor b, float c) -> Tensor")
 
+import lerobot_server  # noqa: E402
 import numpy as np  # noqa: E402
 from lerobot.configs.types import FeatureType, PolicyFeature  # noqa: E402
 from lerobot.policies.act.configuration_act import ACTConfig  # noqa: E402
@@ -93,6 +95,7 @@ def main(folder: Path) -> None:
     adapted = LeRobotPolicy.from_pretrained(str(folder))
     adapted.reset("retract", 3)
     rows = adapted.act(observation)
+    served = lerobot_server.chunk(folder, state, {LEFT: picture}, ROWS, "retract")
     print(
         json.dumps(
             {
@@ -101,6 +104,7 @@ def main(folder: Path) -> None:
                 "shape": list(rows.shape),
                 "dtype": str(rows.dtype),
                 "worst": float(np.abs(rows - wanted).max()),
+                "worst_served": float(np.abs(rows - served).max()),
                 "spread": float(wanted.std()),
                 "refused": spec.check_chunk(rows),
             }

@@ -21,8 +21,10 @@ class Gr00tPolicy:
 
     Args:
         address: Of the server, such as ``tcp://gpu-host:5555``.
-        inputs: Converts an observation to the request of the checkpoint's embodiment.
-        rows: Converts the reply to a chunk [K, A].
+        inputs: Converts an observation to the request's data. The public service takes it as
+            keywords: ``{"observation": {...}, "options": None}``, with the keys of the
+            checkpoint's embodiment.
+        rows: Converts the reply to a chunk [K, A]; the public service replies ``[action, info]``.
         wants: Observations that `inputs` uses.
         timeout_s: Longest wait for an answer [s].
     """

@@ -10,11 +10,12 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any, Mapping
 
 import numpy as np
 
-from surg_policy_client.errors import BadAction
+from surg_policy_client.errors import BadAction, NoServer
 from surg_policy_client.observation import Observation
 
 
@@ -46,11 +47,24 @@ class OpenPiPolicy:
             self._policy.reset()
 
     def act(self, observation: Observation) -> np.ndarray:
-        """The chunk [K, A] for the grid times after the observation's."""
+        """The chunk [K, A] for the grid times after the observation's.
+
+        Raises:
+            BadAction: The model failed, or answered no actions.
+            NoServer: The connection to the server has ended.
+        """
         request: dict[str, Any] = {name: observation[key] for name, key in self._inputs.items()}
         if self._prompt:
             request[self._prompt] = observation.instruction
-        reply = self._policy.infer(request)
+        try:
+            reply = self._policy.infer(request)
+        except Exception as error:
+            if _connection_ended(error):
+                raise NoServer(f"the openpi server has ended the connection: {error}") from error
+            if isinstance(error, RuntimeError):  # holds the trace of the server's error
+                last = str(error).strip().splitlines()[-1:]
+                raise BadAction(f"the openpi policy failed: {' '.join(last)}") from error
+            raise
         if "actions" not in reply:
             raise BadAction(f"the openpi policy answered {', '.join(reply)} and no actions")
         rows = np.atleast_2d(np.asarray(reply["actions"]))
@@ -59,3 +73,11 @@ class OpenPiPolicy:
         chosen = slice(0, len(action.names)) if self._columns is None else self._columns
         chunk: np.ndarray = rows[:, chosen]
         return chunk
+
+
+def _connection_ended(error: Exception) -> bool:
+    # openpi's client imports websockets; a policy in this process may do without.
+    known = sys.modules.get("websockets.exceptions")
+    return isinstance(error, OSError) or (
+        known is not None and isinstance(error, known.WebSocketException)
+    )
