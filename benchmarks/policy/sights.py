@@ -149,6 +149,8 @@ class Condition:
     name: str
     eye: Callable[[np.random.Generator], Filter] | None = as_taken
     """None: the pictures of another episode."""
+    view: str = "left"
+    """Of the endoscope's two eyes; the policy takes it for the left one."""
     setting: str = "phantom"
     aside: float = 0.0
     """The camera is moved so far along the picture's rows [m]."""
@@ -167,6 +169,7 @@ CONDITIONS = (
     Condition("first picture frozen", frozen, blind=True),
     Condition("black", black, blind=True),
     Condition("another episode's pictures", None, blind=True),
+    Condition("the right eye's pictures", view="right"),
     Condition("answers 20 ms, pictures 50 ms late", delays=(20.0, 50.0)),
     Condition("answers 50 ms, pictures 80 ms late", delays=(50.0, 80.0)),
     Condition("answers 90 ms, pictures 120 ms late", delays=(90.0, 120.0)),

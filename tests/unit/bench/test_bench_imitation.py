@@ -16,6 +16,7 @@ sys.path.insert(0, str(paths.ROOT / "benchmarks"))
 import bench_imitation
 from policy import made_up_clock, sights
 
+LEFT = "observation.images.endoscope.left"
 PICTURE = np.random.default_rng(0).integers(20, 230, (48, 64, 3), np.uint8)
 
 
@@ -61,6 +62,15 @@ def test_less_light_is_a_share_and_a_smudge_hides_its_place_only() -> None:
     changed = (sights.smudge(np.random.default_rng(0))(large) != large).any(axis=2)
     off = np.abs(sights.smudge(np.random.default_rng(0))(large).astype(int) - large).max(axis=2)
     assert changed.any() and 0.03 < (off > 20).mean() < 0.12
+
+
+def test_the_right_eye_is_shown_as_the_left_one() -> None:
+    left, right = pictures(2)
+    shown: list[np.ndarray] = []
+    policy = SimpleNamespace(acknowledged=None, act=lambda seen: shown.append(seen[LEFT]))
+    through = bench_imitation.Through(policy, lambda picture: picture, "right")
+    through.act({LEFT: left, "observation.images.endoscope.right": right})
+    np.testing.assert_array_equal(shown, [right])
 
 
 def test_turns_are_those_of_scipy() -> None:
