@@ -63,7 +63,7 @@ def test_handeye_through_the_trocar_is_as_good_as_it_states(full: bool) -> None:
         f"with a covariance over corners in {by_corners}",
     )
     assert np.median(shift) <= 3e-4 and np.median(turn) <= np.radians(0.1)
-    assert shift.max() <= 3e-4 and turn.max() <= np.radians(0.2)
+    assert shift.max() <= 3e-4 and turn.max() <= np.radians(0.1)
     assert inside >= 0.95 * seeds
     assert by_corners < 0.5 * seeds
 

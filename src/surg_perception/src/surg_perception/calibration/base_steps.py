@@ -134,7 +134,7 @@ def _fit(cell: surg_core.Cell, source: Path, by: str) -> tuple[SeenBase, list[st
         if two is None:
             raise evidence.Refused("bases", ["eyes: 1; by tip needs 2: use --by touch"])
         p_S, p_T, X_SF, left_out = _by_tip(cell, views, eyes, X_FV)
-    fit = solve_base(p_S, p_T, X_SF, X_FV, covariance)
+    fit = solve_base(p_S, p_T, X_SF, X_FV, covariance, smooth=by == "tip")
     if by == "touch":
         evidence.check_touch(fit)
     else:

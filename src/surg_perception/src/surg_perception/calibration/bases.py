@@ -4,6 +4,11 @@
 touches, which spreads the points. *By tip*: the scope sees the
 tip itself. Both give points that each arm states in its own base; a rigid fit joins them. The tip
 that is followed in pictures lies up the shaft, so by tip only the turn counts.
+
+The followed tip looks different from place to place: its error changes smoothly over the view. The
+rigid fit takes the part of such an error that turns the points for a turn of the base, and leaving
+out a point does not show it. The parts that stretch and shear the points remain, and
+`turn_by_strain` states the turn that goes with them.
 """
 
 from __future__ import annotations
@@ -91,6 +96,7 @@ def solve_base(
     X_SF: FloatArray,
     X_FV: FloatArray,
     handeye_covariance: FloatArray,
+    smooth: bool = False,
 ) -> SeenBase:
     """The instrument arm's base in the scope arm's base, with a jackknife over the points.
 
@@ -100,6 +106,8 @@ def solve_base(
         X_SF: (n, 4, 4) flange of the scope's arm.
         X_FV: (4, 4) the left eye in that flange.
         handeye_covariance: (6, 6) of X_FV; its part of the error is added.
+        smooth: Whether the points' errors change smoothly over the view, as those of a followed
+            tip do; the turn that they hide is added.
     """
     n = len(p_S)
     X_ST = rigid_fit(p_T, p_S)
@@ -111,6 +119,8 @@ def solve_base(
     by_handeye = J @ handeye_covariance @ J.T
     covariance = jackknife(np.array(steps)) + by_handeye
     residuals = transform(X_ST, p_T) - p_S
+    if smooth:
+        covariance[:3, :3] += turn_by_strain(p_S, residuals) ** 2 * np.eye(3)
     middle = p_S.mean(axis=0)
     return SeenBase(
         X_ST=X_ST,
@@ -124,6 +134,27 @@ def solve_base(
         spread=np.linalg.svd(p_S - middle, compute_uv=False) / np.sqrt(n),
         middle=middle,
     )
+
+
+def turn_by_strain(p_S: FloatArray, residuals: FloatArray) -> float:
+    """The turn about each axis that an error hides whose other linear parts remain, one sigma.
+
+    An error that is linear in the place, e = A p, with nine independent terms of one variance s^2:
+    its antisymmetric part turns the points by components of variance s^2 / 2, its shears have the
+    same variance, its stretches s^2. A rigid fit leaves the last two: six terms that state s. What
+    they say of a seventh is Student's t of six degrees, whose variance is six quarters as large.
+
+    Args:
+        p_S: (n, 3) the points [m].
+        residuals: (n, 3) of the rigid fit [m].
+
+    Returns:
+        The turn [rad].
+    """
+    A = np.linalg.lstsq(p_S - p_S.mean(axis=0), residuals - residuals.mean(axis=0), rcond=None)[0]
+    strain = (A + A.T) / 2.0
+    shears, stretches = strain[np.triu_indices(3, 1)], np.diag(strain)
+    return float(np.sqrt((np.sum(shears**2) + np.sum(stretches**2) / 2.0) / 4.0))
 
 
 def _by_handeye(p_S: FloatArray, p_T: FloatArray, X_SF: FloatArray, X_FV: FloatArray) -> FloatArray:
