@@ -236,7 +236,7 @@ def test_both_steps_from_pictures_calibrate_an_unknown_endoscope(tmp_path: Path)
     live = session(copied_cell(tmp_path), tmp_path)
     X_FV = moved_camera(np.random.default_rng(4))
     of = bench(4, BARREL, cell=live.cell, pixels=30, X_FV=X_FV)
-    for step, views in ((Step.STEREO, of.held_board(60)), (Step.HANDEYE, of.moved_scope(40))):
+    for step, views in ((Step.STEREO, of.held_board(150)), (Step.HANDEYE, of.moved_scope(40))):
         live.start(step)
         for number, view in enumerate(views):
             watch(live, of, view, float(number), 4)
@@ -249,6 +249,41 @@ def test_both_steps_from_pictures_calibrate_an_unknown_endoscope(tmp_path: Path)
     shift, angle = 1e3 * np.linalg.norm(step_[3:]), np.degrees(np.linalg.norm(step_[:3]))
     print(f"hand-eye from a running system: {shift:.3f} mm, {angle:.3f} deg off")
     assert shift <= 0.3 and angle <= 0.1
+
+
+@pytest.mark.full
+def test_one_eye_alone_is_calibrated_from_its_own_pictures(tmp_path: Path) -> None:
+    live = session(copied_cell(tmp_path), tmp_path)
+    live.left_only = True
+    X_FV = moved_camera(np.random.default_rng(5))
+    of = bench(5, BARREL, cell=live.cell, pixels=30, X_FV=X_FV)
+    for step, views in ((Step.STEREO, of.held_board(150)), (Step.HANDEYE, of.moved_scope(40))):
+        live.start(step)
+        assert live.eyes == 1
+        for number, view in enumerate(views):
+            left = of.pictures(view)[:1]
+            for k in range(4):
+                live.see(number + 0.1 * k, left, view.joints["ECM"])
+            if live.step_on():
+                break
+        assert live.status.state is State.DONE, live.status.result
+    calibration = live.cell.folder / "calibration"
+    assert not (calibration / "endoscope_right.yaml").exists()
+    assert not list((tmp_path / "views_0").glob("*_right.png"))
+    camera, _ = surg_core_camera(live.cell)
+    step_ = difference(camera, X_FV)
+    shift, angle = 1e3 * np.linalg.norm(step_[3:]), np.degrees(np.linalg.norm(step_[:3]))
+    print(f"hand-eye of one eye from a running system: {shift:.3f} mm, {angle:.3f} deg off")
+    assert shift <= 0.6 and angle <= 0.2
+
+
+def test_one_eye_of_a_cell_that_has_measured_two_is_refused_at_once(tmp_path: Path) -> None:
+    live = session(copied_cell(tmp_path), tmp_path)
+    live.left_only = True
+    (live.cell.folder / "calibration" / "endoscope_right.yaml").touch()
+    with pytest.raises(ValueError, match="this cell has two eyes"):
+        live.start(Step.STEREO)
+    assert not (tmp_path / "views_0").exists()
 
 
 def surg_core_camera(cell: surg_core.Cell) -> tuple[Array, Path]:

@@ -31,6 +31,13 @@ def test_a_pair_has_one_stamp_and_is_taken_once() -> None:
     assert pairs.take(0.0) is None
 
 
+def test_one_eye_is_a_pair_of_one() -> None:
+    pairs = NewestPair(("left",))
+    pairs.add(picture(1), "left")
+    assert [each.header.stamp.to_sec() for each in pairs.take(0.0) or ()] == [1]
+    assert pairs.take(0.0) is None and not pairs.silent()
+
+
 def test_a_wait_ends_with_a_pair_with_a_call_and_in_time() -> None:
     pairs = NewestPair()
     began = time.monotonic()

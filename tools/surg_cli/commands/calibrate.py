@@ -76,7 +76,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     if options.what == "live" or options.live:
         from surg_cli.graph import live_views
 
-        endoscope_steps.check_live(options)
+        endoscope_steps.check_live(options, cell)
         origin = max(origin_of(arm) for arm in cell.arms.values())
         return live_views.calibrate(cell, options, origin, _date(options.date))
     if options.what in endoscope_steps.STEPS or options.by is not None:

@@ -1,4 +1,4 @@
-"""`./surg calibrate CELL stereo|handeye|live`: collects views from the running system."""
+"""`./surg calibrate CELL stereo|camera|handeye|live`: collects views from the running system."""
 
 from __future__ import annotations
 
@@ -42,22 +42,26 @@ def calibrate(cell: Any, options: argparse.Namespace, source: str, date: str) ->
     from surg_perception.collecting.collector import Step
     from surg_perception.collecting.live_calibration import LiveCalibration
 
+    def name_of(step: Step) -> str:
+        return "camera" if live.eyes == 1 and step is Step.STEREO else step.value
+
     def new_folder(step: Step) -> Path:
         if options.to is not None:
             return Path(options.to)
-        return paths.run_folder(None) / "views" / step.value
+        return paths.run_folder(None) / "views" / name_of(step)
 
     def origin(step: Step, folder: Path) -> Origin:
-        return Origin(f"./surg calibrate {cell.folder.name} {step.value} --live", date, source)
+        return Origin(f"./surg calibrate {cell.folder.name} {name_of(step)} --live", date, source)
 
     rospy.init_node("calibrate", disable_signals=True)
-    live = LiveCalibration(cell, new_folder, origin, options.lens_state, not options.dry_run)
+    write, left_only = not options.dry_run, options.what == "camera"
+    live = LiveCalibration(cell, new_folder, origin, options.lens_state, write, left_only)
     node = CollectViews(live)
     try:
         if options.what == "live":
             say("waiting for the console's page /calibrate; Ctrl-C ends")
         else:
-            node.start(Step(options.what))
+            node.start(Step.STEREO if left_only else Step(options.what))
             say(f"views -> {live.status.folder}; hold each view still; Ctrl-C ends, views stay")
         return _follow(node, options)
     except (ValueError, OSError) as error:

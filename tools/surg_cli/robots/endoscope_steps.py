@@ -10,6 +10,8 @@ from surg_cli.host.terminal import Problem, say
 
 STEPS = ("board", "camera", "stereo", "handeye", "check")
 """Steps of the endoscope; `bases --by` is one too."""
+LIVE = ("stereo", "camera", "handeye")
+"""Steps that take views from a running system."""
 
 
 def add_arguments(parser: argparse.ArgumentParser, bases: Any) -> None:
@@ -25,7 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser, bases: Any) -> None:
         "--measured", type=float, metavar="MM", help="what the printed ruler of 100 mm measures"
     )
     scope.add_argument(
-        "--live", action="store_true", help="stereo, handeye: take views from the running system"
+        "--live",
+        action="store_true",
+        help="stereo, camera, handeye: views from the running system",
     )
     scope.add_argument(
         "--keep", action="store_true", help="copy the views to calibration/views/<step>"
@@ -38,14 +42,18 @@ def add_arguments(parser: argparse.ArgumentParser, bases: Any) -> None:
     scope.add_argument("--lens-state", default="", metavar="TEXT", help="focus and zoom, in words")
 
 
-def check_live(options: argparse.Namespace) -> None:
-    """Refuse options that do not go with ``--live``.
+def check_live(options: argparse.Namespace, cell: Any) -> None:
+    """Refuse options that do not go with ``--live``, or with the endoscope of a loaded cell.
 
     Raises:
         Problem: The step has no views from a running system, or a folder is stated as well.
     """
-    if options.what not in ("stereo", "handeye", "live"):
-        raise Problem(f"calibrate {options.what}: --live goes with stereo and handeye", 2)
+    cameras = [arm.instrument.camera for arm in cell.arms.values()]
+    frames = max((len(camera.frames) for camera in cameras if camera is not None), default=0)
+    if options.what == "stereo" and frames == 1:
+        raise Problem("calibrate stereo: the endoscope has one eye; use camera --live", 2)
+    if options.what not in (*LIVE, "live"):
+        raise Problem(f"calibrate {options.what}: --live goes with {', '.join(LIVE)}", 2)
     if options.source is not None:
         raise Problem("calibrate: --live and --from exclude one another", 2)
     if options.keep or options.also:
@@ -71,7 +79,7 @@ def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
     if what != "check" and options.source is None:
         raise Problem(
             f"calibrate {what}: --from FOLDER (of views) is missing"
-            + (", or --live" if what in ("stereo", "handeye") else ""),
+            + (", or --live" if what in LIVE else ""),
             2,
         )
     if options.also and what != "handeye":

@@ -1,4 +1,4 @@
-"""One look at the board: its corners in both eyes, how sharp they are, where board and scope were.
+"""One look at the board: its corners in the eyes, how sharp they are, where board and scope were.
 
 Pure functions judge a look: `is_new`, `is_sharp`, `is_still`.
 """
@@ -38,8 +38,8 @@ class Look:
 
     Attributes:
         stamp: Of the exposure [s].
-        corners: In the left and in the right picture.
-        blur: Of the edges, the worse of both eyes, as a share of a square's side.
+        corners: In the left and in the right picture, or in that of the only eye.
+        blur: Of the edges, the worst of the eyes, as a share of a square's side.
         side: Of a square in the left picture [px].
         X_VBoard: Pose (4, 4) of the board's middle before the left eye, by a roughly known lens.
         X_BF: Flange (4, 4) of the arm that holds the scope; None: it moves, or is not needed.
@@ -47,7 +47,7 @@ class Look:
     """
 
     stamp: float
-    corners: tuple[Corners, Corners]
+    corners: tuple[Corners, ...]
     blur: float
     side: float
     X_VBoard: FloatArray
@@ -75,12 +75,10 @@ def rough_lens(size: tuple[int, int], K: FloatArray | None = None) -> LensModel:
     return LensModel("plumb_bob", size, np.concatenate([values, np.zeros(5)]))
 
 
-def look_at(
-    board: Board, pair: tuple[Picture, Picture], lens: LensModel, stamp: float
-) -> Look | str:
-    """Find the board in a pair of pictures (h, w), grey; a text: why it is not seen."""
+def look_at(board: Board, pair: tuple[Picture, ...], lens: LensModel, stamp: float) -> Look | str:
+    """Find the board in the pictures (h, w), grey, of the eyes; a text: why it is not seen."""
     found = []
-    for picture, eye in zip(pair, ("left", "right"), strict=True):
+    for picture, eye in zip(pair, ("left", "right"), strict=False):
         corners = board.find(picture)
         if corners is None:
             return f"the {eye} eye does not see the board"
@@ -97,7 +95,7 @@ def look_at(
         X = centred(board_pose(lens, left), board)
     except ValueError as error:
         return str(error)
-    return Look(stamp, (found[0], found[1]), blur, sides[0], X)
+    return Look(stamp, tuple(found), blur, sides[0], X)
 
 
 def centred(X_VBoard: FloatArray, board: Board) -> FloatArray:

@@ -23,7 +23,7 @@ from surg_perception.calibration.board import Picture
 from surg_perception.collecting import collector
 from surg_perception.collecting.collector import Step
 from surg_perception.collecting.live_calibration import LiveCalibration, State, Status
-from surg_perception.eyes.newest_pair_node import NewestPair
+from surg_perception.eyes.newest_pair_node import EYES, NewestPair
 
 GREY = {"rgb8": cv2.COLOR_RGB2GRAY, "bgr8": cv2.COLOR_BGR2GRAY, "mono8": None}
 SILENT_S = 2.0
@@ -50,12 +50,14 @@ class CollectViews:
             rospy.Subscriber("/calibrate/request", CalibrationRequest, self._on_request),
             rospy.Subscriber("/endoscope/left/camera_info", CameraInfo, self._on_info),
         ]
-        self._pairs.listen(True)
 
     def start(self, step: Step) -> None:
         """Begin a step; raises as `LiveCalibration.start`."""
         self._live.start(step)
         self._seen = rospy.get_time()
+        self._pairs.listen(False)
+        self._pairs = NewestPair(EYES[: self._live.eyes])
+        self._pairs.listen(True)
         if self._listener is not None:
             self._listener.unregister()
             self._listener = None
@@ -109,9 +111,9 @@ class CollectViews:
         self._report()
         return self._live.status
 
-    def _look(self, pair: tuple[Image, Image], joints: list[tuple[float, FloatArray]]) -> None:
+    def _look(self, pair: tuple[Image, ...], joints: list[tuple[float, FloatArray]]) -> None:
         try:
-            left, right = (grey_of(image) for image in pair)
+            pictures = tuple(grey_of(image) for image in pair)
         except ValueError as error:
             self._live.say(str(error))
             return
@@ -121,7 +123,7 @@ class CollectViews:
         if arm is not None and (not joints or stamp - joints[-1][0] > SILENT_S):
             self._live.say(f"{arm.name} states no joints (/{arm.name}/robot/measured_js).")
             return
-        self._live.see(stamp, (left, right), None if arm is None else resting(joints, stamp))
+        self._live.see(stamp, pictures, None if arm is None else resting(joints, stamp))
 
     def _silence(self) -> None:
         """Tell the person that pictures are missing."""

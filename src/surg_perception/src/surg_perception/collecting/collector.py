@@ -201,12 +201,13 @@ def seen_fields(taken: Sequence[Look], size: tuple[int, int]) -> NDArray[np.int6
 def stereo_needs(
     taken: Sequence[Look], board: Board, size: tuple[int, int]
 ) -> list[tuple[float, str]]:
-    """Needs of both lenses: the picture covered, each distance and each tilt."""
+    """Needs of the lenses: the picture covered, each distance and each tilt."""
     needed = needed_fields(size)
     empty = np.flatnonzero(needed & (seen_fields(taken, size) == 0))
     where = _place(int(empty[0])) if len(empty) else ""
     needs = [(1.0 - len(empty) / needed.sum(), f"the board in the {where} of the picture")]
-    for eye, name in enumerate(("left", "right")):
+    eyes = len(taken[0].corners) if taken else 1
+    for eye, name in enumerate(("left", "right")[:eyes]):
         reached = np.zeros(4)
         if taken:
             corners = [look.corners[eye] for look in taken]

@@ -15,7 +15,7 @@ import surg_core
 from surg_core.transforms import FloatArray
 from surg_perception.calibration import steps
 from surg_perception.calibration.board import Board, Picture
-from surg_perception.calibration.result_files import Origin, read_stereo
+from surg_perception.calibration.result_files import Origin, check_one_eye, read_eyes
 from surg_perception.collecting import collector
 from surg_perception.collecting.board_look import look_at, rough_lens
 from surg_perception.collecting.collector import Collector, Step
@@ -60,8 +60,10 @@ class LiveCalibration:
         origin: Of the files that a step writes.
         lens_state: Focus and zoom in words.
         write: Whether the files are written.
+        left_only: Measure the left lens alone, as that of an endoscope of one eye.
 
     Attributes:
+        eyes: Of the endoscope that the present step looks at, 1 or 2.
         status: Read it from any thread.
     """
 
@@ -70,6 +72,8 @@ class LiveCalibration:
     origin: Callable[[Step, Path], Origin]
     lens_state: str = ""
     write: bool = True
+    left_only: bool = False
+    eyes: int = field(default=2, init=False)
     status: Status = field(default_factory=Status, init=False)
 
     def __post_init__(self) -> None:
@@ -100,20 +104,30 @@ class LiveCalibration:
             OSError: The folder cannot be made.
         """
         with self._lock:
-            folder = self.new_folder(step)
             calibration = self.cell.folder / "calibration"
+            arm, joints = steps.scope_arm(self.cell), list[str]()
+            self.eyes = eyes = self._eyes_of(step, arm, calibration)
+            folder = self.new_folder(step)
             board = steps.find_board(calibration, folder)
-            joints: list[str] = []
             if step is Step.HANDEYE:
-                read_stereo(calibration)
-                arm = steps.scope_arm(self.cell)
                 joints = [f"{arm.name}/{joint}" for joint in arm.robot.joint_names]
             self._folder, self._board = ViewsFolder(folder, board, joints), board
             self._step, self._state, self._collector = step, State.COLLECTING, None
             self._result, self._residual, self._corners = (), math.nan, ()
             self._asked = False
-            self._hint = "Waiting for pictures of both eyes."
+            self._hint = f"Waiting for pictures of {'both eyes' if eyes > 1 else 'the eye'}."
             self._publish()
+
+    def _eyes_of(self, step: Step, arm: surg_core.Arm, calibration: Path) -> int:
+        """How many eyes a step looks at: what was measured before, or what the instrument has."""
+        if step is Step.HANDEYE:
+            return 1 if read_eyes(calibration)[1] is None else 2
+        camera = arm.instrument.camera
+        assert camera is not None
+        eyes = 1 if self.left_only else len(camera.frames)
+        if eyes == 1:
+            check_one_eye(calibration)
+        return eyes
 
     def lens(self, K: FloatArray) -> None:
         """The camera matrix (3, 3) of the running system, for a first idea of distances."""
@@ -151,14 +165,14 @@ class LiveCalibration:
     def see(
         self,
         stamp: float,
-        pair: tuple[Picture, Picture],
+        pair: tuple[Picture, ...],
         q: FloatArray | None = None,
     ) -> None:
         """Look at a pair of pictures, and take it if it is a view.
 
         Args:
             stamp: Of the exposure [s].
-            pair: Left and right picture (h, w), grey.
+            pair: Left and right picture (h, w), grey; the left one alone where `eyes` is 1.
             q: Joint positions (n,) of `arm` in rest at the exposure [rad]; None: it moves.
         """
         with self._lock:
@@ -176,7 +190,7 @@ class LiveCalibration:
         collecting: Collector,
         folder: ViewsFolder,
         stamp: float,
-        pair: tuple[Picture, Picture],
+        pair: tuple[Picture, ...],
         q: FloatArray | None,
     ) -> str:
         """Offer a pair to the collector; returns what to tell the person."""
@@ -238,6 +252,9 @@ class LiveCalibration:
         """Whether it is accepted, its residual [px] (NaN: none), and lines for people."""
         origin, calibration = self.origin(step, path), self.cell.folder / "calibration"
         try:
+            if step is Step.STEREO and self.eyes == 1:
+                lens, lines = steps.camera(calibration, path, origin, self.write)
+                return True, lens.held_out, lines
             if step is Step.STEREO:
                 found, lines = steps.stereo(calibration, path, origin, self.lens_state, self.write)
                 return True, found.held_out, lines

@@ -36,19 +36,19 @@ class ViewsFolder:
             raise FileExistsError(f"{path}: has views already; name another folder")
         write_board(path / "board.yaml", board)
 
-    def add(self, stamp: float, pair: tuple[Picture, Picture], q: FloatArray | None) -> str:
+    def add(self, stamp: float, pair: tuple[Picture, ...], q: FloatArray | None) -> str:
         """Write a view; returns its name.
 
         Args:
             stamp: Of the exposure [s].
-            pair: Left and right picture (h, w), grey.
+            pair: Left and right picture (h, w), grey; the left one alone of a single eye.
             q: Joint positions (n,) in the order of the columns [rad].
 
         Raises:
             OSError: A file cannot be written.
         """
         name = f"{self._number:03d}"
-        for eye, picture in zip(EYES, pair, strict=True):
+        for eye, picture in zip(EYES, pair, strict=False):
             file = self.path / f"{name}_{eye}.png"
             if not cv2.imwrite(str(file), picture):
                 raise OSError(f"{file}: cannot be written")

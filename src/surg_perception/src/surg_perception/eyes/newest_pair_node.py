@@ -1,4 +1,4 @@
-"""The newest pair of pictures: both eyes of one stamp, older pairs are dropped."""
+"""The newest pair of pictures: all eyes of one stamp, older ones are dropped."""
 
 from __future__ import annotations
 
@@ -14,11 +14,16 @@ BUFFER_BYTES = 1 << 25
 
 
 class NewestPair:
-    """Subscribes to both eyes while it listens. Any thread may call it."""
+    """Subscribes to the eyes while it listens. Any thread may call it.
 
-    def __init__(self) -> None:
+    Args:
+        eyes: Of the endoscope; a single one is a pair of one.
+    """
+
+    def __init__(self, eyes: tuple[str, ...] = EYES) -> None:
+        self._eyes = eyes
         self._newest: dict[str, Image] = {}
-        self._pair: tuple[Image, Image] | None = None
+        self._pair: tuple[Image, ...] | None = None
         self._changed = threading.Condition()
         self._woken = False
         self._subscribers: list[Any] = []
@@ -36,7 +41,7 @@ class NewestPair:
                     buff_size=BUFFER_BYTES,
                     tcp_nodelay=True,
                 )
-                for eye in EYES
+                for eye in self._eyes
             ]
         elif not wanted and self._subscribers:
             for each in self._subscribers:
@@ -47,9 +52,10 @@ class NewestPair:
         """A picture of an eye has arrived."""
         with self._changed:
             self._newest[eye] = message
-            left, right = (self._newest.get(each) for each in EYES)
-            if left is not None and right is not None and left.header.stamp == right.header.stamp:
-                self._pair = (left, right)
+            found = [self._newest[each] for each in self._eyes if each in self._newest]
+            stamps = {picture.header.stamp.to_nsec() for picture in found}
+            if len(found) == len(self._eyes) and len(stamps) == 1:
+                self._pair = tuple(found)
                 self._changed.notify()
 
     def wake(self) -> None:
@@ -58,7 +64,7 @@ class NewestPair:
             self._woken = True
             self._changed.notify()
 
-    def take(self, timeout: float) -> tuple[Image, Image] | None:
+    def take(self, timeout: float) -> tuple[Image, ...] | None:
         """The newest pair, once; None: none arrives in time [s], or `wake` was called."""
         with self._changed:
             self._changed.wait_for(lambda: self._pair is not None or self._woken, timeout)
@@ -68,4 +74,4 @@ class NewestPair:
     def silent(self) -> list[str]:
         """Eyes of which no picture has ever arrived."""
         with self._changed:
-            return [eye for eye in EYES if eye not in self._newest]
+            return [eye for eye in self._eyes if eye not in self._newest]
