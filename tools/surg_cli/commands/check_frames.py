@@ -31,6 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--arm", metavar="ARM", help="the arm that moves (default: the first without a camera)")
     add("--port", type=tcp_port, metavar="P", help="of the ROS master of a running system")
     add("--out", type=Path, metavar="DIR", help="folder for the result (default: runs/<time>)")
+    add(
+        "--setting",
+        metavar="W",
+        help="of the simulation that it starts, such as phantom+unregistered+lens",
+    )
 
 
 def main(options: argparse.Namespace, command: str) -> int:
@@ -38,6 +43,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     cell = cells.find(options.cell)
     config = cells.load(cell)
     _refuse(config, cell, options.arm)
+    setting = _setting(options.setting)
     out = paths.run_folder(options.out)
     out.mkdir(parents=True, exist_ok=True)
     attached = running.of_cell(cell, options.port)
@@ -46,9 +52,15 @@ def main(options: argparse.Namespace, command: str) -> int:
         params["arm"] = options.arm
     try:
         if attached is not None:
+            if setting:
+                raise Problem(
+                    f"--setting {setting}: the system on port {attached.port} already runs; stop "
+                    "it, or omit --setting",
+                    2,
+                )
             _attached(attached, config, params, out)
         else:
-            _alone(cell, config, params, out)
+            _alone(cell, config, params, out, setting)
         return _print_result(out)
     finally:
         if not any(out.iterdir()):
@@ -88,7 +100,22 @@ def _attached(attached: running.System, config: Any, params: dict[str, object], 
         _await(system.start(supervisor, _node(params)), supervisor)
 
 
-def _alone(cell: Path, config: Any, params: dict[str, object], out: Path) -> None:
+def _setting(name: str | None) -> str:
+    """A setting of the simulator by its name; empty: none is stated."""
+    from surg_sim.physics.patient_settings import find_setting
+
+    if name is None:
+        return ""
+    try:
+        find_setting(name)
+    except ValueError as error:
+        raise Problem(f"--setting: {error}", 2) from error
+    return name
+
+
+def _alone(
+    cell: Path, config: Any, params: dict[str, object], out: Path, setting: str = ""
+) -> None:
     """Simulate the cell in lock-step for the time of the check."""
     arms = tuple(str(name) for name in config.arms)
     camera = next(a.instrument.camera for a in config.arms.values() if a.instrument.camera)
@@ -99,6 +126,7 @@ def _alone(cell: Path, config: Any, params: dict[str, object], out: Path) -> Non
         cameras=("left", "right")[: len(camera.frames)],
         out=out,
         record=False,
+        setting=setting,
         extra_participants=(NODE,),
     )
     say(f"check-frames: {cell.name}, simulated")

@@ -84,7 +84,7 @@ class Plan:
     # parameters of the operator node, None for a system without one
     operator: dict[str, object] | None = None
     task: str = ""  # name or file of the task that is played; empty: none
-    setting: str = ""  # its physical setting
+    setting: str = ""  # physical setting of the simulation; empty: the phantom's without a task
     # names of the scripted nodes that play it, with the arms that each commands
     senders: Mapping[str, Sequence[str]] = field(default_factory=dict)
     policy: Policy | None = None  # who plays as the sender `POLICY`; None: there is none
@@ -131,7 +131,7 @@ class Plan:
             "arms": list(self.arms if self.simulated is None else self.simulated),
             "seed": self.seed,
         }
-        if self.task:
+        if self.task or self.setting:
             params.update(task=self.task, setting=self.setting)
         return params
 

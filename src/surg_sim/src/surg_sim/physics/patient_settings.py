@@ -98,6 +98,9 @@ VARIANTS: Mapping[str, Mapping[str, Any]] = {
         "base_error": PoseError(shift=0.008, turn=radians(2.0)),
         "camera_error": PoseError(shift=0.005, turn=radians(4.0)),
     },
+    "reclamped": {
+        "camera_error": PoseError(shift=0.005, turn=radians(16.0)),
+    },
     "lens": {
         "lens": EndoscopeLens(
             distortion=(-0.3, 0.08, 0.0005, -0.0005, 0.0),
@@ -108,7 +111,7 @@ VARIANTS: Mapping[str, Mapping[str, Any]] = {
     },
 }
 """What a setting can have besides, as in ``phantom+unregistered``; assumed: bases typed from a
-drawing, an endoscope clamped by hand."""
+drawing, an endoscope clamped by hand. ``reclamped`` turns the latter by a further 12 degrees."""
 
 SOURCES: Mapping[str, str] = {
     "wall stiffness": "order of modulus times thickness of the insufflated human wall: "
