@@ -261,7 +261,7 @@ def test_tables_line_up() -> None:
     [
         (["--task", "bgr"], {"run"}),
         (["--full"], {"learn"}),
-        (["--setting", "phantom"], {"run", "learn", "teleop", "record"}),
+        (["--setting", "phantom"], {"run", "learn", "teleop", "record", "check-frames"}),
         (["--rollouts=3"], {"learn"}),
         (["--scale", "2", "--episodes", "1"], {"run", "learn"}),
     ],
