@@ -69,11 +69,11 @@ def run(
     Raises:
         MissingError: QEMU, busybox or the kernel is missing.
     """
-    kernel = _kernel()
+    image = kernel()
     line = [*(f"{name}={value}" for name, value in env.items()), *words]
     assert not any(" " in word for word in line), "words go through a shell"
     wanted = (*MODULES, *modules)
-    found = {name: next(kernel.parents[1].rglob(f"{name}.ko"), None) for name in wanted}
+    found = {name: next(image.parents[1].rglob(f"{name}.ko"), None) for name in wanted}
     there = {name: path for name, path in found.items() if path is not None}
     init = INIT.format(modules=" ".join(there), words=" ".join(line))
     initrd = FOLDER / f"initrd.{os.getpid()}"
@@ -82,7 +82,7 @@ def run(
     initrd.write_bytes(cpio(files))
     argv = [_program("qemu-system-x86_64"), "-accel", "tcg,thread=multi", "-cpu", "Nehalem"]
     argv += ["-smp", "1", "-m", "1024", "-nodefaults", "-no-reboot", "-display", "none"]
-    argv += ["-serial", "stdio", "-kernel", str(kernel), "-initrd", str(initrd)]
+    argv += ["-serial", "stdio", "-kernel", str(image), "-initrd", str(initrd)]
     argv += ["-append", "console=ttyS0 quiet panic=-1 no_timer_check"]
     share = "local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap"
     try:
@@ -127,7 +127,7 @@ def _padded(data: bytes) -> bytes:
     return data + bytes(-len(data) % 4)
 
 
-def _kernel() -> Path:
+def kernel() -> Path:
     """The newest kernel that lies extracted under FOLDER."""
     found = sorted(FOLDER.glob("**/boot/vmlinuz-*-amd64"), key=_age)
     if found:
