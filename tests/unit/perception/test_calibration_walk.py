@@ -26,8 +26,8 @@ from surg_sim.physics.pose_error import with_base_error
 GUIDE = paths.ROOT / "docs" / "guide" / "endoscope" / "calibration.md"
 TRY = "Try it in the simulator"
 SETTING = "phantom+unregistered+lens"
-RUNNING = ("--live", "live", "teleop")
-"""Words of lines that need a running system; the tests of live views do them."""
+RUNNING = ("--live", "live", "teleop", "check-frames")
+"""Words of lines that need a running system: test_calibrate_live and test_unknown_cell_commands."""
 
 
 def boxes(kind: str) -> list[tuple[str, list[str]]]:
