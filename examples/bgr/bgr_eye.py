@@ -147,6 +147,23 @@ class Eye:
 
     def __call__(self, views: Array) -> Array:
         """What views (B, SIDE, SIDE, 3), uint8, say: (B, SAID), see `HELD` to `NEAR`."""
+        raw, where, logits = self.network(views)
+        said = raw.astype(np.float64)
+        said[:, :2] = 1.0 / (1.0 + np.exp(-np.clip(said[:, :2], -9, 9)))
+        tube = 1.0 / (1.0 + np.exp(-np.clip(logits, -9, 9)))
+        points = [self._points(*each) for each in zip(where[:, 0], tube, strict=True)]
+        return np.column_stack([said, points])
+
+    def network(self, views: Array) -> tuple[Array, Array, Array]:
+        """What was trained, float32.
+
+        Args:
+            views: (B, SIDE, SIDE, 3), uint8.
+
+        Returns:
+            Outputs of the perceptron (B, 4), places of `MAPS` (B, 2, 2), logits of the tube
+            (B, CELLS, CELLS).
+        """
         n = len(CONVOLUTIONS)
         x = scaled(views)
         for (weight, bias), (_, stride, dilation) in zip(
@@ -165,11 +182,7 @@ class Eye:
         for weight, bias in self.layers[-3:-1]:
             y = np.maximum(y @ weight + bias, 0.0)
         weight, bias = self.layers[-1]
-        said = (y @ weight + bias).astype(np.float64)
-        said[:, :2] = 1.0 / (1.0 + np.exp(-np.clip(said[:, :2], -9, 9)))
-        tube = 1.0 / (1.0 + np.exp(-np.clip(maps[..., len(MAPS)], -9, 9)))
-        points = [self._points(*each) for each in zip(where[:, 0], tube, strict=True)]
-        return np.column_stack([said, points])
+        return y @ weight + bias, where, maps[..., len(MAPS)]
 
     def _points(self, helper: Array, tube: Array) -> Array:
         """`TARGET` to `NEAR` for the assistant's place (2,) and the map of the tube (n, n)."""
