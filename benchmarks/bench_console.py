@@ -6,7 +6,7 @@ the page how old each picture was when its pixels had been drawn. `--json FILE` 
 
     format              "surg_bench_console/1"
     machine             {processor, cores, load_before, load_after, date}
-    runs                one per layout ("left", "stereo"):
+    runs                one per layout ("left", "stereo"; "headset"):
         layout, codec, seconds
         pictures, fps   drawn, and per second
         age_ms          {p50, p99, max}: exposure stamp -> pixel drawn, on one clock
@@ -18,11 +18,17 @@ the page how old each picture was when its pixels had been drawn. `--json FILE` 
         headlines       what the page said over its picture, each by how often it was seen
         faults          every FAULT of the run by arm, in its own words
         f10             how many of them were F10, FAULT(link): the robot link fell silent
+        depth_per_s     depth pictures that a subscriber got, with --depth
         cpu             CPU seconds per second of each node, Chromium, and all together
+
+With `--depth` the node /eyes computes depth of both eyes beside it all, and a subscriber counts it:
+`depth_per_s`. With `--headset` the page is /headset in a headset made of software, whose right hand
+moves in a square; its pictures are drawn by software on the same cores.
 
 Goals on 2 cores: age p50 60 ms left and 120 ms stereo, 15 fps, real time 0.98 and no F10, each over
 five minutes: `./surg bench console --seconds 300 --json FILE`, 11 minutes on a machine that does
-nothing else.
+nothing else. With `--depth --layout stereo`: 5 depths a second and no F10. With `--headset`: 120 ms
+and 15 fps.
 """
 
 from __future__ import annotations
@@ -52,6 +58,8 @@ from surg_cli.host.terminal import Progress, say, table
 sys.path.insert(0, str(paths.ROOT / "tests"))
 
 from helpers.teleop.chromium import Chromium, Tab, missing, until
+from helpers.teleop.headset import FAKE_XR
+from helpers.teleop.headset_drive import squeezed
 
 CIRCLE = ("KeyD", "KeyS", "KeyA", "KeyW")
 STEP_S = 0.6
@@ -63,12 +71,13 @@ TICK_HZ = 500
 
 @contextlib.asynccontextmanager
 async def system(
-    cell: str, layout: str, port: int, out: Path
+    cell: str, layout: str, port: int, out: Path, depth: bool
 ) -> AsyncIterator[tuple[str, running.System]]:
     """A running `./surg teleop`: the page's address and the system's entry."""
     web = master.free_port()
     words = ["teleop", cell, "--port", str(port), "--web-port", str(web), "--out", str(out)]
-    words += ["--stereo"] if layout == "stereo" else []
+    words += ["--stereo"] if layout != "left" else []
+    words += ["--depth"] if depth else []
     log = out.parent / f"teleop_{layout}.log"
     with log.open("wb") as stream:
         process = subprocess.Popen(
@@ -99,8 +108,9 @@ class Listener:
     A process is a ROS node once only: all runs have their master on the same port.
     """
 
-    def __init__(self, port: int, arms: list[str]) -> None:
+    def __init__(self, port: int, arms: list[str], depth: bool) -> None:
         import rospy
+        from sensor_msgs.msg import Image
         from std_msgs.msg import String
 
         from surg_msgs.msg import SimStatus
@@ -113,11 +123,19 @@ class Listener:
             rospy.Subscriber("/sim/status", SimStatus, self._on_status),
             *(rospy.Subscriber(f"/{arm}/error", String, self._on_error, arm) for arm in arms),
         ]
+        if depth:
+            keys = {"queue_size": 1, "buff_size": 1 << 25}
+            found = rospy.Subscriber("/endoscope/depth", Image, self._on_depth, **keys)
+            self._subscribers.append(found)
 
     def begin(self) -> None:
         """Count from now on: what an arm said before it was enabled is latched, and no news."""
         self.seen: list[tuple[float, int, int]] = []
         self.faults: dict[str, list[str]] = {}
+        self.depths = 0
+
+    def _on_depth(self, message: Any) -> None:
+        self.depths += 1
 
     def _on_error(self, message: Any, arm: str) -> None:
         self.faults.setdefault(arm, []).append(message.data)
@@ -204,28 +222,68 @@ async def circle(
     return headlines, drawn
 
 
+async def square(
+    tab: Tab, seconds: float, progress: Progress
+) -> tuple[Counter[str], list[dict[str, Any]]]:
+    """The right hand of a headset, in turn; as `circle`."""
+    began, headlines, step = time.monotonic(), Counter[str](), 0
+    first = await tab.run("surgHeadset.picture.drawn.at(-1).drawnUs")
+    while (gone := time.monotonic() - began) < seconds:
+        progress.update(gone / seconds)
+        headlines[await tab.run("surgHeadset.status()?.headline ?? ''")] += 1
+        if await tab.run("surgHeadset.status()?.headline") != "Following":
+            await squeezed(tab, "right", "Following")
+        x, y = ((1, 0), (0, -1), (-1, 0), (0, 1))[step % 4]
+        for _ in range(12):
+            await tab.run(f"fakeXR.move('right', [{0.003 * x}, {0.003 * y}, 0])")
+            await asyncio.sleep(STEP_S / 12)
+        step += 1
+    shown = f"surgHeadset.picture.drawn.filter(each => each.drawnUs > {first})"
+    return headlines, list(await tab.run(shown))
+
+
+async def ready(browser: Chromium, url: str, layout: str) -> Tab:
+    """The page, following the hand, and a recording."""
+    if layout == "headset":
+        tab = await browser.open(f"{url}headset", FAKE_XR)
+        await tab.until("!document.querySelector('#enter').disabled", "the headset", 60.0)
+        await tab.click("#enter")
+        await tab.until("surgHeadset.picture.drawn.length > 20", "pictures", 180.0)
+        await squeezed(tab, "right", "Following")
+        await tab.run("surgHeadset.link.press('record'), 0")
+        return tab
+    tab = await browser.open(url)
+    await tab.until("surgConsole.picture.drawn.length > 20", "pictures", 180.0)
+    if layout == "stereo":
+        await tab.click('#eyes [data-layout="stereo"]')
+        await tab.until("surgConsole.picture.drawn.at(-1).width > 1000", "both eyes", 60.0)
+    await drive(tab)
+    await tab.tap("KeyV")
+    return tab
+
+
 async def measure(
-    cell: str, layout: str, seconds: float, port: int, folder: Path
+    cell: str, layout: str, seconds: float, port: int, folder: Path, depth: bool
 ) -> dict[str, Any]:
     """One run."""
-    async with system(cell, layout, port, folder / layout) as (url, entry), Chromium() as browser:
-        tab = await browser.open(url)
-        await tab.until("surgConsole.picture.drawn.length > 20", "pictures", 180.0)
-        if layout == "stereo":
-            await tab.click('#eyes [data-layout="stereo"]')
-            await tab.until("surgConsole.picture.drawn.at(-1).width > 1000", "both eyes", 60.0)
-        listener = Listener(entry.port, list(cells.load(Path(entry.cell)).arms))
-        await drive(tab)
-        await tab.tap("KeyV")
+    running_system = system(cell, layout, port, folder / layout, depth)
+    async with running_system as (url, entry), Chromium() as browser:
+        tab = await ready(browser, url, layout)
+        listener = Listener(entry.port, list(cells.load(Path(entry.cell)).arms), depth)
+        await asyncio.sleep(1.0)  # what an arm has said last comes at once
         listener.begin()
         before = cpu_seconds(entry, browser.process.pid)
         started = time.monotonic()
         with Progress(f"{layout}, {seconds:.0f} s") as progress:
-            headlines, drawn = await circle(tab, seconds, progress)
+            move = square if layout == "headset" else circle
+            headlines, drawn = await move(tab, seconds, progress)
         wall = time.monotonic() - started
         after = cpu_seconds(entry, browser.process.pid)
         listener.stop()
-        await tab.tap("KeyV")
+        if layout == "headset":
+            await tab.run("surgHeadset.link.press('record_stop'), 0")
+        else:
+            await tab.tap("KeyV")
         await tab.tap("Escape")
         await asyncio.sleep(2.0)
     ages = np.array([each["ageMs"] for each in drawn])
@@ -257,13 +315,15 @@ async def measure(
         "headlines": dict(headlines),
         "faults": listener.faults,
         "f10": sum("FAULT(link)" in text for said in listener.faults.values() for text in said),
+        "depth_per_s": listener.depths / wall if depth else None,
         "cpu": {**used, "all": sum(used.values())},
     }
 
 
 def show(runs: list[dict[str, Any]]) -> None:
     """Print the figures."""
-    rows = [["layout", "age p50", "p99", "fps", "real time", "following", "CPU", "F10", "FAULTs"]]
+    head = ["layout", "age p50", "p99", "fps", "real time", "following", "CPU", "F10", "FAULTs"]
+    rows = [[*head, "depths/s"]]
     for run in runs:
         rows.append(
             [
@@ -276,6 +336,7 @@ def show(runs: list[dict[str, Any]]) -> None:
                 f"{run['cpu']['all']:.2f}",
                 str(run["f10"]),
                 str(sum(map(len, run["faults"].values()))),
+                "–" if run["depth_per_s"] is None else f"{run['depth_per_s']:.1f}",
             ]
         )
     say(table(rows))
@@ -297,17 +358,23 @@ def main() -> int:
         "--seconds", type=float, default=60.0, help="of each run (default 60; goals: 300)"
     )
     parser.add_argument("--layout", choices=("left", "stereo", "both"), default="both")
+    parser.add_argument("--depth", action="store_true", help="depth of both eyes beside it")
+    parser.add_argument("--headset", action="store_true", help="the page /headset instead")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
     if missing():
         say(f"bench console: {missing()}")
         return 1
     layouts = ("left", "stereo") if options.layout == "both" else (options.layout,)
+    if options.headset:
+        layouts = ("headset",)
     load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="surg_bench_console_") as folder:
         port = master.free_port()
         runs = [
-            asyncio.run(measure(options.cell, layout, options.seconds, port, Path(folder)))
+            asyncio.run(
+                measure(options.cell, layout, options.seconds, port, Path(folder), options.depth)
+            )
             for layout in layouts
         ]
     show(runs)

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.results.console_results import keeps, note
-from helpers.teleop import chromium
+from helpers.results.console_results import BY_FINGERS, BY_GAMEPAD, keeps, note
+from helpers.teleop import chromium, steering, touch_drive
 from helpers.teleop.chromium import GAMEPAD, Chromium, Tab, until
 from helpers.teleop.phantom import STILL, Phantom, phantom
 from surg_cli.host import paths
@@ -105,7 +105,7 @@ def test_ten_targets_are_touched_and_recorded(tmp_path: Path) -> None:
             for _ in range(TARGETS):
                 target = home + rng.uniform(-0.012, 0.012, 3)
                 took.append(await touch(made, tab, J, target))
-            note("target touched", TARGETS, took, "by gamepad, within 2 mm")
+            note(BY_GAMEPAD, TARGETS, took, "start of the motion → within 2 mm")
             await tab.tap("KeyV")
             await tab.until("!surgConsole.status().record.on", "the recorder's end", 60.0)
             await tab.until(
@@ -243,3 +243,39 @@ def test_the_arm_rests_when_the_tab_goes(what: str, tmp_path: Path) -> None:
     note(f"tip at rest, tab {what}", len(rests), rests, "event in the browser → tip within 0.1 mm")
     # The arm itself needs up to 50 ms more, from the order to hold to the rest.
     keeps(f"tip at rest, tab {what}", rests, (0.3 if what == "frozen" else 0.2) + 0.05)
+
+
+def test_ten_targets_are_touched_by_fingers(tmp_path: Path) -> None:
+    async def test() -> None:
+        async with phantom(tmp_path, "sim_two_arms") as made, Chromium() as browser:
+            tab = await browser.open("about:blank")
+            size = {"width": 1024, "height": 768, "deviceScaleFactor": 1, "mobile": True}
+            await tab.call("Emulation.setDeviceMetricsOverride", **size)
+            await tab.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=5)
+            await tab.call("Page.navigate", url=made.url)
+            await tab.until("globalThis.surgConsole?.picture.drawn.length > 10", "pictures", 120.0)
+
+            async def move(by: np.ndarray) -> None:
+                await touch_drive.move(made, tab, by)
+
+            J = await steering.probe(made, move)
+            steering.one_hand_frame(J)
+            rng = np.random.default_rng(23)
+            home, took = made.tip, []
+            for _ in range(TARGETS):
+                target = home + rng.uniform(-0.01, 0.01, 3)
+                took.append(
+                    await steering.touch(
+                        made, lambda by: touch_drive.move(made, tab, by), J, target
+                    )
+                )
+                print(f"target {len(took)}: {took[-1]:.1f} s")
+            note(BY_FINGERS, TARGETS, took, "start of the motion → within 2 mm")
+            box = "document.querySelector('#stop').getBoundingClientRect()"
+            at = np.array(await tab.run(f"[{box}.x + 20, {box}.y + 20]"))
+            await touch_drive.fingers(tab, "touchStart", at)
+            await touch_drive.fingers(tab, "touchEnd")
+            await tab.until("document.body.dataset.phase === 'held'", "the stop", 20.0)
+            assert browser.errors == []
+
+    asyncio.run(asyncio.wait_for(test(), 580.0))

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from pathlib import Path
 
+import aiohttp
 import numpy as np
 import pytest
 
-from helpers.teleop import chromium
+from helpers.results.screen_results import note_age, note_targets
+from helpers.teleop import chromium, steering
 from helpers.teleop.chromium import Chromium, Tab, until
 from helpers.teleop.headset import FAKE_XR
-from helpers.teleop.headset_page import SQUEEZE, A, B, hold
+from helpers.teleop.headset_drive import HEADLINE, squeezed
+from helpers.teleop.headset_page import SQUEEZE, B, hold
 from helpers.teleop.phantom import Phantom, phantom
 
 pytestmark = [
@@ -24,25 +28,11 @@ FAR = 0.002
 """[m] that a tip must go, to have moved."""
 STANDS = 0.0002
 """[m] that a tip which stands may tremble."""
-HEADLINE = "surgHeadset.status()?.headline"
+TARGETS = 3
 
 
-async def squeezed(tab: Tab, hand: str, wanted: str) -> None:
-    """Enable where needed, let all go, squeeze: until the page says what follows."""
-
-    async def follows() -> bool:
-        for other in ("left", "right"):
-            await hold(tab, other, SQUEEZE, 0)
-        if await tab.run("surgHeadset.status()?.phase") != "driving":
-            await hold(tab, "right", A, 1)
-            await asyncio.sleep(0.2)
-            await hold(tab, "right", A, 0)
-            await asyncio.sleep(1.5)
-        await hold(tab, hand, SQUEEZE, 1)
-        await asyncio.sleep(0.5)
-        return bool(await tab.run(HEADLINE) == wanted)
-
-    await until(follows, f"{hand}: {wanted}", 120.0, 0.1)
+async def _is(value: object) -> bool:
+    return bool(value)
 
 
 async def gone(made: Phantom, tab: Tab, hand: str, wanted: str, by: list[float]) -> np.ndarray:
@@ -99,12 +89,87 @@ def test_the_controllers_drive_both_arms_of_bgr_and_nothing_moves_without_a_sque
                 "(surgHeadset.picture.drawn.at(-1).drawnUs - surgHeadset.picture.drawn[0].drawnUs)"
                 " / 1e6"
             )
-            print(
-                f"age of the drawn pair: {np.median(drawn):.0f} ms p50, "
-                f"{np.quantile(drawn, 0.99):.0f} p99, {len(drawn) / seconds:.1f} pictures/s"
-            )
+            note_age(drawn, seconds)
             await hold(tab, "right", B, 1)
             await tab.until("surgHeadset.status().phase === 'held'", "the stop", 30.0)
             assert browser.errors == []
 
     asyncio.run(asyncio.wait_for(test(), 500.0))
+
+
+class TipInPicture:
+    """Where the instrument's tip is in the pictures, from the console's socket /marks."""
+
+    def __init__(self) -> None:
+        self.newest: dict[str, tuple[float, float]] = {}
+        self.exposed_us = 0
+
+    async def read(self, url: str) -> None:
+        """Until cancelled."""
+        async with aiohttp.ClientSession() as http:
+            socket = await http.ws_connect(f"{url}marks", origin=url.rstrip("/"))
+            await socket.send_str('{"say": "hello", "token": ""}')
+            async for message in socket:
+                said = message.json()
+                self.exposed_us = said["exposed_us"]
+                for mark in said["marks"]:
+                    if (mark["arm"], mark["name"]) == ("PSM1", "tip") and mark["points"][0]:
+                        self.newest[mark["eye"]] = tuple(mark["points"][0])
+
+    async def seen(self) -> np.ndarray:
+        """(3,) pixels right, pixels down, and disparity, which shrinks with the distance; now."""
+        now_us = time.time_ns() // 1000
+        await until(lambda: _is(self.exposed_us > now_us), "a mark of now", 30.0)
+        left, right = (np.array(self.newest[eye]) for eye in ("left", "right"))
+        return np.array([*left, left[0] - right[0]])
+
+
+async def carry(made: Phantom, tab: Tab, by: np.ndarray) -> None:
+    """The squeezed right hand goes by (3,) [m] right, down, away from the operator."""
+    await squeezed(tab, "right", "Following")
+    room = (by * [1.0, -1.0, -1.0]).tolist()  # the room's y is up, its z towards the operator
+    for _ in range(15):
+        await tab.run(f"fakeXR.move('right', {[each / 15 for each in room]})")
+        await asyncio.sleep(0.03)
+    await steering.rest(made)
+
+
+def test_the_instrument_goes_where_the_picture_says_and_touches_three_targets(
+    tmp_path: Path,
+) -> None:
+    async def test() -> None:
+        more = ("--marks",)  # both eyes, and where the tip is in them
+        async with phantom(tmp_path, "sim_two_arms", *more) as made, Chromium() as browser:
+            tab = await browser.open(f"{made.url}headset", FAKE_XR)
+            await tab.until("!document.querySelector('#enter').disabled", "the headset", 60.0)
+            await tab.click("#enter")
+            await tab.until("surgHeadset.picture.drawn.length > 10", "pictures", 120.0)
+            await squeezed(tab, "right", "Following")
+            await until(lambda: _is(made.tips), "a first place of the tip", 60.0)
+            tip = TipInPicture()
+            reading = asyncio.create_task(tip.read(made.url))
+            await until(lambda: _is(len(tip.newest) == 2), "marks of both eyes", 60.0)
+            for axis, sign in enumerate((1.0, 1.0, -1.0)):  # right, down, away: less disparity
+                before, stood = await tip.seen(), made.tip
+                for _ in range(8):  # a busy machine may let go in between
+                    await carry(made, tab, 0.04 * np.eye(3)[axis])
+                    if np.linalg.norm(made.tip - stood) > 2 * FAR:
+                        break
+                way = sign * (await tip.seen() - before)
+                print(f"axis {axis}: {way.round(1).tolist()} px")
+                assert way[axis] > (5.0 if axis < 2 else 0.5), "right, down, away in the picture"
+                if axis < 2:
+                    assert abs(way[1 - axis]) < 0.35 * way[axis]
+            J = await steering.probe(made, lambda by: carry(made, tab, by))
+            steering.one_hand_frame(J)
+            rng = np.random.default_rng(41)
+            home, took = made.tip, []
+            for _ in range(TARGETS):
+                target = home + rng.uniform(-0.01, 0.01, 3)
+                took.append(await steering.touch(made, lambda by: carry(made, tab, by), J, target))
+                print(f"target {len(took)}: {took[-1]:.1f} s")
+            note_targets(took)
+            reading.cancel()
+            assert browser.errors == []
+
+    asyncio.run(asyncio.wait_for(test(), 580.0))

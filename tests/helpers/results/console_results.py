@@ -1,10 +1,10 @@
-"""docs/results/console.md: how soon an arm holds when its operator's tab is gone."""
+"""docs/results/console.md: how soon an arm holds when its tab is gone, and targets touched."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from pathlib import Path
+
+from helpers.results.results_page import ResultsPage
 
 _HEAD = """# Console: times
 
@@ -14,7 +14,14 @@ headless Chromium, wall clock of the machine that ran it.
 | what | rounds | median | largest | measured |
 |---|---|---|---|---|
 """
-_found: dict[str, str] = {}
+TABS = ("hidden", "frozen", "closed")
+BY_GAMEPAD, BY_FINGERS = "target touched by gamepad", "target touched by fingers"
+ROWS = [
+    *(f"tab {what}" for what in TABS),
+    *(BY_GAMEPAD, BY_FINGERS),
+    *(f"tip at rest, tab {what}" for what in TABS),
+]
+PAGE = ResultsPage("console.md", _HEAD, ROWS, keep=True)
 
 
 def keeps(what: str, seconds: Sequence[float], limit: float) -> None:
@@ -35,7 +42,7 @@ def keeps(what: str, seconds: Sequence[float], limit: float) -> None:
 
 
 def note(what: str, rounds: int, seconds: Sequence[float], meaning: str) -> None:
-    """Print times, keep them, and write the page when it is asked for.
+    """Print times and keep them.
 
     Args:
         what: Row of the table.
@@ -45,9 +52,4 @@ def note(what: str, rounds: int, seconds: Sequence[float], meaning: str) -> None
     """
     ordered = sorted(1e3 * each for each in seconds)
     middle, largest = ordered[len(ordered) // 2], ordered[-1]
-    row = f"| {what} | {rounds} | {middle:.0f} ms | {largest:.0f} ms | {meaning} |"
-    print(row)
-    _found[what] = row
-    folder = os.environ.get("SURG_RESULTS_DIR")
-    if folder:
-        Path(folder, "console.md").write_text(_HEAD + "\n".join(_found.values()) + "\n", "utf-8")
+    PAGE.note(what, rounds, f"{middle:.0f} ms | {largest:.0f} ms | {meaning}")

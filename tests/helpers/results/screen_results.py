@@ -8,12 +8,13 @@ from helpers.results.results_page import ResultsPage
 
 _HEAD = """# Screens: times
 
-Written by `./surg test --full tests/e2e/test_monitor_page.py tests/e2e/test_headset_page.py`:
-headless Chromium without a graphics card. *Draw* is one picture of two eyes of 640 × 480, shifted
-by 3.5 %, on a canvas of 1920 × 1080 (frame packing: 1920 × 2205), read back: processor time of the
-whole browser, and the fastest picture by the clock. *Hold* is from the event in the browser to the
-console's order, to hold or, for a controller, to clutch. Measured on two cores with other programs
-beside.
+Written by `./surg test --full tests/e2e/test_monitor_page.py tests/e2e/test_headset_page.py
+tests/e2e/test_headset_teleop.py`: headless Chromium without a graphics card. *Draw* is one picture
+of two eyes of 640 × 480, shifted by 3.5 %, on a canvas of 1920 × 1080 (frame packing:
+1920 × 2205), read back: processor time of the whole browser, and the fastest picture by the clock.
+*Hold* is from the event in the browser to the console's order, to hold or, for a controller, to
+clutch. *Headset* is `./surg teleop --stereo` whole, driven by a headset made of software on the
+same two cores. Measured with other programs beside.
 
 | what | times | result |
 |---|---|---|
@@ -23,7 +24,12 @@ FORMATS = (
     "frame_packed",
 )
 GONE = ("taken off", "menu open", "recentred", "session ended", "controller lost")
-ROWS = [*(f"draw {form}" for form in FORMATS), *(f"{what} → hold" for what in GONE)]
+AGE, TARGETS = "headset: age of the drawn pair", "headset: targets of bgr touched"
+ROWS = [
+    *(f"draw {form}" for form in FORMATS),
+    *(f"{what} → hold" for what in GONE),
+    *(AGE, TARGETS),
+]
 PAGE = ResultsPage("screens.md", _HEAD, ROWS, keep=True)
 
 
@@ -51,3 +57,17 @@ def note_holds(found: Mapping[str, Sequence[float]]) -> None:
         PAGE.note(
             f"{what} → hold", len(times), f"median {middle:.0f} ms, largest {most:.0f} ms, goal 200"
         )
+
+
+def note_age(ages: Sequence[float], seconds: float) -> None:
+    """Print and keep how old pictures are when a headset draws them [ms], and how often [s]."""
+    ordered = sorted(ages)
+    middle, most = ordered[len(ordered) // 2], ordered[len(ordered) * 99 // 100]
+    rate = len(ordered) / seconds
+    result = f"{middle:.0f} ms p50, {most:.0f} p99, {rate:.1f} pictures/s; goals 120 ms, 15/s"
+    PAGE.note(AGE, len(ordered), result)
+
+
+def note_targets(seconds: Sequence[float]) -> None:
+    """Print and keep how long a controller took to targets [s]."""
+    PAGE.note(TARGETS, len(seconds), f"within 2 mm, after at most {max(seconds):.0f} s")
