@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
+import math
 from collections.abc import AsyncIterator
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from helpers.teleop import chromium
 from helpers.teleop.chromium import GAMEPAD, Chromium, Tab
 from helpers.teleop.console import Console, console
+from surg_teleop.console.session.felt_tip import felt_tip
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
 
@@ -21,9 +25,10 @@ window.rumbled = [];
 const param = (name) => ({
   value: 0, cancelScheduledValues() {},
   setTargetAtTime(value, at) { window.heard.push([name, value, at]); },
+  setValueAtTime(value, at) { window.heard.push([name, value, at]); },
 });
 window.AudioContext = class {
-  currentTime = 0;
+  get currentTime() { return window.soundTime ?? 0; }
   createOscillator() { return { frequency: param("pitch"), connect: (to) => to, start() {} }; }
   createGain() { return { gain: param("gain"), connect: (to) => to }; }
   close() { window.heard.push(["closed", 0, 0]); }
@@ -78,9 +83,9 @@ def test_a_force_is_heard_and_rumbles_while_the_hand_moves_the_tip() -> None:
             kind, effect = await tab.run("window.rumbled.at(-1)")
             assert kind == "dual-rumble" and effect["strongMagnitude"] == 2.5 / SOFT
             # Every piece ends by itself: a console that falls silent is not heard on.
-            assert effect["duration"] <= 100
+            assert 0 < effect["duration"] <= 50
             gains = await tab.run("window.heard.filter(([n]) => n === 'gain')")
-            assert gains[-1][1] == 0 and gains[-1][2] <= 0.1
+            assert gains[-1][1] == 0 and gains[-1][2] <= 0.05
             push(made, 50.0)
             await recent(tab)
             assert await tab.run(LOUDEST) == pytest.approx(0.2), "at most"
@@ -101,3 +106,59 @@ def test_a_force_is_heard_and_rumbles_while_the_hand_moves_the_tip() -> None:
             assert await tab.run("window.heard.length") == 0
 
     asyncio.run(asyncio.wait_for(test(), 120.0))
+
+
+def last_heard(gains: list[list[float]]) -> float:
+    """When a schedule of [value, from] ends in silence for good [s]."""
+    assert gains[-1][0] == 0
+    return gains[-1][1]
+
+
+def test_silence_is_felt_within_50_ms_of_a_forces_age() -> None:
+    """On a made-up clock: ages and gaps drawn; the sound card plays on while the page is silent."""
+
+    async def test() -> None:
+        async with opened() as (made, tab):
+            made.system.shown["feel"] = json.dumps({"say": "feel", "tip": None, "age": None})
+            await tab.tap("KeyY")
+            await tab.until("window.rumbled.length > 0", "the first word", 20.0)
+            await tab.run("(surgConsole.feel.mine = () => true, 0)")
+            rng, now, loud = np.random.default_rng(5), 10.0, 0
+            for _ in range(40):
+                now += float(rng.uniform(0.001, 0.2))
+                age = float(rng.choice([rng.uniform(0.0, 0.06), rng.uniform(0.0, 0.01)]))
+                word = json.dumps({"say": "feel", "tip": 4.0, "age": age})
+                heard, rumbled = await tab.run(
+                    "(window.heard.length = 0, window.rumbled.length = 0,"
+                    f" window.soundTime = {now}, surgConsole.feel.arrived({word}),"
+                    " [window.heard, window.rumbled])"
+                )
+                gains = [[value, at] for name, value, at in heard if name == "gain"]
+                # The console looks every 10 ms, which an age does not hold.
+                assert last_heard(gains) <= now + max(0.050 - 0.010 - age, 0.010) + 1e-9
+                kind, effect = rumbled[-1]
+                if gains[0][0] > 0:
+                    loud += 1
+                    assert kind == "dual-rumble" and effect["duration"] <= 1e3 * (0.040 - age)
+                else:
+                    assert kind == "reset"
+            assert 10 < loud < 40
+
+    asyncio.run(asyncio.wait_for(test(), 120.0))
+
+
+@pytest.mark.parametrize(
+    ("force", "age", "following", "told"),
+    [
+        (2.5, 0.002, True, 2.5),
+        (2.5, 0.031, True, None),
+        (2.5, 0.002, False, None),
+        (None, 0.002, True, None),
+        (2.5, math.inf, True, None),
+    ],
+)
+def test_a_force_is_told_while_it_is_fresh_and_the_tip_follows(
+    force: float | None, age: float, following: bool, told: float | None
+) -> None:
+    found = felt_tip(force, 100.0 - age, 100.0, following)
+    assert found["tip"] == told and found["age"] == pytest.approx(age)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import time
 from collections.abc import AsyncIterator
 from dataclasses import replace
@@ -15,6 +16,7 @@ from surg_cli.graph import master
 from surg_teleop.console.session.console_orders import Follow, Order
 from surg_teleop.console.session.console_session import Session
 from surg_teleop.console.session.episode_list import Entry
+from surg_teleop.console.session.felt_tip import felt_tip
 from surg_teleop.console.session.system_state import Arm, Follower, Gauges, Robot
 from surg_teleop.console.web import access
 from surg_teleop.console.web.picture_streams import EYES, CameraFrame, PictureStream
@@ -80,6 +82,11 @@ class FakeSystem:
 
     def beside(self, what: str) -> str:
         """See `server.System`."""
+        if what == "feel" and what not in self.shown:
+            now = time.monotonic()
+            following = self.now.follower.state == "FOLLOWING"
+            # Heard at the last of a clock's ticks, 500 a second.
+            return json.dumps(felt_tip(self.now.gauges.tip, now - now % 0.002, now, following))
         return self.shown.get(what, "")
 
     def entries(self) -> list[Entry]:

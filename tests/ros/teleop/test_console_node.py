@@ -64,6 +64,7 @@ class Bench:
         self.clearance = pub("/PSM1/clearance", surg_msgs.ScalarStamped)
         self.joints = pub("/PSM1/measured_js", JointState)
         self.trocar = pub("/PSM1/trocar/measured_cf", WrenchStamped)
+        self.tip = pub("/PSM1/tool/measured_cf", WrenchStamped)
         self.teleop = pub("/teleop/status", surg_msgs.TeleopStatus, True)
         self.record = pub("/record/status", surg_msgs.RecordStatus, True)
         self.sim = pub("/sim/status", surg_msgs.SimStatus, True)
@@ -104,6 +105,7 @@ class Bench:
             force = WrenchStamped()
             force.wrench.force.x, force.wrench.force.z = 3.0, 4.0
             self.trocar.publish(force)
+            self.tip.publish(force)
             self.teleop.publish(teleop_status(**self.hand))
             for shade, publisher in zip((50, 200), self.images.values(), strict=True):
                 image = Image(width=64, height=48, encoding="rgb8", step=192)
@@ -193,6 +195,35 @@ def test_a_page_is_a_leader_on_topics(ros_graph: RosGraph, rospy_node: str, tmp_
             assert bench.of("/PSM1/state_command")[-1].string == "pause"
             await when(lambda: not bench.of("/console/teleop/enable")[-1].data, "the hold")
             assert bench.of("/console/operator_present")[-1].buttons[0] == 0
+
+    run(bench, test)
+
+
+def test_a_page_feels_the_tip_while_it_follows(ros_graph: RosGraph, rospy_node: str) -> None:
+    """At 20 Hz of the sensor, so that most forces are too old and some are told."""
+    port = start(ros_graph)
+    bench = Bench()
+
+    async def test() -> None:
+        origin = f"http://localhost:{port}"
+        async with page(port) as found, aiohttp.ClientSession() as http:
+            socket = await http.ws_connect(f"ws://localhost:{port}/feel", origin=origin)
+            await socket.send_str('{"say": "hello", "token": ""}')
+
+            async def words(count: int) -> list[Any]:
+                heard = [await socket.receive_json(timeout=20.0) for _ in range(count)]
+                assert all(w["tip"] is None or w["age"] <= 0.030 for w in heard)
+                return [w["tip"] for w in heard]
+
+            assert set(await words(20)) == {None}
+            await found.drive()
+            tips: set[Any] = set()
+            while tips != {None, 5.0}:
+                tips |= set(await words(1))
+            found.hand = {"hand": "position", "clutch": True}
+            await when(lambda: bench.hand["state"] == "CLUTCHED", "the clutch")
+            await words(25)
+            assert set(await words(20)) == {None}
 
     run(bench, test)
 

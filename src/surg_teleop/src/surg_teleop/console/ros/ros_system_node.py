@@ -6,6 +6,8 @@ Messages of fast topics are kept as bytes and decoded only when the page needs a
 from __future__ import annotations
 
 import dataclasses
+import json
+import math
 import threading
 import time
 from dataclasses import replace
@@ -38,6 +40,7 @@ from surg_teleop.console.ros.raw_gauges import depth, force, last_double, state_
 from surg_teleop.console.session import operator_messages
 from surg_teleop.console.session.console_orders import Order
 from surg_teleop.console.session.episode_list import Entry, Episodes
+from surg_teleop.console.session.felt_tip import felt_tip
 from surg_teleop.console.session.fixture_view import FixtureView, region_of
 from surg_teleop.console.session.page_status import finite
 from surg_teleop.console.session.system_state import (
@@ -228,11 +231,21 @@ class RosSystem:
 
     def watch(self, what: str, wanted: bool) -> None:
         """See `web_server.System`."""
-        self._beside.watch(what, wanted)
+        if what != "feel":  # its topic is heard anyway
+            self._beside.watch(what, wanted)
 
     def beside(self, what: str) -> str:
         """See `web_server.System`."""
-        return self._beside.beside(what)
+        return self._feel() if what == "feel" else self._beside.beside(what)
+
+    def _feel(self) -> str:
+        now = time.monotonic()
+        with self._lock:
+            self._hear_fast(now)
+            heard, data = self._newest.get("tip", (-math.inf, b""))
+            following = self._hands(now)[0].state == "FOLLOWING"
+        told = felt_tip(finite(force(data)), heard, now, following)
+        return json.dumps({**told, "age": finite(told["age"])}, allow_nan=False)
 
     def live(self) -> None:
         """See `web_server.System`."""

@@ -1,10 +1,11 @@
 """The console's web server: page, control socket and picture socket. No ROS.
 
 ``/`` and ``/page/…`` serve the page, ``/control`` its input and status, ``/pictures`` the
-endoscope's pictures, ``/marks`` and ``/scene`` what is shown over and beside them. ``/calibrate``
-is the page that collects calibration views, ``/calibration`` its socket. ``/monitor`` shows the
-pictures on a 3D monitor, ``/status`` is its socket: status out, Stop in. The pages are public; all
-sockets demand the token in a first `hello`.
+endoscope's pictures. ``/marks`` and ``/scene`` are what is shown over and beside them, ``/feel`` is
+what is heard and rumbles. ``/calibrate`` is the page that collects calibration views,
+``/calibration`` its socket. ``/monitor`` shows the pictures on a 3D monitor, ``/status`` is its
+socket: status out, Stop in. The pages are public; all sockets demand the token in a first
+`hello`.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ PAGES = {
     "/monitor": "monitor.html",
     "/headset": "headset.html",
 }
-SOCKETS = ("/control", "/status", "/pictures", "/calibration", "/marks", "/scene")
+SOCKETS = ("/control", "/status", "/pictures", "/calibration", *(f"/{what}" for what in PERIODS))
 Handler = Callable[[PageMessage, str, "Outbox", float], None]
 """Handles a message of a page, by its name, with its outbox, at a time [s]."""
 CLOSE_HELLO, CLOSE_FULL = 4401, 4429

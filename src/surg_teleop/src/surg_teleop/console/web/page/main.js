@@ -71,8 +71,12 @@ globalThis.surgConsole = { picture, link, hand, status: () => status };
 // What a page shows over or beside the picture; off until somebody asks, and then closed again.
 const marks = new Marks(element("marks"), toast);
 const scene = new Scene(element("room"), (text) => write(element("scene-note"), text));
-const feel = new Feel(() => hand.gamepad());
-Object.assign(globalThis.surgConsole, { marks, scene });
+const feel = new Feel(
+  () => hand.gamepad(),
+  () => status?.phase === "driving" && mine(),
+  () => softLimit,
+);
+Object.assign(globalThis.surgConsole, { marks, scene, feel });
 
 // --- messages of the console ---
 
@@ -96,7 +100,6 @@ function onStatus(message) {
     write(element("scale-value"), message.scale.toFixed(2));
   }
   view.note(message);
-  feel.felt(message.gauges.tip, softLimit, message.phase === "driving" && mine());
   if (message.phase !== before?.phase || message.headline !== before?.headline) show();
 }
 

@@ -6,7 +6,7 @@ const AGAIN_MS = 1000;
 
 export class Feed {
   /**
-   * @param path "/marks" or "/scene"
+   * @param path "/marks", "/scene" or "/feel"
    * @param hear called with every message
    */
   constructor(path, hear) {
