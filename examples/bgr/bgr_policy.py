@@ -43,6 +43,8 @@ SET = slice(5, 9)
 PLACES, DISTANCE, HERE = slice(0, 9), 9, slice(-3, None)
 """Columns of the features: vectors from the last command to the requested node, the assistant and a
 resting node; the length of the first; the last command."""
+TENSION = 24
+"""Column of the tissue's tension: an infinite scale hides it from a policy, see `train_bgr.py`."""
 REACH = 0.02
 """The arm cannot be following a command farther than this from the set-point [m]."""
 

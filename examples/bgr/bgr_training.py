@@ -309,7 +309,7 @@ def command_line(
         help_text: One line.
         make: Trains; takes the dataset's folder, the given options and the progress callback.
         words: Of the command line.
-        forces: Whether there is an option `--forces`.
+        forces: Whether there are options `--forces` and `--no-tension`.
         devices: Values of an option `--device`, the default first; empty: there is none.
 
     Returns:
@@ -326,7 +326,7 @@ def command_line(
         for n in ("seed", "steps", "chunk")
         if getattr(options, n) is not None
     }
-    given |= {"forces": True} if forces and options.forces else {}
+    given |= {"forces": options.forces, "tension": options.tension} if forces else {}
     given |= {"device": options.device} if devices else {}
     try:
         policy = make(options.dataset, given, show)
@@ -359,6 +359,8 @@ def _parser(
     parser.add_argument("--chunk", type=int, help="actions predicted at once")
     if forces:
         parser.add_argument("--forces", action="store_true", help="read observation.force, too")
+        no_tension = "do not read the tissue's tension, which no robot measures"
+        parser.add_argument("--no-tension", dest="tension", action="store_false", help=no_tension)
     if devices:
         parser.add_argument("--device", choices=devices, default=devices[0], help="where it trains")
     parser.add_argument("--json", action="store_true", help="progress as JSON lines")

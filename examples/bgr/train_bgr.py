@@ -26,6 +26,7 @@ from bgr_policy import (
     SET,
     STATE,
     TASK,
+    TENSION,
     Columns,
     Network,
     Policy,
@@ -85,6 +86,8 @@ class Options:
     """Time constant of the return from that offset [s]."""
     forces: bool = False
     """Read `observation.force`, too."""
+    tension: bool = True
+    """Read the tissue's tension in the simulator's truth."""
     behind: int = 2
     """Largest lag of the observation behind the last command [steps], as in real time."""
     seed: int = 0
@@ -169,6 +172,13 @@ class Samples:
                 parts.append((inputs, targets, free, jaw))
         return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
+    def scales(self, tension: bool) -> dict[str, Array]:
+        """Scales of inputs and targets, and range of the jaw; without tension, it is hidden."""
+        found = scales_of(self.inputs, self.targets) | {"jaw_range": jaw_range(self.targets)}
+        if not tension:
+            found["input_std"][TENSION] = np.inf
+        return found
+
     def pushed(self, rows: Array, push: Array, left: Array) -> tuple[Array, Array]:
         """Steps with the arm displaced, and the chunk that returns.
 
@@ -214,11 +224,7 @@ def train(
         for split, episodes in dataset.episodes.items()
     }
     known = parts["train"]
-    scales = {
-        **scales_of(known.inputs, known.targets),
-        "X_RW": X_RW,
-        "jaw_range": jaw_range(known.targets),
-    }
+    scales = known.scales(options.tension) | {"X_RW": X_RW}
     rng = np.random.default_rng(options.seed)
     sizes = [known.inputs.shape[1], *options.hidden, 5 * options.chunk]
     shapes = list(itertools.pairwise(sizes))
