@@ -227,6 +227,14 @@ MUTANTS: tuple[Mutant, ...] = (
         ("test_late_link", "test_exact_follower"),
     ),
     one(
+        "feed_forward_always_full",
+        "feed-forward and feedback that do not fit are cut joint by joint, beside the pivot",
+        "src/law/exact_follower.cpp",
+        "const double share = largest_share(v + correction_, change);",
+        "const double share = 1;",
+        ("test_exact_follower",),
+    ),
+    one(
         "late_link_teaches_lags",
         "some tens of milliseconds of a starved link leave each joint a wrong lag",
         "src/law/exact_follower.cpp",

@@ -139,6 +139,17 @@ TEST(ExactFollower, JointsFarFromTheReferenceReturnByOneFactor) {
   EXPECT_LT(q.norm(), 1e-6);
 }
 
+TEST(ExactFollower, AFeedForwardThatDoesNotFitIsScaledForAllJointsAlike) {
+  // 0.9 ms of lag more than whole periods; the first joint's reference leaves 1 % of its limit.
+  const JointVector acceleration = (JointVector(6) << 40, 7.5, 10, 3, 20, 15).finished();
+  const JointVector used = (JointVector(6) << 0.99, 0.5, -0.4, 0.3, -0.6, 0.2).finished();
+  ExactFollower follower(6, {0.0129, 0, 0, kT, JointVector::Constant(6, 3), acceleration});
+  follower.reset(JointVector::Zero(6));
+  const JointVector v = kT * used.cwiseProduct(acceleration);
+  const JointVector qd = follower.advance(kT * v, JointVector::Zero(6));
+  EXPECT_LT((qd.cwiseQuotient(v) - JointVector::Constant(6, 1 / 0.99)).cwiseAbs().maxCoeff(), 1e-8);
+}
+
 TEST(ExactFollower, ALinkThatIsLateForAMomentTeachesNoLags) {
   // As fast as a storm of a hand, 20 ms late for 0.1 s in every second.
   ExactFollower follower(6, {0.012, 50, 0.3, kT});
