@@ -10,7 +10,13 @@ from pathlib import Path
 import pytest
 
 from helpers.graph import worker_groups
-from helpers.graph.ros import RosGraph, close_own_topics, forget_dead_nodes, private_master
+from helpers.graph.ros import (
+    RosGraph,
+    close_own_topics,
+    forget_dead_nodes,
+    private_master,
+    stop_serving,
+)
 from surg_cli import __main__ as cli
 from surg_cli.graph import master
 from surg_cli.graph.processes import Supervisor
@@ -76,6 +82,7 @@ def rospy_node(ros_session: Supervisor) -> Iterator[str]:
 
     rospy.init_node("pytest", anonymous=True, disable_signals=True)
     yield rospy.get_name()
+    stop_serving()
     rospy.signal_shutdown("tests are over")
 
 

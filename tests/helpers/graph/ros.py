@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -171,6 +172,20 @@ def close_own_topics() -> None:
         for name in [name for name in table if name not in ("/rosout", "/clock")]:
             while name in table:
                 manager.release_impl(kind, name)
+
+
+def stop_serving() -> None:
+    """Stop this process's XML-RPC server before rospy closes its socket.
+
+    rospy closes the socket while a thread still polls it. That thread then takes a whole core,
+    beside the other workers' tests, until the process ends.
+    """
+    from rosgraph.xmlrpc import XmlRpcNode
+
+    for node in [thing for thing in gc.get_objects() if isinstance(thing, XmlRpcNode)]:
+        node.is_shutdown = True
+        if node.server is not None:
+            node.server.shutdown()
 
 
 def read_yaml(path: Path) -> Any:

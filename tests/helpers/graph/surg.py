@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 from surg_cli.host import paths
+
+STOPS_S = 30.0
+"""Longest time a command may take to stop its nodes."""
 
 
 def environment() -> dict[str, str]:
@@ -50,7 +54,20 @@ def surg(
     )
 
 
-def start(log: Path, *words: object) -> subprocess.Popen[bytes]:
+class Started(subprocess.Popen[bytes]):
+    """A running command. A `with` block that fails ends it, instead of waiting for it forever."""
+
+    def __exit__(self, kind, error, trace) -> None:  # type: ignore[no-untyped-def]
+        if kind is not None and self.poll() is None:
+            self.send_signal(signal.SIGINT)
+            try:
+                self.wait(STOPS_S)
+            except subprocess.TimeoutExpired:
+                self.kill()
+        super().__exit__(kind, error, trace)
+
+
+def start(log: Path, *words: object) -> Started:
     """Start a command and return at once.
 
     Args:
@@ -58,7 +75,7 @@ def start(log: Path, *words: object) -> subprocess.Popen[bytes]:
         *words: Behind `./surg`.
     """
     with log.open("wb") as stream:
-        return subprocess.Popen(
+        return Started(
             argv(*words),
             env=environment(),
             cwd=paths.ROOT,

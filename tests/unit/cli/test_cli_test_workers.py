@@ -132,6 +132,26 @@ def test_a_crashed_worker_is_a_failure(tmp_path: Path, monkeypatch: pytest.Monke
     assert (counts["passed"], counts["failed"]) == (0, 1)
 
 
+def test_a_test_that_hangs_fails_and_the_run_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "unit").mkdir()
+    (tmp_path / "conftest.py").write_text(CONFTEST)
+    source = (
+        "import subprocess\n\n"
+        "def test_hangs():\n"
+        "    with subprocess.Popen(['sleep', '60']):\n"
+        "        assert False\n\n"
+        "def test_next(): pass\n"
+    )
+    (tmp_path / "unit" / "test_hang.py").write_text(source)
+    monkeypatch.setattr(pytest_run.workspace, "jobs", lambda: 2)
+    monkeypatch.setattr(pytest_run, "HANGS_S", 1)
+    status, counts = run_tests(tmp_path)
+    assert status == 1
+    assert (counts["passed"], counts["failed"]) == (1, 1)
+
+
 def test_one_core_has_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pytest_run.workspace, "jobs", lambda: 1)
     program = "import sys; print(f'{len(sys.argv)} passed in 0.1s')"

@@ -19,6 +19,9 @@ MAX_WORKERS = 3
 MAX_REPEATED = 8
 """Tests in real time that may be repeated; more failures are not the machine's."""
 
+HANGS_S = 300
+"""A test of the whole run that takes longer hangs. The slowest takes a fifth of it."""
+
 
 def run(
     argv: Sequence[str], tests: Sequence[str], env: Mapping[str, str], parallel: bool
@@ -45,6 +48,7 @@ def run(
         status, tail = _run([*argv, *tests], env)
         return status, parse_counts(tail)
     groups = ["-n", str(workers), "--dist", "loadgroup"]
+    groups += ["--timeout", str(HANGS_S)]
     groups += ["--max-worker-restart", "0"]  # a new worker would repeat the test that crashed
     status, tail = _run([*argv, *tests, *groups], env)
     counts = parse_counts(tail)
