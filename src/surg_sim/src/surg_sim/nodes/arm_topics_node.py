@@ -16,7 +16,7 @@ from surg_ros import link_messages
 from surg_ros.transport.direct_publisher import DirectPublisher, speakers
 from surg_ros.transport.message_bytes import JointStateBytes, TwistBytes
 from surg_ros.transport.polled_subscriber import PolledSubscriber
-from surg_sim.nodes.latest_value import LatestValue
+from surg_sim.nodes.command_box import CommandBox
 from surg_sim.physics.sim_arm import ArmCommand
 
 _JAWLESS_TICKS = 5
@@ -43,8 +43,8 @@ class ArmTopics:
         self.layout = link_messages.JointStateLayout(list(arm.robot.joint_names))
         self.last_command_ns = 0
         self.said: link_messages.LinkSays | None = None  # the last status, without its stamps
-        self.arrived: dict[str, LatestValue[Arrival]] = {
-            link: LatestValue() for link in ("robot", "tool")
+        self.arrived: dict[str, CommandBox[Arrival]] = {
+            link: CommandBox() for link in ("robot", "tool")
         }
         root = f"/{arm.name}"
         self.state = DirectPublisher(f"{root}/robot/measured_js", JointState, lockstep)
@@ -95,13 +95,17 @@ class ArmTopics:
         jaw = float(position[0]) if len(position) else None
         self._receive(self, "tool", (stamp_ns, jaw, None))
 
-    def take_commands(self) -> tuple[int, ArmCommand]:
-        """Commands that have arrived since the last tick, and the robot command's stamp [ns]."""
+    def take_commands(self, behind: int) -> tuple[int, ArmCommand]:
+        """Commands for this tick, and the robot command's stamp [ns].
+
+        Args:
+            behind: Ticks that are already due after this one, see `CommandBox.take`.
+        """
         for polled, receive in self._polled:
             for data in polled.fetch():
                 receive(data)
         velocity = twist = None
-        robot, tool = self.arrived["robot"].take(), self.arrived["tool"].take()
+        robot, tool = (self.arrived[link].take(behind) for link in ("robot", "tool"))
         if robot is not None:
             self.last_command_ns, velocity, twist = robot
             self.command = "joint_velocity" if twist is None else "cartesian_velocity"

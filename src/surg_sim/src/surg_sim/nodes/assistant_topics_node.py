@@ -31,7 +31,7 @@ class AssistantTopics:
 
     def __init__(self, bridge: Bridge) -> None:
         self._bridge = bridge
-        # Tick, sender, what, value; in free-run put in without a lock (see latest_value.py).
+        # Tick, sender, what, value; in free-run put in without a lock (see command_box.py).
         self._waiting: deque[tuple[int, str, str, Any]] = deque()
         self._state = DirectPublisher("/assistant/measured_js", JointState, bridge.lockstep)
         self._jaw = DirectPublisher("/assistant/jaw/measured_js", JointState, bridge.lockstep)

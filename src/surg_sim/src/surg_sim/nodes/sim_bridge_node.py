@@ -29,7 +29,7 @@ from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.world import World
 
 _STATUS_PERIOD = 0.2  # [s] wall clock
-_LATE = 0.05  # [s] free-run drops its backlog when it is later than this
+_LATE = 0.016  # [s] free-run drops its backlog when later than this: commands grow as old
 
 
 class Bridge:
@@ -57,6 +57,7 @@ class Bridge:
         self._aborted: str | None = None
         self._start_ns = 0
         self._overruns = 0
+        self._behind = 0  # free-run: ticks that are already due after this one
         self._exposures = ExposureSchedule(wait_for_renderer=not self.lockstep)
         self._status = rospy.Publisher("/sim/status", SimStatus, queue_size=10, latch=True)
         self._ready = rospy.Subscriber("/sim/ready", Ready, self._on_ready, tcp_nodelay=True)
@@ -79,7 +80,7 @@ class Bridge:
     def _on_command(self, arm: ArmTopics, link: str, arrived: Arrival) -> None:
         """Keep a command; in lock-step only the first answer to the present tick counts."""
         if not self.lockstep:
-            arm.arrived[link].put(arrived)  # without the lock, see latest_value.py
+            arm.arrived[link].put(arrived)  # without the lock, see command_box.py
             return
         tick, rest = divmod(arrived[0], TICK_NS)
         with self._lock:
@@ -108,7 +109,7 @@ class Bridge:
         if message.participant == RENDERER:
             self._exposures.rendered(message.tick)
         if not self.lockstep:
-            return  # nobody is waited for; without the lock, see latest_value.py
+            return  # nobody is waited for; without the lock, see command_box.py
         with self._lock:
             sent = dict(zip(message.arms, message.sent, strict=False)).get("assistant", 0)
             self._lockstep_run.ready(message.participant, message.tick, message.done, sent)
@@ -171,7 +172,7 @@ class Bridge:
 
     def _step(self) -> bool:
         """Execute the present tick; returns whether the episode ends with it."""
-        arrived = {arm.name: arm.take_commands() for arm in self._arms}
+        arrived = {arm.name: arm.take_commands(self._behind) for arm in self._arms}
         commands = self._guide(self._injector.commands(arrived))
         if self._task is None:
             self._world.step(commands)
@@ -286,12 +287,14 @@ class Bridge:
         while not rospy.is_shutdown():
             deadline += period
             left = deadline - time.monotonic()
+            self._behind = int(max(-left, 0.0) / period)
             if left > 0:
                 time.sleep(left)
             elif left < -_LATE:
                 # The machine stalled: drop the backlog, in time and in stamps.
                 self._overruns += 1
                 deadline -= left
+                self._behind = 0
                 self._start_ns -= int(left * SECOND_NS)
             with self._lock:
                 if self._step():
