@@ -71,6 +71,18 @@ def test_every_option_on_the_page_exists() -> None:
     assert len(options) >= 8 and options <= known, options - known
 
 
+def test_settings_on_the_page_exist_and_the_clamp_is_turned_by_what_it_states() -> None:
+    text = " ".join(GUIDE.read_text("utf-8").split())
+    names = sorted(set(re.findall(r"phantom(?:\+[a-z]+)+", text)))
+    assert names == [SETTING, SETTING.replace("+lens", "+reclamped+lens")]
+    stated = re.search(r"`\S*\+reclamped\+lens`, .*? turned the endoscope by (\d+)° in its", text)
+    assert stated is not None
+    errors = [find_setting(name).camera_error for name in names]
+    assert errors[0] is not None and errors[1] is not None
+    turn, _ = lengths(difference(errors[0].motion(), errors[1].motion()))
+    assert turn == pytest.approx(float(stated[1]), abs=0.5)
+
+
 def lengths(step: np.ndarray) -> tuple[float, float]:
     """Turn [deg] and shift [mm] of a step (6,)."""
     return float(np.degrees(np.linalg.norm(step[:3]))), float(1e3 * np.linalg.norm(step[3:]))

@@ -15,6 +15,7 @@ from helpers.endoscope_files import copied_cell, write_endoscope
 from helpers.perception.made_up_views import folders, made_up
 from helpers.sim.board_views import BOARD, scope_cell
 from helpers.sim.calibrated_chain import TOUCHED, Chain
+from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
 from surg_core.camera_file import load_camera
 from surg_core.lens_file import load_lens
@@ -136,3 +137,24 @@ def test_options_that_do_not_go_together_are_refused(
 ) -> None:
     with pytest.raises(Problem, match=said):
         surg("calibrate", copied_cell(tmp_path), *words)
+
+
+def test_a_pair_is_refused_live_where_the_endoscope_has_one_eye(
+    surg: Callable[..., int], tmp_path: Path
+) -> None:
+    cell = copied_cell(tmp_path)
+    drawn = paths.ROOT / "src" / "surg_description" / "instruments" / "endoscope.yaml"
+    text = drawn.read_text().replace("[camera_left, camera_right]", "[camera_left]")
+    text = "".join(li for li in text.splitlines(True) if not li.startswith("  baseline:"))
+    one = cell / "one_eye.yaml"
+    one.write_text(text.replace("../urdf", str(drawn.parent.parent / "urdf")))
+    stated = (cell / "cell.yaml").read_text().replace(str(drawn), str(one))
+    (cell / "cell.yaml").write_text(stated)
+    camera = surg_core.load_cell(cell).arms["ECM"].instrument.camera
+    assert camera is not None and len(camera.frames) == 1
+    before = sorted(cell.rglob("*"))
+    with pytest.raises(Problem, match="the endoscope has one eye; use camera --live"):
+        surg("calibrate", cell, "stereo", "--live")
+    with pytest.raises(Problem, match="--live goes with stereo, camera, handeye"):
+        surg("calibrate", cell, "bases", "--by", "touch", "--live")
+    assert sorted(cell.rglob("*")) == before
