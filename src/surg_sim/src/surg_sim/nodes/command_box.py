@@ -16,15 +16,15 @@ from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
-_KEPT = 32
-"""More than the ticks that a free-running simulator ever makes up for."""
+_OLDEST = 8
+"""[ticks] A command that waited longer is skipped: a loop with much delay shakes the arm."""
 
 
 class CommandBox(Generic[T]):
     """Holds the newest commands. One thread may put while another takes."""
 
     def __init__(self) -> None:
-        self._waiting: deque[T] = deque(maxlen=_KEPT)
+        self._waiting: deque[T] = deque(maxlen=_OLDEST + 1)
 
     def put(self, value: T) -> None:
         """Add a command behind the ones that were not taken."""
@@ -35,7 +35,7 @@ class CommandBox(Generic[T]):
 
         Args:
             behind: Ticks that are already due after this one. At most as many commands stay for
-                them; older ones are skipped.
+                them, and at most 8; older ones are skipped.
         """
         taken: T | None = None
         try:

@@ -29,7 +29,7 @@ from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.world import World
 
 _STATUS_PERIOD = 0.2  # [s] wall clock
-_LATE = 0.016  # [s] free-run drops its backlog when later than this: commands grow as old
+_LATE = 0.05  # [s] free-run drops its backlog when it is later than this
 
 
 class Bridge:
