@@ -242,6 +242,14 @@ MUTANTS: tuple[Mutant, ...] = (
         "",
         ("test_late_link",),
     ),
+    one(
+        "late_link_at_full_gain",
+        "the feedback shakes the arm behind a link that is late for a moment",
+        "src/law/exact_follower.cpp",
+        "settling_ > kSettling ? kCautious : 1;",
+        "1;",
+        ("test_exact_follower",),
+    ),
     # -- the law
     one(
         "pivot_lever_reversed",

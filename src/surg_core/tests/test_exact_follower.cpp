@@ -163,6 +163,19 @@ TEST(ExactFollower, ALinkThatIsLateForAMomentTeachesNoLags) {
   EXPECT_LT((follower.lag() - JointVector::Constant(6, 0.012)).cwiseAbs().maxCoeff(), 1e-3);
 }
 
+TEST(ExactFollower, ALinkThatIsLateForAMomentGetsLessFeedback) {
+  const double off = 0.002;  // [rad] no lag explains it at rest
+  ExactFollower follower(6, {0.0, 50, 2, kT});
+  const JointVector rest = JointVector::Zero(6), away = JointVector::Constant(6, -off);
+  follower.reset(rest);
+  EXPECT_NEAR(follower.advance(rest, away)[0], 50 * off, 1e-12);
+  EXPECT_NEAR(follower.advance(rest, away)[0], 0.65 * 50 * off, 1e-12);
+  const JointVector near = 0.25 * away;
+  double seconds = 0;
+  while (follower.advance(rest, near)[0] < 0.9 * 50 * 0.25 * off && seconds < 10) seconds += kT;
+  EXPECT_NEAR(seconds, 1.9, 0.05);  // trusted again
+}
+
 TEST(ExactFollower, ABrokenMeasurementTeachesNothing) {
   ExactFollower follower(6, {0.012, 50, 2, kT});
   follower.reset(JointVector::Zero(6));

@@ -20,9 +20,7 @@ using test::Random;
 using test::Scene;
 
 constexpr double kStated = 0.012;  // [s]
-// [m] the true shaft off its pivot, in a few storms and in many. A link that repeats a command for
-// 18 ms leaves the path by half of acceleration times time squared, before anybody can know it.
-constexpr double kAllowed = 0.0005, kAllowedAtWorst = 0.0015;
+constexpr double kLatest = 0.018;  // [s] more than stated
 constexpr std::uint32_t kHolder = 7;
 
 std::vector<double> list(const JointVector& v) { return {v.data(), v.data() + v.size()}; }
@@ -62,7 +60,7 @@ class Starvation {
     if (left_-- <= 0) {
       late_ = !late_;
       left_ = std::lround((late_ ? random_.magnitude(0.03, 0.5) : random_.uniform(0.05, 1)) / kT);
-      more_ = late_ ? random_.uniform(0.012, 0.018) : 0;
+      more_ = late_ ? random_.uniform(0.012, kLatest) : 0;
     }
     return more_;
   }
@@ -105,88 +103,189 @@ class Hand {
   bool clutched_ = true;
 };
 
+/// An arm at its trocar behind a starved link, enabled.
+class Arm {
+ public:
+  Arm(bool panda, Late kind, Law law, Random& random)
+      : scene_(panda, true),
+        robot_(shipped(scene_, panda)),
+        controller_(scene_.chain, robot_, robot_.limits, test::instrument(), tool_of(scene_),
+                    options(law)),
+        link_(scene_.q_home, kStated, kind),
+        starvation_(random),
+        depth_(random.uniform(0.05, 0.12)) {
+    const Pose X_BF = scene_.chain.forward(scene_.q_home);
+    p_BRcm_ = X_BF * scene_.tool.p_FTip - depth_ * (X_BF.linear() * scene_.tool.s_F);
+    in_.state_valid = true;
+    controller_.set_rcm(p_BRcm_);
+    tick(0);
+    EXPECT_EQ(controller_.request(StateCommand::kHome), Reason::kNone);
+    EXPECT_EQ(controller_.request(StateCommand::kEnable), Reason::kNone);
+    tick(0);
+  }
+
+  void tick() { tick(starvation_.more()); }
+  /// A pose of a stream at 100 Hz.
+  void follow(const Vector3& p) {
+    if (++sent_ % 5 != 0) return;
+    MotionCommand& command = send(Motion::kServoCp);
+    command.p = p;
+    command.rotation =
+        controller_.tool_orientation(controller_.X_BR().linear() * p.normalized(), 0);
+  }
+  MotionCommand& send(Motion motion) {
+    MotionCommand& command = in_.commands[in_.n_commands++];
+    command = {};
+    command.motion = motion;
+    command.source = kHolder;
+    return command;
+  }
+
+  Controller& controller() { return controller_; }
+  const Outputs& out() const { return *out_; }
+  double depth() const { return depth_; }
+  /// Where a stream would begin.
+  Vector3 set_point() const { return controller_.X_BR().inverse() * out_->p_set; }
+  /// [m] of the true shaft from its pivot.
+  double off_pivot() const { return shaft().e.norm(); }
+  Vector3 tip() const { return shaft().p_BTip; }
+
+ private:
+  static Controller::Options options(Law law) {
+    Controller::Options options;
+    options.law = law;
+    return options;
+  }
+  ShaftState shaft() const {
+    return shaft_state(scene_.chain.forward(link_.truth()), scene_.tool, p_BRcm_);
+  }
+  void tick(double more) {
+    in_.q = link_.measured();
+    in_.qd = link_.velocity();
+    out_ = &controller_.step(in_);
+    in_.n_commands = 0;
+    link_.obey(out_->qd_command, more);
+  }
+
+  Scene scene_;
+  RobotConfig robot_;
+  Controller controller_;
+  LateLink link_;
+  Starvation starvation_;
+  double depth_;
+  Vector3 p_BRcm_;
+  Inputs in_;
+  const Outputs* out_ = nullptr;
+  long sent_ = 0;
+};
+
 struct Storm {
   double worst = 0;  ///< [m] while ENABLED
   double way = 0;    ///< [m] of the tip
-  long ticks = 0, faults = 0, pauses = 0;
+  long faults = 0, pauses = 0;
 };
 
 /// 'seconds' of a storm; an arm that was let go is enabled again.
-void drive(Storm& storm, bool panda, Late kind, double seconds, Random& random) {
-  const Scene scene(panda, true);
-  const RobotConfig robot = shipped(scene, panda);
-  Controller controller(scene.chain, robot, robot.limits, test::instrument(), tool_of(scene), {});
-  LateLink link(scene.q_home, kStated, kind);
-  const double depth = random.uniform(0.05, 0.12);
-  const Pose X_BF = scene.chain.forward(scene.q_home);
-  const Vector3 s_B = X_BF.linear() * scene.tool.s_F, p_BTip = X_BF * scene.tool.p_FTip;
-  const Vector3 p_BRcm = p_BTip - depth * s_B;
-  Inputs in;
-  in.state_valid = true;
-  const auto tick = [&](double more) -> const Outputs& {
-    in.q = link.measured();
-    in.qd = link.velocity();
-    const Outputs& out = controller.step(in);
-    in.n_commands = 0;
-    link.obey(out.qd_command, more);
-    return out;
-  };
-  controller.set_rcm(p_BRcm);
-  tick(0);
-  ASSERT_EQ(controller.request(StateCommand::kHome), Reason::kNone);
-  ASSERT_EQ(controller.request(StateCommand::kEnable), Reason::kNone);
-  Hand hand(random, depth);
-  Starvation starvation(random);
-  const Outputs* out = &tick(0);
+void drive(Storm& storm, Arm& arm, double seconds, Random& random) {
+  Hand hand(random, arm.depth());
   long let_go = 0;
   for (long i = 0; i < std::lround(seconds / kT); ++i) {
-    const Vector3 tip = controller.X_BR().inverse() * out->p_set;
-    if (out->state == State::kEnabled && hand.moves(tip) && i % 5 == 0) {  // 100 Hz
-      MotionCommand& command = in.commands[in.n_commands++];
-      command = {};
-      command.motion = Motion::kServoCp;
-      command.source = kHolder;
-      command.p = hand.at();
-      command.rotation =
-          controller.tool_orientation(controller.X_BR().linear() * hand.at().normalized(), 0);
-    }
-    const bool was_enabled = out->state == State::kEnabled;
-    const Vector3 before = out->p_BTip;
-    out = &tick(starvation.more());
-    storm.way += (out->p_BTip - before).norm();
-    ++storm.ticks;
-    const ShaftState shaft = shaft_state(scene.chain.forward(link.truth()), scene.tool, p_BRcm);
-    if (was_enabled) storm.worst = std::max(storm.worst, shaft.e.norm());
-    if (out->state == State::kEnabled) {
+    const bool was_enabled = arm.out().state == State::kEnabled;
+    if (was_enabled && hand.moves(arm.set_point())) arm.follow(hand.at());
+    const Vector3 before = arm.tip();
+    arm.tick();
+    storm.way += (arm.tip() - before).norm();
+    if (was_enabled) storm.worst = std::max(storm.worst, arm.off_pivot());
+    const State state = arm.out().state;
+    if (state == State::kEnabled) {
       let_go = 0;
       continue;
     }
-    if (was_enabled) ++(out->state == State::kFault ? storm.faults : storm.pauses);
+    if (was_enabled) {
+      ++(state == State::kFault ? storm.faults : storm.pauses);
+      std::printf("let go: %s\n", name(arm.out().reason));
+    }
     if (++let_go > 250) {
-      controller.request(out->state == State::kFault ? StateCommand::kEnable
-                                                     : StateCommand::kResume);
+      arm.controller().request(state == State::kFault ? StateCommand::kEnable
+                                                      : StateCommand::kResume);
     }
   }
 }
 
+constexpr std::array kKinds{Late::kServo, Late::kQueue, Late::kBunch};
+
+bool full() { return test::family(0, 1) == 1; }
+
+/// [m] Of the true shaft off its pivot. The full family meets rare peaks. Measured, two seeds:
+/// UR5e 0.51 and 0.93 mm, Panda 0.65 and 0.57 mm; velocity form 0.29 and 0.54 mm.
+double allowed(Law law, bool panda, Late kind) {
+  if (!full() || kind == Late::kServo) return 0.0005;
+  if (law == Law::kVelocity) return panda ? 0.0007 : 0.0005;
+  return panda ? 0.0008 : 0.0012;
+}
+/// [m] On the way back. Measured: 0.42 mm.
+double allowed_on_way_back(Law law, bool panda) {
+  return full() && law == Law::kExact && !panda ? 0.0006 : 0.0005;
+}
+
+const char* name_of(Late kind) {
+  return std::array{"slow servo", "queue", "bunches"}[static_cast<int>(kind)];
+}
+const char* name_of(bool panda) { return panda ? "Panda" : "UR5e"; }
+
 TEST(LateLink, AFastHandBehindALinkThatComesLateStaysOnThePivot) {
   Random random(26);
-  const int runs = test::family(3, 60);
-  for (const bool panda : {false, true}) {
-    for (const Late kind : {Late::kServo, Late::kQueue, Late::kBunch}) {
-      Storm storm;
-      for (int k = 0; k < runs; ++k) drive(storm, panda, kind, 20, random);
-      std::printf("%s, %s: pivot %.3f mm, %.1f m of the tip, %ld faults, %ld pauses\n",
-                  panda ? "Panda" : "UR5e",
-                  std::array{"slow servo", "queue", "bunches"}[static_cast<int>(kind)],
-                  1e3 * storm.worst, storm.way, storm.faults, storm.pauses);
-      EXPECT_LT(storm.worst, runs > 3 ? kAllowedAtWorst : kAllowed);
-      EXPECT_EQ(storm.faults, 0);
-      EXPECT_LE(storm.pauses, runs / 30);
-      EXPECT_GT(storm.way, 0.3 * runs) << "the arm hardly moved";
+  long ticks = 0;
+  for (const Law law : {Law::kExact, Law::kVelocity}) {
+    const int runs = law == Law::kExact ? test::family(3, 60) : test::family(1, 60);
+    for (const bool panda : {false, true}) {
+      for (const Late kind : kKinds) {
+        Storm storm;
+        for (int k = 0; k < runs; ++k) {
+          Arm arm(panda, kind, law, random);
+          drive(storm, arm, 20, random);
+          ticks += 10000;
+        }
+        std::printf("%s form, %s, %s: pivot %.3f mm, %.1f m of the tip, %ld faults, %ld pauses\n",
+                    law == Law::kExact ? "exact" : "velocity", name_of(panda), name_of(kind),
+                    1e3 * storm.worst, storm.way, storm.faults, storm.pauses);
+        EXPECT_LT(storm.worst, allowed(law, panda, kind));
+        EXPECT_EQ(storm.faults, 0);
+        EXPECT_LE(storm.pauses, test::family(0, 2));  // measured: 1 in 60 runs
+        EXPECT_GT(storm.way, 0.3 * runs) << "the arm hardly moved";
+      }
     }
   }
-  test::report("ticks", 6L * runs * 10000);
+  test::report("ticks", ticks);
+}
+
+TEST(LateLink, TheWayBackOfAStormStaysOnThePivot) {
+  Random random(27);
+  const int runs = test::family(1, 40);
+  for (const Law law : {Law::kExact, Law::kVelocity}) {
+    for (const bool panda : {false, true}) {
+      double worst = 0, seconds = 0;
+      for (int k = 0; k < 3 * runs; ++k) {
+        Arm arm(panda, kKinds[k % 3], law, random);
+        Storm storm;
+        drive(storm, arm, 3, random);
+        if (arm.out().state != State::kEnabled) continue;
+        arm.send(Motion::kRetrace);
+        long left = 30000;
+        do {
+          arm.tick();
+          worst = std::max(worst, arm.off_pivot());
+          seconds += kT;
+          ASSERT_EQ(arm.out().state, State::kEnabled) << name(arm.out().reason);
+        } while (arm.out().busy && --left > 0);
+        EXPECT_GT(left, 0);
+      }
+      std::printf("%s form, %s: pivot %.3f mm, %.0f s of ways back\n",
+                  law == Law::kExact ? "exact" : "velocity", name_of(panda), 1e3 * worst, seconds);
+      EXPECT_LT(worst, allowed_on_way_back(law, panda));
+      EXPECT_GT(seconds, runs);
+    }
+  }
 }
 
 }  // namespace

@@ -13,6 +13,7 @@ constexpr double kPhiFloor = 0.003;   // [rad/s] regularises the gradient step
 constexpr int kSettling = 50;         // [periods] after a gap before lags are adapted again
 constexpr int kDistrust = 1000;       // [periods] after an error that no lag explains
 constexpr double kAnyError = 1e-3;    // [rad] a smaller one may be a lag's
+constexpr double kCautious = 0.65;    // of the gain, while the link's lag is in doubt
 constexpr double kEnoughRoom = 0.02;  // [rad/s] a correction that lacks less needs no room
 constexpr double kAdaptAbove =
     0.7;  // feedback_scale below which the error may be due to late states
@@ -76,7 +77,9 @@ void ExactFollower::take_up(const JointVector& qd) {
 
 JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, const Jacobian& J,
                                    double feedback_scale, double since, const Push* push) {
-  const double gain = feedback_scale * options_.gain;
+  // Gain times lag must stay well below pi / 2, and the lag may be twice the stated one.
+  const double trust = settling_ > kSettling ? kCautious : 1;
+  const double gain = trust * feedback_scale * options_.gain;
   const JointVector v = push_reference(dq);
   const JointVector& a = history_[newest_].a;
   JointVector late = delayed_reference().q;
