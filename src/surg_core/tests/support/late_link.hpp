@@ -33,7 +33,8 @@ class LateLink {
     sent_.pop_back();
     const double servo = servo_ + (kind_ == Late::kServo ? more : 0.0);
     const int dead = 1 + (kind_ == Late::kServo ? 0 : static_cast<int>(std::lround(more / kTick)));
-    // A link that stops repeats its last command. A queue works off two per tick when the delay ends.
+    // A link that stops repeats its last command. A queue works off two per tick when the delay
+    // ends.
     const int next = kind_ == Late::kQueue ? std::max(dead, behind_ - 1) : dead;
     behind_ = std::min(next, behind_ + 1);
     const JointVector& u = sent_[behind_];
