@@ -6,8 +6,10 @@ import importlib
 import math
 import socket
 import sys
+import time
 import types
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 
@@ -71,7 +73,17 @@ class Rig:
                 stamp = round(1e6 * self.arm.count - 1e9 * age)
                 self._node.send(wire.CommandDatagram(stamp, qd).pack())
             self.driver._turn()
+            self._wait_for_the_motion()
             self.heard.read(self._node, 0.0)
+
+    def _wait_for_the_motion(self) -> None:
+        """Until panda_py's thread has read its next state or has ended: the clock counts states."""
+        adapter: Any = self.driver._adapter
+        motion = getattr(adapter, "_motion", None)
+        deadline = time.monotonic() + 10.0
+        while motion and adapter._answered and motion.is_alive() and adapter._states.empty():
+            assert time.monotonic() < deadline, "the motion stands still"
+            time.sleep(1e-5)
 
     @property
     def condition(self) -> Condition:
