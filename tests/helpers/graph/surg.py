@@ -67,12 +67,13 @@ class Started(subprocess.Popen[bytes]):
         super().__exit__(kind, error, trace)
 
 
-def start(log: Path, *words: object) -> Started:
+def start(log: Path, *words: object, typed: bool = False) -> Started:
     """Start a command and return at once.
 
     Args:
         log: File for its output.
         *words: Behind `./surg`.
+        typed: Whether the test types into it.
     """
     with log.open("wb") as stream:
         return Started(
@@ -81,6 +82,6 @@ def start(log: Path, *words: object) -> Started:
             cwd=paths.ROOT,
             stdout=stream,
             stderr=subprocess.STDOUT,
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE if typed else subprocess.DEVNULL,
             start_new_session=True,
         )

@@ -7,14 +7,12 @@ the machine's speed.
 
 from __future__ import annotations
 
-import csv
 import subprocess
 import threading
 import time
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
-import cv2
 import numpy as np
 import rospy
 from sensor_msgs.msg import CameraInfo, Image, JointState
@@ -100,8 +98,11 @@ class LiveBench:
 
     def seen(self) -> bool:
         """Whether a collector listens to both eyes and speaks."""
-        listeners = [image.get_num_connections() for image in self._images]
-        return min(listeners) > 0 and self._ears[2].get_num_connections() > 0
+        return self.watched() and self._ears[2].get_num_connections() > 0
+
+    def watched(self) -> bool:
+        """Whether somebody listens to both eyes."""
+        return min(image.get_num_connections() for image in self._images) > 0
 
     def enable(self) -> None:
         """Both arms."""
@@ -157,19 +158,16 @@ class LiveBench:
         missed = float(np.linalg.norm(place - self.true_tip))
         assert missed < 1e-3, f"{1e3 * missed:.2f} mm from the corner"
 
-    def write(self, folder: Path, rows: list[tuple[int, BenchView]]) -> None:
-        """A folder of touches as a person makes it: pictures, joints, the corner's number."""
-        folder.mkdir()
-        names = {arm: self.bench.cell.arms[arm].robot.joint_names for arm in ARMS}
-        header = [f"{arm}/{joint}" for arm, joints in names.items() for joint in joints]
-        with (folder / "views.csv").open("w", encoding="utf-8", newline="") as file:
-            table = csv.writer(file)
-            table.writerow(["view", "stamp", "touch", *header])
-            for number, (stamp, view) in enumerate(rows):
-                for eye, picture in zip(("left", "right"), self.bench.pictures(view), strict=True):
-                    cv2.imwrite(str(folder / f"{number:03d}_{eye}.png"), picture)
-                joints = [f"{q:.9f}" for arm in ARMS for q in view.joints[arm]]
-                table.writerow([f"{number:03d}", stamp * TICK, view.touch, *joints])
+    def show(self, view: BenchView, until: Callable[[], bool]) -> None:
+        """Show a view, picture after picture, until somebody has looked at it."""
+        pair, end = self.bench.pictures(view), time.monotonic() + PATIENCE_S
+        while not until():
+            assert time.monotonic() < end, "nobody looks"
+            self.publish(pair)
+            looked = time.monotonic() + 0.5
+            while time.monotonic() < looked and not until():
+                time.sleep(0.01)
+            self.ticks.sleep(TICK)
 
     def close(self) -> None:
         """Leave the graph."""

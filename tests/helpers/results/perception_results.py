@@ -21,6 +21,7 @@ ROWS = (
       for lens in ("pinhole", "barrel")),
     "stereo pose, 20 views",
     "hand-eye through the trocar, 15 views",
+    "hand-eye with exact joints, 15 views",
     "base by touch, 32 touches of 0.1 mm",
     "base by tip, found in 12 rendered pairs with noise",
     "whole chain, joints against picture at 80 mm",

@@ -68,7 +68,7 @@ class Chain:
         views = list(self.bench.moved_scope(count))
         chain = self.cell.arms["ECM"].chain
         X_BF = np.array([chain.forward(view.joints["ECM"]) for view in views])
-        return solve_handeye(stereo.stereo, X_BF, self.seen(views))
+        return solve_handeye(stereo.stereo, X_BF, self.seen(views), stereo.fit.covariance)
 
     def base(self, stereo: StereoFit, handeye: HandEyeFit) -> tuple[HandEyeFit, SeenBase, int]:
         """Hand-eye and base as a person measures them who does what a refusal asks for.
@@ -97,7 +97,7 @@ class Chain:
             for X, pair, k in zip(X_SF, self.seen(views), numbers, strict=True)
         ]
         p_T = np.array([self.tip(v.joints["PSM1"]) for v in views])
-        return solve_base(np.array(p_S), p_T, X_SF, handeye.X_FV, handeye.covariance)
+        return solve_base(np.array(p_S), p_T, X_SF, handeye.X_FV, handeye.of_views)
 
     def tip(self, q: Array) -> Array:
         """The tip by the joints of PSM1, in its base (3,) [m]."""

@@ -11,6 +11,7 @@ import asyncio
 import json
 import subprocess
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -167,18 +168,43 @@ def test_a_person_calibrates_a_running_cell(
     print(collect("handeye", live, ros_graph, cell, move_scope))
     live.go("ECM", home)
 
-    rows = []
-    numbers = [ENDS[k % 4] for k in range(TOUCHES)]
-    for view in bench.touches(CORNERS, numbers):
-        live.touch(place_of(live, view))
-        joints = {arm: live.joints[arm].copy() for arm in ARMS}
-        rows.append((live.ticks.tick, BenchView(joints, view.X_VBoard, view.touch)))
-    live.write(tmp_path / "tip", rows)
-    for words in (("bases", "--by", "touch", "--from", tmp_path / "tip"), ("check",)):
-        done = surg.surg("calibrate", cell, *words)
-        assert done.returncode == 0, done.stderr
-        print(done.stdout)
+    print(touch(cell, live, ros_graph))
+    done = surg.surg("calibrate", cell, "check")
+    assert done.returncode == 0, done.stderr
+    print(done.stdout)
     judge(cell, live)
+
+
+def touch(cell: Path, live: LiveBench, graph: RosGraph) -> str:
+    """`./surg calibrate CELL bases --by touch --live`, Enter at each touch; what it says."""
+    log, port = graph.folder / "bases.log", graph.uri.rpartition(":")[2].rstrip("/")
+    words = ("calibrate", cell, "bases", "--by", "touch", "--live", "--port", port)
+    terminal = surg.start(log, *words, "--to", graph.folder / "bases", typed=True)
+    try:
+        graph.wait_for(lambda: live.watched() or terminal.poll() is not None, 120.0, "the command")
+        for count, view in enumerate(live.bench.touches(CORNERS, [*ENDS] * (TOUCHES // 2))):
+            assert f"  {count} of " in log.read_text(), log.read_text()
+            assert terminal.poll() is None and terminal.stdin is not None, log.read_text()
+            live.touch(place_of(live, view))
+            terminal.stdin.write(b"\n")
+            terminal.stdin.flush()
+            live.show(view, partial(answered, log, count + 1))
+            if count + 1 >= TOUCHES and "restart the system" in log.read_text():
+                break
+        assert terminal.wait(60.0) == 0, log.read_text()
+    finally:
+        if terminal.poll() is None:
+            terminal.kill()
+            terminal.wait()
+    said = log.read_text()
+    assert "not taken" not in said
+    return said
+
+
+def answered(log: Path, count: int) -> bool:
+    """Whether the command has taken so many touches, or refused one, or has ended."""
+    text = log.read_text()
+    return any(word in text for word in (f"  {count} of ", "not taken", "restart the system"))
 
 
 def place_of(live: LiveBench, view: BenchView) -> np.ndarray:

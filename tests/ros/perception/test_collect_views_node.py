@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,6 +22,8 @@ from surg_msgs.msg import CalibrationRequest
 from surg_perception.calibration.board_file import write_board
 from surg_perception.calibration.result_files import Origin
 from surg_perception.collecting import collect_views_node
+from surg_perception.collecting.base_moments_node import BaseMoments
+from surg_perception.collecting.base_views import Moment
 from surg_perception.collecting.collect_views_node import CollectViews
 from surg_perception.collecting.collector import Step
 from surg_perception.collecting.live_calibration import LiveCalibration
@@ -124,3 +128,63 @@ def test_a_request_that_cannot_be_met_says_why(node: CollectViews) -> None:
     ask = rospy.Publisher("/calibrate/request", CalibrationRequest, queue_size=1)
     request = CalibrationRequest(request=CalibrationRequest.START_STEREO)
     hint(node, "Not started: ", lambda: ask.publish(request))
+
+
+def test_a_moment_of_both_eyes_and_both_arms(
+    ros_graph: RosGraph, rospy_node: str, tmp_path: Path
+) -> None:
+    cell = surg_core.load_cell(copied_cell(tmp_path))
+    moments = BaseMoments(cell, ("ECM", "PSM1"), 2)
+    assert "no pictures on /endoscope/left/image_raw and" in said(moments.next(0.3))
+    scope, ended = Endoscope("left", "right"), threading.Event()
+    robots = {arm: cell.arms[arm].robot for arm in ("ECM", "PSM1")}
+    out = {
+        arm: rospy.Publisher(f"/{arm}/robot/measured_js", JointState, queue_size=10)
+        for arm in robots
+    }
+    moving = {"PSM1": 0.0}
+    speaking: set[str] = set()
+
+    def publish() -> None:
+        for count in itertools.count():
+            if ended.wait(0.02):
+                return
+            for arm in tuple(speaking):
+                q = np.array(robots[arm].home) + moving.get(arm, 0.0) * count
+                state = JointState(name=list(robots[arm].joint_names), position=list(q))
+                state.header.stamp = rospy.Time.now()
+                out[arm].publish(state)
+            scope.show()
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        until(lambda: "ECM states no joints" in said(moments.next()))
+        speaking |= set(robots)
+        until(lambda: isinstance(found := moments.next(), Moment) and at_rest(found) == {*robots})
+        shown = moments.next()
+        assert isinstance(shown, Moment) and len(shown.pair) == 2
+        for arm, robot in robots.items():
+            q = shown.joints[arm]
+            if q is not None:  # a busy machine may leave a hole in the half second
+                np.testing.assert_allclose(q, robot.home, atol=1e-9)
+        moving["PSM1"] = 0.01
+        until(lambda: isinstance(found := moments.next(), Moment) and at_rest(found) == {"ECM"})
+    finally:
+        ended.set()
+        thread.join()
+        moments.close()
+
+
+def said(moment: Moment | str) -> str:
+    return moment if isinstance(moment, str) else ""
+
+
+def at_rest(moment: Moment) -> set[str]:
+    return {arm for arm, q in moment.joints.items() if q is not None}
+
+
+def until(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + 20.0
+    while not true():
+        assert time.monotonic() < end

@@ -21,7 +21,12 @@ from surg_perception.calibration import evidence
 from surg_perception.calibration.base_steps import chain_error, check, measured_camera
 from surg_perception.calibration.bases import SeenBase, solve_base
 from surg_perception.calibration.handeye import HandEyeFit, solve_handeye
-from surg_perception.calibration.result_files import save_handeye, save_stereo
+from surg_perception.calibration.result_files import (
+    COVARIANCE,
+    read_lens_covariance,
+    save_handeye,
+    save_stereo,
+)
 from surg_perception.calibration.small_motions import difference, expected_error, transform
 from surg_perception.calibration.stereo import StereoFit
 
@@ -66,6 +71,73 @@ def test_handeye_through_the_trocar_is_as_good_as_it_states(full: bool) -> None:
     assert shift.max() <= 3e-4 and turn.max() <= np.radians(0.1)
     assert inside >= 0.95 * seeds
     assert by_corners < 0.5 * seeds
+
+
+def test_with_exact_joints_the_lens_is_in_what_handeye_states(full: bool) -> None:
+    """Nothing but the lens errs then, alike in every view: no jackknife over views shows it."""
+    rows, of_views, seeds = [], [], 40 if full else FEW
+    for seed in range(seeds):
+        chain = Chain(seed, scope_cell())
+        chain.bench.encoder = 0.0
+        result = chain.handeye(chain.stereo())
+        error = lengths(difference(result.X_FV, chain.bench.X_FV))
+        rows.append(error / result.pose_error)
+        of_views.append(error / expected_error(result.fit.covariance[:6, :6]))
+    inside, without = (int((np.array(r) < SIGMAS).all(axis=1).sum()) for r in (rows, of_views))
+    PAGE.note(
+        "hand-eye with exact joints, 15 views",
+        seeds,
+        f"inside 2.5 sigma in {inside}, without the lens's share in {without}",
+    )
+    assert inside >= 0.95 * seeds
+    assert without <= 0.5 * seeds
+
+
+def test_an_error_of_the_lens_cancels_in_what_is_seen_through_it() -> None:
+    """It turns and shifts the eye; touched corners, seen through the same lens, stay."""
+    rng, moved_eye, moved_base = np.random.default_rng(3), [], []
+
+    def measured(step: np.ndarray) -> tuple[np.ndarray, SeenBase]:
+        chain = Chain(0, scope_cell())
+        chain.bench.encoder = 0.0
+        stereo = chain.stereo()
+        solution = stereo.fit.solution
+        solution = replace(solution, stereo=solution.stereo.moved(step))
+        stereo = replace(stereo, fit=replace(stereo.fit, solution=solution))
+        handeye = chain.handeye(stereo)
+        return handeye.X_FV, chain.touch(stereo, handeye)
+
+    covariance = Chain(0, scope_cell()).stereo().fit.covariance
+    values, axes = np.linalg.eigh(covariance)
+    X_FV, base = measured(np.zeros(len(values)))
+    for _ in range(4):
+        step = axes @ (np.sqrt(np.maximum(values, 0.0)) * rng.normal(size=len(values)))
+        X, other = measured(step)
+        moved_eye.append(lengths(difference(X, X_FV)))
+        amid = surg_core.inverse_pose(base.X_ST) @ np.append(base.middle, 1.0)
+        shift = np.linalg.norm(((other.X_ST - base.X_ST) @ amid)[:3])
+        moved_base.append([lengths(difference(other.X_ST, base.X_ST))[0], shift])
+    eye, seen = np.mean(moved_eye, axis=0), np.mean(moved_base, axis=0)
+    print(f"by the lens: eye {np.degrees(eye[0]):.3f} deg, {1e3 * eye[1]:.3f} mm; base "
+          f"{np.degrees(seen[0]):.4f} deg, {1e3 * seen[1]:.4f} mm")  # fmt: skip
+    assert seen[0] < 0.5 * eye[0] and seen[1] < 0.25 * eye[1]
+
+
+def test_the_lens_files_state_how_well_the_lenses_are_known(tmp_path: Path) -> None:
+    _, stereo, *_ = solved(0)
+    assert read_lens_covariance(tmp_path) is None
+    save_stereo(tmp_path, stereo, BOARD, "", ORIGIN)
+    known = read_lens_covariance(tmp_path)
+    assert known is not None
+    np.testing.assert_allclose(known, stereo.fit.covariance, rtol=1e-12, atol=0.0)
+    kept = (tmp_path / COVARIANCE).read_bytes()
+    save_stereo(tmp_path, solved(1)[1], BOARD, "", ORIGIN)
+    (tmp_path / COVARIANCE).write_bytes(kept)
+    with pytest.raises(surg_core.ConfigError, match=r"left_sha256.*or delete this file"):
+        read_lens_covariance(tmp_path)
+    (tmp_path / "endoscope_right.yaml").unlink()
+    with pytest.raises(surg_core.ConfigError, match=r"right_sha256: .* allowed: .*else none"):
+        read_lens_covariance(tmp_path)
 
 
 def test_the_stated_error_of_a_baseline_holds(full: bool) -> None:
@@ -123,7 +195,7 @@ def test_a_base_by_tip_has_the_right_turn() -> None:
         p_S.append(transform(scope.X_home @ handeye.X_FV, seen)[0])
         p_T.append(chain.tip(q))
     X_SF = np.repeat(scope.X_home[None], 12, axis=0)
-    result = solve_base(np.array(p_S), np.array(p_T), X_SF, handeye.X_FV, handeye.covariance)
+    result = solve_base(np.array(p_S), np.array(p_T), X_SF, handeye.X_FV, handeye.of_views)
     evidence.check_tip(result, np.array(p_S))
     turn = np.degrees(lengths(difference(result.X_ST, surg_core.inverse_pose(X_TS)))[0])
     print(f"by tip, 12 rests: turn {turn:.2f} deg off, stated {np.degrees(result.error[0]):.2f}")

@@ -59,6 +59,7 @@ def test_the_chain_of_one_eye(
     off = np.abs(lens.rays(pixels)[:, :2] - true).max() * eye.f
     words = ["calibrate", cell, "handeye", "--from", of["scope"]]
     assert surg(*words, "--also", "easy_handeye", "--keep") == 0
+    assert "lens     its part of that error: " in capsys.readouterr().out
     camera = load_camera(calibration / "camera_ECM.yaml")
     assert camera.right_sha256 == "none"
     step = difference(np.array(camera.X_FV), chain.bench.X_FV)
@@ -155,6 +156,6 @@ def test_a_pair_is_refused_live_where_the_endoscope_has_one_eye(
     before = sorted(cell.rglob("*"))
     with pytest.raises(Problem, match="the endoscope has one eye; use camera --live"):
         surg("calibrate", cell, "stereo", "--live")
-    with pytest.raises(Problem, match="--live goes with stereo, camera, handeye"):
-        surg("calibrate", cell, "bases", "--by", "touch", "--live")
+    with pytest.raises(Problem, match="--live goes with stereo, camera, handeye, bases --by"):
+        surg("calibrate", cell, "check", "--live")
     assert sorted(cell.rglob("*")) == before

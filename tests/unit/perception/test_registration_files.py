@@ -20,6 +20,7 @@ from helpers import endoscope_files
 from surg_core import ConfigError, base_file, camera_file, lens_file, stereo_file
 from surg_core._core import Document
 from surg_core.checked_document import NO_HASH, file_sha256
+from surg_perception.calibration import lens_covariance
 
 SEEDS = 400 if os.environ.get("SURG_TEST_FULL") == "1" else 40
 
@@ -49,11 +50,23 @@ def write_lens(path: Path, seed: int) -> None:
     lens_file.write_lens(path, endoscope_files.lens("right" if seed % 2 else "left"), "a test")
 
 
+def write_known(path: Path, seed: int) -> None:
+    found = lens_covariance.LensCovariance(known(seed), "a" * 64, "b" * 64)
+    lens_covariance.write_lens_covariance(path, found, "a test")
+
+
+def known(seed: int, m: int = 24) -> np.ndarray:
+    """A singular covariance (m, m), as a jackknife over few views gives it."""
+    steps = rng(seed).normal(size=(12, m)) * np.logspace(-6, 0, m)
+    return np.asarray(steps.T @ steps)
+
+
 KINDS: dict[str, tuple[Callable[[Path, int], None], Callable[[Path], Any]]] = {
     "camera": (write_camera, camera_file.load_camera),
     "base": (write_base, base_file.load_base),
     "stereo": (write_stereo, stereo_file.load_stereo),
     "lens": (write_lens, lens_file.load_lens),
+    "known": (write_known, lens_covariance.load_lens_covariance),
 }
 
 
@@ -72,6 +85,12 @@ def test_what_is_written_comes_back(tmp_path: Path, seed: int) -> None:
     camera = camera_file.camera_calibration(X, evidence, "a" * 64)
     camera_file.write_camera(tmp_path / "c.yaml", camera, "two\nlines")
     assert same(camera, camera_file.load_camera(tmp_path / "c.yaml"))
+    assert same(camera.through_lenses, evidence.covariance)
+    of_views = 0.25 * evidence.covariance
+    camera = camera_file.camera_calibration(X, evidence, "a" * 64, "b" * 64, of_views)
+    camera_file.write_camera(tmp_path / "c.yaml", camera, "a test")
+    found = camera_file.load_camera(tmp_path / "c.yaml")
+    assert same(camera, found) and same(found.through_lenses, of_views)
     base = endoscope_files.base(X, "PSM1", r.uniform(-1, 1, 3), r.uniform(-3, 3, 3))
     base_file.write_base(tmp_path / "b.yaml", base, "a test")
     assert same(base, base_file.load_base(tmp_path / "b.yaml"))
@@ -81,6 +100,10 @@ def test_what_is_written_comes_back(tmp_path: Path, seed: int) -> None:
     lens = endoscope_files.lens("right")
     lens_file.write_lens(tmp_path / "l.yaml", lens, "a test")
     assert same(lens, lens_file.load_lens(tmp_path / "l.yaml"))
+    for right, m in (("b" * 64, 24), ("b" * 64, 30), (NO_HASH, 9), (NO_HASH, 8)):
+        of_lenses = lens_covariance.LensCovariance(known(seed, m), "a" * 64, right)
+        lens_covariance.write_lens_covariance(tmp_path / "k.yaml", of_lenses, "a test")
+        assert same(of_lenses, lens_covariance.load_lens_covariance(tmp_path / "k.yaml"))
 
 
 def test_a_lens_file_is_ros_camera_info_for_readers_of_yaml_1_1(tmp_path: Path) -> None:
@@ -112,10 +135,19 @@ def test_the_old_file_is_kept_and_a_refused_one_replaces_nothing(
         bad = endoscope_files.lens()
         object.__setattr__(bad, "K", bad.K * math.nan)
         patched.setattr(endoscope_files, "lens", lambda *_: bad)
+        patched.setitem(globals(), "known", lambda seed: math.nan * np.eye(24))
         with pytest.raises(ConfigError):
             write(path, 2)
     assert path.read_bytes() == second
     assert sorted(p.name for p in tmp_path.iterdir()) == ["f.yaml", "f.yaml.previous"]
+
+
+def test_one_eye_has_no_covariance_of_two(tmp_path: Path) -> None:
+    path = tmp_path / "f.yaml"
+    write_known(path, 1)
+    path.write_text(path.read_text().replace(f'"{"b" * 64}"', '"none"'))
+    with pytest.raises(ConfigError, match="has 576 numbers; allowed: 64 or 81 or 144 numbers"):
+        lens_covariance.load_lens_covariance(path)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -180,6 +212,11 @@ BAD_VALUES: list[tuple[str, str, object, str]] = [
     ("stereo", "left_sd", [-1.0] * 9, "0 or more"),
     ("stereo", "held_out_px", math.inf, "inf"),
     ("stereo", "lens_state", "", "''"),
+    ("known", "covariance", [1e-6] * 25, "has 25 numbers"),
+    ("known", "covariance", np.diag([1e-6] * 23 + [math.nan]), "holds nan"),
+    ("known", "covariance", np.diag([1e-6] * 23 + [-1e-9]), "holds the variance -1e-09"),
+    ("known", "covariance", np.eye(24) + np.eye(24, k=1), "not symmetric"),
+    ("known", "covariance", np.eye(24) + np.eye(24, k=1) + np.eye(24, k=-1), "eigenvalue"),
     ("lens", "image_width", 640.5, "a whole number"),
     ("lens", "image_width", 0, "16 to 16384"),
     ("lens", "camera_name", "left eye", "letters, digits"),

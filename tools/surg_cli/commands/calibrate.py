@@ -75,10 +75,12 @@ def main(options: argparse.Namespace, command: str) -> int:
         return glass_to_stamp.measure(folder, options.port, options.seconds)
     if options.what == "live" or options.live:
         from surg_cli.graph import live_views
+        from surg_cli.robots import live_bases
 
         endoscope_steps.check_live(options, cell)
         origin = max(origin_of(arm) for arm in cell.arms.values())
-        return live_views.calibrate(cell, options, origin, _date(options.date))
+        collecting = live_bases if options.what == "bases" else live_views
+        return collecting.calibrate(cell, options, origin, _date(options.date))
     if options.what in endoscope_steps.STEPS or options.by is not None:
         origin = max(origin_of(arm) for arm in cell.arms.values())  # simulated, if one of them is
         endoscope_steps.run(cell, options, origin, _date(options.date))

@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser, bases: Any) -> None:
     scope.add_argument(
         "--live",
         action="store_true",
-        help="stereo, camera, handeye: views from the running system",
+        help="stereo, camera, handeye, bases --by: views from the running system",
     )
     scope.add_argument(
         "--keep", action="store_true", help="copy the views to calibration/views/<step>"
@@ -52,8 +52,9 @@ def check_live(options: argparse.Namespace, cell: Any) -> None:
     frames = max((len(camera.frames) for camera in cameras if camera is not None), default=0)
     if options.what == "stereo" and frames == 1:
         raise Problem("calibrate stereo: the endoscope has one eye; use camera --live", 2)
-    if options.what not in (*LIVE, "live"):
-        raise Problem(f"calibrate {options.what}: --live goes with {', '.join(LIVE)}", 2)
+    if options.what not in (*LIVE, "live") and options.by is None:
+        allowed = f"{', '.join(LIVE)}, bases --by touch|tip"
+        raise Problem(f"calibrate {options.what}: --live goes with {allowed}", 2)
     if options.source is not None:
         raise Problem("calibrate: --live and --from exclude one another", 2)
     if options.keep or options.also:
@@ -79,7 +80,7 @@ def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
     if what != "check" and options.source is None:
         raise Problem(
             f"calibrate {what}: --from FOLDER (of views) is missing"
-            + (", or --live" if what in LIVE else ""),
+            + (", or --live" if what != "check" else ""),
             2,
         )
     if options.also and what != "handeye":

@@ -21,7 +21,7 @@ from surg_core.checked_document import (
     pose_text,
 )
 from surg_core.config import PathLike, read_document
-from surg_core.replace_file import one_line, replace_file
+from surg_core.replace_file import exact_rows, one_line, replace_file
 from surg_core.transforms import FloatArray
 
 FORMATS = ("surg_camera/1", "surg_camera/2")
@@ -48,6 +48,7 @@ class CameraCalibration:
         evidence: With the covariance of X_FV; None for surg_camera/1.
         left_sha256: Of the left lens file that it was measured with; empty for surg_camera/1.
         right_sha256: Of the right one; ``none`` with a single camera.
+        of_views: Covariance (6, 6) of X_FV without what the lenses cause; None: not stated.
     """
 
     R_FV: FloatArray
@@ -58,6 +59,16 @@ class CameraCalibration:
     evidence: Evidence | None = None
     left_sha256: str = ""
     right_sha256: str = ""
+    of_views: FloatArray | None = None
+
+    @property
+    def through_lenses(self) -> FloatArray | None:
+        """Covariance (6, 6) for points that are seen through the same lenses.
+
+        An error of a lens turns and shifts the pose so that what is seen stays in its place.
+        """
+        stated = None if self.evidence is None else self.evidence.covariance
+        return stated if self.of_views is None else self.of_views
 
     @property
     def day(self) -> datetime.date:
@@ -66,7 +77,11 @@ class CameraCalibration:
 
 
 def camera_calibration(
-    X_FV: FloatArray, evidence: Evidence, left_sha256: str, right_sha256: str = NO_HASH
+    X_FV: FloatArray,
+    evidence: Evidence,
+    left_sha256: str,
+    right_sha256: str = NO_HASH,
+    of_views: FloatArray | None = None,
 ) -> CameraCalibration:
     """A camera for surg_camera/2; arguments as in :class:`CameraCalibration`."""
     return CameraCalibration(
@@ -78,6 +93,7 @@ def camera_calibration(
         evidence,
         left_sha256,
         right_sha256,
+        of_views,
     )
 
 
@@ -93,7 +109,10 @@ def parse_camera(document: Document) -> CameraCalibration:
         X_FV = doc.pose(LARGEST_OFFSET)
         evidence = doc.evidence(LEAST_VIEWS, LARGEST_PIXELS, "px")
         lenses = doc.sha256("left_sha256"), doc.sha256("right_sha256", optional=True)
-        found = camera_calibration(X_FV, evidence, *lenses)
+        key = "covariance_of_views"
+        found = camera_calibration(
+            X_FV, evidence, *lenses, doc.covariance(key) if doc.has(key) else None
+        )
     else:
         found = CameraCalibration(
             R_FV=doc.rotation(),
@@ -125,11 +144,13 @@ def write_camera(path: PathLike, camera: CameraCalibration, note: str) -> None:
     """
     if camera.X_FV is None or camera.evidence is None:
         raise ConfigError(f"{path}: position: is missing; surg_camera/2 states the whole pose")
+    rows = "" if camera.of_views is None else exact_rows(camera.of_views)
     text = (
         f"# {one_line(note)}\n"
         "format: surg_camera/2\n"
         + pose_text(camera.X_FV, "X_FV: the left camera's optical axes in the flange")
         + evidence_text(camera.evidence, "px")
+        + (f"covariance_of_views: {rows}\n" if rows else "")
         + f'left_sha256: "{one_line(camera.left_sha256)}"  # of endoscope_left.yaml\n'
         f'right_sha256: "{one_line(camera.right_sha256)}"\n'
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import datetime
 import hashlib
+import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -213,20 +214,8 @@ class CheckedDocument:
     def covariance(self, key: str = "covariance") -> FloatArray:
         """(6, 6) symmetric, positive definite, rotation first."""
         cure = "Measure again: this file does not state how good it is"
-        C = self.numbers(key, 36, 1.0, "(6 x 6, row by row)").reshape(6, 6)
-        if not np.abs(C - C.T).max() <= 1e-9 * np.abs(C).max():
-            raise self.refusal(key, "is not symmetric", "a symmetric 6 x 6 matrix", cure)
-        variances = np.diag(C)
-        if not (variances > 0.0).all():
-            raise self.refusal(
-                key, f"holds the variance {variances.min():g}", "positive variances", cure
-            )
-        sd = np.sqrt(variances)
-        least = float(np.linalg.eigvalsh(C / np.outer(sd, sd)).min())
-        if not least > 1e-9:
-            raise self.refusal(
-                key, f"has the eigenvalue {least:.3g} (scaled)", "a positive definite matrix", cure
-            )
+        C = self.any_covariance(key, (6,), 1.0, 1e-9, cure)
+        sd = np.sqrt(np.diag(C))
         for part, bound, unit in (
             (sd[:3], LARGEST_TURN_SD, "rad"),
             (sd[3:], LARGEST_SHIFT_SD, "m"),
@@ -238,6 +227,35 @@ class CheckedDocument:
                     f"at most {bound:g} {unit}",
                     cure,
                 )
+        return C
+
+    def any_covariance(
+        self, key: str, sides: Sequence[int], bound: float, least: float, cure: str
+    ) -> FloatArray:
+        """(m, m) symmetric, with positive variances.
+
+        Args:
+            key: Of the m * m numbers, row by row.
+            sides: Allowed m.
+            bound: Of each number.
+            least: Every eigenvalue is larger, where each variance is scaled to 1.
+            cure: What to do.
+        """
+        size = " or ".join(f"{m} x {m}" for m in sides)
+        values = self.numbers(key, [m * m for m in sides], bound, f"({size}, row by row)")
+        m = math.isqrt(len(values))
+        C = values.reshape(m, m)
+        if not np.abs(C - C.T).max() <= 1e-9 * np.abs(C).max():
+            raise self.refusal(key, "is not symmetric", f"a symmetric {m} x {m} matrix", cure)
+        variances = np.diag(C)
+        if not (variances > 0.0).all():
+            why = f"holds the variance {variances.min():g}"
+            raise self.refusal(key, why, "positive variances", cure)
+        sd = np.sqrt(variances)
+        smallest = float(np.linalg.eigvalsh(C / np.outer(sd, sd)).min())
+        if not smallest > least:
+            why = f"has the eigenvalue {smallest:.3g} (scaled)"
+            raise self.refusal(key, why, "a positive definite matrix", cure)
         C.setflags(write=False)
         return C
 

@@ -6,8 +6,6 @@ import datetime
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from surg_core._core import Document
 from surg_core.checked_document import SOURCES, CheckedDocument, check_measured_with
 from surg_core.config import PathLike, read_document
@@ -74,7 +72,9 @@ def parse_force(document: Document) -> ForceCalibration:
         bias=doc.numbers("bias", 6, LARGEST_BIAS, "N, N m"),
         R_FS=doc.rotation(),
         p_FS=doc.numbers("position", 3, FARTHEST, "m"),
-        covariance=_covariance(doc),
+        covariance=doc.any_covariance(
+            "covariance", (PARAMETERS,), 1e3, 1e-12, f"Measure again: {CURE}"
+        ),
     )
     found = ForceCalibration(
         load=load,
@@ -147,23 +147,3 @@ def check_current(
         "it has changed since the force was calibrated",
         f"Repeat {CURE}, or put back that file",
     )
-
-
-def _covariance(doc: CheckedDocument) -> np.ndarray:
-    """(13, 13), symmetric, positive definite."""
-    n = PARAMETERS
-    C = doc.numbers("covariance", n * n, 1e3, f"({n} x {n}, row by row)").reshape(n, n)
-    variances = np.diag(C)
-    cure = f"Measure again: {CURE}"
-    if not (variances > 0.0).all():
-        raise doc.refusal(
-            "covariance", f"holds the variance {variances.min():g}", "positive variances", cure
-        )
-    sd = np.sqrt(variances)
-    scaled = C / np.outer(sd, sd)
-    symmetric = bool(np.abs(scaled - scaled.T).max() <= 1e-9)
-    if not symmetric or not np.linalg.eigvalsh(scaled).min() > 1e-12:
-        raise doc.refusal(
-            "covariance", "is no covariance", "a symmetric, positive definite matrix", cure
-        )
-    return C

@@ -123,10 +123,11 @@ def _fit(cell: surg_core.Cell, source: Path, by: str) -> tuple[SeenBase, list[st
     camera, _ = measured_camera(cell)
     eyes, two = read_eyes(cell.folder / "calibration")
     count = 1 if two is None else 2
-    assert camera.X_FV is not None and camera.evidence is not None
+    covariance = camera.through_lenses
+    assert camera.X_FV is not None and covariance is not None
     board = find_board(cell.folder / "calibration", source)
     views = read_views(source, board, look=by == "touch")
-    X_FV, covariance = np.array(camera.X_FV), camera.evidence.covariance
+    X_FV = np.array(camera.X_FV)
     if by == "touch":
         p_S, p_T, X_SF = _by_touch(cell, views, eyes, X_FV, count)
         left_out = list(views.skipped)
@@ -245,7 +246,8 @@ def chain_error(cell: surg_core.Cell) -> ChainError:
     scope, tool = scope_arm(cell), tool_arm(cell)
     camera, file = measured_camera(cell)
     eyes, stereo = read_eyes(cell.folder / "calibration")
-    assert camera.X_FV is not None and camera.evidence is not None
+    of_camera = camera.through_lenses
+    assert camera.X_FV is not None and of_camera is not None
     in_flange = camera.X_FV[:3, :3] @ [0.0, 0.0, DISTANCE]
     p_W = (_eye_at_home(cell, camera) @ [0.0, 0.0, DISTANCE, 1.0])[:3]
     first = next(iter(cell.arms.values()))
@@ -260,7 +262,7 @@ def chain_error(cell: surg_core.Cell) -> ChainError:
     return ChainError(
         tool=tool.tool.residual,
         base=shift_at(base.evidence.covariance, p_W - base.X_WB[:3, 3]),
-        handeye=shift_at(camera.evidence.covariance, in_flange),
+        handeye=shift_at(of_camera, in_flange),
         stereo=_of_pictures(eyes, stereo, camera),
     )
 

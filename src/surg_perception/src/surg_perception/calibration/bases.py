@@ -105,7 +105,8 @@ def solve_base(
         p_T: (n, 3) the tip by its joints, in the instrument arm's base [m].
         X_SF: (n, 4, 4) flange of the scope's arm.
         X_FV: (4, 4) the left eye in that flange.
-        handeye_covariance: (6, 6) of X_FV; its part of the error is added.
+        handeye_covariance: (6, 6) of X_FV, for what is seen through the same lenses; its part of
+            the error is added.
         smooth: Whether the points' errors change smoothly over the view, as those of a followed
             tip do; the turn that they hide is added.
     """

@@ -27,6 +27,7 @@ from surg_perception.calibration.small_motions import (
     skew,
     transform,
 )
+from surg_perception.calibration.stereo import PairProblem
 from surg_perception.calibration.triangulation import Stereo
 
 
@@ -109,12 +110,14 @@ class HandEyeFit:
         factors: Of focal length and board size that would fit these views best.
         factors_sd: Standard deviations of both, by jackknife.
         turns: (2,) largest turn between two views, and largest turn about an axis across it [rad].
+        lens_share: Covariance (6, 6) of X_FV that the lenses cause; None: nobody knows it.
     """
 
     fit: Adjusted[HandEyeProblem]
     factors: FloatArray
     factors_sd: FloatArray
     turns: FloatArray
+    lens_share: FloatArray | None = None
 
     @property
     def X_FV(self) -> FloatArray:
@@ -123,7 +126,12 @@ class HandEyeFit:
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance (6, 6) of X_FV, rotation first, axes of the flange."""
+        """Covariance (6, 6) of X_FV, rotation first, axes of the flange: of views and lenses."""
+        return self.of_views if self.lens_share is None else self.of_views + self.lens_share
+
+    @property
+    def of_views(self) -> FloatArray:
+        """The part (6, 6) that other views would change; see `CameraCalibration.of_views`."""
         return self.fit.covariance[:6, :6]
 
     @property
@@ -133,7 +141,10 @@ class HandEyeFit:
 
 
 def solve_handeye(
-    stereo: Stereo, X_BF: FloatArray, seen: Sequence[tuple[SeenCorners, SeenCorners]]
+    stereo: Stereo,
+    X_BF: FloatArray,
+    seen: Sequence[tuple[SeenCorners, SeenCorners]],
+    lenses: FloatArray | None = None,
 ) -> HandEyeFit:
     """The left eye in the flange.
 
@@ -141,6 +152,7 @@ def solve_handeye(
         stereo: Both eyes.
         X_BF: (n, 4, 4) flange poses in the robot base.
         seen: What each view shows: left, right.
+        lenses: (m, m) covariance of the eyes, as `LensCovariance`; None: unknown.
     """
     X_VBoard = np.array([pair_pose(stereo, pair) for pair in seen])
     X_FV = park(X_BF, X_VBoard)
@@ -148,7 +160,26 @@ def solve_handeye(
     fit = adjust(HandEyeProblem(stereo, X_FV, X_BBoard, X_BF, seen))
     freed = adjust(replace(fit.solution, free=True))
     sd = np.sqrt(np.diag(freed.covariance)[12:])
-    return HandEyeFit(fit, np.exp(freed.solution.factors), sd, turns_between(X_BF))
+    share = None if lenses is None else _lens_share(fit, lenses)
+    return HandEyeFit(fit, np.exp(freed.solution.factors), sd, turns_between(X_BF), share)
+
+
+def _lens_share(fit: Adjusted[HandEyeProblem], lenses: FloatArray) -> FloatArray:
+    """Covariance (6, 6) of X_FV that the lenses' covariance (m, m) causes.
+
+    A lens that is wrong is wrong in every view alike, so no jackknife over views shows it. By the
+    implicit function theorem a step ds of the lenses moves the solution by -N^-1 J^T (dr/ds) ds.
+    """
+    problem = fit.solution
+    X_VBoard = [inverse_pose(X @ problem.X_FV) @ problem.X_BBoard for X in problem.X_BF]
+    pairs = PairProblem(problem.stereo, X_VBoard, problem.seen)
+    m = len(lenses)
+    by_lenses = sum(
+        (problem.linearise(k)[1].T @ pairs.linearise(k)[1][:, :m] for k in range(problem.views)),
+        np.zeros((12, m)),
+    )
+    moves = -np.linalg.solve(fit.normal.sum(axis=0), by_lenses)[:6]
+    return np.asarray(moves @ lenses @ moves.T)
 
 
 def pair_pose(stereo: Stereo, pair: tuple[SeenCorners, SeenCorners]) -> FloatArray:

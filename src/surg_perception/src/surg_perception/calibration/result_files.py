@@ -9,7 +9,7 @@ import numpy as np
 
 from surg_core import ConfigError
 from surg_core.camera_file import camera_calibration, write_camera
-from surg_core.checked_document import Evidence, file_sha256
+from surg_core.checked_document import NO_HASH, Evidence, file_sha256
 from surg_core.lens_file import Lens, load_lens, write_lens
 from surg_core.stereo_file import (
     HELD_OUT_DISTANCES,
@@ -21,11 +21,18 @@ from surg_core.stereo_file import (
 from surg_core.transforms import FloatArray
 from surg_perception.calibration.board import Board
 from surg_perception.calibration.handeye import HandEyeFit
+from surg_perception.calibration.intrinsics import LensFit
+from surg_perception.calibration.lens_covariance import (
+    LensCovariance,
+    lens_covariance,
+    write_lens_covariance,
+)
 from surg_perception.calibration.lens_model import LensModel
 from surg_perception.calibration.stereo import StereoFit
 from surg_perception.calibration.triangulation import Rectified, Stereo
 
 LEFT, RIGHT, STEREO = "endoscope_left.yaml", "endoscope_right.yaml", "endoscope_stereo.yaml"
+COVARIANCE = "endoscope_covariance.yaml"
 
 
 @dataclass(frozen=True)
@@ -77,7 +84,9 @@ def save_stereo(
         right_sha256=file_sha256(paths[1]),
     )
     write_stereo(paths[2], content, origin.note)
-    return paths
+    known = LensCovariance(result.fit.covariance, content.left_sha256, content.right_sha256)
+    write_lens_covariance(folder / COVARIANCE, known, origin.note)
+    return [*paths, folder / COVARIANCE]
 
 
 def _lens(name: str, lens: LensModel, R: FloatArray, P: FloatArray) -> Lens:
@@ -98,11 +107,19 @@ def check_one_eye(folder: Path) -> None:
             )
 
 
-def save_camera(folder: Path, lens: LensModel, origin: Origin) -> Path:
+def save_camera(folder: Path, result: LensFit, origin: Origin) -> list[Path]:
     """Write the lens of a single eye."""
+    lens, paths = result.lens, [folder / LEFT, folder / COVARIANCE]
     P = np.column_stack([lens.K, np.zeros(3)])
-    write_lens(folder / LEFT, _lens(Path(LEFT).stem, lens, np.eye(3), P), origin.note)
-    return folder / LEFT
+    write_lens(paths[0], _lens(Path(LEFT).stem, lens, np.eye(3), P), origin.note)
+    known = LensCovariance(result.fit.covariance, file_sha256(paths[0]))
+    write_lens_covariance(paths[1], known, origin.note)
+    return paths
+
+
+def read_lens_covariance(folder: Path) -> FloatArray | None:
+    """How well the eyes of a cell's ``calibration`` folder are known, as `lens_covariance`."""
+    return lens_covariance(folder / COVARIANCE, folder / LEFT, folder / RIGHT)
 
 
 def read_eyes(folder: Path) -> tuple[Stereo, StereoCalibration | None]:
@@ -140,9 +157,11 @@ def save_handeye(folder: Path, arm: str, result: HandEyeFit, origin: Origin) -> 
         origin.source,
     )  # fmt: skip
     eyes = [folder / name for name in (LEFT, RIGHT)]
-    hashes = [file_sha256(path) for path in eyes if path.exists()]
+    left, right = (file_sha256(path) if path.exists() else NO_HASH for path in eyes)
+    of_views = None if result.lens_share is None else result.of_views
+    camera = camera_calibration(result.X_FV, evidence, left, right, of_views)
     path = folder / f"camera_{arm}.yaml"
-    write_camera(path, camera_calibration(result.X_FV, evidence, *hashes), origin.note)
+    write_camera(path, camera, origin.note)
     return path
 
 

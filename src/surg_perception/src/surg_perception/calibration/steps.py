@@ -18,14 +18,17 @@ from surg_perception.calibration.handeye import HandEyeFit, solve_handeye
 from surg_perception.calibration.intrinsics import LensFit, solve_lens
 from surg_perception.calibration.lens_model import LensModel
 from surg_perception.calibration.result_files import (
+    COVARIANCE,
     Origin,
     check_one_eye,
     read_eyes,
+    read_lens_covariance,
     save_camera,
     save_handeye,
     save_page,
     save_stereo,
 )
+from surg_perception.calibration.small_motions import expected_error
 from surg_perception.calibration.stereo import StereoFit, solve_stereo
 from surg_perception.calibration.views import Views, read_views
 from surg_perception.output.calibration_report import camera_page, handeye_page, stereo_page
@@ -114,7 +117,7 @@ def camera(
     evidence.check_lens(result, views.size)
     if write:
         page = camera_page(result, views.board, origin.note)
-        paths = save_camera(calibration, lens, origin), save_page(calibration, "camera", page)
+        paths = [*save_camera(calibration, result, origin), save_page(calibration, "camera", page)]
         lines += [f"written: {path}" for path in paths]
     return result, lines
 
@@ -181,7 +184,8 @@ def handeye(
         if pair is not None:
             seen.append(pair)
             poses.append(arm.chain.forward(view.of_arm(arm.name, arm.robot.joint_names)))
-    result = solve_handeye(eyes, np.array(poses), seen)
+    lenses = read_lens_covariance(calibration)
+    result = solve_handeye(eyes, np.array(poses), seen, lenses)
     turn, shift = np.degrees(result.pose_error[0]), 1e3 * result.pose_error[1]
     p = ", ".join(f"{1e3 * value:.3f}" for value in result.X_FV[:3, 3])
     lines = [
@@ -191,6 +195,7 @@ def handeye(
         f"evidence n {len(seen)}, rms {result.fit.rms:.3f} px, turns "
         f"{np.degrees(result.turns[0]):.0f} and {np.degrees(result.turns[1]):.0f} deg, condition "
         f"{result.fit.condition:.0f}",
+        *_lens_line(result, calibration),
     ]
     evidence.check_handeye(result)
     if write:
@@ -199,3 +204,14 @@ def handeye(
         paths.append(save_page(calibration, "handeye", page))
         lines += [f"written: {path}" for path in paths]
     return result, lines
+
+
+def _lens_line(result: HandEyeFit, calibration: Path) -> list[str]:
+    """What part of the expected error the lenses have."""
+    if result.lens_share is None:
+        return [
+            f"lens     its error is not in the expected error: no {calibration / COVARIANCE}; "
+            "./surg calibrate CELL stereo (one eye: camera) writes it"
+        ]
+    turn, shift = expected_error(result.lens_share)
+    return [f"lens     its part of that error: {1e3 * shift:.3f} mm, {np.degrees(turn):.3f} deg"]

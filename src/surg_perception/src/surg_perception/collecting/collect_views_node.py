@@ -8,19 +8,18 @@ for ``/calibrate/request``.
 from __future__ import annotations
 
 import threading
-from collections import deque
 from typing import Any
 
 import cv2
 import numpy as np
 import rospy
-from sensor_msgs.msg import CameraInfo, Image, JointState
+from sensor_msgs.msg import CameraInfo, Image
 
-from surg_core.standstill import REST_S, resting
-from surg_core.transforms import FloatArray
+from surg_core.standstill import resting
 from surg_msgs.msg import CalibrationRequest, CalibrationStatus
 from surg_perception.calibration.board import Picture
 from surg_perception.collecting import collector
+from surg_perception.collecting.arm_joints_node import ArmJoints
 from surg_perception.collecting.collector import Step
 from surg_perception.collecting.live_calibration import LiveCalibration, State, Status
 from surg_perception.eyes.newest_pair_node import EYES, NewestPair
@@ -38,9 +37,7 @@ class CollectViews:
         self._live = live
         self._pairs = NewestPair()
         self._lock = threading.Lock()
-        self._joints: deque[tuple[float, FloatArray]] = deque()
-        self._listener: Any = None
-        self._names: list[str] = []
+        self._joints: ArmJoints | None = None
         self._seen = rospy.get_time()
         self._requests: list[int] = []
         self._status = rospy.Publisher(
@@ -58,20 +55,10 @@ class CollectViews:
         self._pairs.listen(False)
         self._pairs = NewestPair(EYES[: self._live.eyes])
         self._pairs.listen(True)
-        if self._listener is not None:
-            self._listener.unregister()
-            self._listener = None
+        if self._joints is not None:
+            self._joints.close()
         arm = self._live.arm
-        if arm is not None:
-            self._joints.clear()
-            self._names = list(arm.robot.joint_names)
-            self._listener = rospy.Subscriber(
-                f"/{arm.name}/robot/measured_js",
-                JointState,
-                self._on_joints,
-                queue_size=1000,
-                tcp_nodelay=True,
-            )
+        self._joints = None if arm is None else ArmJoints(arm)
 
     def _on_request(self, message: CalibrationRequest) -> None:
         with self._lock:
@@ -81,37 +68,22 @@ class CollectViews:
     def _on_info(self, message: CameraInfo) -> None:
         self._live.lens(np.array(message.K).reshape(3, 3))
 
-    def _on_joints(self, message: JointState) -> None:
-        where = dict(zip(message.name, message.position, strict=False)) if message.name else {}
-        known = set(self._names) <= set(where)
-        q = [where[name] for name in self._names] if known else list(message.position)
-        if len(q) != len(self._names) or message.header.stamp.to_nsec() == 0:
-            return
-        with self._lock:
-            states, now = self._joints, message.header.stamp.to_sec()
-            if states and now <= states[-1][0]:
-                states.clear()
-            states.append((now, np.array(q)))
-            while now - states[0][0] > 4 * REST_S:
-                states.popleft()
-
     def turn(self, wait: float = REPORT_S) -> Status:
         """Look at the newest pair, if one arrives in time [s], and publish the status."""
         pair = self._pairs.take(wait)
         with self._lock:
             requests, self._requests = self._requests, []
-            joints = list(self._joints)
         for request in requests:
             self._obey(request)
         if pair is not None:
-            self._look(pair, joints)
+            self._look(pair)
         elif self._live.status.state is State.COLLECTING:
             self._silence()
         self._live.step_on(self._report)
         self._report()
         return self._live.status
 
-    def _look(self, pair: tuple[Image, ...], joints: list[tuple[float, FloatArray]]) -> None:
+    def _look(self, pair: tuple[Image, ...]) -> None:
         try:
             pictures = tuple(grey_of(image) for image in pair)
         except ValueError as error:
@@ -119,11 +91,15 @@ class CollectViews:
             return
         self._seen = rospy.get_time()
         stamp = pair[0].header.stamp.to_sec()
-        arm = self._live.arm
-        if arm is not None and (not joints or stamp - joints[-1][0] > SILENT_S):
-            self._live.say(f"{arm.name} states no joints (/{arm.name}/robot/measured_js).")
+        arm, listening = self._live.arm, self._joints
+        if arm is None or listening is None:
+            self._live.see(stamp, pictures)
             return
-        self._live.see(stamp, pictures, None if arm is None else resting(joints, stamp))
+        joints = listening.states()
+        if not joints or stamp - joints[-1][0] > SILENT_S:
+            self._live.say(f"{arm.name} states no joints ({listening.topic}).")
+            return
+        self._live.see(stamp, pictures, resting(joints, stamp))
 
     def _silence(self) -> None:
         """Tell the person that pictures are missing."""
@@ -157,9 +133,10 @@ class CollectViews:
     def close(self) -> None:
         """Leave the graph."""
         self._pairs.listen(False)
-        for each in (*self._inputs, self._status, self._listener):
-            if each is not None:
-                each.unregister()
+        if self._joints is not None:
+            self._joints.close()
+        for each in (*self._inputs, self._status):
+            each.unregister()
 
 
 def grey_of(image: Any) -> Picture:

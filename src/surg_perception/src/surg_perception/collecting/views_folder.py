@@ -36,13 +36,20 @@ class ViewsFolder:
             raise FileExistsError(f"{path}: has views already; name another folder")
         write_board(path / "board.yaml", board)
 
-    def add(self, stamp: float, pair: tuple[Picture, ...], q: FloatArray | None) -> str:
+    def add(
+        self,
+        stamp: float,
+        pair: tuple[Picture, ...],
+        q: FloatArray | None,
+        touch: int | None = None,
+    ) -> str:
         """Write a view; returns its name.
 
         Args:
             stamp: Of the exposure [s].
             pair: Left and right picture (h, w), grey; the left one alone of a single eye.
             q: Joint positions (n,) in the order of the columns [rad].
+            touch: Corner that an instrument touches; None: none.
 
         Raises:
             OSError: A file cannot be written.
@@ -56,7 +63,7 @@ class ViewsFolder:
         if len(values) != len(self._joints):
             raise ValueError(f"{len(values)} joints; the folder has {len(self._joints)} columns")
         self._number += 1
-        self._rows.append([name, f"{stamp:.9f}", "", *values])
+        self._rows.append([name, f"{stamp:.9f}", "" if touch is None else str(touch), *values])
         self._write()
         return name
 

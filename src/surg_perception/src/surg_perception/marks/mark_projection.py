@@ -179,13 +179,14 @@ class _Covariance:
         if not all(file.is_file() for file in (*bases, camera_file, stereo_file)):
             return None
         camera = load_camera(camera_file)
-        if camera.evidence is None:
+        of_camera = camera.through_lenses
+        if of_camera is None:
             return None
         measured = [load_base(file) for file in bases]
         return cls(
             tool=float(cell.arms[arm].tool.residual),
             bases=tuple((base.evidence.covariance, base.X_WB[:3, 3]) for base in measured),
-            handeye=camera.evidence.covariance,
+            handeye=of_camera,
             R_VF=camera.R_FV.T,
             pixel=float(load_stereo(stereo_file).held_out_px),
         )

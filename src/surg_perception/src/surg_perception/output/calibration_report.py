@@ -85,7 +85,7 @@ def handeye_page(result: HandEyeFit, board: Board, title: str) -> str:
         for factor, sd in zip(result.factors, result.factors_sd, strict=True)
     ]
     position = ", ".join(f"{1e3 * value:.3f}" for value in result.X_FV[:3, 3])
-    at = shift_at(result.covariance, result.X_FV[:3, :3] @ [0.0, 0.0, DISTANCE])
+    at = shift_at(result.of_views, result.X_FV[:3, :3] @ [0.0, 0.0, DISTANCE])
     facts = {
         "left eye in the flange": f"[{position}] mm",
         "expected error": _pose_error(turn, shift),
