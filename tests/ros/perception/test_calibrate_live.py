@@ -181,7 +181,9 @@ def touch(cell: Path, live: LiveBench, graph: RosGraph) -> str:
     words = ("calibrate", cell, "bases", "--by", "touch", "--live", "--port", port)
     terminal = surg.start(log, *words, "--to", graph.folder / "bases", typed=True)
     try:
-        graph.wait_for(lambda: live.watched() or terminal.poll() is not None, 120.0, "the command")
+        begun = partial(answered, log, 0)
+        graph.wait_for(lambda: begun() or terminal.poll() is not None, 120.0, "the command")
+        graph.wait_for(live.watched, 30.0, "its ears")
         for count, view in enumerate(live.bench.touches(CORNERS, [*ENDS] * (TOUCHES // 2))):
             assert f"  {count} of " in log.read_text(), log.read_text()
             assert terminal.poll() is None and terminal.stdin is not None, log.read_text()
