@@ -17,10 +17,12 @@ from helpers.results.perception_results import PAGE
 from helpers.sim.board_views import scope_cell
 from helpers.sim.calibrated_chain import BOARD, ORIGIN, Chain
 from surg_core.camera_file import load_camera
+from surg_core.checked_document import file_sha256
 from surg_perception.calibration import evidence
 from surg_perception.calibration.base_steps import chain_error, check, measured_camera
 from surg_perception.calibration.bases import SeenBase, solve_base
 from surg_perception.calibration.handeye import HandEyeFit, solve_handeye
+from surg_perception.calibration.lens_covariance import LensCovariance, write_lens_covariance
 from surg_perception.calibration.result_files import (
     COVARIANCE,
     read_lens_covariance,
@@ -131,6 +133,10 @@ def test_the_lens_files_state_how_well_the_lenses_are_known(tmp_path: Path) -> N
     assert known is not None
     np.testing.assert_allclose(known, stereo.fit.covariance, rtol=1e-12, atol=0.0)
     kept = (tmp_path / COVARIANCE).read_bytes()
+    hashes = [file_sha256(tmp_path / f"endoscope_{eye}.yaml") for eye in ("left", "right")]
+    write_lens_covariance(tmp_path / COVARIANCE, LensCovariance(np.eye(30), *hashes), "")
+    with pytest.raises(surg_core.ConfigError, match="is 30 x 30; allowed: 24 x 24"):
+        read_lens_covariance(tmp_path)
     save_stereo(tmp_path, solved(1)[1], BOARD, "", ORIGIN)
     (tmp_path / COVARIANCE).write_bytes(kept)
     with pytest.raises(surg_core.ConfigError, match=r"left_sha256.*or delete this file"):

@@ -23,6 +23,7 @@ from surg_perception.calibration.board import Board
 from surg_perception.calibration.handeye import HandEyeFit
 from surg_perception.calibration.intrinsics import LensFit
 from surg_perception.calibration.lens_covariance import (
+    CURE,
     LensCovariance,
     lens_covariance,
     write_lens_covariance,
@@ -119,7 +120,18 @@ def save_camera(folder: Path, result: LensFit, origin: Origin) -> list[Path]:
 
 def read_lens_covariance(folder: Path) -> FloatArray | None:
     """How well the eyes of a cell's ``calibration`` folder are known, as `lens_covariance`."""
-    return lens_covariance(folder / COVARIANCE, folder / LEFT, folder / RIGHT)
+    file = folder / COVARIANCE
+    found = lens_covariance(file, folder / LEFT, folder / RIGHT)
+    if found is None:
+        return None
+    n = len(LensModel.of(load_lens(folder / LEFT)).values)
+    m = 2 * n + 6 if (folder / RIGHT).exists() else n
+    if len(found) != m:
+        raise ConfigError(
+            f"{file}: covariance: is {len(found)} x {len(found)}; allowed: {m} x {m}, the lens has "
+            f"{n} values. {CURE}, or delete this file"
+        )
+    return found
 
 
 def read_eyes(folder: Path) -> tuple[Stereo, StereoCalibration | None]:
