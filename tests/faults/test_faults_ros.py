@@ -39,7 +39,7 @@ pytestmark = pytest.mark.ros
 FOLLOWED = 0.3
 """Share of its commanded speed below which an arm may count as standing still."""
 
-BRIDGE_MS = 100 + 60
+BRIDGE_MS = 40 + 60
 """The simulated link's dead-man and its ramp."""
 MACHINE_MS = 90
 """What a shared machine may add."""

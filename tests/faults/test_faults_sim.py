@@ -171,8 +171,8 @@ def test_f10_a_frozen_link_stops_the_arm_by_itself(runs: int, reactions: Reactio
         faulted.append(fault)
         still.append(rest)
     reactions.add("F10", "simulated link frozen", "FAULT(link)", faulted, 51)
-    reactions.add("F10", "simulated link frozen", "its own dead-man", dead, 51)
-    reactions.add("F10", "simulated link frozen", "true tip at rest", still, 51 + 50)
+    reactions.add("F10", "simulated link frozen", "its own dead-man", dead, 21)
+    reactions.add("F10", "simulated link frozen", "true tip at rest", still, 21 + 50)
 
 
 def test_f23_a_trocar_that_jumps_in_the_simulator_faults(runs: int, reactions: Reactions) -> None:

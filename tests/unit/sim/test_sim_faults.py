@@ -89,14 +89,14 @@ def test_f10_a_frozen_link_is_silent_and_hears_nothing(cell: surg_core.Cell) -> 
     arrived = link.run(130)
     assert [len(packets) for packets in arrived] == [1] * 19 + [0] * 80 + [1] * 31
     assert [p[0][0] for p in arrived if p] == [*range(1, 20), *range(100, 131)]
-    # 50 ticks without a command: the drives' own dead-man; the first command after it frees them.
+    # 20 ticks without a command: the drives' own dead-man; the first command after it frees them.
     link = Link(cell, {"fault": "freeze", "at": 20, "ticks": 80}, lockstep=False)
     stopped = []
     for _ in range(130):
         link.tick()
         stopped.append(link.world.link("PSM1").dead_man)
-    assert stopped.index(True) == 19 + 50
-    assert stopped[19 + 50 : 99] == [True] * 30 and not any(stopped[99:])
+    assert stopped.index(True) == 19 + 20
+    assert stopped[19 + 20 : 99] == [True] * 60 and not any(stopped[99:])
 
 
 def test_a_frozen_link_shows_its_last_state_in_lockstep(ur5e: surg_core.Cell) -> None:

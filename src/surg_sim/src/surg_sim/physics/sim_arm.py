@@ -53,9 +53,9 @@ class ActuatorParameters:
     # Ticks between receipt and execution of a command; assumed (one for the network, one for the
     # robot's own cycle).
     delay: int = 2
-    # Ticks without a command after which the arm stops by itself (F10: 100 ms in the simulator's
-    # free-run).
-    dead_man: int = 50
+    # Ticks without a command after which the arm stops by itself (F10): 40 ms, as the links of real
+    # arms. It goes straight on in joint space until then, and the shaft leaves its pivot.
+    dead_man: int = 20
     # Pull of a redundant arm to its home posture behind a twist command [1/s].
     posture_gain: float = 1.0
 
