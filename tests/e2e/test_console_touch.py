@@ -17,7 +17,15 @@ from helpers.teleop import chromium
 from helpers.teleop.chromium import Chromium, Tab, until
 from helpers.teleop.console import Console, console
 from surg_teleop.console.session import operator_messages
-from surg_teleop.console.session.console_orders import Camera, Clutch, Move, PutBack, SetScale
+from surg_teleop.console.session.console_orders import (
+    Camera,
+    Clutch,
+    Move,
+    Policy,
+    PutBack,
+    Record,
+    SetScale,
+)
 from surg_teleop.console.session.console_session import Phase
 
 pytestmark = [
@@ -154,37 +162,151 @@ def test_buttons_are_held_by_a_finger_while_another_moves() -> None:
     run(test())
 
 
-def test_every_function_has_a_key() -> None:
+def drawn_wide(width: int) -> str:
+    return f"surgConsole.picture.drawn.at(-1).width === {width}"
+
+
+def pressed(selector: str) -> str:
+    return f"document.querySelector('{selector}').getAttribute('aria-pressed') === 'true'"
+
+
+AXES: dict[str, tuple[str, int, int]] = {
+    **dict.fromkeys(("A", "←"), ("v", 0, -1)), **dict.fromkeys(("D", "→"), ("v", 0, 1)),
+    **dict.fromkeys(("W", "↑"), ("v", 1, -1)), **dict.fromkeys(("S", "↓"), ("v", 1, 1)),
+    **dict.fromkeys(("F", "Page down"), ("v", 2, -1)),
+    **dict.fromkeys(("R", "Page up"), ("v", 2, 1)),
+    **dict.fromkeys(("Q", "Home"), ("roll_rate", 0, -1)),
+    **dict.fromkeys(("E", "End"), ("roll_rate", 0, 1)),
+}  # fmt: skip
+"""Motion keys by the help's words: field of the sample, axis (x right, y down, z away), sign."""
+JAW = {"K": -1, "L": 1, "Delete": -1, "Insert": 1}
+OF_THE_PAGE = {
+    "Z": drawn_wide(160),
+    "B": drawn_wide(320),
+    "J": "document.body.dataset.side === 'left'",
+    "N": pressed('[data-beside="marks"]'),
+    "O": pressed('[data-beside="scene"]'),
+    "Y": pressed("#feel"),
+    "M": "surgConsole.hand.hand === 'rate'",
+    "]": "document.querySelector('#speed-value').innerText === '25 mm/s'",
+    "[": "document.querySelector('#speed-value').innerText === '20 mm/s'",
+}
+"""Keys that change the page alone, in the order of the test, and what is true then."""
+CODES = {
+    "←": "ArrowLeft", "→": "ArrowRight", "↑": "ArrowUp", "↓": "ArrowDown", "Page up": "PageUp",
+    "Page down": "PageDown", "−": "Minus", "=": "Equal", "[": "BracketLeft", "]": "BracketRight",
+    "Esc": "Escape", "Shift": "ShiftLeft",
+}  # fmt: skip
+"""Words of the help -> codes of the browser; a letter X is KeyX, others are as they are called."""
+
+
+class Keyboard:
+    """Presses keys by the words of the help, and remembers which."""
+
+    def __init__(self, tab: Tab) -> None:
+        self._tab = tab
+        self.tried: set[str] = set()
+
+    async def tap(self, label: str) -> None:
+        async with self.held(label):
+            pass
+
+    @contextlib.asynccontextmanager
+    async def held(self, label: str) -> AsyncIterator[None]:
+        self.tried.add(label)
+        code = CODES.get(label, f"Key{label}" if label.isalpha() and len(label) == 1 else label)
+        key = ("Slash", "?") if label == "?" else (code, code)
+        await self._tab.key(key[0], True, key[1])
+        try:
+            yield
+        finally:
+            await self._tab.key(key[0], False, key[1])
+
+
+def test_every_key_of_the_help_does_what_it_says() -> None:
     async def test() -> None:
         async with opened(touch=False) as (made, tab):
-            await tab.tap("KeyZ")
-            await tab.until("surgConsole.picture.drawn.at(-1).width === 160", "half the size", 30.0)
-            await tab.tap("KeyB")
-            await tab.until("surgConsole.picture.drawn.at(-1).width === 320", "both eyes", 30.0)
-            assert made.camera.wanted == {("stereo_half", "h264")}
-            await tab.tap("KeyJ")
-            await tab.until("document.body.dataset.side === 'left'", "the other side")
-            panel, view = await middle(tab, "aside"), await middle(tab, "#view")
-            assert panel[0] < view[0]
-            await drive(made, tab)
-            await tab.tap("Equal")
-            await until(lambda: _is(SetScale(0.25) in made.system.given(SetScale)), "scale", 10.0)
-            await tab.tap("BracketRight")
-            assert await tab.run("document.querySelector('#speed-value').innerText") == "25 mm/s"
-            await tab.key("Slash", True, "?")
-            await tab.key("Slash", False, "?")
-            await tab.until("!document.querySelector('#help').hidden", "the help")
-            await tab.tap("Escape")
-            await until(lambda: _is(made.session.phase is Phase.HELD), "the stop", 10.0)
-            await tab.until("document.querySelector('#help').hidden", "the help to go")
-            await tab.tap("KeyH")  # nothing is astray: refused
-            await tab.until("!document.querySelector('#toast').hidden", "the refusal")
-            assert made.system.given(PutBack) == []
-            made.session.release(made.session.holder)
-            await tab.tap("KeyT")
-            await until(lambda: _is(made.session.holder), "control", 10.0)
+            keys = Keyboard(tab)
+            await own_keys(tab, keys)
+            await motion_keys(made, tab, keys)
+            await session_keys(made, tab, keys)
+            words = "[...document.querySelectorAll('#help-keys kbd')].map((k) => k.textContent)"
+            shown = set(await tab.run(words)) - {"Drag"}  # the mouse: test_console_page.py
+            assert shown == keys.tried, "each key of the help was tried, and no other"
 
     run(test())
+
+
+async def own_keys(tab: Tab, keys: Keyboard) -> None:
+    """Of the page alone."""
+    for label, true in OF_THE_PAGE.items():
+        assert not await tab.run(true), label
+        await keys.tap(label)
+        await tab.until(true, label, 30.0)
+    panel, view = await middle(tab, "aside"), await middle(tab, "#view")
+    assert panel[0] < view[0]
+    for hidden in ("!", ""):
+        await keys.tap("?")
+        await tab.until(f"{hidden}document.querySelector('#help').hidden", "the help")
+
+
+async def motion_keys(made: Console, tab: Tab, keys: Keyboard) -> None:
+    """Of the hand, while it drives; a busy machine may let go in between."""
+
+    def sample() -> Any:
+        return made.system.last(Move)[1].sample
+
+    for label, (field, axis, sign) in AXES.items():
+        await drive(made, tab)
+        async with keys.held(label):
+            rate = lambda f=field, k=axis: np.atleast_1d(getattr(sample(), f))[k]  # noqa: E731
+            await until(lambda r=rate, s=sign: _is(s * r() > 0.0), label, 20.0)
+    for label, sign in JAW.items():
+        await drive(made, tab)
+        before = 1.0 if sample().grip is None else sample().grip
+        async with keys.held(label):
+            went = lambda b=before, s=sign: s * ((sample().grip or b) - b) > 0.05  # noqa: E731
+            await until(lambda w=went: _is(w()), label, 20.0)
+    for label, order in (("Space", Clutch), ("C", Camera)):
+        for held in (True, False):
+            await drive(made, tab)
+            async with keys.held(label) if held else contextlib.nullcontext():
+                is_held = lambda o=order, h=held: made.system.last(o)[1] == o(h)  # noqa: E731
+                await until(lambda i=is_held: _is(i()), label, 20.0)
+    await drive(made, tab)
+    async with keys.held("D"):
+        await until(lambda: _is(sample().v[0] > 0.019), "full speed", 20.0)
+        async with keys.held("Shift"):
+            await until(lambda: _is(0.0 < sample().v[0] < 0.006), "a quarter of it", 20.0)
+
+
+async def session_keys(made: Console, tab: Tab, keys: Keyboard) -> None:
+    """Of recorder, policy, scale and the arm."""
+
+    async def refused(label: str) -> None:
+        await tab.run("document.querySelector('#toast').hidden = true")
+        await keys.tap(label)
+        await tab.until("!document.querySelector('#toast').hidden", f"why {label} is refused")
+
+    given = made.system.given
+    await drive(made, tab)
+    for label, scale in (("=", 0.25), ("−", 0.2)):
+        await keys.tap(label)
+        await until(lambda v=scale: _is(SetScale(v) in given(SetScale)), label, 10.0)
+    await keys.tap("V")
+    await until(lambda: _is(Record(True) in given(Record)), "the recorder", 10.0)
+    await refused("H")  # nothing is astray
+    await refused("P")  # no policy is connected
+    assert given(PutBack) == [] and given(Policy) == []
+    made.session.release(made.session.holder)
+    await keys.tap("T")
+    await until(lambda: _is(made.session.holder), "control", 10.0)
+    await keys.tap("Enter")
+    await drive(made, tab)
+    await keys.tap("?")
+    await keys.tap("Esc")
+    await until(lambda: _is(made.session.phase is Phase.HELD), "the stop", 10.0)
+    await tab.until("document.querySelector('#help').hidden", "the help to go")
 
 
 def test_the_page_fits_every_screen(tmp_path: Path) -> None:
