@@ -14,7 +14,7 @@ of two eyes of 640 × 480, shifted by 3.5 %, on a canvas of 1920 × 1080 (frame 
 1920 × 2205), read back: processor time of the whole browser, and the fastest picture by the clock.
 *Hold* is from the event in the browser to the console's order, to hold or, for a controller, to
 clutch. *Headset* is `./surg teleop --stereo` whole, driven by a headset made of software on the
-same two cores. Measured with other programs beside.
+same two cores, which did nothing else.
 
 | what | times | result |
 |---|---|---|
