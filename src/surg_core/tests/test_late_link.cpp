@@ -7,6 +7,7 @@
 
 #include "support/late_link.hpp"
 #include "support/law_scene.hpp"
+#include "support/next_command.hpp"
 #include "support/test_support.hpp"
 #include "surg_core/controller.hpp"
 
@@ -133,13 +134,7 @@ class Arm {
     command.rotation =
         controller_.tool_orientation(controller_.X_BR().linear() * p.normalized(), 0);
   }
-  MotionCommand& send(Motion motion) {
-    MotionCommand& command = in_.commands[in_.n_commands++];
-    command = {};
-    command.motion = motion;
-    command.source = kHolder;
-    return command;
-  }
+  MotionCommand& send(Motion motion) { return test::next_command(in_, motion, kHolder); }
 
   Controller& controller() { return controller_; }
   const Outputs& out() const { return *out_; }

@@ -4,6 +4,7 @@
 
 #include "support/controller_bench.hpp"
 #include "support/lagging_arm.hpp"
+#include "support/next_command.hpp"
 #include "support/timed_bench.hpp"
 
 namespace surg {
@@ -56,10 +57,7 @@ class StarvedLink {
   }
 
   void servo_cp(const Vector3& p_RTip) {
-    MotionCommand& command = in_.commands[in_.n_commands++];
-    command = {};
-    command.motion = Motion::kServoCp;
-    command.source = kMe;
+    MotionCommand& command = test::next_command(in_, Motion::kServoCp, kMe);
     command.p = p_RTip;
     const Vector3 s_B = controller_.X_BR().linear() * p_RTip.normalized();
     command.rotation = controller_.tool_orientation(s_B, 0);

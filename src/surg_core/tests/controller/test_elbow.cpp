@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cmath>
 
+#include "support/next_command.hpp"
 #include "support/test_arm.hpp"
 #include "support/test_support.hpp"
 #include "surg_core/controller.hpp"
@@ -173,11 +174,7 @@ class PandaBench {
   }
 
   MotionCommand& send(Motion motion, std::uint32_t source = kMe) {
-    MotionCommand& command = in_.commands[in_.n_commands++];
-    command = {};
-    command.motion = motion;
-    command.source = source;
-    return command;
+    return test::next_command(in_, motion, source);
   }
   Reason turn(double angle, std::uint32_t source = kMe) {
     send(Motion::kElbowMoveJp, source).elbow = angle;

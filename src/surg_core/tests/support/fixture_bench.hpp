@@ -9,6 +9,7 @@
 
 #include "controller_bench.hpp"
 #include "lagging_arm.hpp"
+#include "next_command.hpp"
 #include "surg_core/controller.hpp"
 #include "test_arm.hpp"
 
@@ -103,13 +104,7 @@ class FixtureBench {
     return *out_;
   }
 
-  MotionCommand& send(Motion motion) {
-    MotionCommand& command = in_.commands[in_.n_commands++];
-    command = {};
-    command.motion = motion;
-    command.source = kMe;
-    return command;
-  }
+  MotionCommand& send(Motion motion) { return next_command(in_, motion, kMe); }
   void servo_cp(const Vector3& p_R) { pose(Motion::kServoCp, p_R); }
   void pose(Motion motion, const Vector3& p_R) {
     MotionCommand& command = send(motion);

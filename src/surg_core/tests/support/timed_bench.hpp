@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "controller_bench.hpp"
+#include "next_command.hpp"
 #include "surg_core/controller.hpp"
 #include "test_arm.hpp"
 
@@ -118,13 +119,7 @@ class TimedBench {
     return *out_;
   }
 
-  MotionCommand& send(Motion motion) {
-    MotionCommand& command = in_.commands[in_.n_commands++];
-    command = {};
-    command.motion = motion;
-    command.source = kMe;
-    return command;
-  }
+  MotionCommand& send(Motion motion) { return next_command(in_, motion, kMe); }
   void servo_cv(const Vector3& v) { send(Motion::kServoCv).p = v; }
   MotionCommand& servo_cp(const Vector3& p_RTip) {
     MotionCommand& command = send(Motion::kServoCp);
