@@ -60,13 +60,14 @@ def rests(arm: Any, to: Path, count: int, timeout: float) -> Iterator[np.ndarray
     import rospy
     from sensor_msgs.msg import JointState
 
+    from surg_ros.joint_order import positions_of
+
     names = list(arm.robot.joint_names)
     found: queue.Queue[np.ndarray] = queue.Queue()
     standstill = Standstill()
 
     def hear(message: Any) -> None:
-        where = dict(zip(message.name, message.position, strict=False)) if message.name else {}
-        q = [where[n] for n in names] if set(names) <= set(where) else list(message.position)
+        q = positions_of(message, names)
         if len(q) == len(names) and message.header.stamp.to_nsec() > 0:
             rest = standstill.add(message.header.stamp.to_sec(), np.array(q))
             if rest is not None:

@@ -11,8 +11,12 @@ import rospy
 from sensor_msgs.msg import JointState
 
 import surg_core
-from surg_core.standstill import REST_S
+from surg_core.standstill import REST_S, resting
 from surg_core.transforms import FloatArray
+from surg_ros.joint_order import positions_of
+
+SILENT_S = 2.0
+"""Silence of pictures or joints after which the person is told."""
 
 
 class ArmJoints:
@@ -27,19 +31,23 @@ class ArmJoints:
             self.topic, JointState, self._on_joints, queue_size=1000, tcp_nodelay=True
         )
 
-    def states(self) -> list[tuple[float, FloatArray]]:
-        """Times [s] and positions (n,) [rad] of the last seconds, oldest first."""
+    def silent(self, stamp: float) -> bool:
+        """Whether no state has come for two seconds before a time [s]."""
         with self._lock:
-            return list(self._states)
+            return not self._states or stamp - self._states[-1][0] > SILENT_S
+
+    def resting(self, stamp: float) -> FloatArray | None:
+        """As `standstill.resting`, of the arm at a time [s]."""
+        with self._lock:
+            states = list(self._states)
+        return resting(states, stamp)
 
     def close(self) -> None:
         """Stop listening."""
         self._listener.unregister()
 
     def _on_joints(self, message: JointState) -> None:
-        where = dict(zip(message.name, message.position, strict=False)) if message.name else {}
-        known = set(self._names) <= set(where)
-        q = [where[name] for name in self._names] if known else list(message.position)
+        q = positions_of(message, self._names)
         if len(q) != len(self._names) or message.header.stamp.to_nsec() == 0:
             return
         with self._lock:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import surg_core
-from surg_core.standstill import resting
-from surg_perception.collecting.arm_joints_node import ArmJoints
+from surg_perception.collecting.arm_joints_node import SILENT_S, ArmJoints
 from surg_perception.collecting.base_views import Moment
-from surg_perception.collecting.collect_views_node import SILENT_S, grey_of
+from surg_perception.collecting.collect_views_node import grey_of
 from surg_perception.eyes.newest_pair_node import EYES, NewestPair
 
 
@@ -40,10 +39,9 @@ class BaseMoments:
             return str(error)
         stamp, joints = pair[0].header.stamp.to_sec(), {}
         for arm, states in self._joints.items():
-            known = states.states()
-            if not known or stamp - known[-1][0] > SILENT_S:
+            if states.silent(stamp):
                 return f"{arm} states no joints ({states.topic})"
-            joints[arm] = resting(known, stamp)
+            joints[arm] = states.resting(stamp)
         return Moment(stamp, pictures, joints)
 
     def close(self) -> None:

@@ -15,18 +15,15 @@ import numpy as np
 import rospy
 from sensor_msgs.msg import CameraInfo, Image
 
-from surg_core.standstill import resting
 from surg_msgs.msg import CalibrationRequest, CalibrationStatus
 from surg_perception.calibration.board import Picture
 from surg_perception.collecting import collector
-from surg_perception.collecting.arm_joints_node import ArmJoints
+from surg_perception.collecting.arm_joints_node import SILENT_S, ArmJoints
 from surg_perception.collecting.collector import Step
 from surg_perception.collecting.live_calibration import LiveCalibration, State, Status
 from surg_perception.eyes.newest_pair_node import EYES, NewestPair
 
 GREY = {"rgb8": cv2.COLOR_RGB2GRAY, "bgr8": cv2.COLOR_BGR2GRAY, "mono8": None}
-SILENT_S = 2.0
-"""Silence of pictures or joints after which the person is told."""
 REPORT_S = 0.2
 
 
@@ -95,11 +92,10 @@ class CollectViews:
         if arm is None or listening is None:
             self._live.see(stamp, pictures)
             return
-        joints = listening.states()
-        if not joints or stamp - joints[-1][0] > SILENT_S:
+        if listening.silent(stamp):
             self._live.say(f"{arm.name} states no joints ({listening.topic}).")
             return
-        self._live.see(stamp, pictures, resting(joints, stamp))
+        self._live.see(stamp, pictures, listening.resting(stamp))
 
     def _silence(self) -> None:
         """Tell the person that pictures are missing."""

@@ -17,6 +17,7 @@ from surg_msgs.msg import PictureMarks
 from surg_perception.eyes.joint_history import JointHistory
 from surg_perception.eyes.newest_pair_node import EYES
 from surg_perception.marks.mark_projection import MarkProjection, PictureMark
+from surg_ros.joint_order import positions_of
 
 TOPIC = "/endoscope/marks"
 
@@ -42,9 +43,7 @@ class Joints:
 
     def _keep(self, history: JointHistory, wanted: list[str]) -> Callable[[JointState], None]:
         def keep(message: JointState) -> None:
-            where = dict(zip(message.name, message.position, strict=False))
-            known = wanted and set(wanted) <= set(where)
-            q = [where[name] for name in wanted] if known else list(message.position)
+            q = positions_of(message, wanted)
             if q and len(q) == (len(wanted) or 1):
                 with self._lock:
                     history.add(message.header.stamp.to_nsec(), np.array(q))
