@@ -153,9 +153,9 @@ def _by_touch(
         raise evidence.Refused(
             "bases", [f"touches: {len(used)}; at least {evidence.LEAST_TOUCHES}: touch more"]
         )
-    X_SF = _postures(scope_arm(cell), used)
-    p_S = _touched(X_SF @ X_FV, eyes, used, views.board, count)
-    return p_S, _tips(tool_arm(cell), used), X_SF
+    X_SF = postures(scope_arm(cell), used)
+    p_S = touched_corners(X_SF @ X_FV, eyes, used, views.board, count)
+    return p_S, tips(tool_arm(cell), used), X_SF
 
 
 def _by_tip(
@@ -163,11 +163,11 @@ def _by_tip(
 ) -> tuple[FloatArray, FloatArray, FloatArray, list[str]]:
     """Tips as the scope sees them, as the joints state them, flanges of the scope, left out."""
     scope, tool = scope_arm(cell), tool_arm(cell)
-    X_SF = _postures(scope, views.views)
-    s_V = shaft_directions(scope, tool, X_SF @ X_FV, _postures(tool, views.views)[:, :3, :3])
+    X_SF = postures(scope, views.views)
+    s_V = shaft_directions(scope, tool, X_SF @ X_FV, postures(tool, views.views)[:, :3, :3])
     used, p_V, left_out = seen_tips(views, eyes, X_SF, s_V)
     enough_tips(used, left_out)
-    X_SF, p_T = _postures(scope, used), _tips(tool, used)
+    X_SF, p_T = postures(scope, used), tips(tool, used)
     p_S = np.array([transform(X @ X_FV, p[None])[0] for X, p in zip(X_SF, p_V, strict=True)])
     keep = fitting(p_S, p_T)
     left_out += [
@@ -179,7 +179,7 @@ def _by_tip(
     return p_S[keep], p_T[keep], X_SF[keep], left_out
 
 
-def _touched(
+def touched_corners(
     X_SV: FloatArray, eyes: Stereo, views: Sequence[View], board: Board, count: int
 ) -> FloatArray:
     """The touched corners as the scope sees them, in its arm's base (n, 3) [m]."""
@@ -192,13 +192,13 @@ def _touched(
     return np.array(points)
 
 
-def _postures(arm: surg_core.Arm, views: Sequence[View]) -> FloatArray:
+def postures(arm: surg_core.Arm, views: Sequence[View]) -> FloatArray:
     """Flange of an arm in its base (n, 4, 4)."""
     names = arm.robot.joint_names
     return np.array([arm.chain.forward(view.of_arm(arm.name, names)) for view in views])
 
 
-def _tips(tool: surg_core.Arm, views: Sequence[View]) -> FloatArray:
+def tips(tool: surg_core.Arm, views: Sequence[View]) -> FloatArray:
     """The tip by its joints, in the tool arm's base (n, 3) [m]."""
     names = tool.robot.joint_names
     poses = [tool.chain.forward(view.of_arm(tool.name, names)) for view in views]

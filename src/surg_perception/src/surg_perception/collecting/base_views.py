@@ -7,7 +7,7 @@ person can see that the tip is where it should be, so no view is taken by itself
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +16,10 @@ import surg_core
 from surg_core.transforms import FloatArray
 from surg_perception.calibration import base_steps, evidence, steps
 from surg_perception.calibration.board import Picture
-from surg_perception.calibration.handeye import pair_pose
 from surg_perception.calibration.result_files import Origin, read_eyes
 from surg_perception.calibration.small_motions import transform
 from surg_perception.calibration.views import View
-from surg_perception.collecting.board_look import MOST_BLUR, is_sharp, look_at, rough_lens
+from surg_perception.collecting.board_look import blur_in_words, is_sharp, look_at, rough_lens
 from surg_perception.collecting.views_folder import ViewsFolder
 
 WANTED = {"touch": 32, "tip": 12}
@@ -84,12 +83,12 @@ class BaseViews:
         across, n = self._board.columns - 1, len(self._board.corners)
         self._ends = (0, across - 1, n - across, n - 1)
         self.arms = (self._scope.name, self._tool.name)
-        columns = [
+        self._columns = [
             f"{arm.name}/{joint}"
             for arm in (self._scope, self._tool)
             for joint in arm.robot.joint_names
         ]
-        self._folder = ViewsFolder(path, self._board, columns)
+        self._folder = ViewsFolder(path, self._board, self._columns)
         self.wanted = WANTED[by]
         self._tips: list[FloatArray] = []  # in the instrument arm's base
         self._apart: list[FloatArray] = []  # from the tip by joints to the corner seen, in W
@@ -121,22 +120,23 @@ class BaseViews:
         if size != self._eyes.left.size:
             wide, high = self._eyes.left.size
             return f"pictures of {size[0]} x {size[1]} px; the lens files are for {wide} x {high}"
-        q_S, q_T = (np.asarray(moment.joints[arm]) for arm in self.arms)
-        X_TF = self._tool.chain.forward(q_T)
-        p_T = transform(X_TF, self._tool.tool.p_FTip[None])[0]
+        q = np.concatenate([np.asarray(moment.joints[arm]) for arm in self.arms])
+        joints = dict(zip(self._columns, q, strict=True))
+        touch = self._ends[self.count % len(ENDS)] if self._by == "touch" else None
+        view = View("", moment.stamp, joints, touch, (None, None))
+        p_T = base_steps.tips(self._tool, [view])[0]
         earlier = self._tips[-1:] if self._by == "touch" else self._tips
         if any(np.linalg.norm(p_T - other) < NEW_PLACE[self._by] for other in earlier):
             return "the tip has not moved: bring it to the next place"
-        touch, apart = None, np.zeros(3)
-        if self._by == "touch":
-            touch = self._ends[self.count % len(ENDS)]
-            seen = self._touched(moment, q_S, touch)
+        apart = np.zeros(3)
+        if touch is not None:
+            seen = self._touched(moment, view)
             if isinstance(seen, str):
                 return seen
             apart = seen - transform(self._tool.X_WB, p_T[None])[0]
             if why := self._other_corner(apart, touch):
                 return why
-        self._folder.add(moment.stamp, moment.pair, np.concatenate([q_S, q_T]), touch)
+        self._folder.add(moment.stamp, moment.pair, q, touch)
         self._tips.append(p_T)
         self._apart.append(apart)
         return ""
@@ -161,24 +161,18 @@ class BaseViews:
         self.wanted = max(self.wanted, self.count) + AGAIN[self._by]
         return False, reasons
 
-    def _touched(self, moment: Moment, q_S: FloatArray, touch: int) -> FloatArray | str:
+    def _touched(self, moment: Moment, view: View) -> FloatArray | str:
         """The touched corner (3,) in the world as the scope sees it; a text: it does not."""
         lens = rough_lens(self._eyes.left.size, self._eyes.left.K)
         look = look_at(self._board, moment.pair, lens, moment.stamp)
         if isinstance(look, str):
             return f"{look}: show more of the board"
         if not is_sharp(look):
-            return (
-                f"the picture is blurred ({look.blur * look.side:.1f} px; at most "
-                f"{MOST_BLUR * look.side:.1f}): focus, or change the distance"
-            )
+            return f"the picture is blurred ({blur_in_words(look)}): focus, or change the distance"
         left, right = (*look.corners, None)[:2]
-        view = View("", moment.stamp, {}, touch, (left, right))
-        pair = view.seen(self._board, self.eyes)
-        assert pair is not None
-        X_VBoard = pair_pose(self._eyes, pair)
-        X_WV = self._scope.X_WB @ self._scope.chain.forward(q_S) @ self._X_FV
-        return transform(X_WV @ X_VBoard, self._board.corners[touch][None])[0]
+        seen = replace(view, corners=(left, right))
+        X_WV = self._scope.X_WB @ base_steps.postures(self._scope, [view]) @ self._X_FV
+        return base_steps.touched_corners(X_WV, self._eyes, [seen], self._board, self.eyes)[0]
 
     def _other_corner(self, apart: FloatArray, touch: int) -> str:
         """Why this is not the corner that was asked for; empty: it may be."""

@@ -161,6 +161,11 @@ def is_sharp(look: Look) -> bool:
     return look.blur <= MOST_BLUR
 
 
+def blur_in_words(look: Look) -> str:
+    """How blurred a look is, and how much is allowed."""
+    return f"{look.blur * look.side:.1f} px; at most {MOST_BLUR * look.side:.1f}"
+
+
 def is_new(look: Look, views: Sequence[Look], by_posture: bool = False) -> bool:
     """Whether a look differs from every view: by the board's place, or by the arm's posture."""
     differs = posture_differs if by_posture else board_differs

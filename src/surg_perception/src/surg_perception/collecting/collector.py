@@ -20,9 +20,9 @@ from surg_perception.calibration.board import Board
 from surg_perception.calibration.handeye import turns_between
 from surg_perception.calibration.intrinsics import SeenCorners
 from surg_perception.collecting.board_look import (
-    MOST_BLUR,
     STILL_S,
     Look,
+    blur_in_words,
     is_new,
     is_sharp,
     is_still,
@@ -166,10 +166,7 @@ class Collector:
     def _why_not(self, look: Look) -> str:
         """Why a look is no view; empty: it is one."""
         if not is_sharp(look):
-            return (
-                f"The picture is blurred ({look.blur * look.side:.1f} px; at most "
-                f"{MOST_BLUR * look.side:.1f}). Focus, or change the distance."
-            )
+            return f"The picture is blurred ({blur_in_words(look)}). Focus, or change the distance."
         if self.step is Step.HANDEYE and look.X_BF is None:
             return "Hold the endoscope still."
         still_needed = f"Still needed: {next(iter(self.missing), 'nothing')}."
