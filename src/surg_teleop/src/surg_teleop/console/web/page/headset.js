@@ -7,6 +7,7 @@ import { Link, clock, socketUrl, token, wallUs } from "./link.js";
 import { mark, write } from "./view.js";
 
 const SCREEN = { awayM: 1.2, widthM: 1.0 };
+const ROOM_PX = { width: 640, height: 320 }; // of the canvas; the headset has a size of its own
 const SHIFT = 0.035; // of the width: 80 mm lies on the screen (guide/screens/monitor.md)
 const LEAST_S = 0.008; // between two inputs
 const PULSE_S = 0.3; // between two pulses at a wall
@@ -93,7 +94,8 @@ function showNewest(view) {
 async function enter() {
   element("enter").disabled = true;
   try {
-    const canvas = element("room");
+    // It gives the context only. In the page, the browser would draw it there too, at every frame.
+    const canvas = Object.assign(document.createElement("canvas"), ROOM_PX);
     const gl = canvas.getContext("webgl2", { xrCompatible: true, alpha: false, antialias: false });
     if (!gl) throw new Error("This browser has no WebGL 2. Switch its hardware acceleration on, or use another browser.");
     const session = await navigator.xr.requestSession("immersive-vr", { requiredFeatures: ["local-floor"] });
