@@ -15,7 +15,8 @@ from helpers.teleop import chromium
 from helpers.teleop.chromium import Chromium, until
 from helpers.teleop.console import Console, console
 from helpers.teleop.headset import FAKE_XR, NO_WEBGL, NO_XR
-from helpers.teleop.headset_page import came, drives, entered, squeezed
+from helpers.teleop.headset_page import SQUEEZE, came, drives, entered, hold, squeezed
+from surg_core.transforms import multiply_quaternions
 from surg_teleop.console.session.console_orders import Clutch, Move, Present
 from surg_teleop.console.session.console_session import Phase
 from surg_teleop.console.session.operator_messages import HIDDEN, SILENT
@@ -37,6 +38,35 @@ def test_the_headset_drives_with_a_dead_man_and_each_eye_has_its_picture() -> No
     async def test() -> None:
         async with entered() as (made, tab):
             await drives(made, tab)
+            # In the page, the browser would draw the room a second time at every frame.
+            assert await tab.run("document.querySelectorAll('canvas').length") == 0
+
+    run(test())
+
+
+@pytest.mark.full
+def test_the_scene_stands_behind_the_screen() -> None:
+    """By the border in the middle of a picture that is the same for both eyes."""
+
+    async def test() -> None:
+        async with entered() as (made, tab):
+            halves = np.zeros((240, 320, 3), np.uint8)
+            halves[:, 160:] = 220
+            made.camera.eyes = (halves, halves)
+            await tab.run("fakeXR.wantPixels = true, 0")
+
+            async def borders() -> list[float] | None:
+                row = np.array(await tab.run("fakeXR.row") or [0.0])
+                eyes = np.split(row, 2) if row.size > 1 else []
+                if not eyes or any(eye.max() < 190 or eye[eye.size // 3] > 60 for eye in eyes):
+                    return None
+                middle = [eye[eye.size // 3 : 2 * eye.size // 3] for eye in eyes]
+                return [float(np.argmax(part > 110)) for part in middle]
+
+            left, right = await until(borders, "the picture of two halves", 20.0)
+            # Eyes 60 mm apart see the middle of a screen, 1.2 m away, 8 of 320 pixels apart. The
+            # picture, 267 pixels wide, is shifted by 3.5 % of its width away from the viewer.
+            assert left - right == pytest.approx(8.0 - 0.035 * 0.833 * 160, abs=1.5)
 
     run(test())
 
@@ -50,6 +80,33 @@ def test_directions_are_those_of_the_screen_wherever_the_operator_looked() -> No
             ahead = 0.05 * np.array([-np.sin(turn), 0.0, -np.cos(turn)])
             found = await came(made, tab, "right", tuple(ahead.tolist()))
             assert found == pytest.approx((0, 0, 0.05), abs=1e-4)
+
+    run(test())
+
+
+@pytest.mark.full
+def test_the_wrist_turns_about_the_axes_of_the_screen() -> None:
+    """Right, up, towards the viewer in the room: right, down, into the screen in the view."""
+
+    async def test() -> None:
+        half = 0.1
+        async with entered() as (made, tab):
+            for axis, seen in zip(np.eye(3), np.diag([1.0, -1.0, -1.0]), strict=True):
+                await squeezed(made, tab)
+                before = np.array(made.system.last(Move)[1].sample.q)
+                turn = [*(np.sin(half) * axis), np.cos(half)]
+                await tab.run(f"fakeXR.right.q = {np.array(turn).tolist()}, 0")
+                wanted = multiply_quaternions(before, np.array([*(np.sin(half) * seen), turn[3]]))
+
+                async def turned(w: Any = wanted) -> bool:
+                    return bool(
+                        np.abs(np.array(made.system.last(Move)[1].sample.q) - w).max() < 1e-6
+                    )
+
+                await until(turned, f"a turn about {axis}", 5.0)
+                await hold(tab, "right", SQUEEZE, 0)
+                await asyncio.sleep(0.3)
+                await tab.run("fakeXR.right.q = [0, 0, 0, 1], 0")
 
     run(test())
 

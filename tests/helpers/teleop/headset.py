@@ -28,7 +28,8 @@ FAKE_XR = """
     head: { p: [0, 1.6, 0], q: [0, 0, 0, 1] },
     left: controller("left", [-0.2, 1.2, -0.3]),
     right: controller("right", [0.2, 1.2, -0.3]),
-    there: ["left", "right"], pixels: null, wantPixels: false, session: null, space: null,
+    there: ["left", "right"], pixels: null, row: null, wantPixels: false,
+    session: null, space: null,
   };
   fake.hold = (hand, index, value) => {
     fake[hand].buttons[index] = { pressed: value > 0.5, value };
@@ -75,6 +76,9 @@ FAKE_XR = """
         gl.readPixels(Math.round(x * width), height / 2, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, found);
         return [...found];
       });
+      const row = new Uint8Array(4 * width);
+      gl.readPixels(0, height / 2, width, 1, gl.RGBA, gl.UNSIGNED_BYTE, row);
+      fake.row = Array.from({ length: width }, (_, i) => row[4 * i]);
     }
     end() { this.dispatchEvent(new Event("end")); }
   }
