@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Coroutine
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -107,6 +108,44 @@ def test_the_wrist_turns_about_the_axes_of_the_screen() -> None:
                 await hold(tab, "right", SQUEEZE, 0)
                 await asyncio.sleep(0.3)
                 await tab.run("fakeXR.right.q = [0, 0, 0, 1], 0")
+
+    run(test())
+
+
+PULSED = "fakeXR.right.pulsed"
+
+
+@pytest.mark.full
+def test_the_controller_vibrates_with_the_force_while_its_hand_moves_the_tip() -> None:
+    """Off by default; every pulse ends by itself, so that silence is felt within 50 ms."""
+
+    async def test() -> None:
+        async with entered() as (made, tab):
+
+            async def pulses(tip: float | None) -> list[list[float]]:
+                gauges = replace(made.system.now.gauges, tip=tip)
+                made.system.now = replace(made.system.now, gauges=gauges)
+                await asyncio.sleep(0.2)
+                await tab.run(f"{PULSED}.length = 0, 0")
+                await asyncio.sleep(0.4)
+                return list(await tab.run(PULSED))
+
+            await squeezed(made, tab)
+            assert await pulses(2.5) == [], "off"
+            await tab.run("document.querySelector('#feel').click()")
+            await squeezed(made, tab)
+            found = np.array(await pulses(2.5))
+            assert len(found) > 5 and (found[:, 0] == 0.5).all(), "of a soft limit of 5 N"
+            assert found[:, 1].max() <= 40.0
+            await pulses(None)
+            assert await pulses(None) == [], "no force"
+            await hold(tab, "right", SQUEEZE, 0)
+            await pulses(2.5)
+            assert await pulses(2.5) == [], "let go"
+            await squeezed(made, tab)
+            assert len(await pulses(2.5)) > 5
+            await tab.run("document.querySelector('#feel').click()")
+            assert await pulses(2.5) == [], "off again"
 
     run(test())
 

@@ -142,6 +142,14 @@ MUTANTS: tuple[Mutant, ...] = (
         "tracked: true,",
         HEADSET,
     ),
+    one(
+        "vibrates_after_it_was_let_go",
+        "the hand feels the tip although it does not move it",
+        "headset.js",
+        "mine() && surgHeadset.sent?.squeeze && ",
+        "mine() && ",
+        HEADSET,
+    ),
     # -- /: axes of the picture
     one(
         "fingers_pull",

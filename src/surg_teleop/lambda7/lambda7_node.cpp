@@ -20,14 +20,13 @@
 #include <chrono>
 #include <csignal>
 #include <cstdio>
-#include <mutex>
 #include <optional>
 #include <string>
 #include <thread>
 #include <vector>
 
+#include "felt_force.hpp"
 #include "handle.hpp"
-#include "haptics.hpp"
 #include "sdk.hpp"
 #include "view.hpp"
 
@@ -186,32 +185,27 @@ class Topics {
 
 using Clock = std::chrono::steady_clock;
 
-/// What the hand shall feel: the newest /<name>/servo_cf through HapticFeedback. Without ~haptics
-/// nothing is subscribed, and the force is zero.
+/// The topic of what the hand feels. Without ~haptics nothing is subscribed, and the force is zero.
 class Feeling {
  public:
   Feeling(ros::NodeHandle* node, const Options& options)
-      : options_(options), feedback_(limits(options)), before_(Clock::now()) {
-    if (!options.haptics) return;
+      : haptics_(options.haptics), felt_(limits(options), options.R_VM) {
+    if (!haptics_) return;
     force_ = node->subscribe("/" + options.name + "/servo_cf", 1, &Feeling::take, this,
                              ros::TransportHints().tcpNoDelay());
   }
 
   /// The force of this cycle in the device's axes [N].
   Eigen::Vector3d step(const Reading& reading, bool known) {
-    const auto now = Clock::now();
-    const double dt = std::chrono::duration<double>(now - before_).count();
-    before_ = now;
-    if (!options_.haptics || !known) return Eigen::Vector3d::Zero();
-    const std::lock_guard<std::mutex> lock(mutex_);
-    const double age = std::chrono::duration<double>(now - received_).count();
-    const Eigen::Vector3d p_VH = options_.R_VM * reading.p_MH;
-    const Eigen::Vector3d f_V = feedback_.step(f_V_, allowed_ ? age : kNever, p_VH, allowed_, dt);
-    return options_.R_VM.transpose() * f_V;
+    if (haptics_ && known) return felt_.step(reading.p_MH, seconds());
+    felt_.skip(seconds());
+    return Eigen::Vector3d::Zero();
   }
 
  private:
-  static constexpr double kNever = 1e9;  // [s]
+  static double seconds() {
+    return std::chrono::duration<double>(Clock::now().time_since_epoch()).count();
+  }
 
   static HapticLimits limits(const Options& options) {
     HapticLimits limits;
@@ -222,19 +216,11 @@ class Feeling {
 
   void take(const geometry_msgs::WrenchStamped& message) {
     const auto& f = message.wrench.force;
-    const std::lock_guard<std::mutex> lock(mutex_);
-    f_V_ = Eigen::Vector3d(f.x, f.y, f.z);
-    allowed_ = !message.header.stamp.isZero();
-    received_ = Clock::now();
+    felt_.take(Eigen::Vector3d(f.x, f.y, f.z), !message.header.stamp.isZero(), seconds());
   }
 
-  const Options options_;
-  HapticFeedback feedback_;
-  Clock::time_point before_;
-  std::mutex mutex_;  // of what follows
-  Eigen::Vector3d f_V_ = Eigen::Vector3d::Zero();
-  bool allowed_ = false;
-  Clock::time_point received_;
+  const bool haptics_;
+  FeltForce felt_;
   ros::Subscriber force_;
 };
 

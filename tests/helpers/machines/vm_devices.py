@@ -5,9 +5,11 @@ Prints one line of JSON. Each part says what it found; the judge is tests/e2e/te
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sys
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -35,6 +37,7 @@ from surg_teleop.follow.teleop_types import (
 from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders.bundled.gamepad import Gamepad
 from surg_teleop.leaders.bundled.pedals import Pedals
+from surg_teleop.leaders.evdev.rumble import Piece
 from surg_teleop.leaders.leader import LeaderError
 from surg_teleop.playback.workspace_fit import Workspace
 
@@ -54,7 +57,59 @@ def gamepad() -> UInput:
             *((ecodes.ecodes[f"ABS_{axis}"], trigger) for axis in ("Z", "RZ")),
         ],
     }
-    return UInput(able, name="Virtual Pad", bustype=0x03)
+    able[ecodes.EV_FF] = [ecodes.FF_RUMBLE]
+    return UInput(able, name="Virtual Pad", bustype=0x03, max_effects=1)
+
+
+class Felt(threading.Thread):
+    """What the kernel tells the driver of a pad with motors: uploads, starts, stops."""
+
+    def __init__(self, pad: UInput) -> None:
+        super().__init__(daemon=True)
+        self.pad = pad
+        self.told: list[tuple[str, int, int]] = []
+        self.start()
+
+    def run(self) -> None:
+        """Until the pad is closed."""
+        with contextlib.suppress(OSError, ValueError):
+            for event in self.pad.read_loop():
+                if event.type == ecodes.EV_UINPUT and event.code == ecodes.UI_FF_UPLOAD:
+                    upload = self.pad.begin_upload(event.value)
+                    upload.retval = 0
+                    motors = upload.effect.u.ff_rumble_effect
+                    length = upload.effect.ff_replay.length
+                    self.told.append(("upload", motors.strong_magnitude, length))
+                    self.pad.end_upload(upload)
+                elif event.type == ecodes.EV_UINPUT and event.code == ecodes.UI_FF_ERASE:
+                    erase = self.pad.begin_erase(event.value)
+                    erase.retval = 0
+                    self.told.append(("erase", 0, 0))
+                    self.pad.end_erase(erase)
+                elif event.type == ecodes.EV_FF:
+                    self.told.append(("play", event.code, event.value))
+
+
+def rumbled() -> dict[str, Any]:
+    """What a pad is told while its leader rumbles, stops, and is closed."""
+    pad = gamepad()
+    felt = Felt(pad)
+    leader = Gamepad()
+    leader.open()
+    leader.read(0.0)
+    found: dict[str, Any] = {"motors": leader.rumbles}
+    for piece in (Piece(0.5, 0.040), Piece(1.0, 0.030), Piece(0.0, 0.0)):
+        leader.rumble(piece)
+        time.sleep(0.3)
+    found["before"] = list(felt.told)
+    leader.rumble(Piece(0.5, 0.040))
+    time.sleep(0.3)
+    felt.told.clear()
+    leader.close()
+    time.sleep(0.5)
+    found["closed"] = list(felt.told)
+    pad.close()
+    return found
 
 
 def pedals() -> UInput:
@@ -222,6 +277,8 @@ def main(cell: str) -> None:
     """Everything, in order."""
     found = Found()
     found["nothing"] = refusal()
+    found["rumbled"] = rumbled()
+    time.sleep(0.5)
     pad = gamepad()
     found["no_permission"] = as_nobody(refusal)
     rig = bench(Path(cell))

@@ -21,7 +21,7 @@ FAKE_XR = """
   });
   const button = () => ({ pressed: false, value: 0 });
   const controller = (handedness, p) => ({
-    handedness, p, q: [0, 0, 0, 1], seen: true, emulated: false, pulses: 0,
+    handedness, p, q: [0, 0, 0, 1], seen: true, emulated: false, pulses: 0, pulsed: [],
     buttons: Array.from({ length: 6 }, button),
   });
   const fake = {
@@ -62,7 +62,10 @@ FAKE_XR = """
       return fake.there.map((hand) => ({
         handedness: hand, targetRaySpace: { hand, kind: "ray" }, gripSpace: { hand, kind: "grip" },
         gamepad: { buttons: fake[hand].buttons,
-                   hapticActuators: [{ pulse: () => { fake[hand].pulses += 1; } }] },
+                   hapticActuators: [{ pulse: async (...pulse) => {
+                     fake[hand].pulses += 1;
+                     fake[hand].pulsed.push(pulse);
+                   } }] },
       }));
     }
     updateRenderState({ baseLayer }) { this.layer = baseLayer; }

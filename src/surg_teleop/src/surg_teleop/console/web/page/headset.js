@@ -1,6 +1,7 @@
 // The page /headset: the console in a headset, by WebXR. The controllers are a leader like the mouse,
 // with a dead-man; input goes out in the headset's frame, so a frame loop that stops is silence.
 
+import { Feel } from "./beside/feel.js";
 import { HeadsetHand, rotate } from "./headset_hand.js";
 import { RoomView } from "./headset_view.js";
 import { Link, clock, socketUrl, token, wallUs } from "./link.js";
@@ -34,12 +35,18 @@ const link = new Link(onMessage, (why) => { status = null; gone = why; });
 const hand = new HeadsetHand(press, recentre);
 hand.byHead = address.get("scope") === "head";
 globalThis.surgHeadset = { picture, link, status: () => status, sent: null, frames: 0 };
+const feel = new Feel(
+  () => (xr ? { vibrationActuator: hand.motor(xr.session) } : null),
+  () => status?.phase === "driving" && mine() && surgHeadset.sent?.squeeze && !surgHeadset.sent.camera,
+  () => facts.limits.tip_force_soft,
+);
 
 // --- the console ---
 
 function onMessage(message) {
   if (message.say === "welcome") {
     facts = message;
+    element("feel").parentElement.hidden = !message.beside?.includes("feel");
     worker.postMessage({ stream: { url: socketUrl("/pictures"), token: token(), layout: stereo() ? "stereo" : "left", codec: address.get("codec") === "jpeg" ? "jpeg" : "h264" } });
   } else if (message.say === "status") {
     status = message;
@@ -203,6 +210,7 @@ async function look() {
 
 element("enter").addEventListener("click", enter);
 element("head").checked = hand.byHead;
+element("feel").addEventListener("change", ({ target }) => feel.turn(target.checked));
 element("head").addEventListener("change", ({ target }) => { hand.byHead = target.checked; });
 element("stop").addEventListener("click", () => link.press("stop"));
 addEventListener("keydown", ({ code }) => { if (code === "Escape") link.press("stop"); });

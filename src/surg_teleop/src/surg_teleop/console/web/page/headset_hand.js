@@ -53,6 +53,7 @@ export class HeadsetHand {
     this.used = []; // hands that were squeezed in the last frame
     this.longSince = null;
     this.at = { p: [0, 0, 0], q: [0, 0, 0, 1] };
+    this.felt = false; // whether the motor has played the force at the tip
   }
 
   /** Controllers by hand. */
@@ -131,5 +132,21 @@ export class HeadsetHand {
     const { left, right } = this.sources(session);
     const source = this.used.includes("left") ? left : right;
     source?.gamepad.hapticActuators?.[0]?.pulse?.(0.6, 60);
+  }
+
+  /** The motor of the right controller, as a gamepad has one; null: it has none. */
+  motor(session) {
+    const actuator = this.sources(session).right?.gamepad.hapticActuators?.[0];
+    if (!actuator?.pulse) return null;
+    return {
+      playEffect: async (_kind, { duration, strongMagnitude }) => {
+        this.felt = true;
+        await actuator.pulse(strongMagnitude, duration);
+      },
+      reset: () => {
+        if (this.felt) actuator.pulse(0, 1); // else it would end a pulse at a wall
+        this.felt = false;
+      },
+    };
   }
 }
