@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib.util
 import inspect
 import re
+import sys
 import threading
 import time
 from types import ModuleType
@@ -126,6 +127,9 @@ def public(module: ModuleType) -> set[str]:
     return {name for name in vars(module) if not name.startswith("_")}
 
 
+@pytest.mark.skipif(
+    sys.version_info[:2] != (3, 11), reason="the stubs are written on Debian 12, by its pybind11"
+)
 def test_the_stubs_are_those_of_the_binding() -> None:
     """src/surg_core/tools/write_stub.py has been run since the binding last changed."""
     spec = importlib.util.spec_from_file_location("write_stub", CORE / "tools" / "write_stub.py")

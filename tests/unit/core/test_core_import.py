@@ -7,6 +7,9 @@ import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
 
+import numpy as np
+import pytest
+
 import surg_core
 
 
@@ -20,6 +23,7 @@ def test_a_child_with_its_parents_path_finds_the_compiled_half() -> None:
         assert pool.submit(where).result(60) == where()
 
 
+@pytest.mark.skipif(np.__version__ >= "2", reason="this pybind11 knows numpy 2")
 def test_numpy_2_under_an_old_pybind11_is_refused() -> None:
     stub = "import numpy; numpy.__version__ = '2.1.3'; import surg_core"
     result = subprocess.run([sys.executable, "-c", stub], capture_output=True, text=True)

@@ -43,7 +43,8 @@ def test_both_give_the_same_forces(program: Path, seed: int) -> None:
         feedback.step(force[i], age[i], place[i], bool(allowed[i]), dt[i]) for i in range(n)
     ]
     lines = "\n".join(
-        " ".join(map(repr, map(float, [*force[i], age[i], *place[i]]))) + f" {allowed[i]} {dt[i]!r}"
+        " ".join(map(repr, map(float, [*force[i], age[i], *place[i]])))
+        + f" {allowed[i]} {float(dt[i])!r}"
         for i in range(n)
     )
     done = subprocess.run(

@@ -69,7 +69,8 @@ def test_a_board_with_another_number_of_columns_is_not_taken_for_the_stated_one(
     """Its markers are the same ones: corners would be found, two squares off."""
     picture = cv2.copyMakeBorder(BOARD.picture(), 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
     other = Board(*squares)
-    assert other._seen(picture) is not None
+    if not hasattr(cv2.aruco, "CharucoDetector"):  # later versions find none themselves
+        assert other._seen(picture) is not None
     assert other.find(picture) is None
     assert f"{squares[0]}x{squares[1]}" in other.why_not(picture)
 

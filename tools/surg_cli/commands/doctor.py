@@ -94,10 +94,10 @@ def _system() -> Finding:
     if release.exists():
         pairs = dict(line.split("=", 1) for line in release.read_text().splitlines() if "=" in line)
         name = pairs.get("PRETTY_NAME", name).strip('"')
-    good = "bookworm" in name or "GNU/Linux 12" in name
+    good = any(word in name for word in ("bookworm", "GNU/Linux 12", "trixie", "GNU/Linux 13"))
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     text = f"{name}, {len(os.sched_getaffinity(0))} cores, {memory:.1f} GiB"
-    return Finding(good, "system", text, "" if good else "use Debian 12 (bookworm)")
+    return Finding(good, "system", text, "" if good else "use Debian 12 or 13")
 
 
 def _packages() -> Finding:

@@ -64,7 +64,7 @@ def missing_packages(names: Sequence[str]) -> list[str]:
         Problem: This is not a Debian system.
     """
     if shutil.which("dpkg-query", path="/usr/bin:/bin") is None:
-        raise Problem("dpkg-query is missing: the platform is set up on Debian 12 (bookworm)")
+        raise Problem("dpkg-query is missing: the platform is set up on Debian 12 or 13")
     query = subprocess.run(
         ["/usr/bin/dpkg-query", "-W", "-f=${Package} ${db:Status-Status}\\n", *names],
         capture_output=True,

@@ -29,6 +29,8 @@ from surg_recording.recording_errors import EpisodeError
 
 STORE = "replay.zarr"
 _PART = "part.zarr"
+_ZARR_2 = hasattr(zarr, "DirectoryStore")  # of Debian 12; later versions have other names
+_DEFAULT = "default" if _ZARR_2 else "auto"  # zarr's own compressor
 _COMPRESSOR = Blosc("zstd", clevel=3, shuffle=Blosc.BITSHUFFLE)
 _ROWS = 4096
 """Rows per chunk of a table."""
@@ -127,23 +129,38 @@ class DiffusionPolicy(Exporter):
 
 
 def _new(path: Path) -> Any:
+    if not _ZARR_2:
+        return zarr.open_group(str(path), mode="w", zarr_format=2)
     return zarr.open_group(zarr.DirectoryStore(str(path)), mode="w")
+
+
+def _stored(group: Any, name: str, values: npt.NDArray[Any], compressor: Any, **how: Any) -> Any:
+    """An array of a group that holds these values."""
+    if _ZARR_2:
+        return group.array(name, values, compressor=compressor, **how)
+    stored = group.create_array(
+        name, shape=values.shape, dtype=values.dtype, compressors=compressor, **how
+    )
+    stored[...] = values
+    return stored
 
 
 def _create(group: Any, feature: Feature, values: npt.NDArray[Any] | None, frames: int) -> Any:
     """A described array of a feature; that of a video is filled later."""
     if feature.is_video:
-        stored = group.create_dataset(
+        make = group.create_dataset if _ZARR_2 else group.create_array
+        stored = make(
             _key(feature),
             shape=(frames, *feature.shape),
             chunks=(1, *feature.shape),
             dtype=np.uint8,
-            compressor=_COMPRESSOR,
             fill_value=0,
+            **{"compressor" if _ZARR_2 else "compressors": _COMPRESSOR},
         )
     else:
         assert values is not None
-        stored = group.array(_key(feature), values, chunks=(_ROWS, *values.shape[1:]))
+        chunks = (_ROWS, *values.shape[1:])
+        stored = _stored(group, _key(feature), values, _DEFAULT, chunks=chunks)
     stated = feature.describe()
     kept = ("names", "units", "frame", "method", "text", "privileged")
     stored.attrs.update(feature=feature.name, **{key: stated[key] for key in kept})
@@ -151,7 +168,7 @@ def _create(group: Any, feature: Feature, values: npt.NDArray[Any] | None, frame
 
 
 def _array(group: Any, name: str, values: npt.NDArray[Any]) -> None:
-    group.array(name, values, chunks=values.shape, compressor=None)
+    _stored(group, name, values, None, chunks=values.shape)
 
 
 def _key(feature: Feature) -> str:

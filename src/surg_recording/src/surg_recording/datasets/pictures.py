@@ -157,7 +157,7 @@ def encode(frames: Iterable[av.VideoFrame], path: Path, how: ExportOptions) -> i
             frame = frame.reformat(
                 width=stream.width, height=stream.height, format="yuv420p", interpolation="AREA"
             )
-            frame.pict_type = "NONE"  # the encoder decides, not the recording's
+            frame.pict_type = 0  # none: the encoder decides, not the recording's
             frame.pts, frame.time_base = count, Fraction(1, how.fps)
             container.mux(stream.encode(frame))
             count += 1

@@ -98,7 +98,7 @@ def _thin_out(path: Path, budget: int, progress: Callable[[int], None] | None) -
                 shown = exact_values.picture(frame) if exact else frame
                 small = shown.reformat(width=width, height=height, format="yuv420p")
                 small.pts, small.time_base = at, MICROSECONDS
-                small.pict_type = "NONE"
+                small.pict_type = 0  # none: the encoder decides
                 out.mux(stream.encode(small))
                 frames.append(number)
                 pts.append(at)

@@ -39,7 +39,7 @@ def packets(container: av.container.InputContainer) -> Iterator[av.Packet]:
 def like(container: av.container.OutputContainer, video: av.VideoStream) -> av.VideoStream:
     """A new stream of a container for the packets of another video."""
     if hasattr(container, "add_stream_from_template"):  # PyAV 14 and later
-        return container.add_stream_from_template(video)
+        return container.add_stream_from_template(video, opaque=True)  # packets only
     return container.add_stream(template=video)
 
 

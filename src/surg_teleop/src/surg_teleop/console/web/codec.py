@@ -25,6 +25,8 @@ _TO_YUV = {"rgb8": "COLOR_RGB2YUV_I420", "bgr8": "COLOR_BGR2YUV_I420"}
 """OpenCV converts four times faster than ffmpeg; both use ITU-R BT.601, 16 to 235."""
 KEY_EVERY = 100
 """Pictures between two key pictures; a page that joins or falls behind requests one."""
+_ANY, _KEY = 0, 1
+"""Types of a picture by FFmpeg's numbers, which every version of PyAV takes: none wanted, I."""
 _MICROSECONDS = fractions.Fraction(1, 1_000_000)
 
 
@@ -87,7 +89,7 @@ class Codec:
         picture = frame.reformat(format=self._format.pixels)
         self._last = max(stamp_us, self._last + 1)
         picture.pts, picture.time_base = self._last, _MICROSECONDS
-        picture.pict_type = "I" if key else "NONE"
+        picture.pict_type = _KEY if key else _ANY
         return b"".join(bytes(packet) for packet in self._context.encode(picture))
 
 
