@@ -126,13 +126,17 @@ def _dask(jobs: Sequence[Job], options: ExportOptions, done: Done) -> None:
         try:
             by_key = {f"export-{job.key}": job for job in jobs}
             futures = [client.submit(make, job, key=key) for key, job in by_key.items()]
-            for future in distributed.as_completed(futures):
+            # The loop of this client fetches the results: another client's would refuse them.
+            ended = distributed.as_completed(
+                futures, loop=client.loop, with_results=True, raise_errors=False
+            )
+            for future, result in ended:
                 job = by_key[future.key]
                 if future.status == "finished":
-                    done(future.result())
+                    done(result)
                 else:
-                    reason = f"{job.folder}: {future.exception()}"
-                    done(Outcome(job.folder, job.key, reason))
+                    problem = result[1] if isinstance(result, tuple) else result
+                    done(Outcome(job.folder, job.key, f"{job.folder}: {problem}"))
         finally:
             client.close()
             if cluster is not None:
