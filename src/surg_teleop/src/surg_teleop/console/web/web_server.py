@@ -181,7 +181,7 @@ class Server:
 
     async def _close_sockets(self) -> None:
         """Close all sockets at once: one on a dead link must not delay the others."""
-        code, text = WSCloseCode.GOING_AWAY, b"the console has ended"
+        code, text = WSCloseCode.GOING_AWAY, b"The console has ended. Reconnecting every second."
         closing = [socket.close(code=code, message=text) for socket in self._sockets]
         with contextlib.suppress(TimeoutError):
             everyone = asyncio.gather(*closing, return_exceptions=True)
