@@ -135,8 +135,8 @@ def _dask(jobs: Sequence[Job], options: ExportOptions, done: Done) -> None:
                 if future.status == "finished":
                     done(result)
                 else:
-                    problem = result[1] if isinstance(result, tuple) else result
-                    done(Outcome(job.folder, job.key, f"{job.folder}: {problem}"))
+                    why = result[1] if isinstance(result, tuple) else result
+                    done(Outcome(job.folder, job.key, f"{job.folder}: {why}"))
         finally:
             client.close()
             if cluster is not None:
