@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from surg_core.wilson import wilson_interval
 from surg_sim import tasks
-from surg_sim.envs import expert_evaluation
+from surg_sim.envs import expert_evaluation, rows_of_page
 from surg_sim.envs.episode_runner import ArmReport, EpisodeReport, Spread
 from surg_sim.physics.patient_settings import SETTINGS, find_setting
 from surg_sim.physics.trocar import TrocarParameters
@@ -48,6 +49,59 @@ def test_failures_are_listed_with_cause_and_seeds() -> None:
         "- bgr: 1 × lost (seeds 7)",
     ]
     assert expert_evaluation.failures([("bgr", done[:1])]) == ["None."]
+
+
+def page(tasks_of_page: dict[str, list[EpisodeReport]], second: bool) -> str:
+    setting = find_setting("phantom")
+
+    def of(label: str) -> expert_evaluation.Series:
+        return expert_evaluation.Series(label, "", label.split(",")[0], setting, "ours", ())
+
+    first = [(of(label), done) for label, done in tasks_of_page.items()]
+    rest = [(replace(of("phantom: wall"), task="bgr", seeds=(1,)), [report(1, "late")])]
+    return expert_evaluation.report(first, rest if second else [], "make all")
+
+
+@pytest.mark.parametrize("second", [True, False])
+def test_rows_put_into_a_page_are_those_of_a_page_made_at_once(second: bool) -> None:
+    good, bad = [report(1, "")], [report(1, ""), report(2, "late")]
+    both = {
+        "bgr, phantom, UR5e": bad,
+        "needle_driving, phantom, UR5e": bad,
+        "needle_driving, phantom, Panda": good,
+        "pick_and_place, phantom, UR5e": good,
+    }
+    old = {k: v for k, v in both.items() if "needle" not in k}
+    whole, text = page(both, second).splitlines(), page(old, second)
+
+    def put(text: str, labels: list[str], done: list[EpisodeReport], command: str) -> str:
+        lines = page(dict.fromkeys(labels, done), False).splitlines()
+        rows = {label: next(x for x in lines if x.startswith(f"| {label}")) for label in labels}
+        causes = expert_evaluation.failures((label, done) for label in labels)
+        return rows_of_page.put(text, rows, causes, command)
+
+    needles = [label for label in both if "needle" in label]
+    text = put(text, needles, bad, "make needles")
+    text = put(text, needles[1:], good, "make Panda")  # again: nothing of the row before is left
+    added = [line for line in text.splitlines() if line not in whole]
+    assert added == [
+        "- Rows of needle_driving with UR5e: by `make needles`",
+        "- Rows of needle_driving with Panda: by `make Panda`",
+    ]
+    left = [line for line in text.splitlines() if line not in added]
+    # A list of commands has a line of space round it.
+    assert [line for line in left if line] == [line for line in whole if line]
+
+
+def test_rows_go_into_such_a_page_only(tmp_path: Path) -> None:
+    other = tmp_path / "other.md"
+    other.write_text("# Another page\n")
+    for name in ("other.md", "none.md"):
+        words = ["--episodes", "1", "--ablation", "0", "--update", str(tmp_path / name)]
+        assert expert_evaluation.main(words) == 2
+    assert other.read_text() == "# Another page\n"
+    with pytest.raises(SystemExit):
+        expert_evaluation.main(["--update", str(other)])
 
 
 @pytest.mark.full

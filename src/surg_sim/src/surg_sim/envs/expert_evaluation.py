@@ -1,10 +1,13 @@
-"""Figures of the scripted senders and of the controller over many episodes, in process.
+r"""Figures of the scripted senders and of the controller over many episodes, in process.
 
 Two tables: every task in every setting over test seeds, and an ablation of the settings'
 disturbances, each alone and all together, with the paper's law in the same table. ::
 
     python3 -m surg_sim.envs.expert_evaluation --episodes 100 --out docs/results/phantom.md
+    python3 -m surg_sim.envs.expert_evaluation --episodes 20 --ablation 0 \
+        --tasks pick_and_place --update docs/results/phantom.md
 
+The second command puts the rows of one task into the page that the first one wrote.
 These are figures of a simulation.
 """
 
@@ -22,6 +25,7 @@ import numpy as np
 
 from surg_core.wilson import wilson_interval
 from surg_sim import tasks
+from surg_sim.envs import rows_of_page
 from surg_sim.envs.cell_session import Session
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
 from surg_sim.physics import cell_files
@@ -193,6 +197,17 @@ def report(
     return "\n".join(lines) + "\n"
 
 
+def _update(page: Path, done: Sequence[tuple[Series, list[EpisodeReport]]], command: str) -> None:
+    """Put rows of the first table into a page."""
+    text = rows_of_page.put(
+        page.read_text(encoding="utf-8"),
+        {series.label: _line(series, reports) for series, reports in done},
+        failures((series.label, reports) for series, reports in done),
+        command,
+    )
+    page.write_text(text, encoding="utf-8")
+
+
 def main(words: Sequence[str] | None = None) -> int:
     """Entry point."""
     parser = argparse.ArgumentParser(
@@ -207,9 +222,16 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--robots", nargs="+", choices=list(ROBOTS), default=list(ROBOTS))
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--out", type=Path, help="Markdown file; default: standard output")
+    parser.add_argument(
+        "--update", type=Path, metavar="PAGE", help="replace or add these rows; needs --ablation 0"
+    )
     options = parser.parse_args(words)
+    if options.update is not None and (options.ablation or options.out is not None):
+        parser.error("--update takes --ablation 0 and no --out: it changes the first table only")
     robots = {name: ROBOTS[name] for name in options.robots}
     try:
+        if options.update is not None:
+            rows_of_page.check(options.update)
         first, second = plan(
             options.episodes, options.ablation, robots, options.tasks, options.others
         )
@@ -217,13 +239,15 @@ def main(words: Sequence[str] | None = None) -> int:
     except ValueError as error:
         print(f"surg_sim.envs.expert_evaluation: {error}", file=sys.stderr)
         return 2
-    n = len(first)
-    text = report(
-        list(zip(first, results[:n], strict=True)),
-        list(zip(second, results[n:], strict=True)),
-        "python3 -m surg_sim.envs.expert_evaluation "
-        + " ".join(sys.argv[1:] if words is None else words),
+    command = "python3 -m surg_sim.envs.expert_evaluation " + " ".join(
+        sys.argv[1:] if words is None else words
     )
+    n = len(first)
+    done = list(zip(first, results[:n], strict=True))
+    if options.update is not None:
+        _update(options.update, done, command)
+        return 0
+    text = report(done, list(zip(second, results[n:], strict=True)), command)
     if options.out is None:
         print(text)
     else:
