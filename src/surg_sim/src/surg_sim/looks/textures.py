@@ -6,6 +6,7 @@ without a seam.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -41,27 +42,26 @@ def vessels(
     picture = np.zeros((n, n))
     reach = int(np.ceil(width)) + 2
     window = np.arange(-reach, reach + 1)
-    todo = [(rng.random(2) * n, rng.random() * 2 * np.pi, width) for _ in range(trunks)]
+    todo = [(*(rng.random(2) * n), rng.random() * 2 * np.pi, width) for _ in range(trunks)]
     while todo:
-        place, heading, radius = todo.pop()
+        x, y, heading, radius = todo.pop()
         turn = 0.0
         length = int(n * (0.25 + 0.45 * rng.random()) * radius / width) + 8
         for step in range(length):
-            turn = float(np.clip(0.93 * turn + rng.normal(0.0, 0.25 * wander), -wander, wander))
+            # Tens of thousands of steps: plain numbers, and no function of numpy that checks much.
+            turn = min(max(0.93 * turn + rng.normal(0.0, 0.25 * wander), -wander), wander)
             heading += turn
-            place = place + np.array([np.cos(heading), np.sin(heading)])
+            x, y = x + math.cos(heading), y + math.sin(heading)
             thin = radius * (1.0 - 0.75 * step / length)
-            cell = np.floor(place).astype(int)
-            dx = window + cell[0] - place[0]
-            dy = window + cell[1] - place[1]
-            distance = np.hypot(dx[:, None], dy[None, :])
-            stamp = np.clip(thin + 0.6 - distance, 0.0, 1.0) * min(1.0, 0.35 + thin / width)
-            rows, columns = (window + cell[0]) % n, (window + cell[1]) % n
-            block = np.ix_(rows, columns)
+            row, column = math.floor(x), math.floor(y)
+            distance = np.hypot((window + (row - x))[:, None], (window + (column - y))[None, :])
+            stamp = np.minimum(np.maximum(thin + 0.6 - distance, 0.0), 1.0)
+            stamp *= min(1.0, 0.35 + thin / width)
+            block = ((window + row) % n)[:, None], ((window + column) % n)[None, :]
             picture[block] = np.maximum(picture[block], stamp)
             if radius > 0.6 and rng.random() < 9.0 / n:
                 side = 1.0 if rng.random() < 0.5 else -1.0
-                todo.append((place, heading + side * (0.5 + 0.6 * rng.random()), thin * 0.62))
+                todo.append((x, y, heading + side * (0.5 + 0.6 * rng.random()), thin * 0.62))
     return picture
 
 
