@@ -87,6 +87,26 @@ def test_a_person_drives_the_assistant_and_the_task_ends(
     assert "finite numbers" in log
 
 
+def test_people_who_try_again_have_no_time_limit(ros_graph: RosGraph, rospy_node: str) -> None:
+    """With ``~endless`` the phase is still told behind the limit of 3.5 s."""
+    states: list[TaskState] = []
+    topic = rospy.Subscriber("/sim/task_state", TaskState, states.append)
+    params = {"cell": str(CELL), "mode": "freerun", "task": str(SHORT), "endless": True}
+    child = ros_graph.node("surg_sim", "bridge_node.py", "/sim", params)
+    try:
+        ros_graph.wait_for(
+            lambda: child.exit_code is not None or bool(states and states[-1].tick > 1850),
+            40.0,
+            "3.7 s of the task",
+        )
+        assert child.exit_code is None, child.log_tail()
+    finally:
+        ros_graph.supervisor.stop([child])
+        topic.unregister()
+    assert {(m.done, m.reason) for m in states} == {(False, "")}
+    assert states[-1].phase == "point"
+
+
 @pytest.mark.parametrize(
     ("params", "words"),
     [

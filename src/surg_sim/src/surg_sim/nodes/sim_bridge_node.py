@@ -70,7 +70,11 @@ class Bridge:
             ArmTopics(world.cell.arms[name], self.lockstep, settings.track_stale, self._on_command)
             for name in world.arms
         ]
-        self._task = None if world.task is None else TaskTopics(self, world, settings.setting)
+        self._task = (
+            None
+            if world.task is None
+            else TaskTopics(self, world, settings.setting, settings.endless)
+        )
         self._states = StatePublisher(
             world, injector, self._arms, self._task, self._exposures, self.lockstep
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from geometry_msgs.msg import WrenchStamped
@@ -44,7 +45,8 @@ class _ForceSensor:
 class TaskTopics:
     """A task's state and verdict, its assistant, and what force sensors would say."""
 
-    def __init__(self, bridge: Bridge, world: World, setting: str) -> None:
+    def __init__(self, bridge: Bridge, world: World, setting: str, endless: bool = False) -> None:
+        """``endless``: in free-run the phantom goes on when its task is over."""
         assert world.task is not None
         self._world, self._task, self._setting = world, world.task, setting
         self._layout = bridge_messages.TaskStateLayout(self._task.state())
@@ -55,6 +57,8 @@ class TaskTopics:
         lockstep = bridge.lockstep
         # An arm with a sensor at its flange is told what that sensor makes of it.
         sensed = [] if lockstep else list(world.force_sensors)
+        # People begin when they are ready, minutes after the phantom: no time limit for them.
+        self._unhurried = endless and not lockstep
         self._free = not lockstep  # in free-run an end is news once, also where the phantom goes on
         self._forces = [
             _ForceSensor(name, "trocar", lambda arm: world.trocar(arm).force, lockstep)
@@ -65,8 +69,15 @@ class TaskTopics:
             for name in world.arms
             if world.tip_force(name) is not None and name not in sensed
         ]
-        self.verdict = self._task.verdict()
+        self.verdict = self._judged()
         """How the episode stands at the state that is out."""
+
+    def _judged(self) -> Verdict:
+        """How the task stands."""
+        verdict = self._task.verdict()
+        if verdict.timeout and self._unhurried:
+            return replace(verdict, done=False, timeout=False, reason="")
+        return verdict
 
     def take(self, tick: int) -> AssistantCommand | None:
         """What the assistant shall do in this tick."""
@@ -82,7 +93,7 @@ class TaskTopics:
     def publish(self, tick: int, stamp_ns: int) -> None:
         """Judge the state of a tick; send it on the grid and when the episode ends with it."""
         ended = self.verdict.done
-        verdict = self.verdict = self._task.verdict()
+        verdict = self.verdict = self._judged()
         if tick % GRID == 0 or (verdict.done and not (ended and self._free)):
             self._state.send(self._layout.pack(stamp_ns, tick, self._task.state(), verdict))
         if self._assistant is not None:
