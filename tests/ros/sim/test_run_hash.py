@@ -24,11 +24,13 @@ from surg_sim import tasks
 from surg_sim.envs.cell_session import Session
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
 from surg_sim.envs.recorded_episode import RecordedSession
+from surg_sim.envs.surg_env import SurgEnv
 
 pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
 HELPERS = paths.ROOT / "tests" / "helpers" / "sim"
 SHORT = str(HELPERS / "short_bgr.py")
+THREAD = str(HELPERS / "short_thread.py")
 NUDGE = str(HELPERS / "nudge_task.py")
 PUSHED = str(HELPERS / "pushed_bgr.py")
 SLOW = str(HELPERS / "slow_pick.py")
@@ -169,15 +171,37 @@ def test_the_jaws_feel_the_same_here_and_there(tmp_path: Path) -> None:
     print(f"PAUSED at tick {states.index(paused) + 1}, here and there")
 
 
+def test_a_thread_in_the_jaws(tmp_path: Path) -> None:
+    """In a cell of one arm: 31 point masses that swing."""
+    assert_same(tmp_path, cells.find("sim_ur5e"), THREAD, "in_vivo", 10_001)
+
+
+TASKS = ["bgr", "pick_and_place", "endoscope_guidance", "needle_driving", "thread_in_hole"]
+
+
 @pytest.mark.full
-@pytest.mark.parametrize(
-    "task", ["bgr", "pick_and_place", "endoscope_guidance", "needle_driving", "thread_in_hole"]
-)
+@pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize("cell", ["sim_two_arms", "sim_two_arms_panda"])
 @pytest.mark.parametrize("setting", ["phantom", "ex_vivo", "in_vivo"])
 def test_whole_episodes(tmp_path: Path, task: str, cell: str, setting: str) -> None:
     assert task in tasks.names()
     assert_same(tmp_path, cells.find(cell), task, setting, 10_002)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("cell", ["sim_two_arms", "sim_two_arms_panda"])
+@pytest.mark.parametrize("setting", ["phantom", "ex_vivo", "in_vivo"])
+def test_gymnasium_ends_at_the_same_hash(task: str, cell: str, setting: str) -> None:
+    expected = in_process(cells.find(cell), task, setting, 10_002)
+    env = SurgEnv(task, cell=cell, setting=setting)
+    env.reset(seed=10_002)
+    ended = late = False
+    while not (ended or late):
+        _, _, ended, late, info = env.step(env.expert_action())
+    print(f"{task} {cell} {setting}: {env.session.hash[:16]}")
+    assert (info["success"], info["reason"]) == (expected.success, expected.reason)
+    assert env.session.hash == expected.hash
 
 
 @pytest.mark.full

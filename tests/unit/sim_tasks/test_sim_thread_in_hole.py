@@ -13,7 +13,6 @@ import pytest
 from conftest import FULL
 from surg_sim.envs.cell_session import Session, merge
 from surg_sim.envs.episode_runner import run_episode
-from surg_sim.envs.surg_env import SurgEnv
 from surg_sim.physics import cell_files, scene
 from surg_sim.physics.stability import trouble
 from surg_sim.tasks import episode_seeds
@@ -65,17 +64,6 @@ def test_the_thread_goes_through_the_hole(session: Session) -> None:
     assert np.hypot(*crossing[:2]) < printed_figure.HOLE_RADIUS
     lengths = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
     assert lengths == pytest.approx(np.full(surgical_thread.PIECES, 0.002), abs=1e-9)
-
-
-@pytest.mark.full
-def test_session_and_environment_end_at_one_hash(session: Session) -> None:
-    report = run_episode(session, SEED)
-    env = SurgEnv("thread_in_hole", cell="sim_ur5e", setting="in_vivo")
-    env.reset(seed=SEED)
-    ended = False
-    while not ended:
-        _, _, ended, _, info = env.step(env.expert_action())
-    assert info["success"] and env.session.hash == report.hash
 
 
 def test_nobody_acts_and_it_is_too_late(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
