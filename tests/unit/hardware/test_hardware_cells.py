@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import math
 import re
 import shutil
 from collections.abc import Callable
@@ -198,6 +199,13 @@ BAD_HARDWARE: dict[str, tuple[Edit, str, str]] = {
     "an endless age": (hardware(calibration_days=1000), "calibration_days", "366"),
     "the emulator's lag": (without("link_lag"), "link_lag", "robot CELL lag"),
     "a lag that no link has": (hardware(link_lag=0.3), "link_lag", "0.3"),
+    "five lags for six joints": (hardware(link_lag=[0.01] * 5), "link_lag", "has 5 values"),
+    "lags of nine joints": (hardware(link_lag=[0.01] * 9), "link_lag", "has 9 values"),
+    "no lags": (hardware(link_lag=[]), "link_lag", "has 0 values"),
+    "a negative lag": (hardware(link_lag=[0.01] * 5 + [-0.001]), "link_lag", "value 6, -0.001"),
+    "a long lag": (hardware(link_lag=[0.01, 0.06, *[0.01] * 4]), "link_lag", "value 2, 0.06"),
+    "a lag that is no number": (hardware(link_lag=[0.01] * 5 + ["x"]), "link_lag", "number"),
+    "a lag that is not finite": (hardware(link_lag=[0.01] * 5 + [math.inf]), "link_lag", "inf"),
     "a home that nobody has seen": (
         hardware(home_confirmed=False), "home_confirmed", "nobody has seen",
     ),
@@ -208,6 +216,9 @@ def test_a_calibrated_and_confirmed_real_arm_is_accepted(tmp_path: Path) -> None
     arm = surg_core.load_cell(real_cell(tmp_path)).arms["PSM1"]
     assert not arm.hardware.emulated
     assert arm.robot.tuning.link_lag == 0.0101, "the arm's own lag, not the emulator's"
+    lags = [0.0081, 0.0092, 0.0087, 0.0104, 0.0115, 0.0098]
+    each = surg_core.load_cell(real_cell(tmp_path / "each", hardware(link_lag=lags))).arms["PSM1"]
+    assert each.robot.joint_lag.tolist() == lags and each.robot.tuning.link_lag == max(lags)
 
 
 @pytest.mark.parametrize("what", [*BAD_CALIBRATIONS, *BAD_HARDWARE])
