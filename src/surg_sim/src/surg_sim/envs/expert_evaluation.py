@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -117,14 +118,23 @@ def failures(rows: Iterable[tuple[str, Sequence[EpisodeReport]]]) -> list[str]:
     return lines or ["None."]
 
 
+def _timed(series: Series) -> tuple[list[EpisodeReport], float]:
+    """Its episodes, and simulated over real time with the compilation of the scene."""
+    began = time.perf_counter()
+    reports = series.run()
+    return reports, sum(report.duration for report in reports) / (time.perf_counter() - began)
+
+
 def run_all(series: Sequence[Series], jobs: int) -> list[list[EpisodeReport]]:
-    """Run series, several at a time; says how far it is on stderr."""
+    """Run series, several at a time; says how far it is, and how fast, on stderr."""
     with ProcessPoolExecutor(max_workers=jobs) as pool:
-        waiting = [pool.submit(Series.run, each) for each in series]
+        waiting = [pool.submit(_timed, each) for each in series]
         results = []
         for each, future in zip(series, waiting, strict=True):
-            results.append(future.result())
-            print(_line(each, results[-1]), file=sys.stderr, flush=True)
+            reports, speed = future.result()
+            results.append(reports)
+            line = f"{_line(each, reports)} {speed:.1f} × real time"
+            print(line, file=sys.stderr, flush=True)
     return results
 
 
