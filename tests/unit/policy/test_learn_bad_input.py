@@ -1,0 +1,139 @@
+"""What does not fit a policy that looks ends in one error, before anything is trained or moved.
+
+By the command lines of trainer and policy. What their functions refuse stands in
+`test_learn_pictures.py`, what `./surg learn` refuses in `test_cli_learn.py`.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from helpers.policy.bgr_pictures import bgr_image_policy, train_bgr_images
+from helpers.policy.bgr_synthetic import STATE, TASK, bgr_policy
+from helpers.policy.policy_server import PolicyServer, spec
+
+PICTURE = bgr_image_policy.PICTURE
+Said = Callable[[], str]
+
+
+@pytest.fixture
+def line(capsys: pytest.CaptureFixture[str]) -> Said:
+    """The one line that was printed as an error."""
+
+    def only() -> str:
+        (said,) = capsys.readouterr().err.strip().splitlines()
+        print(said)
+        return str(said)
+
+    return only
+
+
+def dataset(
+    folder: Path,
+    shape: tuple[int, int, int] = (480, 640, 3),
+    heights: tuple[int, ...] = (480,),
+    focal: tuple[float, ...] = (450.0,),
+    **info: Any,
+) -> Path:
+    """Metadata of a data set without rows; one set of calibration files for each ``heights``."""
+    names = {
+        bgr_policy.STATE: STATE,
+        train_bgr_images.TASK: TASK,
+        "action": bgr_policy.ACTIONS,
+        train_bgr_images.CAMERA: list(train_bgr_images.POSE),
+    }
+    features: dict[str, Any] = {key: {"names": value} for key, value in names.items()}
+    features[PICTURE] = {"shape": list(shape)}
+    facts = {"features": features, "splits": {"train": "0:1"}, "fps": 20, "robot_type": "ur5e"}
+    (folder / "meta" / "calibration").mkdir(parents=True)
+    (folder / "meta" / "info.json").write_text(json.dumps({**facts, **info}), "utf-8")
+    sets = []
+    for height, f in zip(heights, focal, strict=True):
+        K = [f, 0.0, 320.0, 0.0, f, height / 2, 0.0, 0.0, 1.0]
+        sets.append({"camera_info": {"endoscope_left": {"K": K, "height": height}}})
+    index = folder / "meta" / "calibration" / "index.json"
+    index.write_text(json.dumps({"sets": sets}), "utf-8")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"shape": (250, 320, 3), "heights": (250,)}, r"\[250, 320, 3\]"),
+        ({"shape": (240, 320, 3)}, r"model is for a height of 480"),
+        ({"heights": (480, 480), "focal": (450.0, 460.0)}, r"different cameras"),
+        ({"action_space": "relative"}, r"'relative'.*allowed: 'absolute'"),
+        ({"features": {"observation.state": {}}}, r"observation\.images\.endoscope\.left"),
+    ],
+    ids=["resolution", "calibration", "two cameras", "action space", "no pictures"],
+)
+def test_a_data_set_that_does_not_fit_trains_nothing(
+    changes: dict[str, Any], said: str, tmp_path: Path, line: Said
+) -> None:
+    """With the folder's name, and without weights."""
+    folder, out = dataset(tmp_path / "set", **changes), tmp_path / "w.npz"
+    assert train_bgr_images.main([str(folder), "--out", str(out)]) == 2
+    told = line()
+    assert str(folder) in told and re.search(said, told) and not out.exists()
+
+
+def weights(file: Path, **head: Any) -> Path:
+    """A file of weights as far as its head."""
+    names = {"action": ["PSM1/dx", "PSM1/dy", "PSM1/dz", "PSM1/droll", "PSM1/jaw"]}
+    whole = {"format": bgr_image_policy.ImagePolicy.format, "names": names, **head}
+    array = np.frombuffer(json.dumps(whole).encode(), np.uint8)
+    np.savez(file, head=array)
+    return file
+
+
+@pytest.mark.parametrize(
+    ("head", "said"),
+    [({}, "PSM1/dx"), ({"format": "surg_other/1"}, "format is not")],
+    ids=["action space", "another policy"],
+)
+def test_weights_that_do_not_fit_connect_to_nobody(
+    head: dict[str, Any], said: str, tmp_path: Path, line: Said
+) -> None:
+    file = weights(tmp_path / "w.npz", **head)
+    with PolicyServer(spec(pictures=True)) as server:
+        words = ["--weights", str(file), "--server", server.address]
+        assert bgr_policy.serve(bgr_image_policy.ImagePolicy, "", words) == 2
+        assert server.heard == []
+    told = line()
+    assert said in told and str(file) in told
+
+
+@pytest.mark.parametrize(
+    ("pictures", "said"),
+    [(False, "--cameras"), (True, "(240, 320, 3), the server has (480, 640, 3)")],
+    ids=["no pictures", "resolution"],
+)
+def test_a_server_that_does_not_fit_is_sent_no_action(
+    pictures: bool, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One error: what it is, the difference, what to do."""
+
+    def act(observation: Any) -> None:
+        raise AssertionError("it was asked")
+
+    policy = SimpleNamespace(
+        wants=(bgr_policy.STATE, PICTURE),
+        names={},
+        shape_of=lambda key: (240, 320, 3) if key == PICTURE else None,
+        act=act,
+    )
+    kind: Any = SimpleNamespace(load=lambda file: policy)
+    with PolicyServer(spec(pictures=pictures)) as server:
+        words = ["--weights", "w.npz", "--server", server.address]
+        assert bgr_policy.serve(kind, "", words) == 1
+        assert "ACT" not in [message.kind for _, message in server.heard]
+    _, difference, remedy = capsys.readouterr().err.strip().splitlines()
+    assert PICTURE in difference and said in difference and "Start the server" in remedy
