@@ -141,30 +141,62 @@ STALLS = [("fr3", 20), ("fr3", 104), ("fr3", 40), ("panda", 24)]
 """Arm, and ms."""
 
 
-@pytest.mark.parametrize(("name", "stall"), STALLS if FULL else STALLS[:2])
-def test_a_driver_that_stands_still_ends_in_a_fault_that_names_it(
-    name: str, stall: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Another process holds the driver up for so many ms, at 50 mm/s; the arm stops by itself."""
-    chain = enabled(name, monkeypatch)
+def sweep(chain: Chain, hold: Callable[[], None]) -> tuple[float, float]:
+    """A sideways motion at 50 mm/s with a mishap in it.
+
+    Returns:
+        Largest deviation from the pivot, and how far the tip is from where it was sent [mm].
+    """
     depth = float(np.linalg.norm(chain.out.p_set - chain.out.p_BRcm))
-    x, away = 0.0, []
+    x, away, home = 0.0, [], chain.tip
     for cycle in range(400):
         if cycle == 200:
-            chain.hold_driver(stall)
+            assert chain.out.state == State.ENABLED, chain.out.reason
+            hold()
         x += 0.002 * 0.05 * min(cycle / 60, 1.0)
         p = [x, 0.0, depth]
         chain.step(MotionCommand(Motion.SERVO_CP, 1, p=p, rotation=[0, 0, 0, 1]))
         away.append(chain.deviation)
-        if cycle == 199:
-            assert chain.out.state == State.ENABLED, chain.out.reason
+    behind = 1e3 * x - 1e3 * float(np.linalg.norm(chain.tip - home))
+    return 1e3 * max(away), behind
+
+
+@pytest.mark.parametrize(("name", "stall"), STALLS if FULL else STALLS[:2])
+def test_a_driver_that_stands_still_ends_in_a_fault_that_names_it(
+    name: str, stall: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another process holds the driver up for so many ms; the arm stops by itself."""
+    chain = enabled(name, monkeypatch)
+    off, _ = sweep(chain, lambda: chain.hold_driver(stall))
     assert chain.state is not None
-    off = 1e3 * max(away)
     print(f"{name}, {stall} ms: {off:.3f} mm, {chain.out.reason}, {chain.state.status.fault}")
     assert chain.out.state == State.FAULT
     assert chain.out.reason in (Reason.ROBOT, Reason.LINK_LOST)
     assert "the driver stood still" in chain.state.status.fault
     assert off <= 0.5
+
+
+@pytest.mark.parametrize("pause", [12, 20, 28, 38])
+@pytest.mark.parametrize("name", ["fr3", "panda"])
+def test_a_simulator_that_stands_still_for_a_moment_goes_on(
+    name: str, pause: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its clock stood still with it, so that no command was missed."""
+    chain = enabled(name, monkeypatch)
+    off, behind = sweep(chain, lambda: chain.hold_robot(pause))
+    print(f"{name}, {pause} ms: {off:.3f} mm off the pivot, {behind:.2f} mm behind")
+    assert chain.out.state == State.ENABLED and chain.core.mode is RobotMode.MOVE
+    assert off <= 0.5 and behind < 1.0
+
+
+def test_a_robot_that_stands_still_for_longer_ends_in_a_fault_that_names_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    chain = enabled("fr3", monkeypatch)
+    off, _ = sweep(chain, lambda: chain.hold_robot(60))
+    assert chain.state is not None
+    assert chain.out.state == State.FAULT and off <= 0.5
+    assert "the robot stood still for 61 ms" in chain.state.status.fault
 
 
 def test_a_guided_arm_goes_on_telling_its_joints(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
 import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +19,7 @@ from surg_cli.graph.processes import wait_until
 from surg_hardware.conditions import Condition
 from surg_hardware.emulators.ur import rtde_server
 from surg_hardware.emulators.ur.ur_controller import HOME, UrController
+from surg_hardware.ur import dashboard
 
 OTHER = "def other():\n  while True:\n    sync()\n  end\nend\n"
 
@@ -109,3 +112,31 @@ def test_a_field_that_the_robot_does_not_know_is_named(monkeypatch: pytest.Monke
     with emulated_ur.in_process(UrController()) as emulator:
         said = refused(emulator.address)
     assert "payload_cog" in said and "NOT_FOUND" in said
+
+
+def test_an_old_controller_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rtde_server, "VERSION", (5, 5, 1, 82186))
+    with emulated_ur.in_process(UrController()) as emulator:
+        said = refused(emulator.address)
+    assert "5.5.1.82186" in said and "PolyScope 5.6" in said
+
+
+def test_an_address_where_nobody_answers_is_refused() -> None:
+    assert "hardware.address" in refused(emulated_ur.free_address())
+
+
+def test_an_address_where_somebody_else_answers_is_refused() -> None:
+    address = emulated_ur.free_address()
+    with socket.create_server((address, dashboard.DASHBOARD_PORT)) as server:
+
+        def answer() -> None:
+            with contextlib.suppress(OSError):
+                while True:
+                    peer, _ = server.accept()
+                    with peer:
+                        peer.sendall(b"SSH-2.0\n")
+
+        threading.Thread(target=answer, daemon=True).start()
+        said = refused(address)
+        server.shutdown(socket.SHUT_RDWR)
+    assert "hardware.address" in said and "something else than a UR" in said

@@ -103,6 +103,22 @@ MUTANTS: tuple[Mutant, ...] = (
         LINK,
     ),
     one(
+        "pause_of_the_robot_is_the_drivers",
+        "a simulator that stands still for 20 ms ends the motion, and the driver is blamed",
+        "robot_link.py",
+        "        paused = 0.0 < passed <= self._settings.dead_man\n",
+        "        paused = False\n",
+        LINK,
+    ),
+    one(
+        "stall_of_the_driver_borne",
+        "a driver that stood still goes on with what it was told before",
+        "robot_link.py",
+        "        if paused and gap <= PAUSE:\n",
+        "        if gap <= PAUSE:\n",
+        LINK,
+    ),
+    one(
         "joints_in_another_order",
         "the arm moves another joint",
         "ur/urscript.py",

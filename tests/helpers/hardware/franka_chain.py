@@ -120,7 +120,7 @@ class Chain:
         self.arm = surg_core.load_cell(paths.CELLS / f"emulated_{name}").arms["PSM1"]
         self.core = FrankaController(ROBOTS[name], q=self.arm.robot.home.tolist())
         self.adapter = CoreAdapter(name, self.core, dict(self.arm.link_settings))
-        self._cycles = self._held = self._silent = 0
+        self._cycles = self._held = self._paused = self._silent = 0
         clock = types.SimpleNamespace(
             monotonic=lambda: DT * self._cycles,
             time_ns=lambda: round(1e9 * DT * self._cycles),
@@ -153,11 +153,18 @@ class Chain:
         """Let the driver stand still for the next cycles of the robot."""
         self._held = cycles
 
+    def hold_robot(self, cycles: int) -> None:
+        """Let the robot and its clock stand still for the next cycles, as a simulator may."""
+        self._paused = cycles
+
     def step(self, *commands: MotionCommand) -> surg_core.Outputs:
         """One cycle of the controller, two of the robot."""
         for _ in range(2):
             self._cycles += 1
-            if self._held > 0:
+            if self._paused > 0:
+                self._paused -= 1
+                self._silent += 1
+            elif self._held > 0:
                 self._held -= 1
                 self._silent += 1
                 self.adapter.client.wait(1)

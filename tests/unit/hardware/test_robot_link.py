@@ -25,9 +25,10 @@ LONGEST = 100_000
 class Robot:
     """A robot that executes each command two cycles later, and its link."""
 
-    def __init__(self) -> None:
-        self.link = RobotLink(SETTINGS)
+    def __init__(self, settings: Settings = SETTINGS) -> None:
+        self.link = RobotLink(settings)
         self.k, self.steps = 1000, 0
+        self.paused = 0  # cycles for which its clock has stood still
         self.reading: Reading = READY
         self.program = False
         self.executed = 0
@@ -43,7 +44,8 @@ class Robot:
 
     def state(self) -> RobotState:
         zero = (0.0,) * 6
-        return RobotState(self.now, zero, zero, self.reading, self.program, self.executed)
+        time = self.now - T * self.paused
+        return RobotState(time, zero, zero, self.reading, self.program, self.executed)
 
     def step(self, command: Command | None) -> Step:
         self.k += 1
@@ -253,6 +255,27 @@ def test_a_stall_of_the_driver_ends_the_motion_without_a_late_command() -> None:
     robot.k += 250
     assert robot.run(1, MOTION).qd == ZERO
     assert robot.run(100, MOTION).qd is None
+
+
+@pytest.mark.parametrize(
+    ("gap", "paused", "who"),
+    [(14, 13, ""), (18, 17, ""), (14, 0, "driver"), (14, 3, "driver"), (25, 24, "robot")],
+)
+def test_whose_stall_it_was_is_told_by_the_robots_clock(gap: int, paused: int, who: str) -> None:
+    """A dead-man of 20 ms; the robot's clock stood still for so many of the gap's cycles."""
+    robot = Robot(replace(SETTINGS, dead_man=0.02)).started()
+    robot.run(50, MOTION)
+    robot.k += gap - 1
+    robot.paused = paused
+    step = robot.run(1, MOTION)
+    if not who:
+        assert step.qd == MOTION and step.status.condition is Condition.ACTIVE
+        assert robot.run(100, MOTION).status.condition is Condition.ACTIVE
+        return
+    assert step.qd == ZERO
+    step = robot.run(100, MOTION)
+    assert step.qd is None
+    assert f"the {who} stood still for {2 * gap} ms" in step.status.fault
 
 
 def test_lost_states_are_offline_and_latched() -> None:

@@ -2,7 +2,7 @@
 
 from surg_cli.host import paths
 from surg_hardware import conditions
-from surg_hardware.ur.ur_checkup import OLDEST
+from surg_hardware.ur.dashboard import OLDEST
 
 PAGE = (paths.ROOT / "docs" / "guide" / "link_ur.md").read_text("utf-8")
 

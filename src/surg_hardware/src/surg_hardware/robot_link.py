@@ -33,6 +33,8 @@ START_TIMEOUT = 3.0
 """[s] For the robot to obey after a start."""
 ECHO_TIMEOUT = 0.04
 """[s] Without an executed command, after which the program on the robot counts as ended."""
+PAUSE = 0.04
+"""[s] The longest pause of a robot and its clock that a motion bears; a real one makes none."""
 STILL = 0.2
 """Share of the fastest joint's speed by which an arm may differ that still moves as commanded."""
 _KEPT = 64
@@ -249,23 +251,34 @@ class RobotLink:
         return step
 
     def _elapsed(self, state: RobotState, now: float) -> float:
-        """Time since the last state [s]; a stall of our own ends the motion.
+        """Time since the last state [s]; a stall ends the motion.
 
         An arm that still moves as it was told is brought to rest along the ramp: braking joint by
         joint would take the shaft off its pivot. One that has stopped by itself gets nothing more.
         """
         cycle = self._settings.cycle
-        if not now - self._last_now <= self._settings.dead_man and self._phase is _Phase.ACTIVE:
-            self._stalled = f"the driver stood still for {1e3 * (now - self._last_now):.0f} ms"
-            off = max(abs(speed - told) for speed, told in zip(state.qd, self._sent, strict=True))
-            if off <= STILL * max(abs(told) for told in self._sent):
-                self.end(self._stalled)
-            else:
-                self._drop(self._stalled)
-        self._last_now = now
-        passed = state.time - self._last_time
-        self._last_time = state.time
+        gap, passed = now - self._last_now, state.time - self._last_time
+        if not gap <= self._settings.dead_man and self._phase is _Phase.ACTIVE:
+            self._judge_stall(state, gap, passed)
+        self._last_now, self._last_time = now, state.time
         return min(max(passed, cycle), self._settings.dead_man) if passed > 0 else cycle
+
+    def _judge_stall(self, state: RobotState, gap: float, passed: float) -> None:
+        """End the motion after a gap between two states [s], by whose stall it was.
+
+        The robot's own clock tells: where it has hardly gone on, the robot stood still, and missed
+        no command. A short pause of it is borne.
+        """
+        paused = 0.0 < passed <= self._settings.dead_man
+        if paused and gap <= PAUSE:
+            return
+        who = "robot" if paused else "driver"
+        self._stalled = f"the {who} stood still for {1e3 * gap:.0f} ms"
+        off = max(abs(speed - told) for speed, told in zip(state.qd, self._sent, strict=True))
+        if off <= STILL * max(abs(told) for told in self._sent):
+            self.end(self._stalled)
+        else:
+            self._drop(self._stalled)
 
     def _read(self, state: RobotState, now: float) -> None:
         """Take what the robot says of itself, and end the motion where it has ended it."""

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 
 DASHBOARD_PORT = 29999
 SCRIPT_PORT = 30002
+OLDEST = (5, 6)
+"""PolyScope whose dashboard server tells serial number and remote control."""
 _LONGEST = 4096
 
 
@@ -35,6 +37,13 @@ def ask(address: str, questions: Sequence[str], timeout: float = 1.0) -> list[st
             if "Dashboard Server" not in answers[0]:
                 raise ConnectionError(f"port {DASHBOARD_PORT} belongs to something else than a UR")
     return answers[1:]
+
+
+def age_cure(version: Sequence[int]) -> str:
+    """What to do about a controller's version (major, minor, …); empty: it is new enough."""
+    if tuple(version[:2]) >= OLDEST:
+        return ""
+    return f"PolyScope {'.'.join(map(str, OLDEST))} or newer is needed: update the robot"
 
 
 def upload(address: str, program: str, timeout: float = 1.0) -> None:

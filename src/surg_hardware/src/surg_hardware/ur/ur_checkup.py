@@ -18,8 +18,6 @@ from surg_hardware.ur.ur_driver import robot_state
 if TYPE_CHECKING:
     import surg_core
 
-OLDEST = (5, 6)
-"""PolyScope whose dashboard server tells serial number and remote control."""
 CONNECTION = "check power, cable and address; PolyScope 5 is needed"
 _QUESTIONS = (
     "PolyscopeVersion",
@@ -77,10 +75,8 @@ def examine(arm: surg_core.Arm, seconds: float) -> list[Finding]:
 
 def _version(said: str) -> Finding:
     numbers = re.search(r"(\d+)\.(\d+)", said)
-    new_enough = numbers is not None and (int(numbers[1]), int(numbers[2])) >= OLDEST
-    oldest = ".".join(map(str, OLDEST))
-    cure = "" if new_enough else f"PolyScope {oldest} or newer is needed: update the robot"
-    return Finding("version", said, new_enough, cure)
+    cure = dashboard.age_cure((int(numbers[1]), int(numbers[2])) if numbers else ())
+    return Finding("version", said, not cure, cure)
 
 
 def _remote(said: str) -> Finding:

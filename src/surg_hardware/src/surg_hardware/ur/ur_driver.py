@@ -154,7 +154,12 @@ class UrDriver(ArmDriver):
         self._tried = time.monotonic()
         questions = ("get serial number", "get robot model")
         self._serial, self._model = dashboard.ask(self._settings.address, questions)
-        self._rtde = Rtde(self._settings.address)
+        rtde = Rtde(self._settings.address)
+        if cure := dashboard.age_cure(rtde.version):
+            rtde.close()
+            version = ".".join(map(str, rtde.version))
+            raise RtdeRefused(f"the controller's version {version} is too old: {cure}")
+        self._rtde = rtde
         self._clock.reset()
         self._arrived, self._identified = time.monotonic(), -1e9
 
