@@ -40,24 +40,46 @@ def test_every_output_can_be_asked_for_and_is_in_the_state() -> None:
     assert len(OUTPUTS) > 400
 
 
-def test_the_first_fields_have_the_vendors_types() -> None:
-    expected = {
-        "timestamp": "DOUBLE",
-        "actual_q": "VECTOR6D",
-        "robot_mode": "INT32",
-        "joint_mode": "VECTOR6INT32",
-        "safety_status_bits": "UINT32",
-        "actual_digital_output_bits": "UINT64",
-        "runtime_state": "UINT32",
-        "payload_cog": "VECTOR3D",
-        "output_bit_register_64": "BOOL",
-        "output_int_register_24": "INT32",
-        "output_double_register_47": "DOUBLE",
-    }
-    assert {name: OUTPUTS[name][0] for name in expected} == expected
-    assert INPUTS["speed_slider_mask"] == "UINT32"
+TYPES = {
+    "DOUBLE": "timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum "
+    "actual_main_voltage actual_robot_voltage actual_robot_current standard_analog_input0 "
+    "standard_analog_input1 standard_analog_output0 standard_analog_output1 io_current "
+    "tool_analog_input0 tool_analog_input1 tool_output_current tool_temperature tcp_force_scalar "
+    "payload joint_position_deviation_ratio collision_detection_ratio output_double_register_47",
+    "VECTOR6D": "target_q target_qd target_qdd target_current target_moment actual_q actual_qd "
+    "actual_current actual_current_window joint_control_output actual_TCP_pose actual_TCP_speed "
+    "actual_TCP_force target_TCP_pose target_TCP_speed joint_temperatures actual_joint_voltage "
+    "payload_inertia ft_raw_wrench tcp_offset",
+    "VECTOR3D": "actual_tool_accelerometer elbow_position elbow_velocity payload_cog",
+    "VECTOR6INT32": "joint_mode",
+    "INT32": "robot_mode safety_mode safety_status tool_output_voltage time_scale_source "
+    "output_int_register_24",
+    "UINT32": "runtime_state robot_status_bits safety_status_bits analog_io_types tool_mode "
+    "tool_analog_input_types output_bit_registers0_to_31 output_bit_registers32_to_63 "
+    "input_bit_registers0_to_31 input_bit_registers32_to_63 script_control_line",
+    "UINT64": "actual_digital_input_bits actual_digital_output_bits",
+    "UINT8": "tool_output_mode tool_digital_output0_mode tool_digital_output1_mode",
+    "BOOL": "output_bit_register_64 input_bit_register_127",
+}
+"""Types of fields that the maker's own client library expects (`ur_client_library`)."""
+INPUT_TYPES = {
+    "UINT32": "speed_slider_mask input_bit_registers0_to_31",
+    "DOUBLE": "speed_slider_fraction standard_analog_output_0 standard_analog_output_1",
+    "UINT8": "standard_digital_output_mask standard_digital_output configurable_digital_output "
+    "configurable_digital_output_mask tool_digital_output standard_analog_output_mask "
+    "standard_analog_output_type",
+    "BOOL": "input_bit_register_64",
+}
+
+
+def test_the_fields_have_the_makers_types() -> None:
+    for code, names in TYPES.items():
+        assert {OUTPUTS[name][0] for name in names.split()} == {code}
+    for code, names in INPUT_TYPES.items():
+        assert {INPUTS[name] for name in names.split()} == {code}
+    named = {name for names in TYPES.values() for name in names.split()}
+    assert {name for name in OUTPUTS if "register" not in name} <= named, "a field without a type"
     assert "input_bit_register_63" not in INPUTS
-    assert INPUTS["input_bit_register_64"] == "BOOL"
 
 
 def test_unknown_fields_are_not_found_and_the_recipe_is_invalid() -> None:
