@@ -140,13 +140,24 @@ def test_a_second_motion_and_settings_are_refused_while_one_runs(robot: FrankaRo
 
 
 @BOTH
-@pytest.mark.parametrize(("generator", "controller"), [(2, 0), (3, 1), (1, 2), (9, 0), (1, 7)])
-def test_motions_that_are_not_emulated_are_refused(
-    robot: FrankaRobot, generator: int, controller: int
+@pytest.mark.parametrize(
+    ("generator", "controller", "named"),
+    [
+        (2, 0, "cartesian_position and joint_impedance"),
+        (3, 1, "cartesian_velocity and cartesian_impedance"),
+        (1, 2, "joint_velocity and torques"),
+        (4, 2, "none and torques"),
+        (9, 0, "generator 9"),
+        (1, 7, "controller 7"),
+    ],
+)
+def test_motions_that_are_not_emulated_are_refused_by_name(
+    robot: FrankaRobot, generator: int, controller: int, named: str
 ) -> None:
     client = connected(robot)
     assert client.move(generator, controller) == "invalid_argument"
     assert client.state().mode == RobotMode.IDLE
+    assert any(named in text for text in client.controller.messages), client.controller.messages
 
 
 @BOTH

@@ -108,6 +108,7 @@ class FciSession:
             return self._break(f"move with {len(body)} bytes")
         controller, generator, *_ = fci.MOVE.unpack_from(body)
         if controller >= len(fci.CONTROLLERS) or generator >= len(fci.MODE_NAMES):
+            self._controller.say(f"move: unknown generator {generator} or controller {controller}")
             return self._status("move", number, "invalid_argument")
         status = self._controller.move(controller, fci.MODE_NAMES[generator])
         if status == "started":

@@ -141,7 +141,8 @@ class FrankaController:
         if self.mode is not RobotMode.IDLE or self.active is not None:
             return "not_possible"
         if generator not in ("joint_velocity", "joint_position") or controller == 2:
-            self.say(f"the emulator does not move by {generator} and controller {controller}")
+            by = "torques" if controller == 2 else fci.CONTROLLERS[controller]
+            self.say(f"not emulated: a motion by {generator} and {by}")
             return "invalid_argument"
         self.mode, self.active = RobotMode.MOVE, Motion(generator, controller)
         self.reflex_reason, self._command = set(), None
