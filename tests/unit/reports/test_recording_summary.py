@@ -16,7 +16,13 @@ from helpers.recording.recording_synthetic import Synthetic
 from helpers.recording.restated import edit_field, restate
 from surg_recording.episode import episode_reader
 from surg_recording.recording_errors import EpisodeError, NoMotionError
-from surg_recording.reports import run_figures, run_report, run_series, run_summary
+from surg_recording.reports import (
+    episode_view,
+    run_figures,
+    run_report,
+    run_series,
+    run_summary,
+)
 
 KEYS = {
     *("robot", "motion", "mode", "law", "link", "duration_s", "scale", "rcm_kinematic_mm"),
@@ -257,6 +263,23 @@ def test_the_report_is_one_file_with_every_figure(
     assert page.images == len(pictures) + run_report.STRIP_FRAMES
     for text in ("met every limit", "<b>my & motion</b>", "anna", "Definitions"):
         assert text in page.text
+
+
+@pytest.mark.parametrize(
+    ("motion", "title"),
+    [
+        ("/home/anna/surg/src/surg_teleop/motions/bundled.csv", "The bundled hand motion"),
+        ("/home/anna/knots/second try.csv", "second try"),
+    ],
+)
+def test_a_title_is_a_name_and_not_a_path(tmp_path: Path, motion: str, title: str) -> None:
+    """The path stands where the report says what was run."""
+    synthetic.record(tmp_path / "episode", Synthetic(seconds=2.0), motion=motion, robot="ur5e")
+    run_report.make(tmp_path)
+    text = (tmp_path / "report.html").read_text()
+    assert f"<h1>{title}: UR5e</h1>" in text and motion in text
+    view = episode_view.page(episode_reader.read(tmp_path / "episode"))
+    assert f"{title} · UR5e" in view
 
 
 def test_a_failed_run_says_why_and_ends_with_1(

@@ -24,6 +24,7 @@ from surg_recording.recording_errors import EpisodeError
 from surg_recording.reports import episode_view_data
 from surg_recording.reports.episode_view_data import MAX_ROWS, VIDEO_BUDGET, Progress
 from surg_recording.reports.html_page import document, text
+from surg_recording.reports.terms import named
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +50,7 @@ def page(
     info = episode.manifest.get("run") or {}
     subject = info.get("title") or info.get("motion") or episode.manifest.get("task") or "episode"
     title = " · ".join(
-        str(part) for part in (subject, info.get("robot"), info.get("setting")) if part
+        named(part) for part in (subject, info.get("robot"), info.get("setting")) if part
     )
     here = Path(__file__).parent
     notes = "".join(f"<li>{text(note)}</li>" for note in viewed.missing)

@@ -17,19 +17,17 @@ NAMES = {
     "panda": "Panda",
     "fr3": "FR3",
     "teleop": "Teleoperation",
+    "bundled": "The bundled hand motion",
 }
 """Identifier -> its name in figures and titles; others show as they are."""
 
 
 def named(identifier: object) -> str:
-    """The name of an identifier; of a path, that of its file."""
+    """The name of an identifier; of a path of a task or a motion, that of its file."""
     words = str(identifier)
-    known = NAMES.get(words)
-    if known is not None:
-        return known
-    if words.endswith(".py"):
-        words = words.rpartition("/")[2].removesuffix(".py")
-    return words
+    if words.endswith((".py", ".csv")):
+        words = words.rpartition("/")[2].rpartition(".")[0]
+    return NAMES.get(words, words)
 
 
 TERMS = {
