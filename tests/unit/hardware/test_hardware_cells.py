@@ -238,6 +238,21 @@ def test_what_a_real_arm_must_not_use_is_refused_with_its_key(what: str, tmp_pat
     assert "arms.PSM1.hardware" in said and key in said and word in said and str(file) in said
 
 
+def test_a_tool_of_another_instrument_is_refused(tmp_path: Path) -> None:
+    """Its tip is elsewhere than the instrument's drawing says; a clamp is some mm off."""
+    for off, wrong in ((0.018, False), (0.022, True)):
+        file = real_cell(tmp_path / str(off))
+        tool = file.parent / "calibration" / "tool_PSM1.yaml"
+        text = re.sub("tip: .*", f"tip: [0.06, 0.0, {0.3 + off}]", tool.read_text("utf-8"))
+        tool.write_text(text, "utf-8")
+        if not wrong:
+            surg_core.load_cell(file)
+            continue
+        with pytest.raises(surg_core.ConfigError, match=r"22 mm from .*grasper_fixed") as it:
+            surg_core.load_cell(file)
+        assert "arms.PSM1.hardware" in str(it.value) and str(tool) in str(it.value)
+
+
 def test_a_real_arm_that_is_being_commissioned_moves_slowly(tmp_path: Path) -> None:
     """Nothing is calibrated yet: it can be measured, at 20 mm/s."""
     file = written(tmp_path, hardware(address="192.168.56.2", commissioning=True))

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
+import numpy as np
 import yaml  # type: ignore[import]
 
 from surg_core._core import (
@@ -58,6 +59,8 @@ from surg_core.transforms import FloatArray, make_pose
 from surg_core.urdf import chain_from_urdf, fixed_transform
 
 SIMULATOR = "simulator"
+TIP_OFF = 0.02
+"""[m] Of a calibrated tip from its instrument's drawing. A clamp holds a shaft to some mm."""
 """The link of an arm that the simulator drives."""
 
 PathLike = str | os.PathLike[str]
@@ -202,7 +205,7 @@ def _load_arm(stated: CellArm, config: CellConfig, file: Path) -> Arm:
     except ConfigError as error:
         raise ConfigError(f"{robot_file}: urdf: {error}") from error
     try:
-        fixed_transform(instrument_urdf, instrument.mount_link, instrument.tip_link)
+        X_FTip = fixed_transform(instrument_urdf, instrument.mount_link, instrument.tip_link)
     except ConfigError as error:
         raise ConfigError(f"{instrument_file}: urdf: {error}") from error
     limits = tighten(robot.limits, stated, str(file))
@@ -212,6 +215,7 @@ def _load_arm(stated: CellArm, config: CellConfig, file: Path) -> Arm:
     trocar = load_trocar(file.parent / "calibration" / f"trocar_{stated.name}.yaml")
     today = datetime.date.today().isoformat()
     check_hardware(stated, robot, instrument, tool, trocar, str(file), today)
+    _check_instrument(stated, tool, X_FTip[:3, 3], tool_file, instrument_file)
     chain, kinematics = _own_chain(chain, stated, robot, file)
     X_WB_stated = make_pose(stated.base_xyz, stated.base_rpy)
     X_WB_stated.setflags(write=False)
@@ -236,6 +240,29 @@ def _load_arm(stated: CellArm, config: CellConfig, file: Path) -> Arm:
         kinematics=kinematics,
         force_sensor=_if_there(file.parent / f"force_sensor_{stated.name}.yaml"),
     )
+
+
+def _check_instrument(
+    arm: CellArm,
+    tool: ToolCalibration,
+    p_FTip: FloatArray,
+    tool_file: Path,
+    instrument_file: Path,
+) -> None:
+    """Refuse a real arm whose tool was calibrated with another instrument.
+
+    ``p_FTip`` is the tip by the instrument's drawing, in the flange frame [m].
+    """
+    hardware = arm.hardware
+    if hardware is None or hardware.emulated or hardware.commissioning:
+        return
+    away = float(np.linalg.norm(tool.p_FTip - p_FTip))
+    if not away <= TIP_OFF:
+        raise ConfigError(
+            f"arms.{arm.name}.hardware: {tool_file}: the tip is {1e3 * away:.0f} mm from that of "
+            f"{instrument_file}; allowed are {1e3 * TIP_OFF:.0f} mm. Another instrument was "
+            "calibrated: name it in the cell, or calibrate this one: ./surg calibrate CELL tool"
+        )
 
 
 def _load_link(
