@@ -210,6 +210,26 @@ def test_track_exists_only_where_it_is_configured(
     assert "allowed is 'PSM1_base'" in rig.wait_text("warning", "rcm/track")
 
 
+def test_a_row_of_refused_commands_says_when_it_began(
+    ros_graph: RosGraph, rig: Rig, voice: Voice
+) -> None:
+    """A stream to an arm that is not enabled: one warning a second, with number and beginning."""
+    start(ros_graph, rig)
+    stream = voice.speak("servo_jp", JointState)
+    for _ in range(1750):  # 3.5 s
+        stream(JointState(position=[0.0, 0.0, 0.1, 0.0]))
+        rig.step()
+    last = rig.wait_text("warning", "it began 3 s ago")
+    assert "(and 499 times more since the last one" in last and "send 'enable'" in last
+    said = [text for text in rig.texts["warning"] if "refused" in text]
+    assert len(said) == 4 and "times more" not in said[0]
+    for _ in range(1500):  # silence ends the row
+        rig.step()
+    stream(JointState(position=[0.0, 0.0, 0.1, 0.0]))
+    rig.step()
+    rig.wait_text("warning", "(and 249 times more since the last one)")
+
+
 def test_the_urdf_hangs_on_our_frames(ros_graph: RosGraph, rig: Rig, voice: Voice) -> None:
     start(ros_graph, rig)
     got = voice.listen("/tf_static", TFMessage)

@@ -11,6 +11,7 @@ namespace surg_control {
 namespace {
 
 constexpr double kWarningPeriod = 1.0;   // [s] at least, between two warnings of one key
+constexpr double kRowEnds = 2.0;         // periods without a warning end a row of them
 constexpr double kLagTolerance = 0.003;  // [s] between the measured and the stated lag
 
 std_msgs::String text_message(const std::string& text) {
@@ -79,11 +80,17 @@ void StatusReporter::warning(const std::string& key, const std::string& text, do
       ++last->second.suppressed;
       return;
     }
+    double began = now;
     if (last != last_warnings_.end() && last->second.suppressed > 0) {
       counted +=
-          " (and " + std::to_string(last->second.suppressed) + " times more since the last one)";
+          " (and " + std::to_string(last->second.suppressed) + " times more since the last one";
+      if (now - last->second.when < kRowEnds * kWarningPeriod) {
+        began = last->second.began;
+        counted += "; it began " + std::to_string(std::lround(now - began)) + " s ago";
+      }
+      counted += ")";
     }
-    last_warnings_[key] = {now, 0};
+    last_warnings_[key] = {now, began, 0};
   }
   warning_.publish(text_message(counted));
 }
@@ -91,7 +98,7 @@ void StatusReporter::warning(const std::string& key, const std::string& text, do
 void StatusReporter::warning_once(const std::string& key, const std::string& text) {
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (!last_warnings_.emplace(key, LastWarning{0, 0}).second) return;
+    if (!last_warnings_.emplace(key, LastWarning{0, 0, 0}).second) return;
   }
   warning_.publish(text_message(text));
 }

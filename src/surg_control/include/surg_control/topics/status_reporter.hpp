@@ -40,6 +40,7 @@ class StatusReporter {
  private:
   struct LastWarning {
     double when;
+    double began;  // of a row of warnings
     std::uint64_t suppressed;
   };
 
