@@ -26,6 +26,8 @@ the limits of the joints allow.
   *pivot*: `tests/faults/test_faults_hardware_motion.py`; motions at scale 1. The recording is no
   part of the project: `SURG_TEST_MOTION=FILE`. `links/ur.yaml` states the lag of each joint, so
   that the joints move in step; with one lag for all of them the recording deviated by 0.168 mm.
+- *demo* (`tests/ros/hardware/test_emulated_demo.py`): `./surg demo --cell`, from the emulator to
+  the report, in real time; by the joints in its recording.
 - *policy* (`tests/faults/test_faults_hardware_policy.py`): an episode of bowel grasping and
   retraction, seed 3, by the task's expert, and by the learned policy of `SURG_BGR_WEIGHTS=FILE`.
   The emulated UR5e stands in the simulator's tissue: the drawn arm follows the emulated joints.
@@ -102,6 +104,15 @@ def franka(name: str, loss: float, where: str = "chain") -> str:
     return f"{where}, {name}: bundled motion, pivot{lost}"
 
 
+DEMOS = ("emulated_ur5e", "emulated_panda", "emulated_fr3")
+MOTIONS = ("bundled", "recorded")
+
+
+def demo(cell: str, motion: str) -> str:
+    """Name of a row of `./surg demo --cell`."""
+    return f"demo: {cell}, {motion} motion, pivot"
+
+
 def chain_row(what: str, speed: float) -> str:
     """Name of a row of the chain."""
     return f"chain: {what}, {1e3 * speed:.0f} mm/s"
@@ -139,6 +150,7 @@ note = ResultsPage(
         *(franka(name, loss, "processes") for name, loss in FRANKA),
         FRANKY_CHAIN,
         FRANKY,
+        *(demo(cell, motion) for cell in DEMOS for motion in MOTIONS),
         *(policy_row(which, robot) for which in POLICIES for robot in ROBOTS),
         FUZZ_STATES,
         FUZZ_DATAGRAMS,

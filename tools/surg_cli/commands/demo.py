@@ -14,9 +14,10 @@ from typing import Any
 
 from surg_cli.graph import episode_film, motion_run
 from surg_cli.graph.system import Plan
-from surg_cli.host import cells, paths, preflight
+from surg_cli.host import cells, link_environments, paths, preflight
 from surg_cli.host.option_types import feedback_gain, positive, tcp_port
 from surg_cli.host.terminal import Problem, Progress, say, table, warn
+from surg_cli.robots import emulated_arms
 
 BUNDLED_MOTION = paths.ROOT / "src" / "surg_teleop" / "motions" / "bundled.csv"
 
@@ -25,7 +26,15 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
     add = parser.add_argument
     robots = ", ".join(cells.described_robots())
-    add("--robot", default="ur5e", metavar="R", help=f"{robots}, or the path of a robot's YAML")
+    which = parser.add_mutually_exclusive_group()
+    help_ = f"{robots}, or the path of a robot's YAML"
+    which.add_argument("--robot", default="ur5e", metavar="R", help=help_)
+    which.add_argument(
+        "--cell",
+        metavar="CELL",
+        help="name in cells/, or a cell's folder, with one arm; an arm with a link of its own is "
+        "emulated, in real time: emulated_ur5e, emulated_panda, emulated_fr3",
+    )
     add("--motion", type=Path, metavar="FILE", help="motion CSV (default: the bundled one)")
     add("--scale", type=positive, default=1.0, help="motion scale (default 1)")
     add("--duration", type=positive, metavar="S", help="only the first S seconds of the motion")
@@ -49,9 +58,13 @@ def main(options: argparse.Namespace, command: str) -> int:
     out = paths.run_folder(options.out)
     preflight.check_space(out)
     try:
-        cell = cells.for_robot(options.robot, out / "cell")
+        if options.cell is not None:
+            cell = cells.find(options.cell)
+        else:
+            cell = cells.for_robot(options.robot, out / "cell")
         loaded = cells.load(cell)
         arm = _only_arm(loaded, cell)
+        _prepare_link(options, cell, loaded)
         motion = _check_motion(options, loaded.arms[arm])
     except Problem:
         shutil.rmtree(out / "cell", ignore_errors=True)  # made for a robot given by its YAML
@@ -59,7 +72,7 @@ def main(options: argparse.Namespace, command: str) -> int:
             out.rmdir()
         raise
     out.mkdir(parents=True, exist_ok=True)
-    plan = _plan(options, cell, arm, motion, out, loaded.arms[arm].robot)
+    plan = _plan(options, cell, arm, motion, out, loaded.arms[arm])
     say(
         f"demo: {loaded.arms[arm].robot.name}, {motion.file.name}, {motion.duration_s:.1f} s at "
         f"scale {options.scale:g}, {options.mode}, "
@@ -162,9 +175,10 @@ def _plan(
     arm: str,
     motion: CheckedMotion,
     out: Path,
-    robot: Any,
+    loaded: Any,
 ) -> Plan:
     """Translate the options."""
+    robot, driven = loaded.robot, loaded.hardware is not None
     by_twist = "cartesian" in str(robot.command)
     operator: dict[str, object] = {
         "cell": str(cell),
@@ -195,6 +209,8 @@ def _plan(
         cell=cell,
         arms=(arm,),
         lockstep=not options.free_run,
+        simulated=() if driven else None,
+        driven=(arm,) if driven else (),
         cameras=() if options.no_video else ("left",),
         view=options.view,
         law=options.law,
@@ -225,6 +241,24 @@ def _check_motion(options: argparse.Namespace, arm: Any) -> CheckedMotion:
         raise Problem(str(error), 2) from error
     whole = options.motion is None and options.duration is None and options.scale >= 1
     return CheckedMotion(file, plan.duration, whole)
+
+
+def _prepare_link(options: argparse.Namespace, cell: Path, loaded: Any) -> None:
+    """Make a cell ready whose arm has a link of its own: in real time, without the simulator.
+
+    Raises:
+        Problem: The arm is a real one, or its link is started by hand.
+    """
+    (arm,) = loaded.arms.values()
+    if arm.link == "simulator":
+        return
+    emulated_arms.refuse_real(loaded.arms, f"demo --cell {cell.name}")
+    if arm.hardware is None:
+        raise Problem(f"demo --cell {cell.name}: its link {arm.link!r} is started by hand", 2)
+    if options.view:
+        raise Problem("--view: the simulator is no part of an emulated arm's run", 2)
+    link_environments.make_ready(arm)
+    options.free_run = options.no_video = True
 
 
 def _only_arm(loaded: Any, cell: Path) -> str:

@@ -21,11 +21,15 @@ STATUS_TIMEOUT_S = 5.0
 
 
 def failure(
-    watch: Watch, supervisor: processes.Supervisor, may_end: Collection[str] = ()
+    watch: Watch,
+    supervisor: processes.Supervisor,
+    may_end: Collection[str] = (),
+    simulates: bool = True,
 ) -> list[str]:
     """Why a run must end now, beside an arm in FAULT; empty while all is well.
 
-    Nodes in ``may_end`` may end with exit status 0 while the run goes on.
+    Nodes in ``may_end`` may end with exit status 0 while the run goes on. ``simulates``: the
+    simulator is part of the run.
     """
     sim = watch.sim
     if sim.state == sim.STATE_ABORTED:
@@ -36,7 +40,7 @@ def failure(
     if dead is not None and not (dead.name in may_end and dead.exit_code == 0):
         return [death_notice(dead)]
     limit = FIRST_TICK_TIMEOUT_S if sim.tick == 1 else STALL_TIMEOUT_S
-    if watch.stalled_s <= limit:
+    if watch.stalled_s <= limit or not simulates:
         return []
     if not sim.state:
         return [f"the simulator's status is missing: {watch.problem('/sim/status')}"]

@@ -7,7 +7,9 @@ import time
 from surg_cli.graph import follow, processes, running, system
 from surg_cli.graph.system import Plan
 from surg_cli.graph.watch import Watch
+from surg_cli.host import cells
 from surg_cli.host.terminal import Progress
+from surg_cli.robots import emulated_arms
 
 OPERATOR_TIMEOUT_S = 15.0
 AROUND_MOTION_S = 2.5
@@ -17,19 +19,23 @@ AROUND_MOTION_S = 2.5
 def play(plan: Plan, duration_s: float, port: int | None) -> list[str]:
     """Run a plan with an operator to its end; without a port on a free one.
 
-    Returns why the run failed, one sentence each.
+    Arms with hardware are emulated here. Returns why the run failed, one sentence each.
 
     Raises:
         Problem: The system does not come up.
     """
     with running.launched("demo", plan.cell, plan.out, port) as (supervisor, entry):
+        if plan.driven:
+            arms = cells.load(plan.cell).arms
+            emulated_arms.start(supervisor, plan.cell, {arm: arms[arm] for arm in plan.driven})
         for node in system.nodes(plan):
             system.start(supervisor, node)
         with Watch(plan.arms) as watch, Progress("demo") as progress:
             follow.start_recording(watch, supervisor, progress.update)
+            emulated_arms.obey(plan.driven, supervisor, progress.update)
             operator = system.start(supervisor, system.operator_node(plan))
             entry.list_nodes(supervisor.children)
-            reasons = _follow(watch, supervisor, operator, progress, duration_s)
+            reasons = _follow(watch, supervisor, operator, progress, duration_s, plan.simulates)
             progress.update(1.0, "writing the recording")
             return reasons + follow.finish_recording(watch, supervisor)
 
@@ -40,14 +46,19 @@ def _follow(
     operator: processes.Child,
     progress: Progress,
     duration_s: float,
+    simulates: bool,
 ) -> list[str]:
     """Wait until the motion is over; returns why the run failed."""
+    began = time.monotonic()
     while (sim := watch.sim).state != sim.STATE_DONE and operator.exit_code != 0:
         time.sleep(follow.LOOK_S)
         states = " ".join(f"{name} {state}" for name, state in watch.states.items())
-        part = sim.sim_time / (duration_s + AROUND_MOTION_S)
-        progress.update(part, f"{sim.sim_time:5.1f} s simulated, {states}")
-        reasons = follow.failure(watch, supervisor, (f"/{system.OPERATOR}",))
+        passed = sim.sim_time if simulates else time.monotonic() - began
+        progress.update(
+            passed / (duration_s + AROUND_MOTION_S),
+            f"{passed:5.1f} s{' simulated' if simulates else ''}, {states}",
+        )
+        reasons = follow.failure(watch, supervisor, (f"/{system.OPERATOR}",), simulates)
         if reasons := reasons or ([watch.fault] if watch.fault else []):
             return reasons
     return _operator_verdict(operator)

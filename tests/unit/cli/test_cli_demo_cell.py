@@ -1,0 +1,116 @@
+"""`./surg demo --cell`: which cells it plays, and what it refuses before anything starts."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+
+import surg_core
+from helpers.hardware.emulated_cell import emulated_cell
+from surg_cli.commands import demo
+from surg_cli.graph import motion_run
+from surg_cli.graph.system import Plan
+from surg_cli.host import cells, link_environments
+from surg_cli.host.terminal import Problem
+from surg_cli.robots import emulated_arms
+
+Surg = Callable[..., int]
+
+
+@pytest.fixture
+def played(monkeypatch: pytest.MonkeyPatch) -> list[Plan]:
+    """Plans that would have been played."""
+    plans: list[Plan] = []
+
+    def play(plan: Plan, duration_s: float, port: int | None) -> list[str]:
+        plans.append(plan)
+        raise Problem("enough", 1)
+
+    monkeypatch.setattr(motion_run, "play", play)
+    monkeypatch.setattr(link_environments, "make_ready", lambda arm: None)
+    return plans
+
+
+@pytest.mark.parametrize("name", ["emulated_ur5e", "emulated_panda", "emulated_fr3"])
+def test_an_emulated_arm_is_played_in_real_time_without_the_simulator(
+    name: str, surg: Surg, played: list[Plan], tmp_path: Path
+) -> None:
+    with pytest.raises(Problem, match="enough"):
+        surg("demo", "--cell", name, "--out", tmp_path / "run")
+    (plan,) = played
+    assert plan.cell == cells.find(name) and plan.driven == ("PSM1",)
+    assert not plan.simulates and not plan.lockstep and not plan.cameras
+    assert plan.operator is not None and plan.operator["lockstep"] is False
+    assert plan.run_info["timing"] == "freerun"
+
+
+def test_a_cell_of_the_simulator_is_played_in_lock_step(
+    surg: Surg, played: list[Plan], tmp_path: Path
+) -> None:
+    with pytest.raises(Problem, match="enough"):
+        surg("demo", "--cell", "sim_panda", "--no-video", "--out", tmp_path / "run")
+    (plan,) = played
+    assert plan.simulates and plan.lockstep and plan.driven == ()
+
+
+def real(folder: Path) -> Path:
+    """The cell of a real arm that is being commissioned."""
+    return emulated_cell(folder, "192.168.56.2", commissioning=True)
+
+
+def by_hand(folder: Path) -> Path:
+    """A cell whose link somebody starts by hand."""
+    cell = emulated_cell(folder, "127.0.0.1")
+    (cell / "own.yaml").write_text(
+        "format: surg_link/1\nname: own\nlink_timeout: 0.1\nlink_lag: 0.01\nacceleration: 1\n"
+    )
+    file = cell / "cell.yaml"
+    document = yaml.safe_load(file.read_text("utf-8"))
+    document["arms"]["PSM1"].update(link="own.yaml")
+    del document["arms"]["PSM1"]["hardware"]
+    file.write_text(yaml.safe_dump(document), "utf-8")
+    return cell
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--cell", "nothing"], "no cell 'nothing'"),
+        (["--cell", "sim_two_arms"], "has 2"),
+        (["--cell", real], "real arm at 192.168.56.2"),
+        (["--cell", by_hand], "started by hand"),
+        (["--cell", "emulated_ur5e", "--view"], "--view"),
+    ],
+)
+def test_what_it_does_not_play_is_refused_and_leaves_nothing(
+    words: list[object],
+    said: str,
+    surg: Surg,
+    played: list[Plan],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(os.environ, "DISPLAY", ":7")
+    given = [word(tmp_path) if callable(word) else word for word in words]
+    with pytest.raises(Problem) as refused:
+        surg("demo", *given, "--out", tmp_path / "run")
+    assert refused.value.code == 2 and said in str(refused.value) and not played
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_robot_and_a_cell_are_one_too_many(surg: Surg) -> None:
+    with pytest.raises(SystemExit) as refused:
+        surg("demo", "--cell", "emulated_ur5e", "--robot", "panda")
+    assert refused.value.code == 2
+
+
+def test_an_arm_that_nothing_emulates_is_refused(tmp_path: Path) -> None:
+    arms = surg_core.load_cell(emulated_cell(tmp_path, "127.0.0.1")).arms
+    emulated_arms.refuse_real(arms, "demo")
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Problem, match="'ur5e'"):
+        patch.setattr(demo.emulated_arms.emulate, "MODELS", {"fer": {"panda": "Panda"}})
+        emulated_arms.refuse_real(arms, "demo")

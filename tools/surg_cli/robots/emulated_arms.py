@@ -1,0 +1,115 @@
+"""Emulated arms of a run: their controllers as programs beside the nodes, and their start."""
+
+from __future__ import annotations
+
+import socket
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from surg_cli.commands.arms import emulate
+from surg_cli.graph import follow
+from surg_cli.graph.processes import Supervisor
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem
+from surg_cli.robots.robot_request import condition_name
+from surg_hardware.emulators.emulator_ports import CONTROL
+from surg_hardware.emulators.ur.ur_emulator import PORTS
+
+ASK_AGAIN_S = 0.5
+"""[s] At first the robot's states are too young for a start."""
+
+
+def refuse_real(arms: Mapping[str, Any], where: str) -> None:
+    """Check that every arm with hardware is an emulated one.
+
+    Raises:
+        Problem: One is a real arm, or none that we emulate.
+    """
+    for name, arm in arms.items():
+        if arm.hardware is not None and not arm.hardware.emulated:
+            raise Problem(
+                f"{where}: {name} is a real arm at {arm.hardware.address}: a person starts it, "
+                "with ./surg up; see docs/guide/first_power_on.md",
+                2,
+            )
+        if arm.hardware is not None:
+            _kind(name, arm, where)
+
+
+def _kind(name: str, arm: Any, where: str) -> str:
+    """The emulator that an arm needs."""
+    for kind, models in emulate.MODELS.items():
+        if arm.robot.name in models:
+            return kind
+    raise Problem(f"{where}: {name}: nothing emulates the robot {arm.robot.name!r}", 2)
+
+
+def start(supervisor: Supervisor, cell: Path, arms: Mapping[str, Any]) -> None:
+    """Start the emulators of a cell's arms and wait until they answer.
+
+    Raises:
+        Problem: One does not come up, such as when its address is taken.
+    """
+    tools = f"{paths.ROOT / 'tools'}:{supervisor.env.get('PYTHONPATH', '')}".rstrip(":")
+    env = {"SURG_READY": "1", "PYTHONPATH": tools}
+    for name, arm in arms.items():
+        words = ["emulate", _kind(name, arm, str(cell)), "--cell", str(cell), "--arm", name]
+        argv = [sys.executable, "-s", "-m", "surg_cli", *words]
+        supervisor.start(f"/{name}/emulator", argv, extra_env=env)
+
+    def silent() -> list[str]:
+        waiting = [name for name, arm in arms.items() if not _answers(arm.hardware.address)]
+        return [f"the emulator of {name}" for name in waiting]
+
+    follow.wait_for(silent, supervisor, lambda part, text: None)
+
+
+def _answers(address: str) -> bool:
+    try:
+        socket.create_connection((address, PORTS[CONTROL]), 0.2).close()
+    except OSError:
+        return False
+    return True
+
+
+def obey(
+    arms: Sequence[str], supervisor: Supervisor, update: Callable[[float | None, str], None]
+) -> None:
+    """Ask the robots to start until they obey; nothing moves by it.
+
+    Raises:
+        Problem: One does not within the time of a system's start.
+    """
+    import rospy
+
+    from crtk_msgs.msg import StringStamped
+    from surg_msgs.msg import LinkStatus
+
+    said: dict[str, str] = {}
+
+    def hear(message: Any, arm: str) -> None:
+        said[arm] = condition_name(message)
+
+    ears = [rospy.Subscriber(f"/{arm}/robot/status", LinkStatus, hear, arm) for arm in arms]
+    asks = {
+        arm: rospy.Publisher(f"/{arm}/robot/request", StringStamped, queue_size=1) for arm in arms
+    }
+    asked = time.monotonic()
+
+    def idle() -> list[str]:
+        nonlocal asked
+        waiting = [arm for arm in arms if said.get(arm) != "ACTIVE"]
+        if time.monotonic() - asked > ASK_AGAIN_S:
+            asked = time.monotonic()
+            for arm in waiting:
+                asks[arm].publish(StringStamped(string="start"))
+        return [f"the robot of {arm} ({said.get(arm, 'silent')})" for arm in waiting]
+
+    try:
+        follow.wait_for(idle, supervisor, update)
+    finally:
+        for each in (*ears, *asks.values()):
+            each.unregister()
