@@ -300,9 +300,10 @@ def model_server(plan: Plan) -> Node:
 
 
 def operator_node(plan: Plan) -> Node:
-    """The plan's operator."""
+    """The plan's operator; one that answers late is refused for good by an arm in real time."""
     assert plan.operator is not None
-    return Node(f"/{OPERATOR}", "surg_teleop", "operator_node.py", dict(plan.operator))
+    made = ("surg_teleop", "operator_node.py", dict(plan.operator))
+    return Node(f"/{OPERATOR}", *made, drives=bool(plan.driven))
 
 
 def robot_state_publisher(arm: str) -> Node:
