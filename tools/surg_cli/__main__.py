@@ -12,7 +12,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from surg_cli.command_table import COMMANDS, parse, usage
+from surg_cli.command_table import COMMANDS, at_once, parse, usage
 from surg_cli.graph.processes import interrupt_on_signals
 from surg_cli.host import environment, paths, preflight, provision, workspace
 from surg_cli.host.terminal import Problem, say, warn
@@ -32,6 +32,8 @@ def run(arguments: Sequence[str]) -> int:
     if COMMANDS[name].wants_workspace(rest) and READY not in os.environ:
         if name != "shell" and any(word in ("-h", "--help") for word in rest):
             _print_help(name, rest)
+        elif COMMANDS[name].urgent:
+            at_once(name, rest)
         else:
             needs = COMMANDS[name].everything, COMMANDS[name].packages
             if stages := provision.overview(*needs):

@@ -26,6 +26,7 @@ class Command:
     everything: bool = False  # whether it needs the packages that others do without
     packages: tuple[str, ...] = ()  # sets of the package list that it needs
     workspace_option: str = ""  # an option that needs everything set up and built
+    urgent: bool = False  # acts at once by its module's `at_once`, and never builds
 
     def wants_workspace(self, words: Sequence[str]) -> bool:
         """Whether it needs the workspace when called with these words."""
@@ -39,7 +40,9 @@ COMMANDS = {
     "teleop": Command("run", "teleop", "operate the phantom from the browser console"),
     "up": Command("run", "up", "bring a cell up and keep it until Ctrl-C"),
     "down": Command("run", "down", "end what `up` started", needs_workspace=False),
-    "stop": Command("run", "stop", "pause every arm of the running systems", draws=False),
+    "stop": Command(
+        "run", "stop", "pause every arm of the running systems", draws=False, urgent=True
+    ),
     "status": Command("run", "status", "list nodes, topic rates and last errors", draws=False),
     "record": Command("data", "record", "start, stop and tag a recording", draws=False),
     "recover": Command("data", "data.recover", "complete recordings that were interrupted"),
@@ -110,6 +113,12 @@ def parser(name: str) -> tuple[argparse.ArgumentParser, Callable[[Any, str], int
     module = importlib.import_module(f"surg_cli.commands.{command.module}")
     module.add_arguments(made, name)
     return made, module.main
+
+
+def at_once(name: str, words: Sequence[str]) -> None:
+    """What an urgent command does before it enters the workspace; raises as `parse`."""
+    options, _ = parse(name, words)
+    importlib.import_module(f"surg_cli.commands.{COMMANDS[name].module}").at_once(options)
 
 
 def parse(name: str, words: Sequence[str]) -> tuple[argparse.Namespace, Callable[[Any, str], int]]:

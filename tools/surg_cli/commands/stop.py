@@ -27,12 +27,18 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     parser.add_argument("--port", type=tcp_port, metavar="P", help="only the system on this port")
 
 
-def main(options: argparse.Namespace, command: str) -> int:
-    """Pause, then check that every arm has left ENABLED; exit status 1 if one has not."""
+def at_once(options: argparse.Namespace) -> list[running.System]:
+    """Signal the systems' supervising processes: they are connected already, the fastest way."""
     systems = running.systems(options.port)
-    for system in systems:  # its supervising process is connected already: the fastest way
+    for system in systems:
         with contextlib.suppress(ProcessLookupError):
             os.kill(system.pid, PAUSE_SIGNAL)
+    return systems
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """Pause, then check that every arm has left ENABLED; exit status 1 if one has not."""
+    systems = at_once(options)
     uris = list(dict.fromkeys(system.master_uri for system in systems))
     if not uris and options.port is None:
         raise Problem("no system of this checkout is running (--port P names another ROS master)")

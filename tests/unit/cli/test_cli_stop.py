@@ -1,0 +1,38 @@
+"""`./surg stop` pauses first: it sets nothing up and builds nothing, whatever has changed."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from surg_cli import __main__ as entry
+from surg_cli.graph import processes, running
+from surg_cli.host import paths, provision, workspace
+
+LISTENER = """
+import signal
+signal.signal(signal.SIGUSR1, lambda *_: print("paused", flush=True))
+print("listens", flush=True)
+signal.pause()
+"""
+
+
+def test_stop_signals_before_anything_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(entry.READY, raising=False)
+    monkeypatch.setattr(paths, "SYSTEMS", tmp_path)
+    for module, name in ((provision, "make_ready"), (workspace, "build")):
+        monkeypatch.setattr(module, name, lambda *_: pytest.fail("sets up or builds"))
+    entered: list[str] = []
+    monkeypatch.setattr(entry, "_enter_workspace", lambda name, words: entered.append(name))
+    monkeypatch.setattr(entry, "parse", lambda name, words: (None, lambda *_: 0))
+    with subprocess.Popen([sys.executable, "-c", LISTENER], stdout=subprocess.PIPE) as system:
+        assert system.stdout is not None and system.stdout.readline() == b"listens\n"
+        since = processes.start_time(system.pid) or 0
+        running.System(45997, system.pid, since, "up", str(tmp_path), str(tmp_path)).save()
+        assert entry.run(["stop", "--port", "45997"]) == 0
+        assert system.stdout.readline() == b"paused\n"
+    assert entered == ["stop"] and os.listdir(tmp_path)
