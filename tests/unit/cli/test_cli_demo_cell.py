@@ -11,7 +11,6 @@ import yaml
 
 import surg_core
 from helpers.hardware.emulated_cell import emulated_cell
-from surg_cli.commands import demo
 from surg_cli.graph import motion_run
 from surg_cli.graph.system import Plan
 from surg_cli.host import cells, link_environments
@@ -26,7 +25,7 @@ def played(monkeypatch: pytest.MonkeyPatch) -> list[Plan]:
     """Plans that would have been played."""
     plans: list[Plan] = []
 
-    def play(plan: Plan, duration_s: float, port: int | None) -> list[str]:
+    def play(plan: Plan, duration_s: float, port: int | None, robots: object) -> list[str]:
         plans.append(plan)
         raise Problem("enough", 1)
 
@@ -112,5 +111,5 @@ def test_an_arm_that_nothing_emulates_is_refused(tmp_path: Path) -> None:
     arms = surg_core.load_cell(emulated_cell(tmp_path, "127.0.0.1")).arms
     emulated_arms.refuse_real(arms, "demo")
     with pytest.MonkeyPatch.context() as patch, pytest.raises(Problem, match="'ur5e'"):
-        patch.setattr(demo.emulated_arms.emulate, "MODELS", {"fer": {"panda": "Panda"}})
+        patch.setattr(emulated_arms, "MODELS", {"fer": {"panda": "Panda"}})
         emulated_arms.refuse_real(arms, "demo")

@@ -78,7 +78,8 @@ def main(options: argparse.Namespace, command: str) -> int:
         f"scale {options.scale:g}, {options.mode}, "
         f"{'lock-step' if plan.lockstep else 'free-run'} -> {out}"
     )
-    reasons = motion_run.play(plan, motion.duration_s, options.port)
+    robots = emulated_arms.EmulatedArms(cell, loaded.arms)
+    reasons = motion_run.play(plan, motion.duration_s, options.port, robots)
     for reason in reasons:
         warn(f"surg: {reason}")
     if plan.cameras:

@@ -3,36 +3,46 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from typing import Protocol
 
 from surg_cli.graph import follow, processes, running, system
 from surg_cli.graph.system import Plan
 from surg_cli.graph.watch import Watch
-from surg_cli.host import cells
 from surg_cli.host.terminal import Progress
-from surg_cli.robots import emulated_arms
 
 OPERATOR_TIMEOUT_S = 15.0
 AROUND_MOTION_S = 2.5
 """[s] Homing, the way to the start, settling and the last hold; for the progress line only."""
 
 
-def play(plan: Plan, duration_s: float, port: int | None) -> list[str]:
+class Robots(Protocol):
+    """Robots that a run brings along."""
+
+    def start(self, supervisor: processes.Supervisor) -> None:
+        """Start them, before the nodes."""
+
+    def obey(
+        self, supervisor: processes.Supervisor, update: Callable[[float | None, str], None]
+    ) -> None:
+        """Let them obey, once the nodes run."""
+
+
+def play(plan: Plan, duration_s: float, port: int | None, robots: Robots) -> list[str]:
     """Run a plan with an operator to its end; without a port on a free one.
 
-    Arms with hardware are emulated here. Returns why the run failed, one sentence each.
+    Returns why the run failed, one sentence each.
 
     Raises:
         Problem: The system does not come up.
     """
     with running.launched("demo", plan.cell, plan.out, port) as (supervisor, entry):
-        if plan.driven:
-            arms = cells.load(plan.cell).arms
-            emulated_arms.start(supervisor, plan.cell, {arm: arms[arm] for arm in plan.driven})
+        robots.start(supervisor)
         for node in system.nodes(plan):
             system.start(supervisor, node)
         with Watch(plan.arms) as watch, Progress("demo") as progress:
             follow.start_recording(watch, supervisor, progress.update)
-            emulated_arms.obey(plan.driven, supervisor, progress.update)
+            robots.obey(supervisor, progress.update)
             operator = system.start(supervisor, system.operator_node(plan))
             entry.list_nodes(supervisor.children)
             reasons = _follow(watch, supervisor, operator, progress, duration_s, plan.simulates)

@@ -9,15 +9,20 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from surg_cli.commands.arms import emulate
 from surg_cli.graph import follow
 from surg_cli.graph.processes import Supervisor
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
 from surg_cli.robots.robot_request import condition_name
 from surg_hardware.emulators.emulator_ports import CONTROL
-from surg_hardware.emulators.ur.ur_emulator import PORTS
+from surg_hardware.emulators.ur import ur_emulator
 
+MODELS = {
+    "ur": {model.lower(): model for model in ur_emulator.MODELS},
+    "fer": {"panda": "Panda"},
+    "fr3": {"fr3": "FR3"},
+}
+"""Emulator -> the robots of cells that it can be, and their names at the maker's."""
 ASK_AGAIN_S = 0.5
 """[s] At first the robot's states are too young for a start."""
 
@@ -41,48 +46,66 @@ def refuse_real(arms: Mapping[str, Any], where: str) -> None:
 
 def _kind(name: str, arm: Any, where: str) -> str:
     """The emulator that an arm needs."""
-    for kind, models in emulate.MODELS.items():
+    for kind, models in MODELS.items():
         if arm.robot.name in models:
             return kind
     raise Problem(f"{where}: {name}: nothing emulates the robot {arm.robot.name!r}", 2)
 
 
-def start(supervisor: Supervisor, cell: Path, arms: Mapping[str, Any]) -> None:
-    """Start the emulators of a cell's arms and wait until they answer.
+class EmulatedArms:
+    """The emulated arms of a cell, beside the nodes of a run.
 
-    Raises:
-        Problem: One does not come up, such as when its address is taken.
+    Args:
+        cell: Folder of the cell.
+        arms: Arm -> what the cell says of it; those without hardware are left out.
     """
-    tools = f"{paths.ROOT / 'tools'}:{supervisor.env.get('PYTHONPATH', '')}".rstrip(":")
-    env = {"SURG_READY": "1", "PYTHONPATH": tools}
-    for name, arm in arms.items():
-        words = ["emulate", _kind(name, arm, str(cell)), "--cell", str(cell), "--arm", name]
-        argv = [sys.executable, "-s", "-m", "surg_cli", *words]
-        supervisor.start(f"/{name}/emulator", argv, extra_env=env)
 
-    def silent() -> list[str]:
-        waiting = [name for name, arm in arms.items() if not _answers(arm.hardware.address)]
-        return [f"the emulator of {name}" for name in waiting]
+    def __init__(self, cell: Path, arms: Mapping[str, Any]) -> None:
+        self._cell = cell
+        self._arms = {name: arm for name, arm in arms.items() if arm.hardware is not None}
 
-    follow.wait_for(silent, supervisor, lambda part, text: None)
+    def start(self, supervisor: Supervisor) -> None:
+        """Start the emulators and wait until they answer.
+
+        Raises:
+            Problem: One does not come up, such as when its address is taken.
+        """
+        tools = f"{paths.ROOT / 'tools'}:{supervisor.env.get('PYTHONPATH', '')}".rstrip(":")
+        env = {"SURG_READY": "1", "PYTHONPATH": tools}
+        cell = str(self._cell)
+        for name, arm in self._arms.items():
+            words = ["emulate", _kind(name, arm, cell), "--cell", cell, "--arm", name]
+            argv = [sys.executable, "-s", "-m", "surg_cli", *words]
+            supervisor.start(f"/{name}/emulator", argv, extra_env=env)
+
+        def silent() -> list[str]:
+            arms = self._arms.items()
+            waiting = [name for name, arm in arms if not _answers(arm.hardware.address)]
+            return [f"the emulator of {name}" for name in waiting]
+
+        follow.wait_for(silent, supervisor, lambda part, text: None)
+
+    def obey(self, supervisor: Supervisor, update: Callable[[float | None, str], None]) -> None:
+        """Ask the robots to start until they obey; nothing moves by it.
+
+        Raises:
+            Problem: One does not within the time of a system's start.
+        """
+        if self._arms:
+            _obey(tuple(self._arms), supervisor, update)
 
 
 def _answers(address: str) -> bool:
     try:
-        socket.create_connection((address, PORTS[CONTROL]), 0.2).close()
+        socket.create_connection((address, ur_emulator.PORTS[CONTROL]), 0.2).close()
     except OSError:
         return False
     return True
 
 
-def obey(
+def _obey(
     arms: Sequence[str], supervisor: Supervisor, update: Callable[[float | None, str], None]
 ) -> None:
-    """Ask the robots to start until they obey; nothing moves by it.
-
-    Raises:
-        Problem: One does not within the time of a system's start.
-    """
     import rospy
 
     from crtk_msgs.msg import StringStamped

@@ -7,17 +7,11 @@ from pathlib import Path
 
 from surg_cli.host import cells
 from surg_cli.host.terminal import Problem, say
+from surg_cli.robots.emulated_arms import MODELS
 from surg_hardware.emulators import emulator_ports
 from surg_hardware.emulators.emulator_ports import PortedEmulator
 from surg_hardware.emulators.franka import franka_emulator
 from surg_hardware.emulators.ur import ur_emulator
-
-MODELS = {
-    "ur": {model.lower(): model for model in ur_emulator.MODELS},
-    "fer": {"panda": "Panda"},
-    "fr3": {"fr3": "FR3"},
-}
-"""Emulator -> the robots of cells that it can be, and their names at the maker's."""
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
