@@ -61,9 +61,6 @@ def checkpoint(folder: Path) -> tuple[ACTPolicy, object, object]:
     colours = {"mean": torch.full((3, 1, 1), 0.5), "std": torch.full((3, 1, 1), 0.2)}
     before, after = make_pre_post_processors(config, dataset_stats={**stats, LEFT: colours})
     policy.save_pretrained(folder)
-    # lerobot's pinned draccus writes the type of a configuration, later ones leave it out.
-    file = folder / "config.json"
-    file.write_text(json.dumps({"type": "act", **json.loads(file.read_text("utf-8"))}), "utf-8")
     before.save_pretrained(folder)
     after.save_pretrained(folder)
     return policy, before, after
@@ -100,7 +97,7 @@ def main(folder: Path) -> None:
         json.dumps(
             {
                 "lerobot": metadata.version("lerobot"),
-                "wants": adapted.wants,
+                "wants": list(adapted.wants.observation),
                 "shape": list(rows.shape),
                 "dtype": str(rows.dtype),
                 "worst": float(np.abs(rows - wanted).max()),

@@ -5,9 +5,14 @@ Each has the real robomimic too, which needs the same torch.
 
 from __future__ import annotations
 
+import os
+import subprocess
 from pathlib import Path
 
+import pytest
+
 from helpers.tree import oracle_venv
+from surg_cli.host import paths
 
 # lerobot's own pins ask for CUDA and much that reading needs not: it comes without dependencies.
 TORCH = ("torch==2.13.0", "torchvision==0.28.0", "torchcodec==0.13.0")
@@ -19,6 +24,14 @@ PLAIN = (
 )
 ROBOMIMIC = "robomimic==0.3.0"
 DATASETS = {"0.3.3": "datasets==3.6.0", "0.4.4": "datasets>=4,<5"}
+# What lerobot's policies and its training import and reading its datasets does not need.
+POLICIES = (
+    *("pyzmq", "msgpack", "diffusers", "importlib_metadata", "zipp", "regex", "pyserial"),
+    *("gymnasium<2", "farama-notifications", "cloudpickle", "grpcio>=1.73.1", "protobuf>=6.31"),
+    *("draccus==0.10.0", "mergedeep", "pyyaml", "pyyaml-include<2", "toml", "typing-inspect"),
+)
+CLIENT = paths.ROOT / "src" / "surg_policy_bridge" / "client" / "src"
+PROGRAM = Path(__file__).with_name("lerobot_program.py")
 
 
 def python(version: str) -> Path:
@@ -32,3 +45,26 @@ def python(version: str) -> Path:
         ("--no-deps", *TORCH, "accelerate", f"lerobot=={version}", ROBOMIMIC),
     )
     return oracle_venv.python(f"lerobot-{version}", installs, ("torch", "torchcodec"))
+
+
+def with_policies(version: str, home: Path) -> tuple[Path, dict[str, str]]:
+    """Its interpreter, and an environment with our client, in which policies load and train.
+
+    Args:
+        version: As for `python`.
+        home: A folder for what the libraries keep. Nothing is fetched from a hub.
+    """
+    interpreter = python(version)
+    beside = paths.ROOT / ".venv-oracle-lerobot-policies"
+    stamp = beside / ".complete"
+    if not stamp.exists() or stamp.read_text("utf-8") != repr(POLICIES):
+        pip = [str(interpreter), "-m", "pip", "install", "-q", "--no-deps", "--upgrade"]
+        pip += ["--target", str(beside)]
+        done = subprocess.run([*pip, *POLICIES], capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            pytest.skip(f"missing: {', '.join(POLICIES)}: {done.stderr.strip()[-300:]}")
+        stamp.write_text(repr(POLICIES), "utf-8")
+    env = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    env.update(PYTHONPATH=f"{CLIENT}:{beside}", HF_HUB_OFFLINE="1", HF_HOME=str(home / "hf"))
+    env.update(TORCH_HOME=str(home / "torch"))
+    return interpreter, env

@@ -104,8 +104,44 @@ def test_gr00t_is_asked_over_its_socket_and_a_lost_answer_is_no_end() -> None:
     context.destroy(0)
 
 
+def test_a_gr00t_service_is_told_of_an_episode_and_of_a_token() -> None:
+    """One that has no such endpoint, as N1.5, is none the worse; one that refuses is."""
+    context = zmq.Context()
+    server = context.socket(zmq.REP)
+    port = server.bind_to_random_port("tcp://127.0.0.1")
+    replies = [
+        msgpack.packb({"info": {}}),
+        msgpack.packb({"error": "Unknown endpoint: reset"}),
+        msgpack.packb({"error": "Unauthorized: Invalid API token"}),
+        b"ERROR",
+    ]
+    asked: list[dict[str, Any]] = []
+
+    def answer() -> None:
+        for reply in replies:
+            asked.append(msgpack.unpackb(server.recv()))
+            server.send(reply)
+
+    thread = threading.Thread(target=answer)
+    thread.start()
+    policy = Gr00tPolicy(
+        f"tcp://127.0.0.1:{port}", lambda o: {}, lambda reply: reply, (STATE,), api_token="secret"
+    )
+    policy.reset("retract", 1)
+    policy.reset("retract", 2)
+    with pytest.raises(BadAction, match="Invalid API token"):
+        policy.reset("retract", 3)
+    with pytest.raises(BadAction, match="answered b'ERROR'"):
+        policy.act(seen())
+    thread.join()
+    told = {"endpoint": "reset", "data": {"options": None}, "api_token": "secret"}
+    assert asked[:3] == [told] * 3
+    assert asked[3] == {"endpoint": "get_action", "data": {}, "api_token": "secret"}
+    server.close(0)
+    context.destroy(0)
+
+
 OPENPI = (("--no-deps", "-r", str(paths.ROOT / "benchmarks" / "policy.lock")), ("pyzmq",))
-CLIENT = paths.ROOT / "src" / "surg_policy_bridge" / "client" / "src"
 HELPERS = Path(__file__).parents[2] / "helpers" / "policy"
 
 
@@ -118,7 +154,7 @@ def test_the_client_of_openpi_brings_what_is_asked_and_answered() -> None:
         capture_output=True,
         text=True,
         timeout=120,
-        env={**os.environ, "PYTHONPATH": str(CLIENT)},
+        env={**os.environ, "PYTHONPATH": str(lerobot_venv.CLIENT)},
         check=False,
     )
     assert done.returncode == 0, done.stderr[-2000:]
@@ -135,26 +171,9 @@ def test_the_client_of_openpi_brings_what_is_asked_and_answered() -> None:
     assert told["gone"]["kind"] == "NoServer"
 
 
-# What lerobot's policies import and reading its datasets does not need.
-POLICIES = (
-    *("pyzmq", "msgpack", "diffusers", "importlib_metadata", "zipp", "regex", "pyserial"),
-    *("gymnasium<2", "farama-notifications", "cloudpickle", "grpcio>=1.73.1", "protobuf>=6.31"),
-)
-
-
 @pytest.mark.oracle
 def test_a_lerobot_checkpoint_answers_as_lerobot_itself(tmp_path: Path) -> None:
-    python = lerobot_venv.python("0.4.4")
-    beside = paths.ROOT / ".venv-oracle-lerobot-policies"
-    stamp = beside / ".complete"
-    if not stamp.exists() or stamp.read_text("utf-8") != repr(POLICIES):
-        pip = [str(python), "-m", "pip", "install", "-q", "--no-deps", "--upgrade"]
-        pip += ["--target", str(beside)]
-        done = subprocess.run([*pip, *POLICIES], capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            pytest.skip(f"missing: {', '.join(POLICIES)}: {done.stderr.strip()[-300:]}")
-        stamp.write_text(repr(POLICIES), "utf-8")
-    env = {**os.environ, "PYTHONPATH": f"{CLIENT}:{beside}", "HF_HUB_OFFLINE": "1"}
+    python, env = lerobot_venv.with_policies("0.4.4", tmp_path)
     done = subprocess.run(
         [str(python), str(HELPERS / "lerobot_policy.py"), str(tmp_path / "checkpoint")],
         capture_output=True,
