@@ -23,16 +23,22 @@ CONVOLUTIONS = ((5, 2, 1), (3, 2, 1), (3, 1, 1), (3, 1, 2), (3, 1, 4), (3, 1, 1)
 HELD, OTHER_HELD, OTHER_JAW, TENSION = range(4)
 """Outputs of the perceptron: the chances that the robot and the assistant hold the bowel, the
 assistant's jaw angle [rad], the tension [N]."""
-TARGET, ALONG, HELPER, PLACE, NEAR = slice(4, 7), slice(7, 10), slice(10, 13), slice(13, 15), 15
-"""Further columns of the answer, all in the rcm frame: where on the bowel the assistant would point
-[m], the tube's direction there, the assistant's tip as if it lay on the bowel [m], its place in the
-picture, and how much of the tube is seen where it would point, 0 to 1."""
-SAID = 16
+AT, AXIS, PLACE, TIP, NEAR, SEEN = slice(4, 6), slice(6, 8), slice(8, 10), slice(10, 12), 12, 13
+"""Further columns of the answer, all in the picture, down and right, -1 to 1 in the middle square:
+the place on the bowel that the assistant would point at, the tube's direction there, the tips of
+assistant and robot; how much of the tube is seen at that place, and how clearly the robot's tip is,
+0 to 1."""
+SAID = 14
 WINDOWS = (2.5, 1.5)
 """Standard deviations of the windows in which the tube is looked for, in turn [cells]."""
 OFF = 0.1
 """Standard deviation of the distance between the place that the assistant's tip alone tells and the
 tube [half picture heights]."""
+CLEAR = 0.08
+"""Largest share of a cell in the map of a tip that is clearly seen."""
+PRIOR, FADE, EDGE, LEAST = 0.5, 0.93, 1.2, 0.06
+"""Of the estimate of a picture's shift: weight of none, memory per picture, the largest coordinate
+at which a tip counts, and the smallest shift that counts."""
 LAG = 4
 """Steps between two looks at the assistant, which tell whether it moves."""
 STILL, SHUT = 0.012, 0.15
@@ -137,32 +143,32 @@ class Eye:
     Args:
         layers: Weights and biases: of `CONVOLUTIONS` (k, k, C, D), of the heat maps and of the map
             of the tube (C, M), of the three layers of the perceptron (n_in, n_out).
-        plane: (6, 3) from `square` of a place in the picture to the resting bowel's axis [m].
         pointed: (3, 2) from 1 and the place of an assistant's tip that points to the place of what
             it points at.
     """
 
-    def __init__(self, layers: Sequence[tuple[Array, Array]], plane: Array, pointed: Array) -> None:
-        self.layers, self.plane, self.pointed = list(layers), plane, pointed
+    def __init__(self, layers: Sequence[tuple[Array, Array]], pointed: Array) -> None:
+        self.layers, self.pointed = list(layers), pointed
 
     def __call__(self, views: Array) -> Array:
-        """What views (B, SIDE, SIDE, 3), uint8, say: (B, SAID), see `HELD` to `NEAR`."""
-        raw, where, logits = self.network(views)
+        """What views (B, SIDE, SIDE, 3), uint8, say: (B, SAID), see `HELD` to `SEEN`."""
+        raw, where, clear, logits = self.network(views)
         said = raw.astype(np.float64)
         said[:, :2] = 1.0 / (1.0 + np.exp(-np.clip(said[:, :2], -9, 9)))
         tube = 1.0 / (1.0 + np.exp(-np.clip(logits, -9, 9)))
-        points = [self._points(*each) for each in zip(where[:, 0], tube, strict=True)]
-        return np.column_stack([said, points])
+        found = [self._find(*each) for each in zip(where[:, 0], tube, strict=True)]
+        at, near = np.array([each[0] for each in found]), [each[1] for each in found]
+        return np.column_stack([said, at, where.reshape(len(said), -1), near, clear])
 
-    def network(self, views: Array) -> tuple[Array, Array, Array]:
+    def network(self, views: Array) -> tuple[Array, Array, Array, Array]:
         """What was trained, float32.
 
         Args:
             views: (B, SIDE, SIDE, 3), uint8.
 
         Returns:
-            Outputs of the perceptron (B, 4), places of `MAPS` (B, 2, 2), logits of the tube
-            (B, CELLS, CELLS).
+            Outputs of the perceptron (B, 4), places of `MAPS` (B, 2, 2), how clearly the robot's
+            tip is seen (B,), logits of the tube (B, CELLS, CELLS).
         """
         n = len(CONVOLUTIONS)
         x = scaled(views)
@@ -182,10 +188,16 @@ class Eye:
         for weight, bias in self.layers[-3:-1]:
             y = np.maximum(y @ weight + bias, 0.0)
         weight, bias = self.layers[-1]
-        return y @ weight + bias, where, maps[..., len(MAPS)]
+        clear = np.minimum(share[..., 1].max(axis=1) / CLEAR, 1.0)
+        return y @ weight + bias, where, clear, maps[..., len(MAPS)]
 
-    def _points(self, helper: Array, tube: Array) -> Array:
-        """`TARGET` to `NEAR` for the assistant's place (2,) and the map of the tube (n, n)."""
+    def _find(self, helper: Array, tube: Array) -> tuple[Array, float]:
+        """Place and axis of the tube where the assistant would point, (4,), and `NEAR`.
+
+        Args:
+            helper: (2,) place of the assistant's tip.
+            tube: (n, n) map of the tube.
+        """
         cells = grid(len(tube)).astype(np.float64)
         cell = 2.0 / (len(tube) - 1)
         at = guess = np.append(1.0, helper) @ self.pointed
@@ -199,13 +211,56 @@ class Eye:
             at = weight @ cells / total
         away = cells - at
         _, axes = np.linalg.eigh((away * weight[:, None]).T @ away / total)
-        ends = np.array([at - cell * axes[:, 1], at, at + cell * axes[:, 1], helper])
         # The tube goes from right to left.
-        ends[[0, 2]] = ends[[0, 2]] if axes[1, 1] > 0 else ends[[2, 0]]
-        p = square(ends) @ self.plane
+        axis = axes[:, 1] if axes[1, 1] < 0 else -axes[:, 1]
         near = min(near, 1.0) * np.exp(-0.5 * ((at - guess) @ (at - guess)) / OFF**2)
-        along = (p[2] - p[0]) / max(float(np.linalg.norm(p[2] - p[0])), 1e-6)
-        return np.concatenate([p[1], along, p[3], helper, [near]])
+        return np.append(at, axis), float(near)
+
+
+class View:
+    """From places in the picture to points in the rcm frame, while the camera may have moved.
+
+    Where the robot's tip is, its joints say. Where it should be in the picture, the camera's model
+    says. Seen elsewhere, it tells how far the whole picture has shifted.
+
+    Args:
+        plane: (6, 3) from `square` of a place to the resting bowel's axis [m].
+        lens: (3, 4) homogeneous projection of the rcm frame to places.
+    """
+
+    def __init__(self, plane: Array, lens: Array) -> None:
+        self._plane, self._lens = plane, lens
+        self._sum, self._weight = np.zeros(2), PRIOR
+
+    def look(self, tip: Array, clear: float, p_RTip: Array) -> None:
+        """Take where the robot's tip is seen, how clearly, and where its joints say it is.
+
+        Args:
+            tip: (2,) place.
+            clear: 0 to 1.
+            p_RTip: (3,) [m].
+        """
+        x = self._lens @ np.append(p_RTip, 1.0)
+        should = x[:2] / x[2]
+        weight = clear**2 if (np.abs(should) < EDGE).all() else 0.0
+        self._sum = FADE * self._sum + weight * (tip - should)
+        self._weight = FADE * (self._weight - PRIOR) + weight + PRIOR
+
+    @property
+    def shift(self) -> Array:
+        """Of the picture, (2,); a small one is the eye's error."""
+        shift: Array = self._sum / self._weight
+        return shift if shift @ shift > LEAST**2 else np.zeros(2)
+
+    def points(self, places: Array) -> Array:
+        """Points on the resting bowel for places (N, 2): (N, 3) [m]."""
+        return square(places - self.shift) @ self._plane
+
+    def along(self, place: Array, axis: Array) -> Array:
+        """Direction in space of an axis (2,) at a place (2,), unit vector (3,)."""
+        ends = self.points(np.array([place - 0.07 * axis, place + 0.07 * axis]))
+        way = ends[1] - ends[0]
+        return np.asarray(way / max(float(np.linalg.norm(way)), 1e-6))
 
 
 class Memory:
@@ -216,7 +271,7 @@ class Memory:
 
     def __init__(self) -> None:
         self._weight = 0.0
-        self._sum = np.zeros(6)
+        self._sum = np.zeros(4)
         self._places: list[Array] = []
         self._first: Array | None = None
 
@@ -224,8 +279,8 @@ class Memory:
         """Take an answer of `Eye`, (SAID,).
 
         Returns:
-            (8,): the place pointed at [m], the tube's direction there, how certain it is, 0 to 1,
-            and whether the assistant points now, 0 to 1.
+            (6,): the place pointed at, the tube's direction there, both in the picture, how certain
+            it is, 0 to 1, and whether the assistant points now, 0 to 1.
         """
         self._places = [*self._places[-LAG:], np.array(answer[PLACE])]
         moved = float(np.linalg.norm(self._places[-1] - self._places[0]))
@@ -238,7 +293,7 @@ class Memory:
         points *= min(answer[NEAR] / 0.3, 1.0) * begun
         weight = points**2 if self._weight else FIRST
         self._weight += weight
-        self._sum += weight * np.append(answer[TARGET], answer[ALONG])
+        self._sum += weight * np.append(answer[AT], answer[AXIS])
         mean = self._sum / self._weight
-        mean[3:] /= max(float(np.linalg.norm(mean[3:])), 1e-6)
+        mean[2:] /= max(float(np.linalg.norm(mean[2:])), 1e-6)
         return np.concatenate([mean, [min(self._weight / 5.0, 1.0), points]])

@@ -20,14 +20,17 @@ import numpy as np
 from bgr_eye import (
     CONVOLUTIONS,
     HELD,
-    HELPER,
     NEAR,
     OTHER_HELD,
     OTHER_JAW,
+    PLACE,
     SAID,
+    SEEN,
     TENSION,
+    TIP,
     Eye,
     Memory,
+    View,
     small,
 )
 from bgr_policy import LAGS, SET, STATE, Network, Policy, serve, state_columns
@@ -39,20 +42,52 @@ PLACES, DISTANCE, HERE = slice(0, 6), 6, slice(-3, None)
 """Columns of the features: vectors from the last command to the requested place and the assistant;
 the length of the first; the last command."""
 
+TARGET, ALONG, HELPER = (slice(SAID + i, SAID + i + 3) for i in (0, 3, 6))
+"""Columns of `Sight` in the rcm frame: where on the bowel the assistant pointed [m], the tube's
+direction there, the assistant's tip as if it lay on the bowel [m]."""
+CERTAIN, POINTING = SAID + 9, SAID + 10
+
 Array = np.ndarray
 
 
-def remembered(answers: Array) -> Array:
-    """Answers of the eye at T successive steps of one episode, with what the memory makes of them.
+class Sight:
+    """What an episode's pictures say, fused: memory of the place, shift of the picture.
+
+    Args:
+        plane: See `View`.
+        lens: See `View`.
+    """
+
+    def __init__(self, plane: Array, lens: Array) -> None:
+        self._memory, self._view = Memory(), View(plane, lens)
+
+    def add(self, answer: Array, p_RTip: Array) -> Array:
+        """Take an answer of the eye (SAID,), and the robot's tip (3,) [m].
+
+        Returns:
+            (SAID + 11,): the answer, `TARGET`, `ALONG`, `HELPER`, certainty, pointing.
+        """
+        known = self._memory.add(answer)
+        self._view.look(answer[TIP], answer[SEEN], p_RTip)
+        points = self._view.points(np.array([known[:2], answer[PLACE]]))
+        along = self._view.along(known[:2], known[2:4])
+        return np.concatenate([answer, points[0], along, points[1], known[4:]])
+
+
+def remembered(answers: Array, tips: Array, plane: Array, lens: Array) -> Array:
+    """Answers of the eye at T successive steps of one episode, with what `Sight` makes of them.
 
     Args:
         answers: (T, SAID) of `Eye`.
+        tips: (T, 3) the robot's tip in the rcm frame [m].
+        plane: See `View`.
+        lens: See `View`.
 
     Returns:
-        (T, SAID + 8).
+        (T, SAID + 11).
     """
-    memory = Memory()
-    return np.column_stack([answers, [memory.add(answer) for answer in answers]])
+    sight = Sight(plane, lens)
+    return np.array([sight.add(*each) for each in zip(answers, tips, strict=True)])
 
 
 def features(columns: Array, state: Array, seen: Array, last: Array) -> Array:
@@ -63,7 +98,7 @@ def features(columns: Array, state: Array, seen: Array, last: Array) -> Array:
     Args:
         columns: Of `state_columns`.
         state: (T, 9) `observation.state`.
-        seen: (T, SAID + 8) of `remembered`.
+        seen: (T, SAID + 11) of `remembered`.
         last: (T, 4) tip and roll of the last command; at the first step, the set-point.
 
     Returns:
@@ -72,17 +107,17 @@ def features(columns: Array, state: Array, seen: Array, last: Array) -> Array:
     """
     s = state[:, columns]
     here = last[:, :3]
-    target, helper = seen[:, SAID : SAID + 3] - here, seen[:, HELPER] - here
+    target, helper = seen[:, TARGET] - here, seen[:, HELPER] - here
     now = [
         target,
         helper,
         np.linalg.norm(target, axis=1),
-        seen[:, SAID + 3 : SAID + 6],
+        seen[:, ALONG],
         s[:, :3] - here,
         s[:, SET][:, :3] - here,
         s[:, [3, 8]],
         last[:, 3],
-        seen[:, [OTHER_JAW, TENSION, NEAR, SAID + 6, SAID + 7]],
+        seen[:, [OTHER_JAW, TENSION, NEAR, CERTAIN, POINTING]],
     ]
     apart = np.linalg.norm(helper - target, axis=1)
     slow = np.column_stack([seen[:, [HELD, OTHER_HELD]], apart, s[:, 4]])
@@ -96,13 +131,12 @@ class EyeAndHand:
 
     Args:
         layers: Of the eye, then of the hand.
-        plane: Of the eye.
         pointed: Of the eye.
     """
 
-    def __init__(self, layers: Sequence[tuple[Array, Array]], plane: Array, pointed: Array) -> None:
+    def __init__(self, layers: Sequence[tuple[Array, Array]], pointed: Array) -> None:
         self.layers = list(layers)
-        self.eye = Eye(self.layers[:EYE_LAYERS], plane, pointed)
+        self.eye = Eye(self.layers[:EYE_LAYERS], pointed)
         self.hand = Network(self.layers[EYE_LAYERS:])
 
     def __call__(self, x: Array) -> Array:
@@ -113,7 +147,7 @@ class EyeAndHand:
 class ImagePolicy(Policy):
     """A policy that reads the endoscope's left picture and measured values."""
 
-    format = "surg_bgr_image_policy/2"
+    format = "surg_bgr_image_policy/3"
     wants = (STATE, PICTURE)
 
     @classmethod
@@ -121,7 +155,7 @@ class ImagePolicy(Policy):
         cls, layers: Sequence[tuple[Array, Array]], scales: Mapping[str, Array]
     ) -> EyeAndHand:
         """See `Policy`."""
-        return EyeAndHand(layers, scales["plane"], scales["pointed"])
+        return EyeAndHand(layers, scales["pointed"])
 
     def shape_of(self, key: str) -> tuple[int, ...] | None:
         """See `Policy`: pictures have the size of those it was trained with."""
@@ -134,14 +168,14 @@ class ImagePolicy(Policy):
     def reset(self, instruction: str = "", seed: int | None = None) -> None:
         """Forget the last episode."""
         super().reset(instruction, seed)
-        self._memory = Memory()
+        self._sight = Sight(self.scales["plane"], self.scales["lens"])
 
     def act(self, observation: Any) -> Array:
         """The next actions, (K, 5), from an observation (`surg_policy_client.Observation`)."""
         arrays = self.see(observation)
         state = np.asarray(arrays[STATE], np.float64).ravel()
         answer = self.network.eye(small(np.asarray(arrays[PICTURE]))[None])[0]
-        seen = np.append(answer, self._memory.add(answer))
+        seen = self._sight.add(answer, state[self._columns][:3])
         last = self.last_command(state[self._columns][SET], observation)
         self._past.append((state, seen, last))
         parts = [np.array(part) for part in zip(*self._past, strict=True)]

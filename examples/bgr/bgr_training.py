@@ -301,6 +301,7 @@ def command_line(
     words: Sequence[str] | None,
     forces: bool = False,
     devices: Sequence[str] = (),
+    labels: Sequence[str] = (),
 ) -> int:
     """Command line of a trainer.
 
@@ -311,11 +312,12 @@ def command_line(
         words: Of the command line.
         forces: Whether there are options `--forces` and `--no-tension`.
         devices: Values of an option `--device`, the default first; empty: there is none.
+        labels: Values of an option `--labels`, likewise.
 
     Returns:
         Exit status: 0 done, 2 for an unusable dataset.
     """
-    options = _parser(name, help_text, forces, devices).parse_args(words)
+    options = _parser(name, help_text, forces, devices, labels).parse_args(words)
     started = time.monotonic()
 
     def show(part: float, note: str) -> None:
@@ -328,6 +330,7 @@ def command_line(
     }
     given |= {"forces": options.forces, "tension": options.tension} if forces else {}
     given |= {"device": options.device} if devices else {}
+    given |= {"labels": options.labels} if labels else {}
     try:
         policy = make(options.dataset, given, show)
     except ValueError as error:
@@ -348,7 +351,7 @@ def command_line(
 
 
 def _parser(
-    name: str, help_text: str, forces: bool, devices: Sequence[str]
+    name: str, help_text: str, forces: bool, devices: Sequence[str], labels: Sequence[str]
 ) -> argparse.ArgumentParser:
     """See `command_line`."""
     parser = argparse.ArgumentParser(prog=name, description=help_text)
@@ -363,5 +366,10 @@ def _parser(
         parser.add_argument("--no-tension", dest="tension", action="store_false", help=no_tension)
     if devices:
         parser.add_argument("--device", choices=devices, default=devices[0], help="where it trains")
+    if labels:
+        which = (
+            "what the eye learns from: the simulator's truth, or what people and robots can tell"
+        )
+        parser.add_argument("--labels", choices=labels, default=labels[0], help=which)
     parser.add_argument("--json", action="store_true", help="progress as JSON lines")
     return parser

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -23,22 +23,21 @@ from bgr_eye import (
     OTHER_HELD,
     OTHER_JAW,
     PLACE,
-    SAID,
     SIDE,
     TENSION,
     Eye,
     grid,
     square,
 )
+from bgr_image_policy import CERTAIN, TARGET
 from bgr_policy import NODES
 from bgr_training import Array, half_cosine
+from train_bgr_looks import Looks, Varied, inside_of
 
 HEAT = 1.0
 """Standard deviation of a heat map's target [cells]."""
 GRID_RATE = 20.0
 """Pictures per second."""
-GRAINS = 32
-"""Different pictures of noise that are drawn from."""
 DEVICES = ("auto", "cpu", "cuda")
 SHARES = (1.0, 5.0, 2.0, 10.0)
 """Weights of the losses of heat maps, tube, who holds, and jaw and tension."""
@@ -58,10 +57,7 @@ class EyeOptions:
     """Initial learning rate; falls to zero along half a cosine."""
     decay: float = 1e-4
     """Weight decay."""
-    colour: float = 0.12
-    """Standard deviation of each colour's random gain."""
-    grain: float = 4.0
-    """Standard deviation of the random noise of pixels [grey levels]."""
+    looks: Looks = field(default_factory=Looks)
 
 
 POINT_AT, POINT_SPEED, POINT_JAW = 0.025, 0.004, 0.1
@@ -161,23 +157,54 @@ def tubes(nodes: Array) -> Array:
     return np.exp(-0.5 * square_away.min(axis=2) / (HEAT * step) ** 2).astype(np.float32)
 
 
-def camera_maps(labels: Labels) -> tuple[Array, Array]:
-    """`plane` and `pointed` of an `Eye`, by least squares over what the labels show.
+def plane_of(labels: Labels) -> Array:
+    """`plane` of a `View`, by least squares over the nodes of a bowel that nobody has touched."""
+    free = labels.free & (np.arange(len(labels.free)) % 5 == 0)
+    inside = (np.abs(labels.marks[free, 2:]) < 1.0).all(axis=2)
+    terms = square(labels.marks[free, 2:][inside])
+    return np.asarray(np.linalg.lstsq(terms, labels.rest[free][inside], rcond=None)[0])
+
+
+def pointed_of(labels: Labels) -> Array:
+    """`pointed` of an `Eye`, by least squares.
 
     Raises:
         ValueError: Nobody points in any picture.
     """
-    free = labels.free & (np.arange(len(labels.free)) % 5 == 0)
-    inside = (np.abs(labels.marks[free, 2:]) < 1.0).all(axis=2)
-    plane = np.linalg.lstsq(
-        square(labels.marks[free, 2:][inside]), labels.rest[free][inside], rcond=None
-    )[0]
     shown = np.flatnonzero(labels.pointing & labels.free)
     if len(shown) < 3:
         raise ValueError("the assistant points in no picture of the dataset")
     terms = np.column_stack([np.ones(len(shown)), labels.marks[shown, 0]])
     places = labels.marks[shown, 2 + labels.target[shown]]
-    return plane, np.linalg.lstsq(terms, places, rcond=None)[0]
+    return np.asarray(np.linalg.lstsq(terms, places, rcond=None)[0])
+
+
+def lens_of(points: Array, places: Array) -> Array:
+    """The camera from points and where they are seen: direct linear transformation.
+
+    Args:
+        points: (N, 3) [m].
+        places: (N, 2) down and right; those outside the picture are left out.
+
+    Returns:
+        (3, 4) homogeneous projection.
+    """
+    seen = (np.abs(places) < 1.0).all(axis=1)
+    points, places = points[seen], places[seen]
+    middle, spread = points.mean(axis=0), points.std()
+    X = np.column_stack([(points - middle) / spread, np.ones(len(points))])
+    zero = np.zeros_like(X)
+    rows = np.concatenate(
+        [
+            np.column_stack([X, zero, -places[:, :1] * X]),
+            np.column_stack([zero, X, -places[:, 1:] * X]),
+        ]
+    )
+    P = np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 4)
+    to = np.eye(4)
+    to[:3] = np.column_stack([np.eye(3), -middle]) / spread
+    P = P @ to
+    return np.asarray(P / (P @ np.append(middle, 1.0))[2])
 
 
 class Trained:
@@ -245,15 +272,15 @@ class Trained:
         y = F.relu(F.linear(y, weights[k + 2], biases[k + 2]))
         return F.log_softmax(points, dim=2), tube, F.linear(y, weights[k + 3], biases[k + 3])
 
-    def losses(self, x: Array, marks: Array, others: Array) -> tuple[Any, Any, Any, Any]:
-        """Of heat maps, tube, who holds, and jaw and tension, for a batch of pictures (B, ...)."""
+    def losses(self, x: Any, marks: Array, others: Array) -> tuple[Any, Any, Any, Any]:
+        """Of heat maps, tube, who holds, and jaw and tension, for pictures (B, 3, ...)."""
         torch = self._torch
         F: Any = torch.nn.functional
 
         def there(array: Array) -> Any:
             return torch.from_numpy(array).to(self._device)
 
-        maps, tube, raw = self(there(x.transpose(0, 3, 1, 2)))
+        maps, tube, raw = self(x)
         heat = there(heats(marks[:, : len(MAPS)])).transpose(1, 2)
         wanted = there(tubes(marks[:, len(MAPS) :]))
         truth = there(others.astype(np.float32))
@@ -318,14 +345,6 @@ def device_for(wanted: str) -> str:
     )
 
 
-def varied(x: Array, grain: Array, colour: float, rng: np.random.Generator) -> Array:
-    """Pictures (B, SIDE, SIDE, 3) in other light, with noise of a sensor, as the eye takes them."""
-    gain = 1.0 + colour * rng.standard_normal((len(x), 1, 1, 4)).astype(np.float32)
-    x = x.astype(np.float32) * gain[..., :1] * gain[..., 1:]
-    x += grain[rng.integers(0, len(grain), len(x))]
-    return (x - 128.0) / 64.0
-
-
 def train_eye(
     views: Array,
     labels: Labels,
@@ -352,17 +371,16 @@ def train_eye(
     torch = pytorch()
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
-    plane, pointed = camera_maps(labels)
     network = Trained(options, rng, start, device)
     parameters = network.parameters
     adam = torch.optim.AdamW(parameters, lr=options.rate, weight_decay=options.decay)
-    grain = options.grain * rng.standard_normal((GRAINS, SIDE, SIDE, 3), np.float32)
+    vary = Varied(torch, SIDE, options.looks, inside_of(views), seed, device)
     for step in range(options.steps):
         for group in adam.param_groups:
             group["lr"] = options.rate * half_cosine(step / options.steps)
         rows = rng.integers(0, len(views), options.batch)
-        x = varied(views[rows], grain, options.colour, rng)
-        parts = network.losses(x, labels.marks[rows], labels.others[rows])
+        x, marks = vary(views[rows], labels.marks[rows])
+        parts = network.losses((x - 128.0) / 64.0, marks, labels.others[rows])
         loss = sum(share * part for share, part in zip(SHARES, parts, strict=True))
         adam.zero_grad()
         loss.backward()
@@ -371,7 +389,7 @@ def train_eye(
         if step % 25 == 0:
             said = ", ".join(f"{float(part):.3f}" for part in parts)
             progress(step / options.steps, f"eye, step {step} of {options.steps}, losses {said}")
-    return Eye(network.layers(), plane, pointed)
+    return Eye(network.layers(), pointed_of(labels))
 
 
 def errors(seen: Array, labels: Labels) -> dict[str, Any]:
@@ -381,11 +399,11 @@ def errors(seen: Array, labels: Labels) -> dict[str, Any]:
         seen: (N, n) of `bgr_image_policy.remembered`.
         labels: Of the same pictures.
     """
-    off = np.linalg.norm(seen[:, SAID : SAID + 3] - labels.points, axis=1)
+    off = np.linalg.norm(seen[:, TARGET] - labels.points, axis=1)
     placed = np.linalg.norm(seen[:, PLACE] - labels.marks[:, 0], axis=1)
     right = (seen[:, [HELD, OTHER_HELD]] > 0.5) == (labels.others[:, :2] > 0.5)
     # Once it was pointed at, and before it is touched.
-    known = labels.free & (seen[:, -2] > 0.9)
+    known = labels.free & (seen[:, CERTAIN] > 0.9)
     quantiles = [0.5, 0.9]
     return {
         "target": np.quantile(off[known], quantiles).tolist() if known.any() else None,

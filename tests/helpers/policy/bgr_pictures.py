@@ -16,6 +16,7 @@ import bgr_eye
 import bgr_image_policy
 import train_bgr_eye as train_bgr_eye
 import train_bgr_images
+import train_bgr_looks as train_bgr_looks
 
 SIDE = bgr_eye.SIDE
 REACH = 0.03
@@ -86,6 +87,14 @@ def eye(seed: int = 0, channels: int = 4, hidden: int = 8) -> bgr_eye.Eye:
         (rng.normal(0, np.prod(s[:-1]) ** -0.5, s).astype(np.float32), np.zeros(s[-1], np.float32))
         for s in shapes
     ]
+    return bgr_eye.Eye(layers, np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+
+
+def camera() -> tuple[np.ndarray, np.ndarray]:
+    """`plane` and `lens` of the camera that takes the pictures."""
     plane = np.zeros((6, 3))
     plane[0, 2], plane[1, 1], plane[2, 0] = DISTANCE, REACH, REACH
-    return bgr_eye.Eye(layers, plane, np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    lens = np.zeros((3, 4))
+    lens[0, 1] = lens[1, 0] = DISTANCE / REACH
+    lens[2, 2] = 1.0
+    return plane, lens

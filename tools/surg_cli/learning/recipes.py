@@ -52,7 +52,13 @@ CAMERA_RECIPES = {
     "bgr": Recipe(
         "train_bgr_images.py",
         "bgr_image_policy.py",
-        ("bgr_training.py", "bgr_policy.py", "bgr_eye.py", "train_bgr_eye.py"),
+        (
+            "bgr_training.py",
+            "bgr_policy.py",
+            "bgr_eye.py",
+            "train_bgr_eye.py",
+            "train_bgr_looks.py",
+        ),
         packages=("torch",),
         devices="train_bgr_eye.py",
         cameras=("left",),
