@@ -176,6 +176,25 @@ TEST(ExactFollower, ALinkThatIsLateForAMomentGetsLessFeedback) {
   EXPECT_NEAR(seconds, 1.9, 0.05);  // trusted again
 }
 
+TEST(ExactFollower, ALinkThatIsLateForAMomentSlowsTheFlangeGradually) {
+  ExactFollower follower(6, {0.0, 50, 2, kT});
+  const JointVector rest = JointVector::Zero(6), away = JointVector::Constant(6, -0.002);
+  follower.reset(rest);
+  follower.advance(rest, rest);
+  EXPECT_EQ(follower.flange_share(), 1);
+  double before = 1, fastest = 0;
+  for (int i = 0; i < 150; ++i) {
+    follower.advance(rest, away);
+    fastest = std::max(fastest, before - follower.flange_share());
+    before = follower.flange_share();
+  }
+  EXPECT_NEAR(follower.flange_share(), 0.6, 1e-9);
+  EXPECT_LT(fastest, 1.34 * kT);
+  double seconds = 0;
+  for (; follower.flange_share() < 1 && seconds < 10; seconds += kT) follower.advance(rest, rest);
+  EXPECT_NEAR(seconds, 1.9 + 1.5, 0.05);  // trusted again, then faster
+}
+
 TEST(ExactFollower, ABrokenMeasurementTeachesNothing) {
   ExactFollower follower(6, {0.012, 50, 2, kT});
   follower.reset(JointVector::Zero(6));

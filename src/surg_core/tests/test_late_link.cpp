@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cstdio>
+#include <utility>
 
 #include "support/late_link.hpp"
 #include "support/law_scene.hpp"
@@ -211,16 +212,10 @@ constexpr std::array kKinds{Late::kServo, Late::kQueue, Late::kBunch};
 
 bool full() { return test::family(0, 1) == 1; }
 
-/// [m] Of the true shaft off its pivot. The full family meets rare peaks. Measured, two seeds:
-/// UR5e 0.51 and 0.93 mm, Panda 0.65 and 0.57 mm; velocity form 0.29 and 0.54 mm.
-double allowed(Law law, bool panda, Late kind) {
-  if (!full() || kind == Late::kServo) return 0.0005;
-  if (law == Law::kVelocity) return panda ? 0.0007 : 0.0005;
-  return panda ? 0.0008 : 0.0012;
-}
-/// [m] On the way back. Measured: 0.42 mm.
-double allowed_on_way_back(Law law, bool panda) {
-  return full() && law == Law::kExact && !panda ? 0.0006 : 0.0005;
+/// [m] Of the true shaft off its pivot.
+double allowed(Law law, bool panda) {
+  const bool rare_peaks = full() && law == Law::kVelocity && panda;  // measured: 0.54 mm
+  return rare_peaks ? 0.0007 : 0.0005;
 }
 
 const char* name_of(Late kind) {
@@ -236,15 +231,25 @@ TEST(LateLink, AFastHandBehindALinkThatComesLateStaysOnThePivot) {
     for (const bool panda : {false, true}) {
       for (const Late kind : kKinds) {
         Storm storm;
+        double peaks = 0;
         for (int k = 0; k < runs; ++k) {
           Arm arm(panda, kind, law, random);
+          const double before = std::exchange(storm.worst, 0);
           drive(storm, arm, 20, random);
+          peaks += storm.worst / runs;
+          storm.worst = std::max(storm.worst, before);
           ticks += 10000;
         }
-        std::printf("%s form, %s, %s: pivot %.3f mm, %.1f m of the tip, %ld faults, %ld pauses\n",
-                    law == Law::kExact ? "exact" : "velocity", name_of(panda), name_of(kind),
-                    1e3 * storm.worst, storm.way, storm.faults, storm.pauses);
-        EXPECT_LT(storm.worst, allowed(law, panda, kind));
+        std::printf(
+            "%s form, %s, %s: pivot %.3f mm (mean of the peaks %.3f), %.1f m of the tip, "
+            "%ld faults, %ld pauses\n",
+            law == Law::kExact ? "exact" : "velocity", name_of(panda), name_of(kind),
+            1e3 * storm.worst, 1e3 * peaks, storm.way, storm.faults, storm.pauses);
+        EXPECT_LT(storm.worst, allowed(law, panda));
+        // While the link is in doubt the flange is slow: without that 0.16 to 0.21 and 0.28 to
+        // 0.34.
+        const double usual = panda ? 0.00023 : 0.00017;
+        EXPECT_TRUE(law != Law::kExact || peaks < usual) << peaks;
         EXPECT_EQ(storm.faults, 0);
         EXPECT_LE(storm.pauses, test::family(0, 2));  // measured: 1 in 60 runs
         EXPECT_GT(storm.way, 0.3 * runs) << "the arm hardly moved";
@@ -277,7 +282,7 @@ TEST(LateLink, TheWayBackOfAStormStaysOnThePivot) {
       }
       std::printf("%s form, %s: pivot %.3f mm, %.0f s of ways back\n",
                   law == Law::kExact ? "exact" : "velocity", name_of(panda), 1e3 * worst, seconds);
-      EXPECT_LT(worst, allowed_on_way_back(law, panda));
+      EXPECT_LT(worst, 0.0005);
       EXPECT_GT(seconds, runs);
     }
   }

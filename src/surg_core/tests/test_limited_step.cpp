@@ -441,6 +441,39 @@ TEST(Limited, JumpingTargetsKeepEveryLimitAndThePivot) {
   }
 }
 
+/// What the follower's correction asks for may cost the path, never the reference's pivot.
+TEST(Limited, TheCorrectionsRoomNeverCostsThePivot) {
+  const JointLimits limits = test::slow_joints(6);
+  Random random(14);
+  long narrow = 0;
+  const int n = test::family(20, 200);
+  for (int i = 0; i < n; ++i) {
+    const Scene scene = test::random_scene(Family::kUsual, 9000 + i);
+    const LimitedStep limited(scene.chain, scene.tool, limits, kT);
+    JointVector q = scene.q, qd = JointVector::Zero(6), room = qd;
+    double clock = 0;
+    for (int cycle = 0; cycle < 1000 && clock < scene.duration; ++cycle) {
+      if (random.integer(0, 20) == 0) {
+        for (int k = 0; k < 6; ++k) room[k] = random.uniform(-0.02, 0.02);
+      }
+      const auto path = [&](double t) { return scene.at(clock + 3 * t); };  // too fast for them
+      StepRequest request;
+      request.path = PathView(path);
+      const Step free = limited.exact(q, qd, scene.home, request);
+      request.room = room;
+      const Step step = limited.exact(q, qd, scene.home, request);
+      if (free.tier < 2) {
+        narrow += (step.qd - free.qd).norm() > 1e-6;
+        ASSERT_LT(step.tier, 2) << "path " << i << ", cycle " << cycle;
+      }
+      qd = step.qd;
+      q += kT * qd;
+      clock += 3 * kT * step.alpha;
+    }
+  }
+  EXPECT_GT(narrow, 100 * n) << "the room was hardly ever in the way";
+}
+
 /// The velocity form on an ideal arm: feedback on tip, roll and pivot as the controller has it.
 TEST(Limited, TheVelocityFormKeepsTheSameLimits) {
   const JointLimits limits = test::slow_joints(6);

@@ -14,6 +14,9 @@ constexpr int kSettling = 50;         // [periods] after a gap before lags are a
 constexpr int kDistrust = 1000;       // [periods] after an error that no lag explains
 constexpr double kAnyError = 1e-3;    // [rad] a smaller one may be a lag's
 constexpr double kCautious = 0.65;    // of the gain, while the link's lag is in doubt
+constexpr double kSlowFlange = 0.6;   // of the flange's speed, meanwhile
+constexpr double kSlowing = 0.3;      // [s] until the flange is that slow
+constexpr double kHastening = 1.5;    // [s] until it is fast again
 constexpr double kEnoughRoom = 0.02;  // [rad/s] a correction that lacks less needs no room
 constexpr double kAdaptAbove =
     0.7;  // feedback_scale below which the error may be due to late states
@@ -78,7 +81,7 @@ void ExactFollower::take_up(const JointVector& qd) {
 JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, const Jacobian& J,
                                    double feedback_scale, double since, const Push* push) {
   // Gain times lag must stay well below pi / 2, and the lag may be twice the stated one.
-  const double trust = settling_ > kSettling ? kCautious : 1;
+  const double trust = in_doubt() ? kCautious : 1;
   const double gain = trust * feedback_scale * options_.gain;
   const JointVector v = push_reference(dq);
   const JointVector& a = history_[newest_].a;
@@ -110,6 +113,7 @@ JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, 
   cut_ = (1 - share) * change;
   phi_ += options_.T * (delayed_reference().a - gain * phi_);
   if (!explained_by_lags(error)) settling_ = kDistrust;
+  pace_flange();
   // Limits or late states also cause errors; those do not depend on the lags.
   if (linear && share == 1 && settling_ == 0 && feedback_scale > kAdaptAbove) adapt_lags(error);
   q_ref_ += dq;
@@ -173,6 +177,15 @@ JointVector ExactFollower::wanted_room() const {
 /// A lag wrong by as much as the stated one leaves an error of lag * phi.
 bool ExactFollower::explained_by_lags(const JointVector& error) const {
   return (error.array().abs() <= options_.lag * phi_.array().abs() + kAnyError).all();
+}
+
+/// Whether an error that no lag explains is less than two seconds old.
+bool ExactFollower::in_doubt() const { return settling_ > kSettling; }
+
+/// Gradually: hard braking would bend the path of the joints.
+void ExactFollower::pace_flange() {
+  const double rate = (1 - kSlowFlange) * (in_doubt() ? -1 / kSlowing : 1 / kHastening);
+  flange_share_ = std::clamp(flange_share_ + options_.T * rate, kSlowFlange, 1.0);
 }
 
 void ExactFollower::adapt_lags(const JointVector& error) {

@@ -90,7 +90,17 @@ Step LimitedStep::retrace(const JointVector& q, const JointVector& qd_last, cons
   return run(RetraceLaw(*this, here, trace, back, rate, p_BRcm), here);
 }
 
+/// The reference's pivot comes before the room that the follower's correction asks for.
 Step LimitedStep::run(const Law& law, const Here& here) const {
+  const Step step = run_with_room(law, here);
+  if (step.tier < 2 || here.room.isZero(0)) return step;
+  Here whole = here;
+  whole.room.setZero();
+  const Step on_pivot = run_with_room(law, whole);
+  return on_pivot.tier < 2 ? on_pivot : step;
+}
+
+Step LimitedStep::run_with_room(const Law& law, const Here& here) const {
   const Box box(limits_, T_, here);
   const Affine affine = law.affine();
   const Cap most = affine.regular ? cap(law, here, affine) : Cap{0.0, ""};

@@ -29,7 +29,8 @@ namespace surg {
 /// three times the stated lag and does not change at zero acceleration. An error that no lag
 /// explains is not a lag's: from it, and for two seconds after it, nothing is learnt. A link that
 /// obeys late for some tens of milliseconds would otherwise leave every joint a wrong lag of its
-/// own. The feedback acts on joints, so pivot, tip and roll converge together.
+/// own. Meanwhile the feedback is cautious and the reference slow (flange_share). The feedback acts
+/// on joints, so pivot, tip and roll converge together.
 ///
 /// The feedback is gain e. For a large e it is less, by one factor for all joints: as much as lets
 /// every joint brake to the reference at half its acceleration limit. If measured states are late,
@@ -85,12 +86,16 @@ class ExactFollower {
   /// rest. A reference that takes all of a joint's acceleration for itself would keep a correction
   /// that has become wrong for as long as it brakes, and the arm off its pivot.
   JointVector wanted_room() const;
+  /// Share of the flange's speed limit that the reference may use: less while the link is in doubt,
+  /// because an arm that repeats a command leaves a path that bends by the square of the speed.
+  double flange_share() const { return flange_share_; }
   /// Velocity of the reference in the last period [rad/s].
   const JointVector& velocity() const { return v_last_; }
   /// Serializes everything that a step reads (snapshot.hpp).
   template <typename Archive>
   void serialize(Archive& archive) {
-    archive(q_ref_, v_last_, qd_last_, correction_, lag_, phi_, newest_, rejoins_, settling_, cut_);
+    archive(q_ref_, v_last_, qd_last_, correction_, lag_, phi_, newest_, rejoins_, settling_, cut_,
+            flange_share_);
     for (ReferenceSample& sample : history_) archive(sample.q, sample.a);
   }
   /// Delay of the arm behind the reference [s].
@@ -107,6 +112,8 @@ class ExactFollower {
   JointVector push_reference(const JointVector& dq);
   JointVector within_limits(JointVector qd, const Jacobian& J) const;
   void adapt_lags(const JointVector& error);
+  bool in_doubt() const;
+  void pace_flange();
 
   static constexpr int kHistory = 32;  // periods
   struct ReferenceSample {
@@ -123,6 +130,7 @@ class ExactFollower {
   int newest_ = 0;
   bool rejoins_ = false;  // the last command is not the reference's velocity plus the correction
   int settling_ = 0;      // [periods] until what is left of a gap or a late link teaches no lags
+  double flange_share_ = 1;
   JointVector q_ref_, v_last_, qd_last_, correction_, lag_, phi_;
   JointVector cut_;  // [rad/s] of the correction's change
 };

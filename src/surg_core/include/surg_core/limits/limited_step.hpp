@@ -131,6 +131,7 @@ class LimitedStep {
   Here at(const JointVector& q, const JointVector& qd_last, double flange_lead,
           const JointVector& room = {}) const;
   Step run(const Law& law, const Here& here) const;
+  Step run_with_room(const Law& law, const Here& here) const;
   bool is_still(const JointVector& qd) const;
 
   Cap cap(const Law& law, const Here& here, const Affine& affine) const;
