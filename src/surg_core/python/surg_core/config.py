@@ -59,9 +59,9 @@ from surg_core.transforms import FloatArray, make_pose
 from surg_core.urdf import chain_from_urdf, fixed_transform
 
 SIMULATOR = "simulator"
+"""The link of an arm that the simulator drives."""
 TIP_OFF = 0.02
 """[m] Of a calibrated tip from its instrument's drawing. A clamp holds a shaft to some mm."""
-"""The link of an arm that the simulator drives."""
 
 PathLike = str | os.PathLike[str]
 Value = bool | float | str | list[float] | list[str]
