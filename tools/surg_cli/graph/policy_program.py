@@ -66,7 +66,9 @@ def connect(
     if policy.script:
         argv = [str(paths.VENV_PYTHON), "-s", policy.script, "--server", policy.address]
         argv += ["--keys", policy.keys] if policy.keys else []
-        client = supervisor.start(CLIENT, argv, essential=False)
+        # In real time the threads of its linear algebra, which wait busily, hold up the pictures.
+        few = {} if plan.lockstep else {"OPENBLAS_NUM_THREADS": "1"}
+        client = supervisor.start(CLIENT, argv, essential=False, extra_env=few)
     waited_for = f"a policy at {policy.address}"
 
     def missing() -> list[str]:

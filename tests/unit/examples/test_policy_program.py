@@ -1,0 +1,31 @@
+"""How a policy's script is started beside the graph."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from surg_cli.graph import policy_program
+
+
+@pytest.mark.parametrize(("lockstep", "threads"), [(False, "1"), (True, None)])
+def test_in_real_time_a_policy_computes_in_one_thread(
+    lockstep: bool, threads: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In lock-step time stands still; there its results stay those of all its threads."""
+    started: list[dict[str, str]] = []
+
+    def start(name: str, argv: list[str], essential: bool, extra_env: dict[str, str]) -> Any:
+        assert (name, essential) == (policy_program.CLIENT, False) and "p.py" in argv
+        started.append(extra_env)
+        return SimpleNamespace(exit_code=None, log_tail=lambda: "")
+
+    monkeypatch.setattr(policy_program.system, "start", lambda *a: None)
+    monkeypatch.setattr(policy_program.system, "model_server", lambda plan: None)
+    policy = SimpleNamespace(script="p.py", address="tcp://127.0.0.1:1", keys="")
+    plan = SimpleNamespace(policy=policy, lockstep=lockstep)
+    watch = SimpleNamespace(policy=SimpleNamespace(waiting=True))
+    policy_program.connect(plan, SimpleNamespace(start=start), watch, lambda part, text: None)
+    assert [env.get("OPENBLAS_NUM_THREADS") for env in started] == [threads]
