@@ -39,6 +39,8 @@ CLEAR = 0.08
 PRIOR, FADE, EDGE, LEAST = 0.5, 0.93, 1.2, 0.06
 """Of the estimate of a picture's shift: weight of none, memory per picture, the largest coordinate
 at which a tip counts, and the smallest shift that counts."""
+BESIDE = 0.07
+"""Distance of the two places that tell a direction, from the one between them."""
 LAG = 4
 """Steps between two looks at the assistant, which tell whether it moves."""
 STILL, SHUT = 0.012, 0.15
@@ -230,7 +232,7 @@ class View:
 
     def __init__(self, plane: Array, lens: Array) -> None:
         self._plane, self._lens = plane, lens
-        self._sum, self._weight = np.zeros(2), PRIOR
+        self._sum, self._weight = np.zeros(2), 0.0
 
     def look(self, tip: Array, clear: float, p_RTip: Array) -> None:
         """Take where the robot's tip is seen, how clearly, and where its joints say it is.
@@ -244,12 +246,12 @@ class View:
         should = x[:2] / x[2]
         weight = clear**2 if (np.abs(should) < EDGE).all() else 0.0
         self._sum = FADE * self._sum + weight * (tip - should)
-        self._weight = FADE * (self._weight - PRIOR) + weight + PRIOR
+        self._weight = FADE * self._weight + weight
 
     @property
     def shift(self) -> Array:
         """Of the picture, (2,); a small one is the eye's error."""
-        shift: Array = self._sum / self._weight
+        shift: Array = self._sum / (self._weight + PRIOR)
         return shift if shift @ shift > LEAST**2 else np.zeros(2)
 
     def points(self, places: Array) -> Array:
@@ -258,7 +260,7 @@ class View:
 
     def along(self, place: Array, axis: Array) -> Array:
         """Direction in space of an axis (2,) at a place (2,), unit vector (3,)."""
-        ends = self.points(np.array([place - 0.07 * axis, place + 0.07 * axis]))
+        ends = self.points(np.array([place - BESIDE * axis, place + BESIDE * axis]))
         way = ends[1] - ends[0]
         return np.asarray(way / max(float(np.linalg.norm(way)), 1e-6))
 

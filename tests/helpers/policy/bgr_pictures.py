@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import json
 import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -98,3 +102,31 @@ def camera() -> tuple[np.ndarray, np.ndarray]:
     lens[0, 1] = lens[1, 0] = DISTANCE / REACH
     lens[2, 2] = 1.0
     return plane, lens
+
+
+def dataset_folder(
+    folder: Path,
+    shape: Sequence[int] = (480, 640, 3),
+    heights: Sequence[int] = (480,),
+    focal: Sequence[float] = (450.0,),
+    **info: Any,
+) -> Path:
+    """Metadata of a data set without rows; one set of calibration files for each ``heights``."""
+    names = {
+        bgr_image_policy.STATE: STATE,
+        train_bgr_images.TASK: TASK,
+        "action": ACTION,
+        train_bgr_images.CAMERA: list(train_bgr_images.POSE),
+    }
+    features: dict[str, Any] = {key: {"names": value} for key, value in names.items()}
+    features[bgr_image_policy.PICTURE] = {"shape": list(shape)}
+    facts = {"features": features, "splits": {"train": "0:1"}, "fps": 20, "robot_type": "ur5e"}
+    (folder / "meta" / "calibration").mkdir(parents=True)
+    (folder / "meta" / "info.json").write_text(json.dumps({**facts, **info}), "utf-8")
+    sets = []
+    for height, f in zip(heights, focal, strict=True):
+        K = [f, 0.0, 320.0, 0.0, f, height / 2, 0.0, 0.0, 1.0]
+        sets.append({"camera_info": {"endoscope_left": {"K": K, "height": height}}})
+    index = folder / "meta" / "calibration" / "index.json"
+    index.write_text(json.dumps({"sets": sets}), "utf-8")
+    return folder

@@ -197,29 +197,27 @@ def rig(ros_graph: RosGraph, rospy_node: str, request: pytest.FixtureRequest) ->
         plant.close()
 
 
+def there_and_back(rig: Rig, script: str, ended: Ended, way: float) -> None:
+    """The tip has been so far away [m], and is where it began."""
+    far, last = rig.plant.way()
+    assert far == pytest.approx(way, abs=FOUND_HOME)
+    assert last < FOUND_HOME
+    rig.note(script, ended, f"tip {1e3 * far:.1f} mm away, back to {1e3 * last:.2f}")
+
+
 def test_crtk_move_cp_example(rig: Rig) -> None:
     """20 mm along x and y, there, beyond and back."""
     rig.homed()
     ended = rig.run("crtk_move_cp_example", "PSM1")
-    far, last = rig.plant.way()
     assert ended.waits == 3
-    assert far == pytest.approx(0.02 * math.sqrt(2), abs=FOUND_HOME)
-    assert last < FOUND_HOME
-    rig.note(
-        "crtk_move_cp_example", ended, f"tip {1e3 * far:.1f} mm away, back to {1e3 * last:.2f}"
-    )
+    there_and_back(rig, "crtk_move_cp_example", ended, 0.02 * math.sqrt(2))
 
 
 def test_crtk_servo_cp_example(rig: Rig) -> None:
     """A stream at 200 Hz, 40 mm along x and y and back."""
     rig.homed()
     ended = rig.run("crtk_servo_cp_example", "PSM1")
-    far, last = rig.plant.way()
-    assert far == pytest.approx(0.04 * math.sqrt(2), abs=FOUND_HOME)
-    assert last < FOUND_HOME
-    rig.note(
-        "crtk_servo_cp_example", ended, f"tip {1e3 * far:.1f} mm away, back to {1e3 * last:.2f}"
-    )
+    there_and_back(rig, "crtk_servo_cp_example", ended, 0.04 * math.sqrt(2))
 
 
 def test_crtk_servo_jp_example(rig: Rig) -> None:
@@ -376,11 +374,9 @@ def test_dvrk_move_wait_test(rig: Rig) -> None:
     """10 degrees of yaw to both sides, waited for in two ways."""
     rig.compat()
     ended = rig.run("dvrk_move_wait_test", "-a", "PSM1")
-    far, last = rig.plant.way()
     assert ended.text.count("Time for the full trajectory") == 2
-    assert far == pytest.approx(2 * rig.plant.depth() * math.sin(math.radians(5)), abs=FOUND_HOME)
-    assert last < FOUND_HOME
-    rig.note("dvrk_move_wait_test", ended, f"tip {1e3 * far:.1f} mm away, back to {1e3 * last:.2f}")
+    way = 2 * rig.plant.depth() * math.sin(math.radians(5))
+    there_and_back(rig, "dvrk_move_wait_test", ended, way)
 
 
 def test_dvrk_system_test(rig: Rig) -> None:

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.policy.bgr_pictures import bgr_image_policy, train_bgr_images
-from helpers.policy.bgr_synthetic import STATE, TASK, bgr_policy
+from helpers.policy.bgr_pictures import bgr_image_policy, dataset_folder, train_bgr_images
+from helpers.policy.bgr_synthetic import bgr_policy
 from helpers.policy.policy_server import PolicyServer, spec
 
 PICTURE = bgr_image_policy.PICTURE
@@ -36,34 +36,6 @@ def line(capsys: pytest.CaptureFixture[str]) -> Said:
     return only
 
 
-def dataset(
-    folder: Path,
-    shape: tuple[int, int, int] = (480, 640, 3),
-    heights: tuple[int, ...] = (480,),
-    focal: tuple[float, ...] = (450.0,),
-    **info: Any,
-) -> Path:
-    """Metadata of a data set without rows; one set of calibration files for each ``heights``."""
-    names = {
-        bgr_policy.STATE: STATE,
-        train_bgr_images.TASK: TASK,
-        "action": bgr_policy.ACTIONS,
-        train_bgr_images.CAMERA: list(train_bgr_images.POSE),
-    }
-    features: dict[str, Any] = {key: {"names": value} for key, value in names.items()}
-    features[PICTURE] = {"shape": list(shape)}
-    facts = {"features": features, "splits": {"train": "0:1"}, "fps": 20, "robot_type": "ur5e"}
-    (folder / "meta" / "calibration").mkdir(parents=True)
-    (folder / "meta" / "info.json").write_text(json.dumps({**facts, **info}), "utf-8")
-    sets = []
-    for height, f in zip(heights, focal, strict=True):
-        K = [f, 0.0, 320.0, 0.0, f, height / 2, 0.0, 0.0, 1.0]
-        sets.append({"camera_info": {"endoscope_left": {"K": K, "height": height}}})
-    index = folder / "meta" / "calibration" / "index.json"
-    index.write_text(json.dumps({"sets": sets}), "utf-8")
-    return folder
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -79,7 +51,7 @@ def test_a_data_set_that_does_not_fit_trains_nothing(
     changes: dict[str, Any], said: str, tmp_path: Path, line: Said
 ) -> None:
     """With the folder's name, and without weights."""
-    folder, out = dataset(tmp_path / "set", **changes), tmp_path / "w.npz"
+    folder, out = dataset_folder(tmp_path / "set", **changes), tmp_path / "w.npz"
     assert train_bgr_images.main([str(folder), "--out", str(out)]) == 2
     told = line()
     assert str(folder) in told and re.search(said, told) and not out.exists()

@@ -6,7 +6,6 @@ On made-up pictures: what it does in the phantom stands in docs/guide/learning.m
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 from pathlib import Path
 from types import SimpleNamespace
@@ -408,27 +407,6 @@ def test_a_dataset_without_pictures_is_named(
         train_bgr_images.train(made.dataset(0, 1), FEW)
 
 
-def dataset_folder(folder: Path, shape: list[int], height: int = 480, **info: object) -> Path:
-    """Metadata of a dataset without rows."""
-    names = {
-        bgr_policy.STATE: STATE,
-        train_bgr_images.TASK: TASK,
-        "action": bgr_policy.ACTIONS,
-        train_bgr_images.CAMERA: list(train_bgr_images.POSE),
-    }
-    features: dict[str, object] = {key: {"names": value} for key, value in names.items()}
-    features[bgr_image_policy.PICTURE] = {"shape": shape}
-    splits = {"train": "0:1"}
-    (folder / "meta" / "calibration").mkdir(parents=True)
-    facts = {"features": features, "splits": splits, "fps": 20, "robot_type": "ur5e", **info}
-    (folder / "meta" / "info.json").write_text(json.dumps(facts))
-    K = [450.0, 0.0, 320.0, 0.0, 450.0, 240.0, 0.0, 0.0, 1.0]
-    model = {"camera_info": {"endoscope_left": {"K": K, "height": height}}}
-    index = folder / "meta" / "calibration" / "index.json"
-    index.write_text(json.dumps({"sets": [model]}))
-    return folder
-
-
 @pytest.mark.parametrize(
     ("shape", "height", "info", "said"),
     [
@@ -443,11 +421,11 @@ def test_a_dataset_that_does_not_fit_is_refused_before_a_row_is_read(
 ) -> None:
     """One that fits gets as far as its rows."""
     with pytest.raises(ValueError, match=said) as problem:
-        train_bgr_images.read(dataset_folder(tmp_path / "bad", shape, height, **info))
+        train_bgr_images.read(made.dataset_folder(tmp_path / "bad", shape, [height], **info))
     assert str(tmp_path) in str(problem.value)
     with pytest.raises(FileNotFoundError, match="no_such"):
         good = {"data_path": "no_such", "chunks_size": 1000}
-        train_bgr_images.read(dataset_folder(tmp_path / "good", [480, 640, 3], **good))
+        train_bgr_images.read(made.dataset_folder(tmp_path / "good", **good))
 
 
 def test_weights_that_do_not_fit_are_refused_before_anything_moves(
