@@ -16,6 +16,7 @@ from pathlib import Path
 from surg_recording.episode import episode_reader
 from surg_recording.recording_errors import EpisodeError
 from surg_sim.envs.recorded_episode import RecordedSession
+from surg_sim.looks.look_randomisation import LookRandomisation
 from surg_sim.tasks.perturbed_sender import PerturbedExpert
 from surg_sim.tasks.scripted_arm import ArmExpert
 
@@ -34,6 +35,7 @@ class Plan:
     # Factor of the hand's error in every fourth demonstration, so that its jaws close on nothing
     # and it tries again; 1: in none.
     clumsiness: float = 1.0
+    looks: LookRandomisation | None = None  # of the pictures; None: as the scene was built
 
     def folder(self, seed: int) -> Path:
         """Where the recording of a seed lies."""
@@ -113,7 +115,7 @@ def _play_one(plan: Plan, seed: int, index: int) -> Demonstration:
         _sessions.pop(plan).close()
     if plan not in _sessions:
         _sessions[plan] = RecordedSession(
-            plan.cell, plan.task, plan.setting, seed, plan.cameras, plan.size
+            plan.cell, plan.task, plan.setting, seed, plan.cameras, plan.size, plan.looks
         )
     session, folder = _sessions[plan], plan.folder(seed)
     for left in (folder, folder.with_name(folder.name + episode_reader.PARTIAL)):

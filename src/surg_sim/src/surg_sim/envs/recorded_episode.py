@@ -34,6 +34,7 @@ except ImportError as error:  # pragma: no cover - of an installation of surg_si
 
 if TYPE_CHECKING:
     from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
+    from surg_sim.looks.look_randomisation import LookRandomisation
     from surg_sim.tasks.scripted_sender import Expert
 
 SENDER = "/expert"
@@ -45,7 +46,8 @@ class RecordedSession(Session):
     """A session that records every tick, for a cell given by its path.
 
     The recording describes the cell's files. Cameras are views to render and record, of ``left``
-    and ``right``; size is width and height of the pictures [px].
+    and ``right``; size is width and height of the pictures [px]. Looks are ranges from which each
+    episode's seed draws how its pictures look; the manifest's ``run.look`` tells the drawn one.
     """
 
     def __init__(
@@ -56,8 +58,10 @@ class RecordedSession(Session):
         seed: int = 0,
         cameras: Sequence[str] = (),
         size: tuple[int, int] = (640, 480),
+        looks: LookRandomisation | None = None,
     ) -> None:
         super().__init__(cell, task, setting, seed, looks=bool(cameras))
+        self._looks = looks
         self._described = provenance.describe_cell(cell)
         self._versions = provenance.versions()
         self._views = tuple(cameras)
@@ -89,6 +93,10 @@ class RecordedSession(Session):
         Raises:
             EpisodeError: The folder cannot be written.
         """
+        if self._looks is not None and self._renderer is not None:
+            look = self._looks.draw(seed)
+            self._renderer.wear(look)
+            run["look"] = look.described()
         self._recording = self._open(folder, self._describe_run(seed, operator, run))
         try:
             report = run_episode(self, seed, experts)

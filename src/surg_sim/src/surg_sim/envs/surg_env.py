@@ -31,6 +31,7 @@ from surg_core.bring_up import BringUp
 from surg_core.contract import GRID, GRID_RATE, TICK_NS
 from surg_sim.envs.cell_session import Session, Tick, merge
 from surg_sim.envs.env_spaces import EnvSpaces
+from surg_sim.looks.look_randomisation import Look, LookRandomisation
 from surg_sim.physics import cell_files
 from surg_sim.tasks import episode_seeds, load, names
 from surg_sim.tasks.scripted_sender import Action
@@ -69,6 +70,9 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         law: Of ``cell_session.LAWS``.
         seed_look: Draws the look of the tissue, once for the environment.
         forces: Observe the forces at tip and trocar.
+        looks: Ranges, or their file, from which each episode's seed draws how its pictures look;
+            ``info["look"]`` of ``reset`` tells the drawn one. None: all look as built. Physics and
+            ground truth are the same with and without.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": GRID_RATE}
@@ -85,6 +89,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         law: str = "ours",
         seed_look: int = 0,
         forces: bool = False,
+        looks: LookRandomisation | Path | str | None = None,
     ) -> None:
         strange = [name for name in images if name not in CAMERAS]
         if strange or render_mode not in (None, "rgb_array"):
@@ -92,9 +97,13 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
                 f"images {list(images)}, render_mode {render_mode!r}: allowed are images of "
                 f"{', '.join(CAMERAS)} and render_mode None or 'rgb_array'"
             )
-        looks = bool(images) or render_mode is not None
+        drawn = bool(images) or render_mode is not None
+        if looks is not None and not drawn:
+            raise ValueError("looks need pictures: images=('left',) or render_mode='rgb_array'")
+        self._looks = LookRandomisation.read(looks) if isinstance(looks, (str, Path)) else looks
+        self._look: Look | None = None
         path = cell_files.find(cell or load(task).home_cell)
-        self.session = Session(path, task, setting, seed_look, looks, law)
+        self.session = Session(path, task, setting, seed_look, drawn, law)
         self.render_mode, self._images = render_mode, tuple(v for v in CAMERAS if v in images)
         self._size = (width, height)
         self._renderers: dict[tuple[str, ...], Any] = {}
@@ -122,6 +131,10 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         self.seed = self.seed_of(seed, self.np_random)
         session = self.session
         session.reset(self.seed)
+        if self._looks is not None:
+            self._look = self._looks.draw(self.seed)
+            for renderer in self._renderers.values():
+                renderer.wear(self._look)
         senders = dict(session.task.experts(session.cell, self.seed))
         senders.pop(POLICY, None)
         self._partners: list[Expert] = [senders[name] for name in sorted(senders)]
@@ -140,7 +153,8 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         if failed:
             why = "; ".join(f"{arm}: {reason or 'too late'}" for arm, reason in failed.items())
             raise RuntimeError(f"not ready: {why} {self._info()['reason'] or ''}".rstrip())
-        return self._observation(), self._info()
+        told = {} if self._look is None else {"look": self._look.described()}
+        return self._observation(), {**self._info(), **told}
 
     @staticmethod
     def seed_of(seed: int | None, rng: np.random.Generator) -> int:
@@ -240,6 +254,8 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
 
         if views not in self._renderers:
             self._renderers[views] = EndoscopeRenderer(self.session.world, views, *self._size)
+            if self._look is not None:
+                self._renderers[views].wear(self._look)
         return self._renderers[views].render(self._qpos)
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]

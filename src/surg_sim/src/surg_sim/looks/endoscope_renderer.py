@@ -8,7 +8,9 @@ import numpy as np
 
 from surg_sim.arrays import Array, Picture
 from surg_sim.looks.drawing import OUTSIDE
+from surg_sim.looks.dressed_scene import Finish, dressed
 from surg_sim.looks.lens import LensRemap, TrueEye
+from surg_sim.looks.look_randomisation import Look
 from surg_sim.looks.render import Intrinsics, Renderer, Vignette, show_only
 from surg_sim.physics import endoscope_rig
 from surg_sim.physics.endoscope_projection import EndoscopeView
@@ -50,12 +52,28 @@ class EndoscopeRenderer:
         self.standing_pose = None if held else EndoscopeView(world.model, world.data).pose
         """X_WV (4, 4) of an endoscope that no arm holds; None: an arm holds it."""
         self.close = self._renderer.close
+        self._plain, self._dyed = world.model, list[int]()
+        self._finish: Finish | None = None
+
+    def wear(self, look: Look | None) -> None:
+        """Draw pictures with this look from now on; None: as the scene was built.
+
+        The look's camera is the true one. ``intrinsics``, ``baseline`` and ``standing_pose`` stay
+        what a robot would believe.
+        """
+        worn, dyed = (self._plain, list[int]()) if look is None else dressed(self._plain, look)
+        self._renderer.show(worn, {*self._dyed, *dyed})
+        self._dyed = dyed
+        size = self.intrinsics.width, self.intrinsics.height
+        self._finish = None if look is None else Finish(look, *size)
 
     def render(self, qpos: Array) -> dict[str, Picture]:
         """Picture of each view at joint positions qpos, (height, width, 3), rgb8."""
         pictures = self._renderer.render(qpos)
         if self._remap is not None:
             pictures = [self._real(self._remap.apply(picture)) for picture in pictures]
+        if self._finish is not None:
+            pictures = [self._finish(picture) for picture in pictures]
         return dict(zip(self.views, pictures, strict=True))
 
     def _real(self, picture: Picture) -> Picture:

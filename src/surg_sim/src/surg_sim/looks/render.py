@@ -103,6 +103,7 @@ class Renderer:
         seen = width - 2 * self._left
         self.backend = choose_backend()
         self._gl, self._mjr = context(self.backend, model, seen, height)
+        self._closed = False
         self._sharpen()
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
         self._scene = mujoco.MjvScene(model, maxgeom=2000)
@@ -135,6 +136,17 @@ class Renderer:
                     GL.GL_TEXTURE_2D, GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR_MIPMAP_NEAREST
                 )
 
+    def show(self, model: mujoco.MjModel, textures: Iterable[int] = ()) -> None:
+        """Draw this model from now on: a copy of the first one that looks otherwise.
+
+        Numbers of the textures that differ from those shown before.
+        """
+        self._gl.make_current()  # another renderer of this thread may have been made since
+        self._model, self._data = model, mujoco.MjData(model)
+        for texture in textures:
+            mujoco.mjr_uploadTexture(model, self._mjr, texture)
+        self._sharpen()
+
     def render(self, qpos: Array) -> list[Picture]:
         """A new picture of each camera at joint positions qpos, (height, width, 3), rgb8.
 
@@ -154,6 +166,7 @@ class Renderer:
         """Put everything in its place, once for all cameras."""
         if len(qpos) != self._model.nq:
             raise ValueError(f"qpos has {len(qpos)} values, this scene has {self._model.nq}")
+        self._gl.make_current()
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
@@ -189,7 +202,11 @@ class Renderer:
         return pose
 
     def close(self) -> None:
-        """Give the context back."""
+        """Give the context back; once is enough."""
+        if self._closed:
+            return
+        self._closed = True
+        self._gl.make_current()  # what is freed is deleted in the current one
         self._mjr.free()
         self._gl.free()
 
