@@ -133,9 +133,11 @@ class Bench:
 
     # --- the policy -------------------------------------------------------------------------------
 
-    def say(self, kind: str, peer: bytes = b"a", arrays: Any = None, **head: Any) -> None:
+    def say(
+        self, kind: str, peer: bytes = b"a", arrays: Any = None, seen: Any = None, **head: Any
+    ) -> None:
         """A message of a policy."""
-        parts = [bytes(part) for part in wire.encode(Message(kind, head, arrays or {}))]
+        parts = [bytes(part) for part in wire.encode(Message(kind, head, arrays or {}, seen))]
         self.endpoint.receive(peer, parts, self.now)
         self._hear()
 

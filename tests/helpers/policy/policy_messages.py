@@ -9,6 +9,7 @@ import msgpack
 import numpy as np
 
 from helpers.policy.policy_server import spec
+from surg_policy_client.seen import Keypoint, Seen
 from surg_policy_client.wire import EVENTS, KINDS, MAGIC, Message
 
 TEXTS = ("", "retract the bowel", "Zug: 0,5 N – größer", "\u0000", "手术", "x" * 64)
@@ -63,7 +64,25 @@ def draw(rng: random.Random, kind: str | None = None) -> Message:
         "BYE": {"session": session, "reason": text},
         "ERR": {"code": "spec", "text": text},
     }
-    return Message(kind, heads[kind], arrays(rng, kind))
+    seen = sight(rng) if kind == "ACT" and rng.random() < 0.5 else None
+    return Message(kind, heads[kind], arrays(rng, kind), seen)
+
+
+def sight(rng: random.Random) -> Seen:
+    """What a policy may say that it sees."""
+    numbers = np.random.default_rng(rng.getrandbits(32))
+    sides = (rng.randint(1, 32), rng.randint(1, 32))
+    return Seen(
+        keypoints=tuple(
+            Keypoint(f"tip {i}", rng.uniform(-2, 2), rng.uniform(-2, 2), rng.random())
+            for i in range(rng.randrange(17))
+        ),
+        phase=rng.choice(("", "pulling", "手术")),
+        confidence=rng.choice((None, 0.0, 1.0, rng.random())),
+        picture=rng.choice(("", "observation.images.endoscope.left")),
+        attention=rng.choice((None, numbers.integers(0, 256, sides, dtype=np.uint8))),
+        area=rng.choice(((0.0, 0.0, 1.0, 1.0), (0.125, 0.0, 0.875, 1.0))),
+    )
 
 
 def arrays(rng: random.Random, kind: str) -> dict[str, np.ndarray]:

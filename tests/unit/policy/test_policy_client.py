@@ -333,11 +333,11 @@ def test_a_spec_that_does_not_fit_names_both_sides() -> None:
 
 def test_another_version_is_said_with_what_to_do() -> None:
     def refuse(hello: dict[str, Any]) -> Message:
-        return Message("ERR", {"code": "version", "text": "this server speaks version 2 to 3"})
+        return Message("ERR", {"code": "version", "text": "this server speaks version 3 to 4"})
 
     with PolicyServer(answer=refuse) as server:
         client = Client(Policy(), server.address)
-        with pytest.raises(VersionMismatch, match=r"version 1.*2 to 3.*Install"):
+        with pytest.raises(VersionMismatch, match=r"versions 1 to 2.*3 to 4.*Install"):
             client.end()
 
 

@@ -36,7 +36,7 @@ def test_it_greets_until_somebody_answers() -> None:
     talk = Conversation(ADDRESS, hello())
     said = [t / 1000 for t in range(2000) if talk.tick(t / 1000)]
     assert said == pytest.approx([i * HELLO_S for i in range(8)])
-    assert talk.tick(10.0)[0].head["versions"] == [1, 1]
+    assert talk.tick(10.0)[0].head["versions"] == [1, 2]
 
 
 def test_it_greets_at_once_when_somebody_can_hear() -> None:
@@ -108,8 +108,8 @@ def test_words_of_another_session_are_not_heard() -> None:
 @pytest.mark.parametrize(
     ("message", "kind", "words"),
     [
-        (welcome(version=2), VersionMismatch, ["version 1", "version 2", "Install"]),
-        (error("version"), VersionMismatch, ["version 1", "what the server says", "Install"]),
+        (welcome(version=3), VersionMismatch, ["versions 1 to 2", "version 3", "Install"]),
+        (error("version"), VersionMismatch, ["versions 1 to 2", "what the server says", "Install"]),
         (error("spec"), SpecMismatch, ["what the server says", "wants"]),
         (error("refused"), Refused, ["what the server says"]),
     ],

@@ -20,10 +20,19 @@ from surg_policy_client.wire import KINDS, Message, WireError, decode, encode
 PAGE = paths.ROOT / "docs" / "reference" / "protocol.md"
 
 
+def same_map(a: Message, b: Message) -> bool:
+    """Whether both say the same map of what a policy looks at, or none."""
+    first, second = (m.seen.attention if m.seen is not None else None for m in (a, b))
+    return np.array_equal(
+        np.zeros(0) if first is None else first, np.zeros(0) if second is None else second
+    )
+
+
 def same(a: Message, b: Message) -> bool:
     """Whether two messages are equal to the bit."""
     return (
-        (a.kind, a.head) == (b.kind, b.head)
+        (a.kind, a.head, a.seen, a.unseen) == (b.kind, b.head, b.seen, b.unseen)
+        and same_map(a, b)
         and list(a.arrays) == list(b.arrays)
         and all(
             x.dtype == y.dtype and x.shape == y.shape and x.tobytes() == y.tobytes()

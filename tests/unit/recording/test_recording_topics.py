@@ -193,3 +193,11 @@ def test_patterns_find_what_appears_and_leave_the_rest() -> None:
     assert "~cameras" in choice.refused["/PSM2/measured_image"]
     with pytest.raises(ValueError, match="'tf': a name or a pattern that begins with /"):
         TopicChoice(["tf"], frozenset())
+
+
+def test_a_small_map_is_kept_whole_and_a_picture_is_not() -> None:
+    from surg_msgs.msg import PolicyPlan
+
+    whole, cut = (Flat(PolicyPlan(attention=bytes(range(256)) * n)) for n in (4, 5))
+    assert bytes.fromhex(whole.values["attention"]) == bytes(range(256)) * 4 and not whole.cut
+    assert cut.values["attention"] == whole.values["attention"] and len(cut.cut) == 1

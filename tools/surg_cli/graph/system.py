@@ -29,7 +29,7 @@ CAMERA_START_S = 180.0
 other work takes its time to compile the scene."""
 DRIVES_PRIORITY = 20
 """Of the threads of nodes that a robot waits for; their own loops have higher ones."""
-POLICY_TOPICS = ("/policy/action", "/policy/rejected", "/policy/status")
+POLICY_TOPICS = ("/policy/action", "/policy/rejected", "/policy/plan", "/policy/status")
 
 
 @dataclass(frozen=True)

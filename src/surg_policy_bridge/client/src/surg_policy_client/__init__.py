@@ -19,6 +19,7 @@ from surg_policy_client.errors import (
     VersionMismatch,
 )
 from surg_policy_client.observation import Chunk, Observation
+from surg_policy_client.seen import Keypoint, Seen, SeenError
 from surg_policy_client.serving import Served, serve
 from surg_policy_client.spec import ActionSpec, Feature, Spec, SpecError
 
@@ -29,12 +30,15 @@ __all__ = [
     "Chunk",
     "ChunkBlender",
     "Feature",
+    "Keypoint",
     "NoServer",
     "Observation",
     "PolicyClientError",
     "RecedingHorizon",
     "Refused",
     "RemoteEnv",
+    "Seen",
+    "SeenError",
     "Served",
     "Spec",
     "SpecError",

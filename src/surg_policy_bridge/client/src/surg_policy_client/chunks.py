@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from surg_policy_client.observation import Chunk, Observation
+from surg_policy_client.seen import Seen
 
 
 class ChunkBlender:
@@ -76,6 +77,7 @@ class RecedingHorizon:
         self._policy, self._every = policy, every
         self._blender = ChunkBlender(decay)
         self._queried: int | None = None
+        self._fresh = False
         self.wants = getattr(policy, "wants", None)
         self.name = getattr(policy, "name", type(policy).__name__)
 
@@ -86,11 +88,16 @@ class RecedingHorizon:
         if hasattr(self._policy, "reset"):
             self._policy.reset(instruction, seed)
 
+    def seen(self) -> Seen | None:
+        """What the policy saw, if it was queried for the last observation."""
+        return self._policy.seen() if self._fresh and hasattr(self._policy, "seen") else None
+
     def act(self, observation: Observation) -> Chunk | None:
         """Rows from the next step on if the policy was queried, else None."""
         step = observation.step
         # A slow policy misses steps, so count those that have passed.
-        if self._queried is not None and 0 <= step - self._queried < self._every:
+        self._fresh = self._queried is None or not 0 <= step - self._queried < self._every
+        if not self._fresh:
             return None
         self._queried = step
         answer = self._policy.act(observation)

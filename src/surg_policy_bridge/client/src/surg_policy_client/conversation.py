@@ -7,7 +7,7 @@ from typing import Any
 
 from surg_policy_client.errors import PolicyClientError, Refused, SpecMismatch, VersionMismatch
 from surg_policy_client.spec import Spec
-from surg_policy_client.wire import VERSION, Message
+from surg_policy_client.wire import TELLS, VERSION, Message
 
 HELLO_S = 0.25
 """[s] Interval of HELLO until a server answers."""
@@ -48,11 +48,16 @@ class Conversation:
         self.generation = 0
         self.failure: PolicyClientError | None = None
         self.busy = ""
-        self._hello = {"versions": [VERSION, VERSION], **hello}
+        self._hello = {"versions": [1, VERSION], **hello}
         self._ping_s = 0.05
         self._next = self._earliest = float("-inf")
         self._heard = 0.0
         self._pings = 0
+
+    @property
+    def tells(self) -> bool:
+        """Whether the server takes in what the policy sees."""
+        return bool(self.welcome) and bool(self.welcome["version"] >= TELLS)
 
     def due(self) -> float:
         """Time of the next call of `tick` [s]."""
@@ -100,7 +105,7 @@ class Conversation:
     def _welcomed(self, message: Message, now: float) -> Message | None:
         if self.state is State.LIVE and message.head["session"] == self.session:
             return None  # answer to a repeated HELLO
-        if message.head["version"] != VERSION:
+        if not 1 <= message.head["version"] <= VERSION:
             self._fail(VersionMismatch(self._version_text(f"version {message.head['version']}")))
             return None
         wants = self._hello["wants"]
@@ -140,8 +145,8 @@ class Conversation:
 
     def _version_text(self, theirs: str) -> str:
         return (
-            f"the server at {self.address} uses another protocol; this client has version "
-            f"{VERSION}, the server reports: {theirs}. Install the surg-policy-client of the "
+            f"the server at {self.address} uses another protocol; this client has versions "
+            f"1 to {VERSION}, the server reports: {theirs}. Install the surg-policy-client of the "
             "server's checkout (src/surg_policy_bridge/client)."
         )
 

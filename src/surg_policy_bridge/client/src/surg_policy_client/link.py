@@ -98,6 +98,11 @@ class Link:
         """Number of the session; None: there is none."""
         return self._conversation.session
 
+    @property
+    def tells(self) -> bool:
+        """Whether the server takes in what the policy sees; an old one does not."""
+        return self._conversation.tells
+
     def wait_for_welcome(self, timeout_s: float) -> bool:
         """Wait for a session; returns whether there is one.
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Callable, Sequence, Union
 
 from surg_policy_client.errors import Refused
 from surg_policy_client.keys import ClientKeys, Folder
 from surg_policy_client.link import Link
 from surg_policy_client.observation import Observation, as_message
+from surg_policy_client.seen import to_wire
 from surg_policy_client.spec import Spec
 from surg_policy_client.wire import Message
 
@@ -71,8 +72,9 @@ def serve(
 
     Args:
         policy: Has ``act(observation)`` and optionally ``reset(instruction, seed)``,
-            ``acknowledged(fields_of_ACK)`` and ``wants``; or is the function ``act`` itself. It
-            returns a `Chunk`, rows [K, A], one row [A], or None (earlier rows stay valid).
+            ``acknowledged(fields_of_ACK)``, ``wants``, and ``seen()``, the `Seen` of the answered
+            observation for people who watch; or is the function ``act`` itself. It returns a
+            `Chunk`, rows [K, A], one row [A], or None (earlier rows stay valid).
         address: Of the server.
         wants: Observations that the policy needs, as keys or as a `Spec`; default:
             ``policy.wants``, else everything served. Only these are sent.
@@ -122,6 +124,7 @@ class _Serving:
         self._spec = Spec()
         self._entered: tuple[int, int] | None = None
         self._reported: set[str] = set()
+        self._blind = False
 
     def until(self, episodes: int | None) -> None:
         """Answer until so many episodes have ended."""
@@ -158,8 +161,23 @@ class _Serving:
 
     def _answer(self, observation: Observation) -> None:
         self._enter(observation.session, observation.episode, observation.instruction)
-        self._link.send(as_message(self._act(observation), observation))
+        message = as_message(self._act(observation), observation)
+        self._link.send(self._with_seen(message))
         self.served.observations += 1
+
+    def _with_seen(self, message: Message) -> Message:
+        """An ACT with what the policy sees; a mistake in that is said once and does no harm."""
+        if self._blind or not hasattr(self._policy, "seen") or not self._link.tells:
+            return message
+        try:
+            seen = self._policy.seen()
+            if seen is not None:
+                to_wire(seen)
+            return replace(message, seen=seen)
+        except Exception as error:  # a mistake in a picture for people must not stop an arm
+            self._blind = True
+            self._say(f"what the policy sees is not shown: {type(error).__name__}: {error}")
+            return message
 
     def _enter(self, session: int, episode: int, instruction: str) -> None:
         """Reset the policy when it enters an episode."""

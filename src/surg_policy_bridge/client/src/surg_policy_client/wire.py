@@ -15,12 +15,16 @@ import msgpack
 import numpy as np
 import zmq
 
+from surg_policy_client import seen as sights
 from surg_policy_client.header import MAX_LIST, Buffer, read_map
+from surg_policy_client.seen import Seen, SeenError
 from surg_policy_client.spec import DTYPES, MAX_NDIM, Spec, SpecError
 
 MAGIC = b"SPB1"
-VERSION = 1
-"""Version of the protocol; HELLO offers a range, WELCOME selects one."""
+VERSION = 2
+"""Newest version of the protocol; HELLO offers a range, WELCOME selects one."""
+TELLS = 2
+"""Version from which on an ACT may say what the policy sees."""
 _KINDS = "HELLO WELCOME OBS ACT ACK PING PONG RESET EPISODE BYE ERR"
 KINDS = {name: number for number, name in enumerate(_KINDS.split(), 1)}
 """Number of each kind in the header."""
@@ -60,11 +64,15 @@ class Message:
         kind: One of `KINDS`.
         head: Fields of the kind; ``wants`` and ``spec`` are maps of `Spec.to_map`.
         arrays: By key; decoded ones are read-only views of the frames.
+        seen: Of an ACT: what the policy saw; None: it says nothing, or nothing valid.
+        unseen: Why what it says was dropped; empty: it was not.
     """
 
     kind: str
     head: dict[str, Any]
     arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
+    seen: Seen | None = None
+    unseen: str = ""
 
 
 # --- fields ---------------------------------------------------------------------------------------
@@ -220,6 +228,8 @@ def encode(message: Message) -> list[Buffer]:
         buffers = [_bytes_of(a) for a in kept.values()]
         _check_arrays(message.kind, head["arrays"], buffers)
         _check_values(message.kind, kept)
+        if message.seen is not None:
+            _add_seen(message.seen, head, buffers)
     elif message.arrays:
         raise WireError("keys", f"{message.kind} has no arrays")
     packed = MAGIC + bytes([KINDS[message.kind]]) + msgpack.packb(head)
@@ -247,6 +257,10 @@ def decode(parts: Sequence[Any]) -> Message:
         raise WireError("kind", f"unknown kind {list(start[4:])}")
     head = _unpacked(views[0][len(start) :])
     described = head.pop("arrays", None)
+    seen, unseen = None, ""
+    if kind == "ACT" and "seen" in head:
+        seen, unseen = _taken_seen(head.pop("seen"), described, views)
+        described, views = (described[:1] if type(described) is list else described), views[:2]
     wrong = _wrong_field(head, _FIELDS[kind])
     if wrong:
         raise WireError(wrong[0], f"{kind}: {wrong[1]}")
@@ -259,7 +273,7 @@ def decode(parts: Sequence[Any]) -> Message:
         _check_arrays(kind, described, views[1:])
         arrays = {each["key"]: _array(each, v) for each, v in zip(described, views[1:])}
         _check_values(kind, arrays)
-    return Message(kind, head, arrays)
+    return Message(kind, head, arrays, seen, unseen)
 
 
 def receive(socket: Any, flags: int = 0, yield_cpu: Callable[[], None] = lambda: None) -> list[Any]:
@@ -284,6 +298,35 @@ def receive(socket: Any, flags: int = 0, yield_cpu: Callable[[], None] = lambda:
         if discarded % 256 == 0:
             yield_cpu()
     return parts
+
+
+def _add_seen(seen: Seen, head: dict[str, Any], buffers: list[Buffer]) -> None:
+    """Put what a policy sees into the header and the buffers of an ACT."""
+    try:
+        told, attention = sights.to_wire(seen)
+    except SeenError as error:
+        raise WireError("field", f"ACT: {error}") from None
+    arrays = head.pop("arrays")
+    if attention is not None:
+        arrays.append({"key": "attention", "dtype": "u1", "shape": list(attention.shape)})
+        buffers.append(_bytes_of(attention))
+    head["seen"], head["arrays"] = told, arrays
+
+
+def _taken_seen(told: Any, described: Any, views: Sequence[Any]) -> tuple[Seen | None, str]:
+    """What an ACT says that the policy sees, or why that is dropped, without the actions."""
+    try:
+        attention = None
+        if type(described) is list and len(described) > 1:
+            _check_arrays("OBS", described[1:], views[2:])
+            if len(described) > 2 or described[1]["key"] != "attention":
+                raise SeenError("one array behind the chunk, `attention`")
+            attention = _array(described[1], views[2])
+        elif len(views) > 2:
+            raise SeenError("a buffer without a description")
+        return sights.from_wire(told, attention), ""
+    except ValueError as error:  # SeenError, WireError
+        return None, str(error)[:MAX_SENTENCE]
 
 
 def _unpacked(data: memoryview) -> dict[str, Any]:

@@ -150,6 +150,7 @@ class ModelServerNode:
             with io.lock:
                 io.listen()
                 self._loop.turn()
+                io.topics.publish_plan(self._server)
                 io.topics.publish_status(self._server, self._refused, time.monotonic_ns())
 
     def stop(self) -> None:

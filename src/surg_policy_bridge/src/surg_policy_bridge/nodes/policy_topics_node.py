@@ -1,16 +1,19 @@
-"""Topics of the policy: its judged steps, whether it is enabled, and its status."""
+"""Topics of the policy: its judged steps and its plan, whether it is enabled, and its status."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import rospy
 from std_msgs.msg import Bool
 
-from surg_core.contract import ARM_ACTION, SECOND_NS
-from surg_msgs.msg import PolicyAction, PolicyStatus
+from surg_core.contract import ARM_ACTION, SECOND_NS, STEP
+from surg_msgs.msg import PolicyAction, PolicyPlan, PolicyStatus
 from surg_policy_bridge.nodes.policy_status_node import policy_status
+from surg_policy_bridge.server import policy_plan
 from surg_policy_bridge.server.model_server import ModelServer, State
+from surg_policy_client.seen import Seen
 
 STATUS_PERIOD = SECOND_NS // 2
 """[ns] Longest interval between two status messages."""
@@ -25,6 +28,8 @@ class PolicyTopics:
         self._address = address
         self._action = out("/policy/action", PolicyAction, queue_size=0, tcp_nodelay=True)
         self._rejected = out("/policy/rejected", PolicyAction, queue_size=0, tcp_nodelay=True)
+        self._plan = out("/policy/plan", PolicyPlan, queue_size=1, tcp_nodelay=True)
+        self._blind_session = 0
         self._enabled = out("/policy/enabled", Bool, queue_size=2, latch=True)
         self._status = out("/policy/status", PolicyStatus, queue_size=2, latch=True)
         self._last: tuple[object, ...] = ()
@@ -47,6 +52,17 @@ class PolicyTopics:
             message.header.stamp = rospy.Time(*divmod(stamp_ns, SECOND_NS))
             (self._action if step.passed else self._rejected).publish(message)
 
+    def publish_plan(self, server: ModelServer) -> None:
+        """Publish what the policy plans and sees, once for each of its answers."""
+        plan = server.take_plan()
+        if plan is None:
+            return
+        if plan.unseen and plan.session != self._blind_session:
+            self._blind_session = plan.session
+            rospy.logwarn("what the policy sees is not shown: %s", plan.unseen)
+        if self._plan.get_num_connections():
+            self._plan.publish(plan_message(server, plan, self._names))
+
     def publish_status(self, server: ModelServer, refused: str, now: int) -> None:
         """Publish the status on a change, and periodically; ``now`` is the steady clock [ns]."""
         status = (server.state, server.reason, server.waiting, server.session is None, refused)
@@ -61,3 +77,45 @@ class PolicyTopics:
     def status_due(self) -> None:
         """Publish the next status even without a change."""
         self._last_time = -STATUS_PERIOD
+
+
+def plan_message(
+    server: ModelServer, plan: policy_plan.PolicyPlan, names: Sequence[str]
+) -> PolicyPlan:
+    """A plan (K, A) with these names of its columns, and the server's counters."""
+    counters, rejected = server.counters, server.steps.last_rejected
+    message = PolicyPlan(
+        session=plan.session,
+        seq=plan.seq,
+        step=plan.first,
+        period=STEP,
+        names=list(names),
+        rows=len(plan.rows),
+        values=plan.rows.ravel().tolist(),
+        confidence=math.nan,
+        accepted=counters.accepted,
+        clipped=counters.clipped,
+        rejected=counters.rejected.total(),
+        late=counters.late,
+        stale=counters.stale,
+        rule=rejected.rule if rejected else "",
+        text=rejected.text if rejected else "",
+    )
+    message.header.stamp = rospy.Time(*divmod(plan.stamp_ns, SECOND_NS))
+    if plan.seen is not None:
+        _add_seen(message, plan.seen)
+    return message
+
+
+def _add_seen(message: PolicyPlan, seen: Seen) -> None:
+    message.picture, message.phase, message.area = seen.picture, seen.phase, list(seen.area)
+    if seen.confidence is not None:
+        message.confidence = seen.confidence
+    for point in seen.keypoints:
+        message.keypoints.append(point.name)
+        message.x.append(point.x)
+        message.y.append(point.y)
+        message.certainty.append(point.confidence)
+    if seen.attention is not None:
+        message.map_rows, message.map_columns = seen.attention.shape
+        message.attention = seen.attention.tobytes()

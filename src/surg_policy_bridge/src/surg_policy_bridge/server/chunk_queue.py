@@ -83,6 +83,14 @@ class ChunkQueue:
         """The step of this number, without executing it."""
         return self._steps.get(number)
 
+    def ahead(self, longest: int) -> tuple[int, list[Array]]:
+        """The first step to come, and the rows from it on without a gap, at most so many."""
+        first = min(self._steps, default=self.next)
+        rows: list[Array] = []
+        while len(rows) < longest and (step := self._steps.get(first + len(rows))) is not None:
+            rows.append(step.row)
+        return first, rows
+
     def drop_older(self, seen: int) -> int:
         """Drop steps whose observation was taken before ``seen`` [ns]; returns how many."""
         kept = {n: step for n, step in self._steps.items() if step.seen >= seen}

@@ -25,6 +25,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from surg_core.arm_view import ArmCommands, ArmView
 from surg_core.contract import SECOND_NS
 from surg_policy_bridge.server import server_replies
@@ -32,6 +34,7 @@ from surg_policy_bridge.server.arm_authority import ArmAuthority, Phase
 from surg_policy_bridge.server.counters import Counters
 from surg_policy_bridge.server.observer import Observation
 from surg_policy_bridge.server.policy_arm import Target
+from surg_policy_bridge.server.policy_plan import PolicyPlan, shown_rows
 from surg_policy_bridge.server.safety_controller import SafetyController
 from surg_policy_bridge.server.sessions import (
     SentObservation,
@@ -47,7 +50,7 @@ from surg_policy_client import wire
 from surg_policy_client.spec import Spec
 from surg_policy_client.wire import Message, WireError
 
-VERSIONS = range(wire.VERSION, wire.VERSION + 1)
+VERSIONS = range(1, wire.VERSION + 1)
 """Protocol versions that this server speaks."""
 
 
@@ -114,6 +117,7 @@ class ModelServer:
         self._at = 0
         self._start_pending = False
         self._episode_open = False
+        self._plan: PolicyPlan | None = None
         self.state = State.IDLE
         self.cause, self.reason = StopReason.NO_POLICY, "no policy is connected"
         self.session: Session | None = None
@@ -400,6 +404,7 @@ class ModelServer:
             policy=head["policy"],
             spec=spec_for(head, spec),
             silence=Timeout(self._settings.silence, now),
+            version=min(head["versions"][1], wire.VERSION),
         )
         self.waiting = True
         self.counters.sessions += 1
@@ -432,9 +437,33 @@ class ModelServer:
         else:
             session.answered, session.acted = seq, True
             self.counters.round_trip.add(now - sent.sent)
+            before = self.steps.last_rejected
             self.steps.splice(session, first, rows, seq, sent, self._views, self._at)
+            if self.steps.last_rejected is before:
+                self._note_plan(session, message, sent)
         self._pause_after_rejects()
         self._acknowledge(seq)
+
+    def _note_plan(self, session: Session, message: Message, sent: SentObservation) -> None:
+        """Keep for people what the policy plans and sees. Nothing else reads it."""
+        if message.unseen:
+            self.counters.malformed["seen"] += 1
+        width = message.arrays["chunk"].shape[1]
+        first, rows = self.steps.queue.ahead(shown_rows(width))
+        self._plan = PolicyPlan(
+            session=session.number,
+            seq=message.head["seq"],
+            stamp_ns=sent.stamp_ns,
+            first=first,
+            rows=np.array(rows).reshape(len(rows), width),
+            seen=message.seen,
+            unseen=message.unseen,
+        )
+
+    def take_plan(self) -> PolicyPlan | None:
+        """What the policy plans and sees by its newest answer; once for each answer."""
+        plan, self._plan = self._plan, None
+        return plan
 
     # --- replies ----------------------------------------------------------------------------------
 

@@ -7,7 +7,6 @@ from typing import Any
 
 from surg_core.contract import SECOND_NS
 from surg_policy_bridge.server.sessions import Session
-from surg_policy_client import wire
 from surg_policy_client.wire import MAX_SENTENCE, Message
 
 PING = 50_000_000
@@ -33,7 +32,7 @@ def welcome(session: Session, max_obs_age: int, silence: int) -> Message:
     return Message(
         "WELCOME",
         {
-            "version": wire.VERSION,
+            "version": session.version,
             "session": session.number,
             "spec": session.spec.to_map(),
             "max_obs_age_s": max_obs_age / SECOND_NS,

@@ -78,6 +78,7 @@ class Session:
     policy: str
     spec: Spec  # the specification that it is served
     silence: Timeout = field(default_factory=lambda: Timeout(SILENCE))
+    version: int = 1  # of the protocol, that both speak
     # observations that it may answer, by sequence number
     sent: OrderedDict[int, SentObservation] = field(default_factory=OrderedDict)
     seq: int = 0  # number of the newest observation

@@ -45,7 +45,7 @@ class StepExecutor:
 
     A step is executed only while its observation is not older than ``max_obs_age`` [ns]; ``empty``
     is the longest time without a step [ns]. ``judged`` holds steps for the topics; the caller
-    empties it.
+    empties it. ``last_rejected`` is the newest rejected step.
     """
 
     def __init__(
@@ -62,6 +62,7 @@ class StepExecutor:
         self._tally = AckTally()
         self.queue = ChunkQueue()
         self.judged: list[JudgedStep] = []
+        self.last_rejected: JudgedStep | None = None
         self.rejected_in_a_row = 0
         self._sent: dict[int, Array] = {}
 
@@ -145,7 +146,8 @@ class StepExecutor:
         age = at - sent.seen if sent is not None else 0
         row = np.zeros(0) if values is None else values
         self._counters.rejected[rule] += 1
-        self.judged.append(JudgedStep(session.number, seq, number, age, row, False, rule, text))
+        self.last_rejected = JudgedStep(session.number, seq, number, age, row, False, rule, text)
+        self.judged.append(self.last_rejected)
         self._tally.rejected.append(rejected_step(number, rule, text))
         self.rejected_in_a_row += 1
 

@@ -16,6 +16,9 @@ from surg_recording.episode.table_rows import nanoseconds
 MAX_ITEMS = 256
 """Items of an array that are kept; its true length stays known."""
 
+MAX_BYTES = 1024
+"""Bytes of an array of bytes that are kept: it is one value, whatever its length."""
+
 MAX_VALUES = 2000
 """Values of a message that are kept."""
 
@@ -86,9 +89,9 @@ class Flat:
 
     def _bytes(self, name: str, value: bytes) -> None:
         self._put(f"{name}.length", "int", len(value))
-        if len(value) > MAX_ITEMS:
-            self.cut.append(f"{name} has {len(value)} bytes, {MAX_ITEMS} are kept")
-        self._put(name, "text", value[:MAX_ITEMS].hex())
+        if len(value) > MAX_BYTES:
+            self.cut.append(f"{name} has {len(value)} bytes, {MAX_BYTES} are kept")
+        self._put(name, "text", value[:MAX_BYTES].hex())
 
     def _put(self, name: str, kind: str, value: Any) -> None:
         if len(self.values) >= MAX_VALUES:
