@@ -19,7 +19,7 @@ import pytest
 
 from helpers.recording import datasets_synthetic
 from helpers.results.dataset_results import note
-from surg_recording import datasets
+from surg_recording import datasets, job_pool
 from surg_recording.datasets import ExportError, ExportOptions, Report, executors, parts
 from surg_recording.datasets.parts import Job, Outcome
 
@@ -145,7 +145,7 @@ def test_a_recording_that_kills_its_process_costs_only_itself(tmp_path: Path) ->
     report = export(folders, tmp_path / "set", options, str(file))
     assert report.recordings == 3
     assert list(report.refused) == [str(folders[1])]
-    assert "the process that converted it died" in report.refused[str(folders[1])]
+    assert "the process that worked on it died" in report.refused[str(folders[1])]
 
 
 @dask_is_there
@@ -196,7 +196,7 @@ def test_a_dask_worker_is_killed_on_the_way(tmp_path: Path, full: bool) -> None:
 def test_a_scheduler_that_is_not_there_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(executors, "CONNECT_S", 1)
+    monkeypatch.setattr(job_pool, "CONNECT_S", 1)
     options = ExportOptions(executor="dask", scheduler="tcp://127.0.0.1:1")
     with pytest.raises(ExportError, match="no Dask scheduler answers there"):
         executors.run([_job(tmp_path)], options, lambda outcome: None)

@@ -9,8 +9,8 @@ from typing import Any
 from surg_core import action_space
 from surg_core.contract import ACTION_SPACES
 from surg_recording.episode.selection import Selection, SelectionError
+from surg_recording.job_pool import EXECUTORS
 
-EXECUTORS = ("process", "serial", "dask")
 COPY = "copy"
 VIDEO = ("encode", COPY)
 SPLITS = ("train", "val", "test")
