@@ -1,6 +1,7 @@
 """Does the image policy of bgr look, and what does it stand: pictures, light, lens, pose, delay.
 
 In process (`surg_sim.envs.policy_rollouts`), on test seeds, each condition of `policy/sights.py`.
+Several at a time: `--executor processes`, `dask` (a cluster of its own) or `dask:ADDRESS`.
 `--weights` are those of `./surg learn bgr --cameras`. Every finished roll-out is kept in `--keep`;
 the same command goes on there. `--json FILE` writes (Wilson's 95 % interval):
 
@@ -24,10 +25,8 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -39,11 +38,15 @@ from policy.sights import CONDITIONS, Condition, Filter, Replayed, turned
 from surg_cli.host import paths
 from surg_cli.host.terminal import Progress, say, table
 from surg_core.contract import image_key
+from surg_recording.job_pool import Ends, NoExecutor, Workplace
+from surg_recording.job_pool import run as run_jobs
 from surg_recording.reports import trials
 from surg_sim.tasks import episode_seeds
+from surg_sim.tasks.bgr import bgr_definition
 
 sys.path.insert(0, str(paths.ROOT / "examples/bgr"))
 CELL, TASK, SIZE = "sim_two_arms", "bgr", (640, 480)
+TARGETS = bgr_definition.TARGETS
 PICTURE = image_key("endoscope_left")
 OTHER = 500
 """The pictures of another episode are those of the seed so much further."""
@@ -92,10 +95,8 @@ def scene(condition: Condition) -> Any:
     """The environment of a condition."""
     from surg_sim.envs.surg_env import SurgEnv
     from surg_sim.physics.endoscope_rig import FRAMES
-    from surg_sim.tasks.bgr import bgr_definition
 
-    if condition.targets is not None:
-        bgr_definition.TARGETS = condition.targets
+    bgr_definition.TARGETS = condition.targets or TARGETS
     width, height = SIZE
     env = SurgEnv(TASK, CELL, condition.setting, (condition.view,), width, height)
     model = env.session.world.model
@@ -134,12 +135,17 @@ def watched(env: Any, view: str, seed: int) -> Iterator[np.ndarray]:
         done = terminated or truncated
 
 
-def judge(name: str, seed: int, weights: Path) -> Result:
-    """One roll-out, in a process of its own: the scene of one condition does not touch another."""
+Job = tuple[str, int, Path]
+"""Condition, seed, weights."""
+
+
+def judge(job: Job) -> Result:
+    """One roll-out, in a scene of its own."""
     from bgr_image_policy import ImagePolicy
 
     from surg_sim.envs.policy_rollouts import roll_out
 
+    name, seed, weights = job
     condition = next(each for each in CONDITIONS if each.name == name)
     env = scene(condition)
     try:
@@ -166,7 +172,8 @@ class Book:
 
     def __init__(self, folder: Path, digest: str) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self._file = folder / f"rollouts_{digest[:12]}.jsonl"
+        self.name = f"rollouts_{digest[:12]}"
+        self._file = folder / f"{self.name}.jsonl"
         self.found: dict[tuple[str, int], Result] = {}
         if self._file.exists():
             for line in self._file.read_text("utf-8").splitlines():
@@ -206,8 +213,21 @@ def options_of() -> argparse.Namespace:
     parser.add_argument("--first", type=int, default=episode_seeds.TEST.start, help="first seed")
     parser.add_argument("--rollouts", type=int, default=10, help="of each condition")
     parser.add_argument("--only", nargs="*", default=[], metavar="WORD", help="in the names")
-    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--jobs", type=int, help="at a time (default: the machine's cores)")
+    parser.add_argument(
+        "--executor", type=workplace, default=Workplace(), metavar="processes|dask[:ADDRESS]"
+    )
     return parser.parse_args()
+
+
+def workplace(words: str) -> Workplace:
+    """Where roll-outs run, as ``--executor`` names it."""
+    kind, _, address = words.partition(":")
+    if kind == "dask":
+        return Workplace("dask", scheduler=address or None)
+    if words != "processes":
+        raise argparse.ArgumentTypeError(f"{words!r}: allowed are processes and dask[:ADDRESS]")
+    return Workplace()
 
 
 def chosen(words: list[str]) -> list[str]:
@@ -223,18 +243,31 @@ def chosen(words: list[str]) -> list[str]:
     return found
 
 
-def run(missing: list[tuple[str, int]], book: Book, options: argparse.Namespace) -> None:
-    """Play what is missing."""
-    started = time.monotonic()
-    pool = ProcessPoolExecutor(options.jobs, get_context("spawn"), max_tasks_per_child=1)
-    with Progress("bench imitation") as progress, pool:
-        waiting = [pool.submit(judge, name, seed, options.weights) for name, seed in missing]
-        for n, future in enumerate(as_completed(waiting), 1):
-            result = future.result()
+def run(jobs: list[Job], book: Book, place: Workplace, play: Callable[[Job], Result]) -> None:
+    """Play all, by a function that other processes can import.
+
+    Raises:
+        SystemExit: Some have no result; the book holds the others.
+    """
+    started, before, lost = time.monotonic(), len(book.found), list[str]()
+    # On one scheduler a key stands for one roll-out of one policy.
+    by_key = {f"{book.name}-{name}-{seed}": (name, seed, file) for name, seed, file in jobs}
+    with Progress("bench imitation") as progress:
+
+        def done(_: str, result: Result) -> None:
             book.add(result)
-            left = (time.monotonic() - started) / n * (len(missing) - n)
+            n = len(book.found) - before
+            left = (time.monotonic() - started) / n * (len(jobs) - n)
             note = f"{result.condition}, seed {result.seed}; {left / 60:.0f} min left"
-            progress.update(n / len(missing), note)
+            progress.update(n / len(jobs), note)
+
+        ends = Ends(done, lambda key, why: lost.append(f"{key}: {why}"))
+        try:
+            run_jobs(play, by_key, place, ends)
+        except NoExecutor as problem:
+            raise SystemExit(f"bench imitation: {problem}") from None
+    if lost:
+        raise SystemExit(f"bench imitation: no result of {'; '.join(lost)}")
 
 
 def shown(entries: list[dict[str, Any]]) -> list[list[str]]:
@@ -261,7 +294,8 @@ def main() -> int:
     book = Book(options.keep, digest)
     # Seed by seed: what is stopped early has all conditions alike.
     wanted = [(name, seed) for seed in seeds for name in names]
-    run([each for each in wanted if each not in book.found], book, options)
+    missing = [(*each, options.weights.absolute()) for each in wanted if each not in book.found]
+    run(missing, book, replace(options.executor, workers=options.jobs), judge)
     entries = [described(name, [book.found[name, seed] for seed in seeds]) for name in names]
     say(table(shown(entries)))
     spent = np.array([book.found[each].act_ms for each in wanted])
@@ -284,4 +318,6 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    import bench_imitation  # by its name, so that workers can import what they do
+
+    sys.exit(bench_imitation.main())
