@@ -39,22 +39,6 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     # -- lenses
     one(
-        "barrel_sign",
-        "a barrel lens is undistorted into a stronger barrel",
-        "calibration/lens_model.py",
-        "    above = 1.0 + powers @ [k1, k2, k3]",
-        "    above = 1.0 - powers @ [k1, k2, k3]",
-        LENS,
-    ),
-    one(
-        "undistort_skipped",
-        "points near the picture's rim are millimetres off",
-        "calibration/lens_model.py",
-        "        xy = bent.copy()\n        for _ in range(20):",
-        "        xy = bent.copy()\n        for _ in range(0):",
-        LENS,
-    ),
-    one(
         "simplest_model_whatever_it_costs",
         "a fisheye is taken for a barrel lens",
         "calibration/intrinsics.py",

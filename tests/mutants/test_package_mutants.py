@@ -10,13 +10,16 @@ from pathlib import Path
 
 import pytest
 
-from mutants import console_mutants, hardware_mutants, perception_mutants
+from mutants import console_mutants, hardware_mutants, perception_mutants, picture_mutants
 from mutants.mutants import Mutant, applied
 from mutants.package_tests import killer
 from surg_cli.host import paths
 
 pytestmark = pytest.mark.mutants
+SOURCES = {"surg_core": "python"}
+"""Folder of a package's sources, where it is not `src`."""
 FOLDERS = {
+    "surg_core": ("pictures", "perception"),
     "surg_hardware": ("hardware", "emulators"),
     "surg_perception": ("perception", "collecting", "depth"),
     "surg_teleop": ("console",),
@@ -25,6 +28,7 @@ FOLDERS = {
 MUTANTS = [("surg_hardware", mutant) for mutant in hardware_mutants.MUTANTS] + [
     ("surg_perception", mutant) for mutant in perception_mutants.MUTANTS
 ]
+MUTANTS += [("surg_core", mutant) for mutant in picture_mutants.MUTANTS]
 MUTANTS += [("surg_teleop", mutant) for mutant in console_mutants.MUTANTS]
 
 
@@ -39,7 +43,7 @@ def copies(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     made = {}
     for package in FOLDERS:
         made[package] = tmp_path_factory.mktemp(package) / "src"
-        sources = paths.ROOT / "src" / package / "src"
+        sources = paths.ROOT / "src" / package / SOURCES.get(package, "src")
         shutil.copytree(sources, made[package], ignore=shutil.ignore_patterns("__pycache__"))
     return made
 

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from surg_core.pictures.lens_model import LensModel
 from surg_perception.calibration.adjustment import Adjusted
 from surg_perception.calibration.bases import SeenBase
 from surg_perception.calibration.handeye import HandEyeFit, HandEyeProblem
 from surg_perception.calibration.intrinsics import SeenCorners
-from surg_perception.calibration.lens_model import LensModel
 from surg_perception.calibration.stereo import PairProblem, StereoFit
 from surg_perception.calibration.triangulation import Stereo
 

@@ -14,9 +14,9 @@ from helpers.results.perception_results import PAGE
 from helpers.sim.board_views import BARREL, BOARD, Array
 from helpers.sim.calibrated_chain import ORIGIN
 from helpers.sim.unknown_scene import UnknownScene
+from surg_core.pictures.lens_model import LensModel
 from surg_perception.calibration import base_steps, evidence, tip_views
 from surg_perception.calibration.board_file import write_board
-from surg_perception.calibration.lens_model import LensModel
 from surg_perception.calibration.result_files import save_handeye, save_stereo
 from surg_perception.calibration.small_motions import rotation_vector, turn
 from surg_perception.calibration.tip_finder import NotSeen, TipScene, find_tip

@@ -15,9 +15,10 @@ from helpers.sim.board_views import scope_cell
 from helpers.sim.calibrated_chain import Chain
 from surg_core import ConfigError
 from surg_core.lens_file import Lens, load_lens
+from surg_core.pictures.eye_projection import EyeProjection
 from surg_perception.calibration.small_motions import transform
 from surg_perception.marks.mark_drawing import drawn
-from surg_perception.marks.mark_projection import EyeProjection, MarkProjection, PictureMark
+from surg_perception.marks.mark_projection import MarkProjection, PictureMark
 from surg_sim.physics.endoscope_rig import camera_poses
 
 SIZE = (640, 480)

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
+from surg_core.pictures.lens_model import LensModel
 from surg_perception.calibration.board import Board
 from surg_perception.calibration.intrinsics import SeenCorners, choose_model
-from surg_perception.calibration.lens_model import LensModel
 from surg_perception.calibration.small_motions import transform, turn
 
 LENSES = {

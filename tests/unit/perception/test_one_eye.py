@@ -19,8 +19,8 @@ from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
 from surg_core.camera_file import load_camera
 from surg_core.lens_file import load_lens
+from surg_core.pictures.lens_model import LensModel
 from surg_perception.calibration.base_steps import chain_error
-from surg_perception.calibration.lens_model import LensModel
 from surg_perception.calibration.small_motions import difference
 
 

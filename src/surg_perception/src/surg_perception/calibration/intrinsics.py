@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 
 from surg_core.lens_file import DISTORTION_MODELS
+from surg_core.pictures.lens_model import MODELS, LensModel
 from surg_core.transforms import FloatArray
 from surg_perception.calibration.adjustment import Adjusted, adjust
-from surg_perception.calibration.lens_model import MODELS, LensModel
 from surg_perception.calibration.small_motions import moved, skew, transform
 
 GOOD_ENOUGH = 1.05

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 import surg_core
+from surg_core.pictures.lens_model import LensModel
 from surg_core.stereo_file import HELD_OUT_DISTANCES
 from surg_perception.calibration import evidence
 from surg_perception.calibration.board import Board, BoardError
 from surg_perception.calibration.board_file import load_board
 from surg_perception.calibration.handeye import HandEyeFit, solve_handeye
 from surg_perception.calibration.intrinsics import LensFit, solve_lens
-from surg_perception.calibration.lens_model import LensModel
 from surg_perception.calibration.result_files import (
     COVARIANCE,
     Origin,

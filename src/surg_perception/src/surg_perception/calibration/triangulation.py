@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surg_core.pictures.lens_model import LensModel
 from surg_core.transforms import FloatArray, inverse_pose
-from surg_perception.calibration.lens_model import LensModel
 from surg_perception.calibration.small_motions import moved, rotation_vector, transform, turn
 
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surg_core.pictures.lens_model import LensModel
 from surg_core.transforms import FloatArray
 from surg_perception.calibration.board import Board, Corners, Picture
 from surg_perception.calibration.intrinsics import SeenCorners, board_pose
-from surg_perception.calibration.lens_model import LensModel
 from surg_perception.calibration.small_motions import rotation_vector
 
 FOCAL_SHARE = 0.8

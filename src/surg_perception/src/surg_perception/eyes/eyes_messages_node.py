@@ -8,8 +8,8 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
 from surg_core.lens_file import Lens
+from surg_core.pictures.camera_model import lens_of
 from surg_core.transforms import FloatArray
-from surg_perception.depth.camera_model import lens_of
 from surg_perception.depth.rectification import Picture
 
 RGB = {"rgb8": (0, 1, 2), "bgr8": (2, 1, 0)}

@@ -13,16 +13,11 @@ from surg_core.camera_file import load_camera
 from surg_core.config import Cell
 from surg_core.held_endoscope import STEREO, HeldEndoscope, held_endoscope
 from surg_core.lens_file import Lens
+from surg_core.pictures.eye_projection import EyeProjection
 from surg_core.stereo_file import load_stereo
 from surg_core.transforms import FloatArray
-from surg_perception.calibration.lens_model import LensModel
 from surg_perception.calibration.small_motions import skew
 from surg_perception.marks.instrument_marks import InstrumentMarks, Mark
-
-NEAREST = 0.005
-"""[m] What is nearer to the eye is not drawn."""
-BEYOND = 1.1
-"""How far beyond the picture's corners a lens's formula is believed, relative."""
 
 
 @dataclass(frozen=True)
@@ -49,39 +44,6 @@ class PictureMark:
         long = axes[:, 1]
         two_sigma = 2.0 * np.sqrt(np.maximum(values, 0.0))
         return float(two_sigma[1]), float(two_sigma[0]), float(np.arctan2(long[1], long[0]))
-
-
-class EyeProjection:
-    """From points before the left eye to pixels of one eye's raw picture.
-
-    Args:
-        lens: Of this eye, for the picture's size.
-        X_VE: (4, 4) this eye in the left one [m].
-    """
-
-    def __init__(self, lens: Lens, X_VE: FloatArray) -> None:
-        self.size = (lens.width, lens.height)
-        self._model, self._X_EV = LensModel.of(lens), inverse_pose(X_VE)
-        x, y = np.linspace(0, lens.width - 1, 9), np.linspace(0, lens.height - 1, 9)
-        edge = [(a, b) for a in x for b in (y[0], y[-1])]
-        edge += [(a, b) for b in y for a in (x[0], x[-1])]
-        rays = self._model.rays(np.array(edge))[:, :2]
-        self._widest = BEYOND * float(np.nanmax(np.linalg.norm(rays, axis=1)))
-
-    def pixels(self, p_V: FloatArray) -> FloatArray:
-        """Pixels (n, 2) of points (n, 3) before the left eye [m]; NaN: the eye cannot see them."""
-        p = p_V @ self._X_EV[:3, :3].T + self._X_EV[:3, 3]
-        before = p[:, 2] > NEAREST
-        before[before] &= np.hypot(*p[before, :2].T) < self._widest * p[before, 2]
-        found = np.full((len(p), 2), np.nan)
-        found[before] = self._model.project(p[before])
-        return found
-
-    def derivative(self, p_V: FloatArray) -> FloatArray:
-        """(2, 3) of the pixel by a point (3,) before the left eye [px/m]."""
-        p = self._X_EV[:3, :3] @ p_V + self._X_EV[:3, 3]
-        by_point = self._model.derivatives(p[None])[1][0]
-        return np.asarray(by_point @ self._X_EV[:3, :3])
 
 
 class MarkProjection:
