@@ -1,0 +1,199 @@
+"""A policy cloned from demonstrations by BC, ACT or MoE-ACT, from endoscope pictures; PyTorch.
+
+    python3 examples/bgr/bgr_cloned_policy.py --weights act.npz --server tcp://127.0.0.1:5555
+
+`train_bgr_cloned.py` writes the weights, which name their method. The policy reads
+`observation.state` and the endoscope's picture or pictures: **what a robot can measure, and nothing
+else**. It remembers nothing of the episode but its last command, and, if trained with
+`--ensemble`, its last chunks. One thread runs it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from bgr_eye import small
+from bgr_networks import Answer, Sizes, network_of
+from bgr_policy import ACTION, ACTIONS, REACH, SET, STATE, Policy, serve, state_columns
+
+Array = np.ndarray
+
+
+def numbers_of(state: Array, last: Array) -> Array:
+    """What the networks are told beside the pictures, at T steps.
+
+    Args:
+        state: (T, 9) of `state_columns`.
+        last: (T, 4) tip and roll of the last command; the actions are relative to it.
+
+    Returns:
+        (T, 13): tip and set-point from the last command [m], rolls, jaw [rad], last command.
+    """
+    here = last[:, :3]
+    away = [state[:, :3] - here, state[:, SET][:, :3] - here]
+    return np.column_stack([*away, state[:, [3, 8]], last[:, 3], state[:, 4], here])
+
+
+def scaled(views: Any) -> Any:
+    """Input of the encoder from grey levels, (B, 3, side, side)."""
+    return (views - 128.0) / 64.0
+
+
+class ClonedPolicy(Policy):
+    """See the module.
+
+    Attributes:
+        pictures: Keys of the eyes.
+    """
+
+    format = "surg_bgr_cloned_policy/1"
+
+    def __init__(
+        self,
+        network: Any,
+        scales: Mapping[str, Array],
+        names: Mapping[str, Sequence[str]],
+        sizes: Sizes,
+        about: Mapping[str, Any],
+    ) -> None:
+        self.sizes, self.pictures = sizes, tuple(about["pictures"])
+        self.wants = (STATE, *self.pictures)
+        self._ensemble = about["ensemble"]
+        super().__init__(network.eval(), scales, names, sizes.chunk, about)
+
+    @property
+    def method(self) -> str:
+        """One of `bgr_networks.METHODS`."""
+        return self.sizes.method
+
+    def shape_of(self, key: str) -> tuple[int, ...] | None:
+        """See `Policy`: pictures have the size of those it was trained with."""
+        size = self.about.get("dataset", {}).get("picture") if key in self.pictures else None
+        return None if size is None else tuple(size)
+
+    def _find_columns(self) -> Any:
+        return state_columns(self.names[STATE])
+
+    # --- weights on disk ----------------------------------------------------------------------
+
+    def arrays(self) -> dict[str, Array]:
+        """Weights and scales by name."""
+        weights = {f"net_{n}": v.cpu().numpy() for n, v in self.network.state_dict().items()}
+        return weights | {f"scale_{name}": value for name, value in self.scales.items()}
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 over weights, scales and ensemble; equal trainings give equal hashes."""
+        found = hashlib.sha256(repr((self.sizes, self._ensemble)).encode())
+        for name, array in sorted(self.arrays().items()):
+            found.update(name.encode() + np.ascontiguousarray(array).tobytes())
+        return found.hexdigest()
+
+    def save(self, file: Path) -> None:
+        """Write an .npz without pickle."""
+        head = {"format": self.format, "names": self.names, "about": self.about}
+        text = json.dumps({**head, "sizes": asdict(self.sizes)}, sort_keys=True)
+        with file.open("wb") as stream:
+            np.savez(stream, head=np.frombuffer(text.encode(), np.uint8), **self.arrays())
+
+    @classmethod
+    def load(cls, file: Path) -> ClonedPolicy:
+        """Read weights.
+
+        Raises:
+            ValueError: The file holds no weights of such a policy, or of another action space.
+        """
+        try:
+            with np.load(file, allow_pickle=False) as found:
+                arrays = {name: found[name] for name in found.files}
+            head = json.loads(arrays.pop("head").tobytes())
+        except (KeyError, ValueError) as error:
+            raise ValueError(f"{file}: no weights of this policy ({error})") from None
+        if not isinstance(head, dict) or head.get("format") != cls.format:
+            raise ValueError(f"{file}: its format is not {cls.format}")
+        said = head["names"].get(ACTION, ACTIONS)
+        if said != ACTIONS:
+            raise ValueError(
+                f"{file}: trained on the actions {', '.join(said)}; allowed: {', '.join(ACTIONS)} "
+                "(a dataset with absolute actions)"
+            )
+        parts: dict[str, dict[str, Array]] = {"net": {}, "scale": {}}
+        for name, array in arrays.items():
+            kind, _, of = name.partition("_")
+            parts[kind][of] = array
+        try:
+            sizes = Sizes(**head["sizes"])
+            network = network_of(sizes)
+            network.load_state_dict({n: torch.from_numpy(a) for n, a in parts["net"].items()})
+        except (TypeError, RuntimeError) as error:
+            why = str(error).splitlines()[0]
+            raise ValueError(f"{file}: weights of another network ({why})") from None
+        return cls(network, parts["scale"], head["names"], sizes, head["about"])
+
+    # --- acting -------------------------------------------------------------------------------
+
+    def reset(self, instruction: str = "", seed: int | None = None) -> None:
+        """Forget the last episode."""
+        super().reset(instruction, seed)
+        self._count = 0
+        self._chunks: deque[tuple[int, Array]] = deque(maxlen=self.chunk)
+
+    def answer(self, views: Sequence[Array], state: Array, last: Array) -> Answer:
+        """What the network says of B observations.
+
+        Args:
+            views: (B, SIDE, SIDE, 3), uint8, of each eye.
+            state: (B, 9) of `state_columns`.
+            last: (B, 4) last commands.
+        """
+        x = (numbers_of(state, last) - self.scales["input_mean"]) / self.scales["input_std"]
+        device = next(self.network.parameters()).device
+        with torch.inference_mode():
+            seen = [torch.from_numpy(np.array(v)).to(device).permute(0, 3, 1, 2) for v in views]
+            numbers = torch.from_numpy(x.astype(np.float32)).to(device)
+            answer: Answer = self.network([scaled(v.float()) for v in seen], numbers)
+        return answer
+
+    def act(self, observation: Any) -> Array:
+        """The next actions, (K, 5), from an observation (`surg_policy_client.Observation`)."""
+        arrays = self.see(observation)
+        state = np.asarray(arrays[STATE], np.float64).ravel()[self._columns]
+        last = self.last_command(state[SET], observation)
+        views = [small(np.asarray(arrays[key]))[None] for key in self.pictures]
+        said = self.answer(views, state[None], last[None]).chunk.cpu().numpy()
+        chunk = self.actions(said, last[None])[0]
+        return self.say(self._blended(chunk, state[SET], observation), observation)
+
+    def _blended(self, chunk: Array, held: Array, observation: Any) -> Array:
+        """A chunk (K, 5) averaged with earlier ones, step by step (Zhao et al. 2023).
+
+        The oldest has the weight 1, each later one exp(-ensemble) times that of the one before.
+        """
+        if self._ensemble is None:
+            return chunk
+        step = getattr(observation, "step", None)
+        now = self._count if step is None else int(step)
+        self._count = now + 1
+        if np.linalg.norm(chunk[0, :3] - held[:3]) > REACH or self._said is None:
+            self._chunks.clear()
+        self._chunks.append((now, chunk))
+        total, weight = np.zeros_like(chunk), np.zeros((len(chunk), 1))
+        for age, (begin, said) in enumerate(c for c in self._chunks if now - c[0] < self.chunk):
+            rows, share = len(said) - (now - begin), float(np.exp(-self._ensemble * age))
+            total[:rows] += share * said[now - begin :]
+            weight[:rows] += share
+        return total / weight
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    sys.exit(serve(ClonedPolicy, (__doc__ or "").split("\n")[0]))

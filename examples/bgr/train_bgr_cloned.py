@@ -1,0 +1,329 @@
+"""Trains what the image policy is compared with: BC, ACT or MoE-ACT, from pictures; PyTorch.
+
+    python3 examples/bgr/train_bgr_cloned.py datasets/bgr --method act --seed 0 --out act_0.npz
+
+It reads a LeRobot dataset (v2.1) or a folder of `train_bgr_cache.py`, and the same for all methods:
+pictures, what a robot measures, and the demonstrator's commands, varied by `train_bgr_looks.py`.
+MoE-ACT's gate learns the phases of the recordings, too. No method reads the simulator's truth.
+Equal data, options and seed give equal weights on a processor.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from bgr_cloned_policy import ClonedPolicy, numbers_of, scaled
+from bgr_eye import SIDE
+from bgr_networks import METHODS, Answer, Sizes, network_of
+from bgr_policy import ACTION, ACTIONS, SET, STATE, state_columns
+from bgr_training import Array, Progress, half_cosine, jaw_range, normalised, scales_of
+from train_bgr_cache import NO_PHASE, PHASE, Recorded, eyes_of, recorded
+from train_bgr_eye import DEVICES, device_for
+from train_bgr_images import missed
+from train_bgr_looks import Looks, Varied, inside_of
+
+CHUNKS = {"bc": 16, "act": 40, "moe_act": 40}
+"""Actions predicted at once: those of the image policy; 2 s, as in ACT's paper."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Training options; the same for all methods but for the chunk. None was tuned."""
+
+    method: str = "bc"
+    chunk: int | None = None
+    """None: of `CHUNKS`."""
+    eyes: int = 1
+    """1: the left one; 2: both."""
+    steps: int = 4000
+    """Optimiser steps."""
+    batch: int = 128
+    rate: float = 5e-4
+    """Learning rate after `warm`; falls to zero along half a cosine."""
+    warm: int = 200
+    """Steps in which the learning rate rises."""
+    decay: float = 1e-4
+    """Weight decay."""
+    noise: float = 0.1
+    """Standard deviation of the noise on normalised numbers."""
+    spread: float = 10.0
+    """Weight of the latent's divergence, as in ACT's paper."""
+    gate: float = 1.0
+    """Weight of the gate's cross-entropy with the phases."""
+    ensemble: float | None = None
+    """Rate of the temporal ensemble at deployment (ACT's paper: 0.01); None: the newest chunk."""
+    seed: int = 0
+    device: str = "auto"
+    looks: Looks = field(default_factory=Looks)
+    sizes: dict[str, int] = field(default_factory=dict)
+    """Further `Sizes` than their defaults."""
+
+
+@dataclass
+class Steps:
+    """M steps to learn from, or to judge by.
+
+    Attributes:
+        rows: (M,) in the arrays of `Recorded`.
+        state: (M, 9) of `state_columns`.
+        last: (M, 4) last commands.
+        targets: (M, chunk, 5), tip and roll relative to the last command.
+        phase: (M,)
+    """
+
+    rows: Array
+    state: Array
+    last: Array
+    targets: Array
+    phase: Array
+
+    @classmethod
+    def of(cls, found: Recorded, split: str, chunk: int) -> Steps:
+        """Those of a split, but for those that lead to a miss."""
+        columns = state_columns(found.names[STATE])
+        parts = []
+        for episode in found.episodes(split):
+            state, action = found.state[episode][:, columns], found.action[episode]
+            last = np.vstack([state[:1, SET], action[:-1, :4]])
+            row = np.arange(len(state))
+            targets = action[np.minimum(row[:, None] + np.arange(chunk), len(row) - 1)]
+            targets[:, :, :4] -= last[:, None, :]
+            good = ~missed(action[:, 4])
+            rows = episode.start + row
+            parts.append([a[good] for a in (rows, state, last, targets, found.phase[episode])])
+        return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+
+class Looked(Varied):
+    """`Varied` for pictures that lie on the device, as (B, 3, side, side)."""
+
+    def __call__(self, views: Any, marks: Any = None) -> Any:
+        """Variants as float32 grey levels."""
+        looks, rng = self._looks, self._rng
+        x, _ = self._moved(views.float(), np.zeros((len(views), 1, 2)))
+        for chance, change in (
+            (looks.bar, self._bar),
+            (looks.dirt, self._dirt),
+            (looks.smoke, self._smoke),
+            (looks.dark, self._dark),
+            (looks.blur, self._blur),
+        ):
+            rows = np.flatnonzero(rng.random(len(x)) < chance)
+            if len(rows):
+                at = torch.from_numpy(rows).to(x.device)
+                x[at] = change(x[at])
+        gain = 1.0 + looks.colour * rng.standard_normal((len(x), 4, 1, 1))
+        x = x * self._there(gain[:, :1] * gain[:, 1:])
+        return (x + looks.grain * torch.randn_like(x)).clamp(0.0, 255.0)
+
+
+def train(
+    found: Recorded, options: Options, progress: Progress = lambda part, note: None
+) -> ClonedPolicy:
+    """Train on the split ``train``.
+
+    Raises:
+        ValueError: The split is empty, phases are missing, or the device is not there.
+    """
+    check(found, options)
+    device = device_for(options.device)
+    chunk = options.chunk or CHUNKS[options.method]
+    known = Steps.of(found, "train", chunk)
+    numbers = numbers_of(known.state, known.last)
+    scales = {**scales_of(numbers, known.targets), "jaw_range": jaw_range(known.targets)}
+    phases = len(found.phases) if options.method == "moe_act" else 0
+    sizes = Sizes(
+        options.method, chunk, numbers.shape[1], len(found.views), phases, **options.sizes
+    )
+    torch.manual_seed(options.seed)  # weights are drawn on the processor: alike on every device
+    network = network_of(sizes).to(device)
+    _fit(network, found, known, normalised(scales, numbers, known.targets), options, progress)
+    about: dict[str, Any] = {
+        "method": options.method,
+        "options": asdict(options),
+        "ensemble": options.ensemble,
+        "dataset": found.about,
+        "pictures": list(found.views),
+        "phases": found.phases if phases else [],
+        "episodes": {split: found.split.count(split) for split in dict.fromkeys(found.split)},
+        "frames": len(known.rows),
+        "parameters": sum(parameter.numel() for parameter in network.parameters()),
+        "observation": [STATE, *found.views],
+        "privileged": [],
+        "labels": [PHASE] if phases else [],
+    }
+    policy = ClonedPolicy(network, scales, found.names, sizes, about)
+    policy.about |= {
+        split: errors(policy, found, Steps.of(found, split, chunk))
+        for split in dict.fromkeys(found.split)
+    }
+    policy.network.cpu()
+    return policy
+
+
+def check(found: Recorded, options: Options) -> None:
+    """Refuse what cannot be trained.
+
+    Raises:
+        ValueError: Why.
+    """
+    if options.method not in METHODS:
+        raise ValueError(f"method {options.method!r}: allowed are {', '.join(METHODS)}")
+    if "train" not in found.split:
+        raise ValueError("the dataset has no episode in its split 'train'")
+    if found.names[ACTION] != ACTIONS:
+        raise ValueError(
+            f"the dataset's actions are {', '.join(found.names[ACTION])}; "
+            f"needed: {', '.join(ACTIONS)}"
+        )
+    if options.method == "moe_act" and len(found.phases) < 2:
+        raise ValueError(
+            f"moe_act needs the phases of the recordings ({PHASE}), the dataset states "
+            f"{len(found.phases)}; ./surg label marks them, ./surg export writes them"
+        )
+
+
+def _fit(
+    network: Any,
+    found: Recorded,
+    known: Steps,
+    data: tuple[Array, Array],
+    options: Options,
+    progress: Progress,
+) -> None:
+    """Train a network; ``data`` are normalised numbers and chunks of all steps."""
+    device = next(network.parameters()).device
+    rng = np.random.default_rng(options.seed)
+    views = [torch.from_numpy(each[known.rows]).to(device) for each in found.views.values()]
+    # The eyes of one observation look alike: the same draws for each.
+    vary = [
+        Looked(torch, SIDE, options.looks, inside_of(each), options.seed, str(device))
+        for each in found.views.values()
+    ]
+    numbers, targets = (torch.from_numpy(each).to(device) for each in data)
+    phase = torch.from_numpy(known.phase.astype(np.int64)).to(device)
+    adam = torch.optim.AdamW(network.parameters(), lr=options.rate, weight_decay=options.decay)
+    half = torch.autocast("cuda", torch.bfloat16) if device.type == "cuda" else nullcontext()
+    network.train()
+    for step in range(options.steps):
+        for group in adam.param_groups:
+            rise = min((step + 1) / max(options.warm, 1), 1.0)
+            group["lr"] = options.rate * rise * half_cosine(step / options.steps)
+        rows = torch.from_numpy(rng.integers(0, len(numbers), options.batch)).to(device)
+        seen = [
+            scaled(look(each[rows].permute(0, 3, 1, 2)))
+            for look, each in zip(vary, views, strict=True)
+        ]
+        told = targets[rows]
+        noisy = numbers[rows] + options.noise * torch.randn_like(numbers[rows])
+        with half:
+            answer = network(seen, noisy, told)
+        parts = losses(answer, told, phase[rows])
+        shares = {"spread": options.spread, "gate": options.gate}
+        loss = sum(shares.get(name, 1.0) * part for name, part in parts.items())
+        adam.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
+        adam.step()
+        if step % 50 == 0:
+            said = ", ".join(f"{name} {float(part):.3f}" for name, part in parts.items())
+            progress(step / options.steps, f"step {step} of {options.steps}: {said}")
+
+
+def losses(answer: Answer, told: Any, phase: Any) -> dict[str, Any]:
+    """Mean absolute error of the chunks; the latent's divergence; the gate's cross-entropy."""
+    found = {"chunk": (answer.chunk.float() - told).abs().mean()}
+    if answer.spread is not None:
+        found["spread"] = answer.spread
+    if answer.gate is not None:
+        found["gate"] = torch.nn.functional.cross_entropy(
+            answer.gate, phase, ignore_index=NO_PHASE, reduction="sum"
+        ) / (phase != NO_PHASE).sum().clamp_min(1)
+    return found
+
+
+def errors(policy: ClonedPolicy, found: Recorded, steps: Steps) -> dict[str, float]:
+    """Mean absolute error of unvaried steps, in standard deviations, as it is deployed.
+
+    ``first`` is that of the next action; ``gate`` the share of the phases that the gate tells.
+    """
+    whole, first, right, labelled = 0.0, 0.0, 0, 0
+    for rows in np.array_split(np.arange(len(steps.rows)), len(steps.rows) // 256 + 1):
+        views = [each[steps.rows[rows]] for each in found.views.values()]
+        answer = policy.answer(views, steps.state[rows], steps.last[rows])
+        numbers = numbers_of(steps.state[rows], steps.last[rows])
+        _, told = normalised(policy.scales, numbers, steps.targets[rows])
+        off = np.abs(answer.chunk.float().cpu().numpy() - told)
+        whole, first = whole + off.mean(axis=1).sum(), first + off[:, :5].mean(axis=1).sum()
+        if answer.gate is not None:
+            there = steps.phase[rows] != NO_PHASE
+            said = answer.gate.argmax(dim=1).cpu().numpy()
+            right += int((said == steps.phase[rows])[there].sum())
+            labelled += int(there.sum())
+    count = len(steps.rows)
+    gate = {"gate": right / labelled} if labelled else {}
+    return {"chunk": float(whole / count), "first": float(first / count), **gate}
+
+
+def parsed(words: Sequence[str] | None) -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog="train_bgr_cloned", description=(__doc__ or "").split("\n")[0]
+    )
+    parser.add_argument("data", type=Path, help="of ./surg export, or of train_bgr_cache.py")
+    parser.add_argument("--method", choices=METHODS, required=True)
+    parser.add_argument("--out", type=Path, required=True, help="file for the weights (.npz)")
+    parser.add_argument("--device", choices=DEVICES, default=DEVICES[0], help="where it trains")
+    parser.add_argument("--eyes", type=int, choices=(1, 2), default=1, help="left, or left + right")
+    parser.add_argument("--json", action="store_true", help="progress as JSON lines")
+    for name, kind, about in (
+        ("seed", int, "of weights, batches and looks (default 0)"),
+        ("steps", int, "optimiser steps"),
+        ("batch", int, "observations of a step"),
+        ("chunk", int, "actions predicted at once"),
+        ("ensemble", float, "rate of ACT's temporal ensemble (default: the newest chunk counts)"),
+        ("moved", float, "chance of a shifted and turned picture (default 0.5)"),
+    ):
+        parser.add_argument(f"--{name}", type=kind, help=about, default=argparse.SUPPRESS)
+    return parser.parse_args(words)
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Entry point; returns 0, or 2 for unusable data."""
+    given = parsed(words)
+    chosen = {n: v for n, v in vars(given).items() if n not in ("data", "out", "json", "moved")}
+    if "moved" in given:
+        chosen["looks"] = Looks(moved=given.moved)
+    started = time.monotonic()
+
+    def show(part: float, note: str) -> None:
+        print(json.dumps({"part": part, "note": note}) if given.json else note, flush=True)
+
+    try:
+        options = Options(**chosen)
+        if options.device != "auto":
+            device_for(options.device)  # before minutes of reading
+        policy = train(recorded(given.data, eyes_of(options.eyes), show), options, show)
+    except ValueError as error:
+        print(f"train_bgr_cloned: {error}", file=sys.stderr)
+        return 2
+    given.out.parent.mkdir(parents=True, exist_ok=True)
+    policy.save(given.out)
+    told = {**policy.about, "weights": policy.hash, "s": time.monotonic() - started}
+    brief = {n: told[n] for n in ("method", "parameters", "frames", "train", "val") if n in told}
+    print(json.dumps(told if given.json else brief), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,332 @@
+"""BC, ACT and MoE-ACT from pictures, on made-up ones: what is learned, saved, said, and refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from helpers.policy import bgr_cloned as made  # noqa: E402
+from helpers.policy.bgr_cloned import (  # noqa: E402
+    LEFT,
+    RIGHT,
+    bgr_cloned_policy,
+    bgr_networks,
+    train_bgr_cache,
+    train_bgr_cloned,
+)
+from helpers.policy.bgr_pictures import train_bgr_looks  # noqa: E402
+from helpers.policy.bgr_synthetic import STATE, bgr_policy  # noqa: E402
+
+SMALL = {
+    "width": 8, "places": 8, "model": 32, "heads": 2, "feed": 64, "layers": 1, "latent": 4,
+    "hidden": 32,
+}  # fmt: skip
+CALM = train_bgr_looks.Looks(0.05, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+OPTIONS = train_bgr_cloned.Options(
+    chunk=6, steps=150, batch=16, rate=3e-3, warm=10, device="cpu", sizes=SMALL, looks=CALM
+)
+FEW = made.recorded(8, 3)
+Policy = bgr_cloned_policy.ClonedPolicy
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> Iterator[None]:
+    """Beside other work two threads wait for each other."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def trained(found: Any = None, **changes: Any) -> Policy:
+    options = dataclasses.replace(OPTIONS, **changes)
+    return train_bgr_cloned.train(found or FEW, options)
+
+
+@pytest.fixture(scope="module", params=bgr_networks.METHODS)
+def policy(request: pytest.FixtureRequest) -> Policy:
+    return trained(method=request.param)
+
+
+def weights(sizes: dict[str, Any], **head: Any) -> Policy:
+    """A policy with random weights."""
+    torch.manual_seed(0)
+    whole = bgr_networks.Sizes(**{"chunk": 6, "inputs": 13, **SMALL, **sizes})
+    scales = {
+        "input_mean": np.zeros(13),
+        "input_std": np.ones(13),
+        "output_mean": np.zeros(5 * whole.chunk),
+        "output_std": np.full(5 * whole.chunk, 1e-3),
+        "jaw_range": np.array([0.0, 0.7]),
+    }
+    about = {"pictures": [LEFT, RIGHT][: whole.eyes], "ensemble": None, **head}
+    names = {"observation.state": STATE, "action": bgr_policy.ACTIONS}
+    return Policy(bgr_networks.network_of(whole), scales, names, whole, about)
+
+
+def observed(found: Any, step: int) -> dict[str, np.ndarray]:
+    views = {key: each[step] for key, each in found.views.items()}
+    return {"observation.state": found.state[step], **views}
+
+
+# --- what is learned ----------------------------------------------------------------------------
+
+
+def test_it_learns_more_than_the_mean_action(policy: Policy) -> None:
+    """On episodes that it has not seen."""
+    found = FEW
+    steps = train_bgr_cloned.Steps.of(found, "val", policy.chunk)
+    flat = steps.targets.reshape(len(steps.rows), -1)
+    mean = np.abs((flat - policy.scales["output_mean"]) / policy.scales["output_std"]).mean()
+    said = policy.about["val"]
+    print(policy.method, said, f"mean action {mean:.3f}")
+    assert said["chunk"] < 0.6 * mean and said["first"] < 0.6 * mean
+
+
+def test_the_gate_learns_the_phases_and_nothing_else_has_one(policy: Policy) -> None:
+    said = policy.about["val"].get("gate")
+    if policy.method == "moe_act":
+        share = max(np.bincount(FEW.phase)) / len(FEW.phase)
+        assert said > 0.9 > share + 0.1
+        assert policy.about["phases"] == [made.APPROACH, made.CLOSE]
+        assert policy.about["labels"] == [train_bgr_cache.PHASE]
+    else:
+        assert said is None and policy.about["labels"] == []
+
+
+def test_each_expert_says_the_actions_of_its_own_phase() -> None:
+    """A gate that is sure leaves one expert's word: that of the output that is set."""
+    sizes = bgr_networks.Sizes("moe_act", 3, 13, phases=2, **SMALL)
+    experts = bgr_networks.Experts(sizes)
+    out, seen = torch.randn(4, 3, 32), torch.randn(4, 64)
+    for n in (0, 1):
+        with torch.no_grad():
+            experts.gate[-1].weight.zero_()
+            experts.gate[-1].bias[:] = torch.tensor([0.0, 0.0])
+            experts.gate[-1].bias[n] = 50.0
+            said, gate = experts(out, seen)
+            alone = experts.experts[n](out)
+        assert (gate.argmax(dim=1) == n).all()
+        torch.testing.assert_close(said, alone)
+
+
+def test_steps_without_a_phase_teach_the_gate_nothing() -> None:
+    answer = bgr_networks.Answer(torch.zeros(3, 5), torch.tensor([[2.0, 0.0]] * 3))
+    told, none = torch.zeros(3, 5), train_bgr_cache.NO_PHASE
+    alone = train_bgr_cloned.losses(answer, told, torch.tensor([0, none, none]))["gate"]
+    expected = -torch.log_softmax(torch.tensor([2.0, 0.0]), 0)[0]
+    torch.testing.assert_close(alone, expected)
+    assert train_bgr_cloned.losses(answer, told, torch.full((3,), none))["gate"] == 0.0
+
+
+def test_the_latent_is_the_priors_mean_without_chunks_and_follows_them_with() -> None:
+    network = weights({"method": "act"}).network
+    numbers, told = torch.randn(2, 13), torch.randn(2, 30)
+    z, spread = network.style_of(numbers, None)
+    assert not z.any() and spread is None
+    network.eval()
+    torch.manual_seed(1)
+    z, spread = network.style_of(numbers, told)
+    mean, log = network.meant(
+        network.style(
+            torch.cat(
+                [
+                    torch.zeros(2, 1, 32),
+                    network.numbers(numbers)[:, None],
+                    network.told(told.reshape(2, 6, 5)),
+                ],
+                dim=1,
+            )
+            + network.begin
+        )[:, 0]
+    ).chunk(2, dim=1)
+    torch.manual_seed(1)
+    drawn = torch.distributions.Normal(mean, (0.5 * log).exp()).rsample()
+    torch.testing.assert_close(z, drawn)
+    prior = torch.distributions.Normal(torch.zeros(4), torch.ones(4))
+    wanted = torch.distributions.kl_divergence(
+        torch.distributions.Normal(mean, (0.5 * log).exp()), prior
+    )
+    torch.testing.assert_close(spread, wanted.sum(dim=1).mean())
+
+
+@pytest.mark.parametrize("method", bgr_networks.METHODS)
+def test_one_seed_gives_the_same_weights_and_another_others(method: str) -> None:
+    found = made.recorded(2)
+    hashes = [trained(found, method=method, steps=3, seed=seed).hash for seed in (0, 0, 1)]
+    assert hashes[0] == hashes[1] != hashes[2]
+
+
+# --- deployment ---------------------------------------------------------------------------------
+
+
+def test_it_reads_what_a_robot_measures_and_answers_chunks(policy: Policy) -> None:
+    """A dictionary that holds nothing else is enough; the first step is near the arm."""
+    assert policy.wants == ("observation.state", LEFT) and policy.about["privileged"] == []
+    found = FEW
+    policy.reset("", None)
+    begin = found.episodes("val")[0].start
+    chunk = policy.act(observed(found, begin))
+    assert chunk.shape == (6, 5) and chunk.dtype == np.float64
+    away = np.linalg.norm(chunk[0, :3] - found.action[begin, :3])
+    assert away < 0.5 * np.linalg.norm(found.action[begin, :3] - found.state[begin, :3]) + 2e-3
+    assert chunk[:, 4].min() >= 0.0 and chunk[:, 4].max() <= made.OPEN + 1e-9
+
+
+def test_two_eyes_are_read_and_matter() -> None:
+    policy = weights({"method": "act", "eyes": 2})
+    assert policy.wants == ("observation.state", LEFT, RIGHT)
+    seen = observed(made.recorded(1, eyes=2), 3)
+    both = policy.act(seen)
+    policy.reset()
+    assert np.abs(policy.act({**seen, RIGHT: np.zeros_like(seen[RIGHT])}) - both).max() > 1e-6
+    found = made.recorded(1, eyes=2)
+    assert trained(found, method="bc", steps=1).pictures == (LEFT, RIGHT)
+
+
+def test_saved_and_loaded_it_says_the_same(policy: Policy, tmp_path: Path) -> None:
+    file = tmp_path / "w.npz"
+    policy.save(file)
+    again = Policy.load(file)
+    assert again.hash == policy.hash and again.method == policy.method
+    seen = observed(FEW, 10)
+    for each in (policy, again):
+        each.reset("", None)
+    np.testing.assert_array_equal(again.act(seen), policy.act(seen))
+    assert bgr_policy.wanted(again).observation[LEFT].shape == (120, 120, 3)
+
+
+def test_an_ensemble_is_the_weighted_mean_of_all_chunks_about_a_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Three chunks of constants 0, 1, 2 (the oldest first), as ACT's paper weighs them."""
+    rate = 0.5
+    policy = weights({"method": "bc", "chunk": 3}, ensemble=rate)
+    told = iter([0.0, 1.0, 2.0, 3.0])
+    zero = np.zeros((1, 120, 120, 3), np.uint8)
+    answer = SimpleNamespace(chunk=torch.zeros(1, 15))
+    monkeypatch.setattr(policy, "answer", lambda *a: answer)
+    monkeypatch.setattr(policy, "actions", lambda said, last: np.full((1, 3, 5), 1e-3 * next(told)))
+    seen = {"observation.state": np.zeros(len(STATE)), LEFT: zero[0]}
+    policy.reset()
+    chunks = [1e3 * policy.act(seen) for _ in range(4)]
+    w = np.exp(-rate * np.arange(3))
+    np.testing.assert_allclose(chunks[0], 0.0)
+    np.testing.assert_allclose(chunks[2][0], w @ [0, 1, 2] / w.sum())
+    np.testing.assert_allclose(chunks[2][1], w[:2] @ [1, 2] / w[:2].sum())
+    np.testing.assert_allclose(chunks[3][0], w @ [1, 2, 3] / w.sum())
+    np.testing.assert_allclose(chunks[3][2], 3.0)
+
+
+# --- looks --------------------------------------------------------------------------------------
+
+
+def test_both_eyes_of_an_observation_are_varied_alike() -> None:
+    views = torch.from_numpy(made.recorded(1).views[LEFT][:6]).permute(0, 3, 1, 2)
+    looks = train_bgr_looks.Looks(grain=0.0)
+    inside = np.ones((120, 120), bool)
+    made_of = [train_bgr_cloned.Looked(torch, 120, looks, inside, 3, "cpu") for _ in range(2)]
+    left, right = (look(views) for look in made_of)
+    torch.testing.assert_close(left, right)
+    assert (left - views).abs().mean() > 5 and left.shape == (6, 3, 120, 120)
+
+
+# --- data ---------------------------------------------------------------------------------------
+
+
+def test_a_dataset_and_its_folder_of_small_pictures_hold_the_same(tmp_path: Path) -> None:
+    found = made.recorded(2, 0, eyes=2)
+    folder = made.written(tmp_path / "set", found)
+    small = tmp_path / "small"
+    assert train_bgr_cache.main([str(folder), str(small), "--eyes", "2"]) == 0
+    for each in (train_bgr_cache.recorded(f, (LEFT, RIGHT)) for f in (folder, small)):
+        np.testing.assert_allclose(each.state, found.state, atol=1e-6)
+        np.testing.assert_array_equal(each.begins, found.begins)
+        phase = found.phase.copy()
+        phase[found.begins[1:] - 1] = train_bgr_cache.NO_PHASE
+        np.testing.assert_array_equal(each.phase, phase)
+        assert each.phases == [made.APPROACH, made.CLOSE] and each.split == ["train", "train"]
+        for key in (LEFT, RIGHT):
+            off = np.abs(each.views[key].astype(int) - found.views[key])
+            assert off.mean() < 4.0, "what the codec leaves"
+    assert isinstance(train_bgr_cache.recorded(small, (LEFT,)).views[LEFT], np.memmap)
+    words = [str(small), "--method", "bc", "--out", str(tmp_path / "w.npz"), "--steps", "1"]
+    assert train_bgr_cloned.main([*words, "--batch", "2", "--device", "cpu"]) == 0
+    head = np.load(tmp_path / "w.npz", allow_pickle=False)["head"].tobytes()
+    assert json.loads(head)["about"]["frames"] == len(found.state)
+
+
+def test_steps_that_lead_to_a_miss_are_left_out() -> None:
+    found = made.recorded(1, 0)
+    found.action[10:12, 4] = 0.0  # closes on nothing, and opens again
+    rows = train_bgr_cloned.Steps.of(found, "train", 4).rows
+    assert set(range(11)).isdisjoint(rows) and 12 in rows
+
+
+# --- what does not fit --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "said"),
+    [
+        ({"action_space": "relative"}, [], "'relative'.*allowed: 'absolute'"),
+        ({}, ["--eyes", "2"], "endoscope.right"),
+        ({"splits": {"val": "0:1"}}, [], "'train'"),
+        ({"features": {"observation.state": {}}}, [], "endoscope.left"),
+    ],
+    ids=["action space", "no right eye", "no training", "no pictures"],
+)
+def test_a_dataset_that_does_not_fit_is_one_line(
+    change: dict[str, Any],
+    words: list[str],
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = made.written(tmp_path / "set", made.recorded(1, 0), **change)
+    out = tmp_path / "w.npz"
+    argv = [str(folder), "--method", "bc", "--out", str(out), "--device", "cpu", *words]
+    assert train_bgr_cloned.main(argv) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert re.search(said, line) and not out.exists()
+
+
+def test_moe_act_without_phases_says_who_makes_them() -> None:
+    found = dataclasses.replace(made.recorded(1), phases=[])
+    with pytest.raises(ValueError, match=r"subtask_description.*\./surg label"):
+        trained(found, method="moe_act")
+
+
+def test_weights_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "w.npz"
+    policy = weights({"method": "bc"})
+    policy.names["action"] = ["PSM1/dx", "PSM1/dy", "PSM1/dz", "PSM1/droll", "PSM1/jaw"]
+    policy.save(file)
+    with pytest.raises(ValueError, match=r"PSM1/dx.*allowed: PSM1/x"):
+        Policy.load(file)
+    policy = weights({"method": "bc"})
+    policy.sizes = dataclasses.replace(policy.sizes, width=16)
+    policy.save(file)
+    with pytest.raises(ValueError, match="another network"):
+        Policy.load(file)
+    np.savez(file, a=np.zeros(2))
+    with pytest.raises(ValueError, match="no weights"):
+        Policy.load(file)
+
+
+def test_a_folder_of_another_dataset_is_refused(tmp_path: Path) -> None:
+    train_bgr_cache.save(made.recorded(1), tmp_path / "small")
+    with pytest.raises(ValueError, match=r"no pictures of .*right.*--eyes 2"):
+        train_bgr_cache.recorded(tmp_path / "small", (LEFT, RIGHT))
+    with pytest.raises(ValueError, match="cannot be written"):
+        train_bgr_cache.save(made.recorded(1), tmp_path / "small")
