@@ -387,7 +387,7 @@ def train_eye(
         torch.nn.utils.clip_grad_norm_(parameters, 10.0)
         adam.step()
         if step % 25 == 0:
-            said = ", ".join(f"{float(part):.3f}" for part in parts)
+            said = ", ".join(f"{float(part.detach()):.3f}" for part in parts)
             progress(step / options.steps, f"eye, step {step} of {options.steps}, losses {said}")
     return Eye(network.layers(), pointed_of(labels))
 
