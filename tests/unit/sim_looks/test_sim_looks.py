@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from surg_core import ConfigError
 from surg_sim.arrays import Picture
+from surg_sim.looks import look_sheet
 from surg_sim.looks.dressed_scene import Finish
 from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
 from surg_sim.looks.look_randomisation import TISSUES, Look, LookRandomisation
@@ -319,3 +320,13 @@ def test_a_recording_states_the_look_and_has_the_same_states(tmp_path: Path) -> 
 def test_the_ranges_of_a_plan_are_those_of_its_recordings() -> None:
     """A plan is a key of sessions, so ranges are values that can be hashed and compared."""
     assert hash(WIDE) == hash(LookRandomisation(**asdict(WIDE)))
+
+
+def test_a_sheet_of_broken_ranges_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "looks.yaml"
+    file.write_text("format: surg_looks/1\nedge: [0.0, 7.0]\n")
+    assert look_sheet.main([str(tmp_path / "out.png"), "--looks", str(file)]) == 2
+    assert f"{file}:2: edge: holds 7" in capsys.readouterr().err
+    assert not (tmp_path / "out.png").exists()
