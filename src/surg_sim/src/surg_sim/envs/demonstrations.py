@@ -5,6 +5,7 @@ Work that was cut off is taken up where it ended: a recording that is complete i
 
 from __future__ import annotations
 
+import json
 import shutil
 import signal
 from collections.abc import Callable, Sequence
@@ -42,11 +43,14 @@ class Plan:
         return self.out / str(seed)
 
     def done(self, seed: int) -> bool:
-        """Whether the recording of a seed is there, whole."""
+        """Whether the recording of a seed is there, whole, and looks as planned."""
         try:
-            return episode_reader.read(self.folder(seed)).complete
+            episode = episode_reader.read(self.folder(seed))
         except EpisodeError:
             return False
+        look = None if self.looks is None else self.looks.draw(seed).described()
+        same = episode.manifest.get("run", {}).get("look") == json.loads(json.dumps(look))
+        return bool(episode.complete and same)
 
 
 @dataclass(frozen=True)
