@@ -1,17 +1,20 @@
-"""Does the image policy of bgr look, and what does it stand: pictures, light, lens, pose, delay.
+"""Do image policies of bgr look, and what do they stand: pictures, light, lens, pose, delay.
 
 In process (`surg_sim.envs.policy_rollouts`), on test seeds, each condition of `policy/sights.py`.
 Several at a time: `--executor processes`, `dask` (a cluster of its own) or `dask:ADDRESS`.
-`--weights` are those of `./surg learn bgr --cameras`. Every finished roll-out is kept in `--keep`;
-the same command goes on there. `--json FILE` writes (Wilson's 95 % interval):
+`--weights` are those of `./surg learn bgr --cameras`, or of `examples/bgr/train_bgr_cloned.py`;
+several are compared on the same seeds. Every finished roll-out is kept in `--keep`; the same
+command goes on there. `--json FILE` writes (Wilson's 95 % interval):
 
-    format         "surg_bench_imitation/1"
+    format         "surg_bench_imitation/2"
     machine        {processor, cores, load_before, load_after, date}
-    weights        SHA-256 of the weights
     seeds          first and last + 1 of the episodes judged
-    conditions     [{name, n, k, low, high, refused, stopped, rcm_max_mm,
-                   failures: {reason: count}}]
-    act_ms         {p50, p99} CPU time of one answer
+    policies       [{file, weights: SHA-256, method, seed: of the training, pictures,
+                   act_ms: {p50, p99} CPU time of one answer,
+                   conditions: [{name, n, k, low, high, refused, stopped, rcm_max_mm,
+                                failures: {reason: count}}]}]
+    methods        [{method, policies: how many, conditions}]: the same of all policies of a method
+                   together; the interval does not know how trainings differ
     wall_s         of this call
 
 The exit code is 1 if pictures that say nothing (black, frozen, another's) give more than 20 %.
@@ -25,29 +28,27 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from machine import this_machine
-from policy.made_up_clock import Delays, play
+from policy.entrants import Entrant, entrant, pictures_of, policy_of
 from policy.sights import CONDITIONS, Condition, Filter, Replayed, turned
 
-from surg_cli.host import paths
 from surg_cli.host.terminal import Progress, say, table
 from surg_core.contract import image_key
 from surg_recording.job_pool import Ends, NoExecutor, Workplace
 from surg_recording.job_pool import run as run_jobs
-from surg_recording.reports import trials
+from surg_recording.metrics.confidence_intervals import success_rate
 from surg_sim.tasks import episode_seeds
 from surg_sim.tasks.bgr import bgr_definition
 
-sys.path.insert(0, str(paths.ROOT / "examples/bgr"))
 CELL, TASK, SIZE = "sim_two_arms", "bgr", (640, 480)
 TARGETS = bgr_definition.TARGETS
-PICTURE = image_key("endoscope_left")
+LEFT = image_key("endoscope_left")
 OTHER = 500
 """The pictures of another episode are those of the seed so much further."""
 MOST_BLIND = 0.2
@@ -68,11 +69,15 @@ class Result:
 
 
 class Through:
-    """A policy that gets a view of the endoscope through a filter; the CPU time of its answers."""
+    """A policy that gets views of the endoscope through filters; the CPU time of its answers.
 
-    def __init__(self, policy: Any, eye: Filter, view: str) -> None:
-        self._policy, self._eye = policy, eye
-        self._taken = image_key(f"endoscope_{view}")
+    Args:
+        policy: Answers.
+        eyes: Filter of each picture that the policy reads, and the view that it is made of.
+    """
+
+    def __init__(self, policy: Any, eyes: Mapping[str, tuple[Filter, str]]) -> None:
+        self._policy, self._eyes = policy, eyes
         self.spent: list[float] = []
         self.acknowledged = policy.acknowledged
 
@@ -83,7 +88,13 @@ class Through:
     def act(self, observation: Any) -> Any:
         """The policy's answer to what it is shown."""
         arrays = dict(getattr(observation, "arrays", observation))
-        arrays[PICTURE] = self._eye(arrays.pop(self._taken))
+        shown = {
+            key: eye(arrays[image_key(f"endoscope_{view}")])
+            for key, (eye, view) in self._eyes.items()
+        }
+        for _, view in self._eyes.values():
+            arrays.pop(image_key(f"endoscope_{view}"), None)
+        arrays |= shown
         seen = replace(observation, arrays=arrays) if hasattr(observation, "arrays") else arrays
         before = time.process_time()
         answer = self._policy.act(seen)
@@ -91,19 +102,25 @@ class Through:
         return answer
 
 
-def scene(condition: Condition) -> Any:
-    """The environment of a condition."""
+def views_of(condition: Condition, pictures: Sequence[str]) -> dict[str, str]:
+    """The view that each picture shows that a policy reads: the condition's as the left one."""
+    return {key: condition.view if key == LEFT else "right" for key in pictures}
+
+
+def scene(condition: Condition, views: Sequence[str]) -> Any:
+    """The environment of a condition, with these views."""
     from surg_sim.envs.surg_env import SurgEnv
     from surg_sim.physics.endoscope_rig import FRAMES
 
     bgr_definition.TARGETS = condition.targets or TARGETS
     width, height = SIZE
-    env = SurgEnv(TASK, CELL, condition.setting, (condition.view,), width, height)
+    env = SurgEnv(TASK, CELL, condition.setting, views, width, height)
     model = env.session.world.model
-    camera = model.camera(FRAMES[condition.view])
-    R = matrix(camera.quat)
-    camera.pos[:] += R @ [condition.aside, 0.0, 0.0]
-    camera.quat[:] = product(camera.quat, turned(condition.turn))
+    for view in views:
+        camera = model.camera(FRAMES[view])
+        R = matrix(camera.quat)
+        camera.pos[:] += R @ [condition.aside, 0.0, 0.0]
+        camera.quat[:] = product(camera.quat, turned(condition.turn))
     return env
 
 
@@ -125,14 +142,25 @@ def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.array([w, *v])
 
 
-def watched(env: Any, view: str, seed: int) -> Iterator[np.ndarray]:
-    """Pictures of the expert's episode."""
+def watched(env: Any, views: Sequence[str], seed: int) -> Iterator[dict[str, np.ndarray]]:
+    """Pictures of the expert's episode, by view."""
     seen, _ = env.reset(seed=seed)
     done = False
     while not done:
-        yield seen["images"][view].copy()
+        yield {view: seen["images"][view].copy() for view in views}
         seen, _, terminated, truncated, _ = env.step(env.expert_action())
         done = terminated or truncated
+
+
+def eyes_of(
+    env: Any, condition: Condition, seed: int, shown: Mapping[str, str]
+) -> dict[str, tuple[Filter, str]]:
+    """Filter and view of each picture that a policy reads; both eyes meet the same."""
+    if condition.eye is not None:
+        made = condition.eye
+        return {key: (made(np.random.default_rng(seed)), view) for key, view in shown.items()}
+    kept = list(watched(env, list(shown.values()), seed + OTHER))
+    return {key: (Replayed([each[view] for each in kept]), view) for key, view in shown.items()}
 
 
 Job = tuple[str, int, Path]
@@ -141,24 +169,21 @@ Job = tuple[str, int, Path]
 
 def judge(job: Job) -> Result:
     """One roll-out, in a scene of its own."""
-    from bgr_image_policy import ImagePolicy
-
     from surg_sim.envs.policy_rollouts import roll_out
 
     name, seed, weights = job
     condition = next(each for each in CONDITIONS if each.name == name)
-    env = scene(condition)
+    learned = policy_of(weights)
+    shown = views_of(condition, pictures_of(learned))
+    env = scene(condition, tuple(dict.fromkeys(shown.values())))
     try:
-        rng = np.random.default_rng(seed)
-        if condition.eye is None:
-            eye: Filter = Replayed(list(watched(env, condition.view, seed + OTHER)))
-        else:
-            eye = condition.eye(rng)
-        policy = Through(ImagePolicy.load(weights), eye, condition.view)
+        policy = Through(learned, eyes_of(env, condition, seed, shown))
         if condition.delays is None:
-            done = roll_out(env, policy, seed)
+            done: Any = roll_out(env, policy, seed)
             stopped, refused = "", done.refused
         else:
+            from policy.made_up_clock import Delays, play  # needs the model server's packages
+
             done = play(env, policy, Delays(*condition.delays), seed)
             stopped, refused = done.stopped, sum(done.rejected.values())
     finally:
@@ -194,7 +219,7 @@ def described(name: str, found: list[Result]) -> dict[str, Any]:
     failures = Counter(each.stopped or each.reason for each in found if not each.success)
     return {
         "name": name,
-        **trials.success_rate([each.success for each in found]),
+        **success_rate([each.success for each in found]),
         "refused": sum(each.refused for each in found),
         "stopped": sum(bool(each.stopped) for each in found),
         "rcm_max_mm": 1e3 * max(each.rcm_max for each in found),
@@ -207,7 +232,8 @@ def options_of() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="bench imitation", description=(__doc__ or "").split("\n")[0]
     )
-    parser.add_argument("--weights", type=Path, required=True, help="of learn bgr --cameras")
+    about = "of learn bgr --cameras, or of train_bgr_cloned.py; several are compared"
+    parser.add_argument("--weights", type=Path, nargs="+", required=True, metavar="W", help=about)
     parser.add_argument("--keep", type=Path, required=True, metavar="DIR", help="go on there")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--first", type=int, default=episode_seeds.TEST.start, help="first seed")
@@ -243,23 +269,33 @@ def chosen(words: list[str]) -> list[str]:
     return found
 
 
-def run(jobs: list[Job], book: Book, place: Workplace, play: Callable[[Job], Result]) -> None:
+def run(
+    jobs: list[Job], books: Mapping[Path, Book], place: Workplace, play: Callable[[Job], Result]
+) -> None:
     """Play all, by a function that other processes can import.
 
+    Args:
+        jobs: What to play.
+        books: Where the results go, by weights.
+        place: Where to play.
+        play: Plays one.
+
     Raises:
-        SystemExit: Some have no result; the book holds the others.
+        SystemExit: Some have no result; the books hold the others.
     """
-    started, before, lost = time.monotonic(), len(book.found), list[str]()
+    started, played, lost = time.monotonic(), list[str](), list[str]()
     # On one scheduler a key stands for one roll-out of one policy.
-    by_key = {f"{book.name}-{name}-{seed}": (name, seed, file) for name, seed, file in jobs}
+    by_key = {f"{books[file].name}-{name}-{seed}": (name, seed, file) for name, seed, file in jobs}
     with Progress("bench imitation") as progress:
 
-        def done(_: str, result: Result) -> None:
-            book.add(result)
-            n = len(book.found) - before
+        def done(key: str, result: Result) -> None:
+            file = by_key[key][2]
+            books[file].add(result)
+            played.append(key)
+            n = len(played)
             left = (time.monotonic() - started) / n * (len(jobs) - n)
-            note = f"{result.condition}, seed {result.seed}; {left / 60:.0f} min left"
-            progress.update(n / len(jobs), note)
+            what = f"{file.stem}, {result.condition}, seed {result.seed}"
+            progress.update(n / len(jobs), f"{what}; {left / 60:.0f} min left")
 
         ends = Ends(done, lambda key, why: lost.append(f"{key}: {why}"))
         try:
@@ -270,43 +306,95 @@ def run(jobs: list[Job], book: Book, place: Workplace, play: Callable[[Job], Res
         raise SystemExit(f"bench imitation: no result of {'; '.join(lost)}")
 
 
-def shown(entries: list[dict[str, Any]]) -> list[list[str]]:
-    """Rows of the table."""
-    rows = [["condition", "success", "95 % interval", "refused", "RCM max [mm]"]]
-    for e in entries:
+def rows_of(label: str, conditions: list[dict[str, Any]]) -> list[list[str]]:
+    """Rows of the table, of a policy or a method."""
+    rows = []
+    for e in conditions:
         interval = f"{100 * e['low']:.0f} to {100 * e['high']:.0f} %"
         count, far = f"{e['k']}/{e['n']}", f"{e['rcm_max_mm']:.3f}"
-        rows.append([e["name"], count, interval, str(e["refused"]), far])
+        rows.append([label, e["name"], count, interval, str(e["refused"]), far])
     return rows
+
+
+HEAD = ["policy", "condition", "success", "95 % interval", "refused", "RCM max [mm]"]
+
+
+def told(one: Entrant, book: Book, names: list[str], seeds: range) -> dict[str, Any]:
+    """The entry of a policy."""
+    spent = np.array([book.found[name, seed].act_ms for name in names for seed in seeds])
+    return {
+        "file": one.weights.name,
+        "weights": one.digest,
+        "method": one.method,
+        "seed": one.seed,
+        "pictures": list(one.pictures),
+        "act_ms": {"p50": float(np.median(spent[:, 0])), "p99": float(spent[:, 1].max())},
+        "conditions": [described(n, [book.found[n, seed] for seed in seeds]) for n in names],
+    }
+
+
+def pooled(
+    entrants: list[Entrant], books: Mapping[Path, Book], names: list[str], seeds: range
+) -> list[dict[str, Any]]:
+    """The entries of the methods, over all their policies."""
+    found = []
+    for method in dict.fromkeys(one.method for one in entrants):
+        own = [books[one.weights] for one in entrants if one.method == method]
+        conditions = [
+            described(name, [book.found[name, seed] for book in own for seed in seeds])
+            for name in names
+        ]
+        found.append({"method": method, "policies": len(own), "conditions": conditions})
+    return found
+
+
+def entered(files: Sequence[Path]) -> list[Entrant]:
+    """What is compared.
+
+    Raises:
+        OSError: A file cannot be read.
+        ValueError: It holds no weights that fit, or two hold the same.
+    """
+    known: dict[str, Entrant] = {}
+    for file in files:
+        one = entrant(file.absolute())
+        if one.digest in known:
+            raise ValueError(f"{file} holds the weights of {known[one.digest].weights}")
+        known[one.digest] = one
+    return list(known.values())
 
 
 def main() -> int:
     """Entry point."""
-    from bgr_image_policy import ImagePolicy
-
     options = options_of()
     started, before = time.monotonic(), os.getloadavg()[0]
     try:
-        digest, names = ImagePolicy.load(options.weights).hash, chosen(options.only)
+        names, entrants = chosen(options.only), entered(options.weights)
     except (OSError, ValueError) as error:
         raise SystemExit(f"bench imitation: {error}") from None
     seeds = range(options.first, options.first + options.rollouts)
-    book = Book(options.keep, digest)
-    # Seed by seed: what is stopped early has all conditions alike.
-    wanted = [(name, seed) for seed in seeds for name in names]
-    missing = [(*each, options.weights.absolute()) for each in wanted if each not in book.found]
-    run(missing, book, replace(options.executor, workers=options.jobs), judge)
-    entries = [described(name, [book.found[name, seed] for seed in seeds]) for name in names]
-    say(table(shown(entries)))
-    spent = np.array([book.found[each].act_ms for each in wanted])
-    act_ms = {"p50": float(np.median(spent[:, 0])), "p99": float(spent[:, 1].max())}
-    say(f"CPU time of an answer: {act_ms['p50']:.1f} ms, largest p99 {act_ms['p99']:.1f} ms")
+    books = {one.weights: Book(options.keep, one.digest) for one in entrants}
+    # Seed by seed: what is stopped early has all conditions and all policies alike.
+    wanted = [(name, seed, file) for seed in seeds for name in names for file in books]
+    missing = [(name, seed, f) for name, seed, f in wanted if (name, seed) not in books[f].found]
+    run(missing, books, replace(options.executor, workers=options.jobs), judge)
+    policies = [told(one, books[one.weights], names, seeds) for one in entrants]
+    methods = pooled(entrants, books, names, seeds)
+    rows = [HEAD]
+    for one, entry in zip(entrants, policies, strict=True):
+        rows += rows_of(one.label, entry["conditions"])
+    for entry in methods:
+        if entry["policies"] > 1:
+            rows += rows_of(f"{entry['method']}, all {entry['policies']}", entry["conditions"])
+    say(table(rows))
+    for one, entry in zip(entrants, policies, strict=True):
+        spent = entry["act_ms"]
+        say(f"{one.label}: CPU time of an answer {spent['p50']:.1f} ms, p99 {spent['p99']:.1f} ms")
     result = {
-        "format": "surg_bench_imitation/1",
-        "weights": digest,
+        "format": "surg_bench_imitation/2",
         "seeds": [seeds.start, seeds.stop],
-        "conditions": entries,
-        "act_ms": act_ms,
+        "policies": policies,
+        "methods": methods,
         "wall_s": round(time.monotonic() - started, 1),
         "machine": this_machine(before),
     }
@@ -314,7 +402,8 @@ def main() -> int:
         options.json.write_text(json.dumps(result, indent=1) + "\n", "utf-8")
         say(str(options.json))
     blind = {each.name for each in CONDITIONS if each.blind}
-    return 1 if any(e["name"] in blind and e["k"] / e["n"] > MOST_BLIND for e in entries) else 0
+    shown = [e for entry in policies for e in entry["conditions"] if e["name"] in blind]
+    return 1 if any(e["k"] / e["n"] > MOST_BLIND for e in shown) else 0
 
 
 if __name__ == "__main__":

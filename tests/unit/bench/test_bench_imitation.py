@@ -16,7 +16,7 @@ sys.path.insert(0, str(paths.ROOT / "benchmarks"))
 import bench_imitation
 from policy import made_up_clock, sights
 
-LEFT = "observation.images.endoscope.left"
+LEFT, RIGHT = (f"observation.images.endoscope.{side}" for side in ("left", "right"))
 PICTURE = np.random.default_rng(0).integers(20, 230, (48, 64, 3), np.uint8)
 
 
@@ -68,8 +68,8 @@ def test_the_right_eye_is_shown_as_the_left_one() -> None:
     left, right = pictures(2)
     shown: list[np.ndarray] = []
     policy = SimpleNamespace(acknowledged=None, act=lambda seen: shown.append(seen[LEFT]))
-    through = bench_imitation.Through(policy, lambda picture: picture, "right")
-    through.act({LEFT: left, "observation.images.endoscope.right": right})
+    through = bench_imitation.Through(policy, {LEFT: (lambda picture: picture, "right")})
+    through.act({LEFT: left, RIGHT: right})
     np.testing.assert_array_equal(shown, [right])
 
 
@@ -129,10 +129,6 @@ def test_late_answers_and_old_pictures_are_taken_up(answer: float, picture: floa
 def test_a_wrong_word_names_the_conditions(monkeypatch: pytest.MonkeyPatch) -> None:
     words = ["bench", "--weights", "w.npz", "--keep", "k", "--only", "no such"]
     monkeypatch.setattr(sys, "argv", words)
-    from bgr_image_policy import ImagePolicy
-
-    loaded = SimpleNamespace(hash="0" * 64)
-    monkeypatch.setattr(ImagePolicy, "load", lambda file: loaded)
     with pytest.raises(SystemExit, match="as trained; first picture frozen"):
         bench_imitation.main()
 

@@ -75,7 +75,8 @@ def test_a_worker_that_dies_in_a_rollout_costs_nothing_but_time(
     jobs, killed = jobs_in(tmp_path / "begun"), list[int]()
     book = Book(tmp_path / "kept", "f" * 64)
     watcher = kill_soon(tmp_path / "begun", 1, killed)
-    bench_imitation.run(jobs, book, Workplace(executor, 2), short_rollouts.play)
+    books = {tmp_path / "begun": book}
+    bench_imitation.run(jobs, books, Workplace(executor, 2), short_rollouts.play)
     watcher.join()
     assert killed and killed[0] != os.getpid()
     assert (tmp_path / "begun" / "1.1").exists(), "the killed roll-out was played again"
@@ -96,7 +97,8 @@ def test_a_cluster_of_others_is_used_and_left_running(
     ) as cluster:
         place = bench_imitation.workplace(f"dask:{cluster.scheduler_address}")
         book = Book(tmp_path / "kept", "f" * 64)
-        bench_imitation.run(jobs_in(tmp_path / "begun"), book, place, short_rollouts.play)
+        books = {tmp_path / "begun": book}
+        bench_imitation.run(jobs_in(tmp_path / "begun"), books, place, short_rollouts.play)
         assert book.found == expected
         with distributed.Client(cluster) as client:
             workers = set(client.run(os.getpid).values())
