@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -17,8 +19,9 @@ from helpers.recording.rollouts_synthetic import entry, rollout
 from surg_cli.commands import learn
 from surg_cli.host import provision
 from surg_cli.host.terminal import Problem
-from surg_cli.learning import learn_stages, recipes, rollouts
+from surg_cli.learning import learn_stages, recipes, rollouts, without_ros
 
+ROS = {"rospy", "rosgraph", "genpy", "surg_ros", "surg_msgs", "crtk_msgs", "std_msgs"}
 TRAINED = {
     "weights": "c0ffee" * 8,
     "words": "chunks of 16",
@@ -314,3 +317,54 @@ __version__ = "0.0"
 version = SimpleNamespace(cuda="12.0")
 cuda = SimpleNamespace(is_available=lambda: False)
 """
+
+
+def test_learn_goes_on_where_a_machine_without_ros_ended(tmp_path: Path, done: list[str]) -> None:
+    words = ("bgr", "--episodes", "8", "--rollouts", "1", "--out", str(tmp_path / "run"))
+    assert without_ros.main(words) == 0
+    assert done == ["demonstrate", "measure", "export", "train"] and not FakePlayer.played
+    assert without_ros.main(words) == 0 and len(done) == 4
+    assert learn.main(options(*words), "learn") == 0
+    assert len(done) == 4 and FakePlayer.played == [20_000]
+
+
+def test_both_views_are_recorded_and_make_no_other_run(
+    tmp_path: Path, done: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorded: list[Any] = []
+
+    def demonstrate(request: Any, cell: Path, out: Path, more_views: Any = ()) -> dict[str, Any]:
+        recorded.append(set(more_views))
+        return {"success": request.episodes, "failed": {}}
+
+    monkeypatch.setattr(learn_stages, "demonstrate", demonstrate)
+    monkeypatch.setattr(provision, "install_packages", lambda *_, **__: None)
+    words = ("bgr", "--cameras", "--rollouts", "1", "--out", str(tmp_path / "run"))
+    assert without_ros.main((*words, "--both-views")) == 0
+    assert recorded == [{"left", "right"}]
+    assert learn.main(options(*words), "learn") == 0 and len(recorded) == 1
+
+
+def test_both_views_without_cameras_are_refused(
+    tmp_path: Path, done: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert without_ros.main(("bgr", "--both-views", "--out", str(tmp_path / "run"))) == 2
+    assert "--cameras" in capsys.readouterr().err and not done and not (tmp_path / "run").exists()
+
+
+def test_the_stages_before_the_roll_outs_need_no_ros() -> None:
+    hide = f"""
+import sys
+class NoRos:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {ROS!r}:
+            raise ImportError(f"{{name}} is not there")
+sys.meta_path.insert(0, NoRos())
+import surg_recording.datasets.lerobot_v21, surg_recording.reports.learning
+import surg_sim.envs.demonstrations
+from surg_cli.learning import without_ros
+without_ros.main(["--help"])
+"""
+    run = subprocess.run([sys.executable, "-c", hide], capture_output=True, text=True, timeout=60)
+    assert run.returncode == 0, run.stderr
+    assert "--both-views" in run.stdout

@@ -13,6 +13,7 @@ from surg_cli.host import cells, paths, preflight, provision
 from surg_cli.host.terminal import Problem, say, table, warn
 from surg_cli.learning import learn_stages, rollouts
 from surg_cli.learning.recipes import (
+    BUILT_IN,
     CAMERA_RECIPES,
     DEVICES,
     LEARNERS,
@@ -44,25 +45,32 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         action="store_true",
         help="a policy that observes camera images and joint states, not the simulator's truth",
     )
+    add(
+        "--looks",
+        nargs="?",
+        const=BUILT_IN,
+        default="",
+        metavar="FILE",
+        help="demonstrations draw light, tissue and lens, from built-in ranges or those of a file",
+    )
     add("--device", choices=DEVICES, default="auto", help="where it trains (default: a GPU if any)")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Do all stages; the last line printed is the path of summary.json."""
-    request = _check(options)
+    request = check(options)
     if request.recipe.packages:
         provision.install_packages(
             paths.STATE / "logs" / "apt.log", optional=request.recipe.packages
         )
     learn_stages.check_device(request)
-    out = _folder(options.out, request)
+    out = folder_of(options.out, request)
     say(
         f"learn: {request.task}{', from camera images' if request.cameras else ''}, "
         f"{request.setting}, {request.episodes} demonstrations, {request.rollouts} roll-outs "
         f"-> {out}"
     )
-    shown = out.relative_to(Path.cwd()) if out.is_relative_to(Path.cwd()) else out
-    ledger = Ledger(out / "stages.json", f"{_command_line(request)} --out {shown}")
+    ledger = Ledger(out / "stages.json", command_line(request, out))
     summary = _learn(request, ledger, out)
     _print_summary(summary)
     say(str(out / "report.html"))
@@ -77,18 +85,8 @@ def _learn(request: Request, ledger: Ledger, out: Path) -> dict[str, Any]:
     cell = episode_plans.find_cell(request.robot)
     loaded = cells.load(cell)
     recipe = request.recipe
-    demos = ledger.stage(
-        "demonstrations",
-        request.demonstrations,
-        lambda: learn_stages.demonstrate(request, cell, out),
-    )
-    compared = ledger.stage("smoothness", {}, lambda: learn_stages.measure(request, out))
-    ledger.stage("dataset", {}, lambda: learn_stages.export(out))
-    trained = ledger.stage(
-        "training",
-        {"seed": request.seed, "by": recipe.digests, "device": request.device},
-        lambda: learn_stages.train(request, out),
-    )
+    done = learn_stages.prepare(request, ledger, cell, out)
+    trained, compared = done["training"], done["smoothness"]
     player = rollouts.Player(
         request.task,
         cell,
@@ -107,7 +105,7 @@ def _learn(request: Request, ledger: Ledger, out: Path) -> dict[str, Any]:
         lambda: learn_stages.roll_out(player, request.rollouts, folder),
         complete=lambda entries: all(e["rollout"]["played"] for e in entries),
     )
-    info = _info(request, player, demos, trained, ledger)
+    info = _info(request, player, done["demonstrations"], trained, ledger)
     least = recipe.least(request.rollouts)
     summary = learning.summarise([e["rollout"] for e in entries], compared, info, least)
     episode_film.for_report(sorted(folder.glob("*/episode")), cell, out)
@@ -145,7 +143,7 @@ def _info(
 # --- input --------------------------------------------------------------------------------------
 
 
-def _check(options: argparse.Namespace) -> Request:
+def check(options: argparse.Namespace) -> Request:
     """Check all options before anything starts."""
     from surg_sim.tasks import episode_seeds
 
@@ -165,7 +163,7 @@ def _check(options: argparse.Namespace) -> Request:
         raise Problem(f"--seed {options.seed}: 0 to {2**31 - 1} is allowed", 2)
     if len(episode_plans.parse_settings(options.setting)) > 1:
         raise Problem(f"--setting {options.setting}: learn takes one setting", 2)
-    return Request(
+    request = Request(
         options.task,
         options.setting,
         options.robot,
@@ -174,10 +172,23 @@ def _check(options: argparse.Namespace) -> Request:
         options.rollouts,
         options.cameras,
         options.device,
+        looks_of(options.looks),
     )
+    if request.looks and not request.cameras:
+        raise Problem("--looks: without --cameras no picture is recorded", 2)
+    try:
+        _ = request.look_ranges
+    except ValueError as problem:
+        raise Problem(f"--looks: {problem}", 2) from problem
+    return request
 
 
-def _folder(wanted: Path | None, request: Request) -> Path:
+def looks_of(given: str) -> str:
+    """As a request holds it: a file by its whole path."""
+    return given if given in ("", BUILT_IN) else str(Path(given).absolute())
+
+
+def folder_of(wanted: Path | None, request: Request) -> Path:
     """The folder of the run: a new one, or that of a run with the same options."""
     if wanted is not None and (wanted / "wanted.json").is_file():
         try:
@@ -185,7 +196,7 @@ def _folder(wanted: Path | None, request: Request) -> Path:
         except ValueError as error:
             raise Problem(f"--out {wanted}: wanted.json is not valid JSON ({error})", 2) from error
         now = asdict(request)
-        before = {"cameras": False, "device": "auto", **before}
+        before = {"cameras": False, "device": "auto", "looks": "", **before}
         # The same demonstrations serve other numbers of roll-outs and other trainings.
         fixed = [name for name in now if name not in ("rollouts", "seed", "device")]
         other = [f"--{n} {before.get(n)}" for n in fixed if before.get(n) != now[n]]
@@ -203,13 +214,17 @@ def _folder(wanted: Path | None, request: Request) -> Path:
     return out
 
 
-def _command_line(request: Request) -> str:
-    """The command line that makes the same request."""
+def command_line(request: Request, out: Path) -> str:
+    """The command line that goes on with the same request."""
     given = asdict(request)
-    words = [f"--{n} {v}" for n, v in given.items() if n not in ("task", "cameras", "device")]
+    words = [
+        f"--{n} {v}" for n, v in given.items() if n not in ("task", "cameras", "device", "looks")
+    ]
     words += ["--cameras"] if request.cameras else []
+    words += {"": [], BUILT_IN: ["--looks"]}.get(request.looks, [f"--looks {request.looks}"])
     words += [f"--device {request.device}"] if request.device != "auto" else []
-    return " ".join(["./surg learn", request.task, *words])
+    shown = out.relative_to(Path.cwd()) if out.is_relative_to(Path.cwd()) else out
+    return " ".join(["./surg learn", request.task, *words, f"--out {shown}"])
 
 
 # --- results ------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -15,12 +15,39 @@ from typing import Any
 from surg_cli.host.terminal import Problem, Progress, say
 from surg_cli.learning.recipes import LEARNERS, PUSH_M, Request
 from surg_cli.learning.rollouts import Player
+from surg_cli.learning.stage_ledger import Ledger
 
 COMPARED = 20
 """Demonstrations whose smoothness is in the report, at most."""
 
 
-def demonstrate(request: Request, cell: Path, out: Path) -> dict[str, Any]:
+def prepare(
+    request: Request, ledger: Ledger, cell: Path, out: Path, more_views: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Do the stages before the roll-outs; returns the result of each by name. They need no ROS.
+
+    ``more_views`` of the endoscope are recorded beside those of the recipe, which alone are
+    trained with: they make no other run of it.
+    """
+    return {
+        "demonstrations": ledger.stage(
+            "demonstrations",
+            request.demonstrations,
+            lambda: demonstrate(request, cell, out, more_views),
+        ),
+        "smoothness": ledger.stage("smoothness", {}, lambda: measure(request, out)),
+        "dataset": ledger.stage("dataset", {}, lambda: export(out)),
+        "training": ledger.stage(
+            "training",
+            {"seed": request.seed, "by": request.recipe.digests, "device": request.device},
+            lambda: train(request, out),
+        ),
+    }
+
+
+def demonstrate(
+    request: Request, cell: Path, out: Path, more_views: Sequence[str] = ()
+) -> dict[str, Any]:
     """Play demonstrations by the scripted expert, in processes of their own, without ROS."""
     from surg_recording.episode import episode_reader
     from surg_recording.episode.verdicts import verdict
@@ -33,9 +60,10 @@ def demonstrate(request: Request, cell: Path, out: Path) -> dict[str, Any]:
         cell,
         request.task,
         request.setting,
-        request.recipe.cameras,
+        tuple(dict.fromkeys((*request.recipe.cameras, *more_views))),
         shake=PUSH_M,
         clumsiness=request.recipe.clumsiness,
+        looks=request.look_ranges,
     )
     chosen = episode_seeds.training_seeds(request.episodes)
     before = sum(plan.done(seed) for seed in chosen)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 from surg_cli.host import paths
+
+if TYPE_CHECKING:
+    from surg_sim.looks.look_randomisation import LookRandomisation
 
 LEARNERS = paths.ROOT / "examples" / "bgr"
 CLUMSINESS = 5.0
@@ -70,6 +73,8 @@ CAMERA_RECIPES = {
 """By task: policies that observe camera images, with ``--cameras``."""
 
 DEVICES = ("auto", "cpu", "cuda")
+BUILT_IN = "built-in"
+"""The ranges of looks that need no file."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +89,7 @@ class Request:
     rollouts: int
     cameras: bool = False
     device: str = "auto"  # where it is trained
+    looks: str = ""  # file of the demonstrations' ranges of looks, or BUILT_IN; empty: none
 
     @property
     def recipe(self) -> Recipe:
@@ -91,10 +97,36 @@ class Request:
         return (CAMERA_RECIPES if self.cameras else STATE_RECIPES)[self.task]
 
     @property
+    def look_ranges(self) -> LookRandomisation | None:
+        """From which each demonstration draws how its pictures look; None: as built.
+
+        Raises:
+            ConfigError: The file is missing or invalid.
+            ValueError: The camera would move; labels are computed for the stated one.
+        """
+        from surg_sim.looks.look_randomisation import LookRandomisation
+
+        if not self.looks:
+            return None
+        still = {"camera_shift_mm": (0.0, 0.0), "camera_turn_deg": (0.0, 0.0)}
+        if self.looks == BUILT_IN:
+            return replace(LookRandomisation(), **still)
+        ranges = LookRandomisation.read(self.looks)
+        for name in still:
+            if getattr(ranges, name) != (0.0, 0.0):
+                raise ValueError(
+                    f"{self.looks}: {name}: the trainer's labels are of the stated camera; leave "
+                    "it out: in training each picture is shifted, turned and scaled with its labels"
+                )
+        return ranges
+
+    @property
     def demonstrations(self) -> dict[str, Any]:
         """What the demonstrations depend on."""
         recipe = self.recipe
         views = {"cameras": recipe.cameras, "clumsiness": recipe.clumsiness} if self.cameras else {}
         fixed = {"rollouts": 0, "seed": 0, "shake": PUSH_M}
-        asked = {k: v for k, v in asdict(self).items() if k not in ("cameras", "device")}
-        return {**asked, **fixed, **views}
+        asked = {k: v for k, v in asdict(self).items() if k not in ("cameras", "device", "looks")}
+        ranges = self.look_ranges
+        looks = {} if ranges is None else {"looks": asdict(ranges)}
+        return {**asked, **fixed, **views, **looks}
