@@ -68,7 +68,7 @@ class Answer:
     spread: Any = None
 
 
-class Block(nn.Module):  # type: ignore[misc]
+class Block(nn.Module):
     """Two convolutions beside a shortcut (He et al. 2016), normalised over groups of channels."""
 
     def __init__(self, before: int, after: int, stride: int) -> None:
@@ -84,7 +84,7 @@ class Block(nn.Module):  # type: ignore[misc]
         return torch.relu(self.short(x) + self.norms[1](self.second(y)))
 
 
-class Encoder(nn.Module):  # type: ignore[misc]
+class Encoder(nn.Module):
     """Places and a coarse map of a picture.
 
     A spatial softmax turns heat maps into places finer than a cell (Levine et al. 2016).
@@ -109,18 +109,29 @@ class Encoder(nn.Module):  # type: ignore[misc]
         Returns:
             The map as tokens (B, 225, 4 * width); places and the map's mean, (B, features).
         """
-        fine = self.fine(self.stem(x))
-        share = self.heat(fine).float().flatten(2).softmax(dim=2)
-        where = share @ grid(fine.shape[2], fine.device)
-        tokens = self.coarse(fine).flatten(2).transpose(1, 2)
-        return tokens, torch.cat([where.flatten(1), tokens.float().mean(dim=1)], dim=1)
+        # Half the numbers' length, on a GPU in training; places need the whole.
+        fast = x.is_cuda and self.training
+        with torch.autocast(x.device.type, torch.bfloat16, enabled=fast):
+            fine = self.fine(self.stem(x))
+            coarse = self.coarse(fine)
+        tokens = coarse.float().flatten(2).transpose(1, 2)
+        where = middles(self.heat(fine.float()))
+        return tokens, torch.cat([where, tokens.mean(dim=1)], dim=1)
 
 
-def grid(side: int, device: Any) -> Any:
-    """Coordinates of a map's cells, -1 to 1, (side * side, 2): down, right."""
-    line = torch.linspace(-1, 1, side, device=device)
-    down, right = torch.meshgrid(line, line, indexing="ij")
-    return torch.stack([down.flatten(), right.flatten()], dim=1)
+def middles(maps: Any) -> Any:
+    """Mean place of each map after a softmax over its cells, down then right, -1 to 1.
+
+    Args:
+        maps: (B, P, n, n).
+
+    Returns:
+        (B, 2 * P)
+    """
+    share = maps.flatten(2).softmax(dim=2).reshape(maps.shape)
+    line = torch.linspace(-1, 1, maps.shape[2], device=maps.device)
+    down, right = ((share.sum(dim=axis) * line).sum(dim=2) for axis in (3, 2))
+    return torch.cat([down, right], dim=1)
 
 
 def waves(side: int, size: int) -> Any:
@@ -143,7 +154,7 @@ def perceptron(*sizes: int) -> Any:
     return nn.Sequential(*layers[:-1])
 
 
-class Bc(nn.Module):  # type: ignore[misc]
+class Bc(nn.Module):
     """Plain behaviour cloning: what the encoder sees and the numbers, to the chunk."""
 
     def __init__(self, sizes: Sizes) -> None:
@@ -167,7 +178,7 @@ def coder(sizes: Sizes) -> Any:
     return nn.TransformerEncoder(layer, sizes.layers, enable_nested_tensor=False)
 
 
-class Act(nn.Module):  # type: ignore[misc]
+class Act(nn.Module):
     """Action chunking with transformers, smaller than the paper's; `moe_act` by its sizes."""
 
     def __init__(self, sizes: Sizes) -> None:
@@ -232,7 +243,7 @@ class Act(nn.Module):  # type: ignore[misc]
         return mean + (0.5 * log).exp() * torch.randn_like(mean), spread
 
 
-class Experts(nn.Module):  # type: ignore[misc]
+class Experts(nn.Module):
     """An expert for each phase, a perceptron from the decoder's tokens to actions, and a gate."""
 
     def __init__(self, sizes: Sizes) -> None:

@@ -24,7 +24,7 @@ from helpers.policy.bgr_cloned import (  # noqa: E402
     train_bgr_cache,
     train_bgr_cloned,
 )
-from helpers.policy.bgr_pictures import train_bgr_looks  # noqa: E402
+from helpers.policy.bgr_pictures import bgr_eye, train_bgr_looks  # noqa: E402
 from helpers.policy.bgr_synthetic import STATE, bgr_policy  # noqa: E402
 
 SMALL = {
@@ -102,6 +102,16 @@ def test_the_gate_learns_the_phases_and_nothing_else_has_one(policy: Policy) -> 
         assert policy.about["labels"] == [train_bgr_cache.PHASE]
     else:
         assert said is None and policy.about["labels"] == []
+
+
+def test_a_spot_of_a_heat_map_is_found_where_it_is() -> None:
+    """Between two cells, as the eye of the image policy counts: down, right, -1 to 1."""
+    maps = torch.full((1, 2, 30, 30), -30.0)
+    maps[0, 0, 7, 21] = maps[0, 0, 8, 21] = maps[0, 1, 29, 0] = 0.0
+    found = bgr_networks.middles(maps)[0].tolist()
+    cells = bgr_eye.grid(30).reshape(30, 30, 2)
+    between = 0.5 * (cells[7, 21] + cells[8, 21])
+    np.testing.assert_allclose(found, [between[0], 1.0, between[1], -1.0], atol=1e-5)
 
 
 def test_each_expert_says_the_actions_of_its_own_phase() -> None:
