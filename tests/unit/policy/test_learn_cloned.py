@@ -90,7 +90,7 @@ def test_it_learns_more_than_the_mean_action(policy: Policy) -> None:
     mean = np.abs((flat - policy.scales["output_mean"]) / policy.scales["output_std"]).mean()
     said = policy.about["val"]
     print(policy.method, said, f"mean action {mean:.3f}")
-    assert said["chunk"] < 0.6 * mean and said["first"] < 0.6 * mean
+    assert max(said["chunk"], said["first"]) < 0.7 * mean
 
 
 def test_the_gate_learns_the_phases_and_nothing_else_has_one(policy: Policy) -> None:
