@@ -33,7 +33,15 @@ SMALL = {
 }  # fmt: skip
 CALM = train_bgr_looks.Looks(0.05, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 OPTIONS = train_bgr_cloned.Options(
-    chunk=6, steps=150, batch=16, rate=3e-3, warm=10, device="cpu", sizes=SMALL, looks=CALM
+    chunk=6,
+    steps=150,
+    batch=16,
+    rate=3e-3,
+    warm=10,
+    noise=0.1,
+    device="cpu",
+    sizes=SMALL,
+    looks=CALM,
 )
 FEW = made.recorded(8, 3)
 Policy = bgr_cloned_policy.ClonedPolicy
