@@ -38,7 +38,7 @@ FACTS = {
     "arm": "PSM1",
     "views": ["left", "right"],
     "leads": True,
-    "beside": ["marks", "scene"],
+    "beside": ["marks", "plan", "scene"],
     "limits": LIMITS,
 }
 

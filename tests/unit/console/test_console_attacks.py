@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
-import sys
 import time
-from collections.abc import AsyncIterator, Coroutine
-from pathlib import Path
+from collections.abc import Coroutine
 from typing import Any
 
 import aiohttp
 import pytest
 
-import helpers.teleop.console_attack as program
 from helpers.teleop.console import Console, console
+from helpers.teleop.console_attack import attack
 from helpers.teleop.console_page import page, when
 from surg_teleop.console.session.console_orders import Present
 from surg_teleop.console.web.connection_limits import (
@@ -33,27 +30,6 @@ CONNECT_WITHIN = 2.0
 
 def run(test: Coroutine[Any, Any, None]) -> None:
     asyncio.run(asyncio.wait_for(test, 60.0))
-
-
-@contextlib.asynccontextmanager
-async def attack(port: int, seconds: float, **waves: int) -> AsyncIterator[None]:
-    """The attack of `console_attack`, in a process of its own and at a lower priority."""
-    words = [str(word) for kind, n in waves.items() for word in (kind.replace("_", "-"), n)]
-    path = str(Path(program.__file__))
-    process = await asyncio.create_subprocess_exec(
-        sys.executable,
-        *("-s", path, str(port), str(seconds), *words),
-        stderr=asyncio.subprocess.DEVNULL,
-        preexec_fn=lambda: os.nice(5),
-    )
-    try:
-        await asyncio.sleep(1.0)
-        yield
-        assert process.returncode is None, "the attack ended early"
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            process.kill()
-        await process.wait()
 
 
 async def open_a_page(made: Console) -> float:

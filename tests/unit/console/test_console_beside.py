@@ -35,7 +35,7 @@ async def socket_of(made: Console, http: aiohttp.ClientSession, what: str) -> An
     return socket
 
 
-@pytest.mark.parametrize("what", ["marks", "scene", "feel"])
+@pytest.mark.parametrize("what", ["marks", "plan", "scene", "feel"])
 def test_nothing_is_collected_until_a_page_asks_and_nothing_comes_in(what: str) -> None:
     async def test() -> None:
         async with console(pictures=False) as made, aiohttp.ClientSession() as http:

@@ -1,4 +1,4 @@
-"""Topics of what a page shows over or beside the picture: marks, and the arms in the room."""
+"""Topics of what a page shows over or beside the picture: marks, a plan, the arms in the room."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import surg_core
 from surg_core.transforms import FloatArray
 from surg_msgs.msg import PictureMarks
 from surg_ros.transport.polled_subscriber import PolledSubscriber
+from surg_teleop.console.ros.plan_topics_node import PlanTopics
 from surg_teleop.console.session.scene_view import SceneView
 
 MARKS = "/endoscope/marks"
@@ -27,7 +28,7 @@ class BesideTopics:
     """See `beside_socket.Source`. Subscribes to nothing until a page asks."""
 
     def __init__(self, cell: surg_core.Cell) -> None:
-        self._scene = SceneView(cell)
+        self._scene, self._plan = SceneView(cell), PlanTopics(cell)
         self._lock = threading.Lock()
         self._marks = ""
         self._marks_topic: rospy.Subscriber | None = None
@@ -38,6 +39,8 @@ class BesideTopics:
         """Subscribe, or stop."""
         if what == "marks":
             self._watch_marks(wanted)
+        elif what == "plan":
+            self._plan.watch(wanted)
         elif wanted:
             topics = {name: f"/{name}/robot/measured_js" for name in self._scene.joints}
             self._joints = {n: PolledSubscriber(t, JointState) for n, t in topics.items()}
@@ -62,6 +65,8 @@ class BesideTopics:
         """The newest as JSON; empty: there is none."""
         if what == "scene":
             return self._scene_now()
+        if what == "plan":
+            return self._plan.newest()
         with self._lock:
             return self._marks
 

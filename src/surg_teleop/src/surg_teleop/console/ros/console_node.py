@@ -95,7 +95,8 @@ class Settings:
     def beside(self) -> list[str]:
         """What the page can show over and beside the picture."""
         held = any(arm.instrument.camera is not None for arm in self.cell.arms.values())
-        return [*(["marks"] if held and self.views else []), "scene"]
+        over = (["marks"] if held else []) + ["plan"]
+        return [*(over if self.views else []), "scene"]
 
     @property
     def limits(self) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""What a page may show beside or over the picture: the sockets /marks, /scene and /feel.
+"""What a page may show beside or over the picture: the sockets /marks, /plan, /scene and /feel.
 
 They are no sockets of the session: values go out while a page shows them, and nothing comes in.
 Nobody computes them while none is open.
@@ -13,7 +13,7 @@ from typing import Protocol
 
 from aiohttp import web
 
-PERIODS = {"marks": 0.01, "scene": 0.1, "feel": 0.02}
+PERIODS = {"marks": 0.01, "plan": 0.05, "scene": 0.1, "feel": 0.02}
 """[s] at which news are looked for."""
 
 
@@ -21,7 +21,7 @@ class Source(Protocol):
     """What the sockets need of the running system."""
 
     def watch(self, what: str, wanted: bool) -> None:
-        """Begin to collect `marks`, `scene` or `feel`, or stop."""
+        """Begin to collect `marks`, `plan`, `scene` or `feel`, or stop."""
 
     def beside(self, what: str) -> str:
         """The newest of them as JSON; empty: there is none."""

@@ -1,8 +1,8 @@
 """The console's web server: page, control socket and picture socket. No ROS.
 
 ``/`` and ``/page/…`` serve the page, ``/control`` its input and status, ``/pictures`` the
-endoscope's pictures. ``/marks`` and ``/scene`` are what is shown over and beside them, ``/feel`` is
-what is heard and rumbles. ``/calibrate`` is the page that collects calibration views,
+endoscope's pictures. ``/marks``, ``/plan`` and ``/scene`` are what is shown over and beside them,
+``/feel`` is what is heard and rumbles. ``/calibrate`` is the page that collects calibration views,
 ``/calibration`` its socket. ``/monitor`` shows the pictures on a 3D monitor, ``/status`` is its
 socket: status out, Stop in. The pages are public; all sockets demand the token in a first
 `hello`.

@@ -24,7 +24,7 @@ const MOTION_KEYS = {
 const HELD_KEYS = { Space: "clutch", KeyC: "camera" };
 const PRESSED_KEYS = {
   Enter: "enable", Escape: "stop", KeyV: "record", KeyP: "policy", KeyM: "hand", KeyT: "take", KeyH: "put_back",
-  KeyB: "eyes", KeyZ: "size", KeyJ: "side", KeyN: "marks", KeyO: "scene", KeyY: "feel", Slash: "help",
+  KeyB: "eyes", KeyZ: "size", KeyJ: "side", KeyN: "marks", KeyI: "plan", KeyO: "scene", KeyY: "feel", Slash: "help",
   Minus: "less_scale", Equal: "more_scale", BracketLeft: "slower", BracketRight: "faster",
 };
 

@@ -2,6 +2,7 @@
 
 import { Feel } from "./beside/feel.js";
 import { Marks } from "./beside/marks.js";
+import { Plan } from "./beside/plan.js";
 import { Scene } from "./beside/scene.js";
 import { Hand } from "./hand.js";
 import { Link, clock, socketUrl, token, wallUs } from "./link.js";
@@ -42,6 +43,7 @@ const MORE_KEYS = [
   [["B"], "left eye, side by side"],
   [["Z"], "size of the pictures"],
   [["N"], "marks of the instruments"],
+  [["I"], "what the policy plans and sees"],
   [["O"], "the arms in the room"],
   [["Y"], "force at the tip as a tone and a rumble"],
   [["T"], "take control"],
@@ -70,13 +72,14 @@ globalThis.surgConsole = { picture, link, hand, status: () => status };
 
 // What a page shows over or beside the picture; off until somebody asks, and then closed again.
 const marks = new Marks(element("marks"), toast);
+const plan = new Plan(element("plan"), element("plan-note"));
 const scene = new Scene(element("room"), (text) => write(element("scene-note"), text));
 const feel = new Feel(
   () => hand.gamepad(),
   () => status?.phase === "driving" && mine(),
   () => softLimit,
 );
-Object.assign(globalThis.surgConsole, { marks, scene, feel });
+Object.assign(globalThis.surgConsole, { marks, plan, scene, feel });
 
 // --- messages of the console ---
 
@@ -84,7 +87,10 @@ function onMessage(message) {
   if (message.say === "welcome") {
     view = new View(message);
     softLimit = message.limits.tip_force_soft;
-    for (const button of element("beside").children) button.hidden = !message.beside?.includes(button.dataset.beside);
+    for (const button of element("beside").children) {
+      // That of a plan is there while a model server is.
+      if (button.dataset.beside !== "plan") button.hidden = !message.beside?.includes(button.dataset.beside);
+    }
   }
   else if (message.say === "status" && view) onStatus(message);
   else if (message.say === "episodes" && view) view.episodes(message.episodes);
@@ -149,6 +155,7 @@ const OWN = {
   eyes: () => !element("eyes").hidden && watch({ stereo: !pictures.stereo }),
   size: () => watch({ half: !pictures.half }),
   marks: () => turnBeside("marks"),
+  plan: () => turnBeside("plan"),
   scene: () => turnBeside("scene"),
   feel: () => {
     const on = element("feel").getAttribute("aria-pressed") !== "true";
@@ -183,6 +190,7 @@ function turnBeside(what) {
   const on = button.getAttribute("aria-pressed") !== "true";
   sink(button, on);
   if (what === "marks") marks.turn(on);
+  else if (what === "plan") plan.turn(on);
   else {
     element("scene").hidden = !on;
     mark(document.body, "scene", on ? "on" : "off");
@@ -326,6 +334,7 @@ worker.onmessage = ({ data }) => {
   picture.exposedUs = data.exposedUs;
   picture.drawn.push(data);
   marks.shown(data);
+  plan.shown(data);
   if (picture.drawn.length > KEPT_PICTURES) picture.drawn.splice(0, KEPT_PICTURES / 4);
 };
 

@@ -116,6 +116,7 @@ export class View {
     this.trend = new Trend("trend", limits.rcm_error_warn / 20);
     this.page = facts.page;
     this.leads = facts.leads;
+    this.plans = facts.beside?.includes("plan"); // there is a picture to show a policy's plan in
     this.largest = null; // deviation since it was shown last
   }
 
@@ -176,6 +177,7 @@ export class View {
     set(policy, "hidden", !status.policy.state);
     sink(policy, status.policy.on);
     set(policy, "title", status.policy.sentence);
+    set(document.querySelector("[data-beside=plan]"), "hidden", !status.policy.state || !this.plans);
     const record = element("record");
     sink(record, status.record.on);
     const word = status.record.finishing ? "Finishing …" : status.record.on ? "Stop recording" : "Record";
