@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from bgr_eye import small
 from bgr_networks import Answer, Sizes, network_of
-from bgr_policy import ACTION, ACTIONS, REACH, SET, STATE, Policy, serve, state_columns
+from bgr_policy import ACTION, ACTIONS, SET, STATE, Policy, serve, state_columns
 
 Array = np.ndarray
 
@@ -167,13 +167,16 @@ class ClonedPolicy(Policy):
         """The next actions, (K, 5), from an observation (`surg_policy_client.Observation`)."""
         arrays = self.see(observation)
         state = np.asarray(arrays[STATE], np.float64).ravel()[self._columns]
-        last = self.last_command(state[SET], observation)
+        held = state[SET]
+        last = self.last_command(held, observation)
+        if last is held:  # no command is in force: none of before is
+            self._chunks.clear()
         views = [small(np.asarray(arrays[key]))[None] for key in self.pictures]
         said = self.answer(views, state[None], last[None]).chunk.cpu().numpy()
         chunk = self.actions(said, last[None])[0]
-        return self.say(self._blended(chunk, state[SET], observation), observation)
+        return self.say(self._blended(chunk, observation), observation)
 
-    def _blended(self, chunk: Array, held: Array, observation: Any) -> Array:
+    def _blended(self, chunk: Array, observation: Any) -> Array:
         """A chunk (K, 5) averaged with earlier ones, step by step (Zhao et al. 2023).
 
         The oldest has the weight 1, each later one exp(-ensemble) times that of the one before.
@@ -183,8 +186,6 @@ class ClonedPolicy(Policy):
         step = getattr(observation, "step", None)
         now = self._count if step is None else int(step)
         self._count = now + 1
-        if np.linalg.norm(chunk[0, :3] - held[:3]) > REACH or self._said is None:
-            self._chunks.clear()
         self._chunks.append((now, chunk))
         total, weight = np.zeros_like(chunk), np.zeros((len(chunk), 1))
         for age, (begin, said) in enumerate(c for c in self._chunks if now - c[0] < self.chunk):

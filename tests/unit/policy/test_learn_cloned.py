@@ -230,7 +230,7 @@ def test_an_ensemble_is_the_weighted_mean_of_all_chunks_about_a_time(
     """Three chunks of constants 0, 1, 2 (the oldest first), as ACT's paper weighs them."""
     rate = 0.5
     policy = weights({"method": "bc", "chunk": 3}, ensemble=rate)
-    told = iter([0.0, 1.0, 2.0, 3.0])
+    told = iter([0.0, 1.0, 2.0, 3.0, 4.0])
     zero = np.zeros((1, 120, 120, 3), np.uint8)
     answer = SimpleNamespace(chunk=torch.zeros(1, 15))
     monkeypatch.setattr(policy, "answer", lambda *a: answer)
@@ -244,6 +244,8 @@ def test_an_ensemble_is_the_weighted_mean_of_all_chunks_about_a_time(
     np.testing.assert_allclose(chunks[2][1], w[:2] @ [1, 2] / w[:2].sum())
     np.testing.assert_allclose(chunks[3][0], w @ [1, 2, 3] / w.sum())
     np.testing.assert_allclose(chunks[3][2], 3.0)
+    policy.acknowledged({"rejected": [{"step": 3}]})
+    np.testing.assert_allclose(1e3 * policy.act(seen), 4.0, err_msg="the arm is at rest again")
 
 
 # --- looks --------------------------------------------------------------------------------------
