@@ -221,7 +221,8 @@ def command_line(request: Request, out: Path) -> str:
         f"--{n} {v}" for n, v in given.items() if n not in ("task", "cameras", "device", "looks")
     ]
     words += ["--cameras"] if request.cameras else []
-    words += {"": [], BUILT_IN: ["--looks"]}.get(request.looks, [f"--looks {request.looks}"])
+    looks = "--looks" if request.looks == BUILT_IN else f"--looks {request.looks}"
+    words += [looks] if request.looks else []
     words += [f"--device {request.device}"] if request.device != "auto" else []
     shown = out.relative_to(Path.cwd()) if out.is_relative_to(Path.cwd()) else out
     return " ".join(["./surg learn", request.task, *words, f"--out {shown}"])
