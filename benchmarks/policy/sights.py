@@ -6,11 +6,13 @@ Each condition is drawn from the episode's seed, so a roll-out repeats.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from scipy import ndimage
+
+from surg_sim.looks.look_randomisation import LookRandomisation
 
 Picture = np.ndarray
 """(height, width, 3), uint8."""
@@ -160,9 +162,13 @@ class Condition:
     """First and last node that the assistant may point at; None: those of training."""
     delays: tuple[float, float] | None = None
     """Means of answer and picture [ms]; None: lock-step, nothing takes time."""
+    looks: LookRandomisation | None = None
+    """Ranges of the light, tissue, lens and pose of each episode; None: as built."""
     blind: bool = field(default=False)
     """What is shown says nothing about this episode."""
 
+
+_STILL = replace(LookRandomisation(), camera_shift_mm=(0.0, 0.0), camera_turn_deg=(0.0, 0.0))
 
 CONDITIONS = (
     Condition("as trained"),
@@ -182,6 +188,8 @@ CONDITIONS = (
     Condition("camera moved 10 mm", aside=0.010),
     Condition("camera moved 20 mm", aside=0.020),
     Condition("camera turned 10°", turn=10.0),
+    Condition("drawn looks, camera where it was", looks=_STILL),
+    Condition("drawn looks, camera up to 4 mm and 2° off", looks=LookRandomisation()),
     Condition("nodes 14 to 16", targets=(14, 16)),
     Condition("nodes 23 to 25", targets=(23, 25)),
     Condition("setting ex_vivo", setting="ex_vivo"),
