@@ -151,6 +151,8 @@ class Eye:
 
     def __init__(self, layers: Sequence[tuple[Array, Array]], pointed: Array) -> None:
         self.layers, self.pointed = list(layers), pointed
+        self.tube = np.zeros((CELLS, CELLS))
+        """Where the newest view shows the tube, 0 to 1: for people who watch."""
 
     def __call__(self, views: Array) -> Array:
         """What views (B, SIDE, SIDE, 3), uint8, say: (B, SAID), see `HELD` to `SEEN`."""
@@ -158,6 +160,7 @@ class Eye:
         said = raw.astype(np.float64)
         said[:, :2] = 1.0 / (1.0 + np.exp(-np.clip(said[:, :2], -9, 9)))
         tube = 1.0 / (1.0 + np.exp(-np.clip(logits, -9, 9)))
+        self.tube = tube[-1]
         found = [self._find(*each) for each in zip(where[:, 0], tube, strict=True)]
         at, near = np.array([each[0] for each in found]), [each[1] for each in found]
         return np.column_stack([said, at, where.reshape(len(said), -1), near, clear])

@@ -60,6 +60,8 @@ class Sight:
 
     def __init__(self, plane: Array, lens: Array) -> None:
         self._memory, self._view = Memory(), View(plane, lens)
+        self.place = np.zeros(2)
+        """Where in the picture the assistant pointed: for people who watch."""
 
     def add(self, answer: Array, p_RTip: Array) -> Array:
         """Take an answer of the eye (SAID,), and the robot's tip (3,) [m].
@@ -68,6 +70,7 @@ class Sight:
             (SAID + 11,): the answer, `TARGET`, `ALONG`, `HELPER`, certainty, pointing.
         """
         known = self._memory.add(answer)
+        self.place = known[:2]
         self._view.look(answer[TIP], answer[SEEN], p_RTip)
         points = self._view.points(np.array([known[:2], answer[PLACE]]))
         along = self._view.along(known[:2], known[2:4])
@@ -169,18 +172,58 @@ class ImagePolicy(Policy):
         """Forget the last episode."""
         super().reset(instruction, seed)
         self._sight = Sight(self.scales["plane"], self.scales["lens"])
+        self._seen: Array | None = None
 
     def act(self, observation: Any) -> Array:
         """The next actions, (K, 5), from an observation (`surg_policy_client.Observation`)."""
         arrays = self.see(observation)
         state = np.asarray(arrays[STATE], np.float64).ravel()
-        answer = self.network.eye(small(np.asarray(arrays[PICTURE]))[None])[0]
+        picture = np.asarray(arrays[PICTURE])
+        answer = self.network.eye(small(picture)[None])[0]
         seen = self._sight.add(answer, state[self._columns][:3])
+        self._seen, self._aspect = seen, picture.shape[0] / picture.shape[1]
         last = self.last_command(state[self._columns][SET], observation)
         self._past.append((state, seen, last))
         parts = [np.array(part) for part in zip(*self._past, strict=True)]
         inputs = features(self._columns, *parts)[-1:]
         return self.say(self.predict(inputs, last[None])[0], observation)
+
+    def seen(self) -> Any:
+        """What it made of the last picture, a `surg_policy_client.Seen`: for people who watch.
+
+        The map is where it sees the bowel; the confidence is that in the requested place, and once
+        it holds the bowel, that in holding it.
+        """
+        if self._seen is None:
+            return None
+        from surg_policy_client.seen import Keypoint, Seen
+
+        seen, half = self._seen, self._aspect / 2
+
+        def point(name: str, place: Array, certainty: float) -> Keypoint:
+            """From a place in the middle square, down and right, -1 to 1."""
+            down, right = np.clip(place, -2.0, 2.0)
+            share = float(np.clip(certainty, 0.0, 1.0))
+            return Keypoint(name, 0.5 + half * float(right), 0.5 + 0.5 * float(down), share)
+
+        held, helped = (float(seen[column]) for column in (HELD, OTHER_HELD))
+        certain = float(seen[CERTAIN])
+        holders = [
+            name for name, chance in (("robot", held), ("assistant", helped)) if chance > 0.5
+        ]
+        phase = f"{' and '.join(holders)} hold{'s' * (len(holders) == 1)}" if holders else ""
+        return Seen(
+            (
+                point("tip", seen[TIP], seen[SEEN]),
+                point("assistant", seen[PLACE], 1.0),
+                point("requested", self._sight.place, certain),
+            ),
+            phase=phase or ("reaching" if certain > 0.5 else "waiting for a place"),
+            confidence=float(np.clip(held if held > 0.5 else certain, 0.0, 1.0)),
+            picture=PICTURE,
+            attention=np.rint(255 * np.clip(self.network.eye.tube, 0, 1)).astype(np.uint8),
+            area=(0.5 - half, 0.0, 0.5 + half, 1.0),
+        )
 
 
 if __name__ == "__main__":

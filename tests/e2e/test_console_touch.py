@@ -185,6 +185,7 @@ OF_THE_PAGE = {
     "B": drawn_wide(320),
     "J": "document.body.dataset.side === 'left'",
     "N": pressed('[data-beside="marks"]'),
+    "I": pressed('[data-beside="plan"]'),
     "O": pressed('[data-beside="scene"]'),
     "Y": pressed("#feel"),
     "M": "surgConsole.hand.hand === 'rate'",

@@ -489,3 +489,34 @@ def test_a_gpu_that_is_not_there_is_said_before_a_file_is_read(
     assert train_bgr_images.main(words) == 2
     assert "built without CUDA" in capsys.readouterr().err
     assert not (tmp_path / "w.npz").exists()
+
+
+# --- what people are shown --------------------------------------------------------------------
+
+
+def test_what_it_says_it_sees_lies_where_it_is_in_the_picture(
+    policy: bgr_image_policy.ImagePolicy,
+) -> None:
+    """A place of the middle square is a pixel of the whole picture; the wire takes it as it is."""
+    from surg_policy_client.seen import to_wire
+
+    policy.reset()
+    assert policy.seen() is None
+    shown = made.episode(5)
+    whole = np.random.default_rng(1).integers(0, 256, (480, 640, 3), np.uint8)
+    arrays = {bgr_image_policy.STATE: shown.state[0], bgr_image_policy.PICTURE: whole}
+    acted = policy.act(arrays)
+    seen = policy.seen()
+    to_wire(seen)
+    tip, assistant, requested = seen.keypoints
+    answer = policy.network.eye(bgr_eye.small(whole)[None])[0]
+    for point, (down, right) in ((tip, answer[bgr_eye.TIP]), (assistant, answer[bgr_eye.PLACE])):
+        # The middle square is 480 pixels wide; its left edge is the 80th.
+        expected = (80 + 240 * (1 + right), 240 * (1 + down))
+        assert (640 * point.x, 480 * point.y) == pytest.approx(expected, abs=1e-3)
+    assert tip.confidence == pytest.approx(answer[bgr_eye.SEEN], abs=1e-6)
+    assert requested.name == "requested" and seen.area == (0.125, 0.0, 0.875, 1.0)
+    assert seen.attention.shape == (30, 30) and np.ptp(seen.attention) > 0
+    # Asking for it changes nothing.
+    policy.reset()
+    np.testing.assert_array_equal(policy.act(arrays), acted)
