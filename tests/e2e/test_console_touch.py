@@ -7,6 +7,7 @@ import contextlib
 import math
 import os
 from collections.abc import AsyncIterator, Coroutine
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from surg_teleop.console.session.console_orders import (
     SetScale,
 )
 from surg_teleop.console.session.console_session import Phase
+from surg_teleop.console.session.system_state import PolicyServer
 
 pytestmark = [
     pytest.mark.full,
@@ -228,6 +230,8 @@ def test_every_key_of_the_help_does_what_it_says() -> None:
     async def test() -> None:
         async with opened(touch=False) as (made, tab):
             keys = Keyboard(tab)
+            made.system.now = replace(made.system.now, policy=PolicyServer("READY"))  # for I and P
+            await tab.until("!document.querySelector('#policy').hidden", "a model server", 10.0)
             await own_keys(tab, keys)
             await motion_keys(made, tab, keys)
             await session_keys(made, tab, keys)

@@ -36,13 +36,30 @@
     player.muted = true;
     player.playsInline = true;
     player.preload = "auto";
-    player.addEventListener("loadeddata", () => seek(shown));
+    player.addEventListener("loadeddata", () => { seek(shown); showPlan(shown); });
     player.addEventListener("seeked", () => { if (shown.wanted !== null) seek(shown); });
-    $("videos").append(element("figure", player, caption));
-    const shown = { ...video, player, caption, wanted: null };
+    const layer = element("canvas"), picture = element("div", player, layer), note = element("p");
+    picture.className = "picture";
+    note.className = "plan";
+    const figure = element("figure", picture, caption);
+    const planned = data.plans.length > 0 && video.name === "endoscope_left";
+    if (planned) figure.append(note);
+    $("videos").append(figure);
+    const shown = { ...video, player, caption, layer, note, planned, plan: undefined, wanted: null };
     return shown;
   });
   if (!videos.length) { $("videos").remove(); document.querySelector(".top").classList.add("blind"); }
+
+  // What a policy planned and saw, over the left eye's pictures; drawn again only when it changes.
+  const planTimes = data.plans.map((plan) => plan.t);
+  function showPlan(video) {
+    const found = $("plan").checked ? episodePlan.now(data.plans, at(planTimes, cursor), cursor) : null;
+    const width = video.player.videoWidth, height = video.player.videoHeight;
+    if (!video.planned || !width || (found === video.plan && video.layer.width === width)) return;
+    video.plan = found;
+    episodePlan.draw(video.layer, found, width, height);
+    video.note.textContent = $("plan").checked ? episodePlan.words(found) : "";
+  }
 
   // Middle of the interval in which a frame is shown, so that rounding cannot select another.
   function middle(video, frame) {
@@ -298,6 +315,7 @@
         : `frame ${video.frames[frame]}, stamp ${seconds(video.stamps[frame])}`;
       video.caption.textContent = [video.name, label, video.note].filter(Boolean).join(" · ");
       if (playing) follow(video); else seek(video);
+      showPlan(video);
     }
     readout(row);
     const now = at(data.events.map((event) => event.t), cursor);
@@ -374,12 +392,14 @@
   $("back").addEventListener("click", () => step(-1));
   $("forth").addEventListener("click", () => step(1));
   $("rate").addEventListener("change", () => { if (playing) play(true); });
+  $("plan").addEventListener("change", () => { for (const video of videos) video.plan = undefined; show(); });
+  $("planchoice").hidden = !videos.some((video) => video.planned);
   $("arm").addEventListener("change", () => { arm = data.arms[$("arm").selectedIndex]; build(); });
   document.addEventListener("keydown", (event) => {
-    const keys = { " ": () => play(!playing), Home: () => go(0), End: () => go(data.duration),
+    const keys = { " ": () => play(!playing), p: () => $("plan").click(), Home: () => go(0), End: () => go(data.duration),
       ArrowLeft: () => (event.shiftKey ? go(cursor - 1e9) : step(-1)),
       ArrowRight: () => (event.shiftKey ? go(cursor + 1e9) : step(1)) };
-    if (!keys[event.key] || ["SELECT", "INPUT", "TEXTAREA"].includes(event.target.tagName)) return;
+    if (!keys[event.key] || (["SELECT", "TEXTAREA"].includes(event.target.tagName) || (event.target.tagName === "INPUT" && event.target.type !== "checkbox"))) return;
     event.preventDefault();
     keys[event.key]();
   });

@@ -23,6 +23,7 @@ from surg_recording.episode import episode_reader as episodes
 from surg_recording.episode import integrity
 from surg_recording.episode.episode_reader import Episode, Table
 from surg_recording.recording_errors import EpisodeError
+from surg_recording.reports import episode_plan
 from surg_recording.reports.figure_style import EXECUTED, TRUE
 from surg_recording.video import video_embed
 
@@ -128,6 +129,7 @@ def collect(
             for name, stamps, shown in videos
         ],
         "events": events,
+        "plans": episode_plan.collect(episode, origin, missing),
         "states": STATE_NAMES,
     }
     return Viewed(data, [shown.data for _, _, shown in videos], missing)
