@@ -76,6 +76,27 @@ def test_an_episode_that_cannot_be_filmed_costs_only_its_film(
     assert not (tmp_path / episode_film.FILM).exists()
 
 
+@pytest.mark.parametrize("outcomes", ["sfsf", "ss", "ff", ""])
+def test_a_report_films_the_first_failure_and_the_first_success(
+    outcomes: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("film_failed.mp4", "film_succeeded.mp4"):
+        (tmp_path / name).write_text("of a former run")
+    filmed = {}
+    monkeypatch.setattr(episode_reader, "read", lambda folder: folder)
+    monkeypatch.setattr(
+        episode_film, "make", lambda folder, cell, out, **_: filmed.update({out.name: folder.name})
+    )
+    played = [(kind == "s", tmp_path / str(n)) for n, kind in enumerate(outcomes)]
+    episode_film.of_outcomes(iter(played), tmp_path, tmp_path)
+    expected = {}
+    for kind, name in (("f", "film_failed.mp4"), ("s", "film_succeeded.mp4")):
+        assert not (tmp_path / name).exists(), "films of a former run do not stay"
+        if kind in outcomes:
+            expected[name] = str(outcomes.index(kind))
+    assert filmed == expected
+
+
 @pytest.mark.skipif(not FULL, reason="./surg test --full")
 def test_the_room_moves_with_the_recorded_joints(
     recorded: episode_reader.Episode, tmp_path: Path

@@ -77,3 +77,35 @@ def test_the_report_says_what_is_privileged_and_every_cause(tmp_path: Path) -> N
         "rcm_deviation.png",
         "smoothness.png",
     ]
+
+
+@pytest.mark.parametrize("outcomes", ["sfsf", "ss", "ff", "usf"])
+def test_the_report_shows_the_first_failure_and_the_first_success(
+    outcomes: str, tmp_path: Path
+) -> None:
+    """Or says that there was none; s: success, f: failure, u: was not played."""
+    rollouts = [
+        {**rollout(70 + n, success=kind == "s"), "played": kind != "u"}
+        for n, kind in enumerate(outcomes)
+    ]
+    shown = [entry(n, kind == "s") for n, kind in enumerate(outcomes)]
+    for wanted, name in learning_report.FILMS.items():
+        if ("s" if wanted else "f") in outcomes:
+            (tmp_path / name).write_bytes(b"film of " + name.encode())
+    found = summary(rollouts, 1)
+    learning_report.write(found, shown, [entry(5)], tmp_path)
+    page = (tmp_path / "report.html").read_text("utf-8")
+    for kind, word in (("f", "failed"), ("s", "successful")):
+        if kind in outcomes:
+            assert f"The first {word} roll-out, seed {70 + outcomes.index(kind)}" in page
+        else:
+            assert f"The first {word}" not in page
+    assert ("No roll-out failed" in page) is ("f" not in outcomes)
+    assert ("No roll-out succeeded" in page) is ("s" not in outcomes)
+    assert page.count("data:video/mp4") == len(set(outcomes) - {"u"})
+    # A film that could not be made is named as missing.
+    for name in learning_report.FILMS.values():
+        (tmp_path / name).unlink(missing_ok=True)
+    learning_report.write(found, shown, [entry(5)], tmp_path)
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert page.count("There is no film") == len(set(outcomes) - {"u"})

@@ -108,7 +108,9 @@ def _learn(request: Request, ledger: Ledger, out: Path) -> dict[str, Any]:
     info = _info(request, player, done["demonstrations"], trained, ledger)
     least = recipe.least(request.rollouts)
     summary = learning.summarise([e["rollout"] for e in entries], compared, info, least)
-    episode_film.for_report(sorted(folder.glob("*/episode")), cell, out)
+    played = [e["rollout"] for e in entries if e["rollout"]["played"]]
+    folders = ((bool(e["success"]), folder / str(e["seed"]) / "episode") for e in played)
+    episode_film.of_outcomes(folders, cell, out)
     learning_report.write(summary, [e["episode"] for e in entries], compared, out)
     return summary
 

@@ -48,7 +48,21 @@ def make(
     return film.write(film.beside(*streams), len(times), out)
 
 
-def for_report(folders: Iterable[Path], cell: Path, out: Path) -> None:
+def of_outcomes(played: Iterable[tuple[bool, Path]], cell: Path, out: Path) -> None:
+    """Put films of the first failed and the first successful episode into a report's folder.
+
+    ``played`` says of each episode, in order, whether it succeeded, and its folder.
+    """
+    from surg_recording.reports.learning_report import FILMS
+
+    episodes = list(played)
+    for wanted, name in FILMS.items():
+        (out / name).unlink(missing_ok=True)
+        first = next((folder for success, folder in episodes if success is wanted), None)
+        for_report([] if first is None else [first], cell, out, name)
+
+
+def for_report(folders: Iterable[Path], cell: Path, out: Path, name: str = FILM) -> None:
     """Put the film of the first of some episodes into the folder of a report.
 
     A reason why none can be made is said and does no harm.
@@ -61,9 +75,9 @@ def for_report(folders: Iterable[Path], cell: Path, out: Path) -> None:
         try:
             recorded = episode_reader.read(folder)
             with Progress("film") as progress:
-                make(recorded, cell, out / FILM, progress=progress.update)
+                make(recorded, cell, out / name, progress=progress.update)
         except (EpisodeError, NoOpenGL, ValueError) as problem:
-            (out / FILM).unlink(missing_ok=True)
+            (out / name).unlink(missing_ok=True)
             warn(f"surg: no film: {problem}")
         return
 

@@ -103,9 +103,9 @@ def figure_section(figure: Drawn) -> str:
     return section(figure.title, image, note(figure.caption))
 
 
-def film_section(folder: Path, caption: str) -> str:
-    """The film ``film.mp4`` of a report's folder; nothing without one."""
-    film = folder / "film.mp4"
+def film_section(folder: Path, caption: str, name: str = "film.mp4") -> str:
+    """A film of a report's folder; nothing without one."""
+    film = folder / name
     if not film.is_file():
         return ""
     source = f"data:video/mp4;base64,{base64.b64encode(film.read_bytes()).decode()}"

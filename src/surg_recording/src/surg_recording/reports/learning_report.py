@@ -25,6 +25,8 @@ from surg_recording.reports.html_page import (
 from surg_recording.reports.trial_report import interval
 
 Entry = Mapping[str, Any]
+FILMS = {False: "film_failed.mp4", True: "film_succeeded.mp4"}
+"""Films of the first failed and the first successful roll-out, by success."""
 
 _FIGURES = {
     "rcm_deviation": (
@@ -57,9 +59,7 @@ def write(
     title = f"{summary['title']}: a learned policy"
     sections = [
         f"<h1>{text(title)}</h1>",
-        film_section(
-            folder, "Endoscope as recorded, and the room drawn from the recorded joint positions."
-        ),
+        *_films(summary["rollouts"], folder),
         section(
             f"{interval(summary['success_rate'])} succeeded",
             bullets(summary["reasons"]),
@@ -71,6 +71,27 @@ def write(
         _unsafe(summary),
     ]
     (folder / "report.html").write_text(document(title, sections), encoding="utf-8")
+
+
+def _films(rollouts: Sequence[Entry], folder: Path) -> list[str]:
+    """The first failed and the first successful roll-out, or that there was none."""
+    played = [entry for entry in rollouts if entry["played"]]
+    sections = []
+    for wanted, name in FILMS.items():
+        word = "successful" if wanted else "failed"
+        first = next((entry for entry in played if bool(entry["success"]) is wanted), None)
+        if first is None:
+            none = "succeeded" if wanted else "failed"
+            sections.append(section(f"No roll-out {none}", note("So there is no film of one.")))
+            continue
+        why = "" if wanted else f": {first['reason']}"
+        caption = (
+            f"The first {word} roll-out, seed {first['seed']}{why}. Endoscope as recorded, and"
+        )
+        caption += " the room drawn from the recorded joint positions."
+        missing = note(f"There is no film of the first {word} roll-out, seed {first['seed']}{why}.")
+        sections.append(film_section(folder, caption, name) or f"<section>{missing}</section>")
+    return sections
 
 
 def _what_was_done(summary: Entry) -> str:
