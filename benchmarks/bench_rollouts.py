@@ -8,6 +8,8 @@ All of bgr in `sim_two_arms`, in worker processes, without ROS. `--weights` are 
     vectors         [{workers, pictures (640x480, left), copy (by the parent too), steps_per_s,
                     cpu_ms_per_step (of workers and parent)}]: gymnasium's AsyncVectorEnv with
                     shared memory; a step is 50 ms simulated
+    looks           {put_on, picture, picture_plain} CPU time of a drawn look [ms]: to put it on,
+                    and of a picture 640x480 with it and without
     episodes        [{what, workers, episodes, wall_s, per_hour}]
 """
 
@@ -28,12 +30,14 @@ import gymnasium
 import numpy as np
 from machine import this_machine
 
-import surg_sim.envs.surg_env  # noqa: F401 - registers the environments
 from surg_cli.host.terminal import Progress, say, table
 from surg_core.contract import GRID_RATE
 from surg_recording.job_pool import Ends, Workplace
 from surg_recording.job_pool import run as run_jobs
 from surg_sim.envs import demonstrations
+from surg_sim.envs.surg_env import SurgEnv
+from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
+from surg_sim.looks.look_randomisation import LookRandomisation
 from surg_sim.physics import cell_files
 from surg_sim.tasks import episode_seeds
 
@@ -82,6 +86,28 @@ def vector(workers: int, pictures: bool, copy: bool, steps: int) -> dict[str, An
         "steps_per_s": count / wall,
         "cpu_ms_per_step": 1e3 * cpu / count,
     }
+
+
+def looks(pictures: int = 40) -> dict[str, float]:
+    """What a drawn look costs at reset and in each picture."""
+    width, height = SIZE
+    env = SurgEnv(TASK, CELL, images=("left",), width=width, height=height)
+    world = env.session.world
+    eye = EndoscopeRenderer(world, ("left",), width, height)
+    drawn = LookRandomisation().draw(3)
+
+    def cost(work: Callable[[], Any], count: int) -> float:
+        work()
+        begun = time.process_time()
+        for _ in range(count):
+            work()
+        return 1e3 * (time.process_time() - begun) / count
+
+    plain = cost(lambda: eye.render(world.data.qpos), pictures)
+    put_on = cost(lambda: eye.wear(drawn), pictures // 4)
+    worn = cost(lambda: eye.render(world.data.qpos), pictures)
+    eye.close()
+    return {"put_on": put_on, "picture": worn, "picture_plain": plain}
 
 
 def timed(what: str, workers: int, play: Callable[[], int]) -> dict[str, Any]:
@@ -152,6 +178,7 @@ def main() -> int:
         for i, case in enumerate(cases):
             progress.update(i / (len(cases) + len(kinds)), "vectorised environments")
             found["vectors"].append(vector(*case, options.steps))
+        found["looks"] = looks()
         for i, (what, play) in enumerate(kinds):
             progress.update((len(cases) + i) / (len(cases) + len(kinds)), what)
             found["episodes"].append(timed(what, workers, play))
@@ -159,6 +186,8 @@ def main() -> int:
     for rows in (found["vectors"], found["episodes"]):
         if rows:
             say(table([list(rows[0]), *(shown(row) for row in rows)]))
+    costs = ", ".join(f"{name} {ms:.1f}" for name, ms in found["looks"].items())
+    say(f"CPU time of a drawn look [ms]: {costs}")
     say(f"load {before:.1f} before, {found['machine']['load_after']:.1f} after")
     if options.json:
         options.json.write_text(json.dumps(found, indent=1) + "\n", "utf-8")
