@@ -34,9 +34,8 @@ def collect(episode: Episode, origin: int, missing: list[str]) -> list[dict[str,
     if TOPIC not in episode.topics:
         return []
     try:
-        rows = [
-            (table, row) for table in episode.topic(TOPIC) for row in range(len(table["stamp_ns"]))
-        ]
+        tables = [_table(episode, name) for name in episode.topics[TOPIC]]
+        rows = [(table, row) for table in tables for row in range(len(table))]
         place = _Places.of(episode)
     except (EpisodeError, ConfigError) as problem:
         missing.append(f"no plan of the policy: {problem}")
@@ -51,6 +50,12 @@ def collect(episode: Episode, origin: int, missing: list[str]) -> list[dict[str,
         ways = [] if isinstance(place, str) else place.ways(table, row)
         plans.append(_plan(table, row, origin, ways, number % every == 0))
     return sorted(plans, key=lambda plan: int(plan["t"]))
+
+
+def _table(episode: Episode, name: str) -> Table:
+    """A table of plans without the session's number, which may need all 64 bits."""
+    stated = episode.manifest["tables"][name]["columns"]
+    return episode.columns(name, [column for column in stated if column != "session"])
 
 
 def _plan(table: Table, row: int, origin: int, ways: list[Any], with_map: bool) -> dict[str, Any]:

@@ -38,14 +38,14 @@
     player.preload = "auto";
     player.addEventListener("loadeddata", () => { seek(shown); showPlan(shown); });
     player.addEventListener("seeked", () => { if (shown.wanted !== null) seek(shown); });
-    const layer = element("canvas"), picture = element("div", player, layer), note = element("p");
+    const layer = element("canvas"), picture = element("div", player, layer), words = element("p");
     picture.className = "picture";
-    note.className = "plan";
+    words.className = "plan";
     const figure = element("figure", picture, caption);
     const planned = data.plans.length > 0 && video.name === "endoscope_left";
-    if (planned) figure.append(note);
+    if (planned) figure.append(words);
     $("videos").append(figure);
-    const shown = { ...video, player, caption, layer, note, planned, plan: undefined, wanted: null };
+    const shown = { ...video, player, caption, layer, words, planned, plan: undefined, wanted: null };
     return shown;
   });
   if (!videos.length) { $("videos").remove(); document.querySelector(".top").classList.add("blind"); }
@@ -58,7 +58,7 @@
     if (!video.planned || !width || (found === video.plan && video.layer.width === width)) return;
     video.plan = found;
     episodePlan.draw(video.layer, found, width, height);
-    video.note.textContent = $("plan").checked ? episodePlan.words(found) : "";
+    video.words.textContent = $("plan").checked ? episodePlan.words(found) : "";
   }
 
   // Middle of the interval in which a frame is shown, so that rounding cannot select another.
