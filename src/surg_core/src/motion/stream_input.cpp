@@ -9,8 +9,6 @@ namespace {
 constexpr int kDof = StreamEstimate::kDof;
 constexpr double kShortestGap = 0.004;  // [s] a gap that is always bridged
 constexpr double kLongestGap = 0.06;    // [s] the longest one: 1.5 times a burst every 40 ms
-constexpr double kLateBy = 0.28;        // of a period: less to predict, and a smoother path
-constexpr double kLatestBy = 0.005;     // [s]
 constexpr double kShortest = 0.008;     // [s] delay of a gentle hand, where there is any
 constexpr double kGentle = 0.8;         // of the arm's acceleration: demands no more delay
 constexpr double kHard = 1.5;           // of it: demands the largest delay
@@ -56,8 +54,11 @@ void StreamInput::add(const Values& x, double age, std::int64_t stamp_ns) {
   unheard_ = 0;
   const double elapsed = clock_.advance({arrival_, stamp_ns, now_ + rest_, cycles_});
   cycles_ = 0;
-  estimate_.update(x, elapsed, clock_.period());
-  if (steady_.works()) steady_.update(x, elapsed);
+  if (steady_.works()) {
+    steady_.update(x, elapsed);
+  } else {
+    estimate_.update(x, elapsed, clock_.period());
+  }
 }
 
 void StreamInput::begin_cycle(double rest) {
@@ -105,7 +106,7 @@ StreamInput::State StreamInput::estimate(double ahead) const {
     const double late = TremorEstimate::late(clock_.period());
     return steady_.predict(now_ + ahead - late - clock_.time());
   }
-  const double late = std::min(kLateBy * clock_.period(), kLatestBy);
+  const double late = HandEstimate::late(clock_.period());
   return estimate_.predict(now_ + ahead - late - clock_.time());
 }
 

@@ -277,8 +277,21 @@ TEST(TremorEstimate, TakesTheTremorAndDelaysTheRestByWhatIsStatedAtAnyRate) {
   }
   EXPECT_NEAR(TremorEstimate::late(0.002), 0.016, 5e-4);
   EXPECT_NEAR(TremorEstimate::late(1 / 30.0), 0.042, 5e-4);
-  EXPECT_GT(gain_and_lag(9, 30, 0).first, 1.5);  // without it
+  EXPECT_GT(gain_and_lag(9, 30, 0).first, 0.9);  // without it
   EXPECT_FALSE(TremorEstimate().works());
+}
+
+TEST(StreamInput, AtSlowRatesASineKeepsItsSize) {
+  for (const double rate : {25.0, 30.0, 40.0}) {
+    for (const double hertz : {0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 5.0}) {
+      const auto [gain, lag] = gain_and_lag(hertz, rate, 0);
+      EXPECT_NEAR(gain, 1, 0.05) << hertz << " of " << rate;
+      EXPECT_NEAR(lag, HandEstimate::late(1 / rate), 0.003) << hertz << " of " << rate;
+    }
+    for (double hertz = 6; hertz < 12.1; hertz += 0.5) {
+      EXPECT_LT(gain_and_lag(hertz, rate, 0).first, 2) << hertz << " of " << rate;
+    }
+  }
 }
 
 MotionCommand at(const Bench& bench, const Vector3& p_RTip) {

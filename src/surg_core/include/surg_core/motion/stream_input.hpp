@@ -1,9 +1,9 @@
 // A stream on its way from its sender to the filters: time and estimate of the samples, delay.
 #pragma once
 
+#include "surg_core/motion/hand_estimate.hpp"
 #include "surg_core/motion/stream.hpp"
 #include "surg_core/motion/stream_clock.hpp"
-#include "surg_core/motion/stream_estimate.hpp"
 #include "surg_core/motion/tremor_estimate.hpp"
 
 namespace surg {
@@ -65,7 +65,7 @@ class StreamInput {
   double demand(const State& stream) const;
 
   StreamClock clock_;
-  StreamEstimate estimate_;
+  HandEstimate estimate_;
   TremorEstimate steady_;  ///< instead of estimate_, where a tremor is to be taken out
   std::array<StreamDelay, StreamEstimate::kDof> delays_{};
   StreamLateness lateness_;
