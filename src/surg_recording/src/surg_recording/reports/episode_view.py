@@ -69,8 +69,7 @@ def page(
         for i, video in enumerate(viewed.videos)
     )
     data = json.dumps(viewed.data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    parts = ("episode_plan.js", "episode_view.js")
-    script = "".join((here / part).read_text(encoding="utf-8") for part in parts)
+    script = (here / "episode_view.js").read_text(encoding="utf-8")
     style = (here / "episode_view.css").read_text(encoding="utf-8")
     return document(
         title,
