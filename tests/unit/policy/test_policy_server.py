@@ -12,6 +12,7 @@ from helpers.policy.policy_bench import ARM, HOME, MS, Bench, spec
 from helpers.results.policy_results import note
 from surg_core.arm_view import ArmState
 from surg_core.contract import SECOND_NS, STEP_NS
+from surg_policy_bridge.server import sessions
 from surg_policy_bridge.server.chunk_queue import LONGEST, ChunkQueue
 from surg_policy_bridge.server.sessions import BURST, PEERS, RATE, RateLimiter
 from surg_policy_bridge.server.timers import MAX_OBS_AGE, SILENCE
@@ -501,3 +502,10 @@ def test_the_end_of_the_server_is_said(bench: Bench) -> None:
     assert bench.of("BYE")[-1].head["reason"] == "the model server has ended"
     assert bench.arm.view.state == ArmState.PAUSED
     np.testing.assert_allclose(bench.arm.view.p_set, HOME + np.array([1e-3, 0, 0]))
+
+
+def test_a_recording_can_hold_the_number_of_any_session() -> None:
+    """Tables hold 64-bit integers with a sign; half of all 64-bit numbers have no place there."""
+    numbers = [sessions.new_number() for _ in range(200)]
+    assert all(1 <= number <= np.iinfo(np.int64).max for number in numbers)
+    assert len(set(numbers)) == 200

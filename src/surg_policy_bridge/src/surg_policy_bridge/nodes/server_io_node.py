@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import secrets
 import threading
 import time
 
@@ -23,6 +22,7 @@ from surg_policy_bridge.server import operator_first
 from surg_policy_bridge.server.model_server import ModelServer, ServerSettings
 from surg_policy_bridge.server.safety_controller import ArmLimits, SafetyController
 from surg_policy_bridge.server.server_parameters import Settings
+from surg_policy_bridge.server.sessions import new_number
 from surg_policy_bridge.server.stop_reason import StopReason
 from surg_policy_bridge.server.timers import SILENCE, OperatorPresence
 from surg_policy_bridge.server.wire_endpoint import WireEndpoint
@@ -142,5 +142,5 @@ def _model_server(settings: Settings, cell: surg_core.Cell) -> ModelServer:
             silence=answer if settings.lockstep else SILENCE,
         ),
         SafetyController(limits, settings.clip),
-        lambda: secrets.randbits(64) or 1,
+        new_number,
     )

@@ -6,6 +6,7 @@ server. Its number is random, so messages of a former client, or a replay, are r
 
 from __future__ import annotations
 
+import secrets
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -66,6 +67,11 @@ class SentObservation:
     step: int  # its grid time
     seen: int  # when it was taken, on the clock of the execution [ns]
     sent: int  # when it was sent, on the steady clock [ns]
+
+
+def new_number() -> int:
+    """A random number for a session: 63 bits, for a recording's integers have no more."""
+    return secrets.randbits(63) or 1
 
 
 @dataclass
