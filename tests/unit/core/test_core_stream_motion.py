@@ -93,10 +93,10 @@ OPTIONS = """
 SLOW = """
 ## At 30 Hz: the lag or the tremor
 
-At 30 Hz no setting meets all goals. The default keeps the lag and amplifies a tremor. `tremor`
-halves the tremor and is 40 ms late. No linear filter does both: 5 ms late, none keeps 1.05 up to
-15 Hz. Where 1.5 is allowed outside both bands, the tremor keeps at least 0.87 of its size
-([linear program](../design/set_points.md#streams), `test_prediction_limit.py`).
+The default keeps the lag and the gains below 3 Hz; several models adapt to the hand
+([design](../design/set_points.md#several-models)). `tremor` halves the tremor and is 40 ms late. No
+linear filter does the first: 5 ms late, none keeps 1.05 up to 15 Hz. Where 1.5 is allowed outside
+both bands, the tremor keeps at least 0.87 of its size (`test_prediction_limit.py`).
 
 """
 
@@ -224,11 +224,9 @@ def test_a_stream_is_late_by_its_transport(rate: int, how: Transport) -> None:
     row = stream_table.measure(rate, how, hands=HANDS)
     print(row.cells())
     assert row.violations == 0
-    assert row.beyond <= (6.5 if rate < 30 else 5.0)
-    one, two, three, _ = row.gains
-    assert max(one, two, three) <= (1.06 if rate >= 100 else 1.35)
-    assert max(one, two) <= 1.12
-    assert abs(row.path) <= (2.5 if rate >= 100 else 7.0)
+    assert row.beyond <= (5.6 if rate < 30 else 5.0)
+    assert max(row.gains[:3]) <= 1.06
+    assert abs(row.path) <= (2.5 if rate >= 100 else 4.5 if rate < 30 else 3.0)
 
 
 @pytest.mark.parametrize("rate", [500, 2000])

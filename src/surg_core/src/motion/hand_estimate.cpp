@@ -14,7 +14,10 @@ constexpr double kTremorHertz[] = {8, 9, 10, 11, 12};
 constexpr SwingModel kSwing{2500, 44, 0.17, 0, 1e9, 0.27};
 constexpr double kSwingHertz[] = {3, 5};
 // Weights before any sample is known.
-constexpr double kPlain = 2, kReturningPrior = 1, kTremorPrior = 0.19, kSwingPrior = 0.4;
+constexpr double kPlain = 2;
+constexpr double kReturningPrior = 1;
+constexpr double kTremorPrior = 0.19;  // each
+constexpr double kSwingPrior = 0.4;    // each
 constexpr double kMemory = 0.4;        // [s] over which innovations are compared
 constexpr double kLeast = 1e-18;       // [m^2, rad^2] a difference of innovations that says nothing
 constexpr double kFast = 0.021;        // [s] up to this period the plain model is enough;
@@ -104,7 +107,8 @@ HandEstimate::State HandEstimate::predict(double age) const {
   if (!swinging_) return out;
   for (int i = 0; i < kDof; ++i) {
     const double weight = weights_[kSwings][i];
-    out[i] = {weight * out[i].x, weight * out[i].v, weight * out[i].a};
+    out[i].x *= weight;
+    out[i].v *= weight;
   }
   for (int k = 0; k < kSwings; ++k) {
     const State swing = swings_[k].predict(age);
@@ -112,7 +116,6 @@ HandEstimate::State HandEstimate::predict(double age) const {
       const double weight = weights_[k][i];
       out[i].x += weight * swing[i].x;
       out[i].v += weight * swing[i].v;
-      out[i].a += weight * swing[i].a;
     }
   }
   return out;

@@ -22,7 +22,8 @@ class HandEstimate {
   /// Takes a sample 'elapsed' seconds >= 0 after the last one; 'period' [s]: mean spacing of the
   /// samples.
   void update(const Values& x, double elapsed, double period);
-  /// The state 'age' seconds after the last sample; a negative age looks back.
+  /// The state 'age' seconds after the last sample; a negative age looks back. The acceleration is
+  /// StreamEstimate's: what a hand demands of an arm shall not jump with the weights.
   State predict(double age) const;
   /// [s] by which the motion should be asked for late, for samples that are 'period' apart.
   static double late(double period);
