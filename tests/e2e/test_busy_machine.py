@@ -23,12 +23,13 @@ import pytest
 
 from helpers.graph import busy_machine
 from helpers.graph.surg import environment, start
-from helpers.results.busy_results import note
+from helpers.results.busy_results import note, note_stops
+from helpers.teleop.console_attack import attack
 from helpers.teleop.console_page import Page, page, when
 from surg_cli.graph import master
 from surg_cli.host import paths
 
-pytestmark = [pytest.mark.ros, pytest.mark.full, pytest.mark.untimed]
+pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
 SECONDS = float(os.environ.get("SURG_STORM_SECONDS", "600"))
 HAND_SPEED = 0.5
@@ -131,6 +132,7 @@ async def storm(found: Page, rng: np.random.Generator, until: float, scope: floa
     return enabled
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("cell", "arm", "scope"),
     [("sim_ur5e", "PSM1", 0.0), ("sim_panda", "PSM1", 0.0), ("sim_two_arms", "ECM", 0.7)],
@@ -156,3 +158,46 @@ def test_a_fast_hand_on_a_busy_machine_never_leaves_the_pivot(
             assert seen["pivot_mm"] <= 0.5
 
     asyncio.run(test())
+
+
+STOPS = 20 if os.environ.get("SURG_TEST_FULL") else 3
+STOP_WITHIN = 0.2
+"""[s] From the command's start to the first message that says the arm is no longer enabled."""
+
+
+@pytest.mark.parametrize("around", ["quiet", "attack", "load"])
+def test_stop_pauses_at_once(tmp_path: Path, around: str) -> None:
+    """`./surg stop` while a page drives; beside it nothing, an attack on the console, or a load."""
+    took: list[float] = []
+    typed = {name: value for name, value in environment().items() if name != "SURG_READY"}
+
+    async def stop(found: Page, judged: Judged) -> None:
+        await drive(found)
+        await when(lambda: judged.seen["state"] == "ENABLED", "the judge's ENABLED", 5.0)
+        began = time.monotonic()
+        done = await asyncio.create_subprocess_exec(str(paths.ROOT / "surg"), "stop", env=typed)
+        assert await done.wait() == 0
+        await asyncio.sleep(1.0)  # the judge writes twice a second
+        assert judged.seen["state"] == "PAUSED"
+        if judged.seen["left_at"] > began:  # the attack has not held the arm before
+            took.append(judged.seen["left_at"] - began)
+        found.fall_silent()
+
+    async def test() -> None:
+        async with contextlib.AsyncExitStack() as stack:
+            web, judged = await stack.enter_async_context(system(tmp_path, "sim_ur5e", "PSM1"))
+            found = await stack.enter_async_context(page(web))
+            found.hand = {"hand": "position", "p": [0.0, 0.0, 0.0]}
+            if around == "attack":
+                await stack.enter_async_context(attack(web, 120.0, half_open=1200, pages=8))
+            elif around == "load":
+                stack.enter_context(busy_machine.busy())
+            for _ in range(3 * STOPS):
+                if len(took) < STOPS:
+                    await stop(found, judged)
+
+    asyncio.run(test())
+    assert len(took) == STOPS
+    note_stops(around, took)
+    if os.environ.get("SURG_TEST_FULL"):
+        assert max(took) < STOP_WITHIN

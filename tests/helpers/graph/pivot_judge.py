@@ -1,7 +1,8 @@
 """Judges one arm by the simulator's own truth: `python pivot_judge.py PSM1`.
 
 A process of its own, because a test's own node belongs to another ROS master. Two lines of JSON a
-second, until the pipe ends.
+second, until the pipe ends. `left_at` is the time on the steady clock at which the first message
+said that the arm is no longer ENABLED.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ class Judge:
             "late_cycles": 0,
             "longest_cycle_ms": 0.0,
             "ended": {},
+            "left_at": 0.0,
             "pivot_mm": 0.0,
             "pivot_enabled_mm": 0.0,
             "way_m": 0.0,
@@ -55,6 +57,7 @@ class Judge:
             if state != self._state and self._state == "ENABLED":
                 how = f"{state}({message.reason})"
                 self.seen["ended"][how] = self.seen["ended"].get(how, 0) + 1
+                self.seen["left_at"] = time.monotonic()
             self._state = state
         self.seen["state"] = state
 

@@ -15,7 +15,8 @@ from surg_cli.graph.watch import PAUSE_SIGNAL, pause_arms
 from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import Problem, say
 
-STATE_TYPE = "crtk_msgs/OperatingState"
+CYCLE_TYPE = "surg_msgs/Cycle"
+"""Only controllers publish it: a leader has an operating state, too, but nothing to pause."""
 PATIENCE_S = 0.3
 """[s] The supervising process has paused the arms by then, or this process does it."""
 TIMEOUT_S = 5.0
@@ -57,10 +58,10 @@ def _confirm(uri: str) -> int:
     arms = sorted(
         topic.split("/")[1]
         for topic, kind in master.call(uri, "getTopicTypes")
-        if kind == STATE_TYPE and topic.count("/") == 2
+        if kind == CYCLE_TYPE and topic.count("/") == 2
     )
     if not arms:
-        raise Problem(f"no arm reports an operating state to the ROS master at {uri}")
+        raise Problem(f"no arm's controller reports to the ROS master at {uri}")
     import rospy
 
     from crtk_msgs.msg import OperatingState

@@ -278,6 +278,7 @@ def _keep(
         system.start(supervisor, node)
     os.environ.update(supervisor.env)
     with Watch(plan.arms) as watch:
+        watch.stay_connected()
         with Progress("teleop") as progress:
             address = _await_page(plan, watch, supervisor, progress)
         if entry is not None:

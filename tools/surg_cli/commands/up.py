@@ -186,6 +186,8 @@ def _keep(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> NoRetur
                 system.start(supervisor, node)
             os.environ.update(supervisor.env)
             with Watch(plan.arms) as watch:
+                if not plan.lockstep:
+                    watch.stay_connected()
                 with Progress("up") as progress:
                     _await_arms(plan, watch, supervisor, progress)
                 for arm in plan.arms:

@@ -6,7 +6,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
 from surg_cli.host.terminal import warn
@@ -19,16 +19,33 @@ FAULT_GRACE_S = 1.0
 """[s] An arm in FAULT gets this time to send its error."""
 
 
-def pause_arms(arms: Sequence[str]) -> None:
-    """Tell arms to pause. Nobody is a sender before that: in lock-step senders are declared."""
+def state_command(arm: str, latch: bool) -> Any:
+    """A new publisher of an arm's state commands."""
     import rospy
 
     from crtk_msgs.msg import StringStamped
 
-    keys = {"queue_size": 10, "latch": True, "tcp_nodelay": True}
-    told = [rospy.Publisher(f"/{arm}/state_command", StringStamped, **keys) for arm in arms]
+    keys = {"queue_size": 10, "latch": latch, "tcp_nodelay": True}
+    return rospy.Publisher(f"/{arm}/state_command", StringStamped, **keys)
+
+
+def pause_arms(arms: Sequence[str], ready: Mapping[str, Any] | None = None) -> None:
+    """Tell arms to pause.
+
+    Args:
+        arms: Their names.
+        ready: Publishers that are connected already, by arm: the fastest way. All arms are told
+            by new ones as well; a connection may be broken.
+    """
+    from crtk_msgs.msg import StringStamped
+
+    pause = StringStamped(string="pause")
+    for arm in arms:
+        if ready and arm in ready:
+            ready[arm].publish(pause)
+    told = [state_command(arm, latch=True) for arm in arms]
     for publisher in told:
-        publisher.publish(StringStamped(string="pause"))
+        publisher.publish(pause)
     time.sleep(CONNECT_S)  # latched: whoever connects in this time is told
     for publisher in told:
         publisher.unregister()
@@ -79,6 +96,7 @@ class Watch:
         for topic, kind in self._kinds.items():
             self._subscribers.append(subscribe(topic, kind, self._on_status, topic))
         self._arms = tuple(arms)
+        self._ready: dict[str, Any] = {}
         if arms and threading.current_thread() is threading.main_thread():
             signal.signal(PAUSE_SIGNAL, lambda *_: self._begin_pause())
         for arm in arms:
@@ -108,8 +126,16 @@ class Watch:
         """Tell the recorder to start or to stop; latched, so a late recorder hears it too."""
         self._record_switch.publish(self._bool(on))
 
+    def stay_connected(self) -> None:
+        """Keep connections on which arms are told to pause, so that a pause needs no new one.
+
+        Not in lock-step: there only declared senders may publish.
+        """
+        self._ready = {arm: state_command(arm, latch=False) for arm in self._arms}
+
     def _begin_pause(self) -> None:
-        threading.Thread(target=pause_arms, args=(self._enabled(),), daemon=True).start()
+        told = (self._enabled(), self._ready)
+        threading.Thread(target=pause_arms, args=told, daemon=True).start()
 
     def _enabled(self) -> list[str]:
         """Arms that are ENABLED, or whose state is not known."""
