@@ -1,4 +1,4 @@
-"""Where planned tips are in an eye's raw picture: ``p_V = X_WV^-1 X_WB X_BR p_R``, then the lens."""
+"""Where planned tips are in an eye's raw picture: `p_V = X_WV^-1 X_WB X_BR p_R`, then the lens."""
 
 from __future__ import annotations
 
