@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from bgr_eye import small
 from bgr_networks import Answer, Sizes, network_of
-from bgr_policy import ACTION, ACTIONS, SET, STATE, Policy, serve, state_columns
+from bgr_policy import SET, STATE, Policy, serve, state_columns, weights_of
 
 Array = np.ndarray
 
@@ -112,20 +112,7 @@ class ClonedPolicy(Policy):
         Raises:
             ValueError: The file holds no weights of such a policy, or of another action space.
         """
-        try:
-            with np.load(file, allow_pickle=False) as found:
-                arrays = {name: found[name] for name in found.files}
-            head = json.loads(arrays.pop("head").tobytes())
-        except (KeyError, ValueError) as error:
-            raise ValueError(f"{file}: no weights of this policy ({error})") from None
-        if not isinstance(head, dict) or head.get("format") != cls.format:
-            raise ValueError(f"{file}: its format is not {cls.format}")
-        said = head["names"].get(ACTION, ACTIONS)
-        if said != ACTIONS:
-            raise ValueError(
-                f"{file}: trained on the actions {', '.join(said)}; allowed: {', '.join(ACTIONS)} "
-                "(a dataset with absolute actions)"
-            )
+        head, arrays = weights_of(file, cls.format)
         parts: dict[str, dict[str, Array]] = {"net": {}, "scale": {}}
         for name, array in arrays.items():
             kind, _, of = name.partition("_")

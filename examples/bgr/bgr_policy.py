@@ -197,6 +197,29 @@ class Network:
         return x @ weight + bias
 
 
+def weights_of(file: Path, form: str) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Head and arrays of a file of weights.
+
+    Raises:
+        ValueError: The file holds no weights of this format, or of another action space.
+    """
+    try:
+        with np.load(file, allow_pickle=False) as found:
+            arrays = {name: found[name] for name in found.files}
+        head = json.loads(arrays.pop("head").tobytes())
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"{file}: no weights of this policy ({error})") from None
+    if not isinstance(head, dict) or head.get("format") != form:
+        raise ValueError(f"{file}: its format is not {form}")
+    said = head["names"].get(ACTION, ACTIONS)
+    if said != ACTIONS:
+        raise ValueError(
+            f"{file}: trained on the actions {', '.join(said)}; allowed: {', '.join(ACTIONS)} "
+            "(a dataset with absolute actions)"
+        )
+    return head, arrays
+
+
 class Policy:
     """A network with its scales, column names and provenance.
 
@@ -264,20 +287,7 @@ class Policy:
         Raises:
             ValueError: The file holds no weights of this policy.
         """
-        try:
-            with np.load(file, allow_pickle=False) as found:
-                arrays = {name: found[name] for name in found.files}
-            head = json.loads(arrays.pop("head").tobytes())
-        except (KeyError, ValueError) as error:
-            raise ValueError(f"{file}: no weights of this policy ({error})") from None
-        if not isinstance(head, dict) or head.get("format") != cls.format:
-            raise ValueError(f"{file}: its format is not {cls.format}")
-        said = head["names"].get(ACTION, ACTIONS)
-        if said != ACTIONS:
-            raise ValueError(
-                f"{file}: trained on the actions {', '.join(said)}; allowed: {', '.join(ACTIONS)} "
-                "(a dataset with absolute actions)"
-            )
+        head, arrays = weights_of(file, cls.format)
         count = sum(name.startswith("weight_") for name in arrays)
         layers = [(arrays[f"weight_{i}"], arrays[f"bias_{i}"]) for i in range(count)]
         scales = {n[6:]: value for n, value in arrays.items() if n.startswith("scale_")}

@@ -109,22 +109,7 @@ class Looked(Varied):
 
     def __call__(self, views: Any, marks: Any = None) -> Any:
         """Variants as float32 grey levels."""
-        looks, rng = self._looks, self._rng
-        x, _ = self._moved(views.float(), np.zeros((len(views), 1, 2)))
-        for chance, change in (
-            (looks.bar, self._bar),
-            (looks.dirt, self._dirt),
-            (looks.smoke, self._smoke),
-            (looks.dark, self._dark),
-            (looks.blur, self._blur),
-        ):
-            rows = np.flatnonzero(rng.random(len(x)) < chance)
-            if len(rows):
-                at = torch.from_numpy(rows).to(x.device)
-                x[at] = change(x[at])
-        gain = 1.0 + looks.colour * rng.standard_normal((len(x), 4, 1, 1))
-        x = x * self._there(gain[:, :1] * gain[:, 1:])
-        return (x + looks.grain * torch.randn_like(x)).clamp(0.0, 255.0)
+        return self.dressed(self._moved(views.float(), np.zeros((len(views), 1, 2)))[0])
 
 
 def train(

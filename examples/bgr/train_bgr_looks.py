@@ -85,8 +85,11 @@ class Varied:
         Returns:
             (B, 3, side, side) float32 grey levels, and (B, P, 2).
         """
-        x = self._there(views.transpose(0, 3, 1, 2))
-        x, marks = self._moved(x, marks)
+        x, marks = self._moved(self._there(views.transpose(0, 3, 1, 2)), marks)
+        return self.dressed(x), marks
+
+    def dressed(self, x: Any) -> Any:
+        """Other light, dirt and noise on pictures (B, 3, side, side) of this device."""
         looks, chosen = self._looks, self._rng.random
         for chance, change in (
             (looks.bar, self._bar),
@@ -101,7 +104,7 @@ class Varied:
         gain = 1.0 + looks.colour * self._rng.standard_normal((len(x), 4, 1, 1))
         x = x * self._there(gain[:, :1] * gain[:, 1:])
         noise = self._torch.randn(x.shape, device=self._device)
-        return (x + looks.grain * noise).clamp(0.0, 255.0), marks
+        return (x + looks.grain * noise).clamp(0.0, 255.0)
 
     def _moved(self, x: Any, marks: Array) -> tuple[Any, Array]:
         """Shifted, turned and scaled; what comes in from outside is black."""

@@ -372,7 +372,8 @@ def test_numpy_alone_gives_what_the_trainer_had(
         policy.act({bgr_policy.STATE: state, bgr_image_policy.PICTURE: view})
         for state, view in zip(shown.state, shown.views, strict=True)
     ]
-    np.testing.assert_allclose(np.load(tmp_path / "out.npy"), here, rtol=0, atol=1e-6)
+    # Another number of threads sums in another order.
+    np.testing.assert_allclose(np.load(tmp_path / "out.npy"), here, rtol=0, atol=1e-5)
 
 
 def test_weights_of_another_policy_are_refused(
