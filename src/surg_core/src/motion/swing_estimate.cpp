@@ -1,23 +1,14 @@
 #include "surg_core/motion/swing_estimate.hpp"
 
-#include <algorithm>
 #include <cmath>
+
+#include "surg_core/motion/oscillator.hpp"
 
 namespace surg {
 namespace {
 
 constexpr double kProcess = 5e11;         // [1/s^5] spectral density of the jerk
 constexpr double kFirstVelocity = 2.5e7;  // variance of the unknown velocity at the start
-
-/// How position and rate of a damped oscillator go on over h [s].
-Eigen::Matrix2d oscillation(double stiffness, double decay, double h) {
-  const double fast = std::sqrt(std::max(stiffness - decay * decay, 1e-6));
-  const double faded = std::exp(-decay * h), c = faded * std::cos(fast * h),
-               s = faded * std::sin(fast * h) / fast;
-  Eigen::Matrix2d F;
-  F << c + decay * s, s, -stiffness * s, c - decay * s;
-  return F;
-}
 
 }  // namespace
 
@@ -70,16 +61,9 @@ SwingEstimate::Covariance SwingEstimate::transition(double h) const {
 /// What noise adds over h: to the motion by its jerk, to the swing what has faded of it.
 SwingEstimate::Covariance SwingEstimate::process(const Covariance& F, double h) const {
   Covariance Q = Covariance::Zero();
-  const double q = kProcess * h, h2 = h * h;
-  Q(0, 0) = q * h2 * h2 / 20;
-  Q(0, 1) = Q(1, 0) = q * h2 * h / 8;
-  Q(0, 2) = Q(2, 0) = q * h2 / 6;
-  Q(1, 1) = q * h2 / 3;
-  Q(1, 2) = Q(2, 1) = q * h / 2;
-  Q(2, 2) = q;
-  const Eigen::Matrix2d swing = Eigen::Vector2d(model_.size, stiffness_ * model_.size).asDiagonal();
-  const Eigen::Matrix2d kept = F.bottomRightCorner<2, 2>();
-  Q.bottomRightCorner<2, 2>() = swing - kept * swing * kept.transpose();
+  Q.topLeftCorner<3, 3>() = jerk_noise(kProcess, h);
+  Q.bottomRightCorner<2, 2>() =
+      oscillation_noise(F.bottomRightCorner<2, 2>(), model_.size, stiffness_);
   return Q;
 }
 

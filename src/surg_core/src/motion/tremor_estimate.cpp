@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "surg_core/motion/oscillator.hpp"
+
 namespace surg {
 namespace {
 
@@ -60,32 +62,19 @@ void TremorEstimate::take(const Values& x) {
 }
 
 TremorEstimate::Covariance TremorEstimate::transition(double h) const {
-  const double fast = std::sqrt(std::max(omega_ * omega_ - kDecay * kDecay, 1.0));
-  const double faded = std::exp(-kDecay * h), c = faded * std::cos(fast * h),
-               s = faded * std::sin(fast * h) / fast;
   Covariance F = Covariance::Identity();
   F(0, 1) = F(1, 2) = h;
   F(0, 2) = 0.5 * h * h;
-  F(3, 3) = c + kDecay * s;
-  F(3, 4) = s;
-  F(4, 3) = -(fast * fast + kDecay * kDecay) * s;
-  F(4, 4) = c - kDecay * s;
+  F.bottomRightCorner<2, 2>() = oscillation(omega_ * omega_, kDecay, h);
   return F;
 }
 
 /// What noise adds over h: to the motion by its jerk, to the tremor what has faded of it.
 TremorEstimate::Covariance TremorEstimate::process(const Covariance& F, double h) const {
   Covariance Q = Covariance::Zero();
-  const double q = kJerk * h, h2 = h * h;
-  Q(0, 0) = q * h2 * h2 / 20;
-  Q(0, 1) = Q(1, 0) = q * h2 * h / 8;
-  Q(0, 2) = Q(2, 0) = q * h2 / 6;
-  Q(1, 1) = q * h2 / 3;
-  Q(1, 2) = Q(2, 1) = q * h / 2;
-  Q(2, 2) = q;
-  const Eigen::Matrix2d tremor = Eigen::Vector2d(kTremor, omega_ * omega_ * kTremor).asDiagonal();
-  const Eigen::Matrix2d kept = F.bottomRightCorner<2, 2>();
-  Q.bottomRightCorner<2, 2>() = tremor - kept * tremor * kept.transpose();
+  Q.topLeftCorner<3, 3>() = jerk_noise(kJerk, h);
+  Q.bottomRightCorner<2, 2>() =
+      oscillation_noise(F.bottomRightCorner<2, 2>(), kTremor, omega_ * omega_);
   return Q;
 }
 
