@@ -165,6 +165,7 @@ STOP_WITHIN = 0.2
 """[s] From the command's start to the first message that says the arm is no longer enabled."""
 
 
+@pytest.mark.full  # it stops every system of this checkout
 @pytest.mark.parametrize("around", ["quiet", "attack", "load"])
 def test_stop_pauses_at_once(tmp_path: Path, around: str) -> None:
     """`./surg stop` while a page drives; beside it nothing, an attack on the console, or a load."""
