@@ -362,7 +362,7 @@ class NoRos:
 sys.meta_path.insert(0, NoRos())
 import surg_recording.datasets.lerobot_v21, surg_recording.reports.learning
 import surg_sim.envs.demonstrations
-from surg_cli.learning import without_ros
+from surg_cli.commands import without_ros
 without_ros.main(["--help"])
 """
     run = subprocess.run([sys.executable, "-c", hide], capture_output=True, text=True, timeout=60)

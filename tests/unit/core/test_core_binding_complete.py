@@ -29,6 +29,7 @@ ABSENT = {
     "Trocar TrackSample PointKalman NoiseEstimate TrackFilter Jaw LagMeter": "part",
     "Harmonics Overtones RateSearch BreathingFilter": "part",
     "StreamInput StreamEstimate StreamLateness TremorEstimate nearest_inside": "part",
+    "HandEstimate SwingEstimate SwingModel oscillation oscillation_noise jerk_noise": "part",
     "ForceGuard ElbowMotion ElbowTurn elbow_turn swivel_angle": "part",
     "StandstillGuard bias_acceleration Pivots padded": "part",
     "Wall Fixtures check_fixture wall_at Constraint Slide nearest_in": "part",
