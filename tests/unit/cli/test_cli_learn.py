@@ -16,10 +16,10 @@ from typing import Any
 import pytest
 
 from helpers.recording.rollouts_synthetic import entry, rollout
-from surg_cli.commands import learn
+from surg_cli.commands import learn, without_ros
 from surg_cli.host import provision
 from surg_cli.host.terminal import Problem
-from surg_cli.learning import learn_stages, recipes, rollouts, without_ros
+from surg_cli.learning import learn_stages, recipes, rollouts
 
 ROS = {"rospy", "rosgraph", "genpy", "surg_ros", "surg_msgs", "crtk_msgs", "std_msgs"}
 TRAINED = {
