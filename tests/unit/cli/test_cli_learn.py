@@ -16,7 +16,8 @@ from typing import Any
 import pytest
 
 from helpers.recording.rollouts_synthetic import entry, rollout
-from surg_cli.commands import learn, without_ros
+from surg_cli import without_ros
+from surg_cli.commands import learn
 from surg_cli.host import provision
 from surg_cli.host.terminal import Problem
 from surg_cli.learning import learn_stages, recipes, rollouts
@@ -362,7 +363,7 @@ class NoRos:
 sys.meta_path.insert(0, NoRos())
 import surg_recording.datasets.lerobot_v21, surg_recording.reports.learning
 import surg_sim.envs.demonstrations
-from surg_cli.commands import without_ros
+from surg_cli import without_ros
 without_ros.main(["--help"])
 """
     run = subprocess.run([sys.executable, "-c", hide], capture_output=True, text=True, timeout=60)

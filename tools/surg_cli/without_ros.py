@@ -1,6 +1,6 @@
 """The stages of `./surg learn` before the roll-outs, on a machine without ROS such as a cluster's.
 
-    PYTHONPATH=tools python3 -m surg_cli.commands.without_ros bgr --cameras --out runs/L
+    PYTHONPATH=tools python3 -m surg_cli.without_ros bgr --cameras --out runs/L
 
 Options are those of `./surg learn`, and the folder is its folder: copied to a machine with ROS,
 `./surg learn` goes on there with the roll-outs. docs/guide/learning/without_ros.md
@@ -20,7 +20,7 @@ from surg_cli.learning import learn_stages
 from surg_cli.learning.recipes import Request
 from surg_cli.learning.stage_ledger import Ledger
 
-PROGRAM = "PYTHONPATH=tools python3 -m surg_cli.commands.without_ros"
+PROGRAM = "PYTHONPATH=tools python3 -m surg_cli.without_ros"
 
 
 def options_of(words: Sequence[str]) -> argparse.Namespace:
