@@ -52,7 +52,7 @@ def kill_soon(folder: Path, seed: int, killed: list[int]) -> threading.Thread:
         file = folder / f"{seed}.0"
         while time.monotonic() < deadline:
             if file.exists() and (pid := file.read_text().strip()):
-                time.sleep(0.3)  # into the roll-out, which takes seconds
+                time.sleep(0.02)  # into the roll-out, which takes a second
                 os.kill(int(pid), signal.SIGKILL)
                 killed.append(int(pid))
                 return
