@@ -25,9 +25,11 @@ from helpers.graph.ros import RosGraph
 from surg_cli.graph.processes import Child
 from surg_cli.host import paths
 from surg_msgs.msg import Cycle, LinkStatus, Ready
+from surg_ros.transport.direct_publisher import listeners
 
 CELL = paths.ROOT / "cells" / "sim_ur5e"
 TICK_NS = 2_000_000
+CONTROLLER = "/PSM1/controller"
 ANSWER_S = 5.0  # of wall clock; only a broken controller needs it
 SILENCE_S = 0.3
 
@@ -105,9 +107,12 @@ class Rig:
         return keep
 
     def connected(self, ready: bool = True) -> bool:
-        """Whether the controller hears everything and is heard."""
+        """Whether the controller hears everything and is heard.
+
+        By its name: a test that looks at a topic itself is a connection too.
+        """
         publishers = [p for p in self._publishers if ready or p is not self.ready]
-        return all(p.get_num_connections() > 0 for p in publishers) and all(
+        return all(CONTROLLER in listeners(p) for p in publishers) and all(
             s.get_num_connections() > 0 for s in self._subscribers[:8] if "/sim/" not in s.name
         )
 
@@ -202,7 +207,7 @@ def start(graph: RosGraph, rig: Rig, env: dict[str, str] | None = None, **params
     """Start the controller with this process as its one participant and wait for it."""
     settings: dict[str, object] = {"cell": CELL, "arm": "PSM1", "participants": [rig.name]}
     settings.update(params)
-    child = graph.node("surg_control", "rcm_node", "/PSM1/controller", settings, env=env)
+    child = graph.node("surg_control", "rcm_node", CONTROLLER, settings, env=env)
     ready = settings.get("mode", "lockstep") == "lockstep"
     graph.wait_for(lambda: rig.connected(ready), 20.0, "the controller's connections")
     return child

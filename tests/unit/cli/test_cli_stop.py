@@ -15,9 +15,10 @@ from surg_cli.host import paths, provision, workspace
 
 LISTENER = """
 import signal
-signal.signal(signal.SIGUSR1, lambda *_: print("paused", flush=True))
+signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGUSR1})  # kept until it is waited for
 print("listens", flush=True)
-signal.pause()
+signal.sigwait({signal.SIGUSR1})
+print("paused", flush=True)
 """
 
 
