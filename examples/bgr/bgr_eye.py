@@ -39,6 +39,9 @@ CLEAR = 0.08
 PRIOR, FADE, EDGE, LEAST = 0.5, 0.93, 1.2, 0.06
 """Of the estimate of a picture's shift: weight of none, memory per picture, the largest coordinate
 at which a tip counts, and the smallest shift that counts."""
+REST = 0.02
+"""A tip that moves less than this in `LAG` steps tells the shift [half picture heights]: a picture
+is older than the joints, so a tip that moves is seen behind."""
 BESIDE = 0.07
 """Distance of the two places that tell a direction, from the one between them."""
 LAG = 4
@@ -236,6 +239,7 @@ class View:
     def __init__(self, plane: Array, lens: Array) -> None:
         self._plane, self._lens = plane, lens
         self._sum, self._weight = np.zeros(2), 0.0
+        self._path: list[Array] = []
 
     def look(self, tip: Array, clear: float, p_RTip: Array) -> None:
         """Take where the robot's tip is seen, how clearly, and where its joints say it is.
@@ -247,9 +251,14 @@ class View:
         """
         x = self._lens @ np.append(p_RTip, 1.0)
         should = x[:2] / x[2]
-        weight = clear**2 if (np.abs(should) < EDGE).all() else 0.0
-        self._sum = FADE * self._sum + weight * (tip - should)
-        self._weight = FADE * self._weight + weight
+        self._path = [*self._path[-LAG:], should]
+        if len(self._path) <= LAG or not (np.abs(should) < EDGE).all():
+            return
+        moved = max(float(np.linalg.norm(each - should)) for each in self._path)
+        weight = clear**2 * np.exp(-0.5 * (moved / REST) ** 2)
+        fade = FADE**weight
+        self._sum = fade * self._sum + weight * (tip - should)
+        self._weight = fade * self._weight + weight
 
     @property
     def shift(self) -> Array:

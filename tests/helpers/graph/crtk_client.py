@@ -26,6 +26,7 @@ from std_msgs.msg import Bool, Empty, Float64, Float64MultiArray
 
 from crtk_msgs.msg import OperatingState, StringStamped
 from surg_msgs.msg import Cycle, Ready
+from surg_ros.transport.direct_publisher import listeners
 
 Array = NDArray[np.float64]
 
@@ -89,7 +90,9 @@ class LockstepTime:
 
     def connected(self) -> bool:
         """Whether simulator and controller hear it, and it hears the controller."""
-        return self._ready.get_num_connections() >= 2 and self._cycle.get_num_connections() >= 1
+        names = listeners(self._ready)  # one listener can be connected twice
+        heard = f"/{self._arm}/controller" in names and len(names) >= 2
+        return heard and self._cycle.get_num_connections() >= 1
 
     def _on_cycle(self, message: Cycle) -> None:
         with self.changed:

@@ -10,6 +10,7 @@ import rospy
 
 from helpers.graph.crtk_client import TICK
 from surg_msgs.msg import Cycle, Ready
+from surg_ros.transport.direct_publisher import listeners
 
 
 class Ticks:
@@ -36,7 +37,7 @@ class Ticks:
     def connected(self) -> bool:
         """Whether simulator and controllers hear it, and it hears the controllers."""
         heard = all(ear.get_num_connections() for ear in self._ears)
-        return heard and self._ready.get_num_connections() >= 1 + len(self._ears)
+        return heard and len(listeners(self._ready)) >= 1 + len(self._ears)
 
     def _on_cycle(self, message: Cycle, arm: str) -> None:
         with self.changed:

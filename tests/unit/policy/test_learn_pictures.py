@@ -164,8 +164,7 @@ def test_the_tube_is_found_beside_where_the_assistant_points() -> None:
 def test_a_camera_that_moved_is_known_from_the_robots_own_tip(moved: tuple[float, float]) -> None:
     """All places are shifted alike; points and directions in space are those of before."""
     view, shift, rng = bgr_eye.View(*made.camera()), np.array(moved), np.random.default_rng(4)
-    for _ in range(80):
-        tip = rng.uniform(-0.02, 0.02, 2)
+    for tip in np.repeat(rng.uniform(-0.02, 0.02, (10, 2)), 12, axis=0):
         seen = tip[::-1] / made.REACH + shift + 0.02 * rng.standard_normal(2)
         view.look(seen, 1.0, np.append(tip, made.DISTANCE))
         hidden = np.append(tip, made.DISTANCE)
@@ -175,6 +174,20 @@ def test_a_camera_that_moved_is_known_from_the_robots_own_tip(moved: tuple[float
     place = goal[::-1] / made.REACH + shift
     np.testing.assert_allclose(view.points(place[None])[0], [*goal, made.DISTANCE], atol=8e-4)
     np.testing.assert_allclose(view.along(place, np.array([0.0, 1.0])), [1.0, 0.0, 0.0], atol=1e-6)
+
+
+@pytest.mark.parametrize("late", [0, 1, 2])
+@pytest.mark.parametrize("speed", [0.01, 0.03, 0.06])
+def test_an_old_picture_of_a_moving_tip_moves_no_camera(late: int, speed: float) -> None:
+    """To and fro at a speed [m/s], seen some steps late: whatever it sees, the goal stays."""
+    view = bgr_eye.View(*made.camera())
+    way = np.abs((0.05 * speed * np.arange(200) + 0.02) % 0.08 - 0.04) - 0.02
+    tips = np.column_stack([way, 0.5 * way, np.full(200, made.DISTANCE)])
+    worst = 0.0
+    for step in range(late, 200):
+        view.look(tips[step - late, 1::-1] / made.REACH, 1.0, tips[step])
+        worst = max(worst, float(np.linalg.norm(view.shift)))
+    assert worst == 0.0
 
 
 def test_the_lens_is_found_from_tips_and_where_they_are_seen() -> None:
