@@ -93,16 +93,19 @@ def remembered(answers: Array, tips: Array, plane: Array, lens: Array) -> Array:
     return np.array([sight.add(*each) for each in zip(answers, tips, strict=True)])
 
 
-def features(columns: Array, state: Array, seen: Array, last: Array) -> Array:
+def features(columns: Array, state: Array, seen: Array, last: Array, moved: Array) -> Array:
     """Inputs of the hand at each of T successive steps of one episode.
 
-    All are in the rcm frame, as the actions are. Before the first step, the first one holds.
+    All are in the rcm frame, as the actions are. Before the first step, the first one holds. How
+    fast it moves, the hand knows from its own commands: how far the arm is behind them depends on
+    delays, and these differ between lock-step and real time.
 
     Args:
         columns: Of `state_columns`.
         state: (T, 9) `observation.state`.
         seen: (T, SAID + 11) of `remembered`.
         last: (T, 4) tip and roll of the last command; at the first step, the set-point.
+        moved: (T, 4) change of ``last`` in one step.
 
     Returns:
         (T, F). `PLACES` are vectors from the last command, `DISTANCE` is the length of the first,
@@ -116,9 +119,7 @@ def features(columns: Array, state: Array, seen: Array, last: Array) -> Array:
         helper,
         np.linalg.norm(target, axis=1),
         seen[:, ALONG],
-        s[:, :3] - here,
-        s[:, SET][:, :3] - here,
-        s[:, [3, 8]],
+        moved,
         last[:, 3],
         seen[:, [OTHER_JAW, TENSION, NEAR, CERTAIN, POINTING]],
     ]
@@ -150,7 +151,7 @@ class EyeAndHand:
 class ImagePolicy(Policy):
     """A policy that reads the endoscope's left picture and measured values."""
 
-    format = "surg_bgr_image_policy/3"
+    format = "surg_bgr_image_policy/4"
     wants = (STATE, PICTURE)
 
     @classmethod
@@ -173,6 +174,7 @@ class ImagePolicy(Policy):
         super().reset(instruction, seed)
         self._sight = Sight(self.scales["plane"], self.scales["lens"])
         self._seen: Array | None = None
+        self._before: tuple[Array, int | None] | None = None
 
     def act(self, observation: Any) -> Array:
         """The next actions, (K, 5), from an observation (`surg_policy_client.Observation`)."""
@@ -182,11 +184,21 @@ class ImagePolicy(Policy):
         answer = self.network.eye(small(picture)[None])[0]
         seen = self._sight.add(answer, state[self._columns][:3])
         self._seen, self._aspect = seen, picture.shape[0] / picture.shape[1]
-        last = self.last_command(state[self._columns][SET], observation)
-        self._past.append((state, seen, last))
+        last, moved = self._last_and_moved(state[self._columns][SET], observation)
+        self._past.append((state, seen, last, moved))
         parts = [np.array(part) for part in zip(*self._past, strict=True)]
         inputs = features(self._columns, *parts)[-1:]
         return self.say(self.predict(inputs, last[None])[0], observation)
+
+    def _last_and_moved(self, held: Array, observation: Any) -> tuple[Array, Array]:
+        """The last command, and its change in one step: none where the arm begins anew."""
+        last = self.last_command(held, observation)
+        step = getattr(observation, "step", None)
+        before, self._before = self._before, (last, step)
+        if before is None or last is held:
+            return last, np.zeros(4)
+        steps = 1 if step is None or before[1] is None else max(step - before[1], 1)
+        return last, (last - before[0]) / steps
 
     def seen(self) -> Any:
         """What it made of the last picture, a `surg_policy_client.Seen`: for people who watch.

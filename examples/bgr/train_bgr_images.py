@@ -284,12 +284,13 @@ class Samples:
         parts = []
         for episode, view in zip(episodes, seen, strict=True):
             last = last_commands(episode, columns.state[SET])
+            moved = np.diff(last, axis=0, prepend=last[:1])
             targets = targets_of(episode, last, chunk)
             good = ~missed(episode.action[:, 4])
             for steps in range(behind + 1):
                 row = np.maximum(np.arange(len(last)) - steps, 0)
                 state, task = episode.state[row], episode.task[row]
-                inputs = features(columns.state, state, view[row], last)
+                inputs = features(columns.state, state, view[row], last, moved)
                 held = (task[:, columns.task["held"]] >= 0).ravel()
                 jaw = state[:, columns.state[4]]
                 free = ~held & ((jaw > OPEN) | (inputs[:, DISTANCE] > NEAR))

@@ -320,18 +320,20 @@ def test_acting_step_by_step_is_what_was_trained(policy: bgr_image_policy.ImageP
     for _ in range(2):  # the second time after a reset
         policy.reset("", None)
         said: list[np.ndarray] = []
-        last = shown.state[0, bgr_policy.SET]
-        chunks = []
+        last = before = shown.state[0, bgr_policy.SET]
+        chunks, moved = [], []
         for state, view in zip(shown.state, shown.views, strict=True):
             if np.linalg.norm(last[:3] - state[5:8]) > bgr_policy.REACH:
-                last = state[bgr_policy.SET]
+                last = before = state[bgr_policy.SET]  # it begins anew: nothing has moved
             said.append(last)
+            moved.append(last - before)
+            before = last
             seen = {bgr_policy.STATE: state, bgr_image_policy.PICTURE: view}
             chunks.append(policy.act(seen))
             assert chunks[-1].shape == (4, 5) and chunks[-1].dtype == np.float64
             last = chunks[-1][0, :4]
         inputs = bgr_image_policy.features(
-            columns, shown.state, sight(policy, shown), np.array(said)
+            columns, shown.state, sight(policy, shown), np.array(said), np.array(moved)
         )
         made_at_once = policy.predict(inputs, np.array(said))
         np.testing.assert_allclose(np.array(chunks), made_at_once, atol=1e-5)
@@ -360,6 +362,29 @@ def test_it_goes_on_from_what_it_was_last_told_to_do(policy: bgr_image_policy.Im
     np.testing.assert_array_equal(policy.last_command(held, At(12, arrays)), chunk[1, :4])
     policy.acknowledged({"rejected": [{"step": 11, "rule": "start", "text": "too far"}]})
     np.testing.assert_array_equal(policy.last_command(held, At(12, arrays)), held)
+
+
+def test_how_fast_it_moves_it_knows_from_its_commands(policy: bgr_image_policy.ImagePolicy) -> None:
+    """Whatever the arm's delay is, and over steps that it missed; nothing where it begins anew."""
+    shown = made.episode(7)
+    arrays = {bgr_policy.STATE: shown.state[0], bgr_image_policy.PICTURE: shown.views[0]}
+    rows = shown.state[0, bgr_policy.SET] + np.arange(1.0, 5.0)[:, None] * [1e-3, 0, 0, 0.01]
+
+    def moved(step: int, behind: float) -> np.ndarray:
+        """Of the next observation, of an arm so far behind its set-point [m]."""
+        state = shown.state[0].copy()
+        state[:3] -= behind
+        policy.act(At(step, {**arrays, bgr_policy.STATE: state}))
+        policy._said = np.column_stack([rows, np.zeros(4)])
+        return policy._past[-1][3]
+
+    for behind in (0.0, 0.004):
+        policy.reset()
+        assert not moved(10, behind).any(), "it has not moved yet"
+        assert not moved(11, behind)[1:3].any()
+        np.testing.assert_allclose(moved(14, behind), [2e-3 / 3, 0, 0, 0.02 / 3], atol=1e-12)
+        policy.acknowledged({"rejected": [{"step": 15, "rule": "start", "text": "too far"}]})
+        assert not moved(16, behind).any(), "it was refused"
 
 
 def test_numpy_alone_gives_what_the_trainer_had(
