@@ -9,6 +9,7 @@ import pytest
 import rospy
 from sensor_msgs.msg import JointState
 
+from crtk_msgs.msg import OperatingState
 from helpers.graph.ros import RosGraph
 from surg_cli.graph.graph_probe import observe
 from surg_cli.graph.topic_contract import compare, load
@@ -85,6 +86,39 @@ def test_a_person_drives_the_assistant_and_the_task_ends(
     assert np.allclose(last["assistant_joints"], joints[-1], atol=1e-3)
     assert not np.allclose(first["assistant_joints"], last["assistant_joints"], atol=1e-3)
     assert "finite numbers" in log
+
+
+def test_in_real_time_the_assistant_begins_once_the_arm_is_enabled(
+    ros_graph: RosGraph, rospy_node: str
+) -> None:
+    """What it points at before that, nobody is there to see."""
+    joints: list[np.ndarray] = []
+    topics = [
+        rospy.Subscriber(
+            "/assistant/measured_js", JointState, lambda m: joints.append(np.array(m.position))
+        ),
+        rospy.Publisher("/PSM1/operating_state", OperatingState, queue_size=0, latch=True),
+    ]
+    state = topics[1]
+    scene = {"cell": str(CELL), "task": "bgr"}
+    params = {**scene, "mode": "freerun", "participants": ["assistant"]}
+    children = [ros_graph.node("surg_sim", "bridge_node.py", "/sim", params)]
+    params = {**scene, "after": ["PSM1"]}
+    children.append(ros_graph.node("surg_sim", "expert_node.py", "/assistant", params))
+    try:
+        state.publish(OperatingState(state="DISABLED"))
+        ros_graph.wait_for(
+            lambda: bool(joints) and state.get_num_connections() == 1, 30.0, "the assistant"
+        )
+        rest = joints[-1]
+        time.sleep(2.0)  # it reacts within 0.8 s
+        assert np.ptp(joints, axis=0).max() < 1e-3
+        state.publish(OperatingState(state="ENABLED"))
+        ros_graph.wait_for(lambda: np.abs(joints[-1] - rest).max() > 0.02, 10.0, "its motion")
+    finally:
+        ros_graph.supervisor.stop(children)
+        for topic in topics:
+            topic.unregister()
 
 
 def test_people_who_try_again_have_no_time_limit(ros_graph: RosGraph, rospy_node: str) -> None:

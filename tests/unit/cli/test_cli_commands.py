@@ -6,6 +6,7 @@ import os
 import re
 import socket
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -299,6 +300,14 @@ def test_a_controller_waits_for_those_who_command_its_arm(tmp_path: Path) -> Non
     assert nodes["/recorder"]["cameras"] == ["endoscope_left", "endoscope_right"]
     assert [node.name for node in system.senders(wanted)] == ["/expert", "/assistant"]
     assert episode_plan(wanted) == wanted
+
+
+def test_in_real_time_a_scripted_sender_begins_after_the_policys_arms(tmp_path: Path) -> None:
+    policy = system.Policy("tcp://127.0.0.1:5555", "policy.py")
+    wanted = plan(tmp_path, senders={"assistant": (), system.POLICY: ("PSM1",)}, policy=policy)
+    for lockstep, after in ((True, None), (False, ["PSM1"])):
+        (node,) = system.senders(replace(wanted, lockstep=lockstep))
+        assert node.name == "/assistant" and node.params.get("after") == after
 
 
 def episode_plan(wanted: Plan) -> Plan:

@@ -267,6 +267,9 @@ def endoscope(plan: Plan) -> Node:
 def senders(plan: Plan) -> list[Node]:
     """The scripted nodes that play the plan's task."""
     params: dict[str, object] = {"cell": str(plan.cell), "task": plan.task, "seed": plan.seed}
+    if not plan.lockstep and plan.policy is not None:
+        # In real time the arms come up in seconds: what is shown before that, nobody sees.
+        params["after"] = list(plan.senders[POLICY])
     return [
         Node(f"/{name}", "surg_sim", "expert_node.py", dict(params))
         for name in plan.senders

@@ -1,21 +1,23 @@
-"""A scripted sender of a task as a node, on the topics that a person uses; in lock-step only.
+"""A scripted sender of a task as a node, on the topics that a person uses.
 
 A task has one or more senders (``Task.experts``), each with a name: this node plays the one whose
-name it bears. Parameters: ``~cell``, ``~task``, ``~seed`` (of the sender's imperfections). Exit
-code 1: it could not connect; 2: a parameter that must not be used. What made it give up stands on
-``~status``; the episode's end is the simulator's affair.
+name it bears. Parameters: ``~cell``, ``~task``, ``~seed`` (of the sender's imperfections),
+``~after`` (arms that must be ENABLED before it begins). Exit code 1: it could not connect; 2: a
+parameter that must not be used. What made it give up stands on ``~status``; the episode's end is
+the simulator's affair.
 """
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import rospy
 
 import surg_core
+from crtk_msgs.msg import OperatingState
 from surg_core.arm_view import ArmCommands
 from surg_core.contract import SECOND_NS
 from surg_msgs.msg import SenderStatus
@@ -34,17 +36,26 @@ COMMANDS = ("state_command", "hold", "jaw/servo_jp", "servo_cp")
 class ExpertNode:
     """Wires a scripted sender, which may command the assistant's instrument, to the topics."""
 
-    def __init__(self, expert: Expert, assistant: bool) -> None:
+    def __init__(self, expert: Expert, assistant: bool, after: Sequence[str] = ()) -> None:
         self._expert, self._reason = expert, ""
+        self._awaited = set(after)
         self._ports = {arm: ArmPort(arm, COMMANDS) for arm in expert.arms}
         if assistant:
             self._ports[ASSISTANT] = ArmPort(ASSISTANT, SERVO_INSTRUMENT)
         self._status = rospy.Publisher("~status", SenderStatus, queue_size=10, latch=True)
+        self._states = [
+            rospy.Subscriber(f"/{arm}/operating_state", OperatingState, self._on_state, arm)
+            for arm in after
+        ]
         self._participant = Participant(self._ports, self._act, expert.arms, task=True)
         self.connect: Callable[[], None] = self._participant.connect
 
+    def _on_state(self, message: OperatingState, arm: str) -> None:
+        if message.state == "ENABLED":
+            self._awaited.discard(arm)
+
     def _act(self, seen: Seen) -> bool:
-        if seen.task is None:  # off the grid: nobody looks, nobody acts
+        if seen.task is None or self._awaited:  # off the grid, or nobody is there to work with
             return False
         message = seen.task
         arms = {arm: seen.view(arm) for arm in seen.cycles}
@@ -80,7 +91,7 @@ def main() -> int:
     except (ValueError, OSError) as error:
         print(f"surg_sim: {error}", file=sys.stderr, flush=True)
         return 2
-    node = ExpertNode(experts[name], assistant=name == ASSISTANT)
+    node = ExpertNode(experts[name], name == ASSISTANT, settings.after)
     try:
         node.connect()
     except (TimeoutError, OSError) as error:

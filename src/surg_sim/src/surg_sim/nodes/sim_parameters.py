@@ -78,6 +78,8 @@ class SenderSettings:
     cell: str = text()  # path of the cell, the same as the bridge's
     task: str = text()
     seed: int = whole(0, _SEEDS, 0)  # of the sender's imperfections
+    # In real time: arms that must have been ENABLED before the sender begins.
+    after: tuple[str, ...] = names(())
 
 
 def _setting(task: str, setting: str) -> str:
