@@ -11,6 +11,7 @@ pytest.importorskip("rospy")
 
 from helpers.graph.statuses import heard_by_watch, record_status, sim_status, stamped
 from surg_cli.graph import follow
+from surg_cli.graph.episode_process import progress
 from surg_cli.graph.status_records import policy_record
 from surg_msgs import msg
 
@@ -77,3 +78,12 @@ def test_the_record_of_a_policy_keeps_the_keys_of_the_result_files() -> None:
     assert kept["rejected_by_rule"] == {"step": 3} and kept["malformed"] == {}
     assert kept["obs_age_ms"] == {"p50": 80.0, "p99": 200.0}
     assert kept["round_trip_ms"] == {"p50": None, "p99": None}
+
+
+def test_a_line_that_is_still_being_written_is_no_news() -> None:
+    line = '{"seconds": 0.25, "note": "waiting for a policy at tcp://127.0.0.1:5555"}'
+    assert progress(line) == (0.25, "waiting for a policy at tcp://127.0.0.1:5555")
+    for end in range(len(line)):
+        assert progress(line[:end]) is None
+    assert progress("Traceback (most recent call last):") is None
+    assert progress("7") is None

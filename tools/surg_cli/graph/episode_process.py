@@ -44,14 +44,24 @@ def run_process(folder: Path, show: Callable[[float, str], None]) -> str:
         give_up = time.monotonic() + EPISODE_TIMEOUT_S
         while child.exit_code is None and time.monotonic() < give_up:
             time.sleep(0.1)
-            line = child.log_tail(1)
-            if line.startswith("{"):
-                news = json.loads(line)
-                show(news["seconds"], news["note"])
+            if news := progress(child.log_tail(1)):
+                show(*news)
     if child.exit_code == 0:
         return ""
     lines = [line for line in child.log_tail(20).splitlines() if not line.startswith('{"seconds"')]
     return "\n".join(lines) or f"the episode's process ended with {child.exit_code}"
+
+
+def progress(line: str) -> tuple[float, str] | None:
+    """Simulated time [s] and note of the last line of an episode's log.
+
+    None: it is another line, or has been written in part only.
+    """
+    try:
+        news = json.loads(line)
+        return float(news["seconds"]), str(news["note"])
+    except (ValueError, TypeError, KeyError):
+        return None
 
 
 def describe(plan: Plan, ended: task_episode.Ended) -> dict[str, Any]:
