@@ -128,7 +128,8 @@ void RcmLoop::on_command(const std::string& topic, const std::string& caller,
     lockstep_gate_.received(sender);
   }
   note_stamp(stamp);
-  if (decoded.reason == surg::Reason::kNone && health_.master_lost &&
+  // Not in lock-step: when a busy master answers again would decide what a run does.
+  if (!options_.lockstep && decoded.reason == surg::Reason::kNone && health_.master_lost &&
       enters_enabled(decoded.item)) {
     decoded.reason = surg::Reason::kMasterLost;
     decoded.detail = surg::sentence(decoded.reason);

@@ -23,11 +23,12 @@ XmlRpc::XmlRpcValue private_parameters(const std::string& space) {
 }  // namespace
 
 SystemMonitor::SystemMonitor(const ros::NodeHandle& private_node, const std::string& arm,
-                             const std::string& limits_hash, StatusReporter& reporter,
-                             Health& health)
+                             const std::string& limits_hash, bool lockstep,
+                             StatusReporter& reporter, Health& health)
     : space_(private_node.getNamespace()),
       arm_(arm),
       limits_hash_(limits_hash),
+      lockstep_(lockstep),
       reporter_(reporter),
       health_(health),
       parameters_(private_parameters(space_)),
@@ -74,8 +75,8 @@ void SystemMonitor::check_master() {
   health_.master_lost = master_.lost();
   if (change == MasterWatch::Change::kLost) {
     reporter_.error(arm_ + ": master_lost: " + surg::sentence(surg::Reason::kMasterLost) +
-                    "; until then the arm obeys the nodes it is connected to, and refuses enable "
-                    "and resume");
+                    "; until then the arm obeys the nodes it is connected to" +
+                    (lockstep_ ? "" : ", and refuses enable and resume"));
   } else if (change == MasterWatch::Change::kFound) {
     reporter_.status(arm_ + ": the ROS master answers again");
   }

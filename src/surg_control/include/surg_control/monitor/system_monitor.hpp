@@ -22,7 +22,8 @@ namespace surg_control {
 class SystemMonitor {
  public:
   SystemMonitor(const ros::NodeHandle& private_node, const std::string& arm,
-                const std::string& limits_hash, StatusReporter& reporter, Health& health);
+                const std::string& limits_hash, bool lockstep, StatusReporter& reporter,
+                Health& health);
   ~SystemMonitor();
   SystemMonitor(const SystemMonitor&) = delete;
   SystemMonitor& operator=(const SystemMonitor&) = delete;
@@ -34,6 +35,7 @@ class SystemMonitor {
   void check_parameters();
 
   std::string space_, arm_, limits_hash_;
+  bool lockstep_;
   StatusReporter& reporter_;
   Health& health_;
   ClockWatch clock_;
