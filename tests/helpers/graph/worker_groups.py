@@ -6,7 +6,8 @@ that begins with another group runs at a lower priority from then on. The rest o
 group of its own: its fixtures are made once.
 
 A test in real time gets a higher priority where the system grants it, and so do the processes that
-it starts: other programs of the machine then cost it little.
+it starts: other programs of the machine then cost it little. Where Linux schedules by session, the
+workers of lower priority lead sessions of their own.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import os
 from pathlib import Path
 
 import pytest
+
+from surg_cli.graph import processes
 
 REAL_TIME = "real-time"
 FOLDERS = ("ros", "e2e", "faults")
@@ -40,11 +43,15 @@ def begin(item: pytest.Item) -> None:
         _prefer()
     else:
         os.nice(NICE)
+        with contextlib.suppress(OSError):
+            os.setsid()
+        processes.keep_niceness(os.getsid(0))
 
 
 def _prefer() -> None:
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, PREFERRED)
+    processes.keep_niceness(os.getsid(0))
 
 
 def in_real_time(item: pytest.Item, tests: Path) -> bool:

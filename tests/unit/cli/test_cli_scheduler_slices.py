@@ -1,16 +1,25 @@
-"""Short turns: inherited by what is started meanwhile, and by nothing else."""
+"""Short turns and niceness: inherited by what is started meanwhile, and by nothing else."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from surg_cli.graph import turns
 from surg_cli.host import paths
 
+NICE = """
+import os, pathlib, tempfile
+from surg_cli.graph.processes import Supervisor
+os.nice(7)
+with Supervisor(dict(os.environ), pathlib.Path(tempfile.mkdtemp())) as supervisor:
+    child = supervisor.start("child", ["/bin/sleep", "30"])
+    print(pathlib.Path(f"/proc/{child.process.pid}/autogroup").read_text())
+"""
 ASK = "from surg_cli.graph import turns; print(turns._attributes().runtime)"
 
 
@@ -20,11 +29,11 @@ def slice_ns() -> int:
     return int(attributes.runtime) if attributes is not None else 0
 
 
-def asked() -> int:
-    """Turn of a process that is started now [ns]."""
+def asked(program: str = ASK) -> str:
+    """What a program prints: by default its turn [ns]."""
     env = {**os.environ, "PYTHONPATH": str(paths.ROOT / "tools")}
-    argv = [sys.executable, "-s", "-c", ASK]
-    return int(subprocess.run(argv, env=env, capture_output=True, text=True, check=True).stdout)
+    argv = [sys.executable, "-s", "-c", program]
+    return subprocess.run(argv, env=env, capture_output=True, text=True, check=True).stdout
 
 
 def test_what_is_started_meanwhile_has_them() -> None:
@@ -33,11 +42,11 @@ def test_what_is_started_meanwhile_has_them() -> None:
         pytest.skip("this kernel does not tell the length of a turn (Linux 6.12 does)")
     with turns.short():
         assert slice_ns() == turns.SHORT_NS
-        assert asked() == turns.SHORT_NS
+        assert int(asked()) == turns.SHORT_NS
         assert os.nice(0) == nice
         assert os.sched_getscheduler(0) == os.SCHED_OTHER
     assert slice_ns() == usual
-    assert asked() == usual
+    assert int(asked()) == usual
     assert usual > 2 * turns.SHORT_NS
 
 
@@ -57,3 +66,8 @@ def test_where_there_are_none_all_goes_on(why: str, monkeypatch: pytest.MonkeyPa
         entered = True
     assert entered
     assert slice_ns() == 0
+
+
+@pytest.mark.skipif(not Path("/proc/self/autogroup").exists(), reason="no scheduling by session")
+def test_a_session_has_the_niceness_of_who_started_it() -> None:
+    assert int(asked(NICE).split()[-1]) == min(19, os.nice(0) + 7)

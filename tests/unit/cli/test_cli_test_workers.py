@@ -74,7 +74,7 @@ def test_it():
         stream.write("x")
     assert tried.stat().st_size > {failures}
 """
-TESTS = paths.ROOT / "tests"
+TESTS, TOOLS = paths.ROOT / "tests", paths.ROOT / "tools"
 
 
 def write_tests(root: Path) -> None:
@@ -91,7 +91,8 @@ def write_tests(root: Path) -> None:
 def run_tests(root: Path) -> tuple[int, Counter[str]]:
     argv = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--import-mode=importlib"]
     argv += ["--rootdir", str(root), "-c", os.devnull]
-    env = {**os.environ, "PYTHONPATH": str(TESTS), "PYTHONDONTWRITEBYTECODE": "1"}
+    path = os.pathsep.join((str(TESTS), str(TOOLS)))
+    env = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
     return pytest_run.run(argv, [str(root)], env, parallel=True)
 
 

@@ -25,6 +25,18 @@ STAGES = ((signal.SIGINT, 4.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 2.0))
 PR_SET_CHILD_SUBREAPER = 36
 
 
+def keep_niceness(session: int) -> None:
+    """Give a session that this process has started, or leads, this process's niceness.
+
+    Linux may schedule by session (autogroup). A niceness then counts only within its session, and a
+    new session begins at 0.
+    """
+    niceness = os.getpriority(os.PRIO_PROCESS, 0)
+    if niceness:
+        with contextlib.suppress(OSError):
+            Path(f"/proc/{session}/autogroup").write_text(str(niceness), "ascii")
+
+
 def session_members(session: int) -> list[int]:
     """Ids of the live processes of a session: its leader (whose id it is) and what that started."""
     members = []
@@ -130,6 +142,7 @@ class Supervisor:
                 env={**self.env, **(extra_env or {})},
                 start_new_session=True,
             )
+        keep_niceness(process.pid)
         child = Child(name, process, log, essential)
         self.children.append(child)
         return child

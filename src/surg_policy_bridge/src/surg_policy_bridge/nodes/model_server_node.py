@@ -169,9 +169,9 @@ def main() -> int:
     """Run the node; returns the exit code."""
     if not master_is_online("policy"):
         return 1
-    os.nice(NICE)
+    niceness = os.nice(NICE)
     with contextlib.suppress(OSError):
-        AUTOGROUP.write_text(str(NICE), "ascii")
+        AUTOGROUP.write_text(str(niceness), "ascii")
     rospy.init_node("policy", disable_signals=True)
     try:
         settings = read(Settings, rospy.get_param("~", {}))
