@@ -93,6 +93,10 @@ class Bench:
         self.record.publish(False)
         self.graph.wait_for(lambda: self.recording is False, 20, "the stop")
 
+    def rows(self, table: str) -> int:
+        """Rows that the recorder says it has received."""
+        return sum(stream.received for stream in self.status.streams if stream.name == table)
+
     def tick(self, k: int) -> tuple[Any, Any]:
         now = rospy.Time(*divmod(time.time_ns(), 10**9))
         cycle = surg_msgs.Cycle(tick=k, state=1)
@@ -241,6 +245,7 @@ def test_f07_a_master_that_hangs_ends_no_recording(
         for k in range(1, 1001):
             bench.tick(k)
             time.sleep(0.003)
+        _until(lambda: bench.rows("cycle_PSM1") == 1000, "the last row")  # the stop may overtake it
         bench.end()
     finally:
         os.kill(running.process.pid, signal.SIGCONT)

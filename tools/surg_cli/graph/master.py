@@ -17,11 +17,11 @@ START_TIMEOUT_S = 15.0
 
 
 class _Transport(xmlrpc.client.Transport):
-    """Gives up after two seconds: a stopped master must not hang a command."""
+    """Gives up after five seconds: a stopped master must not hang a command."""
 
     def make_connection(self, host: Any) -> Any:
         connection = super().make_connection(host)
-        connection.timeout = 2.0
+        connection.timeout = 5.0
         return connection
 
 
