@@ -2,12 +2,12 @@
 
 Tests that drive graphs in real time share one group: two such graphs at once would take each
 other's cores. That group comes first, so xdist gives it to the first worker that is ready. A worker
-that begins with another group runs at a lower priority from then on. The rest of every file is a
-group of its own: its fixtures are made once.
+that begins with another group has a lower priority from then on. The rest of every file is a group
+of its own: its fixtures are made once.
 
 A test in real time gets a higher priority where the system grants it, and so do the processes that
-it starts: other programs of the machine then cost it little. Where Linux schedules by session, the
-workers of lower priority lead sessions of their own.
+it starts: other programs of the machine then cost it little. Elsewhere the other workers step back.
+Where Linux schedules by session these lead sessions of their own.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from surg_cli.graph import processes
 REAL_TIME = "real-time"
 FOLDERS = ("ros", "e2e", "faults")
 """Folders of tests that drive graphs, in real time unless file or test is marked `untimed`."""
-NICE = 10
-"""Added to the niceness of the other workers: a graph in real time must not wait for a core."""
+NICE = 5
+"""Added to the niceness of the others where none may be preferred; more would starve them."""
 PREFERRED = -10
 """Niceness of a test in real time."""
 _began: list[str] = []  # the group that this worker began with
@@ -42,16 +42,29 @@ def begin(item: pytest.Item) -> None:
     if _began[0] == REAL_TIME:
         _prefer()
     else:
-        os.nice(NICE)
-        with contextlib.suppress(OSError):
-            os.setsid()
-        processes.keep_niceness(os.getsid(0))
+        _step_back()
 
 
 def _prefer() -> None:
-    with contextlib.suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, 0, PREFERRED)
+    _raise()
     processes.keep_niceness(os.getsid(0))
+
+
+def _raise() -> bool:
+    """Whether the system grants a higher priority."""
+    try:
+        os.setpriority(os.PRIO_PROCESS, 0, PREFERRED)
+    except OSError:
+        return False
+    return True
+
+
+def _step_back() -> None:
+    niceness = os.nice(0)
+    os.setpriority(os.PRIO_PROCESS, 0, niceness if _raise() else niceness + NICE)
+    with contextlib.suppress(OSError):
+        os.setsid()
+        processes.keep_niceness(os.getpid())
 
 
 def in_real_time(item: pytest.Item, tests: Path) -> bool:

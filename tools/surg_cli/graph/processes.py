@@ -32,9 +32,8 @@ def keep_niceness(session: int) -> None:
     new session begins at 0.
     """
     niceness = os.getpriority(os.PRIO_PROCESS, 0)
-    if niceness:
-        with contextlib.suppress(OSError):
-            Path(f"/proc/{session}/autogroup").write_text(str(niceness), "ascii")
+    with contextlib.suppress(OSError):
+        Path(f"/proc/{session}/autogroup").write_text(str(niceness), "ascii")
 
 
 def session_members(session: int) -> list[int]:
