@@ -14,7 +14,11 @@ def test_the_reason_is_published_once() -> None:
     action = SimpleNamespace(arms={}, assistant=None)
     expert = SimpleNamespace(tick=lambda _: action, reason="the arm is in FAULT")
     node = SimpleNamespace(
-        _expert=expert, _reason="", _awaited=set(), _ports={}, _status=SimpleNamespace(publish=sent.append)
+        _expert=expert,
+        _reason="",
+        _awaited=set(),
+        _ports={},
+        _status=SimpleNamespace(publish=sent.append),
     )
     task = TaskState(names=[], values=[])
     for tick in (25, 50):

@@ -93,9 +93,8 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
              Decoded decoded) { on_command(topic, caller, stamp, std::move(decoded)); });
   subscribe_others();  // first: the link's ticks wait for them
   subscribe_link();
-  monitor_ =
-      std::make_unique<SystemMonitor>(private_node, arm_, info.limits_hash, options_.lockstep,
-                                      *reporter_, health_);
+  monitor_ = std::make_unique<SystemMonitor>(private_node, arm_, info.limits_hash,
+                                             options_.lockstep, *reporter_, health_);
   const surg::BlackBoxLabel label{arm_, setup_.cell_file, "", SURG_CONTROL_VERSION};
   black_box_writer_ =
       std::make_unique<BlackBoxWriter>(*box_, options_.black_box, label, *reporter_);
