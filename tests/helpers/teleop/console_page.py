@@ -92,13 +92,19 @@ class Page:
 
 @contextlib.asynccontextmanager
 async def page(port: int, token: str = "") -> AsyncIterator[Page]:
-    """A page of the console on this port of the loopback, once it has been told how things are."""
+    """A page of the console on this port of the loopback, once it has been told how things are.
+
+    Raises:
+        aiohttp.ClientError: The console has closed it again.
+    """
     async with aiohttp.ClientSession() as http:
         url = f"ws://localhost:{port}/control"
         socket = await http.ws_connect(url, origin=f"http://localhost:{port}")
         found = Page(socket)
         await found.say("hello", token=token)
-        await when(lambda: found.status, "a status")
+        await when(lambda: found.status or socket.closed, "a status")
+        if not found.status:
+            raise aiohttp.ClientError(f"closed with {socket.close_code}")
         yield found
         found.fall_silent()
 

@@ -23,6 +23,7 @@ from surg_teleop.console.web.connection_limits import (
     Pace,
     Stage,
 )
+from surg_teleop.console.web.web_server import MAX_PAGES
 
 CONNECT_WITHIN = 2.0
 """[s] A new page has the page's files, and a status on its socket."""
@@ -61,6 +62,32 @@ def test_a_new_page_connects_under_half_open_requests_and_a_flood(flood: str) ->
                 times = [await open_a_page(made) for _ in range(3)]
             print(f"{flood}: a new page after {[round(t, 2) for t in times]} s")
             assert max(times) < CONNECT_WITHIN
+
+    run(test())
+
+
+def test_new_pages_get_room_in_the_order_of_arrival() -> None:
+    """Who leaves a full console and comes back at once waits behind those that waited before."""
+
+    async def enter(made: Console) -> contextlib.AsyncExitStack:
+        async with contextlib.AsyncExitStack() as stack:
+            await stack.enter_async_context(page(made.port))
+            return stack.pop_all()
+
+    async def test() -> None:
+        async with console(pictures=False) as made:
+            inside = [await enter(made) for _ in range(MAX_PAGES)]
+            for _ in range(10):
+                first = asyncio.create_task(enter(made))
+                await asyncio.sleep(0.15)
+                await inside.pop(0).aclose()
+                second = asyncio.create_task(enter(made))
+                inside.append(await asyncio.wait_for(first, 0.5))
+                assert not second.done()  # it came back after the first one
+                await inside.pop(0).aclose()
+                inside.append(await second)
+            for stack in inside:
+                await stack.aclose()
 
     run(test())
 

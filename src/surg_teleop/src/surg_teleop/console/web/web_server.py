@@ -14,6 +14,7 @@ import asyncio
 import contextlib
 import json
 import time
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
@@ -127,6 +128,8 @@ class Server:
         self._calibrators = CalibrationPages(system, {"cell": facts["cell"]}, clock)
         self._beside = BesidePages(system)
         self._sockets: set[web.WebSocketResponse] = set()
+        # By path of the socket: turns of new pages, the longest wait first.
+        self._waiting: defaultdict[str, list[object]] = defaultdict(list)
         self._pages_so_far, self._monitors, self._ending = 0, 0, False
         self._episodes = ""
         self._picture_problem = ""
@@ -288,10 +291,7 @@ class Server:
             await asyncio.sleep(0.5)  # slows down guessing
             await socket.close(code=CLOSE_HELLO, message=b"open the whole address, with its token")
             return None
-        deadline = self._clock() + ROOM_WAIT
-        while open_pages() >= MAX_PAGES and self._clock() < deadline:
-            await asyncio.sleep(TICK)
-        if open_pages() >= MAX_PAGES:
+        if not await self._room(request.path, open_pages):
             await socket.close(code=CLOSE_FULL, message=b"too many pages are open")
             return None
         self._sockets.add(socket)
@@ -299,6 +299,20 @@ class Server:
         assert isinstance(connection, Connection)
         connection.become_page()
         return socket
+
+    async def _room(self, path: str, open_pages: Callable[[], int]) -> bool:
+        """Wait for room, in the order of arrival: who left must not come back before others."""
+        turn, waiting = object(), self._waiting[path]
+        waiting.append(turn)
+        deadline = self._clock() + ROOM_WAIT
+        try:
+            while waiting[0] is not turn or open_pages() >= MAX_PAGES:
+                if self._clock() >= deadline:
+                    return False
+                await asyncio.sleep(TICK)
+            return True
+        finally:
+            waiting.remove(turn)
 
     # --- input and status ---------------------------------------------------------------------
 
