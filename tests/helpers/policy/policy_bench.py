@@ -174,7 +174,7 @@ class Bench:
             "stamp_ns": seen["stamp_ns"],
             "step0": seen["step"] + 1 if first is None else first,
         }
-        chunk = np.asarray(rows, dtype=np.float64).reshape(-1, np.shape(rows)[-1])
+        chunk = np.atleast_2d(np.asarray(rows, dtype=np.float64))
         self.say("ACT", arrays={"chunk": chunk}, **{**head, **changes})
 
     def _hear(self) -> None:

@@ -133,6 +133,18 @@ def test_a_clipped_step_is_what_the_next_change_refers_to() -> None:
     assert at[4] == pytest.approx(at[3] + 0.012)
 
 
+def test_changes_that_add_up_to_infinity_are_refused_at_once() -> None:
+    bench = Bench(clip=("step",))
+    bench.hello(wants=Spec(action=ActionSpec.of_space("relative", [ARM])).to_map())
+    bench.tick()
+    bench.server.enable(True, bench.now)
+    for _ in range(3):
+        bench.tick()
+    assert bench.period([[0, 0, 0, 1.7e308, bench.arm.view.jaw_set]] * 3) is None
+    (told,) = bench.of("ACK")[-1].head["rejected"]
+    assert told["rule"] == "not_finite" and bench.server.state.value == "RUNNING"
+
+
 def test_a_change_refers_to_the_step_before_it_even_if_that_is_still_queued() -> None:
     bench = Bench()
     bench.hello(wants=Spec(action=ActionSpec.of_space("relative", [ARM])).to_map())

@@ -192,12 +192,13 @@ def test_late_steps_are_dropped_and_counted(bench: Bench) -> None:
     assert done is not None and np.array_equal(done.p, rows[3][:3]), "by absolute step"
 
 
-def test_an_answer_without_steps_lets_the_former_go_on(bench: Bench) -> None:
+@pytest.mark.parametrize("width", [5, 0, 3])
+def test_an_answer_without_steps_lets_the_former_go_on(bench: Bench, width: int) -> None:
     bench.start()
     rows = np.array([bench.here(1e-4 * i) for i in range(1, 5)])
     bench.period(rows)
     for i in range(1, 4):
-        done = bench.period(np.zeros((0, 5)))
+        done = bench.period(np.zeros((0, width)))
         assert done is not None and np.array_equal(done.p, rows[i][:3])
         assert not bench.server.unanswered
     assert bench.period(np.zeros((0, 5))) is None

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from surg_core.arm_view import ArmCommands, ArmView
-from surg_core.contract import SECOND_NS
+from surg_core.contract import ARM_ACTION, SECOND_NS
 from surg_policy_bridge.server import server_replies
 from surg_policy_bridge.server.arm_authority import ArmAuthority, Phase
 from surg_policy_bridge.server.counters import Counters
@@ -448,7 +448,8 @@ class ModelServer:
         """Keep for people what the policy plans and sees. Nothing else reads it."""
         if message.unseen:
             self.counters.malformed["seen"] += 1
-        width = message.arrays["chunk"].shape[1]
+        # Of the queue, not of this chunk: one without rows may have any width.
+        width = len(self._settings.arms) * len(ARM_ACTION)
         first, rows = self.steps.queue.ahead(shown_rows(width))
         self._plan = PolicyPlan(
             session=session.number,

@@ -173,6 +173,9 @@ class StepExecutor:
             space = self._space(session)
             if space != ActionSpace():
                 rows = space.decode(rows, self._before(first, views), STEP)
+            if not np.isfinite(rows).all():  # a sum of finite relative steps may be none
+                self.reject(session, first, "not_finite", "the steps add up to infinity", at, seq)
+                return
             at_rest = not self._safety.streaming(at)
             late = self.queue.splice(first, rows, seq, sent.seen, at_rest)
             self._counters.late += late
