@@ -40,7 +40,7 @@ struct Case {
 
 const Case kCases[] = {{"on time", steady(kT), false},
                        {"1 % of 20 ms", one_late_in_a_hundred(0.020), false},
-                       {"1 % of 40 ms", one_late_in_a_hundred(0.040), false, 5e-4},
+                       {"1 % of 40 ms", one_late_in_a_hundred(0.040), true, 5e-4},
                        {"drawn, 2 to 4 ms", drawn(0.002, 0.004), false},
                        {"drawn, 2 to 10 ms", drawn(0.002, 0.010), true},
                        {"steady, 3 ms", steady(0.003), false},
@@ -153,7 +153,7 @@ double off_the_hand(Law law, const Arm& arm, const Periods& periods, bool stampe
     EXPECT_EQ(out.state, State::kEnabled) << name(out.reason);
     const Vector3 tip = bench.controller().X_BR().inverse() * out.p_BTip;
     double nearest = 1;
-    for (double late = 0; late <= 0.0401; late += 0.002) {
+    for (double late = 0; late <= 0.0801; late += 0.002) {
       nearest = std::min(nearest, (tip - hand(std::max(now - late - begin, 0.0))).norm());
     }
     if (now - begin > 2) worst = std::max(worst, nearest);
@@ -162,7 +162,8 @@ double off_the_hand(Law law, const Arm& arm, const Periods& periods, bool stampe
 }
 
 TEST(CycleTime, APoseFromEachCycleIsFollowedThroughLateOnes) {
-  const std::pair<Case, double> cases[] = {{kCases[1], 1e-3}, {kCases[3], 5e-4}};  // [m]
+  const double gaps = 1e-4 * test::family(10, 25);  // [m] long runs have several in a row
+  const std::pair<Case, double> cases[] = {{kCases[1], gaps}, {kCases[3], 5e-4}};
   int runs = 0;
   for (const Arm& arm : kArms) {
     for (const Law law : {Law::kExact, Law::kVelocity}) {
@@ -244,6 +245,45 @@ TEST(CycleTime, AControllerThatWakesUpTakesTheArmAsItFindsIt) {
       }
     }
   }
+}
+
+/// A machine that serves the controller every 12 to 38 ms: each command comes before the link stops
+/// the arm by itself, and a stop in steps of one period would take many times its way.
+TEST(CycleTime, AStarvedControllerLeavesTheStopToTheLink) {
+  int runs = 0;
+  double worst = 0, longest = 0;
+  for (const Arm& arm : kArms) {
+    for (const Law law : {Law::kExact, Law::kVelocity}) {
+      for (int seed = 0; seed < test::family(5, 50); ++seed) {
+        Random random(1000 + seed);
+        Plant plant = arm.plant;
+        plant.dead_man = 0.04;
+        TimedBench bench(law, plant, arm.link_lag);
+        bench.in_motion(0.1, random.uniform(0.3, 1.0));
+        bench.forget();
+        const double begin = bench.time();
+        double rest = 0;
+        const auto watch = [&](double period) {
+          bench.servo_cv(Vector3(0.1, 0, 0));
+          bench.cycle(period);
+          if (bench.arm().qd().cwiseAbs().maxCoeff() > kAtRest) rest = bench.time() - begin;
+        };
+        while (bench.time() - begin < 0.6) watch(TimedArm::kStep * random.integer(12, 38));
+        for (int i = 0; i < 200; ++i) watch(kT);
+        worst = std::max(worst, bench.worst_pivot());
+        longest = std::max(longest, rest);
+        EXPECT_EQ(bench.out().state, State::kPaused);
+        EXPECT_EQ(bench.out().reason, Reason::kOverrun);
+        EXPECT_LE(bench.arm().worst_acceleration(), 1.5 * kRounding);
+        ++runs;
+      }
+    }
+  }
+  std::printf("pivot %.3f mm, at rest %.3f s after the starvation began\n", 1e3 * worst, longest);
+  // Up to 0.09 s straight on in joint space, and the ramp. Rare commands alone take 6 mm and 1 s.
+  EXPECT_LE(worst, 4e-3);
+  EXPECT_LE(longest, 0.2);
+  test::report("runs", runs);
 }
 
 TEST(CycleTime, NothingStartsWhileTheArmBrakesBlindly) {

@@ -179,7 +179,7 @@ void RcmLoop::control_thread() {
     ++record.tick;
     record.refused_by_node = refused_by_node_;
     record.moves_refused_by_node = moves_refused_by_node_;
-    hand_over(LinkCommand::of(record));
+    if (!record.out.withheld) hand_over(LinkCommand::of(record));
     update_at_rest();
     if (records_.push(record)) {
       sem_post(&records_waiting_);
@@ -273,10 +273,12 @@ void RcmLoop::fail() {
   failed_ = true;
 }
 
+/// Every loop in real time asks for the priority: one that is served late leaves its pivot, and a
+/// simulated arm's pivot counts, too. Only those of real arms need it.
 void RcmLoop::request_realtime(int below) {
-  if (!options_.realtime) return;
-  const std::string refused = become_realtime(below);
-  if (!refused.empty()) reporter_->warning_once("realtime", arm_ + ": " + refused);
+  const std::string refused = become_realtime(below, options_.realtime);
+  if (!refused.empty() && options_.realtime)
+    reporter_->warning_once("realtime", arm_ + ": " + refused);
 }
 
 void RcmLoop::serve(const std::atomic<bool>& stop) {

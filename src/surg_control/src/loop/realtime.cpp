@@ -35,9 +35,9 @@ std::int64_t Metronome::wait() {
   return since;
 }
 
-std::string become_realtime(int below) {
+std::string become_realtime(int below, bool lock) {
   std::string refused;
-  if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0) {
+  if (lock && mlockall(MCL_CURRENT | MCL_FUTURE) != 0) {
     refused = std::string("locked memory (") + std::strerror(errno) + ")";
   }
   sched_param parameters{};

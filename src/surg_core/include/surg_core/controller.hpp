@@ -98,7 +98,9 @@ struct Outputs {
   std::uint8_t tier = 0;        ///< 0: on the path, 1: off it, on the pivot; 2: braking
   /// [m] smallest distance to the other arms and the obstacles; infinite without a guard
   double clearance = std::numeric_limits<double>::infinity();
-  double late_share = 0;   ///< of the last 128 cycles, how many were late
+  double late_share = 0;  ///< of the last 128 cycles, how many were late
+  /// The link shall get no command: it stops the arm by itself, sooner than rare commands would.
+  bool withheld = false;
   JointVector qd_command;  ///< [rad/s]
   Vector6 twist_command = Vector6::Zero();
 };

@@ -109,6 +109,11 @@ void Controller::Impl::output_command(JointVector qd, bool moving) {
     qd.setZero();
     twist.setZero();
   }
+  out.withheld = clock.starved() && !halted && !qd.isZero(0);
+  if (out.withheld) {  // nothing new reaches the arm
+    qd = qd_last;
+    follower.take_up(qd);
+  }
   qd_last = qd;
   arm.record_command(qd);
   commanded.add(qd);

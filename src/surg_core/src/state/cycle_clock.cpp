@@ -28,7 +28,7 @@ void CycleClock::advance(double elapsed) {
   n_late_ += static_cast<int>(late) - late_[at_];
   late_[at_] = late;
   at_ = (at_ + 1) % kWindow;
-  in_a_row_ = length > kLong + kRounding ? in_a_row_ + 1 : 0;
+  gaps_ = length > kLong + kRounding ? gaps_ + elapsed_ : 0;
   const double share = std::min(elapsed_ / kExcessTime, 1.0);
   excess_ += share * (elapsed_ - period_ - excess_);
 }

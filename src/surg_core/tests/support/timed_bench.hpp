@@ -115,7 +115,7 @@ class TimedBench {
     in_.elapsed = period;
     out_ = &controller_.step(in_);
     in_.n_commands = 0;
-    if (!lost) arm_.obey(out_->qd_command);
+    if (!lost && !out_->withheld) arm_.obey(out_->qd_command);
     return *out_;
   }
 

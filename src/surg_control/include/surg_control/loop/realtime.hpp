@@ -26,9 +26,9 @@ class Metronome {
   bool late_ = false;
 };
 
-/// Locks the process's memory and gives the calling thread SCHED_FIFO, 'below' steps under the
-/// control thread's priority. Returns an empty text, or
-/// what was refused and how to allow it; the thread then continues without.
-std::string become_realtime(int below = 0);
+/// Gives the calling thread SCHED_FIFO, 'below' steps under the control thread's priority, and
+/// locks the process's memory if 'lock'. Returns an empty text, or what was refused and how to
+/// allow it; the thread then continues without.
+std::string become_realtime(int below, bool lock);
 
 }  // namespace surg_control

@@ -12,10 +12,10 @@ class CycleClock {
  public:
   static constexpr double kLate = 2;     ///< [periods] a longer cycle is late
   static constexpr double kLong = 5;     ///< [periods] a longer one is a gap: was the arm stopped?
-  static constexpr int kLongInARow = 3;  ///< more gaps in a row are an overrun
   static constexpr int kWindow = 128;    ///< [cycles] for the share of late ones
   static constexpr double kShare = 0.5;  ///< a larger share is an overrun
-  static constexpr int kCatchUp = 25;    ///< [periods] a longer gap is not made up for
+  static constexpr int kCatchUp = 25;    ///< [periods] a longer gap, or gaps in a row that
+                                         ///< together are longer, are not made up for
   static constexpr int kMostPeriods = 500;  ///< that one cycle counts
 
   /// period [s] of control.
@@ -29,7 +29,10 @@ class CycleClock {
   /// Real time since the last whole period [s], less than one period.
   double rest() const { return rest_; }
   /// Whether the last cycle was a gap.
-  bool gap() const { return in_a_row_ > 0; }
+  bool gap() const { return gaps_ > 0; }
+  /// Whether the last cycles were gaps that are not made up for. At one command in each, a stop
+  /// would take many times its way.
+  bool starved() const { return gaps_ > kCatchUp * period_ * (1 + 1e-9); }
   /// Length of the last cycle [s].
   double elapsed() const { return elapsed_; }
   /// How much longer than a period the recent cycles are on average [s].
@@ -37,12 +40,13 @@ class CycleClock {
   /// Share of late cycles in the window.
   double late_share() const { return static_cast<double>(n_late_) / kWindow; }
   /// Whether so many cycles are late that the arm must not move.
-  bool overrun() const { return in_a_row_ > kLongInARow || late_share() > kShare; }
+  bool overrun() const { return starved() || late_share() > kShare; }
 
  private:
   double period_;
-  int periods_ = 1, in_a_row_ = 0, n_late_ = 0, at_ = 0;
+  int periods_ = 1, n_late_ = 0, at_ = 0;
   double rest_ = 0, elapsed_ = 0, excess_ = 0;
+  double gaps_ = 0;  // [s] of the gaps in a row that end now
   std::array<std::uint8_t, kWindow> late_{};
 };
 
