@@ -170,3 +170,32 @@ def test_a_change_refers_to_the_step_before_it_even_if_that_is_still_queued() ->
         bench.step += 1
     expected = [[0.001, 0], [0.002, 0], [0.002, 0.002], [0.002, 0.004]]
     np.testing.assert_allclose(at, expected, atol=1e-12)
+
+
+def test_after_a_gap_a_change_refers_to_the_set_point_as_at_the_start() -> None:
+    """The controller stops the arm of a silent stream; it need not be where it was sent."""
+    bench = Bench()
+    bench.hello(wants=Spec(action=ActionSpec.of_space("relative", [ARM])).to_map())
+    bench.tick()
+    bench.server.enable(True, bench.now)
+    for _ in range(3):
+        bench.tick()
+    jaw = bench.arm.view.jaw_set
+    change = [0.001, 0, 0, 0, jaw]
+    for _ in range(3):
+        assert bench.period([change]) is not None
+    for _ in range(4):
+        assert bench.period() is None
+    bench.arm.set(Target(bench.arm.view.p_set + np.array([0, 0.004, 0]), 0.0, jaw))
+    rest = bench.arm.view.p_set.copy()
+    target = bench.period([change])
+    assert target is not None, bench.server.steps.judged[-1]
+    np.testing.assert_allclose(target.p, rest + np.array([0.001, 0, 0]), atol=1e-12)
+    # A chunk that is late by a row: its first change is that of the step just sent.
+    bench.ping()
+    bench.tick()
+    bench.observe()
+    bench.act([change] * 2, first=bench.step)
+    target = bench.execute()
+    assert target is not None
+    np.testing.assert_allclose(target.p, rest + np.array([0.002, 0, 0]), atol=1e-12)

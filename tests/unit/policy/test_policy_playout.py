@@ -326,3 +326,38 @@ def test_nothing_is_played_once_the_policy_is_stopped() -> None:
     for _ in range(20):
         assert not free.play(bench.server, views, bench.now)
         bench.now += SEND
+
+
+def test_an_idle_clock_turns_at_the_rate_of_sending_and_misses_no_grid_time() -> None:
+    """Nothing is played while no policy runs, nor while one that runs says nothing."""
+    for running in (False, True):
+        bench = Bench()
+        if running:
+            bench.start()
+        begin = bench.now
+        free, turns, observed = StepClock([ARM], begin), 0, []
+        while bench.now < begin + SECOND_NS:
+            step, turns = free.observe(bench.now), turns + 1
+            if step is not None:
+                observed.append(bench.now - begin - step * STEP_NS)
+            assert not free.play(bench.server, {ARM: bench.arm.view}, bench.now)
+            # As the node waits, after a turn that took half a millisecond.
+            after = bench.now + MS // 2
+            bench.now = after + (max(0, free.due() - after) // MS + 1) * MS
+        assert turns <= SECOND_NS // SEND + SECOND_NS // STEP_NS
+        assert len(observed) == 20 and max(observed) <= MS + MS // 2
+
+
+def test_an_idle_clock_plays_what_arrives_from_the_next_grid_time_on() -> None:
+    bench = Bench()
+    bench.start()
+    begin = bench.now
+    free, views = StepClock([ARM], begin), {ARM: bench.arm.view}
+    bench.observe()
+    assert not free.play(bench.server, views, begin)
+    bench.now += 45 * MS  # an answer ends the wait, and the clock turns
+    bench.act(np.array([bench.here(1e-3 * i) for i in range(1, 12)]))
+    assert not free.play(bench.server, views, bench.now)
+    assert free.due() == begin + STEP_NS, "not a period of sending later"
+    assert free.play(bench.server, views, free.due())
+    assert free.due() == begin + 7 * SEND, "the grid of sending, whenever the clock turned before"

@@ -27,9 +27,8 @@ class FreeRun:
         return time.monotonic_ns()
 
     def patience_ms(self) -> int:
-        """Time until something is due."""
-        now = time.monotonic_ns()
-        return max(0, self._clock.due(now) - now) // 1_000_000 + 1
+        """Time until something is due [ms]."""
+        return max(0, self._clock.due() - time.monotonic_ns()) // 1_000_000 + 1
 
     def turn(self) -> None:
         """Do what is due; with the lock held."""

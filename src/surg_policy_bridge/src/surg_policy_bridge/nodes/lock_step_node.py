@@ -63,10 +63,13 @@ class LockStep:
 
     def turn(self) -> None:
         """Observe, wait for the answer, execute, answer the tick; with the lock held."""
+        io = self._io
         if self._due is None:
+            # No tick may ever come again, and a policy can be refused all the same.
+            io.topics.publish_judged(io.server, self.now() + TICK_NS)
             return
         tick, self._due = self._due, None
-        io, at, number = self._io, tick * TICK_NS, tick // GRID
+        at, number = tick * TICK_NS, tick // GRID
         # In every state, so that the start of a policy does not depend on rendering time.
         self._await_values(at, io.sources.image_keys)
         self._wait_while(lambda: io.sources.forces_behind(at, self.forces), PATIENCE_NS)

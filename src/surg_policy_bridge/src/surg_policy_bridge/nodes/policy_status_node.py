@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import rospy
 
@@ -15,6 +16,21 @@ COUNTS = (
     *("flooded", "strangers", "sessions"),
 )
 """Fields that counters and message have in common."""
+MOST = 2**32 - 1
+"""Largest number of a field of type uint32."""
+
+
+def saturate(message: Any) -> None:
+    """Limit a message's fields of type uint32 and uint32[] to what they can hold.
+
+    Its counters run as long as the node, and a peer that floods the port fills 32 bits in hours; a
+    number beyond them cannot be sent.
+    """
+    for name, kind in zip(message.__slots__, message._slot_types, strict=True):
+        if kind == "uint32":
+            setattr(message, name, min(getattr(message, name), MOST))
+        elif kind == "uint32[]":
+            setattr(message, name, [min(count, MOST) for count in getattr(message, name)])
 
 
 def policy_status(server: ModelServer, refused: str, address: str) -> PolicyStatus:
@@ -45,4 +61,5 @@ def policy_status(server: ModelServer, refused: str, address: str) -> PolicyStat
     message.obs_age_p50, message.obs_age_p99 = counters.obs_age.percentiles
     message.round_trip_p50, message.round_trip_p99 = counters.round_trip.percentiles
     message.header.stamp = rospy.Time(*divmod(time.time_ns(), SECOND_NS))
+    saturate(message)
     return message

@@ -10,7 +10,7 @@ from std_msgs.msg import Bool
 
 from surg_core.contract import ARM_ACTION, SECOND_NS, STEP
 from surg_msgs.msg import PolicyAction, PolicyPlan, PolicyStatus
-from surg_policy_bridge.nodes.policy_status_node import policy_status
+from surg_policy_bridge.nodes.policy_status_node import policy_status, saturate
 from surg_policy_bridge.server import policy_plan
 from surg_policy_bridge.server.model_server import ModelServer, State
 from surg_policy_client.seen import Seen
@@ -104,6 +104,7 @@ def plan_message(
     message.header.stamp = rospy.Time(*divmod(plan.stamp_ns, SECOND_NS))
     if plan.seen is not None:
         _add_seen(message, plan.seen)
+    saturate(message)
     return message
 
 

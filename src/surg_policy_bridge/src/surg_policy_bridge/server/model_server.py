@@ -312,6 +312,7 @@ class ModelServer:
         else:
             self._episode_open = True
             self.episode += 1
+            self.steps.begin_episode()
             self._send_episode("begin", None, "")
 
     def _set_state(self, state: State, cause: StopReason, reason: str) -> None:

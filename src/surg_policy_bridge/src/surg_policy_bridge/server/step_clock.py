@@ -29,11 +29,16 @@ class StepClock:
         self._begun = 0
         self._pieces: dict[str, Piece] = {}
         self._last: tuple[int, dict[str, Piece]] = (start, {})
-        self._sent = start - SEND
+        self._sent = self._turned = start - SEND
 
-    def due(self, now: int) -> int:
-        """Time of the next action of this clock [ns]."""
-        return min(self._sent + SEND, self._start + (self.step(now) + 1) * STEP_NS)
+    def due(self) -> int:
+        """Time of the next action of this clock [ns]; it may have passed.
+
+        While nothing is played, it is a period of sending after the last `play`, or the next grid
+        time: the time of the last set-point would stay in the past.
+        """
+        newest = self._sent if self._pieces else self._turned
+        return min(newest + SEND, self._start + (self._step + 1) * STEP_NS)
 
     def step(self, now: int) -> int:
         """Number of the present grid time."""
@@ -49,6 +54,7 @@ class StepClock:
 
     def play(self, server: ModelServer, views: dict[str, ArmView], now: int) -> dict[str, Target]:
         """Set-points to send now, by arm; empty: none."""
+        self._turned = now
         step = self.step(now)
         if step > self._step:
             self._step = step

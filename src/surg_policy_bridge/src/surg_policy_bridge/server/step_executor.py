@@ -45,7 +45,7 @@ class StepExecutor:
 
     A step is executed only while its observation is not older than ``max_obs_age`` [ns]; ``empty``
     is the longest time without a step [ns]. ``judged`` holds steps for the topics; the caller
-    empties it. ``last_rejected`` is the newest rejected step.
+    empties it. ``last_rejected`` is the newest rejected step of the episode.
     """
 
     def __init__(
@@ -71,6 +71,10 @@ class StepExecutor:
         self.stop()
         self.rejected_in_a_row = 0
         self._empty.start(at)
+
+    def begin_episode(self) -> None:
+        """An episode begins; what was rejected before does not concern it."""
+        self.last_rejected = None
 
     def stop(self) -> None:
         """The policy does not run any more; nothing queued is executed."""
@@ -103,6 +107,7 @@ class StepExecutor:
         self, session: Session, step: Step, views: Mapping[str, ArmView], at: int
     ) -> dict[str, Target]:
         """What may be sent of a step, by arm; empty: it is rejected."""
+        at_rest = not self._safety.streaming(at)
         passed, violations = self._safety.judge(self._targets(step.row), views, at)
         if not passed:
             worst = violations[0]
@@ -110,8 +115,11 @@ class StepExecutor:
             return {}
         self.rejected_in_a_row = 0
         values = np.concatenate([target.row for target in passed.values()])
+        if at_rest:  # targets of an earlier stream are no reference in this one
+            self._sent = {step.number - 1: self._held(views)}
         self._sent[step.number] = values
-        self._sent.pop(step.number - KEPT, None)
+        if len(self._sent) > KEPT:  # by their count: not every number was sent
+            del self._sent[min(self._sent)]
         self._counters.accepted += 1
         self._counters.obs_age.add(at - step.seen)
         self._tally.accepted += 1
@@ -170,13 +178,13 @@ class StepExecutor:
         elif len(rows) and (wrong := session.spec.check_chunk(rows)):
             self.reject(session, first, "shape", "; ".join(wrong), at, seq)
         elif len(rows):
+            at_rest = not self._safety.streaming(at)
             space = self._space(session)
             if space != ActionSpace():
-                rows = space.decode(rows, self._before(first, views), STEP)
+                rows = space.decode(rows, self._before(first, views, at_rest), STEP)
             if not np.isfinite(rows).all():  # a sum of finite relative steps may be none
                 self.reject(session, first, "not_finite", "the steps add up to infinity", at, seq)
                 return
-            at_rest = not self._safety.streaming(at)
             late = self.queue.splice(first, rows, seq, sent.seen, at_rest)
             self._counters.late += late
             self._tally.late += late
@@ -185,18 +193,21 @@ class StepExecutor:
         names = session.spec.action.names if session.spec.action is not None else ()
         return action_space.of_columns(names, self._arms) or ActionSpace()
 
-    def _before(self, first: int, views: Mapping[str, ArmView]) -> Array:
+    def _before(self, first: int, views: Mapping[str, ArmView], at_rest: bool) -> Array:
         """The target (A,) to which a relative step refers: that of the step before.
 
-        If that one was neither queued nor sent, the newest target sent before; at the start of a
-        stream the set-point.
+        If that one was neither queued nor sent, the newest target that the stream sent before. At
+        rest the set-point: after a gap the controller has stopped the arm, and the step starts a
+        stream.
         """
         queued = self.queue.peek(first - 1)
         if queued is not None:
             return queued.row
-        earlier = [number for number in self._sent if number < first]
-        if earlier:
-            return self._sent[max(earlier)]
+        earlier = [] if at_rest else [number for number in self._sent if number < first]
+        return self._sent[max(earlier)] if earlier else self._held(views)
+
+    def _held(self, views: Mapping[str, ArmView]) -> Array:
+        """The set-points of the arms, (A,)."""
         held = [views[arm] for arm in self._arms]
         return np.concatenate([Target(v.p_set, v.roll_set, v.jaw_set).row for v in held])
 
