@@ -1,4 +1,4 @@
-"""A subscriber read by the thread that wants its messages: nothing lost, doubled or held up."""
+"""Subscribers read by the threads that want the messages: nothing lost, doubled or held up."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import struct
 import threading
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,10 +69,26 @@ def test_nonsense_that_comes_with_the_handshake_ends_the_connection_and_nothing_
 
 
 @pytest.fixture
-def link(rospy_node: str, ros_graph: RosGraph) -> Iterator[Link]:
+def link(
+    rospy_node: str,
+    ros_graph: RosGraph,
+    request: pytest.FixtureRequest,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Iterator[Link]:
+    monkeypatch.setenv("SURG_PLAIN_ROS", getattr(request, "param", ""))
     made = Link(ros_graph)
     yield made
     made.close()
+
+
+with_and_without = pytest.mark.parametrize("link", ["", "polled_subscriber"], indirect=True)
+"""The optimisation on, and off."""
+
+
+def values(polled: Any) -> list[float]:
+    from surg_ros import link_messages
+
+    return [float(link_messages.unpack_joint_state(data)[1][0]) for data in polled.fetch()]
 
 
 class Link:
@@ -81,15 +98,33 @@ class Link:
         import rospy
         from sensor_msgs.msg import JointState
 
-        from surg_ros.transport.polled_subscriber import PolledSubscriber
-
         self.graph, self.kind = graph, JointState
         self.topic = f"/polled_{next(_names)}"
         self.heard: list[float] = []
-        self.polled = PolledSubscriber(self.topic, JointState)
+        self.made: list[Any] = []
+        self.polled = self.another()
         self.make = lambda: rospy.Publisher(self.topic, JointState, queue_size=None)
         self.publisher = self.make()
         self.wait(lambda: self.polled.get_num_connections() == 1 and self._subscribed())
+
+    def another(self) -> Any:
+        from surg_ros.transport.polled_subscriber import PolledSubscriber
+
+        self.made.append(PolledSubscriber(self.topic, self.kind))
+        return self.made[-1]
+
+    def restart(self) -> None:
+        """Another publisher in the place of the first, which has ended before.
+
+        In one process both have the same address, and rospy connects to no address twice.
+        """
+        self.publisher.unregister()
+        self.wait(self._alone, "the end of the first publisher")
+        self.publisher = self.make()
+        self.wait(self._subscribed, "the second publisher")
+
+    def _alone(self) -> bool:
+        return not any(each.fetch() or each.get_num_connections() for each in self.made)
 
     def _subscribed(self) -> bool:
         return bool(self.publisher.get_num_connections() == 1)
@@ -101,16 +136,24 @@ class Link:
         self.publisher.publish(self.kind(position=[value], effort=[0.0] * padding))
 
     def hears(self, count: int) -> bool:
-        from surg_ros import link_messages
-
-        self.heard += [
-            float(link_messages.unpack_joint_state(data)[1][0]) for data in self.polled.fetch()
-        ]
+        self.heard += values(self.polled)
         return len(self.heard) >= count
+
+    def heard_by(self, *consumers: Any) -> None:
+        """Each of them hears a value said from now on."""
+        deaf = list(consumers)
+
+        def all_hear() -> bool:
+            self.say(77.0)
+            deaf[:] = [each for each in deaf if 77.0 not in values(each)]
+            return not deaf
+
+        self.wait(all_hear, "every consumer")
 
     def close(self) -> None:
         self.publisher.unregister()
-        self.polled.subscriber.unregister()
+        for each in self.made:
+            each.release()
 
 
 def test_every_message_comes_once_in_order_and_only_when_it_is_asked_for(link: Link) -> None:
@@ -187,3 +230,88 @@ def test_a_sender_of_nonsense_is_cut_off(link: Link) -> None:
     connection.socket.sendall(b"\xff" * 64)
     link.wait(lambda: link.hears(1) and link.polled.get_num_connections() == 0, "the end")
     assert link.heard == [1]
+
+
+def test_each_of_two_hears_everything_from_the_moment_it_subscribes(link: Link) -> None:
+    for k in range(10):
+        link.say(k)
+    second = link.another()
+    for k in range(10, 20):
+        link.say(k)
+    link.wait(lambda: link.hears(20))
+    assert link.heard == list(range(20))
+    assert values(second) == list(range(10, 20)) and link.polled.fetch() == second.fetch() == []
+
+
+def test_who_does_not_fetch_keeps_the_newest_and_takes_none_from_the_other(link: Link) -> None:
+    from surg_ros.transport.polled_subscriber import _QUEUE
+
+    second = link.another()
+    for k in range(_QUEUE + 200):
+        link.say(k)
+        link.hears(k)
+    link.wait(lambda: link.hears(_QUEUE + 200))
+    assert link.heard == list(range(_QUEUE + 200))
+    assert values(second) == list(range(200, _QUEUE + 200))
+
+
+def test_two_threads_fetch_beside_consumers_that_come_and_go(link: Link) -> None:
+    second, count = link.another(), 500
+    found: list[float] = []
+
+    def fetch() -> None:
+        while len(found) < count:
+            found.extend(values(second))
+
+    thread = threading.Thread(target=fetch, daemon=True)
+    thread.start()
+    for k in range(count):
+        passing = link.another() if k % 10 == 0 else None
+        link.say(k)
+        link.hears(k)
+        if passing is not None:
+            passing.release()
+    link.wait(lambda: link.hears(count))
+    thread.join(10.0)
+    assert link.heard == found == list(range(count))
+
+
+@with_and_without
+def test_one_that_is_released_leaves_the_other_its_messages(link: Link) -> None:
+    second = link.another()
+    link.heard_by(link.polled, second)
+    second.release()
+    second.release()  # once more is no error
+    link.heard_by(link.polled)
+    assert second.fetch() == [] and second.get_num_connections() == 0
+    link.restart()
+    link.heard_by(link.polled)
+    assert second.fetch() == []
+
+
+@with_and_without
+def test_a_publisher_that_restarts_is_heard_by_all(link: Link) -> None:
+    second = link.another()
+    link.heard_by(link.polled, second)
+    link.restart()
+    link.heard_by(link.polled, second)
+
+
+@with_and_without
+def test_after_the_last_one_the_next_starts_fresh(link: Link) -> None:
+    from surg_ros.transport.polled_subscriber import _POLLED
+
+    second = link.another()
+    link.heard_by(link.polled, second)
+    link.say(1)
+    link.polled.release()
+    second.release()
+    link.wait(lambda: link.publisher.get_num_connections() == 0, "the end of the subscription")
+    assert link.topic not in _POLLED
+    third = link.another()
+    second.release()  # has no part in the new one
+    assert third.fetch() == []
+    link.heard_by(third)
+    assert second.fetch() == link.polled.fetch() == []
+    link.restart()
+    link.heard_by(third)

@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 import rospy
+from rospy.topics import get_topic_manager
 from sensor_msgs.msg import CameraInfo, JointState
 
 import surg_core
+from crtk_msgs.msg import OperatingState
 from helpers.endoscope_files import lens
 from helpers.graph.ros import RosGraph
 from surg_cli.host import paths
 from surg_core.held_endoscope import held_endoscope
 from surg_msgs.msg import Cycle, PolicyPlan
-from surg_teleop.console.ros.plan_topics_node import PlanTopics
+from surg_teleop.console.ros.plan_topics_node import FRESH, PlanTopics
+from surg_teleop.console.ros.ros_system_node import RosSystem
 
 CELL = surg_core.load_cell(paths.CELLS / "sim_two_arms")
 LENS = lens("left")
+HOLDER = "ECM"
+"""The arm that holds the endoscope."""
+CYCLE, JOINTS = "/PSM1/cycle", f"/{HOLDER}/robot/measured_js"
 SEEN = np.array([[-0.01, 0.002, 0.08], [0.012, -0.004, 0.1]])
 """[m] Planned tips before the left eye."""
 
@@ -32,11 +39,8 @@ def camera_info() -> CameraInfo:
     return info
 
 
-@pytest.mark.ros
-@pytest.mark.full
-def test_a_plan_on_topics_has_its_place_in_the_picture(
-    ros_graph: RosGraph, rospy_node: str
-) -> None:
+def messages() -> dict[str, Any]:
+    """A plan for PSM1 and what it takes to draw it, by topic."""
     held = held_endoscope(CELL)
     assert held is not None
     q = np.array(CELL.arms[held.arm].robot.home) + 0.01
@@ -50,25 +54,43 @@ def test_a_plan_on_topics_has_its_place_in_the_picture(
     names = [f"PSM1/{name}" for name in ("x", "y", "z", "roll", "jaw")]
     plan = PolicyPlan(names=names, rows=2, values=rows.ravel().tolist(), area=[0, 0, 1, 1])
     plan.keypoints, plan.x, plan.y, plan.certainty = ["tip"], [0.5], [0.25], [1.0]
-
-    kinds: dict[str, tuple[type, Any]] = {
-        "/PSM1/cycle": (Cycle, Cycle(q_br=[0.5, 0.5, 0.5, 0.5], p_rcm=X_BR[:3, 3].tolist())),
-        f"/{held.arm}/robot/measured_js": (
-            JointState,
-            JointState(name=[joint.name for joint in held.chain.joints], position=q.tolist()),
-        ),
-        "/endoscope/left/camera_info": (CameraInfo, camera_info()),
-        "/policy/plan": (PolicyPlan, plan),
+    return {
+        CYCLE: Cycle(q_br=[0.5, 0.5, 0.5, 0.5], p_rcm=X_BR[:3, 3].tolist()),
+        JOINTS: JointState(name=[j.name for j in held.chain.joints], position=q.tolist()),
+        "/endoscope/left/camera_info": camera_info(),
+        "/policy/plan": plan,
     }
-    out = {name: rospy.Publisher(name, kind, queue_size=1) for name, (kind, _) in kinds.items()}
+
+
+class Senders:
+    """Publishes a message on each topic."""
+
+    def __init__(self, said: dict[str, Any]) -> None:
+        self.said = said
+        self.out = {name: self._publisher(name) for name in said}
+
+    def _publisher(self, name: str) -> rospy.Publisher:
+        return rospy.Publisher(name, type(self.said[name]), queue_size=1)
+
+    def say(self) -> None:
+        for name, message in self.said.items():
+            self.out[name].publish(message)
+
+
+@pytest.mark.ros
+@pytest.mark.full
+def test_a_plan_on_topics_has_its_place_in_the_picture(
+    ros_graph: RosGraph, rospy_node: str
+) -> None:
+    senders = Senders(messages())
+    out = senders.out
     topics = PlanTopics(CELL)
     rospy.sleep(0.5)
     assert not any(each.get_num_connections() for each in out.values()), "nobody has asked"
     topics.watch(True)
 
     def placed() -> bool:
-        for name, (_, message) in kinds.items():
-            out[name].publish(message)
+        senders.say()
         text = topics.newest()
         return bool(text) and bool(json.loads(text)["paths"])
 
@@ -86,3 +108,100 @@ def test_a_plan_on_topics_has_its_place_in_the_picture(
     topics.watch(True)  # and it can be asked again
     ros_graph.wait_for(placed, 20.0, "a plan once more")
     topics.watch(False)
+
+
+class Console(Senders):
+    """The console's side of ROS as it runs, and PSM1 PAUSED."""
+
+    def __init__(self, graph: RosGraph) -> None:
+        super().__init__(messages() | {"/PSM1/operating_state": OperatingState(state="PAUSED")})
+        self.said[CYCLE].state = Cycle.PAUSED
+        self.graph = graph
+        self.system = RosSystem(CELL, tuple(CELL.arms), "", "teleop", None)
+
+    def wait(self, condition: Callable[[], bool], what: str) -> None:
+        def met() -> bool:
+            self.say()
+            self.system.robot()  # as the page's status does, all the time
+            return condition()
+
+        self.graph.wait_for(met, 10.0, what)
+
+    def hears_arm(self, code: int, when: str) -> None:
+        """It hears a reason that only the topic `cycle` tells."""
+        self.said[CYCLE].reason_code = code
+        (reason,) = (r for r in surg_core.Reason.__members__.values() if int(r) == code)
+        arm = list(CELL.arms).index("PSM1")
+        self.wait(lambda: self.system.robot().arms[arm].reason == reason, f"the arm {when}")
+
+    def draws_way(self) -> None:
+        def drawn() -> bool:
+            text = self.system.beside("plan")
+            return bool(text) and bool(json.loads(text)["paths"])
+
+        self.wait(drawn, "the way")
+
+    def shows_endoscope(self, when: str) -> None:
+        self.system.beside("scene")  # what has waited until now counts as new
+        rospy.sleep(FRESH)
+
+        def shown() -> bool:
+            return HOLDER not in json.loads(self.system.beside("scene"))["silent"]
+
+        self.wait(shown, f"the arm that holds the endoscope {when}")
+
+    def restart(self, name: str) -> None:
+        """Another publisher in the place of the first, which has ended before.
+
+        In one process both have the same address, and rospy connects to no address twice.
+        """
+        self.out[name].unregister()
+        impl = get_topic_manager().get_subscriber_impl(name)
+
+        def ended() -> bool:
+            self.system.robot()
+            self.system.beside("scene")
+            return impl is None or impl.get_num_connections() == 0
+
+        self.graph.wait_for(ended, 10.0, f"the end of {name}")
+        self.out[name] = self._publisher(name)
+
+    def close(self) -> None:
+        for what in ("plan", "scene"):
+            self.system.watch(what, False)
+
+
+@pytest.fixture
+def console(ros_graph: RosGraph, rospy_node: str) -> Iterator[Console]:
+    made = Console(ros_graph)
+    yield made
+    made.close()
+
+
+@pytest.mark.ros
+def test_a_running_console_draws_the_way_beside_the_scene(console: Console) -> None:
+    """Three parts of it read the same topics; none takes a message from the others."""
+    console.hears_arm(Cycle.REASON_OPERATOR, "before anybody else")
+    console.system.watch("scene", True)
+    console.shows_endoscope("before the plan")
+    console.system.watch("plan", True)
+    console.draws_way()
+    console.hears_arm(Cycle.REASON_STALE, "beside the plan")
+    console.shows_endoscope("beside the plan")
+
+
+@pytest.mark.ros
+def test_a_console_hears_its_arms_after_the_plan_is_closed(console: Console) -> None:
+    console.hears_arm(Cycle.REASON_OPERATOR, "before anybody else")
+    console.system.watch("scene", True)
+    console.shows_endoscope("before the plan")
+    console.system.watch("plan", True)
+    console.hears_arm(Cycle.REASON_STALE, "beside the plan")
+    console.system.watch("plan", False)
+    assert console.system.beside("plan") == ""
+    console.restart(CYCLE)
+    console.hears_arm(Cycle.REASON_OPERATOR, "after a restart of its controller")
+    console.restart(JOINTS)
+    console.shows_endoscope("after a restart")
+    console.system.watch("plan", True)
+    console.draws_way()

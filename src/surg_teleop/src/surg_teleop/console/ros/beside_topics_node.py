@@ -47,7 +47,6 @@ class BesideTopics:
         else:
             for polled in self._joints.values():
                 polled.release()
-                polled.subscriber.unregister()
             self._joints, self._newest = {}, {}
 
     def _watch_marks(self, wanted: bool) -> None:

@@ -59,7 +59,6 @@ class PlanTopics:
             subscriber.unregister()
         for polled in self._polled.values():
             polled.release()
-            polled.subscriber.unregister()
         self._subscribers, self._polled, self._newest = [], {}, {}
         with self._lock:
             self._plan, self._text = None, ""
