@@ -110,6 +110,17 @@ def test_options_reach_the_controller(tmp_path: Path) -> None:
     assert params["mode"] == "freerun"
 
 
+@pytest.mark.parametrize(("cores", "first"), [(1, False), (2, True)])
+def test_in_real_time_the_robot_and_its_controller_come_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cores: int, first: bool
+) -> None:
+    """A simulator that cannot keep up may not take the only processor."""
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)))
+    real_time = {n.name: n.drives for n in system.nodes(plan(tmp_path, lockstep=False))}
+    assert real_time["/PSM1/controller"] and real_time["/sim"] is first
+    assert not any(node.drives for node in system.nodes(plan(tmp_path)))
+
+
 def test_a_scene_that_is_drawn_has_more_time_to_start(tmp_path: Path) -> None:
     """In lock-step the simulator waits for the endoscope, longer than whoever watches it."""
 

@@ -153,7 +153,7 @@ class Node:
     arguments: tuple[str, ...] = ()  # words behind the executable
     essential: bool = True  # whether its end ends the system
     prompt: bool = False  # whether it must answer soon: it gets short slices of the processor
-    drives: bool = False  # whether a robot waits for it: all its threads get a real-time priority
+    drives: bool = False  # whether a robot waits for it, or it is one: real-time priority
 
     def needs_opencv(self) -> bool:
         """Whether it is a real endoscope, or simulates a lens."""
@@ -183,7 +183,8 @@ def nodes(plan: Plan) -> list[Node]:
     prompt = not plan.lockstep  # where time waits, nobody is in a hurry
     started = []
     if plan.simulates:
-        started.append(Node("/sim", "surg_sim", "bridge_node.py", params, prompt=prompt))
+        made = ("surg_sim", "bridge_node.py", params)
+        started.append(Node("/sim", *made, prompt=prompt, drives=prompt and _has_room()))
     started += pictures(plan)
     for arm in plan.driven:
         params = {"cell": str(plan.cell), "arm": arm}
@@ -211,7 +212,7 @@ def nodes(plan: Plan) -> list[Node]:
                 params,
                 ("standalone", "surg_control/RcmNodelet"),
                 prompt=prompt,
-                drives=arm in plan.driven,
+                drives=prompt,
             )
         )
     if plan.record:
@@ -229,6 +230,11 @@ def nodes(plan: Plan) -> list[Node]:
         }
         started.append(Node(f"/{RECORDER}", "surg_recording", "recorder_node.py", params))
     return started + force_nodes(plan)
+
+
+def _has_room() -> bool:
+    """Whether a simulator that cannot keep up leaves a processor to the others."""
+    return len(os.sched_getaffinity(0)) > 1
 
 
 def force_nodes(plan: Plan) -> list[Node]:
