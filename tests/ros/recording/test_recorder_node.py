@@ -139,7 +139,7 @@ def _start(graph: RosGraph, folder: Path, **params: Any) -> Any:
     )
 
 
-def _until(condition: Callable[[], bool], what: str, timeout: float = 15.0) -> None:
+def _until(condition: Callable[[], bool], what: str, timeout: float = 60.0) -> None:
     deadline = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < deadline, f"waited {timeout} s for {what}"
