@@ -169,6 +169,7 @@ class Console(Senders):
     def close(self) -> None:
         for what in ("plan", "scene"):
             self.system.watch(what, False)
+        self.system.close()  # later tests of this process have plain subscribers
 
 
 @pytest.fixture

@@ -109,6 +109,11 @@ class RosSystem:
             rospy.Subscriber(f"/{arm}/operating_state", OperatingState, self._on_state, arm, **keys)
             rospy.Subscriber(f"/{arm}/warning", String, self._on_warning, arm, **keys)
 
+    def close(self) -> None:
+        """Stop polling, so that plain subscribers of this process hear the arms."""
+        for polled in (*self._fast.values(), *self._cycles.values()):
+            polled.release()
+
     def _hear_fast(self, now: float) -> None:
         """Fetch the fast topics; with the lock held."""
         for what, polled in self._fast.items():
