@@ -59,6 +59,10 @@ def missing() -> str:
     return "" if shutil.which(PROGRAM) else f"{PROGRAM} is missing (Debian package chromium)"
 
 
+class Navigated(AssertionError):
+    """The page gave way to another one while it was asked."""
+
+
 class Tab:
     """One open page."""
 
@@ -79,8 +83,13 @@ class Tab:
         return answer["result"].get("value")
 
     async def until(self, script: str, what: str, seconds: float = 20.0) -> Any:
-        """Wait until an expression is true; the value it had then."""
-        return await until(lambda: self.run(script), f"{what}: {script}", seconds)
+        """Wait until an expression is true, on whatever page comes; the value it had then."""
+
+        async def value() -> Any:
+            with contextlib.suppress(Navigated):
+                return await self.run(script)
+
+        return await until(value, f"{what}: {script}", seconds)
 
     async def key(self, code: str, down: bool, key: str = "") -> None:
         """Press or release a key, as the browser's own input does."""
@@ -213,7 +222,9 @@ class Chromium:
             message["sessionId"] = session
         await self._socket.send_str(json.dumps(message))
         said = await asyncio.wait_for(waiting, ANSWER_S)
-        assert "error" not in said, f"{method}: {said['error']}"
+        if "error" in said:
+            gone = "navigated or closed" in said["error"].get("message", "")
+            raise (Navigated if gone else AssertionError)(f"{method}: {said['error']}")
         return dict(said["result"])
 
     async def open(self, url: str, before: str = "", ready: bool = True) -> Tab:
