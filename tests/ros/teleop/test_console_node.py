@@ -194,7 +194,8 @@ def test_a_page_is_a_leader_on_topics(ros_graph: RosGraph, rospy_node: str, tmp_
             await when(lambda: bench.of("/PSM1/state_command"), "the stop")
             assert bench.of("/PSM1/state_command")[-1].string == "pause"
             await when(lambda: not bench.of("/console/teleop/enable")[-1].data, "the hold")
-            assert bench.of("/console/operator_present")[-1].buttons[0] == 0
+            present = "/console/operator_present"
+        await when(lambda: bench.of(present)[-1].buttons[0] == 0, "the operator's absence")
 
     run(bench, test)
 
