@@ -134,6 +134,13 @@ class Console(Senders):
         arm = list(CELL.arms).index("PSM1")
         self.wait(lambda: self.system.robot().arms[arm].reason == reason, f"the arm {when}")
 
+    def open_both(self) -> None:
+        """Open Scene and then Plan, each while what was there before hears."""
+        self.hears_arm(Cycle.REASON_OPERATOR, "before anybody else")
+        self.system.watch("scene", True)
+        self.shows_endoscope("before the plan")
+        self.system.watch("plan", True)
+
     def draws_way(self) -> None:
         def drawn() -> bool:
             text = self.system.beside("plan")
@@ -182,10 +189,7 @@ def console(ros_graph: RosGraph, rospy_node: str) -> Iterator[Console]:
 @pytest.mark.ros
 def test_a_running_console_draws_the_way_beside_the_scene(console: Console) -> None:
     """Three parts of it read the same topics; none takes a message from the others."""
-    console.hears_arm(Cycle.REASON_OPERATOR, "before anybody else")
-    console.system.watch("scene", True)
-    console.shows_endoscope("before the plan")
-    console.system.watch("plan", True)
+    console.open_both()
     console.draws_way()
     console.hears_arm(Cycle.REASON_STALE, "beside the plan")
     console.shows_endoscope("beside the plan")
@@ -193,10 +197,7 @@ def test_a_running_console_draws_the_way_beside_the_scene(console: Console) -> N
 
 @pytest.mark.ros
 def test_a_console_hears_its_arms_after_the_plan_is_closed(console: Console) -> None:
-    console.hears_arm(Cycle.REASON_OPERATOR, "before anybody else")
-    console.system.watch("scene", True)
-    console.shows_endoscope("before the plan")
-    console.system.watch("plan", True)
+    console.open_both()
     console.hears_arm(Cycle.REASON_STALE, "beside the plan")
     console.system.watch("plan", False)
     assert console.system.beside("plan") == ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -133,25 +134,26 @@ def test_a_clipped_step_is_what_the_next_change_refers_to() -> None:
     assert at[4] == pytest.approx(at[3] + 0.012)
 
 
-def test_changes_that_add_up_to_infinity_are_refused_at_once() -> None:
-    bench = Bench(clip=("step",))
+def relative_bench(**settings: Any) -> Bench:
+    """A policy that runs in the space ``relative``; ``settings`` are those of `Bench`."""
+    bench = Bench(**settings)
     bench.hello(wants=Spec(action=ActionSpec.of_space("relative", [ARM])).to_map())
     bench.tick()
     bench.server.enable(True, bench.now)
     for _ in range(3):
         bench.tick()
+    return bench
+
+
+def test_changes_that_add_up_to_infinity_are_refused_at_once() -> None:
+    bench = relative_bench(clip=("step",))
     assert bench.period([[0, 0, 0, 1.7e308, bench.arm.view.jaw_set]] * 3) is None
     (told,) = bench.of("ACK")[-1].head["rejected"]
     assert told["rule"] == "not_finite" and bench.server.state.value == "RUNNING"
 
 
 def test_a_change_refers_to_the_step_before_it_even_if_that_is_still_queued() -> None:
-    bench = Bench()
-    bench.hello(wants=Spec(action=ActionSpec.of_space("relative", [ARM])).to_map())
-    bench.tick()
-    bench.server.enable(True, bench.now)
-    for _ in range(3):
-        bench.tick()
+    bench = relative_bench()
     jaw = bench.arm.view.jaw_set
     bench.tick()
     bench.observe()
@@ -174,12 +176,7 @@ def test_a_change_refers_to_the_step_before_it_even_if_that_is_still_queued() ->
 
 def test_after_a_gap_a_change_refers_to_the_set_point_as_at_the_start() -> None:
     """The controller stops the arm of a silent stream; it need not be where it was sent."""
-    bench = Bench()
-    bench.hello(wants=Spec(action=ActionSpec.of_space("relative", [ARM])).to_map())
-    bench.tick()
-    bench.server.enable(True, bench.now)
-    for _ in range(3):
-        bench.tick()
+    bench = relative_bench()
     jaw = bench.arm.view.jaw_set
     change = [0.001, 0, 0, 0, jaw]
     for _ in range(3):

@@ -25,8 +25,7 @@ struct Options {
   double feedback_gain = -1;          ///< ~feedback_gain [1/s]; negative: as the robot's YAML says
   std::string black_box;   ///< ~black_box: folder for black boxes; default: ROS's log folder
   bool track_rcm = false;  ///< ~track_rcm: the trocar moves; somebody publishes rcm/track
-  bool realtime =
-      false;  ///< ~realtime: a real arm's; warn if SCHED_FIFO and locked memory are refused
+  bool realtime = false;   ///< ~realtime: lock memory; warn if that or SCHED_FIFO is refused
 };
 
 /// Reads the private parameters. Throws surg::ConfigError for an unknown name or a wrong value.
