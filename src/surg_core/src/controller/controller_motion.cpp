@@ -112,6 +112,7 @@ void Controller::Impl::output_command(JointVector qd, bool moving) {
   out.withheld = clock.starved() && !halted && !qd.isZero(0);
   if (out.withheld) {  // nothing new reaches the arm
     qd = qd_last;
+    twist = arm.predicted().J * qd;
     follower.take_up(qd);
   }
   qd_last = qd;

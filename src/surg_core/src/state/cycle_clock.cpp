@@ -33,4 +33,6 @@ void CycleClock::advance(double elapsed) {
   excess_ += share * (elapsed_ - period_ - excess_);
 }
 
+bool CycleClock::starved() const { return gaps_ / period_ > kCatchUp + kRounding; }
+
 }  // namespace surg

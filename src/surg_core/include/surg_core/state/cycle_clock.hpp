@@ -32,7 +32,7 @@ class CycleClock {
   bool gap() const { return gaps_ > 0; }
   /// Whether the last cycles were gaps that are not made up for. At one command in each, a stop
   /// would take many times its way.
-  bool starved() const { return gaps_ > kCatchUp * period_ * (1 + 1e-9); }
+  bool starved() const;
   /// Length of the last cycle [s].
   double elapsed() const { return elapsed_; }
   /// How much longer than a period the recent cycles are on average [s].
