@@ -4,8 +4,9 @@
 
 `train_bgr_cloned.py` writes the weights, which name their method. The policy reads
 `observation.state` and the endoscope's picture or pictures: **what a robot can measure, and nothing
-else**. It remembers nothing of the episode but its last command, and, if trained with
-`--ensemble`, its last chunks. One thread runs it.
+else**. It plays the first steps of a chunk before it asks the network again (`--play`), or, with
+`--ensemble`, asks at each step and averages. Of the episode it remembers what it said. One thread
+runs it.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class ClonedPolicy(Policy):
         pictures: Keys of the eyes.
     """
 
-    format = "surg_bgr_cloned_policy/1"
+    format = "surg_bgr_cloned_policy/2"
 
     def __init__(
         self,
@@ -67,7 +68,7 @@ class ClonedPolicy(Policy):
     ) -> None:
         self.sizes, self.pictures = sizes, tuple(about["pictures"])
         self.wants = (STATE, *self.pictures)
-        self._ensemble = about["ensemble"]
+        self._ensemble, self._play = about["ensemble"], about["play"]
         super().__init__(network.eval(), scales, names, sizes.chunk, about)
 
     @property
@@ -92,8 +93,8 @@ class ClonedPolicy(Policy):
 
     @property
     def hash(self) -> str:
-        """SHA-256 over weights, scales and ensemble; equal trainings give equal hashes."""
-        found = hashlib.sha256(repr((self.sizes, self._ensemble)).encode())
+        """SHA-256 over weights, scales, ensemble and play; equal trainings give equal hashes."""
+        found = hashlib.sha256(repr((self.sizes, self._ensemble, self._play)).encode())
         for name, array in sorted(self.arrays().items()):
             found.update(name.encode() + np.ascontiguousarray(array).tobytes())
         return found.hexdigest()
@@ -132,6 +133,7 @@ class ClonedPolicy(Policy):
         """Forget the last episode."""
         super().reset(instruction, seed)
         self._count = 0
+        self._asked: int | None = None
         self._chunks: deque[tuple[int, Array]] = deque(maxlen=self.chunk)
 
     def answer(self, views: Sequence[Array], state: Array, last: Array) -> Answer:
@@ -150,8 +152,20 @@ class ClonedPolicy(Policy):
             answer: Answer = self.network([scaled(v.float()) for v in seen], numbers)
         return answer
 
-    def act(self, observation: Any) -> Array:
-        """The next actions, (K, 5), from an observation (`surg_policy_client.Observation`)."""
+    def act(self, observation: Any) -> Array | None:
+        """The next actions, (K, 5), from an observation (`surg_policy_client.Observation`).
+
+        None: those of before go on. A policy that asks at each step starts from rest each time: it
+        says a first small step again and again, and never leaves.
+        """
+        step = getattr(observation, "step", None)
+        now = self._count if step is None else int(step)
+        self._count = now + 1
+        if self._plays(now):
+            if step is None:
+                self._said = self._said[1:]  # its first row is the command in force
+            return None
+        self._asked = now
         arrays = self.see(observation)
         state = np.asarray(arrays[STATE], np.float64).ravel()[self._columns]
         held = state[SET]
@@ -161,18 +175,21 @@ class ClonedPolicy(Policy):
         views = [small(np.asarray(arrays[key]))[None] for key in self.pictures]
         said = self.answer(views, state[None], last[None]).chunk.cpu().numpy()
         chunk = self.actions(said, last[None])[0]
-        return self.say(self._blended(chunk, observation), observation)
+        return self.say(self._blended(chunk, now), observation)
 
-    def _blended(self, chunk: Array, observation: Any) -> Array:
+    def _plays(self, now: int) -> bool:
+        """Whether the steps of the last chunk go on."""
+        if self._said is None or self._asked is None or self._ensemble is not None:
+            return False
+        return 0 <= now - self._asked < min(self._play, self.chunk)
+
+    def _blended(self, chunk: Array, now: int) -> Array:
         """A chunk (K, 5) averaged with earlier ones, step by step (Zhao et al. 2023).
 
         The oldest has the weight 1, each later one exp(-ensemble) times that of the one before.
         """
         if self._ensemble is None:
             return chunk
-        step = getattr(observation, "step", None)
-        now = self._count if step is None else int(step)
-        self._count = now + 1
         self._chunks.append((now, chunk))
         total, weight = np.zeros_like(chunk), np.zeros((len(chunk), 1))
         for age, (begin, said) in enumerate(c for c in self._chunks if now - c[0] < self.chunk):

@@ -60,8 +60,12 @@ class Options:
     """Weight of the latent's divergence, as in ACT's paper."""
     gate: float = 1.0
     """Weight of the gate's cross-entropy with the phases."""
+    play: int = 8
+    """Steps of a chunk that are played before the next one is asked for; the model server takes an
+    answer's steps for 0.6 s, which are 12."""
     ensemble: float | None = None
-    """Rate of the temporal ensemble at deployment (ACT's paper: 0.01); None: the newest chunk."""
+    """Rate of the temporal ensemble at deployment (ACT's paper: 0.01), which asks at each step;
+    None: no ensemble."""
     seed: int = 0
     device: str = "auto"
     looks: Looks = field(default_factory=Looks)
@@ -137,6 +141,7 @@ def train(
         "method": options.method,
         "options": asdict(options),
         "ensemble": options.ensemble,
+        "play": options.play,
         "dataset": found.about,
         "pictures": list(found.views),
         "phases": found.phases if phases else [],
@@ -164,6 +169,8 @@ def check(found: Recorded, options: Options) -> None:
     """
     if options.method not in METHODS:
         raise ValueError(f"method {options.method!r}: allowed are {', '.join(METHODS)}")
+    if options.play < 1:
+        raise ValueError(f"--play {options.play}: allowed are 1 and more")
     if "train" not in found.split:
         raise ValueError("the dataset has no episode in its split 'train'")
     if found.names[ACTION] != ACTIONS:
@@ -275,7 +282,8 @@ def parsed(words: Sequence[str] | None) -> argparse.Namespace:
         ("steps", int, "optimiser steps"),
         ("batch", int, "observations of a step"),
         ("chunk", int, "actions predicted at once"),
-        ("ensemble", float, "rate of ACT's temporal ensemble (default: the newest chunk counts)"),
+        ("play", int, "steps that are played before the next chunk is asked for (default 8)"),
+        ("ensemble", float, "rate of ACT's temporal ensemble, which asks at each step"),
         ("noise", float, "on normalised numbers, standard deviation (default 0.3)"),
         ("moved", float, "chance of a shifted and turned picture (default 0.5)"),
     ):

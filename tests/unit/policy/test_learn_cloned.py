@@ -77,7 +77,7 @@ def weights(sizes: dict[str, Any], **head: Any) -> Policy:
         "output_std": np.full(5 * whole.chunk, 1e-3),
         "jaw_range": np.array([0.0, 0.7]),
     }
-    about = {"pictures": [LEFT, RIGHT][: whole.eyes], "ensemble": None, **head}
+    about = {"pictures": [LEFT, RIGHT][: whole.eyes], "ensemble": None, "play": 1, **head}
     names = {"observation.state": STATE, "action": bgr_policy.ACTIONS}
     return Policy(bgr_networks.network_of(whole), scales, names, whole, about)
 
@@ -246,6 +246,36 @@ def test_an_ensemble_is_the_weighted_mean_of_all_chunks_about_a_time(
     np.testing.assert_allclose(chunks[3][2], 3.0)
     policy.acknowledged({"rejected": [{"step": 3}]})
     np.testing.assert_allclose(1e3 * policy.act(seen), 4.0, err_msg="the arm is at rest again")
+
+
+@pytest.mark.parametrize("numbered", [False, True])
+def test_it_plays_the_steps_of_a_chunk_before_it_asks_again(
+    numbered: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next chunk begins at the last row that was played; a refusal ends the playing at once."""
+    policy = weights({"method": "bc", "chunk": 6}, play=3)
+    zero = np.zeros((1, 120, 120, 3), np.uint8)
+    lasts: list[np.ndarray] = []
+
+    def chunk_from(said: Any, last: np.ndarray) -> np.ndarray:
+        lasts.append(last[0])
+        along = 1e-3 * np.arange(1, 7)[:, None]
+        return (np.append(last[0], 0.0) + along)[None]
+
+    monkeypatch.setattr(policy, "answer", lambda *a: SimpleNamespace(chunk=torch.zeros(1, 30)))
+    monkeypatch.setattr(policy, "actions", chunk_from)
+    arrays = {"observation.state": np.zeros(len(STATE)), LEFT: zero[0]}
+
+    def act(step: int) -> Any:
+        return policy.act(SimpleNamespace(arrays=arrays, step=step) if numbered else arrays)
+
+    policy.reset()
+    said = [act(step) for step in range(7)]
+    assert [chunk is not None for chunk in said] == [True, False, False, True, False, False, True]
+    np.testing.assert_allclose(np.array(lasts)[:, 0], [0.0, 3e-3, 6e-3])
+    policy.acknowledged({"rejected": [{"step": 7}]})
+    assert act(7) is not None
+    np.testing.assert_allclose(lasts[-1], 0.0, err_msg="the arm is at rest again")
 
 
 # --- looks --------------------------------------------------------------------------------------
