@@ -161,7 +161,7 @@ class ClonedPolicy(Policy):
         step = getattr(observation, "step", None)
         now = self._count if step is None else int(step)
         self._count = now + 1
-        if self._plays(now):
+        if self._said is not None and self._plays(now):
             if step is None:
                 self._said = self._said[1:]  # its first row is the command in force
             return None
@@ -179,7 +179,7 @@ class ClonedPolicy(Policy):
 
     def _plays(self, now: int) -> bool:
         """Whether the steps of the last chunk go on."""
-        if self._said is None or self._asked is None or self._ensemble is not None:
+        if self._asked is None or self._ensemble is not None:
             return False
         return 0 <= now - self._asked < min(self._play, self.chunk)
 

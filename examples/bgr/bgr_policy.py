@@ -391,10 +391,11 @@ class Policy:
             self._checked = True
         return getattr(observation, "arrays", observation)
 
-    def act(self, observation: Any) -> np.ndarray:
+    def act(self, observation: Any) -> np.ndarray | None:
         """The next actions, (K, 5), from an observation (`surg_policy_client.Observation`).
 
-        The server executes the first action of the chunk and asks again at the next step.
+        None: those of before go on. The server executes the first action of the chunk and asks
+        again at the next step.
         """
         arrays = self.see(observation)
         state, task = (np.asarray(arrays[key], np.float64).ravel() for key in (STATE, TASK))
