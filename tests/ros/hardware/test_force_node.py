@@ -127,8 +127,11 @@ def test_both_forces_arrive_and_bad_input_is_said_with_stamp_0(
 
     try:
         status("ok")
-        # Each topic has a connection of its own: the status may arrive before either force.
+        # Each topic has a connection of its own: the status may arrive before either force, and
+        # before the warnings are heard.
         ros_graph.wait_for(lambda: heard["tool"] and heard["trocar"], 10.0, "both forces")
+        heard_by = ends[-1].get_num_connections
+        ros_graph.wait_for(lambda: heard_by() > 0, 10.0, "the connection of the warnings")
         assert np.linalg.norm(force("tool")) < 0.15 and np.linalg.norm(force("trocar")) < 0.15
         robot.reading = robot.pressed
         expected = np.asarray(robot.arm.X_WB)[:3, :3].T @ PUSH

@@ -244,7 +244,9 @@ void StatusReporter::report_lag(const surg::Outputs& out) {
   if (!lag_reported_) status(arm_ + ": " + text);
   lag_reported_ = true;
   if (std::abs(measured - stated) > kLagTolerance) {
-    warning_once("link_lag", arm_ + ": " + text + ": set the measured value in the link's YAML");
+    warning_once("link_lag", arm_ + ": " + text +
+                                 ": on a busy machine that is its lateness; elsewhere set the "
+                                 "measured value in the link's YAML");
   }
 }
 
