@@ -4,17 +4,19 @@ In process (`surg_sim.envs.policy_rollouts`), on test seeds, each condition of `
 Several at a time: `--executor processes`, `dask` (a cluster of its own) or `dask:ADDRESS`.
 `--weights` are those of `./surg learn bgr --cameras`, or of `examples/bgr/train_bgr_cloned.py`;
 several are compared on the same seeds. Every finished roll-out is kept in `--keep`; the same
-command goes on there. `--json FILE` writes (Wilson's 95 % interval):
+command of the same programs goes on there. `--json FILE` writes (Wilson's 95 % interval):
 
-    format         "surg_bench_imitation/2"
+    format         "surg_bench_imitation/3"
     machine        {processor, cores, load_before, load_after, date}
     seeds          first and last + 1 of the episodes judged
     policies       [{file, weights: SHA-256, method, seed: of the training, pictures,
-                   act_ms: {p50, p99} CPU time of one answer,
+                   act_ms: {p50, p99} CPU time of one answer, the median of the roll-outs'
+                   medians and the largest of their 99 %,
                    conditions: [{name, n, k, low, high, refused, stopped, rcm_max_mm,
                                 failures: {reason: count}}]}]
-    methods        [{method, policies: how many, conditions}]: the same of all policies of a method
-                   together; the interval does not know how trainings differ
+    methods        [{method, files, conditions}]: the same of all policies together that one
+                   recipe (method, options, pictures) gave with several seeds; the interval does
+                   not know how trainings differ
     wall_s         of this call
 
 The exit code is 1 if pictures that say nothing (black, frozen, another's) give more than 20 %.
@@ -23,6 +25,7 @@ The exit code is 1 if pictures that say nothing (black, frozen, another's) give 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import os
 import sys
@@ -30,6 +33,8 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +43,7 @@ from machine import this_machine
 from policy.entrants import Entrant, entrant, pictures_of, policy_of
 from policy.sights import CONDITIONS, Condition, Filter, Replayed, turned
 
+from surg_cli.host import paths
 from surg_cli.host.terminal import Progress, say, table
 from surg_core.contract import image_key
 from surg_recording.job_pool import Ends, NoExecutor, Workplace
@@ -50,7 +56,8 @@ CELL, TASK, SIZE = "sim_two_arms", "bgr", (640, 480)
 TARGETS = bgr_definition.TARGETS
 LEFT = image_key("endoscope_left")
 OTHER = 500
-"""The pictures of another episode are those of the seed so much further."""
+"""The pictures of another episode are those of the first seed from so much further on whose place
+is another one, for the judge too."""
 MOST_BLIND = 0.2
 
 
@@ -98,7 +105,8 @@ class Through:
         seen = replace(observation, arrays=arrays) if hasattr(observation, "arrays") else arrays
         before = time.process_time()
         answer = self._policy.act(seen)
-        self.spent.append(1e3 * (time.process_time() - before))
+        if answer is not None:  # steps of before that go on cost nothing
+            self.spent.append(1e3 * (time.process_time() - before))
         return answer
 
 
@@ -152,6 +160,17 @@ def watched(env: Any, views: Sequence[str], seed: int) -> Iterator[dict[str, np.
         done = terminated or truncated
 
 
+def another(env: Any, seed: int) -> int:
+    """The seed of an episode whose place is none of this one's."""
+
+    def place(of: int) -> int:
+        env.reset(seed=of)
+        return int(env.session.task.target)
+
+    own = place(seed)
+    return next(s for s in count(seed + OTHER) if abs(place(s) - own) > bgr_definition.RIGHT)
+
+
 def eyes_of(
     env: Any, condition: Condition, seed: int, shown: Mapping[str, str]
 ) -> dict[str, tuple[Filter, str]]:
@@ -159,7 +178,7 @@ def eyes_of(
     if condition.eye is not None:
         made = condition.eye
         return {key: (made(np.random.default_rng(seed)), view) for key, view in shown.items()}
-    kept = list(watched(env, list(shown.values()), seed + OTHER))
+    kept = list(watched(env, list(shown.values()), another(env, seed)))
     return {key: (Replayed([each[view] for each in kept]), view) for key, view in shown.items()}
 
 
@@ -192,17 +211,43 @@ def judge(job: Job) -> Result:
     return Result(name, seed, done.success, done.reason, stopped, refused, done.rcm_max, spent)
 
 
+@cache
+def programs() -> str:
+    """SHA-256 of what decides a roll-out beside the weights: policies, conditions, simulation."""
+    found = hashlib.sha256()
+    for folder in ("examples/bgr", "benchmarks/policy", "src/surg_sim/src/surg_sim"):
+        for file in sorted((paths.ROOT / folder).rglob("*.py")):
+            found.update(file.read_bytes())
+    return found.hexdigest()
+
+
 class Book:
-    """Roll-outs that are done, in a file that grows by a line for each."""
+    """Roll-outs that are done, in a file that grows by a line for each.
+
+    Raises:
+        ValueError: A line of the file is none of these.
+    """
 
     def __init__(self, folder: Path, digest: str) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self.name = f"rollouts_{digest[:12]}"
+        whole = hashlib.sha256(f"{digest} {programs()}".encode()).hexdigest()
+        self.name = f"rollouts_{whole[:12]}"
         self._file = folder / f"{self.name}.jsonl"
         self.found: dict[tuple[str, int], Result] = {}
         if self._file.exists():
-            for line in self._file.read_text("utf-8").splitlines():
+            self._read()
+
+    def _read(self) -> None:
+        text = self._file.read_text("utf-8")
+        lines = text.splitlines(keepends=True)
+        if lines and not lines[-1].endswith("\n"):  # it was cut off there: that one is played again
+            self._file.write_text("".join(lines[:-1]), "utf-8")
+            lines.pop()
+        for n, line in enumerate(lines, 1):
+            try:
                 self._keep(Result(**json.loads(line)))
+            except (ValueError, TypeError) as error:
+                raise ValueError(f"{self._file}:{n}: no roll-out ({error}); remove it") from None
 
     def _keep(self, result: Result) -> None:
         self.found[result.condition, result.seed] = result
@@ -251,7 +296,7 @@ def workplace(words: str) -> Workplace:
     kind, _, address = words.partition(":")
     if kind == "dask":
         return Workplace("dask", scheduler=address or None)
-    if words != "processes":
+    if words not in ("process", "processes"):
         raise argparse.ArgumentTypeError(f"{words!r}: allowed are processes and dask[:ADDRESS]")
     return Workplace()
 
@@ -338,14 +383,25 @@ def pooled(
 ) -> list[dict[str, Any]]:
     """The entries of the methods, over all their policies."""
     found = []
-    for method in dict.fromkeys(one.method for one in entrants):
-        own = [books[one.weights] for one in entrants if one.method == method]
+    for recipe in dict.fromkeys(one.recipe for one in entrants):
+        own = [one for one in entrants if one.recipe == recipe]
+        results = [books[one.weights].found for one in own]
         conditions = [
-            described(name, [book.found[name, seed] for book in own for seed in seeds])
+            described(name, [each[name, seed] for each in results for seed in seeds])
             for name in names
         ]
-        found.append({"method": method, "policies": len(own), "conditions": conditions})
+        files = [one.weights.name for one in own]
+        found.append({"method": own[0].method, "files": files, "conditions": conditions})
     return found
+
+
+def labels(entrants: Sequence[Entrant]) -> list[str]:
+    """For the table; a file's name where method and seed do not tell it from another."""
+    said = [one.label for one in entrants]
+    return [
+        one.label if said.count(one.label) == 1 else f"{one.label}, {one.weights.name}"
+        for one in entrants
+    ]
 
 
 def entered(files: Sequence[Path]) -> list[Entrant]:
@@ -370,10 +426,10 @@ def main() -> int:
     started, before = time.monotonic(), os.getloadavg()[0]
     try:
         names, entrants = chosen(options.only), entered(options.weights)
+        books = {one.weights: Book(options.keep, one.digest) for one in entrants}
     except (OSError, ValueError) as error:
         raise SystemExit(f"bench imitation: {error}") from None
     seeds = range(options.first, options.first + options.rollouts)
-    books = {one.weights: Book(options.keep, one.digest) for one in entrants}
     # Seed by seed: what is stopped early has all conditions and all policies alike.
     wanted = [(name, seed, file) for seed in seeds for name in names for file in books]
     missing = [(name, seed, f) for name, seed, f in wanted if (name, seed) not in books[f].found]
@@ -381,17 +437,17 @@ def main() -> int:
     policies = [told(one, books[one.weights], names, seeds) for one in entrants]
     methods = pooled(entrants, books, names, seeds)
     rows = [HEAD]
-    for one, entry in zip(entrants, policies, strict=True):
-        rows += rows_of(one.label, entry["conditions"])
+    for label, entry in zip(labels(entrants), policies, strict=True):
+        rows += rows_of(label, entry["conditions"])
     for entry in methods:
-        if entry["policies"] > 1:
-            rows += rows_of(f"{entry['method']}, all {entry['policies']}", entry["conditions"])
+        if len(entry["files"]) > 1:
+            rows += rows_of(f"{entry['method']}, all {len(entry['files'])}", entry["conditions"])
     say(table(rows))
-    for one, entry in zip(entrants, policies, strict=True):
+    for label, entry in zip(labels(entrants), policies, strict=True):
         spent = entry["act_ms"]
-        say(f"{one.label}: CPU time of an answer {spent['p50']:.1f} ms, p99 {spent['p99']:.1f} ms")
+        say(f"{label}: CPU time of an answer {spent['p50']:.1f} ms, p99 {spent['p99']:.1f} ms")
     result = {
-        "format": "surg_bench_imitation/2",
+        "format": "surg_bench_imitation/3",
         "seeds": [seeds.start, seeds.stop],
         "policies": policies,
         "methods": methods,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,8 @@ class Entrant:
     method: str
     seed: int | None
     pictures: tuple[str, ...]
+    recipe: str = ""
+    """What trained it, but for seed and device: method, options, data set, pictures; JSON."""
 
     @property
     def label(self) -> str:
@@ -53,7 +56,7 @@ def policy_of(weights: Path) -> Any:
         with np.load(weights, allow_pickle=False) as found:
             head = json.loads(found["head"].tobytes())
         said = head["format"]
-    except (KeyError, ValueError, TypeError) as error:
+    except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{weights}: no weights of a policy ({error})") from None
     if not said.startswith("surg_bgr_cloned_policy/"):
         return ImagePolicy.load(weights)
@@ -75,9 +78,12 @@ def entrant(weights: Path) -> Entrant:
         ValueError: See `policy_of`.
     """
     policy = policy_of(weights)
-    seed = policy.about.get("options", {}).get("seed")
-    method = getattr(policy, "method", SHIPPED)
-    return Entrant(weights, policy.hash, method, seed, pictures_of(policy))
+    options = dict(policy.about.get("options", {}))
+    seed, _ = options.pop("seed", None), options.pop("device", None)
+    method, pictures = getattr(policy, "method", SHIPPED), pictures_of(policy)
+    data = [policy.about.get(name) for name in ("dataset", "episodes", "frames")]
+    recipe = json.dumps([method, options, data, pictures], sort_keys=True)
+    return Entrant(weights, policy.hash, method, seed, pictures, recipe)
 
 
 def pictures_of(policy: Any) -> tuple[str, ...]:

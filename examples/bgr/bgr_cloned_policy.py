@@ -12,7 +12,6 @@ runs it.
 from __future__ import annotations
 
 import hashlib
-import json
 import sys
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -24,7 +23,7 @@ import numpy as np
 import torch
 from bgr_eye import small
 from bgr_networks import Answer, Sizes, network_of
-from bgr_policy import SET, STATE, Policy, serve, state_columns, weights_of
+from bgr_policy import SET, STATE, Policy, serve, state_columns, weights_of, write_weights
 
 Array = np.ndarray
 
@@ -57,6 +56,7 @@ class ClonedPolicy(Policy):
     """
 
     format = "surg_bgr_cloned_policy/2"
+    trainer = "train_bgr_cloned.py"
 
     def __init__(
         self,
@@ -102,9 +102,7 @@ class ClonedPolicy(Policy):
     def save(self, file: Path) -> None:
         """Write an .npz without pickle."""
         head = {"format": self.format, "names": self.names, "about": self.about}
-        text = json.dumps({**head, "sizes": asdict(self.sizes)}, sort_keys=True)
-        with file.open("wb") as stream:
-            np.savez(stream, head=np.frombuffer(text.encode(), np.uint8), **self.arrays())
+        write_weights(file, {**head, "sizes": asdict(self.sizes)}, self.arrays())
 
     @classmethod
     def load(cls, file: Path) -> ClonedPolicy:

@@ -152,6 +152,7 @@ class ImagePolicy(Policy):
     """A policy that reads the endoscope's left picture and measured values."""
 
     format = "surg_bgr_image_policy/4"
+    trainer = "train_bgr_images.py"
     wants = (STATE, PICTURE)
 
     @classmethod

@@ -15,6 +15,7 @@ import hashlib
 import json
 import os
 import sys
+import zipfile
 from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -207,7 +208,7 @@ def weights_of(file: Path, form: str) -> tuple[dict[str, Any], dict[str, Array]]
         with np.load(file, allow_pickle=False) as found:
             arrays = {name: found[name] for name in found.files}
         head = json.loads(arrays.pop("head").tobytes())
-    except (KeyError, ValueError) as error:
+    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{file}: no weights of this policy ({error})") from None
     if not isinstance(head, dict) or head.get("format") != form:
         raise ValueError(f"{file}: its format is not {form}")
@@ -220,6 +221,15 @@ def weights_of(file: Path, form: str) -> tuple[dict[str, Any], dict[str, Array]]
     return head, arrays
 
 
+def write_weights(file: Path, head: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
+    """Write what `weights_of` reads, without pickle; whole or not at all."""
+    text = np.frombuffer(json.dumps(head, sort_keys=True).encode(), np.uint8)
+    whole = file.with_name(f".{file.name}.partial")
+    with whole.open("wb") as stream:
+        np.savez(stream, head=text, **arrays)
+    whole.replace(file)
+
+
 class Policy:
     """A network with its scales, column names and provenance.
 
@@ -230,6 +240,7 @@ class Policy:
     """
 
     format = FORMAT
+    trainer = "train_bgr.py"
     wants: tuple[str, ...] = (STATE, TASK)
 
     def __init__(
@@ -276,9 +287,7 @@ class Policy:
         arrays = {f"scale_{name}": value for name, value in self.scales.items()}
         for i, (weight, bias) in enumerate(self.network.layers):
             arrays[f"weight_{i}"], arrays[f"bias_{i}"] = weight, bias
-        text = np.frombuffer(json.dumps(head, sort_keys=True).encode(), np.uint8)
-        with file.open("wb") as stream:
-            np.savez(stream, head=text, **arrays)
+        write_weights(file, head, arrays)
 
     @classmethod
     def load(cls, file: Path) -> Policy:
@@ -441,12 +450,12 @@ def serve(kind: type[Policy], about: str, words: Sequence[str] | None = None) ->
         "--weights",
         type=Path,
         default=os.environ.get(WEIGHTS),
-        help=f"file of train_bgr.py (default: environment variable {WEIGHTS})",
+        help=f"file of {kind.trainer} (default: environment variable {WEIGHTS})",
     )
     parser.add_argument("--keys", type=Path, help="folder of keys, if the server requires keys")
     options = parser.parse_args(words)
     if options.weights is None:
-        parser.error(f"--weights FILE or {WEIGHTS} is required; train_bgr.py writes the file")
+        parser.error(f"--weights FILE or {WEIGHTS} is required; {kind.trainer} writes the file")
     import surg_policy_client
 
     try:

@@ -20,6 +20,8 @@ from bgr_policy import Columns, Network, Policy, world_in_rcm
 Array = np.ndarray
 Progress = Callable[[float, str], None]
 """Called with the finished share, 0 to 1, and a note."""
+RATE = 20
+"""Of the steps that a policy answers with [Hz]."""
 E = TypeVar("E")
 """One recording, in a trainer's own type."""
 
@@ -44,12 +46,20 @@ def facts(folder: Path, needed: Sequence[str]) -> dict[str, Any]:
         needed: Required features.
 
     Raises:
-        ValueError: The folder is no dataset, a feature is missing, or the actions are not absolute.
+        ValueError: The folder is no dataset of version 2, a feature is missing, the actions are not
+            absolute, or the rate is another than the policies'.
     """
     try:
         info: dict[str, Any] = json.loads((folder / "meta" / "info.json").read_text("utf-8"))
     except (OSError, ValueError) as error:
         raise ValueError(f"{folder}: no LeRobot dataset (meta/info.json: {error})") from None
+    version = str(info.get("codebase_version", "v2"))
+    if not version.startswith("v2"):
+        raise ValueError(
+            f"{folder}: a LeRobot dataset of version {version} (meta/info.json); allowed: v2.1. "
+            "Export it again with --format lerobot"
+        )
+    check_rate(folder, info["fps"])
     missing = [name for name in needed if name not in info["features"]]
     if missing:
         raise ValueError(
@@ -62,6 +72,19 @@ def facts(folder: Path, needed: Sequence[str]) -> dict[str, Any]:
             "Export it again without --action-space"
         )
     return info
+
+
+def check_rate(folder: Path, fps: float) -> None:
+    """Refuse a dataset whose steps are longer or shorter than those that policies are asked for.
+
+    Raises:
+        ValueError: It is.
+    """
+    if fps != RATE:
+        raise ValueError(
+            f"{folder}: its steps come at {fps:g} Hz; allowed: {RATE}, at which a policy acts. "
+            "Export it again without --fps"
+        )
 
 
 def split_episodes(info: dict[str, Any]) -> Iterator[tuple[str, int]]:

@@ -23,7 +23,16 @@ from typing import Any
 import numpy as np
 from bgr_eye import SIDE
 from bgr_policy import ACTION, STATE
-from bgr_training import Array, Progress, facts, file_of, flat_names, split_episodes, table
+from bgr_training import (
+    Array,
+    Progress,
+    check_rate,
+    facts,
+    file_of,
+    flat_names,
+    split_episodes,
+    table,
+)
 from train_bgr_images import check_size, views_of
 
 FORMAT = "surg_bgr_views/1"
@@ -203,6 +212,7 @@ def load(folder: Path, pictures: Sequence[str]) -> Recorded:
             key: np.load(folder / f"{key}.npy", mmap_mode="r", allow_pickle=False)
             for key in pictures
         }
+        check_rate(folder, head["about"]["fps"])
         shape = (len(arrays["state"]), SIDE, SIDE, 3)
         if any(each.shape != shape or each.dtype != np.uint8 for each in views.values()):
             raise ValueError(f"pictures of another shape than {shape}")

@@ -34,6 +34,9 @@ from train_bgr_looks import Looks, Varied, inside_of
 CHUNKS = {"bc": 16, "act": 40, "moe_act": 40}
 """Actions predicted at once: those of the image policy; 2 s, as in ACT's paper."""
 
+MOST_PLAY = 12
+"""Steps of an answer that the model server takes: those of 0.6 s (``max_obs_age_s``)."""
+
 
 @dataclass(frozen=True)
 class Options:
@@ -61,8 +64,7 @@ class Options:
     gate: float = 1.0
     """Weight of the gate's cross-entropy with the phases."""
     play: int = 8
-    """Steps of a chunk that are played before the next one is asked for; the model server takes an
-    answer's steps for 0.6 s, which are 12."""
+    """Steps of a chunk that are played before the next one is asked for."""
     ensemble: float | None = None
     """Rate of the temporal ensemble at deployment (ACT's paper: 0.01), which asks at each step;
     None: no ensemble."""
@@ -126,7 +128,7 @@ def train(
     """
     check(found, options)
     device = device_for(options.device)
-    chunk = options.chunk or CHUNKS[options.method]
+    chunk = CHUNKS[options.method] if options.chunk is None else options.chunk
     known = Steps.of(found, "train", chunk)
     numbers = numbers_of(known.state, known.last)
     scales = {**scales_of(numbers, known.targets), "jaw_range": jaw_range(known.targets)}
@@ -169,8 +171,13 @@ def check(found: Recorded, options: Options) -> None:
     """
     if options.method not in METHODS:
         raise ValueError(f"method {options.method!r}: allowed are {', '.join(METHODS)}")
-    if options.play < 1:
-        raise ValueError(f"--play {options.play}: allowed are 1 and more")
+    if not 1 <= options.play <= MOST_PLAY:
+        raise ValueError(
+            f"--play {options.play}: allowed are 1 to {MOST_PLAY}; the model server takes no more "
+            "steps of an answer"
+        )
+    if options.chunk is not None and options.chunk < 1:
+        raise ValueError(f"--chunk {options.chunk}: allowed are 1 and more")
     if "train" not in found.split:
         raise ValueError("the dataset has no episode in its split 'train'")
     if found.names[ACTION] != ACTIONS:

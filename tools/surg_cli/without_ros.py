@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from surg_cli.commands import learn
@@ -59,7 +60,8 @@ def main(words: Sequence[str]) -> int:
     except Problem as problem:
         warn(f"without_ros: {problem}")
         return problem.code
-    say(f"On a machine with ROS the roll-outs follow by: {learn.command_line(request, out)}")
+    there = replace(request, device="auto")  # what is trained is trained
+    say(f"On a machine with ROS the roll-outs follow by: {learn.command_line(there, out)}")
     say(str(out / "weights.npz"))
     return 0
 

@@ -25,11 +25,11 @@ from policy import entrants, sights
 from surg_recording.job_pool import Workplace
 
 
-def cloned(file: Path, method: str, seed: int, eyes: int = 1) -> Path:
+def cloned(file: Path, method: str, seed: int, eyes: int = 1, play: int = 8) -> Path:
     """Weights that were trained for a step."""
     sizes = {"width": 8, "model": 16, "heads": 2, "feed": 16, "layers": 1, "hidden": 8}
     options = bgr_cloned.train_bgr_cloned.Options(
-        method=method, steps=1, batch=2, seed=seed, eyes=eyes, device="cpu", sizes=sizes
+        method=method, steps=1, batch=2, seed=seed, eyes=eyes, play=play, device="cpu", sizes=sizes
     )
     found = bgr_cloned.recorded(1, 0, eyes)
     bgr_cloned.train_bgr_cloned.train(found, options).save(file)
@@ -122,13 +122,14 @@ def test_each_policy_has_a_row_and_each_method_their_sum(
     assert bench_imitation.main() == 0
     assert len(played) == 12 and [seed for _, seed, _ in played[:3]] == [20000] * 3
     said = json.loads(out.read_text())
-    assert said["format"] == "surg_bench_imitation/2" and said["seeds"] == [20000, 20004]
+    assert said["format"] == "surg_bench_imitation/3" and said["seeds"] == [20000, 20004]
     rates = {e["file"]: e["conditions"][0] for e in said["policies"]}
     assert {file: (rate["k"], rate["n"]) for file, rate in rates.items()} == {
         "bc0.npz": (3, 4), "bc1.npz": (1, 4), "act0.npz": (2, 4),
     }  # fmt: skip
     bc, act = said["methods"]
-    assert (bc["method"], bc["policies"], bc["conditions"][0]["k"]) == ("bc", 2, 4)
+    assert (bc["method"], bc["files"]) == ("bc", ["bc0.npz", "bc1.npz"])
+    assert bc["conditions"][0]["k"] == 4
     # Wilson's interval for 4 of 8, 95 %.
     assert bc["conditions"][0]["low"] == pytest.approx(0.2152, abs=1e-4)
     assert bc["conditions"][0]["high"] == pytest.approx(0.7848, abs=1e-4)
@@ -136,6 +137,65 @@ def test_each_policy_has_a_row_and_each_method_their_sum(
     shown = capsys.readouterr().out
     assert "bc, all 2" in shown and "act, all" not in shown
     assert bench_imitation.main() == 0 and len(played) == 12, "nothing is played twice"
+
+
+def test_seeds_of_one_recipe_are_one_method_and_other_options_are_another(tmp_path: Path) -> None:
+    found = bench_imitation.entered([
+        cloned(tmp_path / "a.npz", "bc", 0),
+        cloned(tmp_path / "b.npz", "bc", 1),
+        cloned(tmp_path / "c.npz", "bc", 1, play=4),
+    ])  # fmt: skip
+    books = {one.weights: bench_imitation.Book(tmp_path / "kept", one.digest) for one in found}
+    for book in books.values():
+        book.add(result("as trained", 1, True))
+    pools = bench_imitation.pooled(found, books, ["as trained"], range(1, 2))
+    assert [each["files"] for each in pools] == [["a.npz", "b.npz"], ["c.npz"]]
+    assert bench_imitation.labels(found) == ["bc, seed 0", "bc, seed 1, b.npz", "bc, seed 1, c.npz"]
+
+
+def test_kept_results_are_those_of_the_same_programs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And what was cut off in the last line is played again; any other line is an error."""
+    book = bench_imitation.Book(tmp_path, "a")
+    for seed in (1, 2):
+        book.add(result("black", seed, False))
+    (file,) = tmp_path.iterdir()
+    file.write_text(file.read_text()[:-9], "utf-8")
+    again = bench_imitation.Book(tmp_path, "a")
+    assert set(again.found) == {("black", 1)}
+    again.add(result("black", 2, True))
+    assert len(bench_imitation.Book(tmp_path, "a").found) == 2
+    monkeypatch.setattr(bench_imitation, "programs", lambda: "changed")
+    assert not bench_imitation.Book(tmp_path, "a").found
+    monkeypatch.undo()
+    file.write_text('{"condition": "black"}\n' + file.read_text(), "utf-8")
+    with pytest.raises(ValueError, match=r"jsonl:1: no roll-out"):
+        bench_imitation.Book(tmp_path, "a")
+
+
+def test_the_time_of_an_answer_is_that_of_answers(tmp_path: Path) -> None:
+    """A policy that plays steps of before says None."""
+    answers = iter([np.zeros((8, 5)), None, None])
+    policy = type("P", (), {"acknowledged": None, "act": lambda self, shown: next(answers)})()
+    through = bench_imitation.Through(policy, {})
+    for _ in range(3):
+        through.act({})
+    assert len(through.spent) == 1
+
+
+def test_another_episode_has_another_place() -> None:
+    """Which the judge does not take for this one's."""
+    places = {3: 18, 503: 19, 504: 17, 505: 21}
+    task = type("T", (), {"target": 0})()
+
+    class Env:
+        session = type("S", (), {"task": task})()
+
+        def reset(self, seed: int) -> None:
+            task.target = places[seed]
+
+    assert bench_imitation.another(Env(), 3) == 505
 
 
 def test_a_cloned_policy_plays_in_the_phantom(tmp_path: Path) -> None:

@@ -102,7 +102,7 @@ def test_a_server_that_does_not_fit_is_sent_no_action(
         shape_of=lambda key: (240, 320, 3) if key == PICTURE else None,
         act=act,
     )
-    kind: Any = SimpleNamespace(load=lambda file: policy)
+    kind: Any = SimpleNamespace(trainer="train_bgr.py", load=lambda file: policy)
     with PolicyServer(spec(pictures=pictures)) as server:
         words = ["--weights", "w.npz", "--server", server.address]
         assert bgr_policy.serve(kind, "", words) == 1

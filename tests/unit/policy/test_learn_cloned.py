@@ -333,8 +333,21 @@ def test_steps_that_lead_to_a_miss_are_left_out() -> None:
         ({}, ["--eyes", "2"], "endoscope.right"),
         ({"splits": {"val": "0:1"}}, [], "'train'"),
         ({"features": {"observation.state": {}}}, [], "endoscope.left"),
+        ({"fps": 10}, [], "10 Hz; allowed: 20.*--fps"),
+        ({"codebase_version": "v3.0"}, [], "v3.0.*allowed: v2.1.*--format lerobot"),
+        ({}, ["--play", "13"], "--play 13: allowed are 1 to 12"),
+        ({}, ["--chunk", "0"], "--chunk 0: allowed are 1 and more"),
     ],
-    ids=["action space", "no right eye", "no training", "no pictures"],
+    ids=[
+        "action space",
+        "no right eye",
+        "no training",
+        "no pictures",
+        "rate",
+        "version",
+        "play",
+        "chunk",
+    ],
 )
 def test_a_dataset_that_does_not_fit_is_one_line(
     change: dict[str, Any],
@@ -372,6 +385,10 @@ def test_weights_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     np.savez(file, a=np.zeros(2))
     with pytest.raises(ValueError, match="no weights"):
         Policy.load(file)
+    for cut in (100, 0):
+        file.write_bytes(file.read_bytes()[:cut])
+        with pytest.raises(ValueError, match=r"w\.npz: no weights"):
+            Policy.load(file)
 
 
 def test_a_folder_of_another_dataset_is_refused(tmp_path: Path) -> None:

@@ -138,7 +138,7 @@ def test_training_reads_it_and_is_the_same_twice(exported: Path, tmp_path: Path)
 def test_what_is_recorded_is_not_played_again(
     recorded: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plan = demonstrations.Plan(recorded, cell_files.find("sim_two_arms"), SHORT)
+    plan = demonstrations.Plan(recorded, cell_files.find("sim_two_arms"), SHORT, shake=0.003)
     assert demonstrations.play(plan, SEEDS) == []
     torn = recorded / f"{SEEDS[1]}{episode_reader.PARTIAL}"
     plan.folder(SEEDS[1]).rename(torn)

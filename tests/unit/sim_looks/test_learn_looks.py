@@ -67,3 +67,7 @@ def test_a_recording_with_another_look_is_played_again(
     content["run"]["look"] = LookRandomisation().draw(3).described()
     manifest.write_text(json.dumps(content), "utf-8")
     assert wide.done(3) and not plan.done(3)
+    content["run"] |= {"look": None, "clumsiness": 4.0}
+    manifest.write_text(json.dumps(content), "utf-8")
+    assert replace(plan, clumsiness=4.0).done(3) and not replace(plan, clumsiness=5.0).done(3)
+    assert not replace(plan, clumsiness=4.0, cameras=("left",)).done(3), "it has no picture"

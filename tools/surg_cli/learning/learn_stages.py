@@ -10,12 +10,15 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from surg_cli.host.terminal import Problem, Progress, say
 from surg_cli.learning.recipes import LEARNERS, PUSH_M, Request
 from surg_cli.learning.rollouts import Player
 from surg_cli.learning.stage_ledger import Ledger
+
+if TYPE_CHECKING:
+    from surg_sim.envs.demonstrations import Plan
 
 COMPARED = 20
 """Demonstrations whose smoothness is in the report, at most."""
@@ -29,20 +32,51 @@ def prepare(
     ``more_views`` of the endoscope are recorded beside those of the recipe, which alone are
     trained with: they make no other run of it.
     """
+    played = ledger.stage(
+        "demonstrations",
+        request.demonstrations,
+        lambda: demonstrate(request, cell, out, more_views),
+    )
+    if more_views and not recorded(request, cell, out, more_views):
+        raise Problem(
+            f"{out}: its demonstrations were recorded without {' and '.join(more_views)}; name "
+            "another folder with --out",
+            2,
+        )
     return {
-        "demonstrations": ledger.stage(
-            "demonstrations",
-            request.demonstrations,
-            lambda: demonstrate(request, cell, out, more_views),
-        ),
+        "demonstrations": played,
         "smoothness": ledger.stage("smoothness", {}, lambda: measure(request, out)),
         "dataset": ledger.stage("dataset", {}, lambda: export(out)),
         "training": ledger.stage(
             "training",
-            {"seed": request.seed, "by": request.recipe.digests, "device": request.device},
+            {"seed": request.seed, "by": request.recipe.digests},
             lambda: train(request, out),
         ),
     }
+
+
+def plan_of(request: Request, cell: Path, out: Path, more_views: Sequence[str]) -> Plan:
+    """What all demonstrations have in common."""
+    from surg_sim.envs import demonstrations
+
+    return demonstrations.Plan(
+        out / "demonstrations",
+        cell,
+        request.task,
+        request.setting,
+        tuple(dict.fromkeys((*request.recipe.cameras, *more_views))),
+        shake=PUSH_M,
+        clumsiness=request.recipe.clumsiness,
+        looks=request.look_ranges,
+    )
+
+
+def recorded(request: Request, cell: Path, out: Path, more_views: Sequence[str]) -> bool:
+    """Whether all demonstrations are there, with these views too."""
+    from surg_sim.tasks import episode_seeds
+
+    plan = plan_of(request, cell, out, more_views)
+    return all(plan.done(seed) for seed in episode_seeds.training_seeds(request.episodes))
 
 
 def demonstrate(
@@ -55,16 +89,7 @@ def demonstrate(
     from surg_sim.envs import demonstrations
     from surg_sim.tasks import episode_seeds
 
-    plan = demonstrations.Plan(
-        out / "demonstrations",
-        cell,
-        request.task,
-        request.setting,
-        tuple(dict.fromkeys((*request.recipe.cameras, *more_views))),
-        shake=PUSH_M,
-        clumsiness=request.recipe.clumsiness,
-        looks=request.look_ranges,
-    )
+    plan = plan_of(request, cell, out, more_views)
     chosen = episode_seeds.training_seeds(request.episodes)
     before = sum(plan.done(seed) for seed in chosen)
     with Progress("demonstrations") as progress:

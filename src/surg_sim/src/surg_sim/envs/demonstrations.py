@@ -18,6 +18,7 @@ from surg_recording.episode import episode_reader
 from surg_recording.recording_errors import EpisodeError
 from surg_sim.envs.recorded_episode import RecordedSession
 from surg_sim.looks.look_randomisation import LookRandomisation
+from surg_sim.physics.endoscope_rig import FRAMES
 from surg_sim.tasks.perturbed_sender import PerturbedExpert
 from surg_sim.tasks.scripted_arm import ArmExpert
 
@@ -43,13 +44,22 @@ class Plan:
         return self.out / str(seed)
 
     def done(self, seed: int) -> bool:
-        """Whether the recording of a seed is there, whole, and looks as planned."""
+        """Whether the recording of a seed is there, whole, and as planned.
+
+        It may have more views.
+        """
         try:
             episode = episode_reader.read(self.folder(seed))
         except EpisodeError:
             return False
         look = None if self.looks is None else self.looks.draw(seed).described()
-        same = episode.manifest.get("run", {}).get("look") == json.loads(json.dumps(look))
+        run = episode.manifest.get("run", {})
+        same = (
+            run.get("look") == json.loads(json.dumps(look))
+            and run.get("shake", 0.0) in (0.0, self.shake)
+            and run.get("clumsiness", 1.0) in (1.0, self.clumsiness)
+            and {FRAMES[view] for view in self.cameras} <= set(episode.cameras)
+        )
         return bool(episode.complete and same)
 
 
