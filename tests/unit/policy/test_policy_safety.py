@@ -312,10 +312,15 @@ def test_f08_a_drawn_picture_may_repeat_itself_while_nothing_moves() -> None:
         assert ("same picture" in watch.problem(n * STEP_NS)) == (n > 3), "a real camera's would"
     now = 99 * STEP_NS
     assert watch.problem(now, rest + 0.9e-3) == ""
-    assert "same picture" in watch.problem(now, rest + 1.1e-3)
-    assert "sends no pictures" in watch.problem(now + 3 * STEP_NS + 1, rest)
+    silent = watch.problem(now + 3 * STEP_NS + 1, rest)
+    assert "sends no pictures" in silent and "150 ms old" in silent, "not since it last changed"
+    for n in range(4):  # a picture of the moved tip takes its time
+        assert watch.problem(now + n * STEP_NS, rest + 1.1e-3) == ""
+        watch.picture(now + n * STEP_NS, now + n * STEP_NS, 7)
+    late = watch.problem(now + 3 * STEP_NS + 1, rest)
+    assert "same picture" in late and "150 ms old" in late, "also where the tip came back"
     watch.forget_tips()  # homing gives the arms another frame: that was no motion
-    assert watch.problem(now, rest + 0.12) == ""
+    assert watch.problem(now + 3 * STEP_NS + 1, rest + 0.12) == ""
 
 
 def test_f08_a_blind_camera_pauses_the_policy_and_nothing_is_observed() -> None:

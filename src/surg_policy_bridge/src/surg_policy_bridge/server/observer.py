@@ -44,6 +44,7 @@ class CameraWatch:
         self._newer: int | None = None
         self._fresh: int | None = None
         self._tips: Array | None = None
+        self._moved: int | None = None
 
     def picture(self, now: int, stamp_ns: int, checksum: int) -> None:
         """A picture has arrived; ``checksum``: of its pixels."""
@@ -51,7 +52,7 @@ class CameraWatch:
         if stamp_ns > self._stamp:
             self._newer = now
             if checksum != self._checksum:
-                self._fresh, self._tips = now, None
+                self._fresh, self._tips, self._moved = now, None, None
         self._stamp, self._checksum = max(self._stamp, stamp_ns), checksum
 
     def problem(self, now: int, tips: Array | None = None) -> str:
@@ -60,15 +61,15 @@ class CameraWatch:
         Args:
             now: Steady clock [ns].
             tips: Positions of all tips, (3 n,) [m], for a rendered camera. It has no noise, so its
-                picture is expected to change only if a tip has moved. None: a real camera, whose
+                picture is expected to change only after a tip has moved. None: a real camera, whose
                 pictures always differ.
         """
         if self._fresh is None or self._newer is None or self._arrived is None:
             return f"no picture of {self._name} yet; check that the camera is running"
-        if self._tips is None:
-            self._tips = tips
-        age = now - self._fresh
-        if age <= self._limit or (now - self._newer <= self._limit and self._at_rest(tips)):
+        age = now - self._newer
+        if age <= self._limit:  # they come; do they change, when they should?
+            age = now - self._should_have_changed(now, tips)
+        if age <= self._limit:
             return ""
         silent = now - self._arrived > self._limit
         symptom = "sends no pictures" if silent else "repeats the same picture"
@@ -79,13 +80,18 @@ class CameraWatch:
 
     def forget_tips(self) -> None:
         """Earlier tip positions are invalid: the arms had no rcm frame yet."""
-        self._tips = None
+        self._tips = self._moved = None
 
-    def _at_rest(self, tips: Array | None) -> bool:
-        """Whether no tip has moved since the picture changed."""
-        if tips is None or self._tips is None:
-            return False
-        return float(np.abs(tips - self._tips).max()) <= STILL
+    def _should_have_changed(self, now: int, tips: Array | None) -> int:
+        """Since when [ns] the picture shows something else than what is there; now: it does not."""
+        assert self._fresh is not None
+        if tips is None:
+            return self._fresh
+        if self._tips is None:
+            self._tips = tips
+        if self._moved is None and float(np.abs(tips - self._tips).max()) > STILL:
+            self._moved = now
+        return now if self._moved is None else self._moved
 
 
 def lagging_arm(stamps: Mapping[str, int]) -> str:
