@@ -348,7 +348,7 @@ def test_both_views_are_recorded_and_make_no_other_run(
     words = ("bgr", "--cameras", "--rollouts", "1", "--out", str(tmp_path / "mono"))
     assert without_ros.main(words) == 0
     assert without_ros.main((*words, "--both-views")) == 2
-    assert "recorded without left and right; name another folder" in capsys.readouterr().err
+    assert "lack one of the views left and right; name another folder" in capsys.readouterr().err
     recorded.clear()
     words = (*words[:-1], str(tmp_path / "run"))
     assert without_ros.main((*words, "--both-views")) == 0

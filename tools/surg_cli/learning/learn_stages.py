@@ -39,7 +39,7 @@ def prepare(
     )
     if more_views and not recorded(request, cell, out, more_views):
         raise Problem(
-            f"{out}: its demonstrations were recorded without {' and '.join(more_views)}; name "
+            f"{out}: its demonstrations lack one of the views {' and '.join(more_views)}; name "
             "another folder with --out",
             2,
         )
