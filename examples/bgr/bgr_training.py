@@ -59,7 +59,6 @@ def facts(folder: Path, needed: Sequence[str]) -> dict[str, Any]:
             f"{folder}: a LeRobot dataset of version {version} (meta/info.json); allowed: v2.1. "
             "Export it again with --format lerobot"
         )
-    check_rate(folder, info["fps"])
     missing = [name for name in needed if name not in info["features"]]
     if missing:
         raise ValueError(
@@ -71,6 +70,7 @@ def facts(folder: Path, needed: Sequence[str]) -> dict[str, Any]:
             f"{folder}: its action space is {space!r} (meta/info.json); allowed: 'absolute'. "
             "Export it again without --action-space"
         )
+    check_rate(folder, info.get("fps", 0))
     return info
 
 
