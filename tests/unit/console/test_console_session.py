@@ -267,6 +267,37 @@ def test_f30_the_policy_gets_the_arm_when_the_hand_is_off_it(bench: Bench) -> No
     assert said["policy"]["on"]
 
 
+def test_a_policy_that_is_lost_is_said_also_when_another_session_is_ready(bench: Bench) -> None:
+    """It was silent on a busy machine, and connected again by itself; nothing resumes by itself."""
+    bench.drive()
+    bench.follower = replace(bench.follower, state="DISABLED")
+    assert bench.session.policy("a", with_policy(bench, "READY"), bench.now) == ""
+    silent = "the policy has been silent for more than 150 ms"
+    way = (("READY", ""), ("RUNNING", ""), ("PAUSED", "late"), ("IDLE", silent), ("READY", ""))
+    for state, detail in way:
+        for _ in range(50):
+            bench.now += TICK
+            robot = with_policy(bench, state, detail=detail)
+            bench.session.tick(robot, bench.now)
+    said = report(bench.session, robot, {}, bench.now)["sentence"]
+    assert "was lost" in said and silent in said and "Press Policy" in said
+    assert bench.flush()[-1] == Policy(True) and bench.flush() == []
+
+
+def test_a_hand_that_is_not_let_go_is_said_instead_of_a_promise(bench: Bench) -> None:
+    bench.drive()
+    assert bench.session.policy("a", with_policy(bench, "READY"), bench.now) == ""
+    assert (
+        "takes over"
+        in report(bench.session, with_policy(bench, "READY"), {}, bench.now)["sentence"]
+    )
+    bench.follower = replace(bench.follower, state="WAITING")
+    bench.now += START_TIMEOUT + 0.01
+    bench.session.tick(with_policy(bench, "READY"), bench.now)
+    said = report(bench.session, with_policy(bench, "READY"), {}, bench.now)["sentence"]
+    assert "did not get the arm" in said and "Press Policy" in said
+
+
 def test_f30_a_promise_to_a_policy_ends_with_anything_else_the_operator_does() -> None:
     for act in ("enable", "stop", "late", "leave", "release", "hide", "take-over"):
         bench = Bench()

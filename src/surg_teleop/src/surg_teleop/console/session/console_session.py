@@ -83,6 +83,7 @@ class Session:
         self._holder: _Page | None = None
         self._orders: list[orders.Order] = []
         self._enabled = self._asked = self._acted = self._tapped = -math.inf
+        self._policy_ran = False
         self._policy_requested = -math.inf
         self._clutch = self._camera = False
         self._hand = "position"
@@ -293,11 +294,22 @@ class Session:
             self._asked = now
             self._orders.append(orders.Follow(True))
 
+    def _watch_policy(self, robot: Robot) -> None:
+        """A policy whose session has ended does not take over the arm any longer."""
+        gone = self._policy_ran and robot.policy.state in ("IDLE", "READY")
+        if gone and self.reason == operator_messages.POLICY_ASKED:
+            self.reason = operator_messages.policy_lost(robot.policy.detail)
+        self._policy_ran = robot.policy.active or (self._policy_ran and not gone)
+
     def _start_policy(self, robot: Robot, now: float) -> None:
         """The policy gets the arm once the teleoperation states that no hand wants it."""
+        self._watch_policy(robot)
         since = now - self._policy_requested
+        if since == math.inf:
+            return
         if since > START_TIMEOUT:
             self._policy_requested = -math.inf
+            self.reason = operator_messages.POLICY_NOT_GIVEN
         elif since >= SETTLED and robot.follower.state == "DISABLED":
             self._policy_requested = -math.inf
             self._orders.append(orders.Policy(True))

@@ -24,6 +24,9 @@ NOTHING_ASTRAY = "No simulated arm is in FAULT, so there is nothing to put back"
 PUT_BACK = "The arm is being guided home. Press Enable when it is at rest"
 NO_POLICY = "No policy is connected. Start one; it connects by itself (docs/reference/policies.md)"
 POLICY_ASKED = "The policy takes over the arm"
+POLICY_NOT_GIVEN = (
+    "The policy did not get the arm: the teleoperation did not let go of it. Press Policy again"
+)
 POLICY_ENDED = "The policy releases the arm. Press Enable to take it over"
 HIDDEN = {
     "hidden": "The tab was hidden. The arm holds. Press Enable to continue",
@@ -147,6 +150,12 @@ def task_sentence(robot: Robot) -> str:
     if task.state == "FAILURE":
         return f"{task.name}: over, {task.detail or 'no success'}"
     return f"{task.name}: {task.phase}" if task.state == "RUNNING" else ""
+
+
+def policy_lost(detail: str) -> str:
+    """The policy has the arm no longer, and nobody took it away."""
+    why = f" ({detail})" if detail else ""
+    return f"The policy was lost{why}. The arm holds. Press Policy to give it the arm again"
 
 
 def policy_sentence(robot: Robot) -> str:
