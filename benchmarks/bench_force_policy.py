@@ -20,11 +20,9 @@ Everything is kept in `--keep`; the same command goes on there. `--json FILE` wr
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -33,6 +31,7 @@ import numpy as np
 from policy import force_page
 from policy.force_cases import Case, Felt, Meter, Result, cases, cores
 from publish import publish
+from result_book import ResultBook
 
 from surg_cli.host import paths
 from surg_cli.host.terminal import Progress
@@ -149,24 +148,11 @@ def judge(keep: Path, case: Case | None, seeds: list[int]) -> list[Result]:
     return found
 
 
-class Book:
-    """Roll-outs that are done, in a file that grows by a line for each."""
+class Book(ResultBook[tuple[str, int], Result]):
+    """Roll-outs by case and seed."""
 
     def __init__(self, file: Path) -> None:
-        self._file = file
-        self.found: dict[tuple[str, int], Result] = {}
-        if file.exists():
-            for line in file.read_text("utf-8").splitlines():
-                self._keep(Result(**json.loads(line)))
-
-    def _keep(self, result: Result) -> None:
-        self.found[result.case, result.seed] = result
-
-    def add(self, result: Result) -> None:
-        """Keep a roll-out."""
-        self._keep(result)
-        with self._file.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(asdict(result)) + "\n")
+        super().__init__(file, Result, lambda each: (each.case, each.seed))
 
 
 def play(
@@ -235,7 +221,10 @@ def main() -> int:
     wanted = cases(range(options.trainings))
     seeds = list(episode_seeds.test_seeds(options.rollouts))
     dataset = demonstrate(keep, options.demonstrations, options.jobs)
-    book = Book(keep / "rollouts.jsonl")
+    try:
+        book = Book(keep / "rollouts.jsonl")
+    except ValueError as error:
+        raise SystemExit(f"bench force_policy: {error}") from None
     for tension in (False, True):  # what answers the question first
         part = [case for case in wanted if case.tension == tension]
         train_missing(keep, dataset, part, options.jobs)

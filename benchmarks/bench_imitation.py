@@ -32,7 +32,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import count
 from pathlib import Path
@@ -42,6 +42,7 @@ import numpy as np
 from machine import this_machine
 from policy.entrants import Entrant, entrant, pictures_of, policy_of
 from policy.sights import CONDITIONS, Condition, Filter, Replayed, turned
+from result_book import ResultBook
 
 from surg_cli.host import paths
 from surg_cli.host.terminal import Progress, say, table
@@ -221,42 +222,20 @@ def programs() -> str:
     return found.hexdigest()
 
 
-class Book:
-    """Roll-outs that are done, in a file that grows by a line for each.
+class Book(ResultBook[tuple[str, int], Result]):
+    """Roll-outs of weights by the programs as they are, by condition and seed.
 
     Raises:
-        ValueError: A line of the file is none of these.
+        ValueError: See `ResultBook`.
     """
 
     def __init__(self, folder: Path, digest: str) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         whole = hashlib.sha256(f"{digest} {programs()}".encode()).hexdigest()
         self.name = f"rollouts_{whole[:12]}"
-        self._file = folder / f"{self.name}.jsonl"
-        self.found: dict[tuple[str, int], Result] = {}
-        if self._file.exists():
-            self._read()
-
-    def _read(self) -> None:
-        text = self._file.read_text("utf-8")
-        lines = text.splitlines(keepends=True)
-        if lines and not lines[-1].endswith("\n"):  # it was cut off there: that one is played again
-            self._file.write_text("".join(lines[:-1]), "utf-8")
-            lines.pop()
-        for n, line in enumerate(lines, 1):
-            try:
-                self._keep(Result(**json.loads(line)))
-            except (ValueError, TypeError) as error:
-                raise ValueError(f"{self._file}:{n}: no roll-out ({error}); remove it") from None
-
-    def _keep(self, result: Result) -> None:
-        self.found[result.condition, result.seed] = result
-
-    def add(self, result: Result) -> None:
-        """Keep a roll-out."""
-        self._keep(result)
-        with self._file.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(asdict(result)) + "\n")
+        super().__init__(
+            folder / f"{self.name}.jsonl", Result, lambda each: (each.condition, each.seed)
+        )
 
 
 def described(name: str, found: list[Result]) -> dict[str, Any]:

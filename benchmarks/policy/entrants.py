@@ -35,7 +35,7 @@ class Entrant:
     method: str
     seed: int | None
     pictures: tuple[str, ...]
-    recipe: str = ""
+    recipe: str
     """What trained it, but for seed and device: method, options, data set, pictures; JSON."""
 
     @property
@@ -79,7 +79,8 @@ def entrant(weights: Path) -> Entrant:
     """
     policy = policy_of(weights)
     options = dict(policy.about.get("options", {}))
-    seed, _ = options.pop("seed", None), options.pop("device", None)
+    seed = options.pop("seed", None)
+    options.pop("device", None)
     method, pictures = getattr(policy, "method", SHIPPED), pictures_of(policy)
     data = [policy.about.get(name) for name in ("dataset", "episodes", "frames")]
     recipe = json.dumps([method, options, data, pictures], sort_keys=True)

@@ -131,7 +131,7 @@ class ClonedPolicy(Policy):
         """Forget the last episode."""
         super().reset(instruction, seed)
         self._count = 0
-        self._asked: int | None = None
+        self._asked = 0
         self._chunks: deque[tuple[int, Array]] = deque(maxlen=self.chunk)
 
     def answer(self, views: Sequence[Array], state: Array, last: Array) -> Answer:
@@ -177,9 +177,8 @@ class ClonedPolicy(Policy):
 
     def _plays(self, now: int) -> bool:
         """Whether the steps of the last chunk go on."""
-        if self._asked is None or self._ensemble is not None:
-            return False
-        return 0 <= now - self._asked < min(self._play, self.chunk)
+        played = 0 <= now - self._asked < min(self._play, self.chunk)
+        return self._ensemble is None and played
 
     def _blended(self, chunk: Array, now: int) -> Array:
         """A chunk (K, 5) averaged with earlier ones, step by step (Zhao et al. 2023).

@@ -31,13 +31,11 @@ from bgr_eye import (
 )
 from bgr_image_policy import CERTAIN, TARGET
 from bgr_policy import NODES
-from bgr_training import Array, half_cosine
+from bgr_training import RATE, Array, half_cosine
 from train_bgr_looks import Looks, Varied, inside_of
 
 HEAT = 1.0
 """Standard deviation of a heat map's target [cells]."""
-GRID_RATE = 20.0
-"""Pictures per second."""
 DEVICES = ("auto", "cpu", "cuda")
 SHARES = (1.0, 5.0, 2.0, 10.0)
 """Weights of the losses of heat maps, tube, who holds, and jaw and tension."""
@@ -114,7 +112,7 @@ def labels(
     held = task[:, [*columns["held"].ravel(), *columns["assistant_held"].ravel()]] >= 0
     jaw = task[:, columns["assistant_jaw"]].ravel()
     tension = np.minimum(task[:, columns["tension"]].ravel(), MOST_TENSION)
-    speed = np.linalg.norm(np.diff(helper, axis=0, prepend=helper[:1] + 1.0), axis=1) * GRID_RATE
+    speed = np.linalg.norm(np.diff(helper, axis=0, prepend=helper[:1] + 1.0), axis=1) * RATE
     away = np.linalg.norm(helper - nodes[row, i], axis=1)
     return Labels(
         rest[row, i],
