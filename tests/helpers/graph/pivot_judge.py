@@ -1,8 +1,8 @@
 """Judges one arm by the simulator's own truth: `python pivot_judge.py PSM1`.
 
 A process of its own, because a test's own node belongs to another ROS master. Two lines of JSON a
-second, until the pipe ends. `left_at` is the time on the steady clock at which the first message
-said that the arm is no longer ENABLED.
+second, until the pipe ends. `left_at` is the time on the steady clock of the first cycle in which the
+arm is no longer ENABLED, however long its message waited for this process.
 """
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ class Judge:
             if state != self._state and self._state == "ENABLED":
                 how = f"{state}({message.reason})"
                 self.seen["ended"][how] = self.seen["ended"].get(how, 0) + 1
-                self.seen["left_at"] = time.monotonic()
+                waited = (rospy.get_rostime() - message.header.stamp).to_sec()
+                self.seen["left_at"] = time.monotonic() - waited
             self._state = state
         self.seen["state"] = state
 

@@ -35,7 +35,7 @@ def note_stops(around: str, took: Sequence[float]) -> None:
 
     Args:
         around: What there is beside the system: one of quiet, attack, load.
-        took: Times from the command to the first message that says so [s].
+        took: Times from the command to the first cycle that says so [s].
     """
     ms = sorted(round(1e3 * t) for t in took)
     middle = ms[len(ms) // 2]

@@ -223,6 +223,25 @@ def test_cameras_make_a_policy_that_looks(
         learn.main(options("bgr", *words[1:]), "learn")
 
 
+def test_a_file_of_looks_may_move_but_not_change(
+    tmp_path: Path, done: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run that was copied elsewhere with its file goes on there."""
+    monkeypatch.setattr(provision, "install_packages", lambda log, optional: None)
+    first, moved = tmp_path / "looks.yaml", tmp_path / "moved" / "looks.yaml"
+    first.write_text("format: surg_looks/1\nlight_strength: [0.5, 1.0]\n", "utf-8")
+    words = ("--cameras", "--episodes", "8", "--rollouts", "2", "--out", str(tmp_path / "run"))
+    assert learn.main(options("bgr", *words, "--looks", str(first)), "learn") == 0
+    moved.parent.mkdir()
+    first.rename(moved)
+    assert learn.main(options("bgr", *words, "--looks", str(moved)), "learn") == 0
+    moved.write_text("format: surg_looks/1\nlight_strength: [0.6, 1.0]\n", "utf-8")
+    with pytest.raises(Problem, match="holds a run with --looks"):
+        learn.main(options("bgr", *words, "--looks", str(moved)), "learn")
+    with pytest.raises(Problem, match="holds a run with --looks"):
+        learn.main(options("bgr", *words), "learn")
+
+
 def test_what_goes_on_with_cameras_says_so(
     tmp_path: Path, done: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

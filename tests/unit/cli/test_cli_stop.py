@@ -37,3 +37,22 @@ def test_stop_signals_before_anything_else(tmp_path: Path, monkeypatch: pytest.M
         assert entry.run(["stop", "--port", "45997"]) == 0
         assert system.stdout.readline() == b"paused\n"
     assert entered == ["stop"] and os.listdir(tmp_path)
+
+
+def test_the_script_signals_before_it_starts_any_program(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a busy machine each program that it starts delays the stop."""
+    monkeypatch.setattr(paths, "SYSTEMS", tmp_path / ".surg" / "run")
+    script = tmp_path / "surg"
+    script.write_bytes((paths.ROOT / "surg").read_bytes())
+    with subprocess.Popen([sys.executable, "-c", LISTENER], stdout=subprocess.PIPE) as system:
+        assert system.stdout is not None and system.stdout.readline() == b"listens\n"
+        since = processes.start_time(system.pid) or 0
+        running.System(45997, system.pid, since, "up", str(tmp_path), str(tmp_path)).save()
+        found_none = {"PATH": "/nonexistent"}
+        subprocess.run(["/bin/sh", script, "stop"], env=found_none, stderr=subprocess.DEVNULL)
+        try:
+            assert system.wait(5.0) == 0 and system.stdout.readline() == b"paused\n"
+        finally:
+            system.kill()

@@ -199,6 +199,9 @@ def folder_of(wanted: Path | None, request: Request) -> Path:
             raise Problem(f"--out {wanted}: wanted.json is not valid JSON ({error})", 2) from error
         now = asdict(request)
         before = {"cameras": False, "device": "auto", "looks": "", **before}
+        if before.get("look_ranges"):  # the file may have moved, or changed where it is
+            same = before["look_ranges"] == _look_ranges(request)
+            before["looks"] = now["looks"] if same else f"{before['looks']} as it was"
         # The same demonstrations serve other numbers of roll-outs and other trainings.
         fixed = [name for name in now if name not in ("rollouts", "seed", "device")]
         other = [f"--{n} {before.get(n)}" for n in fixed if before.get(n) != now[n]]
@@ -212,8 +215,15 @@ def folder_of(wanted: Path | None, request: Request) -> Path:
     else:
         out = paths.run_folder(wanted)
     preflight.check_space(out)
-    paths.write_text(out / "wanted.json", json.dumps(asdict(request), indent=1) + "\n")
+    kept = {**asdict(request), "look_ranges": _look_ranges(request)}
+    paths.write_text(out / "wanted.json", json.dumps(kept, indent=1) + "\n")
     return out
+
+
+def _look_ranges(request: Request) -> dict[str, Any] | None:
+    """What a file of looks holds, as JSON has it."""
+    ranges = request.look_ranges
+    return None if ranges is None else json.loads(json.dumps(asdict(ranges)))
 
 
 def command_line(request: Request, out: Path) -> str:
