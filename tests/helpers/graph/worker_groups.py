@@ -7,7 +7,7 @@ of its own: its fixtures are made once.
 
 A test in real time gets a higher priority where the system grants it, and so do the processes that
 it starts: other programs of the machine then cost it little. Elsewhere the other workers step back.
-Where Linux schedules by session these lead sessions of their own.
+Where Linux schedules by session each worker leads one of its own.
 """
 
 from __future__ import annotations
@@ -34,20 +34,30 @@ def begin(item: pytest.Item) -> None:
     """Set the priority of this process by its first test; without workers by each test."""
     if not hasattr(item.config, "workerinput"):
         if in_real_time(item, Path(__file__).parents[2]):
-            _prefer()
+            _prefer(worker=False)
         return
     if _began:
         return
     _began.append(group(item))
     if _began[0] == REAL_TIME:
-        _prefer()
+        _prefer(worker=True)
     else:
         _step_back()
 
 
-def _prefer() -> None:
+def _prefer(worker: bool) -> None:
+    """A worker gets a session of its own; what else runs in this one is not preferred with it."""
     _raise()
-    processes.keep_niceness(os.getsid(0))
+    if worker:
+        _lead_session()
+    else:  # a new session would lose the terminal and its Ctrl-C
+        processes.keep_niceness(os.getsid(0))
+
+
+def _lead_session() -> None:
+    with contextlib.suppress(OSError):
+        os.setsid()
+        processes.keep_niceness(os.getpid())
 
 
 def _raise() -> bool:
@@ -62,9 +72,7 @@ def _raise() -> bool:
 def _step_back() -> None:
     niceness = os.nice(0)
     os.setpriority(os.PRIO_PROCESS, 0, niceness if _raise() else niceness + NICE)
-    with contextlib.suppress(OSError):
-        os.setsid()
-        processes.keep_niceness(os.getpid())
+    _lead_session()
 
 
 def in_real_time(item: pytest.Item, tests: Path) -> bool:
