@@ -209,7 +209,7 @@ def test_broken_configuration_ends_with_2(
     ros_graph: RosGraph, rospy_node: str, params: dict, words: str
 ) -> None:
     child = ros_graph.node("surg_sim", "bridge_node.py", "/sim", {"cell": str(CELL), **params})
-    ros_graph.wait_for(lambda: child.exit_code is not None, 10.0, "the bridge to refuse")
+    ros_graph.wait_for(lambda: child.exit_code is not None, 60.0, "the bridge to refuse")
     assert child.exit_code == 2
     assert words in child.log_tail(20)
 
@@ -243,7 +243,7 @@ def test_faults_are_taken_on_the_loopback_only(ros_graph: RosGraph, rospy_node: 
         {"cell": str(CELL), "inject": True},
         env={"ROS_MASTER_URI": uri},
     )
-    ros_graph.wait_for(lambda: child.exit_code is not None, 10.0, "the bridge to refuse")
+    ros_graph.wait_for(lambda: child.exit_code is not None, 60.0, "the bridge to refuse")
     assert child.exit_code == 2
     assert "loopback" in child.log_tail(20)
 
