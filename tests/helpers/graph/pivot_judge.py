@@ -1,8 +1,8 @@
 """Judges one arm by the simulator's own truth: `python pivot_judge.py PSM1`.
 
 A process of its own, because a test's own node belongs to another ROS master. Two lines of JSON a
-second, until the pipe ends. `left_at` is the time on the steady clock of the first cycle in which the
-arm is no longer ENABLED, however long its message waited for this process.
+second, until the pipe ends. `left_at` is the time on the steady clock of the first cycle in which
+the arm is no longer ENABLED, however long its message waited for this process.
 """
 
 from __future__ import annotations
