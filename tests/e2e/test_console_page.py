@@ -66,8 +66,11 @@ async def drive(made: Console, tab: Tab) -> None:
     await until(engaged, "driving", 60.0)
 
 
-async def moved(made: Console, tab: Tab, what: str, wanted: Any) -> Move:
-    """Wait for an input that fits, driving again when a busy machine made the console let go."""
+async def moved(made: Console, tab: Tab, what: str, wanted: Any, key: str = "") -> Move:
+    """Wait for an input that fits, driving again when a busy machine made the console let go.
+
+    A key that was held is forgotten then, and pressed anew.
+    """
     start = len(made.system.orders)
 
     async def found() -> Move | None:
@@ -77,6 +80,9 @@ async def moved(made: Console, tab: Tab, what: str, wanted: Any) -> Move:
         fits = next(fitting, None)
         if fits is None and made.session.phase is not Phase.DRIVING:
             await drive(made, tab)
+            if key:
+                await tab.key(key, False)
+                await tab.key(key, True)
         return fits
 
     return await until(found, what, 40.0)
@@ -209,7 +215,7 @@ def test_a_lost_focus_holds_the_arm_and_engages_nothing() -> None:
             for code in ("Space", "KeyC"):
                 await drive(made, tab)
                 await tab.key(code, True)
-                await moved(made, tab, code, lambda s: s.clutch or s.camera)
+                await moved(made, tab, code, lambda s: s.clutch or s.camera, key=code)
                 await lose_the_focus(made, tab)
                 await tab.key(code, False)
             await drive(made, tab)

@@ -57,7 +57,7 @@ def test_every_snapshot_is_rendered_in_lockstep(ros_graph: RosGraph, rospy_node:
     child = ros_graph.node("surg_sim", "endoscope_node.py", "/endoscope", params)
     try:
         ros_graph.wait_for(
-            lambda: child.exit_code is not None or listener.connected(), 20.0, "the endoscope"
+            lambda: child.exit_code is not None or listener.connected(), 60.0, "the endoscope"
         )
         if child.exit_code == 1 and "OpenGL" in child.log_tail():
             pytest.skip(child.log_tail())
