@@ -124,7 +124,9 @@ async def live(made: Console, browser: Chromium, tab: Tab) -> None:
     await tab.key("Space", False)
     await moved(made, tab, "rest", lambda s: s.v == (0, 0, 0) and not s.clutch)
     await tab.key("KeyK", True)
-    await moved(made, tab, "a closing jaw", lambda s: s.grip is not None and s.grip < 0.8)
+    await moved(
+        made, tab, "a closing jaw", lambda s: s.grip is not None and s.grip < 0.8, key="KeyK"
+    )
     await tab.key("KeyK", False)
 
     # A gamepad: left stick up is up in the picture (-y), triggers close and open the jaw. It is
@@ -149,7 +151,7 @@ async def live(made: Console, browser: Chromium, tab: Tab) -> None:
 
     # The mouse is a position: under the clutch the hand changes, then a drag moves it.
     await tab.key("Space", True)
-    await moved(made, tab, "the clutch", lambda s: s.clutch)
+    await moved(made, tab, "the clutch", lambda s: s.clutch, key="Space")
     await tab.mouse("mousePressed", 400, 400, button="left", clickCount=1)
     await moved(made, tab, "the mouse", lambda s: s.hand == "position")
     await tab.key("Space", False)

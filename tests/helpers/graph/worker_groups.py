@@ -34,30 +34,24 @@ def begin(item: pytest.Item) -> None:
     """Set the priority of this process by its first test; without workers by each test."""
     if not hasattr(item.config, "workerinput"):
         if in_real_time(item, Path(__file__).parents[2]):
-            _prefer(worker=False)
+            _prefer_session()
         return
     if _began:
         return
     _began.append(group(item))
     if _began[0] == REAL_TIME:
-        _prefer(worker=True)
+        _raise()
     else:
         _step_back()
-
-
-def _prefer(worker: bool) -> None:
-    """A worker gets a session of its own; what else runs in this one is not preferred with it."""
-    _raise()
-    if worker:
-        _lead_session()
-    else:  # a new session would lose the terminal and its Ctrl-C
-        processes.keep_niceness(os.getsid(0))
-
-
-def _lead_session() -> None:
     with contextlib.suppress(OSError):
-        os.setsid()
+        os.setsid()  # what else runs in the old session has no part in the priority
         processes.keep_niceness(os.getpid())
+
+
+def _prefer_session() -> None:
+    """Without workers: a new session would lose the terminal and its Ctrl-C."""
+    _raise()
+    processes.keep_niceness(os.getsid(0))
 
 
 def _raise() -> bool:
@@ -72,7 +66,6 @@ def _raise() -> bool:
 def _step_back() -> None:
     niceness = os.nice(0)
     os.setpriority(os.PRIO_PROCESS, 0, niceness if _raise() else niceness + NICE)
-    _lead_session()
 
 
 def in_real_time(item: pytest.Item, tests: Path) -> bool:

@@ -442,6 +442,7 @@ def test_crtk_rate_example(rig: Rig) -> None:
         return
     ended = rig.begin("crtk_rate_example").end()
     assert ended.code == 0 and "Completed in" in ended.text, ended.text
+    assert rig.plant.way()[0] < 1e-4
     said = ended.text.rsplit("Completed in ", 1)[1].splitlines()[0]
     page.note("crtk_rate_example", rig.cell, 0, f"passed: {said}; speaks to no arm")
 

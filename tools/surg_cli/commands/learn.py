@@ -192,6 +192,7 @@ def looks_of(given: str) -> str:
 
 def folder_of(wanted: Path | None, request: Request) -> Path:
     """The folder of the run: a new one, or that of a run with the same options."""
+    ranges = _look_ranges(request)
     if wanted is not None and (wanted / "wanted.json").is_file():
         try:
             before = json.loads((wanted / "wanted.json").read_text("utf-8"))
@@ -200,7 +201,7 @@ def folder_of(wanted: Path | None, request: Request) -> Path:
         now = asdict(request)
         before = {"cameras": False, "device": "auto", "looks": "", **before}
         if before.get("look_ranges"):  # the file may have moved, or changed where it is
-            same = before["look_ranges"] == _look_ranges(request)
+            same = before["look_ranges"] == ranges
             before["looks"] = now["looks"] if same else f"{before['looks']} as it was"
         # The same demonstrations serve other numbers of roll-outs and other trainings.
         fixed = [name for name in now if name not in ("rollouts", "seed", "device")]
@@ -215,7 +216,7 @@ def folder_of(wanted: Path | None, request: Request) -> Path:
     else:
         out = paths.run_folder(wanted)
     preflight.check_space(out)
-    kept = {**asdict(request), "look_ranges": _look_ranges(request)}
+    kept = {**asdict(request), "look_ranges": ranges}
     paths.write_text(out / "wanted.json", json.dumps(kept, indent=1) + "\n")
     return out
 
