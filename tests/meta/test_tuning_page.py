@@ -12,6 +12,7 @@ ARITHMETIC = {
     *("kParallel", "kSingular", "kStraight", "kAtSingular", "kNoDirection", "kSingularRows"),
     *("kOnPivot", "kRowsKept", "kPositionGuard", "kDof", "kMaxJoints", "kHistory", "kVersion"),
     *("kBlocks", "kBlockEvents", "kPlaces", "kSamples", "kTerms"),
+    *("kWallRounding", "kPeriodRounding", "kOnAxis", "kPivotReached"),
 }
 
 

@@ -15,6 +15,7 @@ from surg_cli.host.terminal import Problem, Progress, say
 STAMP = paths.TREE_STATE / "build.stamp"
 RUN_IN_PLACE = (".py", ".pyi", ".html", ".js", ".css", ".svg", ".yaml", ".urdf", ".md")
 GOOGLETEST = Path("/usr/include/gtest/gtest.h")
+FILES_PER_UNIT = 6
 GIB_PER_JOB = 1.6  # one Eigen-heavy translation unit of the pybind11 binding at -O3
 
 
@@ -82,6 +83,7 @@ def build(log: Path, force: bool = False) -> bool:
     _forget_moved_tree()
     configure = [_cmake(), "-S", str(paths.ROOT), "-B", str(paths.BUILD)]
     configure += ["-G", "Unix Makefiles", f"-DCATKIN_DEVEL_PREFIX={paths.DEVEL}"]
+    configure += unity()
     compile_ = [_cmake(), "--build", str(paths.BUILD), f"-j{jobs()}"]
     with Progress("build") as progress:
         logged.run(configure, log, progress, anew=True, failure=failure_text)
@@ -89,6 +91,16 @@ def build(log: Path, force: bool = False) -> bool:
     # Sources may have changed meanwhile: the stamp says what was there at the start.
     paths.write_text(STAMP, before)
     return True
+
+
+def unity() -> list[str]:
+    """Options that compile several files as one: the headers take half of the time.
+
+    Not under a compiler cache, which keeps files that several builds share.
+    """
+    if os.environ.get("CMAKE_CXX_COMPILER_LAUNCHER"):
+        return ["-DCMAKE_UNITY_BUILD=OFF"]
+    return ["-DCMAKE_UNITY_BUILD=ON", f"-DCMAKE_UNITY_BUILD_BATCH_SIZE={FILES_PER_UNIT}"]
 
 
 def _cmake() -> str:

@@ -48,7 +48,7 @@ class ParserMessages : public console_bridge::OutputHandler {
   std::string text_;
 };
 
-std::string read_text(const std::string& path) {
+std::string read_urdf(const std::string& path) {
   std::ifstream stream(path, std::ios::binary);
   if (!stream) refuse(path, "no such URDF file (the robot YAML's 'urdf' is relative to that YAML)");
   std::ostringstream text;
@@ -227,7 +227,7 @@ double difference_to_kdl(const surg::Chain& chain, const surg::RobotConfig& robo
 
 Model load_model(const surg::RobotConfig& robot, const std::string& urdf_path) {
   Model model;
-  model.urdf = read_text(urdf_path);
+  model.urdf = read_urdf(urdf_path);
   urdf::ModelInterfaceSharedPtr parsed;
   {
     ParserMessages messages;

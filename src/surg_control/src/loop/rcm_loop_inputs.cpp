@@ -12,7 +12,7 @@
 namespace surg_control {
 namespace {
 
-constexpr std::uint32_t kUnbounded = 0;
+constexpr std::uint32_t kEveryMessage = 0;
 /// F11: a joint state older than the last one by at most this was reordered on its way. A larger
 /// difference is a step of the link's clock, which must not stop an arm.
 constexpr std::int64_t kReorderedNs = 5 * static_cast<std::int64_t>(kTickNs);
@@ -32,7 +32,7 @@ void RcmLoop::subscribe_link() {
   using sensor_msgs::JointState;
   const std::string prefix = "/" + arm_ + "/";
   const auto hints = ros::TransportHints().tcpNoDelay();
-  const std::uint32_t depth = options_.lockstep ? kUnbounded : 1;
+  const std::uint32_t depth = options_.lockstep ? kEveryMessage : 1;
   const boost::function<void(const JointState::ConstPtr&)> robot = [this](const auto& message) {
     on_robot_state(*message);
   };
@@ -61,7 +61,7 @@ void RcmLoop::subscribe_link() {
   if (!options_.lockstep) return;
   const boost::function<void(const surg_msgs::Ready::ConstPtr&)> ready =
       [this](const auto& message) { on_ready(*message); };
-  subscribers_.push_back(node_.subscribe<surg_msgs::Ready>("/sim/ready", kUnbounded, ready,
+  subscribers_.push_back(node_.subscribe<surg_msgs::Ready>("/sim/ready", kEveryMessage, ready,
                                                            ros::VoidConstPtr(), hints));
 }
 
@@ -73,7 +73,7 @@ void RcmLoop::subscribe_others() {
         "no_clearance", arm_ + ": no distance is kept to the other arms: " + clearance_.missing);
   }
   const auto hints = ros::TransportHints().tcpNoDelay();
-  const std::uint32_t depth = options_.lockstep ? kUnbounded : 1;
+  const std::uint32_t depth = options_.lockstep ? kEveryMessage : 1;
   const std::size_t n = clearance_.setup.others.size();
   if (options_.lockstep) other_ticks_.assign(n, 0);
   for (std::size_t i = 0; i < n; ++i) {

@@ -13,7 +13,7 @@
 namespace surg_control {
 namespace {
 
-constexpr auto kPollPeriod = std::chrono::milliseconds(100);
+constexpr auto kDrainPeriod = std::chrono::milliseconds(100);
 
 /// UTC with milliseconds, in the extended form for people or the basic one for file names.
 std::string utc(bool for_file) {
@@ -51,7 +51,7 @@ void BlackBoxWriter::run() {
   for (;;) {
     {
       std::unique_lock<std::mutex> lock(mutex_);
-      if (wake_.wait_for(lock, kPollPeriod, [this] { return stop_; })) return;
+      if (wake_.wait_for(lock, kDrainPeriod, [this] { return stop_; })) return;
     }
     if (box_.frozen()) write();
   }

@@ -11,25 +11,25 @@ constexpr double kStraight = 1e-9;     // [rad, m] how well the axes must be par
 constexpr double kAtSingular = 1e-12;  // below it the quotients are rounding noise
 
 /// A joint axis as a line at q = 0, in B.
-struct Line {
+struct Axis {
   Vector3 p, a;
 };
 
-bool parallel(const Line& x, const Line& y) { return x.a.cross(y.a).norm() < kStraight; }
-bool square(const Line& x, const Line& y) { return std::abs(x.a.dot(y.a)) < kStraight; }
+bool parallel(const Axis& x, const Axis& y) { return x.a.cross(y.a).norm() < kStraight; }
+bool square(const Axis& x, const Axis& y) { return std::abs(x.a.dot(y.a)) < kStraight; }
 /// For square lines: their distance.
-bool crossing(const Line& x, const Line& y) {
+bool crossing(const Axis& x, const Axis& y) {
   return std::abs((y.p - x.p).dot(x.a.cross(y.a))) < kStraight;
 }
 /// The point of x closest to y; both square.
-Vector3 foot(const Line& x, const Line& y) { return x.p + x.a * x.a.dot(y.p - x.p); }
+Vector3 foot(const Axis& x, const Axis& y) { return x.p + x.a * x.a.dot(y.p - x.p); }
 
 double near_turn(double angle, double reference) {
   return angle + 2 * M_PI * std::nearbyint((reference - angle) / (2 * M_PI));
 }
 
-std::array<Line, 6> axes_at_zero(const Chain& chain) {
-  std::array<Line, 6> axes;
+std::array<Axis, 6> axes_at_zero(const Chain& chain) {
+  std::array<Axis, 6> axes;
   Pose X = Pose::Identity();
   for (int i = 0; i < 6; ++i) {
     X = X * chain.joints()[i].X_PJ;
@@ -38,7 +38,7 @@ std::array<Line, 6> axes_at_zero(const Chain& chain) {
   return axes;
 }
 
-const char* refusal(const std::array<Line, 6>& axes) {
+const char* refusal(const std::array<Axis, 6>& axes) {
   if (!square(axes[0], axes[1]) || !crossing(axes[0], axes[1])) {
     return "axes 1 and 2 do not cross at a right angle";
   }
@@ -83,7 +83,7 @@ std::optional<UrInverse> UrInverse::of(const Chain& chain, std::string* why) {
   if (chain.dof() != 6) {
     return refuse("the chain has " + std::to_string(chain.dof()) + " joints, not 6");
   }
-  const std::array<Line, 6> axes = axes_at_zero(chain);
+  const std::array<Axis, 6> axes = axes_at_zero(chain);
   if (const char* reason = refusal(axes)) return refuse(reason);
 
   UrInverse inverse;

@@ -9,9 +9,9 @@
 namespace surg {
 namespace {
 
-constexpr double kNoDirection = 1e-9;  // [m] a point on the axis or at the centre
+constexpr double kOnAxis = 1e-9;  // [m] a point on the axis or at the centre
 
-std::string number(double value) {
+std::string to_text(double value) {
   char text[32];
   std::snprintf(text, sizeof text, "%.6g", value);
   return text;
@@ -48,12 +48,12 @@ std::string check_fixture(Fixture& f) {
   });
   if (!word) return "name is '" + std::string(title) + "'; allowed are letters, digits and _";
   const auto far = [](const Vector3& p) { return !(p.array().abs() <= Fixture::kFarthest).all(); };
-  const std::string farthest = number(Fixture::kFarthest) + " m";
+  const std::string farthest = to_text(Fixture::kFarthest) + " m";
   if (far(f.point)) return "a coordinate is not finite or beyond " + farthest + " of the base";
   if (f.shape == Fixture::Shape::kPlane) {
     const double length = f.axis.norm();
     if (!(std::abs(length - 1) <= 1e-3)) {
-      return "normal has length " + number(length) + "; a unit vector is needed";
+      return "normal has length " + to_text(length) + "; a unit vector is needed";
     }
     f.axis /= length;
     f.radius = 0;
@@ -63,8 +63,8 @@ std::string check_fixture(Fixture& f) {
     const bool hollow = f.side == Fixture::Side::kStayIn;
     const double least = hollow ? Fixture::kLeastHollow : Fixture::kLeastRadius;
     if (!(f.radius >= least && f.radius <= Fixture::kGreatestRadius)) {
-      return "radius " + number(f.radius) + " m is out of range; allowed is " + number(least) +
-             " to " + number(Fixture::kGreatestRadius) + " m";
+      return "radius " + to_text(f.radius) + " m is out of range; allowed is " + to_text(least) +
+             " to " + to_text(Fixture::kGreatestRadius) + " m";
     }
   }
   if (f.of == Fixture::Of::kShaft && f.side == Fixture::Side::kStayIn) {
@@ -91,7 +91,7 @@ Wall wall_at(const Fixture& f, const Vector3& p_Tip) {
   const double share = nearest_share(f.point, f.axis, p);
   const Vector3 out = p - (f.point + share * f.axis);
   const double off = out.norm();
-  wall.away = side * (off > kNoDirection ? Vector3(out / off) : any_across(f.axis));
+  wall.away = side * (off > kOnAxis ? Vector3(out / off) : any_across(f.axis));
   wall.distance = side * (off - f.radius);
   if (side < 0) {
     wall.hollow = f.radius;

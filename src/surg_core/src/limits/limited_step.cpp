@@ -11,17 +11,17 @@
 namespace surg {
 namespace {
 
-constexpr int kPasses = 5;             // of interval, step and check
-constexpr int kRowPasses = 4;          // of the pivot's rows off the path
-constexpr double kOnPivot = 1e-12;     // [m]
-constexpr double kRowsKept = 1e-9;     // [m] more than this off the pivot counts as leaving it
-constexpr double kRoomUsed = 0.9;      // of the way back that the linear picture has room for
-constexpr double kStill = 1e-4;        // share of a joint's velocity limit that is no motion
-constexpr double kHeld = 0.02;         // alpha below which a still arm counts as held
-constexpr double kSagitta = 0.42e-6;   // [m] off the pivot between two samples
-constexpr double kSlightBend = 0.25;   // of the bend that caps alpha: less needs no node
-constexpr double kLongSecant = 0.9;    // of the cycle: a secant as long shows the path's bend
-constexpr double kNearSingular = 0.3;  // of a measure: farther away the barrier has no word
+constexpr int kPasses = 5;               // of interval, step and check
+constexpr int kRowPasses = 4;            // of the pivot's rows off the path
+constexpr double kPivotReached = 1e-12;  // [m]
+constexpr double kRowsKept = 1e-9;       // [m] more than this off the pivot counts as leaving it
+constexpr double kRoomUsed = 0.9;        // of the way back that the linear picture has room for
+constexpr double kStill = 1e-4;          // share of a joint's velocity limit that is no motion
+constexpr double kHeld = 0.02;           // alpha below which a still arm counts as held
+constexpr double kSagitta = 0.42e-6;     // [m] off the pivot between two samples
+constexpr double kSlightBend = 0.25;     // of the bend that caps alpha: less needs no node
+constexpr double kLongSecant = 0.9;      // of the cycle: a secant as long shows the path's bend
+constexpr double kNearSingular = 0.3;    // of a measure: farther away the barrier has no word
 
 double flange_speed(const Jacobian& J, const Joints& qd) {
   const Vector6 twist = flange_twist(J, qd);
@@ -320,7 +320,7 @@ bool LimitedStep::on_rows(const Law& law, const Box& box, const JointVector& wan
   double left = INFINITY;
   for (int pass = 0; pass < kRowPasses; ++pass) {
     RcmRows rows = law.rows(padded(qd));
-    if (pass > 0 && rows.e.norm() * T_ < kOnPivot) return true;
+    if (pass > 0 && rows.e.norm() * T_ < kPivotReached) return true;
     // Rows that hold at 'qd', written for 'wanted'.
     for (Eigen::Index i = 0; i < qd.size(); ++i) {
       rows.e[0] += rows.J(0, i) * (qd[i] - wanted[i]);

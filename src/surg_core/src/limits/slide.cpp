@@ -6,10 +6,10 @@
 namespace surg {
 namespace {
 
-constexpr double kApproachGain = 30;     // [1/s] speed towards a wall over the distance left
+constexpr double kWallGain = 30;         // [1/s] speed towards a wall over the distance left
 constexpr double kShortestLever = 0.02;  // below it no motion of the tip takes the shaft away
 constexpr double kInside = 1e-12;        // [m, m/s] rounding
-constexpr int kPasses = 3;               // of linearisation on curved walls
+constexpr int kLinearisations = 3;       // of linearisation on curved walls
 constexpr int kTargetPasses = 8;         // of projection onto one wall after the other
 
 using Walls = std::array<Wall, Fixtures::kMost>;
@@ -18,8 +18,8 @@ using Spaces = std::array<Constraint, Fixtures::kMost>;
 /// Speed at which a wall may be approached from a distance: one from which 'a' still stops there.
 double approach_speed(double distance, double a) {
   if (!(distance > 0)) return 0;
-  const double near = a / (kApproachGain * kApproachGain);
-  return distance <= near ? kApproachGain * distance : std::sqrt(2 * a * (distance - near / 2));
+  const double near = a / (kWallGain * kWallGain);
+  return distance <= near ? kWallGain * distance : std::sqrt(2 * a * (distance - near / 2));
 }
 
 bool holds(const Constraint& space, const Vector3& x) {
@@ -118,7 +118,7 @@ Vector3 Slide::step(const Vector3& wished, double dt) const {
   }
   if (allowed && slow == wished) return wished;
   Vector3 step = slow;
-  for (int pass = 0; pass < kPasses; ++pass) {
+  for (int pass = 0; pass < kLinearisations; ++pass) {
     Spaces spaces;
     int used = 0;
     for (int i = 0; i < n; ++i) {

@@ -7,9 +7,10 @@
 namespace surg {
 namespace {
 
-constexpr double kArrived = 0.02;      // [rad]
-constexpr double kArriveWithin = 0.5;  // [s] a jaw that holds tissue, or unseen, never gets there
-constexpr double kEdge = 0.01;         // [s] 'busy' lasts, so that a client can see it
+constexpr double kArrived = 0.02;  // [rad]
+constexpr double kJawArriveWithin =
+    0.5;                        // [s] a jaw that holds tissue, or unseen, never gets there
+constexpr double kEdge = 0.01;  // [s] 'busy' lasts, so that a client can see it
 constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 
 }  // namespace
@@ -51,7 +52,7 @@ void Jaw::advance(bool may_move, int periods) {
   if (!busy_ || (seen && set_ != goal_)) return;
   settle_ += periods * dt_;
   const bool arrived = std::abs(measured_ - set_) <= kArrived && settle_ > kEdge;
-  if (arrived || settle_ > kArriveWithin) busy_ = false;
+  if (arrived || settle_ > kJawArriveWithin) busy_ = false;
 }
 
 }  // namespace surg

@@ -12,7 +12,7 @@ namespace {
 constexpr double kRollApproach = 5.0;    // [1/s] speed of a roll over what is left of its range
 constexpr double kFixtureBraking = 0.5;  // of the tip's acceleration, before a fixture
 constexpr double kOnWall = 1e-5;         // [m] a profile that begins on a wall may run along it
-constexpr double kRounding = 1e-9;       // [m]
+constexpr double kWallRounding = 1e-9;   // [m]
 constexpr int kWaySamples = 256;         // of a profile between fixtures, at most
 
 Vector3 position(const Dofs& dofs) { return {dofs[0].x, dofs[1].x, dofs[2].x}; }
@@ -430,7 +430,7 @@ bool Setpoint::stop_leaves_workspace(const std::array<StreamFilter, 4>& filters)
   }
   if (space_ == Space::kCartesian) {
     const double way = longest_way(filters, limits, p_RTip(), duration);
-    if (outside_workspace(limits_, p_RTip()) + 2 * way < -kRounding) return false;
+    if (outside_workspace(limits_, p_RTip()) + 2 * way < -kWallRounding) return false;
   }
   for (int k = 1; k <= kPlaces; ++k) {
     std::array<double, 3> x;

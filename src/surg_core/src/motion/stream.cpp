@@ -14,7 +14,7 @@ constexpr double kPositionGain = 90;       // [1/s]
 constexpr double kVelocityGain = 200;      // [1/s]
 constexpr double kAccelerationGain = 600;  // [1/s]
 constexpr double kFastestGain = 0.4;       // of the velocity loop, per tick
-constexpr double kAccelerationShare = 0.25;
+constexpr double kStreamAccelerationShare = 0.25;
 constexpr double kJerkShare = 0.4;
 
 // [s] a tick may follow that is as long as this: after a late cycle, or where limits have slowed
@@ -105,7 +105,7 @@ void StreamFilter::step(const Kinematic& target, double T, double period, const 
   const bool known = std::isfinite(target.x) && std::isfinite(target.v);
   const double slower = std::min(1.0, kFastestGain / (kVelocityGain * std::max(T, period)));
   const auto speed_to = [&](const Kinematic& to) {
-    return to.v + approach(to.x - x1, slower * kPositionGain, kAccelerationShare * A);
+    return to.v + approach(to.x - x1, slower * kPositionGain, kStreamAccelerationShare * A);
   };
   double wish = known ? speed_to(target) : 0.0;
   if (known && ahead) {

@@ -6,7 +6,7 @@
 namespace surg {
 namespace {
 
-constexpr double kMemory = 1.0;       // [s] over which offset, phase and period are averaged
+constexpr double kRateMemory = 1.0;   // [s] over which offset, phase and period are averaged
 constexpr double kStart = 0.2;        // [s] until the rate of arrivals counts as a period
 constexpr double kPause = 0.5;        // [s] without a sample; the stream starts anew
 constexpr double kFarOff = 0.15;      // [s] no transport delays one sample by so much more
@@ -20,7 +20,7 @@ constexpr double kAlone = 0.9;        // of the samples: each was the only one o
 constexpr double kUneven = 1e-4;      // [s] by which cycles differ that are no period
 constexpr double kKeepsTo = 0.5;      // of it: a sample that answers a cycle keeps to it
 
-double share_of(double time) { return std::min(time / kMemory, 1.0); }
+double share_of(double time) { return std::min(time / kRateMemory, 1.0); }
 
 }  // namespace
 
@@ -70,7 +70,7 @@ bool StreamClock::judge(double ran, double since) {
   if (credible) {
     stamp_count_ += 1;
     stamp_time_ += std::max(1 / (stamp_count_ + 1), share_of(ran)) * late;
-    if (span_ > kMemory) bias_ += share_of(ran) * (late - bias_);
+    if (span_ > kRateMemory) bias_ += share_of(ran) * (late - bias_);
   } else {
     stamp_time_ = arrival_;
     stamp_count_ = 0;
@@ -113,7 +113,7 @@ double StreamClock::follow_arrivals(double since) {
     late = arrival_ - time_ - ran;
   }
   // A second-order loop, critically damped.
-  const double gain = std::min(period_ / std::min(span_, kMemory), 0.5);
+  const double gain = std::min(period_ / std::min(span_, kRateMemory), 0.5);
   jitter_ += gain * (std::abs(late) - jitter_);
   time_ += ran + 2 * gain * late;
   period_ += answer ? gain * (ran - period_) : gain * gain * late;

@@ -7,13 +7,13 @@ namespace surg {
 namespace {
 
 // Tuned on a synthetic and a recorded hand motion (docs/results/stream.md).
-constexpr double kProcess = 5e11;  // spectral density of the jerk per variance of a sample
-constexpr double kMemory = 0.08;   // [s] time constant of the acceleration
+constexpr double kJerkDensity = 5e11;  // spectral density of the jerk per variance of a sample
+constexpr double kAccelerationMemory = 0.08;  // [s] time constant of the acceleration
 // At a slow rate more of a hand's motion is beyond prediction and counts as noise: the variance of
 // a sample grows with the cube of the period [s].
 constexpr double kNoisyPeriod = 0.0035;
-constexpr double kFirstVelocity = 2.5e7;  // variance of the unknown velocity at the start
-constexpr double kLongestGap = 0.2;       // [s] beyond it the motion before says nothing
+constexpr double kUnknownVelocity = 2.5e7;  // variance of the unknown velocity at the start
+constexpr double kLongestSilence = 0.2;     // [s] beyond it the motion before says nothing
 
 }  // namespace
 
@@ -25,10 +25,10 @@ struct StreamEstimate::Transition {
       a_x = 0.5 * time * time;
       return;
     }
-    a_a = std::exp(-time / kMemory);
+    a_a = std::exp(-time / kAccelerationMemory);
     v_x = time;
-    a_v = kMemory * (1 - a_a);
-    a_x = kMemory * (time - a_v);
+    a_v = kAccelerationMemory * (1 - a_a);
+    a_x = kAccelerationMemory * (time - a_v);
   }
   Kinematic apply(const Kinematic& k) const {
     return {k.x + v_x * k.v + a_x * k.a, k.v + a_v * k.a, a_a * k.a};
@@ -40,12 +40,12 @@ void StreamEstimate::reset(const Values& x) {
   for (int i = 0; i < kDof; ++i) state_[i] = {x[i], 0, 0};
   xx_ = 1;
   xv_ = xa_ = va_ = 0;
-  vv_ = kFirstVelocity;
-  aa_ = 0.5 * kProcess * kMemory;
+  vv_ = kUnknownVelocity;
+  aa_ = 0.5 * kJerkDensity * kAccelerationMemory;
 }
 
 void StreamEstimate::update(const Values& x, double elapsed, double period) {
-  if (!(elapsed < kLongestGap)) {
+  if (!(elapsed < kLongestSilence)) {
     reset(x);
     return;
   }
@@ -71,7 +71,7 @@ void StreamEstimate::update(const Values& x, double elapsed, double period) {
 
 /// Covariance after 'elapsed': F P F' + Q, with Q of a constant acceleration and of its decay.
 void StreamEstimate::propagate(const Transition& step, double elapsed) {
-  const double h = elapsed, q = kProcess * std::min(h, 2 * kMemory);
+  const double h = elapsed, q = kJerkDensity * std::min(h, 2 * kAccelerationMemory);
   const double with_v = xv_ + step.v_x * vv_ + step.a_x * va_;
   const double with_a = xa_ + step.v_x * va_ + step.a_x * aa_;
   const double v_with_a = va_ + step.a_v * aa_;
@@ -81,7 +81,8 @@ void StreamEstimate::propagate(const Transition& step, double elapsed) {
   xa_ = step.a_a * with_a + q * h * h / 6;
   vv_ += step.a_v * va_ + step.a_v * v_with_a + q * h * h / 3;
   va_ = step.a_a * v_with_a + q * h / 2;
-  aa_ = step.a_a * step.a_a * aa_ + 0.5 * kProcess * kMemory * (1 - step.a_a * step.a_a);
+  aa_ = step.a_a * step.a_a * aa_ +
+        0.5 * kJerkDensity * kAccelerationMemory * (1 - step.a_a * step.a_a);
 }
 
 StreamEstimate::State StreamEstimate::predict(double age) const {

@@ -10,15 +10,15 @@ namespace {
 
 // In units of a sample's variance. Tuned for gains below 0.5 at 8 to 12 Hz and 1.05 up to 3 Hz, at
 // the least lag for samples of 25 to 500 Hz.
-constexpr double kJerk = 1.1e12;         // [1/s^5] spectral density of the motion's jerk
-constexpr double kTremor = 2.4e4;        // variance of the tremor
-constexpr double kDecay = 17.5;          // [1/s] with which an oscillation of the tremor fades
-constexpr double kLate = 0.0146;         // [s] and
-constexpr double kLatePeriods = 0.81;    // periods that the motion is asked for late
-constexpr double kFirstPosition = 1e10;  // variances at the start
-constexpr double kFirstVelocity = 2.5e7;
+constexpr double kJerk = 1.1e12;           // [1/s^5] spectral density of the motion's jerk
+constexpr double kTremorVariance = 2.4e4;  // variance of the tremor
+constexpr double kDecay = 17.5;            // [1/s] with which an oscillation of the tremor fades
+constexpr double kLate = 0.0146;           // [s] and
+constexpr double kLatePeriods = 0.81;      // periods that the motion is asked for late
+constexpr double kFirstPosition = 1e10;    // variances at the start
+constexpr double kFirstHandVelocity = 2.5e7;
 constexpr double kFirstAcceleration = 1e10;
-constexpr double kLongestGap = 0.2;  // [s] beyond it the motion before says nothing
+constexpr double kLongestPause = 0.2;  // [s] beyond it the motion before says nothing
 
 }  // namespace
 
@@ -34,14 +34,14 @@ void TremorEstimate::reset(const Values& x) {
     state_[i][0] = x[i];
   }
   Mixed variances;
-  variances << kFirstPosition, kFirstVelocity, kFirstAcceleration, kTremor,
-      omega_ * omega_ * kTremor;
+  variances << kFirstPosition, kFirstHandVelocity, kFirstAcceleration, kTremorVariance,
+      omega_ * omega_ * kTremorVariance;
   covariance_ = variances.asDiagonal();
   take(x);
 }
 
 void TremorEstimate::update(const Values& x, double elapsed) {
-  if (!(elapsed < kLongestGap)) {
+  if (!(elapsed < kLongestPause)) {
     reset(x);
     return;
   }
@@ -74,7 +74,7 @@ TremorEstimate::Covariance TremorEstimate::process(const Covariance& F, double h
   Covariance Q = Covariance::Zero();
   Q.topLeftCorner<3, 3>() = jerk_noise(kJerk, h);
   Q.bottomRightCorner<2, 2>() =
-      oscillation_noise(F.bottomRightCorner<2, 2>(), kTremor, omega_ * omega_);
+      oscillation_noise(F.bottomRightCorner<2, 2>(), kTremorVariance, omega_ * omega_);
   return Q;
 }
 

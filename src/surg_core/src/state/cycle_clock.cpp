@@ -6,8 +6,8 @@
 namespace surg {
 namespace {
 
-constexpr double kExcessTime = 0.5;  // [s] time constant of the average
-constexpr double kRounding = 1e-9;   // [periods]
+constexpr double kExcessTime = 0.5;       // [s] time constant of the average
+constexpr double kPeriodRounding = 1e-9;  // [periods]
 
 }  // namespace
 
@@ -20,19 +20,19 @@ void CycleClock::advance(double elapsed) {
   const double length = elapsed_ / period_;
   // A cycle that comes a little late or early is one period. Only a whole one more is made up for.
   rest_ = std::max(rest_ + elapsed_ - period_, 0.0);
-  const int missed = static_cast<int>(std::floor(rest_ / period_ + kRounding));
+  const int missed = static_cast<int>(std::floor(rest_ / period_ + kPeriodRounding));
   rest_ = std::max(rest_ - missed * period_, 0.0);
   periods_ = 1 + missed;
 
-  const bool late = length > kLate + kRounding;
+  const bool late = length > kLate + kPeriodRounding;
   n_late_ += static_cast<int>(late) - late_[at_];
   late_[at_] = late;
   at_ = (at_ + 1) % kWindow;
-  gaps_ = length > kLong + kRounding ? gaps_ + elapsed_ : 0;
+  gaps_ = length > kLong + kPeriodRounding ? gaps_ + elapsed_ : 0;
   const double share = std::min(elapsed_ / kExcessTime, 1.0);
   excess_ += share * (elapsed_ - period_ - excess_);
 }
 
-bool CycleClock::starved() const { return gaps_ / period_ > kCatchUp + kRounding; }
+bool CycleClock::starved() const { return gaps_ / period_ > kCatchUp + kPeriodRounding; }
 
 }  // namespace surg

@@ -7,8 +7,8 @@
 namespace surg {
 namespace {
 
-constexpr double kHighPass = 1.0;  // [s] time constant; slow drift of q against c is no lag
-constexpr double kMemory = 10.0;   // [s] of motion that the sums remember
+constexpr double kHighPass = 1.0;    // [s] time constant; slow drift of q against c is no lag
+constexpr double kLagMemory = 10.0;  // [s] of motion that the sums remember
 // [rad^2/s] sum of v^2 dt that an estimate needs: 0.1 rad/s of one joint for 0.5 s. The error of a
 // position resolution of 1e-5 rad is then below 0.1 ms.
 constexpr double kEnough = 0.005;
@@ -28,7 +28,7 @@ void LagMeter::step(const JointVector& qd_command, const JointVector& q, double 
     running_ = true;
     return;
   }
-  const double keep = std::exp(-dt / kHighPass), remember = std::exp(-dt / kMemory);
+  const double keep = std::exp(-dt / kHighPass), remember = std::exp(-dt / kLagMemory);
   cross_ *= remember;
   square_ *= remember;
   for (Eigen::Index i = 0; i < q.size(); ++i) {
