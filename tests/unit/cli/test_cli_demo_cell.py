@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import yaml
@@ -16,8 +17,11 @@ from surg_cli.graph.system import Plan
 from surg_cli.host import cells, link_environments
 from surg_cli.host.terminal import Problem
 from surg_cli.robots import emulated_arms
+from surg_msgs.msg import SimStatus
 
 Surg = Callable[..., int]
+LIVES = ("DISABLED", "DISABLED", "ENABLED", "DISABLED", "DISABLED")
+"""States of an arm that is homed at the third look, and stopped after it."""
 
 
 @pytest.fixture
@@ -54,6 +58,34 @@ def test_a_cell_of_the_simulator_is_played_in_lock_step(
         surg("demo", "--cell", "sim_panda", "--no-video", "--out", tmp_path / "run")
     (plan,) = played
     assert plan.simulates and plan.lockstep and plan.driven == ()
+
+
+class Robots:
+    """Counts how often they are asked to start."""
+
+    asked = 0
+
+    def ask_again(self) -> None:
+        self.asked += 1
+
+
+def test_a_robot_is_asked_to_start_anew_only_before_its_arm_is_homed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    robots, shown = Robots(), Mock()
+    watch = Mock(fault="", states={"PSM1": "DISABLED"}, sim=SimStatus())
+    look = iter(LIVES)
+
+    def state(*_: object) -> list[str]:
+        watch.states = {"PSM1": next(look, "over")}
+        return ["over"] if watch.states["PSM1"] == "over" else []
+
+    monkeypatch.setattr(motion_run.follow, "failure", state)
+    monkeypatch.setattr(motion_run.follow, "LOOK_S", 0.0)
+    operator = Mock(exit_code=None)
+    reasons = motion_run._follow(watch, Mock(), operator, shown, 1.0, False, robots)
+    assert reasons == ["over"]
+    assert robots.asked == 1 + LIVES.index("ENABLED")
 
 
 def real(folder: Path) -> Path:

@@ -27,6 +27,9 @@ class Robots(Protocol):
     ) -> None:
         """Let them obey, once the nodes run."""
 
+    def ask_again(self) -> None:
+        """The same for one that has stopped since; before any arm is homed."""
+
 
 def play(plan: Plan, duration_s: float, port: int | None, robots: Robots) -> list[str]:
     """Run a plan with an operator to its end; without a port on a free one.
@@ -45,7 +48,10 @@ def play(plan: Plan, duration_s: float, port: int | None, robots: Robots) -> lis
             robots.obey(supervisor, progress.update)
             operator = system.start(supervisor, system.operator_node(plan))
             entry.list_nodes(supervisor.children)
-            reasons = _follow(watch, supervisor, operator, progress, duration_s, plan.simulates)
+            reasons = _follow(
+                watch, supervisor, operator, progress, duration_s, plan.simulates, robots
+            )
+            reasons += _last_complaint(watch) if reasons else []
             progress.update(1.0, "writing the recording")
             return reasons + follow.finish_recording(watch, supervisor)
 
@@ -57,9 +63,10 @@ def _follow(
     progress: Progress,
     duration_s: float,
     simulates: bool,
+    robots: Robots,
 ) -> list[str]:
     """Wait until the motion is over; returns why the run failed."""
-    began = time.monotonic()
+    began, untouched = time.monotonic(), True
     while (sim := watch.sim).state != sim.STATE_DONE and operator.exit_code != 0:
         time.sleep(follow.LOOK_S)
         states = " ".join(f"{name} {state}" for name, state in watch.states.items())
@@ -68,10 +75,18 @@ def _follow(
             passed / (duration_s + AROUND_MOTION_S),
             f"{passed:5.1f} s{' simulated' if simulates else ''}, {states}",
         )
+        untouched = untouched and set(watch.states.values()) == {"DISABLED"}
+        if untouched:
+            robots.ask_again()
         reasons = follow.failure(watch, supervisor, (f"/{system.OPERATOR}",), simulates)
         if reasons := reasons or ([watch.fault] if watch.fault else []):
             return reasons
     return _operator_verdict(operator)
+
+
+def _last_complaint(watch: Watch) -> list[str]:
+    """What an arm said last of why it does not obey."""
+    return [text for _, text in watch.news()][-1:]
 
 
 def _operator_verdict(operator: processes.Child) -> list[str]:

@@ -63,6 +63,7 @@ class EmulatedArms:
     def __init__(self, cell: Path, arms: Mapping[str, Any]) -> None:
         self._cell = cell
         self._arms = {name: arm for name, arm in arms.items() if arm.hardware is not None}
+        self._starter: _Starter | None = None
 
     def start(self, supervisor: Supervisor) -> None:
         """Start the emulators and wait until they answer.
@@ -92,7 +93,13 @@ class EmulatedArms:
             Problem: One does not within the time of a system's start.
         """
         if self._arms:
-            _obey(tuple(self._arms), supervisor, update)
+            self._starter = _Starter(tuple(self._arms))
+            follow.wait_for(self._starter.ask, supervisor, update)
+
+    def ask_again(self) -> None:
+        """Ask those that have stopped obeying since; only as long as no arm was homed."""
+        if self._starter is not None:
+            self._starter.ask()
 
 
 def _answers(address: str) -> bool:
@@ -103,36 +110,33 @@ def _answers(address: str) -> bool:
     return True
 
 
-def _obey(
-    arms: Sequence[str], supervisor: Supervisor, update: Callable[[float | None, str], None]
-) -> None:
-    import rospy
+class _Starter:
+    """Asks robots to start that do not obey."""
 
-    from crtk_msgs.msg import StringStamped
-    from surg_msgs.msg import LinkStatus
+    def __init__(self, arms: Sequence[str]) -> None:
+        import rospy
 
-    said: dict[str, str] = {}
+        from crtk_msgs.msg import StringStamped
+        from surg_msgs.msg import LinkStatus
 
-    def hear(message: Any, arm: str) -> None:
-        said[arm] = condition_name(message)
+        self._said: dict[str, str] = {}
+        self._asked = time.monotonic()
+        self._start = StringStamped(string="start")
+        for arm in arms:
+            rospy.Subscriber(f"/{arm}/robot/status", LinkStatus, self._hear, arm)
+        self._publishers = {
+            arm: rospy.Publisher(f"/{arm}/robot/request", StringStamped, queue_size=1)
+            for arm in arms
+        }
 
-    ears = [rospy.Subscriber(f"/{arm}/robot/status", LinkStatus, hear, arm) for arm in arms]
-    asks = {
-        arm: rospy.Publisher(f"/{arm}/robot/request", StringStamped, queue_size=1) for arm in arms
-    }
-    asked = time.monotonic()
+    def _hear(self, message: Any, arm: str) -> None:
+        self._said[arm] = condition_name(message)
 
-    def idle() -> list[str]:
-        nonlocal asked
-        waiting = [arm for arm in arms if said.get(arm) != "ACTIVE"]
-        if time.monotonic() - asked > ASK_AGAIN_S:
-            asked = time.monotonic()
+    def ask(self) -> list[str]:
+        """Ask those that do not obey, not too often; returns which, and what they say."""
+        waiting = [arm for arm in self._publishers if self._said.get(arm) != "ACTIVE"]
+        if time.monotonic() - self._asked > ASK_AGAIN_S:
+            self._asked = time.monotonic()
             for arm in waiting:
-                asks[arm].publish(StringStamped(string="start"))
-        return [f"the robot of {arm} ({said.get(arm, 'silent')})" for arm in waiting]
-
-    try:
-        follow.wait_for(idle, supervisor, update)
-    finally:
-        for each in (*ears, *asks.values()):
-            each.unregister()
+                self._publishers[arm].publish(self._start)
+        return [f"the robot of {arm} ({self._said.get(arm, 'silent')})" for arm in waiting]

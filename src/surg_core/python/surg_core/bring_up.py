@@ -28,7 +28,7 @@ from surg_core.contract import SECOND_NS
 RETRY_NS = SECOND_NS // 2
 """[ns] A command without effect is sent again after this."""
 TIMEOUT_NS = 15 * SECOND_NS
-"""[ns] Bring-up fails after this; a controller that starves on a busy machine took 5 s to home."""
+"""[ns] Bring-up fails after this. A robot that has to be started anew meanwhile takes 3 to 5 s."""
 
 
 @dataclass
