@@ -21,7 +21,7 @@ from surg_msgs.msg import SimStatus
 
 Surg = Callable[..., int]
 LIVES = ("DISABLED", "DISABLED", "ENABLED", "DISABLED", "DISABLED")
-"""States of an arm that is homed at the third look, and stopped after it."""
+"""States of an arm that is homed, and stopped after it; none is heard at first."""
 
 
 @pytest.fixture
@@ -73,14 +73,15 @@ def test_a_robot_is_asked_to_start_anew_only_before_its_arm_is_homed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     robots, shown = Robots(), Mock()
-    watch = Mock(fault="", states={"PSM1": "DISABLED"}, sim=SimStatus())
+    watch = Mock(fault="", states={}, sim=SimStatus())
     look = iter(LIVES)
 
-    def state(*_: object) -> list[str]:
-        watch.states = {"PSM1": next(look, "over")}
-        return ["over"] if watch.states["PSM1"] == "over" else []
+    def see(*_: object) -> list[str]:
+        state = next(look, "")
+        watch.states = {"PSM1": state}
+        return [] if state else ["over"]
 
-    monkeypatch.setattr(motion_run.follow, "failure", state)
+    monkeypatch.setattr(motion_run.follow, "failure", see)
     monkeypatch.setattr(motion_run.follow, "LOOK_S", 0.0)
     operator = Mock(exit_code=None)
     reasons = motion_run._follow(watch, Mock(), operator, shown, 1.0, False, robots)

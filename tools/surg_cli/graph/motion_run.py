@@ -75,7 +75,7 @@ def _follow(
             passed / (duration_s + AROUND_MOTION_S),
             f"{passed:5.1f} s{' simulated' if simulates else ''}, {states}",
         )
-        untouched = untouched and set(watch.states.values()) == {"DISABLED"}
+        untouched = untouched and set(watch.states.values()) <= {"DISABLED"}
         if untouched:
             robots.ask_again()
         reasons = follow.failure(watch, supervisor, (f"/{system.OPERATOR}",), simulates)
