@@ -51,7 +51,7 @@ def test_a_policy_feels_what_an_environment_and_the_export_say(
     assert done.returncode == 0, done.stdout + done.stderr
     (entry,) = json.loads((out / "summary.json").read_text("utf-8"))["episodes"]
     wanted, felt = in_one_process()
-    assert entry["deterministic"] and entry["state_hash"] == wanted
+    assert entry["deterministic"] and entry["state_hash"] == wanted, entry["policy"]
     said = np.array([line.split() for line in account.read_text().splitlines()], dtype=float)
     assert np.abs(said[:, 1:4]).max() > 1.0 and set(said[:, 4]) == {1.0}
     np.testing.assert_allclose(said[:, 1:], felt[: len(said)], atol=1e-3)

@@ -89,6 +89,8 @@ def measure(
 
     def entry(outcome: trials.Outcome, recorded: Any) -> tuple[dict[str, Any], Any]:
         made = trials.describe(plan.seed, plan.setting, plan.law, outcome, recorded)
+        if (ended.policy or {}).get("waited"):
+            made["deterministic"] = False  # a tick ran without the policy's answer
         return made, also(made, recorded)
 
     outcome = trials.Outcome(

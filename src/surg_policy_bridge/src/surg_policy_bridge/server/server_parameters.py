@@ -43,7 +43,7 @@ class Settings:
     # pedals, repeated 20 times per second)
     need_present: bool = flag(False)
     # longest wall-clock wait for an answer in lock-step [s]
-    answer_timeout: float = real(0.1, 9.0, 5.0)
+    answer_timeout: float = real(0.1, 9.0, 9.0)
 
     def __post_init__(self) -> None:
         """Rules between parameters."""
