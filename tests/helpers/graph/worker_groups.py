@@ -69,7 +69,9 @@ def _step_back() -> None:
 
 
 def in_real_time(item: pytest.Item, tests: Path) -> bool:
-    """Whether a test below the folder drives graphs in real time."""
+    """Whether a test below the folder drives graphs in real time, or measures time (`timed`)."""
+    if item.get_closest_marker("timed") is not None:
+        return True
     inside = item.path.is_relative_to(tests) and item.path.relative_to(tests).parts[0] in FOLDERS
     return inside and item.get_closest_marker("untimed") is None
 

@@ -82,16 +82,14 @@ class Tab:
             raise AssertionError(json.dumps(answer["exceptionDetails"])[:600])
         return answer["result"].get("value")
 
-    async def until(
-        self, script: str, what: str, seconds: float = 20.0, period: float = 0.02
-    ) -> Any:
+    async def until(self, script: str, what: str, seconds: float = 20.0) -> Any:
         """Wait until an expression is true, on whatever page comes; the value it had then."""
 
         async def value() -> Any:
             with contextlib.suppress(Navigated):
                 return await self.run(script)
 
-        return await until(value, f"{what}: {script}", seconds, period)
+        return await until(value, f"{what}: {script}", seconds)
 
     async def key(self, code: str, down: bool, key: str = "") -> None:
         """Press or release a key, as the browser's own input does."""

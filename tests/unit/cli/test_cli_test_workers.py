@@ -15,7 +15,7 @@ from surg_cli.commands import run_tests as run_tests_command
 from surg_cli.host import paths, pytest_run
 
 FILES, EACH = 12, 4
-UNTIMED = 9
+UNTIMED, TIMED = 9, 10
 CONFTEST = """
 import os
 import time
@@ -83,7 +83,7 @@ def write_tests(root: Path) -> None:
         folder = root / ("ros" if i % 3 == 0 else "unit")
         folder.mkdir(parents=True, exist_ok=True)
         wrong = 2 if i % 2 else -1
-        mark = "untimed" if i == UNTIMED else "timed"
+        mark = {UNTIMED: "untimed", TIMED: "timed"}.get(i, "ordinary")
         (folder / f"test_{i:02d}.py").write_text(TEST.format(each=EACH, wrong=wrong, mark=mark))
     (root / "conftest.py").write_text(CONFTEST)
 
@@ -111,6 +111,7 @@ def test_every_test_runs_once_and_real_time_in_one_worker(
         workers.setdefault(name.split("::")[0], set()).add(worker)
     assert all(len(each) == 1 for each in workers.values())
     timed = {f"ros/test_{i:02d}.py" for i in range(0, FILES, 3) if i != UNTIMED}
+    timed.add(f"unit/test_{TIMED:02d}.py")
     (first,) = {worker for file in timed for worker in workers[file]}
     assert len({worker for each in workers.values() for worker in each}) > 1
     # The worker for real time has priority, whichever it is.

@@ -25,6 +25,8 @@ from surg_teleop.console.web.connection_limits import (
 )
 from surg_teleop.console.web.web_server import MAX_PAGES
 
+pytestmark = pytest.mark.timed
+
 CONNECT_WITHIN = 2.0
 """[s] A new page has the page's files, and a status on its socket."""
 LONGEST = 3 * CONNECT_WITHIN
