@@ -192,10 +192,11 @@ def test_a_roll_out_is_told_from_what_its_process_left(recorded: Path, tmp_path:
     assert rollout["unsafe"]["commands"] == 0 and rollout["unsafe"]["cycles"] > 3000
     assert 0.0 < rollout["rcm_mean_mm"] < rollout["rcm_max_mm"] < 0.3
     assert rollout["sparc"] < 0.0 and rollout["ldlj"] < 0.0
-    for waited in (0, 1):  # ticks without an answer depend on the machine
-        late = dataclasses.replace(ended, policy={**status, "waited": waited})
+    for waited, sessions in ((0, 1), (1, 1), (0, 2)):  # ticks without an answer: of this machine
+        counts = {**status, "waited": waited, "sessions": sessions}
+        late = dataclasses.replace(ended, policy=counts)
         entry, _ = episode_process.measure(plan, late, lambda *_: None)
-        assert entry["deterministic"] is (waited == 0)
+        assert entry["deterministic"] is ((waited, sessions) == (0, 1))
     # A process that left nothing: not played, never a success, and nothing is called safe.
     nothing = tmp_path / "nothing"
     ended = episode_process.read_outcome(nothing, "the graph did not come up")

@@ -89,8 +89,9 @@ def measure(
 
     def entry(outcome: trials.Outcome, recorded: Any) -> tuple[dict[str, Any], Any]:
         made = trials.describe(plan.seed, plan.setting, plan.law, outcome, recorded)
-        if (ended.policy or {}).get("waited"):
-            made["deterministic"] = False  # a tick ran without the policy's answer
+        counts = ended.policy or {}
+        if counts.get("waited") or counts.get("sessions", 1) > 1:
+            made["deterministic"] = False  # ticks ran without the policy: this machine was too slow
         return made, also(made, recorded)
 
     outcome = trials.Outcome(
