@@ -51,7 +51,7 @@ def play(plan: Plan, duration_s: float, port: int | None, robots: Robots) -> lis
             reasons = _follow(
                 watch, supervisor, operator, progress, duration_s, plan.simulates, robots
             )
-            reasons += _last_complaint(watch) if reasons else []
+            reasons += _last_complaint(watch, reasons) if reasons else []
             progress.update(1.0, "writing the recording")
             return reasons + follow.finish_recording(watch, supervisor)
 
@@ -84,9 +84,10 @@ def _follow(
     return _operator_verdict(operator)
 
 
-def _last_complaint(watch: Watch) -> list[str]:
-    """What an arm said last of why it does not obey."""
-    return [text for _, text in watch.news()][-1:]
+def _last_complaint(watch: Watch, reasons: list[str]) -> list[str]:
+    """What an arm said last of why it does not obey; empty where a reason quotes it already."""
+    last = [text for _, text in watch.news()][-1:]
+    return [text for text in last if not any(text in reason for reason in reasons)]
 
 
 def _operator_verdict(operator: processes.Child) -> list[str]:

@@ -83,7 +83,7 @@ def build(log: Path, force: bool = False) -> bool:
     _forget_moved_tree()
     configure = [_cmake(), "-S", str(paths.ROOT), "-B", str(paths.BUILD)]
     configure += ["-G", "Unix Makefiles", f"-DCATKIN_DEVEL_PREFIX={paths.DEVEL}"]
-    configure += unity()
+    configure += _unity()
     compile_ = [_cmake(), "--build", str(paths.BUILD), f"-j{jobs()}"]
     with Progress("build") as progress:
         logged.run(configure, log, progress, anew=True, failure=failure_text)
@@ -93,7 +93,7 @@ def build(log: Path, force: bool = False) -> bool:
     return True
 
 
-def unity() -> list[str]:
+def _unity() -> list[str]:
     """Options that compile several files as one: the headers take half of the time.
 
     Not under a compiler cache, which keeps files that several builds share.
