@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "surg_core/motion/motion_model.hpp"
+
 namespace surg {
 namespace {
 
@@ -25,7 +27,6 @@ constexpr double kSlow = 0.024;        // [s] from this one on all models count
 constexpr double kLateBy = 0.28;       // of a period: less to predict, and a smoother path
 constexpr double kLatestBy = 0.005;    // [s] with the plain model alone
 constexpr double kSlowLateBy = 0.075;  // of a period with all models
-constexpr double kLongestGap = 0.2;    // [s] beyond it the motion before says nothing
 
 double share_at(double period) { return std::clamp((period - kFast) / (kSlow - kFast), 0.0, 1.0); }
 
@@ -67,7 +68,7 @@ void HandEstimate::begin_swings(const Values& x) {
 
 void HandEstimate::update(const Values& x, double elapsed, double period) {
   const double share = share_at(period), h = std::max(elapsed, 0.0);
-  const bool follow = swinging_ && h < kLongestGap && share > 0;
+  const bool follow = swinging_ && h < motion_model::kLongestGap && share > 0;
   std::array<Values, kSwings + 1> off{};
   if (follow) {
     const State expected = plain_.predict(h);

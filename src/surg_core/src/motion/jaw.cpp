@@ -8,8 +8,8 @@ namespace surg {
 namespace {
 
 constexpr double kArrived = 0.02;  // [rad]
-constexpr double kJawArriveWithin =
-    0.5;                        // [s] a jaw that holds tissue, or unseen, never gets there
+// [s] A jaw that holds tissue, or is unseen, never gets there.
+constexpr double kJawArriveWithin = 0.5;
 constexpr double kEdge = 0.01;  // [s] 'busy' lasts, so that a client can see it
 constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 

@@ -3,17 +3,16 @@
 #include <algorithm>
 #include <cmath>
 
+#include "surg_core/motion/motion_model.hpp"
+
 namespace surg {
 namespace {
 
 // Tuned on a synthetic and a recorded hand motion (docs/results/stream.md).
-constexpr double kJerkDensity = 5e11;  // spectral density of the jerk per variance of a sample
 constexpr double kAccelerationMemory = 0.08;  // [s] time constant of the acceleration
 // At a slow rate more of a hand's motion is beyond prediction and counts as noise: the variance of
 // a sample grows with the cube of the period [s].
 constexpr double kNoisyPeriod = 0.0035;
-constexpr double kUnknownVelocity = 2.5e7;  // variance of the unknown velocity at the start
-constexpr double kLongestSilence = 0.2;     // [s] beyond it the motion before says nothing
 
 }  // namespace
 
@@ -40,12 +39,12 @@ void StreamEstimate::reset(const Values& x) {
   for (int i = 0; i < kDof; ++i) state_[i] = {x[i], 0, 0};
   xx_ = 1;
   xv_ = xa_ = va_ = 0;
-  vv_ = kUnknownVelocity;
-  aa_ = 0.5 * kJerkDensity * kAccelerationMemory;
+  vv_ = motion_model::kFirstVelocity;
+  aa_ = 0.5 * motion_model::kJerkDensity * kAccelerationMemory;
 }
 
 void StreamEstimate::update(const Values& x, double elapsed, double period) {
-  if (!(elapsed < kLongestSilence)) {
+  if (!(elapsed < motion_model::kLongestGap)) {
     reset(x);
     return;
   }
@@ -71,7 +70,7 @@ void StreamEstimate::update(const Values& x, double elapsed, double period) {
 
 /// Covariance after 'elapsed': F P F' + Q, with Q of a constant acceleration and of its decay.
 void StreamEstimate::propagate(const Transition& step, double elapsed) {
-  const double h = elapsed, q = kJerkDensity * std::min(h, 2 * kAccelerationMemory);
+  const double h = elapsed, q = motion_model::kJerkDensity * std::min(h, 2 * kAccelerationMemory);
   const double with_v = xv_ + step.v_x * vv_ + step.a_x * va_;
   const double with_a = xa_ + step.v_x * va_ + step.a_x * aa_;
   const double v_with_a = va_ + step.a_v * aa_;
@@ -82,7 +81,7 @@ void StreamEstimate::propagate(const Transition& step, double elapsed) {
   vv_ += step.a_v * va_ + step.a_v * v_with_a + q * h * h / 3;
   va_ = step.a_a * v_with_a + q * h / 2;
   aa_ = step.a_a * step.a_a * aa_ +
-        0.5 * kJerkDensity * kAccelerationMemory * (1 - step.a_a * step.a_a);
+        0.5 * motion_model::kJerkDensity * kAccelerationMemory * (1 - step.a_a * step.a_a);
 }
 
 StreamEstimate::State StreamEstimate::predict(double age) const {

@@ -2,15 +2,10 @@
 
 #include <cmath>
 
+#include "surg_core/motion/motion_model.hpp"
 #include "surg_core/motion/oscillator.hpp"
 
 namespace surg {
-namespace {
-
-constexpr double kProcess = 5e11;         // [1/s^5] spectral density of the jerk
-constexpr double kFirstVelocity = 2.5e7;  // variance of the unknown velocity at the start
-
-}  // namespace
 
 SwingEstimate::SwingEstimate(const SwingModel& model) : model_(model) {
   const double omega = 2 * M_PI * model.hertz;
@@ -24,8 +19,8 @@ void SwingEstimate::reset(const Values& x) {
     state_[i][0] = x[i];
   }
   Mixed variances;
-  variances << 1 + model_.size, kFirstVelocity, 0.5 * kProcess / model_.return_decay, model_.size,
-      stiffness_ * model_.size;
+  variances << 1 + model_.size, motion_model::kFirstVelocity,
+      0.5 * motion_model::kJerkDensity / model_.return_decay, model_.size, stiffness_ * model_.size;
   covariance_ = variances.asDiagonal();
 }
 
@@ -61,7 +56,7 @@ SwingEstimate::Covariance SwingEstimate::transition(double h) const {
 /// What noise adds over h: to the motion by its jerk, to the swing what has faded of it.
 SwingEstimate::Covariance SwingEstimate::process(const Covariance& F, double h) const {
   Covariance Q = Covariance::Zero();
-  Q.topLeftCorner<3, 3>() = jerk_noise(kProcess, h);
+  Q.topLeftCorner<3, 3>() = jerk_noise(motion_model::kJerkDensity, h);
   Q.bottomRightCorner<2, 2>() =
       oscillation_noise(F.bottomRightCorner<2, 2>(), model_.size, stiffness_);
   return Q;

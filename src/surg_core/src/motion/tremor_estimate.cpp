@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "surg_core/motion/motion_model.hpp"
 #include "surg_core/motion/oscillator.hpp"
 
 namespace surg {
@@ -16,9 +17,7 @@ constexpr double kDecay = 17.5;            // [1/s] with which an oscillation of
 constexpr double kLate = 0.0146;           // [s] and
 constexpr double kLatePeriods = 0.81;      // periods that the motion is asked for late
 constexpr double kFirstPosition = 1e10;    // variances at the start
-constexpr double kFirstHandVelocity = 2.5e7;
 constexpr double kFirstAcceleration = 1e10;
-constexpr double kLongestPause = 0.2;  // [s] beyond it the motion before says nothing
 
 }  // namespace
 
@@ -34,14 +33,14 @@ void TremorEstimate::reset(const Values& x) {
     state_[i][0] = x[i];
   }
   Mixed variances;
-  variances << kFirstPosition, kFirstHandVelocity, kFirstAcceleration, kTremorVariance,
+  variances << kFirstPosition, motion_model::kFirstVelocity, kFirstAcceleration, kTremorVariance,
       omega_ * omega_ * kTremorVariance;
   covariance_ = variances.asDiagonal();
   take(x);
 }
 
 void TremorEstimate::update(const Values& x, double elapsed) {
-  if (!(elapsed < kLongestPause)) {
+  if (!(elapsed < motion_model::kLongestGap)) {
     reset(x);
     return;
   }
