@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("torch", reason="PyTorch runs the cloned policies")
-
 from helpers.policy import bgr_cloned
 from helpers.policy import bgr_pictures as made
 from helpers.policy.bgr_cloned import LEFT, RIGHT

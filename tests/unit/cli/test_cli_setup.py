@@ -29,7 +29,7 @@ def test_packages_of_tests_and_exports_wait_for_their_commands(tmp_path: Path) -
     assert provision.listed_packages(path) == ["cmake", "cv", "chromium"]
     first = set(provision.listed_packages(everything=False))
     later = set(provision.listed_packages()) - first
-    assert {"chromium", "clang-tidy", "python3-opencv", "python3-pytest"} <= later
+    assert {"chromium", "clang-tidy", "python3-opencv", "python3-pytest", "python3-torch"} <= later
     assert {"cmake", "python3-rospy", "libegl1"} <= first
     waiting = {name for name, each in command_table.COMMANDS.items() if each.everything}
     assert waiting == {"test", "export", "bench"}

@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-
-from helpers.policy import bgr_cloned as made  # noqa: E402
-from helpers.policy.bgr_cloned import (  # noqa: E402
+from helpers.policy import bgr_cloned as made
+from helpers.policy.bgr_cloned import (
     LEFT,
     RIGHT,
     bgr_cloned_policy,
@@ -24,8 +23,8 @@ from helpers.policy.bgr_cloned import (  # noqa: E402
     train_bgr_cache,
     train_bgr_cloned,
 )
-from helpers.policy.bgr_pictures import bgr_eye, train_bgr_looks  # noqa: E402
-from helpers.policy.bgr_synthetic import STATE, bgr_policy  # noqa: E402
+from helpers.policy.bgr_pictures import bgr_eye, train_bgr_looks
+from helpers.policy.bgr_synthetic import STATE, bgr_policy
 
 SMALL = {
     "width": 8, "places": 8, "model": 32, "heads": 2, "feed": 64, "layers": 1, "latent": 4,

@@ -20,9 +20,9 @@ VENV_STAMP = paths.VENV / ".surg-lock"
 APT_OPTIONS = ("-o", "DPkg::Lock::Timeout=600", "-y", "--no-install-recommends")
 # apt-get prints: Get, Selecting, Preparing, Unpacking, Setting up.
 APT_LINES_PER_PACKAGE = 5
-LATER = ("opencv", "later")
+LATER = ("opencv", "torch", "later")
 """Sets of the package list (lines `# == NAME`) that wait for a command that needs them."""
-OPTIONAL = ("gstreamer", "torch")
+OPTIONAL = ("gstreamer",)
 """Sets that are installed on request only."""
 
 
