@@ -233,7 +233,9 @@ def test_a_sender_of_nonsense_is_cut_off(link: Link) -> None:
 
 
 def test_each_of_two_hears_everything_from_the_moment_it_subscribes(link: Link) -> None:
-    for k in range(10):
+    link.say(0)
+    link.wait(lambda: link.hears(1))  # rospy's thread has handed the connection over
+    for k in range(1, 10):
         link.say(k)
     second = link.another()
     for k in range(10, 20):

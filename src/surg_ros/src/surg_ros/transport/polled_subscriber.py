@@ -159,8 +159,9 @@ class PolledSubscriber:
     """A consumer of small messages; one thread fetches them.
 
     A process may have several of a topic. Each gets every message from the moment it subscribes,
-    and keeps the newest 1000 of those that another one has read for it. A `rospy.Subscriber` of
-    the topic in the same process hears nothing.
+    and keeps the newest 1000 of those that another one has read for it. From a connection that
+    rospy is still making it may get earlier ones. A `rospy.Subscriber` of the topic in the same
+    process hears nothing.
 
     Args:
         topic: Its name.
