@@ -89,6 +89,21 @@ def test_a_robot_is_asked_to_start_anew_only_before_its_arm_is_homed(
     assert robots.asked == 1 + LIVES.index("ENABLED")
 
 
+@pytest.mark.parametrize(
+    ("said", "quoted", "added"),
+    [
+        (["link", "overrun"], "the operator did not end", ["overrun"]),
+        (["link"], "PSM1 is PAUSED: link", []),
+        ([], "the operator did not end", []),
+    ],
+)
+def test_a_failed_run_ends_with_what_the_arm_said_last_and_says_it_once(
+    said: list[str], quoted: str, added: list[str]
+) -> None:
+    watch = Mock(**{"news.return_value": [("PSM1 error", text) for text in said]})
+    assert motion_run._last_complaint(watch, [quoted]) == added
+
+
 def real(folder: Path) -> Path:
     """The cell of a real arm that is being commissioned."""
     return emulated_cell(folder, "192.168.56.2", commissioning=True)
