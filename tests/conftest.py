@@ -25,10 +25,11 @@ FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 ON_REQUEST = ("oracle", "vm", "mutants")
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup(item: pytest.Item) -> None:
+@pytest.hookimpl(hookwrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     """Give way to the worker that runs in real time."""
-    worker_groups.begin(item)
+    with worker_groups.priority(item, Path(__file__).parent):
+        yield
 
 
 @pytest.hookimpl(tryfirst=True)  # xdist appends the groups to the tests' ids

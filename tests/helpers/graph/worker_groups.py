@@ -7,13 +7,16 @@ of its own: its fixtures are made once.
 
 A test in real time gets a higher priority where the system grants it, and so do the processes that
 it starts: other programs of the machine then cost it little. Elsewhere the other workers step back.
-Where Linux schedules by session each worker leads one of its own.
+Where Linux schedules by session each worker leads one of its own. Without workers the session that
+the tests were started from is preferred while a test in real time runs: one of its own would lose
+the terminal and its Ctrl-C.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -30,12 +33,24 @@ PREFERRED = -10
 _began: list[str] = []  # the group that this worker began with
 
 
-def begin(item: pytest.Item) -> None:
-    """Set the priority of this process by its first test; without workers by each test."""
-    if not hasattr(item.config, "workerinput"):
-        if in_real_time(item, Path(__file__).parents[2]):
-            _prefer_session()
+@contextlib.contextmanager
+def priority(item: pytest.Item, tests: Path) -> Iterator[None]:
+    """The priority of this process while a test runs; a worker's is set by its first test.
+
+    Args:
+        item: The test.
+        tests: Root folder of all tests.
+    """
+    if hasattr(item.config, "workerinput"):
+        _begin(item)
+    elif in_real_time(item, tests):
+        with _preferred_session():
+            yield
         return
+    yield
+
+
+def _begin(item: pytest.Item) -> None:
     if _began:
         return
     _began.append(group(item))
@@ -48,10 +63,18 @@ def begin(item: pytest.Item) -> None:
         processes.keep_niceness(os.getpid())
 
 
-def _prefer_session() -> None:
-    """Without workers: a new session would lose the terminal and its Ctrl-C."""
+@contextlib.contextmanager
+def _preferred_session() -> Iterator[None]:
+    session, niceness = Path(f"/proc/{os.getsid(0)}/autogroup"), os.nice(0)
+    said = session.read_text("ascii") if session.exists() else ""
     _raise()
     processes.keep_niceness(os.getsid(0))
+    try:
+        yield
+    finally:
+        os.setpriority(os.PRIO_PROCESS, 0, niceness)
+        with contextlib.suppress(OSError):  # such as "/autogroup-2048 nice 0"
+            session.write_text(said.rpartition(" ")[2], "ascii")
 
 
 def _raise() -> bool:

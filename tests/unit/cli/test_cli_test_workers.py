@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shlex
+import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -29,9 +31,10 @@ here = Path(__file__).parent
 worker = os.environ.get("PYTEST_XDIST_WORKER")
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup(item):
-    worker_groups.begin(item)
+@pytest.hookimpl(hookwrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item):
+    with worker_groups.priority(item, here):
+        yield
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -74,6 +77,15 @@ def test_it():
         stream.write("x")
     assert tried.stat().st_size > {failures}
 """
+NOTES_PRIORITY = """
+import os
+from pathlib import Path
+
+def test_it():
+    session = Path("/proc/self/autogroup").read_text().split()[-1]
+    with (Path(__file__).parent.parent / "priority").open("a") as stream:
+        stream.write(f"{Path(__file__).parent.name} {os.nice(0)} {session}\\n")
+"""
 TESTS, TOOLS = paths.ROOT / "tests", paths.ROOT / "tools"
 
 
@@ -88,11 +100,15 @@ def write_tests(root: Path) -> None:
     (root / "conftest.py").write_text(CONFTEST)
 
 
-def run_tests(root: Path) -> tuple[int, Counter[str]]:
+def command(root: Path) -> tuple[list[str], dict[str, str]]:
     argv = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--import-mode=importlib"]
     argv += ["--rootdir", str(root), "-c", os.devnull]
     path = os.pathsep.join((str(TESTS), str(TOOLS)))
-    env = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
+    return argv, {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
+
+
+def run_tests(root: Path) -> tuple[int, Counter[str]]:
+    argv, env = command(root)
     return pytest_run.run(argv, [str(root)], env, parallel=True)
 
 
@@ -121,6 +137,34 @@ def test_every_test_runs_once_and_real_time_in_one_worker(
         assert niceness[first] == worker_groups.PREFERRED
     # A module's fixture ends once, behind its last test.
     assert len((tmp_path / "ended").read_text().splitlines()) == FILES
+
+
+@pytest.mark.skipif(not Path("/proc/self/autogroup").exists(), reason="no scheduling by session")
+@pytest.mark.skipif(os.geteuid() != 0, reason="a higher priority is root's")
+def test_without_workers_the_session_is_preferred_while_a_test_in_real_time_runs(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "conftest.py").write_text(CONFTEST)
+    for folder in ("ros", "unit"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "test_it.py").write_text(NOTES_PRIORITY)
+    argv, env = command(tmp_path)
+    for name in [name for name in env if name.startswith("PYTEST_XDIST")]:
+        del env[name]
+    line = f"{shlex.join([*argv, str(tmp_path)])} > log; cat /proc/self/autogroup"
+    ended = subprocess.run(
+        ["/bin/sh", "-c", line],
+        env=env,
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        check=True,
+    )
+    noted = (tmp_path / "priority").read_text().splitlines()
+    high = worker_groups.PREFERRED
+    assert noted == [f"ros {high} {high}", f"unit {os.nice(0)} 0"], (tmp_path / "log").read_text()
+    assert ended.stdout.split()[-1] == "0"
 
 
 def test_a_crashed_worker_is_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
