@@ -27,6 +27,7 @@ class GateArm:
     """Takes or refuses what a teleoperation sends.
 
     Attributes:
+        shallowest: Depth of the shallowest pose that it takes [m].
         refusals: Why motion commands were refused, in their order.
     """
 
@@ -38,6 +39,7 @@ class GateArm:
     reason: str = ""
     holder: str = ""
     stuck: bool = False
+    shallowest: float = 0.03
     tick: int = 0
     R_WR: np.ndarray = field(default_factory=lambda: np.eye(3))
     refusals: list[str] = field(default_factory=list)
@@ -96,7 +98,7 @@ class GateArm:
             self.refusals.append("held")
             return
         depth = float(np.linalg.norm(p))
-        if not (0.03 <= depth <= 0.22 and p[2] >= depth * math.cos(1.0472)):
+        if not (self.shallowest <= depth <= 0.22 and p[2] >= depth * math.cos(1.0472)):
             self.refusals.append("outside_workspace")
             return
         begins = self.goal is None

@@ -218,6 +218,7 @@ def bench(cell: Path) -> Bench:
         node="/teleop",
         workspace=Workspace(limits.depth_slow, limits.depth_max, limits.cone),
         step=step,
+        depth_inserted=limits.depth_min,
         quiet=arm.robot.tuning.servo_timeout + 0.05,
         jaw=JawRange(instrument.jaw_min, instrument.jaw_max),
         mode=ControlMode.RATE,

@@ -27,6 +27,7 @@ def settings(**changes: object) -> TeleopSettings:
         "node": "/teleop",
         "workspace": WORKSPACE,
         "step": STEP,
+        "depth_inserted": 0.020,
         "jaw": JAW,
         "mode": ControlMode.POSITION,
     }

@@ -1,5 +1,6 @@
 """One hand on one arm: states, what each engagement begins with, what ends it, and what is said."""
 
+import itertools
 import math
 from dataclasses import dataclass, field
 
@@ -530,10 +531,30 @@ def test_a_camera_arm_that_is_silent_ends_following() -> None:
 
 
 def test_a_tip_near_the_trocar_is_inserted_first() -> None:
-    bench = Bench(arm=GateArm(p=np.array([0.0, 0.0, 0.025])))
+    bench = Bench(arm=GateArm(p=np.array([0.0, 0.0, 0.018])))
     bench.teleop.enable()
     assert bench.tick(10).reason is Reason.TOO_SHALLOW
     assert "PSM1/rcm/insert" in bench.log[-1].message
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_tip_that_stopped_above_the_workspace_follows_the_hand_back_in(seed: int) -> None:
+    """It brakes beyond 30 mm. Engaged again it rests, then goes deeper only, and stays below."""
+    rng = np.random.default_rng(seed)
+    aside, depth = rng.uniform(-0.4, 0.4), rng.uniform(0.0195, 0.0299)
+    p = depth * np.array([math.sin(aside), 0.0, math.cos(aside)])
+    bench = Bench(arm=GateArm(p=p, shallowest=0.0190), R_WV=np.eye(3)).engaged()
+    bench.tick(100, np.zeros(3))
+    assert np.abs(bench.arm.p - p).max() < 1e-9
+    depths = [depth]
+    for _ in range(200):
+        bench.tick(5, 2e-4 * rng.normal(size=3) + [0.0, 0.0, 1e-4])
+        depths.append(float(np.linalg.norm(bench.arm.p)))
+    bench.tick(2000, np.array([0.0, 0.0, -1e-4]))
+    depths.append(float(np.linalg.norm(bench.arm.p)))
+    assert all(b > min(a, 0.030) - 1e-9 for a, b in itertools.pairwise(depths))
+    assert max(depths) > 0.031 and bench.arm.refusals == []
+    assert bench.log[-1].state is State.FOLLOWING
 
 
 def test_disable_pauses_the_arm_and_frees_it() -> None:

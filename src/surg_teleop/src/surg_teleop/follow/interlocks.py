@@ -21,6 +21,9 @@ from surg_teleop.follow.teleop_types import (
 )
 from surg_teleop.leaders.leader import HandRate, LeaderSample
 
+RESTS_ON_IT = 1e-3
+"""[m] A tip so little above the depth of an inserted one is inserted, as the controller counts."""
+
 
 def following(
     inputs: TeleopInputs, settings: TeleopSettings, mode: ControlMode, enabling: bool
@@ -49,13 +52,13 @@ def engagement(
     `since_hold`: time since the arm was told to hold [s].
     """
     depth = float(np.linalg.norm(arm.p_set))
-    depth_min = settings.workspace.depth_min
     if arm.busy:
         return Notice(Reason.ARM_BUSY, f"{settings.arm} is busy")
-    if depth < depth_min:
+    least = settings.depth_inserted
+    if depth < least - RESTS_ON_IT:
         return Notice(
             Reason.TOO_SHALLOW,
-            f"the tip is {1e3 * depth:.0f} mm deep; at least {1e3 * depth_min:.0f} mm are needed: "
+            f"the tip is {1e3 * depth:.0f} mm deep; at least {1e3 * least:.0f} mm are needed: "
             f"use {settings.arm}/rcm/insert",
         )
     if mode is ControlMode.RATE and sample.rate is not None and not _at_rest(sample.rate):

@@ -2,7 +2,8 @@
 
 The mapping is latched anew with every sample, so a change of scale, lock or view, or a wall of the
 workspace, never makes a step. A target further away than one command may go is approached at the
-largest allowed step. A leader that jumps is refused.
+largest allowed step. A leader that jumps is refused. An arm that was stopped on its way out may be
+shallower than the workspace: from there the target only goes deeper.
 """
 
 from __future__ import annotations
@@ -159,7 +160,8 @@ class TargetPose:
         length = float(np.linalg.norm(left))
         if length > step:
             # Near the trocar the straight line between two points may leave the workspace.
-            self._sent, _ = self._workspace.nearest(self._sent + left * (step / length))
+            within = self._workspace.from_here(self._sent)
+            self._sent, _ = within.nearest(self._sent + left * (step / length))
         else:
             self._sent = self.wanted
         self._sent_roll += min(max(left_roll, -turn), turn)
@@ -167,7 +169,7 @@ class TargetPose:
         return TipPose(self._sent, self._sent_roll)
 
     def _set_target(self, p: Array) -> None:
-        self.wanted, self.wall = self._workspace.nearest(p)
+        self.wanted, self.wall = self._workspace.from_here(self.wanted).nearest(p)
 
     def _rate_step(self, v_V: Array, spherical: Array | None, dt: float, R_RV: Array) -> Array:
         if spherical is None:

@@ -208,8 +208,9 @@ def _teleop(
     model = cell.arms.get(arm) or next(iter(cell.arms.values()))
     limits, instrument = model.limits, model.instrument
     workspace = Workspace(limits.depth_slow, limits.depth_max, limits.cone)
+    depth_inserted = limits.depth_min
     if arm == ASSISTANT:
-        workspace = Workspace(*ASSISTANT_RANGE)
+        workspace, depth_inserted = Workspace(*ASSISTANT_RANGE), 0.0
     jaw = None
     if instrument.camera is None and instrument.jaw_max > instrument.jaw_min:
         jaw = JawRange(instrument.jaw_min, instrument.jaw_max)
@@ -219,6 +220,7 @@ def _teleop(
         node=node,
         workspace=workspace,
         step=StepLimits.of(limits),
+        depth_inserted=depth_inserted,
         quiet=model.robot.tuning.servo_timeout + 0.05,
         jaw=jaw,
         jaw_velocity=instrument.jaw_velocity if jaw else 0.0,

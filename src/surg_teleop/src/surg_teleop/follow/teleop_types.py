@@ -115,6 +115,7 @@ class TeleopSettings:
     node: str  # caller id under which the commands are sent
     workspace: Workspace  # where the tip may be commanded
     step: StepLimits
+    depth_inserted: float  # where the arm begins to take streams [m]
     # pause between ``hold`` and the next stream [s]; longer than the arm's ``servo_timeout``
     quiet: float = 0.15
     jaw: JawRange | None = None  # range of the jaw; None: the instrument has no jaw

@@ -8,7 +8,7 @@ lies on the axis, so the scale at which a sample leaves the workspace has a clos
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,11 @@ class Workspace:
     depth_min: float
     depth_max: float
     cone: float
+
+    def from_here(self, p: Array) -> Workspace:
+        """For a way that begins at p (3,) in the rcm frame [m]: shallower, if p is, but no more."""
+        depth = float(np.linalg.norm(p)) - WALL_MARGIN
+        return self if depth >= self.depth_min else replace(self, depth_min=depth)
 
     def nearest(self, p: Array) -> tuple[Array, str]:
         """Limit a target to the workspace.
