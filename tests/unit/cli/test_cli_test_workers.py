@@ -149,8 +149,6 @@ def test_without_workers_the_session_is_preferred_while_a_test_in_real_time_runs
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "test_it.py").write_text(NOTES_PRIORITY)
     argv, env = command(tmp_path)
-    for name in [name for name in env if name.startswith("PYTEST_XDIST")]:
-        del env[name]
     line = f"{shlex.join([*argv, str(tmp_path)])} > log; cat /proc/self/autogroup"
     ended = subprocess.run(
         ["/bin/sh", "-c", line],
