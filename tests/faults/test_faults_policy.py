@@ -117,7 +117,9 @@ def _judge(rig: PolicyRig) -> None:
     # A starved machine may break a stream off: then its next step is too far away, and refused.
     refused = Counter(each.rule for each in rig.rejected)
     print(f"steps refused, by rule: {dict(refused)}")
-    assert set(refused) <= {"start"}, rig.rejected
+    for each in rig.rejected:
+        print(f"  {each.header.stamp.to_sec():.3f} step {each.step}: {each.text}")
+    assert set(refused) <= {"start"}
     step = rig.largest_step()
     print(f"largest step of the set-point in one cycle: {1e6 * step:.0f} um")
     # 50 mm/s are 0.1 mm in a cycle; who catches up after a stall goes at 0.25 m/s in each axis.

@@ -16,7 +16,11 @@ RADIUS = 0.015
 RAMP = 0.5
 """[s] Until the speed is reached."""
 ASTRAY = 0.008
-"""[m] Further from where it should be, the arm was led by somebody else: begin anew."""
+"""[m] An arm that rests further from where it should be was stopped, or led by somebody else:
+begin anew. One that moves is catching up, and a step back would be refused.
+"""
+AT_REST = 1e-4
+"""[m] An arm moves less in a step."""
 
 
 class Circle:
@@ -32,6 +36,7 @@ class Circle:
     def __init__(self, speed: float, rows: int) -> None:
         self._speed, self._rows = speed, rows
         self._begin: tuple[int, np.ndarray] | None = None
+        self._last: np.ndarray | None = None
         self._home: np.ndarray | None = None
         self._bearing = 0.0  # of the circle's middle, from where it begins [rad]
 
@@ -55,7 +60,9 @@ class Circle:
             astray = float(
                 np.linalg.norm(self._row(observation.step - first)[:3] + start[:3] - now)
             )
-        if self._begin is None or astray > ASTRAY:
+        rests = self._last is not None and float(np.linalg.norm(now - self._last)) < AT_REST
+        self._last = now
+        if self._begin is None or (astray > ASTRAY and rests):
             self._turn_home(now)
             self._begin = (
                 observation.step,
