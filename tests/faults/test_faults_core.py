@@ -50,7 +50,9 @@ def bad_command(bench: Bench, value: float) -> surg_core.MotionCommand:
         return command(motion, p=[0, 0, 0], roll_rate=value)
     if motion.endswith(("cp", "cv")):
         p, rotation = bench.setpoint(), [0.0, 0.0, 0.0, 1.0]
-        if motion.endswith("cp") and bench.rng.random() < 0.4:
+        # A finite rotation without a norm is no command: binding and node refuse its message.
+        turned = motion.endswith("cp") and bench.rng.random() < 0.4
+        if turned and not math.isfinite(value):
             rotation[bench.rng.integers(4)] = value
         else:
             p[bench.rng.integers(3)] = value
