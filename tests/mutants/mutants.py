@@ -637,6 +637,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "src/law/exact_follower.cpp",
         "qd = slowed_flange(J, options_.flange_velocity, qd, slow);",
         "",
+        ("test_exact_follower",),
     ),
     one(
         "retrace_in_motion_never_rests",

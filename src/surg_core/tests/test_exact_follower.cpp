@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "support/lagging_arm.hpp"
+#include "support/test_arm.hpp"
 #include "support/test_support.hpp"
 #include "surg_core/law/exact_follower.hpp"
 
@@ -193,6 +194,38 @@ TEST(ExactFollower, ALinkThatIsLateForAMomentSlowsTheFlangeGradually) {
   double seconds = 0;
   for (; follower.flange_share() < 1 && seconds < 10; seconds += kT) follower.advance(rest, rest);
   EXPECT_NEAR(seconds, 1.9 + 1.5, 0.05);  // trusted again, then faster
+}
+
+/// Joints left behind, such as by a link that stood still, are pulled back: that adds to a
+/// reference near the flange's limit.
+TEST(ExactFollower, APullBackKeepsTheFlangesSpeedAndTheJointsAcceleration) {
+  Random random(9);
+  const Chain chain = test::ur5e_chain();
+  const int n = test::family(200, 20000);
+  constexpr double kLimit = 0.25;
+  long at_limit = 0;
+  for (int run = 0; run < n; ++run) {
+    JointVector q(6), way(6);
+    for (int i = 0; i < 6; ++i) q[i] = random.uniform(-2, 2), way[i] = random.uniform(-1, 1);
+    Pose X;
+    Jacobian J;
+    chain.forward(q, X, J);
+    way *= random.uniform(0, 0.97) * kLimit / (J * way).head<3>().norm();
+    const JointVector most = JointVector::Constant(6, 15.0);
+    ExactFollower follower(6, {0.012, 50, 2, kT, JointVector::Constant(6, 3.0), most, kLimit, {}});
+    if (way.cwiseAbs().maxCoeff() > 3) continue;
+    follower.reset(q + 0.1 * way, way);
+    JointVector last = way;
+    for (int k = 0; k < 40; ++k) {  // the arm stays where it is
+      const JointVector qd = follower.advance(kT * way, q, J);
+      ASSERT_LE((J * qd).head<3>().norm(), kLimit * (1 + 1e-9)) << "run " << run << " cycle " << k;
+      ASSERT_LE((qd - last).cwiseAbs().maxCoeff(), 15.0 * kT * (1 + 1e-9));
+      at_limit += (J * qd).head<3>().norm() > (1 - 1e-9) * kLimit;
+      last = qd;
+    }
+  }
+  EXPECT_GT(at_limit, n);
+  test::report("cycles at the limit", at_limit);
 }
 
 TEST(ExactFollower, ABrokenMeasurementTeachesNothing) {
