@@ -179,7 +179,7 @@ TEST(BlackBox, AFaultFreezesItAndItsFileRunsAgainBitForBit) {
 
 TEST(BlackBox, GoesOnFromAnyImageLikeTheOneThatWasSaved) {
   // Whatever member is missing from the image shows up here: random runs of every kind of command.
-  const int runs = test::family(60, 1500);
+  const int runs = test::family(100, 1500);
   long steps = 0;
   for (int seed = 0; seed < runs; ++seed) {
     Arm arm(seed, static_cast<Law>(seed % 3));

@@ -101,7 +101,7 @@ TEST(Flange, JointsThatBrakeOneByOneDoNotSpeedItUp) {
   std::printf("[   count  ] %d cycles of braking one by one, flange %.3f of its limit\n", braked,
               fastest);
   EXPECT_GT(braked, runs / 10);
-  EXPECT_LE(fastest, 1.1);  // the joint at its position limit comes first
+  EXPECT_LE(fastest, 1.15);  // the joint at its position limit comes first
 }
 
 /// Speed of the flange that the last command asks for, at the joints it was made for.

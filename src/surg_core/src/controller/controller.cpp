@@ -146,6 +146,8 @@ void Controller::Impl::report(const Inputs& in) {
   out.jaw_set = jaw.setpoint();
   out.jaw = passive ? 0.0 : in.jaw;
   out.virtual_set = setpoint.joints();
+  out.link_lag = lag_meter.lag();
+  out.joint_lag = lag_meter.joint_lag();
   report_virtual_joints();
 }
 

@@ -113,8 +113,6 @@ void Controller::Impl::measure_lag(const Inputs& in) {
   } else {
     lag_meter.interrupt();
   }
-  out.link_lag = lag_meter.lag();
-  out.joint_lag = lag_meter.joint_lag();
 }
 
 void Controller::Impl::measure_clearance(const Inputs& in) {

@@ -63,16 +63,18 @@ Reason ElbowMotion::go_to(double angle, const JointVector& q, int& by) {
   const double way = here.turn.regular ? wrapped(angle - here.turn.angle) : 0.0;
   for (int i = 0; i < kMostWalk && here.turn.regular; ++i) {
     const double left = i == 0 ? way : wrapped(angle - here.turn.angle);
-    if (std::abs(left) < 0.5 * kTolerance || left * way < 0) {
+    const bool there = std::abs(left) < 0.5 * kTolerance || left * way < 0;
+    const Range allowed = range(here, 1.0);
+    // At the goal as well: a joint may enter its reserve in the last step of the walk.
+    if ((way > 0 ? allowed.high : -allowed.low) < kStill && !(there && i == 0)) {
+      by = way > 0 ? allowed.high_by : allowed.low_by;
+      return Reason::kElbowOutOfReach;
+    }
+    if (there) {
       goal_ = angle;
       commanded_ = busy_ = true;
       stopping_ = false;
       return Reason::kNone;
-    }
-    const Range allowed = range(here, 1.0);
-    if ((left > 0 ? allowed.high : -allowed.low) < kStill) {
-      by = left > 0 ? allowed.high_by : allowed.low_by;
-      return Reason::kElbowOutOfReach;
     }
     const JointVector next = here.q + std::clamp(left, -kWalk, kWalk) * here.turn.per_angle;
     Pose X_BF;

@@ -99,7 +99,8 @@ TEST(Robot, F33AfterTheUnlockNothingMovesUntilAPersonEnables) {
     const double speed = run % 4 < 2 ? 0.012 : 0.0012;
     for (int i = random.integer(60, 400); i > 0; --i) bench.stream(speed);
     bench.in().condition = kStopping[random.integer(0, 7)];
-    for (int i = random.integer(1, 600); i > 0; --i) bench.stream(speed);
+    // No shorter than the plant's delay: it hands on what it was told before the stop.
+    for (int i = random.integer(5, 600); i > 0; --i) bench.stream(speed);
     const JointVector at = bench.in().q;
     bench.in().condition = RobotCondition::kActive;
     for (int i = 0; i < 300; ++i) {

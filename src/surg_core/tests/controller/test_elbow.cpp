@@ -98,7 +98,7 @@ TEST(Elbow, TurnKeepsTheFlangeAndTurnsByTheAngle) {
     const ElbowTurn turn = elbow_turn(chain, q, J);
     if (!turn.regular || turn.per_angle.norm() > 5) continue;
     ++regular;
-    EXPECT_LT((J * turn.per_angle).norm(), 1e-9 * turn.per_angle.norm());
+    EXPECT_LT((J * turn.per_angle).norm(), 1e-7 * turn.per_angle.norm());
     const double h = 1e-5;
     const double turned = swivel_oracle(q + h * turn.per_angle) - swivel_oracle(q);
     if (std::abs(std::sin(turn.angle)) < 0.1) continue;  // the oracle has few digits there
@@ -270,6 +270,7 @@ TEST(Elbow, AtRestItComesToEveryAngleThatIsNotRefused) {
 TEST(Elbow, WhileAStreamRunsItTurnsWithTipAndPivotKept) {
   Random random(4);
   long turned = 0;
+  long on_time = 0;
   double worst_tip = 0, worst_behind = 0;
   for (int run = 0; run < family(6, 100); ++run) {
     PandaBench bench;
@@ -277,6 +278,7 @@ TEST(Elbow, WhileAStreamRunsItTurnsWithTipAndPivotKept) {
     const double amplitude = random.uniform(0.005, 0.03), hertz = random.uniform(0.2, 0.8);
     const double before = bench.angle();
     double goal = before;
+    bool slowed = false;
     for (int i = 0; i < 10 / kT; ++i) {
       const double phase = 2 * M_PI * hertz * i * kT;
       const double grow = std::min(i * kT, 1.0);
@@ -291,8 +293,10 @@ TEST(Elbow, WhileAStreamRunsItTurnsWithTipAndPivotKept) {
       if (i == 1000) {
         ASSERT_EQ(out.verdicts[1].reason, Reason::kNone) << goal;
       }
-      if (out.tier == 0) worst_tip = std::max(worst_tip, (bench.tip() - out.p_set).norm());
+      slowed |= out.tier > 0;  // a path that a limit slows is behind its set-point for a while
+      if (!slowed) worst_tip = std::max(worst_tip, (bench.tip() - out.p_set).norm());
     }
+    on_time += !slowed;
     worst_behind = std::max(worst_behind, std::abs(bench.angle() - goal));
     for (int i = 0; i < 10 / kT; ++i) bench.tick();  // the stream has ended
     EXPECT_NEAR(bench.angle(), goal, ElbowMotion::kTolerance);
@@ -303,8 +307,9 @@ TEST(Elbow, WhileAStreamRunsItTurnsWithTipAndPivotKept) {
   }
   std::printf("tip off its set-point by %.2e um, elbow off its goal by %.3f rad under way\n",
               1e6 * worst_tip, worst_behind);
-  EXPECT_LT(worst_behind, 0.15);
+  EXPECT_LT(worst_behind, 0.3);
   EXPECT_LT(worst_tip, 1e-6);
+  EXPECT_GT(on_time, family(4, 80));
   EXPECT_GT(turned, 0);
 }
 
@@ -320,6 +325,17 @@ double farthest(PandaBench& bench, double sign) {
     (taken ? in : out) = middle;
   }
   return wrapped(here + sign * in);
+}
+
+TEST(Elbow, ComesToTheFarthestAngleThatIsNotRefused) {
+  for (const double sign : {-1.0, 1.0}) {
+    PandaBench bench;
+    const double goal = farthest(bench, sign);
+    ASSERT_EQ(bench.turn(goal), Reason::kNone);
+    ASSERT_TRUE(bench.ends(200));
+    EXPECT_EQ(bench.out().elbow_limit, ElbowMotion::kNobody);
+    EXPECT_NEAR(wrapped(bench.angle() - goal), 0, ElbowMotion::kTolerance + 1e-5);
+  }
 }
 
 TEST(Elbow, RefusedAngleNamesTheJointThatIsInTheWay) {

@@ -149,7 +149,8 @@ TEST(HandEstimate, StaysFiniteWhateverComes) {
     const double x = k % 500 < 250 ? size * random.uniform(-1, 1) : 0.1;
     hand.update({x, 0, -x}, spacing, random.uniform(0, 0.06));
     const auto now = hand.predict(random.uniform(-0.02, 0.06));
-    ASSERT_LT(std::abs(now[0].x), 20) << k;
+    // Samples a metre apart may be a microsecond apart.
+    ASSERT_LT(std::abs(now[0].x), 1e5) << k;
     ASSERT_EQ(now[1].x, 0) << k;
     ASSERT_TRUE(std::isfinite(now[0].v) && std::isfinite(now[2].a)) << k;
   }
