@@ -42,6 +42,13 @@ PLACES, DISTANCE, HERE = slice(0, 6), 6, slice(-3, None)
 """Columns of the features: vectors from the last command to the requested place and the assistant;
 the length of the first; the last command."""
 
+STILL = 1e-4
+"""A command stands that changes by less in a step [m]."""
+AHEAD, SHUT = 2e-3, 0.1
+"""A chunk that ends farther from the command in force [m], or with other jaws [rad], moves."""
+PATIENCE, KEPT = 20, 8
+"""Steps of standing still behind chunks that move, before one is played; so many steps of it."""
+
 TARGET, ALONG, HELPER = (slice(SAID + i, SAID + i + 3) for i in (0, 3, 6))
 """Columns of `Sight` in the rcm frame: where on the bowel the assistant pointed [m], the tube's
 direction there, the assistant's tip as if it lay on the bowel [m]."""
@@ -176,9 +183,15 @@ class ImagePolicy(Policy):
         self._sight = Sight(self.scales["plane"], self.scales["lens"])
         self._seen: Array | None = None
         self._before: tuple[Array, int | None] | None = None
+        self._count = self._hesitated = self._until = 0
 
-    def act(self, observation: Any) -> Array:
-        """The next actions, (K, 5), from an observation (`surg_policy_client.Observation`)."""
+    def act(self, observation: Any) -> Array | None:
+        """The next actions, (K, 5), from an observation (`surg_policy_client.Observation`).
+
+        None: those of before go on. Asked at each step, a hand may say for ever that it will move
+        in a moment: between two places that call for different actions their mean is to stand. Then
+        it keeps to a chunk for some steps.
+        """
         arrays = self.see(observation)
         state = np.asarray(arrays[STATE], np.float64).ravel()
         picture = np.asarray(arrays[PICTURE])
@@ -188,8 +201,19 @@ class ImagePolicy(Policy):
         last, moved = self._last_and_moved(state[self._columns][SET], observation)
         self._past.append((state, seen, last, moved))
         parts = [np.array(part) for part in zip(*self._past, strict=True)]
+        step = getattr(observation, "step", None)
+        now = self._count if step is None else int(step)
+        self._count = now + 1
+        if now < self._until and self._said is not None:
+            if step is None:
+                self._said = self._said[1:]  # its first row is the command in force
+            return None
         inputs = features(self._columns, *parts)[-1:]
-        return self.say(self.predict(inputs, last[None])[0], observation)
+        chunk = self.predict(inputs, last[None])[0]
+        self._hesitated = self._hesitated + 1 if _hesitates(chunk, last, moved) else 0
+        if self._hesitated > PATIENCE:
+            self._hesitated, self._until = 0, now + KEPT
+        return self.say(chunk, observation)
 
     def _last_and_moved(self, held: Array, observation: Any) -> tuple[Array, Array]:
         """The last command, and its change in one step: none where the arm begins anew."""
@@ -237,6 +261,14 @@ class ImagePolicy(Policy):
             attention=np.rint(255 * np.clip(self.network.eye.tube, 0, 1)).astype(np.uint8),
             area=(0.5 - half, 0.0, 0.5 + half, 1.0),
         )
+
+
+def _hesitates(chunk: Array, last: Array, moved: Array) -> bool:
+    """Whether the arm stands still behind a chunk (K, 5) that ends elsewhere."""
+    first, end = chunk[0], chunk[-1]
+    stands = max(np.linalg.norm(moved[:3]), np.linalg.norm(first[:3] - last[:3])) < STILL
+    goes = np.linalg.norm(end[:3] - last[:3]) > AHEAD or abs(end[4] - first[4]) > SHUT
+    return bool(stands and goes)
 
 
 if __name__ == "__main__":
