@@ -212,7 +212,7 @@ class ImagePolicy(Policy):
         chunk = self.predict(inputs, last[None])[0]
         self._hesitated = self._hesitated + 1 if _hesitates(chunk, last, moved) else 0
         if self._hesitated > PATIENCE:
-            self._hesitated, self._until = 0, now + KEPT
+            self._hesitated, self._until = 0, now + min(KEPT, len(chunk))
         return self.say(chunk, observation)
 
     def _last_and_moved(self, held: Array, observation: Any) -> tuple[Array, Array]:

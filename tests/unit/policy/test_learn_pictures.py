@@ -387,6 +387,37 @@ def test_how_fast_it_moves_it_knows_from_its_commands(policy: bgr_image_policy.I
         assert not moved(16, behind).any(), "it was refused"
 
 
+@pytest.mark.parametrize("counted", [True, False])
+def test_a_hand_that_hesitates_keeps_to_a_chunk(
+    policy: bgr_image_policy.ImagePolicy, monkeypatch: pytest.MonkeyPatch, counted: bool
+) -> None:
+    """It says at every step that it closes its jaws three steps later, and never gets there."""
+    shown = made.episode(7)
+    arrays = {bgr_policy.STATE: shown.state[0], bgr_image_policy.PICTURE: shown.views[0]}
+    jaws = np.array([0.6, 0.6, 0.3, 0.0])
+
+    def soon(inputs: np.ndarray, last: np.ndarray) -> np.ndarray:
+        return np.column_stack([np.repeat(last, 4, axis=0), jaws])[None]
+
+    def acted(steps: int) -> list[bool]:
+        """At which steps the hand is asked."""
+        policy.reset()
+        found = [At(step, arrays) if counted else arrays for step in range(steps)]
+        return [policy.act(each) is not None for each in found]
+
+    monkeypatch.setattr(policy, "predict", soon)
+    wait = bgr_image_policy.PATIENCE + 1
+    assert acted(2 * (wait + 3)) == 2 * [*wait * [True], *3 * [False]]
+    jaws[:] = 0.6  # what stands and means to stand is left alone
+    assert all(acted(3 * wait))
+    jaws[:] = [0.6, 0.6, 0.3, 0.0]
+    policy.reset()
+    for step in range(wait):
+        policy.act(At(step, arrays) if counted else arrays)
+    policy.acknowledged({"rejected": [{"step": 1, "rule": "start", "text": "too far"}]})
+    assert policy.act(At(wait, arrays) if counted else arrays) is not None, "refused: it asks anew"
+
+
 def test_numpy_alone_gives_what_the_trainer_had(
     policy: bgr_image_policy.ImagePolicy, tmp_path: Path
 ) -> None:
