@@ -215,7 +215,7 @@ def _write(cell: str, text: str) -> None:
     """docs/results/picture.md, one line by cell."""
     file = Path(paths.ROOT / "docs/results/picture.md")
     head = (
-        "# Hand and picture\n\nWritten by `SURG_TEST_FULL=1 ./surg test tests/unit/"
+        "# Hand and picture\n\nWritten by `SURG_TEST_FULL=1 ./surg test tests/unit/teleop/"
         "test_teleop_picture.py`: the tip that the teleoperation core commands, found in rendered "
         "stereo pictures (640 × 480), the endoscope moved during one engagement, scales 0.1 to 1."
         "\n\n"
