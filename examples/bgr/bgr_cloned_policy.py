@@ -130,8 +130,6 @@ class ClonedPolicy(Policy):
     def reset(self, instruction: str = "", seed: int | None = None) -> None:
         """Forget the last episode."""
         super().reset(instruction, seed)
-        self._count = 0
-        self._asked = 0
         self._chunks: deque[tuple[int, Array]] = deque(maxlen=self.chunk)
 
     def answer(self, views: Sequence[Array], state: Array, last: Array) -> Answer:
@@ -156,14 +154,10 @@ class ClonedPolicy(Policy):
         None: those of before go on. A policy that asks at each step starts from rest each time: it
         says a first small step again and again, and never leaves.
         """
-        step = getattr(observation, "step", None)
-        now = self._count if step is None else int(step)
-        self._count = now + 1
-        if self._said is not None and self._plays(now):
-            if step is None:
-                self._said = self._said[1:]  # its first row is the command in force
+        if self.goes_on(observation):
             return None
-        self._asked = now
+        if self._ensemble is None:
+            self._kept = min(self._play, self.chunk)
         arrays = self.see(observation)
         state = np.asarray(arrays[STATE], np.float64).ravel()[self._columns]
         held = state[SET]
@@ -173,12 +167,7 @@ class ClonedPolicy(Policy):
         views = [small(np.asarray(arrays[key]))[None] for key in self.pictures]
         said = self.answer(views, state[None], last[None]).chunk.cpu().numpy()
         chunk = self.actions(said, last[None])[0]
-        return self.say(self._blended(chunk, now), observation)
-
-    def _plays(self, now: int) -> bool:
-        """Whether the steps of the last chunk go on."""
-        played = 0 <= now - self._asked < min(self._play, self.chunk)
-        return self._ensemble is None and played
+        return self.say(self._blended(chunk, self._asked), observation)
 
     def _blended(self, chunk: Array, now: int) -> Array:
         """A chunk (K, 5) averaged with earlier ones, step by step (Zhao et al. 2023).

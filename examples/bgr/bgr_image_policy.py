@@ -183,7 +183,7 @@ class ImagePolicy(Policy):
         self._sight = Sight(self.scales["plane"], self.scales["lens"])
         self._seen: Array | None = None
         self._before: tuple[Array, int | None] | None = None
-        self._count = self._hesitated = self._until = 0
+        self._hesitated = 0
 
     def act(self, observation: Any) -> Array | None:
         """The next actions, (K, 5), from an observation (`surg_policy_client.Observation`).
@@ -201,18 +201,13 @@ class ImagePolicy(Policy):
         last, moved = self._last_and_moved(state[self._columns][SET], observation)
         self._past.append((state, seen, last, moved))
         parts = [np.array(part) for part in zip(*self._past, strict=True)]
-        step = getattr(observation, "step", None)
-        now = self._count if step is None else int(step)
-        self._count = now + 1
-        if now < self._until and self._said is not None:
-            if step is None:
-                self._said = self._said[1:]  # its first row is the command in force
+        if self.goes_on(observation):
             return None
         inputs = features(self._columns, *parts)[-1:]
         chunk = self.predict(inputs, last[None])[0]
         self._hesitated = self._hesitated + 1 if _hesitates(chunk, last, moved) else 0
         if self._hesitated > PATIENCE:
-            self._hesitated, self._until = 0, now + min(KEPT, len(chunk))
+            self._hesitated, self._kept = 0, min(KEPT, self.chunk)
         return self.say(chunk, observation)
 
     def _last_and_moved(self, held: Array, observation: Any) -> tuple[Array, Array]:

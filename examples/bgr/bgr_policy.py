@@ -328,6 +328,7 @@ class Policy:
         del instruction, seed
         self._said: np.ndarray | None = None
         self._said_at: int | None = None
+        self._count = self._asked = self._kept = 0
         self._past: deque[tuple[np.ndarray, ...]] = deque(maxlen=max(LAGS) + 1)
 
     def predict(self, inputs: np.ndarray, last: np.ndarray) -> np.ndarray:
@@ -373,6 +374,22 @@ class Policy:
         step = getattr(observation, "step", None)
         self._said, self._said_at = chunk, None if step is None else step + 1
         return chunk
+
+    def goes_on(self, observation: Any) -> bool:
+        """Whether the last chunk goes on: `_kept` of its steps are played from where it was asked.
+
+        Otherwise a new one is asked for now; a policy that keeps to it sets `_kept`. Call it once
+        for each observation. Without a grid time they are counted.
+        """
+        step = getattr(observation, "step", None)
+        now = self._count if step is None else int(step)
+        self._count = now + 1
+        if self._said is not None and 0 <= now - self._asked < self._kept:
+            if step is None:
+                self._said = self._said[1:]  # its first row is the command in force
+            return True
+        self._asked, self._kept = now, 0
+        return False
 
     def acknowledged(self, head: Mapping[str, Any]) -> None:
         """The server says what became of earlier steps: after a refusal the arm is at rest."""

@@ -399,11 +399,13 @@ def test_a_hand_that_hesitates_keeps_to_a_chunk(
     def soon(inputs: np.ndarray, last: np.ndarray) -> np.ndarray:
         return np.column_stack([np.repeat(last, 4, axis=0), jaws])[None]
 
+    def asked(step: int) -> bool:
+        return policy.act(At(step, arrays) if counted else arrays) is not None
+
     def acted(steps: int) -> list[bool]:
-        """At which steps the hand is asked."""
+        """At which steps of an episode the hand is asked."""
         policy.reset()
-        found = [At(step, arrays) if counted else arrays for step in range(steps)]
-        return [policy.act(each) is not None for each in found]
+        return [asked(step) for step in range(steps)]
 
     monkeypatch.setattr(policy, "predict", soon)
     wait = bgr_image_policy.PATIENCE + 1
@@ -411,11 +413,9 @@ def test_a_hand_that_hesitates_keeps_to_a_chunk(
     jaws[:] = 0.6  # what stands and means to stand is left alone
     assert all(acted(3 * wait))
     jaws[:] = [0.6, 0.6, 0.3, 0.0]
-    policy.reset()
-    for step in range(wait):
-        policy.act(At(step, arrays) if counted else arrays)
+    assert all(acted(wait))
     policy.acknowledged({"rejected": [{"step": 1, "rule": "start", "text": "too far"}]})
-    assert policy.act(At(wait, arrays) if counted else arrays) is not None, "refused: it asks anew"
+    assert asked(wait), "refused: it asks anew"
 
 
 def test_numpy_alone_gives_what_the_trainer_had(
