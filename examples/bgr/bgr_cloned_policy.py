@@ -55,7 +55,7 @@ class ClonedPolicy(Policy):
         pictures: Keys of the eyes.
     """
 
-    format = "surg_bgr_cloned_policy/2"
+    format = "surg_bgr_cloned_policy/3"
     trainer = "train_bgr_cloned.py"
 
     def __init__(

@@ -22,6 +22,8 @@ from torch import nn
 METHODS = ("bc", "act", "moe_act")
 ACTIONS = 5
 """Tip, roll, jaw."""
+CELLS = 8
+"""Side of the encoder's coarse map, whose cells are the transformers' tokens."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +46,11 @@ class Sizes:
     """Of the transformers' tokens."""
     heads: int = 8
     feed: int = 512
-    layers: int = 3
+    layers: int = 2
     """Of each of the transformers."""
     latent: int = 32
     hidden: int = 256
     """Of the perceptrons."""
-    dropout: float = 0.1
 
 
 @dataclass
@@ -97,7 +98,7 @@ class Encoder(nn.Module):
         )
         self.fine = nn.Sequential(Block(width, 2 * width, 2), Block(2 * width, 2 * width, 1))
         self.heat = nn.Conv2d(2 * width, places, 1)
-        self.coarse = nn.Sequential(Block(2 * width, 4 * width, 2), Block(4 * width, 4 * width, 1))
+        self.coarse = nn.Sequential(Block(2 * width, 4 * width, 2), Block(4 * width, 4 * width, 2))
         self.features = 2 * places + 4 * width
 
     def forward(self, x: Any) -> tuple[Any, Any]:
@@ -107,7 +108,7 @@ class Encoder(nn.Module):
             x: (B, 3, 120, 120), about -2 to 2.
 
         Returns:
-            The map as tokens (B, 225, 4 * width); places and the map's mean, (B, features).
+            The map as tokens (B, CELLS**2, 4 * width); places and the map's mean, (B, features).
         """
         # Half the numbers' length, on a GPU in training; places need the whole.
         fast = x.is_cuda and self.training
@@ -171,10 +172,12 @@ class Bc(nn.Module):
 
 
 def coder(sizes: Sizes) -> Any:
-    """A transformer over tokens."""
-    layer = nn.TransformerEncoderLayer(
-        sizes.model, sizes.heads, sizes.feed, sizes.dropout, batch_first=True
-    )
+    """A transformer over tokens.
+
+    Without dropout, which would cost a processor as much again as all the rest. The changes of the
+    pictures and the noise on the numbers stand against overfitting.
+    """
+    layer = nn.TransformerEncoderLayer(sizes.model, sizes.heads, sizes.feed, 0.0, batch_first=True)
     return nn.TransformerEncoder(layer, sizes.layers, enable_nested_tensor=False)
 
 
@@ -189,12 +192,10 @@ class Act(nn.Module):
         self.seen = nn.Linear(self.eye.features, model)
         self.numbers = nn.Linear(sizes.inputs, model)
         self.latent = nn.Linear(sizes.latent, model)
-        self.register_buffer("where", waves(15, model), persistent=False)
+        self.register_buffer("where", waves(CELLS, model), persistent=False)
         self.kinds = nn.Parameter(0.02 * torch.randn(2 + 2 * sizes.eyes, model))
         self.encoder = coder(sizes)
-        layer = nn.TransformerDecoderLayer(
-            model, sizes.heads, sizes.feed, sizes.dropout, batch_first=True
-        )
+        layer = nn.TransformerDecoderLayer(model, sizes.heads, sizes.feed, 0.0, batch_first=True)
         self.decoder = nn.TransformerDecoder(layer, sizes.layers)
         self.asked = nn.Parameter(0.02 * torch.randn(sizes.chunk, model))
         # What a person meant, from the whole chunk: in training only.

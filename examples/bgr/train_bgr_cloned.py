@@ -5,7 +5,8 @@
 It reads a LeRobot dataset (v2.1) or a folder of `train_bgr_cache.py`, and the same for all methods:
 pictures, what a robot measures, and the demonstrator's commands, varied by `train_bgr_looks.py`.
 MoE-ACT's gate learns the phases of the recordings, too. No method reads the simulator's truth.
-Equal data, options and seed give equal weights on a processor.
+Equal data, options and seed give equal weights on a processor. The same command goes on with a
+training that was interrupted (`train_bgr_kept.py`).
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from bgr_training import Array, Progress, half_cosine, jaw_range, normalised, sc
 from train_bgr_cache import NO_PHASE, PHASE, Recorded, eyes_of, recorded
 from train_bgr_eye import DEVICES, device_for
 from train_bgr_images import missed
+from train_bgr_kept import Kept, mark_of
 from train_bgr_looks import Looks, Varied, inside_of
 
 CHUNKS = {"bc": 16, "act": 40, "moe_act": 40}
@@ -49,7 +51,7 @@ class Options:
     """1: the left one; 2: both."""
     steps: int = 4000
     """Optimiser steps."""
-    batch: int = 128
+    batch: int = 32
     rate: float = 5e-4
     """Learning rate after `warm`; falls to zero along half a cosine."""
     warm: int = 200
@@ -113,18 +115,32 @@ class Steps:
 class Looked(Varied):
     """`Varied` for pictures that lie on the device, as (B, 3, side, side)."""
 
+    def begin(self, seed: int, step: int) -> None:
+        """What is drawn from now on depends on these alone."""
+        self._rng = np.random.default_rng([seed, 1, step])
+
     def __call__(self, views: Any, marks: Any = None) -> Any:
         """Variants as float32 grey levels."""
         return self.dressed(self._moved(views.float(), np.zeros((len(views), 1, 2)))[0])
 
 
 def train(
-    found: Recorded, options: Options, progress: Progress = lambda part, note: None
+    found: Recorded,
+    options: Options,
+    progress: Progress = lambda part, note: None,
+    on_the_way: Path | None = None,
 ) -> ClonedPolicy:
     """Train on the split ``train``.
 
+    Args:
+        found: Demonstrations.
+        options: How.
+        progress: Is told how far it is.
+        on_the_way: File that a training interrupted goes on from; None: it begins anew.
+
     Raises:
-        ValueError: The split is empty, phases are missing, or the device is not there.
+        ValueError: The split is empty, phases are missing, the device is not there, or the file is
+            of another training.
     """
     check(found, options)
     device = device_for(options.device)
@@ -138,7 +154,13 @@ def train(
     )
     torch.manual_seed(options.seed)  # weights are drawn on the processor: alike on every device
     network = network_of(sizes).to(device)
-    _fit(network, found, known, normalised(scales, numbers, known.targets), options, progress)
+    data = normalised(scales, numbers, known.targets)
+    kept = None
+    if on_the_way is not None:
+        some = [each[:: max(len(each) // 20, 1)] for each in found.views.values()]
+        about = {"options": asdict(options), "sizes": asdict(sizes), "torch": torch.__version__}
+        kept = Kept(on_the_way, mark_of(about, [*data, known.phase, *some]))
+    _fit(network, found, known, data, options, progress, kept)
     about: dict[str, Any] = {
         "method": options.method,
         "options": asdict(options),
@@ -199,10 +221,10 @@ def _fit(
     data: tuple[Array, Array],
     options: Options,
     progress: Progress,
+    kept: Kept | None,
 ) -> None:
     """Train a network; ``data`` are normalised numbers and chunks of all steps."""
     device = next(network.parameters()).device
-    rng = np.random.default_rng(options.seed)
     views = [torch.from_numpy(each[known.rows]).to(device) for each in found.views.values()]
     # The eyes of one observation look alike: the same draws for each.
     vary = [
@@ -214,7 +236,16 @@ def _fit(
     adam = torch.optim.AdamW(network.parameters(), lr=options.rate, weight_decay=options.decay)
     torch.backends.cuda.matmul.allow_tf32 = True  # a GPU's float32 with 10 bits instead of 23
     network.train()
-    for step in range(options.steps):
+    begin = 0 if kept is None else kept.load(network, adam)
+    if begin:
+        progress(begin / options.steps, f"goes on with step {begin} of {options.steps}")
+    for step in range(begin, options.steps):
+        if kept is not None and step > begin and step % Kept.EVERY == 0:
+            kept.save(step, network, adam)
+        rng = np.random.default_rng([options.seed, 0, step])
+        torch.manual_seed(int(rng.integers(2**63)))
+        for look in vary:
+            look.begin(options.seed, step)
         for group in adam.param_groups:
             rise = min((step + 1) / max(options.warm, 1), 1.0)
             group["lr"] = options.rate * rise * half_cosine(step / options.steps)
@@ -313,12 +344,15 @@ def main(words: Sequence[str] | None = None) -> int:
         options = Options(**chosen)
         if options.device != "auto":
             device_for(options.device)  # before minutes of reading
-        policy = train(recorded(given.data, eyes_of(options.eyes), show), options, show)
+        found = recorded(given.data, eyes_of(options.eyes), show)
+        on_the_way = given.out.with_name(f"{given.out.name}.part")
+        policy = train(found, options, show, on_the_way)
     except ValueError as error:
         print(f"train_bgr_cloned: {error}", file=sys.stderr)
         return 2
     given.out.parent.mkdir(parents=True, exist_ok=True)
     policy.save(given.out)
+    on_the_way.unlink(missing_ok=True)
     told = {**policy.about, "weights": policy.hash, "s": time.monotonic() - started}
     brief = {n: told[n] for n in ("method", "parameters", "frames", "train", "val") if n in told}
     print(json.dumps(told if given.json else brief), flush=True)

@@ -18,6 +18,8 @@ import bgr_cloned_policy as bgr_cloned_policy  # isort: skip
 import bgr_networks as bgr_networks  # isort: skip
 import train_bgr_cache  # isort: skip
 import train_bgr_cloned as train_bgr_cloned  # isort: skip
+import train_bgr_field as train_bgr_field  # isort: skip
+import train_bgr_kept as train_bgr_kept  # isort: skip
 
 LEFT, RIGHT = train_bgr_cache.LEFT, train_bgr_cache.RIGHT
 WHOLE, APPROACH, CLOSE = "Grasp the spot.", "Go to the spot.", "Close the jaws."

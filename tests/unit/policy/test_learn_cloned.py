@@ -22,6 +22,8 @@ from helpers.policy.bgr_cloned import (
     bgr_networks,
     train_bgr_cache,
     train_bgr_cloned,
+    train_bgr_field,
+    train_bgr_kept,
 )
 from helpers.policy.bgr_pictures import bgr_eye, train_bgr_looks
 from helpers.policy.bgr_synthetic import STATE, bgr_policy
@@ -184,6 +186,54 @@ def test_one_seed_gives_the_same_weights_and_another_others(method: str) -> None
     assert hashes[0] == hashes[1] != hashes[2]
 
 
+class Interrupted(Exception):
+    """Somebody stops a training."""
+
+
+def interrupted_at(part: float) -> Any:
+    def progress(done: float, note: str) -> None:
+        if done >= part:
+            raise Interrupted
+
+    return progress
+
+
+@pytest.mark.parametrize("method", bgr_networks.METHODS)
+def test_an_interrupted_training_goes_on_to_the_same_weights(
+    method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Interrupted twice, between two of the files that it writes."""
+    monkeypatch.setattr(train_bgr_kept.Kept, "EVERY", 20)
+    found = made.recorded(2)
+    options = dataclasses.replace(OPTIONS, method=method, steps=110, seed=3)
+    file = tmp_path / "w.npz.part"
+    for part in (0.4, 0.9):
+        with pytest.raises(Interrupted):
+            train_bgr_cloned.train(found, options, interrupted_at(part), file)
+    notes: list[str] = []
+    again = train_bgr_cloned.train(found, options, lambda part, note: notes.append(note), file)
+    assert notes[0] == "goes on with step 100 of 110"
+    assert again.hash == train_bgr_cloned.train(found, options).hash
+
+
+def test_the_beginning_of_another_training_is_refused(tmp_path: Path) -> None:
+    """Other options, other pictures, a file that is none; nothing is written over."""
+    found, file = made.recorded(2), tmp_path / "w.npz.part"
+    options = dataclasses.replace(OPTIONS, steps=250)
+    with pytest.raises(Interrupted):
+        train_bgr_cloned.train(found, options, interrupted_at(0.8), file)
+    kept = file.read_bytes()
+    dark = dataclasses.replace(found, views={LEFT: found.views[LEFT] // 2})
+    for data, other in ((found, dataclasses.replace(options, seed=1)), (dark, options)):
+        with pytest.raises(ValueError, match=r"w\.npz\.part: not the beginning.*remove it"):
+            train_bgr_cloned.train(data, other, on_the_way=file)
+        assert file.read_bytes() == kept
+    for broken in (kept[:1000], b""):
+        file.write_bytes(broken)
+        with pytest.raises(ValueError, match="not the beginning of this training"):
+            train_bgr_cloned.train(found, options, on_the_way=file)
+
+
 # --- deployment ---------------------------------------------------------------------------------
 
 
@@ -311,6 +361,7 @@ def test_a_dataset_and_its_folder_of_small_pictures_hold_the_same(tmp_path: Path
     assert isinstance(train_bgr_cache.recorded(small, (LEFT,)).views[LEFT], np.memmap)
     words = [str(small), "--method", "bc", "--out", str(tmp_path / "w.npz"), "--steps", "1"]
     assert train_bgr_cloned.main([*words, "--batch", "2", "--device", "cpu"]) == 0
+    assert not (tmp_path / "w.npz.part").exists()
     head = np.load(tmp_path / "w.npz", allow_pickle=False)["head"].tobytes()
     assert json.loads(head)["about"]["frames"] == len(found.state)
 
@@ -320,6 +371,27 @@ def test_steps_that_lead_to_a_miss_are_left_out() -> None:
     found.action[10:12, 4] = 0.0  # closes on nothing, and opens again
     rows = train_bgr_cloned.Steps.of(found, "train", 4).rows
     assert set(range(11)).isdisjoint(rows) and 12 in rows
+
+
+# --- several trainings ---------------------------------------------------------------------------
+
+
+def test_the_field_is_trained_side_by_side_and_what_is_there_is_not_trained_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without phases MoE-ACT fails, and says why; the others are trained."""
+    train_bgr_cache.save(dataclasses.replace(made.recorded(1), phases=[]), tmp_path / "small")
+    out = tmp_path / "field"
+    words = [str(tmp_path / "small"), str(out), "--seeds", "0", "4", "--steps", "1", "--batch", "2"]
+    assert train_bgr_field.main([*words, "--device", "cpu", "--methods", "bc", "moe_act"]) == 1
+    files = {seed: out / f"bc_{seed}.npz" for seed in (0, 4)}
+    assert {Policy.load(file).about["options"]["seed"] for file in files.values()} == {0, 4}
+    said = capsys.readouterr().err.strip().splitlines()
+    assert len(said) == 2 and all(re.search("moe_act.*needs the phases", line) for line in said)
+    before = files[4].stat().st_mtime_ns
+    files[0].unlink()
+    assert train_bgr_field.main([*words, "--device", "cpu", "--methods", "bc"]) == 0
+    assert files[0].exists() and files[4].stat().st_mtime_ns == before
 
 
 # --- what does not fit --------------------------------------------------------------------------

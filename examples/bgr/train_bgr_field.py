@@ -1,0 +1,142 @@
+"""Trains all that the image policy is compared with: each method with several seeds, side by side.
+
+    python3 examples/bgr/train_bgr_field.py runs/views runs/field
+
+Each training is a `train_bgr_cloned.py` of its own on one thread, which writes
+`runs/field/METHOD_SEED.npz` and a `.log`. Options that are not listed here are passed on to it. The
+same command goes on where it was interrupted, and trains what is missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from bgr_networks import METHODS
+
+from surg_cli.host.terminal import Progress, say
+
+TRAINER = Path(__file__).with_name("train_bgr_cloned.py")
+COST = {"bc": 1.0, "act": 2.0, "moe_act": 2.0}
+"""Time of a training, about, in that of the first."""
+PERIOD_S = 2.0
+
+
+@dataclass
+class Training:
+    """One of several.
+
+    Attributes:
+        name: Method and seed.
+        command: Runs it.
+        out: Its weights.
+        log: What it prints: JSON lines.
+    """
+
+    name: str
+    command: list[str]
+    out: Path
+    log: Path
+    cost: float
+    process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Run it on one thread."""
+        with self.log.open("ab") as log:
+            environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+            self.process = subprocess.Popen(self.command, stdout=log, stderr=log, env=environment)
+
+    def done(self) -> float:
+        """Share that is done; of a log that cannot be read none."""
+        if self.out.exists():
+            return 1.0
+        try:
+            last = self.log.read_text("utf-8").splitlines()[-1]
+            return float(json.loads(last)["part"])
+        except (OSError, ValueError, KeyError, IndexError, TypeError):
+            return 0.0
+
+    def said(self) -> str:
+        """The last line that it printed."""
+        return (self.log.read_text("utf-8").splitlines() or ["nothing"])[-1]
+
+
+def planned(given: argparse.Namespace, more: Sequence[str]) -> list[Training]:
+    """All trainings, seed by seed: what is stopped early has all methods alike."""
+    found = []
+    for seed in given.seeds:
+        for method in given.methods:
+            out = given.out / f"{method}_{seed}.npz"
+            words = [str(given.data), "--method", method, "--seed", str(seed), "--out", str(out)]
+            command = [sys.executable, str(TRAINER), *words, "--json", *more]
+            log = out.with_suffix(".log")
+            found.append(Training(out.stem, command, out, log, COST[method]))
+    return found
+
+
+def run(trainings: Sequence[Training], jobs: int) -> list[Training]:
+    """Train what is missing, so many at a time; returns what failed."""
+    waiting = [each for each in trainings if not each.out.exists()]
+    running, failed = list[Training](), list[Training]()
+    started, whole = time.monotonic(), sum(each.cost for each in trainings)
+    begun = sum(each.cost * each.done() for each in trainings)
+    try:
+        with Progress("training") as progress:
+            while waiting or running:
+                while waiting and len(running) < jobs:
+                    running.append(waiting.pop(0))
+                    running[-1].start()
+                time.sleep(PERIOD_S)
+                for each in [r for r in running if r.process and r.process.poll() is not None]:
+                    running.remove(each)
+                    if not each.out.exists():
+                        failed.append(each)
+                done = sum(each.cost * each.done() for each in trainings)
+                left = (time.monotonic() - started) * (whole - done) / max(done - begun, 1e-9)
+                names = ", ".join(each.name for each in running)
+                when = f"; {left / 60:.0f} min left" if done > begun else ""
+                progress.update(done / whole, names + when)
+    finally:
+        for each in running:
+            if each.process:
+                each.process.terminate()
+    return failed
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Entry point; returns 0, 2 for unusable words, or 1 if a training failed."""
+    parser = argparse.ArgumentParser(
+        prog="train_bgr_field", description=(__doc__ or "").split("\n")[0]
+    )
+    parser.add_argument("data", type=Path, help="of ./surg export, or of train_bgr_cache.py")
+    parser.add_argument("out", type=Path, help="folder for the weights")
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS)
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="at a time")
+    given, more = parser.parse_known_args(words)
+    if given.jobs < 1:
+        parser.error(f"--jobs {given.jobs}: allowed are 1 and more")
+    given.out.mkdir(parents=True, exist_ok=True)
+    trainings = planned(given, more)
+    try:
+        failed = run(trainings, given.jobs)
+    except KeyboardInterrupt:
+        say("interrupted: the same command goes on")
+        return 130
+    for each in trainings:
+        if each not in failed:
+            say(f"{each.name}: {each.out}")
+    for each in failed:
+        print(f"train_bgr_field: {each.name}: {each.said()} ({each.log})", file=sys.stderr)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
