@@ -4,9 +4,9 @@
 
 `train_bgr_cloned.py` writes the weights, which name their method. The policy reads
 `observation.state` and the endoscope's picture or pictures: **what a robot can measure, and nothing
-else**. It plays the first steps of a chunk before it asks the network again (`--play`), or, with
-`--ensemble`, asks at each step and averages. Of the episode it remembers what it said. One thread
-runs it.
+else**. It plays a chunk nearly to its end before it asks the network again, as ACT's authors do
+(`--play`), or, with `--ensemble`, asks at each step and averages. Of the episode it remembers what
+it said. One thread runs it.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ from bgr_networks import Answer, Sizes, network_of
 from bgr_policy import SET, STATE, Policy, serve, state_columns, weights_of, write_weights
 
 Array = np.ndarray
+AGAIN = 8
+"""Steps after which it says what is left of a chunk: the model server takes those of 0.6 s."""
 
 
 def numbers_of(state: Array, last: Array) -> Array:
@@ -131,6 +133,7 @@ class ClonedPolicy(Policy):
         """Forget the last episode."""
         super().reset(instruction, seed)
         self._chunks: deque[tuple[int, Array]] = deque(maxlen=self.chunk)
+        self._told = 0
 
     def answer(self, views: Sequence[Array], state: Array, last: Array) -> Answer:
         """What the network says of B observations.
@@ -155,7 +158,7 @@ class ClonedPolicy(Policy):
         says a first small step again and again, and never leaves.
         """
         if self.goes_on(observation):
-            return None
+            return self._rest(observation)
         if self._ensemble is None:
             self._kept = min(self._play, self.chunk)
         arrays = self.see(observation)
@@ -167,7 +170,18 @@ class ClonedPolicy(Policy):
         views = [small(np.asarray(arrays[key]))[None] for key in self.pictures]
         said = self.answer(views, state[None], last[None]).chunk.cpu().numpy()
         chunk = self.actions(said, last[None])[0]
+        self._told = self._asked
         return self.say(self._blended(chunk, self._asked), observation)
+
+    def _rest(self, observation: Any) -> Array | None:
+        """What is left of the chunk that goes on, every few steps; None in between."""
+        now = self._count - 1
+        if self._said is None or now - self._told < AGAIN:
+            return None
+        self._told = now
+        # Without grid times the rows that were played are gone already.
+        left = 0 if getattr(observation, "step", None) is None else now - self._asked
+        return self._said[left:]
 
     def _blended(self, chunk: Array, now: int) -> Array:
         """A chunk (K, 5) averaged with earlier ones, step by step (Zhao et al. 2023).

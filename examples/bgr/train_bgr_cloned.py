@@ -36,8 +36,8 @@ from train_bgr_looks import Looks, Varied, inside_of
 CHUNKS = {"bc": 16, "act": 40, "moe_act": 40}
 """Actions predicted at once: those of the image policy; 2 s, as in ACT's paper."""
 
-MOST_PLAY = 12
-"""Steps of an answer that the model server takes: those of 0.6 s (``max_obs_age_s``)."""
+RESERVE = 4
+"""Steps of a chunk that are left for a late answer."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ class Options:
     """Weight of the latent's divergence, as in ACT's paper."""
     gate: float = 1.0
     """Weight of the gate's cross-entropy with the phases."""
-    play: int = 8
-    """Steps of a chunk that are played before the next one is asked for."""
+    play: int | None = None
+    """Steps of a chunk that are played before the next one is asked for; None: all but `RESERVE`."""
     ensemble: float | None = None
     """Rate of the temporal ensemble at deployment (ACT's paper: 0.01), which asks at each step;
     None: no ensemble."""
@@ -144,7 +144,7 @@ def train(
     """
     check(found, options)
     device = device_for(options.device)
-    chunk = CHUNKS[options.method] if options.chunk is None else options.chunk
+    chunk = chunk_of(options)
     known = Steps.of(found, "train", chunk)
     numbers = numbers_of(known.state, known.last)
     scales = {**scales_of(numbers, known.targets), "jaw_range": jaw_range(known.targets)}
@@ -165,7 +165,7 @@ def train(
         "method": options.method,
         "options": asdict(options),
         "ensemble": options.ensemble,
-        "play": options.play,
+        "play": max(chunk - RESERVE, 1) if options.play is None else options.play,
         "dataset": found.about,
         "pictures": list(found.views),
         "phases": found.phases if phases else [],
@@ -185,6 +185,11 @@ def train(
     return policy
 
 
+def chunk_of(options: Options) -> int:
+    """Actions predicted at once."""
+    return CHUNKS[options.method] if options.chunk is None else options.chunk
+
+
 def check(found: Recorded, options: Options) -> None:
     """Refuse what cannot be trained.
 
@@ -193,13 +198,11 @@ def check(found: Recorded, options: Options) -> None:
     """
     if options.method not in METHODS:
         raise ValueError(f"method {options.method!r}: allowed are {', '.join(METHODS)}")
-    if not 1 <= options.play <= MOST_PLAY:
-        raise ValueError(
-            f"--play {options.play}: allowed are 1 to {MOST_PLAY}; the model server takes no more "
-            "steps of an answer"
-        )
-    if options.chunk is not None and options.chunk < 1:
-        raise ValueError(f"--chunk {options.chunk}: allowed are 1 and more")
+    chunk = chunk_of(options)
+    if chunk < 1:
+        raise ValueError(f"--chunk {chunk}: allowed are 1 and more")
+    if options.play is not None and not 1 <= options.play <= chunk:
+        raise ValueError(f"--play {options.play}: allowed are 1 to {chunk}, the steps of a chunk")
     if "train" not in found.split:
         raise ValueError("the dataset has no episode in its split 'train'")
     if found.names[ACTION] != ACTIONS:
@@ -320,7 +323,7 @@ def parsed(words: Sequence[str] | None) -> argparse.Namespace:
         ("steps", int, "optimiser steps"),
         ("batch", int, "observations of a step"),
         ("chunk", int, "actions predicted at once"),
-        ("play", int, "steps that are played before the next chunk is asked for (default 8)"),
+        ("play", int, "steps that are played before the next chunk is asked for (all but 4)"),
         ("ensemble", float, "rate of ACT's temporal ensemble, which asks at each step"),
         ("noise", float, "on normalised numbers, standard deviation (default 0.3)"),
         ("moved", float, "chance of a shifted and turned picture (default 0.5)"),

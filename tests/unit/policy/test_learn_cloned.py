@@ -327,6 +327,34 @@ def test_it_plays_the_steps_of_a_chunk_before_it_asks_again(
     np.testing.assert_allclose(lasts[-1], 0.0, err_msg="the arm is at rest again")
 
 
+@pytest.mark.parametrize("numbered", [False, True])
+def test_a_long_chunk_is_said_again_before_the_server_forgets_it(
+    numbered: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A server that takes 12 steps of an answer plays all rows, each at its own time."""
+    policy = weights({"method": "bc", "chunk": 40}, play=36)
+    zero = np.zeros((1, 120, 120, 3), np.uint8)
+    asked: list[int] = []
+
+    def chunk_from(said: Any, last: np.ndarray) -> np.ndarray:
+        asked.append(step)
+        rows = 1e-4 * (asked[-1] + np.arange(40))[:, None]
+        return np.tile(rows, 5)[None]
+
+    monkeypatch.setattr(policy, "answer", lambda *a: SimpleNamespace(chunk=torch.zeros(1, 200)))
+    monkeypatch.setattr(policy, "actions", chunk_from)
+    arrays = {"observation.state": np.zeros(len(STATE)), LEFT: zero[0]}
+    policy.reset()
+    left: list[float] = []
+    for step in range(90):
+        seen = SimpleNamespace(arrays=arrays, step=step) if numbered else arrays
+        answer = policy.act(seen)
+        if answer is not None:
+            left = list(answer[:12, 0])
+        assert 1e4 * left.pop(0) == pytest.approx(step)
+    assert asked == [0, 36, 72]
+
+
 # --- looks --------------------------------------------------------------------------------------
 
 
@@ -406,7 +434,7 @@ def test_the_field_is_trained_side_by_side_and_what_is_there_is_not_trained_agai
         ({"features": {"observation.state": {}}}, [], "endoscope.left"),
         ({"fps": 10}, [], "10 Hz; allowed: 20.*--fps"),
         ({"codebase_version": "v3.0"}, [], "v3.0.*allowed: v2.1.*--format lerobot"),
-        ({}, ["--play", "13"], "--play 13: allowed are 1 to 12"),
+        ({}, ["--play", "17"], "--play 17: allowed are 1 to 16"),
         ({}, ["--chunk", "0"], "--chunk 0: allowed are 1 and more"),
     ],
     ids=[
