@@ -66,7 +66,8 @@ class Options:
     gate: float = 1.0
     """Weight of the gate's cross-entropy with the phases."""
     play: int | None = None
-    """Steps of a chunk that are played before the next one is asked for; None: all but `RESERVE`."""
+    """Steps of a chunk that are played before the next one is asked for; None: but for the last
+    `RESERVE` all."""
     ensemble: float | None = None
     """Rate of the temporal ensemble at deployment (ACT's paper: 0.01), which asks at each step;
     None: no ensemble."""
