@@ -73,7 +73,8 @@ class Options:
     None: no ensemble."""
     seed: int = 0
     device: str = "auto"
-    looks: Looks = field(default_factory=Looks)
+    looks: Looks = field(default_factory=lambda: Looks(moved=0.0))
+    """Pictures are not shifted and turned: that takes more steps than a laptop has."""
     sizes: dict[str, int] = field(default_factory=dict)
     """Further `Sizes` than their defaults."""
 
@@ -327,7 +328,7 @@ def parsed(words: Sequence[str] | None) -> argparse.Namespace:
         ("play", int, "steps that are played before the next chunk is asked for (all but 4)"),
         ("ensemble", float, "rate of ACT's temporal ensemble, which asks at each step"),
         ("noise", float, "on normalised numbers, standard deviation (default 0.3)"),
-        ("moved", float, "chance of a shifted and turned picture (default 0.5)"),
+        ("moved", float, "chance of a shifted and turned picture (default 0)"),
     ):
         parser.add_argument(f"--{name}", type=kind, help=about, default=argparse.SUPPRESS)
     return parser.parse_args(words)
