@@ -21,12 +21,13 @@ from pathlib import Path
 
 from bgr_networks import METHODS
 
-from surg_cli.host.terminal import Progress, say
-
 TRAINER = Path(__file__).with_name("train_bgr_cloned.py")
 COST = {"bc": 1.0, "act": 2.0, "moe_act": 2.0}
 """Time of a training, about, in that of the first."""
-PERIOD_S = 2.0
+PERIOD_S = 1.0
+"""Between two looks at the trainings."""
+NEWS_S = 20.0
+"""Between two lines."""
 
 
 @dataclass
@@ -87,22 +88,25 @@ def run(trainings: Sequence[Training], jobs: int) -> list[Training]:
     running, failed = list[Training](), list[Training]()
     started, whole = time.monotonic(), sum(each.cost for each in trainings)
     begun = sum(each.cost * each.done() for each in trainings)
+    news = started
     try:
-        with Progress("training") as progress:
-            while waiting or running:
-                while waiting and len(running) < jobs:
-                    running.append(waiting.pop(0))
-                    running[-1].start()
-                time.sleep(PERIOD_S)
-                for each in [r for r in running if r.process and r.process.poll() is not None]:
-                    running.remove(each)
-                    if not each.out.exists():
-                        failed.append(each)
+        while waiting or running:
+            while waiting and len(running) < jobs:
+                running.append(waiting.pop(0))
+                running[-1].start()
+            time.sleep(PERIOD_S)
+            for each in [r for r in running if r.process and r.process.poll() is not None]:
+                running.remove(each)
+                if not each.out.exists():
+                    failed.append(each)
+            now = time.monotonic()
+            if now - news > NEWS_S:
+                news = now
                 done = sum(each.cost * each.done() for each in trainings)
-                left = (time.monotonic() - started) * (whole - done) / max(done - begun, 1e-9)
+                left = (now - started) * (whole - done) / (done - begun) if done > begun else None
+                when = "" if left is None else f"; {left / 60:.0f} min left"
                 names = ", ".join(each.name for each in running)
-                when = f"; {left / 60:.0f} min left" if done > begun else ""
-                progress.update(done / whole, names + when)
+                print(f"{100 * done / whole:3.0f} % {names}{when}", flush=True)
     finally:
         for each in running:
             if each.process:
@@ -128,11 +132,11 @@ def main(words: Sequence[str] | None = None) -> int:
     try:
         failed = run(trainings, given.jobs)
     except KeyboardInterrupt:
-        say("interrupted: the same command goes on")
+        print("interrupted: the same command goes on")
         return 130
     for each in trainings:
         if each not in failed:
-            say(f"{each.name}: {each.out}")
+            print(f"{each.name}: {each.out}")
     for each in failed:
         print(f"train_bgr_field: {each.name}: {each.said()} ({each.log})", file=sys.stderr)
     return 1 if failed else 0
