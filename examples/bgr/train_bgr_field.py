@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -111,6 +112,7 @@ def run(trainings: Sequence[Training], jobs: int) -> list[Training]:
         for each in running:
             if each.process:
                 each.process.terminate()
+                each.process.wait()
     return failed
 
 
@@ -129,6 +131,9 @@ def main(words: Sequence[str] | None = None) -> int:
         parser.error(f"--jobs {given.jobs}: allowed are 1 and more")
     given.out.mkdir(parents=True, exist_ok=True)
     trainings = planned(given, more)
+    for each in trainings:
+        if each.out.exists():
+            print(f"{each.out} is there already")
     try:
         failed = run(trainings, given.jobs)
     except KeyboardInterrupt:
@@ -136,11 +141,12 @@ def main(words: Sequence[str] | None = None) -> int:
         return 130
     for each in trainings:
         if each not in failed:
-            print(f"{each.name}: {each.out}")
+            print(each.out)
     for each in failed:
         print(f"train_bgr_field: {each.name}: {each.said()} ({each.log})", file=sys.stderr)
     return 1 if failed else 0
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     sys.exit(main())

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import re
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -420,6 +424,33 @@ def test_the_field_is_trained_side_by_side_and_what_is_there_is_not_trained_agai
     files[0].unlink()
     assert train_bgr_field.main([*words, "--device", "cpu", "--methods", "bc"]) == 0
     assert files[0].exists() and files[4].stat().st_mtime_ns == before
+
+
+def test_a_field_that_is_stopped_leaves_no_training_behind(tmp_path: Path) -> None:
+    """It says how to go on, and what was trained is kept."""
+    train_bgr_cache.save(made.recorded(1), tmp_path / "small")
+    out = tmp_path / "field"
+    words = [str(tmp_path / "small"), str(out), "--seeds", "0", "--methods", "bc"]
+    more = ["--steps", "1000000", "--batch", "1", "--device", "cpu"]
+    command = [sys.executable, train_bgr_field.__file__, *words, *more]
+    field = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 120.0
+    while not (out / "bc_0.npz.part").exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    field.terminate()
+    said, _ = field.communicate(timeout=30.0)
+    assert field.returncode == 130 and "the same command goes on" in said
+    assert (out / "bc_0.npz.part").exists()
+    assert not running(str(out))
+
+
+def running(word: str) -> list[str]:
+    """Command lines that hold it."""
+    found = []
+    for file in Path("/proc").glob("[0-9]*/cmdline"):
+        with contextlib.suppress(OSError):
+            found.append(file.read_text("utf-8", "replace"))
+    return [line for line in found if word in line]
 
 
 # --- what does not fit --------------------------------------------------------------------------
