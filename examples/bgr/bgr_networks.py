@@ -174,8 +174,8 @@ class Bc(nn.Module):
 def coder(sizes: Sizes) -> Any:
     """A transformer over tokens.
 
-    Without dropout, which would cost a processor as much again as all the rest. The changes of the
-    pictures and the noise on the numbers stand against overfitting.
+    Without dropout, which costs a processor a quarter more. The changes of the pictures and the
+    noise on the numbers stand against overfitting.
     """
     layer = nn.TransformerEncoderLayer(sizes.model, sizes.heads, sizes.feed, 0.0, batch_first=True)
     return nn.TransformerEncoder(layer, sizes.layers, enable_nested_tensor=False)

@@ -160,8 +160,8 @@ def train(
     kept = None
     if on_the_way is not None:
         some = [each[:: max(len(each) // 20, 1)] for each in found.views.values()]
-        about = {"options": asdict(options), "sizes": asdict(sizes), "torch": torch.__version__}
-        kept = Kept(on_the_way, mark_of(about, [*data, known.phase, *some]))
+        how = {"options": asdict(options), "sizes": asdict(sizes), "torch": torch.__version__}
+        kept = Kept(on_the_way, mark_of(how, [*data, known.phase, *some]))
     _fit(network, found, known, data, options, progress, kept)
     about: dict[str, Any] = {
         "method": options.method,

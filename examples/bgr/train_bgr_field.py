@@ -36,18 +36,20 @@ class Training:
     """One of several.
 
     Attributes:
-        name: Method and seed.
         command: Runs it.
-        out: Its weights.
-        log: What it prints: JSON lines.
+        out: Its weights, named by method and seed.
+        cost: Of `COST`.
     """
 
-    name: str
     command: list[str]
     out: Path
-    log: Path
     cost: float
     process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def log(self) -> Path:
+        """What it prints: JSON lines."""
+        return self.out.with_suffix(".log")
 
     def start(self) -> None:
         """Run it on one thread."""
@@ -78,8 +80,7 @@ def planned(given: argparse.Namespace, more: Sequence[str]) -> list[Training]:
             out = given.out / f"{method}_{seed}.npz"
             words = [str(given.data), "--method", method, "--seed", str(seed), "--out", str(out)]
             command = [sys.executable, str(TRAINER), *words, "--json", *more]
-            log = out.with_suffix(".log")
-            found.append(Training(out.stem, command, out, log, COST[method]))
+            found.append(Training(command, out, COST[method]))
     return found
 
 
@@ -106,7 +107,7 @@ def run(trainings: Sequence[Training], jobs: int) -> list[Training]:
                 done = sum(each.cost * each.done() for each in trainings)
                 left = (now - started) * (whole - done) / (done - begun) if done > begun else None
                 when = "" if left is None else f"; {left / 60:.0f} min left"
-                names = ", ".join(each.name for each in running)
+                names = ", ".join(each.out.stem for each in running)
                 print(f"{100 * done / whole:3.0f} % {names}{when}", flush=True)
     finally:
         for each in running:
@@ -143,7 +144,7 @@ def main(words: Sequence[str] | None = None) -> int:
         if each not in failed:
             print(each.out)
     for each in failed:
-        print(f"train_bgr_field: {each.name}: {each.said()} ({each.log})", file=sys.stderr)
+        print(f"train_bgr_field: {each.out.stem}: {each.said()} ({each.log})", file=sys.stderr)
     return 1 if failed else 0
 
 

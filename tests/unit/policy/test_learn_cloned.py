@@ -301,13 +301,29 @@ def test_an_ensemble_is_the_weighted_mean_of_all_chunks_about_a_time(
     np.testing.assert_allclose(1e3 * policy.act(seen), 4.0, err_msg="the arm is at rest again")
 
 
+def scripted(
+    monkeypatch: pytest.MonkeyPatch, policy: Policy, chunk_from: Any, numbered: bool
+) -> Any:
+    """What the policy says at a step where its network's chunks are made up, (1, K, 5)."""
+    answer = SimpleNamespace(chunk=torch.zeros(1, 5 * policy.chunk))
+    monkeypatch.setattr(policy, "answer", lambda *a: answer)
+    monkeypatch.setattr(policy, "actions", chunk_from)
+    view = np.zeros((120, 120, 3), np.uint8)
+    arrays = {"observation.state": np.zeros(len(STATE)), LEFT: view}
+    policy.reset()
+
+    def act(step: int) -> Any:
+        return policy.act(SimpleNamespace(arrays=arrays, step=step) if numbered else arrays)
+
+    return act
+
+
 @pytest.mark.parametrize("numbered", [False, True])
 def test_it_plays_the_steps_of_a_chunk_before_it_asks_again(
     numbered: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The next chunk begins at the last row that was played; a refusal ends the playing at once."""
     policy = weights({"method": "bc", "chunk": 6}, play=3)
-    zero = np.zeros((1, 120, 120, 3), np.uint8)
     lasts: list[np.ndarray] = []
 
     def chunk_from(said: Any, last: np.ndarray) -> np.ndarray:
@@ -315,14 +331,7 @@ def test_it_plays_the_steps_of_a_chunk_before_it_asks_again(
         along = 1e-3 * np.arange(1, 7)[:, None]
         return (np.append(last[0], 0.0) + along)[None]
 
-    monkeypatch.setattr(policy, "answer", lambda *a: SimpleNamespace(chunk=torch.zeros(1, 30)))
-    monkeypatch.setattr(policy, "actions", chunk_from)
-    arrays = {"observation.state": np.zeros(len(STATE)), LEFT: zero[0]}
-
-    def act(step: int) -> Any:
-        return policy.act(SimpleNamespace(arrays=arrays, step=step) if numbered else arrays)
-
-    policy.reset()
+    act = scripted(monkeypatch, policy, chunk_from, numbered)
     said = [act(step) for step in range(7)]
     assert [chunk is not None for chunk in said] == [True, False, False, True, False, False, True]
     np.testing.assert_allclose(np.array(lasts)[:, 0], [0.0, 3e-3, 6e-3])
@@ -337,7 +346,6 @@ def test_a_long_chunk_is_said_again_before_the_server_forgets_it(
 ) -> None:
     """A server that takes 12 steps of an answer plays all rows, each at its own time."""
     policy = weights({"method": "bc", "chunk": 40}, play=36)
-    zero = np.zeros((1, 120, 120, 3), np.uint8)
     asked: list[int] = []
 
     def chunk_from(said: Any, last: np.ndarray) -> np.ndarray:
@@ -345,14 +353,10 @@ def test_a_long_chunk_is_said_again_before_the_server_forgets_it(
         rows = 1e-4 * (asked[-1] + np.arange(40))[:, None]
         return np.tile(rows, 5)[None]
 
-    monkeypatch.setattr(policy, "answer", lambda *a: SimpleNamespace(chunk=torch.zeros(1, 200)))
-    monkeypatch.setattr(policy, "actions", chunk_from)
-    arrays = {"observation.state": np.zeros(len(STATE)), LEFT: zero[0]}
-    policy.reset()
+    act = scripted(monkeypatch, policy, chunk_from, numbered)
     left: list[float] = []
     for step in range(90):
-        seen = SimpleNamespace(arrays=arrays, step=step) if numbered else arrays
-        answer = policy.act(seen)
+        answer = act(step)
         if answer is not None:
             left = list(answer[:12, 0])
         assert 1e4 * left.pop(0) == pytest.approx(step)
