@@ -60,6 +60,22 @@ OTHER = 500
 """The pictures of another episode are those of the first seed from so much further on whose place
 is another one, for the judge too."""
 MOST_BLIND = 0.2
+PLAYED = (
+    "benchmarks/bench_imitation.py",
+    "benchmarks/policy/*.py",
+    "cells/sim_two_arms/**/*.yaml",
+    "examples/bgr/bgr_*.py",  # not the trainers
+    "src/surg_core/include/**/*.hpp",
+    "src/surg_core/python/**/*.[ch]pp",
+    "src/surg_core/python/**/*.py",
+    "src/surg_core/src/**/*.[ch]pp",
+    "src/surg_description/*/**/*.yaml",
+    "src/surg_description/*/**/*.urdf",
+    "src/surg_policy_bridge/src/**/*.py",
+    "src/surg_sim/src/**/*.py",
+    "src/surg_sim/src/**/*.xml",
+)
+"""What decides a roll-out beside the weights, in the checkout."""
 
 
 @dataclass(frozen=True)
@@ -218,10 +234,10 @@ def judge(job: Job) -> Result:
 
 @cache
 def programs() -> str:
-    """SHA-256 of what decides a roll-out beside the weights: policies, conditions, simulation."""
+    """SHA-256 of the files of `PLAYED`."""
     found = hashlib.sha256()
-    for folder in ("examples/bgr", "benchmarks/policy", "src/surg_sim/src/surg_sim"):
-        for file in sorted((paths.ROOT / folder).rglob("*.py")):
+    for pattern in PLAYED:
+        for file in sorted(paths.ROOT.glob(pattern)):
             found.update(file.read_bytes())
     return found.hexdigest()
 

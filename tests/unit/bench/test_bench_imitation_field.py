@@ -172,6 +172,38 @@ def test_kept_results_are_those_of_the_same_programs(
         bench_imitation.Book(tmp_path, "a")
 
 
+def test_a_changed_controller_plays_anew_and_a_changed_trainer_does_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert all(any(paths.ROOT.glob(pattern)) for pattern in bench_imitation.PLAYED)
+    monkeypatch.setattr(paths, "ROOT", tmp_path)
+
+    def after(change: str) -> str:
+        file = tmp_path / change
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text("changed", "utf-8")
+        bench_imitation.programs.cache_clear()
+        return bench_imitation.programs()
+
+    try:
+        before = after("examples/bgr/train_bgr_looks.py")
+        assert after("examples/bgr/train_bgr_cloned.py") == before
+        programs = {before}
+        for change in (
+            "benchmarks/policy/sights.py",
+            "cells/sim_two_arms/cell.yaml",
+            "examples/bgr/bgr_networks.py",
+            "src/surg_core/src/law/rcm.cpp",
+            "src/surg_description/robots/ur5e.yaml",
+            "src/surg_sim/src/surg_sim/physics/assets/bowel.xml",
+        ):
+            programs.add(after(change))
+        assert len(programs) == 7
+    finally:
+        monkeypatch.undo()
+        bench_imitation.programs.cache_clear()
+
+
 def test_the_time_of_an_answer_is_that_of_answers(tmp_path: Path) -> None:
     """A policy that plays steps of before says None."""
     answers = iter([np.zeros((8, 5)), None, None])
