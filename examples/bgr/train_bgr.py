@@ -9,45 +9,35 @@ losses on `train` and `val`.
 
 from __future__ import annotations
 
-import itertools
+import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from bgr_policy import (
     ACTION,
     DISTANCE,
     FORCE,
-    HERE,
-    PLACES,
     SET,
     STATE,
     TASK,
     TENSION,
     Columns,
-    Network,
     Policy,
     features,
     force_columns,
 )
-from bgr_training import (
-    Adam,
+from train_bgr_command import brief_of, chosen, parser_of, trained
+from train_bgr_dataset import (
     Array,
     Dataset,
     Progress,
-    command_line,
     facts,
-    flat_layers,
     flat_names,
-    gradient_of,
-    half_cosine,
-    initialise,
     jaw_range,
     last_commands,
-    mean_error,
     normalised,
     scales_of,
     split_episodes,
@@ -55,42 +45,18 @@ from bgr_training import (
     targets_of,
     world_of,
 )
-
-OPEN, NEAR = 0.6, 0.03
-"""Jaws less open than this [rad] and nearer to the requested node than this [m] will grasp."""
-THERE = 0.0015
-"""Jaws may close within this distance of their target [m]."""
+from train_bgr_hand import HandOptions, Samples, fit_hand, may_move
+from train_bgr_perceptron import mean_error, size_of
 
 
 @dataclass(frozen=True)
-class Options:
-    """Training options; their values were chosen on tuning seeds."""
+class Options(HandOptions):
+    """Training options."""
 
-    chunk: int = 16
-    """Actions predicted at once."""
-    hidden: tuple[int, ...] = (256, 256)
-    steps: int = 5000
-    """Optimiser steps."""
-    batch: int = 256
-    rate: float = 1.5e-3
-    """Initial learning rate; falls to zero along half a cosine."""
-    decay: float = 1e-4
-    """Weight decay."""
-    noise: float = 0.02
-    """Standard deviation of the noise on normalised inputs."""
-    noise_place: float = 0.3
-    """The same for the last command, so that the policy does not depend on absolute position."""
-    push: float = 0.004
-    """Standard deviation of the offset of every second sample without a grasp, per axis [m]."""
-    back: float = 0.25
-    """Time constant of the return from that offset [s]."""
     forces: bool = False
     """Read `observation.force`, too."""
     tension: bool = True
     """Read the tissue's tension in the simulator's truth."""
-    behind: int = 2
-    """Largest lag of the observation behind the last command [steps], as in real time."""
-    seed: int = 0
 
 
 @dataclass
@@ -122,86 +88,31 @@ def read(folder: Path, forces: bool = False) -> Dataset[Episode]:
     return Dataset(episodes, names, {"fps": info["fps"], "robot": info["robot_type"]})
 
 
-@dataclass
-class Samples:
-    """N training steps; SI.
+def samples(
+    episodes: Sequence[Episode], columns: Columns, X_RW: Array, chunk: int, behind: int = 0
+) -> Samples:
+    """The steps of all episodes, in order.
 
-    Attributes:
-        inputs: (N, F) of `features`.
-        targets: (N, K, 5) of `targets_of`.
-        free: (N,) whether the arm may be displaced: it holds nothing and is not about to grasp.
-        jaw: (N,) jaw angle [rad].
+    Args:
+        episodes: Of the dataset.
+        columns: Of the observations.
+        X_RW: (4, 4) pose of the world in the rcm frame.
+        chunk: Actions ahead.
+        behind: Each step appears with its own observation and with each of the ``behind`` earlier
+            ones. Last command and target are those of the step itself.
     """
-
-    inputs: Array
-    targets: Array
-    free: Array
-    jaw: Array
-
-    @classmethod
-    def of(
-        cls,
-        episodes: Sequence[Episode],
-        columns: Columns,
-        X_RW: Array,
-        chunk: int,
-        behind: int = 0,
-    ) -> Samples:
-        """The steps of all episodes, in order.
-
-        Args:
-            episodes: Of the dataset.
-            columns: Of the observations.
-            X_RW: (4, 4) pose of the world in the rcm frame.
-            chunk: Actions ahead.
-            behind: Each step appears with its own observation and with each of the ``behind``
-                earlier ones. Last command and target are those of the step itself.
-        """
-        parts = []
-        for episode in episodes:
-            last = last_commands(episode, columns.state[SET])
-            targets = targets_of(episode, last, chunk)
-            for steps in range(behind + 1):
-                row = np.maximum(np.arange(len(last)) - steps, 0)
-                state, task = episode.state[row], episode.task[row]
-                felt = None if episode.force is None else episode.force[row]
-                inputs = features(columns, state, task, last, X_RW, felt)
-                held = task[:, columns.task["held"]] >= 0
-                jaw = state[:, columns.state[4]]
-                free = ~held & ((jaw > OPEN) | (inputs[:, DISTANCE] > NEAR))
-                parts.append((inputs, targets, free, jaw))
-        return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
-
-    def scales(self, tension: bool) -> dict[str, Array]:
-        """Scales of inputs and targets, and range of the jaw; without tension, it is hidden."""
-        found = scales_of(self.inputs, self.targets) | {"jaw_range": jaw_range(self.targets)}
-        if not tension:
-            found["input_std"][TENSION] = np.inf
-        return found
-
-    def pushed(self, rows: Array, push: Array, left: Array) -> tuple[Array, Array]:
-        """Steps with the arm displaced, and the chunk that returns.
-
-        A free arm follows its commands, so the correct chunk is known: it closes the gap. The jaws
-        do not close before.
-
-        Args:
-            rows: (B,) indices of samples.
-            push: (B, 3) displacement [m].
-            left: (K,) remaining share of it at each step of the chunk.
-
-        Returns:
-            Inputs (B, F) and targets (B, K, 5).
-        """
-        x, y, jaw = self.inputs[rows], self.targets[rows], self.jaw[rows][:, None]
-        push = push * self.free[rows][:, None]
-        x[:, PLACES] -= np.tile(push, 3)
-        x[:, DISTANCE] = np.linalg.norm(x[:, :3], axis=1)
-        x[:, HERE] += push
-        y[:, :, :3] += push[:, None, :] * (left - 1.0)[:, None]
-        far = np.linalg.norm(push, axis=1)[:, None] * left > THERE
-        y[:, :, 4] = np.where(far, np.maximum(y[:, :, 4], jaw), y[:, :, 4])
-        return x, y
+    parts = []
+    for episode in episodes:
+        last = last_commands(episode.state, episode.action, columns.state[SET])
+        targets = targets_of(episode.action, last, chunk)
+        for steps in range(behind + 1):
+            row = np.maximum(np.arange(len(last)) - steps, 0)
+            state, task = episode.state[row], episode.task[row]
+            felt = None if episode.force is None else episode.force[row]
+            inputs = features(columns, state, task, last, X_RW, felt)
+            jaw, held = state[:, columns.state[4]], task[:, columns.task["held"]].ravel()
+            parts.append((inputs, targets, may_move(held, jaw, inputs[:, DISTANCE]), jaw))
+    return Samples.joined(parts, places=DISTANCE)
 
 
 def train(
@@ -220,31 +131,18 @@ def train(
         raise ValueError("the dataset has no episode in its split 'train'")
     X_RW = world_of(shown, columns)
     parts = {
-        split: Samples.of(episodes, columns, X_RW, options.chunk, options.behind)
+        split: samples(episodes, columns, X_RW, options.chunk, options.behind)
         for split, episodes in dataset.episodes.items()
     }
     known = parts["train"]
-    scales = known.scales(options.tension) | {"X_RW": X_RW}
-    rng = np.random.default_rng(options.seed)
-    sizes = [known.inputs.shape[1], *options.hidden, 5 * options.chunk]
-    shapes = list(itertools.pairwise(sizes))
-    flat, layers = flat_layers(shapes)
-    initialise(layers, rng)
-    network, adam = Network(layers), Adam(flat, options.decay)
-    slope, grads = flat_layers(shapes)
-    noise = np.full(sizes[0], options.noise, np.float32)
-    noise[HERE] = options.noise_place
-    left = np.exp(-np.arange(1, options.chunk + 1) / (options.back * dataset.about["fps"]))
-    for step in range(options.steps):
-        rows = rng.integers(0, len(known.inputs), options.batch)
-        push = options.push * rng.standard_normal((options.batch, 3))
-        push[::2] = 0.0
-        x, y = normalised(scales, *known.pushed(rows, push, left))
-        x += noise * rng.standard_normal(x.shape, np.float32)
-        loss = gradient_of(network, grads, x, y)
-        adam.step(slope, options.rate * half_cosine(step / options.steps))
-        if step % 50 == 0:
-            progress(step / options.steps, f"step {step} of {options.steps}, loss {loss:.4f}")
+    scales = {
+        **scales_of(known.inputs, known.targets),
+        "jaw_range": jaw_range(known.targets),
+        "X_RW": X_RW,
+    }
+    if not options.tension:
+        scales["input_std"][TENSION] = np.inf
+    network = fit_hand(known, scales, options, dataset.about["fps"], progress)
     losses = {
         split: mean_error(network, *normalised(scales, part.inputs, part.targets))
         for split, part in parts.items()
@@ -254,7 +152,7 @@ def train(
         "dataset": dataset.about,
         "episodes": {split: len(found) for split, found in dataset.episodes.items()},
         "frames": sum(len(episode.state) for episode in shown),
-        "parameters": int(flat.size),
+        "parameters": size_of(network),
         "loss": losses,
         "observation": [STATE, TASK, *([FORCE] if options.forces else [])],
         "privileged": [TASK],
@@ -264,12 +162,25 @@ def train(
 
 def main(words: Sequence[str] | None = None) -> int:
     """Entry point; returns 0, or 2 for an unusable dataset."""
+    parser = parser_of("train_bgr", (__doc__ or "").split("\n")[0])
+    parser.add_argument(
+        "--forces", action="store_true", default=argparse.SUPPRESS, help="read observation.force"
+    )
+    parser.add_argument(
+        "--no-tension",
+        dest="tension",
+        action="store_false",
+        default=argparse.SUPPRESS,
+        help="do not read the tissue's tension, which no robot measures",
+    )
 
-    def make(folder: Path, given: dict[str, Any], show: Progress) -> Policy:
-        options = Options(**given)
-        return train(read(folder, options.forces), options, show)
+    given = parser.parse_args(words)
 
-    return command_line("train_bgr", (__doc__ or "").split("\n")[0], make, words, forces=True)
+    def make(show: Progress) -> Policy:
+        options = chosen(Options, given)
+        return train(read(given.dataset, options.forces), options, show)
+
+    return trained(parser.prog, given, make, brief_of)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ import os
 import shutil
 import sys
 import tempfile
+import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,10 +24,9 @@ from typing import Any
 import numpy as np
 from bgr_eye import SIDE
 from bgr_policy import ACTION, STATE
-from bgr_training import (
+from train_bgr_dataset import (
     Array,
     Progress,
-    check_rate,
     facts,
     file_of,
     flat_names,
@@ -105,8 +105,7 @@ def read(
     """
     info = facts(folder, (STATE, ACTION, *pictures))
     for key in pictures:
-        shape = info["features"][key]["shape"]
-        check_size(folder, shape, shape[0])
+        check_size(folder, key, info["features"][key]["shape"])
     named = [PHASE, WHOLE] if {PHASE, WHOLE} <= set(info["features"]) else []
     found = list(split_episodes(info))
     tables: list[list[Array]] = []
@@ -203,24 +202,23 @@ def load(folder: Path, pictures: Sequence[str]) -> Recorded:
         head = json.loads((folder / "views.json").read_text("utf-8"))
         if head.get("format") != FORMAT:
             raise ValueError(f"its format is not {FORMAT}")
-        missing = [key for key in pictures if key not in head["views"]]
+        missing = ", ".join(key for key in pictures if key not in head["views"])
         if missing:
-            raise ValueError(f"no pictures of {', '.join(missing)}; make it with --eyes 2")
+            raise ValueError(f"it has no {missing}: make it with --eyes 2")
         with np.load(folder / "tables.npz", allow_pickle=False) as tables:
             arrays = {name: tables[name] for name in tables.files}
         views = {
             key: np.load(folder / f"{key}.npy", mmap_mode="r", allow_pickle=False)
             for key in pictures
         }
-        check_rate(folder, head["about"]["fps"])
         shape = (len(arrays["state"]), SIDE, SIDE, 3)
         if any(each.shape != shape or each.dtype != np.uint8 for each in views.values()):
             raise ValueError(f"pictures of another shape than {shape}")
         return Recorded(
             **arrays, views=views, **{n: head[n] for n in ("split", "names", "phases", "about")}
         )
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{folder}: no folder of small pictures ({error})") from None
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{folder}: not usable as a folder of small pictures: {error}") from None
 
 
 def main(words: Sequence[str] | None = None) -> int:

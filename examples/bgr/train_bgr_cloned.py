@@ -5,18 +5,16 @@
 It reads a LeRobot dataset (v2.1) or a folder of `train_bgr_cache.py`, and the same for all methods:
 pictures, what a robot measures, and the demonstrator's commands, varied by `train_bgr_looks.py`.
 MoE-ACT's gate learns the phases of the recordings, too. No method reads the simulator's truth.
-Equal data, options and seed give equal weights on a processor. The same command goes on with a
-training that was interrupted (`train_bgr_kept.py`).
+Equal data, options, seed and number of threads give equal weights on a processor. The same command
+goes on with a training that was interrupted (`train_bgr_kept.py`).
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +24,22 @@ from bgr_cloned_policy import ClonedPolicy, numbers_of, scaled
 from bgr_eye import SIDE
 from bgr_networks import METHODS, Answer, Sizes, network_of
 from bgr_policy import ACTION, ACTIONS, SET, STATE, state_columns
-from bgr_training import Array, Progress, half_cosine, jaw_range, normalised, scales_of
 from train_bgr_cache import NO_PHASE, PHASE, Recorded, eyes_of, recorded
+from train_bgr_command import chosen, parser_of, trained
+from train_bgr_dataset import (
+    Array,
+    Progress,
+    jaw_range,
+    last_commands,
+    normalised,
+    scales_of,
+    targets_of,
+)
 from train_bgr_eye import DEVICES, device_for
 from train_bgr_images import missed
 from train_bgr_kept import Kept, mark_of
 from train_bgr_looks import Looks, Varied, inside_of
+from train_bgr_perceptron import half_cosine
 
 CHUNKS = {"bc": 16, "act": 40, "moe_act": 40}
 """Actions predicted at once: those of the image policy; 2 s, as in ACT's paper."""
@@ -42,7 +50,10 @@ RESERVE = 4
 
 @dataclass(frozen=True)
 class Options:
-    """Training options; the same for all methods but for the chunk. None was tuned."""
+    """Training options; the same for all methods but for the chunk.
+
+    `play` and `looks.moved` were chosen on tuning seeds, with ACT; no other was tuned.
+    """
 
     method: str = "bc"
     chunk: int | None = None
@@ -104,12 +115,10 @@ class Steps:
         parts = []
         for episode in found.episodes(split):
             state, action = found.state[episode][:, columns], found.action[episode]
-            last = np.vstack([state[:1, SET], action[:-1, :4]])
-            row = np.arange(len(state))
-            targets = action[np.minimum(row[:, None] + np.arange(chunk), len(row) - 1)]
-            targets[:, :, :4] -= last[:, None, :]
+            last = last_commands(state, action, SET)
+            targets = targets_of(action, last, chunk)
             good = ~missed(action[:, 4])
-            rows = episode.start + row
+            rows = np.arange(episode.start, episode.stop)
             parts.append([a[good] for a in (rows, state, last, targets, found.phase[episode])])
         return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
@@ -145,7 +154,7 @@ def train(
             of another training.
     """
     check(found, options)
-    device = device_for(options.device)
+    options = replace(options, device=device_for(options.device))
     chunk = chunk_of(options)
     known = Steps.of(found, "train", chunk)
     numbers = numbers_of(known.state, known.last)
@@ -155,12 +164,17 @@ def train(
         options.method, chunk, numbers.shape[1], len(found.views), phases, **options.sizes
     )
     torch.manual_seed(options.seed)  # weights are drawn on the processor: alike on every device
-    network = network_of(sizes).to(device)
+    network = network_of(sizes).to(options.device)
     data = normalised(scales, numbers, known.targets)
     kept = None
     if on_the_way is not None:
         some = [each[:: max(len(each) // 20, 1)] for each in found.views.values()]
-        how = {"options": asdict(options), "sizes": asdict(sizes), "torch": torch.__version__}
+        how = {
+            "options": asdict(options),
+            "sizes": asdict(sizes),
+            "torch": torch.__version__,
+            "threads": torch.get_num_threads(),
+        }
         kept = Kept(on_the_way, mark_of(how, [*data, known.phase, *some]))
     _fit(network, found, known, data, options, progress, kept)
     about: dict[str, Any] = {
@@ -229,11 +243,10 @@ def _fit(
     kept: Kept | None,
 ) -> None:
     """Train a network; ``data`` are normalised numbers and chunks of all steps."""
-    device = next(network.parameters()).device
-    views = [torch.from_numpy(each[known.rows]).to(device) for each in found.views.values()]
+    device = options.device
     # The eyes of one observation look alike: the same draws for each.
     vary = [
-        Looked(torch, SIDE, options.looks, inside_of(each), options.seed, str(device))
+        Looked(torch, SIDE, options.looks, inside_of(each), options.seed, device)
         for each in found.views.values()
     ]
     numbers, targets = (torch.from_numpy(each).to(device) for each in data)
@@ -254,10 +267,12 @@ def _fit(
         for group in adam.param_groups:
             rise = min((step + 1) / max(options.warm, 1), 1.0)
             group["lr"] = options.rate * rise * half_cosine(step / options.steps)
-        rows = torch.from_numpy(rng.integers(0, len(numbers), options.batch)).to(device)
+        picked = rng.integers(0, len(numbers), options.batch)
+        rows = torch.from_numpy(picked).to(device)
+        shown = (np.asarray(each[known.rows[picked]]) for each in found.views.values())
         seen = [
-            scaled(look(each[rows].permute(0, 3, 1, 2)))
-            for look, each in zip(vary, views, strict=True)
+            scaled(look(torch.from_numpy(each).to(device).permute(0, 3, 1, 2)))
+            for look, each in zip(vary, shown, strict=True)
         ]
         told = targets[rows]
         noisy = numbers[rows] + options.noise * torch.randn_like(numbers[rows])
@@ -309,59 +324,50 @@ def errors(policy: ClonedPolicy, found: Recorded, steps: Steps) -> dict[str, flo
     return {"chunk": float(whole / count), "first": float(first / count), **gate}
 
 
-def parsed(words: Sequence[str] | None) -> argparse.Namespace:
+def parser() -> argparse.ArgumentParser:
     """The command line."""
-    parser = argparse.ArgumentParser(
-        prog="train_bgr_cloned", description=(__doc__ or "").split("\n")[0]
-    )
-    parser.add_argument("data", type=Path, help="of ./surg export, or of train_bgr_cache.py")
-    parser.add_argument("--method", choices=METHODS, required=True)
-    parser.add_argument("--out", type=Path, required=True, help="file for the weights (.npz)")
-    parser.add_argument("--device", choices=DEVICES, default=DEVICES[0], help="where it trains")
-    parser.add_argument("--eyes", type=int, choices=(1, 2), default=1, help="left, or left + right")
-    parser.add_argument("--json", action="store_true", help="progress as JSON lines")
+    data = "of ./surg export, or of train_bgr_cache.py"
+    made = parser_of("train_bgr_cloned", (__doc__ or "").split("\n")[0], data)
+    made.add_argument("--method", choices=METHODS, required=True)
+    made.add_argument("--device", choices=DEVICES, default=DEVICES[0], help="where it trains")
+    made.add_argument("--eyes", type=int, choices=(1, 2), default=1, help="left, or left + right")
     for name, kind, about in (
-        ("seed", int, "of weights, batches and looks (default 0)"),
-        ("steps", int, "optimiser steps"),
         ("batch", int, "observations of a step"),
-        ("chunk", int, "actions predicted at once"),
         ("play", int, "steps that are played before the next chunk is asked for (all but 4)"),
         ("ensemble", float, "rate of ACT's temporal ensemble, which asks at each step"),
         ("noise", float, "on normalised numbers, standard deviation (default 0.3)"),
         ("moved", float, "chance of a shifted and turned picture (default 0)"),
     ):
-        parser.add_argument(f"--{name}", type=kind, help=about, default=argparse.SUPPRESS)
-    return parser.parse_args(words)
+        made.add_argument(f"--{name}", type=kind, help=about, default=argparse.SUPPRESS)
+    return made
+
+
+def brief_of(known: dict[str, Any]) -> str:
+    """For `trained`."""
+    errors = ", ".join(f"{split} {known[split]['chunk']:.4f}" for split in known["episodes"])
+    return (
+        f"chunks of {known['chunk']}, {known['method']}, {known['parameters']} parameters, "
+        f"{known['frames']} frames, error {errors}"
+    )
 
 
 def main(words: Sequence[str] | None = None) -> int:
     """Entry point; returns 0, or 2 for unusable data."""
-    given = parsed(words)
-    chosen = {n: v for n, v in vars(given).items() if n not in ("data", "out", "json", "moved")}
-    if "moved" in given:
-        chosen["looks"] = Looks(moved=given.moved)
-    started = time.monotonic()
+    given = parser().parse_args(words)
+    on_the_way = given.out.with_name(f"{given.out.name}.part")
 
-    def show(part: float, note: str) -> None:
-        print(json.dumps({"part": part, "note": note}) if given.json else note, flush=True)
-
-    try:
-        options = Options(**chosen)
+    def make(show: Progress) -> ClonedPolicy:
+        looks = {"looks": Looks(moved=given.moved)} if "moved" in given else {}
+        options = chosen(Options, given, **looks)
         if options.device != "auto":
             device_for(options.device)  # before minutes of reading
-        found = recorded(given.data, eyes_of(options.eyes), show)
-        on_the_way = given.out.with_name(f"{given.out.name}.part")
-        policy = train(found, options, show, on_the_way)
-    except ValueError as error:
-        print(f"train_bgr_cloned: {error}", file=sys.stderr)
-        return 2
-    given.out.parent.mkdir(parents=True, exist_ok=True)
-    policy.save(given.out)
-    on_the_way.unlink(missing_ok=True)
-    told = {**policy.about, "weights": policy.hash, "s": time.monotonic() - started}
-    brief = {n: told[n] for n in ("method", "parameters", "frames", "train", "val") if n in told}
-    print(json.dumps(told if given.json else brief), flush=True)
-    return 0
+        found = recorded(given.dataset, eyes_of(options.eyes), show)
+        return train(found, options, show, on_the_way)
+
+    status = trained("train_bgr_cloned", given, make, brief_of)
+    if status == 0:
+        on_the_way.unlink(missing_ok=True)
+    return status
 
 
 if __name__ == "__main__":

@@ -31,8 +31,9 @@ from bgr_eye import (
 )
 from bgr_image_policy import CERTAIN, TARGET
 from bgr_policy import NODES
-from bgr_training import RATE, Array, half_cosine
+from train_bgr_dataset import RATE, Array
 from train_bgr_looks import Looks, Varied, inside_of
+from train_bgr_perceptron import half_cosine
 
 HEAT = 1.0
 """Standard deviation of a heat map's target [cells]."""

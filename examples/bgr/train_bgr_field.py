@@ -3,15 +3,15 @@
     python3 examples/bgr/train_bgr_field.py runs/views runs/field
 
 Each training is a `train_bgr_cloned.py` of its own on one thread, which writes
-`runs/field/METHOD_SEED.npz` and a `.log`. Options that are not listed here are passed on to it. The
-same command goes on where it was interrupted, and trains what is missing.
+`runs/field/METHOD_SEED.npz` and a `.log`. What follows ` -- ` are options of it. The same command
+goes on where it was interrupted, and trains what is missing; other options need another folder.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -29,6 +29,8 @@ PERIOD_S = 1.0
 """Between two looks at the trainings."""
 NEWS_S = 20.0
 """Between two lines."""
+PART = re.compile(r'^{"part": ([0-9.]+),', re.MULTILINE)
+"""The share that a line of a training's log says."""
 
 
 @dataclass
@@ -62,9 +64,8 @@ class Training:
         if self.out.exists():
             return 1.0
         try:
-            last = self.log.read_text("utf-8").splitlines()[-1]
-            return float(json.loads(last)["part"])
-        except (OSError, ValueError, KeyError, IndexError, TypeError):
+            return float(PART.findall(self.log.read_text("utf-8"))[-1])
+        except (OSError, IndexError):
             return 0.0
 
     def said(self) -> str:
@@ -120,14 +121,18 @@ def run(trainings: Sequence[Training], jobs: int) -> list[Training]:
 def main(words: Sequence[str] | None = None) -> int:
     """Entry point; returns 0, 2 for unusable words, or 1 if a training failed."""
     parser = argparse.ArgumentParser(
-        prog="train_bgr_field", description=(__doc__ or "").split("\n")[0]
+        prog="train_bgr_field",
+        description=(__doc__ or "").split("\n")[0],
+        usage="%(prog)s DATA OUT [options] [-- options of train_bgr_cloned.py]",
     )
     parser.add_argument("data", type=Path, help="of ./surg export, or of train_bgr_cache.py")
     parser.add_argument("out", type=Path, help="folder for the weights")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS)
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="at a time")
-    given, more = parser.parse_known_args(words)
+    words = sys.argv[1:] if words is None else list(words)
+    cut = words.index("--") if "--" in words else len(words)
+    given, more = parser.parse_args(words[:cut]), words[cut + 1 :]
     if given.jobs < 1:
         parser.error(f"--jobs {given.jobs}: allowed are 1 and more")
     given.out.mkdir(parents=True, exist_ok=True)

@@ -9,43 +9,34 @@ It reads the left endoscope's video (PyAV). The policy reads no ground truth.
 
 from __future__ import annotations
 
-import itertools
+import argparse
 import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from bgr_eye import HELD, TENSION, Eye, small, square
 from bgr_image_policy import (
     DISTANCE,
-    HERE,
     PICTURE,
-    PLACES,
     EyeAndHand,
     ImagePolicy,
     features,
     remembered,
 )
-from bgr_policy import ACTION, SET, STATE, TASK, Columns, Network
-from bgr_training import (
-    Adam,
+from bgr_policy import ACTION, SET, STATE, TASK, Columns
+from train_bgr_command import brief_of, chosen, parser_of, trained
+from train_bgr_dataset import (
     Array,
     Dataset,
     Progress,
-    command_line,
     facts,
     file_of,
-    flat_layers,
     flat_names,
-    gradient_of,
-    half_cosine,
-    initialise,
     jaw_range,
     last_commands,
-    mean_error,
     normalised,
     scales_of,
     split_episodes,
@@ -64,46 +55,30 @@ from train_bgr_eye import (
     plane_of,
     train_eye,
 )
+from train_bgr_hand import HandOptions, Samples, fit_hand, may_move
+from train_bgr_perceptron import mean_error, size_of
 
 CAMERA = "observation.camera_pose"
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-OPEN, NEAR = 0.6, 0.03
-"""Jaws less open than this [rad] and nearer to the requested node than this [m] will grasp."""
-THERE = 0.0015
-"""Jaws may close within this distance of their target [m]."""
-LABELS = ("simulator", "annotated")
-"""What the eye learns from: the simulator's truth; or only what a person could mark in pictures
-(tips, the tube's axis, who holds it) and where the robot's own tip was at each grasp."""
+LABELS = {
+    "simulator": [TASK],
+    "annotated": ["marks in pictures", "the assistant's jaw angle"],
+}
+"""What the eye learns from: the simulator's truth; or what a person could mark in pictures (tips,
+the tube's axis, who holds it) and what robots know of themselves: the assistant's jaw angle, and
+where the robot's own tip was at each grasp."""
 SHUT = 0.1
 """Commanded jaws less open than this close on something [rad]."""
 
 
 @dataclass(frozen=True)
-class Options:
-    """Training options of the hand; their values were chosen on tuning seeds."""
+class Options(HandOptions):
+    """Training options of hand and eye."""
 
-    chunk: int = 16
-    """Actions predicted at once."""
-    hidden: tuple[int, ...] = (256, 256)
     steps: int = 10000
-    """Optimiser steps."""
-    batch: int = 256
-    rate: float = 1.5e-3
-    """Initial learning rate; falls to zero along half a cosine."""
-    decay: float = 1e-4
-    """Weight decay."""
     noise: float = 0.3
     """Standard deviation of the noise on normalised inputs. What the eye says of pictures that it
     was trained on is better than what it says of others: with little noise the hand believes it."""
-    noise_place: float = 0.3
-    """The same for the last command, so that the policy does not depend on absolute position."""
-    push: float = 0.004
-    """Standard deviation of the offset of every second sample without a grasp, per axis [m]."""
-    back: float = 0.25
-    """Time constant of the return from that offset [s]."""
-    behind: int = 2
-    """Largest lag of the observation behind the last command [steps], as in real time."""
-    seed: int = 0
     device: str = "auto"
     """Where the eye is trained, see `train_bgr_eye.device_for`."""
     labels: str = "simulator"
@@ -134,7 +109,13 @@ def read(folder: Path, progress: Progress = lambda part, note: None) -> Dataset[
     info = facts(folder, (*needed, PICTURE))
     names = {name: flat_names(info["features"][name]["names"]) for name in needed}
     shape, K = info["features"][PICTURE]["shape"], intrinsics(folder)
-    check_size(folder, shape, K[3])
+    check_size(folder, PICTURE, shape)
+    if shape[0] != K[3]:
+        raise ValueError(
+            f"{folder}: {PICTURE} has the shape {list(shape)} (meta/info.json), but the camera's "
+            f"model is for a height of {K[3]:g} pixels (meta/calibration/index.json): export the "
+            "recordings again, which scales both alike"
+        )
     episodes: dict[str, list[Episode]] = {}
     found = list(split_episodes(info))
     for n, (split, index) in enumerate(found):
@@ -151,27 +132,22 @@ def read(folder: Path, progress: Progress = lambda part, note: None) -> Dataset[
     return Dataset(episodes, names, about)
 
 
-def check_size(folder: Path, shape: Sequence[int], calibrated: float) -> None:
-    """Refuse pictures that the eye cannot take, or of another size than the camera's model.
+def check_size(folder: Path, key: str, shape: Sequence[int]) -> None:
+    """Refuse pictures that the eye cannot take.
 
     Args:
         folder: Of the dataset.
-        shape: Height, width, 3 of its pictures [px].
-        calibrated: Height that the model is for [px].
+        key: Of the pictures.
+        shape: Height, width, 3 [px].
 
     Raises:
         ValueError: They do not fit.
     """
-    where = f"{folder}: {PICTURE} has the shape {list(shape)} (meta/info.json)"
     try:
         small(np.zeros(shape, np.uint8))
     except ValueError as problem:
+        where = f"{folder}: {key} has the shape {list(shape)} (meta/info.json)"
         raise ValueError(f"{where}; {problem}") from None
-    if shape[0] != calibrated:
-        raise ValueError(
-            f"{where}, but the camera's model is for a height of {calibrated:g} pixels "
-            "(meta/calibration/index.json): export the recordings again, which scales both alike"
-        )
 
 
 def intrinsics(folder: Path) -> list[float]:
@@ -246,80 +222,37 @@ def missed(jaw: Array) -> Array:
     return found
 
 
-@dataclass
-class Samples:
-    """N training steps; SI.
+def samples(
+    episodes: Sequence[Episode],
+    seen: Sequence[Array],
+    columns: Columns,
+    chunk: int,
+    behind: int = 0,
+) -> Samples:
+    """The steps of all episodes, in order, but for those that lead to a miss.
 
-    Attributes:
-        inputs: (N, F) of `features`.
-        targets: (N, K, 5) of `targets_of`.
-        free: (N,) whether the arm may be displaced: it holds nothing and is not about to grasp.
-        jaw: (N,) jaw angle [rad].
+    Args:
+        episodes: Of the dataset.
+        seen: (T, n) of `remembered`, for each episode.
+        columns: Of the observations.
+        chunk: Actions ahead.
+        behind: Each step appears with its own observation and with each of the ``behind`` earlier
+            ones. Last command and target are those of the step itself.
     """
-
-    inputs: Array
-    targets: Array
-    free: Array
-    jaw: Array
-
-    @classmethod
-    def of(
-        cls,
-        episodes: Sequence[Episode],
-        seen: Sequence[Array],
-        columns: Columns,
-        chunk: int,
-        behind: int = 0,
-    ) -> Samples:
-        """The steps of all episodes, in order, but for those that lead to a miss.
-
-        Args:
-            episodes: Of the dataset.
-            seen: (T, n) of `remembered`, for each episode.
-            columns: Of the observations.
-            chunk: Actions ahead.
-            behind: Each step appears with its own observation and with each of the ``behind``
-                earlier ones. Last command and target are those of the step itself.
-        """
-        parts = []
-        for episode, view in zip(episodes, seen, strict=True):
-            last = last_commands(episode, columns.state[SET])
-            moved = np.diff(last, axis=0, prepend=last[:1])
-            targets = targets_of(episode, last, chunk)
-            good = ~missed(episode.action[:, 4])
-            for steps in range(behind + 1):
-                row = np.maximum(np.arange(len(last)) - steps, 0)
-                state, task = episode.state[row], episode.task[row]
-                inputs = features(columns.state, state, view[row], last, moved)
-                held = (task[:, columns.task["held"]] >= 0).ravel()
-                jaw = state[:, columns.state[4]]
-                free = ~held & ((jaw > OPEN) | (inputs[:, DISTANCE] > NEAR))
-                parts.append([part[good] for part in (inputs, targets, free, jaw)])
-        return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
-
-    def pushed(self, rows: Array, push: Array, left: Array) -> tuple[Array, Array]:
-        """Steps with the arm displaced, and the chunk that returns.
-
-        A free arm follows its commands, so the correct chunk is known: it closes the gap. The jaws
-        do not close before. What is seen stays: the eye looks for the tissue, not for the arm.
-
-        Args:
-            rows: (B,) indices of samples.
-            push: (B, 3) displacement [m].
-            left: (K,) remaining share of it at each step of the chunk.
-
-        Returns:
-            Inputs (B, F) and targets (B, K, 5).
-        """
-        x, y, jaw = self.inputs[rows], self.targets[rows], self.jaw[rows][:, None]
-        push = push * self.free[rows][:, None]
-        x[:, PLACES] -= np.tile(push, 2)
-        x[:, DISTANCE] = np.linalg.norm(x[:, :3], axis=1)
-        x[:, HERE] += push
-        y[:, :, :3] += push[:, None, :] * (left - 1.0)[:, None]
-        far = np.linalg.norm(push, axis=1)[:, None] * left > THERE
-        y[:, :, 4] = np.where(far, np.maximum(y[:, :, 4], jaw), y[:, :, 4])
-        return x, y
+    parts = []
+    for episode, view in zip(episodes, seen, strict=True):
+        last = last_commands(episode.state, episode.action, columns.state[SET])
+        moved = np.diff(last, axis=0, prepend=last[:1])
+        targets = targets_of(episode.action, last, chunk)
+        good = ~missed(episode.action[:, 4])
+        for steps in range(behind + 1):
+            row = np.maximum(np.arange(len(last)) - steps, 0)
+            state, task = episode.state[row], episode.task[row]
+            inputs = features(columns.state, state, view[row], last, moved)
+            jaw, held = state[:, columns.state[4]], task[:, columns.task["held"]].ravel()
+            free = may_move(held, jaw, inputs[:, DISTANCE])
+            parts.append((inputs[good], targets[good], free[good], jaw[good]))
+    return Samples.joined(parts, places=DISTANCE)
 
 
 def train(
@@ -391,7 +324,7 @@ def train_hand(
         for split, episodes in dataset.episodes.items()
     }
     parts = {
-        split: Samples.of(episodes, seen[split], columns, options.chunk, options.behind)
+        split: samples(episodes, seen[split], columns, options.chunk, options.behind)
         for split, episodes in dataset.episodes.items()
     }
     known = parts["train"]
@@ -402,18 +335,24 @@ def train_hand(
         "lens": lens,
         "pointed": eye.pointed,
     }
-    hand, layers = _fit_hand(known, scales, options, dataset.about["fps"], progress)
+    hand = fit_hand(
+        known,
+        scales,
+        options,
+        dataset.about["fps"],
+        lambda part, note: progress(0.85 + 0.15 * part, f"hand, {note}"),
+    )
     losses = {
         split: mean_error(hand, *normalised(scales, part.inputs, part.targets))
         for split, part in parts.items()
     }
-    network = EyeAndHand([*eye.layers, *layers], eye.pointed)
+    network = EyeAndHand([*eye.layers, *hand.layers], eye.pointed)
     about = {
         "options": asdict(options),
         "dataset": dataset.about,
         "episodes": {split: len(found) for split, found in dataset.episodes.items()},
         "frames": sum(len(episode.state) for episode in dataset.episodes["train"]),
-        "parameters": int(sum(weight.size + bias.size for weight, bias in network.layers)),
+        "parameters": size_of(network),
         "network": "an eye of convolutions and a hand of a multilayer perceptron",
         "loss": losses,
         "eye": {
@@ -421,7 +360,10 @@ def train_hand(
         },
         "observation": [STATE, PICTURE],
         "privileged": [],
-        "labels": {"simulator": [TASK], "annotated": ["marks in pictures"]}[options.labels],
+        "labels": {
+            "simulator": [TASK],
+            "annotated": ["marks in pictures", "the assistant's jaw angle"],
+        }[options.labels],
     }
     return ImagePolicy(network, scales, dataset.names, options.chunk, about)
 
@@ -449,45 +391,26 @@ def plane_of_grasps(shown: Sequence[Episode], labels: Labels, columns: Columns) 
     return np.asarray(np.linalg.lstsq(square(places), np.array(tips), rcond=0.02)[0])
 
 
-def _fit_hand(
-    known: Samples, scales: dict[str, Array], options: Options, fps: float, progress: Progress
-) -> tuple[Network, list[tuple[Array, Array]]]:
-    """The hand, and its layers, trained on displaced and noisy samples."""
-    rng = np.random.default_rng(options.seed)
-    sizes = [known.inputs.shape[1], *options.hidden, 5 * options.chunk]
-    shapes = list(itertools.pairwise(sizes))
-    flat, layers = flat_layers(shapes)
-    initialise(layers, rng)
-    hand, adam = Network(layers), Adam(flat, options.decay)
-    slope, grads = flat_layers(shapes)
-    noise = np.full(sizes[0], options.noise, np.float32)
-    noise[HERE] = options.noise_place
-    left = np.exp(-np.arange(1, options.chunk + 1) / (options.back * fps))
-    for step in range(options.steps):
-        rows = rng.integers(0, len(known.inputs), options.batch)
-        push = options.push * rng.standard_normal((options.batch, 3))
-        push[::2] = 0.0
-        x, y = normalised(scales, *known.pushed(rows, push, left))
-        x += noise * rng.standard_normal(x.shape, np.float32)
-        loss = gradient_of(hand, grads, x, y)
-        adam.step(slope, options.rate * half_cosine(step / options.steps))
-        if step % 50 == 0:
-            note = f"hand, step {step} of {options.steps}, loss {loss:.4f}"
-            progress(0.85 + 0.15 * step / options.steps, note)
-    return hand, layers
-
-
 def main(words: Sequence[str] | None = None) -> int:
     """Entry point; returns 0, or 2 for an unusable dataset."""
+    parser = parser_of("train_bgr_images", (__doc__ or "").split("\n")[0])
+    for name, allowed, about in (
+        ("device", DEVICES, "where it trains"),
+        ("labels", tuple(LABELS), "the simulator's truth, or what people and robots can tell"),
+    ):
+        parser.add_argument(
+            f"--{name}", choices=allowed, default=argparse.SUPPRESS, help=f"{about} ({allowed[0]})"
+        )
 
-    def make(folder: Path, given: dict[str, Any], show: Progress) -> ImagePolicy:
-        options = Options(**given)
+    given = parser.parse_args(words)
+
+    def make(show: Progress) -> ImagePolicy:
+        options = chosen(Options, given)
         if options.device != "auto":
             device_for(options.device)  # before minutes of reading
-        return train(read(folder, show), options, show)
+        return train(read(given.dataset, show), options, show)
 
-    title = (__doc__ or "").split("\n")[0]
-    return command_line("train_bgr_images", title, make, words, devices=DEVICES, labels=LABELS)
+    return trained(parser.prog, given, make, brief_of)
 
 
 if __name__ == "__main__":

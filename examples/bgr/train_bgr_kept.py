@@ -71,7 +71,7 @@ class Kept:
                 arrays = {name: found[name] for name in found.files}
             head = json.loads(arrays.pop("head").tobytes())
             if (head["format"], head["mark"]) != (FORMAT, self._mark):
-                raise ValueError("other data, options or PyTorch")
+                raise ValueError("other data, options, PyTorch or number of threads")
             step = int(head["step"])
             there = {name: torch.from_numpy(array) for name, array in arrays.items()}
             network.load_state_dict({n: there[f"net_{n}"] for n in network.state_dict()})

@@ -12,6 +12,9 @@ sys.path.insert(0, str(paths.ROOT / "examples/bgr"))
 
 import bgr_policy
 import train_bgr
+import train_bgr_dataset as train_bgr_dataset
+import train_bgr_hand as train_bgr_hand
+import train_bgr_perceptron as train_bgr_perceptron
 
 NODES = bgr_policy.NODES
 STATE = [

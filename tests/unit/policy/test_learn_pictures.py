@@ -295,7 +295,7 @@ def test_a_command_that_is_moved_aside_is_led_back(policy: bgr_image_policy.Imag
     columns = bgr_policy.Columns(STATE, TASK)
     shown = made.dataset(2).episodes["train"]
     seen = [sight(policy, e) for e in shown]
-    known = train_bgr_images.Samples.of(shown, seen, columns, 4)
+    known = train_bgr_images.samples(shown, seen, columns, 4)
     rows = np.random.default_rng(2).permutation(len(known.inputs))
     push = 0.005 * np.random.default_rng(3).standard_normal((len(rows), 3))
     left = np.exp(-np.array([1, 2, 3, 4]) / 5.0)

@@ -13,7 +13,13 @@ import numpy as np
 import pytest
 
 from helpers.policy import bgr_synthetic as made
-from helpers.policy.bgr_synthetic import bgr_policy, train_bgr
+from helpers.policy.bgr_synthetic import (
+    bgr_policy,
+    train_bgr,
+    train_bgr_dataset,
+    train_bgr_hand,
+    train_bgr_perceptron,
+)
 from helpers.policy.example_program import said_alone
 
 FEW = train_bgr.Options(steps=60, hidden=(32, 32), batch=64, chunk=8)
@@ -35,7 +41,7 @@ def test_one_seed_one_policy(policy: bgr_policy.Policy) -> None:
 def test_the_gradient_is_that_of_the_loss() -> None:
     """Against central differences in float64, for every parameter of a small network."""
     rng = np.random.default_rng(3)
-    flat, layers = train_bgr.flat_layers([(5, 7), (7, 6), (6, 4)])
+    flat, layers = train_bgr_perceptron.flat_layers([(5, 7), (7, 6), (6, 4)])
     flat = flat.astype(np.float64)
     at, layers64 = 0, []
     for weight, bias in layers:
@@ -45,8 +51,8 @@ def test_the_gradient_is_that_of_the_loss() -> None:
     flat[:] = rng.normal(0.0, 0.5, flat.size)
     network = bgr_policy.Network(layers64)
     x, y = rng.normal(size=(11, 5)), rng.normal(size=(11, 4))
-    slope, grads = train_bgr.flat_layers([(5, 7), (7, 6), (6, 4)])
-    train_bgr.gradient_of(network, grads, x, y)
+    slope, grads = train_bgr_perceptron.flat_layers([(5, 7), (7, 6), (6, 4)])
+    train_bgr_perceptron.gradient_of(network, grads, x, y)
 
     def loss() -> float:
         error = np.abs(network(x) - y)
@@ -69,8 +75,8 @@ def test_what_is_seen_may_be_behind_what_was_said() -> None:
     columns = bgr_policy.Columns(made.STATE, made.TASK)
     (shown,) = made.dataset(train=1).episodes["train"]
     n, S = len(shown.state), columns.state
-    known = train_bgr.Samples.of([shown], columns, np.eye(4), 8, behind=2)
-    last = train_bgr.last_commands(shown, S[bgr_policy.SET])
+    known = train_bgr.samples([shown], columns, np.eye(4), 8, behind=2)
+    last = train_bgr_dataset.last_commands(shown.state, shown.action, S[bgr_policy.SET])
     for steps in range(3):
         part = slice(steps * n, (steps + 1) * n)
         seen = shown.state[np.maximum(np.arange(n) - steps, 0)]
@@ -79,7 +85,7 @@ def test_what_is_seen_may_be_behind_what_was_said() -> None:
         np.testing.assert_array_equal(known.jaw[part], seen[:, S[4]])
         behind = known.inputs[part, 13:16]
         np.testing.assert_allclose(behind, seen[:, S[:3]] - last[:, :3], atol=1e-15)
-    alone = train_bgr.Samples.of([shown], columns, np.eye(4), 8)
+    alone = train_bgr.samples([shown], columns, np.eye(4), 8)
     np.testing.assert_array_equal(alone.inputs, known.inputs[:n])
     assert len(known.inputs) == 3 * n
 
@@ -87,7 +93,7 @@ def test_what_is_seen_may_be_behind_what_was_said() -> None:
 def test_an_arm_that_is_moved_aside_comes_back_and_closes_no_jaw_before() -> None:
     columns = bgr_policy.Columns(made.STATE, made.TASK)
     shown = made.dataset().episodes["train"]
-    known = train_bgr.Samples.of(shown, columns, np.eye(4), 8)
+    known = train_bgr.samples(shown, columns, np.eye(4), 8)
     rng = np.random.default_rng(2)
     rows = rng.permutation(len(known.inputs))
     push = 0.005 * rng.standard_normal((len(rows), 3))
@@ -105,7 +111,7 @@ def test_an_arm_that_is_moved_aside_comes_back_and_closes_no_jaw_before() -> Non
     np.testing.assert_allclose(first, x_0[:, :3] + x_0[:, bgr_policy.HERE], atol=1e-15)
     np.testing.assert_array_equal(x[~free], x_0[~free])
     np.testing.assert_array_equal(y[~free], y_0[~free])
-    far = (np.linalg.norm(push, axis=1)[:, None] * left > train_bgr.THERE) & free[:, None]
+    far = (np.linalg.norm(push, axis=1)[:, None] * left > train_bgr_hand.THERE) & free[:, None]
     assert (y[:, :, 4] >= known.jaw[rows][:, None] - 1e-12)[far].all()
     np.testing.assert_array_equal(y[:, :, 4][~far], y_0[:, :, 4][~far])
     print(f"{free.sum()} of {len(free)} samples are free")
@@ -156,7 +162,7 @@ def test_numpy_alone_gives_what_the_trainer_had(policy: bgr_policy.Policy, tmp_p
     file = tmp_path / "weights.npz"
     policy.save(file)
     shown = made.episode(5)
-    last = train_bgr.last_commands(shown, bgr_policy.SET)
+    last = train_bgr_dataset.last_commands(shown.state, shown.action, bgr_policy.SET)
     np.savez(tmp_path / "episode.npz", state=shown.state, task=shown.task, last=last)
     program = (
         "import sys, numpy as np, bgr_policy as b\n"
@@ -205,7 +211,7 @@ def test_the_place_of_a_number_is_found_by_its_name(policy: bgr_policy.Policy) -
     rng = np.random.default_rng(1)
     order = rng.permutation(len(made.TASK))
     shown = made.episode(7)
-    last = train_bgr.last_commands(shown, bgr_policy.SET)
+    last = train_bgr_dataset.last_commands(shown.state, shown.action, bgr_policy.SET)
     columns = bgr_policy.Columns(made.STATE, made.TASK)
     shuffled = bgr_policy.Columns(made.STATE, [made.TASK[i] for i in order])
     np.testing.assert_array_equal(

@@ -49,14 +49,21 @@ class Recipe:
         return math.ceil(self.target * rollouts - 1e-9)  # a float product can be a hair above
 
 
-STATE_RECIPES = {"bgr": Recipe("train_bgr.py", "bgr_policy.py", ("bgr_training.py",))}
+HAND = (
+    "train_bgr_command.py",
+    "train_bgr_dataset.py",
+    "train_bgr_hand.py",
+    "train_bgr_perceptron.py",
+)
+"""What the trainers of all policies with a hand share."""
+STATE_RECIPES = {"bgr": Recipe("train_bgr.py", "bgr_policy.py", HAND)}
 """By task: policies that observe the simulator's truth."""
 CAMERA_RECIPES = {
     "bgr": Recipe(
         "train_bgr_images.py",
         "bgr_image_policy.py",
         (
-            "bgr_training.py",
+            *HAND,
             "bgr_policy.py",
             "bgr_eye.py",
             "train_bgr_eye.py",

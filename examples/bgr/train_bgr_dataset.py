@@ -1,0 +1,171 @@
+"""A LeRobot dataset (v2.1) of `./surg export`, for the trainers: tables, targets and scales."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+from bgr_policy import Columns, world_in_rcm
+
+Array = np.ndarray
+Progress = Callable[[float, str], None]
+"""Called with the finished share, 0 to 1, and a note."""
+RATE = 20
+"""Of the steps that a policy answers with [Hz]."""
+E = TypeVar("E")
+"""One recording, in a trainer's own type."""
+
+
+@dataclass
+class Dataset(Generic[E]):
+    """Episodes by split, and the column names of each feature."""
+
+    episodes: dict[str, list[E]]
+    names: dict[str, list[str]]
+    about: dict[str, Any]
+
+
+def facts(folder: Path, needed: Sequence[str]) -> dict[str, Any]:
+    """Metadata of a dataset (`meta/info.json`).
+
+    Args:
+        folder: Of the dataset.
+        needed: Required features.
+
+    Raises:
+        ValueError: The folder is no dataset of version 2, a feature is missing, the actions are not
+            absolute, or the rate is another than the policies'.
+    """
+    try:
+        info: dict[str, Any] = json.loads((folder / "meta" / "info.json").read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{folder}: no LeRobot dataset (meta/info.json: {error})") from None
+    version = str(info.get("codebase_version", "v2"))
+    if not version.startswith("v2"):
+        raise ValueError(
+            f"{folder}: a LeRobot dataset of version {version} (meta/info.json); allowed: v2.1. "
+            "Export it again with --format lerobot"
+        )
+    missing = [name for name in needed if name not in info["features"]]
+    if missing:
+        raise ValueError(
+            f"{folder}: the dataset has no {', '.join(missing)}; export it without --drop"
+        )
+    space = info.get("action_space", "absolute")
+    if space != "absolute":
+        raise ValueError(
+            f"{folder}: its action space is {space!r} (meta/info.json); allowed: 'absolute'. "
+            "Export it again without --action-space"
+        )
+    fps = info.get("fps", 0)
+    if fps != RATE:
+        raise ValueError(
+            f"{folder}: its steps come at {fps:g} Hz; allowed: {RATE}, at which a policy acts. "
+            "Export it again without --fps"
+        )
+    return info
+
+
+def split_episodes(info: dict[str, Any]) -> Iterator[tuple[str, int]]:
+    """Split and index of every episode."""
+    for split, ends in info["splits"].items():
+        first, last = (int(number) for number in ends.split(":"))
+        for index in range(first, last):
+            yield split, index
+
+
+def file_of(folder: Path, info: dict[str, Any], path: str, index: int, **more: str) -> Path:
+    """A file of an episode.
+
+    Args:
+        folder: Of the dataset.
+        info: Of `facts`.
+        path: Key of the path pattern, such as ``data_path``.
+        index: Of the episode.
+        **more: Further fields of the pattern.
+    """
+    chunk = index // info["chunks_size"]
+    name: str = info[path].format(episode_chunk=chunk, episode_index=index, **more)
+    return folder / name
+
+
+def table(folder: Path, info: dict[str, Any], index: int, names: Sequence[str]) -> list[Array]:
+    """Arrays of an episode by feature, each (T, n)."""
+    import pyarrow.parquet
+
+    file = file_of(folder, info, "data_path", index)
+    found = pyarrow.parquet.read_table(file, columns=list(names))
+    return [np.stack(found[name].to_numpy()).astype(np.float64) for name in names]
+
+
+def flat_names(names: Any) -> list[str]:
+    """Column names of a feature; the format allows a list, or a dictionary with one."""
+    return list(next(iter(names.values()))) if isinstance(names, dict) else list(names)
+
+
+class Told(Protocol):
+    """An episode of T steps with the simulator's truth."""
+
+    state: Array
+    task: Array
+
+
+def world_of(episodes: Sequence[Told], columns: Columns) -> Array:
+    """X_RW (4, 4) from the tips of all episodes, see `world_in_rcm`."""
+    tips = [episode.state[:, columns.state[:3]] for episode in episodes]
+    tips_W = [episode.task[:, columns.task["tip"]] for episode in episodes]
+    return world_in_rcm(np.concatenate(tips), np.concatenate(tips_W))
+
+
+def last_commands(state: Array, action: Array, held: Any) -> Array:
+    """Tip and roll of the last command at each step, (T, 4); at the first step, the set-point.
+
+    Args:
+        state: (T, n) of an episode.
+        action: (T, 5)
+        held: Columns of the state with the set-point of tip and roll.
+    """
+    return np.vstack([state[:1, held], action[:-1, :4]])
+
+
+def targets_of(action: Array, last: Array, chunk: int) -> Array:
+    """Targets of the prediction at each step, (T, chunk, 5).
+
+    They are relative to the last command, except for the jaw. After the end the last action holds.
+
+    Args:
+        action: (T, 5) of an episode.
+        last: (T, 4) of `last_commands`.
+        chunk: Actions ahead.
+    """
+    row = np.arange(len(action))
+    targets = action[np.minimum(row[:, None] + np.arange(chunk), len(row) - 1)]
+    targets[:, :, :4] -= last[:, None, :]
+    return targets
+
+
+def scales_of(inputs: Array, targets: Array) -> dict[str, Array]:
+    """Mean and standard deviation of inputs (N, F) and flat targets (N, K * 5)."""
+    flat = targets.reshape(len(targets), -1)
+    return {
+        "input_mean": inputs.mean(axis=0),
+        "input_std": np.maximum(inputs.std(axis=0), 1e-3),
+        "output_mean": flat.mean(axis=0),
+        "output_std": np.maximum(flat.std(axis=0), 1e-4),
+    }
+
+
+def jaw_range(targets: Array) -> Array:
+    """Smallest and largest jaw angle of targets (N, K, 5)."""
+    return np.array([targets[:, :, 4].min(), targets[:, :, 4].max()])
+
+
+def normalised(scales: Mapping[str, Array], inputs: Array, targets: Array) -> tuple[Array, Array]:
+    """Inputs (N, F) and flat targets (N, K * 5) with mean 0 and standard deviation 1, float32."""
+    x = (inputs - scales["input_mean"]) / scales["input_std"]
+    y = (targets.reshape(len(x), -1) - scales["output_mean"]) / scales["output_std"]
+    return x.astype(np.float32), y.astype(np.float32)

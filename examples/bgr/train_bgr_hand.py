@@ -1,0 +1,147 @@
+"""The hand of both policies: a perceptron trained on displaced and noisy samples; plain numpy.
+
+Used by `train_bgr.py` and `train_bgr_images.py`.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from bgr_policy import HERE, Network
+from train_bgr_dataset import Progress, normalised
+from train_bgr_perceptron import Adam, flat_layers, gradient_of, half_cosine, initialise
+
+Array = np.ndarray
+OPEN, NEAR = 0.6, 0.03
+"""Jaws less open than this [rad] and nearer to the requested node than this [m] will grasp."""
+THERE = 0.0015
+"""Jaws may close within this distance of their target [m]."""
+
+
+@dataclass(frozen=True)
+class HandOptions:
+    """Training options of the hand; their values were chosen on tuning seeds."""
+
+    chunk: int = 16
+    """Actions predicted at once."""
+    hidden: tuple[int, ...] = (256, 256)
+    steps: int = 5000
+    """Optimiser steps."""
+    batch: int = 256
+    rate: float = 1.5e-3
+    """Initial learning rate; falls to zero along half a cosine."""
+    decay: float = 1e-4
+    """Weight decay."""
+    noise: float = 0.02
+    """Standard deviation of the noise on normalised inputs."""
+    noise_place: float = 0.3
+    """The same for the last command, so that the policy does not depend on absolute position."""
+    push: float = 0.004
+    """Standard deviation of the offset of every second sample without a grasp, per axis [m]."""
+    back: float = 0.25
+    """Time constant of the return from that offset [s]."""
+    behind: int = 2
+    """Largest lag of the observation behind the last command [steps], as in real time."""
+    seed: int = 0
+
+
+@dataclass
+class Samples:
+    """N training steps; SI.
+
+    Attributes:
+        inputs: (N, F) features. The first ``places`` are vectors from the last command, the next is
+            the length of the first vector, the last three (`HERE`) are the last command.
+        targets: (N, K, 5) of `targets_of`.
+        free: (N,) of `may_move`.
+        jaw: (N,) jaw angle [rad].
+        places: Number of columns.
+    """
+
+    inputs: Array
+    targets: Array
+    free: Array
+    jaw: Array
+    places: int
+
+    @classmethod
+    def joined(cls, parts: Iterable[tuple[Array, Array, Array, Array]], places: int) -> Samples:
+        """Those of all parts, in order."""
+        return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)), places)
+
+    def pushed(self, rows: Array, push: Array, left: Array) -> tuple[Array, Array]:
+        """Steps with the arm displaced, and the chunk that returns.
+
+        A free arm follows its commands, so the correct chunk is known: it closes the gap. The jaws
+        do not close before. What an eye says of the tissue stays: it does not look for the arm.
+
+        Args:
+            rows: (B,) indices of samples.
+            push: (B, 3) displacement [m].
+            left: (K,) remaining share of it at each step of the chunk.
+
+        Returns:
+            Inputs (B, F) and targets (B, K, 5).
+        """
+        x, y, jaw = self.inputs[rows], self.targets[rows], self.jaw[rows][:, None]
+        push = push * self.free[rows][:, None]
+        x[:, : self.places] -= np.tile(push, self.places // 3)
+        x[:, self.places] = np.linalg.norm(x[:, :3], axis=1)
+        x[:, HERE] += push
+        y[:, :, :3] += push[:, None, :] * (left - 1.0)[:, None]
+        far = np.linalg.norm(push, axis=1)[:, None] * left > THERE
+        y[:, :, 4] = np.where(far, np.maximum(y[:, :, 4], jaw), y[:, :, 4])
+        return x, y
+
+
+def may_move(held: Array, jaw: Array, distance: Array) -> Array:
+    """Whether the arm may be displaced, (T,): it holds nothing and is not about to grasp.
+
+    Args:
+        held: (T,) node that the robot holds; negative: none.
+        jaw: (T,) jaw angle [rad].
+        distance: (T,) from the last command to the requested node [m].
+    """
+    return (held < 0) & ((jaw > OPEN) | (distance > NEAR))
+
+
+def fit_hand(
+    known: Samples,
+    scales: Mapping[str, Array],
+    options: HandOptions,
+    fps: float,
+    progress: Progress = lambda part, note: None,
+) -> Network:
+    """Train a hand.
+
+    Args:
+        known: Of the split ``train``.
+        scales: Of `scales_of`.
+        options: How.
+        fps: Steps in a second.
+        progress: Is told how far it is.
+    """
+    rng = np.random.default_rng(options.seed)
+    sizes = [known.inputs.shape[1], *options.hidden, 5 * options.chunk]
+    shapes = list(itertools.pairwise(sizes))
+    flat, layers = flat_layers(shapes)
+    initialise(layers, rng)
+    network, adam = Network(layers), Adam(flat, options.decay)
+    slope, grads = flat_layers(shapes)
+    noise = np.full(sizes[0], options.noise, np.float32)
+    noise[HERE] = options.noise_place
+    left = np.exp(-np.arange(1, options.chunk + 1) / (options.back * fps))
+    for step in range(options.steps):
+        rows = rng.integers(0, len(known.inputs), options.batch)
+        push = options.push * rng.standard_normal((options.batch, 3))
+        push[::2] = 0.0
+        x, y = normalised(scales, *known.pushed(rows, push, left))
+        x += noise * rng.standard_normal(x.shape, np.float32)
+        loss = gradient_of(network, grads, x, y)
+        adam.step(slope, options.rate * half_cosine(step / options.steps))
+        if step % 50 == 0:
+            progress(step / options.steps, f"step {step} of {options.steps}, loss {loss:.4f}")
+    return network
