@@ -71,6 +71,7 @@ PLAYED = (
     "src/surg_core/src/**/*.[ch]pp",
     "src/surg_description/*/**/*.yaml",
     "src/surg_description/*/**/*.urdf",
+    "src/surg_policy_bridge/client/src/**/*.py",
     "src/surg_policy_bridge/src/**/*.py",
     "src/surg_sim/src/**/*.py",
     "src/surg_sim/src/**/*.xml",
@@ -87,7 +88,7 @@ class Result:
     success: bool
     reason: str
     stopped: str  # why the model server stopped the policy; empty: it did not
-    refused: int  # by the server's safety controller, or in lock-step by the controller
+    refused: int  # by the controller, and in real time before it by the safety controller
     rcm_max: float  # [m]
     act_ms: list[float]  # CPU time of answers: median and 99 %
 
@@ -225,7 +226,7 @@ def judge(job: Job) -> Result:
             from policy.made_up_clock import Delays, play  # needs the model server's packages
 
             done = play(env, policy, Delays(*condition.delays), seed)
-            stopped, refused = done.stopped, sum(done.rejected.values())
+            stopped, refused = done.stopped, done.refused
     finally:
         env.close()
     spent = [round(float(np.percentile(policy.spent, share)), 2) for share in (50, 99)]

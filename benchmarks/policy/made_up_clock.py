@@ -7,7 +7,6 @@ environment's controllers obey in every tick. Only the times are made up, so a r
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -39,46 +38,36 @@ class Delays:
 
     answer: float = 20.0  # from an observation to its answer
     picture: float = 50.0  # from exposure to the model server
-    every: int = 1  # a picture at every so many grid times
 
 
 @dataclass(frozen=True)
 class Played:
     """How a roll-out went."""
 
-    seed: int
     success: bool
     reason: str  # why not
     stopped: str  # why the server stopped the policy; empty: it did not
-    duration: float  # [s]
-    accepted: int  # steps
-    clipped: int
-    late: int
-    rejected: dict[str, int]  # by rule
-    refused: int  # commands that the controller refused
+    refused: int  # steps by the safety controller, and commands by the controller
     rcm_max: float  # [m]
 
 
 class Player:
     """One episode: the policy's side and the server's side of every tick."""
 
-    def __init__(
-        self, env: SurgEnv, policy: Any, delays: Delays, seed: int, clip: Sequence[str] = PACED
-    ) -> None:
+    def __init__(self, env: SurgEnv, policy: Any, delays: Delays, seed: int) -> None:
         self._env, self._policy, self._delays = env, policy, delays
         self._rng = np.random.default_rng(seed)
         cell, self._arms = env.session.cell, tuple(env.arms)
         self._R_BR = {a: np.array(env.session.controllers[a].X_BR[:3, :3]) for a in self._arms}
         limits = {arm: ArmLimits.of(cell.arms[arm]) for arm in self._arms}
         settings = ServerSettings(arms=self._arms, node=NODE)
-        self.server = ModelServer(settings, SafetyController(limits, clip), lambda: 1)
+        self.server = ModelServer(settings, SafetyController(limits, PACED), lambda: 1)
         self._holders = dict.fromkeys(self._arms, "")
         self._pictures: deque[tuple[int, dict[str, Any]]] = deque()
         self._newest: dict[str, Any] = {}
         self._waiting: Message | None = None
         self._answer: tuple[int, Message] | None = None
         self._clock: StepClock | None = None
-        self._exposures = 0
         self.stopped = ""
 
     def _drawn(self, mean: float) -> int:
@@ -86,10 +75,8 @@ class Player:
 
     def expose(self, now: int, images: dict[str, Any]) -> None:
         """A picture is taken at a grid time; it arrives later."""
-        if self._exposures % self._delays.every == 0:
-            named = {image_key(f"endoscope_{view}"): p for view, p in images.items()}
-            self._pictures.append((now + self._drawn(self._delays.picture), named))
-        self._exposures += 1
+        named = {image_key(f"endoscope_{view}"): p for view, p in images.items()}
+        self._pictures.append((now + self._drawn(self._delays.picture), named))
 
     def tick(self, before: Tick) -> dict[str, ArmCommands]:
         """Commands of the next tick."""
@@ -139,9 +126,9 @@ class Player:
             "client": "made up",
             "software": "",
             "policy": "",
-            "wants": None,
+            "wants": wants,
         }
-        self.server.receive(PEER, Message("HELLO", {**head, "wants": wants}), now)
+        self.server.receive(PEER, Message("HELLO", head), now)
         self._spec = spec
         self.server.tick(views, now, now)
         if refused := self.server.enable(True, now):
@@ -172,32 +159,22 @@ class Player:
             self._answer = (now + self._drawn(self._delays.answer), answer)
 
 
-def play(
-    env: SurgEnv, policy: Any, delays: Delays, seed: int, clip: Sequence[str] = PACED
-) -> Played:
+def play(env: SurgEnv, policy: Any, delays: Delays, seed: int) -> Played:
     """One roll-out; the environment is reset and has to show pictures."""
     seen, _ = env.reset(seed=seed)
     policy.reset("", seed)
-    player = Player(env, policy, delays, seed, clip)
-    done, worst, ticks = False, 0.0, 0
+    player = Player(env, policy, delays, seed)
+    done, worst = False, 0.0
     while not done:
         player.expose(env.session.world.tick * TICK_NS, seen["images"])
         seen, _, terminated, truncated, info = env.stream(player.tick)
         done = terminated or truncated
         worst = max(worst, *(info["rcm_error"][arm] for arm in env.arms))
-        ticks = env.session.world.tick
-    counters = player.server.counters
     return Played(
-        seed=seed,
         success=info["success"],
         reason=info["reason"],
         stopped=player.stopped,
-        duration=ticks * TICK_NS / 1e9,
-        accepted=counters.accepted,
-        clipped=counters.clipped,
-        late=counters.late,
-        rejected=dict(counters.rejected),
-        refused=info["refused"],
+        refused=sum(player.server.counters.rejected.values()) + info["refused"],
         rcm_max=worst,
     )
 

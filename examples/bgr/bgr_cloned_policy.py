@@ -4,9 +4,9 @@
 
 `train_bgr_cloned.py` writes the weights, which name their method. The policy reads
 `observation.state` and the endoscope's picture or pictures: **what a robot can measure, and nothing
-else**. It plays a chunk nearly to its end before it asks the network again, as ACT's authors do
-(`--play`), or, with `--ensemble`, asks at each step and averages. Of the episode it remembers what
-it said. One thread runs it.
+else**. It plays a chunk nearly to its end before it asks the network again, as ACT's authors do, or
+asks at each step and averages (`play` and `ensemble` of its training). Of the episode it remembers
+what it said. One thread runs it.
 """
 
 from __future__ import annotations

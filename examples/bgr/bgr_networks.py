@@ -17,10 +17,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
+from bgr_policy import ACTIONS
 from torch import nn
 
 METHODS = ("bc", "act", "moe_act")
-ACTIONS = 5
+ACTION_SIZE = len(ACTIONS)
 """Tip, roll, jaw."""
 CELLS = 8
 """Side of the encoder's coarse map, whose cells are the transformers' tokens."""
@@ -162,7 +163,7 @@ class Bc(nn.Module):
         super().__init__()
         self.eye = Encoder(sizes.width, sizes.places)
         seen = sizes.eyes * self.eye.features + sizes.inputs
-        self.hand = perceptron(seen, sizes.hidden, sizes.hidden, ACTIONS * sizes.chunk)
+        self.hand = perceptron(seen, sizes.hidden, sizes.hidden, ACTION_SIZE * sizes.chunk)
 
     def forward(self, pictures: Sequence[Any], numbers: Any, told: Any = None) -> Answer:
         """See `Act`."""
@@ -200,14 +201,14 @@ class Act(nn.Module):
         self.asked = nn.Parameter(0.02 * torch.randn(sizes.chunk, model))
         # What a person meant, from the whole chunk: in training only.
         self.style = coder(sizes)
-        self.told = nn.Linear(ACTIONS, model)
+        self.told = nn.Linear(ACTION_SIZE, model)
         self.begin = nn.Parameter(0.02 * torch.randn(2 + sizes.chunk, model))
         self.meant = nn.Linear(model, 2 * sizes.latent)
         self.head: Any
         if sizes.method == "moe_act":
             self.head = Experts(sizes)
         else:
-            self.head = nn.Linear(model, ACTIONS)
+            self.head = nn.Linear(model, ACTION_SIZE)
 
     def forward(self, pictures: Sequence[Any], numbers: Any, told: Any = None) -> Answer:
         """Answer B observations.
@@ -236,7 +237,7 @@ class Act(nn.Module):
         """The latent (B, latent), and its divergence; without chunks zeros, the prior's mean."""
         if told is None:
             return numbers.new_zeros(len(numbers), self.sizes.latent), None
-        actions = self.told(told.reshape(len(told), -1, ACTIONS))
+        actions = self.told(told.reshape(len(told), -1, ACTION_SIZE))
         first = torch.zeros_like(actions[:, :1])
         tokens = torch.cat([first, self.numbers(numbers)[:, None], actions], dim=1) + self.begin
         mean, log = self.meant(self.style(tokens)[:, 0]).float().chunk(2, dim=1)
@@ -251,7 +252,7 @@ class Experts(nn.Module):
         super().__init__()
         self.gate = perceptron(2 * sizes.model, sizes.model, sizes.phases)
         self.experts = nn.ModuleList(
-            [perceptron(sizes.model, sizes.model, ACTIONS) for _ in range(sizes.phases)]
+            [perceptron(sizes.model, sizes.model, ACTION_SIZE) for _ in range(sizes.phases)]
         )
 
     def forward(self, out: Any, seen: Any) -> tuple[Any, Any]:

@@ -194,24 +194,26 @@ def test_a_changed_controller_plays_anew_and_a_changed_trainer_does_not(
             "cells/sim_two_arms/cell.yaml",
             "examples/bgr/bgr_networks.py",
             "src/surg_core/src/law/rcm.cpp",
+            "src/surg_policy_bridge/client/src/surg_policy_client/wire.py",
             "src/surg_description/robots/ur5e.yaml",
             "src/surg_sim/src/surg_sim/physics/assets/bowel.xml",
         ):
             programs.add(after(change))
-        assert len(programs) == 7
+        assert len(programs) == 8
     finally:
         monkeypatch.undo()
         bench_imitation.programs.cache_clear()
 
 
 def test_the_time_of_an_answer_is_that_of_answers(tmp_path: Path) -> None:
-    """A policy that plays steps of before says None."""
-    answers = iter([np.zeros((8, 5)), None, None])
+    """A policy that plays steps of before says None, or the rest of them again."""
+    chunk = np.zeros((8, 5))
+    answers = iter([chunk, None, chunk[4:], chunk.copy()])
     policy = type("P", (), {"acknowledged": None, "act": lambda self, shown: next(answers)})()
     through = bench_imitation.Through(policy, {})
-    for _ in range(3):
+    for _ in range(4):
         through.act({})
-    assert len(through.spent) == 1
+    assert len(through.spent) == 2
 
 
 def test_another_episode_has_another_place() -> None:
