@@ -169,13 +169,7 @@ def train(
     kept = None
     if on_the_way is not None:
         some = [each[:: max(len(each) // 20, 1)] for each in found.views.values()]
-        how = {
-            "options": asdict(options),
-            "sizes": asdict(sizes),
-            "torch": torch.__version__,
-            "threads": torch.get_num_threads(),
-        }
-        kept = Kept(on_the_way, mark_of(how, [*data, known.phase, *some]))
+        kept = Kept(on_the_way, mark_of(setting(options, sizes), [*data, known.phase, *some]))
     _fit(network, found, known, data, options, progress, kept)
     about: dict[str, Any] = {
         "method": options.method,
@@ -199,6 +193,16 @@ def train(
     }
     policy.network.cpu()
     return policy
+
+
+def setting(options: Options, sizes: Sizes) -> dict[str, Any]:
+    """What the weights depend on beside the data."""
+    return {
+        "options": asdict(options),
+        "sizes": asdict(sizes),
+        "torch": torch.__version__,
+        "threads": torch.get_num_threads(),
+    }
 
 
 def chunk_of(options: Options) -> int:

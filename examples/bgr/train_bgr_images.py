@@ -335,13 +335,11 @@ def train_hand(
         "lens": lens,
         "pointed": eye.pointed,
     }
-    hand = fit_hand(
-        known,
-        scales,
-        options,
-        dataset.about["fps"],
-        lambda part, note: progress(0.85 + 0.15 * part, f"hand, {note}"),
-    )
+
+    def show(part: float, note: str) -> None:
+        progress(0.85 + 0.15 * part, f"hand, {note}")
+
+    hand = fit_hand(known, scales, options, dataset.about["fps"], show)
     losses = {
         split: mean_error(hand, *normalised(scales, part.inputs, part.targets))
         for split, part in parts.items()
@@ -360,10 +358,7 @@ def train_hand(
         },
         "observation": [STATE, PICTURE],
         "privileged": [],
-        "labels": {
-            "simulator": [TASK],
-            "annotated": ["marks in pictures", "the assistant's jaw angle"],
-        }[options.labels],
+        "labels": LABELS[options.labels],
     }
     return ImagePolicy(network, scales, dataset.names, options.chunk, about)
 
