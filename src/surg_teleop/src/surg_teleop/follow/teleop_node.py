@@ -29,6 +29,7 @@ from sensor_msgs.msg import JointState
 from surg_core import ConfigError
 from surg_core.arm_view import ArmView
 from surg_core.contract import SECOND_NS, TICK_NS
+from surg_core.hand.message_lateness import Arrivals
 from surg_core.held_endoscope import HeldEndoscope
 from surg_msgs.msg import Cycle
 from surg_ros.arm_port import KINDS, SERVO_INSTRUMENT, ArmPort, arm_view
@@ -37,7 +38,6 @@ from surg_ros.params import ParamError
 from surg_ros.participant import Participant, Seen
 from surg_ros.transport.polled_subscriber import PolledSubscriber
 from surg_teleop.follow.felt_force_node import FeltForces
-from surg_teleop.follow.message_lateness import Arrivals
 from surg_teleop.follow.operator_topics_node import OperatorTopics, listen
 from surg_teleop.follow.picture_watch import PictureWatch
 from surg_teleop.follow.servo_instrument import ServoInstrument
