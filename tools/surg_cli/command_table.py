@@ -45,28 +45,28 @@ COMMANDS = {
     ),
     "status": Command("run", "status", "list nodes, topic rates and last errors", draws=False),
     "record": Command("data", "record", "start, stop and tag a recording", draws=False),
-    "recover": Command("data", "data.recover", "complete recordings that were interrupted"),
-    "view": Command("data", "view", "show an episode: video, tip path and curves on one page"),
+    "recover": Command("data", "episode.recover", "complete recordings that were interrupted"),
+    "view": Command("data", "episode.view", "show an episode: video, tip path and curves on one page"),
     "film": Command(
-        "data", "episodes.make_film", "make a short film of an episode: endoscope beside the room"
+        "data", "episode.make_film", "make a short film of an episode: endoscope beside the room"
     ),
     "depth": Command(
         "data",
-        "episodes.compute_depth",
+        "episode.compute_depth",
         "compute the depth of a recorded stereo endoscope",
         draws=False,
         packages=("opencv",),
     ),
     "label": Command(
-        "data", "episodes.label", "judge, mark and trim recordings, by keyboard", draws=False
+        "data", "episode.label", "judge, mark and trim recordings, by keyboard", draws=False
     ),
-    "evaluate": Command("data", "evaluate", "compare recorded episodes in figures and tables"),
+    "evaluate": Command("data", "episode.evaluate", "compare recorded episodes in figures and tables"),
     "export": Command(
-        "data", "export", "write a dataset: LeRobot, robomimic, ACT, Zarr, bags", everything=True
+        "data", "episode.export", "write a dataset: LeRobot, robomimic, ACT, Zarr, bags", everything=True
     ),
-    "import": Command("data", "data.import_recordings", "import bags and LeRobot data sets"),
+    "import": Command("data", "episode.import_recordings", "import bags and LeRobot data sets"),
     "learn": Command("learn", "learn", "demonstrate, export, train, deploy and judge a policy"),
-    "keys": Command("learn", "make_keys", "make key pairs for a model server and its policies"),
+    "keys": Command("learn", "policy.make_keys", "make key pairs for a model server and its policies"),
     "calibrate": Command(
         "robot", "calibrate", "solve tool and trocar from recorded poses", packages=("opencv",)
     ),
@@ -77,15 +77,15 @@ COMMANDS = {
     "robot": Command("robot", "arms.robot", "start, stop, guide robots; their lag", draws=False),
     "emulate": Command("robot", "arms.emulate", "emulate a real arm's controller", draws=False),
     "ptp": Command("robot", "ptp", "synchronise the clocks of two machines", needs_workspace=False),
-    "setup": Command("develop", "setup", "install packages and .venv", needs_workspace=False),
-    "build": Command("develop", "setup", "set up and build the workspace", needs_workspace=False),
-    "test": Command("develop", "run_tests", "build and run the tests", everything=True),
-    "bench": Command("develop", "bench", "run a benchmark", everything=True),
-    "shell": Command("develop", "shell", "open a shell with the workspace sourced"),
-    "topics": Command("develop", "topics", "compare a graph with docs/reference/topics.yaml"),
+    "setup": Command("develop", "dev.setup", "install packages and .venv", needs_workspace=False),
+    "build": Command("develop", "dev.setup", "set up and build the workspace", needs_workspace=False),
+    "test": Command("develop", "dev.run_tests", "build and run the tests", everything=True),
+    "bench": Command("develop", "dev.bench", "run a benchmark", everything=True),
+    "shell": Command("develop", "dev.shell", "open a shell with the workspace sourced"),
+    "topics": Command("develop", "dev.topics", "compare a graph with docs/reference/topics.yaml"),
     "doctor": Command(
         "develop",
-        "doctor",
+        "dev.doctor",
         "list what is installed, missing and running; --robot CELL: examine an arm",
         needs_workspace=False,
         draws=False,

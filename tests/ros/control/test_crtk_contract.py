@@ -18,7 +18,7 @@ import rospy
 import surg_core
 from helpers.graph.crtk_client import TICK, Arm, LockstepTime, WallTime
 from helpers.graph.ros import RosGraph
-from surg_cli.commands import topics
+from surg_cli.commands.dev import topics
 from surg_cli.graph import system
 from surg_cli.graph.graph_probe import Seen, observe
 from surg_cli.graph.topic_contract import PAGE, REFERENCE, Contract, Entry, compare, load, render

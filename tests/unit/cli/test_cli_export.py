@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from helpers.recording import datasets_synthetic
-from surg_cli.commands import export
+from surg_cli.commands.episode import export
 from surg_cli.host.terminal import Problem
 
 
