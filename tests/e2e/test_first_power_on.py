@@ -66,7 +66,7 @@ class Lab:
     def run(self, line: str, timeout: float = 120.0) -> str:
         """A line in a terminal; a person says yes to everything."""
         done = subprocess.run(
-            ["./surg", "shell", "-c", line] if line.startswith("rosrun") else line.split(),
+            ["./surg", "dev", "shell", "-c", line] if line.startswith("rosrun") else line.split(),
             cwd=paths.ROOT,
             input="yes\n" * 10,
             text=True,
@@ -119,7 +119,7 @@ def test_every_line_of_the_page_works(lab: Lab) -> None:
         elif command.endswith("rehearse"):
             rehearse(lab, command)
         elif command.startswith("rosrun"):
-            player = subprocess.Popen(["./surg", "shell", "-c", command], cwd=paths.ROOT)
+            player = subprocess.Popen(["./surg", "dev", "shell", "-c", command], cwd=paths.ROOT)
             time.sleep(4.0)
         elif command.endswith("lag"):
             lab.run(command)

@@ -1,4 +1,4 @@
-"""`./surg evaluate`: what it finds, says, refuses and writes."""
+"""`./surg episode evaluate`: what it finds, says, refuses and writes."""
 
 from __future__ import annotations
 

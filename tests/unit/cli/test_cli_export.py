@@ -1,4 +1,4 @@
-"""`./surg export`: what a person types and reads."""
+"""`./surg episode export`: what a person types and reads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`./surg doctor --robot` names what is wrong with an arm, with the cure; nothing moves."""
+"""`./surg dev doctor --robot` names what is wrong with an arm, with the cure; nothing moves."""
 
 from __future__ import annotations
 
@@ -200,9 +200,9 @@ def test_doctor_ends_with_1_where_a_line_is_bad(
     controller = UrController(serial=SERIAL, q=HOME)
     with emulated_ur.in_process(controller) as emulator:
         folder = emulated_cell(tmp_path, emulator.address)
-        assert surg("doctor", "--robot", str(folder), "--seconds", "0.1") == 0
+        assert surg("dev", "doctor", "--robot", str(folder), "--seconds", "0.1") == 0
         controller.fall_to(SafetyMode.ROBOT_EMERGENCY_STOP, "test")
-        assert surg("doctor", "--robot", str(folder), "--seconds", "0.1") == 1
+        assert surg("dev", "doctor", "--robot", str(folder), "--seconds", "0.1") == 1
     said = capsys.readouterr().out
     assert "BAD  PSM1: condition: emergency stop" in said
     assert f"./surg robot {folder.name} start" in said
