@@ -1,4 +1,8 @@
-"""Accepts the console's connections within the limits of `connection_limits`."""
+"""The one web server of all pages: what the console and the label page have in common.
+
+It answers only to its own names (header Host). Sockets and whatever changes something must come
+from its own pages (header Origin). A connection carries one request, so nobody keeps one open.
+"""
 
 from __future__ import annotations
 
@@ -6,176 +10,103 @@ import asyncio
 import contextlib
 import errno
 import socket
-import ssl
-import time
+from collections.abc import AsyncIterator, Iterable
 from typing import Any
 
 from aiohttp import web
-from aiohttp.web_protocol import RequestHandler
 
-from surg_console.web.connection_limits import (
-    HEADER_WAIT,
-    IDLE_WAIT,
-    MAX_PIPELINED,
-    REQUEST_BURST,
-    REQUEST_RATE,
-    Connections,
-    Entry,
-    Pace,
-    Stage,
-)
+from surg_console.web import http_policy
+from surg_console.web.access import Access
+from surg_console.web.connection_cap import HEADER_WAIT, ConnectionCap
 
-BACKLOG = 1024
-"""Connections that the kernel keeps until they are accepted; beyond it a client waits 1 s."""
-ACCEPTED_AT_ONCE, ACCEPT_PAUSE = 16, 0.005
-"""Connections accepted in a row, and the pause [s] after them for everything else."""
+BACKLOG = 128
+"""Connections that the kernel keeps until they are accepted; as many are accepted in a row."""
 RECEIVE_BUFFER = 16 * 1024
 """[B] Receive buffer of a connection: bounds the work of one read. A page sends short texts."""
-SWEEP = 0.25
-"""[s] Period of the check of timeouts."""
+GOODBYE_WAIT = 1.0
+"""[s] Timeout of the end; a connection on a dead link would take minutes."""
 
 
-class Connection(RequestHandler):
-    """One HTTP connection that keeps the limits of its listener."""
+class PageServer:
+    """Serves routes, and the files of `page/` below ``/page/``.
 
-    __slots__ = ("_entry", "_listener", "_unanswered")
+    Args:
+        access: Who may open the pages.
+        pages: Files of `page/` by their path.
+        routes: Everything else.
+        longest: Longest body of a request [B].
+    """
 
-    def __init__(self, listener: Listener, entry: Entry, server: web.Server) -> None:
+    def __init__(
+        self, access: Access, pages: dict[str, str], routes: Iterable[web.RouteDef], longest: int
+    ) -> None:
+        self._access, self._pages = access, pages
+        self._files = http_policy.page_files()
+        self._cap: ConnectionCap | None = None
+        self._app = web.Application(middlewares=[self._guard], client_max_size=longest)
+        self._app.on_response_prepare.append(http_policy.add_headers)
+        for path in (*pages, "/page/{name:.+}"):
+            self._app.router.add_get(path, self._page)
+        self._app.router.add_routes(routes)
+
+    @contextlib.asynccontextmanager
+    async def serving(self, sockets: list[socket.socket]) -> AsyncIterator[None]:
+        """Serve on listening sockets, and close them and every connection at the end."""
+        runner = web.AppRunner(self._app, access_log=None, handle_signals=False, lingering_time=0.1)
+        await runner.setup()
+        assert runner.server is not None
+        self._cap = ConnectionCap(runner.server)
+        tls = http_policy.tls_context(self._access)
+        limits: dict[str, Any] = {"backlog": BACKLOG}
+        if tls is not None:
+            limits |= {"ssl": tls, "ssl_handshake_timeout": HEADER_WAIT}
         loop = asyncio.get_running_loop()
-        super().__init__(
-            server,
-            loop=loop,
-            keepalive_timeout=IDLE_WAIT,
-            lingering_time=0.1,
-            access_log=None,  # type: ignore[arg-type]  # aiohttp's own annotation lacks None
-        )
-        self._listener, self._entry, self._unanswered = listener, entry, 0
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Announce the transport, so that the listener can close it."""
-        super().connection_made(transport)
-        self._listener.opened(self._entry, transport)
-
-    def connection_lost(self, exc: BaseException | None) -> None:
-        """Leave the count."""
-        self._listener.forget(self._entry)
-        super().connection_lost(exc)
-
-    def data_received(self, data: bytes) -> None:
-        """Parse, unless the client sends many requests without waiting for the answers."""
-        if self._listener.counts(self._entry):
-            self._unanswered += data.count(b"\r\n\r\n")
-            if self._unanswered > MAX_PIPELINED:
-                self.force_close()
-                return
-        super().data_received(data)
-
-    async def begin(self) -> None:
-        """Wait for the turn of a request."""
-        self._listener.set_stage(self._entry, Stage.SERVING)
-        await self._listener.turn()
-
-    def end(self) -> None:
-        """A request has been answered."""
-        self._unanswered -= 1
-        self._listener.set_stage(self._entry, Stage.IDLE)
-
-    def become_page(self) -> None:
-        """Leave the count and the timeouts: the token was right, and there was room."""
-        self._listener.forget(self._entry)
-
-
-class Listener:
-    """The listening sockets of a console and the connections that they have accepted."""
-
-    def __init__(self, server: web.Server, tls: ssl.SSLContext | None) -> None:
-        self._server, self._tls = server, tls
-        self._connections = Connections()
-        self._transports: dict[Entry, asyncio.BaseTransport] = {}
-        self._pace = Pace(REQUEST_RATE, REQUEST_BURST)
-        self._handshakes: set[asyncio.Task[None]] = set()
-
-    async def serve(self, sockets: list[socket.socket]) -> None:
-        """Accept connections and close overdue ones until cancelled; closes the sockets."""
+        listening = [await loop.create_server(self._cap, sock=each, **limits) for each in sockets]
         try:
-            await asyncio.gather(self._sweep(), *(self._accept(each) for each in sockets))
+            yield
         finally:
-            for each in sockets:
+            for each in listening:
                 each.close()
+            await runner.server.shutdown(GOODBYE_WAIT)
+            await runner.cleanup()
 
-    def opened(self, entry: Entry, transport: asyncio.BaseTransport) -> None:
-        """Keep the transport of a connection."""
-        if self.counts(entry):
-            self._transports[entry] = transport
+    def keep(self, request: web.Request) -> None:
+        """A request has become an admitted page: its connection never makes room for others."""
+        assert self._cap is not None
+        self._cap.keep(request)
 
-    def counts(self, entry: Entry) -> bool:
-        """Whether a connection is not a page."""
-        return entry in self._connections
-
-    def forget(self, entry: Entry) -> None:
-        """A connection has ended, or has become a page."""
-        self._connections.remove(entry)
-        self._transports.pop(entry, None)
-
-    def set_stage(self, entry: Entry, stage: Stage) -> None:
-        """Start a stage of a connection and its timeout."""
-        self._connections.set_stage(entry, stage, time.monotonic())
-
-    async def turn(self) -> None:
-        """Wait for the turn of one request."""
-        await asyncio.sleep(self._pace.wait(time.monotonic()))
-
-    async def _sweep(self) -> None:
-        while True:
-            await asyncio.sleep(SWEEP)
-            for entry in self._connections.overdue(time.monotonic()):
-                self._abort(entry)
-
-    async def _accept(self, listening: socket.socket) -> None:
-        loop = asyncio.get_running_loop()
-        while True:
-            connection, address = await loop.sock_accept(listening)
-            self._admit(connection, str(address[0]))
-            for _ in range(ACCEPTED_AT_ONCE - 1):
-                try:
-                    connection, address = listening.accept()
-                except OSError:  # none waits, or it has gone, or no file descriptor is left
-                    break
-                self._admit(connection, str(address[0]))
-            await asyncio.sleep(ACCEPT_PAUSE)
-
-    def _admit(self, connection: socket.socket, address: str) -> None:
-        entry, victims = self._connections.enter(address, time.monotonic())
-        for victim in victims:
-            self._abort(victim)
-        if entry is None:
-            connection.close()
-            return
-        connection.setblocking(False)
-        task = asyncio.create_task(self._connect(connection, entry))
-        self._handshakes.add(task)
-        task.add_done_callback(self._handshakes.discard)
-
-    async def _connect(self, connection: socket.socket, entry: Entry) -> None:
-        loop = asyncio.get_running_loop()
-        how: dict[str, Any] = {}
-        if self._tls is not None:
-            how = {"ssl": self._tls, "ssl_handshake_timeout": HEADER_WAIT}
+    @web.middleware
+    async def _guard(self, request: web.Request, handler: Any) -> web.StreamResponse:
+        assert self._cap is not None
+        self._cap.hear(request)
+        response: web.StreamResponse | None = self._rejection(request)
         try:
-            transport, _ = await loop.connect_accepted_socket(
-                lambda: Connection(self, entry, self._server), connection, **how
-            )
-        except OSError:  # a client without TLS, or one that has gone
-            self.forget(entry)
-            connection.close()
-            return
-        if not self.counts(entry):  # displaced meanwhile
-            transport.abort()
+            if response is None:
+                response = await handler(request)
+        except web.HTTPException as problem:
+            problem.force_close()
+            raise
+        assert response is not None
+        response.force_close()
+        return response
 
-    def _abort(self, entry: Entry) -> None:
-        transport = self._transports.pop(entry, None)
-        if isinstance(transport, asyncio.WriteTransport):
-            transport.abort()
+    def _rejection(self, request: web.Request) -> web.Response | None:
+        """Reject unknown host names, and foreign pages that ask for more than a file."""
+        if not self._access.host_allowed(request.headers.get("Host")):
+            text = "421: unknown host name; open the address that the console has printed"
+            return web.Response(status=421, text=text + "\n")
+        reads = request.method in ("GET", "HEAD") and "Upgrade" not in request.headers
+        if not reads and not self._access.origin_allowed(request.headers.get("Origin")):
+            return web.Response(status=403, text="403: only the console's own page may connect\n")
+        return None
+
+    async def _page(self, request: web.Request) -> web.StreamResponse:
+        name = self._pages.get(request.path) or request.match_info["name"]
+        content = self._files.get(name)
+        if content is None:
+            return web.Response(status=404, text="404: no such file\n")
+        content_type = http_policy.TYPES[name.rpartition(".")[2]]
+        return web.Response(body=content, content_type=content_type, charset="utf-8")
 
 
 def listen(bind: str, port: int) -> list[socket.socket]:
