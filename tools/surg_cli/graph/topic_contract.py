@@ -204,7 +204,7 @@ def _table(
     cells = [_cells(row, there, arm, both_ways) for row in rows]
     lines = [f"| {' | '.join(columns)} |", "|" + "---|" * len(columns)]
     for others, group in itertools.groupby(cells, lambda each: [each[c] for c in columns[1:]]):
-        names = ", ".join(each[columns[0]] for each in group)
+        names = ", ".join(dict.fromkeys(each[columns[0]] for each in group))
         lines.append(f"| {' | '.join([names, *others])} |")
     return "\n".join(lines)
 
