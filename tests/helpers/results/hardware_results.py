@@ -7,8 +7,8 @@ from helpers.results.results_page import ResultsPage
 _HEAD = """# Emulated arms
 
 Written by `./surg test --full` of the tests below; each row is of its own last run. **Robot and
-mishaps are emulated: a real arm brakes in its own way.** Deviation: of the shaft from its pivot, by
-the emulated arm's own joints. Rest counts from the mishap. Below 250 mm/s: the sideways speed that
+faults are emulated: a real arm brakes in its own way.** Deviation: of the shaft from its pivot, by
+the emulated arm's own joints. Rest counts from the fault. Below 250 mm/s: the sideways speed that
 the limits of the joints allow.
 
 - *chain* (`tests/faults/test_faults_hardware_stops.py`): controller, link and emulated UR5e in one
@@ -58,7 +58,7 @@ CHAIN = (
 )
 SPREADS = (0.0, 2.0, 3.5)
 """[ms] Largest less least lag of the emulated joints."""
-MISHAPS = (
+FAULTS = (
     "protective stop",
     "emergency stop",
     "user stop",
@@ -160,7 +160,7 @@ note = ResultsPage(
         *(spread_row(spread) for spread in SPREADS),
         *(recovery_row(what, scale) for what in RECOVERIES for scale in SCALES),
         AGE,
-        *(row(what, speed) for what in MISHAPS for speed in SPEEDS),
+        *(row(what, speed) for what in FAULTS for speed in SPEEDS),
     ),
     keep=True,
 ).note

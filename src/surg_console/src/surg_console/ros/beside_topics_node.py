@@ -17,7 +17,7 @@ from surg_console.ros.plan_topics_node import PlanTopics
 from surg_console.session.scene_view import SceneView
 from surg_core.transforms import FloatArray
 from surg_msgs.msg import PictureMarks
-from surg_ros.transport.polled_subscriber import PolledSubscriber
+from surg_ros.byte_topics import BytesSubscriber
 
 MARKS = "/endoscope/marks"
 FRESH = 1.0
@@ -32,7 +32,7 @@ class BesideTopics:
         self._lock = threading.Lock()
         self._marks = ""
         self._marks_topic: rospy.Subscriber | None = None
-        self._joints: dict[str, PolledSubscriber] = {}
+        self._joints: dict[str, BytesSubscriber] = {}
         self._newest: dict[str, tuple[float, FloatArray]] = {}
 
     def watch(self, what: str, wanted: bool) -> None:
@@ -43,10 +43,10 @@ class BesideTopics:
             self._plan.watch(wanted)
         elif wanted:
             topics = {name: f"/{name}/robot/measured_js" for name in self._scene.joints}
-            self._joints = {n: PolledSubscriber(t, JointState) for n, t in topics.items()}
+            self._joints = {n: BytesSubscriber(t, JointState) for n, t in topics.items()}
         else:
             for polled in self._joints.values():
-                polled.release()
+                polled.unregister()
             self._joints, self._newest = {}, {}
 
     def _watch_marks(self, wanted: bool) -> None:

@@ -19,7 +19,7 @@ from surg_core.pictures.eye_projection import EyeProjection
 from surg_core.pictures.plan_projection import rcm_in_world
 from surg_core.transforms import FloatArray
 from surg_msgs.msg import Cycle, PolicyPlan
-from surg_ros.transport.polled_subscriber import PolledSubscriber
+from surg_ros.byte_topics import BytesSubscriber
 
 PLAN, LENS = "/policy/plan", "/endoscope/left/camera_info"
 FRESH = 1.0
@@ -39,7 +39,7 @@ class PlanTopics:
         self._eye: EyeProjection | None = None
         self._lens: tuple[Any, ...] = ()
         self._subscribers: list[rospy.Subscriber] = []
-        self._polled: dict[str, PolledSubscriber] = {}
+        self._polled: dict[str, BytesSubscriber] = {}
         self._newest: dict[str, tuple[float, bytes]] = {}
 
     def watch(self, wanted: bool) -> None:
@@ -53,12 +53,12 @@ class PlanTopics:
             topics = {name: (f"/{name}/cycle", Cycle) for name in self._cell.arms}
             if self._view.held is not None:
                 topics[SCOPE] = (f"/{self._view.held.arm}/robot/measured_js", JointState)
-            self._polled = {name: PolledSubscriber(*topic) for name, topic in topics.items()}
+            self._polled = {name: BytesSubscriber(*topic) for name, topic in topics.items()}
             return
         for subscriber in self._subscribers:
             subscriber.unregister()
         for polled in self._polled.values():
-            polled.release()
+            polled.unregister()
         self._subscribers, self._polled, self._newest = [], {}, {}
         with self._lock:
             self._plan, self._text = None, ""

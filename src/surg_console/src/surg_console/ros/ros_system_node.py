@@ -52,7 +52,7 @@ from surg_msgs.msg import (
     SimStatus,
     TeleopStatus,
 )
-from surg_ros.transport.polled_subscriber import PolledSubscriber
+from surg_ros.byte_topics import BytesSubscriber
 
 FRESH = 1.0
 """[s] Timeout of a live value."""
@@ -94,10 +94,10 @@ class RosSystem:
         self._episodes = None if episodes is None else Episodes(episodes)
         self._orders = OrderTopics(arms, leader)
         self._fast = {
-            what: PolledSubscriber(f"/{arms[0]}/{topic}", rospy.AnyMsg)
+            what: BytesSubscriber(f"/{arms[0]}/{topic}", rospy.AnyMsg)
             for what, topic in FAST.items()
         }
-        self._cycles = {arm: PolledSubscriber(f"/{arm}/cycle", Cycle) for arm in arms}
+        self._cycles = {arm: BytesSubscriber(f"/{arm}/cycle", Cycle) for arm in arms}
         keys: dict[str, Any] = {"queue_size": 10, "tcp_nodelay": True}
         self._driven = arms[0]
         self._regions: tuple[Fixture, ...] = ()
@@ -112,7 +112,7 @@ class RosSystem:
     def close(self) -> None:
         """Stop polling, so that plain subscribers of this process hear the arms."""
         for polled in (*self._fast.values(), *self._cycles.values()):
-            polled.release()
+            polled.unregister()
 
     def _hear_fast(self, now: float) -> None:
         """Fetch the fast topics; with the lock held."""
