@@ -87,7 +87,7 @@ def test_the_server_serves_its_own_page_only(folder: Path) -> None:
                 policy = answer.headers["Content-Security-Policy"]
                 assert answer.status == 200 and "frame-ancestors 'none'" in policy
                 assert '"names": ["reach", "follow"]' in await answer.text()
-            for file in ("label.css", "label.js"):
+            for file in ("label/label.css", "label/label.js"):
                 assert (await ask(http, "GET", f"/page/{file}"))[0] == 200
             assert (await ask(http, "GET", "/episode/1", Host="evil.example"))[0] == 421
             for path in ("/episode/2", "/episode/0", "/../etc/passwd", "/control"):

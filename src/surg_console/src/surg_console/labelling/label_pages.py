@@ -73,11 +73,11 @@ class LabelPages:
             return "", "", ""
 
     def _made(self, number: int) -> str:
-        markup = http_policy.page_files()["label.html"].decode()
+        markup = http_policy.page_files()["label/label.html"].decode()
         panel = episode_view.Panel(
-            f"<link rel='stylesheet' href='/page/label.css'>{markup}",
+            f"<link rel='stylesheet' href='/page/label/label.css'>{markup}",
             f"<script type='application/json' id='given'>{_GIVEN}</script>"
-            "<script src='/page/label.js'></script>",
+            "<script src='/page/label/label.js'></script>",
         )
         try:
             recorded = episode_reader.read(self.folders[number - 1])
