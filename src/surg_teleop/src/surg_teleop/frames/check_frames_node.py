@@ -26,7 +26,7 @@ from surg_ros.params import ParamError
 from surg_ros.participant import Participant, Seen
 from surg_teleop.frames.check_task import CheckTask, read_task, report
 from surg_teleop.frames.endoscope_pictures_node import EndoscopePictures, wait_for_eyes
-from surg_teleop.frames.frame_check import FramesCheck, Stage, split
+from surg_teleop.frames.frame_check import FrameCheckStage, FramesCheck, split
 from surg_teleop.frames.probe_moves import REST, WORDS
 from surg_teleop.frames.registration_verdict import (
     ANGLE,
@@ -110,7 +110,7 @@ class CheckNode:
     def _announce(self) -> None:
         """Print what the viewer must see now, once per step."""
         check = self.check
-        if check.step != self._announced and check.stage is Stage.GO and check.step.side:
+        if check.step != self._announced and check.stage is FrameCheckStage.GO and check.step.side:
             self._announced = check.step
             print(f"the tip must now go: {WORDS[check.step]}", flush=True)
 

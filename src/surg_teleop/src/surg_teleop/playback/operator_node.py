@@ -28,7 +28,7 @@ from surg_ros.participant import Participant, Seen
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.playback.motion_errors import MotionError
 from surg_teleop.playback.motion_file import read_motion
-from surg_teleop.playback.motion_plan import ConstantMotionError, Plan, make_plan
+from surg_teleop.playback.motion_plan import ConstantMotionError, MotionPlan, make_plan
 from surg_teleop.playback.motion_player import Mode, MotionPlayer
 from surg_teleop.playback.workspace_fit import Workspace
 
@@ -137,7 +137,7 @@ def load(parameters: dict[str, object]) -> tuple[MotionPlayer, str, bool]:
     motion = read_motion(given.motion or bundled_motion())
     if motion.ignored:
         rospy.logwarn("%s: columns ignored: %s", motion.file, ", ".join(motion.ignored))
-    plan: Plan = make_plan(
+    plan: MotionPlan = make_plan(
         motion,
         Workspace(limits.depth_slow, limits.depth_max, limits.cone),
         given.scale,
