@@ -131,7 +131,7 @@ def test_bgr_with_two_arms_and_two_hands_from_the_page(tmp_path: Path) -> None:
     second = paths.ROOT / "tests" / "helpers" / "teleop" / "second_hand.py"
 
     async def test() -> None:
-        more = ("--second-leader", second)
+        more = ("--leader", "browser", "--leader", second)
         async with phantom(tmp_path, "sim_two_arms", *more) as made, Chromium() as browser:
             tab = await browser.open(made.url, GAMEPAD)
             await tab.until("surgConsole.picture.drawn.length > 10", "pictures", 120.0)

@@ -26,13 +26,13 @@ the limits of the joints allow.
   *pivot*: `tests/faults/test_faults_hardware_motion.py`; motions at scale 1. The recording is no
   part of the project: `SURG_TEST_MOTION=FILE`. `links/ur.yaml` states the lag of each joint, so
   that the joints move in step; with one lag for all of them the recording deviated by 0.168 mm.
-- *demo* (`tests/ros/hardware/test_emulated_demo.py`): `./surg demo --cell`, from the emulator to
+- *demo* (`tests/ros/hardware/test_emulated_demo.py`): `./surg demo --robot`, from the emulator to
   the report, in real time; by the joints in its recording.
 - *policy* (`tests/faults/test_faults_hardware_policy.py`): an episode of bowel grasping and
   retraction, seed 3, by the task's expert, and by the learned policy of `SURG_BGR_WEIGHTS=FILE`.
   The emulated UR5e stands in the simulator's tissue: the drawn arm follows the emulated joints.
 - *fuzz* (`tests/unit/hardware`): random and broken input; nobody hangs or dies, memory stays flat.
-- *processes* (`tests/faults/test_faults_ur_driver.py`): the UR driver and `./surg emulate ur` in
+- *processes* (`tests/faults/test_faults_ur_driver.py`): the UR driver and `./surg emulate ur5e` in
   real time, without ROS and without the controller. The shaft of a 0.3 m tool turns about a pivot;
   nothing corrects the arm. The deviation is what the stop adds.
 
@@ -109,7 +109,7 @@ MOTIONS = ("bundled", "recorded")
 
 
 def demo(cell: str, motion: str) -> str:
-    """Name of a row of `./surg demo --cell`."""
+    """Name of a row of `./surg demo --robot`."""
     return f"demo: {cell}, {motion} motion, pivot"
 
 

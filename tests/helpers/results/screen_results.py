@@ -13,8 +13,8 @@ tests/e2e/test_headset_teleop.py`: headless Chromium without a graphics card. *D
 of two eyes of 640 × 480, shifted by 3.5 %, on a canvas of 1920 × 1080 (frame packing:
 1920 × 2205), read back: processor time of the whole browser, and the fastest picture by the clock.
 *Hold* is from the event in the browser to the console's order, to hold or, for a controller, to
-clutch. *Headset* is `./surg teleop --stereo` whole, driven by a headset made of software on the
-same two cores, which did nothing else.
+clutch. *Headset* is `./surg teleop --cameras stereo` whole, driven by a headset made of software on
+the same two cores, which did nothing else.
 
 | what | times | result |
 |---|---|---|

@@ -395,7 +395,7 @@ def test_dvrk_console_test(tmp_path: Path, cell: str) -> None:
     """The scale of a running teleoperation follows."""
     public_scripts.folder()
     port, log = master.free_port(), tmp_path / "log"
-    words = ("teleop", cell, "--port", port, "--web-port", master.free_port())
+    words = ("teleop", cell, "--port", port, "--bind", f"127.0.0.1:{master.free_port()}")
     with start(log, *words, "--out", tmp_path / "out") as process:
         try:
             end = time.monotonic() + 120.0

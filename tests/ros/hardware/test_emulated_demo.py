@@ -1,4 +1,4 @@
-"""`./surg demo --cell` on emulated arms: one command, from the emulator to the report."""
+"""`./surg demo --robot` on emulated arms: one command, from the emulator to the report."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MOTIONS = ["bundled", *(["recorded"] if GIVEN else [])]
 def test_the_pivot_is_kept_by_the_arms_own_joints(cell: str, motion: str, tmp_path: Path) -> None:
     words = ["--motion", GIVEN] if motion == "recorded" else []
     words += [] if FULL else ["--duration", "2"]
-    done = surg("demo", "--cell", cell, "--out", tmp_path / "run", *words)
+    done = surg("demo", "--robot", cell, "--out", tmp_path / "run", *words)
     file = tmp_path / "run" / "summary.json"
     assert file.is_file(), done.stdout + done.stderr
     found = json.loads(file.read_text("utf-8"))

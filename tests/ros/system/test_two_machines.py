@@ -143,7 +143,7 @@ class Far:
 @pytest.fixture(scope="module")
 def far(machines: Machines, cell: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Far]:
     folder = tmp_path_factory.mktemp("far")
-    video = () if FULL else ("--no-video",)  # a camera takes one of two cores
+    video = () if FULL else ("--cameras", "none")  # a camera takes one of two cores
     robot = up(
         machines, folder / "robot.log", "robot", cell, "--role", "robot", "--port-guard", *video
     )

@@ -74,7 +74,7 @@ def frames_of(folders: list[Path]) -> tuple[int, dict[str, str]]:
 def view(folder: Path, place: Place) -> str:
     """The error, or what the page says is missing or changed; empty: all is well."""
     out = folder.parent / "page.html"
-    code = cli.run(["episode", "view", str(folder), "--no-open", "--out", str(out)])
+    code = cli.run(["episode", "view", str(folder), "--out", str(out)])
     assert code == 0
     page = out.read_text("utf-8")
     assert "<script" in page
