@@ -1,4 +1,4 @@
-"""The lines of docs/guide/first_power_on.md, one after another, against the emulated arm.
+"""The first power-on of docs/guide/link_ur.md, line by line, against the emulated arm.
 
 A person's hands are faults of the emulator. ``SURG_TEST_FULL=1``: it takes minutes.
 """
@@ -22,7 +22,8 @@ from surg_cli.graph.processes import wait_until
 from surg_cli.host import paths
 from surg_cli.robots.rehearsal import STEPS
 
-PAGE = paths.ROOT / "docs" / "guide" / "first_power_on.md"
+PAGE = paths.ROOT / "docs" / "guide" / "link_ur.md"
+HEADING = "## The first power-on\n"
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 HANDS = {
     "emergency stop": ("estop", "release"),
@@ -36,8 +37,9 @@ AGAIN = ("controller killed", "node killed")
 
 
 def lines() -> list[str]:
-    """The command lines of the page, in order, without comments."""
-    blocks = re.findall(r"```sh\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    """The command lines of the page's section, in order, without comments."""
+    section = PAGE.read_text("utf-8").split(HEADING)[1].split("\n## ")[0]
+    blocks = re.findall(r"```sh\n(.*?)```", section, re.DOTALL)
     found = [line.partition("#")[0].strip() for block in blocks for line in block.splitlines()]
     return [line for line in found if line]
 

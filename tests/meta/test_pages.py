@@ -25,7 +25,7 @@ def pages() -> list[Path]:
 
 def guide() -> list[Path]:
     """The pages that a newcomer reads."""
-    return [paths.ROOT / "README.md", *sorted((paths.ROOT / "docs" / "guide").glob("*.md"))]
+    return [paths.ROOT / "README.md", *sorted((paths.ROOT / "docs" / "guide").rglob("*.md"))]
 
 
 def name(file: Path) -> str:
