@@ -47,7 +47,7 @@ def report(row: str, runs: list[Played], limit: float = OFF) -> None:
     most = 1e3 * max(float(each.deviation.max()) for each in runs)
     fastest = 1e3 * max(each.speed for each in runs)
     seconds = 0.002 * sum(len(each.deviation) for each in runs)
-    said = f"mean {max(means):.4f} mm, max {most:.3f} mm, tip up to {fastest:.0f} mm/s"
+    said = f"mean {max(means):.4f}, max {most:.3f} mm, tip up to {fastest:.0f} mm/s"
     page.note(row, len(runs), f"{said}, {seconds:.0f} s")
     assert most <= limit
 
