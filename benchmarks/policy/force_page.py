@@ -26,7 +26,9 @@ def reads(entry: dict[str, Any]) -> str:
 def row(entry: dict[str, Any], trainings: list[dict[str, Any]]) -> list[str]:
     """Of a policy's trainings together."""
     n, (median, most) = entry["n"], entry["peak_n"]
-    own = sorted((each["seed"], each["solved"]) for each in trainings if reads(each) == reads(entry))
+    own = sorted(
+        (each["seed"], each["solved"]) for each in trainings if reads(each) == reads(entry)
+    )
     taut, tautest = entry["tension_n"]
     return [
         reads(entry),

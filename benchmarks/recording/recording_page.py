@@ -49,7 +49,9 @@ def in_step(found: dict[str, Any]) -> Rows:
     written, frames = found["rows"], found["frames"]
     expected = found["ticks"] * len(written)
     missing = sum(found["missing_ticks"].values())
-    rows.append([f"rows of {len(written)} tables", *map(str, (expected, sum(written.values()), missing))])
+    rows.append(
+        [f"rows of {len(written)} tables", *map(str, (expected, sum(written.values()), missing))]
+    )
     expected, kept = found["expected_frames"] * len(frames), sum(frames.values())
     rows.append([f"frames of {len(frames)} eyes", *map(str, (expected, kept, expected - kept))])
     rows.append(["outcome", "complete", "complete" if found["complete"] else found["reason"], ""])

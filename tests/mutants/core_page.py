@@ -31,13 +31,13 @@ def trials_of(rows: dict[str, list[str]]) -> dict[str, Trial]:
 
 def write(page: Path, noticed: dict[str, Noticed], file: Path = KNOWN) -> None:
     """Keep who noticed what, and write the page; mutants that did not run keep their date."""
-    today = datetime.datetime.now(datetime.timezone.utc).date().isoformat()
-    rows = read(file) | {
-        name: [by.trial.program, by.what, today] for name, by in noticed.items()
-    }
+    today = datetime.datetime.now(datetime.UTC).date().isoformat()
+    rows = read(file) | {name: [by.trial.program, by.what, today] for name, by in noticed.items()}
     rows = {mutant.name: rows[mutant.name] for mutant in MUTANTS if mutant.name in rows}
     with file.open("w", encoding="utf-8", newline="") as stream:
-        csv.writer(stream, lineterminator="\n").writerows([name, *row] for name, row in rows.items())
+        csv.writer(stream, lineterminator="\n").writerows(
+            [name, *row] for name, row in rows.items()
+        )
     page.write_text(text(rows), "utf-8")
 
 

@@ -412,10 +412,6 @@ TEST(TrackNoise, AChangeOfTheBreathingIsFollowed) {
 
 TEST(TrackNoise, OutliersAndDropoutsAreBridgedAndNamed) {
   const double seconds = test::family(20, 300);
-  results().table(
-      "Outliers and drop-outs",
-      "25 Hz, 0.3 mm of noise with the measured velocity; outliers of 4 to 30 mm.",
-      {"outliers %", "lost %", "gap s", "rms mm", "max mm", "named outliers", "named drop-outs"});
   for (const double hertz : {25.0, 60.0}) {
     for (const auto& [outliers, dropped, gap] : std::vector<std::array<double, 3>>{
              {0.02, 0, 0}, {0, 0.1, 0}, {0.01, 0.05, 0}, {0, 0, 0.15}}) {
@@ -427,11 +423,8 @@ TEST(TrackNoise, OutliersAndDropoutsAreBridgedAndNamed) {
       tracker.dead_from = gap > 0 ? 8 : 1e9;
       tracker.dead_to = 8 + gap;
       const Figures f = follow(tracker, Wall(), seconds, 4);
-      results().row(
-          {cell("%.0f", 100 * outliers), cell("%.0f", 100 * dropped), cell("%.2f", gap),
-           cell("%.3f", 1e3 * f.rms), cell("%.3f", 1e3 * f.largest),
-           cell("%ld of %ld", f.outliers_named, f.outliers), cell("%ld", f.dropouts_named)},
-          hertz < 30);
+      std::printf("%.0f Hz, outliers %.0f %%, lost %.0f %%, gap %.2f s: rms %.3f mm, max %.3f mm\n",
+                  hertz, 100 * outliers, 100 * dropped, gap, 1e3 * f.rms, 1e3 * f.largest);
       EXPECT_LT(f.stopped, 0) << hertz << " " << outliers << " " << dropped;
       EXPECT_LE(f.largest, 5e-4) << hertz << " " << outliers << " " << dropped;
       EXPECT_EQ(f.outliers_named, f.outliers);

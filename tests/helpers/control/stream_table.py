@@ -42,9 +42,7 @@ class Row:
     def cells(self) -> str:
         """The row in Markdown, without its ends."""
         gains = " ".join(f"{g:.2f}" for g in self.gains)
-        return (
-            f"{self.lag:.1f} ({self.beyond:+.1f}) | {self.rms:.2f} | {self.path:+.1f} | {gains}"
-        )
+        return f"{self.lag:.1f} ({self.beyond:+.1f}) | {self.rms:.2f} | {self.path:+.1f} | {gains}"
 
 
 def cases() -> list[tuple[int, Transport]]:
@@ -90,7 +88,11 @@ def page_rows() -> list[tuple[int, Transport, Option, str]]:
         ),
         *((rate, blind, Option(), "ur5e") for rate in (30, 500)),
         *((rate, regular, Option(tremor=10.0), "ur5e") for rate in (30, 500)),
-        *((rate, regular, Option(delay=delay), "panda") for rate in (30, 500) for delay in (0, 0.05)),
+        *(
+            (rate, regular, Option(delay=delay), "panda")
+            for rate in (30, 500)
+            for delay in (0, 0.05)
+        ),
     ]
 
 

@@ -54,7 +54,7 @@ def note(cell: str, seconds: float, load: float, enabled: int, seen: dict[str, A
     _PAGE.note(
         cell,
         round(seconds),
-        f"load {load:.0f}: pivot at most **{seen['pivot_mm']:.3f} mm**, tip {seen['way_m']:.1f} m, at "
-        f"most {seen['speed']:.2f} m/s; {seen['late_cycles']} of {seen['cycles']} cycles late, longest "
-        f"{seen['longest_cycle_ms']:.0f} ms; let go by {ended}",
+        f"load {load:.0f}: pivot at most **{seen['pivot_mm']:.3f} mm**, tip {seen['way_m']:.1f} m, "
+        f"at most {seen['speed']:.2f} m/s; {seen['late_cycles']} of {seen['cycles']} cycles late, "
+        f"longest {seen['longest_cycle_ms']:.0f} ms; let go by {ended}",
     )

@@ -6,9 +6,9 @@ from helpers.results.results_page import ResultsPage
 
 _HEAD = """# Datasets
 
-Written by `./surg test --full tests/unit/datasets`. *Reader*: the real programs (`--tier oracle`); late: all pictures stamped a frame late.
-*30 minutes* (`test_datasets_thirty_minutes.py`): 2 x 640 x 480 at 20 frames per second, 500 cycles
-per second; memory is the peak of each process, and a worker may use 300 MiB.
+Written by `./surg test --full tests/unit/datasets`. *Reader*: the real programs (`--tier oracle`);
+late: all pictures stamped a frame late. *30 minutes* (`test_datasets_thirty_minutes.py`): 2 x 640 x
+480, 20 frames and 500 cycles per second; a worker may use 300 MiB.
 """
 COUNTED = (
     "grid times against exact fractions",

@@ -17,8 +17,8 @@ THIRD_ARM = "third arm, cartesian, bundled"
 PAPER, OPEN_LOOP = f"{BUNDLED}, `--law paper`", f"{BUNDLED}, `--law velocity --feedback-gain 0`"
 LONG = f"{BUNDLED} repeated for 600 s, free-run"
 COLUMNS = (
-    *("run", "n", "RCM kinematic mean / true max", "tip rms / max", "lag [ms]"),
-    *("path in → out", "trocar [N]", "compute p99 [µs]"),
+    *("run", "RCM kinematic mean / true max", "tip rms / max", "lag [ms]"),
+    *("path in → out", "trocar [N]"),
 )
 _PAGE = ResultsPage(
     "main_job.md",
@@ -49,6 +49,5 @@ def note(name: str, s: dict[str, Any]) -> None:
         f"{s['tip_lag_ms']:.1f}",
         f"{path['input']:.0f} → {path['executed']:.0f}",
         f"{trocar['force_n']['max']:.2f}",
-        f"{s['controller']['compute_us']['p99']:.0f}",
     )
-    _PAGE.note(name, 1, " | ".join(cells))
+    _PAGE.note(name, None, " | ".join(cells))

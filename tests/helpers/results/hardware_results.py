@@ -35,7 +35,6 @@ STOPS = {
 SURGEON = "chain: synthetic surgeon's motions"
 BUNDLED = "chain: bundled motion"
 RECORDED = "chain: recorded knot tying"
-HASH = "chain: a seeded motion with a protective stop, twice"
 FUZZ_STATES = "fuzz: states to the driver"
 FUZZ_DATAGRAMS = "fuzz: datagrams between driver and node"
 FUZZ_DASHBOARD = "fuzz: answers of the dashboard server"
@@ -74,7 +73,7 @@ _PAGE = ResultsPage(
     "hardware.md",
     _HEAD,
     (
-        *(BUNDLED, SURGEON, RECORDED, HASH),
+        *(BUNDLED, SURGEON, RECORDED),
         *(franka(name, loss) for name in ("panda", "fr3") for loss in (0.0, 0.002)),
         *(franka(name, loss, "processes") for name, loss in FRANKA),
         *(FRANKY_CHAIN, FRANKY),

@@ -31,12 +31,19 @@ class ResultsPage:
         self._head = f"{head}\n| {' | '.join(columns)} |\n{'|---' * len(columns)}|\n"
         self._found: dict[str, str] = {}
 
-    def note(self, row: str, cases: int, result: str) -> None:
-        """Print a figure, keep it, and write the page once all are there and it is asked for."""
+    def note(self, row: str, cases: int | None, result: str) -> None:
+        """Print a figure and keep it; write the page once all are there and it is asked for.
+
+        Args:
+            row: Of the fixed list.
+            cases: How many were measured; None for a page without that column.
+            result: What was found.
+        """
         if row not in self._rows:
             raise KeyError(row)
         print(f"{row}: {cases}: {result}")
-        self._found[row] = f"| {row} | {cases} | {result} |\n"
+        cells = [row, result] if cases is None else [row, str(cases), result]
+        self._found[row] = f"| {' | '.join(cells)} |\n"
         folder = os.environ.get("SURG_RESULTS_DIR")
         if not folder:
             return

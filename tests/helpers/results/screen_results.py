@@ -11,7 +11,7 @@ _HEAD = """# Screens: times
 Written by `./surg test --full tests/e2e/test_monitor_page.py tests/e2e/test_headset_page.py
 tests/e2e/test_headset_teleop.py`: headless Chromium without a graphics card. *Draw*: two eyes of
 640 × 480 on 1920 × 1080, read back, processor time. *Hold*: event in the browser to the console's
-order (goal 200 ms). *Headset*: `./surg teleop --stereo` and a headset made of software on two cores.
+order (goal 200 ms). *Headset*: `./surg teleop --stereo` and a headset in software on two cores.
 """
 FORMATS = (
     *("left", "right", "sbs", "top_bottom", "rows", "columns", "checker", "anaglyph"),
@@ -48,9 +48,7 @@ def note_holds(found: Mapping[str, Sequence[float]]) -> None:
     for what, times in found.items():
         ordered = sorted(1e3 * each for each in times)
         middle, most = ordered[len(ordered) // 2], ordered[-1]
-        PAGE.note(
-            f"{what} → hold", len(times), f"median {middle:.0f} ms, largest {most:.0f} ms"
-        )
+        PAGE.note(f"{what} → hold", len(times), f"median {middle:.0f} ms, largest {most:.0f} ms")
 
 
 def note_age(ages: Sequence[float], seconds: float) -> None:

@@ -62,7 +62,7 @@ def test_the_bundled_motion_keeps_the_pivot_without_a_reflex(
         assert mishap(address, f"loss {loss} commands") == "ok"
         deviation = play(rig, SECONDS)
         ros_graph.supervisor.stop()
-    said = f"mean {deviation.mean():.4f}, max {deviation.max():.3f} mm, 0 reflexes"
+    said = f"mean {deviation.mean():.4f}, max {deviation.max():.3f} mm"
     print(said)
     if SECONDS >= 60.0:
         page.note(page.franka(name, loss, "processes"), 1, said)

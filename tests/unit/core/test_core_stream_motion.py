@@ -64,9 +64,7 @@ robot: 0.25 m/s, 2 m/s^2, 40 m/s^3). LDLJ: log dimensionless jerk minus the trut
 rougher. The filter was tuned on both recordings.
 
 """
-COLUMNS = (
-    *("motion, rate", "law", "lag [ms]", "rms / max [mm]", "violations", "LDLJ"),
-)
+COLUMNS = (*("motion, rate", "law", "lag [ms]", "rms / max [mm]", "violations", "LDLJ"),)
 
 
 TRANSPORT = """## Rates and transports

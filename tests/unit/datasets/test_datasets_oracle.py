@@ -80,9 +80,8 @@ def test_lerobot_gives_every_frame_right(
         assert frame["force"] == pytest.approx(felt_forces.expected(frame["grid_ns"]), abs=1e-6)
     assert {frame["force"][3] for frame in frames} == {0.0, 1.0}, "the tip's sensor was silent"
     assert set(STAGES.values()) <= {frame["stage"] for frame in frames}
-    note(
-        f"reader lerobot {version}", len(frames), f"{2 * len(frames)} pictures, 0 misplaced; forces right"
-    )
+    said = f"{2 * len(frames)} pictures, 0 misplaced; forces right"
+    note(f"reader lerobot {version}", len(frames), said)
 
 
 @pytest.mark.parametrize("version", VERSIONS)

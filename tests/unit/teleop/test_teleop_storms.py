@@ -53,7 +53,7 @@ def test_storms_of_events_never_jump_and_never_open_the_jaw() -> None:
         ticks += storm.ticks
         engagements += storm.teleop.engagements
         largest = max(largest, storm.largest)
-    said = f"{ticks} ticks, {engagements} engagements; largest step {largest:.2f} of what is allowed"
+    said = f"{ticks} ticks, {engagements} engagements; largest step {largest:.2f} of the allowed"
     note(ROW, STORMS, said)
     assert engagements > 1.8 * STORMS  # they do engage again
     assert largest > 0.3  # and they do move

@@ -22,8 +22,6 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from surg_core.wilson import wilson_interval
 from surg_sim import tasks
 from surg_sim.envs import rows_of_page
@@ -131,7 +129,11 @@ def failures(rows: Iterable[tuple[str, Sequence[EpisodeReport]]]) -> list[str]:
         kinds = [report.reason.partition(":")[0] for report in reports]
         causes = Counter(kind for kind in kinds if kind)
         for cause, n in sorted(causes.items()):
-            bad = [str(report.seed) for report, kind in zip(reports, kinds, strict=True) if kind == cause]
+            bad = [
+                str(report.seed)
+                for report, kind in zip(reports, kinds, strict=True)
+                if kind == cause
+            ]
             lines.append(f"- {label}: {n} × {cause} (seeds {', '.join(bad)})")
     return lines or ["None."]
 
@@ -203,8 +205,9 @@ def report(
     count = len(second[0][0].seeds) if second else 0
     lines = [
         f"# The phantom: tasks and settings\n\nWritten by `{command}`. Simulation, in process.\n",
-        "RCM deviations and force at the trocar: largest of all samples of the commanded arm. True: "
-        f"to the undisturbed trocar point. Settings: {', '.join(SETTINGS)}; once where equal.\n",
+        "RCM deviations and force at the trocar: largest of all samples of the commanded arm. "
+        f"True: to the undisturbed trocar point. Settings: {', '.join(SETTINGS)}; once where "
+        "equal.\n",
         "## Success of the scripted senders, test seeds\n",
         _HEAD.format("task, robot"),
         *first_rows(first).values(),
