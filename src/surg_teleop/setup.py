@@ -10,13 +10,8 @@ setuptools.setup(
     python_requires=">=3.11",
     packages=setuptools.find_packages("src"),
     package_dir={"": "src"},
-    package_data={
-        "surg_teleop": ["py.typed", "leaders/evdev/layouts/*.yaml"],
-        "surg_teleop.console.web": ["page/*", "page/*/*"],
-    },
+    package_data={"surg_teleop": ["py.typed", "leaders/evdev/layouts/*.yaml"]},
     install_requires=[
-        "aiohttp>=3.8",
-        "av>=10",
         "evdev>=1.6",
         "numpy>=1.24",
         "pyyaml>=6.0",

@@ -16,8 +16,8 @@ from helpers.sim.board_views import BARREL, BOARD, bench
 from helpers.teleop import chromium
 from helpers.teleop.chromium import Chromium, until
 from helpers.teleop.console import Console, console
-from surg_teleop.console.session.console_orders import Calibrate
-from surg_teleop.console.session.system_state import Calibration
+from surg_console.session.console_orders import Calibrate
+from surg_console.session.system_state import Calibration
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
 

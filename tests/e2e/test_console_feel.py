@@ -15,7 +15,7 @@ import pytest
 from helpers.teleop import chromium
 from helpers.teleop.chromium import GAMEPAD, Chromium, Tab
 from helpers.teleop.console import Console, console
-from surg_teleop.console.session.felt_tip import felt_tip
+from surg_console.session.felt_tip import felt_tip
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
 

@@ -16,8 +16,8 @@ from helpers.teleop import chromium
 from helpers.teleop.chromium import Chromium, Tab, until
 from helpers.teleop.console import Console, console
 from surg_cli.host import paths
-from surg_teleop.console.session.scene_view import SceneView
-from surg_teleop.console.web.picture_packet import Packet
+from surg_console.session.scene_view import SceneView
+from surg_console.web.picture_packet import Packet
 
 pytestmark = [
     pytest.mark.full,

@@ -19,9 +19,8 @@ from helpers.results.console_results import keeps, note
 from helpers.teleop import chromium
 from helpers.teleop.chromium import GAMEPAD, Chromium, Tab, until
 from helpers.teleop.console import Console, console
-from surg_core import Fixture
-from surg_teleop.console.session import operator_messages
-from surg_teleop.console.session.console_orders import (
+from surg_console.session import operator_messages
+from surg_console.session.console_orders import (
     Camera,
     Clutch,
     Follow,
@@ -30,8 +29,9 @@ from surg_teleop.console.session.console_orders import (
     Record,
     SetScale,
 )
-from surg_teleop.console.session.console_session import Phase
-from surg_teleop.console.session.fixture_view import FixtureView
+from surg_console.session.console_session import Phase
+from surg_console.session.fixture_view import FixtureView
+from surg_core import Fixture
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
 

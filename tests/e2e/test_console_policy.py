@@ -11,8 +11,8 @@ import pytest
 from helpers.teleop import chromium
 from helpers.teleop.chromium import Chromium, until
 from helpers.teleop.console import Console, console
-from surg_teleop.console.session.console_orders import Follow, Policy
-from surg_teleop.console.session.system_state import PolicyServer
+from surg_console.session.console_orders import Follow, Policy
+from surg_console.session.system_state import PolicyServer
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
 

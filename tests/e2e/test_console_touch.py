@@ -17,8 +17,8 @@ import pytest
 from helpers.teleop import chromium
 from helpers.teleop.chromium import Chromium, Tab, until
 from helpers.teleop.console import Console, console
-from surg_teleop.console.session import operator_messages
-from surg_teleop.console.session.console_orders import (
+from surg_console.session import operator_messages
+from surg_console.session.console_orders import (
     Camera,
     Clutch,
     Move,
@@ -27,8 +27,8 @@ from surg_teleop.console.session.console_orders import (
     Record,
     SetScale,
 )
-from surg_teleop.console.session.console_session import Phase
-from surg_teleop.console.session.system_state import PolicyServer
+from surg_console.session.console_session import Phase
+from surg_console.session.system_state import PolicyServer
 
 pytestmark = [
     pytest.mark.full,

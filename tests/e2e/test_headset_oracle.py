@@ -7,8 +7,8 @@ import asyncio
 import pytest
 
 from helpers.teleop import chromium, headset_page, iwer
-from surg_teleop.console.session.console_session import Phase
-from surg_teleop.console.session.operator_messages import HIDDEN
+from surg_console.session.console_session import Phase
+from surg_console.session.operator_messages import HIDDEN
 
 pytestmark = [
     pytest.mark.oracle,

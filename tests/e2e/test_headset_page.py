@@ -17,10 +17,10 @@ from helpers.teleop.chromium import Chromium, until
 from helpers.teleop.console import Console, console
 from helpers.teleop.headset import FAKE_XR, NO_WEBGL, NO_XR
 from helpers.teleop.headset_page import SQUEEZE, came, drives, entered, hold, squeezed
+from surg_console.session.console_orders import Clutch, Move, Present
+from surg_console.session.console_session import Phase
+from surg_console.session.operator_messages import HIDDEN, SILENT
 from surg_core.transforms import multiply_quaternions
-from surg_teleop.console.session.console_orders import Clutch, Move, Present
-from surg_teleop.console.session.console_session import Phase
-from surg_teleop.console.session.operator_messages import HIDDEN, SILENT
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
 

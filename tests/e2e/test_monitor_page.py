@@ -19,8 +19,8 @@ from helpers.teleop import chromium
 from helpers.teleop.chromium import Chromium, Tab, until
 from helpers.teleop.console import Console, console
 from helpers.teleop.headset import NO_WEBGL
-from surg_teleop.console.session.console_orders import Follow, Present
-from surg_teleop.console.session.console_session import Phase
+from surg_console.session.console_orders import Follow, Present
+from surg_console.session.console_session import Phase
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
 

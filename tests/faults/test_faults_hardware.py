@@ -15,9 +15,9 @@ import pytest
 from helpers.hardware.emulated_chain import Chain
 from helpers.results.reactions import Reactions
 from surg_core import Reason, State, StateCommand
+from surg_emulators.ur.robot_states import SafetyMode
+from surg_emulators.ur.ur_controller import UrController
 from surg_hardware.conditions import Condition
-from surg_hardware.emulators.ur.robot_states import SafetyMode
-from surg_hardware.emulators.ur.ur_controller import UrController
 
 pytestmark = pytest.mark.untimed
 

@@ -17,9 +17,9 @@ from helpers.hardware.franka_chain import Chain
 from helpers.results import hardware_results as page
 from surg_cli.host import paths
 from surg_core import Motion, MotionCommand, Reason, State, StateCommand
+from surg_emulators.franka.franka_controller import FrankaController, RobotMode
+from surg_emulators.franka.franka_errors import Error
 from surg_hardware.conditions import Condition
-from surg_hardware.emulators.franka.franka_controller import FrankaController, RobotMode
-from surg_hardware.emulators.franka.franka_errors import Error
 from surg_teleop.playback.motion_player import Stage
 
 pytestmark = pytest.mark.untimed

@@ -18,9 +18,9 @@ from helpers.hardware.emulated_cell import emulated_cell
 from helpers.hardware.emulated_chain import Chain, T
 from helpers.results.hardware_results import SPEEDS, note, note_stop, spread_row
 from surg_core import State
+from surg_emulators.ur.joint_motion import LAGS
+from surg_emulators.ur.robot_states import SafetyMode
 from surg_hardware.conditions import Condition
-from surg_hardware.emulators.ur.joint_motion import LAGS
-from surg_hardware.emulators.ur.robot_states import SafetyMode
 
 pytestmark = pytest.mark.untimed
 

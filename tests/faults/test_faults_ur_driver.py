@@ -15,8 +15,8 @@ import pytest
 from helpers.hardware import emulated_ur
 from helpers.hardware.ur_driver_rig import Record, Rig, Stop, plan, rig
 from helpers.results.hardware_results import AGE, SPEEDS, note, note_stop
+from surg_emulators.ur.joint_motion import DT
 from surg_hardware.conditions import Condition
-from surg_hardware.emulators.ur.joint_motion import DT
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 MOVING = 1.6

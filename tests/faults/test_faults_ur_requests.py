@@ -16,9 +16,9 @@ import pytest
 from helpers.hardware import emulated_ur
 from helpers.hardware.ur_driver_rig import Rig, driver, rig
 from surg_cli.graph.processes import wait_until
+from surg_emulators.ur import rtde_server
+from surg_emulators.ur.ur_controller import HOME, UrController
 from surg_hardware.conditions import Condition
-from surg_hardware.emulators.ur import rtde_server
-from surg_hardware.emulators.ur.ur_controller import HOME, UrController
 from surg_hardware.ur import dashboard
 
 OTHER = "def other():\n  while True:\n    sync()\n  end\nend\n"

@@ -147,8 +147,8 @@ BROKEN = {
     ),
     "a core imports the ROS library": (
         "surg_recording/src/surg_recording/metrics.py",
-        "from surg_ros.transport.direct_publisher import DirectPublisher\n",
-        "a core must not use ROS (surg_ros.transport.direct_publisher.DirectPublisher)",
+        "from surg_ros.byte_topics import BytesPublisher\n",
+        "a core must not use ROS (surg_ros.byte_topics.BytesPublisher)",
     ),
     "an unknown package": ("surg_more/a.py", "", "a package that the layering does not know"),
 }

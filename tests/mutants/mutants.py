@@ -434,7 +434,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "tremor_is_motion",
         "a tremor that the filter knows still pulls at the motion",
-        "src/motion/tremor_estimate.cpp",
+        "src/estimators/tremor_estimate.cpp",
         "(x[i] - state_[i][0] - state_[i][3]) * gain",
         "(x[i] - state_[i][0]) * gain",
     ),
@@ -507,7 +507,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "track_acceleration_sign",
         "between two samples the pivot bends the wrong way",
-        "include/surg_core/kinematics/track_filter.hpp",
+        "include/surg_core/estimators/track_filter.hpp",
         "return p_ + ahead * (v_ + 0.5 * ahead * a_);",
         "return p_ + ahead * (v_ - 0.5 * ahead * a_);",
         ("test_track_noise",),
@@ -515,7 +515,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "track_outliers_believed",
         "a reflection on the tracker's lens throws the pivot off",
-        "src/kinematics/track_filter.cpp",
+        "src/estimators/track_filter.cpp",
         "return miss <= std::max(gate, kLeastGate);",
         "return miss <= 1.0;",
         ("test_track_noise",),
@@ -531,7 +531,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "track_fast_breathing_is_outliers",
         "a trocar that breathes faster than its filter expects is taken for a jump",
-        "src/kinematics/track_filter.cpp",
+        "src/estimators/track_filter.cpp",
         "took_last_ = beside || expected(p, variance);",
         "took_last_ = expected(p, variance);",
         ("test_track_noise",),
@@ -539,7 +539,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "breathing_never_trusted",
         "a tracker without a velocity shakes the pivot of a ventilated patient",
-        "src/kinematics/harmonics.cpp",
+        "src/estimators/harmonics.cpp",
         "found_ = probed_[1] < variance;",
         "found_ = false;",
         ("test_track_noise",),
@@ -547,7 +547,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "breathing_outlives_its_change",
         "the pivot breathes on after the patient stopped",
-        "src/kinematics/breathing_filter.cpp",
+        "src/estimators/breathing_filter.cpp",
         "return bias_.squaredNorm() > kDeparture * kDeparture * of_bias;",
         "return bias_.squaredNorm() > 1e9 * of_bias;",
         ("test_track_noise",),
@@ -563,7 +563,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "track_velocity_always_used",
         "a tracker without a velocity drags the pivot behind the trocar",
-        "include/surg_core/kinematics/track_filter.hpp",
+        "include/surg_core/estimators/track_filter.hpp",
         "return miss_both_ < miss_positions_;",
         "return miss_both_ <= 1.0;",
         ("test_track_noise",),

@@ -1,6 +1,6 @@
 """Hand-written mutants of the console's pages: which eye a pixel belongs to, where a hand goes.
 
-As in `mutants`, but the files are below `src/surg_teleop/src/surg_teleop/console/web/page`, and
+As in `mutants`, but the files are below `src/surg_console/src/surg_console/web/page`, and
 `first` names test files of `tests/e2e`.
 """
 

@@ -45,7 +45,7 @@ def test_without_a_mutant_nothing_fails(copy: Path) -> None:
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)
 def test_the_mutant_is_noticed(mutant: Mutant, copy: Path) -> None:
-    with applied(mutant, copy / "surg_teleop/console/web/page"):
+    with applied(mutant, copy / "surg_console/web/page"):
         noticed = killer(copy, [TESTS[name] for name in mutant.first], mutant.first)
     assert noticed is not None, f"nobody notices {mutant.name}: {mutant.why}"
     print(f"{mutant.name}: {noticed}")

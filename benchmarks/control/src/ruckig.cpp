@@ -4,7 +4,7 @@
 
 #include "arm.hpp"
 #include "streams.hpp"
-#include "surg_core/motion/stream_estimate.hpp"
+#include "surg_core/estimators/stream_estimate.hpp"
 
 namespace bench {
 namespace {

@@ -25,7 +25,7 @@ from helpers.graph.ros import RosGraph
 from surg_cli.graph.processes import Child
 from surg_cli.host import paths
 from surg_msgs.msg import Cycle, LinkStatus, Ready
-from surg_ros.transport.direct_publisher import listeners
+from surg_ros.byte_topics import listeners
 
 CELL = paths.ROOT / "cells" / "sim_ur5e"
 TICK_NS = 2_000_000

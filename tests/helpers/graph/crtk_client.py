@@ -26,7 +26,7 @@ from std_msgs.msg import Bool, Empty, Float64, Float64MultiArray
 
 from crtk_msgs.msg import OperatingState, StringStamped
 from surg_msgs.msg import Cycle, Ready
-from surg_ros.transport.direct_publisher import listeners
+from surg_ros.byte_topics import listeners
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import rospy
 
 from helpers.graph.crtk_client import TICK
 from surg_msgs.msg import Cycle, Ready
-from surg_ros.transport.direct_publisher import listeners
+from surg_ros.byte_topics import listeners
 
 
 class Ticks:

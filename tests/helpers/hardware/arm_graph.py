@@ -18,7 +18,7 @@ from surg_cli.commands.arms.robot import lags_of
 from surg_cli.graph import system
 from surg_cli.graph.processes import Child, wait_until
 from surg_cli.host import link_environments
-from surg_hardware.emulators.franka import franka_kinematics
+from surg_emulators.franka import franka_kinematics
 from surg_msgs.msg import Cycle, LinkStatus
 
 

@@ -13,7 +13,7 @@ import yaml
 
 import surg_core
 from surg_cli.host import paths
-from surg_hardware.emulators.ur.dh_kinematics import TABLES, frames
+from surg_emulators.ur.dh_kinematics import TABLES, frames
 
 BUNDLED = paths.CELLS / "emulated_ur5e"
 SERIAL = "20225500001"

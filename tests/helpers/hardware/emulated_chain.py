@@ -20,10 +20,10 @@ from surg_core import (
     State,
     StateCommand,
 )
+from surg_emulators.ur.dh_kinematics import Table, frames
+from surg_emulators.ur.joint_motion import LAGS
+from surg_emulators.ur.ur_controller import UrController
 from surg_hardware import link_node
-from surg_hardware.emulators.ur.dh_kinematics import Table, frames
-from surg_hardware.emulators.ur.joint_motion import LAGS
-from surg_hardware.emulators.ur.ur_controller import UrController
 from surg_hardware.robot_link import Settings, Status
 
 TURN = np.diag([-1.0, -1.0, 1.0, 1.0])

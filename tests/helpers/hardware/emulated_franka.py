@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from helpers.hardware.emulated_ur import emulator
-from surg_hardware.emulators.franka.fci_messages import HEADER, Protocol
-from surg_hardware.emulators.franka.fci_session import FciSession
-from surg_hardware.emulators.franka.franka_controller import FrankaController
-from surg_hardware.emulators.franka.franka_errors import Error
-from surg_hardware.emulators.franka.franka_robots import FrankaRobot
+from surg_emulators.franka.fci_messages import HEADER, Protocol
+from surg_emulators.franka.fci_session import FciSession
+from surg_emulators.franka.franka_controller import FrankaController
+from surg_emulators.franka.franka_errors import Error
+from surg_emulators.franka.franka_robots import FrankaRobot
 
 REST = (0.0,) * 7
 JOINT_VELOCITY, JOINT_POSITION = 1, 0
@@ -138,6 +138,6 @@ def ramp(robot: FrankaRobot, cycles: int, joint: int = 0) -> list[list[float]]:
 @contextmanager
 def program(kind: str, log: Path, *options: str) -> Iterator[str]:
     """The emulator as a process with the usual ports; yields its address."""
-    module = "surg_hardware.emulators.franka.franka_emulator"
+    module = "surg_emulators.franka.franka_emulator"
     with emulator(module, log, kind, *options) as address:
         yield address

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.host import paths
-from surg_hardware.emulators.ur.rtde_fields import COUNT, PACKING
-from surg_hardware.emulators.ur.rtde_server import RtdeSession
-from surg_hardware.emulators.ur.ur_controller import UrController
-from surg_hardware.emulators.ur.ur_emulator import UrEmulator
+from surg_emulators.ur.rtde_fields import COUNT, PACKING
+from surg_emulators.ur.rtde_server import RtdeSession
+from surg_emulators.ur.ur_controller import UrController
+from surg_emulators.ur.ur_emulator import UrEmulator
 
 SOURCES = paths.ROOT / "src" / "surg_hardware" / "src"
 QD_REGISTERS = tuple(f"input_double_register_{n}" for n in range(24, 30))
@@ -146,7 +146,7 @@ def free_address() -> str:
 @contextmanager
 def program(log: Path, *options: str) -> Iterator[str]:
     """The emulator as a process with the usual ports; yields its address."""
-    with emulator("surg_hardware.emulators.ur.ur_emulator", log, *options) as address:
+    with emulator("surg_emulators.ur.ur_emulator", log, *options) as address:
         yield address
 
 

@@ -13,7 +13,7 @@ import surg_core
 from helpers.hardware import ur_chain
 from helpers.hardware.emulated_chain import T, link_settings, pivot_deviation
 from surg_cli.host import paths
-from surg_hardware.emulators.ur.ur_controller import UrController
+from surg_emulators.ur.ur_controller import UrController
 from surg_sim.envs.cell_session import LAWS, Session
 from surg_sim.physics.sim_arm import SUBSTEPS, ActuatorParameters, ArmCommand, ArmLink
 from surg_sim.physics.world import World

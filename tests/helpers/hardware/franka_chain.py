@@ -20,13 +20,13 @@ import surg_core
 from helpers.hardware.emulated_franka import Client
 from surg_cli.host import paths
 from surg_core import Law, MotionCommand, Readings, RobotCondition
+from surg_emulators.franka import franka_kinematics
+from surg_emulators.franka.franka_controller import FrankaController, RobotMode
+from surg_emulators.franka.franka_robots import FER, FR3
+from surg_emulators.franka.generator_motion import DT
 from surg_hardware import adapter_driver, arm_driver, link_node, robot_link
 from surg_hardware import driver_datagrams as wire
 from surg_hardware.driver_checkup import Heard
-from surg_hardware.emulators.franka import franka_kinematics
-from surg_hardware.emulators.franka.franka_controller import FrankaController, RobotMode
-from surg_hardware.emulators.franka.franka_robots import FER, FR3
-from surg_hardware.emulators.franka.generator_motion import DT
 from surg_hardware.franka import joint_limits
 from surg_hardware.franka.franka_adapter import FrankaAdapter, MotionEnded
 from surg_hardware.robot_adapter import AdapterError

@@ -13,7 +13,7 @@ from pathlib import Path
 from helpers.hardware.emulated_ur import free_address
 from surg_cli.graph.processes import wait_until
 from surg_cli.host import paths
-from surg_hardware.emulators.franka.generator_motion import GeneratorMotion
+from surg_emulators.franka.generator_motion import GeneratorMotion
 
 FRANKY_SIM = "franky-sim==1.0.4"
 PROGRAMS = paths.ROOT / "tests" / "helpers" / "hardware"

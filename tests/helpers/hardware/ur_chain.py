@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from helpers.hardware.emulated_ur import Client
+from surg_emulators.ur.joint_motion import DT
+from surg_emulators.ur.rtde_server import RtdeSession
+from surg_emulators.ur.ur_controller import UrController
 from surg_hardware.arm_driver import STALE
 from surg_hardware.conditions import Condition
-from surg_hardware.emulators.ur.joint_motion import DT
-from surg_hardware.emulators.ur.rtde_server import RtdeSession
-from surg_hardware.emulators.ur.ur_controller import UrController
 from surg_hardware.robot_clock import RobotClock
 from surg_hardware.robot_link import Command, RobotLink, RobotState, Settings, Status
 from surg_hardware.ur import urscript

@@ -28,6 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from helpers.hardware import emulated_ur
+from surg_emulators.ur import dh_kinematics as dh
+from surg_emulators.ur.joint_motion import DT
+from surg_emulators.ur.ur_controller import HOME
 from surg_hardware.arm_driver import DriverSettings
 from surg_hardware.conditions import Condition
 from surg_hardware.driver_datagrams import (
@@ -38,9 +41,6 @@ from surg_hardware.driver_datagrams import (
     StateDatagram,
     decode_from_driver,
 )
-from surg_hardware.emulators.ur import dh_kinematics as dh
-from surg_hardware.emulators.ur.joint_motion import DT
-from surg_hardware.emulators.ur.ur_controller import HOME
 
 Matrix = NDArray[np.float64]
 TABLE = dh.TABLES["UR5e"]

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 
 from surg_cli.graph import master
-from surg_teleop.console.session.console_orders import Follow, Order
-from surg_teleop.console.session.console_session import Session
-from surg_teleop.console.session.episode_list import Entry
-from surg_teleop.console.session.felt_tip import felt_tip
-from surg_teleop.console.session.system_state import Arm, Follower, Gauges, Robot
-from surg_teleop.console.web import access
-from surg_teleop.console.web.picture_streams import EYES, CameraFrame, PictureStream
-from surg_teleop.console.web.web_server import Server
+from surg_console.session.console_orders import Follow, Order
+from surg_console.session.console_session import Session
+from surg_console.session.episode_list import Entry
+from surg_console.session.felt_tip import felt_tip
+from surg_console.session.system_state import Arm, Follower, Gauges, Robot
+from surg_console.web import access
+from surg_console.web.picture_streams import EYES, CameraFrame, PictureStream
+from surg_console.web.web_server import Server
 
 LIMITS = {
     "rcm_error_warn": 0.001,

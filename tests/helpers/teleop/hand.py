@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from surg_core.arm_view import JawRange
+from surg_core.hand.leader_sample import HandlePose, HandRate, LeaderSample
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.follow.teleop_types import ControlMode, TeleopSettings
-from surg_teleop.leaders.leader import HandlePose, HandRate, LeaderSample
 from surg_teleop.playback.workspace_fit import Workspace
 
 WORKSPACE = Workspace(depth_min=0.030, depth_max=0.220, cone=1.0472)

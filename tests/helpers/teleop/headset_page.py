@@ -13,8 +13,8 @@ import pytest
 from helpers.teleop.chromium import Chromium, Tab, until
 from helpers.teleop.console import Console, console
 from helpers.teleop.headset import FAKE_XR
-from surg_teleop.console.session.console_orders import Camera, Clutch, Move, Record
-from surg_teleop.console.session.console_session import Phase
+from surg_console.session.console_orders import Camera, Clutch, Move, Record
+from surg_console.session.console_session import Phase
 
 TRIGGER, SQUEEZE, A, B = 0, 1, 4, 5
 LEFT, RIGHT = (200, 60, 60), (40, 60, 200)

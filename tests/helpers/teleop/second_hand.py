@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from surg_teleop.leaders.leader import HandRate, LeaderSample
+from surg_core.hand.leader_sample import HandRate, LeaderSample
 
 SPEED = 0.01
 """[m/s]"""

@@ -135,7 +135,7 @@ def test_a_person_calibrates_a_running_cell(
 ) -> None:
     bench, page = live.bench, master.free_port()
     console = {"cell": cell, "port": page, "views": ["left", "right"]}
-    ros_graph.node("surg_teleop", "console_node.py", "/console", console)
+    ros_graph.node("surg_console", "console_node.py", "/console", console)
     ros_graph.wait_for(lambda: master.port_in_use(page), 60.0, "the console")
     live.ticks.sleep(0.1)
     before = {arm: live.joints[arm].copy() for arm in ARMS}

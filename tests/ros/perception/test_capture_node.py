@@ -16,9 +16,9 @@ from helpers.graph.ros import RosGraph
 from helpers.graph.surg import surg
 from helpers.perception import recorded_pairs
 from surg_cli.graph import master
+from surg_console.web import picture_packet
 from surg_core import lens_file
 from surg_perception.capture import eye_lenses
-from surg_teleop.console.web import picture_packet
 
 pytestmark = pytest.mark.ros
 
@@ -94,7 +94,7 @@ class Console:
     """The console's encoder, as the console starts it; its packets and when they came."""
 
     def __init__(self, env: dict[str, str]) -> None:
-        argv = [sys.executable, "-m", "surg_teleop.console.ros.video_node", "video", "left,right"]
+        argv = [sys.executable, "-m", "surg_console.ros.video_node", "video", "left,right"]
         self._process = subprocess.Popen(
             argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=env
         )

@@ -19,7 +19,6 @@ from surg_cli.graph import episode_plans, episode_process, task_episode
 from surg_cli.graph.episode_plans import Condition
 from surg_cli.host import cells, paths
 from surg_recording.episode import episode_reader as recorded
-from surg_ros.transport import switches
 from surg_sim import tasks
 from surg_sim.envs.cell_session import Session
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
@@ -132,14 +131,6 @@ def test_both_arms_commanded(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-def test_the_same_hash_without_the_transport_optimisations(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Every node with rospy's own threads, publish and parsing."""
-    monkeypatch.setenv(switches.VARIABLE, "all")
-    assert_same(tmp_path / "run", cells.find("sim_two_arms"), NUDGE, "phantom", LUCKY)
-
-
 def test_the_force_guard_acts_in_the_same_tick(tmp_path: Path) -> None:
     """A load on the trocar above a tightened limit: FAULT, in and out of ROS, and named."""
     tight = {"trocar_force_warn": 0.3, "trocar_force_fault": 0.45}

@@ -28,10 +28,10 @@ from sensor_msgs.msg import Image, JointState, Joy  # noqa: E402
 from std_msgs.msg import Bool, Float64, String  # noqa: E402
 
 from crtk_msgs.msg import OperatingState, StringStamped  # noqa: E402
+from surg_console.ros.console_node import Settings  # noqa: E402
+from surg_console.web import picture_packet  # noqa: E402
+from surg_console.web.access import AccessError  # noqa: E402
 from surg_ros.params import ParamError  # noqa: E402
-from surg_teleop.console.ros.console_node import Settings  # noqa: E402
-from surg_teleop.console.web import picture_packet  # noqa: E402
-from surg_teleop.console.web.access import AccessError  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -118,7 +118,7 @@ class Bench:
 def start(ros_graph: RosGraph, **params: object) -> int:
     port = master.free_port()
     given = {"cell": paths.CELLS / "sim_ur5e", "port": port, "views": ["left", "right"], **params}
-    ros_graph.node("surg_teleop", "console_node.py", "/console", given)
+    ros_graph.node("surg_console", "console_node.py", "/console", given)
     ros_graph.wait_for(lambda: master.port_in_use(port), 40, "the console")
     return port
 
@@ -302,7 +302,7 @@ def test_parameters_that_must_not_be_used_are_named(params: dict[str, object], s
 
 def test_a_broken_parameter_ends_it_with_code_2(ros_graph: RosGraph) -> None:
     given = {"cell": paths.CELLS / "sim_ur5e", "bind": "192.168.1.1"}
-    child = ros_graph.node("surg_teleop", "console_node.py", "/console", given)
+    child = ros_graph.node("surg_console", "console_node.py", "/console", given)
     ros_graph.wait_for(lambda: child.exit_code is not None, 40, "its end")
     assert child.exit_code == 2
     assert "TLS and a token" in child.log_tail(8)

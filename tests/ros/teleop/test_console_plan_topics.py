@@ -18,10 +18,10 @@ from crtk_msgs.msg import OperatingState
 from helpers.endoscope_files import lens
 from helpers.graph.ros import RosGraph
 from surg_cli.host import paths
+from surg_console.ros.plan_topics_node import FRESH, PlanTopics
+from surg_console.ros.ros_system_node import RosSystem
 from surg_core.held_endoscope import held_endoscope
 from surg_msgs.msg import Cycle, PolicyPlan
-from surg_teleop.console.ros.plan_topics_node import FRESH, PlanTopics
-from surg_teleop.console.ros.ros_system_node import RosSystem
 
 CELL = surg_core.load_cell(paths.CELLS / "sim_two_arms")
 LENS = lens("left")

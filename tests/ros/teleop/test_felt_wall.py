@@ -43,7 +43,7 @@ def test_a_wall_is_felt_and_a_clutch_and_an_end_are_not(
     state = lambda7.share(graph.folder / "state")
     where = {"FORCEDIM_LIBRARY": str(library), "LAMBDA7_STUB": str(graph.folder / "state")}
     params = {"name": "MTMR", "haptics": True, "haptic_scale": SCALE}
-    graph.node("surg_teleop", "lambda7_node", "/lambda7", params, env=where)
+    graph.node("surg_lambda7", "lambda7_node", "/lambda7", params, env=where)
     teleop = graph.node(
         "surg_teleop",
         "teleop_node",

@@ -66,7 +66,7 @@ class Bench:
         where = {"FORCEDIM_LIBRARY": str(self.library)} if env is None else env
         where["LAMBDA7_STUB"] = str(self.graph.folder / "state")
         return self.graph.node(
-            "surg_teleop", "lambda7_node", "/lambda7", {"name": "MTMR", **params}, env=where
+            "surg_lambda7", "lambda7_node", "/lambda7", {"name": "MTMR", **params}, env=where
         )
 
     def until(self, condition: Any, what: str) -> None:

@@ -9,9 +9,9 @@ import surg_core
 from helpers.hardware.emulated_ur import free_address
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
-from surg_hardware.emulators import emulator_ports
-from surg_hardware.emulators.franka import franka_emulator
-from surg_hardware.emulators.ur import ur_emulator
+from surg_emulators import emulator_ports
+from surg_emulators.franka import franka_emulator
+from surg_emulators.ur import ur_emulator
 
 
 @pytest.fixture(autouse=True)

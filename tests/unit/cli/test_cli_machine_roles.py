@@ -18,7 +18,7 @@ from surg_cli.graph.roles import Link, Role
 from surg_cli.graph.system import Plan
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
-from surg_teleop.console.ros.console_node import Settings
+from surg_console.ros.console_node import Settings
 
 MACHINES = {"robot": "192.168.77.1", "operator": "192.168.77.2"}
 HEADER = "Iface\tDestination\tGateway \tFlags\tRefCnt\tUse\tMetric\tMask\t\tMTU\tWindow\tIRTT\n"

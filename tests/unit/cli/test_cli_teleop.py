@@ -15,13 +15,13 @@ from surg_cli.commands import teleop
 from surg_cli.graph import master
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
+from surg_console.ros.console_node import Settings
+from surg_core.hand.leader_sample import HandRate, LeaderSample
 from surg_sim import tasks
 from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.world import World
-from surg_teleop.console.ros.console_node import Settings
 from surg_teleop.follow.teleop_setup import read_setup
 from surg_teleop.follow.teleop_types import CameraView
-from surg_teleop.leaders.leader import HandRate, LeaderSample
 
 
 def options(*words: str) -> argparse.Namespace:

@@ -12,13 +12,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from surg_console.session.console_orders import Follow, Move, Present
+from surg_console.session.console_session import FROZEN, Phase, Session
+from surg_console.session.system_state import Arm, Follower, Robot
+from surg_console.web.page_protocol import Input
 from surg_perception.capture.device_process import Settings, messages
 from surg_perception.capture.frame_pipe import DeviceState, Pictures
 from surg_perception.capture.picture_source import Grabbed, PictureSource, SourceError, Wanted
-from surg_teleop.console.session.console_orders import Follow, Move, Present
-from surg_teleop.console.session.console_session import FROZEN, Phase, Session
-from surg_teleop.console.session.system_state import Arm, Follower, Robot
-from surg_teleop.console.web.page_protocol import Input
 
 TICK, PERIOD = 0.01, 0.05
 BEFORE, GONE, AFTER = 20, 4, 60

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from surg_teleop.console.web import access
+from surg_console.web import access
 
 
 def test_loopback_needs_nothing() -> None:

@@ -14,8 +14,8 @@ import pytest
 from helpers.teleop.console import Console, console
 from helpers.teleop.console_attack import attack
 from helpers.teleop.console_page import page, when
-from surg_teleop.console.session.console_orders import Present
-from surg_teleop.console.web.connection_limits import (
+from surg_console.session.console_orders import Present
+from surg_console.web.connection_limits import (
     HEADER_WAIT,
     MAX_OPEN,
     MAX_PER_ADDRESS,
@@ -23,7 +23,7 @@ from surg_teleop.console.web.connection_limits import (
     Pace,
     Stage,
 )
-from surg_teleop.console.web.web_server import MAX_PAGES
+from surg_console.web.web_server import MAX_PAGES
 
 pytestmark = pytest.mark.timed
 

@@ -13,17 +13,17 @@ from scipy.spatial.transform import Rotation
 
 from helpers.control.gate_arm import TICK, GateArm
 from helpers.teleop.hand import settings
+from surg_console.session.console_orders import Camera, Clutch, Follow, Move, Order
+from surg_console.session.console_session import Phase, Session
+from surg_console.session.dead_man import SETTLE, DeadMan
+from surg_console.session.operator_messages import HIDDEN
+from surg_console.session.system_state import Arm, Follower, Robot
+from surg_console.web.page_protocol import Input
+from surg_core.hand.leader_sample import HandlePose, LeaderSample
 from surg_core.transforms import quaternion_xyzw_to_matrix
-from surg_teleop.console.session.console_orders import Camera, Clutch, Follow, Move, Order
-from surg_teleop.console.session.console_session import Phase, Session
-from surg_teleop.console.session.dead_man import SETTLE, DeadMan
-from surg_teleop.console.session.operator_messages import HIDDEN
-from surg_teleop.console.session.system_state import Arm, Follower, Robot
-from surg_teleop.console.web.page_protocol import Input
 from surg_teleop.follow.arm_switch import ArmSwitch
 from surg_teleop.follow.teleop_types import CameraView, State
 from surg_teleop.follow.teleoperation import Teleop
-from surg_teleop.leaders.leader import HandlePose, LeaderSample
 
 PERIOD = 0.012
 """[s] between two frames of a headset, a little more than at 90 Hz."""

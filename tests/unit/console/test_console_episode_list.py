@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from surg_teleop.console.session.episode_list import Episodes
+from surg_console.session.episode_list import Episodes
 
 
 def test_episodes_are_listed_with_their_outcome(tmp_path: Path) -> None:

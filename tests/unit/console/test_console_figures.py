@@ -9,9 +9,9 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 
+from surg_console.ros.raw_gauges import depth, force
+from surg_console.ros.ros_system_node import _follower
 from surg_msgs.msg import HandStatus
-from surg_teleop.console.ros.raw_gauges import depth, force
-from surg_teleop.console.ros.ros_system_node import _follower
 
 
 def data(message: JointState | WrenchStamped) -> bytes:

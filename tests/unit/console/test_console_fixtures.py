@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from surg_console.session.fixture_view import FixtureView, region_of
 from surg_core.transforms import rpy_to_matrix
-from surg_teleop.console.session.fixture_view import FixtureView, region_of
 
 
 def test_the_page_gets_regions_and_tip_in_the_trocars_frame() -> None:

@@ -11,7 +11,7 @@ import aiohttp
 
 from helpers.teleop.console import console
 from helpers.teleop.console_page import when
-from surg_teleop.console.session.console_orders import Follow, Present, StateCommand
+from surg_console.session.console_orders import Follow, Present, StateCommand
 
 TOKEN = "0123456789abcdef0123"
 

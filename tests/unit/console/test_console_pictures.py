@@ -8,12 +8,12 @@ import av
 import numpy as np
 import pytest
 
-from surg_teleop.console.web import codec as codec_module
-from surg_teleop.console.web import picture_packet
-from surg_teleop.console.web.codec import CodecError, frame_of, image_of
-from surg_teleop.console.web.picture_packet import LAYOUTS
-from surg_teleop.console.web.picture_queue import IN_FLIGHT, KEY_PERIOD, STALLED, PictureQueue
-from surg_teleop.console.web.picture_streams import (
+from surg_console.web import codec as codec_module
+from surg_console.web import picture_packet
+from surg_console.web.codec import CodecError, frame_of, image_of
+from surg_console.web.picture_packet import LAYOUTS
+from surg_console.web.picture_queue import IN_FLIGHT, KEY_PERIOD, STALLED, PictureQueue
+from surg_console.web.picture_streams import (
     EYES,
     CameraFrame,
     PictureStream,

@@ -14,9 +14,9 @@ import pytest
 import surg_core
 from helpers.endoscope_files import lens, pose
 from surg_cli.host import paths
+from surg_console.session.plan_view import PlanView
 from surg_core.pictures.eye_projection import EyeProjection
 from surg_msgs.msg import PolicyPlan
-from surg_teleop.console.session.plan_view import PlanView
 
 CELL = surg_core.load_cell(paths.CELLS / "sim_two_arms")
 NAMES = [f"{arm}/{name}" for arm in ("PSM1", "ECM") for name in ("x", "y", "z", "roll", "jaw")]

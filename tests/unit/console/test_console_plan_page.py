@@ -15,7 +15,7 @@ import pytest
 from helpers.teleop import chromium
 from helpers.teleop.chromium import Chromium, Tab, until
 from helpers.teleop.console import Console, console
-from surg_teleop.console.session.system_state import PolicyServer
+from surg_console.session.system_state import PolicyServer
 
 pytestmark = [
     pytest.mark.full,

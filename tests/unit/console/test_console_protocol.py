@@ -8,7 +8,7 @@ import random
 import numpy as np
 import pytest
 
-from surg_teleop.console.web import page_protocol
+from surg_console.web import page_protocol
 
 INPUT = {
     "say": "input",

@@ -19,11 +19,11 @@ import pytest
 from helpers.teleop.console import console
 from helpers.teleop.console_page import Page, page, when
 from surg_cli.graph import master
-from surg_teleop.console.session.console_orders import Follow, Move, Present, Record, StateCommand
-from surg_teleop.console.session.system_state import Calibration
-from surg_teleop.console.web import picture_packet
-from surg_teleop.console.web.page_connection import MESSAGE_BURST, MessageBudget
-from surg_teleop.console.web.web_server import CLOSE_HELLO, MAX_ERRORS, SOCKETS
+from surg_console.session.console_orders import Follow, Move, Present, Record, StateCommand
+from surg_console.session.system_state import Calibration
+from surg_console.web import picture_packet
+from surg_console.web.page_connection import MESSAGE_BURST, MessageBudget
+from surg_console.web.web_server import CLOSE_HELLO, MAX_ERRORS, SOCKETS
 
 TOKEN = "0123456789abcdef0123"
 

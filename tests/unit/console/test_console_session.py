@@ -8,9 +8,8 @@ from dataclasses import replace
 
 import pytest
 
-from surg_core import Reason
-from surg_teleop.console.session import operator_messages
-from surg_teleop.console.session.console_orders import (
+from surg_console.session import operator_messages
+from surg_console.session.console_orders import (
     Camera,
     Clutch,
     Follow,
@@ -23,7 +22,7 @@ from surg_teleop.console.session.console_orders import (
     SetScale,
     StateCommand,
 )
-from surg_teleop.console.session.console_session import (
+from surg_console.session.console_session import (
     FROZEN,
     GONE,
     LATENESS,
@@ -32,10 +31,11 @@ from surg_teleop.console.session.console_session import (
     Phase,
     Session,
 )
-from surg_teleop.console.session.page_status import report
-from surg_teleop.console.session.system_state import Arm, Follower, Gauges, PolicyServer, Robot
-from surg_teleop.console.web.page_protocol import HIDDEN, Input
-from surg_teleop.follow.message_lateness import Lateness
+from surg_console.session.page_status import report
+from surg_console.session.system_state import Arm, Follower, Gauges, PolicyServer, Robot
+from surg_console.web.page_protocol import HIDDEN, Input
+from surg_core import Reason
+from surg_core.hand.message_lateness import Lateness
 
 PERIOD = 0.02
 """[s] between two inputs of a page."""

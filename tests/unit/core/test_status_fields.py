@@ -22,15 +22,15 @@ pytest.importorskip("rospy")
 from helpers.graph.statuses import complete, fields, heard_by_watch, newest, removed
 from surg_cli.commands import record, up
 from surg_cli.graph import follow, policy_program, system, task_episode
+from surg_console.ros.ros_system_node import RosSystem
+from surg_console.session.console_orders import OtherMapping, Policy
+from surg_console.session.console_session import SETTLED, Session
+from surg_console.session.system_state import Arm, Robot
+from surg_console.web import calibration_socket
 from surg_core.status_check import values
 from surg_msgs import msg
 from surg_policy_bridge.server import operator_first
 from surg_recording.nodes.recorder_topics_node import RecorderTopics
-from surg_teleop.console.ros.ros_system_node import RosSystem
-from surg_teleop.console.session.console_orders import OtherMapping, Policy
-from surg_teleop.console.session.console_session import SETTLED, Session
-from surg_teleop.console.session.system_state import Arm, Robot
-from surg_teleop.console.web import calibration_socket
 from surg_teleop.playback.operator_node import OperatorNode
 
 TIME = time.monotonic

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from helpers.hardware.emulated_franka import JOINT_POSITION, Client, connected, moving, ramp
-from surg_hardware.emulators.franka.franka_controller import RobotMode
-from surg_hardware.emulators.franka.franka_errors import Error, Violation
-from surg_hardware.emulators.franka.franka_robots import FER, FR3, HOME, ROBOTS, FrankaRobot
-from surg_hardware.emulators.franka.generator_motion import DT, GeneratorMotion
+from surg_emulators.franka.franka_controller import RobotMode
+from surg_emulators.franka.franka_errors import Error, Violation
+from surg_emulators.franka.franka_robots import FER, FR3, HOME, ROBOTS, FrankaRobot
+from surg_emulators.franka.generator_motion import DT, GeneratorMotion
 
 CYCLES = 250_000 if os.environ.get("SURG_TEST_FULL") == "1" else 4_000
 BOTH = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS.keys())

@@ -15,9 +15,9 @@ import pytest
 
 from helpers.hardware import client_venvs, emulated_franka
 from surg_cli.host import paths
-from surg_hardware.emulators.franka.franka_errors import Error
-from surg_hardware.emulators.franka.franka_kinematics import flange, from_columns
-from surg_hardware.emulators.franka.franka_robots import HOME
+from surg_emulators.franka.franka_errors import Error
+from surg_emulators.franka.franka_kinematics import flange, from_columns
+from surg_emulators.franka.franka_robots import HOME
 
 pytestmark = pytest.mark.oracle
 CLIENTS = paths.ROOT / "tests" / "helpers" / "hardware"

@@ -18,12 +18,12 @@ import pytest
 from helpers.hardware import emulated_franka, emulated_ur
 from helpers.hardware.emulated_franka import MOVE_SIZE, State
 from helpers.hardware.emulated_ur import free_address
-from surg_hardware.emulators.franka import franka_emulator
-from surg_hardware.emulators.franka.fci_messages import HEADER
-from surg_hardware.emulators.franka.franka_controller import FrankaController, RobotMode
-from surg_hardware.emulators.franka.franka_emulator import DOWN, FrankaEmulator
-from surg_hardware.emulators.franka.franka_robots import FER, ROBOTS, FrankaRobot
-from surg_hardware.emulators.franka.generator_motion import DT
+from surg_emulators.franka import franka_emulator
+from surg_emulators.franka.fci_messages import HEADER
+from surg_emulators.franka.franka_controller import FrankaController, RobotMode
+from surg_emulators.franka.franka_emulator import DOWN, FrankaEmulator
+from surg_emulators.franka.franka_robots import FER, ROBOTS, FrankaRobot
+from surg_emulators.franka.generator_motion import DT
 
 PACKETS = 500_000 if os.environ.get("SURG_TEST_FULL") == "1" else 3_000
 BOTH = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS.keys())

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from helpers.hardware.emulated_franka import REST, Client, connected, moving, ramp
-from surg_hardware.emulators.franka.fci_messages import HEADER, PROTOCOLS
-from surg_hardware.emulators.franka.franka_controller import (
+from surg_emulators.franka.fci_messages import HEADER, PROTOCOLS
+from surg_emulators.franka.franka_controller import (
     MOST_LOST,
     RECOVERY_CYCLES,
     START_CYCLES,
@@ -17,10 +17,10 @@ from surg_hardware.emulators.franka.franka_controller import (
     FrankaController,
     RobotMode,
 )
-from surg_hardware.emulators.franka.franka_errors import Error
-from surg_hardware.emulators.franka.franka_kinematics import from_columns
-from surg_hardware.emulators.franka.franka_robots import FER, FR3, HOME, ROBOTS, FrankaRobot
-from surg_hardware.emulators.franka.generator_motion import DT, LAGS, STIFFNESS
+from surg_emulators.franka.franka_errors import Error
+from surg_emulators.franka.franka_kinematics import from_columns
+from surg_emulators.franka.franka_robots import FER, FR3, HOME, ROBOTS, FrankaRobot
+from surg_emulators.franka.generator_motion import DT, LAGS, STIFFNESS
 
 BOTH = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS.keys())
 LOST = ["communication_constraints_violation"]

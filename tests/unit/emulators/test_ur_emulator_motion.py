@@ -10,8 +10,8 @@ import pytest
 from helpers.hardware.emulated_ur import cycle, settle
 from surg_cli.host import paths
 from surg_core.urdf import chain_from_urdf, read_joints
-from surg_hardware.emulators.ur import dh_kinematics as dh
-from surg_hardware.emulators.ur.joint_motion import (
+from surg_emulators.ur import dh_kinematics as dh
+from surg_emulators.ur.joint_motion import (
     DT,
     LAGS,
     MAX_ACCELERATION,
@@ -21,7 +21,7 @@ from surg_hardware.emulators.ur.joint_motion import (
     Servo,
     Speed,
 )
-from surg_hardware.emulators.ur.ur_controller import HOME, UrController
+from surg_emulators.ur.ur_controller import HOME, UrController
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 POSTURES = 5_000 if FULL else 200

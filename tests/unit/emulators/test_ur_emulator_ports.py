@@ -13,11 +13,11 @@ import pytest
 
 from helpers.hardware import emulated_ur
 from helpers.hardware.emulated_ur import QD_REGISTERS, Client, follow, free_address, made, packets
-from surg_hardware.emulators.ur import ur_emulator
-from surg_hardware.emulators.ur.joint_motion import DT
-from surg_hardware.emulators.ur.rtde_server import RtdeSession
-from surg_hardware.emulators.ur.ur_controller import UrController
-from surg_hardware.emulators.ur.ur_emulator import DOWN, FIRST_RTDE, PORTS, RESTART, UrEmulator
+from surg_emulators.ur import ur_emulator
+from surg_emulators.ur.joint_motion import DT
+from surg_emulators.ur.rtde_server import RtdeSession
+from surg_emulators.ur.ur_controller import UrController
+from surg_emulators.ur.ur_emulator import DOWN, FIRST_RTDE, PORTS, RESTART, UrEmulator
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 ROUNDS = 100_000 if FULL else 1_000

@@ -9,9 +9,9 @@ import pytest
 
 from helpers.hardware.emulated_ur import Client, cycle, made, packets
 from helpers.results.hardware_results import FUZZ_SERVER, note
-from surg_hardware.emulators.ur.rtde_fields import INPUTS, OUTPUTS
-from surg_hardware.emulators.ur.rtde_server import RtdeSession
-from surg_hardware.emulators.ur.ur_controller import VERSION, UrController
+from surg_emulators.ur.rtde_fields import INPUTS, OUTPUTS
+from surg_emulators.ur.rtde_server import RtdeSession
+from surg_emulators.ur.ur_controller import VERSION, UrController
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 PACKETS = 1_000_000 if FULL else 30_000

@@ -6,10 +6,10 @@ import random
 import pytest
 
 from helpers.hardware.emulated_ur import cycle, follow, settle
-from surg_hardware.emulators.ur.robot_states import Runtime
-from surg_hardware.emulators.ur.ur_controller import UrController
-from surg_hardware.emulators.ur.urscript_machine import Machine
-from surg_hardware.emulators.ur.urscript_syntax import ScriptError
+from surg_emulators.ur.robot_states import Runtime
+from surg_emulators.ur.ur_controller import UrController
+from surg_emulators.ur.urscript_machine import Machine
+from surg_emulators.ur.urscript_syntax import ScriptError
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 SCRIPTS = 100_000 if FULL else 1_500

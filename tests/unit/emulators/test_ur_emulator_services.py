@@ -6,12 +6,12 @@ from collections.abc import Iterator
 import pytest
 
 from helpers.hardware.emulated_ur import settle
-from surg_hardware.emulators.mishaps import Kind, MishapError, Schedule, parse
-from surg_hardware.emulators.ur import dh_kinematics as dh
-from surg_hardware.emulators.ur.dashboard_server import LOCAL, DashboardSession
-from surg_hardware.emulators.ur.primary_server import PrimarySession, ScriptBuffer
-from surg_hardware.emulators.ur.robot_states import RobotMode, Runtime, SafetyMode
-from surg_hardware.emulators.ur.ur_controller import UNLOCK_AFTER, UrController
+from surg_emulators.mishaps import Kind, MishapError, Schedule, parse
+from surg_emulators.ur import dh_kinematics as dh
+from surg_emulators.ur.dashboard_server import LOCAL, DashboardSession
+from surg_emulators.ur.primary_server import PrimarySession, ScriptBuffer
+from surg_emulators.ur.robot_states import RobotMode, Runtime, SafetyMode
+from surg_emulators.ur.ur_controller import UNLOCK_AFTER, UrController
 
 LOOP = "def loop():\n  while True:\n    sync()\n  end\nend\n"
 

@@ -3,10 +3,10 @@
 import pytest
 
 from helpers.hardware.emulated_ur import QD_REGISTERS, Client, cycle, follow, settle
-from surg_hardware.emulators.ur.joint_motion import AT_REST, BRAKING, DT
-from surg_hardware.emulators.ur.robot_states import RobotMode, Runtime, SafetyMode
-from surg_hardware.emulators.ur.rtde_server import RtdeSession
-from surg_hardware.emulators.ur.ur_controller import POWER_TIME, UNLOCK_AFTER, UrController
+from surg_emulators.ur.joint_motion import AT_REST, BRAKING, DT
+from surg_emulators.ur.robot_states import RobotMode, Runtime, SafetyMode
+from surg_emulators.ur.rtde_server import RtdeSession
+from surg_emulators.ur.ur_controller import POWER_TIME, UNLOCK_AFTER, UrController
 
 TURN = "def turn():\n speedj([0.5, 0, 0, 0, 0, 0], 10, 100)\nend\n"
 

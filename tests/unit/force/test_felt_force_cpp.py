@@ -10,7 +10,7 @@ import pytest
 
 from surg_cli.host import paths
 
-CODE = paths.ROOT / "src" / "surg_teleop" / "lambda7"
+CODE = paths.ROOT / "src" / "surg_lambda7" / "src"
 REPLAY = paths.ROOT / "tests" / "helpers" / "force" / "felt_force_replay.cpp"
 LIMIT_S = 0.050
 """From the last force that may be felt, or the word that none may be, to no force."""

@@ -11,7 +11,7 @@ import pytest
 from surg_cli.host import paths
 from surg_core.force.haptics import HapticFeedback, HapticLimits
 
-CODE = paths.ROOT / "src" / "surg_teleop" / "lambda7"
+CODE = paths.ROOT / "src" / "surg_lambda7" / "src"
 REPLAY = paths.ROOT / "tests" / "helpers" / "force" / "haptics_replay.cpp"
 
 

@@ -23,8 +23,8 @@ from helpers.hardware.franka_chain import Chain
 from helpers.hardware.other_fr3 import FRANKY_SIM, joints, running
 from helpers.results import hardware_results as page
 from surg_cli.host import paths
+from surg_emulators.franka.generator_motion import GeneratorMotion
 from surg_hardware.conditions import Condition
-from surg_hardware.emulators.franka.generator_motion import GeneratorMotion
 from surg_teleop.playback.motion_player import Stage
 
 pytestmark = pytest.mark.oracle

@@ -18,8 +18,8 @@ import surg_core
 from surg_cli.commands import up
 from surg_cli.graph import system
 from surg_cli.host import paths
+from surg_emulators.ur.dh_kinematics import TABLES, frames, pose_vector
 from surg_hardware import link_node
-from surg_hardware.emulators.ur.dh_kinematics import TABLES, frames, pose_vector
 from surg_hardware.franka.franka_adapter import FrankaAdapter
 from surg_hardware.franka.joint_limits import FR3, PANDA
 from surg_hardware.identity import flange_mismatch, ur_flange

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from helpers.hardware.ur_chain import DEAD_MAN, STOP, Chain
+from surg_emulators.ur.joint_motion import DT
+from surg_emulators.ur.robot_states import SafetyMode
+from surg_emulators.ur.ur_controller import POWER_TIME, UNLOCK_AFTER
 from surg_hardware.conditions import Condition
-from surg_hardware.emulators.ur.joint_motion import DT
-from surg_hardware.emulators.ur.robot_states import SafetyMode
-from surg_hardware.emulators.ur.ur_controller import POWER_TIME, UNLOCK_AFTER
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 SEEDS = 100 if FULL else 4

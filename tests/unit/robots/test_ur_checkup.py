@@ -18,13 +18,13 @@ from helpers.hardware import emulated_ur
 from helpers.hardware.emulated_cell import BUNDLED, HOME, SERIAL, emulated_cell
 from surg_cli.graph.roles import Route
 from surg_cli.robots import robot_doctor
+from surg_emulators.ur import dashboard_server
+from surg_emulators.ur.joint_motion import DT
+from surg_emulators.ur.robot_states import SafetyMode
+from surg_emulators.ur.ur_controller import UrController
+from surg_emulators.ur.ur_emulator import UrEmulator
 from surg_hardware import checkup
 from surg_hardware.checkup import Finding
-from surg_hardware.emulators.ur import dashboard_server
-from surg_hardware.emulators.ur.joint_motion import DT
-from surg_hardware.emulators.ur.robot_states import SafetyMode
-from surg_hardware.emulators.ur.ur_controller import UrController
-from surg_hardware.emulators.ur.ur_emulator import UrEmulator
 from surg_hardware.ur import dashboard, ur_checkup
 
 Wrong = Callable[[UrEmulator], object]

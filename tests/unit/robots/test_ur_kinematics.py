@@ -17,9 +17,9 @@ from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
 from surg_core import calibration
 from surg_core.urdf import chain_from_urdf
-from surg_hardware.emulators.ur.dh_kinematics import TABLES, Table, frames, pose_vector
-from surg_hardware.emulators.ur.primary_server import PrimarySession
-from surg_hardware.emulators.ur.ur_controller import UrController
+from surg_emulators.ur.dh_kinematics import TABLES, Table, frames, pose_vector
+from surg_emulators.ur.primary_server import PrimarySession
+from surg_emulators.ur.ur_controller import UrController
 from surg_hardware.identity import flange_difference, ur_flange
 from surg_hardware.ur import ur_service
 

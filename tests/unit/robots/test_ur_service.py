@@ -11,9 +11,9 @@ import pytest
 from helpers.hardware import emulated_ur
 from helpers.hardware.emulated_cell import HOME, SERIAL, emulated_cell
 from surg_cli.host.terminal import Problem
-from surg_hardware.emulators.ur import ur_controller
-from surg_hardware.emulators.ur.robot_states import RobotMode, SafetyMode
-from surg_hardware.emulators.ur.ur_controller import UrController
+from surg_emulators.ur import ur_controller
+from surg_emulators.ur.robot_states import RobotMode, SafetyMode
+from surg_emulators.ur.ur_controller import UrController
 
 Robot = Callable[..., int]
 

@@ -30,7 +30,7 @@ class Output:
 
 @pytest.fixture(autouse=True)
 def no_graph(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "DirectPublisher", Output)
+    monkeypatch.setattr(module, "BytesPublisher", Output)
     monkeypatch.setattr(module.rospy, "get_name", lambda: "/me")
 
 

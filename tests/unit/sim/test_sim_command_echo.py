@@ -62,7 +62,7 @@ def test_a_stall_is_refused_and_what_is_sent_after_it_is_obeyed(
     monkeypatch.setattr(node.rospy, "Subscriber", lambda t, k, c, **_: callbacks.update({t: c}))
     monkeypatch.setattr(node.rospy, "logwarn_throttle", lambda _, text: warned.append(text))
     output = SimpleNamespace(connections=0)
-    monkeypatch.setattr(node, "DirectPublisher", lambda *_: output)
+    monkeypatch.setattr(node, "BytesPublisher", lambda *_: output)
 
     def message(tick: int, place: float) -> SimpleNamespace:
         layout = node.link_messages.JointStateLayout(["yaw", "pitch", "insertion", "roll"])

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from helpers.teleop.hand import WORKSPACE
+from surg_core.hand.leader_sample import HandlePose
 from surg_teleop.leaders.handle_roll import Handle
-from surg_teleop.leaders.leader import HandlePose
 
 
 def test_roll_is_the_twist_of_swing_and_twist() -> None:

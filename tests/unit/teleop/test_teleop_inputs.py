@@ -22,6 +22,7 @@ from helpers.teleop.input_devices import (
     code,
     to_bytes,
 )
+from surg_core.hand.leader_sample import LeaderSample
 from surg_teleop.leaders.bundled.gamepad import Gamepad
 from surg_teleop.leaders.bundled.pedals import Pedals
 from surg_teleop.leaders.bundled.spacemouse import SpaceMouse
@@ -43,7 +44,7 @@ from surg_teleop.leaders.evdev.input_events import (
     Decoder,
     Event,
 )
-from surg_teleop.leaders.leader import Leader, LeaderError, LeaderSample, load
+from surg_teleop.leaders.leader import Leader, LeaderError, load
 
 STEP = 0.002
 

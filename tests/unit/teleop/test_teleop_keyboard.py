@@ -6,8 +6,9 @@ import random
 import numpy as np
 import pytest
 
+from surg_core.hand.leader_sample import LeaderSample
 from surg_teleop.leaders.bundled.keyboard import HELP, HOLD, IDLE, KEYS, SPEEDS, Keyboard, Typing
-from surg_teleop.leaders.leader import LeaderError, LeaderSample
+from surg_teleop.leaders.leader import LeaderError
 
 TICK = 0.01
 

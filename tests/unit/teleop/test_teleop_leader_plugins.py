@@ -38,7 +38,7 @@ def test_a_leader_from_outside_the_tree_runs_by_path(tmp_path: Path) -> None:
     file.write_text(
         '''"""A leader that sits still."""
 import numpy as np
-from surg_teleop.leaders.leader import HandlePose, LeaderSample
+from surg_core.hand.leader_sample import HandlePose, LeaderSample
 
 class Still:
     def __init__(self, depth=0.1):

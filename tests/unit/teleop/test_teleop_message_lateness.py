@@ -5,7 +5,7 @@ import pytest
 
 from helpers.control.gate_arm import TICK, GateArm
 from helpers.teleop.hand import settings
-from surg_teleop.follow.message_lateness import WINDOW, Arrivals
+from surg_core.hand.message_lateness import WINDOW, Arrivals
 from surg_teleop.follow.teleop_types import CameraView, State
 from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders.bundled.crtk import CrtkLeader

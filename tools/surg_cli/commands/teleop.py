@@ -159,7 +159,7 @@ def _operator_nodes(
 
 def _web(options: argparse.Namespace) -> tuple[dict[str, object], str]:
     """Check who may open the page; returns the console's parameters and the address's token."""
-    from surg_teleop.console.web import access
+    from surg_console.web import access
 
     try:
         token = access.read_token(options.token_file) if options.token_file else ""

@@ -69,7 +69,7 @@ def console(plan: Plan, leads: bool, web: Mapping[str, object]) -> Node:
         **({"episodes": str(plan.out / "episode")} if plan.record else {}),
         **web,
     }
-    return Node(CONSOLE, "surg_teleop", "console_node.py", params, prompt=True)
+    return Node(CONSOLE, "surg_console", "console_node.py", params, prompt=True)
 
 
 def driven_arm(plan: Plan) -> str:

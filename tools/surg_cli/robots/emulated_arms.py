@@ -14,8 +14,8 @@ from surg_cli.graph.processes import Supervisor
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
 from surg_cli.robots.robot_request import condition_name
-from surg_hardware.emulators.emulator_ports import CONTROL
-from surg_hardware.emulators.ur import ur_emulator
+from surg_emulators.emulator_ports import CONTROL
+from surg_emulators.ur import ur_emulator
 
 MODELS = {
     "ur": {model.lower(): model for model in ur_emulator.MODELS},

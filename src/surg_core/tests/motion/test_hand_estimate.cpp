@@ -5,7 +5,7 @@
 #include <functional>
 
 #include "support/test_support.hpp"
-#include "surg_core/motion/hand_estimate.hpp"
+#include "surg_core/estimators/hand_estimate.hpp"
 
 namespace surg {
 namespace {

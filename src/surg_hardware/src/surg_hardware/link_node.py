@@ -43,9 +43,8 @@ from surg_hardware.driver_start import driver_settings, start_driver
 from surg_hardware.robot_link import Status
 from surg_msgs.msg import LinkStatus
 from surg_ros import link_messages
+from surg_ros.byte_topics import BytesPublisher, as_bytes
 from surg_ros.params import read, text
-from surg_ros.transport.direct_publisher import DirectPublisher
-from surg_ros.transport.message_bytes import JointStateBytes
 
 STATUS_PERIOD = 0.02
 """[s]"""
@@ -83,16 +82,14 @@ class LinkNode:
         self.refusal = ""
         """Why this robot must not be driven; empty: no reason yet."""
         root = f"/{arm.name}"
-        self._state_out = DirectPublisher(f"{root}/robot/measured_js", JointState, blocking=False)
-        self._status_out = DirectPublisher(f"{root}/robot/status", LinkStatus, blocking=False)
-        self._force_out = DirectPublisher(
-            f"{root}/robot/measured_cf", WrenchStamped, blocking=False
-        )
+        self._state_out = BytesPublisher(f"{root}/robot/measured_js", JointState, blocking=False)
+        self._status_out = BytesPublisher(f"{root}/robot/status", LinkStatus, blocking=False)
+        self._force_out = BytesPublisher(f"{root}/robot/measured_cf", WrenchStamped, blocking=False)
         self._force_frame = link_messages.text(f"{arm.name}_base")
         self._warning_out = rospy.Publisher(f"{root}/warning", String, queue_size=10)
         self._driver, self._socket = self._start_driver()
         keys: dict[str, Any] = {"tcp_nodelay": True}
-        rospy.Subscriber(f"{root}/robot/servo_jv", JointStateBytes, self._on_velocity, **keys)
+        rospy.Subscriber(f"{root}/robot/servo_jv", as_bytes(JointState), self._on_velocity, **keys)
         rospy.Subscriber(f"{root}/robot/request", StringStamped, self._on_request, **keys)
         rospy.Subscriber(f"{root}/operating_state", OperatingState, self._on_operating_state)
 
@@ -203,7 +200,7 @@ class LinkNode:
 
     # --- to the driver --------------------------------------------------------------------------
 
-    def _on_velocity(self, message: JointStateBytes) -> None:
+    def _on_velocity(self, message: Any) -> None:
         try:
             stamp_ns, _, velocity = link_messages.unpack_joint_state(message.data)
         except struct.error as error:

@@ -20,8 +20,8 @@ from surg_core.arm_view import ArmView, Array
 from surg_core.contract import GRID, TICK_NS
 from surg_msgs.msg import Cycle, Ready, TaskState
 from surg_ros.arm_port import ArmPort, arm_view
+from surg_ros.byte_topics import BytesPublisher
 from surg_ros.peers import publishers, subscribers
-from surg_ros.transport.direct_publisher import DirectPublisher
 
 ASSISTANT = "assistant"
 """Name of the instrument that the simulator itself drives; it has no controller."""
@@ -99,7 +99,7 @@ class Participant:
         self._cycles: dict[str, tuple[int, Cycle]] = {}
         self._state: tuple[int, TaskState] = (0, TaskState())
         if lockstep:
-            self._ready = DirectPublisher("/sim/ready", Ready, blocking=True, latch=True)
+            self._ready = BytesPublisher("/sim/ready", Ready, blocking=True, latch=True)
         self.inputs: list[Any] = []
         """Subscribers that must be connected before the first tick."""
         if listen:

@@ -8,10 +8,10 @@ from pathlib import Path
 from surg_cli.host import cells
 from surg_cli.host.terminal import Problem, say
 from surg_cli.robots.emulated_arms import MODELS
-from surg_hardware.emulators import emulator_ports
-from surg_hardware.emulators.emulator_ports import PortedEmulator
-from surg_hardware.emulators.franka import franka_emulator
-from surg_hardware.emulators.ur import ur_emulator
+from surg_emulators import emulator_ports
+from surg_emulators.emulator_ports import PortedEmulator
+from surg_emulators.franka import franka_emulator
+from surg_emulators.ur import ur_emulator
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:

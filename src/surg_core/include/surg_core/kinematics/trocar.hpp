@@ -3,7 +3,7 @@
 
 #include <cstdint>
 
-#include "surg_core/kinematics/track_filter.hpp"
+#include "surg_core/estimators/track_filter.hpp"
 #include "surg_core/state/operating_state.hpp"
 #include "surg_core/types.hpp"
 

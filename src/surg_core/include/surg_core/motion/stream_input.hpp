@@ -1,10 +1,10 @@
 // A stream on its way from its sender to the filters: time and estimate of the samples, delay.
 #pragma once
 
-#include "surg_core/motion/hand_estimate.hpp"
+#include "surg_core/estimators/hand_estimate.hpp"
 #include "surg_core/motion/stream.hpp"
 #include "surg_core/motion/stream_clock.hpp"
-#include "surg_core/motion/tremor_estimate.hpp"
+#include "surg_core/estimators/tremor_estimate.hpp"
 
 namespace surg {
 

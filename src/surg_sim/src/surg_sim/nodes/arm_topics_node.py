@@ -7,15 +7,14 @@ from collections.abc import Callable
 from typing import Any
 
 import rospy
+from geometry_msgs.msg import TwistStamped
 from sensor_msgs.msg import JointState
 
 import surg_core
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_msgs.msg import LinkStatus, PointVelocityStamped
 from surg_ros import link_messages
-from surg_ros.transport.direct_publisher import DirectPublisher, speakers
-from surg_ros.transport.message_bytes import JointStateBytes, TwistBytes
-from surg_ros.transport.polled_subscriber import PolledSubscriber
+from surg_ros.byte_topics import BytesPublisher, BytesSubscriber, as_bytes, speakers
 from surg_sim.nodes.command_box import CommandBox
 from surg_sim.physics.sim_arm import ArmCommand
 
@@ -47,25 +46,25 @@ class ArmTopics:
             link: CommandBox() for link in ("robot", "tool")
         }
         root = f"/{arm.name}"
-        self.state = DirectPublisher(f"{root}/robot/measured_js", JointState, lockstep)
-        self.status = DirectPublisher(f"{root}/robot/status", LinkStatus, lockstep)
-        self.tool = DirectPublisher(f"{root}/tool/measured_js", JointState, lockstep)
+        self.state = BytesPublisher(f"{root}/robot/measured_js", JointState, lockstep)
+        self.status = BytesPublisher(f"{root}/robot/status", LinkStatus, lockstep)
+        self.tool = BytesPublisher(f"{root}/tool/measured_js", JointState, lockstep)
         has_jaw = arm.instrument.jaw_min < arm.instrument.jaw_max
         self.tool_ticks = 1 if lockstep or has_jaw else _JAWLESS_TICKS
         # The track is advertised only if it is published.
         self.stale = round(track_stale * SECOND_NS / TICK_NS)
         self.frame = link_messages.text(f"{arm.name}_base")
         self.tracked = 0
-        self.track: DirectPublisher | None = None
+        self.track: BytesPublisher | None = None
         if self.stale >= 0:
-            self.track = DirectPublisher(f"{root}/rcm/track", PointVelocityStamped, lockstep)
+            self.track = BytesPublisher(f"{root}/rcm/track", PointVelocityStamped, lockstep)
         self._lockstep, self._receive = lockstep, receive
-        self._polled: list[tuple[PolledSubscriber, Callable[[bytes], None]]] = []
+        self._polled: list[tuple[BytesSubscriber, Callable[[bytes], None]]] = []
         self.inputs = [
-            self._subscribe("robot/servo_jv", JointStateBytes, self._on_velocity),
-            self._subscribe("robot/servo_cv", TwistBytes, self._on_twist),
+            self._subscribe("robot/servo_jv", JointState, self._on_velocity),
+            self._subscribe("robot/servo_cv", TwistStamped, self._on_twist),
         ]
-        self.tool_input = self._subscribe("tool/servo_jp", JointStateBytes, self._on_jaw)
+        self.tool_input = self._subscribe("tool/servo_jp", JointState, self._on_jaw)
 
     def _subscribe(self, topic: str, kind: type, take: Callable[[bytes], None]) -> Any:
         name = f"/{self.name}/{topic}"
@@ -77,10 +76,12 @@ class ArmTopics:
                 rospy.logwarn_throttle(1.0, f"{name}: unreadable message: {error}")
 
         if not self._lockstep:
-            polled = PolledSubscriber(name, kind)
+            polled = BytesSubscriber(name, kind)
             self._polled.append((polled, receive))
             return polled
-        return rospy.Subscriber(name, kind, lambda message: receive(message.data), tcp_nodelay=True)
+        return rospy.Subscriber(
+            name, as_bytes(kind), lambda message: receive(message.data), tcp_nodelay=True
+        )
 
     def _on_velocity(self, data: bytes) -> None:
         stamp_ns, _, velocity = link_messages.unpack_joint_state(data)
@@ -117,11 +118,6 @@ class ArmTopics:
         """Nodes that command both the robot and the tool."""
         robot = set().union(*(speakers(subscriber) for subscriber in self.inputs))
         return robot & speakers(self.tool_input)
-
-    def release(self) -> None:
-        """No tick follows: stop making senders of commands wait."""
-        for polled, _ in self._polled:
-            polled.release()
 
     def unconnected(self) -> list[str]:
         """One sentence per missing connection to the controller."""

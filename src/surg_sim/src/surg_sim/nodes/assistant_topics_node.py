@@ -11,8 +11,7 @@ import rospy
 from sensor_msgs.msg import JointState
 
 from surg_ros import link_messages
-from surg_ros.transport.direct_publisher import DirectPublisher
-from surg_sim.nodes.arm_topics_node import JointStateBytes
+from surg_ros.byte_topics import BytesPublisher, as_bytes
 from surg_sim.nodes.command_echo import CommandEcho
 from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.assistant_scene import JOINTS
@@ -33,8 +32,8 @@ class AssistantTopics:
         self._bridge = bridge
         # Tick, sender, what, value; in free-run put in without a lock (see command_box.py).
         self._waiting: deque[tuple[int, str, str, Any]] = deque()
-        self._state = DirectPublisher("/assistant/measured_js", JointState, bridge.lockstep)
-        self._jaw = DirectPublisher("/assistant/jaw/measured_js", JointState, bridge.lockstep)
+        self._state = BytesPublisher("/assistant/measured_js", JointState, bridge.lockstep)
+        self._jaw = BytesPublisher("/assistant/jaw/measured_js", JointState, bridge.lockstep)
         self._layout = link_messages.JointStateLayout(JOINTS)
         self._jaw_layout = link_messages.JointStateLayout(["jaw"])
         self._command_echo = CommandEcho()
@@ -56,7 +55,7 @@ class AssistantTopics:
                 bridge.on_assistant(self, sender, stamp_ns, what, position)
 
             return rospy.Subscriber(
-                f"/assistant/{topic}", JointStateBytes, callback, tcp_nodelay=True
+                f"/assistant/{topic}", as_bytes(JointState), callback, tcp_nodelay=True
             )
 
         self._inputs = [listen("servo_jp", "joints", 4), listen("jaw/servo_jp", "jaw", 1)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from geometry_msgs.msg import WrenchStamped
 
 from surg_ros import link_messages
-from surg_ros.transport.direct_publisher import DirectPublisher
+from surg_ros.byte_topics import BytesPublisher
 from surg_sim.nodes import bridge_messages
 from surg_sim.physics.world import World
 
@@ -18,7 +18,7 @@ class FlangeTopics:
             (
                 sensor,
                 link_messages.text(f"{name}_force_sensor"),
-                DirectPublisher(f"/{name}/flange/measured_cf", WrenchStamped, blocking=False),
+                BytesPublisher(f"/{name}/flange/measured_cf", WrenchStamped, blocking=False),
             )
             for name, sensor in world.force_sensors.items()
         ]

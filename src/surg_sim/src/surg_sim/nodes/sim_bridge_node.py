@@ -14,7 +14,7 @@ from std_msgs.msg import String
 
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_msgs.msg import Ready, SimStatus, TaskStatus
-from surg_ros.transport.direct_publisher import speakers
+from surg_ros.byte_topics import speakers
 from surg_sim.nodes import faults
 from surg_sim.nodes.arm_topics_node import ArmTopics, Arrival
 from surg_sim.nodes.assistant_topics_node import AssistantTopics
@@ -303,7 +303,5 @@ class Bridge:
             with self._lock:
                 if self._step():
                     self._end()
-                    for arm in self._arms:
-                        arm.release()
                     return
                 self._states.publish(self._start_ns + self._world.tick * TICK_NS)

@@ -14,7 +14,7 @@ import surg_core
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_msgs.msg import GroundTruth, Ready, SimSnapshot
 from surg_ros import link_messages
-from surg_ros.transport.direct_publisher import DirectPublisher, listeners
+from surg_ros.byte_topics import BytesPublisher, listeners
 from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.arm_topics_node import ArmTopics
 from surg_sim.nodes.exposure_schedule import ExposureSchedule
@@ -48,7 +48,7 @@ class StatePublisher:
         self._exposures, self._lockstep = exposures, lockstep
         self.stamp_ns = 0
         """Stamp of the state that was published last."""
-        self._clock = DirectPublisher("/clock", Clock, lockstep)
+        self._clock = BytesPublisher("/clock", Clock, lockstep)
         self._snapshot = rospy.Publisher(
             "/sim/snapshot", SimSnapshot, queue_size=0 if lockstep else 2, tcp_nodelay=True
         )
@@ -58,7 +58,7 @@ class StatePublisher:
         if lockstep and any(arm.track is not None for arm in arms):
             self._tracker = rospy.Publisher("/sim/ready", Ready, queue_size=0, tcp_nodelay=True)
         self._flanges = None if lockstep else FlangeTopics(world)
-        self._truth = DirectPublisher("/sim/ground_truth/state", GroundTruth, lockstep)
+        self._truth = BytesPublisher("/sim/ground_truth/state", GroundTruth, lockstep)
 
     def publish(self, stamp_ns: int) -> None:
         """Publish the present state of the world with this stamp."""

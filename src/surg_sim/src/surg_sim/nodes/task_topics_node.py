@@ -11,7 +11,7 @@ from geometry_msgs.msg import WrenchStamped
 from surg_core.contract import FORCE_TICKS, GRID
 from surg_msgs.msg import TaskState, TaskStatus
 from surg_ros import link_messages
-from surg_ros.transport.direct_publisher import DirectPublisher
+from surg_ros.byte_topics import BytesPublisher
 from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.assistant_topics_node import AssistantTopics
 from surg_sim.physics.assistant_arm import AssistantCommand
@@ -33,7 +33,7 @@ class _ForceSensor:
     def __init__(self, arm: str, place: str, read: Callable[[str], Any], lockstep: bool) -> None:
         self.arm, self._frame, self._read = arm, link_messages.text(f"{arm}_base"), read
         self.topic = f"/{arm}/{place}/measured_cf"
-        self.output = DirectPublisher(self.topic, WrenchStamped, lockstep)
+        self.output = BytesPublisher(self.topic, WrenchStamped, lockstep)
 
     def publish(self, tick: int, stamp_ns: int) -> None:
         """The force in the state that is there."""
@@ -52,7 +52,7 @@ class TaskTopics:
         self._layout = bridge_messages.TaskStateLayout(self._task.state())
         # Latched: a sender that takes part counts itself connected a moment before this side does,
         # and a state of the grid is sent once.
-        self._state = DirectPublisher("/sim/task_state", TaskState, bridge.lockstep, latch=True)
+        self._state = BytesPublisher("/sim/task_state", TaskState, bridge.lockstep, latch=True)
         self._assistant = None if self._task.assistant is None else AssistantTopics(bridge)
         lockstep = bridge.lockstep
         # An arm with a sensor at its flange is told what that sensor makes of it.

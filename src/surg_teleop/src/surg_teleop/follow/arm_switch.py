@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from surg_core.arm_view import ArmView
+from surg_core.hand.leader_sample import LeaderSample
 from surg_teleop.follow.teleop_types import CameraView, State, TeleopOutput
 from surg_teleop.follow.teleoperation import Teleop
-from surg_teleop.leaders.leader import LeaderSample
 
 
 @dataclass

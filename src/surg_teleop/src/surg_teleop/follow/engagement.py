@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from surg_core.arm_view import ArmCommands, ArmView, TipPose
+from surg_core.hand.leader_sample import LeaderSample
 from surg_teleop.follow.jaw_follower import JawFollower
 from surg_teleop.follow.target_pose import HandJumpError, TargetPose
 from surg_teleop.follow.teleop_types import (
@@ -19,7 +20,6 @@ from surg_teleop.follow.teleop_types import (
     Reason,
     TeleopSettings,
 )
-from surg_teleop.leaders.leader import LeaderSample
 
 AGAIN = "press and release the clutch, or press enable"
 """The operator's acts that start an engagement."""

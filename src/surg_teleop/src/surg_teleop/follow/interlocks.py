@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from surg_core.arm_view import ArmState, ArmView
+from surg_core.hand.leader_sample import HandRate, LeaderSample
 from surg_teleop.follow.teleop_types import (
     NEUTRAL,
     CameraView,
@@ -19,7 +20,6 @@ from surg_teleop.follow.teleop_types import (
     TeleopSettings,
     fresh,
 )
-from surg_teleop.leaders.leader import HandRate, LeaderSample
 
 RESTS_ON_IT = 1e-3
 """[m] A tip so little above the depth of an inserted one is inserted, as the controller counts."""

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from surg_core.contract import PRESENCE_TIMEOUT
-from surg_teleop.leaders.leader import LeaderSample
+from surg_core.hand.leader_sample import LeaderSample
 
 PEDAL_REPEATS = 5
 """A source that repeats the same state so often in a row is taken to repeat it always."""

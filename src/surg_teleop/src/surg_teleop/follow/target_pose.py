@@ -16,10 +16,10 @@ import numpy as np
 from surg_core import Limits
 from surg_core.arm_view import ArmView, Array, TipPose
 from surg_core.contract import SECOND_NS, TICK_NS
+from surg_core.hand.leader_sample import LeaderSample
 from surg_core.transforms import virtual_tip
 from surg_teleop.follow.hand_mapping import Mapping
 from surg_teleop.leaders.handle_roll import Handle
-from surg_teleop.leaders.leader import LeaderSample
 from surg_teleop.playback.motion_file import (
     JUMP_SLACK,
     JUMP_SPEED,

@@ -29,15 +29,15 @@ from sensor_msgs.msg import JointState
 from surg_core import ConfigError
 from surg_core.arm_view import ArmView
 from surg_core.contract import SECOND_NS, TICK_NS
+from surg_core.hand.message_lateness import Arrivals
 from surg_core.held_endoscope import HeldEndoscope
 from surg_msgs.msg import Cycle
 from surg_ros.arm_port import KINDS, SERVO_INSTRUMENT, ArmPort, arm_view
+from surg_ros.byte_topics import BytesSubscriber
 from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError
 from surg_ros.participant import Participant, Seen
-from surg_ros.transport.polled_subscriber import PolledSubscriber
 from surg_teleop.follow.felt_force_node import FeltForces
-from surg_teleop.follow.message_lateness import Arrivals
 from surg_teleop.follow.operator_topics_node import OperatorTopics, listen
 from surg_teleop.follow.picture_watch import PictureWatch
 from surg_teleop.follow.servo_instrument import ServoInstrument
@@ -77,11 +77,11 @@ class TeleopNode:
             self._ports[ASSISTANT] = ArmPort(ASSISTANT, SERVO_INSTRUMENT)
         self._status = TeleopStatusPublisher(setup.hands)
         # Free-run ticks are less frequent than cycles, so each reads the newest cycle only.
-        self._polled: dict[str, PolledSubscriber] = {}
+        self._polled: dict[str, BytesSubscriber] = {}
         if setup.lockstep:
             self.participant = Participant(self._ports, self._on_tick, setup.heard, lock=self._lock)
         else:
-            self._polled = {arm: PolledSubscriber(f"/{arm}/cycle", Cycle) for arm in setup.heard}
+            self._polled = {arm: BytesSubscriber(f"/{arm}/cycle", Cycle) for arm in setup.heard}
         for hand in setup.hands:
             if isinstance(hand.leader, CrtkLeader):
                 CrtkTopics(hand.leader, self._lock, self._wake)

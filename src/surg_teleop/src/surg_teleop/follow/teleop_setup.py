@@ -9,6 +9,7 @@ from typing import Any
 
 import surg_core
 from surg_core.arm_view import Array, JawRange
+from surg_core.hand.leader_sample import LeaderSample
 from surg_core.held_endoscope import HeldEndoscope, held_endoscope
 from surg_ros.params import ParamError, dictionary, flag, one_of, read, real, text, vector
 from surg_teleop.follow.arm_switch import ArmSwitch
@@ -24,7 +25,7 @@ from surg_teleop.follow.teleop_types import (
 from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders import leader as leaders
 from surg_teleop.leaders.bundled.crtk import CrtkLeader
-from surg_teleop.leaders.leader import Leader, LeaderError, LeaderSample
+from surg_teleop.leaders.leader import Leader, LeaderError
 from surg_teleop.playback.workspace_fit import Workspace
 
 REOPEN = 1.0

@@ -7,8 +7,8 @@ import math
 from dataclasses import dataclass
 
 from surg_core.arm_view import ArmCommands, ArmView, Array, JawRange
+from surg_core.hand.leader_sample import HandlePose, HandRate, LeaderSample
 from surg_teleop.follow.target_pose import StepLimits
-from surg_teleop.leaders.leader import HandlePose, HandRate, LeaderSample
 from surg_teleop.playback.workspace_fit import Workspace
 
 SILENCE = 0.1

@@ -29,6 +29,7 @@ from dataclasses import dataclass, field, replace
 from surg_core.arm_view import ArmCommands, ArmState, ArmView
 from surg_core.bring_up import BringUp
 from surg_core.contract import SECOND_NS, TICK_NS
+from surg_core.hand.leader_sample import LeaderSample
 from surg_teleop.follow import interlocks
 from surg_teleop.follow.engagement import AGAIN, DisengagedError, Engagement
 from surg_teleop.follow.teleop_types import (
@@ -50,7 +51,6 @@ from surg_teleop.follow.teleop_types import (
     fresh,
     older_than,
 )
-from surg_teleop.leaders.leader import LeaderSample
 
 NEVER = -math.inf
 """[s] Before every time of the steady clock."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 from surg_core.arm_view import Array
+from surg_core.hand.leader_sample import HandlePose
 from surg_core.transforms import twist_angle
-from surg_teleop.leaders.leader import HandlePose
 
 MIN_TWIST = 1e-3
 """|cos(swing / 2)| must exceed this: swing–twist has no answer where the handle points back."""

@@ -10,38 +10,15 @@ the path of a file. A leader that is a process of its own publishes CRTK topics 
 from __future__ import annotations
 
 import inspect
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-import numpy as np
-
-from surg_core.arm_view import Array
+from surg_core.hand.leader_sample import LeaderSample
 from surg_core.plugins import PluginError, PluginKind
 
 GROUP = "surg_teleop.leaders"
 """Entry points of other packages: ``my_leader = my_package.file:MyLeader``."""
-
-BUTTONS = frozenset(
-    {
-        "clutch",  # held: the hand moves, the instrument does not
-        "camera",  # held: the hand moves the endoscope
-        "enable",  # pressed: teleoperation on or off
-        "record",  # pressed: recording on or off
-        "present",  # held: the operator is there (head sensor, dead-man grip)
-        "rate",  # pressed while clutched: the other mapping, of a leader that offers both
-        "lock_rotation",  # held: the roll stays
-        "lock_translation",  # held: the tip stays
-    }
-)
-"""Names of buttons; a sample holds those that are down."""
-
-_IDENTITY = np.eye(3)
-ROTATION_TOLERANCE = 1e-3
-"""Largest entry of R R^T - I of a handle's orientation, as left by single precision. A larger one
-means a broken driver, and its roll would be wrong."""
 
 
 class LeaderError(RuntimeError):
@@ -50,81 +27,6 @@ class LeaderError(RuntimeError):
     def __init__(self, what: str, device: str, cure: str) -> None:
         super().__init__(f"{device}: {what}; {cure}")
         self.what, self.device, self.cure = what, device, cure
-
-
-@dataclass(frozen=True)
-class HandlePose:
-    """Pose of the handle in V; only its motion counts, so the origin is arbitrary.
-
-    Attributes:
-        p_VH: (3,) handle [m].
-        R_VH: (3, 3) its orientation. The third column is the handle axis, about which the hand
-            rolls; it points out of the hand, like the instrument.
-    """
-
-    p_VH: Array
-    R_VH: Array
-
-    def finite(self) -> bool:
-        """Whether every number is finite and R_VH is a rotation."""
-        return _is_vector(self.p_VH) and _is_rotation(self.R_VH)
-
-
-@dataclass(frozen=True)
-class HandRate:
-    """Commanded rate: in the picture, or about the trocar (spherical mode).
-
-    Attributes:
-        v_V: (3,) velocity of the tip in V [m/s] at the default scale; other scales change it in
-            proportion. Zeros in spherical mode.
-        roll: Rate of the shaft's roll [rad/s], positive clockwise seen along the shaft into the
-            patient.
-        spherical: None, or (3,) rates of yaw, pitch [rad/s] and insertion [m/s] of the virtual
-            joints, the paper's spherical mode; v_V is then ignored.
-    """
-
-    v_V: Array
-    roll: float = 0.0
-    spherical: Array | None = None
-
-    def finite(self) -> bool:
-        """Whether every number is finite."""
-        return (
-            _is_vector(self.v_V)
-            and math.isfinite(self.roll)
-            and (self.spherical is None or _is_vector(self.spherical))
-        )
-
-
-@dataclass(frozen=True)
-class LeaderSample:
-    """One reading of a leader.
-
-    Attributes:
-        stamp: Receipt on the steady clock of ``read``'s ``now`` [s].
-        pose: Of the handle; None: the leader has none.
-        rate: Commanded velocity; None: the leader has none. A leader may provide both.
-        grip: 0 closed to 1 open; None: it has no gripper.
-        buttons: Those of BUTTONS that are down.
-        problem: Why the leader must not be followed although it sends (for example, its own state
-            is not ENABLED), and what to do; empty: it may.
-    """
-
-    stamp: float
-    pose: HandlePose | None = None
-    rate: HandRate | None = None
-    grip: float | None = None
-    buttons: frozenset[str] = frozenset()
-    problem: str = ""
-
-    def finite(self) -> bool:
-        """Whether all numbers of the sample are valid."""
-        return (
-            math.isfinite(self.stamp)
-            and (self.pose is None or self.pose.finite())
-            and (self.rate is None or self.rate.finite())
-            and (self.grip is None or math.isfinite(self.grip))
-        )
 
 
 @runtime_checkable
@@ -219,14 +121,3 @@ KIND = PluginKind(
     accepts=_is_leader,
     shape="one public class with name, open, read and close",
 )
-
-
-def _is_vector(value: Array) -> bool:
-    return value.shape == (3,) and math.isfinite(float(value.sum()))
-
-
-def _is_rotation(value: Array) -> bool:
-    if value.shape != (3, 3):
-        return False
-    defect = float(np.abs(value @ value.T - _IDENTITY).max())
-    return defect <= ROTATION_TOLERANCE and bool(np.linalg.det(value) > 0.0)  # False for NaN

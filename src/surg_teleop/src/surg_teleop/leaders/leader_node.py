@@ -31,13 +31,14 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import String
 
 from crtk_msgs.msg import OperatingState
+from surg_core.hand.leader_sample import LeaderSample
+from surg_ros.leader_port import LeaderTopics, joy_message
 from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError, dictionary, flag, read, real, text
 from surg_teleop.leaders.bundled.keyboard import HELP, Keyboard
 from surg_teleop.leaders.evdev.device_leader import InputLeader
 from surg_teleop.leaders.evdev.rumble import Rumble
-from surg_teleop.leaders.leader import Leader, LeaderError, LeaderSample, load, names
-from surg_teleop.leaders.leader_topics_node import LeaderTopics, joy_message
+from surg_teleop.leaders.leader import Leader, LeaderError, load, names
 
 RATES = (20.0, 500.0)
 """[Hz] Slower than 10 Hz would read as silence."""

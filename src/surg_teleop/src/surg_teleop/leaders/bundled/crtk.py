@@ -1,7 +1,7 @@
 """A CRTK leader on topics, such as a browser, gamepad or haptic device in its own process.
 
 Pure; ``crtk_leader_node`` subscribes. ``now`` is a message's receipt on the steady clock [s],
-corrected for network delays (:class:`~surg_teleop.follow.message_lateness.Arrivals`).
+corrected for network delays (:class:`~surg_core.hand.message_lateness.Arrivals`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from surg_core import quaternion_xyzw_to_matrix, rpy_to_matrix
 from surg_core.arm_view import Array
-from surg_teleop.leaders.leader import HandlePose, HandRate, LeaderSample
+from surg_core.hand.leader_sample import HandlePose, HandRate, LeaderSample
 
 FRESH = 0.1
 """[s] Largest difference between pose and velocity of one sample."""

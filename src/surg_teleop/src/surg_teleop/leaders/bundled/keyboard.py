@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from surg_teleop.leaders.leader import HandRate, LeaderError, LeaderSample
+from surg_core.hand.leader_sample import HandRate, LeaderSample
+from surg_teleop.leaders.leader import LeaderError
 
 HOLD = 0.15
 """[s] A key counts this long after its last repeat. Consoles repeat every 92 ms, others faster."""

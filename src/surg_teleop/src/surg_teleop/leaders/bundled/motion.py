@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surg_core import rpy_to_matrix
-from surg_teleop.leaders.leader import HandlePose, LeaderError, LeaderSample
+from surg_core.hand.leader_sample import HandlePose, LeaderSample
+from surg_teleop.leaders.leader import LeaderError
 from surg_teleop.playback.motion_errors import MotionError
 from surg_teleop.playback.motion_file import Motion, read_motion
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from surg_core.hand.leader_sample import LeaderSample
 from surg_teleop.leaders.evdev.device_leader import InputLeader
-from surg_teleop.leaders.leader import LeaderError, LeaderSample
+from surg_teleop.leaders.leader import LeaderError
 
 
 class Pedals(InputLeader):

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surg_core.hand.leader_sample import HandRate, LeaderSample
 from surg_teleop.leaders.evdev.device_layout import Axis, Layout
 from surg_teleop.leaders.evdev.device_state import (
     Description,
@@ -19,7 +20,6 @@ from surg_teleop.leaders.evdev.device_state import (
     without_dead_zone,
 )
 from surg_teleop.leaders.evdev.input_events import Event
-from surg_teleop.leaders.leader import HandRate, LeaderSample
 
 WIRELESS_QUIET = 2.0
 """[s] A stick held by a hand trembles, so it sends changes. A wireless device that is deflected and

@@ -14,8 +14,9 @@ from typing import Any
 import yaml
 from evdev import ecodes
 
+from surg_core.hand.leader_sample import BUTTONS
 from surg_teleop.leaders.evdev.device_state import Description
-from surg_teleop.leaders.leader import BUTTONS, LeaderError
+from surg_teleop.leaders.leader import LeaderError
 
 FORMAT = "surg_input/1"
 FOLDER = Path(__file__).with_name("layouts")

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
+from surg_core.hand.leader_sample import LeaderSample
 from surg_teleop.leaders.evdev.device_hand import Hand, Joy
 from surg_teleop.leaders.evdev.device_host import Device, Host
 from surg_teleop.leaders.evdev.device_layout import read_layout
 from surg_teleop.leaders.evdev.device_search import find
 from surg_teleop.leaders.evdev.input_events import Decoder
 from surg_teleop.leaders.evdev.rumble import Piece
-from surg_teleop.leaders.leader import LeaderError, LeaderSample
+from surg_teleop.leaders.leader import LeaderError
 
 LOOK_EVERY = 0.5
 """[s] Interval of the search for a lost device."""

@@ -1,0 +1,304 @@
+"""The robot's side of the console: collects the state of the system from topics.
+
+Messages of fast topics are kept as bytes and decoded only when the page needs a value.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rospy
+from std_msgs.msg import String
+
+from crtk_msgs.msg import OperatingState
+from surg_console.ros.beside_topics_node import BesideTopics
+from surg_console.ros.order_topics_node import OrderTopics
+from surg_console.ros.raw_gauges import depth, force, last_double, state_and_reason
+from surg_console.session import operator_messages
+from surg_console.session.console_orders import Order
+from surg_console.session.episode_list import Entry, Episodes
+from surg_console.session.felt_tip import felt_tip
+from surg_console.session.fixture_view import FixtureView, region_of
+from surg_console.session.page_status import finite
+from surg_console.session.system_state import (
+    Arm,
+    Calibration,
+    Follower,
+    Gauges,
+    PolicyServer,
+    Recorder,
+    Robot,
+    SimTask,
+)
+from surg_core import Fixture
+from surg_core.config import Cell
+from surg_core.status_check import Newest, value_name
+from surg_core.transforms import quaternion_xyzw_to_matrix
+from surg_msgs.msg import (
+    CalibrationStatus,
+    Cycle,
+    Fixtures,
+    HandStatus,
+    PolicyStatus,
+    RecordStatus,
+    SimStatus,
+    TeleopStatus,
+)
+from surg_ros.byte_topics import BytesSubscriber
+
+FRESH = 1.0
+"""[s] Timeout of a live value."""
+STATUSES = {
+    "/record/status": RecordStatus,
+    "/sim/status": SimStatus,
+    "/policy/status": PolicyStatus,
+    "/calibrate/status": CalibrationStatus,
+}
+FAST = {
+    "rcm": "rcm/error",
+    "joints": "measured_js",
+    "trocar": "trocar/measured_cf",
+    "tip": "tool/measured_cf",
+    "clearance": "clearance",
+}
+"""Topics of the driven arm with live values."""
+
+
+class RosSystem:
+    """See `web_server.System`; the driven arm comes first, an empty leader means no leader."""
+
+    def __init__(
+        self,
+        cell: Cell,
+        arms: tuple[str, ...],
+        leader: str,
+        teleop: str,
+        episodes: Path | None,
+    ) -> None:
+        self._beside = BesideTopics(cell)
+        self._lock = threading.Lock()
+        self._arms = {name: Arm(name) for name in arms}
+        self._teleop = f"/{teleop}/status"
+        kinds = STATUSES | {self._teleop: TeleopStatus}
+        self._statuses = {topic: Newest(topic) for topic in kinds}
+        self._newest: dict[str, tuple[float, bytes]] = {}
+        self._peak = 0.0
+        self._episodes = None if episodes is None else Episodes(episodes)
+        self._orders = OrderTopics(arms, leader)
+        self._fast = {
+            what: BytesSubscriber(f"/{arms[0]}/{topic}", rospy.AnyMsg)
+            for what, topic in FAST.items()
+        }
+        self._cycles = {arm: BytesSubscriber(f"/{arm}/cycle", Cycle) for arm in arms}
+        keys: dict[str, Any] = {"queue_size": 10, "tcp_nodelay": True}
+        self._driven = arms[0]
+        self._regions: tuple[Fixture, ...] = ()
+        self._cycle = b""
+        rospy.Subscriber(f"/{arms[0]}/fixtures", Fixtures, self._on_fixtures, **keys)
+        for topic, kind in kinds.items():
+            rospy.Subscriber(topic, kind, self._on_status, topic, **keys)
+        for arm in arms:
+            rospy.Subscriber(f"/{arm}/operating_state", OperatingState, self._on_state, arm, **keys)
+            rospy.Subscriber(f"/{arm}/warning", String, self._on_warning, arm, **keys)
+
+    def close(self) -> None:
+        """Stop polling, so that plain subscribers of this process hear the arms."""
+        for polled in (*self._fast.values(), *self._cycles.values()):
+            polled.unregister()
+
+    def _hear_fast(self, now: float) -> None:
+        """Fetch the fast topics; with the lock held."""
+        for what, polled in self._fast.items():
+            messages = polled.fetch()
+            if messages:
+                self._newest[what] = (now, messages[-1])
+            if what == "rcm":
+                values = (last_double(data) for data in messages)
+                self._peak = max([self._peak, *(value for value in values if value is not None)])
+
+    def _on_state(self, message: OperatingState, arm: str) -> None:
+        with self._lock:
+            before = self._arms[arm]
+            self._arms[arm] = replace(
+                before,
+                state=message.state,
+                homed=message.is_homed,
+                heard=time.monotonic(),
+                reason=before.reason if message.state == before.state else None,
+            )
+
+    def _on_fixtures(self, message: Fixtures) -> None:
+        regions = tuple(map(_region, message.fixtures))
+        with self._lock:
+            self._regions = regions
+
+    def _fixtures(self) -> FixtureView | None:
+        """The driven arm's fixtures beside its newest pose; with the lock held."""
+        if not self._regions or not self._cycle:
+            return None
+        cycle = Cycle()
+        cycle.deserialize(self._cycle)
+        X_BR = np.eye(4)
+        X_BR[:3, :3] = quaternion_xyzw_to_matrix(cycle.q_br)
+        X_BR[:3, 3] = cycle.p_rcm
+        return FixtureView(self._regions, np.array(cycle.p_tip), X_BR)
+
+    def _on_warning(self, message: String, arm: str) -> None:
+        with self._lock:
+            self._arms[arm] = replace(
+                self._arms[arm],
+                warning=operator_messages.without_name(message.data, arm),
+                warned=time.monotonic(),
+            )
+
+    def _on_status(self, message: Any, topic: str) -> None:
+        with self._lock:
+            now = time.monotonic()
+            self._statuses[topic].take(message, now)
+            if complaint := self._statuses[topic].complaint(now):
+                rospy.logwarn("console: %s", complaint)
+
+    def _hear_reasons(self) -> None:
+        """Store the reason of each arm's state; with the lock held."""
+        for name, polled in self._cycles.items():
+            messages = polled.fetch()
+            if not messages:
+                continue
+            if name == self._driven:
+                self._cycle = messages[-1]
+            state, reason = state_and_reason(messages[-1])
+            if state == self._arms[name].state:
+                self._arms[name] = replace(self._arms[name], reason=reason)
+
+    def robot(self) -> Robot:
+        """See `web_server.System`."""
+        now = time.monotonic()
+        with self._lock:
+            self._hear_fast(now)
+            self._hear_reasons()
+            newest = {
+                what: data for what, (heard, data) in self._newest.items() if now - heard < FRESH
+            }
+            hands = self._hands(now)
+            first, others = hands[0], hands[1:]
+            own = [hand for hand in others if hand.leader == first.leader]
+            record, sim, policy, calibration = (self._statuses[topic].at(now) for topic in STATUSES)
+            return Robot(
+                tuple(self._arms.values()),
+                first,
+                own[0] if own else Follower(),
+                tuple(hand for hand in others if hand.leader != first.leader),
+                Gauges(
+                    rcm=last_double(newest.get("rcm", b"")),
+                    rcm_peak=self._peak if "rcm" in newest else None,
+                    depth=depth(newest.get("joints", b"")),
+                    trocar=force(newest.get("trocar", b"")),
+                    tip=force(newest.get("tip", b"")),
+                    clearance=last_double(newest.get("clearance", b"")),
+                ),
+                fixtures=self._fixtures(),
+                recorder=_recorder(record) if record else Recorder(),
+                simulated=sim is not None,
+                task=_task(sim) if sim else SimTask(),
+                policy=_policy(policy) if policy else PolicyServer(),
+                calibration=_calibration(calibration) if calibration else None,
+            )
+
+    def _hands(self, now: float) -> list[Follower]:
+        """State of every leader from the teleoperation; one empty value: unknown."""
+        status = self._statuses[self._teleop].at(now)
+        if status is None or not status.hands:
+            return [Follower()]
+        first, *others = map(_follower, status.hands)
+        return [replace(first, reason=first.reason or status.picture), *others]
+
+    def told(self) -> None:
+        """See `web_server.System`."""
+        with self._lock:
+            self._peak = 0.0
+
+    def entries(self) -> list[Entry]:
+        """See `web_server.System`."""
+        return [] if self._episodes is None else self._episodes.entries()
+
+    def obey(self, orders: list[Order]) -> None:
+        """See `web_server.System`."""
+        for order in orders:
+            self._orders.send(order)
+
+    def watch(self, what: str, wanted: bool) -> None:
+        """See `web_server.System`."""
+        if what != "feel":  # its topic is heard anyway
+            self._beside.watch(what, wanted)
+
+    def beside(self, what: str) -> str:
+        """See `web_server.System`."""
+        return self._feel() if what == "feel" else self._beside.beside(what)
+
+    def _feel(self) -> str:
+        now = time.monotonic()
+        with self._lock:
+            self._hear_fast(now)
+            heard, data = self._newest.get("tip", (-math.inf, b""))
+            following = self._hands(now)[0].state == "FOLLOWING"
+        told = felt_tip(finite(force(data)), heard, now, following)
+        return json.dumps({**told, "age": finite(told["age"])}, allow_nan=False)
+
+    def live(self) -> None:
+        """See `web_server.System`."""
+        self._orders.repeat()
+
+
+def _region(message: Any) -> Fixture:
+    places = {
+        name: (vector.x, vector.y, vector.z)
+        for name in ("point", "normal", "end")
+        for vector in [getattr(message, name)]
+    }
+    return region_of(
+        message.name, message.shape, message.side, message.of, radius=message.radius, **places
+    )
+
+
+def _follower(hand: HandStatus) -> Follower:
+    state = value_name(hand, "state")
+    return Follower(
+        state=state,
+        mapping=value_name(hand, "mapping").lower(),
+        reason=hand.detail,
+        scale=finite(hand.scale),
+        leader=hand.leader,
+        arm=hand.arm,
+        at_wall=state == "FOLLOWING" and bool(hand.detail),
+    )
+
+
+def _recorder(status: RecordStatus) -> Recorder:
+    return Recorder(value_name(status, "state"), status.detail)
+
+
+def _task(status: SimStatus) -> SimTask:
+    task = status.task
+    return SimTask(value_name(task, "state"), task.name, task.phase, task.detail)
+
+
+def _calibration(status: CalibrationStatus) -> Calibration:
+    content = {each.name: getattr(status, each.name) for each in dataclasses.fields(Calibration)}
+    content = {
+        k: tuple(v) if isinstance(v, list | tuple | bytes) else v for k, v in content.items()
+    }
+    names = {"state": value_name(status, "state"), "step": value_name(status, "step")}
+    return Calibration(**{**content, **names})
+
+
+def _policy(status: PolicyStatus) -> PolicyServer:
+    state = value_name(status, "state")
+    return PolicyServer(state, status.policy, status.detail, status.refused)

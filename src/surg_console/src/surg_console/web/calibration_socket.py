@@ -1,0 +1,102 @@
+"""The socket of the page /calibrate: the collector's status out, four requests in.
+
+It is no socket of the session: no message on it can take control of an arm or move one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import math
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from aiohttp import WSMsgType, web
+
+from surg_console.session.console_orders import Calibrate, Order
+from surg_console.session.system_state import Calibration, Robot
+from surg_console.web.page_connection import MessageBudget
+from surg_console.web.page_protocol import CalibrationPress, ProtocolError, parse
+
+PERIOD = 0.1
+"""[s] Of the status."""
+NOT_RUNNING = "No collector runs. Type: ./surg calibrate CELL live"
+
+
+class System(Protocol):
+    """What the pages need of the running system."""
+
+    def robot(self) -> Robot:
+        """Its present state."""
+
+    def obey(self, orders: list[Order]) -> None:
+        """Send orders; must not block."""
+
+
+def refusal(now: Calibration | None) -> str:
+    """Why a request is not passed on; empty: it is."""
+    if now is None:
+        return NOT_RUNNING
+    if now.state == "SOLVING":
+        return "The step is being solved. Wait for its result."
+    return ""
+
+
+class CalibrationPages:
+    """The open pages.
+
+    Args:
+        system: The running system.
+        facts: The name of the cell and the eyes that are shown.
+        clock: A steady clock [s].
+    """
+
+    def __init__(self, system: System, facts: dict[str, Any], clock: Callable[[], float]) -> None:
+        self._system, self._facts, self._clock = system, facts, clock
+        self.open = 0
+
+    async def serve(self, socket: web.WebSocketResponse) -> None:
+        """Serve one page until it disconnects or breaks the protocol."""
+        self.open += 1
+        sender = asyncio.create_task(self._send(socket))
+        try:
+            with contextlib.suppress(ProtocolError):
+                await self._receive(socket)
+        finally:
+            self.open -= 1
+            sender.cancel()
+            await socket.close()
+
+    async def _receive(self, socket: web.WebSocketResponse) -> None:
+        budget = MessageBudget(self._clock())
+        async for frame in socket:
+            await asyncio.sleep(0)
+            message = parse(frame.data) if frame.type is WSMsgType.TEXT else None
+            if not budget.spend(self._clock()) or not isinstance(message, CalibrationPress):
+                return
+            why = refusal(self._system.robot().calibration)
+            if why:
+                await socket.send_str(json.dumps({"say": "refused", "why": why}))
+            else:
+                self._system.obey([Calibrate(message.request)])
+
+    async def _send(self, socket: web.WebSocketResponse) -> None:
+        sent = ""
+        with contextlib.suppress(ConnectionError):
+            await socket.send_str(json.dumps({"say": "welcome", **self._facts}))
+            while True:
+                text = json.dumps(report(self._system.robot().calibration), allow_nan=False)
+                if text != sent:
+                    await socket.send_str(text)
+                    sent = text
+                await asyncio.sleep(PERIOD)
+
+
+def report(now: Calibration | None) -> dict[str, Any]:
+    """The status of a page; without a collector: how to start one."""
+    if now is None:
+        return {"say": "calibration", "running": False, "hint": NOT_RUNNING}
+    content = dict(vars(now))
+    content["residual"] = now.residual if math.isfinite(now.residual) else None
+    return {"say": "calibration", "running": True, **content}

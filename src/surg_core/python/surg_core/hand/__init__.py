@@ -1,0 +1,1 @@
+"""What a hand says through its leader, and how late it was on its way."""

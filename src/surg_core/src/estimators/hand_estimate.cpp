@@ -1,0 +1,125 @@
+#include "surg_core/estimators/hand_estimate.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "surg_core/estimators/motion_model.hpp"
+
+namespace surg {
+namespace {
+
+// Tuned at 30 Hz on synthetic hands with tremors of one frequency, of a narrow and of a wide band,
+// and on the first half of a recorded motion (docs/design/set_points.md).
+constexpr SwingModel kReturning{2.3, 223, 1.7};  // a motion that comes back
+constexpr SwingModel kTremor{2500, 44, 0.17, 0, 1800, 2};
+constexpr double kTremorHertz[] = {8, 9, 10, 11, 12};
+constexpr SwingModel kSwing{2500, 44, 0.17, 0, 1e9, 0.27};
+constexpr double kSwingHertz[] = {3, 5};
+// Weights before any sample is known.
+constexpr double kPlain = 2;
+constexpr double kReturningPrior = 1;
+constexpr double kTremorPrior = 0.19;  // each
+constexpr double kSwingPrior = 0.4;    // each
+constexpr double kMemory = 0.4;        // [s] over which innovations are compared
+constexpr double kLeast = 1e-18;       // [m^2, rad^2] a difference of innovations that says nothing
+constexpr double kFast = 0.021;        // [s] up to this period the plain model is enough;
+constexpr double kSlow = 0.024;        // [s] from this one on all models count
+constexpr double kLateBy = 0.28;       // of a period: less to predict, and a smoother path
+constexpr double kLatestBy = 0.005;    // [s] with the plain model alone
+constexpr double kSlowLateBy = 0.075;  // of a period with all models
+
+double share_at(double period) { return std::clamp((period - kFast) / (kSlow - kFast), 0.0, 1.0); }
+
+double prior(std::size_t swing) {
+  return swing == 0                         ? kReturningPrior
+         : swing <= std::size(kTremorHertz) ? kTremorPrior
+                                            : kSwingPrior;
+}
+
+}  // namespace
+
+HandEstimate::HandEstimate() {
+  auto next = swings_.begin();
+  *next++ = SwingEstimate(kReturning);
+  const auto add = [&next](SwingModel model, double hertz) {
+    model.hertz = hertz;
+    *next++ = SwingEstimate(model);
+  };
+  for (const double hertz : kTremorHertz) add(kTremor, hertz);
+  for (const double hertz : kSwingHertz) add(kSwing, hertz);
+  static_assert(1 + std::size(kTremorHertz) + std::size(kSwingHertz) == kSwings);
+}
+
+double HandEstimate::late(double period) {
+  const double plain = std::min(kLateBy * period, kLatestBy), share = share_at(period);
+  return plain + share * (kSlowLateBy * period - plain);
+}
+
+void HandEstimate::reset(const Values& x) {
+  plain_.reset(x);
+  swinging_ = false;
+}
+
+void HandEstimate::begin_swings(const Values& x) {
+  for (SwingEstimate& swing : swings_) swing.reset(x);
+  for (Values& error : errors_) error.fill(0);
+  swinging_ = true;
+}
+
+void HandEstimate::update(const Values& x, double elapsed, double period) {
+  const double share = share_at(period), h = std::max(elapsed, 0.0);
+  const bool follow = swinging_ && h < motion_model::kLongestGap && share > 0;
+  std::array<Values, kSwings + 1> off{};
+  if (follow) {
+    const State expected = plain_.predict(h);
+    for (int i = 0; i < kDof; ++i) off[kSwings][i] = x[i] - expected[i].x;
+    for (int k = 0; k < kSwings; ++k) off[k] = swings_[k].update(x, h);
+  }
+  plain_.update(x, elapsed, period);
+  if (share == 0) {
+    swinging_ = false;
+    return;
+  }
+  if (!follow) begin_swings(x);
+  const double kept = std::exp(-h / kMemory);
+  for (int k = 0; k <= kSwings; ++k) {
+    for (int i = 0; i < kDof; ++i) errors_[k][i] = kept * errors_[k][i] + off[k][i] * off[k][i];
+  }
+  weigh(share);
+}
+
+/// The likelihood of n samples with an unknown common variance goes with the power -n / 2 of the
+/// sum of the squared innovations; n are about 10.
+void HandEstimate::weigh(double share) {
+  for (int i = 0; i < kDof; ++i) {
+    double least = errors_[kSwings][i], sum = 0;
+    for (const Values& error : errors_) least = std::min(least, error[i]);
+    for (std::size_t k = 0; k <= kSwings; ++k) {
+      const double ratio = (least + kLeast) / (errors_[k][i] + kLeast), square = ratio * ratio;
+      const double weight = k == kSwings ? kPlain : share * prior(k);
+      sum += weights_[k][i] = weight * square * square * ratio;
+    }
+    for (Values& weight : weights_) weight[i] /= sum;
+  }
+}
+
+HandEstimate::State HandEstimate::predict(double age) const {
+  State out = plain_.predict(age);
+  if (!swinging_) return out;
+  for (int i = 0; i < kDof; ++i) {
+    const double weight = weights_[kSwings][i];
+    out[i].x *= weight;
+    out[i].v *= weight;
+  }
+  for (int k = 0; k < kSwings; ++k) {
+    const State swing = swings_[k].predict(age);
+    for (int i = 0; i < kDof; ++i) {
+      const double weight = weights_[k][i];
+      out[i].x += weight * swing[i].x;
+      out[i].v += weight * swing[i].v;
+    }
+  }
+  return out;
+}
+
+}  // namespace surg

@@ -1,0 +1,1 @@
+"""Emulated controllers of UR and Franka arms: they refuse what the arm refuses."""

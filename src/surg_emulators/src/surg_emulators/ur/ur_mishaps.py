@@ -1,0 +1,177 @@
+"""Mishaps of an emulated UR arm: name -> what happens."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from surg_emulators.mishaps import Kind, MishapError, choice, number, switch
+from surg_emulators.ur.robot_states import SafetyMode
+from surg_emulators.ur.rtde_server import DATA, packet
+
+if TYPE_CHECKING:
+    from surg_emulators.ur.ur_controller import UrController
+    from surg_emulators.ur.ur_emulator import UrEmulator
+
+SCRIPT_BYTES = 1 << 20
+
+
+def kinds(emulator: UrEmulator) -> dict[str, Kind]:
+    """All mishaps of an emulator."""
+    c = emulator.controller
+    return {
+        **_safety(c),
+        **_people(c, emulator),
+        **_settings(c),
+        **_network(emulator),
+        **_wrong_states(c, emulator),
+    }
+
+
+def _safety(c: UrController) -> dict[str, Kind]:
+    def estop(which: str = "robot") -> None:
+        modes = {
+            "robot": SafetyMode.ROBOT_EMERGENCY_STOP,
+            "system": SafetyMode.SYSTEM_EMERGENCY_STOP,
+        }
+        c.fall_to(choice(which, modes, "estop"), "button pressed")
+
+    def unlock() -> str | None:
+        return None if c.unlock() else "error: too early, 5 s must have passed"
+
+    return {
+        "protective_stop": Kind(lambda: c.protective_stop("mishap"), "", "as after a collision"),
+        "unlock": Kind(unlock, "", "a person unlocks it on the pendant, 5 s later at the earliest"),
+        "safeguard": Kind(lambda on="on": c.safeguard(switch(on)), "[on|off]", "safeguard stop"),
+        "estop": Kind(estop, "[robot|system]", "emergency stop; cuts the power"),
+        "release": Kind(c.release, "", "release the emergency stop, restart the safety system"),
+        "violation": Kind(
+            lambda: c.fall_to(SafetyMode.VIOLATION, "mishap"), "", "a safety limit was broken"
+        ),
+        "fault": Kind(lambda: c.fall_to(SafetyMode.FAULT, "mishap"), "", "the safety system fails"),
+        "reduced": Kind(lambda on="on": c.reduce(switch(on)), "[on|off]", "reduced mode"),
+    }
+
+
+def _people(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
+    def power(on: str) -> None:
+        c.power_on() if switch(on) else c.power_off()
+
+    def brakes(how: str) -> None:
+        choice(how, {"release": c.release_brakes, "engage": c.engage_brakes}, "brakes")()
+
+    def slider(percent: str) -> None:
+        c.slider = number(percent, "slider", 0.0, 100.0) / 100.0
+
+    def control(remote: bool) -> None:
+        c.remote = remote
+
+    def freedrive(on: str = "on", *qd: str) -> None:
+        rates = [number(word, "freedrive", -3.0, 3.0) for word in qd] or [0.0] * 6
+        if len(rates) != 6:
+            raise MishapError(f"freedrive: {len(rates)} velocities; six are needed [rad/s]")
+        c.guide(switch(on), rates)
+
+    def done(worked: bool) -> str | None:
+        return None if worked else "error: not possible now"
+
+    def load(path: str) -> None:
+        file = Path(path)
+        try:
+            c.programs[file.name] = file.read_bytes()[:SCRIPT_BYTES].decode("utf-8", "replace")
+        except OSError as error:
+            raise MishapError(f"load: {path}: {error.strerror}") from error
+        c.load(file.name)
+
+    return {
+        "power": Kind(power, "on|off", "power of the motors"),
+        "brakes": Kind(brakes, "release|engage", "brakes of the joints"),
+        "slider": Kind(slider, "PERCENT", "speed slider"),
+        "local": Kind(lambda: control(False), "", "local control: scripts and orders are refused"),
+        "remote": Kind(lambda: control(True), "", "remote control"),
+        "freedrive": Kind(freedrive, "[on|off] [QD1 ... QD6]", "a hand guides the arm [rad/s]"),
+        "load": Kind(load, "FILE", "load a URScript file for play"),
+        "play": Kind(lambda: done(c.play()), "", "a person presses play"),
+        "pause": Kind(lambda: done(c.pause()), "", "a person presses pause"),
+        "stop": Kind(c.stop, "", "a person presses stop"),
+        "status": Kind(emulator.status, "", "answers with mode, safety, program and slider"),
+        "help": Kind(emulator.mishap_help, "", "answers with all mishaps"),
+    }
+
+
+def _settings(c: UrController) -> dict[str, Kind]:
+    def payload(mass: str, *cog: str) -> None:
+        place = [number(word, "payload: centre", -1.0, 1.0) for word in cog] or [0.0] * 3
+        if len(place) != 3:
+            raise MishapError("payload: the centre of gravity has three numbers [m]")
+        c.set_payload(number(mass, "payload: mass", 0.0, 20.0), place)
+
+    def tcp(*pose: str) -> None:
+        if len(pose) != 6:
+            raise MishapError("tcp: six numbers are needed: position [m] and rotation vector [rad]")
+        c.tcp_offset = [number(word, "tcp", -math.tau, math.tau) for word in pose]
+
+    def serial(value: str) -> None:
+        c.serial = value
+
+    def second_client(*fields: str) -> None:
+        for name in [name for name, owner in c.claims.items() if owner == "second client"]:
+            del c.claims[name]
+        c.claims.update(dict.fromkeys(fields, "second client"))
+
+    return {
+        "payload": Kind(payload, "MASS [X Y Z]", "payload that is set [kg, m]"),
+        "tcp": Kind(tcp, "X Y Z RX RY RZ", "tool centre point that is set [m, rad]"),
+        "serial": Kind(serial, "TEXT", "serial number"),
+        "second_client": Kind(
+            second_client, "[FIELD ...]", "another client holds these inputs (IN_USE); none: frees"
+        ),
+    }
+
+
+def _network(emulator: UrEmulator) -> dict[str, Kind]:
+    return {
+        "stall": Kind(
+            lambda seconds: emulator.stall(number(seconds, "stall", 0.0, 60.0)),
+            "SECONDS",
+            "the network delivers nothing, then everything at once",
+        ),
+        "drift": Kind(
+            lambda share: emulator.drift(number(share, "drift", -0.05, 0.05)),
+            "SHARE",
+            "the robot's clock runs this much faster",
+        ),
+        "reset": Kind(emulator.reset_connections, "", "all connections are reset"),
+        "reboot": Kind(emulator.reboot, "", "the controller starts again; RTDE starts twice"),
+        "size0": Kind(lambda: emulator.send_raw(b"\x00\x00\x00"), "", "an RTDE packet with size 0"),
+        "half": Kind(emulator.send_half, "", "half of an RTDE packet, then a reset"),
+        "garbage": Kind(
+            lambda: emulator.send_raw(packet(DATA, b"\x07" * 40)), "", "a state of no known recipe"
+        ),
+    }
+
+
+def _wrong_states(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
+    def fake(name: str, value: object) -> None:
+        if value is None:
+            c.faked.pop(name, None)
+        else:
+            c.faked[name] = value
+
+    def mode(word: str) -> None:
+        fake("robot_mode", None if word == "off" else int(number(word, "mode", -128, 127)))
+
+    return {
+        "nan": Kind(
+            lambda on="on": fake("actual_q", [math.nan] * 6 if switch(on) else None),
+            "[on|off]",
+            "the joint positions are not numbers",
+        ),
+        "mode": Kind(mode, "NUMBER|off", "states hold this robot mode, such as 99"),
+        "clock_back": Kind(
+            lambda seconds: fake("timestamp", -number(seconds, "clock_back", 0.0, 1e6)),
+            "SECONDS",
+            "timestamps jump back",
+        ),
+    }

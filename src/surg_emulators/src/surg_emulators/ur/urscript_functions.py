@@ -1,0 +1,299 @@
+"""URScript's own functions, as the emulated controller answers them.
+
+Functions that the emulator knows but does not emulate end the program with a message that names
+them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from surg_emulators.ur import dh_kinematics as dh
+from surg_emulators.ur.joint_motion import DT, Move, Servo, Speed
+from surg_emulators.ur.rtde_fields import REGISTERS
+from surg_emulators.ur.urscript_machine import Builtin, Pose, Wait
+from surg_emulators.ur.urscript_syntax import ScriptError
+
+if TYPE_CHECKING:
+    from surg_emulators.ur.ur_controller import UrController
+
+_REFUSED = (
+    "movel movep movec servoc force_mode end_force_mode force_mode_set_damping tool_contact "
+    "get_actual_joint_positions_history direct_torque get_mass_matrix get_jacobian "
+    "get_jacobian_time_derivative get_coriolis_and_centrifugal_torques socket_open socket_close "
+    "socket_read_ascii_float socket_read_binary_integer socket_send_string socket_send_int "
+    "socket_set_var socket_get_var path_offset_enable conveyor_pulse_decode "
+    "get_target_waypoint set_conveyor_tick_count modbus_add_signal"
+)
+NOT_EMULATED = frozenset(_REFUSED.split())
+"""Real functions of URScript: a program may contain them, but not call them here."""
+_IGNORED = (
+    "force_mode_set_gain_scaling force_mode_set_damping zero_ftsensor set_gravity "
+    "enable_external_ft_sensor ft_rtde_input_enable set_tool_voltage set_analog_outputdomain "
+    "set_standard_analog_input_domain set_tool_communication popup"
+)
+WITHOUT_EFFECT = frozenset(_IGNORED.split())
+"""Real functions of URScript that change nothing here."""
+_MATHEMATICS = "sin cos tan asin acos atan atan2 sqrt pow floor ceil log"
+
+
+def functions(controller: UrController) -> dict[str, Builtin]:
+    """Name -> function, for programs of one controller."""
+    found: dict[str, Builtin] = {name: _not_emulated(name) for name in NOT_EMULATED}
+    found |= {name: lambda *a, **k: None for name in WITHOUT_EFFECT}
+    for part in (_state, _velocities, _positions, _inputs):
+        found |= part(controller)
+    return found | _mathematics()
+
+
+def _not_emulated(name: str) -> Builtin:
+    def refuse(*values: Any, **named: Any) -> None:
+        raise ScriptError(f"{name} is not emulated")
+
+    return refuse
+
+
+def number(value: Any, what: str, least: float = -math.inf, most: float = math.inf) -> float:
+    """A finite number within its range.
+
+    Raises:
+        ScriptError: It is not; states what it is for and what is allowed.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ScriptError(f"{what} must be a finite number, not {value!r}")
+    if not least <= value <= most:
+        raise ScriptError(f"{what} {value} must be from {least} to {most}")
+    return float(value)
+
+
+def six(value: Any, what: str) -> list[float]:
+    """Six finite numbers.
+
+    Raises:
+        ScriptError: They are not.
+    """
+    if not isinstance(value, list) or len(value) != 6:
+        raise ScriptError(f"{what} must be six numbers, not {value!r}")
+    return [number(each, what) for each in value]
+
+
+def _mathematics() -> dict[str, Builtin]:
+    plain = {name: getattr(math, name) for name in _MATHEMATICS.split()}
+    return plain | {
+        "abs": abs,
+        "max": max,
+        "min": min,
+        "d2r": math.radians,
+        "r2d": math.degrees,
+        "norm": lambda a: math.sqrt(sum(x * x for x in a)) if isinstance(a, list) else abs(a),
+        "length": len,
+        "get_list_length": len,
+        "to_num": float,
+        "to_str": lambda a: str(a)[:1000],
+        "str_cat": lambda a, b: (str(a) + str(b))[:1000],
+        "integer_to_boolean": bool,
+        "pose_trans": lambda a, b: _pose(_matrix(a) @ _matrix(b)),
+        "pose_inv": lambda a: _pose(np.linalg.inv(_matrix(a))),
+        "pose_add": _pose_add,
+        "pose_sub": _pose_sub,
+        "pose_dist": lambda a, b: math.dist(a[:3], b[:3]),
+        "point_dist": lambda a, b: math.dist(a[:3], b[:3]),
+    }
+
+
+def _matrix(pose: Any) -> dh.Matrix:
+    return dh.pose_matrix(six(pose, "a pose"))
+
+
+def _pose(X: dh.Matrix) -> Pose:
+    return Pose(dh.pose_vector(X))
+
+
+def _pose_add(a: Any, b: Any) -> Pose:
+    """Positions are added; the rotations are applied one after the other."""
+    X = _matrix(a)
+    X[:3, :3] = X[:3, :3] @ _matrix(b)[:3, :3]
+    X[:3, 3] += b[:3]
+    return _pose(X)
+
+
+def _pose_sub(a: Any, b: Any) -> Pose:
+    X = _matrix(a)
+    X[:3, :3] = X[:3, :3] @ _matrix(b)[:3, :3].T
+    X[:3, 3] -= b[:3]
+    return _pose(X)
+
+
+def _state(c: UrController) -> dict[str, Builtin]:
+    """Functions that read the arm."""
+
+    def solve(pose: Any, near: Any = None, *rest: Any, **named: Any) -> list[float] | None:
+        start = c.motion.q if near is None else six(near, "qnear")
+        return dh.inverse(_matrix(pose), start, c.table, dh.pose_matrix(c.tcp_offset))
+
+    def inverse(*values: Any, **named: Any) -> list[float]:
+        q = solve(*values, **named)
+        if q is None:
+            raise ScriptError("get_inverse_kin: no solution for this pose")
+        return q
+
+    def forward(q: Any = None, tcp: Any = None) -> Pose:
+        X = dh.frames(c.motion.actual_q if q is None else six(q, "q"), c.table)[-1]
+        return _pose(X @ (_matrix(c.tcp_offset if tcp is None else tcp)))
+
+    return {
+        "get_actual_joint_positions": lambda: list(c.motion.actual_q),
+        "get_actual_joint_speeds": lambda: list(c.motion.actual_qd),
+        "get_target_joint_positions": lambda: list(c.motion.q),
+        "get_target_joint_speeds": lambda: list(c.motion.qd),
+        "get_target_joint_accelerations": lambda: list(c.motion.qdd),
+        "get_joint_torques": lambda: [0.0] * 6,
+        "get_joint_temp": lambda joint: 28.0,
+        "get_actual_tcp_pose": lambda: Pose(c.tcp_pose(c.motion.actual_q)),
+        "get_target_tcp_pose": lambda: Pose(c.tcp_pose(c.motion.q)),
+        "get_actual_tcp_speed": lambda: c.tcp_speed(c.motion.actual_q, c.motion.actual_qd),
+        "get_target_tcp_speed": lambda: c.tcp_speed(c.motion.q, c.motion.qd),
+        "get_actual_tool_flange_pose": lambda: forward(None, [0.0] * 6),
+        "get_tcp_force": lambda: list(c.wrench),
+        "get_tcp_offset": lambda: Pose(c.tcp_offset),
+        "get_target_payload": lambda: c.payload,
+        "get_target_payload_cog": lambda: list(c.payload_cog),
+        "get_target_payload_inertia": lambda: [0.0] * 6,
+        "get_steptime": lambda: DT,
+        "get_inverse_kin": inverse,
+        "get_inverse_kin_has_solution": lambda *a, **k: solve(*a, **k) is not None,
+        "get_forward_kin": forward,
+        "is_steady": lambda: c.motion.at_rest,
+        "is_within_safety_limits": lambda value: True,
+        "get_freedrive_status": lambda: 0 if c.guided else 1,
+    }
+
+
+def _velocities(c: UrController) -> dict[str, Builtin]:
+    """Functions that command velocities. A new command acts in the next cycle."""
+
+    def speedj(qd: Any, a: Any = 1.4, t: Any = None) -> Wait:
+        wanted = six(qd, "speedj: qd")
+        c.motion.command = Speed(wanted, number(a, "speedj: a", 1e-6))
+        if t is None:
+            return Wait(2, lambda: _close(c.motion.qd, wanted, c.motion.scale), motion=True)
+        return Wait(_cycles(t), motion=True)
+
+    def speedl(xd: Any, a: Any = 1.2, t: Any = None, **named: Any) -> Wait:
+        J = dh.jacobian(c.motion.q, c.table, dh.pose_matrix(c.tcp_offset))
+        try:
+            qd = np.linalg.solve(J, np.array(six(xd, "speedl: xd")))
+        except np.linalg.LinAlgError as error:
+            raise ScriptError("speedl: the arm is in a singularity") from error
+        # `a` is the tool's; the leading joint may use the most that a client can ask for.
+        c.motion.command = Speed([float(each) for each in qd], 40.0)
+        return Wait(1 if t is None else _cycles(t), motion=True)
+
+    def stop(a: Any = 2.0, *rest: Any, **named: Any) -> Wait:
+        c.motion.command = Speed([0.0] * 6, number(a, "stop: a", 1e-6))
+        return Wait(2, lambda: c.motion.at_rest, motion=True)
+
+    return {"speedj": speedj, "speedl": speedl, "stopj": stop, "stopl": stop}
+
+
+def _positions(c: UrController) -> dict[str, Builtin]:
+    """Functions that command positions, and those that let the arm go."""
+
+    def movej(q: Any, a: Any = 1.4, v: Any = 1.05, t: Any = 0, r: Any = 0) -> Wait:
+        goal = six(q, "movej: q")
+        if isinstance(q, Pose):
+            solved = dh.inverse(_matrix(q), c.motion.q, c.table, dh.pose_matrix(c.tcp_offset))
+            if solved is None:
+                raise ScriptError("movej: no joint positions for this pose")
+            goal = solved
+        c.motion.command = Move(goal, number(a, "movej: a", 1e-6), number(v, "movej: v", 1e-6))
+        return Wait(2, lambda: _close(c.motion.q, goal, 1.0) and c.motion.at_rest, motion=True)
+
+    def servoj(
+        q: Any, a: Any = 0, v: Any = 0, t: Any = 0.002, lookahead_time: Any = 0.1, gain: Any = 300
+    ) -> Wait:
+        number(gain, "servoj: gain", 100, 2000)
+        lookahead = number(lookahead_time, "servoj: lookahead_time", 0.03, 0.2)
+        c.motion.command = Servo(six(q, "servoj: q"), lookahead)
+        return Wait(_cycles(t), motion=True)
+
+    def freedrive(on: bool) -> Builtin:
+        def switch(*values: Any, **named: Any) -> None:
+            c.guide(on)
+
+        return switch
+
+    return {
+        "movej": movej,
+        "servoj": servoj,
+        "freedrive_mode": freedrive(True),
+        "teach_mode": freedrive(True),
+        "end_freedrive_mode": freedrive(False),
+        "end_teach_mode": freedrive(False),
+        "protective_stop": lambda: c.protective_stop("asked for by the program"),
+    }
+
+
+def _close(now: Sequence[float], goal: Sequence[float], scale: float) -> bool:
+    return all(abs(a - scale * b) < 1e-6 for a, b in zip(now, goal, strict=True))
+
+
+def _cycles(t: Any) -> int:
+    """Cycles of a time [s], at least one."""
+    return max(1, round(number(t, "time", 0.0, 1e6) / DT))
+
+
+def _inputs(c: UrController) -> dict[str, Builtin]:
+    """Registers, settings and what lets a thread wait."""
+
+    def reader(side: str, kind: str) -> Builtin:
+        return lambda place: getattr(c, side)[kind][_register(kind, place)]
+
+    def writer(kind: str) -> Builtin:
+        def write(place: Any, value: Any) -> None:
+            if kind == "bit":
+                kept: Any = bool(value)
+            elif kind == "int":
+                kept = int(number(value, "an integer register", -(2.0**31), 2.0**31 - 1))
+            else:
+                kept = float(value)
+            c.outputs[kind][_register(kind, place)] = kept
+
+        return write
+
+    def set_payload(m: Any, cog: Any = None, inertia: Any = None) -> None:
+        c.set_payload(number(m, "set_payload: m", 0.0, 20.0), cog or c.payload_cog)
+
+    def set_tcp(pose: Any, name: Any = "") -> None:
+        c.tcp_offset = six(pose, "set_tcp: pose")
+
+    found: dict[str, Builtin] = {
+        "sync": lambda: Wait(1),
+        "sleep": lambda t: Wait(_cycles(t)),
+        "textmsg": lambda a, b="": c.say(f"{a}{b}"),
+        "set_payload": set_payload,
+        "set_target_payload": set_payload,
+        "set_tcp": set_tcp,
+        "rtde_set_watchdog": lambda variable, frequency, action="pause": c.set_watchdog(
+            variable, number(frequency, "rtde_set_watchdog: frequency", 0.0, 500.0), action
+        ),
+        "set_standard_digital_out": lambda place, value: c.set_digital(int(place), bool(value)),
+        "get_standard_digital_out": lambda place: bool(c.digital_outputs >> int(place) & 1),
+        "get_standard_digital_in": lambda place: False,
+    }
+    for kind, words in {"bit": "boolean", "int": "integer", "double": "float"}.items():
+        found[f"read_input_{words}_register"] = reader("inputs", kind)
+        found[f"read_output_{words}_register"] = reader("outputs", kind)
+        found[f"write_output_{words}_register"] = writer(kind)
+    return found
+
+
+def _register(kind: str, place: Any) -> int:
+    count = REGISTERS[kind][0]
+    if isinstance(place, bool) or not isinstance(place, int) or not 0 <= place < count:
+        raise ScriptError(f"register {place!r} must be from 0 to {count - 1}")
+    return place

@@ -1,1 +1,0 @@
-"""Emulated arms: controllers that refuse what the arm refuses."""

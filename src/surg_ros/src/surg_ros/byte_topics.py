@@ -1,0 +1,117 @@
+"""Topics whose messages stay bytes: small ones at 500 Hz, which struct packs and unpacks."""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from collections import deque
+from typing import Any
+
+import rospy
+
+_QUEUE = 1000  # messages that wait for `BytesSubscriber.fetch`, the newest ones
+_WAITING = 10  # messages that wait for a slow subscriber of a publisher that does not block
+
+
+def listeners(publisher: Any) -> set[str]:
+    """Names of the nodes that a publisher reaches.
+
+    Whoever waits for a certain node must ask for it by name. A tool that looks at a topic is a
+    connection too, and a node can be connected twice: its registration and an update by the master
+    may race.
+    """
+    return {connection.endpoint_id for connection in list(publisher.impl.connections)}
+
+
+def speakers(subscriber: Any) -> set[str]:
+    """Names of the nodes that a subscriber hears."""
+    return {connection.callerid_pub for connection in list(subscriber.impl.connections)}
+
+
+@functools.cache
+def as_bytes(kind: type) -> type:
+    """A message class with the same checksum whose subscriber gets the bytes, as ``data``."""
+
+    def deserialize(self: Any, data: bytes) -> Any:
+        self.data = data
+        return self
+
+    return type(f"{kind.__name__}Bytes", (kind,), {"data": b"", "deserialize": deserialize})
+
+
+class BytesPublisher:
+    """Publishes messages that are bytes already.
+
+    Args:
+        topic: Its name.
+        kind: Its message class.
+        blocking: True: waits for a slow subscriber, so that nothing is lost (lock-step). False: a
+            slow subscriber misses messages, so that none can stop the arm (free-run).
+        latch: Whether a late subscriber gets the last message.
+    """
+
+    def __init__(self, topic: str, kind: type, blocking: bool, latch: bool = False) -> None:
+        queue = None if blocking else _WAITING
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SyntaxWarning)  # rospy's hint on queue_size=None
+            self.publisher = rospy.Publisher(
+                topic, kind, tcp_nodelay=True, queue_size=queue, latch=latch
+            )
+
+    @property
+    def connections(self) -> int:
+        """How many subscribers are connected."""
+        return int(self.publisher.get_num_connections())
+
+    @property
+    def listeners(self) -> set[str]:
+        """Names of the nodes that subscribe."""
+        return listeners(self.publisher)
+
+    def send(self, data: bytes) -> None:
+        """Send a message, as on the wire."""
+        message = rospy.AnyMsg()
+        message._buff = data
+        self.publisher.publish(message)
+
+
+class BytesSubscriber:
+    """Keeps the bytes of a topic's messages until its owner fetches them.
+
+    rospy gives all subscribers of a topic in a process the class of the first one: a plain
+    `rospy.Subscriber` beside this one gets no values.
+
+    Args:
+        topic: Its name.
+        kind: Its message class.
+    """
+
+    def __init__(self, topic: str, kind: type) -> None:
+        self._queue: deque[bytes] = deque(maxlen=_QUEUE)
+        self.subscriber = rospy.Subscriber(
+            topic,
+            as_bytes(kind),
+            lambda message: self._queue.append(message.data),
+            tcp_nodelay=True,
+        )
+
+    @property
+    def impl(self) -> Any:
+        """Rospy's connections, for `speakers`."""
+        return self.subscriber.impl
+
+    def get_num_connections(self) -> int:
+        """How many publishers are connected."""
+        return int(self.subscriber.get_num_connections())
+
+    def fetch(self) -> list[bytes]:
+        """The messages received since the last call, the newest 1000, in order."""
+        messages = []
+        while self._queue:
+            messages.append(self._queue.popleft())
+        return messages
+
+    def unregister(self) -> None:
+        """Unsubscribe; what waits is dropped."""
+        self.subscriber.unregister()
+        self._queue.clear()

@@ -1,9 +1,0 @@
-#!/usr/bin/env python3
-"""The operator console in the browser: rosrun surg_teleop console_node.py _cell:=..."""
-
-import sys
-
-from surg_teleop.console.ros.console_node import main
-
-if __name__ == "__main__":
-    sys.exit(main())
