@@ -27,8 +27,8 @@ class ResultsPage:
         keep: bool = False,
         columns: Sequence[str] = ("what", "n", "result"),
     ) -> None:
-        self._name, self._rows, self._keep = name, tuple(rows), keep
-        self._head = f"{head}\n| {' | '.join(columns)} |\n{'|---' * len(columns)}|\n"
+        self.name, self.rows, self._keep = name, tuple(rows), keep
+        self.head = f"{head}\n| {' | '.join(columns)} |\n{'|---' * len(columns)}|\n"
         self._found: dict[str, str] = {}
 
     def note(self, row: str, cases: int | None, result: str) -> None:
@@ -39,7 +39,7 @@ class ResultsPage:
             cases: How many were measured; None for a page without that column.
             result: What was found.
         """
-        if row not in self._rows:
+        if row not in self.rows:
             raise KeyError(row)
         print(f"{row}: {cases}: {result}")
         cells = [row, result] if cases is None else [row, str(cases), result]
@@ -47,11 +47,11 @@ class ResultsPage:
         folder = os.environ.get("SURG_RESULTS_DIR")
         if not folder:
             return
-        page = Path(folder, self._name)
+        page = Path(folder, self.name)
         lines = self._standing(page) | self._found
-        if self._keep or lines.keys() >= set(self._rows):
-            text = "".join(lines[each] for each in self._rows if each in lines)
-            page.write_text(self._head + text, "utf-8")
+        if self._keep or lines.keys() >= set(self.rows):
+            text = "".join(lines[each] for each in self.rows if each in lines)
+            page.write_text(self.head + text, "utf-8")
 
     def _standing(self, page: Path) -> dict[str, str]:
         """The rows of the page that stands, by name."""
