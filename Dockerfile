@@ -20,5 +20,5 @@ USER surg
 FROM tools AS built
 COPY --chown=surg:surg . /home/surg/surg
 WORKDIR /home/surg/surg
-RUN ./surg build
-CMD ["./surg", "shell"]
+RUN ./surg dev build
+CMD ["./surg", "dev", "shell"]

@@ -26,9 +26,9 @@ With `--depth` the node /eyes computes depth of both eyes beside it all, and a s
 moves in a square; its pictures are drawn by software on the same cores.
 
 Goals on 2 cores: age p50 60 ms left and 120 ms stereo, 15 fps, real time 0.98 and no F10, each over
-five minutes: `./surg bench console --seconds 300 --json FILE`, 11 minutes on a machine that does
-nothing else. With `--depth --layout stereo`: 5 depths a second and no F10. With `--headset`: 120 ms
-and 15 fps.
+five minutes: `./surg dev bench console --seconds 300 --json FILE`, 11 minutes on a machine that
+does nothing else. With `--depth --layout stereo`: 5 depths a second and no F10. With `--headset`:
+120 ms and 15 fps.
 """
 
 from __future__ import annotations
@@ -351,7 +351,7 @@ def show(runs: list[dict[str, Any]]) -> None:
 
 def main() -> int:
     parser = argparse.ArgumentParser(
-        prog="./surg bench console", description=__doc__.split("\n")[0]
+        prog="./surg dev bench console", description=__doc__.split("\n")[0]
     )
     parser.add_argument("--cell", default="sim_two_arms", help="default sim_two_arms")
     parser.add_argument(

@@ -259,7 +259,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(
-        prog="./surg bench control",
+        prog="./surg dev bench control",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

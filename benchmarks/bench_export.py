@@ -53,7 +53,9 @@ OURS: dict[str, dict[str, Any]] = {
 
 def main() -> int:
     """Entry point."""
-    parser = argparse.ArgumentParser(prog="./surg bench export", description=(__doc__ or "")[:95])
+    parser = argparse.ArgumentParser(
+        prog="./surg dev bench export", description=(__doc__ or "")[:95]
+    )
     add = parser.add_argument
     add("episodes", nargs="*", type=Path, help="recordings (default: made up, with texture)")
     add("--seconds", type=float, default=10.0, metavar="S", help="of each made-up recording")

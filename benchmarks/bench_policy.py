@@ -222,7 +222,7 @@ def _locked(name: str) -> str:
 def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(
-        prog="./surg bench policy",
+        prog="./surg dev bench policy",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -207,7 +207,9 @@ def measure(minutes: float) -> dict[str, Any]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="./surg bench soak", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog="./surg dev bench soak", description=__doc__.split("\n")[0]
+    )
     parser.add_argument("--minutes", type=float, default=30.0, help="default 30")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()

@@ -1,4 +1,4 @@
-"""The figures of `./surg bench export` as tables: on the terminal and on their page."""
+"""The figures of `./surg dev bench export` as tables: on the terminal and on their page."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from surg_cli.host import paths
 PAGE = paths.ROOT / "docs" / "results" / "benchmark_export.md"
 TEXT = """# The export beside lerobot's own writer
 
-`./surg bench export --page`: two stereo recordings (2 × 640×480, 20 fps, moving texture) exported
+`./surg dev bench export --page`: two stereo recordings (2 × 640×480, 20 fps, texture) exported
 as LeRobot 3.0, and written by lerobot from the same pictures with the same codec settings, in
 turns. Ours also resamples and reads back. lerobot encodes one camera after the other.
 """

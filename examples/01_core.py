@@ -3,7 +3,7 @@
 
 You learn: how to load a cell, enable an arm, stream tip positions and read what each cycle decided.
 
-    ./surg shell -c "python3 examples/01_core.py"
+    ./surg dev shell -c "python3 examples/01_core.py"
 
 Without the workspace: ``pip install ./src/surg_core``, then ``python3 examples/01_core.py``.
 """

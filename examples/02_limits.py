@@ -4,7 +4,7 @@
 You learn: forward kinematics and Jacobian of a chain, what a calibration error does to the pivot,
 why a command is refused, and how a limit slows a motion without leaving the pivot.
 
-    ./surg shell -c "python3 examples/02_limits.py"
+    ./surg dev shell -c "python3 examples/02_limits.py"
 """
 
 from __future__ import annotations

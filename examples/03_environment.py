@@ -4,7 +4,7 @@
 You learn: what an observation and an action hold, and how to play an episode of bowel grasping and
 retraction by the scripted expert. Replace ``env.unwrapped.expert_action()`` by a policy of yours.
 
-    ./surg shell -c "python3 examples/03_environment.py"
+    ./surg dev shell -c "python3 examples/03_environment.py"
 """
 
 from __future__ import annotations

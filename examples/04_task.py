@@ -4,7 +4,7 @@
 You learn: how a task adds things to the scene, draws an episode, measures success and scripts an
 expert. docs/guide/adding_a_task.md explains every method.
 
-    ./surg shell -c "python3 examples/04_task.py"          # without ROS
+    ./surg dev shell -c "python3 examples/04_task.py"          # without ROS
     ./surg run examples/04_task.py --episodes 3            # through the ROS graph, recorded
 """
 

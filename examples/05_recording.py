@@ -4,7 +4,7 @@
 You learn: what an episode folder holds, and how to read its tables as arrays. ``./surg record`` and
 ``./surg run`` write the same folders from a ROS graph; docs/reference/recording.md lists all files.
 
-    ./surg shell -c "python3 examples/05_recording.py"     # writes runs/course/episodes
+    ./surg dev shell -c "python3 examples/05_recording.py"     # writes runs/course/episodes
 """
 
 from __future__ import annotations

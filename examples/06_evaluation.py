@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Step 6: evaluate recorded episodes: success, RCM deviation and smoothness.
 
-You learn: how to compute the numbers of ``./surg evaluate`` in Python. That command writes the same
-as a report with figures and tables: ``./surg evaluate runs/course/episodes``.
+You learn: how to compute the numbers of ``./surg episode evaluate`` in Python. That command writes
+the same as a report with figures and tables: ``./surg episode evaluate runs/course/episodes``.
 
-    ./surg shell -c "python3 examples/06_evaluation.py"    # reads runs/course/episodes of step 5
+    ./surg dev shell -c "python3 examples/06_evaluation.py"  # reads runs/course/episodes of step 5
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 """Step 7: export recordings as a dataset and read it back.
 
-You learn: what a LeRobot dataset of this platform holds. ``./surg export`` does the same and knows
-more formats (robomimic, ACT, diffusion policy); docs/reference/datasets.md lists every feature.
+You learn: what a LeRobot dataset of this platform holds. ``./surg episode export`` does the same
+and knows more formats (robomimic, ACT, diffusion policy); docs/reference/datasets.md lists every
+feature.
 
-    ./surg shell -c "python3 examples/07_export.py"        # writes runs/course/dataset
+    ./surg dev shell -c "python3 examples/07_export.py"        # writes runs/course/dataset
 """
 
 from __future__ import annotations

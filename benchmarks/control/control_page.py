@@ -11,8 +11,8 @@ PAGE = paths.ROOT / "docs" / "results" / "benchmark_control.md"
 PICTURE = paths.ROOT / "docs" / "pictures" / "benchmark_control.png"
 TEXT = """# The controller beside other ways to do the same
 
-`./surg bench control --page`: one tip motion (±35, ±35, ±25 mm, 500 Hz) by our forms of the law,
-by QPs with the velocity form's wish, by KDL and by Python IK, on an ideal plant; one recorded
+`./surg dev bench control --page`: one tip motion (±35, ±35, ±25 mm, 500 Hz) by our forms of the
+law, QPs with the velocity form's wish, KDL and Python IK, on an ideal plant; one recorded
 stream by our filter and by Ruckig, within 0.25 m/s, 2 m/s², 40 m/s³. RCM and tip: largest
 deviations, at samples and between. Two figures: median / p99; filter: in a tick with a sample /
 over the stream. `ruckig_lead` is told our estimate, ahead by the best of 98 leads.

@@ -9,7 +9,7 @@ from surg_cli.host import paths
 PAGE = paths.ROOT / "docs" / "results" / "force_policy.md"
 TEXT = """# Force-aware policies of bowel grasping and retraction
 
-`./surg bench force_policy --keep DIR --page`: does a policy that reads `observation.force` retract
+`./surg dev bench force_policy --keep DIR --page`: does a policy that reads the force retract
 better? Three training seeds each, in process. *Within 2 N*: the force on the jaws stays below 2 N.
 Tension: of the simulated tissue; no robot can measure it. Forces: median, largest.
 """

@@ -9,7 +9,7 @@ from surg_cli.host import paths
 PAGE = paths.ROOT / "docs" / "results" / "benchmark_policy.md"
 TEXT = """# The policies' wire beside others
 
-`./surg bench policy --page`: stereo 640x480 RGB and a state from the robot's process to the
+`./surg dev bench policy --page`: stereo 640x480 RGB and a state from the robot's process to the
 policy's, a chunk of 50x8 back, over loopback. *ours*: `surg_policy_client.serve` with every check
 of [the protocol](../reference/protocol.md); plain msgpack has none. The server for openpi's client
 is ours. With the memory settings of the platform's nodes openpi's client took 1.6 to 1.8 times as

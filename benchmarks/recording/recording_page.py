@@ -9,7 +9,7 @@ from surg_cli.host import paths
 PAGE = paths.ROOT / "docs" / "results" / "benchmark_recording.md"
 TEXT = """# The recorder beside rosbag
 
-`./surg bench recording --page`: the bead transfer between two arms with the stereo endoscope
+`./surg dev bench recording --page`: the bead transfer between two arms with the stereo endoscope
 (2 × 640×480, 20 fps, 500 Hz cycles), simulated. In free-run both record the same topics at the same
 time; rosbag keeps raw pictures and runs longer. In lock-step every tick must be a row.
 """

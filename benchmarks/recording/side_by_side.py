@@ -44,7 +44,7 @@ def measure(task: str, robot: str, views: str, seconds: float, out: Path) -> dic
         Problem: The system does not come up, or rosbag is not there.
     """
     if not ROSBAG.exists():
-        raise Problem(f"{ROSBAG} is missing: ./surg setup installs python3-rosbag")
+        raise Problem(f"{ROSBAG} is missing: ./surg dev setup installs python3-rosbag")
     out.mkdir(parents=True)
     condition = episode_plans.Condition("phantom", "ours")
     cell = episode_plans.find_cell(robot)

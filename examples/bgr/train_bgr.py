@@ -1,4 +1,4 @@
-"""Trains the policy of `bgr_policy.py` on a LeRobot dataset (v2.1) of `./surg export`.
+"""Trains the policy of `bgr_policy.py` on a LeRobot dataset (v2.1) of `./surg episode export`.
 
     python3 examples/bgr/train_bgr.py datasets/bgr --out weights.npz --seed 0
 

@@ -39,7 +39,7 @@ FORMAT = "surg_bgr_views/1"
 LEFT, RIGHT = (f"observation.images.endoscope.{side}" for side in ("left", "right"))
 PHASE = "annotation.human.action.subtask_description"
 """Column of a frame's phase: a place in `meta/tasks.jsonl`. It is the recording's stage: the
-task's own, or what a person marked with `./surg label`."""
+task's own, or what a person marked with `./surg episode label`."""
 WHOLE = "annotation.human.action.task_description"
 """The same of the whole task; it stands where no phase is."""
 NO_PHASE = -1
@@ -226,7 +226,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="train_bgr_cache", description=(__doc__ or "").split("\n")[0]
     )
-    parser.add_argument("dataset", type=Path, help="folder written by ./surg export")
+    parser.add_argument("dataset", type=Path, help="folder written by ./surg episode export")
     parser.add_argument("out", type=Path, help="folder for the small pictures")
     parser.add_argument("--eyes", type=int, choices=(1, 2), default=1, help="left, or left + right")
     options = parser.parse_args(words)

@@ -233,7 +233,8 @@ def check(found: Recorded, options: Options) -> None:
     if options.method == "moe_act" and len(found.phases) < 2:
         raise ValueError(
             f"moe_act needs the phases of the recordings ({PHASE}), the dataset states "
-            f"{len(found.phases)}; ./surg label marks them, ./surg export writes them"
+            f"{len(found.phases)}; ./surg episode label marks them, ./surg episode export writes "
+            "them"
         )
 
 
@@ -330,7 +331,7 @@ def errors(policy: ClonedPolicy, found: Recorded, steps: Steps) -> dict[str, flo
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    data = "of ./surg export, or of train_bgr_cache.py"
+    data = "of ./surg episode export, or of train_bgr_cache.py"
     made = parser_of("train_bgr_cloned", (__doc__ or "").split("\n")[0], data)
     made.add_argument("--method", choices=METHODS, required=True)
     made.add_argument("--device", choices=DEVICES, default=DEVICES[0], help="where it trains")

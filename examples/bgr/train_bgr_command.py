@@ -18,7 +18,7 @@ Options = TypeVar("Options")
 
 
 def parser_of(
-    name: str, about: str, dataset: str = "folder written by ./surg export"
+    name: str, about: str, dataset: str = "folder written by ./surg episode export"
 ) -> argparse.ArgumentParser:
     """Arguments of all trainers; an option that is not given is missing, see `chosen`.
 

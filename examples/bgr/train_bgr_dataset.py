@@ -1,4 +1,4 @@
-"""A LeRobot dataset (v2.1) of `./surg export`, for the trainers: tables, targets and scales."""
+"""A LeRobot dataset (v2.1) of `./surg episode export` for the trainers: tables, targets, scales."""
 
 from __future__ import annotations
 

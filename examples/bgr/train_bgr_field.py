@@ -125,7 +125,9 @@ def main(words: Sequence[str] | None = None) -> int:
         description=(__doc__ or "").split("\n")[0],
         usage="%(prog)s DATA OUT [options] [-- options of train_bgr_cloned.py]",
     )
-    parser.add_argument("data", type=Path, help="of ./surg export, or of train_bgr_cache.py")
+    parser.add_argument(
+        "data", type=Path, help="of ./surg episode export, or of train_bgr_cache.py"
+    )
     parser.add_argument("out", type=Path, help="folder for the weights")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS)
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])

@@ -5,8 +5,8 @@ You learn: how a data set says through which lens it looks, and from where. Need
 video, ``observation.camera_pose``, ``observation.cartesian_state`` and ``meta/calibration/``.
 
     ./surg run endoscope_guidance --episodes 1 --out runs/guidance
-    ./surg export runs/guidance --format lerobot --out runs/guidance_dataset
-    ./surg shell -c "python3 examples/picture/draw_tip.py runs/guidance_dataset --out tip.mp4"
+    ./surg episode export runs/guidance --format lerobot --out runs/guidance_dataset
+    ./surg dev shell -c "python3 examples/picture/draw_tip.py runs/guidance_dataset --out tip.mp4"
 """
 
 from __future__ import annotations
@@ -95,7 +95,8 @@ def main() -> None:
     options = parser.parse_args()
     if not (options.dataset / "meta/calibration/index.json").is_file():
         raise SystemExit(
-            f"{options.dataset}: no meta/calibration/index.json; export it anew: ./surg export"
+            f"{options.dataset}: no meta/calibration/index.json; export it anew: "
+            "./surg episode export"
         )
     pixels = tip_pixels(options.dataset, options.arm, options.feature)
     video = next(options.dataset.glob(f"videos/*/{options.feature}/episode_000000.mp4"))

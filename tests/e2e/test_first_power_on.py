@@ -1,6 +1,6 @@
-"""The lines of docs/guide/first_power_on.md, one after another, against the emulated arm.
+"""The first power-on of docs/guide/link_ur.md, line by line, against the emulated arm.
 
-A person's hands are mishaps of the emulator. ``SURG_TEST_FULL=1``: it takes minutes.
+A person's hands are faults of the emulator. ``SURG_TEST_FULL=1``: it takes minutes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from surg_cli.graph.processes import wait_until
 from surg_cli.host import paths
 from surg_cli.robots.rehearsal import STEPS
 
-PAGE = paths.ROOT / "docs" / "guide" / "first_power_on.md"
+PAGE = paths.ROOT / "docs" / "guide" / "link_ur.md"
+HEADING = "## The first power-on\n"
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 HANDS = {
     "emergency stop": ("estop", "release"),
@@ -36,8 +37,9 @@ AGAIN = ("controller killed", "node killed")
 
 
 def lines() -> list[str]:
-    """The command lines of the page, in order, without comments."""
-    blocks = re.findall(r"```sh\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    """The command lines of the page's section, in order, without comments."""
+    section = PAGE.read_text("utf-8").split(HEADING)[1].split("\n## ")[0]
+    blocks = re.findall(r"```sh\n(.*?)```", section, re.DOTALL)
     found = [line.partition("#")[0].strip() for block in blocks for line in block.splitlines()]
     return [line for line in found if line]
 
@@ -66,7 +68,7 @@ class Lab:
     def run(self, line: str, timeout: float = 120.0) -> str:
         """A line in a terminal; a person says yes to everything."""
         done = subprocess.run(
-            ["./surg", "shell", "-c", line] if line.startswith("rosrun") else line.split(),
+            ["./surg", "dev", "shell", "-c", line] if line.startswith("rosrun") else line.split(),
             cwd=paths.ROOT,
             input="yes\n" * 10,
             text=True,
@@ -119,7 +121,7 @@ def test_every_line_of_the_page_works(lab: Lab) -> None:
         elif command.endswith("rehearse"):
             rehearse(lab, command)
         elif command.startswith("rosrun"):
-            player = subprocess.Popen(["./surg", "shell", "-c", command], cwd=paths.ROOT)
+            player = subprocess.Popen(["./surg", "dev", "shell", "-c", command], cwd=paths.ROOT)
             time.sleep(4.0)
         elif command.endswith("lag"):
             lab.run(command)
@@ -165,14 +167,14 @@ def one_stop(lab: Lab, command: str, act: str) -> tuple[int, str]:
     for text in running.stdout:
         said += text
         if act and ": now " in text:
-            assert emulated_ur.mishap(lab.address, act) == "ok"
+            assert emulated_ur.fault(lab.address, act) == "ok"
     return running.wait(60.0), said
 
 
 def mend(lab: Lab, stop: str) -> None:
     """What a person does after a stop."""
     if undo := HANDS.get(stop, ("", ""))[1]:
-        assert emulated_ur.mishap(lab.address, undo) == "ok"
+        assert emulated_ur.fault(lab.address, undo) == "ok"
     if stop == "emergency stop":
         lab.run(f"./surg robot {lab.cell} on")
     if stop == "protective stop":

@@ -43,8 +43,8 @@ def run(*words: object) -> str:
 
 @contextlib.contextmanager
 def labelling(episodes: Path, log: Path) -> Iterator[str]:
-    """`./surg label` until Ctrl-C; gives the address that it prints."""
-    process = start(log, "label", episodes, "--by", "A. Surgeon", "--no-open")
+    """`./surg episode label` until Ctrl-C; gives the address that it prints."""
+    process = start(log, "episode", "label", episodes, "--by", "A. Surgeon", "--no-open")
     try:
         deadline = time.monotonic() + 60.0
         while "http://" not in log.read_text() and time.monotonic() < deadline:
@@ -106,23 +106,23 @@ def test_a_verdict_by_keyboard_decides_export_and_evaluation(tmp_path: Path) -> 
     ]
     assert given[0]["note"] == NOTE
 
-    run("film", folders[0], "--out", tmp_path / "film.mp4", "--seconds", 4)
+    run("episode", "film", folders[0], "--out", tmp_path / "film.mp4", "--seconds", 4)
     with av.open(str(tmp_path / "film.mp4")) as container:
         frames = sum(1 for _ in container.decode(video=0))
     assert frames > 40
 
     out = tmp_path / "set"
-    run("export", runs, "--where", "success", "--format", "lerobot_v30", "--out", out)
+    run("episode", "export", runs, "--where", "success", "--format", "lerobot_v30", "--out", out)
     stated = json.loads((out / "surg_export.json").read_text())
     assert [each["source"] for each in stated["recordings"]] == [str(folders[1])]
 
-    run("evaluate", runs, "--out", tmp_path / "all")
+    run("episode", "evaluate", runs, "--out", tmp_path / "all")
     summary = json.loads((tmp_path / "all/summary.json").read_text())
     (condition,) = summary["conditions"].values()
     assert (condition["success_rate"]["k"], condition["success_rate"]["n"]) == (1, 2)
     assert "task" in summary["episodes"][0]["disagreement"], "the person says otherwise"
     assert summary["episodes"][1]["disagreement"] is None
-    run("evaluate", runs, "--where", "not success", "--out", tmp_path / "failed")
+    run("episode", "evaluate", runs, "--where", "not success", "--out", tmp_path / "failed")
     failed = json.loads((tmp_path / "failed/summary.json").read_text())
     assert [each["folder"] for each in failed["episodes"]] == [str(folders[0])]
     print(f"film {frames} frames, exported {stated['recordings'][0]['frames']} frames, 1 of 2")

@@ -142,7 +142,7 @@ STALLS = [("fr3", 20), ("fr3", 104), ("fr3", 40), ("panda", 24)]
 
 
 def sweep(chain: Chain, hold: Callable[[], None]) -> tuple[float, float]:
-    """A sideways motion at 50 mm/s with a mishap in it.
+    """A sideways motion at 50 mm/s with a fault in it.
 
     Returns:
         Largest deviation from the pivot, and how far the tip is from where it was sent [mm].

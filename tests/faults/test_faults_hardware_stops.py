@@ -37,7 +37,7 @@ CREEP = 5e-4
 
 
 @dataclass(frozen=True)
-class Mishap:
+class Fault:
     """What happens; ``lasting`` 0: until the end of the test [s]."""
 
     begin: Callable[[Chain], object]
@@ -72,24 +72,24 @@ def slider(chain: Chain) -> None:
     chain.robot.slider = 0.5
 
 
-MISHAPS = {
-    "protective stop": Mishap(lambda c: c.robot.protective_stop("test")),
-    "emergency stop": Mishap(lambda c: c.robot.fall_to(SafetyMode.ROBOT_EMERGENCY_STOP, "test")),
-    "user stop": Mishap(lambda c: c.robot.stop()),
-    "user pause": Mishap(lambda c: c.robot.pause()),
-    "power off": Mishap(lambda c: c.robot.power_off()),
-    "reboot": Mishap(lambda c: c.ur.reboot(600)),
-    "slider at 50 %": Mishap(slider, off=OURS),
-    "stall 15 ms": Mishap(stall, again, 0.015, OURS, latched=False),
-    "stall 100 ms": Mishap(stall, again, 0.1, OURS),
-    "driver killed": Mishap(freeze, off=OURS),
-    "driver frozen 0.5 s": Mishap(freeze, again, 0.5, OURS),
-    "controller silent": Mishap(silent, off=OURS),
-    "node gone": Mishap(gone, off=OURS),
+FAULTS = {
+    "protective stop": Fault(lambda c: c.robot.protective_stop("test")),
+    "emergency stop": Fault(lambda c: c.robot.fall_to(SafetyMode.ROBOT_EMERGENCY_STOP, "test")),
+    "user stop": Fault(lambda c: c.robot.stop()),
+    "user pause": Fault(lambda c: c.robot.pause()),
+    "power off": Fault(lambda c: c.robot.power_off()),
+    "reboot": Fault(lambda c: c.ur.reboot(600)),
+    "slider at 50 %": Fault(slider, off=OURS),
+    "stall 15 ms": Fault(stall, again, 0.015, OURS, latched=False),
+    "stall 100 ms": Fault(stall, again, 0.1, OURS),
+    "driver killed": Fault(freeze, off=OURS),
+    "driver frozen 0.5 s": Fault(freeze, again, 0.5, OURS),
+    "controller silent": Fault(silent, off=OURS),
+    "node gone": Fault(gone, off=OURS),
 }
 SHORT = {("protective stop", 0.05), ("stall 100 ms", 0.05), ("controller silent", 0.05)}
 """What the normal tier runs."""
-ROWS = [(what, speed) for what in MISHAPS for speed in SPEEDS]
+ROWS = [(what, speed) for what in FAULTS for speed in SPEEDS]
 
 
 LAG_SPREADS = {(0.005, 0.0085): 0.25, (0.005, 0.007): 0.2, (0.0066, 0.0066): 0.03}
@@ -124,14 +124,14 @@ def test_where_a_robot_rests_that_stops_itself_is_set_by_how_its_joint_lags_diff
 def test_robot_condition_whatever_stops_the_arm_it_rests_near_its_pivot(
     what: str, speed: float
 ) -> None:
-    mishap, chain = MISHAPS[what], Chain()
+    fault, chain = FAULTS[what], Chain()
     for cycle in range(90 if speed > 0.1 else 300):  # the workspace ends 20 mm away
         assert chain.stream(speed * min(cycle / 60, 1.0)).state == State.ENABLED, chain.out.reason
-    mishap.begin(chain)
+    fault.begin(chain)
     tips, away = [chain.tip], [chain.deviation]
-    for cycle in range(round((0.3 + mishap.lasting) / T)):
-        if cycle == round(mishap.lasting / T):
-            mishap.end(chain)
+    for cycle in range(round((0.3 + fault.lasting) / T)):
+        if cycle == round(fault.lasting / T):
+            fault.end(chain)
         chain.stream(speed)
         tips.append(chain.tip)
         away.append(chain.deviation)
@@ -139,9 +139,9 @@ def test_robot_condition_whatever_stops_the_arm_it_rests_near_its_pivot(
     moving = np.flatnonzero(speeds > CREEP)
     rest = 1e3 * T * (moving[-1] + 1)
     off = 1e3 * max(away)
-    assert off <= mishap.off or speed > 0.1
-    note_stop("chain", what, speed, rest if mishap.latched else None, off)
-    if not mishap.latched:
+    assert off <= fault.off or speed > 0.1
+    note_stop("chain", what, speed, rest if fault.latched else None, off)
+    if not fault.latched:
         assert chain.out.state == State.ENABLED
         return
     assert rest <= TO_REST[speed]

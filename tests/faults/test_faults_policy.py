@@ -249,13 +249,13 @@ def test_f19_a_server_that_others_reach_does_not_start_without_keys(
     params = {"cell": CELL, "bind": "tcp://0.0.0.0:5999"}
     child = ros_graph.node("surg_policy_bridge", "model_server_node", "/policy", params)
     ros_graph.wait_for(lambda: child.exit_code is not None, 20.0, "the refusal")
-    assert child.exit_code == 2 and "./surg keys" in child.log_tail()
+    assert child.exit_code == 2 and "./surg policy keys" in child.log_tail()
 
 
 def test_f19_only_who_is_on_the_list_enters(tmp_path: Path) -> None:
     """A plain peer, an unknown key and raw bytes reach nothing; the listed key does."""
     for host in ("0.0.0.0", "*", "192.0.2.7", "[::]", "eth0"):
-        with pytest.raises(BindError, match="surg keys"):
+        with pytest.raises(BindError, match="surg policy keys"):
             Router(f"tcp://{host}:5999", None)
     for address in ("udp://127.0.0.1:1", "tcp://127.0.0.1", "5555", "ipc://relative"):
         with pytest.raises(BindError, match="such as"):

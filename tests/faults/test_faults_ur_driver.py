@@ -20,7 +20,7 @@ from surg_hardware.conditions import Condition
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 MOVING = 1.6
-"""The mishap comes this long after the start [s]."""
+"""The fault comes this long after the start [s]."""
 JUDGED = 1.0
 """The arm is watched for this long [s]."""
 LATE = 0.05
@@ -50,22 +50,22 @@ def gone(arm: Rig) -> float:
 
 
 def played(arm: Rig) -> float:
-    when = arm.mishap("pause")
+    when = arm.fault("pause")
     time.sleep(0.5)
-    assert "error" in emulated_ur.mishap(arm.address, "play")  # the driver has ended the program
+    assert "error" in emulated_ur.fault(arm.address, "play")  # the driver has ended the program
     return when
 
 
-MISHAPS = {
-    "protective stop": lambda arm: arm.mishap("protective_stop"),
-    "emergency stop": lambda arm: arm.mishap("estop"),
-    "user stop": lambda arm: arm.mishap("stop"),
+FAULTS = {
+    "protective stop": lambda arm: arm.fault("protective_stop"),
+    "emergency stop": lambda arm: arm.fault("estop"),
+    "user stop": lambda arm: arm.fault("stop"),
     "user pause, then play": played,
-    "slider at 50 %": lambda arm: arm.mishap("slider 50"),
-    "stall 15 ms": lambda arm: arm.mishap("stall 0.015"),
-    "stall 100 ms": lambda arm: arm.mishap("stall 0.1"),
-    "connections reset": lambda arm: arm.mishap("reset"),
-    "reboot": lambda arm: arm.mishap("reboot"),
+    "slider at 50 %": lambda arm: arm.fault("slider 50"),
+    "stall 15 ms": lambda arm: arm.fault("stall 0.015"),
+    "stall 100 ms": lambda arm: arm.fault("stall 0.1"),
+    "connections reset": lambda arm: arm.fault("reset"),
+    "reboot": lambda arm: arm.fault("reboot"),
     "driver killed": lambda arm: arm.kill(signal.SIGKILL),
     "driver frozen": frozen,
     "controller silent": silent,
@@ -73,7 +73,7 @@ MISHAPS = {
 }
 SHORT = {("driver killed", 0.05)}
 """What the normal tier runs."""
-ROWS = [(what, speed) for what in MISHAPS for speed in SPEEDS]
+ROWS = [(what, speed) for what in FAULTS for speed in SPEEDS]
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_the_arm_comes_to_rest_and_stays_there(what: str, speed: float, tmp_path
     with rig(tmp_path) as (arm, file):
         arm.start()
         arm.move(rows, MOVING)
-        event = MISHAPS[what](arm)
+        event = FAULTS[what](arm)
         time.sleep(max(0.0, event + JUDGED - time.monotonic()))
         if what not in ("driver killed", "node gone"):  # it latches
             assert (arm.condition() is Condition.ACTIVE) == (what == "stall 15 ms"), arm.notices

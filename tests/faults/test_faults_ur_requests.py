@@ -42,7 +42,7 @@ def ask(arm: Rig, word: str, enabled: bool = False) -> str:
 
 def said(arm: Rig) -> dict[str, object]:
     """The emulated controller's own state."""
-    found: dict[str, object] = json.loads(emulated_ur.mishap(arm.address, "status"))
+    found: dict[str, object] = json.loads(emulated_ur.fault(arm.address, "status"))
     return found
 
 
@@ -51,11 +51,11 @@ def test_a_hand_guides_the_arm_only_while_the_controller_is_disabled(arm: Rig) -
     assert said(arm)["runtime"] == "STOPPED"
     assert ask(arm, "guide") == ""
     arm.wait(Condition.GUIDED)
-    arm.mishap("freedrive on 0.2 0 0 0 0 0")
+    arm.fault("freedrive on 0.2 0 0 0 0 0")
     assert wait_until(lambda: arm.state is not None and arm.state.q[:1] > (HOME[0] + 0.02,), 3.0), (
         "the joint states go on, so that poses can be collected"
     )
-    arm.mishap("freedrive on")
+    arm.fault("freedrive on")
     assert "hand guiding" in ask(arm, "start"), "an arm in a hand is not started"
     assert ask(arm, "stop") == ""
     arm.wait(Condition.READY)
@@ -70,16 +70,16 @@ def test_a_hand_guides_the_arm_only_while_the_controller_is_disabled(arm: Rig) -
 def test_a_start_is_refused_with_its_cure(arm: Rig, tmp_path: Path) -> None:
     program = tmp_path / "other.script"
     program.write_text(OTHER)
-    arm.mishap(f"load {program}")
-    arm.mishap("play")
+    arm.fault(f"load {program}")
+    arm.fault("play")
     assert wait_until(lambda: "a program runs" in ask(arm, "start"), 5.0)
-    arm.mishap("stop")
-    arm.mishap("brakes engage")
+    arm.fault("stop")
+    arm.fault("brakes engage")
     arm.wait(Condition.BRAKED)
     assert "brakes" in ask(arm, "start")
-    arm.mishap("brakes release")
+    arm.fault("brakes release")
     arm.wait(Condition.READY)
-    arm.mishap("local")
+    arm.fault("local")
     assert wait_until(lambda: "local control" in ask(arm, "start"), 5.0)
     assert "allowed: " in ask(arm, "dance")
     assert arm.condition() is Condition.READY

@@ -25,7 +25,7 @@ def pages() -> list[Path]:
 
 def guide() -> list[Path]:
     """The pages that a newcomer reads."""
-    return [paths.ROOT / "README.md", *sorted((paths.ROOT / "docs" / "guide").glob("*.md"))]
+    return [paths.ROOT / "README.md", *sorted((paths.ROOT / "docs" / "guide").rglob("*.md"))]
 
 
 def name(file: Path) -> str:
@@ -34,14 +34,12 @@ def name(file: Path) -> str:
 
 def mistake(words: list[str]) -> str:
     """Why the command line of `./surg` does not parse, empty if it does."""
-    if not words or words[0] in ("help", "-h", "--help"):
+    if command_table.page(words):
         return ""
-    if words[0] not in command_table.COMMANDS:
-        return f"no command {words[0]}"
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-            command_table.parse(words[0], words[1:])
+            command_table.parse(*command_table.find(words))
     except Problem as problem:
         return str(problem)
     except SystemExit as end:
@@ -98,6 +96,9 @@ def test_a_broken_link_is_noticed(link: str, good: bool, tmp_path: Path) -> None
         ("MUJOCO_GL=osmesa ./surg demo", True),
         ("./surg run bgr \\\n  --episodes 3", True),
         ("./surg help", True),
+        ("./surg episode --help", True),
+        ("./surg episode dance", False),
+        ("./surg view runs/1", False),
         ("./surg demo --task bgr", False),
         ("./surg demo --dance", False),
         ("./surg demo --scale -1", False),

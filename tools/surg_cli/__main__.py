@@ -12,7 +12,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from surg_cli.command_table import COMMANDS, at_once, parse, usage
+from surg_cli.command_table import COMMANDS, at_once, find, page, parse
 from surg_cli.graph.processes import interrupt_on_signals
 from surg_cli.host import environment, paths, preflight, provision, workspace
 from surg_cli.host.terminal import Problem, say, warn
@@ -21,16 +21,17 @@ READY = "SURG_READY"
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command, given the words behind `./surg`; returns the exit status."""
-    if not arguments or arguments[0] in ("help", "-h", "--help"):
-        say(usage())
+    """Run one command, given the words behind `./surg`; returns the exit status.
+
+    Raises:
+        Problem: There is no such command, or it refuses its options.
+    """
+    if text := page(arguments):
+        say(text)
         return 0
-    name, *rest = arguments
-    if name not in COMMANDS:
-        warn(f"surg: no command {name!r}; there are: {', '.join(COMMANDS)}")
-        return 2
+    name, rest = find(arguments)
     if COMMANDS[name].wants_workspace(rest) and READY not in os.environ:
-        if name != "shell" and any(word in ("-h", "--help") for word in rest):
+        if name != "dev shell" and any(word in ("-h", "--help") for word in rest):
             _print_help(name, rest)
         elif COMMANDS[name].urgent:
             at_once(name, rest)
@@ -43,7 +44,7 @@ def run(arguments: Sequence[str]) -> int:
         _enter_workspace(name, arguments)
     os.environ.pop(READY, None)
     options, command = parse(name, rest)
-    return command(options, name)
+    return command(options, name.split()[-1])
 
 
 def _print_help(name: str, rest: Sequence[str]) -> None:

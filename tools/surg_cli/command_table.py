@@ -1,4 +1,8 @@
-"""The commands of `./surg`, their groups and their option parsers."""
+"""The commands of `./surg`, their groups and their option parsers.
+
+A command's name is one word, or two where it belongs to a family: `episode view`. `robot check` and
+`robot home` are commands beside `robot CELL ACTION`.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +12,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from surg_cli.commands.arms import robot_file
+from surg_cli import moved
 from surg_cli.host.terminal import Problem
 
 GROUPS = ("run", "data", "learn", "robot", "develop")
+FAMILIES = {
+    "episode": ("data", "what is done with recorded episodes"),
+    "policy": ("learn", "what a policy needs before it connects"),
+    "dev": ("develop", "set up, build, test and examine the workspace"),
+}
+"""First word -> group and help of the commands that begin with it."""
+HELP = ("help", "-h", "--help")
 
 
 @dataclass(frozen=True)
@@ -34,6 +45,7 @@ class Command:
         return self.needs_workspace or (bool(self.workspace_option) and asked)
 
 
+_TEST = Command("develop", "dev.run_tests", "build and run the tests", everything=True)
 COMMANDS = {
     "demo": Command("run", "demo", "play a recorded motion through a trocar and report the errors"),
     "run": Command("run", "run", "play episodes of a task, by scripted senders or by a policy"),
@@ -45,28 +57,35 @@ COMMANDS = {
     ),
     "status": Command("run", "status", "list nodes, topic rates and last errors", draws=False),
     "record": Command("data", "record", "start, stop and tag a recording", draws=False),
-    "recover": Command("data", "data.recover", "complete recordings that were interrupted"),
-    "view": Command("data", "view", "show an episode: video, tip path and curves on one page"),
-    "film": Command(
-        "data", "episodes.make_film", "make a short film of an episode: endoscope beside the room"
+    "episode view": Command("data", "episode.view", "show video, tip path and curves on one page"),
+    "episode film": Command(
+        "data", "episode.make_film", "make a short film: endoscope beside the room"
     ),
-    "depth": Command(
+    "episode label": Command(
+        "data", "episode.label", "judge, mark and trim recordings, by keyboard", draws=False
+    ),
+    "episode depth": Command(
         "data",
-        "episodes.compute_depth",
+        "episode.compute_depth",
         "compute the depth of a recorded stereo endoscope",
         draws=False,
         packages=("opencv",),
     ),
-    "label": Command(
-        "data", "episodes.label", "judge, mark and trim recordings, by keyboard", draws=False
+    "episode recover": Command("data", "episode.recover", "complete interrupted recordings"),
+    "episode export": Command(
+        "data",
+        "episode.export",
+        "write a dataset: LeRobot, robomimic, ACT, Zarr, bags",
+        everything=True,
     ),
-    "evaluate": Command("data", "evaluate", "compare recorded episodes in figures and tables"),
-    "export": Command(
-        "data", "export", "write a dataset: LeRobot, robomimic, ACT, Zarr, bags", everything=True
+    "episode import": Command(
+        "data", "episode.import_recordings", "import bags and LeRobot data sets"
     ),
-    "import": Command("data", "data.import_recordings", "import bags and LeRobot data sets"),
+    "episode evaluate": Command("data", "episode.evaluate", "compare in figures and tables"),
     "learn": Command("learn", "learn", "demonstrate, export, train, deploy and judge a policy"),
-    "keys": Command("learn", "make_keys", "make key pairs for a model server and its policies"),
+    "policy keys": Command(
+        "learn", "policy.make_keys", "make key pairs for a model server and its policies"
+    ),
     "calibrate": Command(
         "robot", "calibrate", "solve tool and trocar from recorded poses", packages=("opencv",)
     ),
@@ -75,35 +94,102 @@ COMMANDS = {
     ),
     "reach": Command("robot", "arms.reach", "tell and draw where the tips of a cell can go"),
     "robot": Command("robot", "arms.robot", "start, stop, guide robots; their lag", draws=False),
+    "robot check": Command(
+        "robot",
+        "arms.robot_file",
+        "examine a robot's YAML: limits, kinematics against the URDF, reach from its home",
+        draws=False,
+    ),
+    "robot home": Command(
+        "robot",
+        "arms.robot_file",
+        "search for the home posture with the largest reserve",
+        draws=False,
+    ),
     "emulate": Command("robot", "arms.emulate", "emulate a real arm's controller", draws=False),
     "ptp": Command("robot", "ptp", "synchronise the clocks of two machines", needs_workspace=False),
-    "setup": Command("develop", "setup", "install packages and .venv", needs_workspace=False),
-    "build": Command("develop", "setup", "set up and build the workspace", needs_workspace=False),
-    "test": Command("develop", "run_tests", "build and run the tests", everything=True),
-    "bench": Command("develop", "bench", "run a benchmark", everything=True),
-    "shell": Command("develop", "shell", "open a shell with the workspace sourced"),
-    "topics": Command("develop", "topics", "compare a graph with docs/reference/topics.yaml"),
-    "doctor": Command(
+    "test": _TEST,
+    "dev setup": Command(
+        "develop", "dev.setup", "install packages and .venv", needs_workspace=False
+    ),
+    "dev build": Command(
+        "develop", "dev.setup", "set up and build the workspace", needs_workspace=False
+    ),
+    "dev test": _TEST,
+    "dev bench": Command("develop", "dev.bench", "run a benchmark", everything=True),
+    "dev shell": Command("develop", "dev.shell", "open a shell with the workspace sourced"),
+    "dev doctor": Command(
         "develop",
-        "doctor",
+        "dev.doctor",
         "list what is installed, missing and running; --robot CELL: examine an arm",
         needs_workspace=False,
         draws=False,
         workspace_option="--robot",
     ),
+    "dev topics": Command(
+        "develop", "dev.topics", "compare a graph with docs/reference/topics.yaml"
+    ),
 }
-MOVED = {("demo", "--task"): "./surg run TASK", ("demo", "--full"): "./surg learn TASK"}
-"""Options that earlier versions had, and the command that does the same now."""
 
 
-def usage() -> str:
-    """The text of `./surg help`."""
+def page(words: Sequence[str]) -> str:
+    """The page that words ask for: `help`, or a family such as `episode`; empty: a command."""
+    if not words or words[0] in HELP:
+        return _all_commands()
+    if words[0] in FAMILIES and (len(words) == 1 or words[1] in HELP):
+        return _family(words[0])
+    return ""
+
+
+def _all_commands() -> str:
     lines = ["usage: ./surg COMMAND [options]      ./surg COMMAND --help lists the options"]
     for group in GROUPS:
         lines += ["", f"{group}:"]
-        lines += [f"  {n:12s}  {c.help}" for n, c in COMMANDS.items() if c.group == group]
+        lines += [
+            f"  {name:12s}  {command.help}"
+            for name, command in COMMANDS.items()
+            if command.group == group and " " not in name
+        ]
+        lines += [
+            f"  {name:12s}  {help_}: {', '.join(members(name))}"
+            for name, (of, help_) in FAMILIES.items()
+            if of == group
+        ]
     lines += ["", "`demo` and `test` set everything up on first use."]
     return "\n".join(lines)
+
+
+def _family(first: str) -> str:
+    lines = [
+        f"usage: ./surg {first} COMMAND [options]      ./surg {first} COMMAND --help lists them",
+        "",
+        f"{FAMILIES[first][1]}:",
+    ]
+    lines += [f"  {word:12s}  {COMMANDS[f'{first} {word}'].help}" for word in members(first)]
+    return "\n".join(lines)
+
+
+def members(first: str) -> list[str]:
+    """Second words of the commands that begin with a word."""
+    return [name.partition(" ")[2] for name in COMMANDS if name.startswith(f"{first} ")]
+
+
+def find(words: Sequence[str]) -> tuple[str, Sequence[str]]:
+    """The name of the command that words call, and the words behind it.
+
+    Raises:
+        Problem: There is no such command; names the new one, or those that there are.
+    """
+    for count in (2, 1):
+        if (name := " ".join(words[:count])) in COMMANDS:
+            return name, words[count:]
+    first = words[0]
+    if first in moved.COMMANDS:
+        raise Problem(f"{first} is now ./surg {moved.COMMANDS[first]}", 2)
+    if first in FAMILIES:
+        raise Problem(f"no command '{first} {words[1]}'; there are: {', '.join(members(first))}", 2)
+    known = dict.fromkeys(each.partition(" ")[0] for each in COMMANDS)
+    raise Problem(f"no command {first!r}; there are: {', '.join(known)}", 2)
 
 
 def parser(name: str) -> tuple[argparse.ArgumentParser, Callable[[Any, str], int]]:
@@ -111,7 +197,7 @@ def parser(name: str) -> tuple[argparse.ArgumentParser, Callable[[Any, str], int
     command = COMMANDS[name]
     made = argparse.ArgumentParser(prog=f"./surg {name}", description=command.help)
     module = importlib.import_module(f"surg_cli.commands.{command.module}")
-    module.add_arguments(made, name)
+    module.add_arguments(made, name.split()[-1])
     return made, module.main
 
 
@@ -125,32 +211,27 @@ def parse(name: str, words: Sequence[str]) -> tuple[argparse.Namespace, Callable
     """Parse the words behind a command; returns the options and the function that runs it.
 
     Raises:
-        Problem: An option belongs to other commands; names them.
+        Problem: An option has moved, or belongs to other commands; says what to use.
         SystemExit: An option or argument is wrong otherwise; argparse has printed why.
     """
     own, main = parser(name)
-    if name == "robot" and words and words[0] in robot_file.WORDS:
-        own, main = _robot_file(words[0])
-        words = words[1:]
     options, unknown = own.parse_known_args(words)
     for word in unknown:
         option = word.partition("=")[0]
-        if (other := MOVED.get((name, option), "")) or (other := commands_with(option)):
-            raise Problem(f"{name} has no option {option}; use {other}", 2)
+        if (cure := moved.OPTIONS.get((name, option), "")) or (cure := commands_with(option)):
+            raise Problem(f"{name} has no option {option}; use {cure}", 2)
     if unknown:
         own.error(f"unrecognized arguments: {' '.join(unknown)}")
     return options, main
 
 
-def _robot_file(word: str) -> tuple[argparse.ArgumentParser, Callable[[Any, str], int]]:
-    """The parser of `./surg robot check FILE` or `home FILE`, and the function that runs it."""
-    made = argparse.ArgumentParser(prog=f"./surg robot {word}", description=robot_file.WORDS[word])
-    robot_file.add_arguments(made, word)
-    return made, lambda options, _: robot_file.main(options, word)
-
-
 def commands_with(option: str) -> str:
     """The commands that have an option, such as `./surg run or ./surg learn`; empty: none has."""
+    return " or ".join(f"./surg {name}" for name in COMMANDS if option in options_of(name))
+
+
+def options_of(name: str) -> list[str]:
+    """The options of a command that begin with ``--``, without `--help`."""
     # argparse has no public list of its options.
-    names = [name for name in COMMANDS if option in parser(name)[0]._option_string_actions]
-    return " or ".join(f"./surg {name}" for name in names)
+    known = parser(name)[0]._option_string_actions
+    return [word for word in known if word.startswith("--") and word != "--help"]

@@ -2,7 +2,7 @@
 // bench_control streams TUNING TEST VELOCITY ACCELERATION JERK OUT   followers of a stream
 // bench_control profiles                 profilers for discrete targets
 //
-// `./surg bench control` writes the files, calls this and prints tables (benchmarks/control/).
+// `./surg dev bench control` writes the files, calls this and prints tables (benchmarks/control/).
 #include <cmath>
 #include <cstdio>
 #include <cstring>

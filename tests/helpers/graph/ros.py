@@ -106,7 +106,7 @@ def find_executable(package: str, executable: str) -> Path:
                 return candidate
     raise FileNotFoundError(
         f"no executable {executable!r} of package {package!r} in {[str(p) for p in prefixes]}; "
-        "build the workspace (./surg build) and run tests by ./surg test"
+        "build the workspace (./surg dev build) and run tests by ./surg test"
     )
 
 

@@ -178,7 +178,7 @@ def wait_for(address: str, port: int, seconds: float = 10.0) -> None:
             time.sleep(0.02)
 
 
-def mishap(address: str, line: str) -> str:
+def fault(address: str, line: str) -> str:
     """A line to the control port; its answer."""
     with socket.create_connection((address, 29990), timeout=5.0) as control:
         control.sendall(f"{line}\n".encode())

@@ -18,7 +18,7 @@ def ask_priority():
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
 
 
-def mishap(address, line):
+def fault(address, line):
     """One line to the emulator's control port; its answer."""
     with socket.create_connection((address, 29990), timeout=5.0) as control:
         control.sendall(f"{line}\n".encode())
@@ -54,7 +54,7 @@ def settings(robot, set_end_effector):
     }
 
 
-def mishaps(address, robot, move, modes, names):
+def faults(address, robot, move, modes, names):
     """What libfranka says of errors, lost packets and people.
 
     Args:
@@ -66,7 +66,7 @@ def mishaps(address, robot, move, modes, names):
     """
 
     def during(line):
-        assert mishap(address, f"at 0.1 {line}") == "ok"
+        assert fault(address, f"at 0.1 {line}") == "ok"
         return move()
 
     found = {"errors": {}}
@@ -79,7 +79,7 @@ def mishaps(address, robot, move, modes, names):
     lines = (None, "user_stop off", "guide on 0.2 0 0 0 0 0 0")
     for name, line, mode in zip(("user_stopped", "released", "guided"), lines, modes, strict=True):
         if line:
-            mishap(address, line)
+            fault(address, line)
         found[name] = until(robot, mode)
-    mishap(address, "guide off")
+    fault(address, "guide off")
     return found

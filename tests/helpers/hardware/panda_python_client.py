@@ -7,7 +7,7 @@ with the names of the errors that the emulator raises, in their order.
 import json
 import sys
 
-from libfranka_client_parts import PERIOD, STEP, ask_priority, mishaps, settings, wave
+from libfranka_client_parts import PERIOD, STEP, ask_priority, faults, settings, wave
 from panda_py import libfranka
 
 MODES = libfranka.RobotMode.kUserStopped, libfranka.RobotMode.kIdle, libfranka.RobotMode.kGuiding
@@ -65,7 +65,7 @@ def main(address, names):
     found["in_reflex"] = run(robot, rest, 0.1)
     robot.automatic_error_recovery()
     found["limited_step"] = run(robot, step, 0.6, limit_rate=True, cutoff_frequency=1000.0)
-    found |= mishaps(address, robot, lambda: run(robot, rest, 0.6), MODES, names)
+    found |= faults(address, robot, lambda: run(robot, rest, 0.6), MODES, names)
     found["model"] = model(robot)
     print(json.dumps(found))
 

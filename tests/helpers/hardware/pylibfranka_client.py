@@ -9,7 +9,7 @@ import sys
 import time
 
 import pylibfranka
-from libfranka_client_parts import PERIOD, STEP, ask_priority, mishaps, settings, until, wave
+from libfranka_client_parts import PERIOD, STEP, ask_priority, faults, settings, until, wave
 from pylibfranka import RobotMode
 
 MODES = RobotMode.UserStopped, RobotMode.Idle, RobotMode.Guiding
@@ -53,7 +53,7 @@ def main(address, names):
     found["step"] = run(robot, lambda now: STEP, 0.2)
     found["in_reflex"] = run(robot, rest, 0.1)
     robot.automatic_error_recovery()
-    found |= mishaps(address, robot, lambda: run(robot, rest, 0.6), MODES, names)
+    found |= faults(address, robot, lambda: run(robot, rest, 0.6), MODES, names)
     print(json.dumps(found))
 
 

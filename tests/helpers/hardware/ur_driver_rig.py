@@ -247,10 +247,10 @@ class Rig:
             assert self.condition() is Condition.ACTIVE, self.notices
             time.sleep(0.002)
 
-    def mishap(self, line: str) -> float:
-        """Let a mishap happen; when (monotonic) [s]."""
+    def fault(self, line: str) -> float:
+        """Let a fault happen; when (monotonic) [s]."""
         when = time.monotonic()
-        assert emulated_ur.mishap(self.address, line) == "ok"
+        assert emulated_ur.fault(self.address, line) == "ok"
         return when
 
     def kill(self, number: int) -> float:

@@ -16,7 +16,7 @@ import rtde_receive
 SPEED = (0.1, -0.05, 0.08, 0.02, -0.1, 0.05)
 
 
-def mishap(address, port, line):
+def fault(address, port, line):
     """One line to the emulator's control port; its answer."""
     with socket.create_connection((address, port), timeout=5.0) as control:
         control.sendall(f"{line}\n".encode())
@@ -93,7 +93,7 @@ def stop_and_unlock(address, port, receive, control, dashboard):
     for _ in range(100):
         control.speedJ([0.2, 0, 0, 0, 0, 0], 5.0, 0.0)
         time.sleep(0.002)
-    seen["answer"] = mishap(address, port, "protective_stop")
+    seen["answer"] = fault(address, port, "protective_stop")
     time.sleep(0.3)
     seen["stopped"] = receive.isProtectiveStopped()
     seen["safety"] = dashboard.safetystatus()

@@ -47,7 +47,7 @@ def recorded(train: int = 6, val: int = 1, eyes: int = 1) -> train_bgr_cache.Rec
 
 
 def written(folder: Path, found: train_bgr_cache.Recorded, **info: Any) -> Path:
-    """The same as a LeRobot dataset (v2.1) as `./surg export` writes it."""
+    """The same as a LeRobot dataset (v2.1) as `./surg episode export` writes it."""
     import av
 
     from surg_recording.datasets import ExportOptions, pictures

@@ -52,7 +52,7 @@ class PolicyServer:
     Args:
         served: What it has.
         address: To bind; a ``*`` for the port chooses one.
-        keys: Folder of `./surg keys`; None: nobody is asked for a key.
+        keys: Folder of `./surg policy keys`; None: nobody is asked for a key.
         answer: Takes a HELLO's fields, returns an ERR to send instead of a WELCOME, or None.
         deaf: Whether it hears and answers nothing.
 

@@ -1,8 +1,8 @@
 """Ways in which a recording can be broken, and who has to notice each.
 
-A corruption changes a folder. ``noticed`` holds a letter per command that must say so: ``v`` the
-page of `./surg view`, ``e`` `./surg evaluate`, ``x`` `./surg export`. The others must give the
-result of the intact recording. `./surg recover` must end with a readable recording or an error.
+A corruption changes a folder. ``noticed`` holds a letter per command of `./surg episode` that must
+say so: ``v`` the page of `view`, ``e`` `evaluate`, ``x`` `export`. The others must give the result
+of the intact recording. `recover` must end with a readable recording or an error.
 """
 
 from __future__ import annotations

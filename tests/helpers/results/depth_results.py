@@ -15,7 +15,7 @@ CRFS = (12, 18, 23, 28)
 ROWS = (
     *(f"{method}, 640 x 480" for method in METHODS),
     "sgbm, 1280 x 720",
-    *(f"`./surg depth`, crf {crf}" for crf in CRFS),
+    *(f"`./surg episode depth`, crf {crf}" for crf in CRFS),
     "marks: tip at 80 mm against its true place, after the calibration",
     "marks: the same, before it",
     "marks: two-sigma ellipse holds the true tip",

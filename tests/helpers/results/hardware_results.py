@@ -94,7 +94,7 @@ def note_stop(where: str, what: str, speed: float, rest: float | None, off: floa
 
     Args:
         where: Of `STOPS`.
-        what: The mishap.
+        what: The fault.
         speed: Of `SPEEDS` [m/s].
         rest: Time to rest [ms]; None where the arm goes on.
         off: Largest deviation [mm].

@@ -18,7 +18,7 @@ import rospy
 import surg_core
 from helpers.graph.crtk_client import TICK, Arm, LockstepTime, WallTime
 from helpers.graph.ros import RosGraph
-from surg_cli.commands import topics
+from surg_cli.commands.dev import topics
 from surg_cli.graph import system
 from surg_cli.graph.graph_probe import Seen, observe
 from surg_cli.graph.topic_contract import PAGE, REFERENCE, Contract, Entry, compare, load, render
@@ -125,7 +125,9 @@ def test_the_graph_is_the_contract_and_the_page_is_made_of_both(
     wrong, seen = differences(ros_graph, contract, lockstep=False)
     assert wrong == []
     page = render(contract, seen, ARM)
-    assert PAGE.read_text("utf-8") == page, "docs/reference/topics.md is old: ./surg topics --write"
+    assert PAGE.read_text("utf-8") == page, (
+        "docs/reference/topics.md is old: ./surg dev topics --write"
+    )
     print(f"{len(contract.entries)} topics and services, {len(seen)} ends on the graph")
 
     # Rates in real time, by the stamps: a slow listener is not a slow arm.

@@ -15,7 +15,7 @@ from helpers.graph.ros import RosGraph
 from helpers.hardware import client_venvs, emulated_franka
 from helpers.hardware.arm_graph import REAL_TIME, ArmGraph
 from helpers.hardware.emulated_cell import emulated_cell
-from helpers.hardware.emulated_ur import mishap
+from helpers.hardware.emulated_ur import fault
 from helpers.hardware.other_fr3 import FRANKY_SIM
 from helpers.hardware.other_fr3 import running as other_fr3
 from helpers.results import hardware_results as page
@@ -59,7 +59,7 @@ def test_the_bundled_motion_keeps_the_pivot_without_a_reflex(
     at = [f"{angle:.6f}" for angle in home(name)]
     with emulated_franka.program(KINDS[name], tmp_path / "log", "--q", *at) as address:
         rig = ArmGraph(ros_graph, emulated_cell(tmp_path, address, name, payload=NOTHING))
-        assert mishap(address, f"loss {loss} commands") == "ok"
+        assert fault(address, f"loss {loss} commands") == "ok"
         deviation = play(rig, SECONDS)
         ros_graph.supervisor.stop()
     said = f"mean {deviation.mean():.4f}, max {deviation.max():.3f} mm"

@@ -27,7 +27,7 @@ VICTIMS = ["driver", "controller", "node", "driver frozen"]
 
 
 class Rig(ArmGraph):
-    """An emulated arm's graph, and where its mishaps are asked for."""
+    """An emulated arm's graph, and where its faults are asked for."""
 
     def __init__(self, graph: RosGraph, folder: Path, address: str) -> None:
         self.address = address
@@ -64,7 +64,7 @@ def test_a_protective_stop_ends_the_motion(rig: Rig) -> None:
     rig.start()
     operator = rig.operator(duration=20.0)
     rig.graph.wait_for(rig.moving, 20.0, "motion")
-    assert emulated_ur.mishap(rig.address, "protective_stop") == "ok"
+    assert emulated_ur.fault(rig.address, "protective_stop") == "ok"
     rig.graph.wait_for(lambda: operator.exit_code is not None, 10.0, "the operator's end")
     assert operator.exit_code == 1
     assert rig.condition == LinkStatus.STOPPED

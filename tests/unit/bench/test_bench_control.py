@@ -1,4 +1,4 @@
-"""`./surg bench control` without a network: the C++ part with our own laws, and its tables."""
+"""`./surg dev bench control` without a network: the C++ part with our own laws, and its tables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`./surg bench eye`: what it measures, and what it says of what is missing."""
+"""`./surg dev bench eye`: what it measures, and what it says of what is missing."""
 
 from __future__ import annotations
 

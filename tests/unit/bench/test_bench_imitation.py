@@ -1,4 +1,4 @@
-"""What `./surg bench imitation` shows to a policy, and what it lets it wait for."""
+"""What `./surg dev bench imitation` shows to a policy, and what it lets it wait for."""
 
 from __future__ import annotations
 

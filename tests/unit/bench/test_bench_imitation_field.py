@@ -1,4 +1,4 @@
-"""Several policies in `./surg bench imitation`: each file names its kind; rows, pools, errors."""
+"""Several policies in `./surg dev bench imitation`: each file names its kind; rows, errors."""
 
 from __future__ import annotations
 

@@ -246,7 +246,7 @@ def test_without_gstreamer_the_package_set_is_named(monkeypatch: pytest.MonkeyPa
         error = refused(uri)
         assert error.code == "no_library"
         assert f"{uri}: " in str(error)
-        assert "./surg setup --gstreamer" in str(error)
+        assert "./surg dev setup --gstreamer" in str(error)
 
 
 @pytest.mark.parametrize(
@@ -295,7 +295,7 @@ def test_a_decklink_input_that_does_not_answer_names_the_library(
 def test_gstreamers_pictures_are_rgb_and_young() -> None:
     gi = pytest.importorskip("gi")
     if not gi.Repository.get_default().enumerate_versions("Gst"):
-        pytest.skip("GStreamer is optional: ./surg setup --gstreamer")
+        pytest.skip("GStreamer is optional: ./surg dev setup --gstreamer")
     red = "videotestsrc pattern=red is-live=true num-buffers=3 ! video/x-raw,width=33,height=18"
     source = SourceUri.parse(f"gst:{red}").open(Wanted(time.time_ns, time.sleep))
     grabbed: list[Grabbed] = []

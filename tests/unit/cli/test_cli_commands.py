@@ -12,13 +12,15 @@ from pathlib import Path
 import pytest
 
 from surg_cli import __main__ as cli
-from surg_cli import command_table
+from surg_cli import command_table, moved
 from surg_cli.commands import up
 from surg_cli.graph import follow, master, processes, roles, running, system, task_episode
 from surg_cli.graph.processes import Supervisor
 from surg_cli.graph.system import Plan
 from surg_cli.host import cells, option_types, paths, pytest_run
 from surg_cli.host.terminal import Problem, table
+
+MOST_FIRST_WORDS = 20
 
 
 def plan(tmp_path: Path, **changes: object) -> Plan:
@@ -52,7 +54,21 @@ def test_help_lists_every_command_once_under_its_group(
             name = line.split()[0]
             assert name not in listed
             listed[name] = group
-    assert listed == {name: c.group for name, c in command_table.COMMANDS.items()}
+    families = {first: group for first, (group, _) in command_table.FAMILIES.items()}
+    single = {name: c.group for name, c in command_table.COMMANDS.items() if " " not in name}
+    assert listed == {**single, **families}
+
+
+@pytest.mark.parametrize("first", command_table.FAMILIES)
+@pytest.mark.parametrize("asked", [(), ("--help",)])
+def test_help_of_a_family_lists_its_commands(
+    first: str, asked: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.run([first, *asked]) == 0
+    listed = re.findall(r"(?m)^  ([\w-]+)  ", capsys.readouterr().out)
+    assert listed == command_table.members(first) and listed
+    for second in listed:
+        assert command_table.COMMANDS[f"{first} {second}"].group == command_table.FAMILIES[first][0]
 
 
 @pytest.mark.parametrize("name", ["robot", "run"])
@@ -74,13 +90,30 @@ def test_help_of_a_tree_without_a_build_says_what_to_run(
         raise ModuleNotFoundError("No module named 'surg_hardware'")
 
     monkeypatch.setattr(cli, "parse", parse)
-    with pytest.raises(Problem, match=r"run \./surg build"):
+    with pytest.raises(Problem, match=r"run \./surg dev build"):
         cli.run(["robot", "--help"])
 
 
-def test_an_unknown_command_names_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.run(["dance"]) == 2
-    assert "demo" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("words", "known"),
+    [(["dance"], "demo"), (["episode", "dance"], "view"), (["policy", "--out", "x"], "keys")],
+)
+def test_an_unknown_command_names_the_known_ones(words: list[str], known: str) -> None:
+    with pytest.raises(Problem, match=f"there are: .*{known}") as caught:
+        cli.run(words)
+    assert caught.value.code == 2
+
+
+@pytest.mark.parametrize(("old", "new"), moved.COMMANDS.items())
+def test_an_old_command_answers_with_the_new_one(old: str, new: str) -> None:
+    assert old not in command_table.COMMANDS and new in command_table.COMMANDS
+    with pytest.raises(Problem, match=rf"^{old} is now \./surg {new}$") as caught:
+        cli.run([old, "x"])
+    assert caught.value.code == 2
+
+
+def test_there_are_few_commands() -> None:
+    assert len({name.split()[0] for name in command_table.COMMANDS}) <= MOST_FIRST_WORDS
 
 
 def test_nodes_of_a_lock_step_run(tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def test_it_runs_for_the_time_that_was_asked_for(
     [
         ("ur", "--address", "1.1.1.1"),
         ("ur", "--ports", "rtde"),
-        ("ur", "--mishap", "/no"),
+        ("ur", "--faults", "/no"),
         ("fer", "--model", "UR10e"),
         ("fr3", "--q", "0.5"),
     ],

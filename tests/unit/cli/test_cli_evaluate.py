@@ -1,4 +1,4 @@
-"""`./surg evaluate`: what it finds, says, refuses and writes."""
+"""`./surg episode evaluate`: what it finds, says, refuses and writes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from helpers.recording import jigsaws_synthetic
 from helpers.recording.evaluated import DONE, episode
-from surg_cli.commands import evaluate
+from surg_cli.commands.episode import evaluate
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
 from surg_recording import metrics

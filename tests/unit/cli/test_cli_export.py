@@ -1,4 +1,4 @@
-"""`./surg export`: what a person types and reads."""
+"""`./surg episode export`: what a person types and reads."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from helpers.recording import datasets_synthetic
-from surg_cli.commands import export
+from surg_cli.commands.episode import export
 from surg_cli.host.terminal import Problem
 
 

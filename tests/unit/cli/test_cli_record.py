@@ -1,4 +1,4 @@
-"""`./surg recover` and `./surg record` without a system: what they say, and what they refuse."""
+"""`./surg episode recover`, and `./surg record` without a system: what they say and refuse."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ def test_recover_finds_what_lies_below_a_folder(
         os.close(EpisodeWriter(tmp_path / name, {"arms": ["PSM1"]}, 0).lock)
         text = "stamp_ns,receive_ns,topic,source,text\n1,2,/x,,one\n3,4,/x,,tw"
         (tmp_path / f"{name}.partial" / "events.csv").write_text(text)
-    assert surg("recover", tmp_path) == 0
+    assert surg("episode", "recover", tmp_path) == 0
     said = capsys.readouterr().out
     for name in ("a/episode", "b/episode"):
         assert f"{tmp_path / name}: 1 rows, 0 frames; the recorder was killed" in said
         assert len(episode_reader.read(tmp_path / name).table("events")) == 1
-    assert surg("recover", tmp_path) == 0
+    assert surg("episode", "recover", tmp_path) == 0
     assert "no interrupted recordings" in capsys.readouterr().out
 
 
@@ -39,13 +39,13 @@ def test_recover_says_what_it_cannot_do_and_goes_on(
 ) -> None:
     held = EpisodeWriter(tmp_path / "held", {}, 0)
     os.close(EpisodeWriter(tmp_path / "good", {}, 0).lock)
-    assert surg("recover", tmp_path) == 1
+    assert surg("episode", "recover", tmp_path) == 1
     said = capsys.readouterr()
     assert "held.partial: is being recorded now" in said.err
     assert f"{tmp_path / 'good'}: 0 rows" in said.out
     os.close(held.lock)
     with pytest.raises(Problem, match="no such folder"):
-        surg("recover", tmp_path / "none")
+        surg("episode", "recover", tmp_path / "none")
 
 
 @pytest.mark.parametrize(

@@ -26,8 +26,8 @@ GRASPER = DESCRIPTION / "instruments" / "grasper.yaml"
 
 
 def run(*words: str | Path) -> int:
-    options, main = command_table.parse("robot", [str(word) for word in words])
-    return main(options, "robot")
+    options, main = command_table.parse(*command_table.find(["robot", *map(str, words)]))
+    return main(options, str(words[0]))
 
 
 @pytest.fixture

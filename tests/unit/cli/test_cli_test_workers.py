@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from helpers.graph import worker_groups
-from surg_cli.commands import run_tests as run_tests_command
+from surg_cli.commands.dev import run_tests as run_tests_command
 from surg_cli.host import paths, pytest_run
 
 FILES, EACH = 12, 4

@@ -77,7 +77,7 @@ def test_the_command_on_a_recording(
     models = {eye: camera_info(lens) for eye, lens in zip(EYES, scene.lenses(), strict=True)}
     pairs = [(view.left, view.right) for view in moving]
     episode = record_pairs(tmp_path / "episode", pairs, models, quality=str(crf))
-    assert surg("depth", episode) == 0
+    assert surg("episode", "depth", episode) == 0
     away = []
     for view, values in zip(
         moving, exact_values.read(tmp_path / "episode_depth" / "endoscope_depth.mp4"), strict=True
@@ -87,7 +87,7 @@ def test_the_command_on_a_recording(
     errors = np.concatenate(away)
     median, p90 = np.percentile(errors, [50, 90])
     PAGE.note(
-        f"`./surg depth`, crf {crf}",
+        f"`./surg episode depth`, crf {crf}",
         len(moving),
         f"median {1e3 * median:.2f} mm, p90 {1e3 * p90:.2f} mm, over 3 mm "
         f"{100 * np.mean(errors > 0.003):.0f} %",

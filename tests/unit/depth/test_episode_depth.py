@@ -1,4 +1,4 @@
-"""`./surg depth EPISODE`: depth of a recording, and the recordings that are refused."""
+"""`./surg episode depth EPISODE`: depth of a recording, and the recordings that are refused."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def recorded(pair: PlanePair, models: dict, tmp_path_factory: pytest.TempPathFac
 def refused(surg: Callable[..., int], *words: object) -> str:
     """What the command says when it refuses."""
     with pytest.raises(Problem) as problem:
-        surg("depth", *words)
+        surg("episode", "depth", *words)
     assert problem.value.code == 2
     return str(problem.value)
 
@@ -61,7 +61,7 @@ def test_depth_of_a_recording(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert surg("depth", recorded.parent, "--out", tmp_path / "d", "--every", "2") == 0
+    assert surg("episode", "depth", recorded.parent, "--out", tmp_path / "d", "--every", "2") == 0
     said = capsys.readouterr().out
     assert "2 pairs of 320 x 240" in said and str(tmp_path / "d") in said.splitlines()[-1]
     values = list(exact_values.read(tmp_path / "d" / "endoscope_depth.mp4"))
@@ -85,7 +85,7 @@ def test_the_folder_stands_beside_the_episode_and_is_not_overwritten(
     surg: Callable[..., int], recorded: Path
 ) -> None:
     out = recorded.with_name("episode_depth")
-    assert surg("depth", recorded, "--size", "160x120", "--every", "4") == 0
+    assert surg("episode", "depth", recorded, "--size", "160x120", "--every", "4") == 0
     before = (out / "depth.json").read_bytes()
     assert json.loads(before)["size"] == [160, 120]
     assert "is there already; remove it, or choose another --out" in refused(surg, recorded)
@@ -171,7 +171,7 @@ def test_a_broken_video_is_refused(
         with (episode / f"{eye}.csv").open("a") as sidecar:
             sidecar.write(f"{COUNT},{10 * FRAME_NS},{10 * FRAME_NS},450000,0\n")
     error = refused(surg, episode)
-    assert "1 pictures fewer than its sidecar states; run ./surg recover" in error, error
+    assert "1 pictures fewer than its sidecar states; run ./surg episode recover" in error, error
     video = episode / "endoscope_right.mp4"
     video.write_bytes(video.read_bytes()[:-12000])
     error = refused(surg, episode)
@@ -199,7 +199,7 @@ def test_an_option_that_is_none_is_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     with pytest.raises((Problem, SystemExit)) as problem:
-        surg("depth", recorded, "--out", tmp_path / "d", *words)
+        surg("episode", "depth", recorded, "--out", tmp_path / "d", *words)
     assert said in str(problem.value) + capsys.readouterr().err
     assert not (tmp_path / "d").exists()
 
@@ -209,6 +209,6 @@ def test_coarse_video_is_said(
 ) -> None:
     streams = {eye: {"quality": "28"} for eye in EYES}
     episode = copied(recorded, tmp_path, camera_streams=streams)
-    assert surg("depth", episode) == 0
+    assert surg("episode", "depth", episode) == 0
     told = capsys.readouterr()
     assert "recorded with crf 28" in told.out + told.err and "--video-crf 18" in told.out + told.err

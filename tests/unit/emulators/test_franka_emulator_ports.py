@@ -104,8 +104,8 @@ class Peer:
         self.udp.close()
 
 
-def mishap(emulator: FrankaEmulator, line: str) -> str:
-    answer = emulator.mishap(line)
+def fault(emulator: FrankaEmulator, line: str) -> str:
+    answer = emulator.fault(line)
     assert not answer.startswith("error"), answer
     return answer
 
@@ -151,13 +151,13 @@ def test_a_second_client_is_turned_away(emulator: FrankaEmulator) -> None:
         ("loss 1 states", 21, True),
     ],
 )
-def test_mishaps_of_the_network(
+def test_faults_of_the_network(
     line: str, lost: int, reflex: bool, emulator: FrankaEmulator
 ) -> None:
     peer = connected(emulator)
     peer.move()
     controller = emulator.controller
-    mishap(emulator, line)
+    fault(emulator, line)
     most = 0
     for _ in range(150):
         peer.cycles()
@@ -177,7 +177,7 @@ def test_a_stall_delivers_everything_afterwards_and_late_commands_count_for_noth
 ) -> None:
     peer = connected(emulator)
     peer.move()
-    mishap(emulator, "stall 0.01")
+    fault(emulator, "stall 0.01")
     peer.answer()
     peer.states.clear()
     peer.cycles(30)
@@ -192,7 +192,7 @@ def test_a_stall_delivers_everything_afterwards_and_late_commands_count_for_noth
 def test_reordered_commands_are_lost_but_bearable(emulator: FrankaEmulator) -> None:
     peer = connected(emulator)
     peer.move()
-    mishap(emulator, "reorder 0.2 commands")
+    fault(emulator, "reorder 0.2 commands")
     peer.cycles(500)
     assert emulator.controller.mode is RobotMode.MOVE
     assert 0.5 < emulator.controller.success_rate < 0.95
@@ -206,7 +206,7 @@ def test_a_reboot_closes_the_ports_and_then_the_brakes_are_closed(
 ) -> None:
     peer = connected(emulator)
     peer.move()
-    mishap(emulator, "reboot")
+    fault(emulator, "reboot")
     with pytest.raises(OSError):
         Peer(emulator)
     with pytest.raises(ConnectionResetError):
@@ -216,7 +216,7 @@ def test_a_reboot_closes_the_ports_and_then_the_brakes_are_closed(
     again = connected(emulator)
     assert again.states[-1].mode == RobotMode.OTHER
     assert again.states[-1].number < peer.states[-1].number + DOWN / DT  # counted anew
-    mishap(emulator, "brakes release")
+    fault(emulator, "brakes release")
     again.cycles(1001)
     assert again.states[-1].mode == RobotMode.IDLE
     again.close()
@@ -228,7 +228,7 @@ def test_a_reset_and_a_killed_client_end_the_motion(emulator: FrankaEmulator) ->
         peer = connected(emulator)
         peer.move()
         if line:
-            mishap(emulator, line)
+            fault(emulator, line)
         else:
             peer.close()
             emulator.poll(0.1)
@@ -246,11 +246,11 @@ def test_people_by_the_control_port(emulator: FrankaEmulator) -> None:
     for line in (
         "user_stop on", "user_stop off", "guide on 0.1 0 0 0 0 0 0", "guide off", "collision 3",
     ):  # fmt: skip
-        mishap(emulator, line)
+        fault(emulator, line)
         peer.cycles(2)
         modes.append(peer.states[-1].mode)
     assert modes == [5, 1, 3, 1, 4]
-    found = json.loads(mishap(emulator, "status"))
+    found = json.loads(fault(emulator, "status"))
     assert (found["mode"], found["errors"]) == ("REFLEX", ["joint_reflex"])
     peer.close()
 
@@ -259,14 +259,14 @@ def test_people_by_the_control_port(emulator: FrankaEmulator) -> None:
 def test_states_can_be_wrong_on_request(emulator: FrankaEmulator) -> None:
     peer = connected(emulator)
     for line in ("nan on", "mode 99", "clock_back 1000", "load 0.8 0 0.02 0.11"):
-        mishap(emulator, line)
+        fault(emulator, line)
     peer.cycles(1)
     state = peer.states[-1]
     assert all(math.isnan(q) for q in state.values["q"])
     assert (state.mode, state.number) == (99, 0)
     assert state.values["m_load"] == pytest.approx((0.8,))
     for line in ("nan off", "mode off", "clock_back 0"):
-        mishap(emulator, line)
+        fault(emulator, line)
     peer.cycles(1)
     state = peer.states[-1]
     assert (state.mode, state.number) == (RobotMode.IDLE, emulator.controller.number)
@@ -279,8 +279,8 @@ def test_states_can_be_wrong_on_request(emulator: FrankaEmulator) -> None:
     "line",
     ["loss 2", "loss", "reorder 0.1 sideways", "collision 8", "reflex flu", "push 1 2", "explode"],
 )
-def test_wrong_mishaps_are_answered_with_an_error(line: str, emulator: FrankaEmulator) -> None:
-    assert emulator.mishap(line).startswith("error: ")
+def test_wrong_faults_are_answered_with_an_error(line: str, emulator: FrankaEmulator) -> None:
+    assert emulator.fault(line).startswith("error: ")
 
 
 @BOTH
@@ -309,7 +309,7 @@ def test_the_robots_clock_may_run_fast_or_slow(
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     monkeypatch.setattr(emulator, "poll", lambda left=0.0: now.__setitem__(0, now[0] + left))
-    mishap(emulator, f"drift {share}")
+    fault(emulator, f"drift {share}")
     emulator.run(2.0)
     assert emulator.controller.number == 2000
     assert now[0] - 100.0 == pytest.approx(2.0 / (1.0 + share), abs=DT)
@@ -379,8 +379,8 @@ def test_fuzzed_messages_and_datagrams_leave_the_emulator_alive(
         if rng.random() < 0.5:
             emulator.cycle()
         if rng.random() < 0.02:
-            emulator.mishap(rng.choice(("user_stop on", "user_stop off", "collision", "reorder 1")))
-            emulator.mishap("reorder 0")
+            emulator.fault(rng.choice(("user_stop on", "user_stop off", "collision", "reorder 1")))
+            emulator.fault("reorder 0")
             controller.recover()
         if rng.random() < 0.02 or not any(c.service == "command" for c in emulator._connections):
             peer.close()
@@ -400,7 +400,7 @@ def test_fuzzed_messages_and_datagrams_leave_the_emulator_alive(
         (["--address", "10.0.0.1"], "loopback"),
         (["--ports", "rtde=1"], "rtde=1"),
         (["--q", "0", "0"], "7"),
-        (["--mishap", "/nonexistent"], "/nonexistent"),
+        (["--faults", "/nonexistent"], "/nonexistent"),
     ],
 )
 def test_wrong_options_end_with_2_and_are_named(
@@ -411,14 +411,14 @@ def test_wrong_options_end_with_2_and_are_named(
     assert said in capsys.readouterr().err
 
 
-def test_the_program_runs_its_mishap_file_and_writes_its_record(tmp_path: Path) -> None:
-    file, record = tmp_path / "mishaps.txt", tmp_path / "record.csv"
+def test_the_program_runs_its_fault_file_and_writes_its_record(tmp_path: Path) -> None:
+    file, record = tmp_path / "faults.txt", tmp_path / "record.csv"
     file.write_text("at 0.2 user_stop\n")
     log = tmp_path / "emulator.log"
-    options = ("--mishap", str(file), "--record", str(record))
+    options = ("--faults", str(file), "--record", str(record))
     with emulated_franka.program("fr3", log, *options) as address:
         for _ in range(100):
-            if "USER_STOPPED" in emulated_ur.mishap(address, "status"):
+            if "USER_STOPPED" in emulated_ur.fault(address, "status"):
                 break
             time.sleep(0.02)
         else:

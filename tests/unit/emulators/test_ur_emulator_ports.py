@@ -122,7 +122,7 @@ def test_one_state_per_cycle(emulator: UrEmulator) -> None:
 
 def test_a_stall_delays_everything_and_then_delivers_it(emulator: UrEmulator) -> None:
     peer = subscribed(emulator)
-    assert emulator.mishap("stall 0.1") == "ok"
+    assert emulator.fault("stall 0.1") == "ok"
     cycles(emulator, 0.09)
     assert peer.take() == b""
     peer.socket.sendall(made("v"))
@@ -137,14 +137,14 @@ def test_a_reset_ends_all_connections(emulator: UrEmulator) -> None:
     peers = [Peer(emulator, service) for service in ("dashboard", "secondary", "rtde")]
     for peer in peers:
         peer.take()
-    emulator.mishap("reset")
+    emulator.fault("reset")
     assert all(peer.gone for peer in peers)
     subscribed(emulator)
 
 
 def test_after_a_reboot_rtde_starts_twice(emulator: UrEmulator) -> None:
     first = subscribed(emulator)
-    emulator.mishap("reboot")
+    emulator.fault("reboot")
     assert first.gone
     for service in ("rtde", "dashboard", "secondary"):
         with pytest.raises(OSError):
@@ -166,13 +166,13 @@ def test_after_a_reboot_rtde_starts_twice(emulator: UrEmulator) -> None:
 
 def test_malformed_packets_are_sent_on_request(emulator: UrEmulator) -> None:
     peer = subscribed(emulator)
-    emulator.mishap("size0")
+    emulator.fault("size0")
     assert peer.take() == b"\x00\x00\x00"
-    emulator.mishap("garbage")
+    emulator.fault("garbage")
     assert peer.take()[2:4] == b"U\x07"
     cycles(emulator, DT)
     whole = len(peer.take())
-    emulator.mishap("half")
+    emulator.fault("half")
     with contextlib.suppress(ConnectionResetError):
         assert len(peer.take()) == whole // 2
     assert peer.gone
@@ -182,21 +182,21 @@ def test_faked_states_reach_clients(emulator: UrEmulator) -> None:
     client = Client(RtdeSession(emulator.controller))
     client.set_up(["actual_q", "robot_mode", "timestamp"])
     for line in ("nan on", "mode 99", "clock_back 5"):
-        assert emulator.mishap(line) == "ok"
+        assert emulator.fault(line) == "ok"
     state = emulated_ur.cycle(emulator.controller, client)
     assert state["robot_mode"] == 99
     assert state["timestamp"] == pytest.approx(DT - 5.0)
     assert all(q != q for q in state["actual_q"])
     for line in ("nan off", "mode off", "clock_back 0"):
-        emulator.mishap(line)
+        emulator.fault(line)
     assert emulated_ur.cycle(emulator.controller, client)["robot_mode"] == 7
 
 
 def test_registers_of_a_second_client_are_in_use(emulator: UrEmulator) -> None:
-    emulator.mishap("second_client input_int_register_24")
+    emulator.fault("second_client input_int_register_24")
     client = Client(RtdeSession(emulator.controller))
     assert client.ask("I", b"input_int_register_24") == [("I", b"\x00IN_USE")]
-    emulator.mishap("second_client")
+    emulator.fault("second_client")
     assert client.ask("I", b"input_int_register_24") == [("I", b"\x01INT32")]
 
 
@@ -211,7 +211,7 @@ def test_a_slow_client_loses_whole_states_only(emulator: UrEmulator) -> None:
     assert kinds == {"U"}
 
 
-def test_the_control_port_takes_mishaps(emulator: UrEmulator) -> None:
+def test_the_control_port_takes_faults(emulator: UrEmulator) -> None:
     peer = Peer(emulator, "control")
     assert peer.send(b"slider 50\n") == b"ok\n"
     assert emulator.controller.slider == 0.5
@@ -305,7 +305,7 @@ def test_the_robots_clock_may_run_fast_or_slow(
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     monkeypatch.setattr(emulator, "poll", lambda left=0.0: now.__setitem__(0, now[0] + left))
-    assert emulator.mishap(f"drift {share}") == "ok"
+    assert emulator.fault(f"drift {share}") == "ok"
     emulator.run(10.0)
     assert emulator.controller.timestamp == pytest.approx(10.0)
     assert now[0] - 100.0 == pytest.approx(10.0 / (1.0 + share), abs=DT)
@@ -334,7 +334,7 @@ def test_a_late_emulator_leaves_cycles_out_rather_than_hurrying(
         (["--address", "nowhere"], "nowhere"),
         (["--ports", "rtde=70000"], "rtde=70000"),
         (["--ports", "telnet=23"], "telnet=23"),
-        (["--mishap", "/nonexistent"], "/nonexistent"),
+        (["--faults", "/nonexistent"], "/nonexistent"),
     ],
 )
 def test_wrong_options_end_with_2_and_are_named(
@@ -345,22 +345,22 @@ def test_wrong_options_end_with_2_and_are_named(
     assert said in capsys.readouterr().err
 
 
-def test_a_wrong_line_of_the_mishap_file_is_named(
+def test_a_wrong_line_of_the_fault_file_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file = tmp_path / "mishaps.txt"
+    file = tmp_path / "faults.txt"
     file.write_text("at 1 estop\nat 2 explode\n")
-    assert ur_emulator.main(["--address", free_address(), "--mishap", str(file)]) == 2
+    assert ur_emulator.main(["--address", free_address(), "--faults", str(file)]) == 2
     assert "line 2: 'explode'" in capsys.readouterr().err
 
 
-def test_the_program_runs_its_mishap_file(tmp_path: Path) -> None:
-    file = tmp_path / "mishaps.txt"
+def test_the_program_runs_its_fault_file(tmp_path: Path) -> None:
+    file = tmp_path / "faults.txt"
     file.write_text("at 0.2 protective_stop\n")
     log = tmp_path / "emulator.log"
-    with emulated_ur.program(log, "--mishap", str(file), "--model", "UR10e") as address:
+    with emulated_ur.program(log, "--faults", str(file), "--model", "UR10e") as address:
         for _ in range(100):
-            if "PROTECTIVE_STOP" in emulated_ur.mishap(address, "status"):
+            if "PROTECTIVE_STOP" in emulated_ur.fault(address, "status"):
                 break
             time.sleep(0.02)
         else:

@@ -1,4 +1,4 @@
-"""Dashboard, primary interface and mishaps of the emulated controller, without sockets."""
+"""Dashboard, primary interface and faults of the emulated controller, without sockets."""
 
 import struct
 from collections.abc import Iterator
@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from helpers.hardware.emulated_ur import settle
-from surg_emulators.mishaps import Kind, MishapError, Schedule, parse
+from surg_emulators.fault_lines import FaultError, Kind, Schedule, parse
 from surg_emulators.ur import dh_kinematics as dh
 from surg_emulators.ur.dashboard_server import LOCAL, DashboardSession
 from surg_emulators.ur.primary_server import PrimarySession, ScriptBuffer
@@ -173,20 +173,20 @@ def test_a_stream_of_text_is_cut_into_programs() -> None:
     assert buffer.too_long
 
 
-def test_mishaps_are_parsed() -> None:
+def test_faults_are_parsed() -> None:
     assert parse("  # nothing") is None
-    mishap = parse("at 2.5 slider 50  # percent")
-    assert mishap is not None
-    assert (mishap.delay, mishap.name, mishap.words) == (2.5, "slider", ("50",))
+    fault = parse("at 2.5 slider 50  # percent")
+    assert fault is not None
+    assert (fault.delay, fault.name, fault.words) == (2.5, "slider", ("50",))
 
 
 @pytest.mark.parametrize("line", ["at", "at x stop", "at -1 stop", "at 1"])
 def test_wrong_times_are_refused(line: str) -> None:
-    with pytest.raises(MishapError):
+    with pytest.raises(FaultError):
         parse(line)
 
 
-def test_mishaps_happen_in_their_order_and_once() -> None:
+def test_faults_happen_in_their_order_and_once() -> None:
     done: list[str] = []
     schedule = Schedule({"note": Kind(done.append, "TEXT", "")})
     schedule.read("at 2 note b\nat 1 note a\n\nnote c", 10.0)
@@ -203,7 +203,7 @@ def test_a_wrong_line_of_a_file_takes_over_nothing(text: str) -> None:
     schedule = Schedule({"note": Kind(done.append, "TEXT", "")})
     assert schedule.answer(text, 0.0).startswith("error: ")
     if "other" in text:
-        with pytest.raises(MishapError, match="line 2"):
+        with pytest.raises(FaultError, match="line 2"):
             schedule.read(f"note a\n{text}", 0.0)
         assert schedule.due(9.0) == []
     assert done == []

@@ -1,4 +1,4 @@
-"""`./surg doctor --robot` on emulated Franka arms with things wrong, by the makers' libraries.
+"""`./surg dev doctor --robot` on emulated Franka arms with things wrong, by the makers' libraries.
 
 The doctor starts the arm's own driver, which moves nothing.
 """
@@ -12,7 +12,7 @@ import pytest
 import surg_core
 from helpers.hardware import emulated_franka
 from helpers.hardware.emulated_cell import emulated_cell
-from helpers.hardware.emulated_ur import free_address, mishap
+from helpers.hardware.emulated_ur import fault, free_address
 from surg_cli.host import link_environments
 from surg_cli.robots import robot_doctor
 from surg_hardware.checkup import Finding
@@ -33,7 +33,7 @@ WRONG = {
     "load 0.09 0 0 0.1": ("hardware.payload.cog", "set"),
     "nan on": ("condition", "check power"),
 }
-"""Mishap -> the line that names it, and words of its cure."""
+"""Fault -> the line that names it, and words of its cure."""
 
 
 @pytest.fixture(params=KINDS)
@@ -63,7 +63,7 @@ def test_what_is_wrong_is_named_with_its_cure(name: str, tmp_path: Path) -> None
         folder.mkdir()
         with emulated_franka.program(KINDS[name], folder / "log", "--q", *at) as address:
             if line:
-                assert mishap(address, line) == "ok"
+                assert fault(address, line) == "ok"
             found = bad(emulated_cell(folder, address, name, payload=NOTHING))
         print(f"{name}, {line}: {[(each.what, each.text, each.cure) for each in found]}")
         assert [each.what for each in found] == ([f"PSM1: {what}"] if what else [])

@@ -1,6 +1,6 @@
 """The UR link and its program on the emulated arm, exact in cycles: what ends a motion.
 
-``SURG_TEST_FULL=1`` runs 100 seeds of every mishap.
+``SURG_TEST_FULL=1`` runs 100 seeds of every fault.
 """
 
 import os
@@ -75,7 +75,7 @@ def let_go(chain: Chain) -> None:
     chain.cycle()
 
 
-MISHAPS = {
+FAULTS = {
     protective: (unlock, Condition.STOPPED),
     estop: (power_up, Condition.ESTOP),
     safeguard: (close_safeguard, Condition.STOPPED),
@@ -110,30 +110,30 @@ def test_a_command_is_executed_after_two_cycles_and_its_stamp_comes_back() -> No
     assert count - 1 == 2
 
 
-@pytest.mark.parametrize("mishap", MISHAPS, ids=lambda each: each.__name__)
-def test_the_link_says_it_with_the_state_and_sends_nothing_more(mishap) -> None:  # type: ignore[no-untyped-def]
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda each: each.__name__)
+def test_the_link_says_it_with_the_state_and_sends_nothing_more(fault) -> None:  # type: ignore[no-untyped-def]
     chain = moving()
-    mishap(chain)
+    fault(chain)
     chain.cycle(QD)
-    assert chain.condition is MISHAPS[mishap][1]
+    assert chain.condition is FAULTS[fault][1]
     for _ in range(500):
         chain.cycle(QD)
         assert chain.sent is None
     assert chain.controller.motion.at_rest
 
 
-@pytest.mark.parametrize("mishap", MISHAPS, ids=lambda each: each.__name__)
-def test_nothing_moves_until_a_person_has_started_and_the_controller_commands(mishap) -> None:  # type: ignore[no-untyped-def]
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda each: each.__name__)
+def test_nothing_moves_until_a_person_has_started_and_the_controller_commands(fault) -> None:  # type: ignore[no-untyped-def]
     worst = 0.0
     for seed in range(SEEDS):
         generator = random.Random(seed)
         qd = tuple(generator.uniform(-0.1, 0.1) for _ in range(6))
         chain = moving(qd, generator.randrange(120, 200))
-        mishap(chain)
+        fault(chain)
         chain.cycles(generator.randrange(100, 200), qd if seed % 2 else None)
         assert chain.controller.motion.at_rest
         rest = list(chain.controller.motion.actual_q)
-        MISHAPS[mishap][0](chain)
+        FAULTS[fault][0](chain)
         chain.cycles(600)
         assert chain.condition is Condition.READY
         chain.start()
@@ -142,29 +142,29 @@ def test_nothing_moves_until_a_person_has_started_and_the_controller_commands(mi
         worst = max(worst, moved)
         chain.cycles(100, QD)
         assert chain.controller.motion.actual_qd == pytest.approx(QD, abs=1e-3)
-    print(f"{mishap.__name__}: {SEEDS} seeds, {worst:.1e} rad")
+    print(f"{fault.__name__}: {SEEDS} seeds, {worst:.1e} rad")
     assert worst < 1e-8
 
 
-@pytest.mark.parametrize("mishap", [protective, safeguard, pause], ids=lambda each: each.__name__)
+@pytest.mark.parametrize("fault", [protective, safeguard, pause], ids=lambda each: each.__name__)
 @pytest.mark.parametrize("control", ["remote", "local"])
-def test_play_on_the_pendant_moves_nothing_after_a_stop_or_a_pause(mishap, control) -> None:  # type: ignore[no-untyped-def]
+def test_play_on_the_pendant_moves_nothing_after_a_stop_or_a_pause(fault, control) -> None:  # type: ignore[no-untyped-def]
     """A person presses play: a program that is still there would go on with its old speed.
 
     In local control the robot refuses to end the program: its watchdog ends it as it wakes.
     """
     chain = moving()
     chain.dashboard = control == "remote"
-    mishap(chain)
+    fault(chain)
     chain.cycles(300, QD)
     assert chain.controller.motion.at_rest
     rest = list(chain.controller.motion.actual_q)
-    if mishap in MISHAPS:
-        MISHAPS[mishap][0](chain)
+    if fault in FAULTS:
+        FAULTS[fault][0](chain)
     played = chain.controller.play()
     chain.cycles(500, QD)
     moved = max(abs(b - a) for a, b in zip(rest, chain.controller.motion.actual_q, strict=True))
-    print(f"{mishap.__name__}, {control}: played {played}, moved {moved:.1e} rad")
+    print(f"{fault.__name__}, {control}: played {played}, moved {moved:.1e} rad")
     assert played == (control == "local")
     assert moved < (1e-9 if control == "remote" else 3e-6)
     assert chain.controller.motion.at_rest

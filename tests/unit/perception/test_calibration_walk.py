@@ -56,7 +56,7 @@ def test_every_line_of_the_page_is_a_command_that_exists() -> None:
     assert len(lines) >= 12 and sum(words[0] == "python3" for words in lines) == 3
     for words in lines:
         if words[0] == "./surg":
-            command_table.parse(words[1], words[2:])
+            command_table.parse(*command_table.find(words[1:]))
         elif words[0] == "python3":
             assert words[1:3] == ["-m", "surg_sim.looks.board_bench"], words
         else:

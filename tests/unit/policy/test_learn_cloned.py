@@ -549,7 +549,7 @@ def test_a_dataset_that_does_not_fit_is_one_line(
 
 def test_moe_act_without_phases_says_who_makes_them() -> None:
     found = dataclasses.replace(made.recorded(1), phases=[])
-    with pytest.raises(ValueError, match=r"subtask_description.*\./surg label"):
+    with pytest.raises(ValueError, match=r"subtask_description.*\./surg episode label"):
         trained(found, method="moe_act")
 
 

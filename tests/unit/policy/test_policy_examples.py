@@ -1,4 +1,4 @@
-"""The example policies and `./surg keys`: what they do, what they say when given nonsense."""
+"""The example policies and `./surg policy keys`: what they do and say when given nonsense."""
 
 import ast
 import importlib
@@ -177,19 +177,19 @@ def test_the_code_on_a_page_is_python_3_8_and_uses_what_there_is(page: str) -> N
     assert used >= 1
 
 
-# --- ./surg keys ----------------------------------------------------------------------------------
+# --- ./surg policy keys ---------------------------------------------------------------------------
 
 
 def test_surg_keys_makes_them_once(
     surg: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "keys"
-    assert surg("keys", "--out", folder) == 0
+    assert surg("policy", "keys", "--out", folder) == 0
     said = capsys.readouterr().out
     assert str(folder / "server" / "server.key_secret") in said
     assert f"--policy-keys {folder}" in said
     with pytest.raises(Problem, match="nothing is overwritten") as caught:
-        surg("keys", "--out", folder)
+        surg("policy", "keys", "--out", folder)
     assert caught.value.code == 2
-    assert surg("keys", "--out", folder, "--policy", "laboratory") == 0
+    assert surg("policy", "keys", "--out", folder, "--policy", "laboratory") == 0
     assert sorted(server_keys(folder).clients) == ["laboratory", "policy"]

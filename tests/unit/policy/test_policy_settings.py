@@ -35,7 +35,7 @@ def test_without_words_it_listens_on_this_machine_and_moves_nothing_by_itself() 
         ("camera_rate", 0, "1 to 240"),
         ("answer_timeout", True, "0.1 to 9"),
         ("privileged", "yes", "true or false"),
-        ("bind", "tcp://0.0.0.0:5555", "./surg keys"),
+        ("bind", "tcp://0.0.0.0:5555", "./surg policy keys"),
         ("bind", "tcp://localhost", "such as"),
         ("keys", 5, "~keys"),
         pytest.param("task", "x" * 257, "at most 256", id="task"),

@@ -73,7 +73,7 @@ def frames_of(folders: list[Path]) -> tuple[int, dict[str, str]]:
 def view(folder: Path, place: Place) -> str:
     """The error, or what the page says is missing or changed; empty: all is well."""
     out = folder.parent / "page.html"
-    code = cli.run(["view", str(folder), "--no-open", "--out", str(out)])
+    code = cli.run(["episode", "view", str(folder), "--no-open", "--out", str(out)])
     assert code == 0
     page = out.read_text("utf-8")
     assert "<script" in page
@@ -109,7 +109,7 @@ def recover(folder: Path, place: Place) -> str:
     partial = folder.rename(folder.with_name("episode.partial"))
     words = io.StringIO()
     with contextlib.redirect_stderr(words):
-        code = cli.run(["recover", str(partial)])
+        code = cli.run(["episode", "recover", str(partial)])
     if code:
         assert partial.is_dir()
         return words.getvalue()

@@ -18,7 +18,7 @@ from std_msgs.msg import Header
 
 from helpers.recording import datasets_synthetic, picture_identity
 from helpers.recording.picture_identity import Identity
-from surg_cli.commands.data import import_recordings
+from surg_cli.commands.episode import import_recordings
 from surg_cli.host.terminal import Problem
 from surg_recording import datasets, episode, metrics
 from surg_recording.datasets import ExportOptions

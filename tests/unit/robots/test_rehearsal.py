@@ -137,7 +137,7 @@ def test_each_stop_is_led_through_until_this_arm_has_passed_it(tmp_path: Path) -
 
 
 def test_the_page_on_the_first_power_on_has_every_stop() -> None:
-    page = (paths.ROOT / "docs" / "guide" / "first_power_on.md").read_text("utf-8")
+    page = (paths.ROOT / "docs" / "guide" / "link_ur.md").read_text("utf-8")
     assert [step.name for step in STEPS if step.name not in page] == []
     assert f"{1e3 * rehearsal.REST_S:.0f} ms" in page
     assert f"{1e3 * rehearsal.PIVOT_M:.1f} mm" in page

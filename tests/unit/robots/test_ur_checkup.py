@@ -1,4 +1,4 @@
-"""`./surg doctor --robot` names what is wrong with an arm, with the cure; nothing moves."""
+"""`./surg dev doctor --robot` names what is wrong with an arm, with the cure; nothing moves."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from surg_hardware.ur import dashboard, ur_checkup
 Wrong = Callable[[UrEmulator], object]
 
 
-def mishap(line: str) -> Wrong:
+def fault(line: str) -> Wrong:
     def happen(emulator: UrEmulator) -> None:
-        assert emulator.mishap(line) == "ok"
+        assert emulator.fault(line) == "ok"
 
     return happen
 
@@ -42,21 +42,21 @@ def program(emulator: UrEmulator) -> None:
 
 
 WRONG: dict[str, tuple[Wrong, str, str]] = {
-    "serial 77": (mishap("serial 77"), "hardware.serial", "check address and serial"),
-    "payload": (mishap("payload 0.85"), "hardware.payload.mass", "set it on the pendant"),
-    "centre": (mishap("payload 0 0 0 0.1"), "hardware.payload.cog", "set it on the pendant"),
-    "slider": (mishap("slider 50"), "condition", "set it to 100 %"),
-    "protective stop": (mishap("protective_stop"), "condition", "unlock it on the pendant"),
-    "safeguard": (mishap("safeguard on"), "condition", "close the safeguard"),
-    "e-stop": (mishap("estop"), "condition", "release it, power the arm on"),
-    "power": (mishap("power off"), "condition", "power it on"),
-    "brakes": (mishap("brakes engage"), "condition", "release them"),
-    "hand": (mishap("freedrive on"), "condition", "start"),
-    "mode 99": (mishap("mode 99"), "condition", "see the pendant"),
-    "local": (mishap("local"), "control", "switch it to remote control"),
+    "serial 77": (fault("serial 77"), "hardware.serial", "check address and serial"),
+    "payload": (fault("payload 0.85"), "hardware.payload.mass", "set it on the pendant"),
+    "centre": (fault("payload 0 0 0 0.1"), "hardware.payload.cog", "set it on the pendant"),
+    "slider": (fault("slider 50"), "condition", "set it to 100 %"),
+    "protective stop": (fault("protective_stop"), "condition", "unlock it on the pendant"),
+    "safeguard": (fault("safeguard on"), "condition", "close the safeguard"),
+    "e-stop": (fault("estop"), "condition", "release it, power the arm on"),
+    "power": (fault("power off"), "condition", "power it on"),
+    "brakes": (fault("brakes engage"), "condition", "release them"),
+    "hand": (fault("freedrive on"), "condition", "start"),
+    "mode 99": (fault("mode 99"), "condition", "see the pendant"),
+    "local": (fault("local"), "control", "switch it to remote control"),
     "program": (program, "program", "stop it"),
-    "second client": (mishap("second_client input_int_register_24"), "RTDE", "end it"),
-    "joints": (mishap("nan on"), "joints", "restart the robot"),
+    "second client": (fault("second_client input_int_register_24"), "RTDE", "end it"),
+    "joints": (fault("nan on"), "joints", "restart the robot"),
 }
 """What is wrong -> the line that names it, and words of its cure."""
 
@@ -200,9 +200,9 @@ def test_doctor_ends_with_1_where_a_line_is_bad(
     controller = UrController(serial=SERIAL, q=HOME)
     with emulated_ur.in_process(controller) as emulator:
         folder = emulated_cell(tmp_path, emulator.address)
-        assert surg("doctor", "--robot", str(folder), "--seconds", "0.1") == 0
+        assert surg("dev", "doctor", "--robot", str(folder), "--seconds", "0.1") == 0
         controller.fall_to(SafetyMode.ROBOT_EMERGENCY_STOP, "test")
-        assert surg("doctor", "--robot", str(folder), "--seconds", "0.1") == 1
+        assert surg("dev", "doctor", "--robot", str(folder), "--seconds", "0.1") == 1
     said = capsys.readouterr().out
     assert "BAD  PSM1: condition: emergency stop" in said
     assert f"./surg robot {folder.name} start" in said

@@ -125,10 +125,10 @@ def test_the_command_writes_them_and_the_arm_is_accepted(
     controller = UrController(serial=SERIAL, q=HOME, dh_errors=errors(11, 3.0))
     with emulated_ur.in_process(controller) as emulator:
         cell = emulated_cell(tmp_path, emulator.address)
-        assert surg("doctor", "--robot", str(cell), "--seconds", "0.05") == 1
+        assert surg("dev", "doctor", "--robot", str(cell), "--seconds", "0.05") == 1
         assert f"./surg robot {cell.name} kinematics" in capsys.readouterr().out
         assert surg("robot", str(cell), "kinematics") == 0
-        assert surg("doctor", "--robot", str(cell), "--seconds", "0.05") == 0
+        assert surg("dev", "doctor", "--robot", str(cell), "--seconds", "0.05") == 0
         controller.serial = "77"
         with pytest.raises(Problem, match=r"hardware\.serial") as problem:
             surg("robot", str(cell), "kinematics")

@@ -15,7 +15,7 @@ from surg_core.wilson import wilson_interval
 from surg_sim.envs.episode_runner import run_episode
 from surg_sim.tasks import episode_seeds
 
-gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed: ./surg setup")
+gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed: ./surg dev setup")
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 

@@ -9,7 +9,7 @@ import pytest
 
 from conftest import FULL
 
-gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed: ./surg setup")
+gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed: ./surg dev setup")
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 

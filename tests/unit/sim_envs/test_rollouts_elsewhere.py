@@ -16,7 +16,7 @@ import pytest
 from surg_cli.host import paths
 from surg_recording.job_pool import Workplace
 
-pytest.importorskip("gymnasium", reason="gymnasium is not installed: ./surg setup")
+pytest.importorskip("gymnasium", reason="gymnasium is not installed: ./surg dev setup")
 sys.path.insert(0, str(paths.ROOT / "benchmarks"))
 
 import bench_imitation

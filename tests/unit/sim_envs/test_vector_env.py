@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed: ./surg setup")
+gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed: ./surg dev setup")
 
 from surg_sim.envs.surg_env import SurgEnv  # noqa: E402
 from surg_sim.looks.look_randomisation import LookRandomisation  # noqa: E402

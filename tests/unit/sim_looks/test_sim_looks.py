@@ -21,7 +21,7 @@ from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
 from surg_sim.looks.look_randomisation import TISSUES, Look, LookRandomisation
 from surg_sim.looks.opengl import NoOpenGL
 
-pytest.importorskip("gymnasium", reason="gymnasium is not installed: ./surg setup")
+pytest.importorskip("gymnasium", reason="gymnasium is not installed: ./surg dev setup")
 
 from surg_sim.envs.surg_env import SurgEnv
 

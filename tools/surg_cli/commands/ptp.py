@@ -119,7 +119,7 @@ def configuration(role: str, interface: str, socket: Path, free_running: bool) -
 def _program(name: str) -> str:
     path = pmc.program(name)
     if path is None:
-        raise Problem(f"{name} is not installed: sudo apt install linuxptp, or ./surg setup", 2)
+        raise Problem(f"{name} is not installed: sudo apt install linuxptp, or ./surg dev setup", 2)
     return path
 
 

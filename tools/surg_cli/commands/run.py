@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         help="a policy plays instead of the expert: its address, such as tcp://127.0.0.1:5555, "
         "or the .py file of its client, which is started (docs/reference/policies.md)",
     )
-    add("--policy-keys", type=Path, metavar="DIR", help="folder of ./surg keys")
+    add("--policy-keys", type=Path, metavar="DIR", help="folder of ./surg policy keys")
     add("--privileged", action="store_true", help="serve the simulator's truth to the policy")
     add("--forces", action="store_true", help="serve the forces at tip and trocar to the policy")
     add("--free-run", action="store_true", help="with --policy: in real time, not in lock-step")

@@ -250,7 +250,7 @@ def _greet(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> None:
         for role in link.others:
             say(f"  ./surg up {plan.cell.name} --role {role} --port {port}")
         join.warn_without_ptp(link)
-    say("In another terminal: ./surg status, ./surg shell, or by hand:")
+    say("In another terminal: ./surg status, ./surg dev shell, or by hand:")
     say(f"  export ROS_MASTER_URI={link.uri if link else f'http://localhost:{port}'}")
     for word in ("enable", "home"):
         message = shlex.quote(f"string: {word}")

@@ -82,9 +82,9 @@ def death_notice(child: processes.Child) -> str:
     graphics = ("libegl", "libosmesa", "libopengl", "gladloadgl", "eglerror", "opengl platform")
     if any(word in lowered for word in graphics):
         text += (
-            "\nA library for off-screen rendering is missing or does not work: run ./surg setup, "
-            "try MUJOCO_GL=osmesa ./surg demo, or leave the camera out (demo: --no-video; run: "
-            "without --cameras)."
+            "\nA library for off-screen rendering is missing or does not work: "
+            "run ./surg dev setup, try MUJOCO_GL=osmesa ./surg demo, or leave the camera out "
+            "(demo: --no-video; run: without --cameras)."
         )
     return text
 

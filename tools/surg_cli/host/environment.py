@@ -54,7 +54,7 @@ def for_nodes(
     """
     setup = paths.DEVEL / "setup.bash"
     if not setup.exists():
-        raise Problem(f"the workspace is not built: {setup} is missing; run ./surg build")
+        raise Problem(f"the workspace is not built: {setup} is missing; run ./surg dev build")
     # setup.bash reads variables that may be unset.
     script = 'set +u; . "$1" >/dev/null && env -0'
     sourced = subprocess.run(

@@ -47,7 +47,7 @@ def check_tree(root: Path = paths.ROOT) -> None:
         if folder.exists() and not os.access(folder, os.W_OK):
             raise Problem(
                 f"{folder} must be set up or built, but {_user()} cannot write it (owner: "
-                f"{_owner(folder)}); run ./surg build as its owner, or use a checkout of your own"
+                f"{_owner(folder)}); run ./surg dev build as its owner, or use your own checkout"
             )
 
 

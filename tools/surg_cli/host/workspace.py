@@ -107,7 +107,7 @@ def _cmake() -> str:
     """Debian's cmake, whatever stands first on the caller's PATH."""
     program = "/usr/bin/cmake"
     if not os.access(program, os.X_OK):
-        raise Problem(f"{program} is missing; run ./surg setup")
+        raise Problem(f"{program} is missing; run ./surg dev setup")
     return program
 
 

@@ -37,7 +37,7 @@ def refuse_real(arms: Mapping[str, Any], where: str) -> None:
         if arm.hardware is not None and not arm.hardware.emulated:
             raise Problem(
                 f"{where}: {name} is a real arm at {arm.hardware.address}: a person starts it, "
-                "with ./surg up; see docs/guide/first_power_on.md",
+                "with ./surg up; see docs/guide/link_ur.md",
                 2,
             )
         if arm.hardware is not None:

@@ -1,6 +1,6 @@
 """The rehearsal of an arm's stops: what to do, what must happen, and the report. No ROS.
 
-Each stop of the table in docs/guide/first_power_on.md once, while the tip moves at 10 mm/s.
+Each stop of the table in docs/guide/link_ur.md once, while the tip moves at 10 mm/s.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`./surg doctor --robot CELL`: what would keep the real arms of a cell from moving, with cures."""
+"""`./surg dev doctor --robot CELL`: what would keep a cell's real arms from moving, with cures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An emulated controller behind ports: connections, mishaps and the clock that every emulator has.
+"""An emulated controller behind ports: connections, faults and the clock that every emulator has.
 
 Only loopback addresses are served. In free-run the cycles follow the machine's clock; in lock-step
 each cycle waits for the commands that answer the last state.
@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, TextIO
 
-from surg_emulators.mishaps import Kind, MishapError, Schedule
+from surg_emulators.fault_lines import FaultError, Kind, Schedule
 
 MOST_CLIENTS = 10
 """Connections per service; an arm refuses further ones too."""
@@ -33,7 +33,7 @@ LATE = 0.1
 """Further behind its clock than this, the controller skips cycles [s]."""
 PRIORITY = 60
 CONTROL = "control"
-"""The service that takes mishaps."""
+"""The service that takes faults."""
 
 
 class Session(Protocol):
@@ -71,7 +71,7 @@ class Controller(Protocol):
 
 
 class _ControlSession:
-    """Lines of mishaps."""
+    """Lines of faults."""
 
     def __init__(self, answer: Callable[[str], str]) -> None:
         self.closed = False
@@ -161,7 +161,7 @@ class PortedEmulator:
         raise NotImplementedError
 
     def _kinds(self) -> dict[str, Kind]:
-        """All mishaps."""
+        """All faults."""
         raise NotImplementedError
 
     def _session(self, service: str) -> Session:
@@ -213,7 +213,7 @@ class PortedEmulator:
             self._record.write(",".join(row) + "\n")
 
     def _begin_cycle(self) -> None:
-        """Advance the emulated time and carry out the mishaps that are due."""
+        """Advance the emulated time and carry out the faults that are due."""
         self._now += self._dt
         for said in self._schedule.due(self._now):
             self._device.say(said)
@@ -234,22 +234,22 @@ class PortedEmulator:
             self.poll(left)
         return wake
 
-    # Mishaps that every arm has --------------------------------------------------------------
+    # Faults that every arm has --------------------------------------------------------------
 
-    def mishap(self, line: str) -> str:
-        """Carry out or schedule a mishap; returns `ok`, an answer, or `error: ...`."""
+    def fault(self, line: str) -> str:
+        """Carry out or schedule a fault; returns `ok`, an answer, or `error: ...`."""
         return self._schedule.answer(line, self._now)
 
-    def mishaps(self, text: str) -> None:
+    def faults(self, text: str) -> None:
         """Schedule the lines of a file.
 
         Raises:
-            MishapError: A line is wrong.
+            FaultError: A line is wrong.
         """
         self._schedule.read(text, self._now)
 
-    def mishap_help(self) -> str:
-        """All mishaps, one per line."""
+    def fault_help(self) -> str:
+        """All faults, one per line."""
         return self._schedule.help()
 
     def stall(self, seconds: float) -> None:
@@ -335,7 +335,7 @@ class PortedEmulator:
         client.setblocking(False)
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         control = service == CONTROL
-        session = _ControlSession(self.mishap) if control else self._session(service)
+        session = _ControlSession(self.fault) if control else self._session(service)
         connection = Connection(service, client, session)
         self._connections.append(connection)
         if not control:
@@ -400,7 +400,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--address", default="127.0.0.1", help="loopback address (default: 127.0.0.1)")
     add("--ports", metavar="NAME=PORT,...", default="", help="other ports than the arm's; 0: any")
-    add("--mishap", type=Path, metavar="FILE", help="mishaps, one per line: [at SECONDS] NAME ...")
+    add("--faults", type=Path, metavar="FILE", help="faults, one per line: [at SECONDS] NAME ...")
     add("--record", type=Path, metavar="FILE", help="write modes and joints of every cycle as CSV")
     add("--serial", help="serial number")
     add("--q", type=float, nargs="+", metavar="RAD", help="joint angles at the start")
@@ -428,19 +428,19 @@ def _said(ports: Mapping[str, int]) -> str:
 
 
 def prepare(emulator: PortedEmulator, options: argparse.Namespace) -> None:
-    """Read the mishaps and open the record that the options name.
+    """Read the faults and open the record that the options name.
 
     Raises:
         ValueError: One of the files is wrong; the emulator has been closed.
     """
     try:
-        if options.mishap is not None:
-            emulator.mishaps(options.mishap.read_text("utf-8"))
+        if options.faults is not None:
+            emulator.faults(options.faults.read_text("utf-8"))
         if options.record is not None:
             emulator.record(options.record.open("w", encoding="utf-8"))
-    except (MishapError, OSError) as error:
+    except (FaultError, OSError) as error:
         emulator.close()
-        raise ValueError(f"{options.mishap or options.record}: {error}") from error
+        raise ValueError(f"{options.faults or options.record}: {error}") from error
 
 
 def greeting(emulator: PortedEmulator, real_time: bool) -> str:

@@ -1,7 +1,7 @@
 """Episode folders: writing, reading, metrics, figures and reports.
 
-Everything here runs without ROS except ``recorder_node``, which nobody imports. Start with
-``episode.read`` for the data, ``metrics`` for the numbers, ``report.make`` for the page.
+Everything but ``nodes`` runs without ROS. Start with ``episode.read`` for the data, ``metrics`` for
+the numbers, ``reports.run_report.make`` for the page, ``datasets`` for training.
 """
 
 __version__ = "0.1.0"

@@ -1,3 +1,3 @@
-"""The simulated operating room: MuJoCo arms, trocars and an endoscope behind the link contract."""
+"""The simulated operating room: MuJoCo arms behind the link contract, tasks, environments."""
 
 __version__ = "0.1.0"

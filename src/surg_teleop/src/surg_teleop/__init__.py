@@ -1,1 +1,1 @@
-"""Recorded motions, how they map onto an arm, and the operator that plays them."""
+"""From a hand to an arm: leaders, the states between both, camera frames, and recorded motions."""

@@ -40,7 +40,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     say(emulator_ports.greeting(emulator, granted))
     if not granted:
         say("Without real-time priority its cycles come late under load (ulimit -r).")
-    say(f"Mishaps: one per line to port {emulator.ports['control']}; `help` lists them.")
+    say(f"Faults: one per line to port {emulator.ports['control']}; `help` lists them.")
     try:
         emulator.run(options.seconds, tell=say)
     finally:

@@ -15,10 +15,6 @@ from surg_cli.host.terminal import Problem, say, table, warn
 if TYPE_CHECKING:
     from surg_sim.placement.home_search import Home
 
-WORDS = {
-    "check": "examine a robot's YAML: limits, kinematics against the URDF, reach from its home",
-    "home": "search for the home posture with the largest reserve",
-}
 DEPTH = 0.120
 """Of the tip behind the trocar at home [m]."""
 LEAST_SINGULAR = 0.1
@@ -37,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         default=paths.ROOT / "src" / "surg_description" / "instruments" / "grasper.yaml",
         help="on its flange (default: the bundled grasper)",
     )
-    if command.endswith("home"):
+    if command == "home":
         parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the search")
 
 
@@ -49,7 +45,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         check_physics(arm)
     for note in notes:
         say(str(note.message))
-    if command.endswith("home"):
+    if command == "home":
         return _home(arm, options.seed)
     return _check(arm)
 

@@ -2,7 +2,7 @@
 
 States go to the client's UDP port each millisecond; its commands come back to the port that they
 came from. When this program itself is late, its clock falls behind: a packet that counts as lost is
-the client's fault or a mishap's.
+the client's fault or a fault's.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import socket
 import sys
 from collections.abc import Sequence
 
-from surg_emulators.datagram_mishaps import DatagramChannel
+from surg_emulators.datagram_faults import DatagramChannel
 from surg_emulators.emulator_ports import (
     CONTROL,
     Connection,
@@ -24,16 +24,16 @@ from surg_emulators.emulator_ports import (
     prepare,
     serve,
 )
-from surg_emulators.franka import franka_mishaps
+from surg_emulators.fault_lines import Kind
+from surg_emulators.franka import franka_faults
 from surg_emulators.franka.fci_session import FciSession
 from surg_emulators.franka.franka_controller import FrankaController
 from surg_emulators.franka.franka_robots import HOME, ROBOTS
 from surg_emulators.franka.generator_motion import DT
-from surg_emulators.mishaps import Kind
 
 SERIAL = "295341-1325001"
 PORTS = {"command": 1337, CONTROL: 29990}
-"""Service -> port. `control` takes mishaps and exists only here."""
+"""Service -> port. `control` takes faults and exists only here."""
 SHORTEST = 0.8
 """Share of a period that a client has at least, where the emulator was late."""
 DOWN = 2.0
@@ -151,7 +151,7 @@ class FrankaEmulator(PortedEmulator):
                 self._udp, self._datagrams = None, []
 
     def _kinds(self) -> dict[str, Kind]:
-        return franka_mishaps.kinds(self)
+        return franka_faults.kinds(self)
 
     def reboot(self) -> None:
         """Start the controller again: no port for a while, then the brakes are closed."""

@@ -158,12 +158,12 @@ class UrController:
 
     @property
     def shown_mode(self) -> int:
-        """The robot mode that clients read: a mishap can replace it."""
+        """The robot mode that clients read: a fault can replace it."""
         return int(self.faked.get("robot_mode", self.robot_mode))
 
     @property
     def shown_q(self) -> Sequence[float]:
-        """The joint positions that clients read [rad]: a mishap can replace them."""
+        """The joint positions that clients read [rad]: a fault can replace them."""
         q: Sequence[float] = self.faked.get("actual_q", self.motion.actual_q)
         return q
 

@@ -20,8 +20,8 @@ from surg_emulators.emulator_ports import (
     prepare,
     serve,
 )
-from surg_emulators.mishaps import Kind
-from surg_emulators.ur import ur_mishaps
+from surg_emulators.fault_lines import Kind
+from surg_emulators.ur import ur_faults
 from surg_emulators.ur.dashboard_server import GREETING, DashboardSession
 from surg_emulators.ur.dh_kinematics import TABLES
 from surg_emulators.ur.joint_motion import DT
@@ -40,7 +40,7 @@ PORTS = {
     CONTROL: 29990,
 }
 """Service -> its port on an arm. `script` is the real-time interface; here it takes programs but
-sends no states. `control` takes mishaps and exists only here."""
+sends no states. `control` takes faults and exists only here."""
 DOWN, FIRST_RTDE, RESTART = 1.0, 2.0, 0.5
 """Reboot: no port answers, RTDE answers, RTDE is gone again [s]."""
 
@@ -176,7 +176,7 @@ class UrEmulator(PortedEmulator):
     # Sockets ---------------------------------------------------------------------------------
 
     def _kinds(self) -> dict[str, Kind]:
-        return ur_mishaps.kinds(self)
+        return ur_faults.kinds(self)
 
     def _welcome(self, connection: Connection) -> None:
         if connection.service == "dashboard":

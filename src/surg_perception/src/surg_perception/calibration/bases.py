@@ -1,9 +1,9 @@
 """Where the base of the instrument's arm is, seen from the base of the endoscope's arm.
 
 *By touch*: the tip touches corners of the board that the scope sees. The board may be moved between
-touches, which spreads the points. *By tip*: the scope sees the
-tip itself. Both give points that each arm states in its own base; a rigid fit joins them. The tip
-that is followed in pictures lies up the shaft, so by tip only the turn counts.
+touches, which spreads the points. *By tip*: the scope sees the tip itself. Both give points that
+each arm states in its own base; a rigid fit joins them. The tip that is followed in pictures lies
+up the shaft, so by tip only the turn counts.
 
 The followed tip looks different from place to place: its error changes smoothly over the view. The
 rigid fit takes the part of such an error that turns the points for a turn of the base, and leaving

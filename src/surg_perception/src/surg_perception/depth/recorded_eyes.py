@@ -114,7 +114,7 @@ class RecordedEyes:
         if left:
             raise EpisodeError(
                 f"{self._videos[eye][-1].path}: {len(left)} pictures fewer than its sidecar "
-                f"states; run ./surg recover {self.episode.folder}"
+                f"states; run ./surg episode recover {self.episode.folder}"
             )
 
     def _lenses(self, sizes: list[tuple[int, int]]) -> tuple[Lens, Lens]:

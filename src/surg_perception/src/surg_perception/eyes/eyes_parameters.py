@@ -18,7 +18,7 @@ class EyesSettings:
     depth: bool = flag(True)  # rectified pictures, depth, points
     marks: bool = flag(False)  # pictures with marks drawn in
     rate: float = real(0.1, 30.0, 8.0)  # [1/s] most pairs
-    method: str = text("sgbm")  # as for ./surg depth
+    method: str = text("sgbm")  # as for ./surg episode depth
     near: float = real(0.005, 10.0, NEAR)  # [m]
     far: float = real(0.005, 10.0, FAR)  # [m]
     step: int = whole(1, 64, 4)  # points of each so-manieth row and column

@@ -1,7 +1,7 @@
 """``gst:PIPELINE``: any pipeline of GStreamer 1.x that ends in raw video.
 
-GStreamer is optional: ``./surg setup --gstreamer`` installs it. A buffer is stamped with the time
-of the pipeline's clock at capture.
+GStreamer is optional: ``./surg dev setup --gstreamer`` installs it. A buffer is stamped with the
+time of the pipeline's clock at capture.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ ERRORS = (
     (
         "No such element",
         "no_library",
-        "GStreamer lacks an element; install it with ./surg setup --gstreamer",
+        "GStreamer lacks an element; install it with ./surg dev setup --gstreamer",
     ),
-    ("no element", "no_library", "GStreamer lacks an element; ./surg setup --gstreamer"),
+    ("no element", "no_library", "GStreamer lacks an element; ./surg dev setup --gstreamer"),
     ("Device or resource busy", "busy", "the device is busy; close the other program"),
     ("Permission denied", "no_permission", "no permission: join the group 'video'"),
     ("Could not open", "no_device", "the device or file cannot be opened; is it plugged in?"),
@@ -57,7 +57,7 @@ def gstreamer(where: str) -> Any:
         from gi.repository import Gst
     except (ImportError, ValueError) as error:
         raise SourceError(
-            "no_library", f"{where}: GStreamer is not installed; ./surg setup --gstreamer"
+            "no_library", f"{where}: GStreamer is not installed; ./surg dev setup --gstreamer"
         ) from error
     Gst.init(None)
     return Gst

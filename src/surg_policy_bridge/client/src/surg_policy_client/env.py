@@ -26,7 +26,7 @@ class RemoteEnv:
     Args:
         address: Of the server.
         wants: Observations, as keys or as a `Spec`; None: everything served.
-        keys: Folder of `./surg keys`, if the server was started with keys.
+        keys: Folder of `./surg policy keys`, if the server was started with keys.
         timeout_s: Longest wait for the server, an episode or an observation [s].
     """
 

@@ -103,7 +103,7 @@ def client_keys(folder: Folder) -> ClientKeys:
     if len(secrets) != 1 or secrets[0].name == "server.key_secret":
         raise BadKeys(
             f"{root} has {[path.name for path in secrets]}; exactly one policy's *.key_secret is "
-            "needed; `./surg keys` makes one"
+            "needed; `./surg policy keys` makes one"
         )
     own = _read_secret(secrets[0])
     return ClientKeys(
@@ -126,7 +126,8 @@ def server_keys(folder: Folder) -> ServerKeys:
     }
     if not clients:
         raise BadKeys(
-            f"{root / 'clients'} has no *.key, so no policy could connect; `./surg keys` makes one"
+            f"{root / 'clients'} has no *.key, so no policy could connect; `./surg policy keys` "
+            "makes one"
         )
     return ServerKeys(own["public-key"], own["secret-key"], clients)
 
@@ -152,10 +153,10 @@ def _read(path: Path) -> dict[str, bytes]:
     try:
         text = path.read_text("ascii")
     except (OSError, UnicodeDecodeError) as error:
-        raise BadKeys(f"{path}: {error}; `./surg keys` makes keys") from None
+        raise BadKeys(f"{path}: {error}; `./surg policy keys` makes keys") from None
     keys = {name: key.encode("ascii") for name, key in _LINE.findall(text)}
     if "public-key" not in keys:
-        raise BadKeys(f"{path}: no public-key of 40 characters; `./surg keys` makes keys")
+        raise BadKeys(f"{path}: no public-key of 40 characters; `./surg policy keys` makes keys")
     return keys
 
 
@@ -164,5 +165,5 @@ def _read_secret(path: Path) -> dict[str, bytes]:
     if os.name == "posix" and path.stat().st_mode & 0o077:
         raise BadKeys(f"{path} can be read by others; run chmod 600 {path}")
     if "secret-key" not in keys:
-        raise BadKeys(f"{path}: no secret-key of 40 characters; `./surg keys` makes keys")
+        raise BadKeys(f"{path}: no secret-key of 40 characters; `./surg policy keys` makes keys")
     return keys

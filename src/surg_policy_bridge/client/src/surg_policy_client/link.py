@@ -31,9 +31,9 @@ _HINTS = {
     "connected": "a process listens there, but it is not a model server. Check that the address is "
     "the one that the server prints when it starts.",
     "protocol": "only one of server and client uses keys. If the server was started with keys, set "
-    "`keys` to the policy's folder of `./surg keys`; otherwise omit it.",
+    "`keys` to the policy's folder of `./surg policy keys`; otherwise omit it.",
     "denied": "the server does not know this client's key. Copy the policy's *.key to the "
-    "server's folder `server/clients` (./surg keys) and restart the server.",
+    "server's folder `server/clients` (./surg policy keys) and restart the server.",
 }
 
 
@@ -44,7 +44,7 @@ class Link:
         address: Such as ``tcp://127.0.0.1:5555`` or ``ipc:///tmp/policy``.
         wants: What the policy needs; None: everything served.
         policy: Name of the policy, for the server's log.
-        keys: Keys, or a folder made by `./surg keys`.
+        keys: Keys, or a folder made by `./surg policy keys`.
     """
 
     def __init__(

@@ -78,7 +78,7 @@ def serve(
         address: Of the server.
         wants: Observations that the policy needs, as keys or as a `Spec`; default:
             ``policy.wants``, else everything served. Only these are sent.
-        keys: Folder of `./surg keys`, if the server was started with keys.
+        keys: Folder of `./surg policy keys`, if the server was started with keys.
         name: Of the policy, for the server's log.
         seed: ``reset`` gets this plus the number of the episode; None: no seed.
         episodes: Number of episodes; None: no end.

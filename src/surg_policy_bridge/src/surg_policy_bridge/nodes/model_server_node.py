@@ -1,6 +1,6 @@
 """The model server as a node: connects policies to the arms.
 
-Parameters: ``~bind`` (tcp://127.0.0.1:5555), ``~keys`` (folder of ./surg keys), ``~cell``,
+Parameters: ``~bind`` (tcp://127.0.0.1:5555), ``~keys`` (folder of ./surg policy keys), ``~cell``,
 ``~arms`` ([PSM1]), ``~mode`` (freerun | lockstep), ``~task``, ``~instruction``, ``~privileged``
 (false: do not serve ground truth), ``~forces`` (false: do not serve forces), ``~cameras`` ([]),
 ``~camera_rate`` (20), ``~clip`` ([jaw]), ``~autostart`` (false), ``~need_teleop`` (true: no policy

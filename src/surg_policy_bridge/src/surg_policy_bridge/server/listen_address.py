@@ -31,7 +31,7 @@ def check(address: str, keyed: bool) -> str:
     if not (keyed or _is_loopback(host)):
         raise BindError(
             f"address {address!r} is reachable from other machines, and anybody there could move "
-            "the arms; make keys with ./surg keys and give their folder, or bind "
+            "the arms; make keys with ./surg policy keys and give their folder, or bind "
             f"tcp://127.0.0.1:{port}"
         )
     return address

@@ -21,7 +21,7 @@ class Settings:
     """Parameters of the node ``/policy``."""
 
     bind: str = text(ADDRESS)  # address at which policies connect
-    # folder of `./surg keys`; empty: none, which allows this machine only
+    # folder of `./surg policy keys`; empty: none, which allows this machine only
     keys: str = text("", empty=True)
     cell: str = text(allowed="the folder of a cell")  # path of the cell
     # arms that the policy commands, in the order of the action

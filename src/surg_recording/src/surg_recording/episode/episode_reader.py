@@ -265,7 +265,7 @@ def read(folder: Path | str) -> Episode:
     if folder.name.endswith(PARTIAL):
         raise EpisodeError(
             f"{folder}: this recording was never finished; the next recorder start mends it, or"
-            f" ./surg recover {folder}"
+            f" ./surg episode recover {folder}"
         )
     if not folder.is_dir():
         raise EpisodeError(f"{folder}: no such folder")

@@ -21,7 +21,7 @@ MAX_LENGTH, MAX_PARTS = 1000, 200
 FACTS = {
     "success": "the verdict: True, False, or None (nobody judged)",
     "judged_by": '"person", "task" or None',
-    "labelled": "True: labelled by ./surg label",
+    "labelled": "True: labelled by ./surg episode label",
     "complete": "True: nothing was lost",
     **dict.fromkeys(("task", "setting", "robot", "law", "operator", "mode"), "a text"),
     "seed": "a number",

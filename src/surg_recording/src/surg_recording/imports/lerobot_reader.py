@@ -1,7 +1,7 @@
 """Reads LeRobot data sets 2.1 and 3.0, and imports their episodes.
 
-Data sets of ``./surg export`` name their columns (``PSM1/tip_x``) and need nothing. For others a
-map says which column is what (docs/reference/imports.md).
+Data sets of ``./surg episode export`` name their columns (``PSM1/tip_x``) and need nothing. For
+others a map says which column is what (docs/reference/imports.md).
 """
 
 from __future__ import annotations

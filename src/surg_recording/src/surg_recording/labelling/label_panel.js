@@ -41,7 +41,7 @@
         $("saved").textContent = said;
         $("saved").className = answer.ok ? "faint" : "bad";
       } catch {
-        $("saved").textContent = "not saved: ./surg label has ended";
+        $("saved").textContent = "not saved: ./surg episode label has ended";
         $("saved").className = "bad";
       }
     } while (again);

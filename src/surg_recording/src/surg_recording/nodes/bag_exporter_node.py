@@ -27,8 +27,8 @@ class BagExporter(Exporter):
     """Writes every recording as a file of ROS messages, and compares what is read back."""
 
     needs: ClassVar[Mapping[str, str]] = {
-        "genpy": "ROS 1, which ./surg setup installs",
-        "sensor_msgs": "ROS 1, which ./surg setup installs",
+        "genpy": "ROS 1, which ./surg dev setup installs",
+        "sensor_msgs": "ROS 1, which ./surg dev setup installs",
         "cv2": "Debian: python3-opencv",
     }
     suffix: ClassVar[str]

@@ -55,7 +55,7 @@ class Settings:
 
     @property
     def video_quality(self) -> str:
-        """Quality of videos, for ``EpisodeRecorder``."""
+        """Quality of videos, for ``episode_recorder.Recording``."""
         return LOSSLESS if self.video_lossless else str(self.video_crf)
 
     @property

@@ -20,7 +20,7 @@ class Rosbag(BagExporter):
     suffix = ".bag"
     needs: ClassVar[Mapping[str, str]] = {
         **BagExporter.needs,
-        "rosbag": "ROS 1, which ./surg setup installs",
+        "rosbag": "ROS 1, which ./surg dev setup installs",
     }
 
     def write_file(self, path: Path, stamped: Iterable[Stamped], facts: Mapping[str, str]) -> None:

@@ -1,9 +1,8 @@
 """A policy in the environment, without wire, server and ROS: to choose and to compare by.
 
-Observations have the names, units and order of an exported dataset (docs/reference/datasets.md),
-which are
-those that the model server serves. What is measured here lacks what the way over the wire adds: the
-model server's safety controller, latencies. Figures that are published come from the graph.
+Observations have the names, units and order of an exported dataset (docs/reference/datasets.md), as
+the model server serves them. What is measured here lacks the model server's safety controller and
+its latencies. Figures that are published come from the graph.
 """
 
 from __future__ import annotations

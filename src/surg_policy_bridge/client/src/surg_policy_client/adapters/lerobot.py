@@ -1,4 +1,4 @@
-"""A policy trained with LeRobot on a dataset of `./surg export`.
+"""A policy trained with LeRobot on a dataset of `./surg episode export`.
 
 Dataset and wire use the same keys. Needs lerobot (0.4 or later) and torch, as no other module of
 this library does. As a program it serves a checkpoint:

@@ -1,4 +1,4 @@
-"""Pictures of the size that a model was trained with, scaled as `./surg export --size` does."""
+"""Pictures of the size that a model was trained with, as `./surg episode export --size` scales."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ def run(
         metavar="ADDRESS",
         help=f"address of the server (default {ADDRESS})",
     )
-    add("--keys", metavar="DIR", help="the policy's folder of ./surg keys")
+    add("--keys", metavar="DIR", help="the policy's folder of ./surg policy keys")
     add("--episodes", type=int, metavar="N", help="end after N episodes (default: no end)")
     add("--timeout", type=float, metavar="S", help="longest wait for a server (default: no limit)")
     add("--seed", type=int, default=0, metavar="N", help="seed of random policies (default 0)")

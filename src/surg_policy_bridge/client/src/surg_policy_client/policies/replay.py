@@ -1,7 +1,7 @@
 """Replays the actions of one recorded episode open loop.
 
-The episode is part of a LeRobot dataset of `./surg export` (needs pyarrow), or a CSV file with a
-header of action names, such as ``PSM1/x``, and one row per grid time.
+The episode is part of a LeRobot dataset of `./surg episode export` (needs pyarrow), or a CSV file
+with a header of action names, such as ``PSM1/x``, and one row per grid time.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`./surg evaluate`: figures and tables of recorded episodes, grouped by condition."""
+"""`./surg episode evaluate`: figures and tables of recorded episodes, grouped by condition."""
 
 from __future__ import annotations
 

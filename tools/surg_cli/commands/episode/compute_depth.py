@@ -1,4 +1,4 @@
-"""`./surg depth EPISODE`: depth of a recorded stereo endoscope, computed afterwards."""
+"""`./surg episode depth EPISODE`: depth of a recorded stereo endoscope, computed afterwards."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`./surg setup` and `./surg build`."""
+"""`./surg dev setup` and `./surg dev build`."""
 
 from __future__ import annotations
 

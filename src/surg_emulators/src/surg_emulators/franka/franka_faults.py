@@ -1,12 +1,12 @@
-"""Mishaps of an emulated Franka arm: name -> what happens."""
+"""Faults of an emulated Franka arm: name -> what happens."""
 
 from __future__ import annotations
 
 import math
 from typing import TYPE_CHECKING
 
+from surg_emulators.fault_lines import FaultError, Kind, choice, number, switch
 from surg_emulators.franka.franka_errors import Error
-from surg_emulators.mishaps import Kind, MishapError, choice, number, switch
 
 if TYPE_CHECKING:
     from surg_emulators.franka.franka_controller import FrankaController
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def kinds(emulator: FrankaEmulator) -> dict[str, Kind]:
-    """All mishaps of an emulator."""
+    """All faults of an emulator."""
     c = emulator.controller
     return {**_people(c, emulator), **_network(emulator), **_wrong_states(c)}
 
@@ -25,7 +25,7 @@ def _people(c: FrankaController, emulator: FrankaEmulator) -> dict[str, Kind]:
         c.reflex(Error.joint_reflex, f"joint {which:.0f} met something")
 
     def reflex(name: str) -> None:
-        c.reflex(choice(name, {error.name: error for error in Error}, "reflex"), "mishap")
+        c.reflex(choice(name, {error.name: error for error in Error}, "reflex"), "fault")
 
     def push(*wrench: str) -> None:
         c.push(_numbers(wrench, 6, "push", 1000.0))
@@ -50,7 +50,7 @@ def _people(c: FrankaController, emulator: FrankaEmulator) -> dict[str, Kind]:
         "push": Kind(push, "[FX FY FZ TX TY TZ]", "a wrench at the end effector [N, Nm]"),
         "reflex": Kind(reflex, "NAME", "any other error, by libfranka's name"),
         "status": Kind(emulator.status, "", "answers with mode, errors and joints"),
-        "help": Kind(emulator.mishap_help, "", "answers with all mishaps"),
+        "help": Kind(emulator.fault_help, "", "answers with all faults"),
     }
 
 
@@ -124,5 +124,5 @@ def _direction(word: str) -> str:
 def _numbers(words: tuple[str, ...], count: int, what: str, most: float) -> list[float]:
     values = [number(word, what, -most, most) for word in words] or [0.0] * count
     if len(values) != count:
-        raise MishapError(f"{what}: {len(values)} numbers; {count} are needed")
+        raise FaultError(f"{what}: {len(values)} numbers; {count} are needed")
     return values

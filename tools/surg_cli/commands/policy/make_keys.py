@@ -1,4 +1,4 @@
-"""`./surg keys`: key pairs for a model server and the policies that may connect to it."""
+"""`./surg policy keys`: key pairs for a model server and the policies that may connect to it."""
 
 from __future__ import annotations
 

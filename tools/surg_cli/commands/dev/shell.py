@@ -1,4 +1,4 @@
-"""`./surg shell`: bash with the workspace sourced and the master's address set."""
+"""`./surg dev shell`: bash with the workspace sourced and the master's address set."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`./surg label EPISODES…`: judge, mark and trim recordings in the browser, by keyboard."""
+"""`./surg episode label EPISODES…`: judge, mark and trim recordings in the browser, by keyboard."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`./surg topics`: compare a running graph with topics.yaml; make topics.md of both."""
+"""`./surg dev topics`: compare a running graph with topics.yaml; make topics.md of both."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`./surg export EPISODES…`: writes recordings as a dataset for training programs."""
+"""`./surg episode export EPISODES…`: writes recordings as a dataset for training programs."""
 
 from __future__ import annotations
 

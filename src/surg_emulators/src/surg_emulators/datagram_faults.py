@@ -36,7 +36,7 @@ class DatagramChannel:
 
     def pass_on(self, data: bytes) -> list[bytes]:
         """A datagram goes in; returns what comes out now, in that order."""
-        out = self._meet_mishaps(data)
+        out = self._meet_faults(data)
         if self.stalled:
             self._held = (self._held + out)[:MOST_HELD]
             return []
@@ -47,7 +47,7 @@ class DatagramChannel:
         held, self._held = self._held, []
         return held
 
-    def _meet_mishaps(self, data: bytes) -> list[bytes]:
+    def _meet_faults(self, data: bytes) -> list[bytes]:
         if self.burst > 0:
             self.burst -= 1
             return []

@@ -1,4 +1,4 @@
-"""`./surg import rosbag|lerobot SOURCE…`: recordings of other programs as episode folders."""
+"""`./surg episode import rosbag|lerobot SOURCE…`: recordings of other programs as episodes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`./surg film EPISODE --out x.mp4`: a short film for papers and talks."""
+"""`./surg episode film EPISODE --out x.mp4`: a short film for papers and talks."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from surg_emulators.datagram_mishaps import MOST_HELD, DatagramChannel
+from surg_emulators.datagram_faults import MOST_HELD, DatagramChannel
 
 COUNT = 20_000
 

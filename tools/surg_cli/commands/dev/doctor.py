@@ -1,4 +1,4 @@
-"""`./surg doctor`: lists what is installed, missing and running, and how to repair it."""
+"""`./surg dev doctor`: lists what is installed, missing and running, and how to repair it."""
 
 from __future__ import annotations
 
@@ -108,17 +108,21 @@ def _packages() -> Finding:
     except Problem as problem:
         return Finding(False, "Debian packages", str(problem))
     if missing:
-        return Finding(False, "Debian packages", f"missing: {', '.join(missing)}", "./surg setup")
+        return Finding(
+            False, "Debian packages", f"missing: {', '.join(missing)}", "./surg dev setup"
+        )
     return Finding(True, "Debian packages", f"all {len(names)} installed")
 
 
 def _python() -> Finding:
     """The virtual environment."""
     if not paths.VENV_PYTHON.exists():
-        return Finding(False, "Python environment", f"{paths.VENV} is missing", "./surg setup")
+        return Finding(False, "Python environment", f"{paths.VENV} is missing", "./surg dev setup")
     stamp = provision.VENV_STAMP
     if not stamp.exists() or stamp.read_text() != paths.file_digest(paths.LOCK_FILE):
-        return Finding(False, "Python environment", "older than requirements.lock", "./surg setup")
+        return Finding(
+            False, "Python environment", "older than requirements.lock", "./surg dev setup"
+        )
     code = "import mujoco, numpy; print('mujoco', mujoco.__version__, 'numpy', numpy.__version__)"
     done = _run([str(paths.VENV_PYTHON), "-s", "-c", code])
     if done.returncode != 0:
@@ -133,7 +137,7 @@ def _python() -> Finding:
 def _build() -> Finding:
     """The devel space."""
     if not (paths.DEVEL / "setup.bash").exists():
-        return Finding(False, "build", f"{paths.DEVEL} is missing", "./surg build")
+        return Finding(False, "build", f"{paths.DEVEL} is missing", "./surg dev build")
     if not workspace.is_current():
         return Finding(None, "build", "sources have changed since; the next command builds")
     return Finding(True, "build", f"{paths.DEVEL} is current")
@@ -153,7 +157,7 @@ def _rendering() -> list[Finding]:
             lines = done.stderr.strip().splitlines()
             text = lines[-1][:160] if lines else f"ended with {done.returncode}"
             other = "osmesa" if driver == "egl" else "egl"
-            cure = f"./surg setup, or MUJOCO_GL={other} before ./surg"
+            cure = f"./surg dev setup, or MUJOCO_GL={other} before ./surg"
             findings.append(Finding(False, f"rendering by {driver}", text, cure))
     return findings
 

@@ -1,4 +1,4 @@
-"""`./surg view EPISODE`: one page with video, tip path, curves and events."""
+"""`./surg episode view EPISODE`: one page with video, tip path, curves and events."""
 
 from __future__ import annotations
 

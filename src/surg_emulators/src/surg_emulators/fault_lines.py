@@ -1,6 +1,6 @@
-"""Text protocol of mishaps: what goes wrong with an emulated arm, and when.
+"""Text protocol of faults: what goes wrong with an emulated arm, and when.
 
-One mishap per line: `[at SECONDS] NAME [WORD ...]`. Text behind `#` is a comment. The time counts
+One fault per line: `[at SECONDS] NAME [WORD ...]`. Text behind `#` is a comment. The time counts
 from the moment when the line was read. Lines come from a file or over the control port; there each
 line is answered by `ok` or `error: ...`.
 """
@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 
-class MishapError(ValueError):
-    """A line that is no mishap; states what is wrong and what is allowed."""
+class FaultError(ValueError):
+    """A line that is no fault; states what is wrong and what is allowed."""
 
 
 @dataclass(frozen=True)
-class Mishap:
+class Fault:
     """One line.
 
     Attributes:
@@ -39,7 +39,7 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class Kind:
-    """A mishap that an emulator knows.
+    """A fault that an emulator knows.
 
     Attributes:
         action: What it does; takes the words of the line.
@@ -52,11 +52,11 @@ class Kind:
     help: str
 
 
-def parse(line: str) -> Mishap | None:
-    """The mishap of a line; None: the line is empty.
+def parse(line: str) -> Fault | None:
+    """The fault of a line; None: the line is empty.
 
     Raises:
-        MishapError: The time is no number of seconds from 0.
+        FaultError: The time is no number of seconds from 0.
     """
     words = line.partition("#")[0].split()
     delay = 0.0
@@ -64,22 +64,22 @@ def parse(line: str) -> Mishap | None:
         delay = number(words[1] if len(words) > 1 else "", "at", 0.0, 1e6)
         words = words[2:]
         if not words:
-            raise MishapError(f"{line.strip()!r}: a name must follow the time")
-    return Mishap(delay, words[0], tuple(words[1:])) if words else None
+            raise FaultError(f"{line.strip()!r}: a name must follow the time")
+    return Fault(delay, words[0], tuple(words[1:])) if words else None
 
 
 def number(word: str, what: str, least: float, most: float) -> float:
     """A number within its range.
 
     Raises:
-        MishapError: It is not.
+        FaultError: It is not.
     """
     try:
         value = float(word)
     except ValueError:
         value = math.nan
     if not least <= value <= most:
-        raise MishapError(f"{what} {word!r}: must be a number from {least:g} to {most:g}")
+        raise FaultError(f"{what} {word!r}: must be a number from {least:g} to {most:g}")
     return value
 
 
@@ -87,10 +87,10 @@ def choice(word: str, choices: Mapping[str, Value], what: str) -> Value:
     """What a word stands for.
 
     Raises:
-        MishapError: It is none of the choices.
+        FaultError: It is none of the choices.
     """
     if word not in choices:
-        raise MishapError(f"{what} {word!r}: must be one of {', '.join(choices)}")
+        raise FaultError(f"{what} {word!r}: must be one of {', '.join(choices)}")
     return choices[word]
 
 
@@ -98,21 +98,21 @@ def switch(word: str) -> bool:
     """`on` or `off`.
 
     Raises:
-        MishapError: It is neither.
+        FaultError: It is neither.
     """
     return choice(word, {"on": True, "off": False}, "switch")
 
 
 class Schedule:
-    """Mishaps that are still to come, on the emulator's own time.
+    """Faults that are still to come, on the emulator's own time.
 
     Args:
-        kinds: Name -> mishap that this emulator knows.
+        kinds: Name -> fault that this emulator knows.
     """
 
     def __init__(self, kinds: Mapping[str, Kind]) -> None:
         self._kinds = kinds
-        self._waiting: list[tuple[float, Mishap]] = []
+        self._waiting: list[tuple[float, Fault]] = []
 
     def read(self, text: str, now: float) -> None:
         """Take over the lines of a file.
@@ -122,29 +122,29 @@ class Schedule:
             now: The emulator's time [s].
 
         Raises:
-            MishapError: A line is wrong; states which one. Nothing has been taken over then.
+            FaultError: A line is wrong; states which one. Nothing has been taken over then.
         """
         taken = []
         for place, line in enumerate(text.splitlines(), 1):
             try:
-                mishap = parse(line)
-                if mishap is not None:
-                    self._kind(mishap)
-                    taken.append((now + mishap.delay, mishap))
-            except MishapError as error:
-                raise MishapError(f"line {place}: {error}") from error
+                fault = parse(line)
+                if fault is not None:
+                    self._kind(fault)
+                    taken.append((now + fault.delay, fault))
+            except FaultError as error:
+                raise FaultError(f"line {place}: {error}") from error
         self._waiting = sorted([*self._waiting, *taken], key=lambda each: each[0])
 
     def answer(self, line: str, now: float) -> str:
         """Carry out or schedule a line of the control port; returns the answer."""
         try:
-            mishap = parse(line)
-            if mishap is None:
+            fault = parse(line)
+            if fault is None:
                 return "ok"
-            if mishap.delay == 0.0:
-                return self._carry_out(mishap)
+            if fault.delay == 0.0:
+                return self._carry_out(fault)
             self.read(line, now)
-        except MishapError as error:
+        except FaultError as error:
             return f"error: {error}"
         return "ok"
 
@@ -152,33 +152,33 @@ class Schedule:
         """Carry out what is due; returns one sentence for each."""
         said = []
         while self._waiting and self._waiting[0][0] <= now + 1e-9:
-            mishap = self._waiting.pop(0)[1]
+            fault = self._waiting.pop(0)[1]
             try:
-                answer = self._carry_out(mishap)
-            except MishapError as error:
+                answer = self._carry_out(fault)
+            except FaultError as error:
                 answer = f"error: {error}"
-            said.append(f"{' '.join([mishap.name, *mishap.words])}: {answer}")
+            said.append(f"{' '.join([fault.name, *fault.words])}: {answer}")
         return said
 
     def help(self) -> str:
-        """All mishaps, one per line."""
+        """All faults, one per line."""
         rows = [(f"{name} {kind.words}".strip(), kind.help) for name, kind in self._kinds.items()]
         width = max(len(usage) for usage, _ in rows)
         return "\n".join(f"{usage:<{width}}  {text}" for usage, text in rows)
 
-    def _kind(self, mishap: Mishap) -> Kind:
-        if mishap.name not in self._kinds:
+    def _kind(self, fault: Fault) -> Kind:
+        if fault.name not in self._kinds:
             known = ", ".join(self._kinds)
-            raise MishapError(f"{mishap.name!r} is not known; there are: {known}")
-        return self._kinds[mishap.name]
+            raise FaultError(f"{fault.name!r} is not known; there are: {known}")
+        return self._kinds[fault.name]
 
-    def _carry_out(self, mishap: Mishap) -> str:
-        kind = self._kind(mishap)
+    def _carry_out(self, fault: Fault) -> str:
+        kind = self._kind(fault)
         try:
-            inspect.signature(kind.action).bind(*mishap.words)
+            inspect.signature(kind.action).bind(*fault.words)
         except TypeError as error:
-            raise MishapError(
-                f"{mishap.name} takes: {kind.words or 'no arguments'}; given: "
-                f"{' '.join(mishap.words) or 'none'}"
+            raise FaultError(
+                f"{fault.name} takes: {kind.words or 'no arguments'}; given: "
+                f"{' '.join(fault.words) or 'none'}"
             ) from error
-        return kind.action(*mishap.words) or "ok"
+        return kind.action(*fault.words) or "ok"

@@ -1,4 +1,4 @@
-"""`./surg recover FOLDER`: completes recordings that a kill or a power cut interrupted."""
+"""`./surg episode recover FOLDER`: completes recordings that a kill or a power cut interrupted."""
 
 from __future__ import annotations
 

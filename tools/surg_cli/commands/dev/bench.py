@@ -1,4 +1,4 @@
-"""`./surg bench [NAME]`: runs a program in `benchmarks/`."""
+"""`./surg dev bench [NAME]`: runs a program in `benchmarks/`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     """List the benchmarks, or run one."""
     files = {p.stem.removeprefix("bench_"): p for p in paths.ROOT.glob("benchmarks/bench_*.py")}
     if options.name is None:
-        say("benchmarks (./surg bench NAME [options], --help says more):")
+        say("benchmarks (./surg dev bench NAME [options], --help says more):")
         for name, path in sorted(files.items()):
             say(f"  {name}: {first_line(path.read_text('utf-8'))}")
         return 0

@@ -1,4 +1,4 @@
-"""Mishaps of an emulated UR arm: name -> what happens."""
+"""Faults of an emulated UR arm: name -> what happens."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from surg_emulators.mishaps import Kind, MishapError, choice, number, switch
+from surg_emulators.fault_lines import FaultError, Kind, choice, number, switch
 from surg_emulators.ur.robot_states import SafetyMode
 from surg_emulators.ur.rtde_server import DATA, packet
 
@@ -18,7 +18,7 @@ SCRIPT_BYTES = 1 << 20
 
 
 def kinds(emulator: UrEmulator) -> dict[str, Kind]:
-    """All mishaps of an emulator."""
+    """All faults of an emulator."""
     c = emulator.controller
     return {
         **_safety(c),
@@ -41,15 +41,15 @@ def _safety(c: UrController) -> dict[str, Kind]:
         return None if c.unlock() else "error: too early, 5 s must have passed"
 
     return {
-        "protective_stop": Kind(lambda: c.protective_stop("mishap"), "", "as after a collision"),
+        "protective_stop": Kind(lambda: c.protective_stop("fault"), "", "as after a collision"),
         "unlock": Kind(unlock, "", "a person unlocks it on the pendant, 5 s later at the earliest"),
         "safeguard": Kind(lambda on="on": c.safeguard(switch(on)), "[on|off]", "safeguard stop"),
         "estop": Kind(estop, "[robot|system]", "emergency stop; cuts the power"),
         "release": Kind(c.release, "", "release the emergency stop, restart the safety system"),
         "violation": Kind(
-            lambda: c.fall_to(SafetyMode.VIOLATION, "mishap"), "", "a safety limit was broken"
+            lambda: c.fall_to(SafetyMode.VIOLATION, "fault"), "", "a safety limit was broken"
         ),
-        "fault": Kind(lambda: c.fall_to(SafetyMode.FAULT, "mishap"), "", "the safety system fails"),
+        "fault": Kind(lambda: c.fall_to(SafetyMode.FAULT, "fault"), "", "the safety system fails"),
         "reduced": Kind(lambda on="on": c.reduce(switch(on)), "[on|off]", "reduced mode"),
     }
 
@@ -70,7 +70,7 @@ def _people(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
     def freedrive(on: str = "on", *qd: str) -> None:
         rates = [number(word, "freedrive", -3.0, 3.0) for word in qd] or [0.0] * 6
         if len(rates) != 6:
-            raise MishapError(f"freedrive: {len(rates)} velocities; six are needed [rad/s]")
+            raise FaultError(f"freedrive: {len(rates)} velocities; six are needed [rad/s]")
         c.guide(switch(on), rates)
 
     def done(worked: bool) -> str | None:
@@ -81,7 +81,7 @@ def _people(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
         try:
             c.programs[file.name] = file.read_bytes()[:SCRIPT_BYTES].decode("utf-8", "replace")
         except OSError as error:
-            raise MishapError(f"load: {path}: {error.strerror}") from error
+            raise FaultError(f"load: {path}: {error.strerror}") from error
         c.load(file.name)
 
     return {
@@ -96,7 +96,7 @@ def _people(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
         "pause": Kind(lambda: done(c.pause()), "", "a person presses pause"),
         "stop": Kind(c.stop, "", "a person presses stop"),
         "status": Kind(emulator.status, "", "answers with mode, safety, program and slider"),
-        "help": Kind(emulator.mishap_help, "", "answers with all mishaps"),
+        "help": Kind(emulator.fault_help, "", "answers with all faults"),
     }
 
 
@@ -104,12 +104,12 @@ def _settings(c: UrController) -> dict[str, Kind]:
     def payload(mass: str, *cog: str) -> None:
         place = [number(word, "payload: centre", -1.0, 1.0) for word in cog] or [0.0] * 3
         if len(place) != 3:
-            raise MishapError("payload: the centre of gravity has three numbers [m]")
+            raise FaultError("payload: the centre of gravity has three numbers [m]")
         c.set_payload(number(mass, "payload: mass", 0.0, 20.0), place)
 
     def tcp(*pose: str) -> None:
         if len(pose) != 6:
-            raise MishapError("tcp: six numbers are needed: position [m] and rotation vector [rad]")
+            raise FaultError("tcp: six numbers are needed: position [m] and rotation vector [rad]")
         c.tcp_offset = [number(word, "tcp", -math.tau, math.tau) for word in pose]
 
     def serial(value: str) -> None:

@@ -1,1 +1,0 @@
-"""Commands that bring recordings in, or mend them."""

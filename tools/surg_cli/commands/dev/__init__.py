@@ -1,0 +1,1 @@
+"""`./surg dev …`: set up, build, test and examine the workspace."""

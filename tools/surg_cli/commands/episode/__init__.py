@@ -1,0 +1,1 @@
+"""`./surg episode …`: what is done with recorded episodes."""

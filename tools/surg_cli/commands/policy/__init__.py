@@ -1,0 +1,1 @@
+"""`./surg policy …`: what a policy needs before it connects."""
