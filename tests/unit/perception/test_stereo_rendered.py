@@ -18,8 +18,8 @@ from surg_perception.calibration import steps
 from surg_perception.calibration.board_file import write_board
 from surg_perception.calibration.result_files import Origin, read_stereo
 from surg_perception.calibration.stereo import StereoFit, common
-from surg_sim.looks.board_bench import BenchView, BoardBench
-from surg_sim.looks.lens import EndoscopeLens
+from surg_sim.appearance.board_bench import BenchView, BoardBench
+from surg_sim.appearance.lens import EndoscopeLens
 
 ORIGIN = Origin("rendered", "2026-11-23", "simulated")
 

@@ -20,7 +20,7 @@ from helpers.results.teleoperation_results import note
 from helpers.teleop.hand import Hand, settings
 from helpers.teleop.stage import Stage, stage_of
 from surg_core.held_endoscope import HeldEndoscope, held_endoscope
-from surg_sim.looks.render import Picture
+from surg_sim.appearance.render import Picture
 from surg_teleop.follow.teleop_types import CameraView, State
 from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.frames.probe_moves import REST, SIDE, STEPS, Step

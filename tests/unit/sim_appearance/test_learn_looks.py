@@ -15,7 +15,7 @@ from surg_cli.learning.recipes import Request
 
 demonstrations = pytest.importorskip("surg_sim.envs.demonstrations")
 
-from surg_sim.looks.look_randomisation import LookRandomisation  # noqa: E402
+from surg_sim.appearance.domain_randomization import DomainRandomization  # noqa: E402
 from surg_sim.physics import cell_files  # noqa: E402
 
 
@@ -36,11 +36,11 @@ def file(tmp_path: Path) -> Path:
 def test_looks_are_part_of_what_demonstrations_depend_on(file: Path) -> None:
     plain, own = asked("--cameras"), asked("--cameras", "--looks", str(file))
     assert plain.look_ranges is None and "looks" not in plain.demonstrations
-    varied = replace(LookRandomisation.none(), light_strength=(0.4, 1.6))
+    varied = replace(DomainRandomization.none(), light_strength=(0.4, 1.6))
     assert own.look_ranges == varied
     assert own.demonstrations == {**plain.demonstrations, "looks": asdict(varied)}
     built_in = asked("--cameras", "--looks").look_ranges
-    assert built_in is not None and built_in.tissue_colour == LookRandomisation().tissue_colour
+    assert built_in is not None and built_in.tissue_colour == DomainRandomization().tissue_colour
     assert built_in.camera_shift_mm == built_in.camera_turn_deg == (0.0, 0.0)
     assert f"--cameras --looks {file} --out" in learn.command_line(own, Path("runs/L"))
 
@@ -59,15 +59,15 @@ def test_a_recording_with_another_look_is_played_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan = demonstrations.Plan(tmp_path, cell_files.find("sim_ur5e"), "pick_and_place")
-    wide = replace(plan, looks=LookRandomisation())
+    wide = replace(plan, randomization=DomainRandomization())
     (recorded,) = demonstrations.play(plan, [3], 1)
     assert recorded.seed == 3 and plan.done(3) and not wide.done(3)
     manifest = tmp_path / "3" / "manifest.json"
     content = json.loads(manifest.read_text("utf-8"))
-    content["run"]["look"] = LookRandomisation().draw(3).described()
+    content["run"]["look"] = DomainRandomization().draw(3).described()
     manifest.write_text(json.dumps(content), "utf-8")
     assert wide.done(3) and not plan.done(3)
-    content["run"] |= {"look": None, "clumsiness": 4.0}
+    content["run"] |= {"look": None, "expert_noise": 4.0}
     manifest.write_text(json.dumps(content), "utf-8")
-    assert replace(plan, clumsiness=4.0).done(3) and not replace(plan, clumsiness=5.0).done(3)
-    assert not replace(plan, clumsiness=4.0, cameras=("left",)).done(3), "it has no picture"
+    assert replace(plan, expert_noise=4.0).done(3) and not replace(plan, expert_noise=5.0).done(3)
+    assert not replace(plan, expert_noise=4.0, cameras=("left",)).done(3), "it has no picture"

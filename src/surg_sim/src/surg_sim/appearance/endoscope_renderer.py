@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from surg_sim.appearance.domain_randomization import Appearance
+from surg_sim.appearance.drawing import OUTSIDE
+from surg_sim.appearance.lens import LensRemap, TrueEye
+from surg_sim.appearance.render import Intrinsics, Renderer, Vignette, show_only
+from surg_sim.appearance.scene_appearance import Finish, dressed
 from surg_sim.arrays import Array, Picture
-from surg_sim.looks.drawing import OUTSIDE
-from surg_sim.looks.dressed_scene import Finish, dressed
-from surg_sim.looks.lens import LensRemap, TrueEye
-from surg_sim.looks.look_randomisation import Look
-from surg_sim.looks.render import Intrinsics, Renderer, Vignette, show_only
 from surg_sim.physics import endoscope_rig
 from surg_sim.physics.endoscope_projection import EndoscopeView
 from surg_sim.physics.endoscope_rig import FRAMES
@@ -19,7 +19,7 @@ from surg_sim.physics.world import World
 
 
 class EndoscopeRenderer:
-    """The endoscope of a world that was built with looks; see ``Renderer``.
+    """The endoscope of a world that was built with visuals; see ``Renderer``.
 
     The views are ``left`` and ``right`` in this order, or one of them; width and height in px.
     """
@@ -55,7 +55,7 @@ class EndoscopeRenderer:
         self._plain, self._dyed = world.model, list[int]()
         self._finish: Finish | None = None
 
-    def wear(self, look: Look | None) -> None:
+    def set_appearance(self, look: Appearance | None) -> None:
         """Draw pictures with this look from now on; None: as the scene was built.
 
         The look's camera is the true one. ``intrinsics``, ``baseline`` and ``standing_pose`` stay

@@ -1,6 +1,6 @@
 """The documentation's pictures, taken in episodes.
 
-Run ``python -m surg_sim.looks.documentation_pictures docs/pictures``.
+Run ``python -m surg_sim.appearance.documentation_pictures docs/pictures``.
 
 Scripted senders act, one seed, no ROS. Bowel grasping and retraction: a stereo pair of each of its
 four steps and the room at the end of the third. Needle driving and thread in hole: before the hole
@@ -20,12 +20,12 @@ from PIL import Image
 
 from surg_core.contract import GRID, TICK
 from surg_sim import tasks
+from surg_sim.appearance import cell_picture
+from surg_sim.appearance.drawing import look
+from surg_sim.appearance.opengl import NoOpenGL
 from surg_sim.arrays import Picture
 from surg_sim.envs.cell_session import Session, Tick
 from surg_sim.envs.episode_runner import run_episode
-from surg_sim.looks import cell_picture
-from surg_sim.looks.drawing import look
-from surg_sim.looks.opengl import NoOpenGL
 from surg_sim.physics import cell_files, endoscope_rig, scene
 from surg_sim.physics.spec_parts import quaternion
 from surg_sim.physics.world import World
@@ -94,7 +94,9 @@ def episode(
     Raises:
         ValueError: The episode fails, or a moment does not come.
     """
-    session = Session(cell_files.find(tasks.load(task).home_cell), task, setting, seed, looks=True)
+    session = Session(
+        cell_files.find(tasks.load(task).home_cell), task, setting, seed, visuals=True
+    )
     taken: dict[str, Picture] = {}
 
     def watch(tick: Tick) -> None:
@@ -190,7 +192,7 @@ def of_all_tasks(seed: int) -> Picture:
 def main(words: list[str] | None = None) -> int:
     """Entry point; returns the exit code (2: nothing to be had, 1: no OpenGL)."""
     parser = argparse.ArgumentParser(
-        prog="python -m surg_sim.looks.documentation_pictures",
+        prog="python -m surg_sim.appearance.documentation_pictures",
         description=(__doc__ or "").split("\n")[0],
     )
     parser.add_argument("out", type=Path, help="folder to write into")
@@ -211,7 +213,7 @@ def main(words: list[str] | None = None) -> int:
         if options.only in (None, SHEET):
             pictures[SHEET] = of_all_tasks(options.seed)
     except (ValueError, NoOpenGL) as error:
-        print(f"surg_sim.looks.documentation_pictures: {error}", file=sys.stderr)
+        print(f"surg_sim.appearance.documentation_pictures: {error}", file=sys.stderr)
         return 1 if isinstance(error, NoOpenGL) else 2
     for name, content in pictures.items():
         file = options.out / f"{name}.png"

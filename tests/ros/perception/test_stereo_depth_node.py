@@ -113,7 +113,7 @@ def test_depth_points_and_marks_of_a_pair(
         found = [s for m in diagnostics.messages for s in m.status if s.name == "eyes"]
         return found[-1].message if found else ""
 
-    node = ros_graph.node("surg_perception", "eyes_node.py", "/eyes", params)
+    node = ros_graph.node("surg_perception", "stereo_depth_node.py", "/eyes", params)
     depth = Listener("/endoscope/depth", Image)
     cloud = Listener("/endoscope/points2", PointCloud2)
     rect = Listener("/endoscope/right/image_rect", Image)
@@ -153,7 +153,7 @@ def test_marks_come_with_every_picture_and_need_none(sender: Sender, ros_graph: 
     from surg_msgs.msg import PictureMarks
 
     params = {"depth": False, "marks": True, "cell": str(CELL), "rate": 1.0}
-    ros_graph.node("surg_perception", "eyes_node.py", "/eyes", params)
+    ros_graph.node("surg_perception", "stereo_depth_node.py", "/eyes", params)
     marks = Listener("/endoscope/marks", PictureMarks)
     ros_graph.wait_for(lambda: len(marks.messages) > 20, 30.0, "marks")
     newest = marks.messages[-1]
@@ -173,7 +173,7 @@ def test_marks_come_with_every_picture_and_need_none(sender: Sender, ros_graph: 
 
 def test_a_broken_parameter_ends_the_node_with_a_reason(ros_graph: RosGraph) -> None:
     params: dict[str, object] = {"method": "census"}
-    node = ros_graph.node("surg_perception", "eyes_node.py", "/eyes", params)
+    node = ros_graph.node("surg_perception", "stereo_depth_node.py", "/eyes", params)
     ros_graph.wait_for(lambda: node.exit_code is not None, 20.0, "the end")
     assert node.exit_code == 2
     assert "census: there is no such stereo method" in node.log_tail(3)

@@ -33,7 +33,7 @@ _EDGE = math.sqrt(2.0 * math.pi)
 
 
 @dataclass(frozen=True)
-class Look:
+class BoardDetection:
     """What one pair of pictures shows.
 
     Attributes:
@@ -75,7 +75,9 @@ def rough_lens(size: tuple[int, int], K: FloatArray | None = None) -> LensModel:
     return LensModel("plumb_bob", size, np.concatenate([values, np.zeros(5)]))
 
 
-def look_at(board: Board, pair: tuple[Picture, ...], lens: LensModel, stamp: float) -> Look | str:
+def look_at(
+    board: Board, pair: tuple[Picture, ...], lens: LensModel, stamp: float
+) -> BoardDetection | str:
     """Find the board in the pictures (h, w), grey, of the eyes; a text: why it is not seen."""
     found = []
     for picture, eye in zip(pair, ("left", "right"), strict=False):
@@ -95,7 +97,7 @@ def look_at(board: Board, pair: tuple[Picture, ...], lens: LensModel, stamp: flo
         X = centred(board_pose(lens, left), board)
     except ValueError as error:
         return str(error)
-    return Look(stamp, tuple(found), blur, sides[0], X)
+    return BoardDetection(stamp, tuple(found), blur, sides[0], X)
 
 
 def centred(X_VBoard: FloatArray, board: Board) -> FloatArray:
@@ -133,7 +135,7 @@ def edge_blur(picture: Picture, pixels: FloatArray, side: float) -> float:
     return float(np.median(found)) if found else math.inf
 
 
-def is_still(looks: Sequence[Look]) -> bool:
+def is_still(looks: Sequence[BoardDetection]) -> bool:
     """Whether the board has kept its place over the last `STILL_S` of looks, oldest first."""
     if not looks:
         return False
@@ -147,7 +149,7 @@ def is_still(looks: Sequence[Look]) -> bool:
     )
 
 
-def motion(a: Look, b: Look) -> float:
+def motion(a: BoardDetection, b: BoardDetection) -> float:
     """Median motion of the corners that both looks show in the left picture [px]."""
     ids = np.intersect1d(a.corners[0].ids, b.corners[0].ids)
     if not len(ids):
@@ -156,23 +158,23 @@ def motion(a: Look, b: Look) -> float:
     return float(np.median(np.linalg.norm(moved, axis=1)))
 
 
-def is_sharp(look: Look) -> bool:
+def is_sharp(look: BoardDetection) -> bool:
     """Whether the edges are sharp enough for corners of a tenth of a pixel."""
     return look.blur <= MOST_BLUR
 
 
-def blur_in_words(look: Look) -> str:
+def blur_in_words(look: BoardDetection) -> str:
     """How blurred a look is, and how much is allowed."""
     return f"{look.blur * look.side:.1f} px; at most {MOST_BLUR * look.side:.1f}"
 
 
-def is_new(look: Look, views: Sequence[Look], by_posture: bool = False) -> bool:
+def is_new(look: BoardDetection, views: Sequence[BoardDetection], by_posture: bool = False) -> bool:
     """Whether a look differs from every view: by the board's place, or by the arm's posture."""
     differs = posture_differs if by_posture else board_differs
     return all(differs(look, view) for view in views)
 
 
-def board_differs(a: Look, b: Look) -> bool:
+def board_differs(a: BoardDetection, b: BoardDetection) -> bool:
     """Whether the board was held elsewhere before the eye."""
     apart = a.X_VBoard[:2, 3] / a.distance - b.X_VBoard[:2, 3] / b.distance
     turned = rotation_vector(a.X_VBoard[:3, :3] @ b.X_VBoard[:3, :3].T)
@@ -183,7 +185,7 @@ def board_differs(a: Look, b: Look) -> bool:
     )
 
 
-def posture_differs(a: Look, b: Look) -> bool:
+def posture_differs(a: BoardDetection, b: BoardDetection) -> bool:
     """Whether the arm that holds the scope was in another posture."""
     if a.X_BF is None or b.X_BF is None:
         return False

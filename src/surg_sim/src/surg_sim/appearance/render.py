@@ -9,9 +9,9 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
+from surg_sim.appearance.drawing import OUTSIDE
+from surg_sim.appearance.opengl import choose_backend, context
 from surg_sim.arrays import Array, Picture
-from surg_sim.looks.drawing import OUTSIDE
-from surg_sim.looks.opengl import choose_backend, context
 from surg_sim.physics.endoscope_projection import CIRCLE
 
 LAMPS = ("lamp", "fill")
@@ -65,7 +65,7 @@ class Renderer:
     """Renders cameras of a compiled scene. Use it from the thread that made it.
 
     Args:
-        model: A scene built with ``looks=True``.
+        model: A scene built with ``visuals=True``.
         cameras: Names, with the same field of view.
         width: [px].
         height: [px].

@@ -10,9 +10,9 @@ import numpy as np
 
 import surg_core
 from surg_sim import tasks
+from surg_sim.appearance.documentation_pictures import close_up
+from surg_sim.appearance.render import Renderer, show_only
 from surg_sim.arrays import Array, Picture
-from surg_sim.looks.documentation_pictures import close_up
-from surg_sim.looks.render import Renderer, show_only
 from surg_sim.physics import scene
 from surg_sim.physics.world import World
 
@@ -35,7 +35,7 @@ class RoomView:
     """
 
     def __init__(self, cell: surg_core.Cell, task: str, seed: int, width: int, height: int) -> None:
-        self._world = World(cell, seed, looks=True, task=tasks.load(task) if task else None)
+        self._world = World(cell, seed, visuals=True, task=tasks.load(task) if task else None)
         model = self._world.model
         self._joints = {
             name: [

@@ -29,7 +29,7 @@ _STREAM = tuple(b"look")  # beside the seed, so that no draw of the task is used
 
 
 @dataclass(frozen=True)
-class TissueLook:
+class TissueAppearance:
     """How a tissue looks, relative to the scene's own texture."""
 
     colour: tuple[float, float, float]  # factors of red, green, blue
@@ -39,7 +39,7 @@ class TissueLook:
 
 
 @dataclass(frozen=True)
-class Look:
+class Appearance:
     """How an episode looks. Camera and light move in the left optical frame (x right, y down)."""
 
     light_strength: float  # factor of the endoscope's light
@@ -50,7 +50,7 @@ class Look:
     edge: float  # share of the light that the picture's corners lose
     camera_shift_mm: tuple[float, float, float]  # of cameras and light as one piece
     camera_turn_deg: tuple[float, float, float]  # rotation vector, about the left camera's centre
-    tissues: tuple[TissueLook, ...]  # of ``TISSUES``
+    tissues: tuple[TissueAppearance, ...]  # of ``TISSUES``
 
     def described(self) -> dict[str, Any]:
         """The same as values of JSON, tissues by name."""
@@ -60,7 +60,7 @@ class Look:
 
 
 @dataclass(frozen=True)
-class LookRandomisation:
+class DomainRandomization:
     """Ranges from which a look is drawn, all evenly; directions are even on circle or sphere.
 
     Raises:
@@ -106,13 +106,13 @@ class LookRandomisation:
                 )
 
     @classmethod
-    def none(cls) -> LookRandomisation:
+    def none(cls) -> DomainRandomization:
         """Ranges without width, which draw the plain look; to vary some with ``replace``."""
         ones = ("light_strength", "tissue_colour", "tissue_contrast", "tissue_gloss", "exposure")
         return cls(**{f.name: (float(f.name in ones),) * 2 for f in fields(cls)})
 
     @classmethod
-    def read(cls, file: Path | str) -> LookRandomisation:
+    def read(cls, file: Path | str) -> DomainRandomization:
         """Ranges of a YAML file, ``name: [low, high]``; what it leaves out does not vary.
 
         Raises:
@@ -132,7 +132,7 @@ class LookRandomisation:
         document.finish()
         return cls(**ranges)
 
-    def draw(self, seed: int) -> Look:
+    def draw(self, seed: int) -> Appearance:
         """The look of an episode. A range without width does not change the other draws."""
         rng = np.random.default_rng([seed, *_STREAM])
 
@@ -149,7 +149,7 @@ class LookRandomisation:
             red, green, blue = even("tissue_colour", 3)
             (contrast,), (gloss,) = even("tissue_contrast", 1), even("tissue_gloss", 1)
             along, across = even("tissue_shift", 2)
-            tissues.append(TissueLook((red, green, blue), contrast, gloss, (along, across)))
+            tissues.append(TissueAppearance((red, green, blue), contrast, gloss, (along, across)))
         light, shift, turn = (
             aimed(name, axes).tolist()
             for name, axes in (
@@ -158,7 +158,7 @@ class LookRandomisation:
                 ("camera_turn_deg", 3),
             )
         )
-        return Look(
+        return Appearance(
             light_strength=even("light_strength", 1)[0],
             light_warmth=even("light_warmth", 1)[0],
             light_tilt_deg=(light[0], light[1]),

@@ -9,10 +9,10 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from surg_sim.appearance import anatomy
+from surg_sim.appearance.drawing import OUTSIDE, add_mesh, add_seen
+from surg_sim.appearance.room import BED_DEPTH, table_of
 from surg_sim.arrays import Array
-from surg_sim.looks import anatomy
-from surg_sim.looks.drawing import OUTSIDE, add_mesh, add_seen
-from surg_sim.looks.room import BED_DEPTH, table_of
 from surg_sim.physics.patient_site import Site
 from surg_sim.physics.spec_parts import quaternion
 

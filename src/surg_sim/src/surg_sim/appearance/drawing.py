@@ -5,9 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from surg_sim.appearance import textures
+from surg_sim.appearance.anatomy import Mesh
 from surg_sim.arrays import Array
-from surg_sim.looks import textures
-from surg_sim.looks.anatomy import Mesh
 
 OUTSIDE = 2
 """Group of geoms that the endoscope does not see: room, drape, skin. (URDF visuals: group 1.)"""

@@ -16,11 +16,11 @@ from surg_cli.graph import running
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
 from surg_core import ConfigError, axis_angle_to_matrix
-from surg_perception.eyes import eyes_messages_node as messages
-from surg_perception.eyes.eyes_parameters import parse
-from surg_perception.eyes.joint_history import KEPT_NS, MOST_GAP_NS, JointHistory
-from surg_perception.eyes.live_marks_node import message_of
 from surg_perception.marks.mark_projection import PictureMark
+from surg_perception.stereo import stereo_messages_node as messages
+from surg_perception.stereo.joint_history import KEPT_NS, MOST_GAP_NS, JointHistory
+from surg_perception.stereo.live_marks_node import message_of
+from surg_perception.stereo.stereo_parameters import parse
 from surg_ros.params import ParamError
 
 MS = 1_000_000
@@ -141,7 +141,7 @@ def printed(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
     parser = argparse.ArgumentParser()
     up.add_arguments(parser, "up")
     up.main(parser.parse_args([*words, "--print"]), "up")
-    return [line for line in capsys.readouterr().out.splitlines() if "eyes_node.py" in line]
+    return [line for line in capsys.readouterr().out.splitlines() if "stereo_depth_node.py" in line]
 
 
 def test_up_starts_the_node_when_asked(capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,7 +5,7 @@ with what solves the calibration, so that a test of one by the other means somet
 folder of views that ``./surg calibrate CELL ... --from FOLDER`` reads: ``<view>_left.png``,
 ``<view>_right.png`` and ``views.csv`` with the joints of each arm. ::
 
-    python3 -m surg_sim.looks.board_bench CELL board.png FOLDER --step handeye
+    python3 -m surg_sim.appearance.board_bench CELL board.png FOLDER --step handeye
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ import numpy as np
 import surg_core
 from surg_core import axis_angle_to_matrix
 from surg_core.transforms import minimal_rotation
+from surg_sim.appearance.lens import EndoscopeLens, TrueEye
 from surg_sim.arrays import Array, Picture
-from surg_sim.looks.lens import EndoscopeLens, TrueEye
 from surg_sim.physics.calibration_bench import Bench, across
 from surg_sim.physics.endoscope_rig import camera_poses, holder
 from surg_sim.physics.patient_settings import find_setting
@@ -316,7 +316,9 @@ def inner_corners(columns: int, rows: int, square: float) -> Array:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Record views of a board before the simulated endoscope of a cell."""
-    parser = argparse.ArgumentParser(prog="surg_sim.looks.board_bench", description=main.__doc__)
+    parser = argparse.ArgumentParser(
+        prog="surg_sim.appearance.board_bench", description=main.__doc__
+    )
     parser.add_argument("cell", type=Path)
     parser.add_argument("board", type=Path, help="./surg calibrate CELL board --out board.png")
     parser.add_argument("folder", type=Path, help="for ./surg calibrate CELL ... --from FOLDER")
@@ -345,7 +347,7 @@ def main(words: Sequence[str] | None = None) -> int:
         }[options.step]
         bench.write(options.folder, list(views()))
     except (ValueError, OSError, RuntimeError) as error:
-        print(f"surg_sim.looks.board_bench: {error}", file=sys.stderr)
+        print(f"surg_sim.appearance.board_bench: {error}", file=sys.stderr)
         return 2
     print(f"{options.folder}: {count} views for {options.step}")
     return 0

@@ -14,9 +14,9 @@ import surg_core
 from surg_core.lens_file import Lens
 from surg_msgs.msg import PictureMark as MarkMessage
 from surg_msgs.msg import PictureMarks
-from surg_perception.eyes.joint_history import JointHistory
-from surg_perception.eyes.newest_pair_node import EYES
 from surg_perception.marks.mark_projection import MarkProjection, PictureMark
+from surg_perception.stereo.joint_history import JointHistory
+from surg_perception.stereo.newest_pair_node import EYES
 from surg_ros.joint_order import positions_of
 
 TOPIC = "/endoscope/marks"

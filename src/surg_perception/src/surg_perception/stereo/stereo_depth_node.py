@@ -2,7 +2,7 @@
 
 It works for what is subscribed only, takes the newest pair, at most ``~rate`` a second, on one
 thread with a niceness, and moves nothing. Marks as a topic need no pixels and come with every
-picture. Parameters: `eyes_parameters.EyesSettings`.
+picture. Parameters: `stereo_parameters.StereoSettings`.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 import surg_core
 from surg_perception.depth.stereo_depth import StereoDepth
 from surg_perception.depth.stereo_matcher import find_matcher
-from surg_perception.eyes import eyes_messages_node as messages
-from surg_perception.eyes import eyes_parameters
-from surg_perception.eyes.eyes_parameters import EyesSettings
-from surg_perception.eyes.live_marks_node import LiveMarks
-from surg_perception.eyes.newest_pair_node import EYES, NewestPair
 from surg_perception.marks.mark_drawing import drawn
+from surg_perception.stereo import stereo_messages_node as messages
+from surg_perception.stereo import stereo_parameters
+from surg_perception.stereo.live_marks_node import LiveMarks
+from surg_perception.stereo.newest_pair_node import EYES, NewestPair
+from surg_perception.stereo.stereo_parameters import StereoSettings
 from surg_ros.params import ParamError
 
 LOOK_S = 0.5
@@ -35,7 +35,7 @@ LOOK_S = 0.5
 class Eyes:
     """Computes and publishes."""
 
-    def __init__(self, settings: EyesSettings, cell: surg_core.Cell | None) -> None:
+    def __init__(self, settings: StereoSettings, cell: surg_core.Cell | None) -> None:
         self._settings = settings
         self._infos: dict[str, CameraInfo] = {}
         self._models: tuple[CameraInfo, ...] = ()
@@ -184,7 +184,7 @@ def main() -> int:
     """Entry point; returns the exit code (0 done, 2 broken configuration)."""
     rospy.init_node("eyes")
     try:
-        settings = eyes_parameters.parse(rospy.get_param("~", {}))
+        settings = stereo_parameters.parse(rospy.get_param("~", {}))
         cell = surg_core.load_cell(settings.cell) if settings.cell else None
         _check_method(settings)
     except (ParamError, ValueError) as error:
@@ -196,7 +196,7 @@ def main() -> int:
     return 0
 
 
-def _check_method(settings: EyesSettings) -> None:
+def _check_method(settings: StereoSettings) -> None:
     """Refuse a method at the start, not with the first pair."""
     from surg_perception.depth.rectification import PairGeometry
 

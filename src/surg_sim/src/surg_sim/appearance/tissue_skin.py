@@ -13,9 +13,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_sim.appearance.anatomy import grid_faces
+from surg_sim.appearance.drawing import add_material
 from surg_sim.arrays import Array
-from surg_sim.looks.anatomy import grid_faces
-from surg_sim.looks.drawing import add_material
 from surg_sim.physics.patient_site import Site
 from surg_sim.physics.tissue import NAME, TissueParameters, rest_shape
 
@@ -58,8 +58,8 @@ def _weights(n: int) -> Array:
 
 
 def add_skin(spec: mujoco.MjSpec, site: Site, parameters: TissueParameters) -> None:
-    """Put the two skins into the scene; called by ``add_bowel`` when it has looks."""
-    # The tube's material is ``bowel``, which every scene with looks has.
+    """Put the two skins into the scene; called by ``add_bowel`` when it has visuals."""
+    # The tube's material is ``bowel``, which every scene with visuals has.
     add_material(spec, "mesentery", np.random.default_rng(5), specular=0.45, shininess=0.7)
     rings = (parameters.nodes - 1) * _FINE + 1
     along = np.linspace(0, (parameters.nodes - 1) * parameters.spacing, rings) / _TEXTURE_LENGTH
@@ -106,7 +106,7 @@ def _normals(grid: Array, closed: bool) -> Array:
 
 
 class BowelSkin:
-    """Draws the bowel of a scene with looks: a ``Skin`` whose swellings the seed draws."""
+    """Draws the bowel of a scene with visuals: a ``Skin`` whose swellings the seed draws."""
 
     def __init__(
         self, model: mujoco.MjModel, site: Site, parameters: TissueParameters, seed: int = 0

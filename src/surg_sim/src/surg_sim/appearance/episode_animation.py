@@ -1,7 +1,7 @@
 """An animated picture of one episode: the room beside the endoscope's view.
 
-Run ``python3 -m surg_sim.looks.episode_animation docs/pictures/bgr_episode.webp``. Scripted senders
-act in this process, without ROS. The result is an animated WebP that repeats forever.
+Run ``python3 -m surg_sim.appearance.episode_animation docs/pictures/bgr_episode.webp``. Scripted
+senders act in this process, without ROS. The result is an animated WebP that repeats forever.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 
 from surg_core.contract import GRID, TICK
 from surg_sim import tasks
+from surg_sim.appearance import cell_picture
+from surg_sim.appearance.documentation_pictures import close_up
+from surg_sim.appearance.opengl import NoOpenGL
 from surg_sim.arrays import Array, Picture
 from surg_sim.envs.cell_session import Session, Tick
 from surg_sim.envs.episode_runner import run_episode
-from surg_sim.looks import cell_picture
-from surg_sim.looks.documentation_pictures import close_up
-from surg_sim.looks.opengl import NoOpenGL
 from surg_sim.physics import cell_files, scene
 from surg_sim.tasks import episode_seeds
 
@@ -32,7 +32,7 @@ _QUALITY = 70  # of WebP, 0 to 100
 
 
 def states_of(session: Session, seed: int, count: int) -> tuple[list[Array], float]:
-    """Play an episode of a session built with looks.
+    """Play an episode of a session built with visuals.
 
     Returns ``count`` joint positions (nq,) at equal distances in time, and the duration [s].
 
@@ -81,7 +81,7 @@ def write(frames: list[Picture], file: Path) -> None:
 def main(words: list[str] | None = None) -> int:
     """Entry point; returns the exit code (2: the episode cannot be shown, 1: no OpenGL)."""
     parser = argparse.ArgumentParser(
-        prog="python3 -m surg_sim.looks.episode_animation",
+        prog="python3 -m surg_sim.appearance.episode_animation",
         description=(__doc__ or "").split("\n")[0],
     )
     parser.add_argument("out", type=Path, help="WebP file to write")
@@ -91,12 +91,12 @@ def main(words: list[str] | None = None) -> int:
     options = parser.parse_args(words)
     try:
         cell = cell_files.find(tasks.load(options.task).home_cell)
-        session = Session(cell, options.task, seed=options.seed, looks=True)
+        session = Session(cell, options.task, seed=options.seed, visuals=True)
         count = round(1000 * options.seconds / FRAME_MS)
         states, duration = states_of(session, options.seed, count)
         frames = frames_of(session, states)
     except (ValueError, NoOpenGL) as error:
-        print(f"surg_sim.looks.episode_animation: {error}", file=sys.stderr)
+        print(f"surg_sim.appearance.episode_animation: {error}", file=sys.stderr)
         return 1 if isinstance(error, NoOpenGL) else 2
     write(frames, options.out)
     size, speed = options.out.stat().st_size / 1e6, duration / options.seconds

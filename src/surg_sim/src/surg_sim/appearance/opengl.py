@@ -27,7 +27,7 @@ class NoOpenGL(RuntimeError):
 
 _PROBE = """
 import mujoco
-from surg_sim.looks.opengl import context
+from surg_sim.appearance.opengl import context
 gl, mjr = context({backend!r}, mujoco.MjModel.from_xml_string("<mujoco/>"), 64, 64)
 mjr.free()
 gl.free()

@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 
 from surg_core.transforms import axis_angle_to_matrix
+from surg_sim.appearance.domain_randomization import TISSUES, Appearance, TissueAppearance
+from surg_sim.appearance.lens import EndoscopeLens
 from surg_sim.arrays import Array, Picture
-from surg_sim.looks.lens import EndoscopeLens
-from surg_sim.looks.look_randomisation import TISSUES, Look, TissueLook
 from surg_sim.physics.endoscope_projection import EndoscopeView
 from surg_sim.physics.endoscope_rig import FRAMES, LIGHT
 from surg_sim.physics.spec_parts import quaternion
@@ -22,8 +22,8 @@ from surg_sim.physics.spec_parts import quaternion
 _STATED_HEIGHT = 480  # [px] of the picture in which a blur is stated
 
 
-def dressed(model: mujoco.MjModel, look: Look) -> tuple[mujoco.MjModel, list[int]]:
-    """A copy of a scene with looks that wears a look, and the textures that differ in it."""
+def dressed(model: mujoco.MjModel, look: Appearance) -> tuple[mujoco.MjModel, list[int]]:
+    """A copy of a scene in an appearance, and the textures that differ in it."""
     worn = copy.copy(model)
     light = worn.light(LIGHT)
     warmth = look.light_warmth
@@ -39,7 +39,7 @@ def dressed(model: mujoco.MjModel, look: Look) -> tuple[mujoco.MjModel, list[int
     return worn, textures
 
 
-def _dye(model: mujoco.MjModel, name: str, look: TissueLook) -> int:
+def _dye(model: mujoco.MjModel, name: str, look: TissueAppearance) -> int:
     """Change a texture in its place; returns its number."""
     texture = model.texture(name)
     number, start = int(texture.id), int(model.tex_adr[texture.id])
@@ -61,7 +61,7 @@ def turn(vector_deg: tuple[float, ...]) -> Array:
     return np.eye(3) if angle == 0.0 else axis_angle_to_matrix(vector / angle, angle)
 
 
-def _move(model: mujoco.MjModel, look: Look) -> None:
+def _move(model: mujoco.MjModel, look: Appearance) -> None:
     """Move cameras and light as one piece, then tilt the light.
 
     They hang on bodies of one rigid instrument, so any posture gives the same places in it.
@@ -104,7 +104,7 @@ class Finish:
         ImportError: The look is blurred, and OpenCV is not installed.
     """
 
-    def __init__(self, look: Look, width: int, height: int) -> None:
+    def __init__(self, look: Appearance, width: int, height: int) -> None:
         self._blur = look.blur_px * height / _STATED_HEIGHT
         if self._blur > 0.0:
             import cv2  # only a blur needs it: the rest of the package runs without OpenCV

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from surg_sim.appearance.drawing import add_seen, look
 from surg_sim.arrays import Array
-from surg_sim.looks.drawing import add_seen, look
 from surg_sim.physics.patient_site import Site
 from surg_sim.physics.spec_parts import quaternion
 

@@ -11,7 +11,7 @@ from surg_ros.params import ParamError, flag, read, real, text, whole
 
 
 @dataclass(frozen=True)
-class EyesSettings:
+class StereoSettings:
     """Parameters of the node ``/eyes``."""
 
     cell: str = text("", empty=True)  # for marks: the cell's folder
@@ -36,10 +36,10 @@ class EyesSettings:
             raise ParamError("cell", "", "the folder of the cell, where ~marks is true")
 
 
-def parse(given: Mapping[str, Any]) -> EyesSettings:
+def parse(given: Mapping[str, Any]) -> StereoSettings:
     """The parameters of the node.
 
     Raises:
         ParamError: One is unknown or out of range.
     """
-    return read(EyesSettings, given)
+    return read(StereoSettings, given)

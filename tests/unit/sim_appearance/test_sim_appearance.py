@@ -14,26 +14,26 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from surg_core import ConfigError
+from surg_sim.appearance import appearance_sheet
+from surg_sim.appearance.domain_randomization import TISSUES, Appearance, DomainRandomization
+from surg_sim.appearance.endoscope_renderer import EndoscopeRenderer
+from surg_sim.appearance.opengl import NoOpenGL
+from surg_sim.appearance.scene_appearance import Finish
 from surg_sim.arrays import Picture
-from surg_sim.looks import look_sheet
-from surg_sim.looks.dressed_scene import Finish
-from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
-from surg_sim.looks.look_randomisation import TISSUES, Look, LookRandomisation
-from surg_sim.looks.opengl import NoOpenGL
 
 pytest.importorskip("gymnasium", reason="gymnasium is not installed: ./surg dev setup")
 
 from surg_sim.envs.surg_env import SurgEnv
 
-WIDE = LookRandomisation()
-PLAIN = LookRandomisation.none().draw(0)
+WIDE = DomainRandomization()
+PLAIN = DomainRandomization.none().draw(0)
 SIZE = (320, 240)
 
 
 @pytest.fixture(scope="module")
 def env() -> Iterator[SurgEnv]:
     """Bowel with both eyes and the wide looks."""
-    made = SurgEnv(images=("left", "right"), width=SIZE[0], height=SIZE[1], looks=WIDE)
+    made = SurgEnv(images=("left", "right"), width=SIZE[0], height=SIZE[1], randomization=WIDE)
     try:
         made.reset(seed=0)
     except NoOpenGL as error:
@@ -48,8 +48,8 @@ def eyes(env: SurgEnv) -> EndoscopeRenderer:
     return env._renderers[("left", "right")]  # type: ignore[no-any-return]
 
 
-def seen(eyes: EndoscopeRenderer, env: SurgEnv, look: Look | None) -> Picture:
-    eyes.wear(look)
+def seen(eyes: EndoscopeRenderer, env: SurgEnv, look: Appearance | None) -> Picture:
+    eyes.set_appearance(look)
     return eyes.render(env._qpos)["left"]
 
 
@@ -60,8 +60,8 @@ def content(observation: dict[str, Any]) -> str:
     ).hexdigest()
 
 
-def numbers(look: Look) -> dict[str, list[float]]:
-    """What each range of ``LookRandomisation`` has drawn."""
+def numbers(look: Appearance) -> dict[str, list[float]]:
+    """What each range of ``DomainRandomization`` has drawn."""
     return {
         "light_strength": [look.light_strength],
         "light_warmth": [look.light_warmth],
@@ -83,7 +83,7 @@ def numbers(look: Look) -> dict[str, list[float]]:
 
 def test_two_hundred_seeds_fill_their_ranges_and_stay_inside() -> None:
     drawn = [numbers(WIDE.draw(seed)) for seed in range(200)]
-    assert set(drawn[0]) == {f.name for f in fields(LookRandomisation)}
+    assert set(drawn[0]) == {f.name for f in fields(DomainRandomization)}
     for name in drawn[0]:
         low, high = getattr(WIDE, name)
         values = np.concatenate([each[name] for each in drawn])
@@ -109,9 +109,9 @@ def test_a_range_without_width_leaves_the_other_draws_alone() -> None:
 def test_a_file_of_ranges(tmp_path: Path) -> None:
     file = tmp_path / "looks.yaml"
     file.write_text("format: surg_looks/1\nlight_strength: [0.5, 2.0]\ncamera_turn_deg: [0, 5]\n")
-    found = LookRandomisation.read(file)
+    found = DomainRandomization.read(file)
     expected = replace(
-        LookRandomisation.none(), light_strength=(0.5, 2.0), camera_turn_deg=(0.0, 5.0)
+        DomainRandomization.none(), light_strength=(0.5, 2.0), camera_turn_deg=(0.0, 5.0)
     )
     assert found == expected
     for line, reason in (
@@ -123,12 +123,12 @@ def test_a_file_of_ranges(tmp_path: Path) -> None:
     ):
         file.write_text(f"format: surg_looks/1\n{line}\n")
         with pytest.raises(ConfigError, match=reason) as error:
-            LookRandomisation.read(file)
+            DomainRandomization.read(file)
         assert f"{file}:2: {line.split(':')[0]}" in str(error.value)
     with pytest.raises(ValueError, match="blur_px: 0 to 99; allowed"):
         replace(WIDE, blur_px=(0.0, 99.0))
-    with pytest.raises(ValueError, match="looks need pictures"):
-        SurgEnv("pick_and_place", looks=WIDE)
+    with pytest.raises(ValueError, match="randomization needs pictures"):
+        SurgEnv("pick_and_place", randomization=WIDE)
 
 
 # --- what is seen -------------------------------------------------------------------------------
@@ -150,7 +150,7 @@ def test_off_is_bit_for_bit_the_scene_as_built(env: SurgEnv, eyes: EndoscopeRend
     never = EndoscopeRenderer(env.session.world, ("left", "right"), *SIZE)
     plain = never.render(env._qpos)
     for look in (None, PLAIN):
-        eyes.wear(look)
+        eyes.set_appearance(look)
         for view, picture in eyes.render(env._qpos).items():
             np.testing.assert_array_equal(picture, plain[view])
     never.close()
@@ -225,7 +225,7 @@ def test_tissues_differ_in_colour_pattern_and_gloss(env: SurgEnv, eyes: Endoscop
 def test_the_picture_moves_as_the_camera_says(env: SurgEnv, eyes: EndoscopeRenderer) -> None:
     """A ball at known places appears where a pinhole that moved by the look would see it."""
     env.reset(seed=0)
-    eyes.wear(None)
+    eyes.set_appearance(None)
     model, world = env.session.world.model, env.session.world
     eyes.render(env._qpos)
     X_WV, ball = eyes._renderer.camera_pose(), model.site("PSM1_wall").id
@@ -235,7 +235,7 @@ def test_the_picture_moves_as_the_camera_says(env: SurgEnv, eyes: EndoscopeRende
     model.site_rgba[ball] = [0, 1, 0, 1]
     eyes._renderer._option.sitegroup[4] = 1
     wall = model.site_bodyid[ball]
-    strong = replace(LookRandomisation.none(), camera_shift_mm=(2, 6), camera_turn_deg=(3, 8))
+    strong = replace(DomainRandomization.none(), camera_shift_mm=(2, 6), camera_turn_deg=(3, 8))
     K, worst = eyes.intrinsics, 0.0
     for seed in range(6):
         look = strong.draw(seed)
@@ -244,7 +244,7 @@ def test_the_picture_moves_as_the_camera_says(env: SurgEnv, eyes: EndoscopeRende
         model.site_pos[ball] = world.data.xmat[wall].reshape(3, 3).T @ (
             centre - world.data.xpos[wall]
         )
-        eyes.wear(look)
+        eyes.set_appearance(look)
         R = Rotation.from_rotvec(look.camera_turn_deg, degrees=True).as_matrix()
         in_left = R.T @ (place - 1e-3 * np.array(look.camera_shift_mm))
         for view, picture in eyes.render(env._qpos).items():
@@ -301,7 +301,7 @@ def test_a_recording_states_the_look_and_has_the_same_states(tmp_path: Path) -> 
     for looks in (None, WIDE):
         session = recorded.RecordedSession(
             cell_files.find("sim_ur5e"), "pick_and_place", seed=3, cameras=("left",), size=(64, 48),
-            looks=looks,
+            randomization=looks,
         )  # fmt: skip
         session.task.time_limit = 0.4
         session.reset(3)
@@ -319,7 +319,7 @@ def test_a_recording_states_the_look_and_has_the_same_states(tmp_path: Path) -> 
 
 def test_the_ranges_of_a_plan_are_those_of_its_recordings() -> None:
     """A plan is a key of sessions, so ranges are values that can be hashed and compared."""
-    assert hash(WIDE) == hash(LookRandomisation(**asdict(WIDE)))
+    assert hash(WIDE) == hash(DomainRandomization(**asdict(WIDE)))
 
 
 def test_a_sheet_of_broken_ranges_is_refused(
@@ -327,6 +327,6 @@ def test_a_sheet_of_broken_ranges_is_refused(
 ) -> None:
     file = tmp_path / "looks.yaml"
     file.write_text("format: surg_looks/1\nedge: [0.0, 7.0]\n")
-    assert look_sheet.main([str(tmp_path / "out.png"), "--looks", str(file)]) == 2
+    assert appearance_sheet.main([str(tmp_path / "out.png"), "--ranges", str(file)]) == 2
     assert f"{file}:2: edge: holds 7" in capsys.readouterr().err
     assert not (tmp_path / "out.png").exists()

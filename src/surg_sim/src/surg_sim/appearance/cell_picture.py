@@ -1,4 +1,4 @@
-"""Pictures of a cell at home: ``python -m surg_sim.looks.cell_picture OUT.png --view stereo``."""
+"""A cell at home: ``python -m surg_sim.appearance.cell_picture OUT.png --view stereo``."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from PIL import Image
 
 import surg_core
 from surg_sim import tasks
+from surg_sim.appearance.drawing import OUTSIDE
+from surg_sim.appearance.opengl import NoOpenGL
+from surg_sim.appearance.render import Renderer, show_only
 from surg_sim.arrays import Array, Picture
-from surg_sim.looks.drawing import OUTSIDE
-from surg_sim.looks.opengl import NoOpenGL
-from surg_sim.looks.render import Renderer, show_only
 from surg_sim.physics import endoscope_rig, scene
 from surg_sim.physics.world import World
 
@@ -30,7 +30,7 @@ def series(
 ) -> list[Picture]:
     """Pictures of states of the world, supersampled twice for smooth edges.
 
-    The world is built with ``looks=True``; a state is MuJoCo's joint positions (nq,); width and
+    The world is built with ``visuals=True``; a state is MuJoCo's joint positions (nq,); width and
     height in px.
     """
     inside = camera != scene.OVERVIEW
@@ -69,7 +69,7 @@ VIEWS = {
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code (2: broken configuration, 1: no OpenGL)."""
     parser = argparse.ArgumentParser(
-        prog="python -m surg_sim.looks.cell_picture", description=__doc__
+        prog="python -m surg_sim.appearance.cell_picture", description=__doc__
     )
     parser.add_argument("out", type=Path, help="PNG file to write")
     parser.add_argument("--cell", default="cells/sim_ur5e", help="folder of the cell")
@@ -81,15 +81,15 @@ def main(arguments: list[str] | None = None) -> int:
         world = World(
             surg_core.load_cell(options.cell),
             options.seed,
-            looks=True,
+            visuals=True,
             task=tasks.load(options.task) if options.task else None,
         )
         pictures = [take(world, *view) for view in VIEWS[options.view]]
     except (surg_core.ConfigError, ValueError) as error:
-        print(f"surg_sim.looks.cell_picture: {error}", file=sys.stderr)
+        print(f"surg_sim.appearance.cell_picture: {error}", file=sys.stderr)
         return 2
     except NoOpenGL as error:
-        print(f"surg_sim.looks.cell_picture: {error}", file=sys.stderr)
+        print(f"surg_sim.appearance.cell_picture: {error}", file=sys.stderr)
         return 1
     Image.fromarray(np.concatenate(pictures, axis=1)).save(options.out, "PNG", optimize=True)
     print(options.out)
