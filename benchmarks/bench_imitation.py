@@ -144,7 +144,9 @@ def scene(condition: Condition, views: Sequence[str]) -> Any:
 
     bgr_definition.TARGETS = condition.targets or TARGETS
     width, height = SIZE
-    env = SurgEnv(TASK, CELL, condition.setting, views, width, height, looks=condition.looks)
+    env = SurgEnv(
+        TASK, CELL, condition.setting, views, width, height, randomization=condition.randomization
+    )
     model = env.session.world.model
     for view in views:
         camera = model.camera(FRAMES[view])

@@ -34,10 +34,10 @@ from surg_cli.host.terminal import Progress, say, table
 from surg_core.contract import GRID_RATE
 from surg_recording.job_pool import Ends, Workplace
 from surg_recording.job_pool import run as run_jobs
+from surg_sim.appearance.domain_randomization import DomainRandomization
+from surg_sim.appearance.endoscope_renderer import EndoscopeRenderer
 from surg_sim.envs import demonstrations
 from surg_sim.envs.surg_env import SurgEnv
-from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
-from surg_sim.looks.look_randomisation import LookRandomisation
 from surg_sim.physics import cell_files
 from surg_sim.tasks import episode_seeds
 
@@ -94,7 +94,7 @@ def looks(pictures: int = 40) -> dict[str, float]:
     env = SurgEnv(TASK, CELL, images=("left",), width=width, height=height)
     world = env.session.world
     eye = EndoscopeRenderer(world, ("left",), width, height)
-    drawn = LookRandomisation().draw(3)
+    drawn = DomainRandomization().draw(3)
 
     def cost(work: Callable[[], Any], count: int) -> float:
         work()
@@ -104,7 +104,7 @@ def looks(pictures: int = 40) -> dict[str, float]:
         return 1e3 * (time.process_time() - begun) / count
 
     plain = cost(lambda: eye.render(world.data.qpos), pictures)
-    put_on = cost(lambda: eye.wear(drawn), pictures // 4)
+    put_on = cost(lambda: eye.set_appearance(drawn), pictures // 4)
     worn = cost(lambda: eye.render(world.data.qpos), pictures)
     eye.close()
     return {"put_on": put_on, "picture": worn, "picture_plain": plain}

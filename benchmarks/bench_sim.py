@@ -81,7 +81,7 @@ def parts(ticks: int = 1500) -> dict[str, float]:
 
 def stereo(pairs: int) -> dict[str, float]:
     """Pairs of 640x480 of a scene that moves."""
-    world = Session(cell_files.find(CELL), TASK, looks=True).world
+    world = Session(cell_files.find(CELL), TASK, visuals=True).world
     speed = stereo_speed(world, pairs=pairs)
     return {
         "stereo_640x480_pairs_per_s": speed.pairs_per_s,

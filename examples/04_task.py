@@ -35,7 +35,7 @@ class Touch(Task):
     time_limit = 5.0
     home_cell = "sim_ur5e"
 
-    def add(self, spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
+    def add(self, spec: mujoco.MjSpec, site: Site, visuals: bool) -> None:
         """Add a ball that each episode can place anywhere: a mocap body."""
         self._site = site
         ball = spec.worldbody.add_body(name="ball", mocap=True, pos=site.work.tolist())

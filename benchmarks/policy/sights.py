@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from surg_sim.looks.look_randomisation import LookRandomisation
+from surg_sim.appearance.domain_randomization import DomainRandomization
 
 Picture = np.ndarray
 """(height, width, 3), uint8."""
@@ -162,13 +162,13 @@ class Condition:
     """First and last node that the assistant may point at; None: those of training."""
     delays: tuple[float, float] | None = None
     """Means of answer and picture [ms]; None: lock-step, nothing takes time."""
-    looks: LookRandomisation | None = None
+    randomization: DomainRandomization | None = None
     """Ranges of the light, tissue, lens and pose of each episode; None: as built."""
     blind: bool = field(default=False)
     """What is shown says nothing about this episode."""
 
 
-_STILL = replace(LookRandomisation(), camera_shift_mm=(0.0, 0.0), camera_turn_deg=(0.0, 0.0))
+_STILL = replace(DomainRandomization(), camera_shift_mm=(0.0, 0.0), camera_turn_deg=(0.0, 0.0))
 
 CONDITIONS = (
     Condition("as trained"),
@@ -188,8 +188,10 @@ CONDITIONS = (
     Condition("camera moved 10 mm", aside=0.010),
     Condition("camera moved 20 mm", aside=0.020),
     Condition("camera turned 10°", turn=10.0),
-    Condition("drawn looks, camera where it was", looks=_STILL),
-    Condition("drawn looks, camera up to 4 mm and 2° off", looks=LookRandomisation()),
+    Condition("drawn appearance, camera where it was", randomization=_STILL),
+    Condition(
+        "drawn appearance, camera up to 4 mm and 2° off", randomization=DomainRandomization()
+    ),
     Condition("nodes 14 to 16", targets=(14, 16)),
     Condition("nodes 23 to 25", targets=(23, 25)),
     Condition("setting ex_vivo", setting="ex_vivo"),

@@ -18,7 +18,7 @@ from surg_cli.commands import run
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
 from surg_core.contract import ARM_STATE
-from surg_sim.looks.opengl import NoOpenGL, choose_backend
+from surg_sim.appearance.opengl import NoOpenGL, choose_backend
 
 pytestmark = pytest.mark.untimed
 

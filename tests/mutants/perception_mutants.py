@@ -9,7 +9,7 @@ from __future__ import annotations
 from mutants.mutants import Mutant, one
 
 BOARD, LENS, CHAIN = ("test_board",), ("test_lens_model",), ("test_calibration_chain",)
-DEPTH, MARKS, EYES = ("test_stereo_depth",), ("test_marks",), ("test_eyes_parts",)
+DEPTH, MARKS, EYES = ("test_stereo_depth",), ("test_marks",), ("test_stereo_parts",)
 LIMITS, VIEWS, EYE = ("test_evidence_limits",), ("test_views",), ("test_one_eye",)
 MUTANTS: tuple[Mutant, ...] = (
     # -- pictures

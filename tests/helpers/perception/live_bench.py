@@ -21,8 +21,8 @@ import surg_core
 from helpers.graph.crtk_client import TICK, Arm, shifted
 from helpers.graph.lockstep_arms import ArmTime, Ticks
 from surg_msgs.msg import CalibrationStatus, GroundTruth
+from surg_sim.appearance.board_bench import BenchView, BoardBench
 from surg_sim.arrays import Array, Picture
-from surg_sim.looks.board_bench import BenchView, BoardBench
 
 ARMS = ("PSM1", "ECM")
 LOOKS, BETWEEN = 6, 50

@@ -21,9 +21,9 @@ class BeadTask(Task):
     time_limit = 3600.0
     commanded = ()
 
-    def add(self, spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
+    def add(self, spec: mujoco.MjSpec, site: Site, visuals: bool) -> None:
         """The bead at the work point; its slides run along the world's axes."""
-        del looks
+        del visuals
         spec.add_material(name=BEAD, emission=1.0, rgba=[0, 1, 0, 1])
         body = spec.worldbody.add_body(name=BEAD, pos=site.work.tolist(), gravcomp=1.0)
         for axis, letter in zip(np.eye(3), "xyz", strict=True):

@@ -19,7 +19,7 @@ from surg_perception.calibration.handeye import HandEyeFit, pair_pose, solve_han
 from surg_perception.calibration.result_files import Origin, read_stereo, save_handeye, save_stereo
 from surg_perception.calibration.small_motions import moved, transform
 from surg_perception.calibration.stereo import StereoFit, solve_stereo
-from surg_sim.looks.board_bench import BenchView, BoardBench
+from surg_sim.appearance.board_bench import BenchView, BoardBench
 
 NOISE = 0.05
 """[px] Noise of a corner: what rendered boards have."""

@@ -14,9 +14,9 @@ import surg_core
 from surg_cli.host import paths
 from surg_core.lens_file import Lens
 from surg_sim import tasks
-from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
-from surg_sim.looks.opengl import NoOpenGL
-from surg_sim.looks.render import Renderer
+from surg_sim.appearance.endoscope_renderer import EndoscopeRenderer
+from surg_sim.appearance.opengl import NoOpenGL
+from surg_sim.appearance.render import Renderer
 from surg_sim.physics.world import World
 
 Picture = NDArray[np.uint8]
@@ -58,7 +58,7 @@ class DepthScene:
 
     def __init__(self, size: tuple[int, int] = (640, 480), seed: int = 0) -> None:
         cell = surg_core.load_cell(paths.CELLS / "sim_two_arms")
-        self.world = World(cell, seed, looks=True, task=tasks.load("bgr"))
+        self.world = World(cell, seed, visuals=True, task=tasks.load("bgr"))
         try:
             self.eyes = EndoscopeRenderer(self.world, ("left", "right"), *size)
         except NoOpenGL as error:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import surg_core
 from helpers.sim.assistant_pose import forward, joints_for
 from surg_cli.host import paths
-from surg_sim.looks.tissue_skin import add_skin
+from surg_sim.appearance.tissue_skin import add_skin
 from surg_sim.physics import scene
 from surg_sim.physics.assistant_arm import Assistant, AssistantCommand
 from surg_sim.physics.assistant_scene import add_assistant
@@ -34,19 +34,19 @@ def arm_of(cell: str) -> surg_core.Arm:
 
 
 @functools.cache
-def compiled(cell: str, parameters: TissueParameters, looks: bool) -> mujoco.MjModel:
+def compiled(cell: str, parameters: TissueParameters, visuals: bool) -> mujoco.MjModel:
     """The scene of this helper, compiled once per process; ``Phantom`` works on copies."""
     arm = arm_of(cell)
 
     def add(spec: mujoco.MjSpec, site: scene.Site) -> None:
         add_bowel(spec, site, parameters)
-        if looks:
+        if visuals:
             add_skin(spec, site, parameters)
-        add_assistant(spec, site, arm.instrument_urdf, looks)
+        add_assistant(spec, site, arm.instrument_urdf, visuals)
         add_grasp(spec, "PSM1")
         add_grasp(spec, "assistant")
 
-    return scene.build([arm], looks=looks, add=add)
+    return scene.build([arm], visuals=visuals, add=add)
 
 
 class Phantom:
@@ -55,19 +55,19 @@ class Phantom:
     Args:
         cell: Name of the cell.
         parameters: Of the tissue.
-        looks: Whether the scene can be drawn.
+        visuals: Whether the scene can be drawn.
     """
 
     def __init__(
         self,
         cell: str = "sim_ur5e",
         parameters: TissueParameters | None = None,
-        looks: bool = False,
+        visuals: bool = False,
     ) -> None:
         import copy
 
         arm, parameters = arm_of(cell), parameters or TissueParameters()
-        self.model = copy.copy(compiled(cell, parameters, looks))
+        self.model = copy.copy(compiled(cell, parameters, visuals))
         self.data = mujoco.MjData(self.model)
         self.site = scene.site_of([arm])
         self.link = ArmLink(self.model, self.data, arm, ActuatorParameters())

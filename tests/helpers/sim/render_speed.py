@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
+from surg_sim.appearance.endoscope_renderer import EndoscopeRenderer
 
 if TYPE_CHECKING:
     from surg_sim.physics.world import World
@@ -32,7 +32,7 @@ def stereo_speed(
 ) -> RenderSpeed:
     """Render pairs of a world in which everything moves a little from pair to pair.
 
-    The world is built with ``looks=True`` from a cell with a stereo endoscope; the skins of its
+    The world is built with ``visuals=True`` from a cell with a stereo endoscope; the skins of its
     task, if it has one, are drawn. Width and height in px.
     """
     renderer = EndoscopeRenderer(world, ("left", "right"), width, height)

@@ -12,8 +12,8 @@ import pytest
 import surg_core
 from helpers.sim.board_views import Array, bench
 from helpers.sim.calibrated_chain import Chain
-from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
-from surg_sim.looks.opengl import NoOpenGL
+from surg_sim.appearance.endoscope_renderer import EndoscopeRenderer
+from surg_sim.appearance.opengl import NoOpenGL
 from surg_sim.physics.endoscope_projection import EndoscopeView
 from surg_sim.physics.patient_settings import PatientSetting
 from surg_sim.physics.world import World
@@ -31,7 +31,7 @@ class UnknownScene:
     """
 
     def __init__(self, cell: surg_core.Cell, setting: PatientSetting, seed: int = 7) -> None:
-        self.cell, self.world = cell, World(cell, looks=True, setting=setting)
+        self.cell, self.world = cell, World(cell, visuals=True, setting=setting)
         try:
             self.renderer = EndoscopeRenderer(self.world, ("left", "right"), *SIZE)
         except NoOpenGL as error:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 import surg_core
 from surg_cli.host import paths
-from surg_sim.looks.drawing import OUTSIDE
-from surg_sim.looks.opengl import NoOpenGL
-from surg_sim.looks.render import Picture, Renderer, show_only
+from surg_sim.appearance.drawing import OUTSIDE
+from surg_sim.appearance.opengl import NoOpenGL
+from surg_sim.appearance.render import Picture, Renderer, show_only
 from surg_sim.physics import endoscope_rig, scene
 from surg_sim.physics.trocar import shaft_in_flange, wall_frame
 from surg_sim.physics.world import World

@@ -31,7 +31,7 @@ from surg_core.camera_file import load_camera
 from surg_perception.calibration.base_steps import chain_error
 from surg_perception.calibration.result_files import read_stereo
 from surg_perception.calibration.small_motions import difference
-from surg_sim.looks.board_bench import BenchView, Pattern, inner_corners, of_setting
+from surg_sim.appearance.board_bench import BenchView, Pattern, inner_corners, of_setting
 
 pytestmark = [pytest.mark.ros, pytest.mark.full]
 

@@ -31,7 +31,13 @@ def calibrate(cell: Path, folder: Path) -> None:
     done = surg("calibrate", cell, "board", "--to", folder / "board.png")
     assert done.returncode == 0, done.stderr
     for step, views in STEPS:
-        bench = [sys.executable, "-m", "surg_sim.looks.board_bench", cell, folder / "board.png"]
+        bench = [
+            sys.executable,
+            "-m",
+            "surg_sim.appearance.board_bench",
+            cell,
+            folder / "board.png",
+        ]
         words = [*map(str, bench), str(folder / views), "--step", views, "--setting", UNKNOWN]
         drawn = subprocess.run(words, env=environment(), capture_output=True, text=True)
         assert drawn.returncode == 0, drawn.stderr

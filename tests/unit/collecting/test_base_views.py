@@ -24,7 +24,7 @@ from surg_perception.calibration.small_motions import difference
 from surg_perception.calibration.views import read_views
 from surg_perception.collecting import base_views
 from surg_perception.collecting.base_views import WANTED, BaseViews, Moment
-from surg_sim.looks.board_bench import BenchView
+from surg_sim.appearance.board_bench import BenchView
 
 
 class Person:

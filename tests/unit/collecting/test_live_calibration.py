@@ -20,11 +20,17 @@ from surg_perception.calibration.intrinsics import SeenCorners
 from surg_perception.calibration.result_files import Origin
 from surg_perception.calibration.small_motions import difference, turn
 from surg_perception.calibration.views import read_views
-from surg_perception.collecting import board_look, collector
-from surg_perception.collecting.board_look import Look, edge_blur, is_new, is_sharp, is_still
+from surg_perception.collecting import board_detection, collector
+from surg_perception.collecting.board_detection import (
+    BoardDetection,
+    edge_blur,
+    is_new,
+    is_sharp,
+    is_still,
+)
 from surg_perception.collecting.collector import Collector, Step
 from surg_perception.collecting.live_calibration import LiveCalibration, State
-from surg_sim.looks.board_bench import BenchView, BoardBench
+from surg_sim.appearance.board_bench import BenchView, BoardBench
 
 SIZE = (640, 480)
 PERIOD = 0.05
@@ -32,19 +38,19 @@ PERIOD = 0.05
 
 def look(
     of: BoardBench, view: BenchView, stamp: float = 0.0, blur: float = 0.03, shift: float = 0.0
-) -> Look:
+) -> BoardDetection:
     """What a perfect detector says of a view; ``shift`` [px] of all corners to the right."""
     seen = []
     for pixels in of.pixels(view, BOARD.corners):
         inside = ((pixels > 3) & (pixels < np.array(SIZE) - 4)).all(axis=1)
         seen.append(Corners(np.flatnonzero(inside), pixels[inside] + [shift, 0.0]))
-    X = board_look.centred(view.X_VBoard, BOARD)
-    found = Look(stamp, (seen[0], seen[1]), blur, BOARD.side_in(seen[0]), X)
+    X = board_detection.centred(view.X_VBoard, BOARD)
+    found = BoardDetection(stamp, (seen[0], seen[1]), blur, BOARD.side_in(seen[0]), X)
     q = view.joints["ECM"]
     return replace(found, q=q, X_BF=np.array(of.cell.arms["ECM"].chain.forward(q)))
 
 
-def rest(of: BoardBench, view: BenchView, start: float, count: int = 8) -> list[Look]:
+def rest(of: BoardBench, view: BenchView, start: float, count: int = 8) -> list[BoardDetection]:
     """A view that is held."""
     return [look(of, view, start + PERIOD * k) for k in range(count)]
 
@@ -56,7 +62,7 @@ def test_a_held_board_is_still_and_a_moving_one_is_not() -> None:
     assert is_still(held) and not is_still(held[:5]) and not is_still([])
     side = held[0].side
     for speed, still in ((0.5, True), (2.0, False)):  # of the largest motion in the time
-        step = speed * board_look.MOST_MOTION * side * PERIOD / board_look.STILL_S
+        step = speed * board_detection.MOST_MOTION * side * PERIOD / board_detection.STILL_S
         looks = [look(of, view, PERIOD * k, shift=step * k) for k in range(8)]
         assert is_still(looks) is still, speed
     jolted = [*held[:-1], look(of, view, held[-1].stamp, shift=0.1 * side)]
@@ -80,7 +86,7 @@ def test_the_blur_of_an_edge_is_measured_and_limits_a_view() -> None:
     assert found == pytest.approx([1.0, 1.5, 2.0, 3.0], abs=0.3)
     view = next(bench(0, pixels=8).held_board(1))
     of = bench(0, pixels=8)
-    limit = board_look.MOST_BLUR
+    limit = board_detection.MOST_BLUR
     assert is_sharp(look(of, view, blur=0.99 * limit))
     assert not is_sharp(look(of, view, blur=1.01 * limit))
 
@@ -92,17 +98,17 @@ def test_new_is_another_place_of_the_board_or_another_posture() -> None:
     assert is_new(first, []) and not is_new(first, [first])
     for share, new in ((0.9, False), (1.1, True)):
         aside, away, leaned = (view.X_VBoard.copy() for _ in range(3))
-        aside[0, 3] += share * board_look.NEW_SHIFT * first.distance
-        away[:3, 3] += (np.exp(share * board_look.NEW_DISTANCE) - 1) * first.X_VBoard[:3, 3]
+        aside[0, 3] += share * board_detection.NEW_SHIFT * first.distance
+        away[:3, 3] += (np.exp(share * board_detection.NEW_DISTANCE) - 1) * first.X_VBoard[:3, 3]
         middle = BOARD.corners.mean(axis=0)
         p = leaned[:3, :3] @ middle + leaned[:3, 3]
-        leaned[:3, :3] = turn(np.array([share * board_look.NEW_TURN, 0, 0])) @ leaned[:3, :3]
+        leaned[:3, :3] = turn(np.array([share * board_detection.NEW_TURN, 0, 0])) @ leaned[:3, :3]
         leaned[:3, 3] = p - leaned[:3, :3] @ middle
         for X in (aside, away, leaned):
             assert is_new(look(of, replace(view, X_VBoard=X)), [first]) is new
         assert first.X_BF is not None
         X_BF = first.X_BF.copy()
-        X_BF[:3, :3] = turn(np.array([0, share * board_look.NEW_POSTURE, 0])) @ X_BF[:3, :3]
+        X_BF[:3, :3] = turn(np.array([0, share * board_detection.NEW_POSTURE, 0])) @ X_BF[:3, :3]
         assert is_new(replace(first, X_BF=X_BF), [first], by_posture=True) is new
 
 

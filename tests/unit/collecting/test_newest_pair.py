@@ -9,7 +9,7 @@ import rospy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from surg_perception.eyes.newest_pair_node import NewestPair
+from surg_perception.stereo.newest_pair_node import NewestPair
 
 
 def picture(at: int) -> Image:

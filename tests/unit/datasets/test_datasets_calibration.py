@@ -50,8 +50,8 @@ def example() -> Any:
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, np.ndarray]]:
     """An episode of 3.2 s, and where the true tip is in both pictures at each stamp [px]."""
+    from surg_sim.appearance.opengl import NoOpenGL
     from surg_sim.envs.recorded_episode import RecordedSession
-    from surg_sim.looks.opengl import NoOpenGL
     from surg_sim.physics import endoscope_rig
     from surg_sim.physics.endoscope_projection import EndoscopeView
     from surg_sim.tasks.endoscope_guidance.endoscope_guidance_task import EndoscopeGuidance

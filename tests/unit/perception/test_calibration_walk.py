@@ -18,7 +18,7 @@ from surg_cli.host import paths
 from surg_core.camera_file import load_camera
 from surg_perception.calibration.base_steps import chain_error
 from surg_perception.calibration.small_motions import difference
-from surg_sim.looks import board_bench
+from surg_sim.appearance import board_bench
 from surg_sim.physics.endoscope_rig import camera_poses
 from surg_sim.physics.patient_settings import find_setting
 from surg_sim.physics.pose_error import with_base_error
@@ -58,7 +58,7 @@ def test_every_line_of_the_page_is_a_command_that_exists() -> None:
         if words[0] == "./surg":
             command_table.parse(*command_table.find(words[1:]))
         elif words[0] == "python3":
-            assert words[1:3] == ["-m", "surg_sim.looks.board_bench"], words
+            assert words[1:3] == ["-m", "surg_sim.appearance.board_bench"], words
         else:
             assert words == ["cp", "-r", "cells/sim_two_arms", "cells/my_cell"]
 

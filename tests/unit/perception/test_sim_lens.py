@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surg_sim.looks.lens import EndoscopeLens, LensRemap, TrueEye
+from surg_sim.appearance.lens import EndoscopeLens, LensRemap, TrueEye
 from surg_sim.physics.patient_settings import SETTINGS, find_setting
 
 BARREL = find_setting("phantom+lens").lens

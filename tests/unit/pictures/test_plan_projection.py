@@ -52,7 +52,7 @@ def test_what_the_eye_cannot_see_has_no_pixel() -> None:
 def test_a_plan_lies_where_the_simulators_camera_sees_the_tip() -> None:
     """MuJoCo's bodies and camera: it looks along -z, with y up."""
     cell = surg_core.load_cell(paths.CELLS / "sim_two_arms")
-    world = World(cell, 0, looks=True)
+    world = World(cell, 0, visuals=True)
     rng, (width, height) = np.random.default_rng(3), (640, 480)
     held, arm = held_endoscope(cell), cell.arms["PSM1"]
     assert held is not None

@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from surg_sim.looks import episode_animation
+from surg_sim.appearance import episode_animation
 
 
 def test_frames_come_back_in_order_and_the_last_one_stays_longest(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from helpers.results.tissue_results import note
 from helpers.sim.assistant_pose import forward
 from helpers.sim.phantom import Phantom, arm_of
 from surg_core.transforms import virtual_joints
-from surg_sim.looks.patient import wall_height
+from surg_sim.appearance.patient import wall_height
 from surg_sim.physics import scene
 from surg_sim.physics.assistant_arm import (
     ACCELERATION,

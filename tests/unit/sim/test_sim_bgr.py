@@ -213,7 +213,7 @@ def test_another_seed_is_another_episode(session: Session) -> None:
 
 def test_every_cannula_turns_with_its_shaft() -> None:
     """What a picture shows: no shaft passes beside the cannula in which it is."""
-    session = Session(cell_files.find("sim_two_arms"), "bgr", looks=True)
+    session = Session(cell_files.find("sim_two_arms"), "bgr", visuals=True)
     model, data = session.world.model, session.world.data
     data.qpos[:] += np.random.default_rng(4).uniform(-0.05, 0.05, model.nq)
     mujoco.mj_kinematics(model, data)

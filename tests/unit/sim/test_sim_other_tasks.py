@@ -99,7 +99,7 @@ def test_a_tip_on_the_endoscopes_axis_has_no_error() -> None:
 
 def test_a_view_projects_like_the_renderer() -> None:
     """The pinhole of the judge is that of ``render.Intrinsics``: both from the same fovy."""
-    from surg_sim.looks.render import Intrinsics
+    from surg_sim.appearance.render import Intrinsics
 
     session = Session(cell_files.find("sim_two_arms"), "endoscope_guidance")
     view = EndoscopeView(session.world.model, session.world.data)

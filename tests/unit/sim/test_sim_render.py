@@ -7,10 +7,10 @@ import pytest
 
 import surg_core
 from surg_cli.host import paths
-from surg_sim.looks import anatomy, opengl
-from surg_sim.looks.drawing import OUTSIDE
-from surg_sim.looks.opengl import NoOpenGL
-from surg_sim.looks.render import Intrinsics, Renderer
+from surg_sim.appearance import anatomy, opengl
+from surg_sim.appearance.drawing import OUTSIDE
+from surg_sim.appearance.opengl import NoOpenGL
+from surg_sim.appearance.render import Intrinsics, Renderer
 from surg_sim.physics import scene
 from surg_sim.physics.world import World
 
@@ -19,7 +19,7 @@ CELLS = ("sim_ur5e", "sim_panda")
 
 @pytest.fixture(scope="module", params=CELLS)
 def world(request: pytest.FixtureRequest) -> World:
-    return World(surg_core.load_cell(paths.ROOT / "cells" / request.param), looks=True)
+    return World(surg_core.load_cell(paths.ROOT / "cells" / request.param), visuals=True)
 
 
 def renderer_of(world: World, **keys: object) -> Renderer:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from helpers.sim.phantom import Phantom, arm_of
-from surg_sim.looks.tissue_skin import _FINE, _ROUND, BowelSkin, _carried, add_skin
+from surg_sim.appearance.tissue_skin import _FINE, _ROUND, BowelSkin, _carried, add_skin
 from surg_sim.physics import scene
 from surg_sim.physics.assistant_scene import add_assistant
 from surg_sim.physics.tissue import TissueParameters, add_bowel
@@ -27,7 +27,7 @@ def drawn() -> mujoco.MjModel:
         spec.add_material(name="bowel")
         add_bowel(spec, site, P)
         add_skin(spec, site, P)
-        add_assistant(spec, site, arm.instrument_urdf, looks=True)
+        add_assistant(spec, site, arm.instrument_urdf, visuals=True)
         add_grasp(spec, "PSM1")
         add_grasp(spec, "assistant")
 

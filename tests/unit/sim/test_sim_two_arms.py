@@ -22,10 +22,10 @@ from helpers.sim.render_speed import stereo_speed
 from surg_cli.host import paths
 from surg_core import Motion, MotionCommand, StateCommand
 from surg_description.make_cell import home_pose
-from surg_sim.looks import patient
-from surg_sim.looks.drawing import OUTSIDE
-from surg_sim.looks.opengl import NoOpenGL
-from surg_sim.looks.render import Renderer, show_only
+from surg_sim.appearance import patient
+from surg_sim.appearance.drawing import OUTSIDE
+from surg_sim.appearance.opengl import NoOpenGL
+from surg_sim.appearance.render import Renderer, show_only
 from surg_sim.physics import endoscope_rig, scene
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.trocar import wall_frame
@@ -51,7 +51,7 @@ def cell(request: pytest.FixtureRequest) -> surg_core.Cell:
 @pytest.fixture(scope="module")
 def seen(cell: surg_core.Cell) -> World:
     """The cell with looks, at home; nobody moves it."""
-    return World(cell, looks=True)
+    return World(cell, visuals=True)
 
 
 def stereo(model: mujoco.MjModel, **keys: object) -> Renderer:
@@ -380,7 +380,7 @@ def test_cameras_that_do_not_fit_their_baseline_are_refused(
 
 def test_a_stereo_pair_triangulates_a_bead(cell: surg_core.Cell) -> None:
     """2 mm bead at 60 mm: 99 of 100 within 0.5 mm, by the projection matrices of both cameras."""
-    world = World(cell, looks=True, task=BeadTask())
+    world = World(cell, visuals=True, task=BeadTask())
     show_only(world.model, lamps=False)
     renderer = stereo(world.model)
     home = np.array(world.data.qpos)

@@ -302,7 +302,7 @@ def test_the_hash_names_the_run(ur5e: surg_core.Cell) -> None:
     first = run(world, 1.0)
     assert run(world, 1.0) == first, "a reset leaves something behind"
     assert run(World(ur5e), 1.0) == first
-    assert run(World(ur5e, looks=True), 1.0) == first, "pictures change the physics"
+    assert run(World(ur5e, visuals=True), 1.0) == first, "pictures change the physics"
     assert run(World(ur5e), 1.0 + 1e-9) != first
 
 

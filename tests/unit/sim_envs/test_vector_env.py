@@ -9,9 +9,9 @@ import pytest
 
 gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed: ./surg dev setup")
 
+from surg_sim.appearance.domain_randomization import DomainRandomization  # noqa: E402
+from surg_sim.appearance.opengl import NoOpenGL, choose_backend  # noqa: E402
 from surg_sim.envs.surg_env import SurgEnv  # noqa: E402
-from surg_sim.looks.look_randomisation import LookRandomisation  # noqa: E402
-from surg_sim.looks.opengl import NoOpenGL, choose_backend  # noqa: E402
 
 SEEDS = [3, 4]
 STEPS = 6
@@ -20,7 +20,7 @@ KEYWORDS: dict[str, Any] = {
     "images": ("left",),
     "width": 64,
     "height": 48,
-    "looks": LookRandomisation(),
+    "randomization": DomainRandomization(),
 }
 
 
@@ -59,7 +59,7 @@ def test_pictures_and_states_are_those_of_one_process(
         **KEYWORDS,
     )
     seen, info = vector.reset(seed=SEEDS)
-    looks = [KEYWORDS["looks"].draw(seed).light_strength for seed in SEEDS]
+    looks = [KEYWORDS["randomization"].draw(seed).light_strength for seed in SEEDS]
     np.testing.assert_array_equal(info["look"]["light_strength"], looks)
     first = seen["images"]["left"]
     for n in range(STEPS + 1):

@@ -21,7 +21,7 @@ import surg_core
 from helpers.teleop.stage import Stage, stage_of, turn
 from surg_cli.host import paths
 from surg_core.held_endoscope import HeldEndoscope, held_endoscope
-from surg_sim.looks.render import Picture
+from surg_sim.appearance.render import Picture
 from surg_teleop.frames.probe_moves import REST, SIDE, SPEED, STEPS, Step, between
 from surg_teleop.frames.registration_verdict import (
     MATCHED,

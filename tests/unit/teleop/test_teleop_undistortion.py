@@ -9,7 +9,7 @@ import pytest
 
 from surg_core import axis_angle_to_matrix
 from surg_core.arm_view import Array
-from surg_sim.looks.lens import EndoscopeLens
+from surg_sim.appearance.lens import EndoscopeLens
 from surg_teleop.frames.probe_moves import REST, STEPS, Step
 from surg_teleop.frames.registration_verdict import (
     ANGLE,

@@ -69,7 +69,7 @@ def for_report(folders: Iterable[Path], cell: Path, out: Path, name: str = FILM)
     """
     from surg_recording.episode import episode_reader
     from surg_recording.recording_errors import EpisodeError
-    from surg_sim.looks.opengl import NoOpenGL
+    from surg_sim.appearance.opengl import NoOpenGL
 
     for folder in folders:
         try:
@@ -95,7 +95,7 @@ def _room(recorded: Any, loaded: Any, times: list[int], progress: Report) -> Ite
     import numpy as np
 
     from surg_sim import tasks
-    from surg_sim.looks.room_view import RoomView
+    from surg_sim.appearance.room_view import RoomView
 
     run = recorded.manifest.get("run") or {}
     task = str(run.get("task") or "")

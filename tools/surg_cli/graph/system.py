@@ -255,7 +255,7 @@ def pictures(plan: Plan) -> list[Node]:
     """The endoscope's node, and the one that makes depth and marks of its pictures."""
     found = [endoscope(plan)] if plan.cameras else []
     if plan.eyes is not None:
-        made = ("surg_perception", "eyes_node.py", dict(plan.eyes))
+        made = ("surg_perception", "stereo_depth_node.py", dict(plan.eyes))
         found.append(Node(f"/{EYES}", *made, essential=False))
     return found
 

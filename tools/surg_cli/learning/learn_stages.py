@@ -66,8 +66,8 @@ def plan_of(request: Request, cell: Path, out: Path, more_views: Sequence[str]) 
         request.setting,
         tuple(dict.fromkeys((*request.recipe.cameras, *more_views))),
         shake=PUSH_M,
-        clumsiness=request.recipe.clumsiness,
-        looks=request.look_ranges,
+        expert_noise=request.recipe.expert_noise,
+        randomization=request.look_ranges,
     )
 
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 from surg_cli.host import paths
 
 if TYPE_CHECKING:
-    from surg_sim.looks.look_randomisation import LookRandomisation
+    from surg_sim.appearance.domain_randomization import DomainRandomization
 
 LEARNERS = paths.ROOT / "examples" / "bgr"
-CLUMSINESS = 5.0
+EXPERT_NOISE = 5.0
 """Factor of the hand's error in every fourth demonstration of a policy that looks: some miss."""
 PUSH_M = 0.003
 """Spread of the pushes in every second demonstration [m], see surg_sim.tasks.perturbed_sender."""
@@ -30,7 +30,7 @@ class Recipe:
     packages: tuple[str, ...] = ()  # sets of the package list that the trainer needs
     devices: str = ""  # program that says where a `--device` trains; empty: on the processor only
     episodes: int = 80  # default number of demonstrations
-    clumsiness: float = 1.0  # of every fourth demonstration, see surg_sim.envs.demonstrations
+    expert_noise: float = 1.0  # of every fourth demonstration, see surg_sim.envs.demonstrations
     target: float = 0.85  # share of the roll-outs that must succeed
     """The paper's 17 of 20."""
 
@@ -73,7 +73,7 @@ CAMERA_RECIPES = {
         devices="train_bgr_eye.py",
         cameras=("left",),
         episodes=60,
-        clumsiness=CLUMSINESS,
+        expert_noise=EXPERT_NOISE,
         target=0.0,  # the success rate is reported, whatever it is
     )
 }
@@ -104,21 +104,21 @@ class Request:
         return (CAMERA_RECIPES if self.cameras else STATE_RECIPES)[self.task]
 
     @property
-    def look_ranges(self) -> LookRandomisation | None:
+    def look_ranges(self) -> DomainRandomization | None:
         """From which each demonstration draws how its pictures look; None: as built.
 
         Raises:
             ConfigError: The file is missing or invalid.
             ValueError: The camera would move; labels are computed for the stated one.
         """
-        from surg_sim.looks.look_randomisation import LookRandomisation
+        from surg_sim.appearance.domain_randomization import DomainRandomization
 
         if not self.looks:
             return None
         still = {"camera_shift_mm": (0.0, 0.0), "camera_turn_deg": (0.0, 0.0)}
         if self.looks == BUILT_IN:
-            return replace(LookRandomisation(), **still)
-        ranges = LookRandomisation.read(self.looks)
+            return replace(DomainRandomization(), **still)
+        ranges = DomainRandomization.read(self.looks)
         for name in still:
             if getattr(ranges, name) != (0.0, 0.0):
                 raise ValueError(
@@ -131,7 +131,9 @@ class Request:
     def demonstrations(self) -> dict[str, Any]:
         """What the demonstrations depend on."""
         recipe = self.recipe
-        views = {"cameras": recipe.cameras, "clumsiness": recipe.clumsiness} if self.cameras else {}
+        views = (
+            {"cameras": recipe.cameras, "expert_noise": recipe.expert_noise} if self.cameras else {}
+        )
         fixed = {"rollouts": 0, "seed": 0, "shake": PUSH_M}
         asked = {k: v for k, v in asdict(self).items() if k not in ("cameras", "device", "looks")}
         ranges = self.look_ranges

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
+import contextlib
 import getpass
 import os
 import webbrowser
@@ -22,23 +24,22 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Serve the pages until Ctrl-C, then say how many episodes have labels."""
+    from surg_console.labelling.label_pages import LabelPages
+    from surg_console.labelling.label_server import LabelServer
     from surg_recording.episode import labels
-    from surg_recording.labelling.label_pages import LabelPages
-    from surg_recording.labelling.label_server import LabelServer
 
     folders = _chosen(options)
     pages = LabelPages(folders, options.by or getpass.getuser())
-    with LabelServer(pages, 0) as server:
-        say(f"label: {len(folders)} episodes; Ctrl-C ends. Labels are kept in {labels.LABELS}.")
-        say(server.url)
-        can_show = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-        if can_show:
-            webbrowser.open(server.url)
-        try:
-            server.serve_forever()
-        except KeyboardInterrupt:
-            done = sum((folder / labels.LABELS).exists() for folder in folders)
-            say(f"label: {done} of {len(folders)} episodes have labels")
+    server = LabelServer(pages)
+    say(f"label: {len(folders)} episodes; Ctrl-C ends. Labels are kept in {labels.LABELS}.")
+    say(server.url)
+    can_show = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    if can_show:
+        webbrowser.open(server.url)
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(server.serve())
+    done = sum((folder / labels.LABELS).exists() for folder in folders)
+    say(f"label: {done} of {len(folders)} episodes have labels")
     return 0
 
 

@@ -29,7 +29,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     """Write the film; the last line printed is its path."""
     from surg_recording.episode import episode_reader
     from surg_recording.recording_errors import EpisodeError
-    from surg_sim.looks.opengl import NoOpenGL
+    from surg_sim.appearance.opengl import NoOpenGL
 
     folder = options.episode
     if not (folder / episode_reader.MANIFEST).exists() and (folder / "episode").is_dir():

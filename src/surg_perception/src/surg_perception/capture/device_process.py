@@ -73,7 +73,7 @@ class Settings:
         return cls(**values)
 
 
-class Divider:
+class EyeSplitter:
     """From what a source grabs to the eyes, or the reason why there are none."""
 
     def __init__(self, settings: Settings, live: bool, stamps: str) -> None:
@@ -140,7 +140,7 @@ def messages(settings: Settings, wanted: Wanted) -> Iterator[Pictures | DeviceSt
         try:
             source = reopen.open(wanted)
             reopen = SourceUri(uri.kind, source.reopen, uri.options)
-            divider = Divider(settings, source.live, source.stamps)
+            divider = EyeSplitter(settings, source.live, source.stamps)
             for grabbed in source.pictures():
                 message = divider.take(grabbed)
                 code = message.code if isinstance(message, DeviceState) else frame_pipe.OPEN

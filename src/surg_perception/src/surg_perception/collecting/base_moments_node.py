@@ -6,7 +6,7 @@ import surg_core
 from surg_perception.collecting.arm_joints_node import SILENT_S, ArmJoints
 from surg_perception.collecting.base_views import Moment
 from surg_perception.collecting.collect_views_node import grey_of
-from surg_perception.eyes.newest_pair_node import EYES, NewestPair
+from surg_perception.stereo.newest_pair_node import EYES, NewestPair
 
 
 class BaseMoments:

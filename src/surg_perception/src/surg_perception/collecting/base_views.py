@@ -19,7 +19,7 @@ from surg_perception.calibration.board import Picture
 from surg_perception.calibration.result_files import Origin, read_eyes
 from surg_perception.calibration.small_motions import transform
 from surg_perception.calibration.views import View
-from surg_perception.collecting.board_look import blur_in_words, is_sharp, look_at, rough_lens
+from surg_perception.collecting.board_detection import blur_in_words, is_sharp, look_at, rough_lens
 from surg_perception.collecting.views_folder import ViewsFolder
 
 WANTED = {"touch": 32, "tip": 12}

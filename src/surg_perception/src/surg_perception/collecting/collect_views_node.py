@@ -21,7 +21,7 @@ from surg_perception.collecting import collector
 from surg_perception.collecting.arm_joints_node import SILENT_S, ArmJoints
 from surg_perception.collecting.collector import Step
 from surg_perception.collecting.live_calibration import LiveCalibration, State, Status
-from surg_perception.eyes.newest_pair_node import EYES, NewestPair
+from surg_perception.stereo.newest_pair_node import EYES, NewestPair
 
 GREY = {"rgb8": cv2.COLOR_RGB2GRAY, "bgr8": cv2.COLOR_BGR2GRAY, "mono8": None}
 REPORT_S = 0.2

@@ -19,9 +19,9 @@ from surg_perception.calibration import evidence
 from surg_perception.calibration.board import Board
 from surg_perception.calibration.handeye import turns_between
 from surg_perception.calibration.intrinsics import SeenCorners
-from surg_perception.collecting.board_look import (
+from surg_perception.collecting.board_detection import (
     STILL_S,
-    Look,
+    BoardDetection,
     blur_in_words,
     is_new,
     is_sharp,
@@ -76,12 +76,12 @@ def needed_fields(size: tuple[int, int]) -> NDArray[np.bool_]:
     return np.array(needed)
 
 
-def distance_band(look: Look) -> int:
+def distance_band(look: BoardDetection) -> int:
     """Index into `DISTANCES`."""
     return int(look.distance >= NEAR) + int(look.distance >= FAR)
 
 
-def tilt_band(look: Look) -> int:
+def tilt_band(look: BoardDetection) -> int:
     """Index into `TILTS`."""
     about_x, about_y = np.abs(look.lean)
     if math.hypot(about_x, about_y) < FACING:
@@ -107,12 +107,12 @@ class Collector:
 
     def __init__(self, step: Step, board: Board, size: tuple[int, int]) -> None:
         self.step, self.board, self.size = step, board, size
-        self.taken: list[Look] = []
+        self.taken: list[BoardDetection] = []
         self.wanted = WANTED_STEREO if step is Step.STEREO else WANTED_HANDEYE
-        self._recent: deque[Look] = deque()
+        self._recent: deque[BoardDetection] = deque()
         self._count()
 
-    def offer(self, look: Look) -> str:
+    def offer(self, look: BoardDetection) -> str:
         """Take a look, or state why not; empty: it was taken."""
         self._recent.append(look)
         while not 0.0 <= look.stamp - self._recent[0].stamp <= 3 * STILL_S:
@@ -152,7 +152,7 @@ class Collector:
         self.missing = [text for share, text in needs if share < 1.0]
         self.progress = float(np.mean([share for share, _ in needs]))
 
-    def _needs(self, taken: Sequence[Look]) -> list[tuple[float, str]]:
+    def _needs(self, taken: Sequence[BoardDetection]) -> list[tuple[float, str]]:
         """Each need: how far it is met, and in words."""
         needs = (
             stereo_needs(taken, self.board, self.size)
@@ -163,7 +163,7 @@ class Collector:
         text = f"{n} more view{'s' if n > 1 else ''}"
         return [*needs, (min(1.0, len(taken) / self.wanted), text)]
 
-    def _why_not(self, look: Look) -> str:
+    def _why_not(self, look: BoardDetection) -> str:
         """Why a look is no view; empty: it is one."""
         if not is_sharp(look):
             return f"The picture is blurred ({blur_in_words(look)}). Focus, or change the distance."
@@ -179,7 +179,7 @@ class Collector:
             return f"Good place. Hold the {what} still."
         return ""
 
-    def _adds(self, look: Look) -> bool:
+    def _adds(self, look: BoardDetection) -> bool:
         """Whether a look brings the step on."""
         if len(self.taken) < self.wanted:
             return True
@@ -187,7 +187,7 @@ class Collector:
         return bool(with_it > self.progress + 1e-9)
 
 
-def seen_fields(taken: Sequence[Look], size: tuple[int, int]) -> NDArray[np.int64]:
+def seen_fields(taken: Sequence[BoardDetection], size: tuple[int, int]) -> NDArray[np.int64]:
     """Views that show the board in each field of the left picture (20,)."""
     count = np.zeros(COLUMNS * ROWS, dtype=np.int64)
     for look in taken:
@@ -196,7 +196,7 @@ def seen_fields(taken: Sequence[Look], size: tuple[int, int]) -> NDArray[np.int6
 
 
 def stereo_needs(
-    taken: Sequence[Look], board: Board, size: tuple[int, int]
+    taken: Sequence[BoardDetection], board: Board, size: tuple[int, int]
 ) -> list[tuple[float, str]]:
     """Needs of the lenses: the picture covered, each distance and each tilt."""
     needed = needed_fields(size)
@@ -223,7 +223,7 @@ def stereo_needs(
     return needs
 
 
-def handeye_needs(taken: Sequence[Look]) -> list[tuple[float, str]]:
+def handeye_needs(taken: Sequence[BoardDetection]) -> list[tuple[float, str]]:
     """Needs of the hand-eye pose: turns about two axes."""
     poses = [look.X_BF for look in taken if look.X_BF is not None]
     turns = turns_between(np.array(poses)) if len(poses) > 2 else np.zeros(2)

@@ -17,7 +17,7 @@ from surg_perception.calibration import steps
 from surg_perception.calibration.board import Board, Picture
 from surg_perception.calibration.result_files import Origin, check_one_eye, read_eyes
 from surg_perception.collecting import collector
-from surg_perception.collecting.board_look import look_at, rough_lens
+from surg_perception.collecting.board_detection import look_at, rough_lens
 from surg_perception.collecting.collector import Collector, Step
 from surg_perception.collecting.views_folder import ViewsFolder
 

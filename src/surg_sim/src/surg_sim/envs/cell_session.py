@@ -72,7 +72,7 @@ class Session:
         task: A task, or what ``tasks.load`` takes.
         setting: Of ``patient_settings.SETTINGS``, or a condition of one's own.
         seed: Of the first episode, and of the look of the tissue.
-        looks: Build also what only pictures need; the physics is the same.
+        visuals: Build also what only pictures need; the physics is the same.
         law: Of ``LAWS``.
 
     Raises:
@@ -85,7 +85,7 @@ class Session:
         task: Task | str,
         setting: str | PatientSetting = "phantom",
         seed: int = 0,
-        looks: bool = False,
+        visuals: bool = False,
         law: str = "ours",
     ) -> None:
         if law not in LAWS:
@@ -94,7 +94,7 @@ class Session:
         self.task = load(task) if isinstance(task, str) else task
         self.setting = find_setting(setting) if isinstance(setting, str) else setting
         self.law = law
-        self.world = World(self.cell, seed, looks, setting=self.setting, task=self.task)
+        self.world = World(self.cell, seed, visuals, setting=self.setting, task=self.task)
         self._clearance = {
             name: surg_core.clearance_setup(self.cell, name, self.world.arms)
             for name in self.world.arms

@@ -16,8 +16,8 @@ from pathlib import Path
 
 from surg_recording.episode import episode_reader
 from surg_recording.recording_errors import EpisodeError
+from surg_sim.appearance.domain_randomization import DomainRandomization
 from surg_sim.envs.recorded_episode import RecordedSession
-from surg_sim.looks.look_randomisation import LookRandomisation
 from surg_sim.physics.endoscope_rig import FRAMES
 from surg_sim.tasks.perturbed_sender import PerturbedExpert
 from surg_sim.tasks.scripted_arm import ArmExpert
@@ -36,8 +36,10 @@ class Plan:
     shake: float = 0.0  # of every second demonstration, see ``perturbed_sender`` [m]; 0: of none
     # Factor of the hand's error in every fourth demonstration, so that its jaws close on nothing
     # and it tries again; 1: in none.
-    clumsiness: float = 1.0
-    looks: LookRandomisation | None = None  # of the pictures; None: as the scene was built
+    expert_noise: float = 1.0
+    randomization: DomainRandomization | None = (
+        None  # of the pictures; None: as the scene was built
+    )
 
     def folder(self, seed: int) -> Path:
         """Where the recording of a seed lies."""
@@ -52,12 +54,12 @@ class Plan:
             episode = episode_reader.read(self.folder(seed))
         except EpisodeError:
             return False
-        look = None if self.looks is None else self.looks.draw(seed).described()
+        look = None if self.randomization is None else self.randomization.draw(seed).described()
         run = episode.manifest.get("run", {})
         same = (
             run.get("look") == json.loads(json.dumps(look))
             and run.get("shake", 0.0) in (0.0, self.shake)
-            and run.get("clumsiness", 1.0) in (1.0, self.clumsiness)
+            and run.get("expert_noise", run.get("clumsiness", 1.0)) in (1.0, self.expert_noise)
             and {FRAMES[view] for view in self.cameras} <= set(episode.cameras)
         )
         return bool(episode.complete and same)
@@ -129,7 +131,7 @@ def _play_one(plan: Plan, seed: int, index: int) -> Demonstration:
         _sessions.pop(plan).close()
     if plan not in _sessions:
         _sessions[plan] = RecordedSession(
-            plan.cell, plan.task, plan.setting, seed, plan.cameras, plan.size, plan.looks
+            plan.cell, plan.task, plan.setting, seed, plan.cameras, plan.size, plan.randomization
         )
     session, folder = _sessions[plan], plan.folder(seed)
     for left in (folder, folder.with_name(folder.name + episode_reader.PARTIAL)):
@@ -137,11 +139,11 @@ def _play_one(plan: Plan, seed: int, index: int) -> Demonstration:
     session.reset(seed)
     experts = dict(session.task.experts(session.cell, seed))
     spread = plan.shake if index % 2 == 1 else 0.0
-    clumsiness = plan.clumsiness if index % 4 == 3 else 1.0
+    expert_noise = plan.expert_noise if index % 4 == 3 else 1.0
     for name, expert in experts.items():
         if isinstance(expert, ArmExpert):
-            expert.clumsiness = clumsiness
+            expert.expert_noise = expert_noise
             if spread > 0.0:
                 experts[name] = PerturbedExpert(expert, seed, spread)
-    report = session.record(folder, seed, experts, shake=spread, clumsiness=clumsiness)
+    report = session.record(folder, seed, experts, shake=spread, expert_noise=expert_noise)
     return Demonstration(seed, report.success, report.reason, report.duration)

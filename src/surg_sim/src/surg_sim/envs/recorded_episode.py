@@ -33,8 +33,8 @@ except ImportError as error:  # pragma: no cover - of an installation of surg_si
     ) from error
 
 if TYPE_CHECKING:
-    from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
-    from surg_sim.looks.look_randomisation import LookRandomisation
+    from surg_sim.appearance.domain_randomization import DomainRandomization
+    from surg_sim.appearance.endoscope_renderer import EndoscopeRenderer
     from surg_sim.tasks.scripted_sender import Expert
 
 SENDER = "/expert"
@@ -58,16 +58,16 @@ class RecordedSession(Session):
         seed: int = 0,
         cameras: Sequence[str] = (),
         size: tuple[int, int] = (640, 480),
-        looks: LookRandomisation | None = None,
+        randomization: DomainRandomization | None = None,
     ) -> None:
-        super().__init__(cell, task, setting, seed, looks=bool(cameras))
-        self._looks = looks
+        super().__init__(cell, task, setting, seed, visuals=bool(cameras))
+        self._randomization = randomization
         self._described = provenance.describe_cell(cell)
         self._versions = provenance.versions()
         self._views = tuple(cameras)
         self._renderer: EndoscopeRenderer | None = None
         if cameras:
-            from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
+            from surg_sim.appearance.endoscope_renderer import EndoscopeRenderer
 
             self._renderer = EndoscopeRenderer(self.world, cameras, *size)
         self._recording: Recording | None = None
@@ -93,9 +93,9 @@ class RecordedSession(Session):
         Raises:
             EpisodeError: The folder cannot be written.
         """
-        if self._looks is not None and self._renderer is not None:
-            look = self._looks.draw(seed)
-            self._renderer.wear(look)
+        if self._randomization is not None and self._renderer is not None:
+            look = self._randomization.draw(seed)
+            self._renderer.set_appearance(look)
             run["look"] = look.described()
         self._recording = self._open(folder, self._describe_run(seed, operator, run))
         try:

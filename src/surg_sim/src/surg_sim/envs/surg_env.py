@@ -29,9 +29,9 @@ except ImportError as error:  # pragma: no cover - of an installation without th
 from surg_core.arm_view import ArmCommands, ArmView
 from surg_core.bring_up import BringUp
 from surg_core.contract import GRID, GRID_RATE, TICK_NS
+from surg_sim.appearance.domain_randomization import Appearance, DomainRandomization
 from surg_sim.envs.cell_session import Session, Tick, merge
 from surg_sim.envs.env_spaces import EnvSpaces
-from surg_sim.looks.look_randomisation import Look, LookRandomisation
 from surg_sim.physics import cell_files
 from surg_sim.tasks import episode_seeds, load, names
 from surg_sim.tasks.scripted_sender import Action
@@ -68,9 +68,9 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         height: [px].
         render_mode: None or ``rgb_array`` (left camera).
         law: Of ``cell_session.LAWS``.
-        seed_look: Draws the look of the tissue, once for the environment.
+        seed_appearance: Draws the look of the tissue, once for the environment.
         forces: Observe the forces at tip and trocar.
-        looks: Ranges, or their file, from which each episode's seed draws how its pictures look;
+        randomization: Ranges, or their file, from which each episode's seed draws its appearance;
             ``info["look"]`` of ``reset`` tells the drawn one. None: all look as built. Physics and
             ground truth are the same with and without.
     """
@@ -87,9 +87,9 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         height: int = 240,
         render_mode: str | None = None,
         law: str = "ours",
-        seed_look: int = 0,
+        seed_appearance: int = 0,
         forces: bool = False,
-        looks: LookRandomisation | Path | str | None = None,
+        randomization: DomainRandomization | Path | str | None = None,
     ) -> None:
         strange = [name for name in images if name not in CAMERAS]
         if strange or render_mode not in (None, "rgb_array"):
@@ -98,12 +98,18 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
                 f"{', '.join(CAMERAS)} and render_mode None or 'rgb_array'"
             )
         drawn = bool(images) or render_mode is not None
-        if looks is not None and not drawn:
-            raise ValueError("looks need pictures: images=('left',) or render_mode='rgb_array'")
-        self._looks = LookRandomisation.read(looks) if isinstance(looks, (str, Path)) else looks
-        self._look: Look | None = None
+        if randomization is not None and not drawn:
+            raise ValueError(
+                "randomization needs pictures: images=('left',) or render_mode='rgb_array'"
+            )
+        self._randomization = (
+            DomainRandomization.read(randomization)
+            if isinstance(randomization, (str, Path))
+            else randomization
+        )
+        self._appearance: Appearance | None = None
         path = cell_files.find(cell or load(task).home_cell)
-        self.session = Session(path, task, setting, seed_look, drawn, law)
+        self.session = Session(path, task, setting, seed_appearance, drawn, law)
         self.render_mode, self._images = render_mode, tuple(v for v in CAMERAS if v in images)
         self._size = (width, height)
         self._renderers: dict[tuple[str, ...], Any] = {}
@@ -131,10 +137,10 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         self.seed = self.seed_of(seed, self.np_random)
         session = self.session
         session.reset(self.seed)
-        if self._looks is not None:
-            self._look = self._looks.draw(self.seed)
+        if self._randomization is not None:
+            self._appearance = self._randomization.draw(self.seed)
             for renderer in self._renderers.values():
-                renderer.wear(self._look)
+                renderer.set_appearance(self._appearance)
         senders = dict(session.task.experts(session.cell, self.seed))
         senders.pop(POLICY, None)
         self._partners: list[Expert] = [senders[name] for name in sorted(senders)]
@@ -153,7 +159,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         if failed:
             why = "; ".join(f"{arm}: {reason or 'too late'}" for arm, reason in failed.items())
             raise RuntimeError(f"not ready: {why} {self._info()['reason'] or ''}".rstrip())
-        told = {} if self._look is None else {"look": self._look.described()}
+        told = {} if self._appearance is None else {"look": self._appearance.described()}
         return self._observation(), {**self._info(), **told}
 
     @staticmethod
@@ -250,12 +256,12 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         }
 
     def _render(self, views: tuple[str, ...]) -> dict[str, NDArray[np.uint8]]:
-        from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
+        from surg_sim.appearance.endoscope_renderer import EndoscopeRenderer
 
         if views not in self._renderers:
             self._renderers[views] = EndoscopeRenderer(self.session.world, views, *self._size)
-            if self._look is not None:
-                self._renderers[views].wear(self._look)
+            if self._appearance is not None:
+                self._renderers[views].set_appearance(self._appearance)
         return self._renderers[views].render(self._qpos)
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]

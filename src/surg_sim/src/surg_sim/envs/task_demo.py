@@ -17,11 +17,11 @@ import numpy as np
 
 from surg_core.contract import GRID, GRID_RATE, TICK
 from surg_sim import tasks
+from surg_sim.appearance.endoscope_renderer import EndoscopeRenderer
+from surg_sim.appearance.opengl import NoOpenGL
 from surg_sim.arrays import Picture
 from surg_sim.envs.cell_session import LAWS, Session, Tick
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
-from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
-from surg_sim.looks.opengl import NoOpenGL
 from surg_sim.physics import cell_files, patient_settings
 from surg_sim.tasks import episode_seeds
 
@@ -133,10 +133,10 @@ def main(words: Sequence[str] | None = None) -> int:
     options = parser.parse_args(words)
     try:
         cell = cell_files.find(options.cell or tasks.load(options.task).home_cell)
-        looks = not options.no_video
-        session = Session(cell, options.task, options.setting, options.seed, looks, options.law)
+        visuals = not options.no_video
+        session = Session(cell, options.task, options.setting, options.seed, visuals, options.law)
         camera = None
-        if looks:
+        if visuals:
             camera = EndoscopeRenderer(session.world, ("left",), *options.size)
     except (ValueError, OSError, NoOpenGL) as error:
         hint = "; --no-video needs none" if isinstance(error, NoOpenGL) else ""

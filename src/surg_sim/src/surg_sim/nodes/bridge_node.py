@@ -60,7 +60,7 @@ def main() -> int:
         world = World(
             cell,
             settings.seed,
-            looks=settings.view,
+            visuals=settings.view,
             arms=settings.arms,
             tool_errors=tool_errors(known, settings.seed) or None,
             setting=patient_settings.find_setting(settings.setting) if settings.setting else None,

@@ -17,10 +17,10 @@ from surg_msgs.msg import Ready, SimSnapshot
 from surg_ros.endoscope_tf import EndoscopeTf
 from surg_ros.params import read
 from surg_sim import tasks
+from surg_sim.appearance.endoscope_renderer import EndoscopeRenderer
+from surg_sim.appearance.opengl import NoOpenGL
+from surg_sim.appearance.render import Intrinsics
 from surg_sim.arrays import Picture
-from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
-from surg_sim.looks.opengl import NoOpenGL
-from surg_sim.looks.render import Intrinsics
 from surg_sim.nodes.exposure_schedule import RENDERER
 from surg_sim.nodes.sim_parameters import EndoscopeSettings
 from surg_sim.physics import patient_settings
@@ -136,7 +136,7 @@ class Endoscope:
 
 
 def make_renderer(settings: EndoscopeSettings, cell: surg_core.Cell) -> EndoscopeRenderer:
-    """Build the bridge's scene with looks, and its renderer.
+    """Build the bridge's scene with visuals, and its renderer.
 
     Raises:
         ValueError: The scene cannot be built, or has no second camera.
@@ -145,7 +145,7 @@ def make_renderer(settings: EndoscopeSettings, cell: surg_core.Cell) -> Endoscop
     world = World(
         cell,
         settings.seed,
-        looks=True,
+        visuals=True,
         arms=settings.arms,
         setting=patient_settings.find_setting(settings.setting) if settings.setting else None,
         task=tasks.load(settings.task) if settings.task else None,

@@ -12,9 +12,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from surg_sim.appearance.drawing import add_seen
+from surg_sim.appearance.patient import draw_cannula, wall_height
 from surg_sim.arrays import Array
-from surg_sim.looks.drawing import add_seen
-from surg_sim.looks.patient import draw_cannula, wall_height
 from surg_sim.physics.patient_site import Site
 from surg_sim.physics.spec_parts import add_position_servo, quaternion, state_mass
 from surg_sim.physics.tool_drive import ARMATURE, STIFFNESS
@@ -58,11 +58,11 @@ def port_frame(site: Site) -> Array:
     return X
 
 
-def add_assistant(spec: mujoco.MjSpec, site: Site, instrument: Path, looks: bool = False) -> None:
+def add_assistant(spec: mujoco.MjSpec, site: Site, instrument: Path, visuals: bool = False) -> None:
     """Put the instrument, its pivot and its servos into the scene.
 
-    Of the grasper's URDF, shaft and jaws are taken, the robot's holder is not. ``looks`` also draws
-    the cannula in the wall and a handle.
+    Of the grasper's URDF, shaft and jaws are taken, the robot's holder is not. ``visuals`` also
+    draws the cannula in the wall and a handle.
 
     Raises:
         ValueError: The URDF is not that of a grasper.
@@ -93,7 +93,7 @@ def add_assistant(spec: mujoco.MjSpec, site: Site, instrument: Path, looks: bool
         add_position_servo(spec, f"{NAME}_{name}", STIFFNESS, ARMATURE)
     for part in [pivot, *pivot.find_all(mujoco.mjtObj.mjOBJ_BODY)]:
         part.gravcomp = 1.0
-    if looks:
+    if visuals:
         draw_cannula(spec.body(f"{NAME}_pitch"), np.array([0.0, 0.0, 1.0]))  # turns with the shaft
         _draw_handle(body, -float(to_tip[2]))
 

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 
 import surg_core
+from surg_sim.appearance.drawing import add_seen, look
 from surg_sim.arrays import Array
-from surg_sim.looks.drawing import add_seen, look
 from surg_sim.physics.patient_site import Site
 from surg_sim.physics.pose_error import PoseError
 from surg_sim.physics.spec_parts import quaternion
@@ -98,8 +98,8 @@ def add_held(spec: mujoco.MjSpec, arm: surg_core.Arm, error: PoseError | None = 
     _add_light(spec.body(f"{arm.name}_{arm.instrument.tip_link}"), np.zeros(3), np.eye(3)[2])
 
 
-def add_standing(spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
-    """Put one camera and its light where a surgeon would hold them; ``looks`` draws the scope."""
+def add_standing(spec: mujoco.MjSpec, site: Site, visuals: bool) -> None:
+    """Put one camera and its light where a surgeon would hold them; ``visuals`` draws the scope."""
     eye = site.place(
         _STANDING_DISTANCE
         * np.array([0.0, -np.cos(_STANDING_ELEVATION), np.sin(_STANDING_ELEVATION)])
@@ -109,7 +109,7 @@ def add_standing(spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
     world = spec.worldbody
     world.add_camera(name=LEFT, pos=eye.tolist(), quat=quaternion(R).tolist(), fovy=FOVY)
     _add_light(world, eye, forward)
-    if not looks:
+    if not visuals:
         return
     for start, end, radius, material in (
         (0.006, 0.260, 0.005, "scope"),

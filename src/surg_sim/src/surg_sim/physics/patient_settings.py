@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from surg_sim.appearance.lens import EndoscopeLens
 from surg_sim.arrays import Array
-from surg_sim.looks.lens import EndoscopeLens
 from surg_sim.physics.pose_error import PoseError
 from surg_sim.physics.sim_arm import ActuatorParameters, ToolError
 from surg_sim.physics.tissue import TissueParameters

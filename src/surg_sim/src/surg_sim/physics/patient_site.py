@@ -1,4 +1,4 @@
-"""Where the patient is: the frame in which tasks and looks place things."""
+"""Where the patient is: the frame in which tasks and room place things."""
 
 from __future__ import annotations
 

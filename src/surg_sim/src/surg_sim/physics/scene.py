@@ -2,7 +2,7 @@
 
 Everything is placed by the instrument arm's trocar point and home shaft axis, so that any robot in
 any pose finds its patient under its instrument; an arm that holds the endoscope turns the patient
-so that it looks along the patient's y axis. URDF is the single source of truth for the arms.
+so that it visuals along the patient's y axis. URDF is the single source of truth for the arms.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import mujoco
 import numpy as np
 
 import surg_core
+from surg_sim.appearance import room
+from surg_sim.appearance.drawing import add_materials
+from surg_sim.appearance.patient import add_patient, draw_cannula
 from surg_sim.arrays import Array
-from surg_sim.looks import room
-from surg_sim.looks.drawing import add_materials
-from surg_sim.looks.patient import add_patient, draw_cannula
 from surg_sim.physics import endoscope_rig
 from surg_sim.physics.patient_site import Site
 from surg_sim.physics.pose_error import PoseError
@@ -30,7 +30,7 @@ WORK_DEPTH = 0.120
 ENDOSCOPE = endoscope_rig.LEFT
 """Name of the (left) endoscope camera, and of its optical frame on the wire."""
 OVERVIEW = room.OVERVIEW
-"""Name of the camera that looks at the room."""
+"""Name of the camera that visuals at the room."""
 PATIENT = 0.35
 """Largest distance of the endoscope's trocar from the instrument's [m]."""
 VIEW_NEAR = 0.02
@@ -51,7 +51,7 @@ def site_of(arms: list[surg_core.Arm]) -> Site:
     if scope is not None:
         view = wall_frame(scope)[1]
         across = np.cross(view, [0.0, 0.0, 1.0])
-        if np.linalg.norm(across) > 0.05:  # else it looks straight down: any way round will do
+        if np.linalg.norm(across) > 0.05:  # else it visuals straight down: any way round will do
             x = across / np.linalg.norm(across)
     y = np.cross([0.0, 0.0, 1.0], x)
     ordered = [arm, *(other for other in arms if other is not arm)]
@@ -155,7 +155,7 @@ def _check_patient(arm: surg_core.Arm, scope: surg_core.Arm) -> None:
 def build(
     arms: list[surg_core.Arm],
     seed: int = 0,
-    looks: bool = False,
+    visuals: bool = False,
     actuators: ActuatorParameters | None = None,
     trocar: TrocarParameters | None = None,
     tool_errors: Mapping[str, ToolError] | None = None,
@@ -165,7 +165,7 @@ def build(
     """Compile the scene once; parameters as for ``World``.
 
     The first arm that holds no endoscope places the patient. ``add`` puts what a task needs into
-    the scene, after arms and trocars. Without looks it lacks what only pictures need.
+    the scene, after arms and trocars. Without visuals it lacks what only pictures need.
 
     Raises:
         ValueError: A URDF does not fit its YAML, or an arm does not reach its trocar.
@@ -187,8 +187,8 @@ def build(
     if add is not None:
         add(spec, site)
     if scope is None:
-        endoscope_rig.add_standing(spec, site, looks)
-    if looks:
+        endoscope_rig.add_standing(spec, site, visuals)
+    if visuals:
         rng = np.random.default_rng(seed)
         add_materials(spec, rng)
         seen = _home_points(spec.compile(), arms)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 import surg_core
 from surg_core.contract import TICK
+from surg_sim.appearance.drawing import OUTSIDE
 from surg_sim.arrays import Array
-from surg_sim.looks.drawing import OUTSIDE
 from surg_sim.physics.spec_parts import quaternion
 from surg_sim.physics.stability import all_finite
 from surg_sim.physics.urdf_reading import read_urdf

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from surg_sim.appearance.anatomy import smooth_curve
 from surg_sim.arrays import Array
-from surg_sim.looks.anatomy import smooth_curve
 from surg_sim.physics.patient_site import Site
 from surg_sim.physics.spec_parts import quaternion, state_mass
 

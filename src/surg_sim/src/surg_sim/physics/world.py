@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 
 import surg_core
+from surg_sim.appearance.lens import EndoscopeLens
 from surg_sim.arrays import Array
-from surg_sim.looks.lens import EndoscopeLens
 from surg_sim.physics import scene
 from surg_sim.physics.ground_truth import ArmTruth, TruthReader
 from surg_sim.physics.patient_settings import PatientSetting
@@ -59,7 +59,7 @@ class World:
     Args:
         cell: A loaded cell.
         seed: Seed of the look of the tissue and of the first episode.
-        looks: Add patient and room for pictures; the physics is the same.
+        visuals: Add patient and room for pictures; the physics is the same.
         arms: Names of the arms to simulate; None: all of the cell.
         actuators: Drives; None: the setting's.
         trocar: Wall; None: the setting's.
@@ -75,7 +75,7 @@ class World:
         self,
         cell: surg_core.Cell,
         seed: int = 0,
-        looks: bool = False,
+        visuals: bool = False,
         arms: Iterable[str] | None = None,
         actuators: ActuatorParameters | None = None,
         trocar: TrocarParameters | None = None,
@@ -97,11 +97,11 @@ class World:
 
         def add(spec: mujoco.MjSpec, site: scene.Site) -> None:
             if task is not None:
-                task.add(spec, site, looks)
+                task.add(spec, site, visuals)
 
         camera_error = None if setting is None else setting.camera_error
         self.model = scene.build(
-            chosen, seed, looks, actuators, trocar, tool_errors, camera_error, add
+            chosen, seed, visuals, actuators, trocar, tool_errors, camera_error, add
         )
         self.data = mujoco.MjData(self.model)
         self._R_WB = {arm.name: np.asarray(arm.X_WB_stated)[:3, :3] for arm in chosen}

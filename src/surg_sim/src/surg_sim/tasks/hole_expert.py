@@ -75,7 +75,7 @@ class HoleExpert(ArmExpert):
         yield from self._go(self.far, 1.0)
 
     def _go(self, ahead: float, seconds: float) -> Iterator[None]:
-        """Look, and bring the thing to a distance before the hole [m]."""
+        """Appearance, and bring the thing to a distance before the hole [m]."""
         self._look()
         p, roll = self._target(ahead)
         self.roll.go(np.array([roll]), seconds)

@@ -49,7 +49,7 @@ class ArmExpert(ScriptedExpert):
         self.roll = MinimumJerk(np.zeros(1), ROLL_VELOCITY, ROLL_ACCELERATION)
         self.done = False
         """The script has ended; the last pose is held."""
-        self.clumsiness = 1.0
+        self.expert_noise = 1.0
         """Factor of the error that the seed draws for the hand; large, and a grasp misses."""
         self._script: Iterator[None] | None = None
         self._bring_up = BringUp()

@@ -146,13 +146,13 @@ class Task(ABC):
         if held is None or held.jaw_max <= held.jaw_min:
             raise self.misfit(cell, f"needs {arm} with an instrument that has jaws")
 
-    def add(self, spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
-        """Add the task's objects to the scene; with ``looks`` also visual ones."""
-        del spec, site, looks
+    def add(self, spec: mujoco.MjSpec, site: Site, visuals: bool) -> None:
+        """Add the task's objects to the scene; with ``visuals`` also visual ones."""
+        del spec, site, visuals
 
     @abstractmethod
     def bind(self, world: World) -> None:
-        """Look the task's objects up in the compiled scene."""
+        """Appearance the task's objects up in the compiled scene."""
 
     @abstractmethod
     def reset(self, rng: np.random.Generator) -> None:

@@ -101,7 +101,7 @@ class RobotExpert(ArmExpert):
         s = direction / np.linalg.norm(direction)
         y = minimal_rotation(self.X_WR[:3, 2], s) @ self.X_WR[:3, 1]
         self.roll.go(np.array([roll_across(s, y, along(self.observation.point("nodes"), node))]))
-        error = self.clumsiness * self._error
+        error = self.expert_noise * self._error
         grip = GRIP_HEIGHT * UP + GRIP_DEPTH * s + error
         yield from self.move(place + grip - ABOVE * s, 1.0)
         while not self.roll.arrived:

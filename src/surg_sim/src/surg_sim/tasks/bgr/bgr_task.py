@@ -15,8 +15,8 @@ import numpy as np
 
 import surg_core
 from surg_core.contract import GRID, TICK
+from surg_sim.appearance.tissue_skin import BowelSkin, add_skin
 from surg_sim.arrays import Array
-from surg_sim.looks.tissue_skin import BowelSkin, add_skin
 from surg_sim.physics.assistant_arm import Assistant
 from surg_sim.physics.assistant_scene import add_assistant
 from surg_sim.physics.bowel import Bowel
@@ -53,13 +53,13 @@ class Bgr(Task):
         arm = cell.arms[ROBOT]
         self._urdf, self._tip = arm.instrument_urdf, arm.instrument.tip_link
 
-    def add(self, spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
+    def add(self, spec: mujoco.MjSpec, site: Site, visuals: bool) -> None:
         """Bowel, the assistant's instrument, both holds."""
-        self._site, self._looks = site, looks
+        self._site, self._visuals = site, visuals
         add_bowel(spec, site, self._tissue)
-        if looks:
+        if visuals:
             add_skin(spec, site, self._tissue)
-        add_assistant(spec, site, self._urdf, looks)
+        add_assistant(spec, site, self._urdf, visuals)
         add_grasp(spec, ROBOT, self._tip)
         add_grasp(spec, ASSISTANT)
 
@@ -71,7 +71,7 @@ class Bgr(Task):
         self.assistant = Assistant(model, data)
         self.grasps = {name: Grasp(model, data, name, self.bowel) for name in (ROBOT, ASSISTANT)}
         self.view = EndoscopeView(model, data)
-        if self._looks:
+        if self._visuals:
             self.skins = [BowelSkin(model, self._site, self._tissue)]
         self._tip_body = int(model.body(f"{ROBOT}_{self._tip}").id)
 

@@ -78,8 +78,8 @@ def _along(hole: int) -> float:
     return (hole - (HOLES - 1) / 2) * _PITCH
 
 
-def add_board(spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
-    """Put the board and a floor below it into the scene; with ``looks`` also the board's foot."""
+def add_board(spec: mujoco.MjSpec, site: Site, visuals: bool) -> None:
+    """Put the board and a floor below it into the scene; with ``visuals`` also the board's foot."""
     X = board_pose(site)
     plate = spec.worldbody.add_body(
         name="needle_board", pos=X[:3, 3].tolist(), quat=quaternion(X[:3, :3]).tolist()
@@ -107,7 +107,7 @@ def add_board(spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
         group=4,
         **_SURFACE,
     )
-    if looks:
+    if visuals:
         _add_foot(spec, X, end, float(floor[2]))
 
 

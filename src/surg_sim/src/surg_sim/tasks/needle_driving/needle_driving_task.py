@@ -68,9 +68,9 @@ class NeedleDriving(Task):
         self.need_jaws(cell, ARM)
         self._tip = cell.arms[ARM].instrument.tip_link
 
-    def add(self, spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
+    def add(self, spec: mujoco.MjSpec, site: Site, visuals: bool) -> None:
         """The board, the needle, and the jaws' hold on it."""
-        add_board(spec, site, looks)
+        add_board(spec, site, visuals)
         add_needle(spec, site.work)
         add_jaw_weld(spec, ARM, self._tip, NEEDLE)
 

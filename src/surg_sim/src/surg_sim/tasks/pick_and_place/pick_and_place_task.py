@@ -76,7 +76,7 @@ class PickAndPlace(Task):
         self.need_jaws(cell, ARM)
         self._tip = cell.arms[ARM].instrument.tip_link
 
-    def add(self, spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
+    def add(self, spec: mujoco.MjSpec, site: Site, visuals: bool) -> None:
         """Two boards with pegs, the ring, the pads; what the boards stand on is only seen."""
         self._pegs = np.array([site.place(foot) for foot in PEGS])
         boards = spec.worldbody.add_body(
@@ -91,7 +91,7 @@ class PickAndPlace(Task):
                 rgba=[0.15, 0.22, 0.30, 1],
                 **fixed,
             )
-        if looks:
+        if visuals:
             _add_tray(boards)
         for foot in PEGS:
             boards.add_geom(

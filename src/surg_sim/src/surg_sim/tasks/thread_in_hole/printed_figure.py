@@ -54,8 +54,8 @@ def figure_pose(site: Site) -> Array:
     return X
 
 
-def add_figure(spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
-    """Put the figure and a floor below it into the scene; with ``looks`` also the foot."""
+def add_figure(spec: mujoco.MjSpec, site: Site, visuals: bool) -> None:
+    """Put the figure and a floor below it into the scene; with ``visuals`` also the foot."""
     X = figure_pose(site)
     figure = spec.worldbody.add_body(
         name="figure", pos=X[:3, 3].tolist(), quat=quaternion(X[:3, :3]).tolist(), gravcomp=1.0
@@ -74,7 +74,7 @@ def add_figure(spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
         type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*top, *foot], size=[_POST, 0, 0], rgba=_PRINT,
         **_SURFACE,
     )  # fmt: skip
-    if looks:
+    if visuals:
         upright = X[:3, :3].T @ np.eye(3)[2]
         figure.add_geom(
             type=mujoco.mjtGeom.mjGEOM_CYLINDER, fromto=[*foot, *(foot - 0.004 * upright)],

@@ -61,9 +61,9 @@ class ThreadInHole(Task):
         self.need_jaws(cell, ARM)
         self._tip = cell.arms[ARM].instrument.tip_link
 
-    def add(self, spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
+    def add(self, spec: mujoco.MjSpec, site: Site, visuals: bool) -> None:
         """The figure, the thread, and the jaws' hold on it."""
-        add_figure(spec, site, looks)
+        add_figure(spec, site, visuals)
         add_thread(spec, site.work)
         add_jaw_weld(spec, ARM, self._tip, THREAD)
 

@@ -1,0 +1,9 @@
+#!/usr/bin/env python3
+"""Starts the node /eyes: rosrun surg_perception stereo_depth_node.py _cell:=cells/sim_two_arms."""
+
+import sys
+
+from surg_perception.stereo.stereo_depth_node import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,210 @@
+"""The node ``/eyes``: rectified pictures, depth and points, and pictures with marks.
+
+It works for what is subscribed only, takes the newest pair, at most ``~rate`` a second, on one
+thread with a niceness, and moves nothing. Marks as a topic need no pixels and come with every
+picture. Parameters: `stereo_parameters.StereoSettings`.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+
+import surg_core
+from surg_perception.depth.stereo_depth import StereoDepth
+from surg_perception.depth.stereo_matcher import find_matcher
+from surg_perception.marks.mark_drawing import drawn
+from surg_perception.stereo import stereo_messages_node as messages
+from surg_perception.stereo import stereo_parameters
+from surg_perception.stereo.live_marks_node import LiveMarks
+from surg_perception.stereo.newest_pair_node import EYES, NewestPair
+from surg_perception.stereo.stereo_parameters import StereoSettings
+from surg_ros.params import ParamError
+
+LOOK_S = 0.5
+"""Period at which the node looks whether somebody subscribes."""
+
+
+class Eyes:
+    """Computes and publishes."""
+
+    def __init__(self, settings: StereoSettings, cell: surg_core.Cell | None) -> None:
+        self._settings = settings
+        self._infos: dict[str, CameraInfo] = {}
+        self._models: tuple[CameraInfo, ...] = ()
+        self._depth: StereoDepth | None = None
+        self._problem, self._done, self._spent = "no pictures yet", 0, 0.0
+        self._pairs = NewestPair()
+        self._marks = LiveMarks(cell) if settings.marks and cell is not None else None
+
+        def topic(name: str, kind: type) -> rospy.Publisher:
+            return rospy.Publisher(f"/endoscope/{name}", kind, queue_size=1, tcp_nodelay=True)
+
+        self._rect, self._marked, self._of_depth = [], [], []
+        if settings.depth:
+            self._rect = [topic(f"{eye}/image_rect", Image) for eye in EYES]
+            self._of_depth = [topic("depth", Image), topic("points2", PointCloud2)]
+        if settings.marks:
+            self._marked = [topic(f"{eye}/image_marks", Image) for eye in EYES]
+        self._diagnostics = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=2)
+        self._info_subscribers = [
+            rospy.Subscriber(
+                f"/endoscope/{eye}/camera_info", CameraInfo, self._on_info, eye, tcp_nodelay=True
+            )
+            for eye in EYES
+        ]
+
+    def _on_info(self, message: CameraInfo, eye: str) -> None:
+        self._infos[eye] = message
+        if self._marks is not None and eye == EYES[0]:
+            self._marks.tell(message)
+
+    def run(self) -> None:
+        """Work until shutdown."""
+        period, told = 1.0 / self._settings.rate, 0.0
+        next_at = 0.0
+        while not rospy.is_shutdown():
+            outputs = [*self._rect, *self._of_depth, *self._marked]
+            wanted = any(each.get_num_connections() for each in outputs)
+            self._pairs.listen(wanted)
+            now = rospy.get_time()
+            if now - told >= 1.0:
+                self._report()
+                told = now
+            if not wanted and self._marks is not None and self._marks.wanted:
+                self._attempt(self._prepare)
+            if not wanted or now < next_at:
+                rospy.rostime.wallsleep(LOOK_S if not wanted else min(next_at - now, LOOK_S))
+                continue
+            pair = self._pairs.take(LOOK_S)
+            if pair is None:
+                continue
+            next_at = max(next_at + period, rospy.get_time() + 0.5 * period)
+            begun = rospy.get_time()
+            self._attempt(self._look, *pair)
+            self._spent = rospy.get_time() - begun
+
+    def _attempt(self, step: Callable[..., None], *inputs: Image) -> None:
+        """Do it; what cannot be used becomes the node's problem."""
+        problem = ""
+        try:
+            step(*inputs)
+        except ValueError as error:  # ConfigError, MatcherError and unusable pictures are some
+            problem = str(error)
+        if problem and problem != self._problem:
+            rospy.logwarn(f"eyes: {problem}")
+        self._problem = problem
+
+    def _prepare(self) -> None:
+        """Renew what depends on the lenses when their models change."""
+        infos = tuple(self._infos[eye] for eye in EYES if eye in self._infos)
+        if len(infos) < 2:
+            raise ValueError(
+                "no camera_info of both eyes; allowed: a stereo endoscope (--cameras stereo)"
+            )
+        if self._models and all(
+            (a.K, a.D, a.R, a.P, a.width, a.height) == (b.K, b.D, b.R, b.P, b.width, b.height)
+            for a, b in zip(infos, self._models, strict=True)
+        ):
+            return
+        self._models = ()
+        if self._marks is not None:
+            self._marks.use(None)
+        left, right = (
+            messages.lens_of_message(f"endoscope_{eye}", info)
+            for eye, info in zip(EYES, infos, strict=True)
+        )
+        settings = self._settings
+        self._depth, self._R = None, left.R
+        if settings.depth:
+            self._depth = StereoDepth(
+                left, right, None, settings.method, settings.near, settings.far
+            )
+        if self._marks is not None:
+            self._marks.use((left, right))
+        self._models = infos
+
+    def _look(self, left: Image, right: Image) -> None:
+        self._prepare()
+        pictures = [messages.picture_of(each) for each in (left, right)]
+        headers = [left.header, right.header]
+        outputs = [*self._rect, *self._of_depth]
+        if self._depth is not None and any(each.get_num_connections() for each in outputs):
+            if any(each.get_num_connections() for each in self._of_depth):
+                found = self._depth.look(pictures[0], pictures[1])
+                straight = (found.left, found.right)
+                self._of_depth[0].publish(messages.depth_of(headers[0], found.depth))
+                if self._of_depth[1].get_num_connections():
+                    step = self._settings.step
+                    points = self._depth.geometry.points(found.depth, step)
+                    colours = found.left[::step, ::step]
+                    cloud = messages.cloud_of(headers[0], points, colours, self._R)
+                    self._of_depth[1].publish(cloud)
+            else:
+                straight = self._depth.rectifier.rectify(pictures[0], pictures[1])
+            for publisher, header, picture in zip(self._rect, headers, straight, strict=True):
+                if publisher.get_num_connections():
+                    publisher.publish(messages.image_of(header, picture))
+        if any(each.get_num_connections() for each in self._marked):
+            self._mark(left.header.stamp.to_nsec(), headers, pictures)
+        self._done += 1
+
+    def _mark(self, stamp_ns: int, headers: list[Any], pictures: list[Any]) -> None:
+        if self._marks is None:
+            return
+        marks = self._marks.at(stamp_ns)
+        for publisher, header, picture, each in zip(
+            self._marked, headers, pictures, marks, strict=True
+        ):
+            if publisher.get_num_connections():
+                publisher.publish(messages.image_of(header, drawn(picture, each)))
+
+    def _report(self) -> None:
+        array = DiagnosticArray()
+        array.header.stamp = rospy.Time.now()
+        level = DiagnosticStatus.WARN if self._problem else DiagnosticStatus.OK
+        values = {"pairs": self._done, "last pair [ms]": round(1e3 * self._spent, 1)}
+        array.status.append(
+            DiagnosticStatus(
+                level=level,
+                name="eyes",
+                message=self._problem or "ok",
+                values=[KeyValue(key, str(value)) for key, value in values.items()],
+            )
+        )
+        self._diagnostics.publish(array)
+
+
+def main() -> int:
+    """Entry point; returns the exit code (0 done, 2 broken configuration)."""
+    rospy.init_node("eyes")
+    try:
+        settings = stereo_parameters.parse(rospy.get_param("~", {}))
+        cell = surg_core.load_cell(settings.cell) if settings.cell else None
+        _check_method(settings)
+    except (ParamError, ValueError) as error:
+        print(f"surg_perception: {error}", file=sys.stderr, flush=True)
+        return 2
+    os.nice(settings.niceness)
+    cv2.setNumThreads(1)
+    Eyes(settings, cell).run()
+    return 0
+
+
+def _check_method(settings: StereoSettings) -> None:
+    """Refuse a method at the start, not with the first pair."""
+    from surg_perception.depth.rectification import PairGeometry
+
+    geometry = PairGeometry((640, 480), 450.0, 450.0, 319.5, 239.5, 0.0, 0.004)
+    find_matcher(settings.method, geometry, settings.near, settings.far)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
