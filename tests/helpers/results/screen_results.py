@@ -11,7 +11,7 @@ _HEAD = """# Screens: times
 Written by `./surg test --full tests/e2e/test_monitor_page.py tests/e2e/test_headset_page.py
 tests/e2e/test_headset_teleop.py`: headless Chromium without a graphics card. *Draw*: two eyes of
 640 × 480 on 1920 × 1080, read back, processor time. *Hold*: event in the browser to the console's
-order (goal 200 ms). *Headset*: `./surg teleop --cameras stereo`, a headset in software on two cores.
+order (goal 200 ms). *Headset*: `./surg teleop --cameras stereo`, a headset in software, two cores.
 """
 FORMATS = (
     *("left", "right", "sbs", "top_bottom", "rows", "columns", "checker", "anaglyph"),
