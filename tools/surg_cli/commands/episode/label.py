@@ -20,14 +20,6 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("episodes", nargs="*", type=Path, metavar="EPISODES", help="default: all in runs/")
     add("--where", metavar="EXPR", help=option_types.WHERE)
     add("--by", metavar="NAME", help="who labels (default: the user)")
-    add(
-        "--port",
-        type=option_types.tcp_port,
-        default=0,
-        metavar="N",
-        help="of this machine (default: a free one)",
-    )
-    add("--no-open", action="store_true", help="print the address, open no browser")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
@@ -38,14 +30,11 @@ def main(options: argparse.Namespace, command: str) -> int:
 
     folders = _chosen(options)
     pages = LabelPages(folders, options.by or getpass.getuser())
-    try:
-        server = LabelServer(pages, options.port)
-    except (OSError, OverflowError) as problem:
-        raise Problem(f"--port {options.port}: {problem}", 2) from None
+    server = LabelServer(pages)
     say(f"label: {len(folders)} episodes; Ctrl-C ends. Labels are kept in {labels.LABELS}.")
     say(server.url)
     can_show = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-    if not options.no_open and can_show:
+    if can_show:
         webbrowser.open(server.url)
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(server.serve())
