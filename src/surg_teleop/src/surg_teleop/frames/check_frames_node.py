@@ -23,7 +23,7 @@ from surg_msgs.msg import Cycle
 from surg_ros.arm_port import ArmPort
 from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError
-from surg_ros.participant import Participant, Seen
+from surg_ros.participant import Participant, TickInputs
 from surg_teleop.frames.check_task import CheckTask, read_task, report
 from surg_teleop.frames.endoscope_pictures_node import EndoscopePictures, wait_for_eyes
 from surg_teleop.frames.frame_check import FrameCheckStage, FramesCheck, split
@@ -84,7 +84,7 @@ class CheckNode:
             self._heard[name] = time.monotonic()
             self._participant.on_cycle(cycle, name)
 
-    def _act(self, seen: Seen) -> bool | None:
+    def _act(self, seen: TickInputs) -> bool | None:
         """Evaluate every fifth cycle of both arms; with the lock held."""
         if self.finished.is_set():
             return None
@@ -94,7 +94,7 @@ class CheckNode:
             self.finished.set()
         return self.check.done
 
-    def _look(self, seen: Seen) -> None:
+    def _look(self, seen: TickInputs) -> None:
         scope = seen.cycles[self.task.camera.arm]
         if self.eyes.problem:
             self._port.send(self.check.stop(self.eyes.problem))
