@@ -72,8 +72,8 @@ class Bench:
                 state = follows if order.value else "DISABLED"
                 self.follower = replace(self.follower, state=state)
             elif isinstance(order, SetMapping):
-                other = "rate" if self.follower.mapping == "position" else "position"
-                self.follower = replace(self.follower, mapping=other)
+                mapping = "rate" if order.value else "position"
+                self.follower = replace(self.follower, mapping=mapping)
         self.orders += orders
         return orders
 
@@ -151,6 +151,7 @@ def test_enable_says_present_and_follow_with_pedals_up(bench: Bench) -> None:
         Camera(False),
         SetOperatorPresent(True),
         EnableTeleop(True),
+        SetMapping(False),
     ]
 
 
@@ -513,17 +514,16 @@ def test_a_pedal_is_sent_when_it_changes(bench: Bench) -> None:
     assert bench.given(Camera) == [Camera(True)]
 
 
-def test_the_mapping_is_changed_under_the_clutch_only(bench: Bench) -> None:
+def test_the_mapping_is_asked_for_once_with_each_change_of_the_hand(bench: Bench) -> None:
     bench.drive()
     bench.run(0.5, hand="rate")
-    assert bench.given(SetMapping) == []  # following: the hand is not changed
-    bench.follower = replace(bench.follower, state="CLUTCHED")
-    bench.run(0.1, hand="rate", clutch=True)
-    assert bench.given(SetMapping) == [SetMapping()]
+    assert bench.given(SetMapping) == [SetMapping(True)]
     bench.follower = replace(bench.follower, state="WAITING")
     bench.run(1.0, hand="rate", clutch=True)
     assert bench.session.phase is Phase.DRIVING
-    assert bench.given(SetMapping) == [SetMapping()]
+    assert bench.given(SetMapping) == [SetMapping(True)]
+    bench.run(0.1, hand="position", clutch=True)
+    assert bench.given(SetMapping) == [SetMapping(True), SetMapping(False)]
 
 
 def test_a_page_that_does_not_lead_enables_and_clutches_only(bench: Bench) -> None:

@@ -481,6 +481,30 @@ def test_the_mapping_changes_while_clutched_only() -> None:
     assert bench.teleop.mode is ControlMode.RATE
 
 
+def test_a_mapping_that_was_asked_for_waits_for_the_clutch_and_is_asked_for_once() -> None:
+    bench = Bench().engaged()
+    bench.teleop.set_mode(ControlMode.RATE)
+    bench.tick(100)
+    assert bench.teleop.mode is ControlMode.POSITION
+    bench.hand.buttons = {"clutch"}
+    bench.tick(2)
+    assert bench.teleop.mode is ControlMode.RATE
+    bench.hand.buttons = {"clutch", "rate"}
+    bench.tick(10)
+    assert bench.teleop.mode is ControlMode.POSITION  # the button counts, not the earlier request
+
+
+def test_a_mapping_that_was_asked_for_is_forgotten_when_the_arm_is_disabled() -> None:
+    bench = Bench().engaged()
+    bench.teleop.set_mode(ControlMode.RATE)
+    bench.teleop.disable()
+    bench.tick()
+    bench.teleop.enable()
+    bench.hand.buttons = {"clutch"}
+    bench.tick(100)
+    assert bench.teleop.mode is ControlMode.POSITION
+
+
 @pytest.mark.parametrize("only", ControlMode)
 @pytest.mark.parametrize("began", ControlMode)
 def test_a_hand_with_one_mapping_keeps_it(only: ControlMode, began: ControlMode) -> None:

@@ -20,11 +20,9 @@ from surg_ros.leader_port import LeaderTopics, joy_message, wall_time
 
 REPEAT = 0.05
 """[s] Held buttons are re-published at this interval."""
-TAP = 0.06
-"""[s] How long a tap holds its button."""
-RATE = "/console/rate"
 KINDS = {
     orders.EnableTeleop.topic: Bool,
+    orders.SetMapping.topic: Bool,
     orders.SetScale.topic: Float64,
     orders.Record.topic: Bool,
     orders.Policy.topic: Bool,
@@ -32,7 +30,6 @@ KINDS = {
     orders.Clutch.topic: Joy,
     orders.Camera.topic: Joy,
     orders.Calibrate.topic: CalibrationRequest,
-    RATE: Joy,
     "/sim/guide_home": String,
 }
 
@@ -64,10 +61,6 @@ class OrderTopics:
             message = StringStamped(string=order.word)
             message.header.stamp = rospy.Time.now()
             self._topics[f"/{order.arm}/state_command"].publish(message)
-        elif isinstance(order, orders.SetMapping):
-            self._press(RATE, True)
-            end = rospy.Duration.from_sec(TAP)
-            rospy.Timer(end, lambda event: self._press(RATE, False), oneshot=True)
         elif isinstance(order, orders.Move) and self._leader is not None:
             self._leader.publish(leader_sample(order.sample), wall_time())
 

@@ -20,11 +20,6 @@ class Move(Order):
 
 
 @dataclass(frozen=True)
-class SetMapping(Order):
-    """Toggle between position and rate control: a tap on `/console/rate`."""
-
-
-@dataclass(frozen=True)
 class StateCommand(Order):
     """A command on an arm's `state_command`."""
 
@@ -44,6 +39,12 @@ class EnableTeleop(Request):
     """Teleoperation on or off."""
 
     topic = "/console/teleop/enable"
+
+
+class SetMapping(Request):
+    """How the hand drives the tip; true: by its rate, false: by its position."""
+
+    topic = "/console/teleop/set_rate_control"
 
 
 class SetScale(Request):

@@ -35,9 +35,8 @@ SETTLED = 0.3
 """[s] After an operator's act the teleoperation may still report its earlier state."""
 ENGAGED = ("FOLLOWING", "CLUTCHED")
 LATCHED = ("FAULT", "DISABLED", "")
-MAY_MAP = ("WAITING", "CLUTCHED")
 """States of the teleoperation node: the hand drives the arm; only Enable leads out (empty: no
-status); the mapping may change."""
+status)."""
 
 
 class Phase(enum.Enum):
@@ -82,7 +81,7 @@ class ConsoleSession:
         self._pages: dict[str, _Page] = {}
         self._holder: _Page | None = None
         self._orders: list[orders.Order] = []
-        self._enabled = self._asked = self._acted = self._tapped = -math.inf
+        self._enabled = self._asked = self._acted = -math.inf
         self._policy_ran = False
         self._policy_requested = -math.inf
         self._clutch = self._camera = False
@@ -176,6 +175,8 @@ class ConsoleSession:
             orders.SetOperatorPresent(True),
             orders.EnableTeleop(True),
         ]
+        if self._leads:
+            self._orders.append(orders.SetMapping(self._hand == "rate"))
         return ""
 
     def policy(self, name: str, robot: Robot, now: float) -> str:
@@ -261,7 +262,9 @@ class ConsoleSession:
             self._camera, self._acted = sample.camera, now
             self._orders.append(orders.Camera(sample.camera))
         if self._leads:
-            self._hand = sample.hand
+            if sample.hand != self._hand:  # the teleoperation changes it under the clutch
+                self._hand, self._acted = sample.hand, now
+                self._orders.append(orders.SetMapping(sample.hand == "rate"))
             self._orders.append(orders.Move(sample))
 
     # --- periodic checks ---------------------------------------------------------------
@@ -276,13 +279,9 @@ class ConsoleSession:
             self._hold(why)
             return
         follower = robot.follower
-        if self._leads and follower.state in MAY_MAP and follower.mapping != self._hand:
-            if now - self._tapped >= SETTLED:
-                self._tapped = self._acted = now
-                self._orders.append(orders.SetMapping())
-        elif now - self._acted < SETTLED:
+        if now - self._acted < SETTLED:
             return
-        elif follower.state in ENGAGED:
+        if follower.state in ENGAGED:
             self.phase = Phase.DRIVING
         elif self.phase is Phase.DRIVING or follower.state in LATCHED:
             if not self._clutch or follower.state in LATCHED:

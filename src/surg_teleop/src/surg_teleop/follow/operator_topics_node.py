@@ -15,6 +15,7 @@ from surg_teleop.follow.console_topics_node import ConsoleTopics
 from surg_teleop.follow.pedal_monitor import PedalMonitor
 from surg_teleop.follow.teleop_setup import Hand
 from surg_teleop.follow.teleop_status_node import TeleopStatusPublisher
+from surg_teleop.follow.teleop_types import ControlMode
 from surg_teleop.follow.teleoperation import Teleop
 
 PEDALS = {"clutch": "clutch", "camera": "camera", "operator_present": "present", "rate": "rate"}
@@ -50,6 +51,7 @@ class OperatorTopics:
                 listen(f"{source}/{topic}", Joy, self._on_pedal, (source, button))
         listen("/console/teleop/enable", Bool, self._on_enable)
         listen("/console/teleop/set_scale", Float64, self._on_scale, teleops)
+        listen("/console/teleop/set_rate_control", Bool, self._on_mode, teleops)
         listen("/console/teleop/select", String, self._on_select, True)
         listen("/console/teleop/unselect", String, self._on_select, False)
         listen("/record/recording", Bool, self._on_recording)
@@ -102,6 +104,11 @@ class OperatorTopics:
         with self._lock:
             for refused in {text for t in teleops if (text := t.set_scale(message.data))}:
                 self._status.warn(refused)
+
+    def _on_mode(self, message: Bool, teleops: list[Teleop]) -> None:
+        with self._lock:
+            for teleop in teleops:
+                teleop.set_mode(ControlMode.RATE if message.data else ControlMode.POSITION)
 
     def _on_select(self, message: String, selected: bool) -> None:
         with self._lock:

@@ -99,6 +99,7 @@ class Teleop:
     engagements: int = 0  # number of engagements so far
     mode: ControlMode = field(init=False)  # the control mode in force
     _switch: bool | None = field(default=None, init=False, repr=False)
+    _wanted_mode: ControlMode | None = field(default=None, init=False, repr=False)
     _history: History = field(default_factory=History, init=False, repr=False)
     _notice: Notice = field(default_factory=Notice, init=False, repr=False)
     _engagement: Engagement | None = field(default=None, init=False, repr=False)
@@ -123,6 +124,10 @@ class Teleop:
             return f"scale {scale:g} is refused; allowed: {MIN_SCALE:g} to {MAX_SCALE:g}"
         self.scale = scale
         return ""
+
+    def set_mode(self, mode: ControlMode) -> None:
+        """Change the control mode once CLUTCHED or WAITING; forgotten when the arm is disabled."""
+        self._wanted_mode = mode
 
     def tick(
         self,
@@ -163,15 +168,18 @@ class Teleop:
         before = self._history.buttons
         self._history = self._history.heard(sample, self.settings.need_present)
         pressed = sample.buttons - before if before is not None else frozenset()
-        if "rate" in pressed and self.state in (TeleopState.CLUTCHED, TeleopState.WAITING):
-            self._toggle_mode(sample)
+        if "rate" in pressed:
+            rate = self.mode is ControlMode.RATE
+            self._change_mode(sample, ControlMode.POSITION if rate else ControlMode.RATE)
+        elif self._wanted_mode is not None:
+            self._change_mode(sample, self._wanted_mode)
 
-    def _toggle_mode(self, sample: LeaderSample) -> None:
-        """A pedal toggles every leader; one that has only the present mode keeps it."""
-        rate = self.mode is ControlMode.RATE
-        other = ControlMode.POSITION if rate else ControlMode.RATE
+    def _change_mode(self, sample: LeaderSample, other: ControlMode) -> None:
+        """A request is for every leader; one that has only the present mode keeps it."""
+        if self.state not in (TeleopState.CLUTCHED, TeleopState.WAITING):
+            return
         if other.read(sample) is not None or self.mode.read(sample) is None:
-            self.mode = other
+            self.mode, self._wanted_mode = other, None
 
     def _enable(self, now: float) -> None:
         leader_there = self._history.buttons is not None
@@ -184,6 +192,7 @@ class Teleop:
     def _disable(self, now: float, arm: ArmView | None, commands: ArmCommands) -> None:
         self._leave(now, TeleopState.DISABLED, Notice(), commands)
         self._remember(requested=NEVER)
+        self._wanted_mode = None
         self._bring_up.stop()
         if arm is not None and self._is_ours(arm):
             commands.state = "pause"
