@@ -213,8 +213,8 @@ def test_cameras_make_a_policy_that_looks(
     words = ("--cameras", "--episodes", "8", "--rollouts", "2", "--out", str(out))
     assert learn.main(options("bgr", *words), "learn") == 0
     (player,) = FakePlayer.made
-    assert [player[4].name, *player[6:]] == ["bgr_image_policy.py", False, ("left",), False]
-    assert trainers == ["train_bgr_images.py"] and installed == [("torch",)]
+    assert [player[4].name, *player[6:]] == ["image_policy.py", False, ("left",), False]
+    assert trainers == ["train_images.py"] and installed == [("torch",)]
     assert recipes.Request("bgr", "phantom", "ur5e", 0, 8, 2, True).demonstrations["cameras"]
     summary = json.loads((out / "summary.json").read_text("utf-8"))
     assert summary["ok"] and summary["privileged"] == []

@@ -12,7 +12,7 @@ from surg_cli.host import paths
 if TYPE_CHECKING:
     from surg_sim.appearance.domain_randomization import DomainRandomization
 
-LEARNERS = paths.ROOT / "examples" / "bgr"
+LEARNERS = paths.ROOT / "src/surg_learn/src/surg_learn/bgr"
 EXPERT_NOISE = 5.0
 """Factor of the hand's error in every fourth demonstration of a policy that looks: some miss."""
 PUSH_M = 0.003
@@ -50,27 +50,27 @@ class Recipe:
 
 
 HAND = (
-    "train_bgr_command.py",
-    "train_bgr_dataset.py",
-    "train_bgr_hand.py",
-    "train_bgr_perceptron.py",
+    "training/command_line.py",
+    "training/lerobot_dataset.py",
+    "training/action_head.py",
+    "training/perceptron.py",
 )
 """What the trainers of all policies with a hand share."""
-STATE_RECIPES = {"bgr": Recipe("train_bgr.py", "bgr_policy.py", HAND)}
+STATE_RECIPES = {"bgr": Recipe("train_state.py", "state_policy.py", HAND)}
 """By task: policies that observe the simulator's truth."""
 CAMERA_RECIPES = {
     "bgr": Recipe(
-        "train_bgr_images.py",
-        "bgr_image_policy.py",
+        "train_images.py",
+        "image_policy.py",
         (
             *HAND,
-            "bgr_policy.py",
-            "bgr_eye.py",
-            "train_bgr_eye.py",
-            "train_bgr_looks.py",
+            "state_policy.py",
+            "keypoint_network.py",
+            "training/keypoint_training.py",
+            "training/picture_augmentation.py",
         ),
         packages=("torch",),
-        devices="train_bgr_eye.py",
+        devices="training/keypoint_training.py",
         cameras=("left",),
         episodes=60,
         expert_noise=EXPERT_NOISE,
