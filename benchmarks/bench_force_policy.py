@@ -34,8 +34,8 @@ from publish import publish
 from result_book import ResultBook
 
 from surg_cli.host.terminal import Progress
-from surg_cli.learning.recipes import PUSH_M
 from surg_core.contract import FORCE_KEY, TICK
+from surg_learn.recipes import PUSH_M
 from surg_sim.tasks import episode_seeds
 
 CELL, TASK, ARM = "sim_two_arms", "bgr", "PSM1"

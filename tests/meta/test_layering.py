@@ -25,7 +25,7 @@ def test_layers_of_the_command_line_hold() -> None:
         ("host/paths.py", "from surg_cli.graph import master"),
         ("graph/watch.py", "def f():\n    from surg_cli.commands import run"),
         ("graph/watch.py", "from surg_cli.__main__ import run"),
-        ("learning/rollouts.py", "import surg_cli.commands.run"),
+        ("robots/rollouts.py", "import surg_cli.commands.run"),
         ("commands/demo.py", "from surg_cli.commands.run import main"),
     ],
 )
@@ -119,6 +119,16 @@ BROKEN = {
         "surg_recording/src/surg_recording/report.py",
         "import surg_sim\n",
         "surg_recording must not use surg_sim",
+    ),
+    "a functional package imports the learning": (
+        "surg_sim/src/surg_sim/a_node.py",
+        "from surg_learn import recipes\n",
+        "surg_sim must not use surg_learn",
+    ),
+    "the learning imports a package beside the simulator": (
+        "surg_learn/src/surg_learn/recipes.py",
+        "import surg_teleop\n",
+        "surg_learn must not use surg_teleop",
     ),
     "somebody imports the command line": (
         "surg_sim/src/surg_sim/a_node.py",

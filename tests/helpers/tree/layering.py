@@ -37,12 +37,14 @@ ALLOWED: dict[str, frozenset[str]] = {
     "surg_ros": MESSAGES | {"surg_core", "surg_description"},
     "surg_recording": MESSAGES | {"surg_core", "surg_ros"},
     **dict.fromkeys(FUNCTIONAL, MESSAGES | LIBRARIES),
-    **dict.fromkeys(LEARNING, LIBRARIES - {"surg_ros"} | {"surg_sim", "surg_policy_bridge"}),
+    **dict.fromkeys(
+        LEARNING, LIBRARIES - {"surg_ros"} | {"surg_sim", "surg_policy_bridge"}
+    ),  # of the bridge: its client
 }
 TOOLS = frozenset({"surg_cli"})
 OURS = frozenset(ALLOWED) | TOOLS
 
-CLI_FOLDERS = ("host", "graph", "robots", "learning", "commands")
+CLI_FOLDERS = ("host", "graph", "robots", "commands")
 """Folders of surg_cli; each may use itself and those before it, but commands not one another."""
 
 ROS_PYTHON = re.compile(

@@ -1,1 +1,0 @@
-"""What `./surg learn` does: recipes, stages, roll-outs of the learned policy."""
