@@ -15,9 +15,9 @@ import pytest
 from helpers.policy import bgr_synthetic
 from helpers.policy.bgr_synthetic import state_policy, train_state
 from surg_cli.graph import episode_process
-from surg_cli.graph import learned_rollouts as cli_rollouts
 from surg_cli.graph import task_episode as cli_episode
 from surg_cli.host import paths
+from surg_cli.learning import rollouts as cli_rollouts
 from surg_core.contract import STATE_KEY, TASK_STATE_KEY
 from surg_recording import datasets
 from surg_recording.episode import episode_reader
