@@ -11,7 +11,7 @@ import pytest
 
 from surg_cli.commands import learn
 from surg_cli.host.terminal import Problem
-from surg_cli.learning.recipes import Request
+from surg_learn.recipes import Request
 
 demonstrations = pytest.importorskip("surg_sim.envs.demonstrations")
 
