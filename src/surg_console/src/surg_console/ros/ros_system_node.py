@@ -5,7 +5,6 @@ Messages of fast topics are kept as bytes and decoded only when the page needs a
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 import threading
@@ -22,14 +21,21 @@ from crtk_msgs.msg import OperatingState
 from surg_console.ros.order_topics_node import OrderTopics
 from surg_console.ros.overlay_topics_node import OverlayTopics
 from surg_console.ros.raw_gauges import depth, force, last_double, state_and_reason
+from surg_console.ros.status_values_node import (
+    calibration_of,
+    fixture_of,
+    follower_of,
+    policy_of,
+    recorder_of,
+    task_of,
+)
 from surg_console.session import operator_messages
 from surg_console.session.console_orders import Order
 from surg_console.session.episode_list import Entry, Episodes
-from surg_console.session.fixture_view import FixtureView, region_of
+from surg_console.session.fixture_view import FixtureView
 from surg_console.session.page_status import finite
 from surg_console.session.system_state import (
     Arm,
-    Calibration,
     Follower,
     Gauges,
     PolicyServer,
@@ -40,13 +46,12 @@ from surg_console.session.system_state import (
 from surg_console.session.tip_force_feedback import tip_force_feedback
 from surg_core import Fixture
 from surg_core.config import Cell
-from surg_core.status_check import Newest, value_name
+from surg_core.status_check import Newest
 from surg_core.transforms import quaternion_xyzw_to_matrix
 from surg_msgs.msg import (
     CalibrationStatus,
     Cycle,
     Fixtures,
-    HandStatus,
     PolicyStatus,
     RecordStatus,
     SimStatus,
@@ -136,7 +141,7 @@ class RosSystem:
             )
 
     def _on_fixtures(self, message: Fixtures) -> None:
-        regions = tuple(map(_region, message.fixtures))
+        regions = tuple(map(fixture_of, message.fixtures))
         with self._lock:
             self._regions = regions
 
@@ -205,11 +210,11 @@ class RosSystem:
                     clearance=last_double(newest.get("clearance", b"")),
                 ),
                 fixtures=self._fixtures(),
-                recorder=_recorder(record) if record else Recorder(),
+                recorder=recorder_of(record) if record else Recorder(),
                 simulated=sim is not None,
-                task=_task(sim) if sim else SimTask(),
-                policy=_policy(policy) if policy else PolicyServer(),
-                calibration=_calibration(calibration) if calibration else None,
+                task=task_of(sim) if sim else SimTask(),
+                policy=policy_of(policy) if policy else PolicyServer(),
+                calibration=calibration_of(calibration) if calibration else None,
             )
 
     def _hands(self, now: float) -> list[Follower]:
@@ -217,7 +222,7 @@ class RosSystem:
         status = self._statuses[self._teleop].at(now)
         if status is None or not status.hands:
             return [Follower()]
-        first, *others = map(_follower, status.hands)
+        first, *others = map(follower_of, status.hands)
         return [replace(first, reason=first.reason or status.picture), *others]
 
     def reset_peaks(self) -> None:
@@ -255,50 +260,3 @@ class RosSystem:
     def keep_alive(self) -> None:
         """See `console_server.System`."""
         self._orders.repeat()
-
-
-def _region(message: Any) -> Fixture:
-    places = {
-        name: (vector.x, vector.y, vector.z)
-        for name in ("point", "normal", "end")
-        for vector in [getattr(message, name)]
-    }
-    return region_of(
-        message.name, message.shape, message.side, message.of, radius=message.radius, **places
-    )
-
-
-def _follower(hand: HandStatus) -> Follower:
-    state = value_name(hand, "state")
-    return Follower(
-        state=state,
-        mapping=value_name(hand, "mapping").lower(),
-        reason=hand.detail,
-        scale=finite(hand.scale),
-        leader=hand.leader,
-        arm=hand.arm,
-        at_wall=state == "FOLLOWING" and bool(hand.detail),
-    )
-
-
-def _recorder(status: RecordStatus) -> Recorder:
-    return Recorder(value_name(status, "state"), status.detail)
-
-
-def _task(status: SimStatus) -> SimTask:
-    task = status.task
-    return SimTask(value_name(task, "state"), task.name, task.phase, task.detail)
-
-
-def _calibration(status: CalibrationStatus) -> Calibration:
-    content = {each.name: getattr(status, each.name) for each in dataclasses.fields(Calibration)}
-    content = {
-        k: tuple(v) if isinstance(v, list | tuple | bytes) else v for k, v in content.items()
-    }
-    names = {"state": value_name(status, "state"), "step": value_name(status, "step")}
-    return Calibration(**{**content, **names})
-
-
-def _policy(status: PolicyStatus) -> PolicyServer:
-    state = value_name(status, "state")
-    return PolicyServer(state, status.policy, status.detail, status.refused)

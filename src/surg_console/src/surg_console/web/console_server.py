@@ -43,7 +43,7 @@ LIST = 1.0
 
 PAGES = {
     "/": "index.html",
-    "/calibrate": "calibrate.html",
+    "/calibrate": "calibrate/calibrate.html",
     "/monitor": "monitor.html",
     "/headset": "headset.html",
 }

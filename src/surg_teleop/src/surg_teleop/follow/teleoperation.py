@@ -32,6 +32,7 @@ from surg_core.contract import SECOND_NS, TICK_NS
 from surg_core.hand.leader_sample import LeaderSample
 from surg_teleop.follow import interlocks
 from surg_teleop.follow.engagement import AGAIN, DisengagedError, Engagement
+from surg_teleop.follow.teleop_history import NEVER, TeleopHistory
 from surg_teleop.follow.teleop_types import (
     ABANDONED,
     DEFAULT_SCALE,
@@ -52,40 +53,6 @@ from surg_teleop.follow.teleop_types import (
     older_than,
 )
 
-NEVER = -math.inf
-"""[s] Before every time of the steady clock."""
-
-
-@dataclass(frozen=True)
-class History:
-    """What a tick needs to know of the ticks before; times on the steady clock [s]."""
-
-    ticked: float = NEVER  # time of the last tick
-    leader: float = NEVER  # stamp of the last good sample
-    # those that were down in it; None: there is a gap between it and now
-    buttons: frozenset[str] | None = None
-    requested: float = NEVER  # the operator's last request to follow
-    enabled: float = NEVER  # the last ``enable``
-    paused: float = NEVER  # when the last ``pause`` was sent
-    held: float = NEVER  # when the last engagement ended
-
-    def heard(self, sample: LeaderSample, need_present: bool) -> History:
-        """After a good sample: button edges become requests, or cancel one."""
-        before, buttons = self.buttons, sample.buttons
-        requested = self.requested
-        if before is not None:
-            released = "clutch" in before - buttons
-            returned = need_present and "present" in buttons - before
-            if released or returned:
-                requested = self.ticked
-            if "clutch" in buttons:
-                requested = NEVER
-        return replace(self, buttons=buttons, requested=requested)
-
-    def gap(self) -> History:
-        """After a gap: neither edges across it nor earlier requests count."""
-        return replace(self, buttons=None, requested=NEVER)
-
 
 @dataclass
 class Teleop:
@@ -100,7 +67,7 @@ class Teleop:
     mode: ControlMode = field(init=False)  # the control mode in force
     _switch: bool | None = field(default=None, init=False, repr=False)
     _wanted_mode: ControlMode | None = field(default=None, init=False, repr=False)
-    _history: History = field(default_factory=History, init=False, repr=False)
+    _history: TeleopHistory = field(default_factory=TeleopHistory, init=False, repr=False)
     _notice: Notice = field(default_factory=Notice, init=False, repr=False)
     _engagement: Engagement | None = field(default=None, init=False, repr=False)
     _bring_up: BringUp = field(init=False, repr=False)

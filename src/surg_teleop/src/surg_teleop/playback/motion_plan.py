@@ -20,6 +20,7 @@ from scipy.interpolate import CubicSpline
 from surg_teleop.follow.hand_mapping import Mapping
 from surg_teleop.playback.motion_errors import MotionError
 from surg_teleop.playback.motion_file import Motion
+from surg_teleop.playback.quintic import Quintic, horner
 from surg_teleop.playback.workspace_fit import Workspace, box_centre, largest_scale
 
 Array = NDArray[np.float64]
@@ -44,44 +45,6 @@ MAX_DURATION = 24 * 3600.0
 
 class ConstantMotionError(MotionError):
     """A motion that does not move."""
-
-
-@dataclass(frozen=True)
-class Quintic:
-    """Quintic between two states (position, velocity, acceleration) of any number of axes.
-
-    Attributes:
-        coefficients: (6, axes), lowest power first, in time since its start.
-    """
-
-    coefficients: Array
-
-    @staticmethod
-    def between(
-        start: tuple[Array, Array, Array], end: tuple[Array, Array, Array], T: float
-    ) -> Quintic:
-        """The quintic between the given states, T seconds apart."""
-        (x0, v0, a0), (x1, v1, a1) = start, end
-        h = x1 - x0 - v0 * T - a0 * T * T / 2.0
-        dv, da = v1 - v0 - a0 * T, a1 - a0
-        return Quintic(
-            np.stack(
-                (
-                    x0,
-                    v0,
-                    a0 / 2.0,
-                    10.0 * h / T**3 - 4.0 * dv / T**2 + da / (2.0 * T),
-                    -15.0 * h / T**4 + 7.0 * dv / T**3 - da / T**2,
-                    6.0 * h / T**5 - 3.0 * dv / T**4 + da / (2.0 * T**3),
-                )
-            )
-        )
-
-    def at(self, t: Array) -> Array:
-        """Positions (n, axes) at times (n,) since its start."""
-        powers = np.power.outer(t, np.arange(6))
-        positions: Array = powers @ self.coefficients
-        return positions
 
 
 @dataclass(frozen=True)
@@ -125,16 +88,16 @@ class MotionPlan:
         t = min(max(t, 0.0), self.duration)
         start, end = self.window
         if t < start:
-            state = _horner(self._in.coefficients, t)
+            state = horner(self._in.coefficients, t)
         elif t >= end:
-            state = _horner(self._out.coefficients, t - end)
+            state = horner(self._out.coefficients, t - end)
         else:
             local = self._phase_at(t)
             if local > self.motion.duration:
-                state = _horner(self._back.coefficients, local - self.motion.duration)
+                state = horner(self._back.coefficients, local - self.motion.duration)
             else:
                 piece = min(bisect.bisect_right(self._knots, local), len(self._knots) - 1) - 1
-                state = _horner(self._pieces[piece], local - self._knots[piece])
+                state = horner(self._pieces[piece], local - self._knots[piece])
         return self.mapping.position(state[:3]), self.mapping.roll(float(state[3]))
 
     def path(self, t: Array) -> tuple[Array, Array]:
@@ -288,14 +251,6 @@ def _lay_out(motion: Motion, scale: float, played: float) -> MotionPlan:
         _knots=motion.t.tolist(),
         _pieces=list(spline.c[::-1].transpose(1, 0, 2)),
     )
-
-
-def _horner(coefficients: Array, u: float) -> Array:
-    """Polynomials (k, axes), lowest power first, at u; fast enough for a control cycle."""
-    value: Array = coefficients[-1]
-    for row in coefficients[-2::-1]:
-        value = value * u + row
-    return value
 
 
 def _check_fit(plan: MotionPlan, workspace: Workspace, scale: float) -> None:

@@ -5,52 +5,18 @@ import { Marks } from "./overlays/marks.js";
 import { PlanOverlay } from "./overlays/plan.js";
 import { Scene } from "./overlays/scene.js";
 import { Hand } from "./hand.js";
-import { Link, clock, socketUrl, token, wallUs } from "./link.js";
+import "./key_help.js";
+import { Link, clock, socketUrl, token } from "./link.js";
+import { showAge } from "./picture_age.js";
+import { speakWhileTouched } from "./touch_frames.js";
 import { View, mark, set, sink, write } from "./view.js";
 
 const INPUT_MS = 20; // the console holds the arm after 100 ms without one
 const LEAST_S = 0.015; // between two inputs, whatever sends them
-const AFTER_TOUCH_S = 0.3;
-const OLD_PICTURE_MS = 150; // three of the endoscope's periods
 const SHOW_MS = 200; // figures for people, all together; states are shown at once
 const AGE_EVERY = 2; // times that figures are shown
 const KEPT_PICTURES = 16384; // a quarter of an hour, for measurements
 const TOAST_MS = 5000;
-
-const KEYS = [
-  [["W", "A", "S", "D"], "in the picture"],
-  [["R", "F"], "deeper, back"],
-  [["Q", "E"], "roll"],
-  [["K", "L"], "close, open the jaw"],
-  [["Shift"], "slow"],
-  [["Space"], "clutch"],
-  [["C"], "camera"],
-  [["Enter"], "enable"],
-  [["Esc"], "stop"],
-  [["V"], "record"],
-  [["Drag"], "mouse; with Shift: deeper, roll"],
-];
-
-/** What the footer has no room for. */
-const MORE_KEYS = [
-  [["↑", "↓", "←", "→", "Page up", "Page down"], "for the right hand: in the picture, deeper, back"],
-  [["Home", "End"], "for the right hand: roll"],
-  [["Delete", "Insert"], "for the right hand: close, open the jaw"],
-  [["M"], "mouse, or keys and gamepad"],
-  [["−", "="], "scale"],
-  [["[", "]"], "speed"],
-  [["P"], "policy"],
-  [["B"], "left eye, side by side"],
-  [["Z"], "size of the pictures"],
-  [["N"], "marks of the instruments"],
-  [["I"], "what the policy plans and sees"],
-  [["O"], "the arms in the room"],
-  [["Y"], "force at the tip as a tone and a rumble"],
-  [["T"], "take control"],
-  [["H"], "put the arm back"],
-  [["J"], "left-handed layout"],
-  [["?"], "this help"],
-];
 
 const element = (id) => document.getElementById(id);
 
@@ -113,7 +79,7 @@ function onStatus(message) {
 function show() {
   if (status && view) view.show(status, link);
   if (lastHand) showHand(lastHand);
-  if (shown % AGE_EVERY === 0) showAge();
+  if (shown % AGE_EVERY === 0) showAge(picture, link.offsetUs);
   shown += 1;
 }
 setInterval(show, SHOW_MS);
@@ -223,23 +189,7 @@ function speak() {
 }
 setInterval(speak, INPUT_MS);
 
-// Chromium stops a page's timers for 100 ms when a finger comes down. Its frames go on.
-const touching = new Set();
-let framesUntil = 0;
-function frames() {
-  speak();
-  if (touching.size || clock() < framesUntil) requestAnimationFrame(frames);
-}
-for (const kind of ["pointerdown", "pointerup", "pointercancel"]) {
-  addEventListener(kind, (event) => {
-    if (event.pointerType !== "touch") return;
-    const idle = !touching.size && clock() >= framesUntil;
-    if (kind === "pointerdown") touching.add(event.pointerId);
-    else touching.delete(event.pointerId);
-    framesUntil = clock() + AFTER_TOUCH_S;
-    if (idle) frames();
-  }, true);
-}
+speakWhileTouched(speak);
 
 function showHand(sample) {
   const driving = status?.phase === "driving";
@@ -302,15 +252,6 @@ element("speed").addEventListener("input", ({ target }) => {
 });
 for (const id of ["scale", "speed"]) element(id).addEventListener("change", ({ target }) => target.blur());
 
-function keyRow(tag, keys, text) {
-  const item = document.createElement(tag);
-  for (const key of keys) item.append(Object.assign(document.createElement("kbd"), { textContent: key }));
-  item.append(` ${text}`);
-  return item;
-}
-for (const [keys, text] of KEYS) element("keys").append(keyRow("span", keys, text));
-for (const [keys, text] of [...KEYS, ...MORE_KEYS]) element("help-keys").append(keyRow("li", keys, text));
-
 // --- pictures ---
 
 const canvas = element("picture").transferControlToOffscreen();
@@ -352,16 +293,3 @@ for (const button of element("size").children) {
 }
 watch({});
 turnSide(parameters.get("side") === "left");
-
-function showAge() {
-  const age = (wallUs() + link.offsetUs - picture.exposedUs) / 1000;
-  const recent = picture.drawn.slice(-100).filter((each) => each.drawnUs > wallUs() - 2e6);
-  const node = element("age");
-  if (!picture.exposedUs) return;
-  const middle = recent.map((each) => each.ageMs).sort((a, b) => a - b)[recent.length >> 1];
-  const old = !recent.length || age > OLD_PICTURE_MS + (middle ?? 0);
-  write(node, old ? `picture ${(age / 1000).toFixed(1)} s old` : `picture ${middle.toFixed(0)} ms old`);
-  mark(node, "tone", old ? "bad" : "");
-  const codec = picture.drawn.at(-1).codec === "h264" ? "H.264" : "JPEG";
-  write(element("rate"), `${Math.round(recent.length / 2)} fps, ${codec}`);
-}

@@ -1,8 +1,8 @@
 // The page /calibrate: shows what the collector of views sees and needs; passes four requests on.
 // It is on no socket that could move an arm.
 
-import { socketUrl, token } from "./link.js";
-import { mark, set, write } from "./view.js";
+import { socketUrl, token } from "../link.js";
+import { mark, set, write } from "../view.js";
 
 const AGAIN_MS = 1000;
 const TOAST_MS = 5000;

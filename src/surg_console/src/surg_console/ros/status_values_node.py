@@ -1,0 +1,72 @@
+"""Status messages of other nodes as the values of the page."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from surg_console.session.fixture_view import region_of
+from surg_console.session.page_status import finite
+from surg_console.session.system_state import (
+    Calibration,
+    Follower,
+    PolicyServer,
+    Recorder,
+    SimTask,
+)
+from surg_core import Fixture
+from surg_core.status_check import value_name
+from surg_msgs.msg import CalibrationStatus, HandStatus, PolicyStatus, RecordStatus, SimStatus
+
+
+def fixture_of(message: Any) -> Fixture:
+    """A fixture of a surg_msgs/Fixtures."""
+    places = {
+        name: (vector.x, vector.y, vector.z)
+        for name in ("point", "normal", "end")
+        for vector in [getattr(message, name)]
+    }
+    return region_of(
+        message.name, message.shape, message.side, message.of, radius=message.radius, **places
+    )
+
+
+def follower_of(hand: HandStatus) -> Follower:
+    """One leader on one arm."""
+    state = value_name(hand, "state")
+    return Follower(
+        state=state,
+        mapping=value_name(hand, "mapping").lower(),
+        reason=hand.detail,
+        scale=finite(hand.scale),
+        leader=hand.leader,
+        arm=hand.arm,
+        at_wall=state == "FOLLOWING" and bool(hand.detail),
+    )
+
+
+def recorder_of(status: RecordStatus) -> Recorder:
+    """The recorder."""
+    return Recorder(value_name(status, "state"), status.detail)
+
+
+def task_of(status: SimStatus) -> SimTask:
+    """The phantom's task."""
+    task = status.task
+    return SimTask(value_name(task, "state"), task.name, task.phase, task.detail)
+
+
+def calibration_of(status: CalibrationStatus) -> Calibration:
+    """The collector of calibration views."""
+    content = {each.name: getattr(status, each.name) for each in dataclasses.fields(Calibration)}
+    content = {
+        k: tuple(v) if isinstance(v, list | tuple | bytes) else v for k, v in content.items()
+    }
+    names = {"state": value_name(status, "state"), "step": value_name(status, "step")}
+    return Calibration(**{**content, **names})
+
+
+def policy_of(status: PolicyStatus) -> PolicyServer:
+    """The model server."""
+    state = value_name(status, "state")
+    return PolicyServer(state, status.policy, status.detail, status.refused)

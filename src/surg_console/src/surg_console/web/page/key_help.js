@@ -1,0 +1,45 @@
+// The keys of the console: in the footer, and all of them in the help.
+
+const KEYS = [
+  [["W", "A", "S", "D"], "in the picture"],
+  [["R", "F"], "deeper, back"],
+  [["Q", "E"], "roll"],
+  [["K", "L"], "close, open the jaw"],
+  [["Shift"], "slow"],
+  [["Space"], "clutch"],
+  [["C"], "camera"],
+  [["Enter"], "enable"],
+  [["Esc"], "stop"],
+  [["V"], "record"],
+  [["Drag"], "mouse; with Shift: deeper, roll"],
+];
+
+/** What the footer has no room for. */
+const MORE_KEYS = [
+  [["↑", "↓", "←", "→", "Page up", "Page down"], "for the right hand: in the picture, deeper, back"],
+  [["Home", "End"], "for the right hand: roll"],
+  [["Delete", "Insert"], "for the right hand: close, open the jaw"],
+  [["M"], "mouse, or keys and gamepad"],
+  [["−", "="], "scale"],
+  [["[", "]"], "speed"],
+  [["P"], "policy"],
+  [["B"], "left eye, side by side"],
+  [["Z"], "size of the pictures"],
+  [["N"], "marks of the instruments"],
+  [["I"], "what the policy plans and sees"],
+  [["O"], "the arms in the room"],
+  [["Y"], "force at the tip as a tone and a rumble"],
+  [["T"], "take control"],
+  [["H"], "guide the arm home"],
+  [["J"], "left-handed layout"],
+  [["?"], "this help"],
+];
+
+function keyRow(tag, keys, text) {
+  const item = document.createElement(tag);
+  for (const key of keys) item.append(Object.assign(document.createElement("kbd"), { textContent: key }));
+  item.append(` ${text}`);
+  return item;
+}
+for (const [keys, text] of KEYS) document.getElementById("keys").append(keyRow("span", keys, text));
+for (const [keys, text] of [...KEYS, ...MORE_KEYS]) document.getElementById("help-keys").append(keyRow("li", keys, text));
