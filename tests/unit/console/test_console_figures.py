@@ -10,7 +10,7 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 
 from surg_console.ros.raw_gauges import depth, force
-from surg_console.ros.ros_system_node import _follower
+from surg_console.ros.status_values_node import follower_of
 from surg_msgs.msg import HandStatus
 
 
@@ -38,9 +38,9 @@ def test_they_are_what_the_messages_say() -> None:
 
 
 def test_a_scale_is_a_number_or_none() -> None:
-    assert [_follower(HandStatus(scale=x)).scale for x in (0.2, 1)] == [0.2, 1.0]
+    assert [follower_of(HandStatus(scale=x)).scale for x in (0.2, 1)] == [0.2, 1.0]
     strange = (math.inf, -math.inf, math.nan)
-    assert [_follower(HandStatus(scale=x)).scale for x in strange] == [None] * 3
+    assert [follower_of(HandStatus(scale=x)).scale for x in strange] == [None] * 3
 
 
 def test_what_is_no_such_message_says_nothing() -> None:

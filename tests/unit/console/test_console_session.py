@@ -71,9 +71,6 @@ class Bench:
                 follows = "FOLLOWING" if self.heard_moves else "WAITING"
                 state = follows if order.value else "DISABLED"
                 self.follower = replace(self.follower, state=state)
-            elif isinstance(order, SetMapping):
-                mapping = "rate" if order.value else "position"
-                self.follower = replace(self.follower, mapping=mapping)
         self.orders += orders
         return orders
 
@@ -528,7 +525,6 @@ def test_the_mapping_is_asked_for_once_with_each_change_of_the_hand(bench: Bench
 
 def test_a_page_that_does_not_lead_enables_and_clutches_only(bench: Bench) -> None:
     bench.session = ConsoleSession(pictures=True, leads=False)
-    bench.follower = replace(bench.follower, mapping="rate")
     bench.drive()
     bench.run(0.5, clutch=True)
     assert bench.orders == [Clutch(True)]

@@ -23,7 +23,7 @@ from helpers.graph.statuses import complete, fields, heard_by_watch, newest, rem
 from surg_cli.commands import record, up
 from surg_cli.graph import follow, policy_program, system, task_episode
 from surg_console.ros.ros_system_node import RosSystem
-from surg_console.session.console_orders import Policy, SetMapping
+from surg_console.session.console_orders import Policy
 from surg_console.session.console_session import SETTLED, ConsoleSession
 from surg_console.session.system_state import Arm, Robot
 from surg_console.web import calibration_socket
@@ -54,13 +54,6 @@ def console_enables_the_policy(status: Any) -> bool:
     session._policy_requested = TIME() - SETTLED - 0.1
     session.tick(console_state(status), TIME())
     return Policy(True) in session.take_orders()
-
-
-def console_changes_the_mapping(status: Any) -> bool:
-    session = page_in_control()
-    session.enable("page", Robot(arms=(Arm("PSM1"),)), TIME() - SETTLED - 0.1)
-    session.tick(console_state(status), TIME())
-    return SetMapping() in session.take_orders()
 
 
 # --- PolicyStatus ----------------------------------------------------------------------------
@@ -262,11 +255,6 @@ DECIDERS: dict[str, list[Decider]] = {
     "TeleopStatus": [
         Decider(policy_gets_the_arm, ("hands", "hands.leader", "hands.arm", "hands.state"), {}),
         Decider(console_enables_the_policy, ("hands", "hands.state"), {}),
-        Decider(
-            console_changes_the_mapping,
-            ("hands", "hands.state", "hands.mapping"),
-            {"hands.state": HAND.STATE_WAITING, "hands.mapping": HAND.MAPPING_RATE},
-        ),
     ],
     "PolicyStatus": [
         Decider(console_may_start_the_policy, ("state",), {}),

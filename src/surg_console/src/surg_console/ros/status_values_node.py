@@ -36,7 +36,6 @@ def follower_of(hand: HandStatus) -> Follower:
     state = value_name(hand, "state")
     return Follower(
         state=state,
-        mapping=value_name(hand, "mapping").lower(),
         reason=hand.detail,
         scale=finite(hand.scale),
         leader=hand.leader,

@@ -31,7 +31,6 @@ class Follower:
     """State of one leader on one arm, from the teleoperation node."""
 
     state: str = ""  # DISABLED, WAITING, FOLLOWING, CLUTCHED, FAULT; empty: unknown
-    mapping: str = "position"  # "position" or "rate"
     reason: str = ""  # why the tip does not follow, or what limits it
     scale: float | None = None
     leader: str = ""
