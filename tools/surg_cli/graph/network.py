@@ -30,7 +30,7 @@ def check(address: str, role: roles.Role, guard: bool) -> None:
     if not guard:
         refuse_other_addresses(address)
     elif not GUARD.is_file():
-        raise Problem(f"{GUARD} is missing; run ./surg dev build --force")
+        raise Problem(f"{GUARD} is missing; run ./surg dev build")
 
 
 def has(address: str) -> bool:

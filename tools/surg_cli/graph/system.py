@@ -372,7 +372,7 @@ def executable(package: str, name: str) -> Path:
         candidate = prefix / "lib" / package / name
         if candidate.is_file() and os.access(candidate, os.X_OK):
             return candidate
-    raise Problem(f"no executable {name!r} of package {package!r}; run ./surg dev build --force")
+    raise Problem(f"no executable {name!r} of package {package!r}; run ./surg dev build")
 
 
 def _as_text(value: object) -> str:
