@@ -16,7 +16,7 @@ from pathlib import Path
 
 from surg_cli.commands import learn
 from surg_cli.graph import episode_plans
-from surg_cli.host.terminal import Problem, say, warn
+from surg_cli.host.terminal import CliError, say, warn
 from surg_cli.learning import learn_stages
 from surg_cli.learning.recipes import Request
 from surg_cli.learning.stage_ledger import Ledger
@@ -38,7 +38,7 @@ def prepare(options: argparse.Namespace) -> tuple[Request, Path]:
     """Do the stages; returns the request and the folder of the run."""
     request = learn.check(options)
     if options.both_views and not request.cameras:
-        raise Problem("--both-views: without --cameras no picture is recorded", 2)
+        raise CliError("--both-views: without --cameras no picture is recorded", 2)
     learn_stages.check_device(request)
     out = learn.folder_of(options.out, request)
     resume = f"{PROGRAM} {learn.command_line(request, out).removeprefix('./surg learn ')}"
@@ -57,7 +57,7 @@ def main(words: Sequence[str]) -> int:
     """Entry point; the last line printed is the path of the weights."""
     try:
         request, out = prepare(options_of(words))
-    except Problem as problem:
+    except CliError as problem:
         warn(f"without_ros: {problem}")
         return problem.code
     there = replace(request, device="auto")  # what is trained is trained

@@ -234,7 +234,7 @@ def says_yes(decider: Decider, status: Any, monkeypatch: pytest.MonkeyPatch) -> 
         monkeypatch.setattr(follow, "finish_recording", lambda *_: [])
     try:
         return decider.call(status)
-    except (record.Problem, WaitsForeverError):
+    except (record.CliError, WaitsForeverError):
         return False
 
 

@@ -12,7 +12,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surg_cli.host.terminal import Problem, Progress, say
+from surg_cli.host.terminal import CliError, Progress, say
 from surg_cli.learning.recipes import LEARNERS, PUSH_M, Request
 from surg_cli.learning.rollouts import Player
 from surg_cli.learning.stage_ledger import Ledger
@@ -38,7 +38,7 @@ def prepare(
         lambda: demonstrate(request, cell, out, more_views),
     )
     if more_views and not recorded(request, cell, out, more_views):
-        raise Problem(
+        raise CliError(
             f"{out}: its demonstrations lack one of the views {' and '.join(more_views)}; name "
             "another folder with --out",
             2,
@@ -101,7 +101,7 @@ def demonstrate(
         try:
             demonstrations.play(plan, chosen, _jobs(), show)
         except (EpisodeError, OSError, ValueError) as problem:
-            raise Problem(str(problem)) from problem
+            raise CliError(str(problem)) from problem
     judged = {seed: verdict(episode_reader.read(plan.folder(seed)).manifest) for seed in chosen}
     failed = {seed: each.reason for seed, each in judged.items() if not each.success}
     for seed, reason in failed.items():
@@ -144,9 +144,9 @@ def export(out: Path) -> dict[str, Any]:
                 [out / "demonstrations"], out / "dataset", options, progress.update
             )
         except datasets.ExportError as problem:
-            raise Problem(str(problem)) from problem
+            raise CliError(str(problem)) from problem
     if not report.ok:
-        raise Problem("; ".join([*report.errors, *report.refused.values()][:3]))
+        raise CliError("; ".join([*report.errors, *report.refused.values()][:3]))
     return {"recordings": report.recordings, "frames": report.frames}
 
 
@@ -154,12 +154,12 @@ def check_device(request: Request) -> None:
     """Refuse a GPU that the trainer cannot use.
 
     Raises:
-        Problem: With the trainer's own words.
+        CliError: With the trainer's own words.
     """
     if request.device != "cuda":
         return
     if not request.recipe.devices:
-        raise Problem(
+        raise CliError(
             f"--device {request.device}: the policy that observes the simulator's truth is trained "
             "on the processor; leave --device out, or train one from pictures with --cameras",
             2,
@@ -167,7 +167,7 @@ def check_device(request: Request) -> None:
     argv = [sys.executable, str(LEARNERS / request.recipe.devices), request.device]
     asked = subprocess.run(argv, capture_output=True, text=True, check=False)
     if asked.returncode != 0:
-        raise Problem(asked.stderr.strip().splitlines()[-1], 2)
+        raise CliError(asked.stderr.strip().splitlines()[-1], 2)
 
 
 def train(request: Request, out: Path) -> dict[str, Any]:
@@ -182,7 +182,7 @@ def train(request: Request, out: Path) -> dict[str, Any]:
             argv, out / "logs" / "training.log", lambda n: progress.update(n["part"], n["note"])
         )
     if "weights" not in last:
-        raise Problem(f"{program.name} ended without naming its weights: {last}")
+        raise CliError(f"{program.name} ended without naming its weights: {last}")
     return last
 
 
@@ -190,7 +190,7 @@ def follow(argv: list[str], log: Path, show: Callable[[Mapping[str, Any]], None]
     """Run a program that prints its progress in lines of JSON; returns the last line.
 
     Raises:
-        Problem: The program failed; with the end of its log.
+        CliError: The program failed; with the end of its log.
     """
     log.parent.mkdir(parents=True, exist_ok=True)
     last: dict[str, Any] = {}
@@ -215,7 +215,7 @@ def follow(argv: list[str], log: Path, show: Callable[[Mapping[str, Any]], None]
             status = process.wait()
     if status != 0:
         tail = log.read_text("utf-8", errors="replace").strip().splitlines()[-3:]
-        raise Problem("\n".join(tail) or f"{Path(argv[1]).name} ended with {status}")
+        raise CliError("\n".join(tail) or f"{Path(argv[1]).name} ended with {status}")
     return last
 
 

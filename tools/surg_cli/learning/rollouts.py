@@ -16,7 +16,7 @@ from typing import Any
 
 from surg_cli.graph import episode_plans, episode_process, policy_program, task_episode
 from surg_cli.graph.episode_plans import Condition
-from surg_cli.graph.system import Plan
+from surg_cli.graph.system import SystemPlan
 from surg_cli.host import paths
 
 RESULT = "result.json"
@@ -85,7 +85,7 @@ class Player:
         return result
 
 
-def describe(plan: Plan, ended: task_episode.Ended) -> dict[str, Any]:
+def describe(plan: SystemPlan, ended: task_episode.Ended) -> dict[str, Any]:
     """Both entries of a roll-out: that of the policy, and that of the episode."""
     from surg_recording.reports import learning
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem, say
+from surg_cli.host.terminal import CliError, say
 
 FORMAT = "surg_stages/1"
 
@@ -27,7 +27,7 @@ class Ledger:
     ``resume`` is the command line that resumes the work, for the error message.
 
     Raises:
-        Problem: The file is there and is no ledger.
+        CliError: The file is there and is no ledger.
     """
 
     def __init__(self, file: Path, resume: str) -> None:
@@ -41,7 +41,7 @@ class Ledger:
                     raise ValueError(f"its format is {content['format']!r}, not {FORMAT}")
                 self._stages = dict(content["stages"])
             except (ValueError, KeyError, TypeError) as error:
-                raise Problem(
+                raise CliError(
                     f"{file}: not a list of stages ({error}); remove the folder or name another", 2
                 ) from error
 
@@ -66,7 +66,7 @@ class Ledger:
             complete: Whether a result is complete; otherwise the stage resumes next time.
 
         Raises:
-            Problem: The stage failed; the text names it, and how to resume.
+            CliError: The stage failed; the text names it, and how to resume.
         """
         words = json.dumps([self._before, name, inputs], sort_keys=True, default=str)
         key = self._before = hashlib.sha256(words.encode()).hexdigest()
@@ -79,8 +79,8 @@ class Ledger:
         try:
             result = work()
             done = complete(result)
-        except Problem as problem:
-            raise Problem(
+        except CliError as problem:
+            raise CliError(
                 f"stage '{name}': {problem}\nFinished work is kept. Resume with: {self._resume}",
                 problem.code,
             ) from problem
