@@ -18,7 +18,7 @@ from surg_cli.learning.rollouts import Player
 from surg_cli.learning.stage_ledger import Ledger
 
 if TYPE_CHECKING:
-    from surg_sim.envs.demonstrations import Plan
+    from surg_sim.envs.demonstrations import DemonstrationPlan
 
 COMPARED = 20
 """Demonstrations whose smoothness is in the report, at most."""
@@ -55,11 +55,13 @@ def prepare(
     }
 
 
-def plan_of(request: Request, cell: Path, out: Path, more_views: Sequence[str]) -> Plan:
+def plan_of(
+    request: Request, cell: Path, out: Path, more_views: Sequence[str]
+) -> DemonstrationPlan:
     """What all demonstrations have in common."""
     from surg_sim.envs import demonstrations
 
-    return demonstrations.Plan(
+    return demonstrations.DemonstrationPlan(
         out / "demonstrations",
         cell,
         request.task,
