@@ -31,10 +31,9 @@ for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 import numpy as np  # noqa: E402  reads them
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "examples/bgr"))
 
-from bgr_eye import CONVOLUTIONS, MAPS, SIDE, Eye, grid, scaled  # noqa: E402
-from bgr_image_policy import ImagePolicy  # noqa: E402
+from surg_learn.bgr.image_policy import ImagePolicy  # noqa: E402
+from surg_learn.bgr.keypoint_network import CONVOLUTIONS, MAPS, SIDE, Eye, grid, scaled  # noqa: E402
 
 TIMES = 1000
 

@@ -1,6 +1,6 @@
 """Does a policy of bgr that feels the force pull less: success, peak force, tension.
 
-`examples/bgr/train_bgr.py` learns from the same demonstrations with and without
+`surg_learn.bgr.train_state` learns from the same demonstrations with and without
 `observation.force`, and with and without the simulator's tension, which no robot measures. The
 policies play test seeds in process (`surg_sim.envs.policy_rollouts`). A roll-out is good if it is
 solved and the force on the jaws stayed within 2 N in the retraction. Two more roll-outs of each
@@ -33,13 +33,11 @@ from policy.force_cases import Case, Felt, Meter, Result, cases, cores
 from publish import publish
 from result_book import ResultBook
 
-from surg_cli.host import paths
 from surg_cli.host.terminal import Progress
-from surg_cli.learning.recipes import PUSH_M
 from surg_core.contract import FORCE_KEY, TICK
+from surg_learn.recipes import PUSH_M
 from surg_sim.tasks import episode_seeds
 
-sys.path.insert(0, str(paths.ROOT / "examples/bgr"))
 CELL, TASK, ARM = "sim_two_arms", "bgr", "PSM1"
 OTHER = 500
 """The forces of another episode are those of the seed so much further."""
@@ -79,10 +77,10 @@ def demonstrate(keep: Path, count: int, jobs: int) -> Path:
 
 def train(keep: Path, dataset: Path, case: Case) -> None:
     """Train one policy, in a process of its own."""
-    import train_bgr
+    from surg_learn.bgr import train_state
 
-    options = train_bgr.Options(seed=case.seed, forces=case.forces, tension=case.tension)
-    policy = train_bgr.train(train_bgr.read(dataset, case.forces), options)
+    options = train_state.Options(seed=case.seed, forces=case.forces, tension=case.tension)
+    policy = train_state.train(train_state.read(dataset, case.forces), options)
     partial = keep / f"partial_{case.weights}"
     policy.save(partial)
     partial.rename(keep / case.weights)
@@ -117,8 +115,7 @@ class Scripted:
 
 def judge(keep: Path, case: Case | None, seeds: list[int]) -> list[Result]:
     """Roll-outs of a case in a process of its own; None: of the expert."""
-    import bgr_policy
-
+    from surg_learn.bgr import state_policy
     from surg_sim.envs.policy_rollouts import roll_out
     from surg_sim.envs.surg_env import SurgEnv
 
@@ -128,7 +125,7 @@ def judge(keep: Path, case: Case | None, seeds: list[int]) -> list[Result]:
         expert = Scripted(env)
         policy: Any = expert
         if case is not None:
-            policy = bgr_policy.Policy.load(keep / case.weights)
+            policy = state_policy.Policy.load(keep / case.weights)
             if case.felt == "other":
                 roll_out(env, expert, seed + OTHER)
             if case.felt != "true":

@@ -2,7 +2,7 @@
 
 In process (`surg_sim.envs.policy_rollouts`), on test seeds, each condition of `policy/sights.py`.
 Several at a time: `--executor processes`, `dask` (a cluster of its own) or `dask:ADDRESS`.
-`--weights` are those of `./surg learn bgr --cameras`, or of `examples/bgr/train_bgr_cloned.py`;
+`--weights` are those of `./surg learn bgr --cameras`, or of `surg_learn.bgr.train_cloned`;
 several are compared on the same seeds. Every finished roll-out is kept in `--keep`; the same
 command of the same programs goes on there. `--json FILE` writes (Wilson's 95 % interval):
 
@@ -64,13 +64,15 @@ PLAYED = (
     "benchmarks/bench_imitation.py",
     "benchmarks/policy/*.py",
     "cells/sim_two_arms/**/*.yaml",
-    "examples/bgr/bgr_*.py",  # not the trainers
     "src/surg_core/include/**/*.hpp",
     "src/surg_core/python/**/*.[ch]pp",
     "src/surg_core/python/**/*.py",
     "src/surg_core/src/**/*.[ch]pp",
     "src/surg_description/*/**/*.yaml",
     "src/surg_description/*/**/*.urdf",
+    "src/surg_learn/src/surg_learn/bgr/*_networks.py",
+    "src/surg_learn/src/surg_learn/bgr/*_network.py",
+    "src/surg_learn/src/surg_learn/bgr/*_policy.py",  # not the trainers
     "src/surg_policy_bridge/client/src/**/*.py",
     "src/surg_policy_bridge/src/**/*.py",
     "src/surg_sim/src/**/*.py",
@@ -279,7 +281,7 @@ def options_of() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="bench imitation", description=(__doc__ or "").split("\n")[0]
     )
-    about = "of learn bgr --cameras, or of train_bgr_cloned.py; several are compared"
+    about = "of learn bgr --cameras, or of train_cloned.py; several are compared"
     parser.add_argument("--weights", type=Path, nargs="+", required=True, metavar="W", help=about)
     parser.add_argument("--keep", type=Path, required=True, metavar="DIR", help="go on there")
     parser.add_argument("--json", type=Path, metavar="FILE")

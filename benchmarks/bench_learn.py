@@ -37,7 +37,6 @@ from typing import Any
 import numpy as np
 from machine import this_machine
 
-from surg_cli.host import paths
 from surg_cli.host.terminal import Progress, say, table
 from surg_core.contract import STATE_KEY
 from surg_recording import datasets
@@ -47,11 +46,10 @@ from surg_sim.envs.policy_rollouts import Rollout
 from surg_sim.physics import cell_files
 from surg_sim.tasks import episode_seeds
 
-sys.path.insert(0, str(paths.ROOT / "examples/bgr"))
 CELL, TASK = "sim_two_arms", "bgr"
 SET, JAW = slice(5, 9), 4
 PLAIN: dict[str, Any] = {"push": 0.0, "behind": 0}
-"""Options of `train_bgr` for copying what was shown, and no more."""
+"""Options of `train_state` for copying what was shown, and no more."""
 
 
 class Hold:
@@ -128,16 +126,16 @@ class Candidate:
 
 def learned(weights: Path) -> Any:
     """The policy of a file of weights."""
-    from bgr_policy import Policy
+    from surg_learn.bgr.state_policy import Policy
 
     return Policy.load(weights)
 
 
 def replayed(dataset: Path) -> Any:
     """The first demonstration of a dataset."""
-    import train_bgr
+    from surg_learn.bgr import train_state
 
-    return Replay(train_bgr.read(dataset).episodes["train"][0].action)
+    return Replay(train_state.read(dataset).episodes["train"][0].action)
 
 
 _environments: dict[str, Any] = {}
@@ -164,11 +162,11 @@ def export(recordings: list[Path], out: Path) -> Path:
 
 def train(dataset: Path, out: Path, seed: int, plain: bool = False) -> dict[str, Any]:
     """Weights, and what they cost."""
-    import train_bgr
+    from surg_learn.bgr import train_state
 
     before = time.process_time()
-    chosen = train_bgr.Options(seed=seed, **(PLAIN if plain else {}))
-    policy = train_bgr.train(train_bgr.read(dataset), chosen)
+    chosen = train_state.Options(seed=seed, **(PLAIN if plain else {}))
+    policy = train_state.train(train_state.read(dataset), chosen)
     policy.save(out)
     count = sum(policy.about["episodes"].values())
     spent = round(time.process_time() - before, 1)

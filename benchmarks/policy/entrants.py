@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from surg_cli.host import paths
-
-sys.path.insert(0, str(paths.ROOT / "examples/bgr"))
 SHIPPED = "shipped"
 """Method of the policy of `./surg learn bgr --cameras`."""
 
@@ -25,7 +21,7 @@ class Entrant:
     Attributes:
         weights: Its file.
         digest: SHA-256 of the weights.
-        method: `SHIPPED`, or one of `bgr_networks.METHODS`.
+        method: `SHIPPED`, or one of `cloned_networks.METHODS`.
         seed: Of its training; None: the file does not say.
         pictures: Observation keys of the pictures that it reads.
     """
@@ -50,7 +46,7 @@ def policy_of(weights: Path) -> Any:
     Raises:
         ValueError: The file holds no weights of a policy that looks, or of another action space.
     """
-    from bgr_image_policy import ImagePolicy
+    from surg_learn.bgr.image_policy import ImagePolicy
 
     try:
         with np.load(weights, allow_pickle=False) as found:
@@ -64,7 +60,7 @@ def policy_of(weights: Path) -> Any:
         import torch
     except ImportError:
         raise ValueError(f"{weights}: PyTorch runs it: apt install python3-torch") from None
-    from bgr_cloned_policy import ClonedPolicy
+    from surg_learn.bgr.cloned_policy import ClonedPolicy
 
     torch.set_num_threads(1)
     return ClonedPolicy.load(weights)

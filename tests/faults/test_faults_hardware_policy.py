@@ -8,7 +8,6 @@ SURG_BGR_WEIGHTS names.
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,6 @@ import pytest
 
 from helpers.hardware.emulated_world import EmulatedSession
 from helpers.results import hardware_results as page
-from surg_cli.host import paths
 from surg_sim.envs import surg_env
 from surg_sim.envs.policy_rollouts import Acts, Rollout, roll_out
 from surg_sim.envs.surg_env import SurgEnv
@@ -55,12 +53,11 @@ class Scripted:
 
 
 def learned(env: SurgEnv) -> Acts:
-    """The policy of examples/bgr with the given weights."""
+    """The policy of surg_learn with the given weights."""
     assert WEIGHTS is not None
-    sys.path.insert(0, str(paths.ROOT / "examples/bgr"))
-    import bgr_policy
+    from surg_learn.bgr import state_policy
 
-    return bgr_policy.Policy.load(Path(WEIGHTS))
+    return state_policy.Policy.load(Path(WEIGHTS))
 
 
 def said(row: str, env: Watched, rollout: Rollout, off: float) -> None:

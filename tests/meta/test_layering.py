@@ -120,6 +120,16 @@ BROKEN = {
         "import surg_sim\n",
         "surg_recording must not use surg_sim",
     ),
+    "a functional package imports the learning": (
+        "surg_sim/src/surg_sim/a_node.py",
+        "from surg_learn import recipes\n",
+        "surg_sim must not use surg_learn",
+    ),
+    "the learning imports a package beside the simulator": (
+        "surg_learn/src/surg_learn/recipes.py",
+        "import surg_teleop\n",
+        "surg_learn must not use surg_teleop",
+    ),
     "somebody imports the command line": (
         "surg_sim/src/surg_sim/a_node.py",
         "from surg_cli import paths\n",

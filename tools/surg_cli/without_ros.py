@@ -16,10 +16,12 @@ from pathlib import Path
 
 from surg_cli.commands import learn
 from surg_cli.graph import episode_plans
+from surg_cli.host import terminal
 from surg_cli.host.terminal import CliError, say, warn
-from surg_cli.learning import learn_stages
-from surg_cli.learning.recipes import Request
-from surg_cli.learning.stage_ledger import Ledger
+from surg_learn import learn_stages
+from surg_learn.learn_terminal import LearnError
+from surg_learn.recipes import Request
+from surg_learn.stage_ledger import Ledger
 
 PROGRAM = "PYTHONPATH=tools python3 -m surg_cli.without_ros"
 
@@ -43,10 +45,10 @@ def prepare(options: argparse.Namespace) -> tuple[Request, Path]:
     out = learn.folder_of(options.out, request)
     resume = f"{PROGRAM} {learn.command_line(request, out).removeprefix('./surg learn ')}"
     resume += " --both-views" if options.both_views else ""
-    ledger = Ledger(out / "stages.json", resume)
+    ledger = Ledger(out / "stages.json", resume, say)
     more_views = episode_plans.VIEWS["stereo"] if options.both_views else ()
     cell = episode_plans.find_cell(request.robot)
-    done = learn_stages.prepare(request, ledger, cell, out, more_views)
+    done = learn_stages.prepare(request, ledger, cell, out, terminal, more_views)
     say(f"demonstrations: {done['demonstrations']['success']} of {request.episodes} succeeded")
     say(f"policy: {done['training']['words']}")
     say("stages [s]: " + ", ".join(f"{name} {s:.0f}" for name, s in ledger.seconds.items()))
@@ -57,7 +59,7 @@ def main(words: Sequence[str]) -> int:
     """Entry point; the last line printed is the path of the weights."""
     try:
         request, out = prepare(options_of(words))
-    except CliError as problem:
+    except (CliError, LearnError) as problem:
         warn(f"without_ros: {problem}")
         return problem.code
     there = replace(request, device="auto")  # what is trained is trained

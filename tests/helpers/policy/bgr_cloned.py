@@ -12,28 +12,26 @@ from pyarrow import parquet
 
 from helpers.policy import bgr_pictures as made
 from helpers.policy.bgr_synthetic import ACTION, STATE
+from surg_learn.bgr import cache_pictures
+from surg_learn.bgr import cloned_networks as cloned_networks
+from surg_learn.bgr import cloned_policy as cloned_policy
+from surg_learn.bgr import train_baselines as train_baselines
+from surg_learn.bgr import train_cloned as train_cloned
+from surg_learn.bgr.training import checkpoints as checkpoints
 
-# The path to them comes with `bgr_pictures`.
-import bgr_cloned_policy as bgr_cloned_policy  # isort: skip
-import bgr_networks as bgr_networks  # isort: skip
-import train_bgr_cache  # isort: skip
-import train_bgr_cloned as train_bgr_cloned  # isort: skip
-import train_bgr_field as train_bgr_field  # isort: skip
-import train_bgr_kept as train_bgr_kept  # isort: skip
-
-LEFT, RIGHT = train_bgr_cache.LEFT, train_bgr_cache.RIGHT
+LEFT, RIGHT = cache_pictures.LEFT, cache_pictures.RIGHT
 WHOLE, APPROACH, CLOSE = "Grasp the spot.", "Go to the spot.", "Close the jaws."
 OPEN = 0.68
 """Jaws of `bgr_pictures.episode` on their way [rad]."""
 
 
-def recorded(train: int = 6, val: int = 1, eyes: int = 1) -> train_bgr_cache.Recorded:
+def recorded(train: int = 6, val: int = 1, eyes: int = 1) -> cache_pictures.Recorded:
     """The tip goes to the spot (phase 0), the jaws close (phase 1); the right eye sees mirrored."""
     shown = [made.episode(seed) for seed in range(train + val)]
     action = np.concatenate([each.action for each in shown])
     left = np.concatenate([each.views for each in shown])
     views = {LEFT: left, RIGHT: left[:, :, ::-1]}
-    return train_bgr_cache.Recorded(
+    return cache_pictures.Recorded(
         np.concatenate([each.state for each in shown]),
         action,
         (action[:, 4] < OPEN).astype(int),
@@ -46,7 +44,7 @@ def recorded(train: int = 6, val: int = 1, eyes: int = 1) -> train_bgr_cache.Rec
     )
 
 
-def written(folder: Path, found: train_bgr_cache.Recorded, **info: Any) -> Path:
+def written(folder: Path, found: cache_pictures.Recorded, **info: Any) -> Path:
     """The same as a LeRobot dataset (v2.1) as `./surg episode export` writes it."""
     import av
 
@@ -55,8 +53,8 @@ def written(folder: Path, found: train_bgr_cache.Recorded, **info: Any) -> Path:
     column = {
         "observation.state": {"names": STATE},
         "action": {"names": ACTION},
-        train_bgr_cache.PHASE: {"names": None},
-        train_bgr_cache.WHOLE: {"names": None},
+        cache_pictures.PHASE: {"names": None},
+        cache_pictures.WHOLE: {"names": None},
     }
     shape = [120, 120, 3]
     facts = {
@@ -80,8 +78,8 @@ def written(folder: Path, found: train_bgr_cache.Recorded, **info: Any) -> Path:
         table = {
             "observation.state": list(found.state[part]),
             "action": list(found.action[part]),
-            train_bgr_cache.PHASE: place,
-            train_bgr_cache.WHOLE: np.ones(len(place), int),
+            cache_pictures.PHASE: place,
+            cache_pictures.WHOLE: np.ones(len(place), int),
         }
         parquet.write_table(pa.table(table), folder / "data" / "000" / f"{index:06d}.parquet")
         for key, views in found.views.items():

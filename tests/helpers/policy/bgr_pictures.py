@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,17 +11,11 @@ from typing import Any
 import numpy as np
 
 from helpers.policy.bgr_synthetic import ACTION, STATE, TASK
-from surg_cli.host import paths
+from surg_learn.bgr import image_policy, keypoint_network, train_images
+from surg_learn.bgr.training import keypoint_training as keypoint_training
+from surg_learn.bgr.training import picture_augmentation as picture_augmentation
 
-sys.path.insert(0, str(paths.ROOT / "examples/bgr"))
-
-import bgr_eye
-import bgr_image_policy
-import train_bgr_eye as train_bgr_eye
-import train_bgr_images
-import train_bgr_looks as train_bgr_looks
-
-SIDE = bgr_eye.SIDE
+SIDE = keypoint_network.SIDE
 REACH = 0.03
 """From the middle of the picture to its edge [m]."""
 DISTANCE = 0.1
@@ -40,7 +33,7 @@ def picture(goal: np.ndarray, tip: np.ndarray) -> np.ndarray:
     return shown
 
 
-def episode(seed: int, steps: int = 50) -> train_bgr_images.Episode:
+def episode(seed: int, steps: int = 50) -> train_images.Episode:
     """The tip goes a tenth of what is left to the spot in every step; then the jaws close.
 
     The camera looks along z. All nodes lie at the goal; so does the assistant's tip.
@@ -62,36 +55,37 @@ def episode(seed: int, steps: int = 50) -> train_bgr_images.Episode:
         rows.append((state, truth, [*aim, 0.1, jaw], np.eye(4), picture(goal, tip)))
         tip = aim
     parts = [np.array(part) for part in zip(*rows, strict=True)]
-    return train_bgr_images.Episode(*parts)
+    return train_images.Episode(*parts)
 
 
-def dataset(train: int = 6, val: int = 1) -> train_bgr_images.Dataset:
+def dataset(train: int = 6, val: int = 1) -> train_images.Dataset:
     """Episodes with the seeds from 0 on."""
     found = [episode(seed) for seed in range(train + val)]
-    return train_bgr_images.Dataset(
+    return train_images.Dataset(
         {"train": found[:train], "val": found[train:]},
-        {bgr_image_policy.STATE: STATE, train_bgr_images.TASK: TASK, "action": ACTION},
+        {image_policy.STATE: STATE, train_images.TASK: TASK, "action": ACTION},
         {"fps": 20, "robot": "made up", "K": K},
     )
 
 
-def eye(seed: int = 0, channels: int = 4, hidden: int = 8) -> bgr_eye.Eye:
+def eye(seed: int = 0, channels: int = 4, hidden: int = 8) -> keypoint_network.Eye:
     """An eye that was never trained: random weights."""
     rng = np.random.default_rng(seed)
-    sizes = [3] + [channels] * len(bgr_eye.CONVOLUTIONS)
+    sizes = [3] + [channels] * len(keypoint_network.CONVOLUTIONS)
     shapes: list[tuple[int, ...]] = [
         (size, size, a, b)
         for (size, _, _), (a, b) in zip(
-            bgr_eye.CONVOLUTIONS, itertools.pairwise(sizes), strict=True
+            keypoint_network.CONVOLUTIONS, itertools.pairwise(sizes), strict=True
         )
     ]
-    inputs = 2 * len(bgr_eye.MAPS) + channels * (1 + len(bgr_eye.MAPS))
-    shapes += [(channels, len(bgr_eye.MAPS) + 1), (inputs, hidden), (hidden, hidden), (hidden, 4)]
+    maps = len(keypoint_network.MAPS)
+    inputs = 2 * maps + channels * (1 + maps)
+    shapes += [(channels, maps + 1), (inputs, hidden), (hidden, hidden), (hidden, 4)]
     layers = [
         (rng.normal(0, np.prod(s[:-1]) ** -0.5, s).astype(np.float32), np.zeros(s[-1], np.float32))
         for s in shapes
     ]
-    return bgr_eye.Eye(layers, np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    return keypoint_network.Eye(layers, np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
 
 
 def camera() -> tuple[np.ndarray, np.ndarray]:
@@ -113,13 +107,13 @@ def dataset_folder(
 ) -> Path:
     """Metadata of a data set without rows; one set of calibration files for each ``heights``."""
     names = {
-        bgr_image_policy.STATE: STATE,
-        train_bgr_images.TASK: TASK,
+        image_policy.STATE: STATE,
+        train_images.TASK: TASK,
         "action": ACTION,
-        train_bgr_images.CAMERA: list(train_bgr_images.POSE),
+        train_images.CAMERA: list(train_images.POSE),
     }
     features: dict[str, Any] = {key: {"names": value} for key, value in names.items()}
-    features[bgr_image_policy.PICTURE] = {"shape": list(shape)}
+    features[image_policy.PICTURE] = {"shape": list(shape)}
     facts = {"features": features, "splits": {"train": "0:1"}, "fps": 20, "robot_type": "ur5e"}
     (folder / "meta" / "calibration").mkdir(parents=True)
     (folder / "meta" / "info.json").write_text(json.dumps({**facts, **info}), "utf-8")

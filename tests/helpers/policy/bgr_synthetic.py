@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 
-from surg_cli.host import paths
+from surg_learn.bgr import state_policy, train_state
+from surg_learn.bgr.training import action_head as action_head
+from surg_learn.bgr.training import lerobot_dataset as lerobot_dataset
+from surg_learn.bgr.training import perceptron as perceptron
 
-sys.path.insert(0, str(paths.ROOT / "examples/bgr"))
-
-import bgr_policy
-import train_bgr
-import train_bgr_dataset as train_bgr_dataset
-import train_bgr_hand as train_bgr_hand
-import train_bgr_perceptron as train_bgr_perceptron
-
-NODES = bgr_policy.NODES
+NODES = state_policy.NODES
 STATE = [
     f"PSM1/{name}"
     for name in (
@@ -40,7 +33,7 @@ TASK = [
 ACTION = [f"PSM1/{name}" for name in ("x", "y", "z", "roll", "jaw")]
 
 
-def episode(seed: int, steps: int = 60) -> train_bgr.Episode:
+def episode(seed: int, steps: int = 60) -> train_state.Episode:
     """The tip goes a tenth of what is left to the asked node in every step; then the jaws close."""
     rng = np.random.default_rng(seed)
     nodes = np.cumsum(rng.normal([0.008, 0.0, 0.0], 0.004, (NODES, 3)), axis=0)
@@ -58,14 +51,14 @@ def episode(seed: int, steps: int = 60) -> train_bgr.Episode:
         task.update({f"nodes_{i}_{k}": nodes[i, k] for i in range(NODES) for k in range(3)})
         rows.append((state, list(task.values()), [*goal, 0.1, jaw]))
         tip = goal
-    return train_bgr.Episode(*(np.array(part) for part in zip(*rows, strict=True)))
+    return train_state.Episode(*(np.array(part) for part in zip(*rows, strict=True)))
 
 
-def dataset(train: int = 6, val: int = 1, names: list[str] | None = None) -> train_bgr.Dataset:
+def dataset(train: int = 6, val: int = 1, names: list[str] | None = None) -> train_state.Dataset:
     """Episodes with the seeds from 0 on."""
     found = [episode(seed) for seed in range(train + val)]
-    return train_bgr.Dataset(
+    return train_state.Dataset(
         {"train": found[:train], "val": found[train:]},
-        {bgr_policy.STATE: STATE, bgr_policy.TASK: names or TASK, bgr_policy.ACTION: ACTION},
+        {state_policy.STATE: STATE, state_policy.TASK: names or TASK, state_policy.ACTION: ACTION},
         {"fps": 20, "robot": "made up"},
     )

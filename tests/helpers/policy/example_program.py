@@ -9,10 +9,10 @@ from surg_cli.host import paths
 
 
 def said_alone(program: str) -> str:
-    """What a program prints that runs in examples/bgr without the workspace's environment."""
+    """What a program prints that runs beside surg_learn without the workspace's environment."""
     done = subprocess.run(
         [sys.executable, "-s", "-c", program],
-        cwd=paths.ROOT / "examples/bgr",
+        cwd=paths.ROOT / "src/surg_learn/src",
         capture_output=True,
         text=True,
         check=True,

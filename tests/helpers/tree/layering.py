@@ -25,6 +25,8 @@ FUNCTIONAL = frozenset(
     }
 )
 LIBRARIES = frozenset({"surg_core", "surg_description", "surg_recording", "surg_ros"})
+LEARNING = frozenset({"surg_learn"})
+"""It trains in the simulator, so it stands above it, as the command line stands above all."""
 PURE_IN_SURG_ROS = frozenset({"camera_topic", "link_messages", "params"})
 """Modules of surg_ros that need no ROS; everything else in it does."""
 ALLOWED: dict[str, frozenset[str]] = {
@@ -35,6 +37,9 @@ ALLOWED: dict[str, frozenset[str]] = {
     "surg_ros": MESSAGES | {"surg_core", "surg_description"},
     "surg_recording": MESSAGES | {"surg_core", "surg_ros"},
     **dict.fromkeys(FUNCTIONAL, MESSAGES | LIBRARIES),
+    **dict.fromkeys(
+        LEARNING, LIBRARIES - {"surg_ros"} | {"surg_sim", "surg_policy_bridge"}
+    ),  # of the bridge: its client
 }
 TOOLS = frozenset({"surg_cli"})
 OURS = frozenset(ALLOWED) | TOOLS

@@ -26,23 +26,23 @@ from surg_recording.job_pool import Workplace
 def cloned(file: Path, method: str, seed: int, eyes: int = 1, play: int = 8) -> Path:
     """Weights that were trained for a step."""
     sizes = {"width": 8, "model": 16, "heads": 2, "feed": 16, "layers": 1, "hidden": 8}
-    options = bgr_cloned.train_bgr_cloned.Options(
+    options = bgr_cloned.train_cloned.Options(
         method=method, steps=1, batch=2, seed=seed, eyes=eyes, play=play, device="cpu", sizes=sizes
     )
     found = bgr_cloned.recorded(1, 0, eyes)
-    bgr_cloned.train_bgr_cloned.train(found, options).save(file)
+    bgr_cloned.train_cloned.train(found, options).save(file)
     return file
 
 
 def shipped(file: Path) -> Path:
     """Weights of the image policy; its hand learned little, its eye nothing."""
-    options = made.train_bgr_images.Options(steps=2, hidden=(8, 8), batch=4, chunk=4, seed=5)
+    options = made.train_images.Options(steps=2, hidden=(8, 8), batch=4, chunk=4, seed=5)
     dataset = made.dataset(2)
-    columns = made.bgr_image_policy.STATE, made.train_bgr_images.TASK
-    marked = made.train_bgr_images.marks(
-        dataset, made.train_bgr_images.Columns(*(dataset.names[key] for key in columns))
+    columns = made.image_policy.STATE, made.train_images.TASK
+    marked = made.train_images.marks(
+        dataset, made.train_images.Columns(*(dataset.names[key] for key in columns))
     )
-    made.train_bgr_images.train_hand(dataset, options, made.eye(), marked).save(file)
+    made.train_images.train_hand(dataset, options, made.eye(), marked).save(file)
     return file
 
 
@@ -186,13 +186,13 @@ def test_a_changed_controller_plays_anew_and_a_changed_trainer_does_not(
         return bench_imitation.programs()
 
     try:
-        before = after("examples/bgr/train_bgr_looks.py")
-        assert after("examples/bgr/train_bgr_cloned.py") == before
+        before = after("src/surg_learn/src/surg_learn/bgr/training/picture_augmentation.py")
+        assert after("src/surg_learn/src/surg_learn/bgr/train_cloned.py") == before
         programs = {before}
         for change in (
             "benchmarks/policy/sights.py",
             "cells/sim_two_arms/cell.yaml",
-            "examples/bgr/bgr_networks.py",
+            "src/surg_learn/src/surg_learn/bgr/cloned_networks.py",
             "src/surg_core/src/law/rcm.cpp",
             "src/surg_policy_bridge/client/src/surg_policy_client/wire.py",
             "src/surg_description/robots/ur5e.yaml",

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -20,7 +21,9 @@ from surg_cli import without_ros
 from surg_cli.commands import learn
 from surg_cli.host import provision
 from surg_cli.host.terminal import CliError
-from surg_cli.learning import learn_stages, recipes, rollouts
+from surg_cli.learning import rollouts
+from surg_learn import learn_stages, recipes
+from surg_learn.learn_terminal import LearnError
 
 ROS = {"rospy", "rosgraph", "genpy", "surg_ros", "surg_msgs", "crtk_msgs", "std_msgs"}
 TRAINED = {
@@ -121,7 +124,7 @@ def test_roll_outs_of_another_program_with_the_same_weights_lie_elsewhere(
     """Training again gives the same weights; what the older program played is not to be found."""
     words = ("bgr", "--episodes", "8", "--rollouts", "1", "--out", str(tmp_path / "run"))
     for client in ("before", "after", "before"):
-        monkeypatch.setattr(recipes.Recipe, "digests", [client])
+        monkeypatch.setattr(recipes.Recipe, "digest", client)
         assert learn.main(options(*words), "learn") == 0
     before, after, again = FakePlayer.folders
     assert before == again != after
@@ -175,7 +178,7 @@ def test_a_stage_that_breaks_is_named_with_the_line_to_go_on(
     tmp_path: Path, done: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def no_memory(*arguments: Any) -> Any:
-        raise CliError("out of memory")
+        raise LearnError("out of memory")
 
     good = learn_stages.train
     monkeypatch.setattr(learn_stages, "train", no_memory)
@@ -206,15 +209,15 @@ def test_cameras_make_a_policy_that_looks(
         provision, "install_packages", lambda log, optional: installed.append(optional)
     )
     monkeypatch.setattr(
-        learn_stages, "train", lambda request, _: trainers.append(request.recipe.train) or seen
+        learn_stages, "train", lambda request, *_: trainers.append(request.recipe.train) or seen
     )
     monkeypatch.setattr(FakePlayer, "success", False)
     out = tmp_path / "run"
     words = ("--cameras", "--episodes", "8", "--rollouts", "2", "--out", str(out))
     assert learn.main(options("bgr", *words), "learn") == 0
     (player,) = FakePlayer.made
-    assert [player[4].name, *player[6:]] == ["bgr_image_policy.py", False, ("left",), False]
-    assert trainers == ["train_bgr_images.py"] and installed == [("torch",)]
+    assert [player[4].name, *player[6:]] == ["image_policy.py", False, ("left",), False]
+    assert trainers == ["surg_learn.bgr.train_images"] and installed == [("torch",)]
     assert recipes.Request("bgr", "phantom", "ur5e", 0, 8, 2, True).demonstrations["cameras"]
     summary = json.loads((out / "summary.json").read_text("utf-8"))
     assert summary["ok"] and summary["privileged"] == []
@@ -246,7 +249,7 @@ def test_what_goes_on_with_cameras_says_so(
     tmp_path: Path, done: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def no_memory(*arguments: Any) -> Any:
-        raise CliError("out of memory")
+        raise LearnError("out of memory")
 
     monkeypatch.setattr(learn_stages, "export", no_memory)
     with pytest.raises(CliError, match=r"--episodes 60 --rollouts 20 --cameras --out"):
@@ -300,7 +303,7 @@ def test_what_a_program_says_in_json_is_its_progress_and_its_result(tmp_path: Pa
     assert last == {"weights": "ab"} and told == [0.0, 0.5]
     assert (tmp_path / "log").read_text("utf-8") == "a warning\n"
     script.write_text("import sys\nsys.exit('no dataset')\n")
-    with pytest.raises(CliError, match="no dataset"):
+    with pytest.raises(LearnError, match="no dataset"):
         learn_stages.follow(argv, tmp_path / "log", lambda news: None)
 
 
@@ -318,7 +321,8 @@ def test_a_gpu_that_is_not_there_is_said_before_anything_is_played(
     monkeypatch.setattr(provision, "install_packages", lambda *a, **k: None)
     (tmp_path / "modules").mkdir()
     (tmp_path / "modules" / "torch.py").write_text(WITHOUT_GPU)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "modules"))
+    path = f"{tmp_path / 'modules'}{os.pathsep}{os.environ['PYTHONPATH']}"
+    monkeypatch.setenv("PYTHONPATH", path)
     out = tmp_path / "run"
     words = ("bgr", *kind, "--episodes", "8", "--rollouts", "2", "--out", str(out))
     with pytest.raises(CliError, match=r"--device cuda: .*(--cameras|--device cpu)") as said:
@@ -357,7 +361,9 @@ def test_both_views_are_recorded_and_make_no_other_run(
     """Demonstrations that lack a view are said, not passed off as having it."""
     recorded: list[Any] = []
 
-    def demonstrate(request: Any, cell: Path, out: Path, more_views: Any = ()) -> dict[str, Any]:
+    def demonstrate(
+        request: Any, cell: Path, out: Path, _: Any, more_views: Any = ()
+    ) -> dict[str, Any]:
         recorded.append(set(more_views))
         return {"success": request.episodes, "failed": {}}
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from surg_cli.host.terminal import CliError
-from surg_cli.learning.stage_ledger import Ledger
+from surg_learn.learn_terminal import LearnError
+from surg_learn.stage_ledger import Ledger
 
 
 class Work:
@@ -23,7 +23,7 @@ class Work:
 
         def do(name: str) -> str:
             if self.broken == name:
-                raise CliError(f"{name} has no disk", 1)
+                raise LearnError(f"{name} has no disk", 1)
             self.done.append(name)
             return f"{name} of {seed}"
 
@@ -52,7 +52,7 @@ def test_a_changed_stage_and_all_behind_it_are_done_anew(tmp_path: Path) -> None
 def test_a_broken_stage_is_said_and_taken_up(tmp_path: Path) -> None:
     work, file = Work(), tmp_path / "stages.json"
     work.broken = "train"
-    with pytest.raises(CliError) as said:
+    with pytest.raises(LearnError) as said:
         work.run(file)
     text = str(said.value)
     assert "stage 'train'" in text and "no disk" in text and "./surg learn bgr --out X" in text
@@ -82,5 +82,5 @@ def test_time_of_attempts_that_were_cut_off_counts(tmp_path: Path) -> None:
 def test_a_ledger_that_is_none_is_refused(tmp_path: Path, content: str) -> None:
     file = tmp_path / "stages.json"
     file.write_text(content)
-    with pytest.raises(CliError, match=r"stages\.json"):
+    with pytest.raises(LearnError, match=r"stages\.json"):
         Ledger(file, "")

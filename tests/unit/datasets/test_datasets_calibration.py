@@ -7,7 +7,6 @@ the oracle of what is drawn into the exported video.
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
 import shutil
 import subprocess
@@ -22,7 +21,6 @@ import surg_core
 from helpers import endoscope_files
 from helpers.recording import oracle_reading
 from helpers.tree import oracle_venv
-from surg_cli.host import paths
 from surg_core import base_file
 from surg_core.contract import TICK_NS
 from surg_core.held_endoscope import held_endoscope
@@ -31,20 +29,12 @@ from surg_recording import datasets
 from surg_recording.calibration import calibration_record
 from surg_recording.episode import episode_reader
 from surg_recording.recording_errors import EpisodeError
+from surg_recording.video import tip_in_video
 
 ARM, SCOPE = "PSM1", "ECM"
 FILES = ("endoscope_left", "endoscope_right", "endoscope_stereo", "camera_ECM", "base_ECM")
 EYES = ("left", "right")
 CAMERAS = ("endoscope_left", "endoscope_right")
-
-
-def example() -> Any:
-    path = paths.ROOT / "examples/picture/draw_tip.py"
-    spec = importlib.util.spec_from_file_location("draw_tip", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +126,7 @@ def test_the_drawn_tip_is_the_true_one(
     """In every frame, in both eyes, through a scope that moves."""
     from pyarrow import parquet
 
-    drawing, truth = example(), recorded[1]
+    drawing, truth = tip_in_video, recorded[1]
     table = parquet.read_table(next((exported / "data").rglob("*.parquet")))
     stamps = table["timing.grid_ns"].to_pylist()
     poses = np.array(table["observation.camera_pose"].to_pylist())
@@ -165,7 +155,7 @@ def test_the_lenses_of_smaller_pictures_are_those_of_the_pictures(
     stamps = parquet.read_table(next((out / "data").rglob("*.parquet")))["timing.grid_ns"]
     truth = np.array([recorded[1][stamp][1] for stamp in stamps.to_pylist()])
     wanted = (truth + 0.5) * (1 / 2, 1 / 3) - 0.5
-    pixels = example().tip_pixels(out, ARM, "observation.images.endoscope.right")
+    pixels = tip_in_video.tip_pixels(out, ARM, "observation.images.endoscope.right")
     off = float(np.linalg.norm(pixels - wanted, axis=1).max())
     print(f"{len(pixels)} frames of 160 x 80, at most {off:.3f} px off")
     assert off <= 1.0
@@ -284,7 +274,7 @@ def left_pixel(seven: Any, p_BTip: Any, calibration: Any, model: Any) -> np.ndar
     """Where the tip is in the left picture [px]; ``seven`` is the pose of the left camera."""
     X_WB = np.array(calibration["endoscope"]["bases"][ARM])
     p_V = inverse_pose(make_pose(seven[:3], seven[3:])) @ X_WB @ [*p_BTip, 1.0]
-    return example().project(p_V[None, :3], model)[0]
+    return tip_in_video.project(p_V[None, :3], model)[0]
 
 
 @pytest.mark.oracle

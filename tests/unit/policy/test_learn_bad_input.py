@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.policy.bgr_pictures import bgr_image_policy, dataset_folder, train_bgr_images
-from helpers.policy.bgr_synthetic import bgr_policy
+from helpers.policy.bgr_pictures import dataset_folder, image_policy, train_images
+from helpers.policy.bgr_synthetic import state_policy
 from helpers.policy.policy_server import PolicyServer, spec
 
-PICTURE = bgr_image_policy.PICTURE
+PICTURE = image_policy.PICTURE
 Said = Callable[[], str]
 
 
@@ -52,7 +52,7 @@ def test_a_data_set_that_does_not_fit_trains_nothing(
 ) -> None:
     """With the folder's name, and without weights."""
     folder, out = dataset_folder(tmp_path / "set", **changes), tmp_path / "w.npz"
-    assert train_bgr_images.main([str(folder), "--out", str(out)]) == 2
+    assert train_images.main([str(folder), "--out", str(out)]) == 2
     told = line()
     assert str(folder) in told and re.search(said, told) and not out.exists()
 
@@ -60,7 +60,7 @@ def test_a_data_set_that_does_not_fit_trains_nothing(
 def weights(file: Path, **head: Any) -> Path:
     """A file of weights as far as its head."""
     names = {"action": ["PSM1/dx", "PSM1/dy", "PSM1/dz", "PSM1/droll", "PSM1/jaw"]}
-    whole = {"format": bgr_image_policy.ImagePolicy.format, "names": names, **head}
+    whole = {"format": image_policy.ImagePolicy.format, "names": names, **head}
     array = np.frombuffer(json.dumps(whole).encode(), np.uint8)
     np.savez(file, head=array)
     return file
@@ -77,7 +77,7 @@ def test_weights_that_do_not_fit_connect_to_nobody(
     file = weights(tmp_path / "w.npz", **head)
     with PolicyServer(spec(pictures=True)) as server:
         words = ["--weights", str(file), "--server", server.address]
-        assert bgr_policy.serve(bgr_image_policy.ImagePolicy, "", words) == 2
+        assert state_policy.serve(image_policy.ImagePolicy, "", words) == 2
         assert server.heard == []
     told = line()
     assert said in told and str(file) in told
@@ -97,15 +97,15 @@ def test_a_server_that_does_not_fit_is_sent_no_action(
         raise AssertionError("it was asked")
 
     policy = SimpleNamespace(
-        wants=(bgr_policy.STATE, PICTURE),
+        wants=(state_policy.STATE, PICTURE),
         names={},
         shape_of=lambda key: (240, 320, 3) if key == PICTURE else None,
         act=act,
     )
-    kind: Any = SimpleNamespace(trainer="train_bgr.py", load=lambda file: policy)
+    kind: Any = SimpleNamespace(trainer="train_state.py", load=lambda file: policy)
     with PolicyServer(spec(pictures=pictures)) as server:
         words = ["--weights", "w.npz", "--server", server.address]
-        assert bgr_policy.serve(kind, "", words) == 1
+        assert state_policy.serve(kind, "", words) == 1
         assert "ACT" not in [message.kind for _, message in server.heard]
     _, difference, remedy = capsys.readouterr().err.strip().splitlines()
     assert PICTURE in difference and said in difference and "Start the server" in remedy

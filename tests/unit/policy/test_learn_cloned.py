@@ -24,22 +24,22 @@ from helpers.policy import bgr_cloned as made
 from helpers.policy.bgr_cloned import (
     LEFT,
     RIGHT,
-    bgr_cloned_policy,
-    bgr_networks,
-    train_bgr_cache,
-    train_bgr_cloned,
-    train_bgr_field,
-    train_bgr_kept,
+    cache_pictures,
+    checkpoints,
+    cloned_networks,
+    cloned_policy,
+    train_baselines,
+    train_cloned,
 )
-from helpers.policy.bgr_pictures import bgr_eye, train_bgr_looks
-from helpers.policy.bgr_synthetic import STATE, bgr_policy
+from helpers.policy.bgr_pictures import keypoint_network, picture_augmentation
+from helpers.policy.bgr_synthetic import STATE, state_policy
 
 SMALL = {
     "width": 8, "places": 8, "model": 32, "heads": 2, "feed": 64, "layers": 1, "latent": 4,
     "hidden": 32,
 }  # fmt: skip
-CALM = train_bgr_looks.Looks(0.05, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-OPTIONS = train_bgr_cloned.Options(
+CALM = picture_augmentation.Looks(0.05, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+OPTIONS = train_cloned.Options(
     chunk=6,
     steps=150,
     batch=16,
@@ -51,7 +51,7 @@ OPTIONS = train_bgr_cloned.Options(
     looks=CALM,
 )
 FEW = made.recorded(8, 3)
-Policy = bgr_cloned_policy.ClonedPolicy
+Policy = cloned_policy.ClonedPolicy
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -65,10 +65,10 @@ def one_thread() -> Iterator[None]:
 
 def trained(found: Any = None, **changes: Any) -> Policy:
     options = dataclasses.replace(OPTIONS, **changes)
-    return train_bgr_cloned.train(found or FEW, options)
+    return train_cloned.train(found or FEW, options)
 
 
-@pytest.fixture(scope="module", params=bgr_networks.METHODS)
+@pytest.fixture(scope="module", params=cloned_networks.METHODS)
 def policy(request: pytest.FixtureRequest) -> Policy:
     return trained(method=request.param)
 
@@ -76,7 +76,7 @@ def policy(request: pytest.FixtureRequest) -> Policy:
 def weights(sizes: dict[str, Any], **head: Any) -> Policy:
     """A policy with random weights."""
     torch.manual_seed(0)
-    whole = bgr_networks.Sizes(**{"chunk": 6, "inputs": 13, **SMALL, **sizes})
+    whole = cloned_networks.Sizes(**{"chunk": 6, "inputs": 13, **SMALL, **sizes})
     scales = {
         "input_mean": np.zeros(13),
         "input_std": np.ones(13),
@@ -85,8 +85,8 @@ def weights(sizes: dict[str, Any], **head: Any) -> Policy:
         "jaw_range": np.array([0.0, 0.7]),
     }
     about = {"pictures": [LEFT, RIGHT][: whole.eyes], "ensemble": None, "play": 1, **head}
-    names = {"observation.state": STATE, "action": bgr_policy.ACTIONS}
-    return Policy(bgr_networks.network_of(whole), scales, names, whole, about)
+    names = {"observation.state": STATE, "action": state_policy.ACTIONS}
+    return Policy(cloned_networks.network_of(whole), scales, names, whole, about)
 
 
 def observed(found: Any, step: int) -> dict[str, np.ndarray]:
@@ -100,7 +100,7 @@ def observed(found: Any, step: int) -> dict[str, np.ndarray]:
 def test_it_learns_more_than_the_mean_action(policy: Policy) -> None:
     """On episodes that it has not seen."""
     found = FEW
-    steps = train_bgr_cloned.Steps.of(found, "val", policy.chunk)
+    steps = train_cloned.Steps.of(found, "val", policy.chunk)
     flat = steps.targets.reshape(len(steps.rows), -1)
     mean = np.abs((flat - policy.scales["output_mean"]) / policy.scales["output_std"]).mean()
     said = policy.about["val"]
@@ -114,7 +114,7 @@ def test_the_gate_learns_the_phases_and_nothing_else_has_one(policy: Policy) -> 
         share = max(np.bincount(FEW.phase)) / len(FEW.phase)
         assert said > 0.9 > share + 0.1
         assert policy.about["phases"] == [made.APPROACH, made.CLOSE]
-        assert policy.about["labels"] == [train_bgr_cache.PHASE]
+        assert policy.about["labels"] == [cache_pictures.PHASE]
     else:
         assert said is None and policy.about["labels"] == []
 
@@ -123,16 +123,16 @@ def test_a_spot_of_a_heat_map_is_found_where_it_is() -> None:
     """Between two cells, as the eye of the image policy counts: down, right, -1 to 1."""
     maps = torch.full((1, 2, 30, 30), -30.0)
     maps[0, 0, 7, 21] = maps[0, 0, 8, 21] = maps[0, 1, 29, 0] = 0.0
-    found = bgr_networks.middles(maps)[0].tolist()
-    cells = bgr_eye.grid(30).reshape(30, 30, 2)
+    found = cloned_networks.middles(maps)[0].tolist()
+    cells = keypoint_network.grid(30).reshape(30, 30, 2)
     between = 0.5 * (cells[7, 21] + cells[8, 21])
     np.testing.assert_allclose(found, [between[0], 1.0, between[1], -1.0], atol=1e-5)
 
 
 def test_each_expert_says_the_actions_of_its_own_phase() -> None:
     """A gate that is sure leaves one expert's word: that of the output that is set."""
-    sizes = bgr_networks.Sizes("moe_act", 3, 13, phases=2, **SMALL)
-    experts = bgr_networks.Experts(sizes)
+    sizes = cloned_networks.Sizes("moe_act", 3, 13, phases=2, **SMALL)
+    experts = cloned_networks.Experts(sizes)
     out, seen = torch.randn(4, 3, 32), torch.randn(4, 64)
     for n in (0, 1):
         with torch.no_grad():
@@ -146,12 +146,12 @@ def test_each_expert_says_the_actions_of_its_own_phase() -> None:
 
 
 def test_steps_without_a_phase_teach_the_gate_nothing() -> None:
-    answer = bgr_networks.Answer(torch.zeros(3, 5), torch.tensor([[2.0, 0.0]] * 3))
-    told, none = torch.zeros(3, 5), train_bgr_cache.NO_PHASE
-    alone = train_bgr_cloned.losses(answer, told, torch.tensor([0, none, none]))["gate"]
+    answer = cloned_networks.Answer(torch.zeros(3, 5), torch.tensor([[2.0, 0.0]] * 3))
+    told, none = torch.zeros(3, 5), cache_pictures.NO_PHASE
+    alone = train_cloned.losses(answer, told, torch.tensor([0, none, none]))["gate"]
     expected = -torch.log_softmax(torch.tensor([2.0, 0.0]), 0)[0]
     torch.testing.assert_close(alone, expected)
-    assert train_bgr_cloned.losses(answer, told, torch.full((3,), none))["gate"] == 0.0
+    assert train_cloned.losses(answer, told, torch.full((3,), none))["gate"] == 0.0
 
 
 def test_the_latent_is_the_priors_mean_without_chunks_and_follows_them_with() -> None:
@@ -185,7 +185,7 @@ def test_the_latent_is_the_priors_mean_without_chunks_and_follows_them_with() ->
     torch.testing.assert_close(spread, wanted.sum(dim=1).mean())
 
 
-@pytest.mark.parametrize("method", bgr_networks.METHODS)
+@pytest.mark.parametrize("method", cloned_networks.METHODS)
 def test_one_seed_gives_the_same_weights_and_another_others(method: str) -> None:
     found = made.recorded(2)
     hashes = [trained(found, method=method, steps=3, seed=seed).hash for seed in (0, 0, 1)]
@@ -204,22 +204,22 @@ def interrupted_at(part: float) -> Any:
     return progress
 
 
-@pytest.mark.parametrize("method", bgr_networks.METHODS)
+@pytest.mark.parametrize("method", cloned_networks.METHODS)
 def test_an_interrupted_training_goes_on_to_the_same_weights(
     method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Interrupted twice, between two of the files that it writes."""
-    monkeypatch.setattr(train_bgr_kept.Kept, "EVERY", 20)
+    monkeypatch.setattr(checkpoints.Kept, "EVERY", 20)
     found = made.recorded(2)
     options = dataclasses.replace(OPTIONS, method=method, steps=110, seed=3)
     file = tmp_path / "w.npz.part"
     for part in (0.4, 0.9):
         with pytest.raises(Interrupted):
-            train_bgr_cloned.train(found, options, interrupted_at(part), file)
+            train_cloned.train(found, options, interrupted_at(part), file)
     notes: list[str] = []
-    again = train_bgr_cloned.train(found, options, lambda part, note: notes.append(note), file)
+    again = train_cloned.train(found, options, lambda part, note: notes.append(note), file)
     assert notes[0] == "goes on with step 100 of 110"
-    assert again.hash == train_bgr_cloned.train(found, options).hash
+    assert again.hash == train_cloned.train(found, options).hash
 
 
 def test_the_beginning_of_another_training_is_refused(tmp_path: Path) -> None:
@@ -227,7 +227,7 @@ def test_the_beginning_of_another_training_is_refused(tmp_path: Path) -> None:
     found, file = made.recorded(2), tmp_path / "w.npz.part"
     options = dataclasses.replace(OPTIONS, steps=250)
     with pytest.raises(Interrupted):
-        train_bgr_cloned.train(found, options, interrupted_at(0.8), file)
+        train_cloned.train(found, options, interrupted_at(0.8), file)
     kept = file.read_bytes()
     dark = dataclasses.replace(found, views={LEFT: found.views[LEFT] // 2})
     for data, other, threads in (
@@ -237,13 +237,13 @@ def test_the_beginning_of_another_training_is_refused(tmp_path: Path) -> None:
     ):
         torch.set_num_threads(threads)
         with pytest.raises(ValueError, match=r"w\.npz\.part: not the beginning.*remove it"):
-            train_bgr_cloned.train(data, other, on_the_way=file)
+            train_cloned.train(data, other, on_the_way=file)
         assert file.read_bytes() == kept
     torch.set_num_threads(1)
     for broken in (kept[:1000], b""):
         file.write_bytes(broken)
         with pytest.raises(ValueError, match="not the beginning of this training"):
-            train_bgr_cloned.train(found, options, on_the_way=file)
+            train_cloned.train(found, options, on_the_way=file)
 
 
 # --- deployment ---------------------------------------------------------------------------------
@@ -280,7 +280,7 @@ def test_saved_and_loaded_it_says_the_same(policy: Policy, tmp_path: Path) -> No
     for each in (policy, again):
         each.reset("", None)
     np.testing.assert_array_equal(again.act(seen), policy.act(seen))
-    assert bgr_policy.wanted(again).observation[LEFT].shape == (120, 120, 3)
+    assert state_policy.wanted(again).observation[LEFT].shape == (120, 120, 3)
 
 
 def test_an_ensemble_is_the_weighted_mean_of_all_chunks_about_a_time(
@@ -374,9 +374,9 @@ def test_a_long_chunk_is_said_again_before_the_server_forgets_it(
 
 def test_both_eyes_of_an_observation_are_varied_alike() -> None:
     views = torch.from_numpy(made.recorded(1).views[LEFT][:6]).permute(0, 3, 1, 2)
-    looks = train_bgr_looks.Looks(grain=0.0)
+    looks = picture_augmentation.Looks(grain=0.0)
     inside = np.ones((120, 120), bool)
-    made_of = [train_bgr_cloned.Looked(torch, 120, looks, inside, 3, "cpu") for _ in range(2)]
+    made_of = [train_cloned.Looked(torch, 120, looks, inside, 3, "cpu") for _ in range(2)]
     left, right = (look(views) for look in made_of)
     torch.testing.assert_close(left, right)
     assert (left - views).abs().mean() > 5 and left.shape == (6, 3, 120, 120)
@@ -389,15 +389,15 @@ def test_training_varies_both_eyes_alike_and_each_step_anew(
     found = made.recorded(1, 0, eyes=2)
     found.views[RIGHT] = found.views[LEFT]
     seen: list[list[torch.Tensor]] = []
-    forward = bgr_networks.network_of
+    forward = cloned_networks.network_of
 
     def watched(sizes: Any) -> Any:
         network = forward(sizes)
         network.register_forward_pre_hook(lambda _, given: seen.append(given[0]))
         return network
 
-    monkeypatch.setattr(train_bgr_cloned, "network_of", watched)
-    trained(found, method="bc", eyes=2, steps=2, looks=train_bgr_looks.Looks(grain=0.0))
+    monkeypatch.setattr(train_cloned, "network_of", watched)
+    trained(found, method="bc", eyes=2, steps=2, looks=picture_augmentation.Looks(grain=0.0))
     for left, right in seen[:2]:
         torch.testing.assert_close(left, right)
     assert not torch.equal(seen[0][0], seen[1][0])
@@ -410,20 +410,20 @@ def test_a_dataset_and_its_folder_of_small_pictures_hold_the_same(tmp_path: Path
     found = made.recorded(2, 0, eyes=2)
     folder = made.written(tmp_path / "set", found)
     small = tmp_path / "small"
-    assert train_bgr_cache.main([str(folder), str(small), "--eyes", "2"]) == 0
-    for each in (train_bgr_cache.recorded(f, (LEFT, RIGHT)) for f in (folder, small)):
+    assert cache_pictures.main([str(folder), str(small), "--eyes", "2"]) == 0
+    for each in (cache_pictures.recorded(f, (LEFT, RIGHT)) for f in (folder, small)):
         np.testing.assert_allclose(each.state, found.state, atol=1e-6)
         np.testing.assert_array_equal(each.begins, found.begins)
         phase = found.phase.copy()
-        phase[found.begins[1:] - 1] = train_bgr_cache.NO_PHASE
+        phase[found.begins[1:] - 1] = cache_pictures.NO_PHASE
         np.testing.assert_array_equal(each.phase, phase)
         assert each.phases == [made.APPROACH, made.CLOSE] and each.split == ["train", "train"]
         for key in (LEFT, RIGHT):
             off = np.abs(each.views[key].astype(int) - found.views[key])
             assert off.mean() < 4.0, "what the codec leaves"
-    assert isinstance(train_bgr_cache.recorded(small, (LEFT,)).views[LEFT], np.memmap)
+    assert isinstance(cache_pictures.recorded(small, (LEFT,)).views[LEFT], np.memmap)
     words = [str(small), "--method", "bc", "--out", str(tmp_path / "w.npz"), "--steps", "1"]
-    assert train_bgr_cloned.main([*words, "--batch", "2", "--device", "cpu"]) == 0
+    assert train_cloned.main([*words, "--batch", "2", "--device", "cpu"]) == 0
     assert not (tmp_path / "w.npz.part").exists()
     head = np.load(tmp_path / "w.npz", allow_pickle=False)["head"].tobytes()
     assert json.loads(head)["about"]["frames"] == len(found.state)
@@ -432,7 +432,7 @@ def test_a_dataset_and_its_folder_of_small_pictures_hold_the_same(tmp_path: Path
 def test_steps_that_lead_to_a_miss_are_left_out() -> None:
     found = made.recorded(1, 0)
     found.action[10:12, 4] = 0.0  # closes on nothing, and opens again
-    rows = train_bgr_cloned.Steps.of(found, "train", 4).rows
+    rows = train_cloned.Steps.of(found, "train", 4).rows
     assert set(range(11)).isdisjoint(rows) and 12 in rows
 
 
@@ -443,18 +443,18 @@ def test_the_field_is_trained_side_by_side_and_what_is_there_is_not_trained_agai
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Without phases MoE-ACT fails, and says why; the others are trained."""
-    train_bgr_cache.save(dataclasses.replace(made.recorded(1), phases=[]), tmp_path / "small")
+    cache_pictures.save(dataclasses.replace(made.recorded(1), phases=[]), tmp_path / "small")
     out = tmp_path / "field"
     words = [str(tmp_path / "small"), str(out), "--seeds", "0", "4"]
     more = ["--", "--steps", "1", "--batch", "2", "--device", "cpu"]
-    assert train_bgr_field.main([*words, "--methods", "bc", "moe_act", *more]) == 1
+    assert train_baselines.main([*words, "--methods", "bc", "moe_act", *more]) == 1
     files = {seed: out / f"bc_{seed}.npz" for seed in (0, 4)}
     assert {Policy.load(file).about["options"]["seed"] for file in files.values()} == {0, 4}
     said = capsys.readouterr().err.strip().splitlines()
     assert len(said) == 2 and all(re.search("moe_act.*needs the phases", line) for line in said)
     before = files[4].stat().st_mtime_ns
     files[0].unlink()
-    assert train_bgr_field.main([*words, "--methods", "bc", *more]) == 0
+    assert train_baselines.main([*words, "--methods", "bc", *more]) == 0
     assert files[0].exists() and files[4].stat().st_mtime_ns == before
 
 
@@ -462,7 +462,7 @@ def test_options_of_the_trainings_stand_behind_two_dashes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as left:
-        train_bgr_field.main(["--play", "8", str(tmp_path), str(tmp_path / "field")])
+        train_baselines.main(["--play", "8", str(tmp_path), str(tmp_path / "field")])
     assert left.value.code == 2 and "[-- options of" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
@@ -472,11 +472,11 @@ def test_a_field_that_is_stopped_leaves_no_training_behind(
     tmp_path: Path, how: signal.Signals
 ) -> None:
     """It says how to go on, and what was trained is kept; so is how far it came."""
-    train_bgr_cache.save(made.recorded(1), tmp_path / "small")
+    cache_pictures.save(made.recorded(1), tmp_path / "small")
     out = tmp_path / "field"
     words = [str(tmp_path / "small"), str(out), "--seeds", "0", "--methods", "bc"]
     more = ["--", "--steps", "2000", "--batch", "1", "--device", "cpu"]
-    command = [sys.executable, train_bgr_field.__file__, *words, *more]
+    command = [sys.executable, train_baselines.__file__, *words, *more]
     field = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
     deadline = time.monotonic() + 120.0
     while not (out / "bc_0.npz.part").exists() and time.monotonic() < deadline:
@@ -491,7 +491,7 @@ def test_a_field_that_is_stopped_leaves_no_training_behind(
     assert not running(str(out))
     (log,) = out.glob("*.log")
     assert "Traceback" not in log.read_text()
-    (again,) = train_bgr_field.planned(
+    (again,) = train_baselines.planned(
         SimpleNamespace(data=tmp_path, out=out, seeds=[0], methods=["bc"]), []
     )
     assert 0.0 < again.done() < 1.0
@@ -542,7 +542,7 @@ def test_a_dataset_that_does_not_fit_is_one_line(
     folder = made.written(tmp_path / "set", made.recorded(1, 0), **change)
     out = tmp_path / "w.npz"
     argv = [str(folder), "--method", "bc", "--out", str(out), "--device", "cpu", *words]
-    assert train_bgr_cloned.main(argv) == 2
+    assert train_cloned.main(argv) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert re.search(said, line) and not out.exists()
 
@@ -575,17 +575,17 @@ def test_weights_that_do_not_fit_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_folder_of_another_dataset_is_refused(tmp_path: Path) -> None:
-    train_bgr_cache.save(made.recorded(1), tmp_path / "small")
+    cache_pictures.save(made.recorded(1), tmp_path / "small")
     with pytest.raises(ValueError, match=r"small: .*: it has no .*right: make.*--eyes 2"):
-        train_bgr_cache.recorded(tmp_path / "small", (LEFT, RIGHT))
+        cache_pictures.recorded(tmp_path / "small", (LEFT, RIGHT))
     with pytest.raises(ValueError, match="cannot be written"):
-        train_bgr_cache.save(made.recorded(1), tmp_path / "small")
+        cache_pictures.save(made.recorded(1), tmp_path / "small")
     for name in ("tables.npz", f"{LEFT}.npy", "views.json"):
         file = tmp_path / "small" / name
         whole = file.read_bytes()
         for cut in (len(whole) // 2, 0):  # a copy that was cut off
             file.write_bytes(whole[:cut])
             with pytest.raises(ValueError, match="small: not usable as a folder of small pictures"):
-                train_bgr_cache.recorded(tmp_path / "small", (LEFT,))
+                cache_pictures.recorded(tmp_path / "small", (LEFT,))
         file.write_bytes(whole)
-    assert train_bgr_cache.recorded(tmp_path / "small", (LEFT,)).split == ["train", "val"]
+    assert cache_pictures.recorded(tmp_path / "small", (LEFT,)).split == ["train", "val"]

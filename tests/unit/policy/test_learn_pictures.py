@@ -15,38 +15,38 @@ import pytest
 
 from helpers.policy import bgr_pictures as made
 from helpers.policy.bgr_pictures import (
-    bgr_eye,
-    bgr_image_policy,
-    train_bgr_eye,
-    train_bgr_images,
-    train_bgr_looks,
+    image_policy,
+    keypoint_network,
+    keypoint_training,
+    picture_augmentation,
+    train_images,
 )
-from helpers.policy.bgr_synthetic import STATE, TASK, bgr_policy
+from helpers.policy.bgr_synthetic import STATE, TASK, state_policy
 from helpers.policy.example_program import said_alone
 from helpers.policy.policy_bench import cell
 from surg_policy_bridge.server import cell_spec
 from surg_policy_client.spec import Spec
 
-FEW_EYE = train_bgr_eye.EyeOptions(steps=4, batch=4, channels=(4, 4, 4, 4, 4, 4), hidden=8)
-FEW = train_bgr_images.Options(steps=8, hidden=(16, 16), batch=8, chunk=4, eye=FEW_EYE)
+FEW_EYE = keypoint_training.EyeOptions(steps=4, batch=4, channels=(4, 4, 4, 4, 4, 4), hidden=8)
+FEW = train_images.Options(steps=8, hidden=(16, 16), batch=8, chunk=4, eye=FEW_EYE)
 
 
-def hand_trained(options: train_bgr_images.Options) -> bgr_image_policy.ImagePolicy:
+def hand_trained(options: train_images.Options) -> image_policy.ImagePolicy:
     """With an eye of random weights."""
     dataset = made.dataset(2)
-    marked = train_bgr_images.marks(dataset, bgr_policy.Columns(STATE, TASK))
-    return train_bgr_images.train_hand(dataset, options, made.eye(), marked)
+    marked = train_images.marks(dataset, state_policy.Columns(STATE, TASK))
+    return train_images.train_hand(dataset, options, made.eye(), marked)
 
 
-def sight(policy: bgr_image_policy.ImagePolicy, shown: train_bgr_images.Episode) -> np.ndarray:
+def sight(policy: image_policy.ImagePolicy, shown: train_images.Episode) -> np.ndarray:
     """What it makes of an episode."""
-    said = train_bgr_images.look(policy.network.eye, shown.views)
+    said = train_images.look(policy.network.eye, shown.views)
     scales = policy.scales
-    return bgr_image_policy.remembered(said, shown.state[:, :3], scales["plane"], scales["lens"])
+    return image_policy.remembered(said, shown.state[:, :3], scales["plane"], scales["lens"])
 
 
 @pytest.fixture(scope="module")
-def policy() -> bgr_image_policy.ImagePolicy:
+def policy() -> image_policy.ImagePolicy:
     return hand_trained(FEW)
 
 
@@ -57,7 +57,7 @@ def policy() -> bgr_image_policy.ImagePolicy:
 def test_a_view_is_the_rounded_mean_of_blocks_of_the_middle_square(shape: tuple[int, int]) -> None:
     height, width = shape
     whole = np.random.default_rng(height).integers(0, 256, (height, width, 3), np.uint8)
-    view = bgr_eye.small(whole)
+    view = keypoint_network.small(whole)
     assert view.shape == (120, 120, 3) and view.dtype == np.uint8
     block, left = height // 120, (width - height) // 2
     rng = np.random.default_rng(0)
@@ -65,7 +65,7 @@ def test_a_view_is_the_rounded_mean_of_blocks_of_the_middle_square(shape: tuple[
         part = whole[i * block : (i + 1) * block, left + k * block : left + (k + 1) * block]
         mean = part.reshape(-1, 3).astype(float).mean(axis=0)
         np.testing.assert_array_equal(view[i, k], np.floor(mean + 0.5))
-    np.testing.assert_array_equal(view, bgr_eye.small(whole[:, :, ::-1])[:, :, ::-1])
+    np.testing.assert_array_equal(view, keypoint_network.small(whole[:, :, ::-1])[:, :, ::-1])
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_a_view_is_the_rounded_mean_of_blocks_of_the_middle_square(shape: tuple[
 )
 def test_a_picture_that_does_not_divide_is_refused_in_words(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match="120, 240, 360") as said:
-        bgr_eye.small(np.zeros(shape, np.uint8))
+        keypoint_network.small(np.zeros(shape, np.uint8))
     assert str(shape) in str(said.value)
 
 
@@ -95,8 +95,8 @@ def test_what_the_codec_leaves_of_a_view(tmp_path: Path) -> None:
     file = tmp_path / "video.mp4"
     frames = (av.VideoFrame.from_ndarray(picture, format="rgb24") for picture in shown)
     pictures.encode(frames, file, ExportOptions())
-    seen = train_bgr_images.views_of(file).astype(int)
-    off = np.abs(seen - np.stack([bgr_eye.small(picture) for picture in shown]))
+    seen = train_images.views_of(file).astype(int)
+    off = np.abs(seen - np.stack([keypoint_network.small(picture) for picture in shown]))
     print(f"mean {off.mean():.2f}, 99 % {np.percentile(off, 99):.0f} of 255")
     assert len(seen) == 6 and off.mean() < 2.0
 
@@ -104,13 +104,13 @@ def test_what_the_codec_leaves_of_a_view(tmp_path: Path) -> None:
 # --- the eye ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("shape", bgr_eye.CONVOLUTIONS)
+@pytest.mark.parametrize("shape", keypoint_network.CONVOLUTIONS)
 def test_a_convolution_is_the_sum_that_defines_it(shape: tuple[int, int, int]) -> None:
     size, stride, dilation = shape
     rng = np.random.default_rng(1)
     x, weight = rng.normal(size=(2, 12, 16, 3)), rng.normal(size=(size, size, 3, 4))
     bias = rng.normal(size=4)
-    found = bgr_eye.convolve(x, weight, bias, stride, dilation)
+    found = keypoint_network.convolve(x, weight, bias, stride, dilation)
     pad = dilation * (size // 2)
     padded = np.pad(x, ((0, 0), (pad, pad), (pad, pad), (0, 0)))
     assert found.shape == (2, 12 // stride, 16 // stride, 4)
@@ -123,22 +123,22 @@ def test_a_convolution_is_the_sum_that_defines_it(shape: tuple[int, int, int]) -
 
 def test_a_heat_map_peaks_at_its_mark_and_is_empty_for_a_mark_outside() -> None:
     marks = np.zeros((1, 2, 2))
-    cell = bgr_eye.grid(bgr_eye.CELLS)[7 * bgr_eye.CELLS + 21]
+    cell = keypoint_network.grid(keypoint_network.CELLS)[7 * keypoint_network.CELLS + 21]
     marks[0, 0], marks[0, 1] = cell, (0.0, 3.0)
-    heat = train_bgr_eye.heats(marks)[0]
-    assert heat[:, 0].argmax() == 7 * bgr_eye.CELLS + 21
+    heat = keypoint_training.heats(marks)[0]
+    assert heat[:, 0].argmax() == 7 * keypoint_network.CELLS + 21
     assert heat[:, 0].sum() == pytest.approx(1.0) and heat[:, 1].sum() == 0.0
 
 
 def test_marks_are_where_a_pinhole_shows_the_points() -> None:
     """Against the picture: the red spot is the target, the green one the robot's tip."""
     shown = made.episode(3)
-    columns = bgr_policy.Columns(STATE, TASK)
-    found = train_bgr_eye.labels(shown.task, columns.task, np.eye(4), shown.camera, made.K)
+    columns = state_policy.Columns(STATE, TASK)
+    found = keypoint_training.labels(shown.task, columns.task, np.eye(4), shown.camera, made.K)
     for step in (0, 10):
         for name, colour in (("helper", 0), ("tip", 1)):
             spot = np.argwhere(shown.views[step][:, :, colour] > 200).mean(axis=0) + 0.5
-            mark = found.marks[step, bgr_eye.MAPS.index(name)]
+            mark = found.marks[step, keypoint_network.MAPS.index(name)]
             np.testing.assert_allclose(mark, spot / (made.SIDE / 2) - 1, atol=0.02)
     np.testing.assert_allclose(found.points[0, 2], made.DISTANCE)
 
@@ -147,7 +147,7 @@ def test_the_tube_is_found_beside_where_the_assistant_points() -> None:
     """A tube drawn as a slanted ridge: the place goes onto it, the direction along it."""
     eye = made.eye()
     eye.pointed[0] = (0.05, 0.0)  # the place is below the assistant's tip
-    cells = bgr_eye.grid(bgr_eye.CELLS)
+    cells = keypoint_network.grid(keypoint_network.CELLS)
     along = np.array([-0.2, 1.0]) / np.hypot(0.2, 1.0)
     across = np.array([along[1], -along[0]])
     foot = np.array([0.1, 0.2])
@@ -163,7 +163,8 @@ def test_the_tube_is_found_beside_where_the_assistant_points() -> None:
 @pytest.mark.parametrize("moved", [(0.0, 0.0), (0.15, -0.2)])
 def test_a_camera_that_moved_is_known_from_the_robots_own_tip(moved: tuple[float, float]) -> None:
     """All places are shifted alike; points and directions in space are those of before."""
-    view, shift, rng = bgr_eye.View(*made.camera()), np.array(moved), np.random.default_rng(4)
+    view, shift = keypoint_network.View(*made.camera()), np.array(moved)
+    rng = np.random.default_rng(4)
     for tip in np.repeat(rng.uniform(-0.02, 0.02, (10, 2)), 12, axis=0):
         seen = tip[::-1] / made.REACH + shift + 0.02 * rng.standard_normal(2)
         view.look(seen, 1.0, np.append(tip, made.DISTANCE))
@@ -180,7 +181,7 @@ def test_a_camera_that_moved_is_known_from_the_robots_own_tip(moved: tuple[float
 @pytest.mark.parametrize("speed", [0.01, 0.03, 0.06])
 def test_an_old_picture_of_a_moving_tip_moves_no_camera(late: int, speed: float) -> None:
     """To and fro at a speed [m/s], seen some steps late: whatever it sees, the goal stays."""
-    view = bgr_eye.View(*made.camera())
+    view = keypoint_network.View(*made.camera())
     way = np.abs((0.05 * speed * np.arange(200) + 0.02) % 0.08 - 0.04) - 0.02
     tips = np.column_stack([way, 0.5 * way, np.full(200, made.DISTANCE)])
     worst = 0.0
@@ -197,7 +198,7 @@ def test_the_lens_is_found_from_tips_and_where_they_are_seen() -> None:
     points = rng.uniform(-0.04, 0.04, (200, 3))
     x = np.column_stack([points, np.ones(200)]) @ P.T
     places = 4.0 * x[:, :2] / x[:, 2:]
-    lens = train_bgr_eye.lens_of(points, places)
+    lens = keypoint_training.lens_of(points, places)
     found = np.column_stack([points, np.ones(200)]) @ lens.T
     inside = (np.abs(places) < 1.0).all(axis=1)
     assert 20 < inside.sum() < 200, "some lie outside"
@@ -213,9 +214,9 @@ def test_places_move_with_the_picture_in_training() -> None:
     for view, (row, column) in zip(views, corner, strict=True):
         view[row : row + 10, column : column + 10] = 200
     marks = ((corner + 5.0) / (side / 2) - 1.0)[:, None].astype(np.float32)
-    looks = train_bgr_looks.Looks(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, moved=1.0)
+    looks = picture_augmentation.Looks(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, moved=1.0)
     inside = np.ones((side, side), bool)
-    vary = train_bgr_looks.Varied(torch, side, looks, inside, 0, "cpu")
+    vary = picture_augmentation.Varied(torch, side, looks, inside, 0, "cpu")
     shown, found = vary(views, marks)
     checked = 0
     for picture, mark in zip(shown.numpy(), found[:, 0], strict=True):
@@ -230,39 +231,39 @@ def test_places_move_with_the_picture_in_training() -> None:
 def test_it_learns_to_look() -> None:
     """Where the spot is, is said by the picture only."""
     pytest.importorskip("torch")
-    columns = bgr_policy.Columns(STATE, TASK)
+    columns = state_policy.Columns(STATE, TASK)
     dataset = made.dataset(10, 2)
-    marked = train_bgr_images.marks(dataset, columns)
+    marked = train_images.marks(dataset, columns)
     views = {k: np.concatenate([e.views for e in v]) for k, v in dataset.episodes.items()}
     off = []
     for steps in (1, 150):
-        options = train_bgr_eye.EyeOptions(steps=steps, batch=16, channels=(8,) * 6, hidden=32)
-        eye = train_bgr_eye.train_eye(views["train"], marked["train"], options, 0)
+        options = keypoint_training.EyeOptions(steps=steps, batch=16, channels=(8,) * 6, hidden=32)
+        eye = keypoint_training.train_eye(views["train"], marked["train"], options, 0)
         tips = np.concatenate([e.state[:, :3] for e in dataset.episodes["val"]])
-        said = train_bgr_images.look(eye, views["val"])
-        seen = bgr_image_policy.remembered(said, tips, *made.camera())
-        off.append(train_bgr_eye.errors(seen, marked["val"])["helper"][0])
+        said = train_images.look(eye, views["val"])
+        seen = image_policy.remembered(said, tips, *made.camera())
+        off.append(keypoint_training.errors(seen, marked["val"])["helper"][0])
     print(f"median error {off[0]:.3f} -> {off[1]:.3f} half heights")
     assert off[1] < 0.5 * off[0]
 
 
 def test_the_memory_keeps_where_the_assistant_pointed() -> None:
     """Not where its tip passes, nor where it is when its jaws are open."""
-    memory = bgr_eye.Memory()
-    answer = np.zeros(bgr_eye.SAID)
-    answer[bgr_eye.NEAR], answer[bgr_eye.AXIS] = 0.5, (1.0, 0.0)
+    memory = keypoint_network.Memory()
+    answer = np.zeros(keypoint_network.SAID)
+    answer[keypoint_network.NEAR], answer[keypoint_network.AXIS] = 0.5, (1.0, 0.0)
 
     def show(steps: int, place: float, jaw: float, speed: float, at: float) -> np.ndarray:
         for step in range(steps):
-            answer[bgr_eye.AT], answer[bgr_eye.OTHER_JAW] = place, jaw
-            answer[bgr_eye.PLACE] = (0.0, at + step * speed)
+            answer[keypoint_network.AT], answer[keypoint_network.OTHER_JAW] = place, jaw
+            answer[keypoint_network.PLACE] = (0.0, at + step * speed)
             said = memory.add(answer)
         return said
 
     passing = show(20, 0.5, 0.0, 0.02, 0.0)
     assert passing[4] < 0.1 and passing[5] < 0.01
-    waiting = bgr_eye.Memory()
-    answer[bgr_eye.PLACE] = (0.0, 0.0)
+    waiting = keypoint_network.Memory()
+    answer[keypoint_network.PLACE] = (0.0, 0.0)
     for _ in range(20):  # it has not begun
         assert waiting.add(answer)[5] == 0.0
     pointing = show(12, 0.2, 0.0, 0.0, 0.4)
@@ -276,33 +277,33 @@ def test_the_memory_keeps_where_the_assistant_pointed() -> None:
 # --- learning and acting ----------------------------------------------------------------------
 
 
-def test_one_seed_one_policy(policy: bgr_image_policy.ImagePolicy) -> None:
+def test_one_seed_one_policy(policy: image_policy.ImagePolicy) -> None:
     again, other = hand_trained(FEW), hand_trained(dataclasses.replace(FEW, seed=1))
     assert again.hash == policy.hash != other.hash
     assert again.about["privileged"] == []
-    assert again.about["observation"] == ["observation.state", bgr_image_policy.PICTURE]
+    assert again.about["observation"] == ["observation.state", image_policy.PICTURE]
 
 
 def test_how_to_miss_is_not_learned() -> None:
     """Jaws that close and open again have missed: the steps up to the closing are left out."""
     jaw = np.array([0, 0, 0.7, 0.7, 0.7, 0, 0, 0, 0.7, 0.7, 0, 0, 0, 0], float)
-    out = np.flatnonzero(train_bgr_images.missed(jaw))
+    out = np.flatnonzero(train_images.missed(jaw))
     np.testing.assert_array_equal(out, [2, 3, 4, 5])
-    assert not train_bgr_images.missed(jaw[8:]).any()
+    assert not train_images.missed(jaw[8:]).any()
 
 
-def test_a_command_that_is_moved_aside_is_led_back(policy: bgr_image_policy.ImagePolicy) -> None:
-    columns = bgr_policy.Columns(STATE, TASK)
+def test_a_command_that_is_moved_aside_is_led_back(policy: image_policy.ImagePolicy) -> None:
+    columns = state_policy.Columns(STATE, TASK)
     shown = made.dataset(2).episodes["train"]
     seen = [sight(policy, e) for e in shown]
-    known = train_bgr_images.samples(shown, seen, columns, 4)
+    known = train_images.samples(shown, seen, columns, 4)
     rows = np.random.default_rng(2).permutation(len(known.inputs))
     push = 0.005 * np.random.default_rng(3).standard_normal((len(rows), 3))
     left = np.exp(-np.array([1, 2, 3, 4]) / 5.0)
     x, y = known.pushed(rows, push, left)
     x_0, y_0, free = known.inputs[rows], known.targets[rows], known.free[rows]
     assert 0.2 < free.mean() < 0.9
-    here = bgr_image_policy.HERE
+    here = image_policy.HERE
     np.testing.assert_allclose((x - x_0)[:, here][free], push[free], atol=1e-15)
     for i in range(2):
         moved = (x - x_0)[free, 3 * i : 3 * i + 3]
@@ -313,26 +314,26 @@ def test_a_command_that_is_moved_aside_is_led_back(policy: bgr_image_policy.Imag
     np.testing.assert_array_equal(y[~free], y_0[~free])
 
 
-def test_acting_step_by_step_is_what_was_trained(policy: bgr_image_policy.ImagePolicy) -> None:
+def test_acting_step_by_step_is_what_was_trained(policy: image_policy.ImagePolicy) -> None:
     """The memory included: chunks one by one are those of the whole episode."""
     shown = made.episode(99)
-    columns = bgr_image_policy.state_columns(STATE)
+    columns = image_policy.state_columns(STATE)
     for _ in range(2):  # the second time after a reset
         policy.reset("", None)
         said: list[np.ndarray] = []
-        last = before = shown.state[0, bgr_policy.SET]
+        last = before = shown.state[0, state_policy.SET]
         chunks, moved = [], []
         for state, view in zip(shown.state, shown.views, strict=True):
-            if np.linalg.norm(last[:3] - state[5:8]) > bgr_policy.REACH:
-                last = before = state[bgr_policy.SET]  # it begins anew: nothing has moved
+            if np.linalg.norm(last[:3] - state[5:8]) > state_policy.REACH:
+                last = before = state[state_policy.SET]  # it begins anew: nothing has moved
             said.append(last)
             moved.append(last - before)
             before = last
-            seen = {bgr_policy.STATE: state, bgr_image_policy.PICTURE: view}
+            seen = {state_policy.STATE: state, image_policy.PICTURE: view}
             chunks.append(policy.act(seen))
             assert chunks[-1].shape == (4, 5) and chunks[-1].dtype == np.float64
             last = chunks[-1][0, :4]
-        inputs = bgr_image_policy.features(
+        inputs = image_policy.features(
             columns, shown.state, sight(policy, shown), np.array(said), np.array(moved)
         )
         made_at_once = policy.predict(inputs, np.array(said))
@@ -348,11 +349,11 @@ class At:
     spec: None = None
 
 
-def test_it_goes_on_from_what_it_was_last_told_to_do(policy: bgr_image_policy.ImagePolicy) -> None:
+def test_it_goes_on_from_what_it_was_last_told_to_do(policy: image_policy.ImagePolicy) -> None:
     """In real time it misses observations; after a refusal the arm has not gone anywhere."""
     shown = made.episode(7)
-    arrays = {bgr_policy.STATE: shown.state[0], bgr_image_policy.PICTURE: shown.views[0]}
-    held = shown.state[0, bgr_policy.SET]
+    arrays = {state_policy.STATE: shown.state[0], image_policy.PICTURE: shown.views[0]}
+    held = shown.state[0, state_policy.SET]
     policy.reset()
     chunk = policy.act(At(10, arrays))
     for step, row in ((11, 0), (13, 2), (90, 3)):
@@ -364,17 +365,17 @@ def test_it_goes_on_from_what_it_was_last_told_to_do(policy: bgr_image_policy.Im
     np.testing.assert_array_equal(policy.last_command(held, At(12, arrays)), held)
 
 
-def test_how_fast_it_moves_it_knows_from_its_commands(policy: bgr_image_policy.ImagePolicy) -> None:
+def test_how_fast_it_moves_it_knows_from_its_commands(policy: image_policy.ImagePolicy) -> None:
     """Whatever the arm's delay is, and over steps that it missed; nothing where it begins anew."""
     shown = made.episode(7)
-    arrays = {bgr_policy.STATE: shown.state[0], bgr_image_policy.PICTURE: shown.views[0]}
-    rows = shown.state[0, bgr_policy.SET] + np.arange(1.0, 5.0)[:, None] * [1e-3, 0, 0, 0.01]
+    arrays = {state_policy.STATE: shown.state[0], image_policy.PICTURE: shown.views[0]}
+    rows = shown.state[0, state_policy.SET] + np.arange(1.0, 5.0)[:, None] * [1e-3, 0, 0, 0.01]
 
     def moved(step: int, behind: float) -> np.ndarray:
         """Of the next observation, of an arm so far behind its set-point [m]."""
         state = shown.state[0].copy()
         state[:3] -= behind
-        policy.act(At(step, {**arrays, bgr_policy.STATE: state}))
+        policy.act(At(step, {**arrays, state_policy.STATE: state}))
         policy._said = np.column_stack([rows, np.zeros(4)])
         return policy._past[-1][3]
 
@@ -389,11 +390,11 @@ def test_how_fast_it_moves_it_knows_from_its_commands(policy: bgr_image_policy.I
 
 @pytest.mark.parametrize("counted", [True, False])
 def test_a_hand_that_hesitates_keeps_to_a_chunk(
-    policy: bgr_image_policy.ImagePolicy, monkeypatch: pytest.MonkeyPatch, counted: bool
+    policy: image_policy.ImagePolicy, monkeypatch: pytest.MonkeyPatch, counted: bool
 ) -> None:
     """It says at every step that it closes its jaws three steps later, and never gets there."""
     shown = made.episode(7)
-    arrays = {bgr_policy.STATE: shown.state[0], bgr_image_policy.PICTURE: shown.views[0]}
+    arrays = {state_policy.STATE: shown.state[0], image_policy.PICTURE: shown.views[0]}
     jaws = np.array([0.6, 0.6, 0.3, 0.0])
 
     def soon(inputs: np.ndarray, last: np.ndarray) -> np.ndarray:
@@ -408,7 +409,7 @@ def test_a_hand_that_hesitates_keeps_to_a_chunk(
         return [asked(step) for step in range(steps)]
 
     monkeypatch.setattr(policy, "predict", soon)
-    wait = bgr_image_policy.PATIENCE + 1
+    wait = image_policy.PATIENCE + 1
     assert acted(2 * (wait + 3)) == 2 * [*wait * [True], *3 * [False]]
     jaws[:] = 0.6  # what stands and means to stand is left alone
     assert all(acted(3 * wait))
@@ -419,7 +420,7 @@ def test_a_hand_that_hesitates_keeps_to_a_chunk(
 
 
 def test_numpy_alone_gives_what_the_trainer_had(
-    policy: bgr_image_policy.ImagePolicy, tmp_path: Path
+    policy: image_policy.ImagePolicy, tmp_path: Path
 ) -> None:
     """Saved, loaded, and run by a plain interpreter that has numpy and nothing of ours."""
     file = tmp_path / "weights.npz"
@@ -427,7 +428,8 @@ def test_numpy_alone_gives_what_the_trainer_had(
     shown = made.episode(5)
     np.savez(tmp_path / "episode.npz", state=shown.state, views=shown.views)
     program = (
-        "import sys, pathlib, numpy as np, bgr_image_policy as b\n"
+        "import sys, pathlib, numpy as np\n"
+        "from surg_learn.bgr import image_policy as b\n"
         f"p = b.ImagePolicy.load(pathlib.Path({str(file)!r}))\n"
         f"e = np.load({str(tmp_path / 'episode.npz')!r})\n"
         "out = [p.act({b.STATE: s, b.PICTURE: v}) for s, v in zip(e['state'], e['views'])]\n"
@@ -438,7 +440,7 @@ def test_numpy_alone_gives_what_the_trainer_had(
     assert said_alone(program) == policy.hash
     policy.reset()
     here = [
-        policy.act({bgr_policy.STATE: state, bgr_image_policy.PICTURE: view})
+        policy.act({state_policy.STATE: state, image_policy.PICTURE: view})
         for state, view in zip(shown.state, shown.views, strict=True)
     ]
     # Another number of threads sums in another order.
@@ -446,21 +448,21 @@ def test_numpy_alone_gives_what_the_trainer_had(
 
 
 def test_weights_of_another_policy_are_refused(
-    policy: bgr_image_policy.ImagePolicy, tmp_path: Path
+    policy: image_policy.ImagePolicy, tmp_path: Path
 ) -> None:
     policy.save(tmp_path / "looking.npz")
     with pytest.raises(ValueError, match="surg_bgr_policy/1"):
-        bgr_policy.Policy.load(tmp_path / "looking.npz")
+        state_policy.Policy.load(tmp_path / "looking.npz")
 
 
 # --- what does not fit ------------------------------------------------------------------------
 
 
 def test_a_server_without_cameras_is_told_with_what_to_do() -> None:
-    wanted = Spec.of_keys(list(bgr_image_policy.ImagePolicy.wants))
+    wanted = Spec.of_keys(list(image_policy.ImagePolicy.wants))
     (said,) = wanted.mismatches(Spec.of_keys(["observation.state"]))
     print(said)
-    assert bgr_image_policy.PICTURE in said and "--cameras" in said
+    assert image_policy.PICTURE in said and "--cameras" in said
 
 
 def test_a_dataset_without_pictures_is_named(
@@ -469,12 +471,12 @@ def test_a_dataset_without_pictures_is_named(
     (tmp_path / "meta").mkdir()
     (tmp_path / "meta" / "info.json").write_text('{"features": {"observation.state": {}}}')
     out = tmp_path / "w.npz"
-    assert train_bgr_images.main([str(tmp_path), "--out", str(out)]) == 2
+    assert train_images.main([str(tmp_path), "--out", str(out)]) == 2
     said = capsys.readouterr().err
     assert "observation.camera_pose, observation.images.endoscope.left" in said
     assert not out.exists()
     with pytest.raises(ValueError, match="'train'"):
-        train_bgr_images.train(made.dataset(0, 1), FEW)
+        train_images.train(made.dataset(0, 1), FEW)
 
 
 @pytest.mark.parametrize(
@@ -491,31 +493,31 @@ def test_a_dataset_that_does_not_fit_is_refused_before_a_row_is_read(
 ) -> None:
     """One that fits gets as far as its rows."""
     with pytest.raises(ValueError, match=said) as problem:
-        train_bgr_images.read(made.dataset_folder(tmp_path / "bad", shape, [height], **info))
+        train_images.read(made.dataset_folder(tmp_path / "bad", shape, [height], **info))
     assert str(tmp_path) in str(problem.value)
     with pytest.raises(FileNotFoundError, match="no_such"):
         good = {"data_path": "no_such", "chunks_size": 1000}
-        train_bgr_images.read(made.dataset_folder(tmp_path / "good", **good))
+        train_images.read(made.dataset_folder(tmp_path / "good", **good))
 
 
 def test_weights_that_do_not_fit_are_refused_before_anything_moves(
-    policy: bgr_image_policy.ImagePolicy, tmp_path: Path
+    policy: image_policy.ImagePolicy, tmp_path: Path
 ) -> None:
     """Of another action space when they are loaded, of other pictures by the server."""
     file = tmp_path / "weights.npz"
     names = {**policy.names, "action": ["PSM1/dx", "PSM1/dy", "PSM1/dz", "PSM1/droll", "PSM1/jaw"]}
     about = {**policy.about, "dataset": {"picture": [240, 320, 3]}}
-    kind = bgr_image_policy.ImagePolicy
+    kind = image_policy.ImagePolicy
     kind(policy.network, policy.scales, names, policy.chunk, about).save(file)
     with pytest.raises(ValueError, match=r"PSM1/dx.*allowed: PSM1/x"):
         kind.load(file)
     other = kind(policy.network, policy.scales, policy.names, policy.chunk, about)
-    wants = bgr_policy.wanted(other)
+    wants = state_policy.wanted(other)
     served = cell_spec.make(cell(), ["PSM1"], "bgr", {"endoscope_left": (480, 640)}, None)
     (said,) = wants.mismatches(served)
     assert "(240, 320, 3)" in said and "(480, 640, 3)" in said
     about["dataset"]["picture"] = [480, 640, 3]
-    assert bgr_policy.wanted(other).mismatches(served) == []
+    assert state_policy.wanted(other).mismatches(served) == []
 
 
 def stub_torch(gpu: bool, built: str | None) -> SimpleNamespace:
@@ -542,21 +544,21 @@ def stub_torch(gpu: bool, built: str | None) -> SimpleNamespace:
 def test_where_it_trains_and_a_gpu_that_is_not_there(
     wanted: str, gpu: bool, built: str | None, found: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(train_bgr_eye, "pytorch", lambda: stub_torch(gpu, built))
-    if found in train_bgr_eye.DEVICES:
-        assert train_bgr_eye.device_for(wanted) == found
+    monkeypatch.setattr(keypoint_training, "pytorch", lambda: stub_torch(gpu, built))
+    if found in keypoint_training.DEVICES:
+        assert keypoint_training.device_for(wanted) == found
         return
     with pytest.raises(ValueError, match=found):
-        train_bgr_eye.device_for(wanted)
+        keypoint_training.device_for(wanted)
 
 
 def test_a_gpu_that_is_not_there_is_said_before_a_file_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(train_bgr_eye, "pytorch", lambda: stub_torch(False, None))
-    monkeypatch.setattr(train_bgr_images, "read", lambda *a: pytest.fail("read"))
+    monkeypatch.setattr(keypoint_training, "pytorch", lambda: stub_torch(False, None))
+    monkeypatch.setattr(train_images, "read", lambda *a: pytest.fail("read"))
     words = [str(tmp_path), "--out", str(tmp_path / "w.npz"), "--device", "cuda"]
-    assert train_bgr_images.main(words) == 2
+    assert train_images.main(words) == 2
     assert "built without CUDA" in capsys.readouterr().err
     assert not (tmp_path / "w.npz").exists()
 
@@ -565,7 +567,7 @@ def test_a_gpu_that_is_not_there_is_said_before_a_file_is_read(
 
 
 def test_what_it_says_it_sees_lies_where_it_is_in_the_picture(
-    policy: bgr_image_policy.ImagePolicy,
+    policy: image_policy.ImagePolicy,
 ) -> None:
     """A place of the middle square is a pixel of the whole picture; the wire takes it as it is."""
     from surg_policy_client.seen import to_wire
@@ -574,17 +576,18 @@ def test_what_it_says_it_sees_lies_where_it_is_in_the_picture(
     assert policy.seen() is None
     shown = made.episode(5)
     whole = np.random.default_rng(1).integers(0, 256, (480, 640, 3), np.uint8)
-    arrays = {bgr_image_policy.STATE: shown.state[0], bgr_image_policy.PICTURE: whole}
+    arrays = {image_policy.STATE: shown.state[0], image_policy.PICTURE: whole}
     acted = policy.act(arrays)
     seen = policy.seen()
     to_wire(seen)
     tip, assistant, requested = seen.keypoints
-    answer = policy.network.eye(bgr_eye.small(whole)[None])[0]
-    for point, (down, right) in ((tip, answer[bgr_eye.TIP]), (assistant, answer[bgr_eye.PLACE])):
+    answer = policy.network.eye(keypoint_network.small(whole)[None])[0]
+    places = (answer[keypoint_network.TIP], answer[keypoint_network.PLACE])
+    for point, (down, right) in zip((tip, assistant), places, strict=True):
         # The middle square is 480 pixels wide; its left edge is the 80th.
         expected = (80 + 240 * (1 + right), 240 * (1 + down))
         assert (640 * point.x, 480 * point.y) == pytest.approx(expected, abs=1e-3)
-    assert tip.confidence == pytest.approx(answer[bgr_eye.SEEN], abs=1e-6)
+    assert tip.confidence == pytest.approx(answer[keypoint_network.SEEN], abs=1e-6)
     assert requested.name == "requested" and seen.area == (0.125, 0.0, 0.875, 1.0)
     assert seen.attention.shape == (30, 30) and np.ptp(seen.attention) > 0
     # Asking for it changes nothing.

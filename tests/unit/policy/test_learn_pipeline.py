@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from helpers.policy import bgr_synthetic
-from helpers.policy.bgr_synthetic import bgr_policy, train_bgr
+from helpers.policy.bgr_synthetic import state_policy, train_state
 from surg_cli.graph import episode_process
 from surg_cli.graph import task_episode as cli_episode
 from surg_cli.host import paths
@@ -83,12 +83,12 @@ def test_an_action_is_what_the_expert_said_at_that_look(exported: Path) -> None:
     Without cameras the grid stands on the looks of the task; one that stood on the commands, a
     tick later, would put the answer to the next look beside each observation.
     """
-    dataset = train_bgr.read(exported)
+    dataset = train_state.read(exported)
     shown = dataset.episodes["train"][0]
     env = SurgEnv(SHORT)
     names = policy_rollouts.names(env)
-    assert dataset.names[bgr_policy.STATE] == names[STATE_KEY]
-    assert dataset.names[bgr_policy.TASK] == names[TASK_STATE_KEY]
+    assert dataset.names[state_policy.STATE] == names[STATE_KEY]
+    assert dataset.names[state_policy.TASK] == names[TASK_STATE_KEY]
     observation, _ = env.reset(seed=SEEDS[0])
     compared = 0
     for step in range(len(shown.state)):
@@ -129,8 +129,8 @@ def test_no_demonstration_is_unsafe_pushed_or_not(recorded: Path) -> None:
 def test_training_reads_it_and_is_the_same_twice(exported: Path, tmp_path: Path) -> None:
     for name in ("a.npz", "b.npz"):
         words = [str(exported), "--out", str(tmp_path / name), "--steps", "30", "--seed", "3"]
-        assert train_bgr.main(words) == 0
-    one, two = (bgr_policy.Policy.load(tmp_path / name) for name in ("a.npz", "b.npz"))
+        assert train_state.main(words) == 0
+    one, two = (state_policy.Policy.load(tmp_path / name) for name in ("a.npz", "b.npz"))
     assert one.hash == two.hash
     assert one.about["options"]["seed"] == 3
 
@@ -214,15 +214,15 @@ def test_a_hidden_tension_changes_no_action() -> None:
     made = bgr_synthetic.dataset()
     rng = np.random.default_rng(2)
     for episode in (each for part in made.episodes.values() for each in part):
-        episode.task[:, made.names[bgr_policy.TASK].index("tension")] = rng.random(
+        episode.task[:, made.names[state_policy.TASK].index("tension")] = rng.random(
             len(episode.task)
         )
     shown = made.episodes["val"][0]
-    told = {bgr_policy.STATE: shown.state[-1], bgr_policy.TASK: shown.task[-1].copy()}
-    pulled = {**told, bgr_policy.TASK: told[bgr_policy.TASK].copy()}
-    pulled[bgr_policy.TASK][made.names[bgr_policy.TASK].index("tension")] += 3.0
+    told = {state_policy.STATE: shown.state[-1], state_policy.TASK: shown.task[-1].copy()}
+    pulled = {**told, state_policy.TASK: told[state_policy.TASK].copy()}
+    pulled[state_policy.TASK][made.names[state_policy.TASK].index("tension")] += 3.0
     for tension in (True, False):
-        policy = train_bgr.train(made, train_bgr.Options(steps=20, tension=tension))
+        policy = train_state.train(made, train_state.Options(steps=20, tension=tension))
         actions = []
         for arrays in (told, pulled):
             policy.reset()

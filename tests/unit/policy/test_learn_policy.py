@@ -14,34 +14,34 @@ import pytest
 
 from helpers.policy import bgr_synthetic as made
 from helpers.policy.bgr_synthetic import (
-    bgr_policy,
-    train_bgr,
-    train_bgr_dataset,
-    train_bgr_hand,
-    train_bgr_perceptron,
+    action_head,
+    lerobot_dataset,
+    perceptron,
+    state_policy,
+    train_state,
 )
 from helpers.policy.example_program import said_alone
 
-FEW = train_bgr.Options(steps=60, hidden=(32, 32), batch=64, chunk=8)
+FEW = train_state.Options(steps=60, hidden=(32, 32), batch=64, chunk=8)
 
 
 @pytest.fixture(scope="module")
-def policy() -> bgr_policy.Policy:
-    return train_bgr.train(made.dataset(), FEW)
+def policy() -> state_policy.Policy:
+    return train_state.train(made.dataset(), FEW)
 
 
-def test_one_seed_one_policy(policy: bgr_policy.Policy) -> None:
-    again = train_bgr.train(made.dataset(), FEW)
-    other = train_bgr.train(made.dataset(), train_bgr.Options(**{**vars(FEW), "seed": 1}))
+def test_one_seed_one_policy(policy: state_policy.Policy) -> None:
+    again = train_state.train(made.dataset(), FEW)
+    other = train_state.train(made.dataset(), train_state.Options(**{**vars(FEW), "seed": 1}))
     assert again.hash == policy.hash != other.hash
-    less = train_bgr.train(made.dataset(train=5), FEW)
+    less = train_state.train(made.dataset(train=5), FEW)
     assert less.hash != policy.hash
 
 
 def test_the_gradient_is_that_of_the_loss() -> None:
     """Against central differences in float64, for every parameter of a small network."""
     rng = np.random.default_rng(3)
-    flat, layers = train_bgr_perceptron.flat_layers([(5, 7), (7, 6), (6, 4)])
+    flat, layers = perceptron.flat_layers([(5, 7), (7, 6), (6, 4)])
     flat = flat.astype(np.float64)
     at, layers64 = 0, []
     for weight, bias in layers:
@@ -49,10 +49,10 @@ def test_the_gradient_is_that_of_the_loss() -> None:
                          flat[at + weight.size : at + weight.size + bias.size]))  # fmt: skip
         at += weight.size + bias.size
     flat[:] = rng.normal(0.0, 0.5, flat.size)
-    network = bgr_policy.Network(layers64)
+    network = state_policy.Network(layers64)
     x, y = rng.normal(size=(11, 5)), rng.normal(size=(11, 4))
-    slope, grads = train_bgr_perceptron.flat_layers([(5, 7), (7, 6), (6, 4)])
-    train_bgr_perceptron.gradient_of(network, grads, x, y)
+    slope, grads = perceptron.flat_layers([(5, 7), (7, 6), (6, 4)])
+    perceptron.gradient_of(network, grads, x, y)
 
     def loss() -> float:
         error = np.abs(network(x) - y)
@@ -72,28 +72,28 @@ def test_the_gradient_is_that_of_the_loss() -> None:
 
 def test_what_is_seen_may_be_behind_what_was_said() -> None:
     """In real time a step is done some time after the observation that it answers."""
-    columns = bgr_policy.Columns(made.STATE, made.TASK)
+    columns = state_policy.Columns(made.STATE, made.TASK)
     (shown,) = made.dataset(train=1).episodes["train"]
     n, S = len(shown.state), columns.state
-    known = train_bgr.samples([shown], columns, np.eye(4), 8, behind=2)
-    last = train_bgr_dataset.last_commands(shown.state, shown.action, S[bgr_policy.SET])
+    known = train_state.samples([shown], columns, np.eye(4), 8, behind=2)
+    last = lerobot_dataset.last_commands(shown.state, shown.action, S[state_policy.SET])
     for steps in range(3):
         part = slice(steps * n, (steps + 1) * n)
         seen = shown.state[np.maximum(np.arange(n) - steps, 0)]
-        np.testing.assert_array_equal(known.inputs[part, bgr_policy.HERE], last[:, :3])
+        np.testing.assert_array_equal(known.inputs[part, state_policy.HERE], last[:, :3])
         np.testing.assert_array_equal(known.targets[part], known.targets[:n])
         np.testing.assert_array_equal(known.jaw[part], seen[:, S[4]])
         behind = known.inputs[part, 13:16]
         np.testing.assert_allclose(behind, seen[:, S[:3]] - last[:, :3], atol=1e-15)
-    alone = train_bgr.samples([shown], columns, np.eye(4), 8)
+    alone = train_state.samples([shown], columns, np.eye(4), 8)
     np.testing.assert_array_equal(alone.inputs, known.inputs[:n])
     assert len(known.inputs) == 3 * n
 
 
 def test_an_arm_that_is_moved_aside_comes_back_and_closes_no_jaw_before() -> None:
-    columns = bgr_policy.Columns(made.STATE, made.TASK)
+    columns = state_policy.Columns(made.STATE, made.TASK)
     shown = made.dataset().episodes["train"]
-    known = train_bgr.samples(shown, columns, np.eye(4), 8)
+    known = train_state.samples(shown, columns, np.eye(4), 8)
     rng = np.random.default_rng(2)
     rows = rng.permutation(len(known.inputs))
     push = 0.005 * rng.standard_normal((len(rows), 3))
@@ -105,46 +105,46 @@ def test_an_arm_that_is_moved_aside_comes_back_and_closes_no_jaw_before() -> Non
     # Where the tip is told to be, in the rcm frame: the way back, to the place it was to be at.
     aside = (y[:, :, :3] + push[:, None]) - y_0[:, :, :3]
     np.testing.assert_allclose(aside[free], (push[:, None] * left[:, None])[free], atol=1e-15)
-    here = x[:, bgr_policy.HERE] - x_0[:, bgr_policy.HERE]
+    here = x[:, state_policy.HERE] - x_0[:, state_policy.HERE]
     np.testing.assert_allclose(here[free], push[free], atol=1e-15)
-    first = x[:, :3] + x[:, bgr_policy.HERE]
-    np.testing.assert_allclose(first, x_0[:, :3] + x_0[:, bgr_policy.HERE], atol=1e-15)
+    first = x[:, :3] + x[:, state_policy.HERE]
+    np.testing.assert_allclose(first, x_0[:, :3] + x_0[:, state_policy.HERE], atol=1e-15)
     np.testing.assert_array_equal(x[~free], x_0[~free])
     np.testing.assert_array_equal(y[~free], y_0[~free])
-    far = (np.linalg.norm(push, axis=1)[:, None] * left > train_bgr_hand.THERE) & free[:, None]
+    far = (np.linalg.norm(push, axis=1)[:, None] * left > action_head.THERE) & free[:, None]
     assert (y[:, :, 4] >= known.jaw[rows][:, None] - 1e-12)[far].all()
     np.testing.assert_array_equal(y[:, :, 4][~far], y_0[:, :, 4][~far])
     print(f"{free.sum()} of {len(free)} samples are free")
 
 
 def test_it_learns_what_is_there_to_learn() -> None:
-    before = train_bgr.train(made.dataset(12), train_bgr.Options(steps=1, hidden=(64, 64)))
-    after = train_bgr.train(made.dataset(12), train_bgr.Options(steps=400, hidden=(64, 64)))
+    before = train_state.train(made.dataset(12), train_state.Options(steps=1, hidden=(64, 64)))
+    after = train_state.train(made.dataset(12), train_state.Options(steps=400, hidden=(64, 64)))
     print(f"loss on val {before.about['loss']['val']:.3f} -> {after.about['loss']['val']:.3f}")
     assert after.about["loss"]["val"] < 0.5 * before.about["loss"]["val"]
 
 
-def test_acting_step_by_step_is_what_was_trained(policy: bgr_policy.Policy) -> None:
+def test_acting_step_by_step_is_what_was_trained(policy: state_policy.Policy) -> None:
     """Memory included: chunks from observations one by one are those of the whole episode."""
     shown = made.episode(99)
-    columns = bgr_policy.Columns(made.STATE, made.TASK)
+    columns = state_policy.Columns(made.STATE, made.TASK)
     # What was said last is what it said itself: the whole episode, with that.
     said = []
     for _ in range(2):  # the second time after a reset
         policy.reset("", None)
-        last = shown.state[0, bgr_policy.SET]
+        last = shown.state[0, state_policy.SET]
         said.clear()
         for step in range(len(shown.state)):
-            if np.linalg.norm(last[:3] - shown.state[step, 5:8]) > bgr_policy.REACH:
-                last = shown.state[step, bgr_policy.SET]
+            if np.linalg.norm(last[:3] - shown.state[step, 5:8]) > state_policy.REACH:
+                last = shown.state[step, state_policy.SET]
             said.append(last)
             observation = {
-                bgr_policy.STATE: shown.state[step],
-                bgr_policy.TASK: shown.task[step],
+                state_policy.STATE: shown.state[step],
+                state_policy.TASK: shown.task[step],
             }
             chunk = policy.act(observation)
             assert chunk.shape == (8, 5) and chunk.dtype == np.float64
-            inputs = bgr_policy.features(
+            inputs = state_policy.features(
                 columns,
                 shown.state[: step + 1],
                 shown.task[: step + 1],
@@ -157,15 +157,18 @@ def test_acting_step_by_step_is_what_was_trained(policy: bgr_policy.Policy) -> N
             last = chunk[0, :4]
 
 
-def test_numpy_alone_gives_what_the_trainer_had(policy: bgr_policy.Policy, tmp_path: Path) -> None:
+def test_numpy_alone_gives_what_the_trainer_had(
+    policy: state_policy.Policy, tmp_path: Path
+) -> None:
     """Saved, loaded, and run by a plain interpreter that has numpy and nothing of ours."""
     file = tmp_path / "weights.npz"
     policy.save(file)
     shown = made.episode(5)
-    last = train_bgr_dataset.last_commands(shown.state, shown.action, bgr_policy.SET)
+    last = lerobot_dataset.last_commands(shown.state, shown.action, state_policy.SET)
     np.savez(tmp_path / "episode.npz", state=shown.state, task=shown.task, last=last)
     program = (
-        "import sys, numpy as np, bgr_policy as b\n"
+        "import sys, numpy as np\n"
+        "from surg_learn.bgr import state_policy as b\n"
         f"p = b.Policy.load(__import__('pathlib').Path({str(file)!r}))\n"
         f"e = np.load({str(tmp_path / 'episode.npz')!r})\n"
         "c = b.Columns(p.names[b.STATE], p.names[b.TASK])\n"
@@ -175,14 +178,14 @@ def test_numpy_alone_gives_what_the_trainer_had(policy: bgr_policy.Policy, tmp_p
         "print(p.hash)"
     )
     assert said_alone(program) == policy.hash
-    columns = bgr_policy.Columns(made.STATE, made.TASK)
-    inputs = bgr_policy.features(columns, shown.state, shown.task, last, policy.scales["X_RW"])
+    columns = state_policy.Columns(made.STATE, made.TASK)
+    inputs = state_policy.features(columns, shown.state, shown.task, last, policy.scales["X_RW"])
     np.testing.assert_allclose(
         np.load(tmp_path / "out.npy"), policy.predict(inputs, last), rtol=0, atol=1e-6
     )
 
 
-def test_weights_hold_no_code(policy: bgr_policy.Policy, tmp_path: Path) -> None:
+def test_weights_hold_no_code(policy: state_policy.Policy, tmp_path: Path) -> None:
     file = tmp_path / "weights.npz"
     policy.save(file)
     with zipfile.ZipFile(file) as archive:
@@ -191,37 +194,37 @@ def test_weights_hold_no_code(policy: bgr_policy.Policy, tmp_path: Path) -> None
                 np.lib.format.read_magic(member)
                 _, _, dtype = np.lib.format.read_array_header_1_0(member)
                 assert dtype.hasobject is False, name
-    again = bgr_policy.Policy.load(file)
-    assert again.hash == policy.hash and again.about["privileged"] == [bgr_policy.TASK]
+    again = state_policy.Policy.load(file)
+    assert again.hash == policy.hash and again.about["privileged"] == [state_policy.TASK]
     assert again.about == json.loads(json.dumps(policy.about))
 
 
-def test_other_files_are_refused(policy: bgr_policy.Policy, tmp_path: Path) -> None:
+def test_other_files_are_refused(policy: state_policy.Policy, tmp_path: Path) -> None:
     text, foreign, pickled = (tmp_path / name for name in ("a.txt", "b.npz", "c.npz"))
     text.write_text("no weights")
     np.savez(foreign, a=np.zeros(3))
     np.savez(pickled, head=np.array([{}], dtype=object))
     for file in (text, foreign, pickled):
         with pytest.raises(ValueError, match=file.name):
-            bgr_policy.Policy.load(file)
+            state_policy.Policy.load(file)
 
 
-def test_the_place_of_a_number_is_found_by_its_name(policy: bgr_policy.Policy) -> None:
+def test_the_place_of_a_number_is_found_by_its_name(policy: state_policy.Policy) -> None:
     """Another order of the same numbers is the same observation; a missing one is named."""
     rng = np.random.default_rng(1)
     order = rng.permutation(len(made.TASK))
     shown = made.episode(7)
-    last = train_bgr_dataset.last_commands(shown.state, shown.action, bgr_policy.SET)
-    columns = bgr_policy.Columns(made.STATE, made.TASK)
-    shuffled = bgr_policy.Columns(made.STATE, [made.TASK[i] for i in order])
+    last = lerobot_dataset.last_commands(shown.state, shown.action, state_policy.SET)
+    columns = state_policy.Columns(made.STATE, made.TASK)
+    shuffled = state_policy.Columns(made.STATE, [made.TASK[i] for i in order])
     np.testing.assert_array_equal(
-        bgr_policy.features(columns, shown.state, shown.task, last, policy.scales["X_RW"]),
-        bgr_policy.features(
+        state_policy.features(columns, shown.state, shown.task, last, policy.scales["X_RW"]),
+        state_policy.features(
             shuffled, shown.state, shown.task[:, order], last, policy.scales["X_RW"]
         ),
     )
     with pytest.raises(ValueError, match="assistant_held"):
-        bgr_policy.Columns(made.STATE, [name for name in made.TASK if name != "assistant_held"])
+        state_policy.Columns(made.STATE, [name for name in made.TASK if name != "assistant_held"])
 
 
 def test_the_frame_is_found_from_the_tip_in_both() -> None:
@@ -230,7 +233,7 @@ def test_the_frame_is_found_from_the_tip_in_both() -> None:
     R *= np.linalg.det(R)
     p_W = rng.standard_normal((50, 3))
     p_R = p_W @ R.T + [0.1, -0.2, 0.3]
-    found = bgr_policy.world_in_rcm(p_R, p_W)
+    found = state_policy.world_in_rcm(p_R, p_W)
     np.testing.assert_allclose(found[:3, :3], R, atol=1e-12)
     np.testing.assert_allclose(found[:3, 3], [0.1, -0.2, 0.3], atol=1e-12)
 
@@ -238,7 +241,7 @@ def test_the_frame_is_found_from_the_tip_in_both() -> None:
 def test_nothing_to_train_on_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     nothing = made.dataset(0, 1)
     with pytest.raises(ValueError, match="train"):
-        train_bgr.train(nothing, FEW)
-    assert train_bgr.main([str(tmp_path), "--out", str(tmp_path / "w.npz")]) == 2
+        train_state.train(nothing, FEW)
+    assert train_state.main([str(tmp_path), "--out", str(tmp_path / "w.npz")]) == 2
     assert "no LeRobot dataset" in capsys.readouterr().err
     assert not (tmp_path / "w.npz").exists()

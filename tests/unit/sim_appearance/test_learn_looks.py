@@ -11,7 +11,7 @@ import pytest
 
 from surg_cli.commands import learn
 from surg_cli.host.terminal import CliError
-from surg_cli.learning.recipes import Request
+from surg_learn.recipes import Request
 
 demonstrations = pytest.importorskip("surg_sim.envs.demonstrations")
 
@@ -42,9 +42,8 @@ def test_looks_are_part_of_what_demonstrations_depend_on(file: Path) -> None:
     built_in = asked("--cameras", "--domain-randomization").look_ranges
     assert built_in is not None and built_in.tissue_colour == DomainRandomization().tissue_colour
     assert built_in.camera_shift_mm == built_in.camera_turn_deg == (0.0, 0.0)
-    assert f"--cameras --domain-randomization {file} --out" in learn.command_line(
-        own, Path("runs/L")
-    )
+    resumed = learn.command_line(own, Path("runs/L"))
+    assert f"--cameras --domain-randomization {file} --out" in resumed
 
 
 def test_looks_that_cannot_be_trained_with_are_refused(file: Path) -> None:

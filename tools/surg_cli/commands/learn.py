@@ -9,18 +9,19 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.graph import episode_film, episode_plans
-from surg_cli.host import cells, paths, preflight, provision
+from surg_cli.host import cells, paths, preflight, provision, terminal
 from surg_cli.host.terminal import CliError, say, table, warn
-from surg_cli.learning import learn_stages, rollouts
-from surg_cli.learning.recipes import (
+from surg_cli.learning import rollouts
+from surg_learn import learn_stages
+from surg_learn.learn_terminal import LearnError
+from surg_learn.recipes import (
     BUILT_IN,
     CAMERA_RECIPES,
     DEVICES,
-    LEARNERS,
     STATE_RECIPES,
     Request,
 )
-from surg_cli.learning.stage_ledger import Ledger
+from surg_learn.stage_ledger import Ledger
 
 RANDOMIZATION = "--domain-randomization"
 
@@ -61,19 +62,25 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Do all stages; the last line printed is the path of summary.json."""
-    request = check(options)
+    try:
+        return _main(check(options), options.out)
+    except LearnError as problem:
+        raise CliError(str(problem), problem.code) from problem
+
+
+def _main(request: Request, wanted: Path | None) -> int:
     if request.recipe.packages:
         provision.install_packages(
             paths.STATE / "logs" / "apt.log", optional=request.recipe.packages
         )
     learn_stages.check_device(request)
-    out = folder_of(options.out, request)
+    out = folder_of(wanted, request)
     say(
         f"learn: {request.task}{', from camera images' if request.cameras else ''}, "
         f"{request.setting}, {request.episodes} demonstrations, {request.rollouts} roll-outs "
         f"-> {out}"
     )
-    ledger = Ledger(out / "stages.json", command_line(request, out))
+    ledger = Ledger(out / "stages.json", command_line(request, out), say)
     summary = _learn(request, ledger, out)
     _print_summary(summary)
     say(str(out / "report.html"))
@@ -88,14 +95,14 @@ def _learn(request: Request, ledger: Ledger, out: Path) -> dict[str, Any]:
     cell = episode_plans.find_cell(request.robot)
     loaded = cells.load(cell)
     recipe = request.recipe
-    done = learn_stages.prepare(request, ledger, cell, out)
+    done = learn_stages.prepare(request, ledger, cell, out, terminal)
     trained, compared = done["training"], done["smoothness"]
     player = rollouts.Player(
         request.task,
         cell,
         loaded,
         request.setting,
-        LEARNERS / recipe.serve,
+        recipe.script,
         out / "weights.npz",
         bool(trained["privileged"]),
         recipe.cameras,
@@ -105,7 +112,7 @@ def _learn(request: Request, ledger: Ledger, out: Path) -> dict[str, Any]:
     entries = ledger.stage(
         "rollouts",
         {"rollouts": request.rollouts, "weights": trained["weights"]},
-        lambda: learn_stages.roll_out(player, request.rollouts, folder),
+        lambda: rollouts.roll_out(player, request.rollouts, folder),
         complete=lambda entries: all(e["rollout"]["played"] for e in entries),
     )
     info = _info(request, player, done["demonstrations"], trained, ledger)

@@ -1,1 +1,1 @@
-"""What `./surg learn` does: recipes, stages, roll-outs of the learned policy."""
+"""Roll-outs of `./surg learn`: a learned policy in the graph."""

@@ -18,6 +18,8 @@ from surg_cli.graph import episode_plans, episode_process, policy_program, task_
 from surg_cli.graph.episode_plans import Condition
 from surg_cli.graph.system import SystemPlan
 from surg_cli.host import paths
+from surg_cli.host.terminal import CliError, Progress
+from surg_learn.learn_terminal import LearnError
 
 RESULT = "result.json"
 WEIGHTS = "SURG_BGR_WEIGHTS"
@@ -93,3 +95,27 @@ def describe(plan: SystemPlan, ended: task_episode.Ended) -> dict[str, Any]:
         plan, ended, lambda entry, recorded: learning.roll_out(entry, ended.policy or {}, recorded)
     )
     return {"rollout": rollout, "episode": entry}
+
+
+def roll_out(player: Player, count: int, folder: Path) -> list[dict[str, Any]]:
+    """Play the policy through the graph on seeds that were not used for training.
+
+    Raises:
+        LearnError: The graph cannot be started, in its own words.
+    """
+    from surg_sim.tasks import episode_seeds
+
+    entries: list[dict[str, Any]] = []
+    with Progress("roll-outs") as progress:
+        for n, seed in enumerate(episode_seeds.test_seeds(count)):
+            good = sum(e["rollout"]["success"] for e in entries)
+
+            def show(seconds: float, note: str, n: int = n, good: int = good) -> None:
+                words = f"{n + 1} of {count}, {good} succeeded: {seconds:.1f} s, {note}"
+                progress.update(n / count, words)
+
+            try:
+                entries.append(player.play(seed, folder / str(seed), show))
+            except CliError as problem:
+                raise LearnError(str(problem), problem.code) from problem
+    return entries

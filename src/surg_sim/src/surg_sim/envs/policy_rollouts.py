@@ -26,7 +26,7 @@ from surg_sim.envs.surg_env import SurgEnv
 
 
 class Acts(Protocol):
-    """What a policy is: examples/bgr/bgr_policy.py, or any object like it."""
+    """What a policy is: surg_learn.bgr.state_policy.Policy, or any object like it."""
 
     def reset(self, instruction: str, seed: int | None) -> None:
         """Forget the last episode; the seed is for policies that draw."""

@@ -1,8 +1,8 @@
 """The small pictures of a LeRobot dataset (v2.1), decoded once for all trainings that need them.
 
-    python3 examples/bgr/train_bgr_cache.py datasets/bgr views/bgr
+    python3 -m surg_learn.bgr.cache_pictures datasets/bgr views/bgr
 
-`train_bgr_cloned.py` reads a dataset or such a folder. A folder needs numpy and nothing else to be
+`train_cloned.py` reads a dataset or such a folder. A folder needs numpy and nothing else to be
 read, so that it can go to a machine without PyAV and pyarrow: one `.npy` of all pictures for each
 eye, which trainings map into memory together, and one `.npz` without pickle of all tables.
 """
@@ -22,9 +22,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bgr_eye import SIDE
-from bgr_policy import ACTION, STATE
-from train_bgr_dataset import (
+
+from surg_learn.bgr.keypoint_network import SIDE
+from surg_learn.bgr.state_policy import ACTION, STATE
+from surg_learn.bgr.train_images import check_size, views_of
+from surg_learn.bgr.training.lerobot_dataset import (
     Array,
     Progress,
     facts,
@@ -33,7 +35,6 @@ from train_bgr_dataset import (
     split_episodes,
     table,
 )
-from train_bgr_images import check_size, views_of
 
 FORMAT = "surg_bgr_views/1"
 LEFT, RIGHT = (f"observation.images.endoscope.{side}" for side in ("left", "right"))
@@ -224,7 +225,7 @@ def load(folder: Path, pictures: Sequence[str]) -> Recorded:
 def main(words: Sequence[str] | None = None) -> int:
     """Entry point; returns 0, or 2 for an unusable dataset."""
     parser = argparse.ArgumentParser(
-        prog="train_bgr_cache", description=(__doc__ or "").split("\n")[0]
+        prog="cache_pictures", description=(__doc__ or "").split("\n")[0]
     )
     parser.add_argument("dataset", type=Path, help="folder written by ./surg episode export")
     parser.add_argument("out", type=Path, help="folder for the small pictures")
@@ -236,7 +237,7 @@ def main(words: Sequence[str] | None = None) -> int:
         found = read(options.dataset, eyes_of(options.eyes), lambda part, note: print(note))
         save(found, options.out)
     except ValueError as error:
-        print(f"train_bgr_cache: {error}", file=sys.stderr)
+        print(f"cache_pictures: {error}", file=sys.stderr)
         return 2
     print(f"{len(found.state)} steps of {len(found.split)} episodes, phases: {found.phases}")
     return 0

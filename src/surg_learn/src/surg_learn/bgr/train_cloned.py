@@ -1,12 +1,12 @@
 """Trains what the image policy is compared with: BC, ACT or MoE-ACT, from pictures; PyTorch.
 
-    python3 examples/bgr/train_bgr_cloned.py datasets/bgr --method act --seed 0 --out act_0.npz
+    python3 -m surg_learn.bgr.train_cloned datasets/bgr --method act --seed 0 --out act_0.npz
 
-It reads a LeRobot dataset (v2.1) or a folder of `train_bgr_cache.py`, and the same for all methods:
-pictures, what a robot measures, and the demonstrator's commands, varied by `train_bgr_looks.py`.
+It reads a LeRobot dataset (v2.1) or a folder of `cache_pictures.py`, and the same for all methods:
+pictures, what a robot measures, and the demonstrator's commands, varied by `picture_augmentation`.
 MoE-ACT's gate learns the phases of the recordings, too. No method reads the simulator's truth.
 Equal data, options, seed and number of threads give equal weights on a processor. The same command
-goes on with a training that was interrupted (`train_bgr_kept.py`).
+goes on with a training that was interrupted (`checkpoints.py`).
 """
 
 from __future__ import annotations
@@ -20,13 +20,16 @@ from typing import Any
 
 import numpy as np
 import torch
-from bgr_cloned_policy import ClonedPolicy, numbers_of, scaled
-from bgr_eye import SIDE
-from bgr_networks import METHODS, Answer, Sizes, network_of
-from bgr_policy import ACTION, ACTIONS, SET, STATE, state_columns
-from train_bgr_cache import NO_PHASE, PHASE, Recorded, eyes_of, recorded
-from train_bgr_command import chosen, parser_of, trained
-from train_bgr_dataset import (
+
+from surg_learn.bgr.cache_pictures import NO_PHASE, PHASE, Recorded, eyes_of, recorded
+from surg_learn.bgr.cloned_networks import METHODS, Answer, Sizes, network_of
+from surg_learn.bgr.cloned_policy import ClonedPolicy, numbers_of, scaled
+from surg_learn.bgr.keypoint_network import SIDE
+from surg_learn.bgr.state_policy import ACTION, ACTIONS, SET, STATE, state_columns
+from surg_learn.bgr.train_images import missed
+from surg_learn.bgr.training.checkpoints import Kept, mark_of
+from surg_learn.bgr.training.keypoint_training import DEVICES, device_for
+from surg_learn.bgr.training.lerobot_dataset import (
     Array,
     Progress,
     jaw_range,
@@ -35,11 +38,9 @@ from train_bgr_dataset import (
     scales_of,
     targets_of,
 )
-from train_bgr_eye import DEVICES, device_for
-from train_bgr_images import missed
-from train_bgr_kept import Kept, mark_of
-from train_bgr_looks import Looks, Varied, inside_of
-from train_bgr_perceptron import half_cosine
+from surg_learn.bgr.training.perceptron import half_cosine
+from surg_learn.bgr.training.picture_augmentation import Looks, Varied, inside_of
+from surg_learn.bgr.training.trainer_options import chosen, parser_of, trained
 
 CHUNKS = {"bc": 16, "act": 40, "moe_act": 40}
 """Actions predicted at once: those of the image policy; 2 s, as in ACT's paper."""
@@ -331,8 +332,8 @@ def errors(policy: ClonedPolicy, found: Recorded, steps: Steps) -> dict[str, flo
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    data = "of ./surg episode export, or of train_bgr_cache.py"
-    made = parser_of("train_bgr_cloned", (__doc__ or "").split("\n")[0], data)
+    data = "of ./surg episode export, or of cache_pictures.py"
+    made = parser_of("train_cloned", (__doc__ or "").split("\n")[0], data)
     made.add_argument("--method", choices=METHODS, required=True)
     made.add_argument("--device", choices=DEVICES, default=DEVICES[0], help="where it trains")
     made.add_argument("--eyes", type=int, choices=(1, 2), default=1, help="left, or left + right")
@@ -369,7 +370,7 @@ def main(words: Sequence[str] | None = None) -> int:
         found = recorded(given.dataset, eyes_of(options.eyes), show)
         return train(found, options, show, on_the_way)
 
-    status = trained("train_bgr_cloned", given, make, brief_of)
+    status = trained("train_cloned", given, make, brief_of)
     if status == 0:
         on_the_way.unlink(missing_ok=True)
     return status

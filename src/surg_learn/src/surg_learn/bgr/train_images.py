@@ -1,10 +1,10 @@
-"""Trains the policy of `bgr_image_policy.py` on a LeRobot dataset (v2.1) with pictures.
+"""Trains the policy of `image_policy.py` on a LeRobot dataset (v2.1) with pictures.
 
-    python3 examples/bgr/train_bgr_images.py datasets/bgr --out weights.npz --seed 0
+    python3 -m surg_learn.bgr.train_images datasets/bgr --out weights.npz --seed 0
 
-First the eye (`train_bgr_eye.py`, PyTorch), with labels from the simulator's truth. Then the hand,
-as in `train_bgr.py`, in numpy, from what the trained eye says: it learns with the eye's errors.
-It reads the left endoscope's video (PyAV). The policy reads no ground truth.
+First the eye (`keypoint_training.py`, PyTorch), with labels from the simulator's truth. Then the
+hand, as in `train_state.py`, in numpy, from what the trained eye says: it learns with the eye's
+errors. It reads the left endoscope's video (PyAV). The policy reads no ground truth.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
-from bgr_eye import HELD, TENSION, Eye, small, square
-from bgr_image_policy import (
+
+from surg_learn.bgr.image_policy import (
     DISTANCE,
     PICTURE,
     EyeAndHand,
@@ -26,9 +26,21 @@ from bgr_image_policy import (
     features,
     remembered,
 )
-from bgr_policy import ACTION, SET, STATE, TASK, Columns
-from train_bgr_command import brief_of, chosen, parser_of, trained
-from train_bgr_dataset import (
+from surg_learn.bgr.keypoint_network import HELD, TENSION, Eye, small, square
+from surg_learn.bgr.state_policy import ACTION, SET, STATE, TASK, Columns
+from surg_learn.bgr.training.action_head import HandOptions, Samples, fit_hand, may_move
+from surg_learn.bgr.training.keypoint_training import (
+    DEVICES,
+    EyeOptions,
+    Labels,
+    device_for,
+    errors,
+    labels,
+    lens_of,
+    plane_of,
+    train_eye,
+)
+from surg_learn.bgr.training.lerobot_dataset import (
     Array,
     Dataset,
     Progress,
@@ -44,19 +56,8 @@ from train_bgr_dataset import (
     targets_of,
     world_of,
 )
-from train_bgr_eye import (
-    DEVICES,
-    EyeOptions,
-    Labels,
-    device_for,
-    errors,
-    labels,
-    lens_of,
-    plane_of,
-    train_eye,
-)
-from train_bgr_hand import HandOptions, Samples, fit_hand, may_move
-from train_bgr_perceptron import mean_error, size_of
+from surg_learn.bgr.training.perceptron import mean_error, size_of
+from surg_learn.bgr.training.trainer_options import brief_of, chosen, parser_of, trained
 
 CAMERA = "observation.camera_pose"
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -80,7 +81,7 @@ class Options(HandOptions):
     """Standard deviation of the noise on normalised inputs. What the eye says of pictures that it
     was trained on is better than what it says of others: with little noise the hand believes it."""
     device: str = "auto"
-    """Where the eye is trained, see `train_bgr_eye.device_for`."""
+    """Where the eye is trained, see `keypoint_training.device_for`."""
     labels: str = "simulator"
     """One of `LABELS`."""
     eye: EyeOptions = field(default_factory=EyeOptions)
@@ -388,7 +389,7 @@ def plane_of_grasps(shown: Sequence[Episode], labels: Labels, columns: Columns) 
 
 def main(words: Sequence[str] | None = None) -> int:
     """Entry point; returns 0, or 2 for an unusable dataset."""
-    parser = parser_of("train_bgr_images", (__doc__ or "").split("\n")[0])
+    parser = parser_of("train_images", (__doc__ or "").split("\n")[0])
     for name, allowed, about in (
         ("device", DEVICES, "where it trains"),
         ("labels", tuple(LABELS), "the simulator's truth, or what people and robots can tell"),

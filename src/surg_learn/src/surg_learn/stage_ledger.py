@@ -15,8 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from surg_cli.host import paths
-from surg_cli.host.terminal import CliError, say
+from surg_learn.learn_terminal import LearnError
 
 FORMAT = "surg_stages/1"
 
@@ -24,14 +23,14 @@ FORMAT = "surg_stages/1"
 class Ledger:
     """Results and durations of the stages, in a JSON file that is written when a first stage ends.
 
-    ``resume`` is the command line that resumes the work, for the error message.
+    ``resume`` is the command line that resumes the work, for the error message. ``say`` prints.
 
     Raises:
-        CliError: The file is there and is no ledger.
+        LearnError: The file is there and is no ledger.
     """
 
-    def __init__(self, file: Path, resume: str) -> None:
-        self._file, self._resume = file, resume
+    def __init__(self, file: Path, resume: str, say: Callable[[str], None] = print) -> None:
+        self._file, self._resume, self._say = file, resume, say
         self._stages: dict[str, dict[str, Any]] = {}
         self._before = ""
         if file.exists():
@@ -41,7 +40,7 @@ class Ledger:
                     raise ValueError(f"its format is {content['format']!r}, not {FORMAT}")
                 self._stages = dict(content["stages"])
             except (ValueError, KeyError, TypeError) as error:
-                raise CliError(
+                raise LearnError(
                     f"{file}: not a list of stages ({error}); remove the folder or name another", 2
                 ) from error
 
@@ -66,29 +65,36 @@ class Ledger:
             complete: Whether a result is complete; otherwise the stage resumes next time.
 
         Raises:
-            CliError: The stage failed; the text names it, and how to resume.
+            LearnError: The stage failed; the text names it, and how to resume.
         """
         words = json.dumps([self._before, name, inputs], sort_keys=True, default=str)
         key = self._before = hashlib.sha256(words.encode()).hexdigest()
         entry = self._stages.get(name)
         if entry is not None and entry["key"] == key and entry["done"]:
-            say(f"{name}: already done, in {entry['s']:.0f} s")
+            self._say(f"{name}: already done, in {entry['s']:.0f} s")
             return entry["result"]
         spent = entry["s"] if entry is not None and entry["key"] == key else 0.0
         started, result, done = time.monotonic(), None, False
         try:
             result = work()
             done = complete(result)
-        except CliError as problem:
-            raise CliError(
+        except LearnError as problem:
+            raise LearnError(
                 f"stage '{name}': {problem}\nFinished work is kept. Resume with: {self._resume}",
                 problem.code,
             ) from problem
         finally:
             spent += time.monotonic() - started
             self._stages[name] = {"key": key, "s": spent, "done": done, "result": result}
-            content = {"format": FORMAT, "stages": self._stages}
             # A full disk must not hide the error that ended the stage.
             with contextlib.nullcontext() if done else contextlib.suppress(OSError):
-                paths.write_text(self._file, json.dumps(content, indent=1, default=str) + "\n")
+                self._write()
         return result
+
+    def _write(self) -> None:
+        """Replace the file in one step, so that a reader sees the old or the new text whole."""
+        self._file.parent.mkdir(parents=True, exist_ok=True)
+        content = {"format": FORMAT, "stages": self._stages}
+        whole = self._file.with_name(f".{self._file.name}.partial")
+        whole.write_text(json.dumps(content, indent=1, default=str) + "\n", "utf-8")
+        whole.replace(self._file)

@@ -1,11 +1,11 @@
 """A learned policy for bowel grasping and retraction: numpy only, no platform, no torch.
 
-    python3 examples/bgr/bgr_policy.py --weights weights.npz --server tcp://127.0.0.1:5555
+    python3 -m surg_learn.bgr.state_policy --weights weights.npz --server tcp://127.0.0.1:5555
 
-`train_bgr.py` writes the weights. The policy reads `observation.state`, which a robot measures, and
-`privileged.task_state`, the simulator's ground truth: **no robot can measure that**, so this policy
-works in the phantom only. Trained with `--forces`, it reads `observation.force`, too. It answers
-each observation with a chunk of actions for the next steps.
+`train_state.py` writes the weights. The policy reads `observation.state`, which a robot measures,
+and `privileged.task_state`, the simulator's ground truth: **no robot can measure that**, so this
+policy works in the phantom only. Trained with `--forces`, it reads `observation.force`, too. It
+answers each observation with a chunk of actions for the next steps.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ PLACES, DISTANCE, HERE = slice(0, 9), 9, slice(-3, None)
 """Columns of the features: vectors from the last command to the requested node, the assistant and a
 resting node; the length of the first; the last command."""
 TENSION = 24
-"""Column of the tissue's tension: an infinite scale hides it from a policy, see `train_bgr.py`."""
+"""Column of the tissue's tension: an infinite scale hides it from a policy, see `train_state`."""
 REACH = 0.02
 """The arm cannot be following a command farther than this from the set-point [m]."""
 
@@ -240,7 +240,7 @@ class Policy:
     """
 
     format = FORMAT
-    trainer = "train_bgr.py"
+    trainer = "train_state.py"
     wants: tuple[str, ...] = (STATE, TASK)
 
     def __init__(

@@ -1,6 +1,6 @@
 """The hand of both policies: a perceptron trained on displaced and noisy samples; plain numpy.
 
-Used by `train_bgr.py` and `train_bgr_images.py`.
+Used by `train_state.py` and `train_images.py`.
 """
 
 from __future__ import annotations
@@ -10,9 +10,16 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from bgr_policy import HERE, Network
-from train_bgr_dataset import Progress, normalised
-from train_bgr_perceptron import Adam, flat_layers, gradient_of, half_cosine, initialise
+
+from surg_learn.bgr.state_policy import HERE, Network
+from surg_learn.bgr.training.lerobot_dataset import Progress, normalised
+from surg_learn.bgr.training.perceptron import (
+    Adam,
+    flat_layers,
+    gradient_of,
+    half_cosine,
+    initialise,
+)
 
 Array = np.ndarray
 OPEN, NEAR = 0.6, 0.03
@@ -70,7 +77,8 @@ class Samples:
     @classmethod
     def joined(cls, parts: Iterable[tuple[Array, Array, Array, Array]], places: int) -> Samples:
         """Those of all parts, in order."""
-        return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)), places)
+        inputs, targets, free, jaw = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return cls(inputs, targets, free, jaw, places)
 
     def pushed(self, rows: Array, push: Array, left: Array) -> tuple[Array, Array]:
         """Steps with the arm displaced, and the chunk that returns.

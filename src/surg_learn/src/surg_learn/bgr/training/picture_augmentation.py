@@ -1,6 +1,6 @@
 """How pictures vary while the eye is trained: light, colour, smoke, dirt, what is in front, pose.
 
-Used by `train_bgr_eye.py` and `train_bgr_cloned.py`. A policy that has seen only one light and one
+Used by `keypoint_training.py` and `train_cloned.py`. A policy that has seen only one light and one
 pose of the endoscope needs that light and that pose. All but the width of the blur, which is one
 for a batch, is drawn for each picture, with PyTorch, on its device.
 """

@@ -1,7 +1,7 @@
 """What one endoscope picture says about bowel grasping and retraction; numpy only.
 
 A convolutional network finds points of the tissue and the instruments, each with an uncertainty.
-`Memory` fuses what successive pictures say. `train_bgr_eye.py` trains the network.
+`Memory` fuses what successive pictures say. `keypoint_training.py` trains the network.
 """
 
 from __future__ import annotations

@@ -1,12 +1,11 @@
-#!/usr/bin/env python3
-"""Draw the instrument's tip into an exported video, by joints and calibration alone.
+"""Draws the instrument's tip into an exported video, from joints and calibration alone.
 
-You learn: how a data set says through which lens it looks, and from where. Needed of it are the
-video, ``observation.camera_pose``, ``observation.cartesian_state`` and ``meta/calibration/``.
+It shows through which lens a data set looks, and from where. It reads the video,
+``observation.camera_pose``, ``observation.cartesian_state`` and ``meta/calibration/``::
 
     ./surg run endoscope_guidance --episodes 1 --out runs/guidance
     ./surg episode export runs/guidance --format lerobot --out runs/guidance_dataset
-    ./surg dev shell -c "python3 examples/picture/draw_tip.py runs/guidance_dataset --out tip.mp4"
+    ./surg dev shell -c "python3 -m surg_recording.video.tip_in_video runs/guidance_dataset"
 """
 
 from __future__ import annotations
@@ -17,11 +16,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import av
-import cv2
 import numpy as np
 import numpy.typing as npt
-from pyarrow import parquet
 
 from surg_core.transforms import inverse_pose, make_pose
 
@@ -38,6 +34,8 @@ def tip_pixels(dataset: Path, arm: str, feature: str, episode: int = 0) -> Array
     Returns:
         (frames, 2) pixels from the centre of the upper left one.
     """
+    from pyarrow import parquet
+
     info = json.loads((dataset / "meta/info.json").read_text("utf-8"))
     index = json.loads((dataset / "meta/calibration/index.json").read_text("utf-8"))
     calibration = index["sets"][index["episodes"][episode]]
@@ -61,6 +59,8 @@ def tip_pixels(dataset: Path, arm: str, feature: str, episode: int = 0) -> Array
 
 def project(points: Array, model: Mapping[str, Any]) -> Array:
     """Points (n, 3) [m] of the camera's optical frame as pixels (n, 2) of its raw picture."""
+    import cv2
+
     K, D = np.array(model["K"]).reshape(3, 3), np.array(model["D"], dtype=np.float64)
     still = np.zeros(3)
     if model["distortion_model"] == "equidistant":
@@ -72,6 +72,9 @@ def project(points: Array, model: Mapping[str, Any]) -> Array:
 
 def draw(video: Path, pixels: Array, out: Path) -> int:
     """Write the video with a ring round each pixel; returns the number of frames."""
+    import av
+    import cv2
+
     with av.open(str(video)) as source, av.open(str(out), "w") as target:
         shown = source.streams.video[0]
         stream = target.add_stream("h264", rate=shown.average_rate)

@@ -1,8 +1,8 @@
 """A policy cloned from demonstrations by BC, ACT or MoE-ACT, from endoscope pictures; PyTorch.
 
-    python3 examples/bgr/bgr_cloned_policy.py --weights act.npz --server tcp://127.0.0.1:5555
+    python3 -m surg_learn.bgr.cloned_policy --weights act.npz --server tcp://127.0.0.1:5555
 
-`train_bgr_cloned.py` writes the weights, which name their method. The policy reads
+`train_cloned.py` writes the weights, which name their method. The policy reads
 `observation.state` and the endoscope's picture or pictures: **what a robot can measure, and nothing
 else**. It plays a chunk nearly to its end before it asks the network again, as ACT's authors do, or
 asks at each step and averages (`play` and `ensemble` of its training). Of the episode it remembers
@@ -21,9 +21,18 @@ from typing import Any
 
 import numpy as np
 import torch
-from bgr_eye import small
-from bgr_networks import Answer, Sizes, network_of
-from bgr_policy import SET, STATE, Policy, serve, state_columns, weights_of, write_weights
+
+from surg_learn.bgr.cloned_networks import Answer, Sizes, network_of
+from surg_learn.bgr.keypoint_network import small
+from surg_learn.bgr.state_policy import (
+    SET,
+    STATE,
+    Policy,
+    serve,
+    state_columns,
+    weights_of,
+    write_weights,
+)
 
 Array = np.ndarray
 AGAIN = 8
@@ -58,7 +67,7 @@ class ClonedPolicy(Policy):
     """
 
     format = "surg_bgr_cloned_policy/3"
-    trainer = "train_bgr_cloned.py"
+    trainer = "train_cloned.py"
 
     def __init__(
         self,
@@ -75,7 +84,7 @@ class ClonedPolicy(Policy):
 
     @property
     def method(self) -> str:
-        """One of `bgr_networks.METHODS`."""
+        """One of `cloned_networks.METHODS`."""
         return self.sizes.method
 
     def shape_of(self, key: str) -> tuple[int, ...] | None:

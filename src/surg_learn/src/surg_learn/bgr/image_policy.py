@@ -1,13 +1,13 @@
 """A learned policy for bowel grasping and retraction from endoscope pictures; numpy only.
 
-    python3 examples/bgr/bgr_image_policy.py --weights weights.npz --server tcp://127.0.0.1:5555
+    python3 -m surg_learn.bgr.image_policy --weights weights.npz --server tcp://127.0.0.1:5555
 
-`train_bgr_images.py` writes the weights. The policy reads `observation.state` and the endoscope's
+`train_images.py` writes the weights. The policy reads `observation.state` and the endoscope's
 left picture: **what a robot can measure, and nothing else**. It answers each observation with a
-chunk of actions for the next steps. `bgr_policy.py` does the same from ground truth.
+chunk of actions for the next steps. `state_policy.py` does the same from ground truth.
 
-An eye (`bgr_eye`) finds points in the picture, a memory fuses what successive pictures say, and a
-hand, a multilayer perceptron, moves relative to these points.
+An eye (`keypoint_network`) finds points in the picture, a memory fuses what successive pictures
+say, and a hand, a multilayer perceptron, moves relative to these points.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from bgr_eye import (
+
+from surg_learn.bgr.keypoint_network import (
     CONVOLUTIONS,
     HELD,
     NEAR,
@@ -33,7 +34,7 @@ from bgr_eye import (
     View,
     small,
 )
-from bgr_policy import LAGS, SET, STATE, Network, Policy, serve, state_columns
+from surg_learn.bgr.state_policy import LAGS, SET, STATE, Network, Policy, serve, state_columns
 
 PICTURE = "observation.images.endoscope.left"
 EYE_LAYERS = len(CONVOLUTIONS) + 4
@@ -159,7 +160,7 @@ class ImagePolicy(Policy):
     """A policy that reads the endoscope's left picture and measured values."""
 
     format = "surg_bgr_image_policy/4"
-    trainer = "train_bgr_images.py"
+    trainer = "train_images.py"
     wants = (STATE, PICTURE)
 
     @classmethod

@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surg_cli.host import paths
+from surg_learn.source_digest import source_digest
 
 if TYPE_CHECKING:
     from surg_sim.appearance.domain_randomization import DomainRandomization
 
-LEARNERS = paths.ROOT / "examples" / "bgr"
 EXPERT_NOISE = 5.0
 """Factor of the hand's error in every fourth demonstration of a policy that looks: some miss."""
 PUSH_M = 0.003
@@ -21,11 +21,10 @@ PUSH_M = 0.003
 
 @dataclass(frozen=True)
 class Recipe:
-    """The programs that train and run a policy; files in `LEARNERS`."""
+    """The programs that train and run a policy; modules of surg_learn."""
 
     train: str
     serve: str  # the policy's client
-    parts: tuple[str, ...]  # what these two import
     cameras: tuple[str, ...] = ()  # views of the endoscope that are recorded and served
     packages: tuple[str, ...] = ()  # sets of the package list that the trainer needs
     devices: str = ""  # program that says where a `--device` trains; empty: on the processor only
@@ -35,42 +34,32 @@ class Recipe:
     """The paper's 17 of 20."""
 
     @property
-    def digests(self) -> list[str]:
-        """SHA-256 of all its files."""
-        files = (self.train, self.serve, *self.parts)
-        return [paths.file_digest(LEARNERS / name) for name in files]
+    def script(self) -> Path:
+        """File of the policy's client."""
+        return Path(__file__).parents[1] / f"{self.serve.replace('.', '/')}.py"
+
+    @property
+    def digest(self) -> str:
+        """Hash of the sources that train and run it."""
+        return source_digest(self.script.parent)
 
     def folder(self, weights: str) -> str:
         """Name of the folder for roll-outs of these weights by these very programs."""
-        return hashlib.sha256(" ".join((weights, *self.digests)).encode()).hexdigest()[:12]
+        return hashlib.sha256(f"{weights} {self.digest}".encode()).hexdigest()[:12]
 
     def least(self, rollouts: int) -> int:
         """How many of so many roll-outs must succeed."""
         return math.ceil(self.target * rollouts - 1e-9)  # a float product can be a hair above
 
 
-HAND = (
-    "train_bgr_command.py",
-    "train_bgr_dataset.py",
-    "train_bgr_hand.py",
-    "train_bgr_perceptron.py",
-)
-"""What the trainers of all policies with a hand share."""
-STATE_RECIPES = {"bgr": Recipe("train_bgr.py", "bgr_policy.py", HAND)}
+STATE_RECIPES = {"bgr": Recipe("surg_learn.bgr.train_state", "surg_learn.bgr.state_policy")}
 """By task: policies that observe the simulator's truth."""
 CAMERA_RECIPES = {
     "bgr": Recipe(
-        "train_bgr_images.py",
-        "bgr_image_policy.py",
-        (
-            *HAND,
-            "bgr_policy.py",
-            "bgr_eye.py",
-            "train_bgr_eye.py",
-            "train_bgr_looks.py",
-        ),
+        "surg_learn.bgr.train_images",
+        "surg_learn.bgr.image_policy",
         packages=("torch",),
-        devices="train_bgr_eye.py",
+        devices="surg_learn.bgr.training.keypoint_training",
         cameras=("left",),
         episodes=60,
         expert_noise=EXPERT_NOISE,

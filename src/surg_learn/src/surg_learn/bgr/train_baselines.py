@@ -1,8 +1,8 @@
 """Trains all that the image policy is compared with: each method with several seeds, side by side.
 
-    python3 examples/bgr/train_bgr_field.py runs/views runs/field
+    python3 -m surg_learn.bgr.train_baselines runs/views runs/field
 
-Each training is a `train_bgr_cloned.py` of its own on one thread, which writes
+Each training is a `train_cloned.py` of its own on one thread, which writes
 `runs/field/METHOD_SEED.npz` and a `.log`. What follows ` -- ` are options of it. The same command
 goes on where it was interrupted, and trains what is missing; other options need another folder.
 """
@@ -20,9 +20,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bgr_networks import METHODS
+from surg_learn.bgr.cloned_networks import METHODS
 
-TRAINER = Path(__file__).with_name("train_bgr_cloned.py")
+TRAINER = Path(__file__).with_name("train_cloned.py")
 COST = {"bc": 1.0, "act": 2.0, "moe_act": 2.0}
 """Time of a training, about, in that of the first."""
 PERIOD_S = 1.0
@@ -121,13 +121,11 @@ def run(trainings: Sequence[Training], jobs: int) -> list[Training]:
 def main(words: Sequence[str] | None = None) -> int:
     """Entry point; returns 0, 2 for unusable words, or 1 if a training failed."""
     parser = argparse.ArgumentParser(
-        prog="train_bgr_field",
+        prog="train_baselines",
         description=(__doc__ or "").split("\n")[0],
-        usage="%(prog)s DATA OUT [options] [-- options of train_bgr_cloned.py]",
+        usage="%(prog)s DATA OUT [options] [-- options of train_cloned.py]",
     )
-    parser.add_argument(
-        "data", type=Path, help="of ./surg episode export, or of train_bgr_cache.py"
-    )
+    parser.add_argument("data", type=Path, help="of ./surg episode export, or of cache_pictures.py")
     parser.add_argument("out", type=Path, help="folder for the weights")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS)
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
@@ -151,7 +149,7 @@ def main(words: Sequence[str] | None = None) -> int:
         if each not in failed:
             print(each.out)
     for each in failed:
-        print(f"train_bgr_field: {each.out.stem}: {each.said()} ({each.log})", file=sys.stderr)
+        print(f"train_baselines: {each.out.stem}: {each.said()} ({each.log})", file=sys.stderr)
     return 1 if failed else 0
 
 

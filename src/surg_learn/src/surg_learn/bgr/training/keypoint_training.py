@@ -1,4 +1,4 @@
-"""Trains the network of `bgr_eye.py` with PyTorch; used by `train_bgr_images.py`.
+"""Trains the network of `keypoint_network.py` with PyTorch; used by `train_images.py`.
 
 Labels come from the simulator's truth (`privileged.task_state`), and are used here only. Of a real
 robot's pictures a person could mark most of them: the requested place, both tips, who holds the
@@ -15,7 +15,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from bgr_eye import (
+
+from surg_learn.bgr.image_policy import CERTAIN, TARGET
+from surg_learn.bgr.keypoint_network import (
     CELLS,
     CONVOLUTIONS,
     HELD,
@@ -29,11 +31,10 @@ from bgr_eye import (
     grid,
     square,
 )
-from bgr_image_policy import CERTAIN, TARGET
-from bgr_policy import NODES
-from train_bgr_dataset import RATE, Array
-from train_bgr_looks import Looks, Varied, inside_of
-from train_bgr_perceptron import half_cosine
+from surg_learn.bgr.state_policy import NODES
+from surg_learn.bgr.training.lerobot_dataset import RATE, Array
+from surg_learn.bgr.training.perceptron import half_cosine
+from surg_learn.bgr.training.picture_augmentation import Looks, Varied, inside_of
 
 HEAT = 1.0
 """Standard deviation of a heat map's target [cells]."""
@@ -95,7 +96,7 @@ def labels(
 
     Args:
         task: (T, n) `privileged.task_state`.
-        columns: Of its parts, see `bgr_policy.Columns`.
+        columns: Of its parts, see `state_policy.Columns`.
         X_RW: (4, 4) pose of the world in the rcm frame.
         X_WV: (T, 4, 4) pose of the camera (x right, y down, z away).
         K: (4,) focal length, principal point right and down, and height of the picture [px].
@@ -131,7 +132,7 @@ def heats(marks: Array) -> Array:
 
     A mark outside the picture has a map of zeros.
     """
-    away = grid(CELLS)[None, :, None, :] - marks[:, None, :, :].astype(np.float32)
+    away: Array = grid(CELLS)[None, :, None, :] - marks[:, None, :, :].astype(np.float32)
     step = 2.0 / (CELLS - 1)
     heat = np.exp(-0.5 * (away**2).sum(axis=3) / (HEAT * step) ** 2)
     total = heat.sum(axis=1, keepdims=True)
@@ -395,7 +396,7 @@ def errors(seen: Array, labels: Labels) -> dict[str, Any]:
     """How far the eye is off: median and 90th percentile, and shares right.
 
     Args:
-        seen: (N, n) of `bgr_image_policy.remembered`.
+        seen: (N, n) of `image_policy.remembered`.
         labels: Of the same pictures.
     """
     off = np.linalg.norm(seen[:, TARGET] - labels.points, axis=1)

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from bgr_policy import ACTIONS
 from torch import nn
+
+from surg_learn.bgr.state_policy import ACTIONS
 
 METHODS = ("bc", "act", "moe_act")
 ACTION_SIZE = len(ACTIONS)

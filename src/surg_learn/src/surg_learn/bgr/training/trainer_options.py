@@ -11,8 +11,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
-from bgr_policy import Policy
-from train_bgr_dataset import Progress
+from surg_learn.bgr.state_policy import Policy
+from surg_learn.bgr.training.lerobot_dataset import Progress
 
 Options = TypeVar("Options")
 

@@ -1,4 +1,4 @@
-"""The stages of `./surg learn`: demonstrations, smoothness, dataset, training, roll-outs."""
+"""The stages of `./surg learn` before the roll-outs: demonstrations to weights, without ROS."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surg_cli.host.terminal import CliError, Progress, say
-from surg_cli.learning.recipes import LEARNERS, PUSH_M, Request
-from surg_cli.learning.rollouts import Player
-from surg_cli.learning.stage_ledger import Ledger
+from surg_learn.learn_terminal import LearnError, Terminal
+from surg_learn.recipes import PUSH_M, Request
+from surg_learn.stage_ledger import Ledger
 
 if TYPE_CHECKING:
     from surg_sim.envs.demonstrations import DemonstrationPlan
@@ -25,9 +24,14 @@ COMPARED = 20
 
 
 def prepare(
-    request: Request, ledger: Ledger, cell: Path, out: Path, more_views: Sequence[str] = ()
+    request: Request,
+    ledger: Ledger,
+    cell: Path,
+    out: Path,
+    terminal: Terminal,
+    more_views: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Do the stages before the roll-outs; returns the result of each by name. They need no ROS.
+    """Do the stages; returns the result of each by name.
 
     ``more_views`` of the endoscope are recorded beside those of the recipe, which alone are
     trained with: they make no other run of it.
@@ -35,22 +39,22 @@ def prepare(
     played = ledger.stage(
         "demonstrations",
         request.demonstrations,
-        lambda: demonstrate(request, cell, out, more_views),
+        lambda: demonstrate(request, cell, out, terminal, more_views),
     )
     if more_views and not recorded(request, cell, out, more_views):
-        raise CliError(
+        raise LearnError(
             f"{out}: its demonstrations lack one of the views {' and '.join(more_views)}; name "
             "another folder with --out",
             2,
         )
     return {
         "demonstrations": played,
-        "smoothness": ledger.stage("smoothness", {}, lambda: measure(request, out)),
-        "dataset": ledger.stage("dataset", {}, lambda: export(out)),
+        "smoothness": ledger.stage("smoothness", {}, lambda: measure(request, out, terminal)),
+        "dataset": ledger.stage("dataset", {}, lambda: export(out, terminal)),
         "training": ledger.stage(
             "training",
-            {"seed": request.seed, "by": request.recipe.digests},
-            lambda: train(request, out),
+            {"seed": request.seed, "by": request.recipe.digest},
+            lambda: train(request, out, terminal),
         ),
     }
 
@@ -82,7 +86,7 @@ def recorded(request: Request, cell: Path, out: Path, more_views: Sequence[str])
 
 
 def demonstrate(
-    request: Request, cell: Path, out: Path, more_views: Sequence[str] = ()
+    request: Request, cell: Path, out: Path, terminal: Terminal, more_views: Sequence[str] = ()
 ) -> dict[str, Any]:
     """Play demonstrations by the scripted expert, in processes of their own, without ROS."""
     from surg_recording.episode import episode_reader
@@ -94,7 +98,7 @@ def demonstrate(
     plan = plan_of(request, cell, out, more_views)
     chosen = episode_seeds.training_seeds(request.episodes)
     before = sum(plan.done(seed) for seed in chosen)
-    with Progress("demonstrations") as progress:
+    with terminal.Progress("demonstrations") as progress:
 
         def show(made: int, newest: demonstrations.Demonstration) -> None:
             n = before + made
@@ -103,15 +107,15 @@ def demonstrate(
         try:
             demonstrations.play(plan, chosen, _jobs(), show)
         except (EpisodeError, OSError, ValueError) as problem:
-            raise CliError(str(problem)) from problem
+            raise LearnError(str(problem)) from problem
     judged = {seed: verdict(episode_reader.read(plan.folder(seed)).manifest) for seed in chosen}
     failed = {seed: each.reason for seed, each in judged.items() if not each.success}
     for seed, reason in failed.items():
-        say(f"  failed, left out of the dataset: seed {seed}: {reason}")
+        terminal.say(f"  failed, left out of the dataset: seed {seed}: {reason}")
     return {"success": len(judged) - len(failed), "failed": failed}
 
 
-def measure(request: Request, out: Path) -> list[dict[str, Any]]:
+def measure(request: Request, out: Path, terminal: Terminal) -> list[dict[str, Any]]:
     """Compute the figures of unperturbed demonstrations that the roll-outs are compared with."""
     from surg_recording.reports import learning
     from surg_sim.tasks import episode_seeds
@@ -119,7 +123,7 @@ def measure(request: Request, out: Path) -> list[dict[str, Any]]:
     unperturbed = episode_seeds.training_seeds(request.episodes)[0::2]
     folders = [out / "demonstrations" / str(seed) for seed in unperturbed[:COMPARED]]
     forked = get_context("fork")
-    with Progress("smoothness") as progress, ProcessPoolExecutor(_jobs(), forked) as pool:
+    with terminal.Progress("smoothness") as progress, ProcessPoolExecutor(_jobs(), forked) as pool:
         entries = []
         for entry in pool.map(learning.demonstration, folders):
             entries.append(entry)
@@ -127,7 +131,7 @@ def measure(request: Request, out: Path) -> list[dict[str, Any]]:
     return entries
 
 
-def export(out: Path) -> dict[str, Any]:
+def export(out: Path, terminal: Terminal) -> dict[str, Any]:
     """Export all demonstrations that succeeded as one dataset."""
     from surg_core.contract import GRID_RATE
     from surg_recording import datasets
@@ -140,15 +144,15 @@ def export(out: Path) -> dict[str, Any]:
         keep_parts=True,
         replace=True,
     )
-    with Progress("dataset") as progress:
+    with terminal.Progress("dataset") as progress:
         try:
             report = exporter.write(
                 [out / "demonstrations"], out / "dataset", options, progress.update
             )
         except datasets.ExportError as problem:
-            raise CliError(str(problem)) from problem
+            raise LearnError(str(problem)) from problem
     if not report.ok:
-        raise CliError("; ".join([*report.errors, *report.refused.values()][:3]))
+        raise LearnError("; ".join([*report.errors, *report.refused.values()][:3]))
     return {"recordings": report.recordings, "frames": report.frames}
 
 
@@ -156,35 +160,35 @@ def check_device(request: Request) -> None:
     """Refuse a GPU that the trainer cannot use.
 
     Raises:
-        CliError: With the trainer's own words.
+        LearnError: With the trainer's own words.
     """
     if request.device != "cuda":
         return
     if not request.recipe.devices:
-        raise CliError(
+        raise LearnError(
             f"--device {request.device}: the policy that observes the simulator's truth is trained "
             "on the processor; leave --device out, or train one from pictures with --cameras",
             2,
         )
-    argv = [sys.executable, str(LEARNERS / request.recipe.devices), request.device]
+    argv = [sys.executable, "-m", request.recipe.devices, request.device]
     asked = subprocess.run(argv, capture_output=True, text=True, check=False)
     if asked.returncode != 0:
-        raise CliError(asked.stderr.strip().splitlines()[-1], 2)
+        raise LearnError(asked.stderr.strip().splitlines()[-1], 2)
 
 
-def train(request: Request, out: Path) -> dict[str, Any]:
+def train(request: Request, out: Path, terminal: Terminal) -> dict[str, Any]:
     """Train with the program that a person would start, in a process of its own."""
-    program = LEARNERS / request.recipe.train
-    argv = [sys.executable, str(program), str(out / "dataset"), "--json"]
+    program = request.recipe.train
+    argv = [sys.executable, "-m", program, str(out / "dataset"), "--json"]
     argv += ["--out", str(out / "weights.npz"), "--seed", str(request.seed)]
     if request.recipe.devices:
         argv += ["--device", request.device]
-    with Progress("training") as progress:
+    with terminal.Progress("training") as progress:
         last = follow(
             argv, out / "logs" / "training.log", lambda n: progress.update(n["part"], n["note"])
         )
     if "weights" not in last:
-        raise CliError(f"{program.name} ended without naming its weights: {last}")
+        raise LearnError(f"{program} ended without naming its weights: {last}")
     return last
 
 
@@ -192,7 +196,7 @@ def follow(argv: list[str], log: Path, show: Callable[[Mapping[str, Any]], None]
     """Run a program that prints its progress in lines of JSON; returns the last line.
 
     Raises:
-        CliError: The program failed; with the end of its log.
+        LearnError: The program failed; with the end of its log.
     """
     log.parent.mkdir(parents=True, exist_ok=True)
     last: dict[str, Any] = {}
@@ -217,25 +221,8 @@ def follow(argv: list[str], log: Path, show: Callable[[Mapping[str, Any]], None]
             status = process.wait()
     if status != 0:
         tail = log.read_text("utf-8", errors="replace").strip().splitlines()[-3:]
-        raise CliError("\n".join(tail) or f"{Path(argv[1]).name} ended with {status}")
+        raise LearnError("\n".join(tail) or f"{' '.join(argv[1:3])} ended with {status}")
     return last
-
-
-def roll_out(player: Player, count: int, folder: Path) -> list[dict[str, Any]]:
-    """Play the policy through the graph on seeds that were not used for training."""
-    from surg_sim.tasks import episode_seeds
-
-    entries: list[dict[str, Any]] = []
-    with Progress("roll-outs") as progress:
-        for n, seed in enumerate(episode_seeds.test_seeds(count)):
-            good = sum(e["rollout"]["success"] for e in entries)
-
-            def show(seconds: float, note: str, n: int = n, good: int = good) -> None:
-                words = f"{n + 1} of {count}, {good} succeeded: {seconds:.1f} s, {note}"
-                progress.update(n / count, words)
-
-            entries.append(player.play(seed, folder / str(seed), show))
-    return entries
 
 
 def _jobs() -> int:

@@ -1,11 +1,13 @@
-"""A multilayer perceptron and its optimiser, in plain numpy; for `train_bgr_hand.py`."""
+"""A multilayer perceptron and its optimiser, in plain numpy; for `action_head.py`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from bgr_policy import Network
+
+from surg_learn.bgr.state_policy import Network
 
 Array = np.ndarray
 
@@ -124,6 +126,6 @@ def mean_error(network: Network, x: Array, y: Array) -> float:
     return float(np.mean(np.abs(network(x) - y)))
 
 
-def size_of(network: Network) -> int:
-    """Number of its weights and biases."""
+def size_of(network: Any) -> int:
+    """Number of weights and biases of a network with `layers`."""
     return int(sum(weight.size + bias.size for weight, bias in network.layers))

@@ -1,6 +1,6 @@
-"""Trains the policy of `bgr_policy.py` on a LeRobot dataset (v2.1) of `./surg episode export`.
+"""Trains the policy of `state_policy.py` on a LeRobot dataset (v2.1) of `./surg episode export`.
 
-    python3 examples/bgr/train_bgr.py datasets/bgr --out weights.npz --seed 0
+    python3 -m surg_learn.bgr.train_state datasets/bgr --out weights.npz --seed 0
 
 Behaviour cloning of action chunks with a small multilayer perceptron, in plain numpy: the same
 dataset, options and seed give the same weights. It trains on the split `train` and prints the
@@ -16,7 +16,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from bgr_policy import (
+
+from surg_learn.bgr.state_policy import (
     ACTION,
     DISTANCE,
     FORCE,
@@ -29,8 +30,8 @@ from bgr_policy import (
     features,
     force_columns,
 )
-from train_bgr_command import brief_of, chosen, parser_of, trained
-from train_bgr_dataset import (
+from surg_learn.bgr.training.action_head import HandOptions, Samples, fit_hand, may_move
+from surg_learn.bgr.training.lerobot_dataset import (
     Array,
     Dataset,
     Progress,
@@ -45,8 +46,8 @@ from train_bgr_dataset import (
     targets_of,
     world_of,
 )
-from train_bgr_hand import HandOptions, Samples, fit_hand, may_move
-from train_bgr_perceptron import mean_error, size_of
+from surg_learn.bgr.training.perceptron import mean_error, size_of
+from surg_learn.bgr.training.trainer_options import brief_of, chosen, parser_of, trained
 
 
 @dataclass(frozen=True)
@@ -162,7 +163,7 @@ def train(
 
 def main(words: Sequence[str] | None = None) -> int:
     """Entry point; returns 0, or 2 for an unusable dataset."""
-    parser = parser_of("train_bgr", (__doc__ or "").split("\n")[0])
+    parser = parser_of("train_state", (__doc__ or "").split("\n")[0])
     parser.add_argument(
         "--forces", action="store_true", default=argparse.SUPPRESS, help="read observation.force"
     )

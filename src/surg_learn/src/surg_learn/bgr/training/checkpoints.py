@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from bgr_policy import write_weights
+
+from surg_learn.bgr.state_policy import write_weights
 
 Array = np.ndarray
 FORMAT = "surg_bgr_training/1"

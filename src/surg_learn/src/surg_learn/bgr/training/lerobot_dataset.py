@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
-from bgr_policy import Columns, world_in_rcm
+
+from surg_learn.bgr.state_policy import Columns, world_in_rcm
 
 Array = np.ndarray
 Progress = Callable[[float, str], None]

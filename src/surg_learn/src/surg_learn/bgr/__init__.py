@@ -1,0 +1,1 @@
+"""Bowel grasping and retraction: policies, and the programs `train_…` that train them."""
