@@ -20,7 +20,7 @@ from helpers.graph.statuses import (
     newest,
     teleop_status,
 )
-from surg_core.status_check import SILENCE, Newest, fault, value_name, values
+from surg_core.status_check import SILENCE, LatestStatus, fault, value_name, values
 from surg_msgs import msg
 from surg_policy_bridge.server import operator_first
 from surg_policy_bridge.server.model_server import State
@@ -124,7 +124,7 @@ def test_every_status_declares_version_stamp_and_enumerations_without_zero(kind:
 
 
 def test_a_problem_is_reported_once_until_it_changes() -> None:
-    found = Newest("/teleop/status")
+    found = LatestStatus("/teleop/status")
     assert found.complaint(0.0) == found.problem(0.0) != ""
     assert found.complaint(1.0) == ""
     assert found.complaint(11.0) != "", "again after a while"
