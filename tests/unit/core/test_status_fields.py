@@ -289,6 +289,7 @@ NOBODY: dict[str, dict[str, str]] = {
     "TeleopStatus": {
         "picture": SHOWN,
         "hands.scale": RESULT,
+        "hands.mapping": "the console sets it by value and need not know it",
         "hands.detail": SHOWN,
     },
     "PolicyStatus": {
