@@ -10,7 +10,7 @@ from typing import Any
 
 import rospy
 
-from surg_core.status_check import Newest, values
+from surg_core.status_check import LatestStatus, values
 from surg_msgs import msg
 from surg_msgs.msg import HandStatus, RecordStatus, SimStatus, TaskStatus, TeleopStatus
 
@@ -107,9 +107,9 @@ def _put(message: Any, path: str, value: Any) -> None:
     setattr(part, name, value)
 
 
-def newest(topic: str, message: Any, received: float = 0.0) -> Newest:
+def newest(topic: str, message: Any, received: float = 0.0) -> LatestStatus:
     """The newest status of a topic; None: none has come."""
-    heard = Newest(topic)
+    heard = LatestStatus(topic)
     if message is not None:
         heard.take(message, received)
     return heard
@@ -134,7 +134,7 @@ def heard_by_watch(statuses: Mapping[str, Any], **attributes: Any) -> Any:
     watch.__dict__.update(
         _lock=threading.Lock(),
         _kinds=kinds,
-        _statuses={topic: Newest(topic) for topic in kinds},
+        _statuses={topic: LatestStatus(topic) for topic in kinds},
         _sim_changed=0.0,
         recording=False,
         _gave_up={},

@@ -10,11 +10,11 @@ import pytest
 def test_only_a_valid_status_ends_the_motion() -> None:
     import rospy
 
-    from surg_core.status_check import Newest
+    from surg_core.status_check import LatestStatus
     from surg_msgs.msg import SimStatus, TaskStatus
     from surg_teleop.playback.operator_node import OperatorNode
 
-    node = SimpleNamespace(_sim=Newest("/sim/status"), finished=threading.Event())
+    node = SimpleNamespace(_sim=LatestStatus("/sim/status"), finished=threading.Event())
 
     def hear(version: int, state: int) -> bool:
         message = SimStatus(version=version, state=state, mode=SimStatus.MODE_LOCKSTEP)

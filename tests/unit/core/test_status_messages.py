@@ -20,10 +20,10 @@ from helpers.graph.statuses import (
     newest,
     teleop_status,
 )
-from surg_core.status_check import SILENCE, Newest, fault, value_name, values
+from surg_core.status_check import SILENCE, LatestStatus, fault, value_name, values
 from surg_msgs import msg
 from surg_policy_bridge.server import operator_first
-from surg_policy_bridge.server.model_server import State
+from surg_policy_bridge.server.model_server import ServerState
 from surg_policy_bridge.server.stop_reason import StopReason
 
 NOW = 100.0
@@ -124,7 +124,7 @@ def test_every_status_declares_version_stamp_and_enumerations_without_zero(kind:
 
 
 def test_a_problem_is_reported_once_until_it_changes() -> None:
-    found = Newest("/teleop/status")
+    found = LatestStatus("/teleop/status")
     assert found.complaint(0.0) == found.problem(0.0) != ""
     assert found.complaint(1.0) == ""
     assert found.complaint(11.0) != "", "again after a while"
@@ -142,11 +142,11 @@ def test_the_names_of_codes_are_those_of_the_enumerations() -> None:
     assert declared == reasons
     policy = msg.PolicyStatus
     assert set(values(policy, "reason").values()) == {reason.name for reason in StopReason}
-    assert set(values(policy, "state").values()) == {state.name for state in State}
+    assert set(values(policy, "state").values()) == {state.name for state in ServerState}
 
 
 def test_states_of_hands_and_senders_are_those_of_the_nodes() -> None:
-    from surg_teleop.follow.teleoperation import State as HandState
+    from surg_teleop.follow.teleoperation import ServerState as HandState
     from surg_teleop.playback.motion_player import Stage
 
     hand = msg.HandStatus

@@ -68,7 +68,7 @@ class Watch:
         from std_msgs.msg import Bool, String
 
         from crtk_msgs.msg import OperatingState
-        from surg_core.status_check import Newest
+        from surg_core.status_check import LatestStatus
         from surg_msgs.msg import PolicyStatus, RecordStatus, SenderStatus, SimStatus
 
         rospy.init_node(name, anonymous=True, disable_signals=True)
@@ -79,7 +79,7 @@ class Watch:
             "/policy/status": PolicyStatus,
             **{f"/{sender}/status": SenderStatus for sender in senders},
         }
-        self._statuses = {topic: Newest(topic) for topic in self._kinds}
+        self._statuses = {topic: LatestStatus(topic) for topic in self._kinds}
         self._sim_changed = time.monotonic()
         self.recording: bool | None = None
         """Whether the recorder says it records; None before it has said anything."""

@@ -75,7 +75,7 @@ def _unknown_value(message: Any, path: str) -> str:
     return ""
 
 
-class Newest:
+class LatestStatus:
     """The newest status on one topic, as far as it may be acted on.
 
     Args:

@@ -40,7 +40,7 @@ from surg_console.session.system_state import (
 )
 from surg_core import Fixture
 from surg_core.config import Cell
-from surg_core.status_check import Newest, value_name
+from surg_core.status_check import LatestStatus, value_name
 from surg_core.transforms import quaternion_xyzw_to_matrix
 from surg_msgs.msg import (
     CalibrationStatus,
@@ -88,7 +88,7 @@ class RosSystem:
         self._arms = {name: Arm(name) for name in arms}
         self._teleop = f"/{teleop}/status"
         kinds = STATUSES | {self._teleop: TeleopStatus}
-        self._statuses = {topic: Newest(topic) for topic in kinds}
+        self._statuses = {topic: LatestStatus(topic) for topic in kinds}
         self._newest: dict[str, tuple[float, bytes]] = {}
         self._peak = 0.0
         self._episodes = None if episodes is None else Episodes(episodes)

@@ -13,7 +13,7 @@ from sensor_msgs.msg import Joy
 import surg_core
 from surg_core.arm_view import ArmCommands, ArmView
 from surg_core.contract import SECOND_NS, TICK_NS
-from surg_core.status_check import Newest
+from surg_core.status_check import LatestStatus
 from surg_msgs.msg import Cycle, TeleopStatus
 from surg_policy_bridge.nodes.observation_sources_node import ObservationSources
 from surg_policy_bridge.nodes.policy_topics_node import PolicyTopics
@@ -60,7 +60,7 @@ class ServerIO:
         self._poller = zmq.Poller()
         self._poller.register(self._router.socket, zmq.POLLIN)
         self._poller.register(self._wake, zmq.POLLIN)
-        self._teleop = Newest("/teleop/status")
+        self._teleop = LatestStatus("/teleop/status")
         self._presence = OperatorPresence()
         self.ports = {name: ArmPort(name, COMMANDS) for name in settings.arms}
         self.topics = PolicyTopics(settings.arms, settings.bind)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from surg_core.status_check import Newest
+from surg_core.status_check import LatestStatus
 from surg_policy_bridge.server.stop_reason import StopReason
 
 Refusal = tuple[StopReason, str]
@@ -20,7 +20,7 @@ MAY = (StopReason.NONE, "")
 
 def refusal(
     arms: Collection[str],
-    teleop: Newest,
+    teleop: LatestStatus,
     now: float,
     need_teleop: bool = True,
     present: bool = True,

@@ -16,7 +16,7 @@ from std_msgs.msg import Bool, Empty, String
 
 from crtk_msgs.msg import OperatingState, StringStamped
 from surg_core.force.observed_force import TOPICS
-from surg_core.status_check import Newest
+from surg_core.status_check import LatestStatus
 from surg_msgs.msg import ClockSync, Cycle, GroundTruth, SimStatus, TaskState
 from surg_recording.calibration.endoscope_record import camera_info_topic, camera_model
 from surg_recording.episode import table_rows
@@ -79,7 +79,7 @@ class RecorderTopics:
     def __init__(self, state: RecorderState, switch: RecordingSwitch) -> None:
         self._state, self._switch = state, switch
         self._clock = state.clock
-        self._sim = Newest("/sim/status")
+        self._sim = LatestStatus("/sim/status")
         self.subscribers: dict[str, rospy.Subscriber] = {}
         for arm in state.settings.arms:
             self._subscribe_arm(arm)

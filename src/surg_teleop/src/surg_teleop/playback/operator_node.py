@@ -19,7 +19,7 @@ import rospy
 from surg_core import ConfigError, load_cell
 from surg_core.arm_view import JawRange
 from surg_core.contract import SECOND_NS
-from surg_core.status_check import Newest
+from surg_core.status_check import LatestStatus
 from surg_msgs.msg import SenderStatus, SimStatus
 from surg_ros.arm_port import ArmPort
 from surg_ros.master_check import master_is_online
@@ -47,7 +47,7 @@ class OperatorNode:
         self.finished = threading.Event()
         self._lockstep, self._stage = lockstep, operator.stage
         self._port = ArmPort(arm)
-        self._sim = Newest("/sim/status")
+        self._sim = LatestStatus("/sim/status")
         self._status = rospy.Publisher("~status", SenderStatus, queue_size=10, latch=True)
         self._participant = Participant(
             {arm: self._port}, self._act, arms=(arm,), lockstep=lockstep
