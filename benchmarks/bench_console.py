@@ -75,9 +75,8 @@ async def system(
 ) -> AsyncIterator[tuple[str, running.System]]:
     """A running `./surg teleop`: the page's address and the system's entry."""
     web = master.free_port()
-    words = ["teleop", cell, "--port", str(port), "--web-port", str(web), "--out", str(out)]
-    words += ["--stereo"] if layout != "left" else []
-    words += ["--depth"] if depth else []
+    words = ["teleop", cell, "--port", str(port), "--bind", f"127.0.0.1:{web}", "--out", str(out)]
+    words += ["--cameras", "depth" if depth else "left" if layout == "left" else "stereo"]
     log = out.parent / f"teleop_{layout}.log"
     with log.open("wb") as stream:
         process = subprocess.Popen(

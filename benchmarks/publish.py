@@ -2,13 +2,14 @@
 
 import argparse
 import json
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
 
-from generated import write_part
-
 from surg_cli.host import paths
 from surg_cli.host.terminal import say, table
+
+Table = Sequence[Sequence[str]]
 
 
 def publish(result: dict[str, Any], page: ModuleType, options: argparse.Namespace) -> None:
@@ -16,8 +17,8 @@ def publish(result: dict[str, Any], page: ModuleType, options: argparse.Namespac
 
     Args:
         result: The figures.
-        page: Their page: PAGE, BEGIN and END of its generated part, ``head`` and ``tables``, which
-            make the part of the figures.
+        page: Their page: PAGE (its file), TEXT (title and what is measured), and ``head`` and
+            ``tables``, which make the rest of it from the figures.
         options: With ``json`` (a file or None) and ``page`` (whether it is rewritten).
     """
     tables = page.tables(result)
@@ -27,5 +28,15 @@ def publish(result: dict[str, Any], page: ModuleType, options: argparse.Namespac
         paths.write_text(options.json, json.dumps(result, indent=1) + "\n")
         say(f"\nwritten: {options.json}")
     if options.page:
-        write_part(page.PAGE, page.BEGIN, page.END, page.head(result), tables)
+        page.PAGE.write_text(markdown(page.TEXT, page.head(result), tables), "utf-8")
         say(f"written: {page.PAGE}")
+
+
+def markdown(text: str, head: str, tables: Sequence[tuple[str, Table]]) -> str:
+    """A page; the first row of each table is its head."""
+    lines = [text, head]
+    for heading, rows in tables:
+        lines += ["", f"## {heading}", "", f"| {' | '.join(rows[0])} |"]
+        lines.append("|" + "---|" * len(rows[0]))
+        lines += [f"| {' | '.join(row)} |" for row in rows[1:]]
+    return "\n".join(lines) + "\n"

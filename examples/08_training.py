@@ -3,7 +3,7 @@
 
 You learn: how to read the dataset into arrays and what a policy for the model server must predict.
 The policy is one matrix: next set-point - set-point = W [set-point, ball, 1]. A policy for a real
-task needs more: examples/bgr trains a network, and ``./surg learn bgr`` runs the whole chain.
+task needs more: surg_learn.bgr trains a network, and ``./surg learn bgr`` runs the whole chain.
 
     ./surg dev shell -c "python3 examples/08_training.py"      # writes runs/course/weights.npz
 """

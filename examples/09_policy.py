@@ -5,7 +5,7 @@ You learn: the client library (``pip install ./src/surg_policy_bridge/client``: 
 of the platform). The policy connects to the model server; the server's safety controller judges
 every action. docs/guide/policy_client.md explains observation, action and errors.
 
-    ./surg run examples/04_task.py --policy examples/09_policy.py --privileged --seed 20000
+    ./surg run examples/04_task.py --policy examples/09_policy.py --observe privileged --seed 20000
 """
 
 from __future__ import annotations

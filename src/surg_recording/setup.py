@@ -10,9 +10,7 @@ setuptools.setup(
     python_requires=">=3.11",
     packages=setuptools.find_packages("src"),
     package_dir={"": "src"},
-    package_data={
-        "surg_recording": ["py.typed", "reports/episode_view.*", "labelling/label_panel.*"]
-    },
+    package_data={"surg_recording": ["py.typed", "reports/episode_view.*"]},
     install_requires=[
         "numpy>=1.24",
         "scipy>=1.10",

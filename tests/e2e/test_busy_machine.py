@@ -55,7 +55,7 @@ async def system(folder: Path, cell: str, arm: str) -> AsyncIterator[tuple[int, 
     """A running `./surg teleop` with its console's port, and the judge of one arm."""
     port, web = master.free_port(), master.free_port()
     log, judged = folder / "teleop.log", Judged()
-    words = ("teleop", cell, "--port", port, "--web-port", web, "--out", folder / "out")
+    words = ("teleop", cell, "--port", port, "--bind", f"127.0.0.1:{web}", "--out", folder / "out")
     with start(log, *words) as process:
         judge = None
         try:

@@ -38,7 +38,7 @@ def all_gone(pids: list[int]) -> bool:
 
 def test_up_status_down(tmp_path: Path) -> None:
     port, log = master.free_port(), tmp_path / "up.log"
-    with start(log, "up", "sim_ur5e", "--no-video", "--port", port) as process:
+    with start(log, "up", "sim_ur5e", "--cameras", "none", "--port", port) as process:
         system = wait_for_entry(process.pid, log)
         assert json.loads(system.file.read_text())["command"] == "up", "the list is plain JSON"
         assert {"/sim", "/PSM1/controller", "/recorder"} <= set(system.nodes)
@@ -46,7 +46,7 @@ def test_up_status_down(tmp_path: Path) -> None:
         assert status.returncode == 0, status.stdout + status.stderr
         for word in ("/PSM1/controller", "/PSM1/cycle", " Hz", "last errors", "running"):
             assert word in status.stdout
-        again = surg("up", "sim_ur5e", "--no-video", "--port", port)
+        again = surg("up", "sim_ur5e", "--cameras", "none", "--port", port)
         assert again.returncode == 1
         assert "--port" in again.stderr
         down = surg("down", "--port", port)
@@ -58,7 +58,7 @@ def test_up_status_down(tmp_path: Path) -> None:
 
 def test_a_dying_node_ends_the_system_and_is_named(tmp_path: Path) -> None:
     port, log = master.free_port(), tmp_path / "up.log"
-    with start(log, "up", "sim_ur5e", "--no-video", "--port", port) as process:
+    with start(log, "up", "sim_ur5e", "--cameras", "none", "--port", port) as process:
         system = wait_for_entry(process.pid, log)
         os.kill(system.nodes["/PSM1/controller"], signal.SIGKILL)
         assert process.wait(30) == 1
@@ -123,7 +123,7 @@ def test_print_gives_every_rosrun_line() -> None:
 
 def test_stop_pauses_an_enabled_arm_and_leaves_the_system_up(tmp_path: Path) -> None:
     port, log = master.free_port(), tmp_path / "up.log"
-    with start(log, "up", "sim_ur5e", "--no-video", "--port", port) as process:
+    with start(log, "up", "sim_ur5e", "--cameras", "none", "--port", port) as process:
         wait_for_entry(process.pid, log)
         assert processes.wait_until(lambda: "is up" in log.read_text(), START_S, 0.1)
         env = {**environment(), "ROS_MASTER_URI": f"http://localhost:{port}"}

@@ -115,7 +115,7 @@ def test_who_sends_no_marks_is_said_with_the_cure() -> None:
             await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
             await tab.tap("KeyN")
             said = "!document.querySelector('#toast').hidden"
-            said += " && document.querySelector('#toast').textContent.includes('--marks')"
+            said += " && document.querySelector('#toast').textContent.includes('--cameras marks')"
             await tab.until(said, "the cure", 10.0)
 
     asyncio.run(asyncio.wait_for(test(), 90.0))

@@ -353,5 +353,5 @@ def test_a_tab_that_goes_holds_the_arm() -> None:
 
     run(test())
     for what, seconds in found.items():
-        note(f"tab {what}", len(seconds), seconds, "event in the browser → order to hold")
+        note(f"tab {what}", len(seconds), seconds)
         keeps(f"tab {what}", seconds, 0.3 if what == "frozen" else 0.2)

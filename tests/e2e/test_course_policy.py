@@ -18,7 +18,7 @@ def test_the_policy_of_the_course_solves_its_task_through_the_model_server(tmp_p
     for name in ("05_recording.py", "07_export.py", "08_training.py"):
         play(EXAMPLES / name, tmp_path)
     out = tmp_path / "run"
-    words = ("--policy", ROS_STEP, "--privileged", "--seed", 20_000, "--out", out)
+    words = ("--policy", ROS_STEP, "--observe", "privileged", "--seed", 20_000, "--out", out)
     weights = str(tmp_path / "runs/course/weights.npz")
     done = surg("run", EXAMPLES / "04_task.py", *words, extra={"SURG_COURSE_WEIGHTS": weights})
     assert done.returncode == 0, done.stdout + done.stderr

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,8 @@ from conftest import FULL
 from helpers.control.third_arm import write_third_arm
 from helpers.graph import socket_jitter
 from helpers.graph.surg import surg
+from helpers.results import demo_results as page
+from helpers.results.demo_results import note
 from surg_cli.host.paths import ROOT
 
 pytestmark = [pytest.mark.ros, pytest.mark.untimed]
@@ -29,58 +30,6 @@ DEMO_TIMEOUT_S = 900
 MOTIONS = {"bundled": None}
 if os.environ.get("SURG_TEST_MOTION"):
     MOTIONS["given"] = os.environ["SURG_TEST_MOTION"]
-ROWS: list[tuple[str, dict[str, Any]]] = []
-
-
-@pytest.fixture(scope="module", autouse=True)
-def results_page() -> Iterator[None]:
-    """Write the figures of a full run to docs/results/main_job.md."""
-    ROWS.clear()
-    yield
-    if FULL and ROWS:
-        page = ROOT / "docs" / "results" / "main_job.md"
-        before = page.read_text("utf-8") if page.exists() else ""
-        page.parent.mkdir(parents=True, exist_ok=True)
-        page.write_text(render(ROWS, before), encoding="utf-8")
-
-
-HEAD = """\
-# The main job: measured
-
-Written by `SURG_TEST_MOTION=FILE ./surg test --full tests/e2e/test_demo.py`. Whole motions at scale
-1 in lock-step; definitions in [conventions](../reference/conventions.md). Deviations, tip error,
-displacement: mm; lag: ms.
-
-| run | RCM kinematic mean / max | RCM true max | tip rms / max | lag | path in → out \
-| sweep | enabled, unscaled | trocar force max, displacement max | compute p99 |
-|---|---|---|---|---|---|---|---|---|---|
-"""
-
-
-def render(rows: list[tuple[str, dict[str, Any]]], before: str) -> str:
-    """The page as Markdown; what the page of before says of other runs, and its notes, stay."""
-    lines = before.splitlines()
-    table = [i for i, line in enumerate(lines) if line.startswith("|")]
-    kept = {lines[i].split(" | ")[0].removeprefix("| "): lines[i] for i in table[2:]}
-    kept.update({name: row(name, summary) for name, summary in rows})
-    notes = lines[table[-1] + 1 :] if table else []
-    return HEAD + "".join(f"{line}\n" for line in (*kept.values(), *notes))
-
-
-def row(name: str, s: dict[str, Any]) -> str:
-    """A line of the table."""
-    rcm, true, tip = s["rcm_kinematic_mm"], s["rcm_true_mm"], s["tip_error_mm"]
-    path, trocar = s["path_length_mm"], s["trocar"]
-    return (
-        f"| {name} | {rcm['mean']:.4f} / {rcm['max']:.3f} | {true['max']:.3f} "
-        f"| {tip['rms']:.3f} / {tip['max']:.2f} | {s['tip_lag_ms']:.1f} "
-        f"| {path['input']:.0f} → {path['executed']:.0f} "
-        f"({100 * (path['executed'] / path['input'] - 1):+.1f} %) "
-        f"| {s['shaft_sweep_deg']:.1f}° "
-        f"| {100 * s['enabled_fraction']:.1f} %, {100 * s['unscaled_fraction']:.2f} % "
-        f"| {trocar['force_n']['max']:.2f} N, {trocar['displacement_mm']['max']:.2f} "
-        f"| {s['controller']['compute_us']['p99']:.0f} µs |"
-    )
 
 
 def demo(
@@ -105,12 +54,6 @@ def demo(
 def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """The UR5e's short motion; reduced, one run serves two tests."""
     return demo(tmp_path_factory.mktemp("plain") / "run", "--duration", SHORT_S)
-
-
-def note(name: str, summary: dict[str, Any]) -> None:
-    ROWS.append((name, summary))
-    rcm, tip = summary["rcm_kinematic_mm"], summary["tip_error_mm"]
-    print(f"{name}: RCM mean {rcm['mean']:.4f} max {rcm['max']:.3f}, tip rms {tip['rms']:.3f} mm")
 
 
 def assert_within_limits(summary: dict[str, Any]) -> None:
@@ -156,7 +99,7 @@ def test_a_third_arm_from_outside_the_tree(tmp_path: Path) -> None:
     bundled = ROOT / "src" / "surg_description" / "robots" / "ur5e.yaml"
     robot = write_third_arm(tmp_path / "arm", bundled)
     summary = demo(tmp_path / "run", "--robot", robot)
-    note("third arm, cartesian, bundled", summary)
+    note(page.THIRD_ARM, summary)
     assert_within_limits(summary)
 
 
@@ -174,8 +117,8 @@ def test_the_papers_law_and_no_feedback_drift(tmp_path: Path) -> None:
     ours = demo(tmp_path / "ours")
     paper = demo(tmp_path / "paper", "--law", "paper")
     open_loop = demo(tmp_path / "open", "--feedback-gain", 0, "--law", "velocity")
-    note("ur5e, cartesian, bundled, `--law paper`", paper)
-    note("ur5e, cartesian, bundled, `--law velocity --feedback-gain 0`", open_loop)
+    note(page.PAPER, paper)
+    note(page.OPEN_LOOP, open_loop)
     assert paper["rcm_kinematic_mm"]["max"] >= 1
     assert paper["rcm_kinematic_mm"]["max"] >= 5 * ours["rcm_kinematic_mm"]["max"]
     faulted = any("rcm_error" in reason for reason in open_loop["reasons"])
@@ -200,7 +143,7 @@ def test_one_seed_one_hash_whatever_the_scheduler_does(
 def test_ten_minutes_in_real_time_with_the_camera(tmp_path: Path) -> None:
     """Needs a quiet machine: what it measures is time."""
     summary = demo(tmp_path / "run", "--free-run", "--duration", 600, video=True)
-    note("ur5e, cartesian, bundled repeated for 600 s, free-run", summary)
+    note(page.LONG, summary)
     controller = summary["controller"]
     print(controller)
     assert summary["enabled_fraction"] == 1

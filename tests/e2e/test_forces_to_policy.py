@@ -1,4 +1,4 @@
-"""`./surg run TASK --policy P --forces`: one force on the wire, in process and in the export."""
+"""`./surg run --policy P --observe forces`: one force on the wire, in process and in the export."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_a_policy_feels_what_an_environment_and_the_export_say(
 ) -> None:
     account, out = tmp_path / "account.txt", tmp_path / "run"
     monkeypatch.setenv(WITNESS, str(account))
-    words = ("--policy", FEELING, "--forces", "--seed", SEED, "--out", out)
+    words = ("--policy", FEELING, "--observe", "forces", "--seed", SEED, "--out", out)
     done = surg("run", TASK, *words)
     assert done.returncode == 0, done.stdout + done.stderr
     (entry,) = json.loads((out / "summary.json").read_text("utf-8"))["episodes"]
@@ -76,4 +76,4 @@ def test_a_policy_feels_what_an_environment_and_the_export_say(
 @pytest.mark.full
 def test_a_policy_that_needs_forces_is_told_how_to_get_them(tmp_path: Path) -> None:
     done = surg("run", TASK, "--policy", FEELING, "--seed", SEED, "--out", tmp_path / "run")
-    assert done.returncode == 1 and "--forces" in done.stdout + done.stderr
+    assert done.returncode == 1 and "--observe forces" in done.stdout + done.stderr

@@ -57,7 +57,7 @@ def test_the_controllers_drive_both_arms_of_bgr_and_nothing_moves_without_a_sque
     tmp_path: Path,
 ) -> None:
     async def test() -> None:
-        more = ("--stereo",)
+        more = ("--cameras", "stereo")
         async with phantom(tmp_path, "sim_two_arms", *more) as made, Chromium() as browser:
             tab = await browser.open(f"{made.url}headset", FAKE_XR)
             await tab.until("!document.querySelector('#enter').disabled", "the headset", 60.0)
@@ -138,7 +138,7 @@ def test_the_instrument_goes_where_the_picture_says_and_touches_three_targets(
     tmp_path: Path,
 ) -> None:
     async def test() -> None:
-        more = ("--marks",)  # both eyes, and where the tip is in them
+        more = ("--cameras", "marks")  # both eyes, and where the tip is in them
         async with phantom(tmp_path, "sim_two_arms", *more) as made, Chromium() as browser:
             tab = await browser.open(f"{made.url}headset", FAKE_XR)
             await tab.until("!document.querySelector('#enter').disabled", "the headset", 60.0)

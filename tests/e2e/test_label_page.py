@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import threading
 import time
 from collections.abc import AsyncIterator, Sequence
 from pathlib import Path
@@ -17,9 +16,9 @@ from helpers.recording import datasets_synthetic
 from helpers.recording.recording_synthetic import TICK_NS
 from helpers.teleop import chromium
 from helpers.teleop.chromium import Chromium, Tab
+from surg_console.labelling.label_pages import LabelPages
+from surg_console.labelling.label_server import LabelServer
 from surg_recording.episode import episode_reader
-from surg_recording.labelling.label_pages import LabelPages
-from surg_recording.labelling.label_server import LabelServer
 
 pytestmark = [
     pytest.mark.untimed,
@@ -34,15 +33,14 @@ KEY_S = float(os.environ.get("SURG_TEST_KEY_S", "0"))
 
 @contextlib.asynccontextmanager
 async def opened(folders: Sequence[Path]) -> AsyncIterator[tuple[Chromium, Tab]]:
-    with LabelServer(LabelPages(folders, "A")) as server:
-        thread = threading.Thread(target=server.serve_forever, args=(0.02,))
-        thread.start()
-        try:
-            async with Chromium() as browser:
-                yield browser, await browser.open(server.url)
-        finally:
-            server.shutdown()
-            thread.join()
+    server = LabelServer(LabelPages(folders, "A"))
+    serving = asyncio.create_task(server.serve())
+    try:
+        async with Chromium() as browser:
+            yield browser, await browser.open(server.url)
+    finally:
+        serving.cancel()
+        await asyncio.wait([serving])
 
 
 async def press(tab: Tab, keys: str) -> None:

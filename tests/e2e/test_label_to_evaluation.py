@@ -44,7 +44,7 @@ def run(*words: object) -> str:
 @contextlib.contextmanager
 def labelling(episodes: Path, log: Path) -> Iterator[str]:
     """`./surg episode label` until Ctrl-C; gives the address that it prints."""
-    process = start(log, "episode", "label", episodes, "--by", "A. Surgeon", "--no-open")
+    process = start(log, "episode", "label", episodes, "--by", "A. Surgeon")
     try:
         deadline = time.monotonic() + 60.0
         while "http://" not in log.read_text() and time.monotonic() < deadline:

@@ -85,7 +85,7 @@ def test_every_observation_holds_the_picture_of_its_own_tick(
         pytest.skip(str(error))
     account, out = tmp_path / "account.txt", tmp_path / "run"
     monkeypatch.setenv(WITNESS, str(account))
-    words = ("--policy", LOOKING, "--cameras", "left", "--no-film", "--seed", SEED, "--out", out)
+    words = ("--policy", LOOKING, "--cameras", "left", "--seed", SEED, "--out", out)
     done = surg("run", TASK, *words)
     assert done.returncode == 0, done.stdout + done.stderr
     (entry,) = json.loads((out / "summary.json").read_text("utf-8"))["episodes"]
@@ -106,7 +106,7 @@ def test_every_observation_holds_the_picture_of_its_own_tick(
 
 @pytest.mark.ros
 @pytest.mark.parametrize(  # refused at once, and once it is served
-    "more", [[], pytest.param(["--privileged"], marks=pytest.mark.full)]
+    "more", [[], pytest.param(["--observe", "privileged"], marks=pytest.mark.full)]
 )
 def test_an_episode_without_its_policy_ends(tmp_path: Path, more: list[str]) -> None:
     out = tmp_path / "run"
@@ -123,7 +123,7 @@ def test_an_episode_without_its_policy_ends(tmp_path: Path, more: list[str]) -> 
         (["--policy", "tcp://0.0.0.0:5555"], "./surg policy keys"),
         (["--policy", "udp://127.0.0.1:1"], "such as tcp://127.0.0.1:5555"),
         (["--policy", "tcp://127.0.0.1:5555", "--policy-keys", "/nowhere"], "/nowhere"),
-        (["--privileged"], "--privileged needs --policy"),
+        (["--observe", "privileged"], "--observe needs --policy"),
         (["--free-run"], "--free-run needs --policy"),
     ],
 )

@@ -24,7 +24,7 @@ def test_an_unstable_episode_fails_and_the_next_one_starts_clean(tmp_path: Path)
     assert LUCKY == BREAKING + 1
     out, cell = tmp_path / "run", write_two_arms(tmp_path / "cell")
     words = ["run", NUDGE, "--robot", cell, "--episodes", 2, "--seed", BREAKING]
-    done = surg(*words, "--setting", "ex_vivo", "--out", out, "--no-film", cwd=tmp_path)
+    done = surg(*words, "--setting", "ex_vivo", "--out", out, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.strip().splitlines()[-1] == str(out / "summary.json")
     assert "MuJoCo" in done.stdout and f"seed {BREAKING}" in done.stdout

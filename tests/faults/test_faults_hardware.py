@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from helpers.hardware.emulated_chain import Chain
-from helpers.results.hardware_results import note, recovery_row
 from helpers.results.reactions import Reactions
 from surg_core import Reason, State, StateCommand
 from surg_emulators.ur.robot_states import SafetyMode
@@ -142,8 +141,6 @@ def test_after_a_stop_and_a_start_nothing_moves_until_a_person_enables(
     name = f"emulated UR, {what}, started, {scale}"
     reactions.add("F33", name, "tip before enable", before, 0.0005, "mm")
     reactions.add("F33", name, "tip after enable", after, 0.1, "mm")
-    said = f"tip {max(before):.4f} mm until enable, then {max(after):.4f} mm"
-    note(recovery_row(what, scale), len(before), said)
 
 
 def test_start_is_refused_under_a_moving_command_and_while_enabled() -> None:

@@ -67,8 +67,8 @@ def said(row: str, env: Watched, rollout: Rollout, off: float) -> None:
     page.note(
         row,
         1,
-        f"{how} after {rollout.duration:.1f} s, {rollout.refused} commands refused, largest step "
-        f"{1e3 * steps.max():.1f} mm in {1e3 * STEP:.0f} ms, deviation {1e3 * off:.3f} mm",
+        f"{how} after {rollout.duration:.1f} s, {rollout.refused} refused, largest step "
+        f"{1e3 * steps.max():.1f} mm; {1e3 * off:.3f} mm",
     )
 
 

@@ -16,7 +16,7 @@ import pytest
 
 from helpers.hardware.emulated_cell import emulated_cell
 from helpers.hardware.emulated_chain import Chain, T
-from helpers.results.hardware_results import SPEEDS, chain_row, note, spread_row
+from helpers.results.hardware_results import SPEEDS, note, note_stop, spread_row
 from surg_core import State
 from surg_emulators.ur.joint_motion import LAGS
 from surg_emulators.ur.robot_states import SafetyMode
@@ -116,7 +116,7 @@ def test_where_a_robot_rests_that_stops_itself_is_set_by_how_its_joint_lags_diff
         chain.stream(0.05)
         away.append(chain.deviation)
     off = 1e3 * max(away)
-    note(spread_row(1e3 * (largest - least)), 1, f"deviation {off:.3f} mm")
+    note(spread_row(1e3 * (largest - least)), 1, f"{off:.3f} mm")
     assert off <= LAG_SPREADS[least, largest]
 
 
@@ -138,14 +138,12 @@ def test_robot_condition_whatever_stops_the_arm_it_rests_near_its_pivot(
     speeds = np.linalg.norm(np.diff(tips, axis=0), axis=1) / T
     moving = np.flatnonzero(speeds > CREEP)
     rest = 1e3 * T * (moving[-1] + 1)
-    off, reached = 1e3 * max(away), 1e3 * speeds[0]
+    off = 1e3 * max(away)
     assert off <= fault.off or speed > 0.1
-    said = f"from {reached:.0f} mm/s, deviation {off:.3f} mm"
+    note_stop("chain", what, speed, rest if fault.latched else None, off)
     if not fault.latched:
-        note(chain_row(what, speed), 1, f"goes on {said}")
         assert chain.out.state == State.ENABLED
         return
-    note(chain_row(what, speed), 1, f"rest {rest:.0f} ms {said}")
     assert rest <= TO_REST[speed]
     assert chain.out.state != State.ENABLED
     assert chain.status is not None and chain.status.condition is not Condition.ACTIVE

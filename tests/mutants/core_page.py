@@ -1,66 +1,67 @@
-"""docs/results/mutants.md: which test notices which mutant. A run reads the last page first."""
+"""Which test notices which mutant: a file that the next run reads, and docs/results/mutants.md."""
 
 from __future__ import annotations
 
-import re
+import csv
+import datetime
 from pathlib import Path
 
 from mutants.core_workshop import Noticed, Trial
-from mutants.mutants import MUTANTS, Mutant
+from mutants.mutants import MUTANTS
 
-ROW = re.compile(r"^\| `(?P<mutant>\w+)` \|.*\| (?P<noticed>[^|]+) \|$", re.M)
-EARLIER = " (earlier run)"
+KNOWN = Path(__file__).with_name("noticed.csv")
+"""Mutant, program, test, date of the run."""
 
 
-def read_rows(page: Path) -> dict[str, str]:
-    """What the page says of each mutant; empty without a page."""
-    if not page.exists():
+def read(file: Path = KNOWN) -> dict[str, list[str]]:
+    """Program, test and date by mutant; empty without a file."""
+    if not file.exists():
         return {}
+    with file.open(encoding="utf-8", newline="") as stream:
+        return {name: rest for name, *rest in csv.reader(stream)}
+
+
+def trials_of(rows: dict[str, list[str]]) -> dict[str, Trial]:
+    """The trial that noticed each mutant; the fuzz names an oracle, which is no test."""
     return {
-        row["mutant"]: row["noticed"].removesuffix(EARLIER)
-        for row in ROW.finditer(page.read_text())
+        name: Trial(program, test if "." in test else "")
+        for name, (program, test, _) in rows.items()
     }
 
 
-def trials_of(rows: dict[str, str]) -> dict[str, Trial]:
-    """The trial that noticed each mutant."""
-    found = {}
-    for mutant, noticed in rows.items():
-        program, _, what = noticed.partition(": ")
-        found[mutant] = Trial(program, what if "." in what else "")
-    return found
+def write(page: Path, noticed: dict[str, Noticed], file: Path = KNOWN) -> None:
+    """Keep who noticed what, and write the page; mutants that did not run keep their date."""
+    today = datetime.datetime.now(datetime.UTC).date().isoformat()
+    rows = read(file) | {name: [by.trial.program, by.what, today] for name, by in noticed.items()}
+    rows = {mutant.name: rows[mutant.name] for mutant in MUTANTS if mutant.name in rows}
+    with file.open("w", encoding="utf-8", newline="") as stream:
+        csv.writer(stream, lineterminator="\n").writerows(
+            [name, *row] for name, row in rows.items()
+        )
+    page.write_text(text(rows), "utf-8")
 
 
-def write(page: Path, noticed: dict[str, Noticed]) -> None:
-    """Write the page; the rows of mutants that did not run stay, and say so."""
-    before = read_rows(page)
-    rows = [row for mutant in MUTANTS if (row := _row(mutant, noticed, before))]
-    never = [f"`{m.name}`" for m in MUTANTS if m.name not in noticed and m.name not in before]
+def text(rows: dict[str, list[str]]) -> str:
+    """The page in Markdown."""
+    never = [f"`{mutant.name}`" for mutant in MUTANTS if mutant.name not in rows]
+    folders: dict[str, list[str]] = {}
+    for mutant in MUTANTS:
+        if mutant.name in rows:
+            folder = Path(mutant.edits[0].file).parent.name
+            folders.setdefault(folder, []).append(rows[mutant.name][0])
+    dates = sorted(date for _, _, date in rows.values())
     lines = [
         "# Mutants of the core, and who notices",
         "",
-        "Written by `./surg test --full --tier mutants tests/mutants/test_mutants.py`. Each mutant",
-        "is a fault put into a copy of the core on purpose. The test named failed with it, and",
-        "passed as soon as the fault was taken out again.",
+        "Written by `./surg test --full --tier mutants tests/mutants/test_mutants.py`. A mutant is",
+        "a fault put into a copy of the core on purpose (`tests/mutants/mutants.py`). The test in",
+        "`tests/mutants/noticed.csv` failed with it and passed without it.",
         "",
-        f"{len(MUTANTS)} mutants, {len(noticed)} of them run, all of these noticed.",
+        f"{len(rows)} of {len(MUTANTS)} mutants noticed, from {dates[0]} to {dates[-1]}.",
         *([f"Never run: {', '.join(never)}."] if never else []),
         "",
-        "| mutant | where | what it would do | noticed by |",
-        "|---|---|---|---|",
-        *rows,
+        "| mutants of | n | test programs that noticed |",
+        "|---|---|---|",
+        *(f"| {folder} | {len(by)} | {len(set(by))} |" for folder, by in sorted(folders.items())),
     ]
-    page.parent.mkdir(parents=True, exist_ok=True)
-    page.write_text("\n".join(lines) + "\n")
-
-
-def _row(mutant: Mutant, noticed: dict[str, Noticed], before: dict[str, str]) -> str | None:
-    """A line of the table; None for a mutant that has never run."""
-    if mutant.name in noticed:
-        by = str(noticed[mutant.name])
-    elif mutant.name in before:
-        by = before[mutant.name] + EARLIER
-    else:
-        return None
-    where = ", ".join(sorted({Path(edit.file).name for edit in mutant.edits}))
-    return f"| `{mutant.name}` | {where} | {mutant.why} | {by} |"
+    return "\n".join(lines) + "\n"

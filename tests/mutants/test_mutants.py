@@ -1,7 +1,7 @@
 """Every hand-written mutant of the core is noticed by a test. Opt-in: `./surg test --tier mutants`.
 
 Each runs in a copy of `src/surg_core`. The test that noticed it last runs first, so each
-mutant takes some seconds. With `--full` the page of who noticed what is written.
+mutant takes some seconds. With `--full` it is kept who noticed what.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from mutants.mutants import MUTANTS, Mutant
 from surg_cli.host import paths
 
 pytestmark = pytest.mark.mutants
-PAGE = paths.ROOT / "docs" / "results" / "mutants.md"
 
 
 @pytest.fixture(scope="module")
@@ -29,13 +28,13 @@ def killers() -> Iterator[dict[str, Noticed]]:
     yield found
     folder = os.environ.get("SURG_RESULTS_DIR")
     if folder and found:
-        core_page.write(Path(folder) / PAGE.name, found)
+        core_page.write(Path(folder, "mutants.md"), found)
 
 
 @pytest.fixture(scope="module")
 def workshop() -> Workshop:
     root = paths.STATE / "mutants"
-    known = core_page.trials_of(core_page.read_rows(PAGE))
+    known = core_page.trials_of(core_page.read())
     shop = Workshop(root / "surg_core", root / "build", known)
     shop.set_up(paths.ROOT / "src" / "surg_core")
     return shop

@@ -22,14 +22,14 @@ FOLDERS = {
     "surg_core": ("pictures", "perception"),
     "surg_hardware": ("hardware", "emulators"),
     "surg_perception": ("perception", "collecting", "depth"),
-    "surg_teleop": ("console",),
+    "surg_console": ("console",),
 }
 """Folders of `tests/unit` with the tests of a package."""
 MUTANTS = [("surg_hardware", mutant) for mutant in hardware_mutants.MUTANTS] + [
     ("surg_perception", mutant) for mutant in perception_mutants.MUTANTS
 ]
 MUTANTS += [("surg_core", mutant) for mutant in picture_mutants.MUTANTS]
-MUTANTS += [("surg_teleop", mutant) for mutant in console_mutants.MUTANTS]
+MUTANTS += [("surg_console", mutant) for mutant in console_mutants.MUTANTS]
 
 
 def tests_of(package: str) -> list[Path]:

@@ -28,7 +28,7 @@ TESTS = {name: paths.ROOT / "tests/e2e" / f"{name}.py" for name in MONITOR + HEA
 def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder with the copy of the package."""
     made = tmp_path_factory.mktemp("pages") / "src"
-    sources = paths.ROOT / "src" / "surg_teleop" / "src"
+    sources = paths.ROOT / "src" / "surg_console" / "src"
     shutil.copytree(sources, made, ignore=shutil.ignore_patterns("__pycache__"))
     return made
 

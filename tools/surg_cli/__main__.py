@@ -30,7 +30,7 @@ def run(arguments: Sequence[str]) -> int:
         say(text)
         return 0
     name, rest = find(arguments)
-    if COMMANDS[name].wants_workspace(rest) and READY not in os.environ:
+    if COMMANDS[name].needs_workspace and READY not in os.environ:
         if name != "dev shell" and any(word in ("-h", "--help") for word in rest):
             _print_help(name, rest)
         elif COMMANDS[name].urgent:

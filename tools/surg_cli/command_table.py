@@ -36,13 +36,7 @@ class Command:
     draws: bool = True  # whether it may start what draws pictures
     everything: bool = False  # whether it needs the packages that others do without
     packages: tuple[str, ...] = ()  # sets of the package list that it needs
-    workspace_option: str = ""  # an option that needs everything set up and built
     urgent: bool = False  # acts at once by its module's `at_once`, and never builds
-
-    def wants_workspace(self, words: Sequence[str]) -> bool:
-        """Whether it needs the workspace when called with these words."""
-        asked = any(word.partition("=")[0] == self.workspace_option for word in words)
-        return self.needs_workspace or (bool(self.workspace_option) and asked)
 
 
 _TEST = Command("develop", "dev.run_tests", "build and run the tests", everything=True)
@@ -121,10 +115,9 @@ COMMANDS = {
     "dev doctor": Command(
         "develop",
         "dev.doctor",
-        "list what is installed, missing and running; --robot CELL: examine an arm",
+        "list what is installed, missing and running",
         needs_workspace=False,
         draws=False,
-        workspace_option="--robot",
     ),
     "dev topics": Command(
         "develop", "dev.topics", "compare a graph with docs/reference/topics.yaml"
@@ -215,6 +208,9 @@ def parse(name: str, words: Sequence[str]) -> tuple[argparse.Namespace, Callable
         SystemExit: An option or argument is wrong otherwise; argparse has printed why.
     """
     own, main = parser(name)
+    for word in words:
+        if cure := moved.ARGUMENTS.get((name, word), ""):
+            raise Problem(f"{name} {word} is now {cure}", 2)
     options, unknown = own.parse_known_args(words)
     for word in unknown:
         option = word.partition("=")[0]

@@ -19,9 +19,9 @@ from surg_cli.graph import episode_plans
 from surg_cli.host import terminal
 from surg_cli.host.terminal import Problem, say, warn
 from surg_learn import learn_stages
+from surg_learn.learn_terminal import LearnError
 from surg_learn.recipes import Request
 from surg_learn.stage_ledger import Ledger
-from surg_learn.terminal import LearnError
 
 PROGRAM = "PYTHONPATH=tools python3 -m surg_cli.without_ros"
 

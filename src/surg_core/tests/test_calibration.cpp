@@ -1,9 +1,9 @@
 // Calibration: exact recordings give the exact answer, noisy ones scatter as their covariance says,
 // and what does not determine the answer is refused.
 #include <Eigen/Dense>
+#include <cstdio>
 #include <functional>
 
-#include "support/results.hpp"
 #include "support/test_support.hpp"
 #include "surg_core/kinematics/calibration.hpp"
 
@@ -163,19 +163,11 @@ TEST(Calibration, NoiseScattersAsTheCovarianceSays) {
                want_trocar = expected(3, 2 * n - 3);
   // Standard deviation of a mean of chi-squares: sqrt(2 dof / runs); five of them are allowed.
   const double slack = 5 * std::sqrt(6.0 / runs);
-  test::Results results("calibration_solvers", "src/surg_core/tests/test_calibration.cpp",
-                        "Calibration solvers: noise against the predicted covariance");
-  results.table(
-      "Squared errors in units of the predicted covariance",
-      test::cell("%d recordings of %d poses each; position noise 0.1 mm per axis, "
-                 "rotation noise 1 mrad. Unbiased and right: the mean is the expected one.",
-                 runs, n),
-      {"estimate", "mean", "expected"});
-  results.row({"tip by pivoting", test::cell("%.3f", tip), test::cell("%.3f", want_tip)});
-  results.row({"axis by rolling", test::cell("%.3f", axis), test::cell("%.3f", want_axis)});
-  results.row({"trocar from shafts", test::cell("%.3f", trocar), test::cell("%.3f", want_trocar)});
-  results.text(test::cell("Tip: rms error %.4f mm, predicted %.4f mm.", 1e3 * std::sqrt(tip_rms),
-                          1e3 * std::sqrt(predicted)));
+  std::printf(
+      "squared errors in units of the predicted covariance: tip %.3f (expected %.3f), axis %.3f "
+      "(%.3f), trocar %.3f (%.3f); tip %.4f mm rms, predicted %.4f mm\n",
+      tip, want_tip, axis, want_axis, trocar, want_trocar, 1e3 * std::sqrt(tip_rms),
+      1e3 * std::sqrt(predicted));
   EXPECT_NEAR(tip, want_tip, slack);
   EXPECT_NEAR(axis, want_axis, slack);
   EXPECT_NEAR(trocar, want_trocar, slack);

@@ -1,10 +1,10 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdio>
 #include <stdexcept>
 
 #include "support/quintic_oracle.hpp"
-#include "support/results.hpp"
 #include "support/stop_oracle.hpp"
 #include "support/test_support.hpp"
 #include "surg_core/motion/profiler.hpp"
@@ -128,34 +128,12 @@ void examine(const Profiler& planned, const Dofs& from, const Targets& target, c
                                                                               : tally.eased)++;
 }
 
-test::Results& results() {
-  static test::Results page("profiler", "src/surg_core/tests/test_profiler.cpp",
-                            "Profiler: limits and position excursion");
-  static const bool begun = [] {
-    page.table(
-        "Random states, four degrees of freedom each",
-        "Limits: tip 0.25 m/s, 2 m/s², 40 m/s³; roll 3 rad/s, 40 rad/s², 800 rad/s³. Every plan is "
-        "judged by a second implementation (other coefficients, long double, bisected roots), the "
-        "braking and the played profile by samples. A state that is beyond a limit may not exceed "
-        "it further than it must. Refused: neither limits nor bounds can be kept from that state; "
-        "checked by a third way of stopping.",
-        {"family", "cases", "violations of position / velocity / acceleration / jerk",
-         "largest share of the limits v / a / jerk", "position beyond the bounds [m, rad]",
-         "quintic / eased first / stopped first", "refused"});
-    return true;
-  }();
-  (void)begun;
-  return page;
-}
-
-void write(const char* family, const Tally& t) {
-  using test::cell;
-  results().row({family, cell("%ld", t.cases + t.refused),
-                 cell("%ld / %ld / %ld / %ld", t.violations[0], t.violations[1], t.violations[2],
-                      t.violations[3]),
-                 cell("%.9f / %.9f / %.9f", t.velocity, t.acceleration, t.jerk),
-                 cell("%.0e", std::max(t.position, 0.0)),
-                 cell("%ld / %ld / %ld", t.quintic, t.eased, t.stopped), cell("%ld", t.refused)});
+void print(const char* family, const Tally& t) {
+  std::printf(
+      "%s: %ld cases, %ld refused; beyond x %ld, v %ld, a %ld, jerk %ld; largest share of v "
+      "%.9f, a %.9f, jerk %.9f; %ld quintic, %ld eased first, %ld stopped first\n",
+      family, t.cases + t.refused, t.refused, t.violations[0], t.violations[1], t.violations[2],
+      t.violations[3], t.velocity, t.acceleration, t.jerk, t.quintic, t.eased, t.stopped);
 }
 
 void random_move(Random& random, Dofs& from, Targets& target) {
@@ -205,7 +183,7 @@ TEST(Profiler, KeepsItsLimitsFromAnyStateThatCan) {
   test::report("random states", count);
   std::printf("[  figures ] without bounds the tip swings up to %.1f mm beyond both ends\n",
               1e3 * swing);
-  write("in motion", tally);
+  print("in motion", tally);
 }
 
 TEST(Profiler, KeepsPositionBoundsWhereverAStopCan) {
@@ -239,7 +217,7 @@ TEST(Profiler, KeepsPositionBoundsWhereverAStopCan) {
   EXPECT_EQ(tally.sum(), 0);
   EXPECT_GT(tally.stopped, count / 100);
   test::report("random states between walls", count);
-  write("in motion, position bounds", tally);
+  print("in motion, position bounds", tally);
 }
 
 TEST(Profiler, ReturnsFromBeyondItsLimitsAsDirectlyAsItMay) {
@@ -261,7 +239,7 @@ TEST(Profiler, ReturnsFromBeyondItsLimitsAsDirectlyAsItMay) {
   }
   EXPECT_EQ(tally.sum(), 0);
   test::report("random states beyond a limit", count);
-  write("beyond an acceleration or velocity limit", tally);
+  print("beyond an acceleration or velocity limit", tally);
 }
 
 TEST(Profiler, StateIsContinuousAndConsistent) {
@@ -313,7 +291,7 @@ TEST(Profiler, ChangesOfMindKeepLimitsAndBounds) {
   }
   EXPECT_EQ(tally.sum(), 0);
   test::report("changes of mind", count);
-  write("changes of mind on the way, position bounds", tally);
+  print("changes of mind on the way, position bounds", tally);
 }
 
 TEST(Profiler, RestToRestTakesTheLeastDuration) {
@@ -347,11 +325,11 @@ TEST(Profiler, RestToRestTakesTheLeastDuration) {
   }
   ASSERT_LT(worst, 1e-12);
   test::report("random distances", count);
-  results().text(
-      test::cell("Rest to rest, %d random distances: the duration differs from "
-                 "max(0.5 s, 15 D / 8 v, √(10 D / √3 a), ∛(60 D / j)) by at most %.0e "
-                 "of it.",
-                 count, worst));
+  std::printf(
+      "Rest to rest, %d random distances: the duration differs from "
+      "max(0.5 s, 15 D / 8 v, √(10 D / √3 a), ∛(60 D / j)) by at most %.0e "
+      "of it.\n",
+      count, worst);
 }
 
 /// The duration that a ten times finer scan finds, judged by the oracle.
@@ -389,10 +367,10 @@ TEST(Profiler, InMotionTheScanHardlyMissesAShorterDuration) {
   }
   EXPECT_LE(shorter, 0.02 * looked_at);
   test::report("random states scanned ten times finer", looked_at);
-  results().text(
-      test::cell("In motion, %d random states: a scan ten times finer finds a duration "
-                 "shorter by more than 0.4 %% in %d of them, by %.0f %% at most.",
-                 looked_at, shorter, 100 * most));
+  std::printf(
+      "In motion, %d random states: a scan ten times finer finds a duration "
+      "shorter by more than 0.4 %% in %d of them, by %.0f %% at most.\n",
+      looked_at, shorter, 100 * most);
 }
 
 TEST(Profiler, BaseDurationIsThePapers) {

@@ -26,6 +26,16 @@ def argv(*words: object) -> list[str]:
     return [sys.executable, "-s", "-m", "surg_cli", *map(str, words)]
 
 
+def argv_with(module: str, name: str, value: object, *words: object) -> list[str]:
+    """Command line of `./surg WORDS` with another value of a module's constant."""
+    program = (
+        "import importlib, sys\nfrom pathlib import PosixPath\n"
+        f"setattr(importlib.import_module({module!r}), {name!r}, {value!r})\n"
+        "from surg_cli.__main__ import main\nsys.exit(main())\n"
+    )
+    return [sys.executable, "-s", "-c", program, *map(str, words)]
+
+
 def surg(
     *words: object,
     timeout_s: float = 300.0,

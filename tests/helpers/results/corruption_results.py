@@ -2,19 +2,42 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
+
 from helpers.recording.corruptions import ALL
 from helpers.results.results_page import ResultsPage
 
-LONGEST = "longest of all"
+COMMANDS = ("view", "evaluate", "export", "recover")
 _HEAD = """# Corrupted recordings
 
-Written by `./surg test --full tests/unit/recording/test_recording_corruptions.py`. A recording of
-one arm, a camera and a task is broken in one way per row. Beside it lies an intact one, which every
-command uses. *right*: the result of the intact recording. *error*: it is left out, or the page says
-by name what is wrong. *recovered*: readable, and marked as incomplete. No cell is a trace, a hang
-above 10 s or a loss of data: all bytes are there afterwards, in their place or in `*.damaged`.
-
-| what is broken | commands | result |
-|---|---|---|
+Written by `./surg test --full tests/unit/recording/test_recording_corruptions.py`, which names each
+of the n ways. *right*: as the intact recording. *error*: left out, or named. *recovered*: readable,
+and marked as incomplete. No command ends in a trace, hangs above 10 s or loses a byte.
 """
-note = ResultsPage("corruptions.md", _HEAD, [*(each.name for each in ALL), LONGEST]).note
+LONGEST = "longest of all"
+_PAGE = ResultsPage(
+    "corruptions.md",
+    _HEAD,
+    [*dict.fromkeys(each.name.split(":")[0] for each in ALL), LONGEST],
+    columns=("what is broken", "n", *COMMANDS),
+)
+
+
+def note(found: Mapping[str, Mapping[str, str]], longest: float) -> None:
+    """Print and keep what commands have made of corruptions.
+
+    Args:
+        found: By name of the corruption, the outcome of each command.
+        longest: Time of a command [s].
+    """
+    parts: dict[str, dict[str, Counter[str]]] = {}
+    for name, outcomes in found.items():
+        print(f"{name}: {', '.join(f'{command}: {how}' for command, how in outcomes.items())}")
+        part = parts.setdefault(name.split(":")[0], {each: Counter() for each in COMMANDS})
+        for command, how in outcomes.items():
+            part[command][how] += 1
+    for name, counts in parts.items():
+        cells = [", ".join(f"{n} {how}" for how, n in counts[each].items()) for each in COMMANDS]
+        _PAGE.note(name, counts[COMMANDS[0]].total(), " | ".join(cells))
+    _PAGE.note(LONGEST, len(found) * len(COMMANDS), f"{longest:.1f} s | | |")

@@ -7,17 +7,12 @@ from helpers.results.results_page import ResultsPage
 HEAD = """# Calibration of an endoscope
 
 Written by `./surg test --full` (`tests/unit/perception`, `tests/unit/collecting`,
-`tests/ros/perception`): figures of simulation, seeded. The truth
-is drawn for each seed: a barrel lens, a camera up to 10 mm and 5° off its drawing, a base up to
-15 mm and 3° off the stated one. Boards are rendered by ray tracing. Rows with many seeds use
-corners with 0.05 px of noise, as rendered boards have. Joints have 2e-5 rad of noise.
-
-| what | cases | found |
-|---|---|---|
+`tests/ros/perception`): simulation, seeded. Each seed draws a barrel lens, a camera up to 10 mm and
+5° off its drawing, a base up to 15 mm and 3° off. Joints have 2e-5 rad of noise, corners 0.05 px.
 """
 SIZES = ((640, 480), (960, 540), (1280, 720))
 ROWS = (
-    *(f"stereo from 20 rendered boards, {w} x {h}, {lens}" for w, h in SIZES
+    *(f"stereo, 20 boards, {w} x {h}, {lens}" for w, h in SIZES
       for lens in ("pinhole", "barrel")),
     "stereo pose, 20 views",
     "hand-eye through the trocar, 15 views",

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
-
 from helpers.results.results_page import ResultsPage
 
 CELLS = ("sim_ur5e", "sim_panda")
 _HEAD = """# Public scripts on the simulated arms
 
 Written by `SURG_TEST_FULL=1 SURG_PUBLIC_CLIENTS=FOLDER ./surg test --tier oracle
-tests/ros/control/test_public_scripts_oracle.py`; the folder holds checkouts of crtk_python_client
-and dvrk_python. The scripts run unmodified. The simulator's truth is the judge of tip and pivot.
-In vain: calls of `wait()` that ended at their time-out. *No*: the reason is asserted as well.
-
-| script, robot | waits | result |
-|---|---|---|
+tests/ros/control/test_public_scripts_oracle.py`: crtk_python_client and dvrk_python, unmodified;
+the simulator's truth judges tip and pivot. No `wait()` ended at its time-out.
 """
 _SCRIPTS = (
     *("crtk_move_cp_example", "crtk_servo_cp_example", "crtk_servo_jp_example"),
@@ -25,12 +18,14 @@ _SCRIPTS = (
     *("dvrk_system_test", "dvrk_console_test", "crtk_haptic_example", "crtk_rate_example"),
     *("dvrk_psm_effort_test", "dvrk_mtm_test", "dvrk_teleoperation"),
 )
-_ROWS: Sequence[str] = [f"{script}, {cell}" for script in _SCRIPTS for cell in CELLS]
-_PAGE = ResultsPage("public_scripts.md", _HEAD, _ROWS, keep=True)
+_PAGE = ResultsPage(
+    "public_scripts.md", _HEAD, _SCRIPTS, keep=True, columns=("script", "waits", *CELLS)
+)
+_found: dict[str, dict[str, str]] = {}
 
 
 def note(script: str, cell: str, waits: int, result: str) -> None:
-    """Print and keep what a script did.
+    """Print what a script did; its row is kept once both robots have been tried.
 
     Args:
         script: Its name, without ``.py``.
@@ -38,4 +33,12 @@ def note(script: str, cell: str, waits: int, result: str) -> None:
         waits: Calls of ``wait()``.
         result: What was found.
     """
-    _PAGE.note(f"{script}, {cell}", waits, f"{result}; load {os.getloadavg()[0]:.0f}")
+    print(f"{script}, {cell}: {waits} waits: {result}")
+    found = _found.setdefault(script, {})
+    found[cell] = result
+    if len(found) == len(CELLS):
+        first, second = (found[each] for each in CELLS)
+        words, _, pivot = second.rpartition("; ")
+        if first.rpartition("; ")[0] == words:
+            second = pivot if words else "the same"
+        _PAGE.note(script, waits, f"{first} | {second}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,14 +10,12 @@ from pathlib import Path
 HEAD = """\
 # Faults and measured reactions
 
-Written by `./surg test --full tests/faults`. Simulation. Cycles of 2 ms count from the sample that
-carries the fault; 0 is the cycle that reads it, exact and the same in every run, and the test fails
-on any other. Seeded runs; "the node", signals and ms are real processes by the simulator's or this
-machine's clock, which did other things beside. No run may be above the limit. n counts values:
-one per run, one per cycle, or 1 for the largest of all runs.
+Written by `./surg test --full tests/faults`. Simulation, seeded. Cycles of 2 ms count from the
+sample that carries the fault; 0 is the cycle that reads it. Times in ms are of real processes
+beside other work. [Ids](../reference/safety.md); kinds: faults injected, which the run prints.
 
-| id | fault | reaction | median | max | limit | unit | n |
-|---|---|---|---|---|---|---|---|
+| id | kinds | reaction: largest / limit, once where equal | n |
+|---|---|---|---|
 """
 ROWS = (
     *("F01", "F02", "F03", "F10", "F11", "F20", "F21", "F22", "F23", "F24", "F25", "F26"),
@@ -27,11 +24,18 @@ ROWS = (
 """Without one of these the page is not written."""
 
 
+def _of(largest: float, limit: str) -> str:
+    """The largest value and its limit; once where they are the same."""
+    value, _, unit = limit.partition(" ")
+    return f"{value} {unit}".strip() if f"{largest:.4g}" == value else f"{largest:.3g} / {limit}"
+
+
 @dataclass
 class Reactions:
-    """Collects rows; the page is written when all are there."""
+    """Collects reactions; the page is written when all are there."""
 
-    rows: list[tuple[str, str]] = field(default_factory=list)
+    kinds: dict[str, set[str]] = field(default_factory=dict)
+    found: dict[tuple[str, str, str], list[float]] = field(default_factory=dict)
 
     def add(
         self,
@@ -42,7 +46,7 @@ class Reactions:
         limit: float,
         unit: str = "cycles",
     ) -> None:
-        """One line of the table; fails where the limit is not kept.
+        """One reaction; fails where the limit is not kept.
 
         Args:
             row: Its id, such as F01.
@@ -53,17 +57,25 @@ class Reactions:
             unit: Of values and limit.
         """
         assert values, f"{row}: nothing was measured"
-        middle, worst = statistics.median(values), max(values)
-        cells = [row, fault, reaction, *(f"{x:.4g}" for x in (middle, worst, limit))]
-        line = f"| {' | '.join(cells)} | {unit} | {len(values)} |"
-        print(line)
-        self.rows.append((row, line))
-        assert all(value <= limit for value in values), line
+        said = f"{row} {fault}, {reaction}: {max(values):.4g} of {limit:.4g} {unit}"
+        print(f"{said}, n {len(values)}")
+        self.kinds.setdefault(row, set()).add(fault)
+        limited = f"{limit:.4g} {unit}".removesuffix(" 1")
+        self.found.setdefault((row, reaction, limited), []).extend(values)
+        assert all(value <= limit for value in values), said
+
+    def lines(self) -> list[str]:
+        """The rows in Markdown, by id."""
+        lines = []
+        for row in sorted(self.kinds):
+            own = {key[1:]: values for key, values in self.found.items() if key[0] == row}
+            said = [f"{what}: {_of(max(v), limit)}" for (what, limit), v in own.items()]
+            n = sum(map(len, own.values()))
+            lines.append(f"| {row} | {len(self.kinds[row])} | {'; '.join(said)} | {n} |")
+        return lines
 
     def write(self) -> None:
         """Write docs/results/faults.md, of a whole run only."""
         folder = os.environ.get("SURG_RESULTS_DIR")
-        if not folder or not {row for row, _ in self.rows} >= set(ROWS):
-            return
-        lines = [line for _, line in sorted(self.rows, key=lambda item: item[0])]
-        Path(folder, "faults.md").write_text(HEAD + "\n".join(lines) + "\n", "utf-8")
+        if folder and self.kinds.keys() >= set(ROWS):
+            Path(folder, "faults.md").write_text(HEAD + "\n".join(self.lines()) + "\n", "utf-8")

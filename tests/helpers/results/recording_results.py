@@ -7,9 +7,6 @@ from helpers.results.results_page import ResultsPage
 _HEAD = """# Recordings that are cut off
 
 Written by `./surg test --full` (`tests/unit/recording/test_*.py`); random times and places, seeded.
-
-| what | cases | result |
-|---|---|---|
 """
 ROWS = (
     "kill -9 of the recorder: video",

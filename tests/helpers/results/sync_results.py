@@ -8,11 +8,8 @@ _HEAD = """# Synchronisation
 
 Written by `./surg test --full` (`tests/unit/recording/test_video_lag.py`,
 `tests/ros/recording/test_clock_sync_node.py`).
-The videos are made up: an instrument before breathing tissue, in light that varies, with noise; the
-clocks are two real `ptp4l` in two network namespaces, which share one clock: the true offset is 0.
-
-| what | cases | result |
-|---|---|---|
+Made-up videos: an instrument before breathing tissue, with noise. Two real `ptp4l` in two network
+namespaces share one clock: the true offset is 0.
 """
 ROWS = (
     "a lag of 200 ms",

@@ -7,10 +7,7 @@ from helpers.results.results_page import ResultsPage
 _HEAD = """# Tissue, grasp, assistant
 
 Written by `./surg test --full` (`tests/unit/sim/test_sim_tissue.py`, `test_sim_grasp.py`,
-`test_sim_assistant.py`): figures of simulation, seeded.
-
-| what | cases | result |
-|---|---|---|
+`test_sim_assistant.py`): simulation, seeded.
 """
 ROWS = (
     "a drawn shape is at rest",

@@ -19,8 +19,8 @@ from surg_console.session.episode_list import Entry
 from surg_console.session.felt_tip import felt_tip
 from surg_console.session.system_state import Arm, Follower, Gauges, Robot
 from surg_console.web import access
+from surg_console.web.console_server import Server
 from surg_console.web.picture_streams import EYES, CameraFrame, PictureStream
-from surg_console.web.web_server import Server
 
 LIMITS = {
     "rcm_error_warn": 0.001,

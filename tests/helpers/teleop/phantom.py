@@ -55,7 +55,7 @@ async def phantom(folder: Path, cell: str, *more: object) -> AsyncIterator[Phant
     """`./surg teleop CELL` with further words, until the end of the context."""
     port, web = master.free_port(), master.free_port()
     log, out = folder / "teleop.log", folder / "out"
-    words = ("teleop", cell, "--port", port, "--web-port", web, "--out", out, *more)
+    words = ("teleop", cell, "--port", port, "--bind", f"127.0.0.1:{web}", "--out", out, *more)
     with start(log, *words) as process:
         printers: list[tuple[asyncio.subprocess.Process, asyncio.Task[None]]] = []
         try:

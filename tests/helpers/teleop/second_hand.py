@@ -1,4 +1,4 @@
-"""A leader that moves by itself, for `--second-leader`: rests 3 s, right for 1 s, left for 1 s."""
+"""A leader that moves by itself, for a second `--leader`: rests 3 s, right for 1 s, left 1 s."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ OWN_TOPICS = {"/calibrate/status", "/rosout"}
 def cell(tmp_path: Path) -> Path:
     """A cell of nobody's calibration, with the board it has printed."""
     folder = copied_cell(tmp_path)
-    done = surg.surg("calibrate", folder, "board", "--out", tmp_path / "board.png")
+    done = surg.surg("calibrate", folder, "board", "--to", tmp_path / "board.png")
     assert done.returncode == 0, done.stderr
     return folder
 

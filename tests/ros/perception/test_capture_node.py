@@ -183,7 +183,7 @@ def test_calibrate_latency_reads_the_screens_clock(
     }  # fmt: skip
     ros_graph.node("surg_perception", "capture_node.py", "/endoscope", params)
     port = ros_graph.uri.rsplit(":", 1)[1].strip("/")
-    words = ("calibrate", "sim_ur5e", "latency", "--port", port, "--seconds", "8")
+    words = ("calibrate", "sim_ur5e", "latency", "--port", port)
     ros_graph.wait_for(lambda: "/endoscope" in master.nodes(ros_graph.uri), 20.0, "the node")
     done = surg(*words)
     print(done.stdout, done.stderr)

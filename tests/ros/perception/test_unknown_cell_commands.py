@@ -28,7 +28,7 @@ STEPS = (("stereo", "stereo"), ("handeye", "handeye"), ("bases", "touch"))
 
 def calibrate(cell: Path, folder: Path) -> None:
     """The whole chain, each step by its command, on the pictures of the bench."""
-    done = surg("calibrate", cell, "board", "--out", folder / "board.png")
+    done = surg("calibrate", cell, "board", "--to", folder / "board.png")
     assert done.returncode == 0, done.stderr
     for step, views in STEPS:
         bench = [

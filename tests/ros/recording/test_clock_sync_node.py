@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from helpers.graph.ros import RosGraph
-from helpers.graph.surg import argv, environment
+from helpers.graph.surg import argv_with, environment
 from helpers.machines import network_pair
 from helpers.results import sync_results
 
@@ -137,8 +137,9 @@ def daemons(tmp_path: Path, asymmetry_ns: int) -> Iterator[Path]:
         network_pair.joined() as ends,
         Supervisor(environment(), tmp_path / "logs") as supervisor,
     ):
-        words = ("ptp", "master", "--interface", ends.interfaces[0], "--folder", tmp_path / "m")
-        supervisor.start("master", [*ends.inside(0), *argv(*words)])
+        words = ("ptp", "master", ends.interfaces[0])
+        master = argv_with("surg_cli.commands.ptp", "FOLDER", tmp_path / "m", *words)
+        supervisor.start("master", [*ends.inside(0), *master])
         text = ptp.configuration("slave", ends.interfaces[1], slave / "ptp4l", True)
         (slave / "conf").write_text(text + f"delayAsymmetry {asymmetry_ns}\n")
         daemon = [str(pmc.program("ptp4l")), "-f", str(slave / "conf"), "-m"]

@@ -213,7 +213,7 @@ def _own_uri() -> str:
 def test_start_stop_and_tag_by_script(bench: Bench, tmp_path: Path) -> None:
     bench.start(tmp_path)
     port = bench.graph.uri.rpartition(":")[2].strip("/")
-    done = surg("record", "start", "--port", port, "--operator", "C", "--seed", "7")
+    done = surg("record", "start", "--port", port, "--info", "operator=C", "seed=7")
     assert done.returncode == 0, done.stderr
     assert "recording" in done.stdout and bench.recording is True
     for k in range(1, 21):
@@ -223,7 +223,7 @@ def test_start_stop_and_tag_by_script(bench: Bench, tmp_path: Path) -> None:
     done = surg("record", "status", "--port", port)
     assert "cycle_PSM1: 20 rows" in done.stdout
     assert "nothing yet on /tool/pose" in done.stdout
-    done = surg("record", "stop", "--failure", "dropped it", "--port", port)
+    done = surg("record", "stop", "--outcome", "dropped it", "--port", port)
     assert done.returncode == 0, done.stderr
     assert "/never: nothing was received" in done.stderr
     recorded = episode_reader.read(done.stdout.strip().splitlines()[-1])

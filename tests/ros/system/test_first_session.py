@@ -109,7 +109,9 @@ class Session:
         """The controller measures in cycles that were not late: where few are, the arm moves on."""
         moves = [line for line, _ in self.said if "/move_" in line and "/jaw/" not in line]
         for _ in range(LAG_TRIES - 1):
-            done = self._try(surg.argv(*words, "--timeout", "5"))
+            done = self._try(
+                surg.argv_with("surg_cli.commands.arms.robot", "TIMEOUT_S", 5.0, *words)
+            )
             if done.returncode == 0:
                 return done.stdout
             for line in moves:
@@ -283,9 +285,11 @@ def test_the_page_is_done_line_by_line(session: Session) -> None:
 
 def collect(session: Session) -> subprocess.Popen[str]:
     """Starts `./surg calibrate … collect` beside the session; returns when it listens."""
-    words = "calibrate cells/my_cell collect --motion trocar --count 3 --to live.csv --timeout 40"
+    words = "calibrate cells/my_cell collect trocar --count 3 --to live.csv"
     started = subprocess.Popen(
-        surg.argv(*words.split(), "--port", session.port),
+        surg.argv_with(
+            "surg_cli.graph.collect", "TIMEOUT_S", 40.0, *words.split(), "--port", session.port
+        ),
         cwd=session.folder,
         env={**surg.environment(), "PYTHONUNBUFFERED": "1"},
         stdout=subprocess.PIPE,

@@ -62,9 +62,10 @@ def test_children_die_with_a_killed_parent(tmp_path: Path) -> None:
 
 def test_a_failing_block_ends_its_command(tmp_path: Path) -> None:
     port = master.free_port()
+    words = ("up", "sim_ur5e", "--cameras", "none", "--port", port)
     with (
         pytest.raises(ZeroDivisionError),
-        start(tmp_path / "up.log", "up", "sim_ur5e", "--no-video", "--port", port) as process,
+        start(tmp_path / "up.log", *words) as process,
     ):
         raise ZeroDivisionError
     assert process.poll() is not None

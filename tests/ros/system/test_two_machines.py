@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from helpers.graph.surg import argv, environment
 from helpers.machines.machines import Machines, two_machines
+from helpers.results.teleoperation_results import MENDED, PULLED, note
 from surg_cli.graph import network, processes, roles
 from surg_cli.host import paths
 from surg_cli.host.environment import for_nodes
@@ -37,15 +38,7 @@ TIP_VELOCITY = 0.25  # [m/s] of an axis, as shipped
 SILENCE = 0.1
 """[s] After which a silent stream is noticed (F03)."""
 TRIES = 6
-RESULTS: list[str] = []
-"""What docs/results/two_machines.md says, in full mode."""
 Array = NDArray[np.float64]
-
-
-def say(text: str) -> None:
-    """A figure, for the terminal and the page."""
-    print(text)
-    RESULTS.append(f"- {text}")
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +136,7 @@ class Far:
 @pytest.fixture(scope="module")
 def far(machines: Machines, cell: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Far]:
     folder = tmp_path_factory.mktemp("far")
-    video = () if FULL else ("--no-video",)  # a camera takes one of two cores
+    video = () if FULL else ("--cameras", "none")  # a camera takes one of two cores
     robot = up(
         machines, folder / "robot.log", "robot", cell, "--role", "robot", "--port-guard", *video
     )
@@ -167,14 +160,6 @@ def far(machines: Machines, cell: Path, tmp_path_factory: pytest.TempPathFactory
         code = end(robot) if robot.poll() is None else robot.returncode
         print((folder / "robot.log").read_text("utf-8")[-3000:])
     assert code == 130
-    if FULL:
-        page = paths.ROOT / "docs/results/two_machines.md"
-        command = "`SURG_TEST_FULL=1 ./surg test tests/ros/system/test_two_machines.py`"
-        head = (
-            f"# Two machines on a bad cable\n\nWritten by {command}, with the left eye of the "
-            "endoscope on.\n\n"
-        )
-        page.write_text(head + "\n".join(RESULTS) + "\n", "utf-8")
 
 
 def cycles_of(far: Far) -> Array:
@@ -318,13 +303,15 @@ def test_the_far_hand_drives_and_sees(far: Far) -> None:
     lags = {}
     for delay, began, ended in rows:
         lags[delay], rms = lag(sent, cycles, (began + 0.8, ended - 0.1))
-        say(
-            f"{delay} ms each way: set-point {1e3 * lags[delay]:.1f} ms behind, "
-            f"{1e3 * rms:.2f} mm rms"
+        note(
+            f"cable: {delay} ms each way",
+            1,
+            f"set-point {1e3 * lags[delay]:.1f} ms behind, {1e3 * rms:.2f} mm rms",
         )
     moved = np.ptp(cycles[:, 9])
     step = largest_step(cycles)
-    say(f"tip moved {1e3 * moved:.1f} mm; largest step of a cycle {1e6 * step:.0f} um")
+    said = f"tip moved {1e3 * moved:.1f} mm; largest step of a cycle {1e6 * step:.0f} um"
+    note("cable: motion", len(cycles), said)
     assert moved > 0.010
     assert step <= TIP_VELOCITY * CYCLE_S + 1e-9
     for delay in list(lags)[1:]:
@@ -356,15 +343,13 @@ def test_a_stalling_cable_stops_the_arm_without_a_jump(far: Far) -> None:
     for stall, part in parts.items():
         stops = int(np.count_nonzero(np.diff(part[:, 5]) > 0))
         refused = int(part[-1, 3] - part[0, 3])
-        say(
-            f"stall of {1e3 * stall:.0f} ms: {stops} stop(s), {refused} commands refused, largest "
-            f"step {1e6 * largest_step(part):.0f} um"
-        )
+        said = f"{stops} stop(s), {refused} refused, step {1e6 * largest_step(part):.0f} um"
         if stall >= 0.3:
             assert stops >= 1, "silence is F03"
             late = late_motion(part)
-            say(f"stall of {1e3 * stall:.0f} ms: {1e6 * late:.0f} um of late motion")
+            said += f", {1e6 * late:.0f} um of late motion"
             assert late < 1e-6, "what was sent before the stop moves nothing after it"
+        note(f"cable: stall of {1e3 * stall:.0f} ms", 1, said)
 
 
 def test_pulling_the_link_stops_the_arm_within_f03(far: Far) -> None:
@@ -399,15 +384,14 @@ def test_pulling_the_link_stops_the_arm_within_f03(far: Far) -> None:
     waited = pulled[last + 1 : noticed[0] + 1, 12]
     rest = pulled[pulled[:, 1] > pulled[noticed[0], 1] + 100]
     still = float(np.ptp(rest[:, 6:9], axis=0).max())
-    say(f"pulled: said {len(waited)} cycles, {1e3 * waited.sum():.0f} ms after the last command")
+    said = f"said {len(waited)} cycles, {1e3 * waited.sum():.0f} ms after the last command"
+    note(PULLED, 1, said)
     assert waited[:-1].sum() <= SILENCE + CYCLE_S, "at the first cycle beyond 0.1 s"
     assert waited.sum() >= SILENCE - CYCLE_S
     assert still < 1e-6, "the set-point stands"
     way, refused = float(np.ptp(mended[:, 6:9], axis=0).max()), mended[-1, 3] - pulled[-1, 3]
-    say(
-        f"mended after 1 s: {1e3 * way:.1f} mm of late motion, {refused:.0f} commands refused, "
-        f"largest step {1e6 * largest_step(mended):.0f} um"
-    )
+    said = f"{1e3 * way:.1f} mm of late motion, {refused:.0f} refused"
+    note(MENDED, 1, f"{said}, step {1e6 * largest_step(mended):.0f} um")
     assert way < 1e-6, "nothing that was sent into the dead cable is obeyed"
     assert refused > 10, "it was refused"
 

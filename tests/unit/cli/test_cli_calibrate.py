@@ -13,6 +13,7 @@ import pytest
 import surg_core
 import surg_core.calibration
 from surg_cli import __main__ as cli
+from surg_cli.commands import calibrate
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
 from surg_core import calibration
@@ -72,12 +73,17 @@ def inverse(arm: surg_core.Arm, X: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("poses", [False, True])
 def test_a_recording_becomes_the_cells_calibration(
-    cell: Path, tmp_path: Path, poses: bool, capsys: pytest.CaptureFixture[str]
+    cell: Path,
+    tmp_path: Path,
+    poses: bool,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(calibrate, "today", lambda: DATE)
     source = recording(tmp_path / "bench.csv", cell, poses=poses)
     tool_file = cell / "calibration" / "tool_PSM1.yaml"
     before = tool_file.read_text()
-    words = [str(cell), "tool", "--from", str(source), "--date", DATE]
+    words = [str(cell), "tool", "--from", str(source)]
     command = ["calibrate", *words]
     ready([*command, "--dry-run"])
     assert tool_file.read_text() == before
@@ -93,7 +99,7 @@ def test_a_recording_becomes_the_cells_calibration(
     assert 1 < tool.condition < 30
     assert (cell / "calibration" / "tool_PSM1.yaml.previous").read_text() == before
 
-    ready(["calibrate", str(cell), "trocar", "--from", str(source), "--date", DATE])
+    ready(["calibrate", str(cell), "trocar", "--from", str(source)])
     trocar = surg_core.load_cell(cell).arms["PSM1"].trocar
     arm = surg_core.load_cell(cell).arms["PSM1"]
     X0 = arm.chain.forward(arm.robot.home)
@@ -145,11 +151,13 @@ def test_a_bad_recording_is_refused_and_the_cell_stays(
     ("words", "said"),
     [
         (["tool"], "--from"),
-        (["tool", "--from", "x.csv", "--date", "today"], "--date today"),
+        (["tool", "--from", "x.csv", "y.csv"], "--from takes one"),
+        (["tool", "tip", "--from", "x.csv"], "takes no 'tip'"),
         (["tool", "--from", "/nowhere/x.csv"], "cannot be read"),
         (["tool", "--from", "x.csv", "--arm", "PSM9"], "the cell has PSM1"),
-        (["collect", "--motion", "tip"], "--to FILE and --motion WHAT"),
-        (["collect", "--motion", "tip", "--to", "/nowhere/x.csv"], "no folder"),
+        (["collect", "tip"], "--to FILE"),
+        (["collect", "--to", "x.csv"], "MOTION (tip, roll, "),
+        (["collect", "tip", "--to", "/nowhere/x.csv"], "no folder"),
     ],
 )
 def test_a_wrong_command_line_names_the_option(cell: Path, words: list[str], said: str) -> None:

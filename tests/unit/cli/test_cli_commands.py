@@ -21,6 +21,7 @@ from surg_cli.host import cells, option_types, paths, pytest_run
 from surg_cli.host.terminal import Problem, table
 
 MOST_FIRST_WORDS = 20
+MOST_OPTIONS = 140
 
 
 def plan(tmp_path: Path, **changes: object) -> Plan:
@@ -112,8 +113,25 @@ def test_an_old_command_answers_with_the_new_one(old: str, new: str) -> None:
     assert caught.value.code == 2
 
 
-def test_there_are_few_commands() -> None:
+def test_there_are_few_commands_and_options() -> None:
     assert len({name.split()[0] for name in command_table.COMMANDS}) <= MOST_FIRST_WORDS
+    names = {command: name for name, command in command_table.COMMANDS.items()}  # test: once
+    options = [f"{name} {o}" for name in names.values() for o in command_table.options_of(name)]
+    print(f"{len(options)} options")
+    assert len(options) <= MOST_OPTIONS
+
+
+@pytest.mark.parametrize(("name", "option"), moved.OPTIONS)
+def test_an_old_option_answers_with_the_new_one(name: str, option: str) -> None:
+    needed = {
+        "calibrate": ["sim_ur5e", "tool"],
+        "record": ["status"],
+        "robot": ["sim_ur5e", "lag"],
+        "ptp": ["slave"],
+    }
+    with pytest.raises(Problem, match=rf"^{name} has no option {option}; use .") as caught:
+        command_table.parse(name, [*needed.get(name, ["x"]), option, "1"])
+    assert caught.value.code == 2
 
 
 def test_nodes_of_a_lock_step_run(tmp_path: Path) -> None:
@@ -306,7 +324,7 @@ def test_tables_line_up() -> None:
     [
         (["--task", "bgr"], {"run"}),
         (["--full"], {"learn"}),
-        (["--setting", "phantom"], {"run", "learn", "teleop", "record", "check-frames"}),
+        (["--setting", "phantom"], {"run", "learn", "teleop", "check-frames"}),
         (["--rollouts=3"], {"learn"}),
         (["--scale", "2", "--episodes", "1"], {"run", "learn"}),
     ],

@@ -29,7 +29,7 @@ def played(monkeypatch: pytest.MonkeyPatch) -> list[Plan]:
     """Plans that would have been played."""
     plans: list[Plan] = []
 
-    def play(plan: Plan, duration_s: float, port: int | None, robots: object) -> list[str]:
+    def play(plan: Plan, duration_s: float, robots: object) -> list[str]:
         plans.append(plan)
         raise Problem("enough", 1)
 
@@ -43,7 +43,7 @@ def test_an_emulated_arm_is_played_in_real_time_without_the_simulator(
     name: str, surg: Surg, played: list[Plan], tmp_path: Path
 ) -> None:
     with pytest.raises(Problem, match="enough"):
-        surg("demo", "--cell", name, "--out", tmp_path / "run")
+        surg("demo", "--robot", name, "--out", tmp_path / "run")
     (plan,) = played
     assert plan.cell == cells.find(name) and plan.driven == ("PSM1",)
     assert not plan.simulates and not plan.lockstep and not plan.cameras
@@ -55,7 +55,7 @@ def test_a_cell_of_the_simulator_is_played_in_lock_step(
     surg: Surg, played: list[Plan], tmp_path: Path
 ) -> None:
     with pytest.raises(Problem, match="enough"):
-        surg("demo", "--cell", "sim_panda", "--no-video", "--out", tmp_path / "run")
+        surg("demo", "--robot", "sim_panda", "--no-video", "--out", tmp_path / "run")
     (plan,) = played
     assert plan.simulates and plan.lockstep and plan.driven == ()
 
@@ -126,11 +126,10 @@ def by_hand(folder: Path) -> Path:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--cell", "nothing"], "no cell 'nothing'"),
-        (["--cell", "sim_two_arms"], "has 2"),
-        (["--cell", real], "real arm at 192.168.56.2"),
-        (["--cell", by_hand], "started by hand"),
-        (["--cell", "emulated_ur5e", "--view"], "--view"),
+        (["--robot", "nothing"], "no cell 'nothing'"),
+        (["--robot", "sim_two_arms"], "has 2"),
+        (["--robot", real], "real arm at 192.168.56.2"),
+        (["--robot", by_hand], "started by hand"),
     ],
 )
 def test_what_it_does_not_play_is_refused_and_leaves_nothing(
@@ -147,12 +146,6 @@ def test_what_it_does_not_play_is_refused_and_leaves_nothing(
         surg("demo", *given, "--out", tmp_path / "run")
     assert refused.value.code == 2 and said in str(refused.value) and not played
     assert not (tmp_path / "run").exists()
-
-
-def test_a_robot_and_a_cell_are_one_too_many(surg: Surg) -> None:
-    with pytest.raises(SystemExit) as refused:
-        surg("demo", "--cell", "emulated_ur5e", "--robot", "panda")
-    assert refused.value.code == 2
 
 
 def test_an_arm_that_nothing_emulates_is_refused(tmp_path: Path) -> None:

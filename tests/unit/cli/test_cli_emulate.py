@@ -7,6 +7,7 @@ import pytest
 
 import surg_core
 from helpers.hardware.emulated_ur import free_address
+from surg_cli.commands.arms import emulate
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
 from surg_emulators import emulator_ports
@@ -20,19 +21,30 @@ def _without_priority(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(emulator_ports, "ask_real_time", lambda: False)
 
 
+@pytest.fixture
+def _briefly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It ends by itself."""
+    run = emulator_ports.PortedEmulator.run
+    monkeypatch.setattr(
+        emulator_ports.PortedEmulator, "run", lambda self, _, tell: run(self, 0.1, tell=tell)
+    )
+
+
 @pytest.mark.parametrize(
-    ("arm", "model", "port"),
+    ("robot", "model", "port"),
     [
-        ("ur", "UR5e", "rtde=30004"),
-        ("fer", "Franka Emika Robot (Panda)", "command=1337"),
+        ("ur5e", "UR5e", "rtde=30004"),
+        ("ur10e", "UR10e", "rtde=30004"),
+        ("panda", "Franka Emika Robot (Panda)", "command=1337"),
         ("fr3", "Franka Research 3", "command=1337"),
     ],
 )
-def test_it_runs_for_the_time_that_was_asked_for(
-    arm: str, model: str, port: str, surg: Callable[..., int], capsys: pytest.CaptureFixture[str]
+@pytest.mark.usefixtures("_briefly")
+def test_it_runs_and_tells_its_ports(
+    robot: str, model: str, port: str, surg: Callable[..., int], capsys: pytest.CaptureFixture[str]
 ) -> None:
     address = free_address()
-    assert surg("emulate", arm, "--address", address, "--seconds", "0.1") == 0
+    assert surg("emulate", robot, "--address", address) == 0
     said = capsys.readouterr().out
     assert f"Emulated {model}" in said
     assert address in said
@@ -40,35 +52,39 @@ def test_it_runs_for_the_time_that_was_asked_for(
 
 
 @pytest.mark.parametrize(
-    ("arm", "option", "value"),
+    "words",
     [
-        ("ur", "--address", "1.1.1.1"),
-        ("ur", "--ports", "rtde"),
-        ("ur", "--faults", "/no"),
-        ("fer", "--model", "UR10e"),
-        ("fr3", "--q", "0.5"),
+        ("ur5e", "--address", "1.1.1.1"),
+        ("ur5e", "--faults", "/no", "--address", free_address()),
+        ("fr3", "--arm", "PSM1"),
+        ("nothing",),
+        ("emulated_ur5e", "--address", "127.0.0.2"),
+        ("emulated_ur5e", "--arm", "PSM9"),
     ],
 )
-def test_wrong_options_end_with_2(
-    arm: str, option: str, value: str, surg: Callable[..., int]
-) -> None:
-    address = [] if option == "--address" else ["--address", free_address()]
+def test_wrong_options_end_with_2(words: tuple[str, ...], surg: Callable[..., int]) -> None:
     with pytest.raises(Problem) as problem:
-        surg("emulate", arm, option, value, *address)
+        surg("emulate", *words)
     assert problem.value.code == 2
-    assert option in str(problem.value) or value in str(problem.value)
+    assert any(word in str(problem.value) for word in words[1:] or words)
+
+
+@pytest.mark.parametrize(("old", "new"), [("ur", "ur5e"), ("fer", "panda")])
+def test_an_old_name_answers_with_the_new_one(old: str, new: str, surg: Callable[..., int]) -> None:
+    with pytest.raises(Problem, match=f"emulate {old} is now {new}") as problem:
+        surg("emulate", old)
+    assert problem.value.code == 2
 
 
 @pytest.mark.parametrize(
-    ("arm", "cell", "module"),
+    ("cell", "module"),
     [
-        ("ur", "emulated_ur5e", ur_emulator),
-        ("fer", "emulated_panda", franka_emulator),
-        ("fr3", "emulated_fr3", franka_emulator),
+        ("emulated_ur5e", ur_emulator),
+        ("emulated_panda", franka_emulator),
+        ("emulated_fr3", franka_emulator),
     ],
 )
 def test_it_is_the_arm_of_a_cell(
-    arm: str,
     cell: str,
     module: ModuleType,
     surg: Callable[..., int],
@@ -77,7 +93,7 @@ def test_it_is_the_arm_of_a_cell(
     asked = {}
     monkeypatch.setattr(module, "start", lambda *given: asked.update(vars(given[-1])) or 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        surg("emulate", arm, "--cell", cell)
+        surg("emulate", cell)
     wanted = surg_core.load_cell(paths.CELLS / cell).arms["PSM1"]
     assert (asked["address"], asked["serial"]) == (
         wanted.hardware.address,
@@ -87,13 +103,16 @@ def test_it_is_the_arm_of_a_cell(
     assert asked["q"] == pytest.approx(wanted.robot.home)
 
 
-def test_another_arm_than_the_cells_is_refused(surg: Callable[..., int]) -> None:
-    with pytest.raises(Problem, match=r"arms.PSM1.robot: 'ur5e'; allowed: panda") as problem:
-        surg("emulate", "fer", "--cell", "emulated_ur5e")
+def test_a_robot_without_an_emulator_is_refused(
+    surg: Callable[..., int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(emulate.ROBOTS, "ur5e")
+    with pytest.raises(Problem, match=r"arms.PSM1.robot: 'ur5e'; allowed: ur3e") as problem:
+        surg("emulate", "emulated_ur5e")
     assert problem.value.code == 2
 
 
 def test_a_simulators_cell_has_no_arm_to_emulate(surg: Callable[..., int]) -> None:
     with pytest.raises(Problem, match=r"arms.PSM1.hardware.address") as problem:
-        surg("emulate", "ur", "--cell", "sim_ur5e")
+        surg("emulate", "sim_ur5e")
     assert problem.value.code == 2

@@ -57,7 +57,7 @@ def test_a_source_replaces_the_simulators_endoscope(
 def test_no_video_starts_none_and_lock_step_refuses_a_real_one(
     cell: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = printed(capsys, str(cell), "--no-video", "--lock-step")
+    words = printed(capsys, str(cell), "--cameras", "none", "--lock-step")
     assert not any("__name:=endoscope" in line for line in words)
     with pytest.raises(Problem, match=r"endoscope\.source.*real time"):
         printed(capsys, str(cell), "--lock-step")

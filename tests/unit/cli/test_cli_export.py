@@ -33,7 +33,7 @@ def test_export_check_and_again(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "set"
-    words = ("--format", "act", "--out", out, "--executor", "serial")
+    words = ("--format", "act", "--out", out, "--workers", "1")
     assert surg_export(folder / "a", *words) == 0
     said = capsys.readouterr().out
     assert "1 recordings, " in said
@@ -62,21 +62,19 @@ def test_a_dry_run_names_features_and_writes_nothing(
 
 def test_shards_and_merge(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "set"
-    words = (folder / "a", "--format", "act", "--out", out, "--executor", "serial")
+    words = (folder / "a", "--format", "act", "--out", out, "--workers", "1")
     with pytest.raises(Problem, match=r"set\.parts"):
-        surg_export(*words, "--merge")
+        surg_export(*words, "--shard", "merge")
     assert surg_export(*words, "--shard", "0/1") == 0
     assert not out.exists()
-    assert surg_export(*words, "--merge") == 0
+    assert surg_export(*words, "--shard", "merge") == 0
     assert out.is_dir()
-    with pytest.raises(Problem, match="--merge"):
-        surg_export(*words, "--merge", "--shard", "0/1")
 
 
 def test_what_only_people_know(folder: Path, tmp_path: Path) -> None:
     about = tmp_path / "about.yaml"
     about.write_text("license: CC0\ncontact: us@example.org\n")
-    words = (folder / "a", "--out", tmp_path / "set", "--executor", "serial", "--about", about)
+    words = (folder / "a", "--out", tmp_path / "set", "--workers", "1", "--about", about)
     assert surg_export(*words) == 0
     assert "CC0" in (tmp_path / "set/meta/README.md").read_text()
     about.write_text("licence: CC0\n")
@@ -108,7 +106,13 @@ def test_wrong_input_is_named(
     assert caught.value.code == 2
 
 
-@pytest.mark.parametrize("word", ["--size=big", "--shard=4/4", "--shard=x", "--splits=train"])
+@pytest.mark.parametrize(
+    "word",
+    [
+        *("--size=big", "--shard=4/4", "--shard=x", "--splits=train", "--splits=sorted:train=1"),
+        *("--workers=0", "--workers=many"),
+    ],
+)
 def test_an_unreadable_value_names_its_option(
     word: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

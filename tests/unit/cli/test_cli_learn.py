@@ -23,7 +23,7 @@ from surg_cli.graph import learned_rollouts as rollouts
 from surg_cli.host import provision
 from surg_cli.host.terminal import Problem
 from surg_learn import learn_stages, recipes
-from surg_learn.terminal import LearnError
+from surg_learn.learn_terminal import LearnError
 
 ROS = {"rospy", "rosgraph", "genpy", "surg_ros", "surg_msgs", "crtk_msgs", "std_msgs"}
 TRAINED = {

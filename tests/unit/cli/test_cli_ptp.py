@@ -44,8 +44,8 @@ def refusal(*words: str) -> str:
 
 
 def test_without_root_the_whole_command_is_told(network: Path) -> None:
-    said = refusal("slave", "--interface", "enp1")
-    assert "sudo ./surg ptp slave --interface enp1" in said
+    said = refusal("slave", "enp1")
+    assert "sudo ./surg ptp slave enp1" in said
 
 
 def test_the_only_live_interface_is_taken(network: Path) -> None:
@@ -69,14 +69,14 @@ def test_several_live_interfaces_are_listed(network: Path) -> None:
     ],
 )
 def test_an_unusable_interface_is_refused(network: Path, name: str, words: str) -> None:
-    assert words in refusal("master", "--interface", name)
+    assert words in refusal("master", name)
 
 
 def test_a_missing_package_is_told_with_the_cure(
     network: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pmc, "program", lambda name: None)
-    assert "apt install linuxptp" in refusal("master", "--interface", "enp1")
+    assert "apt install linuxptp" in refusal("master", "enp1")
 
 
 def test_a_master_is_never_free_running(network: Path) -> None:

@@ -53,7 +53,8 @@ def test_recover_says_what_it_cannot_do_and_goes_on(
     [
         (["tag"], "record tag: TEXT is missing"),
         (["start", "now"], "takes no text"),
-        (["start", "--success"], "belong to record stop"),
+        (["start", "--outcome", "success"], "--outcome belongs to record stop"),
+        (["stop", "--info", "seed=3"], "--info belongs to record start"),
         (["status"], "no system of this checkout is running"),
     ],
 )

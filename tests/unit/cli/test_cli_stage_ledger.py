@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from surg_learn.learn_terminal import LearnError
 from surg_learn.stage_ledger import Ledger
-from surg_learn.terminal import LearnError
 
 
 class Work:

@@ -31,7 +31,7 @@ def options(*words: str) -> argparse.Namespace:
 
 
 def test_two_arms_have_a_task_that_does_not_end() -> None:
-    chosen = options("--stereo")
+    chosen = options("--cameras", "stereo")
     plan = teleop._plan(chosen)
     assert (plan.task, plan.setting, plan.cameras) == ("bgr", "phantom", ("left", "right"))
     nodes = {node.name: node for node in teleop._phantom(plan)}
@@ -64,7 +64,9 @@ def test_the_token_is_for_the_terminal_only(tmp_path: Path) -> None:
     token.write_text("0123456789abcdef\n")
     token.chmod(0o600)
     port = str(master.free_port())
-    params, fragment = teleop._web(options("--token-file", str(token), "--web-port", port))
+    params, fragment = teleop._web(
+        options("--token-file", str(token), "--bind", f"127.0.0.1:{port}")
+    )
     assert fragment == "#token=0123456789abcdef"
     assert (
         params["token_file"] == str(token)
@@ -73,7 +75,7 @@ def test_the_token_is_for_the_terminal_only(tmp_path: Path) -> None:
 
 
 def test_a_second_hand_holds_the_assistants_instrument() -> None:
-    chosen = options("--second-leader", "gamepad")
+    chosen = options("--leader", "browser", "--leader", "gamepad")
     hands, _ = teleop._operator_nodes(chosen, teleop._plan(chosen), {}, [])
     assert hands.params["second_leader"] == "gamepad"
     assert hands.params["second_arm"] == "assistant"
@@ -87,7 +89,7 @@ def test_a_second_hand_holds_the_assistants_instrument() -> None:
 
 def test_the_second_hand_moves_its_tip_as_the_picture_shows_it() -> None:
     """The simulator's instrument, the system of the command's parameters, a stick up for 1 s."""
-    chosen = options("--second-leader", "crtk")
+    chosen = options("--leader", "browser", "--leader", "crtk")
     hands, _ = teleop._operator_nodes(chosen, teleop._plan(chosen), {}, [])
     cell = surg_core.load_cell(paths.CELLS / "sim_two_arms")
     params = {**hands.params, "second_settings": {"name": "second"}, "second_mapping": "rate"}
@@ -115,7 +117,7 @@ def test_the_second_hand_moves_its_tip_as_the_picture_shows_it() -> None:
     "words", [("--task", "none"), ("--task", "endoscope_guidance"), ("sim_ur5e",)]
 )
 def test_a_second_hand_without_an_assistant_is_refused(words: tuple[str, ...]) -> None:
-    chosen = options(*words, "--second-leader", "gamepad")
+    chosen = options(*words, "--leader", "browser", "--leader", "gamepad")
     with pytest.raises(Problem, match="has no assistant's instrument for a second hand"):
         teleop._operator_nodes(chosen, teleop._plan(chosen), {}, [])
 
@@ -138,5 +140,30 @@ def test_unusable_options_are_refused() -> None:
         teleop._plan(options("--setting", "lunar"))
     with pytest.raises(Problem, match="TLS"):
         teleop._web(options("--bind", "0.0.0.0"))
-    with pytest.raises(Problem, match="belong together"):
-        teleop._web(options("--cert", "/nowhere.pem"))
+    with pytest.raises(Problem, match=r"certificate /nowhere\.pem: no such file"):
+        teleop._web(options("--tls", "/nowhere.pem", "/nowhere.key"))
+    chosen = options("--leader", "browser", "--leader", "crtk", "--leader", "gamepad")
+    with pytest.raises(Problem, match="--leader gamepad: two leaders at most"):
+        teleop._operator_nodes(chosen, teleop._plan(chosen), {}, [])
+
+
+@pytest.mark.parametrize(
+    ("text", "bind"),
+    [
+        ("10.0.0.1", ("10.0.0.1", None)),
+        ("127.0.0.1:8443", ("127.0.0.1", 8443)),
+        ("[::1]:8443", ("::1", 8443)),
+        ("[::1]", ("::1", None)),
+    ],
+)
+def test_the_page_is_bound_to_an_address_and_a_port(text: str, bind: tuple[str, int]) -> None:
+    assert options("--bind", text).bind == bind
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("--bind", ":80"), ("--bind", "a:b"), ("--bind", "::1:9000"), ("--cameras", "none,left")],
+)
+def test_unreadable_values_are_refused(words: tuple[str, ...]) -> None:
+    with pytest.raises(SystemExit):
+        options(*words)

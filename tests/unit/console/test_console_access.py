@@ -34,8 +34,8 @@ def test_off_loopback_needs_tls_and_token(bind: str, tmp_path: Path) -> None:
     pem.write_text("x")
     token = "0123456789abcdef"
     for how, missing in (
-        ({}, "--cert and --key and --token-file is missing"),
-        ({"token": token}, "--cert and --key is missing"),
+        ({}, "--tls CERT KEY and --token-file is missing"),
+        ({"token": token}, "--tls CERT KEY is missing"),
         ({"certificate": pem, "key": pem}, "--token-file is missing"),
     ):
         with pytest.raises(access.AccessError, match="needs TLS and a token") as caught:

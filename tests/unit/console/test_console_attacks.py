@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import time
 from collections.abc import Coroutine
+from types import SimpleNamespace
 from typing import Any
 
 import aiohttp
@@ -15,15 +16,8 @@ from helpers.teleop.console import Console, console
 from helpers.teleop.console_attack import attack
 from helpers.teleop.console_page import page, when
 from surg_console.session.console_orders import Present
-from surg_console.web.connection_limits import (
-    HEADER_WAIT,
-    MAX_OPEN,
-    MAX_PER_ADDRESS,
-    Connections,
-    Pace,
-    Stage,
-)
-from surg_console.web.web_server import MAX_PAGES
+from surg_console.web.admission import MAX_PAGES
+from surg_console.web.connection_cap import HEADER_WAIT, MAX_OPEN, ConnectionCap
 
 pytestmark = pytest.mark.timed
 
@@ -114,12 +108,15 @@ def test_the_driving_page_is_held_at_most_once() -> None:
 def test_half_open_requests_are_closed_in_time() -> None:
     async def test() -> None:
         async with console(pictures=False) as made:
-            open_ones = [await asyncio.open_connection("127.0.0.1", made.port) for _ in range(300)]
+            count = MAX_OPEN + 50
+            open_ones = [
+                await asyncio.open_connection("127.0.0.1", made.port) for _ in range(count)
+            ]
             for _, writer in open_ones:
                 writer.write(b"GET / HTTP/1.1\r\n")
             await asyncio.sleep(0.3)
             ended = [reader for reader, _ in open_ones if reader.at_eof() or reader.exception()]
-            assert 300 - len(ended) <= MAX_PER_ADDRESS
+            assert count - len(ended) <= MAX_OPEN
 
             def all_ended() -> bool:
                 return all(reader.at_eof() or reader.exception() for reader, _ in open_ones)
@@ -131,53 +128,55 @@ def test_half_open_requests_are_closed_in_time() -> None:
     run(test())
 
 
-def test_an_address_at_its_limit_displaces_only_its_own() -> None:
-    connections = Connections()
-    quiet = connections.enter("10.0.0.1", 0.0)[0]
-    for count in range(2 * MAX_PER_ADDRESS):
-        entry, evicted = connections.enter("10.0.0.2", 1.0 + count)
-        assert entry is not None and quiet not in evicted
-    assert len(connections) == MAX_PER_ADDRESS + 1
+class Transport(asyncio.Transport):
+    """A connection's transport that remembers that it was cut."""
+
+    cut = False
+
+    def abort(self) -> None:
+        self.cut = True
+
+    def is_closing(self) -> bool:
+        return self.cut
 
 
-def test_at_the_limit_in_all_the_busiest_address_gives_way() -> None:
-    connections = Connections()
-    for count in range(MAX_PER_ADDRESS):
-        connections.enter("10.0.0.1", float(count))
-    for count in range(MAX_OPEN):
-        entry, _ = connections.enter(f"10.1.{count // 200}.{count % 200}", 200.0)
-        assert entry is not None
-    assert len(connections) == MAX_OPEN
+class Connection:
+    """A connection of `Requests`."""
+
+    def __init__(self) -> None:
+        self.transport = Transport()
 
 
-def test_a_request_in_service_is_not_displaced() -> None:
-    connections = Connections()
-    served = []
-    for _ in range(MAX_PER_ADDRESS):
-        entry, _ = connections.enter("10.0.0.1", 0.0)
-        assert entry is not None
-        connections.set_stage(entry, Stage.SERVING, 0.0)
-        served.append(entry)
-    assert connections.enter("10.0.0.1", 1.0) == (None, [])
-    connections.set_stage(served[7], Stage.IDLE, 1.0)
-    assert connections.enter("10.0.0.1", 2.0)[1] == [served[7]]
+class Requests:
+    """What the cap needs of a web server: its connections, the oldest first."""
+
+    def __init__(self) -> None:
+        self.connections: list[Any] = []
+
+    def __call__(self) -> Connection:
+        self.connections.append(Connection())
+        return self.connections[-1]
 
 
-def test_a_page_leaves_the_count_and_is_never_overdue() -> None:
-    connections = Connections()
-    entry, _ = connections.enter("10.0.0.1", 0.0)
-    other, _ = connections.enter("10.0.0.1", 0.0)
-    assert entry is not None
-    connections.remove(entry)
-    assert connections.overdue(1e9) == [other]
+def test_at_the_cap_who_sent_nothing_gives_way_then_the_oldest_and_never_a_page() -> None:
+    async def test() -> None:
+        server = Requests()
+        cap = ConnectionCap(server)  # type: ignore[arg-type]
+        page: Any = cap()
+        cap.keep(SimpleNamespace(protocol=page))  # type: ignore[arg-type]
+        others: list[Any] = [cap() for _ in range(MAX_OPEN)]
+        made = [page, *others]
+        for each in (page, *others[:3], *others[4:]):
+            cap.hear(SimpleNamespace(protocol=each))  # type: ignore[arg-type]
+        newcomers = [cap()]
+        assert [each for each in made if each.transport.cut] == [others[3]]
+        cap.hear(SimpleNamespace(protocol=newcomers[0]))  # type: ignore[arg-type]
+        cap()
+        assert [each for each in made if each.transport.cut] == [others[0], others[3]]
+        await asyncio.sleep(HEADER_WAIT + 0.2)
+        assert not page.transport.cut and not newcomers[0].transport.cut
 
-
-def test_the_pace_lets_a_burst_pass_and_then_its_rate() -> None:
-    pace = Pace(rate=100.0, burst=10)
-    waits = [pace.wait(0.0) for _ in range(30)]
-    assert waits[:10] == [0.0] * 10
-    assert waits[29] == pytest.approx(0.2)
-    assert pace.wait(1.0) == 0.0
+    run(test())
 
 
 def test_every_connection_of_a_burst_is_served() -> None:

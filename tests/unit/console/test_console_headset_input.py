@@ -14,8 +14,8 @@ from helpers.teleop.console import Console, console
 from helpers.teleop.console_page import Page, page, when
 from surg_console.session.console_orders import Move, Present
 from surg_console.session.console_session import Phase
+from surg_console.web.control_socket import MAX_ERRORS
 from surg_console.web.page_connection import MESSAGE_BURST
-from surg_console.web.web_server import MAX_ERRORS
 
 STRAIGHT = [0.0, 0.0, 0.0, 1.0]
 

@@ -22,9 +22,12 @@ from surg_cli.graph import master
 from surg_console.session.console_orders import Follow, Move, Present, Record, StateCommand
 from surg_console.session.system_state import Calibration
 from surg_console.web import picture_packet
+from surg_console.web.admission import CLOSE_HELLO
+from surg_console.web.beside_socket import PERIODS
+from surg_console.web.control_socket import MAX_ERRORS
 from surg_console.web.page_connection import MESSAGE_BURST, MessageBudget
-from surg_console.web.web_server import CLOSE_HELLO, MAX_ERRORS, SOCKETS
 
+SOCKETS = ("/control", "/status", "/pictures", "/calibration", *(f"/{what}" for what in PERIODS))
 TOKEN = "0123456789abcdef0123"
 
 
@@ -255,7 +258,7 @@ def test_pictures_come_and_the_newest_wins() -> None:
                 stamps = [packet.exposed_us for packet in packets]
                 assert stamps == sorted(stamps)
             # A page that no longer draws is not sent more and more.
-            (viewer,) = made.server._viewers
+            (viewer,) = made.server._pictures._viewers
             await when(lambda: viewer.queue.dropped >= 3, "pictures that are not sent")
             await socket.close()
             await when(lambda: not made.camera.wanted, "nobody watches")
@@ -318,7 +321,7 @@ class Stuck:
 def test_a_console_that_ends_enables_nothing_and_waits_for_no_stuck_page() -> None:
     async def test() -> None:
         async with console(pictures=False) as made, aiohttp.ClientSession() as http:
-            made.server._sockets.add(Stuck())  # type: ignore[arg-type]
+            made.server._admission._sockets.add(Stuck())  # type: ignore[arg-type]
             made.stop.set()
             await when(lambda: made.system.given(Follow), "the end")
             root = f"localhost:{made.port}"

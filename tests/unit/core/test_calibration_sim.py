@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -10,39 +9,30 @@ import pytest
 
 import surg_core
 from helpers.control.miscalibration import run, taught_at_home, tool_of, wrong_tool
+from helpers.results.results_page import ResultsPage
 from surg_cli.host import paths
 from surg_core import calibration
 from surg_sim.physics.calibration_bench import Bench
 from surg_sim.physics.trocar import shaft_in_flange
 
-HEADER = """# Calibration: kinematic and true RCM deviation
+HEAD = """# Calibration: kinematic and true RCM deviation
 
-Written by `./surg test --full` (`tests/unit/core/test_calibration_sim.py`): figures of simulation,
-seeded. A Lissajous motion of the tip (±35 / ±35 / ±25 mm at 0.2 / 0.15 / 0.1 Hz, roll ±1.2 rad) in
-MuJoCo. *Kinematic*: what the controller computes with its own calibration. *True*: distance of the
-undisturbed trocar point to the simulated shaft. "Max" is over all runs.
-
-The error that is injected: tip 1 mm aside, shaft axis 0.5°, in a random direction in which the two
-add up at the trocar, and the trocar point taught at one pose with this tool. The routine: 12 poses
-each of pivoting the tip in a divot, rolling the shaft in a guide, and the shaft tilted in the
-trocar, by unsteady hands (play 0.05 mm, 1 mrad, 0.1 mm, one sigma per axis), read from the
-simulated arm's joint states (2e-5 rad of noise, steps of 1e-5 rad) and solved by
-`surg_core.calibration`.
-
-| robot | calibration | runs | kinematic mean / max, mm | true mean / max, mm | tip, mm | axis, ° |
-|---|---|---|---|---|---|---|
+Written by `./surg test --full tests/unit/core/test_calibration_sim.py`: simulation, seeded. A
+Lissajous motion of the tip. *Kinematic*: what the controller computes with its own calibration.
+*True*: of the undisturbed trocar point to the simulated shaft. The routine: 12 poses each of
+pivoting, rolling and tilting by unsteady hands (0.05 mm, 1 mrad, 0.1 mm, one sigma per axis).
 """
-_rows: dict[str, list[str]] = {}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def results() -> object:
-    """Writes the table when the module has run in full mode."""
-    yield
-    folder = os.environ.get("SURG_RESULTS_DIR", "")
-    if folder and len(_rows) == 2:
-        text = HEADER + "\n".join(line for name in sorted(_rows) for line in _rows[name]) + "\n"
-        Path(folder, "calibration.md").write_text(text, encoding="utf-8")
+WRONG, AFTER = "1 mm, 0.5° wrong", "after the routine"
+PAGE = ResultsPage(
+    "calibration.md",
+    HEAD,
+    [f"{robot}, {what}" for robot in ("panda", "ur5e") for what in ("exact", WRONG, AFTER)],
+    keep=True,
+    columns=(
+        *("robot, calibration", "n", "kinematic mean / max [mm]", "true mean / max [mm]"),
+        *("tip [mm]", "axis [°]"),
+    ),
+)
 
 
 def errors(arm: surg_core.Arm, tool: surg_core.ToolCalibration) -> tuple[float, float]:
@@ -66,7 +56,7 @@ def test_the_routine_brings_the_true_deviation_below_300_um(
     for seed in range(runs):
         wrong = wrong_tool(arm, np.random.default_rng(1000 + seed))
         deviation = run(cell, wrong, taught_at_home(arm, wrong), seconds)
-        found.setdefault("1 mm, 0.5° wrong", []).append((wrong, deviation))
+        found.setdefault(WRONG, []).append((wrong, deviation))
 
         recording_file = tmp_path / f"{seed}.csv"
         Bench(cell, seed).record(recording_file, ("tip", "roll", "trocar"))
@@ -74,26 +64,21 @@ def test_the_routine_brings_the_true_deviation_below_300_um(
         tool = calibration.solve_tool(recording, "2026-11-21").tool
         trocar = calibration.solve_trocar(recording, tool, "2026-11-21").trocar
         deviation = run(cell, tool, trocar.p_BRcm, seconds)
-        found.setdefault("after the routine", []).append((tool, deviation))
-    lines = []
+        found.setdefault(AFTER, []).append((tool, deviation))
     figures = {}
     for what, members in found.items():
         kinematic = np.concatenate([d.kinematic for _, d in members]) * 1e3
         true = np.concatenate([d.true for _, d in members]) * 1e3
         tip, axis = np.max([errors(arm, tool) for tool, _ in members], axis=0)
         figures[what] = (kinematic, true)
-        lines.append(
-            f"| {arm.robot.name} | {what} | {len(members)} | {kinematic.mean():.3f} / "
-            f"{kinematic.max():.3f} | {true.mean():.3f} / {true.max():.3f} | {tip:.3f} | "
-            f"{axis:.3f} |"
-        )
-    print("\n".join(lines))
-    _rows[name] = lines
-    kinematic, true = figures["1 mm, 0.5° wrong"]
+        said = f"{kinematic.mean():.3f} / {kinematic.max():.3f} | {true.mean():.3f} / "
+        said += f"{true.max():.3f} | {tip:.3f} | {axis:.3f}"
+        PAGE.note(f"{arm.robot.name}, {what}", len(members), said)
+    kinematic, true = figures[WRONG]
     assert kinematic.max() < 0.1, "the controller sees nothing of it"
     assert true.max() > 10 * kinematic.max()
     assert true.max() > 1.5
-    kinematic, true = figures["after the routine"]
+    kinematic, true = figures[AFTER]
     assert true.max() < 0.3
     assert figures["exact"][1].max() < 0.1
 

@@ -27,9 +27,9 @@ from surg_core.held_endoscope import held_endoscope
 from surg_core.transforms import inverse_pose, make_pose
 from surg_recording import datasets
 from surg_recording.calibration import calibration_record
-from surg_recording.datasets import tip_in_video
 from surg_recording.episode import episode_reader
 from surg_recording.recording_errors import EpisodeError
+from surg_recording.video import tip_in_video
 
 ARM, SCOPE = "PSM1", "ECM"
 FILES = ("endoscope_left", "endoscope_right", "endoscope_stereo", "camera_ECM", "base_ECM")

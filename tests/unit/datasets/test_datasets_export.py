@@ -73,7 +73,7 @@ def test_every_frame_is_in_its_place(
     # The order of the dataset: successes, then recovery, then failure.
     wrong, total = dataset_readers.misplaced(tmp_path / "out", format_name, [1, 1, 1, 2])
     assert (wrong, total) == (0, 2 * report.frames)
-    note(f"pictures in their place: {format_name}", total, "all right")
+    note("pictures in their place, five formats", total, "all right")
     assert report.frames > 4 * 10
     what, numbers = Synthetic(seconds=SECONDS), []
     for frame in dataset_readers.frames(tmp_path / "out", format_name):

@@ -2,7 +2,7 @@
 
 Opt-in: `./surg test --tier oracle`. Each version has an environment of its own, made on first use
 (needs the internet): 1.6 GB each, some minutes. With `--full` what they found is written to
-docs/results/readers.md.
+docs/results/datasets.md.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from helpers.recording import datasets_synthetic, felt_forces
 from helpers.recording.datasets_synthetic import FRAME_NS, PHASES, STAGES
 from helpers.recording.oracle_reading import run
 from helpers.recording.recording_synthetic import TICK_NS, Synthetic
-from helpers.results.dataset_results import READERS
+from helpers.results.dataset_results import note
 from surg_recording import datasets
 from surg_recording.datasets import ExportOptions
 
@@ -80,9 +80,8 @@ def test_lerobot_gives_every_frame_right(
         assert frame["force"] == pytest.approx(felt_forces.expected(frame["grid_ns"]), abs=1e-6)
     assert {frame["force"][3] for frame in frames} == {0.0, 1.0}, "the tip's sensor was silent"
     assert set(STAGES.values()) <= {frame["stage"] for frame in frames}
-    READERS.note(
-        f"lerobot {version}", len(frames), f"{2 * len(frames)} pictures, 0 misplaced; forces right"
-    )
+    said = f"{2 * len(frames)} pictures, 0 misplaced; forces right"
+    note(f"reader lerobot {version}", len(frames), said)
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -99,7 +98,7 @@ def test_lerobot_sees_that_pictures_are_late(
     _, frames = read(version, tmp_path / "set", tmp_path)
     assert misplaced(frames) == 2 * len(frames) > 0
     told = f"{2 * len(frames)} of {2 * len(frames)} pictures misplaced"
-    READERS.note(f"lerobot {version}, all pictures stamped a frame late", len(frames), told)
+    note(f"reader lerobot {version}, late", len(frames), told)
 
 
 # --- robomimic ------------------------------------------------------------------------------------
@@ -157,7 +156,7 @@ def test_robomimic_gives_every_frame_right(recordings: list[Path], tmp_path: Pat
     assert len(grids) == len(found), "every frame begins one sequence"
     told = f"sequences of {LENGTH} frames with the next ones, {pictures} pictures, 0 misplaced"
     told += "; forces right"
-    READERS.note("robomimic 0.3.0", len(found), told)
+    note("reader robomimic 0.3.0", len(found), told)
 
 
 def test_robomimic_sees_that_pictures_are_late(recordings: list[Path], tmp_path: Path) -> None:
@@ -169,4 +168,4 @@ def test_robomimic_sees_that_pictures_are_late(recordings: list[Path], tmp_path:
     wrong = sum(wrong_in(sequence, "obs", 0) for sequence in found)
     assert wrong == 2 * LENGTH * len(found) > 0
     told = f"{wrong} of {wrong} pictures misplaced"
-    READERS.note("robomimic 0.3.0, all pictures stamped a frame late", len(found), told)
+    note("reader robomimic 0.3.0, late", len(found), told)

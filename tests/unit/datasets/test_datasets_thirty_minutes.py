@@ -23,7 +23,7 @@ from helpers.recording.datasets_synthetic import FRAME_NS
 from helpers.recording.oracle_reading import run
 from helpers.recording.picture_identity import COLUMNS, ROWS, Identity
 from helpers.recording.recording_synthetic import Synthetic
-from helpers.results.dataset_results import LONG
+from helpers.results import dataset_results
 from surg_recording import datasets
 from surg_recording.datasets import ExportOptions
 
@@ -42,7 +42,7 @@ def note(row: str, cases: int, told: str) -> None:
     """Print a figure; one of a whole episode is for the page."""
     print(f"{row}: {cases}: {told}")
     if MINUTES >= 30:
-        LONG.note(row, cases, told)
+        dataset_results.note(f"30 minutes: {row}", cases, told)
 
 
 @functools.cache

@@ -87,7 +87,7 @@ def test_the_command_on_a_recording(
     errors = np.concatenate(away)
     median, p90 = np.percentile(errors, [50, 90])
     PAGE.note(
-        f"`./surg episode depth` on a recording with crf {crf}",
+        f"`./surg episode depth`, crf {crf}",
         len(moving),
         f"median {1e3 * median:.2f} mm, p90 {1e3 * p90:.2f} mm, over 3 mm "
         f"{100 * np.mean(errors > 0.003):.0f} %",

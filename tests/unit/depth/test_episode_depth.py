@@ -148,7 +148,7 @@ def test_a_recording_of_one_eye_is_refused(
     error = refused(surg, copied(recorded, tmp_path, videos=kept))
     for eye in EYES:
         assert (f"no video {eye}" in error or f"no {eye}" in error) == (eye not in there), error
-    assert "--stereo" in error
+    assert "--cameras stereo" in error
 
 
 def test_eyes_without_a_stamp_in_common_are_refused(
@@ -184,10 +184,10 @@ def test_a_broken_video_is_refused(
     [
         (("--method", "census"), "there is no such stereo method"),
         (("--method", "none.onnx"), "none.onnx: there is no such file"),
-        (("--near", "0.2", "--far", "0.1"), "0.005 <= near < far <= 10"),
+        (("--range", "0.2", "0.1"), "0.005 <= near < far <= 10"),
         (("--size", "640"), "allowed: such as 640x480"),
         (("--every", "0"), "allowed: a whole number from 1"),
-        (("--near", "nan"), "a positive number"),
+        (("--range", "nan", "0.1"), "a positive number"),
     ],
 )
 def test_an_option_that_is_none_is_refused(

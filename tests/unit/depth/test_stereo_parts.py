@@ -145,10 +145,10 @@ def printed(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
 
 
 def test_up_starts_the_node_when_asked(capsys: pytest.CaptureFixture[str]) -> None:
-    assert printed(capsys, "sim_two_arms", "--stereo") == []
-    (line,) = printed(capsys, "sim_two_arms", "--depth")
+    assert printed(capsys, "sim_two_arms", "--cameras", "stereo") == []
+    (line,) = printed(capsys, "sim_two_arms", "--cameras", "depth")
     assert "_depth:=true" in line and "_marks:=false" in line and "_cell" not in line
-    (line,) = printed(capsys, "sim_two_arms", "--marks")
+    (line,) = printed(capsys, "sim_two_arms", "--cameras", "marks")
     assert "_depth:=false" in line and "_marks:=true" in line and "sim_two_arms" in line
 
 
@@ -159,23 +159,23 @@ def test_teleop_has_the_options_of_up(monkeypatch: pytest.MonkeyPatch) -> None:
         return parser.parse_args(["sim_two_arms", "--task", "none", *words])
 
     assert teleop._plan(options()).eyes is None
-    plan = teleop._plan(options("--marks"))
+    plan = teleop._plan(options("--cameras", "marks"))
     assert plan.cameras == ("left", "right") and plan.eyes is not None
     assert plan.eyes["marks"] is True and plan.eyes["depth"] is False
     # Beside a system that runs there is nobody to start the node in.
     there = running.System(11311, 1, 1, "up", str(paths.CELLS / "sim_two_arms"), "")
     monkeypatch.setattr(running, "systems", lambda: [there])
-    with pytest.raises(Problem, match=r"start that system with it: ./surg up CELL --depth"):
-        teleop.main(options("--depth"), "teleop")
+    with pytest.raises(Problem, match=r"start that system with it: ./surg up CELL --cameras depth"):
+        teleop.main(options("--cameras", "depth"), "teleop")
 
 
 def test_up_refuses_depth_without_two_eyes(tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(Problem, match="--depth: there are no pictures"):
-        printed(capsys, "sim_two_arms", "--depth", "--no-video")
+    with pytest.raises(Problem, match="--cameras depth: there are no pictures"):
+        printed(capsys, "emulated_ur5e", "--cameras", "depth")
     cell = copied_cell(tmp_path, "sim_ur5e")
     text = (cell / "cell.yaml").read_text()
     (cell / "cell.yaml").write_text(
         text + "endoscope: {source: 'v4l2:/dev/video0', layout: mono}\n"
     )
-    with pytest.raises(Problem, match="--marks: the endoscope has one eye"):
-        printed(capsys, str(cell), "--marks")
+    with pytest.raises(Problem, match="--cameras marks: the endoscope has one eye"):
+        printed(capsys, str(cell), "--cameras", "marks")

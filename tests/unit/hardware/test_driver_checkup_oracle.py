@@ -1,4 +1,4 @@
-"""`./surg dev doctor --robot` on emulated Franka arms with things wrong, by the makers' libraries.
+"""`./surg robot CELL doctor` on emulated Franka arms with things wrong, by the makers' libraries.
 
 The doctor starts the arm's own driver, which moves nothing.
 """

@@ -51,14 +51,14 @@ def test_the_chain_of_one_eye(
     calibration = cell / "calibration"
     with pytest.raises(Problem, match="both eyes: 0"):
         surg("calibrate", cell, "stereo", "--from", of["lenses"])
-    assert surg("calibrate", cell, "camera", "--from", of["lenses"], "--keep") == 0
+    assert surg("calibrate", cell, "camera", "--from", of["lenses"]) == 0
     lens = LensModel.of(load_lens(calibration / "endoscope_left.yaml"))
     pixels = np.array([[40.0, 40.0], [320.0, 240.0], [600.0, 440.0]])
     eye = chain.bench.eyes[0]
     true = chain.bench.lenses[0].rays(pixels, eye.f, *chain.bench.size)
     off = np.abs(lens.rays(pixels)[:, :2] - true).max() * eye.f
     words = ["calibrate", cell, "handeye", "--from", of["scope"]]
-    assert surg(*words, "--also", "easy_handeye", "--keep") == 0
+    assert surg(*words, "--also", "easy_handeye") == 0
     assert "lens     its part of that error: " in capsys.readouterr().out
     camera = load_camera(calibration / "camera_ECM.yaml")
     assert camera.right_sha256 == "none"
@@ -73,10 +73,6 @@ def test_the_chain_of_one_eye(
     )
     assert off < 1.0 and shift <= 0.6 and turn <= 0.2 and stated <= 2.0
     exported(calibration, camera.X_FV)
-    for step_name in ("camera", "handeye"):
-        kept = calibration / "views" / step_name
-        assert sorted(p.name for p in kept.iterdir()) == ["000_left.png", "board.yaml", "views.csv"]
-        assert (calibration / "views" / f"{step_name}.html").is_file()
 
 
 def exported(calibration: Path, X_FV: np.ndarray) -> None:
@@ -108,29 +104,12 @@ def test_one_eye_does_not_replace_two(surg: Callable[..., int], tmp_path: Path) 
     assert (cell / "calibration" / "endoscope_left.yaml").read_text() == before
 
 
-def test_kept_views_leave_the_earlier_ones_beside(tmp_path: Path) -> None:
-    from surg_perception.output.kept_views import keep_views
-
-    source, calibration = tmp_path / "views", tmp_path / "calibration"
-    source.mkdir(), calibration.mkdir()
-    (source / "views.csv").write_text("one")
-    (source / "notes.txt").write_text("not a view")
-    kept = keep_views(calibration, "stereo", source)
-    assert [p.name for p in kept.iterdir()] == ["views.csv"]
-    (source / "views.csv").write_text("two")
-    assert keep_views(calibration, "stereo", source) == kept
-    assert (kept / "views.csv").read_text() == "two"
-    assert (calibration / "views" / "stereo.previous" / "views.csv").read_text() == "one"
-    assert keep_views(calibration, "stereo", kept) == kept  # solved again from what was kept
-    assert (kept / "views.csv").read_text() == "two"
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (["stereo", "--from", "views", "--also", "easy_handeye"], "goes with handeye"),
         (["camera"], "--from FOLDER"),
-        (["stereo", "--live", "--keep"], "--keep and --also go with --from"),
+        (["handeye", "--live", "--also", "easy_handeye"], "--also goes with --from"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(

@@ -191,5 +191,5 @@ def test_surg_keys_makes_them_once(
     with pytest.raises(Problem, match="nothing is overwritten") as caught:
         surg("policy", "keys", "--out", folder)
     assert caught.value.code == 2
-    assert surg("policy", "keys", "--out", folder, "--policy", "laboratory") == 0
+    assert surg("policy", "keys", "laboratory", "--out", folder) == 0
     assert sorted(server_keys(folder).clients) == ["laboratory", "policy"]

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import hashlib
-import http.client
 import json
 import shutil
-import socket
-import threading
-import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +16,13 @@ import pytest
 from helpers.recording import datasets_synthetic
 from helpers.recording.recording_synthetic import TICK_NS
 from helpers.recording.restated import edit_field
+from surg_console.labelling.label_pages import LabelPages
 from surg_recording import datasets
 from surg_recording.clock import sync_report
 from surg_recording.datasets import ExportError, ExportOptions
 from surg_recording.episode import amendments, episode_reader, labels, selection
 from surg_recording.episode.selection import Selection, SelectionError
 from surg_recording.episode.verdicts import verdict
-from surg_recording.labelling import label_server
-from surg_recording.labelling.label_pages import LabelPages
-from surg_recording.labelling.label_server import LabelServer
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.reports import evaluation
 
@@ -236,97 +228,3 @@ def test_an_evaluation_takes_what_fits(recorded: Path, tmp_path: Path) -> None:
     chosen = Selection("seed == 2")
     entries, left_out = evaluation.measure_all(folders, None, False, lambda *_: None, chosen)
     assert [entry["folder"] for entry in entries] == [str(other)] and not left_out
-
-
-# --- the server -----------------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def serving(*folders: Path) -> Iterator[LabelServer]:
-    with LabelServer(LabelPages(folders, "A")) as server:
-        thread = threading.Thread(target=server.serve_forever, args=(0.02,))
-        thread.start()
-        try:
-            yield server
-        finally:
-            server.shutdown()
-            thread.join()
-
-
-def ask(server: LabelServer, method: str, path: str, body: Any = None, **headers: str) -> Any:
-    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=20)
-    host = f"127.0.0.1:{server.server_port}"
-    data = None if body is None else json.dumps(body)
-    mine = {"Origin": f"http://{host}", "Content-Type": "application/json"} if body else {}
-    connection.request(method, path, data, {**mine, **headers})
-    answer = connection.getresponse()
-    return answer.status, answer.read().decode(), dict(answer.headers)
-
-
-@pytest.mark.parametrize(
-    ("places", "names"),
-    [
-        (["a/episodes/000/episode", "a/episodes/001/episode"], ["000", "001"]),
-        (
-            ["a/episodes/000/episode", "b/episodes/000/episode"],
-            ["a/episodes/000", "b/episodes/000"],
-        ),
-        (["mine/x"], ["x"]),
-        (["mine/episode"], ["mine"]),
-    ],
-)
-def test_a_page_names_its_episode_by_what_tells_it_apart(
-    tmp_path: Path, places: list[str], names: list[str]
-) -> None:
-    pages = LabelPages([tmp_path / place for place in places], "A")
-    shown = [json.loads(pages._given(number))["place"] for number in range(1, len(places) + 1)]
-    count = len(places)
-    assert shown == [f"{n} of {count} · {name}" for n, name in enumerate(names, 1)]
-
-
-def test_the_server_serves_its_own_page_only(folder: Path) -> None:
-    with serving(folder) as server:
-        assert server.server_address[0] == "127.0.0.1"
-        status, page, headers = ask(server, "GET", "/episode/1")
-        assert status == 200 and "frame-ancestors 'none'" in headers["Content-Security-Policy"]
-        assert '"names": ["reach", "follow"]' in page
-        assert ask(server, "GET", "/episode/1", Host="evil.example")[0] == 421
-        assert ask(server, "GET", "/episode/2")[0] == ask(server, "GET", "/../etc/passwd")[0] == 404
-        foreign = {"Origin": "http://evil.example"}
-        assert ask(server, "POST", "/episode/1", GIVEN, **foreign)[0] == 403
-        assert ask(server, "POST", "/episode/1", GIVEN, **{"Content-Type": "text/plain"})[0] == 415
-        assert ask(server, "POST", "/episode/1", GIVEN, **{"Content-Length": "999999999"})[0] == 413
-        status, said, _ = ask(server, "POST", "/episode/1", {"success": 3})
-        assert status == 400 and "success" in said
-        assert not (folder / labels.LABELS).exists()
-        status, badge, _ = ask(server, "POST", "/episode/1", GIVEN)
-        assert status == 200 and json.loads(badge)[1].startswith("failure")
-    assert episode_reader.read(folder).manifest["labels"]["note"] == "slipped"
-
-
-def test_half_open_connections_do_not_lock_a_page_out(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(label_server, "HEADER_WAIT", 0.2)
-    with serving(folder) as server:
-        open_ones = [socket.create_connection(("127.0.0.1", server.server_port)) for _ in range(60)]
-        for connection in open_ones:
-            connection.sendall(b"GET / HT")
-        begun = time.monotonic()
-        while True:  # a full server closes at once; the half-open ones time out
-            with contextlib.suppress(OSError, http.client.HTTPException):
-                assert ask(server, "GET", "/")[0] == 302
-                break
-            assert time.monotonic() - begun < 10.0
-            for connection in open_ones[::7]:  # byte by byte counts as half-open too
-                with contextlib.suppress(OSError):
-                    connection.sendall(b"T")
-            time.sleep(0.02)
-        for connection in open_ones:
-            connection.close()
-
-
-def test_a_broken_episode_is_a_page_that_says_so(folder: Path, tmp_path: Path) -> None:
-    (folder / "manifest.json").write_text("{")
-    pages = LabelPages([folder, folder], "A")
-    assert "manifest.json" in pages.page(1) and "/episode/2" in pages.page(1)

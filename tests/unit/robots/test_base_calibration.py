@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import surg_core
+from surg_cli.commands import calibrate
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
 from surg_core import base_calibration, base_file
@@ -111,7 +112,10 @@ def recording(path: Path, arm: surg_core.Arm, points: np.ndarray) -> Path:
 
 
 def test_the_command_prints_the_base_and_writes_it(
-    surg: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    surg: Callable[..., int],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     folder = tmp_path / "cells" / "two"
     shutil.copytree(paths.CELLS / "sim_two_arms", folder)
@@ -126,8 +130,9 @@ def test_the_command_prints_the_base_and_writes_it(
         recording(tmp_path / "a.csv", first, p_B2 @ X_B1B2[:3, :3].T + X_B1B2[:3, 3]),
         recording(tmp_path / "b.csv", second, p_B2),
     ]
-    words = ["calibrate", str(folder), "bases", "--from", files[0], "--other-from", files[1]]
-    assert surg(*map(str, words), "--date", "2026-11-23") == 0
+    words = ["calibrate", str(folder), "bases", "--from", *files]
+    monkeypatch.setattr(calibrate, "today", lambda: "2026-11-23")
+    assert surg(*map(str, words)) == 0
     assert "n 7" in capsys.readouterr().out
     found = base_file.load_base(folder / "calibration" / f"base_{second.name}.yaml")
     np.testing.assert_allclose(found.X_WB, first.X_WB @ X_B1B2, atol=1e-9)
@@ -137,7 +142,9 @@ def test_the_command_prints_the_base_and_writes_it(
     np.testing.assert_array_equal(believed.X_WB, found.X_WB)
     np.testing.assert_array_equal(believed.X_WB_stated, second.X_WB_stated)
     with pytest.raises(Problem, match="keeps its base"):
-        surg(*map(str, words), "--arm", second.name, "--other", first.name)
+        surg(*map(str, words), "--arm", first.name)
+    with pytest.raises(Problem, match="--from FILE FILE"):
+        surg(*map(str, words[:-1]))
     with pytest.raises(Problem, match="one arm"):
         surg("calibrate", "sim_ur5e", "bases", "--from", str(files[0]))
 

@@ -1,4 +1,4 @@
-"""`./surg dev doctor --robot` names what is wrong with an arm, with the cure; nothing moves."""
+"""`./surg robot CELL doctor` names what is wrong with an arm, with the cure; nothing moves."""
 
 from __future__ import annotations
 
@@ -195,14 +195,18 @@ def test_the_age_of_a_calibration_is_told() -> None:
 
 
 def test_doctor_ends_with_1_where_a_line_is_bad(
-    surg: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    surg: Callable[..., int],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(robot_doctor, "MEASURED_S", 0.1)
     controller = UrController(serial=SERIAL, q=HOME)
     with emulated_ur.in_process(controller) as emulator:
         folder = emulated_cell(tmp_path, emulator.address)
-        assert surg("dev", "doctor", "--robot", str(folder), "--seconds", "0.1") == 0
+        assert surg("robot", str(folder), "doctor") == 0
         controller.fall_to(SafetyMode.ROBOT_EMERGENCY_STOP, "test")
-        assert surg("dev", "doctor", "--robot", str(folder), "--seconds", "0.1") == 1
+        assert surg("robot", str(folder), "doctor") == 1
     said = capsys.readouterr().out
     assert "BAD  PSM1: condition: emergency stop" in said
     assert f"./surg robot {folder.name} start" in said

@@ -15,6 +15,7 @@ from helpers.hardware import emulated_ur
 from helpers.hardware.emulated_cell import HOME, SERIAL, emulated_cell
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
+from surg_cli.robots import robot_doctor
 from surg_core import calibration
 from surg_core.urdf import chain_from_urdf
 from surg_emulators.ur.dh_kinematics import TABLES, Table, frames, pose_vector
@@ -120,15 +121,19 @@ def test_nonsense_on_the_primary_interface_ends_in_nothing() -> None:
 
 
 def test_the_command_writes_them_and_the_arm_is_accepted(
-    surg: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    surg: Callable[..., int],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(robot_doctor, "MEASURED_S", 0.05)
     controller = UrController(serial=SERIAL, q=HOME, dh_errors=errors(11, 3.0))
     with emulated_ur.in_process(controller) as emulator:
         cell = emulated_cell(tmp_path, emulator.address)
-        assert surg("dev", "doctor", "--robot", str(cell), "--seconds", "0.05") == 1
+        assert surg("robot", str(cell), "doctor") == 1
         assert f"./surg robot {cell.name} kinematics" in capsys.readouterr().out
         assert surg("robot", str(cell), "kinematics") == 0
-        assert surg("dev", "doctor", "--robot", str(cell), "--seconds", "0.05") == 0
+        assert surg("robot", str(cell), "doctor") == 0
         controller.serial = "77"
         with pytest.raises(Problem, match=r"hardware\.serial") as problem:
             surg("robot", str(cell), "kinematics")

@@ -99,7 +99,7 @@ def test_an_arm_that_does_not_answer_is_sent_to_the_doctor(
     surg: Callable[..., int], tmp_path: Path
 ) -> None:
     cell = emulated_cell(tmp_path, emulated_ur.free_address())
-    with pytest.raises(Problem, match="surg dev doctor --robot cell"):
+    with pytest.raises(Problem, match="surg robot cell doctor"):
         surg("robot", str(cell), "kinematics")
     with pytest.raises(Problem, match="'simulator'") as problem:
         surg("robot", "sim_ur5e", "off")

@@ -10,16 +10,15 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from helpers.control.gate_arm import TICK, GateArm
+from helpers.results.teleoperation_results import note
 from helpers.teleop.hand import Hand, settings
 from helpers.teleop.stage import Stage, stage_of
-from surg_cli.host import paths
 from surg_core.held_endoscope import HeldEndoscope, held_endoscope
 from surg_sim.appearance.render import Picture
 from surg_teleop.follow.teleop_types import CameraView, State
@@ -163,15 +162,13 @@ def test_the_tip_goes_where_the_hand_goes_in_the_picture(stage: Stage) -> None:
         assert session.teleop.state is State.FOLLOWING
     assert session.arm.refusals == []
     assert session.teleop.engagements == 1, "one engagement under all views"
-    text = (
-        f"{stage.cell.folder.name}: {VIEWS} views, rolls {min(rolls):.0f} to {max(rolls):.0f} "
-        f"degrees: {2e3 * SIDE:.0f} mm to the right are {min(pixels):.0f} to {max(pixels):.0f} px, "
-        f"10 mm away take {min(shrunk):.1f} to {max(shrunk):.1f} px of disparity; angle between "
-        f"hand and picture at most {max(angles):.1f} degrees"
+    note(
+        f"picture: {stage.cell.folder.name}",
+        VIEWS,
+        f"rolls {min(rolls):.0f} to {max(rolls):.0f} degrees: {2e3 * SIDE:.0f} mm to the right are "
+        f"{min(pixels):.0f} to {max(pixels):.0f} px, 10 mm away {min(shrunk):.1f} to "
+        f"{max(shrunk):.1f} px of disparity; hand to picture at most {max(angles):.1f} degrees",
     )
-    print(text)
-    if FULL:
-        _write(stage.cell.folder.name, text)
 
 
 @pytest.mark.parametrize(
@@ -209,17 +206,3 @@ def test_base_to_base_is_no_identity(stage: Stage) -> None:
     tool, scope = (np.asarray(stage.cell.arms[n].X_WB) for n in (stage.tool, stage.scope))
     X = np.linalg.inv(tool) @ scope
     assert np.degrees(np.arccos((np.trace(X[:3, :3]) - 1.0) / 2.0)) > 20.0
-
-
-def _write(cell: str, text: str) -> None:
-    """docs/results/picture.md, one line by cell."""
-    file = Path(paths.ROOT / "docs/results/picture.md")
-    head = (
-        "# Hand and picture\n\nWritten by `SURG_TEST_FULL=1 ./surg test tests/unit/teleop/"
-        "test_teleop_picture.py`: the tip that the teleoperation core commands, found in rendered "
-        "stereo pictures (640 × 480), the endoscope moved during one engagement, scales 0.1 to 1."
-        "\n\n"
-    )
-    lines = file.read_text("utf-8").splitlines() if file.is_file() else []
-    kept = [line for line in lines if line.startswith("- ") and not line.startswith(f"- {cell}:")]
-    file.write_text(head + "\n".join(sorted([*kept, f"- {text}"])) + "\n", "utf-8")

@@ -5,7 +5,6 @@ test finds the shortest one.
 """
 
 import os
-import time
 
 import numpy as np
 import pytest
@@ -15,6 +14,8 @@ from hypothesis import strategies as st
 
 import surg_core
 from helpers.control.lagging_arm import SOURCE, TICK, LaggingArm
+from helpers.results.teleoperation_results import STORMS as ROW
+from helpers.results.teleoperation_results import note
 from helpers.teleop.hand import Hand, settings
 from helpers.teleop.storm import EVENTS, Event, Storm
 from surg_cli.host import paths
@@ -41,7 +42,6 @@ def random_events(rng: np.random.Generator, n: int = LENGTH) -> list[Event]:
 
 
 def test_storms_of_events_never_jump_and_never_open_the_jaw() -> None:
-    began = time.process_time()
     ticks, engagements, largest = 0, 0, 0.0
     for seed in range(STORMS):
         rng = np.random.default_rng(seed)
@@ -53,22 +53,10 @@ def test_storms_of_events_never_jump_and_never_open_the_jaw() -> None:
         ticks += storm.ticks
         engagements += storm.teleop.engagements
         largest = max(largest, storm.largest)
-    text = (
-        f"{STORMS} storms of {LENGTH} events, {ticks} ticks, {engagements} engagements; largest "
-        f"step {largest:.2f} of what is allowed; {time.process_time() - began:.0f} s of CPU time"
-    )
-    print(text)
+    said = f"{ticks} ticks, {engagements} engagements; largest step {largest:.2f} of the allowed"
+    note(ROW, STORMS, said)
     assert engagements > 1.8 * STORMS  # they do engage again
     assert largest > 0.3  # and they do move
-    if FULL:
-        results = paths.ROOT / "docs/results"
-        results.mkdir(exist_ok=True)
-        (results / "teleop_storms.md").write_text(
-            "# Clutch storms\n\n"
-            "Written by `./surg test --full tests/unit/teleop/test_teleop_storms.py`.\n"
-            f"\n{text}. No step above the gate's, nothing refused, no engagement without an act, "
-            "no jaw that opened by itself.\n"
-        )
 
 
 @hypothesis_settings(max_examples=EXAMPLES, deadline=None, database=None, derandomize=not FULL)

@@ -1,7 +1,7 @@
 """A surgeon's hand at 30 Hz and scale 1 through the whole chain, controller and lag included.
 
 The motion is a synthetic one with a surgeon's speeds, and the one that SURG_TEST_MOTION names
-beside it. Full mode writes docs/results/teleop_lag.md.
+beside it. Full mode writes docs/results/teleoperation.md.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import pytest
 
 import surg_core
 from helpers.control.lagging_arm import SOURCE, TICK, LaggingArm
+from helpers.results.teleoperation_results import note
 from helpers.teleop.hand import settings
 from surg_cli.host import paths
 from surg_core.arm_view import ArmCommands, ArmState, TipPose
@@ -140,32 +141,17 @@ def _rms(error: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
 
-@pytest.mark.parametrize("which", ["synthetic", *(["SURG_TEST_MOTION"] if GIVEN else [])])
+@pytest.mark.parametrize("which", ["synthetic", *(["recording"] if GIVEN else [])])
 def test_a_surgeons_hand_is_followed(which: str, tmp_path: Path) -> None:
     file = synthetic(tmp_path) if which == "synthetic" else Path(str(GIVEN))
     chain = run(file, SECONDS)
-    text = (
-        f"{file.stem}, {RATE:.0f} Hz, scale 1: hand to set-point {1e3 * chain.lag:.1f} ms, "
-        f"{1e3 * chain.rms:.2f} mm rms; set-point to tip {1e3 * chain.tip_lag:.0f} ms, "
-        f"{1e3 * chain.tip_rms:.2f} mm rms"
+    note(
+        f"lag: {which}",
+        1,
+        f"hand to set-point {1e3 * chain.lag:.1f} ms, {1e3 * chain.rms:.2f} mm rms; set-point to "
+        f"tip {1e3 * chain.tip_lag:.0f} ms, {1e3 * chain.tip_rms:.2f} mm rms",
     )
-    print(text)
     assert chain.let_go == ""
     assert chain.refused == 0
     assert chain.lag <= MAX_LAG
     assert chain.rms <= MAX_RMS
-    if FULL:
-        _write(file.stem, text)
-
-
-def _write(name: str, text: str) -> None:
-    file = paths.ROOT / "docs/results/teleop_lag.md"
-    head = (
-        "# From the hand to the tip\n\nWritten by `SURG_TEST_MOTION=FILE ./surg test --full "
-        "tests/unit/teleop/test_teleop_surgeon.py`. A hand at 30 Hz and scale 1 on the UR5e's "
-        "controller and a plant with lag; the lag is the shift that explains the most, and rms is "
-        "what is left. Lock-step: the wire and the operating system are not in it.\n\n"
-    )
-    lines = file.read_text().splitlines() if file.is_file() else []
-    kept = [line for line in lines if line.startswith("- ") and not line.startswith(f"- {name},")]
-    file.write_text(head + "\n".join(sorted([*kept, f"- {text}"])) + "\n")

@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import argparse
 import datetime
-import re
 from pathlib import Path
 from typing import Any
 
 from surg_cli.host import cells
-from surg_cli.host.option_types import positive, tcp_port
+from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import Problem, say
 from surg_cli.robots import endoscope_steps, force_steps
+
+MOTIONS = ("tip", "roll", "second", "trocar", "touch", "force")
+LATENCY_S = 20.0
+"""Length of a measurement of the pictures' latency [s]."""
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -31,48 +34,50 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         "zero) or the endoscope (live: from the console's page), or measure the latency of its "
         "pictures",
     )
-    add("--arm", metavar="NAME", help="of the cell (default: its only arm)")
+    add(
+        "motion",
+        nargs="?",
+        choices=MOTIONS,
+        metavar="MOTION",
+        help="collect: kind of the poses: " + ", ".join(MOTIONS),
+    )
+    add("--arm", metavar="NAME", help="of the cell (default: its only arm; bases: the second one)")
     add(
         "--from",
-        dest="source",
+        dest="sources",
+        nargs="+",
         type=Path,
+        default=[],
         metavar="FILE",
-        help="the recording, CSV; of the endoscope: the folder of views",
+        help="the recording, CSV; bases: those of both arms; of the endoscope: the folder of views",
     )
-    add("--date", metavar="DAY", help="date of the calibration (default: today)")
-    add("--dry-run", action="store_true", help="solve and print, write nothing")
-    collect = parser.add_argument_group("collect")
-    collect.add_argument(
+    add(
         "--to",
         type=Path,
         metavar="FILE",
-        help="the recording, rows are appended; --live: a new folder of views (default in runs/)",
+        help="collect: the recording, rows are appended; board: the PDF, or a PNG; --live: a new "
+        "folder of views (default in runs/)",
     )
-    collect.add_argument(
-        "--motion", choices=("tip", "roll", "second", "trocar", "touch", "force"), help="kind"
-    )
-    collect.add_argument("--count", type=int, default=12, metavar="N", help="poses (default 12)")
-    collect.add_argument("--port", type=tcp_port, default=11311, metavar="P", help="of the master")
-    collect.add_argument(
-        "--timeout", type=float, default=600.0, metavar="S", help="longest wait for a pose"
-    )
-
-    latency = parser.add_argument_group("latency (docs/guide/endoscope/capture.md)")
-    latency.add_argument("--seconds", type=positive, default=20.0, metavar="S", help="default 20 s")
-    bases = parser.add_argument_group("bases")
-    bases.add_argument("--other", metavar="NAME", help="the second arm (default: the cell's other)")
-    bases.add_argument("--other-from", type=Path, metavar="FILE", help="its recording of `touch`")
-    endoscope_steps.add_arguments(parser, bases)
+    add("--dry-run", action="store_true", help="solve and print, write nothing")
+    add("--count", type=int, default=12, metavar="N", help="collect: poses (default 12)")
+    add("--port", type=tcp_port, default=11311, metavar="P", help="of the ROS master")
+    endoscope_steps.add_arguments(parser)
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Collect or solve."""
+    if options.motion is not None and options.what != "collect":
+        raise Problem(f"calibrate {options.what}: takes no {options.motion!r}", 2)
+    both = options.what == "bases" and options.by is None
+    if len(options.sources) > 1 and not both:
+        raise Problem(f"calibrate {options.what}: --from takes one recording", 2)
+    options.source = options.sources[0] if options.sources else None
     folder = cells.find(options.cell)
     cell = cells.load(folder)
     if options.what == "latency":
         from surg_cli.graph import glass_to_stamp
 
-        return glass_to_stamp.measure(folder, options.port, options.seconds)
+        return glass_to_stamp.measure(folder, options.port, LATENCY_S)
     if options.what == "live" or options.live:
         from surg_cli.graph import live_views
         from surg_cli.robots import live_bases
@@ -80,10 +85,10 @@ def main(options: argparse.Namespace, command: str) -> int:
         endoscope_steps.check_live(options, cell)
         origin = max(origin_of(arm) for arm in cell.arms.values())
         collecting = live_bases if options.what == "bases" else live_views
-        return collecting.calibrate(cell, options, origin, _date(options.date))
+        return collecting.calibrate(cell, options, origin, today())
     if options.what in endoscope_steps.STEPS or options.by is not None:
         origin = max(origin_of(arm) for arm in cell.arms.values())  # simulated, if one of them is
-        endoscope_steps.run(cell, options, origin, _date(options.date))
+        endoscope_steps.run(cell, options, origin, today())
         return 0
     if options.what == "bases":
         _bases(folder, cell, options)
@@ -93,7 +98,9 @@ def main(options: argparse.Namespace, command: str) -> int:
         from surg_cli.graph.collect import collect
 
         if options.to is None or options.motion is None:
-            raise Problem("calibrate collect: --to FILE and --motion WHAT are missing", 2)
+            raise Problem(
+                f"calibrate collect: MOTION ({', '.join(MOTIONS)}) and --to FILE are missing", 2
+            )
         if options.count < 1:
             raise Problem(f"calibrate collect: --count {options.count}: 1 or more is allowed", 2)
         if options.motion == "force":
@@ -102,24 +109,17 @@ def main(options: argparse.Namespace, command: str) -> int:
             return collect_forces(arm, options.to, options.count, options)
         return collect(arm, options.to, options.motion, options.count, options)
     if options.what in force_steps.STEPS:
-        force_steps.run(folder, arm, options, origin_of(arm), _date(options.date))
+        force_steps.run(folder, arm, options, origin_of(arm), today())
         return 0
     if options.source is None:
         raise Problem(f"calibrate {options.what}: --from FILE is missing", 2)
-    solve(folder, arm, options.what, options.source, _date(options.date), options.dry_run)
+    solve(folder, arm, options.what, options.source, today(), options.dry_run)
     return 0
 
 
-def _date(stated: str | None) -> str:
-    """The date of `--date`; None means today.
-
-    Raises:
-        Problem: It is no date.
-    """
-    date = stated or datetime.date.today().isoformat()
-    if not re.fullmatch(r"\d{4}-\d{2}-\d{2}", date):
-        raise Problem(f"--date {date}: expected a date such as 2026-11-21", 2)
-    return date
+def today() -> str:
+    """The date of a calibration."""
+    return datetime.date.today().isoformat()
 
 
 def choose_arm(cell: Any, name: str | None) -> Any:
@@ -217,23 +217,26 @@ def _bases(folder: Path, cell: Any, options: argparse.Namespace) -> None:
     names = list(cell.arms)
     if len(names) < 2:
         raise Problem(f"calibrate bases: the cell has one arm, {names[0]}; two are needed", 2)
-    first = choose_arm(cell, options.arm or names[0])
-    others = [name for name in names if name != names[0]]
-    second = choose_arm(cell, options.other or (others[0] if len(others) == 1 else None))
-    if first.name != names[0] or second.name == names[0]:
+    first, others = cell.arms[names[0]], names[1:]
+    second = choose_arm(cell, options.arm or (others[0] if len(others) == 1 else None))
+    if second is first:
         raise Problem(
-            f"calibrate bases: --arm {first.name} --other {second.name}; allowed: the cell's first "
-            f"arm, {names[0]}, keeps its base, and another is measured against it",
+            f"calibrate bases: --arm {first.name}: the cell's first arm keeps its base; allowed: "
+            f"{', '.join(others)}, which is measured against it",
             2,
         )
-    if options.source is None or options.other_from is None:
-        raise Problem("calibrate bases: --from FILE, --other NAME, --other-from FILE are needed", 2)
+    if len(options.sources) != 2:
+        raise Problem(
+            f"calibrate bases: --from FILE FILE is needed: `touch` by {first.name}, then by "
+            f"{second.name}",
+            2,
+        )
     path = folder / "calibration" / f"base_{second.name}.yaml"
-    date = _date(options.date)
+    date = today()
     try:
         points = [
             calibration.touched_points(read(file, arm), arm.tool)
-            for file, arm in ((options.source, first), (options.other_from, second))
+            for file, arm in zip(options.sources, (first, second), strict=True)
         ]
         fit = base_calibration.solve_bases(*points)
         moved = surg_core.inverse_pose(second.X_WB) @ first.X_WB @ fit.X_B1B2
@@ -244,7 +247,7 @@ def _bases(folder: Path, cell: Any, options: argparse.Namespace) -> None:
         say(f"change {_mm(moved[:3, 3])} mm from the base believed before")
         if not options.dry_run:
             source = max(origin_of(first), origin_of(second))  # simulated, if one of them is
-            note = f"Measured by touch: {options.source.name}, {options.other_from.name}"
+            note = f"Measured by touch: {', '.join(file.name for file in options.sources)}"
             _write_base(path, cell, fit, (date, source), note)
     except (calibration.CalibrationError, surg_core.ConfigError, OSError) as error:
         raise Problem(f"calibrate bases: {error}; {path} is unchanged", 1) from error

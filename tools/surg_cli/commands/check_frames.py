@@ -14,7 +14,6 @@ from surg_cli.graph import join, master, network, processes, roles, running, sys
 from surg_cli.graph.follow import death_notice
 from surg_cli.graph.system import Node, Plan
 from surg_cli.host import cells, environment, frames_picture, paths, terminal
-from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import Problem, Progress, say
 
 NODE = "check_frames"
@@ -29,7 +28,6 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add = parser.add_argument
     add("cell", metavar="CELL", nargs="?", default=DEFAULT_CELL, help="name in cells/, or a folder")
     add("--arm", metavar="ARM", help="the arm that moves (default: the first without a camera)")
-    add("--port", type=tcp_port, metavar="P", help="of the ROS master of a running system")
     add("--out", type=Path, metavar="DIR", help="folder for the result (default: runs/<time>)")
     add(
         "--setting",
@@ -46,7 +44,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     setting = _setting(options.setting)
     out = paths.run_folder(options.out)
     out.mkdir(parents=True, exist_ok=True)
-    attached = running.of_cell(cell, options.port)
+    attached = running.of_cell(cell)
     params: dict[str, object] = {"cell": str(cell), "out": str(out / "check_frames.json")}
     if options.arm:
         params["arm"] = options.arm

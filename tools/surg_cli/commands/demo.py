@@ -6,7 +6,6 @@ import argparse
 import contextlib
 import json
 import math
-import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 from surg_cli.graph import episode_film, motion_run
 from surg_cli.graph.system import Plan
 from surg_cli.host import cells, link_environments, paths, preflight
-from surg_cli.host.option_types import feedback_gain, positive, tcp_port
+from surg_cli.host.option_types import feedback_gain, positive
 from surg_cli.host.terminal import Problem, Progress, say, table, warn
 from surg_cli.robots import emulated_arms
 
@@ -26,14 +25,12 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
     add = parser.add_argument
     robots = ", ".join(cells.described_robots())
-    which = parser.add_mutually_exclusive_group()
-    help_ = f"{robots}, or the path of a robot's YAML"
-    which.add_argument("--robot", default="ur5e", metavar="R", help=help_)
-    which.add_argument(
-        "--cell",
-        metavar="CELL",
-        help="name in cells/, or a cell's folder, with one arm; an arm with a link of its own is "
-        "emulated, in real time: emulated_ur5e, emulated_panda, emulated_fr3",
+    add(
+        "--robot",
+        default="ur5e",
+        metavar="R",
+        help=f"{robots}, the path of a robot's YAML, or a cell with one arm; an arm with a link of "
+        "its own is emulated, in real time: emulated_ur5e, emulated_panda, emulated_fr3",
     )
     add("--motion", type=Path, metavar="FILE", help="motion CSV (default: the bundled one)")
     add("--scale", type=positive, default=1.0, help="motion scale (default 1)")
@@ -46,22 +43,15 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--out", type=Path, metavar="DIR", help="folder of the run (default runs/<UTC time>)")
     add("--free-run", action="store_true", help="in real time instead of lock-step")
     add("--no-video", action="store_true", help="without the endoscope camera")
-    add("--view", action="store_true", help="open the simulator's window (needs a display)")
-    add("--port", type=tcp_port, metavar="P", help="of the ROS master (default: a free one)")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Check everything, run, report; the last line printed is the path of summary.json."""
-    if options.view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise Problem("--view needs a display: neither DISPLAY nor WAYLAND_DISPLAY is set", 2)
     # All input is checked before anything moves.
     out = paths.run_folder(options.out)
     preflight.check_space(out)
     try:
-        if options.cell is not None:
-            cell = cells.find(options.cell)
-        else:
-            cell = cells.for_robot(options.robot, out / "cell")
+        cell = cells.for_robot(options.robot, out / "cell")
         loaded = cells.load(cell)
         arm = _only_arm(loaded, cell)
         _prepare_link(options, cell, loaded)
@@ -79,7 +69,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         f"{'lock-step' if plan.lockstep else 'free-run'} -> {out}"
     )
     robots = emulated_arms.EmulatedArms(cell, loaded.arms)
-    reasons = motion_run.play(plan, motion.duration_s, options.port, robots)
+    reasons = motion_run.play(plan, motion.duration_s, robots)
     for reason in reasons:
         warn(f"surg: {reason}")
     if plan.cameras:
@@ -213,7 +203,6 @@ def _plan(
         simulated=() if driven else None,
         driven=(arm,) if driven else (),
         cameras=() if options.no_video else ("left",),
-        view=options.view,
         law=options.law,
         link=options.link,
         feedback_gain=options.feedback_gain,
@@ -253,11 +242,9 @@ def _prepare_link(options: argparse.Namespace, cell: Path, loaded: Any) -> None:
     (arm,) = loaded.arms.values()
     if arm.link == "simulator":
         return
-    emulated_arms.refuse_real(loaded.arms, f"demo --cell {cell.name}")
+    emulated_arms.refuse_real(loaded.arms, f"demo --robot {cell.name}")
     if arm.hardware is None:
-        raise Problem(f"demo --cell {cell.name}: its link {arm.link!r} is started by hand", 2)
-    if options.view:
-        raise Problem("--view: the simulator is no part of an emulated arm's run", 2)
+        raise Problem(f"demo --robot {cell.name}: its link {arm.link!r} is started by hand", 2)
     link_environments.make_ready(arm)
     options.free_run = options.no_video = True
 

@@ -13,6 +13,7 @@ from surg_cli.graph import learned_rollouts as rollouts
 from surg_cli.host import cells, paths, preflight, provision, terminal
 from surg_cli.host.terminal import Problem, say, table, warn
 from surg_learn import learn_stages
+from surg_learn.learn_terminal import LearnError
 from surg_learn.recipes import (
     BUILT_IN,
     CAMERA_RECIPES,
@@ -21,7 +22,6 @@ from surg_learn.recipes import (
     Request,
 )
 from surg_learn.stage_ledger import Ledger
-from surg_learn.terminal import LearnError
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:

@@ -25,6 +25,7 @@ sys.path.append(str(paths.ROOT / "src" / "surg_recording" / "src"))
 from surg_recording.clock import clock_sync, pmc
 
 FOLDER = Path(clock_sync.SOCKET).parent
+"""For configuration, socket and log."""
 NETWORK = Path("/sys/class/net")
 START_TIMEOUT_S = 10.0
 LOOK_S = 1.0
@@ -42,18 +43,11 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         " interface of the isolated network. Ctrl-C ends it. More: docs/guide/clock_sync.md"
     )
     parser.add_argument("role", choices=("master", "slave"), help="role of this machine")
-    parser.add_argument("--interface", metavar="IF", help="network interface, e.g. enp3s0")
+    parser.add_argument("interface", nargs="?", metavar="INTERFACE", help="such as enp3s0")
     parser.add_argument(
         "--free-running",
         action="store_true",
         help="slave: measure the offset without setting the clock",
-    )
-    parser.add_argument(
-        "--folder",
-        type=Path,
-        default=FOLDER,
-        metavar="DIR",
-        help=f"for configuration, socket and log (default {FOLDER})",
     )
 
 
@@ -68,7 +62,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     steers = options.role == "slave" and not options.free_running
     if steers:
         _check_rivals()
-    folder = options.folder.absolute()
+    folder = FOLDER
     socket = folder / "ptp4l"
     if socket.exists() and not pmc.ask(socket).problem:
         raise Problem(f"a PTP daemon runs already and answers at {socket}; end it first")
@@ -132,15 +126,15 @@ def _interface(wanted: str | None) -> str:
         live = [name for name in others if _state(name) == "up"]
         if len(live) != 1:
             raise Problem(
-                f"--interface IF is missing: name the one that connects the two machines: {listed}",
+                f"INTERFACE is missing: name the one that connects the two machines: {listed}",
                 2,
             )
         wanted = live[0]
     if wanted not in others:
         hint = " (PTP does not run on loopback)" if wanted == "lo" else ""
-        raise Problem(f"--interface {wanted}: no such interface{hint}; available: {listed}", 2)
+        raise Problem(f"{wanted}: no such interface{hint}; available: {listed}", 2)
     if _state(wanted) == "down":
-        raise Problem(f"--interface {wanted}: it is down: sudo ip link set {wanted} up", 2)
+        raise Problem(f"{wanted}: it is down: sudo ip link set {wanted} up", 2)
     return wanted
 
 
@@ -157,7 +151,7 @@ def _check_permission(options: argparse.Namespace) -> None:
     if os.geteuid() == 0:
         return
     words = [options.role]
-    words += ["--interface", options.interface] if options.interface else []
+    words += [options.interface] if options.interface else []
     words += ["--free-running"] if options.free_running else []
     raise Problem(
         "ptp needs root, for the ports 319 and 320 and for the clock:"
@@ -196,7 +190,7 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         folder.chmod(0o755)
     except OSError as problem:
-        raise Problem(f"--folder {folder}: {problem.strerror}", 2) from problem
+        raise Problem(f"{folder}: {problem.strerror}", 2) from problem
 
 
 def _announcement(role: str, interface: str, free_running: bool, file: Path) -> str:

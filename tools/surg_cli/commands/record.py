@@ -22,6 +22,9 @@ ACTIONS = {
     "stage": "the stage TEXT begins now",
     "amend": "declare deliberate edits of the files of the episode TEXT, with --by and --why",
 }
+FACTS = ("operator", "task", "setting", "seed")
+SUCCESS = "success"
+_NO_REASONS = ("success", "succeeded", "failure", "failed", "yes", "no", "true", "false")
 _WITH_TEXT = ("tag", "stage", "amend")
 STATUS = "/record/status"
 CONNECT_S = 5.0
@@ -37,13 +40,32 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("action", choices=tuple(ACTIONS), metavar="ACTION", help=", ".join(ACTIONS))
     add("text", nargs="?", default="", metavar="TEXT", help="of tag, stage, amend")
     add("--port", type=tcp_port, metavar="P", help="of the ROS master")
-    for fact in ("operator", "task", "setting", "seed"):
-        add(f"--{fact}", metavar="X", help=f"start: the {fact}, for the manifest")
+    add(
+        "--info",
+        nargs="+",
+        action="extend",
+        type=_fact,
+        default=[],
+        metavar="KEY=VALUE",
+        help=f"start: {', '.join(FACTS)}, for the manifest",
+    )
     add("--by", metavar="NAME", help="amend: who edited the files")
     add("--why", metavar="TEXT", help="amend: what was edited, and for what reason")
-    verdict = parser.add_mutually_exclusive_group()
-    verdict.add_argument("--success", action="store_true", help="stop: the episode succeeded")
-    verdict.add_argument("--failure", metavar="WHY", help="stop: it failed, and why")
+    add("--outcome", type=_outcome, metavar="X", help="stop: success, or why it failed")
+
+
+def _fact(text: str) -> tuple[str, str]:
+    key, _, value = text.partition("=")
+    if key not in FACTS or not value:
+        known = ", ".join(f"{name}=…" for name in FACTS)
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: {known}")
+    return key, value
+
+
+def _outcome(text: str) -> str:
+    if not text.strip() or (text != SUCCESS and text.strip().lower() in _NO_REASONS):
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: {SUCCESS}, or why it failed")
+    return text
 
 
 def main(options: argparse.Namespace, command: str) -> int:
@@ -53,9 +75,9 @@ def main(options: argparse.Namespace, command: str) -> int:
         raise Problem(f"record {action}: TEXT is missing", 2)
     if action not in _WITH_TEXT and options.text:
         raise Problem(f"record {action}: takes no text ({options.text!r})", 2)
-    judged = options.success or options.failure is not None
-    if judged and action != "stop":
-        raise Problem("--success and --failure belong to record stop", 2)
+    for option, of in (("outcome", "stop"), ("info", "start")):
+        if getattr(options, option) and action != of:
+            raise Problem(f"--{option} belongs to record {of}", 2)
     if action == "amend":
         return _amend(Path(options.text), options.by, options.why)
     if options.by or options.why:
@@ -100,10 +122,8 @@ def _start(recorder: Recorder, options: argparse.Namespace) -> int:
     status = recorder.status
     if status.state == status.STATE_RECORDING:
         raise Problem(f"record start: {status.folder} is being recorded already")
-    facts = {k: getattr(options, k) for k in ("operator", "task", "setting", "seed")}
-    known = {key: value for key, value in facts.items() if value is not None}
-    if known:
-        recorder.annotate("info", json.dumps(known))
+    if options.info:
+        recorder.annotate("info", json.dumps(dict(options.info)))
     recorder.record(True)
     with Progress("record"):
         answered = processes.wait_until(
@@ -117,9 +137,9 @@ def _start(recorder: Recorder, options: argparse.Namespace) -> int:
 
 
 def _stop(recorder: Recorder, options: argparse.Namespace) -> int:
-    if options.success or options.failure is not None:
-        verdict = {"success": options.success, "reason": options.failure or ""}
-        recorder.annotate("tag", json.dumps(verdict))
+    if options.outcome:
+        failed = "" if options.outcome == SUCCESS else options.outcome
+        recorder.annotate("tag", json.dumps({"success": not failed, "reason": failed}))
     recorder.record(False)
     with Progress("record"):
         done = processes.wait_until(lambda: follow.recorder_idle(recorder), STOP_S)

@@ -22,6 +22,7 @@ from surg_cli.host.option_types import add_video_quality, video_quality
 from surg_cli.host.terminal import Problem, Progress, is_interactive, say, table, warn
 
 LAWS = ("ours", "velocity", "paper")
+OBSERVED = ("privileged", "forces")
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -44,7 +45,6 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         help="record the endoscope: left, or stereo (the option without a value)",
     )
     add_video_quality(parser)
-    add("--no-film", action="store_true", help="no film in the report, although there is a camera")
     add("--seed", type=int, default=0, metavar="S", help="of the first episode; then S + 1, …")
     add("--law", default="ours", metavar="L", help="control law: " + ", ".join(LAWS))
     add("--out", type=Path, metavar="DIR", help="folder of the run (default runs/<UTC time>)")
@@ -56,8 +56,14 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         "or the .py file of its client, which is started (docs/reference/policies.md)",
     )
     add("--policy-keys", type=Path, metavar="DIR", help="folder of ./surg policy keys")
-    add("--privileged", action="store_true", help="serve the simulator's truth to the policy")
-    add("--forces", action="store_true", help="serve the forces at tip and trocar to the policy")
+    add(
+        "--observe",
+        nargs="+",
+        choices=OBSERVED,
+        default=[],
+        help="serve more to the policy: privileged: the simulator's truth; forces: at tip and "
+        "trocar",
+    )
     add("--free-run", action="store_true", help="with --policy: in real time, not in lock-step")
 
 
@@ -90,8 +96,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         f"{count} episode{'s' * (count != 1)} from seed {options.seed} -> {out}"
     )
     seeds = range(options.seed, options.seed + options.episodes)
-    film = bool(plan.cameras) and not options.no_film
-    summary = _report(plan, _play_all(plan, conditions, seeds, out), out, film)
+    summary = _report(plan, _play_all(plan, conditions, seeds, out), out)
     _print_summary(summary)
     for reason in summary["reasons"]:
         warn(f"surg: {reason}")
@@ -122,10 +127,9 @@ def _check_numbers(options: argparse.Namespace) -> None:
 def _policy(options: argparse.Namespace) -> system.Policy | None:
     """The policy that plays, if one does."""
     if options.policy is not None:
-        return policy_program.read(
-            options.policy, options.policy_keys, options.privileged, options.forces
-        )
-    for name in ("policy_keys", "privileged", "forces", "free_run"):
+        more = ("privileged" in options.observe, "forces" in options.observe)
+        return policy_program.read(options.policy, options.policy_keys, *more)
+    for name in ("policy_keys", "observe", "free_run"):
         if getattr(options, name):
             raise Problem(f"--{name.replace('_', '-')} needs --policy", 2)
     return None
@@ -167,7 +171,7 @@ def _play(plan: Plan, index: int, count: int, progress: Progress) -> dict[str, A
 # --- results ------------------------------------------------------------------------------------
 
 
-def _report(plan: Plan, entries: list[dict[str, Any]], out: Path, film: bool) -> dict[str, Any]:
+def _report(plan: Plan, entries: list[dict[str, Any]], out: Path) -> dict[str, Any]:
     """Write summary.json, figures and report.html."""
     from surg_recording.episode import provenance
     from surg_recording.reports import trial_report, trials
@@ -183,7 +187,7 @@ def _report(plan: Plan, entries: list[dict[str, Any]], out: Path, film: bool) ->
     summary = trials.summarise(entries, info)
     ranked = sorted(entries, key=lambda entry: not entry["success"])
     folders = [out / entry["folder"] / "episode" for entry in ranked if entry.get("folder")]
-    episode_film.for_report(folders if film else [], plan.cell, out)
+    episode_film.for_report(folders if plan.cameras else [], plan.cell, out)
     trial_report.write(summary, out)
     return summary
 

@@ -28,7 +28,7 @@ from surg_cli.graph.operator_nodes import BROWSER, WEB_PORT
 from surg_cli.graph.system import Node, Plan
 from surg_cli.graph.watch import Watch
 from surg_cli.host import cells, environment, paths, preflight
-from surg_cli.host.option_types import add_video_quality, tcp_port, video_quality
+from surg_cli.host.option_types import add_video_quality, address_and_port, tcp_port, video_quality
 from surg_cli.host.terminal import Problem, Progress, say
 
 DEFAULT_CELL = "sim_two_arms"
@@ -46,28 +46,28 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     )
     add("--setting", default="phantom", metavar="W", help="phantom, ex_vivo or in_vivo")
     add("--seed", type=int, default=0, metavar="N", help="seed of the phantom")
-    add("--stereo", action="store_true", help="both views of the endoscope")
-    endoscope.add_arguments(parser)
+    endoscope.add_cameras(parser)
     add_video_quality(parser)
     add("--scale", type=float, default=0.2, metavar="K", help="tip motion per hand motion")
     add(
         "--leader",
-        default=BROWSER,
+        action="append",
+        default=[],
         metavar="L",
-        help="input device: browser (default), a bundled leader, or a leader's .py file",
-    )
-    add(
-        "--second-leader",
-        default="",
-        metavar="L",
-        help="second input device; it moves the assistant's instrument of the task",
+        help="input device: browser (default), a bundled leader, or a leader's .py file; given "
+        "twice, the second one moves the assistant's instrument of the task",
     )
     add("--out", type=Path, metavar="DIR", help="folder of the episodes (runs/<UTC time>)")
     add("--port", type=tcp_port, default=master.DEFAULT_PORT, metavar="P", help="of the ROS master")
     web = parser.add_argument_group("access to the page (docs/guide/console.md)")
     add = web.add_argument
-    add("--web-port", type=tcp_port, default=WEB_PORT, metavar="P", help=f"default {WEB_PORT}")
-    add("--bind", default="127.0.0.1", metavar="ADDRESS", help="default: this machine only")
+    add(
+        "--bind",
+        type=address_and_port,
+        default=("127.0.0.1", None),
+        metavar="ADDRESS[:PORT]",
+        help=f"default 127.0.0.1:{WEB_PORT}: this machine only",
+    )
     add(
         "--host-name",
         action="append",
@@ -75,16 +75,15 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         metavar="NAME",
         help="host name in the page's address",
     )
-    add("--cert", type=Path, metavar="PEM", help="TLS certificate")
-    add("--key", type=Path, metavar="PEM", help="its private key")
+    add("--tls", nargs=2, type=Path, metavar=("CERT", "KEY"), help="certificate, its private key")
     add("--token-file", type=Path, metavar="FILE", help="file with the secret that pages must send")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Check, start or attach, print the address, wait."""
     attached = next((s for s in running.systems() if s.port == options.port), None)
-    if attached is not None and (options.depth or options.marks):
-        asked = "--depth" if options.depth else "--marks"
+    if attached is not None and (options.cameras.depth or options.cameras.marks):
+        asked = options.cameras.asked
         raise Problem(
             f"{asked}: port {options.port}: {attached.command} of {attached.cell} runs there; "
             f"omit {asked}, or start that system with it: ./surg up CELL {asked}",
@@ -142,18 +141,19 @@ def _operator_nodes(
     ``web`` holds who may open the page, ``there`` the names of the nodes that run already.
     """
     if operator_nodes.TELEOP in there:
-        if options.leader != BROWSER or options.second_leader:
+        if set(options.leader) - {BROWSER} or len(options.leader) > 1:
             raise Problem(
-                "a teleoperation with its own leaders runs already: omit --leader and "
-                "--second-leader to start the console alone",
+                "a teleoperation with its own leaders runs already: omit --leader to start the "
+                "console alone",
                 2,
             )
         return [operator_nodes.console(plan, False, web)]
+    first, *second = options.leader or [BROWSER]
+    if len(second) > 1:
+        raise Problem(f"--leader {second[1]}: two leaders at most are allowed", 2)
     return [
-        operator_nodes.teleoperation(
-            plan, options.leader, True, options.scale, options.second_leader
-        ),
-        operator_nodes.console(plan, options.leader == BROWSER, web),
+        operator_nodes.teleoperation(plan, first, True, options.scale, *second),
+        operator_nodes.console(plan, first == BROWSER, web),
     ]
 
 
@@ -161,26 +161,19 @@ def _web(options: argparse.Namespace) -> tuple[dict[str, object], str]:
     """Check who may open the page; returns the console's parameters and the address's token."""
     from surg_console.web import access
 
+    address, port = options.bind[0], options.bind[1] or WEB_PORT
+    cert, key = options.tls or (None, None)
     try:
         token = access.read_token(options.token_file) if options.token_file else ""
-        rules = access.rules(
-            options.bind,
-            options.web_port,
-            tuple(options.host_name),
-            options.cert,
-            options.key,
-            token,
-        )
+        rules = access.rules(address, port, tuple(options.host_name), cert, key, token)
     except access.AccessError as error:
         raise Problem(str(error), 2) from error
     if master.port_in_use(rules.port) and access.is_loopback(rules.bind):
-        raise Problem(
-            f"port {rules.port} is in use on this machine; choose another with --web-port"
-        )
-    files = {"cert": options.cert, "key": options.key, "token_file": options.token_file}
+        raise Problem(f"port {rules.port} is in use on this machine; choose another with --bind")
+    files = {"cert": cert, "key": key, "token_file": options.token_file}
     params = {
-        "bind": options.bind,
-        "port": options.web_port,
+        "bind": address,
+        "port": port,
         "host_names": list(options.host_name),
         **{name: str(file.absolute()) for name, file in files.items() if file is not None},
     }
@@ -196,15 +189,14 @@ def _plan(options: argparse.Namespace) -> Plan:
     if task.endswith(".py"):
         task = str(Path(task).absolute())
     language = {} if task == "none" else _language_of(loaded, task, options.setting)
-    stereo = options.stereo or options.depth or options.marks
-    scope = endoscope.of_cell(loaded.config, True, stereo)
+    scope = endoscope.of_cell(loaded.config, True, options.cameras.eyes)
     return Plan(
         cell=cell,
         arms=arms,
         lockstep=False,
         cameras=scope.views,
         capture=scope.capture,
-        eyes=endoscope.eyes_of(options, scope, cell),
+        eyes=endoscope.eyes_of(options.cameras, scope, cell),
         record_quality=video_quality(options),
         seed=options.seed,
         out=paths.run_folder(options.out),
@@ -214,7 +206,7 @@ def _plan(options: argparse.Namespace) -> Plan:
             "task": "teleop" if task == "none" else task,
             "cell": str(cell),
             "seed": options.seed,
-            "operator": options.leader,
+            "operator": (options.leader or [BROWSER])[0],
             **language,
         },
     )

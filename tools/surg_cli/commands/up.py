@@ -21,7 +21,6 @@ from surg_cli.graph import (
     running,
     system,
 )
-from surg_cli.graph.endoscope import Endoscope
 from surg_cli.graph.system import Plan
 from surg_cli.graph.watch import Watch
 from surg_cli.host import cells, environment, link_environments, paths, preflight
@@ -59,20 +58,14 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         help="--role operator: what the hand holds (default: crtk, a CRTK leader on topics; "
         "browser: the console's page)",
     )
-    add("--lock-step", action="store_true", help="step by step instead of in real time")
     add(
-        "--participant",
-        action="append",
-        default=[],
+        "--lock-step",
+        nargs="*",
         metavar="NODE",
-        help="lock-step: a node whose commands every step waits for (may be repeated)",
+        help="step by step instead of in real time; NODE: every step waits for its commands",
     )
     add("--law", choices=("ours", "velocity", "paper"), default="ours", help="the control law")
-    add("--link", choices=("joint", "twist"), help="command of the robot link (default: its YAML)")
-    add("--seed", type=int, default=0, metavar="N", help="seed of the simulator")
-    add("--no-video", action="store_true", help="without the endoscope camera")
-    add("--stereo", action="store_true", help="both eyes of the simulator's endoscope")
-    endoscope.add_arguments(parser)
+    endoscope.add_cameras(parser)
     add("--view", action="store_true", help="open the simulator's window (needs a display)")
     add_video_quality(parser)
     for option, metavar, what in RECORDED:
@@ -90,18 +83,16 @@ def main(options: argparse.Namespace, command: str) -> int:
     loaded = cells.load(cell)
     arms = tuple(str(name) for name in loaded.arms)
     simulated = tuple(arm for arm in arms if loaded.arms[arm].link == "simulator")
-    if options.lock_step and simulated != arms:
+    lock_step = options.lock_step is not None
+    if lock_step and simulated != arms:
         raise Problem("--lock-step needs a cell whose arms are all driven by the simulator", 2)
     link = None
     if options.role is not None:
-        if options.lock_step:
+        if lock_step:
             raise Problem("--lock-step needs one machine; leave --role or --lock-step out", 2)
         link = join.link(loaded.config, roles.Role(options.role), options.port, options.port_guard)
     leader = options.leader or join.LEADER
-    scope = Endoscope(())
-    if not options.no_video:
-        stereo = options.stereo or options.depth or options.marks
-        scope = endoscope.of_cell(loaded.config, bool(simulated), stereo, options.lock_step)
+    scope = endoscope.of_cell(loaded.config, bool(simulated), options.cameras.eyes, lock_step)
     recorded = recorded_too(options.record_topics, options.record_cameras, link)
     now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
     plan = Plan(
@@ -110,16 +101,14 @@ def main(options: argparse.Namespace, command: str) -> int:
         simulated=simulated,
         sensed=tuple(arm for arm in arms if loaded.arms[arm].force_sensor is not None),
         driven=tuple(arm for arm in arms if loaded.arms[arm].hardware is not None),
-        lockstep=options.lock_step,
+        lockstep=lock_step,
         cameras=scope.views,
         capture=scope.capture,
-        eyes=endoscope.eyes_of(options, scope, cell),
+        eyes=endoscope.eyes_of(options.cameras, scope, cell),
         view=options.view,
         law=options.law,
-        link=options.link,
-        seed=options.seed,
         out=paths.RUNS / now,
-        extra_participants=tuple(options.participant),
+        extra_participants=tuple(options.lock_step or ()),
         record_topics=recorded[0],
         record_cameras=recorded[1],
         record_quality=video_quality(options),

@@ -15,12 +15,15 @@ from surg_cli.graph import master
 from surg_cli.host.terminal import Problem, say
 from surg_core.standstill import Standstill
 
+TIMEOUT_S = 600.0
+"""Longest wait for a pose or a view [s]."""
+
 
 def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Namespace) -> int:
     """Append one row of joint angles to a recording whenever the arm has come to rest anew.
 
     ``motion`` is the first column of the rows; a real or emulated arm's serial is the second one.
-    ``options`` has the `port` of the ROS master and the `timeout` for one pose [s].
+    ``options`` has the `port` of the ROS master.
 
     Raises:
         Problem: The file has other columns, no system runs, or the arm does not come to rest.
@@ -32,7 +35,7 @@ def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Names
     check_columns(to, header)
     join_graph(options.port)
     say(f"{count} poses of '{motion}' -> {to}; hold the arm still for 0.5 s in each")
-    for q in rests(arm, to, count, options.timeout):
+    for q in rests(arm, to, count, TIMEOUT_S):
         append(to, header, ",".join([motion, *serial, *(f"{value:.9f}" for value in q)]))
     return 0
 

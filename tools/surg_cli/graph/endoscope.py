@@ -13,6 +13,8 @@ from typing import Any
 from surg_cli.host.terminal import Problem
 
 EYES = ("left", "right")
+WORDS = ("none", "left", "stereo", "depth", "marks")
+"""Of `--cameras`."""
 
 
 @dataclass(frozen=True)
@@ -23,25 +25,27 @@ class Endoscope:
     capture: dict[str, object] | None = None
 
 
-def of_cell(config: Any, simulated: bool, stereo: bool, lockstep: bool = False) -> Endoscope:
+def of_cell(config: Any, simulated: bool, eyes: int, lockstep: bool = False) -> Endoscope:
     """The endoscope of a ``surg_core`` CellConfig.
 
     Args:
         config: The cell.
         simulated: Whether the simulator drives an arm, so that it can render.
-        stereo: Both eyes of the simulator's; those of a source are what its layout holds.
+        eyes: Of the simulator's; those of a source are what its layout holds. 0: no endoscope.
         lockstep: Whether time is simulated.
 
     Raises:
         Problem: A real endoscope in simulated time.
     """
     stated = config.endoscope
+    if not eyes:
+        return Endoscope(())
     if stated is None:
-        return Endoscope(EYES[: 1 + stereo] if simulated else ())
+        return Endoscope(EYES[:eyes] if simulated else ())
     if lockstep:
         raise Problem(
             f"--lock-step: {config.file}: endoscope.source: {stated.source} delivers pictures in "
-            "real time; omit --lock-step, or add --no-video",
+            "real time; omit --lock-step, or add --cameras none",
             2,
         )
     width, height = stated.size
@@ -58,33 +62,58 @@ def of_cell(config: Any, simulated: bool, stereo: bool, lockstep: bool = False) 
     return Endoscope(EYES[: 1 + (stated.layout != "mono")], params)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of what is made of the pictures."""
+@dataclass(frozen=True)
+class Pictures:
+    """What `--cameras` asks for: a number of eyes, and what is made of their pictures."""
+
+    eyes: int
+    depth: bool = False
+    marks: bool = False
+
+    @property
+    def asked(self) -> str:
+        """The word that needs two eyes."""
+        return "--cameras depth" if self.depth else "--cameras marks"
+
+
+def pictures(text: str) -> Pictures:
+    """The value of `--cameras`, words with commas between them.
+
+    Raises:
+        argparse.ArgumentTypeError: A word is unknown, or excludes another.
+    """
+    words = set(text.split(","))
+    if words - set(WORDS) or ("none" in words and len(words) > 1):
+        allowed = "none, or left, stereo, depth, marks with commas"
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: {allowed}")
+    eyes = 0 if "none" in words else 1 if words == {"left"} else 2
+    return Pictures(eyes, "depth" in words, "marks" in words)
+
+
+def add_cameras(parser: argparse.ArgumentParser) -> None:
+    """Declare the option of the endoscope's pictures."""
     parser.add_argument(
-        "--depth", action="store_true", help="publish rectified pictures, depth and points"
-    )
-    parser.add_argument(
-        "--marks",
-        action="store_true",
-        help="publish pictures with tips, shafts, jaws and trocars drawn in, by joints alone",
+        "--cameras",
+        type=pictures,
+        default=Pictures(1),
+        metavar="WHAT",
+        help="none, left (default), stereo; also depth: rectified pictures, depth and points; "
+        "marks: tips, shafts, jaws and trocars by joints alone; several with commas",
     )
 
 
-def eyes_of(options: argparse.Namespace, scope: Endoscope, cell: Path) -> dict[str, object] | None:
+def eyes_of(asked: Pictures, scope: Endoscope, cell: Path) -> dict[str, object] | None:
     """Parameters of the node ``/eyes``; None: nobody asked for it.
 
     Raises:
         Problem: There are no two eyes.
     """
-    if not (options.depth or options.marks):
+    if not (asked.depth or asked.marks):
         return None
-    asked = "--depth" if options.depth else "--marks"
     if len(scope.views) < 2:
         why = "there are no pictures" if not scope.views else "the endoscope has one eye"
         raise Problem(
-            f"{asked}: {why}; allowed: a stereo endoscope, such as that of sim_two_arms, without "
-            "--no-video",
-            2,
+            f"{asked.asked}: {why}; allowed: a stereo endoscope, such as that of sim_two_arms", 2
         )
-    params: dict[str, object] = {"depth": options.depth, "marks": options.marks}
-    return {**params, "cell": str(cell)} if options.marks else params
+    params: dict[str, object] = {"depth": asked.depth, "marks": asked.marks}
+    return {**params, "cell": str(cell)} if asked.marks else params

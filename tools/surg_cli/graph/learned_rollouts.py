@@ -19,7 +19,7 @@ from surg_cli.graph.episode_plans import Condition
 from surg_cli.graph.system import Plan
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem, Progress
-from surg_learn.terminal import LearnError
+from surg_learn.learn_terminal import LearnError
 
 RESULT = "result.json"
 WEIGHTS = "SURG_BGR_WEIGHTS"

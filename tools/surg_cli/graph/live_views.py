@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.graph import master
+from surg_cli.graph.collect import TIMEOUT_S
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem, say
 
@@ -21,7 +22,7 @@ def calibrate(cell: Any, options: argparse.Namespace, source: str, date: str) ->
 
     Args:
         cell: A loaded cell.
-        options: ``what`` (a step, or ``live``), ``to``, ``port``, ``timeout``, ``lens_state``,
+        options: ``what`` (a step, or ``live``), ``to``, ``port``, ``lens_state``,
             ``dry_run``.
         source: ``measured`` or ``simulated``.
         date: Of the files.
@@ -96,7 +97,7 @@ def _follow(node: Any, options: argparse.Namespace) -> int:
         if status.state.value == "done" and options.what != "live":
             say("nothing written (--dry-run)" if options.dry_run else "restart the system")
             return 0
-        if options.what != "live" and now - progress_at > options.timeout:
+        if options.what != "live" and now - progress_at > TIMEOUT_S:
             raise Problem(
-                f"no new view within {options.timeout:g} s; {views} views are in {folder}. {hint}"
+                f"no new view within {TIMEOUT_S:g} s; {views} views are in {folder}. {hint}"
             )

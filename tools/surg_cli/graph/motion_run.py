@@ -31,15 +31,15 @@ class Robots(Protocol):
         """The same for one that has stopped since; before any arm is homed."""
 
 
-def play(plan: Plan, duration_s: float, port: int | None, robots: Robots) -> list[str]:
-    """Run a plan with an operator to its end; without a port on a free one.
+def play(plan: Plan, duration_s: float, robots: Robots) -> list[str]:
+    """Run a plan with an operator to its end.
 
     Returns why the run failed, one sentence each.
 
     Raises:
         Problem: The system does not come up.
     """
-    with running.launched("demo", plan.cell, plan.out, port) as (supervisor, entry):
+    with running.launched("demo", plan.cell, plan.out) as (supervisor, entry):
         robots.start(supervisor)
         for node in system.nodes(plan):
             system.start(supervisor, node)

@@ -100,7 +100,7 @@ def _assistant_frame(plan: Plan, loaded: Any) -> list[float]:
     if assistant is None:
         what = f"task {plan.task}" if plan.task else "a phantom without a task"
         raise Problem(
-            f"--second-leader: {what} has no assistant's instrument for a second hand to hold; "
+            f"--leader: {what} has no assistant's instrument for a second hand to hold; "
             "bgr has one",
             2,
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -189,7 +190,6 @@ def render(contract: Contract, seen: Iterable[Seen], arm: str) -> str:
             parts.append(_table(section["columns"], rows, there, arm))
         if "after" in section:
             parts.append(section["after"].strip())
-    parts += _types(contract)
     return "\n\n".join(parts) + "\n"
 
 
@@ -199,44 +199,38 @@ def _table(
     there: dict[tuple[str, str, str], Seen],
     arm: str,
 ) -> str:
+    """The rows of a section; neighbours that differ in name only share a line."""
+    both_ways = len({row.get("dir") for row in rows}) > 1
+    cells = [_cells(row, there, arm, both_ways) for row in rows]
     lines = [f"| {' | '.join(columns)} |", "|" + "---|" * len(columns)]
-    for row in rows:
-        entry = _entry(row)
-        at = there.get((entry.resolved(arm), entry.node, entry.direction))
-        cells = {
-            "topic": f"`{entry.name}`",
-            "service": f"`{entry.name}`",
-            "type": (at.type if at else entry.type) + _use(row.get("use", "")),
-            "rate": row.get("rate", "–"),
-            "direction": at.direction if at else entry.direction,
-            "frame": f"`{entry.frame}`" if entry.frame else "–",
-            "latched": "yes" if (at.latched if at else entry.latched[1]) else "–",
-            "meaning": row["meaning"],
-        }
-        lines.append(f"| {' | '.join(cells[column] for column in columns)} |")
+    for others, group in itertools.groupby(cells, lambda each: [each[c] for c in columns[1:]]):
+        names = ", ".join(dict.fromkeys(each[columns[0]] for each in group))
+        lines.append(f"| {' | '.join([names, *others])} |")
     return "\n".join(lines)
+
+
+def _cells(
+    row: dict[str, Any],
+    there: dict[tuple[str, str, str], Seen],
+    arm: str,
+    both_ways: bool,
+) -> dict[str, str]:
+    """What every column says of one topic or service."""
+    entry = _entry(row)
+    at = there.get((entry.resolved(arm), entry.node, entry.direction))
+    direction = f"{at.direction if at else entry.direction} " if both_ways else ""
+    latched = "; latched" if (at.latched if at else entry.latched[1]) else ""
+    return {
+        "topic": f"`{entry.name}`",
+        "service": f"`{entry.name}`",
+        "type": (at.type if at else entry.type) + _use(row.get("use", "")),
+        "rate": (direction + row.get("rate", "")).strip() or "–",
+        "frame": f"`{entry.frame}`" if entry.frame else "–",
+        "meaning": row["meaning"] + latched,
+    }
 
 
 def _use(use: str) -> str:
     if not use:
         return ""
     return f" `{use}`" if "[" in use else f", {use}"
-
-
-def _types(contract: Contract) -> list[str]:
-    """md5 of every type, and the text of our own messages."""
-    table = ["| type | md5 |", "|---|---|"]
-    table += [f"| {kind} | `{md5}` |" for kind, md5 in contract.types.items()]
-    parts = [
-        "## Types",
-        "ROS 1 connects two nodes only when type and md5 agree. `crtk_msgs` is complete, with the "
-        "md5 of the public one.",
-        "\n".join(table),
-        "## Our messages",
-    ]
-    for file in sorted((paths.ROOT / "src" / "surg_msgs" / "msg").glob("*.msg")):
-        parts += [
-            f"### surg_msgs/{file.stem}",
-            f"```\n{file.read_text('utf-8').strip()}\n```",
-        ]
-    return parts

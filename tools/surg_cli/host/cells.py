@@ -33,13 +33,13 @@ def find(name: str) -> Path:
 
 
 def for_robot(robot: str, folder: Path) -> Path:
-    """The cell for `--robot`: a bundled one, or one made in a folder round a robot.
+    """The cell for `--robot`: a cell, a robot's bundled one, or one made in a folder round a robot.
 
     A made cell has the robot base at the world's origin, the bundled instrument, and the trocar on
     the shaft at home with the tip 120 mm deep.
 
     Raises:
-        Problem: The robot is unknown, or its files are wrong.
+        Problem: There is no such robot or cell, or its files are wrong.
     """
     if robot in BUNDLED_ROBOTS:
         return find(BUNDLED_ROBOTS[robot])
@@ -47,9 +47,14 @@ def for_robot(robot: str, folder: Path) -> Path:
     described = described_robots()
     if robot in described:
         path = ROBOTS / f"{robot}.yaml"
-    elif path.suffix not in (".yaml", ".yml"):
-        known = ", ".join(described)
-        raise Problem(f"--robot {robot}: neither {known} nor the path of a robot's YAML", 2)
+    elif path.suffix not in (".yaml", ".yml") or path.name == "cell.yaml":
+        try:
+            return find(robot)
+        except Problem as problem:
+            known = ", ".join(described)
+            raise Problem(
+                f"--robot {robot}: neither {known} nor the path of a robot's YAML; {problem}", 2
+            ) from None
     if not path.is_file():
         raise Problem(f"--robot {robot}: no such file", 2)
     from surg_description.make_cell import make_cell

@@ -4,35 +4,39 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 
 WHERE = "which episodes: 'success and setting == \"ex_vivo\"' (docs/guide/labelling.md)"
 """Help of the option that selects episodes."""
+LOSSLESS = "lossless"
 
 
 def add_video_quality(parser: argparse.ArgumentParser) -> None:
-    """Options of the quality of recorded videos; ``video_quality`` reads them."""
-    chosen = parser.add_mutually_exclusive_group()
-    chosen.add_argument(
-        "--video-crf", type=crf, metavar="Q", help="quality of recorded video, 0 best to 51 (23)"
-    )
-    chosen.add_argument(
-        "--video-lossless", action="store_true", help="keep every pixel of a recorded video"
+    """The option of the quality of recorded videos; ``video_quality`` reads it."""
+    parser.add_argument(
+        "--video-crf",
+        type=crf,
+        metavar="Q",
+        help="quality of recorded video: 0 best to 51 (23), or lossless: every pixel is kept",
     )
 
 
 def video_quality(options: argparse.Namespace) -> dict[str, object]:
-    """The recorder's parameters of these options."""
-    chosen: dict[str, object] = (
-        {} if options.video_crf is None else {"video_crf": options.video_crf}
-    )
-    return {**chosen, **({"video_lossless": True} if options.video_lossless else {})}
+    """The recorder's parameters of this option."""
+    quality = options.video_crf
+    if quality is None:
+        return {}
+    return {"video_lossless": True} if quality == LOSSLESS else {"video_crf": quality}
 
 
-def crf(text: str) -> int:
-    """A constant quality of x264."""
-    value = _number_between(text, 0, 51, "a whole number from 0 (best) to 51")
+def crf(text: str) -> int | str:
+    """A constant quality of x264, or `lossless`."""
+    if text == LOSSLESS:
+        return text
+    allowed = f"a whole number from 0 (best) to 51, or {LOSSLESS}"
+    value = _number_between(text, 0, 51, allowed)
     if value != int(value):
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number from 0 (best) to 51")
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: {allowed}")
     return int(value)
 
 
@@ -49,6 +53,16 @@ def feedback_gain(text: str) -> float:
 def tcp_port(text: str) -> int:
     """A TCP port that needs no root."""
     return int(_number_between(text, 1024, 65535, "a port from 1024 to 65535"))
+
+
+def address_and_port(text: str) -> tuple[str, int | None]:
+    """An address to listen on, and a port if one is given: `127.0.0.1:8090`, `[::1]`."""
+    match = re.fullmatch(r"(\[[^]]*\]|[^:]*)(?::(\d+))?", text)
+    if match is None or not match[1]:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}; allowed: an address, or such as 127.0.0.1:8090 or [::1]:8090"
+        )
+    return match[1].strip("[]"), None if match[2] is None else tcp_port(match[2])
 
 
 def _number_between(text: str, low: float, high: float, allowed: str) -> float:

@@ -7,6 +7,7 @@ import shutil
 import sys
 import time
 from collections.abc import Sequence
+from typing import Any
 
 
 class Problem(Exception):
@@ -105,3 +106,13 @@ def table(rows: Sequence[Sequence[str]], indent: str = "  ") -> str:
         indent + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
         for row in rows
     )
+
+
+def report_findings(findings: Sequence[Any]) -> int:
+    """Print findings, with ``good``, ``what``, ``text`` and ``cure``; returns the exit status."""
+    for finding in findings:
+        sign = {True: "ok  ", False: "BAD ", None: "    "}[finding.good]
+        say(f"{sign} {finding.what}: {finding.text}")
+        if finding.cure:
+            say(f"       to do: {finding.cure}")
+    return 1 if any(finding.good is False for finding in findings) else 0

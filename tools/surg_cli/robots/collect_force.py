@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from surg_cli.graph.collect import append, check_columns, join_graph, rests
+from surg_cli.graph.collect import TIMEOUT_S, append, check_columns, join_graph, rests
 from surg_cli.host.terminal import Problem, say
 from surg_core.force import force_recording
 from surg_core.force.sensor_file import ForceSensor, load_sensor
@@ -44,7 +44,7 @@ def collect_forces(arm: Any, to: Path, count: int, options: argparse.Namespace) 
     topic = f"/{arm.name}/flange/measured_cf"
     rospy.Subscriber(topic, WrenchStamped, feel, queue_size=1000)
     say(f"{count} postures -> {to}; the tool hangs free and still for 0.5 s in each")
-    for q in rests(arm, to, count, options.timeout):
+    for q in rests(arm, to, count, TIMEOUT_S):
         readings = np.array(newest)
         newest.clear()  # a sensor that falls silent leaves nothing for the next posture
         _check_readings(readings, SECONDS * sensor.rate, topic)

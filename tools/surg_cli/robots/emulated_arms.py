@@ -74,8 +74,8 @@ class EmulatedArms:
         tools = f"{paths.ROOT / 'tools'}:{supervisor.env.get('PYTHONPATH', '')}".rstrip(":")
         env = {"SURG_READY": "1", "PYTHONPATH": tools}
         cell = str(self._cell)
-        for name, arm in self._arms.items():
-            words = ["emulate", _kind(name, arm, cell), "--cell", cell, "--arm", name]
+        for name in self._arms:
+            words = ["emulate", cell, "--arm", name]
             argv = [sys.executable, "-s", "-m", "surg_cli", *words]
             supervisor.start(f"/{name}/emulator", argv, extra_env=env)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 from surg_cli.host.terminal import Problem, say
@@ -14,32 +13,45 @@ LIVE = ("stereo", "camera", "handeye")
 """Steps that take views from a running system."""
 
 
-def add_arguments(parser: argparse.ArgumentParser, bases: Any) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the steps."""
-    bases.add_argument(
-        "--by", choices=("touch", "tip"), help="measure through the endoscope (default: --other)"
-    )
-    scope = parser.add_argument_group("endoscope")
-    scope.add_argument("--out", type=Path, metavar="FILE", help="board: the PDF, or a PNG")
-    scope.add_argument("--squares", default="11x8", metavar="CxR", help="board (default 11x8)")
-    scope.add_argument("--square", type=float, default=5.0, metavar="MM", help="side (default 5)")
-    scope.add_argument(
-        "--measured", type=float, metavar="MM", help="what the printed ruler of 100 mm measures"
-    )
-    scope.add_argument(
+    add = parser.add_argument_group("endoscope").add_argument
+    add("--by", choices=("touch", "tip"), help="bases: measure through the endoscope")
+    add(
         "--live",
         action="store_true",
         help="stereo, camera, handeye, bases --by: views from the running system",
     )
-    scope.add_argument(
-        "--keep", action="store_true", help="copy the views to calibration/views/<step>"
+    add(
+        "--board",
+        type=_board_size,
+        default=(11, 8, 5.0),
+        metavar="CxRxMM",
+        help="board: columns, rows, side of a square (default 11x8x5)",
     )
-    scope.add_argument(
+    add(
+        "--measured",
+        type=float,
+        metavar="MM",
+        help="board: what its ruler of 100 mm measures",
+    )
+    add(
         "--also",
         choices=("easy_handeye",),
         help="handeye: write that ROS package's YAML too, with a static_transform_publisher line",
     )
-    scope.add_argument("--lens-state", default="", metavar="TEXT", help="focus and zoom, in words")
+    add("--lens-state", default="", metavar="TEXT", help="stereo: focus and zoom, in words")
+
+
+def _board_size(text: str) -> tuple[int, int, float]:
+    """Columns, rows and side of a square [mm]."""
+    columns, rows, side = [*text.split("x"), "", ""][:3]
+    try:
+        if text.count("x") == 2:
+            return int(columns), int(rows), float(side)
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"{text!r}; allowed: columns, rows and mm, such as 11x8x5")
 
 
 def check_live(options: argparse.Namespace, cell: Any) -> None:
@@ -57,8 +69,8 @@ def check_live(options: argparse.Namespace, cell: Any) -> None:
         raise Problem(f"calibrate {options.what}: --live goes with {allowed}", 2)
     if options.source is not None:
         raise Problem("calibrate: --live and --from exclude one another", 2)
-    if options.keep or options.also:
-        raise Problem("calibrate: --keep and --also go with --from; --live leaves its folder", 2)
+    if options.also:
+        raise Problem("calibrate: --also goes with --from", 2)
 
 
 def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
@@ -86,7 +98,6 @@ def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
     if options.also and what != "handeye":
         raise Problem(f"calibrate {what}: --also {options.also} goes with handeye", 2)
     from surg_perception.calibration.result_files import Origin
-    from surg_perception.output.kept_views import keep_views
 
     # A path of this machine does not belong into the cell's files.
     words = [what] + ([f"--by {options.by}"] if what == "bases" else [])
@@ -100,11 +111,6 @@ def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
         raise Problem(f"calibrate {what}: {error}; nothing is written", 1) from error
     for line in lines:
         say(line)
-    if options.keep and write and options.source is not None:
-        try:
-            say(f"kept: {keep_views(cell.folder / 'calibration', what, options.source)}")
-        except OSError as error:
-            raise Problem(f"calibrate {what}: the views are not kept: {error}", 1) from error
     if what != "check":
         say("restart the system" if write else "nothing written (--dry-run)")
 
@@ -136,16 +142,17 @@ def _board(cell: Any, options: argparse.Namespace) -> None:
     from surg_perception.calibration.board_file import write_board
     from surg_perception.calibration.board_pdf import board_pdf
 
-    if options.out is None and options.measured is None:
-        raise Problem("calibrate board: --out FILE.pdf or --measured MM is missing", 2)
+    if options.to is None and options.measured is None:
+        raise Problem("calibrate board: --to FILE.pdf or --measured MM is missing", 2)
     try:
-        drawn = boards.Board(*boards.parse_squares(options.squares), 1e-3 * options.square)
-        if options.out is not None:
-            if options.out.suffix == ".png":  # for the bench of the simulator
-                boards.write_picture(options.out, drawn)
+        columns, rows, side = options.board
+        drawn = boards.Board(columns, rows, 1e-3 * side)
+        if options.to is not None:
+            if options.to.suffix == ".png":  # for the bench of the simulator
+                boards.write_picture(options.to, drawn)
             else:
-                options.out.write_bytes(board_pdf(drawn))
-            say(f"written: {options.out}; print a PDF at 100 %, glue it on something flat")
+                options.to.write_bytes(board_pdf(drawn))
+            say(f"written: {options.to}; print a PDF at 100 %, glue it on something flat")
         side = drawn.square
         if options.measured is not None:
             side = boards.printed_square(side, options.measured)

@@ -1,4 +1,4 @@
-"""`./surg dev doctor --robot CELL`: what would keep a cell's real arms from moving, with cures."""
+"""`./surg robot CELL doctor`: what would keep a cell's real arms from moving, with cures."""
 
 from __future__ import annotations
 
@@ -17,10 +17,14 @@ from surg_hardware.ur import ur_checkup
 
 EXAMINERS = {"ur": ur_checkup.examine}
 """Name of a link -> its part of the check-up; that of any other is done by its driver."""
+MEASURED_S = 10.0
+"""Length of each measurement [s]."""
 
 
 def findings(name: str, only: str | None, seconds: float) -> list[Finding]:
-    """Everything about the real or emulated arms of a cell; moves nothing.
+    """Everything about the real or emulated arms of a cell, by measurements of some seconds.
+
+    Nothing moves.
 
     Raises:
         Problem: There is no such cell or arm.

@@ -52,7 +52,7 @@ def serve(action: str, arm: Any, folder: Path) -> None:
     except OSError as error:
         raise Problem(
             f"{arm.name}: hardware.address {arm.hardware.address}: {error}: "
-            f"./surg dev doctor --robot {folder.name}"
+            f"./surg robot {folder.name} doctor"
         ) from error
 
 

@@ -29,8 +29,7 @@ struct Verdict {
   Motion motion = Motion::kNone;
 };
 
-/// Maximum number of commands per cycle; the node keeps the rest for the next cycle.
-constexpr int kMaxCommands = 64;
+constexpr int kMaxCommands = 64;  ///< of one cycle; the node keeps the rest for the next one
 
 /// Latest measurements of arm, tool and sensors, and the time since the last cycle.
 struct Readings {

@@ -10,15 +10,16 @@ using namespace config;
 
 namespace {
 
-constexpr int kUrJoints = 6;
+constexpr int kUrJoints = 6;  // joints of a UR
 // A measured base; the same bounds as in base_file.py and checked_document.py.
-constexpr double kFarthestBase = 10.0;         // [m]
-constexpr double kLargestBaseResidual = 0.02;  // [m]
-constexpr int kLeastBasePoints = 6;
-constexpr double kLargestTurnSd = 0.35, kLargestShiftSd = 0.1;  // [rad], [m]
-constexpr double kLeastEigenvalue = 1e-9;                       // of the correlations
-constexpr double kUnit = 1e-6;      // from the length of a unit quaternion
-constexpr double kSameBase = 1e-9;  // [m, rad]
+constexpr double kFarthestBase = 10.0;         // [m] largest coordinate
+constexpr double kLargestBaseResidual = 0.02;  // [m] largest `residual`
+constexpr int kLeastBasePoints = 6;            // least `n` of points
+constexpr double kLargestTurnSd = 0.35;        // [rad] largest standard deviation, each axis
+constexpr double kLargestShiftSd = 0.1;        // [m] largest standard deviation, each axis
+constexpr double kLeastEigenvalue = 1e-9;      // of the correlations
+constexpr double kUnit = 1e-6;                 // from the length of a unit quaternion
+constexpr double kSameBase = 1e-9;             // [m, rad] change of the first arm's stated base
 
 struct Evidence {
   double residual, condition;

@@ -16,8 +16,8 @@ namespace {
 
 constexpr double kInf = std::numeric_limits<double>::infinity();
 // What a cell may state of a real arm.
-constexpr double kHeaviestPayload = 20.0;  // [kg]
-constexpr double kFarthestPayload = 0.5;   // [m]
+constexpr double kHeaviestPayload = 20.0;  // [kg] largest `hardware.payload.mass`
+constexpr double kFarthestPayload = 0.5;   // [m] largest coordinate of `hardware.payload.cog`
 constexpr int kPriorities[] = {
     2, 78};  // of SCHED_FIFO; the controller has 79 and 80, the node one less
 /// The arms that a link drives: their number of joints, and the robot's name if it is one model.
@@ -27,11 +27,11 @@ struct DrivenArms {
   const char* robot;
 };
 constexpr DrivenArms kDrivenArms[] = {{"ur", 6, ""}, {"fr3", 7, "fr3"}, {"panda", 7, "panda"}};
-constexpr double kOldestCalibration = 366;  // [d]
+constexpr double kOldestCalibration = 366;  // [d] largest `calibration_days`
 
 // Distances that a cell may keep. The guard itself needs the least one (clearance.cpp).
-constexpr double kClosest = 0.005;  // [m]
-constexpr double kFarthest = 0.2;   // [m]
+constexpr double kClosest = 0.005;  // [m] least `clearance.distance`
+constexpr double kFarthest = 0.2;   // [m] largest `clearance.distance` and `clearance.shafts`
 
 /// The four numbers of an IPv4 address in its one canonical form, or none.
 std::optional<std::array<int, 4>> ipv4(const std::string& text) {
@@ -190,7 +190,7 @@ std::map<std::string, std::string> read_machines(Reader& reader, const std::stri
 
 constexpr double kPictureSize[] = {16, 7680};  // [px]
 constexpr double kPictureRate[] = {1, 240};    // [1/s]
-constexpr double kMostLatency = 1.0;           // [s]
+constexpr double kMostLatency = 1.0;           // [s] largest `endoscope.latency`
 
 /// The section 'endoscope'; a cell without one has the simulator's.
 std::optional<CellEndoscope> read_endoscope(Reader& reader) {

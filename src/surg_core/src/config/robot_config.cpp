@@ -71,9 +71,10 @@ constexpr double kLinkTimeout[] = {0.03, 0.2}, kLinkAcceleration[] = {0.05, 1.0}
 constexpr double kDeadMan[] = {0.01, 0.1}, kStopDeceleration[] = {4.0, 40.0};
 
 // Together what clearance.hpp has room for.
-constexpr int kMostArmCapsules = 24;
-constexpr int kMostToolCapsules = 8;
-constexpr double kSlowTip = 0.02, kSlowFlange = 0.05;  // [m/s] of an arm being commissioned
+constexpr int kMostArmCapsules = 24;  // `capsules` of a robot
+constexpr int kMostToolCapsules = 8;  // `capsules` of an instrument
+constexpr double kSlowTip = 0.02;     // [m/s] of an arm that is being commissioned
+constexpr double kSlowFlange = 0.05;  // [m/s] of an arm that is being commissioned
 
 /// Limits that must increase, whoever set them.
 struct IncreasingLimits {

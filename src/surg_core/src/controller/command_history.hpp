@@ -14,10 +14,10 @@ namespace surg {
 /// command stands, it comes closer to it.
 class CommandHistory {
  public:
-  static constexpr int kSlots = 20;
+  static constexpr int kSlots = 20;       ///< ranges of commands that are remembered
   static constexpr double kReach = 0.04;  ///< [s] beyond the time-out in which a link obeys
-  static constexpr double kLag = 0.02;    ///< [s] time constant with which it does
-  static constexpr double kDelay = 0.01;  ///< [s]
+  static constexpr double kLag = 0.02;  ///< [s] time constant with which a link obeys at the latest
+  static constexpr double kDelay = 0.01;  ///< [s] after which it begins to obey at the latest
 
   /// link_timeout [s]: a link that obeys later counts as lost. T [s]: control period.
   CommandHistory(double link_timeout, double T)

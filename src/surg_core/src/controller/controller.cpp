@@ -9,8 +9,8 @@
 namespace surg {
 namespace {
 
-constexpr double kPositionReserve = 0.01;  // [rad] a lagging joint overshoots its command
-constexpr double kFlangeReserve = 0.97;  // of its speed; the rest is for the follower's correction
+constexpr double kPositionReserve = 0.01;  // [rad] to position limits: a lagging joint overshoots
+constexpr double kFlangeReserve = 0.97;    // of the flange's speed; the rest is for the correction
 
 /// An open loop does not compensate the link's lag.
 bool compensates_lag(const Controller::Options& options) {

@@ -11,9 +11,9 @@ constexpr double kFollowDistance =
 constexpr double kToolTimeout = 0.2;  // [s] without a jaw state (F31)
 constexpr double kDelayDecay = 0.5;   // [s] time constant of the recent state age
 constexpr double kDampedLoop = 0.6;   // gain times delay of a loop that is well damped
-constexpr double kVelocitySlack = 0.05;  // [rad/s] measured velocities are noisy
+constexpr double kVelocitySlack = 0.05;  // [rad/s] noise of measured velocities
 constexpr int kUnexplained = 5;          // [cycles] of a motion that no command explains
-constexpr double kSofter = 4;            // times what the cycles are too long on average
+constexpr double kSofter = 4;  // times the excess of the cycles: streams are followed as softly
 constexpr double kStatusPeriods = 0.04;  // [s] two periods of robot/status: joint states end first
 constexpr double kRoundTrip = 2.0;       // a link with late states also executes late
 

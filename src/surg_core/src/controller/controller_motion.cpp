@@ -12,9 +12,9 @@ constexpr double kStandstillScale = 0.05;  // alpha below it counts as stopped b
 constexpr double kMaxFlangeLead = 0.5;  // of the flange's speed, so that the reference still moves
 constexpr double kPivotOffsetPole = 8;  // [1/s] pole of the convergence to the pivot after a start
 constexpr double kHorizon = 0.45;       // [s] of look-ahead on the set-point's clock
-constexpr double kRetraceRate = 0.15;   // [rad/s] of the fastest joint
+constexpr double kRetraceRate = 0.15;   // [rad/s] of the fastest joint of `rcm/retrace`
 constexpr double kOffPath = 1e-6;       // [m] of the reference's tip beside its set-point
-constexpr double kNegligible = 1e-3;    // [rad, rad/s]
+constexpr double kNegligible = 1e-3;    // [rad, rad/s] a retrace has arrived
 constexpr double kRetraceSettles =
     1.0;  // [s] at the trace's beginning; a moving trocar never rests
 
@@ -270,7 +270,7 @@ JointVector Controller::Impl::clear_posture(const JointVector& q,
                                             const JointVector& posture) const {
   const double share = clearance.posture_share(out.clearance);
   if (!(share < 1) || posture.size() != q.size()) return posture;
-  constexpr double kAhead = 0.01;  // [s]
+  constexpr double kAhead = 0.01;  // [s] over which the null space's motion is judged
   Pose X_BF;
   Jacobian J;
   arm.chain().forward(q, X_BF, J);

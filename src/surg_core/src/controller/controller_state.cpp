@@ -7,9 +7,9 @@ namespace surg {
 namespace {
 
 constexpr double kMaxHeight = 0.15;     // [m] of a tip above its trocar before 'insert'
-constexpr double kRestVelocity = 5e-3;  // [rad/s] small enough to drop in one cycle
-constexpr double kSamePosture = 0.02;   // [rad] an arm at rest has not been moved
-constexpr int kHomeBusyCycles = 5;      // so that a client sees an edge of is_busy
+constexpr double kRestVelocity = 5e-3;  // [rad/s] at rest; small enough to drop in one cycle
+constexpr double kSamePosture = 0.02;   // [rad] an arm that moved less was not led by hand
+constexpr int kHomeBusyCycles = 5;      // cycles of `is_busy` after `home`: a client sees an edge
 
 }  // namespace
 

@@ -16,17 +16,17 @@ constexpr double kTremorHertz[] = {8, 9, 10, 11, 12};
 constexpr SwingModel kSwing{2500, 44, 0.17, 0, 1e9, 0.27};
 constexpr double kSwingHertz[] = {3, 5};
 // Weights before any sample is known.
-constexpr double kPlain = 2;
-constexpr double kReturningPrior = 1;
-constexpr double kTremorPrior = 0.19;  // each
-constexpr double kSwingPrior = 0.4;    // each
+constexpr double kPlain = 2;           // weight of the plain model
+constexpr double kReturningPrior = 1;  // weight of a motion that comes back
+constexpr double kTremorPrior = 0.19;  // weight of each tremor
+constexpr double kSwingPrior = 0.4;    // weight of each swing
 constexpr double kMemory = 0.4;        // [s] over which innovations are compared
 constexpr double kLeast = 1e-18;       // [m^2, rad^2] a difference of innovations that says nothing
-constexpr double kFast = 0.021;        // [s] up to this period the plain model is enough;
+constexpr double kFast = 0.021;        // [s] up to this period the plain model is enough
 constexpr double kSlow = 0.024;        // [s] from this one on all models count
-constexpr double kLateBy = 0.28;       // of a period: less to predict, and a smoother path
-constexpr double kLatestBy = 0.005;    // [s] with the plain model alone
-constexpr double kSlowLateBy = 0.075;  // of a period with all models
+constexpr double kLateBy = 0.28;       // of a period, with the plain model: a smoother path
+constexpr double kLatestBy = 0.005;    // [s] delay at most, with the plain model
+constexpr double kSlowLateBy = 0.075;  // of a period, with all models
 
 double share_at(double period) { return std::clamp((period - kFast) / (kSlow - kFast), 0.0, 1.0); }
 

@@ -8,15 +8,15 @@ namespace surg {
 namespace {
 
 constexpr double kBlock = 0.099;    // [s] samples are averaged over as much
-constexpr double kSlowest = 0.09;   // [Hz] and
-constexpr double kFastest = 0.6;    // the fastest rate of breathing
-constexpr double kLeastSpan = 8;    // [s] and
-constexpr double kPeriods = 1.9;    // periods, before a rate is believed
+constexpr double kSlowest = 0.09;   // [Hz] slowest rate of breathing
+constexpr double kFastest = 0.6;    // [Hz] fastest rate of breathing
+constexpr double kLeastSpan = 8;    // [s] of samples before a rate is believed
+constexpr double kPeriods = 1.9;    // in the samples before a rate is believed
 constexpr double kSweepStep = 0.2;  // periods in the span between two rates of the sweep
-constexpr double kProbeStep = 0.1;  // the same between the three rates of the refinement
+constexpr double kProbeStep = 0.1;  // periods between the three rates of the refinement
 constexpr double kAlias = 3;        // times the least residual that a faster rate may leave
 constexpr int kTries = 4;           // refinements, until the rate explains the motion
-constexpr double kResidual = 1.4;   // times the noise's variance, and
+constexpr double kResidual = 1.4;   // times the noise's variance that a right rate may leave
 constexpr double kShape = 3e-4;     // [m] rms that the harmonics may leave
 constexpr double kRidge = 1e-6;     // times the samples; terms that the samples do not tell
 

@@ -10,9 +10,8 @@ namespace {
 
 // Tuned on a synthetic and a recorded hand motion (docs/results/stream.md).
 constexpr double kAccelerationMemory = 0.08;  // [s] time constant of the acceleration
-// At a slow rate more of a hand's motion is beyond prediction and counts as noise: the variance of
-// a sample grows with the cube of the period [s].
-constexpr double kNoisyPeriod = 0.0035;
+// At a slow rate more of a hand's motion is beyond prediction and counts as noise.
+constexpr double kNoisyPeriod = 0.0035;  // [s] above it a sample's variance grows with its cube
 
 }  // namespace
 

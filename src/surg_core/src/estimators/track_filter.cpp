@@ -9,15 +9,15 @@ namespace {
 constexpr double kJerkChange = 0.1;          // [s] in which the jerk changes by its stated size
 constexpr double kLeastNoise = 5e-6;         // [m] rms; no tracker is better
 constexpr double kLeastRateNoise = 4e-4;     // [m/s] rms; trackers low-pass their velocities
-constexpr double kStartSpeed = 0.01;         // [m/s] and
-constexpr double kStartAcceleration = 0.02;  // [m/s^2] standard deviations at the first sample
+constexpr double kStartSpeed = 0.01;         // [m/s] standard deviation at the first sample
+constexpr double kStartAcceleration = 0.02;  // [m/s^2] standard deviation at the first sample
 constexpr double kGate = 5;              // standard deviations; beyond them a sample is an outlier
 constexpr double kLeastGate = 1e-3;      // [m] a pushed trocar leaves the model by as much
-constexpr double kRateGate = 0.005;      // [m/s] the same for a velocity, which is then not used
+constexpr double kRateGate = 0.005;      // [m/s] of a velocity, which is then not used
 constexpr double kBeside = 4;            // standard deviations of the step between two samples
 constexpr double kMemory = 2;            // [s] in which the filters are compared
-constexpr int kNoiseMemory = 100;        // samples
-constexpr int kStatedNoise = 3;          // the stated noise counts as much
+constexpr int kNoiseMemory = 100;        // samples of which the noise is estimated
+constexpr int kStatedNoise = 3;          // samples that the stated noise counts for
 constexpr double kThirdDifference = 20;  // variance of a third difference over that of a sample
 constexpr double kClip = 16;             // squared; a larger third difference is an outlier's
 

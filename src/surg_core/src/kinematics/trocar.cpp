@@ -12,9 +12,9 @@ constexpr double kUneven = 0.3;  // share of the spacing by which samples may co
 constexpr double kGap = 1.8;     // times the spacing: samples are missing
 constexpr double kSpacingShare = 0.1;  // of a new spacing in the usual one
 constexpr double kDeviations = 3;      // of the estimated velocity that may be noise
-constexpr double kNoisy = 1.5;         // times the stated noise
-constexpr double kAgree = 1e-3;        // [m] and
-constexpr double kAgreeNoise = 5;      // times the noise: outliers that see the same point
+constexpr double kNoisy = 1.5;         // times the stated noise; above it a tracker is noisy
+constexpr double kAgree = 1e-3;        // [m] between outliers that see the same point
+constexpr double kAgreeNoise = 5;      // times the noise: the same for a noisy tracker
 constexpr double kNear = 2e-3;         // [m] of the first sample; farther away it counts at once
 constexpr int kJump = 3;               // outliers in a row that see the same point
 

@@ -9,10 +9,10 @@
 namespace surg {
 namespace {
 
-constexpr int kJoints = 6;
+constexpr int kJoints = 6;  // joints of a UR
 // Published calibrations move a flange by a few millimetres.
-constexpr double kFarthest = 0.02;   // [m]
-constexpr double kMostTilt = 0.035;  // [rad]
+constexpr double kFarthest = 0.02;   // [m] of an axis or the flange from the drawing
+constexpr double kMostTilt = 0.035;  // [rad] of an axis or the flange from the drawing
 
 /// Frames 0 to 6 at q = 0, in B. ROS turns UR's own base by 180 degrees about z.
 std::array<Pose, kJoints + 1> frames_at_zero(const UrKinematics& own) {

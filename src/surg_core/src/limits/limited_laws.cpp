@@ -16,15 +16,15 @@ constexpr double kPostureShare = 0.05;  // of the velocity limits, at most, for 
 constexpr double kArcReserve = 2e-3;    // [rad] that a node may always be beside its guess
 
 // How a displaced tip returns to its path.
-constexpr double kReturnGain = 15;           // [1/s]
-constexpr double kReturnAcceleration = 0.3;  // [m/s^2]
+constexpr double kReturnGain = 15;           // [1/s] speed over distance
+constexpr double kReturnAcceleration = 0.3;  // [m/s^2] of the return
 constexpr double kReturnAtOnce = 2e-8;  // [m] per cycle, always taken back: no visible joint motion
 constexpr double kRollLever = 0.05;     // [m/rad] weighs roll against length
 
 // How an arm returns to its recorded trace, in joint space.
-constexpr double kRetraceReturn = 1.0;    // [rad/s^2]
-constexpr double kRetraceAtOnce = 1e-7;   // [rad] per cycle
-constexpr double kRetraceHorizon = 0.45;  // [s]
+constexpr double kRetraceReturn = 1.0;    // [rad/s^2] of the return
+constexpr double kRetraceAtOnce = 1e-7;   // [rad] per cycle, always taken back
+constexpr double kRetraceHorizon = 0.45;  // [s] of look-ahead along the trace
 constexpr double kTraceSpacing = 1e-3;    // [s] for the trace's direction
 
 /// Share of a displacement that is left after a cycle of T: taken back gently, and at once where

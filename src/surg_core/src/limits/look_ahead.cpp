@@ -9,12 +9,12 @@ namespace surg {
 namespace {
 
 // The plan takes less than the limits, so that the step has reserves to follow it.
-constexpr double kPlanVelocity = 0.995;
-constexpr double kFirstSpacing = 0.002;  // [s] of the clock
-constexpr double kSpacingGrowth = 1.4;
-constexpr double kFirstArc = 0.002;    // [rad]
-constexpr double kSmallestArc = 1e-5;  // [rad] a path that cannot be followed this far ends here
-constexpr double kShorter = 0.4;       // of the way to a node that could not be reached
+constexpr double kPlanVelocity = 0.995;  // of each joint's velocity limit
+constexpr double kFirstSpacing = 0.002;  // [s] of the clock to the first node
+constexpr double kSpacingGrowth = 1.4;   // of the spacing from node to node
+constexpr double kFirstArc = 0.002;      // [rad] of joint motion to the first node at most
+constexpr double kSmallestArc = 1e-5;    // [rad] a path that cannot be followed this far ends here
+constexpr double kShorter = 0.4;         // of the way to a node that could not be reached
 
 /// A x + B y <= c.
 struct Row {

@@ -19,7 +19,7 @@ class LimitedStep::LookAhead {
   Cap cap() const { return {alpha(), by_}; }
 
  private:
-  static constexpr int kNodes = 14;
+  static constexpr int kNodes = 14;  ///< of the preview at most
 
   double alpha() const;
   bool advance(const Law& law, const Here& here);

@@ -8,7 +8,7 @@ namespace {
 
 constexpr double kWallGain = 30;         // [1/s] speed towards a wall over the distance left
 constexpr double kShortestLever = 0.02;  // below it no motion of the tip takes the shaft away
-constexpr double kInside = 1e-12;        // [m, m/s] rounding
+constexpr double kInside = 1e-12;        // [m, m/s] beyond a wall: rounding
 constexpr int kLinearisations = 3;       // of linearisation on curved walls
 constexpr int kTargetPasses = 8;         // of projection onto one wall after the other
 

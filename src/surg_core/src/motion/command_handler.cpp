@@ -10,12 +10,12 @@
 namespace surg {
 namespace {
 
-constexpr double kArrivedDistance = 5e-4;  // [m]
-constexpr double kArrivedRoll = 0.01;      // [rad]
+constexpr double kArrivedDistance = 5e-4;  // [m] from the target: a move has arrived
+constexpr double kArrivedRoll = 0.01;      // [rad] from the target
 constexpr double kArriveWithin = 1.0;      // [s] after the profile's end; then the move is given up
 constexpr double kHeldWithin = 0.75;       // [s] near one place at a limit; then it is given up
 constexpr double kHeldDistance = 1e-4;     // [m] of the set-point that is no progress
-constexpr double kHeldRoll = 1e-3;         // [rad]
+constexpr double kHeldRoll = 1e-3;         // [rad] of the set-point that is no progress
 constexpr double kAxialSpeed = 0.02;       // [m/s] of insert and withdraw
 constexpr double kClearance = 0.01;        // [m] of the tip above the trocar after withdraw
 constexpr double kWallMargin = 1e-3;       // [m] inside the workspace slides a stream

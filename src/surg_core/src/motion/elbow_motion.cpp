@@ -9,8 +9,8 @@ namespace {
 
 constexpr double kGain = 2;                 // [1/s] of the elbow's error, and of a joint's room
 constexpr double kFastest = 0.3;            // [rad/s] of the elbow
-constexpr double kVelocityShare = 0.045;    // of each joint's limit
-constexpr double kAccelerationShare = 0.1;  // of each joint's limit
+constexpr double kVelocityShare = 0.045;    // of each joint's velocity limit
+constexpr double kAccelerationShare = 0.1;  // of each joint's acceleration limit
 constexpr double kReserve = 0.06;           // [rad] to a joint's limit; the tip's motion may use it
 constexpr double kStill = 2e-3;             // [rad/s] slower than that the elbow is held
 constexpr double kFullTurn = 0.3;           // [rad/rad] of the elbow; below it slower

@@ -9,8 +9,8 @@ namespace {
 
 constexpr double kRounding = 1 + 1e-12;      // of a limit
 constexpr double kPositionRounding = 1e-12;  // [m] or [rad]
-constexpr double kScanStep = 1.04;           // the set of feasible durations is not one interval
-constexpr double kResolution = 1e-4;         // of the duration [s]
+constexpr double kScanStep = 1.04;  // from one tried duration to the next; feasible ones have gaps
+constexpr double kResolution = 1e-4;  // of the duration [s]
 
 bool inside(const Interval& range, const Interval& hull) {
   return range.least >= hull.least - kPositionRounding &&

@@ -10,16 +10,15 @@ namespace {
 // Gains of the three nested loops, tuned on a synthetic and a recorded hand motion
 // (docs/results/stream.md), and the share of acceleration and jerk that the square-root approach
 // counts on (the rest is left for the moving target). The gains are lower where ticks are long.
-constexpr double kPositionGain = 90;       // [1/s]
-constexpr double kVelocityGain = 200;      // [1/s]
-constexpr double kAccelerationGain = 600;  // [1/s]
-constexpr double kFastestGain = 0.4;       // of the velocity loop, per tick
-constexpr double kStreamAccelerationShare = 0.25;
-constexpr double kJerkShare = 0.4;
+constexpr double kPositionGain = 90;               // [1/s] position to velocity
+constexpr double kVelocityGain = 200;              // [1/s] velocity to acceleration
+constexpr double kAccelerationGain = 600;          // [1/s] acceleration to jerk
+constexpr double kFastestGain = 0.4;               // of the velocity loop, per tick
+constexpr double kStreamAccelerationShare = 0.25;  // of the acceleration limit
+constexpr double kJerkShare = 0.4;                 // of the jerk limit
 
-// [s] a tick may follow that is as long as this: after a late cycle, or where limits have slowed
-// the clock.
-constexpr double kLongestTick = 0.02;
+// After a late cycle, or where limits have slowed the clock.
+constexpr double kLongestTick = 0.02;  // [s] that the filter follows
 
 double clamp_to(double value, double bound) { return std::clamp(value, -bound, bound); }
 

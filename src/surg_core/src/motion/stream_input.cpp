@@ -11,10 +11,10 @@ constexpr double kShortestGap = 0.004;    // [s] a gap that is always bridged
 constexpr double kLongestSpacing = 0.06;  // [s] the longest one: 1.5 times a burst every 40 ms
 constexpr double kShortest = 0.008;       // [s] delay of a gentle hand, where there is any
 constexpr double kGentle = 0.8;           // of the arm's acceleration: demands no more delay
-constexpr double kHard = 1.5;             // of it: demands the largest delay
+constexpr double kHard = 1.5;             // of the arm's acceleration: demands the largest delay
 constexpr double kUnseen = 30;            // [1/s] per period, of a demand that slow samples hide
-constexpr double kGrowth = 0.5;           // [s/s] of the delay
-constexpr double kRelease = 0.02;         // [s/s]
+constexpr double kGrowth = 0.5;           // [s/s] rate at which the delay grows
+constexpr double kRelease = 0.02;         // [s/s] rate at which the delay shrinks
 
 }  // namespace
 

@@ -9,9 +9,9 @@ namespace {
 
 constexpr double kHighPass = 1.0;    // [s] time constant; slow drift of q against c is no lag
 constexpr double kLagMemory = 10.0;  // [s] of motion that the sums remember
-// [rad^2/s] sum of v^2 dt that an estimate needs: 0.1 rad/s of one joint for 0.5 s. The error of a
-// position resolution of 1e-5 rad is then below 0.1 ms.
-constexpr double kEnough = 0.005;
+// 0.1 rad/s of one joint for 0.5 s: the error of a position resolution of 1e-5 rad is then below
+// 0.1 ms.
+constexpr double kEnough = 0.005;  // [rad^2/s] sum of v^2 dt that an estimate needs
 
 }  // namespace
 

@@ -39,7 +39,7 @@ class Results {
   Results(const std::string& area, const std::string& source, const std::string& what)
       : area_(area) {
     page_ << "# " << what << "\n\nWritten by `./surg test --full` (`" << source
-          << "`): figures of simulation, seeded, the same in every run.\n";
+          << "`): simulation, seeded, the same in every run.\n";
   }
   Results(const Results&) = delete;
   Results& operator=(const Results&) = delete;
@@ -60,19 +60,22 @@ class Results {
              const std::vector<std::string>& columns) {
     add("\n## " + heading + "\n\n" + (note.empty() ? "" : note + "\n\n"));
     row(columns);
-    row(std::vector<std::string>(columns.size(), "---"));
+    std::string line = "|";
+    for (std::size_t i = 0; i < columns.size(); ++i) line += "---|";
+    add(line + "\n");
   }
-  void row(const std::vector<std::string>& cells) {
+  /// Printed always; 'on_page' says whether the page has it, too.
+  void row(const std::vector<std::string>& cells, bool on_page = true) {
     std::string line = "|";
     for (const std::string& text : cells) line += " " + text + " |";
-    add(line + "\n");
+    add(line + "\n", on_page);
   }
   /// A paragraph after a table.
   void text(const std::string& paragraph) { add("\n" + paragraph + "\n"); }
 
  private:
-  void add(const std::string& text) {
-    page_ << text;
+  void add(const std::string& text, bool on_page = true) {
+    if (on_page) page_ << text;
     std::fputs(text.c_str(), stdout);
     written_ = true;
   }

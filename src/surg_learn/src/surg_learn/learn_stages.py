@@ -12,9 +12,9 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from surg_learn.learn_terminal import LearnError, Terminal
 from surg_learn.recipes import PUSH_M, Request
 from surg_learn.stage_ledger import Ledger
-from surg_learn.terminal import LearnError, Terminal
 
 if TYPE_CHECKING:
     from surg_sim.envs.demonstrations import Plan

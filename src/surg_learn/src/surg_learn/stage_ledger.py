@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from surg_learn.terminal import LearnError
+from surg_learn.learn_terminal import LearnError
 
 FORMAT = "surg_stages/1"
 

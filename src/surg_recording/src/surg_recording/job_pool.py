@@ -24,7 +24,7 @@ EXECUTORS = ("process", "serial", "dask")
 
 DASK_HINT = (
     "the executor dask needs the package distributed (Debian: python3-distributed; pip:"
-    " 'surg_recording[dask]'); --executor process needs nothing"
+    " 'surg_recording[dask]'); processes need nothing"
 )
 CONNECT_S = 20
 """Longest wait for a scheduler [s]."""

@@ -13,27 +13,30 @@ from surg_emulators.emulator_ports import PortedEmulator
 from surg_emulators.franka import franka_emulator
 from surg_emulators.ur import ur_emulator
 
+ROBOTS = {robot: (kind, model) for kind, of in MODELS.items() for robot, model in of.items()}
+"""Robot -> its emulator, and its name at the maker's."""
+
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "arm", choices=tuple(MODELS), help="ur: UR3e, UR5e, UR10e; fer: Panda; fr3: FR3"
+    parser.epilog = (
+        "Ports, serial number, joint angles, a record of every cycle and lock-step are options of "
+        "the programs surg_emulators.ur.ur_emulator and surg_emulators.franka.franka_emulator."
     )
-    parser.add_argument("--cell", help="be the arm of this cell: its address, serial, model, home")
-    parser.add_argument(
-        "--arm", dest="name", metavar="NAME", help="of the cell; default: its first"
-    )
-    emulator_ports.add_arguments(parser)
-    parser.add_argument("--model", choices=ur_emulator.MODELS, help="of a UR; default: UR5e")
-    parser.add_argument("--seconds", type=float, help="end after this time (default: Ctrl-C)")
+    add = parser.add_argument
+    robots = ", ".join(ROBOTS)
+    add("robot", metavar="ROBOT", help=f"{robots}, or a cell: its arm's address, serial, home")
+    add("--arm", metavar="NAME", help="of the cell (default: its first)")
+    add("--address", metavar="IP", help="loopback address without a cell (default: 127.0.0.1)")
+    add("--faults", type=Path, metavar="FILE", help="faults, one per line: [at SECONDS] NAME ...")
+    add("--off", action="store_true", help="begin with the power off (ur) or the brakes closed")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Serve until Ctrl-C."""
-    if options.cell is not None:
-        _be_of_cell(options, cells.find(options.cell))
+    wanted = _of_robot(options) if options.robot in ROBOTS else _of_cell(options)
     try:
-        emulator = _start(options)
+        emulator = _start(*wanted)
     except (ValueError, OSError) as error:
         raise Problem(f"emulate: {error}", 2) from error
     granted = emulator_ports.ask_real_time()
@@ -42,37 +45,66 @@ def main(options: argparse.Namespace, command: str) -> int:
         say("Without real-time priority its cycles come late under load (ulimit -r).")
     say(f"Faults: one per line to port {emulator.ports['control']}; `help` lists them.")
     try:
-        emulator.run(options.seconds, tell=say)
+        emulator.run(None, tell=say)
     finally:
         emulator.close()
     return 0
 
 
-def _start(options: argparse.Namespace) -> PortedEmulator:
-    if options.arm != "ur":
-        if options.model is not None and options.cell is None:
-            raise ValueError(f"--model {options.model}: only `ur` has models")
-        return franka_emulator.start(options.arm, options)
-    options.model = options.model or "UR5e"
-    return ur_emulator.start(options)
+def _start(kind: str, options: argparse.Namespace) -> PortedEmulator:
+    return ur_emulator.start(options) if kind == "ur" else franka_emulator.start(kind, options)
 
 
-def _be_of_cell(options: argparse.Namespace, folder: Path) -> None:
-    """Take address, serial, model and home from a cell's arm.
+def _of_robot(options: argparse.Namespace) -> tuple[str, argparse.Namespace]:
+    """The emulator of a robot, and the options of that program.
 
     Raises:
-        Problem: The cell has no such arm, or the arm is none that this emulator can be.
+        Problem: ``--arm`` is given.
     """
+    if options.arm is not None:
+        raise Problem(f"emulate {options.robot}: --arm {options.arm} needs a cell", 2)
+    kind, model = ROBOTS[options.robot]
+    return kind, _program(options, options.address or "127.0.0.1", model)
+
+
+def _of_cell(options: argparse.Namespace) -> tuple[str, argparse.Namespace]:
+    """The emulator of a cell's arm, and the options of that program.
+
+    Raises:
+        Problem: There is no such cell or arm, or nothing emulates it.
+    """
+    try:
+        folder = cells.find(options.robot)
+    except Problem as problem:
+        raise Problem(f"no robot of {', '.join(ROBOTS)}; {problem}", 2) from None
+    if options.address is not None:
+        raise Problem("emulate: --address: the cell states it", 2)
     cell = cells.load(folder)
-    name = cells.chosen_arms(cell, options.name)[0]
+    name = cells.chosen_arms(cell, options.arm)[0]
     arm = cell.arms[name]
-    models = MODELS[options.arm]
     place = f"{folder / 'cell.yaml'}: arms.{name}"
     if arm.hardware is None or not arm.hardware.emulated:
         raise Problem(
             f"{place}.hardware.address: must be on loopback (127.x.x.x) to be emulated", 2
         )
-    if arm.robot.name not in models:
-        raise Problem(f"{place}.robot: {arm.robot.name!r}; allowed: {', '.join(models)}", 2)
-    options.address, options.serial = arm.hardware.address, arm.hardware.serial
-    options.model, options.q = models[arm.robot.name], list(arm.robot.home)
+    if arm.robot.name not in ROBOTS:
+        raise Problem(f"{place}.robot: {arm.robot.name!r}; allowed: {', '.join(ROBOTS)}", 2)
+    kind, model = ROBOTS[arm.robot.name]
+    hardware = arm.hardware
+    return kind, _program(options, hardware.address, model, hardware.serial, list(arm.robot.home))
+
+
+def _program(
+    options: argparse.Namespace,
+    address: str,
+    model: str,
+    serial: str | None = None,
+    q: list[float] | None = None,
+) -> argparse.Namespace:
+    """The options of an emulator's own program; those that are not stated have its defaults."""
+    parser = argparse.ArgumentParser()
+    emulator_ports.add_arguments(parser)
+    given = parser.parse_args([])
+    given.address, given.model, given.serial, given.q = address, model, serial, q
+    given.faults, given.off = options.faults, options.off
+    return given

@@ -13,9 +13,9 @@ from typing import Any
 
 from surg_cli.graph import running
 from surg_cli.host import cells
-from surg_cli.host.option_types import positive, tcp_port
-from surg_cli.host.terminal import Problem, Progress, confirm, say, table, warn
-from surg_cli.robots import rehearsal, robot_service
+from surg_cli.host.option_types import tcp_port
+from surg_cli.host.terminal import Problem, Progress, confirm, report_findings, say, table, warn
+from surg_cli.robots import rehearsal, robot_doctor, robot_service
 from surg_cli.robots.robot_request import RobotRequests, condition_name
 
 ACTIONS = {
@@ -25,6 +25,7 @@ ACTIONS = {
     "guide": "let a person guide each robot by hand, until stop",
     "lag": "measure the lag of each arm's link from its motion",
     **robot_service.ACTIONS,
+    "doctor": "examine each arm, its link and its calibrations; moves nothing",
     "rehearse": "lead through the next stop of the rehearsal, measure it, write the report",
 }
 TOLERANCE_S = 0.003
@@ -50,7 +51,6 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     )
     add("action", choices=tuple(ACTIONS), help="; ".join(f"{a}: {h}" for a, h in ACTIONS.items()))
     add("--arm", metavar="ARM", help="only this arm (default: every arm)")
-    add("--timeout", type=positive, default=TIMEOUT_S, metavar="S", help="of lag: default 60 s")
     add("--port", type=tcp_port, metavar="P", help="of the ROS master")
 
 
@@ -94,6 +94,9 @@ class Lag:
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Ask or measure; exit status 1 if a robot refused, did not move, or its lag differs."""
+    if options.action == "doctor":
+        seconds = robot_doctor.MEASURED_S
+        return report_findings(robot_doctor.findings(options.cell, options.arm, seconds))
     folder = cells.find(options.cell)
     cell = cells.load(folder)
     arms = cells.chosen_arms(cell, options.arm)
@@ -117,7 +120,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         return max(_rehearse(system, cell.arms[arm], folder) for arm in arms)
     if options.action != "lag":
         return _ask(system.master_uri, arms, options.action)
-    lags = _measure(system.master_uri, arms, options.timeout)
+    lags = _measure(system.master_uri, arms, TIMEOUT_S)
     say(table([row(arm, lags.get(arm)) for arm in arms]))
     for arm in arms:
         if text := advice(arm, lags.get(arm)):

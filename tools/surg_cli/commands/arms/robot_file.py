@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 DEPTH = 0.120
 """Of the tip behind the trocar at home [m]."""
+SEED = 0
+"""Of the search."""
 LEAST_SINGULAR = 0.1
 """Smallest singular value of the flange Jacobian of a good home."""
 SAME_POSITION, SAME_ANGLE = 1e-6, 1e-6
@@ -33,8 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         default=paths.ROOT / "src" / "surg_description" / "instruments" / "grasper.yaml",
         help="on its flange (default: the bundled grasper)",
     )
-    if command == "home":
-        parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the search")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
@@ -46,7 +46,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     for note in notes:
         say(str(note.message))
     if command == "home":
-        return _home(arm, options.seed)
+        return _home(arm)
     return _check(arm)
 
 
@@ -126,10 +126,10 @@ def _check(arm: Any) -> int:
     return 0
 
 
-def _home(arm: Any, seed: int) -> int:
+def _home(arm: Any) -> int:
     from surg_sim.placement.home_search import judge, search
 
-    found = search(arm, seed)
+    found = search(arm, SEED)
     if found is None:
         warn(
             "surg: no posture holds the workspace of 70 x 70 x 60 mm with the shaft down: the arm "

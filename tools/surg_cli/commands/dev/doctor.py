@@ -6,15 +6,12 @@ import argparse
 import os
 import shutil
 import subprocess
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from surg_cli.graph import master, running
 from surg_cli.host import environment, paths, provision, workspace
-from surg_cli.host.option_types import positive
-from surg_cli.host.terminal import Problem, say
+from surg_cli.host.terminal import Problem, report_findings
 
 FREE_GIB = 3.0
 # Renders one image off-screen, in a process of its own: a broken driver may crash it.
@@ -41,26 +38,12 @@ class Finding:
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
-    """Declare the options."""
-    add = parser.add_argument
-    add("--robot", metavar="CELL", help="examine the real arms of this cell; moves nothing")
-    add("--arm", metavar="ARM", help="with --robot: only this arm (default: every arm)")
-    add(
-        "--seconds",
-        type=positive,
-        default=10.0,
-        metavar="S",
-        help="with --robot: length of its measurements (default 10 s)",
-    )
+    """There are no options."""
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Print all findings; exit status 1 if one is bad."""
-    if options.robot is not None:
-        from surg_cli.robots import robot_doctor
-
-        return report(robot_doctor.findings(options.robot, options.arm, options.seconds))
-    return report(_machine())
+    return report_findings(_machine())
 
 
 def _machine() -> list[Finding]:
@@ -75,16 +58,6 @@ def _machine() -> list[Finding]:
         _default_port(),
         *_running(),
     ]
-
-
-def report(findings: Sequence[Any]) -> int:
-    """Print findings, with ``good``, ``what``, ``text`` and ``cure``; returns the exit status."""
-    for finding in findings:
-        sign = {True: "ok  ", False: "BAD ", None: "    "}[finding.good]
-        say(f"{sign} {finding.what}: {finding.text}")
-        if finding.cure:
-            say(f"       to do: {finding.cure}")
-    return 1 if any(finding.good is False for finding in findings) else 0
 
 
 def _system() -> Finding:

@@ -8,19 +8,17 @@ import shlex
 
 from surg_cli.graph import running
 from surg_cli.host import environment, paths
-from surg_cli.host.option_types import tcp_port
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
-    parser.add_argument("--port", type=tcp_port, metavar="P", help="of the ROS master")
     parser.add_argument("-c", dest="line", metavar="LINE", help="run one line and return")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Replace this process by the shell."""
     systems = running.systems()
-    port = options.port or (systems[0].port if systems else None)
+    port = systems[0].port if systems else None
     env = environment.for_nodes(port)
     if port is None and os.environ.get("SURG_CALLER_MASTER"):
         env["ROS_MASTER_URI"] = os.environ["SURG_CALLER_MASTER"]

@@ -23,8 +23,14 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         help="sgbm_8 (default), sgbm, sgbm_half, sgbm_wls, or the path of an .onnx or .py file",
     )
     add("--size", type=_size, metavar="WxH", help="of the rectified pictures (as recorded)")
-    add("--near", type=option_types.positive, default=0.04, metavar="M", help="metres (0.04)")
-    add("--far", type=option_types.positive, default=0.30, metavar="M", help="metres (0.30)")
+    add(
+        "--range",
+        nargs=2,
+        type=option_types.positive,
+        default=(0.04, 0.30),
+        metavar=("NEAR", "FAR"),
+        help="nearest and farthest depth in metres (0.04 0.30)",
+    )
     add("--every", type=_count, default=1, metavar="N", help="each N-th pair only")
 
 
@@ -42,13 +48,13 @@ def main(options: argparse.Namespace, command: str) -> int:
         folder = folder / "episode"
     folder = folder.absolute()
     out = options.out or folder.with_name(f"{folder.name}_depth")
-    chosen = DepthOptions(options.method, options.size, options.near, options.far, options.every)
+    chosen = DepthOptions(options.method, options.size, *options.range, options.every)
     try:
         eyes = RecordedEyes(episode_reader.read(folder))
         if eyes.coarse:
             warn(
                 f"depth: the videos were recorded with crf {eyes.quality}, which costs depth; "
-                f"record with --video-crf {GOOD_CRF} or --video-lossless"
+                f"record with --video-crf {GOOD_CRF} or lossless"
             )
         with Progress("depth") as progress:
             figures = compute(eyes, out, chosen, progress.update)

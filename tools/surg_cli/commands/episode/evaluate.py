@@ -12,6 +12,7 @@ from surg_cli.host.terminal import Problem, Progress, say, table, warn
 RECORD_SOME = "./surg run bgr --setting all --episodes 10"
 # --help runs without the workspace; a test compares these with surg_recording.
 PRESETS = ("reference", "paper")
+PAPER = "paper"
 REFERENCES = "jigsaws:DIR, motion:CSV_OR_DIR"
 
 
@@ -25,12 +26,23 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         metavar="EPISODES",
         help="episode folders, runs, or folders with some (default: runs/)",
     )
-    add("--reference", metavar="KIND:PATH", help=f"compare the smoothness with {REFERENCES}")
+    add(
+        "--reference",
+        action="append",
+        default=[],
+        metavar="KIND:PATH",
+        help=f"compare the smoothness with {REFERENCES}; {PAPER}: mark the published values",
+    )
     add("--preset", default=PRESETS[0], metavar="P", help="smoothness: " + ", ".join(PRESETS))
-    add("--paper-values", action="store_true", help="mark the paper's published values")
     add("--arm", metavar="ARM", help="whose motion (default: the first arm of each episode)")
     add("--where", metavar="EXPR", help=option_types.WHERE)
-    add("--incomplete", action="store_true", help="include incomplete recordings, marked")
+    add(
+        "--allow",
+        nargs="+",
+        choices=("incomplete",),
+        default=[],
+        help="include interrupted recordings, marked",
+    )
     add("--out", type=Path, metavar="DIR", help="new or empty folder (default runs/<UTC time>)")
 
 
@@ -48,20 +60,23 @@ def main(options: argparse.Namespace, command: str) -> int:
         selection = None if options.where is None else Selection(options.where)
     except SelectionError as problem:
         raise Problem(f"--where: {problem}", 2) from problem
+    sets = [each for each in options.reference if each != PAPER]
+    if len(sets) > 1:
+        raise Problem(f"--reference {sets[1]}: one set beside {PAPER} is allowed", 2)
     out = paths.run_folder(options.out)
-    folders = _find(options.episodes, options.reference is not None)
+    folders = _find(options.episodes, bool(sets))
     compared = None
     with Progress("evaluate") as progress:
-        if options.reference is not None:
+        if sets:
             try:
-                compared = evaluation.compare(options.reference, options.preset, progress.update)
+                compared = evaluation.compare(sets[0], options.preset, progress.update)
             except ReferenceSetError as problem:
                 raise Problem(f"--reference: {problem}", 2) from problem
             for reason in compared["left_out"]:
                 warn(f"surg: reference: {reason}")
         try:
             entries, left_out = evaluation.measure_all(
-                folders, options.arm, options.incomplete, progress.update, selection
+                folders, options.arm, "incomplete" in options.allow, progress.update, selection
             )
         except SelectionError as problem:
             raise Problem(f"--where: {problem}", 2) from problem
@@ -73,7 +88,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         for text in evaluation.remarks(entries):
             warn(f"surg: note: {text}")
         info = {"versions": provenance.versions(), "where": options.where}
-        info["paper_values"] = options.paper_values
+        info["paper_values"] = PAPER in options.reference
         summary = evaluation.summarise(entries, left_out, options.preset, compared, info)
         progress.update(1.0, "figures")
         try:

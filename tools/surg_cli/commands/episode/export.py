@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from surg_cli.host.terminal import Problem, Progress, say, table, warn
 FORMATS = ("lerobot", "lerobot_v30", "robomimic", "act", "diffusion_policy", "mcap", "rosbag")
 
 
-SPLIT_BY = "order: exact shares (default); hash: a recording keeps its split in every export"
+HASH, MERGE = "hash", "merge"
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -37,8 +38,12 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--dry-run", action="store_true", help="read and check everything, write nothing")
     add("--check", action="store_true", help="read and check the whole dataset in --out")
     add("--where", metavar="EXPR", help=option_types.WHERE)
-    content = parser.add_argument_group("content")
-    add = content.add_argument
+    _add_content(parser.add_argument_group("content").add_argument)
+    _add_dataset(parser.add_argument_group("dataset").add_argument)
+    _add_processes(parser.add_argument_group("processes").add_argument)
+
+
+def _add_content(add: Callable[..., Any]) -> None:
     add("--fps", type=int, default=20, metavar="N", help="frames per second (default 20)")
     add("--cameras", nargs="+", metavar="NAME", help="default: all of the first recording")
     add("--size", type=_size, metavar="WxH", help="scale pictures (default: as recorded)")
@@ -48,34 +53,42 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     keep = "features to keep, with * (beside action, instruction, tool): recordings may then differ"
     add("--columns", nargs="+", metavar="FEATURE", help=f"{keep} in task, robot and instrument")
     add("--drop", nargs="+", default=[], metavar="FEATURE", help="features to leave out")
-    add("--max-image-age", type=float, default=0.1, metavar="S", help="oldest picture (0.1 s)")
-    add("--max-gap", type=float, default=0.05, metavar="S", help="longest bridged gap (0.05 s)")
     copy_help = "copy: take recorded videos as they are where possible (default encode)"
     add("--video", choices=("encode", "copy"), default="encode", help=copy_help)
-    add("--crf", type=int, default=18, metavar="Q", help="video quality, 0 best to 51 (18)")
-    add("--gop", type=int, default=2, metavar="N", help="distance of key frames (2)")
-    add("--preset", default="veryfast", help="of x264 (veryfast)")
-    add("--allow-incomplete", action="store_true", help="include interrupted recordings")
     add(
-        "--allow-unsynchronised",
-        action="store_true",
-        help="include recordings whose sync report fails",
+        "--allow",
+        nargs="+",
+        choices=("incomplete", "unsynchronised"),
+        default=[],
+        help="include recordings that were interrupted, or whose sync report fails",
     )
-    content = parser.add_argument_group("dataset")
-    add = content.add_argument
-    shares = "default: train=0.8,val=0.1,test=0.1"
-    add("--splits", type=_splits, metavar="NAME=SHARE,…", help=shares)
-    add("--split-by", choices=("order", "hash"), default="order", help=SPLIT_BY)
+
+
+def _add_dataset(add: Callable[..., Any]) -> None:
+    shares = (
+        "default: train=0.8,val=0.1,test=0.1, exactly; hash, or hash:train=…: a recording keeps "
+        "its split in every export"
+    )
+    add("--splits", type=_splits, default={}, metavar="NAME=SHARE,…", help=shares)
     add("--about", type=Path, metavar="FILE", help="YAML file with facts for the dataset card")
     add("--replace", action="store_true", help="replace an earlier export")
-    add("--keep-parts", action="store_true", help="keep converted parts for a later, larger export")
-    content = parser.add_argument_group("processes")
-    add = content.add_argument
-    add("--executor", choices=("process", "serial", "dask"), default="process")
-    add("--workers", type=int, metavar="N", help="processes (default: one per processor)")
-    add("--scheduler", metavar="ADDRESS", help="of a Dask cluster that sees the same disk")
-    add("--shard", type=_shard, metavar="i/n", help="convert only shard i of n")
-    add("--merge", action="store_true", help="merge the converted shards")
+
+
+def _add_processes(add: Callable[..., Any]) -> None:
+    add(
+        "--workers",
+        type=_workers,
+        default={},
+        metavar="N",
+        help="processes (default: one per processor), 1: in this one, or the address of the "
+        "scheduler of a Dask cluster that sees the same disk; dask: a cluster of its own, here",
+    )
+    add(
+        "--shard",
+        type=_shard,
+        metavar="i/n",
+        help="convert only shard i of n; merge: put the converted shards together",
+    )
 
 
 def main(options: argparse.Namespace, command: str) -> int:
@@ -108,26 +121,25 @@ def choices(options: argparse.Namespace, kind: Any) -> Any:
     Raises:
         Problem: Names the option, its value and what is allowed.
     """
-    if options.scheduler is not None:
-        options.executor = "dask"
-    if options.merge:
-        if options.shard is not None:
-            raise Problem("export: --shard and --merge exclude each other", 2)
-        if not options.out.with_name(options.out.name + ".parts").is_dir():
-            raise Problem(f"export: {options.out}.parts is missing; convert the shards first", 2)
+    shard = options.shard if options.shard != MERGE else None
+    if options.shard == MERGE:
+        parts = options.out.with_name(options.out.name + ".parts")
+        if not parts.is_dir():
+            raise Problem(f"export: {parts} is missing; convert the shards first", 2)
     given: dict[str, Any] = {
-        "max_image_age_s": options.max_image_age,
-        "max_gap_s": options.max_gap,
+        **options.splits,
+        **options.workers,
+        "shard": shard,
+        "allow_incomplete": "incomplete" in options.allow,
+        "allow_unsynchronised": "unsynchronised" in options.allow,
         "cameras": None if options.cameras is None else tuple(options.cameras),
         "drop": tuple(options.drop),
         "columns": None if options.columns is None else tuple(options.columns),
+        "about": {} if options.about is None else _about(options.about),
     }
     for field in dataclasses.fields(kind):
-        if field.name not in given and hasattr(options, field.name):
+        if field.name not in (*given, "splits", "workers") and hasattr(options, field.name):
             given[field.name] = getattr(options, field.name)
-    if options.splits is None:
-        del given["splits"]
-    given["about"] = {} if options.about is None else _about(options.about)
     try:
         return kind(**given)
     except ValueError as problem:
@@ -138,7 +150,7 @@ def _say(report: Any, options: argparse.Namespace) -> int:
     """Print a report; the exit status."""
     counts = f"{report.recordings} recordings, {report.frames} frames"
     rows = [["format", report.format], ["content", counts]]
-    if options.shard is not None:
+    if options.shard not in (None, MERGE):
         rows[1] = ["content", f"{report.recordings} recordings of this shard are converted"]
     facts = report.facts
     if facts.get("up_to_date"):
@@ -198,18 +210,41 @@ def _size(text: str) -> tuple[int, int]:
     return (int(width), int(height))
 
 
-def _shard(text: str) -> tuple[int, int]:
+def _shard(text: str) -> tuple[int, int] | str:
+    if text == MERGE:
+        return text
     index, _, count = text.partition("/")
     if not (index.isdigit() and count.isdigit() and int(index) < int(count)):
-        raise argparse.ArgumentTypeError(f"{text}: i/n with 0 ≤ i < n, such as 0/4, is expected")
+        raise argparse.ArgumentTypeError(
+            f"{text}: merge, or i/n with 0 ≤ i < n, such as 0/4, is expected"
+        )
     return (int(index), int(count))
 
 
-def _splits(text: str) -> dict[str, float]:
+def _workers(text: str) -> dict[str, Any]:
+    """Where the export is computed, as options of `ExportOptions`."""
+    if text.isdigit() and int(text) >= 1:
+        return {"executor": "serial"} if int(text) == 1 else {"workers": int(text)}
+    if text == "dask" or "://" in text:
+        return {"executor": "dask", "scheduler": None if text == "dask" else text}
+    raise argparse.ArgumentTypeError(
+        f"{text}: allowed: a number of processes from 1, dask, or an address such as "
+        "tcp://head:8786"
+    )
+
+
+def _splits(text: str) -> dict[str, Any]:
+    """Shares of the splits and who decides, as options of `ExportOptions`."""
+    way, _, shares = text.rpartition(":")
+    if text == HASH:
+        return {"split_by": HASH}
     try:
-        pairs = [item.split("=") for item in text.split(",")]
-        return {name.strip(): float(share) for name, share in pairs}
+        if way not in ("", HASH):
+            raise ValueError
+        pairs = [item.split("=") for item in shares.split(",")]
+        found = {name.strip(): float(share) for name, share in pairs}
     except ValueError:
         raise argparse.ArgumentTypeError(
-            f"{text}: expected shares such as train=0.9,val=0.1"
+            f"{text}: expected shares such as train=0.9,val=0.1, hash, or hash:train=0.9,val=0.1"
         ) from None
+    return {"splits": found, **({"split_by": HASH} if way else {})}

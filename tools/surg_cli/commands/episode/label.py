@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
+import contextlib
 import getpass
 import os
 import webbrowser
@@ -18,39 +20,26 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("episodes", nargs="*", type=Path, metavar="EPISODES", help="default: all in runs/")
     add("--where", metavar="EXPR", help=option_types.WHERE)
     add("--by", metavar="NAME", help="who labels (default: the user)")
-    add(
-        "--port",
-        type=option_types.tcp_port,
-        default=0,
-        metavar="N",
-        help="of this machine (default: a free one)",
-    )
-    add("--no-open", action="store_true", help="print the address, open no browser")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Serve the pages until Ctrl-C, then say how many episodes have labels."""
+    from surg_console.labelling.label_pages import LabelPages
+    from surg_console.labelling.label_server import LabelServer
     from surg_recording.episode import labels
-    from surg_recording.labelling.label_pages import LabelPages
-    from surg_recording.labelling.label_server import LabelServer
 
     folders = _chosen(options)
     pages = LabelPages(folders, options.by or getpass.getuser())
-    try:
-        server = LabelServer(pages, options.port)
-    except (OSError, OverflowError) as problem:
-        raise Problem(f"--port {options.port}: {problem}", 2) from None
-    with server:
-        say(f"label: {len(folders)} episodes; Ctrl-C ends. Labels are kept in {labels.LABELS}.")
-        say(server.url)
-        can_show = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-        if not options.no_open and can_show:
-            webbrowser.open(server.url)
-        try:
-            server.serve_forever()
-        except KeyboardInterrupt:
-            done = sum((folder / labels.LABELS).exists() for folder in folders)
-            say(f"label: {done} of {len(folders)} episodes have labels")
+    server = LabelServer(pages)
+    say(f"label: {len(folders)} episodes; Ctrl-C ends. Labels are kept in {labels.LABELS}.")
+    say(server.url)
+    can_show = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    if can_show:
+        webbrowser.open(server.url)
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(server.serve())
+    done = sum((folder / labels.LABELS).exists() for folder in folders)
+    say(f"label: {done} of {len(folders)} episodes have labels")
     return 0
 
 

@@ -16,7 +16,6 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="FILE", help="page to write (default: beside the episode)"
     )
-    parser.add_argument("--no-open", action="store_true", help="write the page, open no browser")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
@@ -40,7 +39,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     except EpisodeError as problem:
         raise Problem(str(problem), 2) from problem
     can_show = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-    if not options.no_open and not (can_show and webbrowser.open(out.absolute().as_uri())):
+    if not (can_show and webbrowser.open(out.absolute().as_uri())):
         say("view: no display; open this file in a browser")
     say(str(out))
     return 0

@@ -20,10 +20,11 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         help="folder (default: keys/ in the checkout, which git ignores)",
     )
     add(
-        "--policy",
+        "name",
+        nargs="?",
         default="policy",
         metavar="NAME",
-        help="of the policy's machine or user; each name has a key pair of its own",
+        help="of the policy's machine or user (policy); each name has a key pair of its own",
     )
 
 
@@ -33,7 +34,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     from surg_policy_client.keys import make
 
     try:
-        made = make(options.out, options.policy)
+        made = make(options.out, options.name)
     except (BadKeys, OSError) as error:
         raise Problem(f"keys: {error}", 2) from None
     for path in made:
@@ -41,7 +42,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     folder = options.out
     say(
         f"Server: ./surg run TASK --policy ADDRESS --policy-keys {folder}\n"
-        f"Policy: copy {folder / options.policy} to its machine (it holds a secret) and use "
-        f"`--keys {options.policy}` or serve(..., keys='{options.policy}')"
+        f"Policy: copy {folder / options.name} to its machine (it holds a secret) and use "
+        f"`--keys {options.name}` or serve(..., keys='{options.name}')"
     )
     return 0

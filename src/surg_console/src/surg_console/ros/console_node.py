@@ -24,8 +24,8 @@ import surg_core
 from surg_console.ros.ros_system_node import RosSystem
 from surg_console.session.console_session import Session
 from surg_console.web import access
+from surg_console.web.console_server import Server
 from surg_console.web.encoder_process import EncoderProcess
-from surg_console.web.web_server import Server
 from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError, names, path, read, text, whole
 

@@ -73,7 +73,7 @@ FAST = {
 
 
 class RosSystem:
-    """See `web_server.System`; the driven arm comes first, an empty leader means no leader."""
+    """See `console_server.System`; the driven arm comes first, an empty leader means no leader."""
 
     def __init__(
         self,
@@ -179,7 +179,7 @@ class RosSystem:
                 self._arms[name] = replace(self._arms[name], reason=reason)
 
     def robot(self) -> Robot:
-        """See `web_server.System`."""
+        """See `console_server.System`."""
         now = time.monotonic()
         with self._lock:
             self._hear_fast(now)
@@ -221,26 +221,26 @@ class RosSystem:
         return [replace(first, reason=first.reason or status.picture), *others]
 
     def told(self) -> None:
-        """See `web_server.System`."""
+        """See `console_server.System`."""
         with self._lock:
             self._peak = 0.0
 
     def entries(self) -> list[Entry]:
-        """See `web_server.System`."""
+        """See `console_server.System`."""
         return [] if self._episodes is None else self._episodes.entries()
 
     def obey(self, orders: list[Order]) -> None:
-        """See `web_server.System`."""
+        """See `console_server.System`."""
         for order in orders:
             self._orders.send(order)
 
     def watch(self, what: str, wanted: bool) -> None:
-        """See `web_server.System`."""
+        """See `console_server.System`."""
         if what != "feel":  # its topic is heard anyway
             self._beside.watch(what, wanted)
 
     def beside(self, what: str) -> str:
-        """See `web_server.System`."""
+        """See `console_server.System`."""
         return self._feel() if what == "feel" else self._beside.beside(what)
 
     def _feel(self) -> str:
@@ -253,7 +253,7 @@ class RosSystem:
         return json.dumps({**told, "age": finite(told["age"])}, allow_nan=False)
 
     def live(self) -> None:
-        """See `web_server.System`."""
+        """See `console_server.System`."""
         self._orders.repeat()
 
 

@@ -100,7 +100,7 @@ def rules(
     _check_token(token)
     local = is_loopback(bind)
     if not local and (certificate is None or not token):
-        options = {"--cert and --key": certificate, "--token-file": token}
+        options = {"--tls CERT KEY": certificate, "--token-file": token}
         missing = " and ".join(option for option, value in options.items() if not value)
         raise AccessError(
             f"--bind {bind}: on a network the console needs TLS and a token, or anybody there "
@@ -120,10 +120,10 @@ def rules(
 
 def _check_files(certificate: Path | None, key: Path | None) -> None:
     if (certificate is None) != (key is None):
-        raise AccessError("--cert and --key belong together; give both files, or neither")
-    for option, file in (("--cert", certificate), ("--key", key)):
+        raise AccessError("--tls: certificate and key belong together; give both files, or neither")
+    for what, file in (("certificate", certificate), ("key", key)):
         if file is not None and not file.is_file():
-            raise AccessError(f"{option} {file}: no such file")
+            raise AccessError(f"--tls: {what} {file}: no such file")
 
 
 def _check_token(token: str) -> None:

@@ -1,4 +1,4 @@
-"""Security headers, TLS and the static files of the console's page."""
+"""Security headers, TLS and the static files of the pages."""
 
 from __future__ import annotations
 
@@ -31,8 +31,9 @@ HEADERS = {
 
 
 async def add_headers(request: web.Request, response: web.StreamResponse) -> None:
-    """Add the security headers; a signal handler of aiohttp."""
-    response.headers.update(HEADERS)
+    """Add the security headers where a page has none of its own; a signal handler of aiohttp."""
+    for name, value in HEADERS.items():
+        response.headers.setdefault(name, value)
     response.headers.popall("Server", None)
 
 

@@ -29,7 +29,7 @@ class HandEstimate {
   static double late(double period);
 
  private:
-  static constexpr int kSwings = 8;
+  static constexpr int kSwings = 8;  ///< models of a hand that run beside the plain one
   void begin_swings(const Values& x);
   void weigh(double share);
 

@@ -11,7 +11,7 @@ namespace surg {
 /// A line and the harmonics of one rate, per axis:
 /// p = x0 + x1 t + sum over k of x2k cos(k phase) + x2k+1 sin(k phase).
 struct Harmonics {
-  static constexpr int kHarmonics = 6;
+  static constexpr int kHarmonics = 6;  ///< of the breathing
   static constexpr int kTerms = 2 + 2 * kHarmonics;
   using Row = Eigen::Matrix<double, kTerms, 1>;
   using Coefficients = Eigen::Matrix<double, kTerms, 3>;  // [m], [m/s]; one column per axis
@@ -48,7 +48,7 @@ class RateSearch {
 
  private:
   static constexpr int kBlocks = 200;
-  static constexpr int kRates = 64;
+  static constexpr int kRates = 64;  ///< that a sweep may look at
   struct Block {
     double t = 0;                 // [s]
     Vector3 p = Vector3::Zero();  // mean of its samples

@@ -15,9 +15,8 @@ double swivel_angle(const Chain& chain, const JointVector& q);
 
 /// How the joints turn the elbow at one posture.
 struct ElbowTurn {
-  /// [rad/rad] of the elbow per length of the joint motion; where it turns less, it is stuck.
-  static constexpr double kLeast = 0.1;
-  double angle = 0;       ///< [rad] swivel angle
+  static constexpr double kLeast = 0.1;  ///< [rad/rad] per joint motion; with less it is stuck
+  double angle = 0;                      ///< [rad] swivel angle
   JointVector per_angle;  ///< joint motion per swivel angle with the flange at rest [rad/rad]
   bool regular = false;   ///< false: the angle is undefined, or no joint motion turns the elbow
 };

@@ -33,8 +33,8 @@ struct TrackSample {
 /// that the pivot never jumps. If the track is lost, the pivot stays where it was.
 class Trocar {
  public:
-  static constexpr double kRange = 0.010;  ///< [m] from the taught point
-  static constexpr double kSpeed = 0.020;  ///< [m/s]
+  static constexpr double kRange = 0.010;  ///< [m] of a track from the taught point (F23)
+  static constexpr double kSpeed = 0.020;  ///< [m/s] of a track (F23)
 
   struct Options {
     double noise = 3e-4;    ///< [m] rms per axis that the tracker states

@@ -41,9 +41,9 @@ namespace surg {
 /// (wanted_room).
 class ExactFollower {
  public:
-  /// Share of the joint limits that the reference may use; the rest is for the correction.
-  static constexpr double kReferenceVelocity = 0.97;
-  static constexpr double kReferenceAcceleration = 0.97;
+  // What the reference may use; the rest is for the correction.
+  static constexpr double kReferenceVelocity = 0.97;      ///< of each joint's velocity limit
+  static constexpr double kReferenceAcceleration = 0.97;  ///< of each joint's acceleration limit
 
   struct Options {
     double lag = 0;         ///< [s] of the slowest joint, as stated; 0: none; nothing is learnt

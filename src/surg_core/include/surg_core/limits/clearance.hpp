@@ -20,8 +20,8 @@
 
 namespace surg {
 
-constexpr int kMaxOtherArms = 3;      ///< that one arm can be guarded against
-constexpr int kMaxLinkCapsules = 32;  ///< of one arm with its instrument
+constexpr int kMaxOtherArms = 3;      ///< other arms that one arm can be guarded against
+constexpr int kMaxLinkCapsules = 32;  ///< capsules of one arm with its instrument
 
 /// One arm with its instrument, as capsules.
 struct ArmShape {

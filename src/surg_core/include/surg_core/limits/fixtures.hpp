@@ -22,7 +22,7 @@ struct Fixture {
   static constexpr double kFarthest = 3.0;        ///< [m] of a coordinate
   static constexpr double kLeastRadius = 0.001;   ///< [m] of a keep-out region
   static constexpr double kLeastHollow = 0.005;   ///< [m] radius of a stay-in region
-  static constexpr double kGreatestRadius = 1.0;  ///< [m]
+  static constexpr double kGreatestRadius = 1.0;  ///< [m] of any region
 
   std::array<char, kLongestName + 1> name{};  ///< letters, digits and _; zeros behind it
   Shape shape = Shape::kSphere;
@@ -58,7 +58,7 @@ Wall wall_at(const Fixture& fixture, const Vector3& p_Tip);
 /// Up to kMost regions of one arm. A plain value.
 class Fixtures {
  public:
-  static constexpr int kMost = 16;
+  static constexpr int kMost = 16;  ///< fixtures of one arm
 
   int size() const { return size_; }
   bool empty() const { return size_ == 0; }

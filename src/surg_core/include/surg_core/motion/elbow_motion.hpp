@@ -17,7 +17,7 @@ namespace surg {
 /// nothing. The tip's motion has priority: a joint near its limit holds the elbow or turns it back.
 class ElbowMotion {
  public:
-  static constexpr double kTolerance = 2e-3;  ///< [rad] a goal is reached within
+  static constexpr double kTolerance = 2e-3;  ///< [rad] within which a goal is reached
   static constexpr int kNobody = -1;          ///< no joint holds the elbow
 
   /// preferred [rad]: goal from 'home' on; NaN: none. T [s]: control period.

@@ -13,7 +13,7 @@ namespace surg {
 /// point is removed and the spacing doubles, so the way from the first point stays complete.
 class JointTrace {
  public:
-  static constexpr int kCapacity = 1024;
+  static constexpr int kCapacity = 1024;    ///< points of the trace
   static constexpr double kSpacing = 0.01;  ///< [rad] of the fastest joint, to begin with
 
   void clear();

@@ -78,7 +78,7 @@ struct BlackBoxRecording {
 class BlackBox {
  public:
   static constexpr int kBlocks = 4;        ///< in turn; each begins with the controller's image
-  static constexpr int kBlockSteps = 400;  ///< 0.8 s at 2 ms
+  static constexpr int kBlockSteps = 400;  ///< cycles of a block: 0.8 s at 2 ms
   /// A block ends early at this number of calls and commands.
   static constexpr int kBlockEvents = 4 * kBlockSteps;
   static constexpr int kAfter = 150;  ///< steps kept after the fault: its stop belongs to it

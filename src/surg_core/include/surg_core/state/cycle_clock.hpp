@@ -13,10 +13,10 @@ class CycleClock {
   static constexpr double kLate = 2;     ///< [periods] a longer cycle is late
   static constexpr double kLong = 5;     ///< [periods] a longer one is a gap: was the arm stopped?
   static constexpr int kWindow = 128;    ///< [cycles] for the share of late ones
-  static constexpr double kShare = 0.5;  ///< a larger share is an overrun
+  static constexpr double kShare = 0.5;  ///< of late cycles; a larger one is an overrun
   static constexpr int kCatchUp = 25;    ///< [periods] a longer gap, or gaps in a row that
                                          ///< together are longer, are not made up for
-  static constexpr int kMostPeriods = 500;  ///< that one cycle counts
+  static constexpr int kMostPeriods = 500;  ///< that one cycle counts at most
 
   /// period [s] of control.
   explicit CycleClock(double period) : period_(period) {}

@@ -38,7 +38,7 @@ class Authority {
   std::uint32_t holder() const { return holder_; }
 
  private:
-  static constexpr double kRelease = 0.5;  // [s]
+  static constexpr double kRelease = 0.5;  // [s] of rest that frees the arm (F26)
   double dt_;
   double silent_ = 0;         // [s] at rest without a command
   std::uint32_t holder_ = 0;  // 0: nobody

@@ -13,7 +13,7 @@ class StandstillGuard {
   static constexpr double kMemory = 1.0;      ///< [s] time constant of both displacements
   static constexpr double kCommanded = 5e-4;  ///< [m] commanded displacement that must be seen
   static constexpr double kShare = 0.25;      ///< of the commanded displacement that must be seen
-  static constexpr double kLasting = 0.2;     ///< [s] beyond the link's time-out
+  static constexpr double kLasting = 0.2;     ///< [s] of a standstill, beyond the link's time-out
   static constexpr double kLever = 0.1;       ///< [m/rad] weighs rotation against displacement
 
   /// link_timeout [s]: a link may obey that late.

@@ -28,7 +28,6 @@ from surg_learn.bgr.keypoint_network import SIDE
 from surg_learn.bgr.state_policy import ACTION, ACTIONS, SET, STATE, state_columns
 from surg_learn.bgr.train_images import missed
 from surg_learn.bgr.training.checkpoints import Kept, mark_of
-from surg_learn.bgr.training.command_line import chosen, parser_of, trained
 from surg_learn.bgr.training.keypoint_training import DEVICES, device_for
 from surg_learn.bgr.training.lerobot_dataset import (
     Array,
@@ -41,6 +40,7 @@ from surg_learn.bgr.training.lerobot_dataset import (
 )
 from surg_learn.bgr.training.perceptron import half_cosine
 from surg_learn.bgr.training.picture_augmentation import Looks, Varied, inside_of
+from surg_learn.bgr.training.trainer_options import chosen, parser_of, trained
 
 CHUNKS = {"bc": 16, "act": 40, "moe_act": 40}
 """Actions predicted at once: those of the image policy; 2 s, as in ACT's paper."""

@@ -29,7 +29,6 @@ from surg_learn.bgr.image_policy import (
 from surg_learn.bgr.keypoint_network import HELD, TENSION, Eye, small, square
 from surg_learn.bgr.state_policy import ACTION, SET, STATE, TASK, Columns
 from surg_learn.bgr.training.action_head import HandOptions, Samples, fit_hand, may_move
-from surg_learn.bgr.training.command_line import brief_of, chosen, parser_of, trained
 from surg_learn.bgr.training.keypoint_training import (
     DEVICES,
     EyeOptions,
@@ -58,6 +57,7 @@ from surg_learn.bgr.training.lerobot_dataset import (
     world_of,
 )
 from surg_learn.bgr.training.perceptron import mean_error, size_of
+from surg_learn.bgr.training.trainer_options import brief_of, chosen, parser_of, trained
 
 CAMERA = "observation.camera_pose"
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")

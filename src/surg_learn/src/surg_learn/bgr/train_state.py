@@ -31,7 +31,6 @@ from surg_learn.bgr.state_policy import (
     force_columns,
 )
 from surg_learn.bgr.training.action_head import HandOptions, Samples, fit_hand, may_move
-from surg_learn.bgr.training.command_line import brief_of, chosen, parser_of, trained
 from surg_learn.bgr.training.lerobot_dataset import (
     Array,
     Dataset,
@@ -48,6 +47,7 @@ from surg_learn.bgr.training.lerobot_dataset import (
     world_of,
 )
 from surg_learn.bgr.training.perceptron import mean_error, size_of
+from surg_learn.bgr.training.trainer_options import brief_of, chosen, parser_of, trained
 
 
 @dataclass(frozen=True)

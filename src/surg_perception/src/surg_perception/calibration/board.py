@@ -187,7 +187,7 @@ class Board:
         if seen is not None and not self._lies_as_stated(seen):
             return (
                 f"its corners do not lie as on {self.columns}x{self.rows} squares: count them, and "
-                "state them by ./surg calibrate CELL board --squares"
+                "state them by ./surg calibrate CELL board --board"
             )
         if _markers(grey, self.dictionary):
             return (

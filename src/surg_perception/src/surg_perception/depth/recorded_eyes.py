@@ -50,7 +50,8 @@ class RecordedEyes:
             there = ", ".join(episode.cameras) or "none"
             raise EpisodeError(
                 f"{episode.folder}: has no video {' and no '.join(missing)} (cameras: {there}); "
-                "allowed: episodes of a stereo endoscope. Record with ./surg up CELL --stereo"
+                "allowed: episodes of a stereo endoscope. Record with "
+                "./surg up CELL --cameras stereo"
             )
         self._videos = [episode.parts(eye) for eye in EYES]
         first = [_size(videos[0]) for videos in self._videos]

@@ -106,7 +106,9 @@ class Eyes:
         """Renew what depends on the lenses when their models change."""
         infos = tuple(self._infos[eye] for eye in EYES if eye in self._infos)
         if len(infos) < 2:
-            raise ValueError("no camera_info of both eyes; allowed: a stereo endoscope (--stereo)")
+            raise ValueError(
+                "no camera_info of both eyes; allowed: a stereo endoscope (--cameras stereo)"
+            )
         if self._models and all(
             (a.K, a.D, a.R, a.P, a.width, a.height) == (b.K, b.D, b.R, b.P, b.width, b.height)
             for a, b in zip(infos, self._models, strict=True)

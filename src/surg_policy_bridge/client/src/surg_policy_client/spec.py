@@ -28,8 +28,8 @@ CHANGES = frozenset((*ACTION_SPACES["relative"], *ACTION_SPACES["velocity"])) - 
 """Columns that hold a change: 0 keeps the target."""
 HOW = {
     "observation.images.": "pictures are served with ./surg run TASK --cameras, or ~cameras",
-    "observation.force": "forces are served with ./surg run TASK --forces, or ~forces",
-    "privileged.": "simulator truth is served with ./surg run TASK --privileged, or ~privileged",
+    "observation.force": "forces are served with ./surg run TASK --observe forces, or ~forces",
+    "privileged.": "simulator truth is served with ./surg run --observe privileged, or ~privileged",
 }
 """How to get observations that a server leaves out by default."""
 

@@ -138,14 +138,14 @@ def look(folder: Path, options: ExportOptions) -> Candidate:
     if not recorded.complete and not options.allow_incomplete:
         raise EpisodeError(
             f"{folder}: the recording is {manifest.get('outcome')}: {manifest.get('reason')};"
-            " --allow-incomplete exports what is there"
+            " --allow incomplete exports what is there"
         )
     segment = segment_of(recorded)
     sync = _sync(recorded, segment)
     if sync and sync.get("verdict") == "fail" and not options.allow_unsynchronised:
         raise EpisodeError(
             f"{folder}: its sync report ({SYNC_REPORT}) says 'fail': pictures and motion may not"
-            " belong together; --allow-unsynchronised exports it anyway"
+            " belong together; --allow unsynchronised exports it anyway"
         )
     run, judged = _mapping(manifest.get("run")), verdict(manifest)
     remarks = integrity.remarks(recorded)

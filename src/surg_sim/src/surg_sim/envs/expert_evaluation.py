@@ -1,7 +1,7 @@
 r"""Figures of the scripted senders and of the controller over many episodes, in process.
 
 Two tables: every task in every setting over test seeds, and an ablation of the settings'
-disturbances, each alone and all together, with the paper's law in the same table. ::
+disturbances: all together by three laws, and those of the strongest setting each alone. ::
 
     python3 -m surg_sim.envs.expert_evaluation --episodes 100 --out docs/results/phantom.md
     python3 -m surg_sim.envs.expert_evaluation --episodes 20 --ablation 0 \
@@ -22,8 +22,6 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from surg_core.wilson import wilson_interval
 from surg_sim import tasks
 from surg_sim.envs import rows_of_page
@@ -36,6 +34,8 @@ from surg_sim.tasks import episode_seeds
 
 ROBOTS = {"UR5e": "sim_two_arms", "Panda": "sim_two_arms_panda"}
 """Robot of the instrument, and the bundled cell with it."""
+STRONGEST = "in_vivo"
+"""The setting of which each disturbance is played alone."""
 GONE = TrocarParameters(stiffness=0.1, friction=0.0)
 """A wall that is not felt."""
 
@@ -80,40 +80,60 @@ def alone(setting: PatientSetting) -> dict[str, PatientSetting]:
     return {name: replace(value, name=name) for name, value in disturbances.items()}
 
 
-def _line(series: Series, reports: Sequence[EpisodeReport]) -> str:
-    """A row: success with interval, deviations, force and displacement."""
-    label, arm = series.label, tasks.load(series.task).commanded[0]
-    felt = series.condition.trocar is not GONE
+def _cells(series: Series, reports: Sequence[EpisodeReport]) -> tuple[str, ...]:
+    """Success, interval; largest kinematic and true deviation, and force."""
+    arm = tasks.load(series.task).commanded[0]
     good = sum(report.success for report in reports)
     low, high = wilson_interval(good, len(reports))
     parts = [report.arms[arm] for report in reports]
 
-    def of(name: str, scale: float) -> str:
-        means = [getattr(part, name).mean for part in parts]
-        largest = [getattr(part, name).max for part in parts]
-        return f"{scale * np.median(means):.3f} / {scale * np.max(largest):.3f}"
+    def largest(name: str, scale: float) -> str:
+        return f"{scale * max(getattr(part, name).max for part in parts):.3f}"
 
-    duration = float(np.median([report.duration for report in reports]))
     return (
-        f"| {label} | {good}/{len(reports)} ({100 * low:.1f} to {100 * high:.1f} %) | "
-        f"{duration:.1f} | {of('kinematic', 1e3)} | {of('true', 1e3)} | {of('force', 1.0)} | "
-        f"{of('displacement', 1e3) if felt else 'no wall'} |"
+        f"{good}/{len(reports)}",
+        f"{100 * low:.0f}–{100 * high:.0f}",
+        largest("kinematic", 1e3),
+        largest("true", 1e3),
+        largest("force", 1.0),
     )
 
 
+def _side_by_side(cells: Sequence[str]) -> str:
+    """Of each setting; once where they are the same."""
+    return cells[0] if len(set(cells)) == 1 else ", ".join(cells)
+
+
+def first_rows(done: Sequence[tuple[Series, Sequence[EpisodeReport]]]) -> dict[str, str]:
+    """Rows of the first table by task and robot: each cell has the settings side by side."""
+    by_label: dict[str, list[tuple[str, ...]]] = {}
+    for series, reports in done:
+        label = series.label.rpartition(", ")[0]
+        by_label.setdefault(label, []).append(_cells(series, reports))
+    return {
+        label: f"| {label} | {' | '.join(map(_side_by_side, zip(*cells, strict=True)))} |"
+        for label, cells in by_label.items()
+    }
+
+
 _HEAD = (
-    "| {} | success (95 % interval) | duration [s] | kinematic deviation [mm] | true deviation [mm]"
-    " | trocar force [N] | trocar displacement [mm] |\n|---|---|---|---|---|---|---|"
+    "| {} | success | 95 % [%] | kinematic [mm] | true [mm] | force [N] |\n"
+    "|---|---|---|---|---|---|"
 )
 
 
 def failures(rows: Iterable[tuple[str, Sequence[EpisodeReport]]]) -> list[str]:
-    """Every cause of failure with its count and seeds."""
+    """Every kind of failure with its count and seeds."""
     lines: list[str] = []
     for label, reports in rows:
-        causes = Counter(report.reason for report in reports if not report.success)
+        kinds = [report.reason.partition(":")[0] for report in reports]
+        causes = Counter(kind for kind in kinds if kind)
         for cause, n in sorted(causes.items()):
-            bad = [str(report.seed) for report in reports if report.reason == cause]
+            bad = [
+                str(report.seed)
+                for report, kind in zip(reports, kinds, strict=True)
+                if kind == cause
+            ]
             lines.append(f"- {label}: {n} × {cause} (seeds {', '.join(bad)})")
     return lines or ["None."]
 
@@ -133,7 +153,7 @@ def run_all(series: Sequence[Series], jobs: int) -> list[list[EpisodeReport]]:
         for each, future in zip(series, waiting, strict=True):
             reports, speed = future.result()
             results.append(reports)
-            line = f"{_line(each, reports)} {speed:.1f} × real time"
+            line = f"{each.label}: {', '.join(_cells(each, reports))}; {speed:.1f} × real time"
             print(line, file=sys.stderr, flush=True)
     return results
 
@@ -154,7 +174,7 @@ def plan(
     less = test if others is None else tuple(episode_seeds.test_seeds(others))
     first = [
         Series(
-            f"{name}, {setting}, {robot}", cell, name, find_setting(setting), "ours",
+            f"{name}, {robot}, {setting}", cell, name, find_setting(setting), "ours",
             test if (name, robot) == ("bgr", next(iter(robots))) else less,
         )
         for name in names
@@ -170,6 +190,7 @@ def plan(
                cell, "bgr", each, law, few)
         for setting in SETTINGS
         for label, each in alone(find_setting(setting)).items()
+        if label == "all together" or setting == STRONGEST
         for law in (("ours", "velocity", "paper") if label == "all together" else ("ours",))
     ]  # fmt: skip
     return first, second
@@ -183,15 +204,13 @@ def report(
     """Both tables as Markdown."""
     count = len(second[0][0].seeds) if second else 0
     lines = [
-        f"# The phantom: tasks and settings\n\nGenerated by `{command}`. Figures of the simulation,"
-        " in process.\n",
-        "Deviations, force and displacement: median over the episodes of the episode's mean / "
-        "largest of all samples, of the arm that the task commands. Kinematic: the paper's metric; "
-        "true: of the simulator's shaft to the undisturbed trocar point; both from the first "
-        "motion command on.\n",
+        f"# The phantom: tasks and settings\n\nWritten by `{command}`. Simulation, in process.\n",
+        "RCM deviations and force at the trocar: largest of all samples of the commanded arm. "
+        f"True: to the undisturbed trocar point. Settings: {', '.join(SETTINGS)}; once where "
+        "equal.\n",
         "## Success of the scripted senders, test seeds\n",
-        _HEAD.format("task, setting, robot"),
-        *[_line(series, done) for series, done in first],
+        _HEAD.format("task, robot"),
+        *first_rows(first).values(),
         "\nFailures:\n",
         *failures((series.label, done) for series, done in first),
     ]
@@ -200,7 +219,7 @@ def report(
     lines += [
         f"\n## Each disturbance alone (bgr, {count} test seeds)\n",
         _HEAD.format("setting: disturbance"),
-        *[_line(series, done) for series, done in second],
+        *(f"| {each.label} | {' | '.join(_cells(each, done))} |" for each, done in second),
         "\nFailures:\n",
         *failures((series.label, done) for series, done in second),
     ]
@@ -211,7 +230,7 @@ def _update(page: Path, done: Sequence[tuple[Series, list[EpisodeReport]]], comm
     """Put rows of the first table into a page."""
     text = rows_of_page.put(
         page.read_text(encoding="utf-8"),
-        {series.label: _line(series, reports) for series, reports in done},
+        first_rows(done),
         failures((series.label, reports) for series, reports in done),
         command,
     )

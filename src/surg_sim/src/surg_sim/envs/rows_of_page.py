@@ -26,18 +26,12 @@ def _label(row: str) -> str:
 
 
 def _task(label: str) -> str:
-    return label.split(", ")[0]
-
-
-def _series(label: str) -> str:
-    """Task and robot: a run measures each in every setting."""
-    task, _, robot = label.split(", ")
-    return f"{task} with {robot}"
+    return label.partition(", ")[0]
 
 
 def _said(old: Sequence[str], labels: Iterable[str], command: str) -> list[str]:
     """The lines that name commands: with the new one, and without what it has measured anew."""
-    new = list(dict.fromkeys(map(_series, labels)))
+    new = [label.replace(", ", " with ") for label in labels]
     lines = []
     for line in old:
         names, _, by = line.removeprefix(_ROWS).partition(_BY)
@@ -52,7 +46,7 @@ def put(page: str, rows: Mapping[str, str], failed: Sequence[str], command: str)
 
     Args:
         page: Its Markdown, as ``expert_evaluation.report`` writes it.
-        rows: Lines of the table by their label (task, setting, robot).
+        rows: Lines of the table by their label (task, robot).
         failed: Lines of failures of these rows, or ``NONE`` alone.
         command: That measured them.
     """
@@ -64,7 +58,7 @@ def put(page: str, rows: Mapping[str, str], failed: Sequence[str], command: str)
     old = [
         cause
         for cause in causes.splitlines()
-        if cause != NONE and not any(cause.startswith(f"- {label}: ") for label in rows)
+        if cause != NONE and not any(cause.startswith(f"- {label}, ") for label in rows)
     ]
     heads = head.splitlines()
     said = [each for each in heads if _BY in each]

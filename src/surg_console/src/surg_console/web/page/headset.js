@@ -16,7 +16,7 @@ const SHOW_S = 0.1; // between two looks at the lines below the screen
 const FIGURES_S = 0.5; // between two figures in them: each change draws and loads the lines anew
 const KEPT_PICTURES = 16384;
 const SECURE = "WebXR needs a secure page. By USB: adb reverse tcp:PORT tcp:PORT, then open "
-  + "http://localhost:PORT/headset in the headset. By network: start the console with --cert, --key and --token-file.";
+  + "http://localhost:PORT/headset in the headset. By network: start the console with --tls and --token-file.";
 
 const element = (id) => document.getElementById(id);
 const address = new URLSearchParams(location.search);
@@ -191,7 +191,7 @@ function lines() {
   return [
     [holds ? `HOLD · ${headline}` : headline, tone],
     [said.why || words, "#e4eaf0"],
-    [stereo() ? small : `${small}; one eye only (./surg teleop --stereo)`, age > 500 ? "#ff6161" : "#8794a3"],
+    [stereo() ? small : `${small}; one eye only (./surg teleop --cameras stereo)`, age > 500 ? "#ff6161" : "#8794a3"],
   ];
 }
 

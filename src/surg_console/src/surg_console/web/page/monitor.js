@@ -49,7 +49,7 @@ function show() {
   const recent = picture.drawn.slice(-20).map((each) => each.ageMs).sort((a, b) => a - b);
   const middle = recent[recent.length >> 1];
   let small = "";
-  if (oneEye) small = "One eye only. Start the console with both: ./surg teleop --stereo";
+  if (oneEye) small = "One eye only. Start the console with both: ./surg teleop --cameras stereo";
   else if (!picture.exposedUs) small = "No picture from the endoscope yet.";
   else small = old ? `Picture ${(age / 1000).toFixed(1)} s old` : `Picture ${middle.toFixed(0)} ms old`;
   const holds = !status || !["driving", "starting"].includes(status.phase);

@@ -6,7 +6,7 @@ import { Feed } from "./feed.js";
 const KEPT = 20; // marks that wait for their picture
 const LATE_MS = 1500; // without marks, after which the page says so
 const COLOURS = { tip: "#00ffff", shaft: "#50ff50", jaw: "#ffff00", trocar: "#ff78ff" };
-const NONE = "No marks arrive. Start with ./surg teleop --marks, or ./surg up CELL --marks.";
+const NONE = "No marks arrive. Start with ./surg teleop --cameras marks, or ./surg up CELL --cameras marks.";
 
 export class Marks {
   /**

@@ -5,7 +5,7 @@ It shows through which lens a data set looks, and from where. It reads the video
 
     ./surg run endoscope_guidance --episodes 1 --out runs/guidance
     ./surg episode export runs/guidance --format lerobot --out runs/guidance_dataset
-    ./surg dev shell -c "python3 -m surg_recording.datasets.tip_in_video runs/guidance_dataset"
+    ./surg dev shell -c "python3 -m surg_recording.video.tip_in_video runs/guidance_dataset"
 """
 
 from __future__ import annotations

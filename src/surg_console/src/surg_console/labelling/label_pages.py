@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from surg_console.web import http_policy
 from surg_recording.episode import episode_reader, finishing, labels
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.recording_errors import EpisodeError, words_of
@@ -72,15 +73,11 @@ class LabelPages:
             return "", "", ""
 
     def _made(self, number: int) -> str:
-        here = Path(__file__).parent
-        style, markup, script = (
-            (here / f"label_panel.{kind}").read_text(encoding="utf-8")
-            for kind in ("css", "html", "js")
-        )
+        markup = http_policy.page_files()["label/label.html"].decode()
         panel = episode_view.Panel(
-            f"<style>{style}</style>{markup}",
+            f"<link rel='stylesheet' href='/page/label/label.css'>{markup}",
             f"<script type='application/json' id='given'>{_GIVEN}</script>"
-            f"<script>{script}</script>",
+            "<script src='/page/label/label.js'></script>",
         )
         try:
             recorded = episode_reader.read(self.folders[number - 1])

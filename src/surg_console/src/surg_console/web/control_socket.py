@@ -1,0 +1,163 @@
+"""The sockets /control and /status: status out; inputs and buttons in, or Stop alone."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+from aiohttp import WSCloseCode, WSMsgType, web
+
+from surg_console.session.console_orders import Order
+from surg_console.session.console_session import Session
+from surg_console.session.system_state import Robot
+from surg_console.web.page_connection import MessageBudget, Outbox
+from surg_console.web.page_dispatch import dispatch
+from surg_console.web.page_protocol import PageMessage, Ping, Press, ProtocolError, parse
+
+MAX_ERRORS = 5
+"""Invalid messages after which a page is disconnected."""
+Handler = Callable[[PageMessage, str, Outbox, float], None]
+"""Handles a message of a page, by its name, with its outbox, at a time [s]."""
+
+
+class System(Protocol):
+    """What the pages need of the running system."""
+
+    def robot(self) -> Robot:
+        """Its present state."""
+
+    def obey(self, orders: list[Order]) -> None:
+        """Send orders; must not block."""
+
+
+class ControlPages:
+    """The pages that drive or watch the session.
+
+    Attributes:
+        monitors: Number of open pages that only watch.
+        ending: The console ends; only Stop is obeyed any more.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        system: System,
+        facts: Mapping[str, Any],
+        clock: Callable[[], float],
+    ) -> None:
+        self._session, self._system = session, system
+        self._facts, self._clock = facts, clock
+        self._outboxes: dict[str, Outbox] = {}
+        self._newest: dict[str, str] = {}
+        self._pages_so_far = 0
+        self.monitors, self.ending = 0, False
+
+    def update_all(self, kind: str, text: str) -> None:
+        """Replace what all pages show of this kind; pages to come get it as well."""
+        self._newest[kind] = text
+        for outbox in self._outboxes.values():
+            outbox.update(kind, text)
+
+    def send_orders(self) -> None:
+        """Publish what the session has decided."""
+        orders = self._session.take_orders()
+        if orders:
+            self._system.obey(orders)
+
+    async def serve(self, socket: web.WebSocketResponse) -> None:
+        """A page of the session, until it disconnects or breaks the protocol."""
+        self._pages_so_far += 1
+        page = f"page {self._pages_so_far}"
+        self._session.join(page, self._clock())
+
+        def leave() -> None:
+            self._session.leave(page, self._clock())
+            self.send_orders()
+
+        await self._converse(socket, page, self._handle, leave)
+
+    async def serve_monitor(self, socket: web.WebSocketResponse) -> None:
+        """A page that watches: it is no page of the session, and Stop is all that it may ask."""
+        self._pages_so_far += 1
+        self.monitors += 1
+
+        def leave() -> None:
+            self.monitors -= 1
+
+        await self._converse(socket, f"monitor {self._pages_so_far}", self._handle_monitor, leave)
+
+    async def _converse(
+        self,
+        socket: web.WebSocketResponse,
+        page: str,
+        handle: Handler,
+        leave: Callable[[], None],
+    ) -> None:
+        """Send the status to a page and handle its messages until it ends."""
+        outbox = self._outboxes[page] = Outbox()
+        outbox.reply(json.dumps({"say": "welcome", "page": page, **self._facts}))
+        if "episodes" in self._newest:
+            outbox.update("episodes", self._newest["episodes"])
+        sender = asyncio.create_task(_send_texts(socket, outbox))
+        violation = b""
+        try:
+            violation = await self._receive(socket, page, outbox, handle)
+        finally:
+            leave()
+            del self._outboxes[page]
+            sender.cancel()
+            # Last: a page that floods may never answer, and must not keep its place until then.
+            await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=violation)
+
+    async def _receive(
+        self, socket: web.WebSocketResponse, page: str, outbox: Outbox, handle: Handler
+    ) -> bytes:
+        """Handle a page's messages until it disconnects or breaks the protocol; returns how."""
+        budget, errors = MessageBudget(self._clock()), 0
+        async for frame in socket:
+            await asyncio.sleep(0)  # messages that wait in the buffer must not hold up the others
+            now = self._clock()
+            if not budget.spend(now):
+                return b"too many messages"
+            try:
+                if frame.type is not WSMsgType.TEXT:
+                    raise ProtocolError("a message is a text")
+                message = parse(frame.data)
+                if isinstance(message, Ping):
+                    wall_us = time.time_ns() // 1000
+                    pong = {"say": "pong", "at": message.at, "wall_us": wall_us}
+                    outbox.reply(json.dumps(pong))
+                else:
+                    handle(message, page, outbox, now)
+            except ProtocolError as error:
+                errors += 1
+                outbox.reply(json.dumps({"say": "refused", "why": str(error)}))
+                if errors >= MAX_ERRORS:
+                    return b"too many invalid messages"
+        return b""
+
+    def _handle(self, message: PageMessage, page: str, outbox: Outbox, now: float) -> None:
+        stops = isinstance(message, Press) and message.button == "stop"
+        if self.ending and not stops:
+            return
+        refused = dispatch(self._session, message, page, self._system.robot(), now)
+        self.send_orders()
+        if refused:
+            outbox.reply(json.dumps({"say": "refused", "why": refused}))
+
+    def _handle_monitor(self, message: PageMessage, page: str, outbox: Outbox, now: float) -> None:
+        if not isinstance(message, Press) or message.button != "stop":
+            raise ProtocolError("a monitor watches; allowed: ping, and the button stop")
+        self._session.stop(self._system.robot(), page)
+        self.send_orders()
+
+
+async def _send_texts(socket: web.WebSocketResponse, outbox: Outbox) -> None:
+    with contextlib.suppress(ConnectionError):
+        while True:
+            for text in await outbox.take():
+                await socket.send_str(text)

@@ -1,0 +1,84 @@
+"""The socket /pictures: encoded pictures out, what a page watches and has drawn in."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+
+from aiohttp import WSMsgType, web
+
+from surg_console.web.encoder_process import EncoderProcess
+from surg_console.web.page_connection import MessageBudget, Viewer
+from surg_console.web.page_protocol import ProtocolError, Shown, Watch, parse
+from surg_console.web.picture_packet import Packet
+from surg_console.web.picture_queue import PictureQueue
+
+
+class PicturePages:
+    """The pages that watch pictures."""
+
+    def __init__(self, pictures: EncoderProcess, clock: Callable[[], float]) -> None:
+        self._pictures, self._clock = pictures, clock
+        self._viewers: set[Viewer] = set()
+
+    @property
+    def open(self) -> int:
+        """Number of open sockets."""
+        return len(self._viewers)
+
+    def show(self, packet: Packet) -> None:
+        """Send a new picture to everybody who watches its layout and codec."""
+        for viewer in self._viewers:
+            if viewer.stream == (packet.layout, packet.codec):
+                viewer.queue.put(packet)
+                viewer.changed.set()
+
+    def request_keys(self) -> None:
+        """Ask for key frames for those who have missed a picture; called all the time."""
+        for viewer in self._viewers:
+            if viewer.stream and viewer.queue.wants_key(self._clock()):
+                self._pictures.key(*viewer.stream)
+
+    async def serve(self, socket: web.WebSocketResponse) -> None:
+        """Serve one page until it disconnects or breaks the protocol."""
+        viewer = Viewer()
+        self._viewers.add(viewer)
+        sender = asyncio.create_task(self._send(socket, viewer))
+        try:
+            with contextlib.suppress(ProtocolError):
+                await self._receive(socket, viewer)
+        finally:
+            self._viewers.discard(viewer)
+            self._want_streams()
+            sender.cancel()
+            await socket.close()
+
+    async def _receive(self, socket: web.WebSocketResponse, viewer: Viewer) -> None:
+        budget = MessageBudget(self._clock())
+        async for frame in socket:
+            await asyncio.sleep(0)
+            message = parse(frame.data) if frame.type is WSMsgType.TEXT else None
+            if not budget.spend(self._clock()):
+                return
+            if isinstance(message, Watch):
+                viewer.stream, viewer.queue = (message.layout, message.codec), PictureQueue()
+                self._want_streams()
+            elif isinstance(message, Shown):
+                viewer.queue.drawn(message.seq)
+                viewer.changed.set()
+            else:
+                return
+
+    def _want_streams(self) -> None:
+        wanted = {viewer.stream for viewer in self._viewers if viewer.stream is not None}
+        self._pictures.want(frozenset(wanted))
+
+    async def _send(self, socket: web.WebSocketResponse, viewer: Viewer) -> None:
+        with contextlib.suppress(ConnectionError):
+            while True:
+                await viewer.changed.wait()
+                viewer.changed.clear()
+                packet = viewer.queue.take(self._clock())
+                if packet is not None:
+                    await socket.send_bytes(packet.pack())
