@@ -55,7 +55,9 @@ def demonstrate(keep: Path, count: int, jobs: int) -> Path:
     out = keep / "dataset"
     if (out / "surg_export.json").is_file():
         return out
-    plan = demonstrations.Plan(keep / "demonstrations", cell_files.find(CELL), TASK, shake=PUSH_M)
+    plan = demonstrations.DemonstrationPlan(
+        keep / "demonstrations", cell_files.find(CELL), TASK, shake=PUSH_M
+    )
     with Progress("demonstrations") as progress:
         demonstrations.play(
             plan,

@@ -196,7 +196,7 @@ def candidates(root: Path, options: argparse.Namespace, progress: Progress) -> l
     from functools import partial
 
     shown = root / "demonstrations"
-    plan = demonstrations.Plan(shown, cell_files.find(CELL), TASK, shake=options.shake)
+    plan = demonstrations.DemonstrationPlan(shown, cell_files.find(CELL), TASK, shake=options.shake)
     chosen = episode_seeds.training_seeds(options.episodes)
     total = len(chosen)
 

@@ -128,7 +128,9 @@ def timed(what: str, workers: int, play: Callable[[], int]) -> dict[str, Any]:
 def demonstrate(episodes: int, cameras: tuple[str, ...], workers: int) -> int:
     """Record demonstrations of the scripted expert."""
     with tempfile.TemporaryDirectory() as folder:
-        plan = demonstrations.Plan(Path(folder), cell_files.find(CELL), TASK, cameras=cameras)
+        plan = demonstrations.DemonstrationPlan(
+            Path(folder), cell_files.find(CELL), TASK, cameras=cameras
+        )
         return len(demonstrations.play(plan, episode_seeds.training_seeds(episodes), workers))
 
 

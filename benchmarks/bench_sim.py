@@ -30,7 +30,7 @@ from machine import this_machine
 
 from surg_cli.host import paths
 from surg_cli.host.terminal import Progress, say, table
-from surg_sim.envs.cell_session import Session
+from surg_sim.envs.cell_session import CellSession
 from surg_sim.envs.episode_runner import run_episode
 from surg_sim.physics import cell_files
 from surg_sim.tasks import episode_seeds
@@ -43,7 +43,7 @@ CELL, TASK = "sim_two_arms", "bgr"
 
 def in_process(episodes: int) -> dict[str, float]:
     """Episodes one after another in one compiled scene."""
-    session = Session(cell_files.find(CELL), TASK)
+    session = CellSession(cell_files.find(CELL), TASK)
     simulated = 0.0
     wall, cpu = time.perf_counter(), time.process_time()
     for seed in episode_seeds.test_seeds(episodes):
@@ -59,7 +59,7 @@ def parts(ticks: int = 1500) -> dict[str, float]:
     """Where a tick's time goes [us]."""
     import mujoco
 
-    session = Session(cell_files.find(CELL), TASK)
+    session = CellSession(cell_files.find(CELL), TASK)
     whole, physics, control = [], [], []
     for _ in range(ticks):
         start = time.perf_counter_ns()
@@ -81,7 +81,7 @@ def parts(ticks: int = 1500) -> dict[str, float]:
 
 def stereo(pairs: int) -> dict[str, float]:
     """Pairs of 640x480 of a scene that moves."""
-    world = Session(cell_files.find(CELL), TASK, visuals=True).world
+    world = CellSession(cell_files.find(CELL), TASK, visuals=True).world
     speed = stereo_speed(world, pairs=pairs)
     return {
         "stereo_640x480_pairs_per_s": speed.pairs_per_s,

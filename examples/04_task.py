@@ -93,11 +93,11 @@ class TouchExpert(ArmExpert):
 
 def main() -> None:
     """Play three episodes."""
-    from surg_sim.envs.cell_session import Session
+    from surg_sim.envs.cell_session import CellSession
     from surg_sim.envs.episode_runner import run_episode
     from surg_sim.physics import cell_files
 
-    session = Session(cell_files.find(Touch.home_cell), str(Path(__file__).resolve()))
+    session = CellSession(cell_files.find(Touch.home_cell), str(Path(__file__).resolve()))
     for seed in (10_000, 10_001, 10_002):
         report = run_episode(session, seed)
         deviation = 1e3 * report.arms["PSM1"].kinematic.max

@@ -44,7 +44,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/course/episodes"))
     parser.add_argument("--episodes", type=int, default=20)
     options = parser.parse_args()
-    plan = demonstrations.Plan(options.out, cell_files.find("sim_two_arms"), str(TASK))
+    plan = demonstrations.DemonstrationPlan(options.out, cell_files.find("sim_two_arms"), str(TASK))
     seeds = episode_seeds.training_seeds(options.episodes)
     made = demonstrations.play(plan, seeds)  # recordings that are complete are kept
     print(f"{len(made)} episodes recorded, {len(seeds) - len(made)} were there already")

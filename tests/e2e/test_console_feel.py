@@ -15,7 +15,7 @@ import pytest
 from helpers.teleop import chromium
 from helpers.teleop.chromium import GAMEPAD, Chromium, Tab
 from helpers.teleop.console import Console, console
-from surg_console.session.felt_tip import felt_tip
+from surg_console.session.tip_force_feedback import tip_force_feedback
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
 
@@ -182,5 +182,5 @@ def test_silence_is_felt_within_50_ms_of_a_forces_age() -> None:
 def test_a_force_is_told_while_it_is_fresh_and_the_tip_follows(
     force: float | None, age: float, following: bool, told: float | None
 ) -> None:
-    found = felt_tip(force, 100.0 - age, 100.0, following)
+    found = tip_force_feedback(force, 100.0 - age, 100.0, following)
     assert found["tip"] == told and found["age"] == pytest.approx(age)

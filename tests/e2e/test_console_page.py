@@ -23,10 +23,10 @@ from surg_console.session import operator_messages
 from surg_console.session.console_orders import (
     Camera,
     Clutch,
-    Follow,
+    EnableTeleop,
     Move,
-    Present,
     Record,
+    SetOperatorPresent,
     SetScale,
 )
 from surg_console.session.console_session import Phase
@@ -109,7 +109,7 @@ async def live(made: Console, browser: Chromium, tab: Tab) -> None:
     system = made.system
     assert await tab.run("crossOriginIsolated")
     await drive(made, tab)
-    assert Follow(True) in system.given(Follow)
+    assert EnableTeleop(True) in system.given(EnableTeleop)
 
     # Keys are a rate in the picture; D and R together are right and away.
     await tab.key("Space", True)
@@ -177,7 +177,7 @@ async def live(made: Console, browser: Chromium, tab: Tab) -> None:
     await until(lambda: _is(SetScale(0.5) in system.given(SetScale)), "the scale", 20.0)
     await tab.tap("Escape")
     await until(lambda: _is(made.session.phase is Phase.HELD), "the stop", 20.0)
-    assert system.last(Present)[1] == Present(False)
+    assert system.last(SetOperatorPresent)[1] == SetOperatorPresent(False)
     await tab.until("!document.querySelector('#veil').hidden", "the veil")
     assert "Stop was pressed" in await tab.run("document.querySelector('#veil-sentence').innerText")
 
@@ -340,8 +340,8 @@ def test_a_tab_that_goes_holds_the_arm() -> None:
                     began = time.monotonic()
                     doing = asyncio.create_task(stop(browser, tab))
                     await until(lambda: _is(made.session.phase is not Phase.DRIVING), what, 20.0)
-                    at, order = made.system.last(Present)
-                    assert order == Present(False)
+                    at, order = made.system.last(SetOperatorPresent)
+                    assert order == SetOperatorPresent(False)
                     assert at - made.system.last(Move)[0] < LATEST, what
                     found[what].append(at - began)
                     await doing

@@ -11,7 +11,7 @@ import pytest
 from helpers.teleop import chromium
 from helpers.teleop.chromium import Chromium, until
 from helpers.teleop.console import Console, console
-from surg_console.session.console_orders import Follow, Policy
+from surg_console.session.console_orders import EnableTeleop, Policy
 from surg_console.session.system_state import PolicyServer
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
@@ -39,7 +39,7 @@ async def press_and_look(picture: Path) -> None:
             return Policy(True) in made.system.given(Policy)
 
         await until(given, "the arm to be given", 10.0)
-        assert Follow(False) in made.system.given(Follow), "the hand let go first"
+        assert EnableTeleop(False) in made.system.given(EnableTeleop), "the hand let go first"
         say(made, "RUNNING")
         await tab.until(
             "document.querySelector('#sentence').textContent.includes('Enable takes it back')",

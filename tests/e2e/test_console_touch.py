@@ -21,9 +21,9 @@ from surg_console.session import operator_messages
 from surg_console.session.console_orders import (
     Camera,
     Clutch,
+    GuideHome,
     Move,
     Policy,
-    PutBack,
     Record,
     SetScale,
 )
@@ -186,9 +186,9 @@ OF_THE_PAGE = {
     "Z": drawn_wide(160),
     "B": drawn_wide(320),
     "J": "document.body.dataset.side === 'left'",
-    "N": pressed('[data-beside="marks"]'),
-    "I": pressed('[data-beside="plan"]'),
-    "O": pressed('[data-beside="scene"]'),
+    "N": pressed('[data-overlay="marks"]'),
+    "I": pressed('[data-overlay="plan"]'),
+    "O": pressed('[data-overlay="scene"]'),
     "Y": pressed("#feel"),
     "M": "surgConsole.hand.hand === 'rate'",
     "]": "document.querySelector('#speed-value').innerText === '25 mm/s'",
@@ -300,9 +300,9 @@ async def session_keys(made: Console, tab: Tab, keys: Keyboard) -> None:
         await until(lambda v=scale: _is(SetScale(v) in given(SetScale)), label, 10.0)
     await keys.tap("V")
     await until(lambda: _is(Record(True) in given(Record)), "the recorder", 10.0)
-    await refused("H")  # nothing is astray
+    await refused("H")  # no arm is in FAULT
     await refused("P")  # no policy is connected
-    assert given(PutBack) == [] and given(Policy) == []
+    assert given(GuideHome) == [] and given(Policy) == []
     made.session.release(made.session.holder)
     await keys.tap("T")
     await until(lambda: _is(made.session.holder), "control", 10.0)

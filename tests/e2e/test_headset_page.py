@@ -17,7 +17,7 @@ from helpers.teleop.chromium import Chromium, until
 from helpers.teleop.console import Console, console
 from helpers.teleop.headset import FAKE_XR, NO_WEBGL, NO_XR
 from helpers.teleop.headset_page import SQUEEZE, came, drives, entered, hold, squeezed
-from surg_console.session.console_orders import Clutch, Move, Present
+from surg_console.session.console_orders import Clutch, Move, SetOperatorPresent
 from surg_console.session.console_session import Phase
 from surg_console.session.operator_messages import HIDDEN, SILENT
 from surg_core.transforms import multiply_quaternions
@@ -176,8 +176,8 @@ def test_f03_a_headset_that_goes_holds_and_nothing_resumes() -> None:
                     await tab.run(script)
                     held = lambda: _is(made.session.phase is not Phase.DRIVING)  # noqa: E731
                     await until(held, what, 20.0, 0.002)
-                    at, order = made.system.last(Present)
-                    assert order == Present(False)
+                    at, order = made.system.last(SetOperatorPresent)
+                    assert order == SetOperatorPresent(False)
                     # A busy machine may have let go a moment before, by silence.
                     assert made.session.reason in (reason, SILENT), what
                     found[what] += [at - began] if made.session.reason == reason else []

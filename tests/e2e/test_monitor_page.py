@@ -19,7 +19,7 @@ from helpers.teleop import chromium
 from helpers.teleop.chromium import Chromium, Tab, until
 from helpers.teleop.console import Console, console
 from helpers.teleop.headset import NO_WEBGL
-from surg_console.session.console_orders import Follow, Present
+from surg_console.session.console_orders import EnableTeleop, SetOperatorPresent
 from surg_console.session.console_session import Phase
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
@@ -163,10 +163,10 @@ def test_the_page_moves_nothing_and_its_stop_is_obeyed() -> None:
             await tab.tap("KeyS")
 
             async def stopped() -> bool:
-                return made.system.given(Follow)[-1:] == [Follow(False)]
+                return made.system.given(EnableTeleop)[-1:] == [EnableTeleop(False)]
 
             await until(stopped, "the stop", 10.0)
-            assert made.system.given(Present)[-1] == Present(False)
+            assert made.system.given(SetOperatorPresent)[-1] == SetOperatorPresent(False)
             assert made.session.phase is Phase.FREE
             assert browser.errors == []
 

@@ -20,7 +20,7 @@ from surg_core import Motion, MotionCommand, Reason, State, StateCommand
 from surg_emulators.franka.franka_controller import FrankaController, RobotMode
 from surg_emulators.franka.franka_errors import Error
 from surg_hardware.conditions import Condition
-from surg_teleop.playback.motion_player import Stage
+from surg_teleop.playback.motion_player import PlayerStage
 
 pytestmark = pytest.mark.untimed
 
@@ -45,7 +45,7 @@ def test_the_bundled_motion_keeps_the_pivot_without_a_reflex(
     name: str, loss: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     chain, played = bundled(name, monkeypatch, loss)
-    assert played.stage is Stage.DONE, (played.reason, list(chain.core.messages))
+    assert played.stage is PlayerStage.DONE, (played.reason, list(chain.core.messages))
     deviation = 1e3 * played.deviation
     said = f"mean {deviation.mean():.4f}, max {deviation.max():.3f} mm"
     page.note(page.franka(name, loss), 1, said)
@@ -60,7 +60,7 @@ def test_an_acceleration_that_is_reported_late_keeps_the_pivot_too(
     chain = Chain("fr3", monkeypatch)
     chain.adapter.sluggish = 0.95
     played = play(chain, BUNDLED, duration=SECONDS)
-    assert played.stage is Stage.DONE, (played.reason, list(chain.core.messages))
+    assert played.stage is PlayerStage.DONE, (played.reason, list(chain.core.messages))
     assert 1e3 * played.deviation.max() <= OFF
 
 
@@ -68,7 +68,7 @@ def test_without_the_shaper_the_arm_stops_by_a_reflex(monkeypatch: pytest.Monkey
     chain = Chain("panda", monkeypatch)
     chain.adapter.raw = True
     played = play(chain, BUNDLED, duration=10.0)
-    assert played.stage is Stage.FAILED and "robot" in played.reason
+    assert played.stage is PlayerStage.FAILED and "robot" in played.reason
     assert chain.core.mode is RobotMode.REFLEX
     assert chain.state is not None and "discontinuity" in chain.state.status.fault
 

@@ -17,7 +17,7 @@ from helpers.hardware.emulated_chain import Chain
 from helpers.results import hardware_results as page
 from surg_cli.host import paths
 from surg_core import Law
-from surg_teleop.playback.motion_player import Stage
+from surg_teleop.playback.motion_player import PlayerStage
 
 pytestmark = pytest.mark.untimed
 
@@ -42,7 +42,7 @@ def started(law: Law = Law.EXACT) -> Chain:
 def report(row: str, runs: list[Played], limit: float = OFF) -> None:
     """Note the deviation in these runs, and judge it."""
     for each in runs:
-        assert each.stage is Stage.DONE, each.reason
+        assert each.stage is PlayerStage.DONE, each.reason
     means = [1e3 * float(each.deviation.mean()) for each in runs]
     most = 1e3 * max(float(each.deviation.max()) for each in runs)
     fastest = 1e3 * max(each.speed for each in runs)
@@ -83,7 +83,7 @@ def test_an_arm_that_does_not_move_never_plays_a_motion_to_its_end(
         chain.moves = False
     played = play(chain, BUNDLED, scale)
     print(f"{which}, scale {scale}: {played.reason}")
-    assert played.stage is Stage.FAILED
+    assert played.stage is PlayerStage.FAILED
     assert "not_following" in played.reason
 
 
@@ -99,7 +99,7 @@ def test_emulator_and_controller_with_one_seed_give_one_hash(tmp_path: Path) -> 
                 chain.robot.protective_stop("test")
 
         played = play(chain, surgeon(tmp_path, 7, 1.5), each=each)
-        assert played.stage is Stage.FAILED and "robot" in played.reason
+        assert played.stage is PlayerStage.FAILED and "robot" in played.reason
         hashes.add(played.state_hash)
     assert len(hashes) == 1
     print(f"state hash {hashes.pop()[:16]}")

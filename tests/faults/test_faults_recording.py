@@ -24,7 +24,7 @@ from surg_cli.graph.processes import Child
 from surg_cli.host import cells, paths
 from surg_msgs.msg import Cycle, RecordStatus, SimStatus
 from surg_recording.episode import episode_reader
-from surg_sim.envs.cell_session import Session
+from surg_sim.envs.cell_session import CellSession
 from surg_sim.envs.episode_runner import run_episode
 
 pytestmark = pytest.mark.ros
@@ -269,7 +269,7 @@ def test_f12_a_full_disk_changes_no_tick_of_a_run_in_lock_step(
         assert recorder is not None and recorder.exit_code is None, "the recorder lives"
     finally:
         heard.close()
-    expected = run_episode(Session(cell, SHORT, "phantom", SEED), SEED)
+    expected = run_episode(CellSession(cell, SHORT, "phantom", SEED), SEED)
     ticks = round(expected.duration / 0.002)
     assert heard.sim.state_hash == expected.hash
     assert (heard.sim.tick, heard.sim.deterministic) == (ticks, True)

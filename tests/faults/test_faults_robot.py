@@ -169,9 +169,9 @@ def test_an_arm_that_never_moves_is_paused_although_its_link_says_active(
 
 
 def test_f33_the_sessions_without_ros_hear_the_condition() -> None:
-    from surg_sim.envs.cell_session import Session
+    from surg_sim.envs.cell_session import CellSession
 
-    session = Session("cells/sim_two_arms", "bgr", seed=3)
+    session = CellSession("cells/sim_two_arms", "bgr", seed=3)
     for words in ((), (StateCommand.HOME,), (StateCommand.ENABLE,)):
         out = session.tick({"PSM1": words}).outputs["PSM1"]
     assert out.state == State.ENABLED

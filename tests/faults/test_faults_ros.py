@@ -417,23 +417,23 @@ def test_f10_a_simulator_that_is_always_behind(
 
 def test_f23_an_arm_is_led_home_by_hand(system: System) -> None:
     """Not while its controller moves it; and the controller takes it up again."""
-    by_hand = rospy.Publisher("/sim/by_hand", String, queue_size=10)
-    system.graph.wait_for(lambda: by_hand.get_num_connections() > 0, ANSWER_S, "/sim")
+    guide_home = rospy.Publisher("/sim/guide_home", String, queue_size=10)
+    system.graph.wait_for(lambda: guide_home.get_num_connections() > 0, ANSWER_S, "/sim")
     home = np.asarray(surg_core.load_cell(str(CELL)).arms["PSM1"].robot.home)
 
     def off() -> float:
         return float(np.abs(np.subtract(system.cycles[-1].q, home)).max())
 
     system.in_motion()
-    by_hand.publish("PSM1")
-    by_hand.publish("nobody")
+    guide_home.publish("PSM1")
+    guide_home.publish("nobody")
     system.in_motion()
     system.graph.wait_for(lambda: off() > 0.015, 10.0, "the arm away from home")
     system.quiet()
     time.sleep(0.3)
     moved = off()
     assert moved > 0.005, "it is at home already"
-    by_hand.publish("PSM1")
+    guide_home.publish("PSM1")
     system.graph.wait_for(lambda: off() < 1e-3, 20.0, "the arm at home")
     assert system.cycles[-1].state == Cycle.DISABLED
     print(f"led home from {moved:.3f} rad; {off():.5f} rad are left")

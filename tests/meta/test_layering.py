@@ -25,7 +25,7 @@ def test_layers_of_the_command_line_hold() -> None:
         ("host/paths.py", "from surg_cli.graph import master"),
         ("graph/watch.py", "def f():\n    from surg_cli.commands import run"),
         ("graph/watch.py", "from surg_cli.__main__ import run"),
-        ("robots/rollouts.py", "import surg_cli.commands.run"),
+        ("learning/rollouts.py", "import surg_cli.commands.run"),
         ("commands/demo.py", "from surg_cli.commands.run import main"),
     ],
 )

@@ -33,7 +33,7 @@ PROMISED = {
     "/record/tag": ANNOTATION,
     "/record/info": ANNOTATION,
     "/sim/undeclared": "one name; it can only take the word 'deterministic' away",
-    "/sim/by_hand": "one name, looked up in the cell; an unknown one is refused",
+    "/sim/guide_home": "one name, looked up in the cell; an unknown one is refused",
     "/sim/inject": "a test's fault script; opt-in, on this machine only, and checked whole",
 }
 """Every std_msgs/String of the contract, and why it is none by which another node decides."""
@@ -47,10 +47,10 @@ USED = {
     "dvrk_compat_node.py": {"warning"},
     "leader_node.py": {"error"},
     "teleop_status_node.py": {"~warning", "current_state", "desired_state"},
-    "order_topics_node.py": {"/sim/by_hand"},
+    "order_topics_node.py": {"/sim/guide_home"},
     "ros_system_node.py": {"warning"},
     "recorder_topics_node.py": {"name", "/record/tag", "/record/info"},
-    "sim_bridge_node.py": {"/sim/undeclared", "/sim/inject", "/sim/by_hand"},
+    "sim_bridge_node.py": {"/sim/undeclared", "/sim/inject", "/sim/guide_home"},
     "watch.py": {"topic"},
     "record.py": {"name"},
     "link_node.py": {"warning"},

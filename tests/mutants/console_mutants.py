@@ -65,7 +65,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "collected_without_a_page",
         "marks and joints are collected after the last page has closed its view",
-        "web/beside_socket.py",
+        "web/overlay_socket.py",
         "                self._source.watch(what, False)",
         "                pass",
         BESIDE,

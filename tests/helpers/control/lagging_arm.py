@@ -18,7 +18,7 @@ from surg_core.arm_view import ArmCommands, ArmState, ArmView, JawRange
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.playback.motion_file import read_motion
 from surg_teleop.playback.motion_plan import make_plan
-from surg_teleop.playback.motion_player import Mode, MotionPlayer, Stage
+from surg_teleop.playback.motion_player import Mode, MotionPlayer, PlayerStage
 from surg_teleop.playback.workspace_fit import Workspace
 
 TICK_NS = 2_000_000
@@ -48,7 +48,7 @@ class Run:
         first_refusal: Time in the plan [s] and cause; None: nothing was refused.
     """
 
-    stage: Stage
+    stage: PlayerStage
     reason: str
     refused: int
     rcm_error: NDArray[np.float64]
@@ -173,7 +173,7 @@ def play(
     for _ in range(1, 200_000):
         out = plant.step(commands)
         view = plant.view()
-        if operator.stage is Stage.PLAY:
+        if operator.stage is PlayerStage.PLAY:
             rcm_error.append(out.rcm_error)
             tips.append(view.p_tip)
             times.append(operator.clock)

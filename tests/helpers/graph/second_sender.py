@@ -9,7 +9,7 @@ import rospy
 
 from surg_core.arm_view import ArmCommands, TipPose
 from surg_ros.arm_port import ArmPort
-from surg_ros.participant import Participant, Seen
+from surg_ros.participant import Participant, TickInputs
 
 ASIDE = (0.0, 0.001, 0.0)
 """Offset of the stream from the measured tip in the trocar frame [m]: it would be accepted."""
@@ -26,7 +26,7 @@ def main(argv: list[str]) -> int:
     port = ArmPort("PSM1")
     streaming = False
 
-    def act(seen: Seen) -> bool:
+    def act(seen: TickInputs) -> bool:
         nonlocal streaming
         for word in plan.get(str(seen.tick + 1), []):
             if word in ("stream", "quiet"):

@@ -17,7 +17,7 @@ from surg_core.arm_view import ArmCommands, JawRange
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.playback.motion_file import read_motion
 from surg_teleop.playback.motion_plan import make_plan
-from surg_teleop.playback.motion_player import Mode, MotionPlayer, Stage
+from surg_teleop.playback.motion_player import Mode, MotionPlayer, PlayerStage
 from surg_teleop.playback.workspace_fit import Workspace
 
 RATE = 30.0
@@ -47,7 +47,7 @@ class Played:
         state_hash: SHA-256 over the emulated arm's angles and the commands of all cycles.
     """
 
-    stage: Stage
+    stage: PlayerStage
     reason: str
     deviation: np.ndarray
     speed: float
@@ -80,7 +80,7 @@ def play(
         each(cycle)
         out = chain.step(*asked(commands, chain.controller))
         digest.update(np.array(chain.joints).tobytes() + out.qd_command.tobytes())
-        if player.stage is Stage.PLAY:
+        if player.stage is PlayerStage.PLAY:
             away.append(chain.deviation)
             tips.append(chain.tip)
         if player.done:

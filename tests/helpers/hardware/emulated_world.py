@@ -14,7 +14,7 @@ from helpers.hardware import ur_chain
 from helpers.hardware.emulated_chain import T, link_settings, pivot_deviation
 from surg_cli.host import paths
 from surg_emulators.ur.ur_controller import UrController
-from surg_sim.envs.cell_session import LAWS, Session
+from surg_sim.envs.cell_session import LAWS, CellSession
 from surg_sim.physics.sim_arm import SUBSTEPS, ActuatorParameters, ArmCommand, ArmLink
 from surg_sim.physics.world import World
 
@@ -78,7 +78,7 @@ class EmulatedLink(ArmLink):
         self._data.ctrl[self._damper_ctrl] = rate
 
 
-class EmulatedSession(Session):
+class EmulatedSession(CellSession):
     """A session whose PSM1 is an emulated UR5e with the settings of the cell `emulated_ur5e`."""
 
     link: EmulatedLink | None = None

@@ -29,9 +29,9 @@ from surg_teleop.follow.teleop_setup import Hand
 from surg_teleop.follow.teleop_types import (
     CameraView,
     ControlMode,
-    State,
     TeleopOutput,
     TeleopSettings,
+    TeleopState,
 )
 from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders.bundled.gamepad import Gamepad
@@ -184,7 +184,7 @@ class Bench:
         began = time.monotonic()
         event()
         at = self.tip
-        halted = self.until(lambda: self.teleop.state is not State.FOLLOWING, 200)
+        halted = self.until(lambda: self.teleop.state is not TeleopState.FOLLOWING, 200)
         guest = time.monotonic() - began
         still = halted + self.until(lambda: self.speed < STILL, 500)
         self.tick(100)
@@ -257,7 +257,7 @@ def engage(rig: Bench) -> str:
     """Enables; the state after at most a second."""
     rig.tick(5)
     rig.teleop.enable()
-    rig.until(lambda: rig.teleop.state is State.FOLLOWING, 500)
+    rig.until(lambda: rig.teleop.state is TeleopState.FOLLOWING, 500)
     return rig.teleop.state.value
 
 
@@ -334,7 +334,7 @@ def main(cell: str) -> None:
     found["clutched"] = rig.teleop.state.value
     push(pad, "ABS_X", 0)
     press(feet, "KEY_A", 0)
-    rig.until(lambda: rig.teleop.state is State.FOLLOWING, 500)
+    rig.until(lambda: rig.teleop.state is TeleopState.FOLLOWING, 500)
     found["released"] = rig.teleop.state.value
     push(pad, "ABS_X", 32767)
     rig.tick(150)

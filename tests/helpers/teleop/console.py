@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from surg_cli.graph import master
-from surg_console.session.console_orders import Follow, Order
-from surg_console.session.console_session import Session
+from surg_console.session.console_orders import EnableTeleop, Order
+from surg_console.session.console_session import ConsoleSession
 from surg_console.session.episode_list import Entry
-from surg_console.session.felt_tip import felt_tip
 from surg_console.session.system_state import Arm, Follower, Gauges, Robot
+from surg_console.session.tip_force_feedback import tip_force_feedback
 from surg_console.web import access
-from surg_console.web.console_server import Server
+from surg_console.web.console_server import ConsoleServer
 from surg_console.web.picture_streams import EYES, CameraFrame, PictureStream
 
 LIMITS = {
@@ -38,7 +38,7 @@ FACTS = {
     "arm": "PSM1",
     "views": ["left", "right"],
     "leads": True,
-    "beside": ["marks", "plan", "scene"],
+    "overlays": ["marks", "plan", "scene"],
     "limits": LIMITS,
 }
 
@@ -62,17 +62,17 @@ class FakeSystem:
         arms = tuple(replace(arm, heard=time.monotonic()) for arm in self.now.arms)
         return replace(self.now, arms=arms)
 
-    def told(self) -> None:
+    def reset_peaks(self) -> None:
         """See `server.System`."""
 
-    def live(self) -> None:
+    def keep_alive(self) -> None:
         """See `server.System`."""
 
-    def obey(self, orders: list[Order]) -> None:
+    def publish_orders(self, orders: list[Order]) -> None:
         """See `server.System`."""
         for order in orders:
             self.orders.append((time.monotonic(), order))
-            if isinstance(order, Follow):
+            if isinstance(order, EnableTeleop):
                 state = "FOLLOWING" if order.value else "DISABLED"
                 self.now = replace(self.now, follower=replace(self.now.follower, state=state))
 
@@ -80,13 +80,15 @@ class FakeSystem:
         """See `server.System`."""
         self.watched = self.watched | {what} if wanted else self.watched - {what}
 
-    def beside(self, what: str) -> str:
+    def overlay(self, what: str) -> str:
         """See `server.System`."""
         if what == "feel" and what not in self.shown:
             now = time.monotonic()
             following = self.now.follower.state == "FOLLOWING"
             # Heard at the last of a clock's ticks, 500 a second.
-            return json.dumps(felt_tip(self.now.gauges.tip, now - now % 0.002, now, following))
+            return json.dumps(
+                tip_force_feedback(self.now.gauges.tip, now - now % 0.002, now, following)
+            )
         return self.shown.get(what, "")
 
     def entries(self) -> list[Entry]:
@@ -135,7 +137,7 @@ class FakeCamera:
         pixels[:, left : left + 16] = (40, 200, 90)
         return pixels
 
-    async def run(self, server: Server) -> None:
+    async def run(self, server: ConsoleServer) -> None:
         """Twenty pictures a second, until cancelled."""
         count = 0
         while True:
@@ -169,8 +171,8 @@ class Console:
     def __init__(self, rules: access.Access, pictures: bool) -> None:
         self.url, self.port = rules.url, rules.port
         self.system, self.camera = FakeSystem(), FakeCamera()
-        self.session, self.stop = Session(pictures), asyncio.Event()
-        self.server = Server(rules, self.session, self.system, self.camera, FACTS, LIMITS)
+        self.session, self.stop = ConsoleSession(pictures), asyncio.Event()
+        self.server = ConsoleServer(rules, self.session, self.system, self.camera, FACTS, LIMITS)
 
 
 @contextlib.asynccontextmanager

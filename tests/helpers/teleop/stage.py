@@ -62,7 +62,7 @@ class Stage:
 
     def __init__(self, cell: surg_core.Cell, width: int = 640, height: int = 480) -> None:
         self.cell = cell
-        self.world = World(cell, looks=True)
+        self.world = World(cell, visuals=True)
         show_only(self.world.model, lamps=False)
         try:
             eyes = [endoscope_rig.LEFT, endoscope_rig.RIGHT]

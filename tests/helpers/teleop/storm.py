@@ -27,7 +27,7 @@ from helpers.control.gate_arm import (
 )
 from helpers.teleop.hand import Hand, settings
 from surg_core.arm_view import ArmState
-from surg_teleop.follow.teleop_types import REQUEST_LIFETIME, CameraView, ControlMode, State
+from surg_teleop.follow.teleop_types import REQUEST_LIFETIME, CameraView, ControlMode, TeleopState
 from surg_teleop.follow.teleoperation import Teleop
 
 Event = tuple[str, float]
@@ -103,7 +103,7 @@ class Storm:
             assert self.arm.refusals == [], f"refused: {self.arm.refusals}"
 
     def _judge(self, now: float, out: object) -> None:
-        commands, following = out.commands, out.state is State.FOLLOWING  # type: ignore[attr-defined]
+        commands, following = out.commands, out.state is TeleopState.FOLLOWING  # type: ignore[attr-defined]
         if following and not self._following:
             assert now - self._acted <= REQUEST_LIFETIME + 1e-9, "engaged without an act"
             self._by_hand = self._by_jaw = 0.0

@@ -44,7 +44,7 @@ ALLOWED: dict[str, frozenset[str]] = {
 TOOLS = frozenset({"surg_cli"})
 OURS = frozenset(ALLOWED) | TOOLS
 
-CLI_FOLDERS = ("host", "graph", "robots", "commands")
+CLI_FOLDERS = ("host", "graph", "robots", "learning", "commands")
 """Folders of surg_cli; each may use itself and those before it, but commands not one another."""
 
 ROS_PYTHON = re.compile(

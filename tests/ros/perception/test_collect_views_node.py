@@ -25,7 +25,7 @@ from surg_perception.collecting import collect_views_node
 from surg_perception.collecting.base_moments_node import BaseMoments
 from surg_perception.collecting.base_views import Moment
 from surg_perception.collecting.collect_views_node import CollectViews
-from surg_perception.collecting.collector import Step
+from surg_perception.collecting.collector import CalibrationStep
 from surg_perception.collecting.live_calibration import LiveCalibration
 
 pytestmark = pytest.mark.ros
@@ -81,14 +81,14 @@ def hint(node: CollectViews, wanted: str, show: Callable[[], None] = lambda: Non
 
 
 def test_an_endoscope_that_is_not_there_is_named(node: CollectViews) -> None:
-    node.start(Step.STEREO)
+    node.start(CalibrationStep.STEREO)
     both = "No pictures on /endoscope/left/image_raw and /endoscope/right/image_raw."
     hint(node, both)
     hint(node, "No pictures on /endoscope/right/image_raw.", Endoscope("left").show)
 
 
 def test_eyes_of_different_times_and_another_encoding_are_said(node: CollectViews) -> None:
-    node.start(Step.STEREO)
+    node.start(CalibrationStep.STEREO)
     hint(node, "its eyes have different stamps", Endoscope("left", "right", apart=0.01).show)
     hint(
         node, "Pictures are 'bayer_rggb8'", Endoscope("left", "right", encoding="bayer_rggb8").show
@@ -102,12 +102,12 @@ def test_one_eye_suffices_where_the_left_lens_alone_is_measured(
     monkeypatch.setattr(node._live, "left_only", True)
     for name in ("endoscope_right", "endoscope_stereo"):
         (node._live.cell.folder / "calibration" / f"{name}.yaml").unlink()
-    node.start(Step.STEREO)
+    node.start(CalibrationStep.STEREO)
     hint(node, "the left eye does not see the board", Endoscope("left").show)
 
 
 def test_silent_joints_are_named_and_what_they_say_is_judged(node: CollectViews) -> None:
-    node.start(Step.HANDEYE)
+    node.start(CalibrationStep.HANDEYE)
     scope, arm = Endoscope("left", "right"), node._live.arm
     assert arm is not None
     hint(node, "ECM states no joints (/ECM/robot/measured_js).", scope.show)

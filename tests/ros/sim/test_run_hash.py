@@ -20,7 +20,7 @@ from surg_cli.graph.episode_plans import Condition
 from surg_cli.host import cells, paths
 from surg_recording.episode import episode_reader as recorded
 from surg_sim import tasks
-from surg_sim.envs.cell_session import Session
+from surg_sim.envs.cell_session import CellSession
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
 from surg_sim.envs.recorded_episode import RecordedSession
 from surg_sim.envs.surg_env import SurgEnv
@@ -37,7 +37,7 @@ SLOW = str(HELPERS / "slow_pick.py")
 
 def in_process(cell: Path, task: str, setting: str, seed: int, law: str = "ours") -> EpisodeReport:
     # Made with another seed, and reset: what was compiled must not matter.
-    return run_episode(Session(cell, task, setting, seed + 1, law=law), seed)
+    return run_episode(CellSession(cell, task, setting, seed + 1, law=law), seed)
 
 
 def through_the_graph(
@@ -140,7 +140,7 @@ def test_the_force_guard_acts_in_the_same_tick(tmp_path: Path) -> None:
     assert "PSM1 went into FAULT" in ended.reason and "force" in ended.reason
     cycle = recorded.read(tmp_path / "run" / "episode").cycle("PSM1")
     states: list[int] = []
-    session = Session(cell, NUDGE, "phantom", LUCKY)
+    session = CellSession(cell, NUDGE, "phantom", LUCKY)
     run_episode(session, LUCKY, watch=lambda t: states.append(int(t.outputs["PSM1"].state)))
     fault = 3
     n = min(len(states), len(cycle))
@@ -155,7 +155,7 @@ def test_the_jaws_feel_the_same_here_and_there(tmp_path: Path) -> None:
     through_the_graph(tmp_path / "run", cell, PUSHED, "phantom", 10_001)
     cycle = recorded.read(tmp_path / "run" / "episode").cycle("PSM1")
     states: list[int] = []
-    session = Session(cell, PUSHED, "phantom", 10_001)
+    session = CellSession(cell, PUSHED, "phantom", 10_001)
     run_episode(session, 10_001, watch=lambda t: states.append(int(t.outputs["PSM1"].state)))
     paused, n = 2, min(len(states), len(cycle))
     assert paused in states[:n] and states[:n] == cycle["state"][:n].tolist()

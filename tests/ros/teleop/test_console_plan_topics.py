@@ -143,17 +143,17 @@ class Console(Senders):
 
     def draws_way(self) -> None:
         def drawn() -> bool:
-            text = self.system.beside("plan")
+            text = self.system.overlay("plan")
             return bool(text) and bool(json.loads(text)["paths"])
 
         self.wait(drawn, "the way")
 
     def shows_endoscope(self, when: str) -> None:
-        self.system.beside("scene")  # what has waited until now counts as new
+        self.system.overlay("scene")  # what has waited until now counts as new
         rospy.sleep(FRESH)
 
         def shown() -> bool:
-            return HOLDER not in json.loads(self.system.beside("scene"))["silent"]
+            return HOLDER not in json.loads(self.system.overlay("scene"))["silent"]
 
         self.wait(shown, f"the arm that holds the endoscope {when}")
 
@@ -167,7 +167,7 @@ class Console(Senders):
 
         def ended() -> bool:
             self.system.robot()
-            self.system.beside("scene")
+            self.system.overlay("scene")
             return impl is None or impl.get_num_connections() == 0
 
         self.graph.wait_for(ended, 10.0, f"the end of {name}")
@@ -200,7 +200,7 @@ def test_a_console_hears_its_arms_after_the_plan_is_closed(console: Console) -> 
     console.open_both()
     console.hears_arm(Cycle.REASON_STALE, "beside the plan")
     console.system.watch("plan", False)
-    assert console.system.beside("plan") == ""
+    assert console.system.overlay("plan") == ""
     console.restart(CYCLE)
     console.hears_arm(Cycle.REASON_OPERATOR, "after a restart of its controller")
     console.restart(JOINTS)

@@ -19,9 +19,9 @@ import pytest
 from helpers.recording.rollouts_synthetic import entry, rollout
 from surg_cli import without_ros
 from surg_cli.commands import learn
-from surg_cli.graph import learned_rollouts as rollouts
 from surg_cli.host import provision
 from surg_cli.host.terminal import Problem
+from surg_cli.learning import rollouts
 from surg_learn import learn_stages, recipes
 from surg_learn.learn_terminal import LearnError
 

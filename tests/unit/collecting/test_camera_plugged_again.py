@@ -12,8 +12,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from surg_console.session.console_orders import Follow, Move, Present
-from surg_console.session.console_session import FROZEN, Phase, Session
+from surg_console.session.console_orders import EnableTeleop, Move, SetOperatorPresent
+from surg_console.session.console_session import FROZEN, ConsoleSession, Phase
 from surg_console.session.system_state import Arm, Follower, Robot
 from surg_console.web.page_protocol import Input
 from surg_perception.capture.device_process import Settings, messages
@@ -51,7 +51,7 @@ class Hand:
     """An operator whose hand never rests, on a fake clock; the arm follows as it is told."""
 
     def __init__(self) -> None:
-        self.session = Session(True)
+        self.session = ConsoleSession(True)
         self.robot = Robot((Arm("PSM1", "ENABLED", True, 1e9),), Follower("DISABLED"))
         self.now, self.picture_us, self.seq = 0.0, 0, 0
         self.moves: list[float] = []
@@ -70,9 +70,9 @@ class Hand:
         for order in self.session.take_orders():
             if isinstance(order, Move):
                 self.moves.append(self.now)
-            elif isinstance(order, Present | Follow):
+            elif isinstance(order, SetOperatorPresent | EnableTeleop):
                 self.last[type(order)] = bool(order.value)
-            if isinstance(order, Follow):
+            if isinstance(order, EnableTeleop):
                 state = "FOLLOWING" if order.value else "DISABLED"
                 self.robot = Robot(self.robot.arms, Follower(state))
 
@@ -99,5 +99,5 @@ def test_nothing_moves_until_the_operator_enables_again(monkeypatch: pytest.Monk
     assert codes == ["open", "gone", "no_device", "open"]
     assert hand.moves[0] < lost, "the tip followed"
     assert hand.moves[-1] <= lost + FROZEN + 2 * PERIOD < back < hand.now - 1.0
-    assert hand.last == {Present: False, Follow: False}
+    assert hand.last == {SetOperatorPresent: False, EnableTeleop: False}
     assert hand.session.phase is Phase.HELD

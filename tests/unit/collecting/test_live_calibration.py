@@ -28,8 +28,8 @@ from surg_perception.collecting.board_detection import (
     is_sharp,
     is_still,
 )
-from surg_perception.collecting.collector import Collector, Step
-from surg_perception.collecting.live_calibration import LiveCalibration, State
+from surg_perception.collecting.collector import CalibrationStep, Collector
+from surg_perception.collecting.live_calibration import CalibrationState, LiveCalibration
 from surg_sim.appearance.board_bench import BenchView, BoardBench
 
 SIZE = (640, 480)
@@ -112,7 +112,7 @@ def test_new_is_another_place_of_the_board_or_another_posture() -> None:
         assert is_new(replace(first, X_BF=X_BF), [first], by_posture=True) is new
 
 
-def collect(step: Step, of: BoardBench, views: list[BenchView]) -> Collector:
+def collect(step: CalibrationStep, of: BoardBench, views: list[BenchView]) -> Collector:
     """Hold every view for a moment; stops when nothing is missing."""
     made = Collector(step, BOARD, SIZE)
     for number, view in enumerate(views):
@@ -125,7 +125,7 @@ def collect(step: Step, of: BoardBench, views: list[BenchView]) -> Collector:
 
 def test_a_person_who_follows_the_hints_gets_an_accepted_stereo_set() -> None:
     of = bench(3, BARREL, pixels=8)
-    made = collect(Step.STEREO, of, list(of.held_board(60)))
+    made = collect(CalibrationStep.STEREO, of, list(of.held_board(60)))
     print(f"{len(made.taken)} views, progress {made.progress:.2f}, missing {made.missing}")
     assert made.complete and made.progress == pytest.approx(1.0)
     assert collector.WANTED_STEREO <= len(made.taken) <= 30
@@ -145,14 +145,14 @@ def test_a_person_who_follows_the_hints_gets_an_accepted_stereo_set() -> None:
 def test_a_set_from_one_side_is_never_complete_and_says_where() -> None:
     of = bench(3, BARREL, pixels=8)
     left = [view for view in of.held_board(80) if view.X_VBoard[0, 3] < -0.05]
-    made = collect(Step.STEREO, of, left)
+    made = collect(CalibrationStep.STEREO, of, left)
     assert not made.complete and made.progress < 1.0
     assert "right" in made.missing[0]
 
 
 def test_a_view_is_taken_once_and_can_be_undone() -> None:
     of = bench(0, pixels=8)
-    made = Collector(Step.STEREO, BOARD, SIZE)
+    made = Collector(CalibrationStep.STEREO, BOARD, SIZE)
     views = list(of.held_board(2))
     answers = [made.offer(each) for each in rest(of, views[0], 0.0, 12)]
     assert answers.count("") == 1 and len(made.taken) == 1
@@ -166,9 +166,9 @@ def test_a_view_is_taken_once_and_can_be_undone() -> None:
 
 def test_a_hand_eye_set_needs_turns_about_two_axes() -> None:
     of = bench(1, BARREL, pixels=8, X_FV=moved_camera(np.random.default_rng(1)))
-    made = collect(Step.HANDEYE, of, list(of.moved_scope(40)))
+    made = collect(CalibrationStep.HANDEYE, of, list(of.moved_scope(40)))
     assert made.complete and len(made.taken) >= collector.WANTED_HANDEYE
-    one = Collector(Step.HANDEYE, BOARD, SIZE)
+    one = Collector(CalibrationStep.HANDEYE, BOARD, SIZE)
     first = rest(of, next(of.moved_scope(1)), 0.0)
     X = first[0].X_BF
     assert X is not None
@@ -217,8 +217,8 @@ def test_views_are_stored_undone_and_read_by_the_solver(tmp_path: Path) -> None:
     of = bench(0, cell=live.cell, pixels=30)
     first, second = of.held_board(2)
     live.undo()
-    assert live.status.state is State.IDLE
-    live.start(Step.STEREO)
+    assert live.status.state is CalibrationState.IDLE
+    live.start(CalibrationStep.STEREO)
     watch(live, of, first, 0.0, 4)
     watch(live, of, second, 1.0, 4)
     assert live.status.views == 2 and len(live.status.corners) > 40
@@ -231,10 +231,10 @@ def test_views_are_stored_undone_and_read_by_the_solver(tmp_path: Path) -> None:
     live.see(2.0, (np.full((480, 640), 90, np.uint8),) * 2)
     assert live.status.corners == () and "does not see the board" in live.status.hint
     live.ask_to_solve()
-    assert not live.step_on() and live.status.state is State.COLLECTING
+    assert not live.step_on() and live.status.state is CalibrationState.COLLECTING
     assert any(reason.startswith("views") for reason in live.status.result)
     with pytest.raises(ValueError, match="endoscope_stereo"):
-        live.start(Step.HANDEYE)
+        live.start(CalibrationStep.HANDEYE)
 
 
 @pytest.mark.full
@@ -242,14 +242,17 @@ def test_both_steps_from_pictures_calibrate_an_unknown_endoscope(tmp_path: Path)
     live = session(copied_cell(tmp_path), tmp_path)
     X_FV = moved_camera(np.random.default_rng(4))
     of = bench(4, BARREL, cell=live.cell, pixels=30, X_FV=X_FV)
-    for step, views in ((Step.STEREO, of.held_board(150)), (Step.HANDEYE, of.moved_scope(40))):
+    for step, views in (
+        (CalibrationStep.STEREO, of.held_board(150)),
+        (CalibrationStep.HANDEYE, of.moved_scope(40)),
+    ):
         live.start(step)
         for number, view in enumerate(views):
             watch(live, of, view, float(number), 4)
             if live.step_on():
                 break
         print(step.value, live.status.views, live.status.residual, live.status.result[-3:])
-        assert live.status.state is State.DONE and live.status.residual < 0.2
+        assert live.status.state is CalibrationState.DONE and live.status.residual < 0.2
     camera, _ = surg_core_camera(live.cell)
     step_ = difference(camera, X_FV)
     shift, angle = 1e3 * np.linalg.norm(step_[3:]), np.degrees(np.linalg.norm(step_[:3]))
@@ -263,7 +266,10 @@ def test_one_eye_alone_is_calibrated_from_its_own_pictures(tmp_path: Path) -> No
     live.left_only = True
     X_FV = moved_camera(np.random.default_rng(5))
     of = bench(5, BARREL, cell=live.cell, pixels=30, X_FV=X_FV)
-    for step, views in ((Step.STEREO, of.held_board(150)), (Step.HANDEYE, of.moved_scope(40))):
+    for step, views in (
+        (CalibrationStep.STEREO, of.held_board(150)),
+        (CalibrationStep.HANDEYE, of.moved_scope(40)),
+    ):
         live.start(step)
         assert live.eyes == 1
         for number, view in enumerate(views):
@@ -272,7 +278,7 @@ def test_one_eye_alone_is_calibrated_from_its_own_pictures(tmp_path: Path) -> No
                 live.see(number + 0.1 * k, left, view.joints["ECM"])
             if live.step_on():
                 break
-        assert live.status.state is State.DONE, live.status.result
+        assert live.status.state is CalibrationState.DONE, live.status.result
     calibration = live.cell.folder / "calibration"
     assert not (calibration / "endoscope_right.yaml").exists()
     assert not list((tmp_path / "views_0").glob("*_right.png"))
@@ -288,7 +294,7 @@ def test_one_eye_of_a_cell_that_has_measured_two_is_refused_at_once(tmp_path: Pa
     live.left_only = True
     (live.cell.folder / "calibration" / "endoscope_right.yaml").touch()
     with pytest.raises(ValueError, match="this cell has two eyes"):
-        live.start(Step.STEREO)
+        live.start(CalibrationStep.STEREO)
     assert not (tmp_path / "views_0").exists()
 
 

@@ -15,7 +15,7 @@ import pytest
 from helpers.teleop.console import Console, console
 from helpers.teleop.console_attack import attack
 from helpers.teleop.console_page import page, when
-from surg_console.session.console_orders import Present
+from surg_console.session.console_orders import SetOperatorPresent
 from surg_console.web.admission import MAX_PAGES
 from surg_console.web.connection_cap import HEADER_WAIT, MAX_OPEN, ConnectionCap
 
@@ -98,7 +98,7 @@ def test_the_driving_page_is_held_at_most_once() -> None:
             async with attack(made.port, 30.0, half_open=1200, pages=4, requests=4):
                 await asyncio.sleep(3.0)
                 assert driver.status["holder"] == driver.name
-            held = made.system.given(Present).count(Present(False))
+            held = made.system.given(SetOperatorPresent).count(SetOperatorPresent(False))
             print(f"held {held} times")
             assert held <= 1
 

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from helpers.control.gate_arm import TICK, GateArm
 from helpers.teleop.hand import settings
-from surg_console.session.console_orders import Camera, Clutch, Follow, Move, Order
-from surg_console.session.console_session import Phase, Session
+from surg_console.session.console_orders import Camera, Clutch, EnableTeleop, Move, Order
+from surg_console.session.console_session import ConsoleSession, Phase
 from surg_console.session.dead_man import SETTLE, DeadMan
 from surg_console.session.operator_messages import HIDDEN
 from surg_console.session.system_state import Arm, Follower, Robot
@@ -22,7 +22,7 @@ from surg_console.web.page_protocol import Input
 from surg_core.hand.leader_sample import HandlePose, LeaderSample
 from surg_core.transforms import quaternion_xyzw_to_matrix
 from surg_teleop.follow.arm_switch import ArmSwitch
-from surg_teleop.follow.teleop_types import CameraView, State
+from surg_teleop.follow.teleop_types import CameraView, TeleopState
 from surg_teleop.follow.teleoperation import Teleop
 
 PERIOD = 0.012
@@ -60,13 +60,13 @@ class Bench:
 
     def __init__(self, seed: int, loses: type[Order] | None = None) -> None:
         self.random, self.loses = random.Random(seed), loses
-        self.session, self.hands = Session(pictures=False), Hands()
+        self.session, self.hands = ConsoleSession(pictures=False), Hands()
         self.session.join("a", 0.0)
         names = ("PSM1", "ECM")
         self.arms = {name: GateArm() for name in names}
         teleops = [Teleop(settings(arm=name), scale=0.5) for name in names]
         self.switch = ArmSwitch(*teleops)
-        kinds = (Move, Clutch, Camera, Follow)
+        kinds = (Move, Clutch, Camera, EnableTeleop)
         self.way: dict[type, deque[tuple[float, Order]]] = {kind: deque() for kind in kinds}
         self.pedals: set[str] = set()
         self.sample: LeaderSample | None = None
@@ -98,7 +98,7 @@ class Bench:
                         np.array(order.sample.p), quaternion_xyzw_to_matrix(order.sample.q)
                     )
                     self.sample = LeaderSample(self.now, pose=pose, grip=order.sample.grip)
-                elif isinstance(order, Follow):
+                elif isinstance(order, EnableTeleop):
                     self.switch.enable() if order.value else self.switch.disable()
                 elif isinstance(order, Clutch | Camera):
                     name = kind.__name__.lower()
@@ -219,7 +219,7 @@ def test_a_clutch_that_never_arrives_lets_no_more_through_than_the_squeezes_did(
     bench.pedals.clear()
     bench.switch.enable()
     bench.run(0.3)
-    assert bench.switch.instrument.state is State.FOLLOWING, "although nothing is squeezed"
+    assert bench.switch.instrument.state is TeleopState.FOLLOWING, "although nothing is squeezed"
     assert np.abs(bench.run(1.0, RIGHT)).max() == 0.0
     for _ in range(3):
         bench.squeeze(right=True)

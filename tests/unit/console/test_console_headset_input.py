@@ -12,7 +12,7 @@ import pytest
 
 from helpers.teleop.console import Console, console
 from helpers.teleop.console_page import Page, page, when
-from surg_console.session.console_orders import Move, Present
+from surg_console.session.console_orders import Move, SetOperatorPresent
 from surg_console.session.console_session import Phase
 from surg_console.web.control_socket import MAX_ERRORS
 from surg_console.web.page_connection import MESSAGE_BURST
@@ -50,10 +50,14 @@ async def squeezed() -> AsyncIterator[tuple[Console, Page]]:
 async def holds(made: Console, began: float) -> None:
     """The arm holds, nothing moves afterwards, and the console goes on."""
     await when(lambda: made.session.phase is not Phase.DRIVING, "the hold", 5.0)
-    await when(lambda: made.system.last(Present)[1] == Present(False), "its order", 5.0)
-    assert made.system.last(Present)[0] >= began
+    await when(
+        lambda: made.system.last(SetOperatorPresent)[1] == SetOperatorPresent(False),
+        "its order",
+        5.0,
+    )
+    assert made.system.last(SetOperatorPresent)[0] >= began
     await asyncio.sleep(0.3)
-    held = made.system.last(Present)[0]
+    held = made.system.last(SetOperatorPresent)[0]
     assert made.system.last(Move)[0] <= held + 0.02, "nothing moves after the hold"
     async with page(made.port) as other:
         assert other.status["phase"] != "driving"

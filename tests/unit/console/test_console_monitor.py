@@ -11,7 +11,7 @@ import aiohttp
 
 from helpers.teleop.console import console
 from helpers.teleop.console_page import when
-from surg_console.session.console_orders import Follow, Present, StateCommand
+from surg_console.session.console_orders import EnableTeleop, SetOperatorPresent, StateCommand
 
 TOKEN = "0123456789abcdef0123"
 
@@ -35,7 +35,7 @@ def test_a_monitor_watches_and_stops_and_can_do_nothing_else() -> None:
             press = {"say": "press", "button": "stop", "at": 1.0}
             await socket.send_str(json.dumps(press))
             await when(lambda: made.system.given(StateCommand), "the stop")
-            assert made.system.given(Follow) == [Follow(False)]
+            assert made.system.given(EnableTeleop) == [EnableTeleop(False)]
             before = list(made.system.orders)
             steps = {"say": "input", "seq": 1, "at": 1.0, "hand": "rate", "v": [0.1, 0, 0]}
             others = [{**press, "button": b} for b in ("enable", "take", "record", "policy")]
@@ -45,6 +45,6 @@ def test_a_monitor_watches_and_stops_and_can_do_nothing_else() -> None:
             assert sum("a monitor watches" in each for each in words) >= len(others)
             assert socket.close_code == 1008, "five of these end the page"
             assert made.system.orders == before
-            assert Present(True) not in made.system.given(Present)
+            assert SetOperatorPresent(True) not in made.system.given(SetOperatorPresent)
 
     run(test())

@@ -77,7 +77,7 @@ def test_plan_and_points_stand_at_their_pixels_and_words_beside(tmp_path: Path) 
         async with console() as made, Chromium() as browser:
             tab = await browser.open(made.url)
             await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
-            button = "document.querySelector('[data-beside=plan]').hidden"
+            button = "document.querySelector('[data-overlay=plan]').hidden"
             assert await tab.run(button), "no model server, no button"
             made.system.now = made.system.robot()
             running = PolicyServer("RUNNING", "image", "", "")

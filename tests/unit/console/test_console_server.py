@@ -19,12 +19,18 @@ import pytest
 from helpers.teleop.console import console
 from helpers.teleop.console_page import Page, page, when
 from surg_cli.graph import master
-from surg_console.session.console_orders import Follow, Move, Present, Record, StateCommand
+from surg_console.session.console_orders import (
+    EnableTeleop,
+    Move,
+    Record,
+    SetOperatorPresent,
+    StateCommand,
+)
 from surg_console.session.system_state import Calibration
 from surg_console.web import picture_packet
 from surg_console.web.admission import CLOSE_HELLO
-from surg_console.web.beside_socket import PERIODS
 from surg_console.web.control_socket import MAX_ERRORS
+from surg_console.web.overlay_socket import PERIODS
 from surg_console.web.page_connection import MESSAGE_BURST, MessageBudget
 
 SOCKETS = ("/control", "/status", "/pictures", "/calibration", *(f"/{what}" for what in PERIODS))
@@ -145,8 +151,10 @@ def test_inputs_go_out_and_a_closed_page_holds_within_its_limit() -> None:
                 closed = time.monotonic()
                 await found.socket.close()
             await when(lambda: made.session.holder == "", "the end of the page")
-            at, order = made.system.last(Present)
-            assert order == Present(False) and made.system.last(Follow)[1] == Follow(False)
+            at, order = made.system.last(SetOperatorPresent)
+            assert order == SetOperatorPresent(False) and made.system.last(EnableTeleop)[
+                1
+            ] == EnableTeleop(False)
             print(f"held {1e3 * (at - closed):.0f} ms after the socket was closed")
             assert at - closed < 0.2
 
@@ -160,8 +168,8 @@ def test_a_silent_page_holds_within_its_limit_and_does_not_go_on() -> None:
             found.fall_silent()
             silent = time.monotonic()
             await when(lambda: made.session.phase.value == "held", "the hold")
-            at, order = made.system.last(Present)
-            assert order == Present(False)
+            at, order = made.system.last(SetOperatorPresent)
+            assert order == SetOperatorPresent(False)
             print(f"held {1e3 * (at - silent):.0f} ms after the last input")
             assert at - silent < 0.3
             made.system.orders.clear()
@@ -180,7 +188,7 @@ def test_a_hidden_page_holds_at_once() -> None:
             hidden = time.monotonic()
             await found.say("hidden", why="hidden")
             await when(lambda: made.session.phase.value == "held", "the hold")
-            assert made.system.last(Present)[0] - hidden < 0.2
+            assert made.system.last(SetOperatorPresent)[0] - hidden < 0.2
 
     run(test())
 
@@ -305,8 +313,8 @@ def test_what_breaks_inside_ends_the_console_and_holds_the_arm() -> None:
                 await found.drive()
                 made.session.tick = lambda robot, now: 1 / 0  # type: ignore[method-assign]
                 await when(lambda: found.socket.closed, "the end")
-                assert made.system.last(Present)[1] == Present(False)
-                assert made.system.last(Follow)[1] == Follow(False)
+                assert made.system.last(SetOperatorPresent)[1] == SetOperatorPresent(False)
+                assert made.system.last(EnableTeleop)[1] == EnableTeleop(False)
 
     run(test())
 
@@ -323,13 +331,13 @@ def test_a_console_that_ends_enables_nothing_and_waits_for_no_stuck_page() -> No
         async with console(pictures=False) as made, aiohttp.ClientSession() as http:
             made.server._admission._sockets.add(Stuck())  # type: ignore[arg-type]
             made.stop.set()
-            await when(lambda: made.system.given(Follow), "the end")
+            await when(lambda: made.system.given(EnableTeleop), "the end")
             root = f"localhost:{made.port}"
             late = Page(await http.ws_connect(f"ws://{root}/control", origin=f"http://{root}"))
             await late.say("hello", token="")
             await late.input()
             await late.press("enable")
             await when(lambda: not master.port_in_use(made.port), "a free port", 5.0)
-            assert Follow(True) not in made.system.given(Follow)
+            assert EnableTeleop(True) not in made.system.given(EnableTeleop)
 
     run(test())

@@ -12,13 +12,13 @@ from surg_console.session import operator_messages
 from surg_console.session.console_orders import (
     Camera,
     Clutch,
-    Follow,
+    EnableTeleop,
+    GuideHome,
     Move,
-    OtherMapping,
     Policy,
-    Present,
-    PutBack,
     Record,
+    SetMapping,
+    SetOperatorPresent,
     SetScale,
     StateCommand,
 )
@@ -28,8 +28,8 @@ from surg_console.session.console_session import (
     LATENESS,
     SILENCE,
     START_TIMEOUT,
+    ConsoleSession,
     Phase,
-    Session,
 )
 from surg_console.session.page_status import report
 from surg_console.session.system_state import Arm, Follower, Gauges, PolicyServer, Robot
@@ -48,7 +48,7 @@ class Bench:
     """A session, an obedient robot, and pages that speak every 20 ms."""
 
     def __init__(self, pictures: bool = True) -> None:
-        self.session = Session(pictures)
+        self.session = ConsoleSession(pictures)
         self.now = 1000.0
         self.arm = Arm("PSM1", "ENABLED", True, self.now)
         self.follower = Follower("DISABLED", scale=0.2)
@@ -56,7 +56,7 @@ class Bench:
         self.seq: dict[str, int] = {}
         self.picture = 1
         self.obeys = True
-        self.heard_moves = True  # False: the teleoperation hears the first input after `Follow`
+        self.heard_moves = True  # False: it hears the first input after `EnableTeleop`
 
     @property
     def robot(self) -> Robot:
@@ -67,11 +67,11 @@ class Bench:
         for order in orders:
             if isinstance(order, Move):
                 self.heard_moves = True
-            elif isinstance(order, Follow) and self.obeys:
+            elif isinstance(order, EnableTeleop) and self.obeys:
                 follows = "FOLLOWING" if self.heard_moves else "WAITING"
                 state = follows if order.value else "DISABLED"
                 self.follower = replace(self.follower, state=state)
-            elif isinstance(order, OtherMapping):
+            elif isinstance(order, SetMapping):
                 other = "rate" if self.follower.mapping == "position" else "position"
                 self.follower = replace(self.follower, mapping=other)
         self.orders += orders
@@ -115,8 +115,8 @@ class Bench:
     def held(self) -> bool:
         """Whether the newest words to the teleoperation are: not present, do not follow."""
         return (
-            self.given(Present)[-1:] == [Present(False)]
-            and self.given(Follow)[-1:] == [Follow(False)]
+            self.given(SetOperatorPresent)[-1:] == [SetOperatorPresent(False)]
+            and self.given(EnableTeleop)[-1:] == [EnableTeleop(False)]
             and self.session.phase in (Phase.HELD, Phase.FREE)
         )
 
@@ -146,7 +146,12 @@ def test_enable_says_present_and_follow_with_pedals_up(bench: Bench) -> None:
     bench.session.join("a", bench.now)
     bench.run(0.2)
     bench.session.enable("a", bench.robot, bench.now)
-    assert bench.flush() == [Clutch(False), Camera(False), Present(True), Follow(True)]
+    assert bench.flush() == [
+        Clutch(False),
+        Camera(False),
+        SetOperatorPresent(True),
+        EnableTeleop(True),
+    ]
 
 
 def test_the_tip_follows_although_enable_arrives_before_the_first_input(bench: Bench) -> None:
@@ -159,7 +164,7 @@ def test_the_tip_follows_although_enable_arrives_before_the_first_input(bench: B
     assert bench.follower.state == "WAITING"
     bench.run(1.0)
     assert bench.session.phase is Phase.DRIVING
-    assert bench.given(Follow) == [Follow(True)] * 2
+    assert bench.given(EnableTeleop) == [EnableTeleop(True)] * 2
 
 
 def test_an_arm_that_stops_while_it_starts_is_not_enabled_again(bench: Bench) -> None:
@@ -170,7 +175,7 @@ def test_an_arm_that_stops_while_it_starts_is_not_enabled_again(bench: Bench) ->
     bench.flush()
     bench.arm = Arm("PSM1", "FAULT", True, bench.now, reason=Reason.RCM_ERROR)
     bench.run(START_TIMEOUT - 0.1)
-    assert bench.given(Follow) == [Follow(True)]
+    assert bench.given(EnableTeleop) == [EnableTeleop(True)]
 
 
 def test_f03_silence_holds_at_the_first_tick_after_its_limit(bench: Bench) -> None:
@@ -208,17 +213,23 @@ def test_a_closed_page_holds_at_once_and_frees_control(bench: Bench) -> None:
 def test_a_simulated_arm_in_fault_is_put_back_and_stays_disabled(bench: Bench) -> None:
     bench.drive()
     torn = replace(bench.robot, arms=(replace(bench.robot.arms[0], state="FAULT"),))
-    assert bench.session.put_back("a", torn) == operator_messages.NOTHING_ASTRAY, (
+    assert bench.session.guide_home("a", torn) == operator_messages.NO_FAULTED_ARM, (
         "a real arm is not ours"
     )
     simulated = replace(torn, simulated=True)
-    assert report(bench.session, simulated, {}, bench.now)["astray"] == ["PSM1"]
-    assert bench.session.put_back("nobody", simulated) == operator_messages.NO_CONTROL
+    assert report(bench.session, simulated, {}, bench.now)["faulted_arms"] == ["PSM1"]
+    assert bench.session.guide_home("nobody", simulated) == operator_messages.NO_CONTROL
     bench.session.take_orders()
-    assert bench.session.put_back("a", simulated) == ""
-    assert bench.session.take_orders() == [Present(False), Follow(False), PutBack("PSM1")]
-    assert bench.session.phase is Phase.HELD and bench.session.reason == operator_messages.PUT_BACK
-    assert bench.session.put_back("a", replace(simulated, arms=bench.robot.arms))
+    assert bench.session.guide_home("a", simulated) == ""
+    assert bench.session.take_orders() == [
+        SetOperatorPresent(False),
+        EnableTeleop(False),
+        GuideHome("PSM1"),
+    ]
+    assert (
+        bench.session.phase is Phase.HELD and bench.session.reason == operator_messages.GUIDED_HOME
+    )
+    assert bench.session.guide_home("a", replace(simulated, arms=bench.robot.arms))
 
 
 # --- a policy on the same arm -----------------------------------------------------------------
@@ -252,7 +263,7 @@ def test_stop_ends_a_policy_unless_it_states_that_it_rests(bench: Bench, state: 
 def test_f30_the_policy_gets_the_arm_when_the_hand_is_off_it(bench: Bench) -> None:
     bench.drive()
     assert bench.session.policy("a", with_policy(bench, "READY"), bench.now) == ""
-    assert Follow(False) in bench.flush() and Policy(True) not in bench.orders
+    assert EnableTeleop(False) in bench.flush() and Policy(True) not in bench.orders
     assert bench.session.phase is Phase.READY
     bench.follower = replace(bench.follower, state="WAITING")  # the teleoperation takes its time
     for _ in range(50):
@@ -418,7 +429,7 @@ def test_without_a_picture_nothing_is_enabled(bench: Bench) -> None:
     bench.run(0.2, film=False)
     assert bench.session.enable("a", bench.robot, bench.now) == operator_messages.NO_PICTURE
     bench.flush()
-    assert Follow(True) not in bench.orders
+    assert EnableTeleop(True) not in bench.orders
 
 
 def test_f08_a_picture_that_stands_still_holds(bench: Bench) -> None:
@@ -489,7 +500,7 @@ def test_stop_is_obeyed_from_every_page_and_pauses(bench: Bench) -> None:
         bench.session.stop(bench.robot, who)
         orders = bench.flush()
         pause = StateCommand("PSM1", "pause")
-        assert orders == [Present(False), Follow(False), pause, Policy(False)]
+        assert orders == [SetOperatorPresent(False), EnableTeleop(False), pause, Policy(False)]
         assert ("on b" in bench.session.reason) == (who == "b")
 
 
@@ -505,18 +516,18 @@ def test_a_pedal_is_sent_when_it_changes(bench: Bench) -> None:
 def test_the_mapping_is_changed_under_the_clutch_only(bench: Bench) -> None:
     bench.drive()
     bench.run(0.5, hand="rate")
-    assert bench.given(OtherMapping) == []  # following: the hand is not changed
+    assert bench.given(SetMapping) == []  # following: the hand is not changed
     bench.follower = replace(bench.follower, state="CLUTCHED")
     bench.run(0.1, hand="rate", clutch=True)
-    assert bench.given(OtherMapping) == [OtherMapping()]
+    assert bench.given(SetMapping) == [SetMapping()]
     bench.follower = replace(bench.follower, state="WAITING")
     bench.run(1.0, hand="rate", clutch=True)
     assert bench.session.phase is Phase.DRIVING
-    assert bench.given(OtherMapping) == [OtherMapping()]
+    assert bench.given(SetMapping) == [SetMapping()]
 
 
 def test_a_page_that_does_not_lead_enables_and_clutches_only(bench: Bench) -> None:
-    bench.session = Session(pictures=True, leads=False)
+    bench.session = ConsoleSession(pictures=True, leads=False)
     bench.follower = replace(bench.follower, mapping="rate")
     bench.drive()
     bench.run(0.5, clutch=True)
@@ -603,12 +614,12 @@ def test_random_lives_never_move_without_an_operator(full: bool) -> None:
                 if isinstance(order, Move):
                     moves += 1
                     assert enabled == name == bench.session.holder or bench.held(), seed
-                elif order == Follow(False):
+                elif order == EnableTeleop(False):
                     holds += 1
                     enabled = ""
             bench.tick()
             for order in bench.orders[-4:]:
-                if order == Follow(False):
+                if order == EnableTeleop(False):
                     enabled = ""
             bench.orders.clear()
     print(f"{moves} inputs went out, {holds} holds")

@@ -23,8 +23,8 @@ from helpers.graph.statuses import complete, fields, heard_by_watch, newest, rem
 from surg_cli.commands import record, up
 from surg_cli.graph import follow, policy_program, system, task_episode
 from surg_console.ros.ros_system_node import RosSystem
-from surg_console.session.console_orders import OtherMapping, Policy
-from surg_console.session.console_session import SETTLED, Session
+from surg_console.session.console_orders import Policy, SetMapping
+from surg_console.session.console_session import SETTLED, ConsoleSession
 from surg_console.session.system_state import Arm, Robot
 from surg_console.web import calibration_socket
 from surg_core.status_check import values
@@ -60,7 +60,7 @@ def console_changes_the_mapping(status: Any) -> bool:
     session = page_in_control()
     session.enable("page", Robot(arms=(Arm("PSM1"),)), TIME() - SETTLED - 0.1)
     session.tick(console_state(status), TIME())
-    return OtherMapping() in session.take_orders()
+    return SetMapping() in session.take_orders()
 
 
 # --- PolicyStatus ----------------------------------------------------------------------------
@@ -145,7 +145,7 @@ def system_is_up(status: Any) -> bool:
 
 
 def console_may_put_an_arm_back(status: Any) -> bool:
-    return page_in_control().put_back("page", console_state(status)) == ""
+    return page_in_control().guide_home("page", console_state(status)) == ""
 
 
 # --- CalibrationStatus -----------------------------------------------------------------------
@@ -165,8 +165,8 @@ def sender_has_given_up(status: Any) -> bool:
 # --- what the deciders need --------------------------------------------------------------------
 
 
-def page_in_control() -> Session:
-    session = Session(pictures=False)
+def page_in_control() -> ConsoleSession:
+    session = ConsoleSession(pictures=False)
     session.join("page", TIME())
     return session
 

@@ -146,10 +146,10 @@ def test_the_names_of_codes_are_those_of_the_enumerations() -> None:
 
 
 def test_states_of_hands_and_senders_are_those_of_the_nodes() -> None:
-    from surg_teleop.follow.teleoperation import ServerState as HandState
-    from surg_teleop.playback.motion_player import Stage
+    from surg_teleop.follow.teleoperation import State as HandState
+    from surg_teleop.playback.motion_player import PlayerStage
 
     hand = msg.HandStatus
     assert set(values(hand, "state").values()) == {state.name for state in HandState}
-    assert set(values(msg.SenderStatus, "stage").values()) == {stage.name for stage in Stage}
+    assert set(values(msg.SenderStatus, "stage").values()) == {stage.name for stage in PlayerStage}
     assert value_name(hand(state=99), "state") == ""

@@ -24,7 +24,7 @@ from surg_core.force.compensation import gravity_in_base
 from surg_core.force.estimator import ForceEstimate, ForceEstimator
 from surg_core.force.load_solver import LoadFit
 from surg_core.force.sensor_file import load_sensor
-from surg_sim.envs.cell_session import Session, Tick
+from surg_sim.envs.cell_session import CellSession, Tick
 from surg_sim.envs.episode_runner import run_episode
 
 ARM = "PSM1"
@@ -38,7 +38,7 @@ SEEDS = range(20_000, 20_006)
 class Watcher:
     """Pulls at the tip, estimates every 10 ms, and notes the truth beside it; base axes [N]."""
 
-    def __init__(self, session: Session, fit: LoadFit, most: float) -> None:
+    def __init__(self, session: CellSession, fit: LoadFit, most: float) -> None:
         self.session, self.most = session, most
         arm = self.arm = session.cell.arms[ARM]
         self._estimator = ForceEstimator(
@@ -109,7 +109,7 @@ def test_the_tips_force_while_bowel_is_retracted(
     cell: surg_core.Cell, fit: LoadFit, full: bool, most: float
 ) -> None:
     """Breathing, a seal that rubs, a tool calibrated wrongly; with and without a random pull."""
-    session = Session(cell, "bgr" if full else SHORT, "in_vivo", SEEDS[0])
+    session = CellSession(cell, "bgr" if full else SHORT, "in_vivo", SEEDS[0])
     watcher, done = Watcher(session, fit, most), 0
     for seed in SEEDS if full else SEEDS[:1]:
         watcher.begin(seed)

@@ -25,7 +25,7 @@ from helpers.results import hardware_results as page
 from surg_cli.host import paths
 from surg_emulators.franka.generator_motion import GeneratorMotion
 from surg_hardware.conditions import Condition
-from surg_teleop.playback.motion_player import Stage
+from surg_teleop.playback.motion_player import PlayerStage
 
 pytestmark = pytest.mark.oracle
 CLIENT = paths.ROOT / "tests" / "helpers" / "hardware" / "fr3_adapter_client.py"
@@ -75,7 +75,7 @@ def test_the_bundled_motion_keeps_the_pivot_with_somebody_elses_joints(
     with joints(pythons[1], arm.robot.home) as settle:
         monkeypatch.setattr(GeneratorMotion, "settle", settle)
         played = play(Chain("fr3", monkeypatch), BUNDLED, duration=SECONDS)
-    assert played.stage is Stage.DONE, played.reason
+    assert played.stage is PlayerStage.DONE, played.reason
     off = 1e3 * played.deviation
     said = f"mean {off.mean():.4f}, max {off.max():.3f} mm"
     page.note(page.FRANKY_CHAIN, 1, said)

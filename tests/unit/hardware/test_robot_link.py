@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from surg_hardware.conditions import Condition, Reading, ur_reading
-from surg_hardware.robot_link import Command, CommandPhase, RobotLink, RobotState, Settings, Step
+from surg_hardware.robot_link import (
+    Command,
+    CommandPhase,
+    LinkStep,
+    RobotLink,
+    RobotState,
+    Settings,
+)
 
 T = 0.002
 SETTINGS = Settings((3.14,) * 6, (38.0,) * 6, 0.04, 20.0)
@@ -33,7 +40,7 @@ class Robot:
         self.program = False
         self.executed = 0
         self.sent: list[tuple[int, tuple[float, ...]]] = []
-        self.last: Step | None = None
+        self.last: LinkStep | None = None
 
     @property
     def now(self) -> float:
@@ -47,7 +54,7 @@ class Robot:
         time = self.now - T * self.paused
         return RobotState(time, zero, zero, self.reading, self.program, self.executed)
 
-    def step(self, command: Command | None) -> Step:
+    def step(self, command: Command | None) -> LinkStep:
         self.k += 1
         self.steps += 1
         assert self.steps < LONGEST, "it goes on for ever"
@@ -59,7 +66,7 @@ class Robot:
         self.last = step
         return step
 
-    def run(self, cycles: int, qd: tuple[float, ...] = (0.0,) * 6) -> Step:
+    def run(self, cycles: int, qd: tuple[float, ...] = (0.0,) * 6) -> LinkStep:
         for _ in range(cycles):
             step = self.step(self.command(qd))
         return step

@@ -25,7 +25,7 @@ from surg_teleop.frames.probe_moves import STEPS
 from surg_teleop.frames.registration_verdict import (
     CALIBRATED_ANGLE,
     Lens,
-    Outcome,
+    RegistrationOutcome,
     Verdict,
     judge,
 )
@@ -90,9 +90,9 @@ def test_the_chain_brings_hand_and_picture_together(tmp_path: Path) -> None:
         f"{_said(lens_only)}; after the chain true {scene.off(measured):.2f}°, stated "
         f"{_said(after)}; camera then 12° off: {_said(wrong)}",
     )
-    assert lens_only.outcome is Outcome.FAIL
-    assert after.outcome is Outcome.PASS and scene.off(measured) < 0.3
-    assert wrong.outcome is Outcome.FAIL
+    assert lens_only.outcome is RegistrationOutcome.FAIL
+    assert after.outcome is RegistrationOutcome.PASS and scene.off(measured) < 0.3
+    assert wrong.outcome is RegistrationOutcome.FAIL
 
 
 def _said(verdict: Verdict) -> str:

@@ -15,9 +15,9 @@ import pytest
 from helpers.policy import bgr_synthetic
 from helpers.policy.bgr_synthetic import state_policy, train_state
 from surg_cli.graph import episode_process
-from surg_cli.graph import learned_rollouts as cli_rollouts
 from surg_cli.graph import task_episode as cli_episode
 from surg_cli.host import paths
+from surg_cli.learning import rollouts as cli_rollouts
 from surg_core.contract import STATE_KEY, TASK_STATE_KEY
 from surg_recording import datasets
 from surg_recording.episode import episode_reader
@@ -138,7 +138,9 @@ def test_training_reads_it_and_is_the_same_twice(exported: Path, tmp_path: Path)
 def test_what_is_recorded_is_not_played_again(
     recorded: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plan = demonstrations.Plan(recorded, cell_files.find("sim_two_arms"), SHORT, shake=0.003)
+    plan = demonstrations.DemonstrationPlan(
+        recorded, cell_files.find("sim_two_arms"), SHORT, shake=0.003
+    )
     assert demonstrations.play(plan, SEEDS) == []
     torn = recorded / f"{SEEDS[1]}{episode_reader.PARTIAL}"
     plan.folder(SEEDS[1]).rename(torn)
@@ -164,7 +166,7 @@ def test_with_pictures_each_episode_has_the_look_of_its_seed(
     monkeypatch.setattr(demonstrations, "_sessions", {})
     for cameras, wanted in (((), [5]), (("left",), [5, 6, 7])):
         looks.clear()
-        plan = demonstrations.Plan(tmp_path, tmp_path, SHORT, cameras=cameras)
+        plan = demonstrations.DemonstrationPlan(tmp_path, tmp_path, SHORT, cameras=cameras)
         for seed in (5, 6, 7):
             with contextlib.suppress(AttributeError):  # of a task that is not there
                 demonstrations._play_one(plan, seed, False)

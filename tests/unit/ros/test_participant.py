@@ -13,7 +13,7 @@ rospy = pytest.importorskip("rospy")
 from surg_core.contract import GRID  # noqa: E402
 from surg_msgs.msg import Cycle, Ready, TaskState  # noqa: E402
 from surg_ros import participant as module  # noqa: E402
-from surg_ros.participant import Participant, Seen  # noqa: E402
+from surg_ros.participant import Participant, TickInputs  # noqa: E402
 
 ARMS = ("PSM1", "PSM2")
 
@@ -34,8 +34,8 @@ def no_graph(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module.rospy, "get_name", lambda: "/me")
 
 
-def make(seen: list[Seen], answer: Any = False, **options: Any) -> Participant:
-    def act(each: Seen) -> bool | None:
+def make(seen: list[TickInputs], answer: Any = False, **options: Any) -> Participant:
+    def act(each: TickInputs) -> bool | None:
         seen.append(each)
         return answer(each) if callable(answer) else answer
 
@@ -46,7 +46,7 @@ def make(seen: list[Seen], answer: Any = False, **options: Any) -> Participant:
 def test_every_tick_is_answered_once_in_order_whatever_the_interleaving() -> None:
     rng = np.random.default_rng(4)
     for _ in range(50):
-        seen: list[Seen] = []
+        seen: list[TickInputs] = []
         node = make(seen, task=True)
         for tick in range(1, 61):
             parts = [("cycle", arm) for arm in ARMS] * int(rng.integers(1, 3))  # repeated states
@@ -69,7 +69,7 @@ def test_every_tick_is_answered_once_in_order_whatever_the_interleaving() -> Non
 
 
 def test_a_deferred_answer_holds_ready_back() -> None:
-    seen: list[Seen] = []
+    seen: list[TickInputs] = []
     node = make(seen, answer=None, arms=("PSM1",))
     node.on_cycle(Cycle(tick=1), "PSM1")
     assert len(seen) == 1 and node._ready.said == []
@@ -78,7 +78,7 @@ def test_a_deferred_answer_holds_ready_back() -> None:
 
 
 def test_after_done_it_only_says_ready() -> None:
-    seen: list[Seen] = []
+    seen: list[TickInputs] = []
     node = make(seen, answer=lambda each: each.tick == 3, arms=("PSM1",))
     for tick in range(1, 10):
         node.on_cycle(Cycle(tick=tick), "PSM1")
@@ -88,7 +88,7 @@ def test_after_done_it_only_says_ready() -> None:
 
 
 def test_without_arms_it_acts_on_the_grid() -> None:
-    seen: list[Seen] = []
+    seen: list[TickInputs] = []
     node = make(seen, arms=(), task=True)
     for tick in (GRID, GRID + 3, 2 * GRID):
         node.on_task(TaskState(tick=tick))
@@ -97,7 +97,7 @@ def test_without_arms_it_acts_on_the_grid() -> None:
 
 
 def test_in_free_run_the_first_arms_cycles_count() -> None:
-    seen: list[Seen] = []
+    seen: list[TickInputs] = []
     node = make(seen, lockstep=False)
     node._connected = True
     node.on_cycle(Cycle(tick=10), "PSM1")
@@ -112,7 +112,7 @@ def test_in_free_run_the_first_arms_cycles_count() -> None:
 def test_in_free_run_nothing_is_sent_before_the_connections_are_up(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    seen: list[Seen] = []
+    seen: list[TickInputs] = []
     node = make(seen, arms=("PSM1",), lockstep=False)
     node.on_cycle(Cycle(tick=1), "PSM1")
     assert seen == []

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from surg_core.arm_view import TipPose
-from surg_sim.envs.cell_session import Session, Tick
+from surg_sim.envs.cell_session import CellSession, Tick
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
 from surg_sim.physics import cell_files
 from surg_sim.tasks import episode_seeds
@@ -22,13 +22,13 @@ SEED = episode_seeds.TEST[0]
 
 
 @pytest.fixture(scope="module")
-def session() -> Session:
+def session() -> CellSession:
     """One compiled scene for all tests; one arm is enough and faster."""
-    return Session(cell_files.find("sim_ur5e"), "bgr")
+    return CellSession(cell_files.find("sim_ur5e"), "bgr")
 
 
 def play(
-    session: Session,
+    session: CellSession,
     robot: Expert | None = None,
     assistant: Expert | None = None,
     limit: float = 20.0,
@@ -42,7 +42,7 @@ def play(
     return run_episode(session, SEED, experts, watch)
 
 
-def test_the_jaws_feel_the_tissue_below_the_limits(session: Session) -> None:
+def test_the_jaws_feel_the_tissue_below_the_limits(session: CellSession) -> None:
     """What reaches the force guard is the tissue's force, turned into the arm's base frame."""
     felt: list[float] = []
     task = session.task
@@ -65,7 +65,7 @@ def test_the_jaws_feel_the_tissue_below_the_limits(session: Session) -> None:
     ("force", "state", "cycles"), [(4.9, 1, 0), (6.0, 2, 51), (9.0, 3, 1), (np.nan, 3, 1)]
 )
 def test_a_force_on_the_jaws_stops_the_arm(
-    session: Session, monkeypatch: pytest.MonkeyPatch, force: float, state: int, cycles: int
+    session: CellSession, monkeypatch: pytest.MonkeyPatch, force: float, state: int, cycles: int
 ) -> None:
     """F25: 6 N pauses after 0.1 s, 9 N and nonsense stop at once, 4.9 N is allowed.
 
@@ -89,7 +89,7 @@ def test_a_force_on_the_jaws_stops_the_arm(
 
 @pytest.mark.parametrize("setting", ["in_vivo"])
 def test_the_scripted_pair_succeeds_and_keeps_the_pivot(setting: str) -> None:
-    session = Session(cell_files.find("sim_ur5e"), "bgr", setting)
+    session = CellSession(cell_files.find("sim_ur5e"), "bgr", setting)
     phases: list[str] = []
 
     def watch(tick: Tick) -> None:
@@ -115,13 +115,13 @@ def test_the_scripted_pair_succeeds_and_keeps_the_pivot(setting: str) -> None:
     assert task.view.sees(task.bowel.nodes[first : last + 1])
 
 
-def test_nobody_does_anything_is_a_failure(session: Session) -> None:
+def test_nobody_does_anything_is_a_failure(session: CellSession) -> None:
     session.task.time_limit = 2.0  # type: ignore[misc]
     report = run_episode(session, SEED, experts={})
     assert (report.success, report.reason) == (False, "time limit of 2 s in phase 'point'")
 
 
-def test_no_grasp_is_a_failure(session: Session) -> None:
+def test_no_grasp_is_a_failure(session: CellSession) -> None:
     class Idle(RobotExpert):
         def script(self) -> Iterator[None]:
             yield from self.wait(100.0)
@@ -130,12 +130,12 @@ def test_no_grasp_is_a_failure(session: Session) -> None:
     assert (report.success, report.reason) == (False, "time limit of 4 s in phase 'grasp'")
 
 
-def test_too_late_is_a_failure_though_all_was_right(session: Session) -> None:
+def test_too_late_is_a_failure_though_all_was_right(session: CellSession) -> None:
     report = play(session, limit=8.0)
     assert (report.success, report.reason) == (False, "time limit of 8 s in phase 'retract'")
 
 
-def test_the_wrong_place_is_a_failure(session: Session) -> None:
+def test_the_wrong_place_is_a_failure(session: CellSession) -> None:
     class Astray(RobotExpert):
         def act(self, view):  # type: ignore[no-untyped-def]
             view.task["target"] += 3.0
@@ -146,7 +146,7 @@ def test_the_wrong_place_is_a_failure(session: Session) -> None:
     assert report.reason.startswith("wrong place: node")
 
 
-def test_letting_go_is_a_failure(session: Session) -> None:
+def test_letting_go_is_a_failure(session: CellSession) -> None:
     class Careless(RobotExpert):
         def squeeze(self, angle: float, seconds: float) -> Iterator[None]:
             yield from super().squeeze(angle, seconds)
@@ -156,7 +156,7 @@ def test_letting_go_is_a_failure(session: Session) -> None:
     assert (report.success, report.reason) == (False, "the robot lost its grasp")
 
 
-def test_the_assistant_letting_go_is_a_failure(session: Session) -> None:
+def test_the_assistant_letting_go_is_a_failure(session: CellSession) -> None:
     class Careless(AssistantExpert):
         def act(self, view):  # type: ignore[no-untyped-def]
             action = super().act(view)
@@ -168,7 +168,7 @@ def test_the_assistant_letting_go_is_a_failure(session: Session) -> None:
     assert (report.success, report.reason) == (False, "the assistant lost its grasp")
 
 
-def test_an_instrument_that_keeps_moving_is_a_failure(session: Session) -> None:
+def test_an_instrument_that_keeps_moving_is_a_failure(session: CellSession) -> None:
     class Restless(RobotExpert):
         def act(self, view):  # type: ignore[no-untyped-def]
             action = super().act(view)
@@ -184,7 +184,7 @@ def test_an_instrument_that_keeps_moving_is_a_failure(session: Session) -> None:
 
 
 def test_unstable_physics_fails_with_the_cause_and_the_next_episode_is_clean(
-    session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    session: CellSession, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo writes MUJOCO_LOG.TXT where it stands
     clean = play(session, limit=1.2)
@@ -199,11 +199,11 @@ def test_unstable_physics_fails_with_the_cause_and_the_next_episode_is_clean(
     assert "not to be trusted" in report.reason
     again = play(session, limit=1.2)
     assert again.hash == clean.hash
-    fresh = play(Session(cell_files.find("sim_ur5e"), "bgr"), limit=1.2)
+    fresh = play(CellSession(cell_files.find("sim_ur5e"), "bgr"), limit=1.2)
     assert fresh.hash == clean.hash  # a new process would not see another world
 
 
-def test_another_seed_is_another_episode(session: Session) -> None:
+def test_another_seed_is_another_episode(session: CellSession) -> None:
     session.task.time_limit = 0.1  # type: ignore[misc]
     first, second = (
         run_episode(session, seed, experts={}).hash for seed in episode_seeds.test_seeds(2)
@@ -213,7 +213,7 @@ def test_another_seed_is_another_episode(session: Session) -> None:
 
 def test_every_cannula_turns_with_its_shaft() -> None:
     """What a picture shows: no shaft passes beside the cannula in which it is."""
-    session = Session(cell_files.find("sim_two_arms"), "bgr", visuals=True)
+    session = CellSession(cell_files.find("sim_two_arms"), "bgr", visuals=True)
     model, data = session.world.model, session.world.data
     data.qpos[:] += np.random.default_rng(4).uniform(-0.05, 0.05, model.nq)
     mujoco.mj_kinematics(model, data)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surg_sim.envs.cell_session import Session
+from surg_sim.envs.cell_session import CellSession
 from surg_sim.envs.episode_runner import run_episode
 from surg_sim.physics import cell_files
 from surg_sim.physics.endoscope_projection import EndoscopeView
@@ -18,12 +18,12 @@ SEED = episode_seeds.TEST[0]
 
 
 @pytest.fixture(scope="module")
-def pegs() -> Session:
+def pegs() -> CellSession:
     """A compiled peg board."""
-    return Session(cell_files.find("sim_ur5e"), "pick_and_place", "ex_vivo")
+    return CellSession(cell_files.find("sim_ur5e"), "pick_and_place", "ex_vivo")
 
 
-def test_the_ring_is_put_over_the_other_peg(pegs: Session) -> None:
+def test_the_ring_is_put_over_the_other_peg(pegs: CellSession) -> None:
     for seed in episode_seeds.test_seeds(2):
         report = run_episode(pegs, seed)
         assert report.success, report.reason
@@ -39,7 +39,7 @@ def test_the_ring_is_put_over_the_other_peg(pegs: Session) -> None:
     ("share", "reason"),
     [(0.6, "the ring fell off the boards"), (0.8, "the ring was dropped beside the pegs")],
 )
-def test_a_ring_beside_the_pegs_is_a_failure(pegs: Session, share: float, reason: str) -> None:
+def test_a_ring_beside_the_pegs_is_a_failure(pegs: CellSession, share: float, reason: str) -> None:
     class Careless(PegTransferExpert):
         def act(self, view):  # type: ignore[no-untyped-def]
             way = view.task["goal"] - view.task["start"]
@@ -53,7 +53,7 @@ def test_a_ring_beside_the_pegs_is_a_failure(pegs: Session, share: float, reason
 
 
 def test_a_ring_that_is_left_where_it_was_is_a_failure(
-    pegs: Session, monkeypatch: pytest.MonkeyPatch
+    pegs: CellSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pegs.task, "time_limit", 1.5, raising=False)
     report = run_episode(pegs, SEED, experts={})
@@ -61,14 +61,14 @@ def test_a_ring_that_is_left_where_it_was_is_a_failure(
 
 
 @pytest.fixture
-def guidance(monkeypatch: pytest.MonkeyPatch) -> Session:
+def guidance(monkeypatch: pytest.MonkeyPatch) -> CellSession:
     """A short episode of it."""
     monkeypatch.setattr(endoscope_guidance_task, "DURATION", 5.0)
     monkeypatch.setattr(endoscope_guidance_task.EndoscopeGuidance, "time_limit", 7.0)
-    return Session(cell_files.find("sim_two_arms"), "endoscope_guidance")
+    return CellSession(cell_files.find("sim_two_arms"), "endoscope_guidance")
 
 
-def test_the_tip_is_kept_in_the_middle_only_by_who_guides(guidance: Session) -> None:
+def test_the_tip_is_kept_in_the_middle_only_by_who_guides(guidance: CellSession) -> None:
     seed = episode_seeds.TEST[1]
     report = run_episode(guidance, seed)
     kept = guidance.task.state()["mean_error"]
@@ -85,7 +85,7 @@ def test_the_tip_is_kept_in_the_middle_only_by_who_guides(guidance: Session) -> 
 
 def test_a_tip_on_the_endoscopes_axis_has_no_error() -> None:
     """Between the cameras, at any distance; each picture alone sees it beside its centre."""
-    session = Session(cell_files.find("sim_two_arms"), "endoscope_guidance")
+    session = CellSession(cell_files.find("sim_two_arms"), "endoscope_guidance")
     task = session.task
     assert isinstance(task, endoscope_guidance_task.EndoscopeGuidance)
     state = task.state()
@@ -101,7 +101,7 @@ def test_a_view_projects_like_the_renderer() -> None:
     """The pinhole of the judge is that of ``render.Intrinsics``: both from the same fovy."""
     from surg_sim.appearance.render import Intrinsics
 
-    session = Session(cell_files.find("sim_two_arms"), "endoscope_guidance")
+    session = CellSession(cell_files.find("sim_two_arms"), "endoscope_guidance")
     view = EndoscopeView(session.world.model, session.world.data)
     X = view.pose
     point = X[:3, 3] + X[:3, :3] @ np.array([0.011, -0.007, 0.09])

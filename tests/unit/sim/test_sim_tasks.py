@@ -15,7 +15,7 @@ import surg_core
 from surg_cli.host import paths
 from surg_description.make_cell import make_cell
 from surg_sim import tasks
-from surg_sim.envs.cell_session import Session
+from surg_sim.envs.cell_session import CellSession
 from surg_sim.envs.episode_runner import run_episode
 from surg_sim.physics import cell_files
 from surg_sim.physics.patient_settings import find_setting
@@ -50,9 +50,9 @@ def test_bgr_says_what_to_do_in_every_phase() -> None:
 def test_unknown_setting_law_and_cell_list_what_exists() -> None:
     cell = cell_files.find("sim_ur5e")
     with pytest.raises(ValueError, match="phantom, ex_vivo, in_vivo"):
-        Session(cell, "pick_and_place", "mars")
+        CellSession(cell, "pick_and_place", "mars")
     with pytest.raises(ValueError, match="ours, velocity, paper"):
-        Session(cell, "pick_and_place", law="mine")
+        CellSession(cell, "pick_and_place", law="mine")
     with pytest.raises(ValueError, match=r"sim_two_arms.*sim_ur5e"):
         cell_files.find("sim_nothing")
 
@@ -63,7 +63,7 @@ def test_a_cell_that_does_not_fit_is_refused_with_the_reason() -> None:
         r"with grasper\. Take a cell such as cells/sim_two_arms, cells/sim_two_arms_panda$"
     )
     with pytest.raises(TaskError, match=said):
-        Session(cell_files.find("sim_ur5e"), "endoscope_guidance")
+        CellSession(cell_files.find("sim_ur5e"), "endoscope_guidance")
 
 
 def cell_of(folder: Path, arm: str, instrument: str) -> Path:
@@ -100,7 +100,7 @@ def test_a_force_on_the_jaws_is_said_in_the_base_frame(
     content = yaml.safe_load(file.read_text("utf-8"))
     content["arms"]["PSM1"]["base"]["rpy"] = [0.0, 0.0, 0.7]
     file.write_text(yaml.safe_dump(content), "utf-8")
-    session = Session(file, "pick_and_place")
+    session = CellSession(file, "pick_and_place")
     assert session.world.tip_force("PSM1") is None, "this task does not say what the jaws feel"
     monkeypatch.setattr(session.task, "jaw_force", lambda arm: np.array([1.0, 2.0, 3.0]))
     c, s = np.cos(0.7), np.sin(0.7)
@@ -141,7 +141,7 @@ def test_a_task_from_outside_the_tree_runs_by_path(tmp_path: Path) -> None:
     """The story of docs/guide/adding_a_task.md."""
     file = tmp_path / "touch_task.py"
     shutil.copy(EXAMPLE, file)
-    session = Session(cell_files.find("sim_ur5e"), str(file))
+    session = CellSession(cell_files.find("sim_ur5e"), str(file))
     done = [run_episode(session, seed) for seed in episode_seeds.test_seeds(3)]
     assert [report.success for report in done] == [True] * 3
     idle = run_episode(session, episode_seeds.TEST.start, experts={})
@@ -180,7 +180,7 @@ def test_seeds_of_training_tuning_and_test_have_nothing_in_common() -> None:
 
 def test_a_task_changes_nothing_that_a_recompile_would_be_needed_for() -> None:
     """Names and shapes of a task's state are the same in every episode and at every time."""
-    session = Session(cell_files.find("sim_ur5e"), "bgr")
+    session = CellSession(cell_files.find("sim_ur5e"), "bgr")
     shapes = {key: np.shape(value) for key, value in session.task.state().items()}
     sizes = (session.world.model.nq, session.world.model.nv, session.world.model.ngeom)
     for seed in (1, 2):
@@ -196,7 +196,7 @@ def test_home_frame_is_what_homing_finds() -> None:
     """Senders compute the rcm frame from the cell; the controller measures it."""
     from surg_sim.tasks.scripted_sender import home_frame
 
-    session = Session(cell_files.find("sim_ur5e"), "pick_and_place")
+    session = CellSession(cell_files.find("sim_ur5e"), "pick_and_place")
     session.tick()  # homing looks at a joint state that has come
     session.tick({"PSM1": [surg_core.StateCommand.HOME]})
     arm = session.cell.arms["PSM1"]

@@ -58,7 +58,7 @@ def test_looks_that_cannot_be_trained_with_are_refused(file: Path) -> None:
 def test_a_recording_with_another_look_is_played_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plan = demonstrations.Plan(tmp_path, cell_files.find("sim_ur5e"), "pick_and_place")
+    plan = demonstrations.DemonstrationPlan(tmp_path, cell_files.find("sim_ur5e"), "pick_and_place")
     wide = replace(plan, randomization=DomainRandomization())
     (recorded,) = demonstrations.play(plan, [3], 1)
     assert recorded.seed == 3 and plan.done(3) and not wide.done(3)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from conftest import FULL
-from surg_sim.envs.cell_session import Session, merge
+from surg_sim.envs.cell_session import CellSession, merge
 from surg_sim.envs.episode_runner import run_episode
 from surg_sim.envs.surg_env import SurgEnv
 from surg_sim.physics import cell_files
@@ -29,23 +29,23 @@ SEED = episode_seeds.TEST[0]
 
 
 @pytest.fixture(scope="module")
-def session() -> Session:
+def session() -> CellSession:
     """A compiled board."""
-    return Session(cell_files.find("sim_ur5e"), "needle_driving", "in_vivo")
+    return CellSession(cell_files.find("sim_ur5e"), "needle_driving", "in_vivo")
 
 
-def task_of(session: Session) -> NeedleDriving:
+def task_of(session: CellSession) -> NeedleDriving:
     assert isinstance(session.task, NeedleDriving)
     return session.task
 
 
-def fails(session: Session, expert: type[NeedleExpert], seed: int = SEED) -> str:
+def fails(session: CellSession, expert: type[NeedleExpert], seed: int = SEED) -> str:
     report = run_episode(session, seed, {"expert": expert(session.cell, seed, "PSM1")})
     assert not report.success
     return report.reason
 
 
-def test_the_needle_goes_through_the_asked_hole(session: Session) -> None:
+def test_the_needle_goes_through_the_asked_hole(session: CellSession) -> None:
     """And the Gymnasium environment ends at the same hash as the session."""
     task, rows = task_of(session), []
     report = run_episode(session, SEED, watch=lambda tick: rows.append(task.progress()))
@@ -71,7 +71,9 @@ def test_the_needle_goes_through_the_asked_hole(session: Session) -> None:
     assert info["success"] and env.session.hash == report.hash
 
 
-def test_nobody_acts_and_it_is_too_late(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nobody_acts_and_it_is_too_late(
+    session: CellSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(session.task, "time_limit", 1.5, raising=False)
     report = run_episode(session, SEED, experts={})
     assert (report.success, report.reason) == (False, "time limit of 1.5 s in phase 'place'")
@@ -79,7 +81,7 @@ def test_nobody_acts_and_it_is_too_late(session: Session, monkeypatch: pytest.Mo
 
 @pytest.mark.full
 def test_who_stops_in_the_hole_is_too_late(
-    session: Session, monkeypatch: pytest.MonkeyPatch
+    session: CellSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The point is through, but stands out by less than 4 mm."""
 
@@ -92,7 +94,7 @@ def test_who_stops_in_the_hole_is_too_late(
     assert 0.0 < task_of(session).depth < needle_driving_task.STANDS_OUT
 
 
-def test_the_wrong_hole_is_a_failure(session: Session) -> None:
+def test_the_wrong_hole_is_a_failure(session: CellSession) -> None:
     class Confused(NeedleExpert):
         def act(self, view):  # type: ignore[no-untyped-def]
             view.task["asked"] = (view.task["asked"] + 1.0) % needle_board.HOLES
@@ -101,7 +103,7 @@ def test_the_wrong_hole_is_a_failure(session: Session) -> None:
     assert fails(session, Confused) == "the needle is in the wrong hole"
 
 
-def test_open_jaws_drop_the_needle(session: Session) -> None:
+def test_open_jaws_drop_the_needle(session: CellSession) -> None:
     class Careless(NeedleExpert):
         def script(self) -> Iterator[None]:
             yield from self.squeeze(0.3, 1.0)
@@ -133,7 +135,9 @@ def numb(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("numb")
-def test_force_on_the_rim_is_a_failure(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_force_on_the_rim_is_a_failure(
+    session: CellSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """With jaws that hold whatever happens, a needle beside the hole presses above the limit."""
     monkeypatch.setattr(needle_grip, "SLIDE_FORCE", 100.0)
     monkeypatch.setattr(needle_grip, "TURN_TORQUE", 10.0)
@@ -141,7 +145,9 @@ def test_force_on_the_rim_is_a_failure(session: Session, monkeypatch: pytest.Mon
 
 
 @pytest.mark.usefixtures("numb")
-def test_a_needle_that_meets_the_disc_turns_in_the_jaws_and_is_dropped(session: Session) -> None:
+def test_a_needle_that_meets_the_disc_turns_in_the_jaws_and_is_dropped(
+    session: CellSession,
+) -> None:
     """Jaws of limited strength: it turns until they lose it, and the force stays bounded.
 
     Meanwhile the plate's joints measure what MuJoCo says of its contacts.
@@ -188,7 +194,7 @@ def load_errors(task: NeedleDriving, model: mujoco.MjModel) -> tuple[float, floa
     return (*errors, float(np.linalg.norm(force)))
 
 
-def test_seeds_draw_holes_and_grasp_within_their_limits(session: Session) -> None:
+def test_seeds_draw_holes_and_grasp_within_their_limits(session: CellSession) -> None:
     task, poses, tips = task_of(session), [], []
     n = 60
     for seed in range(n):
@@ -219,7 +225,7 @@ class Restless(NeedleExpert):
             yield from self.move(p + self.rng.normal(scale=4e-3, size=3))
 
 
-def test_random_motions_leave_the_physics_stable(session: Session) -> None:
+def test_random_motions_leave_the_physics_stable(session: CellSession) -> None:
     """Against the board at random, whatever the verdict; a dropped needle falls for a second."""
     ticks, wanted, dropped, seed = 0, 1_000_000 if FULL else 3_000, 0, 0
     fastest, touching = 0.0, 0

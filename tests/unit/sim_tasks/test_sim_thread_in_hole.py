@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from conftest import FULL
-from surg_sim.envs.cell_session import Session, merge
+from surg_sim.envs.cell_session import CellSession, merge
 from surg_sim.envs.episode_runner import run_episode
 from surg_sim.physics import cell_files, scene
 from surg_sim.physics.stability import trouble
@@ -30,23 +30,23 @@ SEED = episode_seeds.TEST[0]
 
 
 @pytest.fixture(scope="module")
-def session() -> Session:
+def session() -> CellSession:
     """A compiled figure."""
-    return Session(cell_files.find("sim_ur5e"), "thread_in_hole", "in_vivo")
+    return CellSession(cell_files.find("sim_ur5e"), "thread_in_hole", "in_vivo")
 
 
-def task_of(session: Session) -> ThreadInHole:
+def task_of(session: CellSession) -> ThreadInHole:
     assert isinstance(session.task, ThreadInHole)
     return session.task
 
 
-def fails(session: Session, expert: type[ThreadExpert], seed: int = SEED) -> str:
+def fails(session: CellSession, expert: type[ThreadExpert], seed: int = SEED) -> str:
     report = run_episode(session, seed, {"expert": expert(session.cell, seed, "PSM1")})
     assert not report.success
     return report.reason
 
 
-def test_the_thread_goes_through_the_hole(session: Session) -> None:
+def test_the_thread_goes_through_the_hole(session: CellSession) -> None:
     task, rows = task_of(session), []
     report = run_episode(session, SEED, watch=lambda tick: rows.append(task.progress()))
     assert report.success, report.reason
@@ -66,13 +66,15 @@ def test_the_thread_goes_through_the_hole(session: Session) -> None:
     assert lengths == pytest.approx(np.full(surgical_thread.PIECES, 0.002), abs=1e-9)
 
 
-def test_nobody_acts_and_it_is_too_late(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nobody_acts_and_it_is_too_late(
+    session: CellSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(session.task, "time_limit", 1.0, raising=False)
     report = run_episode(session, SEED, experts={})
     assert (report.success, report.reason) == (False, "time limit of 1 s in phase 'place'")
 
 
-def test_open_jaws_drop_the_thread(session: Session) -> None:
+def test_open_jaws_drop_the_thread(session: CellSession) -> None:
     class Careless(ThreadExpert):
         def script(self) -> Iterator[None]:
             yield from self.squeeze(0.3, 1.0)
@@ -87,7 +89,7 @@ def test_open_jaws_drop_the_thread(session: Session) -> None:
 
 @pytest.mark.full
 def test_who_stops_in_the_hole_is_too_late(
-    session: Session, monkeypatch: pytest.MonkeyPatch
+    session: CellSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The end is through, but less than 5 mm behind."""
     monkeypatch.setattr(thread_in_hole_expert, "ENOUGH", 0.002)
@@ -97,7 +99,7 @@ def test_who_stops_in_the_hole_is_too_late(
 
 
 def test_a_thread_beside_the_hole_is_stopped(
-    session: Session, monkeypatch: pytest.MonkeyPatch
+    session: CellSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The head is a wall: pushed 4.5 mm beside the hole, no node gets through it."""
     task, deepest = task_of(session), []
@@ -140,7 +142,10 @@ MM = 1e-3
     ],
 )
 def test_only_the_way_from_the_front_through_the_hole_counts(
-    session: Session, monkeypatch: pytest.MonkeyPatch, path: list[tuple[int, ...]], behind: float
+    session: CellSession,
+    monkeypatch: pytest.MonkeyPatch,
+    path: list[tuple[int, ...]],
+    behind: float,
 ) -> None:
     session.reset(SEED)
     task = task_of(session)
@@ -198,7 +203,7 @@ def test_no_mode_of_the_thread_is_too_fast_for_the_step() -> None:
         assert np.sqrt(np.abs(fastest).max()) * model.opt.timestep < 0.6
 
 
-def test_seeds_draw_figure_and_curl_within_their_limits(session: Session) -> None:
+def test_seeds_draw_figure_and_curl_within_their_limits(session: CellSession) -> None:
     task, drawn, curls = task_of(session), [], []
     session.reset(0)
     nominal = printed_figure.figure_pose(scene.site_of(list(session.cell.arms.values())))
@@ -229,7 +234,7 @@ class Restless(ThreadExpert):
         yield from self.squeeze(0.4, 1.0)
 
 
-def test_random_motions_leave_the_physics_stable(session: Session) -> None:
+def test_random_motions_leave_the_physics_stable(session: CellSession) -> None:
     """Against the figure at random, whatever the verdict; a dropped thread falls for a second."""
     ticks, wanted, dropped, seed = 0, 1_000_000 if FULL else 4_000, 0, 0
     longest, touching = 0.0, 0

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from helpers.control.gate_arm import SPEED, TICK, GateArm
 from surg_core.arm_view import ArmCommands, ArmState, ArmView
-from surg_teleop.frames.frame_check import STILL_S, FramesCheck, Pair, Stage, split
+from surg_teleop.frames.frame_check import STILL_S, FrameCheckStage, FramesCheck, Pair, split
 from surg_teleop.frames.probe_moves import REST, SIDE, STEPS
 from surg_teleop.frames.probe_moves import SPEED as SLOW
 from surg_teleop.playback.workspace_fit import Workspace
@@ -58,7 +58,7 @@ class Bench:
 
 def test_it_goes_everywhere_and_comes_back() -> None:
     bench = Bench().run()
-    assert bench.check.stage is Stage.DONE, bench.check.reason
+    assert bench.check.stage is FrameCheckStage.DONE, bench.check.reason
     assert bench.arm.refusals == []
     assert set(bench.check.pictures) == set(STEPS)
     home = bench.tips[min(bench.tips)]
@@ -77,7 +77,7 @@ def test_it_goes_everywhere_and_comes_back() -> None:
 
 def test_a_picture_counts_only_when_the_tip_has_rested() -> None:
     bench = Bench(late=0.3).run()  # pictures that come 0.3 s after they were taken
-    assert bench.check.stage is Stage.DONE, bench.check.reason
+    assert bench.check.stage is FrameCheckStage.DONE, bench.check.reason
     for pair in bench.check.pictures.values():
         k = pair.stamp_ns
         before = [bench.tips[s] for s in bench.tips if k - STILL_S * NS <= s <= k]
@@ -97,7 +97,7 @@ def test_it_refuses_politely_and_moves_nothing(
     change: Callable[[ArmView], ArmView], words: str
 ) -> None:
     bench = Bench(change=change).run(1.0)
-    assert bench.check.stage is Stage.FAILED
+    assert bench.check.stage is FrameCheckStage.FAILED
     assert words in bench.check.reason
     assert all(c.servo_cp is None and c.state is None and not c.claim for c in bench.log)
 
@@ -112,7 +112,7 @@ def test_it_enables_only_where_it_is_told_to() -> None:
     bench = Bench(arm=GateArm(state=ArmState.DISABLED, homed=False))
     bench.check.enable = True
     bench.run()
-    assert bench.check.stage is Stage.DONE, bench.check.reason
+    assert bench.check.stage is FrameCheckStage.DONE, bench.check.reason
     assert [c.state for c in bench.log if c.state] == ["home", "enable"]
 
 
@@ -159,7 +159,7 @@ def test_every_way_out_holds_the_arm(
     assert not bench.check.done
     what(bench)
     bench.run()
-    assert bench.check.stage is Stage.FAILED
+    assert bench.check.stage is FrameCheckStage.FAILED
     assert words in bench.check.reason
     after = np.array(bench.arm.p)
     assert bench.arm.goal is None, "the stream has ended with a hold"

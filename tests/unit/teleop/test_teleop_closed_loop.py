@@ -10,7 +10,7 @@ import surg_core
 from helpers.control.third_arm import write_third_arm
 from surg_cli.host import paths
 from surg_description.make_cell import make_cell
-from surg_teleop.playback.motion_player import Mode, Stage
+from surg_teleop.playback.motion_player import Mode, PlayerStage
 
 pytest.importorskip("surg_core", reason="surg_core is not built")
 
@@ -44,7 +44,7 @@ def describe(run: Run) -> str:
 def test_bundled_motion_meets_the_limits(name: str, mode: Mode, tmp_path: Path) -> None:
     run = play(cell_of(name, tmp_path), BUNDLED, mode, SECONDS)
     print(f"{name} {mode.value}: {describe(run)}")
-    assert run.stage is Stage.DONE, run.reason
+    assert run.stage is PlayerStage.DONE, run.reason
     assert run.refused == 0
     assert run.unscaled >= 0.98
     assert run.rcm_error.mean() <= 0.03e-3

@@ -18,8 +18,8 @@ from surg_teleop.follow.teleop_types import (
     CameraView,
     ControlMode,
     Reason,
-    State,
     TeleopOutput,
+    TeleopState,
 )
 from surg_teleop.follow.teleoperation import Teleop
 
@@ -57,17 +57,17 @@ class Bench:
         """After enable, following."""
         self.tick(2)
         self.teleop.enable()
-        assert self.tick(2).state is State.FOLLOWING, self.log[-1].message
+        assert self.tick(2).state is TeleopState.FOLLOWING, self.log[-1].message
         return self
 
 
 def test_enable_homes_and_enables_the_arm_then_follows() -> None:
     bench = Bench(arm=GateArm(state=ArmState.DISABLED, homed=False))
-    assert bench.tick(500).state is State.DISABLED
+    assert bench.tick(500).state is TeleopState.DISABLED
     assert all(out.commands.state is None for out in bench.log)
     bench.teleop.enable()
     out = bench.tick(400)
-    assert out.state is State.FOLLOWING
+    assert out.state is TeleopState.FOLLOWING
     asked = [o.commands.state for o in bench.log if o.commands.state]
     assert asked == ["home", "enable"]
     assert bench.arm.holder == US
@@ -78,16 +78,16 @@ def test_a_paused_arm_is_resumed_by_enable_and_by_nothing_else() -> None:
     bench = Bench().engaged()
     bench.arm.leave(ArmState.PAUSED, "force")
     out = bench.tick(100)
-    assert out.state is State.WAITING
+    assert out.state is TeleopState.WAITING
     assert out.reason is Reason.ARM_NOT_READY
     assert "PAUSED (force)" in out.message
     bench.hand.buttons = {"clutch"}
     bench.tick(5)
     bench.hand.buttons = set()
-    assert bench.tick(4000).state is State.WAITING
+    assert bench.tick(4000).state is TeleopState.WAITING
     assert bench.arm.state == ArmState.PAUSED
     bench.teleop.enable()
-    assert bench.tick(400).state is State.FOLLOWING
+    assert bench.tick(400).state is TeleopState.FOLLOWING
 
 
 @pytest.mark.parametrize("state", [ArmState.PAUSED, ArmState.FAULT])
@@ -96,11 +96,13 @@ def test_enable_makes_the_arm_ready_once(state: ArmState) -> None:
     bench = Bench(arm=GateArm(state=ArmState.PAUSED))
     bench.hand.buttons = {"clutch"}  # as an endoscope's hand nearly always is
     bench.teleop.enable()
-    assert bench.tick(150).state is State.CLUTCHED
+    assert bench.tick(150).state is TeleopState.CLUTCHED
     bench.arm.leave(state, "operator")
     bench.tick(2000)
     assert bench.arm.state == state
-    assert bench.log[-1].state is (State.FAULT if state == ArmState.FAULT else State.WAITING)
+    assert bench.log[-1].state is (
+        TeleopState.FAULT if state == ArmState.FAULT else TeleopState.WAITING
+    )
     assert [o.commands.state for o in bench.log if o.commands.state] == ["resume"]
 
 
@@ -113,7 +115,7 @@ def test_enable_right_after_disable_makes_the_arm_ready() -> None:
     bench.teleop.enable()
     bench.tick(40)
     bench.arm.leave(ArmState.PAUSED, "operator")
-    assert bench.tick(400).state is State.FOLLOWING
+    assert bench.tick(400).state is TeleopState.FOLLOWING
 
 
 def test_the_first_command_of_an_engagement_is_the_set_point() -> None:
@@ -184,14 +186,14 @@ def test_clutch_stops_and_lets_the_hand_go_elsewhere() -> None:
     bench.tick(50, np.array([2e-4, 0.0, 0.0]))
     bench.hand.buttons = {"clutch"}
     assert bench.tick().commands.hold
-    assert bench.log[-1].state is State.CLUTCHED
+    assert bench.log[-1].state is TeleopState.CLUTCHED
     before, sent = bench.arm.p, len(bench.log)
     bench.tick(300, np.array([1e-3, -1e-3, 0.0]))
     assert np.array_equal(bench.arm.p, before)
     assert all(out.commands.servo_cp is None for out in bench.log[sent:])
     bench.hand.buttons = set()
     bench.tick(100)
-    assert bench.log[-1].state is State.FOLLOWING
+    assert bench.log[-1].state is TeleopState.FOLLOWING
     assert np.array_equal(bench.arm.p, before)
     assert bench.arm.refusals == []
 
@@ -201,9 +203,9 @@ def test_a_quick_tap_of_the_clutch_waits_until_the_arm_may_start_again() -> None
     bench.hand.buttons = {"clutch"}
     bench.tick()
     bench.hand.buttons = set()
-    assert bench.tick().state is State.CLUTCHED
+    assert bench.tick().state is TeleopState.CLUTCHED
     assert bench.log[-1].reason is Reason.ARM_STOPPING
-    assert bench.tick(80).state is State.FOLLOWING
+    assert bench.tick(80).state is TeleopState.FOLLOWING
     assert bench.arm.refusals == []
 
 
@@ -212,9 +214,9 @@ def test_f03_a_silent_leader_holds_within_its_limit_and_needs_an_act() -> None:
     bench.tick(50, np.array([1e-4, 0.0, 0.0]))
     bench.hand.speaks = False
     silent_since = bench.log[-1]
-    assert silent_since.state is State.FOLLOWING
+    assert silent_since.state is TeleopState.FOLLOWING
     ticks = 0
-    while bench.tick().state is State.FOLLOWING:
+    while bench.tick().state is TeleopState.FOLLOWING:
         ticks += 1
     assert ticks == round(SILENCE / TICK)  # the 51st tick holds
     assert bench.log[-1].commands.hold
@@ -222,7 +224,7 @@ def test_f03_a_silent_leader_holds_within_its_limit_and_needs_an_act() -> None:
     bench.hand.move(np.array([0.2, 0.0, 0.0]))  # it was carried elsewhere meanwhile
     bench.hand.speaks = True
     before = bench.arm.p
-    assert bench.tick(1000).state is State.WAITING
+    assert bench.tick(1000).state is TeleopState.WAITING
     assert bench.log[-1].reason is Reason.NOT_REQUESTED
     assert np.array_equal(bench.arm.p, before)
 
@@ -246,7 +248,7 @@ def test_f03_buttons_that_changed_during_a_silence_are_no_act() -> None:
     bench.hand.speaks = False
     bench.tick(100)
     bench.hand.speaks, bench.hand.buttons = True, set()
-    assert bench.tick(2000).state is State.WAITING
+    assert bench.tick(2000).state is TeleopState.WAITING
     assert bench.teleop.engagements == 1
 
 
@@ -265,11 +267,11 @@ def test_f03_what_was_asked_for_before_the_hand_came_back_does_not_engage(act: s
     bench.teleop.enable() if act == "enable" else bench.arm.leave(ArmState.ENABLED, "")
     bench.tick(2)
     bench.hand.speaks = True
-    assert bench.tick(round(REQUEST_LIFETIME / TICK)).state is State.WAITING
+    assert bench.tick(round(REQUEST_LIFETIME / TICK)).state is TeleopState.WAITING
     assert bench.arm.state == ArmState.ENABLED
     assert bench.teleop.engagements == 1
     bench.teleop.enable()
-    assert bench.tick(2).state is State.FOLLOWING
+    assert bench.tick(2).state is TeleopState.FOLLOWING
 
 
 def test_f27_a_node_that_was_frozen_does_not_go_on() -> None:
@@ -277,35 +279,35 @@ def test_f27_a_node_that_was_frozen_does_not_go_on() -> None:
     bench.arm.tick += 1000  # two seconds in which this node did not run
     bench.hand.move(np.array([0.05, 0.0, 0.0]))
     out = bench.tick()
-    assert out.state is State.WAITING
+    assert out.state is TeleopState.WAITING
     assert out.commands.hold
     assert out.commands.servo_cp is None
     assert out.reason is Reason.NODE_STALLED
-    assert bench.tick(2000).state is State.WAITING
+    assert bench.tick(2000).state is TeleopState.WAITING
 
 
 def test_f26_f30_an_arm_that_another_holds_is_left_to_it() -> None:
     bench = Bench(arm=GateArm(holder="/policy"))
     bench.teleop.enable()
     out = bench.tick(200)
-    assert out.state is State.WAITING
+    assert out.state is TeleopState.WAITING
     assert out.reason is Reason.ARM_HELD
     assert out.message == "PSM1 is held by /policy; pause PSM1, then press enable"
     assert all(o.commands.servo_cp is None and not o.commands.claim for o in bench.log)
     bench.arm.leave(ArmState.PAUSED, "operator")
     bench.arm.state = ArmState.ENABLED
     bench.arm.holder = ""
-    assert bench.tick(5).state is State.FOLLOWING  # within the time that enable counts
+    assert bench.tick(5).state is TeleopState.FOLLOWING  # within the time that enable counts
 
 
 def test_f26_authority_lost_is_not_fought_for() -> None:
     bench = Bench().engaged()
     bench.arm.holder = "/stranger"
     out = bench.tick()
-    assert out.state is State.WAITING
+    assert out.state is TeleopState.WAITING
     assert out.reason is Reason.ARM_HELD
     bench.arm.holder = ""
-    assert bench.tick(1000).state is State.WAITING
+    assert bench.tick(1000).state is TeleopState.WAITING
 
 
 @pytest.mark.parametrize("reason", ["rcm_error", "link"])
@@ -313,37 +315,37 @@ def test_a_fault_of_the_arm_is_latched(reason: str) -> None:
     bench = Bench().engaged()
     bench.arm.leave(ArmState.FAULT, reason)
     out = bench.tick()
-    assert out.state is State.FAULT
+    assert out.state is TeleopState.FAULT
     assert reason in out.message
     bench.arm.state = ArmState.ENABLED  # somebody else enabled it
-    assert bench.tick(1000).state is State.FAULT
+    assert bench.tick(1000).state is TeleopState.FAULT
     bench.teleop.enable()
-    assert bench.tick(400).state is State.FOLLOWING
+    assert bench.tick(400).state is TeleopState.FOLLOWING
 
 
 def test_a_pose_that_is_not_a_number_is_a_fault_with_the_device_named() -> None:
     bench = Bench().engaged()
     bench.hand.broken = True
     out = bench.tick()
-    assert out.state is State.FAULT
+    assert out.state is TeleopState.FAULT
     assert out.commands.hold
     assert out.reason is Reason.LEADER_INVALID
     assert out.message.startswith("hand ")
     bench.hand.broken = False
-    assert bench.tick(500).state is State.FAULT
+    assert bench.tick(500).state is TeleopState.FAULT
 
 
 def test_a_pose_that_is_no_rotation_is_a_fault() -> None:
     bench = Bench().engaged()
     bench.hand.R = np.diag([1.0, 1.0, -1.0])  # mirrored
-    assert bench.tick().state is State.FAULT
+    assert bench.tick().state is TeleopState.FAULT
 
 
 def test_a_leader_that_says_it_is_not_ready_is_not_followed() -> None:
     bench = Bench().engaged()
     bench.hand.problem = "is PAUSED: enable it"
     out = bench.tick()
-    assert (out.state, out.message) == (State.WAITING, "hand: is PAUSED: enable it")
+    assert (out.state, out.message) == (TeleopState.WAITING, "hand: is PAUSED: enable it")
 
 
 @pytest.mark.parametrize("step", [np.array([0.0, 0.02, 0.0]), np.array([0.0, 0.0, 0.5])])
@@ -351,22 +353,22 @@ def test_a_hand_that_jumps_is_refused_and_clutched(step: np.ndarray) -> None:
     bench = Bench().engaged()
     before = bench.arm.p
     out = bench.tick(1, step)
-    assert out.state is State.CLUTCHED
+    assert out.state is TeleopState.CLUTCHED
     assert out.commands.hold
     assert out.reason is Reason.HAND_JUMP
-    assert bench.tick(1000).state is State.CLUTCHED
+    assert bench.tick(1000).state is TeleopState.CLUTCHED
     assert np.linalg.norm(bench.arm.p - before) < 1e-12
     bench.hand.buttons = {"clutch"}
     bench.tick(5)
     bench.hand.buttons = set()
-    assert bench.tick(100).state is State.FOLLOWING
+    assert bench.tick(100).state is TeleopState.FOLLOWING
 
 
 def test_an_arm_that_cannot_keep_up_is_let_go() -> None:
     bench = Bench(teleop=Teleop(settings(), scale=1.0)).engaged()
     bench.arm.stuck = True
     out = bench.tick(200, np.array([3e-4, 0.0, 0.0]))
-    assert out.state is State.CLUTCHED
+    assert out.state is TeleopState.CLUTCHED
     assert out.reason is Reason.LAGGING
 
 
@@ -376,7 +378,7 @@ def test_an_arm_that_does_not_obey_is_let_go() -> None:
     bench.arm.goal, bench.arm.held = None, 0.0  # somebody sent hold
     bench.arm.reason = "held"
     out = bench.tick()
-    assert out.state is State.CLUTCHED
+    assert out.state is TeleopState.CLUTCHED
     assert out.reason is Reason.NOT_OBEYING
     assert "(held)" in out.message
 
@@ -385,7 +387,7 @@ def test_a_wall_holds_the_target_and_says_so() -> None:
     bench = Bench(teleop=Teleop(settings(), scale=1.0)).engaged()
     away = bench.arm.R_WR.T @ np.array([0.0, 0.0, 4e-4])
     out = bench.tick(600, bench.R_WV.T @ away)
-    assert out.state is State.FOLLOWING
+    assert out.state is TeleopState.FOLLOWING
     assert out.reason is Reason.AT_LIMIT
     assert "depth_max" in out.message
     assert np.linalg.norm(bench.arm.p) == pytest.approx(0.220, abs=2e-4)
@@ -453,16 +455,16 @@ def test_a_stick_that_is_deflected_cannot_engage() -> None:
     bench.hand.v = np.array([0.02, 0.0, 0.0])
     bench.teleop.enable()
     out = bench.tick(100)
-    assert (out.state, out.reason) == (State.WAITING, Reason.LEADER_DEFLECTED)
+    assert (out.state, out.reason) == (TeleopState.WAITING, Reason.LEADER_DEFLECTED)
     bench.hand.v = np.zeros(3)
-    assert bench.tick(2).state is State.FOLLOWING
+    assert bench.tick(2).state is TeleopState.FOLLOWING
 
 
 def test_a_stick_does_not_run_ahead_of_an_arm_that_is_held_back() -> None:
     bench = Bench(teleop=Teleop(settings(mode=ControlMode.RATE))).engaged()
     bench.arm.stuck = True
     bench.hand.v = np.array([0.1, 0.0, 0.0])
-    assert bench.tick(1000).state is State.FOLLOWING
+    assert bench.tick(1000).state is TeleopState.FOLLOWING
     last = [o.commands.servo_cp.p for o in bench.log if o.commands.servo_cp is not None][-1]
     assert np.linalg.norm(last - bench.arm.p) <= 0.02 + 1e-9
 
@@ -495,7 +497,7 @@ def test_a_hand_with_one_mapping_keeps_it(only: ControlMode, began: ControlMode)
         bench.hand.buttons = {"clutch"}
         bench.tick()
     bench.hand.buttons = set()
-    assert bench.tick(100).state is State.FOLLOWING
+    assert bench.tick(100).state is TeleopState.FOLLOWING
 
 
 def test_presence_is_needed_where_it_is_asked_for() -> None:
@@ -503,14 +505,14 @@ def test_presence_is_needed_where_it_is_asked_for() -> None:
     bench.teleop.enable()
     assert bench.tick(100).reason is Reason.NOT_PRESENT
     bench.hand.buttons = {"present"}
-    assert bench.tick(100).state is State.FOLLOWING
+    assert bench.tick(100).state is TeleopState.FOLLOWING
     bench.hand.buttons = set()
     out = bench.tick()
-    assert out.state is State.WAITING
+    assert out.state is TeleopState.WAITING
     assert out.commands.hold
     bench.tick(round(REQUEST_LIFETIME / TICK))
     bench.hand.buttons = {"present"}  # coming back is an act
-    assert bench.tick(3).state is State.FOLLOWING
+    assert bench.tick(3).state is TeleopState.FOLLOWING
 
 
 def test_an_act_does_not_count_for_ever() -> None:
@@ -519,14 +521,14 @@ def test_an_act_does_not_count_for_ever() -> None:
     bench.teleop.enable()
     bench.tick(round(REQUEST_LIFETIME / TICK) + 2)
     bench.hand.speaks = True
-    assert bench.tick(1000).state is State.WAITING
+    assert bench.tick(1000).state is TeleopState.WAITING
 
 
 def test_a_camera_arm_that_is_silent_ends_following() -> None:
     bench = Bench().engaged()
     bench.camera_at = bench.now
     out = bench.tick(round(SILENCE / TICK) + 2)
-    assert out.state is State.WAITING
+    assert out.state is TeleopState.WAITING
     assert out.reason is Reason.CAMERA_SILENT
 
 
@@ -554,7 +556,7 @@ def test_a_tip_that_stopped_above_the_workspace_follows_the_hand_back_in(seed: i
     depths.append(float(np.linalg.norm(bench.arm.p)))
     assert all(b > min(a, 0.030) - 1e-9 for a, b in itertools.pairwise(depths))
     assert max(depths) > 0.031 and bench.arm.refusals == []
-    assert bench.log[-1].state is State.FOLLOWING
+    assert bench.log[-1].state is TeleopState.FOLLOWING
 
 
 def test_disable_pauses_the_arm_and_frees_it() -> None:
@@ -562,7 +564,11 @@ def test_disable_pauses_the_arm_and_frees_it() -> None:
     bench.tick(20, np.array([1e-4, 0.0, 0.0]))
     bench.teleop.disable()
     out = bench.tick()
-    assert (out.state, out.commands.hold, out.commands.state) == (State.DISABLED, True, "pause")
+    assert (out.state, out.commands.hold, out.commands.state) == (
+        TeleopState.DISABLED,
+        True,
+        "pause",
+    )
     assert bench.arm.state == ArmState.PAUSED
     bench.tick(100, np.array([1e-3, 0.0, 0.0]))
     assert all(o.commands == o.commands.__class__(o.commands.stamp_ns) for o in bench.log[-100:])

@@ -14,7 +14,7 @@ from helpers.teleop.hand import settings
 from helpers.teleop.input_devices import GAMEPAD, Machine, Plugged
 from surg_teleop.follow.arm_switch import ArmSwitch
 from surg_teleop.follow.teleop_setup import REOPEN, Hand
-from surg_teleop.follow.teleop_types import CameraView, ControlMode, State, TeleopOutput
+from surg_teleop.follow.teleop_types import CameraView, ControlMode, TeleopOutput, TeleopState
 from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders.bundled.gamepad import Gamepad
 
@@ -50,7 +50,7 @@ class Bench:
         """Enabled, dead-man held, left stick half to the right."""
         self.tick(5)
         self.teleop.enable()
-        assert self.tick(3).state is State.FOLLOWING
+        assert self.tick(3).state is TeleopState.FOLLOWING
         self.pad.press("BTN_TR")
         self.pad.push("ABS_X", 1.0)
         self.tick(100)
@@ -73,7 +73,7 @@ def test_unplugging_stops_in_the_same_tick_and_plugging_in_moves_nothing() -> No
     bench.machine.unplug(bench.pad)
     out = bench.tick()
     assert out.commands.hold
-    assert out.state is State.WAITING
+    assert out.state is TeleopState.WAITING
     assert "'Some Pad' (/dev/input/event7): has gone (No such device)" in bench.hand.problem
     stood = bench.arm.p
     bench.tick(500)
@@ -86,12 +86,12 @@ def test_unplugging_stops_in_the_same_tick_and_plugging_in_moves_nothing() -> No
     bench.pad.release("BTN_TR")
     bench.tick(10)
     bench.pad.press("BTN_TR")
-    assert bench.tick(5000).state is State.WAITING
+    assert bench.tick(5000).state is TeleopState.WAITING
     assert np.array_equal(bench.arm.p, stood)
 
     bench.pad.push("ABS_X", 0.0)
     bench.teleop.enable()
-    assert bench.tick(100).state is State.FOLLOWING
+    assert bench.tick(100).state is TeleopState.FOLLOWING
     assert np.array_equal(bench.arm.p, stood)
     bench.pad.push("ABS_X", 1.0)
     bench.tick(50)

@@ -22,12 +22,12 @@ from helpers.teleop.stage import Stage, stage_of, turn
 from surg_cli.host import paths
 from surg_core.held_endoscope import HeldEndoscope, held_endoscope
 from surg_sim.appearance.render import Picture
-from surg_teleop.frames.probe_moves import REST, SIDE, SPEED, STEPS, Step, between
+from surg_teleop.frames.probe_moves import REST, SIDE, SPEED, STEPS, ProbeMove, between
 from surg_teleop.frames.registration_verdict import (
     MATCHED,
     Cause,
     Lens,
-    Outcome,
+    RegistrationOutcome,
     Verdict,
     direction,
     judge,
@@ -36,7 +36,7 @@ from surg_teleop.frames.registration_verdict import (
 from surg_teleop.frames.tip_tracker import NotSeen, Place, find_places
 
 Array = NDArray[np.float64]
-Pictures = dict[Step, tuple[Picture, Picture]]
+Pictures = dict[ProbeMove, tuple[Picture, Picture]]
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 LENS = Lens(f=451.3, centre=np.array([319.5, 239.5]), baseline=0.004)
@@ -52,7 +52,7 @@ def about_view(degrees: float) -> Array:
 
 def ideal(
     M: Array, p: Array, noise: Callable[[], Array], wiring: Callable[[Array, Array], tuple]
-) -> dict[Step, Place]:
+) -> dict[ProbeMove, Place]:
     """Places of a tip at p that goes M offset when it is told to go offset, in V."""
     found = {}
     for step in STEPS:
@@ -117,7 +117,7 @@ def test_the_judge_names_what_is_wrong(what: str) -> None:
         assert verdict.cause is cause, f"{verdict.text}\n{p}\n{small}"
         assert words in verdict.text
         passed = cause is Cause.NONE
-        assert verdict.outcome is (Outcome.PASS if passed else Outcome.FAIL)
+        assert verdict.outcome is (RegistrationOutcome.PASS if passed else RegistrationOutcome.FAIL)
 
 
 def test_the_limit_between_right_and_wrong_is_an_angle() -> None:
@@ -128,10 +128,14 @@ def test_the_limit_between_right_and_wrong_is_an_angle() -> None:
         M = turn(axis / np.linalg.norm(axis), np.radians(degrees))
         p = np.array([*rng.uniform(-0.01, 0.01, 2), 0.08])
         verdict = judge(ideal(M, p, lambda: np.zeros(2), straight), LENS)
-        if verdict.outcome is Outcome.CANNOT_TELL:  # told to go right it goes away: nothing to see
+        if (
+            verdict.outcome is RegistrationOutcome.CANNOT_TELL
+        ):  # told to go right it goes away: nothing to see
             assert degrees > 70.0
             continue
-        assert (verdict.outcome is Outcome.PASS) == (degrees < 20.0), f"{degrees}: {verdict.text}"
+        assert (verdict.outcome is RegistrationOutcome.PASS) == (degrees < 20.0), (
+            f"{degrees}: {verdict.text}"
+        )
         assert np.degrees(verdict.angle) == pytest.approx(degrees, abs=2.0)
 
 
@@ -152,7 +156,7 @@ def test_one_eye_judges_what_is_across_the_view() -> None:
     assert "one eye" in judge(places_of_identity(), one).text
 
 
-def places_of_identity() -> dict[Step, Place]:
+def places_of_identity() -> dict[ProbeMove, Place]:
     both = ideal(np.eye(3), np.array([0.0, 0.0, 0.09]), lambda: np.zeros(2), straight)
     return {step: Place(place.left, None) for step, place in both.items()}
 
@@ -163,7 +167,7 @@ def places_of_identity() -> dict[Step, Place]:
 def test_a_wrong_size_is_said(factor: float, passes: bool) -> None:
     places = ideal(factor * np.eye(3), np.array([0.0, 0.0, 0.09]), lambda: np.zeros(2), straight)
     verdict = judge(places, LENS)
-    assert (verdict.outcome is Outcome.PASS) == passes
+    assert (verdict.outcome is RegistrationOutcome.PASS) == passes
     if not passes:
         assert verdict.cause is Cause.SIZE
         assert "baseline" in verdict.text
@@ -172,9 +176,9 @@ def test_a_wrong_size_is_said(factor: float, passes: bool) -> None:
 def test_a_tip_that_does_not_move_is_no_verdict() -> None:
     places = ideal(0.01 * np.eye(3), np.array([0.0, 0.0, 0.09]), lambda: np.zeros(2), straight)
     verdict = judge(places, LENS)
-    assert verdict.outcome is Outcome.CANNOT_TELL
+    assert verdict.outcome is RegistrationOutcome.CANNOT_TELL
     assert "right and down" in verdict.text
-    assert not_seen("the lens is fogged").outcome is Outcome.CANNOT_TELL
+    assert not_seen("the lens is fogged").outcome is RegistrationOutcome.CANNOT_TELL
 
 
 def test_directions_in_words() -> None:
@@ -420,7 +424,7 @@ def test_a_picture_that_shows_nothing_is_never_a_pass(
     what: Callable[[Pictures], Pictures], stage: Stage, one_view: Pictures
 ) -> None:
     verdict = verdict_of(what(one_view), lens(stage))
-    assert verdict.outcome is Outcome.CANNOT_TELL, verdict.text
+    assert verdict.outcome is RegistrationOutcome.CANNOT_TELL, verdict.text
     assert verdict.text.startswith("cannot tell: ")
 
 

@@ -15,7 +15,7 @@ from conftest import FULL
 from helpers.control.lagging_arm import Run, play
 from surg_cli.host.paths import ROOT
 from surg_teleop.playback.motion_errors import MotionError
-from surg_teleop.playback.motion_player import Mode, Stage
+from surg_teleop.playback.motion_player import Mode, PlayerStage
 
 CELLS = (ROOT / "cells/sim_ur5e", ROOT / "cells/sim_panda")
 RATE = 30.0
@@ -72,7 +72,7 @@ def written(motion: np.ndarray, path: Path) -> Path:
 
 def assert_followed(run: Run) -> None:
     """Every pose of the plan was sent and the arm was there."""
-    assert run.stage is Stage.DONE, run.reason
+    assert run.stage is PlayerStage.DONE, run.reason
     assert run.played >= run.planned
     assert run.end_error < 1e-3
 

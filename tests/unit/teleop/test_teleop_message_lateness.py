@@ -6,7 +6,7 @@ import pytest
 from helpers.control.gate_arm import TICK, GateArm
 from helpers.teleop.hand import settings
 from surg_core.hand.message_lateness import WINDOW, Arrivals
-from surg_teleop.follow.teleop_types import CameraView, State
+from surg_teleop.follow.teleop_types import CameraView, TeleopState
 from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders.bundled.crtk import CrtkLeader
 
@@ -83,8 +83,8 @@ def test_f03_a_leader_whose_messages_are_held_up_is_not_followed() -> None:
         states.append(out.state)
         messages.append(out.message)
         arm.step(out.commands)
-    assert states[499] is State.FOLLOWING
-    waits = states.index(State.WAITING, 500)
+    assert states[499] is TeleopState.FOLLOWING
+    waits = states.index(TeleopState.WAITING, 500)
     assert waits - 500 <= 51
-    assert set(states[waits:]) == {State.WAITING}  # an act is needed
+    assert set(states[waits:]) == {TeleopState.WAITING}  # an act is needed
     assert arm.refusals == []

@@ -11,7 +11,12 @@ from surg_cli.host import paths
 from surg_teleop.follow.hand_mapping import Mapping
 from surg_teleop.playback.motion_errors import MotionError
 from surg_teleop.playback.motion_file import Motion, read_motion
-from surg_teleop.playback.motion_plan import CENTRE_DEPTH, ConstantMotionError, Plan, make_plan
+from surg_teleop.playback.motion_plan import (
+    CENTRE_DEPTH,
+    ConstantMotionError,
+    MotionPlan,
+    make_plan,
+)
 from surg_teleop.playback.workspace_fit import Workspace, box_centre, largest_scale
 
 BUNDLED = paths.ROOT / "src/surg_teleop/motions/bundled.csv"
@@ -145,7 +150,7 @@ def test_a_constant_motion_is_refused() -> None:
         make_plan(lissajous(), WORKSPACE, scale=0.01)
 
 
-def derivatives(plan: Plan, t: np.ndarray, h: float = 1e-5) -> tuple[np.ndarray, np.ndarray]:
+def derivatives(plan: MotionPlan, t: np.ndarray, h: float = 1e-5) -> tuple[np.ndarray, np.ndarray]:
     before, at, after = (plan.path(t + d)[0] for d in (-h, 0.0, h))
     return (after - before) / (2 * h), (after - 2 * at + before) / h**2
 

@@ -20,7 +20,7 @@ from surg_teleop.playback.motion_player import (
     RESTARTS,
     Mode,
     MotionPlayer,
-    Stage,
+    PlayerStage,
 )
 from surg_teleop.playback.workspace_fit import Workspace
 
@@ -98,7 +98,7 @@ def operator(mode: Mode = Mode.CARTESIAN, scale: float = 1.0) -> MotionPlayer:
     return MotionPlayer(make_plan(motion(), WORKSPACE, scale), mode, JAW)
 
 
-def play(op: MotionPlayer, arm: FakeArm, ticks: int = 30_000) -> list[Stage]:
+def play(op: MotionPlayer, arm: FakeArm, ticks: int = 30_000) -> list[PlayerStage]:
     stages = [op.stage]
     for _ in range(ticks):
         arm.step(op.tick(arm.feedback()))
@@ -113,7 +113,9 @@ def play(op: MotionPlayer, arm: FakeArm, ticks: int = 30_000) -> list[Stage]:
 def test_a_whole_run(mode: Mode) -> None:
     op, arm = operator(mode), FakeArm()
     stages = play(op, arm)
-    assert [s.value for s in stages if s is not Stage.HOME and s is not Stage.ENABLE] == [
+    assert [
+        s.value for s in stages if s is not PlayerStage.HOME and s is not PlayerStage.ENABLE
+    ] == [
         "connect",
         "move",
         "settle",
@@ -185,7 +187,7 @@ def test_time_is_the_stamps_difference_not_the_number_of_calls() -> None:
         if commands.servo_cp is not None:
             p, _ = op.plan.at((commands.stamp_ns - op.started_ns) / SECOND_NS)
             assert np.array_equal(commands.servo_cp.p, p)
-    assert op.stage is Stage.DONE
+    assert op.stage is PlayerStage.DONE
 
 
 def test_jaw_is_the_opening_from_the_most_closed_clipped_to_the_range() -> None:
@@ -203,14 +205,14 @@ def test_an_arm_that_is_already_up_is_not_homed_again() -> None:
     op, arm = operator(), FakeArm(state=ArmState.ENABLED, homed=True)
     play(op, arm)
     assert [c.state for c in arm.received if c.state] == []
-    assert op.stage is Stage.DONE
+    assert op.stage is PlayerStage.DONE
 
 
 @pytest.mark.parametrize("deaf", ["home", "enable"])
 def test_an_arm_that_does_not_get_ready_is_given_up(deaf: str) -> None:
     op, arm = operator(), FakeArm(deaf_to=frozenset({deaf}), reason="no trocar point")
     play(op, arm)
-    assert op.stage is Stage.FAILED
+    assert op.stage is PlayerStage.FAILED
     assert f"'{deaf}'" in op.reason
     assert "no trocar point" in op.reason
     asked = TIMEOUT_NS // RETRY_NS
@@ -221,24 +223,29 @@ def test_an_arm_that_does_not_get_ready_is_given_up(deaf: str) -> None:
 def test_an_arm_that_does_not_arrive_is_given_up() -> None:
     op, arm = operator(), FakeArm(deaf_to=frozenset({"move_cp"}))
     play(op, arm)
-    assert op.stage is Stage.FAILED
+    assert op.stage is PlayerStage.FAILED
     assert "did not reach the start" in op.reason
     assert "mm away" in op.reason
 
 
-@pytest.mark.parametrize("during", [Stage.HOME, Stage.MOVE, Stage.SETTLE, Stage.PLAY, Stage.HOLD])
+@pytest.mark.parametrize(
+    "during",
+    [PlayerStage.HOME, PlayerStage.MOVE, PlayerStage.SETTLE, PlayerStage.PLAY, PlayerStage.HOLD],
+)
 @pytest.mark.parametrize("state", [ArmState.FAULT, ArmState.PAUSED, ArmState.DISABLED])
-def test_an_arm_that_stops_is_given_up_with_its_reason(during: Stage, state: ArmState) -> None:
-    if state == ArmState.DISABLED and during is Stage.HOME:
+def test_an_arm_that_stops_is_given_up_with_its_reason(
+    during: PlayerStage, state: ArmState
+) -> None:
+    if state == ArmState.DISABLED and during is PlayerStage.HOME:
         pytest.skip("that is where it starts")
-    op, arm = operator(), FakeArm(deaf_to=frozenset({"home"} if during is Stage.HOME else ()))
+    op, arm = operator(), FakeArm(deaf_to=frozenset({"home"} if during is PlayerStage.HOME else ()))
     for _ in range(30_000):
         if op.stage is during:
             arm.state, arm.reason = state, "rcm_error"
         arm.step(op.tick(arm.feedback()))
         if op.done:
             break
-    assert op.stage is Stage.FAILED
+    assert op.stage is PlayerStage.FAILED
     assert "rcm_error" in op.reason
     assert during.value in op.reason
     after = op.tick(arm.feedback())
@@ -255,7 +262,7 @@ def test_refused_commands_are_counted_during_the_stream_only() -> None:
 
 def assert_every_pose_was_accepted(op: MotionPlayer, arm: FakeArm) -> None:
     """On the path, without a hole, to its end."""
-    assert op.stage is Stage.DONE, op.reason
+    assert op.stage is PlayerStage.DONE, op.reason
     steps = np.linalg.norm(np.diff(arm.accepted, axis=0), axis=1)
     fastest = 0.06  # [m/s] of motion()
     assert steps.max() <= fastest * TICK_NS / SECOND_NS
@@ -265,7 +272,7 @@ def assert_every_pose_was_accepted(op: MotionPlayer, arm: FakeArm) -> None:
 def test_a_refused_pose_is_sent_again_until_it_is_accepted() -> None:
     op, arm = operator(), FakeArm(refuses=range(300, 390))
     stages = play(op, arm)
-    assert stages.count(Stage.MOVE) == 1
+    assert stages.count(PlayerStage.MOVE) == 1
     assert_every_pose_was_accepted(op, arm)
     sent = [c.servo_cp.p for c in arm.received if c.servo_cp is not None]
     # The first answer to a refused pose comes a cycle later.
@@ -279,7 +286,7 @@ def test_a_refused_pose_is_sent_again_until_it_is_accepted() -> None:
 def test_a_stream_that_was_refused_for_longer_is_taken_up_from_rest() -> None:
     op, arm = operator(), FakeArm(refuses=range(300, 450))
     stages = play(op, arm)
-    assert stages.count(Stage.MOVE) == 2  # 0.2 s of refusals end the first stream
+    assert stages.count(PlayerStage.MOVE) == 2  # 0.2 s of refusals end the first stream
     assert_every_pose_was_accepted(op, arm)
     moves = [k for k, c in enumerate(arm.received) if c.move_cp is not None]
     for k in moves[1:]:  # any stream is over before the arm is asked to move
@@ -290,7 +297,7 @@ def test_a_stream_that_was_refused_for_longer_is_taken_up_from_rest() -> None:
 def test_a_motion_that_is_refused_for_ever_fails_with_time_and_line() -> None:
     op, arm = operator(), FakeArm(refuses=range(300, 10**6), reason="outside_workspace")
     play(op, arm)
-    assert op.stage is Stage.FAILED
+    assert op.stage is PlayerStage.FAILED
     assert sum(c.move_cp is not None for c in arm.received) == RESTARTS + 1
     assert op.first_refusal == (pytest.approx(0.6, abs=0.005), "outside_workspace")
     assert op.plan.place(op.clock) in op.reason
@@ -341,4 +348,4 @@ def test_bundled_motion_plays_to_the_end() -> None:
     )
     op, arm = MotionPlayer(plan, Mode.CARTESIAN, JAW), FakeArm()
     play(op, arm)
-    assert op.stage is Stage.DONE
+    assert op.stage is PlayerStage.DONE

@@ -9,7 +9,7 @@ from surg_core.arm_view import ArmState
 from surg_core.contract import PRESENCE_TIMEOUT
 from surg_teleop.follow.arm_switch import ArmSwitch
 from surg_teleop.follow.pedal_monitor import PedalMonitor
-from surg_teleop.follow.teleop_types import CameraView, State
+from surg_teleop.follow.teleop_types import CameraView, TeleopState
 from surg_teleop.follow.teleoperation import Teleop
 
 
@@ -21,7 +21,7 @@ def test_the_camera_pedal_hands_the_leader_over_and_back() -> None:
     pedals = PedalMonitor()
     seat.enable()
 
-    def run(n: int, step: float) -> dict[str, State]:
+    def run(n: int, step: float) -> dict[str, TeleopState]:
         for _ in range(n):
             now = psm.tick * TICK
             hand.move(np.array([step, 0.0, 0.0]))
@@ -32,17 +32,17 @@ def test_the_camera_pedal_hands_the_leader_over_and_back() -> None:
             ecm.step(outputs["ECM"].commands)
         return {arm: out.state for arm, out in outputs.items()}
 
-    assert run(10, 1e-4) == {"PSM1": State.FOLLOWING, "ECM": State.CLUTCHED}
+    assert run(10, 1e-4) == {"PSM1": TeleopState.FOLLOWING, "ECM": TeleopState.CLUTCHED}
     pedals.press("/console", "camera", True, psm.tick * TICK)
     pedals.press("/footpedals", "camera", True, psm.tick * TICK)
     p_psm, p_ecm = psm.p, ecm.p
-    assert run(100, 1e-4) == {"PSM1": State.CLUTCHED, "ECM": State.FOLLOWING}
+    assert run(100, 1e-4) == {"PSM1": TeleopState.CLUTCHED, "ECM": TeleopState.FOLLOWING}
     assert np.linalg.norm(psm.p - p_psm) < 1e-3
     assert (ecm.p - p_ecm)[0] == pytest.approx(0.01, abs=5e-4)
     pedals.press("/console", "camera", False, psm.tick * TICK)
-    assert run(10, 0.0)["ECM"] is State.FOLLOWING  # the other foot is still down
+    assert run(10, 0.0)["ECM"] is TeleopState.FOLLOWING  # the other foot is still down
     pedals.press("/footpedals", "camera", False, psm.tick * TICK)
-    assert run(100, 0.0) == {"PSM1": State.FOLLOWING, "ECM": State.CLUTCHED}
+    assert run(100, 0.0) == {"PSM1": TeleopState.FOLLOWING, "ECM": TeleopState.CLUTCHED}
     assert psm.refusals == ecm.refusals == []
 
 
@@ -50,7 +50,7 @@ def test_the_button_enable_ends_only_what_the_hand_is_on() -> None:
     """What says "press enable" can be obeyed with the device itself."""
     hand, arm, seat = Hand(), GateArm(), ArmSwitch(Teleop(settings()))
 
-    def run(state: State, n: int = 100) -> bool:
+    def run(state: TeleopState, n: int = 100) -> bool:
         for _ in range(n):
             now = arm.tick * TICK
             out = seat.tick(now, hand.sample(now), {"PSM1": arm.view()}, CameraView(np.eye(3)))
@@ -58,19 +58,22 @@ def test_the_button_enable_ends_only_what_the_hand_is_on() -> None:
         assert out["PSM1"].state is state, out["PSM1"].message
         return seat.enables(frozenset(hand.buttons | {"enable"}))
 
-    assert run(State.DISABLED)
+    assert run(TeleopState.DISABLED)
     seat.enable()
-    assert not run(State.FOLLOWING)
+    assert not run(TeleopState.FOLLOWING)
     hand.buttons = {"clutch"}
-    assert not run(State.CLUTCHED)
+    assert not run(TeleopState.CLUTCHED)
     hand.buttons = {"camera"}  # nobody holds the endoscope: it clutches
-    assert not run(State.CLUTCHED)
+    assert not run(TeleopState.CLUTCHED)
     seat.enable()
     hand.buttons = set()
-    assert not run(State.FOLLOWING)
+    assert not run(TeleopState.FOLLOWING)
     hand.move(np.array([0.5, 0.0, 0.0]))
-    assert run(State.CLUTCHED)  # let go: "press and release the clutch, or press enable"
-    for state, left in ((State.WAITING, ArmState.PAUSED), (State.FAULT, ArmState.FAULT)):
+    assert run(TeleopState.CLUTCHED)  # let go: "press and release the clutch, or press enable"
+    for state, left in (
+        (TeleopState.WAITING, ArmState.PAUSED),
+        (TeleopState.FAULT, ArmState.FAULT),
+    ):
         arm.leave(left, "force")
         assert run(state)
 
@@ -83,7 +86,7 @@ class Floor:
         self.teleop = Teleop(settings(), scale=1.0)
         self.down, self.speaks, self.sent = False, True, 0
 
-    def run(self, ticks: int) -> State:
+    def run(self, ticks: int) -> TeleopState:
         """Moves the hand on for so many ticks; the state at the end."""
         for _ in range(ticks):
             now = self.arm.tick * TICK
@@ -96,31 +99,31 @@ class Floor:
             self.arm.step(self.out.commands)
         return self.out.state
 
-    def ticks_to(self, state: State, at_most: int = 2000) -> int:
+    def ticks_to(self, state: TeleopState, at_most: int = 2000) -> int:
         return next(i + 1 for i in range(at_most) if self.run(1) is state)
 
 
 def test_f03_pedals_that_are_killed_hold_the_arm_within_their_limit() -> None:
     floor = Floor()
     floor.teleop.enable()
-    assert floor.run(500) is State.FOLLOWING
+    assert floor.run(500) is TeleopState.FOLLOWING
     floor.speaks = False  # kill -9 with the clutch up
     last = (floor.arm.tick - 1) // 25 * 25
-    floor.ticks_to(State.WAITING)
+    floor.ticks_to(TeleopState.WAITING)
     # The first tick later than the limit after the last word.
     assert floor.arm.tick - 1 - last == round(PRESENCE_TIMEOUT / TICK) + 1
     assert "the buttons of /pedals are silent" in floor.out.message
     rest, sent = floor.arm.p, floor.sent
-    assert floor.run(1000) is State.WAITING
+    assert floor.run(1000) is TeleopState.WAITING
     assert floor.sent == sent and np.linalg.norm(floor.arm.p - rest) < 1e-3
     # They are back, with the clutch let go meanwhile: that is no act.
     floor.speaks = True
-    assert floor.run(1000) is State.WAITING and floor.sent == sent
+    assert floor.run(1000) is TeleopState.WAITING and floor.sent == sent
     assert "press and release the clutch, or press enable" in floor.out.message
     floor.down = True
-    floor.ticks_to(State.CLUTCHED)
+    floor.ticks_to(TeleopState.CLUTCHED)
     floor.down = False
-    floor.ticks_to(State.FOLLOWING)
+    floor.ticks_to(TeleopState.FOLLOWING)
     assert floor.arm.refusals == []
 
 
@@ -129,12 +132,12 @@ def test_f03_pedals_killed_with_the_clutch_down_engage_nothing_when_they_come_ba
     floor.teleop.enable()
     floor.run(500)
     floor.down = True
-    floor.ticks_to(State.CLUTCHED)
+    floor.ticks_to(TeleopState.CLUTCHED)
     floor.run(200)
     floor.speaks = False
-    floor.ticks_to(State.WAITING)
+    floor.ticks_to(TeleopState.WAITING)
     floor.down, floor.speaks = False, True
-    assert floor.run(1000) is State.WAITING
+    assert floor.run(1000) is TeleopState.WAITING
 
 
 def test_enable_goes_on_without_pedals_that_are_silent() -> None:
@@ -145,9 +148,9 @@ def test_enable_goes_on_without_pedals_that_are_silent() -> None:
     floor.run(500)
     floor.pedals.forget(floor.arm.tick * TICK)
     floor.teleop.enable()
-    assert floor.run(500) is State.FOLLOWING  # what they held down is up
+    assert floor.run(500) is TeleopState.FOLLOWING  # what they held down is up
     floor.speaks = True
-    floor.ticks_to(State.CLUTCHED)  # their foot is on it again
+    floor.ticks_to(TeleopState.CLUTCHED)  # their foot is on it again
 
 
 def test_a_pedal_that_speaks_on_change_alone_is_not_watched() -> None:

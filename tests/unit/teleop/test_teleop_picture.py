@@ -21,10 +21,10 @@ from helpers.teleop.hand import Hand, settings
 from helpers.teleop.stage import Stage, stage_of
 from surg_core.held_endoscope import HeldEndoscope, held_endoscope
 from surg_sim.appearance.render import Picture
-from surg_teleop.follow.teleop_types import CameraView, State
+from surg_teleop.follow.teleop_types import CameraView, TeleopState
 from surg_teleop.follow.teleoperation import Teleop
-from surg_teleop.frames.probe_moves import REST, SIDE, STEPS, Step
-from surg_teleop.frames.registration_verdict import Lens, Outcome, judge
+from surg_teleop.frames.probe_moves import REST, SIDE, STEPS, ProbeMove
+from surg_teleop.frames.registration_verdict import Lens, RegistrationOutcome, judge
 from surg_teleop.frames.tip_tracker import Place, find_places
 
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ class Session:
         session.tick(3)
         session.teleop.enable()
         session.tick(3)
-        assert session.teleop.state is State.FOLLOWING
+        assert session.teleop.state is TeleopState.FOLLOWING
         return session
 
     def tick(self, n: int, step: Array | None = None) -> None:
@@ -83,7 +83,7 @@ class Session:
         assert self.stage.put(self.stage.tool, tip, self.arm.roll)
         return self.stage.pictures()
 
-    def places(self, scale: float) -> dict[Step, Place]:
+    def places(self, scale: float) -> dict[ProbeMove, Place]:
         """Where the tip is seen when the hand goes 5 mm of the tip's each way and back."""
         pictures = {REST: self.pictures()}
         for step in STEPS[1:]:
@@ -114,14 +114,14 @@ def lens(stage: Stage) -> Lens:
     return Lens(i.f, np.array([i.cx, i.cy]), stage.renderer.baseline)
 
 
-def shares(places: dict[Step, Place]) -> list[float]:
+def shares(places: dict[ProbeMove, Place]) -> list[float]:
     """How much of what is seen goes where the hand went: right, up, away; 1: all of it.
 
     Away is the change of the disparity: it must shrink.
     """
-    right = places[Step(0, 1)].left - places[Step(0, -1)].left
-    up = places[Step(1, -1)].left - places[Step(1, 1)].left
-    far, near = places[Step(2, 1)].disparity, places[Step(2, -1)].disparity
+    right = places[ProbeMove(0, 1)].left - places[ProbeMove(0, -1)].left
+    up = places[ProbeMove(1, -1)].left - places[ProbeMove(1, 1)].left
+    far, near = places[ProbeMove(2, 1)].disparity, places[ProbeMove(2, -1)].disparity
     assert far is not None and near is not None
     return [
         float(right[0] / np.hypot(*right)),
@@ -153,13 +153,15 @@ def test_the_tip_goes_where_the_hand_goes_in_the_picture(stage: Stage) -> None:
         what = f"view {view}, scale {scale:.2f}: right, up, away {np.round(seen, 2)}"
         assert min(seen) > LEAST, what
         verdict = judge(places, lens(stage))
-        assert verdict.outcome is Outcome.PASS, f"{what}: {verdict.text}"
+        assert verdict.outcome is RegistrationOutcome.PASS, f"{what}: {verdict.text}"
         X = stage.X_WV()
         rolls.append(np.degrees(np.arctan2(X[2, 0], -X[2, 1])) % 360.0)
-        pixels.append(float(places[Step(0, 1)].left[0] - places[Step(0, -1)].left[0]))
-        shrunk.append(float(places[Step(2, -1)].disparity[0] - places[Step(2, 1)].disparity[0]))
+        pixels.append(float(places[ProbeMove(0, 1)].left[0] - places[ProbeMove(0, -1)].left[0]))
+        shrunk.append(
+            float(places[ProbeMove(2, -1)].disparity[0] - places[ProbeMove(2, 1)].disparity[0])
+        )
         angles.append(float(np.degrees(verdict.angle)))
-        assert session.teleop.state is State.FOLLOWING
+        assert session.teleop.state is TeleopState.FOLLOWING
     assert session.arm.refusals == []
     assert session.teleop.engagements == 1, "one engagement under all views"
     note(
@@ -198,7 +200,7 @@ def test_a_wrong_mapping_is_seen_in_the_picture(what: str, stage: Stage) -> None
         places = session.places(1.0)
     except ValueError:  # it left the picture, or went where nothing is seen of it
         return
-    assert judge(places, lens(stage)).outcome is not Outcome.PASS
+    assert judge(places, lens(stage)).outcome is not RegistrationOutcome.PASS
 
 
 def test_base_to_base_is_no_identity(stage: Stage) -> None:

@@ -22,7 +22,7 @@ from surg_cli.host import paths
 from surg_core import testing
 from surg_core.arm_view import ArmCommands, ArmState
 from surg_teleop.follow.target_pose import StepLimits
-from surg_teleop.follow.teleop_types import CameraView, ControlMode, State
+from surg_teleop.follow.teleop_types import CameraView, ControlMode, TeleopState
 from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.playback.workspace_fit import Workspace
 
@@ -107,8 +107,8 @@ def test_storms_on_the_real_controller(kind: ControlMode) -> None:
             if k % 25 == 0:  # another wish every 50 ms
                 v = rng.normal(0.0, 0.15, 3) if rng.uniform() < 0.7 else np.zeros(3)
                 w = rng.normal(0.0, 2.0)
-                hand.v = v if teleop.state is State.FOLLOWING else np.zeros(3)
-                hand.roll_rate = w if teleop.state is State.FOLLOWING else 0.0
+                hand.v = v if teleop.state is TeleopState.FOLLOWING else np.zeros(3)
+                hand.roll_rate = w if teleop.state is TeleopState.FOLLOWING else 0.0
                 if rng.uniform() < 0.15:
                     hand.buttons ^= {"clutch"}
                 if rng.uniform() < 0.03:

@@ -20,7 +20,7 @@ from helpers.teleop.hand import settings
 from surg_cli.host import paths
 from surg_core.arm_view import ArmCommands, ArmState, TipPose
 from surg_teleop.follow.target_pose import StepLimits
-from surg_teleop.follow.teleop_types import CameraView, State
+from surg_teleop.follow.teleop_types import CameraView, TeleopState
 from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders.bundled.motion import MotionLeader
 from surg_teleop.playback.motion_file import read_motion
@@ -111,7 +111,7 @@ def run(file: Path, seconds: float) -> Chain:
         # The view looks along the trocar frame's axes, wherever that lies in the world.
         out = teleop.tick(now, leader.read(now), view, CameraView(view.R_WR))
         commands = out.commands
-        if out.state is State.CLUTCHED and not let_go:
+        if out.state is TeleopState.CLUTCHED and not let_go:
             let_go = out.message
         t = now - began - 1.0
         if t > 0.5:

@@ -10,12 +10,12 @@ import pytest
 from surg_core import axis_angle_to_matrix
 from surg_core.arm_view import Array
 from surg_sim.appearance.lens import EndoscopeLens
-from surg_teleop.frames.probe_moves import REST, STEPS, Step
+from surg_teleop.frames.probe_moves import REST, STEPS, ProbeMove
 from surg_teleop.frames.registration_verdict import (
     ANGLE,
     CALIBRATED_ANGLE,
     Lens,
-    Outcome,
+    RegistrationOutcome,
     judge,
 )
 from surg_teleop.frames.tip_tracker import Place
@@ -34,7 +34,7 @@ def pixel(p: Array, lens: EndoscopeLens | None) -> Array:
     return np.asarray(K[:2, :2] @ (xy if lens is None else lens.bend(xy)) + K[:2, 2])
 
 
-def places(R: Array, lens: EndoscopeLens | None, R_LR: Array) -> dict[Step, Place]:
+def places(R: Array, lens: EndoscopeLens | None, R_LR: Array) -> dict[ProbeMove, Place]:
     """Places of the tip where the hand's axes are turned by R (3, 3) against the picture's."""
     found = {}
     for step in STEPS:
@@ -86,5 +86,5 @@ def test_a_calibrated_cell_is_judged_at_eight_degrees(
     lens = Lens(K[0, 0], K[:2, 2], BASELINE)
     for limit, passes in ((ANGLE, usual), (CALIBRATED_ANGLE, calibrated)):
         verdict = judge(straight, lens, limit)
-        assert (verdict.outcome is Outcome.PASS) == passes
+        assert (verdict.outcome is RegistrationOutcome.PASS) == passes
         assert abs(np.degrees(verdict.angle) - degrees) < 3.0

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.graph import episode_film, episode_plans
-from surg_cli.graph import learned_rollouts as rollouts
 from surg_cli.host import cells, paths, preflight, provision, terminal
 from surg_cli.host.terminal import Problem, say, table, warn
+from surg_cli.learning import rollouts
 from surg_learn import learn_stages
 from surg_learn.learn_terminal import LearnError
 from surg_learn.recipes import (

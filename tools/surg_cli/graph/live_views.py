@@ -40,18 +40,18 @@ def calibrate(cell: Any, options: argparse.Namespace, source: str, date: str) ->
 
     from surg_perception.calibration.result_files import Origin
     from surg_perception.collecting.collect_views_node import CollectViews
-    from surg_perception.collecting.collector import Step
+    from surg_perception.collecting.collector import CalibrationStep
     from surg_perception.collecting.live_calibration import LiveCalibration
 
-    def name_of(step: Step) -> str:
-        return "camera" if live.eyes == 1 and step is Step.STEREO else step.value
+    def name_of(step: CalibrationStep) -> str:
+        return "camera" if live.eyes == 1 and step is CalibrationStep.STEREO else step.value
 
-    def new_folder(step: Step) -> Path:
+    def new_folder(step: CalibrationStep) -> Path:
         if options.to is not None:
             return Path(options.to)
         return paths.run_folder(None) / "views" / name_of(step)
 
-    def origin(step: Step, folder: Path) -> Origin:
+    def origin(step: CalibrationStep, folder: Path) -> Origin:
         return Origin(f"./surg calibrate {cell.folder.name} {name_of(step)} --live", date, source)
 
     rospy.init_node("calibrate", disable_signals=True)
@@ -62,7 +62,7 @@ def calibrate(cell: Any, options: argparse.Namespace, source: str, date: str) ->
         if options.what == "live":
             say("waiting for the console's page /calibrate; Ctrl-C ends")
         else:
-            node.start(Step.STEREO if left_only else Step(options.what))
+            node.start(CalibrationStep.STEREO if left_only else CalibrationStep(options.what))
             say(f"views -> {live.status.folder}; hold each view still; Ctrl-C ends, views stay")
         return _follow(node, options)
     except (ValueError, OSError) as error:

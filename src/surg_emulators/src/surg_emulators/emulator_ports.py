@@ -36,7 +36,7 @@ CONTROL = "control"
 """The service that takes faults."""
 
 
-class Session(Protocol):
+class EmulatorSession(Protocol):
     """One service for one client."""
 
     closed: bool
@@ -51,7 +51,7 @@ class Connection:
 
     service: str
     socket: socket.socket
-    session: Session
+    session: EmulatorSession
     waiting: bytearray = field(default_factory=bytearray)
     ending: bool = False  # no more input; closes when everything is sent
 
@@ -164,7 +164,7 @@ class PortedEmulator:
         """All faults."""
         raise NotImplementedError
 
-    def _session(self, service: str) -> Session:
+    def _session(self, service: str) -> EmulatorSession:
         """A new client's session."""
         raise NotImplementedError
 

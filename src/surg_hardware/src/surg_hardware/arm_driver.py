@@ -30,7 +30,7 @@ from surg_hardware.driver_datagrams import (
     decode_to_driver,
 )
 from surg_hardware.robot_clock import RobotClock
-from surg_hardware.robot_link import Command, RobotLink, RobotState, Settings, Status, Step
+from surg_hardware.robot_link import Command, LinkStep, RobotLink, RobotState, Settings, Status
 
 STALE = 0.04
 """[s] A state that is older is not sent on; without any for this time the robot is lost."""
@@ -182,7 +182,7 @@ class ArmDriver(ABC):
 
     # --- one cycle ------------------------------------------------------------------------------
 
-    def _step(self, state: RobotState, now: float) -> Step | None:
+    def _step(self, state: RobotState, now: float) -> LinkStep | None:
         """The link's answer to a state; None: the state is no use."""
         if not driver_process.finite((state.time, *state.q, *state.qd)):
             self._say_lost()

@@ -88,7 +88,7 @@ class Status:
 
 
 @dataclass(frozen=True)
-class Step:
+class LinkStep:
     """One cycle: the velocity for the robot with its number; ``qd`` None: nothing is sent.
 
     Zeros with the number of before end the motion: a program that a person resumes after a stop
@@ -205,7 +205,7 @@ class RobotLink:
 
     # --- one cycle ------------------------------------------------------------------------------
 
-    def step(self, state: RobotState, command: Command | None, now: float) -> Step:
+    def step(self, state: RobotState, command: Command | None, now: float) -> LinkStep:
         """Answer one state of the robot.
 
         Args:
@@ -234,7 +234,7 @@ class RobotLink:
             ended, self._driving = self._driving, False
             self._ours &= state.program or state.paused
             qd = self._sent if ended else None
-            return Step(qd, self._number, self._status(), self._ours and state.paused)
+            return LinkStep(qd, self._number, self._status(), self._ours and state.paused)
         self._driving = True
         if self._phase is _Phase.ACTIVE and not silent and command is not None:
             self._sent = self._toward(command.qd, elapsed)
@@ -245,7 +245,7 @@ class RobotLink:
             self._sent = self._ramp.velocity(elapsed)
         self._number += 1
         self._stamps.append((self._number, 0 if command is None else command.stamp_ns))
-        step = Step(self._sent, self._number, self._status())
+        step = LinkStep(self._sent, self._number, self._status())
         if self._phase is _Phase.ENDING and self.at_rest:
             self._drop(self._why)
         return step

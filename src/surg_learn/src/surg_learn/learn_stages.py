@@ -17,7 +17,7 @@ from surg_learn.recipes import PUSH_M, Request
 from surg_learn.stage_ledger import Ledger
 
 if TYPE_CHECKING:
-    from surg_sim.envs.demonstrations import Plan
+    from surg_sim.envs.demonstrations import DemonstrationPlan
 
 COMPARED = 20
 """Demonstrations whose smoothness is in the report, at most."""
@@ -59,11 +59,13 @@ def prepare(
     }
 
 
-def plan_of(request: Request, cell: Path, out: Path, more_views: Sequence[str]) -> Plan:
+def plan_of(
+    request: Request, cell: Path, out: Path, more_views: Sequence[str]
+) -> DemonstrationPlan:
     """What all demonstrations have in common."""
     from surg_sim.envs import demonstrations
 
-    return demonstrations.Plan(
+    return demonstrations.DemonstrationPlan(
         out / "demonstrations",
         cell,
         request.task,

@@ -45,7 +45,7 @@ def wait_for_all(
 
 
 @dataclass(frozen=True)
-class Seen:
+class TickInputs:
     """What a participant sees of one tick."""
 
     tick: int
@@ -81,7 +81,7 @@ class Participant:
     def __init__(
         self,
         ports: Mapping[str, ArmPort],
-        act: Callable[[Seen], bool | None],
+        act: Callable[[TickInputs], bool | None],
         arms: Sequence[str],
         task: bool = False,
         lockstep: bool = True,
@@ -197,7 +197,7 @@ class Participant:
             self.ready(True)
             return
         cycles = {arm: cycle for arm, (_, cycle) in self._cycles.items()}
-        done = self._act(Seen(tick, cycles, self._state[1] if on_grid else None))
+        done = self._act(TickInputs(tick, cycles, self._state[1] if on_grid else None))
         if done is not None:
             self.ready(done)
 

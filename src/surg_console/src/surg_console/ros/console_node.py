@@ -22,9 +22,9 @@ import rospy
 
 import surg_core
 from surg_console.ros.ros_system_node import RosSystem
-from surg_console.session.console_session import Session
+from surg_console.session.console_session import ConsoleSession
 from surg_console.web import access
-from surg_console.web.console_server import Server
+from surg_console.web.console_server import ConsoleServer
 from surg_console.web.encoder_process import EncoderProcess
 from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError, names, path, read, text, whole
@@ -92,7 +92,7 @@ class Settings:
         )
 
     @property
-    def beside(self) -> list[str]:
+    def overlays(self) -> list[str]:
         """What the page can show over and beside the picture."""
         held = any(arm.instrument.camera is not None for arm in self.cell.arms.values())
         over = (["marks"] if held else []) + ["plan"]
@@ -121,7 +121,7 @@ async def serve(settings: Settings, stop: asyncio.Event) -> None:
         "arm": settings.arm,
         "views": list(settings.views),
         "leads": bool(settings.leader),
-        "beside": settings.beside,
+        "overlays": settings.overlays,
         "limits": settings.limits,
     }
     name = f"{rospy.get_name().strip('/').replace('/', '_')}_video"
@@ -131,8 +131,8 @@ async def serve(settings: Settings, stop: asyncio.Event) -> None:
         show=lambda packet: server.show(packet),
         problem=lambda text: server.picture_problem(text),
     )
-    session = Session(pictures=bool(settings.views), leads=bool(settings.leader))
-    server = Server(settings.access, session, system, encoder, facts, settings.limits)
+    session = ConsoleSession(pictures=bool(settings.views), leads=bool(settings.leader))
+    server = ConsoleServer(settings.access, session, system, encoder, facts, settings.limits)
     video = asyncio.create_task(encoder.run()) if settings.views else None
     try:
         print(f"console: {settings.access.url}", flush=True)

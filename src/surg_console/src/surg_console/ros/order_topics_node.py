@@ -24,16 +24,16 @@ TAP = 0.06
 """[s] How long a tap holds its button."""
 RATE = "/console/rate"
 KINDS = {
-    orders.Follow.topic: Bool,
+    orders.EnableTeleop.topic: Bool,
     orders.SetScale.topic: Float64,
     orders.Record.topic: Bool,
     orders.Policy.topic: Bool,
-    orders.Present.topic: Joy,
+    orders.SetOperatorPresent.topic: Joy,
     orders.Clutch.topic: Joy,
     orders.Camera.topic: Joy,
     orders.Calibrate.topic: CalibrationRequest,
     RATE: Joy,
-    "/sim/by_hand": String,
+    "/sim/guide_home": String,
 }
 
 
@@ -64,7 +64,7 @@ class OrderTopics:
             message = StringStamped(string=order.word)
             message.header.stamp = rospy.Time.now()
             self._topics[f"/{order.arm}/state_command"].publish(message)
-        elif isinstance(order, orders.OtherMapping):
+        elif isinstance(order, orders.SetMapping):
             self._press(RATE, True)
             end = rospy.Duration.from_sec(TAP)
             rospy.Timer(end, lambda event: self._press(RATE, False), oneshot=True)

@@ -19,13 +19,12 @@ import rospy
 from std_msgs.msg import String
 
 from crtk_msgs.msg import OperatingState
-from surg_console.ros.beside_topics_node import BesideTopics
 from surg_console.ros.order_topics_node import OrderTopics
+from surg_console.ros.overlay_topics_node import OverlayTopics
 from surg_console.ros.raw_gauges import depth, force, last_double, state_and_reason
 from surg_console.session import operator_messages
 from surg_console.session.console_orders import Order
 from surg_console.session.episode_list import Entry, Episodes
-from surg_console.session.felt_tip import felt_tip
 from surg_console.session.fixture_view import FixtureView, region_of
 from surg_console.session.page_status import finite
 from surg_console.session.system_state import (
@@ -38,6 +37,7 @@ from surg_console.session.system_state import (
     Robot,
     SimTask,
 )
+from surg_console.session.tip_force_feedback import tip_force_feedback
 from surg_core import Fixture
 from surg_core.config import Cell
 from surg_core.status_check import LatestStatus, value_name
@@ -83,7 +83,7 @@ class RosSystem:
         teleop: str,
         episodes: Path | None,
     ) -> None:
-        self._beside = BesideTopics(cell)
+        self._overlays = OverlayTopics(cell)
         self._lock = threading.Lock()
         self._arms = {name: Arm(name) for name in arms}
         self._teleop = f"/{teleop}/status"
@@ -220,7 +220,7 @@ class RosSystem:
         first, *others = map(_follower, status.hands)
         return [replace(first, reason=first.reason or status.picture), *others]
 
-    def told(self) -> None:
+    def reset_peaks(self) -> None:
         """See `console_server.System`."""
         with self._lock:
             self._peak = 0.0
@@ -229,7 +229,7 @@ class RosSystem:
         """See `console_server.System`."""
         return [] if self._episodes is None else self._episodes.entries()
 
-    def obey(self, orders: list[Order]) -> None:
+    def publish_orders(self, orders: list[Order]) -> None:
         """See `console_server.System`."""
         for order in orders:
             self._orders.send(order)
@@ -237,11 +237,11 @@ class RosSystem:
     def watch(self, what: str, wanted: bool) -> None:
         """See `console_server.System`."""
         if what != "feel":  # its topic is heard anyway
-            self._beside.watch(what, wanted)
+            self._overlays.watch(what, wanted)
 
-    def beside(self, what: str) -> str:
+    def overlay(self, what: str) -> str:
         """See `console_server.System`."""
-        return self._feel() if what == "feel" else self._beside.beside(what)
+        return self._feel() if what == "feel" else self._overlays.overlay(what)
 
     def _feel(self) -> str:
         now = time.monotonic()
@@ -249,10 +249,10 @@ class RosSystem:
             self._hear_fast(now)
             heard, data = self._newest.get("tip", (-math.inf, b""))
             following = self._hands(now)[0].state == "FOLLOWING"
-        told = felt_tip(finite(force(data)), heard, now, following)
-        return json.dumps({**told, "age": finite(told["age"])}, allow_nan=False)
+        felt = tip_force_feedback(finite(force(data)), heard, now, following)
+        return json.dumps({**felt, "age": finite(felt["age"])}, allow_nan=False)
 
-    def live(self) -> None:
+    def keep_alive(self) -> None:
         """See `console_server.System`."""
         self._orders.repeat()
 

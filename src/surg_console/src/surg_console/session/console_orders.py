@@ -20,7 +20,7 @@ class Move(Order):
 
 
 @dataclass(frozen=True)
-class OtherMapping(Order):
+class SetMapping(Order):
     """Toggle between position and rate control: a tap on `/console/rate`."""
 
 
@@ -40,7 +40,7 @@ class Request(Order):
     topic: ClassVar[str]
 
 
-class Follow(Request):
+class EnableTeleop(Request):
     """Teleoperation on or off."""
 
     topic = "/console/teleop/enable"
@@ -64,10 +64,10 @@ class Policy(Request):
     topic = "/policy/enable"
 
 
-class PutBack(Request):
+class GuideHome(Request):
     """Name of a simulated arm in FAULT, to be guided home."""
 
-    topic = "/sim/by_hand"
+    topic = "/sim/guide_home"
 
 
 class Calibrate(Request):
@@ -80,7 +80,7 @@ class Button(Request):
     """Whether a button is held; re-published, because receivers drop silent sources."""
 
 
-class Present(Button):
+class SetOperatorPresent(Button):
     """The operator is present."""
 
     topic = "/console/operator_present"

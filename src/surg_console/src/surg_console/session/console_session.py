@@ -65,7 +65,7 @@ class _Page:
     dead_man: DeadMan | None = None  # of a headset's page, from its first input on
 
 
-class Session:
+class ConsoleSession:
     """State of the console. Every call may queue orders; `take_orders` returns them.
 
     Args:
@@ -173,8 +173,8 @@ class Session:
         self._orders += [
             orders.Clutch(self._clutch),
             orders.Camera(False),
-            orders.Present(True),
-            orders.Follow(True),
+            orders.SetOperatorPresent(True),
+            orders.EnableTeleop(True),
         ]
         return ""
 
@@ -195,14 +195,14 @@ class Session:
         self.phase, self._policy_requested = Phase.READY, now
         return ""
 
-    def put_back(self, name: str, robot: Robot) -> str:
+    def guide_home(self, name: str, robot: Robot) -> str:
         """Guide simulated arms in FAULT home, to be enabled again; returns why it is refused."""
         if self.holder != name:
             return operator_messages.NO_CONTROL
-        if not robot.astray:
-            return operator_messages.NOTHING_ASTRAY
-        self._hold(operator_messages.PUT_BACK)
-        self._orders += [orders.PutBack(arm) for arm in robot.astray]
+        if not robot.faulted_arms:
+            return operator_messages.NO_FAULTED_ARM
+        self._hold(operator_messages.GUIDED_HOME)
+        self._orders += [orders.GuideHome(arm) for arm in robot.faulted_arms]
         return ""
 
     def stop(self, robot: Robot, who: str = "") -> None:
@@ -279,7 +279,7 @@ class Session:
         if self._leads and follower.state in MAY_MAP and follower.mapping != self._hand:
             if now - self._tapped >= SETTLED:
                 self._tapped = self._acted = now
-                self._orders.append(orders.OtherMapping())
+                self._orders.append(orders.SetMapping())
         elif now - self._acted < SETTLED:
             return
         elif follower.state in ENGAGED:
@@ -292,7 +292,7 @@ class Session:
         elif self._leads and now - self._asked >= SETTLED and robot.ready:
             # The teleoperation drops a request that reaches it before the first input does.
             self._asked = now
-            self._orders.append(orders.Follow(True))
+            self._orders.append(orders.EnableTeleop(True))
 
     def _watch_policy(self, robot: Robot) -> None:
         """A policy whose session has ended does not take over the arm any longer."""
@@ -328,7 +328,7 @@ class Session:
 
     def _hold(self, why: str) -> None:
         """Stop all motion until Enable is pressed again."""
-        self._orders += [orders.Present(False), orders.Follow(False)]
+        self._orders += [orders.SetOperatorPresent(False), orders.EnableTeleop(False)]
         self.reason, self._policy_requested = why, -math.inf
         if self._holder is not None:
             self.phase = Phase.HELD

@@ -20,8 +20,8 @@ FROZEN_PICTURE = (
 )
 NO_ARM = "No state from any arm. Check that the controllers run (./surg status)"
 NO_FOLLOWER = "No status from the teleoperation node. Check that it runs (./surg status)"
-NOTHING_ASTRAY = "No simulated arm is in FAULT, so there is nothing to put back"
-PUT_BACK = "The arm is being guided home. Press Enable when it is at rest"
+NO_FAULTED_ARM = "No simulated arm is in FAULT, so there is nothing to guide home"
+GUIDED_HOME = "The arm is being guided home. Press Enable when it is at rest"
 NO_POLICY = "No policy is connected. Start one; it connects by itself (docs/reference/policies.md)"
 POLICY_ASKED = "The policy takes over the arm"
 POLICY_NOT_GIVEN = (

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from surg_console.session import operator_messages
-from surg_console.session.console_session import Phase, Session
+from surg_console.session.console_session import ConsoleSession, Phase
 from surg_console.session.system_state import Arm, Robot
 
 STALE = 1.0
@@ -24,7 +24,7 @@ _HEADLINES = {
 
 
 def report(
-    session: Session, robot: Robot, limits: Mapping[str, float], now: float
+    session: ConsoleSession, robot: Robot, limits: Mapping[str, float], now: float
 ) -> dict[str, Any]:
     """Content of the status, with the limits of the driven arm by name [SI]."""
     return {
@@ -52,7 +52,7 @@ def report(
             "problem": robot.recorder.problem,
         },
         "task": operator_messages.task_sentence(robot),
-        "astray": list(robot.astray),
+        "faulted_arms": list(robot.faulted_arms),
         "policy": {
             "state": robot.policy.state,
             "on": robot.policy.active,
@@ -61,7 +61,7 @@ def report(
     }
 
 
-def sentence(session: Session, robot: Robot, now: float) -> str:
+def sentence(session: ConsoleSession, robot: Robot, now: float) -> str:
     """The most important message for the operator."""
     arm = robot.arms[0] if robot.arms else None
     if session.phase is Phase.DRIVING:
@@ -90,7 +90,7 @@ def sentence(session: Session, robot: Robot, now: float) -> str:
     return f"{text}. Press Enable to begin." if session.phase is Phase.READY else text
 
 
-def _headline(session: Session, robot: Robot) -> str:
+def _headline(session: ConsoleSession, robot: Robot) -> str:
     """The state in one or two words."""
     if session.phase is Phase.READY and robot.policy.state == "RUNNING":
         return "Policy"

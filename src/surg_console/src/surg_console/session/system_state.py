@@ -137,6 +137,6 @@ class Robot:
         return bool(self.arms) and all(arm.ready() for arm in self.arms)
 
     @property
-    def astray(self) -> tuple[str, ...]:
+    def faulted_arms(self) -> tuple[str, ...]:
         """Simulated arms in FAULT: nobody stands beside them who could put them back."""
         return tuple(a.name for a in self.arms if self.simulated and a.state == "FAULT")

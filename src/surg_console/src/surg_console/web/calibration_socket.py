@@ -30,7 +30,7 @@ class System(Protocol):
     def robot(self) -> Robot:
         """Its present state."""
 
-    def obey(self, orders: list[Order]) -> None:
+    def publish_orders(self, orders: list[Order]) -> None:
         """Send orders; must not block."""
 
 
@@ -79,7 +79,7 @@ class CalibrationPages:
             if why:
                 await socket.send_str(json.dumps({"say": "refused", "why": why}))
             else:
-                self._system.obey([Calibrate(message.request)])
+                self._system.publish_orders([Calibrate(message.request)])
 
     async def _send(self, socket: web.WebSocketResponse) -> None:
         sent = ""

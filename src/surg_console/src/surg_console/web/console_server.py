@@ -18,17 +18,17 @@ from typing import Any, Protocol
 
 from aiohttp import web
 
-from surg_console.session.console_orders import Follow, Order, Present
-from surg_console.session.console_session import Session
+from surg_console.session.console_orders import EnableTeleop, Order, SetOperatorPresent
+from surg_console.session.console_session import ConsoleSession
 from surg_console.session.episode_list import Entry
 from surg_console.session.page_status import report
 from surg_console.session.system_state import Robot
 from surg_console.web.access import Access
 from surg_console.web.admission import Admission
-from surg_console.web.beside_socket import PERIODS, BesidePages
 from surg_console.web.calibration_socket import CalibrationPages
 from surg_console.web.control_socket import ControlPages
 from surg_console.web.encoder_process import EncoderProcess
+from surg_console.web.overlay_socket import PERIODS, OverlayPages
 from surg_console.web.page_protocol import LONGEST
 from surg_console.web.page_server import PageServer, listen
 from surg_console.web.picture_packet import Packet
@@ -57,26 +57,26 @@ class System(Protocol):
     def robot(self) -> Robot:
         """Its present state."""
 
-    def told(self) -> None:
+    def reset_peaks(self) -> None:
         """The pages have got the state; peak values start again."""
 
-    def obey(self, orders: list[Order]) -> None:
+    def publish_orders(self, orders: list[Order]) -> None:
         """Send orders; must not block."""
 
-    def live(self) -> None:
+    def keep_alive(self) -> None:
         """Called all the time: re-publishes what is held down, so that silence is noticed."""
 
     def entries(self) -> list[Entry]:
         """The recorded episodes; may read files."""
 
     def watch(self, what: str, wanted: bool) -> None:
-        """See `beside_socket.Source`."""
+        """See `overlay_socket.Source`."""
 
-    def beside(self, what: str) -> str:
-        """See `beside_socket.Source`."""
+    def overlay(self, what: str) -> str:
+        """See `overlay_socket.Source`."""
 
 
-class Server:
+class ConsoleServer:
     """One console.
 
     Args:
@@ -87,7 +87,7 @@ class Server:
     def __init__(
         self,
         access: Access,
-        session: Session,
+        session: ConsoleSession,
         system: System,
         pictures: EncoderProcess,
         facts: Mapping[str, Any],
@@ -100,7 +100,7 @@ class Server:
         self._control = ControlPages(session, system, facts, clock)
         self._pictures = PicturePages(pictures, clock)
         self._calibrators = CalibrationPages(system, {"cell": facts["cell"]}, clock)
-        self._beside = BesidePages(system)
+        self._overlays = OverlayPages(system)
         self._server = PageServer(access, PAGES, self._routes(), LONGEST)
         self._admission = Admission(access, self._server.keep, clock)
 
@@ -112,14 +112,14 @@ class Server:
             self._socket("/status", control.serve_monitor, lambda: control.monitors),
             self._socket("/pictures", pictures.serve, lambda: pictures.open),
             self._socket("/calibration", calibrators.serve, lambda: calibrators.open),
-            *(self._beside_socket(what) for what in PERIODS),
+            *(self._overlay_socket(what) for what in PERIODS),
         ]
 
-    def _beside_socket(self, what: str) -> web.RouteDef:
+    def _overlay_socket(self, what: str) -> web.RouteDef:
         async def serve(socket: web.WebSocketResponse) -> None:
-            await self._beside.serve(socket, what)
+            await self._overlays.serve(socket, what)
 
-        return self._socket(f"/{what}", serve, lambda: self._beside.open(what))
+        return self._socket(f"/{what}", serve, lambda: self._overlays.open(what))
 
     def _socket(self, path: str, serve: Serve, open_pages: Callable[[], int]) -> web.RouteDef:
         async def handle(request: web.Request) -> web.StreamResponse:
@@ -150,7 +150,7 @@ class Server:
                     task.result()  # raises what a failed task has raised
             finally:
                 self._control.ending = True
-                self._system.obey([Present(False), Follow(False)])
+                self._system.publish_orders([SetOperatorPresent(False), EnableTeleop(False)])
                 for task in tasks:
                     task.cancel()
                 await self._admission.close_all()
@@ -167,7 +167,7 @@ class Server:
         while True:
             self._session.tick(self._system.robot(), self._clock())
             self._control.send_orders()
-            self._system.live()
+            self._system.keep_alive()
             self._pictures.request_keys()
             await asyncio.sleep(TICK)
 
@@ -175,7 +175,7 @@ class Server:
         while True:
             status = report(self._session, self._system.robot(), self._limits, self._clock())
             status["picture_problem"] = self._picture_problem
-            self._system.told()
+            self._system.reset_peaks()
             self._control.update_all("status", json.dumps(status, allow_nan=False))
             await asyncio.sleep(STATUS)
 

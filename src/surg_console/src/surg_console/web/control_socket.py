@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from surg_console.session.console_orders import Order
-from surg_console.session.console_session import Session
+from surg_console.session.console_session import ConsoleSession
 from surg_console.session.system_state import Robot
 from surg_console.web.page_connection import MessageBudget, Outbox
 from surg_console.web.page_dispatch import dispatch
@@ -30,7 +30,7 @@ class System(Protocol):
     def robot(self) -> Robot:
         """Its present state."""
 
-    def obey(self, orders: list[Order]) -> None:
+    def publish_orders(self, orders: list[Order]) -> None:
         """Send orders; must not block."""
 
 
@@ -44,7 +44,7 @@ class ControlPages:
 
     def __init__(
         self,
-        session: Session,
+        session: ConsoleSession,
         system: System,
         facts: Mapping[str, Any],
         clock: Callable[[], float],
@@ -66,7 +66,7 @@ class ControlPages:
         """Publish what the session has decided."""
         orders = self._session.take_orders()
         if orders:
-            self._system.obey(orders)
+            self._system.publish_orders(orders)
 
     async def serve(self, socket: web.WebSocketResponse) -> None:
         """A page of the session, until it disconnects or breaks the protocol."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from surg_console.session import operator_messages
-from surg_console.session.console_session import Session
+from surg_console.session.console_session import ConsoleSession
 from surg_console.session.system_state import Robot
 from surg_console.web.page_protocol import (
     Hidden,
@@ -15,7 +15,9 @@ from surg_console.web.page_protocol import (
 )
 
 
-def dispatch(session: Session, message: PageMessage, page: str, robot: Robot, now: float) -> str:
+def dispatch(
+    session: ConsoleSession, message: PageMessage, page: str, robot: Robot, now: float
+) -> str:
     """Hand a message of the control socket to the session; returns why it is refused.
 
     Raises:
@@ -34,7 +36,7 @@ def dispatch(session: Session, message: PageMessage, page: str, robot: Robot, no
     raise ProtocolError(f"{type(message).__name__.lower()} does not belong on this socket")
 
 
-def _press(session: Session, message: Press, page: str, robot: Robot, now: float) -> str:
+def _press(session: ConsoleSession, message: Press, page: str, robot: Robot, now: float) -> str:
     in_time = session.in_time(page, message.at, now)
     if message.button == "stop":  # obeyed however late
         session.stop(robot, page)
@@ -48,8 +50,8 @@ def _press(session: Session, message: Press, page: str, robot: Robot, now: float
         return session.take(page, now)
     if message.button == "enable":
         return session.enable(page, robot, now)
-    if message.button == "put_back":
-        return session.put_back(page, robot)
+    if message.button == "guide_home":
+        return session.guide_home(page, robot)
     if message.button == "policy":
         return session.policy(page, robot, now)
     return session.record(page, message.button == "record")

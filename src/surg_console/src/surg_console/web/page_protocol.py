@@ -110,7 +110,7 @@ class CalibrationPress:
 
 PageMessage = Hello | Input | Press | Scale | Hidden | Ping | Watch | Shown | CalibrationPress
 
-PRESSES = ("take", "release", "enable", "stop", "record", "record_stop", "policy", "put_back")
+PRESSES = ("take", "release", "enable", "stop", "record", "record_stop", "policy", "guide_home")
 CALIBRATION_REQUESTS = ("START_STEREO", "START_HANDEYE", "UNDO", "SOLVE")
 HIDDEN = ("hidden", "closed", "gamepad", "pointer", "headset", "recentred")
 

@@ -18,8 +18,8 @@ from surg_emulators.datagram_faults import DatagramChannel
 from surg_emulators.emulator_ports import (
     CONTROL,
     Connection,
+    EmulatorSession,
     PortedEmulator,
-    Session,
     parse_ports,
     prepare,
     serve,
@@ -132,7 +132,7 @@ class FrankaEmulator(PortedEmulator):
 
     # Connections ---------------------------------------------------------------------------------
 
-    def _session(self, service: str) -> Session:
+    def _session(self, service: str) -> EmulatorSession:
         return FciSession(self.controller)
 
     def _most(self, service: str) -> int:

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from surg_emulators.emulator_ports import (
     CONTROL,
     Connection,
+    EmulatorSession,
     PortedEmulator,
-    Session,
     parse_ports,
     prepare,
     serve,
@@ -188,7 +188,7 @@ class UrEmulator(PortedEmulator):
         if isinstance(connection.session, RtdeSession):
             connection.session.leave()
 
-    def _session(self, service: str) -> Session:
+    def _session(self, service: str) -> EmulatorSession:
         if service == "rtde":
             return RtdeSession(self.controller)
         if service == "dashboard":

@@ -19,8 +19,8 @@ from surg_msgs.msg import CalibrationRequest, CalibrationStatus
 from surg_perception.calibration.board import Picture
 from surg_perception.collecting import collector
 from surg_perception.collecting.arm_joints_node import SILENT_S, ArmJoints
-from surg_perception.collecting.collector import Step
-from surg_perception.collecting.live_calibration import LiveCalibration, State, Status
+from surg_perception.collecting.collector import CalibrationStep
+from surg_perception.collecting.live_calibration import CalibrationState, LiveCalibration, Status
 from surg_perception.stereo.newest_pair_node import EYES, NewestPair
 
 GREY = {"rgb8": cv2.COLOR_RGB2GRAY, "bgr8": cv2.COLOR_BGR2GRAY, "mono8": None}
@@ -45,7 +45,7 @@ class CollectViews:
             rospy.Subscriber("/endoscope/left/camera_info", CameraInfo, self._on_info),
         ]
 
-    def start(self, step: Step) -> None:
+    def start(self, step: CalibrationStep) -> None:
         """Begin a step; raises as `LiveCalibration.start`."""
         self._live.start(step)
         self._seen = rospy.get_time()
@@ -74,7 +74,7 @@ class CollectViews:
             self._obey(request)
         if pair is not None:
             self._look(pair)
-        elif self._live.status.state is State.COLLECTING:
+        elif self._live.status.state is CalibrationState.COLLECTING:
             self._silence()
         self._live.step_on(self._report)
         self._report()
@@ -110,8 +110,8 @@ class CollectViews:
 
     def _obey(self, request: int) -> None:
         starts = {
-            CalibrationRequest.START_STEREO: Step.STEREO,
-            CalibrationRequest.START_HANDEYE: Step.HANDEYE,
+            CalibrationRequest.START_STEREO: CalibrationStep.STEREO,
+            CalibrationRequest.START_HANDEYE: CalibrationStep.HANDEYE,
         }
         if request in starts:
             try:

@@ -49,7 +49,7 @@ TILTS = ("facing the lens", "tilted forwards or backwards", "tilted to the left 
 QUARTERS = ("upper left", "upper right", "lower left", "lower right")
 
 
-class Step(Enum):
+class CalibrationStep(Enum):
     """What the views are for."""
 
     STEREO = "stereo"
@@ -105,10 +105,10 @@ class Collector:
         fields: ``(20,)`` views that show the board in each field of the left picture.
     """
 
-    def __init__(self, step: Step, board: Board, size: tuple[int, int]) -> None:
+    def __init__(self, step: CalibrationStep, board: Board, size: tuple[int, int]) -> None:
         self.step, self.board, self.size = step, board, size
         self.taken: list[BoardDetection] = []
-        self.wanted = WANTED_STEREO if step is Step.STEREO else WANTED_HANDEYE
+        self.wanted = WANTED_STEREO if step is CalibrationStep.STEREO else WANTED_HANDEYE
         self._recent: deque[BoardDetection] = deque()
         self._count()
 
@@ -156,7 +156,7 @@ class Collector:
         """Each need: how far it is met, and in words."""
         needs = (
             stereo_needs(taken, self.board, self.size)
-            if self.step is Step.STEREO
+            if self.step is CalibrationStep.STEREO
             else handeye_needs(taken)
         )
         n = self.wanted - len(taken)
@@ -167,15 +167,15 @@ class Collector:
         """Why a look is no view; empty: it is one."""
         if not is_sharp(look):
             return f"The picture is blurred ({blur_in_words(look)}). Focus, or change the distance."
-        if self.step is Step.HANDEYE and look.X_BF is None:
+        if self.step is CalibrationStep.HANDEYE and look.X_BF is None:
             return "Hold the endoscope still."
         still_needed = f"Still needed: {next(iter(self.missing), 'nothing')}."
-        if not is_new(look, self.taken, self.step is Step.HANDEYE):
+        if not is_new(look, self.taken, self.step is CalibrationStep.HANDEYE):
             return f"This view is there already. {still_needed}"
         if not self._adds(look):
             return f"This view adds nothing. {still_needed}"
         if not is_still(tuple(self._recent)):
-            what = "board" if self.step is Step.STEREO else "endoscope"
+            what = "board" if self.step is CalibrationStep.STEREO else "endoscope"
             return f"Good place. Hold the {what} still."
         return ""
 

@@ -18,11 +18,11 @@ from surg_perception.calibration.board import Board, Picture
 from surg_perception.calibration.result_files import Origin, check_one_eye, read_eyes
 from surg_perception.collecting import collector
 from surg_perception.collecting.board_detection import look_at, rough_lens
-from surg_perception.collecting.collector import Collector, Step
+from surg_perception.collecting.collector import CalibrationStep, Collector
 from surg_perception.collecting.views_folder import ViewsFolder
 
 
-class State(Enum):
+class CalibrationState(Enum):
     """What is going on; the names are those of surg_msgs/CalibrationStatus."""
 
     IDLE = "idle"
@@ -35,8 +35,8 @@ class State(Enum):
 class Status:
     """What people and pages see; see surg_msgs/CalibrationStatus."""
 
-    state: State = State.IDLE
-    step: Step | None = None
+    state: CalibrationState = CalibrationState.IDLE
+    step: CalibrationStep | None = None
     views: int = 0
     wanted: int = 0
     progress: float = 0.0
@@ -68,8 +68,8 @@ class LiveCalibration:
     """
 
     cell: surg_core.Cell
-    new_folder: Callable[[Step], Path]
-    origin: Callable[[Step, Path], Origin]
+    new_folder: Callable[[CalibrationStep], Path]
+    origin: Callable[[CalibrationStep, Path], Origin]
     lens_state: str = ""
     write: bool = True
     left_only: bool = False
@@ -82,8 +82,8 @@ class LiveCalibration:
         self._collector: Collector | None = None
         self._folder: ViewsFolder | None = None
         self._board: Board | None = None
-        self._step: Step | None = None
-        self._state, self._hint = State.IDLE, "Choose a step."
+        self._step: CalibrationStep | None = None
+        self._state, self._hint = CalibrationState.IDLE, "Choose a step."
         self._result: tuple[str, ...] = ()
         self._residual = math.nan
         self._corners: tuple[float, ...] = ()
@@ -94,9 +94,9 @@ class LiveCalibration:
     @property
     def arm(self) -> surg_core.Arm | None:
         """The arm whose joints the views hold; None: they hold none."""
-        return steps.scope_arm(self.cell) if self._step is Step.HANDEYE else None
+        return steps.scope_arm(self.cell) if self._step is CalibrationStep.HANDEYE else None
 
-    def start(self, step: Step) -> None:
+    def start(self, step: CalibrationStep) -> None:
         """Begin a step with a new folder.
 
         Raises:
@@ -109,18 +109,18 @@ class LiveCalibration:
             self.eyes = eyes = self._eyes_of(step, arm, calibration)
             folder = self.new_folder(step)
             board = steps.find_board(calibration, folder)
-            if step is Step.HANDEYE:
+            if step is CalibrationStep.HANDEYE:
                 joints = [f"{arm.name}/{joint}" for joint in arm.robot.joint_names]
             self._folder, self._board = ViewsFolder(folder, board, joints), board
-            self._step, self._state, self._collector = step, State.COLLECTING, None
+            self._step, self._state, self._collector = step, CalibrationState.COLLECTING, None
             self._result, self._residual, self._corners = (), math.nan, ()
             self._asked = False
             self._hint = f"Waiting for pictures of {'both eyes' if eyes > 1 else 'the eye'}."
             self._publish()
 
-    def _eyes_of(self, step: Step, arm: surg_core.Arm, calibration: Path) -> int:
+    def _eyes_of(self, step: CalibrationStep, arm: surg_core.Arm, calibration: Path) -> int:
         """How many eyes a step looks at: what was measured before, or what the instrument has."""
-        if step is Step.HANDEYE:
+        if step is CalibrationStep.HANDEYE:
             return 1 if read_eyes(calibration)[1] is None else 2
         camera = arm.instrument.camera
         assert camera is not None
@@ -136,7 +136,7 @@ class LiveCalibration:
     def undo(self) -> None:
         """Delete the last view."""
         with self._lock:
-            if self._state is not State.COLLECTING or self._collector is None:
+            if self._state is not CalibrationState.COLLECTING or self._collector is None:
                 self._hint = "There is no view to delete."
             elif self._collector.undo():
                 assert self._folder is not None
@@ -147,7 +147,7 @@ class LiveCalibration:
     def ask_to_solve(self) -> None:
         """Solve with the views so far, at the next opportunity of `step_on`."""
         with self._lock:
-            self._asked = self._state is State.COLLECTING
+            self._asked = self._state is CalibrationState.COLLECTING
 
     def refuse(self, why: str) -> None:
         """State why a step was not started."""
@@ -158,7 +158,7 @@ class LiveCalibration:
     def say(self, hint: str) -> None:
         """State what is wrong with the running system."""
         with self._lock:
-            if self._state is State.COLLECTING:
+            if self._state is CalibrationState.COLLECTING:
                 self._hint, self._corners = hint, ()
                 self._publish()
 
@@ -176,7 +176,7 @@ class LiveCalibration:
             q: Joint positions (n,) of `arm` in rest at the exposure [rad]; None: it moves.
         """
         with self._lock:
-            if self._state is not State.COLLECTING or self._folder is None:
+            if self._state is not CalibrationState.COLLECTING or self._folder is None:
                 return
             size = (pair[0].shape[1], pair[0].shape[0])
             if self._collector is None:
@@ -225,9 +225,9 @@ class LiveCalibration:
         with self._lock:
             collecting, folder, step = self._collector, self._folder, self._step
             due = collecting is not None and (self._asked or collecting.complete)
-            if self._state is not State.COLLECTING or not due:
+            if self._state is not CalibrationState.COLLECTING or not due:
                 return False
-            self._state, self._asked, self._hint = State.SOLVING, False, "Solving."
+            self._state, self._asked, self._hint = CalibrationState.SOLVING, False, "Solving."
             self._publish()
         assert collecting is not None and folder is not None and step is not None
         before()
@@ -235,12 +235,12 @@ class LiveCalibration:
         with self._lock:
             self._result, self._residual = tuple(lines), residual
             if solved:
-                self._state = State.DONE
+                self._state = CalibrationState.DONE
                 self._hint = f"The step {step.value} is done."
                 if self.write:
                     self._hint += " Restart the system."
             else:
-                self._state = State.COLLECTING
+                self._state = CalibrationState.COLLECTING
                 collecting.more()
                 self._hint = "Not accepted yet; see the reasons. " + collector.hint(
                     collecting.missing
@@ -248,14 +248,14 @@ class LiveCalibration:
             self._publish()
         return solved
 
-    def _solve(self, step: Step, path: Path) -> tuple[bool, float, Sequence[str]]:
+    def _solve(self, step: CalibrationStep, path: Path) -> tuple[bool, float, Sequence[str]]:
         """Whether it is accepted, its residual [px] (NaN: none), and lines for people."""
         origin, calibration = self.origin(step, path), self.cell.folder / "calibration"
         try:
-            if step is Step.STEREO and self.eyes == 1:
+            if step is CalibrationStep.STEREO and self.eyes == 1:
                 lens, lines = steps.camera(calibration, path, origin, self.write)
                 return True, lens.held_out, lines
-            if step is Step.STEREO:
+            if step is CalibrationStep.STEREO:
                 found, lines = steps.stereo(calibration, path, origin, self.lens_state, self.write)
                 return True, found.held_out, lines
             result, lines = steps.handeye(self.cell, path, origin, self.write)

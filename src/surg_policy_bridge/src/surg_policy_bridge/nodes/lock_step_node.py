@@ -15,7 +15,7 @@ from surg_core.contract import GRID, SECOND_NS, TICK_NS
 from surg_policy_bridge.nodes.server_io_node import ServerIO
 from surg_policy_bridge.server.model_server import ServerState
 from surg_policy_bridge.server.observer import Observation
-from surg_ros.participant import Participant, Seen
+from surg_ros.participant import Participant, TickInputs
 from surg_ros.peers import publishers
 
 PATIENCE_NS = 8 * SECOND_NS
@@ -116,7 +116,7 @@ class LockStep:
                 return f"{topic} is not connected yet"
         return ""
 
-    def _on_tick(self, seen: Seen) -> bool | None:
+    def _on_tick(self, seen: TickInputs) -> bool | None:
         """All cycles of a tick are here; a tick of the grid is answered by `turn`."""
         if seen.tick % GRID:
             return False

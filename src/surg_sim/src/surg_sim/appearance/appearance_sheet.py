@@ -17,7 +17,7 @@ from surg_sim.appearance.domain_randomization import DomainRandomization
 from surg_sim.appearance.endoscope_renderer import EndoscopeRenderer
 from surg_sim.appearance.opengl import NoOpenGL
 from surg_sim.arrays import Picture
-from surg_sim.envs.cell_session import Session
+from surg_sim.envs.cell_session import CellSession
 from surg_sim.envs.episode_runner import run_episode
 from surg_sim.physics import cell_files
 from surg_sim.tasks import load
@@ -29,7 +29,7 @@ COLUMNS = 4
 
 def sheet(randomization: DomainRandomization, task: str, seed: int, count: int) -> Picture:
     """Left pictures of the end of the expert's episode, as this seed and the next draw them."""
-    session = Session(cell_files.find(load(task).home_cell), task, seed=seed, visuals=True)
+    session = CellSession(cell_files.find(load(task).home_cell), task, seed=seed, visuals=True)
     run_episode(session, seed)
     renderer = EndoscopeRenderer(session.world, ("left",), *SIZE)
     width, height = SIZE[0] // 2, SIZE[1] // 2

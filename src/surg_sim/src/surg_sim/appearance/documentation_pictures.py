@@ -24,7 +24,7 @@ from surg_sim.appearance import cell_picture
 from surg_sim.appearance.drawing import look
 from surg_sim.appearance.opengl import NoOpenGL
 from surg_sim.arrays import Picture
-from surg_sim.envs.cell_session import Session, Tick
+from surg_sim.envs.cell_session import CellSession, Tick
 from surg_sim.envs.episode_runner import run_episode
 from surg_sim.physics import cell_files, endoscope_rig, scene
 from surg_sim.physics.spec_parts import quaternion
@@ -94,7 +94,7 @@ def episode(
     Raises:
         ValueError: The episode fails, or a moment does not come.
     """
-    session = Session(
+    session = CellSession(
         cell_files.find(tasks.load(task).home_cell), task, setting, seed, visuals=True
     )
     taken: dict[str, Picture] = {}

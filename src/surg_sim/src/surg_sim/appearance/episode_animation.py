@@ -18,7 +18,7 @@ from surg_sim.appearance import cell_picture
 from surg_sim.appearance.documentation_pictures import close_up
 from surg_sim.appearance.opengl import NoOpenGL
 from surg_sim.arrays import Array, Picture
-from surg_sim.envs.cell_session import Session, Tick
+from surg_sim.envs.cell_session import CellSession, Tick
 from surg_sim.envs.episode_runner import run_episode
 from surg_sim.physics import cell_files, scene
 from surg_sim.tasks import episode_seeds
@@ -31,7 +31,7 @@ _GAP = 8  # [px]
 _QUALITY = 70  # of WebP, 0 to 100
 
 
-def states_of(session: Session, seed: int, count: int) -> tuple[list[Array], float]:
+def states_of(session: CellSession, seed: int, count: int) -> tuple[list[Array], float]:
     """Play an episode of a session built with visuals.
 
     Returns ``count`` joint positions (nq,) at equal distances in time, and the duration [s].
@@ -52,7 +52,7 @@ def states_of(session: Session, seed: int, count: int) -> tuple[list[Array], flo
     return [seen[i] for i in chosen], len(seen) * GRID * TICK
 
 
-def frames_of(session: Session, states: list[Array]) -> list[Picture]:
+def frames_of(session: CellSession, states: list[Array]) -> list[Picture]:
     """The room on the left, the endoscope's left picture on the right."""
     with close_up(session.world):
         room = cell_picture.series(session.world, scene.OVERVIEW, *_ROOM, states)
@@ -91,7 +91,7 @@ def main(words: list[str] | None = None) -> int:
     options = parser.parse_args(words)
     try:
         cell = cell_files.find(tasks.load(options.task).home_cell)
-        session = Session(cell, options.task, seed=options.seed, visuals=True)
+        session = CellSession(cell, options.task, seed=options.seed, visuals=True)
         count = round(1000 * options.seconds / FRAME_MS)
         states, duration = states_of(session, options.seed, count)
         frames = frames_of(session, states)

@@ -64,7 +64,7 @@ class Tick:
         return Observation(tick=self.tick, arms=arms, task=self.state, phase=self.verdict.phase)
 
 
-class Session:
+class CellSession:
     """Episodes of one task in one compiled scene.
 
     Args:
@@ -213,7 +213,7 @@ def decode(commands: ArmCommands, tick: int) -> list[Command]:
 def merge(
     actions: Sequence[Action], tick: int
 ) -> tuple[dict[str, list[Command]], AssistantCommand | None]:
-    """The actions of several senders for a tick as ``Session.tick`` takes them, in their order."""
+    """Actions of several senders for a tick, in their order, for ``CellSession.tick``."""
     commands: dict[str, list[Command]] = {}
     assistant = None
     for each in actions:

@@ -24,7 +24,7 @@ from surg_sim.tasks.scripted_arm import ArmExpert
 
 
 @dataclass(frozen=True)
-class Plan:
+class DemonstrationPlan:
     """What all demonstrations have in common."""
 
     out: Path  # folder of the recordings; each is ``<out>/<seed>``
@@ -77,7 +77,7 @@ class Demonstration:
 
 
 def play(
-    plan: Plan,
+    plan: DemonstrationPlan,
     seeds: Sequence[int],
     workers: int = 2,
     progress: Callable[[int, Demonstration], None] = lambda n, made: None,
@@ -119,10 +119,10 @@ def _leave_signals_to_the_parent() -> None:
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the parent may turn it into an exception
 
 
-_sessions: dict[Plan, RecordedSession] = {}
+_sessions: dict[DemonstrationPlan, RecordedSession] = {}
 
 
-def _play_one(plan: Plan, seed: int, index: int) -> Demonstration:
+def _play_one(plan: DemonstrationPlan, seed: int, index: int) -> Demonstration:
     """In a process of the pool, which compiles the scene once.
 
     With pictures, once for each episode: the seed draws the look of the tissue, as in a graph.

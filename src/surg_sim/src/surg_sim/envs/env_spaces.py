@@ -12,7 +12,7 @@ from gymnasium import spaces
 from surg_core.arm_view import ArmCommands, TipPose
 from surg_core.contract import ARM_ACTION, ARM_FORCE, ARM_STATE
 from surg_sim.arrays import Array
-from surg_sim.envs.cell_session import Session, Tick
+from surg_sim.envs.cell_session import CellSession, Tick
 from surg_sim.tasks.scripted_sender import home_frame, into, out_of
 
 ASSISTANT_STATE = ("yaw", "pitch", "insertion", "roll", "jaw")
@@ -26,7 +26,11 @@ class EnvSpaces:
     """
 
     def __init__(
-        self, session: Session, images: Sequence[str], size: tuple[int, int], forces: bool = False
+        self,
+        session: CellSession,
+        images: Sequence[str],
+        size: tuple[int, int],
+        forces: bool = False,
     ) -> None:
         self._session, self._images, self._size, self._forces = session, images, size, forces
         self.arms = session.task.commanded

@@ -13,7 +13,7 @@ import numpy as np
 
 from surg_core.contract import GRID, TICK
 from surg_sim.arrays import Array
-from surg_sim.envs.cell_session import Session, Tick, merge
+from surg_sim.envs.cell_session import CellSession, Tick, merge
 from surg_sim.tasks.scripted_sender import Expert
 
 _Sample = tuple[float, float, float, float]  # kinematic, true, force, displacement
@@ -58,7 +58,7 @@ class EpisodeReport:
 
 
 def run_episode(
-    session: Session,
+    session: CellSession,
     seed: int,
     experts: Mapping[str, Expert] | None = None,
     watch: Callable[[Tick], None] | None = None,

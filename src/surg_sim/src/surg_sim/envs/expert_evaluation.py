@@ -25,7 +25,7 @@ from pathlib import Path
 from surg_core.wilson import wilson_interval
 from surg_sim import tasks
 from surg_sim.envs import rows_of_page
-from surg_sim.envs.cell_session import Session
+from surg_sim.envs.cell_session import CellSession
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
 from surg_sim.physics import cell_files
 from surg_sim.physics.patient_settings import SETTINGS, Breathing, PatientSetting, find_setting
@@ -54,7 +54,7 @@ class Series:
     def run(self) -> list[EpisodeReport]:
         """All episodes, one after another, in one compiled scene."""
         path = cell_files.find(self.cell)
-        session = Session(path, self.task, self.condition, self.seeds[0], law=self.law)
+        session = CellSession(path, self.task, self.condition, self.seeds[0], law=self.law)
         return [run_episode(session, seed) for seed in self.seeds]
 
 

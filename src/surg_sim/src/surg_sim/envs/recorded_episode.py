@@ -17,7 +17,7 @@ import numpy as np
 import surg_core
 from surg_core.contract import FORCE_TICKS, GRID, SECOND_NS, TICK_NS
 from surg_core.transforms import matrix_to_quaternion_xyzw
-from surg_sim.envs.cell_session import Command, Session, Tick
+from surg_sim.envs.cell_session import CellSession, Command, Tick
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
 from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.endoscope_rig import FRAMES
@@ -42,7 +42,7 @@ SENDER = "/expert"
 _JAW = "jaw/servo_jp"
 
 
-class RecordedSession(Session):
+class RecordedSession(CellSession):
     """A session that records every tick, for a cell given by its path.
 
     The recording describes the cell's files. Cameras are views to render and record, of ``left``
@@ -185,7 +185,7 @@ class RecordedSession(Session):
         commands: Mapping[str, Sequence[Command]] | None = None,
         assistant: AssistantCommand | None = None,
     ) -> Tick:
-        """See ``Session.tick``; writes what it was given, what was there and what came out."""
+        """See ``CellSession.tick``; writes what it was given, what was there and what came out."""
         recording, world = self._recording, self.world
         if recording is None:
             return super().tick(commands, assistant)

@@ -30,7 +30,7 @@ from surg_core.arm_view import ArmCommands, ArmView
 from surg_core.bring_up import BringUp
 from surg_core.contract import GRID, GRID_RATE, TICK_NS
 from surg_sim.appearance.domain_randomization import Appearance, DomainRandomization
-from surg_sim.envs.cell_session import Session, Tick, merge
+from surg_sim.envs.cell_session import CellSession, Tick, merge
 from surg_sim.envs.env_spaces import EnvSpaces
 from surg_sim.physics import cell_files
 from surg_sim.tasks import episode_seeds, load, names
@@ -109,7 +109,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         )
         self._appearance: Appearance | None = None
         path = cell_files.find(cell or load(task).home_cell)
-        self.session = Session(path, task, setting, seed_appearance, drawn, law)
+        self.session = CellSession(path, task, setting, seed_appearance, drawn, law)
         self.render_mode, self._images = render_mode, tuple(v for v in CAMERAS if v in images)
         self._size = (width, height)
         self._renderers: dict[tuple[str, ...], Any] = {}

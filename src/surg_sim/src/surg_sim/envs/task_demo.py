@@ -20,7 +20,7 @@ from surg_sim import tasks
 from surg_sim.appearance.endoscope_renderer import EndoscopeRenderer
 from surg_sim.appearance.opengl import NoOpenGL
 from surg_sim.arrays import Picture
-from surg_sim.envs.cell_session import LAWS, Session, Tick
+from surg_sim.envs.cell_session import LAWS, CellSession, Tick
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
 from surg_sim.physics import cell_files, patient_settings
 from surg_sim.tasks import episode_seeds
@@ -30,7 +30,7 @@ from surg_sim.tasks import episode_seeds
 class Watch:
     """Collects what video and figure show."""
 
-    session: Session  # the episode's
+    session: CellSession  # the episode's
     camera: EndoscopeRenderer | None  # draws the endoscope's picture; None: no pictures
     pictures: list[Picture] = field(default_factory=list)  # at 20 fps
     # (time [s], name) of every change.
@@ -134,7 +134,9 @@ def main(words: Sequence[str] | None = None) -> int:
     try:
         cell = cell_files.find(options.cell or tasks.load(options.task).home_cell)
         visuals = not options.no_video
-        session = Session(cell, options.task, options.setting, options.seed, visuals, options.law)
+        session = CellSession(
+            cell, options.task, options.setting, options.seed, visuals, options.law
+        )
         camera = None
         if visuals:
             camera = EndoscopeRenderer(session.world, ("left",), *options.size)

@@ -23,7 +23,7 @@ from surg_core.contract import SECOND_NS
 from surg_msgs.msg import SenderStatus
 from surg_ros.arm_port import SERVO_INSTRUMENT, ArmPort
 from surg_ros.params import read
-from surg_ros.participant import ASSISTANT, Participant, Seen
+from surg_ros.participant import ASSISTANT, Participant, TickInputs
 from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.sim_parameters import SenderSettings
 from surg_sim.tasks import load
@@ -54,7 +54,7 @@ class ExpertNode:
         if message.state == "ENABLED":
             self._awaited.discard(arm)
 
-    def _act(self, seen: Seen) -> bool:
+    def _act(self, seen: TickInputs) -> bool:
         if seen.task is None or self._awaited:  # off the grid, or nobody is there to work with
             return False
         message = seen.task

@@ -65,7 +65,7 @@ class Bridge:
         if settings.inject:
             rospy.Subscriber("/sim/inject", String, self._on_inject)
         self._guided: dict[str, HandGuiding] = {}
-        rospy.Subscriber("/sim/by_hand", String, self._on_by_hand)
+        rospy.Subscriber("/sim/guide_home", String, self._on_guide_home)
         self._arms = [
             ArmTopics(world.cell.arms[name], self.lockstep, settings.track_stale, self._on_command)
             for name in world.arms
@@ -137,13 +137,13 @@ class Bridge:
                 rospy.logerr(f"/sim/inject: {error}")
             self._publish_status()
 
-    def _on_by_hand(self, message: String) -> None:
+    def _on_guide_home(self, message: String) -> None:
         """Start guiding an arm home."""
         name = message.data
         if self.lockstep or name not in self._world.arms:
             rospy.logwarn(
-                f"/sim/by_hand: cannot guide '{name}'; allowed are {', '.join(self._world.arms)}, "
-                "in real time only (~mode freerun)"
+                f"/sim/guide_home: cannot guide '{name}'; allowed are "
+                f"{', '.join(self._world.arms)}, in real time only (~mode freerun)"
             )
             return
         rospy.loginfo(f"{name}: guided home by hand")

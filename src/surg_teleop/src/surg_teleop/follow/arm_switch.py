@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from surg_core.arm_view import ArmView
 from surg_core.hand.leader_sample import LeaderSample
-from surg_teleop.follow.teleop_types import CameraView, State, TeleopOutput
+from surg_teleop.follow.teleop_types import CameraView, TeleopOutput, TeleopState
 from surg_teleop.follow.teleoperation import Teleop
 
 
@@ -46,8 +46,8 @@ class ArmSwitch:
         itself asks for enable, so it means on then.
         """
         state = self.instrument.state
-        clutched = state is State.CLUTCHED and not buttons.isdisjoint(("clutch", "camera"))
-        return not (clutched or state is State.FOLLOWING)
+        clutched = state is TeleopState.CLUTCHED and not buttons.isdisjoint(("clutch", "camera"))
+        return not (clutched or state is TeleopState.FOLLOWING)
 
     def tick(
         self,

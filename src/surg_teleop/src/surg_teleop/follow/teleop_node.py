@@ -36,8 +36,8 @@ from surg_ros.arm_port import KINDS, SERVO_INSTRUMENT, ArmPort, arm_view
 from surg_ros.byte_topics import BytesSubscriber
 from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError
-from surg_ros.participant import Participant, Seen
-from surg_teleop.follow.felt_force_node import FeltForces
+from surg_ros.participant import Participant, TickInputs
+from surg_teleop.follow.force_feedback_node import ForceFeedbackTopics
 from surg_teleop.follow.operator_topics_node import OperatorTopics, listen
 from surg_teleop.follow.picture_watch import PictureWatch
 from surg_teleop.follow.servo_instrument import ServoInstrument
@@ -86,7 +86,7 @@ class TeleopNode:
             if isinstance(hand.leader, CrtkLeader):
                 CrtkTopics(hand.leader, self._lock, self._wake)
         self._operator = OperatorTopics(setup.hands, self._status, self._lock, self._wake)
-        self._felt = FeltForces(setup.hands, self._lock) if setup.haptics else None
+        self._felt = ForceFeedbackTopics(setup.hands, self._lock) if setup.haptics else None
         if setup.assistant is not None:
             listen(f"/{ASSISTANT}/measured_js", JointState, self._on_joints, setup.assistant)
             listen(f"/{ASSISTANT}/jaw/measured_js", JointState, self._on_jaw, setup.assistant)
@@ -131,7 +131,7 @@ class TeleopNode:
             for hand in self._setup.hands:
                 hand.leader.close()
 
-    def _on_tick(self, seen: Seen) -> bool | None:
+    def _on_tick(self, seen: TickInputs) -> bool | None:
         """Lock-step: the cycles of all arms have arrived; with the lock held."""
         if self.finished.is_set():
             return None

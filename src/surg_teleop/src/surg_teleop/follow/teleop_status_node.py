@@ -11,7 +11,7 @@ from std_msgs.msg import Bool, Float64, String
 from surg_core.contract import SECOND_NS
 from surg_msgs.msg import HandStatus, TeleopStatus
 from surg_teleop.follow.teleop_setup import Hand
-from surg_teleop.follow.teleop_types import State, TeleopOutput
+from surg_teleop.follow.teleop_types import TeleopOutput, TeleopState
 
 STATE_TOPICS = {
     "current_state": String,
@@ -60,8 +60,8 @@ class TeleopStatusPublisher:
         teleop = hand.switch.arms[arm]
         values: dict[str, object] = {
             "current_state": output.state.value,
-            "desired_state": "DISABLED" if output.state is State.DISABLED else "FOLLOWING",
-            "following": output.state is State.FOLLOWING,
+            "desired_state": "DISABLED" if output.state is TeleopState.DISABLED else "FOLLOWING",
+            "following": output.state is TeleopState.FOLLOWING,
             "scale": teleop.scale,
             "rotation_locked": teleop.lock_rotation,
             "translation_locked": teleop.lock_translation,

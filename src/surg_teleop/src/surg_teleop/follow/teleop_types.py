@@ -41,7 +41,7 @@ def older_than(limit: float, now: float, stamp: float) -> bool:
     return now - stamp > limit + _ROUNDING
 
 
-class State(enum.Enum):
+class TeleopState(enum.Enum):
     """State of one leader on one arm."""
 
     DISABLED = "DISABLED"
@@ -140,7 +140,7 @@ class TeleopInputs:
 class TeleopOutput:
     """Result of one tick."""
 
-    state: State
+    state: TeleopState
     commands: ArmCommands
     message: str  # why the arm does not follow, or what limits it, and what to do; may be empty
     reason: Reason = Reason.NONE

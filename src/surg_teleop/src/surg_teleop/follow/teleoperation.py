@@ -44,10 +44,10 @@ from surg_teleop.follow.teleop_types import (
     ControlMode,
     Notice,
     Reason,
-    State,
     TeleopInputs,
     TeleopOutput,
     TeleopSettings,
+    TeleopState,
     fresh,
     older_than,
 )
@@ -95,7 +95,7 @@ class Teleop:
     scale: float = DEFAULT_SCALE  # arm metres per metre of the hand; change it by :meth:`set_scale`
     lock_rotation: bool = False
     lock_translation: bool = False
-    state: State = State.DISABLED
+    state: TeleopState = TeleopState.DISABLED
     engagements: int = 0  # number of engagements so far
     mode: ControlMode = field(init=False)  # the control mode in force
     _switch: bool | None = field(default=None, init=False, repr=False)
@@ -143,7 +143,7 @@ class Teleop:
             on, self._switch = self._switch, None
             self._enable(now) if on else self._disable(now, arm, commands)
         self._check_arm_is_up(arm)
-        if self.state is not State.DISABLED:
+        if self.state is not TeleopState.DISABLED:
             self._step(inputs, commands)
         return TeleopOutput(self.state, commands, self._notice.text, self._notice.reason)
 
@@ -163,7 +163,7 @@ class Teleop:
         before = self._history.buttons
         self._history = self._history.heard(sample, self.settings.need_present)
         pressed = sample.buttons - before if before is not None else frozenset()
-        if "rate" in pressed and self.state in (State.CLUTCHED, State.WAITING):
+        if "rate" in pressed and self.state in (TeleopState.CLUTCHED, TeleopState.WAITING):
             self._toggle_mode(sample)
 
     def _toggle_mode(self, sample: LeaderSample) -> None:
@@ -178,11 +178,11 @@ class Teleop:
         requested = now if leader_there else NEVER
         self._remember(enabled=now, requested=requested)
         self._bring_up.start(_ns(now))
-        if self.state in (State.DISABLED, State.FAULT):
-            self.state = State.WAITING
+        if self.state in (TeleopState.DISABLED, TeleopState.FAULT):
+            self.state = TeleopState.WAITING
 
     def _disable(self, now: float, arm: ArmView | None, commands: ArmCommands) -> None:
-        self._leave(now, State.DISABLED, Notice(), commands)
+        self._leave(now, TeleopState.DISABLED, Notice(), commands)
         self._remember(requested=NEVER)
         self._bring_up.stop()
         if arm is not None and self._is_ours(arm):
@@ -206,17 +206,19 @@ class Teleop:
         blocked = interlocks.following(inputs, self.settings, self.mode, self._bring_up.active)
         if blocked is not None or sample is None or arm is None or camera is None:
             self._wait(inputs.now, blocked or Notice(), arm, commands)
-        elif self.state is State.FOLLOWING:
+        elif self.state is TeleopState.FOLLOWING:
             self._follow(inputs, sample, arm, camera, commands)
-        elif self.state is not State.FAULT:
+        elif self.state is not TeleopState.FAULT:
             self._begin(inputs.now, sample, arm, commands)
 
     def _wait(self, now: float, notice: Notice, arm: ArmView | None, commands: ArmCommands) -> None:
         """A condition is not met: let go, then bring the arm up or release it."""
-        if self.state is State.FAULT:
+        if self.state is TeleopState.FAULT:
             return
-        self._leave(now, State.FAULT if notice.fault else State.WAITING, notice, commands)
-        if arm is None or self.state is State.FAULT or not fresh(now, arm.received):
+        self._leave(
+            now, TeleopState.FAULT if notice.fault else TeleopState.WAITING, notice, commands
+        )
+        if arm is None or self.state is TeleopState.FAULT or not fresh(now, arm.received):
             return
         if self._is_ours(arm) and older_than(ABANDONED, now, self._history.leader):
             self._bring_up.stop()
@@ -230,9 +232,9 @@ class Teleop:
         """WAITING or CLUTCHED, and all conditions are met."""
         since_hold = now - self._history.held
         if "clutch" in sample.buttons:
-            self.state, self._notice = State.CLUTCHED, Notice()
+            self.state, self._notice = TeleopState.CLUTCHED, Notice()
         elif now - self._history.requested > REQUEST_LIFETIME:
-            if self.state is State.WAITING or not self._notice.text:
+            if self.state is TeleopState.WAITING or not self._notice.text:
                 self._notice = Notice(Reason.NOT_REQUESTED, f"ready; {AGAIN}")
         elif notice := interlocks.engagement(sample, arm, self.settings, self.mode, since_hold):
             self._notice = notice
@@ -242,7 +244,7 @@ class Teleop:
     def _engage(
         self, now: float, sample: LeaderSample, arm: ArmView, commands: ArmCommands
     ) -> None:
-        self.state, self._notice = State.FOLLOWING, Notice()
+        self.state, self._notice = TeleopState.FOLLOWING, Notice()
         self._remember(requested=NEVER)
         self._bring_up.stop()
         self.engagements += 1
@@ -260,7 +262,7 @@ class Teleop:
     ) -> None:
         assert self._engagement is not None
         if "clutch" in sample.buttons:
-            self._leave(inputs.now, State.CLUTCHED, Notice(), commands)
+            self._leave(inputs.now, TeleopState.CLUTCHED, Notice(), commands)
             return
         try:
             self._notice = self._engagement.follow(
@@ -276,10 +278,10 @@ class Teleop:
                 commands=commands,
             )
         except DisengagedError as error:
-            self._leave(inputs.now, State.CLUTCHED, error.notice, commands)
+            self._leave(inputs.now, TeleopState.CLUTCHED, error.notice, commands)
 
-    def _leave(self, now: float, state: State, notice: Notice, commands: ArmCommands) -> None:
-        if self.state is State.FOLLOWING:
+    def _leave(self, now: float, state: TeleopState, notice: Notice, commands: ArmCommands) -> None:
+        if self.state is TeleopState.FOLLOWING:
             commands.hold = True
             self._remember(held=now, requested=NEVER)
         self._engagement = None

@@ -23,10 +23,10 @@ from surg_msgs.msg import Cycle
 from surg_ros.arm_port import ArmPort
 from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError
-from surg_ros.participant import Participant, Seen
+from surg_ros.participant import Participant, TickInputs
 from surg_teleop.frames.check_task import CheckTask, read_task, report
 from surg_teleop.frames.endoscope_pictures_node import EndoscopePictures, wait_for_eyes
-from surg_teleop.frames.frame_check import FramesCheck, Stage, split
+from surg_teleop.frames.frame_check import FrameCheckStage, FramesCheck, split
 from surg_teleop.frames.probe_moves import REST, WORDS
 from surg_teleop.frames.registration_verdict import (
     ANGLE,
@@ -84,7 +84,7 @@ class CheckNode:
             self._heard[name] = time.monotonic()
             self._participant.on_cycle(cycle, name)
 
-    def _act(self, seen: Seen) -> bool | None:
+    def _act(self, seen: TickInputs) -> bool | None:
         """Evaluate every fifth cycle of both arms; with the lock held."""
         if self.finished.is_set():
             return None
@@ -94,7 +94,7 @@ class CheckNode:
             self.finished.set()
         return self.check.done
 
-    def _look(self, seen: Seen) -> None:
+    def _look(self, seen: TickInputs) -> None:
         scope = seen.cycles[self.task.camera.arm]
         if self.eyes.problem:
             self._port.send(self.check.stop(self.eyes.problem))
@@ -110,7 +110,7 @@ class CheckNode:
     def _announce(self) -> None:
         """Print what the viewer must see now, once per step."""
         check = self.check
-        if check.step != self._announced and check.stage is Stage.GO and check.step.side:
+        if check.step != self._announced and check.stage is FrameCheckStage.GO and check.step.side:
             self._announced = check.step
             print(f"the tip must now go: {WORDS[check.step]}", flush=True)
 

@@ -16,7 +16,7 @@ import numpy as np
 from surg_core.arm_view import ArmCommands, ArmState, ArmView, Array, TipPose
 from surg_core.bring_up import BringUp
 from surg_core.contract import SECOND_NS, TICK_NS
-from surg_teleop.frames.probe_moves import REST, SIDE, STEPS, Step, between
+from surg_teleop.frames.probe_moves import REST, SIDE, STEPS, ProbeMove, between
 from surg_teleop.frames.tip_tracker import Picture
 from surg_teleop.playback.workspace_fit import Workspace
 
@@ -34,7 +34,7 @@ SCOPE_MOVED = np.radians(0.5)
 """[rad] Largest rotation of the camera during the check."""
 
 
-class Stage(enum.Enum):
+class FrameCheckStage(enum.Enum):
     """Stage of the check."""
 
     WAIT = "wait"
@@ -62,9 +62,9 @@ class FramesCheck:
     node: str
     workspace: Workspace  # where the tip may be commanded
     enable: bool = False
-    stage: Stage = Stage.WAIT
+    stage: FrameCheckStage = FrameCheckStage.WAIT
     reason: str = ""  # why it failed; empty otherwise
-    pictures: dict[Step, Pair] = field(default_factory=dict)  # collected pictures, by step
+    pictures: dict[ProbeMove, Pair] = field(default_factory=dict)  # collected pictures, by step
     _rest: Array = field(default_factory=lambda: np.zeros(3), repr=False)
     _from: Array = field(default_factory=lambda: np.zeros(3), repr=False)
     _roll: float = field(default=0.0, repr=False)
@@ -77,19 +77,21 @@ class FramesCheck:
     @property
     def done(self) -> bool:
         """Whether nothing more will be sent."""
-        return self.stage in (Stage.DONE, Stage.FAILED)
+        return self.stage in (FrameCheckStage.DONE, FrameCheckStage.FAILED)
 
     @property
-    def step(self) -> Step:
+    def step(self) -> ProbeMove:
         """Present step, or the next one."""
         left = [step for step in STEPS if step not in self.pictures]
         return left[0] if left else REST
 
     def stop(self, reason: str) -> ArmCommands:
         """Abort the check; returns the commands to send now: hold, if the arm may be moving."""
-        commands = ArmCommands(hold=self.stage in (Stage.GO, Stage.LOOK, Stage.BACK))
+        commands = ArmCommands(
+            hold=self.stage in (FrameCheckStage.GO, FrameCheckStage.LOOK, FrameCheckStage.BACK)
+        )
         if not self.done:
-            self.stage, self.reason = Stage.FAILED, reason
+            self.stage, self.reason = FrameCheckStage.FAILED, reason
         return commands
 
     def tick(self, arm: ArmView, R_WV: Array | None, pair: Pair | None) -> ArmCommands:
@@ -105,11 +107,11 @@ class FramesCheck:
             return self._fail(problem, commands)
         if R_WV is None:
             return commands
-        if self.stage is Stage.WAIT:
+        if self.stage is FrameCheckStage.WAIT:
             self._begin(arm, R_WV, commands)
-        elif self.stage in (Stage.GO, Stage.BACK):
+        elif self.stage in (FrameCheckStage.GO, FrameCheckStage.BACK):
             self._go(arm, commands)
-        elif self.stage is Stage.LOOK:
+        elif self.stage is FrameCheckStage.LOOK:
             self._look(arm, pair, commands)
         return commands
 
@@ -120,7 +122,7 @@ class FramesCheck:
 
     def _prepare(self, arm: ArmView, commands: ArmCommands) -> bool:
         """Home and enable the arm if allowed; returns whether this is under way."""
-        if not self.enable or self.stage is not Stage.WAIT:
+        if not self.enable or self.stage is not FrameCheckStage.WAIT:
             return False
         if arm.ready:
             return arm.busy
@@ -145,7 +147,7 @@ class FramesCheck:
             return f"{self.arm} is not homed; send the state_command 'home' first"
         if arm.holder not in ("", self.node):
             return f"{self.arm} is held by {arm.holder}; end that first"
-        if self.stage is Stage.WAIT:
+        if self.stage is FrameCheckStage.WAIT:
             return ""
         if arm.refused > self._refused:
             return f"{self.arm} refused a command{why}; see {self.arm}/warning"
@@ -172,19 +174,19 @@ class FramesCheck:
                     commands,
                 )
                 return
-        self._enter(Stage.GO, arm)
+        self._enter(FrameCheckStage.GO, arm)
         self._go(arm, commands)
 
-    def _place(self, step: Step) -> Array:
+    def _place(self, step: ProbeMove) -> Array:
         return np.asarray(self._rest + self._R_RV @ step.offset())
 
-    def _enter(self, stage: Stage, arm: ArmView) -> None:
+    def _enter(self, stage: FrameCheckStage, arm: ArmView) -> None:
         self.stage = stage
         self._since = self._still_since = arm.stamp_ns
 
     def _go(self, arm: ArmView, commands: ArmCommands) -> None:
         """Move to the target and check the arrival."""
-        target = self._place(REST if self.stage is Stage.BACK else self.step)
+        target = self._place(REST if self.stage is FrameCheckStage.BACK else self.step)
         seconds = (arm.stamp_ns - self._since) / SECOND_NS
         place, end = between(self._from, target, seconds)
         commands.servo_cp = TipPose(place, self._roll)
@@ -199,11 +201,11 @@ class FramesCheck:
                 )
             return
         self._from = target
-        if self.stage is Stage.BACK:
-            self.stage = Stage.DONE
+        if self.stage is FrameCheckStage.BACK:
+            self.stage = FrameCheckStage.DONE
             commands.servo_cp, commands.hold = None, True
             return
-        self._enter(Stage.LOOK, arm)
+        self._enter(FrameCheckStage.LOOK, arm)
 
     def _look(self, arm: ArmView, pair: Pair | None, commands: ArmCommands) -> None:
         """Rest until a picture has arrived."""
@@ -217,7 +219,9 @@ class FramesCheck:
             )
         elif pair is not None and pair.stamp_ns >= self._still_since + STILL_S * SECOND_NS:
             self.pictures[self.step] = pair
-            self._enter(Stage.GO if len(self.pictures) < len(STEPS) else Stage.BACK, arm)
+            self._enter(
+                FrameCheckStage.GO if len(self.pictures) < len(STEPS) else FrameCheckStage.BACK, arm
+            )
         elif arm.stamp_ns - self._still_since > (STILL_S + PICTURE_S) * SECOND_NS:
             self._fail(
                 f"no picture for {PICTURE_S:.0f} s; check that the endoscope node runs and sends "
@@ -226,7 +230,9 @@ class FramesCheck:
             )
 
 
-def split(pictures: Mapping[Step, Pair]) -> tuple[dict[Step, Picture], dict[Step, Picture] | None]:
+def split(
+    pictures: Mapping[ProbeMove, Pair],
+) -> tuple[dict[ProbeMove, Picture], dict[ProbeMove, Picture] | None]:
     """Pictures of the left and the right eye; None: there is one eye."""
     left = {step: pair.left for step, pair in pictures.items()}
     right = {step: pair.right for step, pair in pictures.items() if pair.right is not None}

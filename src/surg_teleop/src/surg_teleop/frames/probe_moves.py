@@ -28,7 +28,7 @@ WORDS = {
 """The viewer's word for each direction."""
 
 
-class Step(NamedTuple):
+class ProbeMove(NamedTuple):
     """A probe position: an axis and a side of it; side 0 is rest."""
 
     axis: int
@@ -42,8 +42,8 @@ class Step(NamedTuple):
         return np.asarray(SIDE * self.side * np.eye(3)[self.axis])
 
 
-REST = Step(0, 0)
-STEPS = (REST, *(Step(axis, side) for axis in AXES for side in (1, -1)))
+REST = ProbeMove(0, 0)
+STEPS = (REST, *(ProbeMove(axis, side) for axis in AXES for side in (1, -1)))
 """In the order of visits; the tip returns to rest afterwards."""
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surg_core.arm_view import Array
-from surg_teleop.frames.probe_moves import AXES, REST, SIDE, WORDS, Step
+from surg_teleop.frames.probe_moves import AXES, REST, SIDE, WORDS, ProbeMove
 from surg_teleop.frames.tip_tracker import Place
 
 ANGLE = np.radians(20.0)
@@ -43,7 +43,7 @@ class Cause(enum.Enum):
     NOT_SEEN = "not_seen"
 
 
-class Outcome(enum.Enum):
+class RegistrationOutcome(enum.Enum):
     """Result; only PASS allows teleoperation with this picture."""
 
     PASS = "pass"
@@ -76,7 +76,7 @@ class AxisMotion:
 class Verdict:
     """Verdict on the registration."""
 
-    outcome: Outcome
+    outcome: RegistrationOutcome
     cause: Cause
     text: str  # what was observed, the likely cause, and what to do
     seen: tuple[AxisMotion, ...] = ()  # motions along the axes right, down, away
@@ -86,10 +86,10 @@ class Verdict:
 
 def not_seen(reason: str) -> Verdict:
     """Verdict if the pictures do not show the tip."""
-    return Verdict(Outcome.CANNOT_TELL, Cause.NOT_SEEN, f"cannot tell: {reason}")
+    return Verdict(RegistrationOutcome.CANNOT_TELL, Cause.NOT_SEEN, f"cannot tell: {reason}")
 
 
-def judge(places: Mapping[Step, Place], lens: Lens, limit: float = ANGLE) -> Verdict:
+def judge(places: Mapping[ProbeMove, Place], lens: Lens, limit: float = ANGLE) -> Verdict:
     """Compare observed with commanded motion, at rest and at both sides of every axis.
 
     Args:
@@ -111,8 +111,8 @@ def judge(places: Mapping[Step, Place], lens: Lens, limit: float = ANGLE) -> Ver
     return _judge_flat(seen, limit)
 
 
-def _axis(places: Mapping[Step, Place], axis: int, lens: Lens, two_eyes: bool) -> AxisMotion:
-    plus, minus = places[Step(axis, 1)], places[Step(axis, -1)]
+def _axis(places: Mapping[ProbeMove, Place], axis: int, lens: Lens, two_eyes: bool) -> AxisMotion:
+    plus, minus = places[ProbeMove(axis, 1)], places[ProbeMove(axis, -1)]
     pixels, change = plus.left - minus.left, None
     metres = np.full(3, np.nan)
     if two_eyes:
@@ -155,7 +155,7 @@ def _judge_pair(seen: tuple[AxisMotion, ...], rest: Place, lens: Lens, limit: fl
                 "in the right one. The viewer sees near and far exchanged. Swap the cables, "
                 "devices or topics of the two cameras"
             )
-            return Verdict(Outcome.FAIL, Cause.EYES_SWAPPED, text, seen, angle)
+            return Verdict(RegistrationOutcome.FAIL, Cause.EYES_SWAPPED, text, seen, angle)
         sizes = np.linalg.norm(S, axis=0)
         # The disparity changes by d^2 / (f b) per metre of depth.
         change = _signed(rest) ** 2 * 2.0 * SIDE / (lens.f * lens.baseline)
@@ -163,7 +163,7 @@ def _judge_pair(seen: tuple[AxisMotion, ...], rest: Place, lens: Lens, limit: fl
         if (sizes < SIZES[0] - slack).any() or (sizes > SIZES[1] + slack).any():
             return _wrong_size(seen, sizes, angle)
         text = f"hand and picture agree within {np.degrees(angle):.0f} degrees"
-        return Verdict(Outcome.PASS, Cause.NONE, text, seen, angle)
+        return Verdict(RegistrationOutcome.PASS, Cause.NONE, text, seen, angle)
     return _turned(seen, R, angle, swapped or upright)
 
 
@@ -184,7 +184,7 @@ def _judge_flat(seen: tuple[AxisMotion, ...], limit: float) -> Verdict:
         f"hand and picture agree within {np.degrees(angle):.0f} degrees across the view; "
         "one eye cannot judge near and far"
     )
-    return Verdict(Outcome.PASS, Cause.NONE, text, seen, angle)
+    return Verdict(RegistrationOutcome.PASS, Cause.NONE, text, seen, angle)
 
 
 def _mirrored(seen: tuple[AxisMotion, ...], R: Array, swapped: bool) -> Verdict:
@@ -203,7 +203,7 @@ def _mirrored(seen: tuple[AxisMotion, ...], R: Array, swapped: bool) -> Verdict:
     text = (
         f"the picture is mirrored: {pair} are exchanged ({_summary(seen)}). Likely cause: {where}"
     )
-    return Verdict(Outcome.FAIL, Cause.MIRRORED, text, seen, _angle(R))
+    return Verdict(RegistrationOutcome.FAIL, Cause.MIRRORED, text, seen, _angle(R))
 
 
 def _turned(seen: tuple[AxisMotion, ...], R: Array, angle: float, each: bool) -> Verdict:
@@ -234,7 +234,11 @@ def _turned(seen: tuple[AxisMotion, ...], R: Array, angle: float, each: bool) ->
             "calibration of the endoscope"
         )
     return Verdict(
-        Outcome.FAIL, cause, f"{what} ({_summary(seen)}). Likely cause: {why}", seen, angle
+        RegistrationOutcome.FAIL,
+        cause,
+        f"{what} ({_summary(seen)}). Likely cause: {why}",
+        seen,
+        angle,
     )
 
 
@@ -244,7 +248,7 @@ def _wrong_size(seen: tuple[AxisMotion, ...], sizes: Array, angle: float) -> Ver
         "times the commanded one. Likely cause: focal length or baseline of the camera, or an "
         "obstacle at the tip"
     )
-    return Verdict(Outcome.FAIL, Cause.SIZE, text, seen, angle)
+    return Verdict(RegistrationOutcome.FAIL, Cause.SIZE, text, seen, angle)
 
 
 def _summary(seen: tuple[AxisMotion, ...]) -> str:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, signal
 
 from surg_core.arm_view import Array
-from surg_teleop.frames.probe_moves import AXES, REST, Step
+from surg_teleop.frames.probe_moves import AXES, REST, ProbeMove
 
 Smooth = NDArray[np.float32]
 Picture = NDArray[np.uint8]
@@ -62,8 +62,8 @@ class Patch:
 
 
 def find_places(
-    left: Mapping[Step, Picture], right: Mapping[Step, Picture] | None = None
-) -> dict[Step, Place]:
+    left: Mapping[ProbeMove, Picture], right: Mapping[ProbeMove, Picture] | None = None
+) -> dict[ProbeMove, Place]:
     """Find the tip in the pictures of all steps.
 
     Args:
@@ -100,12 +100,12 @@ def _smooth(picture: Picture) -> Smooth:
     return np.asarray(ndimage.gaussian_filter(colours, (1.0, 1.0, 0.0), truncate=2.0))
 
 
-def _tip_patch(rest: Smooth, all_: Mapping[Step, Smooth]) -> Patch:
+def _tip_patch(rest: Smooth, all_: Mapping[ProbeMove, Smooth]) -> Patch:
     """Patch around the tip at rest."""
     shape = rest.shape[:2]
     instrument = np.zeros(shape, dtype=bool)
     for axis in AXES:
-        plus, minus = (_changed(rest, all_[Step(axis, sign)]) for sign in (1, -1))
+        plus, minus = (_changed(rest, all_[ProbeMove(axis, sign)]) for sign in (1, -1))
         instrument |= plus & minus
     instrument = ndimage.binary_opening(instrument, iterations=1)
     instrument = ndimage.binary_closing(instrument, iterations=4)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from surg_core.arm_view import Array
-from surg_teleop.frames.probe_moves import Step
+from surg_teleop.frames.probe_moves import ProbeMove
 from surg_teleop.frames.tip_tracker import Place
 
 
@@ -44,8 +44,8 @@ class EyeModel:
 
 
 def straighten(
-    places: Mapping[Step, Place], left: EyeModel, right: EyeModel | None
-) -> dict[Step, Place]:
+    places: Mapping[ProbeMove, Place], left: EyeModel, right: EyeModel | None
+) -> dict[ProbeMove, Place]:
     """The places as two parallel pinholes see them, both with the left eye's camera matrix.
 
     The left pinhole looks where the left eye looks. Pinholes that are parallel already change

@@ -85,7 +85,7 @@ class Quintic:
 
 
 @dataclass(frozen=True)
-class Plan:
+class MotionPlan:
     """Path of an arm over time, in the rcm frame; made by :func:`make_plan`.
 
     Attributes:
@@ -191,7 +191,7 @@ class Plan:
 
 def make_plan(
     motion: Motion, workspace: Workspace, scale: float = 1.0, duration: float | None = None
-) -> Plan:
+) -> MotionPlan:
     """Centre a motion on the home shaft axis, check that it fits, and make its time line.
 
     The scale is arm metres per recorded metre, MIN_SCALE to MAX_SCALE. A motion shorter than the
@@ -239,7 +239,7 @@ def _shortest(motion: Motion, scale: float) -> float:
     return max(1.0, float(np.ceil(10.0 * motion.t[first]) / 10.0))
 
 
-def _lay_out(motion: Motion, scale: float, played: float) -> Plan:
+def _lay_out(motion: Motion, scale: float, played: float) -> MotionPlan:
     spline = motion.spline()
     zero = np.zeros(4)
 
@@ -273,7 +273,7 @@ def _lay_out(motion: Motion, scale: float, played: float) -> Plan:
         p_arm_0=np.array([0.0, 0.0, CENTRE_DEPTH]) + scale * (start[0][:3] - centre),
         roll_arm_0=0.0,
     )
-    return Plan(
+    return MotionPlan(
         motion=motion,
         mapping=mapping,
         run_in=run_in,
@@ -298,7 +298,7 @@ def _horner(coefficients: Array, u: float) -> Array:
     return value
 
 
-def _check_fit(plan: Plan, workspace: Workspace, scale: float) -> None:
+def _check_fit(plan: MotionPlan, workspace: Workspace, scale: float) -> None:
     # One repetition covers the whole path; a window that ends within a return adds its run-out.
     window = min(plan.played, plan.motion.duration + plan.back)
     times = np.concatenate(
@@ -328,7 +328,7 @@ def _check_fit(plan: Plan, workspace: Workspace, scale: float) -> None:
     )
 
 
-def _where(plan: Plan, t: float) -> str:
+def _where(plan: MotionPlan, t: float) -> str:
     start, end = plan.window
     if t < start:
         return "on the way in"

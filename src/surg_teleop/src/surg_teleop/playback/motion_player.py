@@ -20,7 +20,7 @@ from surg_core.arm_view import ArmCommands, ArmState, ArmView, JawRange, TipPose
 from surg_core.bring_up import BringUp
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_teleop.follow.target_pose import StepLimits
-from surg_teleop.playback.motion_plan import Plan
+from surg_teleop.playback.motion_plan import MotionPlan
 
 MOVE_TIMEOUT = 15 * SECOND_NS
 """[ns] Longest time to reach the start of the motion."""
@@ -46,7 +46,7 @@ JAW_EVERY = 5
 """The jaw is commanded every fifth cycle, at 100 Hz."""
 
 
-class Stage(enum.Enum):
+class PlayerStage(enum.Enum):
     """Stage of the player."""
 
     CONNECT = "connect"
@@ -81,11 +81,11 @@ class MotionPlayer:
         slowed_ns: By how much longer than planned the stream has become [ns].
     """
 
-    plan: Plan
+    plan: MotionPlan
     mode: Mode
     jaw: JawRange
     steps: StepLimits | None = None
-    stage: Stage = Stage.CONNECT
+    stage: PlayerStage = PlayerStage.CONNECT
     reason: str = ""
     started_ns: int = 0
     refused: int = 0
@@ -105,7 +105,7 @@ class MotionPlayer:
     @property
     def done(self) -> bool:
         """Whether nothing more will be sent."""
-        return self.stage in (Stage.DONE, Stage.FAILED)
+        return self.stage in (PlayerStage.DONE, PlayerStage.FAILED)
 
     @property
     def clock(self) -> float:
@@ -124,28 +124,28 @@ class MotionPlayer:
     def tick(self, feedback: ArmView) -> ArmCommands:
         """Commands for the next cycle, after one of the arm."""
         commands = ArmCommands(stamp_ns=feedback.stamp_ns + TICK_NS)
-        if self.stage is Stage.CONNECT:
-            self._enter(Stage.HOME, feedback)
+        if self.stage is PlayerStage.CONNECT:
+            self._enter(PlayerStage.HOME, feedback)
             self._bring_up.start(feedback.stamp_ns)
         if not self.done and self._usable(feedback):
             step = {
-                Stage.HOME: self._bring_arm_up,
-                Stage.ENABLE: self._bring_arm_up,
-                Stage.MOVE: self._move,
-                Stage.SETTLE: self._settle,
-                Stage.PLAY: self._play,
-                Stage.HOLD: self._hold,
+                PlayerStage.HOME: self._bring_arm_up,
+                PlayerStage.ENABLE: self._bring_arm_up,
+                PlayerStage.MOVE: self._move,
+                PlayerStage.SETTLE: self._settle,
+                PlayerStage.PLAY: self._play,
+                PlayerStage.HOLD: self._hold,
             }[self.stage]
             step(feedback, commands)
         return commands
 
-    def _enter(self, stage: Stage, feedback: ArmView) -> None:
+    def _enter(self, stage: PlayerStage, feedback: ArmView) -> None:
         self.stage = stage
         self._since = feedback.stamp_ns
         self._sent = -1
 
     def _fail(self, reason: str) -> None:
-        self.stage, self.reason = Stage.FAILED, reason
+        self.stage, self.reason = PlayerStage.FAILED, reason
 
     def _usable(self, feedback: ArmView) -> bool:
         """Fail if the arm has stopped; it is never resumed here."""
@@ -154,7 +154,10 @@ class MotionPlayer:
             self._fail(f"the arm is in FAULT{why} (while: {self.stage.value})")
         elif feedback.state == ArmState.PAUSED:
             self._fail(f"the arm is PAUSED{why} (while: {self.stage.value}); send 'resume' first")
-        elif feedback.state == ArmState.DISABLED and self.stage not in (Stage.HOME, Stage.ENABLE):
+        elif feedback.state == ArmState.DISABLED and self.stage not in (
+            PlayerStage.HOME,
+            PlayerStage.ENABLE,
+        ):
             self._fail(f"the arm was disabled{why} (while: {self.stage.value})")
         return not self.done
 
@@ -163,10 +166,10 @@ class MotionPlayer:
         if self._bring_up.reason:
             self._fail(self._bring_up.reason)
         elif not self._bring_up.active:
-            self._enter(Stage.MOVE, feedback)
+            self._enter(PlayerStage.MOVE, feedback)
             self._move(feedback, commands)
-        elif feedback.homed and self.stage is Stage.HOME:
-            self._enter(Stage.ENABLE, feedback)
+        elif feedback.homed and self.stage is PlayerStage.HOME:
+            self._enter(PlayerStage.ENABLE, feedback)
 
     def _move(self, feedback: ArmView, commands: ArmCommands) -> None:
         now = feedback.stamp_ns
@@ -180,7 +183,7 @@ class MotionPlayer:
         elif now - self._sent < MOVE_MIN or feedback.busy:
             pass
         elif away <= START_TOLERANCE:
-            self._enter(Stage.SETTLE, feedback)
+            self._enter(PlayerStage.SETTLE, feedback)
             return
         if now - self._since > MOVE_TIMEOUT:
             why = f" ({feedback.reason})" if feedback.reason else ""
@@ -191,7 +194,7 @@ class MotionPlayer:
 
     def _settle(self, feedback: ArmView, commands: ArmCommands) -> None:
         if feedback.stamp_ns - self._since >= SETTLE:
-            self._enter(Stage.PLAY, feedback)
+            self._enter(PlayerStage.PLAY, feedback)
             if not self.started_ns:
                 self.started_ns = commands.stamp_ns
                 self._refused_before = feedback.refused
@@ -213,7 +216,7 @@ class MotionPlayer:
         self._last = feedback
         self._stream(self._t, commands)
         if self._t >= self.plan.duration:
-            self._enter(Stage.HOLD, feedback)
+            self._enter(PlayerStage.HOLD, feedback)
 
     def _is_refusing(self, feedback: ArmView) -> bool:
         """Whether the arm has refused commands since the last cycle and accepted none."""
@@ -264,7 +267,7 @@ class MotionPlayer:
                 f"({self.plan.place(self._t)}); first at {t:.3f} s: {why}"
             )
             return
-        self._enter(Stage.MOVE, feedback)
+        self._enter(PlayerStage.MOVE, feedback)
 
     def _hold(self, feedback: ArmView, commands: ArmCommands) -> None:
         self.refused = feedback.refused - self._refused_before
@@ -272,7 +275,7 @@ class MotionPlayer:
             self._stream(self.plan.duration, commands)
         else:
             commands.hold = True
-            self._enter(Stage.DONE, feedback)
+            self._enter(PlayerStage.DONE, feedback)
 
     def _stream(self, t: float, commands: ArmCommands) -> None:
         p, roll = self.plan.at(t)

@@ -24,11 +24,11 @@ from surg_msgs.msg import SenderStatus, SimStatus
 from surg_ros.arm_port import ArmPort
 from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError, flag, one_of, path, read, real, text
-from surg_ros.participant import Participant, Seen
+from surg_ros.participant import Participant, TickInputs
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.playback.motion_errors import MotionError
 from surg_teleop.playback.motion_file import read_motion
-from surg_teleop.playback.motion_plan import ConstantMotionError, Plan, make_plan
+from surg_teleop.playback.motion_plan import ConstantMotionError, MotionPlan, make_plan
 from surg_teleop.playback.motion_player import Mode, MotionPlayer
 from surg_teleop.playback.workspace_fit import Workspace
 
@@ -64,7 +64,7 @@ class OperatorNode:
         self._report()
         self._participant.connect(CONNECT_TIMEOUT)
 
-    def _act(self, seen: Seen) -> bool:
+    def _act(self, seen: TickInputs) -> bool:
         (arm,) = seen.cycles
         if not self.operator.done:
             self._port.send(self.operator.tick(seen.view(arm)))
@@ -137,7 +137,7 @@ def load(parameters: dict[str, object]) -> tuple[MotionPlayer, str, bool]:
     motion = read_motion(given.motion or bundled_motion())
     if motion.ignored:
         rospy.logwarn("%s: columns ignored: %s", motion.file, ", ".join(motion.ignored))
-    plan: Plan = make_plan(
+    plan: MotionPlan = make_plan(
         motion,
         Workspace(limits.depth_slow, limits.depth_max, limits.cone),
         given.scale,

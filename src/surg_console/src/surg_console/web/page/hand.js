@@ -23,7 +23,7 @@ const MOTION_KEYS = {
 };
 const HELD_KEYS = { Space: "clutch", KeyC: "camera" };
 const PRESSED_KEYS = {
-  Enter: "enable", Escape: "stop", KeyV: "record", KeyP: "policy", KeyM: "hand", KeyT: "take", KeyH: "put_back",
+  Enter: "enable", Escape: "stop", KeyV: "record", KeyP: "policy", KeyM: "hand", KeyT: "take", KeyH: "guide_home",
   KeyB: "eyes", KeyZ: "size", KeyJ: "side", KeyN: "marks", KeyI: "plan", KeyO: "scene", KeyY: "feel", Slash: "help",
   Minus: "less_scale", Equal: "more_scale", BracketLeft: "slower", BracketRight: "faster",
 };

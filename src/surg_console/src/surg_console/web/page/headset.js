@@ -1,7 +1,7 @@
 // The page /headset: the console in a headset, by WebXR. The controllers are a leader like the mouse,
 // with a dead-man; input goes out in the headset's frame, so a frame loop that stops is silence.
 
-import { Feel } from "./beside/feel.js";
+import { Feel } from "./overlays/feel.js";
 import { HeadsetHand, rotate } from "./headset_hand.js";
 import { RoomView } from "./headset_view.js";
 import { Link, clock, socketUrl, token, wallUs } from "./link.js";
@@ -46,7 +46,7 @@ const feel = new Feel(
 function onMessage(message) {
   if (message.say === "welcome") {
     facts = message;
-    element("feel").parentElement.hidden = !message.beside?.includes("feel");
+    element("feel").parentElement.hidden = !message.overlays?.includes("feel");
     worker.postMessage({ stream: { url: socketUrl("/pictures"), token: token(), layout: stereo() ? "stereo" : "left", codec: address.get("codec") === "jpeg" ? "jpeg" : "h264" } });
   } else if (message.say === "status") {
     status = message;

@@ -1,9 +1,9 @@
 // The page: connects hand, socket, pictures and view.
 
-import { Feel } from "./beside/feel.js";
-import { Marks } from "./beside/marks.js";
-import { Plan } from "./beside/plan.js";
-import { Scene } from "./beside/scene.js";
+import { Feel } from "./overlays/feel.js";
+import { Marks } from "./overlays/marks.js";
+import { PlanOverlay } from "./overlays/plan.js";
+import { Scene } from "./overlays/scene.js";
 import { Hand } from "./hand.js";
 import { Link, clock, socketUrl, token, wallUs } from "./link.js";
 import { View, mark, set, sink, write } from "./view.js";
@@ -72,7 +72,7 @@ globalThis.surgConsole = { picture, link, hand, status: () => status };
 
 // What a page shows over or beside the picture; off until somebody asks, and then closed again.
 const marks = new Marks(element("marks"), toast);
-const plan = new Plan(element("plan"), element("plan-note"));
+const plan = new PlanOverlay(element("plan"), element("plan-note"));
 const scene = new Scene(element("room"), (text) => write(element("scene-note"), text));
 const feel = new Feel(
   () => hand.gamepad(),
@@ -87,9 +87,9 @@ function onMessage(message) {
   if (message.say === "welcome") {
     view = new View(message);
     softLimit = message.limits.tip_force_soft;
-    for (const button of element("beside").children) {
+    for (const button of element("overlays").children) {
       // That of a plan is there while a model server is.
-      if (button.dataset.beside !== "plan") button.hidden = !message.beside?.includes(button.dataset.beside);
+      if (button.dataset.overlay !== "plan") button.hidden = !message.overlays?.includes(button.dataset.overlay);
     }
   }
   else if (message.say === "status" && view) onStatus(message);
@@ -154,9 +154,9 @@ const OWN = {
   hand: () => hand.use(hand.hand === "rate" ? "position" : "rate"),
   eyes: () => !element("eyes").hidden && watch({ stereo: !pictures.stereo }),
   size: () => watch({ half: !pictures.half }),
-  marks: () => turnBeside("marks"),
-  plan: () => turnBeside("plan"),
-  scene: () => turnBeside("scene"),
+  marks: () => turnOverlay("marks"),
+  plan: () => turnOverlay("plan"),
+  scene: () => turnOverlay("scene"),
   feel: () => {
     const on = element("feel").getAttribute("aria-pressed") !== "true";
     sink(element("feel"), on);
@@ -184,8 +184,8 @@ function turnSide(left) {
   sink(element("side"), left);
 }
 
-function turnBeside(what) {
-  const button = document.querySelector(`[data-beside="${what}"]`);
+function turnOverlay(what) {
+  const button = document.querySelector(`[data-overlay="${what}"]`);
   if (button.hidden) return;
   const on = button.getAttribute("aria-pressed") !== "true";
   sink(button, on);
@@ -197,8 +197,8 @@ function turnBeside(what) {
     scene.turn(on);
   }
 }
-for (const button of element("beside").children) {
-  button.addEventListener("click", () => press(button.dataset.beside));
+for (const button of element("overlays").children) {
+  button.addEventListener("click", () => press(button.dataset.overlay));
 }
 element("feel").addEventListener("click", () => press("feel"));
 addEventListener("resize", () => scene.draw());
@@ -262,7 +262,7 @@ document.addEventListener("freeze", () => link.say("hidden", { why: "hidden" }))
 
 // --- buttons ---
 
-for (const id of ["enable", "stop", "record", "policy", "put-back", "take"]) {
+for (const id of ["enable", "stop", "record", "policy", "guide-home", "take"]) {
   element(id).addEventListener("click", () => press(id.replace("-", "_")));
 }
 element("veil-enable").addEventListener("click", () => press("enable"));

@@ -116,7 +116,7 @@ export class View {
     this.trend = new Trend("trend", limits.rcm_error_warn / 20);
     this.page = facts.page;
     this.leads = facts.leads;
-    this.plans = facts.beside?.includes("plan"); // there is a picture to show a policy's plan in
+    this.plans = facts.overlays?.includes("plan"); // there is a picture to show a policy's plan in
     this.largest = null; // deviation since it was shown last
   }
 
@@ -171,13 +171,13 @@ export class View {
       write(element("veil-headline"), status.headline);
       write(element("veil-sentence"), status.sentence);
     }
-    set(element("put-back"), "hidden", !status.astray.length);
+    set(element("guide-home"), "hidden", !status.faulted_arms.length);
     set(element("state"), "hidden", veiled);
     const policy = element("policy");
     set(policy, "hidden", !status.policy.state);
     sink(policy, status.policy.on);
     set(policy, "title", status.policy.sentence);
-    set(document.querySelector("[data-beside=plan]"), "hidden", !status.policy.state || !this.plans);
+    set(document.querySelector("[data-overlay=plan]"), "hidden", !status.policy.state || !this.plans);
     const record = element("record");
     sink(record, status.record.on);
     const word = status.record.finishing ? "Finishing …" : status.record.on ? "Stop recording" : "Record";

@@ -17,7 +17,7 @@ from helpers.endoscope_files import copied_cell
 from helpers.teleop.chromium import until
 from helpers.teleop.console import Console, console
 from surg_cli.host import paths
-from surg_console.ros.beside_topics_node import marks_as_json
+from surg_console.ros.overlay_topics_node import marks_as_json
 from surg_console.session.console_orders import Order
 from surg_console.session.scene_view import SceneView
 

@@ -10,7 +10,7 @@ const WAY = "#ffb020";
 const POINT = "#39d0ff";
 const MOST = 64; // places of a way, and points, that are drawn
 
-export class Plan {
+export class PlanOverlay {
   /**
    * @param canvas that lies over the picture
    * @param note element for the words

@@ -9,15 +9,15 @@ import rospy
 from geometry_msgs.msg import WrenchStamped
 
 from surg_core.arm_view import ArmView
-from surg_teleop.follow.felt_force import FeltForce
+from surg_teleop.follow.force_feedback import ForceFeedback
 from surg_teleop.follow.teleop_setup import ASSISTANT, Hand
-from surg_teleop.follow.teleop_types import CameraView, State, TeleopOutput
+from surg_teleop.follow.teleop_types import CameraView, TeleopOutput, TeleopState
 
 VIEW = "view"
 """Name of the view frame in the header."""
 
 
-class FeltForces:
+class ForceFeedbackTopics:
     """Relays what each instrument's tip feels while it follows its hand.
 
     A message goes out for each that comes in, so that silence stays silence. Stamp 0 says that
@@ -26,13 +26,13 @@ class FeltForces:
 
     def __init__(self, hands: list[Hand], lock: threading.Lock) -> None:
         self._lock = lock
-        self._felt: dict[str, FeltForce] = {}
+        self._felt: dict[str, ForceFeedback] = {}
         self._outputs: dict[str, rospy.Publisher] = {}
         for hand in hands:
             arm = hand.switch.instrument.settings.arm
             if arm == ASSISTANT:
                 continue
-            self._felt[arm] = FeltForce()
+            self._felt[arm] = ForceFeedback()
             self._outputs[arm] = rospy.Publisher(
                 f"/{hand.leader.name}/servo_cf", WrenchStamped, queue_size=1, tcp_nodelay=True
             )
@@ -47,7 +47,9 @@ class FeltForces:
         """One tick of an arm; with the lock held."""
         if (felt := self._felt.get(arm)) is None:
             return
-        following = output.state is State.FOLLOWING and view is not None and camera is not None
+        following = (
+            output.state is TeleopState.FOLLOWING and view is not None and camera is not None
+        )
         R_WB = view.R_WB if view is not None else np.eye(3)
         if felt.follow(following, R_WB, camera.R_WV if camera is not None else None):
             self._outputs[arm].publish(WrenchStamped())
@@ -57,10 +59,10 @@ class FeltForces:
         with self._lock:
             stamp = message.header.stamp
             felt = self._felt[arm].take(stamp.to_nsec(), np.array([f.x, f.y, f.z]))
-        told = WrenchStamped()
-        told.header.frame_id = VIEW
+        felt_message = WrenchStamped()
+        felt_message.header.frame_id = VIEW
         if felt is not None:
-            told.header.stamp = stamp
-            wrench = told.wrench.force
+            felt_message.header.stamp = stamp
+            wrench = felt_message.wrench.force
             wrench.x, wrench.y, wrench.z = (float(v) for v in felt)
-        self._outputs[arm].publish(told)
+        self._outputs[arm].publish(felt_message)

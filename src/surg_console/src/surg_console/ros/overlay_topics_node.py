@@ -24,8 +24,8 @@ FRESH = 1.0
 """[s] after which an arm is silent."""
 
 
-class BesideTopics:
-    """See `beside_socket.Source`. Subscribes to nothing until a page asks."""
+class OverlayTopics:
+    """See `overlay_socket.Source`. Subscribes to nothing until a page asks."""
 
     def __init__(self, cell: surg_core.Cell) -> None:
         self._scene, self._plan = SceneView(cell), PlanTopics(cell)
@@ -60,7 +60,7 @@ class BesideTopics:
             with self._lock:
                 self._marks = ""
 
-    def beside(self, what: str) -> str:
+    def overlay(self, what: str) -> str:
         """The newest as JSON; empty: there is none."""
         if what == "scene":
             return self._scene_now()

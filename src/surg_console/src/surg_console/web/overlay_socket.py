@@ -23,11 +23,11 @@ class Source(Protocol):
     def watch(self, what: str, wanted: bool) -> None:
         """Begin to collect `marks`, `plan`, `scene` or `feel`, or stop."""
 
-    def beside(self, what: str) -> str:
+    def overlay(self, what: str) -> str:
         """The newest of them as JSON; empty: there is none."""
 
 
-class BesidePages:
+class OverlayPages:
     """The open sockets."""
 
     def __init__(self, source: Source) -> None:
@@ -57,7 +57,7 @@ class BesidePages:
         sent = ""
         with contextlib.suppress(ConnectionError):
             while True:
-                text = self._source.beside(what)
+                text = self._source.overlay(what)
                 if text and text != sent:
                     await socket.send_str(text)
                     sent = text

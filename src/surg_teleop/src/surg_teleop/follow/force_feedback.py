@@ -10,7 +10,7 @@ import numpy as np
 from surg_core.transforms import FloatArray
 
 
-class FeltForce:
+class ForceFeedback:
     """The newest force of one arm, and whether the hand may feel it."""
 
     def __init__(self) -> None:

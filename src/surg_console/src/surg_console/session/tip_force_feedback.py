@@ -8,7 +8,9 @@ SILENT = 0.030
 """[s] Age at which a force is not known any more; a page's tone ends within 40 ms of its age."""
 
 
-def felt_tip(force: float | None, heard: float, now: float, following: bool) -> dict[str, Any]:
+def tip_force_feedback(
+    force: float | None, heard: float, now: float, following: bool
+) -> dict[str, Any]:
     """What the page is told of the tip.
 
     Args:

@@ -1,0 +1,1 @@
+"""Roll-outs of `./surg learn`: a learned policy in the graph."""
