@@ -10,7 +10,7 @@ import numpy as np
 
 from helpers.policy.policy_server import spec
 from surg_policy_client.attention import Attention, Keypoint
-from surg_policy_client.message_fields import EVENTS, KINDS
+from surg_policy_client.wire_fields import EVENTS, KINDS
 from surg_policy_client.wire import MAGIC, Message
 
 TEXTS = ("", "retract the bowel", "Zug: 0,5 N – größer", "\u0000", "手术", "x" * 64)

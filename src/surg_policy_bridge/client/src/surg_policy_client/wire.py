@@ -18,7 +18,7 @@ import zmq
 from surg_policy_client import attention as sights
 from surg_policy_client.attention import Attention, AttentionError
 from surg_policy_client.header import Buffer, read_map
-from surg_policy_client.message_fields import FIELDS, KINDS, MAX_SENTENCE, wrong_field
+from surg_policy_client.wire_fields import FIELDS, KINDS, MAX_SENTENCE, wrong_field
 from surg_policy_client.wire_arrays import (
     MAX_PART,
     MAX_PARTS,
