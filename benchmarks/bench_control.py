@@ -48,7 +48,7 @@ from machine import processor
 from publish import publish
 
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem, Progress, say, warn
+from surg_cli.host.terminal import CliError, Progress, say, warn
 
 SOURCE = Path(__file__).parent / "control"
 BUILD = paths.BUILD / "bench_control"
@@ -92,7 +92,7 @@ def call(*words: str, title: str) -> dict[str, Any]:
                 said.append(line)
         text = process.stdout.read()
         if process.wait() != 0:
-            raise Problem(f"{PROGRAM.name} failed: {''.join(said).strip()}")
+            raise CliError(f"{PROGRAM.name} failed: {''.join(said).strip()}")
     result = json.loads(text)
     assert isinstance(result, dict)
     return result
@@ -284,11 +284,11 @@ def main() -> None:
     options = parser.parse_args()
     try:
         if not 1.0 <= options.seconds <= 3600.0:
-            raise Problem(f"--seconds is 1 to 3600, not {options.seconds:g}", 2)
+            raise CliError(f"--seconds is 1 to 3600, not {options.seconds:g}", 2)
         if not options.motion.is_file():
-            raise Problem(f"--motion: no file {options.motion}", 2)
+            raise CliError(f"--motion: no file {options.motion}", 2)
         result = measure(options)
-    except Problem as problem:
+    except CliError as problem:
         warn(f"bench: {problem}")
         sys.exit(problem.code)
     publish(result, control_page, options)

@@ -29,7 +29,7 @@ from machine import this_machine
 from publish import publish
 
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem, Progress, warn
+from surg_cli.host.terminal import CliError, Progress, warn
 
 sys.path.insert(0, str(paths.ROOT / "tests"))
 from helpers.machines.peak_memory import watched
@@ -125,7 +125,7 @@ def run(root: Path, writer: str, out: Path, recordings: list[Path]) -> dict[str,
             os.killpg(process.pid, signal.SIGKILL)
             raise
     if process.returncode != 0:
-        raise Problem(f"{writer} failed:\n{errors[-2000:]}")
+        raise CliError(f"{writer} failed:\n{errors[-2000:]}")
     found = json.loads(said.splitlines()[-1])
     assert isinstance(found, dict)
     return {**found, "memory_mib": peak.total}
@@ -182,5 +182,5 @@ def _cpu() -> float:
 if __name__ == "__main__":
     try:
         sys.exit(main())
-    except Problem as problem:
+    except CliError as problem:
         sys.exit(f"bench export: {problem}")

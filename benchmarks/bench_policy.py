@@ -35,7 +35,7 @@ from machine import processor
 from publish import publish
 
 from surg_cli.host import environment, logged, paths
-from surg_cli.host.terminal import Problem, Progress, warn
+from surg_cli.host.terminal import CliError, Progress, warn
 from surg_policy_client import keys
 
 SOURCE = Path(__file__).parent / "policy"
@@ -80,7 +80,7 @@ def openpi(offline: bool) -> Path | None:
         with Progress("openpi-client") as progress:
             for argv in steps:
                 logged.run(argv, LOG, progress)
-    except Problem as problem:
+    except CliError as problem:
         warn(f"bench: going on without openpi-client; {problem}")
         return None
     paths.write_text(stamp, wanted)
@@ -139,7 +139,7 @@ class Pair:
             pass
         line = self._robot.stdout.readline()
         if not line:
-            raise Problem(f"{self.name}: the robot's process ended, see above")
+            raise CliError(f"{self.name}: the robot's process ended, see above")
         found: list[float] = json.loads(line)
         return found
 
@@ -235,9 +235,9 @@ def main() -> None:
     options = parser.parse_args()
     try:
         if not (1 <= options.rounds <= 100_000 and 1 <= options.blocks <= 10_000):
-            raise Problem("--rounds is 1 to 100000 and --blocks 1 to 10000", 2)
+            raise CliError("--rounds is 1 to 100000 and --blocks 1 to 10000", 2)
         result = measure(options)
-    except Problem as problem:
+    except CliError as problem:
         warn(f"bench: {problem}")
         sys.exit(problem.code)
     publish(result, policy_page, options)

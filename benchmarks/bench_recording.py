@@ -31,7 +31,7 @@ from machine import this_machine
 from publish import publish
 
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem, Progress
+from surg_cli.host.terminal import CliError, Progress
 
 TASK, ROBOT, CAMERAS = "bgr", "ur5e", "stereo"
 
@@ -45,7 +45,7 @@ def in_process(part: str, seconds: float, folder: Path) -> dict[str, Any]:
         done = subprocess.run(argv, capture_output=True, text=True, check=False)
     if done.returncode != 0 or not file.exists():
         words = (done.stderr or done.stdout).strip().splitlines()[-12:]
-        raise Problem(f"{part}: " + ("\n".join(words) or f"ended with {done.returncode}"))
+        raise CliError(f"{part}: " + ("\n".join(words) or f"ended with {done.returncode}"))
     result = json.loads(file.read_text("utf-8"))
     assert isinstance(result, dict)
     return result
@@ -112,5 +112,5 @@ def main() -> int:
 if __name__ == "__main__":
     try:
         sys.exit(main())
-    except Problem as problem:
+    except CliError as problem:
         sys.exit(f"bench recording: {problem}")

@@ -31,7 +31,7 @@ def hand_system(
     with Supervisor(env, logs) as supervisor:
         master.start(supervisor, master.free_port())
         os.environ.update(supervisor.env)
-        plan = system.Plan(
+        plan = system.SystemPlan(
             cell=CELL, arms=("PSM1",), lockstep=False, cameras=cameras, out=out, record=record
         )
         params = {

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from surg_cli.graph import episode_plans, episode_process
 from surg_cli.host import cells
-from surg_cli.host.terminal import Problem, Progress
+from surg_cli.host.terminal import CliError, Progress
 
 
 def real_time_factor(task: str, robot: str, seed: int, out: Path, cameras: str = "left") -> float:
@@ -18,7 +18,7 @@ def real_time_factor(task: str, robot: str, seed: int, out: Path, cameras: str =
         cameras: Which views of 640 x 480 at 20 fps are rendered and recorded.
 
     Raises:
-        Problem: The episode was not played to its end.
+        CliError: The episode was not played to its end.
     """
     condition = episode_plans.Condition("phantom", "ours")
     cell = episode_plans.find_cell(robot)
@@ -31,5 +31,5 @@ def real_time_factor(task: str, robot: str, seed: int, out: Path, cameras: str =
         )
     entry = episode_process.describe(plan, ended)
     if not entry["played"] or ended.real_time_factor is None:
-        raise Problem(f"no rate: {entry['failure_reason'] or 'the episode is too short'}")
+        raise CliError(f"no rate: {entry['failure_reason'] or 'the episode is too short'}")
     return ended.real_time_factor

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from surg_cli.host import logged, paths
-from surg_cli.host.terminal import Problem, Progress, say, warn
+from surg_cli.host.terminal import CliError, Progress, say, warn
 
 VENV = paths.ROOT / ".venv-bench"
 LOCK = paths.ROOT / "benchmarks" / "requirements.lock"
@@ -45,7 +45,7 @@ def run(argv: list[str], title: str) -> None:
         title: Shown while it runs.
 
     Raises:
-        Problem: When it fails.
+        CliError: When it fails.
     """
     with Progress(title) as progress:
         logged.run(argv, LOG, progress)
@@ -85,7 +85,7 @@ def install() -> Libraries:
     try:
         for title, argv in steps.items():
             run(argv, title)
-    except Problem as problem:
+    except CliError as problem:
         warn(f"bench: going on without the libraries of others; {problem}")
         return Libraries()
     for archive in sorted(sources.glob("*.tar.gz")):

@@ -12,7 +12,7 @@ from typing import Any
 from surg_cli.graph import episode_plans, master, processes, system
 from surg_cli.graph.watch import Watch
 from surg_cli.host import cells, environment
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 ROSBAG = Path("/usr/lib/rosbag/record")
 WARM_UP_S = 3.0
@@ -41,10 +41,10 @@ def measure(task: str, robot: str, views: str, seconds: float, out: Path) -> dic
         out: New folder.
 
     Raises:
-        Problem: The system does not come up, or rosbag is not there.
+        CliError: The system does not come up, or rosbag is not there.
     """
     if not ROSBAG.exists():
-        raise Problem(f"{ROSBAG} is missing: ./surg dev setup installs python3-rosbag")
+        raise CliError(f"{ROSBAG} is missing: ./surg dev setup installs python3-rosbag")
     out.mkdir(parents=True)
     condition = episode_plans.Condition("phantom", "ours")
     cell = episode_plans.find_cell(robot)
@@ -62,7 +62,7 @@ def measure(task: str, robot: str, views: str, seconds: float, out: Path) -> dic
             return _measure(plan, supervisor, watch, seconds)
 
 
-def topics(plan: system.Plan) -> list[str]:
+def topics(plan: system.SystemPlan) -> list[str]:
     """What both record: all that the recorder makes rows and videos of."""
     per_arm = ("cycle", "servo_cp", "servo_jp", "jaw/servo_jp", "operating_state", "error")
     found = [f"/{arm}/{name}" for arm in plan.arms for name in per_arm]
@@ -71,16 +71,16 @@ def topics(plan: system.Plan) -> list[str]:
 
 
 def _measure(
-    plan: system.Plan, supervisor: processes.Supervisor, watch: Watch, seconds: float
+    plan: system.SystemPlan, supervisor: processes.Supervisor, watch: Watch, seconds: float
 ) -> dict[str, Any]:
     def up() -> bool:
         dead = supervisor.first_dead()
         if dead is not None:
-            raise Problem(f"{dead.name} ended:\n{dead.log_tail()}")
+            raise CliError(f"{dead.name} ended:\n{dead.log_tail()}")
         return set(plan.arms) <= set(watch.states) and watch.recording is not None
 
     if not processes.wait_until(up, START_S):
-        raise Problem(f"the system did not come up within {START_S:g} s")
+        raise CliError(f"the system did not come up within {START_S:g} s")
     bag_file = plan.out / "all.bag"
     bag = supervisor.start(
         "/rosbag", [ROSBAG, "-O", bag_file, *topics(plan), "__name:=rosbag"], essential=False
@@ -89,12 +89,12 @@ def _measure(
         system.start(supervisor, replace(node, essential=False))
     watch.record(True)
     if not processes.wait_until(lambda: watch.recording is True, START_S):
-        raise Problem("the recorder did not start")
+        raise CliError("the recorder did not start")
     recorder = next(c for c in supervisor.children if c.name == "/recorder").process.pid
     processes.wait_until(lambda: bool(watch.record_status.folder), START_S)
     folder = Path(f"{watch.record_status.folder}.partial")
     if not processes.wait_until(lambda: _all_cameras(watch, plan), CAMERAS_S):
-        raise Problem(f"the cameras sent nothing within {CAMERAS_S:g} s")
+        raise CliError(f"the cameras sent nothing within {CAMERAS_S:g} s")
     time.sleep(WARM_UP_S)
     begun = _taken(recorder, folder), _taken(bag.process.pid, plan.out)
     time.sleep(seconds)
@@ -116,7 +116,7 @@ def _measure(
     }
 
 
-def _all_cameras(watch: Watch, plan: system.Plan) -> bool:
+def _all_cameras(watch: Watch, plan: system.SystemPlan) -> bool:
     received = {stream.name: stream.received for stream in watch.record_status.streams}
     return all(received.get(name, 0) > 0 for name in plan.streams)
 
@@ -149,7 +149,7 @@ def _difference(begun: Taken, ended: Taken) -> dict[str, float]:
     }
 
 
-def _contents(finished: Path, bag_file: Path, plan: system.Plan) -> dict[str, Any]:
+def _contents(finished: Path, bag_file: Path, plan: system.SystemPlan) -> dict[str, Any]:
     """How many messages of each topic both hold."""
     import rosbag
 

@@ -16,7 +16,7 @@ from helpers.policy.nudge_policy import begin, row
 from helpers.results.policy_results import note
 from surg_cli.commands import run
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_core.contract import ARM_STATE
 from surg_sim.appearance.opengl import NoOpenGL, choose_backend
 
@@ -131,7 +131,7 @@ def test_what_cannot_be_a_policy_is_said(tmp_path: Path, words: list[str], said:
     parser = argparse.ArgumentParser()
     run.add_arguments(parser, "run")
     options = parser.parse_args([str(TASK), *words, "--out", str(tmp_path / "run")])
-    with pytest.raises(Problem) as problem:
+    with pytest.raises(CliError) as problem:
         run.main(options, "run")
     assert problem.value.code == 2 and said in str(problem.value)
     assert not (tmp_path / "run").exists()

@@ -14,7 +14,7 @@ from helpers.tree import markdown
 from helpers.tree.source_tree import tracked
 from surg_cli import command_table
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 MOST_WORDS = 17
 
@@ -40,7 +40,7 @@ def mistake(words: list[str]) -> str:
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
             command_table.parse(*command_table.find(words))
-    except Problem as problem:
+    except CliError as problem:
         return str(problem)
     except SystemExit as end:
         return said.getvalue() if end.code else ""

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from surg_cli.command_table import COMMANDS, at_once, find, page, parse
 from surg_cli.graph.processes import interrupt_on_signals
 from surg_cli.host import environment, paths, preflight, provision, workspace
-from surg_cli.host.terminal import Problem, say, warn
+from surg_cli.host.terminal import CliError, say, warn
 
 READY = "SURG_READY"
 
@@ -24,7 +24,7 @@ def run(arguments: Sequence[str]) -> int:
     """Run one command, given the words behind `./surg`; returns the exit status.
 
     Raises:
-        Problem: There is no such command, or it refuses its options.
+        CliError: There is no such command, or it refuses its options.
     """
     if text := page(arguments):
         say(text)
@@ -54,7 +54,7 @@ def _print_help(name: str, rest: Sequence[str]) -> None:
 
 
 def _enter_workspace(name: str, arguments: Sequence[str]) -> None:
-    """Replace the process by `.venv`'s Python in the sourced environment; a Problem if unbuilt."""
+    """Replace the process by `.venv`'s Python in the sourced environment; a CliError if unbuilt."""
     env = environment.for_nodes(draws=COMMANDS[name].draws)
     python_path = env.get("PYTHONPATH", "")
     env["PYTHONPATH"] = f"{paths.ROOT / 'tools'}:{python_path}".rstrip(":")
@@ -69,7 +69,7 @@ def main() -> int:
     interrupt_on_signals()
     try:
         return run(sys.argv[1:])
-    except Problem as problem:
+    except CliError as problem:
         warn(f"surg: {problem}")
         return problem.code
     except KeyboardInterrupt as interrupt:

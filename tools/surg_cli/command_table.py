@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from surg_cli import moved
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 GROUPS = ("run", "data", "learn", "robot", "develop")
 FAMILIES = {
@@ -171,18 +171,20 @@ def find(words: Sequence[str]) -> tuple[str, Sequence[str]]:
     """The name of the command that words call, and the words behind it.
 
     Raises:
-        Problem: There is no such command; names the new one, or those that there are.
+        CliError: There is no such command; names the new one, or those that there are.
     """
     for count in (2, 1):
         if (name := " ".join(words[:count])) in COMMANDS:
             return name, words[count:]
     first = words[0]
     if first in moved.COMMANDS:
-        raise Problem(f"{first} is now ./surg {moved.COMMANDS[first]}", 2)
+        raise CliError(f"{first} is now ./surg {moved.COMMANDS[first]}", 2)
     if first in FAMILIES:
-        raise Problem(f"no command '{first} {words[1]}'; there are: {', '.join(members(first))}", 2)
+        raise CliError(
+            f"no command '{first} {words[1]}'; there are: {', '.join(members(first))}", 2
+        )
     known = dict.fromkeys(each.partition(" ")[0] for each in COMMANDS)
-    raise Problem(f"no command {first!r}; there are: {', '.join(known)}", 2)
+    raise CliError(f"no command {first!r}; there are: {', '.join(known)}", 2)
 
 
 def parser(name: str) -> tuple[argparse.ArgumentParser, Callable[[Any, str], int]]:
@@ -204,18 +206,18 @@ def parse(name: str, words: Sequence[str]) -> tuple[argparse.Namespace, Callable
     """Parse the words behind a command; returns the options and the function that runs it.
 
     Raises:
-        Problem: An option has moved, or belongs to other commands; says what to use.
+        CliError: An option has moved, or belongs to other commands; says what to use.
         SystemExit: An option or argument is wrong otherwise; argparse has printed why.
     """
     own, main = parser(name)
     for word in words:
         if cure := moved.ARGUMENTS.get((name, word), ""):
-            raise Problem(f"{name} {word} is now {cure}", 2)
+            raise CliError(f"{name} {word} is now {cure}", 2)
     options, unknown = own.parse_known_args(words)
     for word in unknown:
         option = word.partition("=")[0]
         if (cure := moved.OPTIONS.get((name, option), "")) or (cure := commands_with(option)):
-            raise Problem(f"{name} has no option {option}; use {cure}", 2)
+            raise CliError(f"{name} has no option {option}; use {cure}", 2)
     if unknown:
         own.error(f"unrecognized arguments: {' '.join(unknown)}")
     return options, main

@@ -87,6 +87,7 @@ _OPTIONS = {
             "surg_recording.datasets.ExportOptions in Python",
         ),
     },
+    "learn": {"--looks": "--domain-randomization"},
     "policy keys": {"--policy": "./surg policy keys NAME"},
     "calibrate": {
         "--motion": "./surg calibrate CELL collect MOTION",

@@ -17,7 +17,7 @@ from pathlib import Path
 from surg_cli.commands import learn
 from surg_cli.graph import episode_plans
 from surg_cli.host import terminal
-from surg_cli.host.terminal import Problem, say, warn
+from surg_cli.host.terminal import CliError, say, warn
 from surg_learn import learn_stages
 from surg_learn.learn_terminal import LearnError
 from surg_learn.recipes import Request
@@ -40,7 +40,7 @@ def prepare(options: argparse.Namespace) -> tuple[Request, Path]:
     """Do the stages; returns the request and the folder of the run."""
     request = learn.check(options)
     if options.both_views and not request.cameras:
-        raise Problem("--both-views: without --cameras no picture is recorded", 2)
+        raise CliError("--both-views: without --cameras no picture is recorded", 2)
     learn_stages.check_device(request)
     out = learn.folder_of(options.out, request)
     resume = f"{PROGRAM} {learn.command_line(request, out).removeprefix('./surg learn ')}"
@@ -59,7 +59,7 @@ def main(words: Sequence[str]) -> int:
     """Entry point; the last line printed is the path of the weights."""
     try:
         request, out = prepare(options_of(words))
-    except (Problem, LearnError) as problem:
+    except (CliError, LearnError) as problem:
         warn(f"without_ros: {problem}")
         return problem.code
     there = replace(request, device="auto")  # what is trained is trained

@@ -100,7 +100,7 @@ class PolicyRig:
         graph.wait_for(self._connected, 40.0, "the arm and the model server")
 
     def _simulator(self, graph: RosGraph) -> None:
-        plan = system.Plan(self.cell, ("PSM1",), False, (), graph.folder, record=False)
+        plan = system.SystemPlan(self.cell, ("PSM1",), False, (), graph.folder, record=False)
         for node in system.nodes(plan):
             system.start(graph.supervisor, node)  # as `./surg up` does
 

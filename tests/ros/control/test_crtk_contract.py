@@ -20,9 +20,9 @@ from helpers.graph.crtk_client import TICK, Arm, LockstepTime, WallTime
 from helpers.graph.ros import RosGraph
 from surg_cli.commands.dev import topics
 from surg_cli.graph import system
-from surg_cli.graph.graph_probe import Seen, observe
+from surg_cli.graph.graph_probe import GraphEnd, observe
 from surg_cli.graph.topic_contract import PAGE, REFERENCE, Contract, Entry, compare, load, render
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
@@ -99,14 +99,14 @@ def start(graph: RosGraph, mode: str, participant: str) -> None:
 
 def differences(
     graph: RosGraph, contract: Contract, lockstep: bool
-) -> tuple[list[str], list[Seen]]:
+) -> tuple[list[str], list[GraphEnd]]:
     """Compare until there is none, or a while has passed."""
     end = time.monotonic() + 20.0
     while True:
         try:
             seen = observe(graph.uri)
             wrong = compare(contract, seen, ARM, topics.NODES, lockstep)
-        except (OSError, Problem) as error:
+        except (OSError, CliError) as error:
             seen, wrong = [], [str(error)]
         if not wrong or time.monotonic() > end:
             return wrong, seen

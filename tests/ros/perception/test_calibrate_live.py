@@ -55,7 +55,7 @@ def cell(tmp_path: Path) -> Path:
 @pytest.fixture
 def live(cell: Path, ros_graph: RosGraph, rospy_node: str, tmp_path: Path) -> Iterator[LiveBench]:
     """The running system with the person beside it."""
-    plan = system.Plan(
+    plan = system.SystemPlan(
         cell=cell,
         arms=ARMS,
         lockstep=True,

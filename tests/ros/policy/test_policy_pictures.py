@@ -16,7 +16,9 @@ POLICY = paths.ROOT / "tests" / "helpers" / "policy" / "looking_policy.py"
 @pytest.mark.ros
 @pytest.mark.full
 def test_f08_a_scene_at_rest_is_no_frozen_camera(ros_graph: RosGraph, rospy_node: str) -> None:
-    plan = system.Plan(CELL, ("PSM1", "ECM"), False, ("left",), ros_graph.folder, record=False)
+    plan = system.SystemPlan(
+        CELL, ("PSM1", "ECM"), False, ("left",), ros_graph.folder, record=False
+    )
 
     def nodes(graph: RosGraph) -> None:
         for node in system.nodes(plan):

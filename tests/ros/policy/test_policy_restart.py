@@ -24,7 +24,7 @@ GOAL = paths.ROOT / "tests" / "helpers" / "policy" / "goal_policy.py"
 def test_f04_a_restart_within_the_episode_recovers_and_completes(
     ros_graph: RosGraph, rospy_node: str, tmp_path: Path
 ) -> None:
-    plan = system.Plan(
+    plan = system.SystemPlan(
         CELL,
         ("PSM1",),
         False,

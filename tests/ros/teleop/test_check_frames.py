@@ -54,7 +54,7 @@ def start(
     graph: RosGraph, out: Path, enable: bool, lockstep: bool = True
 ) -> dict[str, processes.Child]:
     """The graph and the check in it, by node."""
-    plan = system.Plan(
+    plan = system.SystemPlan(
         cell=CELL,
         arms=("PSM1", "ECM"),
         lockstep=lockstep,

@@ -34,7 +34,7 @@ def test_a_wall_is_felt_and_a_clutch_and_an_end_are_not(
     from std_msgs.msg import Bool, String
 
     graph, wait = ros_graph, ros_graph.wait_for
-    plan = system.Plan(
+    plan = system.SystemPlan(
         CELL, ("PSM1",), False, (), tmp_path, record=False, task=str(TASK), setting="phantom"
     )
     for node in system.nodes(plan):

@@ -144,7 +144,7 @@ class CrtkHand(MovingHand):
 
 
 def start(graph: RosGraph, cell: Path, arms: tuple[str, ...], lockstep: bool) -> None:
-    plan = system.Plan(
+    plan = system.SystemPlan(
         cell=cell,
         arms=arms,
         lockstep=lockstep,

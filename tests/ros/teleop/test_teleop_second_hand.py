@@ -125,7 +125,7 @@ class Pair:
 
 @pytest.fixture
 def teleop(ros_graph: RosGraph, rospy_node: str) -> Iterator[tuple[Pair, Child]]:
-    plan = system.Plan(CELL, ("PSM1",), False, (), ros_graph.folder, record=False, task="bgr")
+    plan = system.SystemPlan(CELL, ("PSM1",), False, (), ros_graph.folder, record=False, task="bgr")
     for node in system.nodes(plan):
         params = {**node.params, "endless": True} if node.name == "/sim" else node.params
         ros_graph.node(node.package, node.executable, node.name, params, arguments=node.arguments)

@@ -15,7 +15,7 @@ import surg_core.calibration
 from surg_cli import __main__ as cli
 from surg_cli.commands import calibrate
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_core import calibration
 from surg_core.standstill import Standstill
 
@@ -140,7 +140,7 @@ def test_a_bad_recording_is_refused_and_the_cell_stays(
     source = tmp_path / "bench.csv"
     source.write_text(text.replace("{header}", ",".join(["motion", *names])))
     before = {p.name: p.read_text() for p in (cell / "calibration").iterdir()}
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(CliError) as caught:
         ready(["calibrate", str(cell), "tool", "--from", str(source)])
     assert words in str(caught.value)
     assert "bench.csv" in str(caught.value)
@@ -161,7 +161,7 @@ def test_a_bad_recording_is_refused_and_the_cell_stays(
     ],
 )
 def test_a_wrong_command_line_names_the_option(cell: Path, words: list[str], said: str) -> None:
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(CliError) as caught:
         ready(["calibrate", str(cell), *words])
     assert said in str(caught.value)
 

@@ -16,15 +16,15 @@ from surg_cli import command_table, moved
 from surg_cli.commands import up
 from surg_cli.graph import follow, master, processes, roles, running, system, task_episode
 from surg_cli.graph.processes import Supervisor
-from surg_cli.graph.system import Plan
+from surg_cli.graph.system import SystemPlan
 from surg_cli.host import cells, option_types, paths, pytest_run
-from surg_cli.host.terminal import Problem, table
+from surg_cli.host.terminal import CliError, table
 
 MOST_FIRST_WORDS = 20
 MOST_OPTIONS = 140
 
 
-def plan(tmp_path: Path, **changes: object) -> Plan:
+def plan(tmp_path: Path, **changes: object) -> SystemPlan:
     values: dict[str, object] = {
         "cell": tmp_path,
         "arms": ("PSM1",),
@@ -33,7 +33,7 @@ def plan(tmp_path: Path, **changes: object) -> Plan:
         "out": tmp_path / "out",
         "operator": {"cell": "c"},
     }
-    return Plan(**{**values, **changes})
+    return SystemPlan(**{**values, **changes})
 
 
 def test_every_command_has_a_module_and_options() -> None:
@@ -91,7 +91,7 @@ def test_help_of_a_tree_without_a_build_says_what_to_run(
         raise ModuleNotFoundError("No module named 'surg_hardware'")
 
     monkeypatch.setattr(cli, "parse", parse)
-    with pytest.raises(Problem, match=r"run \./surg dev build"):
+    with pytest.raises(CliError, match=r"run \./surg dev build"):
         cli.run(["robot", "--help"])
 
 
@@ -100,7 +100,7 @@ def test_help_of_a_tree_without_a_build_says_what_to_run(
     [(["dance"], "demo"), (["episode", "dance"], "view"), (["policy", "--out", "x"], "keys")],
 )
 def test_an_unknown_command_names_the_known_ones(words: list[str], known: str) -> None:
-    with pytest.raises(Problem, match=f"there are: .*{known}") as caught:
+    with pytest.raises(CliError, match=f"there are: .*{known}") as caught:
         cli.run(words)
     assert caught.value.code == 2
 
@@ -108,7 +108,7 @@ def test_an_unknown_command_names_the_known_ones(words: list[str], known: str) -
 @pytest.mark.parametrize(("old", "new"), moved.COMMANDS.items())
 def test_an_old_command_answers_with_the_new_one(old: str, new: str) -> None:
     assert old not in command_table.COMMANDS and new in command_table.COMMANDS
-    with pytest.raises(Problem, match=rf"^{old} is now \./surg {new}$") as caught:
+    with pytest.raises(CliError, match=rf"^{old} is now \./surg {new}$") as caught:
         cli.run([old, "x"])
     assert caught.value.code == 2
 
@@ -129,7 +129,7 @@ def test_an_old_option_answers_with_the_new_one(name: str, option: str) -> None:
         "robot": ["sim_ur5e", "lag"],
         "ptp": ["slave"],
     }
-    with pytest.raises(Problem, match=rf"^{name} has no option {option}; use .") as caught:
+    with pytest.raises(CliError, match=rf"^{name} has no option {option}; use .") as caught:
         command_table.parse(name, [*needed.get(name, ["x"]), option, "1"])
     assert caught.value.code == 2
 
@@ -219,7 +219,7 @@ def test_up_records_what_it_is_told_besides(capsys: pytest.CaptureFixture[str]) 
 def test_what_is_no_topic_is_not_recorded(words: list[str], said: str) -> None:
     parser = argparse.ArgumentParser()
     up.add_arguments(parser, "up")
-    with pytest.raises(Problem, match=said) as caught:
+    with pytest.raises(CliError, match=said) as caught:
         up.main(parser.parse_args(["sim_ur5e", *words, "--print"]), "up")
     assert caught.value.code == 2
 
@@ -231,19 +231,19 @@ def test_only_the_robots_machine_records() -> None:
     )
     assert up.recorded_too(["/tf"], ["/eye"], robot) == (("/tf",), ("/eye",))
     assert up.recorded_too([], [], operator) == ((), ())
-    with pytest.raises(Problem, match="--record-topics"):
+    with pytest.raises(CliError, match="--record-topics"):
         up.recorded_too(["/tf"], [], operator)
 
 
 def test_an_unknown_cell_names_the_bundled_ones() -> None:
-    with pytest.raises(Problem, match="sim_ur5e"):
+    with pytest.raises(CliError, match="sim_ur5e"):
         cells.find("nowhere")
 
 
 def test_an_unknown_robot_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(Problem, match="fr3, panda, ur10e, ur3e, ur5e, xarm7"):
+    with pytest.raises(CliError, match="fr3, panda, ur10e, ur3e, ur5e, xarm7"):
         cells.for_robot("kuka", tmp_path)
-    with pytest.raises(Problem, match="no such file"):
+    with pytest.raises(CliError, match="no such file"):
         cells.for_robot(str(tmp_path / "kuka.yaml"), tmp_path)
 
 
@@ -261,7 +261,7 @@ def test_gain_range(text: str) -> None:
 
 def test_an_out_folder_with_content_is_refused(tmp_path: Path) -> None:
     (tmp_path / "old").write_text("")
-    with pytest.raises(Problem, match="not an empty folder"):
+    with pytest.raises(CliError, match="not an empty folder"):
         paths.run_folder(tmp_path)
     assert paths.run_folder(tmp_path / "new") == tmp_path / "new"
 
@@ -271,12 +271,12 @@ def test_a_taken_port_is_said_with_the_cure(tmp_path: Path) -> None:
         holder.bind(("127.0.0.1", 0))
         holder.listen()
         port = holder.getsockname()[1]
-        with pytest.raises(Problem, match="choose another with --port"):
+        with pytest.raises(CliError, match="choose another with --port"):
             master.start(supervisor, port)
 
 
 def test_a_dead_master_is_said_with_the_cure() -> None:
-    with pytest.raises(Problem, match=r"\./surg up CELL"):
+    with pytest.raises(CliError, match=r"\./surg up CELL"):
         master.nodes(f"http://localhost:{master.free_port()}")
 
 
@@ -331,7 +331,7 @@ def test_tables_line_up() -> None:
 )
 def test_demo_names_the_commands_that_have_an_option(words: list[str], others: set[str]) -> None:
     """Also where the option has its default value."""
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(CliError) as caught:
         command_table.parse("demo", words)
     assert caught.value.code == 2
     assert set(re.findall(r"\./surg ([\w-]+)", str(caught.value))) == others
@@ -372,7 +372,7 @@ def test_in_real_time_a_scripted_sender_begins_after_the_policys_arms(tmp_path: 
         assert node.name == "/assistant" and node.params.get("after") == after
 
 
-def episode_plan(wanted: Plan) -> Plan:
+def episode_plan(wanted: SystemPlan) -> SystemPlan:
     """The plan as the process of an episode reads it."""
     task_episode.write_plan(wanted)
     return task_episode.read_plan(wanted.out)

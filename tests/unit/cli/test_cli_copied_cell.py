@@ -10,7 +10,7 @@ import pytest
 
 import surg_core
 from surg_cli.host import cells, paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 
 @pytest.mark.parametrize("name", ["sim_ur5e", "sim_two_arms_panda"])
@@ -21,7 +21,7 @@ def test_what_is_said_about_a_copied_cell_cures_it(name: str, tmp_path: Path) ->
         try:
             found = cells.load(copied)
             break
-        except Problem as problem:
+        except CliError as problem:
             said = re.search(
                 r"cell\.yaml:(\d+): arms\.\w+\.(\w+): '(\S+)': .* absolute path: (/\S+)$",
                 str(problem),
@@ -41,5 +41,5 @@ def test_a_file_of_ones_own_that_is_not_there_is_named(tmp_path: Path) -> None:
     file = copied / "cell.yaml"
     robot = "../../src/surg_description/robots/ur5e.yaml"
     file.write_text(file.read_text().replace(robot, "robots/mine.yaml"))
-    with pytest.raises(Problem, match=r"robots/mine\.yaml': there is no /.*absolute path$"):
+    with pytest.raises(CliError, match=r"robots/mine\.yaml': there is no /.*absolute path$"):
         cells.load(copied)

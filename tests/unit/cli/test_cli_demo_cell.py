@@ -13,9 +13,9 @@ import yaml
 import surg_core
 from helpers.hardware.emulated_cell import emulated_cell
 from surg_cli.graph import motion_run
-from surg_cli.graph.system import Plan
+from surg_cli.graph.system import SystemPlan
 from surg_cli.host import cells, link_environments
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_cli.robots import emulated_arms
 from surg_msgs.msg import SimStatus
 
@@ -25,13 +25,13 @@ LIVES = ("DISABLED", "DISABLED", "ENABLED", "DISABLED", "DISABLED")
 
 
 @pytest.fixture
-def played(monkeypatch: pytest.MonkeyPatch) -> list[Plan]:
+def played(monkeypatch: pytest.MonkeyPatch) -> list[SystemPlan]:
     """Plans that would have been played."""
-    plans: list[Plan] = []
+    plans: list[SystemPlan] = []
 
-    def play(plan: Plan, duration_s: float, robots: object) -> list[str]:
+    def play(plan: SystemPlan, duration_s: float, robots: object) -> list[str]:
         plans.append(plan)
-        raise Problem("enough", 1)
+        raise CliError("enough", 1)
 
     monkeypatch.setattr(motion_run, "play", play)
     monkeypatch.setattr(link_environments, "make_ready", lambda arm: None)
@@ -40,9 +40,9 @@ def played(monkeypatch: pytest.MonkeyPatch) -> list[Plan]:
 
 @pytest.mark.parametrize("name", ["emulated_ur5e", "emulated_panda", "emulated_fr3"])
 def test_an_emulated_arm_is_played_in_real_time_without_the_simulator(
-    name: str, surg: Surg, played: list[Plan], tmp_path: Path
+    name: str, surg: Surg, played: list[SystemPlan], tmp_path: Path
 ) -> None:
-    with pytest.raises(Problem, match="enough"):
+    with pytest.raises(CliError, match="enough"):
         surg("demo", "--robot", name, "--out", tmp_path / "run")
     (plan,) = played
     assert plan.cell == cells.find(name) and plan.driven == ("PSM1",)
@@ -52,9 +52,9 @@ def test_an_emulated_arm_is_played_in_real_time_without_the_simulator(
 
 
 def test_a_cell_of_the_simulator_is_played_in_lock_step(
-    surg: Surg, played: list[Plan], tmp_path: Path
+    surg: Surg, played: list[SystemPlan], tmp_path: Path
 ) -> None:
-    with pytest.raises(Problem, match="enough"):
+    with pytest.raises(CliError, match="enough"):
         surg("demo", "--robot", "sim_panda", "--no-video", "--out", tmp_path / "run")
     (plan,) = played
     assert plan.simulates and plan.lockstep and plan.driven == ()
@@ -136,13 +136,13 @@ def test_what_it_does_not_play_is_refused_and_leaves_nothing(
     words: list[object],
     said: str,
     surg: Surg,
-    played: list[Plan],
+    played: list[SystemPlan],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(os.environ, "DISPLAY", ":7")
     given = [word(tmp_path) if callable(word) else word for word in words]
-    with pytest.raises(Problem) as refused:
+    with pytest.raises(CliError) as refused:
         surg("demo", *given, "--out", tmp_path / "run")
     assert refused.value.code == 2 and said in str(refused.value) and not played
     assert not (tmp_path / "run").exists()
@@ -151,6 +151,6 @@ def test_what_it_does_not_play_is_refused_and_leaves_nothing(
 def test_an_arm_that_nothing_emulates_is_refused(tmp_path: Path) -> None:
     arms = surg_core.load_cell(emulated_cell(tmp_path, "127.0.0.1")).arms
     emulated_arms.refuse_real(arms, "demo")
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(Problem, match="'ur5e'"):
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(CliError, match="'ur5e'"):
         patch.setattr(emulated_arms, "MODELS", {"fer": {"panda": "Panda"}})
         emulated_arms.refuse_real(arms, "demo")

@@ -9,7 +9,7 @@ import surg_core
 from helpers.hardware.emulated_ur import free_address
 from surg_cli.commands.arms import emulate
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_emulators import emulator_ports
 from surg_emulators.franka import franka_emulator
 from surg_emulators.ur import ur_emulator
@@ -63,7 +63,7 @@ def test_it_runs_and_tells_its_ports(
     ],
 )
 def test_wrong_options_end_with_2(words: tuple[str, ...], surg: Callable[..., int]) -> None:
-    with pytest.raises(Problem) as problem:
+    with pytest.raises(CliError) as problem:
         surg("emulate", *words)
     assert problem.value.code == 2
     assert any(word in str(problem.value) for word in words[1:] or words)
@@ -71,7 +71,7 @@ def test_wrong_options_end_with_2(words: tuple[str, ...], surg: Callable[..., in
 
 @pytest.mark.parametrize(("old", "new"), [("ur", "ur5e"), ("fer", "panda")])
 def test_an_old_name_answers_with_the_new_one(old: str, new: str, surg: Callable[..., int]) -> None:
-    with pytest.raises(Problem, match=f"emulate {old} is now {new}") as problem:
+    with pytest.raises(CliError, match=f"emulate {old} is now {new}") as problem:
         surg("emulate", old)
     assert problem.value.code == 2
 
@@ -107,12 +107,12 @@ def test_a_robot_without_an_emulator_is_refused(
     surg: Callable[..., int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delitem(emulate.ROBOTS, "ur5e")
-    with pytest.raises(Problem, match=r"arms.PSM1.robot: 'ur5e'; allowed: ur3e") as problem:
+    with pytest.raises(CliError, match=r"arms.PSM1.robot: 'ur5e'; allowed: ur3e") as problem:
         surg("emulate", "emulated_ur5e")
     assert problem.value.code == 2
 
 
 def test_a_simulators_cell_has_no_arm_to_emulate(surg: Callable[..., int]) -> None:
-    with pytest.raises(Problem, match=r"arms.PSM1.hardware.address") as problem:
+    with pytest.raises(CliError, match=r"arms.PSM1.hardware.address") as problem:
         surg("emulate", "sim_ur5e")
     assert problem.value.code == 2

@@ -10,7 +10,7 @@ import pytest
 from helpers.endoscope_files import copied_cell
 from surg_cli.commands import up
 from surg_cli.host import provision
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 SECTION = "endoscope: {source: 'v4l2:/dev/video0', layout: LAYOUT, size: [1920, 1080], rate: 30}\n"
 
@@ -59,7 +59,7 @@ def test_no_video_starts_none_and_lock_step_refuses_a_real_one(
 ) -> None:
     words = printed(capsys, str(cell), "--cameras", "none", "--lock-step")
     assert not any("__name:=endoscope" in line for line in words)
-    with pytest.raises(Problem, match=r"endoscope\.source.*real time"):
+    with pytest.raises(CliError, match=r"endoscope\.source.*real time"):
         printed(capsys, str(cell), "--lock-step")
 
 

@@ -12,7 +12,7 @@ from helpers.recording import jigsaws_synthetic
 from helpers.recording.evaluated import DONE, episode
 from surg_cli.commands.episode import evaluate
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_recording import metrics
 from surg_recording.metrics import reference_sets
 
@@ -60,7 +60,7 @@ def test_runs_are_evaluated_without_a_word(
 
 def test_a_selection_that_nothing_fits_writes_no_report(runs: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with pytest.raises(Problem, match="3 do not fit, 1 are left out") as problem:
+    with pytest.raises(CliError, match="3 do not fit, 1 are left out") as problem:
         run(runs, "--where", 'setting == "in_vivo"', "--out", out)
     assert problem.value.code == 2
     assert not (out / "summary.json").exists()
@@ -71,7 +71,7 @@ def test_without_any_episode_it_says_how_to_make_some(
 ) -> None:
     for place in (tmp_path, tmp_path / "runs"):
         monkeypatch.setattr(paths, "RUNS", place)
-        with pytest.raises(Problem, match=r"\./surg run bgr"):
+        with pytest.raises(CliError, match=r"\./surg run bgr"):
             run()
 
 
@@ -91,7 +91,7 @@ def test_a_reference_set_needs_no_episode(
     ]
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     assert "No episode could be evaluated" not in page and "data:image/png" in page
-    with pytest.raises(Problem, match="no such folder"):
+    with pytest.raises(CliError, match="no such folder"):
         run(tmp_path / "runs", "--reference", f"jigsaws:{folder}")
 
 
@@ -112,7 +112,7 @@ def test_wrong_input_is_refused_before_anything_is_written(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(paths, "RUNS", runs)
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(CliError) as caught:
         run(*words, "--out", tmp_path / "out")
     assert said in str(caught.value) and caught.value.code == 2
     assert not (tmp_path / "out").exists()

@@ -10,7 +10,7 @@ import pytest
 
 from helpers.recording import datasets_synthetic
 from surg_cli.commands.episode import export
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 
 def surg_export(*words: str | Path) -> int:
@@ -63,7 +63,7 @@ def test_a_dry_run_names_features_and_writes_nothing(
 def test_shards_and_merge(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "set"
     words = (folder / "a", "--format", "act", "--out", out, "--workers", "1")
-    with pytest.raises(Problem, match=r"set\.parts"):
+    with pytest.raises(CliError, match=r"set\.parts"):
         surg_export(*words, "--shard", "merge")
     assert surg_export(*words, "--shard", "0/1") == 0
     assert not out.exists()
@@ -78,9 +78,9 @@ def test_what_only_people_know(folder: Path, tmp_path: Path) -> None:
     assert surg_export(*words) == 0
     assert "CC0" in (tmp_path / "set/meta/README.md").read_text()
     about.write_text("licence: CC0\n")
-    with pytest.raises(Problem, match="holds licence; known keys: name, summary, license"):
+    with pytest.raises(CliError, match="holds licence; known keys: name, summary, license"):
         surg_export(*words)
-    with pytest.raises(Problem, match=r"none\.yaml"):
+    with pytest.raises(CliError, match=r"none\.yaml"):
         surg_export(*words[:-1], tmp_path / "none.yaml")
 
 
@@ -101,7 +101,7 @@ def test_wrong_input_is_named(
     words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(Problem, match=said) as caught:
+    with pytest.raises(CliError, match=said) as caught:
         surg_export(*words)
     assert caught.value.code == 2
 

@@ -20,7 +20,7 @@ from helpers.recording.rollouts_synthetic import entry, rollout
 from surg_cli import without_ros
 from surg_cli.commands import learn
 from surg_cli.host import provision
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_cli.learning import rollouts
 from surg_learn import learn_stages, recipes
 from surg_learn.learn_terminal import LearnError
@@ -184,7 +184,7 @@ def test_a_stage_that_breaks_is_named_with_the_line_to_go_on(
     monkeypatch.setattr(learn_stages, "train", no_memory)
     out = tmp_path / "run"
     words = ("bgr", "--episodes", "8", "--rollouts", "3", "--out", str(out))
-    with pytest.raises(Problem) as said:
+    with pytest.raises(CliError) as said:
         learn.main(options(*words), "learn")
     text = str(said.value)
     assert "stage 'training'" in text and "out of memory" in text
@@ -222,7 +222,7 @@ def test_cameras_make_a_policy_that_looks(
     summary = json.loads((out / "summary.json").read_text("utf-8"))
     assert summary["ok"] and summary["privileged"] == []
     # The folder of a run that looks is no folder of one that does not.
-    with pytest.raises(Problem, match="--cameras True"):
+    with pytest.raises(CliError, match="--cameras True"):
         learn.main(options("bgr", *words[1:]), "learn")
 
 
@@ -234,14 +234,14 @@ def test_a_file_of_looks_may_move_but_not_change(
     first, moved = tmp_path / "looks.yaml", tmp_path / "moved" / "looks.yaml"
     first.write_text("format: surg_looks/1\nlight_strength: [0.5, 1.0]\n", "utf-8")
     words = ("--cameras", "--episodes", "8", "--rollouts", "2", "--out", str(tmp_path / "run"))
-    assert learn.main(options("bgr", *words, "--looks", str(first)), "learn") == 0
+    assert learn.main(options("bgr", *words, "--domain-randomization", str(first)), "learn") == 0
     moved.parent.mkdir()
     first.rename(moved)
-    assert learn.main(options("bgr", *words, "--looks", str(moved)), "learn") == 0
+    assert learn.main(options("bgr", *words, "--domain-randomization", str(moved)), "learn") == 0
     moved.write_text("format: surg_looks/1\nlight_strength: [0.6, 1.0]\n", "utf-8")
-    with pytest.raises(Problem, match="holds a run with --looks"):
-        learn.main(options("bgr", *words, "--looks", str(moved)), "learn")
-    with pytest.raises(Problem, match="holds a run with --looks"):
+    with pytest.raises(CliError, match="holds a run with --domain-randomization"):
+        learn.main(options("bgr", *words, "--domain-randomization", str(moved)), "learn")
+    with pytest.raises(CliError, match="holds a run with --domain-randomization"):
         learn.main(options("bgr", *words), "learn")
 
 
@@ -252,7 +252,7 @@ def test_what_goes_on_with_cameras_says_so(
         raise LearnError("out of memory")
 
     monkeypatch.setattr(learn_stages, "export", no_memory)
-    with pytest.raises(Problem, match=r"--episodes 60 --rollouts 20 --cameras --out"):
+    with pytest.raises(CliError, match=r"--episodes 60 --rollouts 20 --cameras --out"):
         learn.main(options("bgr", "--cameras", "--out", str(tmp_path / "run")), "learn")
 
 
@@ -271,7 +271,7 @@ def test_what_goes_on_with_cameras_says_so(
 def test_what_cannot_be_meant_is_refused_before_anything_begins(
     words: tuple[str, ...], said: str, tmp_path: Path, done: list[str]
 ) -> None:
-    with pytest.raises(Problem, match=said) as problem:
+    with pytest.raises(CliError, match=said) as problem:
         learn.main(options(*words, "--out", str(tmp_path / "run")), "learn")
     assert problem.value.code == 2
     assert done == [] and not (tmp_path / "run").exists()
@@ -280,11 +280,11 @@ def test_what_cannot_be_meant_is_refused_before_anything_begins(
 def test_a_folder_of_another_run_is_left_alone(tmp_path: Path, done: list[str]) -> None:
     out = str(tmp_path / "run")
     learn.main(options("bgr", "--episodes", "8", "--rollouts", "1", "--out", out), "learn")
-    with pytest.raises(Problem, match="--episodes 8"):
+    with pytest.raises(CliError, match="--episodes 8"):
         learn.main(options("bgr", "--episodes", "9", "--rollouts", "1", "--out", out), "learn")
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.txt").write_text("mine")
-    with pytest.raises(Problem, match="not an empty folder"):
+    with pytest.raises(CliError, match="not an empty folder"):
         learn.main(options("bgr", "--out", str(tmp_path / "other")), "learn")
 
 
@@ -325,7 +325,7 @@ def test_a_gpu_that_is_not_there_is_said_before_anything_is_played(
     monkeypatch.setenv("PYTHONPATH", path)
     out = tmp_path / "run"
     words = ("bgr", *kind, "--episodes", "8", "--rollouts", "2", "--out", str(out))
-    with pytest.raises(Problem, match=r"--device cuda: .*(--cameras|--device cpu)") as said:
+    with pytest.raises(CliError, match=r"--device cuda: .*(--cameras|--device cpu)") as said:
         learn.main(options(*words, "--device", "cuda"), "learn")
     assert said.value.code == 2 and "\n" not in str(said.value)
     assert done == [] and not out.exists()

@@ -10,7 +10,7 @@ import surg_core
 from surg_cli.commands import up
 from surg_cli.graph import system
 from surg_cli.host import cells, paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_description.make_cell import make_cell
 
 DESCRIPTION = paths.ROOT / "src" / "surg_description"
@@ -27,8 +27,8 @@ def cell(tmp_path: Path) -> Path:
     return file.parent
 
 
-def plan(cell: Path, simulated: tuple[str, ...]) -> system.Plan:
-    return system.Plan(cell, ("PSM1",), False, (), cell / "out", simulated=simulated)
+def plan(cell: Path, simulated: tuple[str, ...]) -> system.SystemPlan:
+    return system.SystemPlan(cell, ("PSM1",), False, (), cell / "out", simulated=simulated)
 
 
 def test_the_simulator_starts_only_for_the_arms_that_it_drives(cell: Path) -> None:
@@ -48,7 +48,7 @@ def test_up_prints_no_simulator_for_such_a_cell(
     lines = capsys.readouterr().out
     assert "surg_control/RcmNodelet" in lines
     assert "bridge_node.py" not in lines and "endoscope" not in lines
-    with pytest.raises(Problem, match="--lock-step"):
+    with pytest.raises(CliError, match="--lock-step"):
         up.main(parser.parse_args([str(cell), "--lock-step", "--print"]), "up")
 
 

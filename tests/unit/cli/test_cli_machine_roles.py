@@ -15,9 +15,9 @@ import pytest
 from helpers.graph.surg import surg
 from surg_cli.graph import join, network, roles
 from surg_cli.graph.roles import Link, Role
-from surg_cli.graph.system import Plan
+from surg_cli.graph.system import SystemPlan
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_console.ros.console_node import Settings
 
 MACHINES = {"robot": "192.168.77.1", "operator": "192.168.77.2"}
@@ -70,7 +70,7 @@ def test_without_the_guard_a_second_network_is_refused(monkeypatch: pytest.Monke
     link = roles.link_of(cell(), Role.ROBOT, 11311)
     network.refuse_foreign_ports([], link)
     here.add("10.1.2.3")
-    with pytest.raises(Problem, match=r"10\.1\.2\.3.*--port-guard"):
+    with pytest.raises(CliError, match=r"10\.1\.2\.3.*--port-guard"):
         network.refuse_foreign_ports([], link)
 
 
@@ -108,7 +108,7 @@ def test_a_second_address_of_one_interface_is_seen() -> None:
 def test_a_cell_that_does_not_say_so_opens_nothing(
     config: SimpleNamespace, role: Role, words: list[str]
 ) -> None:
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(CliError) as caught:
         roles.link_of(config, role, 11311)
     assert caught.value.code == 2
     for word in words:
@@ -117,7 +117,7 @@ def test_a_cell_that_does_not_say_so_opens_nothing(
 
 def refusal(has: bool, text: str, **interfaces: str) -> str:
     known = {"wlan0": "10.0.0.5", **interfaces}
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(CliError) as caught:
         roles.check_address("192.168.77.1", Role.ROBOT, has, known, roles.routes(HEADER + text))
     assert caught.value.code == 2
     return str(caught.value)
@@ -158,9 +158,9 @@ def test_an_address_without_a_network_is_looked_up_by_its_interface() -> None:
     roles.check_address("192.168.77.1", Role.ROBOT, True, {"eth1": "192.168.77.1"}, table)
 
 
-def plan_of(cameras: tuple[str, ...] = ("left",)) -> Plan:
+def plan_of(cameras: tuple[str, ...] = ("left",)) -> SystemPlan:
     out = paths.RUNS / "x"
-    return Plan(paths.CELLS / "sim_two_arms", ("PSM1", "ECM"), False, cameras, out)
+    return SystemPlan(paths.CELLS / "sim_two_arms", ("PSM1", "ECM"), False, cameras, out)
 
 
 def place_of(role: Role, **machines: str) -> Link:
@@ -234,7 +234,7 @@ def test_an_open_port_of_this_process_is_seen() -> None:
     with socket.socket() as port:
         port.bind(("0.0.0.0", 0))
         port.listen()
-        with pytest.raises(Problem, match=f"surg listens on 0.0.0.0:{port.getsockname()[1]}"):
+        with pytest.raises(CliError, match=f"surg listens on 0.0.0.0:{port.getsockname()[1]}"):
             network.refuse_foreign_ports([], link)
     network.refuse_foreign_ports([], link)
 

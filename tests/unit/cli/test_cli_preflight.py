@@ -14,7 +14,7 @@ import pytest
 
 from surg_cli import __main__ as entry
 from surg_cli.host import environment, paths, preflight, provision, rendering, workspace
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 Usage = collections.namedtuple("Usage", "total used free")
 
@@ -30,12 +30,12 @@ def deny(monkeypatch: pytest.MonkeyPatch, *folders: Path) -> None:
 def test_a_path_with_a_space_is_refused_before_the_set_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(Problem, match="without spaces"):
+    with pytest.raises(CliError, match="without spaces"):
         preflight.check_path(tmp_path / "my checkout")
     preflight.check_path(tmp_path)
     monkeypatch.setattr(preflight.check_path, "__defaults__", (Path("/home/me/my surg"),))
     monkeypatch.setattr(provision, "install_packages", lambda log: pytest.fail("began"))
-    with pytest.raises(Problem, match="without spaces"):
+    with pytest.raises(CliError, match="without spaces"):
         provision.make_ready()
 
 
@@ -45,7 +45,7 @@ def test_a_tree_of_another_user_is_not_built(
     (tmp_path / "build").mkdir()
     preflight.check_tree(tmp_path)
     deny(monkeypatch, tmp_path / "build")
-    with pytest.raises(Problem, match="owner"):
+    with pytest.raises(CliError, match="owner"):
         preflight.check_tree(tmp_path)
 
 
@@ -80,14 +80,14 @@ def test_an_out_folder_that_cannot_be_written(
     out = tmp_path / where
     assert paths.run_folder(out) == out
     deny(monkeypatch, folder)
-    with pytest.raises(Problem, match="--out") as caught:
+    with pytest.raises(CliError, match="--out") as caught:
         paths.run_folder(out)
     assert caught.value.code == 2
 
 
 def test_an_out_folder_below_a_file(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(Problem, match="not a folder"):
+    with pytest.raises(CliError, match="not a folder"):
         paths.run_folder(tmp_path / "file" / "out")
 
 
@@ -99,7 +99,7 @@ def test_little_space_is_said_before_anything_starts(
     monkeypatch.setattr(
         preflight.shutil, "disk_usage", lambda path: Usage(2**40, 2**40 - 2**30, 2**30)
     )
-    with pytest.raises(Problem, match=r"1\.0 GiB"):
+    with pytest.raises(CliError, match=r"1\.0 GiB"):
         preflight.check_space(out)
     assert not out.exists()
 

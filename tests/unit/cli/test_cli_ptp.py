@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from surg_cli.commands import ptp
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_recording.clock import pmc
 from surg_recording.clock.clock_sync import ClockStatus
 
@@ -37,7 +37,7 @@ def options(*words: str) -> argparse.Namespace:
 
 
 def refusal(*words: str) -> str:
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(CliError) as caught:
         ptp.main(options(*words), "ptp")
     assert caught.value.code == 2
     return str(caught.value)

@@ -11,7 +11,7 @@ import pytest
 
 from surg_cli.commands import record
 from surg_cli.graph import running
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_recording.episode import episode_reader
 from surg_recording.episode.episode_writer import EpisodeWriter
 from surg_recording.nodes.recorder_parameters import Settings
@@ -44,7 +44,7 @@ def test_recover_says_what_it_cannot_do_and_goes_on(
     assert "held.partial: is being recorded now" in said.err
     assert f"{tmp_path / 'good'}: 0 rows" in said.out
     os.close(held.lock)
-    with pytest.raises(Problem, match="no such folder"):
+    with pytest.raises(CliError, match="no such folder"):
         surg("episode", "recover", tmp_path / "none")
 
 
@@ -62,7 +62,7 @@ def test_record_refuses_in_words(
     surg: Callable[..., int], monkeypatch: pytest.MonkeyPatch, words: list[str], said: str
 ) -> None:
     monkeypatch.setattr(running, "systems", list)
-    with pytest.raises(Problem, match=said):
+    with pytest.raises(CliError, match=said):
         surg("record", *words)
 
 

@@ -16,7 +16,7 @@ import surg_core
 from helpers.control import reach
 from surg_cli import command_table
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_description.make_cell import make_cell
 from surg_sim.physics.sim_arm import ActuatorParameters, add_arm
 from surg_sim.placement import home_search, urdf_kinematics
@@ -129,10 +129,10 @@ def test_a_found_home_is_a_good_one_by_another_solver(tmp_path: Path) -> None:
 
 
 def test_a_file_that_cannot_be_used_is_named(tmp_path: Path, vendor: Path) -> None:
-    with pytest.raises(Problem, match="no such file"):
+    with pytest.raises(CliError, match="no such file"):
         run("check", tmp_path / "none.yaml")
     document = yaml.safe_load(vendor.read_text())
     document["flange_link"] = "nowhere"
     vendor.write_text(yaml.safe_dump(document))
-    with pytest.raises(Problem, match="nowhere"):
+    with pytest.raises(CliError, match="nowhere"):
         run("home", vendor)

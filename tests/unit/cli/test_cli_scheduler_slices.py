@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from surg_cli.graph import turns
+from surg_cli.graph import scheduler_slices
 from surg_cli.host import paths
 
 NICE = """
@@ -20,12 +20,12 @@ with Supervisor(dict(os.environ), pathlib.Path(tempfile.mkdtemp())) as superviso
     child = supervisor.start("child", ["/bin/sleep", "30"])
     print(pathlib.Path(f"/proc/{child.process.pid}/autogroup").read_text())
 """
-ASK = "from surg_cli.graph import turns; print(turns._attributes().runtime)"
+ASK = "from surg_cli.graph import scheduler_slices; print(scheduler_slices._attributes().runtime)"
 
 
 def slice_ns() -> int:
     """Length of the calling thread's slices [ns]; 0: unknown to the kernel."""
-    attributes = turns._attributes()
+    attributes = scheduler_slices._attributes()
     return int(attributes.runtime) if attributes is not None else 0
 
 
@@ -40,19 +40,19 @@ def test_what_is_started_meanwhile_has_them() -> None:
     usual, nice = slice_ns(), os.nice(0)
     if not usual:
         pytest.skip("this kernel does not tell the length of a turn (Linux 6.12 does)")
-    with turns.short():
-        assert slice_ns() == turns.SHORT_NS
-        assert int(asked()) == turns.SHORT_NS
+    with scheduler_slices.short():
+        assert slice_ns() == scheduler_slices.SHORT_NS
+        assert int(asked()) == scheduler_slices.SHORT_NS
         assert os.nice(0) == nice
         assert os.sched_getscheduler(0) == os.SCHED_OTHER
     assert slice_ns() == usual
     assert int(asked()) == usual
-    assert usual > 2 * turns.SHORT_NS
+    assert usual > 2 * scheduler_slices.SHORT_NS
 
 
 def test_an_error_leaves_nothing_behind() -> None:
     usual = slice_ns()
-    with pytest.raises(ZeroDivisionError), turns.short():
+    with pytest.raises(ZeroDivisionError), scheduler_slices.short():
         raise ZeroDivisionError
     assert slice_ns() == usual
 
@@ -60,9 +60,9 @@ def test_an_error_leaves_nothing_behind() -> None:
 @pytest.mark.parametrize("why", ["an unknown machine", "a refusal"])
 def test_where_there_are_none_all_goes_on(why: str, monkeypatch: pytest.MonkeyPatch) -> None:
     number = 0 if why == "an unknown machine" else 10**6  # a system call that there is not
-    monkeypatch.setattr(turns, "_GET", number)
+    monkeypatch.setattr(scheduler_slices, "_GET", number)
     entered = False
-    with turns.short():
+    with scheduler_slices.short():
         entered = True
     assert entered
     assert slice_ns() == 0

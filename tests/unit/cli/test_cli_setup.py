@@ -12,7 +12,7 @@ from surg_cli.graph import system
 from surg_cli.graph.processes import Supervisor
 from surg_cli.graph.system import Node
 from surg_cli.host import environment, logged, paths, provision, workspace
-from surg_cli.host.terminal import Problem, Progress
+from surg_cli.host.terminal import CliError, Progress
 
 
 def test_package_list_ignores_comments(tmp_path: Path) -> None:
@@ -94,7 +94,7 @@ def test_without_root_and_sudo_the_one_apt_line_is_said(
     monkeypatch.setattr(provision, "missing_packages", lambda names: ["cmake", "libegl1"])
     monkeypatch.setattr(provision.os, "geteuid", lambda: 1000)
     monkeypatch.setattr(provision.shutil, "which", lambda name, path=None: None)
-    with pytest.raises(Problem) as caught:
+    with pytest.raises(CliError) as caught:
         provision.install_packages(tmp_path / "log")
     line = "apt-get update && apt-get install -y --no-install-recommends cmake libegl1\n"
     assert line in str(caught.value)
@@ -109,7 +109,7 @@ def test_a_sudo_that_asks_for_a_password_is_not_used(
     monkeypatch.setattr(provision, "missing_packages", lambda names: ["cmake"])
     monkeypatch.setattr(provision.os, "geteuid", lambda: 1000)
     monkeypatch.setattr(provision.shutil, "which", lambda name, path=None: str(sudo))
-    with pytest.raises(Problem, match="neither root nor passwordless sudo"):
+    with pytest.raises(CliError, match="neither root nor passwordless sudo"):
         provision.install_packages(tmp_path / "log")
 
 
@@ -124,7 +124,7 @@ def test_nothing_is_done_when_nothing_is_missing(
 def test_a_failing_step_shows_the_end_of_its_output(tmp_path: Path) -> None:
     log = tmp_path / "log"
     argv = ["/bin/sh", "-c", "echo the reason; exit 3"]
-    with pytest.raises(Problem, match="the reason") as caught:
+    with pytest.raises(CliError, match="the reason") as caught:
         logged.run(argv, log, Progress("x"))
     assert str(log) in str(caught.value)
     assert "the reason" in log.read_text()

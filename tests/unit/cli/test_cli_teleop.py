@@ -14,7 +14,7 @@ from helpers.sim.assistant_pose import forward
 from surg_cli.commands import teleop
 from surg_cli.graph import master
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_console.ros.console_node import Settings
 from surg_core.hand.leader_sample import HandRate, LeaderSample
 from surg_sim import tasks
@@ -118,7 +118,7 @@ def test_the_second_hand_moves_its_tip_as_the_picture_shows_it() -> None:
 )
 def test_a_second_hand_without_an_assistant_is_refused(words: tuple[str, ...]) -> None:
     chosen = options(*words, "--leader", "browser", "--leader", "gamepad")
-    with pytest.raises(Problem, match="has no assistant's instrument for a second hand"):
+    with pytest.raises(CliError, match="has no assistant's instrument for a second hand"):
         teleop._operator_nodes(chosen, teleop._plan(chosen), {}, [])
 
 
@@ -127,23 +127,23 @@ def test_beside_a_teleoperation_that_runs_only_the_page_is_started() -> None:
     (page,) = teleop._operator_nodes(chosen, teleop._plan(chosen), {}, ["/sim", "/teleop"])
     assert page.name == "/console" and page.params["leader"] == ""
     chosen = options("sim_ur5e", "--leader", "gamepad")
-    with pytest.raises(Problem, match="--leader"):
+    with pytest.raises(CliError, match="--leader"):
         teleop._operator_nodes(chosen, teleop._plan(chosen), {}, ["/teleop"])
 
 
 def test_unusable_options_are_refused() -> None:
-    with pytest.raises(Problem, match="no cell 'nowhere'"):
+    with pytest.raises(CliError, match="no cell 'nowhere'"):
         teleop._plan(options("nowhere"))
-    with pytest.raises(Problem, match=r"bowel: .*there are bgr"):
+    with pytest.raises(CliError, match=r"bowel: .*there are bgr"):
         teleop._plan(options("--task", "bowel"))
-    with pytest.raises(Problem, match="'lunar'"):
+    with pytest.raises(CliError, match="'lunar'"):
         teleop._plan(options("--setting", "lunar"))
-    with pytest.raises(Problem, match="TLS"):
+    with pytest.raises(CliError, match="TLS"):
         teleop._web(options("--bind", "0.0.0.0"))
-    with pytest.raises(Problem, match=r"certificate /nowhere\.pem: no such file"):
+    with pytest.raises(CliError, match=r"certificate /nowhere\.pem: no such file"):
         teleop._web(options("--tls", "/nowhere.pem", "/nowhere.key"))
     chosen = options("--leader", "browser", "--leader", "crtk", "--leader", "gamepad")
-    with pytest.raises(Problem, match="--leader gamepad: two leaders at most"):
+    with pytest.raises(CliError, match="--leader gamepad: two leaders at most"):
         teleop._operator_nodes(chosen, teleop._plan(chosen), {}, [])
 
 

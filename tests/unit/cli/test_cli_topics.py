@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from surg_cli.graph.graph_probe import Seen
+from surg_cli.graph.graph_probe import GraphEnd
 from surg_cli.graph.topic_contract import PAGE, REFERENCE, SOURCE, Contract, compare, load, render
 
 NODES = ("controller", "sim")
@@ -19,10 +19,10 @@ def contract() -> Contract:
 
 
 @pytest.fixture
-def graph(contract: Contract) -> list[Seen]:
+def graph(contract: Contract) -> list[GraphEnd]:
     """A graph that is the contract, in free-run."""
     return [
-        Seen(
+        GraphEnd(
             name=entry.resolved("PSM1"),
             node=f"/PSM1/{entry.node}",
             direction=entry.direction,
@@ -35,11 +35,11 @@ def graph(contract: Contract) -> list[Seen]:
     ]
 
 
-def wrong(contract: Contract, graph: list[Seen]) -> list[str]:
+def wrong(contract: Contract, graph: list[GraphEnd]) -> list[str]:
     return compare(contract, graph, "PSM1", NODES, lockstep=False)
 
 
-def test_what_is_promised_is_no_difference(contract: Contract, graph: list[Seen]) -> None:
+def test_what_is_promised_is_no_difference(contract: Contract, graph: list[GraphEnd]) -> None:
     assert wrong(contract, graph) == []
     assert len(graph) > 50
 
@@ -55,7 +55,7 @@ def test_what_is_promised_is_no_difference(contract: Contract, graph: list[Seen]
     ],
 )
 def test_a_difference_is_named(
-    contract: Contract, graph: list[Seen], name: str, change: dict, words: str
+    contract: Contract, graph: list[GraphEnd], name: str, change: dict, words: str
 ) -> None:
     index = next(i for i, seen in enumerate(graph) if seen.name == name)
     graph[index] = replace(graph[index], **change)
@@ -63,16 +63,16 @@ def test_a_difference_is_named(
     assert sentence.startswith(f"{name}: {words}")
 
 
-def test_a_topic_too_few_or_too_many_is_named(contract: Contract, graph: list[Seen]) -> None:
+def test_a_topic_too_few_or_too_many_is_named(contract: Contract, graph: list[GraphEnd]) -> None:
     graph.remove(next(seen for seen in graph if seen.name == "/PSM1/move_jp"))
-    graph.append(Seen("/PSM1/free", "/PSM1/controller", "in", "std_msgs/Empty"))
+    graph.append(GraphEnd("/PSM1/free", "/PSM1/controller", "in", "std_msgs/Empty"))
     sentences = wrong(contract, graph)
     assert [s for s in sentences if "/PSM1/free" in s and "not in topics.yaml" in s]
     assert [s for s in sentences if "/PSM1/move_jp" in s and "not on the graph" in s]
     assert len(sentences) == 2
 
 
-def test_the_page_follows_the_graph(contract: Contract, graph: list[Seen]) -> None:
+def test_the_page_follows_the_graph(contract: Contract, graph: list[GraphEnd]) -> None:
     page = render(contract, graph, "PSM1")
     index = next(i for i, seen in enumerate(graph) if seen.name == "/PSM1/measured_js")
     graph[index] = replace(graph[index], latched=True)
@@ -108,7 +108,7 @@ def test_a_contract_that_cannot_be_read_is_refused(tmp_path) -> None:
 
 
 def test_a_topic_of_a_task_is_promised_with_a_task_only(
-    contract: Contract, graph: list[Seen]
+    contract: Contract, graph: list[GraphEnd]
 ) -> None:
     of_task = [e for e in contract.entries if e.only == "task"]
     assert len(of_task) >= 5

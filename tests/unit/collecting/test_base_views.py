@@ -15,7 +15,7 @@ import surg_core
 from helpers.endoscope_files import copied_cell
 from helpers.sim.board_views import BARREL, BOARD, Array, bench
 from helpers.sim.calibrated_chain import ORIGIN, TOUCHED, Chain
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_cli.robots import live_bases
 from surg_core.base_file import load_base
 from surg_perception.calibration.board_file import write_board
@@ -146,7 +146,7 @@ def test_the_terminal_says_what_is_next_and_ends_where_nobody_types(
     first = person.moment(next(person.touches([0])))
     moments: Iterator[Moment | str] = iter([first, "ECM states no joints (/ECM/...)"])
     run = at_terminal(person, monkeypatch, "\n\nu\nu\nx\ns\n", moments, tmp_path / "views")
-    with pytest.raises(Problem, match="nobody is at the terminal; 0 views are in"):
+    with pytest.raises(CliError, match="nobody is at the terminal; 0 views are in"):
         run()
     said = capsys.readouterr().out
     for words in (

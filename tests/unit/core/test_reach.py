@@ -13,7 +13,7 @@ import surg_core
 from helpers.control.capsule_scene import FAR, CapsuleScene
 from surg_cli.commands.arms import reach as command
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_core.tip_reach import Reach, reach
 
 CELL = paths.ROOT / "cells" / "sim_two_arms"
@@ -116,20 +116,20 @@ def test_an_arm_too_close_at_home_is_named(
 
 
 def test_what_cannot_be_answered_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(Problem, match="no such arm; allowed: PSM1, ECM"):
+    with pytest.raises(CliError, match="no such arm; allowed: PSM1, ECM"):
         command.main(options(CELL, tmp_path / "out", "PSM2"), "reach")
     folder = copy(tmp_path)
     trocar = folder / "calibration" / "trocar_PSM1.yaml"
     text = trocar.read_text()
     trocar.unlink()
-    with pytest.raises(Problem, match="trocar_PSM1"):
+    with pytest.raises(CliError, match="trocar_PSM1"):
         command.main(options(folder, tmp_path / "out"), "reach")
     lines = [
         "point: [0.5, 0.5, 0.5]" if line.startswith("point:") else line
         for line in text.splitlines()
     ]
     trocar.write_text("\n".join(lines) + "\n")
-    with pytest.raises(Problem, match="beside its trocar"):
+    with pytest.raises(CliError, match="beside its trocar"):
         command.main(options(folder, tmp_path / "out"), "reach")
 
 

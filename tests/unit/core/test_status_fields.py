@@ -99,15 +99,14 @@ def run_has_a_complete_recording(status: Any) -> bool:
 
 
 def record_stop_succeeds(status: Any) -> bool:
-    return record._stop(recorder_after(status), options(success=False, failure=None)) == 0
+    return record._stop(recorder_after(status), options(outcome=None)) == 0
 
 
 def record_start_succeeds(status: Any) -> bool:
     recorder = recorder_after(status)
     idle = complete("RecordStatus", {"state": RECORD.STATE_IDLE, "starts": 1})
     recorder._on_status(idle, "/record/status")
-    facts = dict.fromkeys(("operator", "task", "setting", "seed"))
-    return record._start(recorder, options(**facts)) == 0
+    return record._start(recorder, options(info=[])) == 0
 
 
 # --- SimStatus -------------------------------------------------------------------------------
@@ -234,7 +233,7 @@ def says_yes(decider: Decider, status: Any, monkeypatch: pytest.MonkeyPatch) -> 
         monkeypatch.setattr(follow, "finish_recording", lambda *_: [])
     try:
         return decider.call(status)
-    except (record.Problem, WaitsForeverError):
+    except (record.CliError, WaitsForeverError):
         return False
 
 

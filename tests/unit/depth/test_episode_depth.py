@@ -13,7 +13,7 @@ import pytest
 
 from helpers.perception.plane_pair import PlanePair
 from helpers.recording.stereo_recording import EYES, FRAME_NS, camera_info, record_pairs
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_recording.episode import episode_reader
 from surg_recording.video import exact_values
 
@@ -39,7 +39,7 @@ def recorded(pair: PlanePair, models: dict, tmp_path_factory: pytest.TempPathFac
 
 def refused(surg: Callable[..., int], *words: object) -> str:
     """What the command says when it refuses."""
-    with pytest.raises(Problem) as problem:
+    with pytest.raises(CliError) as problem:
         surg("episode", "depth", *words)
     assert problem.value.code == 2
     return str(problem.value)
@@ -198,7 +198,7 @@ def test_an_option_that_is_none_is_refused(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    with pytest.raises((Problem, SystemExit)) as problem:
+    with pytest.raises((CliError, SystemExit)) as problem:
         surg("episode", "depth", recorded, "--out", tmp_path / "d", *words)
     assert said in str(problem.value) + capsys.readouterr().err
     assert not (tmp_path / "d").exists()

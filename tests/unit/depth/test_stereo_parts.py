@@ -14,7 +14,7 @@ from helpers.endoscope_files import copied_cell, lens
 from surg_cli.commands import teleop, up
 from surg_cli.graph import running
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_core import ConfigError, axis_angle_to_matrix
 from surg_perception.marks.mark_projection import PictureMark
 from surg_perception.stereo import stereo_messages_node as messages
@@ -165,17 +165,17 @@ def test_teleop_has_the_options_of_up(monkeypatch: pytest.MonkeyPatch) -> None:
     # Beside a system that runs there is nobody to start the node in.
     there = running.System(11311, 1, 1, "up", str(paths.CELLS / "sim_two_arms"), "")
     monkeypatch.setattr(running, "systems", lambda: [there])
-    with pytest.raises(Problem, match=r"start that system with it: ./surg up CELL --cameras depth"):
+    with pytest.raises(CliError, match=r"start that system with it: .*CELL --cameras depth"):
         teleop.main(options("--cameras", "depth"), "teleop")
 
 
 def test_up_refuses_depth_without_two_eyes(tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(Problem, match="--cameras depth: there are no pictures"):
+    with pytest.raises(CliError, match="--cameras depth: there are no pictures"):
         printed(capsys, "emulated_ur5e", "--cameras", "depth")
     cell = copied_cell(tmp_path, "sim_ur5e")
     text = (cell / "cell.yaml").read_text()
     (cell / "cell.yaml").write_text(
         text + "endoscope: {source: 'v4l2:/dev/video0', layout: mono}\n"
     )
-    with pytest.raises(Problem, match="--cameras marks: the endoscope has one eye"):
+    with pytest.raises(CliError, match="--cameras marks: the endoscope has one eye"):
         printed(capsys, str(cell), "--cameras", "marks")

@@ -11,7 +11,7 @@ import pytest
 import surg_core
 from helpers.force.loaded_arm import SENSOR, pull_at_tip, sensing_cell
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_cli.robots import force_steps
 from surg_core.force.compensation import external_wrench, gravity_in_base
 from surg_core.force.force_file import load_force
@@ -119,12 +119,12 @@ def test_postures_from_the_bench_give_the_tools_mass_and_frame(
     assert (again.load.mass, again.n) == (found.load.mass, 16)
     assert (again.load.bias != found.load.bias).all()
     force_bench.ForceBench(cell, "PSM1", 3).record(file, 4, np.array([0.0, 0.0, 0.3]))
-    with pytest.raises(Problem, match="touches something"):
+    with pytest.raises(CliError, match="touches something"):
         force_steps.run(folder, arm, options(file, "zero"), "simulated", "2026-11-23")
     tool = folder / "calibration" / "tool_PSM1.yaml"
     tool.write_text(tool.read_text("utf-8") + "# changed\n", encoding="utf-8")
     force_bench.ForceBench(cell, "PSM1", 4).record(file, 4)
-    with pytest.raises(Problem, match="tool_sha256"):
+    with pytest.raises(CliError, match="tool_sha256"):
         force_steps.run(folder, arm, options(file, "zero"), "simulated", "2026-11-23")
     after = load_force(folder / "calibration" / "force_PSM1.yaml")
     np.testing.assert_array_equal(after.load.bias, again.load.bias)
@@ -144,10 +144,10 @@ def test_what_a_recording_must_not_hold_is_refused_by_file_and_line(cell: surg_c
     }
     for problem, text in broken.items():
         file.write_text("\n".join(text) + "\n", encoding="utf-8")
-        with pytest.raises(Problem, match=problem):
+        with pytest.raises(CliError, match=problem):
             force_steps.run(folder, arm, options(file), "simulated", "2026-11-23")
     assert not (folder / "calibration" / "force_PSM1.yaml").exists()
-    with pytest.raises(Problem, match="force_sensor_PSM1"):
+    with pytest.raises(CliError, match="force_sensor_PSM1"):
         bare = dataclasses.replace(arm, force_sensor=None)
         force_steps.run(folder, bare, options(file), "simulated", "2026-11-23")
 

@@ -77,7 +77,9 @@ class FrankaSettings(FrankaAdapter):
 
 
 def test_up_starts_the_link_and_no_simulator() -> None:
-    plan = system.Plan(BUNDLED, ("PSM1",), False, (), Path("out"), simulated=(), driven=("PSM1",))
+    plan = system.SystemPlan(
+        BUNDLED, ("PSM1",), False, (), Path("out"), simulated=(), driven=("PSM1",)
+    )
     nodes = {node.name: node for node in system.nodes(plan)}
     assert nodes["/PSM1/link"].package == "surg_hardware" and "/sim" not in nodes
 

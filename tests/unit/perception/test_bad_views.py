@@ -13,7 +13,7 @@ from helpers.endoscope_files import copied_cell
 from helpers.perception.made_up_views import folders, made_up
 from helpers.sim.board_views import BOARD, scope_cell
 from helpers.sim.calibrated_chain import ORIGIN, Chain
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_perception.calibration.result_files import save_stereo
 from surg_perception.calibration.stereo import StereoFit
 from surg_perception.calibration.views import View
@@ -80,7 +80,7 @@ def test_views_for_the_hand_eye_pose(
     if not said:
         assert surg(*words) == 0
         return
-    with pytest.raises(Problem, match=said):
+    with pytest.raises(CliError, match=said):
         surg(*words)
     assert sorted(cell.rglob("*")) == before
 
@@ -97,7 +97,7 @@ def test_pictures_of_another_size_than_the_lens_files(
     with monkeypatch.context() as patch:
         patch.setattr(chain.bench, "size", (960, 540))
         of = folders(monkeypatch, tmp_path, {"scope": (chain.bench, views)})
-        with pytest.raises(Problem, match="960 x 540 px; the lens files are for 640 x 480"):
+        with pytest.raises(CliError, match="960 x 540 px; the lens files are for 640 x 480"):
             surg("calibrate", cell, "handeye", "--from", of["scope"])
 
 
@@ -112,5 +112,5 @@ def test_a_right_eye_that_is_the_left_one_is_refused(
     shown = made_up(chain.bench, chain.bench.held_board(12), np.random.default_rng(1))
     swapped = [replace(view, corners=(view.corners[1], view.corners[0])) for view in shown]
     of = folders(monkeypatch, tmp_path, {"lenses": (chain.bench, swapped)})
-    with pytest.raises(Problem, match=r"baseline: -[34]\.\d\d mm; .*the eyes are swapped"):
+    with pytest.raises(CliError, match=r"baseline: -[34]\.\d\d mm; .*the eyes are swapped"):
         surg("calibrate", copied_cell(tmp_path), "stereo", "--from", of["lenses"])

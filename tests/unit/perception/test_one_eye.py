@@ -16,7 +16,7 @@ from helpers.perception.made_up_views import folders, made_up
 from helpers.sim.board_views import BOARD, scope_cell
 from helpers.sim.calibrated_chain import TOUCHED, Chain
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_core.camera_file import load_camera
 from surg_core.lens_file import load_lens
 from surg_core.pictures.lens_model import LensModel
@@ -49,7 +49,7 @@ def test_the_chain_of_one_eye(
 ) -> None:  # fmt: skip
     cell, of = copied_cell(tmp_path), one_eyed(chain, monkeypatch, tmp_path)
     calibration = cell / "calibration"
-    with pytest.raises(Problem, match="both eyes: 0"):
+    with pytest.raises(CliError, match="both eyes: 0"):
         surg("calibrate", cell, "stereo", "--from", of["lenses"])
     assert surg("calibrate", cell, "camera", "--from", of["lenses"]) == 0
     lens = LensModel.of(load_lens(calibration / "endoscope_left.yaml"))
@@ -99,7 +99,7 @@ def test_one_eye_does_not_replace_two(surg: Callable[..., int], tmp_path: Path) 
     cell = copied_cell(tmp_path)
     write_endoscope(cell / "calibration", "ECM")
     before = (cell / "calibration" / "endoscope_left.yaml").read_text()
-    with pytest.raises(Problem, match=r"endoscope_right.yaml: this cell has two eyes"):
+    with pytest.raises(CliError, match=r"endoscope_right.yaml: this cell has two eyes"):
         surg("calibrate", cell, "camera", "--from", tmp_path)
     assert (cell / "calibration" / "endoscope_left.yaml").read_text() == before
 
@@ -115,7 +115,7 @@ def test_one_eye_does_not_replace_two(surg: Callable[..., int], tmp_path: Path) 
 def test_options_that_do_not_go_together_are_refused(
     words: list[str], said: str, surg: Callable[..., int], tmp_path: Path
 ) -> None:
-    with pytest.raises(Problem, match=said):
+    with pytest.raises(CliError, match=said):
         surg("calibrate", copied_cell(tmp_path), *words)
 
 
@@ -133,8 +133,8 @@ def test_a_pair_is_refused_live_where_the_endoscope_has_one_eye(
     camera = surg_core.load_cell(cell).arms["ECM"].instrument.camera
     assert camera is not None and len(camera.frames) == 1
     before = sorted(cell.rglob("*"))
-    with pytest.raises(Problem, match="the endoscope has one eye; use camera --live"):
+    with pytest.raises(CliError, match="the endoscope has one eye; use camera --live"):
         surg("calibrate", cell, "stereo", "--live")
-    with pytest.raises(Problem, match="--live goes with stereo, camera, handeye, bases --by"):
+    with pytest.raises(CliError, match="--live goes with stereo, camera, handeye, bases --by"):
         surg("calibrate", cell, "check", "--live")
     assert sorted(cell.rglob("*")) == before

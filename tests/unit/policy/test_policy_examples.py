@@ -14,7 +14,7 @@ import pytest
 
 from helpers.policy.policy_server import ACTION, STATE, PolicyServer, spec
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_policy_client import Observation
 from surg_policy_client.keys import server_keys
 from surg_policy_client.policies.hold import Hold
@@ -188,7 +188,7 @@ def test_surg_keys_makes_them_once(
     said = capsys.readouterr().out
     assert str(folder / "server" / "server.key_secret") in said
     assert f"--policy-keys {folder}" in said
-    with pytest.raises(Problem, match="nothing is overwritten") as caught:
+    with pytest.raises(CliError, match="nothing is overwritten") as caught:
         surg("policy", "keys", "--out", folder)
     assert caught.value.code == 2
     assert surg("policy", "keys", "laboratory", "--out", folder) == 0

@@ -24,7 +24,7 @@ from helpers.recording import datasets_synthetic
 from helpers.recording.corruptions import ALL, CAMERA, Corruption
 from helpers.results.corruption_results import COMMANDS, note
 from surg_cli import __main__ as cli
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_recording import datasets
 from surg_recording.episode import episode_reader
 from surg_recording.reports import episode_view, evaluation
@@ -125,7 +125,7 @@ def in_child(answer: Connection, command: str, folder: Path, place: Place) -> No
             said = {"view": view, "evaluate": evaluate, "export": export, "recover": recover}[
                 command
             ](folder, place)
-    except (Problem, datasets.ExportError) as problem:
+    except (CliError, datasets.ExportError) as problem:
         said = str(problem)
     except BaseException:
         trace = traceback.format_exc()

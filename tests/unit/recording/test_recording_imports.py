@@ -19,7 +19,7 @@ from std_msgs.msg import Header
 from helpers.recording import datasets_synthetic, picture_identity
 from helpers.recording.picture_identity import Identity
 from surg_cli.commands.episode import import_recordings
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_recording import datasets, episode, metrics
 from surg_recording.datasets import ExportOptions
 from surg_recording.imports import bag_map
@@ -229,6 +229,6 @@ def test_the_command_imports_what_it_can(bag: Path, tmp_path: Path) -> None:
     words = ["rosbag", str(bag), str(broken), "--out", str(tmp_path / "out")]
     assert import_recordings.main(parser.parse_args(words), "import") == 1
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["knot"]
-    with pytest.raises(Problem, match="no LeRobot data set"):
+    with pytest.raises(CliError, match="no LeRobot data set"):
         words = ["lerobot", str(tmp_path), "--out", str(tmp_path / "out")]
         import_recordings.main(parser.parse_args(words), "import")

@@ -14,7 +14,7 @@ from helpers.recording import datasets_synthetic
 from helpers.recording.evaluated import DONE, episode
 from helpers.recording.recording_synthetic import Synthetic
 from helpers.recording.restated import edit_field, restate, without_hashes
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_recording import datasets
 from surg_recording.episode import amendments, episode_reader, integrity
 from surg_recording.episode.verdicts import verdict
@@ -139,12 +139,12 @@ def test_a_recording_without_hashes_is_read_and_said(folder: Path) -> None:
 
 
 def test_a_declared_edit_is_accepted_and_named(folder: Path, surg: Callable[..., int]) -> None:
-    with pytest.raises(Problem, match="nothing to declare"):
+    with pytest.raises(CliError, match="nothing to declare"):
         surg("record", "amend", folder, "--by", "A. Nurse", "--why", "none")
     before = file_hash(folder / "cycle_PSM1.csv")
     edit_field(folder / "cycle_PSM1.csv", 100, "q0", "1.234")
     for words in (["--by", "A. Nurse"], ["--why", "encoder"]):
-        with pytest.raises(Problem, match="--by NAME and --why TEXT"):
+        with pytest.raises(CliError, match="--by NAME and --why TEXT"):
             surg("record", "amend", folder, *words)
     assert surg("record", "amend", folder, "--by", "A. Nurse", "--why", "encoder slipped") == 0
     (note,) = episode_reader.read(folder).amendments

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import surg_core
 from surg_cli.commands import calibrate
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_core import base_calibration, base_file
 from surg_core.base_calibration import BasesFit, solve_bases
 
@@ -141,11 +141,11 @@ def test_the_command_prints_the_base_and_writes_it(
     believed = surg_core.load_cell(folder).arms[second.name]
     np.testing.assert_array_equal(believed.X_WB, found.X_WB)
     np.testing.assert_array_equal(believed.X_WB_stated, second.X_WB_stated)
-    with pytest.raises(Problem, match="keeps its base"):
+    with pytest.raises(CliError, match="keeps its base"):
         surg(*map(str, words), "--arm", first.name)
-    with pytest.raises(Problem, match="--from FILE FILE"):
+    with pytest.raises(CliError, match="--from FILE FILE"):
         surg(*map(str, words[:-1]))
-    with pytest.raises(Problem, match="one arm"):
+    with pytest.raises(CliError, match="one arm"):
         surg("calibrate", "sim_ur5e", "bases", "--from", str(files[0]))
 
 

@@ -10,7 +10,7 @@ import pytest
 import surg_core
 from surg_cli.host import paths
 from surg_cli.robots import rehearsal, rehearse_stop
-from surg_cli.robots.rehearsal import STEPS, Outcome, Step, Trace
+from surg_cli.robots.rehearsal import STEPS, RehearsalOutcome, RehearsalStep, Trace
 
 DT, EVENT = 0.002, 1.0
 BY_NAME = {step.name: step for step in STEPS}
@@ -35,7 +35,7 @@ def trace(
     return Trace(times, speeds, deviations, condition, reason)
 
 
-def judged(step: Step, found: Trace) -> Outcome:
+def judged(step: RehearsalStep, found: Trace) -> RehearsalOutcome:
     return rehearsal.judge(step, EVENT, found, "2026-11-23", "77")
 
 
@@ -123,11 +123,11 @@ def test_each_stop_is_led_through_until_this_arm_has_passed_it(tmp_path: Path) -
     done = []
     while (step := rehearsal.next_step(rehearsal.load(file), "77")) is not None:
         done.append(step.name)
-        failed = Outcome(step.name, "2026-11-23", "77", 0.2, 0.0, "", "", ("too late",))
+        failed = RehearsalOutcome(step.name, "2026-11-23", "77", 0.2, 0.0, "", "", ("too late",))
         rehearsal.append(file, failed)
         assert rehearsal.next_step(rehearsal.load(file), "77") == step, "a failure is repeated"
         rehearsal.append(
-            file, Outcome(step.name, "2026-11-23", "77", math.nan, 0.0, "READY", "", ())
+            file, RehearsalOutcome(step.name, "2026-11-23", "77", math.nan, 0.0, "READY", "", ())
         )
     assert done == [step.name for step in STEPS]
     assert rehearsal.next_step(rehearsal.load(file), "78") == STEPS[0], "another arm begins anew"

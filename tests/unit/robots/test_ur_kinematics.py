@@ -14,7 +14,7 @@ import surg_core
 from helpers.hardware import emulated_ur
 from helpers.hardware.emulated_cell import HOME, SERIAL, emulated_cell
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_cli.robots import robot_doctor
 from surg_core import calibration
 from surg_core.urdf import chain_from_urdf
@@ -135,7 +135,7 @@ def test_the_command_writes_them_and_the_arm_is_accepted(
         assert surg("robot", str(cell), "kinematics") == 0
         assert surg("robot", str(cell), "doctor") == 0
         controller.serial = "77"
-        with pytest.raises(Problem, match=r"hardware\.serial") as problem:
+        with pytest.raises(CliError, match=r"hardware\.serial") as problem:
             surg("robot", str(cell), "kinematics")
         assert problem.value.code == 2
     arm = surg_core.load_cell(cell).arms["PSM1"]

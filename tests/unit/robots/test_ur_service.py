@@ -10,7 +10,7 @@ import pytest
 
 from helpers.hardware import emulated_ur
 from helpers.hardware.emulated_cell import HOME, SERIAL, emulated_cell
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_emulators.ur import ur_controller
 from surg_emulators.ur.robot_states import RobotMode, SafetyMode
 from surg_emulators.ur.ur_controller import UrController
@@ -54,14 +54,14 @@ def test_power_and_brakes_on_and_off(robot: Robot, controller: UrController) -> 
 
 @pytest.mark.parametrize("answer", ["no", "", "y", "YES!"])
 def test_without_a_yes_nothing_happens(robot: Robot, controller: UrController, answer: str) -> None:
-    with pytest.raises(Problem, match="not confirmed"):
+    with pytest.raises(CliError, match="not confirmed"):
         robot("on", answer)
     assert controller.robot_mode == RobotMode.POWER_OFF
 
 
 def test_local_control_is_named(robot: Robot, controller: UrController) -> None:
     controller.remote = False
-    with pytest.raises(Problem, match="local control"):
+    with pytest.raises(CliError, match="local control"):
         robot("on")
     assert controller.robot_mode == RobotMode.POWER_OFF
 
@@ -71,7 +71,7 @@ def test_a_protective_stop_is_unlocked_after_its_time(
 ) -> None:
     assert robot("on") == 0
     controller.protective_stop("test")
-    with pytest.raises(Problem, match="wait 5 s"):
+    with pytest.raises(CliError, match="wait 5 s"):
         robot("recover")
     assert controller.safety_mode == SafetyMode.PROTECTIVE_STOP
     monkeypatch.setattr(ur_controller, "UNLOCK_AFTER", 0.0)
@@ -86,7 +86,7 @@ def test_a_violation_restarts_the_safety_system_and_an_estop_is_released_by_hand
     assert robot("on") == 0
     controller.fall_to(SafetyMode.ROBOT_EMERGENCY_STOP, "test")
     for action in ("recover", "on"):
-        with pytest.raises(Problem, match=r"button|recover"):
+        with pytest.raises(CliError, match=r"button|recover"):
             robot(action)
     controller.release()
     controller.fall_to(SafetyMode.VIOLATION, "test")
@@ -99,8 +99,8 @@ def test_an_arm_that_does_not_answer_is_sent_to_the_doctor(
     surg: Callable[..., int], tmp_path: Path
 ) -> None:
     cell = emulated_cell(tmp_path, emulated_ur.free_address())
-    with pytest.raises(Problem, match="surg robot cell doctor"):
+    with pytest.raises(CliError, match="surg robot cell doctor"):
         surg("robot", str(cell), "kinematics")
-    with pytest.raises(Problem, match="'simulator'") as problem:
+    with pytest.raises(CliError, match="'simulator'") as problem:
         surg("robot", "sim_ur5e", "off")
     assert problem.value.code == 2

@@ -1,4 +1,4 @@
-"""`./surg learn --looks`: which demonstrations are played with which looks."""
+"""`./surg learn --domain-randomization`: which demonstrations are played with which looks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from surg_cli.commands import learn
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_learn.recipes import Request
 
 demonstrations = pytest.importorskip("surg_sim.envs.demonstrations")
@@ -34,25 +34,26 @@ def file(tmp_path: Path) -> Path:
 
 
 def test_looks_are_part_of_what_demonstrations_depend_on(file: Path) -> None:
-    plain, own = asked("--cameras"), asked("--cameras", "--looks", str(file))
+    plain, own = asked("--cameras"), asked("--cameras", "--domain-randomization", str(file))
     assert plain.look_ranges is None and "looks" not in plain.demonstrations
     varied = replace(DomainRandomization.none(), light_strength=(0.4, 1.6))
     assert own.look_ranges == varied
     assert own.demonstrations == {**plain.demonstrations, "looks": asdict(varied)}
-    built_in = asked("--cameras", "--looks").look_ranges
+    built_in = asked("--cameras", "--domain-randomization").look_ranges
     assert built_in is not None and built_in.tissue_colour == DomainRandomization().tissue_colour
     assert built_in.camera_shift_mm == built_in.camera_turn_deg == (0.0, 0.0)
-    assert f"--cameras --looks {file} --out" in learn.command_line(own, Path("runs/L"))
+    resumed = learn.command_line(own, Path("runs/L"))
+    assert f"--cameras --domain-randomization {file} --out" in resumed
 
 
 def test_looks_that_cannot_be_trained_with_are_refused(file: Path) -> None:
-    with pytest.raises(Problem, match="without --cameras"):
-        asked("--looks")
-    with pytest.raises(Problem, match=r"no\.yaml"):
-        asked("--cameras", "--looks", str(file.with_name("no.yaml")))
+    with pytest.raises(CliError, match="without --cameras"):
+        asked("--domain-randomization")
+    with pytest.raises(CliError, match=r"no\.yaml"):
+        asked("--cameras", "--domain-randomization", str(file.with_name("no.yaml")))
     file.write_text("format: surg_looks/1\ncamera_turn_deg: [0, 3]\n")
-    with pytest.raises(Problem, match="labels are of the stated camera"):
-        asked("--cameras", "--looks", str(file))
+    with pytest.raises(CliError, match="labels are of the stated camera"):
+        asked("--cameras", "--domain-randomization", str(file))
 
 
 def test_a_recording_with_another_look_is_played_again(

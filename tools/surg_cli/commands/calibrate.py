@@ -12,7 +12,7 @@ from typing import Any
 
 from surg_cli.host import cells
 from surg_cli.host.option_types import tcp_port
-from surg_cli.host.terminal import Problem, say
+from surg_cli.host.terminal import CliError, say
 from surg_cli.robots import endoscope_steps, force_steps
 
 MOTIONS = ("tip", "roll", "second", "trocar", "touch", "force")
@@ -67,10 +67,10 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 def main(options: argparse.Namespace, command: str) -> int:
     """Collect or solve."""
     if options.motion is not None and options.what != "collect":
-        raise Problem(f"calibrate {options.what}: takes no {options.motion!r}", 2)
+        raise CliError(f"calibrate {options.what}: takes no {options.motion!r}", 2)
     both = options.what == "bases" and options.by is None
     if len(options.sources) > 1 and not both:
-        raise Problem(f"calibrate {options.what}: --from takes one recording", 2)
+        raise CliError(f"calibrate {options.what}: --from takes one recording", 2)
     options.source = options.sources[0] if options.sources else None
     folder = cells.find(options.cell)
     cell = cells.load(folder)
@@ -98,11 +98,11 @@ def main(options: argparse.Namespace, command: str) -> int:
         from surg_cli.graph.collect import collect
 
         if options.to is None or options.motion is None:
-            raise Problem(
+            raise CliError(
                 f"calibrate collect: MOTION ({', '.join(MOTIONS)}) and --to FILE are missing", 2
             )
         if options.count < 1:
-            raise Problem(f"calibrate collect: --count {options.count}: 1 or more is allowed", 2)
+            raise CliError(f"calibrate collect: --count {options.count}: 1 or more is allowed", 2)
         if options.motion == "force":
             from surg_cli.robots.collect_force import collect_forces
 
@@ -112,7 +112,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         force_steps.run(folder, arm, options, origin_of(arm), today())
         return 0
     if options.source is None:
-        raise Problem(f"calibrate {options.what}: --from FILE is missing", 2)
+        raise CliError(f"calibrate {options.what}: --from FILE is missing", 2)
     solve(folder, arm, options.what, options.source, today(), options.dry_run)
     return 0
 
@@ -126,14 +126,14 @@ def choose_arm(cell: Any, name: str | None) -> Any:
     """The arm of a loaded cell with this CRTK name; None names the only arm.
 
     Raises:
-        Problem: There is no such arm, or the cell has several and none is named.
+        CliError: There is no such arm, or the cell has several and none is named.
     """
     arms = dict(cell.arms)
     if name is None and len(arms) == 1:
         return next(iter(arms.values()))
     if name not in arms:
         reason = "--arm is missing" if name is None else f"--arm {name}: no such arm"
-        raise Problem(f"{reason}; the cell has {', '.join(arms)}", 2)
+        raise CliError(f"{reason}; the cell has {', '.join(arms)}", 2)
     return arms[name]
 
 
@@ -141,7 +141,7 @@ def solve(folder: Path, arm: Any, what: str, source: Path, date: str, dry_run: b
     """Solve a recording for ``what`` (`tool` or `trocar`), print the residuals, write the file.
 
     Raises:
-        Problem: The recording cannot be read, or its poses do not determine the result.
+        CliError: The recording cannot be read, or its poses do not determine the result.
     """
     import numpy as np
 
@@ -175,7 +175,7 @@ def solve(folder: Path, arm: Any, what: str, source: Path, date: str, dry_run: b
             if not dry_run:
                 calibration.write_trocar(path, point.trocar, note, origin, serial)
     except (calibration.CalibrationError, OSError) as error:
-        raise Problem(f"calibrate {what}: {error}; {path} is unchanged", 1) from error
+        raise CliError(f"calibrate {what}: {error}; {path} is unchanged", 1) from error
     say("nothing written (--dry-run)" if dry_run else f"written: {path}; restart the system")
 
 
@@ -183,7 +183,7 @@ def read(source: Path, arm: Any) -> Any:
     """The recording of an arm.
 
     Raises:
-        Problem: It is another arm's.
+        CliError: It is another arm's.
         CalibrationError: It cannot be read.
     """
     from surg_core import calibration
@@ -191,7 +191,7 @@ def read(source: Path, arm: Any) -> Any:
     recording = calibration.read_recording(source, arm.chain, arm.robot.joint_names)
     if arm.hardware is not None and recording.serial != arm.hardware.serial:
         found = f"is of {recording.serial!r}" if recording.serial else "has no column 'serial'"
-        raise Problem(
+        raise CliError(
             f"{source}: serial: the recording {found}, the cell's {arm.name} is "
             f"{arm.hardware.serial!r}: record it with this arm, ./surg calibrate CELL collect",
             2,
@@ -209,24 +209,24 @@ def _bases(folder: Path, cell: Any, options: argparse.Namespace) -> None:
     """Solve for the base of a second arm against the cell's first one, and write it.
 
     Raises:
-        Problem: The options or recordings do not determine it.
+        CliError: The options or recordings do not determine it.
     """
     import surg_core
     from surg_core import base_calibration, calibration
 
     names = list(cell.arms)
     if len(names) < 2:
-        raise Problem(f"calibrate bases: the cell has one arm, {names[0]}; two are needed", 2)
+        raise CliError(f"calibrate bases: the cell has one arm, {names[0]}; two are needed", 2)
     first, others = cell.arms[names[0]], names[1:]
     second = choose_arm(cell, options.arm or (others[0] if len(others) == 1 else None))
     if second is first:
-        raise Problem(
+        raise CliError(
             f"calibrate bases: --arm {first.name}: the cell's first arm keeps its base; allowed: "
             f"{', '.join(others)}, which is measured against it",
             2,
         )
     if len(options.sources) != 2:
-        raise Problem(
+        raise CliError(
             f"calibrate bases: --from FILE FILE is needed: `touch` by {first.name}, then by "
             f"{second.name}",
             2,
@@ -250,7 +250,7 @@ def _bases(folder: Path, cell: Any, options: argparse.Namespace) -> None:
             note = f"Measured by touch: {', '.join(file.name for file in options.sources)}"
             _write_base(path, cell, fit, (date, source), note)
     except (calibration.CalibrationError, surg_core.ConfigError, OSError) as error:
-        raise Problem(f"calibrate bases: {error}; {path} is unchanged", 1) from error
+        raise CliError(f"calibrate bases: {error}; {path} is unchanged", 1) from error
     say(
         "nothing written (--dry-run)" if options.dry_run else f"written: {path}; restart the system"
     )

@@ -12,9 +12,9 @@ from typing import Any
 
 from surg_cli.graph import join, master, network, processes, roles, running, system
 from surg_cli.graph.follow import death_notice
-from surg_cli.graph.system import Node, Plan
+from surg_cli.graph.system import Node, SystemPlan
 from surg_cli.host import cells, environment, frames_picture, paths, terminal
-from surg_cli.host.terminal import Problem, Progress, say
+from surg_cli.host.terminal import CliError, Progress, say
 
 NODE = "check_frames"
 DEFAULT_CELL = "sim_two_arms"
@@ -51,7 +51,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     try:
         if attached is not None:
             if setting:
-                raise Problem(
+                raise CliError(
                     f"--setting {setting}: the system on port {attached.port} already runs; stop "
                     "it, or omit --setting",
                     2,
@@ -69,21 +69,21 @@ def _refuse(config: Any, cell: Path, arm: str | None) -> None:
     """Check that an arm holds an endoscope and that the arm to move is another one."""
     scopes = [a.name for a in config.arms.values() if a.instrument.camera is not None]
     if not scopes:
-        raise Problem(
+        raise CliError(
             f"{cell.name}: no arm holds an endoscope, so there is no camera registration to check; "
             f"the bundled cell {DEFAULT_CELL} has one",
             2,
         )
     others = [name for name in config.arms if name != scopes[0]]
     if not others:
-        raise Problem(
+        raise CliError(
             f"{cell.name}: {scopes[0]} holds the endoscope, and no other arm holds an instrument "
             "whose tip it could see",
             2,
         )
     if arm not in (None, *others):
         why = "it holds the endoscope" if arm in scopes else "no such arm in the cell"
-        raise Problem(f"--arm {arm}: {why}; allowed: {', '.join(others)}", 2)
+        raise CliError(f"--arm {arm}: {why}; allowed: {', '.join(others)}", 2)
 
 
 def _attached(attached: running.System, config: Any, params: dict[str, object], out: Path) -> None:
@@ -107,7 +107,7 @@ def _setting(name: str | None) -> str:
     try:
         find_setting(name)
     except ValueError as error:
-        raise Problem(f"--setting: {error}", 2) from error
+        raise CliError(f"--setting: {error}", 2) from error
     return name
 
 
@@ -117,7 +117,7 @@ def _alone(
     """Simulate the cell in lock-step for the time of the check."""
     arms = tuple(str(name) for name in config.arms)
     camera = next(a.instrument.camera for a in config.arms.values() if a.instrument.camera)
-    plan = Plan(
+    plan = SystemPlan(
         cell=cell,
         arms=arms,
         lockstep=True,
@@ -151,21 +151,21 @@ def _await(child: processes.Child, supervisor: processes.Supervisor) -> None:
         while child.exit_code is None:
             dead = supervisor.first_dead()
             if dead is not None and dead.exit_code != 0:
-                raise Problem(death_notice(dead))
+                raise CliError(death_notice(dead))
             if time.monotonic() > deadline:
-                raise Problem(f"the check did not end within {TIMEOUT_S:.0f} s; see {child.log}")
+                raise CliError(f"the check did not end within {TIMEOUT_S:.0f} s; see {child.log}")
             text = child.log_tail(1)
             progress.update(None, text if text.startswith("the tip must") else "looking")
             time.sleep(0.1)
     if child.exit_code not in (0, 1) or "check_frames: " in child.log_tail(1):
-        raise Problem(child.log_tail(4).partition("check_frames: ")[2] or death_notice(child))
+        raise CliError(child.log_tail(4).partition("check_frames: ")[2] or death_notice(child))
 
 
 def _print_result(out: Path) -> int:
     """Print the result; 0 only if commanded and observed motion agree."""
     file = out / "check_frames.json"
     if not file.is_file():
-        raise Problem(f"the check wrote no result; see {out / 'logs'}")
+        raise CliError(f"the check wrote no result; see {out / 'logs'}")
     result = json.loads(file.read_text("utf-8"))
     rows = [["commanded", "observed in the left image", "disparity"]]
     for seen in result["seen"]:

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.graph import episode_film, motion_run
-from surg_cli.graph.system import Plan
+from surg_cli.graph.system import SystemPlan
 from surg_cli.host import cells, link_environments, paths, preflight
 from surg_cli.host.option_types import feedback_gain, positive
-from surg_cli.host.terminal import Problem, Progress, say, table, warn
+from surg_cli.host.terminal import CliError, Progress, say, table, warn
 from surg_cli.robots import emulated_arms
 
 BUNDLED_MOTION = paths.ROOT / "src" / "surg_teleop" / "motions" / "bundled.csv"
@@ -56,7 +56,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         arm = _only_arm(loaded, cell)
         _prepare_link(options, cell, loaded)
         motion = _check_motion(options, loaded.arms[arm])
-    except Problem:
+    except CliError:
         shutil.rmtree(out / "cell", ignore_errors=True)  # made for a robot given by its YAML
         with contextlib.suppress(OSError):
             out.rmdir()
@@ -104,7 +104,7 @@ def make_report(out: Path, reasons: list[str]) -> dict[str, Any]:
     ``reasons`` are those for a failure that the recording cannot know.
 
     Raises:
-        Problem: The episode cannot be read.
+        CliError: The episode cannot be read.
     """
     from surg_recording.recording_errors import EpisodeError
     from surg_recording.reports import run_report
@@ -113,7 +113,7 @@ def make_report(out: Path, reasons: list[str]) -> dict[str, Any]:
         try:
             summary: dict[str, Any] = run_report.make(out)
         except EpisodeError as error:
-            raise Problem(f"no report: {error}") from error
+            raise CliError(f"no report: {error}") from error
     if reasons:
         summary["ok"] = False
         summary["reasons"] = [*reasons, *summary["reasons"]]
@@ -167,7 +167,7 @@ def _plan(
     motion: CheckedMotion,
     out: Path,
     loaded: Any,
-) -> Plan:
+) -> SystemPlan:
     """Translate the options."""
     robot, driven = loaded.robot, loaded.hardware is not None
     by_twist = "cartesian" in str(robot.command)
@@ -196,7 +196,7 @@ def _plan(
         "full_motion": motion.whole,
         "timing": "freerun" if options.free_run else "lockstep",
     }
-    return Plan(
+    return SystemPlan(
         cell=cell,
         arms=(arm,),
         lockstep=not options.free_run,
@@ -226,9 +226,9 @@ def _check_motion(options: argparse.Namespace, arm: Any) -> CheckedMotion:
     try:
         plan = make_plan(read_motion(file), workspace, options.scale, options.duration)
     except ConstantMotionError as error:
-        raise Problem(str(error), 1) from error
+        raise CliError(str(error), 1) from error
     except MotionError as error:
-        raise Problem(str(error), 2) from error
+        raise CliError(str(error), 2) from error
     whole = options.motion is None and options.duration is None and options.scale >= 1
     return CheckedMotion(file, plan.duration, whole)
 
@@ -237,14 +237,14 @@ def _prepare_link(options: argparse.Namespace, cell: Path, loaded: Any) -> None:
     """Make a cell ready whose arm has a link of its own: in real time, without the simulator.
 
     Raises:
-        Problem: The arm is a real one, or its link is started by hand.
+        CliError: The arm is a real one, or its link is started by hand.
     """
     (arm,) = loaded.arms.values()
     if arm.link == "simulator":
         return
     emulated_arms.refuse_real(loaded.arms, f"demo --robot {cell.name}")
     if arm.hardware is None:
-        raise Problem(f"demo --robot {cell.name}: its link {arm.link!r} is started by hand", 2)
+        raise CliError(f"demo --robot {cell.name}: its link {arm.link!r} is started by hand", 2)
     link_environments.make_ready(arm)
     options.free_run = options.no_video = True
 
@@ -253,5 +253,5 @@ def _only_arm(loaded: Any, cell: Path) -> str:
     """Name of the one arm of a cell."""
     names = list(loaded.arms)
     if len(names) != 1:
-        raise Problem(f"{cell}: the demonstration drives one arm, this cell has {len(names)}", 2)
+        raise CliError(f"{cell}: the demonstration drives one arm, this cell has {len(names)}", 2)
     return str(names[0])

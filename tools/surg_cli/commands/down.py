@@ -9,7 +9,7 @@ import signal
 
 from surg_cli.graph import processes, running
 from surg_cli.host.option_types import tcp_port
-from surg_cli.host.terminal import Problem, say
+from surg_cli.host.terminal import CliError, say
 
 # SIGINT lets it stop its nodes in order; after SIGKILL its children end with it.
 STAGES = ((signal.SIGINT, 20.0), (signal.SIGKILL, 5.0))
@@ -33,7 +33,7 @@ def main(options: argparse.Namespace, command: str) -> int:
             if processes.wait_until(lambda s=system: not s.alive, grace):  # type: ignore[misc]
                 break
         else:
-            raise Problem(
+            raise CliError(
                 f"process {system.pid} (port {system.port}) does not end; kill it by hand"
             )
         system.file.unlink(missing_ok=True)

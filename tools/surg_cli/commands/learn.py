@@ -10,7 +10,7 @@ from typing import Any
 
 from surg_cli.graph import episode_film, episode_plans
 from surg_cli.host import cells, paths, preflight, provision, terminal
-from surg_cli.host.terminal import Problem, say, table, warn
+from surg_cli.host.terminal import CliError, say, table, warn
 from surg_cli.learning import rollouts
 from surg_learn import learn_stages
 from surg_learn.learn_terminal import LearnError
@@ -22,6 +22,8 @@ from surg_learn.recipes import (
     Request,
 )
 from surg_learn.stage_ledger import Ledger
+
+RANDOMIZATION = "--domain-randomization"
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -47,7 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         help="a policy that observes camera images and joint states, not the simulator's truth",
     )
     add(
-        "--looks",
+        RANDOMIZATION,
+        dest="looks",
         nargs="?",
         const=BUILT_IN,
         default="",
@@ -62,7 +65,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     try:
         return _main(check(options), options.out)
     except LearnError as problem:
-        raise Problem(str(problem), problem.code) from problem
+        raise CliError(str(problem), problem.code) from problem
 
 
 def _main(request: Request, wanted: Path | None) -> int:
@@ -158,7 +161,7 @@ def check(options: argparse.Namespace) -> Request:
 
     if options.task not in STATE_RECIPES:
         known = ", ".join(STATE_RECIPES)
-        raise Problem(f"learn {options.task}: there is a trainer for {known} only", 2)
+        raise CliError(f"learn {options.task}: there is a trainer for {known} only", 2)
     recipe = (CAMERA_RECIPES if options.cameras else STATE_RECIPES)[options.task]
     episodes = recipe.episodes if options.episodes is None else options.episodes
     numbers = (
@@ -167,11 +170,11 @@ def check(options: argparse.Namespace) -> Request:
     )
     for name, value, seeds in numbers:
         if not 1 <= value <= len(seeds):
-            raise Problem(f"--{name} {value}: 1 to {len(seeds)} are allowed", 2)
+            raise CliError(f"--{name} {value}: 1 to {len(seeds)} are allowed", 2)
     if not 0 <= options.seed < 2**31:
-        raise Problem(f"--seed {options.seed}: 0 to {2**31 - 1} is allowed", 2)
+        raise CliError(f"--seed {options.seed}: 0 to {2**31 - 1} is allowed", 2)
     if len(episode_plans.parse_settings(options.setting)) > 1:
-        raise Problem(f"--setting {options.setting}: learn takes one setting", 2)
+        raise CliError(f"--setting {options.setting}: learn takes one setting", 2)
     request = Request(
         options.task,
         options.setting,
@@ -184,11 +187,11 @@ def check(options: argparse.Namespace) -> Request:
         looks_of(options.looks),
     )
     if request.looks and not request.cameras:
-        raise Problem("--looks: without --cameras no picture is recorded", 2)
+        raise CliError(f"{RANDOMIZATION}: without --cameras no picture is recorded", 2)
     try:
         _ = request.look_ranges
     except ValueError as problem:
-        raise Problem(f"--looks: {problem}", 2) from problem
+        raise CliError(f"{RANDOMIZATION}: {problem}", 2) from problem
     return request
 
 
@@ -204,7 +207,7 @@ def folder_of(wanted: Path | None, request: Request) -> Path:
         try:
             before = json.loads((wanted / "wanted.json").read_text("utf-8"))
         except ValueError as error:
-            raise Problem(f"--out {wanted}: wanted.json is not valid JSON ({error})", 2) from error
+            raise CliError(f"--out {wanted}: wanted.json is not valid JSON ({error})", 2) from error
         now = asdict(request)
         before = {"cameras": False, "device": "auto", "looks": "", **before}
         if before.get("look_ranges"):  # the file may have moved, or changed where it is
@@ -212,9 +215,12 @@ def folder_of(wanted: Path | None, request: Request) -> Path:
             before["looks"] = now["looks"] if same else f"{before['looks']} as it was"
         # The same demonstrations serve other numbers of roll-outs and other trainings.
         fixed = [name for name in now if name not in ("rollouts", "seed", "device")]
-        other = [f"--{n} {before.get(n)}" for n in fixed if before.get(n) != now[n]]
+        names = {"looks": RANDOMIZATION}
+        other = [
+            f"{names.get(n, f'--{n}')} {before.get(n)}" for n in fixed if before.get(n) != now[n]
+        ]
         if other:
-            raise Problem(
+            raise CliError(
                 f"--out {wanted}: holds a run with {', '.join(other)}; name another folder, or the"
                 " same options",
                 2,
@@ -241,7 +247,7 @@ def command_line(request: Request, out: Path) -> str:
         f"--{n} {v}" for n, v in given.items() if n not in ("task", "cameras", "device", "looks")
     ]
     words += ["--cameras"] if request.cameras else []
-    looks = "--looks" if request.looks == BUILT_IN else f"--looks {request.looks}"
+    looks = RANDOMIZATION if request.looks == BUILT_IN else f"{RANDOMIZATION} {request.looks}"
     words += [looks] if request.looks else []
     words += [f"--device {request.device}"] if request.device != "auto" else []
     shown = out.relative_to(Path.cwd()) if out.is_relative_to(Path.cwd()) else out

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from surg_cli.graph import processes
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem, is_interactive, say, warn
+from surg_cli.host.terminal import CliError, is_interactive, say, warn
 
 # Runs as root, also where nothing has been built: import from the source tree.
 sys.path.append(str(paths.ROOT / "src" / "surg_recording" / "src"))
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 def main(options: argparse.Namespace, command: str) -> int:
     """Check, write the configuration, run the daemon until Ctrl-C."""
     if options.role == "master" and options.free_running:
-        raise Problem("--free-running is for a slave; a master's clock is never changed", 2)
+        raise CliError("--free-running is for a slave; a master's clock is never changed", 2)
     daemon = _program("ptp4l")
     _program("pmc")
     interface = _interface(options.interface)
@@ -65,7 +65,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     folder = FOLDER
     socket = folder / "ptp4l"
     if socket.exists() and not pmc.ask(socket).problem:
-        raise Problem(f"a PTP daemon runs already and answers at {socket}; end it first")
+        raise CliError(f"a PTP daemon runs already and answers at {socket}; end it first")
     _make_folder(folder)
     file = folder / "ptp4l.conf"
     paths.write_text(file, configuration(options.role, interface, socket, options.free_running))
@@ -113,7 +113,9 @@ def configuration(role: str, interface: str, socket: Path, free_running: bool) -
 def _program(name: str) -> str:
     path = pmc.program(name)
     if path is None:
-        raise Problem(f"{name} is not installed: sudo apt install linuxptp, or ./surg dev setup", 2)
+        raise CliError(
+            f"{name} is not installed: sudo apt install linuxptp, or ./surg dev setup", 2
+        )
     return path
 
 
@@ -125,16 +127,16 @@ def _interface(wanted: str | None) -> str:
     if wanted is None:
         live = [name for name in others if _state(name) == "up"]
         if len(live) != 1:
-            raise Problem(
+            raise CliError(
                 f"INTERFACE is missing: name the one that connects the two machines: {listed}",
                 2,
             )
         wanted = live[0]
     if wanted not in others:
         hint = " (PTP does not run on loopback)" if wanted == "lo" else ""
-        raise Problem(f"{wanted}: no such interface{hint}; available: {listed}", 2)
+        raise CliError(f"{wanted}: no such interface{hint}; available: {listed}", 2)
     if _state(wanted) == "down":
-        raise Problem(f"{wanted}: it is down: sudo ip link set {wanted} up", 2)
+        raise CliError(f"{wanted}: it is down: sudo ip link set {wanted} up", 2)
     return wanted
 
 
@@ -153,7 +155,7 @@ def _check_permission(options: argparse.Namespace) -> None:
     words = [options.role]
     words += [options.interface] if options.interface else []
     words += ["--free-running"] if options.free_running else []
-    raise Problem(
+    raise CliError(
         "ptp needs root, for the ports 319 and 320 and for the clock:"
         f" sudo ./surg ptp {' '.join(words)}",
         2,
@@ -170,7 +172,7 @@ def _check_rivals() -> None:
                 rivals.add(name)
     if rivals:
         names = ", ".join(sorted(rivals))
-        raise Problem(
+        raise CliError(
             f"{names} already steers this machine's clock: stop it first (Debian's time service:"
             " sudo systemctl stop systemd-timesyncd), or measure with --free-running",
             2,
@@ -190,7 +192,7 @@ def _make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         folder.chmod(0o755)
     except OSError as problem:
-        raise Problem(f"{folder}: {problem.strerror}", 2) from problem
+        raise CliError(f"{folder}: {problem.strerror}", 2) from problem
 
 
 def _announcement(role: str, interface: str, free_running: bool, file: Path) -> str:
@@ -204,7 +206,7 @@ def _announcement(role: str, interface: str, free_running: bool, file: Path) -> 
 
 
 def _watch(child: processes.Child, socket: Path, steers: bool) -> None:
-    """Print the status until the daemon ends, which is a Problem."""
+    """Print the status until the daemon ends, which is a CliError."""
     processes.wait_until(lambda: socket.exists() or child.exit_code is not None, START_TIMEOUT_S)
     _share_socket(socket)
     printed, printed_at = "", -math.inf
@@ -221,7 +223,7 @@ def _watch(child: processes.Child, socket: Path, steers: bool) -> None:
         processes.wait_until(lambda: child.exit_code is not None, LOOK_S)
     if steers:
         warn("ptp: the clock runs on freely")
-    raise Problem(f"ptp4l ended ({child.exit_code}); the end of {child.log}:\n{child.log_tail()}")
+    raise CliError(f"ptp4l ended ({child.exit_code}); the end of {child.log}:\n{child.log_tail()}")
 
 
 def describe(status: clock_sync.ClockStatus) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 from surg_cli.graph import follow, master, processes, running
 from surg_cli.graph.watch import Watch
 from surg_cli.host.option_types import tcp_port
-from surg_cli.host.terminal import Problem, Progress, say, warn
+from surg_cli.host.terminal import CliError, Progress, say, warn
 
 ACTIONS = {
     "start": "begin an episode",
@@ -72,16 +72,16 @@ def main(options: argparse.Namespace, command: str) -> int:
     """Do one thing; exit status 1 when the recorder says that something is wrong."""
     action = options.action
     if action in _WITH_TEXT and not options.text:
-        raise Problem(f"record {action}: TEXT is missing", 2)
+        raise CliError(f"record {action}: TEXT is missing", 2)
     if action not in _WITH_TEXT and options.text:
-        raise Problem(f"record {action}: takes no text ({options.text!r})", 2)
+        raise CliError(f"record {action}: takes no text ({options.text!r})", 2)
     for option, of in (("outcome", "stop"), ("info", "start")):
         if getattr(options, option) and action != of:
-            raise Problem(f"--{option} belongs to record {of}", 2)
+            raise CliError(f"--{option} belongs to record {of}", 2)
     if action == "amend":
         return _amend(Path(options.text), options.by, options.why)
     if options.by or options.why:
-        raise Problem("--by and --why belong to record amend", 2)
+        raise CliError("--by and --why belong to record amend", 2)
     with Recorder(_port(options.port)) as recorder:
         return _do(recorder, action, options)
 
@@ -92,11 +92,11 @@ def _amend(folder: Path, by: str | None, why: str | None) -> int:
     from surg_recording.recording_errors import EpisodeError
 
     if not by or not why:
-        raise Problem("record amend: --by NAME and --why TEXT are missing", 2)
+        raise CliError("record amend: --by NAME and --why TEXT are missing", 2)
     try:
         note = amendments.amend(folder, by, why)
     except EpisodeError as problem:
-        raise Problem(f"record amend: {problem}", 2) from None
+        raise CliError(f"record amend: {problem}", 2) from None
     say(f"record: {folder}: {', '.join(note['files'])} as edited by {by}: {why}")
     return 0
 
@@ -110,7 +110,7 @@ def _do(recorder: Recorder, action: str, options: argparse.Namespace) -> int:
         _show(status)
         return 0 if status.problem == status.PROBLEM_NONE else 1
     if status.state != status.STATE_RECORDING:
-        raise Problem(f"record {action}: nothing is being recorded (./surg record start)")
+        raise CliError(f"record {action}: nothing is being recorded (./surg record start)")
     if action == "stop":
         return _stop(recorder, options)
     recorder.annotate("tag", json.dumps({action: options.text}))
@@ -121,7 +121,7 @@ def _do(recorder: Recorder, action: str, options: argparse.Namespace) -> int:
 def _start(recorder: Recorder, options: argparse.Namespace) -> int:
     status = recorder.status
     if status.state == status.STATE_RECORDING:
-        raise Problem(f"record start: {status.folder} is being recorded already")
+        raise CliError(f"record start: {status.folder} is being recorded already")
     if options.info:
         recorder.annotate("info", json.dumps(dict(options.info)))
     recorder.record(True)
@@ -131,7 +131,7 @@ def _start(recorder: Recorder, options: argparse.Namespace) -> int:
         )
     begun = recorder.status
     if not answered or begun.state != begun.STATE_RECORDING:
-        raise Problem(f"record start: {begun.detail or 'the recorder does not answer'}")
+        raise CliError(f"record start: {begun.detail or 'the recorder does not answer'}")
     say(f"recording {begun.folder}")
     return 0
 
@@ -144,7 +144,7 @@ def _stop(recorder: Recorder, options: argparse.Namespace) -> int:
     with Progress("record"):
         done = processes.wait_until(lambda: follow.recorder_idle(recorder), STOP_S)
     if not done:
-        raise Problem(f"record stop: not finished after {STOP_S:g} s; ./surg record status")
+        raise CliError(f"record stop: not finished after {STOP_S:g} s; ./surg record status")
     status = recorder.status
     for text in status.warnings:
         warn(f"surg: {text}")
@@ -181,7 +181,7 @@ def _port(given: int | None) -> int:
         return given
     systems = running.systems()
     if not systems:
-        raise Problem("no system of this checkout is running (./surg up CELL, or --port)")
+        raise CliError("no system of this checkout is running (./surg up CELL, or --port)")
     return systems[0].port
 
 
@@ -189,7 +189,7 @@ class Recorder(Watch):
     """The recorder of a running system, over its topics.
 
     Raises:
-        Problem: There is no master at this port, or no recorder.
+        CliError: There is no master at this port, or no recorder.
     """
 
     def __init__(self, port: int) -> None:
@@ -213,17 +213,17 @@ class Recorder(Watch):
         if not processes.wait_until(connected, CONNECT_S):
             why = f" ({problem})" if (problem := self.problem(STATUS)) else ""
             rospy.signal_shutdown("no recorder")
-            raise Problem(f"no recorder runs beside the ROS master at {uri}{why}")
+            raise CliError(f"no recorder runs beside the ROS master at {uri}{why}")
 
     @property
     def status(self) -> Any:
         """The newest surg_msgs/RecordStatus.
 
         Raises:
-            Problem: There is none that is valid and fresh.
+            CliError: There is none that is valid and fresh.
         """
         if problem := self.problem(STATUS):
-            raise Problem(f"the recorder's status must not be acted on: {problem}")
+            raise CliError(f"the recorder's status must not be acted on: {problem}")
         return self.record_status
 
     def annotate(self, topic: str, text: str) -> None:

@@ -16,10 +16,10 @@ from surg_cli.graph import (
     task_episode,
 )
 from surg_cli.graph.episode_plans import VIEWS, Condition
-from surg_cli.graph.system import Plan
+from surg_cli.graph.system import SystemPlan
 from surg_cli.host import cells, paths, preflight
 from surg_cli.host.option_types import add_video_quality, video_quality
-from surg_cli.host.terminal import Problem, Progress, is_interactive, say, table, warn
+from surg_cli.host.terminal import CliError, Progress, is_interactive, say, table, warn
 
 LAWS = ("ours", "velocity", "paper")
 OBSERVED = ("privileged", "forces")
@@ -113,15 +113,15 @@ def _laws(text: str) -> list[str]:
     wanted = text.split(",")
     for name in wanted:
         if name not in LAWS:
-            raise Problem(f"--law {text}: no law '{name}': there are {', '.join(LAWS)}", 2)
+            raise CliError(f"--law {text}: no law '{name}': there are {', '.join(LAWS)}", 2)
     return list(dict.fromkeys(wanted))
 
 
 def _check_numbers(options: argparse.Namespace) -> None:
     if not 1 <= options.episodes <= 10_000:
-        raise Problem(f"--episodes {options.episodes}: 1 to 10000 are allowed", 2)
+        raise CliError(f"--episodes {options.episodes}: 1 to 10000 are allowed", 2)
     if not 0 <= options.seed <= 2**31 - 1 - options.episodes:
-        raise Problem(f"--seed {options.seed}: 0 to {2**31 - 1} is allowed", 2)
+        raise CliError(f"--seed {options.seed}: 0 to {2**31 - 1} is allowed", 2)
 
 
 def _policy(options: argparse.Namespace) -> system.Policy | None:
@@ -131,7 +131,7 @@ def _policy(options: argparse.Namespace) -> system.Policy | None:
         return policy_program.read(options.policy, options.policy_keys, *more)
     for name in ("policy_keys", "observe", "free_run"):
         if getattr(options, name):
-            raise Problem(f"--{name.replace('_', '-')} needs --policy", 2)
+            raise CliError(f"--{name.replace('_', '-')} needs --policy", 2)
     return None
 
 
@@ -139,7 +139,7 @@ def _policy(options: argparse.Namespace) -> system.Policy | None:
 
 
 def _play_all(
-    plan: Plan, conditions: list[Condition], seeds: range, out: Path
+    plan: SystemPlan, conditions: list[Condition], seeds: range, out: Path
 ) -> list[dict[str, Any]]:
     """Play every seed in every condition; the entries of the summary."""
     entries: list[dict[str, Any]] = []
@@ -153,7 +153,7 @@ def _play_all(
     return entries
 
 
-def _play(plan: Plan, index: int, count: int, progress: Progress) -> dict[str, Any]:
+def _play(plan: SystemPlan, index: int, count: int, progress: Progress) -> dict[str, Any]:
     """Play one episode; its entry in the summary."""
     which = f"episode {index + 1} of {count}, seed {plan.seed}, {plan.setting}"
 
@@ -171,7 +171,7 @@ def _play(plan: Plan, index: int, count: int, progress: Progress) -> dict[str, A
 # --- results ------------------------------------------------------------------------------------
 
 
-def _report(plan: Plan, entries: list[dict[str, Any]], out: Path) -> dict[str, Any]:
+def _report(plan: SystemPlan, entries: list[dict[str, Any]], out: Path) -> dict[str, Any]:
     """Write summary.json, figures and report.html."""
     from surg_recording.episode import provenance
     from surg_recording.reports import trial_report, trials

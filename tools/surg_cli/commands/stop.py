@@ -13,7 +13,7 @@ from typing import Any
 from surg_cli.graph import master, running
 from surg_cli.graph.watch import PAUSE_SIGNAL, pause_arms
 from surg_cli.host.option_types import tcp_port
-from surg_cli.host.terminal import Problem, say
+from surg_cli.host.terminal import CliError, say
 
 CYCLE_TYPE = "surg_msgs/Cycle"
 """Only controllers publish it: a leader has an operating state, too, but nothing to pause."""
@@ -42,7 +42,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     systems = at_once(options)
     uris = list(dict.fromkeys(system.master_uri for system in systems))
     if not uris and options.port is None:
-        raise Problem("no system of this checkout is running (--port P names another ROS master)")
+        raise CliError("no system of this checkout is running (--port P names another ROS master)")
     if len(uris) > 1:  # a process belongs to one ROS master
         ports = [str(s.port) for s in systems]
         return max(
@@ -61,7 +61,7 @@ def _confirm(uri: str) -> int:
         if kind == CYCLE_TYPE and topic.count("/") == 2
     )
     if not arms:
-        raise Problem(f"no arm's controller reports to the ROS master at {uri}")
+        raise CliError(f"no arm's controller reports to the ROS master at {uri}")
     import rospy
 
     from crtk_msgs.msg import OperatingState
@@ -84,7 +84,7 @@ def _confirm(uri: str) -> int:
         say(f"{arm} {states.get(arm, 'silent')}")
     rospy.signal_shutdown("stopped")
     if moving := _moving(arms, states):
-        raise Problem(f"{', '.join(moving)} did not pause: press the robot's emergency stop")
+        raise CliError(f"{', '.join(moving)} did not pause: press the robot's emergency stop")
     return 0
 
 

@@ -25,11 +25,11 @@ from surg_cli.graph import (
     system,
 )
 from surg_cli.graph.operator_nodes import BROWSER, WEB_PORT
-from surg_cli.graph.system import Node, Plan
+from surg_cli.graph.system import Node, SystemPlan
 from surg_cli.graph.watch import Watch
 from surg_cli.host import cells, environment, paths, preflight
 from surg_cli.host.option_types import add_video_quality, address_and_port, tcp_port, video_quality
-from surg_cli.host.terminal import Problem, Progress, say
+from surg_cli.host.terminal import CliError, Progress, say
 
 DEFAULT_CELL = "sim_two_arms"
 TASK_OF_TWO_ARMS = "bgr"
@@ -84,7 +84,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     attached = next((s for s in running.systems() if s.port == options.port), None)
     if attached is not None and (options.cameras.depth or options.cameras.marks):
         asked = options.cameras.asked
-        raise Problem(
+        raise CliError(
             f"{asked}: port {options.port}: {attached.command} of {attached.cell} runs there; "
             f"omit {asked}, or start that system with it: ./surg up CELL {asked}",
             2,
@@ -110,7 +110,7 @@ def main(options: argparse.Namespace, command: str) -> int:
 def _place(attached: running.System, options: argparse.Namespace) -> roles.Link | None:
     """This machine's place in a running cell of several machines; None for a single machine."""
     if options.cell and cells.find(options.cell) != Path(attached.cell):
-        raise Problem(
+        raise CliError(
             f"port {options.port}: {attached.command} of {attached.cell} runs there; end it with "
             "./surg down, or choose another --port",
             2,
@@ -125,7 +125,7 @@ def _there(attached: running.System) -> list[str]:
     """Names of the nodes that run already, on any machine."""
     nodes = master.nodes(attached.master_uri)
     if operator_nodes.CONSOLE in nodes:
-        raise Problem(
+        raise CliError(
             f"a console runs already at {attached.master_uri}: open its page, or end it with "
             "Ctrl-C where it was started",
             2,
@@ -134,7 +134,7 @@ def _there(attached: running.System) -> list[str]:
 
 
 def _operator_nodes(
-    options: argparse.Namespace, plan: Plan, web: dict[str, object], there: list[str]
+    options: argparse.Namespace, plan: SystemPlan, web: dict[str, object], there: list[str]
 ) -> list[Node]:
     """Teleoperation and console, or the console alone if a teleoperation runs already.
 
@@ -142,7 +142,7 @@ def _operator_nodes(
     """
     if operator_nodes.TELEOP in there:
         if set(options.leader) - {BROWSER} or len(options.leader) > 1:
-            raise Problem(
+            raise CliError(
                 "a teleoperation with its own leaders runs already: omit --leader to start the "
                 "console alone",
                 2,
@@ -150,7 +150,7 @@ def _operator_nodes(
         return [operator_nodes.console(plan, False, web)]
     first, *second = options.leader or [BROWSER]
     if len(second) > 1:
-        raise Problem(f"--leader {second[1]}: two leaders at most are allowed", 2)
+        raise CliError(f"--leader {second[1]}: two leaders at most are allowed", 2)
     return [
         operator_nodes.teleoperation(plan, first, True, options.scale, *second),
         operator_nodes.console(plan, first == BROWSER, web),
@@ -167,9 +167,9 @@ def _web(options: argparse.Namespace) -> tuple[dict[str, object], str]:
         token = access.read_token(options.token_file) if options.token_file else ""
         rules = access.rules(address, port, tuple(options.host_name), cert, key, token)
     except access.AccessError as error:
-        raise Problem(str(error), 2) from error
+        raise CliError(str(error), 2) from error
     if master.port_in_use(rules.port) and access.is_loopback(rules.bind):
-        raise Problem(f"port {rules.port} is in use on this machine; choose another with --bind")
+        raise CliError(f"port {rules.port} is in use on this machine; choose another with --bind")
     files = {"cert": cert, "key": key, "token_file": options.token_file}
     params = {
         "bind": address,
@@ -180,7 +180,7 @@ def _web(options: argparse.Namespace) -> tuple[dict[str, object], str]:
     return params, rules.fragment
 
 
-def _plan(options: argparse.Namespace) -> Plan:
+def _plan(options: argparse.Namespace) -> SystemPlan:
     """The system to start."""
     cell = cells.find(options.cell or DEFAULT_CELL)
     loaded = cells.load(cell)
@@ -190,7 +190,7 @@ def _plan(options: argparse.Namespace) -> Plan:
         task = str(Path(task).absolute())
     language = {} if task == "none" else _language_of(loaded, task, options.setting)
     scope = endoscope.of_cell(loaded.config, True, options.cameras.eyes)
-    return Plan(
+    return SystemPlan(
         cell=cell,
         arms=arms,
         lockstep=False,
@@ -222,10 +222,10 @@ def _language_of(loaded: Any, task: str, setting: str) -> dict[str, Any]:
         found.prepare(loaded, find_setting(setting))
         return found.language()
     except ValueError as error:  # a TaskError is one
-        raise Problem(str(error), 2) from error
+        raise CliError(str(error), 2) from error
 
 
-def _plan_of(attached: running.System) -> Plan:
+def _plan_of(attached: running.System) -> SystemPlan:
     """The plan of a running system, as far as the operator's nodes need it."""
     uri, cell = attached.master_uri, Path(attached.cell)
 
@@ -237,7 +237,7 @@ def _plan_of(attached: running.System) -> Plan:
     views = ("left", "right")
     # The recorder's folder may be on another machine: then its episodes are not listed.
     out = parameter("/recorder/out")
-    return Plan(
+    return SystemPlan(
         cell=cell,
         arms=tuple(str(name) for name in cells.load(cell).arms),
         lockstep=False,
@@ -248,7 +248,7 @@ def _plan_of(attached: running.System) -> Plan:
     )
 
 
-def _phantom(plan: Plan) -> list[Node]:
+def _phantom(plan: SystemPlan) -> list[Node]:
     """The nodes of the phantom, which runs on when its task has ended."""
     nodes = system.nodes(plan)
     sim = nodes[0]
@@ -258,7 +258,7 @@ def _phantom(plan: Plan) -> list[Node]:
 
 
 def _keep(
-    plan: Plan,
+    plan: SystemPlan,
     supervisor: processes.Supervisor,
     nodes: list[Node],
     fragment: str,
@@ -285,7 +285,7 @@ def _keep(
 
 
 def _await_page(
-    plan: Plan, watch: Watch, supervisor: processes.Supervisor, progress: Progress
+    plan: SystemPlan, watch: Watch, supervisor: processes.Supervisor, progress: Progress
 ) -> str:
     """Wait until every arm has a state and the page is served; returns its address."""
     console = supervisor.children[-1]

@@ -21,11 +21,11 @@ from surg_cli.graph import (
     running,
     system,
 )
-from surg_cli.graph.system import Plan
+from surg_cli.graph.system import SystemPlan
 from surg_cli.graph.watch import Watch
 from surg_cli.host import cells, environment, link_environments, paths, preflight
 from surg_cli.host.option_types import add_video_quality, tcp_port, video_quality
-from surg_cli.host.terminal import Problem, Progress, say, warn
+from surg_cli.host.terminal import CliError, Progress, say, warn
 
 READY_TICKS = 100
 """Ticks of the simulator after which every controller has received its link's state."""
@@ -76,26 +76,26 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 def main(options: argparse.Namespace, command: str) -> int:
     """Start everything, print how to reach it, wait."""
     if options.leader is not None and options.role != roles.Role.OPERATOR:
-        raise Problem("--leader: only with --role operator; see ./surg teleop for one machine", 2)
+        raise CliError("--leader: only with --role operator; see ./surg teleop for one machine", 2)
     if options.port_guard and options.role is None:
-        raise Problem("--port-guard: only with --role", 2)
+        raise CliError("--port-guard: only with --role", 2)
     cell = cells.find(options.cell)
     loaded = cells.load(cell)
     arms = tuple(str(name) for name in loaded.arms)
     simulated = tuple(arm for arm in arms if loaded.arms[arm].link == "simulator")
     lock_step = options.lock_step is not None
     if lock_step and simulated != arms:
-        raise Problem("--lock-step needs a cell whose arms are all driven by the simulator", 2)
+        raise CliError("--lock-step needs a cell whose arms are all driven by the simulator", 2)
     link = None
     if options.role is not None:
         if lock_step:
-            raise Problem("--lock-step needs one machine; leave --role or --lock-step out", 2)
+            raise CliError("--lock-step needs one machine; leave --role or --lock-step out", 2)
         link = join.link(loaded.config, roles.Role(options.role), options.port, options.port_guard)
     leader = options.leader or join.LEADER
     scope = endoscope.of_cell(loaded.config, bool(simulated), options.cameras.eyes, lock_step)
     recorded = recorded_too(options.record_topics, options.record_cameras, link)
     now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
-    plan = Plan(
+    plan = SystemPlan(
         cell=cell,
         arms=arms,
         simulated=simulated,
@@ -133,10 +133,10 @@ def recorded_too(
     """Check the further topics and cameras of the recording; returns both without duplicates.
 
     Raises:
-        Problem: One is not a topic name, or another machine records.
+        CliError: One is not a topic name, or another machine records.
     """
     if (topics or cameras) and link is not None and link.role is not roles.Role.ROBOT:
-        raise Problem("--record-topics, --record-cameras: only the robot's machine records", 2)
+        raise CliError("--record-topics, --record-cameras: only the robot's machine records", 2)
     wild = set("*?[")
     for option, given, patterns in (
         ("--record-topics", topics, True),
@@ -146,11 +146,11 @@ def recorded_too(
             good = topic.startswith("/") and not any(c.isspace() or c == "," for c in topic)
             if not good or (wild & set(topic) and not patterns):
                 shape = "name or pattern" if patterns else "name"
-                raise Problem(f"{option} {topic!r}: expected a {shape} that begins with /", 2)
+                raise CliError(f"{option} {topic!r}: expected a {shape} that begins with /", 2)
     return tuple(dict.fromkeys(topics)), tuple(dict.fromkeys(cameras))
 
 
-def _print_lines(plan: Plan, link: roles.Link | None, leader: str) -> int:
+def _print_lines(plan: SystemPlan, link: roles.Link | None, leader: str) -> int:
     """Print the command lines of all nodes of this machine."""
     if link is None or link.role is roles.Role.ROBOT:
         say("rosmaster --core")
@@ -161,7 +161,7 @@ def _print_lines(plan: Plan, link: roles.Link | None, leader: str) -> int:
     return 0
 
 
-def _keep(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> NoReturn:
+def _keep(plan: SystemPlan, port: int, logs: Path, link: roles.Link | None) -> NoReturn:
     """Start all nodes and stay until a signal arrives or a node dies."""
     env = environment.for_nodes(ros_home=logs / "ros")
     if link is not None:
@@ -190,7 +190,7 @@ def _keep(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> NoRetur
 
 
 def _await_arms(
-    plan: Plan, watch: Watch, supervisor: processes.Supervisor, progress: Progress
+    plan: SystemPlan, watch: Watch, supervisor: processes.Supervisor, progress: Progress
 ) -> None:
     """Wait until every arm has a state and a robot_description, and its controller has its link."""
     uri = supervisor.env["ROS_MASTER_URI"]
@@ -230,7 +230,7 @@ def describe_arms(arms: Mapping[str, Any]) -> None:
                 say(f"{text}.")
 
 
-def _greet(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> None:
+def _greet(plan: SystemPlan, port: int, logs: Path, link: roles.Link | None) -> None:
     """Print what runs and how to reach it."""
     arm = plan.arms[0]
     say(f"{plan.cell.name} is up: {', '.join(plan.arms)}; every arm is DISABLED and not homed.")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from surg_cli.graph import master
-from surg_cli.host.terminal import Problem, say
+from surg_cli.host.terminal import CliError, say
 from surg_core.standstill import Standstill
 
 TIMEOUT_S = 600.0
@@ -26,7 +26,7 @@ def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Names
     ``options`` has the `port` of the ROS master.
 
     Raises:
-        Problem: The file has other columns, no system runs, or the arm does not come to rest.
+        CliError: The file has other columns, no system runs, or the arm does not come to rest.
     """
     names = list(arm.robot.joint_names)
     # The link drives no arm but the one with the cell's serial.
@@ -44,7 +44,7 @@ def join_graph(port: int) -> None:
     """Make this process a node of the running system on this port.
 
     Raises:
-        Problem: No system runs.
+        CliError: No system runs.
     """
     uri = f"http://localhost:{port}"
     master.nodes(uri)
@@ -58,7 +58,7 @@ def rests(arm: Any, to: Path, count: int, timeout: float) -> Iterator[np.ndarray
     """Joint angles [rad] of an arm each time that it has come to rest anew; then leaves the graph.
 
     Raises:
-        Problem: No rest within ``timeout`` [s]; says how many rows ``to`` has got.
+        CliError: No rest within ``timeout`` [s]; says how many rows ``to`` has got.
     """
     import rospy
     from sensor_msgs.msg import JointState
@@ -83,7 +83,7 @@ def rests(arm: Any, to: Path, count: int, timeout: float) -> Iterator[np.ndarray
             try:
                 q = found.get(timeout=timeout)
             except queue.Empty:
-                raise Problem(
+                raise CliError(
                     f"no new standstill on {topic} within {timeout:g} s; "
                     f"{done} of {count} are in {to}"
                 ) from None
@@ -104,12 +104,12 @@ def check_columns(to: Path, header: str) -> None:
     """Refuse an existing file with other columns, and a file in no folder.
 
     Raises:
-        Problem: With the columns.
+        CliError: With the columns.
     """
     if not to.exists():
         if not to.parent.is_dir():
-            raise Problem(f"--to {to}: no folder {to.parent}", 2)
+            raise CliError(f"--to {to}: no folder {to.parent}", 2)
         return
     lines = [line for line in to.read_text(encoding="utf-8").splitlines() if line[:1] != "#"]
     if lines and lines[0] != header:
-        raise Problem(f"--to {to}: its header is {lines[0]}; expected {header}", 2)
+        raise CliError(f"--to {to}: its header is {lines[0]}; expected {header}", 2)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 EYES = ("left", "right")
 WORDS = ("none", "left", "stereo", "depth", "marks")
@@ -35,7 +35,7 @@ def of_cell(config: Any, simulated: bool, eyes: int, lockstep: bool = False) -> 
         lockstep: Whether time is simulated.
 
     Raises:
-        Problem: A real endoscope in simulated time.
+        CliError: A real endoscope in simulated time.
     """
     stated = config.endoscope
     if not eyes:
@@ -43,7 +43,7 @@ def of_cell(config: Any, simulated: bool, eyes: int, lockstep: bool = False) -> 
     if stated is None:
         return Endoscope(EYES[:eyes] if simulated else ())
     if lockstep:
-        raise Problem(
+        raise CliError(
             f"--lock-step: {config.file}: endoscope.source: {stated.source} delivers pictures in "
             "real time; omit --lock-step, or add --cameras none",
             2,
@@ -106,13 +106,13 @@ def eyes_of(asked: Pictures, scope: Endoscope, cell: Path) -> dict[str, object] 
     """Parameters of the node ``/eyes``; None: nobody asked for it.
 
     Raises:
-        Problem: There are no two eyes.
+        CliError: There are no two eyes.
     """
     if not (asked.depth or asked.marks):
         return None
     if len(scope.views) < 2:
         why = "there are no pictures" if not scope.views else "the endoscope has one eye"
-        raise Problem(
+        raise CliError(
             f"{asked.asked}: {why}; allowed: a stereo endoscope, such as that of sim_two_arms", 2
         )
     params: dict[str, object] = {"depth": asked.depth, "marks": asked.marks}

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.graph import policy_program, system
-from surg_cli.graph.system import Plan
+from surg_cli.graph.system import SystemPlan
 from surg_cli.host import cells
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 VIEWS = {"none": (), "left": ("left",), "stereo": ("left", "right")}
 ROBOT_CELLS = {"ur5e": "sim_two_arms", "panda": "sim_two_arms_panda"}
@@ -30,20 +30,20 @@ def find_cell(robot: str) -> Path:
     """The two-arm cell of `--robot`: of a bundled robot, or a cell's own name.
 
     Raises:
-        Problem: It is neither.
+        CliError: It is neither.
     """
     try:
         return cells.find(ROBOT_CELLS.get(robot, robot))
-    except Problem as problem:
+    except CliError as problem:
         known = ", ".join(ROBOT_CELLS)
-        raise Problem(f"--robot {robot}: neither {known} nor a cell ({problem})", 2) from problem
+        raise CliError(f"--robot {robot}: neither {known} nor a cell ({problem})", 2) from problem
 
 
 def parse_settings(text: str) -> list[str]:
     """Physical settings of `--setting`, names with commas or `all`, each once.
 
     Raises:
-        Problem: One does not exist; lists those that do.
+        CliError: One does not exist; lists those that do.
     """
     from surg_sim.physics.patient_settings import SETTINGS, find_setting
 
@@ -52,7 +52,7 @@ def parse_settings(text: str) -> list[str]:
         try:
             find_setting(name)
         except ValueError as error:
-            raise Problem(f"--setting {text}: {error}", 2) from error
+            raise CliError(f"--setting {text}: {error}", 2) from error
     return list(dict.fromkeys(wanted))
 
 
@@ -60,7 +60,7 @@ def cell_of(task: str, robot: str | None) -> Path:
     """The cell of `--robot`; without it the task's `home_cell`.
 
     Raises:
-        Problem: There is no such cell, or no such task.
+        CliError: There is no such cell, or no such task.
     """
     from surg_sim import tasks
 
@@ -69,11 +69,11 @@ def cell_of(task: str, robot: str | None) -> Path:
     try:
         home = tasks.load(task).home_cell
     except ValueError as error:  # a TaskError is one
-        raise Problem(str(error), 2) from error
+        raise CliError(str(error), 2) from error
     try:
         return cells.find(home)
-    except Problem as problem:
-        raise Problem(f"task '{task}': its home_cell: {problem}", 2) from problem
+    except CliError as problem:
+        raise CliError(f"task '{task}': its home_cell: {problem}", 2) from problem
 
 
 def make_plan(
@@ -85,19 +85,19 @@ def make_plan(
     cameras: tuple[str, ...],
     out: Path,
     policy: system.Policy | None = None,
-) -> Plan:
+) -> SystemPlan:
     """What all episodes of a run have in common; starts nothing.
 
     ``task`` is a name or the path of a file; ``policy`` plays in the place of the scripted expert.
 
     Raises:
-        Problem: The task is unknown, does not fit the cell, or nobody plays it.
+        CliError: The task is unknown, does not fit the cell, or nobody plays it.
     """
     if task.endswith(".py"):
         task = str(Path(task).absolute())
     loaded_task, senders = _load_task(task, loaded, conditions, seed, policy)
     arms = tuple(str(arm) for arm in loaded.arms)
-    return Plan(
+    return SystemPlan(
         cell=cell,
         arms=arms,
         lockstep=True,
@@ -134,16 +134,16 @@ def _load_task(
             loaded_task.prepare(loaded, find_setting(each.setting))
         senders = {name: tuple(e.arms) for name, e in loaded_task.experts(loaded, seed).items()}
     except ValueError as error:  # a TaskError is one
-        raise Problem(str(error), 2) from error
+        raise CliError(str(error), 2) from error
     if policy is not None:
         senders.pop(EXPERT, None)
         senders[system.POLICY] = tuple(loaded_task.commanded)
     if not senders:
-        raise Problem(f"task '{loaded_task.name}' has no scripted sender; name a --policy", 2)
+        raise CliError(f"task '{loaded_task.name}' has no scripted sender; name a --policy", 2)
     return loaded_task, senders
 
 
-def for_episode(plan: Plan, condition: Condition, seed: int, folder: Path) -> Plan:
+def for_episode(plan: SystemPlan, condition: Condition, seed: int, folder: Path) -> SystemPlan:
     """The plan of one episode of a run."""
     info = {**plan.run_info, "seed": seed, "setting": condition.setting, "law": condition.law}
     policy = None if plan.policy is None else policy_program.addressed(plan.policy)

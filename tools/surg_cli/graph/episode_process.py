@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.graph import processes, task_episode
-from surg_cli.graph.system import Plan
+from surg_cli.graph.system import SystemPlan
 
 EPISODE_TIMEOUT_S = 1800.0
 """[s] wall clock: longest an episode may take, start and report included."""
 
 
-def run_episode(plan: Plan, show: Callable[[float, str], None]) -> task_episode.Ended:
+def run_episode(plan: SystemPlan, show: Callable[[float, str], None]) -> task_episode.Ended:
     """Play one episode; ``show`` gets the simulated time [s] and a note on the progress.
 
     If the process leaves no outcome, the end of its log is the reason.
@@ -64,7 +64,7 @@ def progress(line: str) -> tuple[float, str] | None:
         return None
 
 
-def describe(plan: Plan, ended: task_episode.Ended) -> dict[str, Any]:
+def describe(plan: SystemPlan, ended: task_episode.Ended) -> dict[str, Any]:
     """The entry of an episode in the summary; writes its report beside its recording."""
     from surg_recording.reports import run_report
 
@@ -77,7 +77,7 @@ def describe(plan: Plan, ended: task_episode.Ended) -> dict[str, Any]:
 
 
 def measure(
-    plan: Plan, ended: task_episode.Ended, also: Callable[[dict[str, Any], Any], Any]
+    plan: SystemPlan, ended: task_episode.Ended, also: Callable[[dict[str, Any], Any], Any]
 ) -> tuple[dict[str, Any], Any]:
     """The entry of an episode by `trials.describe`, and the result of ``also(entry, recording)``.
 

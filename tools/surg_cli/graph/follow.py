@@ -8,7 +8,7 @@ from typing import NoReturn
 
 from surg_cli.graph import processes, running, system
 from surg_cli.graph.watch import Watch
-from surg_cli.host.terminal import Problem, say
+from surg_cli.host.terminal import CliError, say
 
 START_TIMEOUT_S = 60.0
 LOOK_S = 0.05
@@ -93,11 +93,11 @@ def raise_if_dead(supervisor: processes.Supervisor) -> None:
     """Check that all essential nodes run.
 
     Raises:
-        Problem: One has ended, with its exit status if that is 2 (wrong input).
+        CliError: One has ended, with its exit status if that is 2 (wrong input).
     """
     dead = supervisor.first_dead()
     if dead is not None:
-        raise Problem(death_notice(dead), 2 if dead.exit_code == 2 else 1)
+        raise CliError(death_notice(dead), 2 if dead.exit_code == 2 else 1)
 
 
 def raise_if_failed(watch: Watch, supervisor: processes.Supervisor) -> None:
@@ -105,7 +105,7 @@ def raise_if_failed(watch: Watch, supervisor: processes.Supervisor) -> None:
     raise_if_dead(supervisor)
     sim = watch.sim
     if sim.state == sim.STATE_ABORTED:
-        raise Problem(f"the simulator aborted: {sim.detail}")
+        raise CliError(f"the simulator aborted: {sim.detail}")
 
 
 def pass_on_news(watch: Watch, entry: running.System | None) -> None:
@@ -137,14 +137,14 @@ def wait_for(
     """Wait while the system starts, until nothing is missing.
 
     Raises:
-        Problem: A node has ended (its exit code is kept), or the time is over: names what is
+        CliError: A node has ended (its exit code is kept), or the time is over: names what is
             missing.
     """
     deadline = time.monotonic() + timeout_s
     while names := ", ".join(missing()):
         raise_if_dead(supervisor)
         if time.monotonic() > deadline:
-            raise Problem(f"waited {timeout_s:.0f} s for {names}; see {supervisor.logs}")
+            raise CliError(f"waited {timeout_s:.0f} s for {names}; see {supervisor.logs}")
         progress(None, f"waiting for {names}")
         time.sleep(LOOK_S)
 

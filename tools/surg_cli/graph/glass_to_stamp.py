@@ -11,7 +11,7 @@ import numpy as np
 
 from surg_cli.graph import master
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem, say
+from surg_cli.host.terminal import CliError, say
 
 TOPIC = "/endoscope/left/image_raw"
 PAGE = paths.ROOT / "src/surg_perception/src/surg_perception/capture/clock_pattern.html"
@@ -23,11 +23,11 @@ def measure(cell: Path, port: int, seconds: float) -> int:
     """Read the clock pattern in the left eye's pictures; print latency, spread and the cell's line.
 
     Raises:
-        Problem: No system runs, no picture comes, or the pictures do not tell the latency.
+        CliError: No system runs, no picture comes, or the pictures do not tell the latency.
     """
     uri = f"http://localhost:{port}"
     if "/endoscope" not in master.nodes(uri):
-        raise Problem(
+        raise CliError(
             f"calibrate latency: no endoscope runs at {uri}; start it with ./surg up {cell.name}"
         )
     key = "/endoscope/latency"
@@ -39,7 +39,7 @@ def measure(cell: Path, port: int, seconds: float) -> int:
     try:
         found = of_ages(ages, subtracted)
     except LatencyError as error:
-        raise Problem(f"calibrate latency: {error}; nothing has changed") from error
+        raise CliError(f"calibrate latency: {error}; nothing has changed") from error
     say(
         f"latency {1e3 * found.seconds:.1f} ms (median), spread {1e3 * found.spread:.1f} ms (5 to "
         f"95 %), {found.read} of {found.seen} pictures readable; put into {cell / 'cell.yaml'}:"
@@ -75,7 +75,7 @@ def _ages(uri: str, seconds: float) -> list[float | None]:
         deadline = time.monotonic() + START_S
         while not ages:
             if time.monotonic() > deadline:
-                raise Problem(
+                raise CliError(
                     f"calibrate latency: no picture on {TOPIC} within {START_S:.0f} s; "
                     "rostopic echo /diagnostics states why"
                 )

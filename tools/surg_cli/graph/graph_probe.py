@@ -26,7 +26,7 @@ TIMEOUT_S = 5.0
 
 
 @dataclass(frozen=True)
-class Seen:
+class GraphEnd:
     """One topic at one node, or one service.
 
     ``direction`` is `in`, `out` or `service`, seen from the node; ``md5`` is what the node itself
@@ -41,17 +41,17 @@ class Seen:
     latched: bool = False
 
 
-def observe(uri: str) -> list[Seen]:
+def observe(uri: str) -> list[GraphEnd]:
     """Everything that the graph of a master offers, sorted by name.
 
     Raises:
-        Problem: No master answers there.
+        CliError: No master answers there.
         OSError: A node does not answer.
     """
     publishers, subscribers, services = master.call(uri, "getSystemState")
     types = dict(master.call(uri, "getTopicTypes"))
     seen = [
-        Seen(topic, node, "in", types.get(topic, "*"))
+        GraphEnd(topic, node, "in", types.get(topic, "*"))
         for topic, nodes in subscribers
         for node in nodes
     ]
@@ -60,14 +60,16 @@ def observe(uri: str) -> list[Seen]:
             link, words = connect(master.call(uri, "lookupNode", node), topic)
             link.close()
             latched = words.get("latching", "0") == "1"
-            seen.append(Seen(topic, node, "out", words["type"], words["md5sum"], latched))
+            seen.append(GraphEnd(topic, node, "out", words["type"], words["md5sum"], latched))
     for service, nodes in services:
         place = urlparse(master.call(uri, "lookupService", service))
         assert place.hostname is not None and place.port is not None
         asked = {"service": service, "md5sum": "*", "probe": "1"}
         link, words = _greet(place.hostname, place.port, asked)
         link.close()
-        seen += [Seen(service, node, "service", words["type"], words["md5sum"]) for node in nodes]
+        seen += [
+            GraphEnd(service, node, "service", words["type"], words["md5sum"]) for node in nodes
+        ]
     return sorted(seen, key=lambda s: (s.name, s.node, s.direction))
 
 

@@ -19,9 +19,9 @@ from surg_cli.graph import (
     running,
     system,
 )
-from surg_cli.graph.system import Node, Plan
+from surg_cli.graph.system import Node, SystemPlan
 from surg_cli.host import environment
-from surg_cli.host.terminal import Problem, Progress, say
+from surg_cli.host.terminal import CliError, Progress, say
 
 LEADER = "crtk"
 """Any leader that speaks CRTK on topics."""
@@ -37,7 +37,7 @@ def link(config: Any, role: roles.Role, port: int, guard: bool | None = None) ->
     machine has another address.
 
     Raises:
-        Problem: ROS ports may not be opened here; says what to do.
+        CliError: ROS ports may not be opened here; says what to do.
     """
     place = roles.link_of(config, role, port)
     guard = bool(network.other_addresses(place.address)) if guard is None else guard
@@ -50,7 +50,7 @@ def link(config: Any, role: roles.Role, port: int, guard: bool | None = None) ->
     return place
 
 
-def nodes(plan: Plan, place: roles.Link | None, leader: str = LEADER) -> list[Node]:
+def nodes(plan: SystemPlan, place: roles.Link | None, leader: str = LEADER) -> list[Node]:
     """The nodes of this machine, without the robot_state_publishers; no place: a single machine."""
     every = system.nodes(plan)
     if place is None:
@@ -94,11 +94,11 @@ def warn_without_ptp(place: roles.Link) -> None:
         )
 
 
-def keep(plan: Plan, place: roles.Link, logs: Path, leader: str) -> int:
+def keep(plan: SystemPlan, place: roles.Link, logs: Path, leader: str) -> int:
     """Join the robot's machine; return on a signal.
 
     Raises:
-        Problem: The master does not answer any more, or a node has ended.
+        CliError: The master does not answer any more, or a node has ended.
     """
     env = place.environment(environment.for_nodes(ros_home=logs / "ros"), network.GUARD)
     with processes.Supervisor(env, logs) as supervisor:
@@ -119,10 +119,10 @@ def keep(plan: Plan, place: roles.Link, logs: Path, leader: str) -> int:
 
 def _await_master(place: roles.Link) -> None:
     """Wait for the robot's machine."""
-    patience = place.waits.master
+    patience = place.timeouts.master
     with Progress(f"up: waiting for the robot's machine, {place.uri}"):
         if not processes.wait_until(lambda: master.alive(place.uri), patience, ASK_S):
-            raise Problem(
+            raise CliError(
                 f"no ROS master answered at {place.uri} within {patience:.0f} s: start the robot's "
                 "machine with --role robot, and check the cable and machines.robot = "
                 f"{place.robot}"
@@ -130,17 +130,17 @@ def _await_master(place: roles.Link) -> None:
 
 
 def _stay(place: roles.Link, supervisor: processes.Supervisor) -> None:
-    """Watch the nodes, their ports and the robot's machine; ends with a Problem."""
+    """Watch the nodes, their ports and the robot's machine; ends with a CliError."""
     heard = time.monotonic()
     while True:
         follow.raise_if_dead(supervisor)
         network.refuse_foreign_ports(supervisor.children, place)
         if master.alive(place.uri):
             heard = time.monotonic()
-        elif time.monotonic() - heard > place.waits.gone:
-            raise Problem(
+        elif time.monotonic() - heard > place.timeouts.gone:
+            raise CliError(
                 f"the robot's machine, {place.robot}, has been silent for "
-                f"{place.waits.gone:.0f} s: this role ends. The arms hold by themselves. Start the "
-                "role again when the link is back; nothing resumes by itself"
+                f"{place.timeouts.gone:.0f} s: this role ends. The arms hold by themselves. "
+                "Start the role again when the link is back; nothing resumes by itself"
             )
         time.sleep(ASK_S)

@@ -11,7 +11,7 @@ from typing import Any
 from surg_cli.graph import master
 from surg_cli.graph.collect import TIMEOUT_S
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem, say
+from surg_cli.host.terminal import CliError, say
 
 HINT_S = 1.0
 """[s] Hints that last less are not printed."""
@@ -31,7 +31,7 @@ def calibrate(cell: Any, options: argparse.Namespace, source: str, date: str) ->
         The exit code.
 
     Raises:
-        Problem: No system runs, the step cannot begin, or no view was taken within the timeout.
+        CliError: No system runs, the step cannot begin, or no view was taken within the timeout.
     """
     uri = f"http://localhost:{options.port}"
     master.nodes(uri)
@@ -66,7 +66,7 @@ def calibrate(cell: Any, options: argparse.Namespace, source: str, date: str) ->
             say(f"views -> {live.status.folder}; hold each view still; Ctrl-C ends, views stay")
         return _follow(node, options)
     except (ValueError, OSError) as error:
-        raise Problem(f"calibrate {options.what}: {error}; nothing is written", 1) from error
+        raise CliError(f"calibrate {options.what}: {error}; nothing is written", 1) from error
     finally:
         node.close()
         rospy.signal_shutdown("done")
@@ -98,6 +98,6 @@ def _follow(node: Any, options: argparse.Namespace) -> int:
             say("nothing written (--dry-run)" if options.dry_run else "restart the system")
             return 0
         if options.what != "live" and now - progress_at > TIMEOUT_S:
-            raise Problem(
+            raise CliError(
                 f"no new view within {TIMEOUT_S:g} s; {views} views are in {folder}. {hint}"
             )

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from surg_cli.graph.processes import Child, Supervisor, wait_until
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 ROSMASTER = ("/usr/bin/python3", "-s", "/usr/bin/rosmaster", "--core")
 """Debian's Python is named: the script's shebang may meet another one on PATH."""
@@ -43,18 +43,18 @@ def call(uri: str, method: str, *arguments: object) -> Any:
     """Call a method of the master's XML-RPC interface; returns the value of the answer.
 
     Raises:
-        Problem: No master answers there, or it refuses.
+        CliError: No master answers there, or it refuses.
     """
     proxy = xmlrpc.client.ServerProxy(uri, transport=_Transport())
     try:
         code, text, value = getattr(proxy, method)("/surg_cli", *arguments)
     except (OSError, xmlrpc.client.Error, ValueError) as error:
-        raise Problem(
+        raise CliError(
             f"no ROS master answers at {uri} ({error}); start a system with ./surg up CELL, "
             "or name its port with --port"
         ) from error
     if code != 1:
-        raise Problem(f"the ROS master refused {method}{arguments}: {text}")
+        raise CliError(f"the ROS master refused {method}{arguments}: {text}")
     return value
 
 
@@ -62,7 +62,7 @@ def alive(uri: str) -> bool:
     """Whether a ROS master answers at `uri`."""
     try:
         call(uri, "getPid")
-    except Problem:
+    except CliError:
         return False
     return True
 
@@ -74,10 +74,10 @@ def start(supervisor: Supervisor, port: int, host: str = "localhost") -> Child:
     other nodes.
 
     Raises:
-        Problem: The port is taken, or the master does not come up.
+        CliError: The port is taken, or the master does not come up.
     """
     if port_in_use(port, host):
-        raise Problem(
+        raise CliError(
             f"port {port} is in use on this machine: choose another with --port, or end what "
             f"holds it (ss -ltnp 'sport = :{port}' names it)"
         )
@@ -85,9 +85,9 @@ def start(supervisor: Supervisor, port: int, host: str = "localhost") -> Child:
     supervisor.env["ROS_MASTER_URI"] = uri
     child = supervisor.start("rosmaster", [*ROSMASTER, "-p", str(port)])
     if not wait_until(lambda: alive(uri) or child.exit_code is not None, START_TIMEOUT_S):
-        raise Problem(f"the ROS master did not answer on port {port} within {START_TIMEOUT_S} s")
+        raise CliError(f"the ROS master did not answer on port {port} within {START_TIMEOUT_S} s")
     if child.exit_code is not None:
-        raise Problem(f"the ROS master ended at once:\n{child.log_tail()}")
+        raise CliError(f"the ROS master ended at once:\n{child.log_tail()}")
     return child
 
 

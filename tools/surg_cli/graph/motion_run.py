@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from surg_cli.graph import follow, processes, running, system
-from surg_cli.graph.system import Plan
+from surg_cli.graph.system import SystemPlan
 from surg_cli.graph.watch import Watch
 from surg_cli.host.terminal import Progress
 
@@ -31,13 +31,13 @@ class Robots(Protocol):
         """The same for one that has stopped since; before any arm is homed."""
 
 
-def play(plan: Plan, duration_s: float, robots: Robots) -> list[str]:
+def play(plan: SystemPlan, duration_s: float, robots: Robots) -> list[str]:
     """Run a plan with an operator to its end.
 
     Returns why the run failed, one sentence each.
 
     Raises:
-        Problem: The system does not come up.
+        CliError: The system does not come up.
     """
     with running.launched("demo", plan.cell, plan.out) as (supervisor, entry):
         robots.start(supervisor)

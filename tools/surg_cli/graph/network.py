@@ -13,7 +13,7 @@ from pathlib import Path
 
 from surg_cli.graph import processes, roles
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 GUARD = paths.DEVEL / "lib" / "libsurg_net_guard.so"
 _SIOCGIFADDR = 0x8915
@@ -23,14 +23,14 @@ def check(address: str, role: roles.Role, guard: bool) -> None:
     """Refuse an address on which this machine may not open ROS ports.
 
     Raises:
-        Problem: With the cure.
+        CliError: With the cure.
     """
     table = roles.routes(Path("/proc/net/route").read_text("utf-8"))
     roles.check_address(address, role, has(address), addresses(), table)
     if not guard:
         refuse_other_addresses(address)
     elif not GUARD.is_file():
-        raise Problem(f"{GUARD} is missing; run ./surg dev build --force")
+        raise CliError(f"{GUARD} is missing; run ./surg dev build")
 
 
 def has(address: str) -> bool:
@@ -64,7 +64,7 @@ def refuse_other_addresses(own: str) -> None:
     """Refuse a machine with an address on another network, where ROS 1 would open its ports too."""
     others = other_addresses(own)
     if others:
-        raise Problem(
+        raise CliError(
             f"this machine also has {', '.join(sorted(others))}, and ROS 1 opens its ports on "
             "every address. Add --port-guard, which preloads a library that binds them to "
             f"{own}, or disconnect the other network",
@@ -76,7 +76,7 @@ def refuse_foreign_ports(children: Iterable[processes.Child], link: roles.Link) 
     """Check that no port of this process and the nodes can be reached from another network.
 
     Raises:
-        Problem: Without the guard: the machine has an address on another network. With it: a port
+        CliError: Without the guard: the machine has an address on another network. With it: a port
             is open on another address.
     """
     own = link.address
@@ -90,7 +90,7 @@ def refuse_foreign_ports(children: Iterable[processes.Child], link: roles.Link) 
     tables = [Path(f"/proc/net/{name}").read_text("utf-8") for name in ("tcp", "tcp6")]
     wrong = roles.foreign_ports(roles.listening(*tables), held, own)
     if wrong:
-        raise Problem(
+        raise CliError(
             f"ROS ports are open beyond {own}: {'; '.join(wrong)}. Everything is stopped: a "
             "program that does not take LD_PRELOAD must not run here"
         )

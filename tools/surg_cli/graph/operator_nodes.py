@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from surg_cli.graph.system import ENDOSCOPE, Node, Plan
+from surg_cli.graph.system import ENDOSCOPE, Node, SystemPlan
 from surg_cli.host import cells
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 BROWSER = "browser"
 """The console as a leader, and the namespace of its topics."""
@@ -19,7 +19,7 @@ WEB_PORT = 8090
 
 
 def teleoperation(
-    plan: Plan, leader: str, page: bool, scale: float | None = None, second: str = ""
+    plan: SystemPlan, leader: str, page: bool, scale: float | None = None, second: str = ""
 ) -> Node:
     """The node that maps hands to arms.
 
@@ -31,7 +31,7 @@ def teleoperation(
         second: What a second hand holds, which moves the assistant's instrument; empty: nobody.
 
     Raises:
-        Problem: The cell has nothing to drive, or the task has no assistant.
+        CliError: The cell has nothing to drive, or the task has no assistant.
     """
     loaded = cells.load(plan.cell)
     params: dict[str, object] = {
@@ -52,13 +52,13 @@ def teleoperation(
     return Node(TELEOP, "surg_teleop", "teleop_node.py", params, prompt=True)
 
 
-def console(plan: Plan, leads: bool, web: Mapping[str, object]) -> Node:
+def console(plan: SystemPlan, leads: bool, web: Mapping[str, object]) -> Node:
     """The node that serves the operator's page; ``web`` holds who may open it.
 
     ``leads``: the page is the hand. If not, it shows, enables, stops and records.
 
     Raises:
-        Problem: The cell has nothing to drive.
+        CliError: The cell has nothing to drive.
     """
     params: dict[str, object] = {
         "cell": str(plan.cell),
@@ -72,16 +72,16 @@ def console(plan: Plan, leads: bool, web: Mapping[str, object]) -> Node:
     return Node(CONSOLE, "surg_console", "console_node.py", params, prompt=True)
 
 
-def driven_arm(plan: Plan) -> str:
+def driven_arm(plan: SystemPlan) -> str:
     """The first arm of the cell that holds an instrument.
 
     Raises:
-        Problem: There is none.
+        CliError: There is none.
     """
     arms = cells.load(plan.cell).arms.values()
     driven = next((str(arm.name) for arm in arms if arm.instrument.camera is None), None)
     if driven is None:
-        raise Problem(f"{plan.cell}: no arm of this cell holds an instrument to drive", 2)
+        raise CliError(f"{plan.cell}: no arm of this cell holds an instrument to drive", 2)
     return driven
 
 
@@ -91,7 +91,7 @@ def _leader(leader: str) -> dict[str, object]:
     return {"leader": str(Path(leader).absolute()) if leader.endswith(".py") else leader}
 
 
-def _assistant_frame(plan: Plan, loaded: Any) -> list[float]:
+def _assistant_frame(plan: SystemPlan, loaded: Any) -> list[float]:
     """Orientation x, y, z, w in the world of the assistant's trocar frame."""
     from surg_core.transforms import matrix_to_quaternion_xyzw
 
@@ -99,7 +99,7 @@ def _assistant_frame(plan: Plan, loaded: Any) -> list[float]:
     assistant = None if world.task is None else world.task.assistant
     if assistant is None:
         what = f"task {plan.task}" if plan.task else "a phantom without a task"
-        raise Problem(
+        raise CliError(
             f"--leader: {what} has no assistant's instrument for a second hand to hold; "
             "bgr has one",
             2,

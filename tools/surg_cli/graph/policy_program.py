@@ -9,10 +9,10 @@ from pathlib import Path
 
 from surg_cli.graph import follow, master, system
 from surg_cli.graph.processes import Supervisor
-from surg_cli.graph.system import Plan, Policy
+from surg_cli.graph.system import Policy, SystemPlan
 from surg_cli.graph.watch import Watch
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 CLIENT = "policy_client"
 CLIENT_TIMEOUT_S = 120.0
@@ -23,7 +23,7 @@ def read(given: str, keys: Path | None, privileged: bool, forces: bool = False) 
     """A policy from the command line: an address to listen at, or the path of a client's script.
 
     Raises:
-        Problem: It is neither, or must not be listened at; says what is allowed.
+        CliError: It is neither, or must not be listened at; says what is allowed.
     """
     from surg_policy_bridge.server import listen_address
     from surg_policy_client.errors import BadKeys
@@ -37,10 +37,10 @@ def read(given: str, keys: Path | None, privileged: bool, forces: bool = False) 
             address = listen_address.check(given, keys is not None)
             return Policy(address, "", folder, privileged, forces)
     except (listen_address.BindError, BadKeys, OSError) as error:
-        raise Problem(f"--policy {given}: {error}", 2) from error
+        raise CliError(f"--policy {given}: {error}", 2) from error
     script = Path(given)
     if script.suffix != ".py" or not script.is_file():
-        raise Problem(
+        raise CliError(
             f"--policy {given}: neither an address such as tcp://127.0.0.1:5555 nor the path of a "
             "client's .py file",
             2,
@@ -49,7 +49,7 @@ def read(given: str, keys: Path | None, privileged: bool, forces: bool = False) 
 
 
 def connect(
-    plan: Plan,
+    plan: SystemPlan,
     supervisor: Supervisor,
     watch: Watch,
     progress: Callable[[float | None, str], None],
@@ -57,7 +57,7 @@ def connect(
     """Start the model server and the client, and wait until one has connected.
 
     Raises:
-        Problem: The server or the client ends, or the script does not connect in time.
+        CliError: The server or the client ends, or the script does not connect in time.
     """
     policy = plan.policy
     assert policy is not None
@@ -73,7 +73,7 @@ def connect(
 
     def missing() -> list[str]:
         if client is not None and client.exit_code is not None:
-            raise Problem(
+            raise CliError(
                 f"the policy's script ended before it had connected:\n{client.log_tail()}"
             )
         return [] if watch.policy.waiting else [waited_for]

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 
 class Role(enum.StrEnum):
@@ -33,7 +33,7 @@ class Role(enum.StrEnum):
 
 
 @dataclass(frozen=True)
-class Waits:
+class Timeouts:
     """The time-outs of a role."""
 
     master: float  # for the ROS master of the robot's machine to answer at the start [s]
@@ -46,11 +46,11 @@ class Waits:
 WAITS = {
     # The watchdogs that stop an arm (F03, F10, F25) are the controller's and the same everywhere:
     # no network is a reason to wait longer for a command.
-    Role.ROBOT: Waits(master=15.0, gone=5.0, tcp=3.0),
+    Role.ROBOT: Timeouts(master=15.0, gone=5.0, tcp=3.0),
     # A person starts the machines one after the other.
-    Role.OPERATOR: Waits(master=120.0, gone=3.0, tcp=3.0),
+    Role.OPERATOR: Timeouts(master=120.0, gone=3.0, tcp=3.0),
     # Pictures are worth waiting for a little longer: nothing moves by them.
-    Role.ENDOSCOPE: Waits(master=120.0, gone=10.0, tcp=5.0),
+    Role.ENDOSCOPE: Timeouts(master=120.0, gone=10.0, tcp=5.0),
 }
 
 
@@ -93,10 +93,10 @@ def link_of(config: Any, role: Role, port: int) -> Link:
     """A role's place in a ``surg_core`` CellConfig.
 
     Raises:
-        Problem: The cell does not name this machine, or does not call its network isolated.
+        CliError: The cell does not name this machine, or does not call its network isolated.
     """
     if config.network != "isolated" or not config.machines:
-        raise Problem(
+        raise CliError(
             f"--role {role}: {config.file} has 'network: {config.network}'"
             f"{'' if config.machines else ' and no machines'}. ROS 1 ports are opened for another "
             "machine only on a network that the cell calls isolated: a switch and cables of its "
@@ -105,7 +105,7 @@ def link_of(config: Any, role: Role, port: int) -> Link:
             2,
         )
     if role not in config.machines:
-        raise Problem(
+        raise CliError(
             f"--role {role}: {config.file}: machines.{role} is missing; it names "
             f"{', '.join(config.machines)}. Add this machine's address on the isolated network",
             2,
@@ -123,11 +123,11 @@ def check_address(
     ``interfaces`` holds the first address of each interface by name, ``table`` the routes.
 
     Raises:
-        Problem: With the cure.
+        CliError: With the cure.
     """
     if not has:
         known = ", ".join(f"{first} ({name})" for name, first in interfaces.items())
-        raise Problem(
+        raise CliError(
             f"--role {role}: this machine does not have machines.{role} = {address}; it has "
             f"{known or 'no address'}. Start the role on its own machine, or "
             "correct cell.yaml, or plug the cable in and give the interface that address",
@@ -138,7 +138,7 @@ def check_address(
     ours = {r.interface for r in table if r.network.prefixlen and own in r.network}
     ours |= {name for name, first in interfaces.items() if first == address}
     if not ours:
-        raise Problem(
+        raise CliError(
             f"--role {role}: no interface of this machine is known to have {address}, so nobody "
             "can tell where it leads. Give the robot's interface that address with the mask of "
             f"its network (ip addr add {address}/24 dev INTERFACE)",
@@ -146,7 +146,7 @@ def check_address(
         )
     for route in table:
         if route.interface in ours and int(route.gateway):
-            raise Problem(
+            raise CliError(
                 f"--role {role}: {address} is routable: its interface {route.interface} also leads "
                 f"to other networks through the router {route.gateway}. An isolated network has "
                 "none. Put the robot's cable into an interface of its own, or remove that route "
@@ -172,7 +172,7 @@ class Link:
         return f"http://{self.robot}:{self.port}"
 
     @property
-    def waits(self) -> Waits:
+    def timeouts(self) -> Timeouts:
         """The role's time-outs."""
         return WAITS[self.role]
 
@@ -186,7 +186,7 @@ class Link:
         env.update(
             LD_PRELOAD=":".join([str(guard), *(p for p in preload if p != str(guard))]),
             SURG_LISTEN_ON=self.address,
-            SURG_TCP_TIMEOUT_MS=str(round(1000 * self.waits.tcp)),
+            SURG_TCP_TIMEOUT_MS=str(round(1000 * self.timeouts.tcp)),
         )
         return env
 

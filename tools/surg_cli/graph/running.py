@@ -13,7 +13,7 @@ from pathlib import Path
 from surg_cli.graph import master, processes
 from surg_cli.graph.watch import PAUSE_SIGNAL
 from surg_cli.host import environment, paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 
 @dataclass
@@ -108,14 +108,14 @@ def of_cell(cell: Path, port: int | None = None) -> System | None:
     """The running `up` or `teleop` of a cell; on a port only that one.
 
     Raises:
-        Problem: Nothing runs on the port, or another cell does.
+        CliError: Nothing runs on the port, or another cell does.
     """
     found = systems(port)
     if port is not None and not found:
-        raise Problem(f"no system of this checkout runs on port {port}; see ./surg status")
+        raise CliError(f"no system of this checkout runs on port {port}; see ./surg status")
     mine = [s for s in found if Path(s.cell) == cell and s.command in ("up", "teleop")]
     if port is not None and not mine:
-        raise Problem(f"the system on port {port} is of {found[0].cell}, not of {cell}")
+        raise CliError(f"the system on port {port} is of {found[0].cell}, not of {cell}")
     return mine[0] if mine else None
 
 

@@ -1,7 +1,7 @@
 """Which nodes make up a running system, and their parameters.
 
-One `Plan` says what is wanted; `nodes` turns it into a list that `start` brings up. Every entry is
-also a `rosrun` line (`Node.rosrun_line`): there are no launch files.
+One `SystemPlan` says what is wanted; `nodes` turns it into a list that `start` brings up. Every
+entry is also a `rosrun` line (`Node.rosrun_line`): there are no launch files.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from surg_cli.graph import master, turns
+from surg_cli.graph import master, scheduler_slices
 from surg_cli.graph.processes import Child, Supervisor
 from surg_cli.host import paths, provision
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 OPERATOR = "operator"
 RECORDER = "recorder"
@@ -54,7 +54,7 @@ class Policy:
 
 
 @dataclass(frozen=True)
-class Plan:
+class SystemPlan:
     """A system to bring up."""
 
     cell: Path  # folder of the cell
@@ -171,7 +171,7 @@ class Node:
         return shlex.join(["rosrun", self.package, self.executable, *words])
 
 
-def nodes(plan: Plan) -> list[Node]:
+def nodes(plan: SystemPlan) -> list[Node]:
     """The nodes of a system in the order they are started, without those that play."""
     params: dict[str, object] = {
         **plan.scene,
@@ -237,7 +237,7 @@ def _has_room() -> bool:
     return len(os.sched_getaffinity(0)) > 1
 
 
-def force_nodes(plan: Plan) -> list[Node]:
+def force_nodes(plan: SystemPlan) -> list[Node]:
     """Nodes that make forces of the sensors at the flanges; in lock-step the simulator does."""
     return [
         Node(
@@ -251,7 +251,7 @@ def force_nodes(plan: Plan) -> list[Node]:
     ]
 
 
-def pictures(plan: Plan) -> list[Node]:
+def pictures(plan: SystemPlan) -> list[Node]:
     """The endoscope's node, and the one that makes depth and marks of its pictures."""
     found = [endoscope(plan)] if plan.cameras else []
     if plan.eyes is not None:
@@ -260,7 +260,7 @@ def pictures(plan: Plan) -> list[Node]:
     return found
 
 
-def endoscope(plan: Plan) -> Node:
+def endoscope(plan: SystemPlan) -> Node:
     """The node that publishes the endoscope's pictures: a real one's, or the simulator's."""
     params: dict[str, object]
     if plan.capture is not None:
@@ -270,7 +270,7 @@ def endoscope(plan: Plan) -> Node:
     return Node(f"/{ENDOSCOPE}", "surg_sim", "endoscope_node.py", params)
 
 
-def senders(plan: Plan) -> list[Node]:
+def senders(plan: SystemPlan) -> list[Node]:
     """The scripted nodes that play the plan's task."""
     params: dict[str, object] = {"cell": str(plan.cell), "task": plan.task, "seed": plan.seed}
     if not plan.lockstep and plan.policy is not None:
@@ -283,7 +283,7 @@ def senders(plan: Plan) -> list[Node]:
     ]
 
 
-def model_server(plan: Plan) -> Node:
+def model_server(plan: SystemPlan) -> Node:
     """The node that the plan's policy connects to."""
     policy = plan.policy
     assert policy is not None
@@ -308,7 +308,7 @@ def model_server(plan: Plan) -> Node:
     return Node(f"/{POLICY}", "surg_policy_bridge", "model_server_node.py", params)
 
 
-def operator_node(plan: Plan) -> Node:
+def operator_node(plan: SystemPlan) -> Node:
     """The plan's operator; one that answers late is refused for good by an arm in real time."""
     assert plan.operator is not None
     made = ("surg_teleop", "operator_node.py", dict(plan.operator))
@@ -334,7 +334,7 @@ def start(supervisor: Supervisor, node: Node) -> Child:
     """Set a node's parameters and start it at the master that the supervisor's environment names.
 
     Raises:
-        Problem: Its executable does not exist, or packages that it needs cannot be installed.
+        CliError: Its executable does not exist, or packages that it needs cannot be installed.
     """
     if node.needs_opencv():
         provision.need_opencv()
@@ -342,7 +342,7 @@ def start(supervisor: Supervisor, node: Node) -> Child:
     for key, value in node.params.items():
         master.call(uri, "setParam", f"{node.name}/{key}", value)
     argv = [str(executable(node.package, node.executable)), *node.arguments, *node.words()]
-    with turns.short() if node.prompt else contextlib.nullcontext():
+    with scheduler_slices.short() if node.prompt else contextlib.nullcontext():
         child = supervisor.start(node.name, argv, essential=node.essential)
     if node.drives:
         prefer(child)
@@ -366,13 +366,13 @@ def executable(package: str, name: str) -> Path:
     """What `rosrun PACKAGE NAME` would start.
 
     Raises:
-        Problem: It is neither in the devel space nor in the system.
+        CliError: It is neither in the devel space nor in the system.
     """
     for prefix in (paths.DEVEL, Path("/usr")):
         candidate = prefix / "lib" / package / name
         if candidate.is_file() and os.access(candidate, os.X_OK):
             return candidate
-    raise Problem(f"no executable {name!r} of package {package!r}; run ./surg dev build --force")
+    raise CliError(f"no executable {name!r} of package {package!r}; run ./surg dev build")
 
 
 def _as_text(value: object) -> str:

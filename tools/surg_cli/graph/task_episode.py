@@ -17,10 +17,10 @@ from typing import Any
 
 from surg_cli.graph import follow, policy_program, processes, running, system
 from surg_cli.graph.status_records import policy_record
-from surg_cli.graph.system import Plan
+from surg_cli.graph.system import SystemPlan
 from surg_cli.graph.watch import Watch
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem, warn
+from surg_cli.host.terminal import CliError, warn
 
 PLAN, OUTCOME = "plan.json", "outcome.json"
 WARM_UP_S = 0.5
@@ -42,12 +42,12 @@ class Ended:
     policy: dict[str, Any] | None = None
 
 
-def write_plan(plan: Plan) -> None:
+def write_plan(plan: SystemPlan) -> None:
     """Put a plan into its folder for the process that plays it."""
     paths.write_text(plan.out / PLAN, json.dumps(asdict(plan), default=str, indent=1) + "\n")
 
 
-def read_plan(folder: Path) -> Plan:
+def read_plan(folder: Path) -> SystemPlan:
     """The plan in a folder."""
     values = json.loads((folder / PLAN).read_text("utf-8"))
     tuples = ("arms", "cameras", "driven", "extra_participants", "record_topics", "record_cameras")
@@ -58,14 +58,14 @@ def read_plan(folder: Path) -> Plan:
         values[name] = Path(values[name])
     if values["policy"] is not None:
         values["policy"] = system.Policy(**values["policy"])
-    return Plan(**values)
+    return SystemPlan(**values)
 
 
-def play(plan: Plan) -> Ended:
+def play(plan: SystemPlan) -> Ended:
     """Bring the plan's graph up, follow the episode to its end, take the graph down.
 
     Raises:
-        Problem: The graph does not come up.
+        CliError: The graph does not come up.
     """
     with running.launched("run", plan.cell, plan.out) as (supervisor, entry):
         senders = [name for name in plan.senders if name != system.POLICY]
@@ -79,7 +79,7 @@ def play(plan: Plan) -> Ended:
             return _follow(plan, supervisor, watch)
 
 
-def _follow(plan: Plan, supervisor: processes.Supervisor, watch: Watch) -> Ended:
+def _follow(plan: SystemPlan, supervisor: processes.Supervisor, watch: Watch) -> Ended:
     """Watch the episode until it is over or must end."""
     follow.start_recording(watch, supervisor, _progress)
     broken: list[str] = []
@@ -148,7 +148,7 @@ def main(arguments: Sequence[str]) -> int:
     folder = Path(arguments[0])
     try:
         ended = play(read_plan(folder))
-    except Problem as problem:
+    except CliError as problem:
         warn(str(problem))
         return problem.code
     except KeyboardInterrupt:

@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from surg_cli.graph.graph_probe import Seen
+from surg_cli.graph.graph_probe import GraphEnd
 from surg_cli.host import paths
 
 SOURCE = paths.ROOT / "docs" / "reference" / "topics.yaml"
@@ -98,7 +98,7 @@ def _entry(row: dict[str, Any]) -> Entry:
 
 def compare(
     contract: Contract,
-    seen: Iterable[Seen],
+    seen: Iterable[GraphEnd],
     arm: str,
     nodes: Iterable[str],
     lockstep: bool,
@@ -144,7 +144,7 @@ def compare(
     return wrong
 
 
-def _logger(seen: Seen) -> bool:
+def _logger(seen: GraphEnd) -> bool:
     """The services that every node of ROS has for its log level, and a nodelet's bonds."""
     return seen.name.endswith(("/get_loggers", "/set_logger_level"))
 
@@ -169,7 +169,7 @@ def _internal(contract: Contract, arm: str) -> set[tuple[str, str, str]]:
 # --- the page ---------------------------------------------------------------------------------
 
 
-def render(contract: Contract, seen: Iterable[Seen], arm: str) -> str:
+def render(contract: Contract, seen: Iterable[GraphEnd], arm: str) -> str:
     """The page docs/reference/topics.md, for the reference graph in free-run.
 
     Type, direction and latching come from the graph, the rest from the contract.
@@ -196,7 +196,7 @@ def render(contract: Contract, seen: Iterable[Seen], arm: str) -> str:
 def _table(
     columns: list[str],
     rows: list[dict[str, Any]],
-    there: dict[tuple[str, str, str], Seen],
+    there: dict[tuple[str, str, str], GraphEnd],
     arm: str,
 ) -> str:
     """The rows of a section; neighbours that differ in name only share a line."""
@@ -211,7 +211,7 @@ def _table(
 
 def _cells(
     row: dict[str, Any],
-    there: dict[tuple[str, str, str], Seen],
+    there: dict[tuple[str, str, str], GraphEnd],
     arm: str,
     both_ways: bool,
 ) -> dict[str, str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 BUNDLED_ROBOTS = {"ur5e": "sim_ur5e", "panda": "sim_panda"}
 ROBOTS = paths.ROOT / "src" / "surg_description" / "robots"
@@ -20,14 +20,14 @@ def find(name: str) -> Path:
     """A cell's folder, by its name in `cells/` or by the path of it or of its `cell.yaml`.
 
     Raises:
-        Problem: There is none; names the bundled ones.
+        CliError: There is none; names the bundled ones.
     """
     for candidate in (Path(name), paths.CELLS / name):
         folder = candidate.parent if candidate.name == "cell.yaml" else candidate
         if (folder / "cell.yaml").is_file():
             return folder.resolve()
     known = sorted(path.parent.name for path in paths.CELLS.glob("*/cell.yaml"))
-    raise Problem(
+    raise CliError(
         f"no cell {name!r}: neither a folder with a cell.yaml nor one of {', '.join(known)}", 2
     )
 
@@ -39,7 +39,7 @@ def for_robot(robot: str, folder: Path) -> Path:
     the shaft at home with the tip 120 mm deep.
 
     Raises:
-        Problem: There is no such robot or cell, or its files are wrong.
+        CliError: There is no such robot or cell, or its files are wrong.
     """
     if robot in BUNDLED_ROBOTS:
         return find(BUNDLED_ROBOTS[robot])
@@ -50,19 +50,19 @@ def for_robot(robot: str, folder: Path) -> Path:
     elif path.suffix not in (".yaml", ".yml") or path.name == "cell.yaml":
         try:
             return find(robot)
-        except Problem as problem:
+        except CliError as problem:
             known = ", ".join(described)
-            raise Problem(
+            raise CliError(
                 f"--robot {robot}: neither {known} nor the path of a robot's YAML; {problem}", 2
             ) from None
     if not path.is_file():
-        raise Problem(f"--robot {robot}: no such file", 2)
+        raise CliError(f"--robot {robot}: no such file", 2)
     from surg_description.make_cell import make_cell
 
     try:
         return make_cell(path.resolve(), folder, INSTRUMENT, DEPTH_M, ARM).parent
     except (ValueError, OSError) as error:
-        raise Problem(str(error), 2) from error
+        raise CliError(str(error), 2) from error
 
 
 def described_robots() -> list[str]:
@@ -74,13 +74,13 @@ def chosen_arms(cell: Any, arm: str | None) -> list[str]:
     """Names of a cell's arms, or the one of `--arm`.
 
     Raises:
-        Problem: The cell has no such arm.
+        CliError: The cell has no such arm.
     """
     arms = list(cell.arms)
     if arm is None:
         return arms
     if arm not in arms:
-        raise Problem(f"--arm {arm}: no such arm; allowed: {', '.join(arms)}", 2)
+        raise CliError(f"--arm {arm}: no such arm; allowed: {', '.join(arms)}", 2)
     return [arm]
 
 
@@ -88,14 +88,14 @@ def load(folder: Path) -> Any:
     """Read and check a cell with everything it names; returns a `surg_core` Cell.
 
     Raises:
-        Problem: Anything in it is wrong: file, key, value, what is allowed.
+        CliError: Anything in it is wrong: file, key, value, what is allowed.
     """
     import surg_core
 
     try:
         return surg_core.load_cell(str(folder))
     except surg_core.ConfigError as error:
-        raise Problem(f"{error}{_bundled(str(error))}", 2) from error
+        raise CliError(f"{error}{_bundled(str(error))}", 2) from error
 
 
 def _bundled(refused: str) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from surg_cli.host import environment, logged, paths, workspace
-from surg_cli.host.terminal import Problem, Progress, say, warn
+from surg_cli.host.terminal import CliError, Progress, say, warn
 
 CORE = paths.ROOT / "src" / "surg_core"
 RACE = paths.ROOT / "src" / "surg_control" / "tests" / "race"
@@ -26,7 +26,7 @@ def run(env: Mapping[str, str]) -> tuple[int, int]:
     tables of measured figures.
 
     Raises:
-        Problem: Something does not build.
+        CliError: Something does not build.
     """
     plain = plain_environment(env)
     counts = [core_tests(plain), sanitized_tests(plain), control_tests(env)]
@@ -108,7 +108,7 @@ def cmake(
     ``folder`` is the build folder, which also names the log.
 
     Raises:
-        Problem: It does not build.
+        CliError: It does not build.
     """
     configuration = ["cmake", "-S", str(source), "-B", str(folder), *options]
     build(title, folder.name, [configuration, compilation(folder, *targets)], env)
@@ -124,7 +124,7 @@ def build(title: str, name: str, commands: Sequence[Sequence[str]], env: Mapping
     """Run the commands of a build, with a log of this name.
 
     Raises:
-        Problem: One of them fails.
+        CliError: One of them fails.
     """
     log = paths.STATE / "logs" / f"{name}.log"
     with Progress(title) as progress:
@@ -147,14 +147,14 @@ def gtests(argv: Sequence[str], name: str, env: Mapping[str, str]) -> tuple[int,
     as failed.
 
     Raises:
-        Problem: There was no test.
+        CliError: There was no test.
     """
     log = paths.STATE / "logs" / f"{name}.log"
     status = 0
     with Progress(name.replace("_", " ")) as progress:
         try:
             logged.run(argv, log, progress, anew=True, fraction=_tests_fraction, env=env)
-        except Problem:
+        except CliError:
             status = 1
     text = log.read_text(errors="replace")
     passed = sum(int(n) for n in re.findall(r"\[  PASSED  \] (\d+) test", text))
@@ -163,7 +163,7 @@ def gtests(argv: Sequence[str], name: str, env: Mapping[str, str]) -> tuple[int,
         failed = max(failed, 1)
         say(text[-6000:])
     if passed + failed == 0:
-        raise Problem(f"no C++ tests: {' '.join(argv)} ran none (log: {name}.log)")
+        raise CliError(f"no C++ tests: {' '.join(argv)} ran none (log: {name}.log)")
     return passed, failed
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from surg_cli.host import paths, rendering
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 # A pyenv or conda Python announces itself in these; inherited, it breaks Debian's modules.
 FOREIGN_PYTHON = ("PYTHONHOME", "PYTHONPATH", "CONDA_PREFIX", "CONDA_DEFAULT_ENV", "PYENV_VERSION")
@@ -50,11 +50,11 @@ def for_nodes(
     broken driver can make slow.
 
     Raises:
-        Problem: The workspace has not been built.
+        CliError: The workspace has not been built.
     """
     setup = paths.DEVEL / "setup.bash"
     if not setup.exists():
-        raise Problem(f"the workspace is not built: {setup} is missing; run ./surg dev build")
+        raise CliError(f"the workspace is not built: {setup} is missing; run ./surg dev build")
     # setup.bash reads variables that may be unset.
     script = 'set +u; . "$1" >/dev/null && env -0'
     sourced = subprocess.run(
@@ -64,7 +64,7 @@ def for_nodes(
         check=False,
     )
     if sourced.returncode != 0:
-        raise Problem(f"cannot source {setup}: {sourced.stderr.decode(errors='replace').strip()}")
+        raise CliError(f"cannot source {setup}: {sourced.stderr.decode(errors='replace').strip()}")
     pairs = (item.partition("=") for item in sourced.stdout.decode().split("\0") if "=" in item)
     env = {name: value for name, _, value in pairs}
     home = ros_home or paths.STATE / "ros"

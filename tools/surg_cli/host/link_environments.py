@@ -10,7 +10,7 @@ from pathlib import Path
 
 import surg_core
 from surg_cli.host import logged, paths
-from surg_cli.host.terminal import Problem, Progress, say
+from surg_cli.host.terminal import CliError, Progress, say
 from surg_hardware import link_programs
 
 LOG = paths.STATE / "logs" / "link-environment.log"
@@ -21,7 +21,7 @@ def make_ready(arm: surg_core.Arm) -> None:
     """Make the environment of an arm's driver, if it needs one and it is not there.
 
     Raises:
-        Problem: A package cannot be had; names the file that lists it.
+        CliError: A package cannot be had; names the file that lists it.
     """
     lock = link_programs.requirements(arm.link, arm.driver)
     if lock is None:
@@ -35,8 +35,8 @@ def make_ready(arm: surg_core.Arm) -> None:
         with Progress("environment") as progress:
             for argv in _steps(folder, lock):
                 logged.run(argv, LOG, progress)
-    except Problem as problem:
-        raise Problem(f"{lock}: its packages cannot be installed: {problem}") from problem
+    except CliError as problem:
+        raise CliError(f"{lock}: its packages cannot be installed: {problem}") from problem
     paths.write_text(stamp, wanted)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from surg_cli.host.environment import clean
-from surg_cli.host.terminal import Problem, Progress
+from surg_cli.host.terminal import CliError, Progress
 
 TAIL = 15  # lines of a failed program's output that are shown
 
@@ -28,7 +28,7 @@ def run(
     the problem of all lines and the log; by default the last lines.
 
     Raises:
-        Problem: The program fails.
+        CliError: The program fails.
     """
     log.parent.mkdir(parents=True, exist_ok=True)
     lines: list[str] = []
@@ -50,6 +50,6 @@ def run(
             progress.update(fraction(lines), line.strip()[:60])
     if process.wait() != 0:
         if failure is not None:
-            raise Problem(failure(lines, log))
+            raise CliError(failure(lines, log))
         tail = "\n".join(lines[-TAIL:])
-        raise Problem(f"failed: {' '.join(argv)[:200]}\n{tail}\nThe whole output: {log}")
+        raise CliError(f"failed: {' '.join(argv)[:200]}\n{tail}\nThe whole output: {log}")

@@ -8,7 +8,7 @@ import os
 import tempfile
 from pathlib import Path
 
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 
 def state_folder(in_tree: Path) -> Path:
@@ -57,9 +57,9 @@ def existing(path: Path) -> Path:
 def _check_writable(out: Path, what: str) -> None:
     parent = existing(out)
     if not parent.is_dir():
-        raise Problem(f"{what}: {parent} is a file, not a folder; name another by --out", 2)
+        raise CliError(f"{what}: {parent} is a file, not a folder; name another by --out", 2)
     if not os.access(parent, os.W_OK | os.X_OK):
-        raise Problem(f"{what}: {parent} cannot be written; name another folder by --out", 2)
+        raise CliError(f"{what}: {parent} cannot be written; name another folder by --out", 2)
 
 
 def file_digest(path: Path) -> str:
@@ -71,12 +71,12 @@ def run_folder(wanted: Path | None) -> Path:
     """The folder of a run: the wanted one, or one named by the UTC time. Nothing is made.
 
     Raises:
-        Problem: The folder is not empty or cannot be written, or its disk is nearly full.
+        CliError: The folder is not empty or cannot be written, or its disk is nearly full.
     """
     if wanted is not None:
         out = wanted.absolute()
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise Problem(f"--out {wanted}: not an empty folder; name another or remove it", 2)
+            raise CliError(f"--out {wanted}: not an empty folder; name another or remove it", 2)
         _check_writable(out, f"--out {wanted}")
         return out
     _check_writable(RUNS, str(RUNS))

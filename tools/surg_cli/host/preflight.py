@@ -12,7 +12,7 @@ import shutil
 from pathlib import Path
 
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 
 FREE_GIB = 2.0
 """[GiB] Space below which nothing starts: the recorder would refuse, or the set-up fail halfway."""
@@ -28,10 +28,10 @@ def check_path(root: Path = paths.ROOT) -> None:
     """Check the folder of the checkout.
 
     Raises:
-        Problem: Its path has a space, which catkin refuses.
+        CliError: Its path has a space, which catkin refuses.
     """
     if any(letter.isspace() for letter in str(root)):
-        raise Problem(
+        raise CliError(
             f"the path '{root}' has a space, and catkin cannot build there; move the checkout to "
             "a path without spaces"
         )
@@ -41,11 +41,11 @@ def check_tree(root: Path = paths.ROOT) -> None:
     """Check that a set-up or a build can write into the checkout.
 
     Raises:
-        Problem: This user cannot write it; names its owner.
+        CliError: This user cannot write it; names its owner.
     """
     for folder in (root, *(root / name for name in ("build", "devel", ".surg", ".venv"))):
         if folder.exists() and not os.access(folder, os.W_OK):
-            raise Problem(
+            raise CliError(
                 f"{folder} must be set up or built, but {_user()} cannot write it (owner: "
                 f"{_owner(folder)}); run ./surg dev build as its owner, or use your own checkout"
             )
@@ -55,11 +55,11 @@ def check_space(folder: Path) -> None:
     """Check the disk of a folder, which need not exist yet.
 
     Raises:
-        Problem: Less than `FREE_GIB` are free.
+        CliError: Less than `FREE_GIB` are free.
     """
     free = shutil.disk_usage(paths.existing(folder)).free / 2**30
     if free < FREE_GIB:
-        raise Problem(
+        raise CliError(
             f"{folder}: {free:.1f} GiB are free on this disk, at least {FREE_GIB:.0f} GiB are "
             "needed; remove old runs/ folders, or name a folder on another disk by --out"
         )

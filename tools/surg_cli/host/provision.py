@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from surg_cli.host import logged, paths, preflight, workspace
-from surg_cli.host.terminal import Problem, Progress, say
+from surg_cli.host.terminal import CliError, Progress, say
 
 VENV_STAMP = paths.VENV / ".surg-lock"
 APT_OPTIONS = ("-o", "DPkg::Lock::Timeout=600", "-y", "--no-install-recommends")
@@ -61,10 +61,10 @@ def missing_packages(names: Sequence[str]) -> list[str]:
     """Those Debian packages that dpkg does not call installed.
 
     Raises:
-        Problem: This is not a Debian system.
+        CliError: This is not a Debian system.
     """
     if shutil.which("dpkg-query", path="/usr/bin:/bin") is None:
-        raise Problem("dpkg-query is missing: the platform is set up on Debian 12 or 13")
+        raise CliError("dpkg-query is missing: the platform is set up on Debian 12 or 13")
     query = subprocess.run(
         ["/usr/bin/dpkg-query", "-W", "-f=${Package} ${db:Status-Status}\\n", *names],
         capture_output=True,
@@ -82,7 +82,7 @@ def install_packages(log: Path, everything: bool = False, optional: Sequence[str
     """Install what is missing from the package list; returns whether anything was.
 
     Raises:
-        Problem: Without root and sudo, with the one line to run; or apt-get fails.
+        CliError: Without root and sudo, with the one line to run; or apt-get fails.
     """
     listed = listed_packages(everything=everything, optional=optional)
     missing = missing_packages(listed)
@@ -91,7 +91,7 @@ def install_packages(log: Path, everything: bool = False, optional: Sequence[str
     line = "apt-get install -y --no-install-recommends " + " ".join(missing)
     prefix = _root_prefix()
     if prefix is None:
-        raise Problem(
+        raise CliError(
             f"{len(missing)} Debian packages are missing, and neither root nor passwordless sudo "
             f"is at hand. Run this once as root, then ./surg again:\n\n"
             f"apt-get update && {line}\n"
@@ -105,7 +105,7 @@ def install_packages(log: Path, everything: bool = False, optional: Sequence[str
         logged.run([*base, "install", *missing], log, progress, fraction=_apt_fraction())
     still = missing_packages(missing)
     if still:
-        raise Problem(f"apt-get ended well but {', '.join(still)} is still missing; see {log}")
+        raise CliError(f"apt-get ended well but {', '.join(still)} is still missing; see {log}")
     return True
 
 
@@ -156,7 +156,7 @@ def install_python(log: Path) -> bool:
     only what Debian 12 does not have.
 
     Raises:
-        Problem: A step fails; the text holds the last lines of its output.
+        CliError: A step fails; the text holds the last lines of its output.
     """
     if _python_is_current():
         return False

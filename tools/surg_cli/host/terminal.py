@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 
-class Problem(Exception):
+class CliError(Exception):
     """An error that a person can act on: ends the command with its text and no traceback.
 
     ``code`` is the command's exit status: 1 for a failed run, 2 for wrong input.
@@ -40,11 +40,11 @@ def confirm(question: str) -> None:
     """Ask a person, and go on only after the whole word `yes`.
 
     Raises:
-        Problem: Any other answer, or nobody to ask.
+        CliError: Any other answer, or nobody to ask.
     """
     say(f"{question} Type yes:")
     if sys.stdin.readline().strip().lower() != "yes":
-        raise Problem("not confirmed: nothing was done")
+        raise CliError("not confirmed: nothing was done")
 
 
 class Progress:

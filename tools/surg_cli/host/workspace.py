@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from surg_cli.host import logged, paths, preflight
-from surg_cli.host.terminal import Problem, Progress, say
+from surg_cli.host.terminal import CliError, Progress, say
 
 STAMP = paths.TREE_STATE / "build.stamp"
 RUN_IN_PLACE = (".py", ".pyi", ".html", ".js", ".css", ".svg", ".yaml", ".urdf", ".md")
@@ -71,7 +71,7 @@ def build(log: Path, force: bool = False) -> bool:
     """Configure and build into `build/` and `devel/`; returns whether anything had to be done.
 
     Raises:
-        Problem: A step fails; the text holds the last lines of its output.
+        CliError: A step fails; the text holds the last lines of its output.
     """
     before = fingerprint()
     if not force and is_current():
@@ -107,7 +107,7 @@ def _cmake() -> str:
     """Debian's cmake, whatever stands first on the caller's PATH."""
     program = "/usr/bin/cmake"
     if not os.access(program, os.X_OK):
-        raise Problem(f"{program} is missing; run ./surg dev setup")
+        raise CliError(f"{program} is missing; run ./surg dev setup")
     return program
 
 

@@ -16,9 +16,9 @@ from typing import Any
 
 from surg_cli.graph import episode_plans, episode_process, policy_program, task_episode
 from surg_cli.graph.episode_plans import Condition
-from surg_cli.graph.system import Plan
+from surg_cli.graph.system import SystemPlan
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem, Progress
+from surg_cli.host.terminal import CliError, Progress
 from surg_learn.learn_terminal import LearnError
 
 RESULT = "result.json"
@@ -87,7 +87,7 @@ class Player:
         return result
 
 
-def describe(plan: Plan, ended: task_episode.Ended) -> dict[str, Any]:
+def describe(plan: SystemPlan, ended: task_episode.Ended) -> dict[str, Any]:
     """Both entries of a roll-out: that of the policy, and that of the episode."""
     from surg_recording.reports import learning
 
@@ -116,6 +116,6 @@ def roll_out(player: Player, count: int, folder: Path) -> list[dict[str, Any]]:
 
             try:
                 entries.append(player.play(seed, folder / str(seed), show))
-            except Problem as problem:
+            except CliError as problem:
                 raise LearnError(str(problem), problem.code) from problem
     return entries

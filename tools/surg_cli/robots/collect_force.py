@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from surg_cli.graph.collect import TIMEOUT_S, append, check_columns, join_graph, rests
-from surg_cli.host.terminal import Problem, say
+from surg_cli.host.terminal import CliError, say
 from surg_core.force import force_recording
 from surg_core.force.sensor_file import ForceSensor, load_sensor
 
@@ -24,7 +24,7 @@ def collect_forces(arm: Any, to: Path, count: int, options: argparse.Namespace) 
     ``options`` has the `port` of the ROS master and the `timeout` for one posture [s].
 
     Raises:
-        Problem: The cell states no sensor, the file has other columns, no system runs, the arm
+        CliError: The cell states no sensor, the file has other columns, no system runs, the arm
             does not come to rest, or the sensor is silent.
     """
     names = list(arm.robot.joint_names)
@@ -55,7 +55,7 @@ def collect_forces(arm: Any, to: Path, count: int, options: argparse.Namespace) 
 def _check(arm: Any, to: Path, header: str) -> ForceSensor:
     """The arm's sensor; an existing recording must have the same columns."""
     if arm.force_sensor is None:
-        raise Problem(f"calibrate collect: the cell has no force_sensor_{arm.name}.yaml", 2)
+        raise CliError(f"calibrate collect: the cell has no force_sensor_{arm.name}.yaml", 2)
     check_columns(to, header)
     return load_sensor(arm.force_sensor)
 
@@ -63,7 +63,7 @@ def _check(arm: Any, to: Path, header: str) -> ForceSensor:
 def _check_readings(readings: np.ndarray, expected: float, topic: str) -> None:
     """Refuse the readings (n, 6) of a sensor that is silent or broken."""
     if len(readings) < 0.5 * expected or not np.isfinite(readings).all():
-        raise Problem(
+        raise CliError(
             f"{topic}: {len(readings)} readings in {SECONDS:g} s; expected {expected:.0f} finite "
             "ones: start the sensor's driver"
         )

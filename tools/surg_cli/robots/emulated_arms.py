@@ -12,7 +12,7 @@ from typing import Any
 from surg_cli.graph import follow
 from surg_cli.graph.processes import Supervisor
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_cli.robots.robot_request import condition_name
 from surg_emulators.emulator_ports import CONTROL
 from surg_emulators.ur import ur_emulator
@@ -31,11 +31,11 @@ def refuse_real(arms: Mapping[str, Any], where: str) -> None:
     """Check that every arm with hardware is an emulated one.
 
     Raises:
-        Problem: One is a real arm, or none that we emulate.
+        CliError: One is a real arm, or none that we emulate.
     """
     for name, arm in arms.items():
         if arm.hardware is not None and not arm.hardware.emulated:
-            raise Problem(
+            raise CliError(
                 f"{where}: {name} is a real arm at {arm.hardware.address}: a person starts it, "
                 "with ./surg up; see docs/guide/link_ur.md",
                 2,
@@ -49,7 +49,7 @@ def _kind(name: str, arm: Any, where: str) -> str:
     for kind, models in MODELS.items():
         if arm.robot.name in models:
             return kind
-    raise Problem(f"{where}: {name}: nothing emulates the robot {arm.robot.name!r}", 2)
+    raise CliError(f"{where}: {name}: nothing emulates the robot {arm.robot.name!r}", 2)
 
 
 class EmulatedArms:
@@ -69,7 +69,7 @@ class EmulatedArms:
         """Start the emulators and wait until they answer.
 
         Raises:
-            Problem: One does not come up, such as when its address is taken.
+            CliError: One does not come up, such as when its address is taken.
         """
         tools = f"{paths.ROOT / 'tools'}:{supervisor.env.get('PYTHONPATH', '')}".rstrip(":")
         env = {"SURG_READY": "1", "PYTHONPATH": tools}
@@ -90,7 +90,7 @@ class EmulatedArms:
         """Ask the robots to start until they obey; nothing moves by it.
 
         Raises:
-            Problem: One does not within the time of a system's start.
+            CliError: One does not within the time of a system's start.
         """
         if self._arms:
             self._starter = _Starter(tuple(self._arms))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from surg_cli.host.terminal import Problem, say
+from surg_cli.host.terminal import CliError, say
 
 STEPS = ("board", "camera", "stereo", "handeye", "check")
 """Steps of the endoscope; `bases --by` is one too."""
@@ -58,19 +58,19 @@ def check_live(options: argparse.Namespace, cell: Any) -> None:
     """Refuse options that do not go with ``--live``, or with the endoscope of a loaded cell.
 
     Raises:
-        Problem: The step has no views from a running system, or a folder is stated as well.
+        CliError: The step has no views from a running system, or a folder is stated as well.
     """
     cameras = [arm.instrument.camera for arm in cell.arms.values()]
     frames = max((len(camera.frames) for camera in cameras if camera is not None), default=0)
     if options.what == "stereo" and frames == 1:
-        raise Problem("calibrate stereo: the endoscope has one eye; use camera --live", 2)
+        raise CliError("calibrate stereo: the endoscope has one eye; use camera --live", 2)
     if options.what not in (*LIVE, "live") and options.by is None:
         allowed = f"{', '.join(LIVE)}, bases --by touch|tip"
-        raise Problem(f"calibrate {options.what}: --live goes with {allowed}", 2)
+        raise CliError(f"calibrate {options.what}: --live goes with {allowed}", 2)
     if options.source is not None:
-        raise Problem("calibrate: --live and --from exclude one another", 2)
+        raise CliError("calibrate: --live and --from exclude one another", 2)
     if options.also:
-        raise Problem("calibrate: --also goes with --from", 2)
+        raise CliError("calibrate: --also goes with --from", 2)
 
 
 def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
@@ -83,20 +83,20 @@ def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
         date: Of the files.
 
     Raises:
-        Problem: The step is refused; nothing was written.
+        CliError: The step is refused; nothing was written.
     """
     what = options.what
     if what == "board":
         _board(cell, options)
         return
     if what != "check" and options.source is None:
-        raise Problem(
+        raise CliError(
             f"calibrate {what}: --from FOLDER (of views) is missing"
             + (", or --live" if what != "check" else ""),
             2,
         )
     if options.also and what != "handeye":
-        raise Problem(f"calibrate {what}: --also {options.also} goes with handeye", 2)
+        raise CliError(f"calibrate {what}: --also {options.also} goes with handeye", 2)
     from surg_perception.calibration.result_files import Origin
 
     # A path of this machine does not belong into the cell's files.
@@ -108,7 +108,7 @@ def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
     try:
         lines = _solve(cell, options, origin, write)
     except (ValueError, OSError) as error:
-        raise Problem(f"calibrate {what}: {error}; nothing is written", 1) from error
+        raise CliError(f"calibrate {what}: {error}; nothing is written", 1) from error
     for line in lines:
         say(line)
     if what != "check":
@@ -143,7 +143,7 @@ def _board(cell: Any, options: argparse.Namespace) -> None:
     from surg_perception.calibration.board_pdf import board_pdf
 
     if options.to is None and options.measured is None:
-        raise Problem("calibrate board: --to FILE.pdf or --measured MM is missing", 2)
+        raise CliError("calibrate board: --to FILE.pdf or --measured MM is missing", 2)
     try:
         columns, rows, side = options.board
         drawn = boards.Board(columns, rows, 1e-3 * side)
@@ -159,5 +159,5 @@ def _board(cell: Any, options: argparse.Namespace) -> None:
         file = cell.folder / "calibration" / "board.yaml"
         write_board(file, boards.Board(drawn.columns, drawn.rows, side, drawn.dictionary))
     except (ValueError, OSError) as error:
-        raise Problem(f"calibrate board: {error}", 1) from error
+        raise CliError(f"calibrate board: {error}", 1) from error
     say(f"written: {file}: squares of {1e3 * side:.3f} mm")

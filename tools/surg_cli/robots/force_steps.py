@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from surg_cli.host.terminal import Problem, say
+from surg_cli.host.terminal import CliError, say
 
 STEPS = ("force", "zero")
 
@@ -26,19 +26,19 @@ def run(folder: Path, arm: Any, options: argparse.Namespace, origin: str, date: 
         date: Of the file.
 
     Raises:
-        Problem: The step is refused; nothing was written.
+        CliError: The step is refused; nothing was written.
     """
     from surg_core import CalibrationError, ConfigError
 
     what = options.what
     if arm.force_sensor is None:
-        raise Problem(
+        raise CliError(
             f"calibrate {what}: {folder}/force_sensor_{arm.name}.yaml: no such file; copy one of "
             "src/surg_description/force_sensors: it states the sensor between flange and tool",
             2,
         )
     if options.source is None:
-        raise Problem(f"calibrate {what}: --from FILE is missing: postures of the free tool", 2)
+        raise CliError(f"calibrate {what}: --from FILE is missing: postures of the free tool", 2)
     path = folder / "calibration" / f"force_{arm.name}.yaml"
     try:
         found = _solve(folder, arm, options, (origin, date), path)
@@ -48,7 +48,7 @@ def run(folder: Path, arm: Any, options: argparse.Namespace, origin: str, date: 
             command = f"./surg calibrate {folder.name} {what} --from {options.source.name}"
             write_force(path, found, f"Measured: {command}")
     except (CalibrationError, ConfigError, OSError) as error:
-        raise Problem(f"calibrate {what}: {error}; {path} is unchanged", 1) from error
+        raise CliError(f"calibrate {what}: {error}; {path} is unchanged", 1) from error
     say(
         "nothing written (--dry-run)" if options.dry_run else f"written: {path}; restart the system"
     )
@@ -69,7 +69,7 @@ def _solve(
     names = arm.robot.joint_names
     recording = read_forces(options.source, arm.chain, names, g_B, sensor.sign)
     if arm.hardware is not None and recording.serial != arm.hardware.serial:
-        raise Problem(
+        raise CliError(
             f"{options.source}: serial: the recording is of {recording.serial!r}, the cell's "
             f"{arm.name} is {arm.hardware.serial!r}: record it with this arm",
             2,

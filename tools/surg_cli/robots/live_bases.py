@@ -9,7 +9,7 @@ from typing import Any
 
 from surg_cli.graph.collect import join_graph
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem, say
+from surg_cli.host.terminal import CliError, say
 
 HELP = "Enter takes a view, u deletes the last one, s solves, Ctrl-C ends (the views stay)"
 
@@ -27,7 +27,7 @@ def calibrate(cell: Any, options: argparse.Namespace, source: str, date: str) ->
         The exit code.
 
     Raises:
-        Problem: No system runs, the step cannot begin, or nobody is at the terminal.
+        CliError: No system runs, the step cannot begin, or nobody is at the terminal.
     """
     join_graph(options.port)
     import rospy
@@ -57,7 +57,7 @@ def calibrate(cell: Any, options: argparse.Namespace, source: str, date: str) ->
                 return 0
             say("not accepted yet; go on, s solves again")
     except (ValueError, OSError) as error:
-        raise Problem(f"calibrate bases: {error}; nothing is written", 1) from error
+        raise CliError(f"calibrate bases: {error}; nothing is written", 1) from error
     finally:
         if moments is not None:
             moments.close()
@@ -68,11 +68,11 @@ def _word(views: Any) -> str:
     """What the person types.
 
     Raises:
-        Problem: Nobody does.
+        CliError: Nobody does.
     """
     line = sys.stdin.readline()
     if not line:
-        raise Problem(
+        raise CliError(
             f"calibrate bases: nobody is at the terminal; {views.count} views are in {views.path}"
         )
     return line.strip().lower()

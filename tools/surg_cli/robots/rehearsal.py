@@ -23,7 +23,7 @@ RESTING = 1e-3
 
 
 @dataclass(frozen=True)
-class Step:
+class RehearsalStep:
     """One stop.
 
     Attributes:
@@ -44,38 +44,38 @@ class Step:
 
 
 STEPS = (
-    Step(
+    RehearsalStep(
         "emergency stop", "press the emergency stop", "", ("ESTOP",), "robot",
         "release the button, then ./surg robot CELL on",
     ),
-    Step(
+    RehearsalStep(
         "protective stop", "push the arm with your hand until it stops", "", ("STOPPED",), "robot",
         "./surg robot CELL recover",
     ),
-    Step(
+    RehearsalStep(
         "speed slider", "set the speed slider to 50 %", "", ("SLOWED", "READY"), "robot",
         "set the speed slider to 100 %",
     ),
-    Step(
+    RehearsalStep(
         "unplugged cable", "pull the robot's cable out", "", ("OFFLINE",), "link",
         "plug the cable in and wait 5 s",
     ),
-    Step(
+    RehearsalStep(
         "driver killed", "", "driver", ("OFFLINE", "READY"), "link",
         "nothing: the node has started the driver again",
     ),
-    Step(
+    RehearsalStep(
         "controller killed", "", "controller", ("READY",), "",
         "end ./surg up with Ctrl-C and start it again",
     ),
-    Step(
+    RehearsalStep(
         "node killed", "", "node", (), "link", "end ./surg up with Ctrl-C and start it again"
     ),
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RehearsalOutcome:
     """What was measured at one stop; NaN: no states came while the arm came to rest.
 
     Attributes:
@@ -118,7 +118,9 @@ class Trace:
     reason: str
 
 
-def judge(step: Step, event: float, trace: Trace, date: str, serial: str) -> Outcome:
+def judge(
+    step: RehearsalStep, event: float, trace: Trace, date: str, serial: str
+) -> RehearsalOutcome:
     """Compare a stop with what must happen.
 
     Args:
@@ -150,7 +152,7 @@ def judge(step: Step, event: float, trace: Trace, date: str, serial: str) -> Out
         problems.append(f"the link says {trace.condition}; expected {' or '.join(step.conditions)}")
     if step.reason and trace.reason != step.reason:
         problems.append(f"the controller's FAULT is {trace.reason!r}; expected {step.reason!r}")
-    return Outcome(
+    return RehearsalOutcome(
         step.name, date, serial, to_rest, deviation, trace.condition, trace.reason, tuple(problems)
     )
 
@@ -161,7 +163,7 @@ def _longest_pause(times: Sequence[float], event: float, until: int) -> float:
     return max((b - a for a, b in itertools.pairwise(seen)), default=0.0)
 
 
-def load(file: Path) -> dict[str, Outcome]:
+def load(file: Path) -> dict[str, RehearsalOutcome]:
     """The newest outcome of each stop in a report's data; empty without a file."""
     if not file.exists():
         return {}
@@ -169,17 +171,17 @@ def load(file: Path) -> dict[str, Outcome]:
     for line in file.read_text("utf-8").splitlines():
         row = json.loads(line)
         row["problems"] = tuple(row["problems"])
-        outcomes[row["step"]] = Outcome(**row)
+        outcomes[row["step"]] = RehearsalOutcome(**row)
     return outcomes
 
 
-def append(file: Path, outcome: Outcome) -> None:
+def append(file: Path, outcome: RehearsalOutcome) -> None:
     """Add an outcome to a report's data."""
     with file.open("a", encoding="utf-8") as stream:
         stream.write(json.dumps(asdict(outcome)) + "\n")
 
 
-def next_step(outcomes: dict[str, Outcome], serial: str) -> Step | None:
+def next_step(outcomes: dict[str, RehearsalOutcome], serial: str) -> RehearsalStep | None:
     """The first stop that this arm has not passed; None: it has passed all."""
     for step in STEPS:
         found = outcomes.get(step.name)
@@ -188,7 +190,7 @@ def next_step(outcomes: dict[str, Outcome], serial: str) -> Step | None:
     return None
 
 
-def report(outcomes: dict[str, Outcome], title: str) -> str:
+def report(outcomes: dict[str, RehearsalOutcome], title: str) -> str:
     """The report as Markdown: every stop, measured against what is allowed."""
     lines = [
         f"# Rehearsal of {title}",

@@ -17,9 +17,9 @@ import numpy as np
 
 from surg_cli.graph import processes
 from surg_cli.graph.running import System
-from surg_cli.host.terminal import Problem, say
+from surg_cli.host.terminal import CliError, say
 from surg_cli.robots import rehearsal
-from surg_cli.robots.rehearsal import Outcome, Step, Trace
+from surg_cli.robots.rehearsal import RehearsalOutcome, RehearsalStep, Trace
 from surg_cli.robots.robot_request import condition_name
 
 SCALE = 0.8
@@ -132,7 +132,7 @@ class Listener:
         """Disable a controller that is still in FAULT from the last stop.
 
         Raises:
-            Problem: It stays in FAULT, or says nothing.
+            CliError: It stays in FAULT, or says nothing.
         """
 
         def left() -> bool:
@@ -142,7 +142,7 @@ class Listener:
             return self.cycle is not None and self.cycle.state != self.cycle.FAULT
 
         if not processes.wait_until(left, HEARD_S):
-            raise Problem(f"{self._arm.name}: the controller does not answer: see ./surg status")
+            raise CliError(f"{self._arm.name}: the controller does not answer: see ./surg status")
         self.fault = ""
 
     @property
@@ -173,11 +173,11 @@ def _deviations(arm: Any, q: np.ndarray) -> list[float]:
     return distances
 
 
-def perform(system: System, arm: Any, folder: Path, step: Step) -> Outcome:
+def perform(system: System, arm: Any, folder: Path, step: RehearsalStep) -> RehearsalOutcome:
     """Let the arm move, let the stop happen, and measure it.
 
     Raises:
-        Problem: The arm does not move, or nobody acts.
+        CliError: The arm does not move, or nobody acts.
     """
     with Listener(system, arm) as listener:
         listener.leave_fault()
@@ -185,7 +185,7 @@ def perform(system: System, arm: Any, folder: Path, step: Step) -> Outcome:
         try:
             if not processes.wait_until(lambda: listener.moves, BRING_UP_S):
                 said = "" if listener.status is None else listener.status.fault
-                raise Problem(
+                raise CliError(
                     f"{arm.name} does not move: {said or 'no link'}. It must be started: "
                     f"./surg robot {folder.name} start"
                 )
@@ -210,11 +210,11 @@ def _operator(system: System, arm: Any, folder: Path) -> subprocess.Popen[bytes]
     )
 
 
-def _await_event(listener: Listener, system: System, arm: Any, step: Step) -> float:
+def _await_event(listener: Listener, system: System, arm: Any, step: RehearsalStep) -> float:
     """The moment of the stop, on the clock of the robot's stamps.
 
     Raises:
-        Problem: Nobody has acted, or there is no such process.
+        CliError: Nobody has acted, or there is no such process.
     """
     if step.victim:
         pid = _victim(system, arm.name, step.victim)
@@ -225,7 +225,7 @@ def _await_event(listener: Listener, system: System, arm: Any, step: Step) -> fl
     record = listener.record
     stopped = processes.wait_until(lambda: record.stopped_at is not None or record.silent, PERSON_S)
     if not stopped:
-        raise Problem(f"{step.name}: nothing has happened within {PERSON_S:g} s")
+        raise CliError(f"{step.name}: nothing has happened within {PERSON_S:g} s")
     return record.stopped_at or record.newest
 
 
@@ -233,15 +233,15 @@ def _victim(system: System, arm: str, victim: str) -> int:
     """The process id of a node or of the link's driver.
 
     Raises:
-        Problem: There is none.
+        CliError: There is none.
     """
     node = f"/{arm}/{'controller' if victim == 'controller' else 'link'}"
     pid = system.nodes.get(node)
     if pid is None:
-        raise Problem(f"{node} does not run in the system of {system.cell}")
+        raise CliError(f"{node} does not run in the system of {system.cell}")
     if victim != "driver":
         return pid
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text("ascii").split()
     if not children:
-        raise Problem(f"{node} has no driver")
+        raise CliError(f"{node} has no driver")
     return int(children[0])

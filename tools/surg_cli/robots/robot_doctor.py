@@ -10,7 +10,7 @@ from typing import Any
 
 from surg_cli.graph.roles import Route, routes
 from surg_cli.host import cells
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_hardware import checkup, driver_checkup
 from surg_hardware.checkup import Finding
 from surg_hardware.ur import ur_checkup
@@ -27,12 +27,12 @@ def findings(name: str, only: str | None, seconds: float) -> list[Finding]:
     Nothing moves.
 
     Raises:
-        Problem: There is no such cell or arm.
+        CliError: There is no such cell or arm.
     """
     folder = cells.find(name)
     try:
         cell = cells.load(folder)
-    except Problem as problem:
+    except CliError as problem:
         return [Finding("cell", str(problem), False, "correct the file, then ask again")]
     found = [Finding("cell", f"{folder / 'cell.yaml'} is valid")]
     for arm in cells.chosen_arms(cell, only):

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from surg_cli.host.terminal import Problem, confirm, say
+from surg_cli.host.terminal import CliError, confirm, say
 from surg_hardware import identity
 from surg_hardware.ur import ur_service
 
@@ -32,10 +32,10 @@ def serve(action: str, arm: Any, folder: Path) -> None:
     """Do one of `on`, `off`, `recover`, `kinematics` for one arm.
 
     Raises:
-        Problem: The person says no, or the robot does not do it.
+        CliError: The person says no, or the robot does not do it.
     """
     if arm.hardware is None or arm.link != "ur":
-        raise Problem(
+        raise CliError(
             f"{arm.name}: its link is {arm.link!r}; {action} is for 'ur'. Use the maker's own "
             "surface",
             2,
@@ -48,9 +48,9 @@ def serve(action: str, arm: Any, folder: Path) -> None:
         else:
             _ORDERS[action](arm.hardware.address, _teller(arm.name, folder))
     except ur_service.Refused as error:
-        raise Problem(f"{arm.name}: {_named(str(error), folder)}") from error
+        raise CliError(f"{arm.name}: {_named(str(error), folder)}") from error
     except OSError as error:
-        raise Problem(
+        raise CliError(
             f"{arm.name}: hardware.address {arm.hardware.address}: {error}: "
             f"./surg robot {folder.name} doctor"
         ) from error
@@ -82,7 +82,7 @@ def _kinematics(arm: Any, folder: Path) -> None:
     """Read, compare with the robot's own flange, and write.
 
     Raises:
-        Problem: It is another arm, or its kinematics do not explain its flange pose.
+        CliError: It is another arm, or its kinematics do not explain its flange pose.
         OSError: The arm does not answer.
     """
     import surg_core
@@ -92,7 +92,7 @@ def _kinematics(arm: Any, folder: Path) -> None:
     address, path = arm.hardware.address, folder / "calibration" / f"kinematics_{arm.name}.yaml"
     there = ur_service.standstill(address)
     if there.serial != arm.hardware.serial:
-        raise Problem(
+        raise CliError(
             f"{arm.name}: hardware.serial: the cell says {arm.hardware.serial!r}, the robot is "
             f"{there.serial!r}: check address and serial; this is another arm",
             2,
@@ -106,13 +106,13 @@ def _kinematics(arm: Any, folder: Path) -> None:
     try:
         own = surg_core.with_kinematics(drawn, surg_core.kinematics_of(text, str(path)))
     except ValueError as error:
-        raise Problem(f"{path}: {error}: nothing was written", 2) from error
+        raise CliError(f"{path}: {error}: nothing was written", 2) from error
     before, after = (
         identity.flange_difference(chain.forward(there.q), there.X_BF) for chain in (drawn, own)
     )
     say(f"{arm.name}: the flange of the drawing is {_difference(before)} from the robot's own")
     if identity.flange_mismatch(own.forward(there.q), there.X_BF) is not None:
-        raise Problem(
+        raise CliError(
             f"{arm.name}: with the kinematics that the robot states it is {_difference(after)}; "
             f"allowed are {1e3 * identity.FLANGE_DISTANCE:g} mm and 0.1 deg: nothing was written. "
             "Restart the robot's controller, then call its maker"

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from surg_cli.host import cells
-from surg_cli.host.terminal import Problem, say
+from surg_cli.host.terminal import CliError, say
 from surg_cli.robots.emulated_arms import MODELS
 from surg_emulators import emulator_ports
 from surg_emulators.emulator_ports import PortedEmulator
@@ -38,7 +38,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     try:
         emulator = _start(*wanted)
     except (ValueError, OSError) as error:
-        raise Problem(f"emulate: {error}", 2) from error
+        raise CliError(f"emulate: {error}", 2) from error
     granted = emulator_ports.ask_real_time()
     say(emulator_ports.greeting(emulator, granted))
     if not granted:
@@ -59,10 +59,10 @@ def _of_robot(options: argparse.Namespace) -> tuple[str, argparse.Namespace]:
     """The emulator of a robot, and the options of that program.
 
     Raises:
-        Problem: ``--arm`` is given.
+        CliError: ``--arm`` is given.
     """
     if options.arm is not None:
-        raise Problem(f"emulate {options.robot}: --arm {options.arm} needs a cell", 2)
+        raise CliError(f"emulate {options.robot}: --arm {options.arm} needs a cell", 2)
     kind, model = ROBOTS[options.robot]
     return kind, _program(options, options.address or "127.0.0.1", model)
 
@@ -71,24 +71,24 @@ def _of_cell(options: argparse.Namespace) -> tuple[str, argparse.Namespace]:
     """The emulator of a cell's arm, and the options of that program.
 
     Raises:
-        Problem: There is no such cell or arm, or nothing emulates it.
+        CliError: There is no such cell or arm, or nothing emulates it.
     """
     try:
         folder = cells.find(options.robot)
-    except Problem as problem:
-        raise Problem(f"no robot of {', '.join(ROBOTS)}; {problem}", 2) from None
+    except CliError as problem:
+        raise CliError(f"no robot of {', '.join(ROBOTS)}; {problem}", 2) from None
     if options.address is not None:
-        raise Problem("emulate: --address: the cell states it", 2)
+        raise CliError("emulate: --address: the cell states it", 2)
     cell = cells.load(folder)
     name = cells.chosen_arms(cell, options.arm)[0]
     arm = cell.arms[name]
     place = f"{folder / 'cell.yaml'}: arms.{name}"
     if arm.hardware is None or not arm.hardware.emulated:
-        raise Problem(
+        raise CliError(
             f"{place}.hardware.address: must be on loopback (127.x.x.x) to be emulated", 2
         )
     if arm.robot.name not in ROBOTS:
-        raise Problem(f"{place}.robot: {arm.robot.name!r}; allowed: {', '.join(ROBOTS)}", 2)
+        raise CliError(f"{place}.robot: {arm.robot.name!r}; allowed: {', '.join(ROBOTS)}", 2)
     kind, model = ROBOTS[arm.robot.name]
     hardware = arm.hardware
     return kind, _program(options, hardware.address, model, hardware.serial, list(arm.robot.home))

@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 
 from surg_cli.host import cells, paths, reach_picture
-from surg_cli.host.terminal import Problem, say, table
+from surg_cli.host.terminal import CliError, say, table
 from surg_core.tip_reach import Reach, reach
 
 SIDES = ("+x", "+x+y", "+y", "-x+y", "-x", "-x-y", "-y", "+x-y")
@@ -28,7 +28,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     try:
         found = [reach(cell, arm) for arm in arms]
     except ValueError as error:
-        raise Problem(str(error), 2) from error
+        raise CliError(str(error), 2) from error
     out = paths.run_folder(options.out)
     out.mkdir(parents=True, exist_ok=True)
     picture = out / "reach.png"

@@ -14,7 +14,7 @@ from typing import Any
 from surg_cli.graph import running
 from surg_cli.host import cells
 from surg_cli.host.option_types import tcp_port
-from surg_cli.host.terminal import Problem, Progress, confirm, report_findings, say, table, warn
+from surg_cli.host.terminal import CliError, Progress, confirm, report_findings, say, table, warn
 from surg_cli.robots import rehearsal, robot_doctor, robot_service
 from surg_cli.robots.robot_request import RobotRequests, condition_name
 
@@ -108,7 +108,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         return 0
     system = running.of_cell(folder, options.port)
     if system is None:
-        raise Problem(
+        raise CliError(
             f"no system of {folder.name} is running. Start it with ./surg up {options.cell}, "
             + (
                 "enable the arm, then repeat this command and move the arm"
@@ -133,7 +133,7 @@ def _rehearse(system: running.System, arm: Any, folder: Path) -> int:
     from surg_cli.robots import rehearse_stop
 
     if arm.hardware is None:
-        raise Problem(f"{arm.name}: link {arm.link!r} has nothing to rehearse", 2)
+        raise CliError(f"{arm.name}: link {arm.link!r} has nothing to rehearse", 2)
     serial = f"{arm.hardware.serial}{' (emulated)' if arm.hardware.emulated else ''}"
     data = folder / f"rehearsal_{arm.name}.jsonl"
     page = data.with_suffix(".md")

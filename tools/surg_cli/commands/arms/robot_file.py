@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem, say, table, warn
+from surg_cli.host.terminal import CliError, say, table, warn
 
 if TYPE_CHECKING:
     from surg_sim.placement.home_search import Home
@@ -57,20 +57,20 @@ def _load(file: Path, instrument: Path) -> Any:
 
     for path in (file, instrument):
         if not path.is_file():
-            raise Problem(f"{path}: no such file; the path of a YAML is needed", 2)
+            raise CliError(f"{path}: no such file; the path of a YAML is needed", 2)
     try:
         with tempfile.TemporaryDirectory() as folder:
             make_cell(file.absolute(), Path(folder) / "cell", instrument.absolute(), DEPTH, "PSM1")
             return surg_core.load_cell(Path(folder) / "cell").arms["PSM1"]
     except ValueError as error:  # a ConfigError is one
-        raise Problem(str(error), 2) from error
+        raise CliError(str(error), 2) from error
 
 
 def check_physics(arm: Any) -> None:
     """Build the simulator's arm.
 
     Raises:
-        Problem: MuJoCo refuses the URDF; states why.
+        CliError: MuJoCo refuses the URDF; states why.
     """
     import mujoco
 
@@ -81,7 +81,7 @@ def check_physics(arm: Any) -> None:
         add_arm(spec, arm, ActuatorParameters())
         spec.compile()
     except ValueError as error:
-        raise Problem(f"{arm.urdf_path}: the simulator refuses it: {error}", 2) from error
+        raise CliError(f"{arm.urdf_path}: the simulator refuses it: {error}", 2) from error
 
 
 def _check(arm: Any) -> int:

@@ -6,7 +6,7 @@ import argparse
 import subprocess
 
 from surg_cli.host import environment, paths
-from surg_cli.host.terminal import Problem, say
+from surg_cli.host.terminal import CliError, say
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -24,7 +24,7 @@ def main(options: argparse.Namespace, command: str) -> int:
             say(f"  {name}: {first_line(path.read_text('utf-8'))}")
         return 0
     if options.name not in files:
-        raise Problem(f"no benchmark {options.name!r}; there are: {', '.join(sorted(files))}", 2)
+        raise CliError(f"no benchmark {options.name!r}; there are: {', '.join(sorted(files))}", 2)
     env = environment.for_nodes()
     env["PYTHONPATH"] = f"{paths.ROOT / 'tools'}:{env.get('PYTHONPATH', '')}".rstrip(":")
     argv = [str(paths.VENV_PYTHON), str(files[options.name]), *options.rest]

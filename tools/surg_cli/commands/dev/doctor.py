@@ -11,7 +11,7 @@ from pathlib import Path
 
 from surg_cli.graph import master, running
 from surg_cli.host import environment, paths, provision, workspace
-from surg_cli.host.terminal import Problem, report_findings
+from surg_cli.host.terminal import CliError, report_findings
 
 FREE_GIB = 3.0
 # Renders one image off-screen, in a process of its own: a broken driver may crash it.
@@ -78,7 +78,7 @@ def _packages() -> Finding:
     names = provision.listed_packages(everything=False)
     try:
         missing = provision.missing_packages(names)
-    except Problem as problem:
+    except CliError as problem:
         return Finding(False, "Debian packages", str(problem))
     if missing:
         return Finding(

@@ -6,7 +6,7 @@ import argparse
 from collections import Counter
 
 from surg_cli.host import coverage, cpp_tests, environment, paths, pytest_run
-from surg_cli.host.terminal import Problem, say
+from surg_cli.host.terminal import CliError, say
 
 TIERS = ("oracle", "vm", "mutants")
 NO_TESTS = 5
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 def main(options: argparse.Namespace, command: str) -> int:
     """Run the tests and print their counts."""
     if options.coverage and (options.full or options.tier):
-        raise Problem("test --coverage: takes neither --full nor --tier", 2)
+        raise CliError("test --coverage: takes neither --full nor --tier", 2)
     env = environment.for_nodes()
     env["PYTHONPATH"] = f"{paths.ROOT / 'tools'}:{env.get('PYTHONPATH', '')}".rstrip(":")
     if options.full:

@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from surg_cli.graph import master, system
-from surg_cli.graph.graph_probe import Seen, observe
+from surg_cli.graph.graph_probe import GraphEnd, observe
 from surg_cli.graph.processes import Supervisor, wait_until
 from surg_cli.graph.topic_contract import PAGE, Contract, compare, load, render
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem, say, warn
+from surg_cli.host.terminal import CliError, say, warn
 
 ARM = "PSM1"
 NODES = ("sim", "controller", "dvrk_compat")
@@ -48,13 +48,13 @@ def main(options: argparse.Namespace, command: str) -> int:
 
 
 @contextlib.contextmanager
-def reference_graph(contract: Contract) -> Iterator[list[Seen]]:
+def reference_graph(contract: Contract) -> Iterator[list[GraphEnd]]:
     """Simulator, controller with everything on, and the dVRK node, in free-run on a private master.
 
     Yields its topics and services once they fulfil the contract, or after a timeout.
 
     Raises:
-        Problem: A node ends.
+        CliError: A node ends.
     """
     with tempfile.TemporaryDirectory(prefix="surg_topics_") as folder:
         env = {**os.environ, "ROS_IP": "127.0.0.1", "ROS_HOSTNAME": "localhost"}
@@ -84,17 +84,17 @@ def reference_nodes(mode: str) -> list[system.Node]:
     ]
 
 
-def await_graph(supervisor: Supervisor, contract: Contract) -> list[Seen]:
+def await_graph(supervisor: Supervisor, contract: Contract) -> list[GraphEnd]:
     """Topics and services of the graph once it fulfils the contract, or after a timeout."""
     uri = supervisor.env["ROS_MASTER_URI"]
-    seen: list[Seen] = []
+    seen: list[GraphEnd] = []
 
     def up() -> bool:
         nonlocal seen
         dead = supervisor.first_dead()
         if dead is not None:
-            raise Problem(f"{dead.name} ended:\n{dead.log_tail()}")
-        with contextlib.suppress(OSError, Problem):
+            raise CliError(f"{dead.name} ended:\n{dead.log_tail()}")
+        with contextlib.suppress(OSError, CliError):
             seen = observe(uri)
         return bool(seen) and not compare(contract, seen, ARM, NODES, lockstep=False)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.host import option_types
-from surg_cli.host.terminal import Problem, Progress, say, warn
+from surg_cli.host.terminal import CliError, Progress, say, warn
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -59,7 +59,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         with Progress("depth") as progress:
             figures = compute(eyes, out, chosen, progress.update)
     except (EpisodeError, ConfigError, MatcherError, ValueError) as problem:
-        raise Problem(f"depth: {problem}", 2) from problem
+        raise CliError(f"depth: {problem}", 2) from problem
     for line in _lines(figures):
         say(line)
     say(str(out))

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.host import option_types, paths
-from surg_cli.host.terminal import Problem, Progress, say, table, warn
+from surg_cli.host.terminal import CliError, Progress, say, table, warn
 
 RECORD_SOME = "./surg run bgr --setting all --episodes 10"
 # --help runs without the workspace; a test compares these with surg_recording.
@@ -55,14 +55,14 @@ def main(options: argparse.Namespace, command: str) -> int:
 
     if options.preset not in PRESETS:
         known = ", ".join(PRESETS)
-        raise Problem(f"--preset {options.preset}: no such preset; there are {known}", 2)
+        raise CliError(f"--preset {options.preset}: no such preset; there are {known}", 2)
     try:
         selection = None if options.where is None else Selection(options.where)
     except SelectionError as problem:
-        raise Problem(f"--where: {problem}", 2) from problem
+        raise CliError(f"--where: {problem}", 2) from problem
     sets = [each for each in options.reference if each != PAPER]
     if len(sets) > 1:
-        raise Problem(f"--reference {sets[1]}: one set beside {PAPER} is allowed", 2)
+        raise CliError(f"--reference {sets[1]}: one set beside {PAPER} is allowed", 2)
     out = paths.run_folder(options.out)
     folders = _find(options.episodes, bool(sets))
     compared = None
@@ -71,7 +71,7 @@ def main(options: argparse.Namespace, command: str) -> int:
             try:
                 compared = evaluation.compare(sets[0], options.preset, progress.update)
             except ReferenceSetError as problem:
-                raise Problem(f"--reference: {problem}", 2) from problem
+                raise CliError(f"--reference: {problem}", 2) from problem
             for reason in compared["left_out"]:
                 warn(f"surg: reference: {reason}")
         try:
@@ -79,12 +79,12 @@ def main(options: argparse.Namespace, command: str) -> int:
                 folders, options.arm, "incomplete" in options.allow, progress.update, selection
             )
         except SelectionError as problem:
-            raise Problem(f"--where: {problem}", 2) from problem
+            raise CliError(f"--where: {problem}", 2) from problem
         for each in left_out:
             warn(f"surg: left out: {each.reason}")
         if selection is not None and not entries:
             others = f"{len(folders) - len(left_out)} do not fit, {len(left_out)} are left out"
-            raise Problem(f"--where {options.where!r}: no episode remains: {others}", 2)
+            raise CliError(f"--where {options.where!r}: no episode remains: {others}", 2)
         for text in evaluation.remarks(entries):
             warn(f"surg: note: {text}")
         info = {"versions": provenance.versions(), "where": options.where}
@@ -94,7 +94,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         try:
             evaluation_report.write(summary, out)
         except (OSError, EpisodeError) as problem:
-            raise Problem(f"--out {out}: {problem}") from problem
+            raise CliError(f"--out {out}: {problem}") from problem
     _print_summary(summary)
     say(str(out / "report.html"))
     say(str(out / "summary.json"))
@@ -116,10 +116,10 @@ def _find(wanted: list[Path], alone: bool) -> list[Path]:
         return evaluation.find(wanted or [paths.RUNS])
     except EpisodeError as problem:
         if wanted:
-            raise Problem(str(problem), 2) from problem
+            raise CliError(str(problem), 2) from problem
         if alone:
             return []
-        raise Problem(f"runs/ holds no episode yet; record some with {RECORD_SOME}", 2) from problem
+        raise CliError(f"runs/ holds no episode; record some with {RECORD_SOME}", 2) from problem
 
 
 def _print_summary(summary: dict[str, Any]) -> None:

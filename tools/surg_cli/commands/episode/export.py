@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.host import option_types, paths
-from surg_cli.host.terminal import Problem, Progress, say, table, warn
+from surg_cli.host.terminal import CliError, Progress, say, table, warn
 
 FORMATS = ("lerobot", "lerobot_v30", "robomimic", "act", "diffusion_policy", "mcap", "rosbag")
 
@@ -98,11 +98,11 @@ def main(options: argparse.Namespace, command: str) -> int:
     try:
         exporter = datasets.load(options.format)
         if options.out is None and not options.dry_run:
-            raise Problem("export: --out DIR is missing (or --dry-run)", 2)
+            raise CliError("export: --out DIR is missing (or --dry-run)", 2)
         if options.check:
             return _say(datasets.check(options.out, exporter), options)
         if not options.episodes:
-            raise Problem("export: name recordings, or folders with some", 2)
+            raise CliError("export: name recordings, or folders with some", 2)
         chosen = choices(options, datasets.ExportOptions)
         title = "export: dry run" if options.dry_run else f"export to {options.out}"
         with Progress(title) as progress:
@@ -111,7 +111,7 @@ def main(options: argparse.Namespace, command: str) -> int:
             else:
                 report = exporter.write(options.episodes, options.out, chosen, progress.update)
     except datasets.ExportError as problem:
-        raise Problem(f"export: {problem}", 2) from None
+        raise CliError(f"export: {problem}", 2) from None
     return _say(report, options)
 
 
@@ -119,13 +119,13 @@ def choices(options: argparse.Namespace, kind: Any) -> Any:
     """The export's options from the command line's.
 
     Raises:
-        Problem: Names the option, its value and what is allowed.
+        CliError: Names the option, its value and what is allowed.
     """
     shard = options.shard if options.shard != MERGE else None
     if options.shard == MERGE:
         parts = options.out.with_name(options.out.name + ".parts")
         if not parts.is_dir():
-            raise Problem(f"export: {parts} is missing; convert the shards first", 2)
+            raise CliError(f"export: {parts} is missing; convert the shards first", 2)
     given: dict[str, Any] = {
         **options.splits,
         **options.workers,
@@ -143,7 +143,7 @@ def choices(options: argparse.Namespace, kind: Any) -> Any:
     try:
         return kind(**given)
     except ValueError as problem:
-        raise Problem(f"export: --{problem}", 2) from None
+        raise CliError(f"export: --{problem}", 2) from None
 
 
 def _say(report: Any, options: argparse.Namespace) -> int:
@@ -196,10 +196,10 @@ def _about(path: Path) -> dict[str, Any]:
     try:
         stated = yaml.safe_load(path.read_text("utf-8"))
     except (OSError, yaml.YAMLError) as problem:
-        raise Problem(f"--about {path}: {problem}", 2) from None
+        raise CliError(f"--about {path}: {problem}", 2) from None
     if not isinstance(stated, dict) or set(stated) - set(KNOWN):
         strange = ", ".join(map(str, set(stated) - set(KNOWN))) if stated else "nothing"
-        raise Problem(f"--about {path}: holds {strange}; known keys: {', '.join(KNOWN)}", 2)
+        raise CliError(f"--about {path}: holds {strange}; known keys: {', '.join(KNOWN)}", 2)
     return stated
 
 

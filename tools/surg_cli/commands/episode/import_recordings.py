@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from surg_cli.host.terminal import Problem, Progress, say, warn
+from surg_cli.host.terminal import CliError, Progress, say, warn
 
 Job = tuple[str, Path, Callable[[Path], Path]]
 """Words for the progress, the episode's folder, and what writes it."""
@@ -35,7 +35,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         stated = None if options.map is None else _yaml(options.map)
         jobs = list(_bags(options, stated) if options.kind == "rosbag" else _sets(options, stated))
     except EpisodeError as problem:
-        raise Problem(f"import: {problem}", 2) from None
+        raise CliError(f"import: {problem}", 2) from None
     options.out.mkdir(parents=True, exist_ok=True)
     refused, made = [], []
     with Progress(f"import to {options.out}") as progress:
@@ -88,4 +88,4 @@ def _yaml(path: Path) -> Any:
     try:
         return yaml.safe_load(path.read_text("utf-8"))
     except (OSError, yaml.YAMLError) as problem:
-        raise Problem(f"--map {path}: {problem}", 2) from None
+        raise CliError(f"--map {path}: {problem}", 2) from None

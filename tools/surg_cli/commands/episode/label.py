@@ -11,7 +11,7 @@ import webbrowser
 from pathlib import Path
 
 from surg_cli.host import option_types, paths
-from surg_cli.host.terminal import Problem, say, warn
+from surg_cli.host.terminal import CliError, say, warn
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -47,7 +47,7 @@ def _chosen(options: argparse.Namespace) -> list[Path]:
     """The episodes to label.
 
     Raises:
-        Problem: There is none, or the expression is wrong.
+        CliError: There is none, or the expression is wrong.
     """
     from surg_recording.episode import episode_reader
     from surg_recording.episode.selection import Selection, SelectionError
@@ -65,9 +65,9 @@ def _chosen(options: argparse.Namespace) -> list[Path]:
             except EpisodeError as problem:  # one recording, not the session
                 warn(f"surg: left out: {problem}")
     except SelectionError as problem:
-        raise Problem(f"--where: {problem}", 2) from None
+        raise CliError(f"--where: {problem}", 2) from None
     except EpisodeError as problem:
-        raise Problem(str(problem), 2) from None
+        raise CliError(str(problem), 2) from None
     if not chosen:
-        raise Problem(f"--where {options.where!r}: none of {len(folders)} episodes fits", 2)
+        raise CliError(f"--where {options.where!r}: none of {len(folders)} episodes fits", 2)
     return chosen

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from surg_cli.graph import episode_film
 from surg_cli.host import cells, option_types
-from surg_cli.host.terminal import Problem, Progress, say
+from surg_cli.host.terminal import CliError, Progress, say
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -38,11 +38,11 @@ def main(options: argparse.Namespace, command: str) -> int:
         recorded = episode_reader.read(folder)
         name = (recorded.manifest.get("cell") or {}).get("name")
         if options.cell is None and not name:
-            raise Problem(f"{folder}: names no cell; give --cell", 2)
+            raise CliError(f"{folder}: names no cell; give --cell", 2)
         cell = cells.find(options.cell or str(name))
         with Progress("film") as progress:
             episode_film.make(recorded, cell, options.out, options.seconds, progress.update)
     except (EpisodeError, NoOpenGL, ValueError) as problem:
-        raise Problem(str(problem), 2) from problem
+        raise CliError(str(problem), 2) from problem
     say(str(options.out))
     return 0

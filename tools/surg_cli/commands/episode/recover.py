@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from surg_cli.host.terminal import Problem, Progress, say, warn
+from surg_cli.host.terminal import CliError, Progress, say, warn
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -27,7 +27,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     partial: list[Path] = []
     for folder in options.folders:
         if not folder.is_dir():
-            raise Problem(f"recover {folder}: no such folder", 2)
+            raise CliError(f"recover {folder}: no such folder", 2)
         partial += [folder] if folder.name.endswith(episode_reader.PARTIAL) else _below(folder)
     if not partial:
         names = ", ".join(map(str, options.folders))

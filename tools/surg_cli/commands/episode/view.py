@@ -7,7 +7,7 @@ import os
 import webbrowser
 from pathlib import Path
 
-from surg_cli.host.terminal import Problem, Progress, say
+from surg_cli.host.terminal import CliError, Progress, say
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -32,12 +32,12 @@ def main(options: argparse.Namespace, command: str) -> int:
         recorded = episodes.read(folder)
         out = options.out or folder.absolute().with_name(f"{folder.absolute().name}_view.html")
         if not os.access(out.parent, os.W_OK):
-            raise Problem(f"{out.parent}: is not writable; name another file with --out", 2)
+            raise CliError(f"{out.parent}: is not writable; name another file with --out", 2)
         with Progress("view") as progress:
             sync_report.ensure(recorded, lambda words: progress.update(None, words))
             episode_view.write(recorded, out, lambda words: progress.update(None, words))
     except EpisodeError as problem:
-        raise Problem(str(problem), 2) from problem
+        raise CliError(str(problem), 2) from problem
     can_show = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     if not (can_show and webbrowser.open(out.absolute().as_uri())):
         say("view: no display; open this file in a browser")

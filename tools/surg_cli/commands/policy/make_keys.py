@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem, say
+from surg_cli.host.terminal import CliError, say
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -36,7 +36,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     try:
         made = make(options.out, options.name)
     except (BadKeys, OSError) as error:
-        raise Problem(f"keys: {error}", 2) from None
+        raise CliError(f"keys: {error}", 2) from None
     for path in made:
         say(f"  {path}")
     folder = options.out
