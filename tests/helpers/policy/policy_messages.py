@@ -10,8 +10,8 @@ import numpy as np
 
 from helpers.policy.policy_server import spec
 from surg_policy_client.attention import Attention, Keypoint
-from surg_policy_client.wire_fields import EVENTS, KINDS
 from surg_policy_client.wire import MAGIC, Message
+from surg_policy_client.wire_fields import EVENTS, KINDS
 
 TEXTS = ("", "retract the bowel", "Zug: 0,5 N – größer", "\u0000", "手术", "x" * 64)
 

@@ -15,8 +15,8 @@ from helpers.policy.policy_server import spec
 from helpers.results.policy_results import note
 from surg_cli.host import paths
 from surg_policy_client import wire
-from surg_policy_client.wire_fields import FIELDS, KINDS
 from surg_policy_client.wire import Message, WireError, decode, encode
+from surg_policy_client.wire_fields import FIELDS, KINDS
 
 PAGE = paths.ROOT / "docs" / "reference" / "protocol.md"
 

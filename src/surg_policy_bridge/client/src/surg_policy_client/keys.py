@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import os
 import re
+import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Union
@@ -74,9 +75,12 @@ def make(folder: Folder, policy: str = POLICY) -> list[Path]:
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
     made = [] if all(present) else _create(server, SERVER)
     public, secret = _create(mine, policy)
-    allowed = server / "clients" / public.name
-    public.rename(allowed)  # only the server needs it
-    return [*made, allowed, secret, _copy(server / "server.key", mine / "server.key")]
+    made += [_place(public, server / "clients" / public.name), secret]
+    public.unlink()  # only the server needs it
+    _read(server / "server.key")
+    trusted = mine / "server.key"
+    trusted.write_bytes((server / "server.key").read_bytes())
+    return [*made, trusted]
 
 
 def client_keys(folder: Folder) -> ClientKeys:
@@ -119,20 +123,19 @@ def server_keys(folder: Folder) -> ServerKeys:
 
 def _create(folder: Path, name: str) -> list[Path]:
     """New key pair; returns the files of the public and of the secret key."""
-    before = os.umask(0o077)
+    with tempfile.TemporaryDirectory(dir=folder) as private:
+        public, secret = (Path(file) for file in certs.create_certificates(private, name))
+        public.chmod(0o644)
+        secret.chmod(0o600)
+        return [_place(made, folder / made.name) for made in (public, secret)]
+
+
+def _place(made: Path, to: Path) -> Path:
+    """Give a file a second name; fails if there is a file of that name."""
     try:
-        public, secret = (Path(file) for file in certs.create_certificates(folder, name))
-    finally:
-        os.umask(before)
-    public.chmod(0o644)
-    secret.chmod(0o600)
-    return [public, secret]
-
-
-def _copy(public: Path, to: Path) -> Path:
-    _read(public)
-    to.write_bytes(public.read_bytes())
-    to.chmod(0o644)
+        os.link(made, to)
+    except FileExistsError:
+        raise BadKeys(f"{to} exists already, and nothing is overwritten") from None
     return to
 
 

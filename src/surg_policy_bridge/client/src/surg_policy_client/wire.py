@@ -18,7 +18,6 @@ import zmq
 from surg_policy_client import attention as sights
 from surg_policy_client.attention import Attention, AttentionError
 from surg_policy_client.header import Buffer, read_map
-from surg_policy_client.wire_fields import FIELDS, KINDS, MAX_SENTENCE, wrong_field
 from surg_policy_client.wire_arrays import (
     MAX_PART,
     MAX_PARTS,
@@ -29,6 +28,7 @@ from surg_policy_client.wire_arrays import (
     check_values,
     dtype_name,
 )
+from surg_policy_client.wire_fields import FIELDS, KINDS, MAX_SENTENCE, wrong_field
 
 MAGIC = b"SPB1"
 VERSION = 2

@@ -7,9 +7,9 @@ from typing import Any, Mapping, Sequence
 import numpy as np
 
 from surg_policy_client.header import Buffer
-from surg_policy_client.wire_fields import MAX_ROWS
 from surg_policy_client.spec import DTYPES
 from surg_policy_client.spec_checks import MAX_NDIM
+from surg_policy_client.wire_fields import MAX_ROWS
 
 MAX_PART = 8 << 20
 """[bytes] Largest frame; both sides set it as ZeroMQ's MAXMSGSIZE."""
