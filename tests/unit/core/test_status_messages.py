@@ -146,7 +146,7 @@ def test_the_names_of_codes_are_those_of_the_enumerations() -> None:
 
 
 def test_states_of_hands_and_senders_are_those_of_the_nodes() -> None:
-    from surg_teleop.follow.teleoperation import State as HandState
+    from surg_teleop.follow.teleop_types import TeleopState as HandState
     from surg_teleop.playback.motion_player import PlayerStage
 
     hand = msg.HandStatus

@@ -80,6 +80,7 @@ def make(folder: Folder, policy: str = POLICY) -> list[Path]:
     _read(server / "server.key")
     trusted = mine / "server.key"
     trusted.write_bytes((server / "server.key").read_bytes())
+    trusted.chmod(0o644)  # whatever the umask is
     return [*made, trusted]
 
 
