@@ -570,7 +570,7 @@ def test_what_it_says_it_sees_lies_where_it_is_in_the_picture(
     policy: image_policy.ImagePolicy,
 ) -> None:
     """A place of the middle square is a pixel of the whole picture; the wire takes it as it is."""
-    from surg_policy_client.seen import to_wire
+    from surg_policy_client.attention import to_wire
 
     policy.reset()
     assert policy.seen() is None
