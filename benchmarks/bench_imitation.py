@@ -47,7 +47,7 @@ from result_book import ResultBook
 from surg_cli.host import paths
 from surg_cli.host.terminal import Progress, say, table
 from surg_core.contract import image_key
-from surg_recording.job_pool import Ends, NoExecutor, Workplace
+from surg_recording.job_pool import Executor, JobCallbacks, NoExecutor
 from surg_recording.job_pool import run as run_jobs
 from surg_recording.metrics.confidence_intervals import success_rate
 from surg_sim.tasks import episode_seeds
@@ -290,19 +290,19 @@ def options_of() -> argparse.Namespace:
     parser.add_argument("--only", nargs="*", default=[], metavar="WORD", help="in the names")
     parser.add_argument("--jobs", type=int, help="at a time (default: the machine's cores)")
     parser.add_argument(
-        "--executor", type=workplace, default=Workplace(), metavar="processes|dask[:ADDRESS]"
+        "--executor", type=executor_of, default=Executor(), metavar="processes|dask[:ADDRESS]"
     )
     return parser.parse_args()
 
 
-def workplace(words: str) -> Workplace:
+def executor_of(words: str) -> Executor:
     """Where roll-outs run, as ``--executor`` names it."""
     kind, _, address = words.partition(":")
     if kind == "dask":
-        return Workplace("dask", scheduler=address or None)
+        return Executor("dask", scheduler=address or None)
     if words not in ("process", "processes"):
         raise argparse.ArgumentTypeError(f"{words!r}: allowed are processes and dask[:ADDRESS]")
-    return Workplace()
+    return Executor()
 
 
 def chosen(words: list[str]) -> list[str]:
@@ -319,7 +319,7 @@ def chosen(words: list[str]) -> list[str]:
 
 
 def run(
-    jobs: list[Job], books: Mapping[Path, Book], place: Workplace, play: Callable[[Job], Result]
+    jobs: list[Job], books: Mapping[Path, Book], place: Executor, play: Callable[[Job], Result]
 ) -> None:
     """Play all, by a function that other processes can import.
 
@@ -346,7 +346,7 @@ def run(
             what = f"{file.stem}, {result.condition}, seed {result.seed}"
             progress.update(n / len(jobs), f"{what}; {left / 60:.0f} min left")
 
-        ends = Ends(done, lambda key, why: lost.append(f"{key}: {why}"))
+        ends = JobCallbacks(done, lambda key, why: lost.append(f"{key}: {why}"))
         try:
             run_jobs(play, by_key, place, ends)
         except NoExecutor as problem:

@@ -32,7 +32,7 @@ from machine import this_machine
 
 from surg_cli.host.terminal import Progress, say, table
 from surg_core.contract import GRID_RATE
-from surg_recording.job_pool import Ends, Workplace
+from surg_recording.job_pool import Executor, JobCallbacks
 from surg_recording.job_pool import run as run_jobs
 from surg_sim.appearance.domain_randomization import DomainRandomization
 from surg_sim.appearance.endoscope_renderer import EndoscopeRenderer
@@ -143,8 +143,8 @@ def roll_out(episodes: int, weights: Path, workers: int) -> int:
     def lost(seed: str, why: str) -> None:
         raise SystemExit(f"bench rollouts: seed {seed}: {why}")
 
-    ends = Ends(lambda _, result: played.append(result.seed), lost)
-    run_jobs(bench_imitation.judge, jobs, Workplace("process", workers), ends)
+    ends = JobCallbacks(lambda _, result: played.append(result.seed), lost)
+    run_jobs(bench_imitation.judge, jobs, Executor("process", workers), ends)
     return len(played)
 
 

@@ -18,7 +18,7 @@ from surg_cli.host import paths
 from surg_core.arm_view import ArmCommands, ArmState, ArmView
 from surg_core.contract import SECOND_NS, STATE_KEY, STEP_NS
 from surg_policy_bridge.server import cell_spec
-from surg_policy_bridge.server.model_server import ModelServer, ServerSettings, State
+from surg_policy_bridge.server.model_server import ModelServer, ServerSettings, ServerState
 from surg_policy_bridge.server.observer import Observation
 from surg_policy_bridge.server.policy_arm import Target, arm_state
 from surg_policy_bridge.server.safety_controller import CLIPPED, ArmLimits, SafetyController
@@ -281,7 +281,7 @@ class WiredBench(Bench):
                     peer, *parts = self._router.recv_multipart()
                     self.endpoint.receive(peer, parts, self.now)
                 self.tick()
-                begins = ran != (ran := self.server.state is State.RUNNING)
+                begins = ran != (ran := self.server.state is ServerState.RUNNING)
                 if ran and (begins or not self.server.unanswered):
                     self.execute()
                     self.step += 1

@@ -9,8 +9,9 @@ import msgpack
 import numpy as np
 
 from helpers.policy.policy_server import spec
-from surg_policy_client.seen import Keypoint, Seen
-from surg_policy_client.wire import EVENTS, KINDS, MAGIC, Message
+from surg_policy_client.attention import Attention, Keypoint
+from surg_policy_client.wire import MAGIC, Message
+from surg_policy_client.wire_fields import EVENTS, KINDS
 
 TEXTS = ("", "retract the bowel", "Zug: 0,5 N – größer", "\u0000", "手术", "x" * 64)
 
@@ -68,11 +69,11 @@ def draw(rng: random.Random, kind: str | None = None) -> Message:
     return Message(kind, heads[kind], arrays(rng, kind), seen)
 
 
-def sight(rng: random.Random) -> Seen:
+def sight(rng: random.Random) -> Attention:
     """What a policy may say that it sees."""
     numbers = np.random.default_rng(rng.getrandbits(32))
     sides = (rng.randint(1, 32), rng.randint(1, 32))
-    return Seen(
+    return Attention(
         keypoints=tuple(
             Keypoint(f"tip {i}", rng.uniform(-2, 2), rng.uniform(-2, 2), rng.random())
             for i in range(rng.randrange(17))
@@ -80,7 +81,7 @@ def sight(rng: random.Random) -> Seen:
         phase=rng.choice(("", "pulling", "手术")),
         confidence=rng.choice((None, 0.0, 1.0, rng.random())),
         picture=rng.choice(("", "observation.images.endoscope.left")),
-        attention=rng.choice((None, numbers.integers(0, 256, sides, dtype=np.uint8))),
+        heat_map=rng.choice((None, numbers.integers(0, 256, sides, dtype=np.uint8))),
         area=rng.choice(((0.0, 0.0, 1.0, 1.0), (0.125, 0.0, 0.875, 1.0))),
     )
 

@@ -15,8 +15,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from circle_policy import Circle
 
-from surg_policy_client import Chunk, Keypoint, Observation, Seen, serve
-from surg_policy_client import seen as sights
+from surg_policy_client import Attention, Chunk, Keypoint, Observation, serve
+from surg_policy_client import attention as sights
 
 
 class Telling(Circle):
@@ -29,15 +29,15 @@ class Telling(Circle):
         self._step = observation.step
         return super().act(observation)
 
-    def seen(self) -> Seen:
+    def seen(self) -> Attention:
         """A point that goes to the right with every step."""
         share = self._step % 100 / 100
-        return Seen(
+        return Attention(
             (Keypoint("tip", share, 0.25, 0.5),),
             phase="x" * 33 if self._step % 10 == 0 else "round",
             confidence=0.75,
             picture="observation.images.endoscope.left",
-            attention=np.full((2, 3), self._step % 256, np.uint8),
+            heat_map=np.full((2, 3), self._step % 256, np.uint8),
         )
 
 

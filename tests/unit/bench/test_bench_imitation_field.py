@@ -20,7 +20,7 @@ sys.path.insert(0, str(paths.ROOT / "benchmarks"))
 import bench_imitation
 from policy import entrants, sights
 
-from surg_recording.job_pool import Workplace
+from surg_recording.job_pool import Executor
 
 
 def cloned(file: Path, method: str, seed: int, eyes: int = 1, play: int = 8) -> Path:
@@ -107,7 +107,7 @@ def test_each_policy_has_a_row_and_each_method_their_sum(
     played: list[bench_imitation.Job] = []
     solved = {"bc0": 3, "bc1": 1, "act0": 2}
 
-    def run(jobs: list[bench_imitation.Job], books: Any, place: Workplace, play: Any) -> None:
+    def run(jobs: list[bench_imitation.Job], books: Any, place: Executor, play: Any) -> None:
         for name, seed, file in jobs:
             played.append((name, seed, file))
             books[file].add(result(name, seed, seed - 20000 < solved[file.stem]))

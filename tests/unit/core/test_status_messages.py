@@ -23,7 +23,7 @@ from helpers.graph.statuses import (
 from surg_core.status_check import SILENCE, LatestStatus, fault, value_name, values
 from surg_msgs import msg
 from surg_policy_bridge.server import operator_first
-from surg_policy_bridge.server.model_server import State
+from surg_policy_bridge.server.model_server import ServerState
 from surg_policy_bridge.server.stop_reason import StopReason
 
 NOW = 100.0
@@ -142,7 +142,7 @@ def test_the_names_of_codes_are_those_of_the_enumerations() -> None:
     assert declared == reasons
     policy = msg.PolicyStatus
     assert set(values(policy, "reason").values()) == {reason.name for reason in StopReason}
-    assert set(values(policy, "state").values()) == {state.name for state in State}
+    assert set(values(policy, "state").values()) == {state.name for state in ServerState}
 
 
 def test_states_of_hands_and_senders_are_those_of_the_nodes() -> None:

@@ -570,7 +570,7 @@ def test_what_it_says_it_sees_lies_where_it_is_in_the_picture(
     policy: image_policy.ImagePolicy,
 ) -> None:
     """A place of the middle square is a pixel of the whole picture; the wire takes it as it is."""
-    from surg_policy_client.seen import to_wire
+    from surg_policy_client.attention import to_wire
 
     policy.reset()
     assert policy.seen() is None
@@ -589,7 +589,7 @@ def test_what_it_says_it_sees_lies_where_it_is_in_the_picture(
         assert (640 * point.x, 480 * point.y) == pytest.approx(expected, abs=1e-3)
     assert tip.confidence == pytest.approx(answer[keypoint_network.SEEN], abs=1e-6)
     assert requested.name == "requested" and seen.area == (0.125, 0.0, 0.875, 1.0)
-    assert seen.attention.shape == (30, 30) and np.ptp(seen.attention) > 0
+    assert seen.heat_map.shape == (30, 30) and np.ptp(seen.heat_map) > 0
     # Asking for it changes nothing.
     policy.reset()
     np.testing.assert_array_equal(policy.act(arrays), acted)

@@ -6,7 +6,7 @@ import pytest
 
 from helpers.policy.policy_server import spec
 from surg_policy_client import PolicyClientError, Refused, Spec, SpecMismatch, VersionMismatch
-from surg_policy_client.conversation import HELLO_S, LOST_S, Conversation, State
+from surg_policy_client.conversation import HELLO_S, LOST_S, Conversation, ConversationState
 from surg_policy_client.wire import Message
 
 ADDRESS = "tcp://robot:5555"
@@ -73,7 +73,7 @@ def test_a_server_that_falls_silent_is_greeted_anew_on_another_socket() -> None:
     talk.take(Message("PONG", {"session": 7, "n": 1}), 0.5)
     assert [m.kind for m in talk.tick(0.5 + LOST_S - 1e-6)] == ["PING"]
     assert [m.kind for m in talk.tick(0.5 + LOST_S)] == ["HELLO"]
-    assert (talk.state, talk.session, talk.generation) == (State.GREETING, None, 1)
+    assert (talk.state, talk.session, talk.generation) == (ConversationState.GREETING, None, 1)
     assert talk.take(welcome(8), 2.0) is not None
     assert talk.session == 8
 
@@ -85,7 +85,7 @@ def test_a_session_that_ended_is_followed_by_another(word: str) -> None:
         error("session") if word == "session" else Message("BYE", {"session": 7, "reason": ""})
     )
     talk.take(message, 0.1)
-    assert (talk.state, talk.generation) == (State.GREETING, 1)
+    assert (talk.state, talk.generation) == (ConversationState.GREETING, 1)
     talk.reached()
     assert bool(talk.tick(0.1)) == (
         word == "session"
@@ -97,7 +97,7 @@ def test_words_of_another_session_are_not_heard() -> None:
     talk = live()
     for session in (6, 8):
         assert talk.take(Message("BYE", {"session": session, "reason": ""}), 0.1) is None
-    assert talk.state is State.LIVE
+    assert talk.state is ConversationState.LIVE
     assert talk.take(Message("RESET", {"session": 7}), 0.1) is not None
     # One that crossed a repeated HELLO: the server's newest session is the one that counts.
     assert talk.take(welcome(7), 0.1) is None
@@ -147,4 +147,4 @@ def test_a_busy_server_is_asked_again() -> None:
 def test_errors_within_a_session_are_the_policys_to_judge() -> None:
     talk = live()
     assert talk.take(error("refused"), 0.1) is not None
-    assert talk.state is State.LIVE
+    assert talk.state is ConversationState.LIVE

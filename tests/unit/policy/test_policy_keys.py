@@ -67,7 +67,7 @@ def test_half_of_a_pair_is_not_made_up_for(half: str, tmp_path: Path) -> None:
 def test_a_file_that_came_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "x.key").write_text("somebody's")
     with pytest.raises(BadKeys, match="nothing is overwritten"):
-        keys._write(tmp_path / "x.key", b"0" * 40)
+        keys._create(tmp_path, "x")
     assert (tmp_path / "x.key").read_text() == "somebody's"
 
 

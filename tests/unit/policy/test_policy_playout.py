@@ -15,7 +15,7 @@ from helpers.results.policy_results import note
 from surg_core import Motion, MotionCommand
 from surg_core.contract import SECOND_NS, STEP_NS, TICK_NS
 from surg_policy_bridge.server.counters import Counters
-from surg_policy_bridge.server.model_server import State
+from surg_policy_bridge.server.model_server import ServerState
 from surg_policy_bridge.server.playout import SEND, Piece
 from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_bridge.server.step_clock import StepClock
@@ -280,7 +280,7 @@ def test_a_stream_begins_with_its_first_step_however_late_it_comes(ms: int) -> N
     run = RealTime(lambda n: np.array([1.5e-3 * n, 0, HOME[2], 0.0, 0.3]), 16, ms * MS)
     run.play(0.9)
     assert not run.counters.rejected and run.counters.accepted >= 9
-    assert run.bench.server.state is State.RUNNING
+    assert run.bench.server.state is ServerState.RUNNING
     first = next(iter(run.sent.values()))
     assert first.p[0] < 1.5e-3 + 1e-12, "from where the arm stood"
     there, wanted = run.at_grid()

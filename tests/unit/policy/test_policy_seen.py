@@ -14,20 +14,27 @@ import pytest
 from helpers.policy import policy_messages
 from helpers.policy.policy_bench import Bench
 from helpers.policy.policy_server import spec
-from surg_policy_client import Chunk, Keypoint, Observation, RecedingHorizon, Seen, SeenError
+from surg_policy_client import (
+    Attention,
+    AttentionError,
+    Chunk,
+    Keypoint,
+    Observation,
+    RecedingHorizon,
+)
+from surg_policy_client.attention import from_wire, to_wire
 from surg_policy_client.conversation import Conversation
 from surg_policy_client.observation import as_message
-from surg_policy_client.seen import from_wire, to_wire
 from surg_policy_client.serving import _Serving
 from surg_policy_client.wire import Message, decode, encode
 
 LEFT = "observation.images.endoscope.left"
-GOOD = Seen(
+GOOD = Attention(
     (Keypoint("tip", 0.25, 0.5, 0.9), Keypoint("target", 0.75, 0.125)),
     phase="pulling",
     confidence=0.75,
     picture=LEFT,
-    attention=np.arange(12, dtype=np.uint8).reshape(3, 4),
+    heat_map=np.arange(12, dtype=np.uint8).reshape(3, 4),
     area=(0.125, 0.0, 0.875, 1.0),
 )
 ACT: dict[str, Any] = {"session": 1, "seq": 1, "stamp_ns": 1, "step0": 1}
@@ -54,7 +61,7 @@ def attention(rows: int, columns: int, dtype: str = "u1", key: str = "attention"
 def test_what_is_said_arrives() -> None:
     found = decode([bytes(part) for part in encode(Message("ACT", ACT, {"chunk": CHUNK}, GOOD))])
     assert found.seen == GOOD and found.unseen == "" and list(found.arrays) == ["chunk"]
-    assert found.seen.attention.tolist() == GOOD.attention.tolist()  # type: ignore[union-attr]
+    assert found.seen.heat_map.tolist() == GOOD.heat_map.tolist()  # type: ignore[union-attr]
     nothing = decode(encode(Message("ACT", ACT, {"chunk": CHUNK})))
     assert nothing.seen is None and nothing.unseen == ""
 
@@ -127,18 +134,18 @@ def test_spoiled_frames_never_raise_anything_else(rng: random.Random) -> None:
         {"keypoints": [Keypoint("x" * 33, 0.0, 0.0)]},
         {"keypoints": [Keypoint("x", 640.0, 0.0)]},
         {"confidence": NAN},
-        {"attention": np.zeros((40, 40), np.uint8)},
-        {"attention": np.zeros((4, 4))},
+        {"heat_map": np.zeros((40, 40), np.uint8)},
+        {"heat_map": np.zeros((4, 4))},
     ],
 )
 def test_what_a_server_would_drop_is_named_before_it_goes_out(change: dict[str, Any]) -> None:
-    with pytest.raises(SeenError):
+    with pytest.raises(AttentionError):
         to_wire(replace(GOOD, **change))
 
 
 def test_numbers_of_numpy_may_be_said() -> None:
     points = [Keypoint("a", np.float32(0.5), np.float64(0.25), np.float32(1))]  # type: ignore[arg-type]
-    head, _ = to_wire(Seen(points, confidence=np.float32(0.5)))  # type: ignore[arg-type]
+    head, _ = to_wire(Attention(points, confidence=np.float32(0.5)))  # type: ignore[arg-type]
     assert from_wire(head, None).keypoints == (Keypoint("a", 0.5, 0.25, 1.0),)
 
 
@@ -184,7 +191,7 @@ def test_a_policy_that_says_what_it_sees_is_heard() -> None:
     assert [message.seen for message in link.sent] == [GOOD] * 3
 
 
-def broken() -> Seen:
+def broken() -> Attention:
     raise RuntimeError("no eye")
 
 

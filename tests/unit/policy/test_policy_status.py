@@ -16,7 +16,7 @@ from surg_policy_bridge.nodes.lock_step_node import LockStep
 from surg_policy_bridge.nodes.policy_status_node import policy_status
 from surg_policy_bridge.nodes.policy_topics_node import PolicyTopics, plan_message
 from surg_policy_bridge.server.counters import Counters
-from surg_policy_bridge.server.model_server import State
+from surg_policy_bridge.server.model_server import ServerState
 from surg_policy_bridge.server.policy_plan import PolicyPlan
 from surg_policy_bridge.server.step_executor import KEPT
 from surg_policy_bridge.server.stop_reason import StopReason
@@ -32,7 +32,7 @@ def test_every_counter_is_published() -> None:
     server = SimpleNamespace(
         session=None,
         counters=counters,
-        state=State.PAUSED,
+        state=ServerState.PAUSED,
         cause=StopReason.OPERATOR,
         reason="the operator wants PSM1",
         waiting=False,
@@ -85,7 +85,7 @@ def test_the_newest_refusal_is_of_this_episode() -> None:
         assert bench.server.enable(True, bench.now) == ""
         for _ in range(4):
             bench.tick()
-        assert bench.server.state is State.RUNNING
+        assert bench.server.state is ServerState.RUNNING
 
     assert shown() == "start"
     bench.server.enable(False, bench.now)

@@ -15,14 +15,15 @@ from helpers.policy.policy_server import spec
 from helpers.results.policy_results import note
 from surg_cli.host import paths
 from surg_policy_client import wire
-from surg_policy_client.wire import KINDS, Message, WireError, decode, encode
+from surg_policy_client.wire import Message, WireError, decode, encode
+from surg_policy_client.wire_fields import FIELDS, KINDS
 
 PAGE = paths.ROOT / "docs" / "reference" / "protocol.md"
 
 
 def same_map(a: Message, b: Message) -> bool:
     """Whether both say the same map of what a policy looks at, or none."""
-    first, second = (m.seen.attention if m.seen is not None else None for m in (a, b))
+    first, second = (m.seen.heat_map if m.seen is not None else None for m in (a, b))
     return np.array_equal(
         np.zeros(0) if first is None else first, np.zeros(0) if second is None else second
     )
@@ -113,7 +114,7 @@ def test_the_page_names_every_kind_field_and_limit() -> None:
     text = PAGE.read_text("utf-8")
     for kind, number in KINDS.items():
         row = next(x for x in text.splitlines() if x.startswith(f"| {number} | {kind} "))
-        for name in wire._FIELDS[kind]:
+        for name in FIELDS[kind]:
             assert f"`{name}`" in row, (kind, name)
     for name, value in (("header", wire.MAX_HEADER), ("frame", wire.MAX_PART)):
         assert f"{value:,}" in text, name

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from surg_cli.host import paths
-from surg_recording.job_pool import Workplace
+from surg_recording.job_pool import Executor
 
 pytest.importorskip("gymnasium", reason="gymnasium is not installed: ./surg dev setup")
 sys.path.insert(0, str(paths.ROOT / "benchmarks"))
@@ -76,7 +76,7 @@ def test_a_worker_that_dies_in_a_rollout_costs_nothing_but_time(
     book = Book(tmp_path / "kept", "f" * 64)
     watcher = kill_soon(tmp_path / "begun", 1, killed)
     books = {tmp_path / "begun": book}
-    bench_imitation.run(jobs, books, Workplace(executor, 2), short_rollouts.play)
+    bench_imitation.run(jobs, books, Executor(executor, 2), short_rollouts.play)
     watcher.join()
     assert killed and killed[0] != os.getpid()
     assert (tmp_path / "begun" / "1.1").exists(), "the killed roll-out was played again"
@@ -95,7 +95,7 @@ def test_a_cluster_of_others_is_used_and_left_running(
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs="CRITICAL"
     ) as cluster:
-        place = bench_imitation.workplace(f"dask:{cluster.scheduler_address}")
+        place = bench_imitation.executor_of(f"dask:{cluster.scheduler_address}")
         book = Book(tmp_path / "kept", "f" * 64)
         books = {tmp_path / "begun": book}
         bench_imitation.run(jobs_in(tmp_path / "begun"), books, place, short_rollouts.play)
@@ -107,9 +107,9 @@ def test_a_cluster_of_others_is_used_and_left_running(
 
 
 def test_executors_by_name() -> None:
-    assert bench_imitation.workplace("processes") == Workplace()
-    assert bench_imitation.workplace("dask") == Workplace("dask")
-    found = bench_imitation.workplace("dask:tcp://10.0.0.1:8786")
-    assert found == Workplace("dask", scheduler="tcp://10.0.0.1:8786")
+    assert bench_imitation.executor_of("processes") == Executor()
+    assert bench_imitation.executor_of("dask") == Executor("dask")
+    found = bench_imitation.executor_of("dask:tcp://10.0.0.1:8786")
+    assert found == Executor("dask", scheduler="tcp://10.0.0.1:8786")
     with pytest.raises(Exception, match=r"allowed are processes and dask\[:ADDRESS\]"):
-        bench_imitation.workplace("threads")
+        bench_imitation.executor_of("threads")

@@ -40,7 +40,7 @@ class NoExecutor(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Workplace:
+class Executor:
     """Where jobs run."""
 
     executor: str = "process"  # of ``EXECUTORS``
@@ -53,7 +53,7 @@ class Workplace:
 
 
 @dataclass(frozen=True)
-class Ends(Generic[R]):
+class JobCallbacks(Generic[R]):
     """Who is told how a job ended; each job ends once, in any order."""
 
     done: Callable[[str, R], None]
@@ -65,7 +65,9 @@ class Ends(Generic[R]):
     """
 
 
-def run(function: Callable[[J], R], jobs: Mapping[str, J], place: Workplace, ends: Ends[R]) -> None:
+def run(
+    function: Callable[[J], R], jobs: Mapping[str, J], place: Executor, ends: JobCallbacks[R]
+) -> None:
     """Do all jobs.
 
     Args:
@@ -93,7 +95,7 @@ def run(function: Callable[[J], R], jobs: Mapping[str, J], place: Workplace, end
 
 
 def _processes(
-    function: Callable[[J], R], jobs: Mapping[str, J], place: Workplace, ends: Ends[R]
+    function: Callable[[J], R], jobs: Mapping[str, J], place: Executor, ends: JobCallbacks[R]
 ) -> None:
     """A pool; when one of its processes dies, the jobs in progress are repeated one by one."""
     left = _pool(function, jobs, place.workers_for(len(jobs)), ends)
@@ -103,7 +105,7 @@ def _processes(
 
 
 def _pool(
-    function: Callable[[J], R], jobs: Mapping[str, J], workers: int, ends: Ends[R]
+    function: Callable[[J], R], jobs: Mapping[str, J], workers: int, ends: JobCallbacks[R]
 ) -> dict[str, J]:
     """Run jobs in one pool; returns those without an end because a process died."""
     context = multiprocessing.get_context("spawn")  # forks of a process with threads may hang
@@ -143,7 +145,7 @@ def _begin_worker() -> None:
 
 
 def _dask(
-    function: Callable[[J], R], jobs: Mapping[str, J], place: Workplace, ends: Ends[R]
+    function: Callable[[J], R], jobs: Mapping[str, J], place: Executor, ends: JobCallbacks[R]
 ) -> None:
     """An own Dask cluster, or the scheduler at an address (with the same disk and software)."""
     try:
@@ -165,7 +167,7 @@ def _dask(
 
 
 @contextlib.contextmanager
-def _client(place: Workplace, jobs: int) -> Iterator[Any]:
+def _client(place: Executor, jobs: int) -> Iterator[Any]:
     """A client of the scheduler, which is closed at the end with a cluster of its own.
 
     Raises:

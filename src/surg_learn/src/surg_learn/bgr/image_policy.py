@@ -222,14 +222,14 @@ class ImagePolicy(Policy):
         return last, (last - before[0]) / steps
 
     def seen(self) -> Any:
-        """What it made of the last picture, a `surg_policy_client.Seen`: for people who watch.
+        """What it made of the last picture, a `surg_policy_client.Attention`: for people who watch.
 
         The map is where it sees the bowel; the confidence is that in the requested place, and once
         it holds the bowel, that in holding it.
         """
         if self._seen is None:
             return None
-        from surg_policy_client.seen import Keypoint, Seen
+        from surg_policy_client.attention import Attention, Keypoint
 
         seen, half = self._seen, self._aspect / 2
 
@@ -245,7 +245,7 @@ class ImagePolicy(Policy):
             name for name, chance in (("robot", held), ("assistant", helped)) if chance > 0.5
         ]
         phase = f"{' and '.join(holders)} hold{'s' * (len(holders) == 1)}" if holders else ""
-        return Seen(
+        return Attention(
             (
                 point("tip", seen[TIP], seen[SEEN]),
                 point("assistant", seen[PLACE], 1.0),
@@ -254,7 +254,7 @@ class ImagePolicy(Policy):
             phase=phase or ("reaching" if certain > 0.5 else "waiting for a place"),
             confidence=float(np.clip(held if held > 0.5 else certain, 0.0, 1.0)),
             picture=PICTURE,
-            attention=np.rint(255 * np.clip(self.network.eye.tube, 0, 1)).astype(np.uint8),
+            heat_map=np.rint(255 * np.clip(self.network.eye.tube, 0, 1)).astype(np.uint8),
             area=(0.5 - half, 0.0, 0.5 + half, 1.0),
         )
 

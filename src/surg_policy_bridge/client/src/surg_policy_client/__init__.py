@@ -4,9 +4,7 @@
 Guide: docs/guide/policy_client.md. Protocol: docs/reference/protocol.md.
 """
 
-# First, because modules below use it.
-__version__ = "0.1.0"
-
+from surg_policy_client.attention import Attention, AttentionError, Keypoint
 from surg_policy_client.chunks import ChunkBlender, RecedingHorizon
 from surg_policy_client.env import RemoteEnv
 from surg_policy_client.errors import (
@@ -19,12 +17,14 @@ from surg_policy_client.errors import (
     VersionMismatch,
 )
 from surg_policy_client.observation import Chunk, Observation
-from surg_policy_client.seen import Keypoint, Seen, SeenError
 from surg_policy_client.serving import Served, serve
 from surg_policy_client.spec import ActionSpec, Feature, Spec, SpecError
+from surg_policy_client.version import __version__
 
 __all__ = [
     "ActionSpec",
+    "Attention",
+    "AttentionError",
     "BadAction",
     "BadKeys",
     "Chunk",
@@ -37,12 +37,11 @@ __all__ = [
     "RecedingHorizon",
     "Refused",
     "RemoteEnv",
-    "Seen",
-    "SeenError",
     "Served",
     "Spec",
     "SpecError",
     "SpecMismatch",
     "VersionMismatch",
+    "__version__",
     "serve",
 ]

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from surg_policy_client.attention import Attention
 from surg_policy_client.observation import Chunk, Observation
-from surg_policy_client.seen import Seen
 
 
 class ChunkBlender:
@@ -88,7 +88,7 @@ class RecedingHorizon:
         if hasattr(self._policy, "reset"):
             self._policy.reset(instruction, seed)
 
-    def seen(self) -> Seen | None:
+    def seen(self) -> Attention | None:
         """What the policy saw, if it was queried for the last observation."""
         return self._policy.seen() if self._fresh and hasattr(self._policy, "seen") else None
 

@@ -17,8 +17,8 @@ LOST_S = 1.0
 """[s] Timeout of the server: it has ended, or serves another session."""
 
 
-class State(enum.Enum):
-    """State of a conversation."""
+class ConversationState(enum.Enum):
+    """ConversationState of a conversation."""
 
     GREETING = "greeting"
     LIVE = "live"
@@ -42,7 +42,7 @@ class Conversation:
 
     def __init__(self, address: str, hello: dict[str, Any]) -> None:
         self.address = address
-        self.state = State.GREETING
+        self.state = ConversationState.GREETING
         self.session: int | None = None
         self.welcome: dict[str, Any] = {}
         self.generation = 0
@@ -61,24 +61,24 @@ class Conversation:
 
     def due(self) -> float:
         """Time of the next call of `tick` [s]."""
-        if self.state is State.FAILED:
+        if self.state is ConversationState.FAILED:
             return float("inf")
-        if self.state is State.LIVE:
+        if self.state is ConversationState.LIVE:
             return min(self._next, self._heard + LOST_S)
         return self._next
 
     def reached(self) -> None:
         """The connection is up: send HELLO at once."""
-        if self.state is State.GREETING:
+        if self.state is ConversationState.GREETING:
             self._next = self._earliest
 
     def tick(self, now: float) -> list[Message]:
         """Messages that are due at a time [s]."""
-        if self.state is State.LIVE and now >= self._heard + LOST_S:
+        if self.state is ConversationState.LIVE and now >= self._heard + LOST_S:
             self._restart()
-        if now < self._next or self.state is State.FAILED:
+        if now < self._next or self.state is ConversationState.FAILED:
             return []
-        if self.state is State.GREETING:
+        if self.state is ConversationState.GREETING:
             self._next = now + HELLO_S
             return [Message("HELLO", dict(self._hello))]
         # Counted from now, so that a process that was stopped sends no burst.
@@ -88,13 +88,13 @@ class Conversation:
 
     def take(self, message: Message, now: float) -> Message | None:
         """Take in a message of the server at a time [s]; returns it if the policy needs it."""
-        if self.state is State.FAILED:
+        if self.state is ConversationState.FAILED:
             return None
         if message.kind == "ERR":
             return self._error(message.head["code"], message.head["text"], message)
         if message.kind == "WELCOME":
             return self._welcomed(message, now)
-        if self.state is not State.LIVE or message.head.get("session") != self.session:
+        if self.state is not ConversationState.LIVE or message.head.get("session") != self.session:
             return None  # of an earlier session
         self._heard = now
         if message.kind == "BYE":
@@ -103,7 +103,7 @@ class Conversation:
         return None if message.kind == "PONG" else message
 
     def _welcomed(self, message: Message, now: float) -> Message | None:
-        if self.state is State.LIVE and message.head["session"] == self.session:
+        if self.state is ConversationState.LIVE and message.head["session"] == self.session:
             return None  # answer to a repeated HELLO
         if not 1 <= message.head["version"] <= VERSION:
             self._fail(VersionMismatch(self._version_text(f"version {message.head['version']}")))
@@ -114,7 +114,11 @@ class Conversation:
         if wrong:
             self._fail(SpecMismatch(self._mismatch("\n".join(wrong))))
             return None
-        self.state, self.session, self.welcome = State.LIVE, message.head["session"], message.head
+        self.state, self.session, self.welcome = (
+            ConversationState.LIVE,
+            message.head["session"],
+            message.head,
+        )
         self._ping_s = max(message.head["ping_s"], LEAST_PING_S)
         self._heard, self._next, self.busy = now, now, ""
         return message
@@ -125,23 +129,23 @@ class Conversation:
         elif code == "spec":
             self._fail(SpecMismatch(self._mismatch(text)))
         elif code == "session":
-            if self.state is State.LIVE:
+            if self.state is ConversationState.LIVE:
                 self._restart()
         elif code == "busy":
             self.busy = text
-        elif self.state is State.LIVE:
+        elif self.state is ConversationState.LIVE:
             return message  # for the policy: a refused reset or message
         else:
             self._fail(Refused(code, f"the server at {self.address} refused: {text}"))
         return None
 
     def _restart(self, earliest: float = float("-inf")) -> None:
-        self.state, self.session = State.GREETING, None
+        self.state, self.session = ConversationState.GREETING, None
         self.generation += 1
         self._next = self._earliest = earliest
 
     def _fail(self, failure: PolicyClientError) -> None:
-        self.state, self.failure = State.FAILED, failure
+        self.state, self.failure = ConversationState.FAILED, failure
 
     def _version_text(self, theirs: str) -> str:
         return (

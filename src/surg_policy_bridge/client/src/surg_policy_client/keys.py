@@ -16,18 +16,19 @@ from __future__ import annotations
 
 import os
 import re
+import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Union
 
-import zmq
+from zmq.auth import certs
 
 from surg_policy_client.errors import BadKeys
 
 SERVER = "server"
 POLICY = "policy"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
-_LINE = re.compile(r'^\s*(public-key|secret-key)\s*=\s*"([ -~]{40})"\s*$', re.MULTILINE)
+_KEY = re.compile(rb"[ -~]{40}")
 Folder = Union[str, "os.PathLike[str]"]
 
 
@@ -70,24 +71,17 @@ def make(folder: Folder, policy: str = POLICY) -> list[Path]:
     present = [(server / name).exists() for name in ("server.key", "server.key_secret")]
     if any(present) and not all(present):
         raise BadKeys(f"{server} lacks one of the server's two keys; move that folder away")
-    made = []
     for place in (root, server, server / "clients", mine):
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if all(present):
-        server_public = _read(server / "server.key")["public-key"]
-    else:
-        server_public, secret = zmq.curve_keypair()
-        made += [
-            _write(server / "server.key_secret", server_public, secret),
-            _write(server / "server.key", server_public),
-        ]
-    public, secret = zmq.curve_keypair()
-    made += [
-        _write(server / "clients" / f"{policy}.key", public),
-        _write(mine / f"{policy}.key_secret", public, secret),
-        _write(mine / "server.key", server_public),
-    ]
-    return made
+    made = [] if all(present) else _create(server, SERVER)
+    public, secret = _create(mine, policy)
+    made += [_place(public, server / "clients" / public.name), secret]
+    public.unlink()  # only the server needs it
+    _read(server / "server.key")
+    trusted = mine / "server.key"
+    trusted.write_bytes((server / "server.key").read_bytes())
+    trusted.chmod(0o644)  # whatever the umask is
+    return [*made, trusted]
 
 
 def client_keys(folder: Folder) -> ClientKeys:
@@ -105,10 +99,8 @@ def client_keys(folder: Folder) -> ClientKeys:
             f"{root} has {[path.name for path in secrets]}; exactly one policy's *.key_secret is "
             "needed; `./surg policy keys` makes one"
         )
-    own = _read_secret(secrets[0])
-    return ClientKeys(
-        own["public-key"], own["secret-key"], _read(root / "server.key")["public-key"]
-    )
+    public, secret = _read_secret(secrets[0])
+    return ClientKeys(public, secret, _read(root / "server.key")[0])
 
 
 def server_keys(folder: Folder) -> ServerKeys:
@@ -120,50 +112,51 @@ def server_keys(folder: Folder) -> ServerKeys:
     root = Path(folder)
     if not (root / "server.key_secret").is_file() and (root / SERVER).is_dir():
         root = root / SERVER
-    own = _read_secret(root / "server.key_secret")
-    clients = {
-        path.stem: _read(path)["public-key"] for path in sorted((root / "clients").glob("*.key"))
-    }
+    public, secret = _read_secret(root / "server.key_secret")
+    clients = {path.stem: _read(path)[0] for path in sorted((root / "clients").glob("*.key"))}
     if not clients:
         raise BadKeys(
             f"{root / 'clients'} has no *.key, so no policy could connect; `./surg policy keys` "
             "makes one"
         )
-    return ServerKeys(own["public-key"], own["secret-key"], clients)
+    return ServerKeys(public, secret, clients)
 
 
-def _write(path: Path, public: bytes, secret: bytes | None = None) -> Path:
-    """Write a certificate; fails if the file exists."""
-    text = 'metadata\ncurve\n    public-key = "' + public.decode("ascii") + '"\n'
-    if secret is not None:
-        text += '    secret-key = "' + secret.decode("ascii") + '"\n'
-    mode = 0o600 if secret is not None else 0o644
+def _create(folder: Path, name: str) -> list[Path]:
+    """New key pair; returns the files of the public and of the secret key."""
+    with tempfile.TemporaryDirectory(dir=folder) as private:
+        public, secret = (Path(file) for file in certs.create_certificates(private, name))
+        public.chmod(0o644)
+        secret.chmod(0o600)
+        return [_place(made, folder / made.name) for made in (public, secret)]
+
+
+def _place(made: Path, to: Path) -> Path:
+    """Give a file a second name; fails if there is a file of that name."""
     try:
-        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+        os.link(made, to)
     except FileExistsError:
-        raise BadKeys(f"{path} exists already, and nothing is overwritten") from None
-    with os.fdopen(handle, "w", encoding="ascii") as stream:
-        stream.write(text)
-    path.chmod(mode)  # whatever the umask is
-    return path
+        raise BadKeys(f"{to} exists already, and nothing is overwritten") from None
+    return to
 
 
-def _read(path: Path) -> dict[str, bytes]:
-    """Keys of a certificate, by name."""
+def _read(path: Path) -> tuple[bytes, bytes | None]:
+    """Public and secret key of a certificate."""
     try:
-        text = path.read_text("ascii")
-    except (OSError, UnicodeDecodeError) as error:
+        public, secret = certs.load_certificate(path)
+    except OSError as error:
         raise BadKeys(f"{path}: {error}; `./surg policy keys` makes keys") from None
-    keys = {name: key.encode("ascii") for name, key in _LINE.findall(text)}
-    if "public-key" not in keys:
+    except ValueError:  # without a public key
+        public, secret = b"", None
+    if not _KEY.fullmatch(public):
         raise BadKeys(f"{path}: no public-key of 40 characters; `./surg policy keys` makes keys")
-    return keys
+    return public, secret
 
 
-def _read_secret(path: Path) -> dict[str, bytes]:
-    keys = _read(path)
+def _read_secret(path: Path) -> tuple[bytes, bytes]:
+    public, secret = _read(path)
     if os.name == "posix" and path.stat().st_mode & 0o077:
         raise BadKeys(f"{path} can be read by others; run chmod 600 {path}")
-    if "secret-key" not in keys:
+    if secret is None or not _KEY.fullmatch(secret):
         raise BadKeys(f"{path}: no secret-key of 40 characters; `./surg policy keys` makes keys")
-    return keys
+    return public, secret

@@ -15,26 +15,17 @@ from typing import Any
 import zmq
 from zmq.utils import monitor
 
-from surg_policy_client import __version__
-from surg_policy_client.conversation import Conversation, State
+from surg_policy_client.connection_hint import HANDSHAKE_FAILED, ConnectionHint
+from surg_policy_client.conversation import Conversation, ConversationState
 from surg_policy_client.errors import NoServer
 from surg_policy_client.keys import ClientKeys, Folder, client_keys
 from surg_policy_client.spec import Spec
+from surg_policy_client.version import __version__
 from surg_policy_client.wire import MAX_PART, Message, decode, encode, receive
 
 _LINGER_MS = 200
 _RENEW_S = 1.0
 """[s] Time after a failed handshake until a new socket is opened."""
-_HINTS = {
-    "": "no server listens there. Start one (./surg run TASK --policy ADDRESS), or check the "
-    "address and the firewall between the machines.",
-    "connected": "a process listens there, but it is not a model server. Check that the address is "
-    "the one that the server prints when it starts.",
-    "protocol": "only one of server and client uses keys. If the server was started with keys, set "
-    "`keys` to the policy's folder of `./surg policy keys`; otherwise omit it.",
-    "denied": "the server does not know this client's key. Copy the policy's *.key to the "
-    "server's folder `server/clients` (./surg policy keys) and restart the server.",
-}
 
 
 class Link:
@@ -72,7 +63,7 @@ class Link:
         self._inbox: collections.deque[Message] = collections.deque(maxlen=1024)
         self._news = threading.Condition()
         self._sending = threading.Lock()
-        self._hint = ""
+        self._hint = ConnectionHint()
         self._renew = math.inf
         self._stop = False
         self._closed = False
@@ -111,10 +102,11 @@ class Link:
         """
         with self._news:
             self._news.wait_for(
-                lambda: self._conversation.state is not State.GREETING or self._stop, timeout_s
+                lambda: self._conversation.state is not ConversationState.GREETING or self._stop,
+                timeout_s,
             )
             self._raise_failure()
-            return self._conversation.state is State.LIVE
+            return self._conversation.state is ConversationState.LIVE
 
     def no_server(self, timeout_s: float) -> NoServer:
         """The error for a timeout."""
@@ -124,7 +116,7 @@ class Link:
         """Why there is probably no session, and what to do."""
         if self._conversation.busy:
             return f"the server is busy: {self._conversation.busy}"
-        return _HINTS[self._hint]
+        return self._hint.text
 
     def next(self, timeout_s: float) -> Message | None:
         """Next message of the server: WELCOME, OBS, ACK, EPISODE, BYE or ERR; None: timeout.
@@ -136,7 +128,11 @@ class Link:
         """
         with self._news:
             self._news.wait_for(
-                lambda: self._inbox or self._conversation.state is State.FAILED or self._stop,
+                lambda: (
+                    self._inbox
+                    or self._conversation.state is ConversationState.FAILED
+                    or self._stop
+                ),
                 timeout_s,
             )
             if self._inbox:
@@ -212,7 +208,7 @@ class Link:
                 if wire in ready:
                     self._listen(wire)
                 if watch in ready:
-                    self._note(monitor.recv_monitor_message(watch))
+                    self._note(monitor.recv_monitor_message(watch)["event"])
                 if out in ready:
                     parts = out.recv_multipart(copy=False)
                     if len(parts) == 1 and len(parts[0].buffer) == 0:
@@ -282,22 +278,10 @@ class Link:
                 self.skipped += 1
         self._inbox.append(message)
 
-    def _note(self, event: dict[str, Any]) -> None:
-        """Derive the hint from a socket event."""
-        kind = event["event"]
-        if kind == zmq.EVENT_CONNECTED:
-            self._hint = self._hint or "connected"
-        elif kind == zmq.EVENT_HANDSHAKE_SUCCEEDED:
-            self._hint = "connected"
+    def _note(self, event: int) -> None:
+        """Take in an event of the socket."""
+        self._hint.note(event)
+        if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
             self._conversation.reached()
-        elif kind == zmq.EVENT_CLOSED and self._hint == "connected":
-            self._hint = ""  # reached nobody; a handshake's result stays valid
-        elif kind == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
-            self._hint = "denied"
-            self._renew = time.monotonic() + _RENEW_S
-        elif kind in (
-            zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL,
-            zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL,
-        ):
-            self._hint = "protocol"
+        elif event in HANDSHAKE_FAILED:
             self._renew = time.monotonic() + _RENEW_S

@@ -6,11 +6,11 @@ import time
 from dataclasses import dataclass, replace
 from typing import Any, Callable, Sequence, Union
 
+from surg_policy_client.attention import to_wire
 from surg_policy_client.errors import Refused
 from surg_policy_client.keys import ClientKeys, Folder
 from surg_policy_client.link import Link
 from surg_policy_client.observation import Observation, as_message
-from surg_policy_client.seen import to_wire
 from surg_policy_client.spec import Spec
 from surg_policy_client.wire import Message
 
@@ -72,8 +72,8 @@ def serve(
 
     Args:
         policy: Has ``act(observation)`` and optionally ``reset(instruction, seed)``,
-            ``acknowledged(fields_of_ACK)``, ``wants``, and ``seen()``, the `Seen` of the answered
-            observation for people who watch; or is the function ``act`` itself. It returns a
+            ``acknowledged(fields_of_ACK)``, ``wants``, and ``seen()``, the `Attention` of the
+            observation, for people who watch; or is the function ``act`` itself. It returns a
             `Chunk`, rows [K, A], one row [A], or None (earlier rows stay valid).
         address: Of the server.
         wants: Observations that the policy needs, as keys or as a `Spec`; default:

@@ -6,18 +6,16 @@ need; None matches anything. `mismatches` compares the two.
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass, field
-from typing import Any, Callable, Mapping, Sequence
+from typing import Any, Mapping, Sequence
 
 import numpy as np
 
+from surg_policy_client import spec_checks as checks
+from surg_policy_client.spec_checks import SpecError
+
 DTYPES = {"u1": np.uint8, "i8": np.int64, "f4": np.float32, "f8": np.float64, "b1": np.bool_}
 """Element types of the wire, little-endian."""
-MAX_NDIM = 4
-MAX_SIDE = 1 << 16
-MAX_NAMES = 1024
-MAX_TEXT = 256
 MAX_FEATURES = 64
 ACTION_SPACES = {
     "absolute": {"x": "m", "y": "m", "z": "m", "roll": "rad", "jaw": "rad"},
@@ -34,10 +32,6 @@ HOW = {
     "privileged.": "simulator truth is served with ./surg run --observe privileged, or ~privileged",
 }
 """How to get observations that a server leaves out by default."""
-
-
-class SpecError(ValueError):
-    """An invalid specification; the message names the place and what is allowed."""
 
 
 @dataclass(frozen=True)
@@ -128,21 +122,21 @@ class Spec:
         Raises:
             SpecError: Names the place and what is allowed.
         """
-        top = _keys(value, "spec", ("task", "period_s", "observation", "action"))
+        top = checks.map_of(value, "spec", ("task", "period_s", "observation", "action"))
         observation = top["observation"]
         if not isinstance(observation, dict) or len(observation) > MAX_FEATURES:
             raise SpecError(f"spec.observation: a map of at most {MAX_FEATURES} features")
-        period = _maybe(_number)(top["period_s"], "spec.period_s")
+        period = checks.maybe(checks.number)(top["period_s"], "spec.period_s")
         if period is not None and not 0.0 < period <= 10.0:
             raise SpecError(f"spec.period_s: more than 0 and at most 10 s, not {period!r}")
         return cls(
-            task=_maybe(_text)(top["task"], "spec.task"),
+            task=checks.maybe(checks.text)(top["task"], "spec.task"),
             period_s=period,
             observation={
-                _text(key, "spec.observation"): _feature(feature, f"spec.observation.{key}")
+                checks.text(key, "spec.observation"): _feature(feature, f"spec.observation.{key}")
                 for key, feature in observation.items()
             },
-            action=_maybe(_action)(top["action"], "spec.action"),
+            action=checks.maybe(_action)(top["action"], "spec.action"),
         )
 
     def served(self) -> Spec:
@@ -175,7 +169,7 @@ class Spec:
         Limits (``low``, ``high``) are not compared.
         """
         differences = [
-            f"{name}: the policy wants {_shown(mine)}, the server has {_shown(theirs)}"
+            f"{name}: the policy wants {checks.shown(mine)}, the server has {checks.shown(theirs)}"
             for name, mine, theirs in self._pairs(served)
             if mine is not None and mine != theirs
         ]
@@ -237,31 +231,33 @@ class Spec:
 
 
 def _feature(value: Any, where: str) -> Feature:
-    top = _keys(value, where, ("dtype", "shape", "unit", "frame", "names", "privileged"))
+    top = checks.map_of(value, where, ("dtype", "shape", "unit", "frame", "names", "privileged"))
     if top["dtype"] is not None and (
         not isinstance(top["dtype"], str) or top["dtype"] not in DTYPES
     ):
-        raise SpecError(f"{where}.dtype: one of {', '.join(DTYPES)}, not {_shown(top['dtype'])}")
+        raise SpecError(
+            f"{where}.dtype: one of {', '.join(DTYPES)}, not {checks.shown(top['dtype'])}"
+        )
     if not isinstance(top["privileged"], bool):
         raise SpecError(f"{where}.privileged: true or false")
     return Feature(
         dtype=top["dtype"],
-        shape=_maybe(_shape)(top["shape"], f"{where}.shape"),
-        unit=_maybe(_text)(top["unit"], f"{where}.unit"),
-        frame=_maybe(_text)(top["frame"], f"{where}.frame"),
-        names=_maybe(_texts)(top["names"], f"{where}.names"),
+        shape=checks.maybe(checks.shape)(top["shape"], f"{where}.shape"),
+        unit=checks.maybe(checks.text)(top["unit"], f"{where}.unit"),
+        frame=checks.maybe(checks.text)(top["frame"], f"{where}.frame"),
+        names=checks.maybe(checks.texts)(top["names"], f"{where}.names"),
         privileged=top["privileged"],
     )
 
 
 def _action(value: Any, where: str) -> ActionSpec:
-    top = _keys(value, where, ("names", "units", "frame", "low", "high"))
+    top = checks.map_of(value, where, ("names", "units", "frame", "low", "high"))
     action = ActionSpec(
-        names=_texts(top["names"], f"{where}.names"),
-        units=_texts(top["units"], f"{where}.units"),
-        frame=_maybe(_text)(top["frame"], f"{where}.frame"),
-        low=_maybe(_numbers)(top["low"], f"{where}.low"),
-        high=_maybe(_numbers)(top["high"], f"{where}.high"),
+        names=checks.texts(top["names"], f"{where}.names"),
+        units=checks.texts(top["units"], f"{where}.units"),
+        frame=checks.maybe(checks.text)(top["frame"], f"{where}.frame"),
+        low=checks.maybe(checks.numbers)(top["low"], f"{where}.low"),
+        high=checks.maybe(checks.numbers)(top["high"], f"{where}.high"),
     )
     if not action.names or len(set(action.names)) != len(action.names):
         raise SpecError(f"{where}.names: at least one, and each once")
@@ -272,61 +268,8 @@ def _action(value: Any, where: str) -> ActionSpec:
     return action
 
 
-def _keys(value: Any, where: str, keys: Sequence[str]) -> dict[str, Any]:
-    """A map with exactly these keys."""
-    if not isinstance(value, dict):
-        raise SpecError(f"{where}: a map, not {type(value).__name__}")
-    if set(value) != set(keys):
-        raise SpecError(f"{where}: exactly the keys {', '.join(keys)}, not {_shown(list(value))}")
-    return value
-
-
-def _maybe(check: Callable[[Any, str], Any]) -> Callable[[Any, str], Any]:
-    """Check the value unless it is None."""
-    return lambda value, where: None if value is None else check(value, where)
-
-
-def _text(value: Any, where: str) -> str:
-    if not isinstance(value, str) or not 0 < len(value) <= MAX_TEXT:
-        raise SpecError(f"{where}: a text of 1 to {MAX_TEXT} characters, not {_shown(value)}")
-    return value
-
-
-def _texts(value: Any, where: str) -> tuple[str, ...]:
-    return tuple(_text(item, where) for item in _list(value, where))
-
-
-def _number(value: Any, where: str) -> float:
-    if type(value) not in (int, float) or not abs(value) < 1e300 or math.isnan(value):
-        raise SpecError(f"{where}: a finite number, not {_shown(value)}")
-    return float(value)
-
-
-def _numbers(value: Any, where: str) -> tuple[float, ...]:
-    return tuple(_number(item, where) for item in _list(value, where))
-
-
-def _shape(value: Any, where: str) -> tuple[int, ...]:
-    sides = _list(value, where)
-    if len(sides) > MAX_NDIM or any(type(s) is not int or not 0 < s <= MAX_SIDE for s in sides):
-        raise SpecError(f"{where}: at most {MAX_NDIM} sides of 1 to {MAX_SIDE}")
-    return tuple(sides)
-
-
-def _list(value: Any, where: str) -> list[Any]:
-    if not isinstance(value, list) or len(value) > MAX_NAMES:
-        raise SpecError(f"{where}: a list of at most {MAX_NAMES}")
-    return value
-
-
 def _lists(value: Any) -> Any:
     """With lists in the place of tuples."""
     if isinstance(value, dict):
         return {key: _lists(item) for key, item in value.items()}
     return list(value) if isinstance(value, tuple) else value
-
-
-def _shown(value: Any) -> str:
-    """A value for an error message, shortened."""
-    text = "any" if value is None else repr(value)
-    return text if len(text) <= 200 else text[:200] + "…"

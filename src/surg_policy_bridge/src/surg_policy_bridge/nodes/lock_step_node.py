@@ -13,7 +13,7 @@ import rospy
 from surg_core.arm_view import ArmView
 from surg_core.contract import GRID, SECOND_NS, TICK_NS
 from surg_policy_bridge.nodes.server_io_node import ServerIO
-from surg_policy_bridge.server.model_server import State
+from surg_policy_bridge.server.model_server import ServerState
 from surg_policy_bridge.server.observer import Observation
 from surg_ros.participant import Participant, TickInputs
 from surg_ros.peers import publishers
@@ -76,7 +76,7 @@ class LockStep:
         views = io.views()
         cause, obstacle = io.refusal()
         commands = io.server.tick(views, at, time.monotonic_ns(), obstacle, cause=cause)
-        if io.server.state is State.RUNNING:
+        if io.server.state is ServerState.RUNNING:
             observation = self._complete(views, number)
             if observation is not None:
                 io.server.observe(observation, at, time.monotonic_ns())

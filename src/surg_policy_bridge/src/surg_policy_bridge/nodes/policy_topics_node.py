@@ -12,8 +12,8 @@ from surg_core.contract import ARM_ACTION, SECOND_NS, STEP
 from surg_msgs.msg import PolicyAction, PolicyPlan, PolicyStatus
 from surg_policy_bridge.nodes.policy_status_node import policy_status, saturate
 from surg_policy_bridge.server import policy_plan
-from surg_policy_bridge.server.model_server import ModelServer, State
-from surg_policy_client.seen import Seen
+from surg_policy_bridge.server.model_server import ModelServer, ServerState
+from surg_policy_client.attention import Attention
 
 STATUS_PERIOD = SECOND_NS // 2
 """[ns] Longest interval between two status messages."""
@@ -69,7 +69,7 @@ class PolicyTopics:
         if status == self._last and now - self._last_time < STATUS_PERIOD:
             return
         if status[:1] != self._last[:1]:
-            self._enabled.publish(Bool(server.state is State.RUNNING))
+            self._enabled.publish(Bool(server.state is ServerState.RUNNING))
             rospy.loginfo("policy %s %s", server.state.value, server.reason)
         self._last, self._last_time = status, now
         self._status.publish(policy_status(server, refused, self._address))
@@ -108,7 +108,7 @@ def plan_message(
     return message
 
 
-def _add_seen(message: PolicyPlan, seen: Seen) -> None:
+def _add_seen(message: PolicyPlan, seen: Attention) -> None:
     message.picture, message.phase, message.area = seen.picture, seen.phase, list(seen.area)
     if seen.confidence is not None:
         message.confidence = seen.confidence
@@ -117,6 +117,6 @@ def _add_seen(message: PolicyPlan, seen: Seen) -> None:
         message.x.append(point.x)
         message.y.append(point.y)
         message.certainty.append(point.confidence)
-    if seen.attention is not None:
-        message.map_rows, message.map_columns = seen.attention.shape
-        message.attention = seen.attention.tobytes()
+    if seen.heat_map is not None:
+        message.map_rows, message.map_columns = seen.heat_map.shape
+        message.attention = seen.heat_map.tobytes()

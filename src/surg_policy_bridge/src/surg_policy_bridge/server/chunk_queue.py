@@ -22,7 +22,7 @@ LONGEST = 256
 
 
 @dataclass(frozen=True)
-class Step:
+class ActionStep:
     """One row of a chunk."""
 
     number: int  # grid time of its target
@@ -35,7 +35,7 @@ class ChunkQueue:
     """Steps by number; none before `next` is accepted."""
 
     def __init__(self) -> None:
-        self._steps: dict[int, Step] = {}
+        self._steps: dict[int, ActionStep] = {}
         self.next = 0
         """The first step that is not executed yet."""
         self._open = 0
@@ -65,10 +65,10 @@ class ChunkQueue:
         self._steps = {n: step for n, step in self._steps.items() if n < begin}
         for number, row in enumerate(rows[begun:], begin):
             if number < self.next + LONGEST:
-                self._steps[number] = Step(number, np.array(row, dtype=np.float64), seq, seen)
+                self._steps[number] = ActionStep(number, np.array(row, dtype=np.float64), seq, seen)
         return late
 
-    def take(self, number: int, past: int | None = None) -> Step | None:
+    def take(self, number: int, past: int | None = None) -> ActionStep | None:
         """Execute the step of this number and drop those before it.
 
         The time of the steps up to ``past`` is over; default: of this step itself.
@@ -79,7 +79,7 @@ class ChunkQueue:
         self._steps = {n: later for n, later in self._steps.items() if n >= self.next}
         return step
 
-    def peek(self, number: int) -> Step | None:
+    def peek(self, number: int) -> ActionStep | None:
         """The step of this number, without executing it."""
         return self._steps.get(number)
 

@@ -37,8 +37,8 @@ from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_bridge.server.policy_plan import PolicyPlan, shown_rows
 from surg_policy_bridge.server.safety_controller import SafetyController
 from surg_policy_bridge.server.sessions import (
+    PolicySession,
     SentObservation,
-    Session,
     in_space_of,
     refusal,
     spec_for,
@@ -54,7 +54,7 @@ VERSIONS = range(1, wire.VERSION + 1)
 """Protocol versions that this server speaks."""
 
 
-class State(enum.Enum):
+class ServerState(enum.Enum):
     """What the policy does to the arms."""
 
     IDLE = "IDLE"
@@ -64,7 +64,7 @@ class State(enum.Enum):
     PAUSED = "PAUSED"
 
 
-ACTIVE = (State.WAKING, State.RUNNING)
+ACTIVE = (ServerState.WAKING, ServerState.RUNNING)
 """States in which the policy holds arms, or is about to."""
 
 
@@ -118,9 +118,9 @@ class ModelServer:
         self._start_pending = False
         self._episode_open = False
         self._plan: PolicyPlan | None = None
-        self.state = State.IDLE
+        self.state = ServerState.IDLE
         self.cause, self.reason = StopReason.NO_POLICY, "no policy is connected"
-        self.session: Session | None = None
+        self.session: PolicySession | None = None
         self.waiting = False
         self.counters = Counters()
         self.steps = StepExecutor(
@@ -143,9 +143,9 @@ class ModelServer:
         self._start_pending = False
         if not on:
             if self.state in ACTIVE:
-                self._stop(State.READY, StopReason.NOT_ENABLED, "not enabled")
-            elif self.state is State.PAUSED:
-                self._set_state(State.READY, StopReason.NOT_ENABLED, "not enabled")
+                self._stop(ServerState.READY, StopReason.NOT_ENABLED, "not enabled")
+            elif self.state is ServerState.PAUSED:
+                self._set_state(ServerState.READY, StopReason.NOT_ENABLED, "not enabled")
             return ""
         if self.state in ACTIVE:
             return ""
@@ -154,7 +154,7 @@ class ModelServer:
         if obstacle := self._obstacle or self._authority.obstacle(self._views):
             return obstacle
         self._authority.acquire(at)
-        self._set_state(State.WAKING, StopReason.NONE, "the arms are being enabled")
+        self._set_state(ServerState.WAKING, StopReason.NONE, "the arms are being enabled")
         return ""
 
     def episode_over(self, success: bool | None, reason: str) -> None:
@@ -163,12 +163,12 @@ class ModelServer:
             self._episode_open = False
             self._send_episode("end", success, reason)
         if self.state in ACTIVE:
-            self._stop(State.READY, StopReason.EPISODE_OVER, "the episode is over")
+            self._stop(ServerState.READY, StopReason.EPISODE_OVER, "the episode is over")
 
     def end(self, reason: str) -> None:
         """End the server: pause the arms and tell the policy."""
         if self.state in ACTIVE:
-            self._stop(State.PAUSED, StopReason.SERVER_ENDED, reason)
+            self._stop(ServerState.PAUSED, StopReason.SERVER_ENDED, reason)
         if self.session is not None:
             farewell = {"session": self.session.number, "reason": reason}
             self._send(self.session.peer, Message("BYE", farewell))
@@ -201,7 +201,7 @@ class ModelServer:
         self._views, self._at, self._obstacle = views, at, obstacle or camera_problem
         cause = cause if obstacle else StopReason.CAMERA
         if self._obstacle and self.state in ACTIVE:
-            self._stop(State.PAUSED, cause, self._obstacle)
+            self._stop(ServerState.PAUSED, cause, self._obstacle)
         if self.session is not None and self.session.silence.exceeded(now):
             limit_ms = 1e-6 * self._settings.silence
             silent = f"the policy has been silent for more than {limit_ms:.0f} ms"
@@ -215,8 +215,8 @@ class ModelServer:
             coming_up = bool(camera_problem) or any(arm not in views for arm in self._settings.arms)
             self._start_pending = bool(refused) and not obstacle and coming_up
         if lost := self._authority.monitor(views, at):
-            self._stop(State.PAUSED, StopReason.ARM, lost)
-        elif self.state is State.WAKING and self._authority.phase is Phase.HELD:
+            self._stop(ServerState.PAUSED, StopReason.ARM, lost)
+        elif self.state is ServerState.WAKING and self._authority.phase is Phase.HELD:
             self._run()
         return self._authority.take_commands()
 
@@ -228,7 +228,7 @@ class ModelServer:
         It was taken at ``at``; ``now`` is the steady clock [ns].
         """
         session = self.session
-        if session is None or self.state is not State.RUNNING:
+        if session is None or self.state is not ServerState.RUNNING:
             return
         self._observation_problem = ""
         seq = session.note(SentObservation(observation.stamp_ns, observation.step, at, now))
@@ -257,7 +257,9 @@ class ModelServer:
         """The newest observation has no answer yet."""
         session = self.session
         return (
-            self.state is State.RUNNING and session is not None and session.answered < session.seq
+            self.state is ServerState.RUNNING
+            and session is not None
+            and session.answered < session.seq
         )
 
     def execute(self, number: int, at: int, past: int | None = None) -> dict[str, Target]:
@@ -273,13 +275,13 @@ class ModelServer:
         """
         self._at = at
         session = self.session
-        if self.state is not State.RUNNING or session is None:
+        if self.state is not ServerState.RUNNING or session is None:
             self.steps.queue.take(number, past)
             return {}
         step = self.steps.take(number, past, at)
         if step is None:
             if self.steps.starved(at):
-                self._stop(State.PAUSED, *self._starvation())
+                self._stop(ServerState.PAUSED, *self._starvation())
             return {}
         targets = self.steps.judge(session, step, self._views, at)
         if not targets:
@@ -295,15 +297,15 @@ class ModelServer:
         return StopReason.NO_ACTION, f"the policy has sent no action for more than {limit:g} s"
 
     def _pause_after_rejects(self) -> None:
-        if self.steps.rejected_in_a_row >= REJECTS and self.state is State.RUNNING:
+        if self.steps.rejected_in_a_row >= REJECTS and self.state is ServerState.RUNNING:
             text = f"{REJECTS} rejected steps in a row; the last: {self.steps.judged[-1].text}"
-            self._stop(State.PAUSED, StopReason.REJECTED, text)
+            self._stop(ServerState.PAUSED, StopReason.REJECTED, text)
 
     # --- states -----------------------------------------------------------------------------------
 
     def _run(self) -> None:
         """The arms are held; answers to earlier observations are too late."""
-        self._set_state(State.RUNNING, StopReason.NONE, "")
+        self._set_state(ServerState.RUNNING, StopReason.NONE, "")
         if self.session is not None:
             self.session.answered = self.session.seq
         self.steps.start(self._at)
@@ -315,10 +317,10 @@ class ModelServer:
             self.steps.begin_episode()
             self._send_episode("begin", None, "")
 
-    def _set_state(self, state: State, cause: StopReason, reason: str) -> None:
+    def _set_state(self, state: ServerState, cause: StopReason, reason: str) -> None:
         self.state, self.cause, self.reason = state, cause, reason
 
-    def _stop(self, state: State, cause: StopReason, reason: str) -> None:
+    def _stop(self, state: ServerState, cause: StopReason, reason: str) -> None:
         """Execute nothing that is queued, and pause the arms that are held."""
         self.steps.stop()
         self._authority.release(self._views)
@@ -330,12 +332,12 @@ class ModelServer:
 
     def _lose_session(self, cause: StopReason, reason: str) -> None:
         if self.state in ACTIVE:
-            self._stop(State.PAUSED, cause, reason)
+            self._stop(ServerState.PAUSED, cause, reason)
         self._forget_session(cause, reason)
 
     def _forget_session(self, cause: StopReason, reason: str) -> None:
         self.session, self._start_pending = None, False
-        self._set_state(State.IDLE, cause, f"{reason}; no policy is connected")
+        self._set_state(ServerState.IDLE, cause, f"{reason}; no policy is connected")
 
     # --- messages of the policy -------------------------------------------------------------------
 
@@ -369,7 +371,7 @@ class ModelServer:
         session = self.session
         if session is None or peer != session.peer:
             return
-        if error.code == "finite" and self.state is State.RUNNING:
+        if error.code == "finite" and self.state is ServerState.RUNNING:
             self.steps.reject(session, 0, "not_finite", str(error), self._at)
             self._pause_after_rejects()
             self._acknowledge(session.answered)
@@ -398,7 +400,7 @@ class ModelServer:
             self._open_session(peer, head, spec, now)
 
     def _open_session(self, peer: bytes, head: dict[str, Any], spec: Spec, now: int) -> None:
-        self.session = Session(
+        self.session = PolicySession(
             number=self._new_session(),
             peer=peer,
             client=head["client"],
@@ -410,14 +412,14 @@ class ModelServer:
         self.waiting = True
         self.counters.sessions += 1
         self.steps.take_tally()
-        if self.state is State.IDLE:
-            self._set_state(State.READY, StopReason.NOT_ENABLED, "not enabled")
+        if self.state is ServerState.IDLE:
+            self._set_state(ServerState.READY, StopReason.NOT_ENABLED, "not enabled")
         self._start_pending = self._settings.autostart
         self._welcome(self.session)
 
-    def _reset(self, session: Session) -> None:
+    def _reset(self, session: PolicySession) -> None:
         """Granted where nothing has moved yet; else episodes begin on the server's side."""
-        if self.state is State.RUNNING and not session.acted:
+        if self.state is ServerState.RUNNING and not session.acted:
             return
         self._refuse(
             session.peer,
@@ -426,14 +428,14 @@ class ModelServer:
             "otherwise publish true on /policy/enable when the scene is ready",
         )
 
-    def _act(self, session: Session, message: Message, now: int) -> None:
+    def _act(self, session: PolicySession, message: Message, now: int) -> None:
         head, rows = message.head, message.arrays["chunk"]
         seq, first = head["seq"], head["step0"]
         sent = session.sent.get(seq)
         if sent is None or sent.stamp_ns != head["stamp_ns"]:
             text = f"observation {seq} of stamp {head['stamp_ns']} was never sent, or long ago"
             self.steps.reject(session, first, "observation", text, self._at)
-        elif seq <= session.answered or self.state is not State.RUNNING:
+        elif seq <= session.answered or self.state is not ServerState.RUNNING:
             self.steps.count_stale(len(rows))
         else:
             session.answered, session.acted = seq, True
@@ -445,7 +447,7 @@ class ModelServer:
         self._pause_after_rejects()
         self._acknowledge(seq)
 
-    def _note_plan(self, session: Session, message: Message, sent: SentObservation) -> None:
+    def _note_plan(self, session: PolicySession, message: Message, sent: SentObservation) -> None:
         """Keep for people what the policy plans and sees. Nothing else reads it."""
         if message.unseen:
             self.counters.malformed["seen"] += 1
@@ -475,7 +477,7 @@ class ModelServer:
     def _refuse(self, peer: bytes, code: str, text: str) -> None:
         self._send(peer, Message("ERR", {"code": code, "text": text}))
 
-    def _welcome(self, session: Session) -> None:
+    def _welcome(self, session: PolicySession) -> None:
         settings = self._settings
         reply = server_replies.welcome(session, settings.max_obs_age, settings.silence)
         self._send(session.peer, reply)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_policy_client.seen import Seen
+from surg_policy_client.attention import Attention
 
 LONGEST = 32
 """Steps of a plan; a policy's observation is too old for later ones anyway."""
@@ -39,5 +39,5 @@ class PolicyPlan:
     stamp_ns: int
     first: int
     rows: NDArray[np.float64]
-    seen: Seen | None = None
+    seen: Attention | None = None
     unseen: str = ""

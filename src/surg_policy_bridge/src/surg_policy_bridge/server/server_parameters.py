@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from surg_core.contract import GRID_RATE
 from surg_policy_bridge.server import listen_address
 from surg_policy_bridge.server.safety_controller import CLIPPABLE, CLIPPED
-from surg_policy_client.spec import MAX_TEXT
+from surg_policy_client.spec_checks import MAX_TEXT
 from surg_policy_client.wire import MAX_PARTS, MAX_SENTENCE
 from surg_ros.params import ParamError, flag, names, one_of, real, text
 

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from surg_core.contract import SECOND_NS
-from surg_policy_bridge.server.sessions import Session
+from surg_policy_bridge.server.sessions import PolicySession
 from surg_policy_client.wire import MAX_SENTENCE, Message
 
 PING = 50_000_000
@@ -27,7 +27,7 @@ class AckTally:
     rejected: list[dict[str, Any]] = field(default_factory=list)
 
 
-def welcome(session: Session, max_obs_age: int, silence: int) -> Message:
+def welcome(session: PolicySession, max_obs_age: int, silence: int) -> Message:
     """A session is open; ages and timeouts in [ns]."""
     return Message(
         "WELCOME",
@@ -42,7 +42,7 @@ def welcome(session: Session, max_obs_age: int, silence: int) -> Message:
     )
 
 
-def acknowledgement(session: Session, seq: int, tally: AckTally, queued: int) -> Message:
+def acknowledgement(session: PolicySession, seq: int, tally: AckTally, queued: int) -> Message:
     """What has become of the steps that answer observation ``seq``, and of earlier ones."""
     return Message(
         "ACK",
@@ -61,7 +61,12 @@ def rejected_step(step: int, rule: str, text: str) -> dict[str, Any]:
 
 
 def episode(
-    session: Session, number: int, event: str, instruction: str, success: bool | None, reason: str
+    session: PolicySession,
+    number: int,
+    event: str,
+    instruction: str,
+    success: bool | None,
+    reason: str,
 ) -> Message:
     """An episode begins, is paused, resumes or ends."""
     return Message(

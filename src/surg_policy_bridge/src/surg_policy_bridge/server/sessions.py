@@ -75,7 +75,7 @@ def new_number() -> int:
 
 
 @dataclass
-class Session:
+class PolicySession:
     """A connected policy."""
 
     number: int  # random; part of every message of the session

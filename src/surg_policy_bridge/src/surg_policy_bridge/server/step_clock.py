@@ -14,7 +14,7 @@ import numpy as np
 
 from surg_core.arm_view import ArmView
 from surg_core.contract import ARM_ACTION, STEP_NS
-from surg_policy_bridge.server.model_server import ModelServer, State
+from surg_policy_bridge.server.model_server import ModelServer, ServerState
 from surg_policy_bridge.server.playout import SEND, Piece
 from surg_policy_bridge.server.policy_arm import Target
 
@@ -59,7 +59,7 @@ class StepClock:
         if step > self._step:
             self._step = step
             self._begin(server, views, step, now)
-        if server.state is not State.RUNNING:
+        if server.state is not ServerState.RUNNING:
             self._pieces, self._last = {}, (now, {})
         if not self._pieces or now - self._sent < SEND:
             return {}

@@ -12,12 +12,12 @@ from surg_core import action_space
 from surg_core.action_space import ActionSpace
 from surg_core.arm_view import ArmView
 from surg_core.contract import ARM_ACTION, STEP
-from surg_policy_bridge.server.chunk_queue import ChunkQueue, Step
+from surg_policy_bridge.server.chunk_queue import ActionStep, ChunkQueue
 from surg_policy_bridge.server.counters import Counters
 from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_bridge.server.safety_controller import SafetyController
 from surg_policy_bridge.server.server_replies import AckTally, rejected_step
-from surg_policy_bridge.server.sessions import SentObservation, Session
+from surg_policy_bridge.server.sessions import PolicySession, SentObservation
 from surg_policy_bridge.server.timers import Timeout
 
 Array = NDArray[np.float64]
@@ -83,7 +83,7 @@ class StepExecutor:
         self._sent.clear()
         self._empty.clear()
 
-    def take(self, number: int, past: int | None, at: int) -> Step | None:
+    def take(self, number: int, past: int | None, at: int) -> ActionStep | None:
         """The step of a grid time; see :meth:`ChunkQueue.take`."""
         self.count_stale(self.queue.drop_older(at - self._max_obs_age))
         step = self.queue.take(number, past)
@@ -104,7 +104,7 @@ class StepExecutor:
         return None if step is None else self._targets(step.row)
 
     def judge(
-        self, session: Session, step: Step, views: Mapping[str, ArmView], at: int
+        self, session: PolicySession, step: ActionStep, views: Mapping[str, ArmView], at: int
     ) -> dict[str, Target]:
         """What may be sent of a step, by arm; empty: it is rejected."""
         at_rest = not self._safety.streaming(at)
@@ -141,7 +141,7 @@ class StepExecutor:
 
     def reject(
         self,
-        session: Session,
+        session: PolicySession,
         number: int,
         rule: str,
         text: str,
@@ -161,7 +161,7 @@ class StepExecutor:
 
     def splice(
         self,
-        session: Session,
+        session: PolicySession,
         first: int,
         rows: Array,
         seq: int,
@@ -189,7 +189,7 @@ class StepExecutor:
             self._counters.late += late
             self._tally.late += late
 
-    def _space(self, session: Session) -> ActionSpace:
+    def _space(self, session: PolicySession) -> ActionSpace:
         names = session.spec.action.names if session.spec.action is not None else ()
         return action_space.of_columns(names, self._arms) or ActionSpace()
 

@@ -20,8 +20,8 @@ def run(jobs: Sequence[Job], options: ExportOptions, done: Done) -> None:
         job = by_key[key]
         done(Outcome(job.folder, job.key, f"{job.folder}: {why}"))
 
-    place = job_pool.Workplace(options.executor, options.workers, options.scheduler)
-    ends = job_pool.Ends[Outcome](done=lambda _, outcome: done(outcome), lost=lost)
+    place = job_pool.Executor(options.executor, options.workers, options.scheduler)
+    ends = job_pool.JobCallbacks[Outcome](done=lambda _, outcome: done(outcome), lost=lost)
     try:
         job_pool.run(make, by_key, place, ends)
     except job_pool.NoExecutor as problem:

@@ -24,7 +24,7 @@ WHOLE = (0.0, 0.0, 1.0, 1.0)
 FIELDS = ("version", "picture", "phase", "confidence", "keypoints", "area")
 
 
-class SeenError(ValueError):
+class AttentionError(ValueError):
     """It must not be told; the message names the place and what is allowed."""
 
 
@@ -46,7 +46,7 @@ class Keypoint:
 
 
 @dataclass(frozen=True)
-class Seen:
+class Attention:
     """What a policy saw in one observation.
 
     Attributes:
@@ -54,7 +54,7 @@ class Seen:
         phase: Of the task, in the policy's own words; empty: not said.
         confidence: In what it does, 0 to 1; None: not said.
         picture: Key of the observation that the places are in; empty: there are none.
-        attention: (h, w) uint8, at most 32 x 32: where it looks, 255 the most; None: not said.
+        heat_map: (h, w) uint8, at most 32 x 32: where it looks, 255 the most; None: not said.
         area: Left, top, right, bottom of that map, as shares of the picture.
     """
 
@@ -62,15 +62,15 @@ class Seen:
     phase: str = ""
     confidence: float | None = None
     picture: str = ""
-    attention: np.ndarray | None = field(default=None, compare=False)
+    heat_map: np.ndarray | None = field(default=None, compare=False)
     area: tuple[float, float, float, float] = WHOLE
 
 
-def to_wire(seen: Seen) -> tuple[dict[str, Any], np.ndarray | None]:
-    """The map and the attention of an ACT.
+def to_wire(seen: Attention) -> tuple[dict[str, Any], np.ndarray | None]:
+    """The fields and the heat map of an ACT.
 
     Raises:
-        SeenError: It must not be told.
+        AttentionError: It must not be told.
     """
     points = [[p.name, float(p.x), float(p.y), float(p.confidence)] for p in seen.keypoints]
     head = {
@@ -81,42 +81,42 @@ def to_wire(seen: Seen) -> tuple[dict[str, Any], np.ndarray | None]:
         "keypoints": points,
         "area": [float(each) for each in seen.area],
     }
-    attention = None if seen.attention is None else np.asarray(seen.attention, order="C")
+    attention = None if seen.heat_map is None else np.asarray(seen.heat_map, order="C")
     from_wire(head, attention)
     return head, attention
 
 
-def from_wire(head: Any, attention: np.ndarray | None) -> Seen:
+def from_wire(head: Any, attention: np.ndarray | None) -> Attention:
     """What an ACT says; the inverse of `to_wire`.
 
     Raises:
-        SeenError: It must not be believed.
+        AttentionError: It must not be believed.
     """
     if type(head) is not dict or head.keys() != set(FIELDS):
-        raise SeenError(f"seen: a map with exactly {', '.join(FIELDS)}")
+        raise AttentionError(f"seen: a map with exactly {', '.join(FIELDS)}")
     if head["version"] != VERSION:
-        raise SeenError(f"seen.version: {VERSION}, not {head['version']!r:.40}")
+        raise AttentionError(f"seen.version: {VERSION}, not {head['version']!r:.40}")
     points = head["keypoints"]
     if type(points) is not list or len(points) > MAX_KEYPOINTS:
-        raise SeenError(f"seen.keypoints: a list of at most {MAX_KEYPOINTS}")
+        raise AttentionError(f"seen.keypoints: a list of at most {MAX_KEYPOINTS}")
     area = head["area"]
     if type(area) is not list or len(area) != 4 or not all(_within(v, 0.0, 1.0) for v in area):
-        raise SeenError("seen.area: [left, top, right, bottom], each 0 to 1")
+        raise AttentionError("seen.area: [left, top, right, bottom], each 0 to 1")
     if not (area[0] < area[2] and area[1] < area[3]):
-        raise SeenError("seen.area: left before right, top before bottom")
+        raise AttentionError("seen.area: left before right, top before bottom")
     confidence = head["confidence"]
     if confidence is not None and not _within(confidence, 0.0, 1.0):
-        raise SeenError("seen.confidence: nil, or 0 to 1")
+        raise AttentionError("seen.confidence: nil, or 0 to 1")
     _text(head, "picture", MAX_KEY)
     _text(head, "phase", MAX_NAME)
     if attention is not None:
         _check_map(attention)
-    return Seen(
+    return Attention(
         keypoints=tuple(_keypoint(n, point) for n, point in enumerate(points)),
         phase=head["phase"],
         confidence=confidence,
         picture=head["picture"],
-        attention=attention,
+        heat_map=attention,
         area=(area[0], area[1], area[2], area[3]),
     )
 
@@ -131,7 +131,7 @@ def _keypoint(number: int, point: Any) -> Keypoint:
         and _within(point[3], 0.0, 1.0)
     )
     if not good:
-        raise SeenError(
+        raise AttentionError(
             f"seen.keypoints[{number}]: [name of 1 to {MAX_NAME} characters, x and y of {-NEAR:g} "
             f"to {NEAR:g}, confidence of 0 to 1]"
         )
@@ -140,13 +140,13 @@ def _keypoint(number: int, point: Any) -> Keypoint:
 
 def _text(head: Mapping[str, Any], name: str, most: int) -> None:
     if type(head[name]) is not str or len(head[name]) > most:
-        raise SeenError(f"seen.{name}: a text of at most {most} characters")
+        raise AttentionError(f"seen.{name}: a text of at most {most} characters")
 
 
 def _check_map(attention: np.ndarray) -> None:
     shape = attention.shape
     if attention.dtype != np.uint8 or len(shape) != 2 or not all(1 <= n <= MAX_SIDE for n in shape):
-        raise SeenError(
+        raise AttentionError(
             f"attention: u1, 1 to {MAX_SIDE} rows and columns, not {attention.dtype} {list(shape)}"
         )
 
