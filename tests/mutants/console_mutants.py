@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from mutants.mutants import Mutant, one
 
-DEAD_MAN, BESIDE = ("test_console_dead_man",), ("test_console_beside",)
+DEAD_MAN, OVERLAYS = ("test_console_dead_man",), ("test_console_overlays",)
 HEADSET = ("test_console_headset_input", "test_console_protocol")
 MUTANTS: tuple[Mutant, ...] = (
     # -- a headset's dead-man
@@ -61,14 +61,14 @@ MUTANTS: tuple[Mutant, ...] = (
         "                if errors >= 1000 * MAX_ERRORS:",
         HEADSET,
     ),
-    # -- beside the picture
+    # -- overlays
     one(
         "collected_without_a_page",
         "marks and joints are collected after the last page has closed its view",
         "web/overlay_socket.py",
         "                self._source.watch(what, False)",
         "                pass",
-        BESIDE,
+        OVERLAYS,
     ),
     one(
         "a_connection_of_a_burst_is_lost",
@@ -84,7 +84,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "session/scene_view.py",
         "            if q is None or len(q) != each.arm.chain.dof or not np.isfinite(q).all():",
         "            if q is None or len(q) != each.arm.chain.dof:",
-        BESIDE,
+        OVERLAYS,
     ),
     one(
         "the_shaft_ends_at_the_flange",
@@ -92,6 +92,6 @@ MUTANTS: tuple[Mutant, ...] = (
         "session/scene_view.py",
         "        tip = (X_WF @ [*arm.tool.p_FTip, 1.0])[:3]",
         "        tip = X_WF[:3, 3]",
-        BESIDE,
+        OVERLAYS,
     ),
 )
