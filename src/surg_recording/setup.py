@@ -24,6 +24,7 @@ setuptools.setup(
     extras_require={
         "lerobot": ["pyarrow>=15,<26"],
         "hdf5": ["h5py>=3.7"],
+        "mcap": ["mcap>=1.2,<2"],
         "zarr": ["zarr>=2.13,<3"],
         "dask": ["distributed>=2022.12"],
     },

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import subprocess
 from collections.abc import Iterator
@@ -14,14 +13,17 @@ import numpy as np
 import pytest
 import rosbag
 import roslib.message
+from mcap.reader import make_reader
+from std_msgs.msg import String
 
 from helpers.recording import datasets_synthetic, felt_forces, picture_identity
 from helpers.recording.datasets_synthetic import FRAME_NS
 from helpers.recording.picture_identity import Identity
 from helpers.recording.recording_synthetic import Synthetic, path
 from helpers.tree import oracle_venv
-from surg_recording import datasets, mcap_file
+from surg_recording import datasets
 from surg_recording.datasets import ExportOptions
+from surg_recording.nodes.ros_messages_node import Stamped
 from surg_recording.recording_errors import EpisodeError
 
 OPTIONS = ExportOptions(executor="serial", splits={"train": 1.0})
@@ -42,7 +44,7 @@ def read(file: Path) -> Iterator[tuple[str, Any, int]]:
             for topic, message, time in bag.read_messages():
                 yield topic, message, time.to_nsec()
         return
-    for topic, kind, time_ns, data in mcap_file.messages(file):
+    for time_ns, topic, kind, data in datasets.load("mcap").read_file(file):
         message = roslib.message.get_message_class(kind)()
         message.deserialize(data)
         yield topic, message, time_ns
@@ -106,7 +108,7 @@ def test_a_damaged_mcap_is_noticed(recording: Path, tmp_path: Path) -> None:
             spoiled[place] ^= 0x40
         file.write_bytes(spoiled[:cut])
         with pytest.raises(EpisodeError, match=r"\.mcap: "):
-            list(mcap_file.messages(file))
+            list(exporter.read_file(file))
         assert exporter.validate(out).errors
 
 
@@ -116,15 +118,18 @@ def test_messages_need_absolute_actions(recording: Path, tmp_path: Path) -> None
         datasets.load("rosbag").write([recording], tmp_path / "set", options)
 
 
-def test_an_mcap_file_has_an_index_of_every_chunk() -> None:
-    file = io.BytesIO()
-    writer = mcap_file.McapWriter(file, {"a": "b"})
-    for n in range(3000):
-        writer.write(f"/t{n % 2}", "std_msgs/String", "string data", bytes(1000), 10 * n)
-    writer.close()
-    data = file.getvalue()
-    assert data.startswith(mcap_file.MAGIC) and data.endswith(mcap_file.MAGIC)
-    assert len(writer._chunks) == 3
+def test_an_mcap_file_has_an_index_of_every_chunk(tmp_path: Path) -> None:
+    def stamped() -> Iterator[Stamped]:
+        for n in range(3000):
+            yield Stamped(10 * n, f"/t{n % 2}", String("a" * 1000))
+
+    file = tmp_path / "recording.mcap"
+    datasets.load("mcap").write_file(file, stamped(), {"a": "b"})
+    with open(file, "rb") as opened:
+        summary = make_reader(opened, validate_crcs=True).get_summary()
+    assert summary is not None and summary.statistics is not None
+    assert len(summary.chunk_indexes) == summary.statistics.chunk_count == 3
+    assert summary.statistics.message_count == 3000
 
 
 @pytest.mark.oracle

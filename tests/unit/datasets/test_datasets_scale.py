@@ -20,8 +20,8 @@ import pytest
 from helpers.recording import datasets_synthetic
 from helpers.results.dataset_results import note
 from surg_recording import datasets, job_pool
-from surg_recording.datasets import ExportError, ExportOptions, Report, executors, parts
-from surg_recording.datasets.parts import Job, Outcome
+from surg_recording.datasets import ExportError, ExportOptions, Report, conversion, executors
+from surg_recording.datasets.conversion import ConversionJob, ConversionResult
 
 SERIAL = ExportOptions(executor="serial")
 dask_is_there = pytest.mark.skipif(
@@ -90,7 +90,7 @@ def test_work_that_was_cut_off_is_taken_up(tmp_path: Path, monkeypatch: pytest.M
     folders, out = many(tmp_path, 4), tmp_path / "set"
     right, done = executors.make, []
 
-    def interrupted(job: Job) -> Outcome:
+    def interrupted(job: ConversionJob) -> ConversionResult:
         if len(done) == 2:
             raise KeyboardInterrupt
         done.append(job)
@@ -210,10 +210,10 @@ def test_dask_that_is_not_installed_is_named(
         executors.run([_job(tmp_path)], ExportOptions(executor="dask"), lambda outcome: None)
 
 
-def _job(tmp_path: Path) -> Job:
+def _job(tmp_path: Path) -> ConversionJob:
     layout = datasets.pipeline.inspection.layout_of
     assert callable(layout)
-    return Job(tmp_path, "act", SERIAL, None, "key", tmp_path)  # type: ignore[arg-type]
+    return ConversionJob(tmp_path, "act", SERIAL, None, "key", tmp_path)  # type: ignore[arg-type]
 
 
 OUTSIDE = '''
@@ -303,11 +303,11 @@ def test_half_a_part_is_never_seen(tmp_path: Path) -> None:
     look = datasets.pipeline.inspection.look(folder, SERIAL)
     place = tmp_path / "parts"
     place.mkdir()
-    job = Job(folder, "act", SERIAL, look.layout, "somekey", place)
-    threads = [threading.Thread(target=parts.make, args=(job,)) for _ in range(3)]
+    job = ConversionJob(folder, "act", SERIAL, look.layout, "somekey", place)
+    threads = [threading.Thread(target=conversion.make, args=(job,)) for _ in range(3)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
     assert [path.name for path in place.iterdir()] == ["somekey"]
-    assert not parts.make(job).made
+    assert not conversion.make(job).made

@@ -12,14 +12,14 @@ import pytest
 from matplotlib.lines import Line2D
 
 from surg_recording.reports import trial_figures, trial_report, trials
-from surg_recording.reports.trials import Outcome
+from surg_recording.reports.trials import TrialOutcome
 
 
 def entry(seed: int, **changes: Any) -> dict[str, Any]:
     """An episode as ``describe`` would make it, with numbers drawn by its seed."""
     rng = np.random.default_rng(seed)
     mean, peak, force = rng.uniform(0.01, 0.04), rng.uniform(0.1, 0.25), rng.uniform(1, 5)
-    found = trials.describe(seed, "phantom", "ours", Outcome(True, "", "done", 12.0), None)
+    found = trials.describe(seed, "phantom", "ours", TrialOutcome(True, "", "done", 12.0), None)
     found.update(
         rcm_kinematic_mm={"mean": mean, "median": mean, "p95": peak, "max": peak},
         rcm_true_mm={"mean": 2 * mean, "median": mean, "p95": peak, "max": 2 * peak},
@@ -72,7 +72,7 @@ def test_one_bad_episode_misses_a_bound() -> None:
 
 
 def test_an_episode_that_was_not_played_is_a_failed_run() -> None:
-    broken = Outcome(False, "node /sim ended (1)", "grasp", 3.0, played=False)
+    broken = TrialOutcome(False, "node /sim ended (1)", "grasp", 3.0, played=False)
     episodes = [entry(1), trials.describe(2, "phantom", "ours", broken, None)]
     summary = trials.summarise(episodes, INFO)
     assert summary["ok"] is False
@@ -83,7 +83,7 @@ def test_an_episode_that_was_not_played_is_a_failed_run() -> None:
 
 
 def test_no_deviation_meets_no_bound() -> None:
-    still = trials.describe(2, "phantom", "ours", Outcome(False, "late", "point", 45.0), None)
+    still = trials.describe(2, "phantom", "ours", TrialOutcome(False, "late", "point", 45.0), None)
     summary = trials.summarise([still], INFO)
     assert [b["met"] for b in summary["conditions"][0]["bounds"]] == [False, False]
 
@@ -123,7 +123,7 @@ def test_the_page_names_every_failure_and_escapes_it(tmp_path: Path) -> None:
     episodes = [
         entry(1, folder="episodes/000"),
         entry(2, success=False, failure_reason=reason, law="paper"),
-        trials.describe(3, "phantom", "ours", Outcome(False, "boom", "", 0.0, False), None),
+        trials.describe(3, "phantom", "ours", TrialOutcome(False, "boom", "", 0.0, False), None),
     ]
     trial_report.write(trials.summarise(episodes, INFO), tmp_path)
     page = (tmp_path / "report.html").read_text("utf-8")
@@ -150,7 +150,7 @@ def test_the_caption_explains_boxes_only_where_there_are_some(
 
 
 def test_a_run_without_any_measurement_has_a_page(tmp_path: Path) -> None:
-    broken = Outcome(False, "no graph", "", 0.0, played=False)
+    broken = TrialOutcome(False, "no graph", "", 0.0, played=False)
     episodes = [trials.describe(1, "phantom", "ours", broken, None)]
     trial_report.write(trials.summarise(episodes, INFO), tmp_path)
     assert "no graph" in (tmp_path / "report.html").read_text("utf-8")

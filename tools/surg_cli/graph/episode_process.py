@@ -87,14 +87,14 @@ def measure(
     from surg_recording.recording_errors import EpisodeError
     from surg_recording.reports import trials
 
-    def entry(outcome: trials.Outcome, recorded: Any) -> tuple[dict[str, Any], Any]:
+    def entry(outcome: trials.TrialOutcome, recorded: Any) -> tuple[dict[str, Any], Any]:
         made = trials.describe(plan.seed, plan.setting, plan.law, outcome, recorded)
         counts = ended.policy or {}
         if counts.get("waited") or counts.get("sessions", 1) > 1:
             made["deterministic"] = False  # ticks ran without the policy: this machine was too slow
         return made, also(made, recorded)
 
-    outcome = trials.Outcome(
+    outcome = trials.TrialOutcome(
         ended.success, ended.reason, ended.phase, ended.duration_s, ended.played
     )
     try:

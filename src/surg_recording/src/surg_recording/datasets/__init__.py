@@ -5,17 +5,11 @@ exports. docs/reference/datasets.md describes the result, docs/guide/adding_an_e
 add a format.
 """
 
+from surg_recording.datasets.dataset import Dataset, Part
 from surg_recording.datasets.export_manifest import check
-from surg_recording.datasets.exporter import (
-    GROUP,
-    Dataset,
-    Exporter,
-    ExportError,
-    Part,
-    Report,
-    load,
-    names,
-)
+from surg_recording.datasets.export_report import ExportError, Report
+from surg_recording.datasets.exporter import Exporter
+from surg_recording.datasets.exporter_plugins import GROUP, load, names
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.pipeline import dry_run
 from surg_recording.datasets.sampling import Sampled, sample

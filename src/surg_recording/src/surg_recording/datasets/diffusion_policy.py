@@ -20,7 +20,9 @@ from numcodecs import Blosc
 from surg_core.contract import ACTION_KEY, STATE_KEY
 from surg_recording.calibration import calibration_record
 from surg_recording.datasets import pictures
-from surg_recording.datasets.exporter import Dataset, Exporter, Part, Report
+from surg_recording.datasets.dataset import Dataset, Part
+from surg_recording.datasets.export_report import Report
+from surg_recording.datasets.exporter import Exporter
 from surg_recording.datasets.frames import check_frames, put_frames
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import Sampled

@@ -78,7 +78,7 @@ _FIELD_NAMES = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Stage:
+class LabelledStage:
     """A stage of a recording: from ``begin_ns`` until before ``end_ns`` [ns], in words."""
 
     text: str
@@ -94,7 +94,7 @@ class Candidate:
     layout: Layout
     kind: str
     instruction: str
-    stages: tuple[Stage, ...]
+    stages: tuple[LabelledStage, ...]
     about: dict[str, Any]
     """Facts for the dataset's page: task, operator, setting, seed, dates, software."""
     segment: Segment | None = None
@@ -162,7 +162,7 @@ def look(folder: Path, options: ExportOptions) -> Candidate:
         instruction=options.instruction
         or str(run.get("instruction") or manifest.get("task") or run.get("motion") or "not stated"),
         stages=tuple(
-            Stage(str(s.get("text") or s.get("name")), int(s["begin_ns"]), s.get("end_ns"))
+            LabelledStage(str(s.get("text") or s.get("name")), int(s["begin_ns"]), s.get("end_ns"))
             for s in recorded.stages
             if isinstance(s.get("begin_ns"), int)
         ),

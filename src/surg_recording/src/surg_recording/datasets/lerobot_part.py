@@ -39,16 +39,21 @@ class LeRobotExporter(Exporter):
             raise EpisodeError(f"{folder / DATA}: what was read back is not what was written")
         counted: dict[str, Any] = {}
         for feature in schema.videos_of(sampled.features):
-            seen = pictures.Seen()
+            statistics = pictures.PictureStatistics()
             target = folder / f"{feature.name}.mp4"
-            frames = pictures.watch(sampled.frames(feature.name), seen, grid.frames, options.size)
+            frames = pictures.watch(
+                sampled.frames(feature.name), statistics, grid.frames, options.size
+            )
             self._write_video(sampled, feature.name, frames, target, options)
-            pictures.check_video(target, options, seen.prints)
-            if len(seen.prints) != grid.frames:
+            pictures.check_video(target, options, statistics.prints)
+            if len(statistics.prints) != grid.frames:
                 raise EpisodeError(
-                    f"{target}: {len(seen.prints)} frames, the grid has {grid.frames}"
+                    f"{target}: {len(statistics.prints)} frames, the grid has {grid.frames}"
                 )
-            counted[feature.name] = {"sampled": seen.sampled, "histogram": seen.histogram.tolist()}
+            counted[feature.name] = {
+                "sampled": statistics.sampled,
+                "histogram": statistics.histogram.tolist(),
+            }
         (folder / COLOURS).write_text(json.dumps(counted) + "\n", "utf-8")
 
     def _write_video(

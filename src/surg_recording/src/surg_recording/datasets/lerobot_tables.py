@@ -18,7 +18,8 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from surg_recording.datasets import schema, statistics
-from surg_recording.datasets.exporter import Dataset, Part, Report
+from surg_recording.datasets.dataset import Dataset, Part
+from surg_recording.datasets.export_report import Report
 from surg_recording.datasets.schema import Feature
 from surg_recording.recording_errors import EpisodeError
 

@@ -21,7 +21,8 @@ from surg_recording.datasets import (
     schema,
     statistics,
 )
-from surg_recording.datasets.exporter import Dataset, Report
+from surg_recording.datasets.dataset import Dataset
+from surg_recording.datasets.export_report import Report
 from surg_recording.datasets.lerobot_part import LeRobotExporter
 from surg_recording.datasets.pages import dataset_card, readme
 from surg_recording.recording_errors import EpisodeError

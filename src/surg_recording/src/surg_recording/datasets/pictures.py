@@ -34,7 +34,7 @@ TICKS = 1000
 
 
 @dataclasses.dataclass
-class Seen:
+class PictureStatistics:
     """Notes about passing frames: thumbnails of all, colours of some."""
 
     prints: list[Print] = dataclasses.field(default_factory=list)
@@ -123,16 +123,19 @@ def colours(image: Image) -> npt.NDArray[np.int64]:
 
 
 def watch(
-    frames: Iterable[av.VideoFrame], seen: Seen, count: int, size: tuple[int, int] | None = None
+    frames: Iterable[av.VideoFrame],
+    statistics: PictureStatistics,
+    count: int,
+    size: tuple[int, int] | None = None,
 ) -> Iterator[av.VideoFrame]:
     """Pass on ``count`` frames; note thumbnails of all, and colours of evenly spaced ones."""
     chosen = set(np.unique(np.linspace(0, max(count - 1, 0), num=_sampled(count)).astype(int)))
     for number, frame in enumerate(frames):
         frame = _scaled(frame, size)
-        seen.prints.append(thumbnail(frame))
+        statistics.prints.append(thumbnail(frame))
         if number in chosen:
-            seen.histogram += colours(frame.to_ndarray(format="rgb24"))
-            seen.sampled += 1
+            statistics.histogram += colours(frame.to_ndarray(format="rgb24"))
+            statistics.sampled += 1
         yield frame
 
 

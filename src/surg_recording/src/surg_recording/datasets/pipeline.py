@@ -7,8 +7,6 @@ recordings (parts) are in ``<out>.parts``, so that an interrupted export can con
 
 from __future__ import annotations
 
-import dataclasses
-import itertools
 import os
 import shutil
 from collections.abc import Mapping, Sequence
@@ -16,43 +14,24 @@ from pathlib import Path
 from typing import Any
 
 from surg_core.plugins import source_file
-from surg_recording.datasets import executors, inspection, schema
+from surg_recording.datasets import executors, export_plan, inspection, schema
+from surg_recording.datasets.conversion import ConversionJob, ConversionResult, sweep
+from surg_recording.datasets.dataset import Dataset, Part
+from surg_recording.datasets.dataset_format import DatasetFormat
 from surg_recording.datasets.export_manifest import is_up_to_date, write_manifest
-from surg_recording.datasets.exporter import (
-    Dataset,
-    Exporter,
-    ExportError,
-    Part,
-    Progress,
-    Report,
-)
-from surg_recording.datasets.inspection import FAILURE, RECOVERY, SUCCESS, Candidate
-from surg_recording.datasets.options import SPLITS, ExportOptions
-from surg_recording.datasets.parts import Job, Outcome, input_hash, sweep
+from surg_recording.datasets.export_report import ExportError, Progress, Report
+from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import sample
 from surg_recording.datasets.schema import Feature
-from surg_recording.episode import episode_reader
-from surg_recording.episode.same_recording import Known
-from surg_recording.episode.selection import Selection, SelectionError
+from surg_recording.datasets.splits import arrange
 from surg_recording.recording_errors import EpisodeError, words_of
 
 UNFINISHED = ".unfinished"
 """Suffix of a dataset that is being assembled."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Plan:
-    """The recordings to export, with their input hashes, and those refused."""
-
-    candidates: tuple[Candidate, ...]
-    keys: tuple[str, ...]
-    refused: dict[str, str]
-    unselected: int
-    """Recordings that ``options.where`` leaves out."""
-
-
 def export(
-    exporter: Exporter,
+    exporter: DatasetFormat,
     episodes: Sequence[Path],
     out: Path,
     options: ExportOptions,
@@ -60,7 +39,7 @@ def export(
 ) -> Report:
     """Export recordings; see ``Exporter.write``."""
     exporter.require()
-    plan = make_plan(exporter, episodes, options, progress)
+    plan = export_plan.make(exporter, episodes, options, progress)
     report = Report(exporter.name, out, refused=dict(plan.refused))
     if options.where is not None:
         report.facts["not selected"] = plan.unselected
@@ -74,7 +53,7 @@ def export(
     # Other processes load the exporter by its file, or by name.
     locator = source_file(exporter) or exporter.name
     jobs = [
-        Job(c.folder, locator, options, c.layout, key, parts)
+        ConversionJob(c.folder, locator, options, c.layout, key, parts)
         for c, key in zip(plan.candidates, plan.keys, strict=True)
     ]
     _convert(jobs, options, report, progress)
@@ -103,63 +82,12 @@ def export(
     return report
 
 
-def make_plan(
-    exporter: Exporter, episodes: Sequence[Path], options: ExportOptions, progress: Progress
-) -> Plan:
-    """Find the recordings and judge each by its manifest; an ExportError if there is none.
-
-    The first good one decides what the export holds; those that hold something else are refused.
-    """
-    try:
-        found = {path: episode_reader.below(path) for path in episodes}
-    except EpisodeError as problem:
-        raise ExportError(f"{problem}; name folders of recordings") from None
-    if not any(found.values()):
-        raise ExportError(f"no recording in {', '.join(map(str, episodes))}")
-    below = [folder for path, here in found.items() for folder in here or [path]]
-    folders = list({folder.resolve(): folder for folder in reversed(below)}.values())[::-1]
-    refused: dict[str, str] = {}
-    candidates: list[Candidate] = []
-    keys: list[str] = []
-    known, unselected = Known(), 0
-    selection = None if options.where is None else Selection(options.where)
-    for number, folder in enumerate(folders):
-        progress(0.1 * number / len(folders), f"looking at {folder.name}")
-        try:
-            if selection is not None and not selection.matches(episode_reader.read(folder)):
-                unselected += 1
-                continue
-            candidate = inspection.look(folder, options)
-            alike = options.columns is not None or not candidates
-            other = None if alike else candidates[0].layout.difference(candidate.layout)
-            if other is not None:
-                raise EpisodeError(
-                    f"{folder}: {other}; export it with others of its kind, or"
-                    " with the features that they share (--columns)"
-                )
-            key = input_hash(folder, candidate.layout, options, exporter)
-            recorded = episode_reader.read(folder)
-            if (twin := known.twin(recorded)) is not None:
-                raise EpisodeError(f"{folder}: {twin}")
-        except SelectionError as problem:
-            raise ExportError(f"--where: {problem}") from None
-        except Exception as problem:  # one recording, not the export
-            refused[str(folder)] = words_of(problem, folder)
-        else:
-            known.add(recorded)
-            keys.append(key)
-            candidates.append(candidate)
-    if unselected == len(folders):
-        raise ExportError(f"--where {options.where!r}: none of {unselected} recordings fits")
-    return Plan(tuple(candidates), tuple(keys), refused, unselected)
-
-
 def dry_run(
-    exporter: Exporter, episodes: Sequence[Path], options: ExportOptions, progress: Progress
+    exporter: DatasetFormat, episodes: Sequence[Path], options: ExportOptions, progress: Progress
 ) -> Report:
     """Check everything but pictures, and report; an ExportError if nothing can be exported."""
     exporter.require()
-    plan = make_plan(exporter, episodes, options, progress)
+    plan = export_plan.make(exporter, episodes, options, progress)
     report = Report(exporter.name, Path(), refused=dict(plan.refused))
     if options.where is not None:
         report.facts["not selected"] = plan.unselected
@@ -193,62 +121,9 @@ def dry_run(
     return report
 
 
-def arrange(
-    name: str, parts: Sequence[Part], layout: inspection.Layout, options: ExportOptions
-) -> Dataset:
-    """Order the recordings so that each split is one range: train, val, test, recovery, failure.
-
-    The pieces of a long recording stay together.
-    """
-    plain = [part for part in parts if part.kind == SUCCESS]
-    recordings = [list(pieces) for _, pieces in itertools.groupby(plain, lambda part: part.key)]
-    divide = _by_hash if options.split_by == "hash" else _by_order
-    groups = {
-        name: [part for pieces in members for part in pieces]
-        for name, members in divide(recordings, options).items()
-    }
-    for kind in (RECOVERY, FAILURE):
-        groups[kind] = [part for part in parts if part.kind == kind]
-    ordered: list[Part] = []
-    splits = {}
-    for split, members in groups.items():
-        if members:
-            splits[split] = (len(ordered), len(ordered) + len(members))
-            ordered += members
-    return Dataset(name, tuple(ordered), splits, layout, options)
-
-
-Pieces = list[Part]
-"""One recording: several parts if it is long."""
-
-
-def _by_order(recordings: list[Pieces], options: ExportOptions) -> dict[str, list[Pieces]]:
-    """Split → its recordings: the shares of the recordings in their order."""
-    groups: dict[str, list[Pieces]] = {}
-    begin, share = 0, 0.0
-    for split in SPLITS:
-        share += options.splits.get(split, 0.0)
-        end = len(recordings) if share > 1.0 - 1e-9 else round(share * len(recordings))
-        groups[split] = recordings[begin:end]
-        begin = end
-    return groups
-
-
-def _by_hash(recordings: list[Pieces], options: ExportOptions) -> dict[str, list[Pieces]]:
-    """Split → its recordings: each by its own hash, whatever else is exported."""
-    groups: dict[str, list[Pieces]] = {split: [] for split in SPLITS}
-    for pieces in recordings:
-        place = int(str(pieces[0].about["identity"])[:13], 16) / 16**13
-        share = 0.0
-        for split in SPLITS:
-            share += options.splits.get(split, 0.0)
-            if place < share or share > 1.0 - 1e-9:
-                groups[split].append(pieces)
-                break
-    return groups
-
-
-def _convert(jobs: list[Job], options: ExportOptions, report: Report, progress: Progress) -> None:
+def _convert(
+    jobs: list[ConversionJob], options: ExportOptions, report: Report, progress: Progress
+) -> None:
     """Do the remaining jobs; failures go to ``refused``."""
     if options.shard is not None:
         index, count = options.shard
@@ -256,7 +131,7 @@ def _convert(jobs: list[Job], options: ExportOptions, report: Report, progress: 
     todo = [job for job in jobs if not (job.parts / job.key).exists()]
     done = 0
 
-    def note(outcome: Outcome) -> None:
+    def note(outcome: ConversionResult) -> None:
         nonlocal done
         done += 1
         if outcome.problem is not None:
@@ -269,7 +144,7 @@ def _convert(jobs: list[Job], options: ExportOptions, report: Report, progress: 
 
 
 def _assemble(
-    exporter: Exporter, dataset: Dataset, out: Path, options: ExportOptions, report: Report
+    exporter: DatasetFormat, dataset: Dataset, out: Path, options: ExportOptions, report: Report
 ) -> None:
     """Assemble under a temporary name, validate, and rename."""
     staging = out.with_name(out.name + UNFINISHED)
@@ -323,7 +198,7 @@ def _told(source: str, notes: Mapping[str, Any]) -> list[str]:
     return told + [f"{source}: {remark}" for remark in notes.get("remarks", ())]
 
 
-def split_words(source: Path, pieces: int, exporter: Exporter) -> str:
+def split_words(source: Path, pieces: int, exporter: DatasetFormat) -> str:
     """What the report says of a long recording."""
     return (
         f"{source}: longer than the {exporter.longest_s:g} s that one episode of {exporter.title}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import abc
 import hashlib
-import io
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -12,11 +11,13 @@ from typing import Any, ClassVar
 
 from surg_recording.calibration import calibration_record
 from surg_recording.datasets import pictures
-from surg_recording.datasets.exporter import Dataset, Exporter, Report
+from surg_recording.datasets.dataset import Dataset
+from surg_recording.datasets.export_report import Report
+from surg_recording.datasets.exporter import Exporter
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import Sampled
 from surg_recording.nodes import ros_messages_node
-from surg_recording.nodes.ros_messages_node import Stamped
+from surg_recording.nodes.ros_messages_node import Stamped, serialised
 from surg_recording.recording_errors import EpisodeError
 
 INDEX = "dataset.json"
@@ -49,7 +50,8 @@ class BagExporter(Exporter):
 
         def passing() -> Iterator[Stamped]:
             for stamped in ros_messages_node.messages(sampled, options):
-                written.add(stamped.time_ns, stamped.topic, stamped.message._type, _bytes(stamped))
+                time_ns, topic, message = stamped
+                written.add(time_ns, topic, message._type, serialised(message))
                 yield stamped
 
         candidate = sampled.candidate
@@ -126,9 +128,3 @@ class _Digest:
             }
             for topic, digest in sorted(self._hashes.items())
         }
-
-
-def _bytes(stamped: Stamped) -> bytes:
-    buffer = io.BytesIO()
-    stamped.message.serialize(buffer)
-    return buffer.getvalue()

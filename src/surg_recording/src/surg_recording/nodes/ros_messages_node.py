@@ -7,6 +7,7 @@ frame id ``<arm>_rcm``, one in the base frame ``<arm>_base``.
 from __future__ import annotations
 
 import heapq
+import io
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -39,6 +40,13 @@ class Stamped(NamedTuple):
     time_ns: int
     topic: str
     message: Any
+
+
+def serialised(message: Any) -> bytes:
+    """The bytes of a ROS message, as they are on the wire."""
+    buffer = io.BytesIO()
+    message.serialize(buffer)
+    return buffer.getvalue()
 
 
 def messages(sampled: Sampled, options: ExportOptions) -> Iterator[Stamped]:

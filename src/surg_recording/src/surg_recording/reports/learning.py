@@ -62,7 +62,7 @@ def demonstration(folder: Path) -> dict[str, Any]:
     run = recorded.manifest.get("run") or {}
     judged = verdict(recorded.manifest)
     ticks = (recorded.manifest.get("sim") or {}).get("sim_time_s") or 0.0
-    outcome = trials.Outcome(bool(judged.success), judged.reason, "", float(ticks))
+    outcome = trials.TrialOutcome(bool(judged.success), judged.reason, "", float(ticks))
     return trials.describe(run["seed"], run["setting"], run["law"], outcome, recorded)
 
 

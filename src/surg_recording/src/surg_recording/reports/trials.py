@@ -19,7 +19,7 @@ from surg_recording.reports import run_limits, run_summary
 
 
 @dataclasses.dataclass(frozen=True)
-class Outcome:
+class TrialOutcome:
     """How an episode ended.
 
     Attributes:
@@ -38,7 +38,7 @@ class Outcome:
 
 
 def describe(
-    seed: int, setting: str, law: str, outcome: Outcome, recorded: Episode | None
+    seed: int, setting: str, law: str, outcome: TrialOutcome, recorded: Episode | None
 ) -> dict[str, Any]:
     """One entry of ``episodes`` in ``summary.json``; ``recorded`` None: no readable recording.
 

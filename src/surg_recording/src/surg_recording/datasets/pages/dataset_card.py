@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 
 from surg_recording.datasets import pictures, schema
-from surg_recording.datasets.exporter import Dataset, Part
+from surg_recording.datasets.dataset import Dataset, Part
 
 PICTURE = "preview.jpg"
 

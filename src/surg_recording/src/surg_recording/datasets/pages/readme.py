@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_recording.datasets import schema
-from surg_recording.datasets.exporter import Dataset, Part
+from surg_recording.datasets.dataset import Dataset, Part
 from surg_recording.datasets.inspection import FAILURE, RECOVERY
 from surg_recording.datasets.pages.dataset_card import DATA_TYPES, METHODS, boxes, data_type, method
 

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import surg_recording
 from surg_core.force.observed_force import PLACES
-from surg_recording.datasets import exporter as exporters
-from surg_recording.datasets import inspection, schema
-from surg_recording.datasets.exporter import Exporter, Part
+from surg_recording.datasets import exporter_plugins, inspection, schema
+from surg_recording.datasets.dataset import Part
+from surg_recording.datasets.dataset_format import DatasetFormat
 from surg_recording.datasets.inspection import Layout
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import sample
@@ -32,12 +32,12 @@ _UNFINISHED = ".unfinished-"
 
 
 @dataclasses.dataclass(frozen=True)
-class Job:
+class ConversionJob:
     """The input of a worker; it can be sent to another machine with the same disk."""
 
     folder: Path
     exporter: str
-    """Name or path, for ``exporter.load``."""
+    """Name or path, for ``exporter_plugins.load``."""
     options: ExportOptions
     layout: Layout
     key: str
@@ -45,7 +45,7 @@ class Job:
 
 
 @dataclasses.dataclass(frozen=True)
-class Outcome:
+class ConversionResult:
     """Result of a job."""
 
     folder: Path
@@ -55,7 +55,9 @@ class Outcome:
     made: bool = False
 
 
-def input_hash(folder: Path, layout: Layout, options: ExportOptions, exporter: Exporter) -> str:
+def input_hash(
+    folder: Path, layout: Layout, options: ExportOptions, exporter: DatasetFormat
+) -> str:
     """SHA-256 of all inputs of a conversion; an EpisodeError if a file is missing."""
     names = ["manifest.json", inspection.SYNC_REPORT, LABELS]
     names += [f"cycle_{arm}.csv" for arm in layout.arms]
@@ -82,19 +84,19 @@ def input_hash(folder: Path, layout: Layout, options: ExportOptions, exporter: E
     return hashlib.sha256(json.dumps(stated, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def make(job: Job) -> Outcome:
+def make(job: ConversionJob) -> ConversionResult:
     """Convert a recording unless that is done. Never raises: the outcome states the problem."""
     try:
-        return Outcome(job.folder, job.key, made=_make(job))
+        return ConversionResult(job.folder, job.key, made=_make(job))
     except Exception as problem:  # an exporter's or a library's own: one recording, not the export
-        return Outcome(job.folder, job.key, words_of(problem, job.folder))
+        return ConversionResult(job.folder, job.key, words_of(problem, job.folder))
 
 
-def _make(job: Job) -> bool:
+def _make(job: ConversionJob) -> bool:
     place = job.parts / job.key
     if place.exists():
         return False
-    exporter = exporters.load(job.exporter)
+    exporter = exporter_plugins.load(job.exporter)
     candidate = inspection.look(job.folder, job.options)
     sampled = sample(candidate, job.options)
     owner = f"{_UNFINISHED}{socket.gethostname()}-{os.getpid()}-"
