@@ -30,12 +30,12 @@ setuptools.setup(
     },
     entry_points={
         "surg_recording.exporters": [
-            "lerobot = surg_recording.datasets.lerobot_v21:LeRobotV21",
-            "lerobot_v21 = surg_recording.datasets.lerobot_v21:LeRobotV21",
-            "lerobot_v30 = surg_recording.datasets.lerobot_v30:LeRobotV30",
-            "robomimic = surg_recording.datasets.robomimic:Robomimic",
-            "act = surg_recording.datasets.act:Act",
-            "diffusion_policy = surg_recording.datasets.diffusion_policy:DiffusionPolicy",
+            "lerobot = surg_recording.datasets.formats.lerobot_v21:LeRobotV21",
+            "lerobot_v21 = surg_recording.datasets.formats.lerobot_v21:LeRobotV21",
+            "lerobot_v30 = surg_recording.datasets.formats.lerobot_v30:LeRobotV30",
+            "robomimic = surg_recording.datasets.formats.robomimic:Robomimic",
+            "act = surg_recording.datasets.formats.act:Act",
+            "diffusion_policy = surg_recording.datasets.formats.diffusion_policy:DiffusionPolicy",
             "mcap = surg_recording.nodes.mcap_exporter_node:Mcap",
             "rosbag = surg_recording.nodes.rosbag_exporter_node:Rosbag",
         ]

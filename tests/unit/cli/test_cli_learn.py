@@ -396,7 +396,7 @@ class NoRos:
         if name.split(".")[0] in {ROS!r}:
             raise ImportError(f"{{name}} is not there")
 sys.meta_path.insert(0, NoRos())
-import surg_recording.datasets.lerobot_v21, surg_recording.reports.learning
+import surg_recording.datasets.formats.lerobot_v21, surg_recording.reports.learning
 import surg_sim.envs.demonstrations
 from surg_cli import without_ros
 without_ros.main(["--help"])

@@ -12,7 +12,7 @@ import pytest
 from helpers.recording import dataset_readers, datasets_synthetic
 from surg_recording import datasets
 from surg_recording.datasets import ExportOptions
-from surg_recording.datasets.lerobot_part import LeRobotExporter
+from surg_recording.datasets.formats.lerobot_part import LeRobotExporter
 from surg_recording.recording_errors import EpisodeError
 
 SECONDS = 2.4  # key frames are a second apart

@@ -13,8 +13,8 @@ from helpers.recording.datasets_synthetic import FRAME_NS
 from surg_recording import datasets
 from surg_recording.datasets import ExportOptions
 from surg_recording.datasets.arm_motion import unwrapped
+from surg_recording.datasets.formats.lerobot_part import LeRobotExporter
 from surg_recording.datasets.inspection import look
-from surg_recording.datasets.lerobot_part import LeRobotExporter
 from surg_recording.datasets.resample import around, linear
 from surg_recording.datasets.sampling import sample
 from surg_recording.episode import episode_reader, long_table

@@ -123,7 +123,7 @@ def test_kept_parts_make_a_larger_export_quick(tmp_path: Path) -> None:
 
 DEADLY = '''
 import os, signal
-from surg_recording.datasets.act import Act
+from surg_recording.datasets.formats.act import Act
 
 class Deadly(Act):
     """Kills its process at one recording."""

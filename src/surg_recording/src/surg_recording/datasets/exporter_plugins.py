@@ -22,7 +22,7 @@ _BUNDLED = {
     "act": "act",
     "diffusion_policy": "diffusion_policy",
 }
-"""Name on the command line → module of this package; ``lerobot`` is the default version."""
+"""Name on the command line → module of the bundled formats; ``lerobot`` is the default version."""
 _WITH_ROS = {
     "mcap": "surg_recording.nodes.mcap_exporter_node",
     "rosbag": "surg_recording.nodes.rosbag_exporter_node",
@@ -31,7 +31,7 @@ _KIND = PluginKind(
     noun="exporter",
     group=GROUP,
     bundled={
-        **{name: f"surg_recording.datasets.{module}" for name, module in _BUNDLED.items()},
+        **{name: f"surg_recording.datasets.formats.{module}" for name, module in _BUNDLED.items()},
         **_WITH_ROS,
     },
     accepts=lambda kind: all(hasattr(kind, part) for part in ("name", "write", "validate")),

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 
 from surg_recording.datasets import pictures, schema, stream_copy
 from surg_recording.datasets.exporter import Exporter
-from surg_recording.datasets.lerobot_tables import COLOURS, DATA, table_of
+from surg_recording.datasets.formats.lerobot_tables import COLOURS, DATA, table_of
 from surg_recording.datasets.options import COPY, ExportOptions
 from surg_recording.datasets.sampling import Sampled
 from surg_recording.recording_errors import EpisodeError

@@ -15,15 +15,11 @@ import pyarrow.parquet as pq
 
 from surg_core.contract import ACTION_KEY, STATE_KEY
 from surg_recording.calibration import calibration_record
-from surg_recording.datasets import (
-    lerobot_tables,
-    pictures,
-    schema,
-    statistics,
-)
+from surg_recording.datasets import pictures, schema, statistics
 from surg_recording.datasets.dataset import Dataset
 from surg_recording.datasets.export_report import Report
-from surg_recording.datasets.lerobot_part import LeRobotExporter
+from surg_recording.datasets.formats import lerobot_tables
+from surg_recording.datasets.formats.lerobot_part import LeRobotExporter
 from surg_recording.datasets.pages import dataset_card, readme
 from surg_recording.recording_errors import EpisodeError
 

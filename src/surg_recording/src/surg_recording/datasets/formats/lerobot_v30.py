@@ -16,15 +16,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from surg_recording.calibration import calibration_record
-from surg_recording.datasets import (
-    lerobot_tables,
-    pictures,
-    schema,
-    statistics,
-)
+from surg_recording.datasets import pictures, schema, statistics
 from surg_recording.datasets.dataset import Dataset, Part
 from surg_recording.datasets.export_report import Report
-from surg_recording.datasets.lerobot_part import LONGEST_S, LeRobotExporter
+from surg_recording.datasets.formats import lerobot_tables
+from surg_recording.datasets.formats.lerobot_part import LONGEST_S, LeRobotExporter
 from surg_recording.datasets.pages import dataset_card, readme
 from surg_recording.recording_errors import EpisodeError
 

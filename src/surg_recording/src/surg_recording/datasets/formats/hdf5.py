@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording.datasets.frames import put_frames
+from surg_recording.datasets.formats.frame_arrays import put_frames
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import Sampled
 from surg_recording.datasets.schema import Feature

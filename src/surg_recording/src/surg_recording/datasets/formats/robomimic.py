@@ -19,11 +19,12 @@ import numpy as np
 
 from surg_core.contract import ACTION_KEY, STATE_KEY
 from surg_recording.calibration import calibration_record
-from surg_recording.datasets import hdf5, schema
+from surg_recording.datasets import schema
 from surg_recording.datasets.dataset import Dataset
 from surg_recording.datasets.export_report import Report
 from surg_recording.datasets.exporter import Exporter
-from surg_recording.datasets.frames import check_frames
+from surg_recording.datasets.formats import hdf5
+from surg_recording.datasets.formats.frame_arrays import check_frames
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import Sampled
 from surg_recording.datasets.schema import Feature
