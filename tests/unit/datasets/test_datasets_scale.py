@@ -211,8 +211,6 @@ def test_dask_that_is_not_installed_is_named(
 
 
 def _job(tmp_path: Path) -> ConversionJob:
-    layout = datasets.pipeline.inspection.layout_of
-    assert callable(layout)
     return ConversionJob(tmp_path, "act", SERIAL, None, "key", tmp_path)  # type: ignore[arg-type]
 
 

@@ -14,7 +14,7 @@ import pytest
 from helpers.perception.plane_pair import PlanePair
 from helpers.recording.stereo_recording import EYES, FRAME_NS, camera_info, record_pairs
 from surg_cli.host.terminal import CliError
-from surg_recording.episode import episode_reader
+from surg_recording.episode import episode_reader, table_file
 from surg_recording.video import exact_values
 
 COUNT = 4
@@ -69,7 +69,7 @@ def test_depth_of_a_recording(
     depth = np.where(values[0] > 0, 1e-4 * values[0], np.nan)
     away = np.abs(depth - pair.depth())[20:-20, 60:-20]
     assert np.nanpercentile(away, 90) < 0.0035
-    table = episode_reader.read_table(tmp_path / "d" / "endoscope_depth.csv")
+    table = table_file.read_table(tmp_path / "d" / "endoscope_depth.csv")
     assert table["stamp_ns"].tolist() == [FRAME_NS, 3 * FRAME_NS]
     figures = json.loads((tmp_path / "d" / "depth.json").read_text())
     assert figures["format"] == "surg_depth/1" and figures["pairs"] == 2

@@ -17,21 +17,28 @@ from hypothesis import strategies as st
 
 from helpers.recording import recording_synthetic as synthetic
 from helpers.results.recording_results import note
-from surg_recording.episode import csv_sink, episode_reader, finishing, table_columns, table_rows
+from surg_recording.episode import (
+    csv_sink,
+    finishing,
+    table_columns,
+    table_file,
+    table_rows,
+)
 from surg_recording.episode.csv_sink import CsvWriter
+from surg_recording.episode.table import Table
 from surg_recording.recording_errors import EpisodeError
 
 NAMES = ["stamp_ns", "x", "text", "y"]
 
 
-def write(path: Path, lines: list[tuple]) -> episode_reader.Table:
+def write(path: Path, lines: list[tuple]) -> Table:
     writer = CsvWriter()
     table = writer.table(path, NAMES)
     for line in lines:
         assert writer.put(table, line)
     writer.close()
     assert table.rows == len(lines)
-    return episode_reader.read_table(path)
+    return table_file.read_table(path)
 
 
 @settings(max_examples=40, deadline=None)
@@ -159,7 +166,7 @@ def test_kill_9_loses_at_most_50_ms_of_rows(tmp_path: Path, full: bool) -> None:
             killed = time.monotonic_ns()
             os.kill(victim.pid, signal.SIGKILL)
         os.truncate(path, finishing.whole_lines(path))
-        table = episode_reader.read_table(path)
+        table = table_file.read_table(path)
         k = np.arange(1, len(table) + 1)
         assert np.array_equal(table["x"], k / 7.0)
         worst = max(worst, (killed - int(table["stamp_ns"][-1])) * 1e-6)
@@ -173,7 +180,7 @@ def test_a_cut_line_is_removed(tmp_path: Path) -> None:
         path.write_text("stamp_ns,x,text,y\n7,1.0,a,2.0\n" + tail)
         assert path.stat().st_size - finishing.whole_lines(path) == len(tail)
         os.truncate(path, finishing.whole_lines(path))
-        assert episode_reader.read_table(path)["stamp_ns"].tolist() == [7]
+        assert table_file.read_table(path)["stamp_ns"].tolist() == [7]
 
 
 @pytest.mark.parametrize(
@@ -191,5 +198,5 @@ def test_a_broken_table_is_named_with_line_and_column(tmp_path: Path, text: str,
     path = tmp_path / "t.csv"
     path.write_text(text)
     with pytest.raises(EpisodeError, match=said) as caught:
-        episode_reader.read_table(path)
+        table_file.read_table(path)
     assert str(path) in str(caught.value)

@@ -14,7 +14,7 @@ import pytest
 from helpers.recording import recording_synthetic as synthetic
 from helpers.results.recording_results import note
 from surg_recording.clock import clock_segments
-from surg_recording.episode import episode_reader, finishing, recovery
+from surg_recording.episode import episode_reader, finishing, recovery, table_file
 from surg_recording.episode.episode_writer import LOCK, EpisodeWriter
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.video import mp4_boxes, mp4_headers, video_file
@@ -57,7 +57,7 @@ def test_a_video_cut_anywhere_is_mended_to_its_last_whole_fragment(
         stamps = max(0, sidecar.read_text().count("\n") - 1)
         in_file = sum(f.frames for f in ends if f.end <= size)
         kept = video_file.mend(path, sidecar)
-        side = episode_reader.read_table(sidecar)
+        side = table_file.read_table(sidecar)
         assert kept == len(side) <= min(in_file, stamps)
         assert kept > min(in_file, stamps) - 5, "no more than one fragment goes with the cut"
         if kept:
@@ -97,7 +97,7 @@ def test_a_table_cut_or_zeroed_anywhere_keeps_its_whole_lines(
         size = rng.randrange(16, len(data) + 1)
         path.write_bytes(data[:size] + bytes(rng.randrange(9000)) * (number % 2))
         os.truncate(path, finishing.whole_lines(path))
-        table = episode_reader.read_table(path)
+        table = table_file.read_table(path)
         assert len(table) == data[:size].count(b"\n") - 1
         assert table["stamp_ns"].tolist() == list(range(len(table)))
 

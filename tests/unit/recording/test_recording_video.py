@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from helpers.results.recording_results import note
-from surg_recording.episode import episode_reader
+from surg_recording.episode import table_file
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.video import video_file
 from surg_recording.video.video_sink import Frame, VideoSink
@@ -55,7 +55,7 @@ def test_every_frame_comes_back_with_its_number_and_stamp(tmp_path: Path) -> Non
         assert put(sink, number)
     sink.close()
     assert (sink.frames, sink.dropped, sink.error) == (60, 0, None)
-    side = episode_reader.read_table(tmp_path / "cam.csv")
+    side = table_file.read_table(tmp_path / "cam.csv")
     assert side["stamp_ns"].tolist() == [START_NS + k * 50_000_000 for k in range(60)]
     assert side["pts"].tolist() == [k * 50_000 for k in range(60)]
     assert video_file.presentation_times(tmp_path / "cam.mp4") == side["pts"].tolist()
@@ -85,7 +85,7 @@ def test_a_full_queue_drops_and_counts_and_never_blocks(tmp_path: Path) -> None:
     os.kill(sink.pid, signal.SIGCONT)
     sink.close()
     assert sink.dropped == 60 - taken > 0
-    side = episode_reader.read_table(tmp_path / "cam.csv")
+    side = table_file.read_table(tmp_path / "cam.csv")
     assert sink.frames == len(side) == 61 - sink.dropped
     assert sink.error is None
 
@@ -102,7 +102,7 @@ def test_what_cannot_be_encoded_is_skipped_with_its_reason(tmp_path: Path) -> No
     assert put(sink, 5)
     sink.close()
     assert (sink.frames, sink.dropped, sink.error) == (2, 4, None)
-    side = episode_reader.read_table(tmp_path / "cam.csv")
+    side = table_file.read_table(tmp_path / "cam.csv")
     assert side["dropped"].sum() == 4
 
 
@@ -181,7 +181,7 @@ def test_kill_9_loses_at_most_half_a_second_of_video(tmp_path: Path, full: bool,
                 os.kill(victim.pid, signal.SIGKILL)
         _wait_gone(encoder)
         frames = video_file.mend(folder / "cam.mp4", folder / "cam.csv")
-        side = episode_reader.read_table(folder / "cam.csv")
+        side = table_file.read_table(folder / "cam.csv")
         assert frames == len(side)
         assert video_file.presentation_times(folder / "cam.mp4") == side["pts"].tolist()
         decoded = video_file.grab(folder / "cam.mp4", list(range(frames)))
@@ -211,4 +211,4 @@ def test_no_video_at_all_is_said(tmp_path: Path) -> None:
         video_file.presentation_times(tmp_path / "cam.mp4")
     (tmp_path / "cam.csv").write_text("frame,stamp_ns,receive_ns,pts,dropped\n0,1,1,0,0\n")
     assert video_file.mend(tmp_path / "cam.mp4", tmp_path / "cam.csv") == 0
-    assert len(episode_reader.read_table(tmp_path / "cam.csv")) == 0
+    assert len(table_file.read_table(tmp_path / "cam.csv")) == 0

@@ -25,8 +25,8 @@ from surg_core.transforms import matrix_to_quaternion_xyzw
 from surg_msgs.msg import PolicyPlan
 from surg_recording.calibration.endoscope_record import describe_endoscope
 from surg_recording.episode import episode_reader as episodes
-from surg_recording.episode.episode_reader import Table
 from surg_recording.episode.message_fields import Flat
+from surg_recording.episode.table import Table
 from surg_recording.reports import episode_plan, episode_view
 
 CELL = paths.CELLS / "sim_two_arms"

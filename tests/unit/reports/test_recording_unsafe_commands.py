@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from surg_recording.episode import table_columns
-from surg_recording.episode.episode_reader import Episode, Table
+from surg_recording.episode.episode_reader import Episode
+from surg_recording.episode.table import Table
 from surg_recording.metrics import unsafe_commands
 from surg_recording.recording_errors import EpisodeError
 

@@ -13,7 +13,8 @@ from surg_core import ConfigError
 from surg_core.lens_file import Lens, check_eyes
 from surg_core.pictures.camera_model import lens_of
 from surg_perception.depth.rectification import Picture
-from surg_recording.episode.episode_reader import MANIFEST, Episode, Video
+from surg_recording.episode.episode_reader import MANIFEST, Episode
+from surg_recording.episode.table import Video
 from surg_recording.recording_errors import EpisodeError
 
 EYES = ("endoscope_left", "endoscope_right")

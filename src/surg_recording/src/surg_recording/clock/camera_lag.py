@@ -13,8 +13,9 @@ import numpy.typing as npt
 from surg_core.transforms import virtual_tip
 from surg_recording.clock.clock_segments import Segment
 from surg_recording.clock.verdict import CANNOT_TELL
-from surg_recording.episode import episode_reader as episodes
-from surg_recording.episode.episode_reader import Episode, Table
+from surg_recording.episode import table_file
+from surg_recording.episode.episode_reader import Episode
+from surg_recording.episode.table import Table
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.video import image_motion, video_lag
 
@@ -69,7 +70,7 @@ def _paths(
     wanted = ("stamp_ns", "receive_ns", "p_tip_x", "p_tip_y", "p_tip_z")
     for arm in episode.arms:
         try:
-            table = episodes.read_table(episode.folder / f"cycle_{arm}.csv", wanted=wanted)
+            table = table_file.read_table(episode.folder / f"cycle_{arm}.csv", wanted=wanted)
             table = within(table, f"cycle_{arm}")
             tip = table.vector("p_tip")
         except EpisodeError as problem:

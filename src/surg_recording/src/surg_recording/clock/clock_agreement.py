@@ -8,7 +8,8 @@ import numpy as np
 
 from surg_recording.clock import clock_sync
 from surg_recording.clock.verdict import CANNOT_TELL, FAIL, PASS
-from surg_recording.episode.episode_reader import Episode, Table
+from surg_recording.episode.episode_reader import Episode
+from surg_recording.episode.table import Table
 from surg_recording.recording_errors import EpisodeError
 
 CLOCK_TABLE = "clock_sync"

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording.episode.episode_reader import Episode, Table, Video
+from surg_recording.episode.episode_reader import Episode
+from surg_recording.episode.table import Table, Video
 from surg_recording.recording_errors import EpisodeError
 
 GUARD_NS = 1_000_000_000

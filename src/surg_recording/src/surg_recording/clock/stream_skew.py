@@ -13,7 +13,7 @@ from surg_recording.clock import clock_sync
 from surg_recording.clock.clock_agreement import CLOCK_TABLE
 from surg_recording.clock.clock_segments import Segment
 from surg_recording.clock.verdict import CANNOT_TELL, FAIL, PASS
-from surg_recording.episode import episode_reader as episodes
+from surg_recording.episode import table_file
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.recording_errors import EpisodeError
 
@@ -53,7 +53,7 @@ def streams(episode: Episode, segment: Segment | None) -> list[Stream]:
             if segment is not None and name not in tables:
                 table = segment.video(episode, name).frames
             else:
-                table = episodes.read_table(episode.folder / f"{name}.csv", kinds, wanted)
+                table = table_file.read_table(episode.folder / f"{name}.csv", kinds, wanted)
                 table = table if segment is None else segment.table(table, name)
         except EpisodeError as problem:
             result.append(Stream(name, _NO_STAMPS, _NO_STAMPS, str(problem)))

@@ -14,11 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from surg_core.transforms import multiply_quaternions, rotate_back, tip_quaternions
-from surg_recording.clock.clock_segments import Segment
 from surg_recording.datasets.resample import Grid, Stamps, around
-from surg_recording.episode import long_table
 from surg_recording.episode.checked_reading import TROCAR
-from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.long_table import LongTable
 from surg_recording.recording_errors import EpisodeError
 
@@ -69,11 +66,8 @@ class ArmCycles:
     commanded: bool
 
     @classmethod
-    def read(
-        cls, recorded: Episode, name: str, segment: Segment | None, commanded: bool
-    ) -> ArmCycles:
-        """Read what decides which rows are used; an EpisodeError if the table is broken."""
-        table = long_table.cycles(recorded, name, segment)
+    def of(cls, table: LongTable, name: str, commanded: bool) -> ArmCycles:
+        """The cycles in a checked table; an EpisodeError if a commanded arm was never homed."""
         homed = np.flatnonzero(table.index["homed"] == 1)
         if commanded and not len(homed):
             raise EpisodeError(

@@ -21,7 +21,7 @@ from surg_core.force.observed_force import PLACES
 from surg_recording.datasets import exporter_plugins, inspection, schema
 from surg_recording.datasets.dataset import Part
 from surg_recording.datasets.dataset_format import DatasetFormat
-from surg_recording.datasets.inspection import Layout
+from surg_recording.datasets.layout import Layout
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import sample
 from surg_recording.episode.labels import LABELS

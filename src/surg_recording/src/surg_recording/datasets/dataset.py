@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from surg_recording.datasets.inspection import Layout
+from surg_recording.datasets.layout import Layout
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.schema import Feature, from_description
 from surg_recording.recording_errors import EpisodeError

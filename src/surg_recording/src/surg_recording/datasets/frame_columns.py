@@ -11,10 +11,15 @@ import numpy.typing as npt
 from surg_core.contract import ACTION_KEY
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.resample import Grid, Stamps, ages_s
-from surg_recording.datasets.schema import ALWAYS, Feature
+from surg_recording.datasets.schema import ALWAYS, OPTIONAL, Feature, rank
 from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
+
+LINEAR = "linear interpolation"
+HOLD = "zero-order hold"
+BEFORE = "newest sample before the frame"
+NEXT = "zero-order hold at the next grid time"
 
 
 class Columns:
@@ -52,14 +57,28 @@ class Columns:
             return True
         return any(fnmatch.fnmatchcase(name, column) for column in columns)
 
-    def check_columns(self) -> None:
-        """An EpisodeError if ``options.columns`` asks for what the recording does not have."""
+    def finish(self) -> tuple[Feature, ...]:
+        """Add the grid's times; returns all features in the order of a data set.
+
+        Raises:
+            EpisodeError: ``drop`` or ``columns`` asks for what the recording does not have.
+        """
+        text = "time of the frame on the recording's clock"
+        self.number("timing.grid_ns", self.grid.times_ns, "int64", ("ns",), text=text)
+        features = tuple(sorted(self.features, key=lambda feature: rank(feature.name)))
+        unknown = set(self.options.drop) - set(self.dropped) - OPTIONAL
+        if unknown:
+            raise EpisodeError(
+                f"--drop {', '.join(sorted(unknown))}: no such feature; there are"
+                f" {', '.join(feature.name for feature in features)}"
+            )
         names = [*(feature.name for feature in self.features), *self.dropped]
         for column in self.options.columns or ():
             if not any(fnmatch.fnmatchcase(name, column) for name in names):
                 raise EpisodeError(
                     f"--columns {column}: no such feature; there are {sorted(names)}"
                 )
+        return features
 
     def vector(
         self,

@@ -6,7 +6,8 @@ import itertools
 from collections.abc import Sequence
 
 from surg_recording.datasets.dataset import Dataset, Part
-from surg_recording.datasets.inspection import FAILURE, RECOVERY, SUCCESS, Layout
+from surg_recording.datasets.inspection import FAILURE, RECOVERY, SUCCESS
+from surg_recording.datasets.layout import Layout
 from surg_recording.datasets.options import SPLITS, ExportOptions
 
 

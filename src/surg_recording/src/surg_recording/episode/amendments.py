@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from surg_recording.episode import episode_reader, finishing
+from surg_recording.episode import episode_reader, finishing, table_file
 from surg_recording.episode.integrity import HASH, VIDEO_HASH
 from surg_recording.file_io import file_hash
 from surg_recording.recording_errors import EpisodeError
@@ -51,7 +51,7 @@ def _restated(
 ) -> dict[str, Any]:
     """The entry of a table or video as its files are now; differences go to ``changed``."""
     path = folder / f"{name}.csv"
-    episode_reader.read_table(path, entry.get("kinds"))
+    table_file.read_table(path, entry.get("kinds"))
     found = finishing.describe_table(path)
     if problem := found.pop("problem", None):
         raise EpisodeError(f"{path}: {problem}")

@@ -12,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from surg_core.contract import SECOND_NS, STREAMS
+from surg_core.contract import SECOND_NS
 from surg_recording.clock import clock_agreement, clock_segments
 from surg_recording.clock.clock_segments import GUARD_NS, Segment
-from surg_recording.episode import episode_reader, integrity, labels, table_columns
-from surg_recording.episode.episode_reader import Episode, Table
+from surg_recording.episode import integrity, table_columns
+from surg_recording.episode.episode_reader import Episode
+from surg_recording.episode.table import Table, Video
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.video import video_file
 
@@ -25,9 +26,6 @@ LONGEST_GAP_NS = 3600 * SECOND_NS
 
 LARGEST = 1e6
 """No measured position, angle, speed or force is larger [SI]."""
-
-CYCLE_GAP_NS = 50_000_000
-"""Longest time without a control cycle that a metric may bridge [ns]; as of an export."""
 
 
 def segment_of(recorded: Episode) -> Segment | None:
@@ -42,40 +40,6 @@ def segment_of(recorded: Episode) -> Segment | None:
             " which of their clocks was set"
         )
     return segment
-
-
-def for_metrics(recorded: Episode, arm: str) -> Episode:
-    """The episode with the tables of an arm as an export reads them; only those are checked.
-
-    Raises:
-        EpisodeError: A table is not as recorded, or holds an impossible stamp or value; or the
-            commanded window of a complete recording lacks control cycles.
-    """
-    segment, tables = segment_of(recorded), {}
-    cycle = tables[f"cycle_{arm}"] = finite_cycle(recorded, arm, segment)
-    if recorded.complete:
-        limit = max(CYCLE_GAP_NS, round(1.5 * imported_period_s(recorded) * SECOND_NS))
-        _without_gap(recorded.folder / f"cycle_{arm}.csv", cycle, limit)
-    truth = recorded.manifest["tables"].get(f"ground_truth_{arm}")
-    if truth is not None and truth.get("rows") != 0:
-        tables[f"ground_truth_{arm}"] = _finite_truth(recorded, arm, segment)
-    command = f"command_{arm}"
-    if command in recorded.tables:
-        table = recorded.table(command)
-        tables[command] = table if segment is None else segment.table(table, command)
-    if labels.KEY in recorded.manifest:
-        tables = {name: _trimmed(recorded, name, table) for name, table in tables.items()}
-    return recorded.holding(tables)
-
-
-def _trimmed(recorded: Episode, name: str, table: Table) -> Table:
-    """The rows between the ends of the labels' trim; an EpisodeError if that leaves no cycle."""
-    begin, end = labels.trim(recorded.manifest)
-    stamps = table["stamp_ns"]
-    kept = table.select((stamps >= begin) & (stamps <= end))
-    if name.startswith("cycle_") and not len(kept):
-        raise EpisodeError(f"{recorded.folder / labels.LABELS}: the trim leaves no row of {name}")
-    return kept
 
 
 def checked_table(
@@ -112,9 +76,7 @@ def checked_table(
     return kept
 
 
-def checked_video(
-    recorded: Episode, camera: str, segment: Segment | None = None
-) -> episode_reader.Video:
+def checked_video(recorded: Episode, camera: str, segment: Segment | None = None) -> Video:
     """A video whose frames and times are those of its sidecar; only its frames within a segment.
 
     Raises:
@@ -128,7 +90,7 @@ def checked_video(
     return part
 
 
-def _whole_video(recorded: Episode, video: episode_reader.Video) -> episode_reader.Video:
+def _whole_video(recorded: Episode, video: Video) -> Video:
     """Compare a video with its sidecar, line by line."""
     sidecar = video.path.with_suffix(".csv")
     frames = video.frames
@@ -207,35 +169,6 @@ def _of_the_segment(path: Path, table: Table, segment: Segment) -> None:
         )
 
 
-def imported_period_s(recorded: Episode) -> float:
-    """Median period of the samples that another program recorded [s]; 0: not an import."""
-    imported = recorded.manifest.get("imported")
-    period = imported.get("period_s") if isinstance(imported, dict) else None
-    return period if isinstance(period, float) and 0.0 < period < 10.0 else 0.0
-
-
-def _without_gap(path: Path, cycle: Table, limit: int) -> None:
-    """Refuse a commanded window with a long gap: a metric would bridge it by a straight line."""
-    commanded = np.flatnonzero(np.isin(cycle["command"], STREAMS))
-    if not len(commanded):
-        return
-    stamps = cycle["stamp_ns"][commanded[0] : commanded[-1] + 1]
-    gaps = np.flatnonzero(np.diff(stamps) > limit)
-    if len(gaps):
-        row = int(gaps[0])
-        raise EpisodeError(
-            f"{path}: no control cycle for {(stamps[row + 1] - stamps[row]) * 1e-6:.0f} ms after"
-            f" stamp_ns {stamps[row]}; at most {limit * 1e-6:.0f} ms can be bridged"
-        )
-
-
-def finite_cycle(recorded: Episode, name: str, segment: Segment | None = None) -> Table:
-    """An arm's control cycles, all measured values finite; else an EpisodeError."""
-    cycle = checked_table(recorded, f"cycle_{name}", segment)
-    check_cycle(recorded.folder / f"cycle_{name}.csv", cycle)
-    return cycle
-
-
 MEASURED = ("p_tip_x", "p_tip_y", "p_tip_z", "s_x", "s_y", "s_z", "roll", "jaw")
 """Columns of the cycles that always hold a measurement; also ``q0``…, ``qd0``…."""
 
@@ -251,41 +184,11 @@ def cycle_columns(joints: int) -> tuple[str, ...]:
 def check_cycle(path: Path, cycle: Table) -> None:
     """Raise an EpisodeError unless all measured values of control cycles are possible."""
     joints = table_columns.joint_count(cycle.columns)
-    _finite(path, cycle, [*MEASURED, *(f"{p}{i}" for p in ("q", "qd") for i in range(joints))])
-    _finite(path, cycle.select(cycle["homed"] == 1), TROCAR)
+    finite(path, cycle, [*MEASURED, *(f"{p}{i}" for p in ("q", "qd") for i in range(joints))])
+    finite(path, cycle.select(cycle["homed"] == 1), TROCAR)
 
 
-def _finite_truth(recorded: Episode, arm: str, segment: Segment | None) -> Table:
-    """The simulator's ground truth of an arm, all values finite; else an EpisodeError."""
-    name = f"ground_truth_{arm}"
-    table = checked_table(recorded, name, segment)
-    groups = ("shaft", "axis", "tip", "trocar", "trocar_loaded", "force")
-    used = [f"{group}_{axis}" for group in groups for axis in "xyz"]
-    _finite(recorded.folder / f"{name}.csv", table, used)
-    return table
-
-
-def measured_force(
-    recorded: Episode, place: str, arm: str, segment: Segment | None
-) -> Table | None:
-    """What a sensor said of the force at ``tip`` or ``trocar``; None: it was never known.
-
-    Raises:
-        EpisodeError: The table is not as recorded, or a known force is impossible.
-    """
-    name = f"{place}_force_{arm}"
-    if not (recorded.manifest["tables"].get(name) or {}).get("rows"):
-        return None
-    table = checked_table(recorded, name, segment)
-    path = recorded.folder / f"{name}.csv"
-    strange = table["known"][~np.isin(table["known"], (0, 1))]
-    if strange.size:
-        raise EpisodeError(f"{path}: column known: {strange[0]} is neither 1 nor 0")
-    _finite(path, table.select(table["known"] == 1), [f"force_{axis}" for axis in "xyz"])
-    return table
-
-
-def _finite(path: Path, table: Table, columns: Sequence[str]) -> None:
+def finite(path: Path, table: Table, columns: Sequence[str]) -> None:
     """Refuse a value that cannot have been measured."""
     for column in columns:
         values = table[column]

@@ -14,7 +14,8 @@ from surg_recording.file_io import file_hash
 from surg_recording.recording_errors import EpisodeError
 
 if TYPE_CHECKING:
-    from surg_recording.episode.episode_reader import Episode, Table
+    from surg_recording.episode.episode_reader import Episode
+    from surg_recording.episode.table import Table
 
 HASH, VIDEO_HASH = "sha256", "video_sha256"
 """Keys of an entry of the manifest: hash of a CSV file, and of the video beside a sidecar."""

@@ -15,7 +15,9 @@ import numpy.typing as npt
 
 from surg_recording.clock.clock_segments import Segment
 from surg_recording.episode import checked_reading, table_columns
-from surg_recording.episode.episode_reader import Episode, Table, read_blocks
+from surg_recording.episode.episode_reader import Episode
+from surg_recording.episode.table import Table
+from surg_recording.episode.table_file import read_blocks
 
 Rows = npt.NDArray[np.int64]
 

@@ -18,9 +18,10 @@ from typing import Any
 from surg_recording.clock.clock_steps import CLOCK_STEP
 from surg_recording.episode import damaged, finishing, labels, manifest_check
 from surg_recording.episode.annotations import Annotations, parse_tag
-from surg_recording.episode.episode_reader import FORMAT, MANIFEST, PARTIAL, read_table
+from surg_recording.episode.episode_reader import FORMAT, MANIFEST, PARTIAL
 from surg_recording.episode.episode_writer import LOCK, RESERVE
 from surg_recording.episode.table_columns import EVENTS
+from surg_recording.episode.table_file import read_table
 from surg_recording.file_io import read_json, sync_folder
 from surg_recording.recording_errors import EpisodeError
 

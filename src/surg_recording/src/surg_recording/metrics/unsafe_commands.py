@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from surg_core.contract import ENABLED, POSITION_STREAMS, STREAMS
-from surg_recording.episode.episode_reader import Episode, Table
+from surg_recording.episode.episode_reader import Episode
+from surg_recording.episode.table import Table
 from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]

@@ -15,7 +15,8 @@ from surg_core.pictures.eye_projection import EyeProjection
 from surg_core.pictures.plan_projection import plan_pixels, rcm_in_world
 from surg_core.transforms import FloatArray
 from surg_recording.calibration.calibration_record import endoscope_of
-from surg_recording.episode.episode_reader import Episode, Table
+from surg_recording.episode.episode_reader import Episode
+from surg_recording.episode.table import Table
 from surg_recording.recording_errors import EpisodeError
 
 TOPIC, CAMERA, LEFT = "/policy/plan", "endoscope_left", "endoscope.left"

@@ -19,9 +19,9 @@ import numpy.typing as npt
 from surg_core.contract import STATE_NAMES
 from surg_core.transforms import rotate_back
 from surg_recording import metrics
-from surg_recording.episode import episode_reader as episodes
-from surg_recording.episode import integrity
-from surg_recording.episode.episode_reader import Episode, Table
+from surg_recording.episode import integrity, table_file
+from surg_recording.episode.episode_reader import Episode
+from surg_recording.episode.table import Table
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.reports import episode_plan
 from surg_recording.reports.figure_style import EXECUTED, TRUE
@@ -200,7 +200,7 @@ def _read(episode: Episode, name: str, wanted: Sequence[str], missing: list[str]
         missing.append(f"{name}: nothing was recorded")
         return None
     try:
-        table = episodes.read_table(episode.folder / f"{name}.csv", wanted=wanted)
+        table = table_file.read_table(episode.folder / f"{name}.csv", wanted=wanted)
         lacking = [column for column in wanted if column not in table]
         if lacking:
             raise EpisodeError(f"{name}: no column {', '.join(lacking)}")
@@ -250,7 +250,7 @@ def _events(
     events: list[dict[str, Any]] = []
     try:
         if "events" in episode.tables:
-            table = episodes.read_table(episode.folder / "events.csv")
+            table = table_file.read_table(episode.folder / "events.csv")
             columns = (table[name] for name in ("stamp_ns", "receive_ns", "topic", "text"))
             for stamp, receive, topic, content in zip(*columns, strict=True):
                 t, exact = _when(int(stamp), int(receive), cycle, origin, end)
@@ -302,7 +302,9 @@ def _event(topic: str, content: str) -> tuple[str, str]:
 def _phases(episode: Episode, origin: int, missing: list[str]) -> list[dict[str, Any]]:
     """Changes of the task's phase."""
     try:
-        table = episodes.read_table(episode.folder / "task_state.csv", wanted=("stamp_ns", "phase"))
+        table = table_file.read_table(
+            episode.folder / "task_state.csv", wanted=("stamp_ns", "phase")
+        )
         stamps, phases = table["stamp_ns"], table["phase"]
     except EpisodeError as problem:
         missing.append(str(problem))

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from surg_recording import metrics
-from surg_recording.episode import checked_reading, integrity
 from surg_recording.episode import episode_reader as episodes
+from surg_recording.episode import integrity, metric_tables
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.same_recording import Known
 from surg_recording.episode.selection import Selection, SelectionError
@@ -107,7 +107,7 @@ def measure(recorded: Episode, arm: str | None = None) -> dict[str, Any]:
     Raises:
         EpisodeError: It is not as recorded, or without motion.
     """
-    recorded = checked_reading.for_metrics(recorded, chosen_arm(recorded, arm))
+    recorded = metric_tables.for_metrics(recorded, chosen_arm(recorded, arm))
     try:
         measured = run_summary.summarise(recorded, arm)
     except ValueError as problem:  # a metric was given what is no number

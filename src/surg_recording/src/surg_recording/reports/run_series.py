@@ -10,7 +10,8 @@ import numpy.typing as npt
 from surg_core.contract import SECOND_NS, STREAMS
 from surg_core.transforms import rotate, virtual_tip
 from surg_recording import metrics
-from surg_recording.episode.episode_reader import Episode, Table
+from surg_recording.episode.episode_reader import Episode
+from surg_recording.episode.table import Table
 from surg_recording.recording_errors import EpisodeError, NoMotionError
 
 Array = npt.NDArray[np.float64]

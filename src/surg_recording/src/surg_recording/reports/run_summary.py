@@ -15,7 +15,8 @@ import numpy.typing as npt
 
 from surg_core.contract import ENABLED, FAULT
 from surg_recording import metrics
-from surg_recording.episode.episode_reader import Episode, Table
+from surg_recording.episode.episode_reader import Episode
+from surg_recording.episode.table import Table
 from surg_recording.recording_errors import NoMotionError
 from surg_recording.reports.run_limits import stated_limits
 from surg_recording.reports.run_series import (

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image as PilImage
 
-from surg_recording.episode.episode_reader import Video
+from surg_recording.episode.table import Video
 from surg_recording.recording_errors import EpisodeError
 
 Image = npt.NDArray[np.uint8]

@@ -1,0 +1,183 @@
+"""The features of motion: measured state, forces, the camera's pose, actions, ground truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from surg_core.action_space import ActionSpace
+from surg_core.contract import (
+    ACTION_KEY,
+    ARM_FORCE,
+    ARM_FORCE_UNITS,
+    ARM_STATE,
+    ARM_STATE_UNITS,
+    FORCE_KEY,
+    FORCE_TIMEOUT_NS,
+    SECOND_NS,
+    STATE_KEY,
+)
+from surg_core.force.observed_force import PLACES
+from surg_core.transforms import rotate_back
+from surg_recording.calibration import calibration_record
+from surg_recording.datasets import schema
+from surg_recording.datasets.arm_motion import ArmMotion
+from surg_recording.datasets.frame_columns import BEFORE, LINEAR, NEXT, Columns
+from surg_recording.datasets.resample import around, linear, previous, slerp
+from surg_recording.episode.checked_episode import CheckedEpisode
+from surg_recording.episode.long_table import LongTable
+
+
+def observed_motion(made: Columns, commanded: list[ArmMotion], arms: list[ArmMotion]) -> None:
+    """Measured values: joints of all arms, tips of those that are commanded and so homed."""
+    grid, gap = made.grid, round(made.options.max_gap_s * SECOND_NS)
+    states, poses = [], []
+    for arm in commanded:
+        both = np.column_stack([arm.state, arm.p_BTip])
+        resampled, _ = linear(arm.stamps, both, grid.times_ns, arm.path, gap)
+        quaternion, _ = slerp(arm.stamps, arm.q_BTool, grid.times_ns, arm.path, gap)
+        states.append(resampled[:, : arm.state.shape[1]])
+        poses.append(np.column_stack([resampled[:, arm.state.shape[1] :], quaternion]))
+    names = [arm.name for arm in commanded]
+    made.vector(
+        STATE_KEY,
+        np.hstack(states),
+        arm_names(names, ARM_STATE),
+        ARM_STATE_UNITS * len(names),
+        "rcm frame of each arm",
+        LINEAR,
+        "measured tip, roll and jaw; set-point of tip and roll",
+    )
+    made.vector(
+        "observation.cartesian_state",
+        np.hstack(poses),
+        arm_names(names, schema.POSE),
+        schema.POSE_UNITS * len(names),
+        "base frame of each arm",
+        "linear interpolation; slerp",
+        "measured pose of the tool: tip and orientation (quaternion x, y, z, w)",
+    )
+    for kind, prefix, unit in (("positions", "q", "rad"), ("velocities", "qd", "rad/s")):
+        values, flat = [], []
+        for arm in arms:
+            measured = arm.q if prefix == "q" else arm.qd
+            resampled, before = linear(arm.stamps, measured, grid.times_ns, arm.path, gap)
+            values.append(resampled)
+            flat += [f"{arm.name}/{prefix}{i}" for i in range(resampled.shape[1])]
+            if prefix == "q":
+                text = f"cycle of {arm.name} before this frame"
+                made.timing(arm.name, arm.stamps, before, grid.times_ns, text)
+        made.vector(
+            f"observation.joint_{kind}",
+            np.hstack(values),
+            tuple(flat),
+            (unit,) * len(flat),
+            "",
+            LINEAR,
+            f"measured joint {kind}",
+        )
+
+
+def measured_forces(made: Columns, episode: CheckedEpisode, arms: list[ArmMotion]) -> None:
+    """Forces at tip and trocar: the newest measured before each frame, if it is fresh."""
+    times, parts = made.grid.times_ns, []
+    for arm in arms:
+        for place in PLACES:
+            table = episode.forces[place, arm.name]
+            values = np.zeros((len(times), 4))
+            if table is not None:
+                row = np.searchsorted(table["stamp_ns"], times, side="left") - 1
+                known = (row >= 0) & (table["known"][row] == 1)
+                known &= times - table["stamp_ns"][row] <= FORCE_TIMEOUT_NS
+                force = table.vector("force")[row]
+                turned = rotate_back(arm.q_BR_at(times), force)
+                values = np.where(known[:, None], np.column_stack([turned, known]), 0.0)
+            parts.append(values)
+    names = [arm.name for arm in arms]
+    made.vector(
+        FORCE_KEY,
+        np.hstack(parts),
+        arm_names(names, ARM_FORCE),
+        ARM_FORCE_UNITS * len(names),
+        "rcm frame of each arm",
+        BEFORE,
+        "force on the tip and of the shaft on the trocar; known: 1, or 0 and no force",
+    )
+
+
+def camera_pose(made: Columns, episode: CheckedEpisode, arm: ArmMotion) -> None:
+    """The pose of the left camera, from the joints of the arm that holds it."""
+    held = calibration_record.endoscope_of(episode.folder, episode.manifest)
+    assert held is not None
+    gap = round(made.options.max_gap_s * SECOND_NS)
+    q, _ = linear(arm.stamps, arm.q, made.grid.times_ns, arm.path, gap)
+    made.vector(
+        schema.CAMERA_POSE,
+        calibration_record.camera_poses(held, q),
+        schema.POSE,
+        schema.POSE_UNITS,
+        "world",
+        LINEAR,
+        "pose X_WV of the left camera (x right, y down, z away), by joints and calibration",
+    )
+
+
+_ACTIONS = {
+    "absolute": "where tip, roll and jaw shall be at the next frame; absolute",
+    "relative": "change of the command for tip and roll from this frame to the next; jaw absolute",
+    "velocity": "the same change per second: mean velocity of the command; jaw absolute",
+    "joint": "where tip, roll and jaw shall be at the next frame, as joints of the instrument",
+}
+"""Description of the action, by action space."""
+
+
+def actions(made: Columns, arms: list[ArmMotion]) -> None:
+    """The commands in force at the next grid times, in the action space of the export."""
+    grid, goals, before = made.grid, [], []
+    for arm in arms:
+        what = f"commands of {arm.name}"
+        row = previous(arm.stamps, grid.next_ns, what)
+        goals.append(arm.goal[row])
+        before.append(arm.goal[previous(arm.stamps, grid.times_ns, what)])
+        text = f"cycle that accepted the action of {arm.name}"
+        made.timing(f"{arm.name}.action", arm.goal_since_ns, row, grid.next_ns, text)
+    names, space = [arm.name for arm in arms], ActionSpace(made.options.action_space)
+    made.vector(
+        ACTION_KEY,
+        space.encode(np.hstack(goals), np.hstack(before), 1.0 / grid.fps),
+        space.columns(names),
+        space.units(names),
+        "rcm frame of each arm",
+        NEXT,
+        f"{_ACTIONS[space.name]} (action space: {space.name})",
+    )
+
+
+def ground_truth(made: Columns, truth: Mapping[str, LongTable]) -> None:
+    """The simulator's tip, and its force of the shaft on the trocar, of each arm."""
+    parts, names = [], []
+    columns = [f"{name}_{axis}" for name in ("tip", "force") for axis in "xyz"]
+    for arm, long in truth.items():
+        table = long.at(around(long.index["stamp_ns"], made.grid.times_ns), columns)
+        values = np.column_stack([table.vector("tip"), table.vector("force")])
+        gap = round(made.options.max_gap_s * SECOND_NS)
+        what = f"ground_truth_{arm}.csv"
+        resampled, _ = linear(table["stamp_ns"], values, made.grid.times_ns, what, gap)
+        parts.append(resampled)
+        names += [f"{arm}/{name}_{axis}" for name in ("tip", "force") for axis in "xyz"]
+    made.vector(
+        schema.GROUND_TRUTH,
+        np.hstack(parts),
+        tuple(names),
+        ("m", "m", "m", "N", "N", "N") * len(truth),
+        "base frame of each arm",
+        LINEAR,
+        "the simulator's tip, and the force of the shaft on the trocar's wall",
+        privileged=True,
+    )
+
+
+def arm_names(arms: list[str], names: tuple[str, ...]) -> tuple[str, ...]:
+    """``<arm>/<name>`` of all, arm by arm."""
+    return tuple(f"{arm}/{name}" for arm in arms for name in names)
