@@ -491,11 +491,11 @@ def test_what_stalls_or_is_too_short_is_refused(tmp_path: Path) -> None:
     lenient = dataclasses.replace(SERIAL, max_image_age_s=0.5)
     assert export([stalled], tmp_path / "out", options=lenient).ok
     short = datasets_synthetic.record(tmp_path / "short", 8, 0.02, ())
-    candidate = datasets.pipeline.inspection.look(short, SERIAL)
+    candidate = datasets.pipeline.inspection.inspect(short, SERIAL)
     assert datasets.sample(candidate, SERIAL).grid.frames >= 2
     slow = dataclasses.replace(SERIAL, fps=1)
     with pytest.raises(EpisodeError, match="overlap too shortly"):
-        datasets.sample(datasets.pipeline.inspection.look(short, slow), slow)
+        datasets.sample(datasets.pipeline.inspection.inspect(short, slow), slow)
 
 
 def test_nothing_is_overwritten(recordings: dict[str, Path], tmp_path: Path) -> None:

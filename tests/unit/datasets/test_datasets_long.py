@@ -14,7 +14,7 @@ from surg_recording import datasets
 from surg_recording.datasets import ExportOptions
 from surg_recording.datasets.arm_motion import unwrapped
 from surg_recording.datasets.formats.lerobot_part import LeRobotExporter
-from surg_recording.datasets.inspection import look
+from surg_recording.datasets.inspection import inspect
 from surg_recording.datasets.resample import around, linear
 from surg_recording.datasets.sampling import sample
 from surg_recording.episode import episode_reader, long_table
@@ -63,7 +63,7 @@ def test_a_long_recording_becomes_several_episodes_without_a_frame_lost(
 
 
 def test_pieces_hold_every_frame_once(recordings: list[Path]) -> None:
-    sampled = sample(look(recordings[0], SERIAL), SERIAL)
+    sampled = sample(inspect(recordings[0], SERIAL), SERIAL)
     assert sampled.pieces(None) == sampled.pieces(1000.0) == [sampled]
     for longest in (1.0, 1.3, 2.0):
         pieces = sampled.pieces(longest)

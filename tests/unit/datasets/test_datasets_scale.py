@@ -298,14 +298,14 @@ def test_an_exporter_that_fails_costs_one_recording(tmp_path: Path) -> None:
 def test_half_a_part_is_never_seen(tmp_path: Path) -> None:
     """Two processes at the same recording: one wins, both are content."""
     folder = many(tmp_path, 1)[0]
-    look = datasets.pipeline.inspection.look(folder, SERIAL)
+    look = datasets.pipeline.inspection.inspect(folder, SERIAL)
     place = tmp_path / "parts"
     place.mkdir()
     job = ConversionJob(folder, "act", SERIAL, look.layout, "somekey", place)
-    threads = [threading.Thread(target=conversion.make, args=(job,)) for _ in range(3)]
+    threads = [threading.Thread(target=conversion.convert, args=(job,)) for _ in range(3)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
     assert [path.name for path in place.iterdir()] == ["somekey"]
-    assert not conversion.make(job).made
+    assert not conversion.convert(job).made

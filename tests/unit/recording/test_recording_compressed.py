@@ -72,9 +72,9 @@ def test_sizes_are_those_that_a_decoder_finds() -> None:
             files.append(coded(picture, "jpeg", exif=exif.tobytes()))
             for data in files:
                 cases += 1
-                assert compressed_image.look(data)[1:] == (width, height)
+                assert compressed_image.read_header(data)[1:] == (width, height)
                 padded = data + bytes(7)  # some drivers fill up to a whole number of words
-                assert compressed_image.look(padded)[1:] == (width, height)
+                assert compressed_image.read_header(padded)[1:] == (width, height)
     print(f"{cases} files")
 
 
@@ -87,10 +87,10 @@ def test_a_picture_that_is_cut_is_refused_wherever_it_is_cut() -> None:
         coded(shown(1), "jpeg"),
         coded(shown(1), "jpeg", progressive=True, exif=exif),
     ):
-        compressed_image.look(data)
+        compressed_image.read_header(data)
         for size in range(len(data)):
             with pytest.raises(ValueError, match=r"cut or broken|neither JPEG nor PNG"):
-                compressed_image.look(data[:size], "x")
+                compressed_image.read_header(data[:size], "x")
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_a_picture_that_is_cut_is_refused_wherever_it_is_cut() -> None:
 )
 def test_what_cannot_be_recorded_is_said(data: bytes, said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        compressed_image.look(data, "x")
+        compressed_image.read_header(data, "x")
 
 
 def test_noise_never_raises_anything_else() -> None:
@@ -117,7 +117,7 @@ def test_noise_never_raises_anything_else() -> None:
         for place in rng.integers(2, len(data), 4):
             data[place] = int(rng.integers(256))
         try:
-            found = compressed_image.look(bytes(data))
+            found = compressed_image.read_header(bytes(data))
         except ValueError:
             continue
         assert isinstance(found, Coded)

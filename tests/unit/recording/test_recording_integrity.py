@@ -242,12 +242,12 @@ def test_what_the_operator_called_a_failure_is_a_success_nowhere(tmp_path: Path)
     assert summary["conditions"]["phantom"]["success_rate"]["k"] == 0
     evaluation_report.write(summary, tmp_path / "out")
     assert "verdicts disagree" in (tmp_path / "out" / "report.html").read_text("utf-8")
-    candidate = datasets.pipeline.inspection.look(made, SERIAL)
+    candidate = datasets.pipeline.inspection.inspect(made, SERIAL)
     assert candidate.kind == "failure"
     sampled = datasets.sample(candidate, SERIAL)
     assert not sampled.columns["next.success"].any()
     datasets_synthetic.edit(made, result={"success": True, "by": "/a"})
-    sampled = datasets.sample(datasets.pipeline.inspection.look(made, SERIAL), SERIAL)
+    sampled = datasets.sample(datasets.pipeline.inspection.inspect(made, SERIAL), SERIAL)
     assert sampled.columns["next.success"][-1]
     count, _, warnings = exported(made)
     assert count == 1 and warnings == []

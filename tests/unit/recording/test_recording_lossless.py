@@ -13,8 +13,8 @@ import pytest
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.video import exact_values, video_embed, video_file
 from surg_recording.video.camera_sink import CameraSink
-from surg_recording.video.image_frame import frame_of
-from surg_recording.video.video_sink import Frame, VideoSink
+from surg_recording.video.image_frame import Frame, frame_of
+from surg_recording.video.video_sink import VideoSink
 
 START_NS, PERIOD_NS = 10**18, 50_000_000
 HEIGHT, WIDTH = 61, 95

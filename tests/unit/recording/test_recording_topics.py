@@ -186,9 +186,9 @@ def test_patterns_find_what_appears_and_leave_the_rest() -> None:
         "/PSM2/measured_image": "sensor_msgs/Image",
         "/record/status": "surg_msgs/RecordStatus",
     }
-    assert choice.look(published) == ["/PSM1/measured_js"]
-    assert choice.look(published) == []
-    assert choice.look({**published, "/PSM2/measured_js": "x/Y"}) == ["/PSM2/measured_js"]
+    assert choice.newly_chosen(published) == ["/PSM1/measured_js"]
+    assert choice.newly_chosen(published) == []
+    assert choice.newly_chosen({**published, "/PSM2/measured_js": "x/Y"}) == ["/PSM2/measured_js"]
     assert list(choice.refused) == ["/PSM2/measured_image"]
     assert "~cameras" in choice.refused["/PSM2/measured_image"]
     with pytest.raises(ValueError, match="'tf': a name or a pattern that begins with /"):

@@ -16,7 +16,8 @@ from helpers.results.recording_results import note
 from surg_recording.episode import table_file
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.video import video_file
-from surg_recording.video.video_sink import Frame, VideoSink
+from surg_recording.video.image_frame import Frame
+from surg_recording.video.video_sink import VideoSink
 
 WIDTH, HEIGHT = 160, 120
 START_NS = 1_732_147_200_123_456_789
@@ -140,7 +141,8 @@ _VICTIM = """
 import sys, time
 from pathlib import Path
 sys.path.insert(0, sys.argv[2])
-from surg_recording.video.video_sink import Frame, VideoSink
+from surg_recording.video.image_frame import Frame
+from surg_recording.video.video_sink import VideoSink
 import numpy as np
 sink = VideoSink(Path(sys.argv[1]), "cam", block=False)
 rng = np.random.default_rng(0)

@@ -84,20 +84,20 @@ def input_hash(
     return hashlib.sha256(json.dumps(stated, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def make(job: ConversionJob) -> ConversionResult:
+def convert(job: ConversionJob) -> ConversionResult:
     """Convert a recording unless that is done. Never raises: the outcome states the problem."""
     try:
-        return ConversionResult(job.folder, job.key, made=_make(job))
+        return ConversionResult(job.folder, job.key, made=_convert(job))
     except Exception as problem:  # an exporter's or a library's own: one recording, not the export
         return ConversionResult(job.folder, job.key, words_of(problem, job.folder))
 
 
-def _make(job: ConversionJob) -> bool:
+def _convert(job: ConversionJob) -> bool:
     place = job.parts / job.key
     if place.exists():
         return False
     exporter = exporter_plugins.load(job.exporter)
-    candidate = inspection.look(job.folder, job.options)
+    candidate = inspection.inspect(job.folder, job.options)
     sampled = sample(candidate, job.options)
     owner = f"{_UNFINISHED}{socket.gethostname()}-{os.getpid()}-"
     work = Path(tempfile.mkdtemp(prefix=owner, dir=job.parts))
@@ -132,7 +132,7 @@ def _make(job: ConversionJob) -> bool:
     return True
 
 
-def sweep(parts: Path) -> None:
+def remove_unfinished(parts: Path) -> None:
     """Remove unfinished folders of killed workers of this machine."""
     here = f"{_UNFINISHED}{socket.gethostname()}-"
     for folder in parts.glob(f"{here}*"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from surg_recording import job_pool
-from surg_recording.datasets.conversion import ConversionJob, ConversionResult, make
+from surg_recording.datasets.conversion import ConversionJob, ConversionResult, convert
 from surg_recording.datasets.export_report import ExportError
 from surg_recording.datasets.options import ExportOptions
 
@@ -23,6 +23,6 @@ def run(jobs: Sequence[ConversionJob], options: ExportOptions, done: Done) -> No
     executor = job_pool.Executor(options.executor, options.workers, options.scheduler)
     callbacks = job_pool.JobCallbacks[ConversionResult](lambda _, result: done(result), lost)
     try:
-        job_pool.run(make, by_key, executor, callbacks)
+        job_pool.run(convert, by_key, executor, callbacks)
     except job_pool.NoExecutor as problem:
         raise ExportError(str(problem)) from None

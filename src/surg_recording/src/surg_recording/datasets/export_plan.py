@@ -13,7 +13,7 @@ from surg_recording.datasets.export_report import ExportError, Progress
 from surg_recording.datasets.inspection import Candidate
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.episode import episode_reader
-from surg_recording.episode.same_recording import Known
+from surg_recording.episode.same_recording import KnownRecordings
 from surg_recording.episode.selection import Selection, SelectionError
 from surg_recording.recording_errors import EpisodeError, words_of
 
@@ -47,7 +47,7 @@ def make(
     refused: dict[str, str] = {}
     candidates: list[Candidate] = []
     keys: list[str] = []
-    known, unselected = Known(), 0
+    known, unselected = KnownRecordings(), 0
     selection = None if options.where is None else Selection(options.where)
     for number, folder in enumerate(folders):
         progress(0.1 * number / len(folders), f"looking at {folder.name}")
@@ -55,7 +55,7 @@ def make(
             if selection is not None and not selection.matches(episode_reader.read(folder)):
                 unselected += 1
                 continue
-            candidate = inspection.look(folder, options)
+            candidate = inspection.inspect(folder, options)
             alike = options.columns is not None or not candidates
             other = None if alike else candidates[0].layout.difference(candidate.layout)
             if other is not None:

@@ -47,7 +47,7 @@ def common_grid(episode: CheckedEpisode, arms: Sequence[ArmCycles], options: Exp
     if videos and options.video == COPY:  # a copied video begins with a key frame
         video = videos[0]
         keys = video.frames["stamp_ns"][
-            np.isin(video.frames["frame"], stream_copy.keys(video.path))
+            np.isin(video.frames["frame"], stream_copy.key_frames(video.path))
         ]
         reference = keys if (keys >= begin).any() else reference
     if reference is not None:

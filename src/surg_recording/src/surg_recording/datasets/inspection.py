@@ -84,7 +84,7 @@ def common(candidates: Sequence[Candidate]) -> Layout:
     )
 
 
-def look(folder: Path, options: ExportOptions) -> Candidate:
+def inspect(folder: Path, options: ExportOptions) -> Candidate:
     """Judge a recording by its manifest; an EpisodeError states what would allow its export."""
     recorded = episode_reader.read(folder)
     manifest = recorded.manifest

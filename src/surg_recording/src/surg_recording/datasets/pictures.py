@@ -261,7 +261,7 @@ def video_facts(path: Path) -> dict[str, object]:
         }
 
 
-def place(source: Path, target: Path) -> None:
+def link_or_copy(source: Path, target: Path) -> None:
     """Hard-link a file under another name, or copy it where links are impossible."""
     target.parent.mkdir(parents=True, exist_ok=True)
     try:

@@ -15,7 +15,7 @@ from typing import Any
 
 from surg_core.plugins import source_file
 from surg_recording.datasets import executors, export_plan, inspection, schema
-from surg_recording.datasets.conversion import ConversionJob, ConversionResult, sweep
+from surg_recording.datasets.conversion import ConversionJob, ConversionResult, remove_unfinished
 from surg_recording.datasets.dataset import Dataset, Part
 from surg_recording.datasets.dataset_format import DatasetFormat
 from surg_recording.datasets.export_manifest import is_up_to_date, write_manifest
@@ -49,7 +49,7 @@ def export(
     if out.exists() and is_up_to_date(out, exporter, plan.keys, options, report):
         return report
     parts.mkdir(parents=True, exist_ok=True)
-    sweep(parts)
+    remove_unfinished(parts)
     # Other processes load the exporter by its file, or by name.
     locator = source_file(exporter) or exporter.name
     jobs = [

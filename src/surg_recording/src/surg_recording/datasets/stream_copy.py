@@ -18,7 +18,7 @@ from surg_recording.recording_errors import EpisodeError
 from surg_recording.video import video_file
 
 
-def keys(path: Path) -> list[int]:
+def key_frames(path: Path) -> list[int]:
     """Indices of a video's key frames.
 
     Raises:

@@ -13,7 +13,7 @@ from surg_recording.recording_errors import EpisodeError
 SIMULATION, RECORDING = "the same simulation as", "the same recording as"
 
 
-class Known:
+class KnownRecordings:
     """The recordings seen so far."""
 
     def __init__(self) -> None:

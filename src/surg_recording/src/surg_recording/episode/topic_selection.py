@@ -43,7 +43,7 @@ class TopicChoice:
         """Topic → why it is not recorded here."""
         self.chosen: set[str] = {topic for topic in self.named if topic not in taken}
 
-    def look(self, published: Mapping[str, str]) -> list[str]:
+    def newly_chosen(self, published: Mapping[str, str]) -> list[str]:
         """Topics to subscribe to from now on; ``published`` maps topics to types."""
         appeared = []
         for topic, kind in sorted(published.items()):

@@ -78,7 +78,7 @@ class BagExporter(Exporter):
         episodes = []
         for index, part in enumerate(dataset.parts):
             name = f"episode_{index:06d}{self.suffix}"
-            pictures.place(part.folder / f"recording{self.suffix}", out / name)
+            pictures.link_or_copy(part.folder / f"recording{self.suffix}", out / name)
             content = json.loads((part.folder / _CONTENT).read_text("utf-8"))
             about = {"file": name, "instruction": part.instruction, "kind": part.kind}
             episodes.append({**about, **content})

@@ -28,7 +28,7 @@ class TopicDiscovery:
         reported: set[str] = set()
         quiet_since = time.monotonic()
         while not rospy.is_shutdown():
-            for topic in self._state.choice.look(self._published()):
+            for topic in self._state.choice.newly_chosen(self._published()):
                 self._subscribe(topic)
             recording = self._state.recording
             if recording is None:

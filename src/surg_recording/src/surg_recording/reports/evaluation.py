@@ -15,7 +15,7 @@ from surg_recording import metrics
 from surg_recording.episode import episode_reader as episodes
 from surg_recording.episode import integrity, metric_tables
 from surg_recording.episode.episode_reader import Episode
-from surg_recording.episode.same_recording import Known
+from surg_recording.episode.same_recording import KnownRecordings
 from surg_recording.episode.selection import Selection, SelectionError
 from surg_recording.episode.verdicts import verdict
 from surg_recording.imports.arm_series import DEVIATION
@@ -157,7 +157,7 @@ def measure_all(
     """
     entries: list[dict[str, Any]] = []
     left_out: list[LeftOut] = []
-    known = Known()
+    known = KnownRecordings()
     for i, folder in enumerate(folders):
         progress(i / len(folders), f"{i + 1} of {len(folders)}, {folder}")
         try:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_recording.video.camera_sink import CameraSink
-from surg_recording.video.video_sink import Frame
+from surg_recording.video.image_frame import Frame
 
 START_S = 10.0
 """Time for the encoders to start [s]; after that, frames wait in memory."""

@@ -13,8 +13,9 @@ import threading
 from pathlib import Path
 from typing import Any
 
+from surg_recording.video.image_frame import Frame
 from surg_recording.video.video_encoder import ENCODINGS
-from surg_recording.video.video_sink import Frame, VideoSink, unusable
+from surg_recording.video.video_sink import VideoSink, unusable
 
 MAX_PARTS = 8
 

@@ -32,7 +32,7 @@ class Coded(NamedTuple):
     height: int
 
 
-def look(data: bytes, stated: str = "") -> Coded:
+def read_header(data: bytes, stated: str = "") -> Coded:
     """Kind and size of a picture; ``stated`` is the sender's ``format``, for the error.
 
     Raises:

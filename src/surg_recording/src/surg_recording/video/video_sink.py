@@ -16,10 +16,10 @@ import threading
 import time
 from collections import deque
 from pathlib import Path
-from typing import NamedTuple
 
 from surg_recording.file_io import write_all
 from surg_recording.video import video_encoder, video_file
+from surg_recording.video.image_frame import Frame
 
 QUEUE_LIMIT = 40
 """Frames that may wait for the encoder: 2 s at 20 fps."""
@@ -31,19 +31,6 @@ IN_FLIGHT = 16
 """Frames that the encoder may hold without an answer."""
 
 _LARGE_PIPE = 1 << 20
-
-
-class Frame(NamedTuple):
-    """One image of a sensor_msgs/Image or CompressedImage (step 0), and its times [ns]."""
-
-    data: bytes
-    width: int
-    height: int
-    step: int
-    encoding: str
-    stamp_ns: int
-    receive_ns: int
-    problem: str | None = None
 
 
 class VideoSink:

@@ -76,7 +76,7 @@ class Act(Exporter):
     def assemble(self, dataset: Dataset, out: Path) -> None:
         """Number the files; ``dataset.json`` has the splits."""
         for index, part in enumerate(dataset.parts):
-            pictures.place(part.folder / _FILE, out / f"episode_{index}.hdf5")
+            pictures.link_or_copy(part.folder / _FILE, out / f"episode_{index}.hdf5")
         stated = {
             "episodes": len(dataset.parts),
             "episode_len": [part.frames for part in dataset.parts],

@@ -97,7 +97,7 @@ class DiffusionPolicy(Exporter):
             for number in range(part.frames):
                 chunk = part.folder / _PART / name / f"{number}.0.0.0"
                 if chunk.exists():  # a frame of zeros alone is not stored
-                    pictures.place(chunk, target / f"{first + number}.0.0.0")
+                    pictures.link_or_copy(chunk, target / f"{first + number}.0.0.0")
             first += part.frames
 
     def validate(self, out: Path) -> Report:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -11,6 +12,7 @@ import av
 import pyarrow.parquet as pq
 
 from surg_recording.datasets import pictures, schema, stream_copy
+from surg_recording.datasets.export_report import Report
 from surg_recording.datasets.exporter import Exporter
 from surg_recording.datasets.formats.lerobot_tables import COLOURS, DATA, table_of
 from surg_recording.datasets.options import COPY, ExportOptions
@@ -55,6 +57,17 @@ class LeRobotExporter(Exporter):
                 "histogram": statistics.histogram.tolist(),
             }
         (folder / COLOURS).write_text(json.dumps(counted) + "\n", "utf-8")
+
+    def validate(self, out: Path) -> Report:
+        """Read everything: rows, videos, statistics, splits, the page of the data set."""
+        report = Report(self.name, out)
+        with report.reading():
+            self._validate(out, report)
+        return report
+
+    @abc.abstractmethod
+    def _validate(self, out: Path, report: Report) -> None:
+        """Add the frames and errors of a finished export to a report."""
 
     def _write_video(
         self,

@@ -131,13 +131,6 @@ class LeRobotV30(LeRobotExporter):
                 end = start + parts[index].frames
                 rows[index][f"videos/{name}/to_timestamp"] = end / fps
 
-    def validate(self, out: Path) -> Report:
-        """Read everything: rows, videos, statistics, splits."""
-        report = Report(self.name, out)
-        with report.reading():
-            self._validate(out, report)
-        return report
-
     def _validate(self, out: Path, report: Report) -> None:
         stated = lerobot_tables.read_json(out / "meta" / "info.json")
         stats = lerobot_tables.read_json(out / "meta" / "stats.json")
