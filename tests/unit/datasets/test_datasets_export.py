@@ -434,9 +434,9 @@ BROKEN: dict[str, tuple[Any, str]] = {
     ),
     "incomplete": (
         lambda f: datasets_synthetic.edit(f, outcome="incomplete", reason="disk full"),
-        "the recording is incomplete: disk full; --allow-incomplete",
+        "the recording is incomplete: disk full; --allow incomplete",
     ),
-    "sync report fails": (not_recorded, "--allow-unsynchronised"),
+    "sync report fails": (not_recorded, "--allow unsynchronised"),
     "no manifest that can be read": (
         lambda f: (f / "manifest.json").write_text('{"format": '),
         "not valid JSON",

@@ -12,12 +12,13 @@ from helpers.recording import dataset_readers, datasets_synthetic
 from helpers.recording.datasets_synthetic import FRAME_NS
 from surg_recording import datasets
 from surg_recording.datasets import ExportOptions
-from surg_recording.datasets.arm_motion import unwrapped
 from surg_recording.datasets.formats.lerobot_part import LeRobotExporter
+from surg_recording.datasets.frames.arm_motion import unwrapped
+from surg_recording.datasets.frames.resample import around, linear
+from surg_recording.datasets.frames.sampling import sample
 from surg_recording.datasets.inspection import inspect
-from surg_recording.datasets.resample import around, linear
-from surg_recording.datasets.sampling import sample
-from surg_recording.episode import episode_reader, long_table
+from surg_recording.episode import episode_reader
+from surg_recording.episode.checked import long_table
 
 SERIAL = ExportOptions(executor="serial", splits={"train": 0.5, "val": 0.5})
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from helpers.results.dataset_results import note
 from surg_core.contract import SECOND_NS
-from surg_recording.datasets.resample import (
+from surg_recording.datasets.frames.resample import (
     Grid,
     ages_s,
     linear,

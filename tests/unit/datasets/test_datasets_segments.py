@@ -165,7 +165,7 @@ def test_the_sync_report_judges_the_segment(tmp_path: Path) -> None:
     text = (folder / "sync.json").read_text()
     found["segment"]["verdict"] = "fail"
     (folder / "sync.json").write_text(json.dumps(found))
-    assert "--allow-unsynchronised" in refused(folder, tmp_path / "other")
+    assert "--allow unsynchronised" in refused(folder, tmp_path / "other")
     assert "cannot_tell" in text
 
 

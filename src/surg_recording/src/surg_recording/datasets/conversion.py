@@ -21,9 +21,9 @@ from surg_core.force.observed_force import PLACES
 from surg_recording.datasets import exporter_plugins, inspection, schema
 from surg_recording.datasets.dataset import Part
 from surg_recording.datasets.dataset_format import DatasetFormat
+from surg_recording.datasets.frames.sampling import sample
 from surg_recording.datasets.layout import Layout
 from surg_recording.datasets.options import ExportOptions
-from surg_recording.datasets.sampling import sample
 from surg_recording.episode.labels import LABELS
 from surg_recording.file_io import file_hash
 from surg_recording.recording_errors import words_of

@@ -10,8 +10,8 @@ from typing import ClassVar
 
 from surg_recording.datasets.dataset import Dataset
 from surg_recording.datasets.export_report import ExportError, Report
+from surg_recording.datasets.frames.sampling import Sampled
 from surg_recording.datasets.options import ExportOptions
-from surg_recording.datasets.sampling import Sampled
 
 
 class DatasetFormat(abc.ABC):

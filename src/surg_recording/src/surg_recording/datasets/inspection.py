@@ -18,7 +18,7 @@ from surg_recording.clock.clock_segments import Segment
 from surg_recording.datasets.layout import Layout, layout_of, mapping, measured_cameras
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.episode import episode_reader, integrity, same_recording
-from surg_recording.episode.checked_reading import segment_of
+from surg_recording.episode.checked.checked_reading import segment_of
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.verdicts import NOT_JUDGED, Verdict, has_tag, verdict
 from surg_recording.file_io import read_json

@@ -20,8 +20,8 @@ from surg_recording.datasets.dataset import Dataset, Part
 from surg_recording.datasets.dataset_format import DatasetFormat
 from surg_recording.datasets.export_manifest import is_up_to_date, write_manifest
 from surg_recording.datasets.export_report import ExportError, Progress, Report
+from surg_recording.datasets.frames.sampling import sample
 from surg_recording.datasets.options import ExportOptions
-from surg_recording.datasets.sampling import sample
 from surg_recording.datasets.schema import Feature
 from surg_recording.datasets.splits import arrange
 from surg_recording.recording_errors import EpisodeError, words_of

@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 
 from surg_core.contract import ACTION_KEY, ARM_ACTION, ARM_STATE, SECOND_NS, STATE_KEY
 from surg_recording.datasets import schema
-from surg_recording.datasets.resample import offsets_ns
+from surg_recording.datasets.frames.resample import offsets_ns
 from surg_recording.imports.arm_series import ArmSeries, Picture, header, write
 from surg_recording.recording_errors import EpisodeError
 

@@ -14,8 +14,8 @@ from surg_recording.datasets import pictures
 from surg_recording.datasets.dataset import Dataset
 from surg_recording.datasets.export_report import Report
 from surg_recording.datasets.exporter import Exporter
+from surg_recording.datasets.frames.sampling import Sampled
 from surg_recording.datasets.options import ExportOptions
-from surg_recording.datasets.sampling import Sampled
 from surg_recording.nodes import ros_messages_node
 from surg_recording.nodes.ros_messages_node import Stamped, serialised
 from surg_recording.recording_errors import EpisodeError

@@ -25,8 +25,8 @@ from surg_core.force.observed_force import TOPICS
 from surg_core.transforms import tip_quaternion
 from surg_recording.calibration.endoscope_record import MODEL_KEYS
 from surg_recording.datasets import pictures, schema
+from surg_recording.datasets.frames.sampling import Sampled
 from surg_recording.datasets.options import ExportOptions
-from surg_recording.datasets.sampling import Sampled
 from surg_recording.datasets.schema import Feature
 from surg_recording.recording_errors import EpisodeError
 

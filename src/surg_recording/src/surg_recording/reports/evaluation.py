@@ -13,7 +13,8 @@ from typing import Any
 
 from surg_recording import metrics
 from surg_recording.episode import episode_reader as episodes
-from surg_recording.episode import integrity, metric_tables
+from surg_recording.episode import integrity
+from surg_recording.episode.checked import metric_tables
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.same_recording import KnownRecordings
 from surg_recording.episode.selection import Selection, SelectionError

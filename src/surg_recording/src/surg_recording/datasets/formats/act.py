@@ -27,8 +27,8 @@ from surg_recording.datasets.export_report import Report
 from surg_recording.datasets.exporter import Exporter
 from surg_recording.datasets.formats import hdf5
 from surg_recording.datasets.formats.frame_arrays import check_frames
+from surg_recording.datasets.frames.sampling import Sampled
 from surg_recording.datasets.options import ExportOptions
-from surg_recording.datasets.sampling import Sampled
 from surg_recording.recording_errors import EpisodeError
 
 _FILE = "episode.hdf5"

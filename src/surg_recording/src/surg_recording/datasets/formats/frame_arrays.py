@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from surg_recording.datasets import pictures
+from surg_recording.datasets.frames.sampling import Sampled
 from surg_recording.datasets.options import ExportOptions
-from surg_recording.datasets.sampling import Sampled
 from surg_recording.datasets.schema import Feature
 from surg_recording.recording_errors import EpisodeError
 

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from surg_recording.datasets.formats.frame_arrays import put_frames
+from surg_recording.datasets.frames.sampling import Sampled
 from surg_recording.datasets.options import ExportOptions
-from surg_recording.datasets.sampling import Sampled
 from surg_recording.datasets.schema import Feature
 from surg_recording.recording_errors import EpisodeError
 

@@ -15,8 +15,8 @@ from surg_recording.datasets import pictures, schema, stream_copy
 from surg_recording.datasets.export_report import Report
 from surg_recording.datasets.exporter import Exporter
 from surg_recording.datasets.formats.lerobot_tables import COLOURS, DATA, table_of
+from surg_recording.datasets.frames.sampling import Sampled
 from surg_recording.datasets.options import COPY, ExportOptions
-from surg_recording.datasets.sampling import Sampled
 from surg_recording.recording_errors import EpisodeError
 
 LONGEST_S = 1000.0

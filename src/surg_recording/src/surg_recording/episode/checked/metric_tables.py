@@ -9,7 +9,12 @@ import numpy as np
 from surg_core.contract import SECOND_NS, STREAMS
 from surg_recording.clock.clock_segments import Segment
 from surg_recording.episode import labels
-from surg_recording.episode.checked_reading import check_cycle, checked_table, finite, segment_of
+from surg_recording.episode.checked.checked_reading import (
+    check_cycle,
+    checked_table,
+    finite,
+    segment_of,
+)
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.table import Table
 from surg_recording.recording_errors import EpisodeError

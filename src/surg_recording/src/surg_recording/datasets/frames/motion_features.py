@@ -22,11 +22,11 @@ from surg_core.force.observed_force import PLACES
 from surg_core.transforms import rotate_back
 from surg_recording.calibration import calibration_record
 from surg_recording.datasets import schema
-from surg_recording.datasets.arm_motion import ArmMotion
-from surg_recording.datasets.frame_columns import BEFORE, LINEAR, NEXT, Columns
-from surg_recording.datasets.resample import around, linear, previous, slerp
-from surg_recording.episode.checked_episode import CheckedEpisode
-from surg_recording.episode.long_table import LongTable
+from surg_recording.datasets.frames.arm_motion import ArmMotion
+from surg_recording.datasets.frames.frame_columns import BEFORE, LINEAR, NEXT, Columns
+from surg_recording.datasets.frames.resample import around, linear, previous, slerp
+from surg_recording.episode.checked.checked_episode import CheckedEpisode
+from surg_recording.episode.checked.long_table import LongTable
 
 
 def observed_motion(made: Columns, commanded: list[ArmMotion], arms: list[ArmMotion]) -> None:

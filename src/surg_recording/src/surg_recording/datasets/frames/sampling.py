@@ -15,16 +15,17 @@ from typing import Any
 import av
 import numpy.typing as npt
 
-from surg_recording.datasets import motion_features, pictures, task_features
-from surg_recording.datasets.arm_motion import ArmCycles
-from surg_recording.datasets.frame_columns import Columns
-from surg_recording.datasets.frame_grid import common_grid
+from surg_recording.datasets import pictures
+from surg_recording.datasets.frames import motion_features, task_features
+from surg_recording.datasets.frames.arm_motion import ArmCycles
+from surg_recording.datasets.frames.frame_columns import Columns
+from surg_recording.datasets.frames.frame_grid import common_grid
+from surg_recording.datasets.frames.picture_features import RecordedPictures, shown_pictures
+from surg_recording.datasets.frames.resample import Grid
 from surg_recording.datasets.inspection import Candidate
 from surg_recording.datasets.options import ExportOptions
-from surg_recording.datasets.picture_features import RecordedPictures, shown_pictures
-from surg_recording.datasets.resample import Grid
 from surg_recording.datasets.schema import Feature
-from surg_recording.episode.checked_episode import CheckedEpisode
+from surg_recording.episode.checked.checked_episode import CheckedEpisode
 from surg_recording.recording_errors import EpisodeError
 
 

@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from surg_core.contract import TASK_STATE_KEY
 from surg_recording.datasets import schema
-from surg_recording.datasets.frame_columns import HOLD, NEXT, Columns
+from surg_recording.datasets.frames.frame_columns import HOLD, NEXT, Columns
+from surg_recording.datasets.frames.resample import Grid, previous
 from surg_recording.datasets.inspection import Candidate
-from surg_recording.datasets.resample import Grid, previous
 from surg_recording.episode import table_columns
 from surg_recording.episode.table import Table
 from surg_recording.episode.verdicts import PERSON, Verdict

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from surg_recording.clock.clock_segments import Segment
-from surg_recording.episode import checked_reading, table_columns
+from surg_recording.episode import table_columns
+from surg_recording.episode.checked import checked_reading
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.table import Table
 from surg_recording.episode.table_file import read_blocks

@@ -12,10 +12,10 @@ import numpy as np
 
 from surg_core.contract import SECOND_NS
 from surg_recording.datasets import stream_copy
-from surg_recording.datasets.arm_motion import ArmCycles
+from surg_recording.datasets.frames.arm_motion import ArmCycles
+from surg_recording.datasets.frames.resample import Grid, offsets_ns
 from surg_recording.datasets.options import COPY, ExportOptions
-from surg_recording.datasets.resample import Grid, offsets_ns
-from surg_recording.episode.checked_episode import CheckedEpisode
+from surg_recording.episode.checked.checked_episode import CheckedEpisode
 from surg_recording.recording_errors import EpisodeError
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from surg_core.contract import ACTION_KEY
+from surg_recording.datasets.frames.resample import Grid, Stamps, ages_s
 from surg_recording.datasets.options import ExportOptions
-from surg_recording.datasets.resample import Grid, Stamps, ages_s
 from surg_recording.datasets.schema import ALWAYS, OPTIONAL, Feature, rank
 from surg_recording.recording_errors import EpisodeError
 

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from surg_core.contract import SECOND_NS, image_key
-from surg_recording.datasets.frame_columns import Columns
-from surg_recording.datasets.resample import Stamps, previous
+from surg_recording.datasets.frames.frame_columns import Columns
+from surg_recording.datasets.frames.resample import Stamps, previous
 from surg_recording.datasets.schema import Feature
 from surg_recording.episode.table import Video
 

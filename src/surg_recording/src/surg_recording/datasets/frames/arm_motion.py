@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from surg_core.transforms import multiply_quaternions, rotate_back, tip_quaternions
-from surg_recording.datasets.resample import Grid, Stamps, around
-from surg_recording.episode.checked_reading import TROCAR
-from surg_recording.episode.long_table import LongTable
+from surg_recording.datasets.frames.resample import Grid, Stamps, around
+from surg_recording.episode.checked.checked_reading import TROCAR
+from surg_recording.episode.checked.long_table import LongTable
 from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]

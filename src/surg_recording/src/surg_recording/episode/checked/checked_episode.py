@@ -15,10 +15,11 @@ import numpy as np
 
 from surg_core.force.observed_force import PLACES
 from surg_recording.clock.clock_segments import Segment
-from surg_recording.episode import episode_reader, labels, long_table
-from surg_recording.episode.checked_reading import checked_table, checked_video, finite
+from surg_recording.episode import episode_reader, labels
+from surg_recording.episode.checked import long_table
+from surg_recording.episode.checked.checked_reading import checked_table, checked_video, finite
+from surg_recording.episode.checked.long_table import LongTable
 from surg_recording.episode.episode_reader import Episode
-from surg_recording.episode.long_table import LongTable
 from surg_recording.episode.table import Table, Video
 from surg_recording.recording_errors import EpisodeError
 
