@@ -88,7 +88,7 @@ def test_shards_and_merge_give_the_same_dataset(tmp_path: Path) -> None:
 
 def test_work_that_was_cut_off_is_taken_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folders, out = many(tmp_path, 4), tmp_path / "set"
-    right, done = executors.make, []
+    right, done = executors.convert, []
 
     def interrupted(job: ConversionJob) -> ConversionResult:
         if len(done) == 2:
@@ -96,10 +96,10 @@ def test_work_that_was_cut_off_is_taken_up(tmp_path: Path, monkeypatch: pytest.M
         done.append(job)
         return right(job)
 
-    monkeypatch.setattr(executors, "make", interrupted)
+    monkeypatch.setattr(executors, "convert", interrupted)
     with pytest.raises(KeyboardInterrupt):
         export(folders, out, SERIAL)
-    monkeypatch.setattr(executors, "make", right)
+    monkeypatch.setattr(executors, "convert", right)
     dead = tmp_path / "set.parts" / f".unfinished-{os.uname().nodename}-999999-x"
     dead.mkdir()
     report = export(folders, out, SERIAL)
