@@ -10,10 +10,12 @@ setuptools.setup(
     python_requires=">=3.11",
     packages=setuptools.find_packages("src"),
     package_dir={"": "src"},
-    package_data={"surg_recording": ["py.typed", "reports/episode_view.*"]},
+    package_data={"surg_recording": ["py.typed", "reports/templates/*"]},
     install_requires=[
         "numpy>=1.24",
         "scipy>=1.10",
+        "jinja2>=3.1",
+        "markupsafe>=2.1",
         "matplotlib>=3.6",
         "pyyaml>=6",
         "av>=10",

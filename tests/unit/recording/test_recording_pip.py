@@ -11,6 +11,7 @@ from pathlib import Path
 from helpers.tree import installed_core as core
 
 PACKAGE = Path(__file__).parents[3] / "src" / "surg_recording"
+TEMPLATES = PACKAGE / "src" / "surg_recording" / "reports" / "templates"
 
 _USE = """
 import importlib, pkgutil, sys
@@ -53,5 +54,6 @@ def test_pip_install_without_ros(tmp_path: Path) -> None:
     file, count = done.stdout.split()
     assert Path(file).is_relative_to(target)
     assert int(count) >= 80
-    for data in ("py.typed", *(f"reports/episode_view.{kind}" for kind in ("html", "css", "js"))):
+    templates = [f"reports/templates/{each.name}" for each in TEMPLATES.iterdir()]
+    for data in ("py.typed", *templates):
         assert (target / "surg_recording" / data).exists()

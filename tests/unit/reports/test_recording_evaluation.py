@@ -284,7 +284,7 @@ def test_the_page_is_whole_and_safe(written: tuple[dict[str, Any], Path]) -> Non
     _, out = written
     page = (out / "report.html").read_text("utf-8")
     assert page.count("data:image/png;base64,") == len(evaluation_figures.FIGURES)
-    assert not re.search(r"(src|href)='(?!data:)", page)
+    assert not re.search(r"(src|href)=[\"'](?!data:)", page)
     assert "<b>50" not in page and "<torn>" not in page
     assert "&lt;torn&gt;" in page and "9 of 10 (95 % interval" in page
     assert "JIGSAWS Knot Tying" in page and "Knot_Tying_I001" in page

@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from surg_console.web import http_policy
 from surg_recording.episode import episode_reader, finishing, labels
 from surg_recording.episode.episode_reader import Episode
@@ -75,9 +77,11 @@ class LabelPages:
     def _made(self, number: int) -> str:
         markup = http_policy.page_files()["label/label.html"].decode()
         panel = episode_view.Panel(
-            f"<link rel='stylesheet' href='/page/label/label.css'>{markup}",
-            f"<script type='application/json' id='given'>{_GIVEN}</script>"
-            "<script src='/page/label/label.js'></script>",
+            Markup("<link rel='stylesheet' href='/page/label/label.css'>{}").format(Markup(markup)),
+            Markup(
+                f"<script type='application/json' id='given'>{_GIVEN}</script>"
+                "<script src='/page/label/label.js'></script>"
+            ),
         )
         try:
             recorded = episode_reader.read(self.folders[number - 1])
@@ -87,19 +91,19 @@ class LabelPages:
 
     def _sorry(self, number: int, reason: str) -> str:
         links = [
-            f"<a href='{place}' rel='{word}'>{word}</a>"
+            Markup("<a href='{}' rel='{}'>{}</a>").format(place, word, word)
             for word, place in (
                 ("back", self._place(number - 1)),
                 ("next", self._place(number + 1)),
             )
             if place
         ]
-        keys = (
+        keys = Markup(
             "<script>document.addEventListener('keydown', (event) => {"
             " const link = document.querySelector(event.shiftKey ? '[rel=back]' : '[rel=next]');"
             " if (event.key === 'Enter' && link) location.assign(link.href); });</script>"
         )
-        shown = section("This episode cannot be shown", note(reason), " ".join(links))
+        shown = section("This episode cannot be shown", note(reason), Markup(" ").join(links))
         return document(f"Episode {number}", [shown, keys])
 
     def _place(self, number: int) -> str | None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from markupsafe import Markup
+
+from surg_recording.reports import html_page
 from surg_recording.reports.html_page import bullets, facts, number
-from surg_recording.reports.html_page import section as html_section
 
 _TITLES = {
     "pass": ("ok", "The streams are synchronised"),
@@ -15,7 +17,7 @@ _TITLES = {
 }
 
 
-def section(report: Mapping[str, Any]) -> str:
+def section(report: Mapping[str, Any]) -> Markup:
     """The section about a sync report."""
     verdict, title = _TITLES.get(report["verdict"], ("", "Synchronisation"))
     rows = [("Clocks", _clocks(report))]
@@ -24,7 +26,8 @@ def section(report: Mapping[str, Any]) -> str:
         rows.append(("Skew between streams", f"{levels} ms (reference: {report.get('reference')})"))
     for camera, lag in (report.get("video_lag") or {}).items():
         rows.append((f"Video against kinematics, {camera}", lag.get("reason")))
-    return html_section(title, bullets(report.get("reasons") or []), facts(rows), verdict=verdict)
+    reasons = bullets(report.get("reasons") or [])
+    return html_page.section(title, reasons, facts(rows), verdict=verdict)
 
 
 def _clocks(report: Mapping[str, Any]) -> str:

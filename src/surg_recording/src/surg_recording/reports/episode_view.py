@@ -1,6 +1,6 @@
 """Makes the page of an episode: video, tip path and curves under a common cursor.
 
-``page`` fills ``episode_view.{html,css,js}`` with what ``episode_view_data`` collects: a single
+``page`` fills ``templates/episode_view.html`` with what ``episode_view_data`` collects: a single
 HTML file that needs no network. Command line:
 ``python -m surg_recording.reports.episode_view EPISODE OUT.html``.
 """
@@ -16,6 +16,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from surg_recording.clock import sync_report
 from surg_recording.episode import episode_reader as episodes
 from surg_recording.episode.episode_reader import Episode
@@ -23,7 +25,7 @@ from surg_recording.episode.verdicts import verdict
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.reports import episode_view_data
 from surg_recording.reports.episode_view_data import MAX_ROWS, VIDEO_BUDGET, Progress
-from surg_recording.reports.html_page import document, text
+from surg_recording.reports.html_page import TEMPLATES
 from surg_recording.reports.terms import named
 
 
@@ -31,8 +33,8 @@ from surg_recording.reports.terms import named
 class Panel:
     """Markup below the videos, and what follows the script of the page."""
 
-    markup: str
-    after: str
+    markup: Markup
+    after: Markup
 
 
 def page(
@@ -52,36 +54,27 @@ def page(
     title = " · ".join(
         named(part) for part in (subject, info.get("robot"), info.get("setting")) if part
     )
-    here = Path(__file__).parent
-    notes = "".join(f"<li>{text(note)}</li>" for note in viewed.missing)
-    body = (here / "episode_view.html").read_text(encoding="utf-8")
-    for key, value in {
-        "TITLE": text(title),
-        "CREATED": text(episode.manifest.get("created")),
-        "FOLDER": text(episode.folder.name),
-        "BADGES": _badges(episode),
-        "NOTES": f"<ul class='notes'>{notes}</ul>" if notes else "",
-        "PANEL": panel.markup if panel else "",
-    }.items():
-        body = body.replace(f"@{key}@", value)
-    files = "".join(
-        f"<script type='text/plain' id='video{i}'>{base64.b64encode(video).decode()}</script>\n"
-        for i, video in enumerate(viewed.videos)
-    )
     data = json.dumps(viewed.data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    script = (here / "episode_view.js").read_text(encoding="utf-8")
-    style = (here / "episode_view.css").read_text(encoding="utf-8")
-    return document(
-        title,
-        [
-            f"<style>{style}</style>",
-            body,
-            files,
-            f"<script type='application/json' id='data'>{data}</script>",
-            f"<script>{script}</script>",
-            panel.after if panel else "",
-        ],
+    return TEMPLATES.get_template("episode_view.html").render(
+        title=title,
+        created=episode.manifest.get("created"),
+        folder=episode.folder.name,
+        badges=_badges(episode),
+        notes=viewed.missing,
+        panel=panel,
+        videos=[Markup(base64.b64encode(video).decode()) for video in viewed.videos],
+        data=Markup(data),
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class Badge:
+    """A word about an episode; ``kind`` is pass, fail or cannot_tell and gives it a colour."""
+
+    kind: str
+    label: str
+    why: str
+    id: str = ""
 
 
 def verdict_badge(manifest: Mapping[str, Any]) -> tuple[str, str, str]:
@@ -95,23 +88,21 @@ def verdict_badge(manifest: Mapping[str, Any]) -> tuple[str, str, str]:
     return "pass" if judged.success else "fail", label, why
 
 
-def _badges(episode: Episode) -> str:
+def _badges(episode: Episode) -> list[Badge]:
     """Badges: is the recording complete, and are its streams synchronised?"""
     outcome = str(episode.manifest.get("outcome"))
     reason = episode.manifest.get("reason") or "nothing was lost"
-    shown = _badge("pass" if outcome == "complete" else "fail", outcome, reason)
-    # It has an id, and is there without a verdict too: the label page changes it.
-    shown += _badge(*verdict_badge(episode.manifest), more=" id='judged'")
+    badges = [
+        Badge("pass" if outcome == "complete" else "fail", outcome, reason),
+        # It has an id, and is there without a verdict too: the label page changes it.
+        Badge(*verdict_badge(episode.manifest), id="judged"),
+    ]
     sync = sync_report.load(episode)
     if sync is not None:
         words = {"pass": "in sync", "fail": "OUT OF SYNC", "cannot_tell": "sync: unknown"}
         why = "; ".join(sync.get("reasons") or []) or "all streams are synchronised"
-        shown += _badge(sync["verdict"], words.get(sync["verdict"], sync["verdict"]), why)
-    return shown
-
-
-def _badge(kind: str, label: str, why: str, more: str = "") -> str:
-    return f"<span class='badge {text(kind)}' title='{text(why)}'{more}>{text(label)}</span>"
+        badges.append(Badge(sync["verdict"], words.get(sync["verdict"], sync["verdict"]), why))
+    return badges
 
 
 def write(episode: Episode, out: Path, progress: Progress | None = None) -> Path:

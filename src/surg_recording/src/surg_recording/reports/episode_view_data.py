@@ -1,7 +1,7 @@
 """The data of an episode's page: its streams, thinned out, on one time axis.
 
 All times are integer nanoseconds since the first stamp. The sample and the frame at the cursor are
-the last ones whose stamp is not later: ``at_or_before`` here, ``at`` in ``episode_view.js``.
+the last ones whose stamp is not later: ``at_or_before`` here, ``at`` in ``episode_videos.js``.
 """
 
 from __future__ import annotations

@@ -6,21 +6,23 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from surg_recording.episode.finishing import write_json
 from surg_recording.metrics import PRESETS
 from surg_recording.reports import evaluation, evaluation_figures, evaluation_tables
 from surg_recording.reports.evaluation import METRICS
 from surg_recording.reports.html_page import (
-    Html,
     bullets,
+    code,
     definitions,
     document,
     facts,
     figure_section,
+    folded,
     note,
     section,
     table,
-    text,
 )
 from surg_recording.reports.trial_report import interval
 
@@ -49,20 +51,19 @@ def write(summary: Mapping[str, Any], folder: Path) -> None:
     left_out = [each["reason"] for each in summary["left_out"]]
     remarks = evaluation.remarks(summary["episodes"])
     sections = [
-        f"<h1>{text(title)}</h1>",
         _what_was_evaluated(summary),
         _conditions(summary),
         *map(figure_section, drawn),
         _reference(summary["reference"]),
         _episodes(summary),
-        section("Remarks", bullets(remarks, "small")) if remarks else "",
-        section("Left out", bullets(left_out, "small")) if left_out else "",
+        section("Remarks", bullets(remarks)) if remarks else "",
+        section("Left out", bullets(left_out)) if left_out else "",
         definitions(*_TERMS),
     ]
     (folder / "report.html").write_text(document(title, filter(None, sections)), encoding="utf-8")
 
 
-def _what_was_evaluated(summary: Mapping[str, Any]) -> str:
+def _what_was_evaluated(summary: Mapping[str, Any]) -> Markup:
     conditions = summary["conditions"]
     rows = [
         ("Episodes", len(summary["episodes"])),
@@ -75,7 +76,7 @@ def _what_was_evaluated(summary: Mapping[str, Any]) -> str:
     return section("What was evaluated", facts(rows))
 
 
-def _conditions(summary: Mapping[str, Any]) -> str:
+def _conditions(summary: Mapping[str, Any]) -> Markup:
     columns = summary["conditions"].values()
     if not columns and not summary["left_out"]:
         return ""  # the reference alone was asked for
@@ -97,28 +98,29 @@ def _conditions(summary: Mapping[str, Any]) -> str:
     )
 
 
-def _spread(spread: Mapping[str, Any]) -> Html:
-    median, bounds = map(text, evaluation_tables.spread_words(spread))
-    return Html(f"{median}<br><span class='faint'>{bounds}</span>" if bounds else median)
+def _spread(spread: Mapping[str, Any]) -> str:
+    median, bounds = evaluation_tables.spread_words(spread)
+    both = Markup("{}<br><span class='faint'>{}</span>")
+    return both.format(median, bounds) if bounds else median
 
 
-def _reference(compared: Mapping[str, Any] | None) -> str:
+def _reference(compared: Mapping[str, Any] | None) -> Markup:
     if compared is None:
         return ""
     rows = [
         (name, level["trials"], *(_spread(level[key]) for key in _REFERENCE_METRICS))
         for name, level in {"all": compared, **compared["by_skill"]}.items()
     ]
-    left_out = bullets(compared["left_out"], "small")
+    left_out = bullets(compared["left_out"])
     return section(
         f"Reference: {compared['name']}",
         note(f"{compared['source']}; through the same computation as the episodes."),
         table(("", "Trials", *_REFERENCE_METRICS.values()), rows, right=range(1, 7)),
-        f"<p>Left out:</p>{left_out}" if left_out else "",
+        *(["Left out:", left_out] if left_out else []),
     )
 
 
-def _episodes(summary: Mapping[str, Any]) -> str:
+def _episodes(summary: Mapping[str, Any]) -> Markup:
     shown = [m for m in METRICS if m.name in evaluation_tables.LATEX]
     rows = []
     for entry in summary["episodes"]:
@@ -129,12 +131,11 @@ def _episodes(summary: Mapping[str, Any]) -> str:
         mark += "" if entry["complete"] else f"; incomplete: {entry['problem']}"
         rows.append(
             (
-                Html(f"<code>{text(entry['folder'])}</code>"),
+                code(entry["folder"]),
                 *(entry[key] for key in ("setting", "robot", "law")),
                 end[entry["success"]] + mark,
                 *(m.value(entry, summary["preset"]["name"]) for m in shown),
             )
         )
     head = ("Folder", "Setting", "Robot", "Law", "End", *(m.heading for m in shown))
-    rows_table = table(head, rows, right=range(5, len(head)))
-    return section("Every episode", f"<details><summary>Show</summary>{rows_table}</details>")
+    return section("Every episode", folded("Show", table(head, rows, right=range(5, len(head)))))

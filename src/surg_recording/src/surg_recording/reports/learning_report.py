@@ -6,11 +6,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from surg_recording.episode.finishing import write_json
 from surg_recording.reports import trial_figures
 from surg_recording.reports.figure_style import save_all
 from surg_recording.reports.html_page import (
-    Html,
+    SUCCESS,
     bullets,
     document,
     facts,
@@ -20,7 +22,6 @@ from surg_recording.reports.html_page import (
     number,
     section,
     table,
-    text,
 )
 from surg_recording.reports.trial_report import interval
 
@@ -58,7 +59,6 @@ def write(
     drawn = save_all(_FIGURES, folder / "figures", groups, no_bounds)
     title = f"{summary['title']}: a learned policy"
     sections = [
-        f"<h1>{text(title)}</h1>",
         *_films(summary["rollouts"], folder),
         section(
             f"{interval(summary['success_rate'])} succeeded",
@@ -90,11 +90,11 @@ def _films(rollouts: Sequence[Entry], folder: Path) -> list[str]:
         )
         caption += " the room drawn from the recorded joint positions."
         missing = note(f"There is no film of the first {word} roll-out, seed {first['seed']}{why}.")
-        sections.append(film_section(folder, caption, name) or f"<section>{missing}</section>")
+        sections.append(film_section(folder, caption, name) or section("", missing))
     return sections
 
 
-def _what_was_done(summary: Entry) -> str:
+def _what_was_done(summary: Entry) -> Markup:
     demonstrations = f"{summary['demonstrations']}, {summary['demonstrations_success']} solved"
     rows = [
         ("Task, setting, robot", f"{summary['task']}, {summary['setting']}, {summary['robot']}"),
@@ -118,13 +118,13 @@ def _times(levels: Entry) -> str:
     return f"median {number(levels['p50'])}, 99th percentile {number(levels['p99'])}"
 
 
-def _rollouts(rollouts: Sequence[Entry]) -> str:
+def _rollouts(rollouts: Sequence[Entry]) -> Markup:
     head = ("Seed", "End", "Duration [s]", "RCM mean [mm]", "RCM max [mm]", "SPARC", "LDLJ")
     keys = ("duration_s", "rcm_mean_mm", "rcm_max_mm", "sparc", "ldlj", *_COUNTS)
     rows = [
         (
             e["seed"],
-            Html("<span class='met'>success</span>") if e["success"] else e["reason"],
+            SUCCESS if e["success"] else e["reason"],
             *(e[key] for key in keys),
             None if e["unsafe"] is None else e["unsafe"]["commands"],
         )
@@ -133,7 +133,7 @@ def _rollouts(rollouts: Sequence[Entry]) -> str:
     return section("Every roll-out", table((*head, *_COUNTS, "unsafe"), rows, right=range(2, 11)))
 
 
-def _unsafe(summary: Entry) -> str:
+def _unsafe(summary: Entry) -> Markup:
     counted = summary["unsafe"]
     return section(
         f"Unsafe commands: {summary['unsafe_commands']} in {counted['cycles']} control cycles",
@@ -141,5 +141,5 @@ def _unsafe(summary: Entry) -> str:
             "Counted from the recordings by code that shares nothing with the controller or the"
             " model server's safety controller."
         ),
-        table(("Rule", "Cycles"), counted["rules"].items(), right=(1,), style=""),
+        table(("Rule", "Cycles"), counted["rules"].items(), right=(1,)),
     )

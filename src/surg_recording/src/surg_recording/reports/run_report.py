@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from PIL import Image
 
 from surg_recording.clock import sync_page, sync_report
@@ -23,22 +24,28 @@ from surg_recording.recording_errors import EpisodeError, NoMotionError
 from surg_recording.reports import run_figures, run_series, run_summary
 from surg_recording.reports.figure_style import Drawn
 from surg_recording.reports.html_page import (
-    Html,
+    MET,
+    MISSED,
     bullets,
+    code,
     definitions,
     document,
-    embed,
     facts,
     figure_section,
     film_section,
+    folded,
+    grid,
+    marked,
+    note,
     number,
+    picture,
     section,
     table,
-    text,
 )
 from surg_recording.reports.terms import named
 from surg_recording.video import video_file
 
+FOR_INFORMATION = marked("faint small", "(for information)")
 STRIP_FRAMES = 6
 
 _TERMS = (
@@ -79,37 +86,33 @@ def _page(
     subject = run.get("title") or result["motion"] or recorded.manifest.get("task") or "motion"
     title = f"{named(subject)}: {named(result['robot'] or 'robot')}"
     measured = [_limits(result), _numbers(result)] if result["limits"] else []
-    return document(
-        title,
-        [
-            f"<h1>{text(title)}</h1>",
-            f"<p class='faint'>Recorded {text(recorded.manifest.get('created'))}"
-            f" with software version {text(result['versions'].get('software') or 'unknown')}</p>",
-            film_section(
-                folder,
-                "Endoscope as recorded, and the room drawn from the recorded joint positions.",
-            )
-            or _frames(recorded),
-            _verdict(result),
-            *measured[:1],
-            *map(figure_section, drawn),
-            _what_was_run(recorded, result),
-            *measured[1:],
-            sync_page.section(sync_report.ensure(recorded)),
-            _recording(recorded, result),
-            definitions(*_TERMS),
-        ],
+    film = film_section(
+        folder, "Endoscope as recorded, and the room drawn from the recorded joint positions."
     )
+    sections = [
+        film or _frames(recorded),
+        _verdict(result),
+        *measured[:1],
+        *map(figure_section, drawn),
+        _what_was_run(recorded, result),
+        *measured[1:],
+        sync_page.section(sync_report.ensure(recorded)),
+        _recording(recorded, result),
+        definitions(*_TERMS),
+    ]
+    created = number(recorded.manifest.get("created"))
+    version = result["versions"].get("software") or "unknown"
+    return document(title, sections, f"Recorded {created} with software version {version}")
 
 
-def _verdict(result: Mapping[str, Any]) -> str:
+def _verdict(result: Mapping[str, Any]) -> Markup:
     if result["ok"]:
-        words = "<p>The shaft stayed in the trocar while the tip followed its input.</p>"
+        words = "The shaft stayed in the trocar while the tip followed its input."
         return section("The run met every limit", words, verdict="ok")
     return section("The run did not meet its limits", bullets(result["reasons"]), verdict="bad")
 
 
-def _what_was_run(recorded: episodes.Episode, result: Mapping[str, Any]) -> str:
+def _what_was_run(recorded: episodes.Episode, result: Mapping[str, Any]) -> Markup:
     manifest = recorded.manifest
     run = manifest.get("run") or {}
     lockstep = result["time"] == "lockstep"
@@ -133,20 +136,19 @@ def _what_was_run(recorded: episodes.Episode, result: Mapping[str, Any]) -> str:
     return section("What was run", facts(row for row in rows if row[1] is not None))
 
 
-def _limits(result: Mapping[str, Any]) -> str:
+def _limits(result: Mapping[str, Any]) -> Markup:
     rows = []
     for limit in result["limits"]:
-        missed = "<span class='missed'>missed</span>" if limit["judged"] else "not reached"
-        mark = "<span class='met'>met</span>" if limit["met"] else missed
-        if not limit["judged"]:
-            mark += " <span class='faint small'>(for information)</span>"
+        judged = limit["judged"]
+        outcome = MET if limit["met"] else MISSED if judged else "not reached"
+        mark = outcome if judged else Markup("{} {}").format(outcome, FOR_INFORMATION)
         sign = "≥" if limit["sense"] == "at least" else "≤"
-        rows.append((limit["text"], limit["measured"], f"{sign} {limit['bound']:g}", Html(mark)))
+        rows.append((limit["text"], limit["measured"], f"{sign} {limit['bound']:g}", mark))
     head = ("Quantity", "Measured", "Limit", "")
-    return section("Measured against the limits", table(head, rows, right=(1, 2), style=""))
+    return section("Measured against the limits", table(head, rows, right=(1, 2)))
 
 
-def _numbers(result: Mapping[str, Any]) -> str:
+def _numbers(result: Mapping[str, Any]) -> Markup:
     controller, trocar = result["controller"], result["trocar"] or {}
     spread = ("mean", "median", "p95", "max")
     smoothness = [
@@ -184,10 +186,10 @@ def _levels(values: Mapping[str, Any] | None, unit: str, *keys: str) -> str:
     return ", ".join(f"{key} {number(values[key])}" for key in keys) + f" {unit}"
 
 
-def _frames(recorded: episodes.Episode) -> str:
+def _frames(recorded: episodes.Episode) -> Markup:
     """Frames of the first camera, evenly over the run; nothing without a camera."""
     if not recorded.cameras:
-        return ""
+        return Markup()
     try:
         video = recorded.video(recorded.cameras[0])
         if not len(video.frames):
@@ -195,21 +197,19 @@ def _frames(recorded: episodes.Episode) -> str:
         rows = np.unique(np.linspace(0, len(video.frames) - 1, STRIP_FRAMES).astype(int))
         images = video_file.grab(video.path, rows.tolist())
     except EpisodeError as problem:
-        return section("Through the endoscope", f"<p class='missed'>{text(problem)}</p>")
+        return section("Through the endoscope", marked("missed", problem))
     seconds = (video.frames["stamp_ns"] - video.frames["stamp_ns"][0]) * 1e-9
-    figures = []
+    pictures = []
     for row, image in zip(rows, images, strict=False):  # a truncated video may hold fewer
         buffer = io.BytesIO()
         Image.fromarray(image).save(buffer, "JPEG", quality=85)
         caption = f"{seconds[row]:.1f} s"
-        figures.append(
-            f"<figure><img alt='endoscope at {caption}' src='{embed(buffer.getvalue(), 'jpeg')}'>"
-            f"<figcaption>{caption}</figcaption></figure>"
-        )
-    return section("Through the endoscope", f"<div class='strip'>{''.join(figures)}</div>")
+        data = buffer.getvalue()
+        pictures.append(picture(data, "jpeg", f"endoscope at {caption}", caption))
+    return section("Through the endoscope", grid(pictures, "three"))
 
 
-def _recording(recorded: episodes.Episode, result: Mapping[str, Any]) -> str:
+def _recording(recorded: episodes.Episode, result: Mapping[str, Any]) -> Markup:
     manifest = recorded.manifest
     rows = [
         (
@@ -224,15 +224,14 @@ def _recording(recorded: episodes.Episode, result: Mapping[str, Any]) -> str:
     outcome = ": ".join(filter(None, (manifest["outcome"], manifest.get("reason"))))
     versions = ", ".join(f"{k} {v}" for k, v in result["versions"].items() if v)
     files = ((manifest.get("cell") or {}).get("files") or {}).items()
-    hashes = [(Html(f"<code>{text(name)}</code>"), f"{sha[:16]}…") for name, sha in files]
+    hashes = [(code(name), f"{sha[:16]}…") for name, sha in files]
     head = ("Stream", "Rows or frames", "Rate [Hz]", "Largest gap [ms]", "Dropped")
     return section(
         "The recording",
-        f"<p>{text(outcome)}</p>",
-        table(head, rows, right=range(1, 5), style=""),
-        f"<p class='small faint'>Versions: {text(versions)}</p>",
-        f"<details><summary class='small'>Configuration files</summary>"
-        f"{table(('File', 'SHA-256'), hashes)}</details>",
+        outcome,
+        table(head, rows, right=range(1, 5)),
+        note(f"Versions: {versions}"),
+        folded("Configuration files", table(("File", "SHA-256"), hashes)),
     )
 
 

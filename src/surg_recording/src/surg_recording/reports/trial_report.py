@@ -6,12 +6,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from surg_recording.episode.finishing import write_json
 from surg_recording.reports import trial_figures
 from surg_recording.reports.figure_style import save_all
 from surg_recording.reports.html_page import (
-    Html,
+    MET,
+    MISSED,
+    SUCCESS,
     bullets,
+    code,
     definitions,
     document,
     figure_section,
@@ -20,7 +25,6 @@ from surg_recording.reports.html_page import (
     number,
     section,
     table,
-    text,
 )
 from surg_recording.reports.terms import named
 
@@ -43,7 +47,6 @@ def write(summary: Mapping[str, Any], folder: Path) -> None:
         drawn = trial_figures.captioned(drawn, groups)
     title = f"{named(summary.get('title') or summary['task'])}: {named(summary['robot'])}"
     sections = [
-        f"<h1>{text(title)}</h1>",
         film_section(
             folder, "Endoscope as recorded, and the room drawn from the recorded joint positions."
         ),
@@ -62,16 +65,16 @@ def interval(rate: Mapping[str, Any]) -> str:
     return f"{rate['k']} of {rate['n']} (95 % interval {low:.1f} to {high:.1f} %)"
 
 
-def _verdict(summary: Mapping[str, Any]) -> str:
+def _verdict(summary: Mapping[str, Any]) -> Markup:
     return section(
         f"{interval(summary['success_rate'])} succeeded",
-        "<p>Not every episode was played to its end:</p>" if summary["reasons"] else "",
+        "Not every episode was played to its end:" if summary["reasons"] else "",
         bullets(summary["reasons"]),
         verdict="ok" if summary["ok"] else "bad",
     )
 
 
-def _conditions(conditions: Sequence[Mapping[str, Any]]) -> str:
+def _conditions(conditions: Sequence[Mapping[str, Any]]) -> Markup:
     head = (
         *("Setting", "Law", "Success", "RCM mean", "RCM max", "true RCM max"),
         *("trocar force max", "trocar displacement max", "Bounds"),
@@ -82,7 +85,7 @@ def _conditions(conditions: Sequence[Mapping[str, Any]]) -> str:
             *map(_median_max, (c["rcm_kinematic_mm"]["mean"], c["rcm_kinematic_mm"]["max"])),
             *map(_median_max, (c["rcm_true_mm"]["max"], c["trocar_force_n"])),
             _median_max(c["trocar_displacement_mm"]),
-            Html("<br>".join(map(_bound, c["bounds"]))),
+            Markup("<br>").join(map(_bound, c["bounds"])),
         )
         for c in conditions
     ]
@@ -92,21 +95,25 @@ def _conditions(conditions: Sequence[Mapping[str, Any]]) -> str:
             "Median and worst over the episodes; deviations and displacement in mm, force in N;"
             " first arm."
         ),
-        table(head, rows, right=range(3, 8), style=""),
+        table(head, rows, right=range(3, 8)),
     )
 
 
-def _bound(bound: Mapping[str, Any]) -> str:
-    missed = f"<span class='missed'>missed</span> ({number(bound['worst'])})"
-    mark = "<span class='met'>met</span>" if bound["met"] else missed
-    return f"{bound['metric']} &lt; {bound['value']:g}: {mark}"
+def _bound(bound: Mapping[str, Any]) -> Markup:
+    missed = Markup("{} ({})").format(MISSED, number(bound["worst"]))
+    mark = MET if bound["met"] else missed
+    return Markup("{} &lt; {:g}: {}").format(bound["metric"], bound["value"], mark)
+
+
+def _link(address: str, words: Any) -> Markup:
+    return Markup("<a href='{}'>{}</a>").format(address, words)
 
 
 def _median_max(spread: Mapping[str, Any]) -> str:
     return f"{number(spread['median'])} / {number(spread['max'])}"
 
 
-def _episodes(episodes: Sequence[Mapping[str, Any]]) -> str:
+def _episodes(episodes: Sequence[Mapping[str, Any]]) -> Markup:
     head = ("", "Seed", "Setting", "Law", "End", "Duration [s]", "RCM mean [mm]", "RCM max [mm]")
     rows = []
     for i, e in enumerate(episodes):
@@ -114,11 +121,11 @@ def _episodes(episodes: Sequence[Mapping[str, Any]]) -> str:
         kinematic, true = e["rcm_kinematic_mm"] or {}, e["rcm_true_mm"] or {}
         rows.append(
             (
-                Html(f"<a href='{text(folder)}/report.html'>{i}</a>") if folder else i,
+                _link(f"{folder}/report.html", i) if folder else i,
                 *(e["seed"], e["setting"], e["law"]),
-                Html("<span class='met'>success</span>") if e["success"] else e["failure_reason"],
+                SUCCESS if e["success"] else e["failure_reason"],
                 *(e["duration_s"], kinematic.get("mean"), kinematic.get("max"), true.get("max")),
-                Html(f"<code>{text((e['state_hash'] or '–')[:12])}</code>"),
+                code((e["state_hash"] or "–")[:12]),
             )
         )
     return section(
