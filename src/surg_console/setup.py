@@ -11,5 +11,5 @@ setuptools.setup(
     packages=setuptools.find_packages("src"),
     package_dir={"": "src"},
     package_data={"surg_console": ["py.typed"], "surg_console.web": ["page/*", "page/*/*"]},
-    install_requires=["aiohttp>=3.8", "av>=10", "numpy>=1.24", "surg_recording"],
+    install_requires=["aiohttp>=3.8", "av>=10", "markupsafe>=2.1", "numpy>=1.24", "surg_recording"],
 )
