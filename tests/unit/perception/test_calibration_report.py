@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
@@ -27,46 +28,36 @@ from surg_perception.output.report_drawing import Line, in_space, nice, residual
 CHAIN = ChainError(tool=1e-4, base=2e-4, handeye=2e-4, stereo=4e-4)
 
 
-def drawing(figure: str) -> ElementTree.Element:
-    return ElementTree.fromstring(figure)
-
-
-def numbers(element: ElementTree.Element, *names: str) -> list[float]:
-    return [float(element.attrib[name]) for name in names]
-
-
 def test_an_arrow_is_the_residual_as_often_as_the_title_states() -> None:
     seen, residual = reaching(0.9), np.tile([0.3, -0.4], (4, 1))
-    svg = drawing(residuals_in_picture("left", SIZE, [seen], [residual]))
-    factor = float(re.search(r"arrows ([\d.]+) times", svg[0].text)[1])
-    *arrows, bar = svg.iter("line")
-    for arrow, pixel in zip(arrows, seen.pixels, strict=True):
-        x, y, u, v = numbers(arrow, "x1", "y1", "x2", "y2")
-        np.testing.assert_allclose([x, y], pixel, atol=0.06)
-        np.testing.assert_allclose([u - x, v - y], factor * residual[0], atol=0.11)
-    x, u = numbers(bar, "x1", "x2")
-    stated = float(next(svg.iter("text")).text.removesuffix(" px"))
-    assert u - x == pytest.approx(factor * stated, abs=0.11)
+    drawing = residuals_in_picture("left", SIZE, [seen], [residual])
+    factor = float(re.search(r"arrows ([\d.]+) times", drawing.title)[1])
+    (axes,) = drawing.figure.axes
+    arrows = np.array(axes.collections[0].get_segments())
+    np.testing.assert_allclose(arrows[:, 0], seen.pixels, atol=0.06)
+    np.testing.assert_allclose(arrows[:, 1] - arrows[:, 0], factor * residual, atol=0.11)
+    dots, bar = axes.lines
+    np.testing.assert_allclose(dots.get_xydata(), seen.pixels, atol=0.06)
+    stated = float(axes.texts[0].get_text().removesuffix(" px"))
+    assert np.ptp(bar.get_xdata()) == pytest.approx(factor * stated, abs=0.11)
+    assert axes.get_xlim() == (0, SIZE[0]) and axes.get_ylim() == (SIZE[1], 0), "y points down"
 
 
 def test_a_drawing_in_space_has_the_scale_of_its_grid() -> None:
-    """With x right and y down: the tick that is stated beside a line is its place."""
+    """With x right and y down: equal scales, and the path in the millimetres of the ticks."""
     path = np.array([[0.0, 0.0, 0.0], [0.02, 0.03, 0.0], [0.04, -0.01, 0.0]])
-    svg = drawing(in_space("side", [Line(path, "red")], (0, 1), ("x", "y"), down=True))
-    words = {(round(float(t.attrib["x"])), round(float(t.attrib["y"]))): t.text for t in
-             svg.iter("text")}  # fmt: skip
-    across, along = {}, {}
-    for line in svg.iter("line"):
-        x, y, u, v = numbers(line, "x1", "y1", "x2", "y2")
-        where = (round(x - 8), round(v + 18)) if x == u else (8, round(y + 4))
-        near = min(words, key=lambda at: abs(at[0] - where[0]) + abs(at[1] - where[1]))
-        (across if x == u else along)[float(words[near])] = x if x == u else y
-    points = next(svg.iter("polyline")).attrib["points"].split()
-    for point, p in zip(points, 1e3 * path, strict=True):
-        x, y = (float(word) for word in point.split(","))
-        ticks = sorted(across), sorted(along)
-        assert x == pytest.approx(np.interp(p[0], ticks[0], [across[t] for t in ticks[0]]), abs=1)
-        assert y == pytest.approx(np.interp(p[1], ticks[1], [along[t] for t in ticks[1]]), abs=1)
+    drawing = in_space("side", [Line(path, (1.0, 0.0, 0.0))], (0, 1), ("x", "y"), down=True)
+    drawing.figure.draw_without_rendering()
+    (axes,) = drawing.figure.axes
+    np.testing.assert_allclose(axes.lines[0].get_xydata(), 1e3 * path[:, :2])
+    corner, right, below = axes.transData.transform([(0, 0), (10, 0), (0, 10)])
+    assert right[0] - corner[0] == pytest.approx(corner[1] - below[1], abs=1e-6)
+    assert below[1] < corner[1]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [mm]", "y [mm]")
+    for axis, place in ((axes.xaxis, 0), (axes.yaxis, 1)):
+        for tick in axis.get_major_ticks():
+            number = float(tick.label1.get_text().replace("\N{MINUS SIGN}", "-"))
+            assert number == pytest.approx(tick.get_loc()), place
 
 
 @pytest.mark.parametrize("value", [1e-7, 0.99, 1.0, 1.99, 2.0, 4.9, 5.0, 730.0])
@@ -96,13 +87,18 @@ def test_each_step_has_a_page_of_its_own_with_the_error_at_80_mm(tmp_path: Path)
     for step, page in pages(tmp_path).items():
         assert "a &lt; b" in page and "a < b" not in page, step
         assert "80 mm" in page, step
-        assert not re.search(r"(src|href)=|url\(|nan", page), step
-        for figure in re.findall(r"<figure>.*?</figure>", page):
-            drawing(figure)
-        assert page.count("from the right") == 1, step
+        shown = re.sub(r'src="data:[^"]*"', "", page)
+        assert not re.search(r"(src|href)=|url\(|nan", shown), step
+        pictures = re.findall(r'src="data:image/svg\+xml;base64,([^"]*)"', page)
+        assert len(pictures) == page.count("<figure>"), step
+        for each in pictures:
+            svg = base64.b64decode(each).decode()
+            ElementTree.fromstring(svg)
+            assert not re.search(r'href="(?!#)|url\((?!#)|nan', svg), step
+        assert page.count("<figcaption>from the right") == 1, step
     assert "agree within 1.00 mm (2 sigma)" in page
 
 
 def test_a_fit_without_residuals_has_a_page() -> None:
-    assert "<svg" in bases_page(base(), None, "exact")
+    assert "image/svg+xml" in bases_page(base(), None, "exact")
     assert report_drawing.magnification(np.zeros(3), 1.0) > 0.0

@@ -1,11 +1,11 @@
 """Pages about the steps of a calibration: residuals, poses in space, expected errors.
 
-Each page is one HTML file with drawings in SVG and nothing from outside.
+Each page is one HTML file that loads nothing from outside.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -21,15 +21,20 @@ from surg_perception.calibration.intrinsics import LensFit, SeenCorners
 from surg_perception.calibration.small_motions import shift_at, transform
 from surg_perception.calibration.stereo import StereoFit
 from surg_perception.output.report_drawing import (
+    BLACK,
+    Colour,
+    Drawing,
     Line,
     above_and_side,
     bars,
     colour,
     front_and_side,
-    page,
     residuals_in_picture,
     residuals_in_space,
 )
+from surg_recording.reports.figure_style import encoded
+from surg_recording.reports.html_page import document, grid, picture, section
+from surg_recording.reports.html_page import facts as table_of
 
 SIGHT = 0.015
 """[m] Length of the line that shows where an eye looks."""
@@ -48,7 +53,7 @@ def camera_page(result: LensFit, board: Board, title: str) -> str:
     }
     nothing = SeenCorners(np.zeros((0, 3)), np.zeros((0, 2)))
     (left,) = _eyes([(each, nothing) for each in problem.seen], result.fit.residuals, lens.size)
-    return page(title, facts, [left, _boards(problem.X_CBoard, board)])
+    return _page(title, facts, [left, *_boards(problem.X_CBoard, board)])
 
 
 def stereo_page(result: StereoFit, board: Board, title: str) -> str:
@@ -71,9 +76,9 @@ def stereo_page(result: StereoFit, board: Board, title: str) -> str:
     }
     drawings = [
         *_eyes(fit.solution.seen, fit.residuals, stereo.left.size),
-        _boards(fit.solution.X_LBoard, board),
+        *_boards(fit.solution.X_LBoard, board),
     ]
-    return page(title, facts, drawings)
+    return _page(title, facts, drawings)
 
 
 def handeye_page(result: HandEyeFit, board: Board, title: str) -> str:
@@ -97,13 +102,13 @@ def handeye_page(result: HandEyeFit, board: Board, title: str) -> str:
         _AT_80: f"{1e3 * at:.3f} mm (1 sigma), of the camera's pose",
     }
     X_BoardV = inverse_pose(problem.X_BBoard) @ problem.X_BF @ result.X_FV
-    lines = [Line(_outline(board), "black", "board")]
+    lines = [Line(_outline(board), BLACK, "board")]
     lines += [_eye(X, colour(view), str(view + 1)) for view, X in enumerate(X_BoardV)]
     drawings = [
         *_eyes(problem.seen, result.fit.residuals, problem.stereo.left.size),
-        front_and_side(lines, "frame of the board"),
+        *front_and_side(lines, "frame of the board"),
     ]
-    return page(title, facts, drawings)
+    return _page(title, facts, drawings)
 
 
 def bases_page(result: SeenBase, chain: ChainError | None, title: str) -> str:
@@ -127,9 +132,9 @@ def bases_page(result: SeenBase, chain: ChainError | None, title: str) -> str:
     p_V = transform(X_VS, result.p_S)
     names = [str(number + 1) for number in range(result.n)]
     arrows, factor = residuals_in_space(p_V, result.residuals @ X_VS[:3, :3].T, names)
-    lines = [_eye(np.eye(4), "black", "left eye"), *arrows]
-    drawings = [above_and_side(lines, f"frame of the left eye; residuals {factor:g} times as long")]
-    return page(title, facts, drawings + ([] if chain is None else [_parts(chain)]))
+    lines = [_eye(np.eye(4), BLACK, "left eye"), *arrows]
+    drawings = above_and_side(lines, f"frame of the left eye; residuals {factor:g} times as long")
+    return _page(title, facts, drawings + ([] if chain is None else [_parts(chain)]))
 
 
 def chain_page(cell: surg_core.Cell, X_WV: FloatArray, chain: ChainError, title: str) -> str:
@@ -143,18 +148,28 @@ def chain_page(cell: surg_core.Cell, X_WV: FloatArray, chain: ChainError, title:
     """
     facts = {f"joints and picture at {1e3 * DISTANCE:g} mm": _within(chain)}
     place = (X_WV @ [0.0, 0.0, DISTANCE, 1.0])[:3]
-    lines = [Line(np.array([X_WV[:3, 3], place]), "black", "80 mm", dot=True)]
+    lines = [Line(np.array([X_WV[:3, 3], place]), BLACK, "80 mm", dot=True)]
     for number, arm in enumerate(cell.arms.values()):
         base, tip = arm.X_WB[:3, 3], X_WV[:3, 3] if arm.instrument.camera is not None else place
         lines.append(Line(np.array([tip, base]), colour(number), f"base of {arm.name}"))
-    return page(title, facts, [front_and_side(lines, "world"), _parts(chain)])
+    return _page(title, facts, [*front_and_side(lines, "world"), _parts(chain)])
+
+
+def _page(title: str, facts: Mapping[str, str], drawings: Sequence[Drawing]) -> str:
+    """The page: facts as a table, then the drawings."""
+    pictures = [
+        picture(*encoded(drawing.figure), name=drawing.title, caption=drawing.title)
+        for drawing in drawings
+    ]
+    shown = [table_of(facts.items()), grid(pictures, "two")]
+    return document(title, [section("Result", *shown)])
 
 
 def _within(chain: ChainError) -> str:
     return f"agree within {1e3 * chain.two_sigma:.2f} mm (2 sigma)"
 
 
-def _parts(chain: ChainError) -> str:
+def _parts(chain: ChainError) -> Drawing:
     """Bars of the parts and of their sum."""
     parts = {"tool": chain.tool, "bases": chain.base, "hand-eye": chain.handeye}
     parts |= {"stereo": chain.stereo, "all, 2 sigma": chain.two_sigma}
@@ -166,13 +181,13 @@ def _pose_error(turn: float, shift: float) -> str:
     return f"{1e3 * shift:.3f} mm, {np.degrees(turn):.3f} deg (1 sigma)"
 
 
-def _boards(X_LBoard: Sequence[FloatArray], board: Board) -> str:
+def _boards(X_LBoard: Sequence[FloatArray], board: Board) -> list[Drawing]:
     """The rim of the board in each view, before the left eye."""
     rims = [
         Line(transform(X, _outline(board)), colour(view), str(view + 1))
         for view, X in enumerate(X_LBoard)
     ]
-    return above_and_side([_eye(np.eye(4), "black", "left eye"), *rims], "frame of the left eye")
+    return above_and_side([_eye(np.eye(4), BLACK, "left eye"), *rims], "frame of the left eye")
 
 
 def _outline(board: Board) -> FloatArray:
@@ -181,7 +196,7 @@ def _outline(board: Board) -> FloatArray:
     return np.array([[0, 0, 0], [wide, 0, 0], [wide, high, 0], [0, high, 0], [0, 0, 0]])
 
 
-def _eye(X: FloatArray, stroke: str, label: str) -> Line:
+def _eye(X: FloatArray, stroke: Colour, label: str) -> Line:
     """An eye as a dot with a line along its axis."""
     return Line(transform(X, np.array([[0.0, 0.0, 0.0], [0.0, 0.0, SIGHT]])), stroke, label, True)
 
@@ -190,7 +205,7 @@ def _eyes(
     seen: Sequence[tuple[SeenCorners, SeenCorners]],
     residuals: Sequence[FloatArray],
     size: tuple[int, int],
-) -> list[str]:
+) -> list[Drawing]:
     """The residuals of the left and of the right eye; a view's residuals state the left first."""
     drawings = []
     for eye, name in enumerate(("left", "right")):

@@ -1,21 +1,36 @@
-"""Drawings of a calibration's report, in SVG: residuals in a picture, lines in space, bars."""
+"""Drawings of a calibration's report: residuals in a picture, lines in space, bars."""
 
 from __future__ import annotations
 
-import html
+import colorsys
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 from surg_core.transforms import FloatArray
 from surg_perception.calibration.intrinsics import SeenCorners
+from surg_recording.reports.figure_style import STYLE
 
-WIDE, HIGH, EDGE = 600, 440, 50
-"""[px] Size of a drawing in space, and the edge that its axes have."""
-BAR, BAR_GAP = 18, 30
-"""[px] Height of a bar, and distance from one to the next."""
+SIZE = (6.0, 4.4)
+"""[inch] Width and height of a drawing."""
+Colour = tuple[float, float, float]
+BLACK: Colour = (0.0, 0.0, 0.0)
+_HALO = [withStroke(linewidth=2.0, foreground="white")]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure and what it shows."""
+
+    title: str
+    figure: Figure
 
 
 @dataclass(frozen=True)
@@ -24,20 +39,20 @@ class Line:
 
     Attributes:
         points: ``(n, 3)`` [m].
-        colour: Of CSS.
+        colour: Red, green, blue from 0 to 1.
         label: Text at the last point; empty: none.
         dot: Whether the first point has a dot.
     """
 
     points: FloatArray
-    colour: str
+    colour: Colour
     label: str = ""
     dot: bool = False
 
 
-def colour(number: int) -> str:
+def colour(number: int) -> Colour:
     """A colour that differs from its neighbours'."""
-    return f"hsl({137 * number % 360},70%,40%)"
+    return colorsys.hls_to_rgb(137 * number % 360 / 360, 0.4, 0.7)
 
 
 def nice(value: float) -> float:
@@ -56,7 +71,7 @@ def residuals_in_picture(
     size: tuple[int, int],
     seen: Sequence[SeenCorners],
     residuals: Sequence[FloatArray],
-) -> str:
+) -> Drawing:
     """Residuals as arrows from the corners, each view in a colour.
 
     Args:
@@ -68,17 +83,19 @@ def residuals_in_picture(
     width, height = size
     lengths = np.linalg.norm(np.concatenate(residuals), axis=1)
     factor, unit = magnification(lengths, 0.02 * width), width / 640.0
-    lines = [
-        _arrow(pixel, pixel + factor * away, colour(view), unit)
-        for view, (corners, each) in enumerate(zip(seen, residuals, strict=True))
-        for pixel, away in zip(corners.pixels, each, strict=True)
-    ]
+    axes = _axes()
+    for view, (corners, each) in enumerate(zip(seen, residuals, strict=True)):
+        ends = corners.pixels + factor * each
+        arrows = np.stack([corners.pixels, ends], axis=1)
+        axes.add_collection(LineCollection(arrows, colors=[colour(view)], linewidths=0.9))
+        axes.plot(*corners.pixels.T, ".", color=colour(view), markersize=2.5)
     bar = nice(0.1 * width / factor)
-    end = np.array([10.0 * unit + bar * factor, 14.0 * unit])
-    lines.append(_arrow(np.array([10.0 * unit, 14.0 * unit]), end, "black", unit))
-    lines.append(_text(end + np.array([6.0, 5.0]) * unit, f"{bar:g} px", size=14.0 * unit))
-    note = f"{title}; arrows {factor:g} times as long"
-    return figure(note, width, height, lines)
+    start, end = 10.0 * unit, 10.0 * unit + bar * factor
+    axes.plot([start, end], [14.0 * unit] * 2, color=BLACK, linewidth=1.2)
+    axes.text(end + 6.0 * unit, 14.0 * unit, f"{bar:g} px", va="center", path_effects=_HALO)
+    axes.set(xlim=(0, width), ylim=(height, 0), aspect="equal", xticks=[], yticks=[])
+    axes.spines[:].set_visible(True)
+    return Drawing(f"{title}; arrows {factor:g} times as long", axes.figure)
 
 
 def residuals_in_space(
@@ -94,143 +111,63 @@ def residuals_in_space(
     return lines, factor
 
 
-def above_and_side(lines: Sequence[Line], frame: str) -> str:
+def above_and_side(lines: Sequence[Line], frame: str) -> list[Drawing]:
     """Lines in an optical frame (x right, y down, z away): from above, and from the right."""
     above = in_space(f"from above, {frame}", lines, (0, 2), ("x", "z"))
-    return above + in_space(f"from the right, {frame}", lines, (2, 1), ("z", "y"), down=True)
+    return [above, in_space(f"from the right, {frame}", lines, (2, 1), ("z", "y"), down=True)]
 
 
-def front_and_side(lines: Sequence[Line], frame: str) -> str:
+def front_and_side(lines: Sequence[Line], frame: str) -> list[Drawing]:
     """Lines in a frame with z up: from the front, and from the right."""
     front = in_space(f"from the front, {frame}", lines, (0, 2), ("x", "z"))
-    return front + in_space(f"from the right, {frame}", lines, (1, 2), ("y", "z"))
+    return [front, in_space(f"from the right, {frame}", lines, (1, 2), ("y", "z"))]
 
 
 def in_space(
     title: str,
     lines: Sequence[Line],
-    axes: tuple[int, int],
+    shown: tuple[int, int],
     names: tuple[str, str],
     down: bool = False,
-) -> str:
+) -> Drawing:
     """Lines along one axis of their frame, with equal scales.
 
     Args:
         title: Of the drawing.
         lines: What is drawn.
-        axes: Numbers of the axes that point right and up.
+        shown: Numbers of the axes that point right and up.
         names: Of these axes.
         down: The second axis points down.
     """
-    sign = np.array([1.0, -1.0 if down else 1.0])
-    flat = [1e3 * line.points[:, list(axes)] * sign for line in lines]
-    low, high = np.concatenate(flat).min(axis=0), np.concatenate(flat).max(axis=0)
-    middle, inner = (low + high) / 2.0, np.array([WIDE, HIGH]) - 2.0 * EDGE
-    scale = float(np.min(inner / np.maximum(high - low, 1.0)))
-
-    def place(p: FloatArray) -> FloatArray:
-        return np.array([WIDE, HIGH]) / 2.0 + (p - middle) * scale * [1.0, -1.0]
-
-    drawn = _grid(place, middle, inner / scale, names, sign)
-    for line, p in zip(lines, flat, strict=True):
-        at = np.array([place(each) for each in p])
-        drawn.append(_path(at, line.colour))
-        if line.dot:
-            drawn.append(_dot(at[0], line.colour, 2.5))
-        if line.label:
-            drawn.append(_label(at[-1], line))
-    return figure(title, WIDE, HIGH, drawn)
+    axes = _axes()
+    for line in lines:
+        flat = 1e3 * line.points[:, list(shown)]
+        first = {"marker": "o", "markersize": 3.5, "markevery": [0]} if line.dot else {}
+        axes.plot(*flat.T, color=line.colour, linewidth=1.0, **first)
+        beside = {"xytext": (4, 4), "textcoords": "offset points", "path_effects": _HALO}
+        axes.annotate(line.label, flat[-1], color=line.colour, **beside)
+    axes.set(xlabel=f"{names[0]} [mm]", ylabel=f"{names[1]} [mm]")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.08)
+    if down:
+        axes.invert_yaxis()
+    axes.figure.draw_without_rendering()  # places the axes, to which the scales are then fitted
+    axes.figure.set_layout_engine("none")
+    return Drawing(title, axes.figure)
 
 
-def bars(title: str, values: Mapping[str, float], unit: str) -> str:
+def bars(title: str, values: Mapping[str, float], unit: str) -> Drawing:
     """Named values as bars from zero."""
-    most = max([*values.values(), 1e-12])
-    drawn = []
-    for row, (name, value) in enumerate(values.items()):
-        y, long = 12 + BAR_GAP * row, 320.0 * value / most
-        fill = colour(row)
-        drawn.append(_text(np.array([8.0, y + 14.0]), name))
-        drawn.append(f'<rect x="150" y="{y}" width="{long:.1f}" height="{BAR}" fill="{fill}"/>')
-        drawn.append(_text(np.array([158.0 + long, y + 14.0]), f"{value:.3f} {unit}"))
-    return figure(title, WIDE, 12 + BAR_GAP * len(values), drawn)
+    axes = _axes(0.6 + 0.35 * len(values))
+    colours = [colour(row) for row in range(len(values))]
+    drawn = axes.barh(list(values), list(values.values()), color=colours, height=0.6)
+    axes.bar_label(drawn, [f"{value:.3f} {unit}" for value in values.values()], padding=4)
+    axes.set(xticks=[])
+    axes.margins(x=0.25)
+    axes.invert_yaxis()
+    return Drawing(title, axes.figure)
 
 
-def figure(title: str, width: int, height: int, drawn: Sequence[str]) -> str:
-    """A drawing with its title."""
-    return (
-        f"<figure><figcaption>{html.escape(title)}</figcaption>"
-        f'<svg viewBox="0 0 {width} {height}">{"".join(drawn)}</svg></figure>'
-    )
-
-
-def page(title: str, facts: Mapping[str, str], drawings: Sequence[str]) -> str:
-    """The page: facts as a table, then the drawings; nothing is loaded from outside."""
-    rows = "".join(
-        f"<tr><th>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>"
-        for name, value in facts.items()
-    )
-    return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>'
-        "<style>body{font-family:sans-serif;margin:1em}figure{display:inline-block;margin:0.5em 0;"
-        "width:49%;vertical-align:top}svg{border:1px solid #999;width:98%;background:white}"
-        "th{text-align:left;padding-right:1em}"
-        "text{paint-order:stroke;stroke:white;stroke-width:3px}</style>"
-        f"<h1>{html.escape(title)}</h1><table>{rows}</table>{''.join(drawings)}</html>\n"
-    )
-
-
-def _grid(
-    place: object, middle: FloatArray, extent: FloatArray, names: tuple[str, str], sign: FloatArray
-) -> list[str]:
-    """Lines of whole steps with their numbers [mm]."""
-    assert callable(place)
-    step, drawn = nice(float(extent.max()) / 4.0), []
-    for axis in (0, 1):
-        first = math.ceil((middle[axis] - extent[axis] / 2.0) / step - 1e-9)
-        last = math.floor((middle[axis] + extent[axis] / 2.0) / step + 1e-9)
-        for tick in range(first, last + 1):
-            at = middle.copy()
-            at[axis] = tick * step
-            x, y = place(at)
-            word = f"{sign[axis] * tick * step + 0.0:g}"
-            if axis == 0:
-                drawn.append(_path(np.array([[x, EDGE], [x, HIGH - EDGE]]), "#ddd"))
-                drawn.append(_text(np.array([x - 8.0, HIGH - EDGE + 18.0]), word))
-            else:
-                drawn.append(_path(np.array([[EDGE, y], [WIDE - EDGE, y]]), "#ddd"))
-                drawn.append(_text(np.array([8.0, y + 4.0]), word))
-    drawn.append(_text(np.array([WIDE - EDGE - 30.0, HIGH - 10.0]), f"{names[0]} [mm]"))
-    drawn.append(_text(np.array([8.0, 20.0]), f"{names[1]} [mm]"))
-    return drawn
-
-
-def _arrow(start: FloatArray, end: FloatArray, fill: str, unit: float) -> str:
-    """A line with a dot at its start."""
-    return _path(np.array([start, end]), fill, unit) + _dot(start, fill, 1.5 * unit)
-
-
-def _path(points: FloatArray, stroke: str, width: float = 1.0) -> str:
-    if len(points) == 2:
-        (x, y), (u, v) = points
-        ends = f'x1="{x:.1f}" y1="{y:.1f}" x2="{u:.1f}" y2="{v:.1f}"'
-        return f'<line {ends} stroke="{stroke}" stroke-width="{width:g}"/>'
-    along = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-    return f'<polyline points="{along}" fill="none" stroke="{stroke}" stroke-width="{width:g}"/>'
-
-
-def _dot(at: FloatArray, fill: str, radius: float) -> str:
-    return f'<circle cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="{radius:g}" fill="{fill}"/>'
-
-
-def _label(at: FloatArray, line: Line) -> str:
-    """The label beside the last point, on the side that has room."""
-    room = at[0] + 8.0 * len(line.label) < WIDE - 4.0
-    aside = np.array([4.0, -4.0]) if room else np.array([-4.0 - 7.0 * len(line.label), -4.0])
-    return _text(at + aside, line.label, line.colour)
-
-
-def _text(at: FloatArray, words: str, fill: str = "black", size: float = 13.0) -> str:
-    return (
-        f'<text x="{at[0]:.1f}" y="{at[1]:.1f}" font-size="{size:g}" fill="{fill}">'
-        f"{html.escape(words)}</text>"
-    )
+def _axes(height: float = SIZE[1]) -> Axes:
+    with matplotlib.rc_context(STYLE):
+        return Figure(figsize=(SIZE[0], height), layout="constrained").subplots()

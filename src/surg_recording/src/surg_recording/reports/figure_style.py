@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,22 @@ def blank(height: float) -> Figure:
     figure.get_layout_engine().set(w_pad=0.09, h_pad=0.09)
     FigureCanvasAgg(figure)
     return figure
+
+
+SVG_LIMIT = 200_000
+"""Size of an SVG [bytes] above which a PNG is embedded instead."""
+
+
+def encoded(figure: Figure) -> tuple[bytes, str]:
+    """A figure for a page, and its kind: a small SVG, else a PNG."""
+    buffer = io.BytesIO()
+    with matplotlib.rc_context({"svg.hashsalt": "page", "svg.fonttype": "none"}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    if buffer.tell() <= SVG_LIMIT:
+        return buffer.getvalue(), "svg+xml"
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=150)
+    return buffer.getvalue(), "png"
 
 
 def save_all(
