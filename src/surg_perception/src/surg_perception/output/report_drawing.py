@@ -147,12 +147,12 @@ def in_space(
         beside = {"xytext": (4, 4), "textcoords": "offset points", "path_effects": _HALO}
         axes.annotate(line.label, flat[-1], color=line.colour, **beside)
     axes.set(xlabel=f"{names[0]} [mm]", ylabel=f"{names[1]} [mm]")
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.margins(0.08)
-    if down:
-        axes.invert_yaxis()
-    axes.figure.draw_without_rendering()  # places the axes, to which the scales are then fitted
-    axes.figure.set_layout_engine("none")
+    points = np.concatenate([1e3 * line.points[:, list(shown)] for line in lines])
+    low, high, ratio = points.min(axis=0), points.max(axis=0), SIZE[1] / SIZE[0]
+    half = 0.56 * max(high[0] - low[0], (high[1] - low[1]) / ratio, 1.0)
+    (x, y), up = (low + high) / 2.0, -1.0 if down else 1.0
+    axes.set(xlim=(x - half, x + half), ylim=(y - up * half * ratio, y + up * half * ratio))
+    axes.set_aspect("equal")
     return Drawing(title, axes.figure)
 
 
