@@ -79,7 +79,7 @@ def _what_was_evaluated(summary: Mapping[str, Any]) -> Markup:
 def _conditions(summary: Mapping[str, Any]) -> Markup:
     columns = summary["conditions"].values()
     if not columns and not summary["left_out"]:
-        return ""  # the reference alone was asked for
+        return Markup()  # the reference alone was asked for
     if not columns:
         return section("No episode could be evaluated", verdict="bad")
     rates = [c["success_rate"] for c in columns]
@@ -106,7 +106,7 @@ def _spread(spread: Mapping[str, Any]) -> str:
 
 def _reference(compared: Mapping[str, Any] | None) -> Markup:
     if compared is None:
-        return ""
+        return Markup()
     rows = [
         (name, level["trials"], *(_spread(level[key]) for key in _REFERENCE_METRICS))
         for name, level in {"all": compared, **compared["by_skill"]}.items()

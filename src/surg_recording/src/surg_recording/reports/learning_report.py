@@ -73,7 +73,7 @@ def write(
     (folder / "report.html").write_text(document(title, sections), encoding="utf-8")
 
 
-def _films(rollouts: Sequence[Entry], folder: Path) -> list[str]:
+def _films(rollouts: Sequence[Entry], folder: Path) -> list[Markup]:
     """The first failed and the first successful roll-out, or that there was none."""
     played = [entry for entry in rollouts if entry["played"]]
     sections = []
