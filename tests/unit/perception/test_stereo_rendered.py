@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -68,7 +70,9 @@ def test_the_command_writes_what_the_loader_reads(
     assert surg("calibrate", cell, "stereo", "--from", folder, "--lens-state", "ring at 2") == 0
     assert "held out" in capsys.readouterr().out
     page = (cell / "calibration" / "views" / "stereo.html").read_text("utf-8")
-    assert page.count("<line ") > 13 * 2 * 40 and "held out" in page
+    drawings = [base64.b64decode(each) for each in re.findall(r'svg\+xml;base64,([^"]*)', page)]
+    arrows = re.findall(rb'<g id="LineCollection_\d+">(.*?)</g>', b"".join(drawings), re.DOTALL)
+    assert sum(each.count(b"<path d=") for each in arrows) > 13 * 2 * 40 and "held out" in page
     eyes, content = read_stereo(cell / "calibration")
     (result,) = results
     check(result, stand, views)

@@ -69,7 +69,7 @@ def blank(height: float) -> Figure:
     return figure
 
 
-SVG_LIMIT = 200_000
+SVG_LIMIT = 400_000
 """Size of an SVG [bytes] above which a PNG is embedded instead."""
 
 
