@@ -12,8 +12,7 @@
 #include <vector>
 
 #include "clock.hpp"
-#include "surg_control/files/config_loader.hpp"
-#include "surg_control/files/model_loader.hpp"
+#include "surg_core/files/arm_setup.hpp"
 #include "surg_core/state/black_box.hpp"
 
 namespace bench {
@@ -26,9 +25,9 @@ constexpr double T = 0.002;  // [s]
 constexpr std::uint32_t kSender = 7;
 
 int cycles(const std::string& cell, double tremor, int count) {
-  surg_control::ArmSetup arm = surg_control::load_arm(cell, "");
+  surg::ArmSetup arm = surg::load_arm(cell, "");
   arm.robot.tuning.tremor = tremor;
-  const surg_control::Model model = surg_control::load_model(arm);
+  const surg::Model& model = arm.model;
   const surg::ControllerSetup setup{model.chain,      arm.robot, arm.limits, arm.mounted.instrument,
                                     arm.mounted.tool, {},        {}};
   surg::Controller controller(setup.chain, setup.robot, setup.limits, setup.instrument, setup.tool,

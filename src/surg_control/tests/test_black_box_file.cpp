@@ -7,8 +7,7 @@
 
 #include "support/small_cell.hpp"
 #include "surg_control/files/black_box_file.hpp"
-#include "surg_control/files/config_loader.hpp"
-#include "surg_control/files/model_loader.hpp"
+#include "surg_core/files/arm_setup.hpp"
 
 namespace surg_control {
 namespace {
@@ -17,8 +16,8 @@ namespace fs = std::filesystem;
 
 /// A short incident of the small cell's arm.
 surg::BlackBoxRecording incident(const surg_control_test::SmallCell& cell) {
-  const ArmSetup setup = load_arm(cell.cell(), "");
-  const surg::ControllerSetup made{load_model(setup.robot, setup.robot_urdf).chain,
+  const surg::ArmSetup setup = surg::load_arm(cell.cell(), "");
+  const surg::ControllerSetup made{surg::load_model(setup.robot).chain,
                                    setup.robot,
                                    setup.limits,
                                    setup.mounted.instrument,

@@ -264,7 +264,7 @@ TEST(ControlCycle, AClaimKeepsOthersOut) {
 TEST(ControlCycle, AToolIsNamedFromTheCycleInWhichItIsMounted) {
   IdealArm arm;
   arm.enable();
-  MountedTool next = load_arm(std::string(SURG_CELLS) + "/sim_ur5e", "").mounted;
+  surg::MountedTool next = surg::load_arm(std::string(SURG_CELLS) + "/sim_ur5e", "").mounted;
   next.tool.p_FTip.z() += 0.01;
   CommandItem mount;
   mount.kind = CommandItem::Kind::kTool;

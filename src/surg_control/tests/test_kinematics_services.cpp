@@ -6,15 +6,16 @@
 #include <cstdio>
 #include <random>
 
-#include "surg_control/files/config_loader.hpp"
 #include "surg_control/topics/kinematics_services.hpp"
 #include "surg_control/topics/virtual_kinematics.hpp"
+#include "surg_core/files/arm_setup.hpp"
 
 namespace surg_control {
 namespace {
 
 const surg::Limits& limits() {
-  static const surg::Limits loaded = load_arm(std::string(SURG_CELLS) + "/sim_ur5e", "").limits;
+  static const surg::Limits loaded =
+      surg::load_arm(std::string(SURG_CELLS) + "/sim_ur5e", "").limits;
   return loaded;
 }
 

@@ -1,23 +1,26 @@
 // URDF to chain: the same robot as KDL's, or no robot.
 #include <gtest/gtest.h>
+#include <urdf_parser/urdf_parser.h>
 
 #include <cmath>
 #include <fstream>
 #include <iterator>
+#include <kdl/tree.hpp>
+#include <kdl_parser/kdl_parser.hpp>
 #include <string>
 
 #include "support/small_cell.hpp"
-#include "surg_control/files/config_loader.hpp"
-#include "surg_control/files/model_loader.hpp"
+#include "surg_control/files/kdl_check.hpp"
+#include "surg_core/files/arm_setup.hpp"
 
 namespace surg_control {
 namespace {
 
 using surg_control_test::SmallCell;
 
-Model load(const SmallCell& cell) {
-  const ArmSetup setup = load_arm(cell.cell(), "PSM1");
-  return load_model(setup.robot, setup.robot_urdf);
+surg::Model load(const SmallCell& cell) {
+  const surg::ArmSetup setup = surg::load_arm(cell.cell(), "PSM1");
+  return surg::load_model(setup.robot);
 }
 
 void expect_refused(const SmallCell& cell, const std::string& part) {
@@ -29,21 +32,32 @@ void expect_refused(const SmallCell& cell, const std::string& part) {
   }
 }
 
-TEST(ModelLoader, AgreesWithKdl) {
-  SmallCell cell;
-  const Model model = load(cell);
-  EXPECT_EQ(model.chain.dof(), 6);
-  EXPECT_LE(model.kdl_error, 1e-12);
-  EXPECT_EQ(model.urdf, cell.read("robot.urdf"));
+/// KDL's chain by urdfdom and kdl_parser: a second opinion of the file, too.
+KDL::Chain by_other_parsers(const surg::Model& model, const surg::RobotConfig& robot) {
+  // KDL knows no inertia of a root link and would warn; kinematics needs none.
+  const urdf::ModelInterfaceSharedPtr parsed = urdf::parseURDF(model.urdf);
+  parsed->root_link_->inertial.reset();
+  KDL::Tree tree;
+  KDL::Chain chain;
+  EXPECT_TRUE(kdl_parser::treeFromUrdfModel(*parsed, tree));
+  EXPECT_TRUE(tree.getChain(robot.base_link, robot.flange_link, chain));
+  return chain;
 }
 
-TEST(ModelLoader, BundledRobotsAgreeWithKdl) {
-  for (const std::string name : {"sim_ur5e", "sim_panda"}) {
-    const ArmSetup setup = load_arm(std::string(SURG_CELLS) + "/" + name, "");
-    const Model model = load_model(setup.robot, setup.robot_urdf);
-    std::printf("%s: %d joints, largest difference to KDL %.2g\n", name.c_str(), model.chain.dof(),
-                model.kdl_error);
-    EXPECT_LE(model.kdl_error, 1e-12);
+TEST(ModelLoader, AgreesWithKdlOnJointsAndFiles) {
+  SmallCell cell;
+  EXPECT_EQ(load(cell).urdf, cell.read("robot.urdf"));
+  const std::string cells = SURG_CELLS;
+  for (const std::string& folder : {cell.cell(), cells + "/sim_ur5e", cells + "/sim_panda"}) {
+    const surg::ArmSetup setup = surg::load_arm(folder, "");
+    const surg::Model& model = setup.model;
+    const double joints = difference_to_kdl(model.chain, to_kdl(model.joints), setup.robot);
+    const double file =
+        difference_to_kdl(model.chain, by_other_parsers(model, setup.robot), setup.robot);
+    std::printf("%s: %d joints, largest difference to KDL %.2g, by urdfdom %.2g\n", folder.c_str(),
+                model.chain.dof(), joints, file);
+    EXPECT_LE(joints, 1e-12);
+    EXPECT_LE(file, 1e-12);
   }
 }
 
@@ -74,9 +88,9 @@ void write_own_kinematics(const SmallCell& cell, const std::string& serial, cons
 TEST(ModelLoader, AnArmsOwnKinematicsAreInTheChain) {
   SmallCell cell;
   write_own_kinematics(cell, "20225500001", "0.1635");  // the drawing has 0.1625
-  const ArmSetup setup = load_arm(cell.cell(), "PSM1");
-  const surg::Chain drawn = load_model(setup.robot, setup.robot_urdf).chain;
-  const surg::Chain own = load_model(setup).chain;
+  const surg::ArmSetup setup = surg::load_arm(cell.cell(), "PSM1");
+  const surg::Chain drawn = surg::load_model(setup.robot).chain;
+  const surg::Chain own = setup.model.chain;
   const surg::JointVector& home = setup.robot.home;
   const surg::Vector3 moved = own.forward(home).translation() - drawn.forward(home).translation();
   EXPECT_NEAR((moved - surg::Vector3(0, 0, 0.001)).norm(), 0, 1e-9);
@@ -85,7 +99,7 @@ TEST(ModelLoader, AnArmsOwnKinematicsAreInTheChain) {
                                 const std::string& part) {
     write_own_kinematics(cell, serial, d1);
     try {
-      load_model(load_arm(cell.cell(), "PSM1"));
+      surg::load_arm(cell.cell(), "PSM1");
       ADD_FAILURE() << "accepted; expected '" << part << "'";
     } catch (const surg::ConfigError& error) {
       EXPECT_NE(std::string(error.what()).find(part), std::string::npos) << error.what();
@@ -97,12 +111,12 @@ TEST(ModelLoader, AnArmsOwnKinematicsAreInTheChain) {
 
 TEST(ModelLoader, CrossCheckSeesASmallDifference) {
   SmallCell cell;
-  const ArmSetup setup = load_arm(cell.cell(), "PSM1");
-  const Model model = load_model(setup.robot, setup.robot_urdf);
+  const surg::ArmSetup setup = surg::load_arm(cell.cell(), "PSM1");
+  const surg::Model model = surg::load_model(setup.robot);
   std::vector<surg::Joint> joints = model.chain.joints();
   joints[3].X_PJ.translation().x() += 1e-8;
   const surg::Chain other(joints, model.chain.X_LF());
-  const double difference = difference_to_kdl(other, setup.robot, model.urdf, 100);
+  const double difference = difference_to_kdl(other, to_kdl(model.joints), setup.robot);
   EXPECT_GT(difference, 5e-9);
   EXPECT_LT(difference, 1e-6);
 }
@@ -116,14 +130,14 @@ TEST(ModelLoader, RefusesWhatDoesNotFit) {
   };
   changed("robot.yaml", "[j1, j2,", "[j2, j1,", "joints.names");
   changed("robot.yaml", "flange_link: flange", "flange_link: flansch", "has no link 'flansch'");
-  changed("robot.yaml", "base_link: base_link", "base_link: flange", "from 'flange' to");
+  changed("robot.yaml", "base_link: base_link", "base_link: flange", "from link 'flange' to");
   changed("robot.yaml", "position_max: [2,", "position_max: [3.0001,", "joints.position_max");
   changed("robot.yaml", "position_min: [-2,", "position_min: [-3.1,", "joints.position_min");
   changed("robot.yaml", "velocity: [1,", "velocity: [2.0001,", "joints.velocity");
-  changed("robot.yaml", "urdf: robot.urdf", "urdf: none.urdf", "no such URDF");
-  changed("robot.urdf", "type=\"revolute\"", "type=\"prismatic\"", "not revolute");
-  changed("robot.urdf", "<axis xyz=\"0 0 1\"/>", "<axis xyz=\"0 0 0\"/>", "no axis");
-  changed("robot.urdf", "</robot>", "", "is no usable URDF");
+  changed("robot.yaml", "urdf: robot.urdf", "urdf: none.urdf", "cannot be read");
+  changed("robot.urdf", "type=\"revolute\"", "type=\"prismatic\"", "'prismatic'");
+  changed("robot.urdf", "<axis xyz=\"0 0 1\"/>", "<axis xyz=\"0 0 0\"/>", "length zero");
+  changed("robot.urdf", "</robot>", "", "not well-formed");
 }
 
 }  // namespace

@@ -6,9 +6,8 @@
 #include <string>
 
 #include "support/small_cell.hpp"
-#include "surg_control/files/config_loader.hpp"
-#include "surg_control/files/model_loader.hpp"
 #include "surg_control/files/replay.hpp"
+#include "surg_core/files/arm_setup.hpp"
 
 namespace surg_control {
 namespace {
@@ -41,8 +40,8 @@ std::string recording(const surg::Chain& chain, const surg::ToolCalibration& too
 
 TEST(Replay, AgreesOrTells) {
   surg_control_test::SmallCell cell;
-  const ArmSetup setup = load_arm(cell.cell(), "");
-  const surg::Chain chain = load_model(setup.robot, setup.robot_urdf).chain;
+  const surg::ArmSetup setup = surg::load_arm(cell.cell(), "");
+  const surg::Chain chain = surg::load_model(setup.robot).chain;
   std::istringstream good(recording(chain, setup.mounted.tool, 0));
   std::ostringstream out;
   const ReplayReport report = replay(good, out, chain, setup.mounted.tool);
@@ -55,8 +54,8 @@ TEST(Replay, AgreesOrTells) {
 
 TEST(Replay, BrokenFilesAreRefused) {
   surg_control_test::SmallCell cell;
-  const ArmSetup setup = load_arm(cell.cell(), "");
-  const surg::Chain chain = load_model(setup.robot, setup.robot_urdf).chain;
+  const surg::ArmSetup setup = surg::load_arm(cell.cell(), "");
+  const surg::Chain chain = surg::load_model(setup.robot).chain;
   const std::string good = recording(chain, setup.mounted.tool, 0);
   for (const std::string& text :
        {std::string(), std::string("a,b\n1,2\n"), good.substr(0, good.size() / 2), good + "1,2\n",

@@ -19,7 +19,7 @@ from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
 from surg_description.make_cell import make_cell
 from surg_sim.physics.sim_arm import ActuatorParameters, add_arm
-from surg_sim.placement import home_search, urdf_kinematics
+from surg_sim.placement import chain_check, home_search
 
 DESCRIPTION = paths.ROOT / "src" / "surg_description"
 GRASPER = DESCRIPTION / "instruments" / "grasper.yaml"
@@ -90,7 +90,7 @@ def test_without_its_meshes_it_has_the_same_masses_and_kinematics(
 
 def test_a_millimetre_between_chain_and_urdf_is_found(tmp_path: Path) -> None:
     arm = load(DESCRIPTION / "robots" / "ur5e.yaml", tmp_path)
-    same = urdf_kinematics.compare(arm, postures=50)
+    same = chain_check.compare(arm, postures=50)
     assert same.position < 1e-12
     text = arm.urdf_path.read_text()
     root = ElementTree.fromstring(text)
@@ -101,9 +101,7 @@ def test_a_millimetre_between_chain_and_urdf_is_found(tmp_path: Path) -> None:
     origin.set("xyz", f"{x + 0.001} {y} {z}")
     other = tmp_path / "other.urdf"
     other.write_bytes(ElementTree.tostring(root))
-    assert urdf_kinematics.compare(replace(arm, urdf_path=other), 50).position == pytest.approx(
-        1e-3
-    )
+    assert chain_check.compare(replace(arm, urdf_path=other), 50).position == pytest.approx(1e-3)
 
 
 def test_a_found_home_is_a_good_one_by_another_solver(tmp_path: Path) -> None:

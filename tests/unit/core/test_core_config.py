@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import surg_core
-from surg_core import ConfigError, _core, config, testing
+from surg_core import ConfigError, _core, testing
 
 FILES = {
     "robot.yaml": """\
@@ -106,7 +106,8 @@ date: "2026-11-21"
     + "".join(f"<link name='l{i}'/>" for i in range(7))
     + "".join(
         f"<joint name='j{i}' type='revolute'><parent link='l{i}'/><child link='l{i + 1}'/>"
-        f"<origin xyz='0 0 0.2'/><axis xyz='{'0 1 0' if i % 2 else '0 0 1'}'/></joint>"
+        f"<origin xyz='0 0 0.2'/><axis xyz='{'0 1 0' if i % 2 else '0 0 1'}'/>"
+        "<limit lower='-3' upper='3' velocity='3'/></joint>"
         for i in range(6)
     )
     + "</robot>",
@@ -344,10 +345,10 @@ def test_nested_aliases_do_not_unfold_without_end() -> None:
     lines = ["a0: &a0 {x: 1, y: 2}"]
     lines += [f"a{i}: &a{i} {{x: *a{i - 1}, y: *a{i - 1}}}" for i in range(1, 40)]
     with pytest.raises(ConfigError, match="more than"):
-        config.flatten("\n".join(lines), "bomb.yaml")
+        _core.parse_document("\n".join(lines), "bomb.yaml")
 
 
-def test_scalars_are_read_alike_in_both_languages() -> None:
+def test_scalars_are_read_by_yaml_1_2() -> None:
     text = """\
 a: 1
 b: 1e-3
@@ -360,7 +361,8 @@ h: False
 i: [1, 2.5]
 j: []
 """
-    values, lines = config.flatten(text, "x.yaml")
+    document = _core.parse_document(text, "x.yaml")
+    values = document.values
     assert values == {
         "a": 1.0,
         "b": 1e-3,
@@ -374,7 +376,7 @@ j: []
         "j": [],
     }
     assert type(values["a"]) is float
-    assert lines["j"] == 10
+    assert document.lines["j"] == 10
 
 
 def test_limits_hash_changes_with_every_limit(folder: Path) -> None:

@@ -18,6 +18,7 @@ JOINTS = """
   <joint name="one" type="revolute">
     <parent link="base"/><child link="arm"/>
     <origin xyz="0.1 0 0.2" rpy="0.3 0 0"/><axis xyz="0 0 2"/>
+    <limit lower="-3" upper="3" velocity="2"/>
   </joint>
   <joint name="bracket" type="fixed">
     <parent link="arm"/><child link="bracket"/><origin xyz="0 0.05 0" rpy="0 0.7 0"/>
@@ -116,7 +117,7 @@ def test_files_that_are_no_urdf(tmp_path: Path) -> None:
 def test_too_many_joints_are_refused(tmp_path: Path) -> None:
     links = "".join(f'<link name="l{i}"/>' for i in range(10))
     joints = "".join(
-        f'<joint name="j{i}" type="revolute"><parent link="l{i}"/><child link="l{i + 1}"/></joint>'
+        f'<joint name="j{i}" type="continuous"><parent link="l{i}"/><child link="l{i + 1}"/></joint>'
         for i in range(9)
     )
     with pytest.raises(ConfigError, match="1 to 8 joints, not 9"):

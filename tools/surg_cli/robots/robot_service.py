@@ -87,7 +87,6 @@ def _kinematics(arm: Any, folder: Path) -> None:
     """
     import surg_core
     from surg_core import calibration
-    from surg_core.urdf import chain_from_urdf
 
     address, path = arm.hardware.address, folder / "calibration" / f"kinematics_{arm.name}.yaml"
     there = ur_service.standstill(address)
@@ -101,8 +100,7 @@ def _kinematics(arm: Any, folder: Path) -> None:
     text = calibration.kinematics_text(
         arm.robot.name, there.serial, datetime.date.today().isoformat(), vars(found)
     )
-    robot = arm.robot
-    drawn = chain_from_urdf(arm.urdf_path, robot.base_link, robot.flange_link, robot.joint_names)
+    drawn = surg_core.load_chain(arm.robot)
     try:
         own = surg_core.with_kinematics(drawn, surg_core.kinematics_of(text, str(path)))
     except ValueError as error:

@@ -5,12 +5,12 @@
 namespace surg_control {
 namespace {
 
-surg::ArmShape shape_of(const ArmSetup& arm, const surg::Chain& chain) {
-  return surg::arm_shape(arm.arm.name, chain, arm.X_WB, arm.robot, arm.mounted.instrument,
+surg::ArmShape shape_of(const surg::ArmSetup& arm) {
+  return surg::arm_shape(arm.arm.name, arm.model.chain, arm.X_WB, arm.robot, arm.mounted.instrument,
                          arm.mounted.tool);
 }
 
-std::vector<std::string> names_of_others(const ArmSetup& setup,
+std::vector<std::string> names_of_others(const surg::ArmSetup& setup,
                                          const std::optional<std::vector<std::string>>& chosen) {
   std::vector<std::string> names;
   for (const std::string& name : setup.arms_in_cell) {
@@ -27,16 +27,16 @@ std::vector<std::string> names_of_others(const ArmSetup& setup,
 
 }  // namespace
 
-ClearanceFiles load_clearance(const ArmSetup& setup, const Model& model,
+ClearanceFiles load_clearance(const surg::ArmSetup& setup,
                               const std::optional<std::vector<std::string>>& others) {
   ClearanceFiles files;
   const std::vector<std::string> names = names_of_others(setup, others);
   if (names.empty() && setup.clearance.obstacles.empty()) return files;
   try {
-    files.setup.own = shape_of(setup, model.chain);
+    files.setup.own = shape_of(setup);
     for (const std::string& name : names) {
-      const ArmSetup other = load_arm(setup.cell_file, name);
-      files.setup.others.push_back(shape_of(other, load_model(other).chain));
+      const surg::ArmSetup other = surg::load_arm(setup.cell_file, name);
+      files.setup.others.push_back(shape_of(other));
       files.joint_names.push_back(other.robot.joint_names);
     }
   } catch (const surg::ConfigError& error) {

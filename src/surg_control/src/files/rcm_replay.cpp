@@ -12,9 +12,8 @@
 #include <string>
 
 #include "surg_control/files/black_box_file.hpp"
-#include "surg_control/files/config_loader.hpp"
-#include "surg_control/files/model_loader.hpp"
 #include "surg_control/files/replay.hpp"
+#include "surg_core/files/arm_setup.hpp"
 
 namespace {
 
@@ -113,14 +112,13 @@ int main(int argc, char** argv) {
   const Arguments arguments = parse(argc, argv);
   try {
     if (!arguments.black_box.empty()) return replay_black_box(arguments.black_box);
-    const surg_control::ArmSetup setup = surg_control::load_arm(arguments.cell, arguments.arm);
-    const surg_control::Model model = surg_control::load_model(setup);
+    const surg::ArmSetup setup = surg::load_arm(arguments.cell, arguments.arm);
     std::ifstream in(arguments.csv);
     if (!in) wrong("cannot read '" + arguments.csv + "'");
     std::ofstream out(arguments.out);
     if (!out) wrong("cannot write '" + arguments.out + "'");
     const surg_control::ReplayReport report =
-        surg_control::replay(in, out, model.chain, setup.mounted.tool);
+        surg_control::replay(in, out, setup.model.chain, setup.mounted.tool);
     out.flush();
     if (!out) wrong("cannot write all of '" + arguments.out + "': is the disk full?");
     std::printf("%llu cycles recomputed, %llu without a joint state\n",

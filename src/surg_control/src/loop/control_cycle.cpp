@@ -117,7 +117,7 @@ void ControlCycle::note_fixtures() {
   }
 }
 
-surg::Reason ControlCycle::change_tool(const MountedTool& tool) {
+surg::Reason ControlCycle::change_tool(const surg::MountedTool& tool) {
   const surg::Reason reason = box_.change_tool(tool.instrument, tool.tool);
   if (reason == surg::Reason::kNone) record_.tool = &tool;
   return reason;

@@ -131,7 +131,7 @@ Options read_options(const ros::NodeHandle& private_node) {
   return options;
 }
 
-void check_for_arm(const Options& options, const ArmSetup& setup) {
+void check_for_arm(const Options& options, const surg::ArmSetup& setup) {
   if (setup.arm.link == "simulator") return;
   const std::string why = "only for an arm whose link is 'simulator', and the link of " +
                           setup.arm.name + " is '" + setup.arm.link + "'";
@@ -141,7 +141,7 @@ void check_for_arm(const Options& options, const ArmSetup& setup) {
   }
 }
 
-bool commands_twist(const Options& options, const ArmSetup& setup) {
+bool commands_twist(const Options& options, const surg::ArmSetup& setup) {
   if (!options.link.empty()) return options.link == "twist";
   return setup.robot.command == surg::Command::kCartesianVelocity;
 }

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 
+#include "surg_control/files/kdl_check.hpp"
 #include "surg_control/loop/exit_request.hpp"
 #include "surg_control/loop/realtime.hpp"
 #include "surg_control/topics/messages.hpp"
@@ -30,7 +31,8 @@ const char* name_of(surg::Law law) {
   return "unknown";
 }
 
-ControllerInfo info_of(const Options& options, surg::Law law, bool twist, const ArmSetup& setup) {
+ControllerInfo info_of(const Options& options, surg::Law law, bool twist,
+                       const surg::ArmSetup& setup) {
   ControllerInfo info;
   info.lockstep = options.lockstep;
   info.twist = twist;
@@ -46,13 +48,13 @@ ControllerInfo info_of(const Options& options, surg::Law law, bool twist, const 
 
 RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
     : options_(read_options(private_node)),
-      setup_(load_arm(options_.cell, options_.arm)),
-      model_(load_model(setup_)),
-      clearance_(load_clearance(setup_, model_, options_.others)),
+      setup_(surg::load_arm(options_.cell, options_.arm)),
+      clearance_(load_clearance(setup_, options_.others)),
       arm_(setup_.arm.name),
       lockstep_gate_(options_.participants),
       commands_(kCommandRing),
       records_(options_.lockstep ? 1 : kRecordRing) {
+  check_against_kdl(setup_.robot);
   check_for_arm(options_, setup_);
   sem_init(&records_waiting_, 0, 0);
   sem_init(&command_waiting_, 0, 0);
@@ -64,9 +66,9 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
   law.dt = kTick;
   law.feedback_gain = options_.feedback_gain;
   law.track_rcm = options_.track_rcm;
-  surg::ControllerSetup made{
-      model_.chain,        setup_.robot, setup_.limits,   setup_.mounted.instrument,
-      setup_.mounted.tool, law,          clearance_.setup};
+  surg::ControllerSetup made{setup_.model.chain,        setup_.robot,        setup_.limits,
+                             setup_.mounted.instrument, setup_.mounted.tool, law,
+                             clearance_.setup};
   controller_ =
       std::make_unique<surg::Controller>(made.chain, made.robot, made.limits, made.instrument,
                                          made.tool, made.options, made.clearance);
@@ -76,11 +78,11 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
   cycle_ = std::make_unique<ControlCycle>(*controller_, *box_, arm_ + "_rcm");
 
   node_.setCallbackQueue(&queue_);
-  node_.setParam("/" + arm_ + "/robot_description", model_.urdf);
+  node_.setParam("/" + arm_ + "/robot_description", setup_.model.urdf);
   reporter_ = std::make_unique<StatusReporter>(node_, arm_, setup_.robot, setup_.limits, sources_);
   const ControllerInfo info = info_of(options_, law.law, twist, setup_);
   publishers_ =
-      std::make_unique<StatePublishers>(node_, setup_, model_, info, health_, sources_, *reporter_);
+      std::make_unique<StatePublishers>(node_, setup_, info, health_, sources_, *reporter_);
   services_ = std::make_unique<KinematicsServices>(node_, arm_, setup_.limits);
   robot_ = std::make_unique<RobotCommand>(node_, setup_, twist, options_.lockstep);
   if (options_.lockstep) {

@@ -164,7 +164,7 @@ Decoded RcmLoop::read_tool(const std::string& words) {
     return decoded;
   }
   try {
-    decoded.item.tool = &tools_.emplace_back(load_tool(setup_, words));
+    decoded.item.tool = &tools_.emplace_back(surg::load_tool(setup_, words));
   } catch (const surg::ConfigError& error) {
     decoded.reason = surg::Reason::kRefusedTransition;
     decoded.detail = std::string(error.what()) + "; the old tool stays mounted";

@@ -12,7 +12,8 @@ constexpr std::uint64_t kJawlessCycles = 5;  // 100 Hz: nothing moves, but its l
 
 }  // namespace
 
-RobotCommand::RobotCommand(ros::NodeHandle& node, const ArmSetup& setup, bool twist, bool lockstep)
+RobotCommand::RobotCommand(ros::NodeHandle& node, const surg::ArmSetup& setup, bool twist,
+                           bool lockstep)
     : twist_(twist), lockstep_(lockstep), at_start_(setup.mounted.instrument) {
   const std::uint32_t queue = lockstep ? 0 : 1;
   const std::string prefix = "/" + setup.arm.name + "/";

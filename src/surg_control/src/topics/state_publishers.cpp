@@ -38,7 +38,7 @@ ros::Time wall_time() { return to_time(static_cast<std::uint64_t>(ros::WallTime:
 
 }  // namespace
 
-StatePublishers::StatePublishers(ros::NodeHandle& node, const ArmSetup& setup, const Model& model,
+StatePublishers::StatePublishers(ros::NodeHandle& node, const surg::ArmSetup& setup,
                                  const ControllerInfo& info, const Health& health,
                                  const SourceTable& sources, StatusReporter& reporter)
     : arm_(setup.arm.name),
@@ -47,7 +47,7 @@ StatePublishers::StatePublishers(ros::NodeHandle& node, const ArmSetup& setup, c
       tool_(arm_ + "_tool"),
       rcm_(arm_ + "_rcm"),
       at_start_(setup.mounted),
-      chain_(model.chain),
+      chain_(setup.model.chain),
       lockstep_(info.lockstep),
       sources_(sources),
       reporter_(reporter),
@@ -88,19 +88,20 @@ StatePublishers::StatePublishers(ros::NodeHandle& node, const ArmSetup& setup, c
   publish_state(CycleRecord());
 }
 
-void StatePublishers::publish_static_tf(const ArmSetup& setup, const Model& model) {
+void StatePublishers::publish_static_tf(const surg::ArmSetup& setup) {
   const CycleRecord still;
   tf2_msgs::TFMessage message;
   message.transforms.push_back(transform(still, base_, setup.X_WB, "world"));
   // A robot_state_publisher's links hang on the URDF's root. With two arms of one kind they would
   // have the same names, and no tree can hold both.
-  if (!model.root_link.empty() && setup.arms_in_cell.size() == 1) {
-    message.transforms.push_back(transform(still, model.root_link, model.X_BRoot, base_));
+  if (!setup.model.root_link.empty() && setup.arms_in_cell.size() == 1) {
+    message.transforms.push_back(
+        transform(still, setup.model.root_link, setup.model.X_BRoot, base_));
   }
   tf_static_.publish(message);
 }
 
-void StatePublishers::publish_tool(const MountedTool& tool) {
+void StatePublishers::publish_tool(const surg::MountedTool& tool) {
   crtk_msgs::StringStamped message;
   message.header.stamp = wall_time();
   message.string = tool.instrument_file + " " + tool.calibration_file;

@@ -143,7 +143,7 @@ void StatusReporter::report_answers(const CycleRecord& record, double now) {
     const std::string from =
         arm_ + ": " + topic_of_answer(answer) + " from " + sources_.name(answer.source);
     if (answer.kind == CommandItem::Kind::kTool && record.tool != nullptr) {
-      const MountedTool& tool = *record.tool;
+      const surg::MountedTool& tool = *record.tool;
       status(from + ": '" + tool.instrument.name + "' is mounted, with " + tool.calibration_file +
              " of " + tool.tool.date + ": home the arm again");
     } else if (answer.kind == CommandItem::Kind::kSetRcm) {

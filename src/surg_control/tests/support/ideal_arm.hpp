@@ -5,9 +5,8 @@
 #include <string>
 #include <vector>
 
-#include "surg_control/files/config_loader.hpp"
-#include "surg_control/files/model_loader.hpp"
 #include "surg_control/loop/control_cycle.hpp"
+#include "surg_core/files/arm_setup.hpp"
 
 namespace surg_control {
 
@@ -15,8 +14,7 @@ namespace surg_control {
 class IdealArm {
  public:
   explicit IdealArm(bool track = false)
-      : setup_(load_arm(std::string(SURG_CELLS) + "/sim_ur5e", "")),
-        model_(load_model(setup_.robot, setup_.robot_urdf)) {
+      : setup_(surg::load_arm(std::string(SURG_CELLS) + "/sim_ur5e", "")), model_(setup_.model) {
     surg::Controller::Options options;
     options.track_rcm = track;
     const surg::ControllerSetup made{model_.chain,        setup_.robot,
@@ -93,8 +91,8 @@ class IdealArm {
   bool says_its_condition = true;
 
  private:
-  ArmSetup setup_;
-  Model model_;
+  surg::ArmSetup setup_;
+  surg::Model model_;
 };
 
 }  // namespace surg_control

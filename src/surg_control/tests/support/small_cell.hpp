@@ -52,7 +52,9 @@ class SmallCell {
     root_ = name;
     fs::create_directories(root_ / "cell/calibration");
     write("robot.urdf", small_urdf());
-    write("tool.urdf", "<robot name=\"tool\"><link name=\"mount\"/></robot>");
+    write("tool.urdf",
+          "<robot name=\"tool\"><link name=\"mount\"/><link name=\"tip\"/><joint name=\"shaft\" "
+          "type=\"fixed\"><parent link=\"mount\"/><child link=\"tip\"/></joint></robot>");
     write("robot.yaml",
           "format: surg_robot/1\nname: small\nurdf: robot.urdf\nbase_link: base_link\n"
           "flange_link: flange\ncommand: joint_velocity\n"

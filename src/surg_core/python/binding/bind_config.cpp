@@ -174,15 +174,6 @@ void bind_link(py::module_& m) {
       .def_readonly("dead_man", &LinkConfig::dead_man, "[s]")
       .def_readonly("stop_deceleration", &LinkConfig::stop_deceleration, "[rad/s^2]")
       .def_readonly("driver", &LinkConfig::driver, "Folder, relative to the YAML; empty: none.");
-  m.def("parse_link", &parse_link, py::arg("document"),
-        "Checks the document against the schema. Raises ConfigError.");
-  m.def("simulator_link", &simulator_link, "The parameters of the simulator's link.");
-  m.def("with_link", &with_link, py::arg("robot"), py::arg("link"),
-        "The robot as a link drives it.");
-  m.def("link_file", &link_file, py::arg("arm"),
-        "File of its link, relative to the cell's folder.");
-  m.def("unknown_link", &unknown_link, py::arg("arm"), py::arg("cell_file"), py::arg("tried"),
-        "The error where that file does not exist.");
 }
 
 void bind_calibrations(py::module_& m) {
@@ -332,19 +323,6 @@ void bind_cell(py::module_& m) {
                              [](const CellConfig& c) { return py::tuple(py::cast(c.arms)); });
 }
 
-/// Functions of what a cell states of a real arm.
-void bind_hardware(py::module_& m) {
-  m.def("check_hardware", &check_hardware, py::arg("arm"), py::arg("robot"), py::arg("instrument"),
-        py::arg("tool"), py::arg("trocar"), py::arg("cell_file"), py::arg("today"),
-        "Raises ConfigError when what the cell states of a real arm does not fit it.");
-  m.def("with_measured_lag", &with_measured_lag, py::arg("link"), py::arg("arm"),
-        "The link with the lag that the cell states of this arm.");
-  m.def("parse_kinematics", &parse_kinematics, py::arg("document"),
-        "Checks the document against the schema. Raises ConfigError.");
-  m.def("check_kinematics", &check_kinematics, py::arg("own"), py::arg("arm"), py::arg("robot"),
-        "Raises ConfigError when an arm's own kinematics are of another arm or model.");
-}
-
 }  // namespace
 
 void bind_config(py::module_& m, py::module_& testing) {
@@ -375,16 +353,8 @@ void bind_config(py::module_& m, py::module_& testing) {
   m.def("parse_tool", &parse_tool, py::arg("document"), text);
   m.def("parse_trocar", &parse_trocar, py::arg("document"), text);
   m.def("parse_base", &parse_base, py::arg("document"), text);
-  m.def("check_base", &check_base, py::arg("base"), py::arg("arm"), py::arg("cell"),
-        "Raises ConfigError when the base was not measured in this cell as it is stated now.");
   m.def("parse_cell", &parse_cell, py::arg("document"), text);
-  m.def("tighten", &tighten, py::arg("limits"), py::arg("arm"), py::arg("cell_file"),
-        "Limits with a cell's values put in. Raises ConfigError when a value would loosen one.");
-  m.def("with_home", &with_home, py::arg("robot"), py::arg("arm"), py::arg("cell_file"),
-        "The robot with the cell's home posture put in. Raises ConfigError when it does not fit.");
-  bind_hardware(m);
-  m.def("check_tool", &check_tool, py::arg("tool"), py::arg("limits"), py::arg("tool_file"),
-        "Raises ConfigError when depth_max is not less than the shaft's length from the flange.");
+  m.def("parse_kinematics", &parse_kinematics, py::arg("document"), text);
   testing.def("limits_hash", &limits_hash, py::arg("robot"), py::arg("limits"),
               "16 hex digits over every value that moves the arm (FNV-1a).");
   m.def(

@@ -87,5 +87,6 @@ void bind_motion(py::module_& testing);
 void bind_exact(py::module_& testing);
 void bind_limits(py::module_& testing);
 void bind_fixtures(py::module_& m);
+void bind_files(py::module_& m);
 
 }  // namespace surg::python

@@ -38,6 +38,7 @@ PYBIND11_MODULE(_core, m) {
   binding::bind_fixtures(m);
   binding::bind_capsules(m);
   binding::bind_config(m, testing);
+  binding::bind_files(m);
   binding::bind_limits(testing);
   binding::bind_clearance(m);
   binding::bind_controller(m);

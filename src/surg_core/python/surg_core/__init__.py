@@ -81,7 +81,7 @@ from surg_core.transforms import (
     rpy_to_matrix,
     tip_quaternion,
 )
-from surg_core.urdf import chain_from_urdf, fixed_transform
+from surg_core.urdf import chain_from_urdf, fixed_transform, load_chain, load_urdf
 
 __all__ = [
     "Arm",
@@ -130,11 +130,13 @@ __all__ = [
     "inverse_pose",
     "kinematics_of",
     "load_cell",
+    "load_chain",
     "load_instrument",
     "load_kinematics",
     "load_robot",
     "load_tool",
     "load_trocar",
+    "load_urdf",
     "make_pose",
     "matrix_to_quaternion_xyzw",
     "matrix_to_rpy",

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_core import load_instrument, load_robot
-from surg_core.urdf import chain_from_urdf, fixed_transform
+from surg_core import load_chain, load_instrument, load_robot
+from surg_core.urdf import fixed_transform
 
 Matrix = NDArray[np.float64]
 
@@ -75,12 +75,7 @@ def home_pose(
         raise ValueError(
             f"{robot_yaml}: joints.home: {len(angles)} values; allowed: {len(names)}, one per name"
         )
-    arm = chain_from_urdf(
-        robot_yaml.parent / robot.urdf,
-        robot.base_link,
-        robot.flange_link,
-        names,
-    )
+    arm = load_chain(robot)
     X_FTip = fixed_transform(
         instrument_yaml.parent / instrument.urdf,
         instrument.mount_link,

@@ -13,8 +13,16 @@ from surg_cli.host import paths
 from surg_cli.host.terminal import CliError, say, table, warn
 
 if TYPE_CHECKING:
+    from surg_sim.placement.chain_check import Difference
     from surg_sim.placement.home_search import Home
 
+<<<<<<< HEAD
+=======
+WORDS = {
+    "check": "examine a robot's YAML: limits, kinematics, reach from its home",
+    "home": "search for the home posture with the largest reserve",
+}
+>>>>>>> 11178fd3 (core: cell, robot and URDF are read once)
 DEPTH = 0.120
 """Of the tip behind the trocar at home [m]."""
 SEED = 0
@@ -22,7 +30,7 @@ SEED = 0
 LEAST_SINGULAR = 0.1
 """Smallest singular value of the flange Jacobian of a good home."""
 SAME_POSITION, SAME_ANGLE = 1e-6, 1e-6
-"""Largest difference between chain and URDF [m], [rad]."""
+"""Largest difference between chain and simulator [m], [rad]."""
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -42,12 +50,18 @@ def main(options: argparse.Namespace, command: str) -> int:
     with warnings.catch_warnings(record=True) as notes:
         warnings.simplefilter("always", UserWarning)
         arm = _load(options.file, options.instrument)
-        check_physics(arm)
+        found = check_physics(arm)
     for note in notes:
         say(str(note.message))
+<<<<<<< HEAD
     if command == "home":
         return _home(arm)
     return _check(arm)
+=======
+    if command.endswith("home"):
+        return _home(arm, options.seed)
+    return _check(arm, found)
+>>>>>>> 11178fd3 (core: cell, robot and URDF are read once)
 
 
 def _load(file: Path, instrument: Path) -> Any:
@@ -66,26 +80,21 @@ def _load(file: Path, instrument: Path) -> Any:
         raise CliError(str(error), 2) from error
 
 
-def check_physics(arm: Any) -> None:
-    """Build the simulator's arm.
+def check_physics(arm: Any) -> Difference:
+    """Build the simulator's arm and compare it with the core's chain.
 
     Raises:
         CliError: MuJoCo refuses the URDF; states why.
     """
-    import mujoco
+    from surg_sim.placement.chain_check import compare
 
-    from surg_sim.physics.sim_arm import ActuatorParameters, add_arm
-
-    spec = mujoco.MjSpec()
     try:
-        add_arm(spec, arm, ActuatorParameters())
-        spec.compile()
+        return compare(arm)
     except ValueError as error:
         raise CliError(f"{arm.urdf_path}: the simulator refuses it: {error}", 2) from error
 
 
-def _check(arm: Any) -> int:
-    from surg_sim.placement import urdf_kinematics
+def _check(arm: Any, found: Difference) -> int:
     from surg_sim.placement.home_search import judge
 
     robot = arm.robot
@@ -103,14 +112,13 @@ def _check(arm: Any) -> int:
         )
     ]
     say(table([head, *rows]))
-    found = urdf_kinematics.compare(arm)
     say(
-        f"kinematics: {found.postures} postures against the URDF's XML: "
+        f"kinematics: {found.postures} postures against the simulator's: "
         f"{1e9 * found.position:.1f} nm, {1e6 * found.angle:.2f} urad at most"
     )
     problems = []
     if found.position > SAME_POSITION or found.angle > SAME_ANGLE:
-        problems.append("the chain is not the URDF's: please report this file")
+        problems.append("the chain is not the simulator's: please report this file")
     home = judge(arm, robot.home)
     if home is None:
         problems.append("from this home the arm cannot reach its workspace of 70 x 70 x 60 mm")

@@ -5,8 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "surg_control/files/config_loader.hpp"
-#include "surg_control/files/model_loader.hpp"
+#include "surg_core/files/arm_setup.hpp"
 #include "surg_core/limits/clearance.hpp"
 
 namespace surg_control {
@@ -20,7 +19,7 @@ struct ClearanceFiles {
 
 /// Loads the shapes of 'setup' and of the arms 'others' (none: all other arms of the cell). Without
 /// a clearance section, a robot without capsules means no guard. Throws surg::ConfigError.
-ClearanceFiles load_clearance(const ArmSetup& setup, const Model& model,
+ClearanceFiles load_clearance(const surg::ArmSetup& setup,
                               const std::optional<std::vector<std::string>>& others);
 
 }  // namespace surg_control

@@ -44,7 +44,7 @@ class ControlCycle {
 
   surg::Reason answer(const CommandItem& item, std::int64_t now_ns);
   surg::Reason request(surg::StateCommand command);
-  surg::Reason change_tool(const MountedTool& tool);
+  surg::Reason change_tool(const surg::MountedTool& tool);
   surg::Reason set_frame(const CommandItem& item);
   /// Copies the controller's fixtures into the record when they have changed.
   void note_fixtures();

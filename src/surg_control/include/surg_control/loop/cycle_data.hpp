@@ -6,9 +6,9 @@
 #include <cstdint>
 #include <limits>
 
-#include "surg_control/files/config_loader.hpp"
 #include "surg_control/topics/base_frame.hpp"
 #include "surg_core/controller.hpp"
+#include "surg_core/files/arm_setup.hpp"
 
 namespace surg_control {
 
@@ -41,7 +41,7 @@ struct CommandItem {
   surg::Pose X_UR = surg::Pose::Identity();  ///< kSetFrame
   bool slide = false;                        ///< kAtWall
   surg::Fixture fixture;                     ///< kSetFixture, in B; kRemoveFixture: its name
-  const MountedTool* tool = nullptr;         ///< kTool; lives as long as the node
+  const surg::MountedTool* tool = nullptr;   ///< kTool; lives as long as the node
   surg::MotionCommand motion;  ///< kMotion; poses and twists still in 'frame', not in R
   /// servo_cv: the complete angular velocity. The cycle projects it onto the shaft to get
   /// roll_rate.
@@ -100,13 +100,13 @@ struct CycleRecord {
   Eigen::Quaterniond q_RTool = Eigen::Quaterniond::Identity();  ///< measured
   Eigen::Quaterniond q_RSet = Eigen::Quaterniond::Identity();
   Eigen::Quaterniond q_RGoal = Eigen::Quaterniond::Identity();
-  const MountedTool* tool = nullptr;   ///< mounted now; null: as at the start
-  BaseFrame frame;                     ///< of commands and measured_cp
-  surg::Fixtures fixtures;             ///< in B
-  std::uint32_t fixtures_version = 0;  ///< counts their changes
-  FrameName wrong_frame;               ///< the last frame_id that was refused
-  Ignored orientation;                 ///< of a pose: all but the roll about the shaft
-  Ignored angular;                     ///< of a twist: all but the part along the shaft
+  const surg::MountedTool* tool = nullptr;  ///< mounted now; null: as at the start
+  BaseFrame frame;                          ///< of commands and measured_cp
+  surg::Fixtures fixtures;                  ///< in B
+  std::uint32_t fixtures_version = 0;       ///< counts their changes
+  FrameName wrong_frame;                    ///< the last frame_id that was refused
+  Ignored orientation;                      ///< of a pose: all but the roll about the shaft
+  Ignored angular;                          ///< of a twist: all but the part along the shaft
   int n_answers = 0;
   std::array<Answer, surg::kMaxCommands> answers;
   double compute_us = 0;
@@ -126,7 +126,7 @@ struct LinkCommand {
   surg::JointVector qd;                         ///< [rad/s]
   surg::Vector6 twist = surg::Vector6::Zero();  ///< of the flange
   double jaw = 0;                               ///< [rad]; not finite: unknown
-  const MountedTool* tool = nullptr;            ///< as in CycleRecord
+  const surg::MountedTool* tool = nullptr;      ///< as in CycleRecord
 
   static LinkCommand of(const CycleRecord& record) {
     return {record.stamp_ns,          record.tick,        record.out.qd_command,

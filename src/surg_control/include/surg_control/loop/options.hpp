@@ -7,8 +7,8 @@
 #include <string>
 #include <vector>
 
-#include "surg_control/files/config_loader.hpp"
 #include "surg_core/controller.hpp"
+#include "surg_core/files/arm_setup.hpp"
 
 namespace surg_control {
 
@@ -32,9 +32,9 @@ struct Options {
 Options read_options(const ros::NodeHandle& private_node);
 
 /// Refuses what only a simulator may do (~law paper, ~feedback_gain). Throws surg::ConfigError.
-void check_for_arm(const Options& options, const ArmSetup& setup);
+void check_for_arm(const Options& options, const surg::ArmSetup& setup);
 
 /// Whether the arm is commanded by flange twists (robot/servo_cv) instead of joint velocities.
-bool commands_twist(const Options& options, const ArmSetup& setup);
+bool commands_twist(const Options& options, const surg::ArmSetup& setup);
 
 }  // namespace surg_control

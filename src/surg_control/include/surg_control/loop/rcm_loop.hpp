@@ -21,7 +21,6 @@
 #include <vector>
 
 #include "surg_control/files/clearance_loader.hpp"
-#include "surg_control/files/model_loader.hpp"
 #include "surg_control/loop/control_cycle.hpp"
 #include "surg_control/loop/lockstep_gate.hpp"
 #include "surg_control/loop/options.hpp"
@@ -34,6 +33,7 @@
 #include "surg_control/topics/robot_command.hpp"
 #include "surg_control/topics/state_publishers.hpp"
 #include "surg_control/topics/status_reporter.hpp"
+#include "surg_core/files/robot_model.hpp"
 
 namespace surg_control {
 
@@ -94,11 +94,11 @@ class RcmLoop {
   double now() const;
 
   Options options_;
-  ArmSetup setup_;
-  Model model_;
+  surg::ArmSetup setup_;
   ClearanceFiles clearance_;
   std::string arm_;
-  std::deque<MountedTool> tools_;  // every one that was read; cycles and black box point to them
+  std::deque<surg::MountedTool>
+      tools_;  // every one that was read; cycles and black box point to them
   std::unique_ptr<surg::Controller> controller_;
   std::unique_ptr<surg::BlackBox> box_;
   std::unique_ptr<ControlCycle> cycle_;

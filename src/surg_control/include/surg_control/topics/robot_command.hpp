@@ -5,8 +5,8 @@
 #include <ros/ros.h>
 #include <sensor_msgs/JointState.h>
 
-#include "surg_control/files/config_loader.hpp"
 #include "surg_control/loop/cycle_data.hpp"
+#include "surg_core/files/arm_setup.hpp"
 
 namespace surg_control {
 
@@ -16,7 +16,7 @@ class RobotCommand {
  public:
   /// 'twist': flange twists instead of joint velocities; 'lockstep': every tick is answered, and
   /// queues have no end.
-  RobotCommand(ros::NodeHandle& node, const ArmSetup& setup, bool twist, bool lockstep);
+  RobotCommand(ros::NodeHandle& node, const surg::ArmSetup& setup, bool twist, bool lockstep);
 
   /// One thread at a time. Sends nothing before there was a joint state.
   void send(const LinkCommand& command);

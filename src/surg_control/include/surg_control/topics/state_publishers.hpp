@@ -12,13 +12,12 @@
 
 #include <string>
 
-#include "surg_control/files/config_loader.hpp"
-#include "surg_control/files/model_loader.hpp"
 #include "surg_control/loop/cycle_data.hpp"
 #include "surg_control/monitor/diagnostics.hpp"
 #include "surg_control/topics/source_table.hpp"
 #include "surg_control/topics/state_edges.hpp"
 #include "surg_control/topics/status_reporter.hpp"
+#include "surg_core/files/arm_setup.hpp"
 
 namespace surg_control {
 
@@ -50,9 +49,8 @@ class Feedback {
 class StatePublishers {
  public:
   /// 'model': for the one transform that joins the URDF's own links to our frames.
-  StatePublishers(ros::NodeHandle& node, const ArmSetup& setup, const Model& model,
-                  const ControllerInfo& info, const Health& health, const SourceTable& sources,
-                  StatusReporter& reporter);
+  StatePublishers(ros::NodeHandle& node, const surg::ArmSetup& setup, const ControllerInfo& info,
+                  const Health& health, const SourceTable& sources, StatusReporter& reporter);
 
   /// The cycle message, every tick; first, because participants wait for it.
   void publish_cycle(const CycleRecord& record);
@@ -62,20 +60,20 @@ class StatePublishers {
  private:
   void publish_feedback(const CycleRecord& record);
   void publish_tip(const CycleRecord& record, bool valid);
-  void publish_tool(const MountedTool& tool);
+  void publish_tool(const surg::MountedTool& tool);
   void publish_elbow(const CycleRecord& record, bool valid);
   void publish_rcm(const CycleRecord& record);
   bool feedback_due(const CycleRecord& record);
   void publish_state(const CycleRecord& record);
   void publish_fixtures(const CycleRecord& record);
-  void publish_static_tf(const ArmSetup& setup, const Model& model);
+  void publish_static_tf(const surg::ArmSetup& setup);
   void publish_tf(const CycleRecord& record);
   geometry_msgs::TransformStamped transform(const CycleRecord& record, const std::string& child,
                                             const surg::Pose& X, const std::string& parent) const;
 
   std::string arm_, base_, flange_, tool_, rcm_;
-  MountedTool at_start_;
-  const MountedTool* mounted_ = nullptr;  // published last
+  surg::MountedTool at_start_;
+  const surg::MountedTool* mounted_ = nullptr;  // published last
   surg::Chain chain_;
   bool lockstep_;
   const SourceTable& sources_;

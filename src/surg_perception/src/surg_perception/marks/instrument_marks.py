@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from xml.etree import ElementTree
 
 import numpy as np
 
 from surg_core import axis_angle_to_matrix, make_pose
 from surg_core.config import Arm
 from surg_core.transforms import FloatArray
-from surg_core.urdf import fixed_transform, read_joints
+from surg_core.urdf import fixed_transform, load_urdf, read_joints
 
 SHAFT = 0.05
 """[m] How far up the shaft its line goes."""
@@ -79,12 +78,11 @@ def _fingers(arm: Arm) -> list[_Finger]:
     drawn = np.asarray(fixed_transform(file, mount, arm.instrument.tip_link))
     moved = np.asarray(arm.tool.p_FTip) - drawn[:3, 3]
     found = []
-    for joint in ElementTree.parse(file).getroot().findall("joint"):
-        child = joint.find("child")
-        if joint.get("type") != "revolute" or child is None:
+    for joint in load_urdf(file).joints:
+        if joint.kind != "revolute":
             continue
         X, axis = NO_TURN, np.zeros(3)
-        for each in read_joints(file, mount, child.get("link", "")):
+        for each in read_joints(file, mount, joint.child):
             X, axis = X @ each.X_PJ, each.axis
         found.append(_Finger(X[:3, 3] + moved, X[:3, :3] @ axis))
     return found

@@ -127,8 +127,8 @@ def add_arm(
         ValueError: A link or joint of the YAML is not in the URDF.
     """
     prefix = f"{arm.name}_"
-    robot = mujoco.MjSpec.from_string(read_urdf(arm.urdf_path))
-    instrument = mujoco.MjSpec.from_string(arm.instrument_urdf.read_text("utf-8"))
+    robot = mujoco.MjSpec.from_string(read_urdf(arm.urdf_path, arm.robot.joint_names))
+    instrument = mujoco.MjSpec.from_string(read_urdf(arm.instrument_urdf))
     base = _find_body(robot, arm.robot.base_link, arm.urdf_path)
     _find_body(robot, arm.robot.flange_link, arm.urdf_path)
     mount = _find_body(instrument, arm.instrument.mount_link, arm.instrument_urdf)
@@ -142,6 +142,10 @@ def add_arm(
         )
     for geom in robot.geoms:  # the instrument's are seen from inside, too
         geom.group = OUTSIDE if geom.group == _URDF_VISUAL else geom.group
+    taken = {body.name for body in instrument.bodies}
+    for body in robot.bodies[1:]:
+        if body.name in taken and body.name != arm.robot.flange_link:
+            body.name += "_of_robot"  # both come under the arm's name
     pose = spec.worldbody.add_frame(
         pos=arm.X_WB_stated[:3, 3].tolist(), quat=quaternion(arm.X_WB_stated[:3, :3]).tolist()
     )

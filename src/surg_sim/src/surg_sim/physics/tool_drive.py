@@ -6,7 +6,6 @@ joints that mimic it), stiff position servos show the angle on these joints.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import mujoco
@@ -27,13 +26,12 @@ def jaw_joints(urdf_path: Path) -> list[tuple[str, float, float]]:
 
     Empty when the URDF has no joint named ``jaw``.
     """
-    joints = ElementTree.parse(urdf_path).getroot().findall("joint")
-    shown = [(JOINT, 1.0, 0.0) for joint in joints if joint.get("name") == JOINT]
+    joints = surg_core.load_urdf(urdf_path).joints
+    shown = [(JOINT, 1.0, 0.0) for joint in joints if joint.name == JOINT]
     for joint in joints:
-        mimic = joint.find("mimic")
-        if shown and mimic is not None and mimic.get("joint") == JOINT:
-            multiplier = float(mimic.get("multiplier", "1"))
-            shown.append((joint.get("name", ""), multiplier, float(mimic.get("offset", "0"))))
+        mimic = joint.mimic
+        if shown and mimic is not None and mimic.joint == JOINT:
+            shown.append((joint.name, mimic.multiplier, mimic.offset))
     return shown
 
 

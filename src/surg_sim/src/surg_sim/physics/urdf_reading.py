@@ -1,53 +1,139 @@
-"""A robot's URDF as MuJoCo can read it: without meshes, and with every link kept.
+"""A URDF as MuJoCo can simulate it, made from what the platform's one reader has accepted.
 
-Vendors' files name meshes by ``package://`` and in formats that MuJoCo does not read. The physics
-needs none of them, so they are left out; primitive shapes stay.
+Vendors' files name meshes by ``package://`` and in formats that MuJoCo does not read, and they hold
+joints, links and pictures that the platform does not drive. Physics needs the chain and its masses,
+so the rest is left out or held still here. What the reader accepts, the simulator accepts.
 """
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Collection
 from pathlib import Path
 from xml.etree import ElementTree
 
+from surg_core import load_urdf
 
-def read_urdf(path: Path) -> str:
-    """The text of a URDF for MuJoCo; a ``UserWarning`` states how many meshes are left out.
+Element = ElementTree.Element
 
-    Without meshes and with a ``<mujoco>`` element it is the file's own text. Else a missing
-    ``<mujoco>`` element is added: MuJoCo would merge fixed links into their parents, and the
-    flange would disappear.
+SHAPES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}
+"""What MuJoCo draws of a URDF, and the attributes that must be above 0."""
+OPTIONS = {"fusestatic": "false", "discardvisual": "false", "balanceinertia": "true"}
+"""MuJoCo would merge fixed links into their parents, and the flange would disappear."""
+MASS, INERTIA = 1.0, 0.01
+"""[kg], [kg m^2] Of a link whose file states none; the drives' rotors weigh more."""
+
+
+def read_urdf(path: Path, driven: Collection[str] | None = None) -> str:
+    """The text of a URDF for MuJoCo.
+
+    Args:
+        path: The file.
+        driven: Names of the joints that move; all others are held still. None: all move.
 
     Raises:
-        ValueError: The file is no URDF.
+        ConfigError: The file is no usable URDF.
+
+    A ``UserWarning`` states what is left out or made up.
     """
-    text = path.read_text("utf-8")
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise ValueError(f"{path}: no XML: {error}; a URDF is needed (no xacro)") from error
-    left_out = without_meshes(root)
-    own = root.find("mujoco") is not None
+    urdf = load_urdf(path)
+    root = ElementTree.fromstring(urdf.text.encode("utf-8"))
+    if driven is not None:
+        for joint in root.findall("joint"):
+            if joint.get("name") not in driven:
+                joint.set("type", "fixed")
+    left_out = without_pictures(root)
     if left_out:
         warnings.warn(
             f"{path}: {left_out} meshes are left out; links without a basic shape are invisible",
             stacklevel=2,
         )
-    if own and not left_out:
-        return text
-    if not own:
-        options = {"fusestatic": "false", "discardvisual": "false", "balanceinertia": "true"}
-        ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", options)
+    given = with_masses(root)
+    if given:
+        warnings.warn(
+            f"{path}: links without a mass: {', '.join(given)}; the simulator takes {MASS:g} kg "
+            "for each",
+            stacklevel=2,
+        )
+    options = _child(_child(root, "mujoco"), "compiler")
+    for name, value in OPTIONS.items():
+        options.set(name, value)
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def without_meshes(root: ElementTree.Element) -> int:
-    """Remove every visual and collision element with a mesh; returns how many."""
+def without_pictures(root: Element) -> int:
+    """Remove every visual and collision that is no basic shape of some size; returns how many.
+
+    Materials that nobody defines and names of shapes go, too.
+    """
+    defined = {material.get("name") for material in root.iter("material") if len(material)}
     removed = 0
-    for link in root.iter("link"):
+    for link in root.findall("link"):
         for kind in ("visual", "collision"):
             for part in link.findall(kind):
-                if part.find("geometry/mesh") is not None:
+                if not _drawable(part):
                     link.remove(part)
                     removed += 1
+                    continue
+                part.attrib.pop("name", None)
+                for material in part.findall("material"):
+                    if material.get("name") not in defined:
+                        part.remove(material)
     return removed
+
+
+def with_masses(root: Element) -> list[str]:
+    """Give a mass to every moving link that has none, nor anything fixed to it; returns which."""
+    links = {link.get("name", ""): link for link in root.findall("link")}
+    joints = [(_link(j, "parent"), _link(j, "child"), j.get("type")) for j in root.findall("joint")]
+    given = []
+    for _, child, kind in joints:
+        if kind == "fixed":
+            continue
+        group = [child]
+        for link in group:
+            group += [c for p, c, k in joints if p == link and k == "fixed"]
+        if not any(_heavy(links[name]) for name in group):
+            _give_mass(links[child])
+            given.append(child)
+    return given
+
+
+def _drawable(part: Element) -> bool:
+    geometry = part.find("geometry")
+    for shape in () if geometry is None else geometry:
+        sizes = SHAPES.get(shape.tag)
+        if sizes is not None:
+            numbers = [float(n) for size in sizes for n in shape.get(size, "0").split()]
+            return min(numbers) > 0.0
+    return False
+
+
+def _heavy(link: Element) -> bool:
+    """Whether MuJoCo finds a mass: as stated, or of a collision's shape."""
+    inertial = link.find("inertial")
+    if inertial is None:
+        return link.find("collision") is not None
+    mass, inertia = inertial.find("mass"), inertial.find("inertia")
+    assert mass is not None and inertia is not None  # the reader has seen them
+    moments = sum(float(inertia.get(key, "0")) for key in ("ixx", "iyy", "izz"))
+    return float(mass.get("value", "0")) > 0.0 and moments > 0.0
+
+
+def _give_mass(link: Element) -> None:
+    for inertial in link.findall("inertial"):
+        link.remove(inertial)
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "mass", {"value": str(MASS)})
+    moments = dict.fromkeys(("ixx", "iyy", "izz"), str(INERTIA))
+    ElementTree.SubElement(inertial, "inertia", moments | dict.fromkeys(("ixy", "ixz", "iyz"), "0"))
+
+
+def _link(joint: Element, tag: str) -> str:
+    element = joint.find(tag)
+    return "" if element is None else element.get("link", "")
+
+
+def _child(element: Element, tag: str) -> Element:
+    found = element.find(tag)
+    return ElementTree.SubElement(element, tag) if found is None else found

@@ -1,0 +1,101 @@
+"""One verdict on a robot's files: for `robot check`, the controller's loader, simulator and pip."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import surg_core
+from helpers.control import urdf_variants
+from helpers.control.urdf_variants import Variant
+from surg_cli import command_table
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem
+from surg_sim.placement.chain_check import compare
+
+COUNT, SEED = 30, 49
+REPLAY = paths.ROOT / "devel" / "lib" / "surg_control" / "rcm_replay"
+
+
+def write_cell(folder: Path, variant: Variant) -> Path:
+    """A bundled cell with the variant as its robot."""
+    bundled = paths.CELLS / f"sim_{variant.bundled}"
+    cell = folder / "cell"
+    (cell / "calibration").mkdir(parents=True)
+    text = (bundled / "cell.yaml").read_text("utf-8").replace("../../src", str(paths.ROOT / "src"))
+    text = re.sub(r"( robot:) \S+", rf"\1 {variant.robot}", text)
+    (cell / "cell.yaml").write_text(text, encoding="utf-8")
+    for file in (bundled / "calibration").iterdir():
+        (cell / "calibration" / file.name).write_bytes(file.read_bytes())
+    return cell
+
+
+def by_pip(variant: Variant, _: Path) -> str:
+    """What a pip user sees; empty: the arm is usable."""
+    try:
+        surg_core.load_chain(surg_core.load_robot(variant.robot))
+    except surg_core.ConfigError as error:
+        return str(error)
+    return ""
+
+
+def by_check(variant: Variant, _: Path) -> str:
+    options, main = command_table.parse("robot", ["check", str(variant.robot)])
+    try:
+        return "not ready" if main(options, "robot") else ""
+    except Problem as problem:
+        return str(problem)
+
+
+def by_simulator(_: Variant, cell: Path) -> str:
+    try:
+        (arm,) = surg_core.load_cell(cell).arms.values()
+        found = compare(arm, postures=10)
+    except ValueError as error:
+        return str(error)
+    return "" if found.position < 1e-9 and found.angle < 1e-9 else str(found)
+
+
+def by_controller(_: Variant, cell: Path) -> str:
+    """The loader of the node, in a program without ROS's master."""
+    words = [str(REPLAY), "/dev/null", "--cell", str(cell)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+    assert done.returncode in (1, 2), done  # 1: the arm is loaded, and the CSV is empty
+    return done.stderr if done.returncode == 2 else ""
+
+
+ASKED: dict[str, Callable[[Variant, Path], str]] = {
+    "pip": by_pip,
+    "check": by_check,
+    "simulator": by_simulator,
+    "controller": by_controller,
+}
+
+
+@pytest.mark.skipif(not REPLAY.exists(), reason="the workspace is not built")
+def test_every_variant_has_one_verdict(tmp_path: Path) -> None:
+    usable = dict.fromkeys(ASKED, 0)
+    wrong = []
+    for number, variant in enumerate(urdf_variants.draw(tmp_path, COUNT, SEED)):
+        cell = write_cell(tmp_path / str(number), variant)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # what the simulator leaves out
+            answers = {who: ask(variant, cell) for who, ask in ASKED.items()}
+        for who, answer in answers.items():
+            usable[who] += not answer
+            if bool(answer) == variant.wanted:
+                wrong.append((variant.changes, who, answer))
+        if not variant.wanted:
+            reason = answers["pip"]
+            assert f"v{number}.urdf" in reason, reason
+            for who, answer in answers.items():
+                assert reason in answer, (who, answer, reason)
+    print(f"{COUNT} variants, usable: {usable}")
+    assert not wrong
+    assert len(set(usable.values())) == 1
+    assert 10 <= usable["pip"] <= 20
