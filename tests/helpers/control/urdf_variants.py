@@ -165,3 +165,16 @@ def _write(folder: Path, number: int, robot: str, names: list[str]) -> Variant:
     file = folder / f"v{number}.yaml"
     file.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
     return Variant(file, robot, tuple(names), all(CHANGES[name].usable for name in names))
+
+
+def write_cell(folder: Path, variant: Variant) -> Path:
+    """A bundled cell with the variant as its robot."""
+    bundled = paths.CELLS / f"sim_{variant.bundled}"
+    cell = folder / "cell"
+    (cell / "calibration").mkdir(parents=True)
+    text = (bundled / "cell.yaml").read_text("utf-8").replace("../../src", str(paths.ROOT / "src"))
+    text = re.sub(r"( robot:) \S+", rf"\1 {variant.robot}", text)
+    (cell / "cell.yaml").write_text(text, encoding="utf-8")
+    for file in (bundled / "calibration").iterdir():
+        (cell / "calibration" / file.name).write_bytes(file.read_bytes())
+    return cell

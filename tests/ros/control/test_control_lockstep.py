@@ -18,7 +18,9 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 from tf2_msgs.msg import TFMessage
 
+import surg_core
 from crtk_msgs.msg import OperatingState
+from helpers.control import urdf_variants
 from helpers.graph import socket_jitter
 from helpers.graph.control_rig import (
     ANSWER_S,
@@ -330,8 +332,9 @@ def test_nodelet_answers_too(ros_graph: RosGraph, rig: Rig) -> None:
     rig.enable()
 
 
+DESCRIPTION = "/PSM1/robot_description"
 BROKEN = [
-    ({"cell": "/nowhere/at/all"}, "no such file"),
+    ({"cell": "/nowhere/at/all"}, "No such file"),
     ({"arm": "PSM9"}, "PSM1"),
     ({"mode": "freerunn"}, "lockstep, freerun"),
     ({"law": "mine"}, "ours, velocity, paper"),
@@ -353,11 +356,36 @@ def test_f15_broken_parameters_exit_with_2(
     assert part in child.log_tail(20)
 
 
+def test_the_node_has_the_loader_s_verdict_on_a_urdf(ros_graph: RosGraph, tmp_path: Path) -> None:
+    def described() -> bool:
+        return bool(master.call(ros_graph.uri, "hasParam", DESCRIPTION))
+
+    variants = urdf_variants.draw(tmp_path, 12, seed=49)
+    usable = [variant for variant in variants if variant.wanted][:2]
+    refused = [variant for variant in variants if not variant.wanted][:2]
+    for number, variant in enumerate(refused + usable):
+        cell = urdf_variants.write_cell(tmp_path / str(number), variant)
+        settings: dict[str, object] = {"cell": str(cell), "arm": "PSM1"}
+        child = ros_graph.node("surg_control", "rcm_node", f"/PSM1/controller{number}", settings)
+        if not variant.wanted:
+            assert child.process.wait(20) == 2
+            assert variant.robot.with_suffix(".urdf").name in child.log_tail(20)
+            continue
+        ros_graph.wait_for(described, 20.0, str(variant.changes))
+        urdf = master.call(ros_graph.uri, "getParam", DESCRIPTION)
+        text = surg_core.load_urdf(variant.robot.with_suffix(".urdf")).text
+        assert urdf == text.replace("\r\n", "\n")  # XML-RPC knows one line end
+        assert child.process.poll() is None
+        master.call(ros_graph.uri, "deleteParam", DESCRIPTION)
+        child.process.send_signal(signal.SIGINT)
+        child.process.wait(20)
+
+
 def test_parameters_are_read_once(ros_graph: RosGraph, rig: Rig) -> None:
     start(ros_graph, rig)
     rig.enable()
     master.call(ros_graph.uri, "setParam", "/PSM1/controller/law", "paper")
     master.call(ros_graph.uri, "setParam", "/PSM1/controller/cell", "/nowhere")
     assert rig.step().state == Cycle.ENABLED
-    urdf = master.call(ros_graph.uri, "getParam", "/PSM1/robot_description")
+    urdf = master.call(ros_graph.uri, "getParam", DESCRIPTION)
     assert urdf == Path(rig.arm.urdf_path).read_text("utf-8")

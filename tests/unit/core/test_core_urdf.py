@@ -117,7 +117,8 @@ def test_files_that_are_no_urdf(tmp_path: Path) -> None:
 def test_too_many_joints_are_refused(tmp_path: Path) -> None:
     links = "".join(f'<link name="l{i}"/>' for i in range(10))
     joints = "".join(
-        f'<joint name="j{i}" type="continuous"><parent link="l{i}"/><child link="l{i + 1}"/></joint>'
+        f'<joint name="j{i}" type="continuous">'
+        f'<parent link="l{i}"/><child link="l{i + 1}"/></joint>'
         for i in range(9)
     )
     with pytest.raises(ConfigError, match="1 to 8 joints, not 9"):

@@ -84,7 +84,7 @@ StatePublishers::StatePublishers(ros::NodeHandle& node, const surg::ArmSetup& se
   limit.value = setup.limits.rcm_error_fault;
   rcm_limit_.publish(limit);
   publish_tool(at_start_);
-  publish_static_tf(setup, model);
+  publish_static_tf(setup);
   publish_state(CycleRecord());
 }
 

@@ -48,7 +48,6 @@ class Feedback {
 /// The arm's publishers.
 class StatePublishers {
  public:
-  /// 'model': for the one transform that joins the URDF's own links to our frames.
   StatePublishers(ros::NodeHandle& node, const surg::ArmSetup& setup, const ControllerInfo& info,
                   const Health& health, const SourceTable& sources, StatusReporter& reporter);
 
