@@ -50,7 +50,6 @@ void bind_urdf(py::module_& m) {
       },
       py::arg("urdf"), py::arg("parent"), py::arg("child"),
       "Pose (4, 4) of one link in another, with only fixed joints between. Raises ConfigError.");
-  m.def("urdf_of", &urdf_of, py::arg("robot"), "The URDF that a robot's YAML names, absolute.");
   m.def(
       "load_chain", [](const RobotConfig& robot) { return load_model(robot).chain; },
       py::arg("robot"),

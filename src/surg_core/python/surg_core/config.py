@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
-from surg_core import _core
 from surg_core._core import (
+    ArmSetup,
     CellConfig,
     CellHardware,
     Chain,
@@ -27,6 +27,9 @@ from surg_core._core import (
     ToolCalibration,
     TrocarCalibration,
     UrKinematics,
+    cell_file_of,
+    load_arm,
+    load_document,
     parse_cell,
     parse_document,
     parse_instrument,
@@ -154,13 +157,13 @@ def load_cell(path: PathLike) -> Cell:
     Raises:
         ConfigError: as :func:`load_robot`, for the cell or any file it names.
     """
-    file = _core.cell_file_of(os.fspath(path))
+    file = cell_file_of(os.fspath(path))
     config = parse_cell(read_document(file))
-    arms = {arm.name: _arm(_core.load_arm(file, arm.name), Path(file)) for arm in config.arms}
+    arms = {arm.name: _arm(load_arm(file, arm.name), Path(file)) for arm in config.arms}
     return Cell(config=config, arms=MappingProxyType(arms), folder=Path(file).parent)
 
 
-def _arm(setup: _core.ArmSetup, cell_file: Path) -> Arm:
+def _arm(setup: ArmSetup, cell_file: Path) -> Arm:
     stated = setup.arm
     force_sensor = cell_file.parent / f"force_sensor_{stated.name}.yaml"
     return Arm(
@@ -193,4 +196,4 @@ def read_document(path: PathLike) -> Document:
         ConfigError: for a file that is missing, unreadable, no YAML, not a mapping, or that says
             a key twice.
     """
-    return _core.load_document(os.fspath(path))
+    return load_document(os.fspath(path))

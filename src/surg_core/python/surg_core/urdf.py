@@ -9,7 +9,16 @@ import os
 from collections.abc import Sequence
 
 from surg_core import _core
-from surg_core._core import Chain, RobotConfig, Urdf, UrdfJoint, UrdfLimit, UrdfMimic
+from surg_core._core import (
+    Chain,
+    RobotConfig,
+    Urdf,
+    UrdfJoint,
+    UrdfLimit,
+    UrdfMimic,
+    chain_of,
+    joints_between,
+)
 from surg_core.transforms import FloatArray
 
 __all__ = [
@@ -62,7 +71,7 @@ def chain_from_urdf(
             flange, a joint of a kind other than revolute, continuous or fixed, other joints than
             named, or one without the limits that URDF demands.
     """
-    return _core.chain_of(load_urdf(path), base_link, flange_link, joint_names)
+    return chain_of(load_urdf(path), base_link, flange_link, joint_names)
 
 
 def fixed_transform(path: str | os.PathLike[str], parent_link: str, child_link: str) -> FloatArray:
@@ -81,4 +90,4 @@ def read_joints(path: str | os.PathLike[str], start: str, end: str) -> list[Urdf
         ConfigError: for a missing or malformed file, an unknown link, no way from start to end, or
             a joint of a kind other than revolute, continuous or fixed.
     """
-    return _core.joints_between(load_urdf(path), start, end)
+    return joints_between(load_urdf(path), start, end)
