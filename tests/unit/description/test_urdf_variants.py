@@ -31,9 +31,9 @@ def by_pip(variant: Variant, _: Path) -> str:
 
 
 def by_check(variant: Variant, _: Path) -> str:
-    options, main = command_table.parse("robot", ["check", str(variant.robot)])
+    options, main = command_table.parse(*command_table.find(["robot", "check", str(variant.robot)]))
     try:
-        return "not ready" if main(options, "robot") else ""
+        return "not ready" if main(options, "check") else ""
     except Problem as problem:
         return str(problem)
 

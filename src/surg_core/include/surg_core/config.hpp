@@ -1,5 +1,5 @@
 // Schema of the YAML files: every key with unit, range and reason stands in src/config, for C++ and
-// Python alike. A parser (yaml-cpp, PyYAML) flattens a file into a Document; the functions here
+// Python alike. files/document.hpp flattens a file into a Document; the functions here
 // check it and return frozen values, or throw a ConfigError with file, key, value and allowed
 // range.
 #pragma once

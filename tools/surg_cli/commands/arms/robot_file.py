@@ -16,13 +16,6 @@ if TYPE_CHECKING:
     from surg_sim.placement.chain_check import Difference
     from surg_sim.placement.home_search import Home
 
-<<<<<<< HEAD
-=======
-WORDS = {
-    "check": "examine a robot's YAML: limits, kinematics, reach from its home",
-    "home": "search for the home posture with the largest reserve",
-}
->>>>>>> 11178fd3 (core: cell, robot and URDF are read once)
 DEPTH = 0.120
 """Of the tip behind the trocar at home [m]."""
 SEED = 0
@@ -53,15 +46,9 @@ def main(options: argparse.Namespace, command: str) -> int:
         found = check_physics(arm)
     for note in notes:
         say(str(note.message))
-<<<<<<< HEAD
     if command == "home":
         return _home(arm)
-    return _check(arm)
-=======
-    if command.endswith("home"):
-        return _home(arm, options.seed)
     return _check(arm, found)
->>>>>>> 11178fd3 (core: cell, robot and URDF are read once)
 
 
 def _load(file: Path, instrument: Path) -> Any:
