@@ -17,7 +17,7 @@ namespace {
 using files::Element;
 using files::refuse;
 
-constexpr double kShortestAxis = 1e-6;
+constexpr double kShortestAxis = 1e-6;  // as written: a shorter one has no direction
 constexpr const char* kKinds[] = {"revolute", "continuous", "prismatic",
                                   "fixed",    "floating",   "planar"};
 

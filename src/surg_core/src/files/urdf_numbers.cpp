@@ -9,7 +9,7 @@
 namespace surg::files {
 namespace {
 
-constexpr double kAny = HUGE_VAL;
+constexpr double kAny = HUGE_VAL;    // no bound: every finite number
 constexpr double kFarthest = 100.0;  // [m] a file in millimetres does not pass for an arm
 
 /// What an attribute of an element holds.
