@@ -14,7 +14,7 @@ from helpers.control import urdf_variants
 from helpers.control.urdf_variants import Variant, write_cell
 from surg_cli import command_table
 from surg_cli.host import paths
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import CliError
 from surg_sim.placement.chain_check import compare
 
 COUNT, SEED = 30, 49
@@ -34,8 +34,8 @@ def by_check(variant: Variant, _: Path) -> str:
     options, main = command_table.parse(*command_table.find(["robot", "check", str(variant.robot)]))
     try:
         return "not ready" if main(options, "check") else ""
-    except Problem as problem:
-        return str(problem)
+    except CliError as error:
+        return str(error)
 
 
 def by_simulator(_: Variant, cell: Path) -> str:

@@ -100,8 +100,7 @@ def with_masses(root: Element) -> list[str]:
 
 
 def _drawable(part: Element) -> bool:
-    geometry = part.find("geometry")
-    for shape in () if geometry is None else geometry:
+    for shape in part.findall("geometry/*"):
         sizes = SHAPES.get(shape.tag)
         if sizes is not None:
             numbers = [float(n) for size in sizes for n in shape.get(size, "0").split()]
