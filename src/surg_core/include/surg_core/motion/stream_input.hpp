@@ -2,9 +2,9 @@
 #pragma once
 
 #include "surg_core/estimators/hand_estimate.hpp"
+#include "surg_core/estimators/tremor_estimate.hpp"
 #include "surg_core/motion/stream.hpp"
 #include "surg_core/motion/stream_clock.hpp"
-#include "surg_core/estimators/tremor_estimate.hpp"
 
 namespace surg {
 
