@@ -68,7 +68,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         height: [px].
         render_mode: None or ``rgb_array`` (left camera).
         law: Of ``cell_session.LAWS``.
-        seed_appearance: Draws the look of the tissue, once for the environment.
+        seed_look: Draws the look of the tissue, once for the environment.
         forces: Observe the forces at tip and trocar.
         randomization: Ranges, or their file, from which each episode's seed draws its appearance;
             ``info["look"]`` of ``reset`` tells the drawn one. None: all look as built. Physics and
@@ -87,7 +87,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         height: int = 240,
         render_mode: str | None = None,
         law: str = "ours",
-        seed_appearance: int = 0,
+        seed_look: int = 0,
         forces: bool = False,
         randomization: DomainRandomization | Path | str | None = None,
     ) -> None:
@@ -109,7 +109,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         )
         self._appearance: Appearance | None = None
         path = cell_files.find(cell or load(task).home_cell)
-        self.session = CellSession(path, task, setting, seed_appearance, drawn, law)
+        self.session = CellSession(path, task, setting, seed_look, drawn, law)
         self.render_mode, self._images = render_mode, tuple(v for v in CAMERAS if v in images)
         self._size = (width, height)
         self._renderers: dict[tuple[str, ...], Any] = {}
