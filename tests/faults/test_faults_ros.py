@@ -26,7 +26,7 @@ from std_msgs.msg import String
 
 import surg_core
 from crtk_msgs.msg import StringStamped
-from helpers.graph import failing_clock, socket_jitter
+from helpers.graph import failing_clock
 from helpers.graph.control_rig import ANSWER_S, CELL, Rig, start, tip_in_rcm
 from helpers.graph.ros import RosGraph
 from helpers.results.reactions import Reactions
@@ -213,7 +213,8 @@ class System:
     def __init__(self, graph: RosGraph, **environment: str) -> None:
         self.graph = graph
         shared = {"cell": CELL, "mode": "freerun"}
-        graph.node("surg_sim", "bridge_node.py", "/sim", {**shared, "inject": True}, environment)
+        bridge = {**shared, "inject": True}
+        self.bridge = graph.node("surg_sim", "bridge_node.py", "/sim", bridge, environment)
         self.cycles: list[Cycle] = []
         self.truths: list[tuple[int, float, float]] = []  # tick, tip speed, deviation
         self.texts: list[str] = []
@@ -396,11 +397,16 @@ def test_f10_a_simulator_that_is_always_behind(
     ros_graph: RosGraph, rospy_node: str, reactions: Reactions, full: bool
 ) -> None:
     """It ticks without a pause and holds its lock meanwhile: it still obeys the newest command."""
-    starved = System(ros_graph, **socket_jitter.environment(5.0, share=1.0))
+    starved = System(ros_graph)
     try:
         starved.in_motion()
         ticks, cycles = len(starved.truths), len(starved.cycles)
-        time.sleep(30 if full else 5)
+        until = time.monotonic() + (30 if full else 5)
+        while time.monotonic() < until:
+            starved.bridge.process.send_signal(signal.SIGSTOP)
+            time.sleep(0.01)
+            starved.bridge.process.send_signal(signal.SIGCONT)
+            time.sleep(0.001)
         truths, cycle = starved.truths[ticks:], starved.cycles[-1]
     finally:
         starved.close()
