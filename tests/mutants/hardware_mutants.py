@@ -1,7 +1,8 @@
 """Hand-written mutants of the links to real arms and of their emulators.
 
-As in `mutants`, but the files are below `src/surg_hardware/src/surg_hardware`, and `first` names
-test files of `tests/unit/hardware` and `tests/unit/emulators`.
+As in `mutants`, but the files are below `src/surg_hardware/src/surg_hardware` (``MUTANTS``) and
+`src/surg_emulators/src/surg_emulators` (``EMULATED``), and `first` names test files of
+`tests/unit/hardware` and `tests/unit/emulators`.
 """
 
 from __future__ import annotations
@@ -216,11 +217,13 @@ MUTANTS: tuple[Mutant, ...] = (
         "        finished = ending\n",
         FRANKA,
     ),
-    # -- emulated arm
+)
+
+EMULATED: tuple[Mutant, ...] = (
     one(
         "unlocked_too_early",
         "an early unlock works on the emulator and not on the arm",
-        "emulators/ur/ur_controller.py",
+        "ur/ur_controller.py",
         "        if self.cycles * DT - self._stopped_at < UNLOCK_AFTER:\n",
         "        if False:\n",
         STATES,
@@ -228,7 +231,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "any_target_speed",
         "a command that stops the arm does not stop the emulator",
-        "emulators/ur/joint_motion.py",
+        "ur/joint_motion.py",
         "            if not abs(qd[joint]) <= MAX_SPEED:\n",
         "            if False:\n",
         STATES,
@@ -236,7 +239,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "joints_without_ramps",
         "delays of the emulator are shorter than an arm's",
-        "emulators/ur/joint_motion.py",
+        "ur/joint_motion.py",
         "share = min(1.0, self.a * dt / largest) if largest > 0.0 else 1.0",
         "share = 1.0",
         ("test_ur_emulator_motion",),
@@ -244,7 +247,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "inputs_at_once",
         "a command takes effect a cycle too early",
-        "emulators/ur/ur_controller.py",
+        "ur/ur_controller.py",
         "        for name, value in self._arrived.items():\n",
         "        self._arrived = self._arrived | self._staged\n"
         "        for name, value in self._arrived.items():\n",
@@ -253,7 +256,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "registers_never_in_use",
         "two clients command one arm",
-        "emulators/ur/rtde_server.py",
+        "ur/rtde_server.py",
         "            taken = claims.get(name, self) is not self\n",
         "            taken = False\n",
         RTDE,
@@ -261,7 +264,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "packets_of_any_size",
         "a client's wrong recipe goes unnoticed",
-        "emulators/ur/rtde_server.py",
+        "ur/rtde_server.py",
         "        if len(body) - 1 != recipe.body.size:\n",
         "        if len(body) - 1 < recipe.body.size:\n",
         RTDE,
@@ -269,7 +272,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "power_after_an_emergency_stop",
         "the emulator moves again without power and brakes",
-        "emulators/ur/ur_controller.py",
+        "ur/ur_controller.py",
         "            if self.safety_mode in DEAD:\n                self._power_down()\n",
         "",
         STATES,
@@ -277,7 +280,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "two_threads_in_motion",
         "a program runs on the emulator and not on the arm",
-        "emulators/ur/urscript_machine.py",
+        "ur/urscript_machine.py",
         "                if other is not thread and other.alive and other.wait and "
         "other.wait.motion:\n",
         "                if False:\n",
@@ -286,7 +289,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "wrong_forearm",
         "the emulator's flange is 1 mm off",
-        "emulators/ur/dh_kinematics.py",
+        "ur/dh_kinematics.py",
         "(0.0, -0.3922, 0.0)",
         "(0.0, -0.3932, 0.0)",
         ("test_ur_emulator_motion",),
@@ -295,7 +298,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "jerk_of_the_generator_unchecked",
         "a staircase of commands passes here and is a reflex on the arm",
-        "emulators/franka/generator_motion.py",
+        "franka/generator_motion.py",
         "            if not abs(jerk) <= most * SLACK + 4.0 * rounding / DT**2:\n",
         "            if False:\n",
         LIMITS,
@@ -303,7 +306,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "velocity_limit_of_a_posture_unchecked",
         "an FR3 near its end stop is driven as fast as anywhere",
-        "emulators/franka/franka_robots.py",
+        "franka/franka_robots.py",
         "        if not self.curves:\n",
         "        if True:\n",
         LIMITS,
@@ -311,7 +314,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "end_of_a_motion_unchecked",
         "a driver that ends its motion at speed is not refused",
-        "emulators/franka/franka_controller.py",
+        "franka/franka_controller.py",
         "            self.motion.end()\n",
         "",
         LIMITS,
@@ -319,7 +322,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "lost_packet_holds_the_velocity",
         "the arm continues the acceleration, the emulator does not",
-        "emulators/franka/generator_motion.py",
+        "franka/generator_motion.py",
         "        dq = [rate + DT * change for",
         "        dq = [rate + 0.0 * change for",
         FER,
@@ -327,7 +330,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "lost_packets_uncounted",
         "a driver that hangs leaves the arm in motion",
-        "emulators/franka/franka_controller.py",
+        "franka/franka_controller.py",
         "        if active.lost > most:\n",
         "        if False:\n",
         FER,
@@ -335,7 +338,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "late_command_obeyed",
         "what a stall has kept is executed afterwards",
-        "emulators/franka/franka_controller.py",
+        "franka/franka_controller.py",
         "        if command.message != self.number:\n",
         "        if command.message > self.number:\n",
         FER,
@@ -343,7 +346,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "recovery_out_of_the_user_stop",
         "software ends what a person's button has begun",
-        "emulators/franka/franka_controller.py",
+        "franka/franka_controller.py",
         "        if self.mode is not RobotMode.REFLEX:\n",
         "        if self.mode not in (RobotMode.REFLEX, RobotMode.USER_STOPPED):\n",
         FER,
@@ -351,7 +354,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "version_of_the_library_unchecked",
         "a library for another arm misreads every state",
-        "emulators/franka/fci_session.py",
+        "franka/fci_session.py",
         "        if version != self._protocol.version:\n",
         "        if False:\n",
         FER,
@@ -359,7 +362,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "measured_for_commanded",
         "a client continues from where the joints are, not from the set-point",
-        "emulators/franka/franka_controller.py",
+        "franka/franka_controller.py",
         '            "dq_d": motion.dq_d,\n',
         '            "dq_d": motion.dq,\n',
         FER,
@@ -367,7 +370,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "client_that_leaves_unnoticed",
         "a killed driver leaves the arm in motion",
-        "emulators/franka/franka_emulator.py",
+        "franka/franka_emulator.py",
         "            self.controller.disconnect()\n",
         "            pass\n",
         ("test_franka_emulator_ports",),

@@ -220,7 +220,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "marks_of_a_silent_arm",
         "marks of an arm that fell silent stay where it was",
-        "eyes/joint_history.py",
+        "stereo/joint_history.py",
         "MOST_GAP_NS = 100_000_000",
         "MOST_GAP_NS = 100_000_000_000",
         EYES,
@@ -228,7 +228,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "message_with_eyes_swapped",
         "the page draws the left eye's marks over the right eye",
-        "eyes/live_marks_node.py",
+        "stereo/live_marks_node.py",
         "for eye, marks in zip(EYES, found",
         "for eye, marks in zip(EYES[::-1], found",
         EYES,
@@ -236,7 +236,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "a_pair_of_two_times",
         "depth of a left and a right picture of different moments",
-        "eyes/newest_pair_node.py",
+        "stereo/newest_pair_node.py",
         " and len(stamps) == 1:",
         ":",
         ("test_newest_pair",),

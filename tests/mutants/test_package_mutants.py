@@ -21,15 +21,19 @@ SOURCES = {"surg_core": "python"}
 FOLDERS = {
     "surg_core": ("pictures", "perception"),
     "surg_hardware": ("hardware", "emulators"),
+    "surg_emulators": ("emulators", "hardware"),
     "surg_perception": ("perception", "collecting", "depth"),
     "surg_console": ("console",),
 }
 """Folders of `tests/unit` with the tests of a package."""
-MUTANTS = [("surg_hardware", mutant) for mutant in hardware_mutants.MUTANTS] + [
-    ("surg_perception", mutant) for mutant in perception_mutants.MUTANTS
-]
-MUTANTS += [("surg_core", mutant) for mutant in picture_mutants.MUTANTS]
-MUTANTS += [("surg_console", mutant) for mutant in console_mutants.MUTANTS]
+CHOSEN = {
+    "surg_hardware": hardware_mutants.MUTANTS,
+    "surg_emulators": hardware_mutants.EMULATED,
+    "surg_perception": perception_mutants.MUTANTS,
+    "surg_core": picture_mutants.MUTANTS,
+    "surg_console": console_mutants.MUTANTS,
+}
+MUTANTS = [(package, mutant) for package, chosen in CHOSEN.items() for mutant in chosen]
 
 
 def tests_of(package: str) -> list[Path]:

@@ -257,13 +257,12 @@ def test_a_lost_server_is_found_again(how: str, tmp_path: Path) -> None:
     elif how == "silent":
         server.deaf = True
         time.sleep(1.1)  # the client's patience is 1 s
-        server.deaf, server.session = False, 3
+        server.session, server.deaf = 3, False
     else:
         server.session = 4
     server.forget()
     server.wait("HELLO")
-    server.forget()
-    server.wait("PING")
+    server.wait(lambda m: m.kind == "PING" and m.head["session"] == server.session)
     server.ask(4, episode=2)
     server.episode(2, "end", success=True)
     served = client.end()

@@ -77,7 +77,7 @@ def view(folder: Path, place: Place) -> str:
     assert code == 0
     page = out.read_text("utf-8")
     assert "<script" in page
-    notes = page.partition("<ul class='notes'>")[2].partition("</ul>")[0]
+    notes = page.partition('<ul class="notes">')[2].partition("</ul>")[0]
     return notes.replace("<li>", "").replace("</li>", "; ")
 
 

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from mutants import hardware_mutants, mutants, perception_mutants, picture_mutants
+from mutants import (
+    console_mutants,
+    hardware_mutants,
+    mutants,
+    perception_mutants,
+    picture_mutants,
+)
 from mutants.mutants import Mutant
 from surg_cli.host import paths
 
@@ -14,8 +20,10 @@ from surg_cli.host import paths
     [
         ("surg_core", mutants.MUTANTS),
         ("surg_hardware/src/surg_hardware", hardware_mutants.MUTANTS),
+        ("surg_emulators/src/surg_emulators", hardware_mutants.EMULATED),
         ("surg_perception/src/surg_perception", perception_mutants.MUTANTS),
         ("surg_core/python/surg_core", picture_mutants.MUTANTS),
+        ("surg_console/src/surg_console", console_mutants.MUTANTS),
     ],
 )
 def test_every_mutant_finds_its_text_exactly_once(folder: str, chosen: tuple[Mutant, ...]) -> None:
@@ -35,7 +43,13 @@ def test_every_mutant_finds_its_text_exactly_once(folder: str, chosen: tuple[Mut
 
 def test_the_tests_that_mutants_name_are_there() -> None:
     """A missing file would end the run like a test that fails, and count as noticed."""
-    python = (*hardware_mutants.MUTANTS, *perception_mutants.MUTANTS, *picture_mutants.MUTANTS)
+    python = (
+        *hardware_mutants.MUTANTS,
+        *hardware_mutants.EMULATED,
+        *perception_mutants.MUTANTS,
+        *picture_mutants.MUTANTS,
+        *console_mutants.MUTANTS,
+    )
     named = {name for mutant in python for name in mutant.first}
     files = {file.stem for file in (paths.ROOT / "tests" / "unit").rglob("test_*.py")}
     assert named <= files, named - files
