@@ -5,9 +5,9 @@
     format          "surg_bench_control/1"
     machine         {processor, cores, load_before, load_after, date, compiler, seconds, cycles}
     cycle_us        {exact|exact_closed|velocity|limited|limited_preview|paper|qp_<name>|
-                    kdl_<name>|py_<name>: {median, p99}}: one cycle, from joint positions to joint
+                    kdl_<name>: {median, p99}}: one cycle, from joint positions to joint
                     velocities, UR5e
-    rcm_deviation_um {<law>: {mean, max_at_samples, max_between}}; Python laws have no max_between
+    rcm_deviation_um {<law>: {mean, max_at_samples, max_between}}
     tip_error_um    {<law>: {mean, max}}
     violations      {<law>: cycles over a joint's velocity or acceleration}
     failures        {<law>: cycles in which a solver reported no solution}
@@ -21,9 +21,8 @@
                     cost_us: mean over all ticks but the slowest thousandth, so that ticks without
                     a sample count as well; update_us: median of the ticks with a sample
     profile         {quintic|ruckig: {cost_us, p99_us, mean_duration_s, what}}
-    nodelet_us      {p50, p99} of a whole controller cycle in free-run; absent with --no-demo
-    whole_cycle_us  {plain, tremor: {median, p99}}: the same cycle, called back to back; absent
-                    where the workspace is not built
+    whole_cycle_us  {plain, tremor: {median, p99}}: a whole controller cycle, called back to back;
+                    absent where the workspace is not built
 """
 
 from __future__ import annotations
@@ -98,26 +97,6 @@ def call(*words: str, title: str) -> dict[str, Any]:
     return result
 
 
-def python_laws(found: libraries.Libraries, folder: Path, cycles: int) -> dict[str, Any]:
-    """Pink and mink in `.venv-bench`; nothing where it is missing."""
-    if found.python is None:
-        return {}
-    with Progress("python laws"):
-        done = subprocess.run(
-            [str(found.python), "-I", str(SOURCE / "python_ik.py"), str(folder), str(cycles)],
-            env={"PATH": "/usr/bin:/bin", "OMP_NUM_THREADS": "1"},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-    if done.returncode != 0:
-        warn(f"bench: the Python laws failed:\n{done.stderr.strip()}")
-        return {}
-    result = json.loads(done.stdout)
-    assert isinstance(result, dict)
-    return result
-
-
 def regroup(laws: dict[str, Any]) -> dict[str, Any]:
     """Figures by law to figures by kind, as the JSON has them."""
     deviation = {
@@ -155,25 +134,6 @@ def ratios(cycle_us: dict[str, Any]) -> dict[str, Any]:
             else {}
         ),
     }
-
-
-def nodelet(seconds: float) -> dict[str, float] | None:
-    """Compute time of whole cycles of the controller node, from a demonstration in free-run."""
-    with tempfile.TemporaryDirectory() as folder, Progress("controller in free-run"):
-        out = Path(folder) / "run"
-        argv = [str(paths.ROOT / "surg"), "demo", "--free-run", "--no-video"]
-        done = subprocess.run(
-            [*argv, "--duration", str(seconds), "--out", str(out)],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        summary = out / "summary.json"
-        if not summary.exists():
-            warn(f"bench: {' '.join(argv)} failed; its figures are left out:\n{done.stderr[-500:]}")
-            return None
-        compute = json.loads(summary.read_text("utf-8"))["controller"]["compute_us"]
-    return {"p50": float(compute["p50"]), "p99": float(compute["p99"])}
 
 
 def whole_cycles(cell: Path) -> dict[str, dict[str, float]] | None:
@@ -221,9 +181,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             arm = bench_scene.load_arm(paths.CELLS / f"sim_{robot}")
             bench_scene.write(arm, options.seconds, folder)
             told = call("laws", str(folder / "arm.txt"), str(folder / "tip.path"), title=robot)
-            laws = told["laws"]
-            laws.update(python_laws(found, folder, min(options.python_cycles, told["cycles"])))
-            per_robot[robot] = regroup(laws)
+            per_robot[robot] = regroup(told["laws"])
             result["machine"]["cycles"] = told["cycles"]
         result.update(per_robot["ur5e"])
         result["panda"] = per_robot["panda"]
@@ -247,11 +205,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
                 result["stream"][f"{name}_{rate}hz"] = {**figures, **law}
         result["machine"]["motion"] = options.motion.name
         result["profile"] = call("profiles", title="profiles")["planners"]
-    whole = {
-        "whole_cycle_us": whole_cycles(paths.CELLS / "sim_ur5e"),
-        "nodelet_us": None if options.no_demo else nodelet(10.0),
-    }
-    result.update({name: figures for name, figures in whole.items() if figures is not None})
+    if (whole := whole_cycles(paths.CELLS / "sim_ur5e")) is not None:
+        result["whole_cycle_us"] = whole
     result["machine"]["load_after"] = [round(x, 2) for x in os.getloadavg()]
     return result
 
@@ -265,14 +220,12 @@ def main() -> None:
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
     parser.add_argument("--seconds", type=float, default=300.0, help="length of the path [s]")
-    parser.add_argument("--python-cycles", type=int, default=5000, help="cycles of the Python laws")
     parser.add_argument(
         "--motion",
         type=Path,
         default=paths.ROOT / "src" / "surg_teleop" / "motions" / "bundled.csv",
         help="recorded motion for the streams (default: the bundled one)",
     )
-    parser.add_argument("--no-demo", action="store_true", help="leave the controller node out")
     parser.add_argument(
         "--offline", action="store_true", help="fetch nothing; use the libraries that are there"
     )

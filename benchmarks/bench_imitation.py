@@ -1,22 +1,18 @@
-"""Do image policies of bgr look, and what do they stand: pictures, light, lens, pose, delay.
+"""Do image policies of bgr look, and what do they stand: pictures, light, lens, pose.
 
 In process (`surg_sim.envs.policy_rollouts`), on test seeds, each condition of `policy/sights.py`.
 Several at a time: `--executor processes`, `dask` (a cluster of its own) or `dask:ADDRESS`.
 `--weights` are those of `./surg learn bgr --cameras`, or of `surg_learn.bgr.train_cloned`;
 several are compared on the same seeds. Every finished roll-out is kept in `--keep`; the same
-command of the same programs goes on there. `--json FILE` writes (Wilson's 95 % interval):
+command goes on there. Another version of the programs needs another folder. `--json FILE` writes
+(Wilson's 95 % interval):
 
-    format         "surg_bench_imitation/3"
+    format         "surg_bench_imitation/4"
     machine        {processor, cores, load_before, load_after, date}
     seeds          first and last + 1 of the episodes judged
     policies       [{file, weights: SHA-256, method, seed: of the training, pictures,
-                   act_ms: {p50, p99} CPU time of one answer, the median of the roll-outs'
-                   medians and the largest of their 99 %,
-                   conditions: [{name, n, k, low, high, refused, stopped, rcm_max_mm,
+                   conditions: [{name, n, k, low, high, refused, rcm_max_mm,
                                 failures: {reason: count}}]}]
-    methods        [{method, files, conditions}]: the same of all policies together that one
-                   recipe (method, options, pictures) gave with several seeds; the interval does
-                   not know how trainings differ
     wall_s         of this call
 
 The exit code is 1 if pictures that say nothing (black, frozen, another's) give more than 20 %.
@@ -25,15 +21,13 @@ The exit code is 1 if pictures that say nothing (black, frozen, another's) give 
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import os
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import asdict, dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -41,10 +35,9 @@ from typing import Any
 import numpy as np
 from machine import this_machine
 from policy.entrants import Entrant, entrant, pictures_of, policy_of
-from policy.sights import CONDITIONS, Condition, Filter, Replayed, turned
-from result_book import ResultBook
+from policy.sights import CONDITIONS, Condition, Filter, Replayed
+from scipy.spatial.transform import Rotation
 
-from surg_cli.host import paths
 from surg_cli.host.terminal import Progress, say, table
 from surg_core.contract import image_key
 from surg_recording.job_pool import Executor, JobCallbacks, NoExecutor
@@ -60,25 +53,6 @@ OTHER = 500
 """The pictures of another episode are those of the first seed from so much further on whose place
 is another one, for the judge too."""
 MOST_BLIND = 0.2
-PLAYED = (
-    "benchmarks/bench_imitation.py",
-    "benchmarks/policy/*.py",
-    "cells/sim_two_arms/**/*.yaml",
-    "src/surg_core/include/**/*.hpp",
-    "src/surg_core/python/**/*.[ch]pp",
-    "src/surg_core/python/**/*.py",
-    "src/surg_core/src/**/*.[ch]pp",
-    "src/surg_description/*/**/*.yaml",
-    "src/surg_description/*/**/*.urdf",
-    "src/surg_learn/src/surg_learn/bgr/*_networks.py",
-    "src/surg_learn/src/surg_learn/bgr/*_network.py",
-    "src/surg_learn/src/surg_learn/bgr/*_policy.py",  # not the trainers
-    "src/surg_policy_bridge/client/src/**/*.py",
-    "src/surg_policy_bridge/src/**/*.py",
-    "src/surg_sim/src/**/*.py",
-    "src/surg_sim/src/**/*.xml",
-)
-"""What decides a roll-out beside the weights, in the checkout."""
 
 
 @dataclass(frozen=True)
@@ -89,14 +63,12 @@ class Result:
     seed: int
     success: bool
     reason: str
-    stopped: str  # why the model server stopped the policy; empty: it did not
-    refused: int  # by the controller, and in real time before it by the safety controller
+    refused: int  # steps, by the controller
     rcm_max: float  # [m]
-    act_ms: list[float]  # CPU time of answers: median and 99 %
 
 
 class Through:
-    """A policy that gets views of the endoscope through filters; the CPU time of its answers.
+    """A policy that gets views of the endoscope through filters.
 
     Args:
         policy: Answers.
@@ -105,8 +77,6 @@ class Through:
 
     def __init__(self, policy: Any, eyes: Mapping[str, tuple[Filter, str]]) -> None:
         self._policy, self._eyes = policy, eyes
-        self.spent: list[float] = []
-        self._last: Any = None
         self.acknowledged = policy.acknowledged
 
     def reset(self, instruction: str, seed: int | None) -> None:
@@ -124,14 +94,7 @@ class Through:
             arrays.pop(image_key(f"endoscope_{view}"), None)
         arrays |= shown
         seen = replace(observation, arrays=arrays) if hasattr(observation, "arrays") else arrays
-        before = time.process_time()
-        answer = self._policy.act(seen)
-        if answer is not None:
-            # Steps of before that go on cost nothing, said again or not.
-            if self._last is None or not np.shares_memory(answer, self._last):
-                self.spent.append(1e3 * (time.process_time() - before))
-            self._last = answer
-        return answer
+        return self._policy.act(seen)
 
 
 def views_of(condition: Condition, pictures: Sequence[str]) -> dict[str, str]:
@@ -152,28 +115,11 @@ def scene(condition: Condition, views: Sequence[str]) -> Any:
     model = env.session.world.model
     for view in views:
         camera = model.camera(FRAMES[view])
-        R = matrix(camera.quat)
-        camera.pos[:] += R @ [condition.aside, 0.0, 0.0]
-        camera.quat[:] = product(camera.quat, turned(condition.turn))
+        stated = Rotation.from_quat(np.roll(camera.quat, -1))  # MuJoCo has w first
+        turn = Rotation.from_euler("x", condition.turn, degrees=True)
+        camera.pos[:] += stated.apply([condition.aside, 0.0, 0.0])
+        camera.quat[:] = np.roll((stated * turn).as_quat(), 1)
     return env
-
-
-def matrix(q: np.ndarray) -> np.ndarray:
-    """Rotation matrix of a quaternion (w, x, y, z)."""
-    w, x, y, z = q
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Quaternion of the turn b, seen in a's frame, and then a."""
-    w, v = a[0] * b[0] - a[1:] @ b[1:], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
-    return np.array([w, *v])
 
 
 def watched(env: Any, views: Sequence[str], seed: int) -> Iterator[dict[str, np.ndarray]]:
@@ -223,54 +169,58 @@ def judge(job: Job) -> Result:
     env = scene(condition, tuple(dict.fromkeys(shown.values())))
     try:
         policy = Through(learned, eyes_of(env, condition, seed, shown))
-        if condition.delays is None:
-            done: Any = roll_out(env, policy, seed)
-            stopped, refused = "", done.refused
-        else:
-            from policy.made_up_clock import Delays, play  # needs the model server's packages
-
-            done = play(env, policy, Delays(*condition.delays), seed)
-            stopped, refused = done.stopped, done.refused
+        done = roll_out(env, policy, seed)
     finally:
         env.close()
-    spent = [round(float(np.percentile(policy.spent, share)), 2) for share in (50, 99)]
-    return Result(name, seed, done.success, done.reason, stopped, refused, done.rcm_max, spent)
+    return Result(name, seed, done.success, done.reason, done.refused, done.rcm_max)
 
 
-@cache
-def programs() -> str:
-    """SHA-256 of the files of `PLAYED`."""
-    found = hashlib.sha256()
-    for pattern in PLAYED:
-        for file in sorted(paths.ROOT.glob(pattern)):
-            found.update(file.read_bytes())
-    return found.hexdigest()
+class Book:
+    """Roll-outs of weights, in a file that grows by a line for each.
 
+    Args:
+        folder: Of the file; a last line that was cut off is played again.
+        digest: Of the weights.
 
-class Book(ResultBook[tuple[str, int], Result]):
-    """Roll-outs of weights by the programs as they are, by condition and seed.
+    Attributes:
+        found: Results by condition and seed.
 
     Raises:
-        ValueError: See `ResultBook`.
+        ValueError: A line of the file is no result; with file and line.
     """
 
     def __init__(self, folder: Path, digest: str) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        whole = hashlib.sha256(f"{digest} {programs()}".encode()).hexdigest()
-        self.name = f"rollouts_{whole[:12]}"
-        super().__init__(
-            folder / f"{self.name}.jsonl", Result, lambda each: (each.condition, each.seed)
-        )
+        self.name = f"rollouts_{digest[:12]}"
+        self._file = folder / f"{self.name}.jsonl"
+        self.found: dict[tuple[str, int], Result] = {}
+        text = self._file.read_text("utf-8") if self._file.exists() else ""
+        whole, _, rest = text.rpartition("\n")
+        if rest:
+            self._file.write_text(whole + "\n" if whole else "", "utf-8")
+        for n, line in enumerate(whole.splitlines(), 1):
+            try:
+                self._keep(Result(**json.loads(line)))
+            except (ValueError, TypeError) as error:
+                raise ValueError(f"{self._file}:{n}: no roll-out ({error}); remove it") from None
+
+    def _keep(self, result: Result) -> None:
+        self.found[result.condition, result.seed] = result
+
+    def add(self, result: Result) -> None:
+        """Keep a result."""
+        self._keep(result)
+        with self._file.open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(asdict(result)) + "\n")
 
 
 def described(name: str, found: list[Result]) -> dict[str, Any]:
     """The entry of a condition."""
-    failures = Counter(each.stopped or each.reason for each in found if not each.success)
+    failures = Counter(each.reason for each in found if not each.success)
     return {
         "name": name,
         **success_rate([each.success for each in found]),
         "refused": sum(each.refused for each in found),
-        "stopped": sum(bool(each.stopped) for each in found),
         "rcm_max_mm": 1e3 * max(each.rcm_max for each in found),
         "failures": dict(failures),
     }
@@ -356,7 +306,7 @@ def run(
 
 
 def rows_of(label: str, conditions: list[dict[str, Any]]) -> list[list[str]]:
-    """Rows of the table, of a policy or a method."""
+    """Rows of the table, of a policy."""
     rows = []
     for e in conditions:
         interval = f"{100 * e['low']:.0f} to {100 * e['high']:.0f} %"
@@ -370,33 +320,14 @@ HEAD = ["policy", "condition", "success", "95 % interval", "refused", "RCM max [
 
 def told(one: Entrant, book: Book, names: list[str], seeds: range) -> dict[str, Any]:
     """The entry of a policy."""
-    spent = np.array([book.found[name, seed].act_ms for name in names for seed in seeds])
     return {
         "file": one.weights.name,
         "weights": one.digest,
         "method": one.method,
         "seed": one.seed,
         "pictures": list(one.pictures),
-        "act_ms": {"p50": float(np.median(spent[:, 0])), "p99": float(spent[:, 1].max())},
         "conditions": [described(n, [book.found[n, seed] for seed in seeds]) for n in names],
     }
-
-
-def pooled(
-    entrants: list[Entrant], books: Mapping[Path, Book], names: list[str], seeds: range
-) -> list[dict[str, Any]]:
-    """The entries of the methods, over all their policies."""
-    found = []
-    for recipe in dict.fromkeys(one.recipe for one in entrants):
-        own = [one for one in entrants if one.recipe == recipe]
-        results = [books[one.weights].found for one in own]
-        conditions = [
-            described(name, [each[name, seed] for each in results for seed in seeds])
-            for name in names
-        ]
-        files = [one.weights.name for one in own]
-        found.append({"method": own[0].method, "files": files, "conditions": conditions})
-    return found
 
 
 def labels(entrants: Sequence[Entrant]) -> list[str]:
@@ -439,22 +370,14 @@ def main() -> int:
     missing = [(name, seed, f) for name, seed, f in wanted if (name, seed) not in books[f].found]
     run(missing, books, replace(options.executor, workers=options.jobs), judge)
     policies = [told(one, books[one.weights], names, seeds) for one in entrants]
-    methods = pooled(entrants, books, names, seeds)
     rows = [HEAD]
     for label, entry in zip(labels(entrants), policies, strict=True):
         rows += rows_of(label, entry["conditions"])
-    for entry in methods:
-        if len(entry["files"]) > 1:
-            rows += rows_of(f"{entry['method']}, all {len(entry['files'])}", entry["conditions"])
     say(table(rows))
-    for label, entry in zip(labels(entrants), policies, strict=True):
-        spent = entry["act_ms"]
-        say(f"{label}: CPU time of an answer {spent['p50']:.1f} ms, p99 {spent['p99']:.1f} ms")
     result = {
-        "format": "surg_bench_imitation/3",
+        "format": "surg_bench_imitation/4",
         "seeds": [seeds.start, seeds.stop],
         "policies": policies,
-        "methods": methods,
         "wall_s": round(time.monotonic() - started, 1),
         "machine": this_machine(before),
     }

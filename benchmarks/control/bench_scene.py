@@ -1,8 +1,7 @@
-"""What every law is given, written once for the C++ program and the Python ones alike."""
+"""What every law is given, written for the C++ program."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -75,18 +74,7 @@ def write_arm(arm: Arm, file: Path) -> None:
 
 
 def write(arm: Arm, seconds: float, folder: Path) -> None:
-    """All files of one arm: `arm.txt`, `tip.path` (raw doubles) and `scene.json`."""
+    """Both files of one arm: `arm.txt` and `tip.path` (raw doubles)."""
     folder.mkdir(parents=True, exist_ok=True)
     write_arm(arm, folder / "arm.txt")
     lissajous(arm, seconds).tofile(folder / "tip.path")
-    scene = {
-        "urdf": str(arm.urdf_path),
-        "flange": arm.robot.flange_link,
-        "home": np.asarray(arm.robot.home).tolist(),
-        "velocity": np.asarray(arm.robot.velocity).tolist(),
-        "s_F": np.asarray(arm.tool.s_F).tolist(),
-        "p_FTip": np.asarray(arm.tool.p_FTip).tolist(),
-        "trocar": np.asarray(arm.trocar.p_BRcm).tolist(),
-        "period": PERIOD,
-    }
-    (folder / "scene.json").write_text(json.dumps(scene, indent=1) + "\n", encoding="utf-8")

@@ -12,7 +12,7 @@ PICTURE = paths.ROOT / "docs" / "pictures" / "benchmark_control.png"
 TEXT = """# The controller beside other ways to do the same
 
 `./surg dev bench control --page`: one tip motion (±35, ±35, ±25 mm, 500 Hz) by our forms of the
-law, QPs with the velocity form's wish, KDL and Python IK, on an ideal plant; one recorded
+law, QPs with the velocity form's wish and KDL, on an ideal plant; one recorded
 stream by our filter and by Ruckig, within 0.25 m/s, 2 m/s², 40 m/s³. RCM and tip: largest
 deviations, at samples and between. Two figures: median / p99; filter: in a tick with a sample /
 over the stream. `ruckig_lead` is told our estimate, ahead by the best of 98 leads.
@@ -84,8 +84,7 @@ def streams(figures: dict[str, Any]) -> Rows:
         "mean µs": "cost_us",
         "p99 µs": "p99_us",
     }
-    shown = {name: of for name, of in figures.items() if name.startswith(("filter", "ruckig"))}
-    return grid("follower", shown, columns)
+    return grid("follower", figures, columns)
 
 
 def profiles(figures: dict[str, Any]) -> Rows:
@@ -121,9 +120,6 @@ def cycle_summary(result: dict[str, Any]) -> Rows:
         ("limited step", cost["limited"], "≤ 1 / 5"),
         ("with preview", cost["limited_preview"], "≤ 5 / 20"),
     ]
-    if "nodelet_us" in result:
-        compute = result["nodelet_us"]
-        found.append((whole, {"median": compute["p50"], "p99": compute["p99"]}, "p99 ≤ 40"))
     if "whole_cycle_us" in result:
         alone = result["whole_cycle_us"]
         found.append((f"{whole}, back to back", alone["plain"], "p99 ≤ 40"))
@@ -196,9 +192,9 @@ def draw(result: dict[str, Any], file: Path) -> None:
     bars(left, names, [result["cycle_us"][name]["median"] for name in names])
     left.set_xlabel("time of one cycle, median [µs]")
     rcm = [result["rcm_deviation_um"][name] for name in names]
-    bars(right, names, [max(r["max_at_samples"], r.get("max_between", 0.0)) for r in rcm])
+    bars(right, names, [max(r["max_at_samples"], r["max_between"]) for r in rcm])
     right.set_yticklabels([])
-    right.set_xlabel("largest pivot deviation [µm]; Python laws: at samples only")
+    right.set_xlabel("largest pivot deviation [µm]")
     figure.suptitle(
         "UR5e on an ideal plant, logarithmic scales; shorter is better; blue: this project's forms",
         fontsize=10,

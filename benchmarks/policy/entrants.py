@@ -31,8 +31,6 @@ class Entrant:
     method: str
     seed: int | None
     pictures: tuple[str, ...]
-    recipe: str
-    """What trained it, but for seed and device: method, options, data set, pictures; JSON."""
 
     @property
     def label(self) -> str:
@@ -74,13 +72,9 @@ def entrant(weights: Path) -> Entrant:
         ValueError: See `policy_of`.
     """
     policy = policy_of(weights)
-    options = dict(policy.about.get("options", {}))
-    seed = options.pop("seed", None)
-    options.pop("device", None)
-    method, pictures = getattr(policy, "method", SHIPPED), pictures_of(policy)
-    data = [policy.about.get(name) for name in ("dataset", "episodes", "frames")]
-    recipe = json.dumps([method, options, data, pictures], sort_keys=True)
-    return Entrant(weights, policy.hash, method, seed, pictures, recipe)
+    seed = policy.about.get("options", {}).get("seed")
+    method = getattr(policy, "method", SHIPPED)
+    return Entrant(weights, policy.hash, method, seed, pictures_of(policy))
 
 
 def pictures_of(policy: Any) -> tuple[str, ...]:

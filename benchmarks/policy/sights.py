@@ -138,12 +138,6 @@ class Replayed:
         return shown
 
 
-def turned(degrees: float) -> np.ndarray:
-    """Quaternion (w, x, y, z) of a turn about the camera's x axis."""
-    half = np.radians(degrees) / 2
-    return np.array([np.cos(half), np.sin(half), 0.0, 0.0])
-
-
 @dataclass(frozen=True)
 class Condition:
     """One row of the table."""
@@ -160,8 +154,6 @@ class Condition:
     """The camera is turned up so far [deg]."""
     targets: tuple[int, int] | None = None
     """First and last node that the assistant may point at; None: those of training."""
-    delays: tuple[float, float] | None = None
-    """Means of answer and picture [ms]; None: lock-step, nothing takes time."""
     randomization: DomainRandomization | None = None
     """Ranges of the light, tissue, lens and pose of each episode; None: as built."""
     blind: bool = field(default=False)
@@ -176,9 +168,6 @@ CONDITIONS = (
     Condition("black", black, blind=True),
     Condition("another episode's pictures", None, blind=True),
     Condition("the right eye's pictures", view="right"),
-    Condition("answers 20 ms, pictures 50 ms late", delays=(20.0, 50.0)),
-    Condition("answers 50 ms, pictures 80 ms late", delays=(50.0, 80.0)),
-    Condition("answers 90 ms, pictures 120 ms late", delays=(90.0, 120.0)),
     Condition("light 60 %", light(0.6)),
     Condition("light 30 %", light(0.3)),
     Condition("blur, 4 px", blur(4.0)),

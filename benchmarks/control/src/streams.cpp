@@ -77,45 +77,6 @@ struct Filter : Follower {
   bool begun = false;
 };
 
-/// The newest sample, jumps and all.
-struct Hold : Follower {
-  Hold() {
-    name = "hold";
-    what = "the newest sample, no limits";
-  }
-  void reset(const Sample& first) override {
-    for (int i = 0; i < 3; ++i) state[i] = {first.x[i], 0, 0};
-  }
-  const Axes& tick(double, const Sample& newest, bool) override {
-    for (int i = 0; i < 3; ++i) {
-      const double v = (newest.x[i] - state[i].x) / T;
-      state[i] = {newest.x[i], v, (v - state[i].v) / T};
-    }
-    return state;
-  }
-  Axes state{};
-};
-
-/// The paper's quintic of fixed duration, re-planned every cycle.
-struct PaperQuintic : Follower {
-  explicit PaperQuintic(const surg::DofLimits& limits)
-      : profiler({limits, limits, limits, limits}, 0.5) {
-    name = "paper";
-    what = "the paper's quintic, d = 0.5 s, re-planned every cycle";
-  }
-  void reset(const Sample& first) override {
-    profiler.reset(std::array<double, 4>{first.x[0], first.x[1], first.x[2], 0});
-  }
-  const Axes& tick(double, const Sample& newest, bool) override {
-    profiler.plan_fixed({newest.x[0], newest.x[1], newest.x[2], 0}, 0.5);
-    profiler.advance(T);
-    for (int i = 0; i < 3; ++i) state[i] = profiler.state()[i];
-    return state;
-  }
-  surg::Profiler profiler;
-  Axes state{};
-};
-
 /// Root mean square distance to the truth, no shift [m].
 double rms(Follower& follower, const Stream& stream) {
   const auto& [samples, truth] = stream;
@@ -216,8 +177,6 @@ int streams([[maybe_unused]] const std::string& tuning, const std::string& test,
   const auto [samples, truth] = read_stream(test);
   Followers followers;
   followers.push_back(std::make_unique<Filter>(limits));
-  followers.push_back(std::make_unique<Hold>());
-  followers.push_back(std::make_unique<PaperQuintic>(limits));
 #ifdef BENCH_RUCKIG
   add_ruckig(followers, limits, -1, false);
   add_best_ruckig(followers, limits, read_stream(tuning));

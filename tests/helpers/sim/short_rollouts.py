@@ -40,4 +40,4 @@ def play(job: Job) -> Result:
     env.session.task.time_limit = LIMIT  # type: ignore[misc]
     done = roll_out(env, Circling(), seed)
     env.close()
-    return Result(name, seed, done.success, done.hash, "", done.refused, done.rcm_max, [0.0, 0.0])
+    return Result(name, seed, done.success, done.hash, done.refused, done.rcm_max)

@@ -1,4 +1,4 @@
-"""What `./surg dev bench imitation` shows to a policy, and what it lets it wait for."""
+"""What `./surg dev bench imitation` shows to a policy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from surg_cli.host import paths
 sys.path.insert(0, str(paths.ROOT / "benchmarks"))
 
 import bench_imitation
-from policy import made_up_clock, sights
+from policy import sights
 
 LEFT, RIGHT = (f"observation.images.endoscope.{side}" for side in ("left", "right"))
 PICTURE = np.random.default_rng(0).integers(20, 230, (48, 64, 3), np.uint8)
@@ -71,59 +71,6 @@ def test_the_right_eye_is_shown_as_the_left_one() -> None:
     through = bench_imitation.Through(policy, {LEFT: (lambda picture: picture, "right")})
     through.act({LEFT: left, RIGHT: right})
     np.testing.assert_array_equal(shown, [right])
-
-
-def test_turns_are_those_of_scipy() -> None:
-    from scipy.spatial.transform import Rotation
-
-    rng = np.random.default_rng(4)
-    a, b = (q / np.linalg.norm(q) for q in rng.normal(size=(2, 4)))
-    wanted = Rotation.from_quat(np.roll(a, -1)) * Rotation.from_quat(np.roll(b, -1))
-    product = bench_imitation.product(a, b)
-    np.testing.assert_allclose(bench_imitation.matrix(product), wanted.as_matrix(), atol=1e-12)
-    turn = Rotation.from_quat(np.roll(sights.turned(10.0), -1)).as_rotvec(degrees=True)
-    np.testing.assert_allclose(turn, [10.0, 0.0, 0.0], atol=1e-12)
-
-
-class Straight:
-    """Goes on along x from the last command, 1.2 mm a step, whatever it sees; 16 rows."""
-
-    def __init__(self) -> None:
-        self.said: Any = None
-        self.steps: list[int] = []
-
-    def reset(self, instruction: str, seed: int | None) -> None:
-        """Nothing to forget."""
-
-    def act(self, observation: Any) -> Any:
-        """From where it believes to be, as a policy does that was trained in lock-step."""
-        state = observation["observation.state"].astype(float)
-        held = np.array([*state[5:9], state[4]])
-        last = held if self.said is None else self.said
-        rows = last + np.arange(1, 17)[:, None] * np.array([1.2e-3, 0, 0, 0, 0])
-        self.said = rows[0]
-        self.steps.append(observation.step)
-        return rows
-
-
-@pytest.mark.parametrize(("answer", "picture"), [(10.0, 0.0), (100.0, 100.0)])
-def test_late_answers_and_old_pictures_are_taken_up(answer: float, picture: float) -> None:
-    """Without rendering: the arm goes where the policy says, and nothing is refused."""
-    from surg_sim.envs.surg_env import SurgEnv
-
-    env, policy = SurgEnv("pick_and_place"), Straight()
-    seen, _ = env.reset(seed=3)
-    begin = seen["state"][0]
-    player = made_up_clock.Player(env, policy, made_up_clock.Delays(answer, picture), 0)
-    for _ in range(24):
-        player.expose(env.session.world.tick * made_up_clock.TICK_NS, {"left": PICTURE})
-        seen, *_ = env.stream(player.tick)
-    counters = player.server.counters
-    missed = np.diff(policy.steps).max() > 1
-    assert missed == (answer > 50.0) and player.stopped == "" and not counters.rejected
-    moved = seen["state"][0] - begin
-    assert 0.010 < moved < 0.030, moved
-    assert counters.accepted >= 15
 
 
 def test_a_wrong_word_names_the_conditions(monkeypatch: pytest.MonkeyPatch) -> None:
