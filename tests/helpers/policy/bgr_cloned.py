@@ -12,26 +12,24 @@ from pyarrow import parquet
 
 from helpers.policy import bgr_pictures as made
 from helpers.policy.bgr_synthetic import ACTION, STATE
-from surg_learn.bgr import cache_pictures
 from surg_learn.bgr import cloned_networks as cloned_networks
 from surg_learn.bgr import cloned_policy as cloned_policy
-from surg_learn.bgr import train_baselines as train_baselines
 from surg_learn.bgr import train_cloned as train_cloned
-from surg_learn.bgr.training import checkpoints as checkpoints
+from surg_learn.bgr.training import recorded_steps
 
-LEFT, RIGHT = cache_pictures.LEFT, cache_pictures.RIGHT
+LEFT, RIGHT = recorded_steps.LEFT, recorded_steps.RIGHT
 WHOLE, APPROACH, CLOSE = "Grasp the spot.", "Go to the spot.", "Close the jaws."
 OPEN = 0.68
 """Jaws of `bgr_pictures.episode` on their way [rad]."""
 
 
-def recorded(train: int = 6, val: int = 1, eyes: int = 1) -> cache_pictures.Recorded:
+def recorded(train: int = 6, val: int = 1, eyes: int = 1) -> recorded_steps.Recorded:
     """The tip goes to the spot (phase 0), the jaws close (phase 1); the right eye sees mirrored."""
     shown = [made.episode(seed) for seed in range(train + val)]
     action = np.concatenate([each.action for each in shown])
     left = np.concatenate([each.views for each in shown])
     views = {LEFT: left, RIGHT: left[:, :, ::-1]}
-    return cache_pictures.Recorded(
+    return recorded_steps.Recorded(
         np.concatenate([each.state for each in shown]),
         action,
         (action[:, 4] < OPEN).astype(int),
@@ -44,7 +42,7 @@ def recorded(train: int = 6, val: int = 1, eyes: int = 1) -> cache_pictures.Reco
     )
 
 
-def written(folder: Path, found: cache_pictures.Recorded, **info: Any) -> Path:
+def written(folder: Path, found: recorded_steps.Recorded, **info: Any) -> Path:
     """The same as a LeRobot dataset (v2.1) as `./surg episode export` writes it."""
     import av
 
@@ -53,8 +51,8 @@ def written(folder: Path, found: cache_pictures.Recorded, **info: Any) -> Path:
     column = {
         "observation.state": {"names": STATE},
         "action": {"names": ACTION},
-        cache_pictures.PHASE: {"names": None},
-        cache_pictures.WHOLE: {"names": None},
+        recorded_steps.PHASE: {"names": None},
+        recorded_steps.WHOLE: {"names": None},
     }
     shape = [120, 120, 3]
     facts = {
@@ -78,8 +76,8 @@ def written(folder: Path, found: cache_pictures.Recorded, **info: Any) -> Path:
         table = {
             "observation.state": list(found.state[part]),
             "action": list(found.action[part]),
-            cache_pictures.PHASE: place,
-            cache_pictures.WHOLE: np.ones(len(place), int),
+            recorded_steps.PHASE: place,
+            recorded_steps.WHOLE: np.ones(len(place), int),
         }
         parquet.write_table(pa.table(table), folder / "data" / "000" / f"{index:06d}.parquet")
         for key, views in found.views.items():

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
-import os
 import re
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,11 +18,9 @@ from helpers.policy import bgr_cloned as made
 from helpers.policy.bgr_cloned import (
     LEFT,
     RIGHT,
-    cache_pictures,
-    checkpoints,
     cloned_networks,
     cloned_policy,
-    train_baselines,
+    recorded_steps,
     train_cloned,
 )
 from helpers.policy.bgr_pictures import keypoint_network, picture_augmentation
@@ -84,7 +76,7 @@ def weights(sizes: dict[str, Any], **head: Any) -> Policy:
         "output_std": np.full(5 * whole.chunk, 1e-3),
         "jaw_range": np.array([0.0, 0.7]),
     }
-    about = {"pictures": [LEFT, RIGHT][: whole.eyes], "ensemble": None, "play": 1, **head}
+    about = {"pictures": [LEFT, RIGHT][: whole.eyes], "play": 1, **head}
     names = {"observation.state": STATE, "action": state_policy.ACTIONS}
     return Policy(cloned_networks.network_of(whole), scales, names, whole, about)
 
@@ -114,7 +106,7 @@ def test_the_gate_learns_the_phases_and_nothing_else_has_one(policy: Policy) -> 
         share = max(np.bincount(FEW.phase)) / len(FEW.phase)
         assert said > 0.9 > share + 0.1
         assert policy.about["phases"] == [made.APPROACH, made.CLOSE]
-        assert policy.about["labels"] == [cache_pictures.PHASE]
+        assert policy.about["labels"] == [recorded_steps.PHASE]
     else:
         assert said is None and policy.about["labels"] == []
 
@@ -147,7 +139,7 @@ def test_each_expert_says_the_actions_of_its_own_phase() -> None:
 
 def test_steps_without_a_phase_teach_the_gate_nothing() -> None:
     answer = cloned_networks.Answer(torch.zeros(3, 5), torch.tensor([[2.0, 0.0]] * 3))
-    told, none = torch.zeros(3, 5), cache_pictures.NO_PHASE
+    told, none = torch.zeros(3, 5), recorded_steps.NO_PHASE
     alone = train_cloned.losses(answer, told, torch.tensor([0, none, none]))["gate"]
     expected = -torch.log_softmax(torch.tensor([2.0, 0.0]), 0)[0]
     torch.testing.assert_close(alone, expected)
@@ -192,60 +184,6 @@ def test_one_seed_gives_the_same_weights_and_another_others(method: str) -> None
     assert hashes[0] == hashes[1] != hashes[2]
 
 
-class Interrupted(Exception):
-    """Somebody stops a training."""
-
-
-def interrupted_at(part: float) -> Any:
-    def progress(done: float, note: str) -> None:
-        if done >= part:
-            raise Interrupted
-
-    return progress
-
-
-@pytest.mark.parametrize("method", cloned_networks.METHODS)
-def test_an_interrupted_training_goes_on_to_the_same_weights(
-    method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Interrupted twice, between two of the files that it writes."""
-    monkeypatch.setattr(checkpoints.Kept, "EVERY", 20)
-    found = made.recorded(2)
-    options = dataclasses.replace(OPTIONS, method=method, steps=110, seed=3)
-    file = tmp_path / "w.npz.part"
-    for part in (0.4, 0.9):
-        with pytest.raises(Interrupted):
-            train_cloned.train(found, options, interrupted_at(part), file)
-    notes: list[str] = []
-    again = train_cloned.train(found, options, lambda part, note: notes.append(note), file)
-    assert notes[0] == "goes on with step 100 of 110"
-    assert again.hash == train_cloned.train(found, options).hash
-
-
-def test_the_beginning_of_another_training_is_refused(tmp_path: Path) -> None:
-    """Other options, other pictures, a file that is none; nothing is written over."""
-    found, file = made.recorded(2), tmp_path / "w.npz.part"
-    options = dataclasses.replace(OPTIONS, steps=250)
-    with pytest.raises(Interrupted):
-        train_cloned.train(found, options, interrupted_at(0.8), file)
-    kept = file.read_bytes()
-    dark = dataclasses.replace(found, views={LEFT: found.views[LEFT] // 2})
-    for data, other, threads in (
-        (found, dataclasses.replace(options, seed=1), 1),
-        (dark, options, 1),
-        (found, options, 2),
-    ):
-        torch.set_num_threads(threads)
-        with pytest.raises(ValueError, match=r"w\.npz\.part: not the beginning.*remove it"):
-            train_cloned.train(data, other, on_the_way=file)
-        assert file.read_bytes() == kept
-    torch.set_num_threads(1)
-    for broken in (kept[:1000], b""):
-        file.write_bytes(broken)
-        with pytest.raises(ValueError, match="not the beginning of this training"):
-            train_cloned.train(found, options, on_the_way=file)
-
-
 # --- deployment ---------------------------------------------------------------------------------
 
 
@@ -281,30 +219,6 @@ def test_saved_and_loaded_it_says_the_same(policy: Policy, tmp_path: Path) -> No
         each.reset("", None)
     np.testing.assert_array_equal(again.act(seen), policy.act(seen))
     assert state_policy.wanted(again).observation[LEFT].shape == (120, 120, 3)
-
-
-def test_an_ensemble_is_the_weighted_mean_of_all_chunks_about_a_time(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Three chunks of constants 0, 1, 2 (the oldest first), as ACT's paper weighs them."""
-    rate = 0.5
-    policy = weights({"method": "bc", "chunk": 3}, ensemble=rate)
-    told = iter([0.0, 1.0, 2.0, 3.0, 4.0])
-    zero = np.zeros((1, 120, 120, 3), np.uint8)
-    answer = SimpleNamespace(chunk=torch.zeros(1, 15))
-    monkeypatch.setattr(policy, "answer", lambda *a: answer)
-    monkeypatch.setattr(policy, "actions", lambda said, last: np.full((1, 3, 5), 1e-3 * next(told)))
-    seen = {"observation.state": np.zeros(len(STATE)), LEFT: zero[0]}
-    policy.reset()
-    chunks = [1e3 * policy.act(seen) for _ in range(4)]
-    w = np.exp(-rate * np.arange(3))
-    np.testing.assert_allclose(chunks[0], 0.0)
-    np.testing.assert_allclose(chunks[2][0], w @ [0, 1, 2] / w.sum())
-    np.testing.assert_allclose(chunks[2][1], w[:2] @ [1, 2] / w[:2].sum())
-    np.testing.assert_allclose(chunks[3][0], w @ [1, 2, 3] / w.sum())
-    np.testing.assert_allclose(chunks[3][2], 3.0)
-    policy.acknowledged({"rejected": [{"step": 3}]})
-    np.testing.assert_allclose(1e3 * policy.act(seen), 4.0, err_msg="the arm is at rest again")
 
 
 def scripted(
@@ -406,25 +320,21 @@ def test_training_varies_both_eyes_alike_and_each_step_anew(
 # --- data ---------------------------------------------------------------------------------------
 
 
-def test_a_dataset_and_its_folder_of_small_pictures_hold_the_same(tmp_path: Path) -> None:
+def test_a_dataset_is_read_and_trained_with(tmp_path: Path) -> None:
     found = made.recorded(2, 0, eyes=2)
     folder = made.written(tmp_path / "set", found)
-    small = tmp_path / "small"
-    assert cache_pictures.main([str(folder), str(small), "--eyes", "2"]) == 0
-    for each in (cache_pictures.recorded(f, (LEFT, RIGHT)) for f in (folder, small)):
-        np.testing.assert_allclose(each.state, found.state, atol=1e-6)
-        np.testing.assert_array_equal(each.begins, found.begins)
-        phase = found.phase.copy()
-        phase[found.begins[1:] - 1] = cache_pictures.NO_PHASE
-        np.testing.assert_array_equal(each.phase, phase)
-        assert each.phases == [made.APPROACH, made.CLOSE] and each.split == ["train", "train"]
-        for key in (LEFT, RIGHT):
-            off = np.abs(each.views[key].astype(int) - found.views[key])
-            assert off.mean() < 4.0, "what the codec leaves"
-    assert isinstance(cache_pictures.recorded(small, (LEFT,)).views[LEFT], np.memmap)
-    words = [str(small), "--method", "bc", "--out", str(tmp_path / "w.npz"), "--steps", "1"]
+    read = recorded_steps.read(folder, (LEFT, RIGHT))
+    np.testing.assert_allclose(read.state, found.state, atol=1e-6)
+    np.testing.assert_array_equal(read.begins, found.begins)
+    phase = found.phase.copy()
+    phase[found.begins[1:] - 1] = recorded_steps.NO_PHASE
+    np.testing.assert_array_equal(read.phase, phase)
+    assert read.phases == [made.APPROACH, made.CLOSE] and read.split == ["train", "train"]
+    for key in (LEFT, RIGHT):
+        off = np.abs(read.views[key].astype(int) - found.views[key])
+        assert off.mean() < 4.0, "what the codec leaves"
+    words = [str(folder), "--method", "bc", "--out", str(tmp_path / "w.npz"), "--steps", "1"]
     assert train_cloned.main([*words, "--batch", "2", "--device", "cpu"]) == 0
-    assert not (tmp_path / "w.npz.part").exists()
     head = np.load(tmp_path / "w.npz", allow_pickle=False)["head"].tobytes()
     assert json.loads(head)["about"]["frames"] == len(found.state)
 
@@ -434,76 +344,6 @@ def test_steps_that_lead_to_a_miss_are_left_out() -> None:
     found.action[10:12, 4] = 0.0  # closes on nothing, and opens again
     rows = train_cloned.Steps.of(found, "train", 4).rows
     assert set(range(11)).isdisjoint(rows) and 12 in rows
-
-
-# --- several trainings ---------------------------------------------------------------------------
-
-
-def test_the_field_is_trained_side_by_side_and_what_is_there_is_not_trained_again(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Without phases MoE-ACT fails, and says why; the others are trained."""
-    cache_pictures.save(dataclasses.replace(made.recorded(1), phases=[]), tmp_path / "small")
-    out = tmp_path / "field"
-    words = [str(tmp_path / "small"), str(out), "--seeds", "0", "4"]
-    more = ["--", "--steps", "1", "--batch", "2", "--device", "cpu"]
-    assert train_baselines.main([*words, "--methods", "bc", "moe_act", *more]) == 1
-    files = {seed: out / f"bc_{seed}.npz" for seed in (0, 4)}
-    assert {Policy.load(file).about["options"]["seed"] for file in files.values()} == {0, 4}
-    said = capsys.readouterr().err.strip().splitlines()
-    assert len(said) == 2 and all(re.search("moe_act.*needs the phases", line) for line in said)
-    before = files[4].stat().st_mtime_ns
-    files[0].unlink()
-    assert train_baselines.main([*words, "--methods", "bc", *more]) == 0
-    assert files[0].exists() and files[4].stat().st_mtime_ns == before
-
-
-def test_options_of_the_trainings_stand_behind_two_dashes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as left:
-        train_baselines.main(["--play", "8", str(tmp_path), str(tmp_path / "field")])
-    assert left.value.code == 2 and "[-- options of" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
-def test_a_field_that_is_stopped_leaves_no_training_behind(
-    tmp_path: Path, how: signal.Signals
-) -> None:
-    """It says how to go on, and what was trained is kept; so is how far it came."""
-    cache_pictures.save(made.recorded(1), tmp_path / "small")
-    out = tmp_path / "field"
-    words = [str(tmp_path / "small"), str(out), "--seeds", "0", "--methods", "bc"]
-    more = ["--", "--steps", "2000", "--batch", "1", "--device", "cpu"]
-    command = [sys.executable, train_baselines.__file__, *words, *more]
-    field = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
-    deadline = time.monotonic() + 120.0
-    while not (out / "bc_0.npz.part").exists() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    if how == signal.SIGINT:
-        os.killpg(field.pid, how)  # as the terminal does: to the trainings, too
-    else:
-        field.terminate()
-    said, _ = field.communicate(timeout=30.0)
-    assert field.returncode == 130 and "the same command goes on" in said
-    assert (out / "bc_0.npz.part").exists()
-    assert not running(str(out))
-    (log,) = out.glob("*.log")
-    assert "Traceback" not in log.read_text()
-    (again,) = train_baselines.planned(
-        SimpleNamespace(data=tmp_path, out=out, seeds=[0], methods=["bc"]), []
-    )
-    assert 0.0 < again.done() < 1.0
-
-
-def running(word: str) -> list[str]:
-    """Command lines that hold it."""
-    found = []
-    for file in Path("/proc").glob("[0-9]*/cmdline"):
-        with contextlib.suppress(OSError):
-            found.append(file.read_text("utf-8", "replace"))
-    return [line for line in found if word in line]
 
 
 # --- what does not fit --------------------------------------------------------------------------
@@ -572,20 +412,3 @@ def test_weights_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         file.write_bytes(file.read_bytes()[:cut])
         with pytest.raises(ValueError, match=r"w\.npz: no weights"):
             Policy.load(file)
-
-
-def test_a_folder_of_another_dataset_is_refused(tmp_path: Path) -> None:
-    cache_pictures.save(made.recorded(1), tmp_path / "small")
-    with pytest.raises(ValueError, match=r"small: .*: it has no .*right: make.*--eyes 2"):
-        cache_pictures.recorded(tmp_path / "small", (LEFT, RIGHT))
-    with pytest.raises(ValueError, match="cannot be written"):
-        cache_pictures.save(made.recorded(1), tmp_path / "small")
-    for name in ("tables.npz", f"{LEFT}.npy", "views.json"):
-        file = tmp_path / "small" / name
-        whole = file.read_bytes()
-        for cut in (len(whole) // 2, 0):  # a copy that was cut off
-            file.write_bytes(whole[:cut])
-            with pytest.raises(ValueError, match="small: not usable as a folder of small pictures"):
-                cache_pictures.recorded(tmp_path / "small", (LEFT,))
-        file.write_bytes(whole)
-    assert cache_pictures.recorded(tmp_path / "small", (LEFT,)).split == ["train", "val"]

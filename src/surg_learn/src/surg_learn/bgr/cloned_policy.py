@@ -4,16 +4,14 @@
 
 `train_cloned.py` writes the weights, which name their method. The policy reads
 `observation.state` and the endoscope's picture or pictures: **what a robot can measure, and nothing
-else**. It plays a chunk nearly to its end before it asks the network again, as ACT's authors do, or
-asks at each step and averages (`play` and `ensemble` of its training). Of the episode it remembers
-what it said. One thread runs it.
+else**. It plays a chunk nearly to its end before it asks the network again, as ACT's authors do
+(`play` of its training). Of the episode it remembers what it said. One thread runs it.
 """
 
 from __future__ import annotations
 
 import hashlib
 import sys
-from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -66,7 +64,7 @@ class ClonedPolicy(Policy):
         pictures: Keys of the eyes.
     """
 
-    format = "surg_bgr_cloned_policy/3"
+    format = "surg_bgr_cloned_policy/4"
     trainer = "train_cloned.py"
 
     def __init__(
@@ -79,7 +77,7 @@ class ClonedPolicy(Policy):
     ) -> None:
         self.sizes, self.pictures = sizes, tuple(about["pictures"])
         self.wants = (STATE, *self.pictures)
-        self._ensemble, self._play = about["ensemble"], about["play"]
+        self._play = about["play"]
         super().__init__(network.eval(), scales, names, sizes.chunk, about)
 
     @property
@@ -104,8 +102,8 @@ class ClonedPolicy(Policy):
 
     @property
     def hash(self) -> str:
-        """SHA-256 over weights, scales, ensemble and play; equal trainings give equal hashes."""
-        found = hashlib.sha256(repr((self.sizes, self._ensemble, self._play)).encode())
+        """SHA-256 over weights, scales and play; equal trainings give equal hashes."""
+        found = hashlib.sha256(repr((self.sizes, self._play)).encode())
         for name, array in sorted(self.arrays().items()):
             found.update(name.encode() + np.ascontiguousarray(array).tobytes())
         return found.hexdigest()
@@ -141,7 +139,6 @@ class ClonedPolicy(Policy):
     def reset(self, instruction: str = "", seed: int | None = None) -> None:
         """Forget the last episode."""
         super().reset(instruction, seed)
-        self._chunks: deque[tuple[int, Array]] = deque(maxlen=self.chunk)
         self._told = 0
 
     def answer(self, views: Sequence[Array], state: Array, last: Array) -> Answer:
@@ -168,19 +165,16 @@ class ClonedPolicy(Policy):
         """
         if self.goes_on(observation):
             return self._rest(observation)
-        if self._ensemble is None:
-            self._kept = min(self._play, self.chunk)
+        self._kept = min(self._play, self.chunk)
         arrays = self.see(observation)
         state = np.asarray(arrays[STATE], np.float64).ravel()[self._columns]
         held = state[SET]
         last = self.last_command(held, observation)
-        if last is held:  # no command is in force: none of before is
-            self._chunks.clear()
         views = [small(np.asarray(arrays[key]))[None] for key in self.pictures]
         said = self.answer(views, state[None], last[None]).chunk.cpu().numpy()
         chunk = self.actions(said, last[None])[0]
         self._told = self._asked
-        return self.say(self._blended(chunk, self._asked), observation)
+        return self.say(chunk, observation)
 
     def _rest(self, observation: Any) -> Array | None:
         """What is left of the chunk that goes on, every few steps; None in between."""
@@ -191,21 +185,6 @@ class ClonedPolicy(Policy):
         # Without grid times the rows that were played are gone already.
         left = 0 if getattr(observation, "step", None) is None else now - self._asked
         return self._said[left:]
-
-    def _blended(self, chunk: Array, now: int) -> Array:
-        """A chunk (K, 5) averaged with earlier ones, step by step (Zhao et al. 2023).
-
-        The oldest has the weight 1, each later one exp(-ensemble) times that of the one before.
-        """
-        if self._ensemble is None:
-            return chunk
-        self._chunks.append((now, chunk))
-        total, weight = np.zeros_like(chunk), np.zeros((len(chunk), 1))
-        for age, (begin, said) in enumerate(c for c in self._chunks if now - c[0] < self.chunk):
-            rows, share = len(said) - (now - begin), float(np.exp(-self._ensemble * age))
-            total[:rows] += share * said[now - begin :]
-            weight[:rows] += share
-        return total / weight
 
 
 if __name__ == "__main__":

@@ -2,11 +2,10 @@
 
     python3 -m surg_learn.bgr.train_cloned datasets/bgr --method act --seed 0 --out act_0.npz
 
-It reads a LeRobot dataset (v2.1) or a folder of `cache_pictures.py`, and the same for all methods:
-pictures, what a robot measures, and the demonstrator's commands, varied by `picture_augmentation`.
-MoE-ACT's gate learns the phases of the recordings, too. No method reads the simulator's truth.
-Equal data, options, seed and number of threads give equal weights on a processor. The same command
-goes on with a training that was interrupted (`checkpoints.py`).
+It reads a LeRobot dataset (v2.1), and the same for all methods: pictures, what a robot measures,
+and the demonstrator's commands, varied by `picture_augmentation`. MoE-ACT's gate learns the phases
+of the recordings, too. No method reads the simulator's truth. Equal data, options, seed and number
+of threads give equal weights on a processor.
 """
 
 from __future__ import annotations
@@ -15,19 +14,16 @@ import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from surg_learn.bgr.cache_pictures import NO_PHASE, PHASE, Recorded, eyes_of, recorded
 from surg_learn.bgr.cloned_networks import METHODS, Answer, Sizes, network_of
 from surg_learn.bgr.cloned_policy import ClonedPolicy, numbers_of, scaled
 from surg_learn.bgr.keypoint_network import SIDE
 from surg_learn.bgr.state_policy import ACTION, ACTIONS, SET, STATE, state_columns
 from surg_learn.bgr.train_images import missed
-from surg_learn.bgr.training.checkpoints import Kept, mark_of
 from surg_learn.bgr.training.keypoint_training import DEVICES, device_for
 from surg_learn.bgr.training.lerobot_dataset import (
     Array,
@@ -40,6 +36,7 @@ from surg_learn.bgr.training.lerobot_dataset import (
 )
 from surg_learn.bgr.training.perceptron import half_cosine
 from surg_learn.bgr.training.picture_augmentation import Looks, Varied, inside_of
+from surg_learn.bgr.training.recorded_steps import NO_PHASE, PHASE, Recorded, eyes_of, read
 from surg_learn.bgr.training.trainer_options import chosen, parser_of, trained
 
 CHUNKS = {"bc": 16, "act": 40, "moe_act": 40}
@@ -80,9 +77,6 @@ class Options:
     play: int | None = None
     """Steps of a chunk that are played before the next one is asked for; None: but for the last
     `RESERVE` all."""
-    ensemble: float | None = None
-    """Rate of the temporal ensemble at deployment (ACT's paper: 0.01), which asks at each step;
-    None: no ensemble."""
     seed: int = 0
     device: str = "auto"
     looks: Looks = field(default_factory=lambda: Looks(moved=0.0))
@@ -137,10 +131,7 @@ class Looked(Varied):
 
 
 def train(
-    found: Recorded,
-    options: Options,
-    progress: Progress = lambda part, note: None,
-    on_the_way: Path | None = None,
+    found: Recorded, options: Options, progress: Progress = lambda part, note: None
 ) -> ClonedPolicy:
     """Train on the split ``train``.
 
@@ -148,11 +139,9 @@ def train(
         found: Demonstrations.
         options: How.
         progress: Is told how far it is.
-        on_the_way: File that a training interrupted goes on from; None: it begins anew.
 
     Raises:
-        ValueError: The split is empty, phases are missing, the device is not there, or the file is
-            of another training.
+        ValueError: The split is empty, phases are missing, or the device is not there.
     """
     check(found, options)
     options = replace(options, device=device_for(options.device))
@@ -167,15 +156,10 @@ def train(
     torch.manual_seed(options.seed)  # weights are drawn on the processor: alike on every device
     network = network_of(sizes).to(options.device)
     data = normalised(scales, numbers, known.targets)
-    kept = None
-    if on_the_way is not None:
-        some = [each[:: max(len(each) // 20, 1)] for each in found.views.values()]
-        kept = Kept(on_the_way, mark_of(setting(options, sizes), [*data, known.phase, *some]))
-    _fit(network, found, known, data, options, progress, kept)
+    _fit(network, found, known, data, options, progress)
     about: dict[str, Any] = {
         "method": options.method,
         "options": asdict(options),
-        "ensemble": options.ensemble,
         "play": max(chunk - RESERVE, 1) if options.play is None else options.play,
         "dataset": found.about,
         "pictures": list(found.views),
@@ -194,16 +178,6 @@ def train(
     }
     policy.network.cpu()
     return policy
-
-
-def setting(options: Options, sizes: Sizes) -> dict[str, Any]:
-    """What the weights depend on beside the data."""
-    return {
-        "options": asdict(options),
-        "sizes": asdict(sizes),
-        "torch": torch.__version__,
-        "threads": torch.get_num_threads(),
-    }
 
 
 def chunk_of(options: Options) -> int:
@@ -246,7 +220,6 @@ def _fit(
     data: tuple[Array, Array],
     options: Options,
     progress: Progress,
-    kept: Kept | None,
 ) -> None:
     """Train a network; ``data`` are normalised numbers and chunks of all steps."""
     device = options.device
@@ -260,12 +233,7 @@ def _fit(
     adam = torch.optim.AdamW(network.parameters(), lr=options.rate, weight_decay=options.decay)
     torch.backends.cuda.matmul.allow_tf32 = True  # a GPU's float32 with 10 bits instead of 23
     network.train()
-    begin = 0 if kept is None else kept.load(network, adam)
-    if begin:
-        progress(begin / options.steps, f"goes on with step {begin} of {options.steps}")
-    for step in range(begin, options.steps):
-        if kept is not None and step > begin and step % Kept.EVERY == 0:
-            kept.save(step, network, adam)
+    for step in range(options.steps):
         rng = np.random.default_rng([options.seed, 0, step])
         torch.manual_seed(int(rng.integers(2**63)))
         for look in vary:
@@ -332,15 +300,13 @@ def errors(policy: ClonedPolicy, found: Recorded, steps: Steps) -> dict[str, flo
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    data = "of ./surg episode export, or of cache_pictures.py"
-    made = parser_of("train_cloned", (__doc__ or "").split("\n")[0], data)
+    made = parser_of("train_cloned", (__doc__ or "").split("\n")[0])
     made.add_argument("--method", choices=METHODS, required=True)
     made.add_argument("--device", choices=DEVICES, default=DEVICES[0], help="where it trains")
     made.add_argument("--eyes", type=int, choices=(1, 2), default=1, help="left, or left + right")
     for name, kind, about in (
         ("batch", int, "observations of a step"),
         ("play", int, "steps that are played before the next chunk is asked for (all but 4)"),
-        ("ensemble", float, "rate of ACT's temporal ensemble, which asks at each step"),
         ("noise", float, "on normalised numbers, standard deviation (default 0.3)"),
         ("moved", float, "chance of a shifted and turned picture (default 0)"),
     ):
@@ -360,20 +326,16 @@ def brief_of(known: dict[str, Any]) -> str:
 def main(words: Sequence[str] | None = None) -> int:
     """Entry point; returns 0, or 2 for unusable data."""
     given = parser().parse_args(words)
-    on_the_way = given.out.with_name(f"{given.out.name}.part")
 
     def make(show: Progress) -> ClonedPolicy:
         looks = {"looks": Looks(moved=given.moved)} if "moved" in given else {}
         options = chosen(Options, given, **looks)
         if options.device != "auto":
             device_for(options.device)  # before minutes of reading
-        found = recorded(given.dataset, eyes_of(options.eyes), show)
-        return train(found, options, show, on_the_way)
+        found = read(given.dataset, eyes_of(options.eyes), show)
+        return train(found, options, show)
 
-    status = trained("train_cloned", given, make, brief_of)
-    if status == 0:
-        on_the_way.unlink(missing_ok=True)
-    return status
+    return trained("train_cloned", given, make, brief_of)
 
 
 if __name__ == "__main__":

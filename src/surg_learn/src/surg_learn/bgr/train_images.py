@@ -26,7 +26,7 @@ from surg_learn.bgr.image_policy import (
     features,
     remembered,
 )
-from surg_learn.bgr.keypoint_network import HELD, TENSION, Eye, small, square
+from surg_learn.bgr.keypoint_network import Eye, small
 from surg_learn.bgr.state_policy import ACTION, SET, STATE, TASK, Columns
 from surg_learn.bgr.training.action_head import HandOptions, Samples, fit_hand, may_move
 from surg_learn.bgr.training.keypoint_training import (
@@ -61,13 +61,6 @@ from surg_learn.bgr.training.trainer_options import brief_of, chosen, parser_of,
 
 CAMERA = "observation.camera_pose"
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-LABELS = {
-    "simulator": [TASK],
-    "annotated": ["marks in pictures", "the assistant's jaw angle"],
-}
-"""What the eye learns from: the simulator's truth; or what a person could mark in pictures (tips,
-the tube's axis, who holds it) and what robots know of themselves: the assistant's jaw angle, and
-where the robot's own tip was at each grasp."""
 SHUT = 0.1
 """Commanded jaws less open than this close on something [rad]."""
 
@@ -82,8 +75,6 @@ class Options(HandOptions):
     was trained on is better than what it says of others: with little noise the hand believes it."""
     device: str = "auto"
     """Where the eye is trained, see `keypoint_training.device_for`."""
-    labels: str = "simulator"
-    """One of `LABELS`."""
     eye: EyeOptions = field(default_factory=EyeOptions)
 
 
@@ -270,9 +261,6 @@ def train(
         raise ValueError("the dataset has no episode in its split 'train'")
     options = replace(options, device=device_for(options.device))
     marked = marks(dataset, columns)
-    if options.labels == "annotated":
-        for split in marked.values():
-            split.others[:, TENSION] = 0.0  # only a simulator knows it
     views = np.concatenate([episode.views for episode in shown])
     eye = train_eye(
         views,
@@ -313,11 +301,7 @@ def train_hand(
     columns = Columns(dataset.names[STATE], dataset.names[TASK])
     tip = columns.state[:3]
     shown = dataset.episodes["train"]
-    plane = (
-        plane_of(marked["train"])
-        if options.labels == "simulator"
-        else plane_of_grasps(shown, marked["train"], columns)
-    )
+    plane = plane_of(marked["train"])
     tips = np.concatenate([episode.state[:, tip] for episode in shown])
     lens = lens_of(tips, marked["train"].marks[:, 1])
     seen = {
@@ -359,45 +343,20 @@ def train_hand(
         },
         "observation": [STATE, PICTURE],
         "privileged": [],
-        "labels": LABELS[options.labels],
+        "labels": [TASK],
     }
     return ImagePolicy(network, scales, dataset.names, options.chunk, about)
-
-
-def plane_of_grasps(shown: Sequence[Episode], labels: Labels, columns: Columns) -> Array:
-    """`plane` of a `View` from the robot's own tip at each grasp, and the place that it grasped.
-
-    The points lie above the axis as the grip does; the hand learns that. Along a short piece of the
-    tube few terms are known; the others stay small.
-
-    Args:
-        shown: Episodes of the training.
-        labels: Of all their pictures, in order.
-        columns: Of the observations.
-    """
-    ends = np.cumsum([len(episode.state) for episode in shown])
-    rows, tips = [], []
-    for episode, end in zip(shown, ends, strict=True):
-        held = labels.others[end - len(episode.state) : end, HELD] > 0.5
-        if held.any():
-            at = int(np.argmax(held))
-            rows.append(end - len(held) + at)
-            tips.append(episode.state[at, columns.state[:3]])
-    places = labels.marks[rows, 2 + labels.target[rows]]
-    return np.asarray(np.linalg.lstsq(square(places), np.array(tips), rcond=0.02)[0])
 
 
 def main(words: Sequence[str] | None = None) -> int:
     """Entry point; returns 0, or 2 for an unusable dataset."""
     parser = parser_of("train_images", (__doc__ or "").split("\n")[0])
-    for name, allowed, about in (
-        ("device", DEVICES, "where it trains"),
-        ("labels", tuple(LABELS), "the simulator's truth, or what people and robots can tell"),
-    ):
-        parser.add_argument(
-            f"--{name}", choices=allowed, default=argparse.SUPPRESS, help=f"{about} ({allowed[0]})"
-        )
-
+    parser.add_argument(
+        "--device",
+        choices=DEVICES,
+        default=argparse.SUPPRESS,
+        help=f"where it trains ({DEVICES[0]})",
+    )
     given = parser.parse_args(words)
 
     def make(show: Progress) -> ImagePolicy:

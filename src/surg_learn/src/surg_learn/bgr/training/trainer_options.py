@@ -17,18 +17,15 @@ from surg_learn.bgr.training.lerobot_dataset import Progress
 Options = TypeVar("Options")
 
 
-def parser_of(
-    name: str, about: str, dataset: str = "folder written by ./surg episode export"
-) -> argparse.ArgumentParser:
+def parser_of(name: str, about: str) -> argparse.ArgumentParser:
     """Arguments of all trainers; an option that is not given is missing, see `chosen`.
 
     Args:
         name: Of the program.
         about: One line.
-        dataset: What the first argument is.
     """
     parser = argparse.ArgumentParser(prog=name, description=about)
-    parser.add_argument("dataset", type=Path, help=dataset)
+    parser.add_argument("dataset", type=Path, help="folder written by ./surg episode export")
     parser.add_argument("--out", type=Path, required=True, help="file for the weights (.npz)")
     parser.add_argument("--json", action="store_true", help="progress as JSON lines")
     for option, what in (

@@ -1,21 +1,8 @@
-"""The small pictures of a LeRobot dataset (v2.1), decoded once for all trainings that need them.
-
-    python3 -m surg_learn.bgr.cache_pictures datasets/bgr views/bgr
-
-`train_cloned.py` reads a dataset or such a folder. A folder needs numpy and nothing else to be
-read, so that it can go to a machine without PyAV and pyarrow: one `.npy` of all pictures for each
-eye, which trainings map into memory together, and one `.npz` without pickle of all tables.
-"""
+"""All steps of a LeRobot dataset (v2.1) with small pictures and phases, for `train_cloned.py`."""
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
-import shutil
-import sys
-import tempfile
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from surg_learn.bgr.keypoint_network import SIDE
 from surg_learn.bgr.state_policy import ACTION, STATE
 from surg_learn.bgr.train_images import check_size, views_of
 from surg_learn.bgr.training.lerobot_dataset import (
@@ -36,7 +22,6 @@ from surg_learn.bgr.training.lerobot_dataset import (
     table,
 )
 
-FORMAT = "surg_bgr_views/1"
 LEFT, RIGHT = (f"observation.images.endoscope.{side}" for side in ("left", "right"))
 PHASE = "annotation.human.action.subtask_description"
 """Column of a frame's phase: a place in `meta/tasks.jsonl`. It is the recording's stage: the
@@ -81,19 +66,6 @@ class Recorded:
 def eyes_of(eyes: int) -> tuple[str, ...]:
     """Pictures of one eye or of both."""
     return (LEFT, RIGHT)[:eyes]
-
-
-def recorded(
-    folder: Path, pictures: Sequence[str], progress: Progress = lambda part, note: None
-) -> Recorded:
-    """What a dataset, or a folder of `save`, holds.
-
-    Raises:
-        ValueError: It is neither, or lacks a feature or the pictures of an eye.
-    """
-    if (folder / "views.json").exists():
-        return load(folder, pictures)
-    return read(folder, pictures, progress)
 
 
 def read(
@@ -167,81 +139,3 @@ def numbered(places: Array, whole: Array, said: dict[int, str]) -> tuple[Array, 
     order = {place: n for n, place in enumerate(dict.fromkeys(known))}
     phase = [order[int(p)] if p != w else NO_PHASE for p, w in zip(places, whole, strict=True)]
     return np.array(phase), [said.get(place, str(place)) for place in order]
-
-
-def save(found: Recorded, folder: Path) -> None:
-    """Write a folder; whole or not at all.
-
-    Raises:
-        ValueError: It exists.
-    """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    made = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
-        for key, views in found.views.items():
-            np.save(made / f"{key}.npy", views)
-        arrays = ("state", "action", "phase", "begins")
-        np.savez(made / "tables.npz", **{name: getattr(found, name) for name in arrays})
-        head = {name: getattr(found, name) for name in ("split", "names", "phases", "about")}
-        head |= {"format": FORMAT, "views": list(found.views)}
-        (made / "views.json").write_text(json.dumps(head, indent=1) + "\n", "utf-8")
-        made.chmod(0o755)
-        os.rename(made, folder)
-    except OSError as error:
-        raise ValueError(f"{folder}: cannot be written ({error})") from None
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
-
-
-def load(folder: Path, pictures: Sequence[str]) -> Recorded:
-    """Read a folder of `save`; its pictures are mapped, not copied.
-
-    Raises:
-        ValueError: It is none, or lacks the pictures of an eye.
-    """
-    try:
-        head = json.loads((folder / "views.json").read_text("utf-8"))
-        if head.get("format") != FORMAT:
-            raise ValueError(f"its format is not {FORMAT}")
-        missing = ", ".join(key for key in pictures if key not in head["views"])
-        if missing:
-            raise ValueError(f"it has no {missing}: make it with --eyes 2")
-        with np.load(folder / "tables.npz", allow_pickle=False) as tables:
-            arrays = {name: tables[name] for name in tables.files}
-        views = {
-            key: np.load(folder / f"{key}.npy", mmap_mode="r", allow_pickle=False)
-            for key in pictures
-        }
-        shape = (len(arrays["state"]), SIDE, SIDE, 3)
-        if any(each.shape != shape or each.dtype != np.uint8 for each in views.values()):
-            raise ValueError(f"pictures of another shape than {shape}")
-        return Recorded(
-            **arrays, views=views, **{n: head[n] for n in ("split", "names", "phases", "about")}
-        )
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{folder}: not usable as a folder of small pictures: {error}") from None
-
-
-def main(words: Sequence[str] | None = None) -> int:
-    """Entry point; returns 0, or 2 for an unusable dataset."""
-    parser = argparse.ArgumentParser(
-        prog="cache_pictures", description=(__doc__ or "").split("\n")[0]
-    )
-    parser.add_argument("dataset", type=Path, help="folder written by ./surg episode export")
-    parser.add_argument("out", type=Path, help="folder for the small pictures")
-    parser.add_argument("--eyes", type=int, choices=(1, 2), default=1, help="left, or left + right")
-    options = parser.parse_args(words)
-    try:
-        if options.out.exists():
-            raise ValueError(f"{options.out} exists")
-        found = read(options.dataset, eyes_of(options.eyes), lambda part, note: print(note))
-        save(found, options.out)
-    except ValueError as error:
-        print(f"cache_pictures: {error}", file=sys.stderr)
-        return 2
-    print(f"{len(found.state)} steps of {len(found.split)} episodes, phases: {found.phases}")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
