@@ -7,16 +7,16 @@ poses are values: an assignment copies them.
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from surg_emulators.ur.urscript_syntax import Function, ScriptError, called, parse
+from surg_emulators.ur.urscript_syntax import Function, Node, ScriptError, called, constant, parse
 
-MOST_INSTRUCTIONS = 20_000
+MOST_NODES = 20_000
 """A thread that executes more in one cycle has a loop without `sync`: the arm stops it too."""
 INTEGERS = 2**31
-MOST_FRAMES, MOST_THREADS, MOST_ELEMENTS = 100, 50, 10_000
+MOST_CALLS, MOST_THREADS, MOST_ELEMENTS = 100, 50, 10_000
 
 
 class Pose(list[float]):
@@ -45,13 +45,13 @@ class Wait:
 
 @dataclass
 class Scope:
-    """Variables of one call."""
+    """Variables of one call, and the call itself."""
 
     function: Function
     outer: Scope | None
     values: dict[str, Any] = field(default_factory=dict)
-    place: int = 0  # next instruction
-    stack: list[Any] = field(default_factory=list)
+    line: int = 0  # of the statement that it is in
+    run: Steps | None = None
 
     def holder(self, name: str) -> Scope | None:
         """The nearest scope that has a variable."""
@@ -63,26 +63,37 @@ class Scope:
 
 @dataclass
 class Thread:
-    """One thread of a program."""
+    """One thread of a program: its calls, the innermost last."""
 
-    frames: list[Scope]
+    calls: list[Scope]
     wait: Wait | None = None
+    answer: Any = None  # of the call that has ended
 
     @property
     def alive(self) -> bool:
         """Whether it still runs."""
-        return bool(self.frames)
+        return bool(self.calls)
 
     @property
     def line(self) -> int:
         """Line of the script that it is in."""
-        if not self.frames:
-            return 0
-        scope = self.frames[-1]
-        return scope.function.lines[min(scope.place, len(scope.function.lines)) - 1]
+        return self.calls[-1].line if self.calls else 0
 
+
+@dataclass(frozen=True)
+class Leave:
+    """Why a block was left before its end: `break`, `continue` or `return` with a value."""
+
+    how: str
+    value: Any = None
+
+
+LEAVING = {"break_loop": "break", "continue_loop": "continue"}
 
 Builtin = Callable[..., Any]
+Steps = Generator["Scope | Wait | None", Any, Any]
+"""A piece of a program under way. It yields the call or the wait that it needs; None: its thread
+may have been killed."""
 
 
 class Machine:
@@ -104,9 +115,11 @@ class Machine:
                 raise ScriptError(f"line {line}: function {name!r} is not known")
         self.name = main.name
         self._builtins = builtins
-        self._root = Scope(main, None)
+        self._root = self._scope(main, None, {})
         self.threads = [Thread([self._root])]
+        self._now = self.threads[0]
         self._critical: Thread | None = None
+        self._nodes = 0
 
     @property
     def running(self) -> bool:
@@ -126,173 +139,34 @@ class Machine:
                 if not thread.wait.over():
                     continue
                 thread.wait = None
-            self._run(thread)
+            try:
+                self._run(thread)
+            except (
+                ScriptError, TypeError, ValueError, IndexError, ArithmeticError, RecursionError,
+            ) as error:  # fmt: skip
+                raise ScriptError(f"line {thread.line}: {error}") from error
             if not self.running:
                 return
         self.threads = [self.threads[0], *(t for t in self.threads[1:] if t.alive)]
 
     def _run(self, thread: Thread) -> None:
-        for _ in range(MOST_INSTRUCTIONS):
-            if thread.wait is not None or not thread.alive:
-                return
-            scope = thread.frames[-1]
-            if scope.place >= len(scope.function.code):  # the main program's end
-                thread.frames.clear()
-                return
-            instruction = scope.function.code[scope.place]
-            scope.place += 1
+        self._now, self._nodes = thread, 0
+        while thread.calls and thread.wait is None:
+            steps = thread.calls[-1].run
+            assert steps is not None
+            answer, thread.answer = thread.answer, None
             try:
-                _EXECUTE[instruction[0]](self, thread, scope, *instruction[1:])
-            except ScriptError as error:
-                raise ScriptError(f"line {thread.line}: {error}") from error
-            except (TypeError, ValueError, IndexError, ArithmeticError, RecursionError) as error:
-                raise ScriptError(f"line {thread.line}: {error}") from error
-        raise ScriptError(f"line {thread.line}: an infinite loop without sync()")
-
-    # Instructions ----------------------------------------------------------------------------
-
-    def _push(self, thread: Thread, scope: Scope, value: Any) -> None:
-        scope.stack.append(value)
-
-    def _pop(self, thread: Thread, scope: Scope) -> None:
-        scope.stack.pop()
-
-    def _load(self, thread: Thread, scope: Scope, name: str) -> None:
-        holder = scope.holder(name)
-        if holder is None:
-            raise ScriptError(f"variable {name!r} has no value")
-        scope.stack.append(holder.values[name])
-
-    def _store(self, thread: Thread, scope: Scope, name: str) -> None:
-        (scope.holder(name) or scope).values[name] = _copy(scope.stack.pop())
-
-    def _local(self, thread: Thread, scope: Scope, name: str) -> None:
-        scope.values[name] = _copy(scope.stack.pop())
-
-    def _global(self, thread: Thread, scope: Scope, name: str) -> None:
-        self._root.values[name] = _copy(scope.stack.pop())
-
-    def _put(self, thread: Thread, scope: Scope, name: str, count: int) -> None:
-        value = _copy(scope.stack.pop())
-        places = [scope.stack.pop() for _ in range(count)][::-1]
-        holder = scope.holder(name)
-        if holder is None:
-            raise ScriptError(f"variable {name!r} has no value")
-        element = holder.values[name]
-        for place in places[:-1]:
-            element = element[_place(place)]
-        element[_place(places[-1])] = value
-
-    def _index(self, thread: Thread, scope: Scope, count: int) -> None:
-        places = [scope.stack.pop() for _ in range(count)][::-1]
-        value = scope.stack.pop()
-        for place in places:
-            value = value[_place(place)]
-        scope.stack.append(value)
-
-    def _list(self, thread: Thread, scope: Scope, count: int) -> None:
-        if count > MOST_ELEMENTS:
-            raise ScriptError(f"a list of more than {MOST_ELEMENTS} elements")
-        start = len(scope.stack) - count
-        scope.stack[start:] = [[_copy(value) for value in scope.stack[start:]]]
-
-    def _pose(self, thread: Thread, scope: Scope) -> None:
-        scope.stack[-6:] = [Pose(float(value) for value in scope.stack[-6:])]
-
-    def _binary(self, thread: Thread, scope: Scope, sign: str) -> None:
-        right, left = scope.stack.pop(), scope.stack.pop()
-        if isinstance(left, str) or isinstance(right, str):
-            if sign not in ("==", "!="):
-                raise ScriptError(f"{sign!r} of a text")
-        elif isinstance(left, list) and sign in ("+", "-"):
-            scope.stack.append(_elementwise(sign, left, right))
-            return
-        value = _BINARY[sign](left, right)
-        if type(value) is int and not -INTEGERS <= value < INTEGERS:
-            raise ScriptError(f"integer {left} {sign} {right} overflows")
-        scope.stack.append(value)
-
-    def _negate(self, thread: Thread, scope: Scope) -> None:
-        scope.stack.append(-scope.stack.pop())
-
-    def _not(self, thread: Thread, scope: Scope) -> None:
-        scope.stack.append(not scope.stack.pop())
-
-    def _jump(self, thread: Thread, scope: Scope, target: int) -> None:
-        scope.place = target
-
-    def _unless(self, thread: Thread, scope: Scope, target: int) -> None:
-        if not scope.stack.pop():
-            scope.place = target
-
-    def _keep(self, thread: Thread, scope: Scope, sign: str, target: int) -> None:
-        """`and`, `or`: the left side may decide."""
-        if bool(scope.stack[-1]) == (sign == "or"):
-            scope.place = target
-
-    def _return(self, thread: Thread, scope: Scope) -> None:
-        value = scope.stack.pop()
-        thread.frames.pop()
-        if thread.frames:
-            thread.frames[-1].stack.append(value)
-
-    def _halt(self, thread: Thread, scope: Scope) -> None:
-        self.threads[0].frames.clear()
-
-    def _enter(self, thread: Thread, scope: Scope) -> None:
-        self._critical = thread
-
-    def _exit(self, thread: Thread, scope: Scope) -> None:
-        self._critical = None
-
-    def _arguments(
-        self, scope: Scope, count: int, names: tuple[str, ...]
-    ) -> tuple[list[Any], dict[str, Any]]:
-        start = len(scope.stack) - count - len(names)
-        values = [_copy(value) for value in scope.stack[start:]]
-        del scope.stack[start:]
-        return values[:count], dict(zip(names, values[count:], strict=True))
-
-    def _enclosing(self, scope: Scope, function: Function) -> Scope | None:
-        """The scope in which a function's free variables are looked up."""
-        here: Scope | None = scope
-        while here is not None and here.function is not function.outer:
-            here = here.outer
-        return here
-
-    def _new_frame(
-        self, scope: Scope, name: str, count: int, names: tuple[str, ...]
-    ) -> Scope | None:
-        """The frame of a call of a function of the script; None: it is a builtin's name."""
-        function = scope.function.find(name)
-        if function is None:
-            return None
-        values, named = self._arguments(scope, count, names)
-        if len(values) > len(function.parameters):
-            raise ScriptError(f"{name} takes {len(function.parameters)} arguments")
-        given = function.defaults | dict(zip(function.parameters, values, strict=False)) | named
-        if set(given) != set(function.parameters):
-            raise ScriptError(f"{name} takes the arguments {', '.join(function.parameters)}")
-        return Scope(function, self._enclosing(scope, function), given)
-
-    def _call(
-        self, thread: Thread, scope: Scope, name: str, count: int, names: tuple[str, ...]
-    ) -> None:
-        frame = self._new_frame(scope, name, count, names)
-        if frame is not None:
-            if len(thread.frames) >= MOST_FRAMES:
-                raise ScriptError(f"more than {MOST_FRAMES} calls inside one another")
-            thread.frames.append(frame)
-            return
-        values, named = self._arguments(scope, count, names)
-        try:
-            result = self._builtins[name](*values, **named)
-        except TypeError as error:
-            raise ScriptError(f"{name}: {str(error).partition('() ')[2] or error}") from error
-        if isinstance(result, Wait):
-            self._suspend(thread, result)
-            result = None
-        scope.stack.append(result)
+                asked = steps.send(answer)
+            except StopIteration as end:
+                thread.calls.pop()
+                thread.answer = end.value
+                continue
+            if isinstance(asked, Wait):
+                self._suspend(thread, asked)
+            elif asked is not None:
+                if len(thread.calls) >= MOST_CALLS:
+                    raise ScriptError(f"more than {MOST_CALLS} calls inside one another")
+                thread.calls.append(asked)
 
     def _suspend(self, thread: Thread, wait: Wait) -> None:
         if wait.motion:
@@ -301,29 +175,215 @@ class Machine:
                     raise ScriptError("another thread is already controlling the robot")
         thread.wait = wait
 
-    def _start(
-        self, thread: Thread, scope: Scope, name: str, count: int, names: tuple[str, ...]
-    ) -> None:
-        frame = self._new_frame(scope, name, count, names)
+    def _scope(self, function: Function, outer: Scope | None, values: dict[str, Any]) -> Scope:
+        scope = Scope(function, outer, values)
+        scope.run = self._body(scope)
+        return scope
+
+    def _body(self, scope: Scope) -> Steps:
+        left = yield from self._block(scope, scope.function.body)
+        return None if left is None else left.value
+
+    # Statements ------------------------------------------------------------------------------
+
+    def _block(self, scope: Scope, block: Node) -> Steps:
+        """Statements up to the end, or to what leaves the block: a `Leave`."""
+        for each in block.children:
+            if each.data == "definition":
+                continue
+            if each.data in LEAVING:
+                return Leave(LEAVING[each.data])
+            scope.line = each.meta.line
+            left = yield from getattr(self, f"_{each.data}")(scope, *each.children)
+            if isinstance(left, Leave):
+                return left
+        return None
+
+    def _loop(self, scope: Scope, condition: Node, block: Node) -> Steps:
+        line = scope.line
+        while (yield from self._value(scope, condition)):
+            left = yield from self._block(scope, block)
+            if left is not None and left.how != "continue":
+                return None if left.how == "break" else left
+            scope.line = line
+        return None
+
+    def _condition(self, scope: Scope, *parts: Node) -> Steps:
+        *branches, last = [parts[n : n + 2] for n in range(0, len(parts), 2)]
+        for condition, block in [*branches, last] if len(last) == 2 else branches:
+            if (yield from self._value(scope, condition)):
+                return (yield from self._block(scope, block))
+        return (yield from self._block(scope, last[0])) if len(last) == 1 else None
+
+    def _store(self, scope: Scope, name: str, value: Node) -> Steps:
+        found = _copy((yield from self._value(scope, value)))
+        (scope.holder(name) or scope).values[name] = found
+
+    def _store_local(self, scope: Scope, name: str, value: Node) -> Steps:
+        scope.values[name] = _copy((yield from self._value(scope, value)))
+
+    def _store_global(self, scope: Scope, name: str, value: Node) -> Steps:
+        self._root.values[name] = _copy((yield from self._value(scope, value)))
+
+    def _put(self, scope: Scope, name: str, *parts: Node) -> Steps:
+        *places, value = yield from self._values(scope, parts)
+        element = self._known(scope, name)
+        for place in places[:-1]:
+            element = element[_place(place)]
+        element[_place(places[-1])] = _copy(value)
+
+    def _leave(self, scope: Scope, *value: Node) -> Steps:
+        return Leave("return", (yield from self._value(scope, value[0])) if value else None)
+
+    def _halt(self, scope: Scope) -> Steps:
+        self.threads[0].calls.clear()
+        yield None
+
+    def _enter_critical(self, scope: Scope) -> Steps:
+        self._critical = self._now
+        yield None
+
+    def _exit_critical(self, scope: Scope) -> Steps:
+        self._critical = None
+        yield None
+
+    def _kill(self, scope: Scope, thread: Node) -> Steps:
+        victim = yield from self._value(scope, thread)
+        if isinstance(victim, Thread):
+            victim.calls.clear()
+            if self._critical is victim:
+                self._critical = None
+        yield None
+
+    def _join(self, scope: Scope, thread: Node) -> Steps:
+        awaited = yield from self._value(scope, thread)
+        if isinstance(awaited, Thread):
+            yield Wait(1, lambda: not awaited.alive)
+
+    def _alone(self, scope: Scope, value: Node) -> Steps:
+        yield from self._value(scope, value)
+
+    # Values ----------------------------------------------------------------------------------
+
+    def _value(self, scope: Scope, node: Node) -> Steps:
+        self._nodes += 1
+        if self._nodes > MOST_NODES:
+            raise ScriptError("an infinite loop without sync()")
+        if node.data in ("number", "text", "true", "false"):
+            return constant(node)
+        if node.data == "variable":
+            return self._known(scope, node.children[0])
+        return (yield from getattr(self, f"_{node.data}")(scope, *node.children))
+
+    def _values(self, scope: Scope, nodes: Sequence[Node]) -> Steps:
+        found = []
+        for each in nodes:
+            found.append((yield from self._value(scope, each)))
+        return found
+
+    def _known(self, scope: Scope, name: str) -> Any:
+        holder = scope.holder(name)
+        if holder is None:
+            raise ScriptError(f"variable '{name}' has no value")
+        return holder.values[name]
+
+    def _bracket(self, scope: Scope, value: Node) -> Steps:
+        return (yield from self._value(scope, value))
+
+    def _operation(self, scope: Scope, first: Node, *rest: Any) -> Steps:
+        left = yield from self._value(scope, first)
+        for sign, right in zip(rest[::2], rest[1::2], strict=True):
+            if sign in ("and", "or") and bool(left) == (sign == "or"):
+                continue  # the left side decides
+            left = _binary(sign, left, (yield from self._value(scope, right)))
+        return left
+
+    _expression = _both = _comparison = _sum = _product = _operation
+
+    def _negation(self, scope: Scope, value: Node) -> Steps:
+        return not (yield from self._value(scope, value))
+
+    def _negative(self, scope: Scope, value: Node) -> Steps:
+        return -(yield from self._value(scope, value))
+
+    def _list(self, scope: Scope, *nodes: Node) -> Steps:
+        if len(nodes) > MOST_ELEMENTS:
+            raise ScriptError(f"a list of more than {MOST_ELEMENTS} elements")
+        return [_copy(value) for value in (yield from self._values(scope, nodes))]
+
+    def _index(self, scope: Scope, of: Node, *nodes: Node) -> Steps:
+        """An element, or a pose: `p[...]` with six numbers."""
+        if len(nodes) == 6 and of.data == "variable" and of.children[0] == "p":
+            return Pose(float(value) for value in (yield from self._values(scope, nodes)))
+        value, *places = yield from self._values(scope, (of, *nodes))
+        for place in places:
+            value = value[_place(place)]
+        return value
+
+    def _call(self, scope: Scope, name: str, *nodes: Node) -> Steps:
+        values, named = yield from self._arguments(scope, nodes)
+        frame = self._frame(scope, name, values, named)
+        if frame is not None:
+            return (yield frame)
+        try:
+            result = self._builtins[name](*values, **named)
+        except TypeError as error:
+            raise ScriptError(f"{name}: {str(error).partition('() ')[2] or error}") from error
+        if not isinstance(result, Wait):
+            return result
+        yield result
+        return None
+
+    def _start_thread(self, scope: Scope, name: str, *nodes: Node) -> Steps:
+        values, named = yield from self._arguments(scope, nodes)
+        frame = self._frame(scope, name, values, named)
         if frame is None:
-            raise ScriptError(f"{name!r} is no thread of this program")
+            raise ScriptError(f"'{name}' is no thread of this program")
         if len(self.threads) >= MOST_THREADS:
             raise ScriptError(f"more than {MOST_THREADS} threads")
         started = Thread([frame], Wait(1))
         self.threads.append(started)
-        scope.stack.append(started)
+        return started
 
-    def _kill(self, thread: Thread, scope: Scope) -> None:
-        victim = scope.stack.pop()
-        if isinstance(victim, Thread):
-            victim.frames.clear()
-            if self._critical is victim:
-                self._critical = None
+    def _arguments(self, scope: Scope, nodes: Sequence[Node]) -> Steps:
+        """Values of a call, and those with a name."""
+        values, named = [], {}
+        for each in nodes:
+            if each.data == "named":
+                name, node = each.children
+                named[str(name)] = _copy((yield from self._value(scope, node)))
+            else:
+                values.append(_copy((yield from self._value(scope, each))))
+        return values, named
 
-    def _join(self, thread: Thread, scope: Scope) -> None:
-        awaited = scope.stack.pop()
-        if isinstance(awaited, Thread):
-            thread.wait = Wait(1, lambda: not awaited.alive)
+    def _frame(
+        self, scope: Scope, name: str, values: list[Any], named: dict[str, Any]
+    ) -> Scope | None:
+        """A call of a function of the script; None: it is a builtin's name."""
+        function = scope.function.find(name)
+        if function is None:
+            return None
+        if len(values) > len(function.parameters):
+            raise ScriptError(f"{name} takes {len(function.parameters)} arguments")
+        given = function.defaults | dict(zip(function.parameters, values, strict=False)) | named
+        if set(given) != set(function.parameters):
+            raise ScriptError(f"{name} takes the arguments {', '.join(function.parameters)}")
+        outer: Scope | None = scope
+        while outer is not None and outer.function is not function.outer:
+            outer = outer.outer
+        return self._scope(function, outer, given)
+
+
+def _binary(sign: str, left: Any, right: Any) -> Any:
+    if isinstance(left, str) or isinstance(right, str):
+        if sign not in ("==", "!="):
+            raise ScriptError(f"{sign!r} of a text")
+    elif isinstance(left, list) and sign in ("+", "-"):
+        return _elementwise(sign, left, right)
+    value = _BINARY[sign](left, right)
+    if type(value) is int and not -INTEGERS <= value < INTEGERS:
+        raise ScriptError(f"integer {left} {sign} {right} overflows")
+    return value
 
 
 def _copy(value: Any) -> Any:
@@ -371,30 +431,4 @@ _BINARY: dict[str, Callable[[Any, Any], Any]] = {
     "and": lambda a, b: bool(a) and bool(b),
     "or": lambda a, b: bool(a) or bool(b),
     "xor": lambda a, b: bool(a) != bool(b),
-}
-_EXECUTE: dict[str, Callable[..., None]] = {
-    "push": Machine._push,
-    "pop": Machine._pop,
-    "load": Machine._load,
-    "store": Machine._store,
-    "local": Machine._local,
-    "global": Machine._global,
-    "put": Machine._put,
-    "index": Machine._index,
-    "list": Machine._list,
-    "pose": Machine._pose,
-    "binary": Machine._binary,
-    "negate": Machine._negate,
-    "not": Machine._not,
-    "jump": Machine._jump,
-    "unless": Machine._unless,
-    "keep": Machine._keep,
-    "return": Machine._return,
-    "halt": Machine._halt,
-    "enter_critical": Machine._enter,
-    "exit_critical": Machine._exit,
-    "call": Machine._call,
-    "run": Machine._start,
-    "kill": Machine._kill,
-    "join": Machine._join,
 }
