@@ -66,7 +66,6 @@ def build(found: libraries.Libraries) -> None:
         str(BUILD),
         "-DCMAKE_BUILD_TYPE=Release",
         f"-DBENCH_PREFIX={found.packages or ''}",
-        f"-DBENCH_DAQP={found.daqp or ''}",
         f"-DBENCH_RUCKIG={found.ruckig or ''}",
         f"-DBENCH_DEVEL={paths.DEVEL if (paths.DEVEL / 'setup.bash').exists() else ''}",
     ]

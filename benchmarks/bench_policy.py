@@ -6,8 +6,8 @@ its own, all in one run, in blocks that take turns. `--json FILE` writes
     format          "surg_bench_policy/1"
     machine         {processor, cores, load_before, load_after, date, rounds, blocks,
                     openpi_client}
-    round_trip_ms   {ours_tcp|ours_ipc|ours_curve|msgpack_zmq|peer_openpi_ws|peer_reqrep_npsave:
-                    {p50, p99, mean}}; peer_openpi_ws is absent where its package is not to be had
+    round_trip_ms   {ours_tcp|ours_ipc|ours_curve|msgpack_zmq|peer_openpi_ws: {p50, p99, mean}};
+                    peer_openpi_ws is absent where its package is not to be had
     cpu_ms          {the same names: processor time of both processes per round}
     ratio           {the same names but ours_tcp: p50 over that of ours_tcp}
 """
@@ -97,7 +97,6 @@ def ways(folder: Path, python: Path | None) -> dict[str, Way]:
         "ours_curve": Way("ours", ours, here, str(folder / "keys")),
         "msgpack_zmq": Way("msgpack_zmq", ours, here),
         OPENPI: Way(OPENPI, python or ours, here),
-        "peer_reqrep_npsave": Way("peer_reqrep_npsave", ours, here),
     }
     if python is None:
         del found[OPENPI]

@@ -27,13 +27,11 @@ class Libraries:
     Attributes:
         python: Interpreter of `.venv-bench`.
         packages: Its site-packages, with the C++ headers of eiquadprog and ProxQP.
-        daqp: DAQP's sources.
         ruckig: Ruckig's sources.
     """
 
     python: Path | None = None
     packages: Path | None = None
-    daqp: Path | None = None
     ruckig: Path | None = None
 
 
@@ -61,7 +59,7 @@ def installed() -> Libraries:
         return next(iter(sorted((VENV / "sources").glob(f"{name}-*/"))), None)
 
     python = VENV / "bin" / "python"
-    return Libraries(python, packages, unpacked("daqp"), unpacked("ruckig"))
+    return Libraries(python, packages, unpacked("ruckig"))
 
 
 def install() -> Libraries:

@@ -21,7 +21,6 @@ WHAT = {
     "ours_curve": "ours, TCP, encrypted (CURVE)",
     "msgpack_zmq": "plain msgpack in one frame, ZeroMQ over TCP",
     "peer_openpi_ws": "openpi-client {openpi}, websocket",
-    "peer_reqrep_npsave": "REQ/REP with msgpack and `numpy.save`, TCP",
 }
 
 

@@ -14,6 +14,5 @@ void add_own(Laws& laws, const Scene& scene);
 void add_kdl(Laws& laws, const Scene& scene);
 void add_eiquadprog(Laws& laws, const Scene& scene);
 void add_proxqp(Laws& laws, const Scene& scene);
-void add_daqp(Laws& laws, const Scene& scene);
 
 }  // namespace bench

@@ -72,9 +72,6 @@ int laws(const std::string& arm, const std::string& path) {
 #ifdef BENCH_PROXQP
   add_proxqp(laws, scene);
 #endif
-#ifdef BENCH_DAQP
-  add_daqp(laws, scene);
-#endif
 #ifdef BENCH_KDL
   add_kdl(laws, scene);
 #endif

@@ -18,7 +18,6 @@ from surg_cli.host.terminal import CliError
 from surg_policy_client import Observation
 from surg_policy_client.keys import server_keys
 from surg_policy_client.policies.hold import Hold
-from surg_policy_client.policies.random_walk import RandomWalk
 from surg_policy_client.policies.replay import load
 from surg_policy_client.policies.scripted import Circle
 
@@ -38,23 +37,6 @@ def test_hold_holds_what_was_there_first() -> None:
     assert np.allclose(policy.act(seen(5)), np.tile(HELD, (8, 1)), atol=1e-6)
     moved = Observation({"observation.state": AT + 1}, 6, 0, 0, "", spec())
     assert np.allclose(policy.act(moved), np.tile(HELD, (8, 1)), atol=1e-6)
-
-
-def test_a_walk_is_repeatable_small_and_inside_the_limits() -> None:
-    walks = []
-    for seed in (1, 1, 2):
-        policy = RandomWalk()
-        policy.reset("", seed)
-        walks.append(np.array([policy.act(seen(i))[0] for i in range(2000)]))
-    assert np.array_equal(walks[0], walks[1])
-    assert not np.array_equal(walks[0], walks[2])
-    steps = np.diff(walks[0], axis=0)
-    assert np.abs(steps[:, :3]).max() < 0.004
-    assert (steps[:, 4] == 0.0).all()
-    action = spec().action
-    assert action is not None
-    assert action.low is not None
-    assert (walks[0] >= np.array(action.low)).all()
 
 
 def test_a_circle_begins_at_rest_and_is_the_same_however_often_it_is_asked() -> None:
