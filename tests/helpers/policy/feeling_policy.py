@@ -6,12 +6,13 @@ Into the file that `WITNESS` names goes one line per observation: step and the n
 
 from __future__ import annotations
 
-import argparse
 import os
+import sys
 
 from nudge_policy import Nudge
 
-from surg_policy_client import Chunk, Observation, serve
+from surg_policy_client import Chunk, Observation
+from surg_policy_client.policies.command_line import run
 
 FORCE = "observation.force"
 WITNESS = "SURG_TEST_WITNESS"
@@ -30,12 +31,5 @@ class Feeling(Nudge):
         return super().act(observation)
 
 
-def main() -> None:
-    """Serve."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--server", required=True)
-    serve(Feeling(), parser.parse_args().server)
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(run(lambda options: Feeling(), __doc__))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
+import sys
 
 import numpy as np
 
-from surg_policy_client import Chunk, Observation, serve
+from surg_policy_client import Chunk, Observation
+from surg_policy_client.policies.command_line import run
 
 STEP = 0.001
 """[m] In a period."""
@@ -31,12 +32,5 @@ class Goal:
         return Chunk(np.array(rows))
 
 
-def main() -> None:
-    """Serve."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--server", required=True)
-    serve(Goal(), parser.parse_args().server)
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(run(lambda options: Goal(), __doc__))

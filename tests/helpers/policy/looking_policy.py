@@ -5,11 +5,12 @@ It rests for a second, then goes back and forth; every tenth look it says what i
 
 from __future__ import annotations
 
-import argparse
+import sys
 
 import numpy as np
 
-from surg_policy_client import Chunk, Observation, serve
+from surg_policy_client import Chunk, Observation
+from surg_policy_client.policies.command_line import run
 
 PICTURE = "observation.images.endoscope.left"
 REST = 20
@@ -38,12 +39,5 @@ class Looking:
         return Chunk(start + away[:, None] * np.eye(len(start))[0])
 
 
-def main() -> None:
-    """Serve."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--server", required=True)
-    serve(Looking(), parser.parse_args().server)
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(run(lambda options: Looking(), __doc__))

@@ -5,11 +5,12 @@ It sends the same actions in every run, so that a run can be repeated without a 
 
 from __future__ import annotations
 
-import argparse
+import sys
 
 import numpy as np
 
-from surg_policy_client import Chunk, Observation, serve
+from surg_policy_client import Chunk, Observation
+from surg_policy_client.policies.command_line import run
 
 ACTION = 5
 """Numbers of an action for each arm."""
@@ -51,12 +52,5 @@ class Nudge:
         return Chunk(np.array([row(start, n + i) for i in (1, 2, 3)]))
 
 
-def main() -> None:
-    """Serve."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--server", required=True)
-    serve(Nudge(), parser.parse_args().server)
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(run(lambda options: Nudge(), __doc__))

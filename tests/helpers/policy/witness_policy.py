@@ -6,13 +6,14 @@ the left picture.
 
 from __future__ import annotations
 
-import argparse
 import os
+import sys
 import zlib
 
 from nudge_policy import Nudge
 
-from surg_policy_client import Chunk, Observation, serve
+from surg_policy_client import Chunk, Observation
+from surg_policy_client.policies.command_line import run
 
 PICTURE = "observation.images.endoscope.left"
 WITNESS = "SURG_TEST_WITNESS"
@@ -31,12 +32,5 @@ class Witness(Nudge):
         return super().act(observation)
 
 
-def main() -> None:
-    """Serve."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--server", required=True)
-    serve(Witness(), parser.parse_args().server)
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(run(lambda options: Witness(), __doc__))
