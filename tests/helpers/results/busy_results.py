@@ -7,21 +7,7 @@ from typing import Any
 
 from helpers.results.results_page import ResultsPage
 
-_HEAD = """# A fast hand on a busy machine
-
-Written by `SURG_TEST_FULL=1 ./surg test tests/e2e/test_busy_machine.py`: a page of the console
-sends a hand of 0.5 m/s at scale 0.2 with clutches. The simulator's truth is the judge of the pivot;
-the tip's limit is 0.25 m/s along each axis. Attack: 1,200 half-open requests and 8 flooding
-clients. Load: 8 programs that never rest.
-"""
-_STOPS = ("`./surg stop`, quiet", "`./surg stop`, attack", "`./surg stop`, load")
-_PAGE = ResultsPage(
-    "busy_machine.md",
-    _HEAD,
-    ("sim_ur5e, PSM1", "sim_panda, PSM1", "sim_two_arms, ECM", *_STOPS),
-    keep=True,
-    columns=("cell, arm", "s, stops", "result"),
-)
+_PAGE = ResultsPage("busy_machine.md")
 
 
 def note_stops(around: str, took: Sequence[float]) -> None:

@@ -6,22 +6,9 @@ from collections.abc import Sequence
 
 from helpers.results.results_page import ResultsPage
 
-_HEAD = """# Console: times
-
-Written by `./surg test --full` (`tests/e2e/test_console_page.py`, `test_console_teleop.py`):
-headless Chromium, wall clock. *tab*: event in the browser to the order to hold; *tip*: to within
-0.1 mm of rest; *target*: start of the motion to within 2 mm.
-"""
 TABS = ("hidden", "frozen", "closed")
 BY_GAMEPAD, BY_FINGERS = "target touched by gamepad", "target touched by fingers"
-ROWS = [
-    *(f"tab {what}" for what in TABS),
-    *(BY_GAMEPAD, BY_FINGERS),
-    *(f"tip at rest, tab {what}" for what in TABS),
-]
-PAGE = ResultsPage(
-    "console.md", _HEAD, ROWS, keep=True, columns=("what", "n", "median [ms]", "largest [ms]")
-)
+PAGE = ResultsPage("console.md")
 
 
 def keeps(what: str, seconds: Sequence[float], limit: float) -> None:

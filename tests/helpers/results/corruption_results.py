@@ -5,23 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 
-from helpers.recording.corruptions import ALL
 from helpers.results.results_page import ResultsPage
 
 COMMANDS = ("view", "evaluate", "export", "recover")
-_HEAD = """# Corrupted recordings
-
-Written by `./surg test --full tests/unit/recording/test_recording_corruptions.py`, which names each
-of the n ways. *right*: as the intact recording. *error*: left out, or named. *recovered*: readable,
-and marked as incomplete. No command ends in a trace, hangs above 10 s or loses a byte.
-"""
 LONGEST = "longest of all"
-_PAGE = ResultsPage(
-    "corruptions.md",
-    _HEAD,
-    [*dict.fromkeys(each.name.split(":")[0] for each in ALL), LONGEST],
-    columns=("what is broken", "n", *COMMANDS),
-)
+_PAGE = ResultsPage("corruptions.md", whole=True)
 
 
 def note(found: Mapping[str, Mapping[str, str]], longest: float) -> None:

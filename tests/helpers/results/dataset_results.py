@@ -4,12 +4,6 @@ from __future__ import annotations
 
 from helpers.results.results_page import ResultsPage
 
-_HEAD = """# Datasets
-
-Written by `./surg test --full tests/unit/datasets`. *Reader*: the real programs (`--tier oracle`);
-late: all pictures stamped a frame late. *30 minutes* (`test_datasets_thirty_minutes.py`): 2 x 640 x
-480, 20 frames and 500 cycles per second; a worker may use 300 MiB.
-"""
 COUNTED = (
     "grid times against exact fractions",
     "resampler against brute force, scipy, geometry",
@@ -19,19 +13,7 @@ COUNTED = (
     "recordings with a Dask worker killed on the way",
 )
 """Rows whose cases add up."""
-PROGRAMS = ("lerobot 0.3.3", "lerobot 0.4.4", "robomimic 0.3.0")
-STEPS = ("exported as LeRobot 3.0", "opened by lerobot 0.4.4")
-_PAGE = ResultsPage(
-    "datasets.md",
-    _HEAD,
-    (
-        *COUNTED,
-        *(f"reader {name}{how}" for name in PROGRAMS for how in ("", ", late")),
-        "30 minutes: recorded",
-        *(f"30 minutes: {step}, `--video {how}`" for how in ("copy", "encode") for step in STEPS),
-    ),
-    keep=True,
-)
+_PAGE = ResultsPage("datasets.md")
 _cases: dict[str, int] = {}
 
 

@@ -6,37 +6,11 @@ from typing import Any
 
 from helpers.results.results_page import ResultsPage
 
-_HEAD = """# The main job: measured
-
-Written by `SURG_TEST_MOTION=FILE ./surg test --full tests/e2e/test_demo.py`. Whole motions at scale
-1 in lock-step ([conventions](../reference/conventions.md)), mm. *given*: a recorded knot tying.
-`--law paper` and the open loop end in FAULT(rcm_error) at 2 mm.
-"""
 BUNDLED = "ur5e, cartesian, bundled"
 THIRD_ARM = "third arm, cartesian, bundled"
 PAPER, OPEN_LOOP = f"{BUNDLED}, `--law paper`", f"{BUNDLED}, `--law velocity --feedback-gain 0`"
 LONG = f"{BUNDLED} repeated for 600 s, free-run"
-COLUMNS = (
-    *("run", "RCM kinematic mean / true max", "tip rms / max", "lag [ms]"),
-    *("path in → out", "trocar [N]"),
-)
-_PAGE = ResultsPage(
-    "main_job.md",
-    _HEAD,
-    (
-        *(
-            f"{robot}, {mode}, {motion}"
-            for robot in ("ur5e", "panda")
-            for mode in ("cartesian", "spherical")
-            for motion in ("bundled", "given")
-        ),
-        THIRD_ARM,
-        *(f"{robot}, cartesian, bundled, twist link" for robot in ("ur5e", "panda")),
-        *(PAPER, OPEN_LOOP, LONG),
-    ),
-    keep=True,
-    columns=COLUMNS,
-)
+_PAGE = ResultsPage("main_job.md")
 
 
 def note(name: str, s: dict[str, Any]) -> None:

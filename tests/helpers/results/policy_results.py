@@ -4,11 +4,6 @@ from __future__ import annotations
 
 from helpers.results.results_page import ResultsPage
 
-_HEAD = """# Policies: figures of the tests
-
-Written by `./surg test --full`. Simulation; a fake clock where cases are counted, real processes
-where times are ([policies.md](../reference/policies.md)).
-"""
 ROWS = (
     "steps against an oracle of the rules",
     "actions of scripted experts, refused or clipped",
@@ -24,7 +19,7 @@ ROWS = (
     "wire: kinds of wrong messages, each refused for its own reason",
     "wire: fuzzed messages",
 )
-PAGE = ResultsPage("policies.md", _HEAD, ROWS, keep=True)
+PAGE = ResultsPage("policies.md")
 
 
 def note(row: int, cases: int, found: str) -> None:

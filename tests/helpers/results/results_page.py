@@ -3,59 +3,47 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
+
+from surg_cli.host import paths
+
+FOLDER = paths.ROOT / "docs" / "results"
 
 
 class ResultsPage:
-    """A table with a fixed list of rows.
+    """The figures of a page. What it measures, its columns and its rows stand on the page itself.
 
     Args:
         name: Of the file in docs/results.
-        head: Title, what is measured, by which command.
-        rows: All rows, in order.
-        keep: Whether rows of the page that stands stay until they are found anew: for pages whose
-            rows no single run finds.
-        columns: Headings; a result may fill several cells, with `` | `` between them.
+        whole: Whether only a run that finds every row writes the page; else the rows that it does
+            not find stay as they are.
     """
 
-    def __init__(
-        self,
-        name: str,
-        head: str,
-        rows: Sequence[str],
-        keep: bool = False,
-        columns: Sequence[str] = ("what", "n", "result"),
-    ) -> None:
-        self.name, self.rows, self._keep = name, tuple(rows), keep
-        self.head = f"{head}\n| {' | '.join(columns)} |\n{'|---' * len(columns)}|\n"
+    def __init__(self, name: str, whole: bool = False) -> None:
+        self._name, self._whole = name, whole
         self._found: dict[str, str] = {}
 
     def note(self, row: str, cases: int | None, result: str) -> None:
-        """Print a figure and keep it; write the page once all are there and it is asked for.
+        """Print a figure and keep it; write the page where that is asked for.
 
         Args:
-            row: Of the fixed list.
+            row: Of the page.
             cases: How many were measured; None for a page without that column.
-            result: What was found.
-        """
-        if row not in self.rows:
-            raise KeyError(row)
-        print(f"{row}: {cases}: {result}")
-        cells = [row, result] if cases is None else [row, str(cases), result]
-        self._found[row] = f"| {' | '.join(cells)} |\n"
-        folder = os.environ.get("SURG_RESULTS_DIR")
-        if not folder:
-            return
-        page = Path(folder, self.name)
-        lines = self._standing(page) | self._found
-        if self._keep or lines.keys() >= set(self.rows):
-            text = "".join(lines[each] for each in self.rows if each in lines)
-            page.write_text(self.head + text, "utf-8")
+            result: What was found; it may fill several cells, with `` | `` between them.
 
-    def _standing(self, page: Path) -> dict[str, str]:
-        """The rows of the page that stands, by name."""
-        if not self._keep or not page.exists():
-            return {}
-        lines = page.read_text("utf-8").splitlines(keepends=True)
-        return {line.split(" | ")[0].removeprefix("| "): line for line in lines}
+        Raises:
+            KeyError: The page has no such row.
+        """
+        print(f"{row}: {cases}: {result}")
+        folder = os.environ.get("SURG_RESULTS_DIR")
+        page = Path(folder or FOLDER, self._name)
+        lines = (page if page.exists() else FOLDER / self._name).read_text("utf-8").splitlines()
+        end = 1 + next(place for place, line in enumerate(lines) if line.startswith("|---"))
+        rows = {line.split(" | ")[0].removeprefix("| "): line for line in lines[end:]}
+        if row not in rows:
+            raise KeyError(row)
+        cells = [row, result] if cases is None else [row, str(cases), result]
+        self._found[row] = f"| {' | '.join(cells)} |"
+        if folder and (not self._whole or self._found.keys() == rows.keys()):
+            text = "\n".join([*lines[:end], *(rows | self._found).values()])
+            page.write_text(f"{text}\n", "utf-8")

@@ -6,25 +6,12 @@ from collections.abc import Mapping, Sequence
 
 from helpers.results.results_page import ResultsPage
 
-_HEAD = """# Screens: times
-
-Written by `./surg test --full tests/e2e/test_monitor_page.py tests/e2e/test_headset_page.py
-tests/e2e/test_headset_teleop.py`: headless Chromium without a graphics card. *Draw*: two eyes of
-640 × 480 on 1920 × 1080, read back, processor time. *Hold*: event in the browser to the console's
-order (goal 200 ms). *Headset*: `./surg teleop --cameras stereo`, a headset in software, two cores.
-"""
 FORMATS = (
     *("left", "right", "sbs", "top_bottom", "rows", "columns", "checker", "anaglyph"),
     "frame_packed",
 )
-GONE = ("taken off", "menu open", "recentred", "session ended", "controller lost")
 AGE, TARGETS = "headset: age of the drawn pair", "headset: targets of bgr touched"
-ROWS = [
-    *(f"draw {form}" for form in FORMATS),
-    *(f"{what} → hold" for what in GONE),
-    *(AGE, TARGETS),
-]
-PAGE = ResultsPage("screens.md", _HEAD, ROWS, keep=True)
+PAGE = ResultsPage("screens.md")
 
 
 def note_times(

@@ -15,24 +15,8 @@ from surg_core import calibration
 from surg_sim.physics.calibration_bench import Bench
 from surg_sim.physics.trocar import shaft_in_flange
 
-HEAD = """# Calibration: kinematic and true RCM deviation
-
-Written by `./surg test --full tests/unit/core/test_calibration_sim.py`: simulation, seeded. A
-Lissajous motion of the tip. *Kinematic*: what the controller computes with its own calibration.
-*True*: of the undisturbed trocar point to the simulated shaft. The routine: 12 poses each of
-pivoting, rolling and tilting by unsteady hands (0.05 mm, 1 mrad, 0.1 mm, one sigma per axis).
-"""
 WRONG, AFTER = "1 mm, 0.5° wrong", "after the routine"
-PAGE = ResultsPage(
-    "calibration.md",
-    HEAD,
-    [f"{robot}, {what}" for robot in ("panda", "ur5e") for what in ("exact", WRONG, AFTER)],
-    keep=True,
-    columns=(
-        *("robot, calibration", "n", "kinematic mean / max [mm]", "true mean / max [mm]"),
-        *("tip [mm]", "axis [°]"),
-    ),
-)
+PAGE = ResultsPage("calibration.md")
 
 
 def errors(arm: surg_core.Arm, tool: surg_core.ToolCalibration) -> tuple[float, float]:
