@@ -245,18 +245,14 @@ class _Page(html.parser.HTMLParser):
         self.text += data
 
 
-def test_the_report_is_one_file_with_every_figure(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_report_is_one_file_with_every_figure(tmp_path: Path) -> None:
     what = Synthetic(seconds=3.0, frames=40)
     synthetic.record(tmp_path / "episode", what, motion="<b>my & motion</b>", operator="anna")
-    code = run_report.main([str(tmp_path)])
-    assert capsys.readouterr().out.strip() == str(tmp_path / "summary.json")
-    assert code == 0
+    run_report.make(tmp_path)
     stored = json.loads((tmp_path / "summary.json").read_text())
     assert stored["ok"] and set(stored) >= KEYS
     pictures = {p.stem for p in (tmp_path / "figures").glob("*.png")}
-    assert pictures >= {"rcm_deviation", "tip_path", "tip_error", "speed", "joints", "trocar"}
+    assert pictures == set(run_figures.FIGURES)
     page = _Page()
     page.feed((tmp_path / "report.html").read_text())
     assert page.open == [] and page.outside == []
@@ -282,12 +278,10 @@ def test_a_title_is_a_name_and_not_a_path(tmp_path: Path, motion: str, title: st
     assert f"{title} · UR5e" in view
 
 
-def test_a_failed_run_says_why_and_ends_with_1(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_failed_run_says_why(tmp_path: Path) -> None:
     synthetic.record(tmp_path / "episode", Synthetic(seconds=1.0, true_offset=2e-3))
-    assert run_report.main([str(tmp_path)]) == 1
-    assert "true RCM deviation, max [mm]: 2, allowed ≤ 0.5" in capsys.readouterr().err
+    reasons = run_report.make(tmp_path)["reasons"]
+    assert "true RCM deviation, max [mm]: 2, allowed ≤ 0.5" in reasons
     assert "did not meet its limits" in (tmp_path / "report.html").read_text()
 
 
@@ -295,13 +289,13 @@ def test_states_that_a_starved_link_showed_more_than_once_are_drawn(tmp_path: Pa
     """Most steps in time are 0 then; the figures are of the others."""
     what = Synthetic(seconds=3.0, mode="freerun", repeats=3)
     synthetic.record(tmp_path / "episode", what)
-    run_report.main([str(tmp_path)])
+    run_report.make(tmp_path)
     assert (tmp_path / "figures" / "speed.png").is_file()
 
 
-def test_no_episode_ends_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_report.main([str(tmp_path)]) == 2
-    assert "no such folder" in capsys.readouterr().err
+def test_no_episode_is_named(tmp_path: Path) -> None:
+    with pytest.raises(EpisodeError, match="no such folder"):
+        run_report.make(tmp_path)
 
 
 def test_a_lost_video_is_said_and_the_rest_goes_on(tmp_path: Path) -> None:

@@ -1,25 +1,21 @@
 """Makes the page of an episode: video, tip path and curves under a common cursor.
 
 ``page`` fills ``templates/episode_view.html`` with what ``episode_view_data`` collects: a single
-HTML file that needs no network. Command line:
-``python -m surg_recording.reports.episode_view EPISODE OUT.html``.
+HTML file that needs no network.
 """
 
 from __future__ import annotations
 
-import argparse
 import base64
 import dataclasses
 import json
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
 from surg_recording.clock import sync_report
-from surg_recording.episode import episode_reader as episodes
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.verdicts import verdict
 from surg_recording.recording_errors import EpisodeError
@@ -113,21 +109,3 @@ def write(episode: Episode, out: Path, progress: Progress | None = None) -> Path
     except OSError as problem:
         raise EpisodeError(f"{out}: cannot be written: {problem.strerror}") from problem
     return out
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; exit code 2: nothing to show."""
-    parser = argparse.ArgumentParser(prog="python -m surg_recording.reports.episode_view")
-    parser.add_argument("episode", type=Path, metavar="EPISODE")
-    parser.add_argument("out", type=Path, metavar="OUT.html")
-    given = parser.parse_args(arguments)
-    try:
-        print(write(episodes.read(given.episode), given.out))
-    except EpisodeError as problem:
-        print(f"view: {problem}", file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

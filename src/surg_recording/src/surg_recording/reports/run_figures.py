@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -186,45 +186,6 @@ def _bounds_at_100(axes: Axes) -> None:
         axes.axhline(bound, color=LIMIT, linestyle="--", linewidth=1.0)
 
 
-def trocar(run: Run, summary: Values, robot: Values) -> Figure:
-    """Force on the wall and how far it gave way."""
-    figure = blank(3.8)
-    force, moved = figure.subplots(2, 1, sharex=True)
-    truth = run.truth
-    assert truth is not None
-    newtons = np.linalg.norm(truth.vector("force"), axis=1)
-    mm = np.linalg.norm(truth.vector("trocar_loaded") - truth.vector("trocar"), axis=1) * 1e3
-    for axes, values, title, unit in (
-        (force, newtons, "Force of the shaft on the trocar", "N"),
-        (moved, mm, "Displacement of the trocar (loaded − undisturbed)", "mm"),
-    ):
-        axes.plot(run.t_truth, values, color=TRUE, linewidth=0.9)
-        mean, most = float(np.mean(values)), float(np.max(values))
-        axes.set_title(f"{title}:  mean {mean:.3g} {unit},  max {most:.3g} {unit}")
-        axes.set_ylabel(f"{title.partition(' ')[0].lower()} [{unit}]")
-        axes.set_ylim(0, max(1.15 * most, 1e-6))
-    moved.set_xlabel("time [s]")
-    moved.set_xlim(0, run.t[-1])
-    return figure
-
-
-def timing(run: Run, summary: Values, robot: Values) -> Figure:
-    """How long a cycle computes and, in free-run, how regular the cycles are."""
-    controller = summary["controller"]
-    period = controller["period_us"]
-    figure = blank(2.9)
-    drawn = figure.subplots(1, 2 if period else 1)
-    panels: Sequence[Axes] = list(np.atleast_1d(drawn))
-    compute = run.cycle["compute_us"]
-    title = f"Compute time of {len(compute)} cycles"
-    _histogram(panels[0], compute, controller["compute_us"], title)
-    if period:
-        periods = run.cycle["period_us"]
-        title = f"Period between cycles, mean rate {controller['rate_hz']:.2f} Hz"
-        _histogram(panels[1], periods[periods > 0], period, title)
-    return figure
-
-
 FIGURES: Figures = {
     "rcm_deviation": (
         "Does the shaft stay in the trocar?",
@@ -255,30 +216,14 @@ FIGURES: Figures = {
         "Measured joint positions and velocities relative to the robot's limits.",
         joints,
     ),
-    "trocar": (
-        "What load does the abdominal wall bear?",
-        "From the simulator: magnitude of the contact force, and displacement of the trocar point"
-        " under load.",
-        trocar,
-    ),
-    "timing": (
-        "How fast is the controller?",
-        "Duration of one control step; in free-run also the time between the starts of two cycles."
-        " Wall clock, logarithmic counts; the last bar holds all longer values.",
-        timing,
-    ),
 }
 
 
 def save_figures(run: Run, summary: Values, robot: Values, folder: Path) -> list[Drawn]:
     """Draw every figure that the run has data for; ``robot`` is its YAML, empty if unknown."""
-    has_data = {
-        "trocar": run.truth is not None,
-        "tip_error": run.tracking is not None,
-        # A recording made in process has no wall clock.
-        "timing": bool(np.isfinite(run.cycle["compute_us"]).any()),
-    }
-    figures = {name: figure for name, figure in FIGURES.items() if has_data.get(name, True)}
+    figures = dict(FIGURES)
+    if run.tracking is None:
+        del figures["tip_error"]
     return save_all(figures, folder, run, summary, robot)
 
 
@@ -287,22 +232,6 @@ def _numbers(stated: Mapping[str, Any], key: str, q: Array) -> Array | None:
     if not isinstance(values, list) or len(values) != q.shape[1]:
         return None
     return np.array(values, dtype=float)
-
-
-def _histogram(axes: Axes, values: Array, levels: Mapping[str, float], title: str) -> None:
-    top = float(np.percentile(values, 99.9)) if len(values) else 1.0
-    low = min(float(values.min()), top) if len(values) else 0.0
-    span = max(top - low, 1e-3 * max(top, 1.0))
-    edges = np.linspace(max(0.0, low - 0.05 * span), top + 0.1 * span, 80)
-    axes.hist(np.minimum(values, edges[-1]), edges, color=EXECUTED, log=True)
-    for name, colour in (("p50", INK), ("p99", TRUE)):
-        axes.axvline(levels[name], ymax=0.8, color=colour, linewidth=1.2)
-        axes.plot([], [], color=colour, label=f"{name} {levels[name]:.1f} µs")
-    worst = f"max {float(values.max()):.0f} µs" if len(values) else ""
-    axes.plot([], [], " ", label=worst)
-    axes.set_ylim(0.7, axes.get_ylim()[1] ** 1.6)  # logarithmic: room for the legend
-    axes.legend(loc="upper right", ncols=3, columnspacing=1.0, handlelength=1.2)
-    axes.set(title=title, xlabel="time [µs]", ylabel="cycles")
 
 
 def _value(value: float | None) -> str:

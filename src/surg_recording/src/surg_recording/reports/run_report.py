@@ -1,14 +1,8 @@
-"""The report of a run: ``summary.json``, ``figures/*.png`` and one self-contained ``report.html``.
-
-Command line: ``python -m surg_recording.reports.run_report RUN_DIR``. Exit code 0: the run met its
-limits; 1: it did not; 2: there is no readable episode.
-"""
+"""The report of a run: ``summary.json``, ``figures/*.png``, self-contained ``report.html``."""
 
 from __future__ import annotations
 
-import argparse
 import io
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -233,28 +227,3 @@ def _recording(recorded: episodes.Episode, result: Mapping[str, Any]) -> Markup:
         note(f"Versions: {versions}"),
         folded("Configuration files", table(("File", "SHA-256"), hashes)),
     )
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m surg_recording.reports.run_report",
-        description="Write summary.json, figures/ and report.html of a recorded run.",
-    )
-    parser.add_argument("run_dir", type=Path, help="the run's folder")
-    parser.add_argument("--episode", type=Path, help="episode folder (default: RUN_DIR/episode)")
-    parser.add_argument("--arm", help="arm to report on (default: the first)")
-    given = parser.parse_args(arguments)
-    try:
-        result = make(given.run_dir, given.episode, given.arm)
-    except (EpisodeError, OSError) as problem:
-        print(f"report: {problem}", file=sys.stderr)
-        return 2
-    for reason in result["reasons"]:
-        print(reason, file=sys.stderr)
-    print(given.run_dir / "summary.json")
-    return 0 if result["ok"] else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
