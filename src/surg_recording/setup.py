@@ -10,7 +10,9 @@ setuptools.setup(
     python_requires=">=3.11",
     packages=setuptools.find_packages("src"),
     package_dir={"": "src"},
-    package_data={"surg_recording": ["py.typed", "reports/templates/*"]},
+    package_data={
+        "surg_recording": ["py.typed", "reports/templates/*", "datasets/pages/templates/*"]
+    },
     install_requires=[
         "numpy>=1.24",
         "scipy>=1.10",

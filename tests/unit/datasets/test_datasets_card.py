@@ -12,7 +12,7 @@ import yaml
 from helpers.recording import datasets_synthetic, picture_identity
 from surg_recording import datasets
 from surg_recording.datasets import ExportOptions
-from surg_recording.datasets.pages import dataset_card
+from surg_recording.datasets.pages import dataset_card, readme
 
 
 @pytest.mark.parametrize(
@@ -64,8 +64,8 @@ def test_a_data_set_has_a_card_with_front_matter_picture_and_units(
 def test_open_hs_boxes_follow_from_the_manifest(
     about: dict[str, Any], kind: str, method: str
 ) -> None:
-    assert dataset_card.data_type(about) == kind
-    assert dataset_card.method(about) == method
+    assert readme.data_type(about) == kind
+    assert readme.method(about) == method
 
 
 @pytest.mark.parametrize(

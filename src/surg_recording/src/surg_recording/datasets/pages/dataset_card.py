@@ -1,13 +1,9 @@
-"""The card of a data set for the Hugging Face Hub: ``README.md`` with front matter and a picture.
-
-Also the two facts that Open-H-Embodiment asks for as boxes to tick: type of the data, and how they
-were collected.
-"""
+"""The card of a data set for the Hugging Face Hub: ``README.md`` with front matter, a picture."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,39 +12,11 @@ from PIL import Image
 
 from surg_recording.datasets import pictures, schema
 from surg_recording.datasets.dataset import Dataset, Part
+from surg_recording.datasets.pages.readme import TEMPLATES, data_type
 
 PICTURE = "preview.jpg"
 
-DATA_TYPES = ("Clinical", "Ex-Vivo", "Table-Top Phantom", "Digital Simulation", "Other")
-METHODS = ("Human Teleoperation", "Programmatic/State-Machine", "AI Policy / Autonomous", "Other")
-"""As in Open-H's template."""
-
-_OF_A_SETTING = {"phantom": DATA_TYPES[2], "ex_vivo": DATA_TYPES[1], "in_vivo": DATA_TYPES[0]}
-_PROGRAMS = ("scripted", "recorded motion")
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
-
-
-def data_type(about: Mapping[str, Any]) -> str:
-    """Type of a recording's data, one of ``DATA_TYPES``: from its simulator and setting."""
-    if about.get("simulated"):
-        return DATA_TYPES[3]
-    return _OF_A_SETTING.get(str(about.get("setting")), DATA_TYPES[-1])
-
-
-def method(about: Mapping[str, Any]) -> str:
-    """How a recording was collected, one of ``METHODS``: from its operator; unknown: other."""
-    operator = str(about.get("operator") or "")
-    if operator.startswith("policy "):
-        return METHODS[2]
-    if operator.startswith(_PROGRAMS):
-        return METHODS[1]
-    return METHODS[0] if operator else METHODS[-1]
-
-
-def boxes(allowed: Iterable[str], found: Iterable[str]) -> str:
-    """Boxes to tick, with those that were found ticked."""
-    ticked = set(found)
-    return " ".join(f"[{'x' if name in ticked else ' '}] {name}" for name in allowed)
 
 
 def write(dataset: Dataset, out: Path, version: str, page: str) -> None:
@@ -56,30 +24,16 @@ def write(dataset: Dataset, out: Path, version: str, page: str) -> None:
 
     ``page`` is the text of ``meta/README.md``, which the card repeats below its own facts.
     """
-    about = dict(dataset.options.about)
     title, _, body = page.partition("\n")
-    shown = _write_picture(dataset, out / PICTURE)
-    lines = ["---", *front_matter(dataset, about), "---", "", title, body.rstrip(), ""]
-    if shown:
-        lines[-1:] = ["", f"![A frame of the first episode]({PICTURE})", ""]
-    name = f"USER/{_slug(dataset.name)}"
-    lines += [
-        "## Use it",
-        "",
-        "```python",
-        "from lerobot.datasets.lerobot_dataset import LeRobotDataset",
-        "",
-        f'dataset = LeRobotDataset("{name}")',
-        "```",
-        "",
-        "Pushed to the Hub with these two lines; lerobot finds the version by the tag:",
-        "",
-        "```sh",
-        f"hf upload {name} . --repo-type dataset",
-        f"hf repo tag create {name} {version} --repo-type dataset",
-        "```",
-    ]
-    (out / "README.md").write_text("\n".join(lines) + "\n", "utf-8")
+    text = TEMPLATES.get_template("card.md").render(
+        front_matter="\n".join(front_matter(dataset, dict(dataset.options.about))),
+        title=title,
+        body=body.rstrip(),
+        picture=PICTURE if _write_picture(dataset, out / PICTURE) else None,
+        name=f"USER/{_slug(dataset.name)}",
+        version=version,
+    )
+    (out / "README.md").write_text(text, "utf-8")
 
 
 def front_matter(dataset: Dataset, about: Mapping[str, Any]) -> list[str]:

@@ -1,35 +1,27 @@
 """The README of a dataset, as Open-H-Embodiment requires it, filled from the manifests.
 
-Facts unknown to the manifests (licence, contact, operators) come from ``--about FILE.yaml``. A
-missing fact reads "not stated".
+The page itself is ``templates/readme.md``. Facts unknown to the manifests (licence, contact,
+operators) come from ``--about FILE.yaml``. A missing fact reads "not stated".
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import jinja2
+
 from surg_recording.datasets import schema
 from surg_recording.datasets.dataset import Dataset, Part
-from surg_recording.datasets.inspection import FAILURE, RECOVERY
-from surg_recording.datasets.pages.dataset_card import DATA_TYPES, METHODS, boxes, data_type, method
 
-KNOWN = {
-    "name": "name of the dataset",
-    "summary": "what it is, in a sentence",
-    "license": "licence of the data",
-    "version": "version of the data",
-    "lead": "who made it",
-    "institution": "where",
-    "contact": "e-mail address",
-    "citation": "how to cite it",
-    "operators": "how many people, and how skilled",
-    "varied": "what was varied on purpose",
-    "cameras": "models of the cameras",
-    "other": "anything else",
-}
-"""Keys of the file of ``--about``."""
+TEMPLATES = jinja2.Environment(
+    loader=jinja2.FileSystemLoader(Path(__file__).with_name("templates")),
+    trim_blocks=True,
+    lstrip_blocks=True,
+    keep_trailing_newline=True,
+)
 
 SECTIONS = (
     "Dataset description",
@@ -43,168 +35,65 @@ SECTIONS = (
 )
 """Required headings; Open-H's checker looks for five of these words."""
 
+DATA_TYPES = ("Clinical", "Ex-Vivo", "Table-Top Phantom", "Digital Simulation", "Other")
+METHODS = ("Human Teleoperation", "Programmatic/State-Machine", "AI Policy / Autonomous", "Other")
+"""Boxes to tick, as in Open-H's template."""
+
+_OF_A_SETTING = {"phantom": DATA_TYPES[2], "ex_vivo": DATA_TYPES[1], "in_vivo": DATA_TYPES[0]}
+_PROGRAMS = ("scripted", "recorded motion")
+
 
 def page(dataset: Dataset, format_name: str) -> str:
     """The page as Markdown."""
-    about = dict(dataset.options.about)
-    sections = (
-        _description(dataset, about, format_name),
-        _robot(dataset),
-        _sensors(dataset, about),
-        _collection(dataset, about),
-        _synchronization(dataset),
-        _action_and_state(dataset),
-        _splits(dataset),
-        _attribution(about),
+    about, layout = dict(dataset.options.about), dataset.layout
+    facts = [part.about for part in dataset.parts]
+    calibrations = [each.get("calibration") or {} for each in facts]
+    recordings = list({part.key: part for part in dataset.parts}.values())
+    dates = sorted(str(each["created"])[:10] for each in facts if each.get("created"))
+    return TEMPLATES.get_template("readme.md").render(
+        about=about,
+        arms=list(zip(layout.arms, layout.robots, layout.instruments, layout.joints, strict=True)),
+        calibrated=any(each.get("files") or each.get("camera_info") for each in calibrations),
+        camera_pose=schema.CAMERA_POSE,
+        clocks=_words(facts, "clock"),
+        columns=schema.columns_of(dataset.features),
+        data_types=_boxes(DATA_TYPES, map(data_type, facts)),
+        dataset=dataset,
+        dates=f"{dates[0]} to {dates[-1]}" if dates else "not stated",
+        each=lambda key: _words([fact for fact in facts if fact.get(key)], key),
+        format_name=format_name,
+        kinds=Counter(part.kind for part in dataset.parts),
+        layout=layout,
+        methods=_boxes(METHODS, map(method, facts)),
+        name=about.get("name", dataset.name),
+        options=dataset.options,
+        parts=dataset.parts,
+        pictures=[_shown_pictures(camera, recordings) for camera in layout.cameras],
+        privileged=[feature.name for feature in dataset.features if feature.privileged],
+        recordings=recordings,
+        seeds=_seeds(facts),
+        stated=lambda key: str(about.get(key) or "not stated").strip(),
+        summary=about.get("summary", _summary(dataset)),
+        verdicts=_verdicts(facts),
+        videos=schema.videos_of(dataset.features),
     )
-    lines = [
-        f"# {about.get('name', dataset.name)}",
-        "",
-        str(about.get("summary", _summary(dataset))),
-    ]
-    for title, section in zip(SECTIONS, sections, strict=True):
-        lines += ["", f"## {title}", "", *section]
-    if about.get("other"):
-        lines += ["", str(about["other"])]
-    return "\n".join(lines) + "\n"
 
 
-def _description(dataset: Dataset, about: Mapping[str, Any], format_name: str) -> list[str]:
-    parts, recordings = dataset.parts, _recordings(dataset)
-    hours = dataset.frames / dataset.options.fps / 3600
-    return [
-        "| | |",
-        "|---|---|",
-        f"| Recordings | {len(recordings)} |",
-        f"| Episodes | {len(parts)} |",
-        f"| Frames | {dataset.frames} at {dataset.options.fps} per second |",
-        f"| Hours | {hours:.3f} |",
-        "| Domain | surgical robotics |",
-        f"| Data type | {boxes(DATA_TYPES, (data_type(p.about) for p in parts))} |",
-        f"| Format | {format_name} |",
-        f"| Licence | {_stated(about, 'license')} |",
-        f"| Version | {_stated(about, 'version')} |",
-        "",
-        "Tasks, as instructions:",
-        "",
-        *[f"- {task}" for task in dataset.tasks],
-        *(["", "Stages, as instructions (`instruction.stage`):", ""] if dataset.stages else []),
-        *[f"- {stage}" for stage in dataset.stages],
-    ]
+def data_type(about: Mapping[str, Any]) -> str:
+    """Type of a recording's data, one of ``DATA_TYPES``: from its simulator and setting."""
+    if about.get("simulated"):
+        return DATA_TYPES[3]
+    return _OF_A_SETTING.get(str(about.get("setting")), DATA_TYPES[-1])
 
 
-def _robot(dataset: Dataset) -> list[str]:
-    layout = dataset.layout
-    rows = [
-        f"| {arm} | {robot} | {tool} | {joints} | {'yes' if arm in layout.commanded else 'no'} |"
-        for arm, robot, tool, joints in zip(
-            layout.arms, layout.robots, layout.instruments, layout.joints, strict=True
-        )
-    ]
-    return [
-        "| arm | robot | instrument | joints | commanded |",
-        "|---|---|---|---|---|",
-        *rows,
-        "",
-        "Every instrument turns about a remote centre of motion (a trocar) that its controller"
-        " holds.",
-    ]
-
-
-def _sensors(dataset: Dataset, about: Mapping[str, Any]) -> list[str]:
-    rows = [
-        f"| `{video.name}` | {video.shape[1]} x {video.shape[0]} | {video.camera} |"
-        for video in schema.videos_of(dataset.features)
-    ]
-    return [
-        f"Models: {_stated(about, 'cameras')}.",
-        "",
-        "| feature | width x height | recorded as |",
-        "|---|---|---|",
-        *rows,
-        *_calibration(dataset),
-    ]
-
-
-def _calibration(dataset: Dataset) -> list[str]:
-    """Where lenses, hand-eye and bases are stated."""
-    found = [part.about.get("calibration") or {} for part in dataset.parts]
-    if not any(each.get("files") or each.get("camera_info") for each in found):
-        return []
-    text = (
-        "Lenses, stereo, hand-eye, bases and tools as measured are in `meta/calibration/`: the"
-        " files as they were, and `index.json` with their SHA-256, the camera models and the"
-        " episodes."
-    )
-    if dataset.layout.scope:
-        text += (
-            f" `{schema.CAMERA_POSE}` is the left camera in the world, from the joints of"
-            f" {dataset.layout.scope} and these files."
-        )
-    return ["", text]
-
-
-def _collection(dataset: Dataset, about: Mapping[str, Any]) -> list[str]:
-    parts = dataset.parts
-    kinds = {kind: sum(p.kind == kind for p in parts) for kind in (RECOVERY, FAILURE)}
-    dates = sorted(str(p.about["created"])[:10] for p in parts if p.about.get("created"))
-    return [
-        f"- Collection method: {boxes(METHODS, (method(p.about) for p in parts))}",
-        f"- Operators: {_stated(about, 'operators')}; named in the recordings:"
-        f" {_each(dataset, 'operator')}",
-        f"- Tasks: {_each(dataset, 'task')}; settings: {_each(dataset, 'setting')}",
-        f"- Seeds: {_seeds(dataset)}",
-        f"- Collected: {f'{dates[0]} to {dates[-1]}' if dates else 'not stated'}",
-        f"- Varied on purpose: {_stated(about, 'varied')}",
-        f"- Recovery demonstrations: {kinds[RECOVERY] or 'none'};"
-        f" failures: {kinds[FAILURE] or 'none'}",
-        f"- Software: {_each(dataset, 'software')}",
-    ]
-
-
-def _synchronization(dataset: Dataset) -> list[str]:
-    return [
-        _clocks(dataset),
-        "",
-        "The time of frame k is k / fps exactly. Pictures are the newest not later than it, at most"
-        f" {dataset.options.max_image_age_s * 1000:g} ms old; measured values are interpolated"
-        f" between samples at most {dataset.options.max_gap_s * 1000:g} ms apart. True stamps"
-        " (integer nanoseconds) and ages of every frame are in the columns `timing.*`.",
-        "",
-        *_notes(dataset),
-    ]
-
-
-def _action_and_state(dataset: Dataset) -> list[str]:
-    lines = [
-        "Positions in metres, angles in radians, quaternions x, y, z, w. The rcm frame has its"
-        " origin at the trocar and z along the home shaft axis into the patient. The action"
-        f" space is `{dataset.options.action_space}`.",
-        "",
-        "| feature | type | numbers | unit | frame | resampling |",
-        "|---|---|---|---|---|---|",
-    ]
-    for feature in schema.columns_of(dataset.features):
-        units = ", ".join(dict.fromkeys(feature.units)) or "–"
-        lines.append(
-            f"| `{feature.name}` | {feature.dtype} | {', '.join(feature.names)} | {units} |"
-            f" {feature.frame or '–'} | {feature.method or '–'} |"
-        )
-    privileged = ", ".join(f"`{f.name}`" for f in dataset.features if f.privileged)
-    if privileged:
-        note = "**Privileged** (ground truth that no robot can measure):"
-        lines += ["", f"{note} {privileged}."]
-    return lines
-
-
-def _splits(dataset: Dataset) -> list[str]:
-    rows = [f"| {name} | {a} to {b - 1} |" for name, (a, b) in dataset.splits.items()]
-    return ["| split | recordings |", "|---|---|", *rows]
-
-
-def _attribution(about: Mapping[str, Any]) -> list[str]:
-    keys = ("lead", "institution", "contact", "citation")
-    return [f"- {key.capitalize()}: {_stated(about, key)}" for key in keys]
+def method(about: Mapping[str, Any]) -> str:
+    """How a recording was collected, one of ``METHODS``: from its operator; unknown: other."""
+    operator = str(about.get("operator") or "")
+    if operator.startswith("policy "):
+        return METHODS[2]
+    if operator.startswith(_PROGRAMS):
+        return METHODS[1]
+    return METHODS[0] if operator else METHODS[-1]
 
 
 def missing_sections(text: str) -> list[str]:
@@ -212,23 +101,21 @@ def missing_sections(text: str) -> list[str]:
     return [f"README.md has no section '{name}'" for name in SECTIONS if f"## {name}" not in text]
 
 
-def _recordings(dataset: Dataset) -> list[Part]:
-    """One part of each recording: long ones have several."""
-    return list({part.key: part for part in dataset.parts}.values())
+def _boxes(allowed: Iterable[str], found: Iterable[str]) -> str:
+    """Boxes to tick, with those that were found ticked."""
+    ticked = set(found)
+    return " ".join(f"[{'x' if name in ticked else ' '}] {name}" for name in allowed)
 
 
-def _stated(about: Mapping[str, Any], key: str) -> str:
-    return str(about.get(key) or "not stated").strip()
-
-
-def _each(dataset: Dataset, key: str) -> str:
+def _words(facts: Iterable[Mapping[str, Any]], key: str) -> str:
     """All different values of a fact about the recordings."""
-    values = dict.fromkeys(str(part.about[key]) for part in dataset.parts if part.about.get(key))
-    return ", ".join(values) or "not stated"
+    return ", ".join(dict.fromkeys(str(fact.get(key) or "not stated") for fact in facts)) or (
+        "not stated"
+    )
 
 
-def _seeds(dataset: Dataset) -> str:
-    seeds = [p.about["seed"] for p in dataset.parts if isinstance(p.about.get("seed"), int)]
+def _seeds(facts: Iterable[Mapping[str, Any]]) -> str:
+    seeds = [fact["seed"] for fact in facts if isinstance(fact.get("seed"), int)]
     if len(set(seeds)) <= 1:
         return str(seeds[0]) if seeds else "not stated"
     return f"{min(seeds)} to {max(seeds)}"
@@ -241,33 +128,20 @@ def _summary(dataset: Dataset) -> str:
     return f"{count} {noun} of {robots}: {'; '.join(dataset.tasks)}."
 
 
-def _clocks(dataset: Dataset) -> str:
-    """The recordings' clocks and sync verdicts."""
-    clocks = list(dict.fromkeys(str(p.about.get("clock") or "not stated") for p in dataset.parts))
-    verdicts: dict[str, int] = {}
-    for part in dataset.parts:
-        report = part.about.get("sync")
-        verdict = str(report.get("verdict")) if isinstance(report, Mapping) else "no report"
-        verdicts[verdict] = verdicts.get(verdict, 0) + 1
-    counts = ", ".join(f"{verdict}: {count}" for verdict, count in verdicts.items())
-    return (
-        f"Clock of the stamps: {', '.join(clocks)}. Every message and picture was stamped at its"
-        f" source and recorded with that stamp. Verdicts of the recordings' sync reports: {counts}."
+def _verdicts(facts: Iterable[Mapping[str, Any]]) -> str:
+    """How many sync reports of the recordings say what."""
+    reports = [fact.get("sync") for fact in facts]
+    counts = Counter(
+        str(report.get("verdict")) if isinstance(report, Mapping) else "no report"
+        for report in reports
     )
+    return ", ".join(f"{verdict}: {count}" for verdict, count in counts.items())
 
 
-def _notes(dataset: Dataset) -> list[str]:
-    """Repeated, skipped and oldest pictures of each camera."""
-    rows, recordings = [], _recordings(dataset)
-    for camera in dataset.layout.cameras:
-        repeated = sum(int(p.notes.get(f"repeated_{camera}", 0)) for p in recordings)
-        skipped = sum(int(p.notes.get(f"skipped_{camera}", 0)) for p in recordings)
-        oldest = max(float(p.notes.get(f"oldest_{camera}_s", 0.0)) for p in recordings)
-        rows.append(
-            f"- {camera}: {repeated} pictures shown twice, {skipped} left out, the oldest"
-            f" {oldest * 1000:.1f} ms old"
-        )
-    for part in recordings:
-        if "segment" in part.notes:
-            rows.append(f"- {Path(part.source).name}: {part.notes['segment']}, is in the dataset")
-    return rows
+def _shown_pictures(camera: str, recordings: Iterable[Part]) -> tuple[str, int, int, float]:
+    """A camera, its pictures shown twice and left out, and the age of the oldest [ms]."""
+    notes = [part.notes for part in recordings]
+    repeated = sum(int(each.get(f"repeated_{camera}", 0)) for each in notes)
+    skipped = sum(int(each.get(f"skipped_{camera}", 0)) for each in notes)
+    oldest = max(float(each.get(f"oldest_{camera}_s", 0.0)) for each in notes)
+    return camera, repeated, skipped, oldest * 1000
