@@ -20,7 +20,7 @@ import pytest
 from helpers.recording import datasets_synthetic
 from helpers.results.dataset_results import note
 from surg_recording import datasets, job_pool
-from surg_recording.datasets import ExportError, ExportOptions, Report, conversion, executors
+from surg_recording.datasets import ExportError, ExportOptions, Report, conversion, pipeline
 from surg_recording.datasets.conversion import ConversionJob, ConversionResult
 
 SERIAL = ExportOptions(executor="serial")
@@ -88,7 +88,7 @@ def test_shards_and_merge_give_the_same_dataset(tmp_path: Path) -> None:
 
 def test_work_that_was_cut_off_is_taken_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folders, out = many(tmp_path, 4), tmp_path / "set"
-    right, done = executors.convert, []
+    right, done = pipeline.convert, []
 
     def interrupted(job: ConversionJob) -> ConversionResult:
         if len(done) == 2:
@@ -96,10 +96,10 @@ def test_work_that_was_cut_off_is_taken_up(tmp_path: Path, monkeypatch: pytest.M
         done.append(job)
         return right(job)
 
-    monkeypatch.setattr(executors, "convert", interrupted)
+    monkeypatch.setattr(pipeline, "convert", interrupted)
     with pytest.raises(KeyboardInterrupt):
         export(folders, out, SERIAL)
-    monkeypatch.setattr(executors, "convert", right)
+    monkeypatch.setattr(pipeline, "convert", right)
     dead = tmp_path / "set.parts" / f".unfinished-{os.uname().nodename}-999999-x"
     dead.mkdir()
     report = export(folders, out, SERIAL)
@@ -199,7 +199,7 @@ def test_a_scheduler_that_is_not_there_is_named(
     monkeypatch.setattr(job_pool, "CONNECT_S", 1)
     options = ExportOptions(executor="dask", scheduler="tcp://127.0.0.1:1")
     with pytest.raises(ExportError, match="no Dask scheduler answers there"):
-        executors.run([_job(tmp_path)], options, lambda outcome: None)
+        export(many(tmp_path, 1), tmp_path / "set", options)
 
 
 def test_dask_that_is_not_installed_is_named(
@@ -207,11 +207,7 @@ def test_dask_that_is_not_installed_is_named(
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ExportError, match="python3-distributed"):
-        executors.run([_job(tmp_path)], ExportOptions(executor="dask"), lambda outcome: None)
-
-
-def _job(tmp_path: Path) -> ConversionJob:
-    return ConversionJob(tmp_path, "act", SERIAL, None, "key", tmp_path)  # type: ignore[arg-type]
+        export(many(tmp_path, 1), tmp_path / "set", ExportOptions(executor="dask"))
 
 
 OUTSIDE = '''

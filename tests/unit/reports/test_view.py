@@ -20,7 +20,7 @@ import pytest
 from helpers.recording import recording_synthetic as synthetic
 from surg_recording.episode import episode_reader as episodes
 from surg_recording.recording_errors import EpisodeError
-from surg_recording.reports import episode_view, episode_view_data
+from surg_recording.reports import episode_events, episode_view, episode_view_data
 from surg_recording.video import video_embed
 
 CHROMIUM = shutil.which("chromium")
@@ -96,9 +96,7 @@ def test_the_sample_at_the_cursor_is_the_last_that_is_not_later(full: bool) -> N
     for _ in range(2000 if full else 100):
         stamps = np.cumsum(rng.integers(1, 5_000_000, rng.integers(1, 60))) - 1
         for t in [*stamps[:5], *(stamps[:5] - 1), *rng.integers(-10, int(stamps[-1]) + 10, 5)]:
-            assert (
-                episode_view_data.at_or_before(stamps, int(t)) == bisect.bisect_right(stamps, t) - 1
-            )
+            assert episode_events.at_or_before(stamps, int(t)) == bisect.bisect_right(stamps, t) - 1
             checks += 1
     print(f"{checks} cursors")
 
@@ -139,8 +137,8 @@ def test_every_frame_on_the_page_is_the_recorded_one(folder: Path) -> None:
         tick = (k + 1) * 25
         assert video["stamps"][k] == (tick - 1) * synthetic.TICK_NS
         # At the frame's own stamp the cursor shows this frame, just before it the one before.
-        assert episode_view_data.at_or_before(video["stamps"], video["stamps"][k]) == k
-        assert episode_view_data.at_or_before(video["stamps"], video["stamps"][k] - 1) == k - 1
+        assert episode_events.at_or_before(video["stamps"], video["stamps"][k]) == k
+        assert episode_events.at_or_before(video["stamps"], video["stamps"][k] - 1) == k - 1
 
 
 def test_a_large_episode_is_thinned_out_and_keeps_its_extremes(folder: Path) -> None:
@@ -273,8 +271,8 @@ def test_the_browser_points_at_the_same_sample(folder: Path, tmp_path: Path, t: 
     recorded = episodes.read(folder)
     stamps = recorded.cycle("PSM1")["stamp_ns"]
     now = int(stamps[0]) + round(t * 1e9)
-    tick = recorded.cycle("PSM1")["tick"][episode_view_data.at_or_before(stamps, now)]
+    tick = recorded.cycle("PSM1")["tick"][episode_events.at_or_before(stamps, now)]
     assert re.search(rf"tick\s+{tick}\s", said)
-    frame = episode_view_data.at_or_before(recorded.video("endoscope_left").frames["stamp_ns"], now)
+    frame = episode_events.at_or_before(recorded.video("endoscope_left").frames["stamp_ns"], now)
     expected = f"frame {frame}, stamp" if frame >= 0 else "no picture yet"
     assert expected in said

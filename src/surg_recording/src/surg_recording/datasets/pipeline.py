@@ -14,8 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from surg_core.plugins import source_file
-from surg_recording.datasets import executors, export_plan, inspection, schema
-from surg_recording.datasets.conversion import ConversionJob, ConversionResult, remove_unfinished
+from surg_recording import job_pool
+from surg_recording.datasets import export_plan, inspection, schema
+from surg_recording.datasets.conversion import (
+    ConversionJob,
+    ConversionResult,
+    convert,
+    remove_unfinished,
+)
 from surg_recording.datasets.dataset import Dataset, Part
 from surg_recording.datasets.dataset_format import DatasetFormat
 from surg_recording.datasets.export_manifest import is_up_to_date, write_manifest
@@ -124,7 +130,7 @@ def dry_run(
 def _convert(
     jobs: list[ConversionJob], options: ExportOptions, report: Report, progress: Progress
 ) -> None:
-    """Do the remaining jobs; failures go to ``refused``."""
+    """Do the remaining jobs; failures go to ``refused``. ExportError if there is no executor."""
     if options.shard is not None:
         index, count = options.shard
         jobs[:] = jobs[index::count]
@@ -140,7 +146,18 @@ def _convert(
         progress(0.1 + 0.85 * done / len(todo), f"{done} of {len(todo)} recordings converted")
 
     progress(0.1, f"0 of {len(todo)} recordings converted")
-    executors.run(todo, options, note)
+    by_key = {f"export-{job.key}": job for job in todo}
+
+    def lost(key: str, why: str) -> None:
+        job = by_key[key]
+        note(ConversionResult(job.folder, job.key, f"{job.folder}: {why}"))
+
+    place = job_pool.Executor(options.executor, options.workers, options.scheduler)
+    callbacks = job_pool.JobCallbacks[ConversionResult](lambda _, result: note(result), lost)
+    try:
+        job_pool.run(convert, by_key, place, callbacks)
+    except job_pool.NoExecutor as problem:
+        raise ExportError(str(problem)) from None
 
 
 def _assemble(

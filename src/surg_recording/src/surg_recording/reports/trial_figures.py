@@ -15,7 +15,6 @@ from surg_recording.reports import trials
 from surg_recording.reports.figure_style import (
     EXECUTED,
     EXECUTED_FAINT,
-    FAINT,
     INK,
     LIMIT,
     TRUE,
@@ -104,21 +103,6 @@ def smoothness(groups: Groups, summary: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def load(groups: Groups, summary: Mapping[str, Any]) -> Figure:
-    """Maximum force on the trocar, its maximum displacement, and the duration of each episode."""
-    figure = blank(3.5)
-    panels = (
-        ("Trocar force, max", "N", ("trocar", "force_n", "max"), TRUE),
-        ("Trocar displacement, max", "mm", ("trocar", "displacement_mm", "max"), TRUE),
-        ("Duration", "s, simulated", ("duration_s",), FAINT),
-    )
-    for axes, (title, unit, path, colour) in zip(figure.subplots(1, 3), panels, strict=True):
-        _boxes(axes, groups, [(title, colour, path)])
-        axes.set(title=title, ylabel=f"{title.partition(',')[0]} [{unit}]")
-        axes.set_ylim(0, 1.05 * axes.get_ylim()[1])
-    return figure
-
-
 BOXES = "Box: quartiles, line: median, whiskers: 1.5 times the box. "
 
 FIGURES: Figures = {
@@ -132,11 +116,6 @@ FIGURES: Figures = {
         "How smooth is the tip's motion?",
         "Executed tip of the first arm at 5 Hz.",
         smoothness,
-    ),
-    "load": (
-        "What load does the wall bear, and how long does an episode take?",
-        "Of the first arm, from the simulator's truth.",
-        load,
     ),
 }
 

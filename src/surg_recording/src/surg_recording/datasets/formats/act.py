@@ -20,15 +20,14 @@ import h5py
 import numpy as np
 
 from surg_core.contract import ACTION_KEY, STATE_KEY
-from surg_recording.calibration import calibration_record
 from surg_recording.datasets import pictures, schema
 from surg_recording.datasets.dataset import Dataset
 from surg_recording.datasets.export_report import Report
 from surg_recording.datasets.exporter import Exporter
 from surg_recording.datasets.formats import hdf5
-from surg_recording.datasets.formats.frame_arrays import check_frames
 from surg_recording.datasets.frames.sampling import Sampled
 from surg_recording.datasets.options import ExportOptions
+from surg_recording.datasets.schema import Feature
 from surg_recording.recording_errors import EpisodeError
 
 _FILE = "episode.hdf5"
@@ -48,30 +47,15 @@ class Act(Exporter):
     def write_part(self, sampled: Sampled, folder: Path, options: ExportOptions) -> None:
         """The recording's whole file."""
         path = folder / _FILE
-        layout = arrays(sampled)
+        places = arrays(sampled)
         with h5py.File(path, "w") as root:
             root.attrs["sim"] = True
             root.attrs["simulated"] = bool(sampled.candidate.about["simulated"])
             root.attrs["fps"] = sampled.grid.fps
             root.attrs["frames"] = sampled.grid.frames
-            root.attrs["instruction"] = sampled.candidate.instruction
-            root.attrs["kind"] = sampled.candidate.kind
-            calibration = sampled.candidate.about["calibration"]
-            root.attrs["calibration"] = calibration_record.text_of(calibration)
-            by_name = {feature.name: feature for feature in sampled.features}
-            for place, name in layout.items():
-                if by_name[name].is_video:
-                    hdf5.put_pictures(root, place, sampled, by_name[name], options)
-                else:
-                    hdf5.put(root, place, sampled.columns[name], by_name[name])
-            root["timestamp"] = sampled.grid.timestamps
+            hdf5.put_all(root, places, sampled, options)
         with h5py.File(path, "r") as root:
-            for place, name in layout.items():
-                if by_name[name].is_video:
-                    check_frames(root[place], path, sampled, by_name[name], options)
-                else:
-                    hdf5.check_array(root[place], sampled.columns[name])
-            hdf5.check_array(root["timestamp"], sampled.grid.timestamps)
+            hdf5.check_all(root, places, sampled, options)
 
     def assemble(self, dataset: Dataset, out: Path) -> None:
         """Number the files; ``dataset.json`` has the splits."""
@@ -122,18 +106,19 @@ def _validate(root: h5py.File, stated: Mapping[str, Any], length: int, report: R
     report.frames += length
 
 
-def arrays(sampled: Sampled) -> dict[str, str]:
+def arrays(sampled: Sampled) -> dict[str, Feature]:
     """Place in the file → feature."""
-    places = {**_OBSERVATIONS, "action": ACTION_KEY}
     features = {feature.name: feature for feature in sampled.features}
-    missing = [name for name in places.values() if name not in features]
+    named = {**_OBSERVATIONS, "action": ACTION_KEY}
+    missing = [name for name in named.values() if name not in features]
     if missing:
         raise EpisodeError(f"format act needs {', '.join(missing)}: do not --drop it")
+    places = {place: features[name] for place, name in named.items()}
     for name, feature in features.items():
         if feature.is_video:
-            places[f"observations/images/{feature.camera}"] = name
-        elif name not in places.values():
-            places[f"extra/{name}"] = name
+            places[f"observations/images/{feature.camera}"] = feature
+        elif name not in named.values():
+            places[f"extra/{name}"] = feature
     return places
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,8 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording.datasets.formats.frame_arrays import put_frames
+from surg_recording.calibration import calibration_record
+from surg_recording.datasets.formats.frame_arrays import check_frames, put_frames
 from surg_recording.datasets.frames.sampling import Sampled
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.schema import Feature
@@ -19,13 +20,41 @@ from surg_recording.recording_errors import EpisodeError
 NEEDS = {"h5py": "Debian: python3-h5py; pip install 'surg_recording[hdf5]'"}
 
 
-def put(group: h5py.Group, name: str, values: npt.NDArray[Any], feature: Feature | None) -> None:
-    """Write an array with names, units, frame and method as attributes."""
+Places = Mapping[str, Feature]
+"""Path in a group → the feature that is stored there."""
+
+
+def put_all(group: h5py.Group, places: Places, sampled: Sampled, options: ExportOptions) -> None:
+    """Write features with names, units, frame and method, and what the recording is."""
+    candidate = sampled.candidate
+    group.attrs["instruction"] = candidate.instruction
+    group.attrs["kind"] = candidate.kind
+    group.attrs["calibration"] = calibration_record.text_of(candidate.about["calibration"])
+    group["timestamp"] = sampled.grid.timestamps
+    for place, feature in places.items():
+        if feature.is_video:
+            stored = _pictures(group, place, sampled, feature)
+            put_frames(stored, sampled, feature, options)
+        else:
+            stored = put(group, place, sampled.columns[feature.name])
+        _describe(stored, feature)
+
+
+def check_all(group: h5py.Group, places: Places, sampled: Sampled, options: ExportOptions) -> None:
+    """Compare what ``put_all`` wrote with the recording; an EpisodeError where they differ."""
+    check_array(group["timestamp"], sampled.grid.timestamps)
+    for place, feature in places.items():
+        if feature.is_video:
+            check_frames(group[place], group.file.filename, sampled, feature, options)
+        else:
+            check_array(group[place], sampled.columns[feature.name])
+
+
+def put(group: h5py.Group, name: str, values: npt.NDArray[Any]) -> h5py.Dataset:
+    """Write an array."""
     if values.dtype == object:
         values = values.astype(h5py.string_dtype("utf-8"))
-    made = group.create_dataset(name, data=values)
-    if feature is not None:
-        _describe(made, feature)
+    return group.create_dataset(name, data=values)
 
 
 def _describe(target: h5py.Dataset, feature: Feature) -> None:
@@ -38,15 +67,13 @@ def _describe(target: h5py.Dataset, feature: Feature) -> None:
     target.attrs["privileged"] = feature.privileged
 
 
-def put_pictures(
-    group: h5py.Group, name: str, sampled: Sampled, feature: Feature, options: ExportOptions
-) -> None:
-    """Write a camera's pictures as (N, height, width, 3) uint8 RGB, one chunk per frame.
+def _pictures(group: h5py.Group, name: str, sampled: Sampled, feature: Feature) -> h5py.Dataset:
+    """An array for a camera's pictures, (N, height, width, 3) uint8 RGB, one chunk per frame.
 
     Compressed by LZF, which every h5py can read.
     """
     shape = tuple(feature.shape)
-    stored = group.create_dataset(
+    return group.create_dataset(
         name,
         (sampled.grid.frames, *shape),
         np.uint8,
@@ -54,8 +81,6 @@ def put_pictures(
         compression="lzf",
         shuffle=False,
     )
-    _describe(stored, feature)
-    put_frames(stored, sampled, feature, options)
 
 
 def check_array(stored: h5py.Dataset, values: npt.NDArray[Any]) -> None:

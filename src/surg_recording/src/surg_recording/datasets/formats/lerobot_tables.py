@@ -21,7 +21,6 @@ from surg_recording.datasets import schema, statistics
 from surg_recording.datasets.dataset import Dataset, Part
 from surg_recording.datasets.export_report import Report
 from surg_recording.datasets.schema import Feature
-from surg_recording.recording_errors import EpisodeError
 
 DATA = "data.parquet"
 COLOURS = "colours.json"
@@ -220,14 +219,6 @@ def write_lines(path: Path, values: Iterable[Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     lines = [json.dumps(value, ensure_ascii=False) + "\n" for value in values]
     path.write_text("".join(lines), "utf-8")
-
-
-def read_json(path: Path) -> Any:
-    """Read JSON; an EpisodeError if it is missing or broken."""
-    try:
-        return json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as problem:
-        raise EpisodeError(f"{path}: {problem}") from None
 
 
 def check_rows(table: pa.Table, stated: Mapping[str, Any], episode: int, first: int) -> list[str]:

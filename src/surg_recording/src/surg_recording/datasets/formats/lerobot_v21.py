@@ -21,6 +21,7 @@ from surg_recording.datasets.export_report import Report
 from surg_recording.datasets.formats import lerobot_tables
 from surg_recording.datasets.formats.lerobot_part import LeRobotExporter
 from surg_recording.datasets.pages import dataset_card, readme
+from surg_recording.file_io import read_json
 from surg_recording.recording_errors import EpisodeError
 
 DATA_PATH = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
@@ -84,7 +85,7 @@ class LeRobotV21(LeRobotExporter):
         dataset_card.write(dataset, out, "v2.1", page)
 
     def _validate(self, out: Path, report: Report) -> None:
-        stated = lerobot_tables.read_json(out / "meta" / "info.json")
+        stated = read_json(out / "meta" / "info.json")
         episodes = _lines(out / "meta" / "episodes.jsonl")
         stats = _lines(out / "meta" / "episodes_stats.jsonl")
         tasks = _lines(out / "meta" / "tasks.jsonl")

@@ -22,6 +22,7 @@ from surg_recording.datasets.export_report import Report
 from surg_recording.datasets.formats import lerobot_tables
 from surg_recording.datasets.formats.lerobot_part import LONGEST_S, LeRobotExporter
 from surg_recording.datasets.pages import dataset_card, readme
+from surg_recording.file_io import read_json
 from surg_recording.recording_errors import EpisodeError
 
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -132,8 +133,8 @@ class LeRobotV30(LeRobotExporter):
                 rows[index][f"videos/{name}/to_timestamp"] = end / fps
 
     def _validate(self, out: Path, report: Report) -> None:
-        stated = lerobot_tables.read_json(out / "meta" / "info.json")
-        stats = lerobot_tables.read_json(out / "meta" / "stats.json")
+        stated = read_json(out / "meta" / "info.json")
+        stats = read_json(out / "meta" / "stats.json")
         rows = pq.read_table(out / EPISODES_PATH).to_pylist()
         videos = [k for k, f in stated["features"].items() if f["dtype"] == "video"]
         texts = {column: _texts(out / path) for column, path in _TEXTS.items()}

@@ -18,13 +18,11 @@ import h5py
 import numpy as np
 
 from surg_core.contract import ACTION_KEY, STATE_KEY
-from surg_recording.calibration import calibration_record
 from surg_recording.datasets import schema
 from surg_recording.datasets.dataset import Dataset
 from surg_recording.datasets.export_report import Report
 from surg_recording.datasets.exporter import Exporter
 from surg_recording.datasets.formats import hdf5
-from surg_recording.datasets.formats.frame_arrays import check_frames
 from surg_recording.datasets.frames.sampling import Sampled
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.schema import Feature
@@ -49,7 +47,7 @@ class Robomimic(Exporter):
         """One demo in a file of its own."""
         path = folder / _PART
         n = sampled.grid.frames
-        columns = dict(sampled.columns)
+        columns = sampled.columns
         if ACTION_KEY not in columns or STATE_KEY not in columns:
             raise EpisodeError(
                 "format robomimic needs action and observation.state: do not --drop them"
@@ -60,28 +58,15 @@ class Robomimic(Exporter):
         with h5py.File(path, "w") as root:
             demo = root.create_group("demo")
             demo.attrs["num_samples"] = n
-            demo.attrs["instruction"] = sampled.candidate.instruction
-            demo.attrs["kind"] = sampled.candidate.kind
-            calibration = sampled.candidate.about["calibration"]
-            demo.attrs["calibration"] = calibration_record.text_of(calibration)
             demo["rewards"] = rewards
             demo["dones"] = last.astype(np.int64)
-            demo["timestamp"] = sampled.grid.timestamps
+            hdf5.put_all(demo, by_place, sampled, options)
             for place, feature in by_place.items():
-                if feature.is_video:
-                    hdf5.put_pictures(demo, place, sampled, feature, options)
-                    continue
-                values = columns[feature.name]
-                hdf5.put(demo, place, values, feature)
-                if place.startswith("obs/"):
-                    hdf5.put(demo, f"next_{place}", np.concatenate([values[1:], values[-1:]]), None)
+                if place.startswith("obs/") and not feature.is_video:
+                    values = columns[feature.name]
+                    hdf5.put(demo, f"next_{place}", np.concatenate([values[1:], values[-1:]]))
         with h5py.File(path, "r") as root:
-            for place, feature in by_place.items():
-                stored = root["demo"][place]
-                if feature.is_video:
-                    check_frames(stored, path, sampled, feature, options)
-                else:
-                    hdf5.check_array(stored, columns[feature.name])
+            hdf5.check_all(root["demo"], by_place, sampled, options)
 
     def assemble(self, dataset: Dataset, out: Path) -> None:
         """Copy the demos into one file, without decompressing their pictures."""
