@@ -140,15 +140,6 @@ def test_slerp_agrees_with_scipy_whatever_the_signs(full: bool) -> None:
         assert (before == previous(stamps, times, "x")).all()
 
 
-def test_slerp_turns_at_a_constant_rate() -> None:
-    stamps = np.array([0, SECOND_NS])
-    ends = Rotation.from_rotvec([[0, 0, 0], [0.4, -0.8, 0.2]]).as_quat()
-    times = np.arange(0, SECOND_NS + 1, SECOND_NS // 50)
-    found, _ = slerp(stamps, ends, times, "x", GAP)
-    turned = Rotation.from_quat(found).magnitude()
-    np.testing.assert_allclose(turned, np.linalg.norm([0.4, -0.8, 0.2]) * times * 1e-9, atol=1e-12)
-
-
 def test_slerp_refuses_what_is_no_rotation() -> None:
     turns = np.array([[0, 0, 0, 1.0], [0, 0, 0, 0.0], [0, 0, np.nan, 1.0]])
     for broken in (turns[:2], turns[[0, 2]]):
