@@ -62,9 +62,7 @@ class ExportOptions:
     where: str | None = None
     """Which recordings to take (``episode.selection``); None: all."""
     about: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """Facts that only people know, for the dataset's page: ``name``, ``summary``, ``license``,
-    ``version``, ``lead``, ``institution``, ``contact``, ``citation``, ``operators`` (how many, how
-    skilled), ``varied`` (on purpose), ``cameras`` (their models), ``other``."""
+    """Facts that only people know, for the dataset's page (``readme.KNOWN``)."""
 
     # How it is computed.
     executor: str = "process"

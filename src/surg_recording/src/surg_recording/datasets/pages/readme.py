@@ -23,6 +23,22 @@ TEMPLATES = jinja2.Environment(
     keep_trailing_newline=True,
 )
 
+KNOWN = {
+    "name": "name of the dataset",
+    "summary": "what it is, in a sentence",
+    "license": "licence of the data",
+    "version": "version of the data",
+    "lead": "who made it",
+    "institution": "where",
+    "contact": "e-mail address",
+    "citation": "how to cite it",
+    "operators": "how many people, and how skilled",
+    "varied": "what was varied on purpose",
+    "cameras": "models of the cameras",
+    "other": "anything else",
+}
+"""Keys of the file of ``--about``."""
+
 SECTIONS = (
     "Dataset description",
     "Robot",
