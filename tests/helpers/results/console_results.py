@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 from helpers.results.results_page import ResultsPage
 
-TABS = ("hidden", "frozen", "closed")
 BY_GAMEPAD, BY_FINGERS = "target touched by gamepad", "target touched by fingers"
 PAGE = ResultsPage("console.md")
 
