@@ -12,8 +12,10 @@ import numpy as np
 
 from helpers.policy.bgr_synthetic import ACTION, STATE, TASK
 from surg_learn.bgr import image_policy, keypoint_network, train_images
+from surg_learn.bgr.training import keypoint_labels as keypoint_labels
 from surg_learn.bgr.training import keypoint_training as keypoint_training
 from surg_learn.bgr.training import picture_augmentation as picture_augmentation
+from surg_learn.bgr.training import picture_dataset as picture_dataset
 
 SIDE = keypoint_network.SIDE
 REACH = 0.03
@@ -33,7 +35,7 @@ def picture(goal: np.ndarray, tip: np.ndarray) -> np.ndarray:
     return shown
 
 
-def episode(seed: int, steps: int = 50) -> train_images.Episode:
+def episode(seed: int, steps: int = 50) -> picture_dataset.Episode:
     """The tip goes a tenth of what is left to the spot in every step; then the jaws close.
 
     The camera looks along z. All nodes lie at the goal; so does the assistant's tip.
@@ -55,7 +57,7 @@ def episode(seed: int, steps: int = 50) -> train_images.Episode:
         rows.append((state, truth, [*aim, 0.1, jaw], np.eye(4), picture(goal, tip)))
         tip = aim
     parts = [np.array(part) for part in zip(*rows, strict=True)]
-    return train_images.Episode(*parts)
+    return picture_dataset.Episode(*parts)
 
 
 def dataset(train: int = 6, val: int = 1) -> train_images.Dataset:
@@ -110,7 +112,7 @@ def dataset_folder(
         image_policy.STATE: STATE,
         train_images.TASK: TASK,
         "action": ACTION,
-        train_images.CAMERA: list(train_images.POSE),
+        picture_dataset.CAMERA: list(picture_dataset.POSE),
     }
     features: dict[str, Any] = {key: {"names": value} for key, value in names.items()}
     features[image_policy.PICTURE] = {"shape": list(shape)}

@@ -10,7 +10,7 @@ from helpers.hardware.emulated_ur import free_address
 from surg_cli.commands.arms import emulate
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
-from surg_emulators import emulator_ports
+from surg_emulators import emulator_ports, emulator_program
 from surg_emulators.franka import franka_emulator
 from surg_emulators.ur import ur_emulator
 
@@ -18,7 +18,7 @@ from surg_emulators.ur import ur_emulator
 @pytest.fixture(autouse=True)
 def _without_priority(monkeypatch: pytest.MonkeyPatch) -> None:
     """The test's own process must stay as it is."""
-    monkeypatch.setattr(emulator_ports, "ask_real_time", lambda: False)
+    monkeypatch.setattr(emulator_program, "ask_real_time", lambda: False)
 
 
 @pytest.fixture

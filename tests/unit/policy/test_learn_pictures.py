@@ -16,9 +16,11 @@ import pytest
 from helpers.policy import bgr_pictures as made
 from helpers.policy.bgr_pictures import (
     image_policy,
+    keypoint_labels,
     keypoint_network,
     keypoint_training,
     picture_augmentation,
+    picture_dataset,
     train_images,
 )
 from helpers.policy.bgr_synthetic import STATE, TASK, state_policy
@@ -38,7 +40,7 @@ def hand_trained(options: train_images.Options) -> image_policy.ImagePolicy:
     return train_images.train_hand(dataset, options, made.eye(), marked)
 
 
-def sight(policy: image_policy.ImagePolicy, shown: train_images.Episode) -> np.ndarray:
+def sight(policy: image_policy.ImagePolicy, shown: picture_dataset.Episode) -> np.ndarray:
     """What it makes of an episode."""
     said = train_images.look(policy.network.eye, shown.views)
     scales = policy.scales
@@ -95,7 +97,7 @@ def test_what_the_codec_leaves_of_a_view(tmp_path: Path) -> None:
     file = tmp_path / "video.mp4"
     frames = (av.VideoFrame.from_ndarray(picture, format="rgb24") for picture in shown)
     pictures.encode(frames, file, ExportOptions())
-    seen = train_images.views_of(file).astype(int)
+    seen = picture_dataset.views_of(file).astype(int)
     off = np.abs(seen - np.stack([keypoint_network.small(picture) for picture in shown]))
     print(f"mean {off.mean():.2f}, 99 % {np.percentile(off, 99):.0f} of 255")
     assert len(seen) == 6 and off.mean() < 2.0
@@ -125,7 +127,7 @@ def test_a_heat_map_peaks_at_its_mark_and_is_empty_for_a_mark_outside() -> None:
     marks = np.zeros((1, 2, 2))
     cell = keypoint_network.grid(keypoint_network.CELLS)[7 * keypoint_network.CELLS + 21]
     marks[0, 0], marks[0, 1] = cell, (0.0, 3.0)
-    heat = keypoint_training.heats(marks)[0]
+    heat = keypoint_labels.heats(marks)[0]
     assert heat[:, 0].argmax() == 7 * keypoint_network.CELLS + 21
     assert heat[:, 0].sum() == pytest.approx(1.0) and heat[:, 1].sum() == 0.0
 
@@ -134,7 +136,7 @@ def test_marks_are_where_a_pinhole_shows_the_points() -> None:
     """Against the picture: the red spot is the target, the green one the robot's tip."""
     shown = made.episode(3)
     columns = state_policy.Columns(STATE, TASK)
-    found = keypoint_training.labels(shown.task, columns.task, np.eye(4), shown.camera, made.K)
+    found = keypoint_labels.labels(shown.task, columns.task, np.eye(4), shown.camera, made.K)
     for step in (0, 10):
         for name, colour in (("helper", 0), ("tip", 1)):
             spot = np.argwhere(shown.views[step][:, :, colour] > 200).mean(axis=0) + 0.5
@@ -198,7 +200,7 @@ def test_the_lens_is_found_from_tips_and_where_they_are_seen() -> None:
     points = rng.uniform(-0.04, 0.04, (200, 3))
     x = np.column_stack([points, np.ones(200)]) @ P.T
     places = 4.0 * x[:, :2] / x[:, 2:]
-    lens = keypoint_training.lens_of(points, places)
+    lens = keypoint_labels.lens_of(points, places)
     found = np.column_stack([points, np.ones(200)]) @ lens.T
     inside = (np.abs(places) < 1.0).all(axis=1)
     assert 20 < inside.sum() < 200, "some lie outside"
@@ -287,9 +289,9 @@ def test_one_seed_one_policy(policy: image_policy.ImagePolicy) -> None:
 def test_how_to_miss_is_not_learned() -> None:
     """Jaws that close and open again have missed: the steps up to the closing are left out."""
     jaw = np.array([0, 0, 0.7, 0.7, 0.7, 0, 0, 0, 0.7, 0.7, 0, 0, 0, 0], float)
-    out = np.flatnonzero(train_images.missed(jaw))
+    out = np.flatnonzero(picture_dataset.missed(jaw))
     np.testing.assert_array_equal(out, [2, 3, 4, 5])
-    assert not train_images.missed(jaw[8:]).any()
+    assert not picture_dataset.missed(jaw[8:]).any()
 
 
 def test_a_command_that_is_moved_aside_is_led_back(policy: image_policy.ImagePolicy) -> None:
@@ -493,11 +495,11 @@ def test_a_dataset_that_does_not_fit_is_refused_before_a_row_is_read(
 ) -> None:
     """One that fits gets as far as its rows."""
     with pytest.raises(ValueError, match=said) as problem:
-        train_images.read(made.dataset_folder(tmp_path / "bad", shape, [height], **info))
+        picture_dataset.read(made.dataset_folder(tmp_path / "bad", shape, [height], **info))
     assert str(tmp_path) in str(problem.value)
     with pytest.raises(FileNotFoundError, match="no_such"):
         good = {"data_path": "no_such", "chunks_size": 1000}
-        train_images.read(made.dataset_folder(tmp_path / "good", **good))
+        picture_dataset.read(made.dataset_folder(tmp_path / "good", **good))
 
 
 def test_weights_that_do_not_fit_are_refused_before_anything_moves(

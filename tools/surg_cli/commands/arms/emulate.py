@@ -8,7 +8,7 @@ from pathlib import Path
 from surg_cli.host import cells
 from surg_cli.host.terminal import CliError, say
 from surg_cli.robots.emulated_arms import MODELS
-from surg_emulators import emulator_ports
+from surg_emulators import emulator_program
 from surg_emulators.emulator_ports import PortedEmulator
 from surg_emulators.franka import franka_emulator
 from surg_emulators.ur import ur_emulator
@@ -39,8 +39,8 @@ def main(options: argparse.Namespace, command: str) -> int:
         emulator = _start(*wanted)
     except (ValueError, OSError) as error:
         raise CliError(f"emulate: {error}", 2) from error
-    granted = emulator_ports.ask_real_time()
-    say(emulator_ports.greeting(emulator, granted))
+    granted = emulator_program.ask_real_time()
+    say(emulator_program.greeting(emulator, granted))
     if not granted:
         say("Without real-time priority its cycles come late under load (ulimit -r).")
     say(f"Faults: one per line to port {emulator.ports['control']}; `help` lists them.")
@@ -103,7 +103,7 @@ def _program(
 ) -> argparse.Namespace:
     """The options of an emulator's own program; those that are not stated have its defaults."""
     parser = argparse.ArgumentParser()
-    emulator_ports.add_arguments(parser)
+    emulator_program.add_arguments(parser)
     given = parser.parse_args([])
     given.address, given.model, given.serial, given.q = address, model, serial, q
     given.faults, given.off = options.faults, options.off

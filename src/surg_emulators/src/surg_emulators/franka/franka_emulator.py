@@ -15,15 +15,8 @@ import sys
 from collections.abc import Sequence
 
 from surg_emulators.datagram_faults import DatagramChannel
-from surg_emulators.emulator_ports import (
-    CONTROL,
-    Connection,
-    EmulatorSession,
-    PortedEmulator,
-    parse_ports,
-    prepare,
-    serve,
-)
+from surg_emulators.emulator_ports import CONTROL, Connection, EmulatorSession, PortedEmulator
+from surg_emulators.emulator_program import parse_ports, prepare, serve
 from surg_emulators.fault_lines import Kind
 from surg_emulators.franka import franka_faults
 from surg_emulators.franka.fci_session import FciSession

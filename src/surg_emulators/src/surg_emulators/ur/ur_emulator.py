@@ -11,15 +11,8 @@ import json
 import sys
 from collections.abc import Sequence
 
-from surg_emulators.emulator_ports import (
-    CONTROL,
-    Connection,
-    EmulatorSession,
-    PortedEmulator,
-    parse_ports,
-    prepare,
-    serve,
-)
+from surg_emulators.emulator_ports import CONTROL, Connection, EmulatorSession, PortedEmulator
+from surg_emulators.emulator_program import parse_ports, prepare, serve
 from surg_emulators.fault_lines import Kind
 from surg_emulators.ur import ur_faults
 from surg_emulators.ur.dashboard_server import GREETING, DashboardSession

@@ -23,7 +23,6 @@ from surg_learn.bgr.cloned_networks import METHODS, Answer, Sizes, network_of
 from surg_learn.bgr.cloned_policy import ClonedPolicy, numbers_of, scaled
 from surg_learn.bgr.keypoint_network import SIDE
 from surg_learn.bgr.state_policy import ACTION, ACTIONS, SET, STATE, state_columns
-from surg_learn.bgr.train_images import missed
 from surg_learn.bgr.training.keypoint_training import DEVICES, device_for
 from surg_learn.bgr.training.lerobot_dataset import (
     Array,
@@ -36,6 +35,7 @@ from surg_learn.bgr.training.lerobot_dataset import (
 )
 from surg_learn.bgr.training.perceptron import half_cosine
 from surg_learn.bgr.training.picture_augmentation import Looks, Varied, inside_of
+from surg_learn.bgr.training.picture_dataset import missed
 from surg_learn.bgr.training.recorded_steps import NO_PHASE, PHASE, Recorded, eyes_of, read
 from surg_learn.bgr.training.trainer_options import chosen, parser_of, trained
 

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from surg_learn.bgr.state_policy import ACTION, STATE
-from surg_learn.bgr.train_images import check_size, views_of
 from surg_learn.bgr.training.lerobot_dataset import (
     Array,
     Progress,
@@ -21,6 +20,7 @@ from surg_learn.bgr.training.lerobot_dataset import (
     split_episodes,
     table,
 )
+from surg_learn.bgr.training.picture_dataset import check_size, views_of
 
 LEFT, RIGHT = (f"observation.images.endoscope.{side}" for side in ("left", "right"))
 PHASE = "annotation.human.action.subtask_description"

@@ -1,0 +1,168 @@
+"""A LeRobot dataset (v2.1) with the left endoscope's pictures, for the trainers that look.
+
+It reads the videos with PyAV, small as the networks take them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from surg_learn.bgr.image_policy import PICTURE
+from surg_learn.bgr.keypoint_network import small
+from surg_learn.bgr.state_policy import ACTION, STATE, TASK
+from surg_learn.bgr.training.lerobot_dataset import (
+    Array,
+    Dataset,
+    Progress,
+    facts,
+    file_of,
+    flat_names,
+    split_episodes,
+    table,
+)
+
+CAMERA = "observation.camera_pose"
+POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+SHUT = 0.1
+"""Commanded jaws less open than this close on something [rad]."""
+
+
+@dataclass
+class Episode:
+    """One recording of T steps."""
+
+    state: Array
+    task: Array
+    action: Array
+    camera: Array
+    """(T, 4, 4) pose of the left camera in the world."""
+    views: Array
+    """(T, SIDE, SIDE, 3), uint8, of `small`."""
+
+
+def read(folder: Path, progress: Progress = lambda part, note: None) -> Dataset[Episode]:
+    """Read the tables and the videos of a dataset.
+
+    Raises:
+        ValueError: The folder is no dataset, or a required feature is missing.
+    """
+    needed = (STATE, TASK, ACTION, CAMERA)
+    info = facts(folder, (*needed, PICTURE))
+    names = {name: flat_names(info["features"][name]["names"]) for name in needed}
+    shape, K = info["features"][PICTURE]["shape"], intrinsics(folder)
+    check_size(folder, PICTURE, shape)
+    if shape[0] != K[3]:
+        raise ValueError(
+            f"{folder}: {PICTURE} has the shape {list(shape)} (meta/info.json), but the camera's "
+            f"model is for a height of {K[3]:g} pixels (meta/calibration/index.json): export the "
+            "recordings again, which scales both alike"
+        )
+    episodes: dict[str, list[Episode]] = {}
+    found = list(split_episodes(info))
+    for n, (split, index) in enumerate(found):
+        progress(0.1 * n / len(found), f"pictures of episode {n + 1} of {len(found)}")
+        state, task, action, camera = table(folder, info, index, needed)
+        views = views_of(file_of(folder, info, "video_path", index, video_key=PICTURE))
+        if len(views) != len(state):
+            raise ValueError(
+                f"{folder}: episode {index} has {len(views)} pictures and {len(state)} rows"
+            )
+        poses = matrices(camera, names[CAMERA])
+        episodes.setdefault(split, []).append(Episode(state, task, action, poses, views))
+    about = {"fps": info["fps"], "robot": info["robot_type"], "picture": shape, "K": K}
+    return Dataset(episodes, names, about)
+
+
+def check_size(folder: Path, key: str, shape: Sequence[int]) -> None:
+    """Refuse pictures that the eye cannot take.
+
+    Args:
+        folder: Of the dataset.
+        key: Of the pictures.
+        shape: Height, width, 3 [px].
+
+    Raises:
+        ValueError: They do not fit.
+    """
+    try:
+        small(np.zeros(shape, np.uint8))
+    except ValueError as problem:
+        where = f"{folder}: {key} has the shape {list(shape)} (meta/info.json)"
+        raise ValueError(f"{where}; {problem}") from None
+
+
+def intrinsics(folder: Path) -> list[float]:
+    """Focal length, principal point right and down, and height of the left camera's pictures [px].
+
+    Raises:
+        ValueError: The dataset does not state them, or two cameras took its pictures.
+    """
+    file = folder / "meta" / "calibration" / "index.json"
+    try:
+        sets = json.loads(file.read_text("utf-8"))["sets"]
+        models = [each["camera_info"]["endoscope_left"] for each in sets]
+        found = [[m["K"][0], m["K"][2], m["K"][5], float(m["height"])] for m in models]
+    except (OSError, ValueError, KeyError, IndexError) as error:
+        raise ValueError(f"{file}: no model of the left endoscope camera ({error!r})") from None
+    if any(each != found[0] for each in found):
+        raise ValueError(f"{file}: the pictures are of different cameras: {found}")
+    return found[0]
+
+
+def views_of(file: Path) -> Array:
+    """All pictures of a video, scaled by `small`.
+
+    Raises:
+        ValueError: The video cannot be read.
+    """
+    try:
+        import av
+    except ImportError:
+        raise ValueError("PyAV reads the videos: apt install python3-av") from None
+    try:
+        with av.open(str(file)) as container:
+            shown = container.decode(video=0)
+            return np.stack([small(frame.to_ndarray(format="rgb24")) for frame in shown])
+    except (av.error.FFmpegError, IndexError) as problem:
+        raise ValueError(f"{file}: no readable video ({problem})") from None
+
+
+def matrices(poses: Array, names: Sequence[str]) -> Array:
+    """Poses (T, 7) with columns x, y, z, qx, qy, qz, qw in the order of ``names``, as (T, 4, 4)."""
+    order = [[name.rpartition("/")[2] for name in names].index(n) for n in POSE]
+    x, y, z, w = poses[:, order[3:]].T
+    found = np.zeros((len(poses), 4, 4))
+    found[:, :3, 3], found[:, 3, 3] = poses[:, order[:3]], 1.0
+    found[:, 0, :3] = np.column_stack(
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)]
+    )
+    found[:, 1, :3] = np.column_stack(
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)]
+    )
+    found[:, 2, :3] = np.column_stack(
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]
+    )
+    return found
+
+
+def missed(jaw: Array) -> Array:
+    """Steps that lead to a grasp that holds nothing, (T,): from open jaws to the closing.
+
+    Jaws that close and open again have held nothing. How to aim is not learned from these steps.
+
+    Args:
+        jaw: (T,) commanded jaw angles [rad].
+    """
+    shut = jaw < SHUT
+    closes = np.flatnonzero(shut[1:] & ~shut[:-1]) + 1
+    found = np.zeros(len(jaw), bool)
+    for begin, end in zip(closes, [*closes[1:], len(jaw)], strict=True):
+        if not shut[begin:end].all():
+            before = np.flatnonzero(shut[:begin])
+            found[(before[-1] + 1 if len(before) else 0) : begin + 1] = True
+    return found
