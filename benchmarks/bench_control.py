@@ -1,4 +1,4 @@
-"""The controller beside KDL, quadratic programmes and Ruckig: time, pivot, tip, lag. In simulation.
+"""The control law beside KDL and quadratic programmes: time, pivot and tip. In simulation.
 
 `--json FILE` writes (times in us, deviations as their names say):
 
@@ -15,12 +15,6 @@
     panda           the same five for the Panda
     ratio           {<robot>: {exact, velocity: fastest C++ QP over the form, medians; qp:
                     its name; limited_eiquadprog: eiquadprog over 'limited'}}
-    stream          on the second half of the motion; what is tuned is tuned on the first:
-                    {<law>_<rate>hz: {lag_ms, rms_mm, violations, cost_us, update_us, median_us,
-                    p99_us, aligned_rms_mm, aligned_p95_mm, aligned_max_mm, what, failures}};
-                    cost_us: mean over all ticks but the slowest thousandth, so that ticks without
-                    a sample count as well; update_us: median of the ticks with a sample
-    profile         {quintic|ruckig: {cost_us, p99_us, mean_duration_s, what}}
     whole_cycle_us  {plain, tremor: {median, p99}}: a whole controller cycle, called back to back;
                     absent where the workspace is not built
 """
@@ -42,7 +36,6 @@ sys.path.insert(0, str(Path(__file__).parent / "control"))
 import bench_scene
 import control_page
 import libraries
-import streams
 from machine import processor
 from publish import publish
 
@@ -56,7 +49,7 @@ ROBOTS = ("ur5e", "panda")
 FORMS = ("exact", "velocity")
 
 
-def build(found: libraries.Libraries) -> None:
+def build(packages: Path | None) -> None:
     """Configure and compile the C++ program with whatever libraries there are."""
     configure = [
         "cmake",
@@ -65,8 +58,7 @@ def build(found: libraries.Libraries) -> None:
         "-B",
         str(BUILD),
         "-DCMAKE_BUILD_TYPE=Release",
-        f"-DBENCH_PREFIX={found.packages or ''}",
-        f"-DBENCH_RUCKIG={found.ruckig or ''}",
+        f"-DBENCH_PREFIX={packages or ''}",
         f"-DBENCH_DEVEL={paths.DEVEL if (paths.DEVEL / 'setup.bash').exists() else ''}",
     ]
     make = ["cmake", "--build", str(BUILD), "--parallel", str(os.cpu_count() or 1)]
@@ -157,7 +149,7 @@ def whole_cycles(cell: Path) -> dict[str, dict[str, float]] | None:
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Everything, in the order of the JSON."""
     found = libraries.installed() if options.offline else libraries.install()
-    if found.python is None:
+    if found is None:
         say("without the libraries of others: their columns are left out")
     build(found)
     load = os.getloadavg()
@@ -185,25 +177,6 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         result.update(per_robot["ur5e"])
         result["panda"] = per_robot["panda"]
         result["ratio"] = {robot: ratios(per_robot[robot]["cycle_us"]) for robot in ROBOTS}
-        result["stream"] = {}
-        tuning, truth = streams.halves(streams.read_motion(options.motion))
-        for rate in streams.RATES:
-            folder, other = (Path(scratch) / f"{rate}hz" / part for part in ("test", "tuning"))
-            streams.write(truth, rate, folder)
-            streams.write(tuning, rate, other)
-            told = call(
-                "streams",
-                str(other),
-                str(folder),
-                *map(str, streams.LIMITS),
-                str(folder),
-                title=f"stream at {rate} Hz",
-            )
-            for name, law in told["laws"].items():
-                figures = streams.judge(truth, folder / f"{name}.path")
-                result["stream"][f"{name}_{rate}hz"] = {**figures, **law}
-        result["machine"]["motion"] = options.motion.name
-        result["profile"] = call("profiles", title="profiles")["planners"]
     if (whole := whole_cycles(paths.CELLS / "sim_ur5e")) is not None:
         result["whole_cycle_us"] = whole
     result["machine"]["load_after"] = [round(x, 2) for x in os.getloadavg()]
@@ -220,12 +193,6 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
     parser.add_argument("--seconds", type=float, default=300.0, help="length of the path [s]")
     parser.add_argument(
-        "--motion",
-        type=Path,
-        default=paths.ROOT / "src" / "surg_teleop" / "motions" / "bundled.csv",
-        help="recorded motion for the streams (default: the bundled one)",
-    )
-    parser.add_argument(
         "--offline", action="store_true", help="fetch nothing; use the libraries that are there"
     )
     parser.add_argument(
@@ -237,8 +204,6 @@ def main() -> None:
     try:
         if not 1.0 <= options.seconds <= 3600.0:
             raise CliError(f"--seconds is 1 to 3600, not {options.seconds:g}", 2)
-        if not options.motion.is_file():
-            raise CliError(f"--motion: no file {options.motion}", 2)
         result = measure(options)
     except CliError as problem:
         warn(f"bench: {problem}")

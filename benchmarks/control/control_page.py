@@ -12,10 +12,8 @@ PICTURE = paths.ROOT / "docs" / "pictures" / "benchmark_control.png"
 TEXT = """# The controller beside other ways to do the same
 
 `./surg dev bench control --page`: one tip motion (±35, ±35, ±25 mm, 500 Hz) by our forms of the
-law, QPs with the velocity form's wish and KDL, on an ideal plant; one recorded
-stream by our filter and by Ruckig, within 0.25 m/s, 2 m/s², 40 m/s³. RCM and tip: largest
-deviations, at samples and between. Two figures: median / p99; filter: in a tick with a sample /
-over the stream. `ruckig_lead` is told our estimate, ahead by the best of 98 leads.
+law, QPs with the velocity form's wish and KDL, on an ideal plant. RCM and tip: largest
+deviations, at samples and between. Two figures: median / p99.
 
 ![Time of one cycle and largest pivot deviation of every law](../pictures/benchmark_control.png)
 """
@@ -74,29 +72,6 @@ def laws(figures: dict[str, Any]) -> Rows:
     return grid("law", by_law, columns)
 
 
-def streams(figures: dict[str, Any]) -> Rows:
-    """One row per follower and rate."""
-    columns = {
-        "lag ms": "lag_ms",
-        "rms mm": "rms_mm",
-        "aligned rms": "aligned_rms_mm",
-        "update µs": "update_us",
-        "mean µs": "cost_us",
-        "p99 µs": "p99_us",
-    }
-    return grid("follower", figures, columns)
-
-
-def profiles(figures: dict[str, Any]) -> Rows:
-    """One row per planner."""
-    columns = {
-        "cost µs": "cost_us",
-        "p99 µs": "p99_us",
-        "mean duration s": "mean_duration_s",
-    }
-    return grid("planner", figures, columns)
-
-
 def summary(result: dict[str, Any]) -> Rows:
     """What the figures are measured against."""
     rows = [["figure", "measured", "goal"]]
@@ -110,7 +85,7 @@ def summary(result: dict[str, Any]) -> Rows:
         if "limited_eiquadprog" in ratio:
             what = f"{robot}: limited, times faster than qp_eiquadprog"
             rows.append([what, f"{ratio['limited_eiquadprog']:.2f}", "stated"])
-    return rows + cycle_summary(result) + stream_summary(result["stream"])
+    return rows + cycle_summary(result)
 
 
 def cycle_summary(result: dict[str, Any]) -> Rows:
@@ -130,32 +105,11 @@ def cycle_summary(result: dict[str, Any]) -> Rows:
     ]
 
 
-def stream_summary(figures: dict[str, Any]) -> Rows:
-    """How much cheaper the filter is: in a cycle with a sample, over the whole stream."""
-    rows = []
-    for rate in ("30hz", "500hz"):
-        for theirs in (f"ruckig_{rate}", f"ruckig_lead_{rate}"):
-            if theirs in figures:
-                ratios = (
-                    figures[theirs][key] / figures[f"filter_{rate}"][key]
-                    for key in ("update_us", "cost_us")
-                )
-                measured = " / ".join(f"{ratio:.1f}" for ratio in ratios)
-                goal = "stated" if "lead" in theirs else "≥ 8"
-                rows.append([f"filter, times cheaper than {theirs}", measured, goal])
-    return rows
-
-
 def tables(result: dict[str, Any]) -> list[tuple[str, Rows]]:
     """(heading, rows with a header) in the order in which they are shown."""
     return [
         ("Against the goals", summary(result)),
         ("Laws on the UR5e", laws(result)),
-        (
-            f"Followers of a stream (second half of {result['machine']['motion']})",
-            streams(result["stream"]),
-        ),
-        ("Profilers for discrete targets, four axes, rest to rest", profiles(result["profile"])),
     ]
 
 

@@ -30,26 +30,12 @@ inline double empty_call() {
   return quantile(times, 0.5);
 }
 
-/// Mean of all but the slowest thousandth, in which the machine did other work.
-inline double mean(const std::vector<float>& values) {
-  const double most = quantile(values, 0.999);
-  double sum = 0;
-  long n = 0;
-  for (const float value : values) {
-    if (value > most) continue;
-    sum += value;
-    ++n;
-  }
-  return n > 0 ? sum / static_cast<double>(n) : 0;
-}
-
-/// Median, 99th percentile and mean [us], without what an empty call takes.
+/// Median and 99th percentile [us], without what an empty call takes.
 struct Cost {
   Cost(const std::vector<float>& times, double empty)
       : median(std::max(0.0, quantile(times, 0.5) - empty) * 1e-3),
-        p99(std::max(0.0, quantile(times, 0.99) - empty) * 1e-3),
-        mean(std::max(0.0, bench::mean(times) - empty) * 1e-3) {}
-  double median, p99, mean;
+        p99(std::max(0.0, quantile(times, 0.99) - empty) * 1e-3) {}
+  double median, p99;
 };
 
 }  // namespace bench

@@ -1,6 +1,4 @@
-// bench_control laws ARM PATH            the laws on one path, ideal plant: JSON on standard output
-// bench_control streams TUNING TEST VELOCITY ACCELERATION JERK OUT   followers of a stream
-// bench_control profiles                 profilers for discrete targets
+// bench_control laws ARM PATH   the laws on one path, ideal plant: JSON on standard output
 //
 // `./surg dev bench control` writes the files, calls this and prints tables (benchmarks/control/).
 #include <cmath>
@@ -13,7 +11,6 @@
 
 #include "clock.hpp"
 #include "laws.hpp"
-#include "streams.hpp"
 
 namespace bench {
 namespace {
@@ -114,15 +111,7 @@ int laws(const std::string& arm, const std::string& path) {
 
 int run(const std::vector<std::string>& words) {
   if (words.size() == 3 && words[0] == "laws") return laws(words[1], words[2]);
-  if (words.size() == 7 && words[0] == "streams") {
-    const surg::DofLimits limits{std::stod(words[3]), std::stod(words[4]), std::stod(words[5])};
-    return streams(words[1], words[2], limits, words[6]);
-  }
-  if (words.size() == 1 && words[0] == "profiles") return profiles();
-  std::fprintf(stderr,
-               "usage: bench_control laws ARM PATH\n"
-               "       bench_control streams TUNING TEST VELOCITY ACCELERATION JERK OUT\n"
-               "       bench_control profiles\n");
+  std::fprintf(stderr, "usage: bench_control laws ARM PATH\n");
   return 2;
 }
 

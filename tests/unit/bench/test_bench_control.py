@@ -15,7 +15,6 @@ ROOT = Path(__file__).resolve().parents[3]
 sys.path.insert(0, str(ROOT / "benchmarks" / "control"))
 
 import bench_scene  # noqa: E402
-import streams  # noqa: E402
 
 from conftest import FULL  # noqa: E402
 
@@ -93,28 +92,3 @@ def test_the_path_begins_at_home_and_at_rest() -> None:
     assert speed[0] < 1e-4 and 0.04 < speed.max() < 0.1
     depth = np.linalg.norm(path - np.asarray(arm.trocar.p_BRcm), axis=1)
     assert depth.min() > 0.09 and depth.max() < 0.15
-
-
-def test_a_stream_is_judged_by_its_shift(tmp_path: Path) -> None:
-    t = np.arange(0, 10, 1 / 30)
-    table = np.column_stack([t, 0.02 * np.sin(3 * t), 0.01 * np.cos(2 * t), 0 * t])
-    motion = tmp_path / "motion.csv"
-    np.savetxt(motion, table, delimiter=",", header="t_s,x_m,y_m,z_m", comments="")
-    truth = streams.read_motion(motion)
-    at = (np.arange(4000) + 1) * streams.PERIOD
-    truth(at - 0.0123).tofile(tmp_path / "path")
-    told = streams.judge(truth, tmp_path / "path")
-    assert told["lag_ms"] == pytest.approx(12.3, abs=0.05)
-    assert told["aligned_rms_mm"] < 1e-3 < told["rms_mm"]
-
-
-def test_tuning_and_test_motions_have_nothing_in_common(tmp_path: Path) -> None:
-    t = np.arange(0, 10, 0.01)
-    motion = tmp_path / "motion.csv"
-    table = np.column_stack([t, 0.02 * np.sin(3 * t), 0.01 * np.cos(2 * t), 0 * t])
-    np.savetxt(motion, table, delimiter=",", header="t_s,x_m,y_m,z_m", comments="")
-    tuning, test = streams.halves(streams.read_motion(motion))
-    assert tuning.x[0] == test.x[0] == 0
-    assert tuning.x[-1] == pytest.approx(4.99) and test.x[-1] == pytest.approx(4.99)
-    assert np.allclose(tuning(tuning.x), table[:500, 1:])
-    assert np.allclose(test(test.x), table[500:, 1:])
