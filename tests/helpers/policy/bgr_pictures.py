@@ -12,6 +12,7 @@ import numpy as np
 
 from helpers.policy.bgr_synthetic import ACTION, STATE, TASK
 from surg_learn.bgr import image_policy, keypoint_network, train_images
+from surg_learn.bgr import picture_memory as picture_memory
 from surg_learn.bgr.training import keypoint_labels as keypoint_labels
 from surg_learn.bgr.training import keypoint_training as keypoint_training
 from surg_learn.bgr.training import picture_augmentation as picture_augmentation

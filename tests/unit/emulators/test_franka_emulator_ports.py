@@ -302,20 +302,6 @@ def test_a_late_emulator_leaves_its_client_time(
 
 
 @BOTH
-@pytest.mark.parametrize("share", [-0.05, 0.05])
-def test_the_robots_clock_may_run_fast_or_slow(
-    share: float, emulator: FrankaEmulator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now = [100.0]
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(emulator, "poll", lambda left=0.0: now.__setitem__(0, now[0] + left))
-    fault(emulator, f"drift {share}")
-    emulator.run(2.0)
-    assert emulator.controller.number == 2000
-    assert now[0] - 100.0 == pytest.approx(2.0 / (1.0 + share), abs=DT)
-
-
-@BOTH
 def test_a_command_that_came_while_the_emulator_was_late_counts(emulator: FrankaEmulator) -> None:
     peer = connected(emulator)
     peer.move()
@@ -394,21 +380,9 @@ def test_fuzzed_messages_and_datagrams_leave_the_emulator_alive(
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 20_000
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--address", "10.0.0.1"], "loopback"),
-        (["--ports", "rtde=1"], "rtde=1"),
-        (["--q", "0", "0"], "7"),
-        (["--faults", "/nonexistent"], "/nonexistent"),
-    ],
-)
-def test_wrong_options_end_with_2_and_are_named(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    address = [] if "--address" in words else ["--address", free_address()]
-    assert franka_emulator.main(["fer", *words, *address]) == 2
-    assert said in capsys.readouterr().err
+def test_a_wrong_option_ends_with_2_and_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert franka_emulator.main(["fer", "--q", "0", "0", "--address", free_address()]) == 2
+    assert "7" in capsys.readouterr().err
 
 
 def test_the_program_runs_its_fault_file_and_writes_its_record(tmp_path: Path) -> None:

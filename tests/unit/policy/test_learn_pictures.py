@@ -21,6 +21,7 @@ from helpers.policy.bgr_pictures import (
     keypoint_training,
     picture_augmentation,
     picture_dataset,
+    picture_memory,
     train_images,
 )
 from helpers.policy.bgr_synthetic import STATE, TASK, state_policy
@@ -165,7 +166,7 @@ def test_the_tube_is_found_beside_where_the_assistant_points() -> None:
 @pytest.mark.parametrize("moved", [(0.0, 0.0), (0.15, -0.2)])
 def test_a_camera_that_moved_is_known_from_the_robots_own_tip(moved: tuple[float, float]) -> None:
     """All places are shifted alike; points and directions in space are those of before."""
-    view, shift = keypoint_network.View(*made.camera()), np.array(moved)
+    view, shift = picture_memory.View(*made.camera()), np.array(moved)
     rng = np.random.default_rng(4)
     for tip in np.repeat(rng.uniform(-0.02, 0.02, (10, 2)), 12, axis=0):
         seen = tip[::-1] / made.REACH + shift + 0.02 * rng.standard_normal(2)
@@ -183,7 +184,7 @@ def test_a_camera_that_moved_is_known_from_the_robots_own_tip(moved: tuple[float
 @pytest.mark.parametrize("speed", [0.01, 0.03, 0.06])
 def test_an_old_picture_of_a_moving_tip_moves_no_camera(late: int, speed: float) -> None:
     """To and fro at a speed [m/s], seen some steps late: whatever it sees, the goal stays."""
-    view = keypoint_network.View(*made.camera())
+    view = picture_memory.View(*made.camera())
     way = np.abs((0.05 * speed * np.arange(200) + 0.02) % 0.08 - 0.04) - 0.02
     tips = np.column_stack([way, 0.5 * way, np.full(200, made.DISTANCE)])
     worst = 0.0
@@ -251,7 +252,7 @@ def test_it_learns_to_look() -> None:
 
 def test_the_memory_keeps_where_the_assistant_pointed() -> None:
     """Not where its tip passes, nor where it is when its jaws are open."""
-    memory = keypoint_network.Memory()
+    memory = picture_memory.Memory()
     answer = np.zeros(keypoint_network.SAID)
     answer[keypoint_network.NEAR], answer[keypoint_network.AXIS] = 0.5, (1.0, 0.0)
 
@@ -264,7 +265,7 @@ def test_the_memory_keeps_where_the_assistant_pointed() -> None:
 
     passing = show(20, 0.5, 0.0, 0.02, 0.0)
     assert passing[4] < 0.1 and passing[5] < 0.01
-    waiting = keypoint_network.Memory()
+    waiting = picture_memory.Memory()
     answer[keypoint_network.PLACE] = (0.0, 0.0)
     for _ in range(20):  # it has not begun
         assert waiting.add(answer)[5] == 0.0

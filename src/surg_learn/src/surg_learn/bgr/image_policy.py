@@ -30,10 +30,9 @@ from surg_learn.bgr.keypoint_network import (
     TENSION,
     TIP,
     Eye,
-    Memory,
-    View,
     small,
 )
+from surg_learn.bgr.picture_memory import Memory, View
 from surg_learn.bgr.state_policy import LAGS, SET, STATE, Network, Policy, serve, state_columns
 
 PICTURE = "observation.images.endoscope.left"

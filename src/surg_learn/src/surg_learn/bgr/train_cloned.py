@@ -22,21 +22,18 @@ import torch
 from surg_learn.bgr.cloned_networks import METHODS, Answer, Sizes, network_of
 from surg_learn.bgr.cloned_policy import ClonedPolicy, numbers_of, scaled
 from surg_learn.bgr.keypoint_network import SIDE
-from surg_learn.bgr.state_policy import ACTION, ACTIONS, SET, STATE, state_columns
+from surg_learn.bgr.state_policy import ACTION, ACTIONS, STATE
 from surg_learn.bgr.training.keypoint_training import DEVICES, device_for
 from surg_learn.bgr.training.lerobot_dataset import (
     Array,
     Progress,
     jaw_range,
-    last_commands,
     normalised,
     scales_of,
-    targets_of,
 )
 from surg_learn.bgr.training.perceptron import half_cosine
 from surg_learn.bgr.training.picture_augmentation import Looks, Varied, inside_of
-from surg_learn.bgr.training.picture_dataset import missed
-from surg_learn.bgr.training.recorded_steps import NO_PHASE, PHASE, Recorded, eyes_of, read
+from surg_learn.bgr.training.recorded_steps import NO_PHASE, PHASE, Recorded, Steps, eyes_of, read
 from surg_learn.bgr.training.trainer_options import chosen, parser_of, trained
 
 CHUNKS = {"bc": 16, "act": 40, "moe_act": 40}
@@ -83,39 +80,6 @@ class Options:
     """Pictures are not shifted and turned: that takes more steps than a laptop has."""
     sizes: dict[str, int] = field(default_factory=dict)
     """Further `Sizes` than their defaults."""
-
-
-@dataclass
-class Steps:
-    """M steps to learn from, or to judge by.
-
-    Attributes:
-        rows: (M,) in the arrays of `Recorded`.
-        state: (M, 9) of `state_columns`.
-        last: (M, 4) last commands.
-        targets: (M, chunk, 5), tip and roll relative to the last command.
-        phase: (M,)
-    """
-
-    rows: Array
-    state: Array
-    last: Array
-    targets: Array
-    phase: Array
-
-    @classmethod
-    def of(cls, found: Recorded, split: str, chunk: int) -> Steps:
-        """Those of a split, but for those that lead to a miss."""
-        columns = state_columns(found.names[STATE])
-        parts = []
-        for episode in found.episodes(split):
-            state, action = found.state[episode][:, columns], found.action[episode]
-            last = last_commands(state, action, SET)
-            targets = targets_of(action, last, chunk)
-            good = ~missed(action[:, 4])
-            rows = np.arange(episode.start, episode.stop)
-            parts.append([a[good] for a in (rows, state, last, targets, found.phase[episode])])
-        return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
 class Looked(Varied):

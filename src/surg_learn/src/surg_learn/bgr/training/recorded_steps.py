@@ -10,17 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from surg_learn.bgr.state_policy import ACTION, STATE
+from surg_learn.bgr.state_policy import ACTION, SET, STATE, state_columns
 from surg_learn.bgr.training.lerobot_dataset import (
     Array,
     Progress,
     facts,
     file_of,
     flat_names,
+    last_commands,
     split_episodes,
     table,
+    targets_of,
 )
-from surg_learn.bgr.training.picture_dataset import check_size, views_of
+from surg_learn.bgr.training.picture_dataset import check_size, missed, views_of
 
 LEFT, RIGHT = (f"observation.images.endoscope.{side}" for side in ("left", "right"))
 PHASE = "annotation.human.action.subtask_description"
@@ -61,6 +63,39 @@ class Recorded:
         """Steps of each episode of a split."""
         ends = zip(self.begins[:-1], self.begins[1:], self.split, strict=True)
         return [slice(int(begin), int(end)) for begin, end, of in ends if of == split]
+
+
+@dataclass
+class Steps:
+    """M steps to learn from, or to judge by.
+
+    Attributes:
+        rows: (M,) in the arrays of `Recorded`.
+        state: (M, 9) of `state_columns`.
+        last: (M, 4) last commands.
+        targets: (M, chunk, 5), tip and roll relative to the last command.
+        phase: (M,)
+    """
+
+    rows: Array
+    state: Array
+    last: Array
+    targets: Array
+    phase: Array
+
+    @classmethod
+    def of(cls, found: Recorded, split: str, chunk: int) -> Steps:
+        """Those of a split, but for those that lead to a miss."""
+        columns = state_columns(found.names[STATE])
+        parts = []
+        for episode in found.episodes(split):
+            state, action = found.state[episode][:, columns], found.action[episode]
+            last = last_commands(state, action, SET)
+            targets = targets_of(action, last, chunk)
+            good = ~missed(action[:, 4])
+            rows = np.arange(episode.start, episode.stop)
+            parts.append([a[good] for a in (rows, state, last, targets, found.phase[episode])])
+        return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
 def eyes_of(eyes: int) -> tuple[str, ...]:
