@@ -32,7 +32,7 @@ from surg_learn.bgr.training.lerobot_dataset import (
     scales_of,
 )
 from surg_learn.bgr.training.perceptron import half_cosine
-from surg_learn.bgr.training.picture_augmentation import Looks, Varied, inside_of
+from surg_learn.bgr.training.picture_augmentation import Looked, Looks, inside_of
 from surg_learn.bgr.training.recorded_steps import NO_PHASE, PHASE, Recorded, Steps, eyes_of, read
 from surg_learn.bgr.training.trainer_options import chosen, parser_of, trained
 
@@ -80,18 +80,6 @@ class Options:
     """Pictures are not shifted and turned: that takes more steps than a laptop has."""
     sizes: dict[str, int] = field(default_factory=dict)
     """Further `Sizes` than their defaults."""
-
-
-class Looked(Varied):
-    """`Varied` for pictures that lie on the device, as (B, 3, side, side)."""
-
-    def begin(self, seed: int, step: int) -> None:
-        """What is drawn from now on depends on these alone."""
-        self._rng = np.random.default_rng([seed, 1, step])
-
-    def __call__(self, views: Any, marks: Any = None) -> Any:
-        """Variants as float32 grey levels."""
-        return self.dressed(self._moved(views.float(), np.zeros((len(views), 1, 2)))[0])
 
 
 def train(

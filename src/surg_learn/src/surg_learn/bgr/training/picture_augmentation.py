@@ -168,6 +168,18 @@ class Varied:
         return F.conv2d(x, kernel, padding=4, groups=3)
 
 
+class Looked(Varied):
+    """`Varied` for pictures that lie on the device, as (B, 3, side, side)."""
+
+    def begin(self, seed: int, step: int) -> None:
+        """What is drawn from now on depends on these alone."""
+        self._rng = np.random.default_rng([seed, 1, step])
+
+    def __call__(self, views: Any, marks: Any = None) -> Any:
+        """Variants as float32 grey levels."""
+        return self.dressed(self._moved(views.float(), np.zeros((len(views), 1, 2)))[0])
+
+
 def inside_of(views: Array) -> Array:
     """Which pixels of pictures (N, side, side, 3) are ever lit, (side, side)."""
     return np.asarray(views[:: max(len(views) // 200, 1)].max(axis=(0, 3)) > 12)
