@@ -15,8 +15,9 @@ import numpy as np
 from surg_emulators.ur import dh_kinematics as dh
 from surg_emulators.ur.joint_motion import DT, Move, Servo, Speed
 from surg_emulators.ur.rtde_fields import REGISTERS
-from surg_emulators.ur.urscript_machine import Builtin, Pose, Wait
 from surg_emulators.ur.urscript_syntax import ScriptError
+from surg_emulators.ur.urscript_threads import Builtin, Wait
+from surg_emulators.ur.urscript_values import Pose
 
 if TYPE_CHECKING:
     from surg_emulators.ur.ur_controller import UrController

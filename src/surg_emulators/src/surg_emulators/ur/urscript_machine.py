@@ -6,94 +6,19 @@ poses are values: an assignment copies them.
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Callable, Generator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from surg_emulators.ur.urscript_syntax import Function, Node, ScriptError, called, constant, parse
+from surg_emulators.ur.urscript_threads import Builtin, Leave, Scope, Steps, Thread, Wait
+from surg_emulators.ur.urscript_values import MOST_ELEMENTS, Pose, binary, copy, list_place
 
 MOST_NODES = 20_000
 """A thread that executes more in one cycle has a loop without `sync`: the arm stops it too."""
-INTEGERS = 2**31
-MOST_CALLS, MOST_THREADS, MOST_ELEMENTS = 100, 50, 10_000
-
-
-class Pose(list[float]):
-    """Position [m] and rotation vector [rad]."""
-
-
-@dataclass
-class Wait:
-    """What a function returns to let its thread wait.
-
-    Attributes:
-        cycles: Cycles to wait.
-        until: Ends the wait when it returns True; asked once per cycle after `cycles`.
-        motion: Whether the thread controls the motion meanwhile.
-    """
-
-    cycles: int = 1
-    until: Callable[[], bool] | None = None
-    motion: bool = False
-
-    def over(self) -> bool:
-        """Count one cycle; whether the thread goes on in it."""
-        self.cycles -= 1
-        return self.cycles <= 0 and (self.until is None or self.until())
-
-
-@dataclass
-class Scope:
-    """Variables of one call, and the call itself."""
-
-    function: Function
-    outer: Scope | None
-    values: dict[str, Any] = field(default_factory=dict)
-    line: int = 0  # of the statement that it is in
-    run: Steps | None = None
-
-    def holder(self, name: str) -> Scope | None:
-        """The nearest scope that has a variable."""
-        here: Scope | None = self
-        while here is not None and name not in here.values:
-            here = here.outer
-        return here
-
-
-@dataclass
-class Thread:
-    """One thread of a program: its calls, the innermost last."""
-
-    calls: list[Scope]
-    wait: Wait | None = None
-    answer: Any = None  # of the call that has ended
-
-    @property
-    def alive(self) -> bool:
-        """Whether it still runs."""
-        return bool(self.calls)
-
-    @property
-    def line(self) -> int:
-        """Line of the script that it is in."""
-        return self.calls[-1].line if self.calls else 0
-
-
-@dataclass(frozen=True)
-class Leave:
-    """Why a block was left before its end: `break`, `continue` or `return` with a value."""
-
-    how: str
-    value: Any = None
+MOST_CALLS, MOST_THREADS = 100, 50
 
 
 LEAVING = {"break_loop": "break", "continue_loop": "continue"}
-
-Builtin = Callable[..., Any]
-Steps = Generator["Scope | Wait | None", Any, Any]
-"""A piece of a program under way. It yields the call or the wait that it needs; None: its thread
-may have been killed."""
 
 
 class Machine:
@@ -216,21 +141,21 @@ class Machine:
         return (yield from self._block(scope, last[0])) if len(last) == 1 else None
 
     def _store(self, scope: Scope, name: str, value: Node) -> Steps:
-        found = _copy((yield from self._value(scope, value)))
+        found = copy((yield from self._value(scope, value)))
         (scope.holder(name) or scope).values[name] = found
 
     def _store_local(self, scope: Scope, name: str, value: Node) -> Steps:
-        scope.values[name] = _copy((yield from self._value(scope, value)))
+        scope.values[name] = copy((yield from self._value(scope, value)))
 
     def _store_global(self, scope: Scope, name: str, value: Node) -> Steps:
-        self._root.values[name] = _copy((yield from self._value(scope, value)))
+        self._root.values[name] = copy((yield from self._value(scope, value)))
 
     def _put(self, scope: Scope, name: str, *parts: Node) -> Steps:
         *places, value = yield from self._values(scope, parts)
         element = self._known(scope, name)
         for place in places[:-1]:
-            element = element[_place(place)]
-        element[_place(places[-1])] = _copy(value)
+            element = element[list_place(place)]
+        element[list_place(places[-1])] = copy(value)
 
     def _leave(self, scope: Scope, *value: Node) -> Steps:
         return Leave("return", (yield from self._value(scope, value[0])) if value else None)
@@ -295,7 +220,7 @@ class Machine:
         for sign, right in zip(rest[::2], rest[1::2], strict=True):
             if sign in ("and", "or") and bool(left) == (sign == "or"):
                 continue  # the left side decides
-            left = _binary(sign, left, (yield from self._value(scope, right)))
+            left = binary(sign, left, (yield from self._value(scope, right)))
         return left
 
     _expression = _both = _comparison = _sum = _product = _operation
@@ -309,7 +234,7 @@ class Machine:
     def _list(self, scope: Scope, *nodes: Node) -> Steps:
         if len(nodes) > MOST_ELEMENTS:
             raise ScriptError(f"a list of more than {MOST_ELEMENTS} elements")
-        return [_copy(value) for value in (yield from self._values(scope, nodes))]
+        return [copy(value) for value in (yield from self._values(scope, nodes))]
 
     def _index(self, scope: Scope, of: Node, *nodes: Node) -> Steps:
         """An element, or a pose: `p[...]` with six numbers."""
@@ -317,7 +242,7 @@ class Machine:
             return Pose(float(value) for value in (yield from self._values(scope, nodes)))
         value, *places = yield from self._values(scope, (of, *nodes))
         for place in places:
-            value = value[_place(place)]
+            value = value[list_place(place)]
         return value
 
     def _call(self, scope: Scope, name: str, *nodes: Node) -> Steps:
@@ -351,9 +276,9 @@ class Machine:
         for each in nodes:
             if each.data == "named":
                 name, node = each.children
-                named[str(name)] = _copy((yield from self._value(scope, node)))
+                named[str(name)] = copy((yield from self._value(scope, node)))
             else:
-                values.append(_copy((yield from self._value(scope, each))))
+                values.append(copy((yield from self._value(scope, each))))
         return values, named
 
     def _frame(
@@ -372,63 +297,3 @@ class Machine:
         while outer is not None and outer.function is not function.outer:
             outer = outer.outer
         return self._scope(function, outer, given)
-
-
-def _binary(sign: str, left: Any, right: Any) -> Any:
-    if isinstance(left, str) or isinstance(right, str):
-        if sign not in ("==", "!="):
-            raise ScriptError(f"{sign!r} of a text")
-    elif isinstance(left, list) and sign in ("+", "-"):
-        return _elementwise(sign, left, right)
-    value = _BINARY[sign](left, right)
-    if type(value) is int and not -INTEGERS <= value < INTEGERS:
-        raise ScriptError(f"integer {left} {sign} {right} overflows")
-    return value
-
-
-def _copy(value: Any) -> Any:
-    if not isinstance(value, list):
-        return value
-    if _size(value) > MOST_ELEMENTS:
-        raise ScriptError(f"a list of more than {MOST_ELEMENTS} elements")
-    return type(value)(_copy(each) for each in value)
-
-
-def _size(value: Any) -> int:
-    """Elements of a list and of those in it; stops counting when there are too many."""
-    count, left = 0, [value]
-    while left and count <= MOST_ELEMENTS:
-        here = left.pop()
-        count += len(here)
-        left += [each for each in here if isinstance(each, list)]
-    return count
-
-
-def _place(value: Any) -> int:
-    if isinstance(value, bool) or int(value) != value or value < 0:
-        raise ScriptError(f"index {value!r}: not a number from 0")
-    return int(value)
-
-
-def _elementwise(sign: str, left: list[Any], right: list[Any]) -> list[Any]:
-    if not isinstance(right, list) or len(left) != len(right):
-        raise ScriptError(f"{sign!r} of lists of different lengths")
-    return type(left)(_BINARY[sign](a, b) for a, b in zip(left, right, strict=True))
-
-
-_BINARY: dict[str, Callable[[Any, Any], Any]] = {
-    "+": operator.add,
-    "-": operator.sub,
-    "*": operator.mul,
-    "/": operator.truediv,
-    "%": operator.mod,
-    "==": operator.eq,
-    "!=": operator.ne,
-    "<": operator.lt,
-    ">": operator.gt,
-    "<=": operator.le,
-    ">=": operator.ge,
-    "and": lambda a, b: bool(a) and bool(b),
-    "or": lambda a, b: bool(a) or bool(b),
-    "xor": lambda a, b: bool(a) != bool(b),
-}
