@@ -14,7 +14,7 @@ from surg_cli.host import paths
 sys.path.insert(0, str(paths.ROOT / "benchmarks"))
 
 import bench_imitation
-from policy import sights
+from policy import judge, sights
 
 LEFT, RIGHT = (f"observation.images.endoscope.{side}" for side in ("left", "right"))
 PICTURE = np.random.default_rng(0).integers(20, 230, (48, 64, 3), np.uint8)
@@ -68,7 +68,7 @@ def test_the_right_eye_is_shown_as_the_left_one() -> None:
     left, right = pictures(2)
     shown: list[np.ndarray] = []
     policy = SimpleNamespace(acknowledged=None, act=lambda seen: shown.append(seen[LEFT]))
-    through = bench_imitation.Through(policy, {LEFT: (lambda picture: picture, "right")})
+    through = judge.Through(policy, {LEFT: (lambda picture: picture, "right")})
     through.act({LEFT: left, RIGHT: right})
     np.testing.assert_array_equal(shown, [right])
 

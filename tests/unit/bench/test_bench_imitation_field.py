@@ -18,7 +18,7 @@ from surg_cli.host import paths
 sys.path.insert(0, str(paths.ROOT / "benchmarks"))
 
 import bench_imitation
-from policy import entrants, sights
+from policy import entrants, judge, sights
 
 from surg_recording.job_pool import Executor
 
@@ -80,13 +80,13 @@ def test_weights_of_another_action_space_end_before_anything_is_played(
 
 def test_two_eyes_see_their_own_pictures_through_the_same_dirt() -> None:
     smudge = next(each for each in sights.CONDITIONS if each.name == "a smudge on the lens")
-    views = bench_imitation.views_of(smudge, (LEFT, RIGHT))
+    views = judge.views_of(smudge, (LEFT, RIGHT))
     assert views == {LEFT: "left", RIGHT: "right"}
     seen: list[dict[str, Any]] = []
     policy = type("P", (), {"acknowledged": None, "act": lambda self, shown: seen.append(shown)})()
-    eyes = bench_imitation.eyes_of(None, smudge, 3, views)
+    eyes = judge.eyes_of(None, smudge, 3, views)
     bright, dark = (np.full((48, 64, 3), level, np.uint8) for level in (200, 20))
-    bench_imitation.Through(policy, eyes).act({LEFT: bright, RIGHT: dark, "other": 1})
+    judge.Through(policy, eyes).act({LEFT: bright, RIGHT: dark, "other": 1})
     hidden = [
         (np.abs(seen[0][key].astype(int) - shown) > 30).any(axis=2)
         for key, shown in ((LEFT, bright), (RIGHT, dark))
@@ -95,8 +95,8 @@ def test_two_eyes_see_their_own_pictures_through_the_same_dirt() -> None:
     assert (hidden[0] == hidden[1]).mean() > 0.95, "the same place is hidden, but for its fringe"
 
 
-def result(name: str, seed: int, success: bool) -> bench_imitation.Result:
-    return bench_imitation.Result(name, seed, success, "slipped", 2, 1e-5)
+def result(name: str, seed: int, success: bool) -> judge.Result:
+    return judge.Result(name, seed, success, "slipped", 2, 1e-5)
 
 
 def test_each_policy_has_a_row(
@@ -104,10 +104,10 @@ def test_each_policy_has_a_row(
 ) -> None:
     """What was played is in the books; the two bc solve 3 and 1 of 4, act 2 of 4."""
     files = [cloned(tmp_path / f"{m}{s}.npz", m, s) for m, s in (("bc", 0), ("bc", 1), ("act", 0))]
-    played: list[bench_imitation.Job] = []
+    played: list[judge.Job] = []
     solved = {"bc0": 3, "bc1": 1, "act0": 2}
 
-    def run(jobs: list[bench_imitation.Job], books: Any, place: Executor, play: Any) -> None:
+    def run(jobs: list[judge.Job], books: Any, place: Executor, play: Any) -> None:
         for name, seed, file in jobs:
             played.append((name, seed, file))
             books[file].add(result(name, seed, seed - 20000 < solved[file.stem]))
@@ -160,7 +160,7 @@ def test_another_episode_has_another_place() -> None:
         def reset(self, seed: int) -> None:
             task.target = places[seed]
 
-    assert bench_imitation.another(Env(), 3) == 505
+    assert judge.another(Env(), 3) == 505
 
 
 def test_a_cloned_policy_plays_in_the_phantom(tmp_path: Path) -> None:
@@ -170,7 +170,7 @@ def test_a_cloned_policy_plays_in_the_phantom(tmp_path: Path) -> None:
 
     limit, Bgr.time_limit = Bgr.time_limit, 1.0
     try:
-        done = bench_imitation.judge(("light 60 %", 20000, file))
+        done = judge.judge(("light 60 %", 20000, file))
     finally:
         Bgr.time_limit = limit
     assert not done.success and "time" in done.reason

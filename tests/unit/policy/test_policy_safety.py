@@ -16,7 +16,6 @@ from surg_policy_bridge.server.observer import CameraWatch, Observer, lagging_ar
 from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_bridge.server.safety_controller import (
     CLIPPABLE,
-    PACED,
     RULES,
     ArmSafety,
     SafetyController,
@@ -28,6 +27,8 @@ DT = STEP_NS / SECOND_NS
 V_MAX, A_MAX, SLACK, ROLL_V, ROLL_SLACK = 0.25, 2.0, 0.002, 2.0, 0.0349
 DEPTH_MIN, DEPTH_MAX, CONE = 0.020, 0.220, 1.0472
 JAW = (0.0, 0.8)
+PACED = ("start", "step", "acceleration", "jaw")
+"""Rules that clip where the arm shall follow a policy that was late, at the allowed pace."""
 
 
 def view(p: np.ndarray = HOME, roll: float = 0.0, jaw: float = 0.3, rcm: float = 0.0) -> ArmView:
