@@ -121,6 +121,7 @@ _OPTIONS = {
         "--all": "./surg dev setup --all",
         "--force": "rm -r build, then ./surg dev build",
     },
+    "test": {"--coverage": "python3 -m pytest --cov, in ./surg dev shell"},
     "dev shell": {"--port": "export ROS_MASTER_URI in the shell"},
     "dev doctor": {
         "--robot": "./surg robot CELL doctor",

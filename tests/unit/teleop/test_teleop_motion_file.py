@@ -9,7 +9,6 @@ from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
 from surg_cli.host import paths
-from surg_teleop.playback.make_motion import DURATION, bundled_script, write_motion
 from surg_teleop.playback.motion_errors import MotionError
 from surg_teleop.playback.motion_file import JUMP_SPEED, Motion, read_motion
 
@@ -236,15 +235,9 @@ def bundled() -> Motion:
     return read_motion(BUNDLED)
 
 
-def test_bundled_motion_is_what_its_formula_writes(tmp_path: Path) -> None:
-    write_motion(tmp_path / "again.csv")
-    assert (tmp_path / "again.csv").read_bytes() == BUNDLED.read_bytes()
-
-
 def test_bundled_motion_is_worth_playing() -> None:
     motion = bundled()
-    assert motion.duration == 60.0 == DURATION
-    assert sum(segment.duration for segment in bundled_script().segments) == pytest.approx(60.0)
+    assert motion.duration == 60.0
     assert np.diff(motion.t) == pytest.approx(0.01)
     extent = np.ptp(motion.p, axis=0)
     spline = motion.spline()

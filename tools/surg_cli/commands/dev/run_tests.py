@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 
-from surg_cli.host import coverage, cpp_tests, environment, paths, pytest_run
-from surg_cli.host.terminal import CliError, say
+from surg_cli.host import cpp_tests, environment, paths, pytest_run
+from surg_cli.host.terminal import say
 
 TIERS = ("oracle", "vm", "mutants")
 NO_TESTS = 5
@@ -18,14 +18,11 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add = parser.add_argument
     add("--full", action="store_true", help="long counts (SURG_TEST_FULL=1); writes docs/results")
     add("--tier", choices=TIERS, help="run only the tests of one extra tier")
-    add("--coverage", action="store_true", help="print the coverage of surg_core and tests/unit")
     add("pytest", nargs="*", metavar="PATH", help="pytest arguments; put options behind --")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Run the tests and print their counts."""
-    if options.coverage and (options.full or options.tier):
-        raise CliError("test --coverage: takes neither --full nor --tier", 2)
     env = environment.for_nodes()
     env["PYTHONPATH"] = f"{paths.ROOT / 'tools'}:{env.get('PYTHONPATH', '')}".rstrip(":")
     if options.full:
@@ -33,19 +30,11 @@ def main(options: argparse.Namespace, command: str) -> int:
         env["SURG_RESULTS_DIR"] = str(paths.ROOT / "docs" / "results")
     whole = not options.pytest and options.tier is None
     argv = [str(paths.VENV_PYTHON), "-m", "pytest"]
-    if options.coverage:
-        env["COVERAGE_FILE"] = str(coverage.DATA)
-        cpp = coverage.run_core_tests(env)
-        argv += coverage.pytest_options()
-        tests = options.pytest or coverage.TESTS
-    else:
-        cpp = cpp_tests.run(env) if whole else (0, 0)
-        tests = options.pytest or [str(paths.ROOT / "tests")]
-        argv += ["-m", options.tier] if options.tier else []
+    cpp = cpp_tests.run(env) if whole else (0, 0)
+    tests = options.pytest or [str(paths.ROOT / "tests")]
+    argv += ["-m", options.tier] if options.tier else []
     # Long counts also measure times: nothing may run beside them.
     status, counts = pytest_run.run(argv, tests, env, parallel=whole and not options.full)
-    if options.coverage:
-        coverage.report()
     if whole and not counts["passed"]:
         status = status or NO_TESTS  # all skipped: nothing was shown
     return _print_counts(cpp, status, counts)
