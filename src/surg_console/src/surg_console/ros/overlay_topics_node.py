@@ -25,7 +25,7 @@ FRESH = 1.0
 
 
 class OverlayTopics:
-    """See `overlay_socket.Source`. Subscribes to nothing until a page asks."""
+    """See `RunningSystem`. Subscribes to nothing until a page asks."""
 
     def __init__(self, cell: surg_core.Cell) -> None:
         self._scene, self._plan = SceneView(cell), PlanTopics(cell)

@@ -78,7 +78,7 @@ FAST = {
 
 
 class RosSystem:
-    """See `console_server.System`; the driven arm comes first, an empty leader means no leader."""
+    """See `RunningSystem`; the driven arm comes first, an empty leader means no leader."""
 
     def __init__(
         self,
@@ -184,7 +184,7 @@ class RosSystem:
                 self._arms[name] = replace(self._arms[name], reason=reason)
 
     def robot(self) -> Robot:
-        """See `console_server.System`."""
+        """See `RunningSystem`."""
         now = time.monotonic()
         with self._lock:
             self._hear_fast(now)
@@ -226,26 +226,26 @@ class RosSystem:
         return [replace(first, reason=first.reason or status.picture), *others]
 
     def reset_peaks(self) -> None:
-        """See `console_server.System`."""
+        """See `RunningSystem`."""
         with self._lock:
             self._peak = 0.0
 
     def entries(self) -> list[Entry]:
-        """See `console_server.System`."""
+        """See `RunningSystem`."""
         return [] if self._episodes is None else self._episodes.entries()
 
     def publish_orders(self, orders: list[Order]) -> None:
-        """See `console_server.System`."""
+        """See `RunningSystem`."""
         for order in orders:
             self._orders.send(order)
 
     def watch(self, what: str, wanted: bool) -> None:
-        """See `console_server.System`."""
+        """See `RunningSystem`."""
         if what != "feel":  # its topic is heard anyway
             self._overlays.watch(what, wanted)
 
     def overlay(self, what: str) -> str:
-        """See `console_server.System`."""
+        """See `RunningSystem`."""
         return self._feel() if what == "feel" else self._overlays.overlay(what)
 
     def _feel(self) -> str:
@@ -258,5 +258,5 @@ class RosSystem:
         return json.dumps({**felt, "age": finite(felt["age"])}, allow_nan=False)
 
     def keep_alive(self) -> None:
-        """See `console_server.System`."""
+        """See `RunningSystem`."""
         self._orders.repeat()

@@ -34,66 +34,49 @@ class Request(Order):
     value: bool | float | str
     topic: ClassVar[str]
 
+    def __init_subclass__(cls, topic: str = "") -> None:
+        cls.topic = topic
 
-class EnableTeleop(Request):
+
+class EnableTeleop(Request, topic="/console/teleop/enable"):
     """Teleoperation on or off."""
 
-    topic = "/console/teleop/enable"
 
-
-class SetMapping(Request):
+class SetMapping(Request, topic="/console/teleop/set_rate_control"):
     """How the hand drives the tip; true: by its rate, false: by its position."""
 
-    topic = "/console/teleop/set_rate_control"
 
-
-class SetScale(Request):
+class SetScale(Request, topic="/console/teleop/set_scale"):
     """Arm metres per metre of the hand."""
 
-    topic = "/console/teleop/set_scale"
 
-
-class Record(Request):
+class Record(Request, topic="/record/record"):
     """Recording on or off."""
 
-    topic = "/record/record"
 
-
-class Policy(Request):
+class Policy(Request, topic="/policy/enable"):
     """The connected policy on or off."""
 
-    topic = "/policy/enable"
 
-
-class GuideHome(Request):
+class GuideHome(Request, topic="/sim/guide_home"):
     """Name of a simulated arm in FAULT, to be guided home."""
 
-    topic = "/sim/guide_home"
 
-
-class Calibrate(Request):
+class Calibrate(Request, topic="/calibrate/request"):
     """A request to the collector of calibration views, by its name in CalibrationRequest."""
-
-    topic = "/calibrate/request"
 
 
 class Button(Request):
     """Whether a button is held; re-published, because receivers drop silent sources."""
 
 
-class SetOperatorPresent(Button):
+class SetOperatorPresent(Button, topic="/console/operator_present"):
     """The operator is present."""
 
-    topic = "/console/operator_present"
 
-
-class Clutch(Button):
+class Clutch(Button, topic="/console/clutch"):
     """The clutch."""
 
-    topic = "/console/clutch"
 
-
-class Camera(Button):
+class Camera(Button, topic="/console/camera"):
     """The camera pedal."""
-
-    topic = "/console/camera"

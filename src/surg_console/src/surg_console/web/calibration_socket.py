@@ -10,28 +10,19 @@ import contextlib
 import json
 import math
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 from aiohttp import WSMsgType, web
 
-from surg_console.session.console_orders import Calibrate, Order
-from surg_console.session.system_state import Calibration, Robot
+from surg_console.session.console_orders import Calibrate
+from surg_console.session.system_state import Calibration
 from surg_console.web.page_connection import MessageBudget
 from surg_console.web.page_protocol import CalibrationPress, ProtocolError, parse
+from surg_console.web.running_system import RunningSystem
 
 PERIOD = 0.1
 """[s] Of the status."""
 NOT_RUNNING = "No collector runs. Type: ./surg calibrate CELL live"
-
-
-class System(Protocol):
-    """What the pages need of the running system."""
-
-    def robot(self) -> Robot:
-        """Its present state."""
-
-    def publish_orders(self, orders: list[Order]) -> None:
-        """Send orders; must not block."""
 
 
 def refusal(now: Calibration | None) -> str:
@@ -52,7 +43,9 @@ class CalibrationPages:
         clock: A steady clock [s].
     """
 
-    def __init__(self, system: System, facts: dict[str, Any], clock: Callable[[], float]) -> None:
+    def __init__(
+        self, system: RunningSystem, facts: dict[str, Any], clock: Callable[[], float]
+    ) -> None:
         self._system, self._facts, self._clock = system, facts, clock
         self.open = 0
 

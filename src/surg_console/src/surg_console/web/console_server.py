@@ -14,15 +14,13 @@ import asyncio
 import json
 import time
 from collections.abc import Awaitable, Callable, Mapping
-from typing import Any, Protocol
+from typing import Any
 
 from aiohttp import web
 
-from surg_console.session.console_orders import EnableTeleop, Order, SetOperatorPresent
+from surg_console.session.console_orders import EnableTeleop, SetOperatorPresent
 from surg_console.session.console_session import ConsoleSession
-from surg_console.session.episode_list import Entry
 from surg_console.session.page_status import report
-from surg_console.session.system_state import Robot
 from surg_console.web.access import Access
 from surg_console.web.admission import Admission
 from surg_console.web.calibration_socket import CalibrationPages
@@ -33,6 +31,7 @@ from surg_console.web.page_protocol import LONGEST
 from surg_console.web.page_server import PageServer, listen
 from surg_console.web.picture_packet import Packet
 from surg_console.web.picture_socket import PicturePages
+from surg_console.web.running_system import RunningSystem
 
 TICK = 0.01
 """[s] Period of the session."""
@@ -51,31 +50,6 @@ Serve = Callable[[web.WebSocketResponse], Awaitable[None]]
 """Serves one admitted page until it ends."""
 
 
-class System(Protocol):
-    """The running system, as the server sees it."""
-
-    def robot(self) -> Robot:
-        """Its present state."""
-
-    def reset_peaks(self) -> None:
-        """The pages have got the state; peak values start again."""
-
-    def publish_orders(self, orders: list[Order]) -> None:
-        """Send orders; must not block."""
-
-    def keep_alive(self) -> None:
-        """Called all the time: re-publishes what is held down, so that silence is noticed."""
-
-    def entries(self) -> list[Entry]:
-        """The recorded episodes; may read files."""
-
-    def watch(self, what: str, wanted: bool) -> None:
-        """See `overlay_socket.Source`."""
-
-    def overlay(self, what: str) -> str:
-        """See `overlay_socket.Source`."""
-
-
 class ConsoleServer:
     """One console.
 
@@ -88,7 +62,7 @@ class ConsoleServer:
         self,
         access: Access,
         session: ConsoleSession,
-        system: System,
+        system: RunningSystem,
         pictures: EncoderProcess,
         facts: Mapping[str, Any],
         limits: Mapping[str, float],

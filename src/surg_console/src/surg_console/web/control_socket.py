@@ -7,31 +7,20 @@ import contextlib
 import json
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from surg_console.session.console_orders import Order
 from surg_console.session.console_session import ConsoleSession
-from surg_console.session.system_state import Robot
 from surg_console.web.page_connection import MessageBudget, Outbox
 from surg_console.web.page_dispatch import dispatch
 from surg_console.web.page_protocol import PageMessage, Ping, Press, ProtocolError, parse
+from surg_console.web.running_system import RunningSystem
 
 MAX_ERRORS = 5
 """Invalid messages after which a page is disconnected."""
 Handler = Callable[[PageMessage, str, Outbox, float], None]
 """Handles a message of a page, by its name, with its outbox, at a time [s]."""
-
-
-class System(Protocol):
-    """What the pages need of the running system."""
-
-    def robot(self) -> Robot:
-        """Its present state."""
-
-    def publish_orders(self, orders: list[Order]) -> None:
-        """Send orders; must not block."""
 
 
 class ControlPages:
@@ -45,7 +34,7 @@ class ControlPages:
     def __init__(
         self,
         session: ConsoleSession,
-        system: System,
+        system: RunningSystem,
         facts: Mapping[str, Any],
         clock: Callable[[], float],
     ) -> None:

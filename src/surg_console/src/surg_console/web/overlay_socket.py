@@ -9,28 +9,19 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections import Counter
-from typing import Protocol
 
 from aiohttp import web
+
+from surg_console.web.running_system import RunningSystem
 
 PERIODS = {"marks": 0.01, "plan": 0.05, "scene": 0.1, "feel": 0.02}
 """[s] at which news are looked for."""
 
 
-class Source(Protocol):
-    """What the sockets need of the running system."""
-
-    def watch(self, what: str, wanted: bool) -> None:
-        """Begin to collect `marks`, `plan`, `scene` or `feel`, or stop."""
-
-    def overlay(self, what: str) -> str:
-        """The newest of them as JSON; empty: there is none."""
-
-
 class OverlayPages:
     """The open sockets."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: RunningSystem) -> None:
         self._source = source
         self._open: Counter[str] = Counter()
 

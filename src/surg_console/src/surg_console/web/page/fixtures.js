@@ -1,14 +1,12 @@
 // Draws the driven arm's virtual fixtures: the trocar's frame from two sides, with shaft and tip.
 
-import { mark, set, write } from "./view.js";
+import { element, mark, set, write } from "./kit.js";
 
 const HALF_M = 0.09; // shown to either side of the trocar
 const DEPTH_M = 0.24; // shown below it
 const NEAR_M = 0.001; // a wall counts as touched
 const KEEP_OUT = "#e5665a";
 const STAY_IN = "#4fd1c5";
-
-const element = (id) => document.getElementById(id);
 
 /** @param fixtures of the status: tip and regions in the trocar frame [m], or null. */
 export function showFixtures(fixtures) {

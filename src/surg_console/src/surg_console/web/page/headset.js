@@ -4,8 +4,8 @@
 import { Feel } from "./overlays/feel.js";
 import { HeadsetHand, rotate } from "./headset_hand.js";
 import { RoomView } from "./headset_view.js";
-import { Link, clock, socketUrl, token, wallUs } from "./link.js";
-import { mark, write } from "./view.js";
+import { element, mark, remember, streamOf, write } from "./kit.js";
+import { Link, clock, wallUs } from "./link.js";
 
 const SCREEN = { awayM: 1.2, widthM: 1.0 };
 const ROOM_PX = { width: 640, height: 320 }; // of the canvas; the headset has a size of its own
@@ -14,11 +14,9 @@ const LEAST_S = 0.008; // between two inputs
 const PULSE_S = 0.3; // between two pulses at a wall
 const SHOW_S = 0.1; // between two looks at the lines below the screen
 const FIGURES_S = 0.5; // between two figures in them: each change draws and loads the lines anew
-const KEPT_PICTURES = 16384;
 const SECURE = "WebXR needs a secure page. By USB: adb reverse tcp:PORT tcp:PORT, then open "
   + "http://localhost:PORT/headset in the headset. By network: start the console with --tls and --token-file.";
 
-const element = (id) => document.getElementById(id);
 const address = new URLSearchParams(location.search);
 
 let facts = null;
@@ -47,7 +45,7 @@ function onMessage(message) {
   if (message.say === "welcome") {
     facts = message;
     element("feel").parentElement.hidden = !message.overlays?.includes("feel");
-    worker.postMessage({ stream: { url: socketUrl("/pictures"), token: token(), layout: stereo() ? "stereo" : "left", codec: address.get("codec") === "jpeg" ? "jpeg" : "h264" } });
+    worker.postMessage({ stream: streamOf(stereo() ? "stereo" : "left") });
   } else if (message.say === "status") {
     status = message;
     mark(document.body, "phase", message.phase);
@@ -90,10 +88,7 @@ function showNewest(view) {
   view.load(waiting, stereo() ? 2 : 1);
   drop(waiting);
   waiting = null;
-  const drawnUs = wallUs();
-  picture.exposedUs = head.exposedUs;
-  picture.drawn.push({ ...head, drawnUs, ageMs: (drawnUs + link.offsetUs - head.exposedUs) / 1000 });
-  if (picture.drawn.length > KEPT_PICTURES) picture.drawn.splice(0, KEPT_PICTURES / 4);
+  remember(picture, { ...head, drawnUs: wallUs() }, link.offsetUs);
 }
 
 // --- the headset ---

@@ -6,19 +6,16 @@ import { PlanOverlay } from "./overlays/plan.js";
 import { Scene } from "./overlays/scene.js";
 import { Hand } from "./hand.js";
 import "./key_help.js";
-import { Link, clock, socketUrl, token } from "./link.js";
+import { element, mark, remember, set, sink, streamOf, toast, write } from "./kit.js";
+import { Link, clock } from "./link.js";
 import { showAge } from "./picture_age.js";
 import { speakWhileTouched } from "./touch_frames.js";
-import { View, mark, set, sink, write } from "./view.js";
+import { View } from "./view.js";
 
 const INPUT_MS = 20; // the console holds the arm after 100 ms without one
 const LEAST_S = 0.015; // between two inputs, whatever sends them
 const SHOW_MS = 200; // figures for people, all together; states are shown at once
 const AGE_EVERY = 2; // times that figures are shown
-const KEPT_PICTURES = 16384; // a quarter of an hour, for measurements
-const TOAST_MS = 5000;
-
-const element = (id) => document.getElementById(id);
 
 let view = null;
 let softLimit = Infinity; // of the force at the tip [N]
@@ -95,14 +92,6 @@ function lost(why) {
   element("sentence").textContent = `${why} The arm holds.`;
   element("link").textContent = "not connected";
   element("link").dataset.tone = "bad";
-}
-
-function toast(text) {
-  const node = element("toast");
-  node.textContent = text;
-  node.hidden = false;
-  clearTimeout(toast.timer);
-  toast.timer = setTimeout(() => { node.hidden = true; }, TOAST_MS);
 }
 
 // --- inputs of the hand ---
@@ -259,24 +248,15 @@ const worker = new Worker("/page/picture.js", { type: "module" });
 const parameters = new URLSearchParams(location.search);
 const pictures = { stereo: false, half: parameters.get("size") === "half" };
 const layout = () => (pictures.stereo ? "stereo" : "left") + (pictures.half ? "_half" : "");
-const settings = {
-  url: socketUrl("/pictures"),
-  token: token(),
-  layout: layout(),
-  codec: parameters.get("codec") === "jpeg" ? "jpeg" : "h264",
-};
-worker.postMessage({ canvas, settings }, [canvas]);
+worker.postMessage({ canvas, settings: streamOf(layout()) }, [canvas]);
 worker.onmessage = ({ data }) => {
   if (data.trouble) {
     toast(data.trouble);
     return;
   }
-  data.ageMs = (data.drawnUs + link.offsetUs - data.exposedUs) / 1000;
-  picture.exposedUs = data.exposedUs;
-  picture.drawn.push(data);
+  remember(picture, data, link.offsetUs);
   marks.shown(data);
   plan.shown(data);
-  if (picture.drawn.length > KEPT_PICTURES) picture.drawn.splice(0, KEPT_PICTURES / 4);
 };
 
 function watch(change) {

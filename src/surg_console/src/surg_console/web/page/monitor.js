@@ -2,16 +2,14 @@
 // it moves nothing, and Stop is all that it can ask for.
 
 import { FORMATS } from "./eyes.js";
-import { Link, socketUrl, token, wallUs } from "./link.js";
-import { mark, sink, write } from "./view.js";
+import { element, mark, remember, sink, streamOf, write } from "./kit.js";
+import { Link, wallUs } from "./link.js";
 
 const SHIFT = 3.5; // [% of the width] 80 mm lies on the screen: f 451 px, eyes 4 mm apart, 640 px
 const IDLE_MS = 3000;
 const OLD_PICTURE_MS = 500;
 const SHOW_MS = 500;
-const KEPT_PICTURES = 16384;
 
-const element = (id) => document.getElementById(id);
 const address = new URLSearchParams(location.search);
 // The choice belongs to this screen: it is kept in the address, which can be bookmarked.
 const settings = {
@@ -61,10 +59,7 @@ setInterval(show, SHOW_MS);
 
 worker.onmessage = ({ data }) => {
   if (data.trouble) { gone = data.trouble; return; }
-  data.ageMs = (data.drawnUs + link.offsetUs - data.exposedUs) / 1000;
-  picture.exposedUs = data.exposedUs;
-  picture.drawn.push(data);
-  if (picture.drawn.length > KEPT_PICTURES) picture.drawn.splice(0, KEPT_PICTURES / 4);
+  remember(picture, data, link.offsetUs);
 };
 
 // --- the display ---
@@ -152,12 +147,7 @@ for (const kind of ["pointermove", "pointerdown", "focusin"]) addEventListener(k
 wake();
 
 const canvas = element("screen").transferControlToOffscreen();
-const stream = {
-  url: socketUrl("/pictures"),
-  token: token(),
-  layout: address.get("size") === "half" ? "stereo_half" : "stereo",
-  codec: address.get("codec") === "jpeg" ? "jpeg" : "h264",
-};
+const stream = streamOf(address.get("size") === "half" ? "stereo_half" : "stereo");
 worker.postMessage({ canvas, stream }, [canvas]);
 apply();
 show();

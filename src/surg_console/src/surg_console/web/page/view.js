@@ -1,30 +1,10 @@
 // Shows the console's status on the page; decides nothing.
 
 import { showFixtures } from "./fixtures.js";
+import { element, mark, set, sink, write } from "./kit.js";
 
 const TREND_S = 30;
 const TREND_STEP_S = 0.25; // between two points, each the largest value of its interval
-
-const element = (id) => document.getElementById(id);
-
-// Unchanged values are not written again: the browser would draw a whole frame, and delay the picture.
-
-export function set(node, name, value) {
-  if (node[name] !== value) node[name] = value;
-}
-
-export function write(node, text) {
-  set(node, "textContent", text);
-}
-
-export function mark(node, name, value) {
-  set(node.dataset, name, value);
-}
-
-/** Show a button as pressed or not. */
-export function sink(button, on) {
-  if (button.getAttribute("aria-pressed") !== String(on)) button.setAttribute("aria-pressed", String(on));
-}
 
 /** One figure with its bar. */
 class Gauge {

@@ -1,40 +1,26 @@
 // The page /calibrate: shows what the collector of views sees and needs; passes four requests on.
 // It is on no socket that could move an arm.
 
-import { socketUrl, token } from "../link.js";
-import { mark, set, write } from "../view.js";
+import { element, mark, set, streamOf, toast, write } from "../kit.js";
+import { Feed } from "../overlays/feed.js";
 
-const AGAIN_MS = 1000;
-const TOAST_MS = 5000;
 const KEYS = { Digit1: "stereo", Numpad1: "stereo", Digit2: "handeye", Numpad2: "handeye", KeyU: "undo", KeyS: "solve" };
 const STEPS = { STEREO: "Both lenses", HANDEYE: "Hand-eye", NONE: "No step" };
 const MOST_SOLUTIONS = 6;
 const FINE_PX = 960; // least width of the overlay
 
-const element = (id) => document.getElementById(id);
 const overlay = element("grid").getContext("2d");
 
-let socket = null;
 let status = null;
 const solutions = [];
 
 // --- the collector ---
 
-function connect() {
-  socket = new WebSocket(socketUrl("/calibration"));
-  socket.onopen = () => say("hello", { token: token() });
-  socket.onmessage = (event) => receive(JSON.parse(event.data));
-  socket.onclose = (event) => {
-    mark(element("link"), "tone", "bad");
-    write(element("link"), "not connected");
-    show({ running: false, hint: event.reason || "The console does not answer. Reconnecting every second." });
-    setTimeout(connect, AGAIN_MS);
-  };
-}
-
-function say(what, keys) {
-  if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ say: what, ...keys }));
-}
+const feed = new Feed("/calibration", receive, ({ reason }) => {
+  mark(element("link"), "tone", "bad");
+  write(element("link"), "not connected");
+  show({ running: false, hint: reason || "The console does not answer. Reconnecting every second." });
+});
 
 function receive(message) {
   if (message.say === "welcome") {
@@ -43,13 +29,6 @@ function receive(message) {
     write(element("link"), "connected");
   } else if (message.say === "calibration") show(message);
   else if (message.say === "refused") toast(message.why);
-}
-
-function toast(text) {
-  write(element("toast"), text);
-  element("toast").hidden = false;
-  clearTimeout(toast.timer);
-  toast.timer = setTimeout(() => { element("toast").hidden = true; }, TOAST_MS);
 }
 
 // --- what is shown ---
@@ -133,7 +112,7 @@ function draw() {
 // --- buttons and keys ---
 
 function press(id) {
-  if (!element(id).disabled) say("calibrate", { request: element(id).dataset.request });
+  if (!element(id).disabled) feed.say("calibrate", { request: element(id).dataset.request });
 }
 
 for (const id of new Set(Object.values(KEYS))) element(id).addEventListener("click", () => press(id));
@@ -147,8 +126,7 @@ addEventListener("keydown", (event) => {
 
 const canvas = element("picture").transferControlToOffscreen();
 const worker = new Worker("/page/picture.js", { type: "module" });
-const codec = new URLSearchParams(location.search).get("codec") === "jpeg" ? "jpeg" : "h264";
-worker.postMessage({ canvas, settings: { url: socketUrl("/pictures"), token: token(), layout: "left", codec } }, [canvas]);
+worker.postMessage({ canvas, settings: streamOf("left") }, [canvas]);
 const picture = { drawn: 0 };
 worker.onmessage = ({ data }) => {
   if (data.trouble) {
@@ -167,4 +145,4 @@ worker.onmessage = ({ data }) => {
 globalThis.surgCalibrate = { picture, status: () => status, solutions };
 
 show({ running: false, hint: "Connecting." });
-connect();
+feed.turn(true);

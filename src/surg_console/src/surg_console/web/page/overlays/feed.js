@@ -6,12 +6,13 @@ const AGAIN_MS = 1000;
 
 export class Feed {
   /**
-   * @param path "/marks", "/scene" or "/feel"
-   * @param hear called with every message
+   * @param path "/marks", "/scene", "/feel" or "/calibration"
+   * @param hear called with every message; `closed` with the event of a socket that ended
    */
-  constructor(path, hear) {
+  constructor(path, hear, closed = () => {}) {
     this.path = path;
     this.hear = hear;
+    this.closed = closed;
     this.socket = null;
   }
 
@@ -28,8 +29,15 @@ export class Feed {
   connect() {
     const socket = new WebSocket(socketUrl(this.path));
     this.socket = socket;
-    socket.onopen = () => socket.send(JSON.stringify({ say: "hello", token: token() }));
+    socket.onopen = () => this.say("hello", { token: token() });
     socket.onmessage = (event) => { if (this.socket === socket) this.hear(JSON.parse(event.data)); };
-    socket.onclose = () => setTimeout(() => { if (this.socket === socket) this.connect(); }, AGAIN_MS);
+    socket.onclose = (event) => {
+      this.closed(event);
+      setTimeout(() => { if (this.socket === socket) this.connect(); }, AGAIN_MS);
+    };
+  }
+
+  say(what, keys) {
+    if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify({ say: what, ...keys }));
   }
 }
