@@ -19,6 +19,7 @@ from helpers.graph.ros import RosGraph
 from helpers.graph.statuses import TeleopSpeaker
 from surg_cli.graph import master, system
 from surg_cli.graph.processes import Child
+from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import paths
 from surg_core.status_check import value_name
 from surg_msgs.msg import Cycle, PolicyAction, PolicyStatus
@@ -100,7 +101,7 @@ class PolicyRig:
         graph.wait_for(self._connected, 40.0, "the arm and the model server")
 
     def _simulator(self, graph: RosGraph) -> None:
-        plan = system.SystemPlan(self.cell, ("PSM1",), False, (), graph.folder, record=False)
+        plan = SystemPlan(self.cell, ("PSM1",), False, (), graph.folder, record=False)
         for node in system.nodes(plan):
             system.start(graph.supervisor, node)  # as `./surg up` does
 

@@ -21,7 +21,7 @@ from helpers.graph.ros import RosGraph
 from surg_cli.commands.dev import topics
 from surg_cli.graph import system
 from surg_cli.graph.graph_probe import GraphEnd, observe
-from surg_cli.graph.topic_contract import PAGE, REFERENCE, Contract, Entry, compare, load, render
+from surg_cli.graph.topic_contract import PAGE, REFERENCE, Contract, Entry, compare, load
 from surg_cli.host.terminal import CliError
 
 pytestmark = [pytest.mark.ros, pytest.mark.untimed]
@@ -118,16 +118,12 @@ def frame_of(entry: Entry) -> str:
     return entry.frame.replace("<frame>", f"{ARM}_rcm").replace("<arm>", ARM)
 
 
-def test_the_graph_is_the_contract_and_the_page_is_made_of_both(
+def test_the_graph_is_the_contract(
     ros_graph: RosGraph, rospy_node: str, contract: Contract, ears: list[Ear]
 ) -> None:
     start(ros_graph, "freerun", rospy_node)
     wrong, seen = differences(ros_graph, contract, lockstep=False)
     assert wrong == []
-    page = render(contract, seen, ARM)
-    assert PAGE.read_text("utf-8") == page, (
-        "docs/reference/topics.md is old: ./surg dev topics --write"
-    )
     print(f"{len(contract.entries)} topics and services, {len(seen)} ends on the graph")
 
     # Rates in real time, by the stamps: a slow listener is not a slow arm.

@@ -27,6 +27,7 @@ from helpers.graph.ros import RosGraph
 from helpers.perception.live_bench import ARMS, LiveBench
 from helpers.results.perception_results import PAGE
 from surg_cli.graph import master, system
+from surg_cli.graph.system_plan import SystemPlan
 from surg_core.camera_file import load_camera
 from surg_perception.calibration.base_steps import chain_error
 from surg_perception.calibration.result_files import read_stereo
@@ -55,7 +56,7 @@ def cell(tmp_path: Path) -> Path:
 @pytest.fixture
 def live(cell: Path, ros_graph: RosGraph, rospy_node: str, tmp_path: Path) -> Iterator[LiveBench]:
     """The running system with the person beside it."""
-    plan = system.SystemPlan(
+    plan = SystemPlan(
         cell=cell,
         arms=ARMS,
         lockstep=True,

@@ -7,6 +7,7 @@ import pytest
 from helpers.graph.ros import RosGraph
 from helpers.policy.policy_rig import PolicyRig
 from surg_cli.graph import system
+from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import paths
 
 CELL = paths.CELLS / "sim_two_arms"
@@ -16,9 +17,7 @@ POLICY = paths.ROOT / "tests" / "helpers" / "policy" / "looking_policy.py"
 @pytest.mark.ros
 @pytest.mark.full
 def test_f08_a_scene_at_rest_is_no_frozen_camera(ros_graph: RosGraph, rospy_node: str) -> None:
-    plan = system.SystemPlan(
-        CELL, ("PSM1", "ECM"), False, ("left",), ros_graph.folder, record=False
-    )
+    plan = SystemPlan(CELL, ("PSM1", "ECM"), False, ("left",), ros_graph.folder, record=False)
 
     def nodes(graph: RosGraph) -> None:
         for node in system.nodes(plan):

@@ -13,6 +13,7 @@ from helpers.graph.ros import RosGraph
 from helpers.policy.policy_rig import CELL, PolicyRig
 from helpers.results.policy_results import note
 from surg_cli.graph import system
+from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import paths
 
 HELPERS = paths.ROOT / "tests" / "helpers" / "sim"
@@ -24,7 +25,7 @@ GOAL = paths.ROOT / "tests" / "helpers" / "policy" / "goal_policy.py"
 def test_f04_a_restart_within_the_episode_recovers_and_completes(
     ros_graph: RosGraph, rospy_node: str, tmp_path: Path
 ) -> None:
-    plan = system.SystemPlan(
+    plan = SystemPlan(
         CELL,
         ("PSM1",),
         False,

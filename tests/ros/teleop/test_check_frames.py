@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from helpers.graph.ros import RosGraph
 from helpers.graph.surg import surg
 from surg_cli.graph import processes, system
+from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import paths
 
 pytestmark = pytest.mark.ros
@@ -54,7 +55,7 @@ def start(
     graph: RosGraph, out: Path, enable: bool, lockstep: bool = True
 ) -> dict[str, processes.Child]:
     """The graph and the check in it, by node."""
-    plan = system.SystemPlan(
+    plan = SystemPlan(
         cell=CELL,
         arms=("PSM1", "ECM"),
         lockstep=lockstep,

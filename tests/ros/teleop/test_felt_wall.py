@@ -13,6 +13,7 @@ import surg_core
 from helpers.graph.ros import RosGraph
 from helpers.teleop import lambda7
 from surg_cli.graph import system
+from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import paths
 
 pytestmark = pytest.mark.ros
@@ -34,7 +35,7 @@ def test_a_wall_is_felt_and_a_clutch_and_an_end_are_not(
     from std_msgs.msg import Bool, String
 
     graph, wait = ros_graph, ros_graph.wait_for
-    plan = system.SystemPlan(
+    plan = SystemPlan(
         CELL, ("PSM1",), False, (), tmp_path, record=False, task=str(TASK), setting="phantom"
     )
     for node in system.nodes(plan):

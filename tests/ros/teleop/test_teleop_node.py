@@ -17,6 +17,7 @@ from helpers.graph.ros import RosGraph
 from helpers.teleop.moving_hand import MovingHand
 from surg_cli.graph import master, system
 from surg_cli.graph.processes import Child
+from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import paths
 from surg_core.held_endoscope import held_endoscope
 
@@ -144,7 +145,7 @@ class CrtkHand(MovingHand):
 
 
 def start(graph: RosGraph, cell: Path, arms: tuple[str, ...], lockstep: bool) -> None:
-    plan = system.SystemPlan(
+    plan = SystemPlan(
         cell=cell,
         arms=arms,
         lockstep=lockstep,

@@ -14,6 +14,7 @@ from helpers.graph.ros import RosGraph
 from helpers.sim.assistant_pose import forward
 from surg_cli.graph import operator_nodes, system
 from surg_cli.graph.processes import Child
+from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import cells, paths
 from surg_core.status_check import value_name
 
@@ -125,7 +126,7 @@ class Pair:
 
 @pytest.fixture
 def teleop(ros_graph: RosGraph, rospy_node: str) -> Iterator[tuple[Pair, Child]]:
-    plan = system.SystemPlan(CELL, ("PSM1",), False, (), ros_graph.folder, record=False, task="bgr")
+    plan = SystemPlan(CELL, ("PSM1",), False, (), ros_graph.folder, record=False, task="bgr")
     for node in system.nodes(plan):
         params = {**node.params, "endless": True} if node.name == "/sim" else node.params
         ros_graph.node(node.package, node.executable, node.name, params, arguments=node.arguments)

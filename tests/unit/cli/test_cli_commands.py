@@ -16,7 +16,7 @@ from surg_cli import command_table, moved
 from surg_cli.commands import up
 from surg_cli.graph import follow, master, processes, roles, running, system, task_episode
 from surg_cli.graph.processes import Supervisor
-from surg_cli.graph.system import SystemPlan
+from surg_cli.graph.system_plan import Policy, SystemPlan
 from surg_cli.host import cells, option_types, paths, pytest_run
 from surg_cli.host.terminal import CliError, table
 
@@ -365,7 +365,7 @@ def test_a_controller_waits_for_those_who_command_its_arm(tmp_path: Path) -> Non
 
 
 def test_in_real_time_a_scripted_sender_begins_after_the_policys_arms(tmp_path: Path) -> None:
-    policy = system.Policy("tcp://127.0.0.1:5555", "policy.py")
+    policy = Policy("tcp://127.0.0.1:5555", "policy.py")
     wanted = plan(tmp_path, senders={"assistant": (), system.POLICY: ("PSM1",)}, policy=policy)
     for lockstep, after in ((True, None), (False, ["PSM1"])):
         (node,) = system.senders(replace(wanted, lockstep=lockstep))

@@ -13,7 +13,7 @@ import yaml
 import surg_core
 from helpers.hardware.emulated_cell import emulated_cell
 from surg_cli.graph import motion_run
-from surg_cli.graph.system import SystemPlan
+from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import cells, link_environments
 from surg_cli.host.terminal import CliError
 from surg_cli.robots import emulated_arms

@@ -9,6 +9,7 @@ import pytest
 import surg_core
 from surg_cli.commands import up
 from surg_cli.graph import system
+from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import cells, paths
 from surg_cli.host.terminal import CliError
 from surg_description.make_cell import make_cell
@@ -27,8 +28,8 @@ def cell(tmp_path: Path) -> Path:
     return file.parent
 
 
-def plan(cell: Path, simulated: tuple[str, ...]) -> system.SystemPlan:
-    return system.SystemPlan(cell, ("PSM1",), False, (), cell / "out", simulated=simulated)
+def plan(cell: Path, simulated: tuple[str, ...]) -> SystemPlan:
+    return SystemPlan(cell, ("PSM1",), False, (), cell / "out", simulated=simulated)
 
 
 def test_the_simulator_starts_only_for_the_arms_that_it_drives(cell: Path) -> None:

@@ -15,7 +15,7 @@ import pytest
 from helpers.graph.surg import surg
 from surg_cli.graph import join, network, roles
 from surg_cli.graph.roles import Link, Role
-from surg_cli.graph.system import SystemPlan
+from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
 from surg_console.ros.console_node import Settings

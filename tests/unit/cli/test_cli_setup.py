@@ -58,21 +58,6 @@ def test_opencv_comes_with_a_real_endoscope_or_a_lens(
     assert installed == asked * [{"optional": ("opencv",)}]
 
 
-def test_the_sizes_are_stated_as_apt_get_states_them(tmp_path: Path) -> None:
-    program = tmp_path / "apt-get"
-    program.write_text(
-        "#!/bin/sh\n"
-        "echo 3 upgraded, 724 newly installed, 0 to remove and 3 not upgraded.\n"
-        "echo Need to get 1,200 kB/445 MB of archives.\n"
-        "echo After this operation, 1969 MB of additional disk space will be used.\n"
-        "exit 1\n"
-    )
-    program.chmod(0o755)
-    text = provision.sizes([str(program), "-y", "install", "cmake"])
-    assert "724 with what they need, 445 MB to load, 1969 MB on disk" in text
-    assert provision.sizes(["/bin/true"]) == ""
-
-
 def test_the_overview_names_each_stage_that_comes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(provision, "missing_packages", lambda names: ["cmake", "libegl1"])
     monkeypatch.setattr(provision, "_python_is_current", lambda: False)

@@ -12,7 +12,7 @@ pytest.importorskip("rospy")
 from helpers.graph.statuses import heard_by_watch, record_status, sim_status, stamped
 from surg_cli.graph import follow
 from surg_cli.graph.episode_process import progress
-from surg_cli.graph.status_records import policy_record
+from surg_cli.graph.task_episode import policy_record
 from surg_msgs import msg
 
 

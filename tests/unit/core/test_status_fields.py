@@ -21,7 +21,7 @@ pytest.importorskip("rospy")
 
 from helpers.graph.statuses import complete, fields, heard_by_watch, newest, removed
 from surg_cli.commands import record, up
-from surg_cli.graph import follow, policy_program, system, task_episode
+from surg_cli.graph import follow, policy_program, system, system_plan, task_episode
 from surg_console.ros.ros_system_node import RosSystem
 from surg_console.session.console_orders import Policy
 from surg_console.session.console_session import SETTLED, ConsoleSession
@@ -70,7 +70,7 @@ def stop_need_not_disable_the_policy(status: Any) -> bool:
 
 
 def run_starts_its_simulator(status: Any) -> bool:
-    plan = SimpleNamespace(policy=system.Policy("tcp://127.0.0.1:1", "", "", False))
+    plan = SimpleNamespace(policy=system_plan.Policy("tcp://127.0.0.1:1", "", "", False))
     watch = heard_by_watch({"/policy/status": status})
     policy_program.connect(plan, waiting_supervisor(), watch, lambda *_: None)
     return True

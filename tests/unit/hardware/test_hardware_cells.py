@@ -17,6 +17,7 @@ import yaml
 import surg_core
 from surg_cli.commands import up
 from surg_cli.graph import system
+from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import paths
 from surg_emulators.ur.dh_kinematics import TABLES, frames, pose_vector
 from surg_hardware import link_node
@@ -77,9 +78,7 @@ class FrankaSettings(FrankaAdapter):
 
 
 def test_up_starts_the_link_and_no_simulator() -> None:
-    plan = system.SystemPlan(
-        BUNDLED, ("PSM1",), False, (), Path("out"), simulated=(), driven=("PSM1",)
-    )
+    plan = SystemPlan(BUNDLED, ("PSM1",), False, (), Path("out"), simulated=(), driven=("PSM1",))
     nodes = {node.name: node for node in system.nodes(plan)}
     assert nodes["/PSM1/link"].package == "surg_hardware" and "/sim" not in nodes
 

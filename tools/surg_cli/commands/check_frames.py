@@ -12,7 +12,8 @@ from typing import Any
 
 from surg_cli.graph import join, master, network, processes, roles, running, system
 from surg_cli.graph.follow import death_notice
-from surg_cli.graph.system import Node, SystemPlan
+from surg_cli.graph.system import Node
+from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import cells, environment, frames_picture, paths, terminal
 from surg_cli.host.terminal import CliError, Progress, say
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.graph import episode_film, motion_run
-from surg_cli.graph.system import SystemPlan
+from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import cells, link_environments, paths, preflight
 from surg_cli.host.option_types import feedback_gain, positive
 from surg_cli.host.terminal import CliError, Progress, say, table, warn

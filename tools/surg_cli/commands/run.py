@@ -12,11 +12,10 @@ from surg_cli.graph import (
     episode_plans,
     episode_process,
     policy_program,
-    system,
     task_episode,
 )
 from surg_cli.graph.episode_plans import VIEWS, Condition
-from surg_cli.graph.system import SystemPlan
+from surg_cli.graph.system_plan import Policy, SystemPlan
 from surg_cli.host import cells, paths, preflight
 from surg_cli.host.option_types import add_video_quality, video_quality
 from surg_cli.host.terminal import CliError, Progress, is_interactive, say, table, warn
@@ -124,7 +123,7 @@ def _check_numbers(options: argparse.Namespace) -> None:
         raise CliError(f"--seed {options.seed}: 0 to {2**31 - 1} is allowed", 2)
 
 
-def _policy(options: argparse.Namespace) -> system.Policy | None:
+def _policy(options: argparse.Namespace) -> Policy | None:
     """The policy that plays, if one does."""
     if options.policy is not None:
         more = ("privileged" in options.observe, "forces" in options.observe)

@@ -25,7 +25,8 @@ from surg_cli.graph import (
     system,
 )
 from surg_cli.graph.operator_nodes import BROWSER, WEB_PORT
-from surg_cli.graph.system import Node, SystemPlan
+from surg_cli.graph.system import Node
+from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.graph.watch import Watch
 from surg_cli.host import cells, environment, paths, preflight
 from surg_cli.host.option_types import add_video_quality, address_and_port, tcp_port, video_quality

@@ -21,7 +21,7 @@ from surg_cli.graph import (
     running,
     system,
 )
-from surg_cli.graph.system import SystemPlan
+from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.graph.watch import Watch
 from surg_cli.host import cells, environment, link_environments, paths, preflight
 from surg_cli.host.option_types import add_video_quality, tcp_port, video_quality

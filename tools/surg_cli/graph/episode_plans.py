@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.graph import policy_program, system
-from surg_cli.graph.system import SystemPlan
+from surg_cli.graph.system_plan import Policy, SystemPlan
 from surg_cli.host import cells
 from surg_cli.host.terminal import CliError
 
@@ -84,7 +84,7 @@ def make_plan(
     seed: int,
     cameras: tuple[str, ...],
     out: Path,
-    policy: system.Policy | None = None,
+    policy: Policy | None = None,
 ) -> SystemPlan:
     """What all episodes of a run have in common; starts nothing.
 
@@ -122,7 +122,7 @@ def _load_task(
     loaded: Any,
     conditions: Sequence[Condition],
     seed: int,
-    policy: system.Policy | None,
+    policy: Policy | None,
 ) -> tuple[Any, Mapping[str, tuple[str, ...]]]:
     """The task, and the names of the nodes that play it with the arms that each commands."""
     from surg_sim import tasks

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.graph import processes, task_episode
-from surg_cli.graph.system import SystemPlan
+from surg_cli.graph.system_plan import SystemPlan
 
 EPISODE_TIMEOUT_S = 1800.0
 """[s] wall clock: longest an episode may take, start and report included."""

@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 from typing import NoReturn
 
 from surg_cli.graph import processes, running, system
+from surg_cli.graph.system_plan import RECORDER
 from surg_cli.graph.watch import Watch
 from surg_cli.host.terminal import CliError, say
 
@@ -49,7 +50,7 @@ def failure(
 
 def finish_recording(watch: Watch, supervisor: processes.Supervisor) -> list[str]:
     """Stop the recorder and wait for its files; say what is wrong with them."""
-    recorder = next(c for c in supervisor.children if c.name == f"/{system.RECORDER}")
+    recorder = next(c for c in supervisor.children if c.name == f"/{RECORDER}")
     watch.record(False)
     ended = processes.wait_until(
         lambda: watch.recording is False or recorder.exit_code is not None, RECORDER_TIMEOUT_S

@@ -19,7 +19,8 @@ from surg_cli.graph import (
     running,
     system,
 )
-from surg_cli.graph.system import Node, SystemPlan
+from surg_cli.graph.system import Node
+from surg_cli.graph.system_plan import ENDOSCOPE, SystemPlan
 from surg_cli.host import environment
 from surg_cli.host.terminal import CliError, Progress, say
 
@@ -55,7 +56,7 @@ def nodes(plan: SystemPlan, place: roles.Link | None, leader: str = LEADER) -> l
     every = system.nodes(plan)
     if place is None:
         return every
-    cameras = (f"/{system.ENDOSCOPE}", f"/{system.EYES}")
+    cameras = (f"/{ENDOSCOPE}", f"/{system.EYES}")
     clock = clock_monitor(place.role)
     if place.role is roles.Role.ENDOSCOPE:
         return [*(node for node in every if node.name in cameras), *clock]

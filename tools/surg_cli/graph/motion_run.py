@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from surg_cli.graph import follow, processes, running, system
-from surg_cli.graph.system import SystemPlan
+from surg_cli.graph.system_plan import OPERATOR, SystemPlan
 from surg_cli.graph.watch import Watch
 from surg_cli.host.terminal import Progress
 
@@ -78,7 +78,7 @@ def _follow(
         untouched = untouched and set(watch.states.values()) <= {"DISABLED"}
         if untouched:
             robots.ask_again()
-        reasons = follow.failure(watch, supervisor, (f"/{system.OPERATOR}",), simulates)
+        reasons = follow.failure(watch, supervisor, (f"/{OPERATOR}",), simulates)
         if reasons := reasons or ([watch.fault] if watch.fault else []):
             return reasons
     return _operator_verdict(operator)

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from surg_cli.graph.system import ENDOSCOPE, Node, SystemPlan
+from surg_cli.graph.system import Node
+from surg_cli.graph.system_plan import ENDOSCOPE, SystemPlan
 from surg_cli.host import cells
 from surg_cli.host.terminal import CliError
 

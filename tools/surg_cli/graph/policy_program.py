@@ -9,7 +9,7 @@ from pathlib import Path
 
 from surg_cli.graph import follow, master, system
 from surg_cli.graph.processes import Supervisor
-from surg_cli.graph.system import Policy, SystemPlan
+from surg_cli.graph.system_plan import Policy, SystemPlan
 from surg_cli.graph.watch import Watch
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError

@@ -8,6 +8,7 @@ it prints a JSON object per line on how far it is.
 from __future__ import annotations
 
 import json
+import math
 import sys
 import time
 from collections.abc import Sequence
@@ -16,15 +17,21 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.graph import follow, policy_program, processes, running, system
-from surg_cli.graph.status_records import policy_record
-from surg_cli.graph.system import SystemPlan
+from surg_cli.graph.system_plan import Policy, SystemPlan
 from surg_cli.graph.watch import Watch
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError, warn
+from surg_core.status_check import value_name
 
 PLAN, OUTCOME = "plan.json", "outcome.json"
 WARM_UP_S = 0.5
 """[s simulated] The rate is measured from here on."""
+AS_SENT = (
+    *("waiting", "client", "policy", "episode", "queue", "accepted", "clipped", "rejected"),
+    *("late", "stale", "empty", "waited", "messages", "flooded", "strangers", "sessions"),
+    *("refused", "address"),
+)
+"""Fields of a PolicyStatus that are kept under their own names."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +45,7 @@ class Ended:
     played: bool  # it came to an end of its own, and all of it is recorded
     # simulated by wall time without start and end; None for a very short one
     real_time_factor: float | None
-    # the last `/policy/status` as `status_records.policy_record`; None without one
+    # the last `/policy/status` as `policy_record`; None without one
     policy: dict[str, Any] | None = None
 
 
@@ -57,7 +64,7 @@ def read_plan(folder: Path) -> SystemPlan:
     for name in ("cell", "out"):
         values[name] = Path(values[name])
     if values["policy"] is not None:
-        values["policy"] = system.Policy(**values["policy"])
+        values["policy"] = Policy(**values["policy"])
     return SystemPlan(**values)
 
 
@@ -135,6 +142,28 @@ class _Rate:
             return None
         simulated, wall = (new - old for old, new in zip(*self._looks, strict=True))
         return simulated / wall
+
+
+def policy_record(status: Any) -> dict[str, Any]:
+    """A surg_msgs/PolicyStatus as ``outcome.json`` and the learning reports keep it."""
+    return {
+        "state": value_name(status, "state"),
+        "reason": status.detail,
+        "session": status.session or None,
+        "period_ms": 1e3 * status.period,
+        "rejected_by_rule": dict(zip(status.rejected_rules, status.rejected_by_rule, strict=True)),
+        "malformed": dict(zip(status.malformed_codes, status.malformed, strict=True)),
+        "obs_age_ms": _spread(status.obs_age_p50, status.obs_age_p99),
+        "round_trip_ms": _spread(status.round_trip_p50, status.round_trip_p99),
+        **{name: getattr(status, name) for name in AS_SENT},
+    }
+
+
+def _spread(p50: float, p99: float) -> dict[str, float | None]:
+    """Median and 99th percentile [ms]; None: nothing was measured."""
+    if not math.isfinite(p50):
+        return {"p50": None, "p99": None}
+    return {"p50": round(1e3 * p50, 3), "p99": round(1e3 * p99, 3)}
 
 
 def _progress(seconds: float | None, note: str) -> None:

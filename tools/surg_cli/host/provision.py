@@ -100,31 +100,11 @@ def install_packages(log: Path, everything: bool = False, optional: Sequence[str
     base = [*prefix, "/usr/bin/env", "DEBIAN_FRONTEND=noninteractive", "apt-get", *APT_OPTIONS]
     with Progress("apt-get") as progress:
         logged.run([*base, "update"], log, progress, anew=True)
-        if size := sizes([*base, "install", *missing]):
-            say(size)
         logged.run([*base, "install", *missing], log, progress, fraction=_apt_fraction())
     still = missing_packages(missing)
     if still:
         raise CliError(f"apt-get ended well but {', '.join(still)} is still missing; see {log}")
     return True
-
-
-def sizes(install: Sequence[str]) -> str:
-    """What a command line of `apt-get install` would load and fill; empty if it does not say."""
-    asked = subprocess.run(
-        [*(word for word in install if word != "-y"), "--assume-no"],
-        capture_output=True,
-        text=True,
-        check=False,
-        stdin=subprocess.DEVNULL,
-        env={"LC_ALL": "C", "PATH": "/usr/sbin:/usr/bin:/sbin:/bin"},
-    ).stdout
-    load = re.search(r"Need to get (?:[\d.,]+ ?\w*/)?([\d.,]+ ?[kMG]?B)", asked)
-    disk = re.search(r"operation, ([\d.,]+ ?[kMG]?B) of additional", asked)
-    count = re.search(r"(\d+) newly installed", asked)
-    if load is None or disk is None or count is None:
-        return ""
-    return f"Debian packages: {count[1]} with what they need, {load[1]} to load, {disk[1]} on disk"
 
 
 def need_opencv() -> None:

@@ -16,7 +16,7 @@ from typing import Any
 
 from surg_cli.graph import episode_plans, episode_process, policy_program, task_episode
 from surg_cli.graph.episode_plans import Condition
-from surg_cli.graph.system import SystemPlan
+from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError, Progress
 from surg_learn.learn_terminal import LearnError

@@ -1,4 +1,4 @@
-"""`./surg dev topics`: compare a running graph with topics.yaml; make topics.md of both."""
+"""`./surg dev topics`: compare a running graph with topics.yaml, of which topics.md is made."""
 
 from __future__ import annotations
 
@@ -32,12 +32,11 @@ def main(options: argparse.Namespace, command: str) -> int:
     contract = load()
     with reference_graph(contract) as seen:
         wrong = compare(contract, seen, ARM, NODES, lockstep=False)
-        page = render(contract, seen, ARM)
     for sentence in wrong:
         warn(f"surg: {sentence}")
     if wrong:
         return 1
-    name = PAGE.relative_to(paths.ROOT)
+    name, page = PAGE.relative_to(paths.ROOT), render(contract)
     if options.write:
         PAGE.write_text(page, "utf-8")
         say(f"wrote {name}")
