@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
-from collections.abc import Coroutine
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,10 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.async_tests import within
 from helpers.sim.board_views import BARREL, BOARD, bench
 from helpers.teleop import chromium
-from helpers.teleop.chromium import Chromium, until
+from helpers.teleop.chromium import Chromium
 from helpers.teleop.console import Console, console
+from helpers.teleop.console_page import when
 from surg_console.session.console_orders import Calibrate
 from surg_console.session.system_state import Calibration
 
@@ -58,71 +58,56 @@ COLLECTING = Calibration(
 )
 
 
-def run(test: Coroutine[Any, Any, None]) -> None:
-    asyncio.run(asyncio.wait_for(test, 120.0))
-
-
 def set_calibration(made: Console, now: Calibration | None) -> None:
     made.system.now = replace(made.system.now, calibration=now)
 
 
-async def _is(truth: bool) -> bool:
-    return truth
-
-
-def test_the_page_shows_what_is_covered_and_passes_requests_on(tmp_path: Path) -> None:
+@within(120.0)
+async def test_the_page_shows_what_is_covered_and_passes_requests_on(tmp_path: Path) -> None:
     picture, corners = held_board()
-
-    async def test() -> None:
-        async with console(token=TOKEN) as made, Chromium(SIZE) as browser:
-            made.camera.picture = lambda count: picture  # type: ignore[method-assign]
-            tab = await browser.open(f"{made.url}calibrate#token={TOKEN}")
-            ready = "globalThis.surgCalibrate && surgCalibrate.picture.drawn > 2"
-            await tab.until(ready, "pictures", 60.0)
-            hint = "document.querySelector('#hint').textContent"
-            await tab.until(f"{hint}.includes('./surg calibrate CELL live')", "how to start one")
-            assert await tab.run("document.querySelector('#stereo').disabled")
-            await tab.tap("Digit1")  # nothing to ask
-            set_calibration(made, replace(COLLECTING, corners=corners))
-            await tab.until("surgCalibrate.status().views === 9", "the status")
-            assert await tab.run(hint) == COLLECTING.hint
-            texts = "[...document.querySelectorAll('#missing li')].map((li) => li.textContent)"
-            assert await tab.run(texts) == list(COLLECTING.missing)
-            for keys, request in (
-                ("Digit1", "START_STEREO"), ("Digit2", "START_HANDEYE"), ("KeyU", "UNDO"),
-                ("KeyS", "SOLVE"),
-            ):  # fmt: skip
-                await tab.tap(keys)
-                wanted = Calibrate(request)
-                await until(lambda w=wanted: _is(w in made.system.given(Calibrate)), request, 20.0)
-            await tab.click("#undo")
-            await until(lambda: _is(len(made.system.given(Calibrate)) == 5), "the button", 20.0)
-            covered, empty = await tab.run(PIXELS)
-            assert covered[3] > 20 and empty[3] == 0, "a covered field is filled"
-            await shoot(tab, tmp_path)
-            for state, residual in (("SOLVING", np.nan), ("DONE", 0.069)):
-                now = replace(COLLECTING, state=state, views=20, residual=residual, missing=())
-                set_calibration(made, now)
-                await tab.until(f"surgCalibrate.status().state === '{state}'", state)
-            assert await tab.run("surgCalibrate.solutions[0].residual") == pytest.approx(0.069)
-            await tab.until(
-                "document.querySelector('#solutions').textContent.includes('0.069 px')", "result"
-            )
-            assert made.session.pages == 0, "the page is on no socket of the session"
-            moving = {type(order) for _, order in made.system.orders} - {Calibrate}
-            assert not moving, moving
-            fits = (
-                "(() => { const a = document.querySelector('aside'), b = a.getBoundingClientRect();"
-            )
-            fits += " return [...a.querySelectorAll('button')].every((each) =>"
-            fits += " each.getBoundingClientRect().right <= b.right - 12"
-            fits += (
-                " && each.scrollWidth <= each.clientWidth) && a.scrollHeight <= a.clientHeight })()"
-            )
-            assert await tab.run(fits), "buttons and lists lie within the panel"
-            assert browser.errors == []
-
-    run(test())
+    async with console(token=TOKEN) as made, Chromium(SIZE) as browser:
+        made.camera.picture = lambda count: picture  # type: ignore[method-assign]
+        tab = await browser.open(f"{made.url}calibrate#token={TOKEN}")
+        ready = "globalThis.surgCalibrate && surgCalibrate.picture.drawn > 2"
+        await tab.until(ready, "pictures", 60.0)
+        hint = "document.querySelector('#hint').textContent"
+        await tab.until(f"{hint}.includes('./surg calibrate CELL live')", "how to start one")
+        assert await tab.run("document.querySelector('#stereo').disabled")
+        await tab.tap("Digit1")  # nothing to ask
+        set_calibration(made, replace(COLLECTING, corners=corners))
+        await tab.until("surgCalibrate.status().views === 9", "the status")
+        assert await tab.run(hint) == COLLECTING.hint
+        texts = "[...document.querySelectorAll('#missing li')].map((li) => li.textContent)"
+        assert await tab.run(texts) == list(COLLECTING.missing)
+        for keys, request in (
+            ("Digit1", "START_STEREO"), ("Digit2", "START_HANDEYE"), ("KeyU", "UNDO"),
+            ("KeyS", "SOLVE"),
+        ):  # fmt: skip
+            await tab.tap(keys)
+            wanted = Calibrate(request)
+            await when(lambda w=wanted: w in made.system.given(Calibrate), request, 20.0)
+        await tab.click("#undo")
+        await when(lambda: len(made.system.given(Calibrate)) == 5, "the button", 20.0)
+        covered, empty = await tab.run(PIXELS)
+        assert covered[3] > 20 and empty[3] == 0, "a covered field is filled"
+        await shoot(tab, tmp_path)
+        for state, residual in (("SOLVING", np.nan), ("DONE", 0.069)):
+            now = replace(COLLECTING, state=state, views=20, residual=residual, missing=())
+            set_calibration(made, now)
+            await tab.until(f"surgCalibrate.status().state === '{state}'", state)
+        assert await tab.run("surgCalibrate.solutions[0].residual") == pytest.approx(0.069)
+        await tab.until(
+            "document.querySelector('#solutions').textContent.includes('0.069 px')", "result"
+        )
+        assert made.session.pages == 0, "the page is on no socket of the session"
+        moving = {type(order) for _, order in made.system.orders} - {Calibrate}
+        assert not moving, moving
+        fits = "(() => { const a = document.querySelector('aside'), b = a.getBoundingClientRect();"
+        fits += " return [...a.querySelectorAll('button')].every((each) =>"
+        fits += " each.getBoundingClientRect().right <= b.right - 12"
+        fits += " && each.scrollWidth <= each.clientWidth) && a.scrollHeight <= a.clientHeight })()"
+        assert await tab.run(fits), "buttons and lists lie within the panel"
+        assert browser.errors == []
 
 
 PIXELS = """(() => {

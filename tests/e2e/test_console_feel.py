@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.async_tests import within
 from helpers.teleop import chromium
 from helpers.teleop.chromium import GAMEPAD, Chromium, Tab
 from helpers.teleop.console import Console, console
@@ -96,38 +97,36 @@ async def heard(tab: Tab, volume: float) -> None:
     await chromium.until(found, f"a volume of {volume}", 20.0, period=0.5)
 
 
-def test_a_force_is_heard_and_rumbles_while_the_hand_moves_the_tip() -> None:
-    async def test() -> None:
-        async with opened() as (made, tab):
-            push(made, 2.5)
-            await drive(tab)
-            await recent(tab)
-            assert await tab.run("window.heard.length + window.rumbled.length") == 0, "off"
-            await tab.tap("KeyY")
-            await heard(tab, 0.2 * 2.5 / SOFT)
-            kind, effect = await tab.run("window.rumbled.at(-1)")
-            assert kind == "dual-rumble" and effect["strongMagnitude"] == 2.5 / SOFT
-            # Every piece ends by itself: a console that falls silent is not heard on.
-            assert 0 < effect["duration"] <= 50
-            gains = await tab.run("window.heard.filter(([n]) => n === 'gain')")
-            assert gains[-1][1] == 0 and gains[-1][2] <= 0.05
-            push(made, 50.0)
-            await heard(tab, 0.2)  # at most
-            for quiet in (None, 0.1):
-                push(made, quiet)
-                await heard(tab, 0.0)
-                assert await tab.run("window.rumbled.at(-1)[0]") == "reset"
-            push(made, 2.5)
-            await tab.tap("Escape")
-            await tab.until(f"!({DRIVING})", "the stop", 20.0)
-            await recent(tab)
-            assert await tab.run(LOUDEST) == 0, "nothing is felt of an arm that is not driven"
-            await tab.tap("KeyY")
-            assert await tab.run("window.heard.at(-1)[0]") == "closed"
-            await recent(tab)
-            assert await tab.run("window.heard.length") == 0
-
-    asyncio.run(asyncio.wait_for(test(), 120.0))
+@within(120.0)
+async def test_a_force_is_heard_and_rumbles_while_the_hand_moves_the_tip() -> None:
+    async with opened() as (made, tab):
+        push(made, 2.5)
+        await drive(tab)
+        await recent(tab)
+        assert await tab.run("window.heard.length + window.rumbled.length") == 0, "off"
+        await tab.tap("KeyY")
+        await heard(tab, 0.2 * 2.5 / SOFT)
+        kind, effect = await tab.run("window.rumbled.at(-1)")
+        assert kind == "dual-rumble" and effect["strongMagnitude"] == 2.5 / SOFT
+        # Every piece ends by itself: a console that falls silent is not heard on.
+        assert 0 < effect["duration"] <= 50
+        gains = await tab.run("window.heard.filter(([n]) => n === 'gain')")
+        assert gains[-1][1] == 0 and gains[-1][2] <= 0.05
+        push(made, 50.0)
+        await heard(tab, 0.2)  # at most
+        for quiet in (None, 0.1):
+            push(made, quiet)
+            await heard(tab, 0.0)
+            assert await tab.run("window.rumbled.at(-1)[0]") == "reset"
+        push(made, 2.5)
+        await tab.tap("Escape")
+        await tab.until(f"!({DRIVING})", "the stop", 20.0)
+        await recent(tab)
+        assert await tab.run(LOUDEST) == 0, "nothing is felt of an arm that is not driven"
+        await tab.tap("KeyY")
+        assert await tab.run("window.heard.at(-1)[0]") == "closed"
+        await recent(tab)
+        assert await tab.run("window.heard.length") == 0
 
 
 def last_heard(gains: list[list[float]]) -> float:
@@ -136,37 +135,34 @@ def last_heard(gains: list[list[float]]) -> float:
     return gains[-1][1]
 
 
-def test_silence_is_felt_within_50_ms_of_a_forces_age() -> None:
+@within(120.0)
+async def test_silence_is_felt_within_50_ms_of_a_forces_age() -> None:
     """On a made-up clock: ages and gaps drawn; the sound card plays on while the page is silent."""
-
-    async def test() -> None:
-        async with opened() as (made, tab):
-            made.system.shown["feel"] = json.dumps({"say": "feel", "tip": None, "age": None})
-            await tab.tap("KeyY")
-            await tab.until("window.rumbled.length > 0", "the first word", 20.0)
-            await tab.run("(surgConsole.feel.mine = () => true, 0)")
-            rng, now, loud = np.random.default_rng(5), 10.0, 0
-            for _ in range(40):
-                now += float(rng.uniform(0.001, 0.2))
-                age = float(rng.choice([rng.uniform(0.0, 0.06), rng.uniform(0.0, 0.01)]))
-                word = json.dumps({"say": "feel", "tip": 4.0, "age": age})
-                heard, rumbled = await tab.run(
-                    "(window.heard.length = 0, window.rumbled.length = 0,"
-                    f" window.soundTime = {now}, surgConsole.feel.arrived({word}),"
-                    " [window.heard, window.rumbled])"
-                )
-                gains = [[value, at] for name, value, at in heard if name == "gain"]
-                # The console looks every 10 ms, which an age does not hold.
-                assert last_heard(gains) <= now + max(0.050 - 0.010 - age, 0.010) + 1e-9
-                kind, effect = rumbled[-1]
-                if gains[0][0] > 0:
-                    loud += 1
-                    assert kind == "dual-rumble" and effect["duration"] <= 1e3 * (0.040 - age)
-                else:
-                    assert kind == "reset"
-            assert 10 < loud < 40
-
-    asyncio.run(asyncio.wait_for(test(), 120.0))
+    async with opened() as (made, tab):
+        made.system.shown["feel"] = json.dumps({"say": "feel", "tip": None, "age": None})
+        await tab.tap("KeyY")
+        await tab.until("window.rumbled.length > 0", "the first word", 20.0)
+        await tab.run("(surgConsole.feel.mine = () => true, 0)")
+        rng, now, loud = np.random.default_rng(5), 10.0, 0
+        for _ in range(40):
+            now += float(rng.uniform(0.001, 0.2))
+            age = float(rng.choice([rng.uniform(0.0, 0.06), rng.uniform(0.0, 0.01)]))
+            word = json.dumps({"say": "feel", "tip": 4.0, "age": age})
+            heard, rumbled = await tab.run(
+                "(window.heard.length = 0, window.rumbled.length = 0,"
+                f" window.soundTime = {now}, surgConsole.feel.arrived({word}),"
+                " [window.heard, window.rumbled])"
+            )
+            gains = [[value, at] for name, value, at in heard if name == "gain"]
+            # The console looks every 10 ms, which an age does not hold.
+            assert last_heard(gains) <= now + max(0.050 - 0.010 - age, 0.010) + 1e-9
+            kind, effect = rumbled[-1]
+            if gains[0][0] > 0:
+                loud += 1
+                assert kind == "dual-rumble" and effect["duration"] <= 1e3 * (0.040 - age)
+            else:
+                assert kind == "reset"
+        assert 10 < loud < 40
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 import surg_core
+from helpers.async_tests import within
 from helpers.teleop import chromium
 from helpers.teleop.chromium import Chromium, Tab, until
 from helpers.teleop.console import Console, console
+from helpers.teleop.console_page import when
 from surg_cli.host import paths
 from surg_console.session.scene_view import SceneView
 from surg_console.web.picture_packet import Packet
@@ -27,10 +29,6 @@ pytestmark = [
 TIP = {"left": (200.0, 120.0), "right": (180.0, 120.0)}
 """[px] in an eye of 320 x 240."""
 SIZES = ((1366, 768, False), (1024, 768, True), (390, 844, True))
-
-
-async def _is(value: object) -> bool:
-    return bool(value)
 
 
 def marked(made: Console, late_us: int = 0) -> None:
@@ -72,100 +70,93 @@ async def painted(tab: Tab) -> list[list[int]]:
     return [list(map(int, box)) for box in found]
 
 
-def test_marks_stand_on_their_own_picture_in_both_eyes_and_only_when_asked() -> None:
-    async def test() -> None:
-        async with console() as made, Chromium() as browser:
-            tab = await browser.open(made.url)
-            await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
-            marked(made)
-            await asyncio.sleep(0.3)
-            assert made.system.watched == frozenset(), "off by default"
-            assert await tab.run("document.querySelector('#marks').hidden")
-            await tab.tap("KeyN")
-            await until(lambda: _is(made.system.watched == {"marks"}), "the socket", 10.0)
-            await tab.until("surgConsole.marks.drawn !== null", "marks", 20.0)
+@within(120.0)
+async def test_marks_stand_on_their_own_picture_in_both_eyes_and_only_when_asked() -> None:
+    async with console() as made, Chromium() as browser:
+        tab = await browser.open(made.url)
+        await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
+        marked(made)
+        await asyncio.sleep(0.3)
+        assert made.system.watched == frozenset(), "off by default"
+        assert await tab.run("document.querySelector('#marks').hidden")
+        await tab.tap("KeyN")
+        await when(lambda: made.system.watched == {"marks"}, "the socket", 10.0)
+        await tab.until("surgConsole.marks.drawn !== null", "marks", 20.0)
 
-            async def in_place(eyes: tuple[str, ...]) -> bool:
-                boxes = await painted(tab)
-                if len(boxes) != len(eyes):
-                    return False
-                # Two sigma are 30 px to both sides and 8 px up and down.
-                wanted = [(x - 30, y - 8, x + 30, y + 8) for x, y in (TIP[eye] for eye in eyes)]
-                return bool(np.abs(np.array(boxes) - wanted).max() <= 2)
+        async def in_place(eyes: tuple[str, ...]) -> bool:
+            boxes = await painted(tab)
+            if len(boxes) != len(eyes):
+                return False
+            # Two sigma are 30 px to both sides and 8 px up and down.
+            wanted = [(x - 30, y - 8, x + 30, y + 8) for x, y in (TIP[eye] for eye in eyes)]
+            return bool(np.abs(np.array(boxes) - wanted).max() <= 2)
 
-            await until(lambda: in_place(("left",)), "the left eye's mark", 10.0)
-            await tab.tap("KeyB")
-            await until(lambda: in_place(("left", "right")), "both eyes' marks", 20.0)
-            # Marks of another time than the picture's are not drawn.
-            marked(made, late_us=30_000)
-            await tab.until("surgConsole.marks.drawn === null", "no mark", 10.0)
-            await asyncio.sleep(0.5)
-            assert await tab.run("surgConsole.marks.drawn === null")
-            await tab.tap("KeyN")
-            await until(lambda: _is(not made.system.watched), "the end", 10.0)
-            assert browser.errors == [] and made.system.orders == []
-
-    asyncio.run(asyncio.wait_for(test(), 120.0))
+        await until(lambda: in_place(("left",)), "the left eye's mark", 10.0)
+        await tab.tap("KeyB")
+        await until(lambda: in_place(("left", "right")), "both eyes' marks", 20.0)
+        # Marks of another time than the picture's are not drawn.
+        marked(made, late_us=30_000)
+        await tab.until("surgConsole.marks.drawn === null", "no mark", 10.0)
+        await asyncio.sleep(0.5)
+        assert await tab.run("surgConsole.marks.drawn === null")
+        await tab.tap("KeyN")
+        await when(lambda: not made.system.watched, "the end", 10.0)
+        assert browser.errors == [] and made.system.orders == []
 
 
-def test_who_sends_no_marks_is_said_with_the_cure() -> None:
-    async def test() -> None:
-        async with console() as made, Chromium() as browser:
-            tab = await browser.open(made.url)
-            await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
-            await tab.tap("KeyN")
-            said = "!document.querySelector('#toast').hidden"
-            said += " && document.querySelector('#toast').textContent.includes('--cameras marks')"
-            await tab.until(said, "the cure", 10.0)
-
-    asyncio.run(asyncio.wait_for(test(), 90.0))
+@within(90.0)
+async def test_who_sends_no_marks_is_said_with_the_cure() -> None:
+    async with console() as made, Chromium() as browser:
+        tab = await browser.open(made.url)
+        await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
+        await tab.tap("KeyN")
+        said = "!document.querySelector('#toast').hidden"
+        said += " && document.querySelector('#toast').textContent.includes('--cameras marks')"
+        await tab.until(said, "the cure", 10.0)
 
 
-def test_the_room_shows_the_arms_turns_and_moves_nothing(tmp_path: Path) -> None:
+@within(120.0)
+async def test_the_room_shows_the_arms_turns_and_moves_nothing(tmp_path: Path) -> None:
     folder = Path(os.environ.get("SURG_SCREEN_SHOTS", tmp_path))
     cell = surg_core.load_cell(paths.CELLS / "sim_two_arms")
     joints = {name: np.array(arm.robot.home) for name, arm in cell.arms.items()}
     view = SceneView(cell)
-
-    async def test() -> None:
-        async with console() as made, Chromium() as browser:
-            tab = await browser.open(made.url)
-            await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
-            assert made.system.watched == frozenset()
-            wide = await tab.run("document.querySelector('#view').clientWidth")
-            made.system.shown["scene"] = json.dumps(view.as_json(joints))
-            await tab.tap("KeyO")
-            await tab.until("surgConsole.scene.drawn > 0", "the room", 20.0)
-            assert await tab.run("document.querySelector('#view').clientWidth") < wide
-            # Nothing moves: nothing is drawn.
-            drawn = await tab.run("surgConsole.scene.drawn")
-            await asyncio.sleep(0.6)
-            assert await tab.run("surgConsole.scene.drawn") == drawn
-            # A drag in the room turns it, and is no motion of the hand.
-            box = "document.querySelector('#room').getBoundingClientRect()"
-            x, y = await tab.run(f"[{box}.x + 100, {box}.y + 100]")
-            await tab.mouse("mousePressed", x, y, button="left", buttons=1)
-            await tab.mouse("mouseMoved", x + 50, y, button="left", buttons=1)
-            await tab.mouse("mouseReleased", x + 50, y, button="left")
-            assert await tab.run("surgConsole.scene.drawn") > drawn
-            assert await tab.run("Object.values(surgConsole.hand.goal)") == [0, 0, 0, 0]
-            del joints["PSM1"]
-            made.system.shown["scene"] = json.dumps(view.as_json(joints))
-            note = "document.querySelector('#scene-note').textContent"
-            await tab.until(f"{note} === 'PSM1: no joints'", "the silent arm", 10.0)
-            for width, height, touch in SIZES:
-                keys = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": touch}
-                await tab.call("Emulation.setDeviceMetricsOverride", **keys)
-                await tab.call("Emulation.setTouchEmulationEnabled", enabled=touch)
-                await asyncio.sleep(0.4)
-                for part in ("#view", "#scene", "#stop", "#enable"):
-                    seen = f"""(() => {{ const b = document.querySelector('{part}')
-                      .getBoundingClientRect(); return b.width > 0 && b.left >= 0 && b.top >= 0
-                      && b.right <= innerWidth && b.bottom <= innerHeight }})()"""
-                    assert await tab.run(seen), (width, part)
-                await tab.screenshot(folder / f"room_{width}.png")
-            await tab.tap("KeyO")
-            await until(lambda: _is(not made.system.watched), "the end", 10.0)
-            assert browser.errors == [] and made.system.orders == []
-
-    asyncio.run(asyncio.wait_for(test(), 120.0))
+    async with console() as made, Chromium() as browser:
+        tab = await browser.open(made.url)
+        await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
+        assert made.system.watched == frozenset()
+        wide = await tab.run("document.querySelector('#view').clientWidth")
+        made.system.shown["scene"] = json.dumps(view.as_json(joints))
+        await tab.tap("KeyO")
+        await tab.until("surgConsole.scene.drawn > 0", "the room", 20.0)
+        assert await tab.run("document.querySelector('#view').clientWidth") < wide
+        # Nothing moves: nothing is drawn.
+        drawn = await tab.run("surgConsole.scene.drawn")
+        await asyncio.sleep(0.6)
+        assert await tab.run("surgConsole.scene.drawn") == drawn
+        # A drag in the room turns it, and is no motion of the hand.
+        box = "document.querySelector('#room').getBoundingClientRect()"
+        x, y = await tab.run(f"[{box}.x + 100, {box}.y + 100]")
+        await tab.mouse("mousePressed", x, y, button="left", buttons=1)
+        await tab.mouse("mouseMoved", x + 50, y, button="left", buttons=1)
+        await tab.mouse("mouseReleased", x + 50, y, button="left")
+        assert await tab.run("surgConsole.scene.drawn") > drawn
+        assert await tab.run("Object.values(surgConsole.hand.goal)") == [0, 0, 0, 0]
+        del joints["PSM1"]
+        made.system.shown["scene"] = json.dumps(view.as_json(joints))
+        note = "document.querySelector('#scene-note').textContent"
+        await tab.until(f"{note} === 'PSM1: no joints'", "the silent arm", 10.0)
+        for width, height, touch in SIZES:
+            keys = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": touch}
+            await tab.call("Emulation.setDeviceMetricsOverride", **keys)
+            await tab.call("Emulation.setTouchEmulationEnabled", enabled=touch)
+            await asyncio.sleep(0.4)
+            for part in ("#view", "#scene", "#stop", "#enable"):
+                seen = f"""(() => {{ const b = document.querySelector('{part}')
+                  .getBoundingClientRect(); return b.width > 0 && b.left >= 0 && b.top >= 0
+                  && b.right <= innerWidth && b.bottom <= innerHeight }})()"""
+                assert await tab.run(seen), (width, part)
+            await tab.screenshot(folder / f"room_{width}.png")
+        await tab.tap("KeyO")
+        await when(lambda: not made.system.watched, "the end", 10.0)
+        assert browser.errors == [] and made.system.orders == []

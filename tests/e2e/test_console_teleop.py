@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.async_tests import within
 from helpers.results.console_results import BY_FINGERS, BY_GAMEPAD, keeps, note
 from helpers.teleop import chromium, steering, touch_drive
 from helpers.teleop.chromium import GAMEPAD, Chromium, Tab, until
@@ -26,10 +27,6 @@ pytestmark = [
 TARGETS = 10
 TOUCHED = 0.002
 """[m] from the tip to a target."""
-
-
-async def _is(value: bool) -> bool:
-    return value
 
 
 async def drive(tab: Tab) -> None:
@@ -86,100 +83,95 @@ async def touch(made: Phantom, tab: Tab, J: np.ndarray, target: np.ndarray) -> f
     return time.monotonic() - began
 
 
-def test_ten_targets_are_touched_and_recorded(tmp_path: Path) -> None:
-    async def test() -> None:
-        async with phantom(tmp_path, "sim_two_arms") as made, Chromium() as browser:
-            tab = await browser.open(made.url, GAMEPAD)
-            await tab.until("surgConsole.picture.drawn.length > 10", "pictures", 120.0)
-            await tab.run("(window.plug([0, 0, 0, 0], {}), 0)")
-            await tab.click('#hands [data-hand="rate"]')
-            await drive(tab)
-            await tab.tap("KeyV")
-            await tab.until("surgConsole.status().record.on", "the recording", 60.0)
-            J = await probe(made, tab)
-            # Hand and picture agree: no stick has gone wrong, and all three are of one speed.
-            speeds = np.linalg.norm(J, axis=0)
-            assert speeds.min() > 0.5 * speeds.max() > 0.002, speeds
-            rng = np.random.default_rng(5)
-            home, took = made.tip, []
-            for _ in range(TARGETS):
-                target = home + rng.uniform(-0.012, 0.012, 3)
-                took.append(await touch(made, tab, J, target))
-            note(BY_GAMEPAD, TARGETS, took)
-            await tab.tap("KeyV")
-            await tab.until("!surgConsole.status().record.on", "the recorder's end", 60.0)
-            await tab.until(
-                "document.querySelector('#episodes .chip')?.innerText === 'complete'"
-                " || document.querySelector('#episodes .chip')?.innerText.includes('success')",
-                "the list",
-            )
-            await tab.run("(window.plug([0, 0, 0, 0], {1: 1}), 0)")
-            await tab.until("document.body.dataset.phase === 'held'", "the stop")
-            assert browser.errors == []
-        recorded = episode_reader.read(tmp_path / "out" / "episode")
-        assert recorded.complete, recorded.manifest["reason"]
-        assert len(recorded.cycle("PSM1")) > 1000
-        assert len(recorded.video("endoscope_left").frames) > 50
-
-    asyncio.run(asyncio.wait_for(test(), 900.0))
+@within(900.0)
+async def test_ten_targets_are_touched_and_recorded(tmp_path: Path) -> None:
+    async with phantom(tmp_path, "sim_two_arms") as made, Chromium() as browser:
+        tab = await browser.open(made.url, GAMEPAD)
+        await tab.until("surgConsole.picture.drawn.length > 10", "pictures", 120.0)
+        await tab.run("(window.plug([0, 0, 0, 0], {}), 0)")
+        await tab.click('#hands [data-hand="rate"]')
+        await drive(tab)
+        await tab.tap("KeyV")
+        await tab.until("surgConsole.status().record.on", "the recording", 60.0)
+        J = await probe(made, tab)
+        # Hand and picture agree: no stick has gone wrong, and all three are of one speed.
+        speeds = np.linalg.norm(J, axis=0)
+        assert speeds.min() > 0.5 * speeds.max() > 0.002, speeds
+        rng = np.random.default_rng(5)
+        home, took = made.tip, []
+        for _ in range(TARGETS):
+            target = home + rng.uniform(-0.012, 0.012, 3)
+            took.append(await touch(made, tab, J, target))
+        note(BY_GAMEPAD, TARGETS, took)
+        await tab.tap("KeyV")
+        await tab.until("!surgConsole.status().record.on", "the recorder's end", 60.0)
+        await tab.until(
+            "document.querySelector('#episodes .chip')?.innerText === 'complete'"
+            " || document.querySelector('#episodes .chip')?.innerText.includes('success')",
+            "the list",
+        )
+        await tab.run("(window.plug([0, 0, 0, 0], {1: 1}), 0)")
+        await tab.until("document.body.dataset.phase === 'held'", "the stop")
+        assert browser.errors == []
+    recorded = episode_reader.read(tmp_path / "out" / "episode")
+    assert recorded.complete, recorded.manifest["reason"]
+    assert len(recorded.cycle("PSM1")) > 1000
+    assert len(recorded.video("endoscope_left").frames) > 50
 
 
-def test_bgr_with_two_arms_and_two_hands_from_the_page(tmp_path: Path) -> None:
+@within(600.0)
+async def test_bgr_with_two_arms_and_two_hands_from_the_page(tmp_path: Path) -> None:
     """The hand on the instrument, then on the endoscope; another on the assistant's instrument."""
     camera = "{5: 1}"  # the right shoulder button
     headline = "surgConsole.status()?.headline"
     second = paths.ROOT / "tests" / "helpers" / "teleop" / "second_hand.py"
+    more = ("--leader", "browser", "--leader", second)
+    async with phantom(tmp_path, "sim_two_arms", *more) as made, Chromium() as browser:
+        tab = await browser.open(made.url, GAMEPAD)
+        await tab.until("surgConsole.picture.drawn.length > 10", "pictures", 120.0)
+        await tab.until("surgConsole.status().task.startsWith('bgr: ')", "the task", 60.0)
+        await tab.run("(window.plug([0, 0, 0, 0], {}), 0)")
+        await tab.click('#hands [data-hand="rate"]')
+        await drive(tab)
+        await tab.tap("KeyV")
+        await tab.until("surgConsole.status().record.on", "the recording", 60.0)
 
-    async def test() -> None:
-        more = ("--leader", "browser", "--leader", second)
-        async with phantom(tmp_path, "sim_two_arms", *more) as made, Chromium() as browser:
-            tab = await browser.open(made.url, GAMEPAD)
-            await tab.until("surgConsole.picture.drawn.length > 10", "pictures", 120.0)
-            await tab.until("surgConsole.status().task.startsWith('bgr: ')", "the task", 60.0)
-            await tab.run("(window.plug([0, 0, 0, 0], {}), 0)")
-            await tab.click('#hands [data-hand="rate"]')
-            await drive(tab)
-            await tab.tap("KeyV")
-            await tab.until("surgConsole.status().record.on", "the recording", 60.0)
+        # The instrument moves and the endoscope stands.
+        lens, tip = made.lens[-1][1], made.tip
+        await moved(made, tab, np.array([0.5, 0.0, 0.0]), "{}", made.tips, tip)
+        assert np.linalg.norm(made.lens[-1][1] - lens) < 2e-4
 
-            # The instrument moves and the endoscope stands.
-            lens, tip = made.lens[-1][1], made.tip
-            await moved(made, tab, np.array([0.5, 0.0, 0.0]), "{}", made.tips, tip)
-            assert np.linalg.norm(made.lens[-1][1] - lens) < 2e-4
+        # The camera button: the endoscope moves and the instrument stands.
+        await push(tab, np.zeros(3), camera)
+        await tab.until(f"{headline} === 'Endoscope'", "the hand-over", 30.0)
+        await asyncio.sleep(0.3)
+        lens, tip = made.lens[-1][1], made.tip
+        await moved(made, tab, np.array([0.0, 0.0, 0.5]), camera, made.lens, lens)
+        assert np.linalg.norm(made.tip - tip) < 2e-4
+        await push(tab, np.zeros(3))
+        await tab.until(f"{headline} === 'Following'", "the way back", 30.0)
+        await moved(made, tab, np.array([-0.5, 0.0, 0.0]), "{}", made.tips, made.tip)
 
-            # The camera button: the endoscope moves and the instrument stands.
-            await push(tab, np.zeros(3), camera)
-            await tab.until(f"{headline} === 'Endoscope'", "the hand-over", 30.0)
-            await asyncio.sleep(0.3)
-            lens, tip = made.lens[-1][1], made.tip
-            await moved(made, tab, np.array([0.0, 0.0, 0.5]), camera, made.lens, lens)
-            assert np.linalg.norm(made.tip - tip) < 2e-4
-            await push(tab, np.zeros(3))
-            await tab.until(f"{headline} === 'Following'", "the way back", 30.0)
-            await moved(made, tab, np.array([-0.5, 0.0, 0.0]), "{}", made.tips, made.tip)
-
-            # The second hand has a line of its own, and moves by itself meanwhile.
-            line = "[...document.querySelectorAll('#arms li')].at(-1).innerText"
-            await tab.until(f"{line}.includes('assistant (second_hand)')", "the second hand")
-            await tab.until(f"{line}.includes('FOLLOWING')", "it to follow", 30.0)
-            await asyncio.sleep(6.0)
-            await tab.screenshot(tmp_path / "console_bgr.png")
-            await tab.tap("KeyV")
-            await tab.until("!surgConsole.status().record.on", "the recorder's end", 60.0)
-            assert browser.errors == []
-        recorded = episode_reader.read(tmp_path / "out" / "episode")
-        assert recorded.complete, recorded.manifest["reason"]
-        for arm in ("PSM1", "ECM"):
-            assert np.ptp(recorded.cycle(arm).vector("p_set"), axis=0).max() > 1e-3, arm
-        state = recorded.table("task_state")
-        ways = [np.ptp(state[f"task.assistant_joints_{i}"]) for i in range(4)]
-        assert max(ways) > 0.02, "the assistant's instrument has moved"
-        folder = os.environ.get("SURG_RESULTS_DIR")
-        if folder:
-            picture = Path(folder).parent / "pictures" / "console.png"
-            picture.write_bytes((tmp_path / "console_bgr.png").read_bytes())
-
-    asyncio.run(asyncio.wait_for(test(), 600.0))
+        # The second hand has a line of its own, and moves by itself meanwhile.
+        line = "[...document.querySelectorAll('#arms li')].at(-1).innerText"
+        await tab.until(f"{line}.includes('assistant (second_hand)')", "the second hand")
+        await tab.until(f"{line}.includes('FOLLOWING')", "it to follow", 30.0)
+        await asyncio.sleep(6.0)
+        await tab.screenshot(tmp_path / "console_bgr.png")
+        await tab.tap("KeyV")
+        await tab.until("!surgConsole.status().record.on", "the recorder's end", 60.0)
+        assert browser.errors == []
+    recorded = episode_reader.read(tmp_path / "out" / "episode")
+    assert recorded.complete, recorded.manifest["reason"]
+    for arm in ("PSM1", "ECM"):
+        assert np.ptp(recorded.cycle(arm).vector("p_set"), axis=0).max() > 1e-3, arm
+    state = recorded.table("task_state")
+    ways = [np.ptp(state[f"task.assistant_joints_{i}"]) for i in range(4)]
+    assert max(ways) > 0.02, "the assistant's instrument has moved"
+    folder = os.environ.get("SURG_RESULTS_DIR")
+    if folder:
+        picture = Path(folder).parent / "pictures" / "console.png"
+        picture.write_bytes((tmp_path / "console_bgr.png").read_bytes())
 
 
 async def moved(
@@ -204,78 +196,71 @@ async def moved(
 
 
 @pytest.mark.parametrize("what", ["hidden", "frozen", "closed"])
-def test_the_arm_rests_when_the_tab_goes(what: str, tmp_path: Path) -> None:
+@within(600.0)
+async def test_the_arm_rests_when_the_tab_goes(what: str, tmp_path: Path) -> None:
     """From the event in the browser to the tip at rest, while it moved at 20 mm/s."""
     rests = []
-
-    async def test() -> None:
-        async with phantom(tmp_path, "sim_ur5e") as made, Chromium() as browser:
-            for turn in range(6):
-                tab = await browser.open(made.url, GAMEPAD)
-                await tab.until("surgConsole.picture.drawn.length > 10", "pictures", 120.0)
-                await tab.run("(window.plug([0, 0, 0, 0], {}), 0)")
-                await tab.click('#hands [data-hand="rate"]')
-                await drive(tab)
-                before = made.tip
-                await push(tab, np.array([0.5 * (-1) ** turn, 0, 0]))
-                await asyncio.sleep(0.6)
-                assert np.linalg.norm(made.tip - before) > 0.002
-                began = time.monotonic()
-                if what == "hidden":
-                    await browser.open("about:blank", ready=False)
-                elif what == "closed":
-                    await tab.close()
-                else:
-                    script = "(() => { const t = performance.now();"
-                    script += " while (performance.now() < t + 2000); })()"
-                    freezing = asyncio.create_task(tab.run(script))
-                await asyncio.sleep(1.5)
-                rests.append(made.rest_since() - began)
-                if what == "frozen":
-                    await freezing
-                if what != "closed":
-                    rest = made.tip
-                    await asyncio.sleep(0.5)  # awake again: nothing goes on
-                    assert np.linalg.norm(made.tip - rest) < STILL
-                    await tab.close()
-
-    asyncio.run(asyncio.wait_for(test(), 600.0))
+    async with phantom(tmp_path, "sim_ur5e") as made, Chromium() as browser:
+        for turn in range(6):
+            tab = await browser.open(made.url, GAMEPAD)
+            await tab.until("surgConsole.picture.drawn.length > 10", "pictures", 120.0)
+            await tab.run("(window.plug([0, 0, 0, 0], {}), 0)")
+            await tab.click('#hands [data-hand="rate"]')
+            await drive(tab)
+            before = made.tip
+            await push(tab, np.array([0.5 * (-1) ** turn, 0, 0]))
+            await asyncio.sleep(0.6)
+            assert np.linalg.norm(made.tip - before) > 0.002
+            began = time.monotonic()
+            if what == "hidden":
+                await browser.open("about:blank", ready=False)
+            elif what == "closed":
+                await tab.close()
+            else:
+                script = "(() => { const t = performance.now();"
+                script += " while (performance.now() < t + 2000); })()"
+                freezing = asyncio.create_task(tab.run(script))
+            await asyncio.sleep(1.5)
+            rests.append(made.rest_since() - began)
+            if what == "frozen":
+                await freezing
+            if what != "closed":
+                rest = made.tip
+                await asyncio.sleep(0.5)  # awake again: nothing goes on
+                assert np.linalg.norm(made.tip - rest) < STILL
+                await tab.close()
     note(f"tip at rest, tab {what}", len(rests), rests)
     # The arm itself needs up to 50 ms more, from the order to hold to the rest.
     keeps(f"tip at rest, tab {what}", rests, (0.3 if what == "frozen" else 0.2) + 0.05)
 
 
-def test_ten_targets_are_touched_by_fingers(tmp_path: Path) -> None:
-    async def test() -> None:
-        async with phantom(tmp_path, "sim_two_arms") as made, Chromium() as browser:
-            tab = await browser.open("about:blank")
-            size = {"width": 1024, "height": 768, "deviceScaleFactor": 1, "mobile": True}
-            await tab.call("Emulation.setDeviceMetricsOverride", **size)
-            await tab.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=5)
-            await tab.call("Page.navigate", url=made.url)
-            await tab.until("globalThis.surgConsole?.picture.drawn.length > 10", "pictures", 120.0)
+@within(580.0)
+async def test_ten_targets_are_touched_by_fingers(tmp_path: Path) -> None:
+    async with phantom(tmp_path, "sim_two_arms") as made, Chromium() as browser:
+        tab = await browser.open("about:blank")
+        size = {"width": 1024, "height": 768, "deviceScaleFactor": 1, "mobile": True}
+        await tab.call("Emulation.setDeviceMetricsOverride", **size)
+        await tab.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=5)
+        await tab.call("Page.navigate", url=made.url)
+        await tab.until("globalThis.surgConsole?.picture.drawn.length > 10", "pictures", 120.0)
 
-            async def move(by: np.ndarray) -> None:
-                await touch_drive.move(made, tab, by)
+        async def move(by: np.ndarray) -> None:
+            await touch_drive.move(made, tab, by)
 
-            J = await steering.probe(made, move)
-            steering.one_hand_frame(J)
-            rng = np.random.default_rng(23)
-            home, took = made.tip, []
-            for _ in range(TARGETS):
-                target = home + rng.uniform(-0.01, 0.01, 3)
-                took.append(
-                    await steering.touch(
-                        made, lambda by: touch_drive.move(made, tab, by), J, target
-                    )
-                )
-                print(f"target {len(took)}: {took[-1]:.1f} s")
-            note(BY_FINGERS, TARGETS, took)
-            box = "document.querySelector('#stop').getBoundingClientRect()"
-            at = np.array(await tab.run(f"[{box}.x + 20, {box}.y + 20]"))
-            await touch_drive.fingers(tab, "touchStart", at)
-            await touch_drive.fingers(tab, "touchEnd")
-            await tab.until("document.body.dataset.phase === 'held'", "the stop", 20.0)
-            assert browser.errors == []
-
-    asyncio.run(asyncio.wait_for(test(), 580.0))
+        J = await steering.probe(made, move)
+        steering.one_hand_frame(J)
+        rng = np.random.default_rng(23)
+        home, took = made.tip, []
+        for _ in range(TARGETS):
+            target = home + rng.uniform(-0.01, 0.01, 3)
+            took.append(
+                await steering.touch(made, lambda by: touch_drive.move(made, tab, by), J, target)
+            )
+            print(f"target {len(took)}: {took[-1]:.1f} s")
+        note(BY_FINGERS, TARGETS, took)
+        box = "document.querySelector('#stop').getBoundingClientRect()"
+        at = np.array(await tab.run(f"[{box}.x + 20, {box}.y + 20]"))
+        await touch_drive.fingers(tab, "touchStart", at)
+        await touch_drive.fingers(tab, "touchEnd")
+        await tab.until("document.body.dataset.phase === 'held'", "the stop", 20.0)
+        assert browser.errors == []

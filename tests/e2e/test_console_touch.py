@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import math
 import os
-from collections.abc import AsyncIterator, Coroutine
+from collections.abc import AsyncIterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.async_tests import within
 from helpers.teleop import chromium
 from helpers.teleop.chromium import Chromium, Tab, until
 from helpers.teleop.console import Console, console
+from helpers.teleop.console_page import when
 from surg_console.session import operator_messages
 from surg_console.session.console_orders import (
     Camera,
@@ -37,14 +39,6 @@ pytestmark = [
 
 SIZES = ((1366, 768, False), (1024, 768, True), (390, 844, True))
 """Screens: width, height [px], and whether they are touched."""
-
-
-def run(test: Coroutine[Any, Any, None]) -> None:
-    asyncio.run(asyncio.wait_for(test, 240.0))
-
-
-async def _is(value: object) -> bool:
-    return bool(value)
 
 
 async def resize(tab: Tab, width: int, height: int, touch: bool) -> None:
@@ -94,74 +88,70 @@ async def middle(tab: Tab, selector: str) -> tuple[float, float]:
     return x + w / 2, y + h / 2
 
 
-def test_one_finger_moves_in_the_picture_and_two_along_and_about_it() -> None:
-    async def test() -> None:
-        async with opened(touch=True) as (made, tab):
-            before = await hand(tab)
-            await fingers(tab, "touchStart", (300, 400))
-            for step in range(1, 6):
-                await fingers(tab, "touchMove", (300 + 10 * step, 400 - 6 * step))
-            after = await hand(tab)
-            assert after - before == pytest.approx([0.025, -0.015, 0, 0], abs=1e-3)
-            # A second finger: both up is deeper.
-            await fingers(tab, "touchStart", (350, 370), (450, 370))
-            for step in range(1, 6):
-                await fingers(tab, "touchMove", (350, 370 - 8 * step), (450, 370 - 8 * step))
-            deeper = await hand(tab)
-            assert deeper - after == pytest.approx([0, 0, 0.02, 0], abs=1e-3)
-            # Turned clockwise about their middle: roll about the view's z, which points away.
-            for step in range(1, 11):
-                c, s = (50 * f(0.05 * step) for f in (math.cos, math.sin))
-                await fingers(tab, "touchMove", (400 - c, 330 - s), (400 + c, 330 + s))
-            turned = await hand(tab)
-            assert turned[3] - deeper[3] == pytest.approx(0.5, abs=0.03)
-            assert turned[:3] == pytest.approx(deeper[:3], abs=1e-3)
-            # One is lifted: what the other does until it is lifted too moves nothing.
-            await tab.call(
-                "Input.dispatchTouchEvent", type="touchEnd",
-                touchPoints=[{"x": 400, "y": 330, "id": 0}],
-            )  # fmt: skip
-            await fingers(tab, "touchMove", (300, 300))
-            assert await hand(tab) == pytest.approx(turned, abs=1e-4)
-            assert made.system.orders == []
-            await drive(made, tab)
-            await tab.call("Input.dispatchTouchEvent", type="touchCancel", touchPoints=[])
-            reason = operator_messages.HIDDEN["pointer"]
-            await until(lambda: _is(made.session.reason == reason), "the hold", 10.0)
-
-    run(test())
+@within(240.0)
+async def test_one_finger_moves_in_the_picture_and_two_along_and_about_it() -> None:
+    async with opened(touch=True) as (made, tab):
+        before = await hand(tab)
+        await fingers(tab, "touchStart", (300, 400))
+        for step in range(1, 6):
+            await fingers(tab, "touchMove", (300 + 10 * step, 400 - 6 * step))
+        after = await hand(tab)
+        assert after - before == pytest.approx([0.025, -0.015, 0, 0], abs=1e-3)
+        # A second finger: both up is deeper.
+        await fingers(tab, "touchStart", (350, 370), (450, 370))
+        for step in range(1, 6):
+            await fingers(tab, "touchMove", (350, 370 - 8 * step), (450, 370 - 8 * step))
+        deeper = await hand(tab)
+        assert deeper - after == pytest.approx([0, 0, 0.02, 0], abs=1e-3)
+        # Turned clockwise about their middle: roll about the view's z, which points away.
+        for step in range(1, 11):
+            c, s = (50 * f(0.05 * step) for f in (math.cos, math.sin))
+            await fingers(tab, "touchMove", (400 - c, 330 - s), (400 + c, 330 + s))
+        turned = await hand(tab)
+        assert turned[3] - deeper[3] == pytest.approx(0.5, abs=0.03)
+        assert turned[:3] == pytest.approx(deeper[:3], abs=1e-3)
+        # One is lifted: what the other does until it is lifted too moves nothing.
+        await tab.call(
+            "Input.dispatchTouchEvent", type="touchEnd",
+            touchPoints=[{"x": 400, "y": 330, "id": 0}],
+        )  # fmt: skip
+        await fingers(tab, "touchMove", (300, 300))
+        assert await hand(tab) == pytest.approx(turned, abs=1e-4)
+        assert made.system.orders == []
+        await drive(made, tab)
+        await tab.call("Input.dispatchTouchEvent", type="touchCancel", touchPoints=[])
+        reason = operator_messages.HIDDEN["pointer"]
+        await when(lambda: made.session.reason == reason, "the hold", 10.0)
 
 
-def test_buttons_are_held_by_a_finger_while_another_moves() -> None:
-    async def test() -> None:
-        async with opened(touch=True) as (made, tab):
-            for selector, order in (("#clutch", Clutch), ("#camera", Camera)):
-                at = await middle(tab, selector)
+@within(240.0)
+async def test_buttons_are_held_by_a_finger_while_another_moves() -> None:
+    async with opened(touch=True) as (made, tab):
+        for selector, order in (("#clutch", Clutch), ("#camera", Camera)):
+            at = await middle(tab, selector)
 
-                async def down(o: Any = order, at: Any = at, selector: str = selector) -> bool:
-                    await drive(made, tab)  # a busy machine may let go in between
-                    await tab.until(f"!document.querySelector('{selector}').disabled", selector)
-                    await fingers(tab, "touchStart", at)
-                    await asyncio.sleep(0.3)
-                    if made.system.last(o)[1] == o(True):
-                        return True
-                    await fingers(tab, "touchEnd")
-                    return False
-
-                await until(down, selector, 40.0)
-                await fingers(tab, "touchStart", at, (300, 400))
-                before = (await hand(tab))[0]
-                await fingers(tab, "touchMove", at, (380, 400))
-                assert (await hand(tab))[0] == pytest.approx(before + 0.04, abs=1e-3), selector
+            async def down(o: Any = order, at: Any = at, selector: str = selector) -> bool:
+                await drive(made, tab)  # a busy machine may let go in between
+                await tab.until(f"!document.querySelector('{selector}').disabled", selector)
+                await fingers(tab, "touchStart", at)
+                await asyncio.sleep(0.3)
+                if made.system.last(o)[1] == o(True):
+                    return True
                 await fingers(tab, "touchEnd")
-                await tab.until("!Object.values(surgConsole.hand.latched).includes(true)", "up")
-            await drive(made, tab)
-            await fingers(tab, "touchStart", await middle(tab, ".jaw"))
-            grip = lambda: made.system.last(Move)[1].sample.grip  # noqa: E731
-            await until(lambda: _is((grip() or 1) < 0.8), "a closing jaw", 10.0)
-            await fingers(tab, "touchEnd")
+                return False
 
-    run(test())
+            await until(down, selector, 40.0)
+            await fingers(tab, "touchStart", at, (300, 400))
+            before = (await hand(tab))[0]
+            await fingers(tab, "touchMove", at, (380, 400))
+            assert (await hand(tab))[0] == pytest.approx(before + 0.04, abs=1e-3), selector
+            await fingers(tab, "touchEnd")
+            await tab.until("!Object.values(surgConsole.hand.latched).includes(true)", "up")
+        await drive(made, tab)
+        await fingers(tab, "touchStart", await middle(tab, ".jaw"))
+        grip = lambda: made.system.last(Move)[1].sample.grip  # noqa: E731
+        await when(lambda: (grip() or 1) < 0.8, "a closing jaw", 10.0)
+        await fingers(tab, "touchEnd")
 
 
 def drawn_wide(width: int) -> str:
@@ -226,20 +216,18 @@ class Keyboard:
             await self._tab.key(key[0], False, key[1])
 
 
-def test_every_key_of_the_help_does_what_it_says() -> None:
-    async def test() -> None:
-        async with opened(touch=False) as (made, tab):
-            keys = Keyboard(tab)
-            made.system.now = replace(made.system.now, policy=PolicyServer("READY"))  # for I and P
-            await tab.until("!document.querySelector('#policy').hidden", "a model server", 10.0)
-            await own_keys(tab, keys)
-            await motion_keys(made, tab, keys)
-            await session_keys(made, tab, keys)
-            words = "[...document.querySelectorAll('#help-keys kbd')].map((k) => k.textContent)"
-            shown = set(await tab.run(words)) - {"Drag"}  # the mouse: test_console_page.py
-            assert shown == keys.tried, "each key of the help was tried, and no other"
-
-    run(test())
+@within(240.0)
+async def test_every_key_of_the_help_does_what_it_says() -> None:
+    async with opened(touch=False) as (made, tab):
+        keys = Keyboard(tab)
+        made.system.now = replace(made.system.now, policy=PolicyServer("READY"))  # for I and P
+        await tab.until("!document.querySelector('#policy').hidden", "a model server", 10.0)
+        await own_keys(tab, keys)
+        await motion_keys(made, tab, keys)
+        await session_keys(made, tab, keys)
+        words = "[...document.querySelectorAll('#help-keys kbd')].map((k) => k.textContent)"
+        shown = set(await tab.run(words)) - {"Drag"}  # the mouse: test_console_page.py
+        assert shown == keys.tried, "each key of the help was tried, and no other"
 
 
 async def own_keys(tab: Tab, keys: Keyboard) -> None:
@@ -265,24 +253,24 @@ async def motion_keys(made: Console, tab: Tab, keys: Keyboard) -> None:
         await drive(made, tab)
         async with keys.held(label):
             rate = lambda f=field, k=axis: np.atleast_1d(getattr(sample(), f))[k]  # noqa: E731
-            await until(lambda r=rate, s=sign: _is(s * r() > 0.0), label, 20.0)
+            await when(lambda r=rate, s=sign: s * r() > 0.0, label, 20.0)
     for label, sign in JAW.items():
         await drive(made, tab)
         before = 1.0 if sample().grip is None else sample().grip
         async with keys.held(label):
             went = lambda b=before, s=sign: s * ((sample().grip or b) - b) > 0.05  # noqa: E731
-            await until(lambda w=went: _is(w()), label, 20.0)
+            await when(lambda w=went: w(), label, 20.0)
     for label, order in (("Space", Clutch), ("C", Camera)):
         for held in (True, False):
             await drive(made, tab)
             async with keys.held(label) if held else contextlib.nullcontext():
                 is_held = lambda o=order, h=held: made.system.last(o)[1] == o(h)  # noqa: E731
-                await until(lambda i=is_held: _is(i()), label, 20.0)
+                await when(lambda i=is_held: i(), label, 20.0)
     await drive(made, tab)
     async with keys.held("D"):
-        await until(lambda: _is(sample().v[0] > 0.019), "full speed", 20.0)
+        await when(lambda: sample().v[0] > 0.019, "full speed", 20.0)
         async with keys.held("Shift"):
-            await until(lambda: _is(0.0 < sample().v[0] < 0.006), "a quarter of it", 20.0)
+            await when(lambda: 0.0 < sample().v[0] < 0.006, "a quarter of it", 20.0)
 
 
 async def session_keys(made: Console, tab: Tab, keys: Keyboard) -> None:
@@ -297,24 +285,25 @@ async def session_keys(made: Console, tab: Tab, keys: Keyboard) -> None:
     await drive(made, tab)
     for label, scale in (("=", 0.25), ("−", 0.2)):
         await keys.tap(label)
-        await until(lambda v=scale: _is(SetScale(v) in given(SetScale)), label, 10.0)
+        await when(lambda v=scale: SetScale(v) in given(SetScale), label, 10.0)
     await keys.tap("V")
-    await until(lambda: _is(Record(True) in given(Record)), "the recorder", 10.0)
+    await when(lambda: Record(True) in given(Record), "the recorder", 10.0)
     await refused("H")  # no arm is in FAULT
     await refused("P")  # no policy is connected
     assert given(GuideHome) == [] and given(Policy) == []
     made.session.release(made.session.holder)
     await keys.tap("T")
-    await until(lambda: _is(made.session.holder), "control", 10.0)
+    await when(lambda: made.session.holder, "control", 10.0)
     await keys.tap("Enter")
     await drive(made, tab)
     await keys.tap("?")
     await keys.tap("Esc")
-    await until(lambda: _is(made.session.phase is Phase.HELD), "the stop", 10.0)
+    await when(lambda: made.session.phase is Phase.HELD, "the stop", 10.0)
     await tab.until("document.querySelector('#help').hidden", "the help to go")
 
 
-def test_the_page_fits_every_screen(tmp_path: Path) -> None:
+@within(240.0)
+async def test_the_page_fits_every_screen(tmp_path: Path) -> None:
     """The picture, Enable and Stop are on the screen, and what is pressed is large enough."""
     folder = Path(os.environ.get("SURG_SCREEN_SHOTS", tmp_path))
     check = """(() => {
@@ -328,17 +317,13 @@ def test_the_page_fits_every_screen(tmp_path: Path) -> None:
         small: small.map((b) => b.id || b.textContent),
         wide: document.documentElement.scrollWidth - innerWidth };
     })()"""
-
-    async def test() -> None:
-        async with opened(touch=False) as (made, tab):
-            for width, height, touch in SIZES:
-                await resize(tab, width, height, touch)
-                for side in ("left", "right"):
-                    await tab.tap("KeyJ")
-                    await asyncio.sleep(0.4)
-                    found = await tab.run(check)
-                    assert found == {"unseen": [], "small": [], "wide": 0}, (width, side)
-                    await tab.screenshot(folder / f"console_{width}_{side}.png")
-            assert made.system.orders == []
-
-    run(test())
+    async with opened(touch=False) as (made, tab):
+        for width, height, touch in SIZES:
+            await resize(tab, width, height, touch)
+            for side in ("left", "right"):
+                await tab.tap("KeyJ")
+                await asyncio.sleep(0.4)
+                found = await tab.run(check)
+                assert found == {"unseen": [], "small": [], "wide": 0}, (width, side)
+                await tab.screenshot(folder / f"console_{width}_{side}.png")
+        assert made.system.orders == []

@@ -6,14 +6,13 @@ import asyncio
 import base64
 import io
 import os
-from collections.abc import Coroutine
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from helpers.async_tests import within
 from helpers.results.screen_results import FORMATS, note_times
 from helpers.teleop import chromium
 from helpers.teleop.chromium import Chromium, Tab, until
@@ -32,10 +31,6 @@ TEXT = 0.3
 """Upper part of an eye's picture that may carry the state."""
 NEAR = 6
 """[px] from an edge between two colours that the codec may smear."""
-
-
-def run(test: Coroutine[Any, Any, None]) -> None:
-    asyncio.run(asyncio.wait_for(test, 120.0))
 
 
 def quarters(colours: tuple[tuple[int, int, int], ...], width: int, height: int) -> np.ndarray:
@@ -91,113 +86,103 @@ async def opened(made: Console, browser: Chromium, query: str = "") -> Tab:
     return tab
 
 
-def test_every_format_gives_each_eye_its_pixels() -> None:
-    async def test() -> None:
-        async with console() as made, Chromium() as browser:
-            tab = await opened(made, browser)
-            forms = ["left", "right", "sbs", "top_bottom", "rows", "columns", "checker", "anaglyph"]
-            for number, form in enumerate(forms, 1):
-                await tab.tap(f"Digit{number}")
-                for swap in (False, True):
-                    await tab.run("document.body.dataset.idle = 'true', 0")
-                    wanted, compared = expected(form, swap), flat(form)
-
-                    async def right(w: np.ndarray = wanted, c: np.ndarray = compared) -> bool:
-                        found = await screen(tab)
-                        return bool((np.abs(found - w).max(axis=2)[c] < 16).all())
-
-                    await until(right, f"{form}, swapped: {swap}", 10.0, 0.1)
-                    await tab.tap("KeyX")
-            assert "format=anaglyph" in await tab.run("location.search"), "kept in the address"
-            assert browser.errors == []
-
-    run(test())
-
-
-@pytest.mark.full
-def test_the_scene_is_pushed_back_and_a_test_picture_tells_the_eyes_apart(tmp_path: Path) -> None:
-    async def test() -> None:
-        async with console() as made, Chromium() as browser:
-            tab = await opened(made, browser, "&format=left")
-            row = round(0.6 * HEIGHT)  # the border between the lower quarters lies in the middle
-
-            async def border() -> float:
+@within(120.0)
+async def test_every_format_gives_each_eye_its_pixels() -> None:
+    async with console() as made, Chromium() as browser:
+        tab = await opened(made, browser)
+        forms = ["left", "right", "sbs", "top_bottom", "rows", "columns", "checker", "anaglyph"]
+        for number, form in enumerate(forms, 1):
+            await tab.tap(f"Digit{number}")
+            for swap in (False, True):
                 await tab.run("document.body.dataset.idle = 'true', 0")
-                return float(np.argmax((await screen(tab))[row, :, 0] < 125))
+                wanted, compared = expected(form, swap), flat(form)
 
-            async def at(place: float) -> bool:
-                return abs(await border() - place) < 5
+                async def right(w: np.ndarray = wanted, c: np.ndarray = compared) -> bool:
+                    found = await screen(tab)
+                    return bool((np.abs(found - w).max(axis=2)[c] < 16).all())
 
-            before = await border()
-            await tab.run(
-                "(() => { const s = document.querySelector('#shift'); s.value = 8;"
-                " s.dispatchEvent(new Event('input')) })()"
-            )
-            # The left eye's picture goes left and the right eye's right, by half of 8 % each.
-            await until(lambda: at(before - 0.04 * WIDTH), "the left eye", 10.0, 0.1)
-            await tab.tap("Digit2")
-            await tab.tap("KeyT")
-            await tab.until("surgMonitor.settings.test", "the test picture")
-            await asyncio.sleep(0.5)
-            blue = (await screen(tab))[row, WIDTH // 4]
-            assert blue[2] > 2 * blue[0], blue
-            await tab.screenshot(
-                Path(os.environ.get("SURG_MONITOR_SHOT", tmp_path / "monitor.png"))
-            )
-            assert browser.errors == []
-
-    run(test())
+                await until(right, f"{form}, swapped: {swap}", 10.0, 0.1)
+                await tab.tap("KeyX")
+        assert "format=anaglyph" in await tab.run("location.search"), "kept in the address"
+        assert browser.errors == []
 
 
 @pytest.mark.full
-def test_the_page_moves_nothing_and_its_stop_is_obeyed() -> None:
-    async def test() -> None:
-        async with console() as made, Chromium() as browser:
-            tab = await opened(made, browser)
-            assert made.session.pages == 0 and made.session.holder == ""
-            for code in ("Enter", "KeyD", "KeyV", "KeyP", "Space"):
-                await tab.tap(code)
-            await tab.run("link = null, 0")
-            await asyncio.sleep(0.3)
-            assert made.system.orders == []
-            await tab.tap("KeyS")
+@within(120.0)
+async def test_the_scene_is_pushed_back_and_a_test_picture_tells_the_eyes_apart(
+    tmp_path: Path,
+) -> None:
+    async with console() as made, Chromium() as browser:
+        tab = await opened(made, browser, "&format=left")
+        row = round(0.6 * HEIGHT)  # the border between the lower quarters lies in the middle
 
-            async def stopped() -> bool:
-                return made.system.given(EnableTeleop)[-1:] == [EnableTeleop(False)]
+        async def border() -> float:
+            await tab.run("document.body.dataset.idle = 'true', 0")
+            return float(np.argmax((await screen(tab))[row, :, 0] < 125))
 
-            await until(stopped, "the stop", 10.0)
-            assert made.system.given(SetOperatorPresent)[-1] == SetOperatorPresent(False)
-            assert made.session.phase is Phase.FREE
-            assert browser.errors == []
+        async def at(place: float) -> bool:
+            return abs(await border() - place) < 5
 
-    run(test())
+        before = await border()
+        await tab.run(
+            "(() => { const s = document.querySelector('#shift'); s.value = 8;"
+            " s.dispatchEvent(new Event('input')) })()"
+        )
+        # The left eye's picture goes left and the right eye's right, by half of 8 % each.
+        await until(lambda: at(before - 0.04 * WIDTH), "the left eye", 10.0, 0.1)
+        await tab.tap("Digit2")
+        await tab.tap("KeyT")
+        await tab.until("surgMonitor.settings.test", "the test picture")
+        await asyncio.sleep(0.5)
+        blue = (await screen(tab))[row, WIDTH // 4]
+        assert blue[2] > 2 * blue[0], blue
+        await tab.screenshot(Path(os.environ.get("SURG_MONITOR_SHOT", tmp_path / "monitor.png")))
+        assert browser.errors == []
 
 
 @pytest.mark.full
-def test_what_would_spoil_rows_is_said_and_no_webgl_is_needed() -> None:
-    async def test() -> None:
-        async with console() as made, Chromium((WIDTH, HEIGHT)) as browser:
-            tab = await browser.open(f"{made.url}monitor?format=rows", NO_WEBGL)
-            await tab.until("surgMonitor.picture.drawn.length > 3", "pictures", 60.0)
-            advice = "document.querySelector('#advice').textContent"
-            # In a window the first row may be an odd one of the screen.
-            await tab.until(f"{advice}.includes('full screen (F), or an odd offset')", "the offset")
-            size = {"width": WIDTH, "height": HEIGHT, "mobile": False}
-            await tab.run(
-                "Object.defineProperty(document, 'fullscreenElement', {value: document.body}), 0"
-            )
-            for scale, said in (
-                (1.25, f"{advice}.includes('scaling to 100 %')"),
-                (1, f"{advice} === ''"),
-            ):
-                await tab.call(
-                    "Emulation.setDeviceMetricsOverride", deviceScaleFactor=scale, **size
-                )
-                await tab.run("dispatchEvent(new Event('resize'))")
-                await tab.until(said, f"scale {scale}")
-            assert browser.errors == []
+@within(120.0)
+async def test_the_page_moves_nothing_and_its_stop_is_obeyed() -> None:
+    async with console() as made, Chromium() as browser:
+        tab = await opened(made, browser)
+        assert made.session.pages == 0 and made.session.holder == ""
+        for code in ("Enter", "KeyD", "KeyV", "KeyP", "Space"):
+            await tab.tap(code)
+        await tab.run("link = null, 0")
+        await asyncio.sleep(0.3)
+        assert made.system.orders == []
+        await tab.tap("KeyS")
 
-    run(test())
+        async def stopped() -> bool:
+            return made.system.given(EnableTeleop)[-1:] == [EnableTeleop(False)]
+
+        await until(stopped, "the stop", 10.0)
+        assert made.system.given(SetOperatorPresent)[-1] == SetOperatorPresent(False)
+        assert made.session.phase is Phase.FREE
+        assert browser.errors == []
+
+
+@pytest.mark.full
+@within(120.0)
+async def test_what_would_spoil_rows_is_said_and_no_webgl_is_needed() -> None:
+    async with console() as made, Chromium((WIDTH, HEIGHT)) as browser:
+        tab = await browser.open(f"{made.url}monitor?format=rows", NO_WEBGL)
+        await tab.until("surgMonitor.picture.drawn.length > 3", "pictures", 60.0)
+        advice = "document.querySelector('#advice').textContent"
+        # In a window the first row may be an odd one of the screen.
+        await tab.until(f"{advice}.includes('full screen (F), or an odd offset')", "the offset")
+        size = {"width": WIDTH, "height": HEIGHT, "mobile": False}
+        await tab.run(
+            "Object.defineProperty(document, 'fullscreenElement', {value: document.body}), 0"
+        )
+        for scale, said in (
+            (1.25, f"{advice}.includes('scaling to 100 %')"),
+            (1, f"{advice} === ''"),
+        ):
+            await tab.call("Emulation.setDeviceMetricsOverride", deviceScaleFactor=scale, **size)
+            await tab.run("dispatchEvent(new Event('resize'))")
+            await tab.until(said, f"scale {scale}")
+        assert browser.errors == []
 
 
 TIMES = """(async (format) => {
@@ -223,20 +208,17 @@ LIMITS = {"left": 10.0, "right": 10.0, "sbs": 10.0, "top_bottom": 10.0, "rows": 
 
 
 @pytest.mark.full
-def test_a_picture_of_1080p_is_drawn_in_time() -> None:
+@within(120.0)
+async def test_a_picture_of_1080p_is_drawn_in_time() -> None:
     """In processor time, which other programs disturb less than the clock."""
-
-    async def test() -> None:
-        async with console() as made, Chromium() as browser:
-            tab = await browser.open(f"{made.url}page/mark.svg")
-            await asyncio.sleep(2.0)  # a browser that has just started still has work of its own
-            for form in FORMATS:
-                script = TIMES.replace("PICTURES", "10")
-                await tab.run(f"{script}({form!r})")  # the first pictures prepare masks
-                before = browser.processor_time()
-                times = await tab.run(f"{TIMES.replace('PICTURES', str(PICTURES))}({form!r})")
-                spent = 1e3 * (browser.processor_time() - before) / PICTURES
-                note_times(form, spent, times, LIMITS)
-                assert spent < 3 * LIMITS.get(form, 50.0), form
-
-    run(test())
+    async with console() as made, Chromium() as browser:
+        tab = await browser.open(f"{made.url}page/mark.svg")
+        await asyncio.sleep(2.0)  # a browser that has just started still has work of its own
+        for form in FORMATS:
+            script = TIMES.replace("PICTURES", "10")
+            await tab.run(f"{script}({form!r})")  # the first pictures prepare masks
+            before = browser.processor_time()
+            times = await tab.run(f"{TIMES.replace('PICTURES', str(PICTURES))}({form!r})")
+            spent = 1e3 * (browser.processor_time() - before) / PICTURES
+            note_times(form, spent, times, LIMITS)
+            assert spent < 3 * LIMITS.get(form, 50.0), form

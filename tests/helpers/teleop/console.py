@@ -58,18 +58,18 @@ class FakeSystem:
         )
 
     def robot(self) -> Robot:
-        """See `server.System`."""
+        """See `RunningSystem`."""
         arms = tuple(replace(arm, heard=time.monotonic()) for arm in self.now.arms)
         return replace(self.now, arms=arms)
 
     def reset_peaks(self) -> None:
-        """See `server.System`."""
+        """See `RunningSystem`."""
 
     def keep_alive(self) -> None:
-        """See `server.System`."""
+        """See `RunningSystem`."""
 
     def publish_orders(self, orders: list[Order]) -> None:
-        """See `server.System`."""
+        """See `RunningSystem`."""
         for order in orders:
             self.orders.append((time.monotonic(), order))
             if isinstance(order, EnableTeleop):
@@ -77,11 +77,11 @@ class FakeSystem:
                 self.now = replace(self.now, follower=replace(self.now.follower, state=state))
 
     def watch(self, what: str, wanted: bool) -> None:
-        """See `server.System`."""
+        """See `RunningSystem`."""
         self.watched = self.watched | {what} if wanted else self.watched - {what}
 
     def overlay(self, what: str) -> str:
-        """See `server.System`."""
+        """See `RunningSystem`."""
         if what == "feel" and what not in self.shown:
             now = time.monotonic()
             following = self.now.follower.state == "FOLLOWING"
@@ -92,7 +92,7 @@ class FakeSystem:
         return self.shown.get(what, "")
 
     def entries(self) -> list[Entry]:
-        """See `server.System`."""
+        """See `RunningSystem`."""
         return self.episodes
 
     def given(self, kind: type) -> list[Any]:

@@ -12,16 +12,13 @@ import pytest
 
 from helpers.teleop.chromium import Chromium, Tab, until
 from helpers.teleop.console import Console, console
+from helpers.teleop.console_page import when
 from helpers.teleop.headset import FAKE_XR
 from surg_console.session.console_orders import Camera, Clutch, Move, Record
 from surg_console.session.console_session import Phase
 
 TRIGGER, SQUEEZE, A, B = 0, 1, 4, 5
 LEFT, RIGHT = (200, 60, 60), (40, 60, 200)
-
-
-async def _is(value: object) -> bool:
-    return bool(value)
 
 
 async def holds(made: Console) -> bool:
@@ -124,13 +121,13 @@ async def drives(made: Console, tab: Tab, pulses: bool = True) -> None:
     await squeezed(made, tab)
     assert made.system.last(Move)[1].sample.grip is None, "the trigger was never touched"
     await hold(tab, "right", TRIGGER, 0.75)
-    await until(lambda: _is(made.system.last(Move)[1].sample.grip == 0.25), "the jaw", 10.0)
+    await when(lambda: made.system.last(Move)[1].sample.grip == 0.25, "the jaw", 10.0)
 
     follower = replace(made.system.now.follower, at_wall=True)
     made.system.now = replace(made.system.now, follower=follower)
     if pulses:
         await tab.until("fakeXR.right.pulses > 1", "pulses at the wall", 20.0)
     await hold(tab, "left", A, 1)
-    await until(lambda: _is(Record(True) in made.system.given(Record)), "the recording", 10.0)
+    await when(lambda: Record(True) in made.system.given(Record), "the recording", 10.0)
     await hold(tab, "right", B, 1)
-    await until(lambda: _is("Stop was pressed" in made.session.reason), "the stop", 10.0)
+    await when(lambda: "Stop was pressed" in made.session.reason, "the stop", 10.0)

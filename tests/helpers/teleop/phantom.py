@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from helpers.graph.surg import environment, start
-from helpers.teleop.chromium import until
+from helpers.teleop.console_page import when
 from surg_cli.graph import master
 from surg_cli.host import paths
 
@@ -59,7 +59,7 @@ async def phantom(folder: Path, cell: str, *more: object) -> AsyncIterator[Phant
     with start(log, *words) as process:
         printers: list[tuple[asyncio.subprocess.Process, asyncio.Task[None]]] = []
         try:
-            await until(lambda: _is("Open http" in log.read_text()), "the system", 120.0)
+            await when(lambda: "Open http" in log.read_text(), "the system", 120.0)
             made = Phantom(f"http://localhost:{web}/", out)
             printers.append(await _print_tips("PSM1", port, made.tips))
             if "two_arms" in cell:
@@ -96,7 +96,3 @@ async def _read(lines: asyncio.StreamReader, into: list[tuple[float, np.ndarray]
     async for line in lines:
         at, *tip = map(float, line.split())
         into.append((at, np.array(tip)))
-
-
-async def _is(value: bool) -> bool:
-    return value

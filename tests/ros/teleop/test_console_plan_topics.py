@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 import rospy
@@ -18,7 +17,7 @@ from crtk_msgs.msg import OperatingState
 from helpers.endoscope_files import lens
 from helpers.graph.ros import RosGraph
 from surg_cli.host import paths
-from surg_console.ros.plan_topics_node import FRESH, PlanTopics
+from surg_console.ros.plan_topics_node import FRESH
 from surg_console.ros.ros_system_node import RosSystem
 from surg_core.held_endoscope import held_endoscope
 from surg_msgs.msg import Cycle, PolicyPlan
@@ -62,12 +61,15 @@ def messages() -> dict[str, Any]:
     }
 
 
-class Senders:
-    """Publishes a message on each topic."""
+class Console:
+    """The console's side of ROS as it runs, what is published for it, and PSM1 PAUSED."""
 
-    def __init__(self, said: dict[str, Any]) -> None:
-        self.said = said
-        self.out = {name: self._publisher(name) for name in said}
+    def __init__(self, graph: RosGraph) -> None:
+        self.said = messages() | {"/PSM1/operating_state": OperatingState(state="PAUSED")}
+        self.said[CYCLE].state = Cycle.PAUSED
+        self.out = {name: self._publisher(name) for name in self.said}
+        self.graph = graph
+        self.system = RosSystem(CELL, tuple(CELL.arms), "", "teleop", None)
 
     def _publisher(self, name: str) -> rospy.Publisher:
         return rospy.Publisher(name, type(self.said[name]), queue_size=1)
@@ -76,48 +78,9 @@ class Senders:
         for name, message in self.said.items():
             self.out[name].publish(message)
 
-
-@pytest.mark.ros
-@pytest.mark.full
-def test_a_plan_on_topics_has_its_place_in_the_picture(
-    ros_graph: RosGraph, rospy_node: str
-) -> None:
-    senders = Senders(messages())
-    out = senders.out
-    topics = PlanTopics(CELL)
-    rospy.sleep(0.5)
-    assert not any(each.get_num_connections() for each in out.values()), "nobody has asked"
-    topics.watch(True)
-
-    def placed() -> bool:
-        senders.say()
-        text = topics.newest()
-        return bool(text) and bool(json.loads(text)["paths"])
-
-    ros_graph.wait_for(placed, 20.0, f"a plan in the picture ({topics.newest()})")
-    found = json.loads(topics.newest())
-    pixels, _ = cv2.projectPoints(SEEN, np.zeros(3), np.zeros(3), LENS.K, LENS.D)
-    expected = (pixels[:, 0] + 0.5) / (640, 480)
-    np.testing.assert_allclose(found["paths"][0]["points"], expected, atol=6e-5)
-    assert found["keypoints"][0]["at"] == [0.5, 0.25] and found["note"] == ""
-    topics.watch(False)
-    assert topics.newest() == ""
-    ros_graph.wait_for(
-        lambda: not any(each.get_num_connections() for each in out.values()), 10.0, "the end"
-    )
-    topics.watch(True)  # and it can be asked again
-    ros_graph.wait_for(placed, 20.0, "a plan once more")
-    topics.watch(False)
-
-
-class Console(Senders):
-    """The console's side of ROS as it runs, and PSM1 PAUSED."""
-
-    def __init__(self, graph: RosGraph) -> None:
-        super().__init__(messages() | {"/PSM1/operating_state": OperatingState(state="PAUSED")})
-        self.said[CYCLE].state = Cycle.PAUSED
-        self.graph = graph
-        self.system = RosSystem(CELL, tuple(CELL.arms), "", "teleop", None)
+    def listens(self) -> bool:
+        """Whether it reads plans."""
+        return self.out["/policy/plan"].get_num_connections() > 0
 
     def wait(self, condition: Callable[[], bool], what: str) -> None:
         def met() -> bool:
@@ -197,10 +160,13 @@ def test_a_running_console_draws_the_way_beside_the_scene(console: Console) -> N
 
 @pytest.mark.ros
 def test_a_console_hears_its_arms_after_the_plan_is_closed(console: Console) -> None:
+    console.hears_arm(Cycle.REASON_STALE, "before anybody has asked")
+    assert not console.listens()
     console.open_both()
-    console.hears_arm(Cycle.REASON_STALE, "beside the plan")
+    console.draws_way()
     console.system.watch("plan", False)
     assert console.system.overlay("plan") == ""
+    console.wait(lambda: not console.listens(), "the end of the plan")
     console.restart(CYCLE)
     console.hears_arm(Cycle.REASON_OPERATOR, "after a restart of its controller")
     console.restart(JOINTS)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import Coroutine
 from types import SimpleNamespace
 from typing import Any
 
 import aiohttp
 import pytest
 
+from helpers.async_tests import within
 from helpers.teleop.console import Console, console
 from helpers.teleop.console_attack import attack
 from helpers.teleop.console_page import page, when
@@ -25,10 +25,6 @@ CONNECT_WITHIN = 2.0
 """[s] A new page has the page's files, and a status on its socket."""
 LONGEST = 3 * CONNECT_WITHIN
 """[s] The worst of several beside other tests."""
-
-
-def run(test: Coroutine[Any, Any, None]) -> None:
-    asyncio.run(asyncio.wait_for(test, 60.0))
 
 
 async def open_a_page(made: Console) -> float:
@@ -53,18 +49,17 @@ async def open_a_page(made: Console) -> float:
 
 
 @pytest.mark.parametrize("flood", ["connect", "requests", "pipelined", "pages"])
-def test_a_new_page_connects_under_half_open_requests_and_a_flood(flood: str) -> None:
-    async def test() -> None:
-        async with console(pictures=False) as made:
-            async with attack(made.port, 30.0, half_open=1200, **{flood: 8}):
-                times = [await open_a_page(made) for _ in range(3)]
-            print(f"{flood}: a new page after {[round(t, 2) for t in times]} s")
-            assert sorted(times)[1] < CONNECT_WITHIN and max(times) < LONGEST
-
-    run(test())
+@within(60.0)
+async def test_a_new_page_connects_under_half_open_requests_and_a_flood(flood: str) -> None:
+    async with console(pictures=False) as made:
+        async with attack(made.port, 30.0, half_open=1200, **{flood: 8}):
+            times = [await open_a_page(made) for _ in range(3)]
+        print(f"{flood}: a new page after {[round(t, 2) for t in times]} s")
+        assert sorted(times)[1] < CONNECT_WITHIN and max(times) < LONGEST
 
 
-def test_new_pages_get_room_in_the_order_of_arrival() -> None:
+@within(60.0)
+async def test_new_pages_get_room_in_the_order_of_arrival() -> None:
     """Who leaves a full console and comes back at once waits behind those that waited before."""
 
     async def enter(made: Console) -> contextlib.AsyncExitStack:
@@ -72,60 +67,51 @@ def test_new_pages_get_room_in_the_order_of_arrival() -> None:
             await stack.enter_async_context(page(made.port))
             return stack.pop_all()
 
-    async def test() -> None:
-        async with console(pictures=False) as made:
-            inside = [await enter(made) for _ in range(MAX_PAGES)]
-            for _ in range(10):
-                first = asyncio.create_task(enter(made))
-                await asyncio.sleep(0.15)
-                await inside.pop(0).aclose()
-                second = asyncio.create_task(enter(made))
-                inside.append(await asyncio.wait_for(first, 0.5))
-                assert not second.done()  # it came back after the first one
-                await inside.pop(0).aclose()
-                inside.append(await second)
-            for stack in inside:
-                await stack.aclose()
-
-    run(test())
+    async with console(pictures=False) as made:
+        inside = [await enter(made) for _ in range(MAX_PAGES)]
+        for _ in range(10):
+            first = asyncio.create_task(enter(made))
+            await asyncio.sleep(0.15)
+            await inside.pop(0).aclose()
+            second = asyncio.create_task(enter(made))
+            inside.append(await asyncio.wait_for(first, 0.5))
+            assert not second.done()  # it came back after the first one
+            await inside.pop(0).aclose()
+            inside.append(await second)
+        for stack in inside:
+            await stack.aclose()
 
 
-def test_the_driving_page_is_held_at_most_once() -> None:
-    async def test() -> None:
-        async with console(pictures=False) as made, page(made.port) as driver:
-            await driver.drive()
-            made.system.orders.clear()
-            async with attack(made.port, 30.0, half_open=1200, pages=4, requests=4):
-                await asyncio.sleep(3.0)
-                assert driver.status["holder"] == driver.name
-            held = made.system.given(SetOperatorPresent).count(SetOperatorPresent(False))
-            print(f"held {held} times")
-            assert held <= 1
-
-    run(test())
+@within(60.0)
+async def test_the_driving_page_is_held_at_most_once() -> None:
+    async with console(pictures=False) as made, page(made.port) as driver:
+        await driver.drive()
+        made.system.orders.clear()
+        async with attack(made.port, 30.0, half_open=1200, pages=4, requests=4):
+            await asyncio.sleep(3.0)
+            assert driver.status["holder"] == driver.name
+        held = made.system.given(SetOperatorPresent).count(SetOperatorPresent(False))
+        print(f"held {held} times")
+        assert held <= 1
 
 
-def test_half_open_requests_are_closed_in_time() -> None:
-    async def test() -> None:
-        async with console(pictures=False) as made:
-            count = MAX_OPEN + 50
-            open_ones = [
-                await asyncio.open_connection("127.0.0.1", made.port) for _ in range(count)
-            ]
-            for _, writer in open_ones:
-                writer.write(b"GET / HTTP/1.1\r\n")
-            await asyncio.sleep(0.3)
-            ended = [reader for reader, _ in open_ones if reader.at_eof() or reader.exception()]
-            assert count - len(ended) <= MAX_OPEN
+@within(60.0)
+async def test_half_open_requests_are_closed_in_time() -> None:
+    async with console(pictures=False) as made:
+        count = MAX_OPEN + 50
+        open_ones = [await asyncio.open_connection("127.0.0.1", made.port) for _ in range(count)]
+        for _, writer in open_ones:
+            writer.write(b"GET / HTTP/1.1\r\n")
+        await asyncio.sleep(0.3)
+        ended = [reader for reader, _ in open_ones if reader.at_eof() or reader.exception()]
+        assert count - len(ended) <= MAX_OPEN
 
-            def all_ended() -> bool:
-                return all(reader.at_eof() or reader.exception() for reader, _ in open_ones)
+        def all_ended() -> bool:
+            return all(reader.at_eof() or reader.exception() for reader, _ in open_ones)
 
-            await when(all_ended, "the end of all", HEADER_WAIT + 3.0)
-            for _, writer in open_ones:
-                writer.close()
-
-    run(test())
+        await when(all_ended, "the end of all", HEADER_WAIT + 3.0)
+        for _, writer in open_ones:
+            writer.close()
 
 
 class Transport(asyncio.Transport):
@@ -158,39 +144,35 @@ class Requests:
         return self.connections[-1]
 
 
-def test_at_the_cap_who_sent_nothing_gives_way_then_the_oldest_and_never_a_page() -> None:
-    async def test() -> None:
-        server = Requests()
-        cap = ConnectionCap(server)  # type: ignore[arg-type]
-        page: Any = cap()
-        cap.keep(SimpleNamespace(protocol=page))  # type: ignore[arg-type]
-        others: list[Any] = [cap() for _ in range(MAX_OPEN)]
-        made = [page, *others]
-        for each in (page, *others[:3], *others[4:]):
-            cap.hear(SimpleNamespace(protocol=each))  # type: ignore[arg-type]
-        newcomers = [cap()]
-        assert [each for each in made if each.transport.cut] == [others[3]]
-        cap.hear(SimpleNamespace(protocol=newcomers[0]))  # type: ignore[arg-type]
-        cap()
-        assert [each for each in made if each.transport.cut] == [others[0], others[3]]
-        await asyncio.sleep(HEADER_WAIT + 0.2)
-        assert not page.transport.cut and not newcomers[0].transport.cut
-
-    run(test())
+@within(60.0)
+async def test_at_the_cap_who_sent_nothing_gives_way_then_the_oldest_and_never_a_page() -> None:
+    server = Requests()
+    cap = ConnectionCap(server)  # type: ignore[arg-type]
+    page: Any = cap()
+    cap.keep(SimpleNamespace(protocol=page))  # type: ignore[arg-type]
+    others: list[Any] = [cap() for _ in range(MAX_OPEN)]
+    made = [page, *others]
+    for each in (page, *others[:3], *others[4:]):
+        cap.hear(SimpleNamespace(protocol=each))  # type: ignore[arg-type]
+    newcomers = [cap()]
+    assert [each for each in made if each.transport.cut] == [others[3]]
+    cap.hear(SimpleNamespace(protocol=newcomers[0]))  # type: ignore[arg-type]
+    cap()
+    assert [each for each in made if each.transport.cut] == [others[0], others[3]]
+    await asyncio.sleep(HEADER_WAIT + 0.2)
+    assert not page.transport.cut and not newcomers[0].transport.cut
 
 
-def test_every_connection_of_a_burst_is_served() -> None:
-    async def test() -> None:
-        connector = aiohttp.TCPConnector(limit=0)
-        async with (
-            console(pictures=False) as made,
-            aiohttp.ClientSession(connector=connector) as http,
-        ):
+@within(60.0)
+async def test_every_connection_of_a_burst_is_served() -> None:
+    connector = aiohttp.TCPConnector(limit=0)
+    async with (
+        console(pictures=False) as made,
+        aiohttp.ClientSession(connector=connector) as http,
+    ):
 
-            async def status() -> int:
-                async with http.get(f"http://localhost:{made.port}/page/mark.svg") as answer:
-                    return answer.status
+        async def status() -> int:
+            async with http.get(f"http://localhost:{made.port}/page/mark.svg") as answer:
+                return answer.status
 
-            assert await asyncio.gather(*(status() for _ in range(40))) == [200] * 40
-
-    run(test())
+        assert await asyncio.gather(*(status() for _ in range(40))) == [200] * 40

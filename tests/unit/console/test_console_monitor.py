@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
-from collections.abc import Coroutine
-from typing import Any
 
 import aiohttp
 
+from helpers.async_tests import within
 from helpers.teleop.console import console
 from helpers.teleop.console_page import when
 from surg_console.session.console_orders import EnableTeleop, SetOperatorPresent, StateCommand
@@ -16,35 +14,29 @@ from surg_console.session.console_orders import EnableTeleop, SetOperatorPresent
 TOKEN = "0123456789abcdef0123"
 
 
-def run(test: Coroutine[Any, Any, None]) -> None:
-    asyncio.run(asyncio.wait_for(test, 30.0))
-
-
-def test_a_monitor_watches_and_stops_and_can_do_nothing_else() -> None:
-    async def test() -> None:
-        async with console(token=TOKEN) as made, aiohttp.ClientSession() as http:
-            url, origin = f"ws://localhost:{made.port}/status", f"http://localhost:{made.port}"
-            refused = await http.ws_connect(url, origin=origin)
-            await refused.send_str(json.dumps({"say": "hello", "token": "x" * 20}))
-            assert (await refused.receive()).data == 4401
-            socket = await http.ws_connect(url, origin=origin)
-            await socket.send_str(json.dumps({"say": "hello", "token": TOKEN}))
-            assert (await socket.receive_json())["say"] == "welcome"
-            assert (await socket.receive_json())["say"] in ("status", "episodes")
-            assert made.session.pages == 0 and made.session.holder == ""
-            press = {"say": "press", "button": "stop", "at": 1.0}
-            await socket.send_str(json.dumps(press))
-            await when(lambda: made.system.given(StateCommand), "the stop")
-            assert made.system.given(EnableTeleop) == [EnableTeleop(False)]
-            before = list(made.system.orders)
-            steps = {"say": "input", "seq": 1, "at": 1.0, "hand": "rate", "v": [0.1, 0, 0]}
-            others = [{**press, "button": b} for b in ("enable", "take", "record", "policy")]
-            for message in (*others, steps):
-                await socket.send_str(json.dumps(message))
-            words = [m.data async for m in socket if m.type is aiohttp.WSMsgType.TEXT]
-            assert sum("a monitor watches" in each for each in words) >= len(others)
-            assert socket.close_code == 1008, "five of these end the page"
-            assert made.system.orders == before
-            assert SetOperatorPresent(True) not in made.system.given(SetOperatorPresent)
-
-    run(test())
+@within(30.0)
+async def test_a_monitor_watches_and_stops_and_can_do_nothing_else() -> None:
+    async with console(token=TOKEN) as made, aiohttp.ClientSession() as http:
+        url, origin = f"ws://localhost:{made.port}/status", f"http://localhost:{made.port}"
+        refused = await http.ws_connect(url, origin=origin)
+        await refused.send_str(json.dumps({"say": "hello", "token": "x" * 20}))
+        assert (await refused.receive()).data == 4401
+        socket = await http.ws_connect(url, origin=origin)
+        await socket.send_str(json.dumps({"say": "hello", "token": TOKEN}))
+        assert (await socket.receive_json())["say"] == "welcome"
+        assert (await socket.receive_json())["say"] in ("status", "episodes")
+        assert made.session.pages == 0 and made.session.holder == ""
+        press = {"say": "press", "button": "stop", "at": 1.0}
+        await socket.send_str(json.dumps(press))
+        await when(lambda: made.system.given(StateCommand), "the stop")
+        assert made.system.given(EnableTeleop) == [EnableTeleop(False)]
+        before = list(made.system.orders)
+        steps = {"say": "input", "seq": 1, "at": 1.0, "hand": "rate", "v": [0.1, 0, 0]}
+        others = [{**press, "button": b} for b in ("enable", "take", "record", "policy")]
+        for message in (*others, steps):
+            await socket.send_str(json.dumps(message))
+        words = [m.data async for m in socket if m.type is aiohttp.WSMsgType.TEXT]
+        assert sum("a monitor watches" in each for each in words) >= len(others)
+        assert socket.close_code == 1008, "five of these end the page"
+        assert made.system.orders == before
+        assert SetOperatorPresent(True) not in made.system.given(SetOperatorPresent)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,19 +12,16 @@ import numpy as np
 import pytest
 
 import surg_core
+from helpers.async_tests import within
 from helpers.endoscope_files import copied_cell
-from helpers.teleop.chromium import until
 from helpers.teleop.console import Console, console
+from helpers.teleop.console_page import when
 from surg_cli.host import paths
 from surg_console.ros.overlay_topics_node import marks_as_json
 from surg_console.session.console_orders import Order
 from surg_console.session.scene_view import SceneView
 
 CELL = paths.CELLS / "sim_two_arms"
-
-
-async def _is(value: object) -> bool:
-    return bool(value)
 
 
 async def socket_of(made: Console, http: aiohttp.ClientSession, what: str) -> Any:
@@ -36,26 +32,24 @@ async def socket_of(made: Console, http: aiohttp.ClientSession, what: str) -> An
 
 
 @pytest.mark.parametrize("what", ["marks", "plan", "scene", "feel"])
-def test_nothing_is_collected_until_a_page_asks_and_nothing_comes_in(what: str) -> None:
-    async def test() -> None:
-        async with console(pictures=False) as made, aiohttp.ClientSession() as http:
-            assert made.system.watched == frozenset()
-            made.system.shown[what] = '{"say": "first"}'
-            sockets = [await socket_of(made, http, what) for _ in range(2)]
-            for socket in sockets:
-                assert (await socket.receive_json())["say"] == "first"
-            assert made.system.watched == {what}
-            made.system.shown[what] = '{"say": "second"}'
-            assert (await sockets[0].receive_json())["say"] == "second"
-            # A word on it, whatever it says, ends it; no order comes of it.
-            await sockets[0].send_str('{"say": "press", "button": "enable", "at": 1}')
-            assert (await sockets[0].receive()).type is aiohttp.WSMsgType.CLOSE
-            assert made.system.watched == {what}, "the other page still watches"
-            await sockets[1].close()
-            await until(lambda: _is(not made.system.watched), "the end", 5.0)
-            assert [o for _, o in made.system.orders if isinstance(o, Order)] == []
-
-    asyncio.run(asyncio.wait_for(test(), 30.0))
+@within(30.0)
+async def test_nothing_is_collected_until_a_page_asks_and_nothing_comes_in(what: str) -> None:
+    async with console(pictures=False) as made, aiohttp.ClientSession() as http:
+        assert made.system.watched == frozenset()
+        made.system.shown[what] = '{"say": "first"}'
+        sockets = [await socket_of(made, http, what) for _ in range(2)]
+        for socket in sockets:
+            assert (await socket.receive_json())["say"] == "first"
+        assert made.system.watched == {what}
+        made.system.shown[what] = '{"say": "second"}'
+        assert (await sockets[0].receive_json())["say"] == "second"
+        # A word on it, whatever it says, ends it; no order comes of it.
+        await sockets[0].send_str('{"say": "press", "button": "enable", "at": 1}')
+        assert (await sockets[0].receive()).type is aiohttp.WSMsgType.CLOSE
+        assert made.system.watched == {what}, "the other page still watches"
+        await sockets[1].close()
+        await when(lambda: not made.system.watched, "the end", 5.0)
+        assert [o for _, o in made.system.orders if isinstance(o, Order)] == []
 
 
 def test_the_arms_stand_where_kinematics_puts_them() -> None:

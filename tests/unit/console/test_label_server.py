@@ -13,6 +13,7 @@ from typing import Any
 import aiohttp
 import pytest
 
+from helpers.async_tests import within
 from helpers.recording import datasets_synthetic
 from helpers.recording.recording_synthetic import TICK_NS
 from surg_console.labelling.label_pages import LabelPages
@@ -79,48 +80,44 @@ def test_a_page_names_its_episode_by_what_tells_it_apart(
     assert shown == [f"{n} of {count} · {name}" for n, name in enumerate(names, 1)]
 
 
-def test_the_server_serves_its_own_page_only(folder: Path) -> None:
-    async def test() -> None:
-        async with serving(folder) as (server, http):
-            assert server._listening[0].getsockname()[0] == "127.0.0.1"
-            async with http.get("/episode/1") as answer:
-                policy = answer.headers["Content-Security-Policy"]
-                assert answer.status == 200 and "frame-ancestors 'none'" in policy
-                assert '"names": ["reach", "follow"]' in await answer.text()
-            for file in ("label/label.css", "label/label.js"):
-                assert (await ask(http, "GET", f"/page/{file}"))[0] == 200
-            assert (await ask(http, "GET", "/episode/1", Host="evil.example"))[0] == 421
-            for path in ("/episode/2", "/episode/0", "/../etc/passwd", "/control"):
-                assert (await ask(http, "GET", path))[0] == 404
-            post = ("POST", "/episode/1", GIVEN)
-            assert (await ask(http, *post, Origin="http://evil.example"))[0] == 403
-            assert (await ask(http, *post, **{"Content-Type": "text/plain"}))[0] == 415
-            large = {**GIVEN, "note": "x" * (300 << 10)}
-            assert (await ask(http, "POST", "/episode/1", large))[0] == 413
-            status, said = await ask(http, "POST", "/episode/1", {"success": 3})
-            assert status == 400 and "success" in said
-            assert not (folder / labels.LABELS).exists()
-            status, badge = await ask(http, *post)
-            assert status == 200 and json.loads(badge)[1].startswith("failure")
-
-    asyncio.run(asyncio.wait_for(test(), 60.0))
+@within(60.0)
+async def test_the_server_serves_its_own_page_only(folder: Path) -> None:
+    async with serving(folder) as (server, http):
+        assert server._listening[0].getsockname()[0] == "127.0.0.1"
+        async with http.get("/episode/1") as answer:
+            policy = answer.headers["Content-Security-Policy"]
+            assert answer.status == 200 and "frame-ancestors 'none'" in policy
+            assert '"names": ["reach", "follow"]' in await answer.text()
+        for file in ("label/label.css", "label/label.js"):
+            assert (await ask(http, "GET", f"/page/{file}"))[0] == 200
+        assert (await ask(http, "GET", "/episode/1", Host="evil.example"))[0] == 421
+        for path in ("/episode/2", "/episode/0", "/../etc/passwd", "/control"):
+            assert (await ask(http, "GET", path))[0] == 404
+        post = ("POST", "/episode/1", GIVEN)
+        assert (await ask(http, *post, Origin="http://evil.example"))[0] == 403
+        assert (await ask(http, *post, **{"Content-Type": "text/plain"}))[0] == 415
+        large = {**GIVEN, "note": "x" * (300 << 10)}
+        assert (await ask(http, "POST", "/episode/1", large))[0] == 413
+        status, said = await ask(http, "POST", "/episode/1", {"success": 3})
+        assert status == 400 and "success" in said
+        assert not (folder / labels.LABELS).exists()
+        status, badge = await ask(http, *post)
+        assert status == 200 and json.loads(badge)[1].startswith("failure")
     assert episode_reader.read(folder).manifest["labels"]["note"] == "slipped"
 
 
-def test_half_open_connections_do_not_lock_a_page_out(folder: Path) -> None:
-    async def test() -> None:
-        async with serving(folder) as (server, http):
-            open_ones = [
-                await asyncio.open_connection("127.0.0.1", server.port)
-                for _ in range(connection_cap.MAX_OPEN + 60)
-            ]
-            for _, writer in open_ones:
-                writer.write(b"GET / HT")
-            assert (await asyncio.wait_for(ask(http, "GET", "/"), 2.0))[0] == 302
-            for _, writer in open_ones:
-                writer.close()
-
-    asyncio.run(asyncio.wait_for(test(), 60.0))
+@within(60.0)
+async def test_half_open_connections_do_not_lock_a_page_out(folder: Path) -> None:
+    async with serving(folder) as (server, http):
+        open_ones = [
+            await asyncio.open_connection("127.0.0.1", server.port)
+            for _ in range(connection_cap.MAX_OPEN + 60)
+        ]
+        for _, writer in open_ones:
+            writer.write(b"GET / HT")
+        assert (await asyncio.wait_for(ask(http, "GET", "/"), 2.0))[0] == 302
+        for _, writer in open_ones:
+            writer.close()
 
 
 def test_a_broken_episode_is_a_page_that_says_so(folder: Path, tmp_path: Path) -> None:

@@ -5,10 +5,23 @@ from __future__ import annotations
 import argparse
 import math
 import re
+from pathlib import Path
 
 WHERE = "which episodes: 'success and setting == \"ex_vivo\"' (docs/guide/labelling.md)"
 """Help of the option that selects episodes."""
 LOSSLESS = "lossless"
+
+
+def add_episode(parser: argparse.ArgumentParser) -> None:
+    """The argument that names a recorded episode, or the run that holds one."""
+
+    def folder(text: str) -> Path:
+        given = Path(text)
+        inner = given / "episode"
+        return inner if inner.is_dir() and not (given / "manifest.json").exists() else given
+
+    what = "an episode's folder, or that of its run"
+    parser.add_argument("episode", type=folder, metavar="EPISODE", help=what)
 
 
 def add_video_quality(parser: argparse.ArgumentParser) -> None:

@@ -13,8 +13,8 @@ from surg_cli.host.terminal import CliError, Progress, say, warn
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
+    option_types.add_episode(parser)
     add = parser.add_argument
-    add("episode", type=Path, metavar="EPISODE", help="an episode's folder, or that of its run")
     add("--out", type=Path, metavar="DIR", help="default: <EPISODE>_depth beside the episode")
     add(
         "--method",
@@ -43,10 +43,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     from surg_recording.episode import episode_reader
     from surg_recording.recording_errors import EpisodeError
 
-    folder = options.episode
-    if not (folder / episode_reader.MANIFEST).exists() and (folder / "episode").is_dir():
-        folder = folder / "episode"
-    folder = folder.absolute()
+    folder = options.episode.absolute()
     out = options.out or folder.with_name(f"{folder.name}_depth")
     chosen = DepthOptions(options.method, options.size, *options.range, options.every)
     try:

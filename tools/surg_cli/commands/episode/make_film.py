@@ -12,8 +12,8 @@ from surg_cli.host.terminal import CliError, Progress, say
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
+    option_types.add_episode(parser)
     add = parser.add_argument
-    add("episode", type=Path, help="an episode's folder, or that of its run")
     add("--out", type=Path, required=True, metavar="FILE", help="x.mp4 (H.264) or x.gif")
     add("--cell", type=Path, metavar="CELL", help="default: the bundled cell of the recording")
     add(
@@ -31,14 +31,11 @@ def main(options: argparse.Namespace, command: str) -> int:
     from surg_recording.recording_errors import EpisodeError
     from surg_sim.appearance.opengl import NoOpenGL
 
-    folder = options.episode
-    if not (folder / episode_reader.MANIFEST).exists() and (folder / "episode").is_dir():
-        folder = folder / "episode"
     try:
-        recorded = episode_reader.read(folder)
+        recorded = episode_reader.read(options.episode)
         name = (recorded.manifest.get("cell") or {}).get("name")
         if options.cell is None and not name:
-            raise CliError(f"{folder}: names no cell; give --cell", 2)
+            raise CliError(f"{options.episode}: names no cell; give --cell", 2)
         cell = cells.find(options.cell or str(name))
         with Progress("film") as progress:
             episode_film.make(recorded, cell, options.out, options.seconds, progress.update)

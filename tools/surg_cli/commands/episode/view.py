@@ -7,12 +7,13 @@ import os
 import webbrowser
 from pathlib import Path
 
+from surg_cli.host import option_types
 from surg_cli.host.terminal import CliError, Progress, say
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
-    parser.add_argument("episode", type=Path, help="an episode's folder, or that of its run")
+    option_types.add_episode(parser)
     parser.add_argument(
         "--out", type=Path, metavar="FILE", help="page to write (default: beside the episode)"
     )
@@ -26,8 +27,6 @@ def main(options: argparse.Namespace, command: str) -> int:
     from surg_recording.reports import episode_view
 
     folder = options.episode
-    if not (folder / episodes.MANIFEST).exists() and (folder / "episode").is_dir():
-        folder = folder / "episode"
     try:
         recorded = episodes.read(folder)
         out = options.out or folder.absolute().with_name(f"{folder.absolute().name}_view.html")
