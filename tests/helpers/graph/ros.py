@@ -9,9 +9,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
-
-import yaml
 
 from surg_cli.graph import master
 from surg_cli.graph.processes import Child, Supervisor, wait_until
@@ -186,8 +183,3 @@ def stop_serving() -> None:
         node.is_shutdown = True
         if node.server is not None:
             node.server.shutdown()
-
-
-def read_yaml(path: Path) -> Any:
-    """Load a YAML file of plain values."""
-    return yaml.safe_load(path.read_text("utf-8"))

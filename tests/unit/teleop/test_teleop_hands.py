@@ -14,7 +14,7 @@ import pytest
 from conftest import FULL
 from helpers.control.lagging_arm import Run, play
 from surg_cli.host.paths import ROOT
-from surg_teleop.playback.motion_errors import MotionError
+from surg_teleop.playback.motion_file import MotionError
 from surg_teleop.playback.motion_player import Mode, PlayerStage
 
 CELLS = (ROOT / "cells/sim_ur5e", ROOT / "cells/sim_panda")

@@ -9,8 +9,7 @@ from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
 from surg_cli.host import paths
-from surg_teleop.playback.motion_errors import MotionError
-from surg_teleop.playback.motion_file import JUMP_SPEED, Motion, read_motion
+from surg_teleop.playback.motion_file import JUMP_SPEED, Motion, MotionError, read_motion
 
 BUNDLED = paths.ROOT / "src/surg_teleop/motions/bundled.csv"
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")

@@ -9,8 +9,7 @@ import pytest
 
 from surg_cli.host import paths
 from surg_teleop.follow.hand_mapping import Mapping
-from surg_teleop.playback.motion_errors import MotionError
-from surg_teleop.playback.motion_file import Motion, read_motion
+from surg_teleop.playback.motion_file import Motion, MotionError, read_motion
 from surg_teleop.playback.motion_plan import (
     CENTRE_DEPTH,
     ConstantMotionError,

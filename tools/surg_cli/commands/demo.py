@@ -215,8 +215,7 @@ def _plan(
 
 def _check_motion(options: argparse.Namespace, arm: Any) -> CheckedMotion:
     """Read the motion and fit it into the arm's workspace, as the operator node does later."""
-    from surg_teleop.playback.motion_errors import MotionError
-    from surg_teleop.playback.motion_file import read_motion
+    from surg_teleop.playback.motion_file import MotionError, read_motion
     from surg_teleop.playback.motion_plan import ConstantMotionError, make_plan
     from surg_teleop.playback.workspace_fit import Workspace
 

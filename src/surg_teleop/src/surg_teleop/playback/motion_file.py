@@ -17,7 +17,6 @@ from scipy.interpolate import CubicSpline
 
 from surg_core.transforms import twist_angle
 from surg_teleop.leaders.handle_roll import MIN_TWIST
-from surg_teleop.playback.motion_errors import MotionError
 
 Array = NDArray[np.float64]
 
@@ -47,6 +46,10 @@ HAND_SPACE = 2.0
 SEPARATORS = {";": "a semicolon", "\t": "a tab"}
 LIKE_MILLIMETRES = "; this looks like millimetres: divide x, y and z by 1000"
 LIKE_MILLISECONDS = "; this looks like milliseconds: divide t_s by 1000"
+
+
+class MotionError(ValueError):
+    """A motion that must not be played: says which file, where, which value and what is allowed."""
 
 
 @dataclass(frozen=True)

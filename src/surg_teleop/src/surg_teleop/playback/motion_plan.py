@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from surg_teleop.follow.hand_mapping import Mapping
-from surg_teleop.playback.motion_errors import MotionError
-from surg_teleop.playback.motion_file import Motion
+from surg_teleop.playback.motion_file import Motion, MotionError
 from surg_teleop.playback.quintic import Quintic, horner
 from surg_teleop.playback.workspace_fit import Workspace, box_centre, largest_scale
 

@@ -26,8 +26,7 @@ from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError, flag, one_of, path, read, real, text
 from surg_ros.participant import Participant, TickInputs
 from surg_teleop.follow.target_pose import StepLimits
-from surg_teleop.playback.motion_errors import MotionError
-from surg_teleop.playback.motion_file import read_motion
+from surg_teleop.playback.motion_file import MotionError, read_motion
 from surg_teleop.playback.motion_plan import ConstantMotionError, MotionPlan, make_plan
 from surg_teleop.playback.motion_player import Mode, MotionPlayer
 from surg_teleop.playback.workspace_fit import Workspace

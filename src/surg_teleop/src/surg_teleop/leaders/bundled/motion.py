@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 from surg_core import rpy_to_matrix
 from surg_core.hand.leader_sample import HandlePose, LeaderSample
 from surg_teleop.leaders.leader import LeaderError
-from surg_teleop.playback.motion_errors import MotionError
-from surg_teleop.playback.motion_file import Motion, read_motion
+from surg_teleop.playback.motion_file import Motion, MotionError, read_motion
 
 
 class MotionLeader:
