@@ -20,7 +20,7 @@ def names_in(file: Path) -> set[str]:
     """Names of the tests in a file, Python or GoogleTest."""
     text = file.read_text("utf-8")
     if file.suffix == ".py":
-        return set(re.findall(r"^def (test_\w+)", text, re.MULTILINE))
+        return set(re.findall(r"^(?:async )?def (test_\w+)", text, re.MULTILINE))
     return set(re.findall(r"^TEST(?:_F|_P)?\(\w+,\s*(\w+)\)", text, re.MULTILINE))
 
 

@@ -8,9 +8,8 @@ import { Hand } from "./hand.js";
 import "./key_help.js";
 import { element, mark, remember, set, sink, streamOf, toast, write } from "./kit.js";
 import { Link, clock } from "./link.js";
-import { showAge } from "./picture_age.js";
 import { speakWhileTouched } from "./touch_frames.js";
-import { View } from "./view.js";
+import { View, showAge } from "./view.js";
 
 const INPUT_MS = 20; // the console holds the arm after 100 ms without one
 const LEAST_S = 0.015; // between two inputs, whatever sends them
