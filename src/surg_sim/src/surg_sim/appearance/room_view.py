@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from types import TracebackType
 
 import numpy as np
 
 import surg_core
 from surg_sim import tasks
-from surg_sim.appearance.documentation_pictures import close_up
+from surg_sim.appearance.drawing import look
 from surg_sim.appearance.render import Renderer, show_only
 from surg_sim.arrays import Array, Picture
 from surg_sim.physics import scene
+from surg_sim.physics.spec_parts import quaternion
 from surg_sim.physics.world import World
+
+_LOOK_AT, _NARROW = (-0.30, -0.05, 0.19), 31.0  # [m] patient axes, [deg]
 
 
 class RoomView:
@@ -75,3 +78,18 @@ class RoomView:
         if instrument is not None and assistant is not None:
             instrument.pose(assistant)
         return self._renderer.render(np.array(qpos))[0]
+
+
+@contextmanager
+def close_up(world: World) -> Iterator[None]:
+    """Point the spectator's camera at the patient and narrow its view."""
+    model, site = world.model, scene.site_of([world.cell.arms[name] for name in world.arms])
+    camera = model.camera(scene.OVERVIEW)
+    before = camera.quat.copy(), camera.fovy.copy()
+    sight = site.place(_LOOK_AT) - camera.pos
+    camera.quat[:] = quaternion(look(sight, np.array([0.0, 0.0, 1.0])))
+    camera.fovy[:] = _NARROW
+    try:
+        yield
+    finally:
+        camera.quat[:], camera.fovy[:] = before
