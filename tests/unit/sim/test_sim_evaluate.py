@@ -1,129 +1,68 @@
-"""The figures of docs/results/phantom.md, and the arithmetic they are made with."""
+"""Every task by its scripted senders, in every setting and with both robots: docs/results."""
 
 from __future__ import annotations
 
-import os
-from dataclasses import replace
-from pathlib import Path
-
 import pytest
 
+from helpers.results.results_page import ResultsPage
 from surg_core.wilson import wilson_interval
 from surg_sim import tasks
-from surg_sim.envs import expert_evaluation, rows_of_page
-from surg_sim.envs.episode_runner import ArmReport, EpisodeReport, Spread
-from surg_sim.physics.patient_settings import SETTINGS, find_setting
-from surg_sim.physics.trocar import TrocarParameters
+from surg_sim.envs.cell_session import CellSession
+from surg_sim.envs.episode_runner import ArmReport, run_episode
+from surg_sim.physics import cell_files
+from surg_sim.physics.patient_settings import SETTINGS
+from surg_sim.tasks import episode_seeds
+
+ROBOTS = {"UR5e": "sim_two_arms", "Panda": "sim_two_arms_panda"}
+"""Robot of the instrument, and the bundled cell with it."""
+EPISODES = 100
+HEAD = f"""# The phantom: tasks and settings
+
+Written by `./surg test --full tests/unit/sim/test_sim_evaluate.py`: simulation, in process, with
+scripted senders and test seeds. RCM deviations and force at the trocar: largest of all samples of
+the commanded arm. True: to the undisturbed trocar point. Settings: {", ".join(SETTINGS)}.
+"""
+COLUMNS = ("task, robot", "success", "95 % [%]", "kinematic [mm]", "true [mm]", "force [N]")
+PAGE = ResultsPage(
+    "phantom.md",
+    HEAD,
+    [f"{task}, {robot}" for task in tasks.names() for robot in ROBOTS],
+    keep=True,
+    columns=COLUMNS,
+)
 
 
-@pytest.mark.parametrize("name", SETTINGS)
-def test_each_disturbance_alone_is_the_setting_s_own(name: str) -> None:
-    setting = find_setting(name)
-    rows = expert_evaluation.alone(setting)
-    none = rows["nothing but the drives"]
-    assert (none.tool_error, none.encoder, none.breathing.amplitude) == (None, 0.0, 0.0)
-    assert none.actuators == setting.actuators
-    assert rows["calibration error"].tool_error == setting.tool_error
-    assert rows["encoder"].encoder == setting.encoder
-    assert rows["wall"].trocar == TrocarParameters(
-        setting.trocar.stiffness, setting.trocar.mass, setting.trocar.damping_ratio, 0.0
-    )
-    both = rows["all together"]
-    assert (both.trocar, both.breathing, both.encoder) == (
-        setting.trocar,
-        setting.breathing,
-        setting.encoder,
-    )
-
-
-def report(seed: int, reason: str) -> EpisodeReport:
-    spread = Spread(1e-6, 2e-6)
-    arm = ArmReport(spread, spread, spread, spread)
-    return EpisodeReport(seed, not reason, reason, 10.0, 0.0, {"PSM1": arm}, "00")
-
-
-def test_failures_are_listed_with_cause_and_seeds() -> None:
-    done = [report(1, ""), report(2, "late"), report(5, "late"), report(7, "lost")]
-    assert expert_evaluation.failures([("bgr", done)]) == [
-        "- bgr: 2 × late (seeds 2, 5)",
-        "- bgr: 1 × lost (seeds 7)",
-    ]
-    assert expert_evaluation.failures([("bgr", done[:1])]) == ["None."]
-
-
-def page(tasks_of_page: dict[str, list[EpisodeReport]], second: bool) -> str:
-    setting = find_setting("phantom")
-
-    def of(label: str) -> expert_evaluation.Series:
-        return expert_evaluation.Series(label, "", label.split(",")[0], setting, "ours", ())
-
-    first = [(of(label), done) for label, done in tasks_of_page.items()]
-    rest = [(replace(of("phantom: wall"), task="bgr", seeds=(1,)), [report(1, "late")])]
-    return expert_evaluation.report(first, rest if second else [], "make all")
-
-
-@pytest.mark.parametrize("second", [True, False])
-def test_rows_put_into_a_page_are_those_of_a_page_made_at_once(second: bool) -> None:
-    good, bad = [report(1, "")], [report(1, ""), report(2, "late")]
-    both = {
-        "bgr, UR5e, phantom": bad,
-        "needle_driving, UR5e, phantom": bad,
-        "needle_driving, Panda, phantom": good,
-        "pick_and_place, UR5e, phantom": good,
-    }
-    old = {k: v for k, v in both.items() if "needle" not in k}
-    whole, text = page(both, second).splitlines(), page(old, second)
-
-    def put(text: str, labels: list[str], done: list[EpisodeReport], command: str) -> str:
-        lines = page(dict.fromkeys(labels, done), False).splitlines()
-        short = [label.removesuffix(", phantom") for label in labels]
-        rows = {label: next(x for x in lines if x.startswith(f"| {label} ")) for label in short}
-        causes = expert_evaluation.failures((label, done) for label in labels)
-        return rows_of_page.put(text, rows, causes, command)
-
-    needles = [label for label in both if "needle" in label]
-    text = put(text, needles, bad, "make needles")
-    text = put(text, needles[1:], good, "make Panda")  # again: nothing of the row before is left
-    added = [line for line in text.splitlines() if line not in whole]
-    assert added == [
-        "- Rows of needle_driving with UR5e: by `make needles`",
-        "- Rows of needle_driving with Panda: by `make Panda`",
-    ]
-    left = [line for line in text.splitlines() if line not in added]
-    # A list of commands has a line of space round it.
-    assert [line for line in left if line] == [line for line in whole if line]
-
-
-def test_rows_go_into_such_a_page_only(tmp_path: Path) -> None:
-    other = tmp_path / "other.md"
-    other.write_text("# Another page\n")
-    for name in ("other.md", "none.md"):
-        words = ["--episodes", "1", "--ablation", "0", "--update", str(tmp_path / name)]
-        assert expert_evaluation.main(words) == 2
-    assert other.read_text() == "# Another page\n"
-    with pytest.raises(SystemExit):
-        expert_evaluation.main(["--update", str(other)])
+def measured(task: str, cell: str, setting: str) -> tuple[int, list[ArmReport]]:
+    """Successes, and what the commanded arm did in each episode."""
+    seeds = episode_seeds.test_seeds(EPISODES)
+    session = CellSession(cell_files.find(cell), task, setting, seeds[0])
+    reports = [run_episode(session, seed) for seed in seeds]
+    arms = [report.arms[tasks.load(task).commanded[0]] for report in reports]
+    return sum(report.success for report in reports), arms
 
 
 @pytest.mark.full
-def test_every_task_in_every_setting(tmp_path: Path) -> None:
-    """Writes docs/results/phantom.md; about an hour on two cores."""
-    folder = Path(os.environ.get("SURG_RESULTS_DIR", "") or tmp_path)
-    first, second = expert_evaluation.plan(100, 10, expert_evaluation.ROBOTS, tasks.names())
-    results = expert_evaluation.run_all([*first, *second], jobs=2)
-    n = len(first)
-    text = expert_evaluation.report(
-        list(zip(first, results[:n], strict=True)),
-        list(zip(second, results[n:], strict=True)),
-        "./surg test --full tests/unit/sim/test_sim_evaluate.py",
-    )
-    (folder / "phantom.md").write_text(text, encoding="utf-8")
-    for series, reports in zip(first, results, strict=False):
-        good = sum(report.success for report in reports)
-        arms = [report.arms[tasks.load(series.task).commanded[0]] for report in reports]
-        if "UR5e" in series.label:
-            assert wilson_interval(good, len(reports))[0] >= 0.9, series.label
-        assert max(arm.kinematic.max for arm in arms) < 1e-3, series.label
-        if series.condition.name == "phantom":
-            assert max(arm.kinematic.mean for arm in arms) < 0.05e-3, series.label
-            assert max(arm.kinematic.max for arm in arms) < 0.3e-3, series.label
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("task", tasks.names())
+def test_every_task_in_every_setting(task: str, robot: str) -> None:
+    rows = []
+    for setting in SETTINGS:
+        good, arms = measured(task, ROBOTS[robot], setting)
+        low, high = wilson_interval(good, EPISODES)
+        most = {
+            name: max(getattr(arm, name).max for arm in arms)
+            for name in ("kinematic", "true", "force")
+        }
+        rows.append((
+            f"{good}/{EPISODES}", f"{100 * low:.0f}–{100 * high:.0f}",
+            f"{1e3 * most['kinematic']:.3f}", f"{1e3 * most['true']:.3f}", f"{most['force']:.3f}",
+        ))  # fmt: skip
+        if robot == "UR5e":
+            assert low >= 0.9, setting
+        assert most["kinematic"] < 1e-3, setting
+        if setting == "phantom":
+            assert max(arm.kinematic.mean for arm in arms) < 0.05e-3
+            assert most["kinematic"] < 0.3e-3
+    columns = zip(*rows, strict=True)
+    cells = (each[0] if len(set(each)) == 1 else ", ".join(each) for each in columns)
+    PAGE.note(f"{task}, {robot}", None, " | ".join(cells))
