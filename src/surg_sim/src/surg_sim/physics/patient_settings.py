@@ -2,8 +2,8 @@
 
 They describe the world, not a result: every value was written down from the literature or assumed
 before any RCM deviation in a setting was looked at, and none was changed afterwards; nothing is
-tuned to a published figure. ``SOURCES`` says where each comes from. The robot
-is the same in every setting, and so are its drives and encoders.
+tuned to a published figure. docs/reference/simulation.md says where each comes from. The robot is
+the same in every setting, and so are its drives and encoders.
 """
 
 from __future__ import annotations
@@ -112,30 +112,6 @@ VARIANTS: Mapping[str, Mapping[str, Any]] = {
 }
 """What a setting can have besides, as in ``phantom+unregistered``; assumed: bases typed from a
 drawing, an endoscope clamped by hand. ``reclamped`` turns the latter by a further 12 degrees."""
-
-SOURCES: Mapping[str, str] = {
-    "wall stiffness": "order of modulus times thickness of the insufflated human wall: "
-    "22.5 to 42.5 kPa (Song et al. 2006, Surg Endosc 20:987) times 25 mm (assumed) is 560 to "
-    "1060 N/m; phantom (rubber sheet on a frame): assumed",
-    "seal friction": "within the measured 0.25 to 3.0 N of a 5 mm grasper in six trocars "
-    "(van den Dobbelsteen et al. 2007, Surg Endosc 21:1338); the choice within it: assumed",
-    "breathing amplitude": "half of the 3 to 5 mm of tidal motion of the chest wall "
-    "(De Groote et al. 1997, J Appl Physiol 83:1531); that a trocar moves as much: assumed",
-    "breathing period": "assumed: 15 breaths a minute of a ventilator",
-    "bed share": "assumed",
-    "calibration error": "phantom: what the project's own routine leaves in simulation "
-    "(results/calibration.md: 0.1 mm, 0.07°); ex vivo twice, in vivo three times that: "
-    "assumed",
-    "drives": "assumed, the same robot in all settings (`arm.ActuatorParameters` says why)",
-    "encoder": "assumed: 19 bits per turn at the joint",
-    "tissue stretch stiffness": "307 kPa of the pig's small bowel along it (Terry et al. 2014, "
-    "IJECB 2:4) times a wall of 1.5 mm round 23 mm (assumed) is 33 N; phantom (silicone): assumed",
-    "mesentery stiffness": "assumed",
-    "slip force": "assumed; at 5 N of pull, pinches of 3 to 22 N are needed against slip "
-    "(Heijnsdijk et al. 2004, Surg Endosc 18:974), so an ordinary pinch of a few newton holds "
-    "one to a few newton; wet bowel holds less (Guo et al. 2022, Biosurf Biotribol 8:58)",
-}
-"""Where each parameter comes from; the word "assumed" means that nobody measured it for us."""
 
 
 def find_setting(name: str) -> PatientSetting:
