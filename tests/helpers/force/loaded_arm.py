@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import surg_core
+from helpers.force.force_bench import ForceBench
 from helpers.force.statics import Array
 from surg_cli.host import paths
 from surg_core.force import load_solver
@@ -20,7 +21,6 @@ from surg_sim.physics.patient_settings import SETTINGS, PatientSetting
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.trocar_motion import Sinusoid
 from surg_sim.physics.world import World
-from surg_sim.sensing.force_bench import ForceBench
 
 SENSOR = paths.ROOT / "src" / "surg_description" / "force_sensors" / "simulated.yaml"
 TICK = 0.002

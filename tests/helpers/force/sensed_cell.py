@@ -7,10 +7,10 @@ import shutil
 from pathlib import Path
 
 import surg_core
+from helpers.force.force_bench import ForceBench
 from helpers.force.loaded_arm import SENSOR
 from surg_cli.host import paths
 from surg_cli.robots import force_steps
-from surg_sim.sensing.force_bench import ForceBench
 
 
 def write(folder: Path) -> Path:

@@ -20,8 +20,8 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 import surg_core
 from helpers.graph.crtk_client import TICK, Arm, shifted
 from helpers.graph.lockstep_arms import ArmTime, Ticks
+from helpers.sim.board_bench import BenchView, BoardBench
 from surg_msgs.msg import CalibrationStatus, GroundTruth
-from surg_sim.appearance.board_bench import BenchView, BoardBench
 from surg_sim.arrays import Array, Picture
 
 ARMS = ("PSM1", "ECM")

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.sim.board_bench import BenchView, BoardBench
 from helpers.sim.board_views import BOARD
 from surg_perception.calibration import base_steps, steps
 from surg_perception.calibration.board import Corners
 from surg_perception.calibration.board_file import write_board
 from surg_perception.calibration.views import View, Views
-from surg_sim.appearance.board_bench import BenchView, BoardBench
 
 NOISE = 0.05
 """[px] Of a corner, as rendered boards have."""

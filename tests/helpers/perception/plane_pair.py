@@ -1,6 +1,6 @@
 """A speckled plane before two real eyes: pictures by ray tracing, and the depth that is true.
 
-It shares no code with what finds depth: `surg_sim.appearance.board_bench` traces the rays.
+It shares no code with what finds depth: `board_bench.py` traces the rays.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
+from helpers.sim.board_bench import BoardPainter, Pattern
 from surg_core.lens_file import Lens
-from surg_sim.appearance.board_bench import BoardPainter, Pattern
 from surg_sim.appearance.lens import EndoscopeLens, TrueEye
 
 Array = NDArray[np.float64]

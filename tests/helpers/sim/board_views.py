@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
+from helpers.sim.board_bench import BenchView, BoardBench, Pattern
 from surg_cli.host import paths
 from surg_perception.calibration.board import Board
 from surg_perception.calibration.intrinsics import SeenCorners
 from surg_perception.calibration.small_motions import turn
-from surg_sim.appearance.board_bench import BenchView, BoardBench, Pattern
 from surg_sim.appearance.lens import EndoscopeLens
 from surg_sim.physics.endoscope_rig import camera_poses
 

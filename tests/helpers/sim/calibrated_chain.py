@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import surg_core
+from helpers.sim.board_bench import BenchView, BoardBench
 from helpers.sim.board_views import BARREL, BOARD, Array, bench, corners, moved_camera
 from surg_core.base_file import write_base
 from surg_perception.calibration import evidence
@@ -19,7 +20,6 @@ from surg_perception.calibration.handeye import HandEyeFit, pair_pose, solve_han
 from surg_perception.calibration.result_files import Origin, read_stereo, save_handeye, save_stereo
 from surg_perception.calibration.small_motions import moved, transform
 from surg_perception.calibration.stereo import StereoFit, solve_stereo
-from surg_sim.appearance.board_bench import BenchView, BoardBench
 
 NOISE = 0.05
 """[px] Noise of a corner: what rendered boards have."""

@@ -12,8 +12,8 @@ import pytest
 
 import surg_core
 from helpers.force import sensed_cell
+from helpers.force.force_bench import ForceBench
 from helpers.graph.ros import RosGraph
-from surg_sim.sensing.force_bench import ForceBench
 
 pytestmark = pytest.mark.ros
 

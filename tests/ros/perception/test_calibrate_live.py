@@ -26,13 +26,13 @@ from helpers.graph import surg
 from helpers.graph.ros import RosGraph
 from helpers.perception.live_bench import ARMS, LiveBench
 from helpers.results.perception_results import PAGE
+from helpers.sim.board_bench import BenchView, Pattern, inner_corners, of_setting
 from surg_cli.graph import master, system
 from surg_cli.graph.system_plan import SystemPlan
 from surg_core.camera_file import load_camera
 from surg_perception.calibration.base_steps import chain_error
 from surg_perception.calibration.result_files import read_stereo
 from surg_perception.calibration.small_motions import difference
-from surg_sim.appearance.board_bench import BenchView, Pattern, inner_corners, of_setting
 
 pytestmark = [pytest.mark.ros, pytest.mark.full]
 

@@ -7,8 +7,6 @@ runs in lock-step, so that a busy machine changes nothing.
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +14,9 @@ import numpy as np
 import pytest
 
 from helpers.endoscope_files import copied_cell
-from helpers.graph.surg import environment, surg
+from helpers.graph.surg import surg
 from helpers.results.perception_results import PAGE
+from helpers.sim import board_bench
 
 pytestmark = [pytest.mark.ros, pytest.mark.full]
 
@@ -31,16 +30,8 @@ def calibrate(cell: Path, folder: Path) -> None:
     done = surg("calibrate", cell, "board", "--to", folder / "board.png")
     assert done.returncode == 0, done.stderr
     for step, views in STEPS:
-        bench = [
-            sys.executable,
-            "-m",
-            "surg_sim.appearance.board_bench",
-            cell,
-            folder / "board.png",
-        ]
-        words = [*map(str, bench), str(folder / views), "--step", views, "--setting", UNKNOWN]
-        drawn = subprocess.run(words, env=environment(), capture_output=True, text=True)
-        assert drawn.returncode == 0, drawn.stderr
+        words = [cell, folder / "board.png", folder / views, "--step", views, "--setting", UNKNOWN]
+        assert board_bench.main([str(word) for word in words]) == 0
         by = ("--by", "touch") if step == "bases" else ()
         done = surg("calibrate", cell, step, *by, "--from", folder / views)
         assert done.returncode == 0, done.stderr

@@ -13,6 +13,7 @@ import pytest
 
 import surg_core
 from helpers.endoscope_files import copied_cell
+from helpers.sim.board_bench import BenchView
 from helpers.sim.board_views import BARREL, BOARD, Array, bench
 from helpers.sim.calibrated_chain import ORIGIN, TOUCHED, Chain
 from surg_cli.host.terminal import CliError
@@ -24,7 +25,6 @@ from surg_perception.calibration.small_motions import difference
 from surg_perception.calibration.views import read_views
 from surg_perception.collecting import base_views
 from surg_perception.collecting.base_views import WANTED, BaseViews, Moment
-from surg_sim.appearance.board_bench import BenchView
 
 
 class Person:

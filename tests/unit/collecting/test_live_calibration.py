@@ -11,6 +11,7 @@ import pytest
 
 import surg_core
 from helpers.endoscope_files import copied_cell
+from helpers.sim.board_bench import BenchView, BoardBench
 from helpers.sim.board_views import BARREL, BOARD, Array, bench, moved_camera
 from surg_core import standstill
 from surg_perception.calibration import evidence
@@ -30,7 +31,6 @@ from surg_perception.collecting.board_detection import (
 )
 from surg_perception.collecting.collector import CalibrationStep, Collector
 from surg_perception.collecting.live_calibration import CalibrationState, LiveCalibration
-from surg_sim.appearance.board_bench import BenchView, BoardBench
 
 SIZE = (640, 480)
 PERIOD = 0.05
@@ -235,29 +235,6 @@ def test_views_are_stored_undone_and_read_by_the_solver(tmp_path: Path) -> None:
     assert any(reason.startswith("views") for reason in live.status.result)
     with pytest.raises(ValueError, match="endoscope_stereo"):
         live.start(CalibrationStep.HANDEYE)
-
-
-@pytest.mark.full
-def test_both_steps_from_pictures_calibrate_an_unknown_endoscope(tmp_path: Path) -> None:
-    live = session(copied_cell(tmp_path), tmp_path)
-    X_FV = moved_camera(np.random.default_rng(4))
-    of = bench(4, BARREL, cell=live.cell, pixels=30, X_FV=X_FV)
-    for step, views in (
-        (CalibrationStep.STEREO, of.held_board(150)),
-        (CalibrationStep.HANDEYE, of.moved_scope(40)),
-    ):
-        live.start(step)
-        for number, view in enumerate(views):
-            watch(live, of, view, float(number), 4)
-            if live.step_on():
-                break
-        print(step.value, live.status.views, live.status.residual, live.status.result[-3:])
-        assert live.status.state is CalibrationState.DONE and live.status.residual < 0.2
-    camera, _ = surg_core_camera(live.cell)
-    step_ = difference(camera, X_FV)
-    shift, angle = 1e3 * np.linalg.norm(step_[3:]), np.degrees(np.linalg.norm(step_[:3]))
-    print(f"hand-eye from a running system: {shift:.3f} mm, {angle:.3f} deg off")
-    assert shift <= 0.3 and angle <= 0.1
 
 
 @pytest.mark.full

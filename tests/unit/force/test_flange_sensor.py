@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import surg_core
+from helpers.force import force_bench
 from helpers.force.loaded_arm import SENSOR, pull_at_tip, sensing_cell
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
@@ -18,7 +19,6 @@ from surg_core.force.force_file import load_force
 from surg_core.force.sensor_file import load_sensor
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.world import World
-from surg_sim.sensing import force_bench
 from surg_sim.sensing.flange_sensor import true_frame
 
 GRASPER = 0.318

@@ -8,9 +8,9 @@ import pytest
 
 import surg_core
 from helpers.force import sensed_cell
+from helpers.force.force_bench import ForceBench
 from helpers.force.statics import Array
 from surg_hardware.force.force_watch import SILENT_S, ForceWatch
-from surg_sim.sensing.force_bench import ForceBench
 
 NOW = datetime.datetime.now(datetime.UTC)
 PERIOD = 0.002

@@ -13,12 +13,12 @@ import pytest
 import surg_core
 from helpers.endoscope_files import copied_cell
 from helpers.results.perception_results import PAGE
+from helpers.sim import board_bench
 from surg_cli import command_table
 from surg_cli.host import paths
 from surg_core.camera_file import load_camera
 from surg_perception.calibration.base_steps import chain_error
 from surg_perception.calibration.small_motions import difference
-from surg_sim.appearance import board_bench
 from surg_sim.physics.endoscope_rig import camera_poses
 from surg_sim.physics.patient_settings import find_setting
 from surg_sim.physics.pose_error import with_base_error
@@ -58,7 +58,7 @@ def test_every_line_of_the_page_is_a_command_that_exists() -> None:
         if words[0] == "./surg":
             command_table.parse(*command_table.find(words[1:]))
         elif words[0] == "python3":
-            assert words[1:3] == ["-m", "surg_sim.appearance.board_bench"], words
+            assert words[1] == "tests/helpers/sim/board_bench.py", words
         else:
             assert words == ["cp", "-r", "cells/sim_two_arms", "cells/my_cell"]
 
@@ -99,7 +99,7 @@ def walk(surg: Callable[..., int], cell: Path) -> None:
         if words[0] == "cp":
             copied_cell(cell.parent, "sim_two_arms").rename(cell)
         elif words[0] == "python3":
-            assert board_bench.main(words[3:]) == 0, words
+            assert board_bench.main(words[2:]) == 0, words
         else:
             assert surg(*words[1:]) == 0, words
         done += 1

@@ -12,6 +12,7 @@ import pytest
 
 from helpers.endoscope_files import copied_cell
 from helpers.results.perception_results import PAGE, SIZES
+from helpers.sim.board_bench import BenchView, BoardBench
 from helpers.sim.board_views import BARREL, BOARD, PINHOLE, bench
 from surg_core.lens_file import load_lens
 from surg_core.pictures.lens_model import LensModel
@@ -20,7 +21,6 @@ from surg_perception.calibration import steps
 from surg_perception.calibration.board_file import write_board
 from surg_perception.calibration.result_files import Origin, read_stereo
 from surg_perception.calibration.stereo import StereoFit, common
-from surg_sim.appearance.board_bench import BenchView, BoardBench
 from surg_sim.appearance.lens import EndoscopeLens
 
 ORIGIN = Origin("rendered", "2026-11-23", "simulated")

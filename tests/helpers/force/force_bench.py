@@ -2,7 +2,7 @@
 
 ::
 
-    python3 -m surg_sim.sensing.force_bench CELL FILE.csv
+    python3 tests/helpers/force/force_bench.py CELL FILE.csv
     ./surg calibrate CELL force --from FILE.csv
 
 The tool hangs in the room, at rest; encoders and sensor have their noise.
@@ -89,7 +89,7 @@ class ForceBench:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Record a free tool in many postures."""
-    parser = argparse.ArgumentParser(prog="surg_sim.sensing.force_bench", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="force_bench.py", description=main.__doc__)
     parser.add_argument("cell", type=Path)
     parser.add_argument("file", type=Path, help="CSV, for ./surg calibrate CELL force --from FILE")
     parser.add_argument("--arm", help="default: the cell's first")
@@ -105,7 +105,7 @@ def main(words: Sequence[str] | None = None) -> int:
         push = None if options.push is None else np.array([0.0, 0.0, options.push])
         ForceBench(cell, name, options.seed).record(options.file, options.count, push)
     except (ValueError, OSError) as error:
-        print(f"surg_sim.sensing.force_bench: {error}", file=sys.stderr)
+        print(f"force_bench.py: {error}", file=sys.stderr)
         return 2
     print(f"{options.file}: {options.count} postures")
     return 0
