@@ -8,6 +8,7 @@ import subprocess
 from pathlib import Path
 
 import cv2
+import matplotlib
 import numpy as np
 import pytest
 
@@ -123,12 +124,14 @@ def test_a_wrong_board_file_is_refused(line: str, key: str, tmp_path: Path) -> N
 
 
 def test_the_pdf_shows_the_board_at_its_size(tmp_path: Path) -> None:
-    page = board_pdf(BOARD)
-    numbers = [
-        [float(word) for word in match.split()]
-        for match in re.findall(r"((?:[\d.]+ ){4})re f", page.decode("latin-1"))
-    ]
-    boxes = 25.4 / 72.0 * np.array(numbers)
+    with matplotlib.rc_context({"pdf.compression": 0}):
+        page = board_pdf(BOARD)
+    path = r"([\d.]+ [\d.]+) m\n" + 3 * r"([\d.]+ [\d.]+) l\n" + "h"
+    streams = page.decode("latin-1").split("endstream")  # the others are letters
+    found = max((re.findall(path, stream) for stream in streams), key=len)
+    corners = np.array([[point.split() for point in each] for each in found], dtype=float)
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    boxes = 25.4 / 72.0 * np.hstack([low, high - low])
     squares, ruler = boxes[boxes[:, 1] > 85.0], boxes[boxes[:, 1] <= 85.0]
     assert np.ptp(np.concatenate([squares[:, 0], squares[:, 0] + squares[:, 2]])) == pytest.approx(
         1e3 * BOARD.size[0], abs=0.01

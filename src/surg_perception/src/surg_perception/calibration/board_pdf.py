@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import io
+
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from surg_perception.calibration.board import Board, BoardError
 
@@ -12,7 +16,9 @@ RULER = 100.0
 """[mm]"""
 MARGIN = 12.0
 """[mm]"""
-_POINT = 72.0 / 25.4
+_INCH = 25.4  # [mm]
+Box = tuple[float, float, float, float]
+"""Left, bottom, width and height of a black rectangle [mm]."""
 
 
 def board_pdf(board: Board) -> bytes:
@@ -28,64 +34,43 @@ def board_pdf(board: Board) -> bytes:
             f"{PAGE[1] - 2 * MARGIN - 20:g} mm; take fewer or smaller squares"
         )
     left, low = (PAGE[0] - wide) / 2, (PAGE[1] - high) / 2 + 5.0
-    marks = _squares(board, left, low) + _ruler((PAGE[0] - RULER) / 2, low - 14.0)
+    figure = Figure(figsize=(PAGE[0] / _INCH, PAGE[1] / _INCH), frameon=False)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0.0, PAGE[0]), ylim=(0.0, PAGE[1]))
+    axes.set_axis_off()
+    for x, y, width, height in _squares(board, left, low) + _ruler(low - 14.0):
+        axes.add_patch(Rectangle((x, y), width, height, facecolor="black", linewidth=0.0))
     text = (
         f"{board.columns}x{board.rows} squares of {1e3 * board.square:g} mm, {board.dictionary}. "
         "Print at 100 %. Measure the ruler: 100 mm?"
     )
-    marks.append(f"BT /F1 9 Tf {left * _POINT:.2f} {(low - 22.0) * _POINT:.2f} Td ({text}) Tj ET")
-    return _document("\n".join(marks).encode("ascii"))
+    axes.text(left, low - 22.0, text, fontsize=9.0)
+    page = io.BytesIO()
+    figure.savefig(page, format="pdf", metadata={"CreationDate": None})
+    return page.getvalue()
 
 
-def _squares(board: Board, left: float, low: float) -> list[str]:
-    """Black squares and markers as filled rectangles, from the pattern's own picture."""
+def _squares(board: Board, left: float, low: float) -> list[Box]:
+    """Black squares and markers, from the pattern's own picture."""
     # Six cells across a marker, in 70 % of a square: sixty pixels make all edges whole ones.
     pixels = 60
-    dark = board.picture(pixels) < 128
+    dark = np.asarray(board.picture(pixels) < 128, np.int8)
     cell = 1e3 * board.square / pixels
-    rows = []
-    for row in range(len(dark)):
-        if row and np.array_equal(dark[row], dark[row - 1]):
-            continue
-        same = 1
-        while row + same < len(dark) and np.array_equal(dark[row + same], dark[row]):
-            same += 1
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], dark[row].astype(np.int8), [0]])))
-        for start, end in edges.reshape(-1, 2):
-            bottom = low + (len(dark) - row - same) * cell
-            rows.append(_rectangle(left + start * cell, bottom, (end - start) * cell, same * cell))
-    return rows
+    firsts = np.flatnonzero(np.any(np.diff(dark, axis=0, prepend=-1), axis=1))
+    boxes = []
+    for first, end in zip(firsts, [*firsts[1:], len(dark)], strict=True):
+        edges = np.flatnonzero(np.diff(dark[first], prepend=0, append=0))
+        for start, stop in edges.reshape(-1, 2):
+            bottom = low + (len(dark) - end) * cell
+            size = ((stop - start) * cell, (end - first) * cell)
+            boxes.append((left + start * cell, bottom, *size))
+    return boxes
 
 
-def _ruler(left: float, low: float) -> list[str]:
+def _ruler(low: float) -> list[Box]:
     """A line with marks every 10 mm; the outer edges of the end marks are 100 mm apart."""
-    marks = [_rectangle(left, low, RULER, 0.2)]
+    left = (PAGE[0] - RULER) / 2
+    boxes = [(left, low, RULER, 0.2)]
     for number in range(11):
         x = left + number * 10.0 - (0.2 if number == 10 else 0.0 if number == 0 else 0.1)
-        marks.append(_rectangle(x, low, 0.2, 4.0 if number % 5 == 0 else 2.5))
-    return marks
-
-
-def _rectangle(x: float, y: float, width: float, height: float) -> str:
-    return " ".join(f"{_POINT * value:.4f}" for value in (x, y, width, height)) + " re f"
-
-
-def _document(content: bytes) -> bytes:
-    """A PDF 1.4 file of one page (ISO 32000-1, 7.5)."""
-    box = f"0 0 {PAGE[0] * _POINT:.2f} {PAGE[1] * _POINT:.2f}"
-    objects = [
-        b"<< /Type /Catalog /Pages 2 0 R >>",
-        b"<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
-        f"<< /Type /Page /Parent 2 0 R /MediaBox [{box}] /Contents 4 0 R /Resources "
-        "<< /Font << /F1 5 0 R >> >> >>".encode("ascii"),
-        b"<< /Length %d >>\nstream\n%s\nendstream" % (len(content), content),
-        b"<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica >>",
-    ]
-    body, offsets = b"%PDF-1.4\n", []
-    for number, each in enumerate(objects, start=1):
-        offsets.append(len(body))
-        body += b"%d 0 obj\n%s\nendobj\n" % (number, each)
-    table = b"xref\n0 %d\n0000000000 65535 f \n" % (len(objects) + 1)
-    table += b"".join(b"%010d 00000 n \n" % offset for offset in offsets)
-    tail = b"trailer\n<< /Size %d /Root 1 0 R >>\nstartxref\n%d\n%%%%EOF\n"
-    return body + table + tail % (len(objects) + 1, len(body))
+        boxes.append((x, low, 0.2, 4.0 if number % 5 == 0 else 2.5))
+    return boxes
