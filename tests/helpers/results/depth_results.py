@@ -4,6 +4,6 @@ from __future__ import annotations
 
 from helpers.results.results_page import ResultsPage
 
-METHODS = ("sgbm", "sgbm_half", "sgbm_8", "sgbm_wls")
+METHODS = ("sgbm", "sgbm_8")
 CRFS = (12, 18, 23, 28)
 PAGE = ResultsPage("depth.md")

@@ -76,9 +76,6 @@ def played(uri: str, count: int, **changes: Any) -> list[Grabbed]:
         ("v4l2:/dev/video0?fps=30", "'fps'"),
         ("file:a.mp4?rate=fast", "'fast'"),
         ("pipe:/run/p?format=h264", "y4m, mjpeg"),
-        ("decklink:first", "number of an input"),
-        ("decklink:0?connection=usb", "'usb'"),
-        ("decklink:0?mode=x ! y", "mode"),
     ],
 )
 def test_a_uri_that_cannot_be_used_is_refused(uri: str, words: str) -> None:
@@ -93,7 +90,6 @@ def test_devices_of_a_uri() -> None:
 
     both = devices("v4l2:/dev/video0+/dev/video2?format=mjpeg")
     assert both == ["v4l2:/dev/video0?format=mjpeg", "v4l2:/dev/video2?format=mjpeg"]
-    assert devices("decklink:0+1") == ["decklink:0", "decklink:1"]
     assert devices("file:a.mp4+b.mp4") == ["file:a.mp4+b.mp4"]
     assert devices("gst:a ! b c=1+2?d=3") == ["gst:a ! b c=1+2?d=3"]
 
@@ -242,11 +238,10 @@ def test_without_gstreamer_the_package_set_is_named(monkeypatch: pytest.MonkeyPa
         return real(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", missing)
-    for uri in ("gst:videotestsrc", "decklink:0"):
-        error = refused(uri)
-        assert error.code == "no_library"
-        assert f"{uri}: " in str(error)
-        assert "./surg dev setup --gstreamer" in str(error)
+    error = refused("gst:videotestsrc")
+    assert error.code == "no_library"
+    assert "gst:videotestsrc: " in str(error)
+    assert "./surg dev setup --gstreamer" in str(error)
 
 
 @pytest.mark.parametrize(
@@ -259,15 +254,13 @@ def test_without_gstreamer_the_package_set_is_named(monkeypatch: pytest.MonkeyPa
     ],
 )
 def test_messages_of_gstreamer_are_translated(text: str, code: str, words: str) -> None:
-    error = gstreamer_source.translated("decklink:0", text)
+    error = gstreamer_source.translated("gst:decklinkvideosrc", text)
     assert error.code == code
     assert words in str(error)
 
 
-def test_a_decklink_input_that_does_not_answer_names_the_library(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The element only fails to start, as the real one did without a card."""
+def test_a_pipeline_that_does_not_start_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As that of a DeckLink card without its library."""
     bus = SimpleNamespace(timed_pop_filtered=lambda *_: None)
     states = []
     pipeline = SimpleNamespace(
@@ -285,11 +278,8 @@ def test_a_decklink_input_that_does_not_answer_names_the_library(
         MSECOND=NS // 1000,
     )
     monkeypatch.setattr(gstreamer_source, "gstreamer", lambda _: gst)
-    error = refused("decklink:0")
-    assert error.code == "no_library"
-    assert "Desktop Video" in str(error)
-    assert states == ["playing", "null"]
     assert refused("gst:whatever").code == "failed"
+    assert states == ["playing", "null"]
 
 
 def test_gstreamers_pictures_are_rgb_and_young() -> None:

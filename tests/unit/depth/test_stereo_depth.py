@@ -16,7 +16,7 @@ from surg_core import ConfigError
 from surg_perception.depth.onnx_matcher import OnnxMatcher
 from surg_perception.depth.rectification import StereoRectifier
 from surg_perception.depth.stereo_depth import StereoDepth
-from surg_perception.depth.stereo_matcher import MATCHERS, MatcherError, find_matcher
+from surg_perception.depth.stereo_matcher import MatcherError, find_matcher
 
 
 def errors(pair: PlanePair, found: np.ndarray) -> np.ndarray:
@@ -37,11 +37,9 @@ def test_the_depth_of_a_plane_is_metric(lens_of_eyes, distance: float) -> None:
     assert found.known > 0.6
 
 
-@pytest.mark.parametrize("method", ["sgbm_half", "sgbm_8", "sgbm_wls"])
-def test_every_bundled_method_finds_the_plane(method: str) -> None:
-    assert method in MATCHERS.names()
+def test_eight_directions_find_the_plane() -> None:
     pair = PlanePair(distance=0.06)
-    found = StereoDepth(*pair.lenses(), method=method).look(*pair.pictures())
+    found = StereoDepth(*pair.lenses(), method="sgbm_8").look(*pair.pictures())
     assert np.median(errors(pair, found.depth)) < 0.002
 
 

@@ -202,7 +202,7 @@ std::optional<CellEndoscope> read_endoscope(Reader& reader) {
   if (colon == 0 || colon == std::string::npos || colon + 1 == endoscope.source.size()) {
     reader.fail(prefix + "source",
                 "'" + endoscope.source +
-                    "' is not KIND:ADDRESS, such as v4l2:/dev/video0, decklink:0, gst:PIPELINE, "
+                    "' is not KIND:ADDRESS, such as v4l2:/dev/video0, gst:PIPELINE, "
                     "file:PATH, pipe:PATH or ros:/left,/right");
   }
   endoscope.layout =

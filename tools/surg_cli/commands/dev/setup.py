@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         parser.add_argument(
             "--gstreamer",
             action="store_true",
-            help="also GStreamer, for endoscopes with the source gst: or decklink:",
+            help="also GStreamer, for endoscopes with the source gst:",
         )
 
 

@@ -120,7 +120,6 @@ SOURCES = PluginKind(
         "pipe": "surg_perception.sources.pipe_source",
         "ros": "surg_perception.sources.ros_source_node",
         "gst": "surg_perception.sources.gstreamer_source",
-        "decklink": "surg_perception.sources.decklink_source",
     },
     lambda kind: issubclass(kind, PictureSource) and kind is not PictureSource,
     "one class derived from surg_perception.capture.picture_source.PictureSource",

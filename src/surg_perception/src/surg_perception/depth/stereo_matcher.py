@@ -1,9 +1,8 @@
 """Methods that find the disparity of a rectified pair: the interface, and how one is chosen.
 
-``sgbm``, ``sgbm_half``, ``sgbm_8`` and ``sgbm_wls`` are bundled. A ``.onnx`` file is a learned
-model (`onnx_matcher`). A ``.py`` file, or an entry point in the group
-``surg_perception.matchers``, adds a method of one's own; it is executed: name none that you would
-not run.
+``sgbm`` and ``sgbm_8`` are bundled. A ``.onnx`` file is a learned model (`onnx_matcher`). A ``.py``
+file, or an entry point in the group ``surg_perception.matchers``, adds a method of one's own; it is
+executed: name none that you would not run.
 """
 
 from __future__ import annotations
@@ -58,9 +57,7 @@ MATCHERS = PluginKind(
     "surg_perception.matchers",
     {
         "sgbm": "surg_perception.depth.methods.sgbm",
-        "sgbm_half": "surg_perception.depth.methods.sgbm_half",
         "sgbm_8": "surg_perception.depth.methods.sgbm_eight",
-        "sgbm_wls": "surg_perception.depth.methods.sgbm_wls",
     },
     lambda kind: issubclass(kind, StereoMatcher) and kind is not StereoMatcher,
     "one class derived from surg_perception.depth.stereo_matcher.StereoMatcher",

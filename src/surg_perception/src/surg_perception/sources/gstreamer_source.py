@@ -68,10 +68,10 @@ class GstreamerSource(PictureSource):
 
     def __init__(self, address: str, options: Mapping[str, str], wanted: Wanted) -> None:
         super().__init__(address, options, wanted)
-        self._where = f"endoscope.source: {self._named()}"
+        self._where = f"endoscope.source: gst:{address}"
         self._gst = gstreamer(self._where)
         try:
-            self._pipeline = self._gst.parse_launch(f"{self._description()} ! {SINK}")
+            self._pipeline = self._gst.parse_launch(f"{address} ! {SINK}")
         except Exception as error:  # GLib.Error is no class of its own before gi is there
             raise translated(self._where, str(getattr(error, "message", error))) from error
         self._sink = self._pipeline.get_by_name("surg")
@@ -80,22 +80,12 @@ class GstreamerSource(PictureSource):
         if done == self._gst.StateChangeReturn.FAILURE:
             why = self._error()
             self.close()
-            raise why or self._silent_failure()
+            raise why or SourceError("failed", f"{self._where}: the pipeline does not start")
 
     @classmethod
     def devices(cls, address: str) -> list[str]:
         """One pipeline; its text may hold a plus sign."""
         return [address]
-
-    def _named(self) -> str:
-        return f"gst:{self.address}"
-
-    def _description(self) -> str:
-        return self.address
-
-    def _silent_failure(self) -> SourceError:
-        """Why a pipeline does not start that says nothing."""
-        return SourceError("failed", f"{self._where}: the pipeline does not start")
 
     def _error(self) -> SourceError | None:
         kinds = self._gst.MessageType.ERROR | self._gst.MessageType.EOS

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import cv2
 
-from surg_perception.depth.sgbm_parts import SemiGlobal
+from surg_perception.depth.methods import sgbm
 
 
-class SgbmEightMatcher(SemiGlobal):
+class SgbmEightMatcher(sgbm.SgbmMatcher):
     """Holds the costs of the whole picture in memory: about 60 MB at 640 x 480."""
 
     mode = cv2.STEREO_SGBM_MODE_HH
