@@ -9,7 +9,6 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -182,12 +181,3 @@ def test_a_base_that_was_not_measured_in_this_cell_is_refused(
         with pytest.raises(surg_core.ConfigError, match=words):
             surg_core.load_cell(folder)
         file.unlink()
-
-
-def test_mujoco_is_the_oracle_of_poses(stated: surg_core.Cell) -> None:
-    """The test's own reading of the scene: the flange is where chain and base say."""
-    world = World(stated)
-    mujoco.mj_kinematics(world.model, world.data)
-    for name, arm in stated.arms.items():
-        X_WF = arm.X_WB @ np.asarray(arm.chain.forward(arm.robot.home))
-        np.testing.assert_allclose(flange(world, stated, name), X_WF, atol=1e-8)

@@ -38,29 +38,6 @@ def drive(world: World, velocities: np.ndarray) -> np.ndarray:
     return np.array(q)
 
 
-def test_forward_kinematics_agree_with_the_chain(cell: surg_core.Cell, full: bool) -> None:
-    import mujoco
-
-    arm = cell.arms["PSM1"]
-    world = World(cell)
-    rng = np.random.default_rng(1)
-    flange = world.model.body(f"PSM1_{arm.robot.flange_link}").id
-    joints = [world.model.joint(f"PSM1_{n}").qposadr[0] for n in arm.robot.joint_names]
-    count = 2000 if full else 200
-    worst = np.zeros(2)
-    for _ in range(count):
-        q = rng.uniform(arm.robot.position_min, arm.robot.position_max)
-        world.data.qpos[joints] = q
-        mujoco.mj_kinematics(world.model, world.data)
-        X = arm.chain.forward(q)
-        R_WB, p_WB = arm.X_WB[:3, :3], arm.X_WB[:3, 3]
-        position = np.abs(world.data.xpos[flange] - (R_WB @ X[:3, 3] + p_WB)).max()
-        rotation = np.abs(world.data.xmat[flange].reshape(3, 3) - R_WB @ X[:3, :3]).max()
-        worst = np.maximum(worst, [position, rotation])
-    print(f"{count} postures: {worst[0]:.1e} m, {worst[1]:.1e}")
-    assert worst.max() < 1e-8
-
-
 def test_home_holds_the_shaft_in_the_trocar(cell: surg_core.Cell) -> None:
     truth = World(cell).truth("PSM1")
     assert truth.deviation < 1e-8
