@@ -17,7 +17,6 @@ from surg_perception.capture.capture_parameters import parse
 from surg_perception.capture.device_process import REOPEN_S, Settings, messages
 from surg_perception.capture.frame_pipe import DeviceState, FramePipeError, Pictures
 from surg_perception.capture.picture_source import (
-    DEVICE_TIME,
     Grabbed,
     PictureSource,
     SourceError,
@@ -143,15 +142,6 @@ def test_pictures_that_do_not_fit_the_cell_are_named(
 def test_an_odd_picture_is_named(script: type[Script]) -> None:
     (state,) = run([grabbed(NS, PAIR[:, :-1])])
     assert (state.code, "odd width" in state.text) == ("wrong_format", True)
-
-
-def test_stamps_of_the_devices_own_clock_become_ros_time(
-    script: type[Script], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(script, "stamps", DEVICE_TIME, raising=False)
-    acts = [Grabbed(n * 33 * MS, 100 * NS + n * 33 * MS, (PAIR,)) for n in range(3)]
-    stamps = [m.stamp_ns for m in run(acts) if isinstance(m, Pictures)]
-    assert stamps == [100 * NS + n * 33 * MS for n in range(3)]
 
 
 @pytest.mark.parametrize(("flip", "passed"), [("none", True), ("horizontal", False)])

@@ -17,10 +17,8 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from surg_perception.capture import eye_layout, frame_pipe
-from surg_perception.capture.device_clock import DeviceClock
 from surg_perception.capture.frame_pipe import DeviceState, Pictures
 from surg_perception.capture.picture_source import (
-    DEVICE_TIME,
     Grabbed,
     PictureSource,
     SourceError,
@@ -76,18 +74,15 @@ class Settings:
 class EyeSplitter:
     """From what a source grabs to the eyes, or the reason why there are none."""
 
-    def __init__(self, settings: Settings, live: bool, stamps: str) -> None:
+    def __init__(self, settings: Settings, live: bool) -> None:
         self._settings = settings
         rows = settings.layout == "rows"
         self._watches = [SignalWatch(settings.size, not live, rows) for _ in range(2)]
-        self._clock = DeviceClock() if stamps == DEVICE_TIME else None
 
     def take(self, grabbed: Grabbed) -> Pictures | DeviceState:
         """The eyes with one stamp; a state where a picture does not show a live endoscope."""
         settings = self._settings
         stamp = grabbed.stamp_ns
-        if self._clock is not None:
-            stamp = self._clock.ros_time(stamp, grabbed.received_ns)
         for watch, picture in zip(self._watches, grabbed.pictures, strict=False):
             signal = watch.judge(picture, stamp)
             if signal is not Signal.LIVE:
@@ -140,7 +135,7 @@ def messages(settings: Settings, wanted: Wanted) -> Iterator[Pictures | DeviceSt
         try:
             source = reopen.open(wanted)
             reopen = SourceUri(uri.kind, source.reopen, uri.options)
-            divider = EyeSplitter(settings, source.live, source.stamps)
+            divider = EyeSplitter(settings, source.live)
             for grabbed in source.pictures():
                 message = divider.take(grabbed)
                 code = message.code if isinstance(message, DeviceState) else frame_pipe.OPEN

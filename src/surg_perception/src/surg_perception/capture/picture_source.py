@@ -21,10 +21,6 @@ from surg_core.plugins import PluginError, PluginKind
 
 Image = NDArray[np.uint8]
 
-ROS_TIME = "ros_time"
-DEVICE_TIME = "device_time"
-STAMPS = (ROS_TIME, DEVICE_TIME)
-
 
 class SourceError(Exception):
     """Why there are no pictures.
@@ -44,7 +40,7 @@ class Grabbed:
     """What a device delivered at one time.
 
     Attributes:
-        stamp_ns: Of the exposure, by the clock that the source states.
+        stamp_ns: Of the exposure, in ROS time.
         received_ns: When it arrived, in ROS time.
         pictures: (h, w, 3) RGB: one picture, or the left and the right eye's.
         jpegs: The same as the device coded them; empty: it did not.
@@ -85,8 +81,6 @@ class PictureSource(abc.ABC):
     live = True
     """Whether a sensor makes the pictures: the same picture again is then a fault, and the source
     is opened again when it has gone."""
-    stamps = ROS_TIME
-    """Clock of the stamps: ROS time, or the device's own."""
     keys: tuple[str, ...] = ()
     """Options that may stand behind ``?``."""
 

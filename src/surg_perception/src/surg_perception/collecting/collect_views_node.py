@@ -157,19 +157,9 @@ def status_message(status: Status) -> CalibrationStatus:
         version=CalibrationStatus.VERSION,
         state=getattr(CalibrationStatus, f"STATE_{status.state.name}"),
         step=getattr(CalibrationStatus, f"STEP_{status.step.name if status.step else 'NONE'}"),
-        views=status.views,
-        wanted=status.wanted,
-        progress=status.progress,
-        hint=status.hint,
-        missing=list(status.missing),
         columns=collector.COLUMNS,
         rows=collector.ROWS,
-        fields=list(status.fields),
-        needed=list(status.needed),
-        corners=list(status.corners),
-        residual=status.residual,
-        result=list(status.result),
-        folder=status.folder,
+        **{name: value for name, value in vars(status).items() if name not in ("state", "step")},
     )
     message.header.stamp = rospy.Time.now()
     return message

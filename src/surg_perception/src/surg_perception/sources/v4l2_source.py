@@ -1,8 +1,9 @@
 """``v4l2:/dev/video0``: a grabber or camera of Video4Linux, stamped by its driver.
 
-Most drivers stamp by the system's monotonic clock, some by the wall clock. FFmpeg hands on what the
-driver says (``timestamps=default``). Its own conversion (``abs``) filters: on the kernel's vivid at
-5 pictures per second the stamps lay 0.18 s in the future.
+Most drivers stamp by the system's monotonic clock, some by the wall clock; a picture of any other
+is stamped on arrival. FFmpeg hands on what the driver says (``timestamps=default``). Its own
+conversion (``abs``) filters: on the kernel's vivid at 5 pictures per second the stamps lay 0.18 s in
+the future.
 """
 
 from __future__ import annotations
@@ -16,8 +17,6 @@ from typing import Any
 import av
 
 from surg_perception.capture.picture_source import (
-    DEVICE_TIME,
-    ROS_TIME,
     Grabbed,
     PictureSource,
     SourceError,
@@ -62,7 +61,6 @@ class V4l2Source(PictureSource):
         self._container = self._open()
         self._first = self._next()
         self._clock = self._clock_of(self._first)
-        self.stamps = ROS_TIME if self._clock is not None else DEVICE_TIME
         self._check()
 
     @property
@@ -99,16 +97,16 @@ class V4l2Source(PictureSource):
         return packet
 
     def _clock_of(self, packet: Any) -> Callable[[], int] | None:
-        """The clock by which the driver stamps; None: one of its own."""
+        """The clock by which the driver stamps; None: an unknown one."""
         for clock in (self.wanted.monotonic, self.wanted.now):
             if 0 <= clock() - _nanoseconds(packet) < OLDEST_NS:
                 return clock
         return None
 
     def _stamp(self, packet: Any, received: int) -> int:
-        """The driver's stamp, in ROS time where the clock is known [ns]."""
+        """The driver's stamp in ROS time; where its clock is unknown, the arrival [ns]."""
         if self._clock is None:
-            return _nanoseconds(packet)
+            return received
         return received - max(0, self._clock() - _nanoseconds(packet))
 
     def _gone(self) -> SourceError:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
 from urllib.parse import urlparse
 
 import mujoco
@@ -23,17 +22,6 @@ from surg_sim.nodes.sim_bridge_node import Bridge
 from surg_sim.nodes.sim_parameters import BridgeSettings
 from surg_sim.physics import patient_settings
 from surg_sim.physics.world import World
-
-
-def _viewer(world: World) -> Callable[[], None]:
-    """Open a passive viewer and return its refresh function; warn if there is no display."""
-    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        rospy.logwarn("~view: this session has no display (DISPLAY is not set): no viewer window")
-        return lambda: None
-    import mujoco.viewer
-
-    viewer = mujoco.viewer.launch_passive(world.model, world.data, show_left_ui=False)
-    return lambda: viewer.sync() if viewer.is_running() else None
 
 
 def _require_loopback(settings: BridgeSettings) -> None:
@@ -60,7 +48,6 @@ def main() -> int:
         world = World(
             cell,
             settings.seed,
-            visuals=settings.view,
             arms=settings.arms,
             tool_errors=tool_errors(known, settings.seed) or None,
             setting=patient_settings.find_setting(settings.setting) if settings.setting else None,
@@ -72,7 +59,7 @@ def main() -> int:
         return 2
     # Switch threads quickly: answers arrive on threads of their own.
     sys.setswitchinterval(1e-4)
-    return Bridge(settings, world, injector).run(_viewer(world) if settings.view else lambda: None)
+    return Bridge(settings, world, injector).run()
 
 
 if __name__ == "__main__":

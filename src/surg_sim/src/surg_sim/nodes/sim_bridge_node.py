@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import rospy
@@ -227,20 +227,16 @@ class Bridge:
 
     # --- the two modes ----------------------------------------------------------------------
 
-    def run(self, view: Callable[[], None]) -> int:
-        """Serve until shutdown; the exit code is 1 after an aborted lock-step run, else 0.
-
-        ``view`` updates a viewer; it is called a few times a second with the lock held.
-        """
+    def run(self) -> int:
+        """Serve until shutdown; the exit code is 1 after an aborted lock-step run, else 0."""
         work = self._watch_lockstep if self.lockstep else self._free_run
         worker = threading.Thread(target=work, daemon=True)
         worker.start()
         due = 0.0
         while not rospy.is_shutdown() and not self._aborted:
-            with self._lock:
-                view()
-                if time.monotonic() >= due:
-                    due = time.monotonic() + _STATUS_PERIOD
+            if time.monotonic() >= due:
+                due = time.monotonic() + _STATUS_PERIOD
+                with self._lock:
                     self._publish_status()
             time.sleep(0.04)
         worker.join(1.0)

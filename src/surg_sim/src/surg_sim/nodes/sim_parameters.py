@@ -25,7 +25,6 @@ class BridgeSettings:
     observers: tuple[str, ...] = names((), options=tuple(OBSERVER_WINDOWS))
     arms: tuple[str, ...] = names(())  # arms to simulate; empty: all of the cell
     seed: int = whole(0, _SEEDS, 0)
-    view: bool = flag(False)  # open a viewer window where there is a display
     # The simulator tracks the trocars and publishes ``rcm/track``, this old [s]; -1: it does not.
     # In lock-step the controller must have ``sim`` among its participants.
     track_stale: float = real(-1.0, 1.0, -1.0)

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import rospy
+from geometry_msgs.msg import WrenchStamped
 from rosgraph_msgs.msg import Clock
 
 import surg_core
@@ -19,7 +20,6 @@ from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.arm_topics_node import ArmTopics
 from surg_sim.nodes.exposure_schedule import ExposureSchedule
 from surg_sim.nodes.fault_injector import Injector
-from surg_sim.nodes.flange_topic_node import FlangeTopics
 from surg_sim.nodes.task_topics_node import TaskTopics
 from surg_sim.physics.sim_arm import ArmLink
 from surg_sim.physics.world import World
@@ -142,3 +142,24 @@ class StatePublisher:
         if "endoscope" in observers and not listeners(self._snapshot) & ready:
             missing.append("the endoscope does not subscribe /sim/snapshot")
         return missing
+
+
+class FlangeTopics:
+    """``<arm>/flange/measured_cf`` of every arm that has a force sensor there, in free-run."""
+
+    def __init__(self, world: World) -> None:
+        self._outputs = [
+            (
+                sensor,
+                link_messages.text(f"{name}_force_sensor"),
+                BytesPublisher(f"/{name}/flange/measured_cf", WrenchStamped, blocking=False),
+            )
+            for name, sensor in world.force_sensors.items()
+        ]
+
+    def publish(self, tick: int, stamp_ns: int) -> None:
+        """The readings of the state that is there."""
+        for sensor, frame, output in self._outputs:
+            if output.connections:
+                force, torque = sensor.reading[:3], sensor.reading[3:]
+                output.send(bridge_messages.pack_wrench(stamp_ns, tick, frame, force, torque))

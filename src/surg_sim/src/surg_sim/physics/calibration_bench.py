@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import math
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -24,6 +23,7 @@ from surg_sim.arrays import Array
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.trocar import TrocarParameters, shaft_in_flange
 from surg_sim.physics.world import World
+from surg_sim.placement.arm_reserve import inverse
 
 MOTIONS = ("tip", "roll", "trocar")
 ENCODER_SIGMA = 2e-5
@@ -101,22 +101,10 @@ class Bench:
         return X
 
     def _inverse(self, X: Array) -> Array | None:
-        """Joints (n,) for a flange pose, from home by damped Newton steps; None: out of reach."""
-        q, chain = self.home.copy(), self.arm.chain
-        for _ in range(100):
-            present = chain.forward(q)
-            R = X[:3, :3] @ present[:3, :3].T
-            angle = math.acos(float(np.clip((np.trace(R) - 1) / 2, -1, 1)))
-            w = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-            scale = 0.5 if angle < 1e-6 else angle / (2 * math.sin(angle))
-            error = np.concatenate([X[:3, 3] - present[:3, 3], scale * w])
-            if np.linalg.norm(error) < 1e-12:
-                low, high = self.arm.robot.position_min, self.arm.robot.position_max
-                return q if np.all((q > low) & (q < high)) else None
-            J = chain.jacobian(q)
-            step = J.T @ np.linalg.solve(J @ J.T + 1e-10 * np.eye(6), error)
-            q = q + step * min(1.0, 0.3 / float(np.max(np.abs(step))))
-        return None
+        """Joints (n,) for a flange pose (4, 4), from home; None: out of reach."""
+        q = inverse(self.arm.chain, self.home, X, 100)
+        low, high = self.arm.robot.position_min, self.arm.robot.position_max
+        return q if q is not None and np.all((q > low) & (q < high)) else None
 
     def _measure(self, world: World, goal: Array) -> Array:
         """Guides the simulated arm there; what its encoders say at standstill (n,)."""

@@ -9,6 +9,7 @@ import numpy as np
 
 import surg_core
 from surg_core import axis_angle_to_matrix
+from surg_core.transforms import minimal_rotation
 from surg_sim.arrays import Array
 from surg_sim.physics.trocar import shaft_in_flange
 
@@ -91,7 +92,7 @@ def reserve(arm: surg_core.Arm, q_home: Array, workspace: Workspace) -> Reserve 
             for share in (0.5, 1.0):
                 p = (1 - share) * depth * s + share * corner
                 axis = p / np.linalg.norm(p)
-                R = between(s, axis) @ axis_angle_to_matrix(s, share * roll) @ R_home
+                R = minimal_rotation(s, axis) @ axis_angle_to_matrix(s, share * roll) @ R_home
                 X = np.eye(4)
                 X[:3, :3], X[:3, 3] = R, p_Rcm + p - R @ p_FTip
                 reached = inverse(arm.chain, q, X, 20)
@@ -114,14 +115,3 @@ def reserve(arm: surg_core.Arm, q_home: Array, workspace: Workspace) -> Reserve 
             share = float((workspace.acceleration * rows / robot.acceleration).max())
             acceleration = max(acceleration, share)
     return Reserve(margin, speed, acceleration, singular, np.array(postures))
-
-
-def between(a: Array, b: Array) -> Array:
-    """Smallest rotation (3, 3) that carries unit vector a to b."""
-    axis = np.cross(a, b)
-    sine = float(np.linalg.norm(axis))
-    return (
-        np.eye(3)
-        if sine < 1e-12
-        else axis_angle_to_matrix(axis / sine, float(np.arctan2(sine, a @ b)))
-    )

@@ -16,6 +16,7 @@ import numpy as np
 
 import surg_core
 from surg_core import axis_angle_to_matrix
+from surg_core.transforms import minimal_rotation
 from surg_sim.arrays import Array
 from surg_sim.physics.sim_arm import tip_in_flange
 from surg_sim.physics.trocar import shaft_in_flange
@@ -25,7 +26,6 @@ from surg_sim.placement.arm_reserve import (
     INSTRUMENT,
     Reserve,
     Workspace,
-    between,
     inverse,
     reserve,
 )
@@ -178,7 +178,9 @@ def place_instrument(arm: surg_core.Arm, rng: np.random.Generator) -> Placement:
         tips = []
         for roll in np.arange(8) * np.pi / 4:
             X = np.eye(4)
-            X[:3, :3] = axis_angle_to_matrix(-u, roll) @ between(np.array([0.0, 0.0, 1.0]), -u)
+            X[:3, :3] = axis_angle_to_matrix(-u, roll) @ minimal_rotation(
+                np.array([0.0, 0.0, 1.0]), -u
+            )
             tips.append(X)
         best_of_azimuth += find_placements(arm, tips, bases, workspace, rng)[:1]
     if not best_of_azimuth:
