@@ -2,8 +2,8 @@
 
 Most drivers stamp by the system's monotonic clock, some by the wall clock; a picture of any other
 is stamped on arrival. FFmpeg hands on what the driver says (``timestamps=default``). Its own
-conversion (``abs``) filters: on the kernel's vivid at 5 pictures per second the stamps lay 0.18 s in
-the future.
+conversion (``abs``) filters: on the kernel's vivid at 5 pictures per second the stamps lay 0.18 s
+in the future.
 """
 
 from __future__ import annotations
