@@ -16,20 +16,7 @@ from surg_sim.tasks import episode_seeds
 ROBOTS = {"UR5e": "sim_two_arms", "Panda": "sim_two_arms_panda"}
 """Robot of the instrument, and the bundled cell with it."""
 EPISODES = 100
-HEAD = f"""# The phantom: tasks and settings
-
-Written by `./surg test --full tests/unit/sim/test_sim_evaluate.py`: simulation, in process, with
-scripted senders and test seeds. RCM deviations and force at the trocar: largest of all samples of
-the commanded arm. True: to the undisturbed trocar point. Settings: {", ".join(SETTINGS)}.
-"""
-COLUMNS = ("task, robot", "success", "95 % [%]", "kinematic [mm]", "true [mm]", "force [N]")
-PAGE = ResultsPage(
-    "phantom.md",
-    HEAD,
-    [f"{task}, {robot}" for task in tasks.names() for robot in ROBOTS],
-    keep=True,
-    columns=COLUMNS,
-)
+PAGE = ResultsPage("phantom.md")
 
 
 def measured(task: str, cell: str, setting: str) -> tuple[int, list[ArmReport]]:
