@@ -7,5 +7,5 @@ setup(
     version="0.1.0",
     packages=["surg_core", "surg_core.force", "surg_core.hand", "surg_core.pictures"],
     package_dir={"": "python"},
-    package_data={"surg_core": ["py.typed", "_core/*.pyi"]},
+    package_data={"surg_core": ["py.typed"]},
 )

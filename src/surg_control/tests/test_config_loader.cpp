@@ -2,7 +2,6 @@
 // allowed.
 #include <gtest/gtest.h>
 
-#include <cmath>
 #include <filesystem>
 #include <random>
 #include <string>
@@ -10,7 +9,6 @@
 
 #include "support/small_cell.hpp"
 #include "surg_core/files/arm_setup.hpp"
-#include "surg_core/files/document.hpp"
 
 namespace surg_control {
 namespace {
@@ -61,52 +59,6 @@ TEST(ConfigLoader, ToolIsReadWithTheChecksOfAStart) {
   expect_parts(error(setup.arm.instrument + " gone.yaml"), {"gone.yaml"});
   expect_parts(error("other.yaml"), {"other.yaml", "calibration file", "second word"});
   expect_parts(error("a b c"), {"more than two words"});
-}
-
-TEST(ConfigLoader, FlattensWithLines) {
-  SmallCell cell;
-  cell.write("x.yaml",
-             "a: 1\nb:\n  c: [1, 2.5, -3e-2]\n  d: {e: text, f: \"12\"}\nt: TRUE\n"
-             "words: [x, \"2\"]\nempty: []\ninf: -.inf\nnan: .NaN\nodd: 1_0\nhuge: 1e999\n"
-             "none: {}\nzero: 010\n");
-  const surg::Document document = surg::load_document(cell.path("x.yaml"));
-  EXPECT_EQ(std::get<double>(document.values.at("a")), 1);
-  EXPECT_EQ(std::get<std::vector<double>>(document.values.at("b.c")),
-            (std::vector<double>{1, 2.5, -0.03}));
-  EXPECT_EQ(std::get<std::string>(document.values.at("b.d.e")), "text");
-  EXPECT_EQ(std::get<std::string>(document.values.at("b.d.f")), "12");
-  EXPECT_TRUE(std::get<bool>(document.values.at("t")));
-  EXPECT_EQ(std::get<std::vector<std::string>>(document.values.at("words")),
-            (std::vector<std::string>{"x", "2"}));
-  EXPECT_TRUE(std::get<std::vector<double>>(document.values.at("empty")).empty());
-  EXPECT_EQ(std::get<double>(document.values.at("inf")), -INFINITY);
-  EXPECT_TRUE(std::isnan(std::get<double>(document.values.at("nan"))));
-  EXPECT_EQ(std::get<std::string>(document.values.at("odd")), "1_0");
-  EXPECT_EQ(std::get<double>(document.values.at("huge")), INFINITY);
-  EXPECT_EQ(std::get<double>(document.values.at("zero")), 10);
-  EXPECT_EQ(document.values.count("none"), 0U);
-  EXPECT_EQ(document.lines.at("a"), 1);
-  EXPECT_EQ(document.lines.at("b.c"), 3);
-  EXPECT_EQ(document.lines.at("b.d.f"), 4);
-}
-
-TEST(ConfigLoader, LoadsWholeArm) {
-  SmallCell cell;
-  for (const std::string& path : {cell.cell(), cell.path("cell/cell.yaml")}) {
-    for (const std::string arm : {"PSM1", ""}) {
-      const surg::ArmSetup setup = surg::load_arm(path, arm);
-      EXPECT_EQ(setup.cell_name, "small_cell");
-      EXPECT_EQ(setup.arm.name, "PSM1");
-      EXPECT_EQ(setup.robot.name, "small");
-      EXPECT_EQ(setup.limits.tip_velocity, 0.2);  // tightened
-      EXPECT_EQ(setup.robot.limits.tip_velocity, 0.25);
-      EXPECT_EQ(setup.mounted.tool.p_FTip, surg::Vector3(0.06, 0, 0.3));
-      EXPECT_EQ(setup.trocar.p_BRcm, surg::Vector3(0.5, 0.1, 0.2));
-      EXPECT_EQ(setup.robot_urdf, cell.path("robot.urdf"));
-      EXPECT_EQ(setup.mounted.instrument_urdf, cell.path("tool.urdf"));
-      EXPECT_TRUE((setup.X_WB * surg::Vector3::UnitX()).isApprox(surg::Vector3(0.1, 1.2, 0.3)));
-    }
-  }
 }
 
 /// A small cell with a second arm, PSM2, whose base was measured.
@@ -171,59 +123,6 @@ TEST(ConfigLoader, ABaseThatWasNotMeasuredInThisCellIsRefused) {
   add_measured_arm(cell);
   cell.write("cell/calibration/base_PSM1.yaml", cell.read(file));
   expect_parts(error_of(cell, "PSM1"), {"base_PSM1.yaml", "first arm", "delete"});
-}
-
-TEST(ConfigLoader, RefusesWithFileAndLine) {
-  struct Case {
-    const char* file;
-    const char* old_text;
-    const char* new_text;
-    std::vector<std::string> parts;
-  };
-  const std::vector<Case> cases{
-      {"robot.yaml", "name: small\n", "name: small\nname: other\n", {"robot.yaml:3", "twice"}},
-      {"robot.yaml", "cone: 1.0471975512", "cone: [1", {"robot.yaml", "is not YAML"}},
-      {"robot.yaml", "tip_velocity: 0.25", "tip_velocity: 25", {"robot.yaml:15", "tip_velocity"}},
-      {"robot.yaml", "tip_velocity: 0.25", "tip_velocity: .nan", {"robot.yaml:15"}},
-      {"robot.yaml", "tip_velocity: 0.25", "tip_velocity:", {"robot.yaml:15", "empty"}},
-      {"robot.yaml", "tip_velocity: 0.25", "tip_velocty: 0.25", {"robot.yaml", "tip_velocity"}},
-      {"robot.yaml", "tip_velocity: 0.25", "tip.velocity: 0.25", {"robot.yaml:15", "dots"}},
-      {"robot.yaml", "[1, 1, 1, 1, 1, 1]", "[1, a, 1, 1, 1, 1]", {"robot.yaml:12", "one kind"}},
-      {"robot.yaml", "[1, 1, 1, 1, 1, 1]", "[[1], 1, 1]", {"robot.yaml:12", "one kind"}},
-      {"robot.yaml", "surg_robot/1", "surg_robot/2", {"robot.yaml:1", "surg_robot/1"}},
-      {"cell/cell.yaml", "tip_velocity: 0.2", "tip_velocity: 0.3", {"cell.yaml", "tip_velocity"}},
-      {"cell/cell.yaml",
-       "../robot.yaml",
-       "../none.yaml",
-       {"cell.yaml:6", "none.yaml", "there is no"}},
-      {"cell/cell.yaml", "../robot.yaml", "..", {"Is a directory"}},
-      {"instrument.yaml", "tool.urdf", "none.urdf", {"instrument.yaml", "none.urdf"}},
-      {"cell/calibration/tool_PSM1.yaml", "[0, 0, 1]", "[0, 0, 0.5]", {"tool_PSM1.yaml:2"}},
-  };
-  for (const Case& one : cases) {
-    SmallCell cell;
-    cell.replace(one.file, one.old_text, one.new_text);
-    const std::string error = error_of(cell);
-    ASSERT_NE(error, "") << one.file << ": " << one.new_text << " was accepted";
-    expect_parts(error, one.parts);
-  }
-}
-
-TEST(ConfigLoader, NamesArmsAndMissingFiles) {
-  SmallCell cell;
-  expect_parts(error_of(cell, "PSM9"), {"cell.yaml", "PSM9", "PSM1"});
-  std::filesystem::remove(cell.path("cell/calibration/trocar_PSM1.yaml"));
-  expect_parts(error_of(cell), {"trocar_PSM1.yaml", "No such file"});
-  cell.write("cell/cell.yaml", "");
-  expect_parts(error_of(cell), {"cell.yaml", "mapping"});
-  cell.write("cell/cell.yaml", "a: 1\n---\nb: 2\n");
-  expect_parts(error_of(cell), {"cell.yaml", "several"});
-  cell.write("cell/cell.yaml", std::string(2 << 20, 'x'));
-  expect_parts(error_of(cell), {"cell.yaml", "1 MiB"});
-  cell.write("cell/cell.yaml", "- 1\n");
-  expect_parts(error_of(cell), {"cell.yaml:1", "mapping"});
-  cell.write("cell/cell.yaml", "a: &x\n  b: *x\n");
-  expect_parts(error_of(cell), {"cell.yaml:2", "a.b", "itself"});
 }
 
 TEST(ConfigLoader, NeverCrashesOnBrokenBytes) {

@@ -1,46 +1,34 @@
 """Write the type stubs of the compiled core from the signatures that pybind11 puts into docstrings.
 
-Run it after a change of the binding, in a built workspace::
-
-    . devel/setup.sh && python3 src/surg_core/tools/write_stub.py
-
-A test compares the stubs with what this program would write.
+The build of the workspace runs it: ``write_stub.py FOLDER FILE`` with the folder of the module.
 """
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import re
-import shutil
-import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-FOLDER = Path(__file__).resolve().parents[1] / "python" / "surg_core" / "_core"
-HEAD = '''"""Types of the compiled core; ``help({module})`` describes each name.
-
-Written by src/surg_core/tools/write_stub.py.
-"""
+HEAD = """# Written by the build.
 
 import enum
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
-{imports}
-'''
-ENUMERATIONS = "# pybind11's enumerations are no enum.Enum; they behave as declared here.\n"
+
+"""
 
 TYPES = {
     "CellArm.home": "tuple[float, ...]",
     "CameraConfig.frames": "tuple[str, ...]",
     "CellConfig.arms": "tuple[CellArm, ...]",
-    "NextPose.follow": "tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]",
     "RobotConfig.joint_names": "tuple[str, ...]",
-    "Trajectory.limited_by": "tuple[str, ...]",
-    "Trajectory.verdicts": "tuple[tuple[int, Verdict], ...]",
     "shaft_angles": "tuple[float, float]",
     "Limits.as_dict": "dict[str, float]",
     "Tuning.as_dict": "dict[str, float]",
@@ -49,41 +37,19 @@ TYPES = {
 
 
 def stub(module: ModuleType) -> str:
-    """The stub of a module of the binding.
-
-    Args:
-        module: ``surg_core._core`` or its submodule ``testing``.
-
-    Returns:
-        The text of its ``.pyi`` file before formatting.
-
-    Raises:
-        ValueError: When a signature names a C++ type: bind that type first.
-    """
-    constants, enumerations, classes, functions = [], [], [], []
+    """The text of the module's ``.pyi`` file."""
+    enumerations, classes, functions = [], [], []
     for name, value in sorted(vars(module).items()):
         if name.startswith("_") or inspect.ismodule(value):
             continue
         if not inspect.isclass(value):
-            if inspect.isroutine(value):
-                functions += function(name, value, name)
-            else:
-                constants.append(f"{name}: {type(value).__name__}")
+            functions += function(name, value, name)
         elif hasattr(value, "__members__"):
             enumerations += enumeration(name, value)
         else:
             classes += list(members(name, value))
-    text = "\n".join([*constants, "", ENUMERATIONS, *enumerations, *classes, "", *functions])
-    return without_module(module, text if enumerations else text.replace(ENUMERATIONS, ""))
-
-
-def without_module(module: ModuleType, text: str) -> str:
-    """The text with its head, and with names of this module and its parent unqualified."""
-    parent = module.__name__.rpartition(".")[0]
-    text = text.replace(f"{module.__name__}.", "")
-    used = sorted(set(re.findall(rf"{re.escape(parent)}\.(\w+)", text)))
-    imports = f"\nfrom {parent} import {', '.join(used)}\n" if used else ""
-    return HEAD.format(module=module.__name__, imports=imports) + text.replace(f"{parent}.", "")
+    text = "\n".join([*enumerations, *classes, *functions])
+    return HEAD + text.replace(f"{module.__name__}.", "") + "\n"
 
 
 def enumeration(name: str, kind: Any) -> list[str]:
@@ -135,9 +101,6 @@ def signature(doc: str, where: str) -> tuple[list[str], str]:
             continue
         parameters.append(f"{name.strip()}: {argument(kind)}" + (" = ..." if equals else ""))
     wanted = TYPES.get(where, outcome(result))
-    for text in (*parameters, wanted):
-        if "::" in text:
-            raise ValueError(f"{where}: {text}: bind that type before it is used")
     return parameters, wanted
 
 
@@ -180,27 +143,7 @@ def outcome(kind: str) -> str:
     return re.sub(r"numpy\.ndarray\[numpy\.(\w+)\]", r"npt.NDArray[np.\1]", kind)
 
 
-def formatted(text: str) -> str:
-    """The stub as ruff formats it, without the imports that it does not use."""
-    ruff = shutil.which("ruff") or str(Path(__file__).resolve().parents[3] / ".venv/bin/ruff")
-    for arguments in (["check", "--quiet", "--fix-only", "--select=F401,I"], ["format", "--quiet"]):
-        command = [ruff, *arguments, "--stdin-filename", str(FOLDER / "__init__.pyi"), "-"]
-        text = subprocess.run(
-            command, input=text, capture_output=True, text=True, check=True
-        ).stdout
-    return text
-
-
-def stubs() -> dict[Path, str]:
-    """Path and text of every stub."""
-    from surg_core import _core
-
-    modules = {"__init__.pyi": _core, "testing.pyi": _core.testing}
-    return {FOLDER / name: formatted(stub(module)) for name, module in modules.items()}
-
-
 if __name__ == "__main__":
-    FOLDER.mkdir(exist_ok=True)
-    for path, text in stubs().items():
-        path.write_text(text)
-        print(path)
+    folder, file = sys.argv[1:]
+    sys.path.insert(0, folder)
+    Path(file).write_text(stub(importlib.import_module("_core")), encoding="utf-8")

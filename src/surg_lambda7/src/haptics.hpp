@@ -1,15 +1,25 @@
-// Force feedback to a hand: faded, limited, and passive. No ROS, no clock. The same as
-// surg_core/force/haptics.py and passivity.py, which say why; a test holds the two equal.
+// Force feedback to a hand: faded, limited, and passive. No ROS, no clock. A measured force passes,
+// in this order: a limit of its size, a limit of its rate, a gate that fades to zero when anything
+// is silent or not allowed, and a passivity controller for each axis, which has the last word.
 #pragma once
 
 #include <Eigen/Core>
 #include <array>
+#include <cstddef>
 #include <limits>
 
 namespace surg_teleop {
 
 /// One axis of a force that is fed back. Time-domain passivity observer and controller after
 /// Hannaford and Ryu, IEEE Transactions on Robotics and Automation 18(1), 2002, one step ahead.
+///
+/// The hand sees a force that answers its own position late; such a loop can give out more energy
+/// than it took in, and then it swings. The observer counts the energy that the hand has put in,
+/// exactly, since the force is constant between two samples: E(n) = sum of -f(k - 1) (x(k) - x(k -
+/// 1)). The controller adds damping whenever the next step would take more than is there. While the
+/// force gives out energy that is not there, its share falls; it comes back slowly. Below a floor
+/// it gives out none at all. Damping alone would switch the force at every sign of a small,
+/// quantised speed, and that noise carries energy, too.
 class PassivityChannel {
  public:
   /// Largest damping [N s/m] and largest force [N] that are given out.
@@ -35,15 +45,15 @@ class PassivityChannel {
   double share_ = 1.0;
 };
 
-/// What a hand may feel; meanings as in surg_core/force/haptics.py.
+/// What a hand may feel.
 struct HapticLimits {
-  double scale = 1.0;
-  double max_force = 5.0;       // [N]
-  double max_rate = 200.0;      // [N/s]
-  double silent_after = 0.020;  // [s]; with fade_out it must end within 0.05
-  double fade_out = 0.025;      // [s]
-  double fade_in = 0.5;         // [s]
-  double damping = 30.0;        // [N s/m]
+  double scale = 1.0;           ///< force on the hand over force at the tip
+  double max_force = 5.0;       ///< [N] on the hand
+  double max_rate = 200.0;      ///< [N/s] growth or turn of that force
+  double silent_after = 0.020;  ///< [s] age of a silent measurement; ends with fade_out within 0.05
+  double fade_out = 0.025;      ///< [s] from all to nothing
+  double fade_in = 0.5;         ///< [s] and back
+  double damping = 30.0;        ///< [N s/m] largest of the passivity controller
 };
 
 /// The force on one hand. It begins faded out.
@@ -59,6 +69,9 @@ class HapticFeedback {
   /// engaged and not paused, and the time since the last step [s].
   Eigen::Vector3d step(const Eigen::Vector3d& force, double age, const Eigen::Vector3d& position,
                        bool allowed, double dt);
+
+  /// That the hand has put into an axis [J].
+  double energy(std::size_t axis) const { return axes_[axis].energy(); }
 
   /// Share of the force that is let through, 0 to 1.
   double gate() const { return gate_; }

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
-from surg_core import testing
+from surg_core import _core
 from surg_recording import metrics
 
 Array = NDArray[np.float64]
@@ -27,35 +27,11 @@ PATH_CUTOFF_HZ = 3.0
 """As in the summary of a run: tremor adds length without going anywhere."""
 
 
-def filter_law(limits: testing.DofLimits, delay: float = 0.0) -> Law:
+def filter_law(limits: _core.DofLimits, delay: float = 0.0) -> Law:
     """The shipped stream filter behind its estimate."""
 
     def law(t: Array, samples: Array, n: int) -> Array:
-        return testing.stream_filter(t, samples, limits, TICK, delay=delay)[:n]
-
-    return law
-
-
-def hold_last(t: Array, samples: Array, n: int) -> Array:
-    """The last sample, as it is: what a position servo without a filter would get."""
-    held = np.searchsorted(t, np.arange(n) * TICK + 1e-9, side="right") - 1
-    return samples[held]
-
-
-def paper_quintic(duration: float = 0.5) -> Law:
-    """The paper's profiler: each cycle a new quintic of fixed duration to the last sample."""
-
-    def law(t: Array, samples: Array, n: int) -> Array:
-        anything = testing.DofLimits(1e9, 1e9, 1e9)
-        profiler = testing.Profiler([anything] * 4, duration)
-        profiler.reset([*samples[0], 0.0])
-        goals = np.column_stack((hold_last(t, samples, n), np.zeros(n)))
-        out = np.empty((n, 3, 3))
-        for k, goal in enumerate(goals):
-            profiler.plan_fixed(goal, duration)
-            profiler.advance(TICK)
-            out[k] = [(s.x, s.v, s.a) for s in profiler.state[:3]]
-        return out
+        return _core.stream_filter(t, samples, limits, TICK, delay=delay)[:n]
 
     return law
 
@@ -101,7 +77,7 @@ def play(law: Law, motion: CubicSpline, rate: float) -> Array:
     return law(stamps, motion(stamps), n)
 
 
-def judge(out: Array, motion: CubicSpline, limits: testing.DofLimits) -> Verdict:
+def judge(out: Array, motion: CubicSpline, limits: _core.DofLimits) -> Verdict:
     """Compare what a law made with the truth."""
     states = out if out.ndim == 3 else None
     p = out[:, :, 0] if states is not None else out
@@ -132,7 +108,7 @@ def judge(out: Array, motion: CubicSpline, limits: testing.DofLimits) -> Verdict
     )
 
 
-def violations(states: Array, limits: testing.DofLimits) -> tuple[int, int, int]:
+def violations(states: Array, limits: _core.DofLimits) -> tuple[int, int, int]:
     """Ticks and axes beyond each limit, from the states (n, axes, 3) at the ends of the ticks.
 
     The jerk of a tick is constant, and the velocity is checked inside the tick too.
@@ -148,7 +124,7 @@ def violations(states: Array, limits: testing.DofLimits) -> tuple[int, int, int]
     return _count(v, a, j, limits)
 
 
-def _violations(p: Array, states: Array | None, limits: testing.DofLimits) -> tuple[int, int, int]:
+def _violations(p: Array, states: Array | None, limits: _core.DofLimits) -> tuple[int, int, int]:
     """The same, from differences of the positions where there are no states."""
     if states is not None:
         return violations(states, limits)
@@ -156,7 +132,7 @@ def _violations(p: Array, states: Array | None, limits: testing.DofLimits) -> tu
     return _count(v, a, j, limits)
 
 
-def _count(v: Array, a: Array, j: Array, limits: testing.DofLimits) -> tuple[int, int, int]:
+def _count(v: Array, a: Array, j: Array, limits: _core.DofLimits) -> tuple[int, int, int]:
     counts = [
         int(np.count_nonzero(np.abs(x) > limit * ROUNDING))
         for x, limit in ((v, limits.velocity), (a, limits.acceleration), (j, limits.jerk))

@@ -9,7 +9,7 @@ import numpy as np
 
 from helpers.control.hand_motions import strokes, wandering
 from helpers.control.stream_transport import Followed, Option, Transport, follow, gain
-from surg_core import testing
+from surg_core import _core
 
 RATES = (25, 30, 100, 500, 1000, 2000)
 TRANSPORTS = (
@@ -21,8 +21,8 @@ HERTZ = (1, 2, 3, 9)
 HELD_OUT = ((strokes, 1001), (strokes, 1002), (wandering, 1003), (wandering, 1004))
 """The filter was tuned on strokes with seeds 0 to 2."""
 SECONDS = 24.0
-UR5E = testing.DofLimits(0.25, 2.0, 100.0)
-PANDA = testing.DofLimits(0.25, 0.6, 100.0)
+UR5E = _core.DofLimits(0.25, 2.0, 100.0)
+PANDA = _core.DofLimits(0.25, 0.6, 100.0)
 LEAST_TREMOR = 0.87
 """At 8 to 12 Hz, of any linear filter that is 5 ms late at 30 Hz and keeps 5 % below 3 Hz, with a
 gain of up to 1.5 elsewhere: the linear program of test_prediction_limit.py."""
@@ -55,7 +55,7 @@ def measure(
     rate: int,
     how: Transport,
     option: Option = Option(),  # noqa: B008 - frozen
-    limits: testing.DofLimits = UR5E,
+    limits: _core.DofLimits = UR5E,
     hands: int = len(HELD_OUT),
 ) -> Row:
     """One row of the table."""

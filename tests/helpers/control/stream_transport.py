@@ -8,7 +8,7 @@ import numpy as np
 
 from helpers.control.hand_motions import Array, Hand
 from helpers.control.stream_laws import PATH_CUTOFF_HZ, TICK, violations
-from surg_core import testing
+from surg_core import _core
 from surg_recording import metrics
 
 SETTLED = 2.0
@@ -87,13 +87,13 @@ def run(
     x: Array,
     taken: Array,
     transport: Transport,
-    limits: testing.DofLimits,
+    limits: _core.DofLimits,
     option: Option,
     seed: int,
 ) -> tuple[Array, Array, float]:
     """Ends of ticks (k,) [s], states (k, axes, 3) there, and the mean transport delay [s]."""
     arrivals = transport.arrivals(taken, seed)
-    states = testing.stream_filter(
+    states = _core.stream_filter(
         CLOCK[0] + CLOCK[1] * taken,
         x,
         limits,
@@ -112,7 +112,7 @@ def follow(
     seconds: float,
     rate: float,
     transport: Transport,
-    limits: testing.DofLimits,
+    limits: _core.DofLimits,
     option: Option = Option(),
     seed: int = 0,
 ) -> Followed:
@@ -145,7 +145,7 @@ def gain(
     hertz: float,
     rate: float,
     transport: Transport,
-    limits: testing.DofLimits,
+    limits: _core.DofLimits,
     option: Option = Option(),
 ) -> float:
     """Gain for a sine of 20 um, which no limit touches."""

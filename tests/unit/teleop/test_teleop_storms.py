@@ -19,7 +19,6 @@ from helpers.results.teleoperation_results import note
 from helpers.teleop.hand import Hand, settings
 from helpers.teleop.storm import EVENTS, Event, Storm
 from surg_cli.host import paths
-from surg_core import testing
 from surg_core.arm_view import ArmCommands, ArmState
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.follow.teleop_types import CameraView, ControlMode, TeleopState
@@ -86,7 +85,7 @@ def test_storms_on_the_real_controller(kind: ControlMode) -> None:
             limits.step_dt_max,
         ),
     )
-    joints = testing.joint_limits(arm.robot, limits)
+    joints = arm.robot
     engagements, fastest, swiftest, hardest = 0, 0.0, 0.0, 0.0
     for seed in range(REAL):
         rng = np.random.default_rng(1000 + seed)

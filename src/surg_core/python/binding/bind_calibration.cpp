@@ -8,29 +8,6 @@ namespace {
 
 const CalibrationLimits kUsual;
 
-void bind_calibration_limits(py::module_& m) {
-  py::class_<CalibrationLimits>(m, "CalibrationLimits", "What is asked of the evidence.")
-      .def(py::init([](int n_min, double condition_max, double rms_max, double worst_max,
-                       double axis_rms_max, double axis_worst_max, double distance_min) {
-             return CalibrationLimits{n_min,        condition_max,  rms_max,     worst_max,
-                                      axis_rms_max, axis_worst_max, distance_min};
-           }),
-           py::kw_only(), py::arg("n_min") = kUsual.n_min,
-           py::arg("condition_max") = kUsual.condition_max, py::arg("rms_max") = kUsual.rms_max,
-           py::arg("worst_max") = kUsual.worst_max, py::arg("axis_rms_max") = kUsual.axis_rms_max,
-           py::arg("axis_worst_max") = kUsual.axis_worst_max,
-           py::arg("distance_min") = kUsual.distance_min,
-           "Distances [m], angles [rad]; the defaults are those of ./surg calibrate.")
-      .def_readonly("n_min", &CalibrationLimits::n_min, "Fewest poses or shafts.")
-      .def_readonly("condition_max", &CalibrationLimits::condition_max)
-      .def_readonly("rms_max", &CalibrationLimits::rms_max, "[m]")
-      .def_readonly("worst_max", &CalibrationLimits::worst_max, "[m]")
-      .def_readonly("axis_rms_max", &CalibrationLimits::axis_rms_max, "[rad]")
-      .def_readonly("axis_worst_max", &CalibrationLimits::axis_worst_max, "[rad]")
-      .def_readonly("distance_min", &CalibrationLimits::distance_min,
-                    "[m] between two points of the shaft.");
-}
-
 void bind_fits(py::module_& m) {
   py::class_<Fit>(m, "Fit", "How well n observations agree.")
       .def_readonly("n", &Fit::n, "Poses or shafts.")
@@ -43,64 +20,55 @@ void bind_fits(py::module_& m) {
       });
 
   py::class_<TipFit>(m, "TipFit", "The tip, by pivoting it in a fixed divot.")
-      .def_property_readonly(
-          "p_FTip", [](const TipFit& t) { return frozen(from_matrix(t.p_FTip)); },
-          "(3,) in the flange frame [m].")
-      .def_property_readonly(
-          "p_BDivot", [](const TipFit& t) { return frozen(from_matrix(t.p_BDivot)); },
-          "(3,) in the base [m].")
-      .def_property_readonly(
-          "covariance", [](const TipFit& t) { return frozen(from_matrix(t.covariance)); },
-          "(3, 3) of p_FTip [m^2], from the residuals.")
+      .def_property_readonly("p_FTip", array_of(&TipFit::p_FTip), "(3,) in the flange frame [m].")
+      .def_property_readonly("p_BDivot", array_of(&TipFit::p_BDivot), "(3,) in the base [m].")
+      .def_property_readonly("covariance", array_of(&TipFit::covariance),
+                             "(3, 3) of p_FTip [m^2], from the residuals.")
       .def_readonly("fit", &TipFit::fit);
 
   py::class_<AxisFit>(m, "AxisFit", "The shaft axis.")
-      .def_property_readonly(
-          "s_F", [](const AxisFit& a) { return frozen(from_matrix(a.s_F)); },
-          "(3,) unit, flange to tip, in the flange frame.")
-      .def_property_readonly(
-          "covariance", [](const AxisFit& a) { return frozen(from_matrix(a.covariance)); },
-          "(3, 3) [rad^2], zero along s_F.")
+      .def_property_readonly("s_F", array_of(&AxisFit::s_F),
+                             "(3,) unit, flange to tip, in the flange frame.")
+      .def_property_readonly("covariance", array_of(&AxisFit::covariance),
+                             "(3, 3) [rad^2], zero along s_F.")
       .def_readonly("fit", &AxisFit::fit, "rms and worst in rad.");
 
   py::class_<PointFit>(m, "PointFit", "The trocar point, from shafts through it.")
-      .def_property_readonly(
-          "p_BRcm", [](const PointFit& p) { return frozen(from_matrix(p.p_BRcm)); },
-          "(3,) in the base [m].")
-      .def_property_readonly(
-          "covariance", [](const PointFit& p) { return frozen(from_matrix(p.covariance)); },
-          "(3, 3) [m^2].")
+      .def_property_readonly("p_BRcm", array_of(&PointFit::p_BRcm), "(3,) in the base [m].")
+      .def_property_readonly("covariance", array_of(&PointFit::covariance), "(3, 3) [m^2].")
       .def_readonly("fit", &PointFit::fit);
 }
 
 void bind_solvers(py::module_& m) {
   m.def(
       "calibrate_tip",
-      [](const Array& X_BF, const CalibrationLimits& limits) {
-        return calibrate_tip(to_poses(X_BF, "X_BF"), limits);
-      },
-      py::arg("X_BF"), py::arg_v("limits", kUsual, "CalibrationLimits()"),
+      [](const Array& X_BF) { return calibrate_tip(to_poses(X_BF, "X_BF"), kUsual); },
+      py::arg("X_BF"),
       "The tip in the flange frame from flange poses with the tip in one divot.\n\n"
       "X_BF: (n, 4, 4), or (n, 7) with x, y, z and a quaternion x, y, z, w. Raises "
       "CalibrationError\n"
       "for too few poses, too little tilting about two axes, or a tip that has left its divot.");
   m.def(
       "calibrate_axis_by_rolling",
-      [](const Array& X_BF, const Array& p_FTip, const CalibrationLimits& limits) {
+      [](const Array& X_BF, const Array& p_FTip) {
         return calibrate_axis_by_rolling(to_poses(X_BF, "X_BF"), to_vector3(p_FTip, "p_FTip"),
-                                         limits);
+                                         kUsual);
       },
-      py::arg("X_BF"), py::arg("p_FTip"), py::arg_v("limits", kUsual, "CalibrationLimits()"),
+      py::arg("X_BF"), py::arg("p_FTip"),
       "The shaft axis from flange poses (n, 4, 4) or (n, 7) in which the instrument was turned "
       "about\n"
       "its own shaft in a guide; p_FTip (3,) tells which way is outwards. Raises "
       "CalibrationError.");
-  m.def("calibrate_axis_by_points", &calibrate_axis_by_points, py::arg("tip"), py::arg("second"),
-        py::arg_v("limits", kUsual, "CalibrationLimits()"),
+  m.def(
+      "calibrate_axis_by_points",
+      [](const TipFit& tip, const TipFit& second) {
+        return calibrate_axis_by_points(tip, second, kUsual);
+      },
+      py::arg("tip"), py::arg("second"),
         "The shaft axis through two pivoted points of it. Raises CalibrationError when too close.");
   m.def(
       "calibrate_trocar",
-      [](const Array& p_B, const Array& s_B, const CalibrationLimits& limits) {
+      [](const Array& p_B, const Array& s_B) {
         const auto n = p_B.ndim() == 2 ? p_B.shape(0) : 0;
         check_shape(p_B, {n, 3}, "p_B");
         check_shape(s_B, {n, 3}, "s_B");
@@ -109,9 +77,9 @@ void bind_solvers(py::module_& m) {
           lines.push_back({Vector3(p_B.at(i, 0), p_B.at(i, 1), p_B.at(i, 2)),
                            Vector3(s_B.at(i, 0), s_B.at(i, 1), s_B.at(i, 2))});
         }
-        return calibrate_trocar(lines, limits);
+        return calibrate_trocar(lines, kUsual);
       },
-      py::arg("p_B"), py::arg("s_B"), py::arg_v("limits", kUsual, "CalibrationLimits()"),
+      py::arg("p_B"), py::arg("s_B"),
       "The point of the base nearest to n shafts: a point on each (n, 3) [m], unit directions (n, "
       "3).\n\n"
       "Raises CalibrationError for too few, too little tilting, or shafts that do not meet.");
@@ -127,7 +95,6 @@ void bind_calibration(py::module_& m) {
   py::register_exception<CalibrationError>(m, "CalibrationError", PyExc_ValueError).doc() =
       "A calibration that must not be used: what was found, what is allowed, what to do.";
 
-  bind_calibration_limits(m);
   bind_fits(m);
   bind_solvers(m);
 }

@@ -21,7 +21,7 @@ void bind_arm_shape(py::module_& m) {
            "capsules.")
       .def_readonly("name", &ArmShape::name)
       .def_property_readonly(
-          "capsules", [](const ArmShape& s) { return py::tuple(py::cast(s.capsules)); },
+          "capsules", tuple_of(&ArmShape::capsules),
           "In the frames behind their joints; the instrument's behind the last one.")
       .def(
           "placed",
@@ -70,8 +70,7 @@ void bind_capsules(py::module_& m) {
   py::class_<CellClearance>(m, "CellClearance", "The distances that the arms of a cell keep.")
       .def_readonly("distance", &CellClearance::distance, "[m]")
       .def_readonly("shafts", &CellClearance::shafts, "[m] between two shafts; 0: they may touch.")
-      .def_property_readonly(
-          "obstacles", [](const CellClearance& c) { return py::tuple(py::cast(c.obstacles)); })
+      .def_property_readonly("obstacles", tuple_of(&CellClearance::obstacles))
       .def_readonly("line", &CellClearance::line, "Of the section in cell.yaml; 0: defaults.");
 }
 
@@ -96,10 +95,8 @@ void bind_clearance(py::module_& m) {
       .def_readonly("distance", &ClearanceSetup::distance)
       .def_readonly("shafts", &ClearanceSetup::shafts)
       .def_readonly("own", &ClearanceSetup::own)
-      .def_property_readonly("others",
-                             [](const ClearanceSetup& s) { return py::tuple(py::cast(s.others)); })
-      .def_property_readonly(
-          "obstacles", [](const ClearanceSetup& s) { return py::tuple(py::cast(s.obstacles)); })
+      .def_property_readonly("others", tuple_of(&ClearanceSetup::others))
+      .def_property_readonly("obstacles", tuple_of(&ClearanceSetup::obstacles))
       .def(
           "closest",
           [](const ClearanceSetup& setup, const Array& q, const std::vector<OtherArm>& others) {

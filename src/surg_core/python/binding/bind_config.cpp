@@ -134,9 +134,6 @@ void bind_robot(py::module_& m) {
       .value("JOINT_VELOCITY", Command::kJointVelocity)
       .value("CARTESIAN_VELOCITY", Command::kCartesianVelocity);
 
-  const auto joints = [](JointVector RobotConfig::*member) {
-    return [member](const RobotConfig& self) { return frozen(from_matrix(self.*member)); };
-  };
   py::class_<RobotConfig>(m, "RobotConfig", "One robot's YAML. Arrays have one value per joint.")
       .def_readonly("file", &RobotConfig::file)
       .def_readonly("name", &RobotConfig::name)
@@ -144,22 +141,19 @@ void bind_robot(py::module_& m) {
       .def_readonly("base_link", &RobotConfig::base_link)
       .def_readonly("flange_link", &RobotConfig::flange_link)
       .def_readonly("command", &RobotConfig::command)
-      .def_property_readonly(
-          "joint_names",
-          [](const RobotConfig& self) { return py::tuple(py::cast(self.joint_names)); })
-      .def_property_readonly("home", joints(&RobotConfig::home), "[rad]")
+      .def_property_readonly("joint_names", tuple_of(&RobotConfig::joint_names))
+      .def_property_readonly("home", array_of(&RobotConfig::home), "[rad]")
       .def_readonly("elbow", &RobotConfig::elbow, "Preferred swivel angle [rad]; NaN: none.")
-      .def_property_readonly("position_min", joints(&RobotConfig::position_min), "[rad]")
-      .def_property_readonly("position_max", joints(&RobotConfig::position_max), "[rad]")
-      .def_property_readonly("velocity", joints(&RobotConfig::velocity), "[rad/s]")
-      .def_property_readonly("acceleration", joints(&RobotConfig::acceleration), "[rad/s^2]")
-      .def_property_readonly("limits", [](const RobotConfig& self) { return self.limits; })
-      .def_property_readonly("tuning", [](const RobotConfig& self) { return self.tuning; })
-      .def_property_readonly("joint_lag", joints(&RobotConfig::joint_lag),
+      .def_property_readonly("position_min", array_of(&RobotConfig::position_min), "[rad]")
+      .def_property_readonly("position_max", array_of(&RobotConfig::position_max), "[rad]")
+      .def_property_readonly("velocity", array_of(&RobotConfig::velocity), "[rad/s]")
+      .def_property_readonly("acceleration", array_of(&RobotConfig::acceleration), "[rad/s^2]")
+      .def_readonly("limits", &RobotConfig::limits)
+      .def_readonly("tuning", &RobotConfig::tuning)
+      .def_property_readonly("joint_lag", array_of(&RobotConfig::joint_lag),
                              "[s] Of each joint; empty: all have tuning.link_lag.")
-      .def_property_readonly(
-          "capsules", [](const RobotConfig& self) { return py::tuple(py::cast(self.capsules)); },
-          "Empty: no clearance guard.");
+      .def_property_readonly("capsules", tuple_of(&RobotConfig::capsules),
+                             "Empty: no clearance guard.");
 }
 
 void bind_link(py::module_& m) {
@@ -167,9 +161,8 @@ void bind_link(py::module_& m) {
       .def_readonly("name", &LinkConfig::name)
       .def_readonly("link_timeout", &LinkConfig::link_timeout, "[s]")
       .def_readonly("link_lag", &LinkConfig::link_lag, "[s] Of the slowest joint.")
-      .def_property_readonly(
-          "joint_lag", [](const LinkConfig& l) { return frozen(from_matrix(l.joint_lag)); },
-          "[s] Of each joint; empty: all alike.")
+      .def_property_readonly("joint_lag", array_of(&LinkConfig::joint_lag),
+                             "[s] Of each joint; empty: all alike.")
       .def_readonly("acceleration", &LinkConfig::acceleration, "Share of the robot's.")
       .def_readonly("dead_man", &LinkConfig::dead_man, "[s]")
       .def_readonly("stop_deceleration", &LinkConfig::stop_deceleration, "[rad/s^2]")
@@ -179,7 +172,7 @@ void bind_link(py::module_& m) {
 void bind_calibrations(py::module_& m) {
   py::class_<CameraConfig>(m, "CameraConfig", "The parallel cameras in an endoscope's tip.")
       .def_property_readonly(
-          "frames", [](const CameraConfig& c) { return py::tuple(py::cast(c.frames)); },
+          "frames", tuple_of(&CameraConfig::frames),
           "URDF links, optical (x right, y down, z away): left and right, or one.")
       .def_readonly("fovy", &CameraConfig::fovy, "Vertical field of view [rad].")
       .def_readonly("baseline", &CameraConfig::baseline, "Left to right [m]; 0: one camera.");
@@ -201,16 +194,11 @@ void bind_calibrations(py::module_& m) {
             return self.camera;
           },
           "None: not an endoscope.")
-      .def_property_readonly("capsules", [](const InstrumentConfig& self) {
-        return py::tuple(py::cast(self.capsules));
-      });
+      .def_property_readonly("capsules", tuple_of(&InstrumentConfig::capsules));
 
   py::class_<ToolCalibration>(m, "ToolCalibration", "Shaft axis and tip in the flange frame.")
-      .def_property_readonly(
-          "s_F", [](const ToolCalibration& t) { return frozen(from_matrix(t.s_F)); }, "Unit, (3,).")
-      .def_property_readonly(
-          "p_FTip", [](const ToolCalibration& t) { return frozen(from_matrix(t.p_FTip)); },
-          "[m] (3,)")
+      .def_property_readonly("s_F", array_of(&ToolCalibration::s_F), "Unit, (3,).")
+      .def_property_readonly("p_FTip", array_of(&ToolCalibration::p_FTip), "[m] (3,)")
       .def_readonly("residual", &ToolCalibration::residual, "[m]")
       .def_readonly("condition", &ToolCalibration::condition)
       .def_readonly("n", &ToolCalibration::n)
@@ -219,9 +207,7 @@ void bind_calibrations(py::module_& m) {
       .def_readonly("serial", &ToolCalibration::serial, "Of the arm; empty: not stated.");
 
   py::class_<TrocarCalibration>(m, "TrocarCalibration", "Taught trocar point in the robot base.")
-      .def_property_readonly(
-          "p_BRcm", [](const TrocarCalibration& t) { return frozen(from_matrix(t.p_BRcm)); },
-          "[m] (3,)")
+      .def_property_readonly("p_BRcm", array_of(&TrocarCalibration::p_BRcm), "[m] (3,)")
       .def_readonly("residual", &TrocarCalibration::residual, "[m]")
       .def_readonly("condition", &TrocarCalibration::condition)
       .def_readonly("n", &TrocarCalibration::n)
@@ -232,11 +218,9 @@ void bind_calibrations(py::module_& m) {
 
 void bind_base(py::module_& m) {
   py::class_<BaseCalibration>(m, "BaseCalibration", "A measured robot base; surg_base/1.")
-      .def_property_readonly(
-          "X_WB", [](const BaseCalibration& b) { return frozen(from_pose(b.X_WB)); }, "(4, 4) [m]")
-      .def_property_readonly(
-          "covariance", [](const BaseCalibration& b) { return frozen(from_matrix(b.covariance)); },
-          "(6, 6) rotation first.")
+      .def_property_readonly("X_WB", array_of(&BaseCalibration::X_WB), "(4, 4) [m]")
+      .def_property_readonly("covariance", array_of(&BaseCalibration::covariance),
+                             "(6, 6) rotation first.")
       .def_readonly("residual", &BaseCalibration::residual, "[m]")
       .def_readonly("condition", &BaseCalibration::condition)
       .def_readonly("n", &BaseCalibration::n)
@@ -244,13 +228,9 @@ void bind_base(py::module_& m) {
       .def_readonly("source", &BaseCalibration::source, "measured or simulated.")
       .def_readonly("method", &BaseCalibration::method, "touch, tip or points.")
       .def_readonly("reference", &BaseCalibration::reference, "The cell's first arm.")
-      .def_property_readonly(
-          "reference_xyz",
-          [](const BaseCalibration& b) { return frozen(from_matrix(b.reference_xyz)); }, "[m] (3,)")
-      .def_property_readonly(
-          "reference_rpy",
-          [](const BaseCalibration& b) { return frozen(from_matrix(b.reference_rpy)); },
-          "[rad] (3,)")
+      .def_property_readonly("reference_xyz", array_of(&BaseCalibration::reference_xyz), "[m] (3,)")
+      .def_property_readonly("reference_rpy", array_of(&BaseCalibration::reference_rpy),
+                             "[rad] (3,)")
       .def_readonly("camera_sha256", &BaseCalibration::camera_sha256, "none: seen by no camera.");
 }
 
@@ -272,17 +252,14 @@ void bind_cell(py::module_& m) {
       .def_readonly("address", &CellHardware::address)
       .def_readonly("serial", &CellHardware::serial)
       .def_readonly("payload_mass", &CellHardware::payload_mass, "[kg]")
-      .def_property_readonly(
-          "payload_cog", [](const CellHardware& h) { return frozen(from_matrix(h.payload_cog)); },
-          "[m] (3,)")
+      .def_property_readonly("payload_cog", array_of(&CellHardware::payload_cog), "[m] (3,)")
       .def_readonly("tool_link", &CellHardware::tool_link, "passive or none.")
       .def_readonly("realtime", &CellHardware::realtime, "Priority of the driver.")
       .def_readonly("calibration_days", &CellHardware::calibration_days, "0: not stated.")
       .def_readonly("link_lag", &CellHardware::link_lag,
                     "[s] Measured, of the slowest joint; NaN: not stated.")
-      .def_property_readonly(
-          "joint_lag", [](const CellHardware& h) { return frozen(from_matrix(h.joint_lag)); },
-          "[s] Of each joint; empty: all alike.")
+      .def_property_readonly("joint_lag", array_of(&CellHardware::joint_lag),
+                             "[s] Of each joint; empty: all alike.")
       .def_readonly("home_confirmed", &CellHardware::home_confirmed)
       .def_readonly("commissioning", &CellHardware::commissioning, "Slow, not yet calibrated.")
       .def_property_readonly("emulated", &CellHardware::emulated, "The address is on loopback.");
@@ -292,22 +269,17 @@ void bind_cell(py::module_& m) {
       .def_readonly("robot", &CellArm::robot, "As written: relative to the cell file's folder.")
       .def_readonly("instrument", &CellArm::instrument)
       .def_readonly("link", &CellArm::link)
-      .def_property_readonly(
-          "base_xyz", [](const CellArm& a) { return frozen(from_matrix(a.base_xyz)); }, "[m] (3,)")
-      .def_property_readonly(
-          "base_rpy", [](const CellArm& a) { return frozen(from_matrix(a.base_rpy)); },
-          "[rad] (3,)")
-      .def_property_readonly(
-          "home", [](const CellArm& a) { return py::tuple(py::cast(a.home)); },
-          "[rad] Instead of the robot's; empty: the robot's.")
+      .def_property_readonly("base_xyz", array_of(&CellArm::base_xyz), "[m] (3,)")
+      .def_property_readonly("base_rpy", array_of(&CellArm::base_rpy), "[rad] (3,)")
+      .def_property_readonly("home", tuple_of(&CellArm::home),
+                             "[rad] Instead of the robot's; empty: the robot's.")
       .def_readonly("elbow", &CellArm::elbow, "Preferred swivel angle [rad]; NaN: none.")
       .def_property_readonly(
           "hardware", [](const CellArm& a) { return a.hardware; },
           "None: driven by the simulator, or by a link that somebody starts by hand.")
-      .def_property_readonly("limits", [](const CellArm& a) { return a.limits; })
-      .def_property_readonly(
-          "fixtures", [](const CellArm& a) { return py::tuple(py::cast(a.fixtures)); },
-          "Virtual fixtures, in the robot's base frame.");
+      .def_readonly("limits", &CellArm::limits)
+      .def_property_readonly("fixtures", tuple_of(&CellArm::fixtures),
+                             "Virtual fixtures, in the robot's base frame.");
 
   py::class_<CellConfig>(m, "CellConfig", "A user's whole system: cell.yaml.")
       .def_readonly("file", &CellConfig::file)
@@ -319,13 +291,12 @@ void bind_cell(py::module_& m) {
       .def_readonly("clearance", &CellConfig::clearance)
       .def_property_readonly(
           "endoscope", [](const CellConfig& c) { return c.endoscope; }, "None: the simulator's.")
-      .def_property_readonly("arms",
-                             [](const CellConfig& c) { return py::tuple(py::cast(c.arms)); });
+      .def_property_readonly("arms", tuple_of(&CellConfig::arms));
 }
 
 }  // namespace
 
-void bind_config(py::module_& m, py::module_& testing) {
+void bind_config(py::module_& m) {
   py::register_exception<ConfigError>(m, "ConfigError", PyExc_ValueError).doc() =
       "A configuration that must not be used: file, key, value, what is allowed.";
 
@@ -335,8 +306,8 @@ void bind_config(py::module_& m, py::module_& testing) {
            "file: shown in errors; values: key -> bool, number, text or list of numbers or texts;\n"
            "lines: key -> line, from 1.")
       .def_readonly("file", &Document::file)
-      .def_property_readonly("values", [](const Document& d) { return d.values; })
-      .def_property_readonly("lines", [](const Document& d) { return d.lines; });
+      .def_readonly("values", &Document::values)
+      .def_readonly("lines", &Document::lines);
 
   bind_numbers(m, "Limits", "Every limit of an arm, SI.", kLimits);
   bind_numbers(m, "Tuning", "Gains [1/s] and times [s] of the controller.", kTuning);
@@ -355,8 +326,6 @@ void bind_config(py::module_& m, py::module_& testing) {
   m.def("parse_base", &parse_base, py::arg("document"), text);
   m.def("parse_cell", &parse_cell, py::arg("document"), text);
   m.def("parse_kinematics", &parse_kinematics, py::arg("document"), text);
-  testing.def("limits_hash", &limits_hash, py::arg("robot"), py::arg("limits"),
-              "16 hex digits over every value that moves the arm (FNV-1a).");
   m.def(
       "inside_workspace",
       [](const Limits& limits, const Array& p_RTip) {

@@ -67,14 +67,13 @@ void bind_command(py::module_& m) {
           "angle [rad].")
       .def_readonly("motion", &MotionCommand::motion)
       .def_readonly("source", &MotionCommand::source)
-      .def_property_readonly("p", [](const MotionCommand& c) { return frozen(from_matrix(c.p)); })
+      .def_property_readonly("p", array_of(&MotionCommand::p))
       .def_property_readonly(
           "rotation",
           [](const MotionCommand& c) { return frozen(from_matrix(c.rotation.coeffs())); },
           "Quaternion x, y, z, w.")
       .def_readonly("roll_rate", &MotionCommand::roll_rate)
-      .def_property_readonly("joints",
-                             [](const MotionCommand& c) { return frozen(from_matrix(c.joints)); })
+      .def_property_readonly("joints", array_of(&MotionCommand::joints))
       .def_readonly("jaw", &MotionCommand::jaw)
       .def_readonly("stamp_ns", &MotionCommand::stamp_ns)
       .def_readonly("age", &MotionCommand::age)
@@ -98,8 +97,7 @@ void bind_readings(py::module_& m) {
            py::arg("f_B") = py::none(),
            "f_B (3,) [N] of the environment on the instrument, in the base; None: no sensor.")
       .def_readonly("valid", &ForceSample::valid)
-      .def_property_readonly("f_B",
-                             [](const ForceSample& f) { return frozen(from_matrix(f.f_B)); });
+      .def_property_readonly("f_B", array_of(&ForceSample::f_B));
 
   py::class_<Readings>(m, "Readings",
                        "What robot, tool and sensors said beside the joints; for Controller.step.")
@@ -128,18 +126,7 @@ void bind_readings(py::module_& m) {
            "condition of the robot, condition_age [s]; jaw_age [s]; forces; p_BTrack (3,) [m] and "
            "v_BTrack (3,) [m/s]: where a moving trocar "
            "was\n"
-           "track_age [s] ago (Controller(track_rcm=True)); None: not tracked.")
-      .def_readonly("condition", &Readings::condition)
-      .def_readonly("condition_age", &Readings::condition_age)
-      .def_readonly("jaw_age", &Readings::jaw_age)
-      .def_readonly("tip_force", &Readings::tip_force)
-      .def_readonly("trocar_force", &Readings::trocar_force)
-      .def_readonly("track_valid", &Readings::track_valid)
-      .def_readonly("track_age", &Readings::track_age)
-      .def_property_readonly("p_BTrack",
-                             [](const Readings& r) { return frozen(from_matrix(r.p_BTrack)); })
-      .def_property_readonly("v_BTrack",
-                             [](const Readings& r) { return frozen(from_matrix(r.v_BTrack)); });
+           "track_age [s] ago (Controller(track_rcm=True)); None: not tracked.");
 }
 
 void bind_elbow(py::class_<Outputs>& type) {
@@ -155,7 +142,7 @@ void bind_lag(py::class_<Outputs>& type) {
   type.def_readonly("link_lag", &Outputs::link_lag,
                     "Measured lag of the link [s]; not a number until known.");
   type.def_property_readonly(
-      "joint_lag", [](const Outputs& self) { return frozen(from_matrix(self.joint_lag)); },
+      "joint_lag", array_of(&Outputs::joint_lag),
       "Measured lag of each joint (n,) [s]; not a number until known; empty before a motion.");
 }
 
@@ -179,7 +166,6 @@ void bind_outputs(py::module_& m) {
   number("refused", &Outputs::refused, "Commands refused since construction.");
   number("warn_rcm", &Outputs::warn_rcm, "RCM deviation above the warning level.");
   number("warn_force", &Outputs::warn_force, "Load of the trocar above the warning level.");
-  number("warn_track", &Outputs::warn_track, "What is wrong with rcm/track.");
   number("roll", &Outputs::roll, "Absolute roll [rad].");
   number("depth", &Outputs::depth, "Insertion [m], positive inside.");
   number("rcm_error", &Outputs::rcm_error, "Kinematic RCM deviation [m].");
@@ -206,9 +192,7 @@ void bind_outputs(py::module_& m) {
   array("v_set", &Outputs::v_set, "Its velocity (3,) [m/s].");
   array("qd_command", &Outputs::qd_command, "[rad/s] (n,)");
   array("twist_command", &Outputs::twist_command, "(6,), v then omega");
-  type.def_property_readonly(
-      "X_BF", [](const Outputs& self) { return frozen(from_pose(self.X_BF)); },
-      "Flange (4, 4) in the base.");
+  type.def_property_readonly("X_BF", array_of(&Outputs::X_BF), "Flange (4, 4) in the base.");
   type.def_property_readonly(
       "limited_by", [](const Outputs& self) { return std::string(self.limited_by); },
       "Which limit set the scale; empty when it is 1.");
@@ -238,43 +222,6 @@ void check_others(const std::vector<OtherArm>& given, const std::vector<int>& kn
       throw py::value_error("others[" + std::to_string(i) +
                             "]: " + std::to_string(given[i].q.size()) + " joints instead of " +
                             std::to_string(known[i]));
-    }
-  }
-}
-
-/// Outputs of many cycles, one row each.
-struct Trajectory {
-  py::array_t<std::uint8_t> state, reason, motion, tier;
-  py::array_t<bool> busy;
-  Array scale, rcm_error, depth, roll, jaw_set;
-  Array p_BTip, s_B, v_BTip, p_goal, p_set, v_set, virtual_q, virtual_set, qd_command,
-      twist_command;
-  std::vector<std::string> limited_by;
-  std::vector<std::pair<py::ssize_t, Verdict>> verdicts;
-};
-
-using Commands = std::vector<std::pair<py::ssize_t, MotionCommand>>;
-
-template <typename T>
-py::array_t<T> frozen_as(py::array_t<T> array) {
-  py::detail::array_proxy(array.ptr())->flags &= ~py::detail::npy_api::NPY_ARRAY_WRITEABLE_;
-  return array;
-}
-
-void check_commands(const Commands& commands, py::ssize_t n) {
-  py::ssize_t cycle = 0;
-  int together = 0;
-  for (const auto& [at, command] : commands) {
-    if (at < cycle || at >= n) {
-      throw py::value_error("commands: cycle " + std::to_string(at) + " follows " +
-                            std::to_string(cycle) + "; cycles must rise, from 0 to " +
-                            std::to_string(n - 1));
-    }
-    together = at == cycle ? together + 1 : 1;
-    cycle = at;
-    if (together > kMaxCommands) {
-      throw py::value_error("commands: more than " + std::to_string(kMaxCommands) + " in cycle " +
-                            std::to_string(at));
     }
   }
 }
@@ -313,130 +260,6 @@ Outputs step(Owned& o, const Array& q, const Array& qd, const std::vector<Motion
   return Outputs(o.controller->step(o.inputs));
 }
 
-/// One column per field of Outputs, filled row by row without the GIL.
-class TrajectoryColumns {
- public:
-  TrajectoryColumns(py::ssize_t n, py::ssize_t dof) {
-    for (Codes& column : codes_) column = Codes(n);
-    busy_ = py::array_t<bool>(n);
-    for (Array& column : numbers_) column = Array(n);
-    for (const py::ssize_t width : {3, 3, 3, 3, 3, 3, 4, 4}) vectors_.emplace_back(n, width);
-    vectors_.emplace_back(n, dof);
-    vectors_.emplace_back(n, 6);
-    for (int i = 0; i < kCodes; ++i) code_data_[i] = codes_[i].mutable_data();
-    for (int i = 0; i < kNumbers; ++i) number_data_[i] = numbers_[i].mutable_data();
-    busy_data_ = busy_.mutable_data();
-    limited_by_.resize(static_cast<std::size_t>(n));
-  }
-
-  void set(py::ssize_t i, const Outputs& out) {
-    const int codes[kCodes] = {static_cast<int>(out.state), static_cast<int>(out.reason),
-                               static_cast<int>(out.motion), out.tier};
-    for (int k = 0; k < kCodes; ++k) code_data_[k][i] = static_cast<std::uint8_t>(codes[k]);
-    const double numbers[kNumbers] = {out.scale, out.rcm_error, out.depth, out.roll, out.jaw_set};
-    for (int k = 0; k < kNumbers; ++k) number_data_[k][i] = numbers[k];
-    const Vector3* vectors[] = {&out.p_BTip, &out.s_B,   &out.v_BTip,
-                                &out.p_goal, &out.p_set, &out.v_set};
-    for (int k = 0; k < 6; ++k) vectors_[k].set(i, *vectors[k]);
-    vectors_[6].set(i, out.virtual_q);
-    vectors_[7].set(i, out.virtual_set);
-    vectors_[8].set(i, out.qd_command);
-    vectors_[9].set(i, out.twist_command);
-    busy_data_[i] = out.busy;
-    limited_by_[i] = out.limited_by;
-    for (int k = 0; k < out.n_verdicts; ++k) verdicts_.emplace_back(i, out.verdicts[k]);
-  }
-
-  Trajectory take() {
-    Trajectory t;
-    py::array_t<std::uint8_t>* codes[] = {&t.state, &t.reason, &t.motion, &t.tier};
-    for (int k = 0; k < kCodes; ++k) *codes[k] = frozen_as(codes_[k]);
-    Array* numbers[] = {&t.scale, &t.rcm_error, &t.depth, &t.roll, &t.jaw_set};
-    for (int k = 0; k < kNumbers; ++k) *numbers[k] = frozen(numbers_[k]);
-    Array* vectors[] = {&t.p_BTip, &t.s_B,       &t.v_BTip,      &t.p_goal,     &t.p_set,
-                        &t.v_set,  &t.virtual_q, &t.virtual_set, &t.qd_command, &t.twist_command};
-    for (std::size_t k = 0; k < vectors_.size(); ++k) *vectors[k] = vectors_[k].take();
-    t.busy = frozen_as(busy_);
-    t.limited_by.assign(limited_by_.begin(), limited_by_.end());
-    t.verdicts = std::move(verdicts_);
-    return t;
-  }
-
- private:
-  using Codes = py::array_t<std::uint8_t>;
-  static constexpr int kCodes = 4, kNumbers = 5;
-
-  std::array<Codes, kCodes> codes_;
-  std::array<Array, kNumbers> numbers_;
-  py::array_t<bool> busy_;
-  std::array<std::uint8_t*, kCodes> code_data_{};
-  std::array<double*, kNumbers> number_data_{};
-  bool* busy_data_ = nullptr;
-  std::vector<Rows> vectors_;
-  std::vector<const char*> limited_by_;
-  std::vector<std::pair<py::ssize_t, Verdict>> verdicts_;
-};
-
-Trajectory run(Owned& o, const Array& q, const Array& qd, const Commands& commands,
-               const std::optional<Array>& jaw) {
-  const py::ssize_t n = q.ndim() == 2 ? q.shape(0) : 0;
-  check_shape(q, {n, o.dof}, "q");
-  check_shape(qd, {n, o.dof}, "qd");
-  if (jaw) check_shape(*jaw, {n}, "jaw");
-  check_commands(commands, n);
-  const double *q_from = q.data(), *qd_from = qd.data(), *jaw_from = jaw ? jaw->data() : nullptr;
-  TrajectoryColumns columns(n, o.dof);
-  {
-    const py::gil_scoped_release release;
-    std::size_t next = 0;
-    o.inputs = Inputs{};  // other arms are lost
-    o.inputs.state_valid = true;
-    for (py::ssize_t i = 0; i < n; ++i) {
-      o.inputs.q = Eigen::Map<const Eigen::VectorXd>(q_from + i * o.dof, o.dof);
-      o.inputs.qd = Eigen::Map<const Eigen::VectorXd>(qd_from + i * o.dof, o.dof);
-      o.inputs.jaw = jaw_from ? jaw_from[i] : 0.0;
-      o.inputs.n_commands = 0;
-      while (next < commands.size() && commands[next].first == i) {
-        o.inputs.commands[o.inputs.n_commands++] = commands[next++].second;
-      }
-      columns.set(i, o.controller->step(o.inputs));
-    }
-  }
-  return columns.take();
-}
-
-void bind_trajectory(py::module_& m) {
-  py::class_<Trajectory> type(
-      m, "Trajectory", "Outputs of n cycles: read-only arrays, one row per cycle; vectors in B.");
-  type.def_readonly("state", &Trajectory::state, "(n,) uint8, int(State).")
-      .def_readonly("reason", &Trajectory::reason, "(n,) uint8, int(Reason).")
-      .def_readonly("motion", &Trajectory::motion, "(n,) uint8, int(Motion).")
-      .def_readonly("tier", &Trajectory::tier, "(n,) uint8: 0 on the path, 1 off it, 2 braking.")
-      .def_readonly("busy", &Trajectory::busy, "(n,) bool")
-      .def_readonly("scale", &Trajectory::scale, "(n,) uniform factor alpha.")
-      .def_readonly("rcm_error", &Trajectory::rcm_error, "(n,) kinematic deviation [m].")
-      .def_readonly("depth", &Trajectory::depth, "(n,) insertion [m].")
-      .def_readonly("roll", &Trajectory::roll, "(n,) [rad]")
-      .def_readonly("jaw_set", &Trajectory::jaw_set, "(n,) [rad]")
-      .def_readonly("p_BTip", &Trajectory::p_BTip, "(n, 3) [m]")
-      .def_readonly("s_B", &Trajectory::s_B, "(n, 3) unit shaft axis.")
-      .def_readonly("v_BTip", &Trajectory::v_BTip, "(n, 3) measured [m/s].")
-      .def_readonly("p_goal", &Trajectory::p_goal, "(n, 3) [m]")
-      .def_readonly("p_set", &Trajectory::p_set, "(n, 3) [m]")
-      .def_readonly("v_set", &Trajectory::v_set, "(n, 3) [m/s]")
-      .def_readonly("virtual_q", &Trajectory::virtual_q, "(n, 4) measured [rad, rad, m, rad].")
-      .def_readonly("virtual_set", &Trajectory::virtual_set, "(n, 4)")
-      .def_readonly("qd_command", &Trajectory::qd_command, "(n, joints) [rad/s]")
-      .def_readonly("twist_command", &Trajectory::twist_command, "(n, 6) v, then omega.")
-      .def_property_readonly(
-          "limited_by", [](const Trajectory& t) { return py::tuple(py::cast(t.limited_by)); },
-          "n texts: which limit set the scale.")
-      .def_property_readonly(
-          "verdicts", [](const Trajectory& t) { return py::tuple(py::cast(t.verdicts)); },
-          "(cycle, Verdict), one per command.");
-  type.def("__len__", [](const Trajectory& t) { return t.scale.shape(0); });
-}
-
 /// The frames and constants of a controller.
 void bind_frames(py::class_<Owned>& type) {
   type.def_property_readonly(
@@ -446,14 +269,7 @@ void bind_frames(py::class_<Owned>& type) {
           "rcm_set", [](const Owned& o) { return o.controller->rcm_set(); },
           "A trocar point is known.")
       .def_property_readonly(
-          "dt", [](const Owned& o) { return o.controller->dt(); }, "Control period [s].")
-      .def(
-          "tool_orientation",
-          [](const Owned& o, const Array& s_B, double roll) {
-            return frozen(
-                from_matrix(o.controller->tool_orientation(to_vector3(s_B, "s_B"), roll).coeffs()));
-          },
-          py::arg("s_B"), py::arg("roll"), "R_RcmTool as a quaternion x, y, z, w.");
+          "dt", [](const Owned& o) { return o.controller->dt(); }, "Control period [s].");
 }
 
 }  // namespace
@@ -464,10 +280,6 @@ void bind_fixture_calls(py::class_<Owned>& type) {
           [](Owned& o, const Fixture& fixture) { return o.controller->set_fixture(fixture); },
           py::arg("fixture"),
           "Adds a region in B, at any time, or replaces the one of its name while not ENABLED.")
-      .def(
-          "remove_fixture",
-          [](Owned& o, const std::string& name) { return o.controller->remove_fixture(name); },
-          py::arg("name"), "Only while not ENABLED, and none of the cell.")
       .def_property_readonly(
           "fixtures",
           [](const Owned& o) {
@@ -528,18 +340,13 @@ void bind_reason(py::module_& m) {
         "Short name, as in FAULT(name).");
 }
 
-void bind_operating_state(py::module_& m, py::module_& testing) {
+void bind_operating_state(py::module_& m) {
   bind_reason(m);
   py::enum_<State>(m, "State", "CRTK operating state; compare with ==, not with is.")
       .value("DISABLED", State::kDisabled)
       .value("ENABLED", State::kEnabled)
       .value("PAUSED", State::kPaused)
       .value("FAULT", State::kFault);
-  py::enum_<TrackWarning>(m, "TrackWarning", "What is wrong with rcm/track.")
-      .value("NONE", TrackWarning::kNone)
-      .value("OUTLIER", TrackWarning::kOutlier)
-      .value("DROPOUT", TrackWarning::kDropout)
-      .value("NOISY", TrackWarning::kNoisy);
   py::enum_<RobotCondition>(m, "RobotCondition", "Numbered as in surg_msgs/LinkStatus.")
       .value("OFFLINE", RobotCondition::kOffline)
       .value("OFF", RobotCondition::kOff)
@@ -561,8 +368,6 @@ void bind_operating_state(py::module_& m, py::module_& testing) {
       .value("UNHOME", StateCommand::kUnhome);
   m.def("condition_sentence", py::overload_cast<RobotCondition>(&sentence), py::arg("condition"),
         "What is wrong with the robot and what to do, for people; empty for ACTIVE.");
-  testing.def("state_name", py::overload_cast<State>(&name), py::arg("state"),
-              "As in CRTK's operating_state.");
 }
 
 void bind_controller(py::module_& m) {
@@ -570,7 +375,6 @@ void bind_controller(py::module_& m) {
   bind_command(m);
   bind_readings(m);
   bind_outputs(m);
-  bind_trajectory(m);
 
   py::enum_<Law>(m, "Law")
       .value("EXACT", Law::kExact)
@@ -608,14 +412,7 @@ void bind_controller(py::module_& m) {
           "One cycle from the measured joints q, qd (n,) [rad, rad/s] and this cycle's commands.\n"
           "jaw [rad]; state_age [s]; elapsed [s] since the last cycle, 0: one period; readings: "
           "of the sensors, where there are any;\nothers: the other arms of the clearance setup, in "
-          "its order; a missing one is lost.")
-      .def(
-          "run", &run, py::arg("q"), py::arg("qd"), py::arg("commands") = Commands(),
-          py::arg("jaw") = py::none(),
-          "n cycles over recorded joints q, qd (n, joints) [rad, rad/s] in one call.\n\n"
-          "commands: (cycle, MotionCommand) in rising order; jaw (n,) [rad]. The same as n calls "
-          "of\n"
-          "step(). Releases the GIL: the controller must not be used by another thread meanwhile.");
+          "its order; a missing one is lost.");
   bind_fixture_calls(type);
   bind_frames(type);
 }

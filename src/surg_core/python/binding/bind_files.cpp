@@ -23,19 +23,17 @@ void bind_urdf(py::module_& m) {
                     "revolute, continuous, prismatic, fixed, floating or planar.")
       .def_readonly("parent", &UrdfJoint::parent, "Link it hangs on.")
       .def_readonly("child", &UrdfJoint::child, "Link that hangs on it.")
-      .def_property_readonly(
-          "X_PJ", [](const UrdfJoint& j) { return frozen(from_pose(j.X_PJ)); },
-          "(4, 4) joint frame in the parent link at position 0 [m].")
-      .def_property_readonly(
-          "axis", [](const UrdfJoint& j) { return frozen(from_matrix(j.axis)); },
-          "(3,) in the joint frame, of length 1.")
+      .def_property_readonly("X_PJ", array_of(&UrdfJoint::X_PJ),
+                             "(4, 4) joint frame in the parent link at position 0 [m].")
+      .def_property_readonly("axis", array_of(&UrdfJoint::axis),
+                             "(3,) in the joint frame, of length 1.")
       .def_readonly("limit", &UrdfJoint::limit)
       .def_readonly("mimic", &UrdfJoint::mimic)
       .def_property_readonly("turning", &UrdfJoint::turning, "Revolute or continuous.");
   py::class_<Urdf>(m, "Urdf", "A URDF file: one tree of links.")
       .def_readonly("file", &Urdf::file)
       .def_readonly("text", &Urdf::text)
-      .def_property_readonly("links", [](const Urdf& u) { return py::tuple(py::cast(u.links)); })
+      .def_property_readonly("links", tuple_of(&Urdf::links))
       .def_property_readonly("joints", [](const Urdf& u) { return u.joints; });
   m.def("load_urdf", &load_urdf, py::arg("path"),
         "Reads a URDF in the encoding that it states. Raises ConfigError.");
@@ -70,11 +68,8 @@ void bind_arm_setup(py::module_& m) {
                              [](const ArmSetup& a) { return a.mounted.instrument_urdf; })
       .def_readonly("trocar", &ArmSetup::trocar)
       .def_readonly("limits", &ArmSetup::limits)
-      .def_property_readonly(
-          "X_WB", [](const ArmSetup& a) { return frozen(from_pose(a.X_WB)); }, "(4, 4)")
-      .def_property_readonly(
-          "X_WB_stated", [](const ArmSetup& a) { return frozen(from_pose(a.X_WB_stated)); },
-          "(4, 4)")
+      .def_property_readonly("X_WB", array_of(&ArmSetup::X_WB), "(4, 4)")
+      .def_property_readonly("X_WB_stated", array_of(&ArmSetup::X_WB_stated), "(4, 4)")
       .def_readonly("robot_urdf", &ArmSetup::robot_urdf)
       .def_property_readonly("chain", [](const ArmSetup& a) { return a.model.chain; })
       .def_readonly("kinematics", &ArmSetup::kinematics);

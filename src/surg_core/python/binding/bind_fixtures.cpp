@@ -54,10 +54,8 @@ void bind_fixtures(py::module_& m) {
       .def_property_readonly(
           "of", [](const Fixture& f) { return std::string(kParts[static_cast<int>(f.of)]); })
       .def_readonly("of_cell", &Fixture::of_cell, "Stated by the cell.")
-      .def_property_readonly(
-          "point", [](const Fixture& f) { return frozen(from_matrix(f.point)); }, "[m] (3,)")
-      .def_property_readonly(
-          "axis", [](const Fixture& f) { return frozen(from_matrix(f.axis)); }, "(3,)")
+      .def_property_readonly("point", array_of(&Fixture::point), "[m] (3,)")
+      .def_property_readonly("axis", array_of(&Fixture::axis), "(3,)")
       .def_readonly("radius", &Fixture::radius, "[m]")
       .def(
           "distance",

@@ -1,7 +1,5 @@
 #include <pybind11/stl.h>
 
-#include <optional>
-
 #include "convert.hpp"
 #include "surg_core/kinematics/kinematics.hpp"
 #include "surg_core/kinematics/ur_kinematics.hpp"
@@ -54,34 +52,9 @@ Array jacobian_batch(const Chain& chain, const Array& q) {
   return frozen(jacobians);
 }
 
-void bind_inverse_velocity(py::module_& testing) {
-  testing.attr("MAX_JOINTS") = kMaxJoints;
-
-  py::class_<InverseVelocity>(testing, "InverseVelocity", "Result of inverse_velocity.")
-      .def_property_readonly("qd", [](const InverseVelocity& r) { return from_matrix(r.qd); })
-      .def_readonly("conditioning", &InverseVelocity::conditioning,
-                    "Smallest over largest pivot; 0: singular, and qd is zero.");
-
-  testing.def(
-      "inverse_velocity",
-      [](const Array& J_array, const Array& twist, const std::optional<Array>& posture) {
-        const Jacobian J = to_jacobian(J_array, "J");
-        const int n = static_cast<int>(J.cols());
-        if (n < 6) throw py::value_error("J: at least six joints are needed");
-        JointVector pull = JointVector::Zero(n);
-        if (posture) pull = to_joints(*posture, n, "posture");
-        return inverse_velocity(J, to_vector6(twist, "twist"), pull);
-      },
-      py::arg("J"), py::arg("twist"), py::arg("posture") = py::none(),
-      "Joint velocities (n,) [rad/s] for a flange twist (6,), v then omega.\n\n"
-      "Six joints: the inverse. More: the pseudo-inverse plus 'posture' (n,) [rad/s] projected "
-      "into\n"
-      "the null space. Fewer: ValueError.");
-}
-
 }  // namespace
 
-void bind_kinematics(py::module_& m, py::module_& testing) {
+void bind_kinematics(py::module_& m) {
   py::class_<Joint>(m, "Joint",
                     "A revolute joint: its frame in the previous one at q = 0, its axis.")
       .def(py::init([](std::string name, const Array& X_PJ, const Array& axis) {
@@ -90,8 +63,8 @@ void bind_kinematics(py::module_& m, py::module_& testing) {
            py::arg("name"), py::arg("X_PJ"), py::arg("axis"),
            "name, X_PJ (4, 4), unit axis (3,) in the joint frame.")
       .def_readonly("name", &Joint::name)
-      .def_property_readonly("X_PJ", [](const Joint& j) { return frozen(from_pose(j.X_PJ)); })
-      .def_property_readonly("axis", [](const Joint& j) { return frozen(from_matrix(j.axis)); });
+      .def_property_readonly("X_PJ", array_of(&Joint::X_PJ))
+      .def_property_readonly("axis", array_of(&Joint::axis));
 
   py::class_<Chain>(m, "Chain", "A serial chain of revolute joints with a fixed flange at its end.")
       .def(py::init([](std::vector<Joint> joints, const Array& X_LF) {
@@ -131,7 +104,6 @@ void bind_kinematics(py::module_& m, py::module_& testing) {
       .def_readonly("date", &UrKinematics::date);
   m.def("with_kinematics", &with_kinematics, py::arg("drawn"), py::arg("own"),
         "The chain with the arm's own axes and flange. Raises ValueError for another model's.");
-  bind_inverse_velocity(testing);
 }
 
 }  // namespace surg::python

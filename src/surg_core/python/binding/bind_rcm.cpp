@@ -50,18 +50,13 @@ void bind_shaft_states(py::module_& m) {
 
 void bind_shaft_state(py::module_& m) {
   py::class_<ShaftState>(m, "ShaftState", "Where the instrument is relative to its trocar, in B.")
-      .def_property_readonly("p_BF",
-                             [](const ShaftState& s) { return frozen(from_matrix(s.p_BF)); })
-      .def_property_readonly("p_BTip",
-                             [](const ShaftState& s) { return frozen(from_matrix(s.p_BTip)); })
+      .def_property_readonly("p_BF", array_of(&ShaftState::p_BF))
+      .def_property_readonly("p_BTip", array_of(&ShaftState::p_BTip))
+      .def_property_readonly("s", array_of(&ShaftState::s), "Unit shaft axis, to the tip.")
       .def_property_readonly(
-          "s", [](const ShaftState& s) { return frozen(from_matrix(s.s)); },
-          "Unit shaft axis, to the tip.")
-      .def_property_readonly(
-          "e", [](const ShaftState& s) { return frozen(from_matrix(s.e)); },
+          "e", array_of(&ShaftState::e),
           "Lateral vector from the shaft to the trocar; |e| is the RCM deviation [m].")
-      .def_property_readonly("p_BNear",
-                             [](const ShaftState& s) { return frozen(from_matrix(s.p_BNear)); })
+      .def_property_readonly("p_BNear", array_of(&ShaftState::p_BNear))
       .def_readonly("depth", &ShaftState::depth, "Insertion depth [m], positive inside.")
       .def("__repr__", [](const ShaftState& s) {
         return py::str("ShaftState(depth={!r} m, deviation={!r} m)").format(s.depth, s.e.norm());
@@ -109,77 +104,12 @@ void bind_angles(py::module_& m) {
       py::arg("a"), py::arg("b"), "Rotation (3, 3) of least angle taking unit a to unit b.");
 }
 
-void bind_roll(py::module_& testing) {
-  testing.def(
-      "absolute_roll",
-      [](const Array& R, const Array& R_home, const Array& s_home, const Array& s) {
-        return absolute_roll(to_matrix3(R, "R"), to_matrix3(R_home, "R_home"),
-                             to_vector3(s_home, "s_home"), to_vector3(s, "s"));
-      },
-      py::arg("R"), py::arg("R_home"), py::arg("s_home"), py::arg("s"),
-      "psi in R = minimal_rotation(s_home, s) exp(psi s_home) R_home, in (-pi, pi].");
-  testing.def(
-      "roll_holonomy_rate",
-      [](const Array& s_home, const Array& s, const Array& s_dot) {
-        return roll_holonomy_rate(to_vector3(s_home, "s_home"), to_vector3(s, "s"),
-                                  to_vector3(s_dot, "s_dot"));
-      },
-      py::arg("s_home"), py::arg("s"), py::arg("s_dot"),
-      "omega . s [rad/s] that keeps psi constant while the shaft turns with s_dot.");
-}
-
-void bind_twists(py::module_& testing) {
-  testing.def(
-      "rcm_twist",
-      [](const ShaftState& shaft, const Array& v_BTip, double roll_rate, const Array& v_BRcm,
-         double gain, double depth_floor) {
-        return from_matrix(rcm_twist(shaft, to_vector3(v_BTip, "v_BTip"), roll_rate,
-                                     to_vector3(v_BRcm, "v_BRcm"), gain, depth_floor));
-      },
-      py::arg("shaft"), py::arg("v_BTip"), py::arg("roll_rate"), py::arg("v_BRcm"), py::arg("gain"),
-      py::arg("depth_floor"),
-      "Flange twist (6,), v then omega in B, for a tip velocity (3,) [m/s], a roll rate about the\n"
-      "shaft [rad/s], the trocar's velocity (3,), lateral feedback [1/s]; depth_floor > 0 [m] "
-      "bounds\n"
-      "1/depth.");
-  testing.def(
-      "paper_cartesian_twist",
-      [](const Array& p_ee, const Array& p_tip, const Array& p_rcm, const Array& v_tip,
-         double roll_rate) {
-        return from_matrix(paper_cartesian_twist(
-            to_vector3(p_ee, "p_ee"), to_vector3(p_tip, "p_tip"), to_vector3(p_rcm, "p_rcm"),
-            to_vector3(v_tip, "v_tip"), roll_rate));
-      },
-      py::arg("p_ee"), py::arg("p_tip"), py::arg("p_rcm"), py::arg("v_tip"), py::arg("roll_rate"),
-      "The paper's equations (1)-(7) exactly as printed: twist (6,), v then omega.");
-  testing.def(
-      "paper_spherical_twist",
-      [](const Array& p_ee, const Array& p_rcm, double pitch_rate, double yaw_rate,
-         double roll_rate, double v_trans) {
-        return from_matrix(paper_spherical_twist(to_vector3(p_ee, "p_ee"),
-                                                 to_vector3(p_rcm, "p_rcm"), pitch_rate, yaw_rate,
-                                                 roll_rate, v_trans));
-      },
-      py::arg("p_ee"), py::arg("p_rcm"), py::arg("pitch_rate"), py::arg("yaw_rate"),
-      py::arg("roll_rate"), py::arg("v_trans"),
-      "The paper's equations (8)-(9) exactly as printed: twist (6,), v then omega.");
-  testing.def(
-      "shaft_direction_rate",
-      [](double yaw, double pitch, double yaw_rate, double pitch_rate) {
-        return from_matrix(shaft_direction_rate(yaw, pitch, yaw_rate, pitch_rate));
-      },
-      py::arg("yaw"), py::arg("pitch"), py::arg("yaw_rate"), py::arg("pitch_rate"),
-      "d(shaft_direction)/dt (3,) for given rates [rad/s].");
-}
-
 }  // namespace
 
-void bind_rcm(py::module_& m, py::module_& testing) {
+void bind_rcm(py::module_& m) {
   bind_shaft_state(m);
   bind_shaft_states(m);
   bind_angles(m);
-  bind_twists(testing);
-  bind_roll(testing);
 }
 
 }  // namespace surg::python

@@ -37,7 +37,6 @@ void check_shape(const Array& array, std::initializer_list<py::ssize_t> shape, c
 
 Vector3 to_vector3(const Array& array, const char* name) { return to_vector<3>(array, name); }
 Vector4 to_vector4(const Array& array, const char* name) { return to_vector<4>(array, name); }
-Vector6 to_vector6(const Array& array, const char* name) { return to_vector<6>(array, name); }
 
 Eigen::Quaterniond to_unit_quaternion(const Array& array, const char* name) {
   const Eigen::Quaterniond q(to_vector4(array, name));
@@ -50,29 +49,11 @@ Eigen::Quaterniond to_unit_quaternion(const Array& array, const char* name) {
   return q;
 }
 
-Matrix3 to_matrix3(const Array& array, const char* name) {
-  check_shape(array, {3, 3}, name);
-  return Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(array.data());
-}
-
 JointVector to_joints(const Array& array, int size, const char* name) {
   check_shape(array, {size}, name);
   JointVector values(size);
   std::copy_n(array.data(), size, values.data());
   return values;
-}
-
-Jacobian to_jacobian(const Array& array, const char* name) {
-  if (array.ndim() != 2 || array.shape(0) != 6 || array.shape(1) < 1 ||
-      array.shape(1) > kMaxJoints) {
-    throw py::value_error(std::string(name) + ": shape (6, n) with n up to " +
-                          std::to_string(kMaxJoints) + " is needed, not " + shape_of(array));
-  }
-  Jacobian J(6, array.shape(1));
-  for (int i = 0; i < 6; ++i) {
-    for (Eigen::Index k = 0; k < J.cols(); ++k) J(i, k) = array.at(i, k);
-  }
-  return J;
 }
 
 namespace {

@@ -7,6 +7,7 @@
 
 #include <initializer_list>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 #include "surg_core/types.hpp"
@@ -26,12 +27,8 @@ Vector3 to_vector3(const Array& array, const char* name);
 Vector4 to_vector4(const Array& array, const char* name);
 /// Of x, y, z, w. Raises ValueError for a norm other than 1, as the controller node refuses it.
 Eigen::Quaterniond to_unit_quaternion(const Array& array, const char* name);
-Vector6 to_vector6(const Array& array, const char* name);
-Matrix3 to_matrix3(const Array& array, const char* name);
 /// (n,) with n == size.
 JointVector to_joints(const Array& array, int size, const char* name);
-/// (6, n) with n <= kMaxJoints.
-Jacobian to_jacobian(const Array& array, const char* name);
 /// (4, 4) homogeneous, with a rotation in it and 0 0 0 1 below.
 Pose to_pose(const Array& array, const char* name);
 /// (n, 4, 4), or (n, 7): x, y, z and a quaternion x, y, z, w as on the wire.
@@ -58,6 +55,23 @@ Array from_matrix(const Eigen::MatrixBase<Derived>& matrix) {
 /// The array, no longer writeable: for the attributes of frozen objects.
 Array frozen(Array array);
 
+/// Getter of a vector, matrix or pose: a read-only copy.
+template <typename T, typename M>
+auto array_of(M T::*member) {
+  return [member](const T& self) {
+    if constexpr (std::is_same_v<M, Pose>)
+      return frozen(from_pose(self.*member));
+    else
+      return frozen(from_matrix(self.*member));
+  };
+}
+
+/// Getter of a sequence, as a tuple; its file includes pybind11/stl.h.
+template <typename T, typename M>
+auto tuple_of(M T::*member) {
+  return [member](const T& self) { return py::tuple(py::cast(self.*member)); };
+}
+
 /// One row per observation, (n, cols): filled without the GIL, read-only when taken.
 class Rows {
  public:
@@ -73,19 +87,16 @@ class Rows {
   double* data_;
 };
 
-// One per file of the binding; 'm' is surg_core._core, 'testing' its submodule with the parts of
-// the core that tests look at one by one.
-void bind_kinematics(py::module_& m, py::module_& testing);
-void bind_rcm(py::module_& m, py::module_& testing);
-void bind_config(py::module_& m, py::module_& testing);
-void bind_operating_state(py::module_& m, py::module_& testing);
+// One per file of the binding; 'm' is surg_core._core.
+void bind_kinematics(py::module_& m);
+void bind_rcm(py::module_& m);
+void bind_config(py::module_& m);
+void bind_operating_state(py::module_& m);
 void bind_capsules(py::module_& m);
 void bind_clearance(py::module_& m);
 void bind_controller(py::module_& m);
 void bind_calibration(py::module_& m);
-void bind_motion(py::module_& testing);
-void bind_exact(py::module_& testing);
-void bind_limits(py::module_& testing);
+void bind_motion(py::module_& m);
 void bind_fixtures(py::module_& m);
 void bind_files(py::module_& m);
 

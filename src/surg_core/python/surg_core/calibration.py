@@ -37,7 +37,6 @@ import numpy as np
 from surg_core._core import (
     AxisFit,
     CalibrationError,
-    CalibrationLimits,
     Chain,
     PointFit,
     TipFit,
@@ -207,35 +206,29 @@ def _pose(values: FloatArray, where: str) -> FloatArray:
     return X_BF
 
 
-def solve_tool(
-    recording: Recording, date: str, limits: CalibrationLimits | None = None
-) -> ToolSolution:
+def solve_tool(recording: Recording, date: str) -> ToolSolution:
     """Tip and shaft axis from the motions ``tip`` and ``roll``, or ``tip`` and ``second``.
 
     Args:
         recording: the poses.
         date: goes into the file, such as ``2026-11-21``.
-        limits: what is asked of the evidence; default: CalibrationLimits().
 
     Raises:
         CalibrationError: for a missing motion, or as the solvers.
     """
-    asked = limits or CalibrationLimits()
     if "roll" in recording.poses and "second" in recording.poses:
         raise CalibrationError(
             f"{recording.file}: holds both 'roll' and 'second'; one of them gives the shaft axis"
         )
-    tip = _named(recording, lambda: calibrate_tip(recording.of("tip", "the tool's tip"), asked))
+    tip = _named(recording, lambda: calibrate_tip(recording.of("tip", "the tool's tip")))
     if "second" in recording.poses:
         axis = _named(
             recording,
-            lambda: calibrate_axis_by_points(
-                tip, calibrate_tip(recording.poses["second"], asked), asked
-            ),
+            lambda: calibrate_axis_by_points(tip, calibrate_tip(recording.poses["second"])),
         )
     else:
         roll = recording.of("roll", "the shaft axis ('second' would do as well)")
-        axis = _named(recording, lambda: calibrate_axis_by_rolling(roll, tip.p_FTip, asked))
+        axis = _named(recording, lambda: calibrate_axis_by_rolling(roll, tip.p_FTip))
     return ToolSolution(tool_calibration(tip, axis, date), tip, axis)
 
 
@@ -243,7 +236,6 @@ def solve_trocar(
     recording: Recording,
     tool: ToolCalibration,
     date: str,
-    limits: CalibrationLimits | None = None,
 ) -> TrocarSolution:
     """The trocar point from the motion ``trocar``.
 
@@ -251,7 +243,6 @@ def solve_trocar(
         recording: the poses.
         tool: the calibrated tool whose shaft ran through the trocar.
         date: goes into the file.
-        limits: what is asked of the evidence; default: CalibrationLimits().
 
     Raises:
         CalibrationError: for a missing motion, or as the solver.
@@ -259,7 +250,7 @@ def solve_trocar(
     X_BF = recording.of("trocar", "the trocar point")
     p_B = X_BF[:, :3, :3] @ tool.p_FTip + X_BF[:, :3, 3]
     s_B = X_BF[:, :3, :3] @ tool.s_F
-    point = _named(recording, lambda: calibrate_trocar(p_B, s_B, limits or CalibrationLimits()))
+    point = _named(recording, lambda: calibrate_trocar(p_B, s_B))
     return TrocarSolution(trocar_calibration(point, date), point)
 
 

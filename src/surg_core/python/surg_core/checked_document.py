@@ -54,16 +54,6 @@ class Evidence:
     date: str
     source: str = "measured"
 
-    @property
-    def turn_sd(self) -> float:
-        """Expected error of the rotation [rad]: root of the summed variances."""
-        return float(np.sqrt(np.trace(self.covariance[:3, :3])))
-
-    @property
-    def shift_sd(self) -> float:
-        """Expected error of the position [m]: root of the summed variances."""
-        return float(np.sqrt(np.trace(self.covariance[3:, 3:])))
-
 
 def file_sha256(path: PathLike) -> str:
     """SHA-256 of a file's bytes, 64 hexadecimal digits.

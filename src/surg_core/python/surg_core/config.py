@@ -40,9 +40,6 @@ from surg_core._core import (
 )
 from surg_core.transforms import FloatArray
 
-SIMULATOR = "simulator"
-"""The link of an arm that the simulator drives."""
-
 PathLike = str | os.PathLike[str]
 Value = bool | float | str | list[float] | list[str]
 

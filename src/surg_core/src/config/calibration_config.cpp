@@ -43,62 +43,6 @@ Evidence read_evidence(Reader& reader) {
   return evidence;
 }
 
-ToolCalibration read_tool(const Document& document) {
-  Reader reader(document, "surg_tool/1");
-  ToolCalibration tool;
-  tool.s_F = reader.vector("shaft_axis", 1.0 + 1e-9, "");
-  if (!(std::abs(tool.s_F.norm() - 1.0) < 1e-6)) {
-    reader.fail("shaft_axis",
-                "has length " + number(tool.s_F.norm()) + "; a unit vector is needed");
-  }
-  tool.s_F.normalize();
-  tool.p_FTip = reader.vector("tip", 1.0, "m");
-  const double along = tool.s_F.dot(tool.p_FTip);
-  if (!(along > 0)) {
-    reader.fail("shaft_axis", "points away from the tip, which is " + number(along) +
-                                  " m along it; it must point from the flange to the tip");
-  }
-  const Evidence evidence = read_evidence(reader);
-  tool.residual = evidence.residual;
-  tool.condition = evidence.condition;
-  tool.n = evidence.n;
-  tool.date = evidence.date;
-  tool.source = evidence.source;
-  tool.serial = evidence.serial;
-  reader.finish();
-  return tool;
-}
-
-TrocarCalibration read_trocar(const Document& document) {
-  Reader reader(document, "surg_trocar/1");
-  TrocarCalibration trocar;
-  trocar.p_BRcm = reader.vector("point", 2.0, "m");
-  const Evidence evidence = read_evidence(reader);
-  trocar.residual = evidence.residual;
-  trocar.condition = evidence.condition;
-  trocar.n = evidence.n;
-  trocar.date = evidence.date;
-  trocar.source = evidence.source;
-  trocar.serial = evidence.serial;
-  reader.finish();
-  return trocar;
-}
-
-UrKinematics read_kinematics(const Document& document) {
-  Reader reader(document, "surg_kinematics/1");
-  UrKinematics own;
-  own.file = document.file;
-  own.model = reader.word("model");
-  own.serial = reader.word("serial");
-  own.date = reader.word("date");
-  own.theta = reader.joints("theta", kUrJoints, -7.0, 7.0, "rad");
-  own.d = reader.joints("d", kUrJoints, -1e4, 1e4, "m");
-  own.a = reader.joints("a", kUrJoints, -10.0, 10.0, "m");
-  own.alpha = reader.joints("alpha", kUrJoints, -4.0, 4.0, "rad");
-  reader.finish();
-  return own;
-}
-
 /// A list of a known number of values, each within +-largest.
 template <int n>
 Eigen::Matrix<double, n, 1> read_numbers(Reader& reader, const std::string& key, double largest) {
@@ -158,7 +102,65 @@ Eigen::Matrix<double, 6, 6> read_covariance(Reader& reader, const std::string& k
   return C;
 }
 
-BaseCalibration read_base(const Document& document) {
+}  // namespace
+
+ToolCalibration parse_tool(const Document& document) {
+  Reader reader(document, "surg_tool/1");
+  ToolCalibration tool;
+  tool.s_F = reader.vector("shaft_axis", 1.0 + 1e-9, "");
+  if (!(std::abs(tool.s_F.norm() - 1.0) < 1e-6)) {
+    reader.fail("shaft_axis",
+                "has length " + number(tool.s_F.norm()) + "; a unit vector is needed");
+  }
+  tool.s_F.normalize();
+  tool.p_FTip = reader.vector("tip", 1.0, "m");
+  const double along = tool.s_F.dot(tool.p_FTip);
+  if (!(along > 0)) {
+    reader.fail("shaft_axis", "points away from the tip, which is " + number(along) +
+                                  " m along it; it must point from the flange to the tip");
+  }
+  const Evidence evidence = read_evidence(reader);
+  tool.residual = evidence.residual;
+  tool.condition = evidence.condition;
+  tool.n = evidence.n;
+  tool.date = evidence.date;
+  tool.source = evidence.source;
+  tool.serial = evidence.serial;
+  reader.finish();
+  return tool;
+}
+
+TrocarCalibration parse_trocar(const Document& document) {
+  Reader reader(document, "surg_trocar/1");
+  TrocarCalibration trocar;
+  trocar.p_BRcm = reader.vector("point", 2.0, "m");
+  const Evidence evidence = read_evidence(reader);
+  trocar.residual = evidence.residual;
+  trocar.condition = evidence.condition;
+  trocar.n = evidence.n;
+  trocar.date = evidence.date;
+  trocar.source = evidence.source;
+  trocar.serial = evidence.serial;
+  reader.finish();
+  return trocar;
+}
+
+UrKinematics parse_kinematics(const Document& document) {
+  Reader reader(document, "surg_kinematics/1");
+  UrKinematics own;
+  own.file = document.file;
+  own.model = reader.word("model");
+  own.serial = reader.word("serial");
+  own.date = reader.word("date");
+  own.theta = reader.joints("theta", kUrJoints, -7.0, 7.0, "rad");
+  own.d = reader.joints("d", kUrJoints, -1e4, 1e4, "m");
+  own.a = reader.joints("a", kUrJoints, -10.0, 10.0, "m");
+  own.alpha = reader.joints("alpha", kUrJoints, -4.0, 4.0, "rad");
+  reader.finish();
+  return own;
+}
+
+BaseCalibration parse_base(const Document& document) {
   Reader reader(document, "surg_base/1");
   BaseCalibration base;
   base.file = document.file;
@@ -186,24 +188,6 @@ BaseCalibration read_base(const Document& document) {
   }
   reader.finish();
   return base;
-}
-
-}  // namespace
-
-ToolCalibration parse_tool(const Document& document) {
-  return parse_with_hints(document, read_tool);
-}
-
-TrocarCalibration parse_trocar(const Document& document) {
-  return parse_with_hints(document, read_trocar);
-}
-
-UrKinematics parse_kinematics(const Document& document) {
-  return parse_with_hints(document, read_kinematics);
-}
-
-BaseCalibration parse_base(const Document& document) {
-  return parse_with_hints(document, read_base);
 }
 
 void check_tool(const ToolCalibration& tool, const Limits& limits, const std::string& tool_file) {

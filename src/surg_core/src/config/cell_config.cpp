@@ -3,6 +3,7 @@
 #include <cctype>
 #include <cmath>
 #include <cstdio>
+#include <cstring>
 #include <limits>
 
 #include "document_reader.hpp"
@@ -271,62 +272,6 @@ CellClearance read_clearance(Reader& reader, const Document& document) {
   return clearance;
 }
 
-CellConfig read_cell(const Document& document) {
-  Reader reader(document, "surg_cell/1");
-  CellConfig cell;
-  cell.file = document.file;
-  cell.name = reader.word("name");
-  cell.network = reader.choice("network", {"loopback", "isolated"});
-  cell.machines = read_machines(reader, cell.network);
-  cell.clearance = read_clearance(reader, document);
-  cell.endoscope = read_endoscope(reader);
-  const std::vector<std::string> names = names_in(document, "arms.");
-  if (names.empty()) reader.fail("arms", "is missing; a cell needs at least one arm");
-  for (const auto& name : names) {
-    const std::string prefix = "arms." + name + ".";
-    const bool plain = std::all_of(name.begin(), name.end(),
-                                   [](unsigned char c) { return std::isalnum(c) || c == '_'; });
-    if (!plain || !std::isalpha(static_cast<unsigned char>(name[0]))) {
-      reader.fail("arms." + name,
-                  "an arm's name becomes a ROS namespace: letters, digits and _ "
-                  "only, a letter first");
-    }
-    CellArm arm;
-    arm.name = name;
-    arm.robot = reader.word(prefix + "robot");
-    arm.instrument = reader.word(prefix + "instrument");
-    arm.link = reader.word(prefix + "link");
-    arm.where["link"] = place(document, prefix + "link");
-    arm.base_xyz = reader.vector(prefix + "base.xyz", 10.0, "m");
-    arm.base_rpy = reader.vector(prefix + "base.rpy", 6.3, "rad");
-    if (reader.has(prefix + "home")) arm.home = reader.numbers(prefix + "home");
-    arm.where["home"] = place(document, prefix + "home");
-    if (reader.has(prefix + "elbow")) arm.elbow = reader.real(prefix + "elbow", -M_PI, M_PI, "rad");
-    arm.where["elbow"] = place(document, prefix + "elbow");
-    for (const auto& [key, value] : document.values) {
-      if (key.rfind(prefix + "limits.", 0) != 0) continue;
-      const std::string limit = key.substr(prefix.size() + std::strlen("limits."));
-      if (!find_limit(limit)) reader.fail(key, not_a_limit(limit));
-      arm.limits[limit] = reader.real(key, -kInf, kInf, "");
-      arm.where["limits." + limit] = place(document, key);
-    }
-    for (const auto& fixture : names_in(document, prefix + "fixtures.")) {
-      const std::string key = prefix + "fixtures." + fixture;
-      if (arm.fixtures.size() == Fixtures::kMost) {
-        reader.fail(key, "is one too many; allowed are " + std::to_string(Fixtures::kMost) +
-                             " fixtures for an arm");
-      }
-      arm.fixtures.push_back(read_fixture(reader, key, fixture));
-    }
-    arm.hardware = read_hardware(reader, arm);
-    arm.where["hardware"] = place(document, prefix + "hardware");
-    check_shared_robot(reader, cell.arms, arm);
-    cell.arms.push_back(arm);
-  }
-  reader.finish();
-  return cell;
-}
-
 constexpr const char* kCommission = ": set commissioning: true, ";
 
 /// Refuses a calibration that must not move a real arm.
@@ -397,7 +342,61 @@ std::string unknown_link(const CellArm& arm, const std::string& cell_file,
          "YAML relative to the cell";
 }
 
-CellConfig parse_cell(const Document& document) { return parse_with_hints(document, read_cell); }
+CellConfig parse_cell(const Document& document) {
+  Reader reader(document, "surg_cell/1");
+  CellConfig cell;
+  cell.file = document.file;
+  cell.name = reader.word("name");
+  cell.network = reader.choice("network", {"loopback", "isolated"});
+  cell.machines = read_machines(reader, cell.network);
+  cell.clearance = read_clearance(reader, document);
+  cell.endoscope = read_endoscope(reader);
+  const std::vector<std::string> names = names_in(document, "arms.");
+  if (names.empty()) reader.fail("arms", "is missing; a cell needs at least one arm");
+  for (const auto& name : names) {
+    const std::string prefix = "arms." + name + ".";
+    const bool plain = std::all_of(name.begin(), name.end(),
+                                   [](unsigned char c) { return std::isalnum(c) || c == '_'; });
+    if (!plain || !std::isalpha(static_cast<unsigned char>(name[0]))) {
+      reader.fail("arms." + name,
+                  "an arm's name becomes a ROS namespace: letters, digits and _ "
+                  "only, a letter first");
+    }
+    CellArm arm;
+    arm.name = name;
+    arm.robot = reader.word(prefix + "robot");
+    arm.instrument = reader.word(prefix + "instrument");
+    arm.link = reader.word(prefix + "link");
+    arm.where["link"] = place(document, prefix + "link");
+    arm.base_xyz = reader.vector(prefix + "base.xyz", 10.0, "m");
+    arm.base_rpy = reader.vector(prefix + "base.rpy", 6.3, "rad");
+    if (reader.has(prefix + "home")) arm.home = reader.numbers(prefix + "home");
+    arm.where["home"] = place(document, prefix + "home");
+    if (reader.has(prefix + "elbow")) arm.elbow = reader.real(prefix + "elbow", -M_PI, M_PI, "rad");
+    arm.where["elbow"] = place(document, prefix + "elbow");
+    for (const auto& [key, value] : document.values) {
+      if (key.rfind(prefix + "limits.", 0) != 0) continue;
+      const std::string limit = key.substr(prefix.size() + std::strlen("limits."));
+      if (!find_limit(limit)) reader.fail(key, not_a_limit(limit));
+      arm.limits[limit] = reader.real(key, -kInf, kInf, "");
+      arm.where["limits." + limit] = place(document, key);
+    }
+    for (const auto& fixture : names_in(document, prefix + "fixtures.")) {
+      const std::string key = prefix + "fixtures." + fixture;
+      if (arm.fixtures.size() == Fixtures::kMost) {
+        reader.fail(key, "is one too many; allowed are " + std::to_string(Fixtures::kMost) +
+                             " fixtures for an arm");
+      }
+      arm.fixtures.push_back(read_fixture(reader, key, fixture));
+    }
+    arm.hardware = read_hardware(reader, arm);
+    arm.where["hardware"] = place(document, prefix + "hardware");
+    check_shared_robot(reader, cell.arms, arm);
+    cell.arms.push_back(arm);
+  }
+  reader.finish();
+  return cell;
+}
 
 void check_hardware(const CellArm& arm, const RobotConfig& robot,
                     const InstrumentConfig& instrument, const ToolCalibration& tool,

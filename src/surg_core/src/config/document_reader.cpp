@@ -38,26 +38,6 @@ std::string place(const CellArm& arm, const std::string& key, const std::string&
   return file + ": arms." + arm.name + "." + key;
 }
 
-std::size_t edits_between(const std::string& a, const std::string& b) {
-  std::vector<std::size_t> before(b.size() + 1), last(b.size() + 1), row(b.size() + 1);
-  for (std::size_t j = 0; j <= b.size(); ++j) row[j] = j;
-  for (std::size_t i = 1; i <= a.size(); ++i) {
-    before = std::exchange(last, row);
-    row[0] = i;
-    for (std::size_t j = 1; j <= b.size(); ++j) {
-      row[j] = std::min({last[j] + 1, row[j - 1] + 1, last[j - 1] + (a[i - 1] != b[j - 1])});
-      const bool swapped = i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1];
-      if (swapped) row[j] = std::min(row[j], before[j - 2] + 1);
-    }
-  }
-  return row[b.size()];
-}
-
-bool alike(const std::string& a, const std::string& b) {
-  const auto last_word = [](const std::string& key) { return key.size() - (key.rfind('.') + 1); };
-  return edits_between(a, b) <= std::max<std::size_t>(std::min(last_word(a), last_word(b)) / 3, 1);
-}
-
 std::vector<std::string> names_in(const Document& document, const std::string& prefix) {
   std::vector<std::string> names;
   for (const auto& [key, value] : document.values) {

@@ -2,13 +2,11 @@
 #pragma once
 
 #include <algorithm>
-#include <cstring>
 #include <initializer_list>
 #include <map>
 #include <optional>
 #include <set>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "surg_core/config.hpp"
@@ -21,62 +19,10 @@ std::string show(const Value& value);
 std::string place(const Document& document, const std::string& key);
 /// File, line where known, and key of an arm's value in its cell.
 std::string place(const CellArm& arm, const std::string& key, const std::string& cell_file);
-/// How many letters must be inserted, deleted, replaced or swapped with their neighbour.
-std::size_t edits_between(const std::string& a, const std::string& b);
-/// Whether one key may be a misspelling of the other: at most every third letter of a word differs.
-bool alike(const std::string& a, const std::string& b);
 /// The text between a prefix such as "arms." and the next dot of every key, in the file's order.
 std::vector<std::string> names_in(const Document& document, const std::string& prefix);
 /// The day of a date such as "2026-11-23", counted from 1970; nothing where it is none.
 std::optional<int> day_of(const std::string& date);
-
-/// A key that is needed and not there.
-class MissingKey : public ConfigError {
- public:
-  MissingKey(const std::string& what, std::string key) : ConfigError(what), key_(std::move(key)) {}
-  const std::string& key() const { return key_; }
-
- private:
-  std::string key_;
-};
-
-/// The key of a document that is a misspelling of one that is missing in it; empty if there is
-/// none. It is one if it looks like it, and if nothing misses it or minds its value once it is
-/// renamed.
-template <typename Parse>
-std::string misspelling(const Document& document, const std::string& missing, Parse parse) {
-  std::multimap<std::size_t, std::string> nearest_first;
-  for (const auto& [key, value] : document.values) {
-    if (alike(key, missing)) nearest_first.emplace(edits_between(key, missing), key);
-  }
-  for (const auto& [edits, key] : nearest_first) {
-    Document renamed = document;
-    renamed.values[missing] = document.values.at(key);
-    renamed.values.erase(key);
-    try {
-      parse(renamed);
-    } catch (const MissingKey& other) {
-      if (other.key() == key) continue;
-    } catch (const ConfigError& other) {
-      if (std::strstr(other.what(), missing.c_str())) continue;
-    }
-    return key;
-  }
-  return "";
-}
-
-/// Parses a document. Where a key is missing because it is misspelt, the error names both.
-template <typename Parse>
-auto parse_with_hints(const Document& document, Parse parse) {
-  try {
-    return parse(document);
-  } catch (const MissingKey& missing) {
-    const std::string key = misspelling(document, missing.key(), parse);
-    if (key.empty()) throw;
-    throw ConfigError(place(document, key) + ": " + key + ": is not a known key; did you mean " +
-                      missing.key() + "?");
-  }
-}
 
 /// Reads a document key by key, remembers what was asked for, and refuses what was not.
 class Reader {
@@ -183,24 +129,17 @@ class Reader {
   void finish() const {
     for (const auto& [key, value] : document_.values) {
       if (known_.count(key)) continue;
-      std::string near, meant;
+      std::string near;
       for (const auto& candidate : known_) {
-        const auto dot = key.rfind('.');
-        const std::string section = dot == std::string::npos ? "" : key.substr(0, dot + 1);
-        const auto known_dot = candidate.rfind('.');
-        const std::string known_section =
-            known_dot == std::string::npos ? "" : candidate.substr(0, known_dot + 1);
-        if (section == known_section) near += (near.empty() ? "" : ", ") + candidate;
-        if (meant.empty() && document_.values.count(candidate) == 0 && alike(key, candidate)) {
-          meant = candidate;
-        }
+        if (section(key) == section(candidate)) near += (near.empty() ? "" : ", ") + candidate;
       }
-      if (!meant.empty()) fail(key, "is not a known key; did you mean " + meant + "?");
       fail(key, "is not a known key" + (near.empty() ? "" : "; known here: " + near));
     }
   }
 
  private:
+  static std::string section(const std::string& key) { return key.substr(0, key.rfind('.') + 1); }
+
   template <typename T>
   T get(const std::string& key, const char* wanted) {
     known_.insert(key);
@@ -210,7 +149,13 @@ class Reader {
           std::any_of(document_.values.begin(), document_.values.end(),
                       [&](const auto& item) { return item.first.rfind(key + ".", 0) == 0; });
       if (nested) fail(key, "is a section; " + std::string(wanted) + " is needed");
-      throw MissingKey(document_.file + ": " + key + ": is missing; " + wanted + " is needed", key);
+      std::string near;  // a misspelt key is among them
+      for (const auto& [other, value] : document_.values) {
+        const bool new_here = known_.count(other) == 0 && section(other) == section(key);
+        if (new_here) near += (near.empty() ? "; here stands " : ", ") + other;
+      }
+      throw ConfigError(document_.file + ": " + key + ": is missing; " + wanted + " is needed" +
+                        near);
     }
     if (const T* value = std::get_if<T>(&found->second)) return *value;
     fail(key, show(found->second) + " is not " + wanted);

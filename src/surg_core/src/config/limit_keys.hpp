@@ -23,7 +23,7 @@ struct LimitKey {
 
 /// The limit of that name; nullptr where there is none.
 const LimitKey* find_limit(const std::string& name);
-/// Why a name is no limit, with the one that was probably meant.
+/// Why a name is no limit, with those that there are.
 std::string not_a_limit(const std::string& name);
 
 }  // namespace surg::config

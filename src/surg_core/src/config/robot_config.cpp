@@ -148,7 +148,24 @@ std::vector<LinkCapsule> read_capsules(Reader& reader, const Document& document,
   return capsules;
 }
 
-RobotConfig read_robot(const Document& document) {
+}  // namespace
+
+const LimitKey* config::find_limit(const std::string& name) {
+  for (const auto& key : kLimitKeys) {
+    if (name == key.name) return &key;
+  }
+  return nullptr;
+}
+
+std::string config::not_a_limit(const std::string& name) {
+  std::string list;
+  for (const auto& key : kLimitKeys) {
+    list += (list.empty() ? "" : ", ") + std::string(key.name);
+  }
+  return "is not a limit; known are " + list;
+}
+
+RobotConfig parse_robot(const Document& document) {
   Reader reader(document, "surg_robot/1");
   RobotConfig robot;
   robot.file = document.file;
@@ -209,7 +226,7 @@ RobotConfig read_robot(const Document& document) {
   return robot;
 }
 
-LinkConfig read_link(const Document& document) {
+LinkConfig parse_link(const Document& document) {
   Reader reader(document, "surg_link/1");
   LinkConfig link;
   link.name = reader.word("name");
@@ -232,7 +249,20 @@ LinkConfig read_link(const Document& document) {
   return link;
 }
 
-InstrumentConfig read_instrument(const Document& document) {
+/// Its time-out is that of one process among many on a desktop, and its dead-man waits as long
+/// (F10). Its lag is 4 ms of delay and 8 ms of the joints' servos (sim_arm.py).
+LinkConfig simulator_link() { return {kSimulator, 0.1, 0.012, 1.0}; }
+
+RobotConfig with_link(const RobotConfig& robot, const LinkConfig& link) {
+  RobotConfig result = robot;
+  result.tuning.link_timeout = link.link_timeout;
+  result.tuning.link_lag = link.link_lag;
+  result.joint_lag = link.joint_lag;
+  result.acceleration *= link.acceleration;
+  return result;
+}
+
+InstrumentConfig parse_instrument(const Document& document) {
   Reader reader(document, "surg_instrument/1");
   InstrumentConfig instrument;
   instrument.file = document.file;
@@ -258,45 +288,6 @@ InstrumentConfig read_instrument(const Document& document) {
   instrument.capsules = read_capsules(reader, document, {});
   reader.finish();
   return instrument;
-}
-
-}  // namespace
-
-const LimitKey* config::find_limit(const std::string& name) {
-  for (const auto& key : kLimitKeys) {
-    if (name == key.name) return &key;
-  }
-  return nullptr;
-}
-
-std::string config::not_a_limit(const std::string& name) {
-  std::string list;
-  for (const auto& key : kLimitKeys) {
-    if (alike(name, key.name)) return std::string("is not a limit; did you mean ") + key.name + "?";
-    list += (list.empty() ? "" : ", ") + std::string(key.name);
-  }
-  return "is not a limit; known are " + list;
-}
-
-RobotConfig parse_robot(const Document& document) { return parse_with_hints(document, read_robot); }
-
-LinkConfig parse_link(const Document& document) { return parse_with_hints(document, read_link); }
-
-/// Its time-out is that of one process among many on a desktop, and its dead-man waits as long
-/// (F10). Its lag is 4 ms of delay and 8 ms of the joints' servos (sim_arm.py).
-LinkConfig simulator_link() { return {kSimulator, 0.1, 0.012, 1.0}; }
-
-RobotConfig with_link(const RobotConfig& robot, const LinkConfig& link) {
-  RobotConfig result = robot;
-  result.tuning.link_timeout = link.link_timeout;
-  result.tuning.link_lag = link.link_lag;
-  result.joint_lag = link.joint_lag;
-  result.acceleration *= link.acceleration;
-  return result;
-}
-
-InstrumentConfig parse_instrument(const Document& document) {
-  return parse_with_hints(document, read_instrument);
 }
 
 Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell_file) {
