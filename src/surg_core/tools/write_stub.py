@@ -17,6 +17,7 @@ from typing import Any
 HEAD = """# Written by the build.
 
 import enum
+import os
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -133,6 +134,7 @@ def argument(kind: str) -> str:
     """Type of a parameter: as wide as the conversion."""
     kind = plain(kind).replace("List[", "Sequence[").replace("Dict[", "Mapping[")
     kind = re.sub(r"numpy\.ndarray\[numpy\.float64\]", "npt.ArrayLike", kind)
+    kind = re.sub(r"os\.PathLike(?!\[)", "str | os.PathLike[str]", kind)
     return re.sub(r"\bdict\b", "Mapping[str, object]", kind)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import surg_core
 from surg_cli.host import paths
-from surg_core.config import load_instrument, load_robot
+from surg_core import load_instrument, load_robot
 
 DESCRIPTION = paths.ROOT / "src" / "surg_description"
 SLACK = 1e-4  # [m]

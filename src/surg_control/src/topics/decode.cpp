@@ -15,6 +15,12 @@ constexpr std::array<const char*, 3> kShapes{"plane", "sphere", "capsule"};
 constexpr std::array<const char*, 2> kSides{"keep_out", "stay_in"};
 constexpr std::array<const char*, 2> kParts{"tip", "shaft"};
 
+// In the order of surg::Motion.
+constexpr std::array<const char*, 18> kTopics{
+    "nothing", "servo_cp",    "servo_jp",     "servo_cv",     "servo_jv",       "interpolate_cp",
+    "move_cp", "hold",        "jaw/servo_jp", "servo_jr",     "interpolate_jp", "move_jp",
+    "move_jr", "jaw/move_jp", "rcm/insert",   "rcm/withdraw", "rcm/retrace",    "elbow/move_jp",
+};
 constexpr std::array<std::pair<const char*, surg::StateCommand>, 6> kStateWords{{
     {"enable", surg::StateCommand::kEnable},
     {"disable", surg::StateCommand::kDisable},
@@ -314,45 +320,8 @@ std::string decode_state_of_robot(const sensor_msgs::JointState& message,
 }
 
 const char* topic_of(surg::Motion motion) {
-  switch (motion) {
-    case surg::Motion::kNone:
-      return "nothing";
-    case surg::Motion::kServoCp:
-      return "servo_cp";
-    case surg::Motion::kServoJp:
-      return "servo_jp";
-    case surg::Motion::kServoCv:
-      return "servo_cv";
-    case surg::Motion::kServoJv:
-      return "servo_jv";
-    case surg::Motion::kInterpolateCp:
-      return "interpolate_cp";
-    case surg::Motion::kMoveCp:
-      return "move_cp";
-    case surg::Motion::kHold:
-      return "hold";
-    case surg::Motion::kJawServoJp:
-      return "jaw/servo_jp";
-    case surg::Motion::kServoJr:
-      return "servo_jr";
-    case surg::Motion::kInterpolateJp:
-      return "interpolate_jp";
-    case surg::Motion::kMoveJp:
-      return "move_jp";
-    case surg::Motion::kMoveJr:
-      return "move_jr";
-    case surg::Motion::kJawMoveJp:
-      return "jaw/move_jp";
-    case surg::Motion::kInsert:
-      return "rcm/insert";
-    case surg::Motion::kWithdraw:
-      return "rcm/withdraw";
-    case surg::Motion::kRetrace:
-      return "rcm/retrace";
-    case surg::Motion::kElbowMoveJp:
-      return "elbow/move_jp";
-  }
-  return "unknown";
+  const auto number = static_cast<std::size_t>(motion);
+  return number < kTopics.size() ? kTopics[number] : "unknown";
 }
 
 const char* word_of(surg::StateCommand command) {

@@ -65,7 +65,7 @@ void bind_solvers(py::module_& m) {
         return calibrate_axis_by_points(tip, second, kUsual);
       },
       py::arg("tip"), py::arg("second"),
-        "The shaft axis through two pivoted points of it. Raises CalibrationError when too close.");
+      "The shaft axis through two pivoted points of it. Raises CalibrationError when too close.");
   m.def(
       "calibrate_trocar",
       [](const Array& p_B, const Array& s_B) {

@@ -320,12 +320,9 @@ void bind_config(py::module_& m) {
 
   const char* text = "Checks the document against the schema. Raises ConfigError.";
   m.def("parse_robot", &parse_robot, py::arg("document"), text);
-  m.def("parse_instrument", &parse_instrument, py::arg("document"), text);
   m.def("parse_tool", &parse_tool, py::arg("document"), text);
-  m.def("parse_trocar", &parse_trocar, py::arg("document"), text);
   m.def("parse_base", &parse_base, py::arg("document"), text);
   m.def("parse_cell", &parse_cell, py::arg("document"), text);
-  m.def("parse_kinematics", &parse_kinematics, py::arg("document"), text);
   m.def(
       "inside_workspace",
       [](const Limits& limits, const Array& p_RTip) {

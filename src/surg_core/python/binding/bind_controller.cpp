@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cctype>
 #include <optional>
 
 #include "convert.hpp"
@@ -290,50 +291,13 @@ void bind_fixture_calls(py::class_<Owned>& type) {
 }
 
 void bind_reason(py::module_& m) {
-  py::enum_<Reason>(m, "Reason", "Why the arm does not do what was asked.")
-      .value("NONE", Reason::kNone)
-      .value("NOT_HOMED", Reason::kNotHomed)
-      .value("NOT_ENABLED", Reason::kNotEnabled)
-      .value("NOT_FINITE", Reason::kNotFinite)
-      .value("STATE_NOT_FINITE", Reason::kStateNotFinite)
-      .value("STALE", Reason::kStale)
-      .value("LINK_LOST", Reason::kLinkLost)
-      .value("RCM_UNSET", Reason::kRcmUnset)
-      .value("RCM_ERROR", Reason::kRcmError)
-      .value("RCM_WHILE_ENABLED", Reason::kRcmWhileEnabled)
-      .value("STEP_TOO_LARGE", Reason::kStepTooLarge)
-      .value("STREAM_START_TOO_FAR", Reason::kStreamStartTooFar)
-      .value("OUTSIDE_WORKSPACE", Reason::kOutsideWorkspace)
-      .value("WRONG_FRAME", Reason::kWrongFrame)
-      .value("WRONG_SIZE", Reason::kWrongSize)
-      .value("NO_AUTHORITY", Reason::kNoAuthority)
-      .value("REFUSED_TRANSITION", Reason::kRefusedTransition)
-      .value("OVERRUN", Reason::kOverrun)
-      .value("JOINT_LIMIT", Reason::kJointLimit)
-      .value("OPERATOR", Reason::kOperator)
-      .value("NOT_FOLLOWING", Reason::kNotFollowing)
-      .value("HELD", Reason::kHeld)
-      .value("NOT_INSERTED", Reason::kNotInserted)
-      .value("TRACK_STALE", Reason::kTrackStale)
-      .value("TOOL_LOST", Reason::kToolLost)
-      .value("UNREACHABLE", Reason::kUnreachable)
-      .value("NOT_ARRIVED", Reason::kNotArrived)
-      .value("NO_TRACE", Reason::kNoTrace)
-      .value("FRAME_WHILE_ENABLED", Reason::kFrameWhileEnabled)
-      .value("FORCE", Reason::kForce)
-      .value("MASTER_LOST", Reason::kMasterLost)
-      .value("NOT_AT_REST", Reason::kNotAtRest)
-      .value("LATE", Reason::kLate)
-      .value("NO_ELBOW", Reason::kNoElbow)
-      .value("ELBOW_OUT_OF_REACH", Reason::kElbowOutOfReach)
-      .value("TOOL_WHILE_ENABLED", Reason::kToolWhileEnabled)
-      .value("ROBOT", Reason::kRobot)
-      .value("FIXTURE", Reason::kFixture)
-      .value("FIXTURE_OF_CELL", Reason::kFixtureOfCell)
-      .value("FIXTURE_WHILE_ENABLED", Reason::kFixtureWhileEnabled)
-      .value("FIXTURES_FULL", Reason::kFixturesFull)
-      .value("NO_FIXTURE", Reason::kNoFixture)
-      .value("OTHER_ARM_LOST", Reason::kOtherArmLost);
+  py::enum_<Reason> reasons(m, "Reason", "Why the arm does not do what was asked.");
+  for (int i = 0; i <= static_cast<int>(Reason::kOtherArmLost); ++i) {
+    const auto reason = static_cast<Reason>(i);
+    std::string word = reason == Reason::kLinkLost ? "link_lost" : name(reason);
+    std::transform(word.begin(), word.end(), word.begin(), [](char c) { return std::toupper(c); });
+    reasons.value(word.c_str(), reason);
+  }
   m.def("sentence", py::overload_cast<Reason>(&sentence), py::arg("reason"),
         "What was wrong and what to do, for people.");
   m.def("reason_name", py::overload_cast<Reason>(&name), py::arg("reason"),

@@ -1,4 +1,9 @@
 #include <pybind11/stl.h>
+#include <pybind11/stl/filesystem.h>
+
+#include <filesystem>
+#include <string>
+#include <vector>
 
 #include "convert.hpp"
 #include "surg_core/files/arm_setup.hpp"
@@ -7,6 +12,17 @@
 
 namespace surg::python {
 namespace {
+
+using Path = std::filesystem::path;
+
+template <typename Config>
+void bind_loader(py::module_& m, const char* name, Config (*parse)(const Document&),
+                 const std::string& what) {
+  m.def(
+      name, [parse](const Path& path) { return parse(load_document(path.string())); },
+      py::arg("path"),
+      (what + " Raises ConfigError with file, line, key, value and what is allowed.").c_str());
+}
 
 void bind_urdf(py::module_& m) {
   py::class_<UrdfLimit>(m, "UrdfLimit", "A joint's <limit>; None: not stated.")
@@ -35,19 +51,44 @@ void bind_urdf(py::module_& m) {
       .def_readonly("text", &Urdf::text)
       .def_property_readonly("links", tuple_of(&Urdf::links))
       .def_property_readonly("joints", [](const Urdf& u) { return u.joints; });
-  m.def("load_urdf", &load_urdf, py::arg("path"),
-        "Reads a URDF in the encoding that it states. Raises ConfigError.");
-  m.def("joints_between", &joints_between, py::arg("urdf"), py::arg("start"), py::arg("end"),
-        "The joints from one link down to another. Raises ConfigError.");
-  m.def("chain_of", &chain_of, py::arg("urdf"), py::arg("base"), py::arg("flange"),
-        py::arg("joint_names"), "The chain from one link to another. Raises ConfigError.");
+  m.def(
+      "load_urdf", [](const Path& path) { return load_urdf(path.string()); }, py::arg("path"),
+      "Reads a URDF in the encoding that it states: its text, links and joints. Raises "
+      "ConfigError\n"
+      "for a missing or malformed file, xacro that nobody has expanded, a number that is none, or\n"
+      "links and joints that are not one tree.");
+  m.def(
+      "read_joints",
+      [](const Path& path, const std::string& start, const std::string& end) {
+        return joints_between(load_urdf(path.string()), start, end);
+      },
+      py::arg("path"), py::arg("start"), py::arg("end"),
+      "The joints from link 'start' down to link 'end', in this order, fixed ones included. "
+      "Raises\n"
+      "ConfigError as load_urdf, for an unknown link, no way from start to end, or a joint of a\n"
+      "kind other than revolute, continuous or fixed.");
+  m.def(
+      "chain_from_urdf",
+      [](const Path& path, const std::string& base, const std::string& flange,
+         const std::vector<std::string>& joint_names) {
+        return chain_of(load_urdf(path.string()), base, flange, joint_names);
+      },
+      py::arg("path"), py::arg("base_link"), py::arg("flange_link"), py::arg("joint_names"),
+      "The serial chain from one link to another, without a robot's YAML. joint_names: the "
+      "turning\n"
+      "joints in order from the base, exactly those on the way; fixed joints in between are "
+      "folded\n"
+      "into them. Raises ConfigError as read_joints, for other joints than named, or one without\n"
+      "the limits that URDF demands.");
   m.def(
       "fixed_transform",
-      [](const Urdf& urdf, const std::string& parent, const std::string& child) {
-        return from_pose(fixed_transform(urdf, parent, child));
+      [](const Path& path, const std::string& parent, const std::string& child) {
+        return from_pose(fixed_transform(load_urdf(path.string()), parent, child));
       },
-      py::arg("urdf"), py::arg("parent"), py::arg("child"),
-      "Pose (4, 4) of one link in another, with only fixed joints between. Raises ConfigError.");
+      py::arg("path"), py::arg("parent_link"), py::arg("child_link"),
+      "Pose (4, 4) of one link in another, which only fixed joints may separate. Raises "
+      "ConfigError\n"
+      "as read_joints, and for a joint on the way that is not fixed.");
   m.def(
       "load_chain", [](const RobotConfig& robot) { return load_model(robot).chain; },
       py::arg("robot"),
@@ -81,8 +122,24 @@ void bind_arm_setup(py::module_& m) {
 }  // namespace
 
 void bind_files(py::module_& m) {
-  m.def("load_document", &load_document, py::arg("path"),
-        "Reads and flattens a YAML file. Raises ConfigError.");
+  m.def(
+      "read_document", [](const Path& path) { return load_document(path.string()); },
+      py::arg("path"),
+      "Reads and flattens a YAML file. Raises ConfigError for a file that is missing, unreadable, "
+      "no\n"
+      "YAML, not a mapping, or that says a key twice.");
+  bind_loader(m, "load_robot", &parse_robot, "Reads a robot YAML.");
+  bind_loader(m, "load_instrument", &parse_instrument, "Reads an instrument YAML.");
+  bind_loader(m, "load_tool", &parse_tool, "Reads a tool calibration.");
+  bind_loader(m, "load_trocar", &parse_trocar, "Reads a trocar calibration.");
+  bind_loader(m, "load_kinematics", &parse_kinematics, "Reads an arm's own kinematics.");
+  m.def(
+      "kinematics_of",
+      [](const std::string& text, const std::string& file) {
+        return parse_kinematics(parse_document(text, file));
+      },
+      py::arg("text"), py::arg("file"),
+      "An arm's own kinematics from the text of their file; 'file' is named in errors.");
   m.def("parse_document", &parse_document, py::arg("text"), py::arg("file"),
         "Flattens a YAML text; 'file' is named in errors. Raises ConfigError.");
   bind_urdf(m);

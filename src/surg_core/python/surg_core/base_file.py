@@ -9,14 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from surg_core._core import parse_base
+from surg_core._core import parse_base, read_document
 from surg_core.checked_document import (
     Evidence,
     check_measured_with,
     evidence_text,
     pose_text,
 )
-from surg_core.config import PathLike, read_document
+from surg_core.config import PathLike
 from surg_core.replace_file import exact_numbers, one_line, replace_file
 from surg_core.transforms import FloatArray
 

@@ -46,15 +46,13 @@ from surg_core._core import (
     calibrate_axis_by_rolling,
     calibrate_tip,
     calibrate_trocar,
-    tool_calibration,
-    trocar_calibration,
-)
-from surg_core.config import (
-    PathLike,
     load_kinematics,
     load_tool,
     load_trocar,
+    tool_calibration,
+    trocar_calibration,
 )
+from surg_core.config import PathLike
 from surg_core.replace_file import fixed_decimals, one_line, replace_file
 from surg_core.transforms import FloatArray, quaternion_xyzw_to_matrix
 

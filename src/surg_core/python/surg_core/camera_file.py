@@ -11,7 +11,7 @@ import datetime
 from dataclasses import dataclass
 from pathlib import Path
 
-from surg_core._core import ConfigError, Document
+from surg_core._core import ConfigError, Document, read_document
 from surg_core.checked_document import (
     NO_HASH,
     CheckedDocument,
@@ -20,7 +20,7 @@ from surg_core.checked_document import (
     evidence_text,
     pose_text,
 )
-from surg_core.config import PathLike, read_document
+from surg_core.config import PathLike
 from surg_core.replace_file import exact_rows, one_line, replace_file
 from surg_core.transforms import FloatArray
 

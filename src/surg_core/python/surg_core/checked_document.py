@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from surg_core._core import ConfigError, Document
-from surg_core.config import PathLike, Value, read_document
+from surg_core._core import ConfigError, Document, read_document
+from surg_core.config import PathLike, Value
 from surg_core.replace_file import exact_number, exact_numbers, exact_rows, one_line
 from surg_core.transforms import (
     FloatArray,

@@ -18,7 +18,6 @@ from surg_core._core import (
     CellConfig,
     CellHardware,
     Chain,
-    Document,
     Fixture,
     InstrumentConfig,
     Limits,
@@ -29,14 +28,8 @@ from surg_core._core import (
     UrKinematics,
     cell_file_of,
     load_arm,
-    load_document,
     parse_cell,
-    parse_document,
-    parse_instrument,
-    parse_kinematics,
-    parse_robot,
-    parse_tool,
-    parse_trocar,
+    read_document,
 )
 from surg_core.transforms import FloatArray
 
@@ -111,40 +104,6 @@ class Cell:
     folder: Path
 
 
-def load_robot(path: PathLike) -> RobotConfig:
-    """Reads a robot YAML.
-
-    Raises:
-        ConfigError: with file, line, key, value and what is allowed.
-    """
-    return parse_robot(read_document(path))
-
-
-def load_instrument(path: PathLike) -> InstrumentConfig:
-    """Reads an instrument YAML; errors as :func:`load_robot`."""
-    return parse_instrument(read_document(path))
-
-
-def load_tool(path: PathLike) -> ToolCalibration:
-    """Reads a tool calibration; errors as :func:`load_robot`."""
-    return parse_tool(read_document(path))
-
-
-def load_trocar(path: PathLike) -> TrocarCalibration:
-    """Reads a trocar calibration; errors as :func:`load_robot`."""
-    return parse_trocar(read_document(path))
-
-
-def load_kinematics(path: PathLike) -> UrKinematics:
-    """Reads an arm's own kinematics; errors as :func:`load_robot`."""
-    return parse_kinematics(read_document(path))
-
-
-def kinematics_of(text: str, file: str) -> UrKinematics:
-    """An arm's own kinematics from the text of their file; ``file`` is named in errors."""
-    return parse_kinematics(parse_document(text, file))
-
-
 def load_cell(path: PathLike) -> Cell:
     """Reads a cell with everything it refers to.
 
@@ -152,7 +111,8 @@ def load_cell(path: PathLike) -> Cell:
         path: the cell's folder, or its cell.yaml.
 
     Raises:
-        ConfigError: as :func:`load_robot`, for the cell or any file it names.
+        ConfigError: with file, line, key, value and what is allowed, for the cell or any file that
+            it names.
     """
     file = cell_file_of(os.fspath(path))
     config = parse_cell(read_document(file))
@@ -184,13 +144,3 @@ def _arm(setup: ArmSetup, cell_file: Path) -> Arm:
         kinematics=setup.kinematics,
         force_sensor=force_sensor if force_sensor.exists() else None,
     )
-
-
-def read_document(path: PathLike) -> Document:
-    """Reads and flattens a YAML file.
-
-    Raises:
-        ConfigError: for a file that is missing, unreadable, no YAML, not a mapping, or that says
-            a key twice.
-    """
-    return load_document(os.fspath(path))

@@ -14,9 +14,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from surg_core._core import ConfigError, Document
+from surg_core._core import ConfigError, Document, read_document
 from surg_core.checked_document import CheckedDocument
-from surg_core.config import PathLike, read_document
+from surg_core.config import PathLike
 from surg_core.replace_file import exact_numbers, one_line, replace_file
 from surg_core.transforms import FloatArray
 

@@ -377,7 +377,7 @@ CellConfig parse_cell(const Document& document) {
     for (const auto& [key, value] : document.values) {
       if (key.rfind(prefix + "limits.", 0) != 0) continue;
       const std::string limit = key.substr(prefix.size() + std::strlen("limits."));
-      if (!find_limit(limit)) reader.fail(key, not_a_limit(limit));
+      if (!find_limit(limit)) reader.fail(key, not_a_limit());
       arm.limits[limit] = reader.real(key, -kInf, kInf, "");
       arm.where["limits." + limit] = place(document, key);
     }

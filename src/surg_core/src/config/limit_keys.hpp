@@ -24,6 +24,6 @@ struct LimitKey {
 /// The limit of that name; nullptr where there is none.
 const LimitKey* find_limit(const std::string& name);
 /// Why a name is no limit, with those that there are.
-std::string not_a_limit(const std::string& name);
+std::string not_a_limit();
 
 }  // namespace surg::config

@@ -157,7 +157,7 @@ const LimitKey* config::find_limit(const std::string& name) {
   return nullptr;
 }
 
-std::string config::not_a_limit(const std::string& name) {
+std::string config::not_a_limit() {
   std::string list;
   for (const auto& key : kLimitKeys) {
     list += (list.empty() ? "" : ", ") + std::string(key.name);
@@ -295,7 +295,7 @@ Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell
   for (const auto& [limit, value] : arm.limits) {
     const std::string where = place(arm, "limits." + limit, cell_file) + ": ";
     const LimitKey* key = find_limit(limit);
-    if (!key) throw ConfigError(where + not_a_limit(limit));
+    if (!key) throw ConfigError(where + not_a_limit());
     const double present = limits.*key->member;
     const bool smaller = key->tighter == Tighter::kSmaller;
     const double lowest = smaller ? key->lowest : present;

@@ -20,38 +20,24 @@ constexpr int kJump = 3;               // outliers in a row that see the same po
 
 bool usable(const Vector3& v) { return v.norm() <= kHuge; }  // false for NaN
 
+/// Of each TrackWarning, in order: its name, what is wrong and what to do.
+constexpr const char* kWarnings[][2] = {
+    {"none", ""},
+    {"track_outlier",
+     "a sample on rcm/track is far from the trocar's motion and was not used: check the "
+     "tracker's line of sight and its markers"},
+    {"track_dropout",
+     "samples on rcm/track are missing; the controller bridged the gap: check the "
+     "tracker's line of sight and the network"},
+    {"track_noisy",
+     "the positions on rcm/track are noisier than tuning.track_noise, and the pivot less "
+     "accurate than stated: check the tracker's distance and its markers"},
+};
+
 }  // namespace
 
-const char* name(TrackWarning warning) {
-  switch (warning) {
-    case TrackWarning::kNone:
-      return "none";
-    case TrackWarning::kOutlier:
-      return "track_outlier";
-    case TrackWarning::kDropout:
-      return "track_dropout";
-    case TrackWarning::kNoisy:
-      return "track_noisy";
-  }
-  return "unknown";
-}
-
-const char* sentence(TrackWarning warning) {
-  switch (warning) {
-    case TrackWarning::kNone:
-      return "";
-    case TrackWarning::kOutlier:
-      return "a sample on rcm/track is far from the trocar's motion and was not used: check the "
-             "tracker's line of sight and its markers";
-    case TrackWarning::kDropout:
-      return "samples on rcm/track are missing; the controller bridged the gap: check the "
-             "tracker's line of sight and the network";
-    case TrackWarning::kNoisy:
-      return "the positions on rcm/track are noisier than tuning.track_noise, and the pivot less "
-             "accurate than stated: check the tracker's distance and its markers";
-  }
-  return "";
-}
+const char* name(TrackWarning warning) { return kWarnings[static_cast<int>(warning)][0]; }
+const char* sentence(TrackWarning warning) { return kWarnings[static_cast<int>(warning)][1]; }
 
 Trocar::Trocar(const Options& options)
     : options_(options), filter_(options.noise, options.jerk, kSpeed) {}

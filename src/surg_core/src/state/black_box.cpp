@@ -356,6 +356,7 @@ class Coder {
   }
   void value(BlackBoxEvent& e) {
     (*this)(e.kind, e.state, e.reason, e.answer, e.source, e.p_BRcm, e.command);
+    if (e.kind > BlackBoxEvent::Kind::kRemoveFixture) broken("a call is of no known kind");
     const bool fixture =
         e.kind == BlackBoxEvent::Kind::kSetFixture || e.kind == BlackBoxEvent::Kind::kRemoveFixture;
     if (fixture) (*this)(e.fixture);
@@ -554,27 +555,9 @@ BlackBoxDifference first_difference(std::size_t step, Outputs& recorded, Outputs
           std::to_string(replayed.n_verdicts)};
 }
 
-const char* name(BlackBoxEvent::Kind kind) {
-  switch (kind) {
-    case BlackBoxEvent::Kind::kRequest:
-      return "request";
-    case BlackBoxEvent::Kind::kSetRcm:
-      return "set_rcm";
-    case BlackBoxEvent::Kind::kFault:
-      return "fault";
-    case BlackBoxEvent::Kind::kPause:
-      return "pause";
-    case BlackBoxEvent::Kind::kClaim:
-      return "claim";
-    case BlackBoxEvent::Kind::kCommand:
-      return "command";
-    case BlackBoxEvent::Kind::kSetFixture:
-      return "set_fixture";
-    case BlackBoxEvent::Kind::kRemoveFixture:
-      return "remove_fixture";
-  }
-  return "unknown";
-}
+/// Of each BlackBoxEvent::Kind, in order.
+constexpr const char* kKinds[] = {"request", "set_rcm", "fault",       "pause",
+                                  "claim",   "command", "set_fixture", "remove_fixture"};
 
 /// Makes a call again; what came back.
 Reason call(Controller& controller, const BlackBoxEvent& event) {
@@ -620,7 +603,8 @@ std::optional<BlackBoxDifference> replay(const BlackBoxRecording& recording) {
     const Reason answer = call(controller, *event);
     const BlackBoxEvent& was = *event++;
     if (answer == was.answer) return std::nullopt;
-    return BlackBoxDifference{step, name(was.kind), shown(was.answer), shown(answer)};
+    return BlackBoxDifference{step, kKinds[static_cast<int>(was.kind)], shown(was.answer),
+                              shown(answer)};
   };
   for (std::size_t k = 0; k < recording.steps.size(); ++k) {
     const BlackBoxStep& step = recording.steps[k];

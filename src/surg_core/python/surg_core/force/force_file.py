@@ -6,9 +6,9 @@ import datetime
 from dataclasses import dataclass
 from pathlib import Path
 
-from surg_core._core import Document
+from surg_core._core import Document, read_document
 from surg_core.checked_document import SOURCES, CheckedDocument, check_measured_with
-from surg_core.config import PathLike, read_document
+from surg_core.config import PathLike
 from surg_core.force.compensation import PARAMETERS, ToolLoad
 from surg_core.force.load_solver import LEAST_POSTURES
 from surg_core.force.sensor_file import FARTHEST

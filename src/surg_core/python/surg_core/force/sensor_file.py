@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surg_core._core import Document
+from surg_core._core import Document, read_document
 from surg_core.checked_document import CheckedDocument
-from surg_core.config import PathLike, read_document
+from surg_core.config import PathLike
 from surg_core.transforms import FloatArray
 
 FORMAT = "surg_force_sensor/1"

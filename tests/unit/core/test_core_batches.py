@@ -27,42 +27,18 @@ def test_everything_public_is_documented() -> None:
     assert not silent
 
 
-class Scene:
-    """A controller and recorded inputs."""
+def cell_arm() -> surg_core.Arm:
+    return surg_core.load_cell(paths.ROOT / "cells" / "sim_ur5e").arms["PSM1"]
 
-    def __init__(self, cycles: int) -> None:
-        self.arm = surg_core.load_cell(paths.ROOT / "cells" / "sim_ur5e").arms["PSM1"]
-        self.controller = self.fresh()
-        q = np.array(self.arm.robot.home)
-        qd = np.zeros(6)
-        self.q, self.qd = [], []
-        self.commands = []
-        self.outputs = []
-        for k in range(cycles):
-            here = []
-            if k % 10 == 0:
-                t = 0.002 * k
-                p = [0.02 * np.sin(t), 0.02 * (1 - np.cos(t)), 0.12]
-                command = surg_core.MotionCommand(
-                    surg_core.Motion.SERVO_CP, 1, p=p, rotation=[0, 0, 0, 1]
-                )
-                here.append(command)
-            out = self.controller.step(q, qd, here)
-            self.q.append(q)
-            self.qd.append(qd)
-            self.commands += [(k, command) for command in here]
-            self.outputs.append(out)
-            qd = np.array(out.qd_command)
-            q = q + 0.002 * qd
 
-    def fresh(self) -> surg_core.Controller:
-        arm = self.arm
-        made = surg_core.Controller(arm.chain, arm.robot, arm.limits, arm.instrument, arm.tool)
-        made.set_rcm(arm.trocar.p_BRcm)
-        made.step(arm.robot.home, np.zeros(6))
-        for word in (surg_core.StateCommand.ENABLE, surg_core.StateCommand.HOME):
-            assert made.request(word) == surg_core.Reason.NONE
-        return made
+def at_work(arm: surg_core.Arm) -> surg_core.Controller:
+    """A controller that is homed and enabled."""
+    made = surg_core.Controller(arm.chain, arm.robot, arm.limits, arm.instrument, arm.tool)
+    made.set_rcm(arm.trocar.p_BRcm)
+    made.step(arm.robot.home, np.zeros(6))
+    for word in (surg_core.StateCommand.ENABLE, surg_core.StateCommand.HOME):
+        assert made.request(word) == surg_core.Reason.NONE
+    return made
 
 
 def test_batches_are_the_single_calls() -> None:
@@ -88,15 +64,14 @@ def test_batches_are_the_single_calls() -> None:
 
 
 def test_results_are_read_only() -> None:
-    scene = Scene(3)
-    found = scene.fresh().run(scene.q, scene.qd)
-    chain = scene.arm.chain
-    tool = (scene.arm.tool.s_F, scene.arm.tool.p_FTip, scene.arm.trocar.p_BRcm)
-    X_BF = chain.forward_batch(scene.q)
-    arrays = [found.qd_command, found.state, found.busy, found.scale, X_BF]
-    arrays += [surg_core.shaft_states(X_BF, *tool).deviation, chain.jacobian_batch(scene.q)]
-    arrays += [surg_core.shaft_state(X_BF[0], *tool).e]
-    arrays += [scene.outputs[0].qd_command, scene.outputs[0].X_BF, scene.controller.X_BR]
+    arm = cell_arm()
+    controller = at_work(arm)
+    out = controller.step(arm.robot.home, np.zeros(6))
+    tool = (arm.tool.s_F, arm.tool.p_FTip, arm.trocar.p_BRcm)
+    X_BF = arm.chain.forward_batch([arm.robot.home])
+    arrays = [X_BF, surg_core.shaft_states(X_BF, *tool).deviation]
+    arrays += [arm.chain.jacobian_batch([arm.robot.home]), surg_core.shaft_state(X_BF[0], *tool).e]
+    arrays += [out.qd_command, out.X_BF, controller.X_BR]
     for array in arrays:
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0
@@ -104,15 +79,13 @@ def test_results_are_read_only() -> None:
 
 def test_the_gil_is_released() -> None:
     """Another thread goes on while a batch runs; with the GIL held it would stand still."""
-    scene = Scene(2)
-    controller = scene.fresh()
-    q = np.tile(scene.arm.robot.home, (40_000, 1))
-    qd = np.zeros_like(q)
+    arm = cell_arm()
+    q = np.tile(arm.robot.home, (400_000, 1))
     poses = np.tile(np.eye(4), (300_000, 1, 1))
-    tool = (scene.arm.tool.s_F, scene.arm.tool.p_FTip, scene.arm.trocar.p_BRcm)
+    tool = (arm.tool.s_F, arm.tool.p_FTip, arm.trocar.p_BRcm)
     for call in (
-        lambda: controller.run(q, qd),
-        lambda: scene.arm.chain.jacobian_batch(np.tile(q, (10, 1))),
+        lambda: arm.chain.forward_batch(q),
+        lambda: arm.chain.jacobian_batch(q),
         lambda: surg_core.shaft_states(poses, *tool),
     ):
         ticks, stop = [0], threading.Event()
@@ -134,13 +107,12 @@ def test_the_gil_is_released() -> None:
 
 
 def test_readings_reach_the_controller() -> None:
-    scene = Scene(1)
-    controller = scene.fresh()
-    home, rest = scene.arm.robot.home, np.zeros(6)
+    arm = cell_arm()
+    controller = at_work(arm)
+    home, rest = arm.robot.home, np.zeros(6)
     hard = surg_core.Readings(tip_force=surg_core.ForceSample([0, 0, 100.0]))
     out = controller.step(home, rest, readings=hard)
     assert (out.state, out.reason) == (surg_core.State.FAULT, surg_core.Reason.FORCE)
-    arm = scene.arm
     tracking = surg_core.Controller(
         arm.chain, arm.robot, arm.limits, arm.instrument, arm.tool, track_rcm=True
     )
