@@ -24,7 +24,7 @@ void bind_loader(py::module_& m, const char* name, Config (*parse)(const Documen
       (what + " Raises ConfigError with file, line, key, value and what is allowed.").c_str());
 }
 
-void bind_urdf(py::module_& m) {
+void bind_urdf_parts(py::module_& m) {
   py::class_<UrdfLimit>(m, "UrdfLimit", "A joint's <limit>; None: not stated.")
       .def_readonly("lower", &UrdfLimit::lower, "[rad], or [m] of a prismatic joint.")
       .def_readonly("upper", &UrdfLimit::upper)
@@ -51,6 +51,9 @@ void bind_urdf(py::module_& m) {
       .def_readonly("text", &Urdf::text)
       .def_property_readonly("links", tuple_of(&Urdf::links))
       .def_property_readonly("joints", [](const Urdf& u) { return u.joints; });
+}
+
+void bind_urdf_readers(py::module_& m) {
   m.def(
       "load_urdf", [](const Path& path) { return load_urdf(path.string()); }, py::arg("path"),
       "Reads a URDF in the encoding that it states: its text, links and joints. Raises "
@@ -142,7 +145,8 @@ void bind_files(py::module_& m) {
       "An arm's own kinematics from the text of their file; 'file' is named in errors.");
   m.def("parse_document", &parse_document, py::arg("text"), py::arg("file"),
         "Flattens a YAML text; 'file' is named in errors. Raises ConfigError.");
-  bind_urdf(m);
+  bind_urdf_parts(m);
+  bind_urdf_readers(m);
   bind_arm_setup(m);
 }
 
