@@ -417,7 +417,8 @@ class Run {
 
   /// The arm's own time until the next cycle, and how hard it accelerates in it.
   Failure plant(const Outputs& out) {
-    if (blind_ || force_halt_) halted_for_ = 50;  // zero at once, as it must be
+    // A late cycle makes up for the time in which a fade could not be sent.
+    if ((blind_ || force_halt_) && timing_ != kOnTime) faded_late_for_ = 50;
     elapsed_ = periods();
     figures_.late += elapsed_ > 2;
     figures_.gaps += elapsed_ > 5;
@@ -434,8 +435,8 @@ class Run {
     if (std::isfinite(out.jaw_set)) jaw_ += 0.3 * (out.jaw_set - jaw_);
     last_ = out.qd_command;
     if (options_.law == Law::kPaper) return {};
-    halted_for_ = std::max(halted_for_ - elapsed_, 0);
-    if (halted_for_ > 0) return {};
+    faded_late_for_ = std::max(faded_late_for_ - elapsed_, 0);
+    if (faded_late_for_ > 0) return {};
     ++figures_.measured;
     figures_.worst_measured = std::max(figures_.worst_measured, hardest);
     if (hardest <= 1 + 1e-6 || !strict_acceleration) return {};
@@ -706,8 +707,8 @@ class Run {
     if (!(at_.flange_speed <= most)) {
       return {"flange velocity", text("%.6g m/s", at_.flange_speed)};
     }
-    const bool halt = blind_ || force_halt_;
-    if (!halt && excess > 1 + 1e-6) {
+    const bool fades_late = faded_late_for_ > 0 || ((blind_ || force_halt_) && timing_ != kOnTime);
+    if (!fades_late && excess > 1 + 1e-6) {
       figures_.worst_acceleration = std::max(figures_.worst_acceleration, excess);
       const bool stated = out.limited_by[0] != '\0' && out.scale < 1;
       ++(stated ? figures_.stated_acceleration : figures_.unstated_acceleration);
@@ -726,10 +727,11 @@ class Run {
 
   Failure stillness(const Inputs& in, const Outputs& out) {
     const bool still = out.qd_command.norm() == 0 && out.twist_command.norm() == 0;
-    if (!still && (blind_ || !out.homed || force_halt_)) {
-      return {"halt", blind_       ? "moves without a joint state"
-                      : !out.homed ? "moves without home"
-                                   : "moves against a hard or unknown force"};
+    if (!still && !out.homed) return {"halt", "moves without home"};
+    const bool slower = still || out.qd_command.norm() < last_.norm();
+    if (!slower && (blind_ || force_halt_)) {
+      return {"fade", blind_ ? "is not slower without a joint state"
+                             : "is not slower against a hard or unknown force"};
     }
     const bool load =
         in.trocar_force.valid && !(in.trocar_force.f_B.norm() <= robot_.limits.trocar_force_fault);
@@ -968,7 +970,7 @@ class Run {
   Controller controller_;
   enum Timing { kOnTime, kSomeLate, kDrawn, kFreezes } timing_ = kOnTime;
   int elapsed_ = 1, dead_man_ = 50;  // [periods]
-  int halted_for_ = 0;
+  int faded_late_for_ = 0;
   long late_ago_ = 1000;
   JointVector obeyed_ = JointVector::Zero(6);
   JointVector q_, qd_, last_;

@@ -90,11 +90,11 @@ class Bench:
         self.out = self.controller.step(commands=list(commands), **told)
         command = np.array(self.out.qd_command)
         assert np.all(np.isfinite(command)) and np.all(np.isfinite(self.out.twist_command))
-        halt = not command.any()  # zero in the same cycle is no ramp
-        if not halt:
-            # Behind a gap the arm may have been stopped: what counts is what was measured.
-            before = told["qd"] if faulty.get("elapsed", 0) > 5 * TICK else self._qd
-            change = np.abs(command - before) / (np.array(self.robot.acceleration) * TICK)
+        # Behind a gap the arm may have been stopped: what counts is what was measured.
+        before = told["qd"] if faulty.get("elapsed", 0) > 5 * TICK else self._qd
+        change = np.abs(command - before) / (np.array(self.robot.acceleration) * TICK)
+        robot = faulty.get("readings", surg_core.Readings()).condition
+        if robot == surg_core.RobotCondition.ACTIVE:  # one that does not obey is told nothing
             self.jerked = max(self.jerked, float(change.max()))
         self._qd = command
         self.jaw += float(np.clip(self.out.jaw_set - self.jaw, -0.01, 0.01))

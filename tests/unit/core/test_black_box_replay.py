@@ -23,8 +23,8 @@ def replay(*arguments: str) -> subprocess.CompletedProcess[str]:
         (b"stamp_ns,tick\n1,2\n", "not a black box"),
         (b"SURGBBX\0", "cut short"),
         (b"SURGBBX\0\x07\0\0\0" + bytes(16), "format version 7"),
-        (b"SURGBBX\0\x04\0\0\0" + bytes(100), "length is wrong"),
-        (b"SURGBBX\0\x04\0\0\0" + bytes(16), "checksum is wrong"),
+        (b"SURGBBX\0\x05\0\0\0" + bytes(100), "length is wrong"),
+        (b"SURGBBX\0\x05\0\0\0" + bytes(16), "checksum is wrong"),
     ],
     ids=["empty", "csv", "short", "version", "length", "checksum"],
 )

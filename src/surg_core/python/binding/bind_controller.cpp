@@ -181,6 +181,8 @@ void bind_outputs(py::module_& m) {
          "Smallest distance to other arms and obstacles [m]; infinite without a guard.");
   number("tier", &Outputs::tier, "0: on the path; 1: off it, on the pivot; 2: braking.");
   number("late_share", &Outputs::late_share, "Share of late cycles in the recent window.");
+  number("withheld", &Outputs::withheld,
+         "Whether the link shall get no command, so that it stops the arm by itself.");
   array("p_BTip", &Outputs::p_BTip, "Tip (3,) [m].");
   array("s_B", &Outputs::s_B, "Unit shaft axis (3,), to the tip.");
   array("p_BRcm", &Outputs::p_BRcm, "Trocar point (3,) [m].");
@@ -292,7 +294,7 @@ void bind_fixture_calls(py::class_<Owned>& type) {
 
 void bind_reason(py::module_& m) {
   py::enum_<Reason> reasons(m, "Reason", "Why the arm does not do what was asked.");
-  for (int i = 0; i <= static_cast<int>(Reason::kOtherArmLost); ++i) {
+  for (int i = 0; i <= static_cast<int>(Reason::kJointOutside); ++i) {
     const auto reason = static_cast<Reason>(i);
     std::string word = reason == Reason::kLinkLost ? "link_lost" : name(reason);
     std::transform(word.begin(), word.end(), word.begin(), [](char c) { return std::toupper(c); });

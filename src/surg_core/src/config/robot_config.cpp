@@ -13,6 +13,8 @@ using namespace config;
 
 namespace {
 
+constexpr double kMostTurned = 8 * M_PI;  // [rad] four turns of a joint
+
 constexpr LimitKey kLimitKeys[] = {
     {"tip_velocity", &Limits::tip_velocity, 1e-3, 0.5, "m/s"},
     {"tip_acceleration", &Limits::tip_acceleration, 1e-2, 10.0, "m/s^2"},
@@ -186,11 +188,11 @@ RobotConfig parse_robot(const Document& document) {
   if (std::set<std::string>(robot.joint_names.begin(), robot.joint_names.end()).size() != n) {
     reader.fail("joints.names", "names a joint twice");
   }
-  robot.position_min = reader.joints("joints.position_min", n, -7.0, 7.0, "rad");
-  robot.position_max = reader.joints("joints.position_max", n, -7.0, 7.0, "rad");
+  robot.position_min = reader.joints("joints.position_min", n, -kMostTurned, kMostTurned, "rad");
+  robot.position_max = reader.joints("joints.position_max", n, -kMostTurned, kMostTurned, "rad");
   robot.velocity = reader.joints("joints.velocity", n, 0.01, 6.5, "rad/s");
   robot.acceleration = reader.joints("joints.acceleration", n, 0.1, 50.0, "rad/s^2");
-  robot.home = reader.joints("joints.home", n, -7.0, 7.0, "rad");
+  robot.home = reader.joints("joints.home", n, -kMostTurned, kMostTurned, "rad");
   for (int i = 0; i < static_cast<int>(n); ++i) {
     const std::string& joint = robot.joint_names[i];
     if (!(robot.position_min[i] < robot.position_max[i])) {

@@ -63,14 +63,16 @@ const Outputs& Controller::step(const Inputs& inputs) {
   self.catch_up();
   self.sense(inputs);
   self.guard_robot(inputs);
-  self.guard_lateness(inputs);
-  self.guard_following(inputs);
-  self.guard_pivot(inputs);
+  self.guard_lateness();
+  self.guard_following();
+  self.guard_pivot();
   self.guard_force(inputs);
   self.gate(inputs);
   self.move();
-  self.jaw.advance(self.enabled() && !self.tool_lost, self.clock.periods());
-  self.elapse_authority();
+  if (self.clock.periods() > 0) {
+    self.jaw.advance(self.enabled() && !self.tool_lost, self.clock.periods());
+    self.elapse_authority();
+  }
   self.report(inputs);
   return self.out;
 }
@@ -107,6 +109,7 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
                                              compensates_lag(options), options.dt)),
       elbow(chain, step_limits(robot_in, limits_in, options.law), robot_in.elbow, options.dt),
       standstill(robot_in.tuning.link_timeout),
+      state_check(chain, robot_in.home, robot_in.acceleration),
       trocar_before(trocar),
       qd_last(JointVector::Zero(chain.dof())) {
   out.qd_command = qd_last;
@@ -115,7 +118,7 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
 
 void Controller::Impl::report(const Inputs& in) {
   const Setpoint& setpoint = handler.setpoint();
-  const Reason arrival = handler.check_arrival(tip_pose());
+  const Reason arrival = clock.periods() > 0 ? handler.check_arrival(tip_pose()) : Reason::kNone;
   if (arrival != Reason::kNone) out.reason = arrival;
   out.state = operating.state();
   if (out.state != State::kEnabled) out.reason = operating.reason();

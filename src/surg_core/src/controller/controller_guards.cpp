@@ -15,6 +15,7 @@ constexpr double kVelocitySlack = 0.05;  // [rad/s] noise of measured velocities
 constexpr int kUnexplained = 5;          // [cycles] of a motion that no command explains
 constexpr double kSofter = 4;  // times the excess of the cycles: streams are followed as softly
 constexpr double kStatusPeriods = 0.04;  // [s] two periods of robot/status: joint states end first
+constexpr double kOutside = 0.02;        // [rad] a lagging joint may be beyond its limit
 constexpr double kRoundTrip = 2.0;       // a link with late states also executes late
 
 bool finite(const MotionCommand& command) {
@@ -59,38 +60,52 @@ void Controller::Impl::catch_up() {
 void Controller::Impl::sense(const Inputs& in) {
   state_known = false;
   out.warn_track = TrackWarning::kNone;
-  state_reason = Reason::kLinkLost;
   jaw.sense(passive ? 0.0 : in.jaw);
-  const int n = arm.chain().dof();
-  if (!in.state_valid) {
-    if (enabled()) fault(Reason::kLinkLost);
-    return;
-  }
-  const bool sized = in.q.size() == n && in.qd.size() == n;
-  if (!sized || !in.q.allFinite() || !in.qd.allFinite()) {
-    state_reason = Reason::kStateNotFinite;
-    if (operating.state() != State::kDisabled) fault(Reason::kStateNotFinite);
-    return;
-  }
-  if (!(in.state_age <= robot.tuning.link_timeout)) {
-    if (enabled()) fault(Reason::kLinkLost);
+  state_reason = take_state(in);
+  if (state_reason != Reason::kNone) {
+    const bool idle =
+        operating.state() == State::kDisabled || (state_reason == Reason::kLinkLost && !enabled());
+    if (!idle) fault(state_reason);
     return;
   }
   state_known = true;
-  state_reason = Reason::kNone;
   const double kept = std::max(1 - clock.periods() * T / kDelayDecay, 0.0);
   state_delay = std::max(in.state_age - T, state_delay * kept);
   if (track_rcm) trocar_before = trocar;
   if (!stopping_off_pivot()) update_trocar(in);
-  arm.sense(in.q, in.qd, trocar);
+  arm.sense(q, qd, trocar);
   measure_lag(in);
   measure_clearance(in);
   check_tool_link(in);
 }
 
+Reason Controller::Impl::take_state(const Inputs& in) {
+  const int n = arm.chain().dof();
+  const bool sized = in.q.size() == n && in.qd.size() == n;
+  const Reason reason = !in.state_valid ? Reason::kLinkLost
+                        : !sized || !in.q.allFinite() || !in.qd.allFinite()
+                            ? Reason::kStateNotFinite
+                        : !(in.state_age <= robot.tuning.link_timeout) ? Reason::kLinkLost
+                                                                       : Reason::kNone;
+  const bool follows = enabled() || !qd_last.isZero(0);
+  if (reason != Reason::kNone || !follows) state_check.restart();
+  if (reason != Reason::kNone) return reason;
+  q = in.q;
+  qd = in.qd;
+  const double delay = 2 * T + std::max(state_delay, in.state_age);
+  const StateCheck::Verdict verdict =
+      state_check.judge(q, qd, in.state_age, clock.elapsed(), delay);
+  return verdict == StateCheck::Verdict::kLost ? Reason::kStateImplausible : Reason::kNone;
+}
+
+bool Controller::Impl::within_joint_limits() const {
+  return ((q - robot.position_min).array() >= -kOutside).all() &&
+         ((robot.position_max - q).array() >= -kOutside).all();
+}
+
 void Controller::Impl::guard_robot(const Inputs& in) {
   robot_reason = in.condition == RobotCondition::kActive ? Reason::kNone : Reason::kRobot;
-  if (!state_known) return;  // a lost link halts anyway
+  if (!state_known) return;  // a lost link ends the motion anyway
   const bool fresh = in.condition_age <= robot.tuning.link_timeout + kStatusPeriods;
   if (!fresh || in.condition == RobotCondition::kOffline) {
     state_known = false;
@@ -100,16 +115,17 @@ void Controller::Impl::guard_robot(const Inputs& in) {
   }
   if (robot_reason == Reason::kNone) return;
   if (enabled() || operating.state() == State::kPaused) fault(Reason::kRobot);
-  if (halted || in.condition == RobotCondition::kSlowed) return;  // it still obeys a ramp
+  if (in.condition == RobotCondition::kSlowed) return;  // it still obeys a ramp
+  if (fading && qd_last.isZero(0)) return;
   handler.start(tip_pose());
-  halt();
-  follower.reset(in.q);
+  fade();
+  follower.reset(q);
   qd_last.setZero();
 }
 
 void Controller::Impl::measure_lag(const Inputs& in) {
   if (enabled()) {
-    lag_meter.step(qd_last, in.q, in.state_age, clock.elapsed());
+    lag_meter.step(qd_last, q, in.state_age, clock.elapsed());
   } else {
     lag_meter.interrupt();
   }
@@ -118,7 +134,7 @@ void Controller::Impl::measure_lag(const Inputs& in) {
 void Controller::Impl::measure_clearance(const Inputs& in) {
   if (!clearance.active()) return;
   clearance.sense(in.others);
-  out.clearance = clearance.distance(in.q);
+  out.clearance = clearance.distance(q);
 }
 
 double Controller::Impl::feedback_scale() const {
@@ -148,21 +164,21 @@ void Controller::Impl::check_tool_link(const Inputs& in) {
   if (lost) out.reason = Reason::kToolLost;
 }
 
-void Controller::Impl::guard_lateness(const Inputs& in) {
+void Controller::Impl::guard_lateness() {
   out.late_share = clock.late_share();
   const JointVector step = T * robot.acceleration;  // of a command in one cycle
   const bool commanded_to_move = (qd_last.array().abs() > step.array()).any();
   if (state_known && clock.gap() && commanded_to_move) {
     const bool too_long = clock.periods() > CycleClock::kCatchUp;
-    if (too_long || !commanded.explains(in.qd, step, clock.elapsed())) {
-      stop_from_measured(in, Reason::kOverrun);
+    if (too_long || !commanded.explains(qd, step, clock.elapsed())) {
+      stop_from_measured(Reason::kOverrun);
     } else {
-      follower.take_up(in.qd);
-      qd_last = in.qd;
+      follower.take_up(qd);
+      qd_last = qd;
     }
   } else if (state_known && clock.gap()) {  // it creeps as commanded, or the link has stopped it
     const JointVector none = JointVector::Zero(qd_last.size());
-    qd_last = in.qd.cwiseMax(qd_last.cwiseMin(none)).cwiseMin(qd_last.cwiseMax(none));
+    qd_last = qd.cwiseMax(qd_last.cwiseMin(none)).cwiseMin(qd_last.cwiseMax(none));
     follower.take_up(qd_last);
   }
   if (clock.overrun()) pause(Reason::kOverrun);
@@ -170,16 +186,16 @@ void Controller::Impl::guard_lateness(const Inputs& in) {
 
 /// The link stops the arm by itself when commands are lost on their way. When they arrive again,
 /// the arm must not be told to go on at full speed.
-void Controller::Impl::guard_following(const Inputs& in) {
-  const bool unlike = joints_are_unexplained(in), still = stands_still(in);
-  if (unlike || still) stop_from_measured(in, Reason::kNotFollowing);
+void Controller::Impl::guard_following() {
+  const bool unlike = joints_are_unexplained(), still = stands_still();
+  if (unlike || still) stop_from_measured(Reason::kNotFollowing);
 }
 
-bool Controller::Impl::joints_are_unexplained(const Inputs& in) {
+bool Controller::Impl::joints_are_unexplained() {
   const bool fresh = state_known && state_delay <= T && !clock.gap();
   const JointVector slack = (2 * T * robot.acceleration).cwiseMax(kVelocitySlack);
   const bool moves = (qd_last.array().abs() > slack.array()).any();
-  const bool explained = !fresh || !moves || commanded.explains(in.qd, slack, 0);
+  const bool explained = !fresh || !moves || commanded.explains(qd, slack, 0);
   unexplained = explained ? 0 : unexplained + 1;
   if (unexplained < kUnexplained) return false;
   unexplained = 0;
@@ -187,26 +203,26 @@ bool Controller::Impl::joints_are_unexplained(const Inputs& in) {
 }
 
 /// A set-point that waits for its arm never runs away from it, and a slow one does so late.
-bool Controller::Impl::stands_still(const Inputs& in) {
+bool Controller::Impl::stands_still() {
   if (!enabled() || !state_known || clock.gap()) {
     standstill.restart();
     return false;
   }
   const double dt = clock.periods() * T;
-  if (!standstill.stands_still(qd_last, in.q, arm.measured().J, dt)) return false;
+  if (!standstill.stands_still(qd_last, q, arm.measured().J, dt)) return false;
   standstill.restart();
   return true;
 }
 
-void Controller::Impl::stop_from_measured(const Inputs& in, Reason reason) {
+void Controller::Impl::stop_from_measured(Reason reason) {
   pause(reason);
   handler.start(tip_pose());
-  follower.reset(in.q, in.qd);
-  qd_last = in.qd;
+  follower.reset(q, qd);
+  qd_last = qd;
   fading = true;
 }
 
-void Controller::Impl::guard_pivot(const Inputs& in) {
+void Controller::Impl::guard_pivot() {
   out.warn_rcm = trocar.taught() && shaft().e.norm() > limits.rcm_error_warn;
   if (!enabled() || !operating.homed() || !state_known) return;
   if (shaft().depth >= limits.depth_min) inserted = true;
@@ -219,14 +235,14 @@ void Controller::Impl::guard_pivot(const Inputs& in) {
   }
   // A blocked arm must not jump to its set-point when it is released.
   const double behind = (X_BR * handler.setpoint().p_RTip() - shaft().p_BTip).norm();
-  if (!(behind <= kFollowDistance)) stop_from_measured(in, Reason::kNotFollowing);
+  if (!(behind <= kFollowDistance)) stop_from_measured(Reason::kNotFollowing);
 }
 
 void Controller::Impl::guard_force(const Inputs& in) {
   const ForceGuard::Verdict verdict =
       force.judge(in.tip_force, in.trocar_force, T, clock.periods());
   out.warn_force = force.warns();
-  if (verdict == ForceGuard::Verdict::kHalt) halt();  // also ends a ramp
+  if (verdict == ForceGuard::Verdict::kHalt) fade();  // also ends a ramp
   if (!enabled()) return;
   switch (verdict) {
     case ForceGuard::Verdict::kFree:
@@ -252,7 +268,7 @@ void Controller::Impl::gate(const Inputs& in) {
     ++(reason == Reason::kNone ? out.accepted : out.refused);
   }
   out.n_verdicts = n;
-  const Reason timeout = handler.check_timeout();
+  const Reason timeout = clock.periods() > 0 ? handler.check_timeout() : Reason::kNone;
   if (timeout != Reason::kNone) out.reason = timeout;
 }
 

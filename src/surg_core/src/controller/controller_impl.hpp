@@ -19,6 +19,7 @@
 #include "surg_core/state/lag_meter.hpp"
 #include "surg_core/state/snapshot.hpp"
 #include "surg_core/state/standstill_guard.hpp"
+#include "surg_core/state/state_check.hpp"
 
 namespace surg {
 
@@ -43,6 +44,8 @@ template <>
 struct IsPlain<LagMeter> : std::true_type {};
 template <>
 struct IsPlain<StandstillGuard> : std::true_type {};
+template <>
+struct IsPlain<StateCheck> : std::true_type {};
 template <>
 struct IsPlain<Fixtures> : std::true_type {};
 
@@ -72,6 +75,7 @@ struct Controller::Impl {
   JointTrace trace;  // the way back
   LagMeter lag_meter;
   StandstillGuard standstill;
+  StateCheck state_check;
 
   Fixtures fixtures;  // in B; the handler has them in R
 
@@ -85,11 +89,11 @@ struct Controller::Impl {
   bool inserted = false;                    // the trocar lies on the shaft and must stay there
   bool tool_lost = false;
   bool elbow_asked = false;  // in this cycle; judging a command takes up to 0.3 ms
-  bool halted = false;       // commands zero until the next start
   bool fading = false;       // the last command fades without feedback until the next start
   bool catching_up = false;  // inside a period that has passed without a cycle
   int home_busy = 0;
   int unexplained = 0;  // [cycles] in a row
+  JointVector q, qd;    // the joint state in use; meaningless unless state_known
   JointVector qd_last;
   double retraced = 0;          // [rad] of the trace
   bool retrace_active = false;  // in the last step; a retrace first waits for rest
@@ -132,8 +136,9 @@ struct Controller::Impl {
   void stop_motion();
   void fault(Reason reason);
   void pause(Reason reason);
-  /// Stops the set-point and the arm at once, without a ramp.
-  void halt();
+  /// Ends the motion in progress: the set-point stops at once, and the last command fades, each
+  /// joint within its acceleration limit. It needs no joint state.
+  void fade();
 
   // Inputs, guards and gate.
   /// Set-point, reference and timers go on over the periods that passed without a cycle. The jaw
@@ -141,20 +146,24 @@ struct Controller::Impl {
   void catch_up();
   void elapse_authority();
   void sense(const Inputs& in);
+  /// Takes the measured joint state where it can be; otherwise says why not.
+  Reason take_state(const Inputs& in);
+  /// Whether the arm stands within its joint limits.
+  bool within_joint_limits() const;
   void measure_lag(const Inputs& in);
   /// F33: a robot that does not obey is told nothing, so that it does not leap when it obeys again.
   void guard_robot(const Inputs& in);
   void measure_clearance(const Inputs& in);
   /// F27: after a gap continues from the arm's measured velocity, or stops if the link has stopped
   /// the arm meanwhile.
-  void guard_lateness(const Inputs& in);
+  void guard_lateness();
   /// Pauses an arm whose joints move otherwise than any recent command, or stand still against
   /// them.
-  void guard_following(const Inputs& in);
-  bool joints_are_unexplained(const Inputs& in);
-  bool stands_still(const Inputs& in);
+  void guard_following();
+  bool joints_are_unexplained();
+  bool stands_still();
   /// Brakes from the measured velocity; the motion in progress is over.
-  void stop_from_measured(const Inputs& in, Reason reason);
+  void stop_from_measured(Reason reason);
   /// Factor of the feedback gain in (0, 1] for late states. A loop becomes unstable at a gain times
   /// delay of about 1.5; 0.6 is well damped and must not grow with the age of the states.
   double feedback_scale() const;
@@ -162,7 +171,7 @@ struct Controller::Impl {
   /// F31: without the tool link, arm and jaw hold.
   void check_tool_link(const Inputs& in);
   /// F23: stops an arm that is off the trocar or does not follow.
-  void guard_pivot(const Inputs& in);
+  void guard_pivot();
   /// F25: yields to the force at the tip, pauses, stops or halts.
   void guard_force(const Inputs& in);
   void gate(const Inputs& in);
@@ -207,10 +216,12 @@ struct Controller::Impl {
   void resync_setpoint(const JointVector& qd);
   /// The last command, decelerated to zero without feedback: a joint that is blocked must not jump
   /// to its reference when it is released.
-  JointVector fading_command() const;
+  JointVector fading_command(int periods = 1) const;
   /// [m/s] flange speed needed by the follower's correction. The reference leaves it free, since a
   /// command that is cut short would leave the pivot.
   double flange_lead() const;
+  /// In FAULT no joint state makes the arm faster: where the law wants to, the command fades.
+  JointVector no_faster(const JointVector& qd_wanted);
 
   // Report and snapshot.
   void report(const Inputs& in);
@@ -219,15 +230,15 @@ struct Controller::Impl {
   template <typename Archive>
   void serialize(Archive& archive) {
     archive(clock, commanded, operating, authority, trocar, handler, jaw, force, lag_meter,
-            standstill);
+            standstill, state_check);
     arm.serialize(archive);
     follower.serialize(archive);
     elbow.serialize(archive);
     clearance.serialize(archive);
     archive(trace, retraced, retrace_active, retrace_settling, pivot_offset, pivot_offset_rate,
             fixtures, X_BR, state_delay, state_known, state_reason, robot_reason, track_reason,
-            inserted, tool_lost, halted, fading, home_busy, unexplained, qd_last, out.accepted,
-            out.refused, out.clearance);
+            inserted, tool_lost, fading, home_busy, unexplained, qd_last, out.accepted, out.refused,
+            out.clearance);
   }
 };
 

@@ -21,6 +21,10 @@ constexpr double kRetraceSettles =
 }  // namespace
 
 void Controller::Impl::move() {
+  if (clock.periods() == 0) {  // a cycle between two control periods: the last command stands
+    if (!state_known) fade();
+    return;
+  }
   JointVector qd = JointVector::Zero(arm.chain().dof());
   bool moving = false;
   out.scale = 1;
@@ -33,13 +37,15 @@ void Controller::Impl::move() {
   if (!state_known || !trocar.taught() || !operating.homed()) {
     // The geometry is unknown (F02, F10): a ramp through the law would be blind, also when the
     // state returns.
-    halt();
-  } else if (follows_setpoint()) {
+    fade();
+  }
+  if (follows_setpoint()) {
     moving = true;
     setpoint.yield_to(X_BR.linear().transpose() * force.push());
     if (law == Law::kExact) yield_return();
     const Vector3 p_before = setpoint.p_RTip();
     const Step step = advance_motion(qd);
+    if (operating.state() == State::kFault) qd = no_faster(qd);
     out.scale = step.alpha;
     out.limited_by = step.limited_by;
     out.tier = step.tier;
@@ -50,15 +56,16 @@ void Controller::Impl::move() {
     if (!retrace_active) out.v_set = X_BR.linear() * (setpoint.p_RTip() - p_before) / T;
     const Reason progress = handler.check_progress(step.alpha < 1 || step.tier > 0);
     if (progress != Reason::kNone) out.reason = progress;
-  } else if (!halted) {
-    moving = true;
-    qd = fading_command();
+  } else {
+    // Blind behind a gap: the link may have stopped the arm meanwhile.
+    qd = fading_command(!state_known && clock.gap() ? clock.periods() : 1);
+    moving = !qd.isZero(0);
   }
   output_command(qd, moving);
 }
 
 bool Controller::Impl::follows_setpoint() const {
-  const bool known = state_known && trocar.taught() && operating.homed() && !halted && !fading;
+  const bool known = state_known && trocar.taught() && operating.homed() && !fading;
   return known && (enabled() || is_moving());
 }
 
@@ -105,11 +112,12 @@ void Controller::Impl::output_command(JointVector qd, bool moving) {
   if (moving) twist = arm.predicted().J * qd;
   if (!qd.allFinite() || !twist.allFinite()) {
     fault(Reason::kNotFinite);
-    halt();
-    qd.setZero();
-    twist.setZero();
+    fade();
+    qd = fading_command();
+    twist = arm.predicted().J * qd;
+    if (!twist.allFinite()) twist.setZero();
   }
-  out.withheld = clock.starved() && !halted && !qd.isZero(0);
+  out.withheld = clock.starved() && !qd.isZero(0);
   if (out.withheld) {  // nothing new reaches the arm
     qd = qd_last;
     twist = arm.predicted().J * qd;
@@ -298,8 +306,18 @@ double Controller::Impl::flange_lead() const {
   return std::clamp(lead + slower, 0.0, kMaxFlangeLead * limits.flange_velocity);
 }
 
-JointVector Controller::Impl::fading_command() const {
-  return braked_together(qd_last, robot.acceleration, T);
+JointVector Controller::Impl::no_faster(const JointVector& qd_wanted) {
+  const auto time_to_rest = [&](const JointVector& of) {
+    return (of.array().abs() / robot.acceleration.array()).maxCoeff();
+  };
+  if (!qd_wanted.allFinite() || time_to_rest(qd_wanted) <= time_to_rest(qd_last)) return qd_wanted;
+  const JointVector slower = fading_command();
+  follower.take_up(slower);
+  return slower;
+}
+
+JointVector Controller::Impl::fading_command(int periods) const {
+  return braked_together(qd_last, robot.acceleration, periods * T);
 }
 
 }  // namespace surg

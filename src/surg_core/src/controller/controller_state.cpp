@@ -17,6 +17,7 @@ Conditions Controller::Impl::conditions() const {
   Conditions now;
   now.state = !state_known                    ? state_reason
               : robot_reason != Reason::kNone ? robot_reason
+              : !within_joint_limits()        ? Reason::kJointOutside
               : clock.overrun()               ? Reason::kOverrun
                                               : Reason::kNone;
   if (trocar.taught()) now.rcm = track_reason;
@@ -120,7 +121,7 @@ Reason Controller::Impl::change_tool(const InstrumentConfig& instrument,
   if (!rests) return Reason::kNotAtRest;
   const Tool tool{calibration.s_F, calibration.p_FTip};
   operating.request(StateCommand::kUnhome, {});  // home shaft and roll belong to the old tool
-  halt();
+  fade();
   trace.clear();
   retraced = 0;
   arm.mount(tool, trocar);
@@ -132,7 +133,7 @@ Reason Controller::Impl::change_tool(const InstrumentConfig& instrument,
 }
 
 bool Controller::Impl::is_moving() const {
-  const bool known = state_known && !halted && !fading && operating.homed();
+  const bool known = state_known && !fading && operating.homed();
   return known && (handler.setpoint().mode() != Setpoint::Mode::kRest || !reference_at_rest());
 }
 
@@ -156,7 +157,7 @@ void Controller::Impl::set_home() {
 
 void Controller::Impl::start_at_rest() {
   handler.start(tip_pose());
-  halted = fading = false;
+  fading = false;
   follower.reset(arm.measured().q, qd_last);
   elbow.rest();
   end_retrace_step();
@@ -186,8 +187,8 @@ void Controller::Impl::pause(Reason reason) {
   stop_motion();
 }
 
-void Controller::Impl::halt() {
-  halted = true;
+void Controller::Impl::fade() {
+  fading = true;
   Setpoint& setpoint = handler.setpoint();
   setpoint.reset(setpoint.p_RTip(), setpoint.s_R(), setpoint.roll());
 }

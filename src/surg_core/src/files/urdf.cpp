@@ -238,7 +238,7 @@ Chain chain_of(const Urdf& urdf, const std::string& base, const std::string& fla
     X = X * joint.X_PJ;
     if (!joint.turning()) continue;
     turning.push_back(joint.name);
-    chain.push_back({joint.name, X, joint.axis});
+    chain.push_back({joint.name, X, joint.axis, joint.kind == "continuous"});
     X = Pose::Identity();
   }
   if (turning != joint_names) {

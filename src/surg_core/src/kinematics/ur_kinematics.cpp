@@ -56,7 +56,7 @@ Chain with_kinematics(const Chain& drawn, const UrKinematics& own) {
     Pose X_BJ = Pose::Identity();
     X_BJ.linear() = tilt.toRotationMatrix() * X_BDrawn.linear();
     X_BJ.translation() = origin_B;
-    joints.push_back({joint.name, X_BParent.inverse() * X_BJ, joint.axis});
+    joints.push_back({joint.name, X_BParent.inverse() * X_BJ, joint.axis, joint.continuous});
     X_BParent = X_BJ;
   }
   const Pose X_BFDrawn = X_BDrawn * drawn.X_LF();

@@ -90,6 +90,11 @@ void StreamClock::compare_cycles(const SampleTime& sample, double since) {
   alone_ += std::max(1 / count_, 0.02) * ((sample.cycles == 1 ? 1.0 : 0.0) - alone_);
 }
 
+bool StreamClock::overtaken(std::int64_t stamp_ns) const {
+  const double before = 1e-9 * static_cast<double>(stamp_ns_ - stamp_ns);
+  return trusted_ && stamp_ns > 0 && before > 0 && before < kFarOff;
+}
+
 bool StreamClock::answers() const {
   return alone_ > kAlone && rough_arrivals_ > kUneven && rough_cycles_ < kKeepsTo * rough_arrivals_;
 }

@@ -199,7 +199,7 @@ BlackBoxRecording BlackBox::recording(const BlackBoxLabel& label) const {
 namespace {
 
 constexpr char kMagic[] = "SURGBBX";  // eight bytes with its end
-constexpr std::uint32_t kVersion = 4;
+constexpr std::uint32_t kVersion = 5;
 constexpr std::size_t kHead = sizeof kMagic + sizeof kVersion + sizeof(std::uint64_t);
 
 static_assert(sizeof kMagic == 8 && sizeof(double) == 8);
@@ -310,7 +310,7 @@ class Coder {
   void value(Tuning& tuning) { numbers(tuning); }
   void value(Controller::Options& options) { numbers(options); }
 
-  void value(Joint& joint) { (*this)(joint.name, joint.X_PJ, joint.axis); }
+  void value(Joint& joint) { (*this)(joint.name, joint.X_PJ, joint.axis, joint.continuous); }
   void value(Chain& chain) {
     std::vector<Joint> joints = chain.joints();
     Pose X_LF = chain.X_LF();

@@ -8,6 +8,7 @@ namespace {
 
 constexpr double kExcessTime = 0.5;       // [s] time constant of the average
 constexpr double kPeriodRounding = 1e-9;  // [periods]
+constexpr double kEarly = 0.5;            // [periods] a cycle that comes earlier is none
 
 }  // namespace
 
@@ -18,11 +19,12 @@ void CycleClock::advance(double elapsed) {
   elapsed_ = std::max(elapsed_, 0.0);
 
   const double length = elapsed_ / period_;
-  // A cycle that comes a little late or early is one period. Only a whole one more is made up for.
-  rest_ = std::max(rest_ + elapsed_ - period_, 0.0);
+  // A cycle that comes a little late or early is one period. Only a whole one more is made up for,
+  // and only half a one less is no period.
+  rest_ += elapsed_ - period_;
   const int missed = static_cast<int>(std::floor(rest_ / period_ + kPeriodRounding));
-  rest_ = std::max(rest_ - missed * period_, 0.0);
-  periods_ = 1 + missed;
+  periods_ = rest_ < -kEarly * period_ ? 0 : 1 + std::max(missed, 0);
+  rest_ -= (periods_ - 1) * period_;
 
   const bool late = length > kLate + kPeriodRounding;
   n_late_ += static_cast<int>(late) - late_[at_];

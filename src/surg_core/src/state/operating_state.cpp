@@ -108,6 +108,12 @@ constexpr Words kWords[] = {
     {Reason::kOtherArmLost, "other_arm_lost",
      "no fresh joint state of another arm of the cell: the arm moves only away from where "
      "that arm was last seen; check its link, or name the arms that run in ~others"},
+    {Reason::kStateImplausible, "state_implausible",
+     "the measured joint positions and velocities contradict each other: a joint wraps, "
+     "jumps, stands still or drifts; check the robot link, then send 'enable'"},
+    {Reason::kJointOutside, "joint_outside",
+     "a joint stands outside its position limits: guide the arm back by hand, then send "
+     "'enable'"},
 };
 
 const Words& words(Reason reason) {

@@ -145,6 +145,7 @@ TEST(Robot, F33AnOldConditionIsALostLink) {
     bench.tick();
     EXPECT_EQ(bench.out().state, State::kFault);
     EXPECT_EQ(bench.out().reason, Reason::kLinkLost);
+    for (int i = 0; i < 100; ++i) bench.tick();
     EXPECT_EQ(bench.out().qd_command.norm(), 0);
     EXPECT_EQ(bench.controller().request(StateCommand::kEnable), Reason::kLinkLost);
   }

@@ -14,6 +14,7 @@ struct Joint {
   std::string name;
   Pose X_PJ = Pose::Identity();
   Vector3 axis = Vector3::UnitZ();
+  bool continuous = false;  ///< without stops; its driver may wrap the position by full turns
 };
 
 /// A serial chain of revolute joints with a fixed flange behind the last one.

@@ -116,6 +116,8 @@ class Setpoint {
   Space space() const { return space_; }
   /// Whether it moves or rests along the shaft line (move_along): only depth and roll may change.
   bool axial() const { return axial_; }
+  /// Whether a newer sample of the stream than one with this stamp has been taken.
+  bool overtaken(std::int64_t stamp_ns) const { return input_.clock().overtaken(stamp_ns); }
   /// Whether the workspace boundary stopped the last advance.
   bool at_wall() const { return at_wall_; }
   /// Whether a fixture changed the last advance.

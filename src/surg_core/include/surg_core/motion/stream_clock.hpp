@@ -38,6 +38,8 @@ class StreamClock {
   double wait() const { return wait_; }
   /// Whether the stamps are in use.
   bool stamped() const { return trusted_; }
+  /// Whether a sample with this stamp was made before the last one, by stamps that are in use.
+  bool overtaken(std::int64_t stamp_ns) const;
   /// Whether the sender answers the cycles.
   bool answers() const;
 

@@ -24,10 +24,10 @@ class CycleClock {
   /// Call it first in each cycle. elapsed [s] since the last one; 0: exactly one period.
   void advance(double elapsed);
 
-  /// Periods since the last cycle, at least 1.
+  /// Periods since the last cycle; 0: it came early, and the last command stands.
   int periods() const { return periods_; }
   /// Real time since the last whole period [s], less than one period.
-  double rest() const { return rest_; }
+  double rest() const { return rest_ > 0 ? rest_ : 0; }
   /// Whether the last cycle was a gap.
   bool gap() const { return gaps_ > 0; }
   /// Whether the last cycles were gaps that are not made up for. At one command in each, a stop
@@ -45,7 +45,8 @@ class CycleClock {
  private:
   double period_;
   int periods_ = 1, n_late_ = 0, at_ = 0;
-  double rest_ = 0, elapsed_ = 0, excess_ = 0;
+  double rest_ = 0;  // [s] since the last period that was counted; negative: before its end
+  double elapsed_ = 0, excess_ = 0;
   double gaps_ = 0;  // [s] of the gaps in a row that end now
   std::array<std::uint8_t, kWindow> late_{};
 };

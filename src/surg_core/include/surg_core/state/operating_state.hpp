@@ -52,6 +52,8 @@ enum class Reason : std::uint8_t {
   kFixturesFull,         // no room for another fixture
   kNoFixture,            // no fixture of this name
   kOtherArmLost,         // the clearance guard has no fresh joint state of another arm
+  kStateImplausible,     // F02 positions and velocities of the measured state contradict each other
+  kJointOutside,         // a joint stands outside its position limits: nothing starts there
 };
 
 /// One sentence for people: what is wrong and what to do.
