@@ -57,7 +57,7 @@ def test_an_unstable_episode_fails_and_the_next_one_starts_clean(tmp_path: Path)
 
     page = (out / "report.html").read_text("utf-8")
     assert "1 of 2 (95 % interval" in page and "not to be trusted" in page
-    assert page.count("data:image/png;base64,") == 3
+    assert page.count("data:image/png;base64,") == 2
     for name in ("000", "001"):
         assert (out / "episodes" / name / "report.html").exists()
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()

@@ -134,7 +134,9 @@ def test_f33_a_robot_that_is_offline_is_a_lost_link() -> None:
         loop.stream(0.012)
     loop.stream(0.012)
     assert (loop.out.state, loop.out.reason) == (State.FAULT, Reason.LINK_LOST)
-    assert not np.any(loop.out.qd_command)
+    for _ in range(30):
+        loop.stream(0.012)
+    assert not np.any(loop.out.qd_command), "it has faded"
     assert loop.controller.request(StateCommand.ENABLE) == Reason.LINK_LOST
 
 

@@ -116,7 +116,7 @@ def test_f25_forces_on_topics_stop_the_arm(
             cycle = rig.step()
             assert (cycle.state, cycle.reason) == (Cycle.FAULT, "force")
             found.append(0)
-            assert np.any(cycle.qd_command) == (sensor is trocar)  # a halt, and a ramp
+            assert np.any(cycle.qd_command)  # it fades, or follows a ramp
             rig.say("enable")
             assert rig.step().state == Cycle.FAULT, "refused while it lasts"
             for _ in range(20):

@@ -93,9 +93,7 @@ class Bench:
         # Behind a gap the arm may have been stopped: what counts is what was measured.
         before = told["qd"] if faulty.get("elapsed", 0) > 5 * TICK else self._qd
         change = np.abs(command - before) / (np.array(self.robot.acceleration) * TICK)
-        robot = faulty.get("readings", surg_core.Readings()).condition
-        if robot == surg_core.RobotCondition.ACTIVE:  # one that does not obey is told nothing
-            self.jerked = max(self.jerked, float(change.max()))
+        self.jerked = max(self.jerked, float(change.max()))
         self._qd = command
         self.jaw += float(np.clip(self.out.jaw_set - self.jaw, -0.01, 0.01))
         self.freeze(1)

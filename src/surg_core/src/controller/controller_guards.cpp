@@ -92,9 +92,7 @@ Reason Controller::Impl::take_state(const Inputs& in) {
   if (reason != Reason::kNone) return reason;
   q = in.q;
   qd = in.qd;
-  const double delay = 2 * T + std::max(state_delay, in.state_age);
-  const StateCheck::Verdict verdict =
-      state_check.judge(q, qd, in.state_age, clock.elapsed(), delay);
+  const StateCheck::Verdict verdict = state_check.judge(q, qd, in.state_age, clock.elapsed());
   return verdict == StateCheck::Verdict::kLost ? Reason::kStateImplausible : Reason::kNone;
 }
 

@@ -26,8 +26,7 @@ void StateCheck::take(const JointVector& q, const JointVector& qd, double age) {
   bad_ = 0;
 }
 
-StateCheck::Verdict StateCheck::judge(JointVector& q, JointVector& qd, double age, double elapsed,
-                                      double delay) {
+StateCheck::Verdict StateCheck::judge(JointVector& q, JointVector& qd, double age, double elapsed) {
   unwrap(q);
   since_ += elapsed;
   if (!started_) {
@@ -36,16 +35,20 @@ StateCheck::Verdict StateCheck::judge(JointVector& q, JointVector& qd, double ag
     take(q, qd, age);
     return Verdict::kGood;
   }
-  const double span = since_ + age_ - age;  // between the two states
-  const double keep = std::exp(-std::abs(span) / kMemory);
-  JointVector drift = keep * drift_ + (q - q_) - 0.5 * span * (qd + qd_);
-  const JointVector speed = qd.cwiseAbs().cwiseMax(qd_.cwiseAbs());
+  const double span = std::max(since_ + age_ - age, 0.0);  // between the two states
+  const JointVector moved = q - q_, v = 0.5 * (qd + qd_);
+  // The time that has passed at the robot, as all joints say together.
+  const double square = v.squaredNorm();
+  const double passed = std::clamp(square > 0 ? moved.dot(v) / square : span, 0.0, span + kJitter);
+  const double keep = std::exp(-span / kMemory);
+  const JointVector drift = keep * drift_ + moved - passed * v;
+  const double longest = std::max(span, passed);
   const JointVector uncertain =
-      (0.5 * std::abs(span) + delay) * speed + 0.5 * span * span * acceleration_;
+      kFilter * qd.cwiseAbs().cwiseMax(qd_.cwiseAbs()) + 0.5 * longest * longest * acceleration_;
   if ((drift.array().abs() <= kSlack + uncertain.array()).all()) {
     drift_ = drift;
     // What happened inside a gap is not known to that accuracy.
-    if (std::abs(span) > kGap) drift_.setZero();
+    if (longest > kGap) drift_.setZero();
     take(q, qd, age);
     return Verdict::kGood;
   }

@@ -10,15 +10,19 @@ namespace surg {
 
 /// Compares the positions with the integral of the velocities, joint by joint. A joint whose
 /// position jumps, wraps, stands still or drifts against its velocity is found; the state is not
-/// used then. Continuous joints, whose drivers may wrap them by full turns, are unwrapped first.
+/// used then. The time between two states is what all joints say together: states come early and
+/// late, and the clock of a slow simulator runs slowly. Continuous joints, whose drivers may wrap
+/// them by full turns, are unwrapped first.
 class StateCheck {
  public:
   enum class Verdict { kGood, kImplausible, kLost };
 
-  static constexpr double kSlack = 0.01;  ///< [rad] noise, and velocities that a driver filters
-  static constexpr double kMemory = 0.5;  ///< [s] over which positions and velocities must agree
-  static constexpr double kGap = 0.01;    ///< [s] without a state; the comparison begins anew
-  static constexpr int kLost = 5;         ///< [cycles] of implausible states in a row
+  static constexpr double kSlack = 0.01;    ///< [rad] noise of positions
+  static constexpr double kFilter = 0.004;  ///< [s] by which velocities may be filtered
+  static constexpr double kJitter = 0.05;   ///< [s] by which a state may have come late
+  static constexpr double kMemory = 0.5;    ///< [s] over which positions and velocities must agree
+  static constexpr double kGap = 0.01;      ///< [s] without a state; the comparison begins anew
+  static constexpr int kLost = 5;           ///< [cycles] of implausible states in a row
 
   /// home [rad]: a continuous joint starts within half a turn of it. acceleration [rad/s^2]: of
   /// each joint.
@@ -26,9 +30,8 @@ class StateCheck {
 
   /// Judges a state and completes it: q is unwrapped, and an implausible state is replaced by the
   /// last good one, moved on at its velocity. After kLost cycles the check starts anew from what is
-  /// measured. age [s] of the state; elapsed [s] since the last call; delay [s]: by which
-  /// its stamps may be wrong.
-  Verdict judge(JointVector& q, JointVector& qd, double age, double elapsed, double delay);
+  /// measured. age [s] of the state; elapsed [s] since the last call.
+  Verdict judge(JointVector& q, JointVector& qd, double age, double elapsed);
   /// Takes the next state as it is: nothing follows this arm, or its state was lost.
   void restart() { started_ = false; }
 
