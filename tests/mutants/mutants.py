@@ -406,7 +406,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "hard_force_ramps",
         "F25: a hard contact is pushed on during the ramp",
         "src/controller/controller_guards.cpp",
-        "if (verdict == ForceGuard::Verdict::kHalt) fade();",
+        "if (verdict == ForceGuard::Verdict::kFade) fade();",
         "if (false) fade();",
     ),
     one(

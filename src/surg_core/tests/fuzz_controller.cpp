@@ -725,13 +725,20 @@ class Run {
     return !lagging_ ? kIdeal : robot_.tuning.link_lag > 0 ? kLagKnown : kLagUnknown;
   }
 
+  /// All joints have braked together by what the fastest one may.
+  bool faded(const Outputs& out) const {
+    const JointVector most = kT * robot_.acceleration;
+    const double cycles = std::max(1.0, (last_.array().abs() / most.array()).maxCoeff());
+    return (out.qd_command - (1 - 1 / cycles) * last_).norm() < 1e-9;
+  }
+
   Failure stillness(const Inputs& in, const Outputs& out) {
     const bool still = out.qd_command.norm() == 0 && out.twist_command.norm() == 0;
     if (!still && !out.homed) return {"halt", "moves without home"};
     const bool slower = still || out.qd_command.norm() < last_.norm();
-    if (!slower && (blind_ || force_halt_)) {
-      return {"fade", blind_ ? "is not slower without a joint state"
-                             : "is not slower against a hard or unknown force"};
+    if ((blind_ || force_halt_) && !(timing_ == kOnTime ? faded(out) : slower)) {
+      return {"fade", blind_ ? "does not fade without a joint state"
+                             : "does not fade against a hard or unknown force"};
     }
     const bool load =
         in.trocar_force.valid && !(in.trocar_force.f_B.norm() <= robot_.limits.trocar_force_fault);

@@ -6,17 +6,16 @@ It knows nothing of the controller's model. What is judged is the plant's own mo
 from __future__ import annotations
 
 import collections
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import surg_core
+from helpers.control.fault_bench import shipped
+from helpers.control.lagging_arm import TICK as T
 from surg_core import Motion, MotionCommand, StateCommand
 
-CELLS = Path(__file__).resolve().parents[3] / "cells"
 ROBOTS = ("sim_ur5e", "sim_panda")
-T = 0.002
 STEP = 0.0005
 """Time of one step of the plant [s]."""
 QUANTUM = 1e-5
@@ -39,13 +38,10 @@ class JointPlant:
         lags: float | np.ndarray = 0.008,
         delay: float = 0.004,
         q: np.ndarray | None = None,
-        chain: surg_core.Chain | None = None,
     ) -> None:
-        self.arm = surg_core.load_cell(str(CELLS / cell)).arms["PSM1"]
-        arm = self.arm
-        chain = chain or arm.chain
+        self.arm = arm = shipped(cell)
         self.controller = surg_core.Controller(
-            chain, arm.robot, arm.limits, arm.instrument, arm.tool
+            arm.chain, arm.robot, arm.limits, arm.instrument, arm.tool
         )
         self.most = np.asarray(arm.robot.acceleration)
         self.q = np.array(arm.robot.home if q is None else q, float)
@@ -103,12 +99,16 @@ class JointPlant:
         return np.asarray(X_BR[:3, :3].T @ (p_B - X_BR[:3, 3]))
 
     def sweep(self, speed: float, seconds: float) -> None:
-        """Follow a sine sideways whose fastest point has this speed [m/s]."""
-        w = 2 * np.pi * 0.5
+        """Follow ``sideways`` from the present time on."""
         begun = self.time
         while self.time - begun < seconds:
-            t = self.time - begun
-            self.step(pose([speed / w * np.sin(w * t) * min(t, 1.0), 0.0, 0.12]))
+            self.step(sideways(speed, self.time - begun))
+
+
+def sideways(speed: float, t: float) -> MotionCommand:
+    """Where a sine of 0.5 Hz is at time t [s], whose fastest point has this speed [m/s]."""
+    w = 2 * np.pi * 0.5
+    return pose([speed / w * np.sin(w * t) * min(t, 1.0), 0.0, 0.12])
 
 
 def pose(p: Any, **fields: Any) -> MotionCommand:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.control.joint_plant import ROBOTS, JointPlant, T, pose
+from helpers.control.joint_plant import ROBOTS, JointPlant, T, pose, sideways
 from surg_core import ForceSample, Motion, Readings, Reason, State, StateCommand
 
 SPEEDS = (0.02, 0.06, 0.1, 0.15)
@@ -80,9 +80,7 @@ def test_a_joint_that_cannot_be_there_is_never_followed(cell: str, kind: str) ->
             t = arm.time - begun
             q[joint] = BROKEN_JOINTS[kind](q[joint], t, frozen)
             if seen is None:
-                w = 2 * np.pi * 0.5
-                p = [0.15 / w * np.sin(w * (2.1 + t)), 0.0, 0.12]
-                arm.step(pose(p), q=q)
+                arm.step(sideways(0.15, 2.1 + t), q=q)
                 seen = k if arm.out.state == State.FAULT else None
             else:
                 arm.step(q=q)
@@ -105,12 +103,10 @@ def test_single_glitches_are_passed_over(cell: str) -> None:
     rng = np.random.default_rng(1)
     far = 0.0
     for k in range(1000):
-        t = 1.0 + k * T
-        w = 2 * np.pi * 0.5
         q = arm.measured()
         if k % 50 == 10:
             q[rng.integers(len(q))] += rng.choice([-2 * np.pi, 0.3, 2 * np.pi])
-        arm.step(pose([0.1 / w * np.sin(w * t), 0.0, 0.12]), q=q)
+        arm.step(sideways(0.1, 1.0 + k * T), q=q)
         far = max(far, arm.out.rcm_error)
     assert arm.out.state == State.ENABLED
     assert far < 1e-4

@@ -23,7 +23,7 @@ surg::ForceSample force_of(const MeasuredForce& measured, std::int64_t now_ns, b
   if (spoken && now_ns - measured.received_ns > kForceLostNs) {
     return {true, surg::Vector3::Constant(std::numeric_limits<double>::quiet_NaN())};
   }
-  // Infinite: not known (RcmLoop::on_force). NaN is a broken sensor, and halts.
+  // Infinite: not known (RcmLoop::on_force). NaN is a broken sensor: the arm fades.
   if (spoken && !measured.f_B.array().isInf().any()) return {true, measured.f_B};
   if (!required) return {};
   return {false, surg::Vector3::Constant(std::numeric_limits<double>::infinity())};

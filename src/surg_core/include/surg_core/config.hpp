@@ -60,7 +60,7 @@ struct Limits {
   double rcm_error_warn;      ///< [m]
   double rcm_error_fault;     ///< [m] F23
   double tip_force_soft;      ///< [N] F25: yields above, PAUSED after 0.1 s
-  double tip_force_hard;      ///< [N] F25: FAULT, halt
+  double tip_force_hard;      ///< [N] F25: FAULT, fade
   double trocar_force_warn;   ///< [N] load of the trocar
   double trocar_force_fault;  ///< [N] F25: FAULT, stop
   double joint_margin;        ///< [rad] joints slow down from this distance to their limit

@@ -68,13 +68,25 @@ const Outputs& Controller::step(const Inputs& inputs) {
   self.guard_pivot();
   self.guard_force(inputs);
   self.gate(inputs);
-  self.move();
-  if (self.clock.periods() > 0) {
-    self.jaw.advance(self.enabled() && !self.tool_lost, self.clock.periods());
-    self.elapse_authority();
-  }
+  self.advance();
   self.report(inputs);
   return self.out;
+}
+
+void Controller::Impl::advance() {
+  if (clock.periods() == 0) {  // the last command stands
+    if (!state_known) fade();
+    return;
+  }
+  note(handler.check_timeout());
+  move();
+  jaw.advance(enabled() && !tool_lost, clock.periods());
+  elapse_authority();
+  note(handler.check_arrival(tip_pose()));
+}
+
+void Controller::Impl::note(Reason reason) {
+  if (reason != Reason::kNone) out.reason = reason;
 }
 
 void Controller::Impl::elapse_authority() {
@@ -118,8 +130,6 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
 
 void Controller::Impl::report(const Inputs& in) {
   const Setpoint& setpoint = handler.setpoint();
-  const Reason arrival = clock.periods() > 0 ? handler.check_arrival(tip_pose()) : Reason::kNone;
-  if (arrival != Reason::kNone) out.reason = arrival;
   out.state = operating.state();
   if (out.state != State::kEnabled) out.reason = operating.reason();
   out.homed = operating.homed();

@@ -48,10 +48,9 @@ void Controller::Impl::catch_up() {
       const Step step = advance_motion(unused);
       progress = handler.check_progress(step.alpha < 1 || step.tier > 0);
     }
-    const Reason timeout = handler.check_timeout(), arrival = handler.check_arrival(tip_pose());
-    for (const Reason reason : {progress, timeout, arrival}) {
-      if (reason != Reason::kNone) out.reason = reason;
-    }
+    note(progress);
+    note(handler.check_timeout());
+    note(handler.check_arrival(tip_pose()));
     elapse_authority();
   }
   catching_up = false;
@@ -240,7 +239,7 @@ void Controller::Impl::guard_force(const Inputs& in) {
   const ForceGuard::Verdict verdict =
       force.judge(in.tip_force, in.trocar_force, T, clock.periods());
   out.warn_force = force.warns();
-  if (verdict == ForceGuard::Verdict::kHalt) fade();  // also ends a ramp
+  if (verdict == ForceGuard::Verdict::kFade) fade();  // also ends a ramp
   if (!enabled()) return;
   switch (verdict) {
     case ForceGuard::Verdict::kFree:
@@ -250,7 +249,7 @@ void Controller::Impl::guard_force(const Inputs& in) {
       pause(Reason::kForce);
       break;
     case ForceGuard::Verdict::kStop:
-    case ForceGuard::Verdict::kHalt:
+    case ForceGuard::Verdict::kFade:
       fault(Reason::kForce);
       break;
   }
@@ -266,8 +265,6 @@ void Controller::Impl::gate(const Inputs& in) {
     ++(reason == Reason::kNone ? out.accepted : out.refused);
   }
   out.n_verdicts = n;
-  const Reason timeout = clock.periods() > 0 ? handler.check_timeout() : Reason::kNone;
-  if (timeout != Reason::kNone) out.reason = timeout;
 }
 
 Reason Controller::Impl::accept(const MotionCommand& command) {

@@ -144,6 +144,10 @@ struct Controller::Impl {
   /// Set-point, reference and timers go on over the periods that passed without a cycle. The jaw
   /// does not: its command is a position, which would jump.
   void catch_up();
+  /// Timers, motion, jaw and authority go on, unless the cycle came between two periods.
+  void advance();
+  /// Reports a reason, if there is one.
+  void note(Reason reason);
   void elapse_authority();
   void sense(const Inputs& in);
   /// Takes the measured joint state where it can be; otherwise says why not.
@@ -172,7 +176,7 @@ struct Controller::Impl {
   void check_tool_link(const Inputs& in);
   /// F23: stops an arm that is off the trocar or does not follow.
   void guard_pivot();
-  /// F25: yields to the force at the tip, pauses, stops or halts.
+  /// F25: yields to the force at the tip, pauses, stops or fades.
   void guard_force(const Inputs& in);
   void gate(const Inputs& in);
   Reason accept(const MotionCommand& command);
@@ -220,6 +224,8 @@ struct Controller::Impl {
   /// [m/s] flange speed needed by the follower's correction. The reference leaves it free, since a
   /// command that is cut short would leave the pivot.
   double flange_lead() const;
+  /// [s] until the slowest joint to brake is at rest, from joint velocities.
+  double time_to_rest(const JointVector& of) const;
   /// In FAULT no joint state makes the arm faster: where the law wants to, the command fades.
   JointVector no_faster(const JointVector& qd_wanted);
 

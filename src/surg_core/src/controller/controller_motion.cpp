@@ -21,10 +21,6 @@ constexpr double kRetraceSettles =
 }  // namespace
 
 void Controller::Impl::move() {
-  if (clock.periods() == 0) {  // a cycle between two control periods: the last command stands
-    if (!state_known) fade();
-    return;
-  }
   JointVector qd = JointVector::Zero(arm.chain().dof());
   bool moving = false;
   out.scale = 1;
@@ -33,7 +29,7 @@ void Controller::Impl::move() {
   out.v_set.setZero();
   Setpoint& setpoint = handler.setpoint();
   setpoint.elapse(T);
-  setpoint.set_rest_time((qd_last.array().abs() / robot.acceleration.array()).maxCoeff());
+  setpoint.set_rest_time(time_to_rest(qd_last));
   if (!state_known || !trocar.taught() || !operating.homed()) {
     // The geometry is unknown (F02, F10): a ramp through the law would be blind, also when the
     // state returns.
@@ -306,10 +302,11 @@ double Controller::Impl::flange_lead() const {
   return std::clamp(lead + slower, 0.0, kMaxFlangeLead * limits.flange_velocity);
 }
 
+double Controller::Impl::time_to_rest(const JointVector& of) const {
+  return (of.array().abs() / robot.acceleration.array()).maxCoeff();
+}
+
 JointVector Controller::Impl::no_faster(const JointVector& qd_wanted) {
-  const auto time_to_rest = [&](const JointVector& of) {
-    return (of.array().abs() / robot.acceleration.array()).maxCoeff();
-  };
   if (!qd_wanted.allFinite() || time_to_rest(qd_wanted) <= time_to_rest(qd_last)) return qd_wanted;
   const JointVector slower = fading_command();
   follower.take_up(slower);

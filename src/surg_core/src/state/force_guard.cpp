@@ -23,13 +23,13 @@ ForceGuard::Verdict ForceGuard::judge(const ForceSample& tip, const ForceSample&
   warns_ = false;
   acceptable_ = false;
   if ((tip.valid && !tip.f_B.allFinite()) || (trocar.valid && !trocar.f_B.allFinite())) {
-    return Verdict::kHalt;
+    return Verdict::kFade;
   }
   const double force = tip.valid ? tip.f_B.norm() : 0;
   const double load = trocar.valid ? trocar.f_B.norm() : 0;
   warns_ = load > warn_;
   if (force <= soft_) above_ = 0;
-  if (force > hard_) return Verdict::kHalt;
+  if (force > hard_) return Verdict::kFade;
   if (load > fault_) return Verdict::kStop;
   if (is_missing(tip) || is_missing(trocar)) return Verdict::kPause;
   acceptable_ = true;

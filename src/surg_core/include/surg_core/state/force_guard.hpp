@@ -18,13 +18,13 @@ class ForceGuard {
  public:
   static constexpr double kPatience = 0.1;  ///< [s] above the soft limit, then PAUSED
 
-  enum class Verdict { kFree, kYield, kPause, kStop, kHalt };
+  enum class Verdict { kFree, kYield, kPause, kStop, kFade };
 
   ForceGuard() = default;
   explicit ForceGuard(const Limits& limits);
 
   /// Call it once per cycle, 'periods' of dt [s] after the last time. kYield: above the soft limit;
-  /// kPause: above it for kPatience, or missing; kStop: trocar load; kHalt: above the hard limit,
+  /// kPause: above it for kPatience, or missing; kStop: trocar load; kFade: above the hard limit,
   /// or not finite (contact geometry unknown).
   Verdict judge(const ForceSample& tip, const ForceSample& trocar, double dt, int periods = 1);
   /// Restarts the time above the soft limit, so that an arm in contact can move away.
