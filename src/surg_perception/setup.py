@@ -10,6 +10,6 @@ setuptools.setup(
     python_requires=">=3.11",
     packages=setuptools.find_packages("src"),
     package_dir={"": "src"},
-    package_data={"surg_perception": ["py.typed", "capture/*.html"]},
+    package_data={"surg_perception": ["py.typed"]},
     install_requires=["numpy>=1.24", "scipy>=1.10"],
 )

@@ -13,9 +13,7 @@ import pytest
 
 from helpers import endoscope_files
 from helpers.graph.ros import RosGraph
-from helpers.graph.surg import surg
 from helpers.perception import recorded_pairs
-from surg_cli.graph import master
 from surg_console.web import picture_packet
 from surg_core import lens_file
 from surg_perception.capture import eye_lenses
@@ -149,47 +147,6 @@ def test_no_picture_is_lost_on_the_way_to_the_console(
     print(found)
     assert lost == 0, found
     assert np.median(ages) <= MOST_MS
-
-
-PATTERN_SOURCE = '''\
-"""A screen with the clock pattern before a camera whose stamps are 70 ms late."""
-
-from surg_perception.capture import clock_pattern
-from surg_perception.capture.picture_source import Grabbed, PictureSource
-
-
-class Screen(PictureSource):
-    live = False
-
-    def pictures(self):
-        while True:
-            shown = self.wanted.now()
-            pattern = clock_pattern.drawn(shown // 1_000_000)
-            picture = pattern[:, :, None].repeat(3, axis=2)
-            self.wanted.sleep(0.07)
-            stamp = self.wanted.now()
-            yield Grabbed(stamp, stamp, (picture,))
-'''
-
-
-def test_calibrate_latency_reads_the_screens_clock(
-    ros_graph: RosGraph, rospy_node: str, tmp_path: Path, full: bool
-) -> None:
-    if not full:
-        pytest.skip("ten seconds; SURG_TEST_FULL=1")
-    (tmp_path / "screen.py").write_text(PATTERN_SOURCE)
-    params: dict[str, object] = {
-        "source": f"{tmp_path}/screen.py:0", "layout": "mono", "latency": 0.02,
-    }  # fmt: skip
-    ros_graph.node("surg_perception", "capture_node.py", "/endoscope", params)
-    port = ros_graph.uri.rsplit(":", 1)[1].strip("/")
-    words = ("calibrate", "sim_ur5e", "latency", "--port", port)
-    ros_graph.wait_for(lambda: "/endoscope" in master.nodes(ros_graph.uri), 20.0, "the node")
-    done = surg(*words)
-    print(done.stdout, done.stderr)
-    assert done.returncode == 0
-    found = float(done.stdout.split("latency: ")[1].split()[0])
-    assert found == pytest.approx(0.0705, abs=0.003), "the node's 20 ms are added again"
 
 
 def test_another_drivers_topics_are_paired(

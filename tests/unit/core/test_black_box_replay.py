@@ -43,5 +43,5 @@ def test_a_missing_file_and_wrong_arguments_say_what_is_wrong(tmp_path: Path) ->
     done = replay("--black-box", str(tmp_path / "nowhere"))
     assert done.returncode == 1
     assert "No such file" in done.stderr
-    for arguments in (["--black-box"], ["a.csv", "--black-box", "b"], []):
+    for arguments in (["--black-box"], ["--black-box", "a", "b"], ["a.csv"], []):
         assert replay(*arguments).returncode == 2

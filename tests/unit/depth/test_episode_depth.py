@@ -183,7 +183,7 @@ def test_a_broken_video_is_refused(
     ("words", "said"),
     [
         (("--method", "census"), "there is no such stereo method"),
-        (("--method", "none.onnx"), "none.onnx: there is no such file"),
+        (("--method", "none.py"), "none.py"),
         (("--range", "0.2", "0.1"), "0.005 <= near < far <= 10"),
         (("--size", "640"), "allowed: such as 640x480"),
         (("--every", "0"), "allowed: a whole number from 1"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,10 +12,9 @@ from helpers.endoscope_files import lens
 from helpers.perception.plane_pair import PlanePair
 from helpers.sim.board_views import BARREL, PINHOLE
 from surg_core import ConfigError
-from surg_perception.depth.onnx_matcher import OnnxMatcher
 from surg_perception.depth.rectification import StereoRectifier
 from surg_perception.depth.stereo_depth import StereoDepth
-from surg_perception.depth.stereo_matcher import MatcherError, find_matcher
+from surg_perception.depth.stereo_matcher import MatcherError
 
 
 def errors(pair: PlanePair, found: np.ndarray) -> np.ndarray:
@@ -113,63 +111,6 @@ def test_a_method_is_added_from_outside(tmp_path: Path) -> None:
     pair = PlanePair()
     found = StereoDepth(*pair.lenses(), method=str(file)).look(*pair.pictures())
     np.testing.assert_allclose(found.depth, pair.eye.f * pair.baseline / 20.0, rtol=1e-5)
-
-
-class FakeSession:
-    """An onnxruntime session whose model states half the width of a step edge."""
-
-    def __init__(self, shape: tuple[object, ...], output: np.ndarray | None = None) -> None:
-        self.shape, self.output, self.fed = shape, output, None
-
-    def get_inputs(self) -> list[SimpleNamespace]:
-        return [SimpleNamespace(name=n, shape=self.shape) for n in ("left", "right")]
-
-    def run(self, names: object, feed: dict[str, np.ndarray]) -> list[np.ndarray]:
-        self.fed = feed
-        if self.output is None:
-            raise RuntimeError("out of memory")
-        return [self.output]
-
-
-def test_a_learned_model_of_fixed_size_is_scaled() -> None:
-    pair = PlanePair()
-    session = FakeSession((1, 3, 120, 160), np.full((1, 1, 120, 160), 10.0, np.float32))
-    geometry = StereoRectifier(*pair.lenses()).geometry
-    matcher = OnnxMatcher("model.onnx", geometry, session=session)
-    left, right = pair.pictures()
-    np.testing.assert_allclose(matcher.disparity(left, right), 20.0)
-    fed = session.fed["left"]
-    assert fed.shape == (1, 3, 120, 160) and fed.dtype == np.float32 and fed.max() <= 1.0
-
-
-@pytest.mark.parametrize(
-    ("session", "said"),
-    [
-        (FakeSession((1, 3, 120)), "its inputs are left"),
-        (FakeSession((1, 3, 120, 160)), "out of memory"),
-        (FakeSession((1, 3, 120, 160), np.zeros((1, 7))), "its output has the shape [1, 7]"),
-    ],
-)
-def test_a_model_of_another_shape_is_refused(session: FakeSession, said: str) -> None:
-    pair = PlanePair()
-    geometry = StereoRectifier(*pair.lenses()).geometry
-    with pytest.raises(MatcherError) as refused:
-        OnnxMatcher("model.onnx", geometry, session=session).disparity(*pair.pictures())
-    assert said in str(refused.value) and "model.onnx" in str(refused.value)
-
-
-def test_onnxruntime_that_is_absent_names_the_cure(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import sys
-
-    geometry = StereoRectifier(*PlanePair().lenses()).geometry
-    with pytest.raises(MatcherError, match="there is no such file"):
-        find_matcher(str(tmp_path / "none.onnx"), geometry)
-    (tmp_path / "model.onnx").write_bytes(b"not a model")
-    monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(MatcherError, match="pip install onnxruntime, or use sgbm"):
-        find_matcher(str(tmp_path / "model.onnx"), geometry)
 
 
 @pytest.mark.parametrize(

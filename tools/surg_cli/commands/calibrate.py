@@ -16,8 +16,6 @@ from surg_cli.host.terminal import CliError, say
 from surg_cli.robots import endoscope_steps, force_steps
 
 MOTIONS = ("tip", "roll", "second", "trocar", "touch", "force")
-LATENCY_S = 20.0
-"""Length of a measurement of the pictures' latency [s]."""
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -27,12 +25,11 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add(
         "what",
         choices=(
-            *("collect", "tool", "trocar", "bases", "latency", "live"),
+            *("collect", "tool", "trocar", "bases", "live"),
             *(*force_steps.STEPS, *endoscope_steps.STEPS),
         ),
         help="record poses, solve for tool, trocar or bases, calibrate the force sensor (force, "
-        "zero) or the endoscope (live: from the console's page), or measure the latency of its "
-        "pictures",
+        "zero) or the endoscope (live: from the console's page)",
     )
     add(
         "motion",
@@ -74,10 +71,6 @@ def main(options: argparse.Namespace, command: str) -> int:
     options.source = options.sources[0] if options.sources else None
     folder = cells.find(options.cell)
     cell = cells.load(folder)
-    if options.what == "latency":
-        from surg_cli.graph import glass_to_stamp
-
-        return glass_to_stamp.measure(folder, options.port, LATENCY_S)
     if options.what == "live" or options.live:
         from surg_cli.graph import live_views
         from surg_cli.robots import live_bases

@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         "--method",
         default="sgbm_8",
         metavar="M",
-        help="sgbm_8 (default), sgbm, or the path of an .onnx or .py file",
+        help="sgbm_8 (default), sgbm, or the path of a .py file",
     )
     add("--size", type=_size, metavar="WxH", help="of the rectified pictures (as recorded)")
     add(

@@ -41,7 +41,7 @@ class StereoDepth:
         left: Lens of the left eye, for the pictures' size.
         right: Lens of the right eye.
         size: Of the rectified pictures [px]; None: of the pictures. Smaller is faster.
-        method: A name of `stereo_matcher.MATCHERS`, or the path of an ``.onnx`` or ``.py`` file.
+        method: A name of `stereo_matcher.MATCHERS`, or the path of a ``.py`` file.
         near: Smallest distance that is looked for [m].
         far: Largest one [m].
 

@@ -1,8 +1,8 @@
 """Methods that find the disparity of a rectified pair: the interface, and how one is chosen.
 
-``sgbm`` and ``sgbm_8`` are bundled. A ``.onnx`` file is a learned model (`onnx_matcher`). A ``.py``
-file, or an entry point in the group ``surg_perception.matchers``, adds a method of one's own; it is
-executed: name none that you would not run.
+``sgbm`` and ``sgbm_8`` are bundled. A ``.py`` file, or an entry point in the group
+``surg_perception.matchers``, adds a method of one's own, such as a learned model. It is executed:
+name none that you would not run.
 """
 
 from __future__ import annotations
@@ -78,11 +78,7 @@ def find_matcher(
             f"{NEAR:g} and {FAR:g}"
         )
     try:
-        if method.endswith(".onnx"):
-            from surg_perception.depth.onnx_matcher import OnnxMatcher
-
-            return OnnxMatcher(method, geometry, near, far)
         found: StereoMatcher = MATCHERS.find(method)(geometry, near, far)
     except PluginError as error:
-        raise MatcherError(f"method {error}, or of an .onnx model") from error
+        raise MatcherError(f"method {error}") from error
     return found

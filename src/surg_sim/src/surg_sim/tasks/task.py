@@ -192,13 +192,6 @@ class Task(ABC):
         del arm
         return None
 
-    def progress(self) -> float | None:
-        """How far the episode is, from 0 to 1 at success; a dense reward is its change.
-
-        None: the task has no dense reward.
-        """
-        return None
-
     @abstractmethod
     def verdict(self) -> Verdict:
         """State of the episode."""

@@ -34,7 +34,5 @@ STAGES = {
     "still": "Hold the taut bowel still.",
 }
 """Sentences for datasets and policies; a phase's is said to the robot."""
-NEAR = 0.1
-"""Distance of the robot's tip from the target within which it makes progress [m]."""
 NOBODY = -1.0
 """Value of a node number in the task state while nothing is held."""

@@ -187,18 +187,6 @@ class Bgr(Task):
             "nodes": self.bowel.nodes,
         }
 
-    def progress(self) -> float:
-        """Phases, and within a phase: how near the tip, how taut the tissue, how long still."""
-        away = float(np.linalg.norm(self.tip - self.bowel.nodes[self.target]))
-        within = {
-            "point": 1.0 - min(away / defined.NEAR, 1.0),
-            "grasp": 1.0 - min(away / defined.NEAR, 1.0),
-            "retract": min(self.tension / defined.TAUT, 1.0),
-            "still": min(self._still * GRID * TICK / defined.STILL_FOR, 1.0),
-        }
-        last = PHASES.index("done")
-        return min(1.0, (PHASES.index(self.phase) + within.get(self.phase, 0.0)) / last)
-
     def verdict(self) -> Verdict:
         """Success, failure with its cause, late, or going on."""
         if self.phase == "done":

@@ -96,7 +96,6 @@ class NeedleDriving(Task):
         self._largest = 0.0
         self._through = [0] * HOLES  # 1: the point went in from the front, -1: from behind
         self._before = [self._in_hole(hole) for hole in range(HOLES)]
-        self._start = self._distance
         self._out = 0
 
     def experts(self, cell: surg_core.Cell, seed: int) -> Mapping[str, Expert]:
@@ -113,12 +112,6 @@ class NeedleDriving(Task):
         """The needle's point in the frame of a hole [m], (3,)."""
         X = self.board.poses[hole]
         return np.asarray(X[:3, :3].T @ (self.point - X[:3, 3]))
-
-    @property
-    def _distance(self) -> float:
-        """Of the needle's point from the front of the asked hole [m]."""
-        off = self._in_hole(self.asked) + np.array([0.0, 0.0, THICKNESS / 2])
-        return float(np.linalg.norm(off))
 
     @property
     def depth(self) -> float:
@@ -168,13 +161,6 @@ class NeedleDriving(Task):
         if arm != ARM:
             return None
         return self._force.copy() if self.grip.held else np.zeros(3)
-
-    def progress(self) -> float:
-        """0.4 to the hole, 0.5 through it, 0.1 while it is held."""
-        if self._through[self.asked] != 1:
-            return 0.4 * float(np.clip(1.0 - self._distance / self._start, 0.0, 1.0))
-        share = float(np.clip((self.depth + THICKNESS) / (STANDS_OUT + THICKNESS), 0.0, 1.0))
-        return 0.4 + 0.5 * share + 0.1 * min(self._out * TICK / FOR, 1.0)
 
     @property
     def _phase(self) -> str:

@@ -84,18 +84,11 @@ class ThreadInHole(Task):
         mujoco.mj_kinematics(self._model, self._data)
         self._passages = 0  # of the end through the hole: from the front 1, from behind -1
         self._before = self.figure.inside(self.thread.end)
-        self._start = self._distance
         self._behind = 0
 
     def experts(self, cell: surg_core.Cell, seed: int) -> Mapping[str, Expert]:
         """One: at the robot."""
         return {"expert": ThreadExpert(cell, seed, ARM)}
-
-    @property
-    def _distance(self) -> float:
-        """Of the thread's end from the front of the hole [m]."""
-        off = self.figure.inside(self.thread.end) + np.array([0.0, 0.0, THICKNESS / 2])
-        return float(np.linalg.norm(off))
 
     @property
     def depth(self) -> float:
@@ -129,13 +122,6 @@ class ThreadInHole(Task):
             "held": float(self.grip.held),
             "nodes": self.thread.nodes,
         }
-
-    def progress(self) -> float:
-        """0.4 to the hole, 0.5 through it, 0.1 while it stays."""
-        if self._passages != 1:
-            return 0.4 * float(np.clip(1.0 - self._distance / self._start, 0.0, 1.0))
-        share = float(np.clip((self.depth + THICKNESS) / (PASSED + THICKNESS), 0.0, 1.0))
-        return 0.4 + 0.5 * share + 0.1 * min(self._behind * TICK / FOR, 1.0)
 
     @property
     def _phase(self) -> str:
