@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Publishes a gamepad, pedals, a SpaceMouse, a keyboard: rosrun surg_teleop leader_node.py."""
+"""Publishes a gamepad, pedals, a SpaceMouse: rosrun surg_teleop leader_node.py."""
 
 import sys
 

@@ -1,17 +1,12 @@
-"""Leaders as processes of their own: on topics, in a terminal, and from outside the tree."""
+"""Leaders as processes of their own: on topics, and from outside the tree."""
 
-import contextlib
-import fcntl
 import json
 import os
-import pty
-import signal
 import subprocess
 import sys
-import termios
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +15,7 @@ import numpy as np
 import pytest
 
 from helpers.graph import contract
-from helpers.graph.ros import RosGraph, find_executable
+from helpers.graph.ros import RosGraph
 from helpers.teleop.input_devices import GAMEPAD, PEDALS, Machine
 from surg_cli.host import paths
 from surg_teleop.leaders.bundled.gamepad import Gamepad
@@ -165,92 +160,12 @@ def test_pedals_on_topics_fail_to_pressed(ears: Ears) -> None:
     leader.close()
 
 
-# -- a terminal
-
-
-@dataclass
-class Terminal:
-    """A keyboard leader in a terminal of its own."""
-
-    process: subprocess.Popen[bytes]
-    master: int
-    slave: int
-    before: list[Any]
-
-    def text(self) -> str:
-        """What stands on the screen since the last look."""
-        with contextlib.suppress(BlockingIOError):
-            return os.read(self.master, 65536).decode(errors="replace")
-        return ""
-
-
-@contextlib.contextmanager
-def keyboard(graph: RosGraph) -> Iterator[Terminal]:
-    """Runs the leader node on a terminal."""
-    try:
-        master, slave = pty.openpty()
-    except OSError as problem:  # a root without /dev/pts
-        pytest.skip(f"no pseudo terminal here: {problem}")
-    os.set_blocking(master, False)
-    before = termios.tcgetattr(slave)
-
-    def own_terminal() -> None:
-        os.setsid()
-        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-
-    graph.set_params("/keys", {"leader": "keyboard"})
-    argv = [str(find_executable("surg_teleop", "leader_node")), "__name:=keys"]
-    process = subprocess.Popen(
-        argv, stdin=slave, stdout=slave, stderr=slave, env=graph.env, preexec_fn=own_terminal
-    )
-    try:
-        yield Terminal(process, master, slave, before)
-    finally:
-        process.kill()
-        process.wait()
-        for end in (master, slave):
-            with contextlib.suppress(OSError):
-                os.close(end)
-
-
-def test_keys_move_and_the_terminal_is_given_back(ears: Ears) -> None:
-    from geometry_msgs.msg import TwistStamped
-
-    rates = ears.listen("/keyboard/measured_cv", TwistStamped)
-    with keyboard(ears.graph) as terminal:
-
-        def heard_right() -> bool:
-            os.write(terminal.master, b"d")
-            time.sleep(0.03)
-            return bool(rates) and rates[-1].twist.linear.x > 0
-
-        ears.until(heard_right, "a key that moves")
-        assert not termios.tcgetattr(terminal.slave)[3] & (termios.ECHO | termios.ICANON)
-        assert "arrows or w a s d" in terminal.text()
-        ears.until(lambda: rates[-1].twist.linear.x == 0, "the key was let go")
-        os.kill(terminal.process.pid, signal.SIGTSTP)  # Ctrl-Z must not keep the terminal
-        os.write(terminal.master, b"\x03")  # Ctrl-C
-        assert terminal.process.wait(60.0) == 0
-        assert termios.tcgetattr(terminal.slave) == terminal.before
-
-
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
-def test_the_terminal_is_given_back_on_every_exit(name: str, ears: Ears) -> None:
-    with keyboard(ears.graph) as terminal:
-        raw = lambda: not termios.tcgetattr(terminal.slave)[3] & termios.ICANON  # noqa: E731
-        ears.until(raw, "the keyboard")
-        os.kill(terminal.process.pid, getattr(signal, name))
-        assert terminal.process.wait(60.0) == 0
-        assert termios.tcgetattr(terminal.slave) == terminal.before
-
-
 # -- refusals, and a leader from outside
 
 
 @pytest.mark.parametrize(
     ("params", "code", "said"),
     [
-        ({"leader": "keyboard"}, 1, "standard input is no terminal"),
         ({"leader": "teapot"}, 2, "there is no such leader"),
     ],
 )

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from scipy.spatial.transform import Rotation
 
 import surg_core
 from helpers.endoscope_files import copied_cell, write_endoscope
@@ -58,7 +56,7 @@ def test_the_chain_of_one_eye(
     true = chain.bench.lenses[0].rays(pixels, eye.f, *chain.bench.size)
     off = np.abs(lens.rays(pixels)[:, :2] - true).max() * eye.f
     words = ["calibrate", cell, "handeye", "--from", of["scope"]]
-    assert surg(*words, "--also", "easy_handeye") == 0
+    assert surg(*words) == 0
     assert "lens     its part of that error: " in capsys.readouterr().out
     camera = load_camera(calibration / "camera_ECM.yaml")
     assert camera.right_sha256 == "none"
@@ -72,27 +70,6 @@ def test_the_chain_of_one_eye(
         f"one eye: ray {off:.2f} px, camera {shift:.3f} mm, {turn:.3f} deg; chain {stated:.2f} mm"
     )
     assert off < 1.0 and shift <= 0.6 and turn <= 0.2 and stated <= 2.0
-    exported(calibration, camera.X_FV)
-
-
-def exported(calibration: Path, X_FV: np.ndarray) -> None:
-    """The other package's keys, read as it reads them; both lines state X_FV."""
-    file = calibration / "easy_handeye_ECM.yaml"
-    content = yaml.safe_load(file.read_text())
-    assert set(content["parameters"]) == {
-        "namespace", "move_group_namespace", "move_group", "eye_on_hand", "robot_base_frame",
-        "robot_effector_frame", "tracking_base_frame", "tracking_marker_frame",
-    }  # fmt: skip
-    assert content["parameters"]["eye_on_hand"] is True
-    assert content["parameters"]["robot_effector_frame"] == "ECM_flange"
-    pose = content["transformation"]
-    line = file.read_text().splitlines()[0].split()
-    assert line[-2:] == ["ECM_flange", "endoscope_left"]
-    seven = [float(word) for word in line[-9:-2]]
-    assert seven == [pose[key] for key in ("x", "y", "z", "qx", "qy", "qz", "qw")]
-    np.testing.assert_allclose(seven[:3], X_FV[:3, 3], atol=1e-12)
-    turn = Rotation.from_quat(seven[3:]).as_matrix()
-    np.testing.assert_allclose(turn, X_FV[:3, :3], atol=1e-9)
 
 
 def test_one_eye_does_not_replace_two(surg: Callable[..., int], tmp_path: Path) -> None:
@@ -107,9 +84,7 @@ def test_one_eye_does_not_replace_two(surg: Callable[..., int], tmp_path: Path) 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["stereo", "--from", "views", "--also", "easy_handeye"], "goes with handeye"),
         (["camera"], "--from FOLDER"),
-        (["handeye", "--live", "--also", "easy_handeye"], "--also goes with --from"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(

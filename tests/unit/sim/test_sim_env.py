@@ -83,25 +83,6 @@ def test_an_episode_is_the_session_s_bit_for_bit(pegs: SurgEnv) -> None:
     assert run_episode(pegs.session, seed).hash == through_env
 
 
-def test_a_streamed_step_is_the_step_bit_for_bit(pegs: SurgEnv) -> None:
-    """Commands of the first tick alone; and those of a later tick make another episode."""
-    hashes = []
-    for when in (None, 0, 7):
-        pegs.reset(seed=3)
-        for _ in range(5):
-            action, count = pegs.expert_action(), iter(range(100))
-
-            def sender(
-                before: Any, action: Any = action, count: Any = count, at: Any = when
-            ) -> Any:
-                assert before.tick + 1 == pegs.session.world.tick
-                return pegs._spaces.commands(action) if next(count) == at else {}
-
-            pegs.step(action) if when is None else pegs.stream(sender)
-        hashes.append(pegs.session.hash)
-    assert hashes[0] == hashes[1] != hashes[2]
-
-
 def test_a_bad_action_is_named(pegs: SurgEnv) -> None:
     pegs.reset(seed=1)
     with pytest.raises(ValueError, match="5 finite numbers are needed: PSM1/x"):

@@ -35,11 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MM",
         help="board: what its ruler of 100 mm measures",
     )
-    add(
-        "--also",
-        choices=("easy_handeye",),
-        help="handeye: write that ROS package's YAML too, with a static_transform_publisher line",
-    )
     add("--lens-state", default="", metavar="TEXT", help="stereo: focus and zoom, in words")
 
 
@@ -69,8 +64,6 @@ def check_live(options: argparse.Namespace, cell: Any) -> None:
         raise CliError(f"calibrate {options.what}: --live goes with {allowed}", 2)
     if options.source is not None:
         raise CliError("calibrate: --live and --from exclude one another", 2)
-    if options.also:
-        raise CliError("calibrate: --also goes with --from", 2)
 
 
 def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
@@ -95,8 +88,6 @@ def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
             + (", or --live" if what != "check" else ""),
             2,
         )
-    if options.also and what != "handeye":
-        raise CliError(f"calibrate {what}: --also {options.also} goes with handeye", 2)
     from surg_perception.calibration.result_files import Origin
 
     # A path of this machine does not belong into the cell's files.
@@ -118,7 +109,6 @@ def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
 def _solve(cell: Any, options: argparse.Namespace, origin: Any, write: bool) -> list[str]:
     """Solve a step and write its files; lines for people."""
     from surg_perception.calibration import base_steps, steps
-    from surg_perception.output.easy_handeye import write_easy_handeye
 
     what, source, folder = options.what, options.source, cell.folder / "calibration"
     if what == "check":
@@ -129,11 +119,7 @@ def _solve(cell: Any, options: argparse.Namespace, origin: Any, write: bool) -> 
         return list(steps.camera(folder, source, origin, write)[1])
     if what == "stereo":
         return list(steps.stereo(folder, source, origin, options.lens_state, write)[1])
-    result, lines = steps.handeye(cell, source, origin, write)
-    if options.also and write:
-        path = write_easy_handeye(folder, steps.scope_arm(cell).name, result.X_FV)
-        lines.append(f"written: {path}")
-    return list(lines)
+    return list(steps.handeye(cell, source, origin, write)[1])
 
 
 def _board(cell: Any, options: argparse.Namespace) -> None:

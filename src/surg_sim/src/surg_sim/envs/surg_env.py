@@ -10,7 +10,7 @@ docs/reference/tasks.md defines the observation and action spaces.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -184,21 +184,6 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
             raise RuntimeError("no episode: call reset() first")
         return self._stepped(self._advance(Action(arms=self._spaces.commands(action))))
 
-    def stream(
-        self, sender: Callable[[Tick], Mapping[str, ArmCommands]]
-    ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Like ``step``, with commands in every tick, as a sender in real time gives them.
-
-        Args:
-            sender: Gets what happened in the tick before; returns the commands of the next one.
-
-        Raises:
-            RuntimeError: The episode is over or has not begun.
-        """
-        if self._tick is None or self._tick.verdict.done:
-            raise RuntimeError("no episode: call reset() first")
-        return self._stepped(self._advance(Action(), sender))
-
     def _stepped(self, reward: float) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         assert self._tick is not None
         verdict = self._tick.verdict
@@ -210,20 +195,13 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
             self._info(),
         )
 
-    def _advance(
-        self, action: Action, sender: Callable[[Tick], Mapping[str, ArmCommands]] | None = None
-    ) -> float:
+    def _advance(self, action: Action) -> float:
         """Tick to the next grid time or to the end; returns the reward of these ticks."""
         commands, assistant = merge([action, *self._partner_actions], self.session.world.tick)
         reward, self._worst = 0.0, dict.fromkeys(self.session.world.arms, 0.0)
         for i in range(GRID):
             self._qpos = self.session.world.data.qpos.copy()  # a tick ends in the next one's state
-            given = commands if i == 0 else None
-            if sender is not None and self._tick is not None:
-                sent = Action(arms=dict(sender(self._tick)))
-                partners = self._partner_actions if i == 0 else []
-                given, _ = merge([sent, *partners], self.session.world.tick)
-            tick = self.session.tick(given, assistant if i == 0 else None)
+            tick = self.session.tick(commands if i == 0 else None, assistant if i == 0 else None)
             self._tick = tick
             reward += tick.verdict.reward
             for arm, out in tick.outputs.items():

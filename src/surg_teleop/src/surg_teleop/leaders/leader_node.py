@@ -35,7 +35,6 @@ from surg_core.hand.leader_sample import LeaderSample
 from surg_ros.leader_port import LeaderTopics, joy_message
 from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError, dictionary, flag, read, real, text
-from surg_teleop.leaders.bundled.keyboard import HELP, Keyboard
 from surg_teleop.leaders.evdev.device_leader import InputLeader
 from surg_teleop.leaders.evdev.rumble import Rumble
 from surg_teleop.leaders.leader import Leader, LeaderError, load, names
@@ -181,7 +180,7 @@ def main() -> int:
     if not master_is_online("leader"):
         return 1
     rospy.init_node("leader", disable_signals=True)
-    # Every way out but kill -9 goes through `finally`: a terminal must be given back.
+    # Every way out but kill -9 goes through `finally`: a grabbed device must be given back.
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(name, lambda *_: sys.exit(0))
     try:
@@ -190,9 +189,6 @@ def main() -> int:
     except (ParamError, LeaderError) as error:
         print(f"leader: {error}\nleader: there are {', '.join(names())}", file=sys.stderr)
         return 2
-    if isinstance(leader, Keyboard):
-        signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # a stopped process would keep the terminal
-        print(HELP, end="", flush=True)
     try:
         leader.open()
         if given.haptics and not (isinstance(leader, InputLeader) and leader.rumbles):
