@@ -77,7 +77,7 @@ def test_every_observation_holds_the_picture_of_its_own_tick(
         rows = list(csv.DictReader(lines))
     assert len(rows) == policy["accepted"] and rows[0]["names_0"] == "PSM1/x"
     assert int(rows[0]["step"]) == 4 and int(rows[0]["stamp_ns"]) % 50_000_000 == 2_000_000
-    note(9, len(rows), f"the same state hash, {wanted[:12]}…")
+    note(7, len(rows), f"the same state hash, {wanted[:12]}…")
     seen = np.array([line.split() for line in account.read_text().splitlines()], dtype=np.int64)
     np.testing.assert_array_equal(seen[:, 0], seen[0, 0] + np.arange(len(seen)))
     np.testing.assert_array_equal(seen[:, 1], seen[:, 0] * 50_000_000)

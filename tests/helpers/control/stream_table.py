@@ -25,7 +25,7 @@ UR5E = _core.DofLimits(0.25, 2.0, 100.0)
 PANDA = _core.DofLimits(0.25, 0.6, 100.0)
 LEAST_TREMOR = 0.87
 """At 8 to 12 Hz, of any linear filter that is 5 ms late at 30 Hz and keeps 5 % below 3 Hz, with a
-gain of up to 1.5 elsewhere: the linear program of test_prediction_limit.py."""
+gain of up to 1.5 elsewhere: the linear program of docs/design/set_points.md."""
 
 
 @dataclass(frozen=True)

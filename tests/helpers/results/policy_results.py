@@ -12,8 +12,6 @@ ROWS = (
     "passing the end of a 60 mm motion: steps at 20 Hz; the way between them",
     "flood of the port",
     "operator, policy, operator: largest step of the set-point in a cycle",
-    "killed under way, started again in the same episode",
-    "a second robot by the same client process",
     "roll-out through the graph against an environment in one process",
     "wire: round trips of drawn messages",
     "wire: kinds of wrong messages, each refused for its own reason",

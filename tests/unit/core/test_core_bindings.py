@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -43,39 +41,6 @@ def _pose(rng: np.random.Generator) -> np.ndarray:
 def _chain(rng: np.random.Generator, n: int) -> surg_core.Chain:
     joints = [_core.Joint(f"j{i}", _pose(rng), _unit(rng)) for i in range(n)]
     return surg_core.Chain(joints, _pose(rng))
-
-
-def test_forward_is_the_product_of_the_joints() -> None:
-    rng = np.random.default_rng(1)
-    for n in range(1, MAX_JOINTS + 1):
-        chain = _chain(rng, n)
-        q = rng.uniform(-3, 3, n)
-        X = np.eye(4)
-        for joint, angle in zip(chain.joints, q, strict=True):
-            turn = np.eye(4)
-            turn[:3, :3] = _rotation(joint.axis, angle)
-            X = X @ joint.X_PJ @ turn
-        assert chain.dof == n
-        np.testing.assert_allclose(chain.forward(q), X @ chain.X_LF, atol=1e-7)
-
-
-def test_jacobian_is_the_derivative_of_forward() -> None:
-    rng = np.random.default_rng(2)
-    h = 1e-6
-    for _ in range(20):
-        n = int(rng.integers(6, MAX_JOINTS + 1))
-        chain = _chain(rng, n)
-        q = rng.uniform(-3, 3, n)
-        J = chain.jacobian(q)
-        assert J.shape == (6, n)
-        assert J.flags.c_contiguous
-        for i in range(n):
-            step = np.eye(n)[i] * h
-            below, above = chain.forward(q - step), chain.forward(q + step)
-            W = above[:3, :3] @ below[:3, :3].T
-            omega = np.array([W[2, 1] - W[1, 2], W[0, 2] - W[2, 0], W[1, 0] - W[0, 1]]) / (4 * h)
-            expected = np.concatenate([(above[:3, 3] - below[:3, 3]) / (2 * h), omega])
-            np.testing.assert_allclose(J[:, i], expected, atol=1e-8)
 
 
 @pytest.mark.parametrize(
@@ -122,52 +87,6 @@ def test_a_recorded_stream_is_followed() -> None:
     # As in the controller, the target is one tick ahead of the end of the cycle.
     errors = states[500:, 0, 0] - 0.03 * np.sin(t[500:-1] + 0.004)
     assert np.abs(errors).max() < 2e-4
-
-
-def test_shaft_state_is_plain_geometry() -> None:
-    rng = np.random.default_rng(8)
-    for _ in range(100):
-        X, s_F, p_FTip, p_rcm = _pose(rng), _unit(rng), rng.normal(size=3), rng.normal(size=3)
-        shaft = surg_core.shaft_state(X, s_F, p_FTip, p_rcm)
-        s, tip = X[:3, :3] @ s_F, X[:3, :3] @ p_FTip + X[:3, 3]
-        np.testing.assert_allclose(shaft.s, s, atol=1e-12)
-        np.testing.assert_allclose(shaft.p_BTip, tip, atol=1e-12)
-        np.testing.assert_allclose(shaft.p_BF, X[:3, 3])
-        # Distance of a point from a line.
-        deviation = np.linalg.norm(np.cross(p_rcm - tip, s))
-        assert np.linalg.norm(shaft.e) == pytest.approx(deviation, abs=1e-12)
-        assert shaft.e @ s == pytest.approx(0, abs=1e-12)
-        np.testing.assert_allclose(shaft.p_BNear + shaft.e, p_rcm, atol=1e-12)
-        np.testing.assert_allclose(shaft.p_BNear + shaft.depth * s, tip, atol=1e-12)
-
-
-def test_shaft_angles_and_direction_are_inverse() -> None:
-    rng = np.random.default_rng(11)
-    for _ in range(100):
-        yaw, pitch = rng.uniform(-3.1, 3.1), rng.uniform(-1.5, 1.5)
-        s = surg_core.shaft_direction(yaw, pitch)
-        expected = [
-            math.sin(yaw) * math.cos(pitch),
-            math.sin(pitch),
-            math.cos(yaw) * math.cos(pitch),
-        ]
-        np.testing.assert_allclose(s, expected, atol=1e-15)
-        np.testing.assert_allclose(surg_core.shaft_angles(s), (yaw, pitch), atol=1e-9)
-
-
-def test_rcm_frame_has_z_along_the_shaft_and_x_along_base_x() -> None:
-    rng = np.random.default_rng(12)
-    for _ in range(100):
-        s, p = _unit(rng), rng.normal(size=3)
-        X = surg_core.rcm_frame(s, p)
-        np.testing.assert_allclose(X[:3, :3] @ X[:3, :3].T, np.eye(3), atol=1e-12)
-        assert np.linalg.det(X[:3, :3]) == pytest.approx(1)
-        np.testing.assert_allclose(X[:3, 2], s, atol=1e-12)
-        np.testing.assert_array_equal(X[:3, 3], p)
-        if abs(s[0]) < 0.99:
-            assert X[0, 0] == pytest.approx(math.sqrt(1 - s[0] ** 2), abs=1e-12)
-    along_x = surg_core.rcm_frame([1.0, 0.0, 0.0], [0.0, 0.0, 0.0])
-    np.testing.assert_allclose(along_x[:3, 0], [0, 1, 0], atol=1e-15)
 
 
 def test_every_reason_has_a_name_and_a_sentence() -> None:

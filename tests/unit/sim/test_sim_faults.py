@@ -11,7 +11,9 @@ import pytest
 
 import surg_core
 from surg_cli.host import paths
+from surg_core import Reason, RobotCondition, State, StateCommand
 from surg_core.contract import TICK
+from surg_sim.envs.cell_session import CellSession
 from surg_sim.nodes.fault_injector import Channel, Injector, tool_errors
 from surg_sim.nodes.faults import KINDS, FaultError, Wire, parse
 from surg_sim.physics.sim_arm import ArmCommand, ToolError
@@ -253,6 +255,34 @@ def test_f31_a_lost_tool_link_says_nothing_and_takes_nothing(
     before = lost.world.state("PSM1").jaw
     lost.run(20)
     assert lost.world.state("PSM1").jaw == before
+
+
+def test_f33_a_simulated_robot_that_stops_says_why_and_moves_no_further(
+    ur5e: surg_core.Cell,
+) -> None:
+    fault = {"fault": "robot", "at": 50, "ticks": 100, "condition": "estop"}
+    link = Link(ur5e, fault, lockstep=True)
+    stopped, joint = [], []
+    for _ in range(200):
+        if link.injector.robot("PSM1") == (RobotCondition.ESTOP, 1.0):
+            stopped.append(link.world.tick)
+        link.tick()
+        joint.append(link.world.state("PSM1").q[0])
+    assert stopped == list(range(50, 150))
+    assert abs(joint[147] - joint[100]) < 1e-6 < joint[48] - joint[0]
+    slow = Link(ur5e, {"fault": "robot", "condition": "slowed", "scaling": 0.3}, lockstep=True)
+    assert slow.injector.robot("PSM1") == (RobotCondition.SLOWED, 0.3)
+
+
+def test_f33_the_sessions_without_ros_hear_the_condition() -> None:
+    session = CellSession("cells/sim_two_arms", "bgr", seed=3)
+    for words in ((), (StateCommand.HOME,), (StateCommand.ENABLE,)):
+        out = session.tick({"PSM1": words}).outputs["PSM1"]
+    assert out.state == State.ENABLED
+    session.world.link("PSM1").condition = RobotCondition.ESTOP
+    outputs = session.tick().outputs
+    assert (outputs["PSM1"].state, outputs["PSM1"].reason) == (State.FAULT, Reason.ROBOT)
+    assert outputs["ECM"].reason == Reason.NONE
 
 
 def test_a_sinusoid_is_its_own_integral() -> None:
