@@ -270,9 +270,8 @@ def test_f33_a_simulated_robot_that_stops_says_why_and_moves_no_further(
         joint.append(link.world.state("PSM1").q[0])
     assert stopped == list(range(50, 150))
     assert abs(joint[147] - joint[100]) < 1e-6 < joint[48] - joint[0]
-    slow = Link(
-        ur5e, {"fault": "robot", "at": 1, "condition": "slowed", "scaling": 0.3}, lockstep=True
-    )
+    slow = Link(ur5e, {**fault, "at": 1, "condition": "slowed", "scaling": 0.3}, lockstep=True)
+    slow.tick()
     assert slow.injector.robot("PSM1") == (RobotCondition.SLOWED, 0.3)
 
 
