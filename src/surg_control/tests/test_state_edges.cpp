@@ -88,6 +88,19 @@ class Machine {
   int stalled_ = 0;
 };
 
+/// Whether a client that sends this to a homed, enabled arm hears of a busy arm afterwards.
+bool is_busy_after(const std::vector<CommandItem>& items) {
+  IdealArm arm;
+  arm.enable();
+  StateEdges edges;
+  CycleRecord record = arm.step();
+  for (int settled = 0; settled < 20; ++settled) record = arm.step();
+  edges.next(record);
+  bool busy = edges.next(arm.step(items)).busy;
+  for (int later = 0; later < 20; ++later) busy = busy || edges.next(arm.step()).busy;
+  return busy;
+}
+
 /// A drawn move, and now and then what ends it in its own cycle.
 std::vector<CommandItem> drawn_commands(Machine& machine) {
   using surg::Motion;
@@ -104,7 +117,7 @@ std::vector<CommandItem> drawn_commands(Machine& machine) {
   std::vector<CommandItem> items = {move};
   if (kind == 4) items.push_back(IdealArm::pose(Motion::kHold, target));
   if (kind == 5) items.push_back(IdealArm::state(surg::StateCommand::kPause));
-  if (kind == 6) items = {IdealArm::state(surg::StateCommand::kHome)};
+  if (kind == 6) items.insert(items.begin(), IdealArm::state(surg::StateCommand::kHome));
   return items;
 }
 
@@ -140,6 +153,18 @@ TEST(StateEdges, AMoveSentDuringAnotherOneHasAnEdgeOfItsOwn) {
   record.moves_refused_by_node = 1;
   const StateEdges::Report report = edges.next(record);
   EXPECT_TRUE(report.due && report.busy);
+}
+
+TEST(StateEdges, EnableAndHomeOfAHomedArmAreNoMoveThatAClientCouldWaitFor) {
+  using surg::StateCommand;
+  const CommandItem enable = IdealArm::state(StateCommand::kEnable);
+  const CommandItem home = IdealArm::state(StateCommand::kHome);
+  EXPECT_FALSE(is_busy_after({enable}));
+  EXPECT_FALSE(is_busy_after({home}));
+  EXPECT_FALSE(is_busy_after({enable, home}));
+  // Homed anew in the same cycle: that is one.
+  EXPECT_TRUE(is_busy_after({IdealArm::state(StateCommand::kDisable),
+                             IdealArm::state(StateCommand::kUnhome), enable, home}));
 }
 
 }  // namespace

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
@@ -22,7 +23,7 @@ surg_msgs = pytest.importorskip("surg_msgs.msg")
 
 from geometry_msgs.msg import PoseStamped  # noqa: E402
 from sensor_msgs.msg import Image  # noqa: E402
-from std_msgs.msg import Bool, String  # noqa: E402
+from std_msgs.msg import Bool, Empty, String  # noqa: E402
 
 from crtk_msgs.msg import OperatingState, StringStamped  # noqa: E402
 from surg_recording.episode import episode_reader  # noqa: E402
@@ -30,6 +31,17 @@ from surg_recording.episode import episode_reader  # noqa: E402
 pytestmark = pytest.mark.ros
 
 TICK_NS = 2_000_000
+
+
+def received(topic: str, command: Any, at_ns: int) -> Any:
+    """What a controller says when /operator has sent it a command."""
+    data = io.BytesIO()
+    command.serialize(data)
+    message = surg_msgs.ReceivedCommand(
+        topic=topic, sender="/operator", type=command._type, data=data.getvalue()
+    )
+    message.header.stamp = rospy.Time(*divmod(at_ns, 10**9))
+    return message
 
 
 class Bench:
@@ -41,7 +53,7 @@ class Bench:
 
         self.cycle = pub("/PSM1/cycle", surg_msgs.Cycle)
         self.truth = pub("/sim/ground_truth/state", surg_msgs.GroundTruth)
-        self.servo = pub("/PSM1/servo_cp", PoseStamped)
+        self.received = pub("/PSM1/received", surg_msgs.ReceivedCommand)
         self.state = pub("/PSM1/operating_state", OperatingState, latch=True)
         self.warning = pub("/PSM1/warning", String)
         self.sim = pub("/sim/status", surg_msgs.SimStatus, latch=True)
@@ -65,7 +77,7 @@ class Bench:
     @property
     def publishers(self) -> list[Any]:
         return [
-            *(self.cycle, self.truth, self.servo, self.state),
+            *(self.cycle, self.truth, self.received, self.state),
             *(self.warning, self.sim, self.image, self.record),
         ]
 
@@ -85,7 +97,7 @@ class Bench:
         command.header.stamp = stamp
         command.pose.position.x = np.pi * k
         command.pose.orientation.w = 1.0
-        self.servo.publish(command)
+        self.received.publish(received("servo_cp", command, k * TICK_NS + 1))
         cycle = surg_msgs.Cycle(tick=k, state=1, homed=True, command=1, source="/operator")
         cycle.header.stamp = stamp
         cycle.q = cycle.qd = cycle.qd_command = [k / 3.0] * 6
@@ -186,7 +198,9 @@ def test_lockstep_episode_is_complete_to_the_tick(
     assert np.array_equal(cycle.vector("p_tip"), np.stack([k / 7.0, -k / 11.0, 1e-17 * k], 1))
     commands = recorded.table("command_PSM1")
     assert np.array_equal(commands["x"], np.pi * k)
-    assert set(commands["source"]) == {rospy.get_name()}
+    assert np.array_equal(commands["stamp_ns"], k * TICK_NS)
+    assert np.array_equal(commands["receive_ns"], k * TICK_NS + 1)
+    assert set(commands["source"]) == {"/operator"}
     video = recorded.video("endoscope_left")
     assert np.array_equal(video.frames["stamp_ns"], k[k % 25 == 0] * TICK_NS)
     events = recorded.table("events")
@@ -217,6 +231,31 @@ def test_start_and_stop_by_topic_make_one_episode_each(
         recorded = episode_reader.read(tmp_path / name)
         assert recorded.complete, recorded.manifest["reason"]
         assert list(recorded.cycle("PSM1")["tick"]) == list(range(1, 51))
+
+
+def test_other_commands_are_recorded_as_their_controller_says_them(
+    bench: Bench, ros_graph: RosGraph, tmp_path: Path
+) -> None:
+    """On request; the recorder itself subscribes to none of them."""
+    own = rospy.Publisher("/PSM1/state_command", StringStamped, queue_size=1)
+    _start(ros_graph, tmp_path, mode="freerun", cameras=[], topics=["/PSM1/*"])
+    _until(lambda: bench.received.get_num_connections() > 0, "the recorder")
+    _until(lambda: bench.recording is True, "recording")
+    time.sleep(2.5)  # it has looked for topics
+    assert own.get_num_connections() == 0
+    bench.received.publish(received("state_command", StringStamped(string="enable"), 5))
+    bench.received.publish(received("hold", Empty(), 6))
+    bench.tick(1, image=False)
+    time.sleep(0.2)
+    bench.record.publish(False)
+    _until(lambda: bench.recording is False, "the stop")
+    own.unregister()
+    recorded = episode_reader.read(tmp_path / "episode")
+    (states,) = recorded.topic("/PSM1/state_command")
+    assert (list(states["string"]), list(states["receive_ns"])) == (["enable"], [5])
+    events = recorded.table("events")
+    (row,) = np.flatnonzero(np.array(events["topic"]) == "/PSM1/hold")
+    assert (events["receive_ns"][row], events["source"][row]) == (6, "/operator")
 
 
 def test_a_tool_change_ends_the_recording(

@@ -69,9 +69,9 @@ def test_a_task_and_its_assistant_are_recorded(tmp_path: Path) -> None:
             ), 7,
         )  # fmt: skip
         joints = SimpleNamespace(header=head, position=[0.1, 0.2, 0.3, tick / 7.0])
-        recording.assistant_command("servo_jp", joints, "/assistant_expert", 8)
+        recording.command("assistant", "servo_jp", joints, "/assistant_expert", 8)
         jaw = SimpleNamespace(header=head, position=[0.4])
-        recording.assistant_command("jaw/servo_jp", jaw, "/assistant_expert", 9)
+        recording.command("assistant", "jaw/servo_jp", jaw, "/assistant_expert", 9)
     recording.cycle("PSM1", synthetic.cycle(synthetic.Synthetic(), 50, 0), 7)
     recorded = episode_reader.read(recording.close({}))
     assert recorded.complete, recorded.manifest["reason"]

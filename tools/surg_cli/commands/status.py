@@ -13,6 +13,8 @@ from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import say, table
 
 LISTEN_S = 2.0
+RECEIVED = "/received"
+"""Topic below an arm by which its controller repeats every command."""
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -62,18 +64,26 @@ def _topics(uri: str) -> None:
     os.environ["ROS_MASTER_URI"] = uri
     import rospy
 
+    from surg_msgs.msg import ReceivedCommand
+    from surg_ros.arm_port import MOTION_COMMANDS, OTHER_COMMANDS
+
     publications = master.publications(uri)
+    arms = [topic[: -len(RECEIVED)] for topic in publications if topic.endswith(RECEIVED)]
+    commands = {f"{a}/{name}" for a in arms for name in (*MOTION_COMMANDS, *OTHER_COMMANDS, "hold")}
     counts: dict[str, int] = defaultdict(int)
     lock = threading.Lock()
 
     def count(message: object, topic: str) -> None:
         with lock:
             counts[topic] += 1
+            if isinstance(message, ReceivedCommand):
+                counts[f"{topic[: -len(RECEIVED)]}/{message.topic}"] += 1
 
     rospy.init_node("surg_status", anonymous=True, disable_signals=True)
-    for topic in publications:
-        # AnyMsg: counted without decoding.
-        rospy.Subscriber(topic, rospy.AnyMsg, count, topic, queue_size=None, tcp_nodelay=True)
+    for topic in publications.keys() - commands:
+        # AnyMsg: counted without decoding. A command is heard of from the controller alone.
+        kind = ReceivedCommand if topic.endswith(RECEIVED) else rospy.AnyMsg
+        rospy.Subscriber(topic, kind, count, topic, queue_size=None, tcp_nodelay=True)
     time.sleep(0.5)  # connections and latched messages
     with lock:
         before = dict(counts)

@@ -36,9 +36,13 @@ double age(std::int64_t received_ns, std::int64_t now_ns) {
   return received_ns == 0 ? std::numeric_limits<double>::infinity() : seconds(now_ns - received_ns);
 }
 
+bool is_home(const CommandItem& item) {
+  return item.kind == CommandItem::Kind::kState && item.state == surg::StateCommand::kHome;
+}
+
 /// Whether a client waits for the command's end by is_busy.
 bool is_waited_for(const CommandItem& item) {
-  if (item.kind == CommandItem::Kind::kState) return item.state == surg::StateCommand::kHome;
+  if (is_home(item)) return true;
   if (item.kind != CommandItem::Kind::kMotion) return false;
   switch (item.motion.motion) {
     case surg::Motion::kMoveCp:
@@ -102,6 +106,8 @@ surg::Reason ControlCycle::request(surg::StateCommand command) {
     enabled_ = true;
   } else if (command == surg::StateCommand::kDisable || command == surg::StateCommand::kPause) {
     enabled_ = false;
+  } else {
+    homed_ = command == surg::StateCommand::kHome;
   }
   return reason;
 }
@@ -243,13 +249,19 @@ const CycleRecord& ControlCycle::run(const LinkState& link, std::int64_t now_ns,
       const CommandItem& item = items[i];
       const bool motion = item.kind == CommandItem::Kind::kMotion;
       if (motion != motions) continue;
+      // Many clients send 'home' by default. Here it has no effect, and the motion sent next must
+      // not find an is_busy that is not its own.
+      if (is_home(item) && enabled_ && homed_) continue;
+      if (is_waited_for(item)) ++record_.moves;
+      if (item.kind == CommandItem::Kind::kTool || item.kind == CommandItem::Kind::kSetRcm) {
+        homed_ = false;  // until the step below says otherwise
+      }
       const surg::Reason reason = answer(item, now_ns);
       if (motion && reason == surg::Reason::kNone) continue;  // the controller gives its verdict
       record_.answers[record_.n_answers++] = {item.kind, item.state,  item.motion.motion,
                                               reason,    item.source, item.slide};
     }
   }
-  record_.moves += static_cast<std::uint32_t>(std::count_if(items, items + taken, is_waited_for));
   note_fixtures();
   sense(link, now_ns);
   inputs_.elapsed = seconds(elapsed_ns);
@@ -259,6 +271,7 @@ const CycleRecord& ControlCycle::run(const LinkState& link, std::int64_t now_ns,
   const auto end = std::chrono::steady_clock::now();
 
   enabled_ = out.state == surg::State::kEnabled;
+  homed_ = out.homed;
   stamps_seen_.add(link.stamp_ns, out.motion);
   record_.stamp_ns = link.stamp_ns;
   record_.q = link.q;

@@ -120,7 +120,7 @@ void Diagnostics::publish(const CycleRecord& record, double rate) {
                    entry("link", info_.twist ? "cartesian_velocity" : "joint_velocity")};
   diagnostic_msgs::DiagnosticArray message;
   // Not ros::Time::now(): a simulator's clock may stand still.
-  message.header.stamp = to_time(static_cast<std::uint64_t>(ros::WallTime::now().toNSec()));
+  message.header.stamp = wall_time();
   message.status.push_back(status);
   publisher_.publish(message);
 }

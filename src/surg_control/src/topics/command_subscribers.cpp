@@ -1,11 +1,21 @@
 #include "surg_control/topics/command_subscribers.hpp"
 
 #include <ros/message_traits.h>
+#include <ros/serialization.h>
 #include <std_msgs/Empty.h>
+#include <surg_msgs/ReceivedCommand.h>
 
 #include <utility>
 
+#include "surg_control/topics/messages.hpp"
+
 namespace surg_control {
+namespace {
+
+constexpr std::uint32_t kUnbounded = 0;   // lock-step loses nothing
+constexpr std::uint32_t kEchoQueue = 500;  // free-run: a second of one stream at 500 Hz
+
+}  // namespace
 
 using crtk_msgs::StringStamped;
 using geometry_msgs::PoseStamped;
@@ -15,7 +25,12 @@ using surg::Motion;
 
 CommandSubscribers::CommandSubscribers(ros::NodeHandle& node, const std::string& arm, bool track,
                                        std::uint32_t queue, ToolReader read_tool, Sink sink)
-    : node_(node), arm_(arm), queue_(queue), sink_(std::move(sink)) {
+    : node_(node),
+      arm_(arm),
+      queue_(queue),
+      sink_(std::move(sink)),
+      echo_(node.advertise<surg_msgs::ReceivedCommand>(
+          "/" + arm + "/received", queue == kUnbounded ? kUnbounded : kEchoQueue)) {
   subscribe_motions();
   subscribe_others(track, read_tool);
 }
@@ -27,12 +42,31 @@ void CommandSubscribers::subscribe(const std::string& topic,
   const boost::function<void(const Event&)> callback = [this, topic, decode](const Event& event) {
     const Message& message = *event.getConstMessage();
     const ros::Time* stamp = ros::message_traits::timeStamp(message);
+    echo(topic, event.getPublisherName(), message);
     sink_(topic, event.getPublisherName(), stamp == nullptr ? ros::Time() : *stamp,
           decode(message));
   };
   subscribers_.push_back(node_.subscribe<Message>("/" + arm_ + "/" + topic, queue_, callback,
                                                   ros::VoidConstPtr(),
                                                   ros::TransportHints().tcpNoDelay()));
+}
+
+/// Says what came. A recorder hears this, not the command's own topic: a client takes the first
+/// subscriber of its topic for the controller, and its first command would go to the recorder alone.
+template <typename Message>
+void CommandSubscribers::echo(const std::string& topic, const std::string& sender,
+                              const Message& message) {
+  if (echo_.getNumSubscribers() == 0) return;
+  surg_msgs::ReceivedCommand received;
+  received.header.stamp = wall_time();
+  received.topic = topic;
+  received.sender = sender;
+  received.type = ros::message_traits::datatype<Message>();
+  received.data.resize(ros::serialization::serializationLength(message));
+  ros::serialization::OStream stream(received.data.data(),
+                                     static_cast<std::uint32_t>(received.data.size()));
+  ros::serialization::serialize(stream, message);
+  echo_.publish(received);
 }
 
 void CommandSubscribers::subscribe_motions() {

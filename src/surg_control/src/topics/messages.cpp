@@ -15,6 +15,8 @@ ros::Time to_time(std::uint64_t ns) {
           static_cast<std::uint32_t>(ns % 1'000'000'000)};
 }
 
+ros::Time wall_time() { return to_time(static_cast<std::uint64_t>(ros::WallTime::now().toNSec())); }
+
 geometry_msgs::Point to_point(const surg::Vector3& p) {
   geometry_msgs::Point message;
   message.x = p.x(), message.y = p.y(), message.z = p.z();

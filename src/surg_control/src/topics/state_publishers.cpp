@@ -33,9 +33,6 @@ void fill_jaw(sensor_msgs::JointState& message, double jaw) {
   message.position.assign(1, jaw);
 }
 
-/// For what belongs to no joint state. Not ros::Time::now(): a simulator's clock may stand still.
-ros::Time wall_time() { return to_time(static_cast<std::uint64_t>(ros::WallTime::now().toNSec())); }
-
 }  // namespace
 
 StatePublishers::StatePublishers(ros::NodeHandle& node, const surg::ArmSetup& setup,

@@ -28,6 +28,21 @@ KINDS: dict[str, type] = {
     "servo_jp": JointState,
 }
 """Message class by topic below the arm."""
+MOTION_COMMANDS = (
+    *("servo_cp", "servo_jp", "servo_jr", "servo_cv", "servo_jv"),
+    *("interpolate_cp", "interpolate_jp", "move_cp", "move_jp", "move_jr"),
+    *("jaw/servo_jp", "jaw/move_jp", "elbow/move_jp"),
+)
+"""Commands with a target, which an episode keeps in ``command_<arm>.csv``."""
+OTHER_COMMANDS = (
+    *("state_command", "authority/claim", "servo_cp/at_wall", "tool/mount", "set_base_frame"),
+    *("rcm/set_cp", "rcm/insert", "rcm/withdraw", "rcm/retrace", "rcm/track"),
+    *("fixtures/set", "fixtures/remove"),
+)
+"""All others but ``hold``.
+
+Only an arm's controller subscribes to these topics, and repeats on ``received`` what came.
+"""
 MOTION = tuple(name for name in KINDS if name != "authority/claim")
 """What a sender needs that claims no arm."""
 SERVO_INSTRUMENT = ("servo_jp", "jaw/servo_jp")

@@ -59,7 +59,7 @@ class ControlCycle {
   surg::BlackBox& box_;  // every call that changes the controller goes through it
   FrameName rcm_frame_;
   double force_depth_ = std::numeric_limits<double>::infinity();  // [m] forces required below
-  bool enabled_ = false;
+  bool enabled_ = false, homed_ = false;
   Track track_;
   std::array<std::uint32_t, 16>
       sliding_{};  // senders whose servo_cp slides along the wall; 0: none

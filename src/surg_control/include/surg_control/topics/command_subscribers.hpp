@@ -12,7 +12,7 @@
 
 namespace surg_control {
 
-/// The arm's subscribers for commands.
+/// The arm's subscribers for commands, and the topic 'received', which says what came.
 class CommandSubscribers {
  public:
   /// Receives each message: its topic below the arm, the sender's caller id, the header's stamp
@@ -30,6 +30,8 @@ class CommandSubscribers {
  private:
   template <typename Message>
   void subscribe(const std::string& topic, std::function<Decoded(const Message&)> decode);
+  template <typename Message>
+  void echo(const std::string& topic, const std::string& sender, const Message& message);
   void subscribe_motions();
   void subscribe_others(bool track, const ToolReader& read_tool);
 
@@ -37,6 +39,7 @@ class CommandSubscribers {
   std::string arm_;
   std::uint32_t queue_;
   Sink sink_;
+  ros::Publisher echo_;
   std::vector<ros::Subscriber> subscribers_;
 };
 

@@ -14,6 +14,8 @@
 namespace surg_control {
 
 ros::Time to_time(std::uint64_t ns);
+/// For what belongs to no joint state. Not ros::Time::now(): a simulator's clock may stand still.
+ros::Time wall_time();
 geometry_msgs::Point to_point(const surg::Vector3& p);
 geometry_msgs::Vector3 to_vector(const surg::Vector3& v);
 geometry_msgs::Quaternion to_quaternion(const Eigen::Quaterniond& q);

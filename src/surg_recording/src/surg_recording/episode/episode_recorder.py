@@ -224,14 +224,9 @@ class Recording:
         self._put_fitting(table, row, "number of values")
 
     def command(self, arm: str, topic: str, message: Any, source: str, receive_ns: int) -> None:
-        """Record a motion command sent to an arm."""
+        """Record a motion command sent to an arm, or to the ``assistant``'s instrument."""
         row = table_rows.command(topic, message, source, receive_ns)
-        self._put(self._tables.get(f"command_{arm}"), row)
-
-    def assistant_command(self, topic: str, message: Any, source: str, receive_ns: int) -> None:
-        """Record a command to the assistant's instrument: ``servo_jp`` or ``jaw/servo_jp``."""
-        row = table_rows.command(topic, message, source, receive_ns)
-        self._put(self._table("command_assistant", table_columns.COMMAND), row)
+        self._put(self._table(f"command_{arm}", table_columns.COMMAND), row)
 
     def clock_sync(self, message: Any, receive_ns: int) -> None:
         """Record a surg_msgs/ClockSync: the status of a machine's PTP clock."""

@@ -8,10 +8,8 @@ from typing import Any
 
 import roslib.message
 
-
-@functools.cache
-def _installed(kind: str) -> Any:
-    return roslib.message.get_message_class(kind)
+get_message_class = functools.cache(roslib.message.get_message_class)
+"""The class of a type that is installed here, else None."""
 
 
 def class_of(message: Any, allowed: Sequence[str] | None = None) -> tuple[Any, str | None]:
@@ -21,7 +19,7 @@ def class_of(message: Any, allowed: Sequence[str] | None = None) -> tuple[Any, s
     """
     header = message._connection_header
     kind = str(header.get("type", ""))
-    installed = _installed(kind)
+    installed = get_message_class(kind)
     if installed is None:
         return None, f"its type {kind} is not installed here"
     if installed._md5sum != header.get("md5sum"):

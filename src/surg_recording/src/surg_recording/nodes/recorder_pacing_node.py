@@ -12,7 +12,11 @@ from surg_msgs.msg import Ready
 from surg_recording.episode.episode_recorder import Recording
 from surg_recording.nodes.recorder_state import RecorderState
 from surg_recording.nodes.recorder_status_node import StatusPublisher
-from surg_recording.nodes.recorder_topics_node import COMMANDS, TASK_TOPIC, TRUTH_TOPIC
+from surg_recording.nodes.recorder_topics_node import (
+    ASSISTANT_TOPIC,
+    TASK_TOPIC,
+    TRUTH_TOPIC,
+)
 from surg_recording.nodes.recording_switch_node import RecordingSwitch
 
 PERIOD_S = 0.01
@@ -77,32 +81,25 @@ class Pacing:
         The simulator waits for this connection before its first tick, so no tick is missed.
         """
         arms = self._state.settings.arms
-        needed = [f"/{arm}/cycle" for arm in arms]
+        needed = [f"/{arm}/{topic}" for arm in arms for topic in ("cycle", "received")]
         needed += [TRUTH_TOPIC, *self._state.settings.camera_topics.values()]
-        commands = [f"/{arm}/{name}" for arm in arms for name in COMMANDS]
-        complete_since = None
         while not rospy.is_shutdown():
             missing = [topic for topic in needed if not self._connected(topic)]
-            if not missing and self._task_state_missing():
-                missing = [TASK_TOPIC]
-            if missing:
-                rospy.loginfo_throttle(2, "recorder: waiting for %s", ", ".join(missing))
-            else:
-                complete_since = complete_since or time.monotonic()
-                commanded = any(self._connected(topic) for topic in commands)
-                if commanded or time.monotonic() - complete_since > 1.0:
-                    break
+            missing = missing or self._task_topics_missing()
+            if not missing:
+                break
+            rospy.loginfo_throttle(2, "recorder: waiting for %s", ", ".join(missing))
             time.sleep(0.02)
         return rospy.Publisher("/sim/ready", Ready, queue_size=0, tcp_nodelay=True)
 
     def _connected(self, topic: str) -> bool:
         return self._subscribers[topic].get_num_connections() > 0
 
-    def _task_state_missing(self) -> bool:
-        """Whether a task's state is published but not connected yet.
+    def _task_topics_missing(self) -> list[str]:
+        """What the simulator publishes for a task and is not connected yet.
 
-        The simulator advertises it before ground truth, which is connected by now.
+        It advertises that before ground truth, which is connected by now.
         """
-        if self._connected(TASK_TOPIC):
-            return False
-        return any(topic == TASK_TOPIC for topic, _ in rospy.get_published_topics("/sim"))
+        waiting = [t for t in (TASK_TOPIC, ASSISTANT_TOPIC) if not self._connected(t)]
+        published = {topic for topic, _ in rospy.get_published_topics()} if waiting else set()
+        return [topic for topic in waiting if topic in published]

@@ -10,65 +10,51 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import rospy
-from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from sensor_msgs.msg import CameraInfo, JointState
-from std_msgs.msg import Bool, Empty, String
+from geometry_msgs.msg import WrenchStamped
+from sensor_msgs.msg import CameraInfo
+from std_msgs.msg import Bool, String
 
 from crtk_msgs.msg import OperatingState, StringStamped
 from surg_core.force.observed_force import TOPICS
 from surg_core.status_check import LatestStatus
-from surg_msgs.msg import ClockSync, Cycle, GroundTruth, SimStatus, TaskState
+from surg_msgs.msg import ClockSync, Cycle, GroundTruth, ReceivedCommand, SimStatus, TaskState
 from surg_recording.calibration.endoscope_record import camera_info_topic, camera_model
 from surg_recording.episode import table_rows
 from surg_recording.episode.annotations import parse_info, parse_tag
 from surg_recording.episode.episode_recorder import Recording
 from surg_recording.episode.message_fields import Flat
 from surg_recording.episode.topic_selection import IMAGES, NOT_TABLES
-from surg_recording.nodes.message_decoder_node import class_of, sender
+from surg_recording.nodes.message_decoder_node import class_of, get_message_class, sender
 from surg_recording.nodes.recorder_state import RecorderState
 from surg_recording.nodes.recording_switch_node import RecordingSwitch
 from surg_recording.nodes.status_messages_node import simulation_outcome
+from surg_ros.arm_port import MOTION_COMMANDS, OTHER_COMMANDS
 
-COMMANDS: dict[str, type] = {
-    "servo_cp": PoseStamped,
-    "servo_jp": JointState,
-    "servo_jr": JointState,
-    "servo_cv": TwistStamped,
-    "servo_jv": JointState,
-    "interpolate_cp": PoseStamped,
-    "interpolate_jp": JointState,
-    "move_cp": PoseStamped,
-    "move_jp": JointState,
-    "move_jr": JointState,
-    "jaw/servo_jp": JointState,
-    "jaw/move_jp": JointState,
-    "elbow/move_jp": JointState,
-}
-"""Command topics of an arm that go to ``command_<arm>.csv``."""
-ASSISTANT = ("servo_jp", "jaw/servo_jp")
-"""Command topics of the assistant's instrument that go to ``command_assistant.csv``."""
+ASSISTANT = "assistant"
+HOLD = "hold"
 TEXTS = ("error", "warning", "status")
 """Text topics of an arm that go to ``events.csv``."""
 TRUTH_TOPIC = "/sim/ground_truth/state"
 TASK_TOPIC = "/sim/task_state"
 CLOCK_TOPIC = "/clock_sync/status"
+ASSISTANT_TOPIC = f"/{ASSISTANT}/received"
 
 
 def own_topics(arms: Sequence[str]) -> list[str]:
     """Topics that have a table of their own."""
     names = [
-        *COMMANDS,
+        *(*MOTION_COMMANDS, HOLD),
         *TOPICS.values(),
         "cycle",
-        "hold",
+        "received",
         "operating_state",
         "tool/mounted",
         *TEXTS,
     ]
     return [
         *(f"/{arm}/{name}" for arm in arms for name in names),
-        *(f"/assistant/{name}" for name in ASSISTANT),
-        *(TRUTH_TOPIC, TASK_TOPIC, "/sim/status", CLOCK_TOPIC),
+        *(f"/{ASSISTANT}/{name}" for name in ("servo_jp", "jaw/servo_jp")),
+        *(TRUTH_TOPIC, TASK_TOPIC, ASSISTANT_TOPIC, "/sim/status", CLOCK_TOPIC),
         *("/record/record", "/record/tag", "/record/info"),
     ]
 
@@ -83,10 +69,10 @@ class RecorderTopics:
         self.subscribers: dict[str, rospy.Subscriber] = {}
         for arm in state.settings.arms:
             self._subscribe_arm(arm)
+        for arm in (*state.settings.arms, ASSISTANT):
+            self._subscribe(f"/{arm}/received", ReceivedCommand, self._on_received, arm)
         self._subscribe(TRUTH_TOPIC, GroundTruth, self._on_truth)
         self._subscribe(TASK_TOPIC, TaskState, self._on_task_state)
-        for name in ASSISTANT:
-            self._subscribe(f"/assistant/{name}", JointState, self._on_assistant, name)
         self._subscribe("/sim/status", SimStatus, self._on_sim_status)
         for camera, topic in state.settings.camera_topics.items():
             self._subscribe(topic, rospy.AnyMsg, self._on_image, camera)
@@ -102,16 +88,15 @@ class RecorderTopics:
                 self.subscribe_any(topic)
 
     def subscribe_any(self, topic: str) -> None:
-        """Record a topic of any type."""
-        self._subscribe(topic, rospy.AnyMsg, self._on_any, topic)
+        """Record a topic of any type; a command to an arm comes by ``received``."""
+        _, arm, name = (*topic.split("/", 2), "")[:3]
+        if arm not in self._state.settings.arms or name not in OTHER_COMMANDS:
+            self._subscribe(topic, rospy.AnyMsg, self._on_any, topic)
 
     def _subscribe_arm(self, arm: str) -> None:
         self._subscribe(f"/{arm}/cycle", Cycle, self._on_cycle, arm)
-        for name, kind in COMMANDS.items():
-            self._subscribe(f"/{arm}/{name}", kind, self._on_command, arm, name)
         for place, topic in TOPICS.items():
             self._subscribe(f"/{arm}/{topic}", WrenchStamped, self._on_force, arm, place)
-        self._subscribe(f"/{arm}/hold", Empty, self._on_hold, arm)
         self._subscribe(f"/{arm}/tool/mounted", StringStamped, self._on_tool, arm)
         self._subscribe(f"/{arm}/operating_state", OperatingState, self._on_operating_state, arm)
         for name in TEXTS:
@@ -165,23 +150,27 @@ class RecorderTopics:
             recording.task_state(message, self._clock.now_ns())
         self._state.last_row = time.monotonic()
 
-    def _on_command(self, arm: str, topic: str, message: Any) -> None:
-        if recording := self._recording_of(f"/{arm}/{topic}", message):
-            recording.command(arm, topic, message, sender(message), self._clock.now_ns())
-
-    def _on_assistant(self, topic: str, message: JointState) -> None:
-        if recording := self._recording_of(f"/assistant/{topic}", message):
-            recording.assistant_command(topic, message, sender(message), self._clock.now_ns())
+    def _on_received(self, arm: str, message: ReceivedCommand) -> None:
+        recording = self._recording_of(f"/{arm}/received", message)
+        topic, received = f"/{arm}/{message.topic}", table_rows.nanoseconds(message.header.stamp)
+        if recording is None:
+            return
+        if message.topic == HOLD:
+            recording.event(topic, message.sender, "", received)
+        elif message.topic in MOTION_COMMANDS or topic in self._state.choice.chosen:
+            command = _decoded(recording, topic, get_message_class(message.type), message.data)
+            if command is None:
+                return
+            if message.topic in MOTION_COMMANDS:
+                recording.command(arm, message.topic, command, message.sender, received)
+            else:
+                recording.topic(topic, message.type, Flat(command), message.sender, received)
 
     def _on_clock_sync(self, message: ClockSync) -> None:
         if recording := self._recording_of(CLOCK_TOPIC, message):
             recording.clock_sync(message, self._clock.now_ns())
 
     # --- events -------------------------------------------------------------------------------
-
-    def _on_hold(self, arm: str, message: Empty) -> None:
-        if self._is_new(f"/{arm}/hold", message, ""):
-            self._state.event(f"/{arm}/hold", sender(message), "")
 
     def _on_operating_state(self, arm: str, message: OperatingState) -> None:
         topic, text = f"/{arm}/operating_state", table_rows.operating_state(message)
@@ -227,7 +216,7 @@ class RecorderTopics:
         kind, why = class_of(message, IMAGES)
         if why is not None:
             recording.warn(f"{topic}: not recorded as a camera: {why}")
-        elif (image := _decoded(recording, topic, kind, message)) is not None:
+        elif (image := _decoded(recording, topic, kind, message._buff)) is not None:
             header = (image.header.seq, table_rows.nanoseconds(image.header.stamp))
             if self._is_new(topic, message, header):
                 recording.image(camera, image, received)
@@ -250,7 +239,7 @@ class RecorderTopics:
         if why is not None:
             if self._state.choice.refuse(topic, why):
                 rospy.logwarn("recorder: %s is not recorded: %s", topic, why)
-        elif (decoded := _decoded(recording, topic, kind, message)) is not None:
+        elif (decoded := _decoded(recording, topic, kind, message._buff)) is not None:
             recording.topic(topic, type_name, Flat(decoded), sender(message), received)
 
     # --- commands to the recorder -------------------------------------------------------------
@@ -283,10 +272,10 @@ class RecorderTopics:
         self._state.run_info = {**self._state.run_info, **info}
 
 
-def _decoded(recording: Recording, topic: str, kind: Any, message: Any) -> Any | None:
+def _decoded(recording: Recording, topic: str, kind: Any, data: bytes) -> Any | None:
     """The message as its class; None and a warning for malformed bytes."""
     try:
-        return kind().deserialize(message._buff)
+        return kind().deserialize(data)
     except Exception as problem:  # genpy raises many kinds of errors on malformed bytes
         name = type(problem).__name__
         recording.warn(f"{topic}: a message that is no {kind._type} ({name})")

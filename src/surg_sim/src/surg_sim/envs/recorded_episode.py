@@ -205,7 +205,7 @@ class RecordedSession(CellSession):
             for topic, values in (("servo_jp", assistant.joints), (_JAW, assistant.jaw)):
                 if values is not None:
                     message = _message(stamp, position=np.atleast_1d(values).tolist())
-                    recording.assistant_command(topic, message, "/assistant", stamp)
+                    recording.command("assistant", topic, message, "/assistant", stamp)
         tick = super().tick(commands, assistant)
         for name, out in tick.outputs.items():
             row = _cycle(out, tick.tick, before[name][0], self._orientation(name))

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import struct
+import time
 from collections import deque
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import rospy
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
 
+from surg_core.contract import SECOND_NS
+from surg_msgs.msg import ReceivedCommand
 from surg_ros import link_messages
 from surg_ros.byte_topics import BytesPublisher, as_bytes
 from surg_sim.nodes.command_echo import CommandEcho
@@ -37,10 +41,18 @@ class AssistantTopics:
         self._layout = link_messages.JointStateLayout(JOINTS)
         self._jaw_layout = link_messages.JointStateLayout(["jaw"])
         self._command_echo = CommandEcho()
+        self._received = rospy.Publisher(
+            "/assistant/received", ReceivedCommand, queue_size=0 if bridge.lockstep else 500
+        )
 
         def listen(topic: str, what: str, size: int) -> Any:
             def callback(message: Any) -> None:
-                sender = str(message._connection_header.get("callerid", "")).lstrip("/")
+                caller = str(message._connection_header.get("callerid", ""))
+                if self._received.get_num_connections():
+                    now = Header(stamp=rospy.Time(*divmod(time.time_ns(), SECOND_NS)))
+                    said = ReceivedCommand(now, topic, caller, JointState._type, message.data)
+                    self._received.publish(said)
+                sender = caller.lstrip("/")
                 try:
                     stamp_ns, position, _ = link_messages.unpack_joint_state(message.data)
                     if len(position) != size or not np.isfinite(position).all():
