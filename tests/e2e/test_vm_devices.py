@@ -28,17 +28,6 @@ def test_what_cannot_be_opened_says_why(found: dict[str, Any]) -> None:
     assert "usermod -aG input" in found["no_permission"]
 
 
-def test_a_real_gamepad_rumbles_for_so_long_and_not_after_it_was_closed(
-    found: dict[str, Any],
-) -> None:
-    assert found["rumbled"]["motors"]
-    told = [tuple(each) for each in found["rumbled"]["before"]]
-    assert ("upload", 0x8000, 40) in told and ("upload", 0xFFFF, 30) in told
-    plays = [value for what, _, value in told if what == "play"]
-    assert plays[0] == 1 and plays[-1] == 0
-    assert ["erase", 0, 0] in found["rumbled"]["closed"]
-
-
 def test_a_real_gamepad_moves_the_arm_the_way_it_is_pushed(found: dict[str, Any]) -> None:
     assert found["engaged"] == "FOLLOWING"
     for name, axis, sign in (("right", 0, 1), ("away", 2, 1), ("nearer", 2, -1)):

@@ -6,7 +6,6 @@ Prints one line of JSON. Each part says what it found; the judge is tests/e2e/te
 from __future__ import annotations
 
 import json
-import multiprocessing
 import os
 import sys
 import time
@@ -36,7 +35,6 @@ from surg_teleop.follow.teleop_types import (
 from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders.bundled.gamepad import Gamepad
 from surg_teleop.leaders.bundled.pedals import Pedals
-from surg_teleop.leaders.evdev.rumble import Piece
 from surg_teleop.leaders.leader import LeaderError
 from surg_teleop.playback.workspace_fit import Workspace
 
@@ -56,62 +54,7 @@ def gamepad() -> UInput:
             *((ecodes.ecodes[f"ABS_{axis}"], trigger) for axis in ("Z", "RZ")),
         ],
     }
-    able[ecodes.EV_FF] = [ecodes.FF_RUMBLE]
     return UInput(able, name="Virtual Pad", bustype=0x03)
-
-
-def tell(pad: UInput, said: Any) -> None:
-    """The driver of a pad with motors: answers the kernel, and says what it is told.
-
-    It is a process of its own, for evdev keeps the interpreter while the kernel waits for it.
-    """
-    for event in pad.read_loop():
-        if event.type == ecodes.EV_UINPUT and event.code == ecodes.UI_FF_UPLOAD:
-            upload = pad.begin_upload(event.value)
-            upload.retval = 0
-            motors = upload.effect.u.ff_rumble_effect
-            said.send(("upload", motors.strong_magnitude, upload.effect.ff_replay.length))
-            pad.end_upload(upload)
-        elif event.type == ecodes.EV_UINPUT and event.code == ecodes.UI_FF_ERASE:
-            erase = pad.begin_erase(event.value)
-            erase.retval = 0
-            said.send(("erase", 0, 0))
-            pad.end_erase(erase)
-        elif event.type == ecodes.EV_FF:
-            said.send(("play", event.code, event.value))
-
-
-def rumbled() -> dict[str, Any]:
-    """What a pad is told while its leader rumbles, stops, and is closed."""
-    fork = multiprocessing.get_context("fork")
-    pad = gamepad()
-    heard, said = fork.Pipe(duplex=False)
-    driver = fork.Process(target=tell, args=(pad, said))
-    driver.start()
-
-    def told() -> list[Any]:
-        time.sleep(1.0)
-        found = []
-        while heard.poll():
-            found.append(heard.recv())
-        return found
-
-    leader = Gamepad()
-    leader.open()
-    leader.read(0.0)
-    found: dict[str, Any] = {"motors": leader.rumbles}
-    for piece in (Piece(0.5, 0.040), Piece(1.0, 0.030), Piece(0.0, 0.0)):
-        leader.rumble(piece)
-        time.sleep(0.3)
-    found["before"] = told()
-    leader.rumble(Piece(0.5, 0.040))
-    told()
-    leader.close()
-    found["closed"] = told()
-    driver.kill()
-    driver.join()
-    pad.close()
-    return found
 
 
 def pedals() -> UInput:
@@ -280,8 +223,6 @@ def main(cell: str) -> None:
     """Everything, in order."""
     found = Found()
     found["nothing"] = refusal()
-    found["rumbled"] = rumbled()
-    time.sleep(0.5)
     pad = gamepad()
     found["no_permission"] = as_nobody(refusal)
     rig = bench(Path(cell))

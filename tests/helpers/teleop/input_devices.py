@@ -77,18 +77,6 @@ KEYBOARD = replace(PEDALS, path="/dev/input/event0", name="AT Keyboard")
 
 
 @dataclass
-class PlayedMotors:
-    """Motors that keep account."""
-
-    there: bool = True
-    played: list[tuple[float, float]] = field(default_factory=list)
-
-    def play(self, strength: float, seconds: float) -> None:
-        """As `motors.Motors`."""
-        self.played.append((strength, seconds))
-
-
-@dataclass
 class Plugged:
     """A device in the hands of a test; what it writes is what the kernel would."""
 
@@ -97,7 +85,6 @@ class Plugged:
     readings: dict[int, int] = field(default_factory=dict)
     grabbed: bool = False
     busy: bool = False
-    motors: PlayedMotors = field(default_factory=PlayedMotors)
     _pipes: list[tuple[int, int]] = field(default_factory=list)
     _there: bool = True
 
@@ -175,11 +162,6 @@ class PipeDevice:
     def description(self) -> Description:
         """What it is and has."""
         return self.plugged.description
-
-    @property
-    def motors(self) -> PlayedMotors:
-        """What it lets the hand feel."""
-        return self.plugged.motors
 
     def snapshot(self) -> Snapshot:
         """Its whole state."""

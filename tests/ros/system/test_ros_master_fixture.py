@@ -1,4 +1,4 @@
-"""The ROS fixtures themselves: a private master, and nothing left behind after a kill."""
+"""Processes of a system end with their supervisor, also after a kill."""
 
 import os
 import signal
@@ -9,19 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from helpers.graph.ros import RosGraph
-from helpers.graph.surg import environment, start
-from surg_cli.graph import master, processes
+from surg_cli.graph import processes
 from surg_cli.graph.processes import Supervisor
 from surg_cli.host import paths
 
 pytestmark = pytest.mark.ros
-
-
-def test_master_is_private(ros_graph: RosGraph) -> None:
-    assert master.alive(ros_graph.uri)
-    assert not ros_graph.uri.endswith(":11311")
-    assert os.environ["ROS_MASTER_URI"] == ros_graph.uri
 
 
 def test_children_end_with_their_supervisor(
@@ -58,33 +50,3 @@ def test_children_die_with_a_killed_parent(tmp_path: Path) -> None:
         parent.send_signal(signal.SIGKILL)
         parent.wait()
     assert processes.wait_until(lambda: processes.start_time(pid) is None, 5.0)
-
-
-def test_a_failing_block_ends_its_command(tmp_path: Path) -> None:
-    port = master.free_port()
-    words = ("up", "sim_ur5e", "--cameras", "none", "--port", port)
-    with (
-        pytest.raises(ZeroDivisionError),
-        start(tmp_path / "up.log", *words) as process,
-    ):
-        raise ZeroDivisionError
-    assert process.poll() is not None
-
-
-def test_a_node_that_ended_takes_no_core(ros_graph: RosGraph) -> None:
-    code = (
-        "import rospy, time\n"
-        "from helpers.graph.ros import stop_serving\n"
-        "rospy.init_node('ends', disable_signals=True)\n"
-        "stop_serving()\n"
-        "rospy.signal_shutdown('it ended')\n"
-        "started = time.process_time()\n"
-        "time.sleep(1.0)\n"
-        "print(time.process_time() - started)\n"
-    )
-    env = {**environment(), **ros_graph.env}
-    env["PYTHONPATH"] = f"{paths.ROOT / 'tests'}:{env['PYTHONPATH']}"
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=60
-    )
-    assert float(done.stdout) < 0.2, done.stdout + done.stderr

@@ -1,8 +1,8 @@
-"""The node ``/eyes``: rectified pictures, depth and points, and pictures with marks.
+"""The node ``/eyes``: rectified pictures, depth and points, and marks.
 
 It works for what is subscribed only, takes the newest pair, at most ``~rate`` a second, on one
-thread with a niceness, and moves nothing. Marks as a topic need no pixels and come with every
-picture. Parameters: `stereo_parameters.StereoSettings`.
+thread with a niceness, and moves nothing. Marks need no pixels and come with every picture.
+Parameters: `stereo_parameters.StereoSettings`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
-from typing import Any
 
 import cv2
 import rospy
@@ -20,7 +19,6 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 import surg_core
 from surg_perception.depth.stereo_depth import StereoDepth
 from surg_perception.depth.stereo_matcher import find_matcher
-from surg_perception.marks.mark_drawing import drawn
 from surg_perception.stereo import stereo_messages_node as messages
 from surg_perception.stereo import stereo_parameters
 from surg_perception.stereo.live_marks_node import LiveMarks
@@ -47,12 +45,10 @@ class Eyes:
         def topic(name: str, kind: type) -> rospy.Publisher:
             return rospy.Publisher(f"/endoscope/{name}", kind, queue_size=1, tcp_nodelay=True)
 
-        self._rect, self._marked, self._of_depth = [], [], []
+        self._rect, self._of_depth = [], []
         if settings.depth:
             self._rect = [topic(f"{eye}/image_rect", Image) for eye in EYES]
             self._of_depth = [topic("depth", Image), topic("points2", PointCloud2)]
-        if settings.marks:
-            self._marked = [topic(f"{eye}/image_marks", Image) for eye in EYES]
         self._diagnostics = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=2)
         self._info_subscribers = [
             rospy.Subscriber(
@@ -71,8 +67,7 @@ class Eyes:
         period, told = 1.0 / self._settings.rate, 0.0
         next_at = 0.0
         while not rospy.is_shutdown():
-            outputs = [*self._rect, *self._of_depth, *self._marked]
-            wanted = any(each.get_num_connections() for each in outputs)
+            wanted = any(each.get_num_connections() for each in (*self._rect, *self._of_depth))
             self._pairs.listen(wanted)
             now = rospy.get_time()
             if now - told >= 1.0:
@@ -152,19 +147,7 @@ class Eyes:
             for publisher, header, picture in zip(self._rect, headers, straight, strict=True):
                 if publisher.get_num_connections():
                     publisher.publish(messages.image_of(header, picture))
-        if any(each.get_num_connections() for each in self._marked):
-            self._mark(left.header.stamp.to_nsec(), headers, pictures)
         self._done += 1
-
-    def _mark(self, stamp_ns: int, headers: list[Any], pictures: list[Any]) -> None:
-        if self._marks is None:
-            return
-        marks = self._marks.at(stamp_ns)
-        for publisher, header, picture, each in zip(
-            self._marked, headers, pictures, marks, strict=True
-        ):
-            if publisher.get_num_connections():
-                publisher.publish(messages.image_of(header, drawn(picture, each)))
 
     def _report(self) -> None:
         array = DiagnosticArray()

@@ -16,7 +16,7 @@ class StereoSettings:
 
     cell: str = text("", empty=True)  # for marks: the cell's folder
     depth: bool = flag(True)  # rectified pictures, depth, points
-    marks: bool = flag(False)  # pictures with marks drawn in
+    marks: bool = flag(False)  # tips, shafts, jaws and trocars
     rate: float = real(0.1, 30.0, 8.0)  # [1/s] most pairs
     method: str = text("sgbm")  # as for ./surg episode depth
     near: float = real(0.005, 10.0, NEAR)  # [m]

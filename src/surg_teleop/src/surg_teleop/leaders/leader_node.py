@@ -4,13 +4,11 @@ Publishes below ``/<name>`` what the leader has: ``joy`` (on every change and at
 autorepeat), ``measured_cp`` and ``measured_cv`` in the view frame, ``spherical/measured_js``,
 ``gripper/measured_js``, ``operating_state`` and ``error``; and its buttons as
 ``/footpedals/clutch``, ``camera``, ``operator_present``. If the device is unplugged, only the state
-is repeated, and a clutch pedal that fails to pressed. With ``~haptics`` a gamepad rumbles with the
-force on ``servo_cf``.
+is repeated, and a clutch pedal that fails to pressed.
 
 Parameters: ``~leader`` (gamepad; name or path of a ``.py`` file), ``~settings`` (of its class, a
 dictionary), ``~rate`` [Hz] (200: public clients read data that are at most 20 ms old), ``~pedals``
-(true: its buttons are pedals), ``~haptics`` (false), ``~full_force`` [N] (5: the force at which it
-rumbles with full strength).
+(true: its buttons are pedals).
 Exit code 0: ended by the user; 1: the device is not there or must not be read; 2: a parameter that
 must not be used.
 """
@@ -20,13 +18,11 @@ from __future__ import annotations
 import math
 import signal
 import sys
-import threading
 import time
 from dataclasses import dataclass
 from typing import Any
 
 import rospy
-from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Joy
 from std_msgs.msg import String
 
@@ -36,7 +32,6 @@ from surg_ros.leader_port import LeaderTopics, joy_message
 from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError, dictionary, flag, read, real, text
 from surg_teleop.leaders.evdev.device_leader import InputLeader
-from surg_teleop.leaders.evdev.rumble import Rumble
 from surg_teleop.leaders.leader import Leader, LeaderError, load, names
 
 RATES = (20.0, 500.0)
@@ -49,34 +44,10 @@ PEDALS = {"clutch": "clutch", "camera": "camera", "present": "operator_present"}
 """Buttons of a leader that are pedals, and their topics."""
 
 
-class Rumbling:
-    """``/<name>/servo_cf`` to the motors of a gamepad."""
-
-    def __init__(self, device: InputLeader, full: float) -> None:
-        self._device, self._rumble, self._lock = device, Rumble(full), threading.Lock()
-        topic = f"/{device.name}/servo_cf"
-        rospy.Subscriber(topic, WrenchStamped, self._on_force, queue_size=1, tcp_nodelay=True)
-
-    def tick(self, now: float) -> None:
-        """Once per tick, after the device was read; now is the steady clock [s]."""
-        with self._lock:
-            piece = self._rumble.step(now)
-        if piece is not None:
-            self._device.rumble(piece)
-
-    def _on_force(self, message: WrenchStamped) -> None:
-        f, allowed = message.wrench.force, not message.header.stamp.is_zero()
-        with self._lock:
-            self._rumble.take(math.hypot(f.x, f.y, f.z), allowed, time.monotonic())
-
-
 class LeaderNode:
-    """Reads an open leader and publishes what it reads; with ``pedals`` its buttons are pedals.
+    """Reads an open leader and publishes what it reads; with ``pedals`` its buttons are pedals."""
 
-    ``full_force``: what the hand feels as a gamepad's full rumble [N]; 0: it feels nothing.
-    """
-
-    def __init__(self, leader: Leader, pedals: bool, full_force: float = 0.0) -> None:
+    def __init__(self, leader: Leader, pedals: bool) -> None:
         self._leader = leader
         self._device = leader if isinstance(leader, InputLeader) else None
         name = leader.name
@@ -89,9 +60,6 @@ class LeaderNode:
         self._error = rospy.Publisher(f"/{name}/error", String, latch=True, **keys)
         self._has_pedals = pedals
         self._pedals: dict[str, rospy.Publisher] = {}
-        self._rumbling: Rumbling | None = None
-        if full_force > 0.0 and self._device is not None:
-            self._rumbling = Rumbling(self._device, full_force)
         self._problem = ""
         self._published: dict[str, tuple[object, float]] = {}
 
@@ -103,8 +71,6 @@ class LeaderNode:
             sample = self._leader.read(now)
         except LeaderError as error:
             problem = str(error)
-        if self._rumbling is not None:
-            self._rumbling.tick(now)
         stamp = rospy.Time.now()
         if sample is not None:
             problem = sample.problem
@@ -171,8 +137,6 @@ class Parameters:
     settings: dict[str, Any] = dictionary()
     rate: float = real(*RATES, 200.0)
     pedals: bool = flag(True)
-    haptics: bool = flag(False)
-    full_force: float = real(0.1, 100.0, 5.0)
 
 
 def main() -> int:
@@ -191,10 +155,7 @@ def main() -> int:
         return 2
     try:
         leader.open()
-        if given.haptics and not (isinstance(leader, InputLeader) and leader.rumbles):
-            print(f"leader: ~haptics: {leader.name} has no motors: nothing is felt", flush=True)
-        full_force = given.full_force if given.haptics else 0.0
-        run(LeaderNode(leader, given.pedals, full_force), given.rate)
+        run(LeaderNode(leader, given.pedals), given.rate)
     except LeaderError as error:
         print(f"leader: {error}", file=sys.stderr)
         return 1

@@ -11,7 +11,6 @@ import evdev
 from evdev import ecodes
 
 from surg_teleop.leaders.evdev.device_state import AxisRange, Description, Snapshot
-from surg_teleop.leaders.evdev.motors import Motors
 
 FOLDER = Path("/dev/input")
 
@@ -36,7 +35,6 @@ class Device:
                 axes={code: AxisRange(i.min, i.max) for code, i in able.get(ecodes.EV_ABS, [])},
                 relative=frozenset(able.get(ecodes.EV_REL, [])),
             )
-            self.motors = Motors(self._device)
         except OSError:
             self._device.close()
             raise

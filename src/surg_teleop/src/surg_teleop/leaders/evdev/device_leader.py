@@ -11,7 +11,6 @@ from surg_teleop.leaders.evdev.device_host import Device, Host
 from surg_teleop.leaders.evdev.device_layout import read_layout
 from surg_teleop.leaders.evdev.device_search import find
 from surg_teleop.leaders.evdev.input_events import Decoder
-from surg_teleop.leaders.evdev.rumble import Piece
 from surg_teleop.leaders.leader import LeaderError
 
 LOOK_EVERY = 0.5
@@ -89,16 +88,6 @@ class InputLeader:
     def joy(self, now: float) -> Joy | None:
         """Raw state of the device at the last read; None: it is not there."""
         return self._hand.joy(now) if self._hand is not None else None
-
-    def rumble(self, piece: Piece) -> None:
-        """Let the hand feel something, if the device is there and has motors."""
-        if self._device is not None:
-            self._device.motors.play(piece.strength, piece.seconds)
-
-    @property
-    def rumbles(self) -> bool:
-        """Whether the device is there and has motors."""
-        return self._device is not None and self._device.motors.there
 
     def close(self) -> None:
         """Close the device."""
