@@ -89,6 +89,11 @@ def powered(chain: Chain) -> None:
     chain.robot.release_brakes()
 
 
+def let_go(chain: Chain) -> None:
+    chain.robot.safeguard(False)
+    chain.robot.guide(False)
+
+
 def played(chain: Chain) -> None:
     """In local control: the link may not end the program, so a person can resume it."""
     assert chain.robot.safety_mode == SafetyMode.NORMAL or chain.robot.unlock()
@@ -103,6 +108,9 @@ RECOVERIES: dict[str, tuple[Callable[[Chain], object], Callable[[Chain], None]]]
         lambda c: c.robot.fall_to(SafetyMode.ROBOT_EMERGENCY_STOP, "test"), powered,
     ),
     "reboot": (lambda c: c.ur.reboot(600), powered),
+    "safeguard stop, reset": (lambda c: c.robot.safeguard(True), let_go),
+    "hand on the arm, let go": (lambda c: c.robot.guide(True, [0.0] * 6), let_go),
+    "program stopped": (lambda c: c.robot.stop(), let_go),
 }  # fmt: skip
 """What stops the robot, and what people then do."""
 

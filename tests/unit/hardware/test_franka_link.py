@@ -198,24 +198,6 @@ def test_a_reflex_is_named_latches_and_is_recovered(rig: Rig) -> None:
     assert rig.condition is Condition.ACTIVE, rig.heard.notices
 
 
-MODES = {
-    RobotMode.Other: Condition.BRAKED,
-    RobotMode.Guiding: Condition.GUIDED,
-    RobotMode.UserStopped: Condition.ESTOP,
-}
-
-
-@pytest.mark.parametrize("mode", MODES, ids=lambda mode: mode.name)
-def test_other_modes_end_the_motion_within_3_cycles(rig: Rig, mode: RobotMode) -> None:
-    rig.started().cycles(100, SPEED)
-    rig.arm.mode = mode
-    rig.cycles(3, SPEED)
-    assert rig.condition is MODES[mode] and rig.newest.status.fault
-    rig.arm.mode = RobotMode.Idle
-    rig.cycles(100, SPEED)
-    assert rig.condition is Condition.READY, "it waits for a person"
-
-
 def test_states_come_every_second_cycle_with_the_robots_wrench(rig: Rig) -> None:
     rig.cycles(1000)
     assert 480 < len(rig.heard.states) < 520
