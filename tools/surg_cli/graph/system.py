@@ -94,10 +94,9 @@ def nodes(plan: SystemPlan) -> list[Node]:
         started.append(
             Node(
                 f"/{arm}/controller",
-                "nodelet",
-                "nodelet",
+                "surg_control",
+                "rcm_node",
                 params,
-                ("standalone", "surg_control/RcmNodelet"),
                 prompt=prompt,
                 drives=prompt,
             )

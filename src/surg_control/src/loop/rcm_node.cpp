@@ -1,8 +1,7 @@
-// The controller as a plain executable:
+// The controller of one arm:
 //   rosrun surg_control rcm_node __ns:=/PSM1 __name:=controller _cell:=cells/sim_ur5e _arm:=PSM1
 #include <ros/ros.h>
 
-#include <atomic>
 #include <cstdio>
 #include <exception>
 
@@ -20,7 +19,7 @@ int main(int argc, char** argv) {
     ros::start();
     surg_control::hold_exit();
     surg_control::RcmLoop loop(ros::NodeHandle("~"));
-    loop.run(std::atomic<bool>(false));
+    loop.run();
   } catch (const surg::ConfigError& error) {
     std::fprintf(stderr, "surg_control: %s\n", error.what());
     return 2;
