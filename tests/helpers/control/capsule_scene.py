@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
-from surg_sim.physics.sim_arm import ActuatorParameters, add_arm
+from surg_sim.physics.sim_arm import ActuatorParameters, add_arm, robot_part
 
 Array = NDArray[np.float64]
 FAR = 0.5  # [m] beyond which nobody looks
@@ -35,9 +35,9 @@ class CapsuleScene:
         names: list[str] = []
         for index, arm in enumerate(arms):
             add_arm(spec, arm, ActuatorParameters())
-            joints = [f"{arm.name}_{name}" for name in arm.robot.joint_names]
+            joints = [robot_part(arm, name) for name in arm.robot.joint_names]
             links = {i: spec.joint(name).parent for i, name in enumerate(joints)}
-            links[-1] = spec.body(f"{arm.name}_{arm.robot.base_link}")
+            links[-1] = spec.body(robot_part(arm, arm.robot.base_link))
             mount = spec.body(f"{arm.name}_{arm.instrument.mount_link}")
             parts = [(links[c.joint], c) for c in arm.robot.capsules]
             parts += [(mount, c) for c in arm.instrument.capsules]
@@ -56,7 +56,7 @@ class CapsuleScene:
         self.data = mujoco.MjData(self.model)
         self._qpos = [
             [
-                int(self.model.joint(f"{arm.name}_{name}").qposadr[0])
+                int(self.model.joint(robot_part(arm, name)).qposadr[0])
                 for name in arm.robot.joint_names
             ]
             for arm in arms

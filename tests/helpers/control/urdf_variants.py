@@ -39,6 +39,7 @@ class Change:
     usable: bool  # the file still describes an arm
     make: Callable[[str, str], str]  # from text and name of the last joint
     encoding: str = "utf-8"
+    links: tuple[str, str] = ("base_link", "flange")  # other names of base and flange
 
 
 def _limits(pattern: str, replacement: str) -> Callable[[str, str], str]:
@@ -85,6 +86,24 @@ def _beside(link: str, kind: str, more: str = "") -> Callable[[str, str], str]:
     )
 
 
+def _standing(root: str, kind: str, origin: str) -> Callable[[str, str], str]:
+    """Put a link above the base, and a camera's mast on it."""
+    links = f'<link name="{root}"/><link name="mast"/>'
+    below = f'<parent link="{root}"/><axis xyz="0 0 1"/>'
+    stand = (
+        f'<joint name="stands" type="{kind}">{below}<child link="base_link"/>{origin}'
+        '<limit lower="-1" upper="1" velocity="1"/></joint>'
+        f'<joint name="rises" type="fixed">{below}<child link="mast"/></joint>'
+    )
+    return _inside(links + stand)
+
+
+def _colliding(text: str, _: str) -> str:
+    """A ball about every link with a mass: neighbours of neighbours overlap."""
+    ball = '<collision><geometry><sphere radius="0.3"/></geometry></collision>'
+    return text.replace("</inertial>", f"</inertial>{ball}")
+
+
 def _pictured(geometry: str) -> Callable[[str, str], str]:
     return _first("<visual>", f"<visual><geometry>{geometry}</geometry></visual><visual>")
 
@@ -94,6 +113,7 @@ def _sliding(text: str, last: str) -> str:
 
 
 FINGER = '<axis xyz="1 0 0"/><limit lower="0" upper="0.04" effort="1" velocity="0.1"/>'
+UP, DOWN = '<origin xyz="0.2 -0.1 0.9" rpy="0 0 0.6"/>', '<origin xyz="0 0 2" rpy="3.14 0 0.5"/>'
 OTHERS = (
     '<transmission name="t"><joint name="elbow"/></transmission>'
     '<gazebo reference="base_link"><material>Gazebo/Red</material></gazebo>'
@@ -123,12 +143,34 @@ CHANGES = {
     "no inertia": Change(
         "inertial", True, lambda text, _: re.sub("<inertial>.*?</inertial>", "", text, flags=re.S)
     ),
+    "rods without thickness": Change(
+        "inertial", True, lambda text, _: re.sub('izz="[^"]*"', 'izz="0"', text)
+    ),
+    "a mass of nothing": Change(
+        "inertial", True, _first('<mass value="', '<mass value="1e-20" was="')
+    ),
     "a negative mass": Change("inertial", False, _first('<mass value="', '<mass value="-')),
     "commas": Change("inertial", False, _first('rpy="0 0 0"', 'rpy="0, 0, 0"')),
     "a gripper beside the chain": Change("tree", True, _beside("finger", "prismatic", FINGER)),
     "an instrument's link name": Change("tree", True, _beside("tip", "fixed")),
     "a floating body": Change("tree", True, _beside("ball", "floating")),
     "other programs' elements": Change("tree", True, _inside(OTHERS)),
+    "a pedestal": Change("root", True, _standing("pedestal", "fixed", UP)),
+    "a ceiling in the world": Change("root", True, _standing("world", "fixed", DOWN)),
+    "a cart's column": Change("root", True, _standing("cart", "prismatic", UP)),
+    "a turntable": Change("root", True, _standing("table", "revolute", DOWN)),
+    "a joint of no kind": Change("root", False, _standing("cart", "welded", UP)),
+    "shapes that overlap": Change("visual", True, _colliding),
+    "the instrument's link names": Change(
+        "root", True, lambda text, _: text, links=("mount", "tip")
+    ),
+    "the simulator's names": Change("root", True, lambda text, _: text, links=("world", "sleeve")),
+    "options for MuJoCo": Change(
+        "mujoco",
+        True,
+        _inside('<mujoco><compiler meshdir="a" other="1"/><size nuser="x"/></mujoco>'),
+    ),
+    "a tilted tool plate": Change("tree", True, _beside("tool0", "fixed", UP)),
     "no end": Change("tree", False, _first("</robot>", "")),
     "a second root": Change("tree", False, _inside('<link name="table"/>')),
     "a link twice": Change("tree", False, _inside('<link name="base_link"/>')),
@@ -160,6 +202,10 @@ def _write(folder: Path, number: int, robot: str, names: list[str]) -> Variant:
     for name in names:
         text = CHANGES[name].make(text, LAST[robot])
         encoding = encoding if CHANGES[name].encoding == "utf-8" else CHANGES[name].encoding
+    for name in names:
+        for key, link in zip(("base_link", "flange_link"), CHANGES[name].links, strict=True):
+            text = text.replace(f'"{document[key]}"', f'"{link}"')
+            document[key] = link
     document["urdf"] = f"v{number}.urdf"
     (folder / document["urdf"]).write_bytes(text.encode(encoding))
     file = folder / f"v{number}.yaml"

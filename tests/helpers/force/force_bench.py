@@ -51,7 +51,7 @@ class ForceBench:
         self._model, self._data = world.model, mujoco.MjData(world.model)
         self._flange = FlangeSensor(self._model, self._data, self.arm, sensor, seed, False)
         self._tip = self._model.body(f"{arm}_{self.arm.instrument.tip_link}").id
-        joints = [self._model.joint(f"{arm}_{name}") for name in self.arm.robot.joint_names]
+        joints = [self._model.joint(f"{arm}_robot_{name}") for name in self.arm.robot.joint_names]
         self._qpos = [joint.qposadr[0] for joint in joints]
         self._rng = np.random.default_rng(seed)
 

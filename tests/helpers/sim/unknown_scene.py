@@ -58,7 +58,7 @@ class UnknownScene:
         R_WB = np.asarray(tool.arm.X_WB_stated)[:3, :3]
         q = self.chain.bench._touching(tool, tool.tip_home + R_WB.T @ shift_W)
         for joint, angle in zip(tool.arm.robot.joint_names, q, strict=True):
-            self.qpos[self.world.model.joint(f"{tool.arm.name}_{joint}").qposadr[0]] = angle
+            self.qpos[self.world.model.joint(f"{tool.arm.name}_robot_{joint}").qposadr[0]] = angle
         return self.renderer.render(self.qpos)
 
     def write_rests(self, folder: Path, count: int, rng: np.random.Generator) -> None:

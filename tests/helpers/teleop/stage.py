@@ -109,8 +109,8 @@ class Stage:
         held.q = q
         model, data = self.world.model, self.world.data
         for joint, angle in zip(arm.robot.joint_names, q, strict=True):
-            data.qpos[model.joint(f"{name}_{joint}").qposadr[0]] = angle
-        data.qpos[model.joint(f"{name}_sleeve").qposadr[0]] = held.depth - depth
+            data.qpos[model.joint(f"{name}_robot_{joint}").qposadr[0]] = angle
+        data.qpos[model.joint(f"{name}/sleeve").qposadr[0]] = held.depth - depth
         return True
 
     def pivot(self, name: str) -> Array:

@@ -18,7 +18,8 @@ from surg_cli import command_table
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
 from surg_description.make_cell import make_cell
-from surg_sim.physics.sim_arm import ActuatorParameters, add_arm
+from surg_sim.physics import scene
+from surg_sim.physics.sim_arm import ActuatorParameters, add_arm, robot_part, tip_in_flange
 from surg_sim.placement import chain_check, home_search
 
 DESCRIPTION = paths.ROOT / "src" / "surg_description"
@@ -78,13 +79,13 @@ def test_without_its_meshes_it_has_the_same_masses_and_kinematics(
     assert ours.nbody == theirs.nbody
     assert ours.body_mass == pytest.approx(theirs.body_mass)
     for model in (ours, theirs):
-        assert model.body("PSM1_flange").id > 0
+        assert model.body("PSM1_robot_flange").id > 0
     flanges = []
     for model in (ours, theirs):
         data = mujoco.MjData(model)
         data.qpos[:6] = [0.3, -1.2, 1.4, -1.0, -1.5, 0.2]
         mujoco.mj_kinematics(model, data)
-        flanges.append(np.array(data.body("PSM1_flange").xpos))
+        flanges.append(np.array(data.body("PSM1_robot_flange").xpos))
     assert flanges[0] == pytest.approx(flanges[1], abs=1e-9)
 
 
@@ -102,6 +103,41 @@ def test_a_millimetre_between_chain_and_urdf_is_found(tmp_path: Path) -> None:
     other = tmp_path / "other.urdf"
     other.write_bytes(ElementTree.tostring(root))
     assert chain_check.compare(replace(arm, urdf_path=other), 50).position == pytest.approx(1e-3)
+
+
+@pytest.mark.filterwarnings("ignore:.*links without a mass")
+def test_what_no_drive_moves_stands_still_and_nothing_collides(tmp_path: Path) -> None:
+    """An instrument as others draw it: a plate above its mount, a free wheel, shapes that touch."""
+    grasper = yaml.safe_load(GRASPER.read_text())
+    text = (GRASPER.parent / grasper["urdf"]).resolve().read_text()
+    ball = '<collision><geometry><sphere radius="0.2"/></geometry></collision>'
+    text = text.replace("</inertial>", "</inertial>" + ball)
+    more = "".join(
+        f'<link name="{child}"/><joint name="{child}s" type="{kind}"><parent link="{parent}"/>'
+        f'<child link="{turned}"/><origin xyz="0 0.1 0.2"/></joint>'
+        for child, kind, parent, turned in (
+            ("sleeve", "fixed", "sleeve", "mount"),
+            ("wheel", "continuous", "shaft", "wheel"),
+        )
+    )
+    (tmp_path / "g.urdf").write_text(text.replace("</robot>", more + "</robot>"))
+    (tmp_path / "g.yaml").write_text(yaml.safe_dump(grasper | {"urdf": "g.urdf"}))
+    make_cell(DESCRIPTION / "robots" / "ur5e.yaml", tmp_path / "cell", tmp_path / "g.yaml")
+    (arm,) = surg_core.load_cell(tmp_path / "cell").arms.values()
+    model = scene.build([arm])
+    joints = {model.joint(i).name for i in range(model.njnt)}
+    assert {name for name in joints if name[:5] == "PSM1_" and "robot" not in name} == {
+        "PSM1_jaw",
+        "PSM1_jaw_mirror",
+    }
+    data = mujoco.MjData(model)
+    data.qpos[[model.joint(robot_part(arm, n)).qposadr[0] for n in arm.robot.joint_names]] = (
+        arm.robot.home
+    )
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 0
+    X_BTip = arm.chain.forward(np.array(arm.robot.home)) @ tip_in_flange(arm)
+    assert data.body("PSM1_tip").xpos == pytest.approx(X_BTip[:3, 3], abs=1e-9)
 
 
 def test_a_found_home_is_a_good_one_by_another_solver(tmp_path: Path) -> None:

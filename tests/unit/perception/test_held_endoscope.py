@@ -36,7 +36,7 @@ def test_the_pose_is_the_simulators_wherever_the_endoscope_is(folder: Path) -> N
     world = World(cell)
     eyes = [EndoscopeView(world.model, world.data, eye) for eye in endoscope_rig.FRAMES.values()]
     arm = cell.arms[ARM]
-    joints = [world.model.joint(f"{ARM}_{name}").qposadr[0] for name in arm.robot.joint_names]
+    joints = [world.model.joint(f"{ARM}_robot_{name}").qposadr[0] for name in arm.robot.joint_names]
     postures = np.random.default_rng(2).uniform(-0.6, 0.6, (30, 6)) + np.array(arm.robot.home)
     X_WV = held.poses(postures)
     np.testing.assert_array_equal(told.poses(postures), X_WV)

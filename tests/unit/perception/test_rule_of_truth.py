@@ -97,7 +97,7 @@ def test_all_but_the_simulator_believe_the_measurement(
 
 
 def flange(world: World, cell: surg_core.Cell, arm: str) -> np.ndarray:
-    body = world.model.body(f"{arm}_{cell.arms[arm].robot.flange_link}").id
+    body = world.model.body(f"{arm}_robot_{cell.arms[arm].robot.flange_link}").id
     X = np.eye(4)
     X[:3, :3], X[:3, 3] = world.data.xmat[body].reshape(3, 3), world.data.xpos[body]
     return X

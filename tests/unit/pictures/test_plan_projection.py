@@ -67,12 +67,12 @@ def test_a_plan_lies_where_the_simulators_camera_sees_the_tip() -> None:
         for name, home in q.items():
             for joint, value in zip(cell.arms[name].robot.joint_names, home, strict=True):
                 turned = value + rng.normal(0, 0.003)
-                world.data.joint(f"{name}_{joint}").qpos[0] = turned
+                world.data.joint(f"{name}_robot_{joint}").qpos[0] = turned
         mujoco.mj_kinematics(world.model, world.data)
         mujoco.mj_camlight(world.model, world.data)
         angles = {
             name: np.array(
-                [world.data.joint(f"{name}_{j}").qpos[0] for j in each.robot.joint_names]
+                [world.data.joint(f"{name}_robot_{j}").qpos[0] for j in each.robot.joint_names]
             )
             for name, each in cell.arms.items()
         }

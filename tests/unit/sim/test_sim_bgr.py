@@ -217,7 +217,7 @@ def test_every_cannula_turns_with_its_shaft() -> None:
     model, data = session.world.model, session.world.data
     data.qpos[:] += np.random.default_rng(4).uniform(-0.05, 0.05, model.nq)
     mujoco.mj_kinematics(model, data)
-    tips = {f"{arm}_sleeve": f"{arm}_tip" for arm in session.world.arms}
+    tips = {f"{arm}/sleeve": f"{arm}_tip" for arm in session.world.arms}
     for carrier, tip in {**tips, "assistant_pitch": "assistant_tip"}.items():
         body, end = model.body(carrier), model.body(tip).id
         s, at = data.xmat[end].reshape(3, 3)[:, 2], data.xpos[end]

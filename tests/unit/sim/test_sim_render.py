@@ -53,7 +53,7 @@ def test_intrinsics_are_those_of_the_picture(world: World) -> None:
     """A green ball at known places must appear where CameraInfo says."""
     renderer, model = renderer_of(world), world.model
     X_WC = renderer.camera_pose()
-    ball = model.site("PSM1_wall").id
+    ball = model.site("PSM1/wall").id
     wall = model.site_bodyid[ball]
     members = (model.site_size, model.site_pos, model.site_rgba, model.site_sameframe)
     kept = [member[ball].copy() for member in members]

@@ -93,9 +93,9 @@ def test_both_arms_in_the_scene_are_where_the_dh_formula_says(cell: surg_core.Ce
         for arm in cell.arms.values():
             q = rng.uniform(arm.robot.position_min, arm.robot.position_max)
             for name, angle in zip(arm.robot.joint_names, q, strict=True):
-                world.data.qpos[world.model.joint(f"{arm.name}_{name}").qposadr[0]] = angle
+                world.data.qpos[world.model.joint(f"{arm.name}_robot_{name}").qposadr[0]] = angle
             mujoco.mj_kinematics(world.model, world.data)
-            body = world.model.body(f"{arm.name}_{arm.robot.flange_link}").id
+            body = world.model.body(f"{arm.name}_robot_{arm.robot.flange_link}").id
             wanted = arm.X_WB @ (dh.ur5e(q) if arm.robot.name == "ur5e" else dh.panda(q))
             worst = max(worst, float(np.abs(world.data.xpos[body] - wanted[:3, 3]).max()))
             R = world.data.xmat[body].reshape(3, 3)

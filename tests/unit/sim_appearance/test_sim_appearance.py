@@ -228,7 +228,7 @@ def test_the_picture_moves_as_the_camera_says(env: SurgEnv, eyes: EndoscopeRende
     eyes.set_appearance(None)
     model, world = env.session.world.model, env.session.world
     eyes.render(env._qpos)
-    X_WV, ball = eyes._renderer.camera_pose(), model.site("PSM1_wall").id
+    X_WV, ball = eyes._renderer.camera_pose(), model.site("PSM1/wall").id
     members = (model.site_size, model.site_pos, model.site_rgba, model.site_sameframe)
     kept = [member[ball].copy() for member in members]
     model.site_sameframe[ball], model.site_size[ball] = 0, 0.0012

@@ -30,7 +30,8 @@ def test_the_view_is_the_simulators_camera_wherever_the_endoscope_is() -> None:
     world = World(cell)
     view = EndoscopeView(world.model, world.data)
     joints = [
-        world.model.joint(f"ECM_{name}").qposadr[0] for name in cell.arms["ECM"].robot.joint_names
+        world.model.joint(f"ECM_robot_{name}").qposadr[0]
+        for name in cell.arms["ECM"].robot.joint_names
     ]
     rng = np.random.default_rng(5)
     for _ in range(50):

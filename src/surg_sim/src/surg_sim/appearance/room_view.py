@@ -14,6 +14,7 @@ from surg_sim.appearance.drawing import look
 from surg_sim.appearance.render import Renderer, show_only
 from surg_sim.arrays import Array, Picture
 from surg_sim.physics import scene
+from surg_sim.physics.sim_arm import robot_part
 from surg_sim.physics.spec_parts import quaternion
 from surg_sim.physics.world import World
 
@@ -42,7 +43,7 @@ class RoomView:
         model = self._world.model
         self._joints = {
             name: [
-                int(model.joint(f"{name}_{joint}").qposadr[0])
+                int(model.joint(robot_part(cell.arms[name], joint)).qposadr[0])
                 for joint in cell.arms[name].robot.joint_names
             ]
             for name in self._world.arms

@@ -21,7 +21,7 @@ from surg_sim.arrays import Array
 from surg_sim.physics import endoscope_rig
 from surg_sim.physics.patient_site import Site
 from surg_sim.physics.pose_error import PoseError
-from surg_sim.physics.sim_arm import ActuatorParameters, ToolError, add_arm
+from surg_sim.physics.sim_arm import ActuatorParameters, ToolError, add_arm, robot_part
 from surg_sim.physics.tool_drive import add_tool_drive
 from surg_sim.physics.trocar import TrocarParameters, add_trocar, shaft_in_flange, wall_frame
 
@@ -203,8 +203,8 @@ def build(
 def _add_cannula(spec: mujoco.MjSpec, arm: surg_core.Arm) -> None:
     """The cannula in the wall: it turns with the shaft in it, and does not slide with it."""
     bore = 0.007 if arm.instrument.camera is not None else 0.0045
-    sleeve = spec.body(f"{arm.name}_sleeve")
-    draw_cannula(sleeve, np.array(spec.joint(f"{arm.name}_sleeve").axis), bore)
+    sleeve = spec.body(f"{arm.name}/sleeve")
+    draw_cannula(sleeve, np.array(spec.joint(f"{arm.name}/sleeve").axis), bore)
 
 
 def _home_points(model: mujoco.MjModel, arms: list[surg_core.Arm]) -> Array:
@@ -212,6 +212,6 @@ def _home_points(model: mujoco.MjModel, arms: list[surg_core.Arm]) -> Array:
     data = mujoco.MjData(model)
     for arm in arms:
         for name, angle in zip(arm.robot.joint_names, arm.robot.home, strict=True):
-            data.qpos[model.joint(f"{arm.name}_{name}").qposadr[0]] = angle
+            data.qpos[model.joint(robot_part(arm, name)).qposadr[0]] = angle
     mujoco.mj_kinematics(model, data)
     return np.array(data.xpos[1:])

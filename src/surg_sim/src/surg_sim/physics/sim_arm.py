@@ -8,7 +8,7 @@ converts a flange twist to joint velocities itself and has its own dead-man, cou
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from surg_sim.appearance.drawing import OUTSIDE
 from surg_sim.arrays import Array
 from surg_sim.physics.spec_parts import quaternion
 from surg_sim.physics.stability import all_finite
+from surg_sim.physics.tool_drive import jaw_joints
 from surg_sim.physics.urdf_reading import read_urdf
 
 _URDF_VISUAL = 1  # group that MuJoCo gives to what a URDF calls visual
@@ -120,64 +121,60 @@ def add_arm(
 ) -> None:
     """Put a robot and its instrument, both from URDF, into the scene.
 
-    Names in the scene carry the prefix ``<arm>_``. The instrument's mount link is attached to the
-    robot's flange link with equal frames, or as wrong as ``error`` says.
-
-    Raises:
-        ValueError: A link or joint of the YAML is not in the URDF.
+    Names in the scene are `robot_part`'s, and those of the instrument carry the prefix ``<arm>_``.
+    The instrument's mount link lies in the robot's flange link, or as wrong as ``error`` says.
     """
-    prefix = f"{arm.name}_"
-    robot = mujoco.MjSpec.from_string(read_urdf(arm.urdf_path, arm.robot.joint_names))
-    instrument = mujoco.MjSpec.from_string(read_urdf(arm.instrument_urdf))
-    base = _find_body(robot, arm.robot.base_link, arm.urdf_path)
-    _find_body(robot, arm.robot.flange_link, arm.urdf_path)
-    mount = _find_body(instrument, arm.instrument.mount_link, arm.instrument_urdf)
-    _find_body(instrument, arm.instrument.tip_link, arm.instrument_urdf)
-
-    missing = set(arm.robot.joint_names) - {joint.name for joint in robot.joints}
-    if missing:
-        raise ValueError(
-            f"{arm.urdf_path}: joints {sorted(missing)} of the robot YAML are not in the URDF; "
-            f"it has {[joint.name for joint in robot.joints]}"
-        )
-    for geom in robot.geoms:  # the instrument's are seen from inside, too
+    robot, instrument = arm.robot, arm.instrument
+    X_WB, of_robot = arm.X_WB_stated, robot_part(arm, "")
+    root = _hang(spec.worldbody, X_WB, arm.urdf_path, robot.base_link, robot.joint_names, of_robot)
+    for geom in root.find_all(mujoco.mjtObj.mjOBJ_GEOM):  # the instrument's are seen inside, too
         geom.group = OUTSIDE if geom.group == _URDF_VISUAL else geom.group
-    taken = {body.name for body in instrument.bodies}
-    for body in robot.bodies[1:]:
-        if body.name in taken and body.name != arm.robot.flange_link:
-            body.name += "_of_robot"  # both come under the arm's name
-    pose = spec.worldbody.add_frame(
-        pos=arm.X_WB_stated[:3, 3].tolist(), quat=quaternion(arm.X_WB_stated[:3, :3]).tolist()
-    )
-    root = pose.attach_body(base, prefix, "")
-    D = np.eye(4) if error is None else error.mount(tip_in_flange(arm))
-    flange = spec.body(prefix + arm.robot.flange_link)
-    seat = flange.add_frame(pos=D[:3, 3].tolist(), quat=quaternion(D[:3, :3]).tolist())
-    seat.attach_body(mount, prefix, "")
+    X_FMount = np.eye(4) if error is None else error.mount(tip_in_flange(arm))
+    flange, of_tool = spec.body(robot_part(arm, robot.flange_link)), f"{arm.name}_"
+    jaws = [name for name, _, _ in jaw_joints(arm.instrument_urdf)]
+    _hang(flange, X_FMount, arm.instrument_urdf, instrument.mount_link, jaws, of_tool)
     for body in [root, *root.find_all(mujoco.mjtObj.mjOBJ_BODY)]:
         body.gravcomp = 1.0
 
-    dof = len(arm.robot.joint_names)
+    dof = len(robot.joint_names)
     stiffness, armature = parameters.stiffnesses(dof), parameters.armatures(dof)
-    for i, name in enumerate(arm.robot.joint_names):
-        joint = spec.joint(prefix + name)
+    for i, name in enumerate(robot.joint_names):
+        joint = spec.joint(robot_part(arm, name))
         joint.armature = armature[i]
-        _add_servo(spec, prefix + name, stiffness[i])
+        _add_servo(spec, joint.name, stiffness[i])
+
+
+def robot_part(arm: surg_core.Arm, name: str) -> str:
+    """Name in the scene of a link or joint of the arm's robot: no instrument has the same."""
+    return f"{arm.name}_robot_{name}"
+
+
+def _hang(
+    parent: mujoco.MjsBody, X: Array, file: Path, link: str, driven: Collection[str], prefix: str
+) -> mujoco.MjsBody:
+    """Put a URDF into the scene with one of its links at X (4, 4) in the parent; returns its root.
+
+    What lies above the link stands there, too, with its joints at 0: pedestal, cart, ceiling.
+    Nothing of it collides: vendors' shapes overlap.
+    """
+    above = {joint.child: joint for joint in surg_core.load_urdf(file).joints}
+    X_RootLink, root = np.eye(4), link
+    while root in above:
+        X_RootLink, root = above[root].X_PJ @ X_RootLink, above[root].parent
+    X_ParentRoot = X @ np.linalg.inv(X_RootLink)
+    part = mujoco.MjSpec.from_string(read_urdf(file, driven))
+    for geom in part.geoms:
+        geom.contype = geom.conaffinity = 0
+    place = parent.add_frame(
+        pos=X_ParentRoot[:3, 3].tolist(), quat=quaternion(X_ParentRoot[:3, :3]).tolist()
+    )
+    return place.attach_body(part.body(root), prefix, "")
 
 
 def tip_in_flange(arm: surg_core.Arm) -> Array:
     """Pose of the tip in the flange frame by the instrument's URDF, (4, 4)."""
     mount, tip = arm.instrument.mount_link, arm.instrument.tip_link
     return np.asarray(surg_core.fixed_transform(arm.instrument_urdf, mount, tip))
-
-
-def _find_body(spec: mujoco.MjSpec, name: str, path: Path) -> mujoco.MjsBody:
-    body = spec.body(name)
-    if body is None:
-        raise ValueError(
-            f"{path}: no link '{name}'; the URDF has {[b.name for b in spec.bodies[1:]]}"
-        )
-    return body
 
 
 def _add_servo(spec: mujoco.MjSpec, joint: str, stiffness: float) -> None:
@@ -221,23 +218,23 @@ class ArmLink:
         arm: surg_core.Arm,
         parameters: ActuatorParameters,
     ) -> None:
-        prefix = f"{arm.name}_"
         self._model, self._data, self._parameters = model, data, parameters
         self.name: str = arm.name
         self._home = np.asarray(arm.robot.home, dtype=np.float64)
         self._velocity_limit = np.asarray(arm.robot.velocity, dtype=np.float64)
         self._acceleration_limit = np.asarray(arm.robot.acceleration, dtype=np.float64)
         self.dof = len(self._home)
-        joints = [model.joint(prefix + name) for name in arm.robot.joint_names]
+        names = [robot_part(arm, name) for name in arm.robot.joint_names]
+        joints = [model.joint(name) for name in names]
         self._qpos = evenly([j.qposadr[0] for j in joints])
         self._columns = np.array([j.dofadr[0] for j in joints])
         self._qvel = evenly(self._columns)
-        springs = [model.actuator(f"{prefix}{n}_servo") for n in arm.robot.joint_names]
-        dampers = [model.actuator(f"{prefix}{n}_damper") for n in arm.robot.joint_names]
+        springs = [model.actuator(f"{name}_servo") for name in names]
+        dampers = [model.actuator(f"{name}_damper") for name in names]
         self._act = np.array([s.actadr[0] for s in springs])
         self._spring_ctrl = evenly([s.id for s in springs])
         self._damper_ctrl = evenly([d.id for d in dampers])
-        self._flange = model.body(prefix + arm.robot.flange_link).id
+        self._flange = model.body(robot_part(arm, arm.robot.flange_link)).id
         self._R_BW = np.asarray(arm.X_WB_stated[:3, :3], dtype=np.float64).T
         self._filter = 1.0 - np.exp(-TICK / SUBSTEPS / parameters.lag)
         self._jacobian = np.empty((2, 3, model.nv))

@@ -18,7 +18,7 @@ import numpy as np
 
 import surg_core
 from surg_sim.arrays import Array
-from surg_sim.physics.sim_arm import ToolError, tip_in_flange
+from surg_sim.physics.sim_arm import ToolError, robot_part, tip_in_flange
 from surg_sim.physics.spec_parts import quaternion, state_mass
 from surg_sim.physics.trocar_motion import MovingPoint
 
@@ -74,8 +74,8 @@ def add_trocar(
         name=f"{arm.name}_trocar",
         type=mujoco.mjtEq.mjEQ_CONNECT,
         objtype=mujoco.mjtObj.mjOBJ_SITE,
-        name1=f"{arm.name}_sleeve",
-        name2=f"{arm.name}_wall",
+        name1=f"{arm.name}/sleeve",
+        name2=f"{arm.name}/wall",
         solref=[0.004, 1.0],
         solimp=[0.99, 0.999, 1e-4, 0.5, 2.0],
     )
@@ -85,20 +85,20 @@ def _add_wall(spec: mujoco.MjSpec, arm: surg_core.Arm, parameters: TrocarParamet
     """A body on three spring-damper slides at the taught trocar point."""
     p_WRcm, _ = wall_frame(arm)
     wall = spec.worldbody.add_body(
-        name=f"{arm.name}_wall",
+        name=f"{arm.name}/wall",
         pos=p_WRcm.tolist(),
         quat=quaternion(arm.X_WB_stated[:3, :3]).tolist(),
     )
     state_mass(wall, parameters.mass, [1e-5] * 3)
     for axis, name in zip(np.eye(3), "xyz", strict=True):
         wall.add_joint(
-            name=f"{arm.name}_wall_{name}",
+            name=f"{arm.name}/wall_{name}",
             type=mujoco.mjtJoint.mjJNT_SLIDE,
             axis=axis.tolist(),
             stiffness=[parameters.stiffness, 0, 0],
             damping=[parameters.damping, 0, 0],
         )
-    wall.add_site(name=f"{arm.name}_wall", size=[0.001] * 3, group=4)
+    wall.add_site(name=f"{arm.name}/wall", size=[0.001] * 3, group=4)
 
 
 def _add_sleeve(
@@ -110,12 +110,12 @@ def _add_sleeve(
     depth = (X_BF[:3, :3] @ s_F) @ (
         X_BF[:3, :3] @ p_FTip + X_BF[:3, 3] - np.asarray(arm.trocar.p_BRcm)
     )
-    sleeve = spec.body(f"{arm.name}_{arm.robot.flange_link}").add_body(
-        name=f"{arm.name}_sleeve", pos=(p_FTip - depth * s_F).tolist()
+    sleeve = spec.body(robot_part(arm, arm.robot.flange_link)).add_body(
+        name=f"{arm.name}/sleeve", pos=(p_FTip - depth * s_F).tolist()
     )
     state_mass(sleeve, 0.01, [1e-6] * 3)
     sleeve.add_joint(
-        name=f"{arm.name}_sleeve",
+        name=f"{arm.name}/sleeve",
         type=mujoco.mjtJoint.mjJNT_SLIDE,
         axis=s_F.tolist(),
         frictionloss=parameters.friction,
@@ -123,7 +123,7 @@ def _add_sleeve(
         solref_friction=[0.002, 1.0],
         solimp_friction=[0.99, 0.999, 1e-4, 0.5, 2.0],
     )
-    sleeve.add_site(name=f"{arm.name}_sleeve", size=[0.001] * 3, group=4)
+    sleeve.add_site(name=f"{arm.name}/sleeve", size=[0.001] * 3, group=4)
 
 
 class Trocar:
@@ -137,10 +137,10 @@ class Trocar:
         parameters: TrocarParameters,
     ) -> None:
         self._model, self._data, self._damping = model, data, parameters.damping
-        joints = [model.joint(f"{arm.name}_wall_{name}") for name in "xyz"]
+        joints = [model.joint(f"{arm.name}/wall_{name}") for name in "xyz"]
         self._qpos = slice(joints[0].qposadr[0], joints[0].qposadr[0] + 3)
         self._dofs = slice(joints[0].dofadr[0], joints[0].dofadr[0] + 3)
-        self._sites = [model.site(f"{arm.name}_{name}").id for name in ("sleeve", "wall")]
+        self._sites = [model.site(f"{arm.name}/{name}").id for name in ("sleeve", "wall")]
         self._R_BW = np.asarray(arm.X_WB_stated[:3, :3], dtype=np.float64).T
         self._p_BRcm: Array = np.array(arm.trocar.p_BRcm, dtype=np.float64)
         self.point = MovingPoint(self._p_BRcm)

@@ -12,6 +12,8 @@ from collections.abc import Collection
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
+
 from surg_core import load_urdf
 
 Element = ElementTree.Element
@@ -22,14 +24,18 @@ OPTIONS = {"fusestatic": "false", "discardvisual": "false", "balanceinertia": "t
 """MuJoCo would merge fixed links into their parents, and the flange would disappear."""
 MASS, INERTIA = 1.0, 0.01
 """[kg], [kg m^2] Of a link whose file states none; the drives' rotors weigh more."""
+LEAST_MASS, LEAST_INERTIA = 1e-6, 1e-9
+"""[kg], [kg m^2] Smaller ones are rounding, and MuJoCo refuses 0."""
+HEAVY = ("inertial", "collision")
+"""Elements of a link that give MuJoCo a mass."""
 
 
-def read_urdf(path: Path, driven: Collection[str] | None = None) -> str:
+def read_urdf(path: Path, driven: Collection[str]) -> str:
     """The text of a URDF for MuJoCo.
 
     Args:
         path: The file.
-        driven: Names of the joints that move; all others are held still. None: all move.
+        driven: Names of the joints that move; all others are held still.
 
     Raises:
         ConfigError: The file is no usable URDF.
@@ -38,10 +44,14 @@ def read_urdf(path: Path, driven: Collection[str] | None = None) -> str:
     """
     urdf = load_urdf(path)
     root = ElementTree.fromstring(urdf.text.encode("utf-8"))
-    if driven is not None:
-        for joint in root.findall("joint"):
-            if joint.get("name") not in driven:
-                joint.set("type", "fixed")
+    for joint in root.findall("joint"):
+        if joint.get("name") not in driven:
+            joint.set("type", "fixed")
+        for dynamics in joint.findall("dynamics"):  # the drive's business
+            joint.remove(dynamics)
+    for theirs in root.findall("mujoco"):
+        root.remove(theirs)
+    ElementTree.SubElement(ElementTree.SubElement(root, "mujoco"), "compiler", OPTIONS)
     left_out = without_pictures(root)
     if left_out:
         warnings.warn(
@@ -55,9 +65,6 @@ def read_urdf(path: Path, driven: Collection[str] | None = None) -> str:
             "for each",
             stacklevel=2,
         )
-    options = _child(_child(root, "mujoco"), "compiler")
-    for name, value in OPTIONS.items():
-        options.set(name, value)
     return ElementTree.tostring(root, encoding="unicode")
 
 
@@ -85,6 +92,8 @@ def without_pictures(root: Element) -> int:
 def with_masses(root: Element) -> list[str]:
     """Give a mass to every moving link that has none, nor anything fixed to it; returns which."""
     links = {link.get("name", ""): link for link in root.findall("link")}
+    for link in links.values():
+        _make_sound(link)
     joints = [(_link(j, "parent"), _link(j, "child"), j.get("type")) for j in root.findall("joint")]
     given = []
     for _, child, kind in joints:
@@ -93,7 +102,7 @@ def with_masses(root: Element) -> list[str]:
         group = [child]
         for link in group:
             group += [c for p, c, k in joints if p == link and k == "fixed"]
-        if not any(_heavy(links[name]) for name in group):
+        if not any(links[name].findall(part) for name in group for part in HEAVY):
             _give_mass(links[child])
             given.append(child)
     return given
@@ -108,20 +117,23 @@ def _drawable(part: Element) -> bool:
     return False
 
 
-def _heavy(link: Element) -> bool:
-    """Whether MuJoCo finds a mass: as stated, or of a collision's shape."""
-    inertial = link.find("inertial")
-    if inertial is None:
-        return link.find("collision") is not None
-    mass, inertia = inertial.find("mass"), inertial.find("inertia")
-    assert mass is not None and inertia is not None  # the reader has seen them
-    moments = sum(float(inertia.get(key, "0")) for key in ("ixx", "iyy", "izz"))
-    return float(mass.get("value", "0")) > 0.0 and moments > 0.0
+def _make_sound(link: Element) -> None:
+    """Leave out a mass that is none, and give a mass without extent the least inertia."""
+    for inertial in link.findall("inertial"):
+        mass, inertia = inertial.find("mass"), inertial.find("inertia")
+        assert mass is not None and inertia is not None  # the reader has seen them
+        xx, yy, zz, xy, xz, yz = (
+            float(inertia.get(key, "0")) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        )
+        least = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])[0]
+        if float(mass.get("value", "0")) < LEAST_MASS:
+            link.remove(inertial)
+        elif least < LEAST_INERTIA:
+            for key, value in (("ixx", xx), ("iyy", yy), ("izz", zz)):
+                inertia.set(key, str(value + LEAST_INERTIA - min(least, 0.0)))
 
 
 def _give_mass(link: Element) -> None:
-    for inertial in link.findall("inertial"):
-        link.remove(inertial)
     inertial = ElementTree.SubElement(link, "inertial")
     ElementTree.SubElement(inertial, "mass", {"value": str(MASS)})
     moments = dict.fromkeys(("ixx", "iyy", "izz"), str(INERTIA))
@@ -131,8 +143,3 @@ def _give_mass(link: Element) -> None:
 def _link(joint: Element, tag: str) -> str:
     element = joint.find(tag)
     return "" if element is None else element.get("link", "")
-
-
-def _child(element: Element, tag: str) -> Element:
-    found = element.find(tag)
-    return ElementTree.SubElement(element, tag) if found is None else found

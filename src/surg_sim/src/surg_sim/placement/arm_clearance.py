@@ -11,7 +11,7 @@ import numpy as np
 
 import surg_core
 from surg_sim.arrays import Array
-from surg_sim.physics.sim_arm import ActuatorParameters, add_arm
+from surg_sim.physics.sim_arm import ActuatorParameters, add_arm, robot_part
 
 _PATIENT = np.array([0.18, 0.27, 0.19])  # [m] half axes of the dome that no link may touch
 
@@ -38,7 +38,7 @@ class ClearanceModel:
         self.data = mujoco.MjData(self.model)
         self._qpos, self._geoms, self._links = [], [], []
         for arm in arms:
-            names = [f"{arm.name}_{name}" for name in arm.robot.joint_names]
+            names = [robot_part(arm, name) for name in arm.robot.joint_names]
             self._qpos.append([int(self.model.joint(name).qposadr[0]) for name in names])
             root = self.model.body_rootid[self.model.joint(names[0]).bodyid[0]]
             mount = self.model.body(f"{arm.name}_{arm.instrument.mount_link}").id

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 import surg_core
-from surg_sim.physics.sim_arm import ActuatorParameters, add_arm
+from surg_sim.physics.sim_arm import ActuatorParameters, add_arm, robot_part
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ def compare(arm: surg_core.Arm, postures: int = 200, seed: int = 0) -> Differenc
     model = spec.compile()
     data = mujoco.MjData(model)
     robot = arm.robot
-    places = [model.joint(f"{arm.name}_{name}").qposadr[0] for name in robot.joint_names]
-    flange = data.body(f"{arm.name}_{robot.flange_link}")
+    places = [model.joint(robot_part(arm, name)).qposadr[0] for name in robot.joint_names]
+    flange = data.body(robot_part(arm, robot.flange_link))
     rng = np.random.default_rng(seed)
     position = angle = 0.0
     for _ in range(postures):

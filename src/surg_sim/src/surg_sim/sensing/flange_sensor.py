@@ -14,6 +14,7 @@ import surg_core
 from surg_core.contract import TICK
 from surg_core.force.sensor_file import ForceSensor, load_sensor
 from surg_sim.arrays import Array
+from surg_sim.physics.sim_arm import robot_part
 
 
 def sensor_of(arm: surg_core.Arm) -> ForceSensor | None:
@@ -56,8 +57,8 @@ class FlangeSensor:
         in_patient: bool = True,
     ) -> None:
         self._model, self._data, self._sensor = model, data, sensor
-        flange = model.body(f"{arm.name}_{arm.robot.flange_link}").id
-        sleeve = model.body(f"{arm.name}_sleeve").id
+        flange = model.body(robot_part(arm, arm.robot.flange_link)).id
+        sleeve = model.body(f"{arm.name}/sleeve").id
         held = [i for i in range(model.nbody) if model.body_parentid[i] == flange]
         self._tool = [i for i in held if i != sleeve]
         self._sleeve = [sleeve] if in_patient else []
