@@ -1,5 +1,6 @@
 """The bundled cells: calibrated exactly, reproducible, and homes with room to work in."""
 
+import random
 import re
 from pathlib import Path
 
@@ -7,10 +8,12 @@ import numpy as np
 import pytest
 import yaml
 
+import surg_core
 from helpers.control.reach import sweep
 from helpers.control.third_arm import write_third_arm
 from surg_cli.host import paths
 from surg_core import ConfigError
+from surg_core.replace_file import yaml_text
 from surg_core.urdf import fixed_transform
 from surg_description.make_cell import home_pose, make_cell
 
@@ -48,7 +51,6 @@ def test_bundled_cell_is_what_the_generator_writes(name: str, tmp_path: Path) ->
 
 @pytest.mark.parametrize("name", [*ROBOTS, *OTHERS, "third_arm"])
 def test_core_reads_the_cell_and_the_shaft_meets_the_trocar(name: str, tmp_path: Path) -> None:
-    surg_core = pytest.importorskip("surg_core")
     cell = paths.ROOT / f"cells/sim_{name}"
     if name not in ROBOTS:
         cell = tmp_path / "cell"
@@ -196,6 +198,50 @@ def test_broken_robots_are_refused(
         make_cell(tmp_path / "robot.yaml", tmp_path / "cell", GRASPER)
     assert str(tmp_path / "robot.yaml") in str(caught.value) or "ur5e.urdf" in str(caught.value)
     assert not (tmp_path / "cell").exists()
+
+
+NAMES = ["a #b", "#a", "a: b", "it's", 'say "a"', "~", "null", "2026", "2026-11-21", "1e3", ".5e3"]
+NAMES += [
+    "0x1F",
+    "0o7",
+    "nan",
+    ".inf",
+    "yes",
+    "On",
+    "TRUE",
+    "- a",
+    "? a",
+    "[x], y",
+    "{x}",
+    "&a",
+    "*a",
+]
+NAMES += ["!t", "%d", "`x`", "back\\slash", "end ", " a  b", "Jürgen 🤖"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_names_and_paths_survive_the_round_trip(name: str, tmp_path: Path) -> None:
+    """By the core's reader and by PyYAML: folders and files that people name as they like."""
+    robot, instrument = tmp_path / name / "arm.yaml", tmp_path / name / "tool" / f"{name}.yaml"
+    instrument.parent.mkdir(parents=True)
+    for bundled, file in ((DESCRIPTION / "robots/ur5e.yaml", robot), (GRASPER, instrument)):
+        text = bundled.read_text().replace("../urdf/", f"{DESCRIPTION}/urdf/")
+        file.write_text(text)
+    cell = make_cell(robot, tmp_path / name / name, instrument)
+    read = surg_core.load_cell(cell)
+    assert read.config.name == yaml.safe_load(cell.read_text())["name"] == name
+    assert Path(read.arms["PSM1"].robot.file).resolve() == robot
+    assert Path(read.arms["PSM1"].instrument.file).resolve() == instrument
+
+
+def test_no_text_leaves_its_line_in_yaml() -> None:
+    rng = random.Random(7)
+    signs = "ab01 #:-'\"\\~!&*[]{},?|>@%`\t\n\r\x85\u2028\u00e9\x07🤖."
+    for _ in range(2000):
+        text = "".join(rng.choices(signs, k=rng.randrange(8)))
+        line = f"key: {yaml_text(text)}  # as it is"
+        assert len(line.splitlines()) == 1
+        assert yaml.safe_load(line) == {"key": text}
 
 
 @pytest.mark.parametrize("depth", [0.0, -0.1, 0.6, float("nan")])

@@ -17,7 +17,7 @@ from surg_core.checked_document import (
     pose_text,
 )
 from surg_core.config import PathLike
-from surg_core.replace_file import exact_numbers, one_line, replace_file
+from surg_core.replace_file import exact_numbers, one_line, replace_file, yaml_text
 from surg_core.transforms import FloatArray
 
 FORMAT = "surg_base/1"
@@ -86,9 +86,9 @@ def write_base(path: PathLike, base: BaseCalibration, note: str) -> None:
         f"# {one_line(note)}\n"
         f"format: {FORMAT}\n"
         + pose_text(base.X_WB, "X_WB: the robot base in the world")
-        + f"method: {one_line(base.method)}\n"
+        + f"method: {yaml_text(base.method)}\n"
         + evidence_text(base.evidence, "m")
-        + f"reference: {one_line(base.reference)}  # its base is the one that cell.yaml states\n"
+        + f"reference: {yaml_text(base.reference)}  # its base is the one that cell.yaml states\n"
         f"reference_xyz: {exact_numbers(base.reference_xyz)}\n"
         f"reference_rpy: {exact_numbers(base.reference_rpy)}\n"
         f'camera_sha256: "{one_line(base.camera_sha256)}"\n'

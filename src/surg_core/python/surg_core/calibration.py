@@ -53,7 +53,7 @@ from surg_core._core import (
     trocar_calibration,
 )
 from surg_core.config import PathLike
-from surg_core.replace_file import fixed_decimals, one_line, replace_file
+from surg_core.replace_file import fixed_decimals, one_line, replace_file, yaml_text
 from surg_core.transforms import FloatArray, quaternion_xyzw_to_matrix
 
 MOTIONS = ("tip", "roll", "second", "trocar", "touch")
@@ -334,8 +334,8 @@ def kinematics_text(
     return (
         "# This arm's own Denavit-Hartenberg parameters: ./surg robot CELL kinematics\n"
         "format: surg_kinematics/1\n"
-        f"model: {model}\n"
-        f'serial: "{one_line(serial)}"\n'
+        f"model: {yaml_text(model)}\n"
+        f"serial: {yaml_text(serial)}\n"
         f'date: "{one_line(date)}"\n' + rows
     )
 
@@ -346,7 +346,7 @@ def write_kinematics(path: PathLike, text: str) -> None:
 
 
 def _evidence(found: _Calibration, source: str, serial: str) -> str:
-    of_arm = f'serial: "{one_line(serial)}"  # of the arm\n' if serial else ""
+    of_arm = f"serial: {yaml_text(serial)}  # of the arm\n" if serial else ""
     return (
         f"residual: {found.residual:.9f}  # m, rms\n"
         f"n: {found.n}\n"

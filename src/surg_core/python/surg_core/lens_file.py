@@ -17,7 +17,7 @@ import numpy as np
 from surg_core._core import ConfigError, Document, read_document
 from surg_core.checked_document import CheckedDocument
 from surg_core.config import PathLike
-from surg_core.replace_file import exact_numbers, one_line, replace_file
+from surg_core.replace_file import exact_numbers, one_line, replace_file, yaml_text
 from surg_core.transforms import FloatArray
 
 DISTORTION_MODELS: Mapping[str, int] = MappingProxyType(
@@ -138,8 +138,8 @@ def lens_text(lens: Lens, note: str = "") -> str:
     head = (
         f"image_width: {lens.width}\n"
         f"image_height: {lens.height}\n"
-        f"camera_name: {one_line(lens.camera_name)}\n"
-        f"distortion_model: {one_line(lens.distortion_model)}\n"
+        f"camera_name: {yaml_text(lens.camera_name)}\n"
+        f"distortion_model: {yaml_text(lens.distortion_model)}\n"
     )
     body = "".join(
         f"{key}:\n  rows: {matrix.shape[0]}\n  cols: {matrix.shape[1]}\n"

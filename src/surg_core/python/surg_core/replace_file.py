@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +12,7 @@ from typing import Callable
 
 import numpy as np
 import numpy.typing as npt
+import yaml
 
 
 def replace_file(path: Path, text: str, load: Callable[[Path], object]) -> None:
@@ -45,6 +48,17 @@ def replace_file(path: Path, text: str, load: Callable[[Path], object]) -> None:
 def one_line(text: str) -> str:
     """The text without line breaks, so that it cannot leave its comment or its key."""
     return " ".join(text.split())
+
+
+def yaml_text(text: str) -> str:
+    """A text as a value in YAML, on one line.
+
+    It is quoted unless it is a plain name or path: readers of YAML 1.1 and 1.2 differ in what is a
+    number.
+    """
+    style = None if re.fullmatch(r"(\.\.?/)*[A-Za-z_][\w./ -]*", text, re.ASCII) else '"'
+    written = yaml.safe_dump(text, default_style=style, width=math.inf, allow_unicode=True)
+    return written.removesuffix("\n").removesuffix("\n...")
 
 
 def fixed_decimals(values: npt.ArrayLike) -> str:

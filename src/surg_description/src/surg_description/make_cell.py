@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surg_core import load_chain, load_instrument, load_robot
+from surg_core.replace_file import fixed_decimals, one_line, yaml_text
 from surg_core.urdf import fixed_transform
 
 Matrix = NDArray[np.float64]
@@ -136,7 +137,7 @@ def make_cell_of(out_dir: Path, plans: Mapping[str, ArmPlan], note: str = "") ->
     lines += [f"# {line}" for line in note.splitlines()]
     lines += [
         "format: surg_cell/1",
-        f"name: {out_dir.resolve().name}",
+        f"name: {yaml_text(out_dir.resolve().name)}",
         "network: loopback  # every port stays on this machine",
         "arms:",
     ]
@@ -146,15 +147,15 @@ def make_cell_of(out_dir: Path, plans: Mapping[str, ArmPlan], note: str = "") ->
         (calibration / f"tool_{name}.yaml").write_text(
             "# Shaft axis and tip in the flange frame, taken from the URDFs: exact, not measured.\n"
             "format: surg_tool/1\n"
-            f"shaft_axis: {_numbers(pose.s_F)}  # unit vector, flange to tip\n"
-            f"tip: {_numbers(pose.p_FTip)}  # m\n" + _evidence(),
+            f"shaft_axis: {fixed_decimals(pose.s_F)}  # unit vector, flange to tip\n"
+            f"tip: {fixed_decimals(pose.p_FTip)}  # m\n" + _evidence(),
             encoding="utf-8",
         )
         (calibration / f"trocar_{name}.yaml").write_text(
             "# Trocar point in the robot base frame: on the shaft at home, the tip "
             f"{plan.depth:g} m deep.\n"
             "format: surg_trocar/1\n"
-            f"point: {_numbers(pose.p_BRcm)}  # m\n" + _evidence(),
+            f"point: {fixed_decimals(pose.p_BRcm)}  # m\n" + _evidence(),
             encoding="utf-8",
         )
     cell = out_dir / "cell.yaml"
@@ -164,7 +165,7 @@ def make_cell_of(out_dir: Path, plans: Mapping[str, ArmPlan], note: str = "") ->
 
 def _arm_lines(name: str, plan: ArmPlan, folder: Path) -> list[str]:
     lines = [
-        f"  {name}:",
+        f"  {yaml_text(name)}:",
         f"    robot: {_relative(plan.robot_yaml, folder)}",
         f"    instrument: {_relative(plan.instrument_yaml, folder)}",
         "    link: simulator",
@@ -173,13 +174,16 @@ def _arm_lines(name: str, plan: ArmPlan, folder: Path) -> list[str]:
         f"      rpy: {_short(plan.base_rpy)}",
     ]
     if plan.home is not None:
-        lines += [f"    # rad; {plan.home_reason or 'not the home posture of the robot file'}"]
+        lines += [
+            f"    # rad; {one_line(plan.home_reason) or 'not the home posture of the robot file'}"
+        ]
         lines += [f"    home: {_short(plan.home)}"]
     if not plan.limits:
         return [*lines, "    limits: {}  # a cell may only tighten"]
     lines += ["    limits:  # a cell may only tighten"]
     return lines + [
-        f"      {limit}: {value:g}  # {reason}" for limit, (value, reason) in plan.limits.items()
+        f"      {limit}: {value:g}  # {one_line(reason)}"
+        for limit, (value, reason) in plan.limits.items()
     ]
 
 
@@ -193,11 +197,6 @@ def _evidence() -> str:
     )
 
 
-def _numbers(vector: Matrix) -> str:
-    # 12 decimals: 1e-12 m. Adding 0.0 turns -0.0 into 0.0.
-    return "[" + ", ".join(f"{round(float(value), 12) + 0.0:.12f}" for value in vector) + "]"
-
-
 def _rounded(values: Sequence[float]) -> list[float]:
     """To what the file says: 1e-4 m or rad. Adding 0.0 turns -0.0 into 0.0."""
     return [round(float(value), 4) + 0.0 for value in values]
@@ -208,4 +207,4 @@ def _short(values: Sequence[float]) -> str:
 
 
 def _relative(path: Path, folder: Path) -> str:
-    return os.path.relpath(path.resolve(), folder.resolve())
+    return yaml_text(os.path.relpath(path.resolve(), folder.resolve()))
