@@ -133,6 +133,8 @@ async def live(made: Console, browser: Chromium, tab: Tab) -> None:
         "window.idle = {id: 'idle', index: 1, connected: true, mapping: 'standard',"
         " axes: [0, 0.1, 0, 0], buttons: []}; 0"
     )
+    await tab.run("window.plug([0, 0, 0, 0], {}); 0")
+    await tab.until("surgConsole.hand.pads.seen.size === 2", "both pads")
     await tab.run("window.plug([0, -1, 0, 0], {})")
     sample = (await moved(made, tab, "the stick", lambda s: s.v[1] < -0.001)).sample
     assert sample.v[1] == pytest.approx(-0.02) and sample.v[0] == 0

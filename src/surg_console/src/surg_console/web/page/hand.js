@@ -8,7 +8,6 @@ const SMOOTHING_S = 0.05; // of the mouse's steps
 const ROLL_RATE = 1.2; // [rad/s]
 const GRIP_RATE = 1.5; // [1/s] fully open to closed in two thirds of a second
 const SLOW = 0.25;
-const DEAD_ZONE = 0.12;
 
 // key -> axis and direction
 const MOTION_KEYS = {
@@ -28,17 +27,14 @@ const PRESSED_KEYS = {
   Minus: "less_scale", Equal: "more_scale", BracketLeft: "slower", BracketRight: "faster",
 };
 
-// buttons of the standard gamepad
-const PAD = { stop: 1, record: 2, clutch: 4, camera: 5, close: 7, open: 6, back: 8, start: 9 };
-
 export class Hand {
   /**
    * @param view the element over which the mouse moves the tip
    * @param press called with a word of PRESSED_KEYS
-   * @param lost called with "gamepad" when a gamepad that was in use is gone, with "pointer" when
-   *   mouse or keyboard are while a hand was on them
+   * @param lost called with "pointer" when mouse or keyboard are gone while a hand was on them
+   * @param pads reads the gamepads; null: there are none
    */
-  constructor(view, press, lost) {
+  constructor(view, press, lost, pads = null) {
     this.view = view;
     this.press = press;
     this.lost = lost;
@@ -50,8 +46,8 @@ export class Hand {
     this.goal = { x: 0, y: 0, z: 0, roll: 0 };
     this.now = { ...this.goal };
     this.keys = new Set();
-    this.padDown = new Set();
-    this.padId = null;
+    this.pads = pads;
+    this.padHeld = new Set();
     this.padName = "";
     this.pointer = null; // that drags
     this.fingers = new Map(); // on the view: pointer -> place
@@ -63,9 +59,6 @@ export class Hand {
     addEventListener("keydown", (event) => this.keyDown(event));
     addEventListener("keyup", (event) => this.keys.delete(event.code));
     addEventListener("blur", () => this.loseFocus());
-    addEventListener("gamepaddisconnected", ({ gamepad }) => {
-      if (gamepad.index === this.padId) this.loseGamepad();
-    });
     this.view.addEventListener("pointerdown", (event) => this.pointerDown(event));
     this.view.addEventListener("pointermove", (event) => this.pointerMove(event));
     this.view.addEventListener("pointerup", (event) => this.fingerUp(event));
@@ -175,48 +168,23 @@ export class Hand {
     this.goal.z += notches * METRES_PER_NOTCH;
   }
 
-  /** The gamepad that was touched first, until it is unplugged. */
-  gamepad() {
-    const pads = [...navigator.getGamepads()].filter((pad) => pad?.connected);
-    const mine = pads.find((pad) => pad.index === this.padId);
-    if (this.padId !== null && !mine) this.loseGamepad();
-    return mine ?? pads.find(touched) ?? pads[0] ?? null;
-  }
-
-  loseGamepad() {
-    this.padId = null;
-    this.padDown.clear();
-    this.lost("gamepad");
-  }
-
-  /** Read sticks and triggers, -1 … 1, and press the buttons that went down. */
+  /** The wish of the gamepad, after pressing what went down. */
   readGamepad() {
-    const wish = { x: 0, y: 0, z: 0, roll: 0, grip: 0 };
-    const pad = this.gamepad();
-    this.padName = pad ? pad.id.replace(/\s*\(.*$/, "") || "Gamepad" : "";
-    if (!pad) return wish;
-    const axis = (i) => deadZone(pad.axes[i] ?? 0);
-    const value = (i) => pad.buttons[i]?.value ?? 0;
-    wish.x = axis(0);
-    wish.y = axis(1);
-    wish.roll = axis(2);
-    wish.z = -axis(3); // pushed forward: away from the viewer
-    wish.grip = value(PAD.open) - value(PAD.close);
-    const moves = wish.x || wish.y || wish.z || wish.roll || wish.grip;
-    const down = new Set(pad.buttons.flatMap((button, i) => (button.pressed ? [i] : [])));
-    const fresh = (i) => down.has(i) && !this.padDown.has(i);
-    if (moves || down.size) this.padId = pad.index;
-    if (fresh(PAD.start)) this.press("enable");
-    if (fresh(PAD.stop) || fresh(PAD.back)) this.press("stop");
-    if (fresh(PAD.record)) this.press("record");
-    this.padDown = down;
-    if (moves && !this.use("rate")) return { x: 0, y: 0, z: 0, roll: 0, grip: wish.grip };
-    return wish;
+    const rest = { x: 0, y: 0, z: 0, roll: 0, grip: 0 };
+    const read = this.pads?.read() ?? null;
+    this.padHeld = read?.held ?? new Set();
+    this.padName = read ? read.pad.id.replace(/\s*\(.*$/, "") || "Gamepad" : "";
+    if (!read) return rest;
+    if (!read.mapped) this.padName += " moves nothing until you press Map gamepad.";
+    for (const word of ["enable", "stop", "record"]) if (read.pressed.includes(word)) this.press(word);
+    const { grip, ...motion } = read.wish;
+    if (Object.values(motion).some(Boolean) && !this.use("rate")) return { ...rest, grip };
+    return read.wish;
   }
 
   held(name) {
     const key = Object.keys(HELD_KEYS).find((code) => HELD_KEYS[code] === name);
-    return this.latched[name] || this.keys.has(key) || this.padDown.has(PAD[name]);
+    return this.latched[name] || this.keys.has(key) || this.padHeld.has(name);
   }
 
   /** The sample for the console, `seconds` after the last one. */
@@ -256,17 +224,6 @@ export class Hand {
 
 function clamp(value, low, high) {
   return Math.max(low, Math.min(high, value));
-}
-
-/** Whether a gamepad is in use. */
-function touched(pad) {
-  return pad.buttons.some((button) => button.pressed) || pad.axes.slice(0, 4).some(deadZone);
-}
-
-/** A stick's deflection beyond a dead zone, squared for fine small motions. */
-function deadZone(value) {
-  const beyond = Math.max(0, Math.abs(value) - DEAD_ZONE) / (1 - DEAD_ZONE);
-  return Math.sign(value) * Math.min(1, beyond) ** 2;
 }
 
 /** A velocity of at most `speed`. */

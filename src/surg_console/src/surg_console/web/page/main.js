@@ -9,6 +9,8 @@ import "./key_help.js";
 import { element, mark, remember, set, sink, streamOf, toast, write } from "./kit.js";
 import { Link, clock } from "./link.js";
 import { speakWhileTouched } from "./touch_frames.js";
+import { PadPage } from "./pads/pad_page.js";
+import { Pads } from "./pads/pads.js";
 import { View, showAge } from "./view.js";
 
 const INPUT_MS = 20; // the console holds the arm after 100 ms without one
@@ -26,7 +28,9 @@ let lastHand = null;
 const picture = { exposedUs: 0, drawn: [] };
 
 const link = new Link(onMessage, lost);
-const hand = new Hand(element("view"), press, (why) => link.say("hidden", { why }));
+const pads = new Pads(() => null, () => link.say("hidden", { why: "gamepad" }));
+const padPage = new PadPage(pads, () => status?.phase === "driving" && (toast("Press Stop before you map a gamepad."), true));
+const hand = new Hand(element("view"), press, (why) => link.say("hidden", { why }), pads);
 hand.mayChange = mayChange;
 
 // For measurements: the times of each drawn picture, and its age; where the hand is.
@@ -37,7 +41,7 @@ const marks = new Marks(element("marks"), toast);
 const plan = new PlanOverlay(element("plan"), element("plan-note"));
 const scene = new Scene(element("room"), (text) => write(element("scene-note"), text));
 const feel = new Feel(
-  () => hand.gamepad(),
+  () => pads.inUse,
   () => status?.phase === "driving" && mine(),
   () => softLimit,
 );
@@ -158,7 +162,10 @@ element("feel").addEventListener("click", () => press("feel"));
 addEventListener("resize", () => scene.draw());
 
 function press(button) {
-  if (button === "stop") element("help").hidden = true;
+  if (button === "stop") {
+    element("help").hidden = true;
+    padPage.end();
+  }
   if (button in OWN) OWN[button]();
   else if (button === "record") link.press(status?.record.on ? "record_stop" : "record");
   else link.press(button);
@@ -184,6 +191,7 @@ function showHand(sample) {
   for (const name of ["clutch", "camera"]) sink(element(name), driving && sample[name]);
   for (const button of element("hands").children) sink(button, button.dataset.hand === sample.hand);
   const ours = sample.hand === "position" ? "Drag in the picture." : hand.padName || "Keyboard";
+  set(element("pad-map"), "hidden", !hand.padName);
   const device = view?.leads === false ? "Another device moves the arm." : ours;
   write(element("device"), device);
   const grip = sample.grip;
