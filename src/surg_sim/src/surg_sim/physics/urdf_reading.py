@@ -92,8 +92,8 @@ def without_pictures(root: Element) -> int:
 def with_masses(root: Element) -> list[str]:
     """Give a mass to every moving link that has none, nor anything fixed to it; returns which."""
     links = {link.get("name", ""): link for link in root.findall("link")}
-    for link in links.values():
-        _make_sound(link)
+    for each in links.values():
+        _make_sound(each)
     joints = [(_link(j, "parent"), _link(j, "child"), j.get("type")) for j in root.findall("joint")]
     given = []
     for _, child, kind in joints:
