@@ -3,8 +3,6 @@
 import subprocess
 from pathlib import Path
 
-import pytest
-
 from surg_cli.host import environment, paths
 
 PROGRAM = paths.ROOT / "devel" / "lib" / "surg_control" / "rcm_replay"
@@ -16,27 +14,13 @@ def replay(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize(
-    ("contents", "words"),
-    [
-        (b"", "not a black box"),
-        (b"stamp_ns,tick\n1,2\n", "not a black box"),
-        (b"SURGBBX\0", "cut short"),
-        (b"SURGBBX\0\x07\0\0\0" + bytes(16), "format version 7"),
-        (b"SURGBBX\0\x05\0\0\0" + bytes(100), "length is wrong"),
-        (b"SURGBBX\0\x05\0\0\0" + bytes(16), "checksum is wrong"),
-    ],
-    ids=["empty", "csv", "short", "version", "length", "checksum"],
-)
-def test_a_file_that_is_not_whole_is_refused_with_words(
-    tmp_path: Path, contents: bytes, words: str
-) -> None:
+def test_a_file_that_is_no_black_box_is_refused_with_words(tmp_path: Path) -> None:
+    """What else can be wrong with one: test_black_box.cpp."""
     path = tmp_path / "a.blackbox"
-    path.write_bytes(contents)
+    path.write_bytes(b"stamp_ns,tick\n1,2\n")
     done = replay("--black-box", str(path))
     assert done.returncode == 1
-    assert words in done.stderr
-    assert str(path) in done.stderr
+    assert "not a black box" in done.stderr and str(path) in done.stderr
 
 
 def test_a_missing_file_and_wrong_arguments_say_what_is_wrong(tmp_path: Path) -> None:

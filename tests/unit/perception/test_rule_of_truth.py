@@ -159,25 +159,3 @@ def test_a_setting_has_variants() -> None:
     assert find_setting("in_vivo").base_error is None
     with pytest.raises(ValueError, match="no variant 'unregistred': there are unregistered"):
         find_setting("phantom+unregistred")
-
-
-def test_a_base_that_was_not_measured_in_this_cell_is_refused(
-    folder: Path, stated: surg_core.Cell
-) -> None:
-    first = stated.config.arms[0]
-    X_WB = np.array(stated.arms[ARM].X_WB)
-    good = endoscope_files.base(X_WB, first.name, first.base_xyz, first.base_rpy)
-    cases = {
-        f"base_{ARM}.yaml: reference: 'PSM9'; allowed": (ARM, replace(good, reference="PSM9")),
-        "reference_xyz, reference_rpy: differ": (
-            ARM,
-            replace(good, reference_xyz=good.reference_xyz + np.array([0, 0, 1e-6])),
-        ),
-        "base_PSM1.yaml: position: PSM1 is the cell's first arm": ("PSM1", good),
-    }
-    for words, (arm, base) in cases.items():
-        file = folder / "calibration" / f"base_{arm}.yaml"
-        base_file.write_base(file, base, "a test")
-        with pytest.raises(surg_core.ConfigError, match=words):
-            surg_core.load_cell(folder)
-        file.unlink()

@@ -14,7 +14,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from surg_core import ConfigError
-from surg_sim.appearance import appearance_sheet
 from surg_sim.appearance.domain_randomization import TISSUES, Appearance, DomainRandomization
 from surg_sim.appearance.endoscope_renderer import EndoscopeRenderer
 from surg_sim.appearance.opengl import NoOpenGL
@@ -320,13 +319,3 @@ def test_a_recording_states_the_look_and_has_the_same_states(tmp_path: Path) -> 
 def test_the_ranges_of_a_plan_are_those_of_its_recordings() -> None:
     """A plan is a key of sessions, so ranges are values that can be hashed and compared."""
     assert hash(WIDE) == hash(DomainRandomization(**asdict(WIDE)))
-
-
-def test_a_sheet_of_broken_ranges_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "looks.yaml"
-    file.write_text("format: surg_looks/1\nedge: [0.0, 7.0]\n")
-    assert appearance_sheet.main([str(tmp_path / "out.png"), "--ranges", str(file)]) == 2
-    assert f"{file}:2: edge: holds 7" in capsys.readouterr().err
-    assert not (tmp_path / "out.png").exists()
