@@ -140,7 +140,7 @@ def test_robot_condition_whatever_stops_the_arm_it_rests_near_its_pivot(
     rest = 1e3 * T * (moving[-1] + 1)
     off = 1e3 * max(away)
     assert off <= fault.off or speed > 0.1
-    note_stop("chain", what, speed, rest if fault.latched else None, off)
+    note_stop(what, speed, rest if fault.latched else None, off)
     if not fault.latched:
         assert chain.out.state == State.ENABLED
         return

@@ -27,7 +27,7 @@ OTHER = "def other():\n  while True:\n    sync()\n  end\nend\n"
 @pytest.fixture
 def arm(tmp_path: Path) -> Iterator[Rig]:
     """A driver and its arm; the commands are zero."""
-    with rig(tmp_path) as (made, _):
+    with rig(tmp_path) as made:
         made.wait(Condition.READY)
         yield made
 

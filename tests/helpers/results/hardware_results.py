@@ -21,7 +21,6 @@ FUZZ_DATAGRAMS = "fuzz: datagrams between driver and node"
 FUZZ_DASHBOARD = "fuzz: answers of the dashboard server"
 FUZZ_SERVER = "fuzz: packets to the emulated RTDE server"
 ROBOTS = ("simulated arm", "emulated UR5e")
-AGE = "a command until it is executed"
 FRANKY = "processes, fr3 of franky-sim"
 FRANKY_CHAIN = "chain, fr3 with the joints of franky-sim"
 
@@ -49,24 +48,23 @@ def policy_row(which: str, robot: str) -> str:
 
 _PAGE = ResultsPage("hardware.md")
 note = _PAGE.note
-_stops: dict[tuple[str, str], dict[float, tuple[float | None, float]]] = {}
+_stops: dict[str, dict[float, tuple[float | None, float]]] = {}
 
 
-def note_stop(where: str, what: str, speed: float, rest: float | None, off: float) -> None:
+def note_stop(what: str, speed: float, rest: float | None, off: float) -> None:
     """Print a stop; its row is written once all speeds are there.
 
     Args:
-        where: ``chain`` or ``processes``.
         what: The fault.
         speed: Of `SPEEDS` [m/s].
         rest: Time to rest [ms]; None where the arm goes on.
         off: Largest deviation [mm].
     """
-    print(f"{where}: {what}, {1e3 * speed:.0f} mm/s: rest {rest} ms, deviation {off:.3f} mm")
-    found = _stops.setdefault((where, what), {})
+    print(f"chain: {what}, {1e3 * speed:.0f} mm/s: rest {rest} ms, deviation {off:.3f} mm")
+    found = _stops.setdefault(what, {})
     found[speed] = (rest, off)
     if len(found) == len(SPEEDS) and what in STOPS:
-        note(f"{where}: {what}", len(SPEEDS), stop_words([found[each] for each in SPEEDS]))
+        note(f"chain: {what}", len(SPEEDS), stop_words([found[each] for each in SPEEDS]))
 
 
 def stop_words(stops: Sequence[tuple[float | None, float]]) -> str:
