@@ -381,10 +381,6 @@ class Arm(Group):
         """One posture of a stream."""
         self._joints["servo_jp"](JointState(position=list(joints)))
 
-    def servo_jr(self, change: Array) -> None:
-        """One change of posture."""
-        self._joints["servo_jr"](JointState(position=list(change)))
-
     def move_jp(self, joints: Array) -> Handle:
         """Go to a posture."""
         return self._move(self._joints["move_jp"], JointState(position=list(joints)))
