@@ -18,7 +18,7 @@ Report = Callable[[float, str], None]
 
 def make(
     recorded: Any,
-    cell: Path,
+    cell: Path | None,
     out: Path,
     seconds: float = SECONDS,
     progress: Report = lambda fraction, note: None,
@@ -26,7 +26,7 @@ def make(
     """Write the film of an episode and return its path.
 
     The endoscope's pictures are the recorded ones. The room is drawn: the arms of the cell at the
-    recorded joint positions, each frame at its own time.
+    recorded joint positions, each frame at its own time. Without a cell there is no room.
 
     Raises:
         EpisodeError: Nothing to show, or the file cannot be written.
@@ -44,7 +44,13 @@ def make(
     if recorded.cameras:
         video = recorded.video(recorded.cameras[0])
         streams.append(film.frames_at(video, times, (_width(video.path), _HEIGHT)))
-    streams.append(_room(recorded, cells.load(cell), times, progress))
+    if cell is not None:
+        streams.append(_room(recorded, cells.load(cell), times, progress))
+    if not streams:
+        raise EpisodeError(
+            f"{recorded.folder}: has no camera, and names no cell whose room could be drawn;"
+            " give --cell"
+        )
     return film.write(film.beside(*streams), len(times), out)
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from surg_cli.host.terminal import CliError, Progress, say, warn
 
-Job = tuple[str, Path, Callable[[Path], Path]]
-"""Words for the progress, the episode's folder, and what writes it."""
+Job = tuple[str, Path, Callable[[Path, Any], Path]]
+"""Words for the progress, the episode's folder, and what writes it with a ledger."""
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -24,11 +24,15 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("sources", nargs="+", type=Path, metavar="SOURCE", help="bags, or folders of data sets")
     add("--out", type=Path, required=True, metavar="DIR", help="episodes become DIR/NAME")
     add("--map", type=Path, metavar="FILE", help="YAML: which topic or column is what")
+    add("--stamps", choices=("own", "bag"), default="own", help="of a bag: what states the time")
+    add("--allow-loss", type=percent, default=1.0, metavar="PERCENT", help="of each stream; 1")
     add("--only", nargs="+", type=int, metavar="N", help="these episodes of a data set")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Import each; exit status 1 if one was refused."""
+    from surg_recording.imports.import_page import Account, write_account
+    from surg_recording.imports.ledger import Ledger
     from surg_recording.recording_errors import EpisodeError, words_of
 
     try:
@@ -37,22 +41,36 @@ def main(options: argparse.Namespace, command: str) -> int:
     except EpisodeError as problem:
         raise CliError(f"import: {problem}", 2) from None
     options.out.mkdir(parents=True, exist_ok=True)
-    refused, made = [], []
+    accounts = []
     with Progress(f"import to {options.out}") as progress:
         for number, (words, folder, write) in enumerate(jobs):
             progress.update(number / len(jobs), words)
+            ledger = Ledger(options.allow_loss / 100)
             try:
                 if folder.exists():
                     raise EpisodeError(f"{folder}: is there already; name another --out")
-                made.append(write(folder))
+                accounts.append(Account(words, write(folder, ledger), "", ledger))
             except Exception as problem:  # one recording, not the import
-                refused.append(words_of(problem, words))
-    for folder in made:
-        say(f"  {folder}")
-    for reason in refused:
-        warn(f"  refused: {reason}")
-    say(f"import: {len(made)} episodes, {len(refused)} refused")
+                accounts.append(Account(words, None, words_of(problem, words), ledger))
+    page = write_account(options.out, accounts)
+    for account in accounts:
+        _say(account)
+    refused = sum(account.folder is None for account in accounts)
+    say(f"import: {len(accounts) - refused} episodes, {refused} refused; {page}")
     return 1 if refused else 0
+
+
+def _say(account: Any) -> None:
+    """The episode, and what is not in it; or why there is none."""
+    if account.folder is None:
+        warn(f"  refused: {account.reason}")
+        return
+    say(f"  {account.folder}")
+    for stream, reasons in account.ledger.dropped.items():
+        for reason, count in reasons.items():
+            warn(f"    {stream}: {count} dropped: {reason}")
+    for words in account.ledger.assumed:
+        say(f"    assumed: {words}")
 
 
 def _bags(options: argparse.Namespace, stated: Any) -> Iterator[Job]:
@@ -61,25 +79,34 @@ def _bags(options: argparse.Namespace, stated: Any) -> Iterator[Job]:
 
     chosen = None if stated is None else bag_map.of_yaml(stated)
     for path in options.sources:
-        yield str(path), options.out / path.stem, _writer(import_bag, path, chosen)
+
+        def write(folder: Path, ledger: Any, path: Path = path) -> Path:
+            return import_bag(path, folder, chosen, ledger, options.stamps == "own")
+
+        yield str(path), options.out / path.stem, write
 
 
 def _sets(options: argparse.Namespace, stated: Any) -> Iterator[Job]:
-    from surg_recording.imports.lerobot_reader import LeRobotData, import_episode
+    from surg_recording.imports.lerobot_reader import import_episode
+    from surg_recording.imports.lerobot_set import LeRobotData
 
     for root in options.sources:
         data = LeRobotData(root)
         for episode in options.only or range(data.count):
             name = f"{root.name}_{episode:06d}"
 
-            def write(folder: Path, data: Any = data, episode: int = episode) -> Path:
-                return import_episode(data, episode, folder, stated)
+            def write(folder: Path, ledger: Any, data: Any = data, episode: int = episode) -> Path:
+                return import_episode(data, episode, folder, stated, ledger)
 
             yield f"{root}, episode {episode}", options.out / name, write
 
 
-def _writer(import_one: Any, path: Path, chosen: Any) -> Callable[[Path], Path]:
-    return lambda folder: Path(import_one(path, folder, chosen))
+def percent(words: str) -> float:
+    """A share of 0 to 100."""
+    value = float(words)
+    if not 0 <= value <= 100:
+        raise argparse.ArgumentTypeError(f"{words}: allowed: 0 to 100")
+    return value
 
 
 def _yaml(path: Path) -> Any:

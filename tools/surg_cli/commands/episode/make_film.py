@@ -34,9 +34,11 @@ def main(options: argparse.Namespace, command: str) -> int:
     try:
         recorded = episode_reader.read(options.episode)
         name = (recorded.manifest.get("cell") or {}).get("name")
-        if options.cell is None and not name:
+        imported = recorded.manifest.get("mode") == "imported"
+        if options.cell is None and not (name or imported):
             raise CliError(f"{options.episode}: names no cell; give --cell", 2)
-        cell = cells.find(options.cell or str(name))
+        alone = imported and options.cell is None  # without a cell the cameras alone are shown
+        cell = None if alone else cells.find(options.cell or str(name))
         with Progress("film") as progress:
             episode_film.make(recorded, cell, options.out, options.seconds, progress.update)
     except (EpisodeError, NoOpenGL, ValueError) as problem:

@@ -56,7 +56,8 @@ class Table:
     def joints(self, prefix: str = "q") -> npt.NDArray[np.float64]:
         """Columns ``<prefix>0``, ``<prefix>1``, … as (N, joints)."""
         count = table_columns.joint_count(self.columns)
-        return np.stack([self[f"{prefix}{i}"] for i in range(count)], axis=1)
+        columns = [self[f"{prefix}{i}"] for i in range(count)]
+        return np.stack(columns, axis=1) if columns else np.zeros((len(self), 0))
 
     def without(self, name: str) -> Table:
         """The table without a column."""

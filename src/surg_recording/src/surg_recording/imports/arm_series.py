@@ -9,7 +9,8 @@ under ``imported.not_measured``.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,7 +21,10 @@ import numpy.typing as npt
 from surg_core.contract import ENABLED
 from surg_core.transforms import matrix_to_quaternion_xyzw, rpy_to_matrix
 from surg_recording.episode.annotations import Tag
+from surg_recording.episode.episode_reader import MANIFEST
 from surg_recording.episode.episode_recorder import Recording
+from surg_recording.file_io import read_json
+from surg_recording.imports.ledger import Ledger
 from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
@@ -75,7 +79,9 @@ def write(
     cameras: list[str],
     pictures: Iterable[Picture],
     manifest: Mapping[str, Any],
+    ledger: Ledger,
     result: bool | None = None,
+    stages: Sequence[tuple[int, str]] = (),
 ) -> Path:
     """Write an episode.
 
@@ -85,13 +91,16 @@ def write(
         cameras: Names of the cameras.
         pictures: All of them, in the order of their time.
         manifest: Facts about the recording; ``imported`` says where it came from.
+        ledger: What was kept and dropped; it goes into the manifest.
         result: What the source says of its success; None: nothing.
+        stages: Stamp [ns] and text of each stage that begins.
 
     Returns:
         The folder; its name has a number behind it if it was taken.
 
     Raises:
-        EpisodeError: A series is too short, its stamps go back, or the folder cannot be written.
+        EpisodeError: A series is too short, its stamps go back, the folder cannot be written, or
+            more pictures were lost than the ledger allows; nothing stays then.
     """
     for arm in arms:
         if len(arm.stamps) < 2 or not np.all(np.diff(arm.stamps) > 0):
@@ -113,6 +122,26 @@ def write(
         cameras=cameras,
         manifest={**facts, "mode": "imported"},
     )
+    try:
+        _fill(recording, arms, pictures)
+        end = max(int(arm.stamps[-1]) for arm in arms)
+        for stamp, text in stages:
+            recording.tag(Tag(stage=text), text, "/import", stamp, stamp)
+        if result is not None:
+            recording.tag(Tag(success=result, judged=True), "success", "/import", end, end)
+        ledger.check()
+    except BaseException:
+        shutil.rmtree(recording.close({}))
+        raise
+    made = recording.close({"imported": {**imported, **ledger.stated()}}, end_stamp_ns=end)
+    whole = read_json(made / MANIFEST)
+    if whole["outcome"] != "complete":
+        shutil.rmtree(made)
+        raise EpisodeError(f"the episode would be incomplete: {whole.get('reason')}")
+    return made
+
+
+def _fill(recording: Recording, arms: list[ArmSeries], pictures: Iterable[Picture]) -> None:
     for arm in arms:
         for tick, message in enumerate(_cycles(arm), start=1):
             stamp = int(arm.stamps[tick - 1])
@@ -120,10 +149,6 @@ def write(
             recording.command(arm.name, "servo_cp", _command(message), "/import", stamp)
     for picture in pictures:
         recording.image(picture.camera, picture.message, picture.stamp_ns)
-    if result is not None:
-        end = max(int(arm.stamps[-1]) for arm in arms)
-        recording.tag(Tag(success=result, judged=True), "success", "/import", end, end)
-    return recording.close({})
 
 
 def _cycles(arm: ArmSeries) -> Iterator[SimpleNamespace]:

@@ -19,7 +19,7 @@ ARM_TOPICS = {
 """Keys of an arm in a map, with the topics of CRTK (dVRK 2). Only ``measured_cp`` is required."""
 FACTS = ("task", "operator", "setting", "instruction")
 DVRK_ARMS = ("PSM1", "PSM2", "PSM3")
-_ARM_FACTS = ("rcm", "rcm_rpy", "robot", "instrument")
+ARM_FACTS = ("rcm", "rcm_rpy", "robot", "instrument")
 OUT_OF_THE_PATIENT = (math.pi, 0.0, 0.0)
 """Default of ``rcm_rpy``: the base's z points out of the patient, as that of dVRK's PSM does."""
 
@@ -55,7 +55,7 @@ def of_yaml(stated: Any) -> BagMap:
         raise EpisodeError(f"--map: keys are {', '.join(sorted(keys))}; 'arms' is needed")
     arms = []
     for name, entry in stated["arms"].items():
-        allowed = {*ARM_TOPICS, *_ARM_FACTS}
+        allowed = {*ARM_TOPICS, *ARM_FACTS}
         if not isinstance(entry, Mapping) or set(entry) - allowed or "measured_cp" not in entry:
             raise EpisodeError(
                 f"--map, arms.{name}: keys are {', '.join(sorted(allowed))};"
@@ -65,7 +65,7 @@ def of_yaml(stated: Any) -> BagMap:
         about: dict[str, Any] = {k: str(entry[k]) for k in ("robot", "instrument") if k in entry}
         for key in ("rcm", "rcm_rpy"):
             if key in entry:
-                about[key] = _three(entry[key], f"--map, arms.{name}.{key}")
+                about[key] = three(entry[key], f"--map, arms.{name}.{key}")
         arms.append(ArmTopics(str(name), topics, **about))
     cameras = stated.get("cameras") or {}
     if not isinstance(cameras, Mapping):
@@ -105,7 +105,8 @@ def _cameras(topics: Mapping[str, str]) -> dict[str, str]:
     return found
 
 
-def _three(value: Any, where: str) -> tuple[float, ...]:
+def three(value: Any, where: str) -> tuple[float, ...]:
+    """Three numbers of a map; an EpisodeError names the key."""
     good = isinstance(value, Collection) and len(value) == 3
     if not good or not all(isinstance(v, (int, float)) and math.isfinite(v) for v in value):
         raise EpisodeError(f"{where}: {value!r}; three numbers are needed")

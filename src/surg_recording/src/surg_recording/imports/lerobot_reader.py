@@ -1,4 +1,4 @@
-"""Reads LeRobot data sets 2.1 and 3.0, and imports their episodes.
+"""Imports the episodes of LeRobot data sets.
 
 Data sets of ``./surg episode export`` name their columns (``PSM1/tip_x``) and need nothing. For
 others a map says which column is what (docs/reference/imports.md).
@@ -7,29 +7,27 @@ others a map says which column is what (docs/reference/imports.md).
 from __future__ import annotations
 
 import dataclasses
-import itertools
-import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import av
 import numpy as np
 import numpy.typing as npt
-import pyarrow.parquet as pq
 
-from surg_core.contract import ACTION_KEY, ARM_ACTION, ARM_STATE, SECOND_NS, STATE_KEY
-from surg_recording.datasets import schema
-from surg_recording.datasets.frames.resample import offsets_ns
+from surg_core.contract import ACTION_KEY, ARM_ACTION, ARM_STATE, STATE_KEY
 from surg_recording.imports.arm_series import ArmSeries, Picture, header, write
+from surg_recording.imports.bag_map import ARM_FACTS, FACTS, three
+from surg_recording.imports.ledger import Ledger
+from surg_recording.imports.lerobot_set import LeRobotData, names_of
+from surg_recording.imports.lerobot_times import row_times
+from surg_recording.imports.picture_decoder import PictureDecoder, image_message
 from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
 
 _MEASURED = ARM_STATE[: len(ARM_ACTION)]  # the measured ones come first
-START_NS = SECOND_NS
-"""Stamp of the first frame where the data set states none [ns]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,75 +39,6 @@ class ArmColumns:
     """Feature, and the columns of tip x, y, z, roll and jaw; -1: there is none."""
     goal: tuple[str, tuple[int, ...]] | None
     joints: tuple[str, tuple[int, ...]] | None
-
-
-class LeRobotData:
-    """A data set on the disk."""
-
-    def __init__(self, root: Path) -> None:
-        """Read its description; an EpisodeError if it is none."""
-        self.root = root
-        try:
-            self.info: dict[str, Any] = json.loads((root / "meta" / "info.json").read_text("utf-8"))
-            self.fps, self.count = int(self.info["fps"]), int(self.info["total_episodes"])
-            self.features: dict[str, dict[str, Any]] = self.info["features"]
-        except (OSError, ValueError, KeyError, TypeError) as problem:
-            raise EpisodeError(f"{root}: no LeRobot data set (meta/info.json: {problem})") from None
-        self.videos = [name for name, f in self.features.items() if f.get("dtype") == "video"]
-        self._rows = _episode_rows(root)
-
-    def table(self, episode: int) -> Any:
-        """The rows of an episode, in order."""
-        path = self.root / self.info["data_path"].format(**self._place(episode, "data"))
-        try:
-            table = pq.read_table(path, filters=[("episode_index", "=", episode)])
-        except (OSError, ValueError) as problem:
-            raise EpisodeError(f"{path}: cannot be read ({problem})") from None
-        if not table.num_rows:
-            raise EpisodeError(f"{path}: holds no row of episode {episode}")
-        return table.sort_by("frame_index")
-
-    def pictures(self, episode: int, video: str, count: int) -> Iterator[npt.NDArray[np.uint8]]:
-        """The ``count`` pictures (height, width, 3) of an episode."""
-        place = self._place(episode, f"videos/{video}")
-        path = self.root / self.info["video_path"].format(video_key=video, **place)
-        row = self._rows.get(episode, {})
-        first = round(float(row.get(f"videos/{video}/from_timestamp", 0.0)) * self.fps)
-        try:
-            with av.open(str(path)) as container:
-                frames = itertools.islice(container.decode(video=0), first, first + count)
-                for frame in frames:
-                    yield frame.to_ndarray(format="rgb24")
-        except (av.error.FFmpegError, IndexError) as problem:
-            raise EpisodeError(f"{path}: cannot be decoded ({problem})") from None
-
-    def task(self, table: Any) -> str:
-        """The instruction of an episode's first frame."""
-        if schema.INSTRUCTION in table.column_names:
-            return str(table.column(schema.INSTRUCTION)[0].as_py())
-        lines = self.root / "meta" / "tasks.jsonl"
-        if not lines.is_file():
-            return "not stated"
-        tasks = [json.loads(line) for line in lines.read_text("utf-8").splitlines()]
-        index = table.column("task_index")[0].as_py()
-        return next((t["task"] for t in tasks if t["task_index"] == index), "not stated")
-
-    def _place(self, episode: int, prefix: str) -> dict[str, int]:
-        row = self._rows.get(episode, {})
-        found = {
-            key: int(row[f"{prefix}/{key}"])
-            for key in ("chunk_index", "file_index")
-            if f"{prefix}/{key}" in row
-        }
-        chunk = episode // int(self.info.get("chunks_size", 1000))
-        return {"episode_index": episode, "episode_chunk": chunk, **found}
-
-
-def _episode_rows(root: Path) -> dict[int, dict[str, Any]]:
-    """Rows of ``meta/episodes`` of a data set 3.0; none for 2.1."""
-    files = sorted((root / "meta" / "episodes").rglob("*.parquet"))
-    rows = [row for file in files for row in pq.read_table(file).to_pylist()]
-    return {int(row["episode_index"]): row for row in rows}
 
 
 def columns_of(data: LeRobotData, stated: Mapping[str, Any] | None) -> list[ArmColumns]:
@@ -146,14 +75,21 @@ def columns_of(data: LeRobotData, stated: Mapping[str, Any] | None) -> list[ArmC
     return found
 
 
+def _check_keys(where: str, stated: Any, allowed: Sequence[str]) -> None:
+    if not isinstance(stated, Mapping) or set(stated) - set(allowed):
+        raise EpisodeError(f"--map{where}: keys are {', '.join(allowed)}")
+
+
 def _mapped(data: LeRobotData, arm: str, entry: Any) -> ArmColumns:
     if not isinstance(entry, Mapping) or not isinstance(entry.get("measured"), Mapping):
         raise EpisodeError(f"--map, arms.{arm}: 'measured' with x, y and z is needed")
+    _check_keys(f", arms.{arm}", entry, ("measured", "goal", *ARM_FACTS))
 
     def place(key: str, wanted: Sequence[str]) -> tuple[str, tuple[int, ...]] | None:
         stated = entry.get(key)
         if stated is None:
             return None
+        _check_keys(f", arms.{arm}.{key}", stated, ("feature", *ARM_ACTION))
         feature = str(stated.get("feature", STATE_KEY if key == "measured" else ACTION_KEY))
         return feature, tuple(
             _index(data, feature, stated.get(name), f"arms.{arm}.{key}.{name}") for name in wanted
@@ -188,29 +124,41 @@ def _width(data: LeRobotData, feature: str) -> int:
 
 
 def _names(data: LeRobotData, feature: str) -> list[str]:
-    """Names of a feature's columns: a list, or (as some write them) a map with one list."""
-    names = data.features.get(feature, {}).get("names") or []
-    if isinstance(names, Mapping):
-        (names,) = names.values()
-    return [str(name) for name in names]
+    return names_of(data.features.get(feature, {}))
 
 
 def import_episode(
-    data: LeRobotData, episode: int, folder: Path, stated: Mapping[str, Any] | None = None
+    data: LeRobotData,
+    episode: int,
+    folder: Path,
+    stated: Mapping[str, Any] | None = None,
+    ledger: Ledger | None = None,
 ) -> Path:
-    """Write one episode of a data set as an episode folder; an EpisodeError says why not."""
-    stated = stated or {}
-    table = data.table(episode)
-    times = START_NS + offsets_ns(np.arange(table.num_rows), data.fps)
-    if "timing.grid_ns" in table.column_names:
-        times = _numbers(table, "timing.grid_ns")[:, 0].astype(np.int64)
-    arms = [_series(table, each, times, stated) for each in columns_of(data, stated.get("arms"))]
-    cameras = {_camera(name): name for name in data.videos}
-    instruction = data.task(table)
+    """Write one episode of a data set as an episode folder; an EpisodeError says why not.
+
+    Args:
+        data: The data set.
+        episode: Its number.
+        folder: The new folder.
+        stated: A map; None: the data set's names say which column is what.
+        ledger: Receives what was kept and dropped.
+    """
+    stated, ledger = stated or {}, Ledger() if ledger is None else ledger
+    _check_keys("", stated, ("arms", *FACTS))
+    table, where = data.table(episode), f"{data.root}, episode {episode}"
+    times = row_times(table, data.fps, where, ledger)
+    arms = [
+        _series(table, each, times, stated, ledger) for each in columns_of(data, stated.get("arms"))
+    ]
+    ledger.check()
+    cameras = _cameras(data.cameras)
+    texts = data.instructions(table)
+    different = list(dict.fromkeys(texts))
     success = None
     if "next.success" in table.column_names:
         success = bool(_numbers(table, "next.success")[-1, 0])
     facts = {key: stated.get(key) for key in ("task", "operator") if stated.get(key)}
+    instruction = stated.get("instruction") or "; ".join(different)
     run: dict[str, Any] = {
         "instruction": instruction,
         "setting": stated.get("setting"),
@@ -220,39 +168,93 @@ def import_episode(
     manifest: dict[str, Any] = {
         **facts,
         "run": {**run, **facts},
-        "imported": source,
+        "imported": {**source, "fps": str(data.fps)},
         "clock": "data set",
     }
     manifest.setdefault("task", instruction)
-    return write(
-        folder, arms, list(cameras), _pictures(data, episode, cameras, times), manifest, success
-    )
+    stages: list[tuple[int, str]] = []
+    if len(different) > 1:
+        ledger.converted["instructions"] = f"{len(different)} of one episode to its stages"
+        stages = [
+            (int(stamp), text)
+            for row, (stamp, text) in enumerate(zip(times, texts, strict=True))
+            if row == 0 or text != texts[row - 1]
+        ]
+    pictures = _pictures(data, episode, cameras, times, table, ledger)
+    return write(folder, arms, list(cameras), pictures, manifest, ledger, success, stages)
 
 
-def _camera(video: str) -> str:
-    return video.removeprefix("observation.images.").replace(".", "_")
+def _cameras(features: Sequence[str]) -> dict[str, str]:
+    """Features by the camera's name, which is also that of a file."""
+    cameras: dict[str, str] = {}
+    for feature in features:
+        plain = feature.removeprefix("observation.images.")
+        name = re.sub(r"[^A-Za-z0-9_-]", "_", plain).strip("_") or "camera"
+        if name in cameras:
+            raise EpisodeError(f"the features {cameras[name]} and {feature} give the same name")
+        cameras[name] = feature
+    return cameras
 
 
 def _pictures(
-    data: LeRobotData, episode: int, cameras: Mapping[str, str], times: npt.NDArray[np.int64]
+    data: LeRobotData,
+    episode: int,
+    cameras: Mapping[str, str],
+    times: npt.NDArray[np.int64],
+    table: Any,
+    ledger: Ledger,
 ) -> Iterator[Picture]:
-    for camera, video in cameras.items():
-        shown = data.pictures(episode, video, len(times))
-        for stamp, image in zip(map(int, times), shown, strict=True):
-            height, width = image.shape[:2]
-            message = SimpleNamespace(
-                header=header(stamp), width=width, height=height, step=3 * width, encoding="rgb8"
-            )
-            message.data = image.tobytes()
-            yield Picture(camera, message, stamp)
+    named = "timestamp" in table.column_names
+    seconds = _numbers(table, "timestamp" if named else "frame_index")[:, 0]
+    seconds = seconds if named else seconds / float(data.fps)
+    for camera, feature in cameras.items():
+        decoder = PictureDecoder(camera, ledger)
+        ledger.hold(camera, len(times))
+        if data.features[feature]["dtype"] == "image":
+            made = _stored(data, table, feature, camera, ledger)
+        else:
+            shown = data.pictures(episode, feature, seconds, camera, ledger)
+            made = ((row, image_message(image, rgb=True)) for row, image in shown)
+        for row, message in made:
+            message.header = header(int(times[row]))
+            ready = decoder(message)
+            if ready is not None:
+                yield Picture(camera, ready, int(times[row]))
+
+
+def _stored(
+    data: LeRobotData, table: Any, feature: str, camera: str, ledger: Ledger
+) -> Iterator[tuple[int, SimpleNamespace]]:
+    """Pictures in the table itself: compressed, or in a file of the data set beside it."""
+    for row, stored in enumerate(table.column(feature).to_pylist()):
+        content = (stored or {}).get("bytes")
+        if content is None:
+            path = Path(str((stored or {}).get("path") or ""))
+            inside = not path.is_absolute() and ".." not in path.parts
+            file = data.root / path
+            content = file.read_bytes() if inside and file.is_file() else None
+        if content is None:
+            ledger.drop(camera, "rows without a picture")
+            continue
+        yield row, SimpleNamespace(format="", data=content)
 
 
 def _series(
-    table: Any, arm: ArmColumns, times: npt.NDArray[np.int64], stated: Mapping[str, Any]
+    table: Any,
+    arm: ArmColumns,
+    times: npt.NDArray[np.int64],
+    stated: Mapping[str, Any],
+    ledger: Ledger,
 ) -> ArmSeries:
     measured = _picked(table, *arm.measured)
-    goal = measured if arm.goal is None else _held(_picked(table, *arm.goal), measured)
     q = np.zeros((len(times), 0)) if arm.joints is None else _picked(table, *arm.joints)
+    goal = measured if arm.goal is None else _held(_picked(table, *arm.goal), measured)
+    stream = f"{arm.name} ({arm.measured[0]})"
+    ledger.hold(stream, len(times))
+    good = np.ones(len(times), bool)
+    broken = ~np.isfinite(np.hstack([measured, q, goal])).all(axis=1)
+    good = ledger.sieve(stream, broken, "rows with an empty value or one that is no number", good)
+    times, measured, q, goal = times[good], measured[good], q[good], goal[good]
     about = (stated.get("arms") or {}).get(arm.name) or {}
     return ArmSeries(
         name=arm.name,
@@ -261,12 +263,12 @@ def _series(
         roll=measured[:, 3],
         jaw=measured[:, 4],
         q=q,
-        qd=np.gradient(q, times * 1e-9, axis=0) if q.size else q,
+        qd=np.gradient(q, times * 1e-9, axis=0) if q.size and len(q) > 1 else 0.0 * q,
         p_BGoal=goal[:, :3],
         roll_goal=goal[:, 3],
         jaw_goal=goal[:, 4],
-        p_BRcm=np.array(about.get("rcm", [0.0, 0.0, 0.0]), dtype=np.float64),
-        rpy_BR=np.array(about.get("rcm_rpy", [0.0, 0.0, 0.0]), dtype=np.float64),
+        p_BRcm=np.array(three(about.get("rcm", [0, 0, 0]), f"--map, arms.{arm.name}.rcm")),
+        rpy_BR=np.array(three(about.get("rcm_rpy", [0, 0, 0]), f"--map, arms.{arm.name}.rcm_rpy")),
         robot=str(about.get("robot", "unknown")),
         instrument=str(about.get("instrument", "unknown")),
     )
@@ -286,8 +288,14 @@ def _picked(table: Any, feature: str, columns: Sequence[int]) -> Array:
 
 
 def _numbers(table: Any, name: str) -> Array:
-    """A column as (N, D) float64."""
+    """A column as (N, D) float64; NaN where it is empty."""
     if name not in table.column_names:
         raise EpisodeError(f"the data set has no column {name}")
-    values = np.array(table.column(name).to_pylist())
-    return values.reshape(len(values), -1)
+    values = table.column(name).to_pylist()
+    full = next((value for value in values if value is not None), None)
+    blank = [None] * len(full) if isinstance(full, list) else None
+    filled = [blank if value is None else value for value in values]
+    try:
+        return np.array(filled, dtype=np.float64).reshape(len(values), -1)
+    except (TypeError, ValueError) as problem:
+        raise EpisodeError(f"column {name}: not numbers of one width ({problem})") from None

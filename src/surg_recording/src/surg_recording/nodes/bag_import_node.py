@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,21 +11,43 @@ import rosbag
 
 from surg_core.transforms import quaternion_xyzw_to_matrix, rpy_to_matrix, twist_angle
 from surg_recording.imports import bag_map
-from surg_recording.imports.arm_series import ArmSeries, Picture, write
+from surg_recording.imports.arm_series import ArmSeries, write
 from surg_recording.imports.bag_map import ArmTopics, BagMap
+from surg_recording.imports.ledger import Ledger
+from surg_recording.nodes.bag_streams_node import BagStreams, Samples
 from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
-Samples = tuple[npt.NDArray[np.int64], Array]
-"""Stamps (N,) [ns] and values (N, D)."""
+
+APART_NS = 200_000_000
+"""A pose whose nearest joint state is further away than this, and than three of its periods, is
+left out [ns]."""
+UNIT_TOLERANCE = 0.01
+"""By which a quaternion's length may differ from 1."""
 
 
-def import_bag(path: Path, folder: Path, chosen: BagMap | None = None) -> Path:
+def import_bag(
+    path: Path,
+    folder: Path,
+    chosen: BagMap | None = None,
+    ledger: Ledger | None = None,
+    own_stamps: bool = True,
+) -> Path:
     """Write a bag as an episode folder; without a map by dVRK's names.
 
+    Args:
+        path: Of the bag.
+        folder: The new folder.
+        chosen: Which topic is what.
+        ledger: Receives what was kept and dropped.
+        own_stamps: False: the times at which the bag received the messages count.
+
     Raises:
-        EpisodeError: It is no bag, lacks a topic, or a message is not of a usable type.
+        EpisodeError: It is no bag, lacks a topic, a message is not of a usable type, the stamps
+            contradict one another, or more would be lost than the ledger allows.
     """
+    ledger = Ledger() if ledger is None else ledger
+    _refuse_ros2(path)
     try:
         with rosbag.Bag(str(path)) as bag:
             stated = bag.get_type_and_topic_info().topics
@@ -36,53 +57,120 @@ def import_bag(path: Path, folder: Path, chosen: BagMap | None = None) -> Path:
             missing = sorted((wanted | set(chosen.cameras.values())) - set(kinds))
             if missing:
                 raise EpisodeError(f"no topic {', '.join(missing)}; there are {_list(kinds)}")
-            arms = [_series(bag, arm) for arm in chosen.arms]
+            streams = BagStreams(bag, ledger, own_stamps)
+            arms = [_series(streams, arm) for arm in chosen.arms]
+            pictures = streams.pictures(chosen.cameras)
+            ledger.check()
+            left = sorted(set(kinds) - wanted - set(chosen.cameras.values()))
+            if left:
+                ledger.assume(f"topics that are not imported: {', '.join(left)}")
             facts = dict(chosen.facts)
             run = {"robot": arms[0].robot, "setting": facts.get("setting"), **facts}
             source = {"format": "rosbag", "from": str(path)}
             manifest = {**facts, "run": run, "imported": source, "clock": "bag"}
             manifest.setdefault("task", path.stem)
-            pictures = _pictures(bag, chosen)
-            return write(folder, arms, list(chosen.cameras), pictures, manifest)
+            return write(folder, arms, list(chosen.cameras), pictures, manifest, ledger)
+    except rosbag.ROSBagUnindexedException:
+        raise EpisodeError(
+            f"{path}: was not closed, so it has no index; rosbag reindex {path} writes one"
+        ) from None
     except (rosbag.ROSBagException, OSError) as problem:
         raise EpisodeError(f"{path}: not a bag that can be read ({problem})") from None
     except EpisodeError as problem:
         raise EpisodeError(f"{path}: {problem}") from None
 
 
+def _refuse_ros2(path: Path) -> None:
+    if path.suffix in (".mcap", ".db3") or (path / "metadata.yaml").is_file():
+        raise EpisodeError(
+            f"{path}: is a bag of ROS 2; bags of ROS 1 are read. 'rosbags-convert --src {path}"
+            " --dst NEW.bag' (pip install rosbags) makes one"
+        )
+
+
 def _list(kinds: dict[str, str]) -> str:
     return ", ".join(f"{topic} ({kind})" for topic, kind in sorted(kinds.items()))
 
 
-def _series(bag: rosbag.Bag, arm: ArmTopics) -> ArmSeries:
-    stamps, pose = _samples(bag, arm.topics["measured_cp"], _pose)
-    R_RB = rpy_to_matrix(arm.rcm_rpy).T
-    joints = _resampled(bag, arm, "measured_js", _joints, stamps)
-    q, qd = np.split(joints, 2, axis=1)
-    jaw = _resampled(bag, arm, "jaw", _jaw, stamps)[:, :1]
-    roll = _roll(R_RB, pose)
-    goal = pose
+def _series(streams: BagStreams, arm: ArmTopics) -> ArmSeries:
+    topic, ledger = arm.topics["measured_cp"], streams.ledger
+    poses = _oriented(streams.samples(topic, _pose), topic, ledger)
+    joints = _Joints()
+    found = {
+        key: streams.samples(arm.topics[key], values)
+        for key, values in (("measured_js", joints), ("jaw", _jaw), ("goal_jaw", _jaw))
+        if key in arm.topics
+    }
+    good = np.ones(len(poses.stamps), bool)
+    for key in {"measured_js", "jaw"} & set(found):
+        away = _far(found[key], poses.stamps)
+        reason = f"without a message of {arm.topics[key]} beside them"
+        good = ledger.sieve(topic, away, reason, good)
+    poses = poses.only(good)
+    times, R_RB = poses.stamps, rpy_to_matrix(arm.rcm_rpy).T
+    zeros = np.zeros(len(times))
+    jaw = found["jaw"].at(times)[:, 0] if "jaw" in found else zeros
+    goal = poses.values
     if "goal_cp" in arm.topics:
-        goal = _resampled(bag, arm, "goal_cp", _pose, stamps)
-    goal_jaw = _resampled(bag, arm, "goal_jaw", _jaw, stamps)[:, :1]
+        goal = _goal(streams, arm.topics["goal_cp"], poses)
+    q, qd = np.zeros((len(times), 0)), np.zeros((len(times), 0))
+    if "measured_js" in found:
+        q, qd = np.split(found["measured_js"].at(times), [joints.count], axis=1)
+        if q.shape != qd.shape:
+            ledger.assume(f"{arm.topics['measured_js']}: velocities are differences of positions")
+            qd = np.gradient(q, (times - times[0]) * 1e-9, axis=0) if len(times) > 1 else 0.0 * q
     return ArmSeries(
         name=arm.name,
-        stamps=stamps,
-        p_BTip=pose[:, :3],
-        roll=roll,
-        jaw=jaw[:, 0] if jaw.size else np.zeros(len(stamps)),
+        stamps=times,
+        p_BTip=poses.values[:, :3],
+        roll=_roll(R_RB, poses.values),
+        jaw=jaw,
         q=q,
         qd=qd,
         p_BGoal=goal[:, :3],
         roll_goal=_roll(R_RB, goal),
-        jaw_goal=(goal_jaw if goal_jaw.size else jaw)[:, 0]
-        if goal_jaw.size or jaw.size
-        else np.zeros(len(stamps)),
+        jaw_goal=found["goal_jaw"].at(times)[:, 0] if "goal_jaw" in found else jaw,
         p_BRcm=np.array(arm.rcm),
         rpy_BR=np.array(arm.rcm_rpy),
         robot=arm.robot,
         instrument=arm.instrument,
     )
+
+
+def _oriented(poses: Samples, topic: str, ledger: Ledger) -> Samples:
+    """Poses whose quaternion is one."""
+    length = np.linalg.norm(poses.values[:, 3:], axis=1)
+    good = np.ones(len(length), bool)
+    good = ledger.sieve(topic, length == 0, "without an orientation (quaternion 0 0 0 0)", good)
+    off = np.abs(length - 1) > UNIT_TOLERANCE
+    good = ledger.sieve(topic, off, "with a quaternion that is not of length 1", good)
+    return poses.only(good)
+
+
+def _far(samples: Samples, times: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+    """Times without a sample beside them."""
+    known = samples.stamps
+    if not len(known):
+        return np.ones(len(times), bool)
+    period = int(np.median(np.diff(known))) if len(known) > 1 else 0
+    after = np.searchsorted(known, times).clip(0, len(known) - 1)
+    before = (after - 1).clip(0)
+    nearest = np.minimum(np.abs(known[after] - times), np.abs(known[before] - times))
+    return np.asarray(nearest > max(APART_NS, 3 * period))
+
+
+def _goal(streams: BagStreams, topic: str, poses: Samples) -> Array:
+    """The commanded poses at the measured ones; before the first command the measured ones."""
+    goals = _oriented(streams.samples(topic, _pose), topic, streams.ledger)
+    if not len(goals.stamps):
+        return poses.values
+    newest = np.searchsorted(goals.stamps, poses.stamps, side="right") - 1
+    turned = goals.values[newest.clip(0), 3:]  # orientations: the newest
+    values = np.hstack([goals.at(poses.stamps)[:, :3], turned])
+    early = int((newest < 0).sum())
+    if early:
+        streams.ledger.assume(f"{topic}: {early} poses before the first command count as goals")
+    return np.where(newest[:, None] < 0, poses.values, values)
 
 
 def _roll(R_RB: Array, pose: Array) -> Array:
@@ -94,75 +182,26 @@ def _roll(R_RB: Array, pose: Array) -> Array:
     return np.unwrap(twists)
 
 
-def _samples(bag: rosbag.Bag, topic: str, values: Any) -> Samples:
-    """The messages of a topic as numbers; of equal or earlier stamps the first counts."""
-    stamps: list[int] = []
-    rows: list[list[float]] = []
-    for _, message, time in bag.read_messages([topic]):
-        stamp = message.header.stamp.to_nsec() or time.to_nsec()
-        if stamps and stamp <= stamps[-1]:
-            continue
-        try:
-            row = values(message)
-        except AttributeError:
-            raise EpisodeError(
-                f"{topic}: messages of type {message._type} cannot be used"
-            ) from None
-        if rows and len(row) != len(rows[0]):
-            raise EpisodeError(f"{topic}: {len(row)} numbers after {len(rows[0])}")
-        stamps.append(stamp)
-        rows.append(row)
-    if not rows:
-        raise EpisodeError(f"{topic}: holds no message")
-    numbers = np.array(rows, dtype=np.float64).reshape(len(rows), -1)
-    if not np.isfinite(numbers).all():
-        raise EpisodeError(f"{topic}: a value is not a number")
-    return np.array(stamps, dtype=np.int64), numbers
-
-
-def _resampled(
-    bag: rosbag.Bag, arm: ArmTopics, key: str, values: Any, times: npt.NDArray[np.int64]
-) -> Array:
-    """A topic's numbers at other times, linear; the first and last value hold beyond its ends."""
-    if key not in arm.topics:
-        return np.zeros((len(times), 0))
-    stamps, numbers = _samples(bag, arm.topics[key], values)
-    if values is _pose:  # orientations: the newest
-        newest = np.clip(np.searchsorted(stamps, times, side="right") - 1, 0, len(stamps) - 1)
-        return np.hstack([_linear(stamps, numbers[:, :3], times), numbers[newest, 3:]])
-    return _linear(stamps, numbers, times)
-
-
-def _linear(stamps: npt.NDArray[np.int64], numbers: Array, times: npt.NDArray[np.int64]) -> Array:
-    begin = stamps[0]
-    at, known = (times - begin).astype(float), (stamps - begin).astype(float)
-    return np.column_stack([np.interp(at, known, column) for column in numbers.T])
-
-
 def _pose(message: Any) -> list[float]:
-    """x, y, z and quaternion of a PoseStamped or TransformStamped."""
+    """x, y, z and quaternion of a pose or a transform, stamped or not."""
     if hasattr(message, "transform"):
         p, q = message.transform.translation, message.transform.rotation
     else:
-        p, q = message.pose.position, message.pose.orientation
+        pose = getattr(message, "pose", message)
+        p, q = pose.position, pose.orientation
     return [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
 
 
-def _joints(message: Any) -> list[float]:
-    """Positions, then velocities, of a JointState."""
-    velocity = list(message.velocity) or [0.0] * len(message.position)
-    return [*message.position, *velocity]
+class _Joints:
+    """Positions, then velocities (none in some bags), of a JointState."""
+
+    count = 0
+    """Joints of the first message."""
+
+    def __call__(self, message: Any) -> list[float]:
+        self.count = self.count or len(message.position)
+        return [*message.position, *message.velocity]
 
 
 def _jaw(message: Any) -> list[float]:
     return list(message.position)[:1]
-
-
-def _pictures(bag: rosbag.Bag, chosen: BagMap) -> Iterator[Picture]:
-    names = {topic: camera for camera, topic in chosen.cameras.items()}
-    if not names:
-        return
-    for topic, message, time in bag.read_messages(list(names)):
-        if not message.header.stamp.to_nsec():
-            message.header.stamp = time
-        yield Picture(names[topic], message, time.to_nsec())

@@ -51,13 +51,16 @@ def serialised(message: Any) -> bytes:
 
 def messages(sampled: Sampled, options: ExportOptions) -> Iterator[Stamped]:
     """All messages of a recording; an EpisodeError if a feature that they need is left out."""
-    missing = [name for name in _NEEDED if name not in sampled.columns]
+    jointed = any(sampled.candidate.layout.joints)  # recordings of other programs may have none
+    needed = _NEEDED if jointed else _NEEDED[:-1]
+    missing = [name for name in needed if name not in sampled.columns]
     if missing or options.action_space != ABSOLUTE:
         what = f"--drop {' '.join(missing)}" if missing else f"--action-space {ABSOLUTE} only"
-        raise EpisodeError(f"messages need {', '.join(_NEEDED)}: {what}")
+        raise EpisodeError(f"messages need {', '.join(needed)}: {what}")
     streams = [_texts(sampled)]
     for arm in sampled.candidate.layout.arms:
-        streams.append(_joints(sampled, arm))
+        if jointed:
+            streams.append(_joints(sampled, arm))
         if arm in sampled.candidate.layout.commanded:
             streams += [_motion(sampled, arm), _commands(sampled, arm)]
             if FORCE_KEY in sampled.columns:

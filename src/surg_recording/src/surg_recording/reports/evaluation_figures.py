@@ -28,12 +28,13 @@ from surg_recording.reports.figure_style import (
 from surg_recording.reports.terms import named
 
 
-def deviation(summary: Mapping[str, Any]) -> Figure:
-    """Mean and maximum of the RCM deviation of each episode."""
+def deviation(summary: Mapping[str, Any]) -> Figure | None:
+    """Mean and maximum of the RCM deviation of each episode; None: none has one."""
     groups, marks = _groups(summary), [mark for mark in _paper(summary) if mark["metric"] == "rcm"]
     conditions = {"conditions": list(summary["conditions"].values()), "paper": marks}
     figure = trial_figures.deviation(groups, conditions)
-    _footnote(figure, origin(summary))
+    if figure is not None:
+        _footnote(figure, origin(summary))
     return figure
 
 

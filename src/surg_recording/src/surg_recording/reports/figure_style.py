@@ -12,8 +12,11 @@ import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-Figures = Mapping[str, tuple[str, str, Callable[..., Figure]]]
-"""Name → the question that the figure answers, caption, function that draws it."""
+Figures = Mapping[str, tuple[str, str, Callable[..., Figure | None]]]
+"""Name → the question that the figure answers, caption, function that draws it.
+
+It returns None where there is nothing to show.
+"""
 
 INK, FAINT, GRID = "#1f2933", "#7b8794", "#e4e7eb"
 EXECUTED_FAINT, TRUE_FAINT = "#74a9d8", "#e8ad80"
@@ -88,12 +91,17 @@ def encoded(figure: Figure) -> tuple[bytes, str]:
 def save_all(
     figures: Figures, folder: Path, *arguments: Any, formats: Sequence[str] = ("png",)
 ) -> list[Drawn]:
-    """Draw figures from ``arguments`` and write them as ``<folder>/<name>.<format>``."""
+    """Draw figures from ``arguments`` and write them as ``<folder>/<name>.<format>``.
+
+    One that has nothing to show is left out.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     drawn = []
     for name, (title, caption, draw) in figures.items():
         with matplotlib.rc_context({**STYLE, "svg.hashsalt": name}):
             figure = draw(*arguments)
+            if figure is None:
+                continue  # nothing to show
             for kind in formats:  # without what would differ between two runs
                 unwanted = {"png": "Software", "svg": "Date"}[kind]
                 figure.savefig(folder / f"{name}.{kind}", metadata={unwanted: None})

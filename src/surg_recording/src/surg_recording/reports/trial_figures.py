@@ -32,11 +32,21 @@ Series = Sequence[tuple[str, str, tuple[str, ...]]]
 """Label, colour, and path of the number in an episode, of each box in a group."""
 
 
-def deviation(groups: Groups, summary: Mapping[str, Any]) -> Figure:
-    """Mean and maximum of the RCM deviation of each episode: kinematic, and by the simulator."""
-    panels = [("kinematic", "rcm_kinematic_mm", EXECUTED, EXECUTED_FAINT)]
-    if any(trials.values(entries, "rcm_true_mm", "max") for _, entries in groups):
-        panels.append(("true", "rcm_true_mm", TRUE, TRUE_FAINT))
+def deviation(groups: Groups, summary: Mapping[str, Any]) -> Figure | None:
+    """Mean and maximum of the RCM deviation of each episode: kinematic, and by the simulator.
+
+    None: no episode has one.
+    """
+    panels = [
+        panel
+        for panel in (
+            ("kinematic", "rcm_kinematic_mm", EXECUTED, EXECUTED_FAINT),
+            ("true", "rcm_true_mm", TRUE, TRUE_FAINT),
+        )
+        if any(trials.values(entries, panel[1], "max") for _, entries in groups)
+    ]
+    if not panels:
+        return None
     figure = blank(4.2)
     drawn = list(np.atleast_1d(figure.subplots(1, len(panels))))
     for axes, (name, key, colour, faint) in zip(drawn, panels, strict=True):

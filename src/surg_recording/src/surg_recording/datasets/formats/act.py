@@ -89,9 +89,10 @@ class Act(Exporter):
 
 def _validate(root: h5py.File, stated: Mapping[str, Any], length: int, report: Report) -> None:
     name = Path(root.filename).name
-    action, qpos, qvel = (root[key] for key in ("action", *_OBSERVATIONS))
+    action, qpos = root["action"], root["observations/qpos"]
+    series = [action, *(root[key] for key in _OBSERVATIONS if key in root), root["timestamp"]]
     images = [root[f"observations/images/{camera}"] for camera in stated["camera_names"]]
-    report.errors += hdf5.read_all([action, qpos, qvel, root["timestamp"], *images], length)
+    report.errors += hdf5.read_all([*series, *images], length)
     if "sim" not in root.attrs:
         report.errors.append(f"{name}: no attribute 'sim'")
     shapes = (action.shape[1:], qpos.shape[1:])
@@ -110,6 +111,8 @@ def arrays(sampled: Sampled) -> dict[str, Feature]:
     """Place in the file → feature."""
     features = {feature.name: feature for feature in sampled.features}
     named = {**_OBSERVATIONS, "action": ACTION_KEY}
+    if not any(sampled.candidate.layout.joints):
+        del named["observations/qvel"]  # of another program, which recorded no joints
     missing = [name for name in named.values() if name not in features]
     if missing:
         raise EpisodeError(f"format act needs {', '.join(missing)}: do not --drop it")

@@ -91,15 +91,12 @@ class ArmCycles:
         joints = [f"{p}{i}" for p in ("q", "qd") for i in range(self.table.joints)]
         columns = [*_VECTORS, *TROCAR, "jaw", "jaw_set"] if self.commanded else []
         cycle = self.table.at(self.first + rows, [*joints, *columns])
-        count = self.table.joints
-        q = np.column_stack([cycle[name] for name in joints[:count]])
-        qd = np.column_stack([cycle[name] for name in joints[count:]])
         motion = ArmMotion(
             name=self.name,
             path=str(self.table.path),
             stamps=cycle["stamp_ns"],
-            q=q,
-            qd=qd,
+            q=cycle.joints("q"),
+            qd=cycle.joints("qd"),
             state=np.empty((len(rows), 0)),
             goal=np.empty((len(rows), 0)),
             goal_since_ns=cycle["stamp_ns"],

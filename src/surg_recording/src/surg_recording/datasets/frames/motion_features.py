@@ -68,6 +68,8 @@ def observed_motion(made: Columns, commanded: list[ArmMotion], arms: list[ArmMot
             if prefix == "q":
                 text = f"cycle of {arm.name} before this frame"
                 made.timing(arm.name, arm.stamps, before, grid.times_ns, text)
+        if not flat:
+            continue  # of another program, which recorded no joints
         made.vector(
             f"observation.joint_{kind}",
             np.hstack(values),

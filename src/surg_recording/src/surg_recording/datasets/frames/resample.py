@@ -108,7 +108,8 @@ def _brackets(
     if len(wide):
         raise EpisodeError(
             f"{what}: no sample for {gap[wide[0]] / 1e6:.1f} ms round {_at(times, wide[0])},"
-            f" at most {max_gap_ns / 1e6:g} ms are bridged ({len(wide)} of {len(times)} frames)"
+            f" at most {max_gap_ns / 1e6:g} ms are bridged ({len(wide)} of {len(times)} frames);"
+            " --fps takes a rate that the recording has"
         )
     part = (times - stamps[before]) / np.maximum(gap, 1)
     return before, after, part

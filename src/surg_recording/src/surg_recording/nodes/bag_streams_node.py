@@ -1,0 +1,177 @@
+"""The topics of a bag of ROS 1 as samples and pictures, in the order of their stamps."""
+
+from __future__ import annotations
+
+import dataclasses
+import heapq
+import struct
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rosbag
+
+from surg_recording.imports import stamps as stamped
+from surg_recording.imports.arm_series import Picture, header
+from surg_recording.imports.ledger import Ledger
+from surg_recording.imports.picture_decoder import PictureDecoder
+from surg_recording.recording_errors import EpisodeError
+
+Array = npt.NDArray[np.float64]
+Stamps = npt.NDArray[np.int64]
+
+_HEADER = struct.Struct("<III")
+"""seq, secs, nsecs: the first fields of every message that begins with a std_msgs/Header."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Samples:
+    """Stamps (N,) [ns], strictly increasing, and values (N, D)."""
+
+    stamps: Stamps
+    values: Array
+
+    def only(self, good: npt.NDArray[Any]) -> Samples:
+        """Some of them."""
+        return Samples(self.stamps[good], self.values[good])
+
+    def at(self, times: Stamps) -> Array:
+        """Values at other times, linear; the first and last value hold beyond the ends."""
+        if not len(self.stamps):
+            return np.zeros((len(times), self.values.shape[1]))
+        begin = self.stamps[0]
+        at, known = (times - begin).astype(float), (self.stamps - begin).astype(float)
+        return np.column_stack([np.interp(at, known, column) for column in self.values.T])
+
+
+class BagStreams:
+    """Reads topics of one bag; what it leaves out is in the ledger."""
+
+    def __init__(self, bag: rosbag.Bag, ledger: Ledger, own_stamps: bool = True) -> None:
+        """``own_stamps`` False: the times at which the bag received the messages count."""
+        self._bag, self.ledger, self._own = bag, ledger, own_stamps
+        self._lags: dict[str, float | None] = {}
+
+    def samples(self, topic: str, values: Callable[[Any], list[float]]) -> Samples:
+        """The usable messages of a topic as numbers.
+
+        Raises:
+            EpisodeError: Messages of this type cannot be used, or their stamps.
+        """
+        own: list[int] = []
+        received: list[int] = []
+        rows: list[list[float]] = []
+        for _, message, time in self._bag.read_messages([topic]):
+            try:
+                rows.append(values(message))
+            except AttributeError:
+                kind = message._type
+                raise EpisodeError(f"{topic}: messages of type {kind} cannot be used") from None
+            own.append(self._stamp(topic, message))
+            received.append(time.to_nsec())
+        if not rows:
+            raise EpisodeError(f"{topic}: holds no message")
+        self.ledger.hold(topic, len(rows))
+        width = Counter(map(len, rows)).most_common(1)[0][0]
+        fits = np.array([len(row) == width for row in rows])
+        blank = [np.nan] * width
+        numbers = np.array([row if len(row) == width else blank for row in rows], np.float64)
+        numbers = numbers.reshape(len(rows), width)
+        good = np.ones(len(rows), bool)
+        good = self.ledger.sieve(topic, ~fits, f"without the {width} numbers of the others", good)
+        broken = ~np.isfinite(numbers).all(axis=1)
+        good = self.ledger.sieve(topic, broken, "with a value that is not a number", good)
+        return self._ordered(topic, np.array(own), np.array(received), numbers, good)
+
+    def _stamp(self, topic: str, message: Any) -> int:
+        """A message's own stamp [ns]; 0: it is empty."""
+        if not self._own:
+            return 0
+        header = getattr(message, "header", None)
+        if header is None:
+            raise EpisodeError(
+                f"{topic}: messages of type {message._type} have no stamp; allowed: their stamped"
+                f" kind. {stamped.CURE}"
+            )
+        return int(header.stamp.to_nsec())
+
+    def _ordered(
+        self, topic: str, own: Stamps, received: Stamps, numbers: Array, good: npt.NDArray[np.bool_]
+    ) -> Samples:
+        stamps, received = self._times(topic, own, received)[good], received[good]
+        used = stamped.in_order(stamps, received, topic, self.ledger)
+        self._agree(topic, stamps[used], received[used])
+        return Samples(stamps[used], numbers[good][used])
+
+    def _times(self, topic: str, own: Stamps, received: Stamps) -> Stamps:
+        """The stamps that count: of a message without one the time of its reception."""
+        without = own == 0
+        if without.any():
+            count = f"{int(without.sum())} of {len(own)} messages"
+            self.ledger.assume(f"{topic}: the bag's time is the stamp of {count}")
+        return np.where(without, received, own)
+
+    def _agree(self, topic: str, stamps: Stamps, received: Stamps) -> None:
+        if len(stamps):
+            self._lags[topic] = stamped.lag(stamps, received)
+            stamped.check_agreement(self._lags, self.ledger)
+
+    def pictures(self, cameras: Mapping[str, str]) -> Iterator[Picture]:
+        """The pictures of cameras (name → topic), each in the order of its stamps.
+
+        Raises:
+            EpisodeError: Before the first picture: a camera has none, or their stamps cannot be
+                used.
+        """
+        times = {topic: self._order(camera, topic) for camera, topic in cameras.items()}
+        return self._decoded({topic: camera for camera, topic in cameras.items()}, times)
+
+    def _order(self, camera: str, topic: str) -> tuple[Stamps, Stamps]:
+        """Of each message of an image topic: stamp, and place among those kept; -1: left out."""
+        own, received = [], []
+        for _, (kind, data, *_), time in self._bag.read_messages([topic], raw=True):
+            if kind not in ("sensor_msgs/Image", "sensor_msgs/CompressedImage"):
+                raise EpisodeError(
+                    f"{topic}: messages of type {kind} cannot be used; allowed: sensor_msgs/Image"
+                    " and CompressedImage"
+                )
+            _, secs, nsecs = _HEADER.unpack_from(data)
+            own.append(secs * 1_000_000_000 + nsecs if self._own else 0)
+            received.append(time.to_nsec())
+        if not own:
+            raise EpisodeError(f"{topic}: holds no message")
+        self.ledger.hold(camera, len(own))
+        seen = np.array(received)
+        stamps = self._times(topic, np.array(own), seen)
+        used = stamped.in_order(stamps, seen, camera, self.ledger)
+        self._agree(topic, stamps[used], seen[used])
+        places = np.full(len(stamps), -1, np.int64)
+        places[used] = np.arange(len(used))
+        return stamps, places
+
+    def _decoded(
+        self, cameras: Mapping[str, str], times: Mapping[str, tuple[Stamps, Stamps]]
+    ) -> Iterator[Picture]:
+        """Pictures wait until those stamped before them have come."""
+        if not cameras:
+            return
+        decoders = {t: PictureDecoder(camera, self.ledger) for t, camera in cameras.items()}
+        waiting: dict[str, list[tuple[int, int, Any]]] = {topic: [] for topic in cameras}
+        seen, due = Counter[str](), Counter[str]()
+        for topic, message, time in self._bag.read_messages(list(cameras)):
+            stamps, places = times[topic]
+            number = seen[topic]
+            seen[topic] += 1
+            if places[number] < 0:
+                continue
+            heapq.heappush(waiting[topic], (int(places[number]), number, message))
+            while waiting[topic] and waiting[topic][0][0] == due[topic]:
+                _, number, ready = heapq.heappop(waiting[topic])
+                due[topic] += 1
+                made = decoders[topic](ready)
+                if made is not None:
+                    stamp = int(stamps[number])
+                    made.header = header(stamp)
+                    yield Picture(cameras[topic], made, time.to_nsec())
