@@ -146,12 +146,12 @@ def test_a_motion_file_as_reference(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
-        ("", "no column t_s"),
+        ("", "is empty"),
         ("t_s,x_m,y_m\n0,0,0", "no column z_m"),
-        ("t_s,x_m,y_m,z_m\n0,0,0,0\n0.03,0,zero,0", "line 3"),
-        ("t_s,x_m,y_m,z_m\n0,0,0,0\n0.03,0,inf,0", "line 3: a number is not finite"),
-        ("t_s,x_m,y_m,z_m\n0,0,0,0\n0.03,0,0,0\n0.03,0,0,0", "line 4: t_s does not increase"),
-        ("t_s,x_m,y_m,z_m\n0,0,0,0\n0.1,0,0,0\n0.9,0,0,0", "line 4: 0.2 s without"),
+        ("t_s,x_m,y_m,z_m\n0,0,0,0\n0.03,0,zero,0", ":3: y_m: 'zero'"),
+        ("t_s,x_m,y_m,z_m\n0,0,0,0\n0.03,0,inf,0", ":3: y_m: 'inf' is not a finite number"),
+        ("t_s,x_m,y_m,z_m\n0,0,0,0\n0.03,0,0,0\n0.03,0,0,0", ":4: t_s does not increase"),
+        ("t_s,x_m,y_m,z_m\n0,0,0,0\n0.1,0,0,0\n0.9,0,0,0", ":4: 0.2 s without"),
         ("t_s,x_m,y_m,z_m\n0,0,0,0\n0.1,0,0,0", "lasts 0.10 s"),
         ("t_s,x_m,y_m,z_m\n", "lasts 0.00 s"),
     ],

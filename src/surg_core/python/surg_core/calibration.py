@@ -10,7 +10,7 @@ or as flange poses in the robot base [m, unit quaternion]::
     motion,x,y,z,qx,qy,qz,qw
     tip,0.4210,0.1033,0.2101,0.0,1.0,0.0,0.0
 
-Lines that begin with ``#`` are comments. Motions are
+``text_table`` says which forms of CSV are read. Motions are
 
 ======== ==========================================================================================
 tip      the tip rests in a fixed divot; tilted about two axes and rolled between the poses
@@ -25,8 +25,6 @@ A column ``serial`` may state the arm that was measured, the same in every row.
 
 from __future__ import annotations
 
-import csv
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,6 +52,7 @@ from surg_core._core import (
 )
 from surg_core.config import PathLike
 from surg_core.replace_file import fixed_decimals, one_line, replace_file, yaml_text
+from surg_core.text_table import read_table
 from surg_core.transforms import FloatArray, quaternion_xyzw_to_matrix
 
 MOTIONS = ("tip", "roll", "second", "trocar", "touch")
@@ -119,79 +118,33 @@ def read_recording(path: PathLike, chain: Chain, joint_names: Sequence[str]) -> 
     Raises:
         CalibrationError: with file, line and what is wrong.
     """
-    rows = read_rows(path)
-    header = rows[0][1]
+    header, rows = read_table(path, CalibrationError)
     joints = tuple(joint_names)
     stated = sorted(name for name in header if name != SERIAL)
     if stated not in (sorted(("motion", *joints)), sorted(("motion", *POSE))):
         raise CalibrationError(
-            f"{path}:{rows[0][0]}: the header is {','.join(header)}; needed is "
+            f"{path}: the header is {','.join(header)}; needed is "
             f"motion,{','.join(joints)} or motion,{','.join(POSE)}, and serial where known"
         )
     columns = joints if stated == sorted(("motion", *joints)) else POSE
     found: dict[str, list[FloatArray]] = {}
     serials: set[str] = set()
-    for number, words in rows[1:]:
-        where = f"{path}:{number}"
-        row = by_name(header, words, where)
-        motion = row["motion"]
+    for row in rows:
+        motion = row.words["motion"]
         if motion not in MOTIONS:
             raise CalibrationError(
-                f"{where}: motion '{motion}' is unknown; allowed are {', '.join(MOTIONS)}"
+                f"{row.where}: motion '{motion}' is unknown; allowed are {', '.join(MOTIONS)}"
             )
-        serials.add(row.get(SERIAL, ""))
+        serials.add(row.words.get(SERIAL, ""))
         if len(serials) > 1:
-            raise CalibrationError(f"{where}: serial {row[SERIAL]!r}, and other rows have another")
-        values = np.array([finite_number(row[name], f"{where}: {name}") for name in columns])
-        pose = _pose(values, where) if columns is POSE else chain.forward(values)
+            raise CalibrationError(
+                f"{row.where}: serial {row.words[SERIAL]!r}, and other rows have another"
+            )
+        values = np.array([row.number(name) for name in columns])
+        pose = _pose(values, row.where) if columns is POSE else chain.forward(values)
         found.setdefault(motion, []).append(pose)
     poses = {motion: np.array(each) for motion, each in found.items()}
     return Recording(str(path), poses, serials.pop() if serials else "")
-
-
-def read_rows(path: PathLike) -> list[tuple[int, list[str]]]:
-    """Line number and words of each row, the header first; comments begin with ``#``.
-
-    Raises:
-        CalibrationError: The file cannot be read, is no UTF-8 text, or is empty.
-    """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise CalibrationError(f"{path}: is not UTF-8 text: {error.reason}") from error
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be read: {error.strerror or error}") from error
-    numbered = enumerate(text.splitlines(), start=1)
-    lines = [(n, line) for n, line in numbered if line.strip() and line.lstrip()[:1] != "#"]
-    if not lines:
-        raise CalibrationError(f"{path}: is empty; a header and rows are needed")
-    return [(n, [word.strip() for word in next(csv.reader([line]))]) for n, line in lines]
-
-
-def by_name(header: Sequence[str], words: Sequence[str], where: str) -> dict[str, str]:
-    """A row's words by column.
-
-    Raises:
-        CalibrationError: It has another number of values than the header.
-    """
-    if len(words) != len(header):
-        raise CalibrationError(f"{where}: {len(words)} values; the header has {len(header)}")
-    return dict(zip(header, words, strict=True))
-
-
-def finite_number(word: str, where: str) -> float:
-    """A number.
-
-    Raises:
-        CalibrationError: It is none, or not finite.
-    """
-    try:
-        value = float(word)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise CalibrationError(f"{where}: '{word}' is not a finite number")
-    return value
 
 
 def _pose(values: FloatArray, where: str) -> FloatArray:

@@ -6,7 +6,7 @@
     A1,0.1012,...,1.93,-1.52,0.17,0.081,-0.049,0.030,250
 
 Angles in rad, forces in N, moments in N m as the sensor gives them, ``n`` readings in each mean.
-``serial`` of the arm may be left out. Lines that begin with ``#`` are comments.
+``serial`` of the arm may be left out. ``text_table`` says which forms of CSV are read.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from surg_core._core import CalibrationError, Chain
-from surg_core.calibration import by_name, finite_number, read_rows
 from surg_core.config import PathLike
 from surg_core.force.load_solver import Posture
 from surg_core.replace_file import exact_number
+from surg_core.text_table import read_table
 from surg_core.transforms import FloatArray
 
 READING = ("fx", "fy", "fz", "tx", "ty", "tz")
@@ -65,22 +65,19 @@ def read_forces(
     Raises:
         CalibrationError: With file, line and what is wrong.
     """
-    rows = read_rows(path)
+    names, rows = read_table(path, CalibrationError)
     expected = sorted([*joint_names, *READING, "n"])
-    names = rows[0][1]
     if sorted(name for name in names if name != "serial") != expected:
         raise CalibrationError(
-            f"{path}:{rows[0][0]}: the header is {','.join(names)}; needed is "
+            f"{path}: the header is {','.join(names)}; needed is "
             f"{header(joint_names)}, and serial where known"
         )
     postures, serials = [], set()
-    for number, words in rows[1:]:
-        where = f"{path}:{number}"
-        values = by_name(names, words, where)
-        serials.add(values.pop("serial", ""))
-        found = {name: finite_number(word, f"{where}: {name}") for name, word in values.items()}
+    for row in rows:
+        serials.add(row.words.get("serial", ""))
+        found = {name: row.number(name) for name in expected}
         if not 1 <= found["n"] <= 1_000_000:
-            raise CalibrationError(f"{where}: n is {found['n']:g}; allowed: 1 to 1000000")
+            raise CalibrationError(f"{row.where}: n is {found['n']:g}; allowed: 1 to 1000000")
         R_BF = chain.forward(np.array([found[name] for name in joint_names]))[:3, :3]
         reading = sign * np.array([found[name] for name in READING])
         postures.append(Posture(R_BF.T @ g_B, reading, int(found["n"])))

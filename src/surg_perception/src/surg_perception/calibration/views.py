@@ -14,8 +14,6 @@ a row, or both pictures of a view, leaves it out.
 
 from __future__ import annotations
 
-import csv
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +21,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from surg_core.text_table import Row, read_table
 from surg_core.transforms import FloatArray
 from surg_perception.calibration.board import Board, Corners, Picture
 from surg_perception.calibration.intrinsics import SeenCorners
@@ -125,18 +124,15 @@ def read_views(folder: Path, board: Board, look: bool = True) -> Views:
         ViewsError: The folder, its table or a picture must not be used.
     """
     file = folder / "views.csv"
-    try:
-        rows = list(csv.DictReader(file.read_text(encoding="utf-8").splitlines(), strict=True))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ViewsError(f"{file}: cannot be read: {error}") from error
+    header, rows = read_table(file, ViewsError)
     if not rows:
         raise ViewsError(f"{file}: has no views; a header and rows are needed")
-    if missing := [key for key in ("view", "stamp") if key not in rows[0]]:
-        raise ViewsError(f"{file}:1: no column '{missing[0]}'; needed are view, stamp and joints")
+    if missing := [key for key in ("view", "stamp") if key not in header]:
+        raise ViewsError(f"{file}: no column '{missing[0]}'; needed are view, stamp and joints")
     views, skipped = [], []
     sizes: dict[tuple[int, int], str] = {}
-    for line, row in enumerate(rows, start=2):
-        name, where = row["view"], f"{file}:{line}"
+    for row in rows:
+        name, where = row.words["view"], row.where
         if not name or not name.replace("_", "").replace("-", "").isalnum():
             raise ViewsError(f"{where}: view: {name!r}; allowed: letters, digits, '-', '_'")
         pictures = [_picture(folder / f"{name}_{eye}.png") for eye in EYES]
@@ -154,50 +150,34 @@ def read_views(folder: Path, board: Board, look: bool = True) -> Views:
         for eye, picture, found in zip(EYES, pictures, corners, strict=True):
             if look and picture is not None and found is None:
                 skipped.append(f"{name}_{eye}.png: {board.why_not(picture)}")
-        views.append(_view(name, row, where, (corners[0], corners[1]), board))
+        views.append(_view(name, row, (corners[0], corners[1]), board))
     if not sizes:
-        raise ViewsError(f"{folder}: has no pictures; needed are {rows[0]['view']}_left.png, ...")
+        raise ViewsError(
+            f"{folder}: has no pictures; needed are {rows[0].words['view']}_left.png, ..."
+        )
     return Views(folder, board, next(iter(sizes)), views, skipped)
 
 
 def _view(
-    name: str,
-    row: Mapping[str, str],
-    where: str,
-    corners: tuple[Corners | None, Corners | None],
-    board: Board,
+    name: str, row: Row, corners: tuple[Corners | None, Corners | None], board: Board
 ) -> View:
     """One row of the table."""
-    joints = {}
-    for key, word in row.items():
-        if key in ("view", "stamp", "touch", *TIP):
-            continue
-        if key is None or word is None:
-            raise ViewsError(f"{where}: has another number of values than the header")
-        joints[key] = _number(word, f"{where}: {key}")
-    touch = row.get("touch") or ""
+    known = ("view", "stamp", "touch", *TIP)
+    joints = {key: row.number(key) for key in row.words if key not in known}
+    touch = row.words.get("touch") or ""
     if touch and not (touch.isdigit() and int(touch) < len(board.corners)):
         raise ViewsError(
-            f"{where}: touch: {touch!r}; allowed: a corner from 0 to {len(board.corners) - 1}"
+            f"{row.where}: touch: {touch!r}; allowed: a corner from 0 to {len(board.corners) - 1}"
         )
-    stamp = _number(row["stamp"], f"{where}: stamp")
-    words = [row.get(key) or "" for key in TIP]
     tip = None
-    if any(words):
-        tip = np.array(
-            [_number(word, f"{where}: {key}") for word, key in zip(words, TIP, strict=True)]
-        )
-    return View(name, stamp, joints, int(touch) if touch else None, corners, tip)
-
-
-def _number(word: str, where: str) -> float:
-    try:
-        value = float(word)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ViewsError(f"{where}: {word!r} is not a finite number")
-    return value
+    if any(row.words.get(key) for key in TIP):
+        missing = [key for key in TIP if key not in row.words]
+        if missing:
+            raise ViewsError(
+                f"{row.where}: no column {missing[0]}; allowed: all of {', '.join(TIP)}"
+            )
+        tip = np.array([row.number(key) for key in TIP])
+    return View(name, row.number("stamp"), joints, int(touch) if touch else None, corners, tip)
 
 
 def _picture(file: Path) -> Picture | None:

@@ -127,7 +127,7 @@ class LeRobotData:
         template = self.info.get(key)
         fields = {str(name) for _, name, *_ in string.Formatter().parse(str(template)) if name}
         row = self._rows.get(episode, {})
-        places = {
+        places: dict[str, Any] = {
             "episode_index": episode,
             "episode_chunk": episode // int(self.info.get("chunks_size", 1000)),
             **{k: int(row[f"{prefix}/{k}"]) for k in _PLACES if f"{prefix}/{k}" in row},

@@ -47,7 +47,7 @@ class PictureDecoder:
     def __init__(self, camera: str, ledger: Ledger) -> None:
         self._camera, self._ledger = camera, ledger
         self._codec: Any = None
-        self._colours: Colours | None = None
+        self._colours = Colours()
 
     def __call__(self, message: Any) -> Any | None:
         """A message that the recorder takes; None: it cannot be decoded, which is counted."""
@@ -83,7 +83,6 @@ class PictureDecoder:
             self._codec = av.CodecContext.create(codec, "r")
             self._codec.thread_count = 1  # one packet in, one picture out
             self._codec.flags |= av.codec.context.Flags.LOW_DELAY
-            self._colours = Colours()
         frames = self._codec.decode(av.Packet(data))
         if not frames:
             raise ValueError(f"a packet of {codec} without a picture")

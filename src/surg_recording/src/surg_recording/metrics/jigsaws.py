@@ -134,7 +134,7 @@ def _skills(folder: Path, trial: Path, task: str, warnings: list[str]) -> dict[s
 
 def _lines(file: Path) -> list[str]:
     try:
-        return file.read_text(encoding="utf-8").splitlines()
+        return file.read_text(encoding="utf-8-sig").splitlines()
     except OSError as problem:
         raise ReferenceSetError(f"{file}: {problem.strerror}") from problem
     except UnicodeDecodeError as problem:

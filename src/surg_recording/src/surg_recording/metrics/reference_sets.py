@@ -6,7 +6,6 @@ PSM1; ``motion:PATH`` a CSV file, or a folder of them, with the columns t_s, x_m
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from surg_core.text_table import read_table
 from surg_recording import metrics
 from surg_recording.metrics import jigsaws
 from surg_recording.metrics.confidence_intervals import spread
@@ -118,29 +118,21 @@ def read_motion(file: Path) -> Motion:
         ReferenceSetError: Missing file or column, a non-finite value, times that do not increase,
             or less than 2 s.
     """
-    try:
-        with open(file, newline="", encoding="utf-8") as stream:
-            rows = list(csv.reader(stream))
-    except OSError as problem:
-        raise ReferenceSetError(f"{file}: {problem.strerror}") from problem
-    except (csv.Error, UnicodeDecodeError) as problem:
-        raise ReferenceSetError(f"{file}: not a CSV file ({problem})") from problem
-    header = rows[0] if rows else []
+    header, rows = read_table(file, ReferenceSetError)
     missing = [name for name in MOTION_COLUMNS if name not in header]
     if missing:
         raise ReferenceSetError(
             f"{file}: no column {', '.join(missing)}; {', '.join(MOTION_COLUMNS)} are needed"
         )
-    places = [header.index(name) for name in MOTION_COLUMNS]
-    values = np.array([_row(file, n, row, places) for n, row in enumerate(rows[1:], 2) if row])
-    values = values.reshape(-1, len(places))
+    values = np.array([[row.number(name) for name in MOTION_COLUMNS] for row in rows])
+    values = values.reshape(-1, len(MOTION_COLUMNS))
     t, p = values[:, 0], values[:, 1:]
     for wrong, why in (
         (np.diff(t) <= 0, "t_s does not increase"),
         (np.diff(t) > LONGEST_GAP_S, f"{LONGEST_GAP_S:g} s without a sample before it"),
     ):
         if wrong.any():
-            raise ReferenceSetError(f"{file}, line {int(np.argmax(wrong)) + 3}: {why}")
+            raise ReferenceSetError(f"{rows[int(np.argmax(wrong)) + 1].where}: {why}")
     duration = float(t[-1] - t[0]) if len(t) else 0.0
     if duration < SHORTEST_S:
         raise ReferenceSetError(
@@ -148,18 +140,6 @@ def read_motion(file: Path) -> Motion:
         )
     fs = 1.0 / float(np.median(np.diff(t)))
     return Motion(file.stem, fs, metrics.uniform(t, p, fs)[1])
-
-
-def _row(file: Path, number: int, row: Sequence[str], places: Sequence[int]) -> list[float]:
-    try:
-        values = [float(row[place]) for place in places]
-    except (ValueError, IndexError):
-        raise ReferenceSetError(
-            f"{file}, line {number}: {', '.join(MOTION_COLUMNS)} are not all numbers"
-        ) from None
-    if not all(map(math.isfinite, values)):
-        raise ReferenceSetError(f"{file}, line {number}: a number is not finite")
-    return values
 
 
 KINDS: dict[str, tuple[str, Callable[[Path], ReferenceSet]]] = {

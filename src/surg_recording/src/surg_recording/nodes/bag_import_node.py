@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from surg_recording.imports import bag_map
 from surg_recording.imports.arm_series import ArmSeries, write
 from surg_recording.imports.bag_map import ArmTopics, BagMap
 from surg_recording.imports.ledger import Ledger
-from surg_recording.nodes.bag_streams_node import BagStreams, Samples
+from surg_recording.nodes.bag_streams_node import BagStreams, Samples, Values
 from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
@@ -96,9 +97,10 @@ def _series(streams: BagStreams, arm: ArmTopics) -> ArmSeries:
     topic, ledger = arm.topics["measured_cp"], streams.ledger
     poses = _oriented(streams.samples(topic, _pose), topic, ledger)
     joints = _Joints()
+    of_key: Mapping[str, Values] = {"measured_js": joints, "jaw": _jaw, "goal_jaw": _jaw}
     found = {
         key: streams.samples(arm.topics[key], values)
-        for key, values in (("measured_js", joints), ("jaw", _jaw), ("goal_jaw", _jaw))
+        for key, values in of_key.items()
         if key in arm.topics
     }
     good = np.ones(len(poses.stamps), bool)

@@ -21,6 +21,8 @@ from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]
+Values = Callable[[Any], list[float]]
+"""The numbers of a message."""
 
 _HEADER = struct.Struct("<III")
 """seq, secs, nsecs: the first fields of every message that begins with a std_msgs/Header."""
@@ -54,7 +56,7 @@ class BagStreams:
         self._bag, self.ledger, self._own = bag, ledger, own_stamps
         self._lags: dict[str, float | None] = {}
 
-    def samples(self, topic: str, values: Callable[[Any], list[float]]) -> Samples:
+    def samples(self, topic: str, values: Values) -> Samples:
         """The usable messages of a topic as numbers.
 
         Raises:

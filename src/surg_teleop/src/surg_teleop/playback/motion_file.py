@@ -1,13 +1,12 @@
 """A recorded hand motion: read from CSV, checked, and interpolated.
 
-File format: comma separated text with one header line. Required columns: ``t_s`` [s], ``x_m``,
+File format: a text table (``surg_core.text_table``). Required columns: ``t_s`` [s], ``x_m``,
 ``y_m``, ``z_m`` [m]. Optional: ``roll_rad`` [rad] or the nine columns ``r11`` ... ``r33`` of a
 rotation matrix (row by row), and ``gripper_rad`` [rad]. Other columns are ignored and reported.
 """
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from surg_core.text_table import read_table
 from surg_core.transforms import twist_angle
 from surg_teleop.leaders.handle_roll import MIN_TWIST
 
@@ -43,7 +43,6 @@ ROTATION_TOLERANCE = 1e-2
 """Largest entry of R R^T - I, for rotations printed with few digits."""
 HAND_SPACE = 2.0
 """[m] No hand moves so far; numbers that do are in another unit."""
-SEPARATORS = {";": "a semicolon", "\t": "a tab"}
 LIKE_MILLIMETRES = "; this looks like millimetres: divide x, y and z by 1000"
 LIKE_MILLISECONDS = "; this looks like milliseconds: divide t_s by 1000"
 
@@ -142,51 +141,26 @@ def read_motion(path: Path) -> Motion:
     )
 
 
-def _read_table(path: Path) -> tuple[list[str], Array, list[int]]:
+def _read_table(path: Path) -> tuple[tuple[str, ...], Array, list[int]]:
     """The header, the numbers (n, columns), and the line of each row in the file."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file)
-            header = [name.strip() for name in next(reader, [])]
-            _check_header(path, header)
-            rows: list[list[float]] = []
-            lines: list[int] = []
-            for cells in reader:
-                if not any(cell.strip() for cell in cells):
-                    continue
-                rows.append(_numbers(path, reader.line_num, header, cells))
-                lines.append(reader.line_num)
-    except OSError as error:
-        raise MotionError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise MotionError(f"{path}: not a text file; allowed: CSV in UTF-8") from error
-    except csv.Error as error:
-        raise MotionError(f"{path}: not a CSV file: {error}") from error
+    header, rows = read_table(path, MotionError)
+    _check_header(path, header)
+    values = [[row.number(name) if name in KNOWN else 0.0 for name in header] for row in rows]
     if len(rows) < MIN_SAMPLES:
         raise MotionError(
             f"{path}: {len(rows)} samples; allowed: at least {MIN_SAMPLES}, over {MIN_DURATION} s"
         )
-    return header, np.array(rows), lines
+    return header, np.array(values), [row.line for row in rows]
 
 
-def _check_header(path: Path, header: list[str]) -> None:
-    if not header:
-        raise MotionError(f"{path}: line 1: empty; allowed: a header with {','.join(REQUIRED)}")
+def _check_header(path: Path, header: tuple[str, ...]) -> None:
     missing = [name for name in REQUIRED if name not in header]
-    other = next((name for mark, name in SEPARATORS.items() if mark in header[0]), "")
-    if missing and len(header) == 1 and other:
-        raise MotionError(
-            f"{path}: line 1: the separator is {other}; allowed: a comma (and a point in decimals)"
-        )
     if missing:
         raise MotionError(
             f"{path}: line 1: column {', '.join(missing)} missing; the header is "
             f"'{','.join(header)}'; allowed: {','.join(REQUIRED)} and optionally roll_rad or "
             "r11 to r33, and gripper_rad"
         )
-    twice = sorted({name for name in header if header.count(name) > 1})
-    if twice:
-        raise MotionError(f"{path}: line 1: column {', '.join(twice)} is there twice")
     rotation = [name for name in ROTATION if name in header]
     if rotation and len(rotation) < len(ROTATION):
         absent = [name for name in ROTATION if name not in header]
@@ -196,30 +170,6 @@ def _check_header(path: Path, header: list[str]) -> None:
         )
     if rotation and "roll_rad" in header:
         raise MotionError(f"{path}: line 1: both roll_rad and r11 to r33; allowed: one of the two")
-
-
-def _numbers(path: Path, line: int, header: list[str], cells: list[str]) -> list[float]:
-    if len(cells) != len(header):
-        raise MotionError(
-            f"{path}: line {line}: {len(cells)} values; allowed: {len(header)}, one per column"
-        )
-    values: list[float] = []
-    for name, cell in zip(header, cells, strict=True):
-        if name not in KNOWN:
-            values.append(0.0)
-            continue
-        try:
-            value = float(cell)
-        except ValueError as error:
-            raise MotionError(
-                f"{path}: line {line}: {name} is '{cell}'; allowed: a number"
-            ) from error
-        if not np.isfinite(value):
-            raise MotionError(
-                f"{path}: line {line}: {name} is {cell.strip()}; allowed: a finite number"
-            )
-        values.append(value)
-    return values
 
 
 def _check_time(path: Path, t: Array, lines: list[int]) -> None:
