@@ -220,7 +220,7 @@ BAD_VALUES: list[tuple[str, str, object, str]] = [
     ("lens", "image_width", 640.5, "a whole number"),
     ("lens", "image_width", 0, "16 to 16384"),
     ("lens", "camera_name", "left eye", "letters, digits"),
-    ("lens", "distortion_model", "fisheye", "plumb_bob, rational_polynomial, equidistant"),
+    ("lens", "distortion_model", "omni", "plumb_bob, rational_polynomial, equidistant"),
     ("lens", "camera_matrix.data", [0.0] * 9, "is no camera matrix"),
     ("lens", "camera_matrix.data", [math.nan] * 9, "holds nan"),
     ("lens", "camera_matrix.rows", 2, "rows"),

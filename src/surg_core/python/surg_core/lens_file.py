@@ -7,6 +7,7 @@ The format is that of ``camera_calibration_parsers``, which ``camera_info_manage
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,9 +15,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from surg_core._core import ConfigError, Document, read_document
+from surg_core._core import ConfigError, Document
 from surg_core.checked_document import CheckedDocument
 from surg_core.config import PathLike
+from surg_core.foreign_lens import lens_document
 from surg_core.replace_file import exact_numbers, one_line, replace_file, yaml_text
 from surg_core.transforms import FloatArray
 
@@ -24,6 +26,14 @@ DISTORTION_MODELS: Mapping[str, int] = MappingProxyType(
     {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}
 )
 """Number of coefficients of each model, in OpenCV's order."""
+_NAMES = {
+    **{name: name for name in DISTORTION_MODELS},
+    **dict.fromkeys(("radtan", "radial-tangential", "brown_conrady"), "plumb_bob"),
+    **dict.fromkeys(("equi", "fisheye", "kannala_brandt4"), "equidistant"),
+}
+"""Names of the models, also those of Kalibr and OpenCV."""
+ROUNDED, EXACT = 1e-3, 1e-6
+"""Largest entry of R R^T - 1: of a rotation written with few decimals, and of one used as it is."""
 LARGEST_PICTURE = 16384
 LARGEST_COEFFICIENT = 1e4
 
@@ -98,13 +108,12 @@ def parse_lens(document: Document) -> Lens:
     doc = CheckedDocument(document)
     width = doc.count("image_width", 16, LARGEST_PICTURE)
     height = doc.count("image_height", 16, LARGEST_PICTURE)
-    name = doc.text("camera_name", "letters, digits, underscores", r"[A-Za-z0-9_]+")
-    model = doc.choice("distortion_model", tuple(DISTORTION_MODELS))
+    name = doc.text("camera_name", "letters, digits, - . / _", r"[A-Za-z0-9_./-]+")
+    name = re.sub(r"[./-]", "_", name).strip("_") or "camera"
+    model = _NAMES[doc.choice("distortion_model", tuple(_NAMES))]
     K = _matrix(doc, "camera_matrix", (3, 3), 1e6)
-    D = _matrix(doc, "distortion_coefficients", (1, DISTORTION_MODELS[model]), LARGEST_COEFFICIENT)[
-        0
-    ]
-    R = _matrix(doc, "rectification_matrix", (3, 3), 1.0 + 1e-6)
+    model, D = _distortion(doc, model)
+    R = _rotation(doc)
     P = _matrix(doc, "projection_matrix", (3, 4), 1e6)
     doc.finish()
     _check_intrinsics(doc, "camera_matrix.data", K, width, height)
@@ -115,16 +124,14 @@ def parse_lens(document: Document) -> Lens:
             f"has the fourth column {P[:, 3].tolist()}",
             "[-f * baseline, 0, 0]: the eyes lie side by side",
         )
-    if not np.abs(R @ R.T - np.eye(3)).max() <= 1e-6 or not np.linalg.det(R) > 0.0:
-        raise doc.refusal("rectification_matrix.data", "is no rotation", "a 3 x 3 rotation matrix")
     for array in (K, D, R, P):
         array.setflags(write=False)
     return Lens(width, height, name, K, model, D, R, P)
 
 
 def load_lens(path: PathLike) -> Lens:
-    """Read a lens file; errors as :func:`parse_lens`."""
-    return parse_lens(read_document(path))
+    """Read a lens file of ROS, OpenCV or Kalibr; errors as :func:`parse_lens`."""
+    return parse_lens(lens_document(path))
 
 
 def lens_text(lens: Lens, note: str = "") -> str:
@@ -192,10 +199,54 @@ def _matrix(doc: CheckedDocument, key: str, shape: tuple[int, int], bound: float
     return doc.numbers(f"{key}.data", shape[0] * shape[1], bound, "").reshape(shape)
 
 
+def _rotation(doc: CheckedDocument) -> FloatArray:
+    """A rotation; one that was written with few decimals is made orthonormal."""
+    R = _matrix(doc, "rectification_matrix", (3, 3), 1.0 + ROUNDED)
+    off = np.abs(R @ R.T - np.eye(3)).max()
+    if not off <= ROUNDED or not np.linalg.det(R) > 0.0:
+        raise doc.refusal(
+            "rectification_matrix.data",
+            "is no rotation",
+            f"a 3 x 3 rotation matrix, R R^T within {ROUNDED:g} of 1",
+        )
+    if off > EXACT:
+        u, _, v = np.linalg.svd(R)
+        R = u @ v
+    return R
+
+
+def _distortion(doc: CheckedDocument, model: str) -> tuple[str, FloatArray]:
+    """Model and coefficients; those of OpenCV's longer forms where they are 0 beyond ours."""
+    key = "distortion_coefficients"
+    n = doc.count(f"{key}.rows", 1, 14) * doc.count(f"{key}.cols", 1, 14)
+    D = doc.numbers(f"{key}.data", n, LARGEST_COEFFICIENT, "")
+    if n == DISTORTION_MODELS[model]:
+        return model, D
+    if model == "equidistant" or n not in (4, 5, 8, 12, 14):
+        wanted = "4" if model == "equidistant" else "4, 5, 8, 12 or 14"
+        raise doc.refusal(f"{key}.data", f"{n} numbers for {model}", f"{wanted} numbers")
+    if D[8:].any():
+        raise doc.refusal(
+            f"{key}.data",
+            f"terms 9 to {n} are {D[8:].tolist()}",
+            "0 there: a thin prism and a tilted sensor are not corrected",
+            "Calibrate without CALIB_THIN_PRISM_MODEL and CALIB_TILTED_MODEL",
+        )
+    full = np.concatenate([D[:8], np.zeros(8 - len(D[:8]))])
+    return ("rational_polynomial", full) if full[5:].any() else ("plumb_bob", full[:5])
+
+
 def _check_intrinsics(
     doc: CheckedDocument, key: str, K: FloatArray, width: int, height: int
 ) -> None:
     """Focal lengths positive, no skew, the principal point near the picture, last row 0 0 1."""
+    if K[0, 1] != 0.0:
+        raise doc.refusal(
+            key,
+            f"has a skew of {K[0, 1]:g} px",
+            "0: pixels are rectangles, also for OpenCV, which would ignore it",
+            "Calibrate again without skew",
+        )
     good = K[0, 0] > 1.0 and K[1, 1] > 1.0 and K[0, 1] == K[1, 0] == 0.0
     good = good and K[2].tolist() == [0.0, 0.0, 1.0]
     good = good and abs(K[0, 2] - width / 2) <= width and abs(K[1, 2] - height / 2) <= height
