@@ -5,7 +5,13 @@ from setuptools import setup
 setup(
     name="surg_core",
     version="0.1.0",
-    packages=["surg_core", "surg_core.force", "surg_core.hand", "surg_core.pictures"],
+    packages=[
+        "surg_core",
+        "surg_core.force",
+        "surg_core.hand",
+        "surg_core.pictures",
+        "surg_core.reading",
+    ],
     package_dir={"": "python"},
     package_data={"surg_core": ["py.typed"]},
 )

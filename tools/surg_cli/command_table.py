@@ -73,7 +73,10 @@ COMMANDS = {
         everything=True,
     ),
     "episode import": Command(
-        "data", "episode.import_recordings", "import bags and LeRobot data sets"
+        "data",
+        "episode.import_recordings",
+        "import bags and LeRobot data sets",
+        packages=("opencv",),
     ),
     "episode evaluate": Command("data", "episode.evaluate", "compare in figures and tables"),
     "learn": Command("learn", "learn", "demonstrate, export, train, deploy and judge a policy"),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from surg_core.text_table import read_table
+from surg_core.reading.text_table import read_table
 
 PLAIN = "t_s,x_m,note\n0.5,-1.25,a\n1.0,2e-3,b c\n"
 

@@ -51,8 +51,8 @@ from surg_core._core import (
     trocar_calibration,
 )
 from surg_core.config import PathLike
+from surg_core.reading.text_table import read_table
 from surg_core.replace_file import fixed_decimals, one_line, replace_file, yaml_text
-from surg_core.text_table import read_table
 from surg_core.transforms import FloatArray, quaternion_xyzw_to_matrix
 
 MOTIONS = ("tip", "roll", "second", "trocar", "touch")

@@ -18,7 +18,7 @@ import numpy as np
 from surg_core._core import ConfigError, Document
 from surg_core.checked_document import CheckedDocument
 from surg_core.config import PathLike
-from surg_core.foreign_lens import lens_document
+from surg_core.reading.foreign_lens import lens_document
 from surg_core.replace_file import exact_numbers, one_line, replace_file, yaml_text
 from surg_core.transforms import FloatArray
 

@@ -21,7 +21,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from surg_core.text_table import Row, read_table
+from surg_core.reading.text_table import Row, read_table
 from surg_core.transforms import FloatArray
 from surg_perception.calibration.board import Board, Corners, Picture
 from surg_perception.calibration.intrinsics import SeenCorners

@@ -102,25 +102,13 @@ def write(
         EpisodeError: A series is too short, its stamps go back, the folder cannot be written, or
             more pictures were lost than the ledger allows; nothing stays then.
     """
-    for arm in arms:
-        if len(arm.stamps) < 2 or not np.all(np.diff(arm.stamps) > 0):
-            raise EpisodeError(
-                f"{arm.name}: {len(arm.stamps)} samples; at least two with increasing stamps are"
-                " needed"
-            )
-    imported: dict[str, Any] = {"not_measured": [DEVIATION], **manifest.get("imported", {})}
-    imported["period_s"] = max(float(np.median(np.diff(arm.stamps))) * 1e-9 for arm in arms)
-    described = {
-        arm.name: {"robot": {"name": arm.robot}, "instrument": {"name": arm.instrument}}
-        for arm in arms
-    }
-    facts = {"cell": {"name": "imported", "arms": described}, **manifest, "imported": imported}
+    facts = _facts(arms, manifest)
     recording = Recording(
         folder,
         mode="lockstep",  # nothing is dropped: the source waits
         arms=[arm.name for arm in arms],
         cameras=cameras,
-        manifest={**facts, "mode": "imported"},
+        manifest=facts,
     )
     try:
         _fill(recording, arms, pictures)
@@ -133,12 +121,31 @@ def write(
     except BaseException:
         shutil.rmtree(recording.close({}))
         raise
-    made = recording.close({"imported": {**imported, **ledger.stated()}}, end_stamp_ns=end)
+    told = {"imported": {**facts["imported"], **ledger.stated()}}
+    made = recording.close(told, end_stamp_ns=end)
     whole = read_json(made / MANIFEST)
     if whole["outcome"] != "complete":
         shutil.rmtree(made)
         raise EpisodeError(f"the episode would be incomplete: {whole.get('reason')}")
     return made
+
+
+def _facts(arms: list[ArmSeries], manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """The manifest at the start; an EpisodeError if a series cannot be recorded."""
+    for arm in arms:
+        if len(arm.stamps) < 2 or not np.all(np.diff(arm.stamps) > 0):
+            raise EpisodeError(
+                f"{arm.name}: {len(arm.stamps)} samples; at least two with increasing stamps are"
+                " needed"
+            )
+    imported: dict[str, Any] = {"not_measured": [DEVIATION], **manifest.get("imported", {})}
+    imported["period_s"] = max(float(np.median(np.diff(arm.stamps))) * 1e-9 for arm in arms)
+    described = {
+        arm.name: {"robot": {"name": arm.robot}, "instrument": {"name": arm.instrument}}
+        for arm in arms
+    }
+    cell = {"name": "imported", "arms": described}
+    return {"cell": cell, **manifest, "imported": imported, "mode": "imported"}
 
 
 def _fill(recording: Recording, arms: list[ArmSeries], pictures: Iterable[Picture]) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from surg_core.text_table import read_table
+from surg_core.reading.text_table import read_table
 from surg_recording import metrics
 from surg_recording.metrics import jigsaws
 from surg_recording.metrics.confidence_intervals import spread

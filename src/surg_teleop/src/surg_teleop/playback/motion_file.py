@@ -1,8 +1,8 @@
 """A recorded hand motion: read from CSV, checked, and interpolated.
 
-File format: a text table (``surg_core.text_table``). Required columns: ``t_s`` [s], ``x_m``,
-``y_m``, ``z_m`` [m]. Optional: ``roll_rad`` [rad] or the nine columns ``r11`` ... ``r33`` of a
-rotation matrix (row by row), and ``gripper_rad`` [rad]. Other columns are ignored and reported.
+File format: a text table (``reading.text_table``). Required columns: ``t_s`` [s], ``x_m``, ``y_m``,
+``z_m`` [m]. Optional: ``roll_rad`` [rad] or the nine columns ``r11`` ... ``r33`` of a rotation
+matrix (row by row), and ``gripper_rad`` [rad]. Other columns are ignored and reported.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from surg_core.text_table import read_table
+from surg_core.reading.text_table import read_table
 from surg_core.transforms import twist_angle
 from surg_teleop.leaders.handle_roll import MIN_TWIST
 
