@@ -19,8 +19,8 @@ import numpy as np
 from surg_core._core import CalibrationError, Chain
 from surg_core.config import PathLike
 from surg_core.force.load_solver import Posture
-from surg_core.replace_file import exact_number
 from surg_core.reading.text_table import read_table
+from surg_core.replace_file import exact_number
 from surg_core.transforms import FloatArray
 
 READING = ("fx", "fy", "fz", "tx", "ty", "tz")
