@@ -150,7 +150,7 @@ class FakeContainer:
         self.closed = False
 
     def demux(self, _: object) -> Any:
-        frame = SimpleNamespace(to_ndarray=lambda format: np.zeros((2, 2, 3), np.uint8))
+        frame = av.VideoFrame.from_ndarray(np.zeros((2, 2, 3), np.uint8), format="rgb24")
         yield SimpleNamespace(
             pts=self.driver_us,
             time_base=Fraction(1, 10**6),

@@ -146,3 +146,40 @@ def test_the_pdf_shows_the_board_at_its_size(tmp_path: Path) -> None:
         seen = cv2.imread(str(next(tmp_path.glob("page*.png"))), cv2.IMREAD_GRAYSCALE)
         corners = BOARD.find(seen)
         assert corners is not None and len(corners.ids) == len(BOARD.corners)
+
+
+def older_board(columns: int, rows: int, pixels: int = 40) -> np.ndarray:
+    """The pattern of OpenCV before 4.6: with an even number of rows it begins with white."""
+    found = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_100)
+    draw = getattr(cv2.aruco, "drawMarker", None) or cv2.aruco.generateImageMarker
+    picture = np.full((rows * pixels, columns * pixels), 255, np.uint8)
+    number, edge = 0, round(0.15 * pixels)
+    for row in range(rows):
+        for column in range(columns):
+            y, x = row * pixels, column * pixels
+            if (row + column + rows) % 2:
+                picture[y : y + pixels, x : x + pixels] = 0
+                continue
+            side = pixels - 2 * edge
+            picture[y + edge : y + edge + side, x + edge : x + edge + side] = draw(
+                found, number, side
+            )
+            number += 1
+    return cv2.copyMakeBorder(picture, 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
+
+
+@pytest.mark.parametrize("squares", [(11, 8), (8, 6), (9, 10)])
+@pytest.mark.parametrize("turn", [0.0, 0.4])
+def test_an_older_pattern_is_named(squares: tuple[int, int], turn: float) -> None:
+    picture = older_board(*squares)
+    height, width = picture.shape
+    corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
+    moved = corners * [1.0, 1.0 - turn / 2] + np.array([[0, turn * 100]] * 4) * [[0], [1], [0], [0]]
+    warp = cv2.getPerspectiveTransform(corners, moved.astype(np.float32))
+    seen = cv2.warpPerspective(picture, warp, (width, height), borderValue=255)
+    board = Board(*squares)
+    assert board.find(seen) is None
+    assert "OpenCV before 4.6" in board.why_not(seen)
+    assert "OpenCV before 4.6" not in board.why_not(
+        cv2.copyMakeBorder(board.picture(), 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
+    )

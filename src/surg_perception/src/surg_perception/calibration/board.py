@@ -126,7 +126,10 @@ class Board:
         None: there are fewer than eight, or they do not lie as on this board.
         """
         found = self._seen(picture)
-        return found if found is not None and self._lies_as_stated(found) else None
+        if found is None or not self._lies_as_stated(found):
+            return None
+        grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+        return None if self._is_older(np.ascontiguousarray(grey)) else found
 
     def _seen(self, picture: Picture) -> Corners | None:
         """The corners of a picture, wherever they lie; None: fewer than eight."""
@@ -183,6 +186,11 @@ class Board:
             count = _markers(grey, name)
             if name != self.dictionary and count > max(4, 2 * _markers(grey, self.dictionary)):
                 return f"the markers are of {name}, the board is stated as {self.dictionary}"
+        if self._is_older(grey):
+            return (
+                "its upper left square is white: the pattern of OpenCV before 4.6. Print the board"
+                " of ./surg calibrate CELL board"
+            )
         seen = self._seen(grey)
         if seen is not None and not self._lies_as_stated(seen):
             return (
@@ -195,6 +203,24 @@ class Board:
                 f"check that it has {self.columns}x{self.rows} squares"
             )
         return "no marker is seen; the picture is blurred, dark or does not show the board"
+
+    def _is_older(self, grey: Picture) -> bool:
+        """Whether the markers lie on the squares that are black on this board."""
+        centres, ids = _centres(grey, self.dictionary)
+        squares = np.array(np.divmod(np.arange(self.rows * self.columns), self.columns)).T[:, ::-1]
+        black = squares.sum(axis=1) % 2 == 0
+        away = []
+        for layout in (squares[black], squares[~black]):
+            known = ids < len(layout)
+            if known.sum() < LEAST_CORNERS:
+                return False
+            at = layout[ids[known]].astype(np.float64)
+            H, _ = cv2.findHomography(centres[known], at)
+            if H is None:
+                return False
+            found = cv2.perspectiveTransform(centres[known][None], H)[0]
+            away.append(float(np.sqrt(np.mean(np.sum((found - at) ** 2, axis=1)))))
+        return away[0] <= LARGEST_BEND / 2 < away[1]
 
 
 def parse_squares(text: str) -> tuple[int, int]:
@@ -245,14 +271,22 @@ def _charuco(grey: Picture, pattern: Any, dictionary: str) -> tuple[Any, Any]:
     return pixels, numbers
 
 
-def _markers(grey: Picture, dictionary: str) -> int:
-    """Number of markers of a dictionary in a picture."""
+def _centres(grey: Picture, dictionary: str) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Centres (n, 2) [px] and numbers (n,) of the markers of a dictionary in a picture."""
     found = _dictionary(dictionary)
     if hasattr(cv2.aruco, "ArucoDetector"):
-        _, ids, _ = cv2.aruco.ArucoDetector(found).detectMarkers(grey)
+        corners, ids, _ = cv2.aruco.ArucoDetector(found).detectMarkers(grey)
     else:
-        _, ids, _ = cv2.aruco.detectMarkers(grey, found)
-    return 0 if ids is None else len(ids)
+        corners, ids, _ = cv2.aruco.detectMarkers(grey, found)
+    if ids is None:
+        return np.zeros((0, 2)), np.zeros(0, np.int64)
+    centres = np.array([corner.reshape(4, 2).mean(axis=0) for corner in corners], np.float64)
+    return centres, np.asarray(ids, np.int64).ravel()
+
+
+def _markers(grey: Picture, dictionary: str) -> int:
+    """Number of markers of a dictionary in a picture."""
+    return len(_centres(grey, dictionary)[1])
 
 
 def _dictionary(name: str) -> Any:

@@ -6,17 +6,10 @@ import errno
 from typing import Any
 
 import av
-import numpy as np
-from numpy.typing import NDArray
 
 from surg_perception.capture.picture_source import SourceError
 
 av.logging.set_level(av.logging.FATAL)
-
-
-def rgb(frame: Any) -> NDArray[np.uint8]:
-    """A decoded frame as (h, w, 3)."""
-    return np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
 
 
 def open_input(where: str, path: str, **options: Any) -> Any:

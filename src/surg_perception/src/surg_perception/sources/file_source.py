@@ -22,6 +22,7 @@ from surg_perception.capture.picture_source import (
     Wanted,
 )
 from surg_perception.sources import av_input
+from surg_recording.video.colours import Colours, rotation_of
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 FOLDER_RATE = 30.0
@@ -132,10 +133,11 @@ class FileSource(PictureSource):
             if not container.streams.video:
                 raise SourceError("wrong_format", f"{self._where}: {file}: holds no video")
             first: int | None = None
+            colours = Colours(rotation_of(file))
             for frame in container.decode(video=0):
                 at = round((frame.pts or 0) * frame.time_base * NS)
                 first = at if first is None else first
-                yield at - first, av_input.rgb(frame)
+                yield at - first, colours(frame)
         finally:
             container.close()
 

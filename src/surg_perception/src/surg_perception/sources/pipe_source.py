@@ -12,6 +12,7 @@ import av
 
 from surg_perception.capture.picture_source import Grabbed, PictureSource, SourceError, Wanted
 from surg_perception.sources import av_input
+from surg_recording.video.colours import Colours
 
 FORMATS = {"y4m": "yuv4mpegpipe", "mjpeg": "mjpeg"}
 
@@ -36,6 +37,7 @@ class PipeSource(PictureSource):
             self._where, path, format=FORMATS[stated], options=probing
         )
         av_input.decode_at_once(self._container)
+        self._colours = Colours()
 
     def pictures(self) -> Iterator[Grabbed]:
         """Every picture that arrives."""
@@ -44,7 +46,7 @@ class PipeSource(PictureSource):
                 received = self.wanted.now()
                 jpegs = (bytes(packet),) if self.wanted.coded and self._is_jpeg(packet) else ()
                 for frame in packet.decode():
-                    yield Grabbed(received, received, (av_input.rgb(frame),), jpegs)
+                    yield Grabbed(received, received, (self._colours(frame),), jpegs)
         except av.error.FFmpegError as error:
             raise av_input.refusal(self._where, error) from error
         raise SourceError("gone", f"{self._where}: the writer has closed the pipe; start it again")

@@ -23,6 +23,7 @@ from surg_perception.capture.picture_source import (
     Wanted,
 )
 from surg_perception.sources import av_input
+from surg_recording.video.colours import Colours
 
 PERSISTENT = ("by-id", "by-path")
 """Folders of names that stay with a device, the best first."""
@@ -143,6 +144,7 @@ class V4l2Source(PictureSource):
     def pictures(self) -> Iterator[Grabbed]:
         """Every picture of the driver, decoded."""
         packet: Any = self._first
+        colours = Colours()
         while True:
             received = self.wanted.now()
             stamp = self._stamp(packet, received)
@@ -153,7 +155,7 @@ class V4l2Source(PictureSource):
             except av.error.FFmpegError:
                 frames = []  # a truncated picture; the next one is whole
             for frame in frames:
-                yield Grabbed(stamp, received, (av_input.rgb(frame),), jpegs)
+                yield Grabbed(stamp, received, (colours(frame),), jpegs)
             packet = self._next()
 
     def close(self) -> None:
