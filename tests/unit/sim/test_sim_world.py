@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 import surg_core
 from surg_cli.host import paths
 from surg_core.contract import TICK
-from surg_sim.physics.sim_arm import ActuatorParameters, ArmCommand
+from surg_description.make_cell import make_cell
+from surg_sim.physics.sim_arm import ActuatorParameters, ArmCommand, robot_part
 from surg_sim.physics.trocar import TrocarParameters, shaft_in_flange
 from surg_sim.physics.world import World
 
@@ -72,6 +76,40 @@ def test_a_velocity_step_answers_with_delay_and_lag(cell: surg_core.Cell) -> Non
         behind = (command * TICK * np.arange(len(q)) - (q - q[0]))[-50:].mean() / command
         print(f"joint {joint}: {behind * 1000:.2f} ms behind")
         assert behind == pytest.approx(2 * TICK + 0.008, abs=0.001)
+
+
+@pytest.fixture
+def heavy(tmp_path: Path) -> surg_core.Cell:
+    """A UR10e of 2.5 times its mass, as the vendors' arms for 20 kg and more have."""
+    description = paths.ROOT / "src" / "surg_description"
+
+    def times(number: re.Match[str]) -> str:
+        return f'{number[1]}="{2.5 * float(number[2])}"'
+
+    text = (description / "urdf/ur10e.urdf").read_text()
+    text = re.sub(r'\b(value|i[xyz][xyz])="([^"]*)"', times, text)
+    (tmp_path / "heavy.urdf").write_text(text)
+    robot = (description / "robots/ur10e.yaml").read_text().replace("../urdf/ur10e", "heavy")
+    (tmp_path / "heavy.yaml").write_text(robot)
+    grasper = description / "instruments/grasper.yaml"
+    return surg_core.load_cell(make_cell(tmp_path / "heavy.yaml", tmp_path / "cell", grasper))
+
+
+def test_a_heavy_arm_has_stiffer_drives(heavy: surg_core.Cell) -> None:
+    """By a torque, the angle that it gives, and MuJoCo's mass matrix: 165 rad/s at least."""
+    world = World(heavy, trocar=SOFT)
+    model, data, torque = world.model, world.data, 20.0  # N m
+    M = np.empty((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, M)
+    names = [robot_part(heavy.arms["PSM1"], name) for name in heavy.arms["PSM1"].robot.joint_names]
+    for i, dof in enumerate(model.joint(name).dofadr[0] for name in names):
+        world.reset()
+        data.qfrc_applied[dof] = torque
+        turned = np.ptp(drive(world, np.zeros((200, 6)))[:, i])
+        data.qfrc_applied[dof] = 0.0
+        frequency = np.sqrt(torque / turned / M[dof, dof])
+        print(f"{names[i]}: {frequency:.0f} rad/s")
+        assert frequency > 165.0
 
 
 def test_the_servo_hardly_deflects(cell: surg_core.Cell) -> None:

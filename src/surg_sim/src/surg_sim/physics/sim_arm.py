@@ -41,6 +41,9 @@ class ActuatorParameters:
     # Servo stiffness of a joint [N m/rad]; assumed: 2e4 deflects visibly under a surgeon's
     # accelerations, which industrial arms do not.
     stiffness: float = 1e5
+    # Least natural frequency of a joint's servo at the home posture [rad/s]: a heavy arm has stiffer
+    # drives. Assumed: a little below that of the UR5e's and the Panda's slowest joint.
+    bandwidth: float = 180.0
     # Share of the stiffness (and armature) that the last ``small_joints`` joints have; assumed from
     # the sizes of a six-axis arm's joints.
     small_share: float = 0.35
@@ -239,17 +242,20 @@ class ArmLink:
         self._filter = 1.0 - np.exp(-TICK / SUBSTEPS / parameters.lag)
         self._jacobian = np.empty((2, 3, model.nv))
         self._standstill = ArmCommand(velocity=np.zeros(self.dof))
-        self._damp()
+        self._tune()
         self.reset()
 
-    def _damp(self) -> None:
-        """Choose the damping that is critical for the inertia at the home posture."""
+    def _tune(self) -> None:
+        """Choose the least stiffness for the inertia at the home posture, and critical damping."""
         self._data.qpos[self._qpos] = self._home
         mujoco.mj_forward(self._model, self._data)
         mass = np.empty((self._model.nv, self._model.nv))
         mujoco.mj_fullM(self._model, self._data, mass)
-        stiffness = self._parameters.stiffnesses(self.dof)
         inertia = np.diag(mass)[self._qvel]
+        least = self._parameters.bandwidth**2 * inertia
+        stiffness = np.maximum(self._parameters.stiffnesses(self.dof), least)
+        self._model.actuator_gainprm[self._spring_ctrl, 0] = stiffness
+        self._model.actuator_biasprm[self._spring_ctrl, 1] = -stiffness
         damping = 2 * self._parameters.damping_ratio * np.sqrt(stiffness * inertia)
         self._model.actuator_gainprm[self._damper_ctrl, 0] = damping
         self._model.actuator_biasprm[self._damper_ctrl, 2] = -damping
