@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import mujoco
@@ -17,10 +19,11 @@ from helpers.control import reach
 from surg_cli import command_table
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
-from surg_description.make_cell import make_cell
+from surg_description.make_cell import ArmPlan, make_cell, make_cell_of
 from surg_sim.physics import scene
 from surg_sim.physics.sim_arm import ActuatorParameters, add_arm, robot_part, tip_in_flange
 from surg_sim.placement import chain_check, home_search
+from surg_sim.placement.placement_search import in_range
 
 DESCRIPTION = paths.ROOT / "src" / "surg_description"
 GRASPER = DESCRIPTION / "instruments" / "grasper.yaml"
@@ -150,7 +153,6 @@ def test_a_found_home_is_a_good_one_by_another_solver(tmp_path: Path) -> None:
     arm = load(robot, tmp_path)
     assert home_search.judge(arm, np.array(arm.robot.home)) is None
     found = home_search.search(arm, seed=1, draws=60, rounds=4)
-    assert found is not None
     document["joints"]["home"] = [float(angle) for angle in found.q]
     robot.write_text(yaml.safe_dump(document))
     seen = reach.sweep(robot, GRASPER, 0.120)
@@ -162,7 +164,51 @@ def test_a_found_home_is_a_good_one_by_another_solver(tmp_path: Path) -> None:
     assert seen.velocity == pytest.approx(found.reserve.speed, rel=0.05)
 
 
+@pytest.mark.parametrize("rpy", [(np.pi, 0.0, 0.0), (0.0, np.pi / 2, 0.0)], ids=["ceiling", "wall"])
+def test_a_home_hangs_as_the_cell_mounts_the_arm(
+    rpy: tuple[float, float, float], tmp_path: Path
+) -> None:
+    plan = ArmPlan(DESCRIPTION / "robots" / "ur5e.yaml", GRASPER, base_xyz=(0, 0, 1), base_rpy=rpy)
+    cell = make_cell_of(tmp_path / "cell", {"PSM1": plan}).parent
+    assert run("check", cell) == 1  # the shaft of the robot's own home points elsewhere
+    (arm,) = surg_core.load_cell(cell).arms.values()
+    found = home_search.search(arm, draws=80, rounds=4)
+    X_WTip = arm.X_WB_stated @ arm.chain.forward(found.q) @ tip_in_flange(arm)
+    assert -X_WTip[2, 2] >= np.cos(np.radians(50.0))
+    plan = replace(plan, home=found.q.tolist())
+    assert run("check", make_cell_of(tmp_path / "found", {"PSM1": plan}).parent) == 0
+
+
+def test_angles_are_those_of_each_joint_s_own_range(tmp_path: Path) -> None:
+    """A joint from 0 to 2 pi, as some makers count."""
+    arm = load(DESCRIPTION / "robots" / "ur5e.yaml", tmp_path)
+    robot = SimpleNamespace(position_min=[0.0, -6.0], position_max=[6.2, 6.0])
+    q = in_range(replace(arm, robot=robot), np.array([-1.0, 4.0]))
+    assert q == pytest.approx([2 * np.pi - 1.0, 4.0 - 2 * np.pi])
+
+
+def test_the_term_that_fails_is_named_with_the_value_that_would_do(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = yaml.safe_load((DESCRIPTION / "robots" / "ur5e.yaml").read_text())
+    shutil.copy(DESCRIPTION / "urdf" / "ur5e.urdf", tmp_path)
+    document["urdf"] = "ur5e.urdf"
+    document["joints"]["acceleration"] = [10.0] * 6
+    robot = tmp_path / "slow.yaml"
+    robot.write_text(yaml.safe_dump(document))
+    assert run("check", robot) == 1
+    found = re.search(
+        r"limits.tip_acceleration 2; .*: ([0-9.]+) m/s\^2 would do", "".join(capsys.readouterr())
+    )
+    assert found
+    for value, status in ((float(found[1]) + 0.02, 1), (float(found[1]), 0)):
+        document["limits"]["tip_acceleration"] = value
+        robot.write_text(yaml.safe_dump(document))
+        assert run("check", robot) == status
+
+
 def test_a_file_that_cannot_be_used_is_named(tmp_path: Path, vendor: Path) -> None:
+    assert run("check", "ur5e") == 0
     with pytest.raises(CliError, match="no such file"):
         run("check", tmp_path / "none.yaml")
     document = yaml.safe_load(vendor.read_text())

@@ -32,16 +32,16 @@ def find(name: str) -> Path:
     )
 
 
-def for_robot(robot: str, folder: Path) -> Path:
+def for_robot(robot: str, folder: Path, instrument: Path = INSTRUMENT) -> Path:
     """The cell for `--robot`: a cell, a robot's bundled one, or one made in a folder round a robot.
 
-    A made cell has the robot base at the world's origin, the bundled instrument, and the trocar on
-    the shaft at home with the tip 120 mm deep.
+    A made cell has the robot base at the world's origin, this instrument, and the trocar on the
+    shaft at home with the tip 120 mm deep.
 
     Raises:
         CliError: There is no such robot or cell, or its files are wrong.
     """
-    if robot in BUNDLED_ROBOTS:
+    if robot in BUNDLED_ROBOTS and instrument == INSTRUMENT:
         return find(BUNDLED_ROBOTS[robot])
     path = Path(robot)
     described = described_robots()
@@ -53,14 +53,14 @@ def for_robot(robot: str, folder: Path) -> Path:
         except CliError as problem:
             known = ", ".join(described)
             raise CliError(
-                f"--robot {robot}: neither {known} nor the path of a robot's YAML; {problem}", 2
+                f"{robot}: neither {known} nor the path of a robot's YAML; {problem}", 2
             ) from None
     if not path.is_file():
-        raise CliError(f"--robot {robot}: no such file", 2)
+        raise CliError(f"{robot}: no such file", 2)
     from surg_description.make_cell import make_cell
 
     try:
-        return make_cell(path.resolve(), folder, INSTRUMENT, DEPTH_M, ARM).parent
+        return make_cell(path.resolve(), folder, instrument.resolve(), DEPTH_M, ARM).parent
     except (ValueError, OSError) as error:
         raise CliError(str(error), 2) from error
 

@@ -41,8 +41,8 @@ class ActuatorParameters:
     # Servo stiffness of a joint [N m/rad]; assumed: 2e4 deflects visibly under a surgeon's
     # accelerations, which industrial arms do not.
     stiffness: float = 1e5
-    # Least natural frequency of a joint's servo at the home posture [rad/s]: a heavy arm has stiffer
-    # drives. Assumed: a little below that of the UR5e's and the Panda's slowest joint.
+    # Least natural frequency of a joint's servo at home [rad/s]: a heavy arm has stiffer drives.
+    # Assumed: a little below that of the UR5e's and the Panda's slowest joint.
     bandwidth: float = 180.0
     # Share of the stiffness (and armature) that the last ``small_joints`` joints have; assumed from
     # the sizes of a six-axis arm's joints.

@@ -40,6 +40,8 @@ CORNER_CLEARANCE = 0.02
 """The same with one arm in any corner of its workspace [m]."""
 ANGLES = (np.radians(45.0), np.radians(90.0))
 """Smallest and largest angle between the two shafts at home [rad]."""
+UP = np.array([0.0, 0.0, 1.0])
+"""The vertical in the frame of a base that stands upright."""
 FROM_THE_SIDE = 0.3
 """Smallest share of the instrument's shaft across the scope's picture at home."""
 
@@ -111,7 +113,7 @@ def find_placements(
                 q = inverse(arm.chain, start, X_BF)
                 if q is None:
                     continue
-                q = (q + np.pi) % (2 * np.pi) - np.pi
+                q = in_range(arm, q)
                 if np.any(q < low + 0.3) or np.any(q > high - 0.3) or not elbow_up(arm, q):
                     continue
                 J = np.asarray(arm.chain.jacobian(q))
@@ -125,9 +127,18 @@ def find_placements(
     return sorted(best, key=lambda placement: -placement.reserve.score)
 
 
-def elbow_up(arm: surg_core.Arm, q: Array) -> bool:
-    """Whether every joint from the second on stays above the base: no forearm in the drapes."""
-    return all(_joint_origin(arm.chain, q, i)[2] > 0.05 for i in range(2, len(q)))
+def in_range(arm: surg_core.Arm, q: Array) -> Array:
+    """The same posture with each joint's angle next to the middle of that joint's range [rad]."""
+    middle = (np.asarray(arm.robot.position_min) + np.asarray(arm.robot.position_max)) / 2.0
+    return np.asarray(q - 2 * np.pi * np.round((q - middle) / (2 * np.pi)))
+
+
+def elbow_up(arm: surg_core.Arm, q: Array, up: Array = UP, floor: float = 0.0) -> bool:
+    """Whether every joint from the second on stays 50 mm above a floor: no forearm in the drapes.
+
+    ``up`` (3,) is the vertical in the base frame, the floor's height [m] counts along it.
+    """
+    return all(up @ _joint_origin(arm.chain, q, i) > floor + 0.05 for i in range(2, len(q)))
 
 
 def _joint_origin(chain: surg_core.Chain, q: Array, i: int) -> Array:
