@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 from fractions import Fraction
 from pathlib import Path
@@ -19,6 +20,8 @@ from helpers.recording.foreign_sources import (
     write_set,
     write_video,
 )
+from surg_cli.commands.episode import evaluate as command_evaluate
+from surg_cli.commands.episode import make_film
 from surg_recording import datasets, episode
 from surg_recording.datasets import ExportOptions
 from surg_recording.imports.ledger import Ledger
@@ -307,3 +310,22 @@ def test_an_import_without_joints_is_exported_in_every_format(tmp_path: Path) ->
     for name in ("lerobot_v21", "lerobot_v30", "robomimic", "act", "diffusion_policy", "mcap"):
         report = datasets.load(name).write([folder], tmp_path / name, options)
         assert report.ok, (name, report)
+
+
+def test_imports_alone_are_evaluated_and_shown_without_what_is_missing(tmp_path: Path) -> None:
+    root = write_set(tmp_path / "set", [Rows(40, 20), Rows(40, 20)])
+    data = LeRobotData(root)
+    for number in range(2):
+        import_episode(data, number, tmp_path / "episodes" / str(number), MAP)
+    evaluate = argparse.ArgumentParser()
+    command_evaluate.add_arguments(evaluate, "evaluate")
+    words = [str(tmp_path / "episodes"), "--out", str(tmp_path / "evaluation")]
+    assert command_evaluate.main(evaluate.parse_args(words), "evaluate") == 0
+    drawn = {file.stem for file in (tmp_path / "evaluation" / "figures").iterdir()}
+    assert "smoothness" in drawn and "rcm_deviation" not in drawn
+    assert (tmp_path / "evaluation" / "report.html").is_file()
+    film = argparse.ArgumentParser()
+    make_film.add_arguments(film, "film")
+    words = [str(tmp_path / "episodes" / "0"), "--out", str(tmp_path / "film.mp4")]
+    assert make_film.main(film.parse_args(words), "film") == 0
+    assert (tmp_path / "film.mp4").stat().st_size > 0

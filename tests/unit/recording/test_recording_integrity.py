@@ -14,12 +14,10 @@ from helpers.recording import datasets_synthetic
 from helpers.recording.evaluated import DONE, episode
 from helpers.recording.recording_synthetic import Synthetic
 from helpers.recording.restated import edit_field, restate, without_hashes
-from surg_cli.host.terminal import CliError
 from surg_recording import datasets
-from surg_recording.episode import amendments, episode_reader, integrity
+from surg_recording.episode import episode_reader, integrity
 from surg_recording.episode.verdicts import verdict
 from surg_recording.file_io import file_hash
-from surg_recording.recording_errors import EpisodeError
 from surg_recording.reports import evaluation, evaluation_report, evaluation_tables
 
 SERIAL = datasets.ExportOptions(executor="serial", drop=("privileged.ground_truth",))
@@ -138,32 +136,14 @@ def test_a_recording_without_hashes_is_read_and_said(folder: Path) -> None:
     assert count == 1 and "recorded without hashes" in warning
 
 
-def test_a_declared_edit_is_accepted_and_named(folder: Path, surg: Callable[..., int]) -> None:
-    with pytest.raises(CliError, match="nothing to declare"):
-        surg("record", "amend", folder, "--by", "A. Nurse", "--why", "none")
-    before = file_hash(folder / "cycle_PSM1.csv")
-    edit_field(folder / "cycle_PSM1.csv", 100, "q0", "1.234")
-    for words in (["--by", "A. Nurse"], ["--why", "encoder"]):
-        with pytest.raises(CliError, match="--by NAME and --why TEXT"):
-            surg("record", "amend", folder, *words)
-    assert surg("record", "amend", folder, "--by", "A. Nurse", "--why", "encoder slipped") == 0
-    (note,) = episode_reader.read(folder).amendments
-    after = file_hash(folder / "cycle_PSM1.csv")
-    assert note["files"] == {"cycle_PSM1.csv": {"before": before, "after": after}}
-    assert (note["by"], note["why"]) == ("A. Nurse", "encoder slipped") and note["at"]
+def test_an_edit_that_a_manifest_of_before_declares_is_named(folder: Path) -> None:
+    stated = json.loads((folder / "manifest.json").read_text())
+    note = {"at": "2026-11-01T10:00:00Z", "by": "A. Nurse", "why": "encoder slipped", "files": {}}
+    (folder / "manifest.json").write_text(json.dumps({**stated, "amendments": [note]}))
     (entry,), left_out = measured(folder)
     assert left_out == [] and "declared by A. Nurse" in entry["remarks"][0]
     count, refused, (warning,) = exported(folder)
     assert (count, refused) == (1, []) and "encoder slipped" in warning
-
-
-def test_an_edit_that_cannot_be_read_cannot_be_declared(folder: Path) -> None:
-    edit_field(folder / "cycle_PSM1.csv", 100, "q0", "oops")
-    with pytest.raises(EpisodeError, match="line 101, column q0"):
-        amendments.amend(folder, "A", "why")
-    (folder / "cycle_PSM1.csv").unlink()
-    with pytest.raises(EpisodeError, match="is missing"):
-        amendments.amend(folder, "A", "why")
 
 
 def test_every_metric_says_of_how_many_episodes_it_is(tmp_path: Path) -> None:

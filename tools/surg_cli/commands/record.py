@@ -6,7 +6,6 @@ import argparse
 import json
 import os
 import time
-from pathlib import Path
 from typing import Any
 
 from surg_cli.graph import follow, master, processes, running
@@ -20,12 +19,11 @@ ACTIONS = {
     "status": "what is being recorded, what was dropped, what is missing",
     "tag": "note TEXT at this moment",
     "stage": "the stage TEXT begins now",
-    "amend": "declare deliberate edits of the files of the episode TEXT, with --by and --why",
 }
 FACTS = ("operator", "task", "setting", "seed")
 SUCCESS = "success"
 _NO_REASONS = ("success", "succeeded", "failure", "failed", "yes", "no", "true", "false")
-_WITH_TEXT = ("tag", "stage", "amend")
+_WITH_TEXT = ("tag", "stage")
 STATUS = "/record/status"
 CONNECT_S = 5.0
 START_S = 20.0
@@ -38,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     parser.epilog = "\n".join(f"  {name:7s} {text}" for name, text in ACTIONS.items())
     add = parser.add_argument
     add("action", choices=tuple(ACTIONS), metavar="ACTION", help=", ".join(ACTIONS))
-    add("text", nargs="?", default="", metavar="TEXT", help="of tag, stage, amend")
+    add("text", nargs="?", default="", metavar="TEXT", help="of tag, stage")
     add("--port", type=tcp_port, metavar="P", help="of the ROS master")
     add(
         "--info",
@@ -49,8 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         metavar="KEY=VALUE",
         help=f"start: {', '.join(FACTS)}, for the manifest",
     )
-    add("--by", metavar="NAME", help="amend: who edited the files")
-    add("--why", metavar="TEXT", help="amend: what was edited, and for what reason")
     add("--outcome", type=_outcome, metavar="X", help="stop: success, or why it failed")
 
 
@@ -78,27 +74,8 @@ def main(options: argparse.Namespace, command: str) -> int:
     for option, of in (("outcome", "stop"), ("info", "start")):
         if getattr(options, option) and action != of:
             raise CliError(f"--{option} belongs to record {of}", 2)
-    if action == "amend":
-        return _amend(Path(options.text), options.by, options.why)
-    if options.by or options.why:
-        raise CliError("--by and --why belong to record amend", 2)
     with Recorder(_port(options.port)) as recorder:
         return _do(recorder, action, options)
-
-
-def _amend(folder: Path, by: str | None, why: str | None) -> int:
-    """Declare the edits of an episode in its manifest."""
-    from surg_recording.episode import amendments
-    from surg_recording.recording_errors import EpisodeError
-
-    if not by or not why:
-        raise CliError("record amend: --by NAME and --why TEXT are missing", 2)
-    try:
-        note = amendments.amend(folder, by, why)
-    except EpisodeError as problem:
-        raise CliError(f"record amend: {problem}", 2) from None
-    say(f"record: {folder}: {', '.join(note['files'])} as edited by {by}: {why}")
-    return 0
 
 
 def _do(recorder: Recorder, action: str, options: argparse.Namespace) -> int:

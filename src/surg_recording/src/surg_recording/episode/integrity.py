@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 HASH, VIDEO_HASH = "sha256", "video_sha256"
 """Keys of an entry of the manifest: hash of a CSV file, and of the video beside a sidecar."""
 
-REMEDY = "restore it, or declare the edit: ./surg record amend EPISODE --by NAME --why TEXT"
+REMEDY = "restore it from a copy"
 
 
 def check_rows(path: Path, entry: Mapping[str, Any], table: Table) -> None:
