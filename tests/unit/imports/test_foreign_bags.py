@@ -130,8 +130,8 @@ def test_topics_whose_clocks_differ_are_refused(tmp_path: Path) -> None:
         import_bag(bag, tmp_path / "out")
 
 
-def spoilt(messages: list[BagMessage], how: str) -> list[BagMessage]:
-    for each in messages[:30]:
+def spoilt(messages: list[BagMessage], how: str, count: int = 30) -> list[BagMessage]:
+    for each in messages[:count]:
         if how == "nan":
             each.p = [float("nan"), 0.0, -0.1]
         else:
@@ -153,6 +153,15 @@ def test_rows_that_say_nothing_are_refused_by_name(how: str, said: str, tmp_path
         import_bag(bag, tmp_path / "out")
     folder = import_bag(bag, tmp_path / "out", ledger=Ledger(allowed=0.2))
     at_their_times(folder, COUNT - 30)
+
+
+@pytest.mark.parametrize("how", ["nan", "zero", "long"])
+def test_a_bag_that_says_nothing_at_all_is_refused(how: str, tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "a.bag", spoilt(samples(COUNT), how, COUNT))
+    with pytest.raises(EpisodeError, match=f"{COUNT} of {COUNT} would be lost"):
+        import_bag(bag, tmp_path / "out")
+    with pytest.raises(EpisodeError, match=r"can be used|0 samples"):
+        import_bag(bag, tmp_path / "out", ledger=Ledger(allowed=1.0))
 
 
 def test_joints_that_began_later_are_not_invented(tmp_path: Path) -> None:

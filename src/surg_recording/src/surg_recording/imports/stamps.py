@@ -57,7 +57,7 @@ def in_order(stamps: Stamps, received: Stamps, stream: str, ledger: Ledger) -> n
         _refuse_steps(stamps[good], received[good], stream)
     used = np.flatnonzero(good)
     used = used[np.argsort(stamps[used], kind="stable")]
-    first = np.append(True, np.diff(stamps[used]) > 0)
+    first = np.diff(stamps[used], prepend=-1) > 0
     ledger.drop(stream, "with the stamp of another message", int((~first).sum()))
     return used[first]
 

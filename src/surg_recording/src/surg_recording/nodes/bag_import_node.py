@@ -146,6 +146,7 @@ def _oriented(poses: Samples, topic: str, ledger: Ledger) -> Samples:
     good = ledger.sieve(topic, length == 0, "without an orientation (quaternion 0 0 0 0)", good)
     off = np.abs(length - 1) > UNIT_TOLERANCE
     good = ledger.sieve(topic, off, "with a quaternion that is not of length 1", good)
+    ledger.check()
     return poses.only(good)
 
 

@@ -105,6 +105,9 @@ class BagStreams:
         stamps, received = self._times(topic, own, received)[good], received[good]
         used = stamped.in_order(stamps, received, topic, self.ledger)
         self._agree(topic, stamps[used], received[used])
+        self.ledger.check()
+        if not len(used):
+            raise EpisodeError(f"{topic}: holds no message that can be used")
         return Samples(stamps[used], numbers[good][used])
 
     def _times(self, topic: str, own: Stamps, received: Stamps) -> Stamps:
