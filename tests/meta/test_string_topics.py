@@ -51,7 +51,7 @@ USED = {
     "ros_system_node.py": {"warning"},
     "recorder_topics_node.py": {"name", "/record/tag", "/record/info"},
     "sim_bridge_node.py": {"/sim/undeclared", "/sim/inject", "/sim/guide_home"},
-    "watch.py": {"topic"},
+    "watch.py": {"topic", "/record/info"},
     "record.py": {"name"},
     "link_node.py": {"warning"},
     "force_node.py": {"status", "warning"},

@@ -18,7 +18,8 @@ from surg_cli.host.terminal import CliError
 GROUPS = ("run", "data", "learn", "robot", "develop")
 FAMILIES = {
     "episode": ("data", "what is done with recorded episodes"),
-    "policy": ("learn", "what a policy needs before it connects"),
+    "policy": ("learn", "begin a policy, and what it needs before it connects"),
+    "task": ("learn", "begin a task"),
     "dev": ("develop", "set up, build, test and examine the workspace"),
 }
 """First word -> group and help of the commands that begin with it."""
@@ -80,6 +81,12 @@ COMMANDS = {
     ),
     "episode evaluate": Command("data", "episode.evaluate", "compare in figures and tables"),
     "learn": Command("learn", "learn", "demonstrate, export, train, deploy and judge a policy"),
+    "policy new": Command(
+        "learn", "policy.new_file", "write a policy to begin with", needs_workspace=False
+    ),
+    "task new": Command(
+        "learn", "policy.new_file", "write a task to begin with", needs_workspace=False
+    ),
     "policy keys": Command(
         "learn", "policy.make_keys", "make key pairs for a model server and its policies"
     ),

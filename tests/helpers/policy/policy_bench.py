@@ -24,6 +24,7 @@ from surg_policy_bridge.server.policy_arm import Target, arm_state
 from surg_policy_bridge.server.safety_controller import CLIPPED, ArmLimits, SafetyController
 from surg_policy_bridge.server.wire_endpoint import WireEndpoint
 from surg_policy_client import wire
+from surg_policy_client.observation import RCM
 from surg_policy_client.spec import Spec
 from surg_policy_client.wire import Message
 
@@ -196,7 +197,7 @@ class Bench:
     def observe(self) -> None:
         """The observation of the present grid time."""
         numbers = np.array(arm_state(self.arm.view), dtype="<f4")
-        seen = Observation(self.step, self.now, {STATE_KEY: numbers})
+        seen = Observation(self.step, self.now, {STATE_KEY: numbers, RCM: np.eye(4)[None]})
         self.server.observe(seen, self.now, self.now)
         self._hear()
 

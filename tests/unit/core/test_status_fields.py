@@ -76,12 +76,6 @@ def run_starts_its_simulator(status: Any) -> bool:
     return True
 
 
-def run_goes_on_without_the_script(status: Any) -> bool:
-    script = SimpleNamespace(name=policy_program.CLIENT, exit_code=1)
-    watch = heard_by_watch({"/policy/status": status})
-    return policy_program.absent(SimpleNamespace(children=[script]), watch) == []
-
-
 # --- RecordStatus ----------------------------------------------------------------------------
 
 
@@ -106,7 +100,8 @@ def record_start_succeeds(status: Any) -> bool:
 
 
 def episode_is_a_success(status: Any) -> bool:
-    watch = heard_by_watch({"/sim/status": status}, recording=True, record=lambda on: None)
+    does = {"record": lambda on: None, "tell_recorder": lambda facts: None}
+    watch = heard_by_watch({"/sim/status": status}, recording=True, **does)
     supervisor = SimpleNamespace(children=[], first_dead=lambda: None)
     plan = SimpleNamespace(policy=None)
     return task_episode._follow(plan, supervisor, watch).success
@@ -259,7 +254,6 @@ DECIDERS: dict[str, list[Decider]] = {
         Decider(console_may_start_the_policy, ("state",), {}),
         Decider(stop_need_not_disable_the_policy, ("state",), {}),
         Decider(run_starts_its_simulator, ("waiting",), {}),
-        Decider(run_goes_on_without_the_script, ("sessions",), {}),
     ],
     "RecordStatus": [
         Decider(run_has_a_complete_recording, ("state", "problem"), {}),
@@ -294,10 +288,10 @@ NOBODY: dict[str, dict[str, str]] = {
     },
     "PolicyStatus": {
         "reason": "why the policy does not run, as a code: the state already says that it does not",
-        **dict.fromkeys(("detail", "refused", "client", "policy", "address"), SHOWN),
+        **dict.fromkeys(("detail", "warning", "refused", "client", "policy", "address"), SHOWN),
         **dict.fromkeys(("session", "episode", "queue", "period", "accepted", "clipped"), RESULT),
         **dict.fromkeys(("rejected", "rejected_rules", "rejected_by_rule", "late"), RESULT),
-        **dict.fromkeys(("stale", "empty", "waited", "messages", "malformed"), RESULT),
+        **dict.fromkeys(("stale", "empty", "waited", "messages", "malformed", "sessions"), RESULT),
         **dict.fromkeys(("malformed_codes", "flooded", "strangers", "obs_age_p50"), RESULT),
         **dict.fromkeys(("obs_age_p99", "round_trip_p50", "round_trip_p99"), RESULT),
     },

@@ -21,8 +21,10 @@ from helpers.recording.datasets_synthetic import FRAME_NS
 from helpers.recording.picture_identity import Identity
 from helpers.recording.recording_synthetic import Synthetic, path
 from helpers.tree import oracle_venv
+from surg_core.contract import POSITION_STREAMS
 from surg_recording import datasets
 from surg_recording.datasets import ExportOptions
+from surg_recording.episode import episode_reader
 from surg_recording.nodes.ros_messages_node import Stamped
 from surg_recording.recording_errors import EpisodeError
 
@@ -63,9 +65,12 @@ def test_every_message_says_what_was_recorded(
         found.setdefault(topic, []).append((time_ns, message))
         assert time_ns >= last
         last = time_ns
+    cycle = episode_reader.read(recording).cycle("PSM1")
+    obeyed = dict(zip(cycle["stamp_ns"], cycle["command"], strict=True))
     for time_ns, message in found["/PSM1/setpoint_cp"]:
         p = message.pose.position
-        expected = what.executed(time_ns * 1e-9)
+        streams = obeyed[time_ns] in POSITION_STREAMS
+        expected = (path if streams else what.executed)(time_ns * 1e-9)
         np.testing.assert_allclose([p.x, p.y, p.z], expected, atol=1e-7)
         assert message.header.frame_id == "PSM1_rcm"
         assert message.header.stamp.to_nsec() == time_ns

@@ -121,6 +121,7 @@ def test_the_specification_is_that_of_the_environment_and_of_datasets() -> None:
     assert state is not None and list(state) == env.state_names[: len(state)]
     assert list(made.observation) == [
         "observation.state",
+        "observation.rcm_frame",
         image_key("endoscope_left"),
         TASK_STATE_KEY,
     ]

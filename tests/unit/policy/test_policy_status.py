@@ -37,11 +37,12 @@ def test_every_counter_is_published() -> None:
         reason="the operator wants PSM1",
         waiting=False,
         episode=2,
-        steps=SimpleNamespace(queue=[]),
+        steps=SimpleNamespace(queue=[], swings=SimpleNamespace(warning="it swings")),
     )
     message = policy_status(server, "refused", "tcp://127.0.0.1:5555")  # type: ignore[arg-type]
     assert fault(message) == ""
     assert (message.state, message.reason) == (message.STATE_PAUSED, message.REASON_OPERATOR)
+    assert message.warning == "it swings"
     assert len(plain) >= 8
     assert [getattr(message, name) for name in plain] == list(range(1, len(plain) + 1))
     assert dict(zip(message.rejected_rules, message.rejected_by_rule, strict=True)) == {

@@ -191,7 +191,7 @@ PERSON = {"success": False, "reason": "it tore", "by": "/surg_record"}
         ({}, None, None, None),
         ({"sim": SOLVED}, True, "task", None),
         ({"sim": FAILED}, False, "task", None),
-        ({"sim": {"task": {"success": True, "done": False}}}, False, "task", None),
+        ({"sim": {"task": {"success": True, "done": False}}}, None, None, None),
         ({"sim": SOLVED, "result": {"success": True, "by": "task"}}, True, "task", None),
         ({"result": PERSON}, False, "person", None),
         ({"result": {"success": True, "by": "/a"}}, True, "person", None),
@@ -210,6 +210,24 @@ def test_a_persons_verdict_counts_first(
 ) -> None:
     found = verdict(manifest)
     assert (found.success, found.by, found.disagreement) == (success, by, said)
+
+
+@pytest.mark.parametrize(
+    ("manifest", "outcome", "reason"),
+    [
+        ({}, "not judged", ""),
+        ({"sim": SOLVED}, "success", ""),
+        ({"sim": FAILED}, "failure", "too late"),
+        ({"sim": {"task": {"success": False, "done": False}}}, "aborted", "before the task was"),
+        ({"sim": {"aborted": "no answer"}}, "aborted", "no answer"),
+        ({"run": {"outcome": {"outcome": "crashed", "reason": "bad"}}}, "crashed", "bad"),
+        ({"run": {"outcome": {"outcome": "failure", "reason": "FAULT"}}}, "failure", "FAULT"),
+        ({"run": {"outcome": {"outcome": "crashed"}}, "result": PERSON}, "failure", "it tore"),
+    ],
+)
+def test_every_outcome_has_one_word(manifest: dict[str, Any], outcome: str, reason: str) -> None:
+    found = verdict(manifest)
+    assert found.outcome == outcome and reason in found.reason
 
 
 def test_what_the_operator_called_a_failure_is_a_success_nowhere(tmp_path: Path) -> None:

@@ -53,6 +53,7 @@ def entry(seed: int, **changes: Any) -> dict[str, Any]:
         "seed": seed,
         "operator": "scripted expert",
         "success": True,
+        "outcome": "success",
         "failure_reason": None,
         "judged_by": "task",
         "disagreement": None,

@@ -162,8 +162,12 @@ def _play(plan: SystemPlan, index: int, count: int, progress: Progress) -> dict[
     ended: task_episode.Ended = episode_process.run_episode(plan, show)
     entry = episode_process.describe(plan, ended)
     if not is_interactive():
-        end = "success" if ended.success else f"failed: {ended.reason.splitlines()[0]}"
-        say(f"  {which}: {end}")
+        first, *_, last = [*(ended.reason.splitlines() or [""]), ""]
+        say(
+            f"  {which}: {' '.join(filter(None, (ended.outcome + ':' * bool(first), first, last)))}"
+        )
+    if warning := (ended.policy or {}).get("warning"):
+        warn(f"surg: {which}: {warning}")
     return entry
 
 
@@ -205,7 +209,8 @@ def _print_summary(summary: dict[str, Any]) -> None:
     say(table(rows))
     for i, e in enumerate(summary["episodes"]):
         if not e["success"]:
-            say(f"  failed: episode {i}, seed {e['seed']}, {e['setting']}: {e['failure_reason']}")
+            what = f"{e['outcome']}: episode {i}, seed {e['seed']}, {e['setting']}"
+            say(f"  {what}: {e['failure_reason']}")
 
 
 def _median_and_worst(spread: dict[str, Any]) -> str:

@@ -84,6 +84,7 @@ def measure(
     A recording that cannot be read is None, and the episode was not played.
     """
     from surg_recording.episode import episode_reader
+    from surg_recording.episode.verdicts import ABORTED
     from surg_recording.recording_errors import EpisodeError
     from surg_recording.reports import trials
 
@@ -94,11 +95,13 @@ def measure(
             made["deterministic"] = False  # ticks ran without the policy: this machine was too slow
         return made, also(made, recorded)
 
+    success = ended.success if ended.played else None
     outcome = trials.TrialOutcome(
-        ended.success, ended.reason, ended.phase, ended.duration_s, ended.played
+        success, ended.reason, ended.phase, ended.duration_s, ended.played, ended.outcome
     )
     try:
         return entry(outcome, episode_reader.read(plan.out / "episode"))
     except EpisodeError as error:
         reason = "; ".join(filter(None, (ended.reason, str(error))))
-        return entry(replace(outcome, played=False, success=False, reason=reason), None)
+        broken = replace(outcome, played=False, success=None, reason=reason)
+        return entry(replace(broken, outcome=ended.outcome if not ended.played else ABORTED), None)

@@ -15,6 +15,10 @@ from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
 
 CLIENT = "policy_client"
+LAST_LINES = 5
+"""Lines of a dead program that are shown."""
+FAILED = "the policy failed: "
+"""What a client's farewell says of an exception, before the exception."""
 CLIENT_TIMEOUT_S = 120.0
 """[s] wall clock: longest time that a script may take to connect; its own libraries load first."""
 
@@ -82,27 +86,26 @@ def connect(
     follow.wait_for(missing, supervisor, progress, timeout_s)
 
 
-def absent(supervisor: Supervisor, watch: Watch) -> list[str]:
-    """Why nobody will play: the script has ended without ever a session; empty: somebody may."""
-    if watch.policy.sessions:
-        return []
-    return [
-        f"no policy has played: the script ended ({child.exit_code}) before it had a session"
-        for child in supervisor.children
-        if child.name == CLIENT and child.exit_code is not None
-    ]
-
-
-def complaints(supervisor: Supervisor, watch: Watch) -> list[str]:
-    """Why a policy may have failed, in sentences."""
-    reasons = []
-    status = watch.policy
-    if status.state in (status.STATE_IDLE, status.STATE_PAUSED):
-        reasons.append(f"policy: {status.detail}")
+def crash(supervisor: Supervisor, watch: Watch) -> list[str]:
+    """How the policy's program has died, with its last lines; empty: it has not."""
     for child in supervisor.children:
-        if child.name == CLIENT and child.exit_code not in (None, 0):
-            reasons.append(f"the policy's script ended ({child.exit_code}):\n{child.log_tail(5)}")
-    return reasons
+        if child.name == CLIENT:
+            code = child.exit_code
+            if code is None:
+                return []
+            how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
+            return [f"the policy's program {how}:\n{child.log_tail(LAST_LINES)}"]
+    # One that was started elsewhere says so when it leaves.
+    status = watch.policy
+    failed = status.reason == status.REASON_POLICY_LEFT and FAILED in status.detail
+    return [status.detail] if failed else []
+
+
+def complaints(watch: Watch) -> list[str]:
+    """Why a policy may have failed, in sentences."""
+    status = watch.policy
+    stopped = status.state in (status.STATE_IDLE, status.STATE_PAUSED)
+    return [f"policy: {said}" for said in (stopped and status.detail, status.warning) if said]
 
 
 def addressed(policy: Policy) -> Policy:

@@ -22,14 +22,17 @@ from surg_cli.graph.watch import Watch
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError, warn
 from surg_core.status_check import value_name
+from surg_recording.episode import verdicts
 
 PLAN, OUTCOME = "plan.json", "outcome.json"
 WARM_UP_S = 0.5
 """[s simulated] The rate is measured from here on."""
+LEFT_AFTER_END_S = 0.3
+"""[s] Longest time from the end of an episode until it is known here."""
 AS_SENT = (
     *("waiting", "client", "policy", "episode", "queue", "accepted", "clipped", "rejected"),
     *("late", "stale", "empty", "waited", "messages", "flooded", "strangers", "sessions"),
-    *("refused", "address"),
+    *("refused", "warning", "address"),
 )
 """Fields of a PolicyStatus that are kept under their own names."""
 
@@ -47,6 +50,7 @@ class Ended:
     real_time_factor: float | None
     # the last `/policy/status` as `policy_record`; None without one
     policy: dict[str, Any] | None = None
+    outcome: str = verdicts.ABORTED  # as `verdicts` defines it
 
 
 def write_plan(plan: SystemPlan) -> None:
@@ -90,9 +94,10 @@ def _follow(plan: SystemPlan, supervisor: processes.Supervisor, watch: Watch) ->
     """Watch the episode until it is over or must end."""
     follow.start_recording(watch, supervisor, _progress)
     broken: list[str] = []
+    crashed: list[str] = []
     fault = ""
     rate = _Rate()
-    while (sim := watch.sim).state != sim.STATE_DONE and not broken:
+    while (sim := watch.sim).state != sim.STATE_DONE and not broken and not crashed:
         time.sleep(0.02)
         rate.look(sim.sim_time)
         _progress(sim.sim_time, sim.task.phase)
@@ -100,27 +105,40 @@ def _follow(plan: SystemPlan, supervisor: processes.Supervisor, watch: Watch) ->
             break
         broken = follow.failure(watch, supervisor)
         if plan.policy is not None:
-            broken += policy_program.absent(supervisor, watch)
+            crashed = policy_program.crash(supervisor, watch)
+    if crashed:  # or has it left after the end, which is not known here yet?
+        processes.wait_until(lambda: watch.sim.state == sim.STATE_DONE, LEFT_AFTER_END_S)
     sim = watch.sim
     rate.look(sim.sim_time)
-    broken += follow.finish_recording(watch, supervisor)
     task = sim.task
     success = task.state == task.STATE_SUCCESS
     over = success or task.state == task.STATE_FAILURE
+    crashed = [] if over else crashed
     reason = fault or task.detail
     if not fault and not over:
-        reason = "the simulation ended before the task did"
+        reason = "" if crashed else "the simulation ended before the task did"
     gave_up = [f"{name}: {why}" for name, why in watch.gave_up.items()]
-    if plan.policy is not None and not success:
-        gave_up += policy_program.complaints(supervisor, watch)
+    if plan.policy is not None and not success and not crashed:
+        gave_up += policy_program.complaints(watch)
+    if not over:  # else the task has judged
+        word = verdicts.CRASHED if crashed else verdicts.ABORTED
+        word = verdicts.FAILURE if fault else word
+        said = "; ".join(filter(None, [*crashed, *broken, reason]))
+        watch.tell_recorder(json.dumps({"outcome": {"outcome": word, "reason": said}}))
+    broken += follow.finish_recording(watch, supervisor)
+    played = not broken and not crashed and (bool(fault) or over)
+    word = verdicts.CRASHED if crashed else verdicts.ABORTED
+    if played:
+        word = verdicts.SUCCESS if success and not fault else verdicts.FAILURE
     return Ended(
-        success=success and not broken and not fault,
-        reason="; ".join([*broken, *([reason] if reason else []), *gave_up]),
+        success=word == verdicts.SUCCESS,
+        reason="; ".join(filter(None, [*crashed, *broken, reason, *gave_up])),
         phase=task.phase,
         duration_s=sim.sim_time,
-        played=not broken and (bool(fault) or over),
+        played=played,
         real_time_factor=rate.factor,
         policy=policy_record(watch.policy) if plan.policy is not None else None,
+        outcome=word,
     )
 
 

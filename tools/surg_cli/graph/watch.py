@@ -91,6 +91,7 @@ class Watch:
         self._news: deque[tuple[str, str]] = deque(maxlen=self.KEPT)
         self._bool = Bool
         self._record_switch = rospy.Publisher("/record/record", Bool, queue_size=1, latch=True)
+        self._record_info = rospy.Publisher("/record/info", String, queue_size=1, latch=True)
         subscribe = rospy.Subscriber
         self._subscribers = [subscribe("/record/recording", Bool, self._on_recording)]
         for topic, kind in self._kinds.items():
@@ -125,6 +126,10 @@ class Watch:
     def record(self, on: bool) -> None:
         """Tell the recorder to start or to stop; latched, so a late recorder hears it too."""
         self._record_switch.publish(self._bool(on))
+
+    def tell_recorder(self, facts: str) -> None:
+        """Facts about the run as JSON, for the manifest."""
+        self._record_info.publish(facts)
 
     def stay_connected(self) -> None:
         """Keep connections on which arms are told to pause, so that a pause needs no new one.

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from surg_core._core import State as ArmState
 from surg_core._core import reason_name
+from surg_core.contract import POSITION_STREAMS
 from surg_core.transforms import tip_quaternion, virtual_joints
 
 if TYPE_CHECKING:
@@ -50,6 +51,9 @@ class ArmView:
         holder: Caller id of the node that holds the arm; empty: none.
         stream: Caller id of the node whose servo_cp the arm obeys; empty: none.
         received: Receipt on the reader's steady clock [s].
+        p_BSample: (3,) newest sample of the stream of poses that the arm obeys [m]; None: it obeys
+            none.
+        roll_sample: Its roll [rad].
     """
 
     stamp_ns: int
@@ -73,6 +77,8 @@ class ArmView:
     holder: str = ""
     stream: str = ""
     received: float = 0.0
+    p_BSample: Array | None = None
+    roll_sample: float = 0.0
 
     @classmethod
     def of(cls, out: Outputs) -> ArmView:
@@ -94,6 +100,8 @@ class ArmView:
             jaw_set=out.jaw_set,
             rcm_error=out.rcm_error,
             p_BRcm=np.array(out.p_BRcm),
+            p_BSample=np.array(out.p_goal) if int(out.motion) in POSITION_STREAMS else None,
+            roll_sample=out.roll_goal,
         )
 
     @property
@@ -110,6 +118,16 @@ class ArmView:
     def p_set(self) -> Array:
         """(3,) set-point of the tip in R [m]."""
         return self._in_rcm(self.p_BSet)
+
+    @cached_property
+    def p_go_on(self) -> Array:
+        """(3,) tip from which a sender goes on, see `contract.ARM_STATE`, in R [m]."""
+        return self.p_set if self.p_BSample is None else self._in_rcm(self.p_BSample)
+
+    @property
+    def roll_go_on(self) -> float:
+        """The roll of `p_go_on` [rad]."""
+        return self.roll_set if self.p_BSample is None else self.roll_sample
 
     @cached_property
     def R_WR(self) -> Array:

@@ -46,7 +46,11 @@ ARM_STATE = (
     *("tip_x", "tip_y", "tip_z", "roll", "jaw"),
     *("set_x", "set_y", "set_z", "roll_set"),
 )
-"""State of each arm: measured tip, roll and jaw; set-point of tip and roll, in the rcm frame."""
+"""State of each arm, in the rcm frame: measured tip, roll and jaw; tip and roll to go on from.
+
+A sender goes on from the newest accepted sample of a stream of positions: the set-point runs ahead
+of it, and steps from there would swing. Otherwise it goes on from the set-point.
+"""
 ARM_STATE_UNITS = ("m", "m", "m", "rad", "rad", "m", "m", "m", "rad")
 ARM_FORCE = (
     *("tip_x", "tip_y", "tip_z", "tip_known"),

@@ -15,7 +15,7 @@ from std_msgs.msg import Empty
 from crtk_msgs.msg import StringStamped
 from surg_core import quaternion_xyzw_to_matrix
 from surg_core.arm_view import ArmCommands, ArmState, ArmView, Array, TipPose
-from surg_core.contract import SECOND_NS
+from surg_core.contract import POSITION_STREAMS, SECOND_NS
 from surg_msgs.msg import Cycle
 
 KINDS: dict[str, type] = {
@@ -116,6 +116,8 @@ def arm_view(cycle: Cycle, R_WB: Array | None = None, received: float = 0.0) -> 
         holder=cycle.source,
         stream=cycle.source if cycle.command == Cycle.SERVO_CP else "",
         received=received,
+        p_BSample=np.array(cycle.p_goal) if cycle.command in POSITION_STREAMS else None,
+        roll_sample=cycle.roll_goal,
     )
 
 

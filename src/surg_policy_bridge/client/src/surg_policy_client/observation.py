@@ -13,6 +13,7 @@ from surg_policy_client.spec import CHANGES, Spec
 from surg_policy_client.wire import Message
 
 STATE = "observation.state"
+RCM = "observation.rcm_frame"
 _HELD = {"x": "set_x", "y": "set_y", "z": "set_z", "roll": "roll_set", "jaw": "jaw"}
 """Column of the state that holds the present value of an action."""
 
@@ -69,8 +70,38 @@ class Observation:
             raise KeyError(f"{key} has no {name!r}; it has {', '.join(names)}")
         return float(self.arrays[key][names.index(name)])
 
+    def to_world(self, p_R: Any, arm: str | None = None) -> np.ndarray:
+        """Points (…, 3) [m] of an arm's rcm frame, in the world.
+
+        Args:
+            p_R: The points.
+            arm: Its name; None: the first one.
+
+        Raises:
+            KeyError: `observation.rcm_frame` is not in `wants`, or there is no such arm.
+        """
+        X_WR = self._rcm_frame(arm)
+        return np.asarray(p_R) @ X_WR[:3, :3].T + X_WR[:3, 3]
+
+    def to_rcm(self, p_W: Any, arm: str | None = None) -> np.ndarray:
+        """Points (…, 3) [m] of the world, in an arm's rcm frame; as `to_world`."""
+        X_WR = self._rcm_frame(arm)
+        return (np.asarray(p_W) - X_WR[:3, 3]) @ X_WR[:3, :3]
+
+    def _rcm_frame(self, arm: str | None) -> np.ndarray:
+        names = self.spec.action.names if self.spec.action is not None else ()
+        arms = list(dict.fromkeys(name.rpartition("/")[0] for name in names))
+        if RCM not in self.arrays:
+            raise KeyError(f"the world needs {RCM}: name it in `wants`")
+        if arm is not None and arm not in arms:
+            raise KeyError(f"there is no arm {arm!r}; there are {', '.join(arms)}")
+        return self.arrays[RCM][0 if arm is None else arms.index(arm)]
+
     def held_action(self) -> np.ndarray:
-        """The action [A] that keeps set-point, roll and jaw.
+        """The action [A] that keeps the arms where they are told to be.
+
+        It is the newest row that was accepted; of an arm at rest its set-point. Count steps from
+        here, never from the measured tip, which lags behind.
 
         Raises:
             KeyError: `observation.state` is not served, or lacks a column.

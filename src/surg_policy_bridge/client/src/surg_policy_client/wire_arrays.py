@@ -13,7 +13,7 @@ from surg_policy_client.wire_fields import MAX_ROWS
 
 MAX_PART = 8 << 20
 """[bytes] Largest frame; both sides set it as ZeroMQ's MAXMSGSIZE."""
-MAX_PARTS = 8
+MAX_PARTS = 9
 MAX_KEY = 128
 _LITTLE = np.dtype("<i4").isnative
 

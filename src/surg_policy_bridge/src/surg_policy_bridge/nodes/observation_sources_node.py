@@ -17,10 +17,11 @@ from surg_core.contract import FORCE_KEY, SECOND_NS, STATE_KEY, TASK_STATE_KEY, 
 from surg_msgs.msg import TaskState
 from surg_policy_bridge.server import cell_spec
 from surg_policy_bridge.server.observer import TOLERANCE, CameraWatch, Observer, lagging_arm
-from surg_policy_bridge.server.policy_arm import arm_state
+from surg_policy_bridge.server.policy_arm import arm_state, rcm_frame
 from surg_policy_bridge.server.served_forces import ServedForces
 from surg_policy_bridge.server.server_parameters import Settings
 from surg_policy_bridge.server.timers import CAMERA_PERIODS
+from surg_policy_client.observation import RCM as RCM_KEY
 from surg_policy_client.spec import Spec
 
 ENCODINGS = {"rgb8": slice(None), "bgr8": slice(None, None, -1)}
@@ -36,7 +37,12 @@ class ObservationSources:
     def __init__(self, settings: Settings, cell: surg_core.Cell) -> None:
         self._settings, self._cell = settings, cell
         self.image_keys = [image_key(camera) for camera in settings.cameras]
-        keys = [STATE_KEY, *self.image_keys, *([TASK_STATE_KEY] if settings.privileged else [])]
+        keys = [
+            STATE_KEY,
+            RCM_KEY,
+            *self.image_keys,
+            *([TASK_STATE_KEY] if settings.privileged else []),
+        ]
         keys += [FORCE_KEY] if settings.forces else []
         period = round(SECOND_NS / settings.camera_rate)
         tolerance = max(TOLERANCE, CAMERA_PERIODS * period if settings.cameras else 0)
@@ -99,6 +105,9 @@ class ObservationSources:
             return None, "an arm does not know its jaw"
         stamp_ns = max(view.stamp_ns for view in views.values())
         self.observer.put(STATE_KEY, stamp_ns, numbers)
+        bases = [np.asarray(self._cell.arms[arm].X_WB) for arm in arms]
+        frames = [rcm_frame(views[arm], base) for arm, base in zip(arms, bases, strict=True)]
+        self.observer.put(RCM_KEY, stamp_ns, np.array(frames, dtype="<f8"))
         if self._settings.forces:
             self.observer.put(FORCE_KEY, stamp_ns, self._forces.row(views, stamp_ns))
         return stamp_ns, ""

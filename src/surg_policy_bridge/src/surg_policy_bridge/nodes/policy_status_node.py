@@ -43,6 +43,7 @@ def policy_status(server: ModelServer, refused: str, address: str) -> PolicyStat
         reason=getattr(PolicyStatus, f"REASON_{server.cause.name}"),
         detail=server.reason,
         refused=refused,
+        warning=server.steps.swings.warning,
         waiting=server.waiting,
         session=session.number if session else 0,
         client=session.client if session else "",

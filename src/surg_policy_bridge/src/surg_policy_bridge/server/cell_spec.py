@@ -20,6 +20,7 @@ from surg_core.contract import (
     TASK_STATE_KEY,
     image_key,
 )
+from surg_policy_client.observation import RCM as RCM_KEY
 from surg_policy_client.spec import ActionSpec, Feature, Spec
 from surg_policy_client.wire import MAX_PART
 from surg_recording.episode import table_columns
@@ -52,7 +53,10 @@ def make(
     ``cameras`` holds height and width [px] by name, ``numbers`` the names of the task's ground
     truth, None: it is not served. ``force``: whether forces at tip and trocar are served.
     """
-    observation = {STATE_KEY: _of_arms(arms, ARM_STATE, ARM_STATE_UNITS)}
+    observation = {
+        STATE_KEY: _of_arms(arms, ARM_STATE, ARM_STATE_UNITS),
+        RCM_KEY: Feature(dtype="f8", shape=(len(arms), 4, 4), unit="1,m", frame="world"),
+    }
     if force:
         observation[FORCE_KEY] = _of_arms(arms, ARM_FORCE, ARM_FORCE_UNITS)
     for camera, (height, width) in cameras.items():

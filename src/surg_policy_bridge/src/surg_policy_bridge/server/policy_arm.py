@@ -18,7 +18,14 @@ Array = NDArray[np.float64]
 
 def arm_state(view: ArmView) -> list[float]:
     """The numbers of ``observation.state`` for one arm, in the order of `contract.ARM_STATE`."""
-    return [*view.p_tip, view.roll, view.jaw, *view.p_set, view.roll_set]
+    return [*view.p_tip, view.roll, view.jaw, *view.p_go_on, view.roll_go_on]
+
+
+def rcm_frame(view: ArmView, X_WB: Array) -> Array:
+    """X_WR (4, 4) of one arm, for ``observation.rcm_frame``; ``X_WB`` is the pose of its base."""
+    X_BR = np.eye(4)
+    X_BR[:3, :3], X_BR[:3, 3] = view.R_BR, view.p_BRcm
+    return np.asarray(X_WB @ X_BR)
 
 
 @dataclass(frozen=True)

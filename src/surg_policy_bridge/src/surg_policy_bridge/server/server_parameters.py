@@ -53,7 +53,7 @@ class Settings:
             raise ParamError("bind", self.bind, str(error)) from error
         if self.autostart and self.need_teleop:  # its first status comes later than the session
             raise ParamError("autostart", True, "false, or ~need_teleop: false (no operator)")
-        most = MAX_PARTS - 2 - self.privileged - self.forces  # beside header and arms' state
+        most = MAX_PARTS - 3 - self.privileged - self.forces  # beside header, states, rcm frames
         if len(self.cameras) > most:
             raise ParamError("cameras", list(self.cameras), f"at most {most}")
 

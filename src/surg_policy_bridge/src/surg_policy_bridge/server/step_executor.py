@@ -18,6 +18,7 @@ from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_bridge.server.safety_controller import SafetyController
 from surg_policy_bridge.server.server_replies import AckTally, rejected_step
 from surg_policy_bridge.server.sessions import PolicySession, SentObservation
+from surg_policy_bridge.server.swing_watch import SwingWatch
 from surg_policy_bridge.server.timers import Timeout
 
 Array = NDArray[np.float64]
@@ -61,6 +62,7 @@ class StepExecutor:
         self._empty = Timeout(empty)
         self._tally = AckTally()
         self.queue = ChunkQueue()
+        self.swings = SwingWatch(arms)
         self.judged: list[JudgedStep] = []
         self.last_rejected: JudgedStep | None = None
         self.rejected_in_a_row = 0
@@ -75,6 +77,7 @@ class StepExecutor:
     def begin_episode(self) -> None:
         """An episode begins; what was rejected before does not concern it."""
         self.last_rejected = None
+        self.swings.start()
 
     def stop(self) -> None:
         """The policy does not run any more; nothing queued is executed."""
@@ -120,6 +123,7 @@ class StepExecutor:
         self._sent[step.number] = values
         if len(self._sent) > KEPT:  # by their count: not every number was sent
             del self._sent[min(self._sent)]
+        self.swings.take(values, at)
         self._counters.accepted += 1
         self._counters.obs_age.add(at - step.seen)
         self._tally.accepted += 1

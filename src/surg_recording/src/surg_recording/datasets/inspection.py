@@ -20,7 +20,7 @@ from surg_recording.datasets.options import ExportOptions
 from surg_recording.episode import episode_reader, integrity, same_recording
 from surg_recording.episode.checked.checked_reading import segment_of
 from surg_recording.episode.episode_reader import Episode
-from surg_recording.episode.verdicts import NOT_JUDGED, Verdict, has_tag, verdict
+from surg_recording.episode.verdicts import ABORTED, CRASHED, NOT_JUDGED, Verdict, has_tag, verdict
 from surg_recording.file_io import read_json
 from surg_recording.recording_errors import EpisodeError
 
@@ -140,7 +140,7 @@ _FACTS = ("task", "operator", "seed", "created", "mode", "clock")
 
 def kind_of(manifest: Mapping[str, Any]) -> str:
     """Success, recovery or failure: by the verdict, then by the tag ``recovery``."""
-    if verdict(manifest).success is False:
+    if verdict(manifest).outcome in (FAILURE, ABORTED, CRASHED):
         return FAILURE
     return RECOVERY if has_tag(manifest, RECOVERY) else SUCCESS
 

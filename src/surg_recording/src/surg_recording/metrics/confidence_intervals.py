@@ -11,10 +11,14 @@ import numpy as np
 from surg_core.wilson import wilson_interval
 
 
-def success_rate(successes: Sequence[bool]) -> dict[str, float | int]:
-    """Number of trials and successes, and the ends of the 95 % interval."""
-    k, n = sum(successes), len(successes)
-    low, high = wilson_interval(k, n)
+def success_rate(successes: Sequence[bool | None]) -> dict[str, float | int]:
+    """Number of trials and successes, and the ends of the 95 % interval.
+
+    None, of a trial without a verdict, does not count.
+    """
+    judged = [success for success in successes if success is not None]
+    k, n = sum(judged), len(judged)
+    low, high = wilson_interval(k, n) if n else (0.0, 1.0)
     return {"n": n, "k": k, "low": low, "high": high}
 
 

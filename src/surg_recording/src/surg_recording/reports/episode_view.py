@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from surg_recording.clock import sync_report
 from surg_recording.episode.episode_reader import Episode
-from surg_recording.episode.verdicts import verdict
+from surg_recording.episode.verdicts import UNJUDGED, verdict
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.reports import episode_view_data
 from surg_recording.reports.episode_view_data import MAX_ROWS, VIDEO_BUDGET, Progress
@@ -76,12 +76,11 @@ class Badge:
 def verdict_badge(manifest: Mapping[str, Any]) -> tuple[str, str, str]:
     """Kind, label and reason of the badge that states the verdict; three empty ones without it."""
     judged = verdict(manifest)
-    if judged.success is None:
+    if judged.outcome == UNJUDGED:
         return "", "", ""
-    label = "success" if judged.success else "failure"
-    why = judged.disagreement or f"by {judged.by}" + (judged.reason and f": {judged.reason}")
-    label += ", verdicts disagree" if judged.disagreement else ""
-    return "pass" if judged.success else "fail", label, why
+    said = ": ".join(filter(None, (judged.by and f"by {judged.by}", judged.reason)))
+    label = judged.outcome + (", verdicts disagree" if judged.disagreement else "")
+    return "pass" if judged.success else "fail", label, judged.disagreement or said
 
 
 def _badges(episode: Episode) -> list[Badge]:

@@ -131,7 +131,8 @@ def measure(recorded: Episode, arm: str | None = None) -> dict[str, Any]:
         "seed": measured["seed"],
         "operator": info.get("operator") or manifest.get("operator"),
         "success": judged.success,
-        "failure_reason": judged.reason if judged.success is False else None,
+        "outcome": judged.outcome,
+        "failure_reason": judged.reason or None,
         "judged_by": judged.by,
         "disagreement": judged.disagreement,
         "duration_s": measured["duration_s"],
@@ -254,13 +255,13 @@ def summarise(
 
 
 def _condition(entries: Sequence[Mapping[str, Any]], preset: str) -> dict[str, Any]:
-    judged = [bool(entry["success"]) for entry in entries if entry["success"] is not None]
+    rate = success_rate([entry["success"] for entry in entries])
     return {
         **{key: entries[0][key] for key in IDENTITY},
         "title": entries[0].get("title"),
         "n": len(entries),
         "incomplete": sum(not entry["complete"] for entry in entries),
-        "success_rate": success_rate(judged) if judged else None,
+        "success_rate": rate if rate["n"] else None,
         **{metric.name: spread(metric.values(entries, preset)) for metric in METRICS},
     }
 

@@ -124,7 +124,7 @@ def _episodes(summary: Mapping[str, Any]) -> Markup:
     shown = [m for m in METRICS if m.name in evaluation_tables.LATEX]
     rows = []
     for entry in summary["episodes"]:
-        end = {True: "success", False: f"failed: {entry['failure_reason']}", None: "not judged"}
+        end = ": ".join(filter(None, (entry["outcome"], entry["failure_reason"])))
         mark = f" ({entry['judged_by']})" if entry.get("judged_by") else ""
         if entry.get("disagreement"):
             mark += f"; verdicts disagree: {entry['disagreement']}"
@@ -133,7 +133,7 @@ def _episodes(summary: Mapping[str, Any]) -> Markup:
             (
                 code(entry["folder"]),
                 *(entry[key] for key in ("setting", "robot", "law")),
-                end[entry["success"]] + mark,
+                end + mark,
                 *(m.value(entry, summary["preset"]["name"]) for m in shown),
             )
         )

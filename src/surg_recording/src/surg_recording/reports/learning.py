@@ -62,7 +62,9 @@ def demonstration(folder: Path) -> dict[str, Any]:
     run = recorded.manifest.get("run") or {}
     judged = verdict(recorded.manifest)
     ticks = (recorded.manifest.get("sim") or {}).get("sim_time_s") or 0.0
-    outcome = trials.TrialOutcome(bool(judged.success), judged.reason, "", float(ticks))
+    outcome = trials.TrialOutcome(
+        judged.success, judged.reason, "", float(ticks), outcome=judged.outcome
+    )
     return trials.describe(run["seed"], run["setting"], run["law"], outcome, recorded)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from markupsafe import Markup
 
 from surg_recording.episode.finishing import write_json
+from surg_recording.episode.verdicts import ABORTED, CRASHED, UNJUDGED
 from surg_recording.reports import trial_figures
 from surg_recording.reports.figure_style import save_all
 from surg_recording.reports.html_page import (
@@ -61,16 +63,21 @@ def write(summary: Mapping[str, Any], folder: Path) -> None:
 
 def interval(rate: Mapping[str, Any]) -> str:
     """A success rate with its interval, in words."""
+    if not rate["n"]:
+        return "0 of 0"
     low, high = 100.0 * rate["low"], 100.0 * rate["high"]
     return f"{rate['k']} of {rate['n']} (95 % interval {low:.1f} to {high:.1f} %)"
 
 
 def _verdict(summary: Mapping[str, Any]) -> Markup:
+    rate, counts = summary["success_rate"], Counter(e["outcome"] for e in summary["episodes"])
+    others = [f"{counts[word]} {word}" for word in (ABORTED, CRASHED, UNJUDGED) if counts[word]]
+    good = "ok" if rate["k"] else None  # that nothing succeeded is a result, and no good one
     return section(
-        f"{interval(summary['success_rate'])} succeeded",
+        ", ".join((f"{interval(rate)} succeeded", *others)),
         "Not every episode was played to its end:" if summary["reasons"] else "",
         bullets(summary["reasons"]),
-        verdict="ok" if summary["ok"] else "bad",
+        verdict=good if summary["ok"] else "bad",
     )
 
 
@@ -123,7 +130,7 @@ def _episodes(episodes: Sequence[Mapping[str, Any]]) -> Markup:
             (
                 _link(f"{folder}/report.html", i) if folder else i,
                 *(e["seed"], e["setting"], e["law"]),
-                SUCCESS if e["success"] else e["failure_reason"],
+                SUCCESS if e["success"] else f"{e['outcome']}: {e['failure_reason']}",
                 *(e["duration_s"], kinematic.get("mean"), kinematic.get("max"), true.get("max")),
                 code((e["state_hash"] or "–")[:12]),
             )

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from surg_recording.episode.episode_reader import Episode
+from surg_recording.episode.verdicts import Verdict
 from surg_recording.metrics.confidence_intervals import success_rate
 from surg_recording.reports import run_limits, run_summary
 
@@ -23,18 +24,20 @@ class TrialOutcome:
     """How an episode ended.
 
     Attributes:
-        success: By the task's own definition, from ground truth.
-        reason: Why it failed; empty for a success.
+        success: By the task's own definition, from ground truth; None: it was not judged.
+        reason: Why it was no success; empty for a success.
         phase: Phase of the task at the end.
         duration_s: Simulated time.
-        played: False if a node died or the recording broke.
+        played: False if a node or the policy died, or the recording broke.
+        outcome: As `verdicts` defines it.
     """
 
-    success: bool
+    success: bool | None
     reason: str
     phase: str
     duration_s: float
     played: bool = True
+    outcome: str = ""
 
 
 def describe(
@@ -56,6 +59,7 @@ def describe(
         "setting": setting,
         "law": law,
         "success": outcome.success,
+        "outcome": outcome.outcome or Verdict(outcome.success).outcome,
         "failure_reason": None if outcome.success else outcome.reason,
         "phase": outcome.phase,
         "duration_s": outcome.duration_s,

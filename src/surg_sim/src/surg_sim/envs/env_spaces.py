@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 
 from surg_core.arm_view import ArmCommands, TipPose
-from surg_core.contract import ARM_ACTION, ARM_FORCE, ARM_STATE
+from surg_core.contract import ARM_ACTION, ARM_FORCE, ARM_STATE, POSITION_STREAMS
 from surg_sim.arrays import Array
 from surg_sim.envs.cell_session import CellSession, Tick
 from surg_sim.tasks.scripted_sender import home_frame, into, out_of
@@ -82,8 +82,10 @@ class EnvSpaces:
         task, state = self._session.task, []
         for arm, out in tick.outputs.items():
             X_WR, X_WB = self._frames[arm]
+            streams = int(out.motion) in POSITION_STREAMS
+            p_B, roll = (out.p_goal, out.roll_goal) if streams else (out.p_set, out.roll_set)
             state += [*into(X_WR, out_of(X_WB, np.asarray(out.p_BTip))), out.roll, out.jaw]
-            state += [*into(X_WR, out_of(X_WB, np.asarray(out.p_set))), out.roll_set]
+            state += [*into(X_WR, out_of(X_WB, np.asarray(p_B))), roll]
         if task.assistant is not None:
             state += [*task.assistant.joints, task.assistant.jaw]
         truth = tick.state or task.state()

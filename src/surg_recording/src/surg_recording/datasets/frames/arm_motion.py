@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from surg_core.contract import POSITION_STREAMS
 from surg_core.transforms import multiply_quaternions, rotate_back, tip_quaternions
 from surg_recording.datasets.frames.resample import Grid, Stamps, around
 from surg_recording.episode.checked.checked_reading import TROCAR
@@ -107,7 +108,7 @@ class ArmCycles:
         if not self.commanded:
             return motion
         posed = np.isin(self.command, POSE_COMMANDS)
-        roll, roll_set = (unwrapped(self._index(name), rows) for name in ("roll", "roll_set"))
+        roll = unwrapped(self._index("roll"), rows)
         goals = np.where(posed, self._index("roll_goal"), self._index("roll_set"))
         began = np.flatnonzero(np.diff(self._index("accepted"), prepend=-1) != 0)
         since = began[np.maximum(np.searchsorted(began, rows, side="right") - 1, 0)]
@@ -117,10 +118,13 @@ class ArmCycles:
             rotate_back(q_BR, cycle.vector(name) - p_BRcm) for name in ("p_tip", "p_set", "p_goal")
         )
         p_action = np.where(posed[rows][:, None], goal, p_set)
+        streams = np.isin(self.command, POSITION_STREAMS)
+        p_go_on = np.where(streams[rows][:, None], goal, p_set)
+        roll_go_on = np.where(streams, self._index("roll_goal"), self._index("roll_set"))
         s_R = rotate_back(q_BR, cycle.vector("s"))
         return dataclasses.replace(
             motion,
-            state=np.column_stack([tip, roll, cycle["jaw"], p_set, roll_set]),
+            state=np.column_stack([tip, roll, cycle["jaw"], p_go_on, unwrapped(roll_go_on, rows)]),
             goal=np.column_stack([p_action, unwrapped(goals, rows), cycle["jaw_set"]]),
             goal_since_ns=self.stamps[since],
             p_BTip=p_BTip,
