@@ -162,10 +162,9 @@ def _play(plan: SystemPlan, index: int, count: int, progress: Progress) -> dict[
     ended: task_episode.Ended = episode_process.run_episode(plan, show)
     entry = episode_process.describe(plan, ended)
     if not is_interactive():
-        first, *_, last = [*(ended.reason.splitlines() or [""]), ""]
-        say(
-            f"  {which}: {' '.join(filter(None, (ended.outcome + ':' * bool(first), first, last)))}"
-        )
+        lines = ended.reason.splitlines() or [""]
+        why = "" if ended.success else f": {' '.join(dict.fromkeys((lines[0], lines[-1])))}"
+        say(f"  {which}: {ended.outcome}{why}")
     if warning := (ended.policy or {}).get("warning"):
         warn(f"surg: {which}: {warning}")
     return entry
