@@ -1,4 +1,4 @@
-"""The main job, end to end: operator, RCM controller, MuJoCo bridge, held to what the README says.
+"""The main job, end to end: operator, RCM nodelet, MuJoCo bridge, held to what the README says.
 
 Reduced: the first seconds of the bundled motion on a few combinations. Full (`./surg test --full`):
 the whole motion on all of them, and their rows in docs/results/main_job.md are written anew. Set

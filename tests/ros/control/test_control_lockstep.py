@@ -321,6 +321,17 @@ def test_free_run_keeps_500_hz(ros_graph: RosGraph, rig: Rig) -> None:
     assert "FAULT(link)" in rig.wait_text("error", "link")
 
 
+def test_nodelet_answers_too(ros_graph: RosGraph, rig: Rig) -> None:
+    ros_graph.set_params("/PSM1/controller", {"cell": CELL, "participants": [rig.name]})
+    ros_graph.supervisor.start(
+        "/PSM1/controller",
+        ["/usr/lib/nodelet/nodelet", "standalone", "surg_control/RcmNodelet",
+         "__name:=controller", "__ns:=/PSM1"],
+    )  # fmt: skip
+    ros_graph.wait_for(rig.connected, 20.0, "the nodelet's connections")
+    rig.enable()
+
+
 DESCRIPTION = "/PSM1/robot_description"
 BROKEN = [
     ({"cell": "/nowhere/at/all"}, "No such file"),

@@ -27,7 +27,7 @@ from tf2_msgs.msg import TFMessage
 
 from crtk_msgs.msg import StringStamped
 from crtk_msgs.srv import QueryForwardKinematics, QueryInverseKinematics
-from helpers.graph.control_rig import ANSWER_S, Rig, real_time, start, tip_in_rcm
+from helpers.graph.control_rig import ANSWER_S, CELL, Rig, real_time, start, tip_in_rcm
 from helpers.graph.ros import RosGraph, find_executable
 from surg_cli.graph import master
 from surg_msgs.msg import Cycle, PointVelocityStamped
@@ -397,11 +397,24 @@ def stream(
     assert not check or np.abs(sent[-1]).max() > 0.01, "the arm does not move"
 
 
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT, None])
+@pytest.mark.parametrize(
+    ("nodelet", "how"),
+    [(False, signal.SIGTERM), (True, signal.SIGTERM), (True, signal.SIGINT), (True, None)],
+)
 def test_f28_an_ending_controller_ramps_through_the_law_and_exits_with_0(
-    ros_graph: RosGraph, rig: Rig, how: signal.Signals | None
+    ros_graph: RosGraph, rig: Rig, nodelet: bool, how: signal.Signals | None
 ) -> None:
-    child = start(ros_graph, rig, mode="freerun", participants=[])
+    if nodelet:
+        params = {"cell": CELL, "mode": "freerun"}
+        ros_graph.set_params("/PSM1/controller", params)
+        child = ros_graph.supervisor.start(
+            "/PSM1/controller",
+            ["/usr/lib/nodelet/nodelet", "standalone", "surg_control/RcmNodelet",
+             "__name:=controller", "__ns:=/PSM1"],
+        )  # fmt: skip
+        ros_graph.wait_for(lambda: rig.connected(False), 20.0, "the nodelet's connections")
+    else:
+        child = start(ros_graph, rig, mode="freerun", participants=[])
     with real_time(rig) as sent:
         sender = threading.Thread(target=stream, args=(ros_graph, rig, sent, 2.0, False))
         sender.start()  # it goes on sending, and must not be obeyed any more

@@ -47,7 +47,7 @@ def test_up_prints_no_simulator_for_such_a_cell(
     up.add_arguments(parser, "up")
     assert up.main(parser.parse_args([str(cell), "--print"]), "up") == 0
     lines = capsys.readouterr().out
-    assert "rosrun surg_control rcm_node" in lines
+    assert "surg_control/RcmNodelet" in lines
     assert "bridge_node.py" not in lines and "endoscope" not in lines
     with pytest.raises(CliError, match="--lock-step"):
         up.main(parser.parse_args([str(cell), "--lock-step", "--print"]), "up")

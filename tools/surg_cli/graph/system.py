@@ -94,9 +94,10 @@ def nodes(plan: SystemPlan) -> list[Node]:
         started.append(
             Node(
                 f"/{arm}/controller",
-                "surg_control",
-                "rcm_node",
+                "nodelet",
+                "nodelet",
                 params,
+                ("standalone", "surg_control/RcmNodelet"),
                 prompt=prompt,
                 drives=prompt,
             )

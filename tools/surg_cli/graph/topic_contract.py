@@ -145,7 +145,7 @@ def compare(
 
 
 def _logger(seen: GraphEnd) -> bool:
-    """The services that every node of ROS has for its log level."""
+    """The services that every node of ROS has for its log level, and a nodelet's bonds."""
     return seen.name.endswith(("/get_loggers", "/set_logger_level"))
 
 

@@ -281,8 +281,8 @@ void RcmLoop::request_realtime(int below) {
     reporter_->warning_once("realtime", arm_ + ": " + refused);
 }
 
-void RcmLoop::serve() {
-  while (!failed_ && !exit_requested() && ros::ok()) {
+void RcmLoop::serve(const std::atomic<bool>& stop) {
+  while (!stop && !failed_ && !exit_requested() && ros::ok()) {
     queue_.callAvailable(ros::WallDuration(0.01));
   }
 }
@@ -302,7 +302,7 @@ void RcmLoop::come_to_rest() {
   }
 }
 
-void RcmLoop::run() {
+void RcmLoop::run(const std::atomic<bool>& stop) {
   reporter_->status(arm_ + ": controller of cell " + setup_.cell_name + " runs in " +
                     (options_.lockstep ? "lock-step" : "free-run"));
   for (const auto& [what, source] : {std::pair{"tool", &setup_.mounted.tool.source},
@@ -318,7 +318,7 @@ void RcmLoop::run() {
     control = start(&RcmLoop::control_thread);
   }
   try {
-    serve();
+    serve(stop);
     come_to_rest();
   } catch (...) {
     fail();

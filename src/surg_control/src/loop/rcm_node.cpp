@@ -1,7 +1,8 @@
-// The controller of one arm:
+// The controller as a plain executable:
 //   rosrun surg_control rcm_node __ns:=/PSM1 __name:=controller _cell:=cells/sim_ur5e _arm:=PSM1
 #include <ros/ros.h>
 
+#include <atomic>
 #include <cstdio>
 #include <exception>
 
@@ -19,7 +20,7 @@ int main(int argc, char** argv) {
     ros::start();
     surg_control::hold_exit();
     surg_control::RcmLoop loop(ros::NodeHandle("~"));
-    loop.run();
+    loop.run(std::atomic<bool>(false));
   } catch (const surg::ConfigError& error) {
     std::fprintf(stderr, "surg_control: %s\n", error.what());
     return 2;

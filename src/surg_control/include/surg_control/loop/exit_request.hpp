@@ -4,9 +4,11 @@
 
 namespace surg_control {
 
-/// Makes these three only set 'exit_requested', process-wide: the process then ends itself when its
-/// arm is at rest. Needs a started ROS.
+/// Makes these three only set 'exit_requested', process-wide. The process continues until
+/// 'release_exit' has been called as often as this. Needs a started ROS.
 void hold_exit();
+/// Call it when an arm is at rest. The last call shuts ROS down if an exit was requested.
+void release_exit();
 /// Whether the process was asked to end.
 bool exit_requested();
 

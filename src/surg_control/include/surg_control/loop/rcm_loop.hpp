@@ -1,5 +1,5 @@
-// One arm's controller on ROS: topics and the two ways of keeping time. No arithmetic: messages are
-// decoded, surg::Controller decides, records are encoded.
+// One arm's controller on ROS: topics and the two ways of keeping time, for the nodelet and the
+// plain node. No arithmetic: messages are decoded, surg::Controller decides, records are encoded.
 #pragma once
 
 #include <geometry_msgs/WrenchStamped.h>
@@ -49,10 +49,10 @@ class RcmLoop {
   RcmLoop(const RcmLoop&) = delete;
   RcmLoop& operator=(const RcmLoop&) = delete;
 
-  /// Runs until an exit request or ROS's shutdown. Then it stops the arm through the law,
+  /// Runs until 'stop', an exit request or ROS's shutdown. Then it stops the arm through the law,
   /// commands zero and returns, at most about a second later, whatever the link does. An exception
   /// in any of its threads also ends with a zero command and is then thrown on.
-  void run();
+  void run(const std::atomic<bool>& stop);
 
  private:
   // --- coming in: the thread of run() (rcm_loop_inputs.cpp) ---
@@ -85,7 +85,7 @@ class RcmLoop {
   std::thread start(void (RcmLoop::*body)());
   void request_realtime(int below);
 
-  void serve();
+  void serve(const std::atomic<bool>& stop);
   void come_to_rest();
   void fail();
 
