@@ -4,6 +4,7 @@
 
 #include <algorithm>
 
+#include "surg_control/files/kdl_check.hpp"
 #include "surg_control/loop/exit_request.hpp"
 #include "surg_control/loop/realtime.hpp"
 #include "surg_control/topics/messages.hpp"
@@ -53,6 +54,7 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
       lockstep_gate_(options_.participants),
       commands_(kCommandRing),
       records_(options_.lockstep ? 1 : kRecordRing) {
+  check_against_kdl(setup_.robot);
   check_for_arm(options_, setup_);
   sem_init(&records_waiting_, 0, 0);
   sem_init(&command_waiting_, 0, 0);
