@@ -12,7 +12,7 @@
 namespace surg_control {
 namespace {
 
-constexpr std::uint32_t kUnbounded = 0;   // lock-step loses nothing
+constexpr std::uint32_t kUnbounded = 0;    // lock-step loses nothing
 constexpr std::uint32_t kEchoQueue = 500;  // free-run: a second of one stream at 500 Hz
 
 }  // namespace
@@ -52,7 +52,8 @@ void CommandSubscribers::subscribe(const std::string& topic,
 }
 
 /// Says what came. A recorder hears this, not the command's own topic: a client takes the first
-/// subscriber of its topic for the controller, and its first command would go to the recorder alone.
+/// subscriber of its topic for the controller, and its first command would go to the recorder
+/// alone.
 template <typename Message>
 void CommandSubscribers::echo(const std::string& topic, const std::string& sender,
                               const Message& message) {
