@@ -31,8 +31,8 @@ def changed(number: int, line: str) -> list[str]:
 
 BAD_MOTIONS = {
     "missing column": (changed(1, "t_s,x_m,y_m,depth"), ["line 1", "z_m"]),
-    "NaN": (changed(40, "0.760,nan,0.0,0.0"), ["line 40", "x_m", "nan"]),
-    "text": (changed(40, "0.760,left,0.0,0.0"), ["line 40", "x_m", "left"]),
+    "NaN": (changed(40, "0.760,nan,0.0,0.0"), ["motion.csv:40: ", "x_m", "nan"]),
+    "text": (changed(40, "0.760,left,0.0,0.0"), ["motion.csv:40: ", "x_m", "left"]),
     "time backwards": (changed(40, "0.100,0.014,0.014,0.0"), ["line 40", "0.100"]),
     "jump": (changed(40, "0.760,0.514,0.014,0.0"), ["line 40", "jump"]),
     "does not fit": (motion_lines(0.3), ["scale", "fit"]),

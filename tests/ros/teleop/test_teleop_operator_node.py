@@ -206,7 +206,7 @@ BAD = {
     "scale too large": ({"scale": 9.9, "motion": "bundled"}, 2, "largest scale that fits is"),
     "scale no number": ({"scale": "big"}, 2, "~scale is 'big'"),
     "unknown parameter": ({"speed": 2}, 2, "parameter ~speed is unknown"),
-    "broken motion": ({"motion": "broken"}, 2, "line 3: x_m is nan"),
+    "broken motion": ({"motion": "broken"}, 2, "broken.csv:3: x_m: 'nan'"),
     "constant motion": ({"motion": "constant"}, 1, "the motion is constant"),
 }
 
