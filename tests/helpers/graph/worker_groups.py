@@ -24,6 +24,8 @@ import pytest
 from surg_cli.graph import processes
 
 REAL_TIME = "real-time"
+GRAPH = "graph-"
+"""Begins the group of a file whose tests drive graphs, but not in real time."""
 FOLDERS = ("ros", "e2e", "faults")
 """Folders of tests that drive graphs, in real time unless file or test is marked `untimed`."""
 NICE = 5
@@ -95,8 +97,12 @@ def in_real_time(item: pytest.Item, tests: Path) -> bool:
     """Whether a test below the folder drives graphs in real time, or measures time (`timed`)."""
     if item.get_closest_marker("timed") is not None:
         return True
-    inside = item.path.is_relative_to(tests) and item.path.relative_to(tests).parts[0] in FOLDERS
-    return inside and item.get_closest_marker("untimed") is None
+    return drives_graph(item, tests) and item.get_closest_marker("untimed") is None
+
+
+def drives_graph(item: pytest.Item, tests: Path) -> bool:
+    """Whether a test below the folder starts processes and waits for them."""
+    return item.path.is_relative_to(tests) and item.path.relative_to(tests).parts[0] in FOLDERS
 
 
 def assign(config: pytest.Config, items: list[pytest.Item], tests: Path) -> None:
@@ -110,7 +116,8 @@ def assign(config: pytest.Config, items: list[pytest.Item], tests: Path) -> None
     if not hasattr(config, "workerinput"):
         return
     for item in items:
-        name = REAL_TIME if in_real_time(item, tests) else item.path.stem
+        name = GRAPH + item.path.stem if drives_graph(item, tests) else item.path.stem
+        name = REAL_TIME if in_real_time(item, tests) else name
         item.add_marker(pytest.mark.xdist_group(name))
     items.sort(key=lambda item: group(item) != REAL_TIME)
 

@@ -72,7 +72,7 @@ def test_only_controllers_subscribe(
             found = listeners(uri)
         finally:
             process.send_signal(signal.SIGINT)
-            process.wait(60)
+            process.wait(120)
     assert len(expected) >= len(COMMANDS) - 1
     assert {topic: found.get(topic) for topic in expected} == expected
 

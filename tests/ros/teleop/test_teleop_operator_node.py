@@ -75,7 +75,7 @@ class ScriptedArm:
             self.ready[message.tick] = message
             self.changed.notify_all()
 
-    def step(self, k: int, timeout: float = 20.0) -> bool:
+    def step(self, k: int, timeout: float = 60.0) -> bool:
         """One tick; returns whether the operator is done."""
         done = False
         if self.lockstep:

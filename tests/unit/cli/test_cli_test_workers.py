@@ -70,6 +70,10 @@ def test_it(number, made):
 FAILS = """
 from pathlib import Path
 
+import pytest
+
+pytestmark = [pytest.mark.{mark}]
+
 
 def test_it():
     tried = Path(__file__).parent / "tried"
@@ -204,17 +208,19 @@ def test_one_core_has_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("folder", "failures", "expected"),
+    ("folder", "mark", "failures", "expected"),
     [
-        ("ros", 1, (0, 2, 0)),
-        ("ros", 2, (1, 1, 1)),
-        ("unit", 1, (1, 1, 1)),
+        ("ros", "ordinary", 1, (0, 2, 0)),
+        ("ros", "ordinary", 2, (1, 1, 1)),
+        ("ros", "untimed", 1, (0, 2, 0)),
+        ("unit", "ordinary", 1, (1, 1, 1)),
     ],
 )
-def test_a_failed_test_in_real_time_is_repeated_once_alone(
+def test_a_failed_test_of_graphs_is_repeated_once_alone(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     folder: str,
+    mark: str,
     failures: int,
     expected: tuple[int, int, int],
 ) -> None:
@@ -224,7 +230,7 @@ def test_a_failed_test_in_real_time_is_repeated_once_alone(
     (tmp_path / folder).mkdir()
     (tmp_path / "conftest.py").write_text(CONFTEST)
     (tmp_path / "test_other.py").write_text("def test_other():\n    pass\n")
-    (tmp_path / folder / "test_it.py").write_text(FAILS.format(failures=failures))
+    (tmp_path / folder / "test_it.py").write_text(FAILS.format(mark=mark, failures=failures))
     status, counts = run_tests(tmp_path)
     assert (status, counts["passed"], counts["failed"]) == expected
     assert not counts["errors"]
@@ -232,11 +238,13 @@ def test_a_failed_test_in_real_time_is_repeated_once_alone(
     assert len(tried) == (2 if folder == "ros" else 1)
 
 
-def test_only_failures_in_real_time_are_repeated() -> None:
+def test_only_failures_of_graphs_are_repeated() -> None:
     late = "FAILED tests/ros/test_a.py::test_b[x y]@real-time - assert 0\n"
-    assert pytest_run.failed_in_real_time(late) == ["tests/ros/test_a.py::test_b[x y]"]
-    assert pytest_run.failed_in_real_time(f"ERROR {late[7:]}") == [late[7:].split("@")[0]]
-    assert not pytest_run.failed_in_real_time(late + "FAILED tests/unit/test_c.py::test_d@test_c\n")
+    assert pytest_run.failed_for_a_core(late) == ["tests/ros/test_a.py::test_b[x y]"]
+    assert pytest_run.failed_for_a_core(f"ERROR {late[7:]}") == [late[7:].split("@")[0]]
+    other = "FAILED tests/ros/test_e.py::test_f@graph-test_e - TimeoutExpired\n"
+    assert len(pytest_run.failed_for_a_core(late + other)) == 2
+    assert not pytest_run.failed_for_a_core(late + "FAILED tests/unit/test_c.py::test_d@test_c\n")
 
 
 def test_a_whole_run_that_skips_everything_has_failed(

@@ -12,12 +12,12 @@ from collections.abc import Mapping, Sequence
 from surg_cli.host import paths, workspace
 from surg_cli.host.terminal import say
 
-GROUP = "@real-time"
-"""What pytest-xdist appends to the ids of the tests in real time."""
+GROUP = re.compile("@(?:real-time|graph-)")
+"""What pytest-xdist appends to the ids of the tests that wait for other processes."""
 MAX_WORKERS = 3
 """One that drives graphs in real time, and those that run the other tests."""
 MAX_REPEATED = 8
-"""Tests in real time that may be repeated; more failures are not the machine's."""
+"""Tests that may be repeated; more failures are not the machine's."""
 
 HANGS_S = 300
 """A test of the whole run that takes longer hangs. The slowest takes a fifth of it."""
@@ -28,8 +28,8 @@ def run(
 ) -> tuple[int, Counter[str]]:
     """Run pytest with its output shown, and count.
 
-    Beside other tests a test in real time can miss a core. If only such tests fail, they run once
-    more, alone, and that run decides.
+    Beside other tests, those that wait for processes can miss a core. If only such tests fail, they
+    run once more, alone, and that run decides.
 
     Args:
         argv: The command line without the tests.
@@ -52,9 +52,9 @@ def run(
     groups += ["--max-worker-restart", "0"]  # a new worker would repeat the test that crashed
     status, tail = _run([*argv, *tests, *groups], env)
     counts = parse_counts(tail)
-    failed = failed_in_real_time(tail)
+    failed = failed_for_a_core(tail)
     if status == 1 and 0 < len(failed) <= MAX_REPEATED:
-        say(f"{len(failed)} tests in real time failed beside others; once more, alone:")
+        say(f"{len(failed)} tests of running graphs failed beside others; once more, alone:")
         status, tail = _run([*argv, *failed], env)
         again = parse_counts(tail)
         counts.update(again)
@@ -78,10 +78,10 @@ def _run(argv: Sequence[str], env: Mapping[str, str]) -> tuple[int, str]:
     return process.wait(), tail.decode(errors="replace")
 
 
-def failed_in_real_time(tail: str) -> list[str]:
-    """Ids of the failed tests; none unless all of them are in the group for real time."""
+def failed_for_a_core(tail: str) -> list[str]:
+    """Ids of the failed tests; none unless all of them wait for other processes."""
     lines = re.findall(r"^(?:FAILED|ERROR) (.+)$", tail, re.MULTILINE)
-    ids = [line.split(GROUP)[0] for line in lines if GROUP in line]
+    ids = [GROUP.split(line)[0] for line in lines if GROUP.search(line)]
     return ids if len(ids) == len(lines) else []
 
 
