@@ -10,7 +10,8 @@ PAGE = paths.ROOT / "docs/reference/dependencies.md"
 def test_every_package_has_a_reason_on_the_page() -> None:
     rows = [line.split("|")[1] for line in PAGE.read_text("utf-8").splitlines() if "|" in line]
     listed = {name for row in rows for name in re.findall(r"`([\w.+-]+)`", row)}
-    locked = re.findall(r"^([\w-]+)==", paths.LOCK_FILE.read_text("utf-8"), re.MULTILINE)
+    locks = "".join(file.read_text("utf-8") for file in (paths.LOCK_FILE, paths.DDS_LOCK))
+    locked = re.findall(r"^([\w-]+)==", locks, re.MULTILINE)
     needed = {*provision.listed_packages(optional=provision.OPTIONAL), *locked}
     assert sorted(needed - listed) == [], "no reason on the page"
     assert sorted(listed - needed) == [], "on the page, but not installed"

@@ -22,6 +22,7 @@ FUNCTIONAL = frozenset(
         "surg_perception",
         "surg_policy_bridge",
         "surg_dvrk_compat",
+        "surg_ros2",
     }
 )
 LIBRARIES = frozenset({"surg_core", "surg_description", "surg_recording", "surg_ros"})

@@ -9,7 +9,7 @@ from typing import NoReturn
 from surg_cli.graph import processes, running, system
 from surg_cli.graph.system_plan import RECORDER
 from surg_cli.graph.watch import Watch
-from surg_cli.host.terminal import CliError, say
+from surg_cli.host.terminal import CliError, say, warn
 
 START_TIMEOUT_S = 60.0
 LOOK_S = 0.05
@@ -121,11 +121,21 @@ def pass_on_news(watch: Watch, entry: running.System | None) -> None:
         entry.save()
 
 
+def warn_of_ended(supervisor: processes.Supervisor, told: set[str]) -> None:
+    """Print once for each node that may end that it has failed; ``told`` holds their names."""
+    for child in supervisor.children:
+        if not child.essential and child.exit_code not in (None, 0) and child.name not in told:
+            told.add(child.name)
+            warn(f"{child.name} ended ({child.exit_code}), the rest runs on: {child.log_tail(1)}")
+
+
 def keep(watch: Watch, supervisor: processes.Supervisor, entry: running.System | None) -> NoReturn:
     """Stay until a signal arrives or a node dies; print what the arms report."""
+    told: set[str] = set()
     while True:
         time.sleep(0.1)
         raise_if_failed(watch, supervisor)
+        warn_of_ended(supervisor, told)
         pass_on_news(watch, entry)
 
 

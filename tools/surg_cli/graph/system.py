@@ -116,12 +116,21 @@ def nodes(plan: SystemPlan) -> list[Node]:
             **({"topics": list(POLICY_TOPICS)} if plan.policy is not None else {}),
         }
         started.append(Node(f"/{RECORDER}", "surg_recording", "recorder_node.py", params))
-    return started + force_nodes(plan)
+    return started + force_nodes(plan) + gateways(plan)
 
 
 def _has_room() -> bool:
     """Whether a simulator that cannot keep up leaves a processor to the others."""
     return len(os.sched_getaffinity(0)) > 1
+
+
+def gateways(plan: SystemPlan) -> list[Node]:
+    """The node that publishes the topics for ROS 2, if it is wanted."""
+    if plan.ros2 is None:
+        return []
+    params: dict[str, object] = {**plan.ros2, "mode": plan.mode}
+    made = ("surg_ros2", "ros2_gateway_node.py", params)
+    return [Node("/ros2", *made, essential=False, prompt=not plan.lockstep)]
 
 
 def force_nodes(plan: SystemPlan) -> list[Node]:

@@ -68,6 +68,8 @@ class SystemPlan:
     senders: Mapping[str, Sequence[str]] = field(default_factory=dict)
     policy: Policy | None = None  # who plays as the sender `POLICY`; None: there is none
     extra_participants: tuple[str, ...] = ()  # nodes from elsewhere that a lock-step tick waits for
+    # parameters of the gateway to ROS 2; None: nothing is opened for it
+    ros2: Mapping[str, object] | None = None
     # what the recorder writes into the manifest
     run_info: dict[str, object] = field(default_factory=dict)
 

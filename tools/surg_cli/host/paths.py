@@ -35,6 +35,8 @@ RUNS = ROOT / "runs"
 CELLS = ROOT / "cells"
 APT_LIST = ROOT / "tools" / "apt-packages.txt"
 LOCK_FILE = ROOT / "requirements.lock"
+DDS_LOCK = ROOT / "src" / "surg_ros2" / "dds.lock"
+"""What `--ros2` needs."""
 
 
 def write_text(path: Path, text: str) -> None:

@@ -17,6 +17,7 @@ from surg_cli.host import logged, paths, preflight, workspace
 from surg_cli.host.terminal import CliError, Progress, say
 
 VENV_STAMP = paths.VENV / ".surg-lock"
+DDS_STAMP = paths.VENV / ".surg-dds-lock"
 APT_OPTIONS = ("-o", "DPkg::Lock::Timeout=600", "-y", "--no-install-recommends")
 # apt-get prints: Get, Selecting, Preparing, Unpacking, Setting up.
 APT_LINES_PER_PACKAGE = 5
@@ -36,7 +37,8 @@ def make_ready(everything: bool = False, optional: Sequence[str] = ()) -> bool:
     preflight.check_path()
     logs = paths.STATE / "logs"
     done = install_packages(logs / "apt.log", everything, optional)
-    return install_python(logs / "pip.log") or done
+    done |= install_python(logs / "pip.log")
+    return (everything and need_dds()) or done
 
 
 def listed_packages(
@@ -148,11 +150,24 @@ def install_python(log: Path) -> bool:
             shutil.rmtree(paths.VENV, ignore_errors=True)  # Ctrl-C ended its making
             make = [str(paths.SYSTEM_PYTHON), "-m", "venv", "--system-site-packages"]
             logged.run([*make, str(paths.VENV)], log, progress, anew=True)
-        pip = [str(paths.VENV_PYTHON), "-m", "pip", "--disable-pip-version-check", "install"]
-        strict = ["--no-deps", "--require-hashes", "--only-binary", ":all:"]
-        logged.run([*pip, *strict, "-r", str(paths.LOCK_FILE)], log, progress)
-    paths.write_text(VENV_STAMP, paths.file_digest(paths.LOCK_FILE))
+        _pip_install(paths.LOCK_FILE, VENV_STAMP, log, progress)
     return True
+
+
+def need_dds() -> bool:
+    """Fill `.venv` with what the ROS 2 gateway needs; returns whether anything had to be done."""
+    if DDS_STAMP.exists() and DDS_STAMP.read_text() == paths.file_digest(paths.DDS_LOCK):
+        return False
+    with Progress("DDS, for ROS 2 (53 MB)") as progress:
+        _pip_install(paths.DDS_LOCK, DDS_STAMP, paths.STATE / "logs" / "pip-dds.log", progress)
+    return True
+
+
+def _pip_install(lock: Path, stamp: Path, log: Path, progress: Progress) -> None:
+    pip = [str(paths.VENV_PYTHON), "-m", "pip", "--disable-pip-version-check", "install"]
+    strict = ["--no-deps", "--require-hashes", "--only-binary", ":all:"]
+    logged.run([*pip, *strict, "-r", str(lock)], log, progress)
+    paths.write_text(stamp, paths.file_digest(lock))
 
 
 def _has_pip() -> bool:

@@ -1,0 +1,226 @@
+"""DDS as ROS 2 uses it: topics whose samples stay bytes, and who is there.
+
+The only user of ``cyclonedds``. A topic is known by its name and the name of its type: as in ROS 2,
+nothing compares definitions, so the receiver of a sample must check that it fits.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import socket
+import struct
+import types
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from cyclonedds._clayer import ddspy_take, ddspy_write
+from cyclonedds.builtin import (
+    BuiltinDataReader,
+    BuiltinTopicDcpsParticipant,
+    BuiltinTopicDcpsPublication,
+)
+from cyclonedds.core import (
+    DDSException,
+    InstanceState,
+    Policy,
+    Qos,
+    ReadCondition,
+    SampleState,
+    ViewState,
+    WaitSet,
+)
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.types import uint8
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from surg_ros2.bridged_topics import NAMES, Quality
+
+LOOPBACK = "lo"
+_CONFIG = """<CycloneDDS><Domain>
+<General><Interfaces><NetworkInterface name="{interface}" multicast="{multicast}"/></Interfaces>
+</General>
+<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>
+</Domain></CycloneDDS>"""
+"""1.15 is Fast DDS: Cyclone cannot read its descriptions of nested types, and would not match."""
+_ANY = SampleState.Any | ViewState.Any | InstanceState.Any
+_GATEWAY = b"surg_ros2="
+"""A gateway's user data begins with it; its time of start follows."""
+_MOST = 100  # samples that are taken at a time
+
+
+class PortError(RuntimeError):
+    """DDS cannot be had; says why, and the cure."""
+
+
+@dataclass(frozen=True)
+class RemoteWriter:
+    """A writer of another process; ``type`` is empty when it has gone."""
+
+    handle: int  # as the samples name it
+    process: str  # key of its participant: of the process, in ROS 2
+    topic: str
+    type: str
+
+
+class Writer:
+    """Sends the samples of a topic."""
+
+    def __init__(self, writer: DataWriter) -> None:
+        self._writer = writer
+
+    @property
+    def readers(self) -> int:
+        """How many readers there are in other processes."""
+        return int(self._writer.get_publication_matched_status().current_count)
+
+    def send(self, sample: bytes) -> None:
+        """Send a sample with its header; nobody waits for a slow reader."""
+        ddspy_write(self._writer._ref, sample + bytes(-len(sample) % 4))
+
+
+class Reader:
+    """Receives the samples of a topic."""
+
+    def __init__(self, reader: DataReader) -> None:
+        self._reader = reader
+        self.condition = ReadCondition(reader, _ANY)
+
+    def take(self) -> Iterator[tuple[int, bytes]]:
+        """The samples that have come: the writer's handle, and the bytes with the header."""
+        taken = ddspy_take(self._reader._ref, _ANY, _MOST)
+        for data, info in () if isinstance(taken, int) else taken:
+            if info.valid_data:  # else it says that a writer has gone
+                yield info.publication_handle, data
+
+
+class Port:
+    """This process in a domain of DDS.
+
+    Args:
+        domain: Its number, as `ROS_DOMAIN_ID`.
+        interface: Name of the network interface; no other one is used.
+        started: Time of start [ns], by which two gateways know which is the second.
+
+    Raises:
+        PortError: There is no such interface, or DDS does not start.
+    """
+
+    def __init__(self, domain: int, interface: str, started: int) -> None:
+        known = [name for _, name in socket.if_nameindex()]
+        if interface not in known:
+            raise PortError(
+                f"no network interface {interface!r}; there are {', '.join(known)}; without a name "
+                f"--ros2 uses {LOOPBACK}, this machine alone"
+            )
+        multicast = "true" if interface == LOOPBACK else "default"
+        self._note = _GATEWAY + b"%020d" % started
+        try:
+            config = _CONFIG.format(interface=interface, multicast=multicast)
+            self._domain = Domain(domain, config)
+            self._participant = DomainParticipant(domain, Qos(Policy.Userdata(self._note)))
+        except DDSException as error:
+            raise PortError(
+                f"DDS does not start in domain {domain} on {interface}: {error.msg}; ROS_DOMAIN_ID "
+                "and --ros2 INTERFACE choose others"
+            ) from error
+        self._key = str(self._participant.guid)
+        self._kinds: dict[str, type] = {}
+        self._waiting = WaitSet(self._participant)
+        self._peers = BuiltinDataReader(self._participant, BuiltinTopicDcpsParticipant)
+        self._writers = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
+        self._seen: dict[int, RemoteWriter] = {}
+        self._names = self.reader(
+            "ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_", NAMES
+        )
+
+    def writer(self, topic: str, kind: str, quality: Quality) -> Writer:
+        """Offer a topic; names as on DDS."""
+        return Writer(DataWriter(self._participant, self._topic(topic, kind), _qos(quality)))
+
+    def reader(self, topic: str, kind: str, quality: Quality) -> Reader:
+        """Subscribe to a topic; names as on DDS."""
+        made = Reader(DataReader(self._participant, self._topic(topic, kind), _qos(quality)))
+        self._waiting.attach(made.condition)
+        return made
+
+    def wait(self, seconds: float) -> None:
+        """Wait until a reader has samples."""
+        self._waiting.wait(duration(seconds=seconds))
+
+    def first_gateway(self) -> bool:
+        """Whether no other gateway of this domain has started before this one."""
+        for peer in self._peers.read(_MOST):
+            alive = peer.sample_info.valid_data and str(peer.key) != self._key
+            note = peer.qos[Policy.Userdata].data if alive and Policy.Userdata in peer.qos else b""
+            if note.startswith(_GATEWAY) and note < self._note:
+                return False
+        return True
+
+    def changes(self) -> list[RemoteWriter]:
+        """Writers of other processes that have come or gone since the last call."""
+        changed = []
+        for end in self._writers.take(_MOST):
+            handle, process = end.sample_info.instance_handle, str(end.participant_key)
+            if process == self._key:
+                continue
+            if end.sample_info.instance_state == InstanceState.Alive:
+                new = RemoteWriter(handle, process, end.topic_name, end.type_name)
+                self._seen[handle] = new
+                changed.append(new)
+            elif (old := self._seen.pop(handle, None)) is not None:
+                changed.append(dataclasses.replace(old, type=""))
+        return changed
+
+    def node_names(self) -> dict[str, list[str]]:
+        """Full name of the first node, by ROS 2 process that has told it since the last call."""
+        found = {}
+        for handle, sample in self._names.take():
+            if handle in self._seen and (name := first_node(sample)):
+                found[self._seen[handle].process] = [name]
+        return found
+
+    def _topic(self, name: str, kind: str) -> Topic:
+        if kind not in self._kinds:
+            self._kinds[kind] = _opaque(kind)
+        return Topic(self._participant, name, self._kinds[kind])
+
+
+def first_node(sample: bytes) -> str:
+    """The first node in a process's list of its nodes; empty: it has none, or says it otherwise."""
+    try:
+        (count,) = struct.unpack_from("<I", sample, 20)  # behind header and id of the process
+        if not count:
+            return ""
+        (length,) = struct.unpack_from("<I", sample, 24)
+        space = sample[28 : 28 + length - 1].decode()
+        at = 28 + length + -length % 4
+        (length,) = struct.unpack_from("<I", sample, at)
+        return f"{space.rstrip('/')}/{sample[at + 4 : at + 3 + length].decode()}"
+    except (struct.error, UnicodeDecodeError):
+        return ""
+
+
+def _opaque(kind: str) -> type:
+    """A type of this name for ``cyclonedds``; its samples are never interpreted."""
+    made = types.new_class(
+        "Opaque",
+        (IdlStruct,),
+        {"typename": kind.replace("::", ".")},
+        lambda namespace: namespace["__annotations__"].update(byte=uint8),
+    )
+    return dataclasses.dataclass(made)
+
+
+def _qos(quality: Quality) -> Qos:
+    reliability = Policy.Reliability
+    durability = Policy.Durability
+    return Qos(
+        reliability.Reliable(0) if quality.reliable else reliability.BestEffort,
+        durability.TransientLocal if quality.latched else durability.Volatile,
+        Policy.History.KeepLast(quality.depth),
+        Policy.IgnoreLocal.Participant,
+    )

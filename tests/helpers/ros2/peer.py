@@ -1,0 +1,57 @@
+"""A process that speaks DDS as a ROS 2 node does.
+
+`peer.py DOMAIN NODE TOPIC TYPE PERIOD HEX LISTEN…` sends one sample on TOPIC again and again, and
+prints each sample that it hears on LISTEN: `topic=type`, with `!` behind the name of a latched one.
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+import time
+import uuid
+
+from surg_ros2.bridged_topics import NAMES, Quality, dds_topic, dds_type
+from surg_ros2.dds_port import LOOPBACK, Port
+
+LATER = 10**19
+"""Time of start [ns] by which this process is no gateway that has begun before."""
+DEPTH = 100
+
+
+def nodes(key: str, name: str) -> bytes:
+    """What a ROS 2 process tells about its one node."""
+    text = name.encode() + b"\0"
+    head = b"\0\1\0\0" + uuid.UUID(key).bytes + struct.pack("<II", 1, 2) + b"/\0\0\0"
+    return head + struct.pack("<I", len(text)) + text + bytes(-len(text) % 4 + 8)
+
+
+def main(domain: str, node: str, topic: str, kind: str, period: str, data: str, *hear: str) -> None:
+    """Send and hear until the process is ended."""
+    port = Port(int(domain), LOOPBACK, LATER)
+    names = port.writer(
+        "ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_", NAMES
+    )
+    if node:
+        names.send(nodes(port._key, node))
+    writer = port.writer(dds_topic(topic), dds_type(kind), Quality())
+    readers = {}
+    for each in hear:
+        name, _, of = each.partition("=")
+        quality = Quality(latched=name.endswith("!"), depth=DEPTH)
+        name = name.rstrip("!")
+        readers[name] = port.reader(dds_topic(name), dds_type(of), quality)
+    print("ready", flush=True)
+    due = 0.0
+    while True:
+        if time.monotonic() >= due and writer.readers:
+            due = time.monotonic() + float(period)
+            writer.send(bytes.fromhex(data))
+        port.wait(float(period) / 4)
+        for name, reader in readers.items():
+            for _, sample in reader.take():
+                print(name, sample.hex(), flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

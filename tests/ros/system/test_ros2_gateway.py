@@ -1,0 +1,140 @@
+"""The gateway between a ROS 1 graph and processes that speak DDS as ROS 2 does."""
+
+from __future__ import annotations
+
+import random
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import rospy
+from geometry_msgs.msg import PoseStamped
+
+from crtk_msgs.msg import OperatingState
+from helpers.graph.ros import RosGraph
+from helpers.ros2 import drawn_messages as drawn
+from surg_cli.graph import master, topic_contract
+from surg_cli.graph.processes import Child
+from surg_cli.host import paths
+
+pytest.importorskip("cyclonedds", reason="missing: ./surg dev setup --all installs cyclonedds")
+pytestmark = [pytest.mark.ros]
+
+PEER = paths.ROOT / "tests" / "helpers" / "ros2" / "peer.py"
+WAIT_S = 90.0
+DOMAINS = range(150, 230)
+"""Of DDS; ROS 2 users take lower ones."""
+POSE = "geometry_msgs/PoseStamped"
+JUNK = "00010000ffffffff"
+
+
+@pytest.fixture
+def domain() -> int:
+    return random.SystemRandom().choice(DOMAINS)
+
+
+@pytest.fixture
+def gateway(ros_graph: RosGraph, domain: int) -> Callable[..., Child]:
+    def start(name: str = "/ros2", **more: object) -> Child:
+        params = {"contract": topic_contract.SOURCE, "domain": domain, "commands": True, **more}
+        return ros_graph.node("surg_ros2", "ros2_gateway_node.py", name, params)
+
+    return start
+
+
+class Graph:
+    """The ROS 1 side: an arm that publishes two topics and hears one."""
+
+    def __init__(self, rng: random.Random) -> None:
+        self.pose = drawn.draw(POSE, rng)
+        self.state = drawn.draw("crtk_msgs/OperatingState", rng)
+        self.heard: dict[str, set[bytes]] = {}
+        state = rospy.Publisher("/PSM1/operating_state", OperatingState, latch=True, queue_size=1)
+        state.publish(self.state)
+        self.stream = rospy.Publisher("/PSM1/measured_cp", PoseStamped, queue_size=10)
+        self.ear = rospy.Subscriber("/PSM1/servo_cp", PoseStamped, self._hear)
+
+    def _hear(self, message: Any) -> None:
+        caller = message._connection_header["callerid"]
+        self.heard.setdefault(caller, set()).add(drawn.packed(drawn.without_seq(message)))
+
+
+def peer(graph: RosGraph, domain: int, name: str, data: str, *hear: str, label: str = "") -> Child:
+    words = [sys.executable, PEER, domain, name, "/PSM1/servo_cp", POSE, "0.05", data, *hear]
+    return graph.supervisor.start(f"peer{label or name}", [str(word) for word in words])
+
+
+def test_both_ways_with_an_authority_of_its_own_for_each_process(
+    ros_graph: RosGraph,
+    rospy_node: str,
+    domain: int,
+    gateway: Callable[..., Child],
+    rng: random.Random,
+) -> None:
+    graph, command = Graph(rng), drawn.draw(POSE, rng)
+    node = gateway()
+    data = drawn.cdr(POSE, command).hex()
+    hear = [f"/PSM1/measured_cp={POSE}", "/PSM1/operating_state!=crtk_msgs/OperatingState"]
+    first = peer(ros_graph, domain, "script", data, *hear, label="1")
+    second = peer(ros_graph, domain, "script", data, label="2")
+    names = {"/ros2_script", "/ros2_script_2"}
+    ros_graph.wait_for(lambda: set(graph.heard) == names, WAIT_S, "two senders with names")
+    same = {drawn.packed(drawn.without_seq(command))}
+    assert all(messages == same for messages in graph.heard.values())
+
+    def heard(topic: str, message: Any) -> bool:
+        graph.stream.publish(graph.pose)
+        kind = message._type
+        return f"{topic} {drawn.cdr(kind, message).hex()}" in first.log_tail(1000)
+
+    for topic, message in (
+        ("/PSM1/operating_state", graph.state),
+        ("/PSM1/measured_cp", graph.pose),
+    ):
+        ros_graph.wait_for(lambda t=topic, m=message: heard(t, m), WAIT_S, topic)
+
+    ros_graph.supervisor.stop([second])
+    ros_graph.wait_for(
+        lambda: len(names & set(master.nodes(ros_graph.uri))) == 1, WAIT_S, "its node to end"
+    )
+    assert node.exit_code is None
+
+
+def test_junk_and_wrong_types_do_no_harm_and_a_second_gateway_gives_way(
+    ros_graph: RosGraph,
+    rospy_node: str,
+    domain: int,
+    gateway: Callable[..., Child],
+    rng: random.Random,
+) -> None:
+    graph, command = Graph(rng), drawn.draw(POSE, rng)
+    node = gateway()
+    peer(ros_graph, domain, "junk", JUNK)
+    peer(ros_graph, domain, "", drawn.cdr(POSE, command).hex(), label="good")
+    ros_graph.wait_for(lambda: bool(graph.heard), WAIT_S, "a good command")
+    (name,) = graph.heard
+    assert name.startswith("/ros2_peer_")
+    other = gateway("/another")
+    ros_graph.wait_for(lambda: other.exit_code is not None, WAIT_S, "the second gateway's end")
+    assert other.exit_code == 2
+    assert "another gateway runs in this ROS 2 domain" in other.log_tail()
+    said = "from ros2_junk: geometry_msgs/PoseStamped: 8 bytes do not fit"
+    ros_graph.wait_for(lambda: said in node.log_tail(100), WAIT_S, "the junk's refusal")
+    assert node.exit_code is None
+
+
+@pytest.mark.parametrize(
+    ("params", "said"),
+    [
+        ({"interface": "nope"}, "no network interface 'nope'; there are lo"),
+        ({"domain": 233}, "~domain is 233; allowed: a whole number from 0 to 232"),
+        ({"contract": "/nowhere.yaml"}, "/nowhere.yaml: no contract of topics"),
+    ],
+)
+def test_a_gateway_that_cannot_run_says_why(
+    ros_graph: RosGraph, gateway: Callable[..., Child], params: dict[str, object], said: str
+) -> None:
+    node = gateway(**params)
+    ros_graph.wait_for(lambda: node.exit_code is not None, WAIT_S, "its end")
+    assert (node.exit_code, said in node.log_tail()) == (2, True), node.log_tail()
