@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import random
+import resource
+import signal
 import sys
+import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,6 +18,7 @@ from geometry_msgs.msg import PoseStamped
 
 from crtk_msgs.msg import OperatingState
 from helpers.graph.ros import RosGraph
+from helpers.results.ros2_results import note
 from helpers.ros2 import drawn_messages as drawn
 from surg_cli.graph import master, topic_contract
 from surg_cli.graph.processes import Child
@@ -27,6 +33,10 @@ DOMAINS = range(150, 230)
 """Of DDS; ROS 2 users take lower ones."""
 POSE = "geometry_msgs/PoseStamped"
 JUNK = "00010000ffffffff"
+KILLED, TOGETHER = 200, 4
+"""Processes that are killed, and how many at a time."""
+GROWTH_MB = 30.0
+"""More than that is no noise of the allocator."""
 
 
 @pytest.fixture
@@ -50,6 +60,7 @@ class Graph:
         self.pose = drawn.draw(POSE, rng)
         self.state = drawn.draw("crtk_msgs/OperatingState", rng)
         self.heard: dict[str, set[bytes]] = {}
+        self.times: dict[str, list[float]] = {}
         state = rospy.Publisher("/PSM1/operating_state", OperatingState, latch=True, queue_size=1)
         state.publish(self.state)
         self.stream = rospy.Publisher("/PSM1/measured_cp", PoseStamped, queue_size=10)
@@ -58,6 +69,12 @@ class Graph:
     def _hear(self, message: Any) -> None:
         caller = message._connection_header["callerid"]
         self.heard.setdefault(caller, set()).add(drawn.packed(drawn.without_seq(message)))
+        self.times.setdefault(caller, []).append(time.monotonic())
+
+    def gap(self, caller: str) -> float:
+        """Longest time between two commands of a sender [s]."""
+        times = self.times[caller]
+        return max((b - a for a, b in itertools.pairwise(times)), default=0.0)
 
 
 def peer(graph: RosGraph, domain: int, name: str, data: str, *hear: str, label: str = "") -> Child:
@@ -122,6 +139,47 @@ def test_junk_and_wrong_types_do_no_harm_and_a_second_gateway_gives_way(
     said = "from ros2_junk: geometry_msgs/PoseStamped: 8 bytes do not fit"
     ros_graph.wait_for(lambda: said in node.log_tail(100), WAIT_S, "the junk's refusal")
     assert node.exit_code is None
+
+
+@pytest.mark.full
+def test_killed_processes_leave_nothing_and_cross_nobodys_authority(
+    ros_graph: RosGraph,
+    rospy_node: str,
+    domain: int,
+    gateway: Callable[..., Child],
+    rng: random.Random,
+) -> None:
+    graph, node = Graph(rng), gateway()
+    commands = [drawn.draw(POSE, rng) for _ in range(2)]
+    same = [{drawn.packed(drawn.without_seq(each))} for each in commands]
+    good, dying = (drawn.cdr(POSE, each).hex() for each in commands)
+    peer(ros_graph, domain, "good", good)
+    ros_graph.wait_for(lambda: "/ros2_good" in graph.heard, WAIT_S, "the good one")
+    sizes = []
+    for _ in range(KILLED // TOGETHER):
+        more = [peer(ros_graph, domain, "dies", dying, label=f"{n}") for n in range(TOGETHER)]
+        ros_graph.wait_for(lambda m=more: all(each.log_tail() for each in m), WAIT_S, "peers")
+        for each in more:
+            each.send(signal.SIGKILL)
+        sizes.append(resident(node))
+    ros_graph.wait_for(
+        lambda: not [n for n in master.nodes(ros_graph.uri) if n.startswith("/ros2_dies")],
+        WAIT_S,
+        "the nodes of the killed to end",
+    )
+    gap = graph.gap("/ros2_good")
+    memory = f"memory {sizes[0]:.0f} to {sizes[-1]:.0f} MB"
+    note("killed senders", KILLED, f"longest pause of another sender {gap:.2f} s; {memory}")
+    assert graph.heard.pop("/ros2_good") == same[0]
+    assert all(messages == same[1] for messages in graph.heard.values())
+    assert sizes[-1] < sizes[0] + GROWTH_MB
+    assert node.exit_code is None
+
+
+def resident(child: Child) -> float:
+    """Memory of a process [MB]."""
+    pages = int(Path(f"/proc/{child.process.pid}/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 1e6
 
 
 @pytest.mark.parametrize(

@@ -133,6 +133,7 @@ class Port:
         self._peers = BuiltinDataReader(self._participant, BuiltinTopicDcpsParticipant)
         self._writers = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
         self._seen: dict[int, RemoteWriter] = {}
+        self._told: dict[str, list[str]] = {}
         self._names = self.reader(
             "ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_", NAMES
         )
@@ -176,17 +177,23 @@ class Port:
         return changed
 
     def node_names(self) -> dict[str, list[str]]:
-        """Full name of the first node, by ROS 2 process that has told it since the last call."""
-        found = {}
+        """Full name of the first node of each ROS 2 process; call `changes` before."""
         for handle, sample in self._names.take():
             if handle in self._seen and (name := first_node(sample)):
-                found[self._seen[handle].process] = [name]
-        return found
+                self._told[self._seen[handle].process] = [name]
+        there = {writer.process for writer in self._seen.values()}
+        self._told = {each: names for each, names in self._told.items() if each in there}
+        return self._told
 
     def _topic(self, name: str, kind: str) -> Topic:
         if kind not in self._kinds:
             self._kinds[kind] = _opaque(kind)
-        return Topic(self._participant, name, self._kinds[kind])
+        try:
+            return Topic(self._participant, name, self._kinds[kind])
+        except DDSException as error:
+            raise PortError(
+                f"DDS does not make topic {name} of type {kind}: {error.msg}"
+            ) from error
 
 
 def first_node(sample: bytes) -> str:

@@ -10,6 +10,7 @@ import multiprocessing
 import select
 import signal
 import socket
+import threading
 import time
 
 import roslib.message
@@ -45,10 +46,14 @@ class Caller:
         self._topics: set[str] = set()
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.setblocking(False)
-        # The child's is a copy: with ours closed, one end's closing is the other's end of file.
-        self._process = context.Process(target=run, args=(name, theirs, blocking), daemon=True)
-        self._process.start()
-        theirs.close()
+        process = context.Process(target=run, args=(name, theirs, blocking), daemon=True)
+
+        def start() -> None:
+            process.start()
+            theirs.close()  # the child's is a copy: ours would hide that it has ended
+
+        # The other senders do not wait for this one; its commands wait in the socket.
+        threading.Thread(target=start, daemon=True).start()
 
     def announce(self, topic: str, kind: str) -> None:
         """It will send commands on this topic."""
@@ -63,11 +68,6 @@ class Caller:
     def close(self) -> None:
         """It has gone."""
         self._socket.close()
-
-    @property
-    def alive(self) -> bool:
-        """Whether its node runs."""
-        return self._process.is_alive()
 
     def _send(self, frame: bytes) -> None:
         try:

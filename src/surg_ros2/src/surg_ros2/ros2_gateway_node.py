@@ -40,10 +40,16 @@ ASK = 1.0
 """[s] Between two questions to the ROS master."""
 SETTLE = 3.0
 """[s] After the start, until another gateway of the domain is known."""
-NAMELESS = 0.5
-"""[s] How long a ROS 2 process may be without the name of a node before it gets one."""
+NAMELESS = 3.0
+"""[s] How long a process may be without the name of a ROS 2 node before it gets one."""
+EARLY = 4.0
+"""[s] How long a command waits for the node of its sender."""
+MOST_EARLY = 1000
+"""Commands that wait so."""
 MOST_CALLERS = 32
 """ROS 2 processes that may send commands at a time."""
+MOST_WARNINGS = 1000
+"""Different ones of a run."""
 LARGEST_DOMAIN = 232
 """Of DDS: the ports of a higher one do not exist."""
 OURS = "/ros2"
@@ -143,6 +149,8 @@ class Incoming:
         self._names: dict[str, list[str]] = {}
         self._since: dict[str, float] = {}
         self._callers: dict[str, Caller] = {}
+        # when it came, writer, topic, sample: commands of processes without a node yet
+        self._early: list[tuple[float, int, str, bytes]] = []
 
     def accept(self, topic: str, kind: str, quality: Quality) -> None:
         """Take commands on a topic."""
@@ -154,7 +162,7 @@ class Incoming:
     def look(self, now: float) -> None:
         """Notice who has come and gone; ``now`` on the steady clock [s]."""
         changes = self._port.changes()
-        self._names.update(self._port.node_names())
+        self._names = self._port.node_names()
         for writer in changes:
             topic = writer.topic.removeprefix("rt")
             if not writer.type:
@@ -176,7 +184,8 @@ class Incoming:
             if process in self._callers or (named and self._begin(process)):
                 for topic in topics:
                     self._callers[process].announce(topic, self._readers[topic][0])
-        self._since = {each: self._since[each] for each, _ in self._writers.values()}
+        there = {process for process, _ in self._writers.values()}
+        self._since = {each: since for each, since in self._since.items() if each in there}
 
     def _begin(self, process: str) -> bool:
         """Make the node of a process; returns whether there is one."""
@@ -189,28 +198,31 @@ class Incoming:
         rospy.loginfo(f"a ROS 2 process sends commands as /{name}")
         return True
 
-    def take(self) -> None:
-        """Pass on what has come."""
-        for topic, (_, reader, codec) in self._readers.items():
+    def take(self, now: float) -> None:
+        """Pass on what has come; ``now`` on the steady clock [s]."""
+        early, self._early = self._early, []
+        for came, handle, topic, sample in early:
+            self._pass_on(came, handle, topic, sample, now)
+        for topic, (_, reader, _) in self._readers.items():
             for handle, sample in reader.take():
-                process = self._writers.get(handle, ("", ""))[0]
-                caller = self._callers.get(process)
-                if caller is None:
-                    self._held(process, topic)
-                    continue
-                try:
-                    message = codec.to_ros1(sample)
-                except Malformed as problem:
-                    cure = "its package has another definition: build it from this workspace's"
-                    self._warn(f"{topic} {caller.name}", f"from {caller.name}: {problem}; {cure}")
-                    continue
-                if len(message) <= LARGEST:
-                    caller.send(topic, message)
+                self._pass_on(now, handle, topic, sample, now)
 
-    def _held(self, process: str, topic: str) -> None:
-        self._warn(
-            f"{topic} {process}", "a command came before its sender was known: not passed on"
-        )
+    def _pass_on(self, came: float, handle: int, topic: str, sample: bytes, now: float) -> None:
+        """Give a command to its sender's node, or keep it for a while if that is not there yet."""
+        caller = self._callers.get(self._writers.get(handle, ("", ""))[0])
+        if caller is not None:
+            try:
+                message = self._readers[topic][2].to_ros1(sample)
+            except Malformed as problem:
+                cure = "its package has another definition: build it from this workspace's"
+                self._warn(f"{topic} {caller.name}", f"from {caller.name}: {problem}; {cure}")
+                return
+            if len(message) <= LARGEST:
+                caller.send(topic, message)
+        elif now - came < EARLY and len(self._early) < MOST_EARLY:
+            self._early.append((came, handle, topic, sample))
+        else:
+            self._warn(topic, "a command whose sender did not make itself known was dropped")
 
 
 class Gateway:
@@ -250,7 +262,7 @@ class Gateway:
                     self._in.look(now)
             self._port.wait(LOOK)
             if self._in is not None:
-                self._in.take()
+                self._in.take(time.monotonic())
         return 0
 
     def _ask(self) -> None:
@@ -285,12 +297,12 @@ class Gateway:
     def _guarded(self, topic: str, bridge: Callable[..., None], *of: Any) -> None:
         try:
             bridge(topic, *of)
-        except NotBridged as problem:
+        except (NotBridged, RuntimeError) as problem:
             self._warn(topic, str(problem))
 
     def _warn(self, key: str, why: str) -> None:
-        """Say once what is wrong."""
-        if key not in self._warned:
+        """Say once what is wrong; a peer with ever new names is told of so many times only."""
+        if key not in self._warned and len(self._warned) < MOST_WARNINGS:
             self._warned.add(key)
             rospy.logwarn(f"ros2: {key}: {why}")
 
