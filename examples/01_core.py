@@ -15,8 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-import surg_core
-from surg_core import Motion, MotionCommand, StateCommand
+try:
+    import surg_core
+    from surg_core import Motion, MotionCommand, StateCommand
+except ModuleNotFoundError as missing:
+    raise SystemExit(
+        f"{missing}: pip install ./src/surg_core, or ./surg dev shell -c 'python3 {__file__}'"
+    ) from None
 
 CELL = Path(__file__).resolve().parents[1] / "cells" / "sim_ur5e"
 DT = 0.002  # [s] control period

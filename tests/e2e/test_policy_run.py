@@ -102,7 +102,8 @@ def test_an_episode_without_its_policy_ends(tmp_path: Path, more: list[str]) -> 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--policy", "nobody.py"], "neither an address"),
+        (["--policy", "nobody.py"], "nobody.py: no such file"),
+        (["--policy", "nobody"], "neither an address"),
         (["--policy", "tcp://0.0.0.0:5555"], "./surg policy keys"),
         (["--policy", "udp://127.0.0.1:1"], "such as tcp://127.0.0.1:5555"),
         (["--policy", "tcp://127.0.0.1:5555", "--policy-keys", "/nowhere"], "/nowhere"),

@@ -126,9 +126,11 @@ def _there(attached: running.System) -> list[str]:
     """Names of the nodes that run already, on any machine."""
     nodes = master.nodes(attached.master_uri)
     if operator_nodes.CONSOLE in nodes:
+        page = master.call(attached.master_uri, "getParam", operator_nodes.CONSOLE)
+        scheme = "https" if page.get("cert") else "http"
         raise CliError(
-            f"a console runs already at {attached.master_uri}: open its page, or end it with "
-            "Ctrl-C where it was started",
+            f"a console runs already: open {scheme}://{page['bind']}:{page['port']}/, or end it "
+            "with Ctrl-C where it was started",
             2,
         )
     return nodes

@@ -43,7 +43,11 @@ def read(given: str, keys: Path | None, privileged: bool, forces: bool = False) 
     except (listen_address.BindError, BadKeys, OSError) as error:
         raise CliError(f"--policy {given}: {error}", 2) from error
     script = Path(given)
-    if script.suffix != ".py" or not script.is_file():
+    if script.suffix == ".py" and not script.is_file():
+        raise CliError(
+            f"--policy {given}: no such file; ./surg policy new NAME writes one to begin with", 2
+        )
+    if script.suffix != ".py":
         raise CliError(
             f"--policy {given}: neither an address such as tcp://127.0.0.1:5555 nor the path of a "
             "client's .py file",

@@ -12,16 +12,26 @@ WHERE = "which episodes: 'success and setting == \"ex_vivo\"' (docs/guide/labell
 LOSSLESS = "lossless"
 
 
+EPISODE_FILE = "manifest.json"
+"""In every finished episode's folder."""
+
+
 def add_episode(parser: argparse.ArgumentParser) -> None:
     """The argument that names a recorded episode, or the run that holds one."""
+    what = "an episode's folder, or that of a run with one episode"
+    parser.add_argument("episode", type=_episode, metavar="EPISODE", help=what)
 
-    def folder(text: str) -> Path:
-        given = Path(text)
-        inner = given / "episode"
-        return inner if inner.is_dir() and not (given / "manifest.json").exists() else given
 
-    what = "an episode's folder, or that of its run"
-    parser.add_argument("episode", type=folder, metavar="EPISODE", help=what)
+def _episode(text: str) -> Path:
+    """An episode's folder: the one given, or the only one below it."""
+    given = Path(text)
+    found = sorted(file.parent for file in given.rglob(EPISODE_FILE))
+    if given in found or not found:
+        return given
+    if len(found) > 1:
+        names = "\n".join(f"  {folder}" for folder in found)
+        raise argparse.ArgumentTypeError(f"{text} has {len(found)} episodes; name one:\n{names}")
+    return found[0]
 
 
 def add_video_quality(parser: argparse.ArgumentParser) -> None:

@@ -20,6 +20,7 @@ CURES = {
     errno.ENOSPC: "the disk is full; remove old runs/ folders",
     errno.EACCES: "this user may not do that; use a checkout and an --out folder of your own",
     errno.EPERM: "this user may not do that; use a checkout and an --out folder of your own",
+    errno.EADDRINUSE: "another program has that port: ss -ltnp names it; end it, or choose another",
     errno.EROFS: "the file system is read-only; name a folder elsewhere by --out",
 }
 

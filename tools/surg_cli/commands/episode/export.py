@@ -58,9 +58,10 @@ def _add_content(add: Callable[..., Any]) -> None:
     add(
         "--allow",
         nargs="+",
-        choices=("incomplete", "unsynchronised"),
+        choices=("incomplete", "unsynchronised", "old-pictures"),
         default=[],
-        help="include recordings that were interrupted, or whose sync report fails",
+        help="include recordings that were interrupted, whose sync report fails, whose camera "
+        "stalled",
     )
 
 
@@ -121,6 +122,8 @@ def choices(options: argparse.Namespace, kind: Any) -> Any:
     Raises:
         CliError: Names the option, its value and what is allowed.
     """
+    from surg_recording.datasets.options import ANY_AGE_S
+
     shard = options.shard if options.shard != MERGE else None
     if options.shard == MERGE:
         parts = options.out.with_name(options.out.name + ".parts")
@@ -137,6 +140,8 @@ def choices(options: argparse.Namespace, kind: Any) -> Any:
         "columns": None if options.columns is None else tuple(options.columns),
         "about": {} if options.about is None else _about(options.about),
     }
+    if "old-pictures" in options.allow:
+        given["max_image_age_s"] = ANY_AGE_S
     for field in dataclasses.fields(kind):
         if field.name not in (*given, "splits", "workers") and hasattr(options, field.name):
             given[field.name] = getattr(options, field.name)

@@ -17,6 +17,10 @@ SPLITS = ("train", "val", "test")
 SPLIT_BY = ("order", "hash")
 
 
+ANY_AGE_S = 3599.0
+"""[s] Longer than any recording: no picture is too old."""
+
+
 @dataclasses.dataclass(frozen=True)
 class ExportOptions:
     """All choices; those under "what is exported" are part of a recording's input hash."""
@@ -28,7 +32,7 @@ class ExportOptions:
     size: tuple[int, int] | None = None
     """Width and height that pictures are scaled to [px]; None: as recorded."""
     max_image_age_s: float = 0.1
-    """Largest age of a picture at its grid time [s]."""
+    """Largest age of a picture at its grid time [s]; `ANY_AGE_S`: each is taken."""
     max_gap_s: float = 0.05
     """Kinematic samples further apart are not bridged [s]."""
     drop: tuple[str, ...] = ()

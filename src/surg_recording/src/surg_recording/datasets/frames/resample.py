@@ -75,7 +75,8 @@ def previous(stamps: Stamps, times: Stamps, what: str, max_age_ns: int | None = 
             raise EpisodeError(
                 f"{what}: the newest sample at {_at(times, old[0])} is"
                 f" {age[old[0]] / 1e6:.1f} ms old, at most {max_age_ns / 1e6:g} ms are allowed"
-                f" ({len(old)} of {len(times)} frames; it stalled or frames were dropped)"
+                f" ({len(old)} of {len(times)} frames; it stalled or frames were dropped);"
+                " --allow old-pictures exports it anyway"
             )
     return index.astype(np.int64)
 
