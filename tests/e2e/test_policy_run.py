@@ -25,10 +25,13 @@ pytestmark = pytest.mark.untimed
 TASK = paths.ROOT / "tests" / "helpers" / "sim" / "nudge_task.py"
 POLICY = paths.ROOT / "tests" / "helpers" / "policy" / "nudge_policy.py"
 LOOKING = paths.ROOT / "tests" / "helpers" / "policy" / "witness_policy.py"
+DYING = paths.ROOT / "tests" / "helpers" / "policy" / "dying_policy.py"
 WITNESS = "SURG_TEST_WITNESS"
 """Where the looking one writes."""
 SEED = 10_004
 """The task is solved where the policy leads the arms: back to where they were."""
+ENDS_S = 2.0
+"""[s simulated] The task's own time limit is twice that."""
 
 
 def in_one_process() -> tuple[str, int, list[int]]:
@@ -119,3 +122,37 @@ def test_what_cannot_be_a_policy_is_said(tmp_path: Path, words: list[str], said:
         run.main(options, "run")
     assert problem.value.code == 2 and said in str(problem.value)
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ("death", "said"),
+    [
+        ("raises", "RuntimeError: the weights are gone"),
+        ("killed", "was killed by signal 9"),
+        pytest.param("starts", "ended (1) before it had connected", marks=pytest.mark.full),
+        pytest.param("aborts", "was killed by signal 6", marks=pytest.mark.full),
+        pytest.param("exits", "ended (0)", marks=pytest.mark.full),
+        pytest.param("wrong shape", "a chunk is [K, 10]", marks=pytest.mark.full),
+        pytest.param(
+            "no numbers", "PSM1/x is nan; allowed: finite numbers", marks=pytest.mark.full
+        ),
+    ],
+)
+def test_a_death_is_named_and_ends_the_episode(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, death: str, said: str
+) -> None:
+    monkeypatch.setenv("SURG_TEST_DEATH", death)
+    out = tmp_path / "run"
+    done = surg("run", TASK, "--policy", DYING, "--seed", SEED, "--out", out)
+    told = done.stdout + done.stderr
+    assert done.returncode == 1 and "crashed: episode 0" in told and said in told, told
+    assert "no such folder" not in told and "waiting for a model server" not in told
+    summary = json.loads((out / "summary.json").read_text("utf-8"))
+    (entry,) = summary["episodes"]
+    assert entry["outcome"] == "crashed" and entry["success"] is None
+    assert said in entry["failure_reason"] and "the weights are gone" in entry["failure_reason"]
+    assert summary["success_rate"]["n"] == 0, "it counts neither for nor against the policy"
+    assert entry["duration_s"] <= ENDS_S
+    page = (out / "report.html").read_text("utf-8")
+    assert "crashed" in page and "the weights are gone" in page

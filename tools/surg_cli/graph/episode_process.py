@@ -102,6 +102,7 @@ def measure(
     try:
         return entry(outcome, episode_reader.read(plan.out / "episode"))
     except EpisodeError as error:
-        reason = "; ".join(filter(None, (ended.reason, str(error))))
+        unreadable = str(error) if (plan.out / "episode").exists() else ""
+        reason = "; ".join(filter(None, (ended.reason, unreadable))) or str(error)
         broken = replace(outcome, played=False, success=None, reason=reason)
         return entry(replace(broken, outcome=ended.outcome if not ended.played else ABORTED), None)

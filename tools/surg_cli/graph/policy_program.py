@@ -23,6 +23,10 @@ CLIENT_TIMEOUT_S = 120.0
 """[s] wall clock: longest time that a script may take to connect; its own libraries load first."""
 
 
+class ProgramDied(CliError):
+    """The policy's program has ended before it had connected."""
+
+
 def read(given: str, keys: Path | None, privileged: bool, forces: bool = False) -> Policy:
     """A policy from the command line: an address to listen at, or the path of a client's script.
 
@@ -65,7 +69,8 @@ def connect(
     """Start the model server and the client, and wait until one has connected.
 
     Raises:
-        CliError: The server or the client ends, or the script does not connect in time.
+        ProgramDied: The client ends.
+        CliError: The server ends, or the script does not connect in time.
     """
     policy = plan.policy
     assert policy is not None
@@ -81,8 +86,9 @@ def connect(
 
     def missing() -> list[str]:
         if client is not None and client.exit_code is not None:
-            raise CliError(
-                f"the policy's script ended before it had connected:\n{client.log_tail()}"
+            raise ProgramDied(
+                f"the policy's program ended ({client.exit_code}) before it had connected:\n"
+                f"{client.log_tail(LAST_LINES)}"
             )
         return [] if watch.policy.waiting else [waited_for]
 

@@ -195,6 +195,8 @@ def main(arguments: Sequence[str]) -> int:
     folder = Path(arguments[0])
     try:
         ended = play(read_plan(folder))
+    except policy_program.ProgramDied as died:
+        ended = Ended(False, str(died), "", 0.0, False, None, outcome=verdicts.CRASHED)
     except CliError as problem:
         warn(str(problem))
         return problem.code

@@ -17,6 +17,7 @@ from surg_policy_client.wire import Message
 ADDRESS = "tcp://127.0.0.1:5555"
 Wants = Union[Spec, Sequence[str], None]
 _REMIND_S = 5.0
+"""Longest silence while nobody answers: a server that starts with its policy takes seconds."""
 
 
 @dataclass
@@ -135,12 +136,10 @@ class _Serving:
             if message is not None:
                 self._take(message)
                 waiting_since = now
-            elif self._link.session is None:
-                waited = now - waiting_since
-                if waited >= 1.0 and now - reminded >= _REMIND_S:
-                    reminded = now
-                    hint = self._link.hint()
-                    self._say(f"waiting for a model server at {self._link.address}: {hint}")
+            elif self._link.session is None and now - max(waiting_since, reminded) >= _REMIND_S:
+                reminded = now
+                hint = self._link.hint()
+                self._say(f"waiting for a model server at {self._link.address}: {hint}")
 
     def _take(self, message: Message) -> None:
         head = message.head
