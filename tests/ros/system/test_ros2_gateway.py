@@ -6,6 +6,7 @@ import itertools
 import random
 import resource
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -111,6 +112,10 @@ def test_both_ways_with_an_authority_of_its_own_for_each_process(
     ):
         ros_graph.wait_for(lambda t=topic, m=message: heard(t, m), WAIT_S, topic)
 
+    assert len(udp_sockets(node)) > 2
+    assert [
+        each for each in udp_sockets(node) if not each.startswith(("127.", "0.0.0.0%lo:"))
+    ] == []
     ros_graph.supervisor.stop([second])
     ros_graph.wait_for(
         lambda: len(names & set(master.nodes(ros_graph.uri))) == 1, WAIT_S, "its node to end"
@@ -139,6 +144,13 @@ def test_junk_and_wrong_types_do_no_harm_and_a_second_gateway_gives_way(
     said = "from ros2_junk: geometry_msgs/PoseStamped: 8 bytes do not fit"
     ros_graph.wait_for(lambda: said in node.log_tail(100), WAIT_S, "the junk's refusal")
     assert node.exit_code is None
+
+
+def udp_sockets(child: Child) -> list[str]:
+    """Where the UDP sockets of a process are open, as `address%interface:port`."""
+    listed = subprocess.run(["ss", "-Hunap"], capture_output=True, text=True, check=True).stdout
+    lines = [line for line in listed.splitlines() if f"pid={child.process.pid}," in line]
+    return [line.split()[3] for line in lines]
 
 
 @pytest.mark.full
