@@ -34,7 +34,7 @@ STOPS: dict[str, tuple[Callable[[UrController], object], Condition]] = {
     "power off": (lambda c: c.power_off(), Condition.OFF),
     "hand on the arm": (lambda c: c.guide(True, [0.0] * 6), Condition.GUIDED),
     "program stopped": (lambda c: c.stop(), Condition.READY),
-    "program paused": (lambda c: c.pause(), Condition.READY),
+    "program paused": (lambda c: c.pause(), Condition.STOPPED),
 }  # fmt: skip
 
 

@@ -18,8 +18,17 @@ from helpers.hardware.ur_driver_rig import Rig, driver, rig
 from surg_cli.graph.processes import wait_until
 from surg_emulators.ur import rtde_server
 from surg_emulators.ur.ur_controller import HOME, UrController
+from surg_hardware import robot_link
+from surg_hardware.arm_driver import DriverSettings
 from surg_hardware.conditions import Condition
+from surg_hardware.driver_datagrams import (
+    LONGEST,
+    RequestDatagram,
+    StateDatagram,
+    decode_from_driver,
+)
 from surg_hardware.ur import dashboard
+from surg_hardware.ur.ur_driver import UrDriver
 
 OTHER = "def other():\n  while True:\n    sync()\n  end\nend\n"
 
@@ -84,6 +93,62 @@ def test_a_start_is_refused_with_its_cure(arm: Rig, tmp_path: Path) -> None:
     assert "allowed: " in ask(arm, "dance")
     assert arm.condition() is Condition.READY
     assert said(arm)["q"] == pytest.approx(list(HOME), abs=1e-9), "nothing has moved"
+
+
+def test_a_payload_that_is_set_while_the_link_drives_ends_it_by_name(arm: Rig) -> None:
+    arm.start()
+    arm.fault("payload 5 0 0 0.1")
+    arm.wait(Condition.READY, 60.0)
+    assert arm.state is not None and "from 0 to 5 kg" in arm.state.status.fault
+
+
+def test_after_a_reset_the_status_says_who_holds_the_registers(arm: Rig) -> None:
+    arm.fault("second_client input_int_register_24")
+    arm.fault("reset")
+    said = wait_until(lambda: arm.state is not None and "IN_USE" in arm.state.status.fault, 60.0)
+    assert said, arm.state
+    assert arm.condition() is Condition.OFFLINE and "end it" in arm.state.status.fault  # type: ignore[union-attr]
+    arm.fault("second_client")
+    arm.wait(Condition.READY, 60.0)
+
+
+def test_states_go_on_while_the_dashboard_takes_its_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked, go_on, ask = threading.Event(), threading.Event(), dashboard.ask
+
+    def late(address: str, questions: tuple[str, ...], timeout: float = 10.0) -> list[str]:
+        if questions == ("is in remote control",):
+            asked.set()
+            assert go_on.wait(60.0)
+        return ask(address, questions, timeout)
+
+    monkeypatch.setattr(dashboard, "ask", late)
+    monkeypatch.setattr(robot_link, "SETTLED", 0.1)
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours.settimeout(60.0)
+
+    def heard(wanted: Condition) -> None:
+        while True:
+            message = decode_from_driver(ours.recv(LONGEST))
+            if isinstance(message, StateDatagram) and message.status.condition is wanted:
+                return
+
+    with emulated_ur.in_process(UrController()) as emulator, ours, theirs:
+        settings = DriverSettings(emulator.address, 0, (1.0,) * 6, (40.0,) * 6, 0.04, 20.0)
+        made = UrDriver(settings, theirs)
+        running = threading.Thread(target=made.run, daemon=True)
+        running.start()
+        while not asked.is_set():
+            heard(Condition.READY)
+            ours.send(RequestDatagram("start", False).pack())
+        for _ in range(200):
+            heard(Condition.READY)
+        go_on.set()
+        heard(Condition.ACTIVE)
+        made.end("the test is over")
+        running.join(60.0)
+    assert not running.is_alive()
 
 
 def refused(address: str, **env: str) -> str:

@@ -155,8 +155,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "slider_unseen",
         "the arm is slower than the controller believes",
         "conditions.py",
-        "    if not speed_scaling >= FULL_SPEED:\n",
-        "    if False:\n",
+        "        if not share >= FULL_SPEED:\n",
+        "        if False:\n",
         ("test_conditions",),
     ),
     one(

@@ -14,12 +14,13 @@ from surg_emulators.ur.joint_motion import DT
 from surg_emulators.ur.rtde_server import RtdeSession
 from surg_emulators.ur.ur_controller import UrController
 from surg_hardware.arm_driver import STALE
-from surg_hardware.conditions import Condition
+from surg_hardware.conditions import NOT_NUMBERS, Condition
+from surg_hardware.driver_process import finite
 from surg_hardware.robot_clock import RobotClock
 from surg_hardware.robot_link import Command, RobotLink, RobotState, Settings, Status
 from surg_hardware.ur import urscript
 from surg_hardware.ur.rtde import INPUTS, OUTPUTS, Decoder, Recipe
-from surg_hardware.ur.ur_driver import robot_state
+from surg_hardware.ur.ur_states import SetValues, robot_state
 
 DEAD_MAN, STOP = 0.04, 20.0
 REST = (0.0,) * 6
@@ -57,6 +58,7 @@ class Chain:
         self.command: Command | None = None
         self.dashboard = True
         self._count = 0
+        self._set = SetValues()
 
     def _connect(self) -> None:
         client = Client(RtdeSession(self.controller))
@@ -107,7 +109,16 @@ class Chain:
         ((_, payload),) = self._decoder.add(self._session.output())
         values = self._outputs.unpack(payload)
         assert values is not None
-        self._state = state = robot_state(values)
+        state = robot_state(values)
+        if not finite(state.q):
+            self.status, self.sent = self.link.lost(NOT_NUMBERS), None
+            self.controller.execute()
+            return self._state
+        self._state = state
+        if not self.link.active:
+            self._set.know(values)
+        elif change := self._set.change(values):
+            self.link.end(change)
         self.clock.arrived(state.time, self.now)
         if qd is not None:
             self.say(qd)

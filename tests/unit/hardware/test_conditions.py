@@ -44,6 +44,19 @@ def test_modes_mean_one_condition(
     mode: int, safety: int, scaling: float, guided: bool, condition: Condition
 ) -> None:
     assert ur_reading(mode, safety, scaling, guided).condition is condition
+    assert ur_reading(mode, safety, 1.0, guided, slider=scaling).condition is condition
+
+
+def test_slider_limiter_and_a_paused_program_are_told_apart() -> None:
+    said = [
+        ur_reading(RUNNING, NORMAL, slider=0.5),
+        ur_reading(RUNNING, NORMAL, limiter=0.4),
+        ur_reading(RUNNING, NORMAL, paused=True),
+    ]
+    words = ("speed slider is at 50 %", "limits its speed to 40 %", "program is paused")
+    for reading, word in zip(said, words, strict=True):
+        assert word in reading.sentence and reading.cure
+    assert ur_reading(RUNNING, NORMAL, 0.5, slider=0.5).speed_scaling == 0.25
 
 
 def test_only_a_running_arm_in_normal_or_reduced_mode_may_move() -> None:

@@ -122,7 +122,7 @@ def test_a_start_with_nothing_that_answers_ends_by_itself() -> None:
         (False, 1.9, math.inf, READY),
         (False, 10.0, 0.9, READY),
         (False, 10.0, math.inf, ur_reading(7, 3)),
-        (False, 10.0, math.inf, ur_reading(7, 1, 0.5)),
+        (False, 10.0, math.inf, ur_reading(7, 1, slider=0.5)),
         (False, 10.0, math.inf, ur_reading(5, 1)),
     ],
 )
@@ -243,7 +243,7 @@ def test_a_program_that_does_not_echo_is_the_end() -> None:
 def test_a_slowed_robot_is_ramped_down_and_latched() -> None:
     robot = Robot().started()
     robot.run(50, MOTION)
-    robot.reading = ur_reading(7, 1, 0.5)
+    robot.reading = ur_reading(7, 1, slider=0.5)
     step = robot.run(1, MOTION)
     assert step.status.condition is Condition.SLOWED and step.status.speed_scaling == 0.5
     speeds = [max(map(abs, step.qd or ZERO))]

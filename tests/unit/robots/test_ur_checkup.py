@@ -18,7 +18,7 @@ from helpers.hardware import emulated_ur
 from helpers.hardware.emulated_cell import BUNDLED, HOME, SERIAL, emulated_cell
 from surg_cli.graph.roles import Route
 from surg_cli.robots import robot_doctor
-from surg_emulators.ur import dashboard_server
+from surg_emulators.ur import dashboard_server, rtde_server
 from surg_emulators.ur.joint_motion import DT
 from surg_emulators.ur.robot_states import SafetyMode
 from surg_emulators.ur.ur_controller import UrController
@@ -46,11 +46,12 @@ WRONG: dict[str, tuple[Wrong, str, str]] = {
     "payload": (fault("payload 0.85"), "hardware.payload.mass", "set it on the pendant"),
     "centre": (fault("payload 0 0 0 0.1"), "hardware.payload.cog", "set it on the pendant"),
     "slider": (fault("slider 50"), "condition", "set it to 100 %"),
-    "protective stop": (fault("protective_stop"), "condition", "unlock it on the pendant"),
+    "protective stop": (fault("protective_stop"), "condition", "recover"),
+    "limiter": (fault("limiter 40"), "condition", "look for the cause on the pendant"),
     "safeguard": (fault("safeguard on"), "condition", "close the safeguard"),
-    "e-stop": (fault("estop"), "condition", "release it, power the arm on"),
-    "power": (fault("power off"), "condition", "power it on"),
-    "brakes": (fault("brakes engage"), "condition", "release them"),
+    "e-stop": (fault("estop"), "condition", "release it"),
+    "power": (fault("power off"), "condition", " on"),
+    "brakes": (fault("brakes engage"), "condition", " on"),
     "hand": (fault("freedrive on"), "condition", "start"),
     "mode 99": (fault("mode 99"), "condition", "see the pendant"),
     "local": (fault("local"), "control", "switch it to remote control"),
@@ -116,6 +117,15 @@ def test_an_old_controller_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(dashboard_server, "VERSION", (5, 4, 0, 1))
     (found,) = bad(examined(tmp_path, lambda emulator: None))
     assert found.what == "PSM1: version" and "5.6" in found.cure
+
+
+def test_polyscope_x_has_no_dashboard_server_and_is_named_by_its_version(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rtde_server, "VERSION", (10, 7, 0, 1))
+    monkeypatch.setattr(dashboard, "DASHBOARD_PORT", 1)
+    (found,) = bad(examined(tmp_path, lambda emulator: None))
+    assert found.what == "PSM1: version" and "PolyScope X" in found.cure
 
 
 def test_a_clock_that_drifts_by_5_percent_is_named() -> None:
@@ -209,4 +219,5 @@ def test_doctor_ends_with_1_where_a_line_is_bad(
         assert surg("robot", str(folder), "doctor") == 1
     said = capsys.readouterr().out
     assert "BAD  PSM1: condition: emergency stop" in said
-    assert f"./surg robot {folder.name} start" in said
+    assert f"./surg robot {folder.name} on" in said
+    assert "slider at 100 %, the robot's own limiter at 100 %" in said

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
-CONNECT_S, ANSWER_S = 3.0, 4.0
-"""[s] For the links to be heard; for a robot to do what was asked."""
+CONNECT_S, ANSWER_S = 3.0, 15.0
+"""[s] For the links to be heard; for a robot to do what was asked: its server may take 10."""
 LOOK_S = 0.02
 
 
@@ -88,7 +88,12 @@ class RobotRequests:
             self._heard[arm].said.clear()
         self._out[arm].publish(self._message(string=word))
         heard = self._heard[arm]
-        if self._wait(lambda: reached(word, condition_name(heard.status)), ANSWER_S):
+
+        def done() -> bool:
+            return reached(word, condition_name(heard.status))
+
+        self._wait(lambda: done() or any(f": {word}: " in each for each in heard.said), ANSWER_S)
+        if done():
             return ""
         with self._lock:
             return "; ".join(heard.said) or heard.status.fault or "the robot did not do it"

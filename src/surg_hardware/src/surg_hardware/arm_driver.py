@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from surg_hardware import driver_process, robot_clock
-from surg_hardware.conditions import Condition
+from surg_hardware.conditions import NOT_NUMBERS, OFFLINE, Condition, Reading
 from surg_hardware.driver_datagrams import (
     LONGEST,
     REQUESTS,
@@ -30,7 +30,15 @@ from surg_hardware.driver_datagrams import (
     decode_to_driver,
 )
 from surg_hardware.robot_clock import RobotClock
-from surg_hardware.robot_link import Command, LinkStep, RobotLink, RobotState, Settings, Status
+from surg_hardware.robot_link import (
+    START_TIMEOUT,
+    Command,
+    LinkStep,
+    RobotLink,
+    RobotState,
+    Settings,
+    Status,
+)
 
 STALE = 0.04
 """[s] A state that is older is not sent on; without any for this time the robot is lost."""
@@ -82,6 +90,7 @@ class ArmDriver(ABC):
         node: The socket that the node shares with it.
         cycle: Of the robot [s].
         window: Of the robot's clock [s].
+        start_timeout: For the robot to obey after a start [s].
     """
 
     def __init__(
@@ -90,6 +99,7 @@ class ArmDriver(ABC):
         node: socket.socket,
         cycle: float,
         window: float = robot_clock.WINDOW,
+        start_timeout: float = START_TIMEOUT,
     ) -> None:
         self._settings, self._node = settings, node
         node.setblocking(False)
@@ -100,6 +110,7 @@ class ArmDriver(ABC):
                 settings.dead_man,
                 settings.stop_deceleration,
                 cycle,
+                start_timeout,
             )
         )
         self._clock = RobotClock(window)
@@ -185,7 +196,7 @@ class ArmDriver(ABC):
     def _step(self, state: RobotState, now: float) -> LinkStep | None:
         """The link's answer to a state; None: the state is no use."""
         if not driver_process.finite((state.time, *state.q, *state.qd)):
-            self._say_lost()
+            self._say_lost(NOT_NUMBERS)
             return None
         if self._clock.restarted(state.time):
             self._link.lost()
@@ -247,9 +258,9 @@ class ArmDriver(ABC):
             return f"is unknown; allowed: {', '.join(REQUESTS)}"
         return self._requests[word](enabled)
 
-    def _say_lost(self) -> None:
-        """Tell the node, on change, that no state comes."""
-        status = replace(self._link.lost(), last_command_ns=0)
+    def _say_lost(self, reading: Reading = OFFLINE) -> None:
+        """Tell the node, on change, that no state comes, or none that is of use."""
+        status = replace(self._link.lost(reading), last_command_ns=0)
         if status != self._sent:
             self._say(StateDatagram(0, self._tick, (), (), status).pack())
         self._sent = status

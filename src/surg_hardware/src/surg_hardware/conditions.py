@@ -49,51 +49,64 @@ OFFLINE = Reading(
     Condition.OFFLINE, "the robot does not answer", "check its power, its cable and its address"
 )
 READY = Reading(Condition.READY, "the robot is not started", START)
+NOT_NUMBERS = Reading(Condition.BROKEN, "the joints are not numbers", "restart the robot")
 
 FULL_SPEED = 0.999
 """A speed scaling below it is no rounding."""
 
 RUNNING, BACKDRIVE = 7, 6
 """UR robot modes."""
+_ON, _RECOVER = "./surg robot CELL on", "look for the cause, then ./surg robot CELL recover"
 _UR_MODES = {
     -1: Reading(Condition.BROKEN, "the robot's controller does not run", "restart the robot"),
     0: Reading(Condition.BROKEN, "the arm is disconnected from its controller", "check its cable"),
     1: Reading(Condition.BROKEN, "the safety settings are not confirmed", "confirm on the pendant"),
     2: Reading(Condition.OFF, "the arm starts up", "wait"),
-    3: Reading(Condition.OFF, "the arm is powered off", "power it on, release its brakes"),
-    4: Reading(Condition.OFF, "the arm is being powered on", "wait, release its brakes"),
-    5: Reading(Condition.BRAKED, "the brakes are on", "release them on the pendant"),
+    3: Reading(Condition.OFF, "the arm is powered off", _ON),
+    4: Reading(Condition.OFF, "the arm is being powered on", "wait, then " + _ON),
+    5: Reading(Condition.BRAKED, "the brakes are on", _ON),
     BACKDRIVE: Reading(Condition.GUIDED, "the arm is back-driven by hand", "end the back-driving"),
     8: Reading(Condition.OFF, "the arm's firmware is being updated", "wait"),
 }
-_STOPPED = "look for the cause, unlock it on the pendant, then " + START
-_ESTOP = "release it, power the arm on, release the brakes, then " + START
+_ESTOP = "release it, then " + _ON
 _UR_SAFETY = {
-    3: Reading(Condition.STOPPED, "protective stop", _STOPPED),
+    3: Reading(Condition.STOPPED, "protective stop", _RECOVER),
     4: Reading(Condition.BROKEN, "recovery mode", "move the arm back inside its limits by hand"),
     5: Reading(Condition.STOPPED, "safeguard stop", "close the safeguard, then " + START),
     6: Reading(Condition.ESTOP, "emergency stop of the system", _ESTOP),
     7: Reading(Condition.ESTOP, "emergency stop", _ESTOP),
-    8: Reading(Condition.BROKEN, "safety violation", "see the pendant's log, restart the robot"),
-    9: Reading(Condition.BROKEN, "safety fault", "see the pendant's log, restart the robot"),
+    8: Reading(Condition.BROKEN, "safety violation", _RECOVER),
+    9: Reading(Condition.BROKEN, "safety fault", _RECOVER),
     10: Reading(Condition.BROKEN, "joint identities are being checked", "see the pendant"),
     11: Reading(Condition.BROKEN, "undefined safety mode", "see the pendant"),
     12: Reading(Condition.STOPPED, "safeguard stop of the automatic mode", "close the safeguard"),
     13: Reading(Condition.STOPPED, "the three-position switch is released", "press it half-way"),
 }
 _NORMAL, _REDUCED = 1, 2
+_PAUSED = Reading(
+    Condition.STOPPED,
+    "a program is paused on the robot",
+    "stop it on the pendant, or by ./surg robot CELL stop",
+)
 
 
 def ur_reading(
-    robot_mode: int, safety: int, speed_scaling: float = 1.0, guided: bool = False
+    robot_mode: int,
+    safety: int,
+    limiter: float = 1.0,
+    guided: bool = False,
+    slider: float = 1.0,
+    paused: bool = False,
 ) -> Reading:
     """What a UR controller's modes mean.
 
     Args:
         robot_mode: RTDE ``robot_mode``.
         safety: RTDE ``safety_status`` (or ``safety_mode``).
-        speed_scaling: Slider times limiter, 0 to 1.
+        limiter: RTDE ``speed_scaling``, 0 to 1: by how much the robot itself slows the arm down.
         guided: Whether a person guides the arm: free-drive.
+        slider: RTDE ``target_speed_fraction``, 0 to 1: what a person has set.
+        paused: Whether a program waits for a person to press play.
     """
     if safety in _UR_SAFETY:
         return _UR_SAFETY[safety]
@@ -104,18 +117,19 @@ def ur_reading(
         return _UR_MODES.get(robot_mode, unknown)
     if guided:
         return Reading(Condition.GUIDED, "the arm is guided by hand", "end it, then " + START)
-    if not speed_scaling >= FULL_SPEED:
-        return Reading(
-            Condition.SLOWED,
-            f"the speed slider is at {100 * speed_scaling:.0f} %",
-            "set it to 100 %, and slow the arm down by the cell's limits",
-            speed_scaling,
-        )
+    if paused:
+        return _PAUSED
+    for share, what, cure in (
+        (slider, "the speed slider is at", "set it to 100 %, and slow down by the cell's limits"),
+        (limiter, "the robot limits its speed to", "look for the cause on the pendant"),
+    ):
+        if not share >= FULL_SPEED:
+            sentence = f"{what} {100 * share:.0f} %"
+            return Reading(Condition.SLOWED, sentence, cure, slider * limiter)
     warning = "the safety mode is reduced" if safety == _REDUCED else ""
-    return Reading(Condition.READY, warning, speed_scaling=speed_scaling)
+    return Reading(Condition.READY, warning, speed_scaling=slider * limiter)
 
 
-_RECOVER = "look for the cause, then ./surg robot CELL recover"
 _FRANKA_MODES = {
     "other": Reading(Condition.BRAKED, "the brakes are on", "release them in Desk, activate FCI"),
     "guiding": Reading(Condition.GUIDED, "the arm is guided by hand", "end it, then " + START),

@@ -30,7 +30,7 @@ QUIET = 1.0
 SETTLED = 2.0
 """[s] `start` is refused until states have come for this time: a UR restarts RTDE as it boots."""
 START_TIMEOUT = 3.0
-"""[s] For the robot to obey after a start."""
+"""[s] For the robot to obey after a start, unless its vendor's server may take longer."""
 ECHO_TIMEOUT = 0.04
 """[s] Without an executed command, after which the program on the robot counts as ended."""
 PAUSE = 0.04
@@ -50,6 +50,7 @@ class Settings:
     dead_man: float  # [s] without a command, after which the link ramps down
     stop_deceleration: float  # [rad/s^2] of the leading joint in that ramp
     cycle: float = 0.002  # [s] of the robot
+    start_timeout: float = START_TIMEOUT  # [s] for the robot to obey after a start
 
 
 @dataclass(frozen=True)
@@ -195,11 +196,11 @@ class RobotLink:
         if self._phase in (_Phase.STARTING, _Phase.ACTIVE):
             self._phase, self._why, self._ramp = _Phase.ENDING, why, None
 
-    def lost(self) -> Status:
-        """No state comes any more; returns the status."""
+    def lost(self, reading: Reading = OFFLINE) -> Status:
+        """No state comes any more, or none that is of use; returns the status."""
         if self._phase is not _Phase.IDLE:
-            self._drop("the robot did not answer")
-        self._reading = OFFLINE
+            self._drop(reading.sentence)
+        self._reading = reading
         self._last_time = self._last_now = math.nan
         return self._status()
 
@@ -220,8 +221,9 @@ class RobotLink:
             self._last_motion = max(self._last_motion, command.received)
         silent = command is None or not now - command.received <= self._settings.dead_man
         self._silent = silent
-        if self._phase is _Phase.STARTING and now - self._since > START_TIMEOUT:
-            self._drop("the robot did not obey within 3 s: is it in remote control?")
+        if self._phase is _Phase.STARTING and now - self._since > self._settings.start_timeout:
+            within = f"{self._settings.start_timeout:g} s"
+            self._drop(f"the robot did not obey within {within}: is it in remote control?")
         if self._phase is _Phase.ACTIVE:
             if problem:
                 self.end(problem)
@@ -348,7 +350,8 @@ class RobotLink:
             elif self._phase is _Phase.STARTING:
                 fault = "the robot is being started"
             else:
-                fault = f"{self._why or 'the robot is not started'}: {START}"
+                ended = self._why and f", as the last motion has ended: {self._why}"
+                fault = f"the robot is not started{ended}: {START}"
         return Status(
             condition,
             fault,

@@ -64,7 +64,7 @@ OUTPUTS: dict[str, tuple[str, Get]] = {
     "safety_status": ("INT32", lambda c: c.safety_mode),
     "actual_tool_accelerometer": ("VECTOR3D", lambda c: [0.0, 0.0, -9.82]),
     # Of the trajectory limiter, which never intervenes here. Slider and pause are not in it.
-    "speed_scaling": ("DOUBLE", lambda c: 1.0),
+    "speed_scaling": ("DOUBLE", lambda c: c.faked.get("speed_scaling", 1.0)),
     "target_speed_fraction": ("DOUBLE", lambda c: c.slider),
     "actual_momentum": ("DOUBLE", lambda c: 0.0),
     "actual_main_voltage": ("DOUBLE", lambda c: 48.0),

@@ -162,7 +162,11 @@ def _wrong_states(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
     def mode(word: str) -> None:
         fake("robot_mode", None if word == "off" else int(number(word, "mode", -128, 127)))
 
+    def limiter(percent: str) -> None:
+        fake("speed_scaling", number(percent, "limiter", 0.0, 100.0) / 100.0)
+
     return {
+        "limiter": Kind(limiter, "PERCENT", "states hold this speed scaling of the robot's own"),
         "nan": Kind(
             lambda on="on": fake("actual_q", [math.nan] * 6 if switch(on) else None),
             "[on|off]",

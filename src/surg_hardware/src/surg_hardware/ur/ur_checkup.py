@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import select
 import time
@@ -13,7 +14,7 @@ from surg_hardware.conditions import Condition
 from surg_hardware.driver_process import finite, is_emulated
 from surg_hardware.ur import dashboard
 from surg_hardware.ur.rtde import Rtde, RtdeRefused, Values, round_trips
-from surg_hardware.ur.ur_driver import robot_state
+from surg_hardware.ur.ur_states import robot_state
 
 if TYPE_CHECKING:
     import surg_core
@@ -41,7 +42,7 @@ def examine(arm: surg_core.Arm, seconds: float) -> list[Finding]:
     try:
         version, remote, running, serial, model = dashboard.ask(address, _QUESTIONS)
     except OSError as error:
-        return [Finding("hardware.address", f"{address}: {error}", False, CONNECTION)]
+        return [_no_dashboard(address, error)]
     found = [
         Finding("hardware.address", f"a UR controller answers at {address}"),
         _version(version),
@@ -58,7 +59,7 @@ def examine(arm: surg_core.Arm, seconds: float) -> list[Finding]:
         trips = round_trips(address, seconds / 2)
     except OSError as error:
         return [*found, Finding("RTDE", str(error), False, CONNECTION)]
-    found.append(_condition(values))
+    found += [_condition(values), _speed(values)]
     if not finite(values["actual_q"]):
         return [*found, Finding("joints", "are not numbers", False, "restart the robot")]
     x, y, z = values["payload_cog"]
@@ -73,9 +74,19 @@ def examine(arm: surg_core.Arm, seconds: float) -> list[Finding]:
     return found
 
 
+def _no_dashboard(address: str, error: OSError) -> Finding:
+    """An address without a dashboard server: PolyScope X tells its version by RTDE."""
+    with contextlib.suppress(OSError):
+        rtde = Rtde(address, inputs=False)
+        rtde.close()
+        if cure := dashboard.version_cure(rtde.version):
+            return Finding("version", ".".join(map(str, rtde.version)), False, cure)
+    return Finding("hardware.address", f"{address}: {error}", False, CONNECTION)
+
+
 def _version(said: str) -> Finding:
     numbers = re.search(r"(\d+)\.(\d+)", said)
-    cure = dashboard.age_cure((int(numbers[1]), int(numbers[2])) if numbers else ())
+    cure = dashboard.version_cure((int(numbers[1]), int(numbers[2])) if numbers else ())
     return Finding("version", said, not cure, cure)
 
 
@@ -136,3 +147,9 @@ def _condition(values: Values) -> Finding:
     good = reading.condition is Condition.READY
     text = reading.sentence or "powered, brakes released, no stop, speed slider at 100 %"
     return Finding("condition", text, None if good and reading.sentence else good, reading.cure)
+
+
+def _speed(values: Values) -> Finding:
+    slider, limiter = values["target_speed_fraction"][0], values["speed_scaling"][0]
+    text = f"slider at {100 * slider:.0f} %, the robot's own limiter at {100 * limiter:.0f} %"
+    return Finding("speed", text, None)

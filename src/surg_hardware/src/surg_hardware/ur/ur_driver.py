@@ -10,6 +10,8 @@ import socket
 import sys
 import threading
 import time
+from collections import deque
+from collections.abc import Callable
 
 from surg_hardware.arm_driver import (
     AGAIN,
@@ -20,12 +22,13 @@ from surg_hardware.arm_driver import (
     RobotRefused,
     serve,
 )
-from surg_hardware.conditions import OFFLINE, ur_reading
+from surg_hardware.conditions import OFFLINE, Condition, Reading
 from surg_hardware.driver_datagrams import IdentityDatagram
-from surg_hardware.identity import ur_flange, ur_wrench
-from surg_hardware.robot_link import CommandPhase, RobotState
+from surg_hardware.identity import ur_flange
+from surg_hardware.robot_link import CommandPhase
 from surg_hardware.ur import dashboard, urscript
 from surg_hardware.ur.rtde import Rtde, RtdeError, RtdeRefused, Values
+from surg_hardware.ur.ur_states import SetValues, robot_state, says_guiding
 
 CYCLE = 0.002
 """[s] Of an e-Series."""
@@ -33,54 +36,27 @@ WAIT = 0.02
 """[s] Longest wait for a packet."""
 SILENCE = 1.0
 """[s] Without a packet, after which the connection is given up."""
-_PLAYING = 2
-_PAUSED = (3, 4)  # pausing, paused
-_TEACH_BUTTON = 4  # bit of robot_status_bits
-
-
-def robot_state(values: Values, starting: bool = False) -> RobotState:
-    """What a state of RTDE means to the link.
-
-    ``starting``: the link's own program has been uploaded. Registers outlive a program, so that of
-    hand guiding means nothing until the new program has written it.
-    """
-    playing = values["runtime_state"][0] == _PLAYING
-    guided = bool(int(values["robot_status_bits"][0]) & _TEACH_BUTTON) or (
-        playing and not starting and _says_guiding(values)
-    )
-    return RobotState(
-        time=values["timestamp"][0],
-        q=values["actual_q"],
-        qd=values["actual_qd"],
-        reading=ur_reading(
-            int(values["robot_mode"][0]),
-            int(values["safety_status"][0]),
-            values["speed_scaling"][0] * values["target_speed_fraction"][0],
-            guided,
-        ),
-        program=playing,
-        paused=values["runtime_state"][0] in _PAUSED,
-        executed=int(values["output_int_register_24"][0]),
-        ahead=tuple(b - a for a, b in zip(values["actual_q"], values["target_q"], strict=True)),
-        wrench=ur_wrench(values["actual_TCP_force"]),
-    )
-
-
-def _says_guiding(values: Values) -> bool:
-    return bool(values["output_int_register_25"][0] == urscript.GUIDING)
+START = dashboard.ANSWER + 2.0
+"""[s] For the robot to obey after a start: its dashboard may take its time."""
+LOCAL = "the robot is in local control: switch it to remote control on the pendant"
+ASKING = "the robot has not answered the last request yet: wait"
 
 
 class UrDriver(ArmDriver):
     """Drives one arm; `run` returns when it shall end."""
 
     def __init__(self, settings: DriverSettings, node: socket.socket) -> None:
-        super().__init__(settings, node, CYCLE)
+        super().__init__(settings, node, CYCLE, start_timeout=START)
         self._phase = CommandPhase(CYCLE)
         self._rtde: Rtde | None = None
-        self._program = False  # whether any program runs on the robot
+        self._offline = OFFLINE  # why there is no connection
+        self._set = SetValues()
+        self._program = self._guiding = False  # whether any program runs on the robot; hand guiding
         self._starting = False  # uploaded, and not seen to run
         self._serial = self._model = ""
         self._arrived = self._ended_program = -1e9  # our clock
+        self._asking = self._cancelled = self._connecting = False
+        self._answers: deque[Callable[[], None]] = deque()  # of threads, for the loop to take
 
     # --- the loop -------------------------------------------------------------------------------
 
@@ -100,11 +76,13 @@ class UrDriver(ArmDriver):
             sources.append(self._rtde)
         select.select(sources, (), (), WAIT)
         self._read_node()
+        while self._answers:
+            self._answers.popleft()()
         now = time.monotonic()
         if self._rtde is None:
-            if now - self._tried > AGAIN:
+            if now - self._tried > AGAIN and not self._connecting:
                 self._connect_again()
-            self._say_lost()
+            self._say_lost(self._offline)
             return
         try:
             values = self._rtde.newest()
@@ -129,9 +107,12 @@ class UrDriver(ArmDriver):
 
     def _cycle(self, rtde: Rtde, values: Values, now: float) -> None:
         """Answer one state of the robot."""
-        self._starting = self._starting and _says_guiding(values)
+        self._starting = self._starting and says_guiding(values)
         state = robot_state(values, self._starting)
-        self._program = state.program
+        self._program = state.program or state.paused
+        self._guiding = state.program and says_guiding(values)
+        if self._link.active and (change := self._set.change(values)):
+            self._link.end(change)
         step = self._step(state, now)
         if step is None:
             return
@@ -140,8 +121,7 @@ class UrDriver(ArmDriver):
         self._report(state, step.status, now)
         if step.end_program and now - self._ended_program > AGAIN:
             self._ended_program = now
-            # Beside the loop: the dashboard may take its time.
-            threading.Thread(target=self._end_program, daemon=True).start()
+            self._beside(self._end_program)
         if self._identity_is_due(now):
             self._say_identity(values)
         for text in rtde.messages:
@@ -150,16 +130,23 @@ class UrDriver(ArmDriver):
 
     # --- the connection -------------------------------------------------------------------------
 
-    def _connect(self) -> None:
-        self._tried = time.monotonic()
-        questions = ("get serial number", "get robot model")
-        self._serial, self._model = dashboard.ask(self._settings.address, questions)
+    def _connection(self) -> tuple[Rtde, str, str]:
+        """A new connection, and the arm's serial number and model; may take seconds."""
         rtde = Rtde(self._settings.address)
-        if cure := dashboard.age_cure(rtde.version):
+        try:
+            if cure := dashboard.version_cure(rtde.version):
+                version = ".".join(map(str, rtde.version))
+                raise RtdeRefused(f"the controller's version is {version}: {cure}")
+            questions = ("get serial number", "get robot model")
+            serial, model = dashboard.ask(self._settings.address, questions)
+        except BaseException:
             rtde.close()
-            version = ".".join(map(str, rtde.version))
-            raise RtdeRefused(f"the controller's version {version} is too old: {cure}")
-        self._rtde = rtde
+            raise
+        return rtde, serial, model
+
+    def _take(self, rtde: Rtde, serial: str, model: str) -> None:
+        self._rtde, self._serial, self._model = rtde, serial, model
+        self._connecting, self._offline = False, OFFLINE
         self._clock.reset()
         self._arrived, self._identified = time.monotonic(), -1e9
 
@@ -167,7 +154,7 @@ class UrDriver(ArmDriver):
         deadline = time.monotonic() + FIRST_CONNECTION
         while not self._ended:
             try:
-                self._connect()
+                self._take(*self._connection())
                 return
             except RtdeRefused as error:
                 raise RobotRefused(str(error)) from error
@@ -177,9 +164,27 @@ class UrDriver(ArmDriver):
                 time.sleep(0.1)
 
     def _connect_again(self) -> None:
-        try:
-            self._connect()
-        except OSError as error:
+        self._connecting, self._tried = True, time.monotonic()
+
+        def connect() -> None:
+            try:
+                found = self._connection()
+            except OSError as error:
+                why = error
+                self._answers.append(lambda: self._fail(why))
+            else:
+                self._answers.append(lambda: self._take(*found))
+
+        self._beside(connect)
+
+    def _fail(self, error: OSError) -> None:
+        """Say why there is no connection: the robot may answer, and refuse."""
+        self._connecting, said = False, self._offline
+        self._offline = OFFLINE
+        if isinstance(error, RtdeRefused):
+            sentence, _, cure = str(error).rpartition(": ")
+            self._offline = Reading(Condition.OFFLINE, sentence, cure)
+        if self._offline != said:
             self._notice(str(error))
 
     def _disconnect(self, why: str) -> None:
@@ -193,56 +198,91 @@ class UrDriver(ArmDriver):
 
     def _obey(self, word: str, enabled: bool) -> str:
         if self._rtde is None:
-            return OFFLINE.text
-        try:
-            return super()._obey(word, enabled)
-        except OSError as error:
-            self._link.end(f"the robot could not be asked: {error}")
-            return f"the robot does not answer its dashboard or script port: {error}"
+            return self._offline.text
+        return super()._obey(word, enabled)
+
+    def _beside(self, work: Callable[[], None]) -> None:
+        """Work beside the loop: the dashboard may take its time."""
+        threading.Thread(target=work, daemon=True).start()
 
     def _start(self, enabled: bool) -> str:
+        if self._asking:
+            return ASKING
         if self._program and not self._link.active:
             return "a program runs on the robot, such as hand guiding: ./surg robot CELL stop"
         refusal = self._link.start(enabled, self._clock.known_for, time.monotonic())
         if refusal:
             return refusal
         self._starting = True
-        return self._upload(urscript.follow_program(self._settings.stop_deceleration))
+        program = urscript.follow_program(self._settings.stop_deceleration)
+        self._upload("start", program, lambda: self._program, wanted=lambda: self._link.active)
+        return ""
 
     def _guide(self, enabled: bool) -> str:
+        if self._asking:
+            return ASKING
         if refusal := self._at_rest(enabled):
             return refusal
         self._starting = False
-        return self._upload(urscript.guide_program())
+        self._upload("guide", urscript.guide_program(), lambda: self._guiding)
+        return ""
 
     def _stop(self, enabled: bool) -> str:
+        self._cancelled = True
         if self._link.active:
             self._link.end("stopped on request")
-        elif self._program:
-            dashboard.ask(self._settings.address, ("stop",))
+        elif self._program or self._asking:
+            self._beside(self._end_program)
         return ""
 
     def _end_program(self) -> None:
-        """End the paused program: `play` would give the arm its old speed back."""
+        """End the program on the robot: `play` would give a paused arm its old speed back."""
         try:
             (answer,) = dashboard.ask(self._settings.address, ("stop",))
         except OSError as error:
             answer = str(error)
         if not answer.startswith("Stopped"):
-            self._notice(f"a paused program is still on the robot: stop it there ({answer})")
+            self._notice(f"stop: a program is still on the robot: stop it there ({answer})")
 
-    def _upload(self, program: str) -> str:
-        (remote,) = dashboard.ask(self._settings.address, ("is in remote control",))
-        if remote.lower() != "true":
-            self._link.end("the robot is in local control")
-            return "the robot is in local control: switch it to remote control on the pendant"
-        dashboard.upload(self._settings.address, program)
-        return ""
+    def _upload(
+        self,
+        word: str,
+        program: str,
+        started: Callable[[], bool],
+        wanted: Callable[[], bool] = lambda: True,
+    ) -> None:
+        """Start a program beside the loop, as long as it is wanted and nobody says stop."""
+        self._asking, self._cancelled = True, False
+
+        def still() -> bool:
+            return wanted() and not self._cancelled
+
+        def ask() -> None:
+            refusal = ""
+            address = self._settings.address
+            try:
+                (remote,) = dashboard.ask(address, ("is in remote control",))
+                if remote.lower() != "true":
+                    refusal = LOCAL
+                else:
+                    dashboard.upload(address, program, started, still)
+            except OSError as error:
+                refusal = f"the robot does not answer its dashboard or script port: {error}"
+            self._answers.append(lambda: self._uploaded(word, refusal))
+
+        self._beside(ask)
+
+    def _uploaded(self, word: str, refusal: str) -> None:
+        self._asking = False
+        if refusal:
+            self._link.end(refusal)
+            self._notice(f"{word}: {refusal}")
 
     def _recover(self, enabled: bool) -> str:
-        return "a UR is unlocked on its pendant"
+        return "a person is asked first: ./surg robot CELL recover"
 
     def _say_identity(self, values: Values) -> None:
+        self._set.know(values)
         x, y, z = values["payload_cog"]
         flange = ur_flange(values["actual_TCP_pose"], values["tcp_offset"])
         self._say(
