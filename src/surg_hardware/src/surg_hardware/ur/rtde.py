@@ -287,3 +287,13 @@ class Rtde:
         """Keep a text message: its length, itself, and more that is not needed."""
         if letter == _MESSAGE and payload and len(self.messages) < 10:
             self.messages.append(payload[1 : 1 + payload[0]].decode("utf-8", "replace"))
+
+
+def controller_version(address: str) -> tuple[int, ...]:
+    """The version (major, minor, bugfix, build) of a controller; empty: RTDE does not answer."""
+    try:
+        peer = Rtde(address, inputs=False)
+    except OSError:
+        return ()
+    peer.close()
+    return peer.version

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 import select
 import time
@@ -13,7 +12,7 @@ from surg_hardware.checkup import Finding
 from surg_hardware.conditions import Condition
 from surg_hardware.driver_process import finite, is_emulated
 from surg_hardware.ur import dashboard
-from surg_hardware.ur.rtde import Rtde, RtdeRefused, Values, round_trips
+from surg_hardware.ur.rtde import Rtde, RtdeRefused, Values, controller_version, round_trips
 from surg_hardware.ur.ur_states import robot_state
 
 if TYPE_CHECKING:
@@ -76,11 +75,9 @@ def examine(arm: surg_core.Arm, seconds: float) -> list[Finding]:
 
 def _no_dashboard(address: str, error: OSError) -> Finding:
     """An address without a dashboard server: PolyScope X tells its version by RTDE."""
-    with contextlib.suppress(OSError):
-        rtde = Rtde(address, inputs=False)
-        rtde.close()
-        if cure := dashboard.version_cure(rtde.version):
-            return Finding("version", ".".join(map(str, rtde.version)), False, cure)
+    version = controller_version(address)
+    if version and (cure := dashboard.version_cure(version)):
+        return Finding("version", ".".join(map(str, version)), False, cure)
     return Finding("hardware.address", f"{address}: {error}", False, CONNECTION)
 
 

@@ -27,7 +27,7 @@ from surg_hardware.driver_datagrams import IdentityDatagram
 from surg_hardware.identity import ur_flange
 from surg_hardware.robot_link import CommandPhase
 from surg_hardware.ur import dashboard, urscript
-from surg_hardware.ur.rtde import Rtde, RtdeError, RtdeRefused, Values
+from surg_hardware.ur.rtde import Rtde, RtdeError, RtdeRefused, Values, controller_version
 from surg_hardware.ur.ur_states import SetValues, robot_state, says_guiding
 
 CYCLE = 0.002
@@ -132,14 +132,16 @@ class UrDriver(ArmDriver):
 
     def _connection(self) -> tuple[Rtde, str, str]:
         """A new connection, and the arm's serial number and model; may take seconds."""
-        rtde = Rtde(self._settings.address)
+        address = self._settings.address
         try:
-            if cure := dashboard.version_cure(rtde.version):
-                version = ".".join(map(str, rtde.version))
-                raise RtdeRefused(f"the controller's version is {version}: {cure}")
-            questions = ("get serial number", "get robot model")
-            serial, model = dashboard.ask(self._settings.address, questions)
-        except BaseException:
+            serial, model = dashboard.ask(address, ("get serial number", "get robot model"))
+        except OSError:
+            _refuse_version(controller_version(address))
+            raise
+        rtde = Rtde(address)
+        try:
+            _refuse_version(rtde.version)
+        except RtdeRefused:
             rtde.close()
             raise
         return rtde, serial, model
@@ -295,6 +297,13 @@ class UrDriver(ArmDriver):
                 self._model,
             ).pack()
         )
+
+
+def _refuse_version(version: tuple[int, ...]) -> None:
+    """Refuse a controller that is too old or has no dashboard server; empty: it tells none."""
+    if version and (cure := dashboard.version_cure(version)):
+        said = ".".join(map(str, version))
+        raise RtdeRefused(f"the controller's version is {said}: {cure}")
 
 
 if __name__ == "__main__":
