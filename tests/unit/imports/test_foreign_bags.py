@@ -27,8 +27,8 @@ from helpers.recording.foreign_sources import (
 )
 from surg_recording import episode
 from surg_recording.imports import bag_map
+from surg_recording.imports.bag_import import import_bag
 from surg_recording.imports.ledger import Ledger
-from surg_recording.nodes.bag_import_node import import_bag
 from surg_recording.nodes.ros_messages_node import ros_time
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.video import exact_values, video_file

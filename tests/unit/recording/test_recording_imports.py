@@ -23,9 +23,9 @@ from surg_cli.host.terminal import CliError
 from surg_recording import datasets, episode, metrics
 from surg_recording.datasets import ExportOptions
 from surg_recording.imports import bag_map
+from surg_recording.imports.bag_import import import_bag
 from surg_recording.imports.lerobot_reader import import_episode
 from surg_recording.imports.lerobot_set import LeRobotData
-from surg_recording.nodes.bag_import_node import import_bag
 from surg_recording.nodes.ros_messages_node import ros_time
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.reports import evaluation

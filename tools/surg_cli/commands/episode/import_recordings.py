@@ -75,7 +75,7 @@ def _say(account: Any) -> None:
 
 def _bags(options: argparse.Namespace, stated: Any) -> Iterator[Job]:
     from surg_recording.imports import bag_map
-    from surg_recording.nodes.bag_import_node import import_bag
+    from surg_recording.imports.bag_import import import_bag
 
     chosen = None if stated is None else bag_map.of_yaml(stated)
     for path in options.sources:

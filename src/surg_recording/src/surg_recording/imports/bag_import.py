@@ -14,8 +14,8 @@ from surg_core.transforms import quaternion_xyzw_to_matrix, rpy_to_matrix, twist
 from surg_recording.imports import bag_map
 from surg_recording.imports.arm_series import ArmSeries, write
 from surg_recording.imports.bag_map import ArmTopics, BagMap
+from surg_recording.imports.bag_streams import BagStreams, Samples, Values
 from surg_recording.imports.ledger import Ledger
-from surg_recording.nodes.bag_streams_node import BagStreams, Samples, Values
 from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
