@@ -29,6 +29,7 @@ setuptools.setup(
         "lerobot": ["pyarrow>=15,<26"],
         "hdf5": ["h5py>=3.7"],
         "mcap": ["mcap>=1.2,<2"],
+        "bags": ["rosbags>=0.10.11,<0.12"],
         "zarr": ["zarr>=2.13,<3"],
         "dask": ["distributed>=2022.12"],
     },
@@ -42,6 +43,8 @@ setuptools.setup(
             "diffusion_policy = surg_recording.datasets.formats.diffusion_policy:DiffusionPolicy",
             "mcap = surg_recording.nodes.mcap_exporter_node:Mcap",
             "rosbag = surg_recording.nodes.rosbag_exporter_node:Rosbag",
+            "rosbag2 = surg_recording.nodes.rosbag2_exporter_node:Rosbag2",
+            "rosbag2_sqlite3 = surg_recording.nodes.rosbag2_sqlite3_exporter_node:Rosbag2Sqlite3",
         ]
     },
 )

@@ -39,29 +39,29 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return datasets_synthetic.record(folder, 3, SECONDS, felt=True)
 
 
-def read(file: Path) -> Iterator[tuple[str, Any, int]]:
+def read(format_name: str, file: Path) -> Iterator[tuple[str, Any, int]]:
     """Topic, message and time of every message."""
-    if file.suffix == ".bag":
+    if format_name == "rosbag":
         with rosbag.Bag(str(file)) as bag:
             for topic, message, time in bag.read_messages():
                 yield topic, message, time.to_nsec()
         return
-    for time_ns, topic, kind, data in datasets.load("mcap").read_file(file):
+    for time_ns, topic, kind, data in datasets.load(format_name).read_file(file):
         message = roslib.message.get_message_class(kind)()
         message.deserialize(data)
         yield topic, message, time_ns
 
 
-@pytest.mark.parametrize("format_name", ["rosbag", "mcap"])
+@pytest.mark.parametrize("format_name", ["rosbag", "mcap", "rosbag2", "rosbag2_sqlite3"])
 def test_every_message_says_what_was_recorded(
     format_name: str, recording: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "set"
     report = datasets.load(format_name).write([recording], out, OPTIONS)
     assert report.ok, report
-    (file,) = out.glob(f"episode_000000.{'bag' if format_name == 'rosbag' else 'mcap'}")
+    (file,) = out.glob("episode_000000*")
     what, found, last = Synthetic(seconds=SECONDS), {}, 0
-    for topic, message, time_ns in read(file):
+    for topic, message, time_ns in read(format_name, file):
         found.setdefault(topic, []).append((time_ns, message))
         assert time_ns >= last
         last = time_ns

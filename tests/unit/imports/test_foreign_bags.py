@@ -198,11 +198,11 @@ def test_bags_that_others_must_mend_first_name_the_cure(tmp_path: Path) -> None:
     active.write_bytes(bytes(data))
     with pytest.raises(EpisodeError, match=r"was not closed.*rosbag reindex"):
         import_bag(active, tmp_path / "out")
-    ros2 = tmp_path / "ros2"
-    ros2.mkdir()
-    (ros2 / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
-    with pytest.raises(EpisodeError, match=r"ROS 2.*rosbags-convert"):
-        import_bag(ros2, tmp_path / "out")
+    alone = tmp_path / "ros2/alone.mcap"
+    alone.parent.mkdir()
+    alone.touch()
+    with pytest.raises(EpisodeError, match=r"metadata\.yaml is missing.*ros2 bag reindex"):
+        import_bag(alone, tmp_path / "out")
 
 
 # --- pictures -------------------------------------------------------------------------------------

@@ -12,9 +12,10 @@ from typing import Any
 from surg_cli.host import option_types, paths
 from surg_cli.host.terminal import CliError, Progress, say, table, warn
 
-FORMATS = ("lerobot", "lerobot_v30", "robomimic", "act", "diffusion_policy", "mcap", "rosbag")
-
-
+FORMATS = (
+    *("lerobot", "lerobot_v30", "robomimic", "act", "diffusion_policy"),
+    *("mcap", "rosbag", "rosbag2", "rosbag2_sqlite3"),
+)
 HASH, MERGE = "hash", "merge"
 
 

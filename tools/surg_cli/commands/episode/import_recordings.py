@@ -20,7 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         " docs/reference/imports.md describes the maps."
     )
     add = parser.add_argument
-    add("kind", choices=("rosbag", "lerobot"), help="bags of ROS 1, or LeRobot data sets 2.1, 3.0")
+    kinds = "bags of ROS 1 or 2 (either word), or LeRobot data sets 2.1, 3.0"
+    add("kind", choices=("rosbag", "rosbag2", "lerobot"), help=kinds)
     add("sources", nargs="+", type=Path, metavar="SOURCE", help="bags, or folders of data sets")
     add("--out", type=Path, required=True, metavar="DIR", help="episodes become DIR/NAME")
     add("--map", type=Path, metavar="FILE", help="YAML: which topic or column is what")
@@ -37,7 +38,8 @@ def main(options: argparse.Namespace, command: str) -> int:
 
     try:
         stated = None if options.map is None else _yaml(options.map)
-        jobs = list(_bags(options, stated) if options.kind == "rosbag" else _sets(options, stated))
+        read = _sets if options.kind == "lerobot" else _bags
+        jobs = list(read(options, stated))
     except EpisodeError as problem:
         raise CliError(f"import: {problem}", 2) from None
     options.out.mkdir(parents=True, exist_ok=True)

@@ -23,16 +23,14 @@ _BUNDLED = {
     "diffusion_policy": "diffusion_policy",
 }
 """Name on the command line → module of the bundled formats; ``lerobot`` is the default version."""
-_WITH_ROS = {
-    "mcap": "surg_recording.nodes.mcap_exporter_node",
-    "rosbag": "surg_recording.nodes.rosbag_exporter_node",
-}
+_WITH_ROS = ("mcap", "rosbag", "rosbag2", "rosbag2_sqlite3")
+"""Formats of ROS messages, each in a module of its name."""
 _KIND = PluginKind(
     noun="exporter",
     group=GROUP,
     bundled={
         **{name: f"surg_recording.datasets.formats.{module}" for name, module in _BUNDLED.items()},
-        **_WITH_ROS,
+        **{name: f"surg_recording.nodes.{name}_exporter_node" for name in _WITH_ROS},
     },
     accepts=lambda kind: all(hasattr(kind, part) for part in ("name", "write", "validate")),
     shape="one class with name, write and validate (see surg_recording.datasets.Exporter)",

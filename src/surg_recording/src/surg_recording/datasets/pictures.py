@@ -262,7 +262,11 @@ def video_facts(path: Path) -> dict[str, object]:
 
 
 def link_or_copy(source: Path, target: Path) -> None:
-    """Hard-link a file under another name, or copy it where links are impossible."""
+    """Hard-link a file, or those of a folder, under another name; copy where that is impossible."""
+    if source.is_dir():
+        for file in source.iterdir():
+            link_or_copy(file, target / file.name)
+        return
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
         os.link(source, target)

@@ -1,4 +1,4 @@
-"""Imports a bag of ROS 1, such as one of dVRK, as an episode folder."""
+"""Imports a bag of ROS 1 or ROS 2, such as one of dVRK, as an episode folder."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import rosbag
 
 from surg_core.transforms import quaternion_xyzw_to_matrix, rpy_to_matrix, twist_angle
 from surg_recording.imports import bag_map
 from surg_recording.imports.arm_series import ArmSeries, write
+from surg_recording.imports.bag_file import BagFile
 from surg_recording.imports.bag_map import ArmTopics, BagMap
 from surg_recording.imports.bag_streams import BagStreams, Samples, Values
 from surg_recording.imports.ledger import Ledger
-from surg_recording.recording_errors import EpisodeError
+from surg_recording.recording_errors import EpisodeError, words_of
 
 Array = npt.NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def import_bag(
     """Write a bag as an episode folder; without a map by dVRK's names.
 
     Args:
-        path: Of the bag.
+        path: Of the bag; a folder in ROS 2.
         folder: The new folder.
         chosen: Which topic is what.
         ledger: Receives what was kept and dropped.
@@ -48,11 +48,9 @@ def import_bag(
             contradict one another, or more would be lost than the ledger allows.
     """
     ledger = Ledger() if ledger is None else ledger
-    _refuse_ros2(path)
     try:
-        with rosbag.Bag(str(path)) as bag:
-            stated = bag.get_type_and_topic_info().topics
-            kinds = {topic: str(about.msg_type) for topic, about in stated.items()}
+        with BagFile(path) as bag:
+            kinds = bag.kinds
             chosen = chosen or bag_map.of_dvrk(kinds)
             wanted = {t for arm in chosen.arms for t in arm.topics.values()}
             missing = sorted((wanted | set(chosen.cameras.values())) - set(kinds))
@@ -67,26 +65,12 @@ def import_bag(
                 ledger.assume(f"topics that are not imported: {', '.join(left)}")
             facts = dict(chosen.facts)
             run = {"robot": arms[0].robot, "setting": facts.get("setting"), **facts}
-            source = {"format": "rosbag", "from": str(path)}
+            source = {"format": "rosbag2" if bag.ros2 else "rosbag", "from": str(path)}
             manifest = {**facts, "run": run, "imported": source, "clock": "bag"}
             manifest.setdefault("task", path.stem)
             return write(folder, arms, list(chosen.cameras), pictures, manifest, ledger)
-    except rosbag.ROSBagUnindexedException:
-        raise EpisodeError(
-            f"{path}: was not closed, so it has no index; rosbag reindex {path} writes one"
-        ) from None
-    except (rosbag.ROSBagException, OSError) as problem:
-        raise EpisodeError(f"{path}: not a bag that can be read ({problem})") from None
     except EpisodeError as problem:
-        raise EpisodeError(f"{path}: {problem}") from None
-
-
-def _refuse_ros2(path: Path) -> None:
-    if path.suffix in (".mcap", ".db3") or (path / "metadata.yaml").is_file():
-        raise EpisodeError(
-            f"{path}: is a bag of ROS 2; bags of ROS 1 are read. 'rosbags-convert --src {path}"
-            " --dst NEW.bag' (pip install rosbags) makes one"
-        )
+        raise EpisodeError(words_of(problem, path)) from None
 
 
 def _list(kinds: dict[str, str]) -> str:

@@ -1,20 +1,19 @@
-"""The topics of a bag of ROS 1 as samples and pictures, in the order of their stamps."""
+"""The topics of a bag as samples and pictures, in the order of their stamps."""
 
 from __future__ import annotations
 
 import dataclasses
 import heapq
-import struct
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import rosbag
 
 from surg_recording.imports import stamps as stamped
 from surg_recording.imports.arm_series import Picture, header
+from surg_recording.imports.bag_file import BagFile
 from surg_recording.imports.ledger import Ledger
 from surg_recording.imports.picture_decoder import PictureDecoder
 from surg_recording.recording_errors import EpisodeError
@@ -24,8 +23,7 @@ Stamps = npt.NDArray[np.int64]
 Values = Callable[[Any], list[float]]
 """The numbers of a message."""
 
-_HEADER = struct.Struct("<III")
-"""seq, secs, nsecs: the first fields of every message that begins with a std_msgs/Header."""
+IMAGES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +49,7 @@ class Samples:
 class BagStreams:
     """Reads topics of one bag; what it leaves out is in the ledger."""
 
-    def __init__(self, bag: rosbag.Bag, ledger: Ledger, own_stamps: bool = True) -> None:
+    def __init__(self, bag: BagFile, ledger: Ledger, own_stamps: bool = True) -> None:
         """``own_stamps`` False: the times at which the bag received the messages count."""
         self._bag, self.ledger, self._own = bag, ledger, own_stamps
         self._lags: dict[str, float | None] = {}
@@ -65,14 +63,14 @@ class BagStreams:
         own: list[int] = []
         received: list[int] = []
         rows: list[list[float]] = []
-        for _, message, time in self._bag.read_messages([topic]):
+        for _, message, time_ns in self._bag.messages([topic]):
             try:
                 rows.append(values(message))
             except AttributeError:
-                kind = message._type
+                kind = self._bag.kinds[topic]
                 raise EpisodeError(f"{topic}: messages of type {kind} cannot be used") from None
             own.append(self._stamp(topic, message))
-            received.append(time.to_nsec())
+            received.append(time_ns)
         if not rows:
             raise EpisodeError(f"{topic}: holds no message")
         self.ledger.hold(topic, len(rows))
@@ -94,10 +92,10 @@ class BagStreams:
         header = getattr(message, "header", None)
         if header is None:
             raise EpisodeError(
-                f"{topic}: messages of type {message._type} have no stamp; allowed: their stamped"
-                f" kind. {stamped.CURE}"
+                f"{topic}: messages of type {self._bag.kinds[topic]} have no stamp; allowed: their"
+                f" stamped kind. {stamped.CURE}"
             )
-        return int(header.stamp.to_nsec())
+        return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
     def _ordered(
         self, topic: str, own: Stamps, received: Stamps, numbers: Array, good: npt.NDArray[np.bool_]
@@ -135,16 +133,15 @@ class BagStreams:
 
     def _order(self, camera: str, topic: str) -> tuple[Stamps, Stamps]:
         """Of each message of an image topic: stamp, and place among those kept; -1: left out."""
+        if self._bag.kinds[topic] not in IMAGES:
+            raise EpisodeError(
+                f"{topic}: messages of type {self._bag.kinds[topic]} cannot be used; allowed:"
+                f" {' and '.join(IMAGES)}"
+            )
         own, received = [], []
-        for _, (kind, data, *_), time in self._bag.read_messages([topic], raw=True):
-            if kind not in ("sensor_msgs/Image", "sensor_msgs/CompressedImage"):
-                raise EpisodeError(
-                    f"{topic}: messages of type {kind} cannot be used; allowed: sensor_msgs/Image"
-                    " and CompressedImage"
-                )
-            _, secs, nsecs = _HEADER.unpack_from(data)
-            own.append(secs * 1_000_000_000 + nsecs if self._own else 0)
-            received.append(time.to_nsec())
+        for _, message, time_ns in self._bag.messages([topic]):
+            own.append(self._stamp(topic, message))
+            received.append(time_ns)
         if not own:
             raise EpisodeError(f"{topic}: holds no message")
         self.ledger.hold(camera, len(own))
@@ -165,12 +162,13 @@ class BagStreams:
         decoders = {t: PictureDecoder(camera, self.ledger) for t, camera in cameras.items()}
         waiting: dict[str, list[tuple[int, int, Any]]] = {topic: [] for topic in cameras}
         seen, due = Counter[str](), Counter[str]()
-        for topic, message, time in self._bag.read_messages(list(cameras)):
+        for topic, message, time_ns in self._bag.messages(cameras):
             stamps, places = times[topic]
             number = seen[topic]
             seen[topic] += 1
             if places[number] < 0:
                 continue
+            message.data = message.data.tobytes()
             heapq.heappush(waiting[topic], (int(places[number]), number, message))
             while waiting[topic] and waiting[topic][0][0] == due[topic]:
                 _, number, ready = heapq.heappop(waiting[topic])
@@ -179,4 +177,4 @@ class BagStreams:
                 if made is not None:
                     stamp = int(stamps[number])
                     made.header = header(stamp)
-                    yield Picture(cameras[topic], made, time.to_nsec())
+                    yield Picture(cameras[topic], made, time_ns)

@@ -1,4 +1,4 @@
-"""What the formats ``rosbag`` and ``mcap`` share: a file of ROS messages for each recording."""
+"""What the formats of ROS messages share: a bag for each recording."""
 
 from __future__ import annotations
 

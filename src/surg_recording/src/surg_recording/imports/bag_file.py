@@ -1,0 +1,113 @@
+"""Bags of ROS 1 and ROS 2 as one kind of file, read by ``rosbags`` without either ROS."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from rosbags import rosbag1, rosbag2
+from rosbags.interfaces import MessageDefinitionFormat
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from surg_recording.recording_errors import EpisodeError
+
+METADATA = "metadata.yaml"
+"""The file that makes a folder a bag of ROS 2."""
+STORAGES = (".mcap", ".db3")
+
+
+class BagFile:
+    """An open bag: a file of ROS 1, a folder of ROS 2, or the one file in such a folder."""
+
+    def __init__(self, path: Path) -> None:
+        """Open it.
+
+        Raises:
+            EpisodeError: It is no bag, was not closed, or is damaged.
+        """
+        self.path = path.parent if path.suffix in STORAGES else path
+        self.ros2 = self.path.is_dir()
+        if self.ros2 and not (self.path / METADATA).is_file():
+            raise EpisodeError(
+                f"{path}: {METADATA} is missing beside it. 'ros2 bag reindex {self.path}' writes it"
+            )
+        with _told(path):
+            self._reader = rosbag2.Reader(path=self.path) if self.ros2 else rosbag1.Reader(path)
+            self._reader.open()
+        self._types = get_typestore(Stores.ROS2_HUMBLE if self.ros2 else Stores.EMPTY)
+        self._defined: set[str] = set()
+        self.kinds = {each.topic: _short(each.msgtype) for each in self._reader.connections}
+        """Topic → type, such as sensor_msgs/Image, in either ROS."""
+
+    def __enter__(self) -> BagFile:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        problem: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._reader.close()
+
+    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, Any, int]]:
+        """Topic, message and time of reception [ns], in the order of that time.
+
+        Arrays of numbers are numpy's; a time has ``sec`` and ``nanosec``.
+
+        Raises:
+            EpisodeError: A message cannot be read.
+        """
+        chosen = [each for each in self._reader.connections if each.topic in topics]
+        with _told(self.path):
+            for each in chosen:
+                self._define(each)
+            read = self._types.deserialize_cdr if self.ros2 else self._types.deserialize_ros1
+            for connection, time_ns, data in self._reader.messages(chosen) if chosen else ():
+                yield connection.topic, read(data, connection.msgtype), time_ns
+
+    def as_ros1(self) -> Iterator[tuple[int, str, str, bytes]]:
+        """Time [ns], topic, type and the message as ROS 1 serialises it, of a bag of ROS 2."""
+        with _told(self.path):
+            for each in self._reader.connections:
+                self._define(each)
+            for connection, time_ns, data in self._reader.messages():
+                plain = bytes(self._types.cdr_to_ros1(data, connection.msgtype))
+                yield time_ns, connection.topic, _short(connection.msgtype), plain
+
+    def _define(self, connection: Any) -> None:
+        """Learn a type from the bag; those that it does not define are ROS 2's own."""
+        kind, definition = connection.msgtype, connection.msgdef
+        if kind in self._defined or definition.format != MessageDefinitionFormat.MSG:
+            return
+        self._defined.add(kind)
+        learn(self._types, kind, definition.data)
+
+
+def learn(types: Any, kind: str, definition: str) -> None:
+    """Add a type, and those that it is made of, to a type store that knows some of them."""
+    found = get_types_from_msg(definition, kind)
+    types.register({name: each for name, each in found.items() if name not in types.fielddefs})
+
+
+def _short(kind: str) -> str:
+    return kind.replace("/msg/", "/")
+
+
+@contextlib.contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """What a damaged bag makes the library raise, as one kind of error."""
+    try:
+        yield
+    except EpisodeError:
+        raise
+    except Exception as problem:  # of any kind: the library trusts the lengths in a file
+        words = " ".join(str(problem).split()) or type(problem).__name__
+        if "not indexed" in words:
+            raise EpisodeError(
+                f"{path}: was not closed, so it has no index; rosbag reindex {path} writes one"
+            ) from None
+        raise EpisodeError(f"{path}: not a bag that can be read ({words})") from None
