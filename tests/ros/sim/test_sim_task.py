@@ -8,14 +8,19 @@ import numpy as np
 import pytest
 import rospy
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Empty
 
 from crtk_msgs.msg import OperatingState
 from helpers.graph.ros import RosGraph
 from surg_cli.graph.graph_probe import observe
 from surg_cli.graph.topic_contract import compare, load
 from surg_cli.host import paths
+from surg_core import load_cell
+from surg_core.contract import GRID
 from surg_msgs.msg import SimStatus, TaskState
 from surg_sim.nodes import bridge_messages
+from surg_sim.physics.world import World
+from surg_sim.tasks import load as load_task
 
 pytestmark = pytest.mark.ros
 
@@ -121,10 +126,16 @@ def test_in_real_time_the_assistant_begins_once_the_arm_is_enabled(
             topic.unregister()
 
 
+def drawn(states: list[TaskState], seed: int) -> list[TaskState]:
+    """Those of an episode."""
+    return [state for state in states if state.seed == seed]
+
+
 def test_people_who_try_again_have_no_time_limit(ros_graph: RosGraph, rospy_node: str) -> None:
-    """With ``~endless`` the phase is still told behind the limit of 3.5 s."""
+    """With ``~endless`` the phase is still told behind the limit of 3.5 s; then comes another."""
     states: list[TaskState] = []
     topic = rospy.Subscriber("/sim/task_state", TaskState, states.append)
+    again = rospy.Publisher("/sim/new_episode", Empty, queue_size=1)
     params = {"cell": str(CELL), "mode": "freerun", "task": str(SHORT), "endless": True}
     child = ros_graph.node("surg_sim", "bridge_node.py", "/sim", params)
     try:
@@ -134,11 +145,22 @@ def test_people_who_try_again_have_no_time_limit(ros_graph: RosGraph, rospy_node
             "3.7 s of the task",
         )
         assert child.exit_code is None, child.log_tail()
+        again.publish()
+        ros_graph.wait_for(lambda: states[-1].seed == 1, 20.0, "another episode")
+        ros_graph.wait_for(lambda: len(states) > len(drawn(states, 0)) + 5, 20.0, "its states")
+        assert child.exit_code is None, child.log_tail()
     finally:
         ros_graph.supervisor.stop([child])
         topic.unregister()
+        again.unregister()
     assert {(m.done, m.reason) for m in states} == {(False, "")}
     assert states[-1].phase == "point"
+    assert np.all(np.diff([m.tick for m in states]) == GRID), "no tick is left out or sent twice"
+    for seed in (0, 1):  # each is the one that an environment begins with this seed
+        alone = World(load_cell(CELL), seed, task=load_task(str(SHORT)))
+        target = bridge_messages.task_state(states[0].names, drawn(states, seed)[0].values)
+        assert target["target"] == alone.task.target
+        assert np.abs(target["nodes"] - alone.task.bowel.nodes).max() < 2e-3, seed
 
 
 @pytest.mark.parametrize(

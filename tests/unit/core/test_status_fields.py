@@ -306,6 +306,7 @@ NOBODY: dict[str, dict[str, str]] = {
         **dict.fromkeys(("detail", "task.name", "task.setting", "task.phase"), SHOWN),
         **dict.fromkeys(("task.detail", "faults"), SHOWN),
         **dict.fromkeys(("mode", "sim_time", "deterministic", "state_hash", "overruns"), RESULT),
+        "task.seed": RESULT,
     },
     "CalibrationStatus": {
         **dict.fromkeys(("hint", "missing", "result", "folder"), SHOWN),

@@ -16,7 +16,7 @@ MESSAGES = paths.ROOT / "src" / "surg_msgs" / "msg"
 TABLES = {
     "Cycle": (table_columns.CYCLE, {"header", "reason_code"}),  # reason says it in words
     "ArmTruth": (table_columns.ARM_TRUTH, {"arm"}),
-    "TaskState": (table_columns.TASK_STATE, {"header", "names", "values"}),
+    "TaskState": (table_columns.TASK_STATE, {"header", "seed", "names", "values"}),
     "ClockSync": (table_columns.CLOCK, {"header"}),
 }
 """Table of each message, and the members that become file names, heads or stamps."""

@@ -162,10 +162,11 @@ def test_task_state_round_trip() -> None:
         layout = bridge_messages.TaskStateLayout(state)
         outcome = (bool(tick % 2), False, "lost, and \u201cgone\u201d" * (tick % 3))
         verdict = Verdict(*outcome, phase="retract", reward=0.25)
-        data = layout.pack(STAMP_NS, tick, state, verdict)
+        data = layout.pack(STAMP_NS, tick, 7, state, verdict)
         message = TaskState().deserialize(data)
         assert serialised(message) == data
-        assert (message.tick, message.phase, message.reward) == (tick, "retract", 0.25)
+        assert (message.tick, message.seed, message.phase) == (tick, 7, "retract")
+        assert message.reward == 0.25
         assert (message.done, message.success, message.reason) == outcome
         assert message.header.stamp.to_nsec() == STAMP_NS
         back = bridge_messages.task_state(message.names, message.values)
@@ -181,7 +182,7 @@ def test_a_task_state_keeps_its_shape() -> None:
     layout = bridge_messages.TaskStateLayout({"p": np.zeros(3), "t": 1.0})
     for other in ({"p": np.zeros(4), "t": 1.0}, {"p": np.zeros(3)}, {"t": np.zeros(3), "p": 1.0}):
         with pytest.raises(ValueError, match="task's state was"):
-            layout.pack(0, 1, other, Verdict())
+            layout.pack(0, 1, 0, other, Verdict())
     for names, values in ((["p[3]"], [1.0, 2.0]), (["p[2]"], [1.0, 2.0, 3.0]), (["t"], [])):
         with pytest.raises(ValueError, match="values"):
             bridge_messages.task_state(names, values)

@@ -43,9 +43,14 @@ class TaskStateLayout:
         self._head = struct.pack("<I", len(self.names)) + b"".join(map(text, self.names))
 
     def pack(
-        self, stamp_ns: int, tick: int, state: Mapping[str, float | Array], verdict: Verdict
+        self,
+        stamp_ns: int,
+        tick: int,
+        seed: int,
+        state: Mapping[str, float | Array],
+        verdict: Verdict,
     ) -> bytes:
-        """The message as bytes.
+        """The message as bytes, of an episode that ``seed`` has drawn.
 
         Raises:
             ValueError: An entry has come, gone or changed its shape.
@@ -58,7 +63,7 @@ class TaskStateLayout:
         return b"".join(
             (
                 header(tick, stamp_ns),
-                struct.pack("<Q", tick),
+                struct.pack("<QI", tick, seed),
                 self._head,
                 doubles(values),
                 text(verdict.phase),

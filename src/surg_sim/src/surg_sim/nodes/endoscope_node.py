@@ -96,8 +96,14 @@ class Endoscope:
     """
 
     def __init__(
-        self, renderer: EndoscopeRenderer, keep_all: bool, lenses: Mapping[str, Lens | None]
+        self,
+        world: World,
+        seed: int,
+        renderer: EndoscopeRenderer,
+        keep_all: bool,
+        lenses: Mapping[str, Lens | None],
     ) -> None:
+        self._world, self._seed = world, seed
         self._renderer, self._keep_all = renderer, keep_all
         self._waiting: deque[SimSnapshot] = deque(maxlen=None if keep_all else 1)
         self._arrived = threading.Condition()
@@ -125,6 +131,9 @@ class Endoscope:
             self._render(snapshot)
 
     def _render(self, snapshot: SimSnapshot) -> None:
+        if self._world.task is not None and snapshot.seed != self._seed:
+            self._seed = snapshot.seed  # what a task has moved in the model itself
+            self._world.reset(self._seed)
         pictures = self._renderer.render(np.asarray(snapshot.qpos))
         rendered = Ready(tick=snapshot.tick, participant=RENDERER)
         if not self._keep_all:  # the next exposure is made while this picture is sent
@@ -135,14 +144,13 @@ class Endoscope:
             self._ready.publish(rendered)
 
 
-def make_renderer(settings: EndoscopeSettings, cell: surg_core.Cell) -> EndoscopeRenderer:
-    """Build the bridge's scene with visuals, and its renderer.
+def make_world(settings: EndoscopeSettings, cell: surg_core.Cell) -> World:
+    """Build the bridge's scene with visuals.
 
     Raises:
-        ValueError: The scene cannot be built, or has no second camera.
-        NoOpenGL: No OpenGL platform works.
+        ValueError: It cannot be built.
     """
-    world = World(
+    return World(
         cell,
         settings.seed,
         visuals=True,
@@ -150,8 +158,6 @@ def make_renderer(settings: EndoscopeSettings, cell: surg_core.Cell) -> Endoscop
         setting=patient_settings.find_setting(settings.setting) if settings.setting else None,
         task=tasks.load(settings.task) if settings.task else None,
     )
-    size = (settings.width, settings.height, settings.vignette)
-    return EndoscopeRenderer(world, settings.views, *size)
 
 
 def main() -> int:
@@ -162,7 +168,8 @@ def main() -> int:
         cell = surg_core.load_cell(settings.cell)
         size = (settings.width, settings.height)
         lenses = {view: measured_lens(cell, view, size) for view in settings.views}
-        renderer = make_renderer(settings, cell)
+        world = make_world(settings, cell)
+        renderer = EndoscopeRenderer(world, settings.views, *size, settings.vignette)
     except (ValueError, OSError) as error:
         print(f"surg_sim: {error}", file=sys.stderr, flush=True)
         return 2
@@ -171,7 +178,7 @@ def main() -> int:
         return 1
     rospy.loginfo(f"endoscope: {settings.width} x {settings.height} by {renderer.backend}")
     frames = EndoscopeTf(cell, renderer.standing_pose)
-    Endoscope(renderer, settings.mode == "lockstep", lenses).run()
+    Endoscope(world, settings.seed, renderer, settings.mode == "lockstep", lenses).run()
     del frames
     renderer.close()
     return 0

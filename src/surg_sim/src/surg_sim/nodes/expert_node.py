@@ -34,11 +34,17 @@ COMMANDS = ("state_command", "hold", "jaw/servo_jp", "servo_cp")
 
 
 class ExpertNode:
-    """Wires a scripted sender, which may command the assistant's instrument, to the topics."""
+    """Wires a scripted sender, which may command the assistant's instrument, to the topics.
 
-    def __init__(self, expert: Expert, assistant: bool, after: Sequence[str] = ()) -> None:
-        self._expert, self._reason = expert, ""
-        self._awaited = set(after)
+    ``make`` makes the sender by the seed of an episode; another episode has another one.
+    """
+
+    def __init__(
+        self, make: Callable[[int], Expert], seed: int, assistant: bool, after: Sequence[str] = ()
+    ) -> None:
+        self._make, self._seed = make, -1  # of the episode that is played; none yet
+        self._expert, self._reason = (expert := make(seed)), ""
+        self._after, self._awaited = tuple(after), set(after)
         self._ports = {arm: ArmPort(arm, COMMANDS) for arm in expert.arms}
         if assistant:
             self._ports[ASSISTANT] = ArmPort(ASSISTANT, SERVO_INSTRUMENT)
@@ -55,9 +61,13 @@ class ExpertNode:
             self._awaited.discard(arm)
 
     def _act(self, seen: TickInputs) -> bool:
-        if seen.task is None or self._awaited:  # off the grid, or nobody is there to work with
-            return False
         message = seen.task
+        if message is not None and message.seed != self._seed:
+            if self._seed >= 0:
+                self._expert, self._awaited = self._make(message.seed), set(self._after)
+            self._seed = message.seed
+        if message is None or self._awaited:  # off the grid, or nobody is there to work with
+            return False
         arms = {arm: seen.view(arm) for arm in seen.cycles}
         state = bridge_messages.task_state(message.names, message.values)
         action = self._expert.tick(Observation(seen.tick, arms, state, message.phase))
@@ -84,14 +94,18 @@ def main() -> int:
     try:
         settings = read(SenderSettings, rospy.get_param("~", {}))
         task = load(settings.task)
-        experts = task.experts(surg_core.load_cell(settings.cell), settings.seed)
-        if name not in experts:
+        cell = surg_core.load_cell(settings.cell)
+        if name not in (experts := task.experts(cell, settings.seed)):
             known = ", ".join(sorted(experts)) or "none"
             raise ValueError(f"task '{task.name}' has no sender '{name}'; there are: {known}")
     except (ValueError, OSError) as error:
         print(f"surg_sim: {error}", file=sys.stderr, flush=True)
         return 2
-    node = ExpertNode(experts[name], name == ASSISTANT, settings.after)
+
+    def make(seed: int) -> Expert:
+        return task.experts(cell, seed)[name]
+
+    node = ExpertNode(make, settings.seed, name == ASSISTANT, settings.after)
     try:
         node.connect()
     except (TimeoutError, OSError) as error:

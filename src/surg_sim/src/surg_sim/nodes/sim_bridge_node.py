@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from typing import Any
 
 import rospy
-from std_msgs.msg import String
+from std_msgs.msg import Empty, String
 
-from surg_core.contract import SECOND_NS, TICK_NS
+from surg_core.contract import GRID, SECOND_NS, TICK_NS
 from surg_msgs.msg import Ready, SimStatus, TaskStatus
 from surg_ros.byte_topics import speakers
 from surg_sim.nodes import faults
@@ -66,15 +66,13 @@ class Bridge:
             rospy.Subscriber("/sim/inject", String, self._on_inject)
         self._guided: dict[str, HandGuiding] = {}
         rospy.Subscriber("/sim/guide_home", String, self._on_guide_home)
+        self._wanted = False  # free-run: another episode, at the next tick where one may begin
+        rospy.Subscriber("/sim/new_episode", Empty, self._on_new_episode)
         self._arms = [
             ArmTopics(world.cell.arms[name], self.lockstep, settings.track_stale, self._on_command)
             for name in world.arms
         ]
-        self._task = (
-            None
-            if world.task is None
-            else TaskTopics(self, world, settings.setting, settings.endless)
-        )
+        self._task = None if world.task is None else TaskTopics(self, world, settings)
         self._states = StatePublisher(
             world, injector, self._arms, self._task, self._exposures, self.lockstep
         )
@@ -149,6 +147,22 @@ class Bridge:
         rospy.loginfo(f"{name}: guided home by hand")
         self._guided[name] = HandGuiding(self._world.cell.arms[name].robot.home)
 
+    def _on_new_episode(self, _: Empty) -> None:
+        """Begin another episode soon; its arms are at home at once, so controllers must be off."""
+        if self.lockstep or self._task is None:
+            rospy.logwarn("/sim/new_episode: needs a task, in real time (~mode freerun)")
+            return
+        self._wanted = True
+
+    def _begin_episode(self) -> None:
+        """Reset the world by the next seed; its ticks go on, for receivers take none twice."""
+        assert self._task is not None
+        self._wanted, tick = False, self._world.tick
+        self._task.begin(self._task.seed + 1)
+        self._world.tick = tick
+        self._guided.clear()
+        rospy.loginfo(f"a new episode, seed {self._task.seed}")
+
     # --- what goes out ----------------------------------------------------------------------
 
     def _advance(self) -> None:
@@ -185,6 +199,8 @@ class Bridge:
         self._task.publish_forces(tick, self._states.stamp_ns)
         over = self._task.verdict.done and (self.lockstep or not self._settings.endless)
         self._world.step(commands, self._task.take(tick))
+        if self._wanted and self._world.tick % GRID == 1:  # as a world's first tick is
+            self._begin_episode()
         return over or self._task.distrust()
 
     def _guide(self, commands: Mapping[str, ArmCommand]) -> Mapping[str, ArmCommand]:

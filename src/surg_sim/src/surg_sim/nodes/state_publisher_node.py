@@ -74,7 +74,8 @@ class StatePublisher:
             truths = ((arm.name, world.truth(arm.name)) for arm in self._arms)
             self._truth.send(bridge_messages.pack_ground_truth(stamp_ns, tick, truths))
         if self._exposures.due(tick):
-            snapshot = SimSnapshot(tick=tick, qpos=world.data.qpos.tolist())
+            seed = 0 if self._task is None else self._task.seed
+            snapshot = SimSnapshot(tick=tick, seed=seed, qpos=world.data.qpos.tolist())
             snapshot.header.stamp = rospy.Time(*divmod(stamp_ns, SECOND_NS))
             self._snapshot.publish(snapshot)
         if self._tracker is not None:

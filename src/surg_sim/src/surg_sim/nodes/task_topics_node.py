@@ -21,6 +21,7 @@ from surg_sim.tasks import Verdict
 
 if TYPE_CHECKING:
     from surg_sim.nodes.sim_bridge_node import Bridge
+    from surg_sim.nodes.sim_parameters import BridgeSettings
 
 
 class _ForceSensor:
@@ -45,10 +46,11 @@ class _ForceSensor:
 class TaskTopics:
     """A task's state and verdict, its assistant, and what force sensors would say."""
 
-    def __init__(self, bridge: Bridge, world: World, setting: str, endless: bool = False) -> None:
-        """``endless``: in free-run the phantom goes on when its task is over."""
+    def __init__(self, bridge: Bridge, world: World, settings: BridgeSettings) -> None:
         assert world.task is not None
-        self._world, self._task, self._setting = world, world.task, setting
+        self._world, self._task, self._setting = world, world.task, settings.setting
+        self.seed = settings.seed
+        """Of the episode."""
         self._layout = bridge_messages.TaskStateLayout(self._task.state())
         # Latched: a sender that takes part counts itself connected a moment before this side does,
         # and a state of the grid is sent once.
@@ -58,7 +60,7 @@ class TaskTopics:
         # An arm with a sensor at its flange is told what that sensor makes of it.
         sensed = [] if lockstep else list(world.force_sensors)
         # People begin when they are ready, minutes after the phantom: no time limit for them.
-        self._unhurried = endless and not lockstep
+        self._unhurried = settings.endless and not lockstep
         self._free = not lockstep  # in free-run an end is news once, also where the phantom goes on
         self._forces = [
             _ForceSensor(name, "trocar", lambda arm: world.trocar(arm).force, lockstep)
@@ -71,6 +73,12 @@ class TaskTopics:
         ]
         self.verdict = self._judged()
         """How the episode stands at the state that is out."""
+
+    def begin(self, seed: int) -> None:
+        """Begin the episode that a seed draws, with the arms at home."""
+        self.seed = seed
+        self._world.reset(seed)
+        self.verdict = self._judged()
 
     def _judged(self) -> Verdict:
         """How the task stands."""
@@ -95,7 +103,9 @@ class TaskTopics:
         ended = self.verdict.done
         verdict = self.verdict = self._judged()
         if tick % GRID == 0 or (verdict.done and not (ended and self._free)):
-            self._state.send(self._layout.pack(stamp_ns, tick, self._task.state(), verdict))
+            self._state.send(
+                self._layout.pack(stamp_ns, tick, self.seed, self._task.state(), verdict)
+            )
         if self._assistant is not None:
             instrument = self._task.assistant
             self._assistant.publish(tick, stamp_ns, instrument.joints, instrument.jaw)
@@ -130,6 +140,7 @@ class TaskTopics:
             state=state,
             name=self._task.name,
             setting=self._setting,
+            seed=self.seed,
             phase=verdict.phase,
             detail=verdict.reason,
         )
