@@ -12,12 +12,12 @@ import pytest
 
 from helpers.async_tests import within
 from helpers.results.screen_results import note_holds
-from helpers.teleop import chromium
+from helpers.teleop import chromium, iwer
 from helpers.teleop.chromium import Chromium, until
 from helpers.teleop.console import Console, console
 from helpers.teleop.console_page import when
 from helpers.teleop.headset import FAKE_XR, NO_WEBGL, NO_XR
-from helpers.teleop.headset_page import SQUEEZE, came, drives, entered, hold, squeezed
+from helpers.teleop.headset_page import SQUEEZE, came, drives, entered, hold, holds, squeezed
 from surg_console.session.console_orders import Clutch, Move, SetOperatorPresent
 from surg_console.session.console_session import Phase
 from surg_console.session.operator_messages import HIDDEN, SILENT
@@ -192,3 +192,19 @@ async def test_what_a_browser_lacks_is_said_with_the_cure() -> None:
             f"{advice}.includes('adb reverse tcp:{made.port} tcp:{made.port}')", "the cure"
         )
         assert made.system.orders == []
+
+
+@pytest.mark.oracle
+@within(200.0)
+async def test_the_headset_drives_on_an_emulated_quest() -> None:
+    """On Meta's own WebXR emulator, which is not ours."""
+    async with entered(before=iwer.script()) as (made, tab):
+        await drives(made, tab, pulses=False)
+        for act, why in (("show('hidden')", "headset"), ("device.recenter()", "recentred")):
+            await squeezed(made, tab)
+            await tab.run(f"fakeXR.{act}, 0")
+            held = lambda: holds(made)  # noqa: E731
+            await until(held, why, 20.0)
+            assert made.session.reason == HIDDEN[why]
+            assert made.session.phase is Phase.HELD
+            await tab.run("fakeXR.show('visible')")

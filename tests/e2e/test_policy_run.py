@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.examples.course import EXAMPLES, ROS_STEP, play
 from helpers.graph.surg import surg
 from helpers.policy.nudge_policy import begin, row
 from helpers.results.policy_results import note
@@ -156,3 +157,19 @@ def test_a_death_is_named_and_ends_the_episode(
     assert entry["duration_s"] <= ENDS_S
     page = (out / "report.html").read_text("utf-8")
     assert "crashed" in page and "the weights are gone" in page
+
+
+@pytest.mark.ros
+@pytest.mark.full  # the chain before it is in tests/unit/examples
+def test_the_policy_of_the_course_solves_its_task_through_the_model_server(tmp_path: Path) -> None:
+    for name in ("05_recording.py", "07_export.py", "08_training.py"):
+        play(EXAMPLES / name, tmp_path)
+    out = tmp_path / "run"
+    words = ("--policy", ROS_STEP, "--observe", "privileged", "--seed", 20_000, "--out", out)
+    weights = str(tmp_path / "runs/course/weights.npz")
+    done = surg("run", EXAMPLES / "04_task.py", *words, extra={"SURG_COURSE_WEIGHTS": weights})
+    assert done.returncode == 0, done.stdout + done.stderr
+    (entry,) = json.loads((out / "summary.json").read_text("utf-8"))["episodes"]
+    assert entry["success"] and entry["policy"]["policy"] == "TouchPolicy"
+    assert entry["policy"]["accepted"] > 0
+    assert [entry["policy"][name] for name in ("rejected", "clipped", "late")] == [0, 0, 0]
