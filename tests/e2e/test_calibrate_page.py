@@ -71,7 +71,7 @@ async def test_the_page_shows_what_is_covered_and_passes_requests_on(tmp_path: P
         ready = "globalThis.surgCalibrate && surgCalibrate.picture.drawn > 2"
         await tab.until(ready, "pictures", 60.0)
         hint = "document.querySelector('#hint').textContent"
-        await tab.until(f"{hint}.includes('./surg calibrate CELL live')", "how to start one")
+        await tab.until(f"{hint}.includes('./surg calibrate test_cell live')", "how to start one")
         assert await tab.run("document.querySelector('#stereo').disabled")
         await tab.tap("Digit1")  # nothing to ask
         set_calibration(made, replace(COLLECTING, corners=corners))

@@ -265,7 +265,7 @@ async def test_the_picture_is_the_one_that_was_sent_and_a_lost_console_is_named(
         headline = "document.querySelector('#headline').innerText"
         await tab.until(f"{headline} === 'No connection'", "words")
         text = await tab.run("document.querySelector('#sentence').innerText")
-        assert "Reconnecting every second. The arm holds" in text
+        assert "Start it again in its terminal: ./surg teleop test_cell." in text
 
 
 @within(240.0)

@@ -83,6 +83,7 @@ async def opened(made: Console, browser: Chromium, query: str = "") -> Tab:
     await tab.call("Emulation.setDeviceMetricsOverride", **keys)
     await tab.call("Page.navigate", url=f"{made.url}monitor?shift=0{query}")
     await tab.until("globalThis.surgMonitor?.picture.drawn.length > 2", "pictures", 60.0)
+    await tab.run("document.querySelector('#stop').hidden = true")  # it would stay over the picture
     return tab
 
 

@@ -47,7 +47,7 @@ USED = {
     "dvrk_compat_node.py": {"warning"},
     "leader_node.py": {"error"},
     "teleop_status_node.py": {"~warning", "current_state", "desired_state"},
-    "order_topics_node.py": {"/sim/guide_home"},
+    "order_topics_node.py": {"/sim/guide_home", "orders.Describe.topic"},
     "ros_system_node.py": {"warning"},
     "recorder_topics_node.py": {"name", "/record/tag", "/record/info"},
     "sim_bridge_node.py": {"/sim/undeclared", "/sim/inject", "/sim/guide_home"},

@@ -18,7 +18,7 @@ from typing import Any
 import aiohttp
 
 PROGRAM = "/usr/bin/chromium"
-START_S = 30.0
+START_S = 120.0
 ANSWER_S = 30.0
 FLAGS = (
     "--headless=new",
@@ -244,7 +244,7 @@ class Chromium:
             await tab.call("Page.addScriptToEvaluateOnNewDocument", source=before)
         await tab.call("Page.navigate", url=url)
         if ready:
-            await tab.until("document.readyState === 'complete'", "the page to load")
+            await tab.until("document.readyState === 'complete'", "the page to load", START_S)
         return tab
 
 

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import json
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +17,7 @@ from surg_console.session.console_orders import EnableTeleop, Order
 from surg_console.session.console_session import ConsoleSession
 from surg_console.session.episode_list import Entry
 from surg_console.session.system_state import Arm, Follower, Gauges, Robot
+from surg_console.session.task_view import TaskView
 from surg_console.session.tip_force_feedback import tip_force_feedback
 from surg_console.web import access
 from surg_console.web.console_server import ConsoleServer
@@ -43,12 +44,20 @@ FACTS = {
 }
 
 
+LANGUAGE = {
+    "instruction": "Grasp the bowel, and retract it.",
+    "stages": {"grasp": "Grasp the bowel.", "retract": "Retract the bowel."},
+}
+"""Of the task, where a test says that there is one."""
+
+
 class FakeSystem:
     """An arm and a teleoperation that obey at once; keeps every order with its time."""
 
     def __init__(self) -> None:
         self.orders: list[tuple[float, Order]] = []
         self.episodes: list[Entry] = []
+        self.judged: list[str] = []
         self.watched: frozenset[str] = frozenset()
         self.shown: dict[str, str] = {}
         self.now = Robot(
@@ -94,6 +103,11 @@ class FakeSystem:
     def entries(self) -> list[Entry]:
         """See `RunningSystem`."""
         return self.episodes
+
+    def judge(self, word: str) -> str:
+        """See `RunningSystem`."""
+        self.judged.append(word)
+        return ""
 
     def given(self, kind: type) -> list[Any]:
         """The orders of one kind, in order."""
@@ -168,22 +182,28 @@ class Console:
         stop: Ends it when set.
     """
 
-    def __init__(self, rules: access.Access, pictures: bool) -> None:
+    def __init__(self, rules: access.Access, pictures: bool, facts: Mapping[str, Any]) -> None:
         self.url, self.port = rules.url, rules.port
         self.system, self.camera = FakeSystem(), FakeCamera()
         self.session, self.stop = ConsoleSession(pictures), asyncio.Event()
-        self.server = ConsoleServer(rules, self.session, self.system, self.camera, FACTS, LIMITS)
+        task = TaskView(json.dumps(LANGUAGE))
+        self.server = ConsoleServer(
+            rules, self.session, self.system, self.camera, {**FACTS, **facts}, LIMITS, task
+        )
 
 
 @contextlib.asynccontextmanager
-async def console(pictures: bool = True, **how: Any) -> AsyncIterator[Console]:
+async def console(
+    pictures: bool = True, facts: Mapping[str, Any] | None = None, **how: Any
+) -> AsyncIterator[Console]:
     """A console on a free port of the loopback.
 
     Args:
         pictures: Whether nothing may move without a picture.
+        facts: That differ from `FACTS`.
         **how: Of `access.rules`.
     """
-    made = Console(access.rules("127.0.0.1", master.free_port(), **how), pictures)
+    made = Console(access.rules("127.0.0.1", master.free_port(), **how), pictures, facts or {})
     serving = asyncio.create_task(made.server.serve(made.stop))
     filming = asyncio.create_task(made.camera.run(made.server))
     try:

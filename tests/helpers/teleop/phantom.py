@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import signal
 import subprocess
 import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,12 +31,14 @@ class Phantom:
         out: Folder of the episodes.
         tips: Steady clock [s] and the instrument's tip in its rcm frame [m], as it came.
         lens: The same of the endoscope's, where an arm holds it.
+        task: States of the task as `tip_printer` says them, where it plays one.
     """
 
     def __init__(self, url: str, out: Path) -> None:
         self.url, self.out = url, out
         self.tips: list[tuple[float, np.ndarray]] = []
         self.lens: list[tuple[float, np.ndarray]] = []
+        self.task: list[dict[str, Any]] = []
 
     @property
     def tip(self) -> np.ndarray:
@@ -61,9 +65,10 @@ async def phantom(folder: Path, cell: str, *more: object) -> AsyncIterator[Phant
         try:
             await when(lambda: "Open http" in log.read_text(), "the system", 120.0)
             made = Phantom(f"http://localhost:{web}/", out)
-            printers.append(await _print_tips("PSM1", port, made.tips))
+            printers.append(await _printed("PSM1", port, made.tips, _tip))
             if "two_arms" in cell:
-                printers.append(await _print_tips("ECM", port, made.lens))
+                printers.append(await _printed("ECM", port, made.lens, _tip))
+                printers.append(await _printed("task", port, made.task, json.loads))
             yield made
             assert process.poll() is None, log.read_text()
         finally:
@@ -77,22 +82,26 @@ async def phantom(folder: Path, cell: str, *more: object) -> AsyncIterator[Phant
                 process.wait(60)
 
 
-async def _print_tips(
-    arm: str, port: int, into: list[tuple[float, np.ndarray]]
+async def _printed(
+    of: str, port: int, into: list[Any], read: Callable[[bytes], Any]
 ) -> tuple[asyncio.subprocess.Process, asyncio.Task[None]]:
-    """A process that says where a tip is, and the task that reads it."""
+    """A process that says what a test needs to know, and the task that reads its lines."""
     printer = await asyncio.create_subprocess_exec(
         sys.executable,
         str(paths.ROOT / "tests" / "helpers" / "graph" / "tip_printer.py"),
-        arm,
+        of,
         env={**environment(), "ROS_MASTER_URI": f"http://localhost:{port}"},
         stdout=asyncio.subprocess.PIPE,
     )
     assert printer.stdout is not None
-    return printer, asyncio.create_task(_read(printer.stdout, into))
+    return printer, asyncio.create_task(_read(printer.stdout, into, read))
 
 
-async def _read(lines: asyncio.StreamReader, into: list[tuple[float, np.ndarray]]) -> None:
+async def _read(lines: asyncio.StreamReader, into: list[Any], read: Callable[[bytes], Any]) -> None:
     async for line in lines:
-        at, *tip = map(float, line.split())
-        into.append((at, np.array(tip)))
+        into.append(read(line))
+
+
+def _tip(line: bytes) -> tuple[float, np.ndarray]:
+    at, *tip = map(float, line.split())
+    return at, np.array(tip)

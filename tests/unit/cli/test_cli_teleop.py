@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +38,17 @@ def test_two_arms_have_a_task_that_does_not_end() -> None:
     nodes = {node.name: node for node in teleop._phantom(plan)}
     assert nodes["/sim"].params["endless"] is True
     assert {"/endoscope", "/PSM1/controller", "/ECM/controller", "/recorder"} <= set(nodes)
-    hands, page = teleop._operator_nodes(chosen, plan, {"port": 8090}, [])
+    assistant, hands, page = teleop._operator_nodes(chosen, plan, {"port": 8090}, [])
+    assert (assistant.name, assistant.params["after"]) == ("/assistant", ["PSM1"])
+    assert (
+        "Wait until the assistant points" in json.loads(page.params["language"])["stages"]["point"]
+    )
+    alone = teleop._operator_nodes(chosen, plan, {"port": 8090}, ["/assistant"])
+    assert [node.name for node in alone] == ["/teleop", "/console"], "one runs already"
+    second = teleop._operator_nodes(
+        options("--leader", "browser", "--leader", "gamepad"), plan, {"port": 8090}, []
+    )
+    assert [node.name for node in second] == ["/teleop", "/console"], "a person assists"
     assert hands.params["leader"] == "crtk" and hands.params["settings"] == {"name": "browser"}
     assert hands.params["need_present"] is True and "view" not in hands.params
     assert page.params["views"] == ["left", "right"] and page.params["port"] == 8090

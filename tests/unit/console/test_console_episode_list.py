@@ -5,7 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
+from surg_console.labelling import label_file
 from surg_console.session.episode_list import Episodes
+from surg_recording.episode import labels
+from surg_recording.episode.episode_reader import below
+from surg_recording.recording_errors import EpisodeError
 
 
 def test_episodes_are_listed_with_their_outcome(tmp_path: Path) -> None:
@@ -25,11 +31,53 @@ def test_episodes_are_listed_with_their_outcome(tmp_path: Path) -> None:
     (tmp_path / "episode_4").mkdir()
     (tmp_path / "episode_4" / "manifest.json").write_text("[" * 10)
     (tmp_path / "another").mkdir()
+    (tmp_path / "episode" / "labels.json").write_text("{}")
+    assert {e.name: e.files for e in listed.entries()}["episode"] == "unreadable"
+    (tmp_path / "episode" / "labels.json").unlink()
     by_name = {entry.name: entry for entry in listed.entries()}
     assert set(by_name) == {"episode", "episode_2", "episode_3", "episode_4"}
     first, second = by_name["episode"], by_name["episode_2"]
-    assert (first.outcome, first.seconds, first.success) == ("complete", 2.0, True)
-    assert (second.outcome, second.reason, second.success) == ("incomplete", "disk", False)
-    assert by_name["episode_3"].outcome == "unfinished"
-    assert by_name["episode_4"].outcome == "unreadable"
+    assert (first.files, first.seconds, first.outcome) == ("complete", 2.0, "success")
+    assert (second.files, second.reason, second.outcome) == (
+        "incomplete",
+        "disk; late",
+        "failure",
+    )
+    assert (by_name["episode_3"].files, by_name["episode_4"].files) == ("unfinished", "unreadable")
+    assert by_name["episode_4"].outcome == ""
     assert [entry.name for entry in listed.entries()][-2:] == ["episode_2", "episode"]
+
+
+def test_a_judgement_is_the_word_that_every_command_says(tmp_path: Path) -> None:
+    """A recording that was stopped early is aborted; a person's word counts before the task's."""
+    folder, listed = tmp_path / "episode", Episodes(tmp_path / "episode")
+    folder.mkdir()
+    stopped = {"task": {"name": "bgr", "done": False, "success": False}}
+    (folder / "manifest.json").write_text(json.dumps({"outcome": "complete", "sim": stopped}))
+
+    def now() -> tuple[str, str, str]:
+        (entry,) = listed.entries()
+        return entry.files, entry.outcome, entry.by
+
+    assert now() == ("complete", "aborted", "")
+    note = {"success": None, "note": "kept", "stages": None, "trim": None}
+    label_file.save(folder, note, "A")
+    assert now() == ("complete", "aborted", "")
+    for success, word in ((True, "success"), (False, "failure")):
+        label_file.judge(folder, success, "console")
+        assert now() == ("complete", word, "person")
+    assert labels.read(folder)["note"] == "kept"
+    label_file.discard(folder)
+    assert now() == ("discarded", "", "")
+    assert below(tmp_path) == [], "no command takes it"
+    with pytest.raises(EpisodeError, match="cannot be discarded"):
+        label_file.discard(folder)
+
+
+def test_only_an_episode_of_this_list_is_judged(tmp_path: Path) -> None:
+    listed = Episodes(tmp_path / "episode")
+    for name in ("episode_2", "other"):
+        (tmp_path / name).mkdir()
+    assert listed.has(tmp_path / "episode_2")
+    for elsewhere in (tmp_path / "other", tmp_path / "episode_9", tmp_path.parent / "episode_2"):
+        assert not listed.has(elsewhere)

@@ -12,9 +12,11 @@ from surg_console.session import operator_messages
 from surg_console.session.console_orders import (
     Camera,
     Clutch,
+    Describe,
     EnableTeleop,
     GuideHome,
     Move,
+    NewEpisode,
     Policy,
     Record,
     SetMapping,
@@ -32,7 +34,15 @@ from surg_console.session.console_session import (
     Phase,
 )
 from surg_console.session.page_status import report
-from surg_console.session.system_state import Arm, Follower, Gauges, PolicyServer, Robot
+from surg_console.session.system_state import (
+    Arm,
+    Follower,
+    Gauges,
+    PolicyServer,
+    Recorder,
+    Robot,
+    SimTask,
+)
 from surg_console.web.page_protocol import HIDDEN, Input
 from surg_core import Reason
 from surg_core.hand.message_lateness import Lateness
@@ -52,6 +62,7 @@ class Bench:
         self.now = 1000.0
         self.arm = Arm("PSM1", "ENABLED", True, self.now)
         self.follower = Follower("DISABLED", scale=0.2)
+        self.task = SimTask()
         self.orders: list[object] = []
         self.seq: dict[str, int] = {}
         self.picture = 1
@@ -60,7 +71,7 @@ class Bench:
 
     @property
     def robot(self) -> Robot:
-        return Robot((self.arm,), self.follower)
+        return Robot((self.arm,), self.follower, task=self.task)
 
     def flush(self) -> list[object]:
         orders = self.session.take_orders()
@@ -465,7 +476,7 @@ def test_one_drives_and_the_other_watches(bench: Bench) -> None:
     assert "a has control" in bench.session.take("b", bench.now)
     assert bench.session.enable("b", bench.robot, bench.now) == operator_messages.NO_CONTROL
     assert bench.session.scale("b", 0.5) == operator_messages.NO_CONTROL
-    assert bench.session.record("b", True) == operator_messages.NO_CONTROL
+    assert bench.session.record("b", bench.robot, True) == operator_messages.NO_CONTROL
     assert bench.flush() == []
 
 
@@ -569,8 +580,64 @@ def test_a_silent_teleoperation_is_named(bench: Bench) -> None:
 def test_scale_and_record_are_orders(bench: Bench) -> None:
     bench.drive()
     assert bench.session.scale("a", 0.5) == ""
-    assert bench.session.record("a", True) == ""
+    assert bench.session.record("a", bench.robot, True) == ""
     assert bench.flush() == [SetScale(0.5), Record(True)]
+    played = replace(bench.robot, task=SimTask("RUNNING", "bgr", "point", seed=4))
+    assert bench.session.record("a", played, True) == ""
+    assert bench.flush() == [Describe('{"seed": 4}'), Record(True)]
+
+
+# --- episodes of a simulated task ---------------------------------------------------------------
+
+
+def test_a_new_episode_begins_when_no_controller_holds_an_arm(bench: Bench) -> None:
+    bench.drive()
+    bench.flush()
+    assert bench.session.new_episode("a", bench.robot, bench.now) == operator_messages.NO_TASK
+    bench.task = SimTask("SUCCESS", "bgr", "done")
+    assert bench.session.new_episode("b", bench.robot, bench.now) == operator_messages.NO_CONTROL
+    recorded = replace(bench.robot, recorder=Recorder("RECORDING"))
+    why = bench.session.new_episode("a", recorded, bench.now)
+    assert why == operator_messages.NEW_WHILE_RECORDED
+    assert bench.flush() == []
+    assert bench.session.new_episode("a", bench.robot, bench.now) == ""
+    orders = [SetOperatorPresent(False), EnableTeleop(False), StateCommand("PSM1", "disable")]
+    assert bench.flush() == orders
+    bench.run(0.2)
+    assert bench.given(NewEpisode) == [], "the arm is still enabled"
+    bench.arm = replace(bench.arm, state="DISABLED")
+    bench.run(0.1)
+    assert bench.given(NewEpisode) == [NewEpisode(True)]
+    assert (bench.session.phase, bench.session.reason) == (
+        Phase.READY,
+        operator_messages.NEW_EPISODE,
+    )
+
+
+def test_an_arm_that_is_not_disabled_or_a_stop_keeps_the_episode(bench: Bench) -> None:
+    bench.drive()
+    bench.task = SimTask("RUNNING", "bgr", "point")
+    assert bench.session.new_episode("a", bench.robot, bench.now) == ""
+    bench.run(START_TIMEOUT + 0.1)
+    assert bench.session.reason == operator_messages.NOT_NEW
+    assert bench.session.new_episode("a", bench.robot, bench.now) == ""
+    bench.session.stop(bench.robot, "a")
+    bench.arm = replace(bench.arm, state="DISABLED")
+    bench.run(0.1)
+    assert bench.given(NewEpisode) == []
+
+
+def test_a_judgement_without_a_finished_recording_is_refused(bench: Bench) -> None:
+    def judge(name: str, recorder: Recorder) -> str:
+        return bench.session.judge(name, replace(bench.robot, recorder=recorder))
+
+    bench.drive()
+    assert judge("a", Recorder("IDLE")) == operator_messages.NOTHING_RECORDED
+    assert judge("a", Recorder("RECORDING", "", "/runs/1/episode")) == (
+        operator_messages.STILL_RECORDED
+    )
+    assert judge("b", Recorder("IDLE", "", "/runs/1/episode")) == operator_messages.NO_CONTROL
+    assert judge("a", Recorder("IDLE", "", "/runs/1/episode")) == ""
 
 
 def test_random_lives_never_move_without_an_operator(full: bool) -> None:

@@ -1,6 +1,7 @@
 """`./surg teleop [CELL]`: teleoperation of the phantom in real time, with the browser console.
 
-Starts simulator, controllers, endoscope, recorder, teleoperation and console. Beside a system of
+Starts simulator, controllers, endoscope, recorder, the task's scripted assistant, teleoperation and
+console. Beside a system of
 `./surg up`, also one machine's part of it, only teleoperation and console are started.
 """
 
@@ -56,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         default=[],
         metavar="L",
         help="input device: browser (default), a bundled leader, or a leader's .py file; given "
-        "twice, the second one moves the assistant's instrument of the task",
+        "twice, the second one moves the assistant's instrument instead of the task's script",
     )
     add("--out", type=Path, metavar="DIR", help="folder of the episodes (runs/<UTC time>)")
     add("--port", type=tcp_port, default=master.DEFAULT_PORT, metavar="P", help="of the ROS master")
@@ -154,7 +155,9 @@ def _operator_nodes(
     first, *second = options.leader or [BROWSER]
     if len(second) > 1:
         raise CliError(f"--leader {second[1]}: two leaders at most are allowed", 2)
+    nobody = not second and f"/{operator_nodes.ASSISTANT}" not in there
     return [
+        *(operator_nodes.scripted_assistant(plan) if nobody else []),
         operator_nodes.teleoperation(plan, first, True, options.scale, *second),
         operator_nodes.console(plan, first == BROWSER, web),
     ]

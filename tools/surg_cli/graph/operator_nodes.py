@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,23 @@ def teleoperation(
     return Node(TELEOP, "surg_teleop", "teleop_node.py", params, prompt=True)
 
 
+def scripted_assistant(plan: SystemPlan) -> list[Node]:
+    """Who holds the assistant's instrument of the plan's task, from when an arm is enabled on."""
+    if not plan.task:
+        return []
+    from surg_sim import tasks
+
+    if ASSISTANT not in tasks.load(plan.task).experts(cells.load(plan.cell), plan.seed):
+        return []
+    params: dict[str, object] = {
+        "cell": str(plan.cell),
+        "task": plan.task,
+        "seed": plan.seed,
+        "after": [driven_arm(plan)],
+    }
+    return [Node(f"/{ASSISTANT}", "surg_sim", "expert_node.py", params)]
+
+
 def console(plan: SystemPlan, leads: bool, web: Mapping[str, object]) -> Node:
     """The node that serves the operator's page; ``web`` holds who may open it.
 
@@ -68,6 +86,7 @@ def console(plan: SystemPlan, leads: bool, web: Mapping[str, object]) -> Node:
         "leader": BROWSER if leads else "",
         "views": list(plan.cameras),
         **({"episodes": str(plan.out / "episode")} if plan.record else {}),
+        **_language(plan.task),
         **web,
     }
     return Node(CONSOLE, "surg_console", "console_node.py", params, prompt=True)
@@ -106,6 +125,18 @@ def _assistant_frame(plan: SystemPlan, loaded: Any) -> list[float]:
             2,
         )
     return list(map(float, matrix_to_quaternion_xyzw(assistant.X_WRcm[:3, :3])))
+
+
+def _language(task: str) -> dict[str, object]:
+    """The words of a task for the page; nothing for a task that is not found here."""
+    from surg_sim import tasks
+
+    try:
+        words = tasks.load(task)
+    except tasks.TaskError:  # "": there is none; a file of another machine
+        return {}
+    stated = {"instruction": words.instruction, "stages": dict(words.stages)}
+    return {"language": json.dumps(stated)}
 
 
 def _standing_view(loaded: Any) -> list[float]:

@@ -11,8 +11,9 @@ from typing import Any
 
 from markupsafe import Markup
 
+from surg_console.labelling import label_file
 from surg_console.web import http_policy
-from surg_recording.episode import episode_reader, finishing, labels
+from surg_recording.episode import episode_reader, labels
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.recording_errors import EpisodeError, words_of
 from surg_recording.reports import episode_view
@@ -57,13 +58,7 @@ class LabelPages:
         """
         if not isinstance(stated, dict):
             raise ValueError("labels: an object is needed")
-        found = labels.parse({**_integers(stated), "by": self._by, "at": finishing.utc_now()})
-        folder = self.folders[number - 1]
-        try:
-            finishing.write_json(folder / labels.LABELS, found)
-        except OSError as problem:
-            raise EpisodeError(f"{folder}: cannot be labelled: {problem.strerror}") from None
-        return found
+        return label_file.save(self.folders[number - 1], _integers(stated), self._by)
 
     def badge(self, number: int) -> tuple[str, str, str]:
         """Kind, label and reason of the verdict that counts with the newest labels."""

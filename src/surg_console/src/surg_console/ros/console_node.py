@@ -3,7 +3,8 @@
 Parameters: ``~cell`` (folder or cell.yaml); ``~arm`` (the first with jaws) and ``~arms`` (others to
 show); ``~leader`` (browser; empty: another device moves the arm), ``~teleop`` (name of the
 teleoperation node); ``~views`` (left; or left,right; empty: no camera); ``~episodes`` (the
-recorder's ``~out``); ``~bind`` (127.0.0.1), ``~port`` (8090), ``~host_names``, ``~cert``, ``~key``,
+recorder's ``~out``); ``~language`` (JSON of the task's ``instruction`` and ``stages``);
+``~bind`` (127.0.0.1), ``~port`` (8090), ``~host_names``, ``~cert``, ``~key``,
 ``~token_file``: who may connect (docs/guide/console.md). Exit code 1: the port cannot be had; 2: a
 parameter that must not be used.
 """
@@ -23,6 +24,7 @@ import rospy
 import surg_core
 from surg_console.ros.ros_system_node import RosSystem
 from surg_console.session.console_session import ConsoleSession
+from surg_console.session.task_view import TaskView
 from surg_console.web import access
 from surg_console.web.console_server import ConsoleServer
 from surg_console.web.encoder_process import EncoderProcess
@@ -48,6 +50,7 @@ class Parameters:
     teleop: str = text("teleop")
     views: tuple[str, ...] = names(("left",))
     episodes: Path | None = path(None)
+    language: str = text("", empty=True)
     bind: str = text("127.0.0.1")
     port: int = whole(1, 65535, PORT)
     host_names: tuple[str, ...] = names(())
@@ -82,6 +85,10 @@ class Settings:
         self.leader = parameters.leader.strip("/")
         self.teleop = parameters.teleop.strip("/")
         self.episodes = parameters.episodes
+        try:
+            self.task = TaskView(parameters.language)
+        except ValueError as error:
+            raise ParamError("language", parameters.language[:40], f"JSON ({error})") from None
         self.access = access.rules(
             parameters.bind,
             parameters.port,
@@ -132,7 +139,9 @@ async def serve(settings: Settings, stop: asyncio.Event) -> None:
         problem=lambda text: server.picture_problem(text),
     )
     session = ConsoleSession(pictures=bool(settings.views), leads=bool(settings.leader))
-    server = ConsoleServer(settings.access, session, system, encoder, facts, settings.limits)
+    server = ConsoleServer(
+        settings.access, session, system, encoder, facts, settings.limits, settings.task
+    )
     video = asyncio.create_task(encoder.run()) if settings.views else None
     try:
         print(f"console: {settings.access.url}", flush=True)

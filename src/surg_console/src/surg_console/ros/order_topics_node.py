@@ -7,7 +7,7 @@ import time
 import numpy as np
 import rospy
 from sensor_msgs.msg import Joy
-from std_msgs.msg import Bool, Float64, String
+from std_msgs.msg import Bool, Empty, Float64, String
 
 from crtk_msgs.msg import StringStamped
 from surg_console.session import console_orders as orders
@@ -31,6 +31,8 @@ KINDS = {
     orders.Camera.topic: Joy,
     orders.Calibrate.topic: CalibrationRequest,
     "/sim/guide_home": String,
+    orders.Describe.topic: String,
+    orders.NewEpisode.topic: Empty,
 }
 
 
@@ -55,6 +57,8 @@ class OrderTopics:
         elif isinstance(order, orders.Calibrate):
             request = getattr(CalibrationRequest, str(order.value))
             self._topics[order.topic].publish(request)
+        elif isinstance(order, orders.NewEpisode):
+            self._topics[order.topic].publish()
         elif isinstance(order, orders.Request):
             self._topics[order.topic].publish(order.value)
         elif isinstance(order, orders.StateCommand):

@@ -18,6 +18,7 @@ import rospy
 from std_msgs.msg import String
 
 from crtk_msgs.msg import OperatingState
+from surg_console.labelling import label_file
 from surg_console.ros.order_topics_node import OrderTopics
 from surg_console.ros.overlay_topics_node import OverlayTopics
 from surg_console.ros.raw_gauges import depth, force, last_double, state_and_reason
@@ -57,8 +58,11 @@ from surg_msgs.msg import (
     SimStatus,
     TeleopStatus,
 )
+from surg_recording.recording_errors import EpisodeError
 from surg_ros.byte_topics import BytesSubscriber
 
+JUDGE = "console"
+"""Who has judged, in the labels: the page does not know the person's name."""
 FRESH = 1.0
 """[s] Timeout of a live value."""
 STATUSES = {
@@ -233,6 +237,20 @@ class RosSystem:
     def entries(self) -> list[Entry]:
         """See `RunningSystem`."""
         return [] if self._episodes is None else self._episodes.entries()
+
+    def judge(self, word: str) -> str:
+        """See `RunningSystem`."""
+        folder = Path(self.robot().recorder.finished)
+        if self._episodes is None or not self._episodes.has(folder):
+            return operator_messages.not_here(folder)
+        try:
+            if word == "discard":
+                label_file.discard(folder)
+            else:
+                label_file.judge(folder, word == "success", JUDGE)
+        except EpisodeError as error:
+            return f"Not judged: {error}"
+        return ""
 
     def publish_orders(self, orders: list[Order]) -> None:
         """See `RunningSystem`."""

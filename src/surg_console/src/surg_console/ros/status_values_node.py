@@ -46,13 +46,13 @@ def follower_of(hand: HandStatus) -> Follower:
 
 def recorder_of(status: RecordStatus) -> Recorder:
     """The recorder."""
-    return Recorder(value_name(status, "state"), status.detail)
+    return Recorder(value_name(status, "state"), status.detail, status.finished)
 
 
 def task_of(status: SimStatus) -> SimTask:
     """The phantom's task."""
     task = status.task
-    return SimTask(value_name(task, "state"), task.name, task.phase, task.detail)
+    return SimTask(value_name(task, "state"), task.name, task.phase, task.detail, task.seed)
 
 
 def calibration_of(status: CalibrationStatus) -> Calibration:

@@ -54,6 +54,14 @@ class Record(Request, topic="/record/record"):
     """Recording on or off."""
 
 
+class Describe(Request, topic="/record/info"):
+    """Facts of the episode to be recorded, as JSON."""
+
+
+class NewEpisode(Request, topic="/sim/new_episode"):
+    """Another episode of the simulator's task; without a value."""
+
+
 class Policy(Request, topic="/policy/enable"):
     """The connected policy on or off."""
 

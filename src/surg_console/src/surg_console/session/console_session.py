@@ -11,6 +11,7 @@ Time is an argument, on one steady clock.
 from __future__ import annotations
 
 import enum
+import json
 import math
 from dataclasses import dataclass, field
 
@@ -83,7 +84,7 @@ class ConsoleSession:
         self._orders: list[orders.Order] = []
         self._enabled = self._asked = self._acted = -math.inf
         self._policy_ran = False
-        self._policy_requested = -math.inf
+        self._policy_requested = self._new_requested = -math.inf
         self._clutch = self._camera = False
         self._hand = "position"
 
@@ -206,6 +207,24 @@ class ConsoleSession:
         self._orders += [orders.GuideHome(arm) for arm in robot.faulted_arms]
         return ""
 
+    def new_episode(self, name: str, robot: Robot, now: float) -> str:
+        """Begin another episode of the simulator's task; returns why it is refused.
+
+        The simulator puts its arms home at once, so this waits until no controller holds one.
+        """
+        if self.holder != name:
+            return operator_messages.NO_CONTROL
+        if robot.task.state in ("", "NONE"):
+            return operator_messages.NO_TASK
+        if robot.recorder.recording:
+            return operator_messages.NEW_WHILE_RECORDED
+        self._hold(operator_messages.NEW_ASKED)
+        if not robot.policy.passive and robot.policy.state:
+            self._orders.append(orders.Policy(False))
+        self._orders += [orders.StateCommand(arm.name, "disable") for arm in robot.arms]
+        self._new_requested = now
+        return ""
+
     def stop(self, robot: Robot, who: str = "") -> None:
         """Stop was pressed on a page, whoever has control: pause all arms."""
         self._hold(operator_messages.stopped(who if who != self.holder else ""))
@@ -227,9 +246,19 @@ class ConsoleSession:
         """Set the scale; returns why it is refused."""
         return self._order_by(name, orders.SetScale(value))
 
-    def record(self, name: str, on: bool) -> str:
+    def record(self, name: str, robot: Robot, on: bool) -> str:
         """Start or stop recording; returns why it is refused."""
+        if on and self.holder == name and robot.task.name:
+            self._orders.append(orders.Describe(json.dumps({"seed": robot.task.seed})))
         return self._order_by(name, orders.Record(on))
+
+    def judge(self, name: str, robot: Robot) -> str:
+        """Why the last recording cannot be judged; empty: it can."""
+        if self.holder != name:
+            return operator_messages.NO_CONTROL
+        if robot.recorder.recording:
+            return operator_messages.STILL_RECORDED
+        return "" if robot.recorder.finished else operator_messages.NOTHING_RECORDED
 
     def _order_by(self, name: str, order: orders.Order) -> str:
         if self.holder != name:
@@ -272,6 +301,7 @@ class ConsoleSession:
     def tick(self, robot: Robot, now: float) -> None:
         """Check everything; called at least every 20 ms."""
         self._start_policy(robot, now)
+        self._start_episode(robot, now)
         if self._holder is None or self.phase not in (Phase.STARTING, Phase.DRIVING):
             return
         why = self._problem(self._holder, now)
@@ -313,6 +343,18 @@ class ConsoleSession:
             self._policy_requested = -math.inf
             self._orders.append(orders.Policy(True))
 
+    def _start_episode(self, robot: Robot, now: float) -> None:
+        """The simulator begins another episode once every arm is off."""
+        since = now - self._new_requested
+        if since == math.inf:
+            return
+        if since > START_TIMEOUT:
+            self.reason, self._new_requested = operator_messages.NOT_NEW, -math.inf
+        elif all(arm.state in ("DISABLED", "FAULT") for arm in robot.arms):
+            self._orders.append(orders.NewEpisode(True))
+            self.phase, self.reason = Phase.READY, operator_messages.NEW_EPISODE
+            self._new_requested = -math.inf
+
     def _problem(self, page: _Page, now: float) -> str:
         """Why the page must not drive now; empty: it may."""
         if not page.visible:
@@ -328,7 +370,7 @@ class ConsoleSession:
     def _hold(self, why: str) -> None:
         """Stop all motion until Enable is pressed again."""
         self._orders += [orders.SetOperatorPresent(False), orders.EnableTeleop(False)]
-        self.reason, self._policy_requested = why, -math.inf
+        self.reason, self._policy_requested, self._new_requested = why, -math.inf, -math.inf
         if self._holder is not None:
             self.phase = Phase.HELD
             if self._holder.dead_man is not None:
@@ -339,4 +381,4 @@ class ConsoleSession:
         if self.phase in (Phase.STARTING, Phase.DRIVING):
             self._hold(why)
         self._holder, self.phase, self.reason = None, Phase.FREE, why
-        self._policy_requested = -math.inf  # no policy without a page in control
+        self._policy_requested = self._new_requested = -math.inf  # nobody asks any more

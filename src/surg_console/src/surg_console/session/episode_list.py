@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from surg_console.labelling.label_file import DISCARDED
+from surg_recording.episode import labels
+from surg_recording.episode.episode_reader import MANIFEST, PARTIAL
+from surg_recording.episode.verdicts import verdict
+from surg_recording.file_io import read_json
+from surg_recording.recording_errors import EpisodeError
+
 SHOWN = 30
 """Episodes that are listed."""
+READ = (MANIFEST, labels.LABELS, DISCARDED)
+"""Files of an episode that say how it ended."""
 LARGEST_MANIFEST = 8 << 20
 """[bytes]"""
 
@@ -20,10 +28,12 @@ class Entry:
     name: str
     started: float  # wall clock [s]
     seconds: float | None  # its length [s]; None: not known
-    outcome: str  # "complete", "incomplete", "unfinished" (no manifest yet), "unreadable"
-    reason: str = ""
-    task: str = ""  # the phantom's task; empty: none
-    success: bool | None = None  # how that ended; None: no task, or not judged
+    files: (
+        str  # "complete", "incomplete", "unfinished" (no manifest yet), "unreadable", "discarded"
+    )
+    outcome: str = ""  # the verdict's word; empty: there is no manifest
+    reason: str = ""  # of both
+    by: str = ""  # who judged: "person", "task"; empty: nobody
 
 
 class Episodes:
@@ -35,18 +45,23 @@ class Episodes:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._known: dict[Path, tuple[int, Entry]] = {}
+        self._known: dict[Path, tuple[tuple[tuple[str, int], ...], Entry]] = {}
+
+    def has(self, folder: Path) -> bool:
+        """Whether a folder is one of these episodes, on this machine."""
+        own = folder.parent == self._folder.parent and folder.name.startswith(self._folder.name)
+        return own and folder.is_dir()
 
     def entries(self) -> list[Entry]:
         """Newest first, at most `SHOWN`."""
         entries = []
         for path in self._folder.parent.glob(f"{self._folder.name}*"):
             try:
-                manifest = path / "manifest.json"
-                changed = manifest.stat().st_mtime_ns if manifest.is_file() else 0
+                files = [f for name in READ if (f := path / name).is_file()]
+                changed = tuple((file.name, file.stat().st_mtime_ns) for file in files)
                 known = self._known.get(path)
                 if known is None or known[0] != changed or not changed:
-                    known = (changed, _entry(path, changed))
+                    known = (changed, _entry(path))
                     self._known[path] = known
             except OSError:  # it is being renamed
                 continue
@@ -54,36 +69,33 @@ class Episodes:
         return sorted(entries, key=lambda entry: entry.started, reverse=True)[:SHOWN]
 
 
-def _entry(path: Path, changed: int) -> Entry:
+def _entry(path: Path) -> Entry:
     """Read one folder."""
-    if not changed or path.suffix == ".partial":
-        return Entry(path.name.removesuffix(".partial"), path.stat().st_mtime, None, "unfinished")
-    file = path / "manifest.json"
+    changed = path.stat().st_mtime
+    if (path / DISCARDED).is_file():
+        return Entry(path.name, changed, None, "discarded")
+    if not (path / MANIFEST).is_file() or path.suffix == PARTIAL:
+        return Entry(path.name.removesuffix(PARTIAL), changed, None, "unfinished")
     try:
-        if file.stat().st_size > LARGEST_MANIFEST:
+        if (path / MANIFEST).stat().st_size > LARGEST_MANIFEST:
             raise ValueError("the manifest is too large")
-        manifest = json.loads(file.read_text(encoding="utf-8"))
+        manifest = read_json(path / MANIFEST)
         if not isinstance(manifest, dict):
             raise ValueError("the manifest is no JSON object")
-    except (ValueError, RecursionError) as error:
-        return Entry(path.name, changed * 1e-9, None, "unreadable", str(error)[:200])
+        given = labels.read(path)
+    except (ValueError, EpisodeError) as error:
+        return Entry(path.name, changed, None, "unreadable", "", str(error)[:200])
     start, stop = _nanoseconds(manifest, "started_ns"), _nanoseconds(manifest, "stopped_ns")
-    task = _object(_object(manifest, "sim"), "task")
-    judged = bool(task.get("done")) or bool(task.get("success"))
+    judged = verdict(manifest if given is None else {**manifest, labels.KEY: given})
     return Entry(
         name=path.name,
-        started=start * 1e-9 if start else changed * 1e-9,
+        started=start * 1e-9 if start else changed,
         seconds=(stop - start) * 1e-9 if start and stop > start else None,
-        outcome="complete" if manifest.get("outcome") == "complete" else "incomplete",
-        reason=str(manifest.get("reason") or ""),
-        task=str(task.get("name") or ""),
-        success=bool(task.get("success")) if judged else None,
+        files="complete" if manifest.get("outcome") == "complete" else "incomplete",
+        outcome=judged.outcome,
+        reason="; ".join(filter(None, (str(manifest.get("reason") or ""), judged.reason))),
+        by=judged.by or "",
     )
-
-
-def _object(fields: dict[str, Any], key: str) -> dict[str, Any]:
-    value = fields.get(key)
-    return value if isinstance(value, dict) else {}
 
 
 def _nanoseconds(fields: dict[str, Any], key: str) -> int:

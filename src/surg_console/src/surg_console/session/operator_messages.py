@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import surg_core
 from surg_console.session.system_state import Arm, Robot
 from surg_core import Reason
@@ -22,6 +24,13 @@ NO_ARM = "No state from any arm. Check that the controllers run (./surg status)"
 NO_FOLLOWER = "No status from the teleoperation node. Check that it runs (./surg status)"
 NO_FAULTED_ARM = "No simulated arm is in FAULT, so there is nothing to guide home"
 GUIDED_HOME = "The arm is being guided home. Press Enable when it is at rest"
+NO_TASK = "No simulated task runs here, so there is no other episode to begin"
+NEW_WHILE_RECORDED = "An episode is being recorded. Stop the recording (V), then begin a new one"
+NEW_ASKED = "The arms are being disabled; then they are put home and a new episode begins"
+NEW_EPISODE = "A new episode: the arms are home, and the phantom is as at first. Press Enable"
+NOT_NEW = "No new episode: not every arm was disabled. Press New episode again"
+STILL_RECORDED = "The recording still runs. Stop it (V), then judge it"
+NOTHING_RECORDED = "No recording has finished, so there is nothing to judge. Nothing was written"
 NO_POLICY = "No policy is connected. Start one; it connects by itself (docs/reference/policies.md)"
 POLICY_ASKED = "The policy takes over the arm"
 POLICY_NOT_GIVEN = (
@@ -65,6 +74,14 @@ def as_sentence(text: str) -> str:
     """Add a capital letter and a full stop."""
     text = text.strip()
     return text and text[0].upper() + text[1:] + ("" if text[-1] in ".!?" else ".")
+
+
+def not_here(folder: Path) -> str:
+    """Why a recording cannot be judged: its folder is not on the console's machine, or is gone."""
+    return (
+        f"{folder} is not on the console's machine, or was discarded. Nothing was written. "
+        "Judge it where it lies (./surg episode label)"
+    )
 
 
 def taken(name: str) -> str:
@@ -140,16 +157,6 @@ def reason_sentence(arm: Arm) -> str:
 def without_name(text: str, name: str) -> str:
     """A controller's message without the name of the arm."""
     return text.removeprefix(f"{name}: ").strip()
-
-
-def task_sentence(robot: Robot) -> str:
-    """State of the phantom's task; empty: there is none."""
-    task = robot.task
-    if task.state == "SUCCESS":
-        return f"{task.name}: done, success"
-    if task.state == "FAILURE":
-        return f"{task.name}: over, {task.detail or 'no success'}"
-    return f"{task.name}: {task.phase}" if task.state == "RUNNING" else ""
 
 
 def policy_lost(detail: str) -> str:

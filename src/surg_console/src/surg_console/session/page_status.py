@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from surg_console.session import operator_messages
@@ -50,8 +51,8 @@ def report(
             "on": robot.recorder.recording,
             "finishing": robot.recorder.state == "FINISHING",
             "problem": robot.recorder.problem,
+            "finished": Path(robot.recorder.finished).name,
         },
-        "task": operator_messages.task_sentence(robot),
         "faulted_arms": list(robot.faulted_arms),
         "policy": {
             "state": robot.policy.state,

@@ -56,6 +56,7 @@ class Recorder:
 
     state: str = ""  # IDLE, RECORDING, FINISHING; empty: no valid status
     problem: str = ""  # what is wrong with the recording
+    finished: str = ""  # folder of the last episode that was finished; empty: none
 
     @property
     def recording(self) -> bool:
@@ -71,6 +72,7 @@ class SimTask:
     name: str = ""
     phase: str = ""
     detail: str = ""  # why it failed
+    seed: int = 0  # of the episode
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 from collections import defaultdict
 from collections.abc import Callable
+from typing import Any
 
 from aiohttp import WSCloseCode, web
 
@@ -19,6 +20,8 @@ HELLO_WAIT = 3.0
 """[s] Timeout of a page's `hello`."""
 ROOM_WAIT, ROOM_PERIOD = 1.0, 0.01
 """[s] Longest wait of a new page for room: pages that flood leave within this time."""
+ENDED: dict[str, Any] = {"code": WSCloseCode.GOING_AWAY, "message": b"The system has ended."}
+"""How a socket is closed that no page has closed."""
 CLOSE_HELLO, CLOSE_FULL = 4401, 4429
 """WebSocket close codes: wrong or missing token; too many pages."""
 
@@ -63,8 +66,7 @@ class Admission:
 
     async def close_all(self) -> None:
         """Close all sockets at once: one on a dead link must not delay the others."""
-        code, text = WSCloseCode.GOING_AWAY, b"The console has ended. Reconnecting every second."
-        closing = [socket.close(code=code, message=text) for socket in self._sockets]
+        closing = [socket.close(**ENDED) for socket in self._sockets]
         with contextlib.suppress(TimeoutError):
             everyone = asyncio.gather(*closing, return_exceptions=True)
             await asyncio.wait_for(everyone, GOODBYE_WAIT)

@@ -16,19 +16,21 @@ from aiohttp import WSMsgType, web
 
 from surg_console.session.console_orders import Calibrate
 from surg_console.session.system_state import Calibration
+from surg_console.web.admission import ENDED
 from surg_console.web.page_connection import MessageBudget
 from surg_console.web.page_protocol import CalibrationPress, ProtocolError, parse
 from surg_console.web.running_system import RunningSystem
 
 PERIOD = 0.1
 """[s] Of the status."""
-NOT_RUNNING = "No collector runs. Type: ./surg calibrate CELL live"
+NOT_RUNNING = "No collector runs. Type: ./surg calibrate {} live"
+"""With the name of the cell."""
 
 
-def refusal(now: Calibration | None) -> str:
+def refusal(now: Calibration | None, cell: str = "CELL") -> str:
     """Why a request is not passed on; empty: it is."""
     if now is None:
-        return NOT_RUNNING
+        return NOT_RUNNING.format(cell)
     if now.state == "SOLVING":
         return "The step is being solved. Wait for its result."
     return ""
@@ -59,7 +61,7 @@ class CalibrationPages:
         finally:
             self.open -= 1
             sender.cancel()
-            await socket.close()
+            await socket.close(**ENDED)
 
     async def _receive(self, socket: web.WebSocketResponse) -> None:
         budget = MessageBudget(self._clock())
@@ -68,7 +70,7 @@ class CalibrationPages:
             message = parse(frame.data) if frame.type is WSMsgType.TEXT else None
             if not budget.spend(self._clock()) or not isinstance(message, CalibrationPress):
                 return
-            why = refusal(self._system.robot().calibration)
+            why = refusal(self._system.robot().calibration, self._facts["cell"])
             if why:
                 await socket.send_str(json.dumps({"say": "refused", "why": why}))
             else:
@@ -79,17 +81,19 @@ class CalibrationPages:
         with contextlib.suppress(ConnectionError):
             await socket.send_str(json.dumps({"say": "welcome", **self._facts}))
             while True:
-                text = json.dumps(report(self._system.robot().calibration), allow_nan=False)
+                text = json.dumps(
+                    report(self._system.robot().calibration, self._facts["cell"]), allow_nan=False
+                )
                 if text != sent:
                     await socket.send_str(text)
                     sent = text
                 await asyncio.sleep(PERIOD)
 
 
-def report(now: Calibration | None) -> dict[str, Any]:
+def report(now: Calibration | None, cell: str) -> dict[str, Any]:
     """The status of a page; without a collector: how to start one."""
     if now is None:
-        return {"say": "calibration", "running": False, "hint": NOT_RUNNING}
+        return {"say": "calibration", "running": False, "hint": NOT_RUNNING.format(cell)}
     content = dict(vars(now))
     content["residual"] = now.residual if math.isfinite(now.residual) else None
     return {"say": "calibration", "running": True, **content}

@@ -21,6 +21,7 @@ from aiohttp import web
 from surg_console.session.console_orders import EnableTeleop, SetOperatorPresent
 from surg_console.session.console_session import ConsoleSession
 from surg_console.session.page_status import report
+from surg_console.session.task_view import TaskView
 from surg_console.web.access import Access
 from surg_console.web.admission import Admission
 from surg_console.web.calibration_socket import CalibrationPages
@@ -56,6 +57,7 @@ class ConsoleServer:
     Args:
         facts: Sent to the page once: cell, arm, views, ….
         limits: Of the driven arm [SI].
+        task: Its words.
     """
 
     def __init__(
@@ -66,11 +68,12 @@ class ConsoleServer:
         pictures: EncoderProcess,
         facts: Mapping[str, Any],
         limits: Mapping[str, float],
+        task: TaskView,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._session, self._access, self._system = session, access, system
         self._limits, self._clock = limits, clock
-        self._picture_problem = ""
+        self._picture_problem, self._task = "", task
         self._control = ControlPages(session, system, facts, clock)
         self._pictures = PicturePages(pictures, clock)
         self._calibrators = CalibrationPages(system, {"cell": facts["cell"]}, clock)
@@ -147,7 +150,9 @@ class ConsoleServer:
 
     async def _status_loop(self) -> None:
         while True:
-            status = report(self._session, self._system.robot(), self._limits, self._clock())
+            robot, now = self._system.robot(), self._clock()
+            status = report(self._session, robot, self._limits, now)
+            status["task"] = self._task.report(robot, now)
             status["picture_problem"] = self._picture_problem
             self._system.reset_peaks()
             self._control.update_all("status", json.dumps(status, allow_nan=False))

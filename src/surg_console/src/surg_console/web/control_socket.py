@@ -12,9 +12,17 @@ from typing import Any
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from surg_console.session.console_session import ConsoleSession
+from surg_console.web.admission import ENDED
 from surg_console.web.page_connection import MessageBudget, Outbox
 from surg_console.web.page_dispatch import dispatch
-from surg_console.web.page_protocol import PageMessage, Ping, Press, ProtocolError, parse
+from surg_console.web.page_protocol import (
+    JUDGEMENTS,
+    PageMessage,
+    Ping,
+    Press,
+    ProtocolError,
+    parse,
+)
 from surg_console.web.running_system import RunningSystem
 
 MAX_ERRORS = 5
@@ -43,6 +51,7 @@ class ControlPages:
         self._outboxes: dict[str, Outbox] = {}
         self._newest: dict[str, str] = {}
         self._pages_so_far = 0
+        self._judging: set[asyncio.Task[None]] = set()  # a task that nobody holds may vanish
         self.monitors, self.ending = 0, False
 
     def update_all(self, kind: str, text: str) -> None:
@@ -100,7 +109,8 @@ class ControlPages:
             del self._outboxes[page]
             sender.cancel()
             # Last: a page that floods may never answer, and must not keep its place until then.
-            await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=violation)
+            broken = {"code": WSCloseCode.POLICY_VIOLATION, "message": violation}
+            await socket.close(**(broken if violation else ENDED))
 
     async def _receive(
         self, socket: web.WebSocketResponse, page: str, outbox: Outbox, handle: Handler
@@ -136,6 +146,16 @@ class ControlPages:
         refused = dispatch(self._session, message, page, self._system.robot(), now)
         self.send_orders()
         if refused:
+            outbox.reply(json.dumps({"say": "refused", "why": refused}))
+        elif isinstance(message, Press) and message.button in JUDGEMENTS:
+            task = asyncio.create_task(self._judge(message.button, outbox))
+            self._judging.add(task)
+            task.add_done_callback(self._judging.discard)
+
+    async def _judge(self, word: str, outbox: Outbox) -> None:
+        """Files may take their time, and the arm must be watched meanwhile."""
+        loop = asyncio.get_running_loop()
+        if refused := await loop.run_in_executor(None, self._system.judge, word):
             outbox.reply(json.dumps({"say": "refused", "why": refused}))
 
     def _handle_monitor(self, message: PageMessage, page: str, outbox: Outbox, now: float) -> None:

@@ -6,6 +6,7 @@ from surg_console.session import operator_messages
 from surg_console.session.console_session import ConsoleSession
 from surg_console.session.system_state import Robot
 from surg_console.web.page_protocol import (
+    JUDGEMENTS,
     Hidden,
     Input,
     PageMessage,
@@ -54,4 +55,8 @@ def _press(session: ConsoleSession, message: Press, page: str, robot: Robot, now
         return session.guide_home(page, robot)
     if message.button == "policy":
         return session.policy(page, robot, now)
-    return session.record(page, message.button == "record")
+    if message.button == "new_episode":
+        return session.new_episode(page, robot, now)
+    if message.button in JUDGEMENTS:
+        return session.judge(page, robot)
+    return session.record(page, robot, message.button == "record")

@@ -110,7 +110,12 @@ class CalibrationPress:
 
 PageMessage = Hello | Input | Press | Scale | Hidden | Ping | Watch | Shown | CalibrationPress
 
-PRESSES = ("take", "release", "enable", "stop", "record", "record_stop", "policy", "guide_home")
+JUDGEMENTS = ("success", "failure", "discard")
+"""Of a person on the recording that has stopped."""
+PRESSES = (
+    *("take", "release", "enable", "stop", "record", "record_stop", "policy", "guide_home"),
+    *("new_episode", *JUDGEMENTS),
+)
 CALIBRATION_REQUESTS = ("START_STEREO", "START_HANDEYE", "UNDO", "SOLVE")
 HIDDEN = ("hidden", "closed", "gamepad", "pointer", "headset", "recentred")
 

@@ -27,6 +27,12 @@ class RunningSystem(Protocol):
     def entries(self) -> list[Entry]:
         """The recorded episodes; may read files, so it is called in a thread."""
 
+    def judge(self, word: str) -> str:
+        """A person's judgement on the last recording, of `JUDGEMENTS`; returns why it failed.
+
+        Writes files, so it is called in a thread.
+        """
+
     def watch(self, what: str, wanted: bool) -> None:
         """Begin to collect `marks`, `plan`, `scene` or `feel`, or stop."""
 

@@ -74,10 +74,10 @@ class Badge:
 
 
 def verdict_badge(manifest: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Kind, label and reason of the badge that states the verdict; three empty ones without it."""
+    """Kind, label and reason of the badge that states how the episode ended."""
     judged = verdict(manifest)
     if judged.outcome == UNJUDGED:
-        return "", "", ""
+        return "cannot_tell", UNJUDGED, "nobody has judged it"
     said = ": ".join(filter(None, (judged.by and f"by {judged.by}", judged.reason)))
     label = judged.outcome + (", verdicts disagree" if judged.disagreement else "")
     return "pass" if judged.success else "fail", label, judged.disagreement or said
@@ -88,8 +88,8 @@ def _badges(episode: Episode) -> list[Badge]:
     outcome = str(episode.manifest.get("outcome"))
     reason = episode.manifest.get("reason") or "nothing was lost"
     badges = [
-        Badge("pass" if outcome == "complete" else "fail", outcome, reason),
-        # It has an id, and is there without a verdict too: the label page changes it.
+        Badge("pass" if outcome == "complete" else "fail", f"files {outcome}", reason),
+        # It has an id: the label page changes it.
         Badge(*verdict_badge(episode.manifest), id="judged"),
     ]
     sync = sync_report.load(episode)

@@ -1,5 +1,5 @@
-// Draws a stereo picture (left and right eye side by side) in the format of a display, on a 2D
-// canvas. Without a graphics card a 2D canvas is several times faster than a shader.
+// Draws a stereo picture (left and right eye side by side, or the left one for both) in the format of
+// a display, on a 2D canvas. Without a graphics card a 2D canvas is several times faster than a shader.
 
 /** Formats of displays, with their names for people. */
 export const FORMATS = {
@@ -57,29 +57,29 @@ export class Display {
   }
 
   /**
-   * @param image VideoFrame, ImageBitmap or canvas: both eyes side by side, of `width` × `height`
+   * @param image VideoFrame, ImageBitmap or canvas: `eyes` side by side, of `width` × `height`
    * @param format one of FORMATS
    * @param shift of the scene away from the viewer, as a share of an eye's width
    * @param swap whether the right eye comes first
    */
-  draw(image, { width, height }, { format, shift = 0, swap = false }) {
+  draw(image, { width, height }, { format, shift = 0, swap = false, eyes = 2 }) {
     const { canvas, context } = this;
-    const key = `${canvas.width} ${canvas.height} ${width} ${height} ${format} ${shift}`;
+    const key = `${canvas.width} ${canvas.height} ${width} ${height} ${format} ${shift} ${eyes}`;
     if (key !== this.cleared) {
       context.fillStyle = "#000";
       context.fillRect(0, 0, canvas.width, canvas.height);
       this.cleared = key;
     }
     const eye = (which, into, where, smooth = true) => {
-      const half = width / 2;
+      const half = width / eyes;
       const cut = Math.abs(shift) / 2;
       const leftEdge = (which === 0) === shift > 0; // the eye loses its left edge, or its right
       const [x, y, w, h] = where;
-      const from = which * half + (leftEdge ? cut * half : 0);
+      const from = (which % eyes) * half + (leftEdge ? cut * half : 0);
       into.imageSmoothingEnabled = smooth;
       into.drawImage(image, from, 0, half * (1 - cut), height, leftEdge ? x : x + cut * w, y, w * (1 - cut), h);
     };
-    const aspect = width / 2 / height;
+    const aspect = width / eyes / height;
     const parts = regions(format).map((part) => place(part, format, canvas, aspect));
     const [first, second] = swap ? [1, 0] : [0, 1];
     if (format === "left" || format === "right") eye(format === "left" ? first : second, context, parts[0]);

@@ -24,6 +24,7 @@ const HELD_KEYS = { Space: "clutch", KeyC: "camera" };
 const PRESSED_KEYS = {
   Enter: "enable", Escape: "stop", KeyV: "record", KeyP: "policy", KeyM: "hand", KeyT: "take", KeyH: "guide_home",
   KeyB: "eyes", KeyZ: "size", KeyJ: "side", KeyN: "marks", KeyI: "plan", KeyO: "scene", KeyY: "feel", Slash: "help",
+  KeyG: "new_episode", Digit1: "success", Digit2: "failure", Digit3: "discard",
   Minus: "less_scale", Equal: "more_scale", BracketLeft: "slower", BracketRight: "faster",
 };
 
@@ -73,7 +74,8 @@ export class Hand {
     if (code.startsWith("Shift")) this.keys.add(code);
     const ours = code in MOTION_KEYS || code in HELD_KEYS || code in PRESSED_KEYS;
     const slider = event.target instanceof HTMLInputElement && code.startsWith("Arrow");
-    if (!ours || slider) return;
+    const followed = event.target instanceof HTMLAnchorElement && code === "Enter";
+    if (!ours || slider || followed) return;
     event.preventDefault();
     if (code in PRESSED_KEYS) {
       if (!event.repeat) this.press(PRESSED_KEYS[code]);

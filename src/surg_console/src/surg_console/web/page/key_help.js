@@ -23,6 +23,8 @@ const MORE_KEYS = [
   [["−", "="], "scale"],
   [["[", "]"], "speed"],
   [["P"], "policy"],
+  [["1", "2", "3"], "last recording: success, failure, discard"],
+  [["G"], "new episode"],
   [["B"], "left eye, side by side"],
   [["Z"], "size of the pictures"],
   [["N"], "marks of the instruments"],
@@ -43,3 +45,19 @@ function keyRow(tag, keys, text) {
 }
 for (const [keys, text] of KEYS) document.getElementById("keys").append(keyRow("span", keys, text));
 for (const [keys, text] of [...KEYS, ...MORE_KEYS]) document.getElementById("help-keys").append(keyRow("li", keys, text));
+
+// --- the help itself ---
+
+const help = document.getElementById("help");
+let before = null; // who had the focus by keyboard
+
+/** Show or hide the help; the focus goes into it, and back to where it was. */
+export function showHelp(open) {
+  if (open === !help.hidden) return;
+  if (open) before = document.activeElement?.matches(":focus-visible") ? document.activeElement : null;
+  help.hidden = !open;
+  for (const behind of ["main", "keys", "task", "judge"]) document.getElementById(behind).inert = open;
+  if (open) document.getElementById("help-close").focus();
+  else before?.focus();
+}
+for (const link of help.querySelectorAll("a")) link.href += location.hash; // the token

@@ -1,6 +1,8 @@
 // The socket of input and status. It reconnects by itself, which never moves anything: the console
 // holds the arm whenever the socket ends.
 
+const GOING_AWAY = 1001; // the close code of a console that ends
+const SILENT = "The console does not answer.";
 const AGAIN_MS = 1000;
 const PING_MS = 1000;
 const FIRST_PINGS = 12; // in quick succession, for the difference of the clocks
@@ -34,6 +36,8 @@ export class Link {
     this.hear = hear;
     this.closed = closed;
     this.socket = null;
+    this.cell = "";
+    this.why = SILENT; // the connection ended
     setInterval(() => this.ping(), PING_MS);
     this.connect();
   }
@@ -45,18 +49,24 @@ export class Link {
   connect() {
     const socket = new WebSocket(socketUrl(this.path));
     this.socket = socket;
+    let opened = false;
     socket.onopen = () => {
+      opened = true;
       this.pongs = 0;
       this.say("hello", { token: token() });
       this.ping();
     };
     socket.onmessage = (event) => {
       const message = JSON.parse(event.data);
+      if (message.say === "welcome") this.cell = message.cell;
       if (message.say === "pong") this.pong(message);
       else this.hear(message);
     };
     socket.onclose = (event) => {
-      this.closed(event.reason || "The console does not answer. Reconnecting every second.");
+      if (event.reason || opened) this.why = event.reason || SILENT;
+      const ended = event.code === GOING_AWAY || !event.reason;
+      const again = ` Start it again in its terminal: ./surg teleop ${this.cell}. This page then connects by itself.`;
+      this.closed(this.why + (ended ? again : ""));
       setTimeout(() => this.connect(), AGAIN_MS);
     };
   }

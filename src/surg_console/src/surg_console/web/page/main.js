@@ -5,7 +5,7 @@ import { Marks } from "./overlays/marks.js";
 import { PlanOverlay } from "./overlays/plan.js";
 import { Scene } from "./overlays/scene.js";
 import { Hand } from "./hand.js";
-import "./key_help.js";
+import { showHelp } from "./key_help.js";
 import { element, mark, remember, set, sink, streamOf, toast, write } from "./kit.js";
 import { Link, clock } from "./link.js";
 import { speakWhileTouched } from "./touch_frames.js";
@@ -84,17 +84,19 @@ function show() {
 }
 setInterval(show, SHOW_MS);
 
+/** Nothing on the page is live any more, and it knows nothing of the arm. */
 function lost(why) {
   status = null;
   hand.rest();
-  document.body.dataset.phase = "free";
-  document.body.dataset.headline = "Fault";
-  element("veil").hidden = true;
-  element("state").hidden = false;
-  element("headline").textContent = "No connection";
-  element("sentence").textContent = `${why} The arm holds.`;
-  element("link").textContent = "not connected";
-  element("link").dataset.tone = "bad";
+  view?.lose();
+  mark(document.body, "link", "lost");
+  mark(document.body, "phase", "free");
+  mark(document.body, "headline", "Fault");
+  write(element("headline"), "No connection");
+  write(element("sentence"), why);
+  write(element("alarm"), `No connection. ${why}`);
+  write(element("link"), "not connected");
+  mark(element("link"), "tone", "bad");
 }
 
 // --- inputs of the hand ---
@@ -121,7 +123,7 @@ const OWN = {
     feel.turn(on);
   },
   side: () => turnSide(document.body.dataset.side !== "left"),
-  help: () => { element("help").hidden = !element("help").hidden; },
+  help: () => showHelp(element("help").hidden),
   less_scale: () => slide("scale", -1),
   more_scale: () => slide("scale", 1),
   slower: () => slide("speed", -1),
@@ -163,7 +165,7 @@ addEventListener("resize", () => scene.draw());
 
 function press(button) {
   if (button === "stop") {
-    element("help").hidden = true;
+    showHelp(false);
     padPage.end();
   }
   if (button in OWN) OWN[button]();
@@ -208,7 +210,8 @@ document.addEventListener("freeze", () => link.say("hidden", { why: "hidden" }))
 
 // --- buttons ---
 
-for (const id of ["enable", "stop", "record", "policy", "guide-home", "take"]) {
+const PRESSED = ["enable", "stop", "record", "policy", "guide-home", "take", "new-episode", "success", "failure", "discard"];
+for (const id of PRESSED) {
   element(id).addEventListener("click", () => press(id.replace("-", "_")));
 }
 element("veil-enable").addEventListener("click", () => press("enable"));
@@ -231,7 +234,6 @@ for (const button of document.querySelectorAll("[data-key]")) {
   }
 }
 element("side").addEventListener("click", () => press("side"));
-element("help-stop").addEventListener("click", () => press("stop"));
 for (const id of ["help-open", "help-close"]) element(id).addEventListener("click", () => press("help"));
 for (const button of element("hands").children) {
   button.addEventListener("click", () => hand.use(button.dataset.hand));

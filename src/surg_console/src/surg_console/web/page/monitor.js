@@ -30,7 +30,11 @@ globalThis.surgMonitor = { picture, settings, status: () => status };
 // --- the console ---
 
 function onMessage(message) {
-  if (message.say === "welcome") facts = message;
+  if (message.say === "welcome") {
+    facts = message;
+    const half = address.get("size") === "half" ? "_half" : "";
+    worker.postMessage({ stream: streamOf((facts.views.includes("right") ? "stereo" : "left") + half) });
+  }
   else if (message.say === "status") {
     const before = status;
     status = message;
@@ -46,14 +50,14 @@ function show() {
   const oneEye = facts && !facts.views.includes("right");
   const recent = picture.drawn.slice(-20).map((each) => each.ageMs).sort((a, b) => a - b);
   const middle = recent[recent.length >> 1];
-  let small = "";
-  if (oneEye) small = "One eye only. Start the console with both: ./surg teleop --cameras stereo";
-  else if (!picture.exposedUs) small = "No picture from the endoscope yet.";
-  else small = old ? `Picture ${(age / 1000).toFixed(1)} s old` : `Picture ${middle.toFixed(0)} ms old`;
+  let small = oneEye ? "Left eye only (both: ./surg teleop --cameras stereo). " : "";
+  if (!picture.exposedUs) small += "No picture from the endoscope yet.";
+  else small += old ? `Picture ${(age / 1000).toFixed(1)} s old` : `Picture ${middle.toFixed(0)} ms old`;
   const holds = !status || !["driving", "starting"].includes(status.phase);
-  const headline = status ? status.headline : "No connection";
+  const headline = !status ? "No connection" : holds ? `HOLD · ${status.headline}` : status.headline;
   const sentence = status ? status.picture_problem || (holds ? status.sentence : "") : gone;
-  worker.postMessage({ text: { headline: holds ? `HOLD · ${headline}` : headline, sentence, small, holds, old } });
+  write(element("alarm"), holds ? `${headline}. ${sentence}` : "");
+  worker.postMessage({ text: { headline, sentence, small, holds, old } });
 }
 setInterval(show, SHOW_MS);
 
@@ -147,7 +151,6 @@ for (const kind of ["pointermove", "pointerdown", "focusin"]) addEventListener(k
 wake();
 
 const canvas = element("screen").transferControlToOffscreen();
-const stream = streamOf(address.get("size") === "half" ? "stereo_half" : "stereo");
-worker.postMessage({ canvas, stream }, [canvas]);
+worker.postMessage({ canvas }, [canvas]);
 apply();
 show();

@@ -8,6 +8,7 @@ const TEXT_SHARE = 0.28; // of the height, for the text
 
 let display = null;
 let settings = { format: "left" };
+let eyes = 2; // in the picture
 let newest = null; // {image, head} on the screen
 let text = null;
 let layer = null; // the text, drawn once for all pictures
@@ -27,7 +28,10 @@ onmessage = ({ data }) => {
     layer = null;
     display.cleared = "";
   }
-  if (data.stream) stream.update(data.stream);
+  if (data.stream) {
+    eyes = data.stream.layout.startsWith("stereo") ? 2 : 1;
+    stream.update(data.stream);
+  }
   else paint();
 };
 
@@ -41,8 +45,9 @@ function arrived(image, head) {
 
 function paint() {
   if (!display) return;
-  const shown = settings.test || !newest ? { image: testPicture(settings.test), head: TEST } : newest;
-  display.draw(shown.image, shown.head, settings);
+  const test = settings.test || !newest;
+  const shown = test ? { image: testPicture(settings.test), head: TEST } : newest;
+  display.draw(shown.image, shown.head, { ...settings, eyes: test ? 2 : eyes });
   if (!text) return;
   layer ??= textLayer(text, display.canvas);
   const { width, height } = display.canvas;

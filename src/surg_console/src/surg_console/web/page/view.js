@@ -5,6 +5,8 @@ import { element, mark, set, sink, write } from "./kit.js";
 import { wallUs } from "./link.js";
 
 const OLD_PICTURE_MS = 150; // three of the endoscope's periods
+const ALARMS = ["Held", "Fault"]; // headlines that are announced at once
+const TONES = { success: "good", "not judged": "" };
 const TREND_S = 30;
 const TREND_STEP_S = 0.25; // between two points, each the largest value of its interval
 
@@ -57,23 +59,28 @@ class Trend {
     this.stale = false;
     const seconds = this.points.at(-1)[0];
     const { context } = this;
-    const { width, height } = this.canvas;
+    // As many pixels as the screen has there: a canvas that is stretched is read badly.
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    set(this.canvas, "width", Math.round(width * devicePixelRatio));
+    set(this.canvas, "height", Math.round(height * devicePixelRatio));
+    context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
+    const look = getComputedStyle(this.canvas);
     const largest = Math.max(...this.points.map((point) => point[1]));
     const full = Math.max(this.least, 1.25 * largest);
     context.clearRect(0, 0, width, height);
-    context.fillStyle = "#202832";
-    context.fillRect(0, height - 2, width, 2);
-    context.fillStyle = "#6b7886";
-    context.font = "20px system-ui, sans-serif";
-    context.fillText(`${TREND_S} s, largest ${(largest * 1e3).toFixed(3)} mm`, 0, 18);
+    context.fillStyle = look.getPropertyValue("--track");
+    context.fillRect(0, height - 1, width, 1);
+    context.fillStyle = look.getPropertyValue("--quiet");
+    context.font = "11px system-ui, sans-serif";
+    context.fillText(`${TREND_S} s, largest ${(largest * 1e3).toFixed(3)} mm`, 0, 10);
     context.beginPath();
     for (const [at, deviation] of this.points) {
       const x = width * (1 - (seconds - at) / TREND_S);
-      context.lineTo(x, height - 2 - ((height - 4) * deviation) / full);
+      context.lineTo(x, height - 1 - ((height - 2) * deviation) / full);
     }
     context.lineJoin = "round";
-    context.strokeStyle = "#4fd1c5";
-    context.lineWidth = 2;
+    context.strokeStyle = look.getPropertyValue("--accent");
+    context.lineWidth = 1.5;
     context.stroke();
   }
 }
@@ -97,6 +104,8 @@ export class View {
     }
     this.trend = new Trend("trend", limits.rcm_error_warn / 20);
     this.page = facts.page;
+    document.title = `${capital(facts.page)} · Operator console`;
+    this.listed = []; // the recorded episodes
     this.leads = facts.leads;
     this.plans = facts.overlays?.includes("plan"); // there is a picture to show a policy's plan in
     this.largest = null; // deviation since it was shown last
@@ -113,6 +122,10 @@ export class View {
   show(status, link) {
     const mine = status.holder === this.page;
     const { body } = document;
+    mark(body, "link", "live");
+    for (const id of ["main", "task", "judge"]) set(element(id), "inert", !element("help").hidden);
+    set(element("stop"), "disabled", false);
+    write(element("alarm"), ALARMS.includes(status.headline) ? `${status.headline}. ${status.sentence}` : "");
     mark(body, "phase", status.phase);
     mark(body, "headline", status.headline);
     write(element("headline"), mine ? status.headline : "Watching");
@@ -125,8 +138,8 @@ export class View {
     this.controls(status, mine);
     this.arms(status.arms, status.helpers);
     showFixtures(status.fixtures);
-    write(element("task"), status.task);
-    set(element("task"), "hidden", !status.task);
+    this.task(status, mine);
+    this.judge(status.record, mine);
     const trip = link.roundTripMs;
     write(element("link"), trip === null ? "connected" : `connected, ${trip.toFixed(0)} ms`);
     mark(element("link"), "tone", "good");
@@ -134,9 +147,11 @@ export class View {
 
   controls(status, mine) {
     const control = element("control");
-    write(control, mine ? "You have control" : status.holder ? `${status.holder} has control` : "No one has control");
+    const who = mine ? "you have control" : status.holder ? `${status.holder} has control` : "no one has control";
+    write(control, `${capital(this.page)}: ${who}`);
     mark(control, "tone", mine ? "good" : "");
     set(element("take"), "hidden", mine);
+    set(element("take"), "disabled", false);
     const driving = status.phase === "driving";
     const able = {
       enable: !driving && status.phase !== "starting",
@@ -167,6 +182,39 @@ export class View {
     set(record, "title", status.record.problem);
   }
 
+  /** The task's sentence, what to do now and next; at the end how it went. */
+  task({ task, record }, mine) {
+    set(element("task"), "hidden", !task);
+    if (!task) return;
+    write(element("task-sentence"), task.sentence);
+    write(element("task-now"), task.ended || (task.now && `Now: ${task.now}`));
+    mark(element("task-now"), "tone", task.ended ? (task.success ? "good" : "bad") : "");
+    write(element("task-next"), task.next && `Next: ${task.next}`);
+    set(element("new-episode"), "disabled", !mine || record.on);
+  }
+
+  /** Ask for a person's verdict on the recording that has stopped, until there is one. */
+  judge(record, mine) {
+    const entry = this.listed.find((each) => each.name === record.finished);
+    const asked = entry !== undefined && !record.on && entry.outcome !== "" && entry.by !== "person";
+    set(element("judge"), "hidden", !asked);
+    if (!asked) return;
+    const by = entry.by ? `, by the ${entry.by}` : "";
+    write(element("judged"), `${entry.name} is recorded: ${entry.outcome}${by}. Your judgement:`);
+    for (const id of ["success", "failure", "discard"]) set(element(id), "disabled", !mine);
+  }
+
+  /** Show that nothing is live. */
+  lose() {
+    for (const id of ["main", "task", "judge"]) set(element(id), "inert", true);
+    for (const id of ["stop", "take"]) set(element(id), "disabled", true);
+    set(element("veil"), "hidden", true);
+    set(element("state"), "hidden", false);
+    write(element("control"), `${capital(this.page)}: no control`);
+    mark(element("control"), "tone", "");
+    for (const name in this.gauges) this.gauges[name].show(null);
+  }
+
   arms(arms, helpers) {
     const list = element("arms");
     while (list.children.length > arms.length + helpers.length) list.lastChild.remove();
@@ -192,6 +240,7 @@ export class View {
   }
 
   episodes(entries) {
+    this.listed = entries;
     const nothing = made("li", "quiet", "No recordings yet.");
     element("episodes").replaceChildren(...(entries.length ? entries.map(episodeRow) : [nothing]));
   }
@@ -207,17 +256,20 @@ function armRow() {
   return row;
 }
 
+/** The verdict's word; of the files only what is wrong with them. */
 function episodeRow(entry) {
   const row = made("li");
   const length = entry.seconds === null ? "" : `${entry.seconds.toFixed(1)} s`;
-  const judged = entry.outcome === "complete" && entry.success !== null;
-  const success = entry.success ? "success" : "no success";
-  const outcome = made("span", "chip", judged ? success : entry.outcome);
-  const good = entry.outcome === "complete" && entry.success !== false;
-  outcome.dataset.tone = good ? "good" : entry.outcome === "unfinished" ? "" : "warn";
   row.title = entry.reason;
-  row.append(made("span", "", entry.name), made("span", "quiet", length), outcome);
+  row.append(made("span", "", entry.name), made("span", "quiet", length));
+  const chip = (words, tone) => mark(row.appendChild(made("span", "chip", words)), "tone", tone);
+  if (entry.files !== "complete") chip(entry.outcome ? `files ${entry.files}` : entry.files, entry.files === "unfinished" ? "" : "warn");
+  if (entry.outcome) chip(entry.outcome, TONES[entry.outcome] ?? "warn");
   return row;
+}
+
+function capital(text) {
+  return text[0].toUpperCase() + text.slice(1);
 }
 
 /** Write how old the picture on the screen is, by its exposure, and how many come. */

@@ -19,7 +19,7 @@ const solutions = [];
 const feed = new Feed("/calibration", receive, ({ reason }) => {
   mark(element("link"), "tone", "bad");
   write(element("link"), "not connected");
-  show({ running: false, hint: reason || "The console does not answer. Reconnecting every second." });
+  show({ running: false, hint: `${reason || "The console does not answer."} Start it again in its terminal; this page then connects by itself.` });
 });
 
 function receive(message) {

@@ -48,10 +48,11 @@
     sending = false;
   }
   function judge([kind, label, why]) { // the verdict that counts, by the program's own rule
-    const badge = $("judged");
-    badge.className = `badge ${kind}`;
-    badge.textContent = label;
-    badge.title = why;
+    for (const [id, style] of [["judged", "badge "], ["verdict", ""]]) {
+      $(id).className = style + kind;
+      $(id).textContent = label;
+      $(id).title = why;
+    }
   }
   function change(edit) { edit(); save(); show(); }
 
@@ -117,9 +118,6 @@
 
   function show() {
     $("place").textContent = given.place;
-    const word = state.success === null ? "not judged" : state.success ? "success" : "failure";
-    $("verdict").textContent = word;
-    $("verdict").className = word;
     const cut = (t, other) => (t === null ? other : (t / 1e9).toFixed(3) + " s");
     $("trim").textContent = state.begin === null && state.end === null ? "not trimmed"
       : `used: ${cut(state.begin, "begin")} to ${cut(state.end, "end")}`;
