@@ -79,7 +79,7 @@ TEST(LagMeter, FindsTheLagOfEveryPlantWithinHalfAMillisecond) {
     const double tau = 0.001 * static_cast<double>(dice() % 16);
     Plant plant(delay, tau, seed % 2 ? 1e-5 : 0);
     const Motion motion(seed);
-    LagMeter meter(6);
+    LagMeter meter(JointVector::Constant(6, 0.012));
     JointVector sent = JointVector::Zero(6);
     for (int k = 0; k < 2500; ++k) {
       meter.step(sent, plant.measured(), 0, kT);
@@ -103,7 +103,7 @@ TEST(LagMeter, FindsTheLagOfEachJoint) {
                           seed % 2 ? 1e-5 : 0);
     }
     const Motion motion(seed);
-    LagMeter meter(6);
+    LagMeter meter(JointVector::Constant(6, 0.012));
     JointVector sent = JointVector::Zero(6), q = sent;
     for (int k = 0; k < 2500; ++k) {
       for (int i = 0; i < 6; ++i) q[i] = joints[i].measured()[i];
@@ -124,7 +124,7 @@ TEST(LagMeter, FindsTheLagOfEachJoint) {
 TEST(LagMeter, TheAgeOfTheStateIsNoLag) {
   Plant plant(2, 0.008, 0);
   const Motion motion(3);
-  LagMeter meter(6);
+  LagMeter meter(JointVector::Constant(6, 0.012));
   std::deque<JointVector> late(4, JointVector::Zero(6));  // 8 ms on their way
   JointVector sent = JointVector::Zero(6);
   for (int k = 0; k < 2500; ++k) {
@@ -138,7 +138,7 @@ TEST(LagMeter, TheAgeOfTheStateIsNoLag) {
 }
 
 TEST(LagMeter, NeedsMotionAndSurvivesInterruptions) {
-  LagMeter meter(6);
+  LagMeter meter(JointVector::Constant(6, 0.012));
   Plant plant(3, 0.004, 1e-5);
   const Motion motion(8);
   JointVector sent = JointVector::Zero(6);

@@ -5,9 +5,9 @@
 
 #include "support/lagging_arm.hpp"
 #include "support/law_scene.hpp"
+#include "support/measured_follower.hpp"
 #include "support/results.hpp"
 #include "support/test_support.hpp"
-#include "surg_core/law/exact_follower.hpp"
 #include "surg_core/limits/limited_step.hpp"
 
 namespace surg {
@@ -17,6 +17,7 @@ using test::cell;
 using test::kDegrees;
 using test::kT;
 using test::LaggingArm;
+using test::MeasuredFollower;
 using test::number;
 using test::Random;
 using test::Scene;
@@ -104,11 +105,13 @@ Maker paper() {
 }
 
 /// Exact form on a virtual reference, the arm made to follow it.
-Maker exact_follower(double lag, double gain, double learning) {
+Maker exact_follower(double lag, double gain, bool measures) {
   return [=](const Scene& scene, const Path& path) -> Command {
     const NextPose next(scene.chain);
-    ExactFollower follower(scene.chain.dof(),
-                           {lag, gain, learning, kT, scene.velocity, scene.acceleration});
+    const int n = scene.chain.dof();
+    const ExactFollower::Options options{JointVector::Constant(n, lag), gain, kT, scene.velocity,
+                                         scene.acceleration};
+    MeasuredFollower follower(n, options, measures);
     follower.reset(scene.q_home);
     return [=, &scene](const JointVector& q, double t) mutable -> JointVector {
       const Pose X_goal = pose_on_pivot(scene.home, scene.tool, path(t + kT));
@@ -167,7 +170,7 @@ struct Candidate {
   bool on_page = false;
 };
 
-const char* const kDefault = "**exact, virtual reference, lag learnt**";
+const char* const kDefault = "**exact, virtual reference, lag measured**";
 
 std::vector<Candidate> candidates() {
   return {{"paper", paper(), true},
@@ -176,10 +179,10 @@ std::vector<Candidate> candidates() {
           {"velocity form, look-ahead, k = 30 /s", velocity_form(30, true)},
           {"velocity form, look-ahead, k = 50 /s", velocity_form(50, true)},
           {"exact from the measured joints", exact_deadbeat(), true},
-          {"exact, virtual reference, no lag, k = 30 /s", exact_follower(0, 30, 0)},
-          {"exact, virtual reference, lag as stated, k = 30 /s", exact_follower(kLinkLag, 30, 0)},
-          {"exact, virtual reference, lag as stated", exact_follower(kLinkLag, 50, 0), true},
-          {kDefault, exact_follower(kLinkLag, 50, 0.3), true}};
+          {"exact, virtual reference, no lag, k = 30 /s", exact_follower(0, 30, false)},
+          {"exact, virtual reference, lag as stated, k = 30 /s", exact_follower(kLinkLag, 30, false)},
+          {"exact, virtual reference, lag as stated", exact_follower(kLinkLag, 50, false), true},
+          {kDefault, exact_follower(kLinkLag, 50, true), true}};
 }
 
 TEST(LagPlant, CandidateLaws) {
@@ -193,7 +196,7 @@ TEST(LagPlant, CandidateLaws) {
           cell("%.0f", seconds) + " s, " + cell("%d", arms) +
           " arms each, tool 60 mm and 10° aside; pace 3: three times as fast. RCM mean / max µm.",
       {"arm, pace", "paper", "velocity form", "exact from the measured joints",
-       "exact, lag as stated", "**exact, lag learnt**"});
+       "exact, lag as stated", "**exact, lag measured**"});
   for (const bool panda : {false, true}) {
     for (const bool tilted : {false, true}) {
       const Scene scene(panda, tilted);
@@ -218,7 +221,7 @@ TEST(LagPlant, CandidateLaws) {
           }
           ours = f.rcm.mean();
           EXPECT_FALSE(f.diverged) << where;
-          // Three times as fast, accelerations are nine times as large; the lags are still learnt.
+          // Three times as fast, accelerations are nine times as large; the lags are still measured.
           const double times = pace > 1 ? 3 : 1;
           EXPECT_LE(f.rcm.mean(), times * 10e-6) << where;
           EXPECT_LE(f.rcm.largest, times * 30e-6) << where;
@@ -258,15 +261,14 @@ TEST(LagPlant, JointsOfUnequalLagsKeepThePivot) {
       Random random(seed);
       LaggingArm arm(scene.q_home, random, 0.005, 0.012);
       JointVector lags = arm.tau().array() + 0.002;
-      ExactFollower::Options options{lags.maxCoeff(),   50, 0.3, kT, scene.velocity,
-                                     scene.acceleration};
       if (stated[0] == 'l') {
         const double wrong = stated[4] == ',' ? 0.001 : 0;
         for (Eigen::Index i = 0; i < lags.size(); ++i) lags[i] += random.uniform(-wrong, wrong);
-        options.joint_lag = lags;
-        options.lag = lags.maxCoeff();
+      } else {
+        lags.setConstant(lags.maxCoeff());
       }
-      ExactFollower follower(scene.chain.dof(), options);
+      MeasuredFollower follower(scene.chain.dof(),
+                                {lags, 50, kT, scene.velocity, scene.acceleration});
       follower.reset(scene.q_home);
       const NextPose next(scene.chain);
       for (long i = 0; i < std::lround(seconds / kT); ++i) {
@@ -296,13 +298,13 @@ TEST(LagPlant, AWrongLagIsBorne) {
   const Scene scene(true, true);
   const Path path = lissajous(scene, 1);
   for (const double stated : {0.006, 0.012, 0.024}) {
-    for (const double learning : {0.0, 2.0}) {
+    for (const bool measures : {false, true}) {
       Figures f;
-      drive(f, scene, exact_follower(stated, 50, learning), path, seconds, 1);
+      drive(f, scene, exact_follower(stated, 50, measures), path, seconds, 1);
       std::printf("stated %.0f ms, %s: RCM mean %.3g um, max %.3g um\n", 1e3 * stated,
-                  learning > 0 ? "learnt" : "as stated", 1e6 * f.rcm.mean(), 1e6 * f.rcm.largest);
+                  measures ? "measured" : "as stated", 1e6 * f.rcm.mean(), 1e6 * f.rcm.largest);
       EXPECT_FALSE(f.diverged);
-      EXPECT_LE(f.rcm.mean(), learning > 0 ? 10e-6 : 100e-6);
+      EXPECT_LE(f.rcm.mean(), measures ? 10e-6 : 100e-6);
     }
   }
 }
@@ -326,7 +328,8 @@ TEST(LagPlant, TheCommandKeepsTheJointLimitsWhileThePivotHolds) {
       limits.velocity = ExactFollower::kReferenceVelocity * scene.velocity;
       limits.acceleration = ExactFollower::kReferenceAcceleration * scene.acceleration;
       const LimitedStep limited(scene.chain, scene.tool, limits, kT);
-      ExactFollower follower(n, {kLinkLag, 50, 0.3, kT, scene.velocity, scene.acceleration});
+      MeasuredFollower follower(n, {JointVector::Constant(n, kLinkLag), 50, kT, scene.velocity,
+                                    scene.acceleration});
       Random random(3);
       LaggingArm arm(scene.q_home, random);
       follower.reset(arm.measured());
@@ -407,7 +410,8 @@ TEST(LagPlant, ATrocarThatMovesIsFollowed) {
         };
         Random random(5);
         LaggingArm arm(scene.q_home, random);
-        ExactFollower follower(scene.chain.dof(), {lagging ? kLinkLag : 0, 50, 0.3, kT});
+        MeasuredFollower follower(
+            6, {JointVector::Constant(6, lagging ? kLinkLag : 0), 50, kT});
         JointVector q = scene.q_home;
         follower.reset(q);
         Series rcm;

@@ -321,6 +321,9 @@ void bind_config(py::module_& m) {
   const char* text = "Checks the document against the schema. Raises ConfigError.";
   m.def("parse_robot", &parse_robot, py::arg("document"), text);
   m.def("parse_tool", &parse_tool, py::arg("document"), text);
+  m.def("parse_link", &parse_link, py::arg("document"), text);
+  m.def("with_link", &with_link, py::arg("robot"), py::arg("link"),
+        "The robot as a link drives it: its lag, its time-out, its share of the acceleration.");
   m.def("parse_base", &parse_base, py::arg("document"), text);
   m.def("parse_cell", &parse_cell, py::arg("document"), text);
   m.def(

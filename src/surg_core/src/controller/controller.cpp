@@ -17,12 +17,17 @@ bool compensates_lag(const Controller::Options& options) {
   return options.law != Law::kPaper && options.feedback_gain != 0;
 }
 
-/// [s] of each joint for the look-ahead, which only the velocity form needs.
-JointVector look_ahead_lag(const RobotConfig& robot, const Controller::Options& options) {
+/// [s] of each joint, as stated.
+JointVector stated_lag(const RobotConfig& robot) {
   const Eigen::Index n = robot.velocity.size();
-  if (options.law == Law::kExact || !compensates_lag(options)) return JointVector::Zero(n);
   if (robot.joint_lag.size() == n) return robot.joint_lag;
   return JointVector::Constant(n, robot.tuning.link_lag);
+}
+
+/// [s] of each joint for the look-ahead, which only the velocity form needs.
+JointVector look_ahead_lag(const RobotConfig& robot, const Controller::Options& options) {
+  if (options.law != Law::kExact && compensates_lag(options)) return stated_lag(robot);
+  return JointVector::Zero(robot.velocity.size());
 }
 
 /// Joint limits of the step. The virtual reference leaves a reserve for the follower.
@@ -41,10 +46,7 @@ JointLimits step_limits(const RobotConfig& robot, const Limits& limits, Law law)
 ExactFollower::Options follower_options(const RobotConfig& robot, const Limits& limits, double gain,
                                         bool compensates_lag, double T) {
   ExactFollower::Options out;
-  if (compensates_lag) {
-    out.lag = robot.tuning.link_lag;
-    out.joint_lag = robot.joint_lag;
-  }
+  if (compensates_lag) out.servo = stated_lag(robot);
   out.gain = gain;
   out.T = T;
   out.velocity = robot.velocity;
@@ -119,6 +121,7 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
       clearance(clearance_in, robot_in.tuning.link_lag, options.dt),
       follower(chain.dof(), follower_options(robot_in, limits_in, gains.rcm,
                                              compensates_lag(options), options.dt)),
+      lag_meter(stated_lag(robot_in)),
       elbow(chain, step_limits(robot_in, limits_in, options.law), robot_in.elbow, options.dt),
       standstill(robot_in.tuning.link_timeout),
       state_check(chain, robot_in.home, robot_in.acceleration),

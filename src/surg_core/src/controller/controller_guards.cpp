@@ -7,7 +7,7 @@ namespace surg {
 namespace {
 
 constexpr double kFollowDistance =
-    0.01;                             // [m] set-point to measured tip; beyond it the arm is stuck
+    0.01;                             // [m] expected to measured tip; beyond it the arm is stuck
 constexpr double kToolTimeout = 0.2;  // [s] without a jaw state (F31)
 constexpr double kDelayDecay = 0.5;   // [s] time constant of the recent state age
 constexpr double kDampedLoop = 0.6;   // gain times delay of a loop that is well damped
@@ -123,6 +123,7 @@ void Controller::Impl::guard_robot(const Inputs& in) {
 void Controller::Impl::measure_lag(const Inputs& in) {
   if (enabled()) {
     lag_meter.step(qd_last, q, in.state_age, clock.elapsed());
+    if (gains.rcm > 0) follower.set_link(lag_meter.link());
   } else {
     lag_meter.interrupt();
   }
@@ -136,9 +137,9 @@ void Controller::Impl::measure_clearance(const Inputs& in) {
 
 double Controller::Impl::feedback_scale() const {
   const double delay = std::max(state_delay, 0.0) + 0.5 * std::max(clock.excess(), 0.0);
-  if (delay <= 0 || gains.rcm <= 0) return 1;
-  const double fresh = std::max(robot.tuning.link_lag, kDampedLoop / gains.rcm);
-  return fresh / (fresh + kRoundTrip * delay);
+  if (gains.rcm <= 0) return 1;
+  const double damped = kDampedLoop / gains.rcm, lag = lag_meter.link().slowest();
+  return damped / (std::max(lag, damped) + kRoundTrip * delay);
 }
 
 void Controller::Impl::update_trocar(const Inputs& in) {
@@ -206,7 +207,7 @@ bool Controller::Impl::stands_still() {
     return false;
   }
   const double dt = clock.periods() * T;
-  if (!standstill.stands_still(qd_last, q, arm.measured().J, dt)) return false;
+  if (!standstill.stands_still(qd_last, q, dt)) return false;
   standstill.restart();
   return true;
 }
@@ -230,9 +231,14 @@ void Controller::Impl::guard_pivot() {
     if (track_rcm) trocar = trocar_before;
     return;
   }
-  // A blocked arm must not jump to its set-point when it is released.
-  const double behind = (X_BR * handler.setpoint().p_RTip() - shaft().p_BTip).norm();
+  // A blocked arm must not jump to its reference when it is released.
+  const double behind = (expected_tip() - shaft().p_BTip).norm();
   if (!(behind <= kFollowDistance)) stop_from_measured(Reason::kNotFollowing);
+}
+
+Vector3 Controller::Impl::expected_tip() const {
+  if (law != Law::kExact) return X_BR * handler.setpoint().p_RTip();
+  return arm.chain().forward(follower.expected()) * arm.tool().p_FTip;
 }
 
 void Controller::Impl::guard_force(const Inputs& in) {

@@ -71,9 +71,9 @@ struct Controller::Impl {
   LimitedStep limited;
   ClearanceGuard clearance;
   ExactFollower follower;
+  LagMeter lag_meter;
   ElbowMotion elbow;
   JointTrace trace;  // the way back
-  LagMeter lag_meter;
   StandstillGuard standstill;
   StateCheck state_check;
 
@@ -176,6 +176,9 @@ struct Controller::Impl {
   void check_tool_link(const Inputs& in);
   /// F23: stops an arm that is off the trocar or does not follow.
   void guard_pivot();
+  /// [m] Where the tip of an arm is that follows its commands as the link's lag says, in B. The
+  /// velocity form has no reference: it is the set-point.
+  Vector3 expected_tip() const;
   /// F25: yields to the force at the tip, pauses, stops or fades.
   void guard_force(const Inputs& in);
   void gate(const Inputs& in);

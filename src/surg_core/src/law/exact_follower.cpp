@@ -8,61 +8,70 @@
 namespace surg {
 namespace {
 
-constexpr double kMaxLagRatio = 3;    // estimated over stated lag
-constexpr double kPhiFloor = 0.003;   // [rad/s] regularises the gradient step
-constexpr int kSettling = 50;         // [periods] after a gap before lags are adapted again
-constexpr int kDistrust = 1000;       // [periods] after an error that no lag explains
-constexpr double kAnyError = 1e-3;    // [rad] a smaller one may be a lag's
-constexpr double kCautious = 0.65;    // of the gain, while the link's lag is in doubt
-constexpr double kSlowFlange = 0.6;   // of the flange's speed, meanwhile
-constexpr double kSlowing = 0.3;      // [s] until the flange is that slow
-constexpr double kHastening = 1.5;    // [s] until it is fast again
+constexpr double kLagRate = 0.02;     // of the joint's way: how fast another lag is taken up
+constexpr double kAtOnce = 1e-6;      // [s] a servo that has no lag
 constexpr double kEnoughRoom = 0.02;  // [rad/s] a correction that lacks less needs no room
-constexpr double kAdaptAbove =
-    0.7;  // feedback_scale below which the error may be due to late states
 
 }  // namespace
 
-ExactFollower::ExactFollower(int joints, const Options& options)
-    : options_(options),
-      lag_(options.joint_lag.size() == joints
-               ? options.joint_lag
-               : JointVector(JointVector::Constant(joints, options.lag))) {
-  const double periods = options_.lag / options_.T;
-  const bool listed = options_.joint_lag.size() == joints;
-  // Rounded up, so that no joint of a list is ever ahead of the reference.
-  n_late_ = static_cast<int>(
-      std::clamp(listed ? std::ceil(periods) : std::round(periods), 0.0, kHistory - 1.0));
-  smoothing_ = listed ? 1 / (n_late_ + 1.0) : 1;
+ExactFollower::ExactFollower(int joints, const Options& options) : options_(options) {
+  const bool stated = options.servo.size() == joints;
+  link_.servo = stated ? options.servo : JointVector(JointVector::Zero(joints));
+  measured_ = link_;
   reset(JointVector::Zero(joints));
 }
 
 void ExactFollower::reset(const JointVector& q, const JointVector& qd) {
-  q_ref_ = q;
-  v_last_.setZero(q.size());
-  qd_last_ = qd.size() == q.size() ? qd : JointVector(JointVector::Zero(q.size()));
+  q_ref_ = expected_ = q;
+  v_last_ = smooth_ = late_ = rate_ = cut_ = JointVector::Zero(q.size());
+  qd_last_ = qd.size() == q.size() ? qd : v_last_;
   correction_ = qd_last_;
-  cut_.setZero(q.size());
-  phi_.setZero(q.size());
-  history_.fill({q, JointVector::Zero(q.size())});
+  history_.fill(q);
   newest_ = 0;
   rejoins_ = false;
 }
 
-/// The reference's velocity over a step, after which it is in the history.
-JointVector ExactFollower::push_reference(const JointVector& dq) {
-  const JointVector v = dq / options_.T;
-  JointVector a = (v - v_last_) / options_.T;
-  if (smoothing_ < 1) a = history_[newest_].a + smoothing_ * (a - history_[newest_].a);
+/// One period of the reference, and of the arm that does what the link's lag says.
+void ExactFollower::move_reference(const JointVector& dq) {
+  const JointVector then = delayed_reference();
+  q_ref_ += dq;
   newest_ = (newest_ + 1) % kHistory;
-  history_[newest_] = {q_ref_, a};
-  return v;
+  history_[newest_] = q_ref_;
+  v_last_ = dq / options_.T;
+  approach_link();
+  const JointVector now = delayed_reference();
+  smooth_ += servo_share() * (v_last_ - smooth_);
+  late_ += servo_share() * ((now - then) / options_.T - late_);
+  const JointVector before = expected_;
+  expected_ = now - link_.servo.maxCoeff() * late_;
+  rate_ = (expected_ - before) / options_.T;
+}
+
+/// Another lag moves the expected arm along its path, by a small share of the path's speed.
+void ExactFollower::approach_link() {
+  const double most = kLagRate * options_.T;
+  const auto approach = [&](double& now, double then) { now += std::clamp(then - now, -most, most); };
+  approach(link_.dead_time, measured_.dead_time);
+  for (Eigen::Index i = 0; i < link_.servo.size(); ++i) {
+    approach(link_.servo[i], measured_.servo[i]);
+  }
+}
+
+/// Of a new velocity, that the slowest servo takes up within one period.
+double ExactFollower::servo_share() const {
+  return -std::expm1(-options_.T / std::max(link_.servo.maxCoeff(), kAtOnce));
+}
+
+/// The reference a dead time before the next cycle.
+JointVector ExactFollower::delayed_reference() const {
+  const double periods = std::min(link_.dead_time / options_.T, kHistory - 2.0);
+  const int whole = static_cast<int>(periods);
+  const auto at = [&](int back) { return history_[(newest_ + kHistory - back) % kHistory]; };
+  return at(whole) + (periods - whole) * (at(whole + 1) - at(whole));
 }
 
 void ExactFollower::skip(const JointVector& dq) {
-  v_last_ = push_reference(dq);
-  q_ref_ += dq;
-  phi_ += options_.T * (delayed_reference().a - options_.gain * phi_);
+  move_reference(dq);
   rejoins_ = true;
 }
 
@@ -70,7 +79,6 @@ void ExactFollower::coast() {
   const bool rejoins = rejoins_;
   skip(options_.T * v_last_);
   rejoins_ = rejoins;  // the correction goes on as well
-  settling_ = kSettling;
 }
 
 void ExactFollower::take_up(const JointVector& qd) {
@@ -80,44 +88,24 @@ void ExactFollower::take_up(const JointVector& qd) {
 
 JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, const Jacobian& J,
                                    double feedback_scale, double since, const Push* push) {
-  // Gain times lag must stay well below pi / 2, and the lag may be twice the stated one.
-  const double trust = in_doubt() ? kCautious : 1;
-  const double gain = trust * feedback_scale * options_.gain;
-  const JointVector v = push_reference(dq);
-  const JointVector& a = history_[newest_].a;
-  JointVector late = delayed_reference().q;
-  if (since > 0) {
-    const JointVector next = n_late_ == 0
-                                 ? JointVector(q_ref_ + dq)
-                                 : history_[(newest_ + kHistory - n_late_ + 1) % kHistory].q;
-    late += since / options_.T * (next - late);
-  }
-  JointVector error = late - q;
+  const double gain = feedback_scale * options_.gain;
+  const JointVector v = dq / options_.T;
+  JointVector error = expected_ + since * rate_ - q;
   // An arm that overshot away from the force stays there: the way back raises the force.
   const double into = push ? -push->tip.dot(error) : 0.0;
   if (into > 0) error += into * push->way;
   if (rejoins_) {  // from the last command, all joints by one factor
     correction_ = qd_last_ - v;
     rejoins_ = false;
-    settling_ = kSettling;
   }
-  settling_ = std::max(settling_ - 1, 0);
-  JointVector change(q.size());
-  const double pulled = share_of_pull(error, gain);
-  const bool linear = !(into > 0) && pulled == 1;
-  for (Eigen::Index i = 0; i < q.size(); ++i) {
-    change[i] = (lag_[i] - delay()) * a[i] + pulled * (gain * error[i]) - correction_[i];
-  }
+  // The commands stand for a period: with this share the joints lag alike by their sampled motion.
+  const JointVector quicker = link_.servo.maxCoeff() - link_.servo.array();
+  const JointVector held = (servo_share() / options_.T * quicker).cwiseProduct(smooth_ - v);
+  const JointVector change = held + share_of_pull(error, gain) * gain * error - correction_;
   const double share = largest_share(v + correction_, change);
   correction_ += share * change;
   cut_ = (1 - share) * change;
-  phi_ += options_.T * (delayed_reference().a - gain * phi_);
-  if (!explained_by_lags(error)) settling_ = kDistrust;
-  pace_flange();
-  // Limits or late states also cause errors; those do not depend on the lags.
-  if (linear && share == 1 && settling_ == 0 && feedback_scale > kAdaptAbove) adapt_lags(error);
-  q_ref_ += dq;
-  v_last_ = v;
+  move_reference(dq);
   qd_last_ = within_limits(v + correction_, J);
   return qd_last_;
 }
@@ -172,35 +160,6 @@ JointVector ExactFollower::within_limits(JointVector qd, const Jacobian& J) cons
 
 JointVector ExactFollower::wanted_room() const {
   return cut_ - cut_.cwiseMax(-kEnoughRoom).cwiseMin(kEnoughRoom);
-}
-
-/// A lag wrong by as much as the stated one leaves an error of lag * phi.
-bool ExactFollower::explained_by_lags(const JointVector& error) const {
-  return (error.array().abs() <= options_.lag * phi_.array().abs() + kAnyError).all();
-}
-
-/// Whether an error that no lag explains is less than two seconds old.
-bool ExactFollower::in_doubt() const { return settling_ > kSettling; }
-
-/// Gradually: hard braking would bend the path of the joints.
-void ExactFollower::pace_flange() {
-  const double rate = (1 - kSlowFlange) * (in_doubt() ? -1 / kSlowing : 1 / kHastening);
-  flange_share_ = std::clamp(flange_share_ + options_.T * rate, kSlowFlange, 1.0);
-}
-
-void ExactFollower::adapt_lags(const JointVector& error) {
-  for (Eigen::Index i = 0; i < lag_.size(); ++i) {
-    const double step = error[i] * phi_[i] / (phi_[i] * phi_[i] + kPhiFloor * kPhiFloor);
-    // A value that is not finite leaves the lag unchanged.
-    const double moved = lag_[i] + options_.learning * options_.T * step;
-    if (moved > 0 && moved < kMaxLagRatio * options_.lag) lag_[i] = moved;
-  }
-}
-
-double ExactFollower::tracking_error(const JointVector& q) const {
-  const JointVector& then =
-      n_late_ == 0 ? q_ref_ : history_[(newest_ + kHistory - n_late_ + 1) % kHistory].q;
-  return (then - q).cwiseAbs().maxCoeff();
 }
 
 }  // namespace surg

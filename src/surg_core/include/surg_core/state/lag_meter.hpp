@@ -1,41 +1,77 @@
-// Measures the lag of a robot link from ordinary motion.
+// Measures the lag of a robot link from ordinary motion: dead time and each joint's servo.
 #pragma once
+
+#include <array>
+#include <cmath>
 
 #include "surg_core/types.hpp"
 
 namespace surg {
 
-/// Estimates the time from a velocity command to the motion it causes: dead time plus the time
-/// constant of the velocity servo.
+/// A link that obeys velocity commands after a dead time, common to its joints, each joint with a
+/// servo of the first order: q' = c'(t - dead_time) / (1 + servo s).
+struct LinkLag {
+  double dead_time = 0;  ///< [s]
+  JointVector servo;     ///< [s] time constant of each joint
+  /// [s] of the slowest joint.
+  double slowest() const { return dead_time + (servo.size() > 0 ? servo.maxCoeff() : 0.0); }
+};
+
+/// Estimates a LinkLag by least squares over the recent past. The integrated commands c and the
+/// measured positions q pass the same high-pass filter, which removes their constant difference.
+/// For each dead time of a grid:
 ///
-/// The integrated commands c lead the measured positions q by the lag times the velocity. Both pass
-/// the same high-pass filter, which removes their constant difference:
+///   c(t - dead_time) - q = servo * v,   servo = sum (c - q) v / sum v^2   of each joint.
 ///
-///   c - q = lag * v,   lag = sum (c - q) v / sum v^2   over all joints and the recent past.
-///
-/// Of all joints together, and of each of them. The estimate needs motion; until enough of it has
-/// been seen, it is NaN.
+/// The dead time is the one that leaves the least. Only quick motion tells dead time from servo, and
+/// only then the difference matters. The stated lags count like a little motion that was seen
+/// before, so nothing leaps when the arm begins to move.
 class LagMeter {
  public:
-  explicit LagMeter(int joints = 0) { restart(joints); }
+  /// stated [s]: the lag of each joint, taken for a servo's until the motion shows otherwise.
+  explicit LagMeter(const JointVector& stated = {});
 
   /// Call it once per cycle. qd_command: sent in the previous cycle [rad/s]; q: measured now [rad];
   /// age: of q [s]; dt: since the previous cycle [s].
   void step(const JointVector& qd_command, const JointVector& q, double age, double dt);
   /// Call it in cycles in which the arm does not obey commands. The estimate is kept.
   void interrupt() { running_ = false; }
-  /// [s] of all joints together, or NaN.
-  double lag() const { return lag_of(cross_.sum(), square_.sum()); }
-  /// [s] of each joint, or NaN.
+  /// Dead time and servos, from what was stated and what was measured.
+  const LinkLag& link() const { return link_; }
+  /// [s] measured, of all joints together; NaN before enough motion was seen.
+  double lag() const;
+  /// [s] measured, of each joint; NaN before enough motion was seen.
   JointVector joint_lag() const;
 
- private:
-  void restart(int joints);
-  static double lag_of(double cross, double square);
 
+ private:
+  static constexpr int kGrid = 24;          // dead times: 0 to 46 ms
+  static constexpr double kStep = 0.002;    // [s] from one to the next
+  static constexpr int kHistory = 2 * kGrid + 48;  // [cycles] of at least half a step
+  struct Command {
+    double t;       // [s]
+    JointVector c;  // [rad] integrated and filtered
+  };
+  using Sums = Eigen::Array<double, kMaxJoints, kGrid>;
+
+  void restart(const JointVector& q);
+  void note_command(double keep);
+  Sums leads(double age) const;
+  void estimate();
+  /// A sum at the estimated dead time.
+  double at_dead_time(const Sums& sums, Eigen::Index joint) const;
+
+  JointVector stated_;
   bool running_ = false;
-  JointVector q_last_, lead_, moved_;  // lead_: filtered c - q; moved_: filtered q
-  JointVector cross_, square_;         // the two sums of each joint, in [rad^2] and [rad^2 / s]
+  double t_ = 0, waited_ = 0;       // [s]; waited_: since the last cycle that counted
+  JointVector commanded_, q_last_;  // [rad] since the last cycle that counted; measured there
+  JointVector c_, q_;               // [rad] both, filtered
+  std::array<Command, kHistory> history_;
+  int newest_ = 0, known_ = 0;
+  Sums lead_;                    // [rad] c - q in the last cycle that counted
+  Sums cross_, left_;            // sum (c - q) v dt, sum (c - q)^2 dt
+  JointVector square_;           // sum v^2 dt [rad^2 / s]
+  LinkLag link_;
 };
 
 }  // namespace surg

@@ -5,24 +5,22 @@
 
 namespace surg {
 
-/// Compares the flange's commanded with its measured displacement over the last second or so. Both
+/// Compares the joints' commanded with their measured displacement over the last second or so. Both
 /// are sums that fade out, so an arm that lags, or a hand that trembles, is no standstill. The
 /// measured one is taken from positions: their noise does not add up.
 class StandstillGuard {
  public:
   static constexpr double kMemory = 1.0;      ///< [s] time constant of both displacements
-  static constexpr double kCommanded = 5e-4;  ///< [m] commanded displacement that must be seen
+  static constexpr double kCommanded = 1e-3;  ///< [rad] commanded displacement that must be seen
   static constexpr double kShare = 0.25;      ///< of the commanded displacement that must be seen
   static constexpr double kLasting = 0.2;     ///< [s] of a standstill, beyond the link's time-out
-  static constexpr double kLever = 0.1;       ///< [m/rad] weighs rotation against displacement
 
   /// link_timeout [s]: a link may obey that late.
   explicit StandstillGuard(double link_timeout) : patience_(kLasting + link_timeout) {}
 
-  /// Call it once per cycle. qd: commanded in the last cycle [rad/s]; q: measured [rad], with the
-  /// flange's Jacobian J there; dt [s]: since the last cycle. Returns whether the arm stands still
-  /// against its commands.
-  bool stands_still(const JointVector& qd, const JointVector& q, const Jacobian& J, double dt);
+  /// Call it once per cycle. qd: commanded in the last cycle [rad/s]; q: measured [rad]; dt [s]:
+  /// since the last cycle. Returns whether the arm stands still against its commands.
+  bool stands_still(const JointVector& qd, const JointVector& q, double dt);
   /// Forgets what was commanded, for cycles in which the arm need not obey.
   void restart() { started_ = false; }
 
@@ -30,8 +28,7 @@ class StandstillGuard {
   double patience_;
   bool started_ = false;
   double lasted_ = 0;  // [s]
-  JointVector q_last_;
-  Vector6 commanded_ = Vector6::Zero(), measured_ = Vector6::Zero();
+  JointVector q_last_, commanded_, measured_;
 };
 
 }  // namespace surg
