@@ -735,7 +735,8 @@ class Run {
   Failure stillness(const Inputs& in, const Outputs& out) {
     const bool still = out.qd_command.norm() == 0 && out.twist_command.norm() == 0;
     if (!still && !out.homed) return {"halt", "moves without home"};
-    const bool slower = still || out.qd_command.norm() < last_.norm();
+    // A starved controller withholds its command: nothing new reaches the arm.
+    const bool slower = still || out.withheld || out.qd_command.norm() < last_.norm();
     if ((blind_ || force_halt_) && !(timing_ == kOnTime ? faded(out) : slower)) {
       return {"fade", blind_ ? "does not fade without a joint state"
                              : "does not fade against a hard or unknown force"};

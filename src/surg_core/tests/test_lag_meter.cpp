@@ -105,7 +105,7 @@ TEST(LagMeter, FindsTheLagOfEachJoint) {
     const Motion motion(seed);
     LagMeter meter(JointVector::Constant(6, 0.012));
     JointVector sent = JointVector::Zero(6), q = sent;
-    for (int k = 0; k < 2500; ++k) {
+    for (int k = 0; k < 10000; ++k) {
       for (int i = 0; i < 6; ++i) q[i] = joints[i].measured()[i];
       meter.step(sent, q, 0, kT);
       sent = motion.at(k * kT);

@@ -173,16 +173,17 @@ struct Candidate {
 const char* const kDefault = "**exact, virtual reference, lag measured**";
 
 std::vector<Candidate> candidates() {
-  return {{"paper", paper(), true},
-          {"velocity form, k = 30 /s", velocity_form(30, false)},
-          {"velocity form", velocity_form(50, false), true},
-          {"velocity form, look-ahead, k = 30 /s", velocity_form(30, true)},
-          {"velocity form, look-ahead, k = 50 /s", velocity_form(50, true)},
-          {"exact from the measured joints", exact_deadbeat(), true},
-          {"exact, virtual reference, no lag, k = 30 /s", exact_follower(0, 30, false)},
-          {"exact, virtual reference, lag as stated, k = 30 /s", exact_follower(kLinkLag, 30, false)},
-          {"exact, virtual reference, lag as stated", exact_follower(kLinkLag, 50, false), true},
-          {kDefault, exact_follower(kLinkLag, 50, true), true}};
+  return {
+      {"paper", paper(), true},
+      {"velocity form, k = 30 /s", velocity_form(30, false)},
+      {"velocity form", velocity_form(50, false), true},
+      {"velocity form, look-ahead, k = 30 /s", velocity_form(30, true)},
+      {"velocity form, look-ahead, k = 50 /s", velocity_form(50, true)},
+      {"exact from the measured joints", exact_deadbeat(), true},
+      {"exact, virtual reference, no lag, k = 30 /s", exact_follower(0, 30, false)},
+      {"exact, virtual reference, lag as stated, k = 30 /s", exact_follower(kLinkLag, 30, false)},
+      {"exact, virtual reference, lag as stated", exact_follower(kLinkLag, 50, false), true},
+      {kDefault, exact_follower(kLinkLag, 50, true), true}};
 }
 
 TEST(LagPlant, CandidateLaws) {
@@ -221,7 +222,8 @@ TEST(LagPlant, CandidateLaws) {
           }
           ours = f.rcm.mean();
           EXPECT_FALSE(f.diverged) << where;
-          // Three times as fast, accelerations are nine times as large; the lags are still measured.
+          // Three times as fast, accelerations are nine times as large; the lags are still
+          // measured.
           const double times = pace > 1 ? 3 : 1;
           EXPECT_LE(f.rcm.mean(), times * 10e-6) << where;
           EXPECT_LE(f.rcm.largest, times * 30e-6) << where;
@@ -244,7 +246,7 @@ Path hand(const Scene& scene) {
   };
 }
 
-/// The lag of each joint as a list: right, or each wrong by up to 1 ms.
+/// Measured, whatever was stated: one lag for all joints, a list, a list wrong by up to 1 ms.
 TEST(LagPlant, JointsOfUnequalLagsKeepThePivot) {
   const double seconds = test::family(8, 60);
   const int arms = test::family(2, 10);
@@ -254,7 +256,6 @@ TEST(LagPlant, JointsOfUnequalLagsKeepThePivot) {
                   {"stated", "RCM mean µm", "RCM max µm"});
   const Scene scene(false, true);
   const Path path = hand(scene);
-  double one = 0;
   for (const char* stated : {"one value", "list", "list, wrong by up to 1 ms"}) {
     Series rcm;
     for (int seed = 1; seed <= arms; ++seed) {
@@ -281,13 +282,7 @@ TEST(LagPlant, JointsOfUnequalLagsKeepThePivot) {
     }
     results().row({stated, number(1e6 * rcm.mean()), number(1e6 * rcm.largest)});
     std::printf("%s: mean %.1f, max %.1f um\n", stated, 1e6 * rcm.mean(), 1e6 * rcm.largest);
-    if (stated[0] == 'o') {
-      one = rcm.largest;
-      continue;
-    }
-    const bool right = stated[4] != ',';
-    EXPECT_LE(rcm.largest, (right ? test::family(30, 45) : 60) * 1e-6) << stated;
-    EXPECT_LE(rcm.largest, one / (right ? test::family(5, 3) : 2)) << stated;
+    EXPECT_LE(rcm.largest, 30e-6) << stated;
   }
   test::report("arms with random lags", arms);
 }
@@ -328,8 +323,8 @@ TEST(LagPlant, TheCommandKeepsTheJointLimitsWhileThePivotHolds) {
       limits.velocity = ExactFollower::kReferenceVelocity * scene.velocity;
       limits.acceleration = ExactFollower::kReferenceAcceleration * scene.acceleration;
       const LimitedStep limited(scene.chain, scene.tool, limits, kT);
-      MeasuredFollower follower(n, {JointVector::Constant(n, kLinkLag), 50, kT, scene.velocity,
-                                    scene.acceleration});
+      MeasuredFollower follower(
+          n, {JointVector::Constant(n, kLinkLag), 50, kT, scene.velocity, scene.acceleration});
       Random random(3);
       LaggingArm arm(scene.q_home, random);
       follower.reset(arm.measured());
@@ -410,8 +405,7 @@ TEST(LagPlant, ATrocarThatMovesIsFollowed) {
         };
         Random random(5);
         LaggingArm arm(scene.q_home, random);
-        MeasuredFollower follower(
-            6, {JointVector::Constant(6, lagging ? kLinkLag : 0), 50, kT});
+        MeasuredFollower follower(6, {JointVector::Constant(6, lagging ? kLinkLag : 0), 50, kT});
         JointVector q = scene.q_home;
         follower.reset(q);
         Series rcm;

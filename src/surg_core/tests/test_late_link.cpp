@@ -246,9 +246,8 @@ TEST(LateLink, AFastHandBehindALinkThatComesLateStaysOnThePivot) {
             law == Law::kExact ? "exact" : "velocity", name_of(panda), name_of(kind),
             1e3 * storm.worst, 1e3 * peaks, storm.way, storm.faults, storm.pauses);
         EXPECT_LT(storm.worst, allowed(law, panda));
-        // While the link is in doubt the flange is slow: without that 0.16 to 0.21 and 0.28 to
-        // 0.34.
-        const double usual = panda ? 0.00023 : 0.00017;
+        // While the arm is late the flange is slow: without that 0.31 to 0.58 mm.
+        const double usual = panda ? 0.00027 : 0.00021;
         EXPECT_TRUE(law != Law::kExact || peaks < usual) << peaks;
         EXPECT_EQ(storm.faults, 0);
         EXPECT_LE(storm.pauses, test::family(0, 2));  // measured: 1 in 60 runs

@@ -298,7 +298,8 @@ void Controller::Impl::resync_setpoint(const JointVector& qd) {
 double Controller::Impl::flange_lead() const {
   const Jacobian& J = arm.measured().J;
   const double lead = (J * qd_last).head<3>().norm() - (J * follower.velocity()).head<3>().norm();
-  return std::clamp(lead, 0.0, kMaxFlangeLead * limits.flange_velocity);
+  const double slower = (1 - follower.flange_share()) * limits.flange_velocity;
+  return std::clamp(lead + slower, 0.0, kMaxFlangeLead * limits.flange_velocity);
 }
 
 double Controller::Impl::time_to_rest(const JointVector& of) const {

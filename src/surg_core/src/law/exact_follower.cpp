@@ -8,8 +8,16 @@
 namespace surg {
 namespace {
 
-constexpr double kLagRate = 0.02;     // of the joint's way: how fast another lag is taken up
-constexpr double kAtOnce = 1e-6;      // [s] a servo that has no lag
+constexpr double kLagRate = 0.02;    // of the joint's way: how fast another lag is taken up
+constexpr double kMostLate = 0.04;   // [s] that an arm may be late on its way
+constexpr double kCatchUp = 2;       // [1/s] at which it makes up for it
+constexpr double kForget = 20;       // [1/s]
+constexpr double kSlowWay = 0.1;     // [rad/s] a slower reference does not tell how late the arm is
+constexpr double kLate = 0.006;      // [s] so late, the flange shall be slower
+constexpr double kSlowFlange = 0.6;  // of the flange's speed, meanwhile
+constexpr double kSlowing = 0.3;    // [s] until the flange is that slow; hard braking bends the way
+constexpr double kHastening = 1.5;  // [s] until it is fast again
+constexpr double kAtOnce = 1e-6;    // [s] a servo that has no lag
 constexpr double kEnoughRoom = 0.02;  // [rad/s] a correction that lacks less needs no room
 
 }  // namespace
@@ -27,7 +35,9 @@ void ExactFollower::reset(const JointVector& q, const JointVector& qd) {
   qd_last_ = qd.size() == q.size() ? qd : v_last_;
   correction_ = qd_last_;
   history_.fill(q);
+  way_.fill(q);
   newest_ = 0;
+  behind_ = 0;
   rejoins_ = false;
 }
 
@@ -45,12 +55,38 @@ void ExactFollower::move_reference(const JointVector& dq) {
   const JointVector before = expected_;
   expected_ = now - link_.servo.maxCoeff() * late_;
   rate_ = (expected_ - before) / options_.T;
+  way_[newest_] = expected_;
+}
+
+/// Where an arm is expected that is 'behind_' late on its way.
+JointVector ExactFollower::on_its_way(double behind) const {
+  const double periods = std::min(behind / options_.T, kHistory - 2.0);
+  const int whole = static_cast<int>(periods);
+  const auto at = [&](int back) { return way_[(newest_ + kHistory - back) % kHistory]; };
+  return at(whole) + (periods - whole) * (at(whole + 1) - at(whole));
+}
+
+/// One step towards the nearest point of the way.
+void ExactFollower::find_lateness(const JointVector& q, double since) {
+  const double T = options_.T, at = std::max(behind_ - since, 0.0);
+  const JointVector here = on_its_way(at);
+  const JointVector rate = (here - on_its_way(at + T)) / T;
+  const double late = rate.dot(here - q) / (rate.squaredNorm() + kSlowWay * kSlowWay);
+  if (std::isfinite(late)) {
+    behind_ =
+        std::clamp((1 - kForget * T) * behind_ + std::clamp(late, -2 * T, 2 * T), 0.0, kMostLate);
+  }
+  const double rate_of_share =
+      (1 - kSlowFlange) * (behind_ > kLate ? -1 / kSlowing : 1 / kHastening);
+  flange_share_ = std::clamp(flange_share_ + T * rate_of_share, kSlowFlange, 1.0);
 }
 
 /// Another lag moves the expected arm along its path, by a small share of the path's speed.
 void ExactFollower::approach_link() {
   const double most = kLagRate * options_.T;
-  const auto approach = [&](double& now, double then) { now += std::clamp(then - now, -most, most); };
+  const auto approach = [&](double& now, double then) {
+    now += std::clamp(then - now, -most, most);
+  };
   approach(link_.dead_time, measured_.dead_time);
   for (Eigen::Index i = 0; i < link_.servo.size(); ++i) {
     approach(link_.servo[i], measured_.servo[i]);
@@ -90,7 +126,9 @@ JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, 
                                    double feedback_scale, double since, const Push* push) {
   const double gain = feedback_scale * options_.gain;
   const JointVector v = dq / options_.T;
-  JointVector error = expected_ + since * rate_ - q;
+  find_lateness(q, since);
+  const double ahead = since - behind_;
+  JointVector error = (ahead > 0 ? JointVector(expected_ + ahead * rate_) : on_its_way(-ahead)) - q;
   // An arm that overshot away from the force stays there: the way back raises the force.
   const double into = push ? -push->tip.dot(error) : 0.0;
   if (into > 0) error += into * push->way;
@@ -101,7 +139,9 @@ JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, 
   // The commands stand for a period: with this share the joints lag alike by their sampled motion.
   const JointVector quicker = link_.servo.maxCoeff() - link_.servo.array();
   const JointVector held = (servo_share() / options_.T * quicker).cwiseProduct(smooth_ - v);
-  const JointVector change = held + share_of_pull(error, gain) * gain * error - correction_;
+  const double hurry = gain > 0 ? kCatchUp * behind_ : 0;
+  const JointVector change =
+      held + hurry * rate_ + share_of_pull(error, gain) * gain * error - correction_;
   const double share = largest_share(v + correction_, change);
   correction_ += share * change;
   cut_ = (1 - share) * change;

@@ -13,23 +13,24 @@ namespace surg {
 ///
 ///   qd = v - (D - servo_i) a + feedback (expected - q),   a = s v / (1 + D s)
 ///
-/// D is the slowest joint's servo, and the filter is the one of sampled commands. The command of joint i is the reference's velocity through
-/// (1 + servo_i s) / (1 + D s). Behind dead time and servo, the same is left for every joint:
-/// exp(-dead_time s) / (1 + D s). Through this the reference passes to become 'expected': where an
-/// arm is that does what the link's lag says. The reference satisfies the constraint and has neither
-/// noise nor lag, so an arm of this kind stays on the pivot, only later. Compensating the common lag
-/// would amplify every jerk of the input. The command never asks for more velocity or acceleration
-/// than the reference (docs/design/control_law.md).
+/// D is the slowest joint's servo, and the filter is the one of sampled commands. The command of
+/// joint i is the reference's velocity through (1 + servo_i s) / (1 + D s). Behind dead time and
+/// servo, the same is left for every joint: exp(-dead_time s) / (1 + D s). Through this the
+/// reference passes to become 'expected': where an arm is that does what the link's lag says. The
+/// reference satisfies the constraint and has neither noise nor lag, so an arm of this kind stays
+/// on the pivot, only later. Compensating the common lag would amplify every jerk of the input. The
+/// command never asks for more velocity or acceleration than the reference
+/// (docs/design/control_law.md).
 ///
 /// The lag is measured (LagMeter), and a new value is taken up gradually. The feedback acts on
 /// joints, so pivot, tip and roll converge together.
 ///
 /// The feedback is gain e. For a large e it is less, by one factor for all joints: as much as lets
-/// every joint brake to the reference at half its acceleration limit. The caller reduces the gain by
-/// feedback_scale for a long lag and for measured states that are late. The command keeps the joint
-/// limits in every case. The correction added to v is scaled by one factor for all joints as far as
-/// possible: scaling joint by joint would move the pivot ten times as much. What the limits withheld
-/// of it, the next step of the reference leaves room for (wanted_room).
+/// every joint brake to the reference at half its acceleration limit. The caller reduces the gain
+/// by feedback_scale for a long lag and for measured states that are late. The command keeps the
+/// joint limits in every case. The correction added to v is scaled by one factor for all joints as
+/// far as possible: scaling joint by joint would move the pivot ten times as much. What the limits
+/// withheld of it, the next step of the reference leaves room for (wanted_room).
 class ExactFollower {
  public:
   // What the reference may use; the rest is for the correction.
@@ -76,14 +77,20 @@ class ExactFollower {
   /// rest. A reference that takes all of a joint's acceleration for itself would keep a correction
   /// that has become wrong for as long as it brakes, and the arm off its pivot.
   JointVector wanted_room() const;
+  /// Share of the flange's speed limit that the reference may use: less while the arm is late on
+  /// its way, because an arm that repeats a command leaves a path that bends by the square of the
+  /// speed.
+  double flange_share() const { return flange_share_; }
   /// Velocity of the reference in the last period [rad/s].
   const JointVector& velocity() const { return v_last_; }
   /// Serializes everything that a step reads (snapshot.hpp).
   template <typename Archive>
   void serialize(Archive& archive) {
-    archive(q_ref_, v_last_, qd_last_, correction_, smooth_, late_, expected_, rate_, cut_, rejoins_,
-            newest_, link_.dead_time, link_.servo, measured_.dead_time, measured_.servo);
+    archive(q_ref_, v_last_, qd_last_, correction_, smooth_, late_, expected_, rate_, cut_,
+            rejoins_, newest_, link_.dead_time, link_.servo, measured_.dead_time, measured_.servo);
+    archive(behind_, flange_share_);
     for (JointVector& q : history_) archive(q);
+    for (JointVector& q : way_) archive(q);
   }
   /// Delay of the arm behind the reference [s].
   double delay() const { return link_.slowest(); }
@@ -100,12 +107,17 @@ class ExactFollower {
   void approach_link();
   double servo_share() const;
   JointVector delayed_reference() const;
+  JointVector on_its_way(double behind) const;
+  void find_lateness(const JointVector& q, double since);
 
   static constexpr int kHistory = 32;  // periods
 
   Options options_;
   LinkLag link_, measured_;
   std::array<JointVector, kHistory> history_;  // of the reference; the newest is q_ref_
+  std::array<JointVector, kHistory> way_;      // the same of what is expected
+  double behind_ = 0;                          // [s] that the arm is late on its way
+  double flange_share_ = 1;
   int newest_ = 0;
   bool rejoins_ = false;  // the last command is not the reference's velocity plus the correction
   JointVector q_ref_, v_last_, qd_last_, correction_;

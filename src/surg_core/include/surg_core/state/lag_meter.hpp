@@ -19,13 +19,16 @@ struct LinkLag {
 
 /// Estimates a LinkLag by least squares over the recent past. The integrated commands c and the
 /// measured positions q pass the same high-pass filter, which removes their constant difference.
-/// For each dead time of a grid:
+/// For each dead time of a grid, and each joint i:
 ///
-///   c(t - dead_time) - q = servo * v,   servo = sum (c - q) v / sum v^2   of each joint.
+///   c_i(t - dead_time) - q_i = (m(t) + d_i) v_i
 ///
-/// The dead time is the one that leaves the least. Only quick motion tells dead time from servo, and
-/// only then the difference matters. The stated lags count like a little motion that was seen
-/// before, so nothing leaps when the arm begins to move.
+/// m(t) is what all joints are late at this moment, whatever it be: a link that is late for some
+/// tens of milliseconds is late for all of them. It is taken out sample by sample, so it spoils
+/// nothing. What is left tells how the joints' servos differ (d_i), which is what moves the pivot.
+/// The dead time is the one that leaves the least. The mean of m(t) tells the lag of all joints.
+/// The stated lags count like a little motion that was seen before, so nothing leaps when the arm
+/// begins to move.
 class LagMeter {
  public:
   /// stated [s]: the lag of each joint, taken for a servo's until the motion shows otherwise.
@@ -43,22 +46,26 @@ class LagMeter {
   /// [s] measured, of each joint; NaN before enough motion was seen.
   JointVector joint_lag() const;
 
-
  private:
-  static constexpr int kGrid = 24;          // dead times: 0 to 46 ms
-  static constexpr double kStep = 0.002;    // [s] from one to the next
+  static constexpr int kGrid = 24;                 // dead times: 0 to 46 ms
+  static constexpr double kStep = 0.002;           // [s] from one to the next
   static constexpr int kHistory = 2 * kGrid + 48;  // [cycles] of at least half a step
   struct Command {
     double t;       // [s]
     JointVector c;  // [rad] integrated and filtered
   };
   using Sums = Eigen::Array<double, kMaxJoints, kGrid>;
+  using SquareMatrix =
+      Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, kMaxJoints, kMaxJoints>;
 
   void restart(const JointVector& q);
   void note_command(double keep);
   Sums leads(double age) const;
+  void add(const Sums& lead, const JointVector& v, double dt);
+  double likelihood(const Sums& lead, const JointVector& v) const;
   void estimate();
-  /// A sum at the estimated dead time.
+  void take_up_best();
+  /// A value per dead time, at the estimated one.
   double at_dead_time(const Sums& sums, Eigen::Index joint) const;
 
   JointVector stated_;
@@ -68,9 +75,14 @@ class LagMeter {
   JointVector c_, q_;               // [rad] both, filtered
   std::array<Command, kHistory> history_;
   int newest_ = 0, known_ = 0;
-  Sums lead_;                    // [rad] c - q in the last cycle that counted
-  Sums cross_, left_;            // sum (c - q) v dt, sum (c - q)^2 dt
-  JointVector square_;           // sum v^2 dt [rad^2 / s]
+  Sums lead_;           // [rad] c - q in the last cycle that counted
+  Sums cross_;          // sum (c - q) v dt [rad^2]
+  Sums differ_, left_;  // the same without m(t), and its square [rad^2 s]
+  JointVector square_;  // sum v^2 dt [rad^2 / s]
+  SquareMatrix apart_;  // sum (v_i v_j [i = j] - v_i^2 v_j^2 / |v|^2) dt [rad^2 / s]
+  Sums servo_;          // [s] of each joint, and what each dead time leaves [rad^2 s]
+  std::array<double, kGrid> cost_;
+  int turn_ = 0;  // the dead time that is estimated next
   LinkLag link_;
 };
 
