@@ -77,6 +77,33 @@ TEST(ExactFollower, FollowsAtTheLagThatIsMeasured) {
   test::report("random arms", n);
 }
 
+/// A link that stands for 40 ms, then goes on by as much later.
+TEST(ExactFollower, AnArmThatIsLateOnItsWayIsNotPulledOffIt) {
+  ExactFollower follower(6, {alike(0.0), 50, kT});
+  JointVector q = swing(0, 0.2);
+  follower.reset(q);
+  double behind = 0, aside = 0, least = 1;
+  for (int i = 0; i < 1000; ++i) {
+    const bool stands = i >= 300 && i < 320;
+    const JointVector way = swing(i * kT, 0.2) - q;
+    const JointVector rate = swing((i + 1) * kT, 0.2) - swing(i * kT, 0.2);
+    const JointVector qd = follower.advance(rate, q);
+    if (i > 330 && i < 380) {  // what the correction does besides hurrying along the way
+      const JointVector pull = qd - rate / kT;
+      aside = std::max(aside, (pull - rate * (pull.dot(rate) / rate.squaredNorm())).norm());
+    }
+    behind = std::max(behind, way.norm() / (rate.norm() / kT));
+    least = std::min(least, follower.flange_share());
+    if (!stands) q += kT * qd;
+  }
+  std::printf("late by %.0f ms, pulled aside by %.3f rad/s, flange %.2f\n", 1e3 * behind, aside,
+              least);
+  EXPECT_GT(behind, 0.03);
+  EXPECT_LT(aside, 0.1);
+  EXPECT_NEAR(least, 0.6, 0.01);  // meanwhile the flange is slow
+  EXPECT_LT((follower.expected() - q).norm(), 1e-3);
+}
+
 TEST(ExactFollower, OneStuckJointDoesNotHoldTheOthersBack) {
   const JointVector velocity = JointVector::Constant(6, 0.5);
   const JointVector acceleration = JointVector::Constant(6, 3);

@@ -121,6 +121,28 @@ TEST(LagMeter, FindsTheLagOfEachJoint) {
   EXPECT_LT(worst, 3e-4);
 }
 
+/// 12 ms more for 0.2 s in every second: late commands are no lag of one joint.
+TEST(LagMeter, ALinkThatIsLateForAMomentTeachesNothing) {
+  std::deque<JointVector> sent(12, JointVector::Zero(6));
+  const Motion motion(5);
+  LagMeter meter(JointVector::Constant(6, 0.012));
+  const double left = std::exp(-kT / 0.008);
+  JointVector q = JointVector::Zero(6), qd = q;
+  double wrong = 0;
+  for (int k = 0; k < 10000; ++k) {
+    meter.step(sent.front(), q, 0, kT);
+    sent.push_front(motion.at(k * kT));
+    sent.pop_back();
+    qd = left * qd + (1 - left) * sent[k % 500 < 400 ? 1 : 7];
+    q += kT * qd;
+    if (k < 5000) continue;
+    const JointVector& servo = meter.link().servo;
+    wrong = std::max(wrong, servo.maxCoeff() - servo.minCoeff());
+  }
+  std::printf("servos apart by %.2f ms\n", 1e3 * wrong);
+  EXPECT_LT(wrong, 0.001);
+}
+
 TEST(LagMeter, TheAgeOfTheStateIsNoLag) {
   Plant plant(2, 0.008, 0);
   const Motion motion(3);

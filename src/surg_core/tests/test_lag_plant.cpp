@@ -117,7 +117,8 @@ Maker exact_follower(double lag, double gain, bool measures) {
       const Pose X_goal = pose_on_pivot(scene.home, scene.tool, path(t + kT));
       const JointVector& q_ref = follower.reference();
       const JointVector posture = kT * kPosture * (scene.q_home - q_ref);
-      return follower.advance(next.step(q_ref, X_goal, posture).dq, q);
+      const RcmRows pivot = scene.pivot(q, path(t).p_BRcm);
+      return follower.advance(next.step(q_ref, X_goal, posture).dq, q, &pivot);
     };
   };
 }
@@ -276,7 +277,8 @@ TEST(LagPlant, JointsOfUnequalLagsKeepThePivot) {
         const Pose X_goal = pose_on_pivot(scene.home, scene.tool, path((i + 1) * kT));
         const JointVector& q_ref = follower.reference();
         const JointVector rest = JointVector::Zero(q_ref.size());
-        arm.obey(follower.advance(next.step(q_ref, X_goal, rest).dq, arm.measured()));
+        const RcmRows pivot = scene.pivot(arm.measured(), scene.p_BRcm());
+        arm.obey(follower.advance(next.step(q_ref, X_goal, rest).dq, arm.measured(), &pivot));
         rcm.add(scene.shaft(arm.truth()).e.norm());
       }
     }
@@ -342,7 +344,8 @@ TEST(LagPlant, TheCommandKeepsTheJointLimitsWhileThePivotHolds) {
         request.path = PathView(path);
         request.posture = kPosture * (scene.q_home - follower.reference());
         const Step step = limited.exact(follower.reference(), qd_ref, scene.home, request);
-        const JointVector qd = follower.advance(kT * step.qd, arm.measured());
+        const RcmRows pivot = scene.pivot(arm.measured(), scene.p_BRcm());
+        const JointVector qd = follower.advance(kT * step.qd, arm.measured(), &pivot);
         clock += step.alpha * kT;
         qd_ref = step.qd;
         if (step.alpha < 1) ++slowed;
@@ -418,7 +421,9 @@ TEST(LagPlant, ATrocarThatMovesIsFollowed) {
           const Pose X_goal = pose_on_pivot(scene.home, scene.tool, goal);
           const JointStep step =
               next.step(follower.reference(), X_goal, JointVector::Zero(q.size()));
-          const JointVector qd = follower.advance(step.dq, lagging ? arm.measured() : q);
+          const JointVector measured = lagging ? arm.measured() : q;
+          const RcmRows pivot = scene.pivot(measured, believed(t, t));
+          const JointVector qd = follower.advance(step.dq, measured, &pivot);
           arm.obey(qd);
           q = lagging ? arm.truth() : JointVector(q + kT * qd);
           if (t < 2) continue;  // the wall moves from the start, the arm has to catch up

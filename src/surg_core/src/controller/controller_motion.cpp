@@ -172,8 +172,11 @@ JointVector Controller::Impl::follow(const Step& step) {
   ExactFollower::Push push;
   const bool pushed = !force.push().isZero(0) && !handler.retracing();
   if (pushed) push = push_on_joints();
-  return follower.advance(dq, arm.measured().q, arm.measured().J, feedback_scale(), clock.rest(),
-                          pushed ? &push : nullptr);
+  const Jacobian& J = arm.measured().J;
+  const Vector3 p_BPivot = trocar.p_B() + pivot_offset;
+  const RcmRows pivot = rcm_rows(J, shaft_state(arm.measured().X_BF, arm.tool(), p_BPivot));
+  return follower.advance(dq, arm.measured().q, J, feedback_scale(), clock.rest(),
+                          pushed ? &push : nullptr, &pivot);
 }
 
 ExactFollower::Push Controller::Impl::push_on_joints() const {

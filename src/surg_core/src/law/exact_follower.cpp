@@ -123,12 +123,14 @@ void ExactFollower::take_up(const JointVector& qd) {
 }
 
 JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, const Jacobian& J,
-                                   double feedback_scale, double since, const Push* push) {
+                                   double feedback_scale, double since, const Push* push,
+                                   const RcmRows* pivot) {
   const double gain = feedback_scale * options_.gain;
   const JointVector v = dq / options_.T;
   find_lateness(q, since);
   const double ahead = since - behind_;
   JointVector error = (ahead > 0 ? JointVector(expected_ + ahead * rate_) : on_its_way(-ahead)) - q;
+  if (pivot) error += rcm_correction({pivot->J, pivot->e - pivot->J * error}).dq;
   // An arm that overshot away from the force stays there: the way back raises the force.
   const double into = push ? -push->tip.dot(error) : 0.0;
   if (into > 0) error += into * push->way;

@@ -7,7 +7,8 @@
 namespace surg {
 namespace {
 
-constexpr double kHighPass = 1.0;    // [s] time constant; slow drift of q against c is no lag
+// [s] time constant. Drift of q against c is no lag, nor is a command that was lost or repeated.
+constexpr double kHighPass = 0.1;
 constexpr double kLagMemory = 10.0;  // [s] of motion that the sums remember
 // 0.1 rad/s of one joint for 0.5 s: the error of a position resolution of 1e-5 rad is then below
 // 0.1 ms.

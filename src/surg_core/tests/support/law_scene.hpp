@@ -40,6 +40,12 @@ struct Scene {
   ShaftState shaft(const JointVector& q) const {
     return shaft_state(chain.forward(q), tool, p_BRcm());
   }
+  RcmRows pivot(const JointVector& q, const Vector3& p_B) const {
+    Pose X_BF;
+    Jacobian J;
+    chain.forward(q, X_BF, J);
+    return rcm_rows(J, shaft_state(X_BF, tool, p_B));
+  }
   /// Absolute roll, within half a turn.
   double roll(const JointVector& q) const {
     const Matrix3 R = chain.forward(q).linear();

@@ -16,10 +16,10 @@ class MeasuredFollower : public ExactFollower {
         meter_(link().servo),
         sent_(JointVector::Zero(joints)) {}
 
-  JointVector advance(const JointVector& dq, const JointVector& q, const Jacobian& J = {}) {
+  JointVector advance(const JointVector& dq, const JointVector& q, const RcmRows* pivot = nullptr) {
     meter_.step(sent_, q, 0, T_);
     if (measures_) set_link(meter_.link());
-    return sent_ = ExactFollower::advance(dq, q, J);
+    return sent_ = ExactFollower::advance(dq, q, {}, 1, 0, nullptr, pivot);
   }
   /// [rad] Largest distance of a joint from where it is expected after the last advance.
   double tracking_error(const JointVector& q) const {

@@ -4,6 +4,7 @@
 #include <array>
 #include <limits>
 
+#include "surg_core/law/exact.hpp"
 #include "surg_core/state/lag_meter.hpp"
 #include "surg_core/types.hpp"
 
@@ -66,7 +67,8 @@ class ExactFollower {
   /// of the gain, in (0, 1]; since [s]: time since the reference was where it is now, less than T;
   /// push: nullptr without a force.
   JointVector advance(const JointVector& dq, const JointVector& q, const Jacobian& J = {},
-                      double feedback_scale = 1, double since = 0, const Push* push = nullptr);
+                      double feedback_scale = 1, double since = 0, const Push* push = nullptr,
+                      const RcmRows* pivot = nullptr);
   /// Advances the reference by dq over a period that passed without a command.
   void skip(const JointVector& dq);
   /// The same at constant velocity, as the arm moves meanwhile.
