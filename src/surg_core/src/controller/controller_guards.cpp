@@ -10,7 +10,7 @@ constexpr double kFollowDistance =
     0.01;                                // [m] expected to measured tip; beyond it the arm is stuck
 constexpr double kToolTimeout = 0.2;     // [s] without a jaw state (F31)
 constexpr double kDelayDecay = 0.5;      // [s] time constant of the recent state age
-constexpr double kDampedLoop = 0.6;      // gain times delay of a loop that is well damped
+constexpr double kDampedLoop = 0.7;      // gain times delay of a loop that is well damped
 constexpr double kVelocitySlack = 0.05;  // [rad/s] noise of measured velocities
 constexpr int kUnexplained = 5;          // [cycles] of a motion that no command explains
 constexpr double kSofter = 4;  // times the excess of the cycles: streams are followed as softly

@@ -197,8 +197,9 @@ struct Controller::Impl {
   Step next_step(const Setpoint& next, JointVector& qd);
   /// Exact form: the next step of the reference, and the command with which the arm follows it.
   Step exact_step(const Setpoint& next, JointVector& qd);
-  /// Moves the reference by a step and returns the command with which the arm follows it.
-  JointVector follow(const Step& step);
+  /// Moves the reference by a step and returns the command with which the arm follows it. p_BPivot:
+  /// where the shaft shall be now.
+  JointVector follow(const Step& step, const Vector3& p_BPivot);
   /// The force at the tip while the force guard yields, as the follower needs it.
   ExactFollower::Push push_on_joints() const;
   /// Velocity form and the paper's law, from the measured state predicted for the command.

@@ -159,11 +159,11 @@ Step Controller::Impl::exact_step(const Setpoint& next, JointVector& qd) {
   request.room = follower.wanted_room();
   const Home home{arm.s_home(), arm.R_home()};
   const Step step = limited.exact(follower.reference(), follower.velocity(), home, request);
-  qd = follow(step);
+  qd = follow(step, trocar.p_B() + pivot_offset);
   return step;
 }
 
-JointVector Controller::Impl::follow(const Step& step) {
+JointVector Controller::Impl::follow(const Step& step, const Vector3& p_BPivot) {
   const JointVector dq = T * step.qd;
   if (catching_up) {
     follower.skip(dq);
@@ -173,7 +173,6 @@ JointVector Controller::Impl::follow(const Step& step) {
   const bool pushed = !force.push().isZero(0) && !handler.retracing();
   if (pushed) push = push_on_joints();
   const Jacobian& J = arm.measured().J;
-  const Vector3 p_BPivot = trocar.p_B() + pivot_offset;
   const RcmRows pivot = rcm_rows(J, shaft_state(arm.measured().X_BF, arm.tool(), p_BPivot));
   return follower.advance(dq, arm.measured().q, J, feedback_scale(), clock.rest(),
                           pushed ? &push : nullptr, &pivot);
@@ -222,7 +221,7 @@ Step Controller::Impl::retrace_step(JointVector& qd) {
   const JointVector q = follower.reference();
   const Step step = limited.retrace(q, follower.velocity(), trace, retraced, kRetraceRate,
                                     trocar.p_B(), flange_lead());
-  qd = follow(step);
+  qd = follow(step, trocar.p_B());
   retraced += step.alpha * kRetraceRate * T;
   const Pose X_BF = arm.chain().forward(JointVector(q + T * step.qd));
   const Vector3 s_B = X_BF.linear() * arm.tool().s_F;

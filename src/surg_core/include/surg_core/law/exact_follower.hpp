@@ -24,7 +24,9 @@ namespace surg {
 /// (docs/design/control_law.md).
 ///
 /// The lag is measured (LagMeter), and a new value is taken up gradually. The feedback acts on
-/// joints, so pivot, tip and roll converge together.
+/// joints, so pivot, tip and roll converge together. Across the shaft it acts on the measured
+/// deviation from the pivot instead: the joints of 'expected' cut the curves of their paths, by
+/// D^2 v^2 / 2 times the curvature, and leave the pivot by as much.
 ///
 /// The feedback is gain e. For a large e it is less, by one factor for all joints: as much as lets
 /// every joint brake to the reference at half its acceleration limit. The caller reduces the gain
@@ -65,7 +67,7 @@ class ExactFollower {
   /// Advances the reference by dq (a step of the law within limits) and returns the command for the
   /// link [rad/s]. q: measured before the step; J: the arm's Jacobian there; feedback_scale: factor
   /// of the gain, in (0, 1]; since [s]: time since the reference was where it is now, less than T;
-  /// push: nullptr without a force.
+  /// push: nullptr without a force; pivot: measured before the step.
   JointVector advance(const JointVector& dq, const JointVector& q, const Jacobian& J = {},
                       double feedback_scale = 1, double since = 0, const Push* push = nullptr,
                       const RcmRows* pivot = nullptr);
