@@ -227,7 +227,7 @@ TEST(LateLink, AFastHandBehindALinkThatComesLateStaysOnThePivot) {
   Random random(26);
   long ticks = 0;
   for (const Law law : {Law::kExact, Law::kVelocity}) {
-    const int runs = law == Law::kExact ? test::family(3, 60) : test::family(1, 60);
+    const int runs = law == Law::kExact ? test::family(6, 60) : test::family(1, 60);
     for (const bool panda : {false, true}) {
       for (const Late kind : kKinds) {
         Storm storm;
