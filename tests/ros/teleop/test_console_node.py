@@ -190,7 +190,7 @@ def test_a_page_is_a_leader_on_topics(ros_graph: RosGraph, rospy_node: str, tmp_
             bench.sim.publish(sim_status(task="RUNNING", name="bgr", phase="point"))
             bench.warning.publish("PSM1: servo_cp refused: too far")
             await when(lambda: found.status["record"]["on"], "the recorder's answer")
-            await when(lambda: found.status["task"] == "bgr: point", "the task")
+            await when(lambda: (found.status["task"] or {}).get("now") == "point", "the task")
 
             await found.press("stop")
             await when(lambda: bench.of("/PSM1/state_command"), "the stop")
