@@ -181,12 +181,15 @@ def test_a_driver_that_stands_still_ends_in_a_fault_that_names_it(
 def test_a_simulator_that_stands_still_for_a_moment_goes_on(
     name: str, pause: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its clock stood still with it, so that no command was missed."""
+    """Its clock stood still with it, so that no command was missed.
+
+    38 ms at 50 mm/s are 1.9 mm; the follower makes up for them at 2 per second, in 0.4 s for half.
+    """
     chain = enabled(name, monkeypatch)
     off, behind = sweep(chain, lambda: chain.hold_robot(pause))
     print(f"{name}, {pause} ms: {off:.3f} mm off the pivot, {behind:.2f} mm behind")
     assert chain.out.state == State.ENABLED and chain.core.mode is RobotMode.MOVE
-    assert off <= 0.5 and behind < 1.0
+    assert off <= 0.5 and behind < 1.2
 
 
 def test_a_robot_that_stands_still_for_longer_ends_in_a_fault_that_names_it(

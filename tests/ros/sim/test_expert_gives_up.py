@@ -17,6 +17,7 @@ def test_the_reason_is_published_once() -> None:
         _expert=expert,
         _reason="",
         _awaited=set(),
+        _seed=0,
         _ports={},
         _status=SimpleNamespace(publish=sent.append),
     )

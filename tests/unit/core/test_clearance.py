@@ -153,8 +153,8 @@ def test_random_motions_never_come_closer_than_the_cell_says(part: int) -> None:
     assert tally.paused <= 0.02 * tally.starts
 
 
-def test_an_arm_of_small_accelerations_returns_to_its_path_while_it_moves() -> None:
-    # A sharp turn takes the Panda 9 mm off its path; it moves on at once.
+def test_an_arm_of_small_accelerations_stays_on_its_path_while_it_moves() -> None:
+    # A sharp turn once took the Panda 9 mm off its path. What is left is its lag.
     cell = surg_core.load_cell(paths.ROOT / "cells" / CELLS[1])
     _, _, pair, senders = drawn(cell, 101, 99)
     off, speed = [], []
@@ -162,10 +162,9 @@ def test_an_arm_of_small_accelerations_returns_to_its_path_while_it_moves() -> N
         tick(pair, [sender.commands(k) for sender in senders])
         off.append(float(np.linalg.norm(np.asarray(pair[0].out.p_set) - pair[0].out.p_BTip)))
         speed.append(np.abs(pair[0].qd).max())
-    print(f"{1e3 * max(off[1500:]):.2f} mm off, 0.1 s later {1e3 * off[-1]:.2f} mm")
-    assert max(off[1500:]) > 7e-3
+    print(f"{1e3 * max(off):.2f} mm off, {1e3 * max(off[1500:]):.2f} mm after the turn")
+    assert max(off) < 3e-3
     assert min(speed[1620:]) > 0.3
-    assert off[-1] < max(off[1500:]) - 1.4e-3
 
 
 def test_without_a_guard_the_same_motions_come_closer() -> None:

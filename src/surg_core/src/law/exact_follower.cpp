@@ -11,7 +11,7 @@ namespace {
 constexpr double kLagRate = 0.02;    // of the joint's way: how fast another lag is taken up
 constexpr double kMostLate = 0.04;   // [s] that an arm may be late on its way
 constexpr double kCatchUp = 2;       // [1/s] at which it makes up for it
-constexpr double kForget = 20;       // [1/s]
+constexpr double kForget = 20;       // [1/s] at which a lateness on its way is forgotten
 constexpr double kSlowWay = 0.1;     // [rad/s] a slower reference does not tell how late the arm is
 constexpr double kLate = 0.006;      // [s] so late, the flange shall be slower
 constexpr double kSlowFlange = 0.6;  // of the flange's speed, meanwhile

@@ -7,8 +7,8 @@
 namespace surg {
 namespace {
 
-// [s] time constant. Drift of q against c is no lag, nor is a command that was lost or repeated.
-constexpr double kHighPass = 0.1;
+// Drift of q against c is no lag, nor is a command that was lost or repeated.
+constexpr double kHighPass = 0.1;    // [s] time constant
 constexpr double kLagMemory = 10.0;  // [s] of motion that the sums remember
 // 0.1 rad/s of one joint for 0.5 s: the error of a position resolution of 1e-5 rad is then below
 // 0.1 ms.
@@ -17,7 +17,7 @@ constexpr double kStated = 0.0001;  // [rad^2/s] so much the stated lags count f
 constexpr double kLongest = 0.1;    // [s] of a servo
 // What the estimate does not explain counts for less, and nothing is forgotten for it: a link that
 // is late for a moment, a hand that pushes (weights of Cauchy's distribution).
-constexpr double kLikelyError = 1e-4;  // [rad]
+constexpr double kLikelyError = 1e-4;  // [rad] of a joint; larger ones count for less
 constexpr double kFirst = 0.05;  // [rad^2/s] sum of v^2 dt before which all motion counts alike
 // Motion that leaves less than 1e-5 rad for a second does not tell 2 ms of dead time from a servo.
 constexpr double kDeadTimePrior = 2.5e-5;  // [rad^2/s] per square of the dead time
