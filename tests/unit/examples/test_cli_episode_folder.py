@@ -18,7 +18,7 @@ def read(folder: Path) -> Path:
 
 def record(folder: Path) -> Path:
     folder.mkdir(parents=True)
-    (folder / "manifest.json").write_text("{}")
+    (folder / "manifest.json").write_text('{"format": "surg_episode/1"}')
     return folder
 
 

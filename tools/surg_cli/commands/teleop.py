@@ -127,11 +127,12 @@ def _there(attached: running.System) -> list[str]:
     """Names of the nodes that run already, on any machine."""
     nodes = master.nodes(attached.master_uri)
     if operator_nodes.CONSOLE in nodes:
-        page = master.call(attached.master_uri, "getParam", operator_nodes.CONSOLE)
+        page = master.parameter(attached.master_uri, operator_nodes.CONSOLE) or {}
         scheme = "https" if page.get("cert") else "http"
+        where = f"{page.get('bind', '127.0.0.1')}:{page.get('port', WEB_PORT)}"
         raise CliError(
-            f"a console runs already: open {scheme}://{page['bind']}:{page['port']}/, or end it "
-            "with Ctrl-C where it was started",
+            f"a console runs already: open {scheme}://{where}/, or end it with Ctrl-C where it "
+            "was started",
             2,
         )
     return nodes
@@ -236,8 +237,7 @@ def _plan_of(attached: running.System) -> SystemPlan:
     uri, cell = attached.master_uri, Path(attached.cell)
 
     def parameter(name: str) -> str:
-        present = master.call(uri, "hasParam", name)
-        return str(master.call(uri, "getParam", name)) if present else ""
+        return str(master.parameter(uri, name) or "")
 
     topics = master.publications(uri)
     views = ("left", "right")

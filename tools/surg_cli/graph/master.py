@@ -58,6 +58,15 @@ def call(uri: str, method: str, *arguments: object) -> Any:
     return value
 
 
+def parameter(uri: str, name: str) -> Any:
+    """A parameter's value, a dictionary for a namespace; None: there is none.
+
+    Raises:
+        CliError: No master answers there.
+    """
+    return call(uri, "getParam", name) if call(uri, "hasParam", name) else None
+
+
 def alive(uri: str) -> bool:
     """Whether a ROS master answers at `uri`."""
     try:

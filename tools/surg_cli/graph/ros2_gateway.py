@@ -11,8 +11,6 @@ from surg_cli.host import provision
 from surg_cli.host.terminal import CliError
 
 LOOPBACK = "lo"
-LARGEST_DOMAIN = 232
-"""Of DDS: the ports of a higher one do not exist."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,6 +41,8 @@ def parameters(options: argparse.Namespace) -> dict[str, object] | None:
         if options.ros2_commands:
             raise CliError("--ros2-commands: only with --ros2", 2)
         return None
+    from surg_ros2.bridged_topics import LARGEST_DOMAIN
+
     known = [name for _, name in socket.if_nameindex()]
     if options.ros2 not in known:
         raise CliError(

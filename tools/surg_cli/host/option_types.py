@@ -12,10 +12,6 @@ WHERE = "which episodes: 'success and setting == \"ex_vivo\"' (docs/guide/labell
 LOSSLESS = "lossless"
 
 
-EPISODE_FILE = "manifest.json"
-"""In every finished episode's folder."""
-
-
 def add_episode(parser: argparse.ArgumentParser) -> None:
     """The argument that names a recorded episode, or the run that holds one."""
     what = "an episode's folder, or that of a run with one episode"
@@ -24,9 +20,11 @@ def add_episode(parser: argparse.ArgumentParser) -> None:
 
 def _episode(text: str) -> Path:
     """An episode's folder: the one given, or the only one below it."""
+    from surg_recording.episode import episode_reader
+
     given = Path(text)
-    found = sorted(file.parent for file in given.rglob(EPISODE_FILE))
-    if given in found or not found:
+    found = episode_reader.below(given) if given.is_dir() else []
+    if not found:
         return given
     if len(found) > 1:
         names = "\n".join(f"  {folder}" for folder in found)

@@ -58,11 +58,11 @@ void ExactFollower::move_reference(const JointVector& dq) {
   way_[newest_] = expected_;
 }
 
-/// Where an arm is expected that is 'behind_' late on its way.
-JointVector ExactFollower::on_its_way(double behind) const {
-  const double periods = std::min(behind / options_.T, kHistory - 2.0);
+/// A value of the past, between two samples.
+JointVector ExactFollower::earlier(const History& samples, double seconds) const {
+  const double periods = std::min(seconds / options_.T, kHistory - 2.0);
   const int whole = static_cast<int>(periods);
-  const auto at = [&](int back) { return way_[(newest_ + kHistory - back) % kHistory]; };
+  const auto at = [&](int back) { return samples[(newest_ + kHistory - back) % kHistory]; };
   return at(whole) + (periods - whole) * (at(whole + 1) - at(whole));
 }
 
@@ -96,14 +96,6 @@ void ExactFollower::approach_link() {
 /// Of a new velocity, that the slowest servo takes up within one period.
 double ExactFollower::servo_share() const {
   return -std::expm1(-options_.T / std::max(link_.servo.maxCoeff(), kAtOnce));
-}
-
-/// The reference a dead time before the next cycle.
-JointVector ExactFollower::delayed_reference() const {
-  const double periods = std::min(link_.dead_time / options_.T, kHistory - 2.0);
-  const int whole = static_cast<int>(periods);
-  const auto at = [&](int back) { return history_[(newest_ + kHistory - back) % kHistory]; };
-  return at(whole) + (periods - whole) * (at(whole + 1) - at(whole));
 }
 
 void ExactFollower::skip(const JointVector& dq) {

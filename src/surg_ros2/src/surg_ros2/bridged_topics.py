@@ -17,6 +17,8 @@ PICTURES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage", "sensor_msgs/Poi
 """Types of which only the newest message counts, and a lost one is not sent again."""
 INSIDE = re.compile(r".*/robot/servo_\w+|.*/tool/servo_jp|/sim/(inject|guide_home|undeclared)")
 """What controller, simulator and link say to one another: nothing for a ROS 2 node to say."""
+LARGEST_DOMAIN = 232
+"""Of DDS: the ports of a higher one do not exist."""
 _PLACEHOLDER = re.compile(r"<\w+>")
 _ROS2_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 

@@ -24,6 +24,7 @@ from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError, flag, one_of, path, read, text, whole
 from surg_ros2 import jpeg
 from surg_ros2.bridged_topics import (
+    LARGEST_DOMAIN,
     NotBridged,
     Quality,
     Topics,
@@ -50,8 +51,6 @@ MOST_CALLERS = 32
 """ROS 2 processes that may send commands at a time."""
 MOST_WARNINGS = 1000
 """Different ones of a run."""
-LARGEST_DOMAIN = 232
-"""Of DDS: the ports of a higher one do not exist."""
 OURS = "/ros2"
 """The gateway's node; names of the callers begin with it too."""
 
@@ -241,7 +240,6 @@ class Gateway:
         self._in = Incoming(port, self._warn, lockstep) if settings.commands else None
         self._master = rosgraph.Master(rospy.get_name())
         self._warned: set[str] = set()
-        self._descriptions: dict[str, Any] = {}
 
     def run(self) -> int:
         """Until the node is asked to end: 0; or another gateway is there: 2."""

@@ -110,17 +110,21 @@ class ExactFollower {
   void move_reference(const JointVector& dq);
   void approach_link();
   double servo_share() const;
-  JointVector delayed_reference() const;
-  JointVector on_its_way(double behind) const;
-  void find_lateness(const JointVector& q, double since);
 
   static constexpr int kHistory = 32;  // periods
+  using History = std::array<JointVector, kHistory>;
+  JointVector earlier(const History& samples, double seconds) const;
+  // The reference a dead time before the next cycle.
+  JointVector delayed_reference() const { return earlier(history_, link_.dead_time); }
+  // Where an arm is expected that is so late on its way.
+  JointVector on_its_way(double behind) const { return earlier(way_, behind); }
+  void find_lateness(const JointVector& q, double since);
 
   Options options_;
   LinkLag link_, measured_;
-  std::array<JointVector, kHistory> history_;  // of the reference; the newest is q_ref_
-  std::array<JointVector, kHistory> way_;      // the same of what is expected
-  double behind_ = 0;                          // [s] that the arm is late on its way
+  History history_;    // of the reference; the newest is q_ref_
+  History way_;        // the same of what is expected
+  double behind_ = 0;  // [s] that the arm is late on its way
   double flange_share_ = 1;
   int newest_ = 0;
   bool rejoins_ = false;  // the last command is not the reference's velocity plus the correction
