@@ -95,6 +95,7 @@ def test_the_shaft_stays_in_the_trocar(
     assert_within_limits(summary)
 
 
+@pytest.mark.full
 def test_a_third_arm_from_outside_the_tree(tmp_path: Path) -> None:
     bundled = ROOT / "src" / "surg_description" / "robots" / "ur5e.yaml"
     robot = write_third_arm(tmp_path / "arm", bundled)

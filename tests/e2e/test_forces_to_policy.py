@@ -40,6 +40,7 @@ def in_one_process() -> tuple[str, np.ndarray]:
     return env.session.hash, np.array(felt)
 
 
+@pytest.mark.full
 @pytest.mark.ros
 def test_a_policy_feels_what_an_environment_and_the_export_say(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

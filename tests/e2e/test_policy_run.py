@@ -130,7 +130,7 @@ def test_what_cannot_be_a_policy_is_said(tmp_path: Path, words: list[str], said:
     ("death", "said"),
     [
         ("raises", "RuntimeError: the weights are gone"),
-        ("killed", "was killed by signal 9"),
+        pytest.param("killed", "was killed by signal 9", marks=pytest.mark.full),
         pytest.param("starts", "ended (1) before it had connected", marks=pytest.mark.full),
         pytest.param("aborts", "was killed by signal 6", marks=pytest.mark.full),
         pytest.param("exits", "ended (0)", marks=pytest.mark.full),

@@ -20,6 +20,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 NUDGE = ROOT / "tests" / "helpers" / "sim" / "nudge_task.py"
 
 
+@pytest.mark.full
 def test_an_unstable_episode_fails_and_the_next_one_starts_clean(tmp_path: Path) -> None:
     assert LUCKY == BREAKING + 1
     out, cell = tmp_path / "run", write_two_arms(tmp_path / "cell")

@@ -321,11 +321,15 @@ def test_a_client_that_was_frozen_does_not_go_on(
         at_wake, posture = max(witness.cycles), np.array(witness.newest().q)
     finally:
         child.process.send_signal(signal.SIGCONT)
-    time.sleep(1.5)
+    refused = witness.newest().refused
+    ros_graph.wait_for(
+        lambda: max(witness.cycles) > at_wake + 300 and witness.newest().refused > refused + 10,
+        60.0,
+        "the refusals",
+    )
     now = witness.newest()
-    assert max(witness.cycles) > at_wake + 300
     assert child.exit_code is None, "it goes on sending"
-    assert now.refused > 10, "and is refused"
-    assert now.state == Cycle.ENABLED
+    # A simulator that gets no core for 50 ms ends in FAULT: that is the link's, not the client's.
+    assert now.state == Cycle.ENABLED or (now.state, now.reason) == (Cycle.FAULT, "link")
     assert witness.path(at_wake, max(witness.cycles)) < 1e-4
     assert np.abs(np.array(now.q) - posture).max() < 1e-4

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from conftest import FULL
 from helpers.graph.surg import surg
 from helpers.hardware.arm_graph import REAL_TIME
 from helpers.results import hardware_results as page
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.full]
 
 MOST = {"emulated_ur5e": 0.15, "emulated_panda": 0.05, "emulated_fr3": 0.5}
 """Cell -> largest deviation from the pivot [mm] on a quiet machine; else 0.5."""
@@ -21,11 +20,10 @@ GIVEN = os.environ.get("SURG_TEST_MOTION")
 MOTIONS = ["bundled", *(["recorded"] if GIVEN else [])]
 
 
-@pytest.mark.parametrize("motion", MOTIONS if FULL else MOTIONS[:1])
-@pytest.mark.parametrize("cell", MOST if FULL else ["emulated_ur5e"])
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("cell", MOST)
 def test_the_pivot_is_kept_by_the_arms_own_joints(cell: str, motion: str, tmp_path: Path) -> None:
     words = ["--motion", GIVEN] if motion == "recorded" else []
-    words += [] if FULL else ["--duration", "2"]
     done = surg("demo", "--robot", cell, "--out", tmp_path / "run", *words)
     file = tmp_path / "run" / "summary.json"
     assert file.is_file(), done.stdout + done.stderr
@@ -33,8 +31,5 @@ def test_the_pivot_is_kept_by_the_arms_own_joints(cell: str, motion: str, tmp_pa
     rcm = found["rcm_kinematic_mm"]
     print(done.stdout + done.stderr)
     assert found["time"] == "freerun" and found["enabled_fraction"] == 1.0
-    if FULL:
-        said = f"mean {rcm['mean']:.4f}, max {rcm['max']:.3f} mm"
-        page.note(page.demo(cell, motion), 1, said)
-    quiet = FULL and REAL_TIME
-    assert rcm["max"] <= (MOST[cell] if quiet else 0.5)
+    page.note(page.demo(cell, motion), 1, f"mean {rcm['mean']:.4f}, max {rcm['max']:.3f} mm")
+    assert rcm["max"] <= (MOST[cell] if REAL_TIME else 0.5)

@@ -125,6 +125,7 @@ def test_a_state_that_is_published_again_is_recorded_once(tmp_path: Path) -> Non
     assert looks[:-1] == list(range(25, looks[-2] + 1, 25))
 
 
+@pytest.mark.full
 def test_both_arms_commanded(tmp_path: Path) -> None:
     cell = write_two_arms(tmp_path / "cell", ("panda", "ur5e"))
     assert_same(tmp_path / "run", cell, NUDGE, "ex_vivo", 3)
@@ -162,6 +163,7 @@ def test_the_jaws_feel_the_same_here_and_there(tmp_path: Path) -> None:
     print(f"PAUSED at tick {states.index(paused) + 1}, here and there")
 
 
+@pytest.mark.full
 def test_a_thread_in_the_jaws(tmp_path: Path) -> None:
     """In a cell of one arm: 31 point masses that swing."""
     assert_same(tmp_path, cells.find("sim_ur5e"), THREAD, "in_vivo", 10_001)
@@ -201,6 +203,7 @@ def test_the_other_laws(tmp_path: Path, law: str) -> None:
     assert_same(tmp_path, cells.find("sim_two_arms"), SHORT, "phantom", 10_003, law)
 
 
+@pytest.mark.full
 def test_another_seed_is_another_hash() -> None:
     cell = cells.find("sim_two_arms")
     hashes = {in_process(cell, SHORT, "phantom", seed).hash for seed in (10_001, 10_002)}

@@ -93,6 +93,7 @@ def test_a_person_drives_the_assistant_and_the_task_ends(
     assert "finite numbers" in log
 
 
+@pytest.mark.full
 def test_in_real_time_the_assistant_begins_once_the_arm_is_enabled(
     ros_graph: RosGraph, rospy_node: str
 ) -> None:

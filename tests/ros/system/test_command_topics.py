@@ -44,8 +44,13 @@ def listeners(uri: str) -> dict[str, list[str]]:
 @pytest.mark.parametrize(
     ("words", "cell", "servants"),
     [
-        (("up", "--cameras", "none", "--record-topics", "/*", "--"), "sim_two_arms", ()),
-        (("teleop",), "sim_ur5e", ()),
+        pytest.param(
+            ("up", "--cameras", "none", "--record-topics", "/*", "--"),
+            "sim_two_arms",
+            (),
+            marks=pytest.mark.full,
+        ),
+        pytest.param(("teleop",), "sim_ur5e", (), marks=pytest.mark.full),
         (("run",), "bgr", ("/assistant/servo_jp", "/assistant/jaw/servo_jp")),
     ],
 )

@@ -209,6 +209,7 @@ def session(tmp_path: Path) -> Iterator[Session]:
     made.end()
 
 
+@pytest.mark.full
 def test_the_page_is_done_line_by_line(session: Session) -> None:
     lines = lines_of(PAGE)
     assert len(lines) >= 20

@@ -393,6 +393,7 @@ def lockstep_run(graph: RosGraph, jitter_ms: int) -> tuple[str, list[str]]:
     return statuses[-1].state_hash, states
 
 
+@pytest.mark.full
 @pytest.mark.untimed
 def test_lockstep_is_the_same_under_jitter(ros_graph: RosGraph, rospy_node: str) -> None:
     calm, states = lockstep_run(ros_graph, 0)

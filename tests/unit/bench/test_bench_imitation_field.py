@@ -163,6 +163,7 @@ def test_another_episode_has_another_place() -> None:
     assert judge.another(Env(), 3) == 505
 
 
+@pytest.mark.full
 def test_a_cloned_policy_plays_in_the_phantom(tmp_path: Path) -> None:
     """Two eyes, rendered, for 1 s: it has learned nothing, and nothing is unsafe."""
     file = cloned(tmp_path / "w.npz", "moe_act", 0, eyes=2)

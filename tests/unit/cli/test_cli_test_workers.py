@@ -212,7 +212,7 @@ def test_one_core_has_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         ("ros", "ordinary", 1, (0, 2, 0)),
         ("ros", "ordinary", 2, (1, 1, 1)),
-        ("ros", "untimed", 1, (0, 2, 0)),
+        pytest.param("ros", "untimed", 1, (0, 2, 0), marks=pytest.mark.full),
         ("unit", "ordinary", 1, (1, 1, 1)),
     ],
 )

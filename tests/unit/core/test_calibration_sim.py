@@ -26,7 +26,7 @@ def errors(arm: surg_core.Arm, tool: surg_core.ToolCalibration) -> tuple[float, 
     return 1e3 * float(np.linalg.norm(tool.p_FTip - p_FTip)), float(np.degrees(np.arcsin(sine)))
 
 
-@pytest.mark.parametrize("name", ["sim_ur5e", "sim_panda"])
+@pytest.mark.parametrize("name", ["sim_ur5e", pytest.param("sim_panda", marks=pytest.mark.full)])
 def test_the_routine_brings_the_true_deviation_below_300_um(
     name: str, tmp_path: Path, full: bool
 ) -> None:

@@ -90,6 +90,7 @@ def test_a_bag_and_its_twin_give_the_same_episode(bag: Path, storage: str, tmp_p
     assert len(told[0][0]) > 4 and told[0][2]["kept"]["/PSM1/measured_cp"] == COUNT
 
 
+@pytest.mark.full
 def test_exports_of_both_kinds_are_imported_alike(tmp_path: Path) -> None:
     recording = datasets_synthetic.record(tmp_path / "episode", 3, 0.6)
     options = ExportOptions(executor="serial", splits={"train": 1.0})

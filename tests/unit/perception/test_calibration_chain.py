@@ -95,6 +95,7 @@ def test_with_exact_joints_the_lens_is_in_what_handeye_states(full: bool) -> Non
     assert without <= 0.5 * seeds
 
 
+@pytest.mark.full
 def test_an_error_of_the_lens_cancels_in_what_is_seen_through_it() -> None:
     """It turns and shifts the eye; touched corners, seen through the same lens, stay."""
     rng, moved_eye, moved_base = np.random.default_rng(3), [], []

@@ -60,7 +60,14 @@ def trained(found: Any = None, **changes: Any) -> Policy:
     return train_cloned.train(found or FEW, options)
 
 
-@pytest.fixture(scope="module", params=cloned_networks.METHODS)
+METHODS = [
+    pytest.param(method, marks=[] if method == "moe_act" else pytest.mark.full)
+    for method in cloned_networks.METHODS
+]
+"""The one that has all parts of the others, and in the full tier those."""
+
+
+@pytest.fixture(scope="module", params=METHODS)
 def policy(request: pytest.FixtureRequest) -> Policy:
     return trained(method=request.param)
 
@@ -177,7 +184,7 @@ def test_the_latent_is_the_priors_mean_without_chunks_and_follows_them_with() ->
     torch.testing.assert_close(spread, wanted.sum(dim=1).mean())
 
 
-@pytest.mark.parametrize("method", cloned_networks.METHODS)
+@pytest.mark.parametrize("method", METHODS)
 def test_one_seed_gives_the_same_weights_and_another_others(method: str) -> None:
     found = made.recorded(2)
     hashes = [trained(found, method=method, steps=3, seed=seed).hash for seed in (0, 0, 1)]

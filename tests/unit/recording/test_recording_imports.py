@@ -161,7 +161,9 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {name: root / name for name in ("lerobot_v21", "lerobot_v30")}
 
 
-@pytest.mark.parametrize("version", ["lerobot_v21", "lerobot_v30"])
+@pytest.mark.parametrize(
+    "version", [pytest.param("lerobot_v21", marks=pytest.mark.full), "lerobot_v30"]
+)
 def test_a_data_set_becomes_episodes_with_the_same_metrics(
     version: str, sets: dict[str, Path], tmp_path: Path
 ) -> None:

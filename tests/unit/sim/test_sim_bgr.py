@@ -130,6 +130,7 @@ def test_no_grasp_is_a_failure(session: CellSession) -> None:
     assert (report.success, report.reason) == (False, "time limit of 4 s in phase 'grasp'")
 
 
+@pytest.mark.full
 def test_too_late_is_a_failure_though_all_was_right(session: CellSession) -> None:
     report = play(session, limit=8.0)
     assert (report.success, report.reason) == (False, "time limit of 8 s in phase 'retract'")
@@ -156,6 +157,7 @@ def test_letting_go_is_a_failure(session: CellSession) -> None:
     assert (report.success, report.reason) == (False, "the robot lost its grasp")
 
 
+@pytest.mark.full
 def test_the_assistant_letting_go_is_a_failure(session: CellSession) -> None:
     class Careless(AssistantExpert):
         def act(self, view):  # type: ignore[no-untyped-def]
@@ -168,6 +170,7 @@ def test_the_assistant_letting_go_is_a_failure(session: CellSession) -> None:
     assert (report.success, report.reason) == (False, "the assistant lost its grasp")
 
 
+@pytest.mark.full
 def test_an_instrument_that_keeps_moving_is_a_failure(session: CellSession) -> None:
     class Restless(RobotExpert):
         def act(self, view):  # type: ignore[no-untyped-def]

@@ -68,7 +68,9 @@ def lines_of(folder: Path) -> Counter[str]:
     return Counter(file.read_text("utf-8").splitlines())
 
 
-@pytest.mark.parametrize("executor", ["process", pytest.param("dask", marks=dask_is_there)])
+@pytest.mark.parametrize(
+    "executor", ["process", pytest.param("dask", marks=[dask_is_there, pytest.mark.full])]
+)
 def test_a_worker_that_dies_in_a_rollout_costs_nothing_but_time(
     executor: str, tmp_path: Path, expected: dict[tuple[str, int], Result]
 ) -> None:

@@ -46,7 +46,9 @@ def alone() -> list[list[dict[str, Any]]]:
     return found
 
 
-@pytest.mark.parametrize(("copy", "context"), [(True, "fork"), (False, "spawn")])
+@pytest.mark.parametrize(
+    ("copy", "context"), [pytest.param(True, "fork", marks=pytest.mark.full), (False, "spawn")]
+)
 def test_pictures_and_states_are_those_of_one_process(
     copy: bool, context: str, alone: list[list[dict[str, Any]]]
 ) -> None:

@@ -19,6 +19,9 @@ MAX_WORKERS = 3
 MAX_REPEATED = 8
 """Tests that may be repeated; more failures are not the machine's."""
 
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+"""Threads of a matrix product: beside other workers more of them spin for a core."""
+
 HANGS_S = 300
 """A test of the whole run that takes longer hangs. The slowest takes a fifth of it."""
 
@@ -50,7 +53,7 @@ def run(
     groups = ["-n", str(workers), "--dist", "loadgroup"]
     groups += ["--timeout", str(HANGS_S)]
     groups += ["--max-worker-restart", "0"]  # a new worker would repeat the test that crashed
-    status, tail = _run([*argv, *tests, *groups], env)
+    status, tail = _run([*argv, *tests, *groups], {**env, **ONE_THREAD})
     counts = parse_counts(tail)
     failed = failed_for_a_core(tail)
     if status == 1 and 0 < len(failed) <= MAX_REPEATED:
