@@ -36,12 +36,13 @@ def all_gone(pids: list[int]) -> bool:
     return all(processes.start_time(pid) is None for pid in pids)
 
 
-def test_up_status_down(tmp_path: Path) -> None:
+def test_up_status_stop_down(tmp_path: Path) -> None:
     port, log = master.free_port(), tmp_path / "up.log"
     with start(log, "up", "sim_ur5e", "--cameras", "none", "--port", port) as process:
         system = wait_for_entry(process.pid, log)
         assert json.loads(system.file.read_text())["command"] == "up", "the list is plain JSON"
         assert {"/sim", "/PSM1/controller", "/recorder"} <= set(system.nodes)
+        assert processes.wait_until(lambda: "is up" in log.read_text(), START_S, 0.1)
         status = surg("status", "--port", port)
         assert status.returncode == 0, status.stdout + status.stderr
         for word in ("/PSM1/controller", "/PSM1/cycle", " Hz", "last errors", "running"):
@@ -49,11 +50,39 @@ def test_up_status_down(tmp_path: Path) -> None:
         again = surg("up", "sim_ur5e", "--cameras", "none", "--port", port)
         assert again.returncode == 1
         assert "--port" in again.stderr
+        enable(port)
+        done = surg("stop", "--port", port)
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert "PSM1 PAUSED" in done.stdout
+        again = surg("stop", "--port", port)  # an arm at rest is no reason to fail
+        assert again.returncode == 0
+        assert process.poll() is None, "the system stays up"
         down = surg("down", "--port", port)
         assert down.returncode == 0
-        assert process.wait(10) == 130
+        assert process.wait(30) == 130
     assert processes.wait_until(lambda: all_gone(list(system.nodes.values())), 5.0)
     assert not system.file.exists()
+
+
+def enable(port: int) -> None:
+    """Enable and home the arm, as a client of the system."""
+    env = {**environment(), "ROS_MASTER_URI": f"http://localhost:{port}"}
+    env["PYTHONPATH"] = f"{paths.ROOT / 'tests'}:{env['PYTHONPATH']}"
+    client = subprocess.Popen(
+        [sys.executable, "-m", "helpers.graph.session_client", "PSM1"],
+        env=env, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert client.stdin is not None and client.stdout is not None
+    for word in ("enable", "home"):
+        command = f'"{{string: {word}}}"'
+        client.stdin.write(
+            f"rostopic pub -1 /PSM1/state_command crtk_msgs/StringStamped {command}\n"
+        )
+        client.stdin.flush()
+        answer = json.loads(client.stdout.readline())
+    assert answer["state"] == "ENABLED", answer
+    client.stdin.close()
+    client.wait(60)
 
 
 def test_a_dying_node_ends_the_system_and_is_named(tmp_path: Path) -> None:
@@ -119,38 +148,6 @@ def test_print_gives_every_rosrun_line() -> None:
     lines = done.stdout.splitlines()
     assert lines[0] == "rosmaster --core"
     assert sum(line.startswith("rosrun ") for line in lines) == 5
-
-
-def test_stop_pauses_an_enabled_arm_and_leaves_the_system_up(tmp_path: Path) -> None:
-    port, log = master.free_port(), tmp_path / "up.log"
-    with start(log, "up", "sim_ur5e", "--cameras", "none", "--port", port) as process:
-        wait_for_entry(process.pid, log)
-        assert processes.wait_until(lambda: "is up" in log.read_text(), START_S, 0.1)
-        env = {**environment(), "ROS_MASTER_URI": f"http://localhost:{port}"}
-        env["PYTHONPATH"] = f"{paths.ROOT / 'tests'}:{env['PYTHONPATH']}"
-        client = subprocess.Popen(
-            [sys.executable, "-m", "helpers.graph.session_client", "PSM1"],
-            env=env, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        )  # fmt: skip
-        assert client.stdin is not None and client.stdout is not None
-        for word in ("enable", "home"):
-            command = f'"{{string: {word}}}"'
-            client.stdin.write(
-                f"rostopic pub -1 /PSM1/state_command crtk_msgs/StringStamped {command}\n"
-            )
-            client.stdin.flush()
-            answer = json.loads(client.stdout.readline())
-        assert answer["state"] == "ENABLED", answer
-        done = surg("stop", "--port", port)
-        assert done.returncode == 0, done.stdout + done.stderr
-        assert "PSM1 PAUSED" in done.stdout
-        again = surg("stop", "--port", port)  # an arm at rest is no reason to fail
-        assert again.returncode == 0
-        client.stdin.close()
-        client.wait(20)
-        assert process.poll() is None
-        process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 130
 
 
 def test_stop_without_a_system_says_so() -> None:

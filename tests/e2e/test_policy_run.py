@@ -54,6 +54,7 @@ def in_one_process() -> tuple[str, int, list[int]]:
     return env.session.hash, n, shown
 
 
+@pytest.mark.full
 @pytest.mark.ros
 def test_every_observation_holds_the_picture_of_its_own_tick(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

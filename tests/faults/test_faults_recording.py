@@ -238,6 +238,7 @@ class Listener:
             ear.unregister()
 
 
+@pytest.mark.full
 @pytest.mark.untimed
 def test_f12_a_full_disk_changes_no_tick_of_a_run_in_lock_step(
     ros_graph: RosGraph, rospy_node: str, tmp_path: Path, small_disk: Callable[[int], Path]

@@ -102,7 +102,7 @@ def start_system(graph: RosGraph, cell: Path, mode: str, participants: list[str]
     graph.node("surg_control", "rcm_node", "/PSM1/controller", {**shared, "arm": "PSM1"})
 
 
-@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize("cell", [pytest.param("sim_ur5e", marks=pytest.mark.full), "sim_panda"])
 def test_one_script_drives_both_robots(
     ros_graph: RosGraph, rospy_node: str, witness: Witness, cell: str, full: bool
 ) -> None:

@@ -68,7 +68,8 @@ def laws(program: Path, robot: str, folder: Path) -> dict[str, Any]:
     return dict(result["laws"])
 
 
-@pytest.mark.parametrize("robot", [pytest.param("ur5e", marks=pytest.mark.full), "panda"])
+@pytest.mark.full
+@pytest.mark.parametrize("robot", ["ur5e", "panda"])
 def test_every_law_makes_the_motion(program: Path, robot: str, tmp_path: Path) -> None:
     told = laws(program, robot, tmp_path)
     assert set(told) >= OWN
