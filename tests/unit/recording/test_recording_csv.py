@@ -150,6 +150,7 @@ while True:
 """
 
 
+@pytest.mark.timed
 def test_kill_9_loses_at_most_50_ms_of_rows(tmp_path: Path, full: bool) -> None:
     rng = np.random.default_rng(7)
     kills, worst = (20 if full else 3), 0.0
