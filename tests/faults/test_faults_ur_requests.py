@@ -16,7 +16,7 @@ import pytest
 from helpers.hardware import emulated_ur
 from helpers.hardware.ur_driver_rig import Rig, driver, rig
 from surg_cli.graph.processes import wait_until
-from surg_emulators.ur import rtde_server
+from surg_emulators.ur import rtde_server, ur_controller
 from surg_emulators.ur.ur_controller import HOME, UrController
 from surg_hardware import robot_link
 from surg_hardware.arm_driver import DriverSettings
@@ -180,7 +180,7 @@ def test_a_field_that_the_robot_does_not_know_is_named(monkeypatch: pytest.Monke
 
 
 def test_an_old_controller_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rtde_server, "VERSION", (5, 5, 1, 82186))
+    monkeypatch.setitem(ur_controller.VERSIONS, "5", (5, 5, 1, 82186))
     with emulated_ur.in_process(UrController()) as emulator:
         said = refused(emulator.address)
     assert "5.5.1.82186" in said and "PolyScope 5.6" in said

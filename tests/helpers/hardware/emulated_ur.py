@@ -186,9 +186,11 @@ def fault(address: str, line: str) -> str:
 
 
 @contextmanager
-def in_process(controller: UrController) -> Iterator[UrEmulator]:
-    """An emulator behind the usual ports of a free address, run by a thread."""
-    emulator = UrEmulator(controller, free_address())
+def in_process(
+    controller: UrController, ports: dict[str, int] | None = None
+) -> Iterator[UrEmulator]:
+    """An emulator behind the usual ports of a free address, or others, run by a thread."""
+    emulator = UrEmulator(controller, free_address(), ports)
     thread = threading.Thread(target=emulator.run, daemon=True)
     thread.start()
     try:

@@ -11,7 +11,7 @@ from helpers.hardware.emulated_ur import Client, cycle, made, packets
 from helpers.results.hardware_results import FUZZ_SERVER, note
 from surg_emulators.ur.rtde_fields import INPUTS, OUTPUTS
 from surg_emulators.ur.rtde_server import RtdeSession
-from surg_emulators.ur.ur_controller import VERSION, UrController
+from surg_emulators.ur.ur_controller import VERSIONS, UrController
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 PACKETS = 1_000_000 if FULL else 30_000
@@ -28,7 +28,7 @@ def test_versions_are_told() -> None:
     _, client = connected()
     assert client.ask("V", b"\x00\x03") == [("V", b"\x00")]
     assert client.ask("V", b"\x00\x02") == [("V", b"\x01")]
-    assert client.ask("v") == [("v", struct.pack(">4I", *VERSION))]
+    assert client.ask("v") == [("v", struct.pack(">4I", *VERSIONS["5"]))]
 
 
 def test_every_output_can_be_asked_for_and_is_in_the_state() -> None:

@@ -2,7 +2,7 @@
 
 from surg_cli.host import paths
 from surg_hardware import conditions
-from surg_hardware.ur.dashboard import OLDEST
+from surg_hardware.ur.orders import OLDEST, OLDEST_X
 
 PAGE = (paths.ROOT / "docs" / "guide" / "link_ur.md").read_text("utf-8")
 
@@ -25,5 +25,6 @@ def test_every_sentence_of_a_ur_is_on_its_page() -> None:
     assert [each for each in sorted(sentences) if each not in PAGE] == []
 
 
-def test_the_oldest_version_is_on_its_page() -> None:
+def test_the_oldest_versions_are_on_its_page() -> None:
     assert "PolyScope " + ".".join(map(str, OLDEST)) in PAGE
+    assert "PolyScope X " + ".".join(map(str, OLDEST_X)) in PAGE

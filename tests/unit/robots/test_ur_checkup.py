@@ -18,7 +18,7 @@ from helpers.hardware import emulated_ur
 from helpers.hardware.emulated_cell import BUNDLED, HOME, SERIAL, emulated_cell
 from surg_cli.graph.roles import Route
 from surg_cli.robots import robot_doctor
-from surg_emulators.ur import dashboard_server, rtde_server
+from surg_emulators.ur import ur_controller
 from surg_emulators.ur.joint_motion import DT
 from surg_emulators.ur.robot_states import SafetyMode
 from surg_emulators.ur.ur_controller import UrController
@@ -113,19 +113,15 @@ def test_another_arm_is_named(
     assert cure in found[f"PSM1: {line}"].cure
 
 
-def test_an_old_controller_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dashboard_server, "VERSION", (5, 4, 0, 1))
-    (found,) = bad(examined(tmp_path, lambda emulator: None))
-    assert found.what == "PSM1: version" and "5.6" in found.cure
-
-
-def test_polyscope_x_has_no_dashboard_server_and_is_named_by_its_version(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("version", "needed"), [((5, 4, 0, 1), "PolyScope 5.6"), ((10, 7, 0, 1), "PolyScope X 10.14")]
+)
+def test_an_old_controller_is_named(
+    version: tuple[int, ...], needed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rtde_server, "VERSION", (10, 7, 0, 1))
-    monkeypatch.setattr(dashboard, "DASHBOARD_PORT", 1)
+    monkeypatch.setitem(ur_controller.VERSIONS, "5", version)
     (found,) = bad(examined(tmp_path, lambda emulator: None))
-    assert found.what == "PSM1: version" and "PolyScope X" in found.cure
+    assert found.what == "PSM1: version" and needed in found.cure
 
 
 def test_a_clock_that_drifts_by_5_percent_is_named() -> None:

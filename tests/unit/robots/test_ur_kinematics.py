@@ -22,7 +22,7 @@ from surg_emulators.ur.dh_kinematics import TABLES, Table, frames, pose_vector
 from surg_emulators.ur.primary_server import PrimarySession
 from surg_emulators.ur.ur_controller import UrController
 from surg_hardware.identity import flange_difference, ur_flange
-from surg_hardware.ur import ur_service
+from surg_hardware.ur import primary
 
 ROBOT = surg_core.load_robot(paths.ROOT / "src/surg_description/robots/ur5e.yaml")
 URDF = paths.ROOT / "src/surg_description/robots" / ROBOT.urdf
@@ -101,7 +101,7 @@ def test_another_models_kinematics_are_refused() -> None:
 
 def test_the_primary_interface_states_them() -> None:
     controller = UrController(dh_errors=errors(7))
-    found = ur_service.kinematics_in(PrimarySession(controller, "primary").state()[5:])
+    found = primary.kinematics_in(PrimarySession(controller, "primary").state()[5:])
     assert found is not None
     assert list(zip(found.d, found.a, found.alpha, strict=True)) == controller.table
 
@@ -115,9 +115,9 @@ def test_nonsense_on_the_primary_interface_ends_in_nothing() -> None:
         for _ in range(draw.randrange(8)):
             if data:
                 data[draw.randrange(len(data))] = draw.randrange(256)
-        found += ur_service.kinematics_in(bytes(data)) is not None
+        found += primary.kinematics_in(bytes(data)) is not None
     print(f"5000 mangled messages, {found} still whole")
-    assert ur_service.kinematics_in(b"\0\0\0\0\5") is None
+    assert primary.kinematics_in(b"\0\0\0\0\5") is None
 
 
 def test_the_command_writes_them_and_the_arm_is_accepted(

@@ -13,7 +13,7 @@ from typing import Any
 
 from surg_cli.host.terminal import CliError, confirm, say
 from surg_hardware import identity
-from surg_hardware.ur import ur_service
+from surg_hardware.ur import primary, ur_service
 
 _QUESTIONS = {
     "on": "powers the motors and releases the brakes. The arm can sag by some millimetres. Is "
@@ -96,7 +96,7 @@ def _kinematics(arm: Any, folder: Path) -> None:
             f"{there.serial!r}: check address and serial; this is another arm",
             2,
         )
-    found = ur_service.read_kinematics(address)
+    found = primary.read_kinematics(address)
     text = calibration.kinematics_text(
         arm.robot.name, there.serial, datetime.date.today().isoformat(), vars(found)
     )

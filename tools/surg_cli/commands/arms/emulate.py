@@ -12,6 +12,7 @@ from surg_emulators import emulator_program
 from surg_emulators.emulator_ports import PortedEmulator
 from surg_emulators.franka import franka_emulator
 from surg_emulators.ur import ur_emulator
+from surg_emulators.ur.ur_controller import VERSIONS
 
 ROBOTS = {robot: (kind, model) for kind, of in MODELS.items() for robot, model in of.items()}
 """Robot -> its emulator, and its name at the maker's."""
@@ -29,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--arm", metavar="NAME", help="of the cell (default: its first)")
     add("--address", metavar="IP", help="loopback address without a cell (default: 127.0.0.1)")
     add("--faults", type=Path, metavar="FILE", help="faults, one per line: [at SECONDS] NAME ...")
+    add("--polyscope", choices=tuple(VERSIONS), default="5", help="of a UR (default: 5)")
     add("--off", action="store_true", help="begin with the power off (ur) or the brakes closed")
 
 
@@ -64,6 +66,7 @@ def _of_robot(options: argparse.Namespace) -> tuple[str, argparse.Namespace]:
     if options.arm is not None:
         raise CliError(f"emulate {options.robot}: --arm {options.arm} needs a cell", 2)
     kind, model = ROBOTS[options.robot]
+    _check_polyscope(kind, options)
     return kind, _program(options, options.address or "127.0.0.1", model)
 
 
@@ -90,8 +93,14 @@ def _of_cell(options: argparse.Namespace) -> tuple[str, argparse.Namespace]:
     if arm.robot.name not in ROBOTS:
         raise CliError(f"{place}.robot: {arm.robot.name!r}; allowed: {', '.join(ROBOTS)}", 2)
     kind, model = ROBOTS[arm.robot.name]
+    _check_polyscope(kind, options)
     hardware = arm.hardware
     return kind, _program(options, hardware.address, model, hardware.serial, list(arm.robot.home))
+
+
+def _check_polyscope(kind: str, options: argparse.Namespace) -> None:
+    if kind != "ur" and options.polyscope != "5":
+        raise CliError(f"emulate {options.robot}: --polyscope is of a UR", 2)
 
 
 def _program(
@@ -106,5 +115,5 @@ def _program(
     emulator_program.add_arguments(parser)
     given = parser.parse_args([])
     given.address, given.model, given.serial, given.q = address, model, serial, q
-    given.faults, given.off = options.faults, options.off
+    given.faults, given.off, given.polyscope = options.faults, options.off, options.polyscope
     return given

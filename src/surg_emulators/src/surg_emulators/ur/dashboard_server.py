@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from surg_emulators.ur.robot_states import DEAD, RobotMode, Runtime
-from surg_emulators.ur.ur_controller import VERSION, UrController
+from surg_emulators.ur.ur_controller import UrController
 
 GREETING = b"Connected: Universal Robots Dashboard Server\n"
 LONGEST_LINE = 4096
@@ -95,7 +95,7 @@ class DashboardSession:
         return f"could not understand: '{line}'"
 
     def _version(self) -> str:
-        return ".".join(str(part) for part in VERSION)
+        return ".".join(str(part) for part in self._controller.version)
 
     def _program_state(self) -> str:
         names = {Runtime.PLAYING: "PLAYING", Runtime.PAUSED: "PAUSED", Runtime.PAUSING: "PAUSED"}

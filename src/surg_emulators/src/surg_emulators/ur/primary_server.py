@@ -12,7 +12,7 @@ import zlib
 from itertools import islice
 
 from surg_emulators.ur.robot_states import EMERGENCY, Runtime, SafetyMode, joint_mode
-from surg_emulators.ur.ur_controller import VERSION, UrController
+from surg_emulators.ur.ur_controller import UrController
 
 ROBOT_STATE, ROBOT_MESSAGE = 16, 20
 VERSION_MESSAGE, TEXT_MESSAGE = 3, 0
@@ -73,7 +73,7 @@ class PrimarySession:
         """What a client gets first: the version and the whole state."""
         if self._service == "script":
             return b""
-        major, minor, bugfix, build = VERSION
+        major, minor, bugfix, build = self._controller.version
         name, date = b"URControl", b"22-03-2022, 10:00:00"
         body = bytes([len(name)]) + name + struct.pack(">BBii", major, minor, bugfix, build) + date
         self._said = self._controller.said

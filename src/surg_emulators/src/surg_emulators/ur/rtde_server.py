@@ -14,7 +14,7 @@ from typing import Any
 
 from surg_emulators.ur.joint_motion import DT
 from surg_emulators.ur.rtde_fields import COUNT, INPUTS, OUTPUTS, PACKING, Get
-from surg_emulators.ur.ur_controller import VERSION, UrController
+from surg_emulators.ur.ur_controller import UrController
 
 HEADER = struct.Struct(">HB")
 VERSION_REQUEST, CONTROLLER_VERSION, TEXT, DATA = b"VvMU"
@@ -83,7 +83,7 @@ class RtdeSession:
         self._answers: dict[int, Callable[[bytes], bytes]] = {
             VERSION_REQUEST: self._request_version,
             CONTROLLER_VERSION: lambda body: packet(
-                CONTROLLER_VERSION, struct.pack(">4I", *VERSION)
+                CONTROLLER_VERSION, struct.pack(">4I", *controller.version)
             ),
             SETUP_OUTPUTS: self._set_up_outputs,
             SETUP_INPUTS: self._set_up_inputs,

@@ -32,8 +32,8 @@ BOOT_TIME = 4.0
 """From the controller's start to power off [s]. An arm takes half a minute."""
 MESSAGES = 200
 """Text messages kept for clients and people."""
-VERSION = (5, 12, 0, 1101319)
-"""Version of the controller's software: major, minor, bugfix, build."""
+VERSIONS = {"5": (5, 12, 0, 1101319), "x": (10, 14, 0, 1)}
+"""PolyScope -> version of the controller's software: major, minor, bugfix, build."""
 
 
 @dataclass
@@ -64,6 +64,10 @@ class UrController:
             joint, added to the model's.
         ready: Whether the arm is powered with the brakes released; otherwise it is off.
         lags: Of each joint behind its target [s].
+        polyscope: `5`, or `x` for PolyScope X.
+
+    Attributes:
+        version: Of its software: major, minor, bugfix, build.
     """
 
     cycles: int
@@ -91,8 +95,9 @@ class UrController:
         dh_errors: Sequence[tuple[float, float, float]] = ((0.0, 0.0, 0.0),) * 6,
         ready: bool = True,
         lags: Sequence[float] = LAGS,
+        polyscope: str = "5",
     ) -> None:
-        self.model, self.serial = model, serial
+        self.model, self.serial, self.version = model, serial, VERSIONS[polyscope]
         self.dh_errors = dh_errors
         nominal = dh.TABLES[model]
         self.table: dh.Table = [

@@ -1,4 +1,4 @@
-"""A UR e-Series controller as a program: the emulated controller behind its TCP ports.
+"""The controller of a UR arm as a program: the emulated controller behind its TCP ports.
 
 Two faces: in free-run the controller's cycle follows the machine's clock; in lock-step each cycle
 waits for the commands that answer the last state. Only loopback addresses are served.
@@ -19,8 +19,9 @@ from surg_emulators.ur.dashboard_server import GREETING, DashboardSession
 from surg_emulators.ur.dh_kinematics import TABLES
 from surg_emulators.ur.joint_motion import DT
 from surg_emulators.ur.primary_server import PrimarySession
+from surg_emulators.ur.robot_api_server import RobotApiSession
 from surg_emulators.ur.rtde_server import RtdeSession
-from surg_emulators.ur.ur_controller import HOME, UrController
+from surg_emulators.ur.ur_controller import HOME, VERSIONS, UrController
 
 MODELS = tuple(TABLES)
 SERIAL = "20225500001"
@@ -34,6 +35,9 @@ PORTS = {
 }
 """Service -> its port on an arm. `script` is the real-time interface; here it takes programs but
 sends no states. `control` takes faults and exists only here."""
+ROBOT_API = {"api": 80}
+"""What PolyScope X has in the place of the dashboard server."""
+PORTS_X = ROBOT_API | {name: port for name, port in PORTS.items() if name != "dashboard"}
 DOWN, FIRST_RTDE, RESTART = 1.0, 2.0, 0.5
 """Reboot: no port answers, RTDE answers, RTDE is gone again [s]."""
 
@@ -66,7 +70,8 @@ class UrEmulator(PortedEmulator):
     ) -> None:
         self.controller = controller
         self._booted_at = -1.0
-        super().__init__(controller, DT, address, PORTS | (ports or {}), lock_step)
+        known = PORTS_X if controller.version[:1] == VERSIONS["x"][:1] else PORTS
+        super().__init__(controller, DT, address, known | (ports or {}), lock_step)
 
     # One cycle -------------------------------------------------------------------------------
 
@@ -77,7 +82,7 @@ class UrEmulator(PortedEmulator):
         self.controller.advance()
         for connection in list(self._connections):
             session = connection.session
-            if isinstance(session, RtdeSession | PrimarySession):
+            if isinstance(session, RtdeSession | PrimarySession | RobotApiSession):
                 self._send(connection, session.output())
         self.controller.execute()
 
@@ -131,7 +136,7 @@ class UrEmulator(PortedEmulator):
         self.reset_connections()
         self.controller.boot()
         self._booted_at = self._now
-        for service in tuple(PORTS)[:-1]:
+        for service in self._services:
             self._close_listener(service)
 
     def send_raw(self, data: bytes) -> None:
@@ -149,6 +154,11 @@ class UrEmulator(PortedEmulator):
                 self._flush(each)
         self.reset_connections(("rtde",))
 
+    @property
+    def _services(self) -> list[str]:
+        """What the arm itself has."""
+        return [service for service in self.ports if service != CONTROL]
+
     def _follow_boot(self) -> None:
         """Open and close ports while the controller boots."""
         if self._booted_at < 0.0:
@@ -157,7 +167,7 @@ class UrEmulator(PortedEmulator):
         restarting = DOWN + FIRST_RTDE <= since < DOWN + FIRST_RTDE + RESTART
         if since < DOWN:
             return
-        for service in tuple(PORTS)[:-1]:
+        for service in self._services:
             if service == "rtde" and restarting:
                 self.reset_connections(("rtde",))
                 self._close_listener("rtde")
@@ -186,6 +196,8 @@ class UrEmulator(PortedEmulator):
             return RtdeSession(self.controller)
         if service == "dashboard":
             return DashboardSession(self.controller)
+        if service == "api":
+            return RobotApiSession(self.controller)
         return PrimarySession(self.controller, service)
 
 
@@ -199,8 +211,14 @@ def start(options: argparse.Namespace) -> UrEmulator:
     q = options.q or HOME
     if len(q) != 6:
         raise ValueError(f"--q: {len(q)} joint angles; a UR has 6")
-    controller = UrController(options.model, options.serial or SERIAL, q, ready=not options.off)
-    ports = parse_ports(options.ports, PORTS)
+    controller = UrController(
+        options.model,
+        options.serial or SERIAL,
+        q,
+        ready=not options.off,
+        polyscope=options.polyscope,
+    )
+    ports = parse_ports(options.ports, PORTS_X if options.polyscope == "x" else PORTS)
     emulator = UrEmulator(controller, options.address, ports, options.lock_step)
     prepare(emulator, options)
     return emulator
@@ -211,6 +229,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
     def declare(parser: argparse.ArgumentParser) -> None:
         parser.add_argument("--model", choices=MODELS, default="UR5e", help="default: UR5e")
+        parser.add_argument("--polyscope", choices=tuple(VERSIONS), default="5", help="default: 5")
 
     return serve(__doc__, declare, start, words)
 

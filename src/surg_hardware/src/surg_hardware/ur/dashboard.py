@@ -1,24 +1,24 @@
-"""Questions to a UR's dashboard server, and programs to its script port.
-
-Both may take seconds: nothing here is called from the loop of a driver.
-"""
+"""Questions and orders to the dashboard server of PolyScope 5: a line, and its answer."""
 
 from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+
+from surg_hardware.ur.orders import ANSWER, LOCAL, Order
 
 DASHBOARD_PORT = 29999
-SCRIPT_PORT = 30002
-OLDEST = (5, 6)
-"""PolyScope whose dashboard server tells serial number and remote control."""
-POLYSCOPE_X = 10
-"""Major version from which on a controller has no dashboard server."""
-ANSWER = 10.0
-"""[s] Longest wait for an answer, and for a program to start: the maker's library waits so long."""
 _LONGEST = 4096
-_LOOK = 0.02  # [s] between two looks whether a program has started
+_OBEYS = {
+    Order.POWER_ON: "Powering on",
+    Order.POWER_OFF: "Powering off",
+    Order.RELEASE_BRAKES: "Brake releasing",
+    Order.UNLOCK: "Protective stop releasing",
+    Order.RESTART_SAFETY: "Restarting safety",
+    Order.STOP: "Stopped",
+}
+"""How the answer to each order begins when the robot obeys."""
 
 
 def ask(address: str, questions: Sequence[str], timeout: float = ANSWER) -> list[str]:
@@ -47,39 +47,49 @@ def ask(address: str, questions: Sequence[str], timeout: float = ANSWER) -> list
     return answers[1:]
 
 
-def version_cure(version: Sequence[int]) -> str:
-    """What to do about a controller's version (major, minor, …); empty: it can be driven."""
-    if version and version[0] >= POLYSCOPE_X:
-        return "this is PolyScope X, which has no dashboard server: use an arm with PolyScope 5"
-    if tuple(version[:2]) >= OLDEST:
+class Dashboard:
+    """The dashboard server at an address, as `orders.Orders` describes it."""
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+
+    def version(self) -> str:
+        """Of PolyScope."""
+        return self._said("PolyscopeVersion")
+
+    def identity(self) -> tuple[str, str]:
+        """Serial number and model, without the series: UR5."""
+        serial, model = ask(self._address, ("get serial number", "get robot model"))
+        return serial, model
+
+    def remote(self) -> bool:
+        """Whether it is in remote control."""
+        return self._said("is in remote control").lower() == "true"
+
+    def running(self) -> bool:
+        """Whether a program runs."""
+        return self._said("running").lower() == "true"
+
+    def robot_mode(self) -> str:
+        """Such as RUNNING, of `Robotmode: RUNNING`."""
+        return self._said("robotmode")
+
+    def safety(self) -> str:
+        """Such as PROTECTIVE_STOP."""
+        return self._said("safetystatus")
+
+    def order(self, order: Order, timeout: float = ANSWER) -> str:
+        """Give an order; returns why the robot does not obey, or nothing."""
+        remote, answer = ask(self._address, ("is in remote control", order.value), timeout)
+        if remote.lower() != "true":
+            return LOCAL
+        if not answer.startswith(_OBEYS[order]):
+            return answer
+        if order is Order.UNLOCK:
+            ask(self._address, ("close safety popup",), timeout)
         return ""
-    return f"PolyScope {'.'.join(map(str, OLDEST))} or newer is needed: update the robot"
 
-
-def upload(
-    address: str,
-    program: str,
-    started: Callable[[], bool],
-    wanted: Callable[[], bool],
-    timeout: float = ANSWER,
-) -> None:
-    """Send a program, and keep the connection until the controller says that it has started.
-
-    Args:
-        address: Of the robot, in remote control.
-        program: Text in URScript.
-        started: Whether the controller says that the program runs.
-        wanted: Whether it is still wanted; where not, it is not sent, or no longer waited for.
-        timeout: Longest wait [s].
-
-    Raises:
-        OSError: The script port does not take it, or it has not started within the time.
-    """
-    with socket.create_connection((address, SCRIPT_PORT), timeout) as peer:
-        if wanted():
-            peer.sendall(program.encode("ascii"))
-        deadline = time.monotonic() + timeout
-        while wanted() and not started():
-            if time.monotonic() > deadline:
-                raise TimeoutError(f"the program has not started within {timeout:g} s")
-            time.sleep(_LOOK)
+    def _said(self, question: str) -> str:
+        """The answer, or what stands behind its colon."""
+        (answer,) = ask(self._address, (question,))
+        return answer.rpartition(":")[2].strip()

@@ -53,7 +53,7 @@ _FORMATS = {
 }
 _HEADER = struct.Struct(">HB")
 _CHUNK = 1 << 16
-_REQUEST_VERSION, _GET_VERSION, _MESSAGE = ord("V"), ord("v"), ord("M")
+_REQUEST_VERSION, _MESSAGE = ord("V"), ord("M")
 _DATA, _SETUP_OUTPUTS, _SETUP_INPUTS, _START = ord("U"), ord("O"), ord("I"), ord("S")
 
 Values = dict[str, tuple[float, ...]]
@@ -64,7 +64,16 @@ class RtdeError(ConnectionError):
 
 
 class RtdeRefused(RtdeError):
-    """The robot refuses what this client needs; asking again changes nothing by itself."""
+    """The robot refuses what this client needs; asking again changes nothing by itself.
+
+    Attributes:
+        sentence: What is refused.
+        cure: What to do.
+    """
+
+    def __init__(self, sentence: str, cure: str) -> None:
+        super().__init__(f"{sentence}: {cure}")
+        self.sentence, self.cure = sentence, cure
 
 
 class Decoder:
@@ -123,7 +132,7 @@ class Recipe:
             cure = (
                 "another RTDE client owns these registers: end it" if in_use else "update PolyScope"
             )
-            raise RtdeRefused(f"RTDE: {', '.join(refused)}: {cure}")
+            raise RtdeRefused(f"RTDE: {', '.join(refused)}", cure)
         formats = [_FORMATS[each] for each in types]
         places, at = [], 0
         for each in formats:
@@ -141,37 +150,12 @@ class Recipe:
 
     def pack(self, *values: float) -> bytes:
         """A data package with these values, one after another."""
-        return _package(_DATA, bytes((self.number,)) + self.layout.pack(*values))
+        return package(_DATA, bytes((self.number,)) + self.layout.pack(*values))
 
 
-def _package(letter: int, payload: bytes = b"") -> bytes:
+def package(letter: int, payload: bytes = b"") -> bytes:
+    """A package as bytes."""
     return _HEADER.pack(_HEADER.size + len(payload), letter) + payload
-
-
-def round_trips(address: str, seconds: float, pause: float = 0.02) -> list[float]:
-    """Times from a question to its answer [s], asked over and over; moves nothing.
-
-    Raises:
-        OSError: Nobody answers, or not within 1 s.
-        RtdeError: The answer is not RTDE.
-    """
-    trips: list[float] = []
-    end = time.monotonic() + seconds
-    with socket.create_connection((address, PORT), 1.0) as peer:
-        peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        decoder = Decoder()
-        while not trips or time.monotonic() < end:
-            asked = time.monotonic()
-            peer.sendall(_package(_GET_VERSION))
-            answered = False
-            while not answered:
-                data = peer.recv(_CHUNK)
-                if not data:
-                    raise RtdeError("the robot has closed the connection")
-                answered = any(letter == _GET_VERSION for letter, _ in decoder.add(data))
-            trips.append(time.monotonic() - asked)
-            time.sleep(pause)
-    return trips
 
 
 class Rtde:
@@ -197,11 +181,9 @@ class Rtde:
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             reply = self._ask(_REQUEST_VERSION, struct.pack(">H", VERSION), timeout)
             if reply != b"\x01":
-                raise RtdeRefused(f"RTDE: the robot refuses protocol version {VERSION}")
-            version = self._ask(_GET_VERSION, b"", timeout)
-            if len(version) != 16:
-                raise RtdeError(f"{len(version)} bytes for the controller's version")
-            self.version: tuple[int, ...] = struct.unpack(">4I", version)
+                raise RtdeRefused(
+                    f"RTDE: the robot refuses protocol version {VERSION}", "update PolyScope"
+                )
             asked = struct.pack(">d", FREQUENCY) + ",".join(OUTPUTS).encode()
             self._outputs = Recipe.of(OUTPUTS, self._ask(_SETUP_OUTPUTS, asked, timeout))
             self._inputs: Recipe | None = None
@@ -209,7 +191,9 @@ class Rtde:
                 reply = self._ask(_SETUP_INPUTS, ",".join(INPUTS).encode(), timeout)
                 self._inputs = Recipe.of(INPUTS, reply)
             if self._ask(_START, b"", timeout) != b"\x01":
-                raise RtdeRefused("RTDE: the robot refuses to start the exchange")
+                raise RtdeRefused(
+                    "RTDE: the robot refuses to start the exchange", "restart the robot"
+                )
             self._socket.setblocking(False)
         except BaseException:
             self._socket.close()
@@ -263,7 +247,7 @@ class Rtde:
 
     def _ask(self, letter: int, payload: bytes, timeout: float) -> bytes:
         """Send a request and wait for its answer; other packages are dropped meanwhile."""
-        self._socket.sendall(_package(letter, payload))
+        self._socket.sendall(package(letter, payload))
         deadline = time.monotonic() + timeout
         while True:
             while self._waiting:
@@ -287,13 +271,3 @@ class Rtde:
         """Keep a text message: its length, itself, and more that is not needed."""
         if letter == _MESSAGE and payload and len(self.messages) < 10:
             self.messages.append(payload[1 : 1 + payload[0]].decode("utf-8", "replace"))
-
-
-def controller_version(address: str) -> tuple[int, ...]:
-    """The version (major, minor, bugfix, build) of a controller; empty: RTDE does not answer."""
-    try:
-        peer = Rtde(address, inputs=False)
-    except OSError:
-        return ()
-    peer.close()
-    return peer.version

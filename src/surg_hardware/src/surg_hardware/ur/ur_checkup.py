@@ -1,8 +1,7 @@
-"""The check-up of a UR arm: asks its dashboard server and listens to RTDE; moves nothing."""
+"""The check-up of a UR arm: asks its controller and listens to RTDE; moves nothing."""
 
 from __future__ import annotations
 
-import re
 import select
 import time
 from typing import TYPE_CHECKING
@@ -11,21 +10,15 @@ from surg_hardware import checkup, identity
 from surg_hardware.checkup import Finding
 from surg_hardware.conditions import Condition
 from surg_hardware.driver_process import finite, is_emulated
-from surg_hardware.ur import dashboard
-from surg_hardware.ur.rtde import Rtde, RtdeRefused, Values, controller_version, round_trips
+from surg_hardware.ur import orders
+from surg_hardware.ur.controller_version import round_trips
+from surg_hardware.ur.rtde import Rtde, RtdeRefused, Values
 from surg_hardware.ur.ur_states import robot_state
 
 if TYPE_CHECKING:
     import surg_core
 
-CONNECTION = "check power, cable and address; PolyScope 5 is needed"
-_QUESTIONS = (
-    "PolyscopeVersion",
-    "is in remote control",
-    "running",
-    "get serial number",
-    "get robot model",
-)
+CONNECTION = "check power, cable and address; PolyScope 5 or X is needed"
 
 
 def examine(arm: surg_core.Arm, seconds: float) -> list[Finding]:
@@ -39,12 +32,16 @@ def examine(arm: surg_core.Arm, seconds: float) -> list[Finding]:
     assert hardware is not None
     address = hardware.address
     try:
-        version, remote, running, serial, model = dashboard.ask(address, _QUESTIONS)
+        robot = orders.of(address)
+        version, remote, running = robot.version(), robot.remote(), robot.running()
+        serial, model = robot.identity()
+    except RtdeRefused as error:
+        return [Finding("version", error.sentence, False, error.cure)]
     except OSError as error:
-        return [_no_dashboard(address, error)]
+        return [Finding("hardware.address", f"{address}: {error}", False, CONNECTION)]
     found = [
         Finding("hardware.address", f"a UR controller answers at {address}"),
-        _version(version),
+        Finding("version", version),
         _remote(remote),
         _program(running),
     ]
@@ -73,22 +70,7 @@ def examine(arm: surg_core.Arm, seconds: float) -> list[Finding]:
     return found
 
 
-def _no_dashboard(address: str, error: OSError) -> Finding:
-    """An address without a dashboard server: PolyScope X tells its version by RTDE."""
-    version = controller_version(address)
-    if version and (cure := dashboard.version_cure(version)):
-        return Finding("version", ".".join(map(str, version)), False, cure)
-    return Finding("hardware.address", f"{address}: {error}", False, CONNECTION)
-
-
-def _version(said: str) -> Finding:
-    numbers = re.search(r"(\d+)\.(\d+)", said)
-    cure = dashboard.version_cure((int(numbers[1]), int(numbers[2])) if numbers else ())
-    return Finding("version", said, not cure, cure)
-
-
-def _remote(said: str) -> Finding:
-    remote = said.lower() == "true"
+def _remote(remote: bool) -> Finding:
     return Finding(
         "control",
         "remote" if remote else "local: the robot takes no programs from this machine",
@@ -97,8 +79,7 @@ def _remote(said: str) -> Finding:
     )
 
 
-def _program(said: str) -> Finding:
-    runs = "true" in said.lower()
+def _program(runs: bool) -> Finding:
     return Finding(
         "program",
         "a program runs on the robot" if runs else "none runs",
@@ -112,8 +93,8 @@ def _connected(address: str) -> tuple[Rtde, Finding]:
     try:
         return Rtde(address), Finding("RTDE", "all fields are there, no other client commands")
     except RtdeRefused as error:
-        text, _, cure = str(error).removeprefix("RTDE: ").rpartition(": ")
-        return Rtde(address, inputs=False), Finding("RTDE", text, False, cure)
+        text = error.sentence.removeprefix("RTDE: ")
+        return Rtde(address, inputs=False), Finding("RTDE", text, False, error.cure)
 
 
 def _listen(rtde: Rtde, seconds: float) -> tuple[Values, checkup.Exchange]:

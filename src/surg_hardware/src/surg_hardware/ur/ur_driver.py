@@ -26,8 +26,10 @@ from surg_hardware.conditions import OFFLINE, Condition, Reading
 from surg_hardware.driver_datagrams import IdentityDatagram
 from surg_hardware.identity import ur_flange
 from surg_hardware.robot_link import CommandPhase
-from surg_hardware.ur import dashboard, urscript
-from surg_hardware.ur.rtde import Rtde, RtdeError, RtdeRefused, Values, controller_version
+from surg_hardware.ur import primary, urscript
+from surg_hardware.ur.orders import ANSWER, LOCAL, Order
+from surg_hardware.ur.rtde import Rtde, RtdeError, RtdeRefused, Values
+from surg_hardware.ur.ur_connection import Connected, connect
 from surg_hardware.ur.ur_states import SetValues, robot_state, says_guiding
 
 CYCLE = 0.002
@@ -36,9 +38,8 @@ WAIT = 0.02
 """[s] Longest wait for a packet."""
 SILENCE = 1.0
 """[s] Without a packet, after which the connection is given up."""
-START = dashboard.ANSWER + 2.0
-"""[s] For the robot to obey after a start: its dashboard may take its time."""
-LOCAL = "the robot is in local control: switch it to remote control on the pendant"
+START = ANSWER + 2.0
+"""[s] For the robot to obey after a start: it may take its time to answer."""
 ASKING = "the robot has not answered the last request yet: wait"
 
 
@@ -53,7 +54,7 @@ class UrDriver(ArmDriver):
         self._set = SetValues()
         self._program = self._guiding = False  # whether any program runs on the robot; hand guiding
         self._starting = False  # uploaded, and not seen to run
-        self._serial = self._model = ""
+        self._robot: Connected | None = None  # the last connection
         self._arrived = self._ended_program = -1e9  # our clock
         self._asking = self._cancelled = self._connecting = False
         self._answers: deque[Callable[[], None]] = deque()  # of threads, for the loop to take
@@ -130,24 +131,8 @@ class UrDriver(ArmDriver):
 
     # --- the connection -------------------------------------------------------------------------
 
-    def _connection(self) -> tuple[Rtde, str, str]:
-        """A new connection, and the arm's serial number and model; may take seconds."""
-        address = self._settings.address
-        try:
-            serial, model = dashboard.ask(address, ("get serial number", "get robot model"))
-        except OSError:
-            _refuse_version(controller_version(address))
-            raise
-        rtde = Rtde(address)
-        try:
-            _refuse_version(rtde.version)
-        except RtdeRefused:
-            rtde.close()
-            raise
-        return rtde, serial, model
-
-    def _take(self, rtde: Rtde, serial: str, model: str) -> None:
-        self._rtde, self._serial, self._model = rtde, serial, model
+    def _take(self, robot: Connected) -> None:
+        self._rtde, self._robot = robot.rtde, robot
         self._connecting, self._offline = False, OFFLINE
         self._clock.reset()
         self._arrived, self._identified = time.monotonic(), -1e9
@@ -156,7 +141,7 @@ class UrDriver(ArmDriver):
         deadline = time.monotonic() + FIRST_CONNECTION
         while not self._ended:
             try:
-                self._take(*self._connection())
+                self._take(connect(self._settings.address))
                 return
             except RtdeRefused as error:
                 raise RobotRefused(str(error)) from error
@@ -168,24 +153,23 @@ class UrDriver(ArmDriver):
     def _connect_again(self) -> None:
         self._connecting, self._tried = True, time.monotonic()
 
-        def connect() -> None:
+        def work() -> None:
             try:
-                found = self._connection()
+                found = connect(self._settings.address)
             except OSError as error:
                 why = error
                 self._answers.append(lambda: self._fail(why))
             else:
-                self._answers.append(lambda: self._take(*found))
+                self._answers.append(lambda: self._take(found))
 
-        self._beside(connect)
+        self._beside(work)
 
     def _fail(self, error: OSError) -> None:
         """Say why there is no connection: the robot may answer, and refuse."""
         self._connecting, said = False, self._offline
         self._offline = OFFLINE
         if isinstance(error, RtdeRefused):
-            sentence, _, cure = str(error).rpartition(": ")
-            self._offline = Reading(Condition.OFFLINE, sentence, cure)
+            self._offline = Reading(Condition.OFFLINE, error.sentence, error.cure)
         if self._offline != said:
             self._notice(str(error))
 
@@ -204,7 +188,7 @@ class UrDriver(ArmDriver):
         return super()._obey(word, enabled)
 
     def _beside(self, work: Callable[[], None]) -> None:
-        """Work beside the loop: the dashboard may take its time."""
+        """Work beside the loop: the robot may take its time to answer."""
         threading.Thread(target=work, daemon=True).start()
 
     def _start(self, enabled: bool) -> str:
@@ -239,12 +223,13 @@ class UrDriver(ArmDriver):
 
     def _end_program(self) -> None:
         """End the program on the robot: `play` would give a paused arm its old speed back."""
+        assert self._robot is not None
         try:
-            (answer,) = dashboard.ask(self._settings.address, ("stop",))
+            refusal = self._robot.orders.order(Order.STOP)
         except OSError as error:
-            answer = str(error)
-        if not answer.startswith("Stopped"):
-            self._notice(f"stop: a program is still on the robot: stop it there ({answer})")
+            refusal = str(error)
+        if refusal:
+            self._notice(f"stop: a program is still on the robot: stop it there ({refusal})")
 
     def _upload(
         self,
@@ -255,21 +240,21 @@ class UrDriver(ArmDriver):
     ) -> None:
         """Start a program beside the loop, as long as it is wanted and nobody says stop."""
         self._asking, self._cancelled = True, False
+        assert self._robot is not None
+        robot = self._robot.orders
 
         def still() -> bool:
             return wanted() and not self._cancelled
 
         def ask() -> None:
             refusal = ""
-            address = self._settings.address
             try:
-                (remote,) = dashboard.ask(address, ("is in remote control",))
-                if remote.lower() != "true":
-                    refusal = LOCAL
+                if robot.remote():
+                    primary.upload(self._settings.address, program, started, still)
                 else:
-                    dashboard.upload(address, program, started, still)
+                    refusal = LOCAL
             except OSError as error:
-                refusal = f"the robot does not answer its dashboard or script port: {error}"
+                refusal = f"the robot does not answer its ports for orders and programs: {error}"
             self._answers.append(lambda: self._uploaded(word, refusal))
 
         self._beside(ask)
@@ -284,6 +269,7 @@ class UrDriver(ArmDriver):
         return "a person is asked first: ./surg robot CELL recover"
 
     def _say_identity(self, values: Values) -> None:
+        assert self._robot is not None
         self._set.know(values)
         x, y, z = values["payload_cog"]
         flange = ur_flange(values["actual_TCP_pose"], values["tcp_offset"])
@@ -293,17 +279,10 @@ class UrDriver(ArmDriver):
                 tuple(flange[:3].ravel().tolist()),
                 values["payload"][0],
                 (x, y, z),
-                self._serial,
-                self._model,
+                self._robot.serial,
+                self._robot.model,
             ).pack()
         )
-
-
-def _refuse_version(version: tuple[int, ...]) -> None:
-    """Refuse a controller that is too old or has no dashboard server; empty: it tells none."""
-    if version and (cure := dashboard.version_cure(version)):
-        said = ".".join(map(str, version))
-        raise RtdeRefused(f"the controller's version is {said}: {cure}")
 
 
 if __name__ == "__main__":
