@@ -16,13 +16,16 @@ from helpers.teleop.console import Console, console
 from helpers.teleop.console_attack import attack
 from helpers.teleop.console_page import page, when
 from surg_console.session.console_orders import SetOperatorPresent
+from surg_console.web import connection_cap
 from surg_console.web.admission import MAX_PAGES
-from surg_console.web.connection_cap import HEADER_WAIT, MAX_OPEN, ConnectionCap
+from surg_console.web.connection_cap import MAX_OPEN, ConnectionCap
 
 pytestmark = pytest.mark.timed
 
 CONNECT_WITHIN = 2.0
 """[s] A new page has the page's files, and a status on its socket."""
+HEADER_WAIT = 1.0
+"""[s] Instead of the server's."""
 LONGEST = 3 * CONNECT_WITHIN
 """[s] The worst of several beside other tests."""
 
@@ -95,6 +98,12 @@ async def test_the_driving_page_is_held_at_most_once() -> None:
         assert held <= 1
 
 
+@pytest.fixture(autouse=True)
+def short_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tests wait a second for what is given ten."""
+    monkeypatch.setattr(connection_cap, "HEADER_WAIT", HEADER_WAIT)
+
+
 @within(60.0)
 async def test_half_open_requests_are_closed_in_time() -> None:
     async with console(pictures=False) as made:
@@ -112,6 +121,18 @@ async def test_half_open_requests_are_closed_in_time() -> None:
         await when(all_ended, "the end of all", HEADER_WAIT + 3.0)
         for _, writer in open_ones:
             writer.close()
+
+
+@within(60.0)
+async def test_a_request_is_answered_although_the_machine_was_busy_when_it_came() -> None:
+    """The server comes to it later than a connection that sends nothing is kept."""
+    async with console(pictures=False) as made:
+        reader, writer = await asyncio.open_connection("127.0.0.1", made.port)
+        await asyncio.sleep(0.2)  # the connection is accepted
+        writer.write(f"GET / HTTP/1.1\r\nHost: localhost:{made.port}\r\n\r\n".encode())
+        time.sleep(HEADER_WAIT + 0.5)  # noqa: ASYNC251, this loop is the server's too
+        assert (await reader.readline()).startswith(b"HTTP/1.1 200")
+        writer.close()
 
 
 class Transport(asyncio.Transport):

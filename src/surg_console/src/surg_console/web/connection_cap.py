@@ -12,8 +12,10 @@ from aiohttp import web
 
 MAX_OPEN = 256
 """Connections in all; admitted pages come on top."""
-HEADER_WAIT = 2.0
-"""[s] Timeout of a request's header, and of a TLS handshake."""
+HEADER_WAIT = 10.0
+"""[s] Timeout of a request's header, and of a TLS handshake: a busy machine's browser is slow."""
+LATE = 0.1
+"""[s] A server that comes so late to a timeout has not had time for the requests either."""
 
 
 class ConnectionCap:
@@ -33,7 +35,7 @@ class ConnectionCap:
         if len(others) >= MAX_OPEN:
             _abort(min(others, key=self._heard.__contains__))
         made = self._server()
-        asyncio.get_running_loop().call_later(HEADER_WAIT, self._expire, made)
+        self._wait(made)
         return made
 
     def hear(self, request: web.Request) -> None:
@@ -44,8 +46,16 @@ class ConnectionCap:
         """A connection has become a page: it never makes room."""
         self._pages.add(request.protocol)
 
-    def _expire(self, made: web.RequestHandler) -> None:
-        if made not in self._heard:
+    def _wait(self, made: web.RequestHandler) -> None:
+        loop = asyncio.get_running_loop()
+        loop.call_later(HEADER_WAIT, self._expire, made, loop.time() + HEADER_WAIT)
+
+    def _expire(self, made: web.RequestHandler, due: float) -> None:
+        if made in self._heard or _ends(made):
+            return
+        if asyncio.get_running_loop().time() - due > LATE:
+            self._wait(made)  # the server was busy itself: the request may have come long ago
+        else:
             _abort(made)
 
 
