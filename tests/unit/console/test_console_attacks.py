@@ -130,7 +130,7 @@ async def test_a_request_is_answered_although_the_machine_was_busy_when_it_came(
         reader, writer = await asyncio.open_connection("127.0.0.1", made.port)
         await asyncio.sleep(0.2)  # the connection is accepted
         writer.write(f"GET / HTTP/1.1\r\nHost: localhost:{made.port}\r\n\r\n".encode())
-        time.sleep(HEADER_WAIT + 0.5)  # noqa: ASYNC251, this loop is the server's too
+        time.sleep(HEADER_WAIT + 0.5)
         assert (await reader.readline()).startswith(b"HTTP/1.1 200")
         writer.close()
 
