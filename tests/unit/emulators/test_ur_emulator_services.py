@@ -124,7 +124,7 @@ def test_the_primary_interface_tells_version_state_and_kinematics() -> None:
     kinematics = struct.unpack(">6I24dI", parts[16, 5])
     d = [row[0] for row in dh.TABLES["UR5e"]]
     assert kinematics[18:24] == pytest.approx([d[0] + 0.001, *d[1:]])
-    assert kinematics[-1] == 1
+    assert kinematics[-1] == 2, "as an arm that has left the works"
 
 
 def test_messages_reach_the_primary_interface_only() -> None:

@@ -52,6 +52,7 @@ class DashboardSession:
             "addtolog": lambda rest: self._log(rest),
             "close popup": lambda rest: "closing popup",
             "popup": lambda rest: "showing popup",
+            "savelog": lambda rest: "Log saved to disk",
             "quit": lambda rest: self._quit(),
         }
         self._orders: dict[str, Callable[[str], str]] = {
@@ -61,6 +62,7 @@ class DashboardSession:
             "play": lambda rest: "Starting program" if c.play() else "Failed to execute: play",
             "pause": lambda rest: "Pausing program" if c.pause() else "Failed to execute: pause",
             "stop": lambda rest: self._stop(),
+            "load installation": lambda rest: f"Loading installation: {rest}",
             "load": lambda rest: (
                 f"Loading program: {rest}" if c.load(rest) else f"File not found: {rest}"
             ),

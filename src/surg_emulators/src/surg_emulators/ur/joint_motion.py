@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 DT = 0.002
 """Cycle of an e-Series controller [s]."""
@@ -22,6 +23,10 @@ MAX_POSITION = 2.0 * math.pi + 0.05
 """Beyond it a joint causes a protective stop [rad]; the data sheet's range is one turn."""
 BRAKING = 10.0
 """Deceleration of the leading axis in every stop that no program commands [rad/s^2]. Assumed."""
+SOFT = 0.85
+"""Share of its acceleration with which a move brakes."""
+TURNING = 20.0
+"""Acceleration of the leading axis between two moves with a blend [rad/s^2]. Assumed."""
 AT_REST = 1e-4
 """A joint below this speed stands still [rad/s]."""
 
@@ -53,6 +58,40 @@ class Speed:
         return [now + share * step for now, step in zip(qd, change, strict=True)]
 
 
+def approach(distance: float, speed: float, a: float, v: float, dt: float) -> float:
+    """The speed after `dt` on the way to a goal.
+
+    It is the largest from which braking in steps of dt still ends there. It brakes softer than
+    `a`, so that the last cycle, in which it has to hit the goal, keeps to `a`.
+
+    Args:
+        distance: That is left [m or rad]; likewise the other units.
+        speed: Now.
+        a: Acceleration.
+        v: Largest speed.
+        dt: Time [s].
+    """
+    soft = SOFT * a
+    braking = soft * (math.sqrt(dt * dt / 4.0 + 2.0 * distance / soft) - dt / 2.0)
+    return min(v, speed + a * dt, braking, distance / dt)
+
+
+def timed(distance: float, seconds: float) -> tuple[float, float]:
+    """Acceleration and speed with which `approach` takes a way within a time.
+
+    The speed is 1.5 times the mean one; the accelerations follow from the area below its trapezoid.
+    """
+    return (
+        2.25 * (1.0 + 1.0 / SOFT) * distance / seconds**2,
+        1.5 * distance / seconds,
+    )
+
+
+def turned(wanted: Sequence[float], qd: Vector, dt: float) -> Vector:
+    """Joint velocities of a move that follows a blend: it turns into its way as fast as it may."""
+    return Speed(wanted, TURNING).velocity(list(wanted), qd, dt)
+
+
 @dataclass(frozen=True)
 class Move:
     """Go to joint positions in a straight line of joint space (`movej`).
@@ -61,11 +100,13 @@ class Move:
         q: Goal [rad], 6.
         a: Acceleration of the leading axis [rad/s^2].
         v: Velocity of the leading axis [rad/s].
+        turns: Whether the arm still moves from the move before.
     """
 
     q: Sequence[float]
     a: float
     v: float
+    turns: bool = False
 
     def velocity(self, q: Vector, qd: Vector, dt: float) -> Vector:
         """Target velocity after `dt`; zero within one step of the goal."""
@@ -73,12 +114,9 @@ class Move:
         distance = leading(way)
         if distance < 1e-9:
             return [0.0] * 6
-        # The largest speed from which braking in steps of dt still ends at the goal. It brakes
-        # softer than `a`, so that the last cycle, in which it has to hit the goal, keeps to `a`.
-        a = 0.85 * self.a
-        braking = a * (math.sqrt(dt * dt / 4.0 + 2.0 * distance / a) - dt / 2.0)
-        speed = min(self.v, leading(qd) + self.a * dt, braking, distance / dt)
-        return [speed * each / distance for each in way]
+        speed = approach(distance, leading(qd), self.a, self.v, dt)
+        wanted = [speed * each / distance for each in way]
+        return turned(wanted, qd, dt) if self.turns else wanted
 
 
 @dataclass(frozen=True)
@@ -99,7 +137,13 @@ class Servo:
         return [(goal - now) * step / dt for goal, now in zip(self.q, q, strict=True)]
 
 
-Command = Speed | Move | Servo
+class Command(Protocol):
+    """What the target follows."""
+
+    def velocity(self, q: Vector, qd: Vector, dt: float) -> Vector:
+        """Target velocity [rad/s] after `dt` [s], of target position [rad] and velocity [rad/s]."""
+
+
 REST = Speed((0.0,) * 6, BRAKING)
 
 

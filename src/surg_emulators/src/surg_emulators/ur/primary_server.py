@@ -9,14 +9,23 @@ from __future__ import annotations
 import re
 import struct
 import zlib
+from collections.abc import Callable
 from itertools import islice
 
+from surg_emulators.ur import robot_messages
+from surg_emulators.ur.dh_kinematics import TABLES
+from surg_emulators.ur.joint_motion import MAX_ACCELERATION, MAX_POSITION, MAX_SPEED
+from surg_emulators.ur.robot_messages import RobotMessage
 from surg_emulators.ur.robot_states import EMERGENCY, Runtime, SafetyMode, joint_mode
 from surg_emulators.ur.ur_controller import UrController
 
 ROBOT_STATE, ROBOT_MESSAGE = 16, 20
-VERSION_MESSAGE, TEXT_MESSAGE = 3, 0
-MODE_DATA, JOINT_DATA, CARTESIAN_DATA, KINEMATICS_DATA = 0, 1, 4, 5
+MODE_DATA, JOINT_DATA, MASTERBOARD_DATA, CARTESIAN_DATA = 0, 1, 3, 4
+KINEMATICS_DATA, CONFIGURATION_DATA = 5, 6
+LINEARISED = 2
+"""Calibration status of an arm that has left the works."""
+ROBOT_TYPES = {"UR3e": 3, "UR5e": 1, "UR10e": 2}
+CONTROL_BOX_E_SERIES, SUB_TYPE_E_SERIES = 2, 2
 DIVIDER = 50
 """Cycles per state: 10 Hz."""
 LONGEST_SCRIPT = 1 << 20
@@ -76,8 +85,8 @@ class PrimarySession:
         major, minor, bugfix, build = self._controller.version
         name, date = b"URControl", b"22-03-2022, 10:00:00"
         body = bytes([len(name)]) + name + struct.pack(">BBii", major, minor, bugfix, build) + date
-        self._said = self._controller.said
-        return self._message(VERSION_MESSAGE, body) + self.state()
+        self._said = self._controller.announcements
+        return self._message(RobotMessage(robot_messages.VERSION, body)) + self.state()
 
     def receive(self, data: bytes) -> bytes:
         """Take text of the client; runs the programs that are complete."""
@@ -98,37 +107,48 @@ class PrimarySession:
         parts = {
             MODE_DATA: self._mode(),
             JOINT_DATA: self._joints(),
+            MASTERBOARD_DATA: self._masterboard(),
             CARTESIAN_DATA: struct.pack(">12d", *c.tcp_pose(c.motion.actual_q), *c.tcp_offset),
             KINEMATICS_DATA: self._kinematics(),
+            CONFIGURATION_DATA: self._configuration(),
         }
         body = b"".join(struct.pack(">IB", len(p) + 5, kind) + p for kind, p in parts.items())
         return struct.pack(">IB", len(body) + 5, ROBOT_STATE) + body
 
     def _run(self, script: str) -> None:
-        if not self._controller.remote:
-            self._controller.say("a script was ignored: the robot is in local control")
+        c = self._controller
+        orders: dict[str, Callable[[], object]] = {
+            "stop program": c.stop,
+            "pause program": c.pause,
+            "power on": c.power_on,
+            "power off": c.power_off,
+            "set robotmode run": c.release_brakes,
+            "set unlock protective stop": c.unlock,
+        }
+        if not c.remote:
+            c.say("a script was ignored: the robot is in local control")
+            c.announce(robot_messages.error_code(robot_messages.READ_ONLY, "read-only"))
+        elif script.strip() in orders:
+            orders[script.strip()]()
         elif script.lstrip().startswith("sec"):
-            self._controller.run_secondary(script)
-        elif script.strip() == "stop program":
-            self._controller.stop()
-        elif script.strip() == "pause program":
-            self._controller.pause()
+            c.run_secondary(script)
         else:
-            self._controller.run_script(script)
+            c.run_script(script)
 
-    def _message(self, kind: int, body: bytes) -> bytes:
+    def _message(self, message: RobotMessage) -> bytes:
         time = round(self._controller.timestamp * 1e6)
-        head = struct.pack(">Qbb", max(time, 0), -2, kind)
-        return struct.pack(">IB", len(head) + len(body) + 5, ROBOT_MESSAGE) + head + body
+        head = struct.pack(">Qbb", max(time, 0), -2, message.kind)
+        size = 5 + len(head) + len(message.body)
+        return struct.pack(">IB", size, ROBOT_MESSAGE) + head + message.body
 
     def _new_messages(self) -> bytes:
         c = self._controller
-        new = min(c.said - self._said, len(c.messages))
-        self._said = c.said
+        new = min(c.announcements - self._said, len(c.announced))
+        self._said = c.announcements
         if self._service != "primary" or not new:
             return b""
-        texts = islice(c.messages, len(c.messages) - new, None)
-        return b"".join(self._message(TEXT_MESSAGE, text.encode()) for text in texts)
+        messages = islice(c.announced, len(c.announced) - new, None)
+        return b"".join(self._message(message) for message in messages)
 
     def _mode(self) -> bytes:
         c = self._controller
@@ -161,5 +181,20 @@ class PrimarySession:
         c = self._controller
         d, a, alpha = zip(*c.table, strict=True)
         checks = [zlib.crc32(struct.pack(">3d", *row)) for row in c.table]
-        calibrated = any(any(row) for row in c.dh_errors)
-        return struct.pack(">6I24dI", *checks, *[0.0] * 6, *a, *d, *alpha, calibrated)
+        return struct.pack(">6I24dI", *checks, *[0.0] * 6, *a, *d, *alpha, LINEARISED)
+
+    def _masterboard(self) -> bytes:
+        c = self._controller
+        inputs = struct.pack(">iibbddbbdd", 0, c.digital_outputs, 0, 0, 0, 0, 0, 0, 0, 0)
+        power = struct.pack(">4f", 28.0, 48.0, 1.0, 0.0)
+        modes = struct.pack(">B?BIBBB", c.safety_mode, c.reduced, 0, 0, 0, 0, 0)
+        return inputs + power + modes
+
+    def _configuration(self) -> bytes:
+        """Limits, defaults and the nominal arm; clients learn the kind of arm from it."""
+        c = self._controller
+        d, a, alpha = zip(*TABLES[c.model], strict=True)
+        limits = [-MAX_POSITION, MAX_POSITION] * 6 + [MAX_SPEED, MAX_ACCELERATION] * 6
+        defaults = (1.05, 1.4, 0.25, 1.2, 0.05)  # joint speed and acceleration, tool's, radius
+        kind = (1, CONTROL_BOX_E_SERIES, ROBOT_TYPES[c.model], SUB_TYPE_E_SERIES)
+        return struct.pack(">53d4i", *limits, *defaults, *a, *d, *alpha, *[0.0] * 6, *kind)

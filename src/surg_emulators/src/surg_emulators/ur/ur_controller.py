@@ -8,17 +8,21 @@ that it answers, and the motion that it commands begins in the cycle after that.
 from __future__ import annotations
 
 import math
+import re
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from surg_emulators.ur import dh_kinematics as dh
+from surg_emulators.ur import robot_messages
 from surg_emulators.ur.joint_motion import DT, LAGS, REST, Command, JointMotion
+from surg_emulators.ur.robot_messages import RobotMessage
 from surg_emulators.ur.robot_states import DEAD, MOVES, RobotMode, Runtime, SafetyMode
 from surg_emulators.ur.rtde_fields import REGISTERS
 from surg_emulators.ur.urscript_functions import functions
 from surg_emulators.ur.urscript_machine import Machine
+from surg_emulators.ur.urscript_sockets import ScriptSockets
 from surg_emulators.ur.urscript_syntax import ScriptError
 
 HOME = (0.0, -1.5708, -1.5708, -1.5708, 1.5708, 0.0)
@@ -112,9 +116,12 @@ class UrController:
         self.slider = 1.0
         self.messages: deque[str] = deque(maxlen=MESSAGES)
         self.said = 0
+        self.announced: deque[RobotMessage] = deque(maxlen=MESSAGES)
+        self.announcements = 0
         self.programs: dict[str, str] = {}
         self.loaded = ""
         self.faked: dict[str, Any] = {}
+        self.sockets = ScriptSockets()
         self._builtins = functions(self)
         self.boot()
         self.robot_mode = RobotMode.RUNNING if ready else RobotMode.POWER_OFF
@@ -140,7 +147,7 @@ class UrController:
         self._interrupted: Command | None = None  # by a stop for safety; `play` goes on with it
         self._stopped_at = -math.inf
         self._braking = False
-        self._reduced = False
+        self.reduced = False
         self._power_goal = RobotMode.POWER_OFF
         self._power_at = BOOT_TIME
 
@@ -219,7 +226,7 @@ class UrController:
         try:
             self.program.cycle()
         except ScriptError as error:
-            self.say(f"{self.program.name}: {error}")
+            self._fail(f"{self.program.name}: {error}")
             self.stop()
             return
         self.program_line = self.program.threads[0].line
@@ -274,12 +281,13 @@ class UrController:
         try:
             program = Machine(script, self._builtins)
         except ScriptError as error:
-            self.say(f"the program was refused: {error}")
+            self._fail(f"the program was refused: {error}")
             return False
         self.stop()
         self.guided = False
         self._scale = self.slider
         self.program, self.runtime = program, Runtime.PLAYING
+        self.announce(robot_messages.key("PROGRAM_XXX_STARTED", program.name))
         return True
 
     def run_secondary(self, script: str) -> bool:
@@ -287,7 +295,7 @@ class UrController:
         try:
             Machine(script, self._builtins).cycle()
         except ScriptError as error:
-            self.say(f"the program was refused: {error}")
+            self._fail(f"the program was refused: {error}")
             return False
         return True
 
@@ -299,10 +307,10 @@ class UrController:
         return True
 
     def play(self) -> bool:
-        """Go on with the paused program, or start the loaded one."""
+        """Go on with the paused program, or start the loaded one in the place of any other."""
         if not self.ready_for_program:
             return False
-        if self.program is not None:
+        if self.program is not None and not (self.runtime == Runtime.PLAYING and self.loaded):
             self.runtime = Runtime.PLAYING
             self._interrupted, command = None, self._interrupted
             self.motion.command = command or self.motion.command
@@ -321,6 +329,8 @@ class UrController:
         if self.program is not None:
             self.guided = False  # free-drive ends with the program that asked for it
             self._brake()
+            self.announce(robot_messages.key("PROGRAM_XXX_STOPPED", self.program.name))
+            self.sockets.close_all()
         self.program, self.runtime, self.program_line = None, Runtime.STOPPED, 0
         self._watchdog, self._interrupted = None, None
 
@@ -386,7 +396,7 @@ class UrController:
 
     def reduce(self, on: bool) -> None:
         """Reduced mode: other safety limits, which the emulator does not know, are in force."""
-        self._reduced = on
+        self.reduced = on
         if self.safety_mode in MOVES:
             self._normal()
 
@@ -397,7 +407,7 @@ class UrController:
         self.guided, self.hand_qd = on, [float(value) for value in qd]
 
     def _normal(self) -> None:
-        self.safety_mode = SafetyMode.REDUCED if self._reduced else SafetyMode.NORMAL
+        self.safety_mode = SafetyMode.REDUCED if self.reduced else SafetyMode.NORMAL
 
     def _halt_for_safety(self, why: str) -> None:
         self.say(f"{self.safety_mode.name.lower().replace('_', ' ')}: {why}")
@@ -471,6 +481,19 @@ class UrController:
         """A message to the controller's log and its primary clients."""
         self.messages.append(text[:500])
         self.said += 1
+        self.announce(robot_messages.text(text[:500]))
+
+    def announce(self, message: RobotMessage) -> None:
+        """A message to the primary clients alone."""
+        self.announced.append(message)
+        self.announcements += 1
+
+    def _fail(self, text: str) -> None:
+        """A program was refused or has failed: people and primary clients are told."""
+        self.say(text)
+        line = re.search(r"line (\d+)", text)
+        number = int(line[1]) if line else 0
+        self.announce(robot_messages.runtime_exception(number, text[:500]))
 
     def set_payload(self, mass: float, cog: Sequence[float]) -> None:
         """Payload: mass [kg] and centre of gravity in the flange's frame [m]."""

@@ -7,14 +7,15 @@ them.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from surg_emulators.ur import dh_kinematics as dh
-from surg_emulators.ur.joint_motion import DT, Move, Servo, Speed
+from surg_emulators.ur.joint_motion import DT, Speed
 from surg_emulators.ur.rtde_fields import REGISTERS
+from surg_emulators.ur.urscript_arguments import close, cycles, matrix, number, six
+from surg_emulators.ur.urscript_moves import positions
 from surg_emulators.ur.urscript_syntax import ScriptError
 from surg_emulators.ur.urscript_threads import Builtin, Wait
 from surg_emulators.ur.urscript_values import Pose
@@ -23,10 +24,10 @@ if TYPE_CHECKING:
     from surg_emulators.ur.ur_controller import UrController
 
 _REFUSED = (
-    "movel movep movec servoc force_mode end_force_mode force_mode_set_damping tool_contact "
+    "movec servoc force_mode end_force_mode force_mode_set_damping tool_contact "
     "get_actual_joint_positions_history direct_torque get_mass_matrix get_jacobian "
-    "get_jacobian_time_derivative get_coriolis_and_centrifugal_torques socket_open socket_close "
-    "socket_read_ascii_float socket_read_binary_integer socket_send_string socket_send_int "
+    "get_jacobian_time_derivative get_coriolis_and_centrifugal_torques "
+    "socket_read_ascii_float socket_send_string "
     "socket_set_var socket_get_var path_offset_enable conveyor_pulse_decode "
     "get_target_waypoint set_conveyor_tick_count modbus_add_signal"
 )
@@ -46,9 +47,9 @@ def functions(controller: UrController) -> dict[str, Builtin]:
     """Name -> function, for programs of one controller."""
     found: dict[str, Builtin] = {name: _not_emulated(name) for name in NOT_EMULATED}
     found |= {name: lambda *a, **k: None for name in WITHOUT_EFFECT}
-    for part in (_state, _velocities, _positions, _inputs):
+    for part in (_state, _velocities, positions, _inputs):
         found |= part(controller)
-    return found | _mathematics()
+    return found | controller.sockets.functions() | _mathematics()
 
 
 def _not_emulated(name: str) -> Builtin:
@@ -56,30 +57,6 @@ def _not_emulated(name: str) -> Builtin:
         raise ScriptError(f"{name} is not emulated")
 
     return refuse
-
-
-def number(value: Any, what: str, least: float = -math.inf, most: float = math.inf) -> float:
-    """A finite number within its range.
-
-    Raises:
-        ScriptError: It is not; states what it is for and what is allowed.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ScriptError(f"{what} must be a finite number, not {value!r}")
-    if not least <= value <= most:
-        raise ScriptError(f"{what} {value} must be from {least} to {most}")
-    return float(value)
-
-
-def six(value: Any, what: str) -> list[float]:
-    """Six finite numbers.
-
-    Raises:
-        ScriptError: They are not.
-    """
-    if not isinstance(value, list) or len(value) != 6:
-        raise ScriptError(f"{what} must be six numbers, not {value!r}")
-    return [number(each, what) for each in value]
 
 
 def _mathematics() -> dict[str, Builtin]:
@@ -97,17 +74,13 @@ def _mathematics() -> dict[str, Builtin]:
         "to_str": lambda a: str(a)[:1000],
         "str_cat": lambda a, b: (str(a) + str(b))[:1000],
         "integer_to_boolean": bool,
-        "pose_trans": lambda a, b: _pose(_matrix(a) @ _matrix(b)),
-        "pose_inv": lambda a: _pose(np.linalg.inv(_matrix(a))),
+        "pose_trans": lambda a, b: _pose(matrix(a) @ matrix(b)),
+        "pose_inv": lambda a: _pose(np.linalg.inv(matrix(a))),
         "pose_add": _pose_add,
         "pose_sub": _pose_sub,
         "pose_dist": lambda a, b: math.dist(a[:3], b[:3]),
         "point_dist": lambda a, b: math.dist(a[:3], b[:3]),
     }
-
-
-def _matrix(pose: Any) -> dh.Matrix:
-    return dh.pose_matrix(six(pose, "a pose"))
 
 
 def _pose(X: dh.Matrix) -> Pose:
@@ -116,15 +89,15 @@ def _pose(X: dh.Matrix) -> Pose:
 
 def _pose_add(a: Any, b: Any) -> Pose:
     """Positions are added; the rotations are applied one after the other."""
-    X = _matrix(a)
-    X[:3, :3] = X[:3, :3] @ _matrix(b)[:3, :3]
+    X = matrix(a)
+    X[:3, :3] = X[:3, :3] @ matrix(b)[:3, :3]
     X[:3, 3] += b[:3]
     return _pose(X)
 
 
 def _pose_sub(a: Any, b: Any) -> Pose:
-    X = _matrix(a)
-    X[:3, :3] = X[:3, :3] @ _matrix(b)[:3, :3].T
+    X = matrix(a)
+    X[:3, :3] = X[:3, :3] @ matrix(b)[:3, :3].T
     X[:3, 3] -= b[:3]
     return _pose(X)
 
@@ -134,7 +107,7 @@ def _state(c: UrController) -> dict[str, Builtin]:
 
     def solve(pose: Any, near: Any = None, *rest: Any, **named: Any) -> list[float] | None:
         start = c.motion.q if near is None else six(near, "qnear")
-        return dh.inverse(_matrix(pose), start, c.table, dh.pose_matrix(c.tcp_offset))
+        return dh.inverse(matrix(pose), start, c.table, dh.pose_matrix(c.tcp_offset))
 
     def inverse(*values: Any, **named: Any) -> list[float]:
         q = solve(*values, **named)
@@ -144,10 +117,11 @@ def _state(c: UrController) -> dict[str, Builtin]:
 
     def forward(q: Any = None, tcp: Any = None) -> Pose:
         X = dh.frames(c.motion.actual_q if q is None else six(q, "q"), c.table)[-1]
-        return _pose(X @ (_matrix(c.tcp_offset if tcp is None else tcp)))
+        return _pose(X @ (matrix(c.tcp_offset if tcp is None else tcp)))
 
     return {
         "get_actual_joint_positions": lambda: list(c.motion.actual_q),
+        "get_joint_positions": lambda: list(c.motion.actual_q),
         "get_actual_joint_speeds": lambda: list(c.motion.actual_qd),
         "get_target_joint_positions": lambda: list(c.motion.q),
         "get_target_joint_speeds": lambda: list(c.motion.qd),
@@ -181,8 +155,8 @@ def _velocities(c: UrController) -> dict[str, Builtin]:
         wanted = six(qd, "speedj: qd")
         c.motion.command = Speed(wanted, number(a, "speedj: a", 1e-6))
         if t is None:
-            return Wait(2, lambda: _close(c.motion.qd, wanted, c.motion.scale), motion=True)
-        return Wait(_cycles(t), motion=True)
+            return Wait(2, lambda: close(c.motion.qd, wanted, c.motion.scale), motion=True)
+        return Wait(cycles(t), motion=True)
 
     def speedl(xd: Any, a: Any = 1.2, t: Any = None, **named: Any) -> Wait:
         J = dh.jacobian(c.motion.q, c.table, dh.pose_matrix(c.tcp_offset))
@@ -192,60 +166,13 @@ def _velocities(c: UrController) -> dict[str, Builtin]:
             raise ScriptError("speedl: the arm is in a singularity") from error
         # `a` is the tool's; the leading joint may use the most that a client can ask for.
         c.motion.command = Speed([float(each) for each in qd], 40.0)
-        return Wait(1 if t is None else _cycles(t), motion=True)
+        return Wait(1 if t is None else cycles(t), motion=True)
 
     def stop(a: Any = 2.0, *rest: Any, **named: Any) -> Wait:
         c.motion.command = Speed([0.0] * 6, number(a, "stop: a", 1e-6))
         return Wait(2, lambda: c.motion.at_rest, motion=True)
 
     return {"speedj": speedj, "speedl": speedl, "stopj": stop, "stopl": stop}
-
-
-def _positions(c: UrController) -> dict[str, Builtin]:
-    """Functions that command positions, and those that let the arm go."""
-
-    def movej(q: Any, a: Any = 1.4, v: Any = 1.05, t: Any = 0, r: Any = 0) -> Wait:
-        goal = six(q, "movej: q")
-        if isinstance(q, Pose):
-            solved = dh.inverse(_matrix(q), c.motion.q, c.table, dh.pose_matrix(c.tcp_offset))
-            if solved is None:
-                raise ScriptError("movej: no joint positions for this pose")
-            goal = solved
-        c.motion.command = Move(goal, number(a, "movej: a", 1e-6), number(v, "movej: v", 1e-6))
-        return Wait(2, lambda: _close(c.motion.q, goal, 1.0) and c.motion.at_rest, motion=True)
-
-    def servoj(
-        q: Any, a: Any = 0, v: Any = 0, t: Any = 0.002, lookahead_time: Any = 0.1, gain: Any = 300
-    ) -> Wait:
-        number(gain, "servoj: gain", 100, 2000)
-        lookahead = number(lookahead_time, "servoj: lookahead_time", 0.03, 0.2)
-        c.motion.command = Servo(six(q, "servoj: q"), lookahead)
-        return Wait(_cycles(t), motion=True)
-
-    def freedrive(on: bool) -> Builtin:
-        def switch(*values: Any, **named: Any) -> None:
-            c.guide(on)
-
-        return switch
-
-    return {
-        "movej": movej,
-        "servoj": servoj,
-        "freedrive_mode": freedrive(True),
-        "teach_mode": freedrive(True),
-        "end_freedrive_mode": freedrive(False),
-        "end_teach_mode": freedrive(False),
-        "protective_stop": lambda: c.protective_stop("asked for by the program"),
-    }
-
-
-def _close(now: Sequence[float], goal: Sequence[float], scale: float) -> bool:
-    return all(abs(a - scale * b) < 1e-6 for a, b in zip(now, goal, strict=True))
-
-
-def _cycles(t: Any) -> int:
-    """Cycles of a time [s], at least one."""
-    return max(1, round(number(t, "time", 0.0, 1e6) / DT))
 
 
 def _inputs(c: UrController) -> dict[str, Builtin]:
@@ -274,7 +201,7 @@ def _inputs(c: UrController) -> dict[str, Builtin]:
 
     found: dict[str, Builtin] = {
         "sync": lambda: Wait(1),
-        "sleep": lambda t: Wait(_cycles(t)),
+        "sleep": lambda t: Wait(cycles(t)),
         "textmsg": lambda a, b="": c.say(f"{a}{b}"),
         "set_payload": set_payload,
         "set_target_payload": set_payload,

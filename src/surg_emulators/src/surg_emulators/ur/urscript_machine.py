@@ -27,7 +27,7 @@ class Machine:
     Args:
         script: URScript.
         builtins: Name -> function of the controller. A function that returns a `Wait` suspends
-            its thread; the value of such a call is None.
+            its thread; the value of such a call is that of its `answer`, or None.
 
     Raises:
         ScriptError: The script cannot run on this controller.
@@ -42,8 +42,6 @@ class Machine:
         self._builtins = builtins
         self._root = self._scope(main, None, {})
         self.threads = [Thread([self._root])]
-        self._now = self.threads[0]
-        self._critical: Thread | None = None
         self._nodes = 0
 
     @property
@@ -58,7 +56,7 @@ class Machine:
             ScriptError: A thread did what the controller refuses; the program must end.
         """
         for thread in list(self.threads):
-            if not thread.alive or (self._critical not in (None, thread)):
+            if not thread.alive:
                 continue
             if thread.wait is not None:
                 if not thread.wait.over():
@@ -75,7 +73,7 @@ class Machine:
         self.threads = [self.threads[0], *(t for t in self.threads[1:] if t.alive)]
 
     def _run(self, thread: Thread) -> None:
-        self._now, self._nodes = thread, 0
+        self._nodes = 0
         while thread.calls and thread.wait is None:
             steps = thread.calls[-1].run
             assert steps is not None
@@ -164,20 +162,16 @@ class Machine:
         self.threads[0].calls.clear()
         yield None
 
-    def _enter_critical(self, scope: Scope) -> Steps:
-        self._critical = self._now
+    def _critical(self, scope: Scope) -> Steps:
+        """Its beginning or end: no other thread runs before this one waits, in it or not."""
         yield None
 
-    def _exit_critical(self, scope: Scope) -> Steps:
-        self._critical = None
-        yield None
+    _enter_critical = _exit_critical = _critical
 
     def _kill(self, scope: Scope, thread: Node) -> Steps:
         victim = yield from self._value(scope, thread)
         if isinstance(victim, Thread):
             victim.calls.clear()
-            if self._critical is victim:
-                self._critical = None
         yield None
 
     def _join(self, scope: Scope, thread: Node) -> Steps:
@@ -257,7 +251,7 @@ class Machine:
         if not isinstance(result, Wait):
             return result
         yield result
-        return None
+        return result.answer() if result.answer is not None else None
 
     def _start_thread(self, scope: Scope, name: str, *nodes: Node) -> Steps:
         values, named = yield from self._arguments(scope, nodes)

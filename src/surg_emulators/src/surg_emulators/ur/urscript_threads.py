@@ -23,11 +23,13 @@ class Wait:
         cycles: Cycles to wait.
         until: Ends the wait when it returns True; asked once per cycle after `cycles`.
         motion: Whether the thread controls the motion meanwhile.
+        answer: Gives the value of the call, once it is over.
     """
 
     cycles: int = 1
     until: Callable[[], bool] | None = None
     motion: bool = False
+    answer: Callable[[], Any] | None = None
 
     def over(self) -> bool:
         """Count one cycle; whether the thread goes on in it."""

@@ -27,6 +27,12 @@ def binary(sign: str, left: Any, right: Any) -> Any:
             raise ScriptError(f"{sign!r} of a text")
     elif isinstance(left, list) and sign in ("+", "-"):
         return _elementwise(sign, left, right)
+    elif sign in ("*", "/") and isinstance(left, list) and _is_number(right):
+        return type(left)(_BINARY[sign](each, right) for each in left)
+    elif sign == "*" and isinstance(right, list) and _is_number(left):
+        return type(right)(left * each for each in right)
+    elif sign in ("*", "/", "%") and (isinstance(left, list) or isinstance(right, list)):
+        raise ScriptError(f"{str(sign)!r} of {left!r} and {right!r}")
     value = _BINARY[sign](left, right)
     if type(value) is int and not -INTEGERS <= value < INTEGERS:
         raise ScriptError(f"integer {left} {sign} {right} overflows")
@@ -54,6 +60,10 @@ def _size(value: Any) -> int:
         count += len(here)
         left += [each for each in here if isinstance(each, list)]
     return count
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def list_place(value: Any) -> int:

@@ -1,0 +1,41 @@
+"""Messages of a UR controller to its primary clients, as bytes behind their common head."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+TEXT, VERSION, ERROR_CODE, KEY, RUNTIME_EXCEPTION = 0, 3, 6, 7, 10
+READ_ONLY = 210
+"""Error code of a script that came while the robot is in local control."""
+_ERROR = 3
+"""Report level of an error."""
+
+
+@dataclass(frozen=True)
+class RobotMessage:
+    """One message: its kind and what follows its head."""
+
+    kind: int
+    body: bytes
+
+
+def text(said: str) -> RobotMessage:
+    """A line of the log."""
+    return RobotMessage(TEXT, said.encode())
+
+
+def key(title: str, name: str) -> RobotMessage:
+    """An event with a title, such as the start of a program."""
+    body = struct.pack(">iiB", 0, 0, len(title)) + title.encode() + name.encode()
+    return RobotMessage(KEY, body)
+
+
+def runtime_exception(line: int, said: str) -> RobotMessage:
+    """A program has failed in a line."""
+    return RobotMessage(RUNTIME_EXCEPTION, struct.pack(">ii", line, 0) + said.encode())
+
+
+def error_code(code: int, said: str) -> RobotMessage:
+    """An error by its number."""
+    return RobotMessage(ERROR_CODE, struct.pack(">iiiII", code, 0, _ERROR, 0, 0) + said.encode())
