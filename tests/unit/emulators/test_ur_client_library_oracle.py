@@ -25,7 +25,7 @@ EXAMPLES = {
     "dashboard_example": (),
 }
 """Example -> its words. Not emulated are `movec` and the `optimove`s of instruction_executor, and
-the forces and torques of force_mode_example, tool_contact_example, direct_torque_control_example."""
+the forces and torques of force_mode, tool_contact and direct_torque_control."""
 LONGEST = 300.0
 """[s] Of an example; the longest moves for a minute."""
 MOVING = ("driver_example", "trajectory_point_interface_example", "spline_example")

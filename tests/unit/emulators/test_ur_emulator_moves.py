@@ -152,6 +152,8 @@ def test_primary_clients_hear_start_end_and_failure_of_a_program() -> None:
     session.receive(b"def bad():\n  sync()\n  x = y\nend\n")
     failed = [body for kind, body in messages(session, controller) if kind == 10]
     assert [struct.unpack_from(">i", body)[0] for body in failed] == [3]
+    controller.protective_stop("test")
+    assert (5, 3) in [(kind, body[8]) for kind, body in messages(session, controller)]
     controller.remote = False
     session.receive(b"def good():\n  sync()\nend\n")
     codes = [body for kind, body in messages(session, controller) if kind == 6]

@@ -41,7 +41,9 @@ def test_every_output_can_be_asked_for_and_is_in_the_state() -> None:
 
 
 TYPES = {
-    "DOUBLE": "timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum "
+    "DOUBLE": "target_execution_time actual_robot_energy_consumed euromap67_24V_voltage "
+    "actual_robot_braking_energy_dissipated euromap67_24V_current "
+    "timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum "
     "actual_main_voltage actual_robot_voltage actual_robot_current standard_analog_input0 "
     "standard_analog_input1 standard_analog_output0 standard_analog_output1 io_current "
     "tool_analog_input0 tool_analog_input1 tool_output_current tool_temperature tcp_force_scalar "
@@ -49,15 +51,19 @@ TYPES = {
     "VECTOR6D": "target_q target_qd target_qdd target_current target_moment actual_q actual_qd "
     "actual_current actual_current_window joint_control_output actual_TCP_pose actual_TCP_speed "
     "actual_TCP_force target_TCP_pose target_TCP_speed joint_temperatures actual_joint_voltage "
-    "payload_inertia ft_raw_wrench tcp_offset",
-    "VECTOR3D": "actual_tool_accelerometer elbow_position elbow_velocity payload_cog",
+    "payload_inertia ft_raw_wrench tcp_offset actual_current_as_torque actual_TCP_acceleration "
+    "target_TCP_acceleration wrench_calc_from_currents target_base_acceleration target_base_wrench",
+    "VECTOR3D": "actual_tool_accelerometer elbow_position elbow_velocity payload_cog "
+    "target_gravity",
     "VECTOR6INT32": "joint_mode",
     "INT32": "robot_mode safety_mode safety_status tool_output_voltage time_scale_source "
-    "output_int_register_24",
+    "output_int_register_24 encoder0_raw encoder1_raw",
     "UINT32": "runtime_state robot_status_bits safety_status_bits analog_io_types tool_mode "
     "tool_analog_input_types output_bit_registers0_to_31 output_bit_registers32_to_63 "
-    "input_bit_registers0_to_31 input_bit_registers32_to_63 script_control_line",
-    "UINT64": "actual_digital_input_bits actual_digital_output_bits",
+    "input_bit_registers0_to_31 input_bit_registers32_to_63 script_control_line "
+    "euromap67_input_bits euromap67_output_bits",
+    "UINT64": "actual_digital_input_bits actual_digital_output_bits control_step "
+    "actual_configurable_digital_input_bits actual_configurable_digital_output_bits",
     "UINT8": "tool_output_mode tool_digital_output0_mode tool_digital_output1_mode",
     "BOOL": "output_bit_register_64 input_bit_register_127",
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-TEXT, VERSION, ERROR_CODE, KEY, RUNTIME_EXCEPTION = 0, 3, 6, 7, 10
+TEXT, VERSION, SAFETY_MODE, ERROR_CODE, KEY, RUNTIME_EXCEPTION = 0, 3, 5, 6, 7, 10
 READ_ONLY = 210
 """Error code of a script that came while the robot is in local control."""
 _ERROR = 3
@@ -39,3 +39,8 @@ def runtime_exception(line: int, said: str) -> RobotMessage:
 def error_code(code: int, said: str) -> RobotMessage:
     """An error by its number."""
     return RobotMessage(ERROR_CODE, struct.pack(">iiiII", code, 0, _ERROR, 0, 0) + said.encode())
+
+
+def safety_mode(mode: int) -> RobotMessage:
+    """The safety mode is another one now."""
+    return RobotMessage(SAFETY_MODE, struct.pack(">iiBII", 0, 0, mode, 0, 0))

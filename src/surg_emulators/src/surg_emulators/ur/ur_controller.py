@@ -130,7 +130,7 @@ class UrController:
         """Start as after switching the controller on: registers, program and time are lost."""
         self.cycles = 0
         self.robot_mode = RobotMode.BOOTING
-        self.safety_mode = SafetyMode.NORMAL
+        self.safety_mode = self._announced_safety = SafetyMode.NORMAL
         self._scale = 1.0  # of every motion: slider and pause together
         self.guided = False
         self.hand_qd = [0.0] * 6
@@ -198,6 +198,9 @@ class UrController:
         """First half of a cycle: time, power and motion."""
         self.cycles += 1
         self._arrived, self._staged = self._staged, {}
+        if self.safety_mode != self._announced_safety:
+            self._announced_safety = self.safety_mode
+            self.announce(robot_messages.safety_mode(self.safety_mode))
         self._switch_power()
         if self.robot_mode != RobotMode.RUNNING:
             self._hold()
