@@ -20,7 +20,7 @@ from surg_core.contract import SECOND_NS, STATE_KEY, STEP_NS
 from surg_policy_bridge.server import cell_spec
 from surg_policy_bridge.server.model_server import ModelServer, ServerSettings, ServerState
 from surg_policy_bridge.server.observer import Observation
-from surg_policy_bridge.server.policy_arm import Target, arm_state
+from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_bridge.server.safety_controller import CLIPPED, ArmLimits, SafetyController
 from surg_policy_bridge.server.wire_endpoint import WireEndpoint
 from surg_policy_client import wire
@@ -196,7 +196,7 @@ class Bench:
 
     def observe(self) -> None:
         """The observation of the present grid time."""
-        numbers = np.array(arm_state(self.arm.view), dtype="<f4")
+        numbers = np.array(self.arm.view.numbers, dtype="<f4")
         seen = Observation(self.step, self.now, {STATE_KEY: numbers, RCM: np.eye(4)[None]})
         self.server.observe(seen, self.now, self.now)
         self._hear()

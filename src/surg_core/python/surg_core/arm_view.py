@@ -24,6 +24,11 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
+ROUNDING = 1e-6
+"""[m] What the arithmetic of a sender may add to a step; float32 adds 1e-8 m."""
+MARGIN = 1e-9
+"""[m] Distance that a shortened step keeps from its limit."""
+
 
 @dataclass(frozen=True)
 class ArmView:
@@ -81,8 +86,8 @@ class ArmView:
     roll_sample: float = 0.0
 
     @classmethod
-    def of(cls, out: Outputs) -> ArmView:
-        """The view of a controller in this process, which does not report ``R_BR``."""
+    def of(cls, out: Outputs, R_BR: Array | None = None) -> ArmView:
+        """The view of a controller in this process, which does not report ``R_BR`` (3, 3)."""
         return cls(
             stamp_ns=0,
             state=out.state,
@@ -102,7 +107,25 @@ class ArmView:
             p_BRcm=np.array(out.p_BRcm),
             p_BSample=np.array(out.p_goal) if int(out.motion) in POSITION_STREAMS else None,
             roll_sample=out.roll_goal,
+            R_BR=R_BR,
         )
+
+    @property
+    def numbers(self) -> list[float]:
+        """The numbers of `contract.ARM_STATE`."""
+        return [*self.p_tip, self.roll, self.jaw, *self.p_go_on, self.roll_go_on]
+
+    def first_step(self, p: Array, slack: float) -> Array:
+        """A stream's first tip p (3,) in R [m], within ``slack`` [m] of the set-point.
+
+        Only a step that is too long by its arithmetic is shortened. A step of exactly the slack
+        would otherwise be refused by chance.
+        """
+        way = p - self.p_set
+        length = float(np.linalg.norm(way))
+        if not slack - MARGIN < length <= slack + ROUNDING:
+            return p
+        return np.asarray(self.p_set + way * ((slack - MARGIN) / length))
 
     @property
     def ready(self) -> bool:

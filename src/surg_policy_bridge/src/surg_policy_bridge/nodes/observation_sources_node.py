@@ -17,7 +17,7 @@ from surg_core.contract import FORCE_KEY, SECOND_NS, STATE_KEY, TASK_STATE_KEY, 
 from surg_msgs.msg import TaskState
 from surg_policy_bridge.server import cell_spec
 from surg_policy_bridge.server.observer import TOLERANCE, CameraWatch, Observer, lagging_arm
-from surg_policy_bridge.server.policy_arm import arm_state, rcm_frame
+from surg_policy_bridge.server.policy_arm import rcm_frame
 from surg_policy_bridge.server.served_forces import ServedForces
 from surg_policy_bridge.server.server_parameters import Settings
 from surg_policy_bridge.server.timers import CAMERA_PERIODS
@@ -100,7 +100,7 @@ class ObservationSources:
             return None, "an arm is silent"
         if lagging := lagging_arm({arm: view.stamp_ns for arm, view in views.items()}):
             return None, lagging
-        numbers = np.array([n for arm in arms for n in arm_state(views[arm])], dtype="<f4")
+        numbers = np.array([n for arm in arms for n in views[arm].numbers], dtype="<f4")
         if not np.isfinite(numbers).all():
             return None, "an arm does not know its jaw"
         stamp_ns = max(view.stamp_ns for view in views.values())

@@ -1,4 +1,4 @@
-"""One arm's part of a policy's action, and its part of ``observation.state``.
+"""One arm's part of a policy's action, and its rcm frame.
 
 Values only. Vectors are in the arm's trocar frame R (docs/reference/conventions.md).
 """
@@ -14,11 +14,6 @@ from numpy.typing import NDArray
 from surg_core.arm_view import ArmCommands, ArmView, TipPose
 
 Array = NDArray[np.float64]
-
-
-def arm_state(view: ArmView) -> list[float]:
-    """The numbers of ``observation.state`` for one arm, in the order of `contract.ARM_STATE`."""
-    return [*view.p_tip, view.roll, view.jaw, *view.p_go_on, view.roll_go_on]
 
 
 def rcm_frame(view: ArmView, X_WB: Array) -> Array:

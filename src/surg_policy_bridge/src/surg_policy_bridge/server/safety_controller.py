@@ -115,6 +115,8 @@ class ArmSafety:
         if not self.streaming(at):
             self._last = None
         last = self._last
+        if last is None:
+            target = replace(target, p=view.first_step(target.p, self._own.limits.step_slack))
         before = last.target if last else Target(view.p_set, view.roll_set, view.jaw_set)
         step = _Step(target, before, (at - last.at if last else STEP_NS) / SECOND_NS, view)
         violations: list[Violation] = []

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from surg_core.arm_view import ArmCommands, TipPose
-from surg_core.contract import ARM_ACTION, ARM_FORCE, ARM_STATE, POSITION_STREAMS
+from surg_core.arm_view import ArmCommands, ArmView, TipPose
+from surg_core.contract import ARM_ACTION, ARM_FORCE, ARM_STATE
 from surg_sim.arrays import Array
 from surg_sim.envs.cell_session import CellSession, Tick
-from surg_sim.tasks.scripted_sender import home_frame, into, out_of
+from surg_sim.tasks.scripted_sender import home_frame
 
 ASSISTANT_STATE = ("yaw", "pitch", "insertion", "roll", "jaw")
 """Of the assistant's instrument in ``state`` [rad, rad, m, rad, rad], where there is one."""
@@ -35,8 +35,9 @@ class EnvSpaces:
         self._session, self._images, self._size, self._forces = session, images, size, forces
         self.arms = session.task.commanded
         """Arms that the action commands, in its order."""
-        self._frames = {
-            name: (home_frame(arm), np.asarray(arm.X_WB)) for name, arm in session.cell.arms.items()
+        self._R_BHome = {
+            name: np.asarray(arm.X_WB)[:3, :3].T @ home_frame(arm)[:3, :3]
+            for name, arm in session.cell.arms.items()
         }
         self.state_names = [f"{arm}/{name}" for arm in session.world.arms for name in ARM_STATE]
         """Names of the numbers in ``state``, such as ``PSM1/tip_x``."""
@@ -79,13 +80,10 @@ class EnvSpaces:
 
     def observe(self, tick: Tick) -> dict[str, Any]:
         """``state``, ``privileged`` and, if asked for, ``force`` of a tick."""
-        task, state = self._session.task, []
-        for arm, out in tick.outputs.items():
-            X_WR, X_WB = self._frames[arm]
-            streams = int(out.motion) in POSITION_STREAMS
-            p_B, roll = (out.p_goal, out.roll_goal) if streams else (out.p_set, out.roll_set)
-            state += [*into(X_WR, out_of(X_WB, np.asarray(out.p_BTip))), out.roll, out.jaw]
-            state += [*into(X_WR, out_of(X_WB, np.asarray(p_B))), roll]
+        task = self._session.task
+        state: list[float] = []
+        for arm in tick.outputs:
+            state += self._view(arm, tick).numbers
         if task.assistant is not None:
             state += [*task.assistant.joints, task.assistant.jaw]
         truth = tick.state or task.state()
@@ -96,8 +94,14 @@ class EnvSpaces:
             seen["force"] = np.concatenate(felt)
         return seen
 
-    def commands(self, action: Array) -> dict[str, ArmCommands]:
-        """An action as commands by arm.
+    def _view(self, arm: str, tick: Tick) -> ArmView:
+        """An arm in its rcm frame; before homing in that of its home posture."""
+        out = tick.outputs[arm]
+        R_BR = np.asarray(self._session.controllers[arm].X_BR)[:3, :3]
+        return ArmView.of(out, R_BR if out.homed else self._R_BHome[arm])
+
+    def commands(self, action: Array, tick: Tick) -> dict[str, ArmCommands]:
+        """An action as commands by arm, after a tick.
 
         Raises:
             ValueError: The action has the wrong length or is not finite.
@@ -108,9 +112,11 @@ class EnvSpaces:
                 f"action {values.tolist()}: {len(self.action_names)} finite numbers are needed: "
                 f"{', '.join(self.action_names)}"
             )
-        return {
-            arm: ArmCommands(jaw=float(jaw), servo_cp=TipPose(np.array([x, y, z]), float(roll)))
-            for arm, (x, y, z, roll, jaw) in zip(
-                self.arms, values.reshape(-1, len(ARM_ACTION)), strict=True
-            )
-        }
+        commands = {}
+        for arm, row in zip(self.arms, values.reshape(-1, len(ARM_ACTION)), strict=True):
+            view, p = self._view(arm, tick), row[:3]
+            if view.p_BSample is None:
+                p = view.first_step(p, self._session.cell.arms[arm].limits.step_slack)
+            roll, jaw = map(float, row[3:])
+            commands[arm] = ArmCommands(jaw=jaw, servo_cp=TipPose(np.array(p), roll))
+        return commands

@@ -182,7 +182,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         """
         if self._tick is None or self._tick.verdict.done:
             raise RuntimeError("no episode: call reset() first")
-        return self._stepped(self._advance(Action(arms=self._spaces.commands(action))))
+        return self._stepped(self._advance(Action(arms=self._spaces.commands(action, self._tick))))
 
     def _stepped(self, reward: float) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         assert self._tick is not None
