@@ -104,8 +104,10 @@ def paper_mark(axes: Axes, mark: Mapping[str, Any], groups: Groups) -> None:
 PAPER, PAPER_TASK = "published in the paper", "bgr"
 
 
-def smoothness(groups: Groups, summary: Mapping[str, Any]) -> Figure:
-    """SPARC and LDLJ of the instrument's tip."""
+def smoothness(groups: Groups, summary: Mapping[str, Any]) -> Figure | None:
+    """SPARC and LDLJ of the instrument's tip; None: no tip has moved."""
+    if not any(trials.values(entries, "smoothness", "sparc") for _, entries in groups):
+        return None
     figure = blank(3.5)
     for axes, name in zip(figure.subplots(1, 2), ("sparc", "ldlj"), strict=True):
         _boxes(axes, groups, [("tip", EXECUTED, ("smoothness", name))])

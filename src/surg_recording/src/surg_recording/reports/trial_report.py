@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from surg_recording.episode.finishing import write_json
 from surg_recording.episode.verdicts import ABORTED, CRASHED, UNJUDGED
-from surg_recording.reports import trial_figures
+from surg_recording.reports import failure_figure, trial_figures
 from surg_recording.reports.figure_style import save_all
 from surg_recording.reports.html_page import (
     MET,
@@ -54,6 +54,7 @@ def write(summary: Mapping[str, Any], folder: Path) -> None:
         ),
         _verdict(summary),
         *map(figure_section, drawn),
+        *_failures(summary["episodes"], folder),
         _conditions(summary["conditions"]),
         _episodes(summary["episodes"]),
         definitions(*_TERMS),
@@ -79,6 +80,16 @@ def _verdict(summary: Mapping[str, Any]) -> Markup:
         bullets(summary["reasons"]),
         verdict=good if summary["ok"] else "bad",
     )
+
+
+def _failures(episodes: Sequence[Mapping[str, Any]], folder: Path) -> Iterator[Markup]:
+    """Why did it fail? What happened last in each episode without a success, and its time."""
+    for place, entry in enumerate(episodes):
+        if not entry["success"]:
+            drawn = failure_figure.save(entry, folder, place)
+            missing = note("Nothing that could be drawn was recorded.")
+            title = f"Episode {place}: {failure_figure.last_words(entry)}"
+            yield figure_section(drawn) if drawn else section(title, missing)
 
 
 def _conditions(conditions: Sequence[Mapping[str, Any]]) -> Markup:
