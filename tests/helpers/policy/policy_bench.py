@@ -273,11 +273,15 @@ class WiredBench(Bench):
         self._router.close(0)
         self._context.term()
 
+    def _clock(self) -> int:
+        """The server's time [ns]."""
+        return time.monotonic_ns()
+
     def _run(self) -> None:
         ran = False
         while not self._stop:
             with self.lock:
-                self.now = time.monotonic_ns()
+                self.now = self._clock()
                 while self._router.poll(0):
                     peer, *parts = self._router.recv_multipart()
                     self.endpoint.receive(peer, parts, self.now)

@@ -16,6 +16,9 @@ ROWS = (
     "wire: round trips of drawn messages",
     "wire: kinds of wrong messages, each refused for its own reason",
     "wire: fuzzed messages",
+    "rows of 2 mm from held_action(), 40 mm/s commanded: past a goal at 10 mm, fastest",
+    "the skeleton, 10 mm/s commanded: past its goal, fastest",
+    "roll-outs of every expert and policy of the client, called swinging",
 )
 PAGE = ResultsPage("policies.md")
 

@@ -9,10 +9,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-import surg_core
-from helpers.policy.policy_bench import ARM, HOME, MS, Bench, cell
+from helpers.policy.led_arm import Follower
+from helpers.policy.policy_bench import ARM, HOME, MS, Bench
 from helpers.results.policy_results import note
-from surg_core import Motion, MotionCommand
 from surg_core.contract import SECOND_NS, STEP_NS, TICK_NS
 from surg_policy_bridge.server.counters import Counters
 from surg_policy_bridge.server.model_server import ServerState
@@ -81,34 +80,6 @@ def minimum_jerk(distance: float, seconds: float) -> np.ndarray:
     return distance * (10 * u**3 - 15 * u**4 + 6 * u**5)
 
 
-class Follower:
-    """A controller with an ideal arm, at its own rate."""
-
-    def __init__(self) -> None:
-        arm = cell().arms[ARM]
-        made = surg_core.Controller(arm.chain, arm.robot, arm.limits, arm.instrument, arm.tool)
-        made.set_rcm(arm.trocar.p_BRcm)
-        self.q, self.qd = np.array(arm.robot.home), np.zeros(6)
-        self.controller = made
-        self.out = made.step(self.q, self.qd)
-        for word in (surg_core.StateCommand.ENABLE, surg_core.StateCommand.HOME):
-            assert made.request(word) == surg_core.Reason.NONE
-        self.out = made.step(self.q, self.qd)
-
-    def step(self, target: Target | None) -> float:
-        """One cycle; returns the set-point's x."""
-        commands = []
-        if target is not None:
-            q = surg_core.tip_quaternion(target.p, target.roll)
-            commands = [MotionCommand(Motion.SERVO_CP, 1, p=target.p, rotation=q)]
-        self.out = self.controller.step(self.q, self.qd, commands)
-        assert not self.out.refused, self.out
-        self.qd = np.array(self.out.qd_command)
-        self.q = self.q + 0.002 * self.qd
-        R_BR, p = self.controller.X_BR[:3, :3], self.controller.X_BR[:3, 3]
-        return float((R_BR.T @ (np.array(self.out.p_set) - p))[0])
-
-
 def overshoot(rows: np.ndarray, way: str) -> float:
     """How far the set-point passes the end of a motion [m]."""
     arm = Follower()
@@ -123,7 +94,7 @@ def overshoot(rows: np.ndarray, way: str) -> float:
             else:
                 due = tick * TICK_NS % SEND == 0
                 target = piece.at((tick * TICK_NS + SEND) / STEP_NS) if due else None
-            xs.append(arm.step(target))
+            xs.append(arm.step(target)[0])
     assert abs(xs[-1] - rows[-1]) < 2e-4, "it arrives"
     return max(xs) - rows[-1]
 
@@ -301,7 +272,7 @@ def lead(way: str) -> float:
                 target = (
                     pieces[n].at(tick * TICK_NS / STEP_NS) if tick * TICK_NS % SEND == 0 else None
                 )
-            x = arm.step(target)
+            x = arm.step(target)[0]
     speed = (rows[middle] - rows[middle - 2]) * SECOND_NS / (2 * STEP_NS)
     return float((x - steps[middle].p[0]) / speed)
 

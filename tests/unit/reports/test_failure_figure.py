@@ -16,7 +16,7 @@ WHY = "time limit of 45 s in phase 'grasp'"
 
 
 def test_every_roll_out_without_a_success_has_a_figure_and_a_sentence(tmp_path: Path) -> None:
-    """Failed, aborted, crashed: three pictures; crashed before it began: a sentence; success: no."""
+    """Failed, aborted, crashed: three pictures; crashed before it began: a sentence."""
     ended = [
         TrialOutcome(False, WHY, "grasp", 45.0, True, "failure"),
         TrialOutcome(None, "the node sim has ended", "point", 1.25, False, "aborted"),

@@ -30,19 +30,24 @@ class _Axis:
     """One coordinate of a commanded tip."""
 
     def __init__(self) -> None:
-        self._way, self._end, self._since = 0.0, 0.0, 0
-        self._rested = 0
+        self._low, self._high = np.inf, -np.inf
+        self._way, self._end = 0.0, 0.0
+        self._since = self._rested = 0
         self.turns: deque[tuple[int, float]] = deque()
 
     def take(self, x: float, at: int) -> None:
         """A coordinate [m], commanded at a time [ns]."""
-        if self._way == 0.0 and not self._since:
-            self._end, self._since = x, at
+        if self._way == 0.0:
+            self._low, self._high = min(self._low, x), max(self._high, x)
+            if self._high - self._low > TURN:
+                self._way = 1.0 if x == self._high else -1.0
+                self._end, self._since, self._rested = x, at, at
+            return
         gone = x - self._end
-        if gone * self._way > 0.0 or (self._way == 0.0 and abs(gone) > TURN):
-            if abs(gone) > REST or self._way == 0.0:
+        if gone * self._way > 0.0:
+            if abs(gone) > REST:
                 self._since = at
-            self._end, self._way, self._rested = x, np.sign(gone), at
+            self._end, self._rested = x, at
         elif abs(gone) < REST:
             self._rested = at
         elif abs(gone) > TURN:

@@ -11,7 +11,7 @@ import numpy as np
 from surg_policy_client import Observation
 from surg_policy_client.policies.command_line import run
 
-STEP = 0.001  # [m] from one row to the next, 20 times a second: 20 mm/s
+STEP = 0.0005  # [m] from one row to the next, 20 times a second: 10 mm/s
 
 
 class Policy:
