@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -76,8 +76,11 @@ def test_each_episode_begins_anew() -> None:
 
 # --- over everything that is bundled --------------------------------------------------------------
 
+Rows = Iterator[tuple[Sequence[str], np.ndarray]]
+"""Commanded arms and rows (A,) of a roll-out."""
 
-def rows_of_an_expert(env: SurgEnv, seed: int) -> Iterator[tuple[list[str], np.ndarray]]:
+
+def rows_of_an_expert(env: SurgEnv, seed: int) -> Rows:
     """Arms and commanded rows of an expert's episode, as a policy's."""
     done = False
     env.reset(seed=seed)
@@ -111,7 +114,7 @@ class Swinging(hold.Hold):
         return row
 
 
-def sharp_turns(rows: Iterator[tuple[list[str], np.ndarray]]) -> tuple[int, float]:
+def sharp_turns(rows: Rows) -> tuple[int, float]:
     """Most sharp turns of an axis within the window, and when a swing was named [s]; inf: never."""
     watch: SwingWatch | None = None
     most, named = 0, np.inf
