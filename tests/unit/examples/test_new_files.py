@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import re
 import runpy
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from surg_cli import __main__ as cli
 from surg_cli.commands.policy import new_file
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
@@ -20,7 +20,8 @@ STATE = ("tip_x", "tip_y", "tip_z", "roll", "jaw", "set_x", "set_y", "set_z", "r
 
 
 def new(kind: str, name: str) -> int:
-    return new_file.main(argparse.Namespace(name=name), f"{kind} new")
+    """`./surg KIND new NAME`, in this process."""
+    return cli.run([kind, "new", name])
 
 
 @pytest.fixture

@@ -29,16 +29,16 @@ NEXT = {"policy": "./surg run bgr --policy {file}", "task": "./surg run {file}"}
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
+    parser.set_defaults(kind=parser.prog.split()[-2])  # of `./surg policy new`
     parser.add_argument("name", metavar="NAME", help="of the file, without .py, in this folder")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Write the file and print how to run it."""
-    kind = command.split()[0]
-    name = options.name.removesuffix(".py")
+    kind, name = options.kind, options.name.removesuffix(".py")
     if not name.isidentifier() or keyword.iskeyword(name):
         raise CliError(
-            f"{command} {options.name}: letters, digits and _ are allowed, a letter first", 2
+            f"{kind} {command} {options.name}: letters, digits and _ are allowed, a letter first", 2
         )
     file = Path(f"{name}.py")
     source, words = SOURCES[kind]
