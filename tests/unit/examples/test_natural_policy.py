@@ -7,6 +7,7 @@ their end. The skeleton's steps of 0.5 mm command 10 mm/s.
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
@@ -86,10 +87,13 @@ def over_the_wire(policy: Policy, seed: int) -> tuple[np.ndarray, np.ndarray]:
     with LedBench() as server, RemoteEnv(server.address, timeout_s=60.0) as env:
 
         def begin() -> None:
-            with server.lock:
-                assert server.server.enable(True, server.now) == ""
+            refused = "not asked yet"
+            while refused:  # until the client has connected
+                time.sleep(0.02)
+                with server.lock:
+                    refused = server.server.enable(True, server.now)
 
-        threading.Timer(0.2, begin).start()
+        threading.Thread(target=begin, daemon=True).start()
         observation, _ = env.reset()
         for _ in range(STEPS):
             observation, _, terminated, _, info = env.step(policy.act(observation))
