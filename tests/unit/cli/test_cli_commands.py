@@ -372,6 +372,14 @@ def test_in_real_time_a_scripted_sender_begins_after_the_policys_arms(tmp_path: 
         assert node.name == "/assistant" and node.params.get("after") == after
 
 
+def test_in_real_time_a_late_policy_is_followed_at_the_allowed_pace(tmp_path: Path) -> None:
+    policy = Policy("tcp://127.0.0.1:5555", "policy.py")
+    wanted = plan(tmp_path, senders={system.POLICY: ("PSM1",)}, policy=policy)
+    for lockstep, clip in ((True, None), (False, ["start", "step", "acceleration", "jaw"])):
+        node = system.model_server(replace(wanted, lockstep=lockstep))
+        assert node.params.get("clip") == clip
+
+
 def episode_plan(wanted: SystemPlan) -> SystemPlan:
     """The plan as the process of an episode reads it."""
     task_episode.write_plan(wanted)

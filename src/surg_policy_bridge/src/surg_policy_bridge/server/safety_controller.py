@@ -25,6 +25,8 @@ CLIPPABLE = ("workspace", "start", "step", "acceleration", "jaw")
 """Rules that can clip a step instead of rejecting it."""
 CLIPPED = ("jaw",)
 """Rules that clip by default."""
+PACED = ("start", "step", "acceleration", "jaw")
+"""Rules that clip where the arm shall follow a policy that was late, at the allowed pace."""
 HALVINGS = 40
 """Bisections of the search for the longest step that a rule allows."""
 
