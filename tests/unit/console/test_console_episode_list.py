@@ -31,6 +31,9 @@ def test_episodes_are_listed_with_their_outcome(tmp_path: Path) -> None:
     (tmp_path / "episode_4").mkdir()
     (tmp_path / "episode_4" / "manifest.json").write_text("[" * 10)
     (tmp_path / "another").mkdir()
+    (tmp_path / "episode_depth").mkdir()  # what commands write beside an episode
+    for name in ("episode_view.html", "episode_2.mp4"):
+        (tmp_path / name).touch()
     (tmp_path / "episode" / "labels.json").write_text("{}")
     assert {e.name: e.files for e in listed.entries()}["episode"] == "unreadable"
     (tmp_path / "episode" / "labels.json").unlink()

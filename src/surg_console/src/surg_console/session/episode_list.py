@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -55,7 +56,10 @@ class Episodes:
     def entries(self) -> list[Entry]:
         """Newest first, at most `SHOWN`."""
         entries = []
-        for path in self._folder.parent.glob(f"{self._folder.name}*"):
+        name = re.compile(rf"{re.escape(self._folder.name)}(_\d+)?({re.escape(PARTIAL)})?")
+        for path in self._folder.parent.glob("*"):
+            if not name.fullmatch(path.name):
+                continue  # such as the page or the depth of an episode, which lie beside it
             try:
                 files = [f for name in READ if (f := path / name).is_file()]
                 changed = tuple((file.name, file.stat().st_mtime_ns) for file in files)
