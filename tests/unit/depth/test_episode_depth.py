@@ -61,31 +61,31 @@ def test_depth_of_a_recording(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert surg("episode", "depth", recorded.parent, "--out", tmp_path / "d", "--every", "2") == 0
+    assert surg("episode", "depth", recorded.parent, "--out", tmp_path / "d") == 0
     said = capsys.readouterr().out
-    assert "2 pairs of 320 x 240" in said and str(tmp_path / "d") in said.splitlines()[-1]
+    assert "4 pairs of 320 x 240" in said and str(tmp_path / "d") in said.splitlines()[-1]
     values = list(exact_values.read(tmp_path / "d" / "endoscope_depth.mp4"))
-    assert len(values) == 2 and values[0].dtype == np.uint16
+    assert len(values) == 4 and values[0].dtype == np.uint16
     depth = np.where(values[0] > 0, 1e-4 * values[0], np.nan)
     away = np.abs(depth - pair.depth())[20:-20, 60:-20]
     assert np.nanpercentile(away, 90) < 0.0035
     table = table_file.read_table(tmp_path / "d" / "endoscope_depth.csv")
-    assert table["stamp_ns"].tolist() == [FRAME_NS, 3 * FRAME_NS]
+    assert table["stamp_ns"].tolist() == [FRAME_NS * k for k in range(1, 5)]
     figures = json.loads((tmp_path / "d" / "depth.json").read_text())
-    assert figures["format"] == "surg_depth/1" and figures["pairs"] == 2
+    assert figures["format"] == "surg_depth/1" and figures["pairs"] == 4
     assert figures["baseline_m"] == pytest.approx(pair.baseline)
     assert figures["video_quality"] == "18"
     assert figures["median_depth_m"][0] == pytest.approx(0.06, abs=0.003)
     assert (tmp_path / "d" / "depth.png").stat().st_size > 5000
     with av.open(str(tmp_path / "d" / "depth.mp4")) as film:
-        assert sum(1 for _ in film.decode(video=0)) == 2
+        assert sum(1 for _ in film.decode(video=0)) == 4
 
 
 def test_the_folder_stands_beside_the_episode_and_is_not_overwritten(
     surg: Callable[..., int], recorded: Path
 ) -> None:
     out = recorded.with_name("episode_depth")
-    assert surg("episode", "depth", recorded, "--size", "160x120", "--every", "4") == 0
+    assert surg("episode", "depth", recorded, "--size", "160x120") == 0
     before = (out / "depth.json").read_bytes()
     assert json.loads(before)["size"] == [160, 120]
     assert "is there already; remove it, or choose another --out" in refused(surg, recorded)
@@ -186,7 +186,6 @@ def test_a_broken_video_is_refused(
         (("--method", "none.py"), "none.py"),
         (("--range", "0.2", "0.1"), "0.005 <= near < far <= 10"),
         (("--size", "640"), "allowed: such as 640x480"),
-        (("--every", "0"), "allowed: a whole number from 1"),
         (("--range", "nan", "0.1"), "a positive number"),
     ],
 )

@@ -31,7 +31,6 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         metavar=("NEAR", "FAR"),
         help="nearest and farthest depth in metres (0.04 0.30)",
     )
-    add("--every", type=_count, default=1, metavar="N", help="each N-th pair only")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
@@ -45,7 +44,8 @@ def main(options: argparse.Namespace, command: str) -> int:
 
     folder = options.episode.absolute()
     out = options.out or folder.with_name(f"{folder.name}_depth")
-    chosen = DepthOptions(options.method, options.size, *options.range, options.every)
+    near, far = options.range
+    chosen = DepthOptions(options.method, options.size, near, far)
     try:
         eyes = RecordedEyes(episode_reader.read(folder))
         if eyes.coarse:
@@ -85,9 +85,3 @@ def _size(text: str) -> tuple[int, int]:
     if match is None or not 16 <= int(match[1]) <= 7680 or not 16 <= int(match[2]) <= 4320:
         raise argparse.ArgumentTypeError(f"{text!r}; allowed: such as 640x480, 16x16 to 7680x4320")
     return int(match[1]), int(match[2])
-
-
-def _count(text: str) -> int:
-    if not re.fullmatch(r"[1-9]\d{0,5}", text):
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number from 1")
-    return int(text)

@@ -44,14 +44,12 @@ class DepthOptions:
         size: Width and height of the rectified pictures [px]; None: of the videos.
         near: Smallest distance [m].
         far: Largest distance [m].
-        every: Take each so-manieth pair.
     """
 
     method: str = "sgbm_8"
     size: tuple[int, int] | None = None
     near: float = NEAR
     far: float = FAR
-    every: int = 1
 
 
 def compute(
@@ -96,7 +94,7 @@ class _Run:
 
     def __init__(self, eyes: RecordedEyes, depth: StereoDepth, options: DepthOptions) -> None:
         self._eyes, self._depth, self._options = eyes, depth, options
-        self._count = len(eyes.stamps[:: options.every])
+        self._count = len(eyes.stamps)
         self._shown: tuple[float, float] | None = None
         self._film: list[Picture] = []
         self._middle: Picture | None = None
@@ -109,7 +107,7 @@ class _Run:
         video, sidecar = folder / f"{NAME}.mp4", folder / f"{NAME}.csv"
         encoder = video_encoder.Encoder(str(video), str(sidecar), "ultrafast", "lossless")
         try:
-            for number, pair in enumerate(self._eyes.pairs(self._options.every)):
+            for number, pair in enumerate(self._eyes.pairs()):
                 begun = time.perf_counter()
                 found = self._depth.look(pair.left, pair.right)
                 self._spent.append(time.perf_counter() - begun)

@@ -81,13 +81,13 @@ class RecordedEyes:
         """Whether the videos were encoded too coarsely for depth."""
         return self.quality.isdigit() and int(self.quality) > GOOD_CRF
 
-    def pairs(self, every: int = 1) -> Iterator[RecordedPair]:
-        """Pairs in order; each ``every``-th one.
+    def pairs(self) -> Iterator[RecordedPair]:
+        """Pairs in order.
 
         Raises:
             EpisodeError: A video cannot be read, or the pictures change their size.
         """
-        wanted = {int(stamp) for stamp in self.stamps[::every]}
+        wanted = set(map(int, self.stamps))
         left, right = (self._frames(eye, wanted) for eye in (0, 1))
         for (stamp, receive, first), (_, _, second) in zip(left, right, strict=True):
             yield RecordedPair(first, second, stamp, receive)
