@@ -21,7 +21,7 @@ REST = 5e-4
 SHARP = 3 * STEP_NS
 """[ns] A turn with a longer rest is on purpose: every task's expert rests for 0.25 s at least."""
 TURNS = 3
-"""Sharp turns along one axis within `WINDOW` that are a swing; in 80 roll-outs an expert had 1."""
+"""Sharp turns along one axis within `WINDOW` that are a swing; no expert had one in 24."""
 WINDOW = 2 * SECOND_NS
 """[ns]"""
 
