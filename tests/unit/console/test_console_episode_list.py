@@ -79,8 +79,9 @@ def test_a_judgement_is_the_word_that_every_command_says(tmp_path: Path) -> None
 
 def test_only_an_episode_of_this_list_is_judged(tmp_path: Path) -> None:
     listed = Episodes(tmp_path / "episode")
-    for name in ("episode_2", "other"):
+    for name in ("episode_2", "other", "episode_depth"):
         (tmp_path / name).mkdir()
     assert listed.has(tmp_path / "episode_2")
     for elsewhere in (tmp_path / "other", tmp_path / "episode_9", tmp_path.parent / "episode_2"):
         assert not listed.has(elsewhere)
+    assert not listed.has(tmp_path / "episode_depth"), "it lies beside an episode"

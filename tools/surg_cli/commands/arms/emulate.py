@@ -36,9 +36,11 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Serve until Ctrl-C."""
-    wanted = _of_robot(options) if options.robot in ROBOTS else _of_cell(options)
+    kind, program = _of_robot(options) if options.robot in ROBOTS else _of_cell(options)
+    if kind != "ur" and options.polyscope != "5":
+        raise CliError(f"emulate {options.robot}: --polyscope is of a UR", 2)
     try:
-        emulator = _start(*wanted)
+        emulator = _start(kind, program)
     except (ValueError, OSError) as error:
         raise CliError(f"emulate: {error}", 2) from error
     granted = emulator_program.ask_real_time()
@@ -66,7 +68,6 @@ def _of_robot(options: argparse.Namespace) -> tuple[str, argparse.Namespace]:
     if options.arm is not None:
         raise CliError(f"emulate {options.robot}: --arm {options.arm} needs a cell", 2)
     kind, model = ROBOTS[options.robot]
-    _check_polyscope(kind, options)
     return kind, _program(options, options.address or "127.0.0.1", model)
 
 
@@ -93,14 +94,8 @@ def _of_cell(options: argparse.Namespace) -> tuple[str, argparse.Namespace]:
     if arm.robot.name not in ROBOTS:
         raise CliError(f"{place}.robot: {arm.robot.name!r}; allowed: {', '.join(ROBOTS)}", 2)
     kind, model = ROBOTS[arm.robot.name]
-    _check_polyscope(kind, options)
     hardware = arm.hardware
     return kind, _program(options, hardware.address, model, hardware.serial, list(arm.robot.home))
-
-
-def _check_polyscope(kind: str, options: argparse.Namespace) -> None:
-    if kind != "ur" and options.polyscope != "5":
-        raise CliError(f"emulate {options.robot}: --polyscope is of a UR", 2)
 
 
 def _program(

@@ -46,20 +46,21 @@ class Episodes:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
+        # Not what lies beside an episode, such as its page or its depth.
+        self._name = re.compile(rf"{re.escape(folder.name)}(_\d+)?({re.escape(PARTIAL)})?")
         self._known: dict[Path, tuple[tuple[tuple[str, int], ...], Entry]] = {}
 
     def has(self, folder: Path) -> bool:
         """Whether a folder is one of these episodes, on this machine."""
-        own = folder.parent == self._folder.parent and folder.name.startswith(self._folder.name)
-        return own and folder.is_dir()
+        own = folder.parent == self._folder.parent and self._name.fullmatch(folder.name)
+        return bool(own) and folder.is_dir()
 
     def entries(self) -> list[Entry]:
         """Newest first, at most `SHOWN`."""
         entries = []
-        name = re.compile(rf"{re.escape(self._folder.name)}(_\d+)?({re.escape(PARTIAL)})?")
         for path in self._folder.parent.glob("*"):
-            if not name.fullmatch(path.name):
-                continue  # such as the page or the depth of an episode, which lie beside it
+            if not self._name.fullmatch(path.name):
+                continue
             try:
                 files = [f for name in READ if (f := path / name).is_file()]
                 changed = tuple((file.name, file.stat().st_mtime_ns) for file in files)
