@@ -11,7 +11,7 @@ from surg_cli import command_table
 from surg_cli.graph import system
 from surg_cli.graph.processes import Supervisor
 from surg_cli.graph.system import Node
-from surg_cli.host import environment, logged, paths, provision, workspace
+from surg_cli.host import distribution, environment, logged, paths, provision, workspace
 from surg_cli.host.terminal import CliError, Progress
 
 
@@ -60,11 +60,11 @@ def test_opencv_comes_with_a_real_endoscope_or_a_lens(
 
 def test_the_overview_names_each_stage_that_comes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(provision, "missing_packages", lambda names: ["cmake", "libegl1"])
-    monkeypatch.setattr(provision, "_python_is_current", lambda: False)
+    monkeypatch.setattr(provision, "python_is_current", lambda: False)
     monkeypatch.setattr(workspace, "is_current", lambda: True)
     assert provision.overview(False).startswith("first: 2 Debian packages (1 to 5 minutes), then a")
     monkeypatch.setattr(provision, "missing_packages", lambda names: [])
-    monkeypatch.setattr(provision, "_python_is_current", lambda: True)
+    monkeypatch.setattr(provision, "python_is_current", lambda: True)
     assert provision.overview(True) == ""
 
 
@@ -206,3 +206,84 @@ def test_compiler_errors_come_before_the_last_lines(tmp_path: Path) -> None:
     text = workspace.failure_text(lines, tmp_path / "log")
     assert "no such type" in text
     assert "noise 98" not in text
+
+
+def release(name: str, version: str, title: str, more: str = "") -> str:
+    """An os-release file."""
+    return f'ID={name}\n{more}VERSION_ID="{version}"\nPRETTY_NAME="{title}"\n'
+
+
+RELEASES = {
+    "debian 13": release("debian", "13", "Debian GNU/Linux 13 (trixie)"),
+    "ubuntu 24.04": release("ubuntu", "24.04", "Ubuntu 24.04.3 LTS", "ID_LIKE=debian\n"),
+    "ubuntu 22.04": release("ubuntu", "22.04", "Ubuntu 22.04.5 LTS", "ID_LIKE=debian\n"),
+    "fedora 41": release("fedora", "41", "Fedora Linux 41"),
+}
+
+
+@pytest.mark.parametrize(
+    ("system", "machine", "python", "said", "refused"),
+    [
+        ("debian 13", "x86_64", (3, 13), "", ""),
+        ("debian 13", "aarch64", (3, 13), "on aarch64 is untried", ""),
+        ("ubuntu 24.04", "x86_64", (3, 12), "Ubuntu 24.04.3 LTS on x86_64 is untried", ""),
+        ("ubuntu 22.04", "x86_64", (3, 10), "", "22.04.5 LTS has Python 3.10, and 3.11 or later"),
+        ("fedora 41", "x86_64", (3, 13), "", "Fedora Linux 41 has no Debian packages"),
+        ("", "x86_64", (3, 13), "", "This system has no Debian packages"),
+    ],
+)
+def test_a_system_that_was_never_tried_is_named(
+    system: str,
+    machine: str,
+    python: tuple[int, int],
+    said: str,
+    refused: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    file = tmp_path / "os-release"
+    if system:
+        file.write_text(RELEASES[system])
+    monkeypatch.setattr(distribution.platform, "machine", lambda: machine)
+    monkeypatch.setattr(distribution.sys, "version_info", (*python, 1))
+    here = distribution.here(file)
+    if refused:
+        with pytest.raises(CliError, match=refused) as caught:
+            here.untried()
+        assert caught.value.code == 2 and "Dockerfile" in str(caught.value)
+        return
+    assert here.key == f"{system} {machine} Python {python[0]}.{python[1]}"
+    assert here.tried == (not said) and said in here.untried()
+    browser = "chromium-browser" if "ubuntu" in system else "chromium"
+    assert [here.package(name) for name in ("cmake", "chromium")] == ["cmake", browser]
+
+
+def test_what_another_system_has_built_is_built_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A checkout on a shared disk or a stick."""
+    venv, build, ran = tmp_path / ".venv", tmp_path / "build", []
+    for name, path in {"VENV": venv, "VENV_PYTHON": venv / "python", "BUILD": build}.items():
+        monkeypatch.setattr(paths, name, path)
+    monkeypatch.setattr(provision, "VENV_STAMP", venv / "stamp")
+    monkeypatch.setattr(workspace, "BUILT_ON", build / "built-on")
+    monkeypatch.setattr(workspace, "STAMP", tmp_path / "build.stamp")
+    monkeypatch.setattr(workspace, "_cmake", lambda: "cmake")
+    monkeypatch.setattr(logged, "run", lambda argv, *_, **__: ran.append(argv))
+    other = "debian 12 aarch64 Python 3.11"
+    for folder in (venv, build):
+        folder.mkdir()
+        (folder / "of_the_other").write_text("")
+    (venv / "python").write_text("")
+    (venv / "stamp").write_text(f"{paths.file_digest(paths.LOCK_FILE)} {other}")
+    (build / "built-on").write_text(other)
+    (build / "CMakeCache.txt").write_text("")
+    assert not provision.python_is_current()
+    monkeypatch.setattr(provision, "_pip_install", lambda *_: None)
+    assert provision.install_python(tmp_path / "log") and workspace.build(tmp_path / "log")
+    assert not (venv / "of_the_other").exists() and not (build / "of_the_other").exists()
+    assert capsys.readouterr().out.count(other) == 2
+    assert [argv[0] for argv in ran[1:]] == ["cmake", "cmake"]
+    (build / "of_this").write_text("")
+    workspace.build(tmp_path / "log", force=True)
+    assert (build / "of_this").exists()

@@ -25,13 +25,13 @@ STAGES = ((signal.SIGINT, 4.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 2.0))
 PR_SET_CHILD_SUBREAPER = 36
 
 
-def keep_niceness(session: int) -> None:
-    """Give a session that this process has started, or leads, this process's niceness.
+def keep_niceness(session: int, more: int = 0) -> None:
+    """Give a session that this process has started, or leads, this process's niceness, or more.
 
     Linux may schedule by session (autogroup). A niceness then counts only within its session, and a
     new session begins at 0.
     """
-    niceness = os.getpriority(os.PRIO_PROCESS, 0)
+    niceness = min(os.getpriority(os.PRIO_PROCESS, 0) + more, 19)
     with contextlib.suppress(OSError):
         Path(f"/proc/{session}/autogroup").write_text(str(niceness), "ascii")
 

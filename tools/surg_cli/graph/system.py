@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from surg_cli.graph import master, scheduler_slices
-from surg_cli.graph.processes import Child, Supervisor
+from surg_cli.graph.processes import Child, Supervisor, keep_niceness
 from surg_cli.graph.system_plan import ENDOSCOPE, OPERATOR, RECORDER, SystemPlan
 from surg_cli.host import paths, provision
 from surg_cli.host.terminal import CliError
@@ -24,6 +24,8 @@ POLICY = "policy"
 CAMERA_START_S = 180.0
 """[s] Lock-step: longest wait for everybody where a camera is drawn, which on a machine that has
 other work takes its time to compile the scene."""
+GIVES_WAY = 10
+"""Niceness of what only draws, above that of the system."""
 DRIVES_PRIORITY = 20
 """Of the threads of nodes that a robot waits for; their own loops have higher ones."""
 POLICY_TOPICS = ("/policy/action", "/policy/rejected", "/policy/plan", "/policy/status")
@@ -41,6 +43,7 @@ class Node:
     essential: bool = True  # whether its end ends the system
     prompt: bool = False  # whether it must answer soon: it gets short slices of the processor
     drives: bool = False  # whether a robot waits for it, or it is one: real-time priority
+    gives_way: bool = False  # whether it only draws: all others go first
 
     def needs_opencv(self) -> bool:
         """Whether it is a real endoscope, or simulates a lens."""
@@ -163,7 +166,8 @@ def endoscope(plan: SystemPlan) -> Node:
         params = {"cell": str(plan.cell), **plan.capture}
         return Node(f"/{ENDOSCOPE}", "surg_perception", "capture_node.py", params)
     params = {**plan.scene, "views": list(plan.cameras)}
-    return Node(f"/{ENDOSCOPE}", "surg_sim", "endoscope_node.py", params)
+    made = ("surg_sim", "endoscope_node.py", params)
+    return Node(f"/{ENDOSCOPE}", *made, gives_way=not plan.lockstep)
 
 
 def senders(plan: SystemPlan) -> list[Node]:
@@ -242,6 +246,8 @@ def start(supervisor: Supervisor, node: Node) -> Child:
         child = supervisor.start(node.name, argv, essential=node.essential)
     if node.drives:
         prefer(child)
+    if node.gives_way:
+        give_way(child)
     return child
 
 
@@ -256,6 +262,14 @@ def prefer(child: Child) -> bool:
     except OSError:
         return False
     return True
+
+
+def give_way(child: Child) -> None:
+    """Let all others go first: a picture that is late harms less than a hand that is."""
+    pid = child.process.pid
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, pid, os.getpriority(os.PRIO_PROCESS, 0) + GIVES_WAY)
+    keep_niceness(pid, GIVES_WAY)
 
 
 def executable(package: str, name: str) -> Path:

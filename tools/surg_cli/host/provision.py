@@ -13,7 +13,7 @@ import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from surg_cli.host import logged, paths, preflight, workspace
+from surg_cli.host import distribution, logged, paths, preflight, workspace
 from surg_cli.host.terminal import CliError, Progress, say
 
 VENV_STAMP = paths.VENV / ".surg-lock"
@@ -63,10 +63,11 @@ def missing_packages(names: Sequence[str]) -> list[str]:
     """Those Debian packages that dpkg does not call installed.
 
     Raises:
-        CliError: This is not a Debian system.
+        CliError: This is not a system of Debian's kind, or its Python is too old.
     """
-    if shutil.which("dpkg-query", path="/usr/bin:/bin") is None:
-        raise CliError("dpkg-query is missing: the platform is set up on Debian 12 or 13")
+    here = distribution.here()
+    here.untried()
+    names = [here.package(name) for name in names]
     query = subprocess.run(
         ["/usr/bin/dpkg-query", "-W", "-f=${Package} ${db:Status-Status}\\n", *names],
         capture_output=True,
@@ -98,6 +99,8 @@ def install_packages(log: Path, everything: bool = False, optional: Sequence[str
             f"is at hand. Run this once as root, then ./surg again:\n\n"
             f"apt-get update && {line}\n"
         )
+    if warning := distribution.here().untried():
+        say(warning)
     say(f"Debian packages: installing {len(missing)} of {len(listed)} (log: {log})")
     base = [*prefix, "/usr/bin/env", "DEBIAN_FRONTEND=noninteractive", "apt-get", *APT_OPTIONS]
     with Progress("apt-get") as progress:
@@ -119,16 +122,25 @@ def overview(everything: bool, optional: Sequence[str] = ()) -> str:
     stages = []
     if missing := missing_packages(listed_packages(everything=everything, optional=optional)):
         stages.append(f"{len(missing)} Debian packages (1 to 5 minutes)")
-    if not _python_is_current():
+    if not python_is_current():
         stages.append("a Python environment (100 MB, half a minute)")
     if not workspace.is_current():
         stages.append("a build (2 to 6 minutes on 2 idle cores)")
     return f"first: {', then '.join(stages)}" if stages else ""
 
 
-def _python_is_current() -> bool:
-    wanted = paths.file_digest(paths.LOCK_FILE)
-    return paths.VENV_PYTHON.exists() and VENV_STAMP.exists() and VENV_STAMP.read_text() == wanted
+def python_is_current() -> bool:
+    """Whether `.venv` was filled from the lock file as it is, on a machine like this one."""
+    return paths.VENV_PYTHON.exists() and _is_filled(paths.LOCK_FILE, VENV_STAMP)
+
+
+def _is_filled(lock: Path, stamp: Path) -> bool:
+    return stamp.exists() and stamp.read_text() == _filled(lock)
+
+
+def _filled(lock: Path) -> str:
+    """What the stamp of a lock file says."""
+    return f"{paths.file_digest(lock)} {distribution.here().key}"
 
 
 def install_python(log: Path) -> bool:
@@ -140,10 +152,14 @@ def install_python(log: Path) -> bool:
     Raises:
         CliError: A step fails; the text holds the last lines of its output.
     """
-    if _python_is_current():
+    if python_is_current():
         return False
     preflight.check_tree()
     preflight.check_space(paths.VENV)
+    made_on = VENV_STAMP.read_text().partition(" ")[2] if VENV_STAMP.exists() else ""
+    if made_on not in ("", distribution.here().key):
+        say(f"{paths.VENV} was made on {made_on}, this is {distribution.here().key}: made anew")
+        shutil.rmtree(paths.VENV)
     say(f"Python environment: {paths.VENV} (log: {log})")
     with Progress("Python environment") as progress:
         if not _has_pip():
@@ -156,7 +172,7 @@ def install_python(log: Path) -> bool:
 
 def need_dds() -> bool:
     """Fill `.venv` with what the ROS 2 gateway needs; returns whether anything had to be done."""
-    if DDS_STAMP.exists() and DDS_STAMP.read_text() == paths.file_digest(paths.DDS_LOCK):
+    if _is_filled(paths.DDS_LOCK, DDS_STAMP):
         return False
     with Progress("DDS, for ROS 2 (53 MB)") as progress:
         _pip_install(paths.DDS_LOCK, DDS_STAMP, paths.STATE / "logs" / "pip-dds.log", progress)
@@ -167,7 +183,7 @@ def _pip_install(lock: Path, stamp: Path, log: Path, progress: Progress) -> None
     pip = [str(paths.VENV_PYTHON), "-m", "pip", "--disable-pip-version-check", "install"]
     strict = ["--no-deps", "--require-hashes", "--only-binary", ":all:"]
     logged.run([*pip, *strict, "-r", str(lock)], log, progress)
-    paths.write_text(stamp, paths.file_digest(lock))
+    paths.write_text(stamp, _filled(lock))
 
 
 def _has_pip() -> bool:

@@ -9,10 +9,12 @@ import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from surg_cli.host import logged, paths, preflight
+from surg_cli.host import distribution, logged, paths, preflight
 from surg_cli.host.terminal import CliError, Progress, say
 
 STAMP = paths.TREE_STATE / "build.stamp"
+BUILT_ON = paths.BUILD / "built-on"
+"""Names the system whose compiler and libraries a build folder holds."""
 RUN_IN_PLACE = (".py", ".pyi", ".html", ".js", ".css", ".svg", ".yaml", ".urdf", ".md")
 GOOGLETEST = Path("/usr/include/gtest/gtest.h")
 FILES_PER_UNIT = 6
@@ -38,8 +40,8 @@ def _is_built(path: Path) -> bool:
 
 
 def fingerprint() -> str:
-    """Digest of what the build reads: names; sizes and times of sources; Python, GoogleTest."""
-    digest = hashlib.sha256()
+    """Digest of what the build reads: names; sizes and times of sources; system, GoogleTest."""
+    digest = hashlib.sha256(distribution.here().key.encode())
     for path in source_files():
         try:
             info = path.stat()
@@ -80,7 +82,8 @@ def build(log: Path, force: bool = False) -> bool:
     preflight.check_tree()
     preflight.check_space(paths.BUILD)
     say(f"build: {paths.BUILD} -> {paths.DEVEL} (log: {log})")
-    _forget_moved_tree()
+    _forget_other_tree()
+    paths.write_text(BUILT_ON, distribution.here().key)
     configure = [_cmake(), "-S", str(paths.ROOT), "-B", str(paths.BUILD)]
     configure += ["-G", "Unix Makefiles", f"-DCATKIN_DEVEL_PREFIX={paths.DEVEL}"]
     configure += _unity()
@@ -111,8 +114,8 @@ def _cmake() -> str:
     return program
 
 
-def _forget_moved_tree() -> None:
-    """Remove a build folder that belongs to another path: CMake would refuse to use it."""
+def _forget_other_tree() -> None:
+    """Remove a build folder of another path, which CMake would refuse, or of another system."""
     cache = paths.BUILD / "CMakeCache.txt"
     if not cache.exists():
         return
@@ -122,7 +125,10 @@ def _forget_moved_tree() -> None:
     wanted = paths.VENV_PYTHON if paths.VENV_PYTHON.exists() else paths.SYSTEM_PYTHON
     moved = home is not None and Path(home.group(1)) != paths.ROOT
     other_python = python is not None and Path(python.group(1)) != wanted
-    if moved or other_python:
+    made_on = BUILT_ON.read_text("utf-8") if BUILT_ON.exists() else distribution.here().key
+    if made_on != distribution.here().key:
+        say(f"{paths.BUILD} was built on {made_on}, this is {distribution.here().key}: built anew")
+    if moved or other_python or made_on != distribution.here().key:
         shutil.rmtree(paths.BUILD)
 
 

@@ -206,6 +206,9 @@ def made(settings: DriverSettings, node: socket.socket) -> AdapterDriver:
     """
     try:
         adapter = load(settings.driver)(settings.address, settings.options)
+    except ModuleNotFoundError as error:
+        python = ".".join(map(str, sys.version_info[:2]))
+        raise RobotRefused(f"{error}: packages.lock has none for Python {python}") from error
     except (ValueError, ImportError) as error:
         raise RobotRefused(str(error)) from error
     return AdapterDriver(settings, node, adapter)

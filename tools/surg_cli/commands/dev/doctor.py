@@ -7,10 +7,9 @@ import os
 import shutil
 import subprocess
 from dataclasses import dataclass
-from pathlib import Path
 
 from surg_cli.graph import master, running
-from surg_cli.host import environment, paths, provision, workspace
+from surg_cli.host import distribution, environment, paths, provision, workspace
 from surg_cli.host.terminal import CliError, report_findings
 
 FREE_GIB = 3.0
@@ -62,15 +61,10 @@ def _machine() -> list[Finding]:
 
 def _system() -> Finding:
     """Distribution, cores and memory."""
-    name = "unknown"
-    release = Path("/etc/os-release")
-    if release.exists():
-        pairs = dict(line.split("=", 1) for line in release.read_text().splitlines() if "=" in line)
-        name = pairs.get("PRETTY_NAME", name).strip('"')
-    good = any(word in name for word in ("bookworm", "GNU/Linux 12", "trixie", "GNU/Linux 13"))
+    here = distribution.here()
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    text = f"{name}, {len(os.sched_getaffinity(0))} cores, {memory:.1f} GiB"
-    return Finding(good, "system", text, "" if good else "use Debian 12 or 13")
+    text = f"{here.title}, {len(os.sched_getaffinity(0))} cores, {memory:.1f} GiB"
+    return Finding(here.tried, "system", text, "" if here.tried else "use Debian 13 or 12")
 
 
 def _packages() -> Finding:
@@ -91,11 +85,9 @@ def _python() -> Finding:
     """The virtual environment."""
     if not paths.VENV_PYTHON.exists():
         return Finding(False, "Python environment", f"{paths.VENV} is missing", "./surg dev setup")
-    stamp = provision.VENV_STAMP
-    if not stamp.exists() or stamp.read_text() != paths.file_digest(paths.LOCK_FILE):
-        return Finding(
-            False, "Python environment", "older than requirements.lock", "./surg dev setup"
-        )
+    if not provision.python_is_current():
+        older = "older than requirements.lock, or of another system"
+        return Finding(False, "Python environment", older, "./surg dev setup")
     code = "import mujoco, numpy; print('mujoco', mujoco.__version__, 'numpy', numpy.__version__)"
     done = _run([str(paths.VENV_PYTHON), "-s", "-c", code])
     if done.returncode != 0:
