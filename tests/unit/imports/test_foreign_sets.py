@@ -22,6 +22,7 @@ from helpers.recording.foreign_sources import (
 )
 from surg_cli.commands.episode import evaluate as command_evaluate
 from surg_cli.commands.episode import make_film
+from surg_console.labelling.label_pages import LabelPages
 from surg_recording import datasets, episode
 from surg_recording.datasets import ExportOptions
 from surg_recording.imports.ledger import Ledger
@@ -341,3 +342,20 @@ def test_imports_alone_are_evaluated_and_shown_without_what_is_missing(tmp_path:
     words = [str(tmp_path / "episodes" / "0"), "--out", str(tmp_path / "film.mp4")]
     assert make_film.main(film.parse_args(words), "film") == 0
     assert (tmp_path / "film.mp4").stat().st_size > 0
+
+
+def test_an_import_is_viewed_judged_and_cut(tmp_path: Path) -> None:
+    """It has no joints, no cycles of a controller and no task of ours."""
+    root = write_set(tmp_path / "set", [Rows(40, 20)])
+    folder = import_episode(LeRobotData(root), 0, tmp_path / "episode", MAP)
+    pages = LabelPages([folder], "A")
+    assert 'id="video0"' in pages.page(1)
+    stamps = episode.read(folder).cycle("PSM1")["stamp_ns"]
+    trim = {"begin_ns": str(stamps[5]), "end_ns": str(stamps[30])}
+    pages.save(1, {"success": True, "note": "", "stages": [], "trim": trim})
+    assert pages.badge(1)[1] == "success"
+    options = ExportOptions(executor="serial", splits={"train": 1.0}, fps=20)
+    report = datasets.load("lerobot_v30").write([folder], tmp_path / "exported", options)
+    assert report.ok
+    info = json.loads((tmp_path / "exported" / "meta" / "info.json").read_text())
+    assert 20 < info["total_frames"] <= 26
