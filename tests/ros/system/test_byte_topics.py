@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import io
 import itertools
+import socket
+import struct
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from helpers.graph.ros import RosGraph
@@ -27,7 +31,7 @@ def packed(value: float, padding: int = 0) -> bytes:
 class Link:
     """A topic with a publisher of bytes and one subscriber, of as many as a test wants."""
 
-    def __init__(self, graph: RosGraph) -> None:
+    def __init__(self, graph: RosGraph, blocking: bool) -> None:
         from sensor_msgs.msg import JointState
 
         from surg_ros.byte_topics import BytesPublisher
@@ -36,7 +40,7 @@ class Link:
         self.topic = f"/bytes_{next(_names)}"
         self.made: list[Any] = []
         self.first = self.another()
-        self.out = BytesPublisher(self.topic, JointState, blocking=True)
+        self.out = BytesPublisher(self.topic, JointState, blocking)
         self.wait(lambda: self.first.get_num_connections() == 1 and self.out.connections == 1)
 
     def another(self) -> Any:
@@ -68,9 +72,9 @@ class Link:
             each.unregister()
 
 
-@pytest.fixture
-def link(rospy_node: str, ros_graph: RosGraph) -> Iterator[Link]:
-    made = Link(ros_graph)
+@pytest.fixture(params=[True, False], ids=["waits", "offers"])
+def link(request: pytest.FixtureRequest, rospy_node: str, ros_graph: RosGraph) -> Iterator[Link]:
+    made = Link(ros_graph, request.param)
     yield made
     made.close()
 
@@ -120,3 +124,74 @@ def test_a_latched_message_reaches_who_comes_later(rospy_node: str, ros_graph: R
     ros_graph.wait_for(lambda: late.fetch() == [packed(7)], 10.0, "the latched message")
     late.unregister()
     out.publisher.unregister()
+
+
+class Ears:
+    """Subscribers' ends of a publisher that has no graph."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+        from sensor_msgs.msg import JointState
+
+        from surg_ros import byte_topics
+
+        pairs = [socket.socketpair() for _ in range(count)]
+        for near, far in pairs:
+            near.setblocking(True)  # as rospy leaves them behind the header
+            near.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+            far.settimeout(0.0)
+        self.far = [far for _, far in pairs]
+        self.heard = [b""] * count
+        self.impl = SimpleNamespace(
+            connections=[SimpleNamespace(socket=near, close=near.close) for near, _ in pairs],
+            remove_connection=lambda gone: setattr(
+                self.impl, "connections", [c for c in self.impl.connections if c is not gone]
+            ),
+        )
+        made = SimpleNamespace(impl=self.impl)
+        monkeypatch.setattr(byte_topics.rospy, "Publisher", lambda *_, **__: made)
+        self.out = byte_topics.BytesPublisher("/t", JointState, blocking=False)
+
+    def read(self, which: int, most: int = 1 << 20) -> None:
+        try:
+            self.heard[which] += self.far[which].recv(most)
+        except BlockingIOError:
+            return
+
+    def messages(self, which: int) -> list[bytes]:
+        """What has come, whole; the wire's lengths must lead from one to the next."""
+        found, at, heard = [], 0, self.heard[which]
+        while at < len(heard):
+            end = at + 4 + struct.unpack_from("<I", heard, at)[0]
+            assert end <= len(heard), "a message was cut"
+            found.append(heard[at + 4 : end])
+            at = end
+        return found
+
+
+def test_a_slow_subscriber_misses_whole_messages_and_delays_nobody(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ears, rng = Ears(monkeypatch, 2), np.random.default_rng(0)
+    sent = [bytes(rng.integers(0, 256, rng.integers(1, 3000), np.uint8)) for _ in range(400)]
+    for k, message in enumerate(sent):
+        ears.out.send(message)
+        ears.read(0)
+        if k % 7 == 0:
+            ears.read(1, int(rng.integers(1, 5000)))
+    for _ in range(400):  # what had begun is sent to its end, with the next messages
+        ears.out.send(b"end")
+        ears.read(0)
+        ears.read(1)
+    assert ears.messages(0)[:400] == sent
+    some = [message for message in ears.messages(1) if message != b"end"]
+    kept = [sent.index(message) for message in some]
+    assert kept == sorted(set(kept)) and 20 < len(kept) < 400
+
+
+def test_one_that_has_gone_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    ears = Ears(monkeypatch, 2)
+    ears.far[1].close()
+    for k in range(3):
+        ears.out.send(bytes([k]))
+        ears.read(0)
+    assert len(ears.impl.connections) == 1 and ears.messages(0) == [b"\0", b"\1", b"\2"]
