@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from surg_cli.graph.system import Node
+from surg_cli.graph.system import Node, has_room
 from surg_cli.graph.system_plan import ENDOSCOPE, SystemPlan
 from surg_cli.host import cells
 from surg_cli.host.terminal import CliError
@@ -51,7 +51,9 @@ def teleoperation(
         given = {f"second_{key}": value for key, value in _leader(second).items()}
         frame = _assistant_frame(plan, loaded)
         params.update(given, second_arm=ASSISTANT, assistant_frame=frame)
-    return Node(TELEOP, "surg_teleop", "teleop_node.py", params, prompt=True)
+    made = ("surg_teleop", "teleop_node.py", params)
+    # A stream of commands that falls silent stops the arm.
+    return Node(TELEOP, *made, prompt=True, drives=has_room())
 
 
 def scripted_assistant(plan: SystemPlan) -> list[Node]:

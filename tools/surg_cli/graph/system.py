@@ -74,7 +74,7 @@ def nodes(plan: SystemPlan) -> list[Node]:
     started = []
     if plan.simulates:
         made = ("surg_sim", "bridge_node.py", params)
-        started.append(Node("/sim", *made, prompt=prompt, drives=prompt and _has_room()))
+        started.append(Node("/sim", *made, prompt=prompt, drives=prompt and has_room()))
     started += pictures(plan)
     for arm in plan.driven:
         params = {"cell": str(plan.cell), "arm": arm}
@@ -122,8 +122,8 @@ def nodes(plan: SystemPlan) -> list[Node]:
     return started + force_nodes(plan) + gateways(plan)
 
 
-def _has_room() -> bool:
-    """Whether a simulator that cannot keep up leaves a processor to the others."""
+def has_room() -> bool:
+    """Whether nodes with real-time priority leave a processor to the others."""
     return len(os.sched_getaffinity(0)) > 1
 
 
