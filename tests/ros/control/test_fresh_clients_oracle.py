@@ -31,8 +31,8 @@ CLIENT = paths.ROOT / "tests" / "helpers" / "graph" / "fresh_client.py"
 SAMPLES = {"move": 1, "servo": 25}
 
 
-@pytest.mark.parametrize("kind", SAMPLES)
 @pytest.mark.parametrize("cell", page.CELLS)
+@pytest.mark.parametrize("kind", SAMPLES)
 def test_no_first_command_is_lost(
     ros_graph: RosGraph, rospy_node: str, tmp_path: Path, cell: str, kind: str
 ) -> None:
@@ -59,5 +59,6 @@ def test_no_first_command_is_lost(
         if said["done"] is not True or said["off"] > FOUND or obeyed != SAMPLES[kind]:
             wrong.append((k, said, obeyed, cycles[0].refused))
     ear.unregister()
-    print(f"{cell}, {kind}: {CLIENTS - len(wrong)} of {CLIENTS}")
+    name = f"fresh clients, recorder running: first {kind}_cp"
+    page.note(name, cell, CLIENTS, f"{CLIENTS - len(wrong)} of {CLIENTS} executed")
     assert not wrong
