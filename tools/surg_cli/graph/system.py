@@ -24,7 +24,7 @@ POLICY = "policy"
 CAMERA_START_S = 180.0
 """[s] Lock-step: longest wait for everybody where a camera is drawn, which on a machine that has
 other work takes its time to compile the scene."""
-GIVES_WAY = 10
+GIVES_WAY = 5
 """Niceness of what only draws, above that of the system."""
 DRIVES_PRIORITY = 20
 """Of the threads of nodes that a robot waits for; their own loops have higher ones."""
