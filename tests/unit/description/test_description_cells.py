@@ -244,6 +244,18 @@ def test_no_text_leaves_its_line_in_yaml() -> None:
         assert yaml.safe_load(line) == {"key": text}
 
 
+def test_a_trocar_that_no_cell_may_state_is_blamed_on_the_home(tmp_path: Path) -> None:
+    """A long arm, stretched upwards: the file at fault is the robot's, not one that we write."""
+    robot = robot_yaml("third_arm", tmp_path)
+    urdf = robot.with_suffix(".urdf")
+    assert "0 0 0.46" in urdf.read_text()
+    urdf.write_text(urdf.read_text().replace("0 0 0.46", "0 0 2.46"))
+    with pytest.raises(ValueError, match=r"joints\.home: .* robot home") as caught:
+        make_cell(robot, tmp_path / "cell", GRASPER)
+    assert str(robot) in str(caught.value)
+    assert not (tmp_path / "cell").exists()
+
+
 @pytest.mark.parametrize("depth", [0.0, -0.1, 0.6, float("nan")])
 def test_depth_out_of_range_is_refused(depth: float) -> None:
     with pytest.raises(ValueError, match=r"allowed: 0\.005 to 0\.5 m"):

@@ -22,6 +22,8 @@ Matrix = NDArray[np.float64]
 
 CALIBRATION_DATE = "2026-11-21"
 """Date of a generated calibration: a constant, so that the same input gives the same file."""
+FARTHEST = 2.0
+"""Largest coordinate of a trocar point in the base frame that the core reads [m]."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ def home_pose(
 
     Raises:
         ConfigError: A YAML is invalid, or a URDF does not hold what it names.
-        ValueError: depth is out of range, or the home posture does not fit.
+        ValueError: depth is out of range, or the home posture does not fit or reaches too far.
     """
     if not 0.005 <= depth <= 0.5:
         raise ValueError(f"depth: {depth} m; allowed: 0.005 to 0.5 m")
@@ -85,13 +87,20 @@ def home_pose(
     X_BF = np.asarray(arm.forward(angles))
     X_BTip = X_BF @ X_FTip
     s_B = X_BTip[:3, 2]
+    p_BRcm = X_BTip[:3, 3] - depth * s_B
+    if not np.abs(p_BRcm).max() <= FARTHEST:
+        raise ValueError(
+            f"{robot_yaml}: joints.home: the trocar would be at {fixed_decimals(p_BRcm)} m from the "
+            f"base; allowed is {FARTHEST:g} m along each axis: bend the arm there, and let "
+            "./surg robot home FILE find a better home"
+        )
     return HomePose(
         X_BF=X_BF,
         s_F=X_FTip[:3, 2],
         p_FTip=X_FTip[:3, 3],
         s_B=s_B,
         p_BTip=X_BTip[:3, 3],
-        p_BRcm=X_BTip[:3, 3] - depth * s_B,
+        p_BRcm=p_BRcm,
     )
 
 
