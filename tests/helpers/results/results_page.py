@@ -1,4 +1,4 @@
-"""A page of docs/results: one table of figures that several tests find."""
+"""A page of the docs with one table of figures that several tests find."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ class ResultsPage:
     """The figures of a page. What it measures, its columns and its rows stand on the page itself.
 
     Args:
-        name: Of the file in docs/results.
+        name: Of the file.
         whole: Whether only a run that finds every row writes the page; else the rows that it does
             not find stay as they are.
+        folder: Where the page lies.
     """
 
-    def __init__(self, name: str, whole: bool = False) -> None:
-        self._name, self._whole = name, whole
+    def __init__(self, name: str, whole: bool = False, folder: Path = FOLDER) -> None:
+        self._name, self._whole, self._folder = name, whole, folder
         self._found: dict[str, str] = {}
 
     def note(self, row: str, cases: int | None, result: str) -> None:

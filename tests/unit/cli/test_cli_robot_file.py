@@ -197,9 +197,8 @@ def test_the_term_that_fails_is_named_with_the_value_that_would_do(
     robot = tmp_path / "slow.yaml"
     robot.write_text(yaml.safe_dump(document))
     assert run("check", robot) == 1
-    found = re.search(
-        r"limits.tip_acceleration 2; .*: ([0-9.]+) m/s\^2 would do", "".join(capsys.readouterr())
-    )
+    words = r"limits.tip_acceleration 2; .*: ([0-9.]+) m/s\^2 would do at this home"
+    found = re.search(words, "".join(capsys.readouterr()))
     assert found
     for value, status in ((float(found[1]) + 0.02, 1), (float(found[1]), 0)):
         document["limits"]["tip_acceleration"] = value

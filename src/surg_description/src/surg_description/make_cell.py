@@ -90,9 +90,9 @@ def home_pose(
     p_BRcm = X_BTip[:3, 3] - depth * s_B
     if not np.abs(p_BRcm).max() <= FARTHEST:
         raise ValueError(
-            f"{robot_yaml}: joints.home: the trocar would be at {fixed_decimals(p_BRcm)} m from the "
-            f"base; allowed is {FARTHEST:g} m along each axis: bend the arm there, and let "
-            "./surg robot home FILE find a better home"
+            f"{robot_yaml}: joints.home: the trocar would be {np.abs(p_BRcm).max():.2f} m from the "
+            f"base along an axis; allowed are {FARTHEST:g}: bend the arm there, then let ./surg "
+            "robot home FILE find a better one"
         )
     return HomePose(
         X_BF=X_BF,

@@ -51,7 +51,10 @@ def main(options: argparse.Namespace, command: str) -> int:
             found = check_physics(arm)
         for note in notes:
             say(str(note.message))
-        status |= _home(arm) if command == "home" else _check(arm, found)
+        problems = _home(arm) if command == "home" else _check(arm, found)
+        for problem in problems:
+            warn(f"surg: {problem}")
+        status |= bool(problems)
     return status
 
 
@@ -70,7 +73,7 @@ def check_physics(arm: Any) -> Difference:
         raise CliError(f"{files}: the simulator refuses them: {error}", 2) from error
 
 
-def _check(arm: Any, found: Difference) -> int:
+def _check(arm: Any, found: Difference) -> list[str]:
     from surg_sim.placement.home_search import judge
 
     robot = arm.robot
@@ -101,32 +104,25 @@ def _check(arm: Any, found: Difference) -> int:
     else:
         say(sentence(home))
         problems += shortcomings(home)
-    for problem in problems:
-        warn(f"surg: {problem}")
     if problems:
-        warn("surg: ./surg robot home FILE searches for a better home")
-        return 1
+        return [*problems, "./surg robot home FILE searches for a better home"]
     say("ready: ./surg demo --robot FILE")
-    return 0
+    return []
 
 
-def _home(arm: Any) -> int:
+def _home(arm: Any) -> list[str]:
     from surg_sim.placement.home_search import judge, search
 
     try:
         found = search(arm)
     except ValueError as error:
-        warn(f"surg: {error}")
-        return 1
+        return [str(error)]
     present = judge(arm, arm.robot.home)
     if present is not None:
         say(f"present home: {sentence(present)}")
     say(f"found: {sentence(found)}")
     say(f"home: [{', '.join(f'{angle:.3f}' for angle in found.q)}]  # rad, for joints.home")
-    problems = shortcomings(found)
-    for problem in problems:
-        warn(f"surg: {problem}")
-    return 1 if problems else 0
+    return shortcomings(found)
 
 
 def sentence(home: Home) -> str:

@@ -87,7 +87,7 @@ def judge(arm: surg_core.Arm, q: Array) -> Home | None:
         Term(
             1.0 / left.acceleration,
             f"{100 * left.acceleration:.0f} % of a joint's acceleration at limits.tip_acceleration "
-            f"{limit:g}; allowed are 100 %: {good:g} m/s^2 would do",
+            f"{limit:g}; allowed are 100 %: {good:g} m/s^2 would do at this home",
         ),
     )
     return Home(q, tilt, left, terms)
