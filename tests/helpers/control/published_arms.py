@@ -43,7 +43,6 @@ class Published:
     base: str
     flange: str
     place: str = ""  # of PLACES; empty: the base stands upright
-    refused: str = ""  # words of the reason why it has no home; empty: it has one
     bent: float | None = (
         None  # third joint's angle that the search begins with [rad]; None: 0 or so
     )
@@ -135,6 +134,15 @@ class Trial:
                 break
             self.document["limits"]["tip_acceleration"] = float(advised[1])  # type: ignore[index]
         return ""
+
+    def shortcomings(self) -> str:
+        """What `./surg robot check` finds wanting; empty: the arm is ready."""
+        done = surg("robot", "check", self.write(), timeout_s=600.0)
+        assert done.returncode in (0, 1), done.stderr
+        found = [line.removeprefix("surg: ") for line in done.stderr.splitlines()]
+        wanting = [line for line in found if not line.startswith("./surg")]
+        assert bool(wanting) == bool(done.returncode), done.stderr
+        return "; ".join(wanting)
 
 
 def folder() -> Path:

