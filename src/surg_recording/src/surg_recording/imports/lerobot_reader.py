@@ -6,7 +6,6 @@ others a map says which column is what (docs/reference/imports.md).
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -16,115 +15,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from surg_core.contract import ACTION_KEY, ARM_ACTION, ARM_STATE, STATE_KEY
 from surg_recording.imports.arm_series import ArmSeries, Picture, header, write
-from surg_recording.imports.bag_map import ARM_FACTS, FACTS, three
+from surg_recording.imports.bag_map import FACTS, three
 from surg_recording.imports.ledger import Ledger
-from surg_recording.imports.lerobot_set import LeRobotData, names_of
+from surg_recording.imports.lerobot_columns import ArmColumns, check_keys, columns_of
+from surg_recording.imports.lerobot_set import LeRobotData
 from surg_recording.imports.lerobot_times import row_times
 from surg_recording.imports.picture_decoder import PictureDecoder, image_message
 from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
-
-_MEASURED = ARM_STATE[: len(ARM_ACTION)]  # the measured ones come first
-
-
-@dataclasses.dataclass(frozen=True)
-class ArmColumns:
-    """Where the numbers of an arm are."""
-
-    name: str
-    measured: tuple[str, tuple[int, ...]]
-    """Feature, and the columns of tip x, y, z, roll and jaw; -1: there is none."""
-    goal: tuple[str, tuple[int, ...]] | None
-    joints: tuple[str, tuple[int, ...]] | None
-
-
-def columns_of(data: LeRobotData, stated: Mapping[str, Any] | None) -> list[ArmColumns]:
-    """The arms of a data set, from its names or from a map's ``arms``.
-
-    Raises:
-        EpisodeError: No arm is found, or the map names what the data set lacks.
-    """
-    if stated is not None:
-        return [_mapped(data, str(name), entry) for name, entry in stated.items()]
-    names = _names(data, STATE_KEY)
-    arms = dict.fromkeys(n.partition("/")[0] for n in names if n.endswith("/tip_x"))
-    if not arms:
-        raise EpisodeError(
-            f"{data.root}: {STATE_KEY} has no columns such as PSM1/tip_x, but"
-            f" {', '.join(names) or 'no names'}; --map FILE says which column is what"
-        )
-    found = []
-    for arm in arms:
-        measured = tuple(names.index(f"{arm}/{name}") for name in _MEASURED)
-        commanded = _names(data, ACTION_KEY)
-        goal = [f"{arm}/{name}" for name in ARM_ACTION]
-        joints = _names(data, "observation.joint_positions")
-        mine = tuple(i for i, name in enumerate(joints) if name.startswith(f"{arm}/"))
-        at = tuple(map(commanded.index, goal)) if set(goal) <= set(commanded) else None
-        found.append(
-            ArmColumns(
-                arm,
-                (STATE_KEY, measured),
-                (ACTION_KEY, at) if at else None,
-                ("observation.joint_positions", mine) if mine else None,
-            )
-        )
-    return found
-
-
-def _check_keys(where: str, stated: Any, allowed: Sequence[str]) -> None:
-    if not isinstance(stated, Mapping) or set(stated) - set(allowed):
-        raise EpisodeError(f"--map{where}: keys are {', '.join(allowed)}")
-
-
-def _mapped(data: LeRobotData, arm: str, entry: Any) -> ArmColumns:
-    if not isinstance(entry, Mapping) or not isinstance(entry.get("measured"), Mapping):
-        raise EpisodeError(f"--map, arms.{arm}: 'measured' with x, y and z is needed")
-    _check_keys(f", arms.{arm}", entry, ("measured", "goal", *ARM_FACTS))
-
-    def place(key: str, wanted: Sequence[str]) -> tuple[str, tuple[int, ...]] | None:
-        stated = entry.get(key)
-        if stated is None:
-            return None
-        _check_keys(f", arms.{arm}.{key}", stated, ("feature", *ARM_ACTION))
-        feature = str(stated.get("feature", STATE_KEY if key == "measured" else ACTION_KEY))
-        return feature, tuple(
-            _index(data, feature, stated.get(name), f"arms.{arm}.{key}.{name}") for name in wanted
-        )
-
-    measured = place("measured", ARM_ACTION)
-    assert measured is not None
-    if min(measured[1][:3]) < 0:
-        raise EpisodeError(f"--map, arms.{arm}.measured: x, y and z are needed")
-    return ArmColumns(arm, measured, place("goal", ARM_ACTION), None)
-
-
-def _index(data: LeRobotData, feature: str, stated: Any, where: str) -> int:
-    """Column number of a name or number; -1 for none."""
-    names = _names(data, feature)
-    if stated is None:
-        return -1
-    if isinstance(stated, int) and 0 <= stated < _width(data, feature):
-        return stated
-    if stated in names:
-        return names.index(stated)
-    raise EpisodeError(
-        f"--map, {where}: {stated!r} is not in {feature}; there are {', '.join(names) or 'none'}"
-    )
-
-
-def _width(data: LeRobotData, feature: str) -> int:
-    if feature not in data.features:
-        known = ", ".join(data.features)
-        raise EpisodeError(f"{data.root}: no feature {feature}; there are {known}")
-    return int(data.features[feature]["shape"][0])
-
-
-def _names(data: LeRobotData, feature: str) -> list[str]:
-    return names_of(data.features.get(feature, {}))
 
 
 def import_episode(
@@ -144,7 +44,7 @@ def import_episode(
         ledger: Receives what was kept and dropped.
     """
     stated, ledger = stated or {}, Ledger() if ledger is None else ledger
-    _check_keys("", stated, ("arms", *FACTS))
+    check_keys("", stated, ("arms", *FACTS))
     table, where = data.table(episode), f"{data.root}, episode {episode}"
     times = row_times(table, data.fps, where, ledger)
     arms = [
