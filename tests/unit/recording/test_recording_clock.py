@@ -150,7 +150,7 @@ def test_f09_rows_before_a_step_are_counted_while_others_are_written(tmp_path: P
 
     what = synthetic.Synthetic()
     recording.cycle("PSM1", synthetic.cycle(what, 1, 0), 1)
-    table = recording._tables["cycle_PSM1"]
+    table = recording.tables.all()["cycle_PSM1"]
     while table.backlog:
         time.sleep(0.001)
     table._queue = Watched()

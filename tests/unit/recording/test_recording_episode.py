@@ -215,9 +215,9 @@ def test_a_full_disk_ends_the_recording_and_keeps_what_was_there(tmp_path: Path)
     )
     for tick in range(1, 101):
         recording.cycle("PSM1", synthetic.cycle(what, tick, 1), tick)
-    recording._writer.flush(2.0)
+    recording.tables.writer.flush(2.0)
     full = os.open("/dev/full", os.O_WRONLY)
-    os.dup2(full, recording._tables["cycle_PSM1"]._fd)
+    os.dup2(full, recording.tables.all()["cycle_PSM1"]._fd)
     os.close(full)
     recording.cycle("PSM1", synthetic.cycle(what, 101, 1), 101)
     deadline = time.monotonic() + 2.0

@@ -10,6 +10,7 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,12 @@ from surg_recording.recording_errors import EpisodeError
 
 MIN_FREE_BYTES = 2 << 30
 """A recording does not start with less free space than this [bytes]."""
+
+STOP_FREE_BYTES = 32 << 20
+"""Free space at which a recording ends by itself [bytes]; leaves room to finish the folder."""
+
+DISK_CHECK_S = 0.5
+"""Period of the check of free disk space [s]."""
 
 LOCK = ".lock"
 RESERVE = ".reserve"
@@ -42,6 +49,9 @@ class EpisodeWriter:
         Raises:
             EpisodeError: Too little space, or the folder cannot be created.
         """
+        self.disk_lost = False
+        """Whether the disk was found full or broken."""
+        self._disk_checked = 0.0
         try:
             final.parent.mkdir(parents=True, exist_ok=True)
             free = shutil.disk_usage(final.parent).free
@@ -77,9 +87,18 @@ class EpisodeWriter:
         """File descriptor of the lock, inherited by encoders."""
         return self._lock
 
-    def free_bytes(self) -> int:
-        """Space left on the episode's disk."""
-        return shutil.disk_usage(self.folder).free
+    def disk_problem(self, least_bytes: int) -> str | None:
+        """Look at the disk from time to time; why it is full or broken, once."""
+        if self.disk_lost or time.monotonic() - self._disk_checked <= DISK_CHECK_S:
+            return None
+        self._disk_checked = time.monotonic()
+        try:
+            free = shutil.disk_usage(self.folder).free
+        except OSError as problem:
+            self.disk_lost = True
+            return f"disk lost: {problem.strerror}"
+        self.disk_lost = free < least_bytes
+        return f"disk full: {free / 2**20:.0f} MiB left" if self.disk_lost else None
 
     def finalise(
         self, manifest: Mapping[str, Any], drops: Mapping[str, int], reason: str | None

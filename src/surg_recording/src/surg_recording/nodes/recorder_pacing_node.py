@@ -69,7 +69,7 @@ class Pacing:
             return state.tick
         recording.watch_cameras(now, wall)
         if not recording.failed:
-            return recording.written_tick()
+            return recording.tables.written_tick(recording.arms)
         if recording is not self._failed:
             self._failed = recording
             threading.Thread(target=self._switch.stop, daemon=True).start()

@@ -136,6 +136,6 @@ class RecorderState:
         cameras = [
             topic
             for name, topic in self.settings.camera_topics.items()
-            if not recording.newest_image(name)[0]
+            if not recording.cameras.newest(name)[0]
         ]
         return [*cameras, *self.choice.silent(messages)]

@@ -170,13 +170,13 @@ def _await_frames(recording: Recording, camera: str, end_ns: int) -> None:
     """Wait while frames arrive and the camera's next one is due before ``end_ns``."""
     since, newest = time.monotonic(), -1
     while time.monotonic() - since < FRAME_WAIT_S:
-        last, period = recording.newest_image(camera)
+        last, period = recording.cameras.newest(camera)
         if not last or last > end_ns - period:
             return
         if last != newest:
             since, newest = time.monotonic(), last
         time.sleep(0.02)
-    last, period = recording.newest_image(camera)
+    last, period = recording.cameras.newest(camera)
     if last + 2 * period <= end_ns:  # the end itself is uncertain by one frame
         recording.note(f"{camera}: ends {(end_ns - last) * 1e-9:.2f} s before the motion")
 

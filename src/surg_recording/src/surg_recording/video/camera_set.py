@@ -81,6 +81,17 @@ class CameraSet:
         """Frames received but not written."""
         return {**self._lost, **{name: sink.dropped for name, sink in self.sinks.items()}}
 
+    def newest(self, camera: str) -> tuple[int, int]:
+        """Stamp of a camera's newest image and its distance to the one before [ns]; 0: none."""
+        sink = self.sinks.get(camera)
+        return sink.newest if sink else (0, 0)
+
+    def last_skip(self, camera: str) -> str:
+        """Why the last image that a camera lost could not be recorded, in brackets; or nothing."""
+        sink = self.sinks.get(camera)
+        skipped = sink.last_skip if sink else None
+        return f" (the last that could not be recorded: {skipped})" if skipped else ""
+
     def describe(self) -> dict[str, Any]:
         """The manifest's entry of each camera's stream."""
         return {name: sink.describe() for name, sink in self.sinks.items()}
