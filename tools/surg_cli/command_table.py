@@ -79,6 +79,9 @@ COMMANDS = {
         "import bags and LeRobot data sets",
         packages=("opencv",),
     ),
+    "episode check": Command(
+        "data", "episode.check_set", "what is wrong with a LeRobot data set", draws=False
+    ),
     "episode evaluate": Command("data", "episode.evaluate", "compare in figures and tables"),
     "learn": Command("learn", "learn", "demonstrate, export, train, deploy and judge a policy"),
     "policy new": Command(

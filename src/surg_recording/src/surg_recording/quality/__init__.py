@@ -1,0 +1,1 @@
+"""What is wrong with a data set: findings by episode, of rows, of pictures, of the set."""
