@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from surg_learn.bgr import state_policy, train_state
+from surg_learn.bgr import observed_features, train_state
 from surg_learn.bgr.training import action_head as action_head
 from surg_learn.bgr.training import lerobot_dataset as lerobot_dataset
 from surg_learn.bgr.training import perceptron as perceptron
 
-NODES = state_policy.NODES
+NODES = observed_features.NODES
 STATE = [
     f"PSM1/{name}"
     for name in (
@@ -59,6 +59,10 @@ def dataset(train: int = 6, val: int = 1, names: list[str] | None = None) -> tra
     found = [episode(seed) for seed in range(train + val)]
     return train_state.Dataset(
         {"train": found[:train], "val": found[train:]},
-        {state_policy.STATE: STATE, state_policy.TASK: names or TASK, state_policy.ACTION: ACTION},
+        {
+            observed_features.STATE: STATE,
+            observed_features.TASK: names or TASK,
+            observed_features.ACTION: ACTION,
+        },
         {"fps": 20, "robot": "made up"},
     )

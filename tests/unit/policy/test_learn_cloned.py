@@ -24,7 +24,8 @@ from helpers.policy.bgr_cloned import (
     train_cloned,
 )
 from helpers.policy.bgr_pictures import keypoint_network, picture_augmentation
-from helpers.policy.bgr_synthetic import STATE, state_policy
+from helpers.policy.bgr_synthetic import STATE
+from surg_learn.bgr import observed_features, policy_program
 
 SMALL = {
     "width": 8, "places": 8, "model": 32, "heads": 2, "feed": 64, "layers": 1, "latent": 4,
@@ -84,7 +85,7 @@ def weights(sizes: dict[str, Any], **head: Any) -> Policy:
         "jaw_range": np.array([0.0, 0.7]),
     }
     about = {"pictures": [LEFT, RIGHT][: whole.eyes], "play": 1, **head}
-    names = {"observation.state": STATE, "action": state_policy.ACTIONS}
+    names = {"observation.state": STATE, "action": observed_features.ACTIONS}
     return Policy(cloned_networks.network_of(whole), scales, names, whole, about)
 
 
@@ -225,7 +226,7 @@ def test_saved_and_loaded_it_says_the_same(policy: Policy, tmp_path: Path) -> No
     for each in (policy, again):
         each.reset("", None)
     np.testing.assert_array_equal(again.act(seen), policy.act(seen))
-    assert state_policy.wanted(again).observation[LEFT].shape == (120, 120, 3)
+    assert policy_program.wanted(again).observation[LEFT].shape == (120, 120, 3)
 
 
 def scripted(

@@ -24,9 +24,10 @@ from helpers.policy.bgr_pictures import (
     picture_memory,
     train_images,
 )
-from helpers.policy.bgr_synthetic import STATE, TASK, state_policy
+from helpers.policy.bgr_synthetic import STATE, TASK
 from helpers.policy.example_program import said_alone
 from helpers.policy.policy_bench import cell
+from surg_learn.bgr import chunk_policy, observed_features, policy_program, state_policy
 from surg_policy_bridge.server import cell_spec
 from surg_policy_client.spec import Spec
 
@@ -37,7 +38,7 @@ FEW = train_images.Options(steps=8, hidden=(16, 16), batch=8, chunk=4, eye=FEW_E
 def hand_trained(options: train_images.Options) -> image_policy.ImagePolicy:
     """With an eye of random weights."""
     dataset = made.dataset(2)
-    marked = train_images.marks(dataset, state_policy.Columns(STATE, TASK))
+    marked = train_images.marks(dataset, observed_features.Columns(STATE, TASK))
     return train_images.train_hand(dataset, options, made.eye(), marked)
 
 
@@ -136,7 +137,7 @@ def test_a_heat_map_peaks_at_its_mark_and_is_empty_for_a_mark_outside() -> None:
 def test_marks_are_where_a_pinhole_shows_the_points() -> None:
     """Against the picture: the red spot is the target, the green one the robot's tip."""
     shown = made.episode(3)
-    columns = state_policy.Columns(STATE, TASK)
+    columns = observed_features.Columns(STATE, TASK)
     found = keypoint_labels.labels(shown.task, columns.task, np.eye(4), shown.camera, made.K)
     for step in (0, 10):
         for name, colour in (("helper", 0), ("tip", 1)):
@@ -234,7 +235,7 @@ def test_places_move_with_the_picture_in_training() -> None:
 def test_it_learns_to_look() -> None:
     """Where the spot is, is said by the picture only."""
     pytest.importorskip("torch")
-    columns = state_policy.Columns(STATE, TASK)
+    columns = observed_features.Columns(STATE, TASK)
     dataset = made.dataset(10, 2)
     marked = train_images.marks(dataset, columns)
     views = {k: np.concatenate([e.views for e in v]) for k, v in dataset.episodes.items()}
@@ -296,7 +297,7 @@ def test_how_to_miss_is_not_learned() -> None:
 
 
 def test_a_command_that_is_moved_aside_is_led_back(policy: image_policy.ImagePolicy) -> None:
-    columns = state_policy.Columns(STATE, TASK)
+    columns = observed_features.Columns(STATE, TASK)
     shown = made.dataset(2).episodes["train"]
     seen = [sight(policy, e) for e in shown]
     known = train_images.samples(shown, seen, columns, 4)
@@ -324,15 +325,15 @@ def test_acting_step_by_step_is_what_was_trained(policy: image_policy.ImagePolic
     for _ in range(2):  # the second time after a reset
         policy.reset("", None)
         said: list[np.ndarray] = []
-        last = before = shown.state[0, state_policy.SET]
+        last = before = shown.state[0, observed_features.SET]
         chunks, moved = [], []
         for state, view in zip(shown.state, shown.views, strict=True):
-            if np.linalg.norm(last[:3] - state[5:8]) > state_policy.REACH:
-                last = before = state[state_policy.SET]  # it begins anew: nothing has moved
+            if np.linalg.norm(last[:3] - state[5:8]) > chunk_policy.REACH:
+                last = before = state[observed_features.SET]  # it begins anew: nothing has moved
             said.append(last)
             moved.append(last - before)
             before = last
-            seen = {state_policy.STATE: state, image_policy.PICTURE: view}
+            seen = {observed_features.STATE: state, image_policy.PICTURE: view}
             chunks.append(policy.act(seen))
             assert chunks[-1].shape == (4, 5) and chunks[-1].dtype == np.float64
             last = chunks[-1][0, :4]
@@ -355,8 +356,8 @@ class At:
 def test_it_goes_on_from_what_it_was_last_told_to_do(policy: image_policy.ImagePolicy) -> None:
     """In real time it misses observations; after a refusal the arm has not gone anywhere."""
     shown = made.episode(7)
-    arrays = {state_policy.STATE: shown.state[0], image_policy.PICTURE: shown.views[0]}
-    held = shown.state[0, state_policy.SET]
+    arrays = {observed_features.STATE: shown.state[0], image_policy.PICTURE: shown.views[0]}
+    held = shown.state[0, observed_features.SET]
     policy.reset()
     chunk = policy.act(At(10, arrays))
     for step, row in ((11, 0), (13, 2), (90, 3)):
@@ -371,14 +372,14 @@ def test_it_goes_on_from_what_it_was_last_told_to_do(policy: image_policy.ImageP
 def test_how_fast_it_moves_it_knows_from_its_commands(policy: image_policy.ImagePolicy) -> None:
     """Whatever the arm's delay is, and over steps that it missed; nothing where it begins anew."""
     shown = made.episode(7)
-    arrays = {state_policy.STATE: shown.state[0], image_policy.PICTURE: shown.views[0]}
-    rows = shown.state[0, state_policy.SET] + np.arange(1.0, 5.0)[:, None] * [1e-3, 0, 0, 0.01]
+    arrays = {observed_features.STATE: shown.state[0], image_policy.PICTURE: shown.views[0]}
+    rows = shown.state[0, observed_features.SET] + np.arange(1.0, 5.0)[:, None] * [1e-3, 0, 0, 0.01]
 
     def moved(step: int, behind: float) -> np.ndarray:
         """Of the next observation, of an arm so far behind its set-point [m]."""
         state = shown.state[0].copy()
         state[:3] -= behind
-        policy.act(At(step, {**arrays, state_policy.STATE: state}))
+        policy.act(At(step, {**arrays, observed_features.STATE: state}))
         policy._said = np.column_stack([rows, np.zeros(4)])
         return policy._past[-1][3]
 
@@ -397,7 +398,7 @@ def test_a_hand_that_hesitates_keeps_to_a_chunk(
 ) -> None:
     """It says at every step that it closes its jaws three steps later, and never gets there."""
     shown = made.episode(7)
-    arrays = {state_policy.STATE: shown.state[0], image_policy.PICTURE: shown.views[0]}
+    arrays = {observed_features.STATE: shown.state[0], image_policy.PICTURE: shown.views[0]}
     jaws = np.array([0.6, 0.6, 0.3, 0.0])
 
     def soon(inputs: np.ndarray, last: np.ndarray) -> np.ndarray:
@@ -443,7 +444,7 @@ def test_numpy_alone_gives_what_the_trainer_had(
     assert said_alone(program) == policy.hash
     policy.reset()
     here = [
-        policy.act({state_policy.STATE: state, image_policy.PICTURE: view})
+        policy.act({observed_features.STATE: state, image_policy.PICTURE: view})
         for state, view in zip(shown.state, shown.views, strict=True)
     ]
     # Another number of threads sums in another order.
@@ -515,12 +516,12 @@ def test_weights_that_do_not_fit_are_refused_before_anything_moves(
     with pytest.raises(ValueError, match=r"PSM1/dx.*allowed: PSM1/x"):
         kind.load(file)
     other = kind(policy.network, policy.scales, policy.names, policy.chunk, about)
-    wants = state_policy.wanted(other)
+    wants = policy_program.wanted(other)
     served = cell_spec.make(cell(), ["PSM1"], "bgr", {"endoscope_left": (480, 640)}, None)
     (said,) = wants.mismatches(served)
     assert "(240, 320, 3)" in said and "(480, 640, 3)" in said
     about["dataset"]["picture"] = [480, 640, 3]
-    assert state_policy.wanted(other).mismatches(served) == []
+    assert policy_program.wanted(other).mismatches(served) == []
 
 
 def stub_torch(gpu: bool, built: str | None) -> SimpleNamespace:

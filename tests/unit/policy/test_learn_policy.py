@@ -17,10 +17,10 @@ from helpers.policy.bgr_synthetic import (
     action_head,
     lerobot_dataset,
     perceptron,
-    state_policy,
     train_state,
 )
 from helpers.policy.example_program import said_alone
+from surg_learn.bgr import chunk_policy, observed_features, state_policy
 
 FEW = train_state.Options(steps=60, hidden=(32, 32), batch=64, chunk=8)
 
@@ -49,7 +49,7 @@ def test_the_gradient_is_that_of_the_loss() -> None:
                          flat[at + weight.size : at + weight.size + bias.size]))  # fmt: skip
         at += weight.size + bias.size
     flat[:] = rng.normal(0.0, 0.5, flat.size)
-    network = state_policy.Network(layers64)
+    network = chunk_policy.Network(layers64)
     x, y = rng.normal(size=(11, 5)), rng.normal(size=(11, 4))
     slope, grads = perceptron.flat_layers([(5, 7), (7, 6), (6, 4)])
     perceptron.gradient_of(network, grads, x, y)
@@ -72,15 +72,15 @@ def test_the_gradient_is_that_of_the_loss() -> None:
 
 def test_what_is_seen_may_be_behind_what_was_said() -> None:
     """In real time a step is done some time after the observation that it answers."""
-    columns = state_policy.Columns(made.STATE, made.TASK)
+    columns = observed_features.Columns(made.STATE, made.TASK)
     (shown,) = made.dataset(train=1).episodes["train"]
     n, S = len(shown.state), columns.state
     known = train_state.samples([shown], columns, np.eye(4), 8, behind=2)
-    last = lerobot_dataset.last_commands(shown.state, shown.action, S[state_policy.SET])
+    last = lerobot_dataset.last_commands(shown.state, shown.action, S[observed_features.SET])
     for steps in range(3):
         part = slice(steps * n, (steps + 1) * n)
         seen = shown.state[np.maximum(np.arange(n) - steps, 0)]
-        np.testing.assert_array_equal(known.inputs[part, state_policy.HERE], last[:, :3])
+        np.testing.assert_array_equal(known.inputs[part, observed_features.HERE], last[:, :3])
         np.testing.assert_array_equal(known.targets[part], known.targets[:n])
         np.testing.assert_array_equal(known.jaw[part], seen[:, S[4]])
         behind = known.inputs[part, 13:16]
@@ -91,7 +91,7 @@ def test_what_is_seen_may_be_behind_what_was_said() -> None:
 
 
 def test_an_arm_that_is_moved_aside_comes_back_and_closes_no_jaw_before() -> None:
-    columns = state_policy.Columns(made.STATE, made.TASK)
+    columns = observed_features.Columns(made.STATE, made.TASK)
     shown = made.dataset().episodes["train"]
     known = train_state.samples(shown, columns, np.eye(4), 8)
     rng = np.random.default_rng(2)
@@ -105,10 +105,10 @@ def test_an_arm_that_is_moved_aside_comes_back_and_closes_no_jaw_before() -> Non
     # Where the tip is told to be, in the rcm frame: the way back, to the place it was to be at.
     aside = (y[:, :, :3] + push[:, None]) - y_0[:, :, :3]
     np.testing.assert_allclose(aside[free], (push[:, None] * left[:, None])[free], atol=1e-15)
-    here = x[:, state_policy.HERE] - x_0[:, state_policy.HERE]
+    here = x[:, observed_features.HERE] - x_0[:, observed_features.HERE]
     np.testing.assert_allclose(here[free], push[free], atol=1e-15)
-    first = x[:, :3] + x[:, state_policy.HERE]
-    np.testing.assert_allclose(first, x_0[:, :3] + x_0[:, state_policy.HERE], atol=1e-15)
+    first = x[:, :3] + x[:, observed_features.HERE]
+    np.testing.assert_allclose(first, x_0[:, :3] + x_0[:, observed_features.HERE], atol=1e-15)
     np.testing.assert_array_equal(x[~free], x_0[~free])
     np.testing.assert_array_equal(y[~free], y_0[~free])
     far = (np.linalg.norm(push, axis=1)[:, None] * left > action_head.THERE) & free[:, None]
@@ -127,24 +127,24 @@ def test_it_learns_what_is_there_to_learn() -> None:
 def test_acting_step_by_step_is_what_was_trained(policy: state_policy.Policy) -> None:
     """Memory included: chunks from observations one by one are those of the whole episode."""
     shown = made.episode(99)
-    columns = state_policy.Columns(made.STATE, made.TASK)
+    columns = observed_features.Columns(made.STATE, made.TASK)
     # What was said last is what it said itself: the whole episode, with that.
     said = []
     for _ in range(2):  # the second time after a reset
         policy.reset("", None)
-        last = shown.state[0, state_policy.SET]
+        last = shown.state[0, observed_features.SET]
         said.clear()
         for step in range(len(shown.state)):
-            if np.linalg.norm(last[:3] - shown.state[step, 5:8]) > state_policy.REACH:
-                last = shown.state[step, state_policy.SET]
+            if np.linalg.norm(last[:3] - shown.state[step, 5:8]) > chunk_policy.REACH:
+                last = shown.state[step, observed_features.SET]
             said.append(last)
             observation = {
-                state_policy.STATE: shown.state[step],
-                state_policy.TASK: shown.task[step],
+                observed_features.STATE: shown.state[step],
+                observed_features.TASK: shown.task[step],
             }
             chunk = policy.act(observation)
             assert chunk.shape == (8, 5) and chunk.dtype == np.float64
-            inputs = state_policy.features(
+            inputs = observed_features.features(
                 columns,
                 shown.state[: step + 1],
                 shown.task[: step + 1],
@@ -164,7 +164,7 @@ def test_numpy_alone_gives_what_the_trainer_had(
     file = tmp_path / "weights.npz"
     policy.save(file)
     shown = made.episode(5)
-    last = lerobot_dataset.last_commands(shown.state, shown.action, state_policy.SET)
+    last = lerobot_dataset.last_commands(shown.state, shown.action, observed_features.SET)
     np.savez(tmp_path / "episode.npz", state=shown.state, task=shown.task, last=last)
     program = (
         "import sys, numpy as np\n"
@@ -178,8 +178,10 @@ def test_numpy_alone_gives_what_the_trainer_had(
         "print(p.hash)"
     )
     assert said_alone(program) == policy.hash
-    columns = state_policy.Columns(made.STATE, made.TASK)
-    inputs = state_policy.features(columns, shown.state, shown.task, last, policy.scales["X_RW"])
+    columns = observed_features.Columns(made.STATE, made.TASK)
+    inputs = observed_features.features(
+        columns, shown.state, shown.task, last, policy.scales["X_RW"]
+    )
     np.testing.assert_allclose(
         np.load(tmp_path / "out.npy"), policy.predict(inputs, last), rtol=0, atol=1e-6
     )
@@ -195,7 +197,7 @@ def test_weights_hold_no_code(policy: state_policy.Policy, tmp_path: Path) -> No
                 _, _, dtype = np.lib.format.read_array_header_1_0(member)
                 assert dtype.hasobject is False, name
     again = state_policy.Policy.load(file)
-    assert again.hash == policy.hash and again.about["privileged"] == [state_policy.TASK]
+    assert again.hash == policy.hash and again.about["privileged"] == [observed_features.TASK]
     assert again.about == json.loads(json.dumps(policy.about))
 
 
@@ -214,17 +216,19 @@ def test_the_place_of_a_number_is_found_by_its_name(policy: state_policy.Policy)
     rng = np.random.default_rng(1)
     order = rng.permutation(len(made.TASK))
     shown = made.episode(7)
-    last = lerobot_dataset.last_commands(shown.state, shown.action, state_policy.SET)
-    columns = state_policy.Columns(made.STATE, made.TASK)
-    shuffled = state_policy.Columns(made.STATE, [made.TASK[i] for i in order])
+    last = lerobot_dataset.last_commands(shown.state, shown.action, observed_features.SET)
+    columns = observed_features.Columns(made.STATE, made.TASK)
+    shuffled = observed_features.Columns(made.STATE, [made.TASK[i] for i in order])
     np.testing.assert_array_equal(
-        state_policy.features(columns, shown.state, shown.task, last, policy.scales["X_RW"]),
-        state_policy.features(
+        observed_features.features(columns, shown.state, shown.task, last, policy.scales["X_RW"]),
+        observed_features.features(
             shuffled, shown.state, shown.task[:, order], last, policy.scales["X_RW"]
         ),
     )
     with pytest.raises(ValueError, match="assistant_held"):
-        state_policy.Columns(made.STATE, [name for name in made.TASK if name != "assistant_held"])
+        observed_features.Columns(
+            made.STATE, [name for name in made.TASK if name != "assistant_held"]
+        )
 
 
 def test_the_frame_is_found_from_the_tip_in_both() -> None:
@@ -233,7 +237,7 @@ def test_the_frame_is_found_from_the_tip_in_both() -> None:
     R *= np.linalg.det(R)
     p_W = rng.standard_normal((50, 3))
     p_R = p_W @ R.T + [0.1, -0.2, 0.3]
-    found = state_policy.world_in_rcm(p_R, p_W)
+    found = observed_features.world_in_rcm(p_R, p_W)
     np.testing.assert_allclose(found[:3, :3], R, atol=1e-12)
     np.testing.assert_allclose(found[:3, 3], [0.1, -0.2, 0.3], atol=1e-12)
 

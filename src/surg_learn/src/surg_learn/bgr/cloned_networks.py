@@ -19,7 +19,7 @@ from typing import Any
 import torch
 from torch import nn
 
-from surg_learn.bgr.state_policy import ACTIONS
+from surg_learn.bgr.observed_features import ACTIONS
 
 METHODS = ("bc", "act", "moe_act")
 ACTION_SIZE = len(ACTIONS)

@@ -20,17 +20,11 @@ from typing import Any
 import numpy as np
 import torch
 
+from surg_learn.bgr.chunk_policy import ChunkPolicy, weights_of, write_weights
 from surg_learn.bgr.cloned_networks import Answer, Sizes, network_of
 from surg_learn.bgr.keypoint_network import small
-from surg_learn.bgr.state_policy import (
-    SET,
-    STATE,
-    Policy,
-    serve,
-    state_columns,
-    weights_of,
-    write_weights,
-)
+from surg_learn.bgr.observed_features import SET, STATE
+from surg_learn.bgr.policy_program import serve
 
 Array = np.ndarray
 AGAIN = 8
@@ -57,7 +51,7 @@ def scaled(views: Any) -> Any:
     return (views - 128.0) / 64.0
 
 
-class ClonedPolicy(Policy):
+class ClonedPolicy(ChunkPolicy):
     """See the module.
 
     Attributes:
@@ -84,14 +78,6 @@ class ClonedPolicy(Policy):
     def method(self) -> str:
         """One of `cloned_networks.METHODS`."""
         return self.sizes.method
-
-    def shape_of(self, key: str) -> tuple[int, ...] | None:
-        """See `Policy`: pictures have the size of those it was trained with."""
-        size = self.about.get("dataset", {}).get("picture") if key in self.pictures else None
-        return None if size is None else tuple(size)
-
-    def _find_columns(self) -> Any:
-        return state_columns(self.names[STATE])
 
     # --- weights on disk ----------------------------------------------------------------------
 

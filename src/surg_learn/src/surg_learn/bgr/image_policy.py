@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from surg_learn.bgr.chunk_policy import ChunkPolicy, Network
 from surg_learn.bgr.keypoint_network import (
     CONVOLUTIONS,
     HELD,
@@ -32,8 +33,9 @@ from surg_learn.bgr.keypoint_network import (
     Eye,
     small,
 )
+from surg_learn.bgr.observed_features import LAGS, SET, STATE
 from surg_learn.bgr.picture_memory import Memory, View
-from surg_learn.bgr.state_policy import LAGS, SET, STATE, Network, Policy, serve, state_columns
+from surg_learn.bgr.policy_program import serve
 
 PICTURE = "observation.images.endoscope.left"
 EYE_LAYERS = len(CONVOLUTIONS) + 4
@@ -155,27 +157,20 @@ class EyeAndHand:
         return self.hand(x)
 
 
-class ImagePolicy(Policy):
+class ImagePolicy(ChunkPolicy):
     """A policy that reads the endoscope's left picture and measured values."""
 
     format = "surg_bgr_image_policy/4"
     trainer = "train_images.py"
     wants = (STATE, PICTURE)
+    pictures = (PICTURE,)
 
     @classmethod
     def network_of(
         cls, layers: Sequence[tuple[Array, Array]], scales: Mapping[str, Array]
     ) -> EyeAndHand:
-        """See `Policy`."""
+        """See `ChunkPolicy`."""
         return EyeAndHand(layers, scales["pointed"])
-
-    def shape_of(self, key: str) -> tuple[int, ...] | None:
-        """See `Policy`: pictures have the size of those it was trained with."""
-        size = self.about.get("dataset", {}).get("picture") if key == PICTURE else None
-        return None if size is None else tuple(size)
-
-    def _find_columns(self) -> Any:
-        return state_columns(self.names[STATE])
 
     def reset(self, instruction: str = "", seed: int | None = None) -> None:
         """Forget the last episode."""

@@ -22,7 +22,7 @@ import torch
 from surg_learn.bgr.cloned_networks import METHODS, Answer, Sizes, network_of
 from surg_learn.bgr.cloned_policy import ClonedPolicy, numbers_of, scaled
 from surg_learn.bgr.keypoint_network import SIDE
-from surg_learn.bgr.state_policy import ACTION, ACTIONS, STATE
+from surg_learn.bgr.observed_features import ACTION, ACTIONS, STATE
 from surg_learn.bgr.training.keypoint_training import DEVICES, device_for
 from surg_learn.bgr.training.lerobot_dataset import (
     Array,

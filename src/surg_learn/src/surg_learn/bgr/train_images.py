@@ -25,7 +25,7 @@ from surg_learn.bgr.image_policy import (
     remembered,
 )
 from surg_learn.bgr.keypoint_network import Eye
-from surg_learn.bgr.state_policy import SET, STATE, TASK, Columns
+from surg_learn.bgr.observed_features import SET, STATE, TASK, Columns
 from surg_learn.bgr.training.action_head import HandOptions, Samples, fit_hand, may_move
 from surg_learn.bgr.training.keypoint_labels import Labels, labels, lens_of, plane_of
 from surg_learn.bgr.training.keypoint_training import (

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surg_learn.bgr.state_policy import (
+from surg_learn.bgr.observed_features import (
     ACTION,
     DISTANCE,
     FORCE,
@@ -26,10 +26,10 @@ from surg_learn.bgr.state_policy import (
     TASK,
     TENSION,
     Columns,
-    Policy,
     features,
     force_columns,
 )
+from surg_learn.bgr.state_policy import Policy
 from surg_learn.bgr.training.action_head import HandOptions, Samples, fit_hand, may_move
 from surg_learn.bgr.training.lerobot_dataset import (
     Array,

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surg_learn.bgr.state_policy import HERE, Network
+from surg_learn.bgr.chunk_policy import Network
+from surg_learn.bgr.observed_features import HERE
 from surg_learn.bgr.training.lerobot_dataset import Progress, normalised
 from surg_learn.bgr.training.perceptron import (
     Adam,

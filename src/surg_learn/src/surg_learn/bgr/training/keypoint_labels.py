@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surg_learn.bgr.keypoint_network import CELLS, grid, square
-from surg_learn.bgr.state_policy import NODES
+from surg_learn.bgr.observed_features import NODES
 from surg_learn.bgr.training.lerobot_dataset import RATE, Array
 
 HEAT = 1.0

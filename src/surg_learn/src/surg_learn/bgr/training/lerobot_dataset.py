@@ -10,7 +10,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from surg_learn.bgr.state_policy import Columns, world_in_rcm
+from surg_learn.bgr.observed_features import Columns, world_in_rcm
 
 Array = np.ndarray
 Progress = Callable[[float, str], None]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from surg_learn.bgr.state_policy import Network
+from surg_learn.bgr.chunk_policy import Network
 
 Array = np.ndarray
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from surg_learn.bgr.image_policy import PICTURE
 from surg_learn.bgr.keypoint_network import small
-from surg_learn.bgr.state_policy import ACTION, STATE, TASK
+from surg_learn.bgr.observed_features import ACTION, STATE, TASK
 from surg_learn.bgr.training.lerobot_dataset import (
     Array,
     Dataset,

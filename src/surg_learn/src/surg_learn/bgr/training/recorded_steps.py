@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from surg_learn.bgr.state_policy import ACTION, SET, STATE, state_columns
+from surg_learn.bgr.observed_features import ACTION, SET, STATE, state_columns
 from surg_learn.bgr.training.lerobot_dataset import (
     Array,
     Progress,

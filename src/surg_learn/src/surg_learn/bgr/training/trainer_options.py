@@ -11,7 +11,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
-from surg_learn.bgr.state_policy import Policy
+from surg_learn.bgr.chunk_policy import ChunkPolicy
 from surg_learn.bgr.training.lerobot_dataset import Progress
 
 Options = TypeVar("Options")
@@ -52,7 +52,7 @@ def chosen(kind: Callable[..., Options], given: argparse.Namespace, **more: Any)
 def trained(
     name: str,
     given: argparse.Namespace,
-    make: Callable[[Progress], Policy],
+    make: Callable[[Progress], ChunkPolicy],
     brief: Callable[[dict[str, Any]], str],
 ) -> int:
     """Train, save, and say how it went.
