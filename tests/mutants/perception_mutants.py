@@ -139,7 +139,7 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "stale_lens_ignored",
         "a camera measured through another focus is believed",
-        "calibration/base_steps.py",
+        "calibration/chain_steps.py",
         "    check_camera_lenses(camera, file, folder / LEFT, folder / RIGHT)\n",
         "",
         CHAIN,

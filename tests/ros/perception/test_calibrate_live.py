@@ -30,7 +30,7 @@ from helpers.sim.board_bench import BenchView, Pattern, inner_corners, of_settin
 from surg_cli.graph import master, system
 from surg_cli.graph.system_plan import SystemPlan
 from surg_core.camera_file import load_camera
-from surg_perception.calibration.base_steps import chain_error
+from surg_perception.calibration.chain_steps import chain_error
 from surg_perception.calibration.result_files import read_stereo
 from surg_perception.calibration.small_motions import difference
 

@@ -13,7 +13,7 @@ import pytest
 
 from helpers.perception import recorded_pairs
 from surg_perception.capture import frame_pipe
-from surg_perception.capture.capture_parameters import parse
+from surg_perception.capture.capture_parameters import CaptureSettings
 from surg_perception.capture.device_process import REOPEN_S, Settings, messages
 from surg_perception.capture.frame_pipe import DeviceState, FramePipeError, Pictures
 from surg_perception.capture.picture_source import (
@@ -22,7 +22,7 @@ from surg_perception.capture.picture_source import (
     SourceError,
     Wanted,
 )
-from surg_ros.params import ParamError
+from surg_ros.params import ParamError, read
 
 MS = 1_000_000
 NS = 1000 * MS
@@ -189,14 +189,14 @@ def test_messages_go_through_the_pipe_unchanged() -> None:
 )
 def test_parameters_that_do_not_fit_are_refused(given: dict[str, Any], words: str) -> None:
     with pytest.raises(ParamError, match=words):
-        parse(given)
+        read(CaptureSettings, given)
 
 
 def test_two_devices_are_exchanged_by_swap() -> None:
     given = {"source": "v4l2:/dev/video0+/dev/video2", "layout": "two"}
     for swap, expected in ((False, ["v4l2:/dev/video0", "v4l2:/dev/video2"]),
                            (True, ["v4l2:/dev/video2", "v4l2:/dev/video0"])):  # fmt: skip
-        devices = parse({**given, "swap": swap}).devices()
+        devices = read(CaptureSettings, {**given, "swap": swap}).devices()
         assert [device.source for device in devices] == expected
         assert [device.eyes for device in devices] == [1, 1]
         assert Settings.parse(devices[0].text()) == devices[0]

@@ -276,7 +276,7 @@ def test_one_eye_of_a_cell_that_has_measured_two_is_refused_at_once(tmp_path: Pa
 
 
 def surg_core_camera(cell: surg_core.Cell) -> tuple[Array, Path]:
-    from surg_perception.calibration.base_steps import measured_camera
+    from surg_perception.calibration.chain_steps import measured_camera
 
     camera, file = measured_camera(cell)
     assert camera.X_FV is not None

@@ -20,8 +20,8 @@ from surg_perception.marks.mark_projection import PictureMark
 from surg_perception.stereo import stereo_messages_node as messages
 from surg_perception.stereo.joint_history import KEPT_NS, MOST_GAP_NS, JointHistory
 from surg_perception.stereo.live_marks_node import message_of
-from surg_perception.stereo.stereo_parameters import parse
-from surg_ros.params import ParamError
+from surg_perception.stereo.stereo_parameters import StereoSettings
+from surg_ros.params import ParamError, read
 
 MS = 1_000_000
 
@@ -63,7 +63,7 @@ def test_joints_that_are_no_numbers_or_come_late_are_ignored() -> None:
 )
 def test_parameters_that_do_not_fit_are_refused(given: dict, said: str) -> None:
     with pytest.raises(ParamError) as refused:
-        parse(given)
+        read(StereoSettings, given)
     assert said in str(refused.value)
 
 

@@ -14,8 +14,8 @@ import pytest
 
 from helpers.sim.board_views import BARREL, BOARD, bench
 from surg_perception.calibration import board as module
-from surg_perception.calibration.board import Board, BoardError, parse_squares, printed_square
-from surg_perception.calibration.board_file import load_board, write_board
+from surg_perception.calibration.board import Board, BoardError, printed_square
+from surg_perception.calibration.board_file import load_board, parse_squares, write_board
 from surg_perception.calibration.board_pdf import board_pdf
 
 

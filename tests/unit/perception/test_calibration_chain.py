@@ -19,8 +19,8 @@ from helpers.sim.calibrated_chain import BOARD, ORIGIN, Chain
 from surg_core.camera_file import load_camera
 from surg_core.checked_document import file_sha256
 from surg_perception.calibration import evidence
-from surg_perception.calibration.base_steps import chain_error, check, measured_camera
 from surg_perception.calibration.bases import SeenBase, solve_base
+from surg_perception.calibration.chain_steps import chain_error, check, measured_camera
 from surg_perception.calibration.handeye import HandEyeFit, solve_handeye
 from surg_perception.calibration.lens_covariance import LensCovariance, write_lens_covariance
 from surg_perception.calibration.result_files import (

@@ -17,7 +17,7 @@ from helpers.sim import board_bench
 from surg_cli import command_table
 from surg_cli.host import paths
 from surg_core.camera_file import load_camera
-from surg_perception.calibration.base_steps import chain_error
+from surg_perception.calibration.chain_steps import chain_error
 from surg_perception.calibration.small_motions import difference
 from surg_sim.physics.endoscope_rig import camera_poses
 from surg_sim.physics.patient_settings import find_setting

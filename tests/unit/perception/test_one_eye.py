@@ -18,7 +18,7 @@ from surg_cli.host.terminal import CliError
 from surg_core.camera_file import load_camera
 from surg_core.lens_file import load_lens
 from surg_core.pictures.lens_model import LensModel
-from surg_perception.calibration.base_steps import chain_error
+from surg_perception.calibration.chain_steps import chain_error
 from surg_perception.calibration.small_motions import difference
 
 

@@ -108,11 +108,11 @@ def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
 
 def _solve(cell: Any, options: argparse.Namespace, origin: Any, write: bool) -> list[str]:
     """Solve a step and write its files; lines for people."""
-    from surg_perception.calibration import base_steps, steps
+    from surg_perception.calibration import base_steps, chain_steps, steps
 
     what, source, folder = options.what, options.source, cell.folder / "calibration"
     if what == "check":
-        return list(base_steps.check(cell, origin.note if write else ""))
+        return list(chain_steps.check(cell, origin.note if write else ""))
     if what == "bases":
         return list(base_steps.bases(cell, source, options.by, origin, write)[2])
     if what == "camera":

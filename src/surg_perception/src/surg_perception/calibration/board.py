@@ -11,7 +11,7 @@ pixel more than everything else, which counts from the first pixel's centre.
 
 from __future__ import annotations
 
-import re
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -128,20 +128,19 @@ class Board:
         found = self._seen(picture)
         if found is None or not self._lies_as_stated(found):
             return None
-        grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-        return None if self._is_older(np.ascontiguousarray(grey)) else found
+        return None if self._is_older(_grey(picture)) else found
 
     def _seen(self, picture: Picture) -> Corners | None:
         """The corners of a picture, wherever they lie; None: fewer than eight."""
-        grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-        pixels, ids = _charuco(np.ascontiguousarray(grey), _pattern(self), self.dictionary)
+        grey = _grey(picture)
+        pixels, ids = _charuco(grey, _pattern(self), self.dictionary)
         if ids is None or len(ids) < LEAST_CORNERS:
             return None
         found = Corners(
             np.asarray(ids, dtype=np.int64).ravel(),
             np.asarray(pixels, dtype=np.float64).reshape(-1, 2) - EDGE_TO_CENTRE,
         )
-        return Corners(found.ids, self._refined(np.ascontiguousarray(grey), found))
+        return Corners(found.ids, self._refined(grey, found))
 
     def _lies_as_stated(self, found: Corners) -> bool:
         """Whether the corners are a flat board's, up to what a lens bends.
@@ -150,13 +149,7 @@ class Board:
         are two squares or more off. A barrel lens bends a board by less than a tenth of a square.
         """
         flat = self.corners[found.ids][:, :2]
-        H, _ = cv2.findHomography(flat, found.pixels)
-        if H is None:
-            return False
-        away = cv2.perspectiveTransform(flat[None], H)[0] - found.pixels
-        return float(np.sqrt(np.mean(np.sum(away**2, axis=1)))) <= LARGEST_BEND * self.side_in(
-            found
-        )
+        return _misfit(flat, found.pixels) <= LARGEST_BEND * self.side_in(found)
 
     def side_in(self, found: Corners) -> float:
         """Side of a square in a picture, median over neighbours [px]; 0: none are seen."""
@@ -179,7 +172,7 @@ class Board:
 
     def why_not(self, picture: Picture) -> str:
         """Why a picture does not show the board, as far as it can be told."""
-        grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+        grey = _grey(picture)
         if self.find(np.ascontiguousarray(grey[:, ::-1])) is not None:
             return "the picture is mirrored; set the camera's flip"
         for name in DICTIONARIES:
@@ -214,25 +207,23 @@ class Board:
             known = ids < len(layout)
             if known.sum() < LEAST_CORNERS:
                 return False
-            at = layout[ids[known]].astype(np.float64)
-            H, _ = cv2.findHomography(centres[known], at)
-            if H is None:
-                return False
-            found = cv2.perspectiveTransform(centres[known][None], H)[0]
-            away.append(float(np.sqrt(np.mean(np.sum((found - at) ** 2, axis=1)))))
-        return away[0] <= LARGEST_BEND / 2 < away[1]
+            away.append(_misfit(centres[known], layout[ids[known]].astype(np.float64)))
+        return away[0] <= LARGEST_BEND / 2 < away[1] < math.inf
 
 
-def parse_squares(text: str) -> tuple[int, int]:
-    """Columns and rows of ``11x8``.
+def _grey(picture: Picture) -> Picture:
+    """A picture (h, w) or (h, w, 3) as (h, w), contiguous."""
+    grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+    return np.ascontiguousarray(grey)
 
-    Raises:
-        BoardError: The text is no such pair.
-    """
-    match = re.fullmatch(r"(\d{1,2})x(\d{1,2})", text)
-    if match is None:
-        raise BoardError(f"squares: {text!r}; allowed: columns x rows, such as 11x8")
-    return int(match[1]), int(match[2])
+
+def _misfit(places: FloatArray, seen: FloatArray) -> float:
+    """Distance of places (n, 2) in perspective from where they are seen, rms; infinite: no fit."""
+    H, _ = cv2.findHomography(places, seen)
+    if H is None:
+        return math.inf
+    away = cv2.perspectiveTransform(places[None], H)[0] - seen
+    return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
 
 
 def printed_square(square: float, measured_mm: float) -> float:

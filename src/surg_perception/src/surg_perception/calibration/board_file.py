@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import surg_core
 from surg_core.replace_file import replace_file
-from surg_perception.calibration.board import Board, BoardError, parse_squares
+from surg_perception.calibration.board import Board, BoardError
 
 FORMAT = "surg_board/1"
 KEYS = ("format", "squares", "square", "dictionary")
@@ -45,3 +46,15 @@ def load_board(path: Path) -> Board:
         return Board(columns, rows, square, str(values["dictionary"]))
     except BoardError as error:
         raise surg_core.ConfigError(f"{path}: {error}") from error
+
+
+def parse_squares(text: str) -> tuple[int, int]:
+    """Columns and rows of ``11x8``.
+
+    Raises:
+        BoardError: The text is no such pair.
+    """
+    match = re.fullmatch(r"(\d{1,2})x(\d{1,2})", text)
+    if match is None:
+        raise BoardError(f"squares: {text!r}; allowed: columns x rows, such as 11x8")
+    return int(match[1]), int(match[2])

@@ -18,7 +18,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 import surg_core
 from surg_core import ConfigError
 from surg_core.lens_file import Lens
-from surg_perception.capture import capture_parameters, eye_lenses, frame_pipe
+from surg_perception.capture import eye_lenses, frame_pipe
 from surg_perception.capture.capture_parameters import CaptureSettings
 from surg_perception.capture.device_reader import DeviceReader
 from surg_perception.capture.eye_layout import Image as Picture
@@ -27,7 +27,7 @@ from surg_perception.capture.eye_pairing import EyePairer
 from surg_perception.capture.frame_pipe import DeviceState, Pictures
 from surg_perception.capture.picture_source import SourceUri
 from surg_ros.endoscope_tf import EndoscopeTf
-from surg_ros.params import ParamError
+from surg_ros.params import ParamError, read
 
 QUEUE = 4
 """Pictures that wait for a slow subscriber."""
@@ -194,7 +194,7 @@ def main() -> int:
     """Entry point; returns the exit code (0 done, 2 broken configuration)."""
     rospy.init_node("endoscope")
     try:
-        settings = capture_parameters.parse(rospy.get_param("~", {}))
+        settings = read(CaptureSettings, rospy.get_param("~", {}))
         cell = surg_core.load_cell(settings.cell) if settings.cell else None
     except (ParamError, surg_core.ConfigError) as error:
         print(f"surg_perception: {error}", file=sys.stderr, flush=True)

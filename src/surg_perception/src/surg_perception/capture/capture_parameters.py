@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from surg_perception.capture.device_process import Settings
 from surg_perception.capture.eye_layout import FLIPS, LAYOUTS, eyes_of
 from surg_perception.capture.picture_source import SourceError, SourceUri
-from surg_ros.params import ParamError, flag, one_of, read, real, text, whole
+from surg_ros.params import ParamError, flag, one_of, real, text, whole
 
 
 @dataclass(frozen=True)
@@ -70,12 +68,3 @@ class CaptureSettings:
     def calibration(self) -> Path | None:
         """Folder of the lens files; None: without a cell."""
         return Path(self.cell) / "calibration" if self.cell else None
-
-
-def parse(given: Mapping[str, Any]) -> CaptureSettings:
-    """The parameters of the node.
-
-    Raises:
-        ParamError: One is unknown, missing or out of range.
-    """
-    return read(CaptureSettings, given)

@@ -14,7 +14,7 @@ import numpy as np
 
 import surg_core
 from surg_core.transforms import FloatArray
-from surg_perception.calibration import base_steps, evidence, steps
+from surg_perception.calibration import base_steps, chain_steps, evidence, steps
 from surg_perception.calibration.board import Picture
 from surg_perception.calibration.result_files import Origin, read_eyes
 from surg_perception.calibration.small_motions import transform
@@ -70,11 +70,11 @@ class BaseViews:
 
     def __init__(self, cell: surg_core.Cell, by: str, path: Path) -> None:
         calibration = cell.folder / "calibration"
-        camera, _ = base_steps.measured_camera(cell)
+        camera, _ = chain_steps.measured_camera(cell)
         assert camera.X_FV is not None
         self._cell, self._by, self.path = cell, by, path
         self._X_FV = np.array(camera.X_FV)
-        self._scope, self._tool = steps.scope_arm(cell), base_steps.tool_arm(cell)
+        self._scope, self._tool = steps.scope_arm(cell), chain_steps.tool_arm(cell)
         self._eyes, two = read_eyes(calibration)
         self.eyes = 1 if two is None else 2
         if by == "tip" and two is None:

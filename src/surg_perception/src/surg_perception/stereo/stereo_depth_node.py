@@ -20,11 +20,10 @@ import surg_core
 from surg_perception.depth.stereo_depth import StereoDepth
 from surg_perception.depth.stereo_matcher import find_matcher
 from surg_perception.stereo import stereo_messages_node as messages
-from surg_perception.stereo import stereo_parameters
 from surg_perception.stereo.live_marks_node import LiveMarks
 from surg_perception.stereo.newest_pair_node import EYES, NewestPair
 from surg_perception.stereo.stereo_parameters import StereoSettings
-from surg_ros.params import ParamError
+from surg_ros.params import ParamError, read
 
 LOOK_S = 0.5
 """Period at which the node looks whether somebody subscribes."""
@@ -169,7 +168,7 @@ def main() -> int:
     """Entry point; returns the exit code (0 done, 2 broken configuration)."""
     rospy.init_node("eyes")
     try:
-        settings = stereo_parameters.parse(rospy.get_param("~", {}))
+        settings = read(StereoSettings, rospy.get_param("~", {}))
         cell = surg_core.load_cell(settings.cell) if settings.cell else None
         _check_method(settings)
     except (ParamError, ValueError) as error:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from surg_perception.depth.stereo_matcher import FAR, NEAR
-from surg_ros.params import ParamError, flag, read, real, text, whole
+from surg_ros.params import ParamError, flag, real, text, whole
 
 
 @dataclass(frozen=True)
@@ -34,12 +32,3 @@ class StereoSettings:
             raise ParamError("near", self.near, f"less than ~far, {self.far:g} m")
         if self.marks and not self.cell:
             raise ParamError("cell", "", "the folder of the cell, where ~marks is true")
-
-
-def parse(given: Mapping[str, Any]) -> StereoSettings:
-    """The parameters of the node.
-
-    Raises:
-        ParamError: One is unknown or out of range.
-    """
-    return read(StereoSettings, given)
