@@ -86,14 +86,14 @@ def test_the_same_name_means_the_same_kind_in_every_table() -> None:
 def test_the_core_reports_what_a_cycle_records() -> None:
     """In-process episodes take from surg_core.Outputs whatever is not said elsewhere."""
     pytest.importorskip("mujoco")
-    from surg_sim.envs import recorded_episode
+    from surg_sim.envs import episode_messages
 
     elsewhere = {
         *("tick", "state", "reason", "command", "source", "q", "qd", "q_br"),
         *("compute_us", "period_us", "overruns"),
     }
     names = {field.source for field in table_columns.CYCLE if field.source} - elsewhere
-    renamed = {recorded_episode._OUTPUTS.get(name, name) for name in names}
+    renamed = {episode_messages.OUTPUTS.get(name, name) for name in names}
     assert renamed <= set(dir(surg_core.Outputs))
 
 

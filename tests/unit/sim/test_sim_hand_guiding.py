@@ -8,7 +8,7 @@ import pytest
 import surg_core
 from surg_cli.host import paths
 from surg_sim.physics import hand_guiding
-from surg_sim.physics.hand_guiding import HandGuiding
+from surg_sim.physics.hand_guiding import guided_home
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.world import World
 
@@ -33,8 +33,8 @@ def test_a_torn_arm_comes_home_and_is_let_go() -> None:
         for _ in range(100):  # 16 mrad in each joint: some 10 mm at the trocar
             world.step({"PSM1": push})
         off = away(world)
-        hand, ticks, fastest = HandGuiding(home), 0, 0.0
-        while led := hand.guide(world.state("PSM1").q, ArmCommand(np.zeros(len(home)))):
+        ticks, fastest = 0, 0.0
+        while led := guided_home(home, world.state("PSM1").q, ArmCommand(np.zeros(len(home)))):
             assert led.velocity is not None
             fastest = max(fastest, float(np.abs(led.velocity).max()))
             world.step({"PSM1": led})
@@ -54,12 +54,12 @@ def test_a_torn_arm_comes_home_and_is_let_go() -> None:
     ],
 )
 def test_a_controller_that_moves_the_arm_comes_first(command: ArmCommand) -> None:
-    hand, q = HandGuiding(np.zeros(2)), np.array([0.1, 0.1])
-    assert hand.guide(q, ArmCommand(jaw=0.3)) is not None
-    assert hand.guide(q, command) is None
+    home, q = np.zeros(2), np.array([0.1, 0.1])
+    assert guided_home(home, q, ArmCommand(jaw=0.3)) is not None
+    assert guided_home(home, q, command) is None
 
 
 def test_the_jaw_is_its_own() -> None:
-    led = HandGuiding(np.zeros(2)).guide(np.array([0.1, -0.2]), ArmCommand(jaw=0.3))
+    led = guided_home(np.zeros(2), np.array([0.1, -0.2]), ArmCommand(jaw=0.3))
     assert led is not None and led.jaw == 0.3
     assert led.velocity == pytest.approx([-0.1, 0.2])

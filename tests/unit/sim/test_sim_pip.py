@@ -30,7 +30,7 @@ for name in found:
     # Nodes need ROS, environments gymnasium, and what writes recordings surg_recording.
     if ".nodes." in name or name.endswith((
         "_node", ".surg_env", ".env_spaces", ".policy_rollouts", ".recorded_episode",
-        ".demonstrations",
+        ".episode_messages", ".demonstrations",
     )):
         continue
     importlib.import_module(name)

@@ -2,7 +2,7 @@
 
 Everything that lists fields is derived from these tables: the headers of the CSV files, the rows
 (``table_rows``), the kinds with which ``episode_reader`` reads them, and the messages of episodes
-that are played without ROS (``surg_sim.envs.recorded_episode``). Vectors are in the arm's base
+that are played without ROS (``surg_sim.envs.episode_messages``). Vectors are in the arm's base
 frame unless docs/reference/recording.md says otherwise.
 """
 

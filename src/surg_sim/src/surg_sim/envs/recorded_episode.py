@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,12 +20,11 @@ from surg_sim.envs.cell_session import CellSession, Command, Tick
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
 from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.endoscope_rig import FRAMES
-from surg_sim.physics.ground_truth import ArmTruth
-from surg_sim.tasks import State
 
 try:
-    from surg_recording.episode import provenance, table_columns
+    from surg_recording.episode import provenance
     from surg_recording.episode.episode_recorder import Recording
+    from surg_sim.envs import episode_messages as messages
 except ImportError as error:  # pragma: no cover - of an installation of surg_sim alone
     raise ImportError(
         "recording in process needs surg_recording: pip install ./src/surg_recording"
@@ -36,10 +34,6 @@ if TYPE_CHECKING:
     from surg_sim.appearance.domain_randomization import DomainRandomization
     from surg_sim.appearance.endoscope_renderer import EndoscopeRenderer
     from surg_sim.tasks.scripted_sender import Expert
-
-SENDER = "/expert"
-"""Whose commands the recording says they are, as in a graph."""
-_JAW = "jaw/servo_jp"
 
 
 class RecordedSession(CellSession):
@@ -199,23 +193,31 @@ class RecordedSession(CellSession):
         for arm, given in (commands or {}).items():
             for command in given:
                 if isinstance(command, surg_core.MotionCommand):
-                    topic, message = _command(command, stamp)
-                    recording.command(arm, topic, message, SENDER, stamp)
+                    topic, message = messages.command_of(command, stamp)
+                    recording.command(arm, topic, message, messages.SENDER, stamp)
         if assistant is not None:
-            for topic, values in (("servo_jp", assistant.joints), (_JAW, assistant.jaw)):
+            for topic, values in (
+                ("servo_jp", assistant.joints),
+                (messages.JAW, assistant.jaw),
+            ):
                 if values is not None:
-                    message = _message(stamp, position=np.atleast_1d(values).tolist())
+                    message = messages.message_of(stamp, position=np.atleast_1d(values).tolist())
                     recording.command("assistant", topic, message, "/assistant", stamp)
         tick = super().tick(commands, assistant)
         for name, out in tick.outputs.items():
-            row = _cycle(out, tick.tick, before[name][0], self._orientation(name))
+            row = messages.cycle_of(out, tick.tick, before[name][0], self._orientation(name))
             recording.cycle(name, row, stamp)
-        arms = [_truth(name, truth) for name, (_, truth) in before.items()]
-        recording.ground_truth(_message(stamp, tick=tick.tick, arms=arms), stamp)
+        arms = [messages.truth_of(name, truth) for name, (_, truth) in before.items()]
+        recording.ground_truth(messages.message_of(stamp, tick=tick.tick, arms=arms), stamp)
         for (name, place), force in felt.items():
-            recording.force(name, place, _message(stamp, wrench=_wrench(force)), stamp)
+            recording.force(
+                name,
+                place,
+                messages.message_of(stamp, wrench=messages.wrench(force)),
+                stamp,
+            )
         if state is not None:
-            recording.task_state(_task_state(tick, state), stamp)
+            recording.task_state(messages.task_state_of(tick, state), stamp)
         return tick
 
     def _felt(self) -> dict[tuple[str, str], Any]:
@@ -251,84 +253,5 @@ class RecordedSession(CellSession):
         for view, picture in self._renderer.render(self.world.data.qpos).items():
             height, width, _ = picture.shape
             shape = {"width": width, "height": height, "step": 3 * width, "encoding": "rgb8"}
-            message = _message(stamp, data=picture.tobytes(), **shape)
+            message = messages.message_of(stamp, data=picture.tobytes(), **shape)
             recording.image(FRAMES[view], message, stamp)
-
-
-# --- messages without ROS, as surg_recording.episode.table_rows reads them ---------------------
-
-
-def _message(stamp_ns: int, **members: Any) -> SimpleNamespace:
-    secs, nsecs = divmod(stamp_ns, SECOND_NS)
-    header = SimpleNamespace(stamp=SimpleNamespace(secs=secs, nsecs=nsecs))
-    return SimpleNamespace(header=header, **members)
-
-
-def _xyz(v: Any) -> SimpleNamespace:
-    x, y, z = np.asarray(v).tolist()
-    return SimpleNamespace(x=x, y=y, z=z)
-
-
-def _wrench(force: Any) -> SimpleNamespace:
-    return SimpleNamespace(force=_xyz(force))
-
-
-def _command(command: surg_core.MotionCommand, stamp_ns: int) -> tuple[str, SimpleNamespace]:
-    """A command of a scripted sender, which speaks in poses and jaw angles."""
-    if command.motion == surg_core.Motion.JAW_SERVO_JP:
-        return _JAW, _message(stamp_ns, position=[command.jaw])
-    if command.motion == surg_core.Motion.HOLD:
-        return "hold", _message(stamp_ns)
-    x, y, z, w = np.asarray(command.rotation).tolist()
-    rotation = SimpleNamespace(x=x, y=y, z=z, w=w)
-    pose = SimpleNamespace(position=_xyz(command.p), orientation=rotation)
-    return "servo_cp", _message(stamp_ns, pose=pose)
-
-
-_OUTPUTS = {"p_tip": "p_BTip", "s": "s_B", "p_rcm": "p_BRcm"}
-"""Members of surg_core.Outputs that surg_msgs/Cycle calls otherwise."""
-
-
-def _cycle(out: surg_core.Outputs, tick: int, measured: Any, q_BR: list[float]) -> SimpleNamespace:
-    """A control cycle as surg_msgs/Cycle has it."""
-    known: dict[str, Any] = {
-        "tick": tick,
-        "state": int(out.state),
-        "reason": surg_core.reason_name(out.reason) if int(out.reason) else "",
-        "command": int(out.motion),
-        "source": SENDER if int(out.source) else "",
-        "q": measured.q,
-        "qd": measured.qd,
-        "q_br": q_BR,
-        "compute_us": None,
-        "period_us": 0.0,
-        "overruns": 0,
-    }
-    for field in table_columns.CYCLE:
-        if field.source and field.source not in known:
-            known[field.source] = getattr(out, _OUTPUTS.get(field.source, field.source))
-    for name, value in known.items():
-        known[name] = value.tolist() if isinstance(value, np.ndarray) else value
-    return _message(tick * TICK_NS, **known)
-
-
-def _truth(name: str, truth: ArmTruth) -> SimpleNamespace:
-    """An arm's truth as surg_msgs/ArmTruth has it."""
-    members = truth._asdict()
-    for key, value in members.items():
-        members[key] = _xyz(value) if isinstance(value, np.ndarray) else value
-    return SimpleNamespace(arm=name, **members)
-
-
-def _task_state(tick: Tick, state: State) -> SimpleNamespace:
-    """A task's state as surg_msgs/TaskState has it."""
-    names, values = [], []
-    for key, value in state.items():
-        array = np.asarray(value, dtype=np.float64)
-        shape = ",".join(map(str, array.shape))
-        names.append(f"{key}[{shape}]" if shape else key)
-        values += array.ravel().tolist()
-    verdict = vars(tick.verdict)
-    judged = {key: verdict[key] for key in ("phase", "done", "success", "reason", "reward")}
-    stamp_ns = tick.tick * TICK_NS
-    return _message(stamp_ns, tick=tick.tick, names=names, values=values, **judged)

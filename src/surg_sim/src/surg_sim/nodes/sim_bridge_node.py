@@ -24,12 +24,12 @@ from surg_sim.nodes.lockstep import OBSERVER_WINDOWS, Action, Lockstep
 from surg_sim.nodes.sim_parameters import BridgeSettings
 from surg_sim.nodes.state_publisher_node import StatePublisher
 from surg_sim.nodes.task_topics_node import TaskTopics
-from surg_sim.physics.hand_guiding import HandGuiding
+from surg_sim.nodes.tick_clock import TickClock
+from surg_sim.physics.hand_guiding import guided_home
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.world import World
 
 _STATUS_PERIOD = 0.2  # [s] wall clock
-_LATE = 0.05  # [s] free-run drops its backlog when it is later than this
 
 
 class Bridge:
@@ -55,16 +55,14 @@ class Bridge:
         self._deterministic = self.lockstep
         self._done = False
         self._aborted: str | None = None
-        self._start_ns = 0
-        self._overruns = 0
-        self._behind = 0  # free-run: ticks that are already due after this one
+        self._clock = TickClock()  # of free-run
         self._exposures = ExposureSchedule(wait_for_renderer=not self.lockstep)
         self._status = rospy.Publisher("/sim/status", SimStatus, queue_size=10, latch=True)
         self._ready = rospy.Subscriber("/sim/ready", Ready, self._on_ready, tcp_nodelay=True)
         rospy.Subscriber("/sim/undeclared", String, self._on_undeclared)
         if settings.inject:
             rospy.Subscriber("/sim/inject", String, self._on_inject)
-        self._guided: dict[str, HandGuiding] = {}
+        self._guided: set[str] = set()  # arms that a person leads home
         rospy.Subscriber("/sim/guide_home", String, self._on_guide_home)
         self._wanted = False  # free-run: another episode, at the next tick where one may begin
         rospy.Subscriber("/sim/new_episode", Empty, self._on_new_episode)
@@ -145,7 +143,7 @@ class Bridge:
             )
             return
         rospy.loginfo(f"{name}: guided home by hand")
-        self._guided[name] = HandGuiding(self._world.cell.arms[name].robot.home)
+        self._guided.add(name)
 
     def _on_new_episode(self, _: Empty) -> None:
         """Begin another episode soon; its arms are at home at once, so controllers must be off."""
@@ -153,15 +151,6 @@ class Bridge:
             rospy.logwarn("/sim/new_episode: needs a task, in real time (~mode freerun)")
             return
         self._wanted = True
-
-    def _begin_episode(self) -> None:
-        """Reset the world by the next seed; its ticks go on, for receivers take none twice."""
-        assert self._task is not None
-        self._wanted, tick = False, self._world.tick
-        self._task.begin(self._task.seed + 1)
-        self._world.tick = tick
-        self._guided.clear()
-        rospy.loginfo(f"a new episode, seed {self._task.seed}")
 
     # --- what goes out ----------------------------------------------------------------------
 
@@ -172,7 +161,8 @@ class Bridge:
         last = self._lockstep_run.finished()
         try:
             if self._step() or last:
-                self._end()
+                self._done = True
+                self._publish_status()
                 return
             self._states.publish(self._world.tick * TICK_NS)
         except Exception as error:  # a task may be user code: name its error and end the run
@@ -190,7 +180,7 @@ class Bridge:
 
     def _step(self) -> bool:
         """Execute the present tick; returns whether the episode ends with it."""
-        arrived = {arm.name: arm.take_commands(self._behind) for arm in self._arms}
+        arrived = {arm.name: arm.take_commands(self._clock.behind) for arm in self._arms}
         commands = self._guide(self._injector.commands(arrived))
         if self._task is None:
             self._world.step(commands)
@@ -200,24 +190,23 @@ class Bridge:
         over = self._task.verdict.done and (self.lockstep or not self._settings.endless)
         self._world.step(commands, self._task.take(tick))
         if self._wanted and self._world.tick % GRID == 1:  # as a world's first tick is
-            self._begin_episode()
+            self._wanted = False
+            self._task.begin_next()
+            self._guided.clear()
+            rospy.loginfo(f"a new episode, seed {self._task.seed}")
         return over or self._task.distrust()
 
     def _guide(self, commands: Mapping[str, ArmCommand]) -> Mapping[str, ArmCommand]:
         """Replace the commands of arms that are guided by hand."""
-        for name, guiding in tuple(self._guided.items()):
-            guided = guiding.guide(self._world.state(name).q, commands.get(name, ArmCommand()))
+        for name in tuple(self._guided):
+            home, q = self._world.cell.arms[name].robot.home, self._world.state(name).q
+            guided = guided_home(home, q, commands.get(name, ArmCommand()))
             if guided is None:
-                del self._guided[name]
+                self._guided.discard(name)
                 rospy.loginfo(f"{name}: hand guiding has ended")
             else:
                 commands = {**commands, name: guided}
         return commands
-
-    def _end(self) -> None:
-        """Note that the last tick has been executed; with the lock held."""
-        self._done = True
-        self._publish_status()
 
     def _publish_status(self) -> None:
         # While running, the tick of the published state; at the end, the last executed one.
@@ -234,7 +223,7 @@ class Bridge:
             sim_time=tick * TICK_NS / SECOND_NS,
             deterministic=self._deterministic,
             state_hash=self._world.hash if self.lockstep else "",
-            overruns=self._overruns,
+            overruns=self._clock.overruns,
             faults=self._injector.active,
             task=self._task.status() if self._task else TaskStatus(state=TaskStatus.STATE_NONE),
         )
@@ -296,24 +285,14 @@ class Bridge:
                     return
 
     def _free_run(self) -> None:
-        """Tick at 500 Hz by the steady clock; stamps are start + k * 2 ms of wall time."""
-        self._start_ns = time.time_ns() - self._world.tick * TICK_NS
-        deadline = time.monotonic()
-        period = TICK_NS / SECOND_NS
+        """Tick by the steady clock."""
+        self._clock.begin(self._world.tick, time.monotonic(), time.time_ns())
         while not rospy.is_shutdown():
-            deadline += period
-            left = deadline - time.monotonic()
-            self._behind = int(max(-left, 0.0) / period)
-            if left > 0:
+            if (left := self._clock.next(time.monotonic())) > 0.0:
                 time.sleep(left)
-            elif left < -_LATE:
-                # The machine stalled: drop the backlog, in time and in stamps.
-                self._overruns += 1
-                deadline -= left
-                self._behind = 0
-                self._start_ns -= int(left * SECOND_NS)
             with self._lock:
                 if self._step():
-                    self._end()
+                    self._done = True
+                    self._publish_status()
                     return
-                self._states.publish(self._start_ns + self._world.tick * TICK_NS)
+                self._states.publish(self._clock.stamp_ns(self._world.tick))

@@ -74,11 +74,12 @@ class TaskTopics:
         self.verdict = self._judged()
         """How the episode stands at the state that is out."""
 
-    def begin(self, seed: int) -> None:
-        """Begin the episode that a seed draws, with the arms at home."""
-        self.seed = seed
-        self._world.reset(seed)
+    def begin_next(self) -> None:
+        """Begin the next seed's episode, arms at home; ticks go on: receivers take none twice."""
+        self.seed, tick = self.seed + 1, self._world.tick
+        self._world.reset(self.seed)
         self.verdict = self._judged()
+        self._world.tick = tick
 
     def _judged(self) -> Verdict:
         """How the task stands."""
