@@ -321,7 +321,7 @@ def test_a_command_that_is_moved_aside_is_led_back(policy: image_policy.ImagePol
 def test_acting_step_by_step_is_what_was_trained(policy: image_policy.ImagePolicy) -> None:
     """The memory included: chunks one by one are those of the whole episode."""
     shown = made.episode(99)
-    columns = image_policy.state_columns(STATE)
+    columns = observed_features.state_columns(STATE)
     for _ in range(2):  # the second time after a reset
         policy.reset("", None)
         said: list[np.ndarray] = []
