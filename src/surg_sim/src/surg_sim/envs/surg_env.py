@@ -182,18 +182,10 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         """
         if self._tick is None or self._tick.verdict.done:
             raise RuntimeError("no episode: call reset() first")
-        return self._stepped(self._advance(Action(arms=self._spaces.commands(action, self._tick))))
-
-    def _stepped(self, reward: float) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        assert self._tick is not None
+        reward = self._advance(Action(arms=self._spaces.commands(action, self._tick)))
         verdict = self._tick.verdict
-        return (
-            self._observation(),
-            reward,
-            verdict.done and not verdict.timeout,
-            verdict.timeout,
-            self._info(),
-        )
+        ended = verdict.done and not verdict.timeout
+        return self._observation(), reward, ended, verdict.timeout, self._info()
 
     def _advance(self, action: Action) -> float:
         """Tick to the next grid time or to the end; returns the reward of these ticks."""

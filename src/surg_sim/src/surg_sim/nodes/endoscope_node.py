@@ -144,22 +144,6 @@ class Endoscope:
             self._ready.publish(rendered)
 
 
-def make_world(settings: EndoscopeSettings, cell: surg_core.Cell) -> World:
-    """Build the bridge's scene with visuals.
-
-    Raises:
-        ValueError: It cannot be built.
-    """
-    return World(
-        cell,
-        settings.seed,
-        visuals=True,
-        arms=settings.arms,
-        setting=patient_settings.find_setting(settings.setting) if settings.setting else None,
-        task=tasks.load(settings.task) if settings.task else None,
-    )
-
-
 def main() -> int:
     """Entry point; returns the exit code (0 done, 1 no OpenGL, 2 broken configuration)."""
     rospy.init_node("endoscope")
@@ -168,7 +152,14 @@ def main() -> int:
         cell = surg_core.load_cell(settings.cell)
         size = (settings.width, settings.height)
         lenses = {view: measured_lens(cell, view, size) for view in settings.views}
-        world = make_world(settings, cell)
+        world = World(
+            cell,
+            settings.seed,
+            visuals=True,
+            arms=settings.arms,
+            setting=patient_settings.find_setting(settings.setting) if settings.setting else None,
+            task=tasks.load(settings.task) if settings.task else None,
+        )
         renderer = EndoscopeRenderer(world, settings.views, *size, settings.vignette)
     except (ValueError, OSError) as error:
         print(f"surg_sim: {error}", file=sys.stderr, flush=True)

@@ -52,13 +52,7 @@ class EyeOptions:
 class Trained:
     """The network of an `Eye` in PyTorch, while it is trained."""
 
-    def __init__(
-        self,
-        options: EyeOptions,
-        rng: np.random.Generator,
-        start: Sequence[tuple[Array, Array]],
-        device: str,
-    ) -> None:
+    def __init__(self, options: EyeOptions, rng: np.random.Generator, device: str) -> None:
         self._torch = torch = pytorch()
         self._device = device
         shapes: list[tuple[int, ...]] = []
@@ -76,8 +70,6 @@ class Trained:
             array = scale * rng.standard_normal(shape)
             self.weights.append(torch.tensor(array, dtype=torch.float32))
         self.weights[-1] *= 0.1
-        for i, (array, _) in enumerate(start):
-            self.weights[i] = torch.tensor(array.transpose(3, 2, 0, 1).copy())
         # Drawn on the processor, so that a seed means the same on every device.
         self.weights = [weight.to(device) for weight in self.weights]
         self.biases = [torch.zeros(shape[0], device=device) for shape in shapes]
@@ -193,7 +185,6 @@ def train_eye(
     options: EyeOptions,
     seed: int,
     progress: Callable[[float, str], None] = lambda part, note: None,
-    start: Sequence[tuple[Array, Array]] = (),
     device: str = "cpu",
 ) -> Eye:
     """Train on N pictures.
@@ -204,7 +195,6 @@ def train_eye(
         options: See there.
         seed: Of weights, batches and noise.
         progress: Called with the finished share and a note.
-        start: Weights and biases to begin with, of the first layers.
         device: Of `device_for`.
 
     Raises:
@@ -213,7 +203,7 @@ def train_eye(
     torch = pytorch()
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
-    network = Trained(options, rng, start, device)
+    network = Trained(options, rng, device)
     parameters = network.parameters
     adam = torch.optim.AdamW(parameters, lr=options.rate, weight_decay=options.decay)
     vary = Varied(torch, SIDE, options.looks, inside_of(views), seed, device)

@@ -44,17 +44,10 @@ class Adam:
         self._p -= buffer
 
 
-def huber(error: Array) -> tuple[float, Array]:
-    """Mean Huber loss (linear above 0.5) of errors, and its derivative by each error."""
-    bounded = np.clip(error, -0.5, 0.5)
-    loss = float(np.mean(bounded * (error - 0.5 * bounded)))
-    return loss, bounded / error.dtype.type(error.size)
-
-
 def gradient_of(
     network: Network, grads: Sequence[tuple[Array, Array]], x: Array, target: Array
 ) -> float:
-    """Mean Huber loss of a batch; writes the gradient into ``grads``.
+    """Mean Huber loss (linear above 0.5) of a batch; writes the gradient into ``grads``.
 
     Args:
         network: Read only.
@@ -62,41 +55,20 @@ def gradient_of(
         x: (B, n_in), normalised.
         target: (B, n_out), normalised.
     """
-    kept = activations(network, x)
-    loss, back = huber(kept.pop() - target)
-    propagate(network, grads, kept, back)
-    return loss
-
-
-def activations(network: Network, x: Array) -> list[Array]:
-    """Inputs of every layer, then the outputs."""
-    kept = [x]
+    kept = [x]  # inputs of every layer
     for weight, bias in network.layers[:-1]:
         kept.append(np.maximum(kept[-1] @ weight + bias, 0.0))
     weight, bias = network.layers[-1]
-    return [*kept, kept[-1] @ weight + bias]
-
-
-def propagate(
-    network: Network, grads: Sequence[tuple[Array, Array]], kept: Sequence[Array], back: Array
-) -> Array:
-    """Write the gradient of all layers.
-
-    Args:
-        network: Read only.
-        grads: Weight and bias of each layer; written.
-        kept: Inputs of each layer.
-        back: Derivative of the loss by the outputs.
-
-    Returns:
-        Derivative by the first layer's outputs, before its ReLU.
-    """
+    error = kept[-1] @ weight + bias - target
+    bounded = np.clip(error, -0.5, 0.5)
+    loss = float(np.mean(bounded * (error - 0.5 * bounded)))
+    back = bounded / error.dtype.type(error.size)
     for i in range(len(network.layers) - 1, -1, -1):
         np.matmul(kept[i].T, back, out=grads[i][0])
         np.sum(back, axis=0, out=grads[i][1])
         if i:
             back = (back @ network.layers[i][0].T) * (kept[i] > 0)
-    return back
+    return loss
 
 
 def flat_layers(shapes: Sequence[tuple[int, int]]) -> tuple[Array, list[tuple[Array, Array]]]:
