@@ -18,7 +18,7 @@ import pytest
 
 from helpers.policy.bgr_pictures import dataset_folder, image_policy, train_images
 from helpers.policy.policy_server import PolicyServer, spec
-from surg_learn.bgr import observed_features, policy_program
+from surg_learn.bgr import observed_features, serve_policy
 
 PICTURE = image_policy.PICTURE
 Said = Callable[[], str]
@@ -77,7 +77,7 @@ def test_weights_that_do_not_fit_connect_to_nobody(
     file = weights(tmp_path / "w.npz", **head)
     with PolicyServer(spec(pictures=True)) as server:
         words = ["--weights", str(file), "--server", server.address]
-        assert policy_program.serve(image_policy.ImagePolicy, "", words) == 2
+        assert serve_policy.serve(image_policy.ImagePolicy, "", words) == 2
         assert server.heard == []
     told = line()
     assert said in told and str(file) in told
@@ -105,7 +105,7 @@ def test_a_server_that_does_not_fit_is_sent_no_action(
     kind: Any = SimpleNamespace(trainer="train_state.py", load=lambda file: policy)
     with PolicyServer(spec(pictures=pictures)) as server:
         words = ["--weights", "w.npz", "--server", server.address]
-        assert policy_program.serve(kind, "", words) == 1
+        assert serve_policy.serve(kind, "", words) == 1
         assert "ACT" not in [message.kind for _, message in server.heard]
     _, difference, remedy = capsys.readouterr().err.strip().splitlines()
     assert PICTURE in difference and said in difference and "Start the server" in remedy

@@ -25,7 +25,7 @@ from helpers.policy.bgr_cloned import (
 )
 from helpers.policy.bgr_pictures import keypoint_network, picture_augmentation
 from helpers.policy.bgr_synthetic import STATE
-from surg_learn.bgr import observed_features, policy_program
+from surg_learn.bgr import observed_features, serve_policy
 
 SMALL = {
     "width": 8, "places": 8, "model": 32, "heads": 2, "feed": 64, "layers": 1, "latent": 4,
@@ -226,7 +226,7 @@ def test_saved_and_loaded_it_says_the_same(policy: Policy, tmp_path: Path) -> No
     for each in (policy, again):
         each.reset("", None)
     np.testing.assert_array_equal(again.act(seen), policy.act(seen))
-    assert policy_program.wanted(again).observation[LEFT].shape == (120, 120, 3)
+    assert serve_policy.wanted(again).observation[LEFT].shape == (120, 120, 3)
 
 
 def scripted(

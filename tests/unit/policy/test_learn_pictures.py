@@ -27,7 +27,7 @@ from helpers.policy.bgr_pictures import (
 from helpers.policy.bgr_synthetic import STATE, TASK
 from helpers.policy.example_program import said_alone
 from helpers.policy.policy_bench import cell
-from surg_learn.bgr import chunk_policy, observed_features, policy_program, state_policy
+from surg_learn.bgr import chunk_policy, observed_features, serve_policy, state_policy
 from surg_policy_bridge.server import cell_spec
 from surg_policy_client.spec import Spec
 
@@ -516,12 +516,12 @@ def test_weights_that_do_not_fit_are_refused_before_anything_moves(
     with pytest.raises(ValueError, match=r"PSM1/dx.*allowed: PSM1/x"):
         kind.load(file)
     other = kind(policy.network, policy.scales, policy.names, policy.chunk, about)
-    wants = policy_program.wanted(other)
+    wants = serve_policy.wanted(other)
     served = cell_spec.make(cell(), ["PSM1"], "bgr", {"endoscope_left": (480, 640)}, None)
     (said,) = wants.mismatches(served)
     assert "(240, 320, 3)" in said and "(480, 640, 3)" in said
     about["dataset"]["picture"] = [480, 640, 3]
-    assert policy_program.wanted(other).mismatches(served) == []
+    assert serve_policy.wanted(other).mismatches(served) == []
 
 
 def stub_torch(gpu: bool, built: str | None) -> SimpleNamespace:

@@ -24,7 +24,7 @@ from surg_learn.bgr.chunk_policy import ChunkPolicy, weights_of, write_weights
 from surg_learn.bgr.cloned_networks import Answer, Sizes, network_of
 from surg_learn.bgr.keypoint_network import small
 from surg_learn.bgr.observed_features import SET, STATE
-from surg_learn.bgr.policy_program import serve
+from surg_learn.bgr.serve_policy import serve
 
 Array = np.ndarray
 AGAIN = 8

@@ -35,7 +35,7 @@ from surg_learn.bgr.keypoint_network import (
 )
 from surg_learn.bgr.observed_features import LAGS, SET, STATE
 from surg_learn.bgr.picture_memory import Memory, View
-from surg_learn.bgr.policy_program import serve
+from surg_learn.bgr.serve_policy import serve
 
 PICTURE = "observation.images.endoscope.left"
 EYE_LAYERS = len(CONVOLUTIONS) + 4

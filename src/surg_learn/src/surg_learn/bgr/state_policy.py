@@ -17,7 +17,7 @@ import numpy as np
 
 from surg_learn.bgr.chunk_policy import ChunkPolicy
 from surg_learn.bgr.observed_features import FORCE, SET, STATE, TASK, Columns, features
-from surg_learn.bgr.policy_program import serve
+from surg_learn.bgr.serve_policy import serve
 
 
 class Policy(ChunkPolicy):
