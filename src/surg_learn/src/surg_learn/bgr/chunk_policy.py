@@ -181,6 +181,10 @@ class ChunkPolicy:
         self._count = self._asked = self._kept = 0
         self._past: deque[tuple[np.ndarray, ...]] = deque(maxlen=max(LAGS) + 1)
 
+    def act(self, observation: Any) -> np.ndarray | None:
+        """The next actions, (K, 5); None: those of before go on."""
+        raise NotImplementedError
+
     def predict(self, inputs: np.ndarray, last: np.ndarray) -> np.ndarray:
         """Chunks of actions for features.
 
