@@ -1,8 +1,8 @@
 """`./surg teleop [CELL]`: teleoperation of the phantom in real time, with the browser console.
 
 Starts simulator, controllers, endoscope, recorder, the task's scripted assistant, teleoperation and
-console. Beside a system of
-`./surg up`, also one machine's part of it, only teleoperation and console are started.
+console. Beside a system of `./surg up`, also one machine's part of it, only teleoperation and
+console are started.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         )
     place = None if attached is None else _place(attached, options)
     web, fragment = _web(options)
-    plan = _plan(options) if attached is None else _plan_of(attached)
+    plan = _plan(options) if attached is None else operator_nodes.plan_beside(attached)
     preflight.check_space(plan.out)
     logs = paths.SYSTEMS / f"{options.port}_teleop_logs"
     nodes = _operator_nodes(options, plan, web, [] if attached is None else _there(attached))
@@ -230,28 +230,6 @@ def _language_of(loaded: Any, task: str, setting: str) -> dict[str, Any]:
         return found.language()
     except ValueError as error:  # a TaskError is one
         raise CliError(str(error), 2) from error
-
-
-def _plan_of(attached: running.System) -> SystemPlan:
-    """The plan of a running system, as far as the operator's nodes need it."""
-    uri, cell = attached.master_uri, Path(attached.cell)
-
-    def parameter(name: str) -> str:
-        return str(master.parameter(uri, name) or "")
-
-    topics = master.publications(uri)
-    views = ("left", "right")
-    # The recorder's folder may be on another machine: then its episodes are not listed.
-    out = parameter("/recorder/out")
-    return SystemPlan(
-        cell=cell,
-        arms=tuple(str(name) for name in cells.load(cell).arms),
-        lockstep=False,
-        cameras=tuple(view for view in views if f"/endoscope/{view}/image_raw" in topics),
-        out=Path(out).parent,
-        record=bool(out),
-        task=parameter("/sim/task"),
-    )
 
 
 def _phantom(plan: SystemPlan) -> list[Node]:

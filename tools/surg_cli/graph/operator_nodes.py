@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from surg_cli.graph import master, running
 from surg_cli.graph.system import Node, has_room
 from surg_cli.graph.system_plan import ENDOSCOPE, SystemPlan
 from surg_cli.host import cells
@@ -18,6 +19,28 @@ ASSISTANT = "assistant"
 """The instrument of a task that has no controller (docs/reference/tasks.md)."""
 TELEOP, CONSOLE = "/teleop", "/console"
 WEB_PORT = 8090
+
+
+def plan_beside(attached: running.System) -> SystemPlan:
+    """The plan of a running system, as far as the operator's nodes need it."""
+    uri, cell = attached.master_uri, Path(attached.cell)
+
+    def parameter(name: str) -> str:
+        return str(master.parameter(uri, name) or "")
+
+    topics = master.publications(uri)
+    views = ("left", "right")
+    # The recorder's folder may be on another machine: then its episodes are not listed.
+    out = parameter("/recorder/out")
+    return SystemPlan(
+        cell=cell,
+        arms=tuple(str(name) for name in cells.load(cell).arms),
+        lockstep=False,
+        cameras=tuple(view for view in views if f"/endoscope/{view}/image_raw" in topics),
+        out=Path(out).parent,
+        record=bool(out),
+        task=parameter("/sim/task"),
+    )
 
 
 def teleoperation(
