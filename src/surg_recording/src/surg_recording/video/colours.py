@@ -23,22 +23,25 @@ class Colours:
         """``rotation``: clockwise, before a picture is shown; 0, 90, 180 or 270 [degrees]."""
         self._quarters = rotation // 90
         self._kind: tuple[int, int, str] | None = None
-        self._ends: tuple[Any, Any] | None = None
+        self._graph: tuple[Any, Any, Any] | None = None
 
     def __call__(self, frame: av.VideoFrame) -> NDArray[np.uint8]:
         """A decoded frame as (height, width, 3), upright."""
         kind = (frame.width, frame.height, frame.format.name)
         if kind != self._kind:
-            self._kind, self._ends = kind, _graph(frame)
-        assert self._ends is not None
-        source, sink = self._ends
+            self._kind, self._graph = kind, _graph(frame)
+        assert self._graph is not None
+        _, source, sink = self._graph
         source.push(frame)
         picture = sink.pull().to_ndarray()
         return np.ascontiguousarray(np.rot90(picture, -self._quarters))
 
 
-def _graph(frame: av.VideoFrame) -> tuple[Any, Any]:
-    """Where frames of this size and format go in, and where RGB comes out."""
+def _graph(frame: av.VideoFrame) -> tuple[Any, Any, Any]:
+    """A graph, where frames of this size and format go in, and where RGB comes out.
+
+    Both ends die with the graph, which they do not hold (PyAV 14).
+    """
     graph = av.filter.Graph()
     kind = {"width": frame.width, "height": frame.height, "format": frame.format}
     source = graph.add_buffer(**kind, time_base=frame.time_base)
@@ -48,7 +51,7 @@ def _graph(frame: av.VideoFrame) -> tuple[Any, Any]:
     scale.link_to(shape)
     shape.link_to(sink)
     graph.configure()
-    return source, sink
+    return graph, source, sink
 
 
 def rotation_of(path: Path) -> int:
