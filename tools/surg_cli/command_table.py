@@ -223,13 +223,16 @@ def parse(name: str, words: Sequence[str]) -> tuple[argparse.Namespace, Callable
         SystemExit: An option or argument is wrong otherwise; argparse has printed why.
     """
     own, main = parser(name)
-    for word in words:
+    mine = options_of(name)
+    for word in words:  # before argparse, which could take the value behind it for an argument
         if cure := moved.ARGUMENTS.get((name, word), ""):
             raise CliError(f"{name} {word} is now {cure}", 2)
-    options, unknown = own.parse_known_args(words)
-    for word in unknown:
         option = word.partition("=")[0]
-        if (cure := moved.OPTIONS.get((name, option), "")) or (cure := commands_with(option)):
+        if option not in mine and (cure := moved.OPTIONS.get((name, option), "")):
+            raise CliError(f"{name} has no option {option}; use {cure}", 2)
+    options, unknown = own.parse_known_args(words)
+    for option in (word.partition("=")[0] for word in unknown):
+        if cure := commands_with(option):
             raise CliError(f"{name} has no option {option}; use {cure}", 2)
     if unknown:
         own.error(f"unrecognized arguments: {' '.join(unknown)}")
