@@ -111,7 +111,7 @@ MAP: Mapping[str, Any] = {
 
 def number_picture(number: int) -> np.ndarray[Any, Any]:
     """A picture (height, width, 3) whose grey says a number below 47, also after a codec."""
-    return np.full((FRAME[1], FRAME[0], 3), 20 + 5 * number, np.uint8)
+    return np.full((FRAME[1], FRAME[0], 3), (20 + 5 * number) % 256, np.uint8)
 
 
 def shown_number(image: np.ndarray[Any, Any]) -> int:

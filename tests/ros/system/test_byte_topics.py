@@ -126,6 +126,22 @@ def test_a_latched_message_reaches_who_comes_later(rospy_node: str, ros_graph: R
     out.publisher.unregister()
 
 
+def connected() -> tuple[socket.socket, socket.socket]:
+    """Both ends of a connection by TCP, which takes parts of a message."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        far = socket.socket()
+        far.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        far.connect(server.getsockname())
+        return server.accept()[0], far
+
+
+class Connection:
+    """What a publisher has of rospy for each subscriber."""
+
+    def __init__(self, near: socket.socket) -> None:
+        self.socket, self.close = near, near.close
+
+
 class Ears:
     """Subscribers' ends of a publisher that has no graph."""
 
@@ -134,7 +150,7 @@ class Ears:
 
         from surg_ros import byte_topics
 
-        pairs = [socket.socketpair() for _ in range(count)]
+        pairs = [connected() for _ in range(count)]
         for near, far in pairs:
             near.setblocking(True)  # as rospy leaves them behind the header
             near.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
@@ -142,7 +158,7 @@ class Ears:
         self.far = [far for _, far in pairs]
         self.heard = [b""] * count
         self.impl = SimpleNamespace(
-            connections=[SimpleNamespace(socket=near, close=near.close) for near, _ in pairs],
+            connections=[Connection(near) for near, _ in pairs],
             remove_connection=lambda gone: setattr(
                 self.impl, "connections", [c for c in self.impl.connections if c is not gone]
             ),

@@ -291,7 +291,11 @@ def test_colours_and_rotation_follow_the_tags(
         import subprocess
 
         plain = path.rename(path.with_suffix(".plain.mp4"))
-        copied = ["-i", str(plain), "-c", "copy", "-metadata:s:v", f"rotate={turn}", str(path)]
+        said = subprocess.run(["ffmpeg", "-version"], capture_output=True, text=True, check=True)
+        old = int(said.stdout.split()[2].split(".")[0]) < 6
+        given = [] if old else ["-display_rotation", str(-turn)]
+        kept = ["-metadata:s:v", f"rotate={turn}"] if old else []
+        copied = [*given, "-i", str(plain), "-c", "copy", *kept, str(path)]
         subprocess.run(["ffmpeg", "-v", "error", *copied], check=True)
     size = (48, 64) if turn in (0, 180) else (64, 48)
     shown_by_ffmpeg = ffmpeg_shows(path, size)
