@@ -176,9 +176,10 @@ def test_a_page_is_a_leader_on_topics(ros_graph: RosGraph, rospy_node: str, tmp_
 
             found.hand = {"hand": "rate", "v": [0.01, 0, 0.02], "roll_rate": -0.5, "clutch": True}
             await when(lambda: bench.hand["mapping"] == "rate", "the other mapping")
+            await when(lambda: bench.of("/browser/measured_cv"), "the twist")
             twist = bench.of("/browser/measured_cv")[-1].twist
             assert (twist.linear.x, twist.linear.z, twist.angular.z) == (0.01, 0.02, -0.5)
-            assert bench.of("/console/clutch")[-1].buttons[0] == 1
+            await when(lambda: any(m.buttons[0] for m in bench.of("/console/clutch")), "the clutch")
 
             await found.say("scale", value=0.4)
             await found.press("record")
