@@ -18,6 +18,7 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import metadata
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -44,6 +45,14 @@ class PluginError(ValueError):
         """Joins the parts to one sentence."""
         super().__init__(f"{where}: {what}; {cure}")
         self.where, self.what, self.cure = where, what, cure
+
+
+class _Uncached(SourceFileLoader):
+    """Reads the text each time: byte code kept by the second and the size may be of another one."""
+
+    def path_stats(self, path: str) -> Any:
+        """Refuse, so that no byte code is read or left beside a person's file."""
+        raise OSError(path)
 
 
 @dataclass(frozen=True)
@@ -113,7 +122,8 @@ class PluginKind:
                 str(path), "there is no such file", f"known names are {', '.join(self.names())}"
             )
         name = f"{_FROM_FILE}{self.group.replace('.', '_')}_{path.stem}"
-        spec = importlib.util.spec_from_file_location(name, path)
+        loader = _Uncached(name, str(path))
+        spec = importlib.util.spec_from_file_location(name, path, loader=loader)
         assert spec is not None and spec.loader is not None  # of a file that ends in .py
         module = importlib.util.module_from_spec(spec)
         sys.modules[name] = module  # dataclasses look their module up
