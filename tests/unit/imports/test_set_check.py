@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from helpers.recording.foreign_sources import Rows, write_set, write_video
@@ -253,3 +255,18 @@ def test_a_file_that_is_broken_is_a_finding_not_the_end(tmp_path: Path) -> None:
         (0, "cannot be read"),
         (2, "cannot be read"),
     ]
+
+
+def test_pictures_in_the_table_and_in_files_beside_it_are_seen(tmp_path: Path) -> None:
+    root = write_set(tmp_path / "set", [Rows(40, 20)], camera="image")
+    assert "pictures are missing" not in {each.kind for each in set_check.check(root)}
+    (file,) = (root / "data").rglob("*.parquet")
+    rows = pq.read_table(file).to_pylist()
+    for k, row in enumerate(rows):
+        (root / f"{k}.png").write_bytes(row["observation.images.cam"]["bytes"])
+        row["observation.images.cam"] = {"bytes": None, "path": f"{k}.png"}
+    pq.write_table(pa.Table.from_pylist(rows), file)
+    assert "pictures are missing" not in {each.kind for each in set_check.check(root)}
+    (root / "7.png").unlink()
+    found = {each.kind: each.what for each in set_check.check(root)}
+    assert found["pictures are missing"] == "1 of 40 rows have none"

@@ -208,7 +208,7 @@ def made(settings: DriverSettings, node: socket.socket) -> AdapterDriver:
         adapter = load(settings.driver)(settings.address, settings.options)
     except ModuleNotFoundError as error:
         python = ".".join(map(str, sys.version_info[:2]))
-        raise RobotRefused(f"{error}: packages.lock has none for Python {python}") from error
+        raise RobotRefused(f"{error} in the driver's Python {python}") from error
     except (ValueError, ImportError) as error:
         raise RobotRefused(str(error)) from error
     return AdapterDriver(settings, node, adapter)

@@ -111,7 +111,7 @@ def _pictures(
         decoder = PictureDecoder(camera, ledger)
         ledger.hold(camera, len(times))
         if data.features[feature]["dtype"] == "image":
-            made = _stored(data, table, feature, camera, ledger)
+            made = stored_pictures(data, table, feature, camera, ledger)
         else:
             shown = data.pictures(episode, feature, seconds, camera, ledger)
             made = ((row, image_message(image, rgb=True)) for row, image in shown)
@@ -122,7 +122,7 @@ def _pictures(
                 yield Picture(camera, ready, int(times[row]))
 
 
-def _stored(
+def stored_pictures(
     data: LeRobotData, table: Any, feature: str, camera: str, ledger: Ledger
 ) -> Iterator[tuple[int, SimpleNamespace]]:
     """Pictures in the table itself: compressed, or in a file of the data set beside it."""

@@ -14,6 +14,7 @@ from PIL import Image
 
 from surg_core.contract import ACTION_KEY, STATE_KEY
 from surg_recording.imports.ledger import Ledger
+from surg_recording.imports.lerobot_reader import stored_pictures
 from surg_recording.imports.lerobot_set import LeRobotData, names_of
 from surg_recording.quality import picture_checks, row_checks
 from surg_recording.quality.set_rows import (
@@ -108,17 +109,15 @@ def pictures_of(data: LeRobotData, rows: EpisodeRows, camera: str) -> EpisodePic
         EpisodeError: Its video cannot be read.
     """
     places, small = [], []
+    ledger = Ledger()  # what is missing is counted by its rows
     if data.features[camera].get("dtype") == "video":
-        ledger = Ledger()
-        ledger.hold(camera, len(rows.times))
-        for row, image in data.pictures(rows.number, camera, rows.times, camera, ledger):
-            places.append(row)
-            small.append(_small(image))
+        pictures = data.pictures(rows.number, camera, rows.times, camera, ledger)
     else:
-        for row, stored in enumerate(data.table(rows.number).column(camera).to_pylist()):
-            if stored and stored.get("bytes"):
-                places.append(row)
-                small.append(_small(_decoded(stored["bytes"], camera)))
+        stored = stored_pictures(data, data.table(rows.number), camera, camera, ledger)
+        pictures = ((row, _decoded(found.data, camera)) for row, found in stored)
+    for row, image in pictures:
+        places.append(row)
+        small.append(_small(image))
     kept = np.array(small, np.uint8).reshape(-1, HEIGHT, WIDTH)
     return EpisodePictures(camera, np.array(places, np.int64), kept)
 
