@@ -139,6 +139,9 @@ REFUSED: dict[str, tuple[Edit, str, str]] = {
         "hardware.tool_link", "'passive'",
     ),
     "a passive instrument": (hardware(tool_link="none"), "hardware.tool_link", "'none'"),
+    "a drive for a passive instrument": (
+        hardware(tool_link="drive"), "hardware.tool_link", "'drive'",
+    ),
     "seven joints": (
         lambda arm: arm.update(robot=arm["robot"].replace("ur5e", "panda")), "arms.PSM1.link", "7",
     ),

@@ -184,7 +184,7 @@ struct CellHardware {
   std::string serial;       ///< of the robot; another arm is refused
   double payload_mass = 0;  ///< [kg] that the robot must have set
   Vector3 payload_cog;      ///< [m] in the robot's flange frame
-  std::string tool_link;    ///< "passive": no drive; "none": another node speaks tool/...
+  std::string tool_link;    ///< "passive", "drive": drive_<arm>.yaml; "none": another node
   int realtime = 0;         ///< priority of the driver
   // Needed at a real address, unless it is being commissioned.
   int calibration_days = 0;  ///< [d] an older calibration is refused; 0: not stated

@@ -253,7 +253,7 @@ void bind_cell(py::module_& m) {
       .def_readonly("serial", &CellHardware::serial)
       .def_readonly("payload_mass", &CellHardware::payload_mass, "[kg]")
       .def_property_readonly("payload_cog", array_of(&CellHardware::payload_cog), "[m] (3,)")
-      .def_readonly("tool_link", &CellHardware::tool_link, "passive or none.")
+      .def_readonly("tool_link", &CellHardware::tool_link, "passive, drive or none.")
       .def_readonly("realtime", &CellHardware::realtime, "Priority of the driver.")
       .def_readonly("calibration_days", &CellHardware::calibration_days, "0: not stated.")
       .def_readonly("link_lag", &CellHardware::link_lag,

@@ -121,7 +121,7 @@ std::optional<CellHardware> read_hardware(Reader& reader, const CellArm& arm) {
   hardware.serial = reader.word(prefix + "serial");
   hardware.payload_mass = reader.real(prefix + "payload.mass", 0.0, kHeaviestPayload, "kg");
   hardware.payload_cog = reader.vector(prefix + "payload.cog", kFarthestPayload, "m");
-  hardware.tool_link = reader.choice(prefix + "tool_link", {"passive", "none"});
+  hardware.tool_link = reader.choice(prefix + "tool_link", {"passive", "drive", "none"});
   hardware.realtime = static_cast<int>(
       reader.real(prefix + "realtime", kPriorities[0], kPriorities[1], "(SCHED_FIFO)"));
   if (reader.has(prefix + "calibration_days")) {
@@ -426,7 +426,8 @@ void check_hardware(const CellArm& arm, const RobotConfig& robot,
     throw ConfigError(key + ".tool_link: '" + arm.hardware->tool_link + "', and " +
                       instrument.file +
                       " states passive: " + (instrument.passive ? "true" : "false") +
-                      "; allowed is 'passive' with a passive instrument, 'none' with another");
+                      "; allowed is 'passive' with a passive instrument, 'drive' or 'none' with "
+                      "another");
   }
   if (arm.hardware->emulated() || arm.hardware->commissioning) return;
   check_calibration(*arm.hardware, "tool", tool, key, today);
