@@ -1,0 +1,1 @@
+"""The instrument's drive: servos with Dynamixel protocol 2.0 that turn wrist and jaws."""
