@@ -55,6 +55,7 @@ USED = {
     "record.py": {"name"},
     "link_node.py": {"warning"},
     "force_node.py": {"status", "warning"},
+    "drive_node.py": {"warning"},
     "robot_request.py": {"warning"},
 }
 """File -> last part of the topics that it offers or takes as std_msgs/String."""

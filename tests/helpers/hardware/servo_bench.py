@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,15 +11,14 @@ from typing import Any
 import yaml
 from dynamixel_sdk.port_handler import PortHandler
 
+from surg_cli.host import paths
 from surg_emulators.drive.servo_line import ServoLine
 from surg_emulators.drive.servo_motor import Servo
 from surg_hardware.drive.drive_file import DriveFile, load_drive
+from surg_hardware.drive.drive_session import PERIOD, DriveSession
 from surg_hardware.drive.dynamixel_bus import DynamixelBus
-from surg_hardware.drive.instrument_drive import DriveState, InstrumentDrive
-from surg_hardware.drive.motor_values import DriveFailed, Failure
+from surg_hardware.drive.instrument_drive import DriveState
 
-CYCLE = 0.01
-"""[s]"""
 LOOK = 0.0002
 """[s] Between two looks at a silent line."""
 MOTOR = {
@@ -42,7 +43,7 @@ OFFSETS = {1: 2.0, 2: -1.0, 3: 5.5}
 def drive_file(folder: Path, document: Mapping[str, Any] = DRIVE) -> DriveFile:
     """The drive of a document, from a file."""
     path = folder / "drive_PSM1.yaml"
-    path.write_text(yaml.safe_dump(dict(document)), "utf-8")
+    path.write_text(json.dumps(document, indent=1), "utf-8")  # JSON is YAML
     return load_drive(path)
 
 
@@ -96,7 +97,8 @@ class MemoryPort(PortHandler):  # type: ignore[misc]
         """Send; takes its time on the line."""
         if self.unplugged:
             raise OSError("unplugged")
-        self.wait(self.time + 1e-3 * self.tx_time_per_byte * len(packet))
+        sent = 1e-3 * self.tx_time_per_byte * len(packet)
+        self.wait(max(self.time, self.line.now) + sent)
         self._coming += self.line.receive(bytes(packet), self.time, self.baudrate)
         return len(packet)
 
@@ -114,46 +116,53 @@ class MemoryPort(PortHandler):  # type: ignore[misc]
 
 
 class ServoBench:
-    """Drive, bus and servos; `cycle` is one cycle of the node."""
+    """A session with emulated servos; `cycle` is one cycle of the node."""
 
     def __init__(self, drive: DriveFile, motors: list[Servo] | None = None) -> None:
-        self.file = drive
         self.line = ServoLine(motors or servos())
         self.port = MemoryPort(self.line, drive.baud)
-        self.bus = DynamixelBus(drive, self.port)
-        self.core = InstrumentDrive(drive)
+        self.session = DriveSession(drive, lambda: self.port, lambda: self.port.time)
+        self.core = self.session.core
         self.cycles = 0
 
-    def connect(self) -> None:
-        """Prepare the motors, as the node does."""
-        self.bus.prepare()
-        self.core.identified(self.port.time)
+    @property
+    def bus(self) -> DynamixelBus:
+        """Of the session, while it is connected."""
+        assert self.session.bus is not None, self.core.status
+        return self.session.bus
 
     def cycle(self) -> None:
         """Exchange with the motors and judge; then wait for the next cycle."""
         begun = self.port.time
-        try:
-            readings = self.bus.exchange(self.core.orders)
-            self.core.step(self.port.time, readings)
-        except DriveFailed as error:
-            self.core.fail(error)
-        except OSError:
-            self.core.fail(DriveFailed(Failure.UNPLUGGED))
+        self.session.cycle()
         self.cycles += 1
-        self.port.wait(begun + CYCLE)
+        self.port.wait(begun + PERIOD)
 
-    def until(self, condition: Callable[[], bool], seconds: float) -> float:
-        """Cycle until something holds; returns how long it took [s], infinite: it never did."""
+    def until(self, condition: Callable[[], bool], seconds: float) -> bool:
+        """Cycle until something holds, or for a time [s]; whether it holds."""
         begun = self.port.time
-        while not condition():
-            if self.port.time - begun > seconds:
-                return float("inf")
+        while not condition() and self.port.time - begun < seconds:
             self.cycle()
-        return self.port.time - begun
+        return condition()
 
     def homed(self) -> None:
         """Connect and home."""
-        self.connect()
-        self.core.home()
-        took = self.until(lambda: self.core.status.state is not DriveState.HOMING, 60.0)
-        assert self.core.status.state is DriveState.HOMED, (took, self.core.status)
+        self.session.home()
+        self.until(lambda: self.core.status.state is not DriveState.HOMING, 60.0)
+        assert self.core.status.state is DriveState.HOMED, self.core.status
+
+
+def emulated_drive_cell(folder: Path, document: Mapping[str, Any] = DRIVE) -> Path:
+    """The emulated UR5e with a grasper that has a drive; returns the cell's folder."""
+    cell = folder / "cells" / folder.name
+    shutil.copytree(paths.CELLS / "emulated_ur5e", cell)
+    (folder / "src").mkdir()
+    (folder / "src" / "surg_description").symlink_to(paths.ROOT / "src" / "surg_description")
+    file = cell / "cell.yaml"
+    stated = yaml.safe_load(file.read_text("utf-8"))
+    arm = stated["arms"]["PSM1"]
+    arm["instrument"] = arm["instrument"].replace("grasper_fixed", "grasper")
+    arm["hardware"]["tool_link"] = "drive"
+    file.write_text(yaml.safe_dump(stated), "utf-8")
+    drive_file(cell, document)
+    return cell

@@ -79,15 +79,15 @@ def test_the_page_is_that_of_the_contract(contract: Contract) -> None:
 def test_nobody_offers_a_topic_twice(contract: Contract) -> None:
     """The compatibility node must not shadow a topic of the controller.
 
-    The two leader nodes offer the same: one of them has a leader's name. So do simulator and link:
-    an arm has one of them. In real time the simulator leaves an arm's forces to its sensor.
+    The two leader nodes offer the same: one of them has a leader's name. So do simulator and link
+    with drive: an arm has one of them. In real time the simulator leaves an arm's forces to its sensor.
     """
-    robots = (("link", "force"), ("sim",))
+    robots = (("link", "force", "drive"), ("sim",))
     for leader, robot in itertools.product(("leader", "lambda7"), robots):
         entries = [entry for entry in contract.entries if entry.node not in (leader, *robot)]
-        # Anybody warns, each node states its own frames, and the teleoperation listens to all.
+        # Anybody warns, each node states its own frames; teleoperation and drive listen to others.
         own = [e for e in entries if e.name not in ("<arm>/warning", "/tf_static")]
-        own = [e for e in own if (e.node, e.direction) != ("teleop", "in")]
+        own = [e for e in own if e.node not in ("teleop", "drive") or e.direction != "in"]
         ends = [(e.name, e.direction) for e in own]
         assert sorted(ends) == sorted(set(ends))
 

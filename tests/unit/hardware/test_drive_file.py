@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 import surg_core
-from helpers.hardware.servo_bench import DRIVE, JAW, drive_file
+from helpers.hardware.servo_bench import DRIVE, JAW, drive_file, emulated_drive_cell
+from surg_cli.host import paths
 from surg_hardware.drive.coupling import Coupling
-from surg_hardware.drive.drive_file import check_jaw
+from surg_hardware.drive.drive_file import drive_of
 
 Edit = Callable[[dict[str, Any]], object]
 
@@ -97,7 +98,19 @@ def test_a_drive_of_the_jaws_alone(tmp_path: Path) -> None:
 
 
 def test_the_drive_must_reach_the_instruments_jaws(tmp_path: Path) -> None:
-    drive = drive_file(tmp_path)
-    check_jaw(drive, 0.0, 0.7)
-    with pytest.raises(surg_core.ConfigError, match=r"motors\.jaw\.limits.*1\.2 rad"):
-        check_jaw(drive, 0.0, 1.2)
+    cell = surg_core.load_cell(emulated_drive_cell(tmp_path))
+    assert drive_of(cell, "PSM1").joints == ("pitch", "yaw", "jaw")
+    document = json.loads(json.dumps(DRIVE))
+    document["motors"]["jaw"]["limits"] = [0.0, 0.5]
+    drive_file(cell.folder, document)
+    with pytest.raises(surg_core.ConfigError, match=r"motors\.jaw\.limits.*\[0, 0\.7\] rad"):
+        drive_of(cell, "PSM1")
+    (cell.folder / "drive_PSM1.yaml").unlink()
+    with pytest.raises(surg_core.ConfigError, match=r"drive_PSM1\.yaml"):
+        drive_of(cell, "PSM1")
+
+
+def test_a_cell_whose_arm_has_no_drive_is_told(tmp_path: Path) -> None:
+    cell = surg_core.load_cell(paths.CELLS / "emulated_ur5e")
+    with pytest.raises(surg_core.ConfigError, match=r"cell\.yaml.*tool_link: is not 'drive'"):
+        drive_of(cell, "PSM1")

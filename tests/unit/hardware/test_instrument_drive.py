@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.hardware.servo_bench import CYCLE, DRIVE, OFFSETS, ServoBench, drive_file, servos
+from helpers.hardware.servo_bench import DRIVE, OFFSETS, ServoBench, drive_file, servos
 from surg_emulators.drive.servo_motor import RAD, TORQUE, Servo
+from surg_hardware.drive.drive_session import PERIOD
 from surg_hardware.drive.instrument_drive import DriveState
 from surg_hardware.drive.motor_values import Failure
 
@@ -32,7 +33,7 @@ def true_joints(bench: ServoBench) -> np.ndarray:
 
 def test_nothing_turns_before_somebody_asks_for_it(bench: ServoBench) -> None:
     before = [servo.position for servo in bench.line.servos]
-    bench.connect()
+    bench.session.connect()
     bench.core.command({"pitch": 1.0, "jaw": 1.0})
     bench.until(lambda: False, 0.5)
     assert bench.core.status.state is DriveState.IDENTIFIED
@@ -58,11 +59,11 @@ def test_the_bus_manages_a_hundred_cycles_a_second(bench: ServoBench) -> None:
     bench.homed()
     begun, cycles = bench.port.time, bench.cycles
     bench.until(lambda: False, 1.0)
-    assert bench.cycles - cycles >= (bench.port.time - begun) / CYCLE - 2
+    assert bench.cycles - cycles >= (bench.port.time - begun) / PERIOD - 2
 
 
 def test_a_bound_of_current_reaches_the_motor(bench: ServoBench) -> None:
-    bench.connect()
+    bench.session.connect()
     assert [servo.get("current_limit") for servo in bench.line.servos] == [223, 223, 149]
     bench.core.home()
     bench.until(lambda: False, 0.2)
@@ -71,14 +72,14 @@ def test_a_bound_of_current_reaches_the_motor(bench: ServoBench) -> None:
 
 def test_a_motor_without_a_stop_ends_the_homing(tmp_path: Path) -> None:
     bench = ServoBench(drive_file(tmp_path), [Servo(i) for i in OFFSETS])
-    bench.connect()
+    bench.session.connect()
     bench.core.home()
     bench.until(lambda: bench.core.status.state is DriveState.FAILED, 10.0)
     assert "motor 1 (pitch): finds no stop (within 2 rad)" in bench.core.status.sentence
 
 
 def test_a_motor_that_stands_without_current_is_not_at_a_stop(bench: ServoBench) -> None:
-    bench.connect()
+    bench.session.connect()
     bench.core.home()
     bench.until(lambda: bench.line.servos[0].table[TORQUE] == 1, 1.0)
     bench.line.servos[0].table[TORQUE] = 0  # its power stage is broken: it says nothing of it
@@ -111,6 +112,16 @@ def test_jaws_that_grip_are_no_stall_and_keep_their_force(bench: ServoBench) -> 
     assert bench.core.status.state is DriveState.FAILED
     assert abs(bench.line.servos[2].get("current")) == 149, "the needle is not dropped"
     bench.line.servos[0].put("temperature", 30)
+
+
+def test_a_cycle_that_stood_still_is_named(bench: ServoBench) -> None:
+    bench.homed()
+    bench.port.wait(bench.port.time + 0.19)
+    bench.cycle()
+    assert bench.core.status.state is DriveState.HOMED
+    bench.port.wait(bench.port.time + 0.21)
+    bench.cycle()
+    assert "motor 1 (pitch): has heard nothing for 0.2 s" in bench.core.status.sentence
 
 
 def test_a_failure_latches_until_the_next_homing(bench: ServoBench) -> None:
@@ -186,7 +197,7 @@ def test_a_drawn_fault_is_named_soon_and_the_jaws_do_as_stated(seed: int, tmp_pa
 def test_an_answer_that_the_sdk_unstuffs_wrongly_counts_as_lost(tmp_path: Path) -> None:
     """FF FF FD, and then FF FD FD in one answer."""
     bench = ServoBench(drive_file(tmp_path))
-    bench.connect()
+    bench.session.connect()
     servo = bench.line.servos[0]
     servo.hears = lambda now, baud: True  # type: ignore[method-assign]
     servo.table[126:136] = bytes.fromhex("FF FF FD 00 00 FF FD FD 00 00")

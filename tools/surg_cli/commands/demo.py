@@ -202,6 +202,7 @@ def _plan(
         lockstep=not options.free_run,
         simulated=() if driven else None,
         driven=(arm,) if driven else (),
+        turned=(arm,) if driven and loaded.hardware.tool_link == "drive" else (),
         cameras=() if options.no_video else ("left",),
         law=options.law,
         link=options.link,

@@ -105,6 +105,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         simulated=simulated,
         sensed=tuple(arm for arm in arms if loaded.arms[arm].force_sensor is not None),
         driven=tuple(arm for arm in arms if loaded.arms[arm].hardware is not None),
+        turned=cells.with_drive(loaded),
         lockstep=lock_step,
         cameras=scope.views,
         capture=scope.capture,

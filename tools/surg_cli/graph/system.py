@@ -119,7 +119,7 @@ def nodes(plan: SystemPlan) -> list[Node]:
             **({"topics": list(POLICY_TOPICS)} if plan.policy is not None else {}),
         }
         started.append(Node(f"/{RECORDER}", "surg_recording", "recorder_node.py", params))
-    return started + force_nodes(plan) + gateways(plan)
+    return started + force_nodes(plan) + drive_nodes(plan) + gateways(plan)
 
 
 def has_room() -> bool:
@@ -147,6 +147,20 @@ def force_nodes(plan: SystemPlan) -> list[Node]:
             prompt=True,
         )
         for arm in (() if plan.lockstep else plan.sensed)
+    ]
+
+
+def drive_nodes(plan: SystemPlan) -> list[Node]:
+    """Nodes that turn the instruments of real and emulated arms."""
+    return [
+        Node(
+            f"/{arm}/drive",
+            "surg_hardware",
+            "drive_node.py",
+            {"cell": str(plan.cell), "arm": arm},
+            drives=True,
+        )
+        for arm in plan.turned
     ]
 
 

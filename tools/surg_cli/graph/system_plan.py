@@ -51,6 +51,7 @@ class SystemPlan:
     simulated: tuple[str, ...] | None = None
     sensed: tuple[str, ...] = ()  # arms with a force sensor at the flange
     driven: tuple[str, ...] = ()  # arms whose link is started: those with `hardware` in the cell
+    turned: tuple[str, ...] = ()  # arms whose instrument has a drive of the platform's
     law: str = "ours"  # "ours", "velocity" or "paper"
     link: str | None = None  # "joint", "twist", or None for what the robot's YAML says
     # lateral feedback [1/s], or None for what the robot's YAML says

@@ -62,7 +62,7 @@ def read_plan(folder: Path) -> SystemPlan:
     """The plan in a folder."""
     values = json.loads((folder / PLAN).read_text("utf-8"))
     tuples = ("arms", "cameras", "driven", "extra_participants", "record_topics", "record_cameras")
-    for name in (*tuples, "sensed"):
+    for name in (*tuples, "sensed", "turned"):
         values[name] = tuple(values[name])
     values["senders"] = {name: tuple(arms) for name, arms in values["senders"].items()}
     for name in ("cell", "out"):

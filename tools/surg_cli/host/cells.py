@@ -84,6 +84,12 @@ def chosen_arms(cell: Any, arm: str | None) -> list[str]:
     return [arm]
 
 
+def with_drive(cell: Any) -> tuple[str, ...]:
+    """Names of the arms whose instrument has a drive of the platform's."""
+    named = cell.arms.items()
+    return tuple(name for name, arm in named if arm.hardware and arm.hardware.tool_link == "drive")
+
+
 def load(folder: Path) -> Any:
     """Read and check a cell with everything it names; returns a `surg_core` Cell.
 

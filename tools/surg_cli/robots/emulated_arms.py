@@ -11,11 +11,13 @@ from typing import Any
 
 from surg_cli.graph import follow
 from surg_cli.graph.processes import Supervisor
-from surg_cli.host import paths
+from surg_cli.host import cells, paths
 from surg_cli.host.terminal import CliError
+from surg_cli.robots import drive_service
 from surg_cli.robots.robot_request import condition_name
 from surg_emulators.emulator_ports import CONTROL
 from surg_emulators.ur import ur_emulator
+from surg_hardware.drive.drive_file import drive_of
 
 MODELS = {
     "ur": {model.lower(): model for model in ur_emulator.MODELS},
@@ -23,6 +25,8 @@ MODELS = {
     "fr3": {"fr3": "FR3"},
 }
 """Emulator -> the robots of cells that it can be, and their names at the maker's."""
+DRIVE_TRIES = 3
+"""Homings of an emulated drive: where the machine is busy, its servos answer late."""
 ASK_AGAIN_S = 0.5
 """[s] At first the robot's states are too young for a start."""
 
@@ -95,6 +99,22 @@ class EmulatedArms:
         if self._arms:
             self._starter = _Starter(tuple(self._arms))
             follow.wait_for(self._starter.ask, supervisor, update)
+            self._home_drives()
+
+    def _home_drives(self) -> None:
+        """Home emulated drives, whose instruments harm nobody.
+
+        Raises:
+            CliError: A drive is a real one, or it does not home.
+        """
+        cell = cells.load(self._cell)
+        for arm in cells.with_drive(cell):
+            if not drive_of(cell, arm).emulated:
+                raise CliError(f"{arm}: its drive is a real one: a person homes it, after surg up")
+            request = drive_service.DriveRequest(arm)
+            whys = [request.home() for _ in range(DRIVE_TRIES) if not request.homed]
+            if not request.homed:
+                raise CliError(f"{arm}: {whys[-1]}")
 
     def ask_again(self) -> None:
         """Ask those that have stopped obeying since; only as long as no arm was homed."""

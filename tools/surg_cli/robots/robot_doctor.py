@@ -36,7 +36,7 @@ def findings(name: str, only: str | None, seconds: float) -> list[Finding]:
         return [Finding("cell", str(problem), False, "correct the file, then ask again")]
     found = [Finding("cell", f"{folder / 'cell.yaml'} is valid")]
     for arm in cells.chosen_arms(cell, only):
-        lines = _of_arm(cell.arms[arm], seconds)
+        lines = _of_arm(cell, cell.arms[arm], seconds)
         found += [
             Finding(
                 f"{arm}: {line.what}",
@@ -49,7 +49,7 @@ def findings(name: str, only: str | None, seconds: float) -> list[Finding]:
     return found
 
 
-def _of_arm(arm: Any, seconds: float) -> list[Finding]:
+def _of_arm(cell: Any, arm: Any, seconds: float) -> list[Finding]:
     if arm.hardware is None:
         return [Finding("link", f"{arm.link!r} has no hardware to examine", None)]
     address, emulated = arm.hardware.address, arm.hardware.emulated
@@ -60,7 +60,20 @@ def _of_arm(arm: Any, seconds: float) -> list[Finding]:
     if not emulated:
         table = routes(Path("/proc/net/route").read_text("utf-8"))
         lines.append(cable(address, table, _plugged))
-    return lines + EXAMINERS.get(arm.link, driver_checkup.examine)(arm, seconds)
+    lines += EXAMINERS.get(arm.link, driver_checkup.examine)(arm, seconds)
+    return lines + (of_drive(cell, arm.name) if arm.hardware.tool_link == "drive" else [])
+
+
+def of_drive(cell: Any, arm: str) -> list[Finding]:
+    """What is good and bad about the drive of an arm's instrument."""
+    from surg_core import ConfigError
+    from surg_hardware.drive import drive_checkup
+    from surg_hardware.drive.drive_file import drive_of
+
+    try:
+        return drive_checkup.examine(drive_of(cell, arm))
+    except ConfigError as problem:
+        return [Finding("drive", str(problem), False, "correct the file, then ask again")]
 
 
 def cable(address: str, table: Sequence[Route], plugged: Any) -> Finding:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import subprocess
 from pathlib import Path
 
 from surg_cli.host import cells
 from surg_cli.host.terminal import CliError, say
+from surg_cli.robots import drive_service
 from surg_cli.robots.emulated_arms import MODELS
 from surg_emulators import emulator_program
 from surg_emulators.emulator_ports import PortedEmulator
 from surg_emulators.franka import franka_emulator
 from surg_emulators.ur import ur_emulator
 from surg_emulators.ur.ur_controller import VERSIONS
+from surg_hardware.drive.drive_file import drive_of
 
 ROBOTS = {robot: (kind, model) for kind, of in MODELS.items() for robot, model in of.items()}
 """Robot -> its emulator, and its name at the maker's."""
@@ -44,6 +47,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     except (ValueError, OSError) as error:
         raise CliError(f"emulate: {error}", 2) from error
     granted = emulator_program.ask_real_time()
+    drive = None if options.robot in ROBOTS else _start_drive(options)
     say(emulator_program.greeting(emulator, granted))
     if not granted:
         say("Without real-time priority its cycles come late under load (ulimit -r).")
@@ -52,11 +56,25 @@ def main(options: argparse.Namespace, command: str) -> int:
         emulator.run(None, tell=say)
     finally:
         emulator.close()
+        if drive is not None:
+            drive.communicate()  # it ends with its input
     return 0
 
 
 def _start(kind: str, options: argparse.Namespace) -> PortedEmulator:
     return ur_emulator.start(options) if kind == "ur" else franka_emulator.start(kind, options)
+
+
+def _start_drive(options: argparse.Namespace) -> subprocess.Popen[bytes] | None:
+    """The servos of the arm's instrument as a program, where its drive is an emulated one."""
+    cell = cells.load(cells.find(options.robot))
+    name = cells.chosen_arms(cell, options.arm)[0]
+    if name not in cells.with_drive(cell):
+        return None
+    drive = drive_of(cell, name)
+    if not drive.emulated:
+        return None
+    return subprocess.Popen(drive_service.emulator_words(drive), stdin=subprocess.PIPE)
 
 
 def _of_robot(options: argparse.Namespace) -> tuple[str, argparse.Namespace]:

@@ -15,7 +15,7 @@ from surg_cli.graph import running
 from surg_cli.host import cells
 from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import CliError, Progress, confirm, report_findings, say, table, warn
-from surg_cli.robots import rehearsal, robot_doctor, robot_service
+from surg_cli.robots import drive_service, rehearsal, robot_doctor, robot_service
 from surg_cli.robots.robot_request import RobotRequests, condition_name
 
 ACTIONS = {
@@ -26,6 +26,7 @@ ACTIONS = {
     "lag": "measure the lag of each arm's link from its motion",
     **robot_service.ACTIONS,
     "doctor": "examine each arm, its link and its calibrations; moves nothing",
+    "drive": "of the instrument: find, id, home or test, as the word behind it",
     "rehearse": "lead through the next stop of the rehearsal, measure it, write the report",
 }
 TOLERANCE_S = 0.003
@@ -50,6 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         "check FILE or home FILE, for a robot's YAML",
     )
     add("action", choices=tuple(ACTIONS), help="; ".join(f"{a}: {h}" for a, h in ACTIONS.items()))
+    words = "; ".join(f"{word}: {text}" for word, text in drive_service.WORDS.items())
+    add("word", nargs="?", choices=tuple(drive_service.WORDS), help=f"behind drive. {words}")
     add("--arm", metavar="ARM", help="only this arm (default: every arm)")
     add("--port", type=tcp_port, metavar="P", help="of the ROS master")
 
@@ -94,12 +97,16 @@ class Lag:
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Ask or measure; exit status 1 if a robot refused, did not move, or its lag differs."""
+    if options.word is not None and options.action != "drive":
+        raise CliError(f"robot: {options.word!r} is a word behind drive, not {options.action}", 2)
     if options.action == "doctor":
         seconds = robot_doctor.MEASURED_S
         return report_findings(robot_doctor.findings(options.cell, options.arm, seconds))
     folder = cells.find(options.cell)
     cell = cells.load(folder)
     arms = cells.chosen_arms(cell, options.arm)
+    if options.action == "drive":
+        return drive_service.serve(options.word, folder, cell, arms, options.port)
     served = [arm for arm in arms if robot_service.serves(options.action, cell.arms[arm])]
     for arm in served:
         robot_service.serve(options.action, cell.arms[arm], folder)

@@ -1,11 +1,13 @@
 """Emulated servos on a pseudo-terminal, in real time: what a drive's port is on a bench.
 
-As a program: ``python3 -m surg_emulators.drive.drive_emulator PORT IDS``. Lines on its standard
-input are faults, ``[at SECONDS] NAME [WORD ...]``; ``help`` lists them.
+As a program: ``python3 -m surg_emulators.drive.drive_emulator PORT '{"servo_id": 1}' ...``, with
+arguments of `Servo`. Lines on its standard input are faults, ``[at SECONDS] NAME [WORD ...]``;
+``help`` lists them. It ends with that input.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import select
 import sys
@@ -16,6 +18,7 @@ import tty
 from collections.abc import Sequence
 from pathlib import Path
 
+from surg_emulators import emulator_program
 from surg_emulators.drive.servo_line import STEP, ServoLine
 from surg_emulators.drive.servo_motor import BAUDS, Servo
 
@@ -109,14 +112,21 @@ class DriveEmulator:
 
 def main(words: Sequence[str]) -> int:
     """Serve until the end of standard input; returns the exit code."""
-    if len(words) < 2 or not all(word.isdigit() for word in words[1:]):
-        print(__doc__, file=sys.stderr)
+    try:
+        servos = [Servo(**json.loads(word)) for word in words[1:]]
+        emulator_program.ask_real_time()  # the thread that serves inherits it
+        emulator = DriveEmulator(Path(words[0]), servos)
+    except (IndexError, TypeError, ValueError, OSError) as error:
+        print(f"{error}\n{__doc__}", file=sys.stderr)
         return 2
-    emulator = DriveEmulator(Path(words[0]), [Servo(int(word)) for word in words[1:]])
-    print(f"{len(words) - 1} servos at {words[0]}, {BAUDS[3]} bit/s", flush=True)
-    for line in sys.stdin:
-        print(emulator.fault(line), flush=True)
-    emulator.close()
+    print(f"Emulated servos of an instrument: {words[0]}", flush=True)
+    try:
+        for line in sys.stdin:
+            print(emulator.fault(line), flush=True)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        emulator.close()
     return 0
 
 

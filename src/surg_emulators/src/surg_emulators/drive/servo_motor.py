@@ -35,8 +35,6 @@ VALUES = {
 }
 """Name -> address and size of what the motor reads or writes; all but the first two are signed."""
 DEFAULTS = {
-    0: MODEL & 0xFF,
-    1: MODEL >> 8,
     6: 46,
     ID: 1,
     BAUD: 1,
@@ -53,15 +51,12 @@ DEFAULTS = {
     44: 200,
     63: 52,
     LEVEL: 2,
-    49: 15,
-    48: 255,
-    84: 32,
-    85: 3,
     102: 169,
     103: 4,
     144: 120,
     146: 30,
 }
+"""Address -> first value; all others are 0."""
 READ_ONLY = {*range(7), ERROR, *range(120, SIZE)}
 BAUDS = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
 """By the number in the control table."""
@@ -82,6 +77,7 @@ class Servo:
         position: Of its encoder [rad].
         stops: Ends of its way, of the encoder [rad].
         lag: Of the motor behind its goal [s].
+        model: Its number in the table.
 
     Attributes:
         stalled: Whether the motor is blocked.
@@ -96,10 +92,12 @@ class Servo:
         position: float = 0.0,
         stops: tuple[float, float] = (-math.inf, math.inf),
         lag: float = 0.04,
+        model: int = MODEL,
     ) -> None:
         self.table = bytearray(SIZE)
         for address, value in {**DEFAULTS, ID: servo_id, BAUD: BAUDS.index(baud)}.items():
             self.table[address] = value
+        self.table[:2] = model.to_bytes(2, "little")
         self.position, self.velocity = position, 0.0
         self._stops, self._lag = stops, lag
         self._reference = position  # what the profile has reached

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surg_core import ConfigError, read_document
+from surg_core import Cell, ConfigError, read_document
 from surg_core.checked_document import CheckedDocument, FloatArray
 
 FORMAT = "surg_drive/1"
@@ -130,11 +130,6 @@ class DriveFile:
         return f"motor {motor_id}" + (f" ({joints[0]})" if joints else "")
 
 
-def drive_path(folder: Path, arm: str) -> Path:
-    """Where the drive of an arm stands, in a cell's folder."""
-    return folder / f"drive_{arm}.yaml"
-
-
 def load_drive(path: Path) -> DriveFile:
     """Read a drive's YAML.
 
@@ -168,18 +163,26 @@ def load_drive(path: Path) -> DriveFile:
     return drive
 
 
-def check_jaw(drive: DriveFile, lowest: float, highest: float) -> None:
-    """Compare the jaw's limits with the instrument's range [rad].
+def drive_of(cell: Cell, arm: str) -> DriveFile:
+    """The drive of an arm of a cell, whose limits contain the range of the instrument's jaws.
 
     Raises:
-        ConfigError: The instrument's jaws open or close further than the drive may turn them.
+        ConfigError: The arm has none, or its file must not be used.
     """
-    jaw = next(motor for motor in drive.motors if motor.joint == "jaw")
-    if lowest < jaw.lower or highest > jaw.upper:
+    hardware, instrument = cell.arms[arm].hardware, cell.arms[arm].instrument
+    if hardware is None or hardware.tool_link != "drive":
         raise ConfigError(
-            f"{drive.file}: motors.jaw.limits: [{jaw.lower:g}, {jaw.upper:g}] rad; the jaws of the "
-            f"instrument go from {lowest:g} to {highest:g} rad; allowed: limits that contain them"
+            f"{cell.folder / 'cell.yaml'}: arms.{arm}.hardware.tool_link: is not 'drive'; allowed: "
+            f"drive, with drive_{arm}.yaml beside the cell"
         )
+    drive = load_drive(cell.folder / f"drive_{arm}.yaml")
+    jaw = drive.motors[drive.joints.index("jaw")]
+    if instrument.jaw_min < jaw.lower or instrument.jaw_max > jaw.upper:
+        raise ConfigError(
+            f"{drive.file}: motors.jaw.limits: [{jaw.lower:g}, {jaw.upper:g}] rad; allowed: limits "
+            f"that contain the instrument's, [{instrument.jaw_min:g}, {instrument.jaw_max:g}] rad"
+        )
+    return drive
 
 
 def emulated_port(path: Path) -> Path:

@@ -21,16 +21,16 @@ AMPERE, VOLT = 2.69e-3, 0.1
 """[A], [V] of one step of current and of voltage."""
 CURRENT_BASED_POSITION = 5
 """Operating mode."""
-WATCHDOG = 5
-"""[20 ms] Without an instruction, after which a motor stops and holds by itself."""
+WATCHDOG, TRIPPED = 10, 0xFF
+"""[20 ms] Without an instruction, after which a motor stops and holds by itself; it has done so."""
 ALERT = 0x80
 """Bit of a status packet: the motor has a hardware error."""
 ALL_ANSWER = 2
 """Status return level."""
-TRIES = 3
-"""Of what must be answered: a line may lose a packet."""
-REBOOT_TRIES = 50
-"""Rounds of pings, 25 ms each, after which a motor that starts again answers."""
+TRIES = 10
+"""Of what must be answered, 8 ms each: a line may lose a packet, a busy machine some."""
+REBOOT_TRIES = 12
+"""Rounds of pings after which a motor that starts again answers."""
 
 _TABLE = ControlTable.getControlTable(MODELS["XM430-W350"].number)
 """Name -> address and size by the maker's file; the models of `MODELS` share what is used here."""
@@ -211,4 +211,5 @@ def _reading(data: bytes, first: int) -> MotorReading:
         voltage=VOLT * value("Present Input Voltage", signed=False),
         temperature=float(value("Present Temperature", signed=False)),
         error=value("Hardware Error Status", signed=False),
+        holds=value("Bus Watchdog", signed=False) == TRIPPED,
     )

@@ -70,6 +70,12 @@ class InstrumentDrive:
 
     # --- events ---------------------------------------------------------------------------------
 
+    def disconnected(self, why: str) -> None:
+        """The port, or a motor of the file, is not there."""
+        self._homing = self._coupling = None
+        self.orders = {}
+        self.status = DriveStatus(DriveState.DISCONNECTED, why)
+
     def identified(self, now: float) -> None:
         """The motors of the file answer, and obey nothing yet."""
         self._guard.begin(now)

@@ -13,8 +13,9 @@ from surg_hardware.drive.motor_values import (
     MotorReading,
 )
 
-SILENCE = 0.1
-"""[s] Without an answer of a motor: its packets are lost, or it is unplugged."""
+SILENCE, MISSED = 0.1, 4
+"""[s] and questions without an answer of a motor: its packets are lost, or it is unplugged. One
+question alone may have waited for this machine."""
 OFF_GOAL, STILL = 0.1, 0.05
 """[rad] of the encoder from its goal, [rad/s] below which it does not move: it stalls."""
 STALLED = 0.1
@@ -27,11 +28,13 @@ class MotorGuard:
     def __init__(self, drive: DriveFile) -> None:
         self._drive = drive
         self._heard: dict[int, float] = {}
+        self._missed: dict[int, int] = {}
         self._stalls: dict[int, float] = {}
 
     def begin(self, now: float) -> None:
         """Count from now on [s]."""
         self._heard = dict.fromkeys([motor.id for motor in self._drive.motors], now)
+        self._missed = dict.fromkeys(self._heard, 0)
         self._stalls.clear()
 
     def check(self, now: float, readings: Mapping[int, MotorReading]) -> None:
@@ -45,12 +48,16 @@ class MotorGuard:
             DriveFailed: With the first thing that is wrong.
         """
         for motor_id, reading in readings.items():
-            self._heard[motor_id] = now
+            self._heard[motor_id], self._missed[motor_id] = now, -1
             self._check_reading(motor_id, reading)
-        for motor_id, heard in self._heard.items():
-            if now - heard > SILENCE:
-                everything = all(now - each > SILENCE for each in self._heard.values())
-                raise DriveFailed(Failure.SILENT, None if everything else motor_id)
+        for motor_id in self._missed:
+            self._missed[motor_id] += 1
+        if silent := [motor_id for motor_id in self._heard if self._is_silent(motor_id, now)]:
+            everything = len(silent) == len(self._heard)
+            raise DriveFailed(Failure.SILENT, None if everything else silent[0])
+
+    def _is_silent(self, motor_id: int, now: float) -> bool:
+        return self._missed[motor_id] >= MISSED and now - self._heard[motor_id] > SILENCE
 
     def check_motion(
         self,
@@ -84,6 +91,8 @@ class MotorGuard:
         for bit, failure in ERROR_BITS.items():
             if reading.error & bit:
                 raise DriveFailed(failure, motor_id, "its own protection has switched it off")
+        if reading.holds:
+            raise DriveFailed(Failure.LATE, motor_id)
         low, high = self._drive.voltage
         if not low <= reading.voltage <= high:
             text = f"{reading.voltage:.1f} V; allowed: {low:g} to {high:g} V"

@@ -17,6 +17,7 @@ class MotorReading:
         voltage: At its input [V].
         temperature: [degC].
         error: Bits of its hardware error, 0: none.
+        holds: Whether its watchdog has stopped it: it takes no goals.
     """
 
     position: float
@@ -25,6 +26,7 @@ class MotorReading:
     voltage: float
     temperature: float
     error: int = 0
+    holds: bool = False
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ class Failure(StrEnum):
     UNPLUGGED = "the serial port is gone"
     SILENT = "does not answer"
     REFUSED = "refuses a value"
+    LATE = "has heard nothing for 0.2 s and holds: this machine was too busy, or the line was cut"
     OVERLOAD = "over-load"
     SHOCK = "electrical shock, or too little power"
     ENCODER = "its encoder has failed"
