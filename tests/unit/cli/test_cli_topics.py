@@ -80,7 +80,8 @@ def test_nobody_offers_a_topic_twice(contract: Contract) -> None:
     """The compatibility node must not shadow a topic of the controller.
 
     The two leader nodes offer the same: one of them has a leader's name. So do simulator and link
-    with drive: an arm has one of them. In real time the simulator leaves an arm's forces to its sensor.
+    with drive: an arm has one of them. In real time the simulator leaves an arm's forces to its
+    sensor.
     """
     robots = (("link", "force", "drive"), ("sim",))
     for leader, robot in itertools.product(("leader", "lambda7"), robots):
