@@ -92,9 +92,16 @@ def test_lost_answers_are_counted_and_borne(bench: ServoBench) -> None:
     for fault in ("damage 0.05", "noise 0.1", "loss 0.05"):
         assert bench.line.schedule.answer(fault, bench.port.time) == "ok"
     bench.core.command({"pitch": 0.4})
-    bench.until(lambda: False, 3.0)
+    known = []
+
+    def keep() -> bool:
+        known.append(bool(bench.core.status.q))
+        return False
+
+    bench.until(keep, 3.0)
     assert bench.core.status.state is DriveState.RUNNING
     assert 30 < bench.bus.lost < 200
+    assert 30 < known.count(False) <= bench.bus.lost, "an old angle is not said again"
     assert true_joints(bench)[0] == pytest.approx(0.4, abs=0.01)
 
 
@@ -122,6 +129,19 @@ def test_a_cycle_that_stood_still_is_named(bench: ServoBench) -> None:
     bench.port.wait(bench.port.time + 0.21)
     bench.cycle()
     assert "motor 1 (pitch): has heard nothing for 0.2 s" in bench.core.status.sentence
+
+
+def test_a_silent_motor_keeps_no_other_one_from_turning_freely(bench: ServoBench) -> None:
+    """While the second one is homed, the first one is unplugged: both lose their torque."""
+    bench.session.connect()
+    bench.core.home()
+    bench.until(lambda: bench.line.servos[1].table[TORQUE] == 1, 20.0)
+    bench.line.schedule.answer("unplug 1", bench.port.time)
+    bench.until(lambda: bench.core.status.state is DriveState.FAILED, 1.0)
+    assert "motor 1 (pitch): does not answer" in bench.core.status.sentence
+    bench.cycle()
+    bench.cycle()
+    assert not bench.line.servos[1].table[TORQUE]
 
 
 def test_a_failure_latches_until_the_next_homing(bench: ServoBench) -> None:

@@ -6,6 +6,7 @@ gear, in the direction of ``sign``, and zero where homing leaves it.
 
 from __future__ import annotations
 
+import hashlib
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -187,8 +188,8 @@ def drive_of(cell: Cell, arm: str) -> DriveFile:
 
 def emulated_port(path: Path) -> Path:
     """The emulator's pseudo-terminal of a drive's file: one for each cell and arm."""
-    file = path.resolve()
-    return Path(tempfile.gettempdir()) / f"surg_{file.parent.name}_{file.stem}"
+    name = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
+    return Path(tempfile.gettempdir()) / f"surg_drive_{name}"
 
 
 def _has(doc: CheckedDocument, joint: str) -> bool:

@@ -67,8 +67,7 @@ class DriveNode:
                 self._session.connect()
                 tried = time.monotonic()
             self._obey()
-            goal, self._goal = self._goal, None
-            self._session.cycle(goal)
+            self._session.cycle(self._goal)
             self._tell()
             time.sleep(max(PERIOD - (time.monotonic() - begun), 0.0))
         self._session.close()
@@ -83,6 +82,7 @@ class DriveNode:
         elif self._enabled:
             self._warn("home: refused while the arm is ENABLED: disable it first")
         else:
+            self._goal = None  # of before
             self._session.home()
 
     def _tell(self) -> None:

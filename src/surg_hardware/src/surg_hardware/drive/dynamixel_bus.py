@@ -132,9 +132,15 @@ class DynamixelBus:
 
     def _switch(self, orders: Iterable[int]) -> None:
         """Torque on where there is an order, off elsewhere."""
+        failed: DriveFailed | None = None
         for motor_id in self._on - set(orders):
-            self.write(motor_id, "Torque Enable", 0)
-            self._on.discard(motor_id)
+            try:
+                self.write(motor_id, "Torque Enable", 0)
+                self._on.discard(motor_id)
+            except DriveFailed as error:  # the others must turn freely all the same
+                failed = error
+        if failed is not None:
+            raise failed
         for motor_id in set(orders) - self._on:
             self.write(motor_id, "Torque Enable", 1)
             self.write(motor_id, "Bus Watchdog", WATCHDOG)

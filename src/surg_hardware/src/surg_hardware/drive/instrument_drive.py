@@ -37,7 +37,10 @@ class DriveState(StrEnum):
 
 @dataclass(frozen=True)
 class DriveStatus:
-    """State, sentence, and angles [rad] and velocities [rad/s] of the joints; empty: not known."""
+    """State, sentence, and angles [rad] and velocities [rad/s] of the joints.
+
+    They are empty in a cycle in which a motor has not answered: an old angle is never said again.
+    """
 
     state: DriveState
     sentence: str
@@ -64,6 +67,7 @@ class InstrumentDrive:
         self._homing: Homing | None = None
         self._coupling: Coupling | None = None
         self._goal: FloatArray = np.zeros(len(drive.motors))
+        self._q: FloatArray | None = None  # newest joints
         self._last: dict[int, MotorReading] = {}
         self.orders: dict[int, MotorOrder] = {}
         self.status = DriveStatus(DriveState.DISCONNECTED, "not connected yet")
@@ -79,7 +83,7 @@ class InstrumentDrive:
     def identified(self, now: float) -> None:
         """The motors of the file answer, and obey nothing yet."""
         self._guard.begin(now)
-        self._homing = self._coupling = None
+        self._homing = self._coupling = self._q = None
         self._last, self.orders = {}, {}
         self.status = DriveStatus(DriveState.IDENTIFIED, f"not homed: {HOME}")
 
@@ -135,16 +139,18 @@ class InstrumentDrive:
         if self._coupling is None:
             return {}
         self._guard.check_motion(now, readings, self.orders, self._gripping())
+        self.status = DriveStatus(self.status.state, "")
         if len(readings) == len(self._drive.motors):
-            q = self._coupling.joints(self._values("position"))
+            self._q = self._coupling.joints(self._values("position"))
             qd = self._coupling.rates(self._values("velocity"))
-            self.status = DriveStatus(self.status.state, "", tuple(q.tolist()), tuple(qd.tolist()))
+            told = tuple(self._q.tolist()), tuple(qd.tolist())
+            self.status = DriveStatus(self.status.state, "", *told)
         return self._ordered(self._coupling.encoders(self._goal))
 
     def _gripping(self) -> int | None:
         """The jaw's motor, while the jaws are told to close further."""
         jaw = self._drive.joints.index("jaw")
-        closes = bool(self.status.q) and self._goal[jaw] < self.status.q[jaw]
+        closes = self._q is not None and self._goal[jaw] < self._q[jaw]
         return self._drive.motors[jaw].id if closes else None
 
     def _lost_orders(self) -> dict[int, MotorOrder]:
