@@ -10,7 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from mutants import console_mutants, hardware_mutants, perception_mutants, picture_mutants
+from mutants import (
+    console_mutants,
+    drive_mutants,
+    hardware_mutants,
+    perception_mutants,
+    picture_mutants,
+)
 from mutants.mutants import Mutant, applied
 from mutants.package_tests import killer
 from surg_cli.host import paths
@@ -27,8 +33,8 @@ FOLDERS = {
 }
 """Folders of `tests/unit` with the tests of a package."""
 CHOSEN = {
-    "surg_hardware": hardware_mutants.MUTANTS,
-    "surg_emulators": hardware_mutants.EMULATED,
+    "surg_hardware": hardware_mutants.MUTANTS + drive_mutants.MUTANTS,
+    "surg_emulators": hardware_mutants.EMULATED + drive_mutants.EMULATED,
     "surg_perception": perception_mutants.MUTANTS,
     "surg_core": picture_mutants.MUTANTS,
     "surg_console": console_mutants.MUTANTS,

@@ -94,6 +94,8 @@ def test_every_valid_frame_is_found_between_noise_and_nothing_breaks(full: bool)
         noise = draw.randbytes(draw.randrange(8))
         if draw.random() < 0.2:
             noise += HEADER[: draw.randrange(1, 5)]
+        elif draw.random() < 0.1:
+            noise += HEADER + bytes([draw.randrange(253), draw.randrange(256), 0])  # swallows it
         data = bytearray(noise + encode(frame))
         broken = draw.random() < 0.2
         if broken:

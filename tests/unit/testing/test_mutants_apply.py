@@ -6,6 +6,7 @@ import pytest
 
 from mutants import (
     console_mutants,
+    drive_mutants,
     hardware_mutants,
     mutants,
     perception_mutants,
@@ -20,7 +21,9 @@ from surg_cli.host import paths
     [
         ("surg_core", mutants.MUTANTS),
         ("surg_hardware/src/surg_hardware", hardware_mutants.MUTANTS),
+        ("surg_hardware/src/surg_hardware", drive_mutants.MUTANTS),
         ("surg_emulators/src/surg_emulators", hardware_mutants.EMULATED),
+        ("surg_emulators/src/surg_emulators", drive_mutants.EMULATED),
         ("surg_perception/src/surg_perception", perception_mutants.MUTANTS),
         ("surg_core/python/surg_core", picture_mutants.MUTANTS),
         ("surg_console/src/surg_console", console_mutants.MUTANTS),
@@ -46,6 +49,8 @@ def test_the_tests_that_mutants_name_are_there() -> None:
     python = (
         *hardware_mutants.MUTANTS,
         *hardware_mutants.EMULATED,
+        *drive_mutants.MUTANTS,
+        *drive_mutants.EMULATED,
         *perception_mutants.MUTANTS,
         *picture_mutants.MUTANTS,
         *console_mutants.MUTANTS,
