@@ -41,7 +41,11 @@ def draw(kind: str, rng: random.Random) -> Any:
         if kind.startswith("float"):
             bits = struct.pack("<" + FORMATS[kind], rng.gauss(0.0, 1.0))
         return struct.unpack("<" + FORMATS[kind], bits)[0]
-    made = message_class(kind)
+    return filled(message_class(kind), rng)
+
+
+def filled(made: Any, rng: random.Random) -> Any:
+    """A message of a class with drawn values."""
     return made(*[draw(each, rng) for each in made._slot_types])
 
 

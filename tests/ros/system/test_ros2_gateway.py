@@ -18,6 +18,9 @@ import rospy
 from geometry_msgs.msg import PoseStamped
 
 from crtk_msgs.msg import OperatingState
+from crtk_msgs.srv import QueryInverseKinematics
+from crtk_msgs.srv import QueryInverseKinematicsRequest as Request
+from crtk_msgs.srv import QueryInverseKinematicsResponse as Response
 from helpers.graph.ros import RosGraph
 from helpers.results.ros2_results import note
 from helpers.ros2 import drawn_messages as drawn
@@ -29,6 +32,8 @@ pytest.importorskip("cyclonedds", reason="missing: ./surg dev setup --all instal
 pytestmark = [pytest.mark.ros]
 
 PEER = paths.ROOT / "tests" / "helpers" / "ros2" / "peer.py"
+CLIENT = PEER.with_name("cyclone_client.py")
+SERVICE = "/PSM1/inverse_kinematics"
 WAIT_S = 90.0
 DOMAINS = range(150, 230)
 """Of DDS; ROS 2 users take lower ones."""
@@ -144,6 +149,33 @@ def test_junk_and_wrong_types_do_no_harm_and_a_second_gateway_gives_way(
     said = "from ros2_junk: geometry_msgs/PoseStamped: 8 bytes do not fit"
     ros_graph.wait_for(lambda: said in node.log_tail(100), WAIT_S, "the junk's refusal")
     assert node.exit_code is None
+
+
+def test_a_service_is_asked_as_rmw_cyclonedds_frames_it(
+    ros_graph: RosGraph,
+    rospy_node: str,
+    domain: int,
+    gateway: Callable[..., Child],
+    rng: random.Random,
+) -> None:
+    kind = "crtk_msgs/QueryInverseKinematics"
+    request, reply = (drawn.filled(half, rng) for half in (Request, Response))
+    asked: list[Any] = []
+    server = rospy.Service(SERVICE, QueryInverseKinematics, lambda q: asked.append(q) or reply)
+    gateway(implementation="rmw_cyclonedds_cpp")
+    data = drawn.cdr(kind, request)[4:].hex()
+    words = [sys.executable, CLIENT, domain, SERVICE, kind, data]
+    client = ros_graph.supervisor.start("client", [str(word) for word in words])
+    ros_graph.wait_for(lambda: len(client.log_tail(9).split()) > 3, WAIT_S, "two replies")
+    server.shutdown()
+    assert {drawn.packed(each) for each in asked} == {drawn.packed(request)}
+    answers = dict(line.split() for line in client.log.read_text().splitlines())
+    assert set(answers.values()) == {padded(drawn.cdr(kind, reply)[4:]).hex()}
+
+
+def padded(data: bytes) -> bytes:
+    """As DDS sends it: a multiple of four bytes."""
+    return data + bytes(-len(data) % 4)
 
 
 def udp_sockets(child: Child) -> list[str]:

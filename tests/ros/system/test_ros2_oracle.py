@@ -1,7 +1,7 @@
-"""Real rclpy with Fast DDS hears and says every topic of the contract that it has messages for.
+"""Real rclpy with Fast DDS hears, says and asks what the contract has, but for `/tf`.
 
-PyPI has no ROS 2 packages of tf2_msgs, crtk_msgs and surg_msgs. What they become is compared with
-`rosbags`, as every other type is.
+PyPI has no ROS 2 package of tf2_msgs. What its type becomes is compared with `rosbags`, as every
+other type is.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ import rospy
 from helpers.graph.ros import RosGraph
 from helpers.results.ros2_results import note
 from helpers.ros2 import drawn_messages as drawn
+from helpers.ros2 import interfaces
 from helpers.tree import oracle_venv
 from surg_cli.graph import topic_contract
 from surg_cli.graph.processes import Child
 from surg_cli.host import paths
 from surg_ros2.bridged_topics import INSIDE, PICTURES
 from surg_ros2.cdr import Codec
-from surg_ros2.ros2_gateway_node import fields
+from surg_ros2.message_types_node import fields, service_class
 
 pytest.importorskip("cyclonedds", reason="missing: ./surg dev setup --all installs cyclonedds")
 pytestmark = [pytest.mark.ros, pytest.mark.oracle]
@@ -35,11 +36,20 @@ FOLDER = paths.ROOT / "tests" / "helpers" / "ros2"
 PACKAGES = (
     "ros-rclpy==9.1.2",
     "ros-rmw-fastrtps-cpp==9.3.3",
+    *interfaces.TOOLS,
     *(f"ros-{name}-msgs==5.5.1" for name in ("std", "geometry", "sensor", "diagnostic")),
     "ros-rosgraph-msgs==2.3.0",
 )
-HAVE = ("std_msgs/", "geometry_msgs/", "sensor_msgs/", "diagnostic_msgs/", "rosgraph_msgs/")
-CLEAN = {"PYTHONPATH": "", "LD_LIBRARY_PATH": ""}
+HAVE = (
+    "crtk_msgs/",
+    "surg_msgs/",
+    "std_msgs/",
+    "geometry_msgs/",
+    "sensor_msgs/",
+    "diagnostic_msgs/",
+    "rosgraph_msgs/",
+)
+CLEAN = {"PYTHONPATH": ""}
 """What the environment of ROS 1 must not leave to rclpy."""
 WAIT_S = 120.0
 POSES, SETTLED, LEAST = 3000, 200, 0.5
@@ -87,15 +97,21 @@ def plain(value: Any) -> Any:
 def rclpy(ros_graph: RosGraph, tmp_path: Path) -> Callable[..., Child]:
     """Starts the gateway, and then real rclpy."""
     python = oracle_venv.python("rclpy-9.1.2", [PACKAGES], ("rclpy", "sensor_msgs.msg"))
+    built = interfaces.build(python)
     domain = random.SystemRandom().randrange(150, 230)
     params = {"contract": topic_contract.SOURCE, "domain": domain, "commands": True}
     ros_graph.node("surg_ros2", "ros2_gateway_node.py", "/ros2", params)
 
-    def start(hear: dict[str, Any], say: dict[str, Any], script: str = "rclpy_script.py") -> Child:
+    def start(
+        hear: dict[str, Any],
+        say: dict[str, Any],
+        script: str = "rclpy_script.py",
+        ask: dict[str, Any] | None = None,
+    ) -> Child:
         spec = tmp_path / "spec.json"
-        spec.write_text(json.dumps({"node": "oracle", "hear": hear, "say": say}))
+        spec.write_text(json.dumps({"node": "oracle", "hear": hear, "say": say, "ask": ask}))
         words = [str(python), str(FOLDER / script), str(spec)]
-        env = {**CLEAN, "ROS_DOMAIN_ID": str(domain)}
+        env = {**CLEAN, **built, "ROS_DOMAIN_ID": str(domain)}
         return ros_graph.supervisor.start("rclpy", words, extra_env=env)
 
     return start
@@ -156,6 +172,31 @@ def test_every_command_of_rclpy_arrives_with_every_field(
     assert wrong == []
     note("rclpy commands", len(ears), "every field equal")
     assert {m._connection_header["callerid"] for m in got.values()} == {"/ros2_oracle"}
+
+
+def test_every_service_is_asked_by_rclpy(
+    ros_graph: RosGraph, rospy_node: str, rng: random.Random, rclpy: Callable[..., Child]
+) -> None:
+    requests, replies, servers = {}, {}, []
+    for entry in topic_contract.load().entries:
+        if entry.direction == "service":
+            made, name = service_class(entry.type), entry.resolved("PSM1")
+            request, reply = (
+                drawn.filled(half, rng) for half in (made._request_class, made._response_class)
+            )
+            requests[name], replies[name] = [entry.type, values(request)], values(reply)
+            servers.append(rospy.Service(name, made, same(request, reply)))
+    child = rclpy({}, {}, "rclpy_services.py", requests)
+    ros_graph.wait_for(lambda: len(heard(child)) == len(servers), WAIT_S, "all replies")
+    for server in servers:
+        server.shutdown()
+    assert {name: each[0] for name, each in heard(child).items()} == replies
+    note("rclpy asks services", len(servers), "every field of request and reply equal")
+
+
+def same(request: Any, reply: Any) -> Callable[[Any], Any]:
+    """Answers this request only."""
+    return lambda asked: reply if drawn.packed(asked) == drawn.packed(request) else None
 
 
 def test_large_pictures_reach_rclpy(

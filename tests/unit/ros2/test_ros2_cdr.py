@@ -8,7 +8,7 @@ import pytest
 from helpers.ros2 import drawn_messages as drawn
 from surg_cli.graph import topic_contract
 from surg_ros2.cdr import Codec, Malformed
-from surg_ros2.ros2_gateway_node import fields
+from surg_ros2.message_types_node import fields
 
 KINDS = sorted({each.type for each in topic_contract.load().entries if each.direction != "service"})
 DRAWS = 40

@@ -15,7 +15,8 @@ from surg_cli.host.terminal import CliError
 @pytest.fixture(autouse=True)
 def nothing_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(provision, "need_dds", lambda: False)
-    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    for name in ("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION"):
+        monkeypatch.delenv(name, raising=False)
 
 
 def printed(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
@@ -62,6 +63,19 @@ def test_what_cannot_be_is_refused(
     monkeypatch.setenv("ROS_DOMAIN_ID", domain)
     with pytest.raises(CliError, match=said) as caught:
         printed(capsys, *words)
+    assert caught.value.code == 2
+
+
+def test_how_services_are_framed(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for framing in ("rmw_fastrtps_cpp", "rmw_cyclonedds_cpp"):
+        monkeypatch.setenv("RMW_IMPLEMENTATION", framing)
+        assert f"_implementation:={framing}" in printed(capsys, "--ros2")[0]
+    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_zenoh_cpp")
+    said = "RMW_IMPLEMENTATION=rmw_zenoh_cpp: expected rmw_fastrtps_cpp or rmw_cyclonedds_cpp"
+    with pytest.raises(CliError, match=said) as caught:
+        printed(capsys, "--ros2")
     assert caught.value.code == 2
 
 

@@ -16,6 +16,7 @@ from surg_ros2.bridged_topics import (
     Quality,
     Topics,
     caller_name,
+    dds_service,
     dds_topic,
     dds_type,
 )
@@ -38,6 +39,9 @@ def test_every_topic_of_the_contract_has_its_direction(topics: Topics) -> None:
                 "/sim/inject", "/sim/guide_home", "/sim/undeclared",
             )  # fmt: skip
             assert topics.incoming(name, entry.type) == (None if inside else COMMANDS)
+        else:
+            assert topics.service(name) == entry.type
+    assert topics.service("/PSM1/controller/get_loggers") is None
 
 
 @pytest.mark.parametrize(
@@ -77,6 +81,11 @@ def test_a_file_that_is_no_contract_is_named(tmp_path: Path) -> None:
 def test_names_on_dds() -> None:
     assert dds_topic("/PSM1/jaw/servo_jp") == "rt/PSM1/jaw/servo_jp"
     assert dds_type("sensor_msgs/JointState") == "sensor_msgs::msg::dds_::JointState_"
+    made = "crtk_msgs::srv::dds_::QueryInverseKinematics"
+    assert dds_service("/PSM1/inverse_kinematics", "crtk_msgs/QueryInverseKinematics") == (
+        ("rq/PSM1/inverse_kinematicsRequest", f"{made}_Request_"),
+        ("rr/PSM1/inverse_kinematicsReply", f"{made}_Response_"),
+    )
     for name in ("/1arm/servo_cp", "/a__b", "/a/", "a"):
         with pytest.raises(NotBridged, match="ROS 2 allows no such name"):
             dds_topic(name)

@@ -41,7 +41,7 @@ def parameters(options: argparse.Namespace) -> dict[str, object] | None:
         if options.ros2_commands:
             raise CliError("--ros2-commands: only with --ros2", 2)
         return None
-    from surg_ros2.bridged_topics import LARGEST_DOMAIN
+    from surg_ros2.bridged_topics import IMPLEMENTATIONS, LARGEST_DOMAIN
 
     known = [name for _, name in socket.if_nameindex()]
     if options.ros2 not in known:
@@ -52,6 +52,10 @@ def parameters(options: argparse.Namespace) -> dict[str, object] | None:
     if not (domain.isascii() and domain.isdecimal() and int(domain) <= LARGEST_DOMAIN):
         allowed = f"expected a whole number from 0 to {LARGEST_DOMAIN}"
         raise CliError(f"ROS_DOMAIN_ID={domain}: {allowed}", 2)
+    framing = os.environ.get("RMW_IMPLEMENTATION") or IMPLEMENTATIONS[0]
+    if framing not in IMPLEMENTATIONS:
+        allowed = " or ".join(IMPLEMENTATIONS)
+        raise CliError(f"RMW_IMPLEMENTATION={framing}: expected {allowed}", 2)
     try:
         provision.need_dds()
     except CliError as problem:
@@ -61,4 +65,5 @@ def parameters(options: argparse.Namespace) -> dict[str, object] | None:
         "interface": options.ros2,
         "commands": options.ros2_commands,
         "domain": int(domain),
+        "implementation": framing,
     }

@@ -174,7 +174,7 @@ def need_dds() -> bool:
     """Fill `.venv` with what the ROS 2 gateway needs; returns whether anything had to be done."""
     if _is_filled(paths.DDS_LOCK, DDS_STAMP):
         return False
-    with Progress("DDS, for ROS 2 (53 MB)") as progress:
+    with Progress("DDS, for ROS 2 (59 MB)") as progress:
         _pip_install(paths.DDS_LOCK, DDS_STAMP, paths.STATE / "logs" / "pip-dds.log", progress)
     return True
 

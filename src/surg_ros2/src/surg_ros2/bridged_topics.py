@@ -17,8 +17,12 @@ PICTURES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage", "sensor_msgs/Poi
 """Types of which only the newest message counts, and a lost one is not sent again."""
 INSIDE = re.compile(r".*/robot/servo_\w+|.*/tool/servo_jp|/sim/(inject|guide_home|undeclared)")
 """What controller, simulator and link say to one another: nothing for a ROS 2 node to say."""
+OURS = "/ros2"
+"""The gateway's node; names of its callers begin with it too."""
 LARGEST_DOMAIN = 232
 """Of DDS: the ports of a higher one do not exist."""
+IMPLEMENTATIONS = ("rmw_fastrtps_cpp", "rmw_cyclonedds_cpp")
+"""Of ROS 2 on DDS, as RMW_IMPLEMENTATION names them: they frame services in different ways."""
 _PLACEHOLDER = re.compile(r"<\w+>")
 _ROS2_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 
@@ -66,6 +70,8 @@ class Topics:
             sections = yaml.safe_load(file.read_text("utf-8"))["sections"]
             found = [row for section in sections for row in section.get("topics", ())]
             self._rows = [_row(row, lockstep) for row in found]
+            asked = [row for section in sections for row in section.get("services", ())]
+            self._services = [(_pattern(row["service"]), row["type"]) for row in asked]
         except (OSError, yaml.YAMLError, KeyError, TypeError) as error:
             raise ValueError(f"{file}: no contract of topics: {error!r}") from error
 
@@ -85,6 +91,10 @@ class Topics:
         rows = self._matching(topic, kind, "in")
         return COMMANDS if rows and not INSIDE.fullmatch(topic) else None
 
+    def service(self, name: str) -> str | None:
+        """The type of a service of the graph; None: ROS 2 does not get it."""
+        return next((kind for pattern, kind in self._services if pattern.fullmatch(name)), None)
+
     def _matching(self, topic: str, kind: str, direction: str) -> list[_Row]:
         return [
             row
@@ -94,15 +104,16 @@ class Topics:
 
 
 def _row(row: dict[str, Any], lockstep: bool) -> _Row:
-    name = "/" + row["topic"].lstrip("/")
     latched = row.get("latched", False)
     if not isinstance(latched, bool):
         latched = latched[0 if lockstep else 1]
-    pattern = "".join(
-        part if part == "[^/]+" else re.escape(part)
-        for part in re.split(r"(\[\^/\]\+)", _PLACEHOLDER.sub("[^/]+", name))
-    )
-    return _Row(re.compile(pattern), row["type"], row["dir"], latched)
+    return _Row(_pattern(row["topic"]), row["type"], row["dir"], latched)
+
+
+def _pattern(name: str) -> re.Pattern[str]:
+    """The names that an entry of the contract stands for."""
+    parts = re.split(r"(\[\^/\]\+)", _PLACEHOLDER.sub("[^/]+", "/" + name.lstrip("/")))
+    return re.compile("".join(part if part == "[^/]+" else re.escape(part) for part in parts))
 
 
 def dds_topic(topic: str) -> str:
@@ -117,6 +128,18 @@ def dds_topic(topic: str) -> str:
             "digits and single underscores. Rename the arm or leader in the cell"
         )
     return f"rt{topic}"
+
+
+def dds_service(name: str, kind: str) -> tuple[tuple[str, str], tuple[str, str]]:
+    """Topic and type on DDS of a service's requests, and of its replies.
+
+    Raises:
+        NotBridged: ROS 2 does not allow this name.
+    """
+    path = dds_topic(name).removeprefix("rt")
+    package, _, base = kind.partition("/")
+    made = f"{package}::srv::dds_::{base}"
+    return (f"rq{path}Request", f"{made}_Request_"), (f"rr{path}Reply", f"{made}_Response_")
 
 
 def dds_type(kind: str) -> str:

@@ -105,13 +105,14 @@ class Port:
     Args:
         domain: Its number, as `ROS_DOMAIN_ID`.
         interface: Name of the network interface; no other one is used.
-        started: Time of start [ns], by which two gateways know which is the second.
+        started: Time of start [ns], by which two gateways know which is the second; None: it is
+            no gateway.
 
     Raises:
         PortError: There is no such interface, or DDS does not start.
     """
 
-    def __init__(self, domain: int, interface: str, started: int) -> None:
+    def __init__(self, domain: int, interface: str, started: int | None = None) -> None:
         known = [name for _, name in socket.if_nameindex()]
         if interface not in known:
             raise PortError(
@@ -119,7 +120,7 @@ class Port:
                 f"--ros2 uses {LOOPBACK}, this machine alone"
             )
         multicast = "true" if interface == LOOPBACK else "default"
-        self._note = _GATEWAY + b"%020d" % started
+        self._note = b"" if started is None else _GATEWAY + b"%020d" % started
         try:
             config = _CONFIG.format(interface=interface, multicast=multicast)
             self._domain = Domain(domain, config)
@@ -130,7 +131,7 @@ class Port:
                 "and --ros2 INTERFACE choose others"
             ) from error
         if interface == LOOPBACK:
-            _hold_to_loopback()
+            hold_to(interface)
         self._key = str(self._participant.guid)
         self._kinds: dict[str, type] = {}
         self._waiting = WaitSet(self._participant)
@@ -200,8 +201,8 @@ class Port:
             ) from error
 
 
-def _hold_to_loopback() -> None:
-    """Take nothing from other machines: Cyclone's sockets are open on every address.
+def hold_to(interface: str) -> None:
+    """Let this process's UDP sockets hear and use one network interface only.
 
     Raises:
         PortError: The system does not allow it.
@@ -210,11 +211,11 @@ def _hold_to_loopback() -> None:
         with contextlib.suppress(OSError), socket.socket(fileno=os.dup(int(entry))) as each:
             if each.type == socket.SOCK_DGRAM and each.family == socket.AF_INET:
                 try:
-                    each.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, LOOPBACK.encode())
+                    each.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, interface.encode())
                 except PermissionError as error:
                     raise PortError(
-                        "this system does not let DDS be held to the loopback interface (Linux "
-                        "5.7 does): name an interface, --ros2 INTERFACE"
+                        f"this system does not let DDS be held to the interface {interface} (Linux "
+                        "5.7 does): name another, --ros2 INTERFACE"
                     ) from error
 
 

