@@ -167,8 +167,11 @@ def run(
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     rospy.init_node(NODE, disable_signals=True)
     try:
-        made = dict(zip(IMPLEMENTATIONS, (Fast, Cyclone), strict=True))[implementation]
-        servers = made(domain, interface)
+        servers: Fast | Cyclone
+        if implementation == IMPLEMENTATIONS[0]:
+            servers = Fast(domain, interface)
+        else:
+            servers = Cyclone(domain, interface)
         graph, seen, asked = rosgraph.Master(NODE), set[str](), -ASK
         while not rospy.is_shutdown() and not gateway.poll():
             if time.monotonic() - asked >= ASK:
