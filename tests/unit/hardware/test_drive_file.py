@@ -50,6 +50,7 @@ REFUSED: dict[str, tuple[Edit, str, str]] = {
     "a homing with more than the bound": (homing(current=0.7), "yaw.homing.current", "0.7"),
     "a direction of none": (homing(direction=0), "yaw.homing.direction", "0"),
     "no stop": (lambda drive: drive["motors"]["yaw"]["homing"].pop("stop"), "stop", "missing"),
+    "a stop behind the zero": (homing(stop=0.3), "yaw.homing.stop", "0.3 is behind"),
     "a slow line": (top(baud=57600), "baud", "57600"),
     "an unknown loss": (top(when_lost="close"), "when_lost", "close"),
     "voltages the wrong way": (top(voltage=[13.0, 11.0]), "voltage", "13"),

@@ -157,6 +157,7 @@ def _test(arm: str, drive: DriveFile) -> None:
     session = DriveSession(drive)
     session.home()
     _turn(session, lambda: session.core.status.text.startswith("HOMING"), HOMING_S, {})
+    _refuse_failed(arm, session)
     rows = []
     for motor in drive.motors:
         goal = min(TURN, motor.upper)
@@ -164,7 +165,6 @@ def _test(arm: str, drive: DriveFile) -> None:
             off = _turn(session, lambda: True, TURN_S, {motor.joint: each})
             rows.append([motor.joint, f"to {each:g} rad", f"off by {off:.3f} rad"])
         _refuse_failed(arm, session)
-    _refuse_failed(arm, session)
     assert session.bus is not None
     rows.append(["answers", f"{session.bus.asked} asked", f"{session.bus.lost} lost"])
     session.bus.exchange({})  # every motor turns freely again

@@ -7,6 +7,7 @@ arguments of `Servo`. Lines on its standard input are faults, ``[at SECONDS] NAM
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import select
@@ -19,12 +20,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from surg_emulators import emulator_program
-from surg_emulators.drive.servo_line import STEP, ServoLine
+from surg_emulators.drive.servo_line import ServoLine
 from surg_emulators.drive.servo_motor import BAUDS, Servo
 
 _SPEEDS = {getattr(termios, f"B{baud}"): baud for baud in BAUDS if hasattr(termios, f"B{baud}")}
 """Constant of the terminal -> [bit/s]."""
-LOOK = 0.1
+LOOK = 0.01
 """[s] At most, between two looks at an idle line."""
 
 
@@ -54,6 +55,7 @@ class DriveEmulator:
         """Make the port."""
         ours, self._theirs = os.openpty()
         tty.setraw(self._theirs)
+        os.set_blocking(ours, False)
         self._path.unlink(missing_ok=True)
         self._path.symlink_to(os.ttyname(self._theirs))
         self._ours = ours
@@ -84,18 +86,22 @@ class DriveEmulator:
         coming: list[tuple[float, bytes]] = []
         while not self._stopped:
             next_answer = coming[0][0] - self._now() if coming else LOOK
-            wait = min(max(next_answer, 0.0), 10 * STEP)
-            if self._ours < 0:
-                time.sleep(wait)
-            elif select.select((self._ours,), (), (), wait)[0]:
-                with self._lock:
-                    coming += self._read()
-            with self._lock:
+            self._wait(min(max(next_answer, 0.0), LOOK))
+            with self._lock, contextlib.suppress(BlockingIOError):
                 self.line.step(self._now())
+                if self._ours < 0:
+                    continue
+                coming += self._read()
                 due = [data for at, data in coming if at <= self._now()]
                 del coming[: len(due)]
-                if due and self._ours >= 0:
-                    os.write(self._ours, b"".join(due))
+                os.write(self._ours, b"".join(due))
+
+    def _wait(self, seconds: float) -> None:
+        """For bytes of the host; the port may be pulled meanwhile."""
+        try:
+            select.select((self._ours,), (), (), seconds)
+        except (OSError, ValueError):
+            time.sleep(seconds)
 
     def _read(self) -> list[tuple[float, bytes]]:
         try:
@@ -103,7 +109,6 @@ class DriveEmulator:
         except OSError:
             return []
         baud = _SPEEDS.get(termios.tcgetattr(self._theirs)[5], 0)
-        self.line.step(self._now())
         return self.line.receive(data, self._now(), baud) if baud else []
 
     def _now(self) -> float:

@@ -91,7 +91,7 @@ class ServoLine:
 
     def _obey(self, servo: Servo, instruction: int, parameters: bytes) -> bytes:
         """One servo's answer; empty: none."""
-        level, data, error = servo.table[LEVEL], b"", 0
+        level, error = servo.table[LEVEL], 0
         if instruction == 0x01:
             return status(servo.id, servo.alert, bytes([*servo.table[:2], servo.table[6]]))
         if instruction == 0x02:
@@ -99,7 +99,7 @@ class ServoLine:
             data = bytes(servo.table[address : address + size])
             error = 0 if data and len(data) == size and len(parameters) == 4 else LENGTH
             return status(servo.id, error | servo.alert, data) if level else b""
-        address, (content) = int.from_bytes(parameters[:2], "little"), parameters[2:]
+        address, content = int.from_bytes(parameters[:2], "little"), parameters[2:]
         servo_id = servo.id  # as it answers, also where it gets another one
         if instruction == 0x03:
             error = servo.write(address, content)

@@ -126,10 +126,10 @@ class Servo:
         if self.unplugged or now < self.silent_until or baud != self.baud:
             return False
         self._heard = now
-        self._set("tick", int(1e3 * now) % 32768)
-        self._set("current", round(self._current / AMPERE))
-        self._set("velocity", round(self.velocity / SPEED))
-        self._set("position", round(self.position / RAD))
+        self.put("tick", int(1e3 * now) % 32768)
+        self.put("current", round(self._current / AMPERE))
+        self.put("velocity", round(self.velocity / SPEED))
+        self.put("position", round(self.position / RAD))
         return True
 
     def fail(self, bit: int) -> None:
@@ -159,7 +159,7 @@ class Servo:
         self.table[address : address + len(data)] = data
         limit = self.get("current_limit")
         if address < TORQUE:
-            self._set("goal_current", limit)
+            self.put("goal_current", limit)
         elif abs(self.get("goal_current")) > limit:
             self.table[:] = before
             return LIMIT
@@ -168,7 +168,7 @@ class Servo:
                 self.table[TORQUE] = 0  # until it is restarted
             self._reference = self.position
             if not before[TORQUE]:
-                self._set("goal_position", round(self.position / RAD))
+                self.put("goal_position", round(self.position / RAD))
         return 0
 
     def step(self, now: float, dt: float) -> None:
@@ -203,17 +203,14 @@ class Servo:
         if self.table[TORQUE] and 0 < limit < 128 and now - self._heard > 0.02 * limit:
             self.table[WATCHDOG] = 0xFF
             self._reference = self.position
-            self._set("goal_position", round(self.position / RAD))
+            self.put("goal_position", round(self.position / RAD))
 
     def get(self, name: str) -> int:
         """A value of `VALUES`."""
         address, size = VALUES[name]
         return int.from_bytes(self.table[address : address + size], "little", signed=size > 1)
 
-    def _set(self, name: str, value: int) -> None:
+    def put(self, name: str, value: int) -> None:
+        """Set a value of `VALUES`."""
         address, size = VALUES[name]
         self.table[address : address + size] = value.to_bytes(size, "little", signed=size > 1)
-
-    def put(self, name: str, value: int) -> None:
-        """Pretend a measured value: `voltage` or `temperature`."""
-        self._set(name, value)

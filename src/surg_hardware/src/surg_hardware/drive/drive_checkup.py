@@ -5,10 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from surg_hardware.checkup import Finding
-from surg_hardware.drive.drive_file import BAUDS, MODELS, DriveFile
+from surg_hardware.drive.drive_file import BAUDS, MODELS, DriveFile, Motor
 from surg_hardware.drive.dynamixel_bus import DynamixelBus
 from surg_hardware.drive.serial_port import GONE, SerialPort
 
@@ -101,7 +100,7 @@ def scan(drive: DriveFile) -> Iterator[tuple[int, int, str]]:
             bus.close()
 
 
-def set_id(drive: DriveFile, motor: Any, baud: int, old: int) -> None:
+def set_id(drive: DriveFile, motor: Motor, baud: int, old: int) -> None:
     """Give the only motor on the line the id and the baud of the file.
 
     Raises:

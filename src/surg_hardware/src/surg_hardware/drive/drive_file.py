@@ -211,6 +211,9 @@ def _motor(doc: CheckedDocument, joint: str) -> Motor:
         stop=doc.number(key + "homing.stop", -FULL_TURNS, FULL_TURNS, "rad"),
         travel=doc.number(key + "homing.travel", 0.1, FULL_TURNS, "rad"),
     )
+    if homing.stop * homing.direction < 0.0:
+        rule = "a stop in that direction from zero, or 0"
+        raise doc.refusal(key + "homing.stop", f"{homing.stop:g} is behind the motor's zero", rule)
     return Motor(
         joint=joint,
         id=doc.count(key + "id", 0, LAST_ID),

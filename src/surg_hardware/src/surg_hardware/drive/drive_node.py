@@ -102,6 +102,7 @@ class DriveNode:
         self._status.publish(stamped)
         if status.state is DriveState.FAILED:
             self._measured.publish(message)  # CRTK: stamp 0, not valid
+        if status.state in (DriveState.FAILED, DriveState.DISCONNECTED):
             self._warn(said)
 
     def _on_goal(self, message: Any) -> None:

@@ -116,4 +116,4 @@ class Homing:
             self._phase, self._start = _Phase.SEEK, None
         elif now - self._since > PATIENCE + abs(motor.homing.stop) / SPEED:
             raise DriveFailed(Failure.STALL, motor.id, "on the way back from its stop")
-        return MotorOrder(zero, motor.current, SPEED * motor.gear)
+        return MotorOrder(zero, motor.homing.current, SPEED * motor.gear)
