@@ -48,13 +48,14 @@ def drive_file(folder: Path, document: Mapping[str, Any] = DRIVE) -> DriveFile:
 
 
 def servos(lag: float = 0.04) -> list[Servo]:
-    """The instrument's servos, somewhere between their stops."""
+    """The instrument's servos, near their stops."""
     found = []
     for motor_id, offset in OFFSETS.items():
         motor = JAW if motor_id == 3 else MOTOR
         way = float(motor["sign"]) * float(motor["gear"])  # type: ignore[arg-type]
+        begin = offset + way * (motor["homing"]["stop"] + 0.05)  # type: ignore[index]
         ends = sorted((offset + way * motor["homing"]["stop"], offset + way * 1.9))  # type: ignore[index]
-        found.append(Servo(motor_id, 1_000_000, offset + 0.1, (ends[0], ends[1]), lag))
+        found.append(Servo(motor_id, 1_000_000, begin, (ends[0], ends[1]), lag))
     return found
 
 
