@@ -14,7 +14,7 @@ import surg_core
 from helpers.hardware.servo_bench import DRIVE, JAW, drive_file, emulated_drive_cell
 from surg_cli.host import paths
 from surg_hardware.drive.coupling import Coupling
-from surg_hardware.drive.drive_file import drive_of
+from surg_hardware.drive.drive_file import drive_of, load_drive
 
 Edit = Callable[[dict[str, Any]], object]
 
@@ -115,3 +115,10 @@ def test_a_cell_whose_arm_has_no_drive_is_told(tmp_path: Path) -> None:
     cell = surg_core.load_cell(paths.CELLS / "emulated_ur5e")
     with pytest.raises(surg_core.ConfigError, match=r"cell\.yaml.*tool_link: is not 'drive'"):
         drive_of(cell, "PSM1")
+
+
+def test_the_file_in_the_guide_is_valid(tmp_path: Path) -> None:
+    page = (paths.ROOT / "docs" / "guide" / "build_a_drive.md").read_text("utf-8")
+    path = tmp_path / "drive_PSM1.yaml"
+    path.write_text(page.split("```yaml\n")[1].split("```")[0], "utf-8")
+    assert load_drive(path).joints == ("jaw",)
