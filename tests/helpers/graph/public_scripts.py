@@ -76,11 +76,13 @@ class Script:
         name: Of the script, without ``.py``.
         words: Its arguments.
         env: Of the graph.
+        python: That runs it; rclpy has one of its own.
     """
 
     name: str
     words: Sequence[str]
     env: dict[str, str]
+    python: Path = Path(sys.executable)
     _data: bytearray = field(default_factory=bytearray, init=False)
 
     def __post_init__(self) -> None:
@@ -88,7 +90,7 @@ class Script:
         python_path = ":".join([*sources, self.env.get("PYTHONPATH", "")])
         self._terminal, ours = pty.openpty()
         self._process = subprocess.Popen(
-            [sys.executable, str(RUNNER), str(path_of(self.name)), *self.words],
+            [str(self.python), str(RUNNER), str(path_of(self.name)), *self.words],
             env={**self.env, "PYTHONPATH": python_path, "PYTHONUNBUFFERED": "1"},
             stdin=ours,
             stdout=ours,

@@ -9,14 +9,14 @@ _PAGE = ResultsPage("public_scripts.md")
 _found: dict[str, dict[str, str]] = {}
 
 
-def note(script: str, cell: str, waits: int, result: str) -> None:
+def note(script: str, waits: int, result: str, cell: str) -> None:
     """Print what a script did; its row is kept once both robots have been tried.
 
     Args:
         script: Its name, without ``.py``.
-        cell: Of `CELLS`.
         waits: Calls of ``wait()``.
         result: What was found.
+        cell: Of `CELLS`.
     """
     print(f"{script}, {cell}: {waits} waits: {result}")
     found = _found.setdefault(script, {})

@@ -1,4 +1,4 @@
-"""The workspace's own messages and services as ROS 2 packages, built for real rclpy.
+"""Real rclpy in an environment of its own, with the workspace's own messages as ROS 2 packages.
 
 As docs/guide/coming_from_ros2.md says: the files stay, but for three types that ROS 2 spells
 otherwise. The tools are those of ROS 2, from PyPI, in rclpy's environment.
@@ -6,13 +6,18 @@ otherwise. The tools are those of ROS 2, from PyPI, in rclpy's environment.
 
 from __future__ import annotations
 
+import random
 import re
 import subprocess
 import sysconfig
 from pathlib import Path
 
+import PyKDL
 import pytest
 
+from helpers.graph.ros import RosGraph
+from helpers.tree import oracle_venv
+from surg_cli.graph import topic_contract
 from surg_cli.host import paths
 
 TOOLS = (
@@ -23,7 +28,13 @@ TOOLS = (
     "ros-ament-cmake-ros-core==0.14.5", "ros-fastrtps-cmake-module==3.6.2",
     "ros-python-cmake-module", "catkin-pkg==1.1.1",
 )  # fmt: skip
-PACKAGES = ("crtk_msgs", "surg_msgs")
+RCLPY = (
+    "ros-rclpy==9.1.2",
+    "ros-rmw-fastrtps-cpp==9.3.3",
+    *(f"ros-{name}-msgs==5.5.1" for name in ("std", "geometry", "sensor", "diagnostic")),
+    "ros-rosgraph-msgs==2.3.0",
+)
+OWN = ("crtk_msgs", "surg_msgs")
 SPELLED = {
     "Header": "std_msgs/Header",
     "time": "builtin_interfaces/Time",
@@ -67,11 +78,12 @@ def write(name: str, folder: Path) -> None:
     (folder / "package.xml").write_text(XML.format(name=name, depends=depends))
 
 
-def build(python: Path) -> dict[str, str]:
-    """Build them into the environment of this interpreter; returns what rclpy needs to know.
+def rclpy() -> tuple[Path, dict[str, str]]:
+    """The interpreter, and the environment that it needs beside a domain; else a skip.
 
     The wheels name folders of the machine that built them.
     """
+    python = oracle_venv.python("rclpy-9.1.2", [[*RCLPY, *TOOLS]], ("rclpy", "sensor_msgs.msg"))
     prefix = python.parents[1]
     env = {
         "PATH": f"{prefix / 'bin'}:/usr/bin:/bin",
@@ -87,7 +99,7 @@ def build(python: Path) -> dict[str, str]:
         for old, new in theirs.items():
             text = re.sub(old, new, text)
         file.write_text(text, "utf-8")
-    for name in PACKAGES:
+    for name in OWN:
         source, built = prefix / "interfaces" / name, prefix / "interfaces" / f"{name}_build"
         stamp = built / ".complete"
         write(name, source)
@@ -103,4 +115,16 @@ def build(python: Path) -> dict[str, str]:
             if done.returncode != 0:
                 pytest.skip(f"missing: {name} for ROS 2: {done.stderr.strip()[-300:]}")
         stamp.touch()
-    return {"LD_LIBRARY_PATH": str(prefix / "lib"), "AMENT_PREFIX_PATH": str(prefix)}
+    needed = {"LD_LIBRARY_PATH": str(prefix / "lib"), "AMENT_PREFIX_PATH": str(prefix)}
+    return python, {**needed, "PYTHONPATH": "", "ROS_VERSION": "2"}
+
+
+def with_gateway(graph: RosGraph, **more: object) -> tuple[Path, dict[str, str]]:
+    """Start the gateway in a domain of its own; as `rclpy`, with that domain."""
+    python, env = rclpy()
+    kdl = Path(PyKDL.__file__)  # Debian's, which the public clients need
+    (graph.folder / kdl.name).symlink_to(kdl)
+    domain = random.SystemRandom().randrange(150, 230)
+    params = {"contract": topic_contract.SOURCE, "domain": domain, "commands": True, **more}
+    graph.node("surg_ros2", "ros2_gateway_node.py", "/ros2", params)
+    return python, {**env, "PYTHONPATH": str(graph.folder), "ROS_DOMAIN_ID": str(domain)}

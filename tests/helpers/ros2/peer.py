@@ -2,10 +2,12 @@
 
 `peer.py DOMAIN NODE TOPIC TYPE PERIOD HEX LISTEN…` sends one sample on TOPIC again and again, and
 prints each sample that it hears on LISTEN: `topic=type`, with `!` behind the name of a latched one.
+PEER_COPIES in the environment: as many processes do so.
 """
 
 from __future__ import annotations
 
+import os
 import struct
 import sys
 import time
@@ -28,6 +30,9 @@ def nodes(key: str, name: str) -> bytes:
 
 def main(domain: str, node: str, topic: str, kind: str, period: str, data: str, *hear: str) -> None:
     """Send and hear until the process is ended."""
+    for _ in range(int(os.environ.get("PEER_COPIES", "1")) - 1):
+        if os.fork() == 0:
+            break
     port = Port(int(domain), LOOPBACK, LATER)
     names = port.writer(
         "ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_", NAMES

@@ -1,4 +1,4 @@
-"""Other people's scripts drive the arms, unmodified, on both robots.
+"""Other people's scripts drive the arms, unmodified, on both robots, and from ROS 2 on one.
 
 ``SURG_PUBLIC_CLIENTS`` names a folder with checkouts of crtk_python_client and dvrk_python. Judged
 are the exit, every ``wait()``, and by the simulator's truth where the tip goes and what the pivot
@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +29,8 @@ from helpers.graph.public_scripts import Ended, Script, Step
 from helpers.graph.ros import RosGraph
 from helpers.graph.surg import environment, start
 from helpers.results import public_script_results as page
+from helpers.results.ros2_results import note as ros2_note
+from helpers.ros2 import interfaces
 from surg_cli.graph import master
 from surg_cli.host import paths
 from surg_msgs.msg import Cycle, GroundTruth
@@ -41,6 +45,9 @@ PIVOT = 0.5e-3
 STARVED = {"overrun", "link"}
 """How an arm ends that got no processor for some time: a script is begun anew then."""
 TRIES = 4
+ROS1 = (Path(sys.executable), dict[str, str]())
+ROS2 = "ROS 2"
+"""Of the scripts, on the first cell."""
 ENTER = "\n"
 
 
@@ -116,6 +123,8 @@ class Rig:
     cell: str
     plant: Plant
     arm: Arm
+    side: tuple[Path, dict[str, str]]  # interpreter and environment of the scripts
+    note: Callable[[str, int, str], None]  # of the page: script, waits, what was found
     starved: int = 0
 
     def homed(self) -> None:
@@ -139,7 +148,8 @@ class Rig:
     def begin(self, script: str, *words: str) -> Script:
         """Start a script; what the plant does from now on counts."""
         self.plant.begin()
-        return Script(script, words, dict(self.graph.env))
+        python, env = self.side
+        return Script(script, words, {**self.graph.env, **env}, python)
 
     def run(self, script: str, *words: str, steps: Sequence[Step] = (), ends: str = "") -> Ended:
         """A script from its start to its end, which must be a good one.
@@ -171,26 +181,31 @@ class Rig:
         assert not self.plant.faults, self.plant.words
         assert self.plant.pivot < PIVOT
 
-    def note(self, script: str, ended: Ended, result: str) -> None:
+    def keep(self, script: str, ended: Ended, result: str) -> None:
         """Keep what was found."""
         said = f"{result}; pivot {1e3 * self.plant.pivot:.3f} mm"
         if self.starved:
             said += f"; begun anew {self.starved} times"
-        page.note(script, self.cell, ended.waits, said)
+        self.note(script, ended.waits, said)
 
 
-@pytest.fixture(params=page.CELLS)
+@pytest.fixture(params=[*page.CELLS, pytest.param(ROS2, id="rclpy")])
 def rig(ros_graph: RosGraph, rospy_node: str, request: pytest.FixtureRequest) -> Iterator[Rig]:
     """One arm; the checkouts come first, as nothing is started without them."""
     public_scripts.folder()
-    shared: dict[str, object] = {"cell": paths.ROOT / "cells" / request.param, "mode": "freerun"}
+    cell, side = request.param, ROS1
+    note = partial(page.note, cell=cell)
+    if cell == ROS2:
+        cell, note = page.CELLS[0], ros2_note
+        side = interfaces.with_gateway(ros_graph)
+    shared: dict[str, object] = {"cell": paths.ROOT / "cells" / cell, "mode": "freerun"}
     ros_graph.node("surg_sim", "bridge_node.py", "/sim", shared)
     ros_graph.node("surg_control", "rcm_node", "/PSM1/controller", {**shared, "arm": "PSM1"})
     plant, arm = Plant("PSM1"), Arm("PSM1", WallTime())
     try:
         arm.check_connections(60.0)
         ros_graph.wait_for(lambda: bool(plant.tips), 30.0, "the truth")
-        yield Rig(ros_graph, request.param, plant, arm)
+        yield Rig(ros_graph, cell, plant, arm, side, note)
     finally:
         arm.close()
         plant.close()
@@ -201,7 +216,7 @@ def there_and_back(rig: Rig, script: str, ended: Ended, way: float) -> None:
     far, last = rig.plant.way()
     assert far == pytest.approx(way, abs=FOUND_HOME)
     assert last < FOUND_HOME
-    rig.note(script, ended, f"tip {1e3 * far:.1f} mm away, back to {1e3 * last:.2f}")
+    rig.keep(script, ended, f"tip {1e3 * far:.1f} mm away, back to {1e3 * last:.2f}")
 
 
 def test_crtk_move_cp_example(rig: Rig) -> None:
@@ -230,7 +245,7 @@ def test_crtk_servo_jp_example(rig: Rig) -> None:
         math.degrees(math.acos(math.cos(math.radians(10)) ** 2)), abs=0.5
     )
     assert last < FOUND_HOME
-    rig.note(
+    rig.keep(
         "crtk_servo_jp_example", ended, f"shaft {turned:.1f}°, tip back to {1e3 * last:.2f} mm"
     )
 
@@ -240,7 +255,7 @@ def test_crtk_servo_cv_example(rig: Rig) -> None:
     ended = rig.run("crtk_servo_cv_example", "PSM1")
     _, last = rig.plant.way()
     assert 2e-5 < last < 3e-4
-    rig.note("crtk_servo_cv_example", ended, f"tip {1e3 * last:.2f} mm, not 10: said once")
+    rig.keep("crtk_servo_cv_example", ended, f"tip {1e3 * last:.2f} mm, not 10: said once")
 
 
 def test_crtk_xyz(rig: Rig) -> None:
@@ -259,7 +274,7 @@ def test_crtk_xyz(rig: Rig) -> None:
     assert far == pytest.approx(0.01, abs=FOUND_HOME) and last < FOUND_HOME
     assert len(ways) == 3
     assert max(abs(ways[i] @ ways[j]) for i, j in ((0, 1), (0, 2), (1, 2))) < 0.05
-    rig.note("crtk_xyz", ended, f"tip {1e3 * far:.1f} mm along {len(ways)} axes")
+    rig.keep("crtk_xyz", ended, f"tip {1e3 * far:.1f} mm along {len(ways)} axes")
 
 
 def test_crtk_simple_orientation_registration(rig: Rig) -> None:
@@ -288,7 +303,7 @@ def test_crtk_simple_orientation_registration(rig: Rig) -> None:
     hand = float(ended.text.split("(x×y)·z = ")[1].split()[0])
     errors = [float(part.split()[0]) for part in ended.text.split("error to 90 = ")[1:]]
     assert hand == pytest.approx(1.0, abs=0.01) and max(errors) < 2.0
-    rig.note(
+    rig.keep(
         "crtk_simple_orientation_registration",
         ended,
         f"handedness {hand:+.4f}, axes within {max(errors):.2f}° of 90",
@@ -314,7 +329,8 @@ def test_crtk_teleop_example(ros_graph: RosGraph, rospy_node: str, cell: str) ->
         for arm in arms.values():
             arm.check_connections(60.0)
             ros_graph.wait_for(lambda a=arm: a.enable(2.0) and a.home(2.0), 120.0, "home")
-        rig = Rig(ros_graph, cell, plant, arms["PSM1"])
+        note = partial(page.note, cell=cell)
+        rig = Rig(ros_graph, cell, plant, arms["PSM1"], ROS1, note)
         time.sleep(0.5)
         running = rig.begin("crtk_teleop_example", "ECM", "PSM1")
         time.sleep(3.0)
@@ -334,7 +350,7 @@ def test_crtk_teleop_example(ros_graph: RosGraph, rospy_node: str, cell: str) ->
     assert "unable to get" not in ended.text and "RuntimeWarning" not in ended.text, ended.text
     assert last == pytest.approx(0.002, abs=3e-4)
     assert not plant.faults and plant.pivot < PIVOT
-    rig.note("crtk_teleop_example", ended, f"tip {1e3 * last:.2f} mm for 20 mm of the master")
+    rig.keep("crtk_teleop_example", ended, f"tip {1e3 * last:.2f} mm for 20 mm of the master")
 
 
 def test_dvrk_arm_test(rig: Rig) -> None:
@@ -346,7 +362,7 @@ def test_dvrk_arm_test(rig: Rig) -> None:
     far, _ = rig.plant.way(middle)
     at_middle(rig)
     assert far > 0.05 - FOUND_HOME
-    rig.note("dvrk_arm_test", ended, f"tip {1e3 * far:.1f} mm from the middle")
+    rig.keep("dvrk_arm_test", ended, f"tip {1e3 * far:.1f} mm from the middle")
 
 
 def test_dvrk_psm_test(rig: Rig) -> None:
@@ -358,7 +374,7 @@ def test_dvrk_psm_test(rig: Rig) -> None:
     jaw = np.degrees([min(rig.plant.jaws), max(rig.plant.jaws)])
     at_middle(rig)
     assert jaw[1] - jaw[0] > 30.0
-    rig.note("dvrk_psm_test", ended, f"jaw from {jaw[0]:.0f}° to {jaw[1]:.0f}°")
+    rig.keep("dvrk_psm_test", ended, f"jaw from {jaw[0]:.0f}° to {jaw[1]:.0f}°")
 
 
 def at_middle(rig: Rig) -> None:
@@ -385,7 +401,7 @@ def test_dvrk_system_test(rig: Rig) -> None:
     said = [text for text in rig.plant.words if "makes no sounds" in text]
     assert len(said) == 2, rig.plant.words
     assert rig.plant.way()[0] < 1e-4
-    rig.note("dvrk_system_test", ended, f"{len(said)} warnings, nothing moves")
+    rig.keep("dvrk_system_test", ended, f"{len(said)} warnings, nothing moves")
 
 
 @pytest.mark.parametrize("cell", page.CELLS)
@@ -412,7 +428,7 @@ def test_dvrk_console_test(tmp_path: Path, cell: str) -> None:
     assert ended.code == 0, ended.text
     is_now, expected = ended.text.rsplit("scale is ", 1)[1].split(", expected ")
     assert float(is_now) == pytest.approx(float(expected))
-    page.note("dvrk_console_test", cell, 0, f"scale {is_now}, as asked")
+    page.note("dvrk_console_test", 0, f"scale {is_now}, as asked", cell)
 
 
 def refused(rig: Rig, script: str, *words: str, why: str, result: str) -> None:
@@ -425,7 +441,7 @@ def refused(rig: Rig, script: str, *words: str, why: str, result: str) -> None:
     far, _ = rig.plant.way()
     assert ended.code != 0 and why in ended.text, ended.text
     assert far < 1e-4
-    page.note(script, rig.cell, ended.waits, f"no: {result}")
+    rig.note(script, ended.waits, f"no: {result}")
 
 
 def test_crtk_haptic_example_commands_forces(rig: Rig) -> None:
@@ -442,7 +458,7 @@ def test_crtk_rate_example(rig: Rig) -> None:
     assert ended.code == 0 and "Completed in" in ended.text, ended.text
     assert rig.plant.way()[0] < 1e-4
     said = ended.text.rsplit("Completed in ", 1)[1].splitlines()[0]
-    page.note("crtk_rate_example", rig.cell, 0, f"{said}; speaks to no arm")
+    rig.note("crtk_rate_example", 0, f"{said}; speaks to no arm")
 
 
 def test_dvrk_mtm_test_wants_a_master(rig: Rig) -> None:
@@ -460,7 +476,7 @@ def test_dvrk_teleoperation_wants_a_master(rig: Rig) -> None:
     # The word is that of the version.
     assert re.search("failed to (enable|home) MTML", ended.text), ended.text
     assert rig.plant.way()[0] < 1e-4
-    page.note("dvrk_teleoperation", rig.cell, 0, "no: no arm is a master (MTML)")
+    rig.note("dvrk_teleoperation", 0, "no: no arm is a master (MTML)")
 
 
 def test_dvrk_psm_effort_test_commands_forces(rig: Rig) -> None:
@@ -478,4 +494,4 @@ def test_dvrk_psm_effort_test_commands_forces(rig: Rig) -> None:
     assert {"servo_jf", "jaw/servo_jf"} <= said, rig.plant.words
     assert "IndexError" in ended.text  # of the torques, which the arm does not measure
     assert rig.plant.way()[0] < 1e-4 and not rig.plant.faults
-    page.note("dvrk_psm_effort_test", rig.cell, ended.waits, "no: forces are answered in words")
+    rig.note("dvrk_psm_effort_test", ended.waits, "no: forces are answered in words")

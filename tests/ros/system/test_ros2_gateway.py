@@ -21,12 +21,14 @@ from crtk_msgs.msg import OperatingState
 from crtk_msgs.srv import QueryInverseKinematics
 from crtk_msgs.srv import QueryInverseKinematicsRequest as Request
 from crtk_msgs.srv import QueryInverseKinematicsResponse as Response
+from helpers.graph.crtk_client import Arm, WallTime
 from helpers.graph.ros import RosGraph
 from helpers.results.ros2_results import note
 from helpers.ros2 import drawn_messages as drawn
 from surg_cli.graph import master, topic_contract
 from surg_cli.graph.processes import Child
 from surg_cli.host import paths
+from surg_msgs.msg import Cycle
 
 pytest.importorskip("cyclonedds", reason="missing: ./surg dev setup --all installs cyclonedds")
 pytestmark = [pytest.mark.ros]
@@ -39,8 +41,12 @@ DOMAINS = range(150, 230)
 """Of DDS; ROS 2 users take lower ones."""
 POSE = "geometry_msgs/PoseStamped"
 JUNK = "00010000ffffffff"
-KILLED, TOGETHER = 200, 4
+KILLED, TOGETHER = 1000, 4
 """Processes that are killed, and how many at a time."""
+DRIVERS = 20
+"""Processes that drive an arm and are killed, one after another."""
+HOLD_S = 0.15
+"""[s] `servo_timeout`, and what a busy machine adds."""
 GROWTH_MB = 30.0
 """More than that is no noise of the allocator."""
 
@@ -83,9 +89,21 @@ class Graph:
         return max((b - a for a, b in itertools.pairwise(times)), default=0.0)
 
 
-def peer(graph: RosGraph, domain: int, name: str, data: str, *hear: str, label: str = "") -> Child:
-    words = [sys.executable, PEER, domain, name, "/PSM1/servo_cp", POSE, "0.05", data, *hear]
-    return graph.supervisor.start(f"peer{label or name}", [str(word) for word in words])
+def peer(
+    graph: RosGraph,
+    domain: int,
+    name: str,
+    data: str,
+    *hear: str,
+    label: str = "",
+    period: float = 0.05,
+    copies: int = 1,
+) -> Child:
+    words = [sys.executable, PEER, domain, name, "/PSM1/servo_cp", POSE, period, data, *hear]
+    env = {"PEER_COPIES": str(copies)}
+    return graph.supervisor.start(
+        f"peer{label or name}", [str(word) for word in words], extra_env=env
+    )
 
 
 def test_both_ways_with_an_authority_of_its_own_for_each_process(
@@ -200,11 +218,12 @@ def test_killed_processes_leave_nothing_and_cross_nobodys_authority(
     peer(ros_graph, domain, "good", good)
     ros_graph.wait_for(lambda: "/ros2_good" in graph.heard, WAIT_S, "the good one")
     sizes = []
-    for _ in range(KILLED // TOGETHER):
-        more = [peer(ros_graph, domain, "dies", dying, label=f"{n}") for n in range(TOGETHER)]
-        ros_graph.wait_for(lambda m=more: all(each.log_tail() for each in m), WAIT_S, "peers")
-        for each in more:
-            each.send(signal.SIGKILL)
+    for k in range(KILLED // TOGETHER):
+        more = peer(ros_graph, domain, "dies", dying, label=str(k), copies=TOGETHER)
+        ros_graph.wait_for(
+            lambda m=more: m.log_tail(99).count("ready") == TOGETHER, WAIT_S, "peers"
+        )
+        more.send(signal.SIGKILL)
         sizes.append(resident(node))
     ros_graph.wait_for(
         lambda: not [n for n in master.nodes(ros_graph.uri) if n.startswith("/ros2_dies")],
@@ -218,6 +237,56 @@ def test_killed_processes_leave_nothing_and_cross_nobodys_authority(
     assert all(messages == same[1] for messages in graph.heard.values())
     assert sizes[-1] < sizes[0] + GROWTH_MB
     assert node.exit_code is None
+
+
+@pytest.mark.full
+def test_the_arm_holds_when_its_driver_is_killed(
+    ros_graph: RosGraph, rospy_node: str, domain: int, gateway: Callable[..., Child]
+) -> None:
+    shared: dict[str, object] = {"cell": paths.ROOT / "cells" / "sim_ur5e", "mode": "freerun"}
+    ros_graph.node("surg_sim", "bridge_node.py", "/sim", shared)
+    ros_graph.node("surg_control", "rcm_node", "/PSM1/controller", {**shared, "arm": "PSM1"})
+    node, cycles = gateway(), list[Cycle]()
+    ear = rospy.Subscriber("/PSM1/cycle", Cycle, cycles.append, queue_size=None)
+    arm, held = Arm("PSM1", WallTime()), []
+
+    def at_home() -> bool:
+        return arm.enable(2.0) and arm.home(2.0)
+
+    def driven() -> bool:
+        if cycles[-1].state == Cycle.FAULT:  # it got no processor for some time
+            at_home()
+        return bool(cycles[-1].command == Cycle.SERVO_CP)
+
+    try:
+        arm.check_connections(WAIT_S)
+        ros_graph.wait_for(at_home, WAIT_S, "home")
+        stay = drawn.cdr(POSE, PoseStamped(pose=arm.get("setpoint_cp", 1.0, 1.0).pose)).hex()
+        for k in range(DRIVERS):
+            driver = peer(ros_graph, domain, "drives", stay, label=str(k), period=0.01)
+            ros_graph.wait_for(driven, WAIT_S, f"driver {k}")
+            assert cycles[-1].source.startswith("/ros2_drives")
+            driver.send(signal.SIGKILL)
+            ros_graph.wait_for(
+                lambda: cycles[-1].command != Cycle.SERVO_CP, WAIT_S, "the arm to hold"
+            )
+            if cycles[-1].state == Cycle.ENABLED:
+                held.append(silence(list(cycles)))
+    finally:
+        arm.close()
+        ear.unregister()
+    note(
+        "drivers killed", len(held), f"silent {1e3 * max(held):.0f} ms at most until the arm holds"
+    )
+    assert len(held) > DRIVERS // 2 and max(held) < HOLD_S
+    assert node.exit_code is None
+
+
+def silence(cycles: list[Cycle]) -> float:
+    """From the last command that was obeyed to the last cycle that waited for another [s]."""
+    last = max(k for k, cycle in enumerate(cycles) if cycle.command == Cycle.SERVO_CP)
+    obeyed = max(k for k in range(1, last + 1) if cycles[k].accepted > cycles[k - 1].accepted)
+    return float((cycles[last].header.stamp - cycles[obeyed].header.stamp).to_sec())
 
 
 def resident(child: Child) -> float:

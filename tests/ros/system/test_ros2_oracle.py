@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import random
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +18,7 @@ from typing import Any
 import pytest
 import rospy
 
+from helpers.graph import public_scripts
 from helpers.graph.ros import RosGraph
 from helpers.results.ros2_results import note
 from helpers.ros2 import drawn_messages as drawn
@@ -25,6 +27,7 @@ from helpers.tree import oracle_venv
 from surg_cli.graph import topic_contract
 from surg_cli.graph.processes import Child
 from surg_cli.host import paths
+from surg_msgs.msg import SimStatus
 from surg_ros2.bridged_topics import INSIDE, PICTURES
 from surg_ros2.cdr import Codec
 from surg_ros2.message_types_node import fields, service_class
@@ -33,13 +36,6 @@ pytest.importorskip("cyclonedds", reason="missing: ./surg dev setup --all instal
 pytestmark = [pytest.mark.ros, pytest.mark.oracle]
 
 FOLDER = paths.ROOT / "tests" / "helpers" / "ros2"
-PACKAGES = (
-    "ros-rclpy==9.1.2",
-    "ros-rmw-fastrtps-cpp==9.3.3",
-    *interfaces.TOOLS,
-    *(f"ros-{name}-msgs==5.5.1" for name in ("std", "geometry", "sensor", "diagnostic")),
-    "ros-rosgraph-msgs==2.3.0",
-)
 HAVE = (
     "crtk_msgs/",
     "surg_msgs/",
@@ -49,9 +45,10 @@ HAVE = (
     "diagnostic_msgs/",
     "rosgraph_msgs/",
 )
-CLEAN = {"PYTHONPATH": ""}
-"""What the environment of ROS 1 must not leave to rclpy."""
 WAIT_S = 120.0
+LOCKSTEP_S = 400.0
+CIRCLE = 500
+"""Ticks in which the script sends poses."""
 POSES, SETTLED, LEAST = 3000, 200, 0.5
 """Poses that are sent, those of them that begin, the part of the others that must arrive."""
 MIDDLE_MS = 5.0
@@ -96,11 +93,7 @@ def plain(value: Any) -> Any:
 @pytest.fixture
 def rclpy(ros_graph: RosGraph, tmp_path: Path) -> Callable[..., Child]:
     """Starts the gateway, and then real rclpy."""
-    python = oracle_venv.python("rclpy-9.1.2", [PACKAGES], ("rclpy", "sensor_msgs.msg"))
-    built = interfaces.build(python)
-    domain = random.SystemRandom().randrange(150, 230)
-    params = {"contract": topic_contract.SOURCE, "domain": domain, "commands": True}
-    ros_graph.node("surg_ros2", "ros2_gateway_node.py", "/ros2", params)
+    python, env = interfaces.with_gateway(ros_graph)
 
     def start(
         hear: dict[str, Any],
@@ -111,7 +104,6 @@ def rclpy(ros_graph: RosGraph, tmp_path: Path) -> Callable[..., Child]:
         spec = tmp_path / "spec.json"
         spec.write_text(json.dumps({"node": "oracle", "hear": hear, "say": say, "ask": ask}))
         words = [str(python), str(FOLDER / script), str(spec)]
-        env = {**CLEAN, **built, "ROS_DOMAIN_ID": str(domain)}
         return ros_graph.supervisor.start("rclpy", words, extra_env=env)
 
     return start
@@ -245,6 +237,42 @@ def test_a_pose_at_500_hz_is_hardly_late(
         out.publish(pose)
     ros_graph.wait_for(lambda: "[" in child.log_tail(1), WAIT_S, "rclpy to have heard")
     report("ROS 1 to ROS 2, a pose at 500 Hz", json.loads(child.log_tail(1)))
+
+
+def test_one_script_in_lock_step_has_one_hash_from_both_sides(
+    ros_graph: RosGraph, rospy_node: str
+) -> None:
+    client = public_scripts.folder() / "crtk_python_client" / "src"
+    hashes = [in_lock_step(ros_graph, client, ros2) for ros2 in (False, True)]
+    note("one CRTK script in lock-step, ROS 1 and ROS 2", 2, f"one hash, {hashes[0][:16]}")
+    assert hashes[0] == hashes[1] != ""
+
+
+def in_lock_step(graph: RosGraph, client: Path, ros2: bool) -> str:
+    """State hash of a run that a script drives, from one side."""
+    ended: list[SimStatus] = []
+    ear = rospy.Subscriber("/sim/status", SimStatus, lambda m: m.state_hash and ended.append(m))
+    name, python = "lockstep", Path(sys.executable)
+    env = {"PYTHONPATH": f"{client}:{graph.env.get('PYTHONPATH', '')}", "ROS_VERSION": "1"}
+    if ros2:
+        python, env = interfaces.with_gateway(graph, mode="lockstep")
+        name, env["PYTHONPATH"] = "ros2_lockstep", f"{client}:{env['PYTHONPATH']}"
+    shared = {"cell": paths.ROOT / "cells" / "sim_ur5e", "mode": "lockstep", "participants": [name]}
+    graph.node("surg_sim", "bridge_node.py", "/sim", shared)
+    graph.node("surg_control", "rcm_node", "/PSM1/controller", {**shared, "arm": "PSM1"})
+    words = [str(python), str(FOLDER / "lockstep_script.py"), name, "PSM1", str(CIRCLE)]
+    script = graph.supervisor.start(
+        "script", words + ["__name:=lockstep"] * (not ros2), extra_env=env
+    )
+    try:
+        done = lambda: bool(ended) and ended[-1].state == SimStatus.STATE_DONE  # noqa: E731
+        graph.wait_for(done, LOCKSTEP_S, "the run's end")
+        obeyed = f"accepted {CIRCLE + 2}"
+        graph.wait_for(lambda: obeyed in script.log_tail(), WAIT_S, obeyed)
+    finally:
+        ear.unregister()
+        graph.supervisor.stop(list(graph.supervisor.children))
+    return str(ended[-1].state_hash)
 
 
 def report(row: str, late: list[float]) -> None:

@@ -15,7 +15,7 @@ from surg_ros2.ros2_caller_node import LARGEST, Caller, forked
 NAMELESS = 3.0
 """[s] How long a process may be without the name of a ROS 2 node before it gets one."""
 EARLY = 4.0
-"""[s] How long a command waits for the node of its sender."""
+"""[s] How long a command waits for the node of its sender; in lock-step without end."""
 MOST_EARLY = 1000
 """Commands that wait so."""
 MOST_CALLERS = 32
@@ -103,7 +103,7 @@ class Incoming:
                 return
             if len(message) <= LARGEST:
                 caller.send(topic, message)
-        elif now - came < EARLY and len(self._early) < MOST_EARLY:
+        elif (self._blocking or now - came < EARLY) and len(self._early) < MOST_EARLY:
             self._early.append((came, handle, topic, sample))
         else:
             self._warn(topic, "a command whose sender did not make itself known was dropped")

@@ -5,6 +5,7 @@ What ROS 2 sees and may say is the contract docs/reference/topics.yaml.
 
 from __future__ import annotations
 
+import importlib.util
 import multiprocessing
 import sys
 import threading
@@ -170,6 +171,8 @@ def main() -> int:
         settings = read(Parameters, rospy.get_param("~", {}))
         from surg_ros2 import dds_port
 
+        if importlib.util.find_spec("roswell") is None:  # its child would end without a word
+            raise ImportError("No module named 'roswell'")
         port = dds_port.Port(settings.domain, settings.interface, time.time_ns())
         gateway = Gateway(port, settings)
     except (ParamError, ValueError, RuntimeError) as error:
