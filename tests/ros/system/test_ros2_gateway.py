@@ -41,7 +41,7 @@ DOMAINS = range(150, 230)
 """Of DDS; ROS 2 users take lower ones."""
 POSE = "geometry_msgs/PoseStamped"
 JUNK = "00010000ffffffff"
-KILLED, TOGETHER = 1000, 4
+KILLED, TOGETHER = 200, 4
 """Processes that are killed, and how many at a time."""
 DRIVERS = 20
 """Processes that drive an arm and are killed, one after another."""

@@ -20,7 +20,7 @@ from surg_ros.byte_topics import BytesPublisher
 
 LARGEST = 65536
 """[bytes] Of a command; a larger one is no command."""
-PATIENCE = 1.0
+PATIENCE = 4.0
 """[s] How long a first command waits for the connection to the controller."""
 _LOOK = 0.005
 """[s] How often a command that waits looks for it."""
@@ -114,4 +114,6 @@ def _serve(commands: socket.socket, blocking: bool) -> None:
                 publishers[name].send(message)
             elif blocking or time.monotonic() - came < PATIENCE:
                 late.append((came, name, message))
+            else:
+                rospy.logwarn_once(f"ros2: {name}: nobody was connected; a command was dropped")
         waiting = late
