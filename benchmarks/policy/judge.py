@@ -74,21 +74,26 @@ def views_of(condition: Condition, pictures: Sequence[str]) -> dict[str, str]:
 def scene(condition: Condition, views: Sequence[str]) -> Any:
     """The environment of a condition, with these views."""
     from surg_sim.envs.surg_env import SurgEnv
-    from surg_sim.physics.endoscope_rig import FRAMES
 
     bgr_definition.TARGETS = condition.targets or TARGETS
     width, height = SIZE
     env = SurgEnv(
         TASK, CELL, condition.setting, views, width, height, randomization=condition.randomization
     )
-    model = env.session.world.model
+    move_camera(env.session.world.model, condition, views)
+    return env
+
+
+def move_camera(model: Any, condition: Condition, views: Sequence[str]) -> None:
+    """Put the cameras of these views where a condition has them."""
+    from surg_sim.physics.endoscope_rig import FRAMES
+
     for view in views:
         camera = model.camera(FRAMES[view])
         stated = Rotation.from_quat(np.roll(camera.quat, -1))  # MuJoCo has w first
         turn = Rotation.from_euler("x", condition.turn, degrees=True)
         camera.pos[:] += stated.apply([condition.aside, 0.0, 0.0])
         camera.quat[:] = np.roll((stated * turn).as_quat(), 1)
-    return env
 
 
 def watched(env: Any, views: Sequence[str], seed: int) -> Iterator[dict[str, np.ndarray]]:

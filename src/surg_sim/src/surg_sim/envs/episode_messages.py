@@ -85,14 +85,20 @@ def truth_of(name: str, truth: ArmTruth) -> SimpleNamespace:
     return SimpleNamespace(arm=name, **members)
 
 
-def task_state_of(tick: Tick, state: State) -> SimpleNamespace:
-    """A task's state as surg_msgs/TaskState has it."""
+def state_numbers(state: State) -> tuple[list[str], list[float]]:
+    """A task's state as names of surg_msgs/TaskState, such as ``place[3]``, and all its numbers."""
     names, values = [], []
     for key, value in state.items():
         array = np.asarray(value, dtype=np.float64)
         shape = ",".join(map(str, array.shape))
         names.append(f"{key}[{shape}]" if shape else key)
         values += array.ravel().tolist()
+    return names, values
+
+
+def task_state_of(tick: Tick, state: State) -> SimpleNamespace:
+    """A task's state as surg_msgs/TaskState has it."""
+    names, values = state_numbers(state)
     verdict = vars(tick.verdict)
     judged = {key: verdict[key] for key in ("phase", "done", "success", "reason", "reward")}
     stamp_ns = tick.tick * TICK_NS

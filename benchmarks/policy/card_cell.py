@@ -1,0 +1,377 @@
+"""One cell of a card: a policy, a task and a condition, on all seeds, each in a fresh process."""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from policy import shut_in
+from policy.judge import move_camera
+from policy.sights import CONDITIONS, Condition, as_taken
+from policy.wire_policy import (
+    ANSWER_S,
+    PICTURE,
+    Arrays,
+    LineBroken,
+    PolicyLost,
+    Wire,
+    WirePolicy,
+)
+
+from surg_core.contract import FORCE_TICKS, GRID, GRID_RATE, TICK
+from surg_policy_bridge.server.model_server import ServerState
+from surg_recording.metrics import path_length, smoothness
+from surg_sim.envs.cell_session import CellSession, Tick
+from surg_sim.envs.episode_runner import run_episode
+from surg_sim.physics import cell_files
+from surg_sim.physics.endoscope_rig import FRAMES
+from surg_sim.tasks import load
+from surg_sim.tasks.bgr import bgr_definition
+
+IMAGES = "observation.images."
+EXPERT = "expert"
+"""Name of the scripted sender: the one that a policy replaces, and the entrant."""
+_TARGETS = bgr_definition.TARGETS
+
+
+_PLAIN = Condition("as served")
+
+
+@dataclass(frozen=True)
+class CardCondition:
+    """What a policy meets.
+
+    Attributes:
+        name: In the card.
+        sight: What becomes of pictures, camera, places and looks.
+        zeroed: All observations are zero.
+        delay: Of its answers, in grid times of 50 ms.
+        only: Task to which it belongs; empty: all.
+    """
+
+    name: str
+    sight: Condition = _PLAIN
+    zeroed: bool = False
+    delay: int = 0
+    only: str = ""
+
+    @property
+    def blind(self) -> bool:
+        """What is observed says nothing, or no picture does."""
+        return self.zeroed or self.sight.blind
+
+    def applies(self, task: str, pictures: bool) -> bool:
+        """Whether it changes anything in a task, for a policy that reads pictures or none."""
+        sight = self.sight
+        seen = sight.eye is not as_taken or sight.aside or sight.turn or sight.randomization
+        return self.only in ("", task) and (pictures or not seen)
+
+
+_SIGHTS = {each.name: each for each in CONDITIONS}
+QUICK = (
+    CardCondition("as served"),
+    CardCondition("black pictures", _SIGHTS["black"]),
+    CardCondition("frozen pictures", _SIGHTS["first picture frozen"]),
+    CardCondition("zeroed observations", zeroed=True),
+)
+_SHIFTS = (
+    *("light 60 %", "light 30 %", "smoke, up to 50 %", "a smudge on the lens", "blur, 4 px"),
+    *("camera moved 10 mm", "camera moved 20 mm", "camera turned 10°"),
+    *("drawn appearance, camera where it was", "a third instrument in front"),
+)
+FULL = (
+    *QUICK,
+    CardCondition("answers 100 ms late", delay=2),
+    CardCondition("answers 250 ms late", delay=5),
+    *(CardCondition(name, _SIGHTS[name]) for name in _SHIFTS),
+    CardCondition("nodes 14 to 16", _SIGHTS["nodes 14 to 16"], only="bgr"),
+    CardCondition("nodes 23 to 25", _SIGHTS["nodes 23 to 25"], only="bgr"),
+)
+BY_NAME = {each.name: each for each in FULL}
+
+
+@dataclass(frozen=True)
+class CellJob:
+    """What is played.
+
+    Attributes:
+        policy: `EXPERT`, a program, or an address at which somebody's policy connects.
+        task: Its name.
+        condition: Of `BY_NAME`.
+        seeds: Of the episodes.
+        answer_s: Longest wait for an answer [s].
+    """
+
+    policy: str | shut_in.Program
+    task: str
+    condition: str
+    seeds: tuple[int, ...]
+    answer_s: float = ANSWER_S
+
+
+def play(job: CellJob) -> dict[str, Any]:
+    """Play a cell: what was ``served``, ``episodes``, and ``latency_s`` of this machine.
+
+    A policy that is lost is not asked again: the seeds that are left fail for the same reason.
+    """
+    condition = BY_NAME[job.condition]
+    bgr_definition.TARGETS = condition.sight.targets or _TARGETS
+    scene = Scene(job, condition)
+    lost = ""
+    episodes: list[dict[str, Any]] = []
+    try:
+        for seed in job.seeds:
+            entry = not_played(seed, lost) if lost else scene.episode(seed)
+            lost = entry["reason"] if entry.pop("lost") else ""
+            episodes.append(entry)
+    finally:
+        scene.close()
+    latency = np.percentile(scene.round_trips, (50, 99)).tolist() if scene.round_trips else None
+    return {"served": scene.served, "episodes": episodes, "latency_s": latency}
+
+
+def not_played(seed: int, reason: str) -> dict[str, Any]:
+    """The entry of an episode that a policy has lost before it began."""
+    nothing = dict.fromkeys((*Measures.NAMES, "state_hash"))
+    counts: dict[str, Any] = dict.fromkeys(COUNTS, 0)
+    known = {"seed": seed, "success": False, "reason": reason, "phase": "", "rejected": {}}
+    return {**known, **nothing, **counts, "refused": 0, "lost": True}
+
+
+COUNTS = ("accepted", "clipped", "late", "stale", "empty")
+"""Of the model server."""
+
+
+ATTEMPTS = 5
+"""Times that an episode is played when its connection breaks off; each time it is the same one."""
+
+
+class Measures:
+    """What is measured of an episode, from the first motion of the commanded arms on; SI.
+
+    Forces and the true deviation are sampled at 100 Hz, as the sensors do, the tip at 20 Hz.
+    """
+
+    NAMES = (
+        *("duration_s", "rcm_mean_m", "rcm_max_m", "rcm_true_max_m"),
+        *("trocar_force_mean_n", "trocar_force_max_n", "tip_force_mean_n", "tip_force_max_n"),
+        *("path_m", "sparc"),
+    )
+
+    def __init__(self, session: CellSession) -> None:
+        self._session = session
+        self._rcm: list[float] = []
+        self._felt: list[tuple[float, float, float]] = []  # deviation, at the trocar, at the tip
+        self._tips: dict[str, list[np.ndarray]] = {arm: [] for arm in session.task.commanded}
+        self.last: Tick | None = None
+
+    def __call__(self, tick: Tick) -> None:
+        """After a tick."""
+        self.last, world = tick, self._session.world
+        for arm, tips in self._tips.items():
+            out = tick.outputs[arm]
+            if int(out.accepted) == 0:
+                continue
+            self._rcm.append(out.rcm_error)
+            if tick.tick % FORCE_TICKS == 0:
+                truth, tip = world.truth(arm), world.tip_force(arm)
+                force = np.nan if tip is None else float(np.linalg.norm(tip))
+                at_trocar = float(np.linalg.norm(truth.trocar_force))
+                self._felt.append((truth.deviation, at_trocar, force))
+            if tick.tick % GRID == 0:
+                tips.append(np.array(out.p_BTip))
+
+    @property
+    def values(self) -> dict[str, float | None]:
+        """By name; None where there is nothing to measure."""
+        deviation, trocar, tip = np.array(self._felt).reshape(-1, 3).T
+        paths = [path_length(tips) for tips in self._tips.values() if len(tips) > 1]
+        smooth = [_sparc(tips) for tips in self._tips.values()]
+        found = (
+            *(self.last.tick * TICK if self.last else None, *_spread(np.array(self._rcm))),
+            *(_spread(deviation)[1], *_spread(trocar), *_spread(tip[np.isfinite(tip)])),
+            *(sum(paths) if paths else None, min((s for s in smooth if s), default=None)),
+        )
+        return dict(zip(self.NAMES, found, strict=True))
+
+
+def _spread(values: np.ndarray) -> tuple[float | None, float | None]:
+    """Mean and largest."""
+    return (float(np.mean(values)), float(np.max(values))) if len(values) else (None, None)
+
+
+def _sparc(tips: Sequence[np.ndarray]) -> float | None:
+    if len(tips) < GRID_RATE:  # shorter than a second: no spectrum
+        return None
+    value = smoothness(tips, GRID_RATE).sparc
+    return value if np.isfinite(value) else None
+
+
+class SeenSession(CellSession):
+    """A session that keeps the joint positions of the state that is observed, for pictures."""
+
+    seen: np.ndarray
+
+    def tick(self, *words: Any, **named: Any) -> Tick:
+        """See `CellSession.tick`."""
+        if self.world.tick % GRID == 0:
+            self.seen = self.world.data.qpos.copy()
+        return super().tick(*words, **named)
+
+
+class Scene:
+    """The scene of a cell, compiled once.
+
+    Attributes:
+        served: Observations that the policy got: ``key``, ``dtype``, ``shape``, ``privileged``.
+        round_trips: Wall-clock times from an observation to its answer [s].
+    """
+
+    def __init__(self, job: CellJob, condition: CardCondition) -> None:
+        self._job, self._condition = job, condition
+        self._drawn = job.policy != EXPERT
+        cell = cell_files.find(load(job.task).home_cell)
+        self._session = SeenSession(cell, job.task, seed=job.seeds[0], visuals=self._drawn)
+        model = self._session.world.model
+        there = {model.camera(i).name for i in range(model.ncam)}
+        self._views = tuple(v for v, frame in FRAMES.items() if frame in there and self._drawn)
+        move_camera(model, condition.sight, self._views)
+        self._renderers: dict[tuple[str, ...], Any] = {}
+        self.served: list[dict[str, Any]] = []
+        self.round_trips: list[float] = []
+
+    def episode(self, seed: int) -> dict[str, Any]:
+        """Play one; ``lost``: the policy did not take part to the end."""
+        if self._job.policy == EXPERT:
+            measures = Measures(self._session)
+            experts = self._session.task.experts(self._session.cell, seed)
+            self.served = [{"key": "everything", "privileged": True}]
+            report = run_episode(self._session, seed, experts, measures)
+            entry = {**not_played(seed, ""), **measures.values, "lost": False}
+            return {**entry, **self._ended(measures, report.reason), "success": report.success}
+        for _ in range(ATTEMPTS):
+            with tempfile.TemporaryDirectory(prefix="surg-card-") as folder:
+                try:
+                    return self._by_wire(seed, Path(folder))
+                except LineBroken:
+                    continue
+        return not_played(seed, f"the connection broke off {ATTEMPTS} times")
+
+    def _by_wire(self, seed: int, folder: Path) -> dict[str, Any]:
+        measures = Measures(self._session)
+        experts = dict(self._session.task.experts(self._session.cell, seed))
+        wire, program, given = Wire(str(self._job.policy)), None, self._job.policy
+        if isinstance(given, shut_in.Program):
+            wire = Wire(f"ipc://{folder / 'socket'}")
+        wire = replace(wire, answer_s=self._job.answer_s, ended=lambda: _end_of(program, folder))
+        eye = Eye(self._condition, seed)
+        policy = WirePolicy(
+            self._session, wire, self._views, self._pictures(seed), eye, self._condition.delay
+        )
+        success, reason, lost = False, "", False
+        try:
+            if isinstance(given, shut_in.Program):
+                program = shut_in.start(given, folder)
+            policy.greet()
+            experts[EXPERT] = policy
+            report = run_episode(self._session, seed, experts, measures)
+            success, reason = report.success, report.reason
+        except PolicyLost as why:
+            # A policy that the gate has paused may do better with the next seed.
+            reason, lost = str(why), policy.server.state is not ServerState.PAUSED
+        finally:
+            policy.end(success, reason)
+            if program is not None:
+                program.kill()
+                program.wait()
+        self.served = self.served or _served(policy)
+        counters = policy.server.counters
+        self.round_trips += [1e-9 * ns for ns in counters.round_trip.values]
+        counts = {name: getattr(counters, name) for name in COUNTS}
+        told = {
+            "seed": seed,
+            "success": success,
+            "rejected": dict(sorted(counters.rejected.items())),
+        }
+        return {**told, **measures.values, **counts, **self._ended(measures, reason), "lost": lost}
+
+    def _ended(self, measures: Measures, reason: str) -> dict[str, Any]:
+        """How an episode ended that has begun; with nothing of it, it never did."""
+        tick = measures.last
+        arms = self._session.task.commanded
+        return {
+            "reason": reason,
+            "phase": tick.verdict.phase if tick else "",
+            "refused": sum(int(tick.outputs[arm].refused) for arm in arms) if tick else 0,
+            "state_hash": self._session.hash if tick else None,
+        }
+
+    def _pictures(self, seed: int) -> Callable[[Sequence[str]], Mapping[str, np.ndarray]]:
+        """Pictures of the observed state by view; the seed draws their look where one is drawn."""
+
+        def draw(views: Sequence[str]) -> Mapping[str, np.ndarray]:
+            from surg_sim.appearance.endoscope_renderer import EndoscopeRenderer
+
+            chosen = tuple(views)
+            if chosen not in self._renderers:
+                world, (height, width) = self._session.world, PICTURE
+                self._renderers[chosen] = EndoscopeRenderer(world, chosen, width, height)
+            renderer = self._renderers[chosen]
+            if (ranges := self._condition.sight.randomization) is not None and seed not in dressed:
+                renderer.set_appearance(ranges.draw(seed))
+                dressed.append(seed)
+            return renderer.render(self._session.seen)
+
+        dressed: list[int] = []
+        return draw
+
+    def close(self) -> None:
+        """Release the OpenGL contexts."""
+        for renderer in self._renderers.values():
+            renderer.close()
+
+
+class Eye:
+    """What becomes of an episode's observations under a condition."""
+
+    def __init__(self, condition: CardCondition, seed: int) -> None:
+        self._condition, self._seed = condition, seed
+        self._filters: dict[str, Any] = {}
+
+    def __call__(self, arrays: Arrays) -> Arrays:
+        """What is sent in their place."""
+        if self._condition.zeroed:
+            return {key: np.zeros_like(array) for key, array in arrays.items()}
+        return {
+            key: self._filter(key)(array) if key.startswith(IMAGES) else array
+            for key, array in arrays.items()
+        }
+
+    def _filter(self, key: str) -> Any:
+        if key not in self._filters:  # both eyes meet the same
+            made = self._condition.sight.eye
+            assert made is not None  # of every condition of a card
+            self._filters[key] = made(np.random.default_rng(self._seed))
+        return self._filters[key]
+
+
+def _end_of(program: subprocess.Popen[bytes] | None, folder: Path) -> str:
+    """How a program has ended; empty: it has not."""
+    code = None if program is None else program.poll()
+    if code is None:
+        return ""
+    how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
+    return f"its program {how}: {shut_in.last_words(folder)}"
+
+
+def _served(policy: WirePolicy) -> list[dict[str, Any]]:
+    observation = {} if policy.served is None else policy.served.observation
+    return [
+        {"key": key, "dtype": f.dtype, "shape": list(f.shape or ()), "privileged": f.privileged}
+        for key, f in observation.items()
+    ]
