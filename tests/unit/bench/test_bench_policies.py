@@ -1,0 +1,226 @@
+"""Policies as `./surg dev bench policies` meets them: shut in, bad ones, cut off and gone on."""
+
+from __future__ import annotations
+
+import functools
+import json
+import re
+import socket
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surg_cli.host import paths
+from surg_cli.host.terminal import CliError
+
+sys.path.insert(0, str(paths.ROOT / "benchmarks"))
+
+import bench_policies
+from policy import card_cell, shut_in
+from policy.card_cell import BY_NAME, CellJob, Eye
+
+from surg_recording.reports import score_card
+
+TASK, SEEDS = "endoscope_guidance", (20000, 20001)
+SCRIPT = """
+import os, sys, time
+import numpy as np
+from surg_policy_client.policies.command_line import run
+
+class Policy:
+    wants = ("observation.state",)
+
+    def act(self, observation):
+        {body}
+
+{extra}
+sys.exit(run(lambda options: Policy(), "a policy"))
+"""
+
+
+_compiled = functools.cache(card_cell.SeenSession)
+
+
+@pytest.fixture
+def play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[str, Any]]:
+    """Plays a cell of a policy whose ``act`` has this body, in a scene that is compiled once."""
+    monkeypatch.setattr(card_cell, "SeenSession", _compiled)
+
+    def played(body: str, extra: str = "", **job: Any) -> dict[str, Any]:
+        folder = tmp_path / "policy"
+        folder.mkdir(exist_ok=True)
+        lines = body.strip().splitlines()
+        text = SCRIPT.format(body="\n        ".join(lines), extra=extra)
+        (folder / "policy.py").write_text(text, "utf-8")
+        program = shut_in.Program.of(str(folder / "policy.py"))
+        return card_cell.play(CellJob(program, TASK, "as served", **{"seeds": SEEDS, **job}))
+
+    return played
+
+
+CHEAT = """
+import glob, importlib.util, socket
+found = []
+try:
+    socket.create_connection(("127.0.0.1", {port}), timeout=5)
+    found.append("the master's port")
+except OSError:
+    pass
+for name in ("surg_sim", "surg_policy_bridge", "surg_recording"):
+    if importlib.util.find_spec(name):
+        found.append(name)
+for secret in {secrets!r}:
+    if os.path.exists(secret):
+        found.append(secret)
+found += ["shared memory: " + name for name in os.listdir("/dev/shm")]
+found += ["environment: " + name for name in os.environ if "SECRET" in name]
+for pid in filter(str.isdigit, os.listdir("/proc")):
+    words = open("/proc/" + pid + "/cmdline", "rb").read()
+    if int(pid) != os.getpid() and words.split(b"\\0")[0] != b"bwrap":
+        found.append("process " + pid)
+    if b"SECRET" in open("/proc/" + pid + "/environ", "rb").read():
+        found.append("environment of " + pid)
+told = [observation.stamp_ns, observation.episode, observation.step, observation.instruction]
+if any("20000" in str(each) for each in told):
+    found.append("the seed")
+try:
+    open("/usr/here", "w")
+    found.append("a file of the system")
+except OSError:
+    pass
+raise RuntimeError("found: " + repr(found))
+"""
+
+
+def test_a_policy_that_tries_finds_nothing(
+    play: Callable[..., dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SURG_SECRET_SEED", "20000")
+    run_folder = tmp_path / "run"
+    run_folder.mkdir()
+    shared = Path("/dev/shm/surg_card_secret")
+    shared.write_text("20000")
+    secrets = [str(run_folder), str(paths.ROOT / "src/surg_sim"), str(paths.ROOT / "runs")]
+    try:
+        with socket.socket() as master:
+            master.bind(("127.0.0.1", 0))
+            master.listen()
+            port = master.getsockname()[1]
+            cell = play(CHEAT.format(port=port, secrets=secrets))
+    finally:
+        shared.unlink()
+    assert cell["episodes"][0]["reason"].endswith("found: []; no policy is connected")
+    assert [each["key"] for each in cell["served"]] == ["observation.state"]
+
+
+@pytest.mark.parametrize(
+    ("body", "extra", "job", "said"),
+    [
+        ("return np.full(5, np.nan)", "", {}, "BadAction"),
+        ("os._exit(3)", "", {}, r"its program ended \(3\)"),
+        ("os.kill(os.getpid(), 9)", "", {}, "its program ended|was killed by signal 9"),
+        ("time.sleep(600)", "", {"answer_s": 2.0}, "no answer to an observation within 2 s"),
+        ("", "Policy.wants = ('observation.touch',)", {}, "refused: observation observation.touch"),
+        (
+            "",
+            "from surg_policy_client import Spec\nPolicy.wants = Spec(period_s=0.1)",
+            {},
+            "refused: period_s: the policy wants 0.1, the server has 0.05",
+        ),
+        ("", "open('/tmp/full', 'wb').write(bytes(200 << 20))", {}, "File size limit|ended|signal"),
+    ],
+    ids=["NaN", "dies", "killed", "never answers", "unknown key", "another rate", "fills the disk"],
+)
+def test_a_bad_policy_fails_its_cell_with_a_reason(
+    play: Callable[..., dict[str, Any]], body: str, extra: str, job: Any, said: str
+) -> None:
+    episodes = play(body or "return None", extra, **job)["episodes"]
+    assert [each["seed"] for each in episodes] == list(SEEDS)
+    for each in episodes:
+        assert not each["success"] and re.search(said, each["reason"]), each["reason"]
+    cell = score_card.cell(TASK, "as served", False, {"served": [], "episodes": episodes})
+    assert (cell["k"], cell["n"]) == (0, 2)
+
+
+def test_a_delay_of_answers_is_late_for_rows_of_one_step(
+    play: Callable[..., dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(card_cell, "BY_NAME", {"as served": BY_NAME["answers 100 ms late"]})
+    late = play("return observation.held_action()", seeds=(20000,))["episodes"][0]
+    assert late["late"] > 0 and late["accepted"] <= 1
+    assert "no action" in late["reason"]
+    body = "if observation.step > 60: raise RuntimeError('enough')\n"
+    body += "return np.tile(observation.held_action(), (8, 1))"
+    rows = play(body, seeds=(20000,))["episodes"][0]
+    assert rows["accepted"] > 40 and "enough" in rows["reason"]
+
+
+def test_blind_controls_show_nothing_of_the_scene() -> None:
+    rng = np.random.default_rng(0)
+    key = f"{card_cell.IMAGES}endoscope_left"
+    seen = [
+        {key: rng.integers(1, 255, (4, 6, 3), np.uint8), "observation.state": rng.random(9)}
+        for _ in range(2)
+    ]
+    zeroed = Eye(BY_NAME["zeroed observations"], 0)(seen[0])
+    assert not any(array.any() for array in zeroed.values())
+    for name in ("black pictures", "frozen pictures"):
+        eye = Eye(BY_NAME[name], 0)
+        first, second = eye(seen[0]), eye(seen[1])
+        np.testing.assert_array_equal(first[key], second[key])
+        np.testing.assert_array_equal(second["observation.state"], seen[1]["observation.state"])
+
+
+def test_a_card_goes_on_where_it_was_cut_off_and_is_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    played: list[tuple[str, str]] = []
+
+    def cell(job: CellJob) -> dict[str, Any]:
+        if len(played) == cut:
+            raise KeyboardInterrupt
+        played.append((job.task, job.condition))
+        episodes = [card_cell.not_played(seed, "a reason") for seed in job.seeds]
+        for each in episodes:
+            each.pop("lost")
+        served = [{"key": f"{card_cell.IMAGES}endoscope_left", "privileged": False}]
+        return {"served": served, "episodes": episodes, "latency_s": None}
+
+    def in_process(function: Any, jobs: Any, place: Any, ends: Any) -> None:
+        for key, job in jobs.items():
+            ends.done(key, cell(job))
+
+    monkeypatch.setattr(bench_policies.job_pool, "run", in_process)
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    cut = -1
+    assert bench_policies.main(["hold", "--keep", str(whole)]) == 0
+    once = list(played)
+    played.clear()
+    cut = 7
+    with pytest.raises(KeyboardInterrupt):
+        bench_policies.main(["hold", "--keep", str(parts)])
+    torn = next(parts.glob("*/cells/*.json"))
+    torn.write_text(torn.read_text("utf-8")[:50], "utf-8")
+    cut = -1
+    assert bench_policies.main(["hold", "--keep", str(parts)]) == 0
+    assert sorted(set(played)) == sorted(once) and len(played) == len(once) + 1
+    cards = [json.loads(next(f.glob("*/card.json")).read_text("utf-8")) for f in (whole, parts)]
+    assert cards[0]["sha256"] == cards[1]["sha256"]
+    for card in cards:
+        score_card.check("card.json", card)
+        assert {c["condition"] for c in card["cells"]} == {c.name for c in card_cell.QUICK}
+        assert len(card["cells"]) == 5 * len(card_cell.QUICK)
+
+
+def test_words_that_are_no_policy_are_refused(tmp_path: Path) -> None:
+    for given, said in (
+        ("no_such", "no_such: no policy; see"),
+        ("missing.py", "no such .py file"),
+        (f"{shut_in.__file__} {paths.ROOT}", "holds the platform too"),
+    ):
+        with pytest.raises(CliError, match=said):
+            bench_policies.entrant(given, tmp_path)
