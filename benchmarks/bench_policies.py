@@ -10,7 +10,7 @@ POLICY is one of these:
 
 A program runs in a process that reaches nothing but its own files and the wire. Each finished cell
 is a file in `--keep`; the same command goes on there. The folder gets `report.html`, and for each
-policy `card.json` (`surg_recording.reports.score_card` states its keys).
+policy `card.json` (`surg_recording.cards.score_card` states its keys).
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from policy.card_cell import BY_NAME, EXPERT, FULL, QUICK, CellJob
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError, Progress, say, table, warn
 from surg_recording import file_io, job_pool
+from surg_recording.cards import score_card, score_card_page
 from surg_recording.episode import provenance
 from surg_recording.job_pool import Executor, JobCallbacks
 from surg_recording.recording_errors import EpisodeError
-from surg_recording.reports import score_card, score_card_page
 from surg_sim.tasks import episode_seeds, names
 
 EPISODES = {"quick": 3, "full": 20}

@@ -23,7 +23,7 @@ import bench_policies
 from policy import card_cell, shut_in
 from policy.card_cell import BY_NAME, CellJob, Eye
 
-from surg_recording.reports import score_card
+from surg_recording.cards import score_card
 
 TASK, SEEDS = "endoscope_guidance", (20000, 20001)
 SCRIPT = """

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from surg_recording.cards import score_card, score_card_page
 from surg_recording.recording_errors import EpisodeError
-from surg_recording.reports import score_card, score_card_page
 
 
 def episode(seed: int, success: bool, reason: str = "", **numbers: float) -> dict[str, Any]:

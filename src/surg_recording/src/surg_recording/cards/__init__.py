@@ -1,0 +1,1 @@
+"""Score cards of policies: their file, and their page."""
