@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "surg_core/kinematics/ur_kinematics.hpp"
+#include "surg_core/kinematics/wrist.hpp"
 #include "surg_core/limits/capsule.hpp"
 #include "surg_core/limits/fixtures.hpp"
 #include "surg_core/types.hpp"
@@ -133,6 +134,15 @@ struct CameraConfig {
   double baseline = 0;  ///< [m] from left to right; 0 for one camera
 };
 
+/// The wrist of an instrument, and the drive that turns it.
+struct WristConfig {
+  WristGeometry geometry;
+  WristJoints min, max;         ///< [rad]
+  double velocity = 0;          ///< [rad/s] of each joint
+  double acceleration = 0;      ///< [rad/s^2]
+  double drive_lag = 0;         ///< [s] from a command to the motion that it causes
+};
+
 /// One instrument: its YAML. Jaw angles [rad]; 'closed' is jaw_min.
 struct InstrumentConfig {
   std::string file, name, urdf, mount_link, tip_link;
@@ -140,6 +150,7 @@ struct InstrumentConfig {
   CameraConfig camera = {};               ///< no part of the black box: it moves nothing
   bool passive = false;  ///< no drive and no tool link; the jaw, if there is one, is fixed
   std::vector<LinkCapsule> capsules = {};  ///< in the mount's frame; 'shaft' enters the patient
+  std::optional<WristConfig> wrist = {};   ///< none: the tip stands on the shaft's axis
 };
 
 /// Calibrated tool: shaft axis and tip in the flange frame F, with the quality of the fit.

@@ -42,6 +42,8 @@ struct Readings {
   double condition_age = 0;  ///< [s] since it was received (0 in lock-step)
   double jaw = 0;            ///< measured jaw [rad]
   double jaw_age = 0;        ///< [s] since it was received (0 in lock-step)
+  /// Measured joints of the wrist [rad] and their rates [rad/s], of the jaw's age.
+  WristJoints wrist = WristJoints::Zero(), wrist_rate = WristJoints::Zero();
   ForceSample tip_force;     ///< F25, where a sensor exists
   ForceSample trocar_force;  ///< load of the trocar
   // rcm/track, where Options::track_rcm is set:
@@ -56,6 +58,18 @@ struct Readings {
 struct Inputs : Readings {
   int n_commands = 0;
   std::array<MotionCommand, kMaxCommands> commands;
+};
+
+/// The wrist in one cycle. Rotations are in the rcm frame.
+struct WristOutputs {
+  bool exists = false;
+  WristJoints q = WristJoints::Zero(), qd = WristJoints::Zero();  ///< measured
+  WristJoints set = WristJoints::Zero(), goal = WristJoints::Zero();
+  /// For the drive [rad], so that it is where the arm is; not finite: unknown, nothing is sent.
+  WristJoints command = WristJoints::Zero();
+  Matrix3 R_RTip = Matrix3::Identity(), R_RSet = Matrix3::Identity();
+  Matrix3 R_RGoal = Matrix3::Identity();
+  Vector3 omega_B = Vector3::Zero();  ///< measured, of the tip [rad/s]
 };
 
 /// Outputs of one cycle: the source of the robot command and of surg_msgs/Cycle.
@@ -74,6 +88,7 @@ struct Outputs {
   double link_lag = std::numeric_limits<double>::quiet_NaN();
   JointVector joint_lag;  ///< [s] the same of each joint; empty before the first motion
   TrackWarning warn_track = TrackWarning::kNone;
+  WristOutputs wrist;  ///< where there is one, the tip below is behind it
   // geometry, in B
   Pose X_BF = Pose::Identity();
   Vector3 p_BTip = Vector3::Zero(), s_B = Vector3::UnitZ(), p_BRcm = Vector3::Zero();

@@ -177,6 +177,14 @@ void bind_calibrations(py::module_& m) {
       .def_readonly("fovy", &CameraConfig::fovy, "Vertical field of view [rad].")
       .def_readonly("baseline", &CameraConfig::baseline, "Left to right [m]; 0: one camera.");
 
+  py::class_<WristConfig>(m, "WristConfig", "A wrist: pitch about y, then yaw about x.")
+      .def_readonly("geometry", &WristConfig::geometry)
+      .def_property_readonly("min", array_of(&WristConfig::min), "Pitch and yaw (2,) [rad].")
+      .def_property_readonly("max", array_of(&WristConfig::max), "Pitch and yaw (2,) [rad].")
+      .def_readonly("velocity", &WristConfig::velocity, "[rad/s]")
+      .def_readonly("acceleration", &WristConfig::acceleration, "[rad/s^2]")
+      .def_readonly("drive_lag", &WristConfig::drive_lag, "From a command to its motion [s].");
+
   py::class_<InstrumentConfig>(m, "InstrumentConfig", "One instrument's YAML. Jaw angles [rad].")
       .def_readonly("file", &InstrumentConfig::file)
       .def_readonly("name", &InstrumentConfig::name)
@@ -194,6 +202,7 @@ void bind_calibrations(py::module_& m) {
             return self.camera;
           },
           "None: not an endoscope.")
+      .def_readonly("wrist", &InstrumentConfig::wrist, "None: a straight instrument.")
       .def_property_readonly("capsules", tuple_of(&InstrumentConfig::capsules));
 
   py::class_<ToolCalibration>(m, "ToolCalibration", "Shaft axis and tip in the flange frame.")

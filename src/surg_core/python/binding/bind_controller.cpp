@@ -39,7 +39,8 @@ void bind_command(py::module_& m) {
           py::init([](Motion motion, std::uint32_t source, const std::optional<Array>& p,
                       const std::optional<Array>& rotation, double roll_rate,
                       const std::optional<Array>& joints, double jaw, std::int64_t stamp_ns,
-                      double age, bool slide, double elbow) {
+                      double age, bool slide, double elbow, const std::optional<Array>& omega,
+                      const std::optional<Array>& wrist) {
             MotionCommand command;
             command.motion = motion;
             command.source = source;
@@ -54,18 +55,22 @@ void bind_command(py::module_& m) {
             command.age = age;
             command.slide = slide;
             command.elbow = elbow;
+            if (omega) command.omega = to_vector3(*omega, "omega");
+            if (wrist) command.wrist = to_vector2(*wrist, "wrist");
             return command;
           }),
           py::arg("motion"), py::arg("source") = 0, py::arg("p") = py::none(),
           py::arg("rotation") = py::none(), py::arg("roll_rate") = 0.0,
           py::arg("joints") = py::none(), py::arg("jaw") = 0.0, py::arg("stamp_ns") = 0,
           py::arg("age") = 0.0, py::arg("slide") = false, py::arg("elbow") = 0.0,
+          py::arg("omega") = py::none(), py::arg("wrist") = py::none(),
           "p (3,): position [m] (cp) or tip velocity [m/s] (cv), in the rcm frame; rotation (4,):\n"
           "unit quaternion x, y, z, w; joints (4,): yaw, pitch, insertion, roll, their rates or "
           "changes;\n"
           "jaw [rad]; stamp_ns on the sender's clock (0: none); age [s] since it arrived;\n"
           "slide: a servo_cp target outside the workspace slides along its wall; elbow: swivel "
-          "angle [rad].")
+          "angle [rad];\nof an instrument with a wrist omega (3,): angular velocity of the tip "
+          "[rad/s] (cv); wrist (2,): pitch and yaw, their rates or changes.")
       .def_readonly("motion", &MotionCommand::motion)
       .def_readonly("source", &MotionCommand::source)
       .def_property_readonly("p", array_of(&MotionCommand::p))
@@ -105,13 +110,16 @@ void bind_readings(py::module_& m) {
       .def(py::init([](RobotCondition condition, double condition_age, double jaw_age,
                        const ForceSample& tip_force, const ForceSample& trocar_force,
                        const std::optional<Array>& p_BTrack, const std::optional<Array>& v_BTrack,
-                       double track_age) {
+                       double track_age, const std::optional<Array>& wrist,
+                       const std::optional<Array>& wrist_rate) {
              Readings readings;
              readings.condition = condition;
              readings.condition_age = condition_age;
              readings.jaw_age = jaw_age;
              readings.tip_force = tip_force;
              readings.trocar_force = trocar_force;
+             if (wrist) readings.wrist = to_vector2(*wrist, "wrist");
+             if (wrist_rate) readings.wrist_rate = to_vector2(*wrist_rate, "wrist_rate");
              readings.track_valid = p_BTrack.has_value();
              readings.track_age = track_age;
              if (p_BTrack) readings.p_BTrack = to_vector3(*p_BTrack, "p_BTrack");
@@ -123,11 +131,36 @@ void bind_readings(py::module_& m) {
            py::arg_v("tip_force", ForceSample{}, "ForceSample()"),
            py::arg_v("trocar_force", ForceSample{}, "ForceSample()"),
            py::arg("p_BTrack") = py::none(), py::arg("v_BTrack") = py::none(),
-           py::arg("track_age") = 0.0,
+           py::arg("track_age") = 0.0, py::arg("wrist") = py::none(),
+           py::arg("wrist_rate") = py::none(),
            "condition of the robot, condition_age [s]; jaw_age [s]; forces; p_BTrack (3,) [m] and "
            "v_BTrack (3,) [m/s]: where a moving trocar "
            "was\n"
-           "track_age [s] ago (Controller(track_rcm=True)); None: not tracked.");
+           "track_age [s] ago (Controller(track_rcm=True)); None: not tracked; "
+           "wrist and wrist_rate (2,): measured pitch and yaw [rad] and their rates, of the jaw's "
+           "age.");
+}
+
+void bind_wrist_outputs(py::module_& m, py::class_<Outputs>& type) {
+  py::class_<WristOutputs>(m, "WristOutputs", "The wrist in one cycle; joints are pitch and yaw.")
+      .def_property_readonly("q", array_of(&WristOutputs::q), "Measured (2,) [rad].")
+      .def_property_readonly("qd", array_of(&WristOutputs::qd), "Measured (2,) [rad/s].")
+      .def_property_readonly("set", array_of(&WristOutputs::set), "Set-point (2,) [rad].")
+      .def_property_readonly("goal", array_of(&WristOutputs::goal), "(2,) [rad]")
+      .def_property_readonly("command", array_of(&WristOutputs::command),
+                             "For the drive (2,) [rad]; not a number: nothing is sent.")
+      .def_property_readonly("R_RTip", array_of(&WristOutputs::R_RTip), "Measured (3, 3).")
+      .def_property_readonly("R_RSet", array_of(&WristOutputs::R_RSet), "Set-point (3, 3).")
+      .def_property_readonly("R_RGoal", array_of(&WristOutputs::R_RGoal), "Goal (3, 3).")
+      .def_property_readonly("omega_B", array_of(&WristOutputs::omega_B),
+                             "Angular velocity of the tip (3,) [rad/s].");
+  type.def_property_readonly(
+      "wrist",
+      [](const Outputs& self) -> std::optional<WristOutputs> {
+        if (!self.wrist.exists) return std::nullopt;
+        return self.wrist;
+      },
+      "None: the instrument has no wrist.");
 }
 
 void bind_elbow(py::class_<Outputs>& type) {
@@ -175,6 +208,7 @@ void bind_outputs(py::module_& m) {
   number("jaw", &Outputs::jaw, "Measured [rad].");
   number("jaw_set", &Outputs::jaw_set, "Commanded [rad]; not a number until measured.");
   bind_elbow(type);
+  bind_wrist_outputs(m, type);
   bind_lag(type);
   number("scale", &Outputs::scale, "Uniform factor alpha.");
   number("clearance", &Outputs::clearance,

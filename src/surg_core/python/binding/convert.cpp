@@ -35,6 +35,9 @@ void check_shape(const Array& array, std::initializer_list<py::ssize_t> shape, c
   }
 }
 
+Eigen::Vector2d to_vector2(const Array& array, const char* name) {
+  return to_vector<2>(array, name);
+}
 Vector3 to_vector3(const Array& array, const char* name) { return to_vector<3>(array, name); }
 Vector4 to_vector4(const Array& array, const char* name) { return to_vector<4>(array, name); }
 

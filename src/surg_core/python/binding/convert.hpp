@@ -23,6 +23,7 @@ std::string shape_of(const Array& array);
 /// Throws ValueError naming the argument unless the array has this shape.
 void check_shape(const Array& array, std::initializer_list<py::ssize_t> shape, const char* name);
 
+Eigen::Vector2d to_vector2(const Array& array, const char* name);
 Vector3 to_vector3(const Array& array, const char* name);
 Vector4 to_vector4(const Array& array, const char* name);
 /// Of x, y, z, w. Raises ValueError for a norm other than 1, as the controller node refuses it.
@@ -98,6 +99,7 @@ void bind_controller(py::module_& m);
 void bind_calibration(py::module_& m);
 void bind_motion(py::module_& m);
 void bind_fixtures(py::module_& m);
+void bind_wrist(py::module_& m);
 void bind_files(py::module_& m);
 
 }  // namespace surg::python

@@ -30,6 +30,7 @@ PYBIND11_MODULE(_core, m) {
   binding::bind_operating_state(m);
   binding::bind_kinematics(m);
   binding::bind_rcm(m);
+  binding::bind_wrist(m);
   binding::bind_motion(m);
   binding::bind_fixtures(m);
   binding::bind_capsules(m);

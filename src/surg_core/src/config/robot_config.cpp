@@ -73,6 +73,7 @@ constexpr double kLinkTimeout[] = {0.03, 0.2}, kLinkAcceleration[] = {0.05, 1.0}
 constexpr double kDeadMan[] = {0.01, 0.1}, kStopDeceleration[] = {4.0, 40.0};
 
 // Together what clearance.hpp has room for.
+constexpr double kWristMost = 1.5;    // [rad] of a wrist joint: a quarter turn is singular
 constexpr int kMostArmCapsules = 24;  // `capsules` of a robot
 constexpr int kMostToolCapsules = 8;  // `capsules` of an instrument
 constexpr double kSlowTip = 0.02;     // [m/s] of an arm that is being commissioned
@@ -264,6 +265,32 @@ RobotConfig with_link(const RobotConfig& robot, const LinkConfig& link) {
   return result;
 }
 
+namespace {
+
+/// [rad] range of one wrist joint. Both ends keep away from a quarter turn, where the roll is free.
+void read_wrist_range(Reader& reader, const std::string& joint, double& least, double& most) {
+  least = reader.real("wrist." + joint + ".min", -kWristMost, 0.0, "rad");
+  most = reader.real("wrist." + joint + ".max", 0.0, kWristMost, "rad");
+  if (!(least < most)) {
+    reader.fail("wrist." + joint + ".min", number(least) + " rad is not below wrist." + joint +
+                                               ".max " + number(most) + " rad");
+  }
+}
+
+WristConfig read_wrist(Reader& reader) {
+  WristConfig wrist;
+  wrist.geometry.pitch_to_yaw = reader.real("wrist.pitch_to_yaw", 0.0, 0.03, "m");
+  wrist.geometry.yaw_to_tip = reader.real("wrist.yaw_to_tip", 0.002, 0.05, "m");
+  read_wrist_range(reader, "pitch", wrist.min[0], wrist.max[0]);
+  read_wrist_range(reader, "yaw", wrist.min[1], wrist.max[1]);
+  wrist.velocity = reader.real("wrist.velocity", 0.2, 20.0, "rad/s");
+  wrist.acceleration = reader.real("wrist.acceleration", 2.0, 400.0, "rad/s^2");
+  wrist.drive_lag = reader.real("wrist.drive_lag", 0.0, 0.1, "s");
+  return wrist;
+}
+
+}  // namespace
+
 InstrumentConfig parse_instrument(const Document& document) {
   Reader reader(document, "surg_instrument/1");
   InstrumentConfig instrument;
@@ -282,10 +309,14 @@ InstrumentConfig parse_instrument(const Document& document) {
                                  number(instrument.jaw_max) + " rad");
     }
   }
+  if (reader.has("wrist")) instrument.wrist = read_wrist(reader);
   if (reader.has("camera")) instrument.camera = read_camera(reader);
   if (reader.has("passive")) instrument.passive = reader.flag("passive");
   if (instrument.passive && reader.has("jaw")) {
     reader.fail("passive", "true, and there is a 'jaw': nobody drives it; leave 'jaw' out");
+  }
+  if (instrument.passive && instrument.wrist) {
+    reader.fail("passive", "true, and there is a 'wrist': nobody drives it; leave 'wrist' out");
   }
   instrument.capsules = read_capsules(reader, document, {});
   reader.finish();

@@ -57,6 +57,11 @@ ExactFollower::Options follower_options(const RobotConfig& robot, const Limits& 
 
 }  // namespace
 
+Tool shaft_of(const InstrumentConfig& instrument, const ToolCalibration& tool) {
+  const double wrist = instrument.wrist ? instrument.wrist->geometry.length() : 0.0;
+  return {tool.s_F, tool.p_FTip - wrist * tool.s_F};
+}
+
 const Outputs& Controller::step(const Inputs& inputs) {
   Impl& self = *impl_;
   self.out.reason = Reason::kNone;
@@ -112,11 +117,12 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
       authority(options.dt),
       trocar(
           {robot_in.tuning.track_noise, robot_in.tuning.track_jerk, robot_in.tuning.track_timeout}),
-      arm(chain, {tool.s_F, tool.p_FTip}, look_ahead_lag(robot_in, options), options.dt),
-      handler(limits_in, robot_in.tuning, options.dt, options.law == Law::kPaper),
+      arm(chain, shaft_of(instrument, tool), look_ahead_lag(robot_in, options), options.dt),
+      handler(limits_in, robot_in.tuning, instrument.wrist, options.dt,
+              options.law == Law::kPaper),
       jaw(instrument, options.dt),
       force(limits_in),
-      limited(chain, {tool.s_F, tool.p_FTip}, step_limits(robot_in, limits_in, options.law),
+      limited(chain, shaft_of(instrument, tool), step_limits(robot_in, limits_in, options.law),
               options.dt),
       clearance(clearance_in, robot_in.tuning.link_lag, options.dt),
       follower(chain.dof(), follower_options(robot_in, limits_in, gains.rcm,
@@ -165,6 +171,47 @@ void Controller::Impl::report(const Inputs& in) {
   out.link_lag = lag_meter.lag();
   out.joint_lag = lag_meter.joint_lag();
   report_virtual_joints();
+  if (handler.wrist().exists()) report_wrist(in);
+}
+
+TipFrame Controller::Impl::tip_behind_wrist(const Vector3& p_RCentre, const Vector3& s_R,
+                                            double roll, const WristJoints& joints) const {
+  return tip_of_wrist(handler.wrist().config().geometry,
+                      {{p_RCentre, shaft_rotation(s_R, roll)}, joints});
+}
+
+/// So far the report has the wrist centre where it says tip.
+void Controller::Impl::report_wrist(const Inputs& in) {
+  const WristMotion& wrist = handler.wrist();
+  const Setpoint& setpoint = handler.setpoint();
+  const Matrix3 R_RB = X_BR.linear().transpose();
+  const Vector3 s_R = R_RB * shaft().s, goal_R = handler.p_goal();
+  WristOutputs& to = out.wrist;
+  to.exists = true;
+  to.q = in.wrist.allFinite() ? in.wrist : wrist.set();
+  to.qd = in.wrist_rate.allFinite() ? in.wrist_rate : WristJoints(WristJoints::Zero());
+  to.set = wrist.set();
+  to.goal = wrist.goal();
+  to.command = wrist.command(law == Law::kExact ? follower.delay() : robot.tuning.link_lag);
+
+  const WristPose measured{{X_BR.inverse() * shaft().p_BTip, shaft_rotation(s_R, out.roll)}, to.q};
+  const Vector3 turning = s_R.cross(R_RB * arm.s_dot()) + out.virtual_qd[3] * s_R;
+  const WristGeometry& geometry = wrist.config().geometry;
+  const TipFrame tip = tip_of_wrist(geometry, measured);
+  const FrameRate rate = tip_rate(geometry, measured, {R_RB * arm.v_BTip(), turning}, to.qd);
+  const TipFrame set =
+      tip_behind_wrist(setpoint.p_RTip(), setpoint.s_R(), setpoint.roll(), to.set);
+  const double far = goal_R.norm();
+  const TipFrame goal = tip_behind_wrist(goal_R, far > 1e-6 ? Vector3(goal_R / far) : s_R,
+                                         handler.roll_goal(), to.goal);
+  to.R_RTip = tip.R;
+  to.R_RSet = set.R;
+  to.R_RGoal = goal.R;
+  to.omega_B = X_BR.linear() * rate.omega;
+  out.p_BTip = X_BR * tip.p;
+  out.v_BTip = X_BR.linear() * rate.v;
+  out.p_set = X_BR * set.p;
+  out.p_goal = X_BR * goal.p;
 }
 
 void Controller::Impl::report_virtual_joints() {

@@ -30,8 +30,10 @@ void Controller::Impl::catch_up() {
   catching_up = true;
   const double soft_period = std::max(clock.elapsed(), T + kSofter * clock.excess());
   handler.setpoint().begin_cycle(soft_period, clock.rest());
+  handler.wrist().begin_cycle(soft_period, clock.rest());
   for (int i = 1; i < clock.periods(); ++i) {
     handler.setpoint().elapse(T, false);
+    handler.wrist().elapse(T, false);
     arm.record_command(qd_last);
     JointVector unused = qd_last;
     // Behind a longer gap the arm takes up nothing where it was left, see guard_lateness.
@@ -60,6 +62,7 @@ void Controller::Impl::sense(const Inputs& in) {
   state_known = false;
   out.warn_track = TrackWarning::kNone;
   jaw.sense(passive ? 0.0 : in.jaw);
+  handler.wrist().sense(in.wrist, clock.elapsed());
   state_reason = take_state(in);
   if (state_reason != Reason::kNone) {
     const bool idle =
@@ -160,6 +163,7 @@ void Controller::Impl::check_tool_link(const Inputs& in) {
   if (lost && !tool_lost && enabled()) stop_motion();
   tool_lost = lost;
   if (lost) out.reason = Reason::kToolLost;
+  if (handler.wrist().blocked() && enabled()) pause(Reason::kNotFollowing);
 }
 
 void Controller::Impl::guard_lateness() {

@@ -49,6 +49,9 @@ struct IsPlain<StateCheck> : std::true_type {};
 template <>
 struct IsPlain<Fixtures> : std::true_type {};
 
+/// Shaft axis and end: the tip of a straight instrument, the wrist centre of another.
+Tool shaft_of(const InstrumentConfig& instrument, const ToolCalibration& tool);
+
 struct Controller::Impl {
   // Frozen.
   RobotConfig robot;
@@ -117,6 +120,9 @@ struct Controller::Impl {
   /// The shaft's line passes through the trocar, in front of the flange.
   bool shaft_through_trocar() const;
   TipPose tip_pose() const;
+  /// The tip behind the wrist, in the rcm frame.
+  TipFrame tip_behind_wrist(const Vector3& p_RCentre, const Vector3& s_R, double roll,
+                            const WristJoints& joints) const;
   Reason request(StateCommand command);
   Reason set_rcm(const Vector3& p_BRcm);
   Reason set_fixture(const Fixture& fixture);
@@ -236,6 +242,7 @@ struct Controller::Impl {
   // Report and snapshot.
   void report(const Inputs& in);
   void report_virtual_joints();
+  void report_wrist(const Inputs& in);
   /// Serializes every member that a step reads before writing it; a test finds a missing one.
   template <typename Archive>
   void serialize(Archive& archive) {

@@ -29,6 +29,7 @@ void Controller::Impl::move() {
   out.v_set.setZero();
   Setpoint& setpoint = handler.setpoint();
   setpoint.elapse(T);
+  handler.wrist().elapse(T);
   setpoint.set_rest_time(time_to_rest(qd_last));
   if (!state_known || !trocar.taught() || !operating.homed()) {
     // The geometry is unknown (F02, F10): a ramp through the law would be blind, also when the
@@ -54,6 +55,7 @@ void Controller::Impl::move() {
     if (progress != Reason::kNone) out.reason = progress;
   } else {
     // Blind behind a gap: the link may have stopped the arm meanwhile.
+    handler.wrist().advance(T);
     qd = fading_command(!state_known && clock.gap() ? clock.periods() : 1);
     moving = !qd.isZero(0);
   }
@@ -70,7 +72,11 @@ Step Controller::Impl::advance_motion(JointVector& qd) {
   Setpoint next = setpoint;
   next.advance(T, handler.fixtures());
   const Step step = next_step(next, qd);
-  if (!retrace_active) advance_setpoint(step, next);  // a retrace has moved it already
+  if (retrace_active) {  // it has moved the set-point already
+    handler.wrist().advance(T);
+  } else {
+    advance_setpoint(step, next);
+  }
   return step;
 }
 
@@ -89,6 +95,7 @@ void Controller::Impl::yield_return() {
 /// Advances the set-point's clock as far as the arm can follow. 'next' is one whole cycle later.
 void Controller::Impl::advance_setpoint(const Step& step, const Setpoint& next) {
   Setpoint& setpoint = handler.setpoint();
+  handler.wrist().advance(setpoint.has_no_path() ? T : step.alpha * T);
   if ((step.tier > 0 && setpoint.has_no_path()) ||
       (step.alpha < 1 && setpoint.mode() == Setpoint::Mode::kStopping)) {
     setpoint = next;

@@ -112,19 +112,26 @@ Reason Controller::Impl::remove_fixture(std::string_view name) {
   return Reason::kNone;
 }
 
-void Controller::Impl::place_fixtures() { handler.set_fixtures(fixtures.in_frame(X_BR.inverse())); }
+void Controller::Impl::place_fixtures() {
+  const WristMotion& wrist = handler.wrist();
+  const double reach = wrist.exists() ? wrist.config().geometry.length() : 0.0;
+  const Fixtures there = fixtures.in_frame(X_BR.inverse());
+  handler.set_fixtures(reach > 0 ? there.grown(reach) : there);
+}
 
 Reason Controller::Impl::change_tool(const InstrumentConfig& instrument,
                                      const ToolCalibration& calibration) {
   const bool rests = may_stop_at_once();
   if (operating.state() != State::kDisabled) return Reason::kToolWhileEnabled;
   if (!rests) return Reason::kNotAtRest;
-  const Tool tool{calibration.s_F, calibration.p_FTip};
+  const Tool tool = shaft_of(instrument, calibration);
   operating.request(StateCommand::kUnhome, {});  // home shaft and roll belong to the old tool
   fade();
   trace.clear();
   retraced = 0;
   arm.mount(tool, trocar);
+  handler.mount(instrument.wrist);
+  place_fixtures();
   limited.mount(tool);
   clearance.mount(robot, instrument, calibration);
   jaw = Jaw(instrument, T);
@@ -190,6 +197,7 @@ void Controller::Impl::pause(Reason reason) {
 void Controller::Impl::fade() {
   fading = true;
   Setpoint& setpoint = handler.setpoint();
+  handler.wrist().stop();
   setpoint.reset(setpoint.p_RTip(), setpoint.s_R(), setpoint.roll());
 }
 

@@ -17,6 +17,8 @@ namespace fs = std::filesystem;
 using files::beside;
 using files::refuse;
 
+constexpr double kLengthOff = 1e-4;  // [m] of a wrist's link between YAML and URDF
+constexpr double kAxisOff = 1e-3;    // of a wrist's unit axis in its URDF
 constexpr double kTipOff =
     0.02;  // [m] of a calibrated tip from its drawing; a clamp holds to some mm
 
@@ -126,6 +128,51 @@ Vector3 drawn_tip(const InstrumentConfig& instrument, const std::string& urdf) {
   }
 }
 
+/// Refuses a wrist that the drawing shows otherwise: the simulator and the pictures have that one.
+void check_wrist(const InstrumentConfig& instrument, const std::string& urdf) {
+  const Urdf drawing = load_urdf(urdf);
+  const std::vector<UrdfJoint> way =
+      joints_between(drawing, instrument.mount_link, instrument.tip_link);
+  std::vector<std::string> turning;
+  std::vector<Pose> X_MountJoint;
+  std::vector<Vector3> axes;
+  Pose X = Pose::Identity();
+  for (const UrdfJoint& joint : way) {
+    X = X * joint.X_PJ;
+    if (!joint.turning()) continue;
+    turning.push_back(joint.name);
+    X_MountJoint.push_back(X);
+    axes.push_back(joint.axis);
+  }
+  if (!instrument.wrist) {
+    if (turning.empty()) return;
+    refuse(instrument.file, 0,
+           "wrist: none is stated, but " + urdf + " has joint '" + turning.front() +
+               "' on the way to the tip: state the wrist, or make the joint fixed");
+  }
+  const std::vector<std::string> needed(kWristJoints.begin(), kWristJoints.end());
+  const bool shaped = turning == needed && axes[0].isApprox(Vector3::UnitY(), kAxisOff) &&
+                      axes[1].isApprox(Vector3::UnitX(), kAxisOff);
+  if (!shaped) {
+    refuse(instrument.file, 0,
+           "wrist: " + urdf + " needs the joints wrist_pitch (axis 0 1 0) and wrist_yaw (axis "
+           "1 0 0), in this order, on the way from '" + instrument.mount_link + "' to '" +
+               instrument.tip_link + "'");
+  }
+  const WristGeometry& stated = instrument.wrist->geometry;
+  const Vector3 link = X_MountJoint[0].inverse() * X_MountJoint[1].translation();
+  const Vector3 tip = X_MountJoint[1].inverse() * X.translation();
+  const auto compare = [&](const char* key, double says, const Vector3& drawn) {
+    if ((drawn - says * Vector3::UnitZ()).norm() <= kLengthOff) return;
+    refuse(instrument.file, 0,
+           std::string("wrist.") + key + ": says " + std::to_string(says) + " m; " + urdf +
+               " draws " + std::to_string(drawn.z()) + " m along z and " +
+               std::to_string(drawn.head<2>().norm()) + " m beside it: make both equal");
+  };
+  compare("pitch_to_yaw", stated.pitch_to_yaw, link);
+  compare("yaw_to_tip", stated.yaw_to_tip, tip);
+}
+
 /// Refuses a real arm whose tool was calibrated with another instrument.
 void check_instrument(const CellArm& arm, const MountedTool& mounted, const Vector3& p_FTip,
                       const std::string& tool_file) {
@@ -150,6 +197,12 @@ void check_change(const ArmSetup& setup, const InstrumentConfig& next) {
            "passive: the arm started with an instrument that " +
                std::string(first.instrument.passive ? "nobody drives" : "a tool link drives") +
                ", and keeps to that: start it again");
+  }
+  if (next.wrist.has_value() != first.instrument.wrist.has_value()) {
+    refuse(next.file, 0,
+           "wrist: the arm started with an instrument " +
+               std::string(first.instrument.wrist ? "that has one" : "without one") +
+               ", and its commands have as many joints: start it again");
   }
   const bool guarded = setup.arms_in_cell.size() > 1 || !setup.clearance.obstacles.empty();
   if (guarded && next.file != first.instrument.file) {
@@ -221,6 +274,7 @@ MountedTool load_tool(const ArmSetup& setup, const std::string& words) {
   check_tool(tool.tool, setup.limits, tool_file);
   tool.instrument_urdf = beside(instrument_file, tool.instrument.urdf);
   const Vector3 p_FTip = drawn_tip(tool.instrument, tool.instrument_urdf);
+  check_wrist(tool.instrument, tool.instrument_urdf);
   check_instrument(setup.arm, tool, p_FTip, tool_file);
   return tool;
 }

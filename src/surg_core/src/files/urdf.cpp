@@ -260,7 +260,9 @@ Chain chain_of(const Urdf& urdf, const std::string& base, const std::string& fla
 Pose fixed_transform(const Urdf& urdf, const std::string& parent, const std::string& child) {
   Pose X = Pose::Identity();
   for (const UrdfJoint& joint : joints_between(urdf, parent, child)) {
-    if (joint.turning()) {
+    const bool of_wrist =
+        std::find(kWristJoints.begin(), kWristJoints.end(), joint.name) != kWristJoints.end();
+    if (joint.turning() && !of_wrist) {
       refuse(urdf.file, joint.line,
              "joint '" + joint.name + "' between link '" + parent + "' and link '" + child +
                  "' is " + joint.kind + "; it must be fixed");

@@ -108,6 +108,11 @@ Matrix3 minimal_rotation(const Vector3& a, const Vector3& b) {
   return R;
 }
 
+Matrix3 shaft_rotation(const Vector3& s_R, double roll) {
+  return minimal_rotation(Vector3::UnitZ(), s_R) *
+         Eigen::AngleAxisd(roll, Vector3::UnitZ()).toRotationMatrix();
+}
+
 double absolute_roll(const Matrix3& R, const Matrix3& R_home, const Vector3& s_home,
                      const Vector3& s) {
   // D = R R_home^T = minimal_rotation(s_home, s) exp(psi s_home) has the quaternion (w, v) with

@@ -131,6 +131,18 @@ Fixtures Fixtures::in_frame(const Pose& X_AB) const {
   return out;
 }
 
+Fixtures Fixtures::grown(double reach) const {
+  constexpr double kLeft = 1e-4;  // [m] radius of a hollow that is smaller than the reach
+  Fixtures out = *this;
+  for (int i = 0; i < size_; ++i) {
+    Fixture& fixture = out.all_[i];
+    const double outwards = fixture.side == Fixture::Side::kKeepOut ? reach : -reach;
+    fixture.radius = std::max(fixture.radius + outwards, kLeft);
+    if (fixture.shape == Fixture::Shape::kPlane) fixture.point -= outwards * fixture.axis;
+  }
+  return out;
+}
+
 const Fixtures& Fixtures::none() {
   static const Fixtures kNone;
   return kNone;

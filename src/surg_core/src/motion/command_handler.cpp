@@ -20,6 +20,7 @@ constexpr double kAxialSpeed = 0.02;       // [m/s] of insert and withdraw
 constexpr double kClearance = 0.01;        // [m] of the tip above the trocar after withdraw
 constexpr double kWallMargin = 1e-3;       // [m] inside the workspace slides a stream
 constexpr double kOldest = 0.2;            // [s] no sample waits longer for its cycle
+constexpr int kSlideTurns = 4;      // of the search for the tip's place at the end of the wrist
 constexpr double kNotInsertedSlack = 1e-3;  // [m] a tip that rests on depth_min is still inserted
 
 /// Angle of the twist about z in a rotation (swing-twist about the shaft at its target).
@@ -32,18 +33,26 @@ bool beyond_quarter_turn(const Vector4& joints) {
   return std::abs(joints[0]) > M_PI_2 || std::abs(joints[1]) > M_PI_2 || joints[2] < 0;
 }
 
+double stream_age(const MotionCommand& command) {
+  return command.age >= 0 ? std::min(command.age, kOldest) : 0.0;
+}
+
 std::array<double, 4> to_array(const Vector4& v) { return {v[0], v[1], v[2], v[3]}; }
 
 }  // namespace
 
-CommandHandler::CommandHandler(const Limits& limits, const Tuning& tuning, double dt, bool paper)
+CommandHandler::CommandHandler(const Limits& limits, const Tuning& tuning,
+                               const std::optional<WristConfig>& wrist, double dt, bool paper)
     : limits_(limits),
+      tuning_(tuning),
       timeout_(tuning.servo_timeout),
       dt_(dt),
-      setpoint_(limits, {tuning.profiler_duration, paper, tuning.stream_delay, tuning.tremor}) {}
+      setpoint_(limits, {tuning.profiler_duration, paper, tuning.stream_delay, tuning.tremor}),
+      wrist_(wrist, tuning) {}
 
 void CommandHandler::start(const TipPose& at) {
   setpoint_.reset(at.p_RTip, at.s_R, at.roll);
+  wrist_.start();
   set_goal(at.p_RTip, at.roll);
   joint_goal_ = setpoint_.joints();
   move_active_ = retracing_ = stream_blocked_ = sliding_ = newest_counts_ = false;
@@ -52,6 +61,7 @@ void CommandHandler::start(const TipPose& at) {
 
 void CommandHandler::stop() {
   setpoint_.stop();
+  wrist_.stop();
   move_active_ = retracing_ = false;
 }
 
@@ -86,6 +96,86 @@ Motion CommandHandler::motion() const {
 }
 
 Reason CommandHandler::accept(const MotionCommand& command) {
+  if (!wrist_.exists()) return take(command);
+  MotionCommand resolved = command;
+  const Reason reason = resolve_pose(resolved);
+  if (reason != Reason::kNone) return reason;
+  resolve_twist(resolved);
+  const bool overtaken = setpoint_.mode() == Setpoint::Mode::kStream &&
+                         motion_ == command.motion && setpoint_.overtaken(command.stamp_ns);
+  const Reason answer = take(resolved);
+  if (answer == Reason::kNone && !overtaken) move_wrist(resolved);
+  return answer;
+}
+
+/// A pose of the tip becomes one of the wrist centre, with the joints of the wrist. With 'slide'
+/// the wrist goes to the end of its range, and the tip keeps its place.
+Reason CommandHandler::resolve_pose(MotionCommand& command) const {
+  const bool stream = command.motion == Motion::kServoCp;
+  const bool pose = stream || command.motion == Motion::kMoveCp ||
+                    command.motion == Motion::kInterpolateCp;
+  const bool joints = command.motion == Motion::kServoJp || command.motion == Motion::kMoveJp ||
+                      command.motion == Motion::kInterpolateJp;
+  const bool relative = command.motion == Motion::kServoJr || command.motion == Motion::kMoveJr;
+  if (relative) command.wrist += present_wrist();
+  if (joints || relative) {
+    return wrist_.reaches(command.wrist) ? Reason::kNone : Reason::kOutsideWorkspace;
+  }
+  if (!pose) return Reason::kNone;
+  const WristGeometry& geometry = wrist_.config().geometry;
+  TipFrame tip{command.p, command.rotation.toRotationMatrix()};
+  WristPose wrist;
+  for (int turn = 0; turn < kSlideTurns; ++turn) {
+    const auto found = wrists_of_tip(geometry, tip);
+    if (!found) return Reason::kOutsideWorkspace;
+    wrist = (*found)[0];
+    if (wrist_.reaches(wrist.joints)) break;
+    if (!(stream && command.slide)) return Reason::kOutsideWorkspace;
+    wrist.joints = wrist_.nearest(wrist.joints);
+    tip.R = tip_of_wrist(geometry, wrist).R;
+  }
+  command.p = wrist.centre.p;
+  command.rotation = Eigen::Quaterniond(wrist.centre.R);
+  command.wrist = wrist.joints;
+  return Reason::kNone;
+}
+
+/// A velocity of the tip becomes one of the wrist centre, of roll and wrist, at the set-point.
+void CommandHandler::resolve_twist(MotionCommand& command) const {
+  if (command.motion != Motion::kServoCv) return;
+  const WristPose pose{{setpoint_.p_RTip(), shaft_rotation(setpoint_.s_R(), setpoint_.roll())},
+                       wrist_.set()};
+  const WristRate rate =
+      wrist_rates(wrist_.config().geometry, pose, {command.p, command.omega});
+  command.p = rate.v_centre;
+  command.roll_rate = rate.roll_rate;
+  command.wrist = rate.joints;
+}
+
+void CommandHandler::move_wrist(const MotionCommand& command) {
+  switch (command.motion) {
+    case Motion::kServoCp:
+    case Motion::kServoJp:
+    case Motion::kServoJr:
+      wrist_.stream(command.wrist, stream_age(command), command.stamp_ns);
+      break;
+    case Motion::kServoCv:
+    case Motion::kServoJv:
+      wrist_.set_velocity(command.wrist);
+      break;
+    case Motion::kInterpolateCp:
+    case Motion::kMoveCp:
+    case Motion::kInterpolateJp:
+    case Motion::kMoveJp:
+    case Motion::kMoveJr:
+      wrist_.move_to(command.wrist);
+      break;
+    default:
+      break;
+  }
+}
+
+Reason CommandHandler::take(const MotionCommand& command) {
   const Motion motion = command.motion;
   if (stream_blocked_ && is_servo(motion)) {  // a stream must not override a hold
     stream_silence_ = 0;
@@ -204,6 +294,11 @@ double CommandHandler::requested_roll(const Vector3& p_RTip,
   return near + wrapped(requested - near);
 }
 
+/// The same of the wrist.
+WristJoints CommandHandler::present_wrist() const {
+  return wrist_.at_rest() ? wrist_.set() : wrist_.goal();
+}
+
 /// Reference of relative commands: the goal of a joint motion in progress, else the set-point.
 Vector4 CommandHandler::present_goal() const {
   const bool in_joints = motion_ == Motion::kServoJp || motion_ == Motion::kServoJr ||
@@ -227,21 +322,25 @@ Reason CommandHandler::stream(const MotionCommand& command) {
   if (!roll_reachable(roll)) return Reason::kOutsideWorkspace;
   const bool begins = setpoint_.mode() != Setpoint::Mode::kStream || motion_ != command.motion;
   if (begins) {
-    anchor_ = {setpoint_.p_RTip(), setpoint_.roll()};
+    anchor_ = {setpoint_.p_RTip(), setpoint_.roll(), wrist_.set()};
     since_anchor_ = 0;
   }
   const double moved = ((begins ? p : hand) - anchor_.p).norm();
   // A sample that others have overtaken on their way says where the hand was before.
   if (!begins && setpoint_.overtaken(command.stamp_ns)) return Reason::kNone;
-  const Reason reason = check_step(limits_, begins, since_anchor_, moved, roll - anchor_.roll);
+  Reason reason = check_step(limits_, begins, since_anchor_, moved, roll - anchor_.roll);
+  if (reason == Reason::kNone && wrist_.exists()) {
+    const double turned = (command.wrist - anchor_.wrist).cwiseAbs().maxCoeff();
+    reason = check_wrist_step(limits_, wrist_.config(), begins, since_anchor_, turned);
+  }
   if (reason != Reason::kNone) return reason;
   const bool walled = !fixtures_R_.empty();
   set_goal(walled ? setpoint_.slide(fixtures_R_).target({p, Vector3::Zero()}).p : p, roll);
   joint_goal_ = joints;
-  newest_ = {hand, roll};
+  newest_ = {hand, roll, command.wrist};
   newest_counts_ = true;
   sliding_ = slides;
-  const double age = command.age >= 0 ? std::min(command.age, kOldest) : 0.0;
+  const double age = stream_age(command);
   if (cartesian) {
     setpoint_.add_stream_sample(Space::kCartesian, {p.x(), p.y(), p.z(), roll}, age,
                                 command.stamp_ns);
@@ -262,7 +361,10 @@ Reason CommandHandler::check_timeout() {
       setpoint_.mode() == Setpoint::Mode::kStream || setpoint_.mode() == Setpoint::Mode::kVelocity;
   // Counted in cycles, so that the deadline is exact: with 0.1 s and 2 ms the 51st cycle stops.
   const bool stale = streaming && silent_cycles_ > std::lround(timeout_ / dt_);
-  if (stale) setpoint_.stop();
+  if (stale) {
+    setpoint_.stop();
+    wrist_.stop();
+  }
   ++silent_cycles_;
   // All samples of one cycle share the time since the last earlier one: what a sender may move
   // depends on time, not on its number of messages.
@@ -279,6 +381,7 @@ Reason CommandHandler::check_timeout() {
 
 Reason CommandHandler::check_arrival(const TipPose& at) {
   if (!move_active_ || setpoint_.mode() != Setpoint::Mode::kRest) return Reason::kNone;
+  if (wrist_.exists() && !wrist_.at_rest()) return Reason::kNone;
   settle_time_ += dt_;
   const bool arrived = (setpoint_.p_RTip() - at.p_RTip).norm() < kArrivedDistance &&
                        (p_goal_ - setpoint_.p_RTip()).norm() < kArrivedDistance &&

@@ -199,7 +199,7 @@ BlackBoxRecording BlackBox::recording(const BlackBoxLabel& label) const {
 namespace {
 
 constexpr char kMagic[] = "SURGBBX";  // eight bytes with its end
-constexpr std::uint32_t kVersion = 5;
+constexpr std::uint32_t kVersion = 6;
 constexpr std::size_t kHead = sizeof kMagic + sizeof kVersion + sizeof(std::uint64_t);
 
 static_assert(sizeof kMagic == 8 && sizeof(double) == 8);
@@ -325,6 +325,13 @@ class Coder {
   void value(InstrumentConfig& c) {
     (*this)(c.file, c.name, c.urdf, c.mount_link, c.tip_link, c.jaw_min, c.jaw_max, c.jaw_velocity,
             c.passive);
+    bool wristed = c.wrist.has_value();
+    value(wristed);
+    if (!wristed) return;
+    if (!c.wrist) c.wrist.emplace();
+    WristConfig& w = *c.wrist;
+    (*this)(w.geometry.pitch_to_yaw, w.geometry.yaw_to_tip, w.min, w.max, w.velocity,
+            w.acceleration, w.drive_lag);
   }
   void value(ToolCalibration& c) { (*this)(c.s_F, c.p_FTip, c.residual, c.condition, c.n, c.date); }
   void value(Capsule& c) { (*this)(c.a, c.b, c.radius); }
@@ -346,7 +353,7 @@ class Coder {
   }
   void value(BlackBoxLabel& c) { (*this)(c.arm, c.cell, c.written, c.version); }
   void value(MotionCommand& c) {
-    (*this)(c.motion, c.source, c.p, c.rotation, c.roll_rate, c.joints, c.jaw, c.elbow, c.stamp_ns,
+    (*this)(c.motion, c.source, c.p, c.rotation, c.roll_rate, c.omega, c.joints, c.wrist, c.jaw, c.elbow, c.stamp_ns,
             c.age, c.slide);
   }
   void value(Fixture& f) {
@@ -365,7 +372,7 @@ class Coder {
   void value(ForceSample& f) { (*this)(f.valid, f.f_B); }
   void value(Readings& r) {
     (*this)(r.elapsed, r.state_valid, r.state_age, r.q, r.qd, r.condition, r.condition_age, r.jaw,
-            r.jaw_age, r.tip_force, r.trocar_force, r.track_valid, r.track_age, r.p_BTrack,
+            r.jaw_age, r.wrist, r.wrist_rate, r.tip_force, r.trocar_force, r.track_valid, r.track_age, r.p_BTrack,
             r.v_BTrack);
     for (OtherArm& other : r.others) value(other);
   }
@@ -410,6 +417,16 @@ void each_field(Outputs& out, Visit visit) {
   visit("roll_set", out.roll_set);
   visit("jaw_set", out.jaw_set);
   visit("jaw", out.jaw);
+  visit("wrist", out.wrist.exists);
+  visit("wrist_q", out.wrist.q);
+  visit("wrist_qd", out.wrist.qd);
+  visit("wrist_set", out.wrist.set);
+  visit("wrist_goal", out.wrist.goal);
+  visit("wrist_command", out.wrist.command);
+  visit("R_RTip", out.wrist.R_RTip);
+  visit("R_RSet", out.wrist.R_RSet);
+  visit("R_RGoal", out.wrist.R_RGoal);
+  visit("omega_B", out.wrist.omega_B);
   visit("elbow_goal", out.elbow_goal);
   visit("elbow_limit", out.elbow_limit);
   visit("scale", out.scale);

@@ -15,4 +15,11 @@ Reason check_step(const Limits& limits, bool begins, double since, double distan
   return begins ? Reason::kStreamStartTooFar : Reason::kStepTooLarge;
 }
 
+Reason check_wrist_step(const Limits& limits, const WristConfig& wrist, bool begins, double since,
+                        double turned) {
+  const double dt = begins ? 0.0 : std::min(since, limits.step_dt_max);
+  if (turned <= wrist.velocity * dt + limits.step_roll_slack) return Reason::kNone;
+  return begins ? Reason::kStreamStartTooFar : Reason::kStepTooLarge;
+}
+
 }  // namespace surg

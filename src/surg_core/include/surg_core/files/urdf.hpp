@@ -2,6 +2,7 @@
 // usable URDF is, for nodes, checks, simulator and Python alike.
 #pragma once
 
+#include <array>
 #include <optional>
 #include <string>
 #include <vector>
@@ -64,7 +65,11 @@ std::vector<UrdfJoint> joints_between(const Urdf& urdf, const std::string& start
 Chain chain_of(const Urdf& urdf, const std::string& base, const std::string& flange,
                const std::vector<std::string>& joint_names);
 
-/// Pose of 'child' in 'parent', which only fixed joints may separate. Throws ConfigError.
+/// Names of a wrist's joints in an instrument's URDF: pitch about y, then yaw about x.
+constexpr std::array<const char*, 2> kWristJoints{"wrist_pitch", "wrist_yaw"};
+
+/// Pose of 'child' in 'parent', which only fixed joints may separate, and those of a wrist, which
+/// stand at zero. Throws ConfigError.
 Pose fixed_transform(const Urdf& urdf, const std::string& parent, const std::string& child);
 
 }  // namespace surg

@@ -54,6 +54,8 @@ double wrapped(double angle);
 
 /// Rotation of least angle taking unit a to unit b.
 Matrix3 minimal_rotation(const Vector3& a, const Vector3& b);
+/// R_RShaft of a shaft in the rcm frame: the least rotation from z to it, after the roll about z.
+Matrix3 shaft_rotation(const Vector3& s_R, double roll);
 /// Absolute roll psi in R = minimal_rotation(s_home, s) exp(psi s_home) R_home, in (-pi, pi].
 double absolute_roll(const Matrix3& R, const Matrix3& R_home, const Vector3& s_home,
                      const Vector3& s);

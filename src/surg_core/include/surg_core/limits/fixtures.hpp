@@ -74,6 +74,10 @@ class Fixtures {
   /// The same regions in frame A, with X_AB the pose of the present frame in it.
   Fixtures in_frame(const Pose& X_AB) const;
 
+  /// The same for a point from which the tip is up to 'reach' [m] away: keep-out regions grow, and
+  /// stay-in regions shrink.
+  Fixtures grown(double reach) const;
+
   /// None, for motions that have no fixtures.
   static const Fixtures& none();
 

@@ -5,12 +5,14 @@
 #include "surg_core/config.hpp"
 #include "surg_core/motion/command.hpp"
 #include "surg_core/motion/setpoint.hpp"
+#include "surg_core/motion/wrist_motion.hpp"
 #include "surg_core/state/operating_state.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {
 
-/// Tip position, unit shaft direction and roll in the rcm frame.
+/// Tip position, unit shaft direction and roll in the rcm frame. With a wrist the tip of the shaft
+/// is the wrist centre, here and in the set-point.
 struct TipPose {
   Vector3 p_RTip = Vector3::Zero();
   Vector3 s_R = Vector3::UnitZ();
@@ -20,7 +22,8 @@ struct TipPose {
 class CommandHandler {
  public:
   /// dt: control period [s]. paper: streams follow the paper's quintic.
-  CommandHandler(const Limits& limits, const Tuning& tuning, double dt, bool paper);
+  CommandHandler(const Limits& limits, const Tuning& tuning, const std::optional<WristConfig>& wrist,
+                 double dt, bool paper);
 
   /// Starts at rest at the arm's position and drops all targets.
   void start(const TipPose& at);
@@ -43,6 +46,10 @@ class CommandHandler {
 
   Setpoint& setpoint() { return setpoint_; }
   const Setpoint& setpoint() const { return setpoint_; }
+  WristMotion& wrist() { return wrist_; }
+  const WristMotion& wrist() const { return wrist_; }
+  /// Another instrument, at rest.
+  void mount(const std::optional<WristConfig>& wrist) { wrist_ = WristMotion(wrist, tuning_); }
   const Vector3& p_goal() const { return p_goal_; }  ///< in R
   double roll_goal() const { return roll_goal_; }
   bool busy() const { return move_active_ || retracing_; }
@@ -58,6 +65,10 @@ class CommandHandler {
 
  private:
   Reason apply(const MotionCommand& command);
+  Reason take(const MotionCommand& command);
+  Reason resolve_pose(MotionCommand& command) const;
+  void resolve_twist(MotionCommand& command) const;
+  void move_wrist(const MotionCommand& command);
   Reason stream(const MotionCommand& command);
   Reason move_to(Space space, const std::array<double, 4>& target);
   Reason move_along_shaft(Motion motion);
@@ -66,18 +77,22 @@ class CommandHandler {
   Vector3 nearest_reachable(const Vector3& p_RTip) const;
   double requested_roll(const Vector3& p_RTip, const Eigen::Quaterniond& rotation) const;
   Vector4 present_goal() const;
+  WristJoints present_wrist() const;
   void set_goal(const Vector3& p_RTip, double roll);
 
   Limits limits_;
+  Tuning tuning_;
   double timeout_, dt_;
   Fixtures fixtures_R_;
   Setpoint setpoint_;
+  WristMotion wrist_;
   Vector3 p_goal_ = Vector3::Zero();
   double roll_goal_ = 0;
   Vector4 joint_goal_ = Vector4::Zero();  // of the last accepted target
   struct Pose4 {
     Vector3 p = Vector3::Zero();
     double roll = 0;
+    WristJoints wrist = WristJoints::Zero();
   };
   Pose4 newest_;                // accepted stream pose, before it slides along the wall
   bool newest_counts_ = false;  // it was accepted in this cycle

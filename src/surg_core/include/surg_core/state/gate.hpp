@@ -51,4 +51,8 @@ class Authority {
 Reason check_step(const Limits& limits, bool begins, double since, double distance,
                   double roll_distance);
 
+/// The same of the wrist's joints; turned [rad]: by the one that turns farther.
+Reason check_wrist_step(const Limits& limits, const WristConfig& wrist, bool begins, double since,
+                        double turned);
+
 }  // namespace surg
