@@ -191,14 +191,17 @@ surg::Reason ControlCycle::take_motion(const CommandItem& item, std::int64_t now
     const ToolPose target = pose_to_rcm(X_UR, {motion.p, motion.rotation});
     motion.p = target.p;
     motion.rotation = target.q;
-    if (ignored_tilt(target) > kTiltTolerance) record_.orientation = {motion.motion, item.source};
+    if (!record_.out.wrist.exists && ignored_tilt(target) > kTiltTolerance)
+      record_.orientation = {motion.motion, item.source};
   } else if (twist) {
     const ToolTwist rates = twist_to_rcm(X_UR, {motion.p, item.angular});
     // Shaft of the last cycle, 2 ms old: the axis turns by less than 0.5 degrees in that time.
     const surg::Vector3 s_R = record_.X_BR.linear().transpose() * record_.out.s_B;
     motion.p = rates.v;
+    motion.omega = rates.omega;
     motion.roll_rate = rates.omega.dot(s_R);
-    if ((rates.omega - motion.roll_rate * s_R).norm() > kAngularTolerance) {
+    if (!record_.out.wrist.exists &&
+        (rates.omega - motion.roll_rate * s_R).norm() > kAngularTolerance) {
       record_.angular = {motion.motion, item.source};
     }
   }
@@ -214,6 +217,8 @@ void ControlCycle::sense(const LinkState& link, std::int64_t now_ns) {
   inputs_.condition_age = age(link.condition_received_ns, now_ns);
   inputs_.jaw = link.jaw;
   inputs_.jaw_age = age(link.jaw_received_ns, now_ns);
+  inputs_.wrist = link.wrist;
+  inputs_.wrist_rate = link.wrist_rate;
   // Near the trocar a sensor at the flange cannot tell the two forces apart.
   const bool required = record_.out.depth > force_depth_;
   inputs_.tip_force = force_of(link.tip, now_ns, required);
@@ -278,9 +283,15 @@ const CycleRecord& ControlCycle::run(const LinkState& link, std::int64_t now_ns,
   record_.qd = link.qd;
   record_.out = out;
   record_.X_BR = controller_.X_BR();
-  record_.q_RTool = controller_.tool_orientation(out.s_B, out.roll);
-  record_.q_RSet = orientation_at(out.p_set, out.roll_set);
-  record_.q_RGoal = orientation_at(out.p_goal, out.roll_goal);
+  if (out.wrist.exists) {
+    record_.q_RTool = out.wrist.R_RTip;
+    record_.q_RSet = out.wrist.R_RSet;
+    record_.q_RGoal = out.wrist.R_RGoal;
+  } else {
+    record_.q_RTool = controller_.tool_orientation(out.s_B, out.roll);
+    record_.q_RSet = orientation_at(out.p_set, out.roll_set);
+    record_.q_RGoal = orientation_at(out.p_goal, out.roll_goal);
+  }
   record_.compute_us = std::chrono::duration<double, std::micro>(end - start).count();
   return record_;
 }

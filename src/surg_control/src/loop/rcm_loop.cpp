@@ -83,13 +83,15 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
   const ControllerInfo info = info_of(options_, law.law, twist, setup_);
   publishers_ =
       std::make_unique<StatePublishers>(node_, setup_, info, health_, sources_, *reporter_);
-  services_ = std::make_unique<KinematicsServices>(node_, arm_, setup_.limits);
+  services_ = std::make_unique<KinematicsServices>(node_, arm_, setup_.limits,
+                                                   setup_.mounted.instrument.wrist);
   robot_ = std::make_unique<RobotCommand>(node_, setup_, twist, options_.lockstep);
   if (options_.lockstep) {
     undeclared_ = node_.advertise<std_msgs::String>("/sim/undeclared", 10, true);
   }
   command_subscribers_ = std::make_unique<CommandSubscribers>(
-      node_, arm_, options_.track_rcm, options_.lockstep ? kUnbounded : kCommandQueue,
+      node_, arm_, setup_.mounted.instrument.wrist.has_value(), options_.track_rcm,
+      options_.lockstep ? kUnbounded : kCommandQueue,
       [this](const std::string& words) { return read_tool(words); },
       [this](const std::string& topic, const std::string& caller, const ros::Time& stamp,
              Decoded decoded) { on_command(topic, caller, stamp, std::move(decoded)); });

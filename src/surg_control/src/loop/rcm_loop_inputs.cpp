@@ -227,8 +227,14 @@ void RcmLoop::on_robot_state(const sensor_msgs::JointState& message) {
 }
 
 void RcmLoop::on_tool_state(const sensor_msgs::JointState& message) {
-  if (message.header.stamp.isZero() || message.position.size() != 1) return;
-  link_.jaw = message.position[0];
+  const bool wristed = setup_.mounted.instrument.wrist.has_value();
+  if (message.header.stamp.isZero() || message.position.size() != (wristed ? 3 : 1)) return;
+  link_.jaw = message.position.back();
+  if (wristed) {
+    link_.wrist = {message.position[0], message.position[1]};
+    link_.wrist_rate.setZero();
+    if (message.velocity.size() == 3) link_.wrist_rate = {message.velocity[0], message.velocity[1]};
+  }
   if (!options_.lockstep) {
     note_stamp(message.header.stamp);
     link_.jaw_received_ns = steady_ns();

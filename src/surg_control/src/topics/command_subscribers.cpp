@@ -23,15 +23,16 @@ using geometry_msgs::TwistStamped;
 using sensor_msgs::JointState;
 using surg::Motion;
 
-CommandSubscribers::CommandSubscribers(ros::NodeHandle& node, const std::string& arm, bool track,
-                                       std::uint32_t queue, ToolReader read_tool, Sink sink)
+CommandSubscribers::CommandSubscribers(ros::NodeHandle& node, const std::string& arm, bool wristed,
+                                       bool track, std::uint32_t queue, ToolReader read_tool,
+                                       Sink sink)
     : node_(node),
       arm_(arm),
       queue_(queue),
       sink_(std::move(sink)),
       echo_(node.advertise<surg_msgs::ReceivedCommand>(
           "/" + arm + "/received", queue == kUnbounded ? kUnbounded : kEchoQueue)) {
-  subscribe_motions();
+  subscribe_motions(wristed);
   subscribe_others(track, read_tool);
 }
 
@@ -70,7 +71,7 @@ void CommandSubscribers::echo(const std::string& topic, const std::string& sende
   echo_.publish(received);
 }
 
-void CommandSubscribers::subscribe_motions() {
+void CommandSubscribers::subscribe_motions(bool wristed) {
   for (const Motion motion : {Motion::kServoCp, Motion::kInterpolateCp, Motion::kMoveCp}) {
     subscribe<PoseStamped>(topic_of(motion), [motion](const PoseStamped& message) {
       return decode_pose(message, motion);
@@ -78,8 +79,8 @@ void CommandSubscribers::subscribe_motions() {
   }
   for (const Motion motion : {Motion::kServoJp, Motion::kServoJr, Motion::kServoJv,
                               Motion::kInterpolateJp, Motion::kMoveJp, Motion::kMoveJr}) {
-    subscribe<JointState>(topic_of(motion), [motion](const JointState& message) {
-      return decode_joints(message, motion);
+    subscribe<JointState>(topic_of(motion), [motion, wristed](const JointState& message) {
+      return decode_joints(message, motion, wristed);
     });
   }
   for (const Motion motion : {Motion::kJawServoJp, Motion::kJawMoveJp}) {

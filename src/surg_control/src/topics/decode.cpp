@@ -113,24 +113,38 @@ Decoded decode_twist(const geometry_msgs::TwistStamped& message) {
   return decoded;
 }
 
-Decoded decode_joints(const sensor_msgs::JointState& message, surg::Motion motion) {
+std::string listed(const std::vector<std::string>& names) {
+  std::string text;
+  for (const std::string& name : names) text += (text.empty() ? "" : ", ") + name;
+  return text;
+}
+
+const std::vector<std::string>& joint_names(bool wristed) {
+  static const std::vector<std::string> kStraight{"yaw", "pitch", "insertion", "roll"};
+  static const std::vector<std::string> kWristed{"yaw",  "pitch",       "insertion",
+                                                 "roll", "wrist_pitch", "wrist_yaw"};
+  return wristed ? kWristed : kStraight;
+}
+
+Decoded decode_joints(const sensor_msgs::JointState& message, surg::Motion motion, bool wristed) {
   const bool velocity = motion == surg::Motion::kServoJv;
   const std::vector<double>& values = velocity ? message.velocity : message.position;
-  if (values.size() != 4) {
+  const std::vector<std::string>& names = joint_names(wristed);
+  if (values.size() != names.size()) {
     return refused(surg::Reason::kWrongSize,
                    std::string(velocity ? "velocity" : "position") + " has " +
-                       std::to_string(values.size()) +
-                       " values; needed are 4: yaw, pitch, insertion, roll");
+                       std::to_string(values.size()) + " values; needed are " +
+                       std::to_string(names.size()) + ": " + listed(names));
   }
-  static const std::vector<std::string> kNames{"yaw", "pitch", "insertion", "roll"};
-  if (!message.name.empty() && message.name != kNames) {
+  if (!message.name.empty() && message.name != names) {
     return refused(surg::Reason::kWrongSize,
                    "name has " + std::to_string(message.name.size()) + " entries, the first " +
-                       quoted(message.name.front()) +
-                       "; allowed is none, or [yaw, pitch, insertion, roll] in this order");
+                       quoted(message.name.front()) + "; allowed is none, or [" + listed(names) +
+                       "] in this order");
   }
   Decoded decoded = motion_of(motion);
   decoded.item.motion.joints = surg::Vector4(values[0], values[1], values[2], values[3]);
+  if (wristed) decoded.item.motion.wrist = {values[4], values[5]};
   return decoded;
 }
 
@@ -304,9 +318,7 @@ std::string decode_state_of_robot(const sensor_msgs::JointState& message,
                                   const std::vector<std::string>& names, LinkState& link) {
   const std::size_t n = names.size();
   if (message.name != names || message.position.size() != n || message.velocity.size() != n) {
-    std::string expected;
-    for (const std::string& name : names) expected += (expected.empty() ? "" : ", ") + name;
-    return "robot/measured_js needs name [" + expected + "] in this order and " +
+    return "robot/measured_js needs name [" + listed(names) + "] in this order and " +
            std::to_string(n) + " positions and velocities; it came with " +
            std::to_string(message.name.size()) + " names, " +
            std::to_string(message.position.size()) + " positions, " +

@@ -22,7 +22,9 @@ RobotCommand::RobotCommand(ros::NodeHandle& node, const surg::ArmSetup& setup, b
   tool_ = node.advertise<sensor_msgs::JointState>(prefix + "tool/servo_jp", queue);
   joint_command_.name = setup.robot.joint_names;
   twist_command_.header.frame_id = setup.arm.name + "_base";
-  tool_command_.name = {"jaw"};
+  const bool wristed = setup.mounted.instrument.wrist.has_value();
+  tool_command_.name =
+      wristed ? std::vector<std::string>{"pitch", "yaw", "jaw"} : std::vector<std::string>{"jaw"};
 }
 
 void RobotCommand::send(const LinkCommand& command) {
@@ -41,11 +43,15 @@ void RobotCommand::send(const LinkCommand& command) {
     robot_.publish(joint_command_);
   }
   const surg::InstrumentConfig& mounted = command.tool ? command.tool->instrument : at_start_;
-  const bool every_cycle = lockstep_ || mounted.jaw_min < mounted.jaw_max;
+  const bool every_cycle = lockstep_ || mounted.jaw_min < mounted.jaw_max || mounted.wrist;
   if (!every_cycle && command.tick % kJawlessCycles != 0) return;
   if (!std::isfinite(command.jaw)) return;  // F31: an unknown jaw is not told to move
   tool_command_.header.stamp = stamp;
   tool_command_.position.assign(1, command.jaw);
+  if (mounted.wrist) {
+    if (!command.wrist.allFinite()) return;
+    tool_command_.position = {command.wrist[0], command.wrist[1], command.jaw};
+  }
   tool_.publish(tool_command_);
 }
 

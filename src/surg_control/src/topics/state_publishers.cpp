@@ -21,11 +21,11 @@ constexpr std::uint64_t kFeedbackLockstep = 5;  // 100 Hz of simulated time
 constexpr double kFeedbackPeriod = 0.005;       // [s] free-run
 constexpr std::uint64_t kTfTicks = 10;          // 50 Hz
 
-void fill_joints(sensor_msgs::JointState& message, const surg::Vector4& q,
-                 const surg::Vector4* qd) {
-  if (message.name.empty()) message.name = {"yaw", "pitch", "insertion", "roll"};
-  message.position.assign(q.data(), q.data() + 4);
-  if (qd != nullptr) message.velocity.assign(qd->data(), qd->data() + 4);
+/// Four joints, and two more behind them where there is a wrist.
+void fill_joints(std::vector<double>& values, const surg::Vector4& shaft,
+                 const surg::WristJoints* wrist) {
+  values.assign(shaft.data(), shaft.data() + 4);
+  if (wrist != nullptr) values.insert(values.end(), wrist->data(), wrist->data() + 2);
 }
 
 void fill_jaw(sensor_msgs::JointState& message, double jaw) {
@@ -142,10 +142,17 @@ void StatePublishers::publish_feedback(const CycleRecord& record) {
   const bool known = record.stamp_ns != 0 && out.reason != surg::Reason::kLinkLost &&
                      out.reason != surg::Reason::kStateNotFinite;
   const bool valid = known && out.homed;
-  measured_js_.publish(
-      valid, stamp, [&](auto& message) { fill_joints(message, out.virtual_q, &out.virtual_qd); });
-  setpoint_js_.publish(valid, stamp,
-                       [&](auto& message) { fill_joints(message, out.virtual_set, nullptr); });
+  const surg::WristOutputs* wrist = out.wrist.exists ? &out.wrist : nullptr;
+  const std::vector<std::string>& names = joint_names(wrist != nullptr);
+  measured_js_.publish(valid, stamp, [&](auto& message) {
+    if (message.name.empty()) message.name = names;
+    fill_joints(message.position, out.virtual_q, wrist ? &wrist->q : nullptr);
+    fill_joints(message.velocity, out.virtual_qd, wrist ? &wrist->qd : nullptr);
+  });
+  setpoint_js_.publish(valid, stamp, [&](auto& message) {
+    if (message.name.empty()) message.name = names;
+    fill_joints(message.position, out.virtual_set, wrist ? &wrist->set : nullptr);
+  });
   publish_tip(record, valid);
   jaw_measured_js_.publish(known, stamp, [&](auto& message) { fill_jaw(message, out.jaw); });
   jaw_setpoint_js_.publish(known, stamp, [&](auto& message) { fill_jaw(message, out.jaw_set); });
@@ -188,9 +195,11 @@ void StatePublishers::publish_tip(const CycleRecord& record, bool valid) {
     const surg::Vector3 s_R = X_RB.linear() * out.s_B;
     const surg::Vector3 s_dot = surg::shaft_direction_rate(out.virtual_q[0], out.virtual_q[1],
                                                            out.virtual_qd[0], out.virtual_qd[1]);
+    const surg::Vector3 omega_R = out.wrist.exists
+                                      ? surg::Vector3(X_RB.linear() * out.wrist.omega_B)
+                                      : surg::Vector3(s_R.cross(s_dot) + out.virtual_qd[3] * s_R);
     const ToolTwist twist =
-        twist_from_rcm(record.frame.X_UR,
-                       {X_RB.linear() * out.v_BTip, s_R.cross(s_dot) + out.virtual_qd[3] * s_R});
+        twist_from_rcm(record.frame.X_UR, {X_RB.linear() * out.v_BTip, omega_R});
     message.header.frame_id = record.frame.name.c_str();
     message.twist.linear = to_vector(twist.v);
     message.twist.angular = to_vector(twist.omega);
@@ -256,11 +265,13 @@ geometry_msgs::TransformStamped StatePublishers::transform(const CycleRecord& re
 
 void StatePublishers::publish_tf(const CycleRecord& record) {
   if (record.stamp_ns == 0 || tf_.getNumSubscribers() == 0) return;
-  // The tool frame as measured_cp states it, so that both say the same; fixed in the flange.
+  // The tool frame as measured_cp states it, so that both say the same.
   surg::Pose X_FTool = surg::Pose::Identity();
   X_FTool.linear() = record.out.X_BF.linear().transpose() * record.X_BR.linear() *
                      record.q_RTool.toRotationMatrix();
-  X_FTool.translation() = (record.tool ? record.tool : &at_start_)->tool.p_FTip;
+  X_FTool.translation() = record.out.wrist.exists
+                              ? surg::Vector3(record.out.X_BF.inverse() * record.out.p_BTip)
+                              : (record.tool ? record.tool : &at_start_)->tool.p_FTip;
   tf2_msgs::TFMessage message;
   message.transforms.push_back(transform(record, flange_, record.out.X_BF, base_));
   message.transforms.push_back(transform(record, tool_, X_FTool, flange_));

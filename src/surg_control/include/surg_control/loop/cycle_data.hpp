@@ -44,7 +44,7 @@ struct CommandItem {
   const surg::MountedTool* tool = nullptr;   ///< kTool; lives as long as the node
   surg::MotionCommand motion;  ///< kMotion; poses and twists still in 'frame', not in R
   /// servo_cv: the complete angular velocity. The cycle projects it onto the shaft to get
-  /// roll_rate.
+  /// roll_rate, unless there is a wrist.
   surg::Vector3 angular = surg::Vector3::Zero();
 };
 
@@ -70,8 +70,11 @@ struct LinkState {
   std::int64_t condition_received_ns = 0;                 ///< when the link last said it; 0: never
   double jaw = std::numeric_limits<double>::quiet_NaN();  ///< until the tool link has spoken
   std::int64_t jaw_received_ns = 0;                       ///< when jaw came; 0: never
-  MeasuredForce tip, trocar;                              ///< F25
-  std::array<OtherState, surg::kMaxOtherArms> others;     ///< in the order of the clearance setup
+  surg::WristJoints wrist =
+      surg::WristJoints::Constant(std::numeric_limits<double>::quiet_NaN());  ///< with the jaw
+  surg::WristJoints wrist_rate = surg::WristJoints::Zero();
+  MeasuredForce tip, trocar;                           ///< F25
+  std::array<OtherState, surg::kMaxOtherArms> others;  ///< in the order of the clearance setup
 };
 
 /// Result of a command that the controller does not judge as a motion.
@@ -123,14 +126,20 @@ struct CycleRecord {
 struct LinkCommand {
   std::uint64_t stamp_ns = 0;  ///< of the joint state used; 0: there was none, nothing is sent
   std::uint64_t tick = 0;
-  surg::JointVector qd;                         ///< [rad/s]
-  surg::Vector6 twist = surg::Vector6::Zero();  ///< of the flange
-  double jaw = 0;                               ///< [rad]; not finite: unknown
-  const surg::MountedTool* tool = nullptr;      ///< as in CycleRecord
+  surg::JointVector qd;                                 ///< [rad/s]
+  surg::Vector6 twist = surg::Vector6::Zero();          ///< of the flange
+  double jaw = 0;                                       ///< [rad]; not finite: unknown
+  surg::WristJoints wrist = surg::WristJoints::Zero();  ///< [rad]; likewise
+  const surg::MountedTool* tool = nullptr;              ///< as in CycleRecord
 
   static LinkCommand of(const CycleRecord& record) {
-    return {record.stamp_ns,          record.tick,        record.out.qd_command,
-            record.out.twist_command, record.out.jaw_set, record.tool};
+    return {record.stamp_ns,
+            record.tick,
+            record.out.qd_command,
+            record.out.twist_command,
+            record.out.jaw_set,
+            record.out.wrist.command,
+            record.tool};
   }
   /// Zero velocity; the jaw as it was.
   LinkCommand at_rest() const {

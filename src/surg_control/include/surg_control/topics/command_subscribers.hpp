@@ -23,16 +23,17 @@ class CommandSubscribers {
   /// Reads the files of a tool/mount.
   using ToolReader = std::function<Decoded(const std::string& words)>;
 
-  /// 'track': subscribe to rcm/track; 'queue': size of each subscriber's queue, 0 for unbounded.
-  CommandSubscribers(ros::NodeHandle& node, const std::string& arm, bool track, std::uint32_t queue,
-                     ToolReader read_tool, Sink sink);
+  /// 'wristed': joints are six; 'track': subscribe to rcm/track; 'queue': size of each subscriber's
+  /// queue, 0 for unbounded.
+  CommandSubscribers(ros::NodeHandle& node, const std::string& arm, bool wristed, bool track,
+                     std::uint32_t queue, ToolReader read_tool, Sink sink);
 
  private:
   template <typename Message>
   void subscribe(const std::string& topic, std::function<Decoded(const Message&)> decode);
   template <typename Message>
   void echo(const std::string& topic, const std::string& sender, const Message& message);
-  void subscribe_motions();
+  void subscribe_motions(bool wristed);
   void subscribe_others(bool track, const ToolReader& read_tool);
 
   ros::NodeHandle& node_;

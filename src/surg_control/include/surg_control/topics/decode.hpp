@@ -28,8 +28,13 @@ Decoded decode_pose(const geometry_msgs::PoseStamped& message, surg::Motion moti
 /// servo_cv; frame_id as for poses.
 Decoded decode_twist(const geometry_msgs::TwistStamped& message);
 /// servo_jp, servo_jr, interpolate_jp, move_jp, move_jr (position) or servo_jv (velocity): yaw,
-/// pitch, insertion, roll.
-Decoded decode_joints(const sensor_msgs::JointState& message, surg::Motion motion);
+/// pitch, insertion, roll, and wrist_pitch, wrist_yaw where the instrument has a wrist.
+Decoded decode_joints(const sensor_msgs::JointState& message, surg::Motion motion,
+                      bool wristed = false);
+/// Names of the virtual joints, four or six.
+const std::vector<std::string>& joint_names(bool wristed);
+/// Names in one line, for texts.
+std::string listed(const std::vector<std::string>& names);
 /// jaw/servo_jp, jaw/move_jp: one position.
 Decoded decode_jaw(const sensor_msgs::JointState& message, surg::Motion motion);
 /// elbow/move_jp: one swivel angle.

@@ -1,4 +1,4 @@
-// CRTK's kinematics queries on the four virtual joints.
+// CRTK's kinematics queries on the virtual joints: four, or six with a wrist.
 #pragma once
 
 #include <crtk_msgs/QueryForwardKinematics.h>
@@ -16,15 +16,17 @@ namespace surg_control {
 /// Answers a query. Requests of a wrong form and poses outside the workspace get result false and a
 /// message with value and allowed range.
 crtk_msgs::QueryForwardKinematics::Response answer_forward(
-    const crtk_msgs::QueryForwardKinematics::Request& request, const surg::Pose& X_UR);
+    const crtk_msgs::QueryForwardKinematics::Request& request, const surg::Pose& X_UR,
+    const std::optional<surg::WristConfig>& wrist = {});
 crtk_msgs::QueryInverseKinematics::Response answer_inverse(
     const crtk_msgs::QueryInverseKinematics::Request& request, const surg::Pose& X_UR,
-    const surg::Limits& limits);
+    const surg::Limits& limits, const std::optional<surg::WristConfig>& wrist = {});
 
 /// forward_kinematics, inverse_kinematics (in the user's frame), local/forward_kinematics (in R).
 class KinematicsServices {
  public:
-  KinematicsServices(ros::NodeHandle& node, const std::string& arm, const surg::Limits& limits);
+  KinematicsServices(ros::NodeHandle& node, const std::string& arm, const surg::Limits& limits,
+                     const std::optional<surg::WristConfig>& wrist);
 
   /// Sets the frame of later answers; call it from one thread only.
   void set_frame(const BaseFrame& frame);
@@ -33,6 +35,7 @@ class KinematicsServices {
   surg::Pose X_UR();
 
   surg::Limits limits_;
+  std::optional<surg::WristConfig> wrist_;
   LatestBox<surg::Pose> box_;
   surg::Pose last_ = surg::Pose::Identity();
   std::uint32_t version_ = 0;
