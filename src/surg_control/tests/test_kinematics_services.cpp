@@ -94,5 +94,30 @@ TEST(KinematicsServices, WhatHasNoAnswerIsSaidWithValueAndAllowed) {
   EXPECT_FALSE(answer_inverse(back, X_UR, limits()).result);
 }
 
+TEST(KinematicsServices, AWristHasSixJointsBothWays) {
+  std::optional<surg::WristConfig> wrist(surg::WristConfig{});
+  wrist->geometry = {0.0091, 0.0102, 0.3};
+  wrist->min = {-1.396, -1.396};
+  wrist->max = {1.396, 1.396};
+  const surg::Pose X_UR = surg::Pose::Identity();
+  crtk_msgs::QueryForwardKinematics::Request there;
+  there.jp = {0.1, -0.2, 0.1, 0.4, 0.7, -0.6};
+  const auto pose = answer_forward(there, X_UR, wrist);
+  ASSERT_TRUE(pose.result) << pose.message;
+  crtk_msgs::QueryInverseKinematics::Request back;
+  back.cp = pose.cp;
+  const auto joints = answer_inverse(back, X_UR, limits(), wrist);
+  ASSERT_TRUE(joints.result) << joints.message;
+  ASSERT_EQ(joints.jp.size(), 6U);
+  for (std::size_t i = 0; i < 6; ++i) EXPECT_NEAR(joints.jp[i], there.jp[i], 1e-9) << i;
+  there.jp[4] = 1.45;
+  back.cp = answer_forward(there, X_UR, wrist).cp;
+  const auto beyond = answer_inverse(back, X_UR, limits(), wrist);
+  EXPECT_FALSE(beyond.result);
+  EXPECT_NE(beyond.message.find("wrist_pitch at 1.450"), std::string::npos) << beyond.message;
+  there.jp.resize(4);
+  EXPECT_NE(answer_forward(there, X_UR, wrist).message.find("needed are 6"), std::string::npos);
+}
+
 }  // namespace
 }  // namespace surg_control

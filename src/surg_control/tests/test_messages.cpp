@@ -190,5 +190,17 @@ TEST(Messages, RobotStateByName) {
   EXPECT_NE(decode_state_of_robot(message, {"a", "b"}, link), "");
 }
 
+TEST(Messages, AWristTakesSixJoints) {
+  sensor_msgs::JointState joints;
+  joints.position = {1, 2, 3, 4, 5, 6};
+  const Decoded decoded = decode_joints(joints, surg::Motion::kServoJp, true);
+  EXPECT_EQ(decoded.item.motion.joints, surg::Vector4(1, 2, 3, 4));
+  EXPECT_EQ(decoded.item.motion.wrist, surg::WristJoints(5, 6));
+  EXPECT_EQ(decode_joints(joints, surg::Motion::kServoJp).reason, surg::Reason::kWrongSize);
+  joints.position.resize(4);
+  EXPECT_NE(decode_joints(joints, surg::Motion::kServoJp, true).detail.find("wrist_yaw"),
+            std::string::npos);
+}
+
 }  // namespace
 }  // namespace surg_control

@@ -239,12 +239,12 @@ def test_f31_a_lost_tool_link_says_nothing_and_takes_nothing(
     link = Link(ur5e, {"fault": "tool_lost", "at": 5, "ticks": 20}, lockstep=lockstep)
     jaws = []
     for tick in range(1, 30):
-        jaw = link.injector.jaw("PSM1")
+        jaw = link.injector.tool("PSM1")
         if 5 <= tick < 25:
-            assert jaw is None if not lockstep else math.isnan(jaw[0])
+            assert jaw is None if not lockstep else math.isnan(jaw[0][0])
             assert link.injector.tool_lost("PSM1")
         else:
-            assert jaw is not None and math.isfinite(jaw[0])
+            assert jaw is not None and math.isfinite(jaw[0][0])
         link.tick()
         jaws.append(link.world.state("PSM1").jaw)
     # The drive goes on to the last goal it has heard of, and the robot's wire is untouched.

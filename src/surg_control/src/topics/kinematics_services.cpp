@@ -121,10 +121,10 @@ KinematicsServices::KinematicsServices(ros::NodeHandle& node, const std::string&
                                        const surg::Limits& limits,
                                        const std::optional<surg::WristConfig>& wrist)
     : limits_(limits), wrist_(wrist) {
-  box_.put(surg::Pose::Identity());
+  box_.put(Frame());
   const auto forward = [this](bool local) {
     return [this, local](Forward::Request& request, Forward::Response& response) {
-      response = answer_forward(request, local ? surg::Pose::Identity() : X_UR(), wrist_);
+      response = answer_forward(request, local ? surg::Pose::Identity() : frame().X_UR, mounted_wrist());
       return true;
     };
   };
@@ -137,20 +137,27 @@ KinematicsServices::KinematicsServices(ros::NodeHandle& node, const std::string&
   inverse_ = node.advertiseService<Inverse::Request, Inverse::Response>(
       "/" + arm + "/inverse_kinematics",
       [this](Inverse::Request& request, Inverse::Response& response) {
-        response = answer_inverse(request, X_UR(), limits_, wrist_);
+        response = answer_inverse(request, frame().X_UR, limits_, mounted_wrist());
         return true;
       });
 }
 
-void KinematicsServices::set_frame(const BaseFrame& frame) {
-  if (frame.version == version_) return;
+void KinematicsServices::set_frame(const BaseFrame& frame, double turn) {
+  if (frame.version == version_ && turn == turn_) return;
   version_ = frame.version;
-  box_.put(frame.X_UR);
+  turn_ = turn;
+  box_.put({frame.X_UR, turn});
 }
 
-surg::Pose KinematicsServices::X_UR() {
+KinematicsServices::Frame KinematicsServices::frame() {
   box_.try_get(last_);
   return last_;
+}
+
+std::optional<surg::WristConfig> KinematicsServices::mounted_wrist() {
+  std::optional<surg::WristConfig> mounted = wrist_;
+  if (mounted) mounted->geometry.turn = frame().turn;
+  return mounted;
 }
 
 }  // namespace surg_control

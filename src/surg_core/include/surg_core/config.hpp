@@ -137,10 +137,13 @@ struct CameraConfig {
 /// The wrist of an instrument, and the drive that turns it.
 struct WristConfig {
   WristGeometry geometry;
-  WristJoints min, max;         ///< [rad]
-  double velocity = 0;          ///< [rad/s] of each joint
-  double acceleration = 0;      ///< [rad/s^2]
-  double drive_lag = 0;         ///< [s] from a command to the motion that it causes
+  /// Unit pitch axis in the flange frame, of the drawing (load_tool); only its turn about the shaft
+  /// counts.
+  Vector3 pitch_axis_F = Vector3::UnitY();
+  WristJoints min, max;     ///< [rad]
+  double velocity = 0;      ///< [rad/s] of each joint
+  double acceleration = 0;  ///< [rad/s^2]
+  double drive_lag = 0;     ///< [s] from a command to the motion that it causes
 };
 
 /// One instrument: its YAML. Jaw angles [rad]; 'closed' is jaw_min.

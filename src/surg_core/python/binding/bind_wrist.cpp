@@ -20,8 +20,8 @@ TipFrame frame_of(const Array& X, const char* name) {
 }
 
 Array tip(const WristGeometry& wrist, const Array& X_RCentre, const Array& joints) {
-  return from_pose(pose_of(tip_of_wrist(
-      wrist, {frame_of(X_RCentre, "X_RCentre"), to_vector2(joints, "joints")})));
+  return from_pose(pose_of(
+      tip_of_wrist(wrist, {frame_of(X_RCentre, "X_RCentre"), to_vector2(joints, "joints")})));
 }
 
 std::vector<std::pair<Array, Array>> wrists(const WristGeometry& wrist, const Array& X_RTip) {
@@ -38,10 +38,11 @@ std::vector<std::pair<Array, Array>> wrists(const WristGeometry& wrist, const Ar
 
 void bind_wrist(py::module_& m) {
   py::class_<WristGeometry>(m, "WristGeometry", "Lengths of a wrist [m].")
-      .def(py::init([](double pitch_to_yaw, double yaw_to_tip) {
-             return WristGeometry{pitch_to_yaw, yaw_to_tip};
+      .def(py::init([](double pitch_to_yaw, double yaw_to_tip, double turn) {
+             return WristGeometry{pitch_to_yaw, yaw_to_tip, turn};
            }),
-           py::arg("pitch_to_yaw"), py::arg("yaw_to_tip"))
+           py::arg("pitch_to_yaw"), py::arg("yaw_to_tip"), py::arg("turn") = 0.0,
+           "turn [rad]: of the pitch axis about the shaft, against y of the tool frame.")
       .def_readonly("pitch_to_yaw", &WristGeometry::pitch_to_yaw)
       .def_readonly("yaw_to_tip", &WristGeometry::yaw_to_tip);
   m.def("tip_of_wrist", &tip, py::arg("wrist"), py::arg("X_RCentre"), py::arg("joints"),

@@ -45,6 +45,9 @@ from surg_core._core import (
     TrocarCalibration as TrocarCalibration,
     UrKinematics as UrKinematics,
     Verdict as Verdict,
+    WristConfig as WristConfig,
+    WristGeometry as WristGeometry,
+    WristOutputs as WristOutputs,
     chain_from_urdf as chain_from_urdf,
     check_step as check_step,
     condition_sentence as condition_sentence,
@@ -67,7 +70,9 @@ from surg_core._core import (
     shaft_direction as shaft_direction,
     shaft_state as shaft_state,
     shaft_states as shaft_states,
+    tip_of_wrist as tip_of_wrist,
     with_kinematics as with_kinematics,
+    wrists_of_tip as wrists_of_tip,
 )
 from surg_core.clearance import clearance_setup as clearance_setup
 from surg_core.config import Arm as Arm, Cell as Cell, load_cell as load_cell

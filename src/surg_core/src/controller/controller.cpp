@@ -118,8 +118,7 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
       trocar(
           {robot_in.tuning.track_noise, robot_in.tuning.track_jerk, robot_in.tuning.track_timeout}),
       arm(chain, shaft_of(instrument, tool), look_ahead_lag(robot_in, options), options.dt),
-      handler(limits_in, robot_in.tuning, instrument.wrist, options.dt,
-              options.law == Law::kPaper),
+      handler(limits_in, robot_in.tuning, instrument.wrist, options.dt, options.law == Law::kPaper),
       jaw(instrument, options.dt),
       force(limits_in),
       limited(chain, shaft_of(instrument, tool), step_limits(robot_in, limits_in, options.law),
@@ -176,8 +175,7 @@ void Controller::Impl::report(const Inputs& in) {
 
 TipFrame Controller::Impl::tip_behind_wrist(const Vector3& p_RCentre, const Vector3& s_R,
                                             double roll, const WristJoints& joints) const {
-  return tip_of_wrist(handler.wrist().config().geometry,
-                      {{p_RCentre, shaft_rotation(s_R, roll)}, joints});
+  return tip_of_wrist(handler.wrist().geometry(), {{p_RCentre, shaft_rotation(s_R, roll)}, joints});
 }
 
 /// So far the report has the wrist centre where it says tip.
@@ -188,19 +186,20 @@ void Controller::Impl::report_wrist(const Inputs& in) {
   const Vector3 s_R = R_RB * shaft().s, goal_R = handler.p_goal();
   WristOutputs& to = out.wrist;
   to.exists = true;
+  to.turn = wrist.geometry().turn;
   to.q = in.wrist.allFinite() ? in.wrist : wrist.set();
   to.qd = in.wrist_rate.allFinite() ? in.wrist_rate : WristJoints(WristJoints::Zero());
   to.set = wrist.set();
   to.goal = wrist.goal();
   to.command = wrist.command(law == Law::kExact ? follower.delay() : robot.tuning.link_lag);
 
-  const WristPose measured{{X_BR.inverse() * shaft().p_BTip, shaft_rotation(s_R, out.roll)}, to.q};
+  const Vector3 centre_R = X_BR.inverse() * shaft().p_BTip;
+  const WristPose measured{{centre_R, shaft_rotation(s_R, out.roll)}, to.q};
   const Vector3 turning = s_R.cross(R_RB * arm.s_dot()) + out.virtual_qd[3] * s_R;
-  const WristGeometry& geometry = wrist.config().geometry;
-  const TipFrame tip = tip_of_wrist(geometry, measured);
-  const FrameRate rate = tip_rate(geometry, measured, {R_RB * arm.v_BTip(), turning}, to.qd);
-  const TipFrame set =
-      tip_behind_wrist(setpoint.p_RTip(), setpoint.s_R(), setpoint.roll(), to.set);
+  const FrameRate rate =
+      tip_rate(wrist.geometry(), measured, {R_RB * arm.v_BTip(), turning}, to.qd);
+  const TipFrame tip = tip_of_wrist(wrist.geometry(), measured);
+  const TipFrame set = tip_behind_wrist(setpoint.p_RTip(), setpoint.s_R(), setpoint.roll(), to.set);
   const double far = goal_R.norm();
   const TipFrame goal = tip_behind_wrist(goal_R, far > 1e-6 ? Vector3(goal_R / far) : s_R,
                                          handler.roll_goal(), to.goal);

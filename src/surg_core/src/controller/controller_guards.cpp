@@ -33,7 +33,7 @@ void Controller::Impl::catch_up() {
   handler.wrist().begin_cycle(soft_period, clock.rest());
   for (int i = 1; i < clock.periods(); ++i) {
     handler.setpoint().elapse(T, false);
-    handler.wrist().elapse(T, false);
+    handler.wrist().elapse(T, false, handler.setpoint().stream_delay());
     arm.record_command(qd_last);
     JointVector unused = qd_last;
     // Behind a longer gap the arm takes up nothing where it was left, see guard_lateness.

@@ -29,7 +29,7 @@ void Controller::Impl::move() {
   out.v_set.setZero();
   Setpoint& setpoint = handler.setpoint();
   setpoint.elapse(T);
-  handler.wrist().elapse(T);
+  handler.wrist().elapse(T, true, setpoint.stream_delay());
   setpoint.set_rest_time(time_to_rest(qd_last));
   if (!state_known || !trocar.taught() || !operating.homed()) {
     // The geometry is unknown (F02, F10): a ramp through the law would be blind, also when the

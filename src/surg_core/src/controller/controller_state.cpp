@@ -156,6 +156,11 @@ bool Controller::Impl::may_stop_at_once() const {
 void Controller::Impl::set_home() {
   arm.set_home();
   X_BR = rcm_frame(shaft().s, trocar.p_BTaught());
+  if (handler.wrist().exists()) {
+    const Vector3 axis_R = X_BR.linear().transpose() * arm.measured().X_BF.linear() *
+                           handler.wrist().config().pitch_axis_F;
+    handler.wrist().set_turn(std::atan2(-axis_R.x(), axis_R.y()));
+  }
   place_fixtures();
   trace.clear();
   elbow.home();

@@ -129,7 +129,8 @@ Vector3 drawn_tip(const InstrumentConfig& instrument, const std::string& urdf) {
 }
 
 /// Refuses a wrist that the drawing shows otherwise: the simulator and the pictures have that one.
-void check_wrist(const InstrumentConfig& instrument, const std::string& urdf) {
+/// Takes its pitch axis from the drawing.
+void check_wrist(InstrumentConfig& instrument, const std::string& urdf) {
   const Urdf drawing = load_urdf(urdf);
   const std::vector<UrdfJoint> way =
       joints_between(drawing, instrument.mount_link, instrument.tip_link);
@@ -155,9 +156,10 @@ void check_wrist(const InstrumentConfig& instrument, const std::string& urdf) {
                       axes[1].isApprox(Vector3::UnitX(), kAxisOff);
   if (!shaped) {
     refuse(instrument.file, 0,
-           "wrist: " + urdf + " needs the joints wrist_pitch (axis 0 1 0) and wrist_yaw (axis "
-           "1 0 0), in this order, on the way from '" + instrument.mount_link + "' to '" +
-               instrument.tip_link + "'");
+           "wrist: " + urdf +
+               " needs the joints wrist_pitch (axis 0 1 0) and wrist_yaw (axis "
+               "1 0 0), in this order, on the way from '" +
+               instrument.mount_link + "' to '" + instrument.tip_link + "'");
   }
   const WristGeometry& stated = instrument.wrist->geometry;
   const Vector3 link = X_MountJoint[0].inverse() * X_MountJoint[1].translation();
@@ -171,6 +173,7 @@ void check_wrist(const InstrumentConfig& instrument, const std::string& urdf) {
   };
   compare("pitch_to_yaw", stated.pitch_to_yaw, link);
   compare("yaw_to_tip", stated.yaw_to_tip, tip);
+  instrument.wrist->pitch_axis_F = X_MountJoint[0].linear() * axes[0];
 }
 
 /// Refuses a real arm whose tool was calibrated with another instrument.

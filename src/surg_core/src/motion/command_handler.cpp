@@ -20,7 +20,7 @@ constexpr double kAxialSpeed = 0.02;       // [m/s] of insert and withdraw
 constexpr double kClearance = 0.01;        // [m] of the tip above the trocar after withdraw
 constexpr double kWallMargin = 1e-3;       // [m] inside the workspace slides a stream
 constexpr double kOldest = 0.2;            // [s] no sample waits longer for its cycle
-constexpr int kSlideTurns = 4;      // of the search for the tip's place at the end of the wrist
+constexpr int kSlideTurns = 4;  // of the search for the tip's place at the end of the wrist
 constexpr double kNotInsertedSlack = 1e-3;  // [m] a tip that rests on depth_min is still inserted
 
 /// Angle of the twist about z in a rotation (swing-twist about the shaft at its target).
@@ -101,8 +101,8 @@ Reason CommandHandler::accept(const MotionCommand& command) {
   const Reason reason = resolve_pose(resolved);
   if (reason != Reason::kNone) return reason;
   resolve_twist(resolved);
-  const bool overtaken = setpoint_.mode() == Setpoint::Mode::kStream &&
-                         motion_ == command.motion && setpoint_.overtaken(command.stamp_ns);
+  const bool overtaken = setpoint_.mode() == Setpoint::Mode::kStream && motion_ == command.motion &&
+                         setpoint_.overtaken(command.stamp_ns);
   const Reason answer = take(resolved);
   if (answer == Reason::kNone && !overtaken) move_wrist(resolved);
   return answer;
@@ -112,8 +112,8 @@ Reason CommandHandler::accept(const MotionCommand& command) {
 /// the wrist goes to the end of its range, and the tip keeps its place.
 Reason CommandHandler::resolve_pose(MotionCommand& command) const {
   const bool stream = command.motion == Motion::kServoCp;
-  const bool pose = stream || command.motion == Motion::kMoveCp ||
-                    command.motion == Motion::kInterpolateCp;
+  const bool pose =
+      stream || command.motion == Motion::kMoveCp || command.motion == Motion::kInterpolateCp;
   const bool joints = command.motion == Motion::kServoJp || command.motion == Motion::kMoveJp ||
                       command.motion == Motion::kInterpolateJp;
   const bool relative = command.motion == Motion::kServoJr || command.motion == Motion::kMoveJr;
@@ -122,17 +122,16 @@ Reason CommandHandler::resolve_pose(MotionCommand& command) const {
     return wrist_.reaches(command.wrist) ? Reason::kNone : Reason::kOutsideWorkspace;
   }
   if (!pose) return Reason::kNone;
-  const WristGeometry& geometry = wrist_.config().geometry;
   TipFrame tip{command.p, command.rotation.toRotationMatrix()};
   WristPose wrist;
   for (int turn = 0; turn < kSlideTurns; ++turn) {
-    const auto found = wrists_of_tip(geometry, tip);
+    const auto found = wrists_of_tip(wrist_.geometry(), tip);
     if (!found) return Reason::kOutsideWorkspace;
     wrist = (*found)[0];
     if (wrist_.reaches(wrist.joints)) break;
     if (!(stream && command.slide)) return Reason::kOutsideWorkspace;
     wrist.joints = wrist_.nearest(wrist.joints);
-    tip.R = tip_of_wrist(geometry, wrist).R;
+    tip.R = tip_of_wrist(wrist_.geometry(), wrist).R;
   }
   command.p = wrist.centre.p;
   command.rotation = Eigen::Quaterniond(wrist.centre.R);
@@ -145,8 +144,7 @@ void CommandHandler::resolve_twist(MotionCommand& command) const {
   if (command.motion != Motion::kServoCv) return;
   const WristPose pose{{setpoint_.p_RTip(), shaft_rotation(setpoint_.s_R(), setpoint_.roll())},
                        wrist_.set()};
-  const WristRate rate =
-      wrist_rates(wrist_.config().geometry, pose, {command.p, command.omega});
+  const WristRate rate = wrist_rates(wrist_.geometry(), pose, {command.p, command.omega});
   command.p = rate.v_centre;
   command.roll_rate = rate.roll_rate;
   command.wrist = rate.joints;

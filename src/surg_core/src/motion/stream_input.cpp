@@ -66,7 +66,7 @@ void StreamInput::begin_cycle(double rest) {
   ++cycles_;
 }
 
-void StreamInput::elapse(double T, bool heard) {
+void StreamInput::elapse(double T, bool heard, std::optional<double> delay) {
   now_ += T;
   if (!heard) unheard_ += T;
   tick_ = T;
@@ -74,7 +74,7 @@ void StreamInput::elapse(double T, bool heard) {
   const State stream = estimate(0);
   lateness_.step(demand(stream), clock_.period(), T);
   for (int i = 0; i < kDof; ++i) {
-    delays_[i].set(lateness_.delay());
+    delays_[i].set(delay.value_or(lateness_.delay()));
     delays_[i].step(stream[i].x, T);
   }
 }

@@ -104,9 +104,9 @@ WristJoints WristMotion::nearest(const WristJoints& joints) const {
   return joints.cwiseMax(config_.min).cwiseMin(config_.max);
 }
 
-void WristMotion::elapse(double T, bool heard) {
+void WristMotion::elapse(double T, bool heard, double delay) {
   if (!exists_) return;
-  input_.elapse(T, heard);
+  input_.elapse(T, heard, delay);
   const double share = T / (std::max(config_.drive_lag, T));
   const WristJoints told = command(0);
   if (known_) expected_ += share * (told - expected_);

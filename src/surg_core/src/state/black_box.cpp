@@ -330,8 +330,8 @@ class Coder {
     if (!wristed) return;
     if (!c.wrist) c.wrist.emplace();
     WristConfig& w = *c.wrist;
-    (*this)(w.geometry.pitch_to_yaw, w.geometry.yaw_to_tip, w.min, w.max, w.velocity,
-            w.acceleration, w.drive_lag);
+    (*this)(w.geometry.pitch_to_yaw, w.geometry.yaw_to_tip, w.pitch_axis_F, w.min, w.max,
+            w.velocity, w.acceleration, w.drive_lag);
   }
   void value(ToolCalibration& c) { (*this)(c.s_F, c.p_FTip, c.residual, c.condition, c.n, c.date); }
   void value(Capsule& c) { (*this)(c.a, c.b, c.radius); }
@@ -353,8 +353,8 @@ class Coder {
   }
   void value(BlackBoxLabel& c) { (*this)(c.arm, c.cell, c.written, c.version); }
   void value(MotionCommand& c) {
-    (*this)(c.motion, c.source, c.p, c.rotation, c.roll_rate, c.omega, c.joints, c.wrist, c.jaw, c.elbow, c.stamp_ns,
-            c.age, c.slide);
+    (*this)(c.motion, c.source, c.p, c.rotation, c.roll_rate, c.omega, c.joints, c.wrist, c.jaw,
+            c.elbow, c.stamp_ns, c.age, c.slide);
   }
   void value(Fixture& f) {
     bytes(f.name.data(), f.name.size());
@@ -372,8 +372,8 @@ class Coder {
   void value(ForceSample& f) { (*this)(f.valid, f.f_B); }
   void value(Readings& r) {
     (*this)(r.elapsed, r.state_valid, r.state_age, r.q, r.qd, r.condition, r.condition_age, r.jaw,
-            r.jaw_age, r.wrist, r.wrist_rate, r.tip_force, r.trocar_force, r.track_valid, r.track_age, r.p_BTrack,
-            r.v_BTrack);
+            r.jaw_age, r.wrist, r.wrist_rate, r.tip_force, r.trocar_force, r.track_valid,
+            r.track_age, r.p_BTrack, r.v_BTrack);
     for (OtherArm& other : r.others) value(other);
   }
   void value(BlackBoxStep& s) { (*this)(s.in, s.events, s.n_commands, s.out); }
@@ -418,6 +418,7 @@ void each_field(Outputs& out, Visit visit) {
   visit("jaw_set", out.jaw_set);
   visit("jaw", out.jaw);
   visit("wrist", out.wrist.exists);
+  visit("wrist_turn", out.wrist.turn);
   visit("wrist_q", out.wrist.q);
   visit("wrist_qd", out.wrist.qd);
   visit("wrist_set", out.wrist.set);

@@ -28,16 +28,22 @@ class KinematicsServices {
   KinematicsServices(ros::NodeHandle& node, const std::string& arm, const surg::Limits& limits,
                      const std::optional<surg::WristConfig>& wrist);
 
-  /// Sets the frame of later answers; call it from one thread only.
-  void set_frame(const BaseFrame& frame);
+  /// Sets the frame of later answers, and how a wrist is mounted; call it from one thread only.
+  void set_frame(const BaseFrame& frame, double turn);
 
  private:
-  surg::Pose X_UR();
+  struct Frame {
+    surg::Pose X_UR = surg::Pose::Identity();
+    double turn = 0;  ///< see WristGeometry
+  };
+  Frame frame();
+  std::optional<surg::WristConfig> mounted_wrist();
 
   surg::Limits limits_;
   std::optional<surg::WristConfig> wrist_;
-  LatestBox<surg::Pose> box_;
-  surg::Pose last_ = surg::Pose::Identity();
+  LatestBox<Frame> box_;
+  Frame last_;
+  double turn_ = 0;
   std::uint32_t version_ = 0;
   ros::ServiceServer forward_, local_forward_, inverse_;
 };

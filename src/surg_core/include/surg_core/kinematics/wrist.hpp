@@ -2,7 +2,9 @@
 // tip. The RCM law moves the wrist centre, the point where the pitch axis crosses the shaft.
 //
 // Joints: pitch about y of the rolled shaft frame, then yaw about x of the pitched frame, along
-// which the jaw's axis lies, too. At zero all z axes lie along the shaft.
+// which the jaw's axis lies, too. At zero all z axes lie along the shaft. An instrument is mounted
+// with its pitch axis turned about the shaft; poses are those of the tool frame, which a straight
+// instrument has as well: at home, with a straight wrist, it is the rcm frame.
 #pragma once
 
 #include <array>
@@ -19,6 +21,7 @@ using WristJoints = Eigen::Vector2d;
 struct WristGeometry {
   double pitch_to_yaw = 0;  ///< from the pitch axis to the yaw axis
   double yaw_to_tip = 0;
+  double turn = 0;  ///< [rad] of the pitch axis about the shaft, against y of the tool frame
   double length() const { return pitch_to_yaw + yaw_to_tip; }
 };
 
@@ -34,7 +37,7 @@ struct WristPose {
   WristJoints joints = WristJoints::Zero();
 };
 
-/// The tip behind a wrist: R_Tip = R_shaft R_y(pitch) R_x(yaw).
+/// The tool frame behind a wrist: R_Tip = R_shaft R_z(turn) R_y(pitch) R_x(yaw) R_z(-turn).
 TipFrame tip_of_wrist(const WristGeometry& wrist, const WristPose& pose);
 
 /// The two wrists that hold the tip at a pose in the rcm frame, whose origin is the trocar; the

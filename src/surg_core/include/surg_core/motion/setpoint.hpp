@@ -85,6 +85,7 @@ class Setpoint {
   /// Advances real time by T: the age of stream samples and their delay. heard: samples could
   /// arrive; otherwise a stream is not overdue for it.
   void elapse(double T, bool heard = true);
+  double stream_delay() const { return input_.delay(); }  ///< [s] see StreamLateness
   /// A control cycle begins. period [s]: at which they come, if they are late: a stream is followed
   /// more softly then; rest [s]: since the last whole period.
   void begin_cycle(double period, double rest) {

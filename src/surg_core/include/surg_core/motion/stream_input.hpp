@@ -1,6 +1,8 @@
 // A stream on its way from its sender to the filters: time and estimate of the samples, delay.
 #pragma once
 
+#include <optional>
+
 #include "surg_core/estimators/hand_estimate.hpp"
 #include "surg_core/estimators/tremor_estimate.hpp"
 #include "surg_core/motion/stream.hpp"
@@ -49,8 +51,9 @@ class StreamInput {
   /// have their age from then.
   void begin_cycle(double rest);
   /// Advances real time by T, one control period. heard: samples could arrive; otherwise the
-  /// stream is not overdue for it.
-  void elapse(double T, bool heard = true);
+  /// stream is not overdue for it. delay [s]: of the stream that this one belongs to; none: its
+  /// own.
+  void elapse(double T, bool heard = true, std::optional<double> delay = {});
   /// Where the stream is 'ahead' seconds from now. After an overdue sample: at rest at the last
   /// one.
   State target(double ahead) const;

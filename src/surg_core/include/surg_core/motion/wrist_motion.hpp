@@ -19,6 +19,9 @@ class WristMotion {
 
   bool exists() const { return exists_; }
   const WristConfig& config() const { return config_; }
+  const WristGeometry& geometry() const { return config_.geometry; }
+  /// See WristGeometry::turn; known from 'home' on.
+  void set_turn(double turn) { config_.geometry.turn = turn; }
 
   /// Takes the measured joints [rad], not finite without a measurement, and the time [s] since the
   /// last ones. Until the first measurement the wrist gets no command.
@@ -38,8 +41,8 @@ class WristMotion {
   bool reaches(const WristJoints& joints) const;
   WristJoints nearest(const WristJoints& joints) const;
 
-  /// Advances real time; see Setpoint::elapse and begin_cycle.
-  void elapse(double T, bool heard = true);
+  /// Advances real time; see Setpoint::elapse and begin_cycle. delay [s]: of the centre's stream.
+  void elapse(double T, bool heard, double delay);
   void begin_cycle(double period, double rest);
   /// Advances the set-point by dt of its own clock, which is the centre's.
   void advance(double dt);

@@ -24,7 +24,7 @@ from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.patient_settings import PatientSetting, find_setting
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.stability import trouble
-from surg_sim.physics.world import World
+from surg_sim.physics.world import ArmState, World
 from surg_sim.tasks import State, Task, Verdict, load
 from surg_sim.tasks.scripted_sender import Action, Observation
 
@@ -147,11 +147,12 @@ class CellSession:
             measured = world.state(name)
             out = controller.step(
                 measured.q, measured.qd, motions, measured.jaw,
-                readings=self._readings(name), others=self._others(name),
+                readings=self._readings(name, measured), others=self._others(name),
             )  # fmt: skip
             outputs[name] = out
             jaw = out.jaw_set if math.isfinite(out.jaw_set) else None
-            answers[name] = ArmCommand(velocity=out.qd_command, jaw=jaw)
+            turned = None if out.wrist is None else out.wrist.command
+            answers[name] = ArmCommand(velocity=out.qd_command, jaw=jaw, wrist=turned)
             if tick % FORCE_TICKS == 0:
                 self._earlier_forces[name] = self._forces.get(name, {})
                 self._forces[name] = self._read_force_sensors(name)
@@ -171,11 +172,12 @@ class CellSession:
         R_BR = np.asarray(self.controllers[arm].X_BR)[:3, :3]
         return arm_force(known[0], known[1], R_BR)
 
-    def _readings(self, arm: str) -> surg_core.Readings:
+    def _readings(self, arm: str, measured: ArmState) -> surg_core.Readings:
         """What a robot's link and its force sensors say beside the joints."""
         condition = self.world.link(arm).condition
         said: Mapping[str, Any] = self._forces.get(arm) or {}
-        return surg_core.Readings(condition=condition, **said)
+        turned = {"wrist": measured.wrist, "wrist_rate": measured.wrist_velocity}
+        return surg_core.Readings(condition=condition, **turned, **said)
 
     def _others(self, name: str) -> list[surg_core.OtherArm]:
         """Where the arms are that an arm keeps clear of."""

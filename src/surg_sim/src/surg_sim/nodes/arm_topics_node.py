@@ -50,7 +50,10 @@ class ArmTopics:
         self.status = BytesPublisher(f"{root}/robot/status", LinkStatus, lockstep)
         self.tool = BytesPublisher(f"{root}/tool/measured_js", JointState, lockstep)
         has_jaw = arm.instrument.jaw_min < arm.instrument.jaw_max
-        self.tool_ticks = 1 if lockstep or has_jaw else _JAWLESS_TICKS
+        wristed = arm.instrument.wrist is not None
+        self.tool_joints = ["pitch", "yaw", "jaw"] if wristed else ["jaw"]
+        self.tool_layout = link_messages.JointStateLayout(self.tool_joints)
+        self.tool_ticks = 1 if lockstep or has_jaw or wristed else _JAWLESS_TICKS
         # The track is advertised only if it is published.
         self.stale = round(track_stale * SECOND_NS / TICK_NS)
         self.frame = link_messages.text(f"{arm.name}_base")
@@ -64,7 +67,7 @@ class ArmTopics:
             self._subscribe("robot/servo_jv", JointState, self._on_velocity),
             self._subscribe("robot/servo_cv", TwistStamped, self._on_twist),
         ]
-        self.tool_input = self._subscribe("tool/servo_jp", JointState, self._on_jaw)
+        self.tool_input = self._subscribe("tool/servo_jp", JointState, self._on_tool)
 
     def _subscribe(self, topic: str, kind: type, take: Callable[[bytes], None]) -> Any:
         name = f"/{self.name}/{topic}"
@@ -91,10 +94,9 @@ class ArmTopics:
         stamp_ns, twist = link_messages.unpack_twist(data)
         self._receive(self, "robot", (stamp_ns, None, twist))
 
-    def _on_jaw(self, data: bytes) -> None:
+    def _on_tool(self, data: bytes) -> None:
         stamp_ns, position, _ = link_messages.unpack_joint_state(data)
-        jaw = float(position[0]) if len(position) else None
-        self._receive(self, "tool", (stamp_ns, jaw, None))
+        self._receive(self, "tool", (stamp_ns, position if len(position) else None, None))
 
     def take_commands(self, behind: int) -> tuple[int, ArmCommand]:
         """Commands for this tick, and the robot command's stamp [ns].
@@ -110,8 +112,11 @@ class ArmTopics:
         if robot is not None:
             self.last_command_ns, velocity, twist = robot
             self.command = "joint_velocity" if twist is None else "cartesian_velocity"
-        jaw = None if tool is None else tool[1]
-        return self.last_command_ns, ArmCommand(velocity, twist, jaw)
+        joints = None if tool is None else tool[1]
+        if joints is None:
+            return self.last_command_ns, ArmCommand(velocity, twist)
+        wrist = joints[:2] if len(joints) == len(self.tool_joints) == 3 else None
+        return self.last_command_ns, ArmCommand(velocity, twist, float(joints[-1]), wrist)
 
     @property
     def controllers(self) -> set[str]:

@@ -185,12 +185,19 @@ class Injector:
         slowed = condition == surg_core.RobotCondition.SLOWED
         return condition, stop.scaling if slowed else 1.0
 
-    def jaw(self, arm: str) -> tuple[float, float] | None:
-        """Jaw angle [rad] and velocity [rad/s] that leave the tool link; None: nothing does."""
+    def tool(self, arm: str) -> tuple[Array, Array] | None:
+        """Joints [rad] and rates [rad/s] that leave the tool link; None: nothing does.
+
+        They are the jaw's, behind pitch and yaw where there is a wrist.
+        """
+        state = self._measured(arm)
+        joints, rates = np.array([state.jaw]), np.array([state.jaw_velocity])
+        if state.wrist is not None and state.wrist_velocity is not None:
+            joints = np.append(state.wrist, joints)
+            rates = np.append(state.wrist_velocity, rates)
         if self._active(ToolLost, arm) is None:
-            state = self._measured(arm)
-            return state.jaw, state.jaw_velocity
-        return (np.nan, 0.0) if self._lockstep else None
+            return joints, rates
+        return (np.full_like(joints, np.nan), np.zeros_like(rates)) if self._lockstep else None
 
     def tool_lost(self, arm: str) -> bool:
         """Whether nobody can answer for the tool link in this tick."""
@@ -218,7 +225,8 @@ class Injector:
         return {arm: self._command(arm, *item) for arm, item in arrived.items()}
 
     def _command(self, arm: str, stamp: int, command: ArmCommand) -> ArmCommand:
-        jaw = None if self.tool_lost(arm) else command.jaw
+        lost = self.tool_lost(arm)
+        jaw, wrist = (None, None) if lost else (command.jaw, command.wrist)
         silent = command.velocity is None and command.twist is None
         packets = [] if silent else [(stamp, command)]
         if self._active(Freeze, arm) is not None:
@@ -227,7 +235,7 @@ class Injector:
             packets = channel.transmit(packets[0])
         # A link takes the newest command of a tick and drops those that it overtook.
         _, command = max(packets, key=lambda item: item[0], default=(0, ArmCommand()))
-        return ArmCommand(command.velocity, command.twist, jaw)
+        return ArmCommand(command.velocity, command.twist, jaw, wrist)
 
     def _apply_trocar_faults(self) -> None:
         """Apply due trocar faults; they show in the state of the next tick."""

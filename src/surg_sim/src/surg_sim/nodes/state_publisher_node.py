@@ -6,7 +6,6 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
 import rospy
 from geometry_msgs.msg import WrenchStamped
 from rosgraph_msgs.msg import Clock
@@ -26,7 +25,6 @@ from surg_sim.physics.world import World
 
 _STATUS_TICKS = 10
 """50 Hz."""
-_JAW = link_messages.JointStateLayout(["jaw"])
 
 
 class StatePublisher:
@@ -91,10 +89,9 @@ class StatePublisher:
     def _publish_links(self, arm: ArmTopics, tick: int, stamp_ns: int) -> None:
         """Jaw, link status and trocar track of one arm."""
         injector, link = self._injector, self._world.link(arm.name)
-        jaw = injector.jaw(arm.name) if tick % arm.tool_ticks == 0 else None
-        if jaw is not None:
-            angle, velocity = jaw
-            arm.tool.send(_JAW.pack(tick, stamp_ns, np.array([angle]), np.array([velocity])))
+        tool = injector.tool(arm.name) if tick % arm.tool_ticks == 0 else None
+        if tool is not None:
+            arm.tool.send(arm.tool_layout.pack(tick, stamp_ns, *tool))
         if arm.status.connections and injector.speaks(arm.name):
             self._publish_status(arm, link, tick, stamp_ns)
         observation = None if arm.track is None else injector.track(arm.name, arm.stale)

@@ -10,12 +10,13 @@ import numpy as np
 import surg_core
 from surg_sim.arrays import Array
 from surg_sim.physics.trocar import Trocar
+from surg_sim.physics.wrist_drive import JOINTS
 
 
 class ArmTruth(NamedTuple):
     """One arm at one tick; every vector in the arm's base frame, (3,), SI."""
 
-    shaft_point: Array  # a point of the shaft axis (the tip) [m]
+    shaft_point: Array  # a point of the shaft axis: the tip, or the wrist's pitch axis [m]
     shaft_axis: Array  # unit vector, flange to tip
     tip: Array  # tip [m]
     tip_velocity: Array  # [m/s]
@@ -50,6 +51,11 @@ class TruthReader:
         # The scene's own numbers: what is in the state's arrays now, whenever it is read.
         self._p_WTip = data.xpos[self._tip]
         self._s_W = data.xmat[self._tip].reshape(3, 3)[:, 2]
+        self._p_WShaft = self._p_WTip
+        if arm.instrument.wrist is not None:
+            wrist = int(model.joint(f"{arm.name}_{JOINTS[0]}").bodyid[0])
+            self._p_WShaft = data.xpos[wrist]
+            self._s_W = data.xmat[model.body_parentid[wrist]].reshape(3, 3)[:, 2]
 
     def read(self, jaw: float) -> ArmTruth:
         """The truth now, with the jaw angle that the instrument drive reports [rad]."""
@@ -59,7 +65,7 @@ class TruthReader:
             self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, self._tip, self._velocity, 0
         )
         return ArmTruth(
-            shaft_point=tip,
+            shaft_point=self._R_BW @ (self._p_WShaft - self._p_WB),
             shaft_axis=axis,
             tip=tip,
             tip_velocity=self._R_BW @ self._velocity[3:],

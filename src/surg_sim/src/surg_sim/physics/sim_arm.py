@@ -24,6 +24,7 @@ from surg_sim.physics.spec_parts import quaternion
 from surg_sim.physics.stability import all_finite
 from surg_sim.physics.tool_drive import jaw_joints
 from surg_sim.physics.urdf_reading import read_urdf
+from surg_sim.physics.wrist_drive import wrist_joints
 
 _URDF_VISUAL = 1  # group that MuJoCo gives to what a URDF calls visual
 
@@ -86,6 +87,7 @@ class ArmCommand:
     # most one of velocity and twist is given.
     twist: Array | None = None
     jaw: float | None = None  # jaw angle [rad], or None
+    wrist: Array | None = None  # (2,) pitch and yaw of a wrist [rad], or None
 
 
 @dataclass(frozen=True)
@@ -134,8 +136,8 @@ def add_arm(
         geom.group = OUTSIDE if geom.group == _URDF_VISUAL else geom.group
     X_FMount = np.eye(4) if error is None else error.mount(tip_in_flange(arm))
     flange, of_tool = spec.body(robot_part(arm, robot.flange_link)), f"{arm.name}_"
-    jaws = [name for name, _, _ in jaw_joints(arm.instrument_urdf)]
-    _hang(flange, X_FMount, arm.instrument_urdf, instrument.mount_link, jaws, of_tool)
+    driven = [name for name, _, _ in jaw_joints(arm.instrument_urdf)] + [*wrist_joints(arm)]
+    _hang(flange, X_FMount, arm.instrument_urdf, instrument.mount_link, driven, of_tool)
     for body in [root, *root.find_all(mujoco.mjtObj.mjOBJ_BODY)]:
         body.gravcomp = 1.0
 

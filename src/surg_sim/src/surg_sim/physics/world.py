@@ -23,6 +23,7 @@ from surg_sim.physics.pose_error import with_base_error
 from surg_sim.physics.sim_arm import SUBSTEPS, ActuatorParameters, ArmCommand, ArmLink, ToolError
 from surg_sim.physics.tool_drive import ToolDrive
 from surg_sim.physics.trocar import Trocar, TrocarParameters
+from surg_sim.physics.wrist_drive import WristDrive
 from surg_sim.sensing.flange_sensor import FlangeSensor, sensor_of
 
 if TYPE_CHECKING:
@@ -41,6 +42,8 @@ class ArmState:
     qd: Array  # (n,) joint velocities [rad/s]
     jaw: float  # jaw angle [rad]
     jaw_velocity: float  # [rad/s]
+    wrist: Array | None = None  # (2,) pitch and yaw [rad]; None: has no wrist
+    wrist_velocity: Array | None = None  # (2,) [rad/s]
 
 
 @dataclass
@@ -49,6 +52,7 @@ class _Member:
 
     link: ArmLink
     jaw: ToolDrive
+    wrist: WristDrive | None
     trocar: Trocar
     truth: TruthReader
 
@@ -107,10 +111,12 @@ class World:
         self._R_WB = {arm.name: np.asarray(arm.X_WB_stated)[:3, :3] for arm in chosen}
         self._members: dict[str, _Member] = {}
         for arm in chosen:
+            wrist = arm.instrument.wrist
             sleeve = Trocar(self.model, self.data, arm, trocar)
             self._members[arm.name] = _Member(
                 link=ArmLink(self.model, self.data, arm, actuators),
                 jaw=ToolDrive(self.model, self.data, arm),
+                wrist=WristDrive(self.model, self.data, arm, wrist) if wrist else None,
                 trocar=sleeve,
                 truth=TruthReader(self.model, self.data, arm, sleeve),
             )
@@ -143,6 +149,8 @@ class World:
         for member in self._members.values():
             member.link.reset()
             member.jaw.reset()
+            if member.wrist is not None:
+                member.wrist.reset()
         mujoco.mj_kinematics(self.model, self.data)
         for member in self._members.values():
             member.trocar.reset()
@@ -168,6 +176,8 @@ class World:
             command = commands.get(name, _NOTHING)
             member.link.accept(command)
             member.jaw.accept(command.jaw)
+            if member.wrist is not None:
+                member.wrist.accept(command.wrist)
             member.trocar.advance()
         if self.task is not None:
             if self.task.assistant is not None:
@@ -197,7 +207,9 @@ class World:
         q, step = member.link.q, self._setting.encoder if self._setting else 0.0
         if step > 0.0:
             q = np.rint(q / step) * step
-        return ArmState(q, member.link.qd, member.jaw.angle, member.jaw.velocity)
+        jaw, wrist = member.jaw, member.wrist
+        turned = () if wrist is None else (wrist.angles, wrist.rates)
+        return ArmState(q, member.link.qd, jaw.angle, jaw.velocity, *turned)
 
     def truth(self, arm: str) -> ArmTruth:
         """The truth of an arm now."""
