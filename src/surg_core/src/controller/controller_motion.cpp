@@ -72,11 +72,8 @@ Step Controller::Impl::advance_motion(JointVector& qd) {
   Setpoint next = setpoint;
   next.advance(T, handler.fixtures());
   const Step step = next_step(next, qd);
-  if (retrace_active) {  // it has moved the set-point already
-    handler.wrist().advance(T);
-  } else {
-    advance_setpoint(step, next);
-  }
+  if (!retrace_active) advance_setpoint(step, next);  // a retrace has moved it already
+  if (retrace_active) handler.wrist().advance(T);
   return step;
 }
 

@@ -7,9 +7,8 @@
 namespace surg {
 namespace {
 
-// Sine of the angle between yaw axis and line to the trocar below which the roll counts as free.
-constexpr double kFreeRoll = 1e-6;
-constexpr double kDamping = 2e-4;  // [m] of the inverse rates: at most 2500 rad per metre
+constexpr double kFreeRoll = 1e-6;  // sine from yaw axis to the trocar: below, the roll is free
+constexpr double kDamping = 2e-4;   // [m] of the inverse rates: at most 2500 rad per metre
 
 Matrix3 about_y(double angle) {
   return Eigen::AngleAxisd(angle, Vector3::UnitY()).toRotationMatrix();

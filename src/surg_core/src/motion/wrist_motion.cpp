@@ -13,7 +13,7 @@ constexpr double kAway = 0.3;       // [rad] off the place of a drive that lags 
 constexpr double kEndApproach = 10.0;  // [1/s] speed of a joint over what is left of its range
 // A critically damped servo of second order with lag L answers y + L y' + L^2 y'' / 4 with y. A
 // first order has no term of y'', a dead time one of twice the size. y is x one arm lag ago.
-constexpr double kServoOrder = 0.25;
+constexpr double kServoOrder = 0.25;  // of L^2
 constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 
 }  // namespace

@@ -55,7 +55,7 @@ class WristMotion {
   WristJoints command(double arm_lag) const;
 
  private:
-  static constexpr int kJoints = 2;
+  static constexpr int kJoints = 2;            // pitch and yaw
   static constexpr double kBlockedTime = 0.3;  // [s] away from where the drive should be
   enum class Mode { kRest, kStream, kVelocity, kProfile, kStopping };
   using Values = StreamInput::Values;

@@ -9,8 +9,8 @@ import numpy as np
 
 import surg_core
 from surg_sim.arrays import Array
+from surg_sim.physics.tool_drive import WRIST_JOINTS
 from surg_sim.physics.trocar import Trocar
-from surg_sim.physics.wrist_drive import JOINTS
 
 
 class ArmTruth(NamedTuple):
@@ -53,7 +53,7 @@ class TruthReader:
         self._s_W = data.xmat[self._tip].reshape(3, 3)[:, 2]
         self._p_WShaft = self._p_WTip
         if arm.instrument.wrist is not None:
-            wrist = int(model.joint(f"{arm.name}_{JOINTS[0]}").bodyid[0])
+            wrist = int(model.joint(f"{arm.name}_{WRIST_JOINTS[0]}").bodyid[0])
             self._p_WShaft = data.xpos[wrist]
             self._s_W = data.xmat[model.body_parentid[wrist]].reshape(3, 3)[:, 2]
 

@@ -24,7 +24,6 @@ from surg_sim.physics.pose_error import PoseError
 from surg_sim.physics.sim_arm import ActuatorParameters, ToolError, add_arm, robot_part
 from surg_sim.physics.tool_drive import add_tool_drive
 from surg_sim.physics.trocar import TrocarParameters, add_trocar, shaft_in_flange, wall_frame
-from surg_sim.physics.wrist_drive import add_wrist_drive
 
 WORK_DEPTH = 0.120
 """Depth of the work point behind the trocar [m]: the home tip of the bundled cells."""
@@ -179,7 +178,6 @@ def build(
     for arm in arms:
         add_arm(spec, arm, actuators or ActuatorParameters(), errors.get(arm.name))
         add_tool_drive(spec, arm)
-        add_wrist_drive(spec, arm)
     scope = endoscope_rig.holder(arms)
     if scope is not None:
         endoscope_rig.add_held(spec, scope, camera_error)

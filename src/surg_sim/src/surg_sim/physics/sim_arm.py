@@ -22,9 +22,8 @@ from surg_sim.appearance.drawing import OUTSIDE
 from surg_sim.arrays import Array
 from surg_sim.physics.spec_parts import quaternion
 from surg_sim.physics.stability import all_finite
-from surg_sim.physics.tool_drive import jaw_joints
+from surg_sim.physics.tool_drive import jaw_joints, wrist_joints
 from surg_sim.physics.urdf_reading import read_urdf
-from surg_sim.physics.wrist_drive import wrist_joints
 
 _URDF_VISUAL = 1  # group that MuJoCo gives to what a URDF calls visual
 

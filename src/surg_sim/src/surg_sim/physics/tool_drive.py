@@ -1,7 +1,10 @@
-"""The instrument drive: a jaw that follows ``tool/servo_jp`` with a rate limit.
+"""The instrument drive: a jaw that follows ``tool/servo_jp`` with a rate limit, and a wrist.
 
 The jaw angle is a state of the drive. Where the instrument's URDF has a joint named ``jaw`` (and
 joints that mimic it), stiff position servos show the angle on these joints.
+
+The servos of a wrist lag: each is of second order and critically damped, as behind cables. It moves
+a stiff joint in the scene, which loads push back a little.
 """
 
 from __future__ import annotations
@@ -13,12 +16,24 @@ import numpy as np
 
 import surg_core
 from surg_core.contract import TICK
+from surg_sim.arrays import Array
 from surg_sim.physics.spec_parts import add_position_servo
 
 JOINT = "jaw"
 """Name of the jaw joint in an instrument's URDF."""
 STIFFNESS, ARMATURE = 5.0, 1e-3
 """[N m/rad], [kg m^2]; assumed: strong against a finger of a few grams, the drive's rotor."""
+
+
+WRIST_JOINTS = ("wrist_pitch", "wrist_yaw")
+"""Names of a wrist's joints in an instrument's URDF."""
+_WRIST_STIFFNESS, _WRIST_ARMATURE = (
+    20.0,
+    1e-4,
+)  # [N m/rad], [kg m^2]; assumed: cables of a small instrument
+_JOINT_LAG = 2.0 * (_WRIST_ARMATURE / _WRIST_STIFFNESS) ** 0.5  # [s] of the joint behind the servo
+_STEPS = 8  # of the servo's own integration in a tick
+_LEAST_LAG = 0.004  # [s] of a servo that has hardly any
 
 
 def jaw_joints(urdf_path: Path) -> list[tuple[str, float, float]]:
@@ -35,10 +50,17 @@ def jaw_joints(urdf_path: Path) -> list[tuple[str, float, float]]:
     return shown
 
 
+def wrist_joints(arm: surg_core.Arm) -> tuple[str, ...]:
+    """Names of the wrist's joints; none for a straight instrument."""
+    return () if arm.instrument.wrist is None else WRIST_JOINTS
+
+
 def add_tool_drive(spec: mujoco.MjSpec, arm: surg_core.Arm) -> None:
-    """Put a position servo on every jaw joint of the arm's instrument."""
+    """Put a position servo on every joint of the arm's jaw and wrist."""
     for name, _, _ in jaw_joints(arm.instrument_urdf):
         add_position_servo(spec, f"{arm.name}_{name}", STIFFNESS, ARMATURE)
+    for name in wrist_joints(arm):
+        add_position_servo(spec, f"{arm.name}_{name}", _WRIST_STIFFNESS, _WRIST_ARMATURE)
 
 
 class ToolDrive:
@@ -79,3 +101,50 @@ class ToolDrive:
         self.velocity = (self.angle - before) / TICK
         for actuator, _, multiplier, offset in self._shown:
             self._data.ctrl[actuator] = multiplier * self.angle + offset
+
+
+class WristDrive:
+    """The wrist of one arm in a compiled scene; joints are pitch and yaw."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        arm: surg_core.Arm,
+        wrist: surg_core.WristConfig,
+    ) -> None:
+        self._data = data
+        self._range = np.asarray(wrist.min), np.asarray(wrist.max)
+        servo_lag = max(float(wrist.drive_lag) - _JOINT_LAG, _LEAST_LAG)
+        self._bandwidth = 2.0 / servo_lag  # [rad/s]
+        names = [f"{arm.name}_{name}" for name in WRIST_JOINTS]
+        self._qpos = np.array([int(model.joint(name).qposadr[0]) for name in names])
+        self._qvel = np.array([int(model.joint(name).dofadr[0]) for name in names])
+        self._ctrl = np.array([int(model.actuator(f"{name}_servo").id) for name in names])
+        self.reset()
+
+    def reset(self) -> None:
+        """Straight and at rest."""
+        self._goal = np.zeros(2)
+        self._servo, self._rate = np.zeros(2), np.zeros(2)
+        self._data.qpos[self._qpos] = self._data.ctrl[self._ctrl] = 0.0
+
+    @property
+    def angles(self) -> Array:
+        """Measured (2,) [rad]."""
+        return np.array(self._data.qpos[self._qpos])
+
+    @property
+    def rates(self) -> Array:
+        """Measured (2,) [rad/s]."""
+        return np.array(self._data.qvel[self._qvel])
+
+    def accept(self, joints: Array | None) -> None:
+        """Take this tick's command (2,) [rad], None: none; one that is not finite is ignored."""
+        if joints is not None and np.all(np.isfinite(joints)):
+            self._goal = np.clip(joints, *self._range)
+        w, step = self._bandwidth, TICK / _STEPS
+        for _ in range(_STEPS):
+            self._rate += step * (w * w * (self._goal - self._servo) - 2.0 * w * self._rate)
+            self._servo += step * self._rate
+        self._data.ctrl[self._ctrl] = self._servo

@@ -21,9 +21,8 @@ from surg_sim.physics.ground_truth import ArmTruth, TruthReader
 from surg_sim.physics.patient_settings import PatientSetting
 from surg_sim.physics.pose_error import with_base_error
 from surg_sim.physics.sim_arm import SUBSTEPS, ActuatorParameters, ArmCommand, ArmLink, ToolError
-from surg_sim.physics.tool_drive import ToolDrive
+from surg_sim.physics.tool_drive import ToolDrive, WristDrive
 from surg_sim.physics.trocar import Trocar, TrocarParameters
-from surg_sim.physics.wrist_drive import WristDrive
 from surg_sim.sensing.flange_sensor import FlangeSensor, sensor_of
 
 if TYPE_CHECKING:
