@@ -124,7 +124,8 @@ KinematicsServices::KinematicsServices(ros::NodeHandle& node, const std::string&
   box_.put(Frame());
   const auto forward = [this](bool local) {
     return [this, local](Forward::Request& request, Forward::Response& response) {
-      response = answer_forward(request, local ? surg::Pose::Identity() : frame().X_UR, mounted_wrist());
+      response =
+          answer_forward(request, local ? surg::Pose::Identity() : frame().X_UR, mounted_wrist());
       return true;
     };
   };

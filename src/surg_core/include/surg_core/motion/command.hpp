@@ -36,15 +36,15 @@ struct MotionCommand {
   std::uint32_t source = 0;     ///< id of the sender (the node maps caller ids to numbers)
   Vector3 p = Vector3::Zero();  ///< cp: p_RcmTip; cv: v_Tip, in the rcm frame
   Eigen::Quaterniond rotation =
-      Eigen::Quaterniond::Identity();  ///< cp: R_RcmTool (a straight instrument uses the roll)
-  double roll_rate = 0;                ///< cv: about the shaft [rad/s]
-  Vector3 omega = Vector3::Zero();     ///< cv: of the tip of a wrist [rad/s], in the rcm frame
-  Vector4 joints = Vector4::Zero();    ///< jp / jv: yaw, pitch, insertion, roll
+      Eigen::Quaterniond::Identity();       ///< cp: R_RcmTool (a straight instrument uses the roll)
+  double roll_rate = 0;                     ///< cv: about the shaft [rad/s]
+  Vector3 omega = Vector3::Zero();          ///< cv: of the tip of a wrist [rad/s], in the rcm frame
+  Vector4 joints = Vector4::Zero();         ///< jp / jv: yaw, pitch, insertion, roll
   WristJoints wrist = WristJoints::Zero();  ///< jp / jv: pitch and yaw of the wrist
-  double jaw = 0;                      ///< jaw angle [rad]
-  double elbow = 0;                    ///< swivel angle [rad]
-  std::int64_t stamp_ns = 0;           ///< when it was made, on the sender's clock; 0: unknown
-  double age = 0;                      ///< [s] since it arrived
+  double jaw = 0;                           ///< jaw angle [rad]
+  double elbow = 0;                         ///< swivel angle [rad]
+  std::int64_t stamp_ns = 0;                ///< when it was made, on the sender's clock; 0: unknown
+  double age = 0;                           ///< [s] since it arrived
   bool slide = false;  ///< servo_cp: a target outside the workspace slides along its wall
 };
 

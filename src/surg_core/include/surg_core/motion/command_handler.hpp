@@ -22,8 +22,8 @@ struct TipPose {
 class CommandHandler {
  public:
   /// dt: control period [s]. paper: streams follow the paper's quintic.
-  CommandHandler(const Limits& limits, const Tuning& tuning, const std::optional<WristConfig>& wrist,
-                 double dt, bool paper);
+  CommandHandler(const Limits& limits, const Tuning& tuning,
+                 const std::optional<WristConfig>& wrist, double dt, bool paper);
 
   /// Starts at rest at the arm's position and drops all targets.
   void start(const TipPose& at);
