@@ -7,10 +7,10 @@
 #include <iostream>
 #include <random>
 
+#include "support/test_arm.hpp"
+#include "support/test_support.hpp"
 #include "surg_core/controller.hpp"
 #include "surg_core/kinematics/wrist.hpp"
-#include "test_arm.hpp"
-#include "test_support.hpp"
 
 namespace surg {
 namespace {

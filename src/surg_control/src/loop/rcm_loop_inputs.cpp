@@ -227,6 +227,10 @@ void RcmLoop::on_robot_state(const sensor_msgs::JointState& message) {
 }
 
 void RcmLoop::on_tool_state(const sensor_msgs::JointState& message) {
+  if (message.header.stamp.isZero() && !options_.lockstep) {  // the drive says that it has failed
+    link_.jaw_received_ns = 0;
+    latest_link_.put(link_);
+  }
   const bool wristed = setup_.mounted.instrument.wrist.has_value();
   if (message.header.stamp.isZero() || message.position.size() != (wristed ? 3 : 1)) return;
   link_.jaw = message.position.back();

@@ -176,8 +176,12 @@ class CellSession:
         """What a robot's link and its force sensors say beside the joints."""
         condition = self.world.link(arm).condition
         said: Mapping[str, Any] = self._forces.get(arm) or {}
-        turned = {"wrist": measured.wrist, "wrist_rate": measured.wrist_velocity}
-        return surg_core.Readings(condition=condition, **turned, **said)
+        return surg_core.Readings(
+            condition=condition,
+            wrist=measured.wrist,
+            wrist_rate=measured.wrist_velocity,
+            **said,
+        )
 
     def _others(self, name: str) -> list[surg_core.OtherArm]:
         """Where the arms are that an arm keeps clear of."""
