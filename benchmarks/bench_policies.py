@@ -29,8 +29,9 @@ from typing import Any
 
 from bench_imitation import executor_of
 from machine import this_machine
-from policy import card_cell, shut_in
-from policy.card_cell import BY_NAME, EXPERT, FULL, QUICK, CellJob
+from policy import card_cell, card_conditions, shut_in
+from policy.card_cell import EXPERT, CellJob
+from policy.card_conditions import BY_NAME, FULL, QUICK
 
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError, Progress, say, table, warn
@@ -195,7 +196,7 @@ def wanted(
     for one in book.entrants:
         for task in names():
             found = book.found.get((one.name, task, SERVED), {"served": []})
-            looks = any(s["key"].startswith(card_cell.IMAGES) for s in found["served"])
+            looks = any(s["key"].startswith(card_conditions.IMAGES) for s in found["served"])
             for condition in conditions:
                 words = f"{task}, {condition.name}"
                 named = not only or any(word in words for word in only)

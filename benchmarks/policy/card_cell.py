@@ -11,21 +11,20 @@ from typing import Any
 
 import numpy as np
 from policy import shut_in
+from policy.card_conditions import BY_NAME, CardCondition, Eye
+from policy.card_measures import Measures
 from policy.judge import move_camera
-from policy.sights import CONDITIONS, Condition, as_taken
 from policy.wire_policy import (
     ANSWER_S,
     PICTURE,
-    Arrays,
     LineBroken,
     PolicyLost,
     Wire,
     WirePolicy,
 )
 
-from surg_core.contract import FORCE_TICKS, GRID, GRID_RATE, TICK
+from surg_core.contract import GRID
 from surg_policy_bridge.server.model_server import ServerState
-from surg_recording.metrics import path_length, smoothness
 from surg_sim.envs.cell_session import CellSession, Tick
 from surg_sim.envs.episode_runner import run_episode
 from surg_sim.physics import cell_files
@@ -33,66 +32,9 @@ from surg_sim.physics.endoscope_rig import FRAMES
 from surg_sim.tasks import load
 from surg_sim.tasks.bgr import bgr_definition
 
-IMAGES = "observation.images."
 EXPERT = "expert"
 """Name of the scripted sender: the one that a policy replaces, and the entrant."""
 _TARGETS = bgr_definition.TARGETS
-
-
-_PLAIN = Condition("as served")
-
-
-@dataclass(frozen=True)
-class CardCondition:
-    """What a policy meets.
-
-    Attributes:
-        name: In the card.
-        sight: What becomes of pictures, camera, places and looks.
-        zeroed: All observations are zero.
-        delay: Of its answers, in grid times of 50 ms.
-        only: Task to which it belongs; empty: all.
-    """
-
-    name: str
-    sight: Condition = _PLAIN
-    zeroed: bool = False
-    delay: int = 0
-    only: str = ""
-
-    @property
-    def blind(self) -> bool:
-        """What is observed says nothing, or no picture does."""
-        return self.zeroed or self.sight.blind
-
-    def applies(self, task: str, pictures: bool) -> bool:
-        """Whether it changes anything in a task, for a policy that reads pictures or none."""
-        sight = self.sight
-        seen = sight.eye is not as_taken or sight.aside or sight.turn or sight.randomization
-        return self.only in ("", task) and (pictures or not seen)
-
-
-_SIGHTS = {each.name: each for each in CONDITIONS}
-QUICK = (
-    CardCondition("as served"),
-    CardCondition("black pictures", _SIGHTS["black"]),
-    CardCondition("frozen pictures", _SIGHTS["first picture frozen"]),
-    CardCondition("zeroed observations", zeroed=True),
-)
-_SHIFTS = (
-    *("light 60 %", "light 30 %", "smoke, up to 50 %", "a smudge on the lens", "blur, 4 px"),
-    *("camera moved 10 mm", "camera moved 20 mm", "camera turned 10°"),
-    *("drawn appearance, camera where it was", "a third instrument in front"),
-)
-FULL = (
-    *QUICK,
-    CardCondition("answers 100 ms late", delay=2),
-    CardCondition("answers 250 ms late", delay=5),
-    *(CardCondition(name, _SIGHTS[name]) for name in _SHIFTS),
-    CardCondition("nodes 14 to 16", _SIGHTS["nodes 14 to 16"], only="bgr"),
-    CardCondition("nodes 23 to 25", _SIGHTS["nodes 23 to 25"], only="bgr"),
-)
-BY_NAME = {each.name: each for each in FULL}
 
 
 @dataclass(frozen=True)
@@ -149,67 +91,6 @@ COUNTS = ("accepted", "clipped", "late", "stale", "empty")
 
 ATTEMPTS = 5
 """Times that an episode is played when its connection breaks off; each time it is the same one."""
-
-
-class Measures:
-    """What is measured of an episode, from the first motion of the commanded arms on; SI.
-
-    Forces and the true deviation are sampled at 100 Hz, as the sensors do, the tip at 20 Hz.
-    """
-
-    NAMES = (
-        *("duration_s", "rcm_mean_m", "rcm_max_m", "rcm_true_max_m"),
-        *("trocar_force_mean_n", "trocar_force_max_n", "tip_force_mean_n", "tip_force_max_n"),
-        *("path_m", "sparc"),
-    )
-
-    def __init__(self, session: CellSession) -> None:
-        self._session = session
-        self._rcm: list[float] = []
-        self._felt: list[tuple[float, float, float]] = []  # deviation, at the trocar, at the tip
-        self._tips: dict[str, list[np.ndarray]] = {arm: [] for arm in session.task.commanded}
-        self.last: Tick | None = None
-
-    def __call__(self, tick: Tick) -> None:
-        """After a tick."""
-        self.last, world = tick, self._session.world
-        for arm, tips in self._tips.items():
-            out = tick.outputs[arm]
-            if int(out.accepted) == 0:
-                continue
-            self._rcm.append(out.rcm_error)
-            if tick.tick % FORCE_TICKS == 0:
-                truth, tip = world.truth(arm), world.tip_force(arm)
-                force = np.nan if tip is None else float(np.linalg.norm(tip))
-                at_trocar = float(np.linalg.norm(truth.trocar_force))
-                self._felt.append((truth.deviation, at_trocar, force))
-            if tick.tick % GRID == 0:
-                tips.append(np.array(out.p_BTip))
-
-    @property
-    def values(self) -> dict[str, float | None]:
-        """By name; None where there is nothing to measure."""
-        deviation, trocar, tip = np.array(self._felt).reshape(-1, 3).T
-        paths = [path_length(tips) for tips in self._tips.values() if len(tips) > 1]
-        smooth = [_sparc(tips) for tips in self._tips.values()]
-        found = (
-            *(self.last.tick * TICK if self.last else None, *_spread(np.array(self._rcm))),
-            *(_spread(deviation)[1], *_spread(trocar), *_spread(tip[np.isfinite(tip)])),
-            *(sum(paths) if paths else None, min((s for s in smooth if s), default=None)),
-        )
-        return dict(zip(self.NAMES, found, strict=True))
-
-
-def _spread(values: np.ndarray) -> tuple[float | None, float | None]:
-    """Mean and largest."""
-    return (float(np.mean(values)), float(np.max(values))) if len(values) else (None, None)
-
-
-def _sparc(tips: Sequence[np.ndarray]) -> float | None:
-    if len(tips) < GRID_RATE:  # shorter than a second: no spectrum
-        return None
-    value = smoothness(tips, GRID_RATE).sparc
-    return value if np.isfinite(value) else None
 
 
 class SeenSession(CellSession):
@@ -334,30 +215,6 @@ class Scene:
         """Release the OpenGL contexts."""
         for renderer in self._renderers.values():
             renderer.close()
-
-
-class Eye:
-    """What becomes of an episode's observations under a condition."""
-
-    def __init__(self, condition: CardCondition, seed: int) -> None:
-        self._condition, self._seed = condition, seed
-        self._filters: dict[str, Any] = {}
-
-    def __call__(self, arrays: Arrays) -> Arrays:
-        """What is sent in their place."""
-        if self._condition.zeroed:
-            return {key: np.zeros_like(array) for key, array in arrays.items()}
-        return {
-            key: self._filter(key)(array) if key.startswith(IMAGES) else array
-            for key, array in arrays.items()
-        }
-
-    def _filter(self, key: str) -> Any:
-        if key not in self._filters:  # both eyes meet the same
-            made = self._condition.sight.eye
-            assert made is not None  # of every condition of a card
-            self._filters[key] = made(np.random.default_rng(self._seed))
-        return self._filters[key]
 
 
 def _end_of(program: subprocess.Popen[bytes] | None, folder: Path) -> str:

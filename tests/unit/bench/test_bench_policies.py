@@ -21,8 +21,9 @@ from surg_cli.host.terminal import CliError
 sys.path.insert(0, str(paths.ROOT / "benchmarks"))
 
 import bench_policies
-from policy import card_cell, shut_in
-from policy.card_cell import BY_NAME, CellJob, Eye
+from policy import card_cell, card_conditions, shut_in
+from policy.card_cell import CellJob
+from policy.card_conditions import BY_NAME, Eye
 
 from surg_recording.cards import score_card
 
@@ -181,7 +182,7 @@ def test_a_delay_of_answers_is_late_for_rows_of_one_step(
 
 def test_blind_controls_show_nothing_of_the_scene() -> None:
     rng = np.random.default_rng(0)
-    key = f"{card_cell.IMAGES}endoscope_left"
+    key = f"{card_conditions.IMAGES}endoscope_left"
     seen = [
         {key: rng.integers(1, 255, (4, 6, 3), np.uint8), "observation.state": rng.random(9)}
         for _ in range(2)
@@ -207,7 +208,7 @@ def test_a_card_goes_on_where_it_was_cut_off_and_is_the_same(
         episodes = [card_cell.not_played(seed, "a reason") for seed in job.seeds]
         for each in episodes:
             each.pop("lost")
-        served = [{"key": f"{card_cell.IMAGES}endoscope_left", "privileged": False}]
+        served = [{"key": f"{card_conditions.IMAGES}endoscope_left", "privileged": False}]
         return {"served": served, "episodes": episodes, "latency_s": None}
 
     def in_process(function: Any, jobs: Any, place: Any, ends: Any) -> None:
@@ -233,8 +234,8 @@ def test_a_card_goes_on_where_it_was_cut_off_and_is_the_same(
     assert cards[0]["sha256"] == cards[1]["sha256"]
     for card in cards:
         score_card.check("card.json", card)
-        assert {c["condition"] for c in card["cells"]} == {c.name for c in card_cell.QUICK}
-        assert len(card["cells"]) == 5 * len(card_cell.QUICK)
+        assert {c["condition"] for c in card["cells"]} == {c.name for c in card_conditions.QUICK}
+        assert len(card["cells"]) == 5 * len(card_conditions.QUICK)
 
 
 def test_words_that_are_no_policy_are_refused(tmp_path: Path) -> None:

@@ -38,7 +38,9 @@ def played(monkeypatch: pytest.MonkeyPatch) -> list[SystemPlan]:
     return plans
 
 
-@pytest.mark.parametrize("name", ["emulated_ur5e", "emulated_panda", "emulated_fr3"])
+@pytest.mark.parametrize(
+    "name", ["emulated_ur5e", "emulated_ur5e_wrist", "emulated_panda", "emulated_fr3"]
+)
 def test_an_emulated_arm_is_played_in_real_time_without_the_simulator(
     name: str, surg: Surg, played: list[SystemPlan], tmp_path: Path
 ) -> None:

@@ -30,7 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         default="ur5e",
         metavar="R",
         help=f"{robots}, the path of a robot's YAML, or a cell with one arm; an arm with a link of "
-        "its own is emulated, in real time: emulated_ur5e, emulated_panda, emulated_fr3",
+        "its own is emulated, in real time: emulated_ur5e, emulated_ur5e_wrist, emulated_panda, "
+        "emulated_fr3",
     )
     add("--motion", type=Path, metavar="FILE", help="motion CSV (default: the bundled one)")
     add("--scale", type=positive, default=1.0, help="motion scale (default 1)")
