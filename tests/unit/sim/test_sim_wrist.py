@@ -19,8 +19,10 @@ PAGE = ResultsPage("wrist.md")
 FULL = os.environ.get("SURG_TEST_FULL") == "1"
 DRAWN = 10 if FULL else 2
 LAGS = (0.02, 0.04, 0.06) if FULL else (0.04,)
-TIP = {"ur5e": 3e-4, "panda": 6e-4}  # [m] largest; the Panda rolls with 8 rad/s^2 only
-TURN, PIVOT = np.radians(1.0), 1e-4  # [rad] rms, [m] largest
+# Some drawn hands ask for more roll than an arm's last joint has: 25 and 8 rad/s^2.
+TIP = {"ur5e": 1.5e-4, "panda": 6e-4}  # [m] rms
+TURN = {"ur5e": np.radians(0.5), "panda": np.radians(2.5)}  # rms
+PIVOT = 1e-4  # [m] largest
 
 
 def cell(name: str) -> surg_core.Cell:
@@ -101,8 +103,8 @@ def test_the_true_tip_follows_the_full_pose_of_a_hand(
     runs = [WristedArm(held).follow(drawn(seed), 5.0) for seed in range(DRAWN)]
     far, turned, pivot = note(f"drawn, {robot}, {1e3 * lag:.0f} ms", runs)
     assert sum(run.refused for run in runs) == 0
-    assert far.max() < TIP[robot]
-    assert np.sqrt(np.mean(turned**2)) < TURN
+    assert np.sqrt(np.mean(far**2)) < TIP[robot]
+    assert np.sqrt(np.mean(turned**2)) < TURN[robot]
     assert pivot < PIVOT
 
 
