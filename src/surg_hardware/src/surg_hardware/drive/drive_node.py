@@ -7,8 +7,10 @@ arm (F31), and the warning names motor and cause.
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import math
+import os
 import sys
 import time
 from dataclasses import dataclass
@@ -121,6 +123,15 @@ class DriveNode:
         self._warning.publish(String(f"{self._arm}: drive: {sentence}"))
 
 
+def _prefer(priority: int) -> None:
+    """Ask for the driver's priority: motors that hear nothing for 0.2 s hold.
+
+    Another node that begins may compute for longer. Threads that start later inherit it.
+    """
+    with contextlib.suppress(OSError):  # a simulated bench, or no permission
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+
+
 def main() -> int:
     """Entry point; returns the exit code."""
     rospy.init_node("drive")
@@ -130,7 +141,11 @@ def main() -> int:
         cell = surg_core.load_cell(settings.cell)
         if settings.arm not in cell.arms:
             raise ValueError(f"~arm {settings.arm!r}; allowed: {', '.join(cell.arms)}")
-        node = DriveNode(drive_of(cell, settings.arm), settings.arm, cell.folder.name)
+        drive = drive_of(cell, settings.arm)
+        hardware = cell.arms[settings.arm].hardware
+        if hardware is not None:
+            _prefer(hardware.realtime)
+        node = DriveNode(drive, settings.arm, cell.folder.name)
     except (ValueError, OSError) as error:
         print(f"surg_hardware drive_node: {error}", file=sys.stderr)
         return 2
