@@ -418,6 +418,16 @@ TEST(Wrist, JointEndsAreRefusedOrSlidAlongNeverLeapt) {
   EXPECT_LT((sliding.tip().p - hand_at(0).p).norm(), 1e-4) << "the tip keeps its place";
 }
 
+TEST(Wrist, AStreamNeverThrowsTheWrist) {
+  TipFrame bent = hand_at(0);
+  bent.R = Eigen::AngleAxisd(0.5, Vector3::UnitX()).toRotationMatrix();
+  WristBench bench(0.04, 0.04);
+  EXPECT_EQ(bench.servo_cp(bent), Reason::kStreamStartTooFar);
+  for (int k = 0; k < 100; ++k) bench.tick();  // the stream falls silent
+  for (int k = 0; k < 5; ++k) ASSERT_EQ(bench.servo_cp(hand_at(0)), Reason::kNone);
+  EXPECT_EQ(bench.servo_cp(bent), Reason::kStepTooLarge);
+}
+
 TEST(Wrist, EveryStopBringsTheDriveToRestWithinItsAcceleration) {
   enum class Stop { kHold, kSilence, kStateLost, kToolLost, kPause, kFault };
   for (const Stop stop : {Stop::kHold, Stop::kSilence, Stop::kStateLost, Stop::kToolLost,

@@ -99,8 +99,9 @@ Reason Controller::Impl::take_state(const Inputs& in) {
 }
 
 bool Controller::Impl::within_joint_limits() const {
-  return ((q - robot.position_min).array() >= -kOutside).all() &&
-         ((robot.position_max - q).array() >= -kOutside).all();
+  const JointVector& at = arm.measured().q;  // also after a snapshot, which has no q
+  return ((at - robot.position_min).array() >= -kOutside).all() &&
+         ((robot.position_max - at).array() >= -kOutside).all();
 }
 
 void Controller::Impl::guard_robot(const Inputs& in) {
