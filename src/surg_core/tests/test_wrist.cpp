@@ -428,6 +428,32 @@ TEST(Wrist, AStreamNeverThrowsTheWrist) {
   EXPECT_EQ(bench.servo_cp(bent), Reason::kStepTooLarge);
 }
 
+TEST(Wrist, AHeldStreamStaysHeldWhileItAsksForWhatIsOutOfRange) {
+  WristBench bench(0.04, 0.04);
+  bench.servo_cp(hand_at(0));
+  MotionCommand hold;
+  hold.motion = Motion::kHold;
+  bench.send(hold);
+  TipFrame beyond = hand_at(0);
+  beyond.R = Eigen::AngleAxisd(2.0, Vector3::UnitX()).toRotationMatrix();
+  for (int k = 0; k < 100; ++k) EXPECT_EQ(bench.servo_cp(beyond), Reason::kHeld);
+  EXPECT_EQ(bench.servo_cp(hand_at(0)), Reason::kHeld) << "it has never been silent";
+}
+
+TEST(Wrist, WhatIsNotFiniteIsAFault) {
+  MotionCommand joints, twist;
+  joints.motion = Motion::kServoJv;
+  joints.wrist[1] = NAN;
+  twist.motion = Motion::kServoCv;
+  twist.omega[0] = INFINITY;
+  for (const MotionCommand& command : {joints, twist}) {
+    WristBench bench(0.04, 0.04);
+    EXPECT_EQ(bench.send(command), Reason::kNotFinite);
+    EXPECT_EQ(bench.out().state, State::kFault);
+    for (int k = 0; k < 50; ++k) EXPECT_TRUE(bench.tick().wrist.command.allFinite());
+  }
+}
+
 TEST(Wrist, EveryStopBringsTheDriveToRestWithinItsAcceleration) {
   enum class Stop { kHold, kSilence, kStateLost, kToolLost, kPause, kFault };
   for (const Stop stop : {Stop::kHold, Stop::kSilence, Stop::kStateLost, Stop::kToolLost,

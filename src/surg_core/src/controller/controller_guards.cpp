@@ -20,7 +20,8 @@ constexpr double kRoundTrip = 2.0;       // a link with late states also execute
 
 bool finite(const MotionCommand& command) {
   return surg::finite(command.p) && surg::finite(command.rotation.coeffs()) &&
-         surg::finite(command.joints) &&
+         surg::finite(command.joints) && surg::finite(command.wrist) &&
+         surg::finite(command.omega) &&
          surg::finite(Vector3(command.roll_rate, command.jaw, command.elbow));
 }
 

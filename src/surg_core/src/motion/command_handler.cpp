@@ -96,7 +96,9 @@ Motion CommandHandler::motion() const {
 }
 
 Reason CommandHandler::accept(const MotionCommand& command) {
-  if (!wrist_.exists()) return take(command);
+  // A blocked stream is refused for that, whatever it says: only its silence ends the block.
+  const bool blocked = stream_blocked_ && is_servo(command.motion);
+  if (!wrist_.exists() || blocked) return take(command);
   MotionCommand resolved = command;
   const Reason reason = resolve_pose(resolved);
   if (reason != Reason::kNone) return reason;

@@ -43,10 +43,7 @@ def message_class(kind: str) -> Any:
     Raises:
         NotBridged: It is not built.
     """
-    found = roslib.message.get_message_class(kind)
-    if found is None:
-        raise NotBridged(f"{kind}: no such message is built in this workspace")
-    return found
+    return _built(kind, "message", roslib.message.get_message_class(kind))
 
 
 def service_class(kind: str) -> Any:
@@ -55,9 +52,12 @@ def service_class(kind: str) -> Any:
     Raises:
         NotBridged: It is not built.
     """
-    found = roslib.message.get_service_class(kind)
+    return _built(kind, "service", roslib.message.get_service_class(kind))
+
+
+def _built(kind: str, what: str, found: Any) -> Any:
     if found is None:
-        raise NotBridged(f"{kind}: no such service is built in this workspace")
+        raise NotBridged(f"{kind}: no such {what} is built in this workspace")
     return found
 
 
