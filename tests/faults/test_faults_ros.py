@@ -404,6 +404,7 @@ def test_f10_a_simulator_that_is_always_behind(
     try:
         starved.in_motion()
         ticks, cycles = len(starved.truths), len(starved.cycles)
+        overruns = starved.cycles[-1].overruns
         first = starved.truths[-1][0]
         until = time.monotonic() + (30 if full else 5)
         while time.monotonic() < until:
@@ -421,10 +422,12 @@ def test_f10_a_simulator_that_is_always_behind(
     away = [1e3 * max(d for _, _, d in truths)]
     print(f"{len(truths)} ticks at {ran:.2f} of real time, {cycle.state} {cycle.reason!r}")
     assert ran < 0.9, "it was never behind"
-    # Silent for 0.1 s, because of whatever else runs here, is a lost link: that is another fault.
+    # Whatever else runs here may silence the link for 0.1 s, or make the controller itself late:
+    # those are other faults, and it names them.
     # An arm that moves at less than a quarter of what is commanded does not follow.
     slow = ran < FOLLOWED and cycle.reason == "not_following"
-    assert cycle.state == Cycle.ENABLED or cycle.reason == "link" or slow, cycle.reason
+    busy = cycle.reason == "link" or (cycle.reason == "overrun" and cycle.overruns > overruns)
+    assert cycle.state == Cycle.ENABLED or busy or slow, cycle.reason
     reactions.add("F10", "simulator always behind", "true deviation", away, 2.5, "mm")
 
 
