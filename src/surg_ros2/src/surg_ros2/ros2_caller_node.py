@@ -12,6 +12,7 @@ import signal
 import socket
 import threading
 import time
+from multiprocessing import forkserver
 
 import roslib.message
 import rospy
@@ -77,9 +78,13 @@ class Caller:
 
 
 def forked() -> multiprocessing.context.ForkServerContext:
-    """Makes processes in 50 ms, from one that has imported everything and has no threads."""
+    """Makes processes in 50 ms, from one that has imported everything and has no threads.
+
+    That one is started here: the first sender's commands would wait 0.4 s for it.
+    """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([__name__])
+    forkserver.ensure_running()
     return context
 
 
