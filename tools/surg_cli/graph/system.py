@@ -158,7 +158,6 @@ def drive_nodes(plan: SystemPlan) -> list[Node]:
             "surg_hardware",
             "drive_node.py",
             {"cell": str(plan.cell), "arm": arm},
-            drives=True,
         )
         for arm in plan.turned
     ]
@@ -225,8 +224,8 @@ def model_server(plan: SystemPlan) -> Node:
 def operator_node(plan: SystemPlan) -> Node:
     """The plan's operator; one that answers late is refused for good by an arm in real time."""
     assert plan.operator is not None
-    made = ("surg_teleop", "operator_node.py", dict(plan.operator))
-    return Node(f"/{OPERATOR}", *made, drives=bool(plan.driven))
+    params = {**plan.operator, "realtime": DRIVES_PRIORITY if plan.driven else 0}
+    return Node(f"/{OPERATOR}", "surg_teleop", "operator_node.py", params)
 
 
 def robot_state_publisher(arm: str) -> Node:

@@ -7,10 +7,8 @@ arm (F31), and the warning names motor and cause.
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import math
-import os
 import sys
 import time
 from dataclasses import dataclass
@@ -26,6 +24,7 @@ from surg_hardware.drive.drive_file import DriveFile, drive_of
 from surg_hardware.drive.drive_session import PERIOD, DriveSession
 from surg_hardware.drive.instrument_drive import DriveState
 from surg_ros.params import read, text
+from surg_ros.real_time import prefer
 
 AGAIN = 2.0
 """[s] Between two looks for a drive that is not there."""
@@ -123,15 +122,6 @@ class DriveNode:
         self._warning.publish(String(f"{self._arm}: drive: {sentence}"))
 
 
-def _prefer(priority: int) -> None:
-    """Ask for the driver's priority: motors that hear nothing for 0.2 s hold.
-
-    Another node that begins may compute for longer. Threads that start later inherit it.
-    """
-    with contextlib.suppress(OSError):  # a simulated bench, or no permission
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-
-
 def main() -> int:
     """Entry point; returns the exit code."""
     rospy.init_node("drive")
@@ -144,7 +134,8 @@ def main() -> int:
         drive = drive_of(cell, settings.arm)
         hardware = cell.arms[settings.arm].hardware
         if hardware is not None:
-            _prefer(hardware.realtime)
+            # motors that hear nothing for 0.2 s hold
+            prefer(hardware.realtime)
         node = DriveNode(drive, settings.arm, cell.folder.name)
     except (ValueError, OSError) as error:
         print(f"surg_hardware drive_node: {error}", file=sys.stderr)

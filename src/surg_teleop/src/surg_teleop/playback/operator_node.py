@@ -2,8 +2,8 @@
 
 Parameters: ``~cell`` (folder or cell.yaml), ``~arm`` (PSM1), ``~motion`` (CSV; the bundled motion),
 ``~scale`` (1.0), ``~duration`` [s] (0: the motion once), ``~mode`` (cartesian | spherical),
-``~lockstep`` (false). Exit code 0: played to the end; 1: stopped, with the reason on stderr and on
-``~status``; 2: invalid file or parameter.
+``~lockstep`` (false), ``~realtime`` (priority; 0: none). Exit code 0: played to the end; 1:
+stopped, with the reason on stderr and on ``~status``; 2: invalid file or parameter.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from surg_core.status_check import LatestStatus
 from surg_msgs.msg import SenderStatus, SimStatus
 from surg_ros.arm_port import ArmPort
 from surg_ros.master_check import master_is_online
-from surg_ros.params import ParamError, flag, one_of, path, read, real, text
+from surg_ros.params import ParamError, flag, one_of, path, read, real, text, whole
 from surg_ros.participant import Participant, TickInputs
+from surg_ros.real_time import HIGHEST, prefer
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.playback.motion_file import MotionError, read_motion
 from surg_teleop.playback.motion_plan import ConstantMotionError, MotionPlan, make_plan
@@ -117,6 +118,7 @@ class Parameters:
     duration: float = real(default=0.0)
     mode: str = one_of(tuple(mode.value for mode in Mode), "cartesian")
     lockstep: bool = flag(False)
+    realtime: int = whole(0, HIGHEST, default=0)
 
 
 def load(parameters: dict[str, object]) -> tuple[MotionPlayer, str, bool]:
@@ -171,6 +173,7 @@ def main() -> int:
     except (ParamError, ConfigError, MotionError) as error:
         print(f"operator: {error}", file=sys.stderr)
         return 2
+    prefer(int(rospy.get_param("~realtime", 0)))
     node = OperatorNode(operator, arm, lockstep)
     try:
         node.connect()
