@@ -169,7 +169,7 @@ class WirePolicy(Expert):
         return replace(
             observation.arms[arm],
             stamp_ns=at,
-            R_BR=np.asarray(self._session.controllers[arm].X_BR)[:3, :3],
+            R_BR=self._session.told_R_BR(arm),
             R_WB=np.asarray(self._session.cell.arms[arm].X_WB)[:3, :3],
             holder=self._holders.get(arm, ""),
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import shutil
 import zlib
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from surg_cli.commands import run
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
 from surg_core.contract import ARM_STATE
+from surg_policy_client.policies import skeleton
 from surg_sim.appearance.opengl import NoOpenGL, choose_backend
 
 pytestmark = pytest.mark.untimed
@@ -90,6 +92,26 @@ def test_every_observation_holds_the_picture_of_its_own_tick(
           f"{policy['round_trip_ms']}")  # fmt: skip
     assert len(set(seen[:, 2])) > len(seen) / 2
     assert seen[:, 2].tolist() == shown[: len(seen)] and steps - len(seen) in (0, 1)
+
+
+@pytest.mark.full
+@pytest.mark.ros
+def test_a_score_card_plays_the_episode_that_run_plays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The skeleton goes to a place in the world: by the rcm frame that it is told."""
+    monkeypatch.syspath_prepend(str(paths.ROOT / "benchmarks"))
+    from policy import card_cell, shut_in
+
+    policy, out = tmp_path / "mine" / "reach.py", tmp_path / "run"
+    policy.parent.mkdir()
+    shutil.copy(skeleton.__file__, policy)
+    surg("run", "bgr", "--policy", policy, "--seed", SEED, "--out", out)
+    (entry,) = json.loads((out / "summary.json").read_text("utf-8"))["episodes"]
+    program = shut_in.Program.of(str(policy))
+    (played,) = card_cell.play(card_cell.CellJob(program, "bgr", "as served", (SEED,)))["episodes"]
+    assert played["state_hash"] == entry["state_hash"] is not None
+    note(14, 1, f"the same state hash, {played['state_hash'][:12]}…")
 
 
 @pytest.mark.ros

@@ -19,6 +19,7 @@ ROWS = (
     "rows of 2 mm from held_action(), 40 mm/s commanded: past a goal at 10 mm, fastest",
     "the skeleton, 10 mm/s commanded: past its goal, fastest",
     "roll-outs of every expert and policy of the client, called swinging",
+    "the skeleton by a score card against `./surg run`",
 )
 PAGE = ResultsPage("policies.md")
 

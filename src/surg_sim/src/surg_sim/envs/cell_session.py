@@ -20,6 +20,7 @@ import surg_core
 from surg_core.arm_view import ArmCommands, ArmView
 from surg_core.contract import FORCE_TICKS, GRID, TICK_NS
 from surg_core.force.observed_force import PLACES, arm_force
+from surg_sim.arrays import Array
 from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.patient_settings import PatientSetting, find_setting
 from surg_sim.physics.sim_arm import ArmCommand
@@ -169,8 +170,12 @@ class CellSession:
         """
         samples = [self._earlier_forces.get(arm, {}).get(f"{place}_force") for place in PLACES]
         known = [None if s is None or not s.valid else np.asarray(s.f_B) for s in samples]
+        return arm_force(known[0], known[1], self.told_R_BR(arm))
+
+    def told_R_BR(self, arm: str) -> Array:
+        """Orientation (3, 3) of the rcm frame as a graph tells it: a quaternion rounds it."""
         R_BR = np.asarray(self.controllers[arm].X_BR)[:3, :3]
-        return arm_force(known[0], known[1], R_BR)
+        return surg_core.quaternion_xyzw_to_matrix(surg_core.matrix_to_quaternion_xyzw(R_BR))
 
     def _readings(self, arm: str, measured: ArmState) -> surg_core.Readings:
         """What a robot's link and its force sensors say beside the joints."""
