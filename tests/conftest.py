@@ -6,6 +6,7 @@ import os
 import random
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -20,6 +21,9 @@ from helpers.graph.ros import (
 from surg_cli import __main__ as cli
 from surg_cli.graph import master
 from surg_cli.graph.processes import Supervisor
+
+if TYPE_CHECKING:
+    from helpers.graph.control_rig import Rig
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 ON_REQUEST = ("oracle", "vm", "mutants")
@@ -85,6 +89,16 @@ def rospy_node(ros_session: Supervisor) -> Iterator[str]:
     yield rospy.get_name()
     stop_serving()
     rospy.signal_shutdown("tests are over")
+
+
+@pytest.fixture
+def rig(rospy_node: str) -> Iterator[Rig]:
+    """The fake side of a controller's graph, in this process."""
+    from helpers.graph.control_rig import Rig  # needs ROS
+
+    made = Rig(rospy_node)
+    yield made
+    made.close()
 
 
 @pytest.fixture

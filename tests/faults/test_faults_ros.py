@@ -48,14 +48,6 @@ MACHINE_MS = 90
 """What a shared machine may add."""
 
 
-@pytest.fixture
-def rig(rospy_node: str) -> Iterator[Rig]:
-    """The fake side of the graph."""
-    made = Rig(rospy_node)
-    yield made
-    made.close()
-
-
 # --- a fake link, tick by tick --------------------------------------------------------------
 
 

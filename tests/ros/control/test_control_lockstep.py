@@ -8,7 +8,6 @@ import queue
 import signal
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -38,14 +37,6 @@ from surg_cli.graph import master
 from surg_msgs.msg import Cycle, LinkStatus
 
 pytestmark = pytest.mark.ros
-
-
-@pytest.fixture
-def rig(rospy_node: str) -> Iterator[Rig]:
-    """The fake side of the graph."""
-    made = Rig(rospy_node)
-    yield made
-    made.close()
 
 
 def test_every_tick_is_answered_and_the_arm_follows(ros_graph: RosGraph, rig: Rig) -> None:

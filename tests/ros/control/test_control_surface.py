@@ -12,7 +12,7 @@ import socket
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -33,14 +33,6 @@ from surg_cli.graph import master
 from surg_msgs.msg import Cycle, PointVelocityStamped
 
 pytestmark = pytest.mark.ros
-
-
-@pytest.fixture
-def rig(rospy_node: str) -> Iterator[Rig]:
-    """The fake side of the graph."""
-    made = Rig(rospy_node)
-    yield made
-    made.close()
 
 
 class Voice:

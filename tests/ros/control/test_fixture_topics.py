@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,14 +18,6 @@ from surg_cli.host import paths
 from surg_msgs.msg import Cycle, Fixture, Fixtures
 
 pytestmark = pytest.mark.ros
-
-
-@pytest.fixture
-def rig(rospy_node: str) -> Iterator[Rig]:
-    """The fake side of the graph."""
-    made = Rig(rospy_node)
-    yield made
-    made.close()
 
 
 class Regions:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
@@ -14,14 +12,6 @@ from surg_msgs.msg import Cycle, LinkStatus
 pytestmark = pytest.mark.ros
 
 SENTENCE = "protective stop on joint 3: unlock it on the pendant"
-
-
-@pytest.fixture
-def rig(rospy_node: str) -> Iterator[Rig]:
-    """The fake side of the graph."""
-    made = Rig(rospy_node)
-    yield made
-    made.close()
 
 
 def test_f33_a_condition_faults_in_its_own_tick_with_the_links_sentence(

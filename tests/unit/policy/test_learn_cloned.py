@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 
+from conftest import FULL
 from helpers.policy import bgr_cloned as made
 from helpers.policy.bgr_cloned import (
     LEFT,
@@ -34,7 +35,7 @@ SMALL = {
 CALM = picture_augmentation.Looks(0.05, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 OPTIONS = train_cloned.Options(
     chunk=6,
-    steps=150,
+    steps=150 if FULL else 50,
     batch=16,
     rate=3e-3,
     warm=10,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -25,9 +26,10 @@ def test_every_roll_out_without_a_success_has_a_figure_and_a_sentence(tmp_path: 
         TrialOutcome(True, "", "done", 12.0, True, "success"),
     ]
     entries = [trials.describe(k, "phantom", "ours", end, None) for k, end in enumerate(ended)]
+    made = record(tmp_path / "made", Synthetic(seconds=0.5, refused_from=0.4))
     for k in (0, 1, 2, 4):
         entries[k]["folder"] = f"episodes/{k:03d}"
-        record(tmp_path / f"episodes/{k:03d}/episode", Synthetic(seconds=0.5, refused_from=0.4))
+        shutil.copytree(made, tmp_path / f"episodes/{k:03d}/episode")
     trial_report.write(trials.summarise(entries, {"task": "bgr", "robot": "ur5e"}), tmp_path)
     drawn = sorted(file.name for file in (tmp_path / "figures").glob("failure_*"))
     assert drawn == [f"failure_{k:03d}.png" for k in (0, 1, 2)]

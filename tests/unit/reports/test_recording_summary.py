@@ -270,7 +270,7 @@ def test_the_report_is_one_file_with_every_figure(tmp_path: Path) -> None:
 )
 def test_a_title_is_a_name_and_not_a_path(tmp_path: Path, motion: str, title: str) -> None:
     """The path stands where the report says what was run."""
-    synthetic.record(tmp_path / "episode", Synthetic(seconds=2.0), motion=motion, robot="ur5e")
+    synthetic.record(tmp_path / "episode", Synthetic(seconds=0.5), motion=motion, robot="ur5e")
     run_report.make(tmp_path)
     text = (tmp_path / "report.html").read_text()
     assert f"<h1>{title}: UR5e</h1>" in text and motion in text

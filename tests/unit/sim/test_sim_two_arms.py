@@ -38,6 +38,8 @@ from surg_sim.placement.placement_search import Placement
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 CELLS = ("sim_two_arms", "sim_two_arms_panda")
+ONE_CELL = [CELLS[0], pytest.param(CELLS[1], marks=pytest.mark.full)]
+"""What depends on the endoscope alone, which is the same in both."""
 EYES = [endoscope_rig.LEFT, endoscope_rig.RIGHT]
 DESCRIPTION = paths.ROOT / "src/surg_description"
 TASKS = {"PSM1": arm_reserve.INSTRUMENT, "ECM": arm_reserve.ENDOSCOPE}
@@ -378,6 +380,7 @@ def test_cameras_that_do_not_fit_their_baseline_are_refused(
 # --- what it sees -----------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("cell", ONE_CELL, indirect=True)
 def test_a_stereo_pair_triangulates_a_bead(cell: surg_core.Cell) -> None:
     """2 mm bead at 60 mm: 99 of 100 within 0.5 mm, by the projection matrices of both cameras."""
     world = World(cell, visuals=True, task=BeadTask())
@@ -454,6 +457,7 @@ def test_a_pair_needs_two_cameras() -> None:
         Renderer(model, EYES, 640, 480)
 
 
+@pytest.mark.parametrize("cell", ONE_CELL, indirect=True)
 def test_stereo_is_fast_enough_for_two_cores(seen: World) -> None:
     """Processor time, as wall-clock time says little here: 0.2 s are 10 pairs/s on 2 cores."""
     try:

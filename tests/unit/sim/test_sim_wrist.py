@@ -17,7 +17,7 @@ from surg_description.make_cell import make_cell
 
 PAGE = ResultsPage("wrist.md")
 FULL = os.environ.get("SURG_TEST_FULL") == "1"
-DRAWN = 10 if FULL else 2
+DRAWN = 10 if FULL else 1
 LAGS = (0.02, 0.04, 0.06) if FULL else (0.04,)
 # Some drawn hands ask for more roll than an arm's last joint has: 25 and 8 rad/s^2.
 TIP = {"ur5e": 1.5e-4, "panda": 6e-4}  # [m] rms

@@ -19,7 +19,7 @@ from surg_teleop.playback.motion_player import Mode, PlayerStage
 
 CELLS = (ROOT / "cells/sim_ur5e", ROOT / "cells/sim_panda")
 RATE = 30.0
-COUNT = 240 if FULL else 24
+COUNT = 240 if FULL else 12
 HABITS = ("jump", "displaced", "turn", "repeated stamp", "dropped", "stuck", "rest")
 
 
