@@ -1,7 +1,7 @@
 """A process that speaks DDS as a ROS 2 node does.
 
-`peer.py DOMAIN NODE TOPIC TYPE PERIOD HEX LISTEN…` sends one sample on TOPIC again and again, and
-prints each sample that it hears on LISTEN: `topic=type`, with `!` behind the name of a latched one,
+`peer.py DOMAIN NODE TOPIC TYPE PERIOD HEX LISTEN…` sends one sample on TOPIC again and again (none
+without HEX), and prints each sample that it hears on LISTEN: `topic=type`, with `!` behind the name of a latched one,
 `?` behind one of which some may be lost. In the environment: PEER_INTERFACE of the network (loopback
 without it); PEER_KILLED, as many processes do so one after another, each until it is killed.
 """
@@ -66,7 +66,7 @@ def main(domain: str, node: str, topic: str, kind: str, period: str, data: str, 
     print("ready", flush=True)
     due = 0.0
     while True:
-        if time.monotonic() >= due and writer.readers:
+        if data and time.monotonic() >= due and writer.readers:
             due = time.monotonic() + float(period)
             writer.send(bytes.fromhex(data))
         port.wait(float(period) / 4)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,13 +13,14 @@ import pytest
 from helpers.graph.ros import RosGraph
 from helpers.graph.surg import Started, start, surg
 from helpers.graph.two_arms import write_two_arms
-from helpers.ros2 import drawn_messages as drawn
 from helpers.ros2.dds_peers import Dds, udp_sockets
 from helpers.sim.nudge_task import LUCKY
 from surg_cli.graph import master, running
-from surg_cli.graph.processes import session_members, wait_until
+from surg_cli.graph.processes import Child, session_members, wait_until
 from surg_cli.host.paths import ROOT
 from surg_msgs.msg import SimStatus
+from surg_ros2.cdr import Codec
+from surg_ros2.message_types_node import fields
 
 pytest.importorskip("cyclonedds", reason="missing: ./surg dev setup --all installs cyclonedds")
 pytestmark = pytest.mark.ros
@@ -26,6 +28,7 @@ pytestmark = pytest.mark.ros
 NUDGE = ROOT / "tests" / "helpers" / "sim" / "nudge_task.py"
 WAIT_S = 120.0
 STATUS = "/sim/status"
+CPP = ("/PSM1/controller", "/PSM1/robot_state_publisher")
 
 
 @pytest.fixture
@@ -50,10 +53,10 @@ def running_command(folder: Path, said: str, *words: object) -> Iterator[tuple[S
 
 
 def sockets_of_up(folder: Path, *words: str) -> list[str]:
-    """The UDP sockets of everything that `./surg up` has started."""
+    """The UDP sockets of what `./surg up` has started; those of ROS 1 in C++ are its UDPROS."""
     with running_command(folder, "is up:", "up", "sim_ur5e", *words) as (process, port, _):
         (system,) = running.systems(port)
-        leaders = [process.pid, *system.nodes.values()]
+        leaders = [process.pid, *(pid for name, pid in system.nodes.items() if name not in CPP)]
         pids = {pid for leader in leaders for pid in session_members(leader)}
         return [each for pid in pids for each in udp_sockets(pid)]
 
@@ -79,14 +82,9 @@ def test_a_second_gateway_ends_and_its_system_runs_on(
         assert wait_until(lambda: said in log.read_text(), WAIT_S), log.read_text()
 
 
-def listener(dds: Dds) -> str:
-    """A process that hears the simulator's status in ROS 2."""
-    heard = f"{STATUS}=surg_msgs/SimStatus"
-    return dds.peer(
-        "looks",
-        drawn.cdr("std_msgs/Bool", drawn.draw("std_msgs/Bool", random.Random(1))).hex(),
-        heard,
-    )
+def listener(dds: Dds) -> Child:
+    """A process that hears the simulator's status in ROS 2, and has nothing to say."""
+    return dds.peer("looks", "", f"{STATUS}=surg_msgs/SimStatus")
 
 
 def test_ros_2_sees_a_teleoperation(dds: Dds, tmp_path: Path) -> None:
@@ -101,4 +99,24 @@ def test_ros_2_sees_every_episode_of_a_run(dds: Dds, tmp_path: Path) -> None:
     words = ["run", NUDGE, "--robot", write_two_arms(tmp_path / "cell"), "--episodes", 2]
     done = surg(*words, "--seed", LUCKY, "--out", tmp_path / "out", "--ros2")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "another gateway" not in done.stderr
+    assert "/ros2" not in done.stderr
+    codec = Codec("surg_msgs/SimStatus", fields)
+    heard = [bytes.fromhex(line.split()[1]) for line in whole_lines(peer) if STATUS in line]
+    ticks = [SimStatus().deserialize(codec.to_ros1(each)).tick for each in heard]
+    assert sum(b < a for a, b in itertools.pairwise(ticks)) == 1, "two episodes"
+
+
+def test_a_run_whose_gateway_ends_goes_on_and_says_so(
+    ros_graph: RosGraph, rospy_node: str, dds: Dds, tmp_path: Path
+) -> None:
+    dds.gateway()
+    ros_graph.wait_for(lambda: "/ros2" in master.nodes(ros_graph.uri), WAIT_S, "the first one")
+    words = ["run", NUDGE, "--robot", write_two_arms(tmp_path / "cell"), "--seed", LUCKY]
+    done = surg(*words, "--out", tmp_path / "out", "--ros2")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "/ros2 ended (2), the rest runs on: ros2: another gateway" in done.stderr
+
+
+def whole_lines(child: Child) -> list[str]:
+    """What it has printed, without a last line that is half written."""
+    return child.log.read_text("utf-8", "replace").splitlines()[:-1]
