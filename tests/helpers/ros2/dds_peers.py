@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 from helpers.graph.ros import RosGraph
 from surg_cli.graph import topic_contract
-from surg_cli.graph.processes import Child, session_members
+from surg_cli.graph.processes import Child
 from surg_cli.host import paths
 
 PEER = paths.ROOT / "tests" / "helpers" / "ros2" / "peer.py"

@@ -1,9 +1,10 @@
 """A process that speaks DDS as a ROS 2 node does.
 
 `peer.py DOMAIN NODE TOPIC TYPE PERIOD HEX LISTEN…` sends one sample on TOPIC again and again (none
-without HEX), and prints each sample that it hears on LISTEN: `topic=type`, with `!` behind the name of a latched one,
-`?` behind one of which some may be lost. In the environment: PEER_INTERFACE of the network (loopback
-without it); PEER_KILLED, as many processes do so one after another, each until it is killed.
+without HEX), and prints each sample that it hears on LISTEN: `topic=type`, with `!` behind the name
+of a latched one, `?` behind one of which some may be lost. In the environment: PEER_INTERFACE of
+the network (loopback without it); PEER_KILLED, as many processes do so one after another, each
+until it is killed.
 """
 
 from __future__ import annotations

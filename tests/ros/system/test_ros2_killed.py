@@ -122,8 +122,8 @@ def test_killed_processes_leave_nothing_and_cross_nobodys_authority(
     note(
         "killed senders",
         KILLED,
-        f"{known} had a node; the one that drives fell silent {len(driven.silences)} times, at most "
-        f"{longest:.0f} ms until the arm held; memory {min(after):.0f} to {max(after):.0f} MB",
+        f"{known} had a node; the driver fell silent {len(driven.silences)} times, {longest:.0f} ms "
+        f"at most until the arm held; memory {min(after):.0f} to {max(after):.0f} MB",
     )
     assert set(driven.obeyed) == {"/ros2_good"}
     assert driven.now.refused > refused and known > LEAST * KILLED

@@ -1,4 +1,4 @@
-"""Real rclpy, on Fast DDS and on Cyclone, hears, says and asks what the contract has, but for `/tf`.
+"""Real rclpy, on Fast DDS and on Cyclone, hears, says and asks what is in the contract but `/tf`.
 
 PyPI has no ROS 2 package of tf2_msgs. What its type becomes is compared with `rosbags`, as every
 other type is.

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
-import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 from PIL import Image
+from sensor_msgs.msg import CompressedImage
 
 from crtk_msgs.msg import OperatingState, StringStamped
 from helpers import endoscope_files
@@ -36,10 +35,14 @@ DOMAIN = "7"
 UP_S, WAIT_S = 120.0, 90.0
 SIZE = (320, 240)
 """[pixels] Of an eye."""
-STATE, TIP, PICTURE = "/PSM1/operating_state", "/PSM1/measured_cp", "/endoscope/left/image_raw"
+STATE, LINK, PICTURE = (
+    "/PSM1/operating_state",
+    "/PSM1/robot/measured_js",
+    "/endoscope/left/image_raw",
+)
 HEAR = (
     f"{STATE}!=crtk_msgs/OperatingState",
-    f"{TIP}=geometry_msgs/PoseStamped",
+    f"{LINK}=sensor_msgs/JointState",
     f"{PICTURE}/compressed?=sensor_msgs/CompressedImage",
 )
 PEER = paths.ROOT / "tests" / "helpers" / "ros2" / "peer.py"
@@ -124,19 +127,15 @@ def test_the_operator_sees_the_other_machines_and_enables_the_arm(
 
             assert wait_until(all_heard, WAIT_S), sorted(found)
             assert process.poll() is None
-    picture = message(
-        drawn.message_class("sensor_msgs/CompressedImage"), found[f"{PICTURE}/compressed"]
-    )
+    picture = message(CompressedImage, found[f"{PICTURE}/compressed"])
     assert Image.open(io.BytesIO(picture.data)).size == SIZE
 
 
 def heard(log: Path) -> dict[str, bytes]:
     """The newest whole sample of each topic."""
     lines = log.read_text("utf-8", "replace").splitlines()[:-1]
-    return {
-        topic: bytes.fromhex(text)
-        for topic, _, text in (s.partition(" ") for s in lines if s.startswith("/"))
-    }
+    pairs = [line.split() for line in lines if line.startswith("/")]
+    return {topic: bytes.fromhex(text) for topic, text in pairs}
 
 
 def message(kind: type, sample: bytes | None) -> Any:

@@ -1,4 +1,4 @@
-"""`--ros2` of `./surg up`, `teleop` and `run`: a gateway when it is asked for, or why there is none."""
+"""`--ros2` of `./surg up`, `teleop` and `run`: a gateway on request, or why there is none."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def test_every_episode_of_a_run_has_a_gateway_that_looks_on(
         (node,) = caught.value.args
         assert (node.params["mode"], node.params["commands"]) == (mode, False) if mode else not node
     with pytest.raises(
-        CliError, match="--ros2 commands: only with ./surg up and teleop"
+        CliError, match=r"--ros2 commands: only with \./surg up and teleop"
     ) as refused:
         run.main(parsed(run, "bgr", "--out", str(tmp_path / "x"), "--ros2", "commands"), "run")
     assert refused.value.code == 2

@@ -115,8 +115,11 @@ class Gateway:
         except (OSError, rosgraph.MasterException):
             return  # it comes back, or `./surg up` ends
         there = {topic for topic, nodes in published if set(nodes) - {OURS}}
-        for topic in sorted(there - set(self._out)):
-            self._guarded(topic, self._offer, kinds.get(topic, "*"), there)
+        for topic in sorted(there):
+            if (offered := self._out.get(topic)) is not None:
+                offered.appeared(topic)
+            elif topic not in self._out:
+                self._guarded(topic, self._offer, kinds.get(topic, "*"), there)
         for topic, nodes in subscribed:
             if set(nodes) - {OURS}:
                 self._guarded(topic, self._accept, kinds.get(topic, "*"))
