@@ -30,7 +30,7 @@ KILLED = 1000
 """Processes that are killed while another one drives."""
 LEAST = 0.5
 """Part of them that must have got as far as a node of ROS 1."""
-DRIVERS = 100
+DRIVERS = 50
 """Processes that drive an arm and are killed, one after another."""
 HOLD_S = 0.11
 """[s] `servo_timeout`, and what a busy machine adds."""
@@ -109,7 +109,7 @@ def test_killed_processes_leave_nothing_and_cross_nobodys_authority(
         time.sleep(LOOK_S)
         driven.ready()
         sizes.append(resident(node))
-    assert dying.log_tail(KILLED).split().count("killed") == KILLED
+    assert dying.log.read_text().split().count("killed") == KILLED
     gone = lambda: not [n for n in master.nodes(ros_graph.uri) if n.startswith("/ros2_dies")]  # noqa: E731
     ros_graph.wait_for(gone, WAIT_S, "the nodes of the killed to end")
     known = node.log.read_text("utf-8", "replace").count("sends commands as /ros2_dies")
@@ -122,7 +122,7 @@ def test_killed_processes_leave_nothing_and_cross_nobodys_authority(
     note(
         "killed senders",
         KILLED,
-        f"{known} had a node; the driver fell silent {len(driven.silences)} times, {longest:.0f} ms "
+        f"{known} had a node; the driver was silent {len(driven.silences)} times, {longest:.0f} ms "
         f"at most until the arm held; memory {min(after):.0f} to {max(after):.0f} MB",
     )
     assert set(driven.obeyed) == {"/ros2_good"}
