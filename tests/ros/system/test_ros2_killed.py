@@ -34,7 +34,10 @@ DRIVERS = 50
 """Processes that drive an arm and are killed, one after another."""
 HOLD_S = 0.11
 """[s] `servo_timeout`, and what a busy machine adds."""
-PERIOD_S = 0.01
+REST_S = 0.5
+"""[s] Of rest, after which the arm is free (F26)."""
+PERIOD_S, SLOWLY_S = 0.02, 0.05
+"""[s] Between the commands of one that drives, and of one that is killed beside it."""
 GROWTH_MB = 5.0
 """More than that is no noise of the allocator."""
 LOOK_S = 1.0
@@ -49,6 +52,9 @@ class Driven:
         graph.node("surg_control", "rcm_node", "/PSM1/controller", {**shared, "arm": "PSM1"})
         self.obeyed: dict[str, int] = {}
         """Poses that were obeyed, by sender."""
+        self.crossed: list[str] = []
+        """Senders that were obeyed while another one held the arm."""
+        self._holder, self._free = "", True
         self.silences: list[float] = []
         """[s] From the last of them to the last cycle that waited for another."""
         self.begun_anew = -1
@@ -64,9 +70,13 @@ class Driven:
     def _on_cycle(self, cycle: Cycle) -> None:
         before, self.now = self.now, cycle
         new = cycle.accepted - before.accepted
+        now = cycle.header.stamp.to_sec()
+        self._free |= cycle.state != Cycle.ENABLED or now - self._last > REST_S
         if cycle.command == Cycle.SERVO_CP and new:
             self.obeyed[cycle.source] = self.obeyed.get(cycle.source, 0) + new
-            self._last = cycle.header.stamp.to_sec()
+            if cycle.source != self._holder and not self._free:
+                self.crossed.append(cycle.source)
+            self._holder, self._free, self._last = cycle.source, False, now
         elif before.command == Cycle.SERVO_CP != cycle.command and cycle.state == Cycle.ENABLED:
             self.silences.append(before.header.stamp.to_sec() - self._last)
 
@@ -103,7 +113,7 @@ def test_killed_processes_leave_nothing_and_cross_nobodys_authority(
     node, stay = dds.gateway(), driven.stay.hex()
     dds.peer("good", stay, period=PERIOD_S)
     ros_graph.wait_for(lambda: driven.by("/ros2_good"), WAIT_S, "the good one to drive")
-    dying = dds.peer("dies", stay, period=PERIOD_S, env={"PEER_KILLED": str(KILLED)})
+    dying = dds.peer("dies", stay, period=SLOWLY_S, env={"PEER_KILLED": str(KILLED)})
     sizes, refused = [resident(node)], driven.now.refused
     while dying.exit_code is None:
         time.sleep(LOOK_S)
@@ -125,7 +135,7 @@ def test_killed_processes_leave_nothing_and_cross_nobodys_authority(
         f"{known} had a node; the driver was silent {len(driven.silences)} times, {longest:.0f} ms "
         f"at most until the arm held; memory {min(after):.0f} to {max(after):.0f} MB",
     )
-    assert set(driven.obeyed) == {"/ros2_good"}
+    assert driven.crossed == [] and max(driven.obeyed, key=driven.obeyed.get) == "/ros2_good"
     assert driven.now.refused > refused and known > LEAST * KILLED
     assert longest < 1e3 * HOLD_S
     assert max(after) < min(after) + GROWTH_MB
