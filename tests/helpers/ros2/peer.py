@@ -1,13 +1,17 @@
 """A process that speaks DDS as a ROS 2 node does.
 
-`peer.py DOMAIN NODE TOPIC TYPE PERIOD HEX LISTEN…` sends one sample on TOPIC again and again, and
-prints each sample that it hears on LISTEN: `topic=type`, with `!` behind the name of a latched one.
-PEER_COPIES in the environment: as many processes do so.
+`peer.py DOMAIN NODE TOPIC TYPE PERIOD HEX LISTEN…` sends one sample on TOPIC again and again (none
+without HEX), and prints each sample that it hears on LISTEN: `topic=type`, with `!` behind the name
+of a latched one, `?` behind one of which some may be lost. In the environment: PEER_INTERFACE of
+the network (loopback without it); PEER_KILLED, as many processes do so one after another, each
+until it is killed.
 """
 
 from __future__ import annotations
 
 import os
+import random
+import signal
 import struct
 import sys
 import time
@@ -19,6 +23,8 @@ from surg_ros2.dds_port import LOOPBACK, Port
 LATER = 10**19
 """Time of start [ns] by which this process is no gateway that has begun before."""
 DEPTH = 100
+LIVES_S = (0.3, 0.8)
+"""[s] Shortest and longest life of a process that is killed."""
 
 
 def nodes(key: str, name: str) -> bytes:
@@ -28,12 +34,24 @@ def nodes(key: str, name: str) -> bytes:
     return head + struct.pack("<I", len(text)) + text + bytes(-len(text) % 4 + 8)
 
 
+def one_after_another(count: int) -> None:
+    """Returns in each of the processes; ends in this one when all have been killed."""
+    for k in range(count):
+        process = os.fork()
+        if process == 0:
+            return
+        time.sleep(random.Random(k).uniform(*LIVES_S))
+        os.kill(process, signal.SIGKILL)
+        os.waitpid(process, 0)
+        print("killed", flush=True)
+    sys.exit(0)
+
+
 def main(domain: str, node: str, topic: str, kind: str, period: str, data: str, *hear: str) -> None:
     """Send and hear until the process is ended."""
-    for _ in range(int(os.environ.get("PEER_COPIES", "1")) - 1):
-        if os.fork() == 0:
-            break
-    port = Port(int(domain), LOOPBACK, LATER)
+    if killed := os.environ.get("PEER_KILLED"):
+        one_after_another(int(killed))
+    port = Port(int(domain), os.environ.get("PEER_INTERFACE", LOOPBACK), LATER)
     names = port.writer(
         "ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_", NAMES
     )
@@ -43,13 +61,13 @@ def main(domain: str, node: str, topic: str, kind: str, period: str, data: str, 
     readers = {}
     for each in hear:
         name, _, of = each.partition("=")
-        quality = Quality(latched=name.endswith("!"), depth=DEPTH)
-        name = name.rstrip("!")
+        quality = Quality(not name.endswith("?"), name.endswith("!"), DEPTH)
+        name = name.rstrip("!?")
         readers[name] = port.reader(dds_topic(name), dds_type(of), quality)
     print("ready", flush=True)
     due = 0.0
     while True:
-        if time.monotonic() >= due and writer.readers:
+        if data and time.monotonic() >= due and writer.readers:
             due = time.monotonic() + float(period)
             writer.send(bytes.fromhex(data))
         port.wait(float(period) / 4)

@@ -1,4 +1,4 @@
-"""Real rclpy with Fast DDS hears, says and asks what the contract has, but for `/tf`.
+"""Real rclpy, on Fast DDS and on Cyclone, hears, says and asks what is in the contract but `/tf`.
 
 PyPI has no ROS 2 package of tf2_msgs. What its type becomes is compared with `rosbags`, as every
 other type is.
@@ -28,7 +28,7 @@ from surg_cli.graph import topic_contract
 from surg_cli.graph.processes import Child
 from surg_cli.host import paths
 from surg_msgs.msg import SimStatus
-from surg_ros2.bridged_topics import INSIDE, PICTURES
+from surg_ros2.bridged_topics import IMPLEMENTATIONS, INSIDE, PICTURES
 from surg_ros2.cdr import Codec
 from surg_ros2.message_types_node import fields, service_class
 
@@ -56,6 +56,9 @@ MIDDLE_MS = 5.0
 DRAWS = 200
 SIZES = (100_000, 1_000_000)
 """[bytes] Of pictures."""
+
+
+Note = Callable[[str, int, str], None]
 
 
 def of(direction: str) -> dict[str, topic_contract.Entry]:
@@ -90,10 +93,24 @@ def plain(value: Any) -> Any:
     return list(value) if isinstance(value, bytes) else value
 
 
+@pytest.fixture(params=IMPLEMENTATIONS)
+def implementation(request: pytest.FixtureRequest) -> str:
+    """Of ROS 2 on DDS."""
+    return str(request.param)
+
+
 @pytest.fixture
-def rclpy(ros_graph: RosGraph, tmp_path: Path) -> Callable[..., Child]:
+def keep(implementation: str) -> Note:
+    """Keep a figure; Cyclone's has a row of its own, below that of which it is the same."""
+    if implementation == IMPLEMENTATIONS[1]:
+        return lambda row, cases, result: note(f"{row} (Cyclone)", cases, "the same")
+    return note
+
+
+@pytest.fixture
+def rclpy(ros_graph: RosGraph, tmp_path: Path, implementation: str) -> Callable[..., Child]:
     """Starts the gateway, and then real rclpy."""
-    python, env = interfaces.with_gateway(ros_graph)
+    python, env = interfaces.with_gateway(ros_graph, implementation)
 
     def start(
         hear: dict[str, Any],
@@ -120,7 +137,11 @@ def heard(child: Child) -> dict[str, list[Any]]:
 
 
 def test_every_topic_reaches_rclpy_with_every_field(
-    ros_graph: RosGraph, rospy_node: str, rng: random.Random, rclpy: Callable[..., Child]
+    ros_graph: RosGraph,
+    rospy_node: str,
+    rng: random.Random,
+    rclpy: Callable[..., Child],
+    keep: Note,
 ) -> None:
     sent, publishers = {}, {}
     for name, entry in of("out").items():
@@ -146,11 +167,15 @@ def test_every_topic_reaches_rclpy_with_every_field(
     wrong = [n for n, message in sent.items() if any(v != values(message) for v in got[n])]
     assert wrong == []
     late = sum(entry.latched[1] for entry in of("out").values())
-    note("rclpy hears", len(sent), f"every field equal; {late} latched topics for a late joiner")
+    keep("rclpy hears", len(sent), f"every field equal; {late} latched topics for a late joiner")
 
 
 def test_every_command_of_rclpy_arrives_with_every_field(
-    ros_graph: RosGraph, rospy_node: str, rng: random.Random, rclpy: Callable[..., Child]
+    ros_graph: RosGraph,
+    rospy_node: str,
+    rng: random.Random,
+    rclpy: Callable[..., Child],
+    keep: Note,
 ) -> None:
     got: dict[str, Any] = {}
     sent = {name: drawn.draw(entry.type, rng) for name, entry in of("in").items()}
@@ -162,12 +187,16 @@ def test_every_command_of_rclpy_arrives_with_every_field(
     ros_graph.wait_for(lambda: len(got) == len(sent), WAIT_S, f"{len(sent)} commands of rclpy")
     wrong = [name for name, m in sent.items() if values(got[name]) != values(m)]
     assert wrong == []
-    note("rclpy commands", len(ears), "every field equal")
+    keep("rclpy commands", len(ears), "every field equal")
     assert {m._connection_header["callerid"] for m in got.values()} == {"/ros2_oracle"}
 
 
 def test_every_service_is_asked_by_rclpy(
-    ros_graph: RosGraph, rospy_node: str, rng: random.Random, rclpy: Callable[..., Child]
+    ros_graph: RosGraph,
+    rospy_node: str,
+    rng: random.Random,
+    rclpy: Callable[..., Child],
+    keep: Note,
 ) -> None:
     requests, replies, servers = {}, {}, []
     for entry in topic_contract.load().entries:
@@ -183,7 +212,7 @@ def test_every_service_is_asked_by_rclpy(
     for server in servers:
         server.shutdown()
     assert {name: each[0] for name, each in heard(child).items()} == replies
-    note("rclpy asks services", len(servers), "every field of request and reply equal")
+    keep("rclpy asks services", len(servers), "every field of request and reply equal")
 
 
 def same(request: Any, reply: Any) -> Callable[[Any], Any]:
@@ -192,7 +221,11 @@ def same(request: Any, reply: Any) -> Callable[[Any], Any]:
 
 
 def test_large_pictures_reach_rclpy(
-    ros_graph: RosGraph, rospy_node: str, rng: random.Random, rclpy: Callable[..., Child]
+    ros_graph: RosGraph,
+    rospy_node: str,
+    rng: random.Random,
+    rclpy: Callable[..., Child],
+    keep: Note,
 ) -> None:
     from sensor_msgs.msg import CompressedImage
 
@@ -209,9 +242,10 @@ def test_large_pictures_reach_rclpy(
     ros_graph.wait_for(arrived, WAIT_S, "both pictures")
     for name, picture in zip(topics, pictures, strict=True):
         assert all(bytes(each["data"]) == picture.data for each in heard(child)[name])
-    note("pictures to rclpy", len(SIZES), "100 kB and 1 MB arrive, every byte equal")
+    keep("pictures to rclpy", len(SIZES), "100 kB and 1 MB arrive, every byte equal")
 
 
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS[:1], indirect=True)
 def test_a_pose_at_500_hz_is_hardly_late(
     ros_graph: RosGraph, rospy_node: str, rclpy: Callable[..., Child]
 ) -> None:

@@ -1,13 +1,16 @@
-"""`./surg up --ros2`: the gateway is there when it is asked for, and refused by name."""
+"""`--ros2` of `./surg up`, `teleop` and `run`: a gateway on request, or why there is none."""
 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
+from types import ModuleType
 
 import pytest
 
-from surg_cli.commands import up
-from surg_cli.graph import ros2_gateway
+from surg_cli.commands import run, teleop, up
+from surg_cli.graph import ros2_gateway, running, system
+from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import provision
 from surg_cli.host.terminal import CliError
 
@@ -38,7 +41,7 @@ def test_the_gateway_of_this_machine(
     for word in ("_interface:=lo", "_domain:=0", "_commands:=false", "_mode:=freerun"):
         assert word in line
     monkeypatch.setenv("ROS_DOMAIN_ID", "42")
-    (line,) = printed(capsys, "--ros2", "lo", "--ros2-commands", "--lock-step", "ros2_script")
+    (line,) = printed(capsys, "--ros2", "lo", "commands", "--lock-step", "ros2_script")
     for word in ("_domain:=42", "_commands:=true", "_mode:=lockstep"):
         assert word in line
 
@@ -46,8 +49,8 @@ def test_the_gateway_of_this_machine(
 @pytest.mark.parametrize(
     ("words", "domain", "said"),
     [
-        (["--ros2-commands"], "", "--ros2-commands: only with --ros2"),
         (["--ros2", "nope"], "", "--ros2 nope: no such network interface; there are lo"),
+        (["--ros2", "lo", "commands", "lo"], "", "lo commands lo: one network interface at most"),
         (["--ros2"], "233", "ROS_DOMAIN_ID=233: expected a whole number from 0 to 232"),
         (["--ros2"], "two", "ROS_DOMAIN_ID=two: expected a whole number"),
         (["--ros2", "--role", "operator"], "", "--ros2: give it to the robot's machine"),
@@ -84,7 +87,55 @@ def test_a_package_that_cannot_be_had_is_named(monkeypatch: pytest.MonkeyPatch) 
         raise CliError("pip failed")
 
     monkeypatch.setattr(provision, "need_dds", fail)
-    options = argparse.Namespace(ros2="lo", ros2_commands=False)
     with pytest.raises(CliError, match="--ros2: pip failed") as caught:
-        ros2_gateway.parameters(options)
+        ros2_gateway.parameters([])
     assert caught.value.code == 2
+
+
+def parsed(command: ModuleType, *words: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser, "")
+    return parser.parse_args(words)
+
+
+def gateway(plan: SystemPlan) -> system.Node | None:
+    return next((node for node in system.nodes(plan) if node.name == system.GATEWAY), None)
+
+
+def test_a_teleoperation_has_a_gateway() -> None:
+    assert gateway(teleop._plan(parsed(teleop, "sim_ur5e"))) is None
+    node = gateway(teleop._plan(parsed(teleop, "sim_ur5e", "--ros2", "commands")))
+    assert node is not None and not node.essential
+    assert (node.params["commands"], node.params["mode"]) == (True, "freerun")
+
+
+def test_a_system_that_runs_gets_none_from_a_teleoperation(monkeypatch: pytest.MonkeyPatch) -> None:
+    there = running.System(11311, 1, 1, "up", "sim_ur5e", "logs")
+    monkeypatch.setattr(running, "systems", lambda *port: [there])
+    with pytest.raises(
+        CliError, match=r"start that system with it: \./surg up CELL --ros2"
+    ) as caught:
+        teleop.main(parsed(teleop, "sim_ur5e", "--ros2"), "teleop")
+    assert caught.value.code == 2
+
+
+def test_every_episode_of_a_run_has_a_gateway_that_looks_on(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    class Played(Exception):
+        pass
+
+    def play(plan: SystemPlan, *more: object) -> None:
+        raise Played(gateway(plan))
+
+    monkeypatch.setattr(run, "_play_all", play)
+    for words, mode in ((["--ros2"], "lockstep"), ([], "")):
+        with pytest.raises(Played) as caught:
+            run.main(parsed(run, "bgr", "--out", str(tmp_path / f"o{mode}"), *words), "run")
+        (node,) = caught.value.args
+        assert (node.params["mode"], node.params["commands"]) == (mode, False) if mode else not node
+    with pytest.raises(
+        CliError, match=r"--ros2 commands: only with \./surg up and teleop"
+    ) as refused:
+        run.main(parsed(run, "bgr", "--out", str(tmp_path / "x"), "--ros2", "commands"), "run")
+    assert refused.value.code == 2

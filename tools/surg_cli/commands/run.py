@@ -12,6 +12,7 @@ from surg_cli.graph import (
     episode_plans,
     episode_process,
     policy_program,
+    ros2_gateway,
     task_episode,
 )
 from surg_cli.graph.episode_plans import VIEWS, Condition
@@ -64,6 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         "trocar",
     )
     add("--free-run", action="store_true", help="with --policy: in real time, not in lock-step")
+    ros2_gateway.add_arguments(parser)
 
 
 def main(options: argparse.Namespace, command: str) -> int:
@@ -87,7 +89,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     )
     if options.free_run:
         plan = replace(plan, lockstep=False, run_info={**plan.run_info, "timing": "freerun"})
-    plan = replace(plan, record_quality=video_quality(options))
+    plan = replace(plan, record_quality=video_quality(options), ros2=_gateway(options.ros2))
     out.mkdir(parents=True, exist_ok=True)
     count = len(conditions) * options.episodes
     say(
@@ -134,6 +136,17 @@ def _policy(options: argparse.Namespace) -> Policy | None:
     return None
 
 
+def _gateway(words: list[str] | None) -> dict[str, object] | None:
+    """The gateway to ROS 2, which only looks on: who commands here is known beforehand."""
+    found = ros2_gateway.parameters(words)
+    if found is not None and found["commands"]:
+        word = ros2_gateway.COMMANDS
+        raise CliError(
+            f"--ros2 {word}: only with ./surg up and teleop; here the task's senders play", 2
+        )
+    return found
+
+
 # --- playing ------------------------------------------------------------------------------------
 
 
@@ -165,7 +178,7 @@ def _play(plan: SystemPlan, index: int, count: int, progress: Progress) -> dict[
         lines = ended.reason.splitlines() or [""]
         why = "" if ended.success else f": {' '.join(dict.fromkeys((lines[0], lines[-1])))}"
         say(f"  {which}: {ended.outcome}{why}")
-    if warning := (ended.policy or {}).get("warning"):
+    for warning in filter(None, ((ended.policy or {}).get("warning"), ended.warning)):
         warn(f"surg: {which}: {warning}")
     return entry
 

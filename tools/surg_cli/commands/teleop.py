@@ -22,6 +22,7 @@ from surg_cli.graph import (
     operator_nodes,
     processes,
     roles,
+    ros2_gateway,
     running,
     system,
 )
@@ -61,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     )
     add("--out", type=Path, metavar="DIR", help="folder of the episodes (runs/<UTC time>)")
     add("--port", type=tcp_port, default=master.DEFAULT_PORT, metavar="P", help="of the ROS master")
+    ros2_gateway.add_arguments(parser)
     web = parser.add_argument_group("access to the page (docs/guide/console.md)")
     add = web.add_argument
     add(
@@ -84,8 +86,9 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 def main(options: argparse.Namespace, command: str) -> int:
     """Check, start or attach, print the address, wait."""
     attached = next((s for s in running.systems() if s.port == options.port), None)
-    if attached is not None and (options.cameras.depth or options.cameras.marks):
-        asked = options.cameras.asked
+    asked = options.cameras.asked if options.cameras.depth or options.cameras.marks else ""
+    asked = asked or ("--ros2" if options.ros2 is not None else "")
+    if attached is not None and asked:
         raise CliError(
             f"{asked}: port {options.port}: {attached.command} of {attached.cell} runs there; "
             f"omit {asked}, or start that system with it: ./surg up CELL {asked}",
@@ -209,6 +212,7 @@ def _plan(options: argparse.Namespace) -> SystemPlan:
         out=paths.run_folder(options.out),
         task="" if task == "none" else task,
         setting=options.setting if task != "none" else "",
+        ros2=ros2_gateway.parameters(options.ros2),
         run_info={
             "task": "teleop" if task == "none" else task,
             "cell": str(cell),

@@ -117,7 +117,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         record_topics=recorded[0],
         record_cameras=recorded[1],
         record_quality=video_quality(options),
-        ros2=ros2_gateway.parameters(options),
+        ros2=ros2_gateway.parameters(options.ros2),
         run_info={"task": "up", "cell": str(cell)},
     )
     if options.print:

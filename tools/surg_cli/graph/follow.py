@@ -124,9 +124,16 @@ def pass_on_news(watch: Watch, entry: running.System | None) -> None:
 def warn_of_ended(supervisor: processes.Supervisor, told: set[str]) -> None:
     """Print once for each node that may end that it has failed; ``told`` holds their names."""
     for child in supervisor.children:
-        if not child.essential and child.exit_code not in (None, 0) and child.name not in told:
+        if child.name not in told and (text := failed_alone(child)):
             told.add(child.name)
-            warn(f"{child.name} ended ({child.exit_code}), the rest runs on: {child.log_tail(1)}")
+            warn(text)
+
+
+def failed_alone(child: processes.Child) -> str:
+    """What to say of a node that may end and has failed; empty: it has not."""
+    if child.essential or child.exit_code in (None, 0):
+        return ""
+    return f"{child.name} ended ({child.exit_code}), the rest runs on: {child.log_tail(1)}"
 
 
 def keep(watch: Watch, supervisor: processes.Supervisor, entry: running.System | None) -> NoReturn:

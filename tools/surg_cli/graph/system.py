@@ -20,6 +20,7 @@ from surg_cli.host import paths, provision
 from surg_cli.host.terminal import CliError
 
 EYES = "eyes"
+GATEWAY = "/ros2"
 POLICY = "policy"
 CAMERA_START_S = 180.0
 """[s] Lock-step: longest wait for everybody where a camera is drawn, which on a machine that has
@@ -133,7 +134,7 @@ def gateways(plan: SystemPlan) -> list[Node]:
         return []
     params: dict[str, object] = {**plan.ros2, "mode": plan.mode}
     made = ("surg_ros2", "ros2_gateway_node.py", params)
-    return [Node("/ros2", *made, essential=False, prompt=not plan.lockstep)]
+    return [Node(GATEWAY, *made, essential=False, prompt=not plan.lockstep)]
 
 
 def force_nodes(plan: SystemPlan) -> list[Node]:

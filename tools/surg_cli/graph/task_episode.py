@@ -12,7 +12,7 @@ import math
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +51,7 @@ class Ended:
     # the last `/policy/status` as `policy_record`; None without one
     policy: dict[str, Any] | None = None
     outcome: str = verdicts.ABORTED  # as `verdicts` defines it
+    warning: str = ""  # of the gateway to ROS 2, if it has failed
 
 
 def write_plan(plan: SystemPlan) -> None:
@@ -87,7 +88,9 @@ def play(plan: SystemPlan) -> Ended:
             for node in [*system.nodes(plan), *system.senders(plan)]:
                 system.start(supervisor, node)
             entry.list_nodes(supervisor.children)
-            return _follow(plan, supervisor, watch)
+            ended = _follow(plan, supervisor, watch)
+            gateways = [each for each in supervisor.children if each.name == system.GATEWAY]
+            return replace(ended, warning="".join(map(follow.failed_alone, gateways)))
 
 
 def _follow(plan: SystemPlan, supervisor: processes.Supervisor, watch: Watch) -> Ended:

@@ -44,10 +44,16 @@ from surg_ros2.bridged_topics import NAMES, Quality
 LOOPBACK = "lo"
 _CONFIG = """<CycloneDDS><Domain>
 <General><Interfaces><NetworkInterface name="{interface}" multicast="{multicast}"/></Interfaces>
-</General>
+<AllowMulticast>{allow}</AllowMulticast></General>
+<Discovery><ParticipantIndex>auto</ParticipantIndex></Discovery>
 <Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>
 </Domain></CycloneDDS>"""
-"""1.15 is Fast DDS: Cyclone cannot read its descriptions of nested types, and would not match."""
+"""1.15 is Fast DDS: Cyclone cannot read its descriptions of nested types, and would not match.
+
+A number of its own (ParticipantIndex) is where a peer without multicast looks for this process. On
+loopback only greetings are multicast: a peer that uses another interface of this machine would send
+the rest to us there, where we do not listen.
+"""
 _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 _GATEWAY = b"surg_ros2="
 """A gateway's user data begins with it; its time of start follows."""
@@ -119,10 +125,11 @@ class Port:
                 f"no network interface {interface!r}; there are {', '.join(known)}; without a name "
                 f"--ros2 uses {LOOPBACK}, this machine alone"
             )
-        multicast = "true" if interface == LOOPBACK else "default"
+        here = interface == LOOPBACK
+        multicast, allow = ("true", "spdp") if here else ("default", "default")
         self._note = b"" if started is None else _GATEWAY + b"%020d" % started
         try:
-            config = _CONFIG.format(interface=interface, multicast=multicast)
+            config = _CONFIG.format(interface=interface, multicast=multicast, allow=allow)
             self._domain = Domain(domain, config)
             self._participant = DomainParticipant(domain, Qos(Policy.Userdata(self._note)))
         except DDSException as error:

@@ -33,7 +33,17 @@ class Outgoing:
             kind = as_bytes(message_class(self._kind))
             keys = {"queue_size": 10, "tcp_nodelay": True, "buff_size": 1 << 22}
             self._subscriber = rospy.Subscriber(self._topic, kind, self._pass_on, **keys)
-        elif not wanted and self._subscriber is not None:
+        elif not wanted:
+            self._unsubscribe()
+
+    def appeared(self, topic: str) -> None:
+        """The graph has this topic itself now: nothing is converted any more."""
+        if self._convert is not None:
+            self._unsubscribe()
+            self._kind, self._topic, self._convert = self._convert.sent("")[0], topic, None
+
+    def _unsubscribe(self) -> None:
+        if self._subscriber is not None:
             self._subscriber.unregister()
             self._subscriber = None
 

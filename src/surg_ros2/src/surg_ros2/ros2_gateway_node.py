@@ -25,7 +25,6 @@ from surg_ros2.bridged_topics import IMPLEMENTATIONS, LARGEST_DOMAIN, OURS, NotB
 from surg_ros2.incoming_node import Incoming
 from surg_ros2.outgoing_node import Compressed, Outgoing
 from surg_ros2.ros2_caller_node import forked
-from surg_ros2.ros2_services_node import run as serve
 
 LOOK = 0.1
 """[s] Between two looks at who has come and gone in DDS."""
@@ -94,6 +93,8 @@ class Gateway:
 
     def _serve(self) -> Connection:
         """Start the child process of the services; it ends when this end of the pipe does."""
+        from surg_ros2.ros2_services_node import run as serve  # it needs DDS: main says so first
+
         ours, theirs = multiprocessing.Pipe()
         of = self._settings
         words = (self._topics, of.implementation, of.domain, of.interface, theirs)
@@ -114,8 +115,11 @@ class Gateway:
         except (OSError, rosgraph.MasterException):
             return  # it comes back, or `./surg up` ends
         there = {topic for topic, nodes in published if set(nodes) - {OURS}}
-        for topic in sorted(there - set(self._out)):
-            self._guarded(topic, self._offer, kinds.get(topic, "*"), there)
+        for topic in sorted(there):
+            if (offered := self._out.get(topic)) is not None:
+                offered.appeared(topic)
+            elif topic not in self._out:
+                self._guarded(topic, self._offer, kinds.get(topic, "*"), there)
         for topic, nodes in subscribed:
             if set(nodes) - {OURS}:
                 self._guarded(topic, self._accept, kinds.get(topic, "*"))

@@ -1,4 +1,4 @@
-"""`./surg dev topics`: compare a running graph with topics.yaml, of which topics.md is made."""
+"""`./surg dev topics`: compare a running graph with topics.yaml, and make topics.md of that."""
 
 from __future__ import annotations
 
@@ -23,12 +23,11 @@ _UP_S = 30.0
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
-    """Declare the options."""
-    parser.add_argument("--write", action="store_true", help="write docs/reference/topics.md")
+    """There are no options."""
 
 
 def main(options: argparse.Namespace, command: str) -> int:
-    """Start the reference graph, compare, and check or write the page."""
+    """Start the reference graph, compare, and write the page."""
     contract = load()
     with reference_graph(contract) as seen:
         wrong = compare(contract, seen, ARM, NODES, lockstep=False)
@@ -37,13 +36,10 @@ def main(options: argparse.Namespace, command: str) -> int:
     if wrong:
         return 1
     name, page = PAGE.relative_to(paths.ROOT), render(contract)
-    if options.write:
-        PAGE.write_text(page, "utf-8")
-        say(f"wrote {name}")
-        return 0
     same = PAGE.exists() and PAGE.read_text("utf-8") == page
-    say(f"{name} is up to date" if same else f"{name} is out of date; --write renews it")
-    return 0 if same else 1
+    PAGE.write_text(page, "utf-8")
+    say(f"{name} is up to date" if same else f"wrote {name}")
+    return 0
 
 
 @contextlib.contextmanager

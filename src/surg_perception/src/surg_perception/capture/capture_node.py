@@ -52,13 +52,11 @@ class EyeTopics:
     def __init__(self, eye: str, lens: Lens | None) -> None:
         self._eye, self._lens = eye, lens
         self._info: CameraInfo | None = None
-        root = f"/endoscope/{eye}"
+        root = self._root = f"/endoscope/{eye}"
         self._image = rospy.Publisher(
             f"{root}/image_raw", Image, queue_size=QUEUE, tcp_nodelay=True
         )
-        self._compressed = rospy.Publisher(
-            f"{root}/image_raw/compressed", CompressedImage, queue_size=QUEUE, tcp_nodelay=True
-        )
+        self._compressed: rospy.Publisher | None = None  # a topic that stays silent is none
         self._camera_info = rospy.Publisher(
             f"{root}/camera_info", CameraInfo, queue_size=QUEUE, latch=True
         )
@@ -77,6 +75,11 @@ class EyeTopics:
         if jpeg:
             coded = CompressedImage(format="jpeg", data=jpeg)
             coded.header = self._info.header
+            if self._compressed is None:
+                name = f"{self._root}/image_raw/compressed"
+                self._compressed = rospy.Publisher(
+                    name, CompressedImage, queue_size=QUEUE, tcp_nodelay=True
+                )
             self._compressed.publish(coded)
         self._camera_info.publish(self._info)
         return problem

@@ -1,0 +1,145 @@
+"""Three machines on one switch: robot and endoscope with ROS 1, the operator with ROS 2 alone."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from PIL import Image
+from sensor_msgs.msg import CompressedImage
+
+from crtk_msgs.msg import OperatingState, StringStamped
+from helpers import endoscope_files
+from helpers.graph.surg import argv, environment
+from helpers.machines.machines import Machines, on_a_switch
+from helpers.perception import recorded_pairs
+from helpers.ros2 import drawn_messages as drawn
+from surg_cli.graph.processes import wait_until
+from surg_cli.host import paths
+from surg_ros2.cdr import Codec
+from surg_ros2.message_types_node import fields
+
+pytest.importorskip("cyclonedds", reason="missing: ./surg dev setup --all installs cyclonedds")
+pytestmark = pytest.mark.ros
+
+PORT = 11378  # namespaces have ports of their own
+DOMAIN = "7"
+UP_S, WAIT_S = 120.0, 90.0
+SIZE = (320, 240)
+"""[pixels] Of an eye."""
+STATE, LINK, PICTURE = (
+    "/PSM1/operating_state",
+    "/PSM1/robot/measured_js",
+    "/endoscope/left/image_raw",
+)
+HEAR = (
+    f"{STATE}!=crtk_msgs/OperatingState",
+    f"{LINK}=sensor_msgs/JointState",
+    f"{PICTURE}/compressed?=sensor_msgs/CompressedImage",
+)
+PEER = paths.ROOT / "tests" / "helpers" / "ros2" / "peer.py"
+
+
+@pytest.fixture
+def machines() -> Iterator[Machines]:
+    try:
+        with on_a_switch("robot", "operator", "endoscope") as found:
+            yield found
+    except PermissionError as error:
+        pytest.skip(f"network namespaces are not permitted here: {error}")
+
+
+@pytest.fixture
+def cell(machines: Machines, tmp_path: Path) -> Path:
+    """A simulated arm, and an endoscope that plays a file on a machine of its own."""
+    folder = endoscope_files.copied_cell(tmp_path, "sim_ur5e")
+    recorded_pairs.side_by_side(folder / "pairs.mp4", 60, *SIZE)
+    content = yaml.safe_load((folder / "cell.yaml").read_text("utf-8"))
+    content.update(network="isolated", machines=dict(machines.addresses))
+    content["endoscope"] = {"source": "file:pairs.mp4?loop", "layout": "sbs"}
+    (folder / "cell.yaml").write_text(yaml.safe_dump(content, sort_keys=False), "utf-8")
+    return folder
+
+
+@contextlib.contextmanager
+def running(
+    machines: Machines, machine: str, log: Path, words: list[str], env: dict[str, str]
+) -> Iterator[subprocess.Popen[bytes]]:
+    """A program on a machine, ended as Ctrl-C does."""
+    with log.open("wb") as stream:
+        process = subprocess.Popen(
+            machines.on(machine, *words),
+            env=env,
+            cwd=paths.ROOT,
+            stdout=stream,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+        )
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(30)
+        except subprocess.TimeoutExpired:
+            process.kill()
+        print(f"-- {machine}\n{log.read_text('utf-8', 'replace')[-2000:]}")
+
+
+def test_the_operator_sees_the_other_machines_and_enables_the_arm(
+    machines: Machines, cell: Path, tmp_path: Path
+) -> None:
+    """What the operator hears and says goes over DDS: its machine has no node of ROS 1."""
+    logs = {name: tmp_path / f"{name}.log" for name in machines.names}
+    command = drawn.cdr("crtk_msgs/StringStamped", StringStamped(string="enable")).hex()
+    interface = machines.interfaces
+    up = ["--port", str(PORT), "--role"]
+    robot = argv("up", cell, *up, "robot", "--ros2", interface["robot"], "commands")
+    scope = argv("up", cell, *up, "endoscope")
+    say = ["operator", "/PSM1/state_command", "crtk_msgs/StringStamped", "0.2", command]
+    hand = [sys.executable, str(PEER), DOMAIN, *say, *HEAR]
+    env = {**environment(), "ROS_DOMAIN_ID": DOMAIN, "PEER_INTERFACE": interface["operator"]}
+    env.pop("ROS_MASTER_URI", None)
+
+    def said(machine: str, text: str) -> bool:
+        return text in logs[machine].read_text("utf-8", "replace")
+
+    with running(machines, "robot", logs["robot"], robot, env) as process:
+        assert wait_until(lambda: process.poll() is not None or said("robot", "is up:"), UP_S)
+        with (
+            running(machines, "endoscope", logs["endoscope"], scope, env),
+            running(machines, "operator", logs["operator"], hand, env),
+        ):
+            found: dict[str, bytes] = {}
+
+            def all_heard() -> bool:
+                found.update(heard(logs["operator"]))
+                state = message(OperatingState, found.get(STATE))
+                return len(found) == len(HEAR) and state is not None and state.state == "ENABLED"
+
+            assert wait_until(all_heard, WAIT_S), sorted(found)
+            assert process.poll() is None
+    picture = message(CompressedImage, found[f"{PICTURE}/compressed"])
+    assert Image.open(io.BytesIO(picture.data)).size == SIZE
+
+
+def heard(log: Path) -> dict[str, bytes]:
+    """The newest whole sample of each topic."""
+    lines = log.read_text("utf-8", "replace").splitlines()[:-1]
+    pairs = [line.split() for line in lines if line.startswith("/")]
+    return {topic: bytes.fromhex(text) for topic, text in pairs}
+
+
+def message(kind: type, sample: bytes | None) -> Any:
+    """A sample as a message of ROS 1."""
+    if sample is None:
+        return None
+    return kind().deserialize(Codec(kind._type, fields).to_ros1(sample))
