@@ -32,7 +32,7 @@ LEAST = 0.5
 """Part of them that must have got as far as a node of ROS 1."""
 DRIVERS = 50
 """Processes that drive an arm and are killed, one after another."""
-HOLD_S = 0.11
+HOLD_S = 0.15
 """[s] `servo_timeout`, and what a busy machine adds."""
 REST_S = 0.5
 """[s] Of rest, after which the arm is free (F26)."""
