@@ -121,7 +121,8 @@ void WristMotion::advance(double dt) {
   if (!exists_ || !(dt > 0)) return;
   const WristJoints before = set();
   step(dt);
-  // A filter overshoots and a stop takes its way: the drive stays at its end, so the set-point does.
+  // A filter overshoots and a stop takes its way: the drive stays at its end, so the set-point
+  // does.
   for (int i = 0; i < kJoints; ++i) {
     const double end = nearest(set())[i];
     const bool was_inside = before[i] >= config_.min[i] && before[i] <= config_.max[i];
