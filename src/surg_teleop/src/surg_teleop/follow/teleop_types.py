@@ -131,7 +131,9 @@ class TeleopSettings:
 
     def wrist_of(self, arm: ArmView) -> WristRange | None:
         """Kinematics of the arm's wrist; None: the instrument is straight."""
-        return self.wrist and WristRange(self.wrist, arm.wrist_turn, self.roll_max)
+        if self.wrist is None:
+            return None
+        return WristRange(self.wrist, arm.wrist_turn, self.roll_max)
 
 
 @dataclass(frozen=True)

@@ -73,8 +73,10 @@ class WristedTarget(TargetPose):
         ahead = self.wanted - arm.p_set
         if not float(np.linalg.norm(ahead + step)) <= max(LEAD, float(np.linalg.norm(ahead))):
             step = np.zeros(3)
-        own = rate.tilt is None
-        omega = self._tool()[:, 2] * rate.roll if own else R_RV @ [*rate.tilt, rate.roll]
+        if rate.tilt is None:
+            omega = self._tool()[:, 2] * rate.roll
+        else:
+            omega = R_RV @ np.append(rate.tilt, rate.roll)
         turn = factor * dt * omega * rolls
         size, longest = float(np.linalg.norm(turn)), self._limits.roll_velocity * dt
         if size > longest:
