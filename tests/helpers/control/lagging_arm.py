@@ -127,6 +127,7 @@ def view_of(
     """What a sender sees of a cycle; ``names`` are the senders', by number."""
     R_BR = np.asarray(controller.X_BR)[:3, :3]
     holder = (names or {}).get(out.source, "")
+    wrist = out.wrist
     return ArmView(
         stamp_ns=tick * TICK_NS,
         state=ArmState(int(out.state)),
@@ -145,6 +146,8 @@ def view_of(
         stream=holder if out.motion == surg_core.Motion.SERVO_CP else "",
         R_WB=np.asarray(arm.X_WB)[:3, :3],
         received=tick * TICK,
+        q_RSet=None if wrist is None else surg_core.matrix_to_quaternion_xyzw(wrist.R_RSet),
+        wrist_turn=0.0 if wrist is None else wrist.turn,
     )
 
 

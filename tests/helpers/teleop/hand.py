@@ -43,6 +43,7 @@ class Hand:
     v: np.ndarray = field(default_factory=lambda: np.zeros(3))
     roll_rate: float = 0.0
     spherical: np.ndarray | None = None
+    tilt: np.ndarray | None = None
     grip: float | None = 0.0
     buttons: set[str] = field(default_factory=set)
     offers: frozenset[ControlMode] = frozenset(ControlMode)
@@ -67,7 +68,7 @@ class Hand:
                 stamp=now,
                 pose=HandlePose(p, self.R) if ControlMode.POSITION in self.offers else None,
                 rate=(
-                    HandRate(self.v, self.roll_rate, self.spherical)
+                    HandRate(self.v, self.roll_rate, self.spherical, self.tilt)
                     if ControlMode.RATE in self.offers
                     else None
                 ),

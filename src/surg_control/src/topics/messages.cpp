@@ -72,6 +72,9 @@ void encode_cycle(const CycleRecord& record, const std::string& frame, const Sou
   copy3(out.p_set, message.p_set);
   copy3(out.v_set, message.v_set);
   message.roll_set = out.roll_set;
+  const Eigen::Quaterniond& q_RSet = record.q_RSet;
+  message.q_set = {q_RSet.x(), q_RSet.y(), q_RSet.z(), q_RSet.w()};
+  message.wrist_turn = out.wrist.turn;
   message.jaw_set = out.jaw_set;
   message.jaw = out.jaw;
   message.scale = out.scale;

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from surg_core._core import State as ArmState
 from surg_core._core import reason_name
 from surg_core.contract import POSITION_STREAMS
-from surg_core.transforms import tip_quaternion, virtual_joints
+from surg_core.transforms import matrix_to_quaternion_xyzw, tip_quaternion, virtual_joints
 
 if TYPE_CHECKING:
     from surg_core._core import Outputs
@@ -59,6 +59,9 @@ class ArmView:
         p_BSample: (3,) newest sample of the stream of poses that the arm obeys [m]; None: it obeys
             none.
         roll_sample: Its roll [rad].
+        q_RSet: (4,) orientation x, y, z, w of the tool frame's set-point in the trocar frame; None:
+            the source does not report it.
+        wrist_turn: Turn of the wrist's pitch axis about the shaft [rad]; see ``WristGeometry``.
     """
 
     stamp_ns: int
@@ -84,10 +87,13 @@ class ArmView:
     received: float = 0.0
     p_BSample: Array | None = None
     roll_sample: float = 0.0
+    q_RSet: Array | None = None
+    wrist_turn: float = 0.0
 
     @classmethod
     def of(cls, out: Outputs, R_BR: Array | None = None) -> ArmView:
         """The view of a controller in this process, which does not report ``R_BR`` (3, 3)."""
+        wrist = out.wrist
         return cls(
             stamp_ns=0,
             state=out.state,
@@ -108,6 +114,8 @@ class ArmView:
             p_BSample=np.array(out.p_goal) if int(out.motion) in POSITION_STREAMS else None,
             roll_sample=out.roll_goal,
             R_BR=R_BR,
+            q_RSet=None if wrist is None else matrix_to_quaternion_xyzw(wrist.R_RSet),
+            wrist_turn=0.0 if wrist is None else wrist.turn,
         )
 
     @property
@@ -173,19 +181,23 @@ class TipPose:
     Attributes:
         p: (3,) tip in R [m], not above the trocar.
         roll: Absolute roll about the shaft [rad].
+        R_RTip: (3, 3) orientation of the tool frame behind a wrist; None: along the shaft.
     """
 
     p: Array
     roll: float
+    R_RTip: Array | None = None
 
     @cached_property
     def q(self) -> Array:
-        """(4,) orientation x, y, z, w: minimal rotation (z to p) · Rz(roll)."""
+        """(4,) orientation x, y, z, w; along the shaft minimal rotation (z to p) · Rz(roll)."""
+        if self.R_RTip is not None:
+            return matrix_to_quaternion_xyzw(self.R_RTip)
         return tip_quaternion(self.p, self.roll)
 
     @cached_property
     def joints(self) -> Array:
-        """(4,) the same as yaw, pitch [rad], insertion [m], roll [rad].
+        """(4,) without a wrist the same as yaw, pitch [rad], insertion [m], roll [rad].
 
         The shaft is s = (sin yaw cos pitch, sin pitch, cos yaw cos pitch).
         """

@@ -119,6 +119,18 @@ void WristMotion::begin_cycle(double period, double rest) {
 
 void WristMotion::advance(double dt) {
   if (!exists_ || !(dt > 0)) return;
+  const WristJoints before = set();
+  step(dt);
+  // A filter overshoots and a stop takes its way: the drive stays at its end, so the set-point
+  // does.
+  for (int i = 0; i < kJoints; ++i) {
+    const double end = nearest(set())[i];
+    const bool was_inside = before[i] >= config_.min[i] && before[i] <= config_.max[i];
+    if (was_inside && dofs_[i].x != end) dofs_[i] = {end, 0, 0};
+  }
+}
+
+void WristMotion::step(double dt) {
   switch (mode_) {
     case Mode::kRest:
       return;

@@ -118,6 +118,8 @@ def arm_view(cycle: Cycle, R_WB: Array | None = None, received: float = 0.0) -> 
         received=received,
         p_BSample=np.array(cycle.p_goal) if cycle.command in POSITION_STREAMS else None,
         roll_sample=cycle.roll_goal,
+        q_RSet=np.array(cycle.q_set),
+        wrist_turn=cycle.wrist_turn,
     )
 
 

@@ -63,11 +63,13 @@ def pose_message(pose: HandlePose) -> PoseStamped:
 
 
 def rate_message(rate: HandRate) -> TwistStamped:
-    """A hand's rate in V; the roll is the angular velocity about z."""
+    """A hand's rate in V; the roll is the angular velocity about z, the tilt that about x and y."""
     message = TwistStamped()
     v = message.twist.linear
     v.x, v.y, v.z = rate.v_V.tolist()
     message.twist.angular.z = rate.roll
+    if rate.tilt is not None:
+        message.twist.angular.x, message.twist.angular.y = rate.tilt.tolist()
     return message
 
 

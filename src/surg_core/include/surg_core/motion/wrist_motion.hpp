@@ -62,6 +62,7 @@ class WristMotion {
 
   DofLimits limits() const;
   void restart_filters();
+  void step(double dt);
   void advance_velocity(double dt);
   void advance_stopping(double dt);
 

@@ -61,11 +61,14 @@ class HandRate:
             patient.
         spherical: None, or (3,) rates of yaw, pitch [rad/s] and insertion [m/s] of the virtual
             joints, the paper's spherical mode; v_V is then ignored.
+        tilt: None, or (2,) rates about x and y of V [rad/s]. They turn a wristed tip only, with the
+            roll about z of V; without them the roll is about the tool's own axis.
     """
 
     v_V: Array
     roll: float = 0.0
     spherical: Array | None = None
+    tilt: Array | None = None
 
     def finite(self) -> bool:
         """Whether every number is finite."""
@@ -73,6 +76,7 @@ class HandRate:
             _is_vector(self.v_V)
             and math.isfinite(self.roll)
             and (self.spherical is None or _is_vector(self.spherical))
+            and (self.tilt is None or math.isfinite(float(self.tilt.sum())))
         )
 
 

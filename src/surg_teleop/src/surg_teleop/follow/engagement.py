@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from surg_core.arm_view import ArmCommands, ArmView, TipPose
 from surg_core.hand.leader_sample import LeaderSample
 from surg_teleop.follow.jaw_follower import JawFollower
@@ -14,12 +12,14 @@ from surg_teleop.follow.teleop_types import (
     DEFAULT_SCALE,
     GRACE,
     MAX_LAG,
+    MAX_TURN_LAG,
     Array,
     ControlMode,
     Notice,
     Reason,
     TeleopSettings,
 )
+from surg_teleop.follow.wristed_target import WristedTarget
 
 AGAIN = "press and release the clutch, or press enable"
 """The operator's acts that start an engagement."""
@@ -42,7 +42,7 @@ class Engagement:
         self._settings, self._began = settings, now
         self._obeyed = False
         self._jaw: JawFollower | None = None
-        self._target = TargetPose(settings.workspace, settings.step, arm, sample, now)
+        self._target = _target(settings, now, sample, arm)
 
     def first_command(self) -> TipPose:
         """The set-point."""
@@ -103,10 +103,15 @@ class Engagement:
         return obeys
 
     def _check_lag(self, arm: ArmView) -> None:
-        lag = float(np.linalg.norm(self._target.wanted - arm.p_set))
-        if not lag <= MAX_LAG:  # written so that NaN lets go
-            text = f"{self._settings.arm} is {1e3 * lag:.0f} mm behind the hand"
-            raise DisengagedError(Reason.LAGGING, text)
+        lag, turned = self._target.behind(arm)
+        if lag <= MAX_LAG and turned <= MAX_TURN_LAG:  # written so that NaN lets go
+            return
+        far = (
+            f"{1e3 * lag:.0f} mm"
+            if turned <= MAX_TURN_LAG
+            else f"{math.degrees(turned):.0f} degrees"
+        )
+        raise DisengagedError(Reason.LAGGING, f"{self._settings.arm} is {far} behind the hand")
 
     def _jaw_command(self, dt: float, sample: LeaderSample, arm: ArmView) -> float | None:
         """The next jaw angle, if it changes. Many leaders have no grip before they are touched."""
@@ -121,3 +126,10 @@ class Engagement:
         before = self._jaw.angle
         angle = self._jaw.tick(sample.grip, dt)
         return angle if angle != before else None
+
+
+def _target(settings: TeleopSettings, now: float, sample: LeaderSample, arm: ArmView) -> TargetPose:
+    wrist = settings.wrist_of(arm)
+    if wrist is None:
+        return TargetPose(settings.workspace, settings.step, arm, sample, now)
+    return WristedTarget(settings.workspace, settings.step, arm, sample, now, wrist)

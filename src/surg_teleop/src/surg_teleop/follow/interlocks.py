@@ -51,9 +51,14 @@ def engagement(
 
     `since_hold`: time since the arm was told to hold [s].
     """
-    depth = float(np.linalg.norm(arm.p_set))
     if arm.busy:
         return Notice(Reason.ARM_BUSY, f"{settings.arm} is busy")
+    try:
+        wrist = settings.wrist_of(arm)
+        end = arm.p_set if wrist is None else wrist.of_arm(arm).centre
+    except ValueError as error:
+        return Notice(Reason.ARM_NOT_READY, f"{settings.arm}: {error}")
+    depth = float(np.linalg.norm(end))
     least = settings.depth_inserted
     if depth < least - RESTS_ON_IT:
         return Notice(
@@ -61,7 +66,8 @@ def engagement(
             f"the tip is {1e3 * depth:.0f} mm deep; at least {1e3 * least:.0f} mm are needed: "
             f"use {settings.arm}/rcm/insert",
         )
-    if mode is ControlMode.RATE and sample.rate is not None and not _at_rest(sample.rate):
+    rate = sample.rate if mode is ControlMode.RATE else None
+    if rate is not None and not _at_rest(rate, wristed=wrist is not None):
         return Notice(Reason.LEADER_DEFLECTED, f"{settings.leader} is deflected; release its stick")
     if since_hold < settings.quiet:
         return Notice(Reason.ARM_STOPPING, f"{settings.arm} is coming to rest")
@@ -134,8 +140,10 @@ def _node(dt: float) -> Notice | None:
     return Notice(Reason.NODE_STALLED, text)
 
 
-def _at_rest(rate: HandRate) -> bool:
+def _at_rest(rate: HandRate, wristed: bool) -> bool:
     linear, angular = float(np.linalg.norm(rate.v_V)), abs(rate.roll)
+    if wristed and rate.tilt is not None:
+        angular = max(angular, float(np.abs(rate.tilt).max()))
     if rate.spherical is not None:
         yaw, pitch, insertion = rate.spherical.tolist()
         linear, angular = abs(insertion), max(angular, abs(yaw), abs(pitch))

@@ -16,7 +16,7 @@ import numpy as np
 from surg_core import Limits
 from surg_core.arm_view import ArmView, Array, TipPose
 from surg_core.contract import SECOND_NS, TICK_NS
-from surg_core.hand.leader_sample import LeaderSample
+from surg_core.hand.leader_sample import HandRate, LeaderSample
 from surg_core.transforms import virtual_tip
 from surg_teleop.follow.hand_mapping import Mapping
 from surg_teleop.leaders.handle_roll import Handle
@@ -51,9 +51,10 @@ class StepLimits:
     roll_velocity: float  # [rad/s]
     roll_slack: float  # [rad]
     longest: float  # the step stops growing at this time since the last command [s]
+    wrist_velocity: float = 0.0  # [rad/s]
 
     @classmethod
-    def of(cls, limits: Limits) -> StepLimits:
+    def of(cls, limits: Limits, wrist_velocity: float = 0.0) -> StepLimits:
         """The steps that an arm with these limits accepts."""
         return cls(
             velocity=limits.tip_velocity,
@@ -61,15 +62,23 @@ class StepLimits:
             roll_velocity=limits.roll_velocity,
             roll_slack=limits.step_roll_slack,
             longest=limits.step_dt_max,
+            wrist_velocity=wrist_velocity,
         )
 
     def allowed(self, since: float) -> tuple[float, float]:
         """Largest step of the tip [m] and of the roll [rad], a time [s] after the last command."""
-        counted = max(0.0, min(since, self.longest) - 2.0 * TICK_NS / SECOND_NS)
+        counted = self._counted(since)
         return (
             self.velocity * counted + self.slack / 2.0,
             self.roll_velocity * counted + self.roll_slack / 2.0,
         )
+
+    def allowed_wrist(self, since: float) -> float:
+        """Largest turn of each joint of a wrist [rad], a time [s] after the last command."""
+        return self.wrist_velocity * self._counted(since) + self.roll_slack / 2.0
+
+    def _counted(self, since: float) -> float:
+        return max(0.0, min(since, self.longest) - 2.0 * TICK_NS / SECOND_NS)
 
 
 class TargetPose:
@@ -136,11 +145,7 @@ class TargetPose:
             return
         before, roll_before = self.wanted, self.roll
         if moves:
-            step = self._rate_step(rate.v_V, rate.spherical, factor * dt, R_RV)
-            longest = self._limits.velocity * dt
-            length = float(np.linalg.norm(step))
-            if length > longest:
-                step = step * (longest / length)
+            step = self._rate_step(rate, factor, dt, R_RV)
             ahead = self.wanted - arm.p_set
             if float(np.linalg.norm(ahead + step)) <= max(LEAD, float(np.linalg.norm(ahead))):
                 self._set_target(self.wanted + step)
@@ -148,6 +153,10 @@ class TargetPose:
             turn = self._limits.roll_velocity * dt
             self.roll += min(max(factor * rate.roll * dt, -turn), turn)
         self._new = self._new or self.roll != roll_before or bool((self.wanted != before).any())
+
+    def behind(self, arm: ArmView) -> tuple[float, float]:
+        """How far the arm is behind the target: its tip [m], and the turn of its tool [rad]."""
+        return float(np.linalg.norm(self.wanted - arm.p_set)), 0.0
 
     def due(self, now: float) -> bool:
         """Whether a command is due."""
@@ -171,12 +180,16 @@ class TargetPose:
     def _set_target(self, p: Array) -> None:
         self.wanted, self.wall = self._workspace.from_here(self.wanted).nearest(p)
 
-    def _rate_step(self, v_V: Array, spherical: Array | None, dt: float, R_RV: Array) -> Array:
-        if spherical is None:
-            step: Array = R_RV @ v_V * dt
-            return step
-        yaw, pitch, insertion, _ = TipPose(self.wanted, 0.0).joints + dt * np.append(spherical, 0.0)
-        return virtual_tip(yaw, pitch, insertion) - self.wanted
+    def _rate_step(self, rate: HandRate, factor: float, dt: float, R_RV: Array) -> Array:
+        """Step (3,) in the rcm frame [m] for a time [s], no faster than the arm's limit."""
+        step: Array = R_RV @ rate.v_V * (factor * dt)
+        if rate.spherical is not None:
+            moved = factor * dt * np.append(rate.spherical, 0.0)
+            yaw, pitch, insertion, _ = TipPose(self.wanted, 0.0).joints + moved
+            step = virtual_tip(yaw, pitch, insertion) - self.wanted
+        longest = self._limits.velocity * dt
+        length = float(np.linalg.norm(step))
+        return step * (longest / length) if length > longest else step
 
     def _check_jump(self, move: Array, turn: float, since: float) -> None:
         length = float(np.linalg.norm(move))

@@ -212,6 +212,7 @@ def _teleop(
     depth_inserted = limits.depth_min
     if arm == ASSISTANT:
         workspace, depth_inserted = Workspace(*ASSISTANT_RANGE), 0.0
+    wrist = None if arm == ASSISTANT else instrument.wrist
     jaw = None
     if instrument.camera is None and instrument.jaw_max > instrument.jaw_min:
         jaw = JawRange(instrument.jaw_min, instrument.jaw_max)
@@ -220,13 +221,15 @@ def _teleop(
         arm=arm,
         node=node,
         workspace=workspace,
-        step=StepLimits.of(limits),
+        step=StepLimits.of(limits, wrist.velocity if wrist else 0.0),
         depth_inserted=depth_inserted,
         quiet=model.robot.tuning.servo_timeout + 0.05,
         jaw=jaw,
         jaw_velocity=instrument.jaw_velocity if jaw else 0.0,
         mode=ControlMode(mode),
         need_present=given.of(prefix, "need_present"),
+        wrist=wrist,
+        roll_max=limits.roll_max,
     )
     teleop = Teleop(settings)
     teleop.scale = given.of(prefix, "scale") or teleop.scale

@@ -6,9 +6,11 @@ import enum
 import math
 from dataclasses import dataclass
 
+from surg_core import WristConfig
 from surg_core.arm_view import ArmCommands, ArmView, Array, JawRange
 from surg_core.hand.leader_sample import HandlePose, HandRate, LeaderSample
 from surg_teleop.follow.target_pose import StepLimits
+from surg_teleop.follow.wristed_tip import WristRange
 from surg_teleop.playback.workspace_fit import Workspace
 
 SILENCE = 0.1
@@ -23,6 +25,8 @@ GRACE = 0.15
 """[s] An arm must obey the new stream within this time."""
 MAX_LAG = 0.03
 """[m] Following ends when the arm is further behind its target."""
+MAX_TURN_LAG = 1.0
+"""[rad] The same of a wristed tool's turn. No tool can follow through its singular pose."""
 NEUTRAL = 1e-3
 """[m/s], and ten times that [rad/s]: a rate leader below this is at rest."""
 DEFAULT_SCALE = 0.2
@@ -122,6 +126,14 @@ class TeleopSettings:
     jaw_velocity: float = 3.0  # rate of the jaw once jaw and grip have met [rad/s]
     mode: ControlMode = ControlMode.POSITION  # the control mode at the start
     need_present: bool = False  # follow only while the operator is detected at the controls
+    wrist: WristConfig | None = None  # None: the instrument is straight
+    roll_max: float = math.inf  # end of a wristed instrument's roll [rad]
+
+    def wrist_of(self, arm: ArmView) -> WristRange | None:
+        """Kinematics of the arm's wrist; None: the instrument is straight."""
+        if self.wrist is None:
+            return None
+        return WristRange(self.wrist, arm.wrist_turn, self.roll_max)
 
 
 @dataclass(frozen=True)

@@ -67,10 +67,11 @@ class CrtkLeader:
     def on_rate(self, now: float, v: Array, w: Array) -> None:
         """``measured_cv``: wanted v (3,) of the tip [m/s] in the leader's axes, w (3,) [rad/s].
 
-        The part of w along the view's z is the roll.
+        The part of w along the view's z is the roll; the others tilt a wrist.
         """
         self._note_message(now)
-        self._rate = now, HandRate(self._R_VL @ v, float((self._R_VL @ w)[2]))
+        omega = self._R_VL @ w
+        self._rate = now, HandRate(self._R_VL @ v, float(omega[2]), tilt=omega[:2])
 
     def on_spherical(self, now: float, rates: Array) -> None:
         """``spherical/measured_js``: wanted rates (4,) of yaw, pitch, insertion, roll, SI."""

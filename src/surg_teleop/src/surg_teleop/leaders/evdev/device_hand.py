@@ -106,7 +106,10 @@ class Hand:
         if self.layout.spherical:
             turn = np.array([rates.get(name, 0.0) for name in ("yaw", "pitch", "insertion")])
             return HandRate(np.zeros(3), roll, turn)
-        return HandRate(np.array([rates.get(name, 0.0) for name in ("x", "y", "z")]), roll)
+        tilts = [name for name in ("tilt_x", "tilt_y") if name in self.layout.hand]
+        tilt = np.array([rates.get(name, 0.0) for name in tilts]) if len(tilts) == 2 else None
+        v_V = np.array([rates.get(name, 0.0) for name in ("x", "y", "z")])
+        return HandRate(v_V, roll, tilt=tilt)
 
     def _axis(self, axis: Axis, now: float) -> float:
         if axis.relative:

@@ -23,8 +23,10 @@ FOLDER = Path(__file__).with_name("layouts")
 ELSEWHERE = "elsewhere"
 """Value of ``dead_man``: a pedal or the console reports the operator's presence."""
 
-VIEW, SPHERICAL = ("x", "y", "z", "roll"), ("yaw", "pitch", "insertion", "roll")
+VIEW = ("x", "y", "z", "roll", "tilt_x", "tilt_y")
+SPHERICAL = ("yaw", "pitch", "insertion", "roll")
 MAX_FULL = {"x": 0.2, "y": 0.2, "z": 0.2, "insertion": 0.2, "yaw": 1.5, "pitch": 1.5, "roll": 3.0}
+MAX_FULL |= {"tilt_x": 3.0, "tilt_y": 3.0}
 """Largest speed at full deflection [m/s, rad/s]; guards against typing errors. The arm's own limits
 hold in any case."""
 MAX_DEAD_ZONE = 0.5
