@@ -14,7 +14,8 @@ from surg_recording.episode.table_columns import Field, Fields
 
 MESSAGES = paths.ROOT / "src" / "surg_msgs" / "msg"
 TABLES = {
-    "Cycle": (table_columns.CYCLE, {"header", "reason_code"}),  # reason says it in words
+    # Reason says it in words; the turn of a wristed tool is not recorded yet.
+    "Cycle": (table_columns.CYCLE, {"header", "reason_code", "q_set", "wrist_turn"}),
     "ArmTruth": (table_columns.ARM_TRUTH, {"arm"}),
     "TaskState": (table_columns.TASK_STATE, {"header", "seed", "names", "values"}),
     "ClockSync": (table_columns.CLOCK, {"header"}),
