@@ -499,6 +499,17 @@ def test_what_stalls_or_is_too_short_is_refused(tmp_path: Path) -> None:
         datasets.sample(datasets.pipeline.inspection.inspect(short, slow), slow)
 
 
+def test_a_bent_instrument_is_not_exported_as_a_straight_one(tmp_path: Path) -> None:
+    folder = datasets_synthetic.record(tmp_path / "bent", 9, 1.0, ())
+    manifest = json.loads((folder / "manifest.json").read_text())
+    arm = manifest["arms"][0]
+    tool = {"name": "wristed_grasper", "wrist": {"lag": 0.04}}
+    manifest["cell"] = {"arms": {arm: {"instrument": tool}}}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(ExportError, match=rf"bent: {arm}: .* wrist yet"):
+        export([folder], tmp_path / "out")
+
+
 def test_nothing_is_overwritten(recordings: dict[str, Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()

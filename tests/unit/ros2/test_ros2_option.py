@@ -82,6 +82,15 @@ def test_how_services_are_framed(
     assert caught.value.code == 2
 
 
+def test_a_secured_domain_is_not_joined_in_silence(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
+    with pytest.raises(CliError, match="no security plugins") as caught:
+        printed(capsys, "--ros2")
+    assert caught.value.code == 2
+
+
 def test_a_package_that_cannot_be_had_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail() -> bool:
         raise CliError("pip failed")

@@ -55,6 +55,12 @@ def parameters(words: Sequence[str] | None) -> dict[str, object] | None:
     if framing not in IMPLEMENTATIONS:
         allowed = " or ".join(IMPLEMENTATIONS)
         raise CliError(f"RMW_IMPLEMENTATION={framing}: expected {allowed}", 2)
+    if os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true":
+        raise CliError(
+            "ROS_SECURITY_ENABLE=true: the gateway's DDS has no security plugins, so it would hear "
+            "nobody; unset it here and for the ROS 2 nodes, on a network of your own",
+            2,
+        )
     try:
         provision.need_dds()
     except CliError as problem:

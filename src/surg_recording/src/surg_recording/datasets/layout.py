@@ -74,6 +74,12 @@ def layout_of(recorded: Episode, options: ExportOptions) -> Layout:
         raise EpisodeError(f"{folder}: no arm was commanded: there is no action to export")
     described = mapping(mapping(manifest.get("cell")).get("arms"))
     parts = {arm: mapping(described.get(arm)) for arm in arms}
+    bent = [arm for arm in arms if mapping(parts[arm].get("instrument")).get("wrist")]
+    if bent:
+        raise EpisodeError(
+            f"{folder}: {', '.join(bent)}: a recording does not hold the turn of an instrument's "
+            "wrist yet, so its orientations would be wrong; record with a straight instrument"
+        )
     robot_of_run = mapping(manifest.get("run")).get("robot")
     task = mapping(tables.get("task_state"))
     labelled = bool(task.get("rows"))
