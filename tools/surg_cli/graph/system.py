@@ -225,7 +225,7 @@ def model_server(plan: SystemPlan) -> Node:
 def operator_node(plan: SystemPlan) -> Node:
     """The plan's operator; one that answers late is refused for good by an arm in real time."""
     assert plan.operator is not None
-    params = {**plan.operator, "realtime": DRIVES_PRIORITY if plan.driven else 0}
+    params: dict[str, object] = {**plan.operator, "realtime": DRIVES_PRIORITY if plan.driven else 0}
     return Node(f"/{OPERATOR}", "surg_teleop", "operator_node.py", params)
 
 
