@@ -32,6 +32,8 @@ LEAST = 0.5
 """Part of them that must have got as far as a node of ROS 1."""
 DRIVERS = 50
 """Processes that drive an arm and are killed, one after another."""
+CYCLE_S = 0.002
+"""[s] Of control."""
 HOLD_S = 0.15
 """[s] `servo_timeout`, and what a busy machine adds."""
 REST_S = 0.5
@@ -56,10 +58,11 @@ class Driven:
         """Senders that were obeyed while another one held the arm."""
         self._holder, self._free = "", True
         self.silences: list[float] = []
-        """[s] From the last of them to the last cycle that waited for another."""
+        """[s] From the last of them to the last cycle that waited for another, less the time for
+        which the controller itself got no processor: nobody was silent to it then."""
         self.begun_anew = -1
         """How often it got no processor for some time, or for another reason let go."""
-        self.now, self._last, self._graph = Cycle(), 0.0, graph
+        self.now, self._last, self._late, self._graph = Cycle(), 0.0, 0.0, graph
         self._arm = Arm("PSM1", WallTime())
         keys = {"queue_size": None, "tcp_nodelay": True}
         self._ear = rospy.Subscriber("/PSM1/cycle", Cycle, self._on_cycle, **keys)
@@ -71,14 +74,15 @@ class Driven:
         before, self.now = self.now, cycle
         new = cycle.accepted - before.accepted
         now = cycle.header.stamp.to_sec()
+        self._late += max(0.0, now - before.header.stamp.to_sec() - CYCLE_S)
         self._free |= cycle.state != Cycle.ENABLED or now - self._last > REST_S
         if cycle.command == Cycle.SERVO_CP and new:
             self.obeyed[cycle.source] = self.obeyed.get(cycle.source, 0) + new
             if cycle.source != self._holder and not self._free:
                 self.crossed.append(cycle.source)
-            self._holder, self._free, self._last = cycle.source, False, now
+            self._holder, self._free, self._last, self._late = cycle.source, False, now, 0.0
         elif before.command == Cycle.SERVO_CP != cycle.command and cycle.state == Cycle.ENABLED:
-            self.silences.append(before.header.stamp.to_sec() - self._last)
+            self.silences.append(max(0.0, now - self._last - self._late - CYCLE_S))
 
     def ready(self) -> None:
         """Enable and home it if it is not."""
