@@ -146,8 +146,7 @@ class TargetPose:
         before, roll_before = self.wanted, self.roll
         if moves:
             step = self._rate_step(rate, factor, dt, R_RV)
-            ahead = self.wanted - arm.p_set
-            if float(np.linalg.norm(ahead + step)) <= max(LEAD, float(np.linalg.norm(ahead))):
+            if self._stays_near(arm, step):
                 self._set_target(self.wanted + step)
         if rolls:
             turn = self._limits.roll_velocity * dt
@@ -190,6 +189,11 @@ class TargetPose:
         longest = self._limits.velocity * dt
         length = float(np.linalg.norm(step))
         return step * (longest / length) if length > longest else step
+
+    def _stays_near(self, arm: ArmView, step: Array) -> bool:
+        """Whether a step of a rate leader leaves the target close to the arm; NaN does not."""
+        ahead = self.wanted - arm.p_set
+        return float(np.linalg.norm(ahead + step)) <= max(LEAD, float(np.linalg.norm(ahead)))
 
     def _check_jump(self, move: Array, turn: float, since: float) -> None:
         length = float(np.linalg.norm(move))

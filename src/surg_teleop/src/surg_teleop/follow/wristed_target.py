@@ -14,7 +14,7 @@ import numpy as np
 from surg_core import axis_angle_to_matrix, quaternion_xyzw_to_matrix
 from surg_core.arm_view import ArmView, Array, TipPose
 from surg_core.hand.leader_sample import LeaderSample
-from surg_teleop.follow.target_pose import LEAD, StepLimits, TargetPose
+from surg_teleop.follow.target_pose import StepLimits, TargetPose
 from surg_teleop.follow.wristed_tip import WristedTip, WristRange
 from surg_teleop.playback.workspace_fit import Workspace
 
@@ -70,8 +70,7 @@ class WristedTarget(TargetPose):
         if rate is None:
             return
         step = self._rate_step(rate, factor, dt, R_RV) * moves
-        ahead = self.wanted - arm.p_set
-        if not float(np.linalg.norm(ahead + step)) <= max(LEAD, float(np.linalg.norm(ahead))):
+        if not self._stays_near(arm, step):
             step = np.zeros(3)
         if rate.tilt is None:
             omega = self._tool()[:, 2] * rate.roll
@@ -81,15 +80,15 @@ class WristedTarget(TargetPose):
         size, longest = float(np.linalg.norm(turn)), self._limits.roll_velocity * dt
         if size > longest:
             turn = turn * (longest / size)
-        now = self.behind(arm)[1]
-        if now > LEAD_TURN and self._angle_to(arm, turn) > now:
+        ahead = self._angle_to(arm, np.zeros(3))
+        if ahead > LEAD_TURN and self._angle_to(arm, turn) > ahead:
             turn = np.zeros(3)
         if step.any() or turn.any():
             self._move(step, turn)
 
     def behind(self, arm: ArmView) -> tuple[float, float]:
         """Of tip [m] and tool [rad]."""
-        return float(np.linalg.norm(self.wanted - arm.p_set)), self._angle_to(arm, np.zeros(3))
+        return super().behind(arm)[0], self._angle_to(arm, np.zeros(3))
 
     def command(self, now: float) -> TipPose:
         """The next command: all joints go the same part of their ways."""
