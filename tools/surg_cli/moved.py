@@ -82,6 +82,7 @@ _OPTIONS = {
         "--scheduler": "--workers ADDRESS",
         "--merge": "--shard merge",
         "--split-by": "--splits hash",
+        "--dry-run": "no --out: then nothing is written",
         **dict.fromkeys(
             ("--max-image-age", "--max-gap", "--crf", "--gop", "--preset", "--keep-parts"),
             "surg_recording.datasets.ExportOptions in Python",
@@ -109,7 +110,7 @@ _OPTIONS = {
         "--model": "./surg emulate ur3e, ur5e or ur10e",
         "--seconds": "timeout S before ./surg",
         **dict.fromkeys(
-            ("--ports", "--record", "--serial", "--q", "--lock-step"),
+            ("--ports", "--record", "--serial", "--q", "--off", "--lock-step"),
             "that of python3 -m surg_emulators.ur.ur_emulator or …franka.franka_emulator",
         ),
     },

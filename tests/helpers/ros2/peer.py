@@ -3,8 +3,8 @@
 `peer.py DOMAIN NODE TOPIC TYPE PERIOD HEX LISTEN…` sends one sample on TOPIC again and again (none
 without HEX), and prints each sample that it hears on LISTEN: `topic=type`, with `!` behind the name
 of a latched one, `?` behind one of which some may be lost. In the environment: PEER_INTERFACE of
-the network (loopback without it); PEER_KILLED, as many processes do so one after another, each
-until it is killed.
+the network (loopback without it); PEER_ENCLAVE, a folder with files of DDS Security; PEER_KILLED,
+as many processes do so one after another, each until it is killed.
 """
 
 from __future__ import annotations
@@ -16,12 +16,11 @@ import struct
 import sys
 import time
 import uuid
+from pathlib import Path
 
 from surg_ros2.bridged_topics import NAMES, Quality, dds_topic, dds_type
 from surg_ros2.dds_port import LOOPBACK, Port
 
-LATER = 10**19
-"""Time of start [ns] by which this process is no gateway that has begun before."""
 DEPTH = 100
 LIVES_S = (0.3, 0.8)
 """[s] Shortest and longest life of a process that is killed."""
@@ -51,7 +50,9 @@ def main(domain: str, node: str, topic: str, kind: str, period: str, data: str, 
     """Send and hear until the process is ended."""
     if killed := os.environ.get("PEER_KILLED"):
         one_after_another(int(killed))
-    port = Port(int(domain), os.environ.get("PEER_INTERFACE", LOOPBACK), LATER)
+    enclave = os.environ.get("PEER_ENCLAVE")
+    interface = os.environ.get("PEER_INTERFACE", LOOPBACK)
+    port = Port(int(domain), interface, enclave=enclave and Path(enclave))
     names = port.writer(
         "ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_", NAMES
     )

@@ -12,6 +12,7 @@ from geometry_msgs.msg import PoseStamped
 
 from helpers.graph.ros import RosGraph
 from helpers.ros2 import drawn_messages as drawn
+from helpers.ros2 import keystore
 from helpers.ros2.dds_peers import COMMAND, POSE, Dds
 
 pytest.importorskip("cyclonedds", reason="missing: ./surg dev setup --all installs cyclonedds")
@@ -79,6 +80,7 @@ def test_another_domain_is_not_heard(
         ({"interface": "nope"}, "", "no network interface 'nope'; there are lo"),
         ({"domain": 233}, "", "~domain is 233; allowed: a whole number from 0 to 232"),
         ({"contract": "/nowhere.yaml"}, "", "/nowhere.yaml: no contract of topics"),
+        ({"enclave": "/nowhere"}, "", "/nowhere/identity_ca.cert.pem: no such file"),
         ({}, "cyclonedds", "cyclonedds"),
         ({}, "roswell", "roswell"),
     ],
@@ -93,3 +95,13 @@ def test_a_gateway_that_cannot_run_says_why(
     cure = "./surg up CELL --ros2 installs it" if missing else ""
     last = node.log_tail(1)
     assert (node.exit_code, said in last, cure in last) == (2, True, True), node.log_tail()
+
+
+def test_without_the_means_of_dds_security_it_ends(ros_graph: RosGraph, tmp_path: Path) -> None:
+    """The libddsc of PyPI has none, and no plug-ins are there for another one."""
+    enclave = keystore.enclave(keystore.authority(tmp_path / "keys"), "/gateway")
+    node = Dds(ros_graph).gateway(enclave=enclave)
+    ros_graph.wait_for(lambda: node.exit_code is not None, WAIT_S, "its end")
+    assert node.exit_code == 2
+    assert "DDS Security needs a libddsc with it (PyPI's has none)" in node.log_tail(1)
+    assert "libdds_security_auth.so" in node.log_tail(1)

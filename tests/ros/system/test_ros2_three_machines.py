@@ -102,7 +102,7 @@ def test_the_operator_sees_the_other_machines_and_enables_the_arm(
     command = drawn.cdr("crtk_msgs/StringStamped", StringStamped(string="enable")).hex()
     interface = machines.interfaces
     up = ["--port", str(PORT), "--role"]
-    robot = argv("up", cell, *up, "robot", "--ros2", interface["robot"], "commands")
+    robot = argv("up", cell, *up, "robot", "--ros2", interface["robot"], "--ros2-commands")
     scope = argv("up", cell, *up, "endoscope")
     say = ["operator", "/PSM1/state_command", "crtk_msgs/StringStamped", "0.2", command]
     hand = [sys.executable, str(PEER), DOMAIN, *say, *HEAR]

@@ -47,12 +47,13 @@ def test_export_check_and_again(
     assert "wrong: episode_0.hdf5: changed since it was written" in capsys.readouterr().err
 
 
-def test_a_dry_run_names_features_and_writes_nothing(
+def test_without_a_folder_it_names_features_and_writes_nothing(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = sorted(folder.rglob("*"))
-    assert surg_export(folder, "--dry-run") == 1
+    assert surg_export(folder) == 1
     said = capsys.readouterr()
+    assert "nothing is written: no --out" in said.out
     assert "observation.images.endoscope.left" in said.out
     assert "1 recordings, " in said.out
     assert "refused: " in said.err
@@ -88,7 +89,9 @@ def test_what_only_people_know(folder: Path, tmp_path: Path) -> None:
     ("words", "said"),
     [
         (["--out", "x"], "name recordings"),
-        (["a"], "--out"),
+        (["--check"], "--out DIR is missing"),
+        (["a", "--shard", "merge"], "--out DIR is missing"),
+        (["a", "--replace"], "--out DIR is missing"),
         (["a", "--out", "x", "--format", "cd"], "there are lerobot"),
         (["a", "--out", "x", "--fps", "0"], "--fps: 0 is not allowed; allowed: 1 to 1000"),
         (["a", "--out", "x", "--size", "641x480"], "even numbers of pixels"),

@@ -11,14 +11,20 @@ import pytest
 from surg_cli.commands import run, teleop, up
 from surg_cli.graph import ros2_gateway, running, system
 from surg_cli.graph.system_plan import SystemPlan
-from surg_cli.host import provision
+from surg_cli.host import paths, provision
 from surg_cli.host.terminal import CliError
+
+ENCLAVE = [
+    *("identity_ca.cert.pem", "cert.pem", "key.pem", "permissions_ca.cert.pem"),
+    *("governance.p7s", "permissions.p7s"),
+]
+"""What `ros2 security create_enclave` makes."""
 
 
 @pytest.fixture(autouse=True)
 def nothing_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(provision, "need_dds", lambda: False)
-    for name in ("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION"):
+    for name in ("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "ROS_SECURITY_ENABLE"):
         monkeypatch.delenv(name, raising=False)
 
 
@@ -41,8 +47,8 @@ def test_the_gateway_of_this_machine(
     for word in ("_interface:=lo", "_domain:=0", "_commands:=false", "_mode:=freerun"):
         assert word in line
     monkeypatch.setenv("ROS_DOMAIN_ID", "42")
-    (line,) = printed(capsys, "--ros2", "lo", "commands", "--lock-step", "ros2_script")
-    for word in ("_domain:=42", "_commands:=true", "_mode:=lockstep"):
+    (line,) = printed(capsys, "--ros2-commands", "--lock-step", "ros2_script")
+    for word in ("_interface:=lo", "_domain:=42", "_commands:=true", "_mode:=lockstep"):
         assert word in line
 
 
@@ -50,10 +56,11 @@ def test_the_gateway_of_this_machine(
     ("words", "domain", "said"),
     [
         (["--ros2", "nope"], "", "--ros2 nope: no such network interface; there are lo"),
-        (["--ros2", "lo", "commands", "lo"], "", "lo commands lo: one network interface at most"),
         (["--ros2"], "233", "ROS_DOMAIN_ID=233: expected a whole number from 0 to 232"),
         (["--ros2"], "two", "ROS_DOMAIN_ID=two: expected a whole number"),
+        (["--ros2", "nope", "--ros2-commands"], "", "--ros2 nope: no such network interface"),
         (["--ros2", "--role", "operator"], "", "--ros2: give it to the robot's machine"),
+        (["--ros2-commands", "--role", "operator"], "", "--ros2-commands: give it to the robot's"),
     ],
 )
 def test_what_cannot_be_is_refused(
@@ -82,13 +89,26 @@ def test_how_services_are_framed(
     assert caught.value.code == 2
 
 
-def test_a_secured_domain_is_not_joined_in_silence(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_a_secured_domain_has_all_its_files(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    def refused(said: str) -> None:
+        with pytest.raises(CliError, match=said) as caught:
+            printed(capsys, "--ros2")
+        assert caught.value.code == 2
+
+    monkeypatch.delenv("ROS_SECURITY_KEYSTORE", raising=False)
     monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
-    with pytest.raises(CliError, match="no security plugins") as caught:
-        printed(capsys, "--ros2")
-    assert caught.value.code == 2
+    refused("ROS_SECURITY_KEYSTORE must name the folder")
+    monkeypatch.setenv("ROS_SECURITY_KEYSTORE", str(tmp_path))
+    monkeypatch.setenv("ROS_SECURITY_ENCLAVE_OVERRIDE", "/robot")
+    enclave = tmp_path / "enclaves" / "robot"
+    for name in ENCLAVE:  # one after the other, in any order
+        refused("enclaves/robot/.*: no such file; `ros2 security create_enclave")
+        paths.write_text(enclave / name, "")
+    assert f"_enclave:={enclave}" in printed(capsys, "--ros2")[0]
+    monkeypatch.setenv("ROS_SECURITY_ENABLE", "false")
+    assert f"_enclave:={enclave}" not in printed(capsys, "--ros2")[0]
 
 
 def test_a_package_that_cannot_be_had_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -97,7 +117,7 @@ def test_a_package_that_cannot_be_had_is_named(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(provision, "need_dds", fail)
     with pytest.raises(CliError, match="--ros2: pip failed") as caught:
-        ros2_gateway.parameters([])
+        ros2_gateway.parameters(parsed(up, "sim_ur5e", "--ros2"))
     assert caught.value.code == 2
 
 
@@ -113,7 +133,7 @@ def gateway(plan: SystemPlan) -> system.Node | None:
 
 def test_a_teleoperation_has_a_gateway() -> None:
     assert gateway(teleop._plan(parsed(teleop, "sim_ur5e"))) is None
-    node = gateway(teleop._plan(parsed(teleop, "sim_ur5e", "--ros2", "commands")))
+    node = gateway(teleop._plan(parsed(teleop, "sim_ur5e", "--ros2-commands")))
     assert node is not None and not node.essential
     assert (node.params["commands"], node.params["mode"]) == (True, "freerun")
 
@@ -121,11 +141,11 @@ def test_a_teleoperation_has_a_gateway() -> None:
 def test_a_system_that_runs_gets_none_from_a_teleoperation(monkeypatch: pytest.MonkeyPatch) -> None:
     there = running.System(11311, 1, 1, "up", "sim_ur5e", "logs")
     monkeypatch.setattr(running, "systems", lambda *port: [there])
-    with pytest.raises(
-        CliError, match=r"start that system with it: \./surg up CELL --ros2"
-    ) as caught:
-        teleop.main(parsed(teleop, "sim_ur5e", "--ros2"), "teleop")
-    assert caught.value.code == 2
+    for word in ("--ros2", "--ros2-commands"):
+        said = rf"start that system with it: \./surg up CELL {word}$"
+        with pytest.raises(CliError, match=said) as caught:
+            teleop.main(parsed(teleop, "sim_ur5e", word), "teleop")
+        assert caught.value.code == 2
 
 
 def test_every_episode_of_a_run_has_a_gateway_that_looks_on(
@@ -143,8 +163,5 @@ def test_every_episode_of_a_run_has_a_gateway_that_looks_on(
             run.main(parsed(run, "bgr", "--out", str(tmp_path / f"o{mode}"), *words), "run")
         (node,) = caught.value.args
         assert (node.params["mode"], node.params["commands"]) == (mode, False) if mode else not node
-    with pytest.raises(
-        CliError, match=r"--ros2 commands: only with \./surg up and teleop"
-    ) as refused:
-        run.main(parsed(run, "bgr", "--out", str(tmp_path / "x"), "--ros2", "commands"), "run")
-    assert refused.value.code == 2
+    with pytest.raises(SystemExit):
+        parsed(run, "bgr", "--ros2-commands")

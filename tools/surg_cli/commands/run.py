@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         "trocar",
     )
     add("--free-run", action="store_true", help="with --policy: in real time, not in lock-step")
-    ros2_gateway.add_arguments(parser)
+    ros2_gateway.add_arguments(parser, commands=False)
 
 
 def main(options: argparse.Namespace, command: str) -> int:
@@ -89,7 +89,9 @@ def main(options: argparse.Namespace, command: str) -> int:
     )
     if options.free_run:
         plan = replace(plan, lockstep=False, run_info={**plan.run_info, "timing": "freerun"})
-    plan = replace(plan, record_quality=video_quality(options), ros2=_gateway(options.ros2))
+    plan = replace(
+        plan, record_quality=video_quality(options), ros2=ros2_gateway.parameters(options)
+    )
     out.mkdir(parents=True, exist_ok=True)
     count = len(conditions) * options.episodes
     say(
@@ -134,17 +136,6 @@ def _policy(options: argparse.Namespace) -> Policy | None:
         if getattr(options, name):
             raise CliError(f"--{name.replace('_', '-')} needs --policy", 2)
     return None
-
-
-def _gateway(words: list[str] | None) -> dict[str, object] | None:
-    """The gateway to ROS 2, which only looks on: who commands here is known beforehand."""
-    found = ros2_gateway.parameters(words)
-    if found is not None and found["commands"]:
-        word = ros2_gateway.COMMANDS
-        raise CliError(
-            f"--ros2 {word}: only with ./surg up and teleop; here the task's senders play", 2
-        )
-    return found
 
 
 # --- playing ------------------------------------------------------------------------------------

@@ -87,7 +87,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     """Check, start or attach, print the address, wait."""
     attached = next((s for s in running.systems() if s.port == options.port), None)
     asked = options.cameras.asked if options.cameras.depth or options.cameras.marks else ""
-    asked = asked or ("--ros2" if options.ros2 is not None else "")
+    asked = asked or ros2_gateway.asked(options)
     if attached is not None and asked:
         raise CliError(
             f"{asked}: port {options.port}: {attached.command} of {attached.cell} runs there; "
@@ -212,7 +212,7 @@ def _plan(options: argparse.Namespace) -> SystemPlan:
         out=paths.run_folder(options.out),
         task="" if task == "none" else task,
         setting=options.setting if task != "none" else "",
-        ros2=ros2_gateway.parameters(options.ros2),
+        ros2=ros2_gateway.parameters(options),
         run_info={
             "task": "teleop" if task == "none" else task,
             "cell": str(cell),

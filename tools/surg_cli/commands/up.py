@@ -81,8 +81,8 @@ def main(options: argparse.Namespace, command: str) -> int:
         raise CliError("--leader: only with --role operator; see ./surg teleop for one machine", 2)
     if options.port_guard and options.role is None:
         raise CliError("--port-guard: only with --role", 2)
-    if options.ros2 is not None and options.role not in (None, roles.Role.ROBOT):
-        raise CliError("--ros2: give it to the robot's machine, whose graph it publishes", 2)
+    if (ros2 := ros2_gateway.asked(options)) and options.role not in (None, roles.Role.ROBOT):
+        raise CliError(f"{ros2}: give it to the robot's machine, whose graph it publishes", 2)
     cell = cells.find(options.cell)
     loaded = cells.load(cell)
     arms = tuple(str(name) for name in loaded.arms)
@@ -117,7 +117,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         record_topics=recorded[0],
         record_cameras=recorded[1],
         record_quality=video_quality(options),
-        ros2=ros2_gateway.parameters(options.ros2),
+        ros2=ros2_gateway.parameters(options),
         run_info={"task": "up", "cell": str(cell)},
     )
     if options.print:

@@ -14,13 +14,10 @@ import struct
 import types
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 from cyclonedds._clayer import ddspy_take, ddspy_write
-from cyclonedds.builtin import (
-    BuiltinDataReader,
-    BuiltinTopicDcpsParticipant,
-    BuiltinTopicDcpsPublication,
-)
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 from cyclonedds.core import (
     DDSException,
     InstanceState,
@@ -39,6 +36,7 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
+from surg_ros2 import enclave as security
 from surg_ros2.bridged_topics import NAMES, Quality
 
 LOOPBACK = "lo"
@@ -55,8 +53,16 @@ loopback only greetings are multicast: a peer that uses another interface of thi
 the rest to us there, where we do not listen.
 """
 _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
+_CURE = (
+    "DDS Security needs a libddsc with it (PyPI's has none), the plug-ins "
+    f"{', '.join(f'lib{name}.so' for name in security.LIBRARIES.values())} on the loader's path, "
+    "and files that fit one another (docs/guide/coming_from_ros2.md)"
+)
 _GATEWAY = b"surg_ros2="
-"""A gateway's user data begins with it; its time of start follows."""
+"""With it begins the user data of a writer that a gateway has, only to be known by; its time of
+start follows. A participant's own user data would do, but for strangers in a secured domain."""
+_DISCOVERY = ("ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_")
+"""Topic on which ROS 2 tells the names of its nodes, and its type."""
 _MOST = 100  # samples that are taken at a time
 
 
@@ -113,12 +119,20 @@ class Port:
         interface: Name of the network interface; no other one is used.
         started: Time of start [ns], by which two gateways know which is the second; None: it is
             no gateway.
+        enclave: Folder with the files of DDS Security; None: whoever reaches the interface is
+            heard.
 
     Raises:
         PortError: There is no such interface, or DDS does not start.
     """
 
-    def __init__(self, domain: int, interface: str, started: int | None = None) -> None:
+    def __init__(
+        self,
+        domain: int,
+        interface: str,
+        started: int | None = None,
+        enclave: Path | None = None,
+    ) -> None:
         known = [name for _, name in socket.if_nameindex()]
         if interface not in known:
             raise PortError(
@@ -127,36 +141,45 @@ class Port:
             )
         here = interface == LOOPBACK
         multicast, allow = ("true", "spdp") if here else ("default", "default")
-        self._note = b"" if started is None else _GATEWAY + b"%020d" % started
         try:
             config = _CONFIG.format(interface=interface, multicast=multicast, allow=allow)
             self._domain = Domain(domain, config)
-            self._participant = DomainParticipant(domain, Qos(Policy.Userdata(self._note)))
+            told = {} if enclave is None else security.properties(enclave)
+            secrets = [Policy.Property(name, value) for name, value in told.items()]
+            self._participant = DomainParticipant(domain, Qos(*secrets))
         except DDSException as error:
             raise PortError(
-                f"DDS does not start in domain {domain} on {interface}: {error.msg}; ROS_DOMAIN_ID "
-                "and --ros2 INTERFACE choose others"
+                f"DDS does not start in domain {domain} on {interface}: {error.msg}; "
+                + ("ROS_DOMAIN_ID and --ros2 INTERFACE choose others" if enclave is None else _CURE)
             ) from error
         if interface == LOOPBACK:
             hold_to(interface)
         self._key = str(self._participant.guid)
         self._kinds: dict[str, type] = {}
         self._waiting = WaitSet(self._participant)
-        self._peers = BuiltinDataReader(self._participant, BuiltinTopicDcpsParticipant)
         self._writers = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
         self._seen: dict[int, RemoteWriter] = {}
+        self._changed: list[RemoteWriter] = []
+        self._earlier: set[int] = set()  # handles of other gateways' writers
         self._told: dict[str, list[str]] = {}
-        self._names = self.reader(
-            "ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_", NAMES
-        )
+        self._names = self.reader(*_DISCOVERY, NAMES)
+        self._note = b""
+        if started is not None:
+            self._note = _GATEWAY + b"%020d" % started
+            noted = Qos(Policy.Userdata(self._note), base=_qos(NAMES))
+            self._mark = DataWriter(self._participant, self._topic(*_DISCOVERY), noted)
 
     def writer(self, topic: str, kind: str, quality: Quality) -> Writer:
         """Offer a topic; names as on DDS."""
-        return Writer(DataWriter(self._participant, self._topic(topic, kind), _qos(quality)))
+        made = self._topic(topic, kind)
+        with _allowed(topic):
+            return Writer(DataWriter(self._participant, made, _qos(quality)))
 
     def reader(self, topic: str, kind: str, quality: Quality) -> Reader:
         """Subscribe to a topic; names as on DDS."""
-        made = Reader(DataReader(self._participant, self._topic(topic, kind), _qos(quality)))
+        of = self._topic(topic, kind)
+        with _allowed(topic):
+            made = Reader(DataReader(self._participant, of, _qos(quality)))
         self._waiting.attach(made.condition)
         return made
 
@@ -166,16 +189,16 @@ class Port:
 
     def first_gateway(self) -> bool:
         """Whether no other gateway of this domain has started before this one."""
-        for peer in self._peers.read(_MOST):
-            alive = peer.sample_info.valid_data and str(peer.key) != self._key
-            note = peer.qos[Policy.Userdata].data if alive and Policy.Userdata in peer.qos else b""
-            if note.startswith(_GATEWAY) and note < self._note:
-                return False
-        return True
+        self._hear()
+        return not self._earlier
 
     def changes(self) -> list[RemoteWriter]:
         """Writers of other processes that have come or gone since the last call."""
-        changed = []
+        self._hear()
+        changed, self._changed = self._changed, []
+        return changed
+
+    def _hear(self) -> None:
         for end in self._writers.take(_MOST):
             handle, process = end.sample_info.instance_handle, str(end.participant_key)
             if process == self._key:
@@ -183,10 +206,13 @@ class Port:
             if end.sample_info.instance_state == InstanceState.Alive:
                 new = RemoteWriter(handle, process, end.topic_name, end.type_name)
                 self._seen[handle] = new
-                changed.append(new)
+                self._changed.append(new)
+                note = end.qos[Policy.Userdata].data if Policy.Userdata in end.qos else b""
+                if note.startswith(_GATEWAY) and note < self._note:
+                    self._earlier.add(handle)
             elif (old := self._seen.pop(handle, None)) is not None:
-                changed.append(dataclasses.replace(old, type=""))
-        return changed
+                self._changed.append(dataclasses.replace(old, type=""))
+                self._earlier.discard(handle)
 
     def node_names(self) -> dict[str, list[str]]:
         """Full name of the first node of each ROS 2 process; call `changes` before."""
@@ -200,12 +226,23 @@ class Port:
     def _topic(self, name: str, kind: str) -> Topic:
         if kind not in self._kinds:
             self._kinds[kind] = _opaque(kind)
-        try:
+        with _allowed(f"{name} of type {kind}"):
             return Topic(self._participant, name, self._kinds[kind])
-        except DDSException as error:
-            raise PortError(
-                f"DDS does not make topic {name} of type {kind}: {error.msg}"
-            ) from error
+
+
+@contextlib.contextmanager
+def _allowed(topic: str) -> Iterator[None]:
+    """Make something of DDS for a topic.
+
+    Raises:
+        PortError: DDS does not; in a secured domain because the enclave may not.
+    """
+    try:
+        yield
+    except DDSException as error:
+        raise PortError(
+            f"DDS does not make {topic}: {error}; in a secured domain permissions.p7s must allow it"
+        ) from error
 
 
 def hold_to(interface: str) -> None:

@@ -22,6 +22,7 @@ import rospy
 from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError, flag, one_of, path, read, text, whole
 from surg_ros2.bridged_topics import IMPLEMENTATIONS, LARGEST_DOMAIN, OURS, NotBridged, Topics
+from surg_ros2.enclave import check
 from surg_ros2.incoming_node import Incoming
 from surg_ros2.outgoing_node import Compressed, Outgoing
 from surg_ros2.ros2_caller_node import forked
@@ -34,6 +35,7 @@ SETTLE = 3.0
 """[s] After the start, until another gateway of the domain is known."""
 MOST_WARNINGS = 1000
 """Different ones of a run."""
+_CYCLONE = f"RMW_IMPLEMENTATION={IMPLEMENTATIONS[1]}"
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ class Parameters:
     domain: int = whole(0, LARGEST_DOMAIN, default=0)
     commands: bool = flag(False)
     implementation: str = one_of(IMPLEMENTATIONS, default=IMPLEMENTATIONS[0])
+    enclave: Path | None = path(None)
     mode: str = one_of(("lockstep", "freerun"), default="freerun")
 
 
@@ -66,6 +69,9 @@ class Gateway:
         self._master = rosgraph.Master(rospy.get_name())
         self._warned: set[str] = set()
         self._services: Connection | None = None
+        self._serves = settings.enclave is None or settings.implementation != IMPLEMENTATIONS[0]
+        if not self._serves:
+            self._warn("services", f"none in a secured domain without {_CYCLONE}")
 
     def run(self) -> int:
         """Until the node is asked to end: 0; or another gateway is there: 2."""
@@ -77,7 +83,7 @@ class Gateway:
                 self._ask()
                 if now - begun < SETTLE and not self._port.first_gateway():
                     return second()
-                if now - begun >= SETTLE and self._services is None:
+                if now - begun >= SETTLE and self._services is None and self._serves:
                     self._services = self._serve()
             if now - looked >= LOOK:
                 looked = now
@@ -97,7 +103,7 @@ class Gateway:
 
         ours, theirs = multiprocessing.Pipe()
         of = self._settings
-        words = (self._topics, of.implementation, of.domain, of.interface, theirs)
+        words = (self._topics, of.implementation, of.domain, of.interface, of.enclave, theirs)
         child = forked().Process(target=serve, args=words, daemon=True)
 
         def start() -> None:
@@ -177,13 +183,17 @@ def main() -> int:
 
         if importlib.util.find_spec("roswell") is None:  # its child would end without a word
             raise ImportError("No module named 'roswell'")
-        port = dds_port.Port(settings.domain, settings.interface, time.time_ns())
+        if settings.enclave is not None:
+            check(settings.enclave)
+        where = (settings.domain, settings.interface)
+        port = dds_port.Port(*where, time.time_ns(), settings.enclave)
         gateway = Gateway(port, settings)
     except (ParamError, ValueError, RuntimeError) as error:
         return refuse(str(error))
     except ImportError as error:
         return refuse(f"{error}: ./surg up CELL --ros2 installs it (src/surg_ros2/dds.lock)")
-    rospy.loginfo(f"ros2: domain {settings.domain} on {settings.interface}")
+    how = "open" if settings.enclave is None else f"secured by {settings.enclave}"
+    rospy.loginfo(f"ros2: domain {settings.domain} on {settings.interface}, {how}")
     return gateway.run()
 
 

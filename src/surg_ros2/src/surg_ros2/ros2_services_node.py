@@ -96,8 +96,8 @@ class CycloneServer:
 class Cyclone:
     """The servers for rmw_cyclonedds."""
 
-    def __init__(self, domain: int, interface: str) -> None:
-        self._port = Port(domain, interface)
+    def __init__(self, domain: int, interface: str, enclave: Path | None) -> None:
+        self._port = Port(domain, interface, enclave=enclave)
         self._servers: list[CycloneServer] = []
 
     def offer(self, service: Service) -> None:
@@ -161,9 +161,17 @@ def copy(source: Any, target: Any) -> None:
 
 
 def run(
-    topics: Topics, implementation: str, domain: int, interface: str, gateway: Connection
+    topics: Topics,
+    implementation: str,
+    domain: int,
+    interface: str,
+    enclave: Path | None,
+    gateway: Connection,
 ) -> None:
-    """The child process: serve until the gateway's end of the pipe is closed."""
+    """The child process: serve until the gateway's end of the pipe is closed.
+
+    ``enclave`` is for rmw_cyclonedds only: `roswell` has no DDS Security.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     rospy.init_node(NODE, disable_signals=True)
     try:
@@ -171,7 +179,7 @@ def run(
         if implementation == IMPLEMENTATIONS[0]:
             servers = Fast(domain, interface)
         else:
-            servers = Cyclone(domain, interface)
+            servers = Cyclone(domain, interface, enclave)
         graph, seen, asked = rosgraph.Master(NODE), set[str](), -ASK
         while not rospy.is_shutdown() and not gateway.poll():
             if time.monotonic() - asked >= ASK:

@@ -24,8 +24,9 @@ ROBOTS = {robot: (kind, model) for kind, of in MODELS.items() for robot, model i
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
     parser.epilog = (
-        "Ports, serial number, joint angles, a record of every cycle and lock-step are options of "
-        "the programs surg_emulators.ur.ur_emulator and surg_emulators.franka.franka_emulator."
+        "Ports, serial number, joint angles, a start without power, a record of every cycle and "
+        "lock-step are options of the programs surg_emulators.ur.ur_emulator and "
+        "surg_emulators.franka.franka_emulator."
     )
     add = parser.add_argument
     robots = ", ".join(ROBOTS)
@@ -34,7 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--address", metavar="IP", help="loopback address without a cell (default: 127.0.0.1)")
     add("--faults", type=Path, metavar="FILE", help="faults, one per line: [at SECONDS] NAME ...")
     add("--polyscope", choices=tuple(VERSIONS), default="5", help="of a UR (default: 5)")
-    add("--off", action="store_true", help="begin with the power off (ur) or the brakes closed")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
@@ -128,5 +128,5 @@ def _program(
     emulator_program.add_arguments(parser)
     given = parser.parse_args([])
     given.address, given.model, given.serial, given.q = address, model, serial, q
-    given.faults, given.off, given.polyscope = options.faults, options.off, options.polyscope
+    given.faults, given.polyscope = options.faults, options.polyscope
     return given

@@ -35,8 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     )
     known = ", ".join(FORMATS)
     add("--format", default="lerobot", help=f"{known}, an installed one, or a .py file")
-    add("--out", type=Path, metavar="DIR", help="the dataset; a new folder")
-    add("--dry-run", action="store_true", help="read and check everything, write nothing")
+    out = "the dataset; a new folder (default: read and check everything, write nothing)"
+    add("--out", type=Path, metavar="DIR", help=out)
     add("--check", action="store_true", help="read and check the whole dataset in --out")
     add("--where", metavar="EXPR", help=option_types.WHERE)
     _add_content(parser.add_argument_group("content").add_argument)
@@ -94,21 +94,20 @@ def _add_processes(add: Callable[..., Any]) -> None:
 
 
 def main(options: argparse.Namespace, command: str) -> int:
-    """Export, dry-run or check; print the result."""
+    """Export, try or check; print the result."""
     from surg_recording import datasets
 
     try:
         exporter = datasets.load(options.format)
-        if options.out is None and not options.dry_run:
-            raise CliError("export: --out DIR is missing (or --dry-run)", 2)
+        if options.out is None and (options.check or options.shard or options.replace):
+            raise CliError("export: --out DIR is missing", 2)
         if options.check:
             return _say(datasets.check(options.out, exporter), options)
         if not options.episodes:
             raise CliError("export: name recordings, or folders with some", 2)
         chosen = choices(options, datasets.ExportOptions)
-        title = "export: dry run" if options.dry_run else f"export to {options.out}"
-        with Progress(title) as progress:
-            if options.dry_run:
+        with Progress(f"export to {options.out}" if options.out else "export: check") as progress:
+            if options.out is None:
                 report = datasets.dry_run(exporter, options.episodes, chosen, progress.update)
             else:
                 report = exporter.write(options.episodes, options.out, chosen, progress.update)
@@ -168,7 +167,7 @@ def _say(report: Any, options: argparse.Namespace) -> int:
                 shown = ", ".join(f"{name} {value}" for name, value in shown.items())
             rows.append([key, str(shown)])
     say(table(rows))
-    if "features" in facts and options.dry_run:
+    if "features" in facts and options.out is None:
         say("features:")
         say(table([[name, str(shape)] for name, shape in facts["features"].items()], "    "))
     for text in report.warnings:
@@ -181,7 +180,9 @@ def _say(report: Any, options: argparse.Namespace) -> int:
         warn("surg: the dataset is invalid" + ("" if options.check else "; it was not kept"))
     elif report.refused:
         warn(f"surg: {len(report.refused)} recordings are not in the dataset")
-    if not options.dry_run and not options.check:
+    if options.out is None:
+        say("  nothing is written: no --out")
+    elif not options.check:
         _write_report(report, options.out)
     return 0 if report.ok else 1
 
