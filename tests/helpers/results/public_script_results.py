@@ -2,28 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from helpers.results.results_page import ResultsPage
 
 CELLS = ("sim_ur5e", "sim_panda")
+ROS2 = "ROS 2"
+"""The scripts with rclpy, on the first cell."""
+PLACES = (*CELLS, ROS2)
 _PAGE = ResultsPage("public_scripts.md")
 _found: dict[str, dict[str, str]] = {}
 
 
-def note(script: str, waits: int, result: str, cell: str) -> None:
-    """Print what a script did; its row is kept once both robots have been tried.
+def note(script: str, waits: int, result: str, place: str, places: Sequence[str] = PLACES) -> None:
+    """Print what a script did; its row is kept once all places have been tried.
 
     Args:
         script: Its name, without ``.py``.
         waits: Calls of ``wait()``.
         result: What was found.
-        cell: Of `CELLS`.
+        place: Of `PLACES`.
+        places: Where it is tried; the page's other columns say nothing.
     """
-    print(f"{script}, {cell}: {waits} waits: {result}")
+    print(f"{script}, {place}: {waits} waits: {result}")
     found = _found.setdefault(script, {})
-    found[cell] = result
-    if len(found) == len(CELLS):
-        first, second = (found[each] for each in CELLS)
-        words, _, pivot = second.rpartition("; ")
-        if first.rpartition("; ")[0] == words:
-            second = pivot if words else "the same"
-        _PAGE.note(script, waits, f"{first} | {second}")
+    found[place] = result
+    if len(found) == len(places):
+        _PAGE.note(script, waits, row([found.get(each, "–") for each in PLACES]))
+
+
+def row(results: Sequence[str]) -> str:
+    """The cells of a row; what the first one says is not said again."""
+    first = results[0].rpartition("; ")[0]
+    cells = [results[0]]
+    for result in results[1:]:
+        words, _, pivot = result.rpartition("; ")
+        if result == results[0]:
+            cells.append("the same")
+        else:
+            cells.append(pivot if words and words == first else result)
+    return " | ".join(cells)

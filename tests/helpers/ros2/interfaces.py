@@ -17,6 +17,7 @@ import PyKDL
 import pytest
 
 from helpers.graph.ros import RosGraph
+from helpers.ros2.dds_peers import DOMAINS
 from helpers.tree import oracle_venv
 from surg_cli.graph import topic_contract
 from surg_cli.host import paths
@@ -145,15 +146,21 @@ def rclpy(implementation: str = IMPLEMENTATIONS[0]) -> tuple[Path, dict[str, str
     return python, needed
 
 
+def client(folder: Path, implementation: str = IMPLEMENTATIONS[0]) -> tuple[Path, dict[str, str]]:
+    """As `rclpy`, with a domain of its own and, in the folder, what the public clients need."""
+    python, env = rclpy(implementation)
+    kdl = Path(PyKDL.__file__)  # Debian's
+    (folder / kdl.name).symlink_to(kdl)
+    domain = random.SystemRandom().choice(DOMAINS)
+    return python, {**env, "PYTHONPATH": str(folder), "ROS_DOMAIN_ID": str(domain)}
+
+
 def with_gateway(
     graph: RosGraph, implementation: str = IMPLEMENTATIONS[0], **more: object
 ) -> tuple[Path, dict[str, str]]:
-    """Start the gateway in a domain of its own; as `rclpy`, with that domain."""
-    python, env = rclpy(implementation)
-    kdl = Path(PyKDL.__file__)  # Debian's, which the public clients need
-    (graph.folder / kdl.name).symlink_to(kdl)
-    domain = random.SystemRandom().randrange(150, 230)
-    params = {"contract": topic_contract.SOURCE, "domain": domain, "commands": True, **more}
-    params["implementation"] = implementation
+    """Start the gateway in a domain of its own; as `client`."""
+    python, env = client(graph.folder, implementation)
+    params = {"contract": topic_contract.SOURCE, "commands": True, **more}
+    params |= {"implementation": implementation, "domain": int(env["ROS_DOMAIN_ID"])}
     graph.node("surg_ros2", "ros2_gateway_node.py", "/ros2", params)
-    return python, {**env, "PYTHONPATH": str(graph.folder), "ROS_DOMAIN_ID": str(domain)}
+    return python, env

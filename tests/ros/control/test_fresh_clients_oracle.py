@@ -60,5 +60,5 @@ def test_no_first_command_is_lost(
             wrong.append((k, said, obeyed, cycles[0].refused))
     ear.unregister()
     name = f"fresh clients, recorder running: first {kind}_cp"
-    page.note(name, CLIENTS, f"{CLIENTS - len(wrong)} of {CLIENTS} executed", cell)
+    page.note(name, CLIENTS, f"{CLIENTS - len(wrong)} of {CLIENTS} executed", cell, page.CELLS)
     assert not wrong

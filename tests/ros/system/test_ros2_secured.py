@@ -13,6 +13,7 @@ import rospy
 from geometry_msgs.msg import PoseStamped
 
 from crtk_msgs.msg import OperatingState
+from crtk_msgs.srv import QueryForwardKinematics, QueryForwardKinematicsResponse
 from helpers.graph.ros import RosGraph
 from helpers.results.ros2_results import note
 from helpers.ros2 import drawn_messages as drawn
@@ -25,9 +26,11 @@ from surg_ros2.bridged_topics import IMPLEMENTATIONS
 pytest.importorskip("cyclonedds", reason="missing: ./surg dev setup --all installs cyclonedds")
 pytestmark = [pytest.mark.ros, pytest.mark.oracle]
 
-SCRIPT = paths.ROOT / "tests" / "helpers" / "ros2" / "rclpy_script.py"
+FOLDER = paths.ROOT / "tests" / "helpers" / "ros2"
 STATE = "/PSM1/operating_state"
 STATE_TYPE = "crtk_msgs/OperatingState"
+SERVICE, KIND = "/PSM1/forward_kinematics", "crtk_msgs/QueryForwardKinematics"
+SAID = "an answer to whom it may concern"
 WAIT_S = 90.0
 LONGER_S = 10.0
 """[s] For which strangers still have the time to be heard."""
@@ -103,6 +106,11 @@ def test_a_topic_that_its_permissions_lack_is_named_and_the_others_work(secured:
 
 def test_rclpy_talks_with_its_security_files_only(secured: Graph, tmp_path: Path) -> None:
     python, env = interfaces.rclpy(IMPLEMENTATIONS[1])
+    asked: list[tuple[float, ...]] = []
+    answer = QueryForwardKinematicsResponse(message=SAID)
+    server = rospy.Service(
+        SERVICE, QueryForwardKinematics, lambda q: asked.append(tuple(q.jp)) or answer
+    )
     secured.gateway(implementation=IMPLEMENTATIONS[1])
     keystore.enclave(secured.ours, "/rclpy")
     env["ROS_DOMAIN_ID"] = str(secured.dds.domain)
@@ -113,24 +121,21 @@ def test_rclpy_talks_with_its_security_files_only(secured: Graph, tmp_path: Path
         "ROS_SECURITY_KEYSTORE": str(secured.ours),
         "ROS_SECURITY_ENCLAVE_OVERRIDE": "/rclpy",
     }
-    pose = {
-        "header": {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "a"},
-        "pose": {
-            "position": dict.fromkeys("xyz", 0.5),
-            "orientation": dict.fromkeys("xyzw", 0.5),
-        },
-    }
+    half = {"position": dict.fromkeys("xyz", 0.5), "orientation": dict.fromkeys("xyzw", 0.5)}
+    pose = {"header": {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "a"}, "pose": half}
+    question = {"jp": [0.25], "cp": half}
 
-    def start(name: str, more: dict[str, str]) -> Child:
+    def start(name: str, more: dict[str, str], script: str = "rclpy_script.py") -> Child:
         spec = tmp_path / f"{name}.json"
-        hear, say = {STATE: [STATE_TYPE, True, True]}, {COMMAND: [POSE, pose]}
-        spec.write_text(json.dumps({"node": name, "hear": hear, "say": say}))
-        words = [str(python), str(SCRIPT), str(spec)]
+        told = {"hear": {STATE: [STATE_TYPE, True, True]}, "say": {COMMAND: [POSE, pose]}}
+        spec.write_text(json.dumps({"node": name, "ask": {SERVICE: [KIND, question]}, **told}))
+        words = [str(python), str(FOLDER / script), str(spec)]
         return secured.graph.supervisor.start(name, words, extra_env={**env, **more})
 
     bare = start("bare", {})
     secured.graph.wait_for(lambda: "ready" in bare.log_tail(), WAIT_S, "rclpy without files")
-    known = start("known", secret)
+    known, asks = start("known", secret), start("asks", secret, "rclpy_services.py")
+    deaf = start("deaf", {}, "rclpy_services.py")
 
     def heard() -> bool:
         return f'["{STATE}"' in known.log_tail(1000) and bool(secured.senders)
@@ -138,5 +143,8 @@ def test_rclpy_talks_with_its_security_files_only(secured: Graph, tmp_path: Path
     secured.graph.wait_for(heard, WAIT_S, "rclpy with its files")
     time.sleep(LONGER_S)
     assert secured.senders == {"/ros2_known"}
-    assert STATE not in bare.log.read_text()
+    secured.graph.wait_for(lambda: SAID in asks.log_tail(1000), WAIT_S, "an answer")
+    assert STATE not in bare.log.read_text() and SAID not in deaf.log.read_text()
+    assert set(asked) == {(0.25,)}
+    server.shutdown()
     note("rclpy in a secured domain (Cyclone)", 2, "heard with its files, not without")
