@@ -33,12 +33,10 @@ def note(script: str, waits: int, result: str, place: str, places: Sequence[str]
 
 def row(results: Sequence[str]) -> str:
     """The cells of a row; what the first one says is not said again."""
-    first = results[0].rpartition("; ")[0]
-    cells = [results[0]]
+    first, cells = results[0].partition("; pivot")[0], [results[0]]
     for result in results[1:]:
-        words, _, pivot = result.rpartition("; ")
         if result == results[0]:
             cells.append("the same")
         else:
-            cells.append(pivot if words and words == first else result)
+            cells.append(result.removeprefix(f"{first}; "))
     return " | ".join(cells)

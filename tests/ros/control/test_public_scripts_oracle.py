@@ -48,8 +48,8 @@ TRIES = 4
 ROS1 = (Path(sys.executable), dict[str, str]())
 ROS2 = pytest.param(page.ROS2, id="rclpy")
 """The scripts with rclpy, on the first cell."""
-STILL_S = 20.0
-"""[s] Four times what a script waits for its connections."""
+STILL_S, HUNG = 6.0, 10
+"""[s] More than a script waits for its connections; tries of one that hangs with rclpy."""
 ENTER = "\n"
 
 
@@ -407,12 +407,16 @@ def test_dvrk_move_wait_test(rig: Rig) -> None:
 def test_dvrk_system_test(rig: Rig) -> None:
     """Sounds are answered in words."""
     rig.compat()
-    if rig.ros2:
-        rig.note("dvrk_system_test", 0, never_begins(rig.begin("dvrk_system_test")))
-        return
-    ended = rig.run("dvrk_system_test")
+    hung = partial(rig.note, "dvrk_system_test", 0)
+    running = begun(rig.ros2, lambda: rig.begin("dvrk_system_test"), hung)
+    try:
+        ended = running.end()
+    finally:
+        running.kill()
+    rig.good(ended)
     said = [text for text in rig.plant.words if "makes no sounds" in text]
-    assert len(said) == 2, rig.plant.words
+    # With rclpy the first word may come before DDS knows the script.
+    assert len(said) == 2 or (rig.ros2 and said), rig.plant.words
     assert rig.plant.way()[0] < 1e-4
     rig.keep("dvrk_system_test", ended, f"{len(said)} warnings, nothing moves")
 
@@ -434,10 +438,10 @@ def test_dvrk_console_test(tmp_path: Path, place: str, monkeypatch: pytest.Monke
                 assert process.poll() is None and time.monotonic() < end, log.read_text()
                 time.sleep(0.2)
             env = {**environment(), "ROS_MASTER_URI": f"http://localhost:{port}"}
-            running = Script("dvrk_console_test", ("-c", "console"), {**env, **more}, python)
-            if place == page.ROS2:
-                page.note("dvrk_console_test", 0, never_begins(running), place)
-                return
+            words = ("-c", "console")
+            begin = lambda: Script("dvrk_console_test", words, {**env, **more}, python)  # noqa: E731
+            hung = partial(page.note, "dvrk_console_test", 0, place=place)
+            running = begun(place == page.ROS2, begin, hung)
             pause = lambda: time.sleep(1.0)  # noqa: E731
             running.talk([("press [enter]", pause, ENTER)] * 3)
             ended = running.end()
@@ -451,15 +455,26 @@ def test_dvrk_console_test(tmp_path: Path, place: str, monkeypatch: pytest.Monke
     page.note("dvrk_console_test", 0, f"scale {is_now}, as asked", place)
 
 
-def never_begins(running: Script) -> str:
-    """With rclpy: its client sleeps by a rate before anything spins, and so for ever."""
-    try:
-        assert wait_until(lambda: "configuring" in running.text, 60.0)
-        time.sleep(STILL_S)
-        assert running.running and re.fullmatch(r"configuring .*\n", running.text), running.text
-    finally:
+def begun(ros2: bool, begin: Callable[[], Script], note: Callable[[str], None]) -> Script:
+    """A script that has got beyond its configuration, with rclpy perhaps not the first one.
+
+    There its client sleeps by a rate before anything spins: for ever, unless DDS knows all
+    connections when it first looks. If it never does, that is noted, and the test skipped.
+    """
+    for _ in range(HUNG if ros2 else 1):
+        running = begin()
+        if not ros2 or goes_on(running):
+            return running
         running.kill()
-    return "no: its client sleeps by a rate before it spins, and never begins"
+    why = f"hung {HUNG} times: its client sleeps by a rate before it spins"
+    note(f"no: {why}")
+    pytest.skip(why)
+
+
+def goes_on(running: Script) -> bool:
+    """Whether a script does more than configure itself."""
+    assert wait_until(lambda: "configuring" in running.text, 60.0), running.text
+    return wait_until(lambda: not re.fullmatch(r"configuring .*\n", running.text), STILL_S)
 
 
 def refused(rig: Rig, script: str, *words: str, why: str, result: str) -> None:
@@ -515,11 +530,8 @@ def test_dvrk_teleoperation_wants_a_master(rig: Rig) -> None:
 def test_dvrk_psm_effort_test_commands_forces(rig: Rig) -> None:
     """It homes and moves; the forces are answered in words, and the arm stays."""
     rig.compat()
-    if rig.ros2:
-        found = never_begins(rig.begin("dvrk_psm_effort_test", "-a", "PSM1"))
-        rig.note("dvrk_psm_effort_test", 0, found)
-        return
-    running = rig.begin("dvrk_psm_effort_test", "-a", "PSM1")
+    hung = partial(rig.note, "dvrk_psm_effort_test", 0)
+    running = begun(rig.ros2, lambda: rig.begin("dvrk_psm_effort_test", "-a", "PSM1"), hung)
     ended = None
     try:
         running.talk([("press Enter", rig.plant.begin, ENTER)])
