@@ -115,6 +115,9 @@ def test_a_score_card_plays_the_episode_that_run_plays(
     program = shut_in.Program.of(str(policy))
     (played,) = card_cell.play(card_cell.CellJob(program, "bgr", "as served", (SEED,)))["episodes"]
     assert played["state_hash"] == entry["state_hash"] is not None
+    logs = (out / "episodes" / "000" / "logs").glob("*.log")
+    lines = [line for log in logs for line in log.read_text("utf-8").splitlines()]
+    assert [line for line in lines if "WARN" in line or "ERROR" in line] == [], "no alarm"
     note(14, 1, f"the same state hash, {played['state_hash'][:12]}…")
 
 
