@@ -153,4 +153,9 @@ def test_a_run_without_any_measurement_has_a_page(tmp_path: Path) -> None:
     broken = TrialOutcome(False, "no graph", "", 0.0, played=False)
     episodes = [trials.describe(1, "phantom", "ours", broken, None)]
     trial_report.write(trials.summarise(episodes, INFO), tmp_path)
-    assert "no graph" in (tmp_path / "report.html").read_text("utf-8")
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert (
+        "no graph" in page
+        and page.count(": not measured") == 2
+        and "missed" not in page.partition("</style>")[2]
+    )
