@@ -147,9 +147,9 @@ def test_beside_a_teleoperation_that_runs_only_the_page_is_started() -> None:
 def test_a_taken_port_is_refused_before_anything_starts(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken, Supervisor({}, tmp_path) as supervisor:
         port = taken.getsockname()[1]
-        with pytest.raises(CliError, match="in use .*--bind") as page:
+        with pytest.raises(CliError, match=r"in use .*--bind") as page:
             teleop._web(options("--bind", f"127.0.0.1:{port}"))
-        with pytest.raises(CliError, match="in use .*--port") as ros:
+        with pytest.raises(CliError, match=r"in use .*--port") as ros:
             master.start(supervisor, port)
         assert (page.value.code, ros.value.code, supervisor.children) == (2, 2, [])
 
