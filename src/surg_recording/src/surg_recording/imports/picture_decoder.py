@@ -35,7 +35,10 @@ _YUV = {
 }
 """Encoding → bytes of a pixel in the rows, and OpenCV's conversion. Half as many rows of chroma
 follow those of one byte."""
-_WIDE = {"rgb16": (3, "rgb8"), "bgr16": (3, "bgr8"), "rgba16": (4, "rgba8"), "bgra16": (4, "bgra8")}
+_WIDE = {
+    **{"rgb16": (3, "rgb8"), "bgr16": (3, "bgr8"), "rgba16": (4, "rgba8"), "bgra16": (4, "bgra8")},
+    **{"16UC3": (3, "bgr8"), "16UC4": (4, "bgra8")},
+}
 _STREAMS = ("h264", "hevc", "h265")
 _DEPTH_HEAD = struct.Struct("<iff")
 """Of compressed_depth_image_transport: kind, and the two numbers of its inverse depth."""
@@ -73,6 +76,11 @@ class PictureDecoder:
         name = next((name for name in _STREAMS if name in kind.lower()), None)
         if name is not None:
             return self._streamed("hevc" if name == "h265" else name, data)
+        if stated.startswith("bayer_"):  # image_transport keeps the mosaic
+            made = image_message(_opened(data))
+            if made.encoding in ("mono8", "16UC1"):
+                made.encoding = stated.partition(";")[0].strip()
+            return _raw(made)
         if unusable(frame_of(message, 0, 0)) is None:
             return message
         return image_message(_opened(data))
