@@ -36,8 +36,12 @@ _YUV = {
 """Encoding → bytes of a pixel in the rows, and OpenCV's conversion. Half as many rows of chroma
 follow those of one byte."""
 _WIDE = {
-    "rgb16": (3, "rgb8"), "bgr16": (3, "bgr8"), "rgba16": (4, "rgba8"), "bgra16": (4, "bgra8"),
-    "16UC3": (3, "bgr8"), "16UC4": (4, "bgra8"),
+    "rgb16": (3, "rgb8"),
+    "bgr16": (3, "bgr8"),
+    "rgba16": (4, "rgba8"),
+    "bgra16": (4, "bgra8"),
+    "16UC3": (3, "bgr8"),
+    "16UC4": (4, "bgra8"),
 }
 _STREAMS = ("h264", "hevc", "h265")
 _DEPTH_HEAD = struct.Struct("<iff")
