@@ -42,7 +42,8 @@ class BagFile:
         regular_file(self.path / METADATA if self.ros2 else path)
         with _told(path):
             self._reader = rosbag2.Reader(path=self.path) if self.ros2 else rosbag1.Reader(path)
-            stored = self._reader.paths if self.ros2 else [path]
+            each = self._reader
+            stored = each.paths if isinstance(each, rosbag2.Reader) else [path]
             size = max(regular_file(file).stat().st_size for file in stored)
             with bounded(resource.RLIMIT_FSIZE, size * MOST_UNPACKED + SPARE):
                 self._reader.open()
