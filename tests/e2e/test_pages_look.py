@@ -12,8 +12,18 @@ import pytest
 from helpers.async_tests import within
 from helpers.recording import datasets_synthetic
 from helpers.recording.evaluated import DONE, episode
+from helpers.results.screen_results import Looks
 from helpers.teleop import axe, chromium
-from helpers.teleop.axe import LOOKS, SIZES, grave, resize, scrolls_sideways, spoken, visible
+from helpers.teleop.axe import (
+    LOOKS,
+    SIZES,
+    contrast,
+    grave,
+    resize,
+    scrolls_sideways,
+    spoken,
+    visible,
+)
 from helpers.teleop.chromium import Chromium, Tab
 from helpers.teleop.console import Console, console
 from surg_console.labelling.label_pages import LabelPages
@@ -32,6 +42,9 @@ BUSY = Entry("episode_2", 2.0, 34.2, "complete", "failure", "lost", "task")
 PAGES = ("", "monitor", "headset", "calibrate")
 STOPS = ("", "monitor", "headset")
 """Pages that can stop an arm."""
+FOUND = Looks()
+TEXT = 4.5
+"""Least contrast of a text."""
 ZOOMS = (2, 4)
 BOXES = """[...document.querySelectorAll('#videos video')].map(
   (video) => [video.clientWidth, video.parentElement.clientWidth])"""
@@ -45,6 +58,14 @@ def play(made: Console) -> None:
     task, recorder = SimTask("RUNNING", "bgr", "grasp"), Recorder("IDLE", "", "/runs/1/episode_2")
     made.system.now = replace(made.system.now, task=task, recorder=recorder)
     made.system.episodes = [BUSY, Entry("episode", 1.0, 3.0, "incomplete", "aborted", "disk")]
+
+
+async def judge(tab: Tab, page: str, where: str) -> None:
+    """No grave fault, and every text can be read."""
+    assert await grave(tab) == [], (page, where)
+    texts, least = await contrast(tab)
+    assert texts and least >= TEXT, (page, where, least)
+    FOUND.add(page, where, texts, least)
 
 
 async def each_look(tab: Tab, full: bool, check: Callable[[str], Awaitable[None]]) -> None:
@@ -65,7 +86,7 @@ async def test_the_pages_have_no_grave_fault_and_stop_stays(full: bool) -> None:
                 await tab.until("!document.querySelector('#judge').hidden", "the bars", 60.0)
 
             async def check(where: str, tab: Tab = tab, page: str = page) -> None:
-                assert await grave(tab) == [], (page, where)
+                await judge(tab, page or "console", where)
                 assert not await scrolls_sideways(tab), (page, where)
                 if page in STOPS:
                     assert await visible(tab, "#stop"), (page, where)
@@ -138,7 +159,7 @@ async def test_each_tab_knows_its_number_and_the_help_gives_the_focus_back(full:
         assert await tab.run(f"{box}.scrollHeight <= {box}.clientHeight"), "it fits 768 px"
 
         async def check(where: str) -> None:
-            assert await grave(tab) == [], where
+            await judge(tab, "help", where)
             assert await visible(tab, "#stop"), where
 
         await each_look(tab, full, check)
@@ -199,16 +220,18 @@ async def test_label_view_and_report_fit_a_phone_and_a_large_zoom(
     serving = asyncio.create_task(server.serve())
     try:
         async with Chromium() as browser:
-            for url in (server.url, page.as_uri(), (tmp_path / "out" / "report.html").as_uri()):
+            report = (tmp_path / "out" / "report.html").as_uri()
+            urls = {"label": server.url, "view": page.as_uri(), "report": report}
+            for name, url in urls.items():
                 tab = await browser.open(url)
 
-                async def check(where: str, tab: Tab = tab, url: str = url) -> None:
-                    assert await grave(tab) == [], (url, where)
-                    assert not await scrolls_sideways(tab), (url, where)
+                async def check(where: str, tab: Tab = tab, name: str = name) -> None:
+                    await judge(tab, name, where)
+                    assert not await scrolls_sideways(tab), (name, where)
 
                 await each_look(tab, full, check)
                 await resize(tab, 683, 384)
-                await check("zoom 200 %")
+                assert await grave(tab) == [] and not await scrolls_sideways(tab), "zoom 200 %"
                 for video, box in await tab.run(BOXES):
                     assert video == box, "the video fills its box"
                 assert len(set(await tab.run(WORDS))) <= 1, "one verdict, one word"

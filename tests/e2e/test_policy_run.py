@@ -35,6 +35,10 @@ SEED = 10_004
 """The task is solved where the policy leads the arms: back to where they were."""
 ENDS_S = 2.0
 """[s simulated] The task's own time limit is twice that."""
+DEATHS: dict[str, float] = {}
+"""How long an episode was [s simulated], by the way in which its policy's program died."""
+N_DEATHS = 7
+"""Ways that are tried."""
 
 
 def in_one_process() -> tuple[str, int, list[int]]:
@@ -111,6 +115,9 @@ def test_a_score_card_plays_the_episode_that_run_plays(
     program = shut_in.Program.of(str(policy))
     (played,) = card_cell.play(card_cell.CellJob(program, "bgr", "as served", (SEED,)))["episodes"]
     assert played["state_hash"] == entry["state_hash"] is not None
+    logs = (out / "episodes" / "000" / "logs").glob("*.log")
+    lines = [line for log in logs for line in log.read_text("utf-8").splitlines()]
+    assert [line for line in lines if "WARN" in line or "ERROR" in line] == [], "no alarm"
     note(14, 1, f"the same state hash, {played['state_hash'][:12]}…")
 
 
@@ -152,7 +159,7 @@ def test_what_cannot_be_a_policy_is_said(tmp_path: Path, words: list[str], said:
 @pytest.mark.parametrize(
     ("death", "said"),
     [
-        ("raises", "RuntimeError: the weights are gone"),
+        ("raises", "ValueError: the weights are gone"),
         pytest.param("killed", "was killed by signal 9", marks=pytest.mark.full),
         pytest.param("starts", "ended (1) before it had connected", marks=pytest.mark.full),
         pytest.param("aborts", "was killed by signal 6", marks=pytest.mark.full),
@@ -172,12 +179,17 @@ def test_a_death_is_named_and_ends_the_episode(
     told = done.stdout + done.stderr
     assert done.returncode == 1 and "crashed: episode 0" in told and said in told, told
     assert "no such folder" not in told and "waiting for a model server" not in told
+    assert told.count("the policy's program") <= 2, "in the episode's line, and with its last lines"
     summary = json.loads((out / "summary.json").read_text("utf-8"))
     (entry,) = summary["episodes"]
     assert entry["outcome"] == "crashed" and entry["success"] is None
     assert said in entry["failure_reason"] and "the weights are gone" in entry["failure_reason"]
     assert summary["success_rate"]["n"] == 0, "it counts neither for nor against the policy"
     assert entry["duration_s"] <= ENDS_S
+    DEATHS[death] = entry["duration_s"]
+    if len(DEATHS) == N_DEATHS:
+        longest = max(DEATHS.values())
+        note(15, N_DEATHS, f"each named, exit status 1, ended after {longest:.2f} s simulated")
     page = (out / "report.html").read_text("utf-8")
     assert "crashed" in page and "the weights are gone" in page
 

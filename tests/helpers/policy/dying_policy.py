@@ -37,7 +37,7 @@ class Dying(Nudge):
 
 
 def _raises(chunk: Chunk) -> Chunk:
-    raise RuntimeError(LAST_WORDS)
+    raise ValueError(LAST_WORDS)
 
 
 def _wrong_shape(chunk: Chunk) -> Chunk:

@@ -56,9 +56,10 @@ def write_bag(
     joints: bool = True,
     further: Callable[[rosbag.Bag], None] = lambda bag: None,
     stamped: bool = True,
+    **options: Any,
 ) -> Path:
-    """A bag of PSM1 in the order of reception; ``joints`` of the same stamps."""
-    with rosbag.Bag(str(path), "w") as bag:
+    """A bag of PSM1 in the order of reception; ``joints`` of the same stamps, options of rosbag."""
+    with rosbag.Bag(str(path), "w", **options) as bag:
         for n, each in enumerate(messages):
             header = Header(stamp=ros_time(each.stamp_ns), frame_id="PSM1_base")
             received = ros_time(each.received_ns)

@@ -20,6 +20,7 @@ ROWS = (
     "the skeleton, 10 mm/s commanded: past its goal, fastest",
     "roll-outs of every expert and policy of the client, called swinging",
     "the skeleton by a score card against `./surg run`",
+    "ways in which a policy's program dies",
 )
 PAGE = ResultsPage("policies.md")
 

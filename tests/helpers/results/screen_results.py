@@ -12,6 +12,31 @@ FORMATS = (
 )
 AGE, TARGETS = "headset: age of the drawn pair", "headset: targets of bgr touched"
 PAGE = ResultsPage("screens.md")
+LOOKED_AT = "eight pages, 4 sizes, light and dark, by axe-core"
+
+
+class Looks:
+    """What axe-core says of all pages, once each of them was looked at in each size and look."""
+
+    PAGES = ("console", "monitor", "headset", "calibrate", "help", "label", "view", "report")
+
+    def __init__(self) -> None:
+        self._seen: dict[tuple[str, str], tuple[int, float]] = {}
+
+    def add(self, page: str, where: str, texts: int, contrast: float) -> None:
+        """A page without a grave fault, in a size and look: its texts and their least contrast."""
+        self._seen[page, where] = texts, contrast
+        if len(self._seen) == 8 * len(self.PAGES):
+            least = (
+                f"{page} {min(c for (p, _), (_, c) in self._seen.items() if p == page):.1f}"
+                for page in self.PAGES
+            )
+            texts = sum(n for n, _ in self._seen.values())
+            PAGE.note(
+                LOOKED_AT,
+                len(self._seen),
+                f"0 serious; least contrast of {texts} texts: {', '.join(least)}",
+            )
 
 
 def note_times(

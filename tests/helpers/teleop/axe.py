@@ -37,18 +37,32 @@ async def resize(tab: Tab, width: int, height: int = 0, look: str = "dark") -> N
 
 async def grave(tab: Tab) -> list[str]:
     """The serious and critical violations, the contrast of text among them, with their places."""
-    if not await tab.run("'axe' in globalThis"):
-        spec = find_spec("axe_playwright_python")
-        assert spec is not None and spec.submodule_search_locations
-        (folder,) = spec.submodule_search_locations
-        script = (Path(folder) / "axe.min.js").read_text()
-        await tab.run(f"{script}; 0")
+    await _inject(tab)
     found: list[dict[str, Any]] = await tab.run(
         "axe.run(document, {resultTypes: ['violations']}).then((r) => r.violations.map((v) =>"
         " ({id: v.id, impact: v.impact, where: v.nodes.map((n) => n.target + ' ' +"
         " n.failureSummary.split('\\n').at(-1))})))"
     )
     return [f"{each['id']}: {each['where'][:3]}" for each in found if each["impact"] in GRAVE]
+
+
+async def contrast(tab: Tab) -> tuple[int, float]:
+    """How many texts of a page axe-core could measure, and the least contrast of one."""
+    await _inject(tab)
+    found: list[float] = await tab.run(
+        "axe.run(document, {runOnly: ['color-contrast']}).then((r) => r.passes.flatMap((p) =>"
+        " p.nodes.map((n) => n.any[0].data.contrastRatio)).filter((ratio) => ratio))"
+    )
+    return len(found), min(found)
+
+
+async def _inject(tab: Tab) -> None:
+    if not await tab.run("'axe' in globalThis"):
+        spec = find_spec("axe_playwright_python")
+        assert spec is not None and spec.submodule_search_locations
+        (folder,) = spec.submodule_search_locations
+        script = (Path(folder) / "axe.min.js").read_text()
+        await tab.run(f"{script}; 0")
 
 
 async def visible(tab: Tab, selector: str) -> bool:

@@ -174,6 +174,14 @@ def test_another_python_first_on_path_changes_nothing(tmp_path: Path) -> None:
     assert "foreign" not in done.stderr
 
 
+def test_what_the_build_writes_is_no_source() -> None:
+    """Else the first command after the first build builds again."""
+    listing = ["git", "-C", str(paths.ROOT), "check-ignore", "--stdin"]
+    names = "\n".join(map(str, workspace.source_files()))
+    ignored = subprocess.run(listing, input=names, capture_output=True, text=True, check=False)
+    assert ignored.stdout == "" and ignored.returncode == 1, ignored
+
+
 def test_fingerprint_follows_the_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = tmp_path / "src" / "package" / "a.cpp"
     source.parent.mkdir(parents=True)

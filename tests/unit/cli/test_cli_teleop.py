@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import socket
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ import surg_core
 from helpers.sim.assistant_pose import forward
 from surg_cli.commands import teleop
 from surg_cli.graph import master
+from surg_cli.graph.processes import Supervisor
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
 from surg_console.ros.console_node import Settings
@@ -140,6 +142,16 @@ def test_beside_a_teleoperation_that_runs_only_the_page_is_started() -> None:
     chosen = options("sim_ur5e", "--leader", "gamepad")
     with pytest.raises(CliError, match="--leader"):
         teleop._operator_nodes(chosen, teleop._plan(chosen), {}, ["/teleop"])
+
+
+def test_a_taken_port_is_refused_before_anything_starts(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken, Supervisor({}, tmp_path) as supervisor:
+        port = taken.getsockname()[1]
+        with pytest.raises(CliError, match=r"in use .*--bind") as page:
+            teleop._web(options("--bind", f"127.0.0.1:{port}"))
+        with pytest.raises(CliError, match=r"in use .*--port") as ros:
+            master.start(supervisor, port)
+        assert (page.value.code, ros.value.code, supervisor.children) == (2, 2, [])
 
 
 def test_unusable_options_are_refused() -> None:

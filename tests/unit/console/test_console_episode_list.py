@@ -51,6 +51,18 @@ def test_episodes_are_listed_with_their_outcome(tmp_path: Path) -> None:
     assert [entry.name for entry in listed.entries()][-2:] == ["episode_2", "episode"]
 
 
+def test_an_episode_that_an_export_would_refuse_says_so(tmp_path: Path) -> None:
+    """Its camera stalled: the recording is complete, its pictures are too old at some times."""
+    (tmp_path / "episode").mkdir()
+    said = ["/policy/rejected: nothing was received", "left: fell silent for more than 0.15 s"]
+    kept = json.dumps({"outcome": "complete", "warnings": said})
+    (tmp_path / "episode" / "manifest.json").write_text(kept)
+    (entry,) = Episodes(tmp_path / "episode").entries()
+    assert entry.files == "with old pictures"
+    assert said[0] not in entry.reason and said[1] in entry.reason
+    assert "export needs --allow old-pictures" in entry.reason
+
+
 def test_a_judgement_is_the_word_that_every_command_says(tmp_path: Path) -> None:
     """A recording that was stopped early is aborted; a person's word counts before the task's."""
     folder, listed = tmp_path / "episode", Episodes(tmp_path / "episode")

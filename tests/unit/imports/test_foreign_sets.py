@@ -363,3 +363,21 @@ def test_an_import_is_viewed_judged_and_cut(tmp_path: Path) -> None:
     assert report.ok
     info = json.loads((tmp_path / "exported" / "meta" / "info.json").read_text())
     assert 20 < info["total_frames"] <= 26
+
+
+@pytest.mark.parametrize(("stated", "fps"), [(12.5, 12), (15, 15), (10, 20)])
+def test_an_import_of_any_rate_is_exported_at_another(
+    stated: float, fps: int, tmp_path: Path
+) -> None:
+    """Its samples are further apart than a controller's cycles may be."""
+    import pyarrow.parquet as pq
+
+    root = write_set(tmp_path / "set", [Rows(30, stated)])
+    folder = import_episode(LeRobotData(root), 0, tmp_path / "episode", MAP)
+    options = ExportOptions(executor="serial", splits={"train": 1.0}, fps=fps)
+    assert datasets.load("lerobot_v21").write([folder], tmp_path / "out", options).ok
+    table = pq.read_table(next((tmp_path / "out" / "data").rglob("*.parquet")))
+    seconds = (np.array(table.column("timing.grid_ns").to_pylist()) - SECOND) * 1e-9
+    state = np.array(table.column("observation.state").to_pylist())[:, :3]
+    assert len(state) > 0.8 * 30 * fps / stated
+    np.testing.assert_allclose(state, [tip(t) for t in seconds], atol=2e-4)

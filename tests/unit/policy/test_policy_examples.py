@@ -16,6 +16,7 @@ from helpers.policy.policy_server import ACTION, STATE, PolicyServer, spec
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
 from surg_policy_client import Observation
+from surg_policy_client.errors import SpecMismatch
 from surg_policy_client.keys import server_keys
 from surg_policy_client.policies.hold import Hold
 from surg_policy_client.policies.replay import load
@@ -110,7 +111,7 @@ def test_a_recording_of_another_arm_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "x.csv").write_text("PSM2/x\n0.0\n")
     policy = load(tmp_path / "x.csv")
     policy.reset("", None)
-    with pytest.raises(ValueError, match=r"no PSM1/x, .*it has PSM2/x"):
+    with pytest.raises(SpecMismatch, match=r"no PSM1/x, .*it has PSM2/x"):
         policy.act(seen(0))
 
 

@@ -23,7 +23,7 @@ from helpers.policy import lerobot_venv
 from helpers.policy.policy_server import PolicyServer, spec
 from helpers.recording import datasets_synthetic
 from helpers.recording.picture_identity import HEIGHT, WIDTH
-from surg_policy_client import ActionSpec, Feature, Spec
+from surg_policy_client import ActionSpec, Feature, Spec, SpecMismatch
 from surg_policy_client.adapters import lerobot
 from surg_policy_client.adapters.scaled import scaled
 
@@ -144,7 +144,7 @@ def test_what_is_seen_is_what_was_exported() -> None:
     ids=["stretched", "larger", "other proportions"],
 )
 def test_a_picture_that_does_not_fit_is_refused(shape: Any, size: tuple[int, int]) -> None:
-    with pytest.raises(ValueError, match=f"{size[1]} x {size[0]}.*{shape[1]} x {shape[0]}"):
+    with pytest.raises(SpecMismatch, match=f"{size[1]} x {size[0]}.*{shape[1]} x {shape[0]}"):
         scaled(np.zeros(shape, np.uint8), *size)
 
 

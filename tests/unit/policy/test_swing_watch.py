@@ -158,5 +158,5 @@ def test_no_bundled_expert_or_policy_is_called_swinging() -> None:
         env.close()
     print(found)
     assert max(found.values()) < TURNS, found
-    words = ", ".join(f"{name} {most}" for name, most in found.items())
-    note(13, 3 * len(found), f"most sharp turns in 2 s, of {TURNS}: {words}")
+    most = max(found.values())
+    note(13, 3 * len(found), f"at most {most} of {TURNS} sharp turns in 2 s: {', '.join(found)}")

@@ -201,7 +201,8 @@ def test_a_data_set_becomes_episodes_with_the_same_metrics(
 def test_a_data_set_of_others_needs_a_map(sets: dict[str, Path], tmp_path: Path) -> None:
     root = tmp_path / "foreign"
     (root / "meta").mkdir(parents=True)
-    (root / "data").symlink_to(sets["lerobot_v21"] / "data")
+    for name in ("data", "meta/episodes.jsonl"):
+        (root / name).symlink_to(sets["lerobot_v21"] / name)
     info = json.loads((sets["lerobot_v21"] / "meta/info.json").read_text())
     info["features"] = {
         name: {**feature, "names": [f"m{i}" for i in range(feature["shape"][0])]}

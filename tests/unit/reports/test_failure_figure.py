@@ -35,7 +35,7 @@ def test_every_roll_out_without_a_success_has_a_figure_and_a_sentence(tmp_path: 
     assert drawn == [f"failure_{k:03d}.png" for k in (0, 1, 2)]
     page = (tmp_path / "report.html").read_text("utf-8")
     for sentence in (
-        "Episode 0: failure after 45.0 s in phase",
+        "Episode 0: failure after 45.0 s: time limit of 45 s in phase",
         "Episode 1: aborted after 1.2 s in phase",
         "Traceback ValueError: no.",
         "Episode 3: crashed after 0.0 s: no such file.",

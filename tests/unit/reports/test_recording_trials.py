@@ -82,10 +82,13 @@ def test_an_episode_that_was_not_played_is_a_failed_run() -> None:
     assert episodes[1]["rcm_kinematic_mm"] is None
 
 
-def test_no_deviation_meets_no_bound() -> None:
+def test_no_deviation_meets_no_bound(tmp_path: Path) -> None:
     still = trials.describe(2, "phantom", "ours", TrialOutcome(False, "late", "point", 45.0), None)
     summary = trials.summarise([still], INFO)
     assert [b["met"] for b in summary["conditions"][0]["bounds"]] == [False, False]
+    trial_report.write(summary, tmp_path)
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert "0 of 1" in page and 'class="verdict' not in page, "no bar, above all no green one"
 
 
 # --- plots and page -----------------------------------------------------------------------------
@@ -153,4 +156,9 @@ def test_a_run_without_any_measurement_has_a_page(tmp_path: Path) -> None:
     broken = TrialOutcome(False, "no graph", "", 0.0, played=False)
     episodes = [trials.describe(1, "phantom", "ours", broken, None)]
     trial_report.write(trials.summarise(episodes, INFO), tmp_path)
-    assert "no graph" in (tmp_path / "report.html").read_text("utf-8")
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert (
+        "no graph" in page
+        and page.count(": not measured") == 2
+        and "missed" not in page.partition("</style>")[2]
+    )

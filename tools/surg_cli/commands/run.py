@@ -101,8 +101,6 @@ def main(options: argparse.Namespace, command: str) -> int:
     seeds = range(options.seed, options.seed + options.episodes)
     summary = _report(plan, _play_all(plan, conditions, seeds, out), out)
     _print_summary(summary)
-    for reason in summary["reasons"]:
-        warn(f"surg: {reason}")
     say(str(out / "report.html"))
     say(str(out / "summary.json"))
     return 0 if summary["ok"] else 1
@@ -213,7 +211,8 @@ def _print_summary(summary: dict[str, Any]) -> None:
     for i, e in enumerate(summary["episodes"]):
         if not e["success"]:
             what = f"{e['outcome']}: episode {i}, seed {e['seed']}, {e['setting']}"
-            say(f"  {what}: {e['failure_reason']}")
+            tell = say if e["played"] else warn
+            tell(f"  {what}: {e['failure_reason']}")
 
 
 def _median_and_worst(spread: dict[str, Any]) -> str:

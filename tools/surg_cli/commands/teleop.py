@@ -179,7 +179,9 @@ def _web(options: argparse.Namespace) -> tuple[dict[str, object], str]:
     except access.AccessError as error:
         raise CliError(str(error), 2) from error
     if master.port_in_use(rules.port) and access.is_loopback(rules.bind):
-        raise CliError(f"port {rules.port} is in use on this machine; choose another with --bind")
+        raise CliError(
+            f"port {rules.port} is in use on this machine; choose another with --bind", 2
+        )
     files = {"cert": cert, "key": key, "token_file": options.token_file}
     params = {
         "bind": address,

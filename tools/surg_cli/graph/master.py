@@ -88,7 +88,8 @@ def start(supervisor: Supervisor, port: int, host: str = "localhost") -> Child:
     if port_in_use(port, host):
         raise CliError(
             f"port {port} is in use on this machine: choose another with --port, or end what "
-            f"holds it (ss -ltnp 'sport = :{port}' names it)"
+            f"holds it (ss -ltnp 'sport = :{port}' names it)",
+            2,
         )
     uri = f"http://{host}:{port}"
     supervisor.env["ROS_MASTER_URI"] = uri

@@ -15,6 +15,8 @@ from surg_cli.host.terminal import CliError, Progress, say
 STAMP = paths.TREE_STATE / "build.stamp"
 BUILT_ON = paths.BUILD / "built-on"
 """Names the system whose compiler and libraries a build folder holds."""
+NO_SOURCES = (".pyc", ".swp", "~", "_core.pyi")
+"""Ends of names that a build or an editor writes below `src`."""
 RUN_IN_PLACE = (".py", ".pyi", ".html", ".js", ".css", ".svg", ".yaml", ".urdf", ".md")
 GOOGLETEST = Path("/usr/include/gtest/gtest.h")
 FILES_PER_UNIT = 6
@@ -30,7 +32,7 @@ def source_files() -> Iterator[Path]:
             name for name in folders if name not in skip and not name.endswith(".egg-info")
         )
         for name in sorted(files):
-            if not name.endswith((".pyc", ".swp", "~")):
+            if not name.endswith(NO_SOURCES):
                 yield Path(folder, name)
 
 

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
+import resource
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from surg_recording.recording_errors import EpisodeError
+
+MOST_MEMORY = 4 << 30
+"""Memory that one recording of others may take [bytes]: a few bytes can unpack to any size."""
 
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -36,6 +42,24 @@ def regular_file(path: Path) -> Path:
         kind = next((words for test, words in _KINDS if test(mode)), "something else")
         raise EpisodeError(f"{path}: is {kind}; a file is needed")
     return path
+
+
+@contextlib.contextmanager
+def bounded(limit: int, most: int) -> Iterator[None]:
+    """Hold this process and those it starts to at most this much of ``resource.RLIMIT_…``."""
+    soft, hard = resource.getrlimit(limit)
+    known = [each for each in (most, soft) if each != resource.RLIM_INFINITY]
+    resource.setrlimit(limit, (min(known), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(limit, (soft, hard))
+
+
+def bounded_memory() -> contextlib.AbstractContextManager[None]:
+    """Let what a file of others unpacks to take at most ``MOST_MEMORY`` beyond what is used."""
+    pages = int(Path("/proc/self/statm").read_text("ascii").split()[0])
+    return bounded(resource.RLIMIT_AS, pages * resource.getpagesize() + MOST_MEMORY)
 
 
 def read_json(path: Path) -> Any:

@@ -1,4 +1,13 @@
-"""The exceptions of this library."""
+"""The exceptions of this library, and what other libraries say of damaged files."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
+LONGEST_WORDS = 200
+"""Characters of another library's message that are told: some repeat the file."""
 
 
 class EpisodeError(Exception):
@@ -19,7 +28,30 @@ def words_of(problem: Exception, folder: object) -> str:
 
 
 def _typed(problem: Exception) -> str:
-    return f"{type(problem).__name__}: {problem}"
+    return f"{type(problem).__name__}: {_plain(problem)}"
+
+
+def _plain(problem: Exception) -> str:
+    """What another library says, for people: one short line, without control characters."""
+    if isinstance(problem, MemoryError):
+        return "it needs more memory than one recording may take"
+    if isinstance(problem, UnicodeError):
+        return "it has bytes that are no text where text is needed"
+    line = "".join(c if c.isprintable() else "?" for c in " ".join(str(problem).split()))
+    if not line or isinstance(problem, (AssertionError, IndexError, KeyError, TypeError)):
+        return f"its parts do not fit together: {line or type(problem).__name__}"[:LONGEST_WORDS]
+    return line if len(line) <= LONGEST_WORDS else f"{line[:LONGEST_WORDS]} …"
+
+
+@contextlib.contextmanager
+def telling(file: Path, words: str) -> Iterator[None]:
+    """Turn whatever a library raises over a file into an ``EpisodeError``: file, words, why."""
+    try:
+        yield
+    except EpisodeError:
+        raise
+    except Exception as problem:  # of any kind: libraries trust the lengths in a file
+        raise EpisodeError(f"{file}: {words} ({_plain(problem)})") from None
 
 
 class NoMotionError(EpisodeError):

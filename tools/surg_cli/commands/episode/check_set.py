@@ -20,6 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Check, write the page, name the first findings."""
+    from surg_recording.file_io import bounded_memory
     from surg_recording.imports.lerobot_set import LeRobotData
     from surg_recording.quality import check_page, set_check
     from surg_recording.quality.set_rows import WHOLE
@@ -27,8 +28,8 @@ def main(options: argparse.Namespace, command: str) -> int:
 
     root, out = options.set, paths.run_folder(None)
     try:
-        episodes = LeRobotData(root).count
-        with Progress(f"check {root}") as progress:
+        with bounded_memory(), Progress(f"check {root}") as progress:
+            episodes = LeRobotData(root).count
             found = set_check.check(root, progress.update)
     except EpisodeError as problem:
         raise CliError(f"check: {problem}", 2) from None

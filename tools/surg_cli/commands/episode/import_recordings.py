@@ -16,7 +16,7 @@ Job = tuple[str, Path, Callable[[Path, Any], Path]]
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
     parser.epilog = (
-        "Exit status: 0 everything was imported, 1 some was refused, 2 wrong input."
+        "Exit status: 0 everything was imported, 1 some was refused, 2 all was, or wrong input."
         " docs/reference/imports.md describes the maps."
     )
     add = parser.add_argument
@@ -31,7 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 
 def main(options: argparse.Namespace, command: str) -> int:
-    """Import each; exit status 1 if one was refused."""
+    """Import each; exit status 1 if one was refused, 2 if all were."""
+    from surg_recording.file_io import bounded_memory
     from surg_recording.imports.import_page import Account, write_account
     from surg_recording.imports.ledger import Ledger
     from surg_recording.recording_errors import EpisodeError, words_of
@@ -39,7 +40,8 @@ def main(options: argparse.Namespace, command: str) -> int:
     try:
         stated = None if options.map is None else _yaml(options.map)
         read = _sets if options.kind == "lerobot" else _bags
-        jobs = list(read(options, stated))
+        with bounded_memory():
+            jobs = list(read(options, stated))
     except EpisodeError as problem:
         raise CliError(f"import: {problem}", 2) from None
     options.out.mkdir(parents=True, exist_ok=True)
@@ -51,7 +53,8 @@ def main(options: argparse.Namespace, command: str) -> int:
             try:
                 if folder.exists():
                     raise EpisodeError(f"{folder}: is there already; name another --out")
-                accounts.append(Account(words, write(folder, ledger), "", ledger))
+                with bounded_memory():
+                    accounts.append(Account(words, write(folder, ledger), "", ledger))
             except Exception as problem:  # one recording, not the import
                 accounts.append(Account(words, None, words_of(problem, words), ledger))
     page = write_account(options.out, accounts)
@@ -59,7 +62,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         _say(account)
     refused = sum(account.folder is None for account in accounts)
     say(f"import: {len(accounts) - refused} episodes, {refused} refused; {page}")
-    return 1 if refused else 0
+    return 2 if refused == len(accounts) else min(refused, 1)
 
 
 def _say(account: Any) -> None:

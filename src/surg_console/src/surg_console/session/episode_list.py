@@ -18,6 +18,9 @@ SHOWN = 30
 """Episodes that are listed."""
 READ = (MANIFEST, labels.LABELS, DISCARDED)
 """Files of an episode that say how it ended."""
+STALLED = ": fell silent for more than "
+"""Of the recorder's warning about a camera."""
+EXPORT = "./surg episode export needs --allow old-pictures"
 LARGEST_MANIFEST = 8 << 20
 """[bytes]"""
 
@@ -29,9 +32,8 @@ class Entry:
     name: str
     started: float  # wall clock [s]
     seconds: float | None  # its length [s]; None: not known
-    files: (
-        str  # "complete", "incomplete", "unfinished" (no manifest yet), "unreadable", "discarded"
-    )
+    files: str  # "complete", "with old pictures", "incomplete", "unreadable", "discarded", or
+    # "unfinished": no manifest yet
     outcome: str = ""  # the verdict's word; empty: there is no manifest
     reason: str = ""  # of both
     by: str = ""  # who judged: "person", "task"; empty: nobody
@@ -91,14 +93,22 @@ def _entry(path: Path) -> Entry:
     except (ValueError, EpisodeError) as error:
         return Entry(path.name, changed, None, "unreadable", "", str(error)[:200])
     start, stop = _nanoseconds(manifest, "started_ns"), _nanoseconds(manifest, "stopped_ns")
+    warnings = manifest.get("warnings")
+    stalls = (
+        [said for said in map(str, warnings) if STALLED in said]
+        if isinstance(warnings, list)
+        else []
+    )
+    stalls += [EXPORT] if stalls else []
+    complete = "with old pictures" if stalls else "complete"
     judged = verdict(manifest if given is None else {**manifest, labels.KEY: given})
     return Entry(
         name=path.name,
         started=start * 1e-9 if start else changed,
         seconds=(stop - start) * 1e-9 if start and stop > start else None,
-        files="complete" if manifest.get("outcome") == "complete" else "incomplete",
+        files=complete if manifest.get("outcome") == "complete" else "incomplete",
         outcome=judged.outcome,
-        reason="; ".join(filter(None, (str(manifest.get("reason") or ""), judged.reason))),
+        reason="; ".join(filter(None, (str(manifest.get("reason") or ""), *stalls, judged.reason))),
         by=judged.by or "",
     )
 

@@ -11,6 +11,10 @@ class NoServer(PolicyClientError):
     """No server has answered within the timeout."""
 
 
+class BadAddress(PolicyClientError, ValueError):
+    """An address that is none."""
+
+
 class VersionMismatch(PolicyClientError):
     """Client and server have no protocol version in common."""
 

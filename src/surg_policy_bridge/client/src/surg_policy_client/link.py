@@ -17,7 +17,7 @@ from zmq.utils import monitor
 
 from surg_policy_client.connection_hint import HANDSHAKE_FAILED, ConnectionHint
 from surg_policy_client.conversation import Conversation, ConversationState
-from surg_policy_client.errors import NoServer
+from surg_policy_client.errors import BadAddress, NoServer
 from surg_policy_client.keys import ClientKeys, Folder, client_keys
 from surg_policy_client.spec import Spec
 from surg_policy_client.version import __version__
@@ -74,7 +74,7 @@ class Link:
         """Messages that could not be sent, and invalid frames."""
         try:
             self._first: Any = self._socket()  # a bad address fails here
-        except ValueError:
+        except BadAddress:
             self._context.term()
             raise
         self._outbox = self._context.socket(zmq.PAIR)
@@ -240,7 +240,7 @@ class Link:
             wire.disable_monitor()
             watch.close(0)
             wire.close(0)
-            raise ValueError(
+            raise BadAddress(
                 f"{self.address!r} is not an address ({error}); allowed: tcp://HOST:PORT and "
                 "ipc://PATH, such as tcp://127.0.0.1:5555"
             ) from None

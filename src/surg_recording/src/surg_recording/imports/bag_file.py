@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import resource
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from types import TracebackType
@@ -12,11 +13,15 @@ from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from surg_recording.recording_errors import EpisodeError
+from surg_recording.file_io import bounded, regular_file
+from surg_recording.recording_errors import EpisodeError, telling
 
 METADATA = "metadata.yaml"
 """The file that makes a folder a bag of ROS 2."""
 STORAGES = (".mcap", ".db3")
+MOST_UNPACKED, SPARE = 1000, 1 << 30
+"""A file of ROS 2 that is compressed as a whole unpacks, beside others, to at most this many times
+its size and some more [bytes]: 4K pictures without content shrink to a thousandth."""
 
 
 class BagFile:
@@ -30,13 +35,18 @@ class BagFile:
         """
         self.path = path.parent if path.suffix in STORAGES else path
         self.ros2 = self.path.is_dir()
-        if self.ros2 and not (self.path / METADATA).is_file():
+        if self.ros2 and not (self.path / METADATA).exists():
             raise EpisodeError(
                 f"{path}: {METADATA} is missing beside it. 'ros2 bag reindex {self.path}' writes it"
             )
+        regular_file(self.path / METADATA if self.ros2 else path)
         with _told(path):
             self._reader = rosbag2.Reader(path=self.path) if self.ros2 else rosbag1.Reader(path)
-            self._reader.open()
+            each = self._reader
+            stored = each.paths if isinstance(each, rosbag2.Reader) else [path]
+            size = max(regular_file(file).stat().st_size for file in stored)
+            with bounded(resource.RLIMIT_FSIZE, size * MOST_UNPACKED + SPARE):
+                self._reader.open()
         self._types = get_typestore(Stores.ROS2_HUMBLE if self.ros2 else Stores.EMPTY)
         self._defined: set[str] = set()
         self.kinds = {each.topic: _short(each.msgtype) for each in self._reader.connections}
@@ -101,13 +111,11 @@ def _short(kind: str) -> str:
 def _told(path: Path) -> Iterator[None]:
     """What a damaged bag makes the library raise, as one kind of error."""
     try:
-        yield
-    except EpisodeError:
-        raise
-    except Exception as problem:  # of any kind: the library trusts the lengths in a file
-        words = " ".join(str(problem).split()) or type(problem).__name__
-        if "not indexed" in words:
-            raise EpisodeError(
-                f"{path}: was not closed, so it has no index; rosbag reindex {path} writes one"
-            ) from None
-        raise EpisodeError(f"{path}: not a bag that can be read ({words})") from None
+        with telling(path, "not a bag that can be read; copy or record it again"):
+            yield
+    except EpisodeError as problem:
+        if "not indexed" not in str(problem):
+            raise
+        raise EpisodeError(
+            f"{path}: was not closed, so it has no index; rosbag reindex {path} writes one"
+        ) from None

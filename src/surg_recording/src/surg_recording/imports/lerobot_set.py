@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import string
 from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
@@ -12,12 +13,12 @@ from typing import Any
 import av
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
 import pyarrow.parquet as pq
 
 from surg_recording.datasets import schema
+from surg_recording.file_io import read_json, regular_file
 from surg_recording.imports.ledger import Ledger
-from surg_recording.recording_errors import EpisodeError
+from surg_recording.recording_errors import EpisodeError, telling
 from surg_recording.video.colours import Colours, rotation_of
 
 VERSIONS = ("v2.0", "v2.1", "v3.0")
@@ -25,7 +26,12 @@ LARGEST_DENOMINATOR = 1001
 """Of a rate: those of television are 24000, 30000 and 60000 over 1001."""
 FASTEST_HZ = 1000
 NOT_STATED = "not stated"
+CURE = "cannot be read; download it again"
+MOST_COLUMNS = 10_000
+"""Of a table: hands with tactile skin have some hundred."""
 _PLACES = {"episode_index", "episode_chunk", "chunk_index", "file_index", "video_key"}
+_WIDTH = re.compile(r"(0?[0-9]d)?")
+"""How a template may write a number."""
 
 Times = npt.NDArray[np.float64]
 
@@ -36,21 +42,27 @@ class LeRobotData:
     def __init__(self, root: Path) -> None:
         """Read its description; an EpisodeError if it is none, or of another version."""
         self.root = root
-        try:
-            self.info: dict[str, Any] = json.loads((root / "meta" / "info.json").read_text("utf-8"))
+        if not (root / "meta" / "info.json").exists():
+            raise EpisodeError(f"{root}: no LeRobot data set (meta/info.json is missing)")
+        with telling(root, "no LeRobot data set"):
+            self.info: dict[str, Any] = read_json(root / "meta" / "info.json")
             self.fps, self.count = rate(self.info["fps"]), int(self.info["total_episodes"])
             self.features: dict[str, dict[str, Any]] = dict(self.info["features"])
             self.version = str(self.info["codebase_version"])
-        except (OSError, ValueError, KeyError, TypeError) as problem:
-            raise EpisodeError(f"{root}: no LeRobot data set (meta/info.json: {problem})") from None
+            self._chunk = max(int(self.info.get("chunks_size", 1000)), 1)
         if self.version not in VERSIONS:
             raise EpisodeError(
                 f"{root}/meta/info.json: codebase_version is {self.version!r}; this version reads"
                 f" {', '.join(VERSIONS)}"
             )
+        self._rows = _episode_rows(root)
+        if len(self._rows) != self.count:
+            raise EpisodeError(
+                f"{root}/meta/info.json: total_episodes is {self.count}, meta/episodes lists"
+                f" {len(self._rows)}. Download meta again"
+            )
         kinds = {name: feature.get("dtype") for name, feature in self.features.items()}
         self.cameras = [name for name, kind in kinds.items() if kind in ("video", "image")]
-        self._rows = _episode_rows(root)
         self._tasks = _tasks(root)
 
     def table(self, episode: int) -> Any:
@@ -60,11 +72,10 @@ class LeRobotData:
             EpisodeError: They cannot be read, or are not as many as the data set says.
         """
         path = self._path("data_path", episode, "data")
-        try:
+        with telling(path, CURE):
+            _columns(path)
             table = pq.read_table(path, filters=[("episode_index", "=", episode)])
             table = table.sort_by("frame_index")
-        except (OSError, ValueError, KeyError) as problem:
-            raise EpisodeError(f"{path}: cannot be read ({problem})") from None
         stated = self._rows.get(episode, {}).get("length", table.num_rows)
         if not table.num_rows or table.num_rows != stated:
             raise EpisodeError(
@@ -98,7 +109,7 @@ class LeRobotData:
         wanted = times + float(row.get(f"videos/{video}/from_timestamp", 0.0))
         near = float(1 / self.fps) / 4  # further off, the next picture could be meant
         at, unused, last = 0, 0, 0.0
-        try:
+        with telling(path, "cannot be decoded; download it again"):
             colours = Colours(rotation_of(path))
             with av.open(str(path)) as container:
                 shown = container.streams.video[0]
@@ -115,8 +126,6 @@ class LeRobotData:
                         yield at, colours(frame)
                         at += 1
                     unused += at == used and last > wanted[0]
-        except (av.error.FFmpegError, IndexError) as problem:
-            raise EpisodeError(f"{path}: cannot be decoded ({problem})") from None
         reason = f"rows behind the end of the video ({last:.3f} s)"
         ledger.drop(stream, reason, len(wanted) - at)
         if unused:
@@ -125,15 +134,17 @@ class LeRobotData:
     def _path(self, key: str, episode: int, prefix: str, **further: str) -> Path:
         """A file of an episode, inside the data set."""
         template = self.info.get(key)
-        fields = {str(name) for _, name, *_ in string.Formatter().parse(str(template)) if name}
+        parsed = list(string.Formatter().parse(str(template)))
+        fields = {str(name) for _, name, *_ in parsed if name}
+        plain = all(_WIDTH.fullmatch(width or "") for _, _, width, _ in parsed)
         row = self._rows.get(episode, {})
         places: dict[str, Any] = {
             "episode_index": episode,
-            "episode_chunk": episode // int(self.info.get("chunks_size", 1000)),
+            "episode_chunk": episode // self._chunk,
             **{k: int(row[f"{prefix}/{k}"]) for k in _PLACES if f"{prefix}/{k}" in row},
             **further,
         }
-        if not isinstance(template, str) or not fields <= set(places):
+        if not isinstance(template, str) or not fields <= set(places) or not plain:
             raise EpisodeError(
                 f"{self.root}/meta/info.json: {key} is {template!r}; it may name"
                 f" {', '.join(sorted(places))}"
@@ -141,7 +152,7 @@ class LeRobotData:
         name = Path(template.format(**places))
         if name.is_absolute() or ".." in name.parts:
             raise EpisodeError(f"{self.root}/meta/info.json: {key} leads out of the data set")
-        return self.root / name
+        return regular_file(self.root / name)
 
 
 def rate(stated: Any) -> Fraction:
@@ -150,7 +161,7 @@ def rate(stated: Any) -> Fraction:
     Raises:
         ValueError: It is no rate.
     """
-    found = Fraction(str(stated)).limit_denominator(LARGEST_DENOMINATOR)
+    found = Fraction(str(float(stated))).limit_denominator(LARGEST_DENOMINATOR)
     if not 0 < found <= FASTEST_HZ:
         raise ValueError(f"fps: {stated!r}; allowed: above 0, to {FASTEST_HZ}")
     return found
@@ -160,28 +171,33 @@ def _lines(file: Path) -> list[dict[str, Any]]:
     """The rows of a JSON-lines file; none without one."""
     if not file.is_file():
         return []
-    try:
+    with telling(file, CURE):
         return [json.loads(line) for line in file.read_text("utf-8").splitlines() if line.strip()]
-    except ValueError as problem:
-        raise EpisodeError(f"{file}: not valid JSON lines ({problem})") from None
 
 
-def _parquet(files: Sequence[Path], columns: Sequence[str] | None = None) -> list[dict[str, Any]]:
+def _parquet(files: Sequence[Path]) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for file in files:
-        try:
-            names = [n for n in pq.read_schema(file).names if not n.startswith("stats/")]
+        with telling(regular_file(file), CURE):
+            names = [n for n in _columns(file) if not n.startswith("stats/")]
             rows += pq.read_table(file, columns=names).to_pylist()
-        except (OSError, pa.ArrowException) as problem:
-            raise EpisodeError(f"{file}: cannot be read ({problem})") from None
     return rows
+
+
+def _columns(file: Path) -> list[str]:
+    """The columns of a table; so many that to read them would take minutes are refused."""
+    names = [str(name) for name in pq.read_schema(file).names]
+    if len(names) > MOST_COLUMNS:
+        raise EpisodeError(f"{file}: {len(names)} columns; allowed: {MOST_COLUMNS}")
+    return names
 
 
 def _episode_rows(root: Path) -> dict[int, dict[str, Any]]:
     """What ``meta`` says of each episode."""
     rows = _lines(root / "meta" / "episodes.jsonl")
     rows += _parquet(sorted((root / "meta" / "episodes").rglob("*.parquet")))
-    return {int(row["episode_index"]): row for row in rows}
+    with telling(root / "meta" / "episodes", CURE):
+        return {int(row["episode_index"]): row for row in rows}
 
 
 def _tasks(root: Path) -> dict[int, str]:
@@ -189,10 +205,11 @@ def _tasks(root: Path) -> dict[int, str]:
     rows = _lines(root / "meta" / "tasks.jsonl")
     file = root / "meta" / "tasks.parquet"
     rows += _parquet([file] if file.is_file() else [])
-    return {
-        int(row["task_index"]): next(str(v) for k, v in row.items() if k != "task_index")
-        for row in rows
-    }
+    with telling(root / "meta" / "tasks", CURE):
+        return {
+            int(row["task_index"]): next(str(v) for k, v in row.items() if k != "task_index")
+            for row in rows
+        }
 
 
 def names_of(feature: Mapping[str, Any]) -> list[str]:

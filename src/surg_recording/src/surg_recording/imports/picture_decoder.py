@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from surg_recording.imports.ledger import Ledger
 from surg_recording.video.colours import Colours
+from surg_recording.video.compressed_image import read_header
 from surg_recording.video.image_frame import frame_of
 from surg_recording.video.video_encoder import ENCODINGS
 from surg_recording.video.video_sink import unusable
@@ -35,7 +36,8 @@ _YUV = {
 }
 """Encoding → bytes of a pixel in the rows, and OpenCV's conversion. Half as many rows of chroma
 follow those of one byte."""
-_WIDE = {"rgb16": (3, "rgb8"), "bgr16": (3, "bgr8"), "rgba16": (4, "rgba8"), "bgra16": (4, "bgra8")}
+_WIDE = {"rgb16": 3, "bgr16": 3, "16UC3": 3, "rgba16": 4, "bgra16": 4, "16UC4": 4}
+"""Encoding → colours of 16 bits; red comes first where the name begins with it."""
 _STREAMS = ("h264", "hevc", "h265")
 _DEPTH_HEAD = struct.Struct("<iff")
 """Of compressed_depth_image_transport: kind, and the two numbers of its inverse depth."""
@@ -73,8 +75,11 @@ class PictureDecoder:
         name = next((name for name in _STREAMS if name in kind.lower()), None)
         if name is not None:
             return self._streamed("hevc" if name == "h265" else name, data)
-        if unusable(frame_of(message, 0, 0)) is None:
-            return message
+        if stated.startswith("bayer_"):  # image_transport keeps the mosaic
+            made = image_message(_opened(data))
+            if made.encoding in ("mono8", "16UC1"):
+                made.encoding = stated.partition(";")[0].strip()
+            return _raw(made)
         return image_message(_opened(data))
 
     def _streamed(self, codec: str, data: bytes) -> Any:
@@ -91,6 +96,8 @@ class PictureDecoder:
 
 def _opened(data: bytes) -> Values:
     """A compressed picture as OpenCV reads it (colours: b, g, r), with all its bits."""
+    if data.startswith((b"\xff\xd8", b"\x89PNG")):
+        read_header(data, most_bits=16)  # OpenCV fills what is cut with grey
     opened = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if opened is None:
         raise ValueError(f"no picture that OpenCV reads ({len(data)} bytes)")
@@ -98,14 +105,19 @@ def _opened(data: bytes) -> Values:
 
 
 def image_message(values: Values, rgb: bool = False) -> SimpleNamespace:
-    """Pixels (height, width[, channels]) as an image message; three channels are b, g, r."""
+    """Pixels (height, width[, channels]) as an image message; colours are b, g, r unless ``rgb``.
+
+    The message's three are r, g, b: FFmpeg turns those into video to the level, b, g, r to three.
+    """
     channels = 1 if values.ndim == 2 else values.shape[2]
     if values.dtype == np.uint16 and channels > 1:
         values = (values >> 8).astype(np.uint8)
+    if values.dtype == np.uint8 and channels == 3 and not rgb:
+        values = cv2.cvtColor(values, cv2.COLOR_BGR2RGB)
     kinds: dict[tuple[str, int], str] = {
         ("uint8", 1): "mono8",
-        ("uint8", 3): "rgb8" if rgb else "bgr8",
-        ("uint8", 4): "bgra8",
+        ("uint8", 3): "rgb8",
+        ("uint8", 4): "rgba8" if rgb else "bgra8",
         ("uint16", 1): "16UC1",
         ("float32", 1): "32FC1",
     }
@@ -126,6 +138,8 @@ def image_message(values: Values, rgb: bool = False) -> SimpleNamespace:
 def _raw(message: Any) -> Any:
     """An image message whose encoding the recorder knows."""
     encoding = str(message.encoding)
+    if encoding in ("bgr8", "8UC3"):
+        return image_message(_rows(message, message.height, 3, np.uint8))
     if encoding in ENCODINGS:
         return message
     if encoding in _YUV:
@@ -139,11 +153,8 @@ def _raw(message: Any) -> Any:
         grey = _rows(message, message.height, 1, dtype)[..., 0]
         return image_message(cv2.cvtColor(grey, _BAYER[pattern]), rgb=True)
     if encoding in _WIDE:
-        channels, narrow = _WIDE[encoding]
-        wide = _rows(message, message.height, channels, np.uint16)
-        made = image_message((wide >> 8).astype(np.uint8))
-        made.encoding = narrow
-        return made
+        wide = _rows(message, message.height, _WIDE[encoding], np.uint16)
+        return image_message(wide, rgb=encoding.startswith("rgb"))
     if encoding == "8UC4":
         return image_message(_rows(message, message.height, 4, np.uint8))
     known = [*ENCODINGS, *_YUV, *_WIDE, "8UC4", *(f"bayer_{p}{b}" for p in _BAYER for b in (8, 16))]

@@ -28,7 +28,8 @@ class TopicDiscovery:
         reported: set[str] = set()
         quiet_since = time.monotonic()
         while not rospy.is_shutdown():
-            for topic in self._state.choice.newly_chosen(self._published()):
+            published = self._published()
+            for topic in self._state.choice.newly_chosen(published):
                 self._subscribe(topic)
             recording = self._state.recording
             if recording is None:
@@ -36,7 +37,9 @@ class TopicDiscovery:
             elif time.monotonic() - quiet_since > SILENT_S:
                 for topic in sorted(set(self._state.waiting_for(recording)) - reported):
                     reported.add(topic)
-                    rospy.logwarn("recorder: nothing has come on %s yet", topic)
+                    # Refusals, for one, are published by somebody and silent while all is well.
+                    tell = rospy.loginfo if topic in published else rospy.logwarn
+                    tell("recorder: nothing has come on %s yet", topic)
             time.sleep(PERIOD_S)
 
     def _published(self) -> dict[str, str]:

@@ -59,6 +59,7 @@ def last_words(entry: Mapping[str, Any]) -> str:
     lines = str(entry["failure_reason"] or "no reason is known").splitlines()
     why = " ".join(dict.fromkeys((lines[0], lines[-1]))).rstrip(".")
     during = f" in phase {entry['phase']!r}" if entry["phase"] else ""
+    during = "" if during in why else during  # a time limit says it itself
     return f"{entry['outcome']} after {entry['duration_s']:.1f} s{during}: {why}."
 
 

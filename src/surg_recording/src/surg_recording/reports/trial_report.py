@@ -119,7 +119,7 @@ def _conditions(conditions: Sequence[Mapping[str, Any]]) -> Markup:
 
 def _bound(bound: Mapping[str, Any]) -> Markup:
     missed = Markup("{} ({})").format(MISSED, number(bound["worst"]))
-    mark = MET if bound["met"] else missed
+    mark = "not measured" if bound["worst"] is None else MET if bound["met"] else missed
     return Markup("{} &lt; {:g}: {}").format(bound["metric"], bound["value"], mark)
 
 

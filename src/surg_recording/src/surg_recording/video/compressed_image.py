@@ -32,8 +32,13 @@ class Coded(NamedTuple):
     height: int
 
 
-def read_header(data: bytes, stated: str = "") -> Coded:
-    """Kind and size of a picture; ``stated`` is the sender's ``format``, for the error.
+def read_header(data: bytes, stated: str = "", most_bits: int = 8) -> Coded:
+    """Kind and size of a picture.
+
+    Args:
+        data: Its bytes.
+        stated: The sender's ``format``, for the error.
+        most_bits: Of a colour of a PNG picture.
 
     Raises:
         ValueError: It is neither JPEG nor PNG, it is truncated, or its pixels cannot be recorded.
@@ -41,7 +46,7 @@ def read_header(data: bytes, stated: str = "") -> Coded:
     if data[:2] == bytes((0xFF, _START)):
         picture = Coded(JPEG, *_jpeg(data))
     elif data.startswith(_PNG_BEGIN):
-        picture = Coded(PNG, *_png(data))
+        picture = Coded(PNG, *_png(data, most_bits))
     else:
         raise ValueError(f"neither JPEG nor PNG (its sender calls it {stated!r})")
     if picture.width * picture.height > MAX_PIXELS:
@@ -79,10 +84,10 @@ def _jpeg_size(data: bytes, place: int) -> tuple[int, int] | None:
     return (width, height) if width and height else None
 
 
-def _png(data: bytes) -> tuple[int, int]:
+def _png(data: bytes, most_bits: int) -> tuple[int, int]:
     if data[12:16] != b"IHDR" or data.rfind(_PNG_END) < 0:
         raise ValueError(f"a PNG picture that is cut or broken ({len(data)} bytes)")
     width, height, bits = struct.unpack_from(">IIB", data, 16)
-    if bits > 8:
+    if bits > most_bits:
         raise ValueError(f"a PNG picture of {bits} bits per colour; 8 are recorded")
     return width, height

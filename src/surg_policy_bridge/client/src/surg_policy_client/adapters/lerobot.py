@@ -104,7 +104,7 @@ class LeRobotPolicy:
         """The chunk [K, A] for the grid times after the observation's.
 
         Raises:
-            ValueError: A picture has other proportions than in training, or is smaller.
+            SpecMismatch: A picture has other proportions than in training, or is smaller.
         """
         import torch
 

@@ -6,6 +6,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from surg_policy_client.errors import SpecMismatch
+
 
 def scaled(picture: np.ndarray, height: int, width: int) -> np.ndarray:
     """A picture made smaller: each pixel is the mean of the area that it covers.
@@ -19,13 +21,13 @@ def scaled(picture: np.ndarray, height: int, width: int) -> np.ndarray:
         (height, width, 3) uint8; the same array if the size is the same.
 
     Raises:
-        ValueError: It would become larger, or be stretched. Says both sizes.
+        SpecMismatch: It would become larger, or be stretched. Says both sizes.
     """
     tall, wide = picture.shape[:2]
     if (tall, wide) == (height, width):
         return picture
     if height > tall or width > wide or height * wide != width * tall:
-        raise ValueError(
+        raise SpecMismatch(
             f"the model was trained with pictures of {width} x {height}, the server's are "
             f"{wide} x {tall}: they are made smaller, but neither larger nor stretched"
         )

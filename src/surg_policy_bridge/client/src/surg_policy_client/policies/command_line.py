@@ -41,8 +41,12 @@ def run(
     # A supervisor ends programs by SIGTERM: the server is to hear of it as of Ctrl-C.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
+        policy = make(options)
+    except (PolicyClientError, ValueError, OSError) as error:
+        return _refused(parser.prog, error)
+    try:
         served = serve(
-            make(options),
+            policy,
             options.server,
             keys=options.keys,
             seed=options.seed,
@@ -50,15 +54,20 @@ def run(
             timeout_s=options.timeout,
             say=_say,
         )
-    except (PolicyClientError, ValueError, OSError) as error:
-        print(f"{parser.prog}: {error}", file=sys.stderr, flush=True)
-        return 2 if isinstance(error, ValueError) else 1
+    except PolicyClientError as error:  # the policy's own errors keep their traceback
+        return _refused(parser.prog, error)
     _say(
         f"{served.observations} observations answered in {served.episodes} episodes, "
         f"{served.successes} with success; rows accepted {served.accepted}, clipped "
         f"{served.clipped}, late {served.late}, stale {served.stale}, refused {served.rejected}"
     )
     return 0
+
+
+def _refused(program: str, error: Exception) -> int:
+    """Say an error in one line; the exit status."""
+    print(f"{program}: {error}", file=sys.stderr, flush=True)
+    return 2 if isinstance(error, ValueError) else 1
 
 
 def _say(text: str) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from surg_policy_client.errors import SpecMismatch
 from surg_policy_client.observation import STATE, Observation
 from surg_policy_client.policies.command_line import run
 from surg_policy_client.spec import ACTION_SPACES, CHANGES, ActionSpec, Feature, Spec
@@ -54,7 +55,7 @@ class Replay:
         assert action is not None  # of every server
         missing = [name for name in action.names if name not in self._names]
         if missing:
-            raise ValueError(
+            raise SpecMismatch(
                 f"the recording has no {', '.join(missing)}; it has {', '.join(self._names)}"
             )
         columns = [self._names.index(name) for name in action.names]

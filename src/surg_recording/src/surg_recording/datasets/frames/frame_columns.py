@@ -25,8 +25,9 @@ NEXT = "zero-order hold at the next grid time"
 class Columns:
     """The features of one recording, and their values."""
 
-    def __init__(self, grid: Grid, options: ExportOptions) -> None:
-        self.grid, self.options = grid, options
+    def __init__(self, grid: Grid, options: ExportOptions, gap_ns: int) -> None:
+        """``gap_ns``: samples of motion that are further apart are not bridged."""
+        self.grid, self.options, self.gap_ns = grid, options, gap_ns
         self.features: list[Feature] = []
         self.columns: dict[str, npt.NDArray[Any]] = {}
         self.dropped: list[str] = []

@@ -15,7 +15,6 @@ from surg_core.contract import (
     ARM_STATE_UNITS,
     FORCE_KEY,
     FORCE_TIMEOUT_NS,
-    SECOND_NS,
     STATE_KEY,
 )
 from surg_core.force.observed_force import PLACES
@@ -31,7 +30,7 @@ from surg_recording.episode.checked.long_table import LongTable
 
 def observed_motion(made: Columns, commanded: list[ArmMotion], arms: list[ArmMotion]) -> None:
     """Measured values: joints of all arms, tips of those that are commanded and so homed."""
-    grid, gap = made.grid, round(made.options.max_gap_s * SECOND_NS)
+    grid, gap = made.grid, made.gap_ns
     states, poses = [], []
     for arm in commanded:
         both = np.column_stack([arm.state, arm.p_BTip])
@@ -112,8 +111,7 @@ def camera_pose(made: Columns, episode: CheckedEpisode, arm: ArmMotion) -> None:
     """The pose of the left camera, from the joints of the arm that holds it."""
     held = calibration_record.endoscope_of(episode.folder, episode.manifest)
     assert held is not None
-    gap = round(made.options.max_gap_s * SECOND_NS)
-    q, _ = linear(arm.stamps, arm.q, made.grid.times_ns, arm.path, gap)
+    q, _ = linear(arm.stamps, arm.q, made.grid.times_ns, arm.path, made.gap_ns)
     made.vector(
         schema.CAMERA_POSE,
         calibration_record.camera_poses(held, q),
@@ -163,9 +161,8 @@ def ground_truth(made: Columns, truth: Mapping[str, LongTable]) -> None:
     for arm, long in truth.items():
         table = long.at(around(long.index["stamp_ns"], made.grid.times_ns), columns)
         values = np.column_stack([table.vector("tip"), table.vector("force")])
-        gap = round(made.options.max_gap_s * SECOND_NS)
         what = f"ground_truth_{arm}.csv"
-        resampled, _ = linear(table["stamp_ns"], values, made.grid.times_ns, what, gap)
+        resampled, _ = linear(table["stamp_ns"], values, made.grid.times_ns, what, made.gap_ns)
         parts.append(resampled)
         names += [f"{arm}/{name}_{axis}" for name in ("tip", "force") for axis in "xyz"]
     made.vector(

@@ -15,6 +15,7 @@ from typing import Any
 import av
 import numpy.typing as npt
 
+from surg_core.contract import SECOND_NS
 from surg_recording.datasets import pictures
 from surg_recording.datasets.frames import motion_features, task_features
 from surg_recording.datasets.frames.arm_motion import ArmCycles
@@ -26,6 +27,7 @@ from surg_recording.datasets.inspection import Candidate
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.schema import Feature
 from surg_recording.episode.checked.checked_episode import CheckedEpisode
+from surg_recording.episode.checked.checked_reading import bridged_ns
 from surg_recording.recording_errors import EpisodeError
 
 
@@ -92,7 +94,8 @@ def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
     arms = {arm: each.at(grid) for arm, each in cycles.items()}
     commanded = [arms[arm] for arm in layout.commanded]
 
-    made = Columns(grid, options)
+    gap_ns = bridged_ns(episode.manifest, round(options.max_gap_s * SECOND_NS))
+    made = Columns(grid, options, gap_ns)
     if episode.segment is not None:
         made.notes["segment"] = episode.segment.words
     if candidate.remarks:

@@ -7,8 +7,9 @@ them; the error states file, line and value.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,6 +27,14 @@ LONGEST_GAP_NS = 3600 * SECOND_NS
 
 LARGEST = 1e6
 """No measured position, angle, speed or force is larger [SI]."""
+
+
+def bridged_ns(manifest: Mapping[str, Any], least_ns: int) -> int:
+    """Longest time between two samples that is no gap [ns]: of an import 1.5 of its periods."""
+    imported = manifest.get("imported")
+    period = imported.get("period_s") if isinstance(imported, dict) else None
+    known = isinstance(period, float) and 0.0 < period < 10.0
+    return max(least_ns, round(1.5 * period * SECOND_NS)) if known else least_ns
 
 
 def segment_of(recorded: Episode) -> Segment | None:

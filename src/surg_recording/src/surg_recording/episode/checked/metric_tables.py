@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from surg_core.contract import SECOND_NS, STREAMS
+from surg_core.contract import STREAMS
 from surg_recording.clock.clock_segments import Segment
 from surg_recording.episode import labels
 from surg_recording.episode.checked.checked_reading import (
+    bridged_ns,
     check_cycle,
     checked_table,
     finite,
@@ -33,7 +34,7 @@ def for_metrics(recorded: Episode, arm: str) -> Episode:
     segment, tables = segment_of(recorded), {}
     cycle = tables[f"cycle_{arm}"] = _finite_cycle(recorded, arm, segment)
     if recorded.complete:
-        limit = max(CYCLE_GAP_NS, round(1.5 * _imported_period_s(recorded) * SECOND_NS))
+        limit = bridged_ns(recorded.manifest, CYCLE_GAP_NS)
         _without_gap(recorded.folder / f"cycle_{arm}.csv", cycle, limit)
     truth = recorded.manifest["tables"].get(f"ground_truth_{arm}")
     if truth is not None and truth.get("rows") != 0:
@@ -87,10 +88,3 @@ def _without_gap(path: Path, cycle: Table, limit: int) -> None:
             f"{path}: no control cycle for {(stamps[row + 1] - stamps[row]) * 1e-6:.0f} ms after"
             f" stamp_ns {stamps[row]}; at most {limit * 1e-6:.0f} ms can be bridged"
         )
-
-
-def _imported_period_s(recorded: Episode) -> float:
-    """Median period of the samples that another program recorded [s]; 0: not an import."""
-    imported = recorded.manifest.get("imported")
-    period = imported.get("period_s") if isinstance(imported, dict) else None
-    return period if isinstance(period, float) and 0.0 < period < 10.0 else 0.0

@@ -1,0 +1,58 @@
+"""Writes data sets with the real lerobot, in an environment of its own; prints JSON lines.
+
+Usage: ``python lerobot_writer.py SPECIFICATIONS``, a JSON list of root, fps, names, cameras, dtype,
+codec and, per episode, the task of each frame. Picture k of episode n says so; the states are k.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+# As in lerobot_reader: torchvision is of another build than a CPU-only torch.
+_OPERATORS = torch.library.Library("torchvision", "DEF")
+for _name in ("nms", "qnms"):
+    _OPERATORS.define(f"{_name}(Tensor a, Tensor b, float c) -> Tensor")
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
+
+from helpers.recording.picture_identity import HEIGHT, WIDTH, Identity, draw  # noqa: E402
+
+
+def write(what: dict[str, Any]) -> None:
+    """One data set."""
+    state = {"dtype": "float32", "shape": (5,), "names": what["names"]}
+    axes = ["height", "width", "channels"]
+    image = {"dtype": what["dtype"], "shape": (HEIGHT, WIDTH, 3), "names": axes}
+    features = {"observation.state": state, "action": state}
+    features |= {f"observation.images.{camera}": image for camera in what["cameras"]}
+    made = LeRobotDataset.create(
+        "local/foreign",
+        what["fps"],
+        features,
+        root=what["root"],
+        use_videos=what["dtype"] == "video",
+        vcodec=what["codec"],
+    )
+    for number, tasks in enumerate(what["episodes"]):
+        for k, task in enumerate(tasks):
+            values = np.array([0.01, 0.001 * k, -0.1, 0.1, 0.2], np.float32)
+            shown = {
+                f"observation.images.{name}": draw(Identity(number, place, k))
+                for place, name in enumerate(what["cameras"])
+            }
+            made.add_frame({"observation.state": values, "action": values, "task": task, **shown})
+        made.save_episode()
+    made.finalize()
+
+
+print(json.dumps({"lerobot": metadata.version("lerobot")}))
+for _what in json.loads(Path(sys.argv[1]).read_text("utf-8")):
+    write(_what)
