@@ -33,8 +33,9 @@ def bridged_ns(manifest: Mapping[str, Any], least_ns: int) -> int:
     """Longest time between two samples that is no gap [ns]: of an import 1.5 of its periods."""
     imported = manifest.get("imported")
     period = imported.get("period_s") if isinstance(imported, dict) else None
-    known = isinstance(period, float) and 0.0 < period < 10.0
-    return max(least_ns, round(1.5 * period * SECOND_NS)) if known else least_ns
+    if not isinstance(period, float) or not 0.0 < period < 10.0:
+        return least_ns
+    return max(least_ns, round(1.5 * period * SECOND_NS))
 
 
 def segment_of(recorded: Episode) -> Segment | None:
