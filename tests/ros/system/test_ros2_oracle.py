@@ -303,7 +303,7 @@ def in_lock_step(graph: RosGraph, client: Path, ros2: bool) -> str:
     try:
         done = lambda: bool(ended) and ended[-1].state == SimStatus.STATE_DONE  # noqa: E731
         graph.wait_for(done, LOCKSTEP_S, "the run's end")
-        obeyed = f"accepted {CIRCLE + 2}"
+        obeyed = f"accepted {CIRCLE}"
         graph.wait_for(lambda: obeyed in script.log_tail(), WAIT_S, obeyed)
     finally:
         ear.unregister()
