@@ -48,7 +48,7 @@ def test_up_status_stop_down(tmp_path: Path) -> None:
         for word in ("/PSM1/controller", "/PSM1/cycle", " Hz", "last errors", "running"):
             assert word in status.stdout
         again = surg("up", "sim_ur5e", "--cameras", "none", "--port", port)
-        assert again.returncode == 1
+        assert again.returncode == 2
         assert "--port" in again.stderr
         enable(port)
         done = surg("stop", "--port", port)

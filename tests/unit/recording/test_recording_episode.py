@@ -250,6 +250,7 @@ while True:
 """
 
 
+@pytest.mark.timed
 def test_a_killed_recorder_is_mended_at_the_next_start(tmp_path: Path, full: bool) -> None:
     rng = np.random.default_rng(3)
     kills, rows_ms, video_s = (20 if full else 2), 0.0, 0.0

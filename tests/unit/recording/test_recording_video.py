@@ -158,6 +158,7 @@ while True:
 """
 
 
+@pytest.mark.timed
 @pytest.mark.parametrize("whom", ["recorder", "encoder", "both"])
 def test_kill_9_loses_at_most_half_a_second_of_video(tmp_path: Path, full: bool, whom: str) -> None:
     rng = np.random.default_rng(11)
