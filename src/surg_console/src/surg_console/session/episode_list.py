@@ -13,13 +13,12 @@ from surg_recording.episode.episode_reader import MANIFEST, PARTIAL
 from surg_recording.episode.verdicts import verdict
 from surg_recording.file_io import read_json
 from surg_recording.recording_errors import EpisodeError
+from surg_recording.video.camera_set import STALLED
 
 SHOWN = 30
 """Episodes that are listed."""
 READ = (MANIFEST, labels.LABELS, DISCARDED)
 """Files of an episode that say how it ended."""
-STALLED = ": fell silent for more than "
-"""Of the recorder's warning about a camera."""
 EXPORT = "./surg episode export needs --allow old-pictures"
 LARGEST_MANIFEST = 8 << 20
 """[bytes]"""

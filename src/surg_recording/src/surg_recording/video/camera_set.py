@@ -20,6 +20,9 @@ STALL_PERIODS = 3
 STALL_MIN_S = 0.15
 """Shortest silence that counts [s]."""
 
+STALLED = "fell silent for more than"
+"""In the warning of a camera; the console's list of episodes looks for it."""
+
 
 class CameraSet:
     """Writes all cameras of an episode; options as for ``VideoSink``."""
@@ -56,7 +59,7 @@ class CameraSet:
             since = self._silent.get(name)
             if since is None and now - heard > allowed:
                 self._silent[name] = heard
-                warning = f"{name}: fell silent for more than {allowed:.2f} s"
+                warning = f"{name}: {STALLED} {allowed:.2f} s"
                 events.append(
                     ("camera_stall", f"{name}: no frame for {now - heard:.2f} s", warning)
                 )
