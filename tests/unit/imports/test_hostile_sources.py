@@ -60,7 +60,7 @@ def wide(root: Path) -> None:
 
 
 def bomb(root: Path) -> None:
-    """A thousand million equal rows in some kilobytes."""
+    """Thirty million equal rows in some kilobytes."""
     names = ("episode_index", "frame_index", "timestamp", "observation.state", "action")
     table = pa.table({name: np.zeros(10_000_000, np.int64) for name in names})
     with pq.ParquetWriter(root / DATA, table.schema, compression="zstd") as writer:

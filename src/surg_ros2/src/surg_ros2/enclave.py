@@ -47,7 +47,7 @@ def folder(env: Mapping[str, str]) -> Path | None:
 
 
 def check(enclave: Path) -> None:
-    """Whether an enclave is complete.
+    """Refuse an enclave that is not complete.
 
     Raises:
         ValueError: A file is missing; names it.
