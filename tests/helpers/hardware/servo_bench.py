@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import pytest
 import yaml
 from dynamixel_sdk.port_handler import PortHandler
 
@@ -151,6 +153,16 @@ class ServoBench:
         self.session.home()
         self.until(lambda: self.core.status.state is not DriveState.HOMING, 60.0)
         assert self.core.status.state is DriveState.HOMED, self.core.status
+
+
+def with_terminals() -> None:
+    """Skip the test where the system has no pseudo-terminals."""
+    try:
+        ends = os.openpty()
+    except OSError as error:
+        pytest.skip(f"missing: a pseudo-terminal ({error}): is /dev/pts mounted?")
+    for end in ends:
+        os.close(end)
 
 
 def emulated_drive_cell(folder: Path, document: Mapping[str, Any] = DRIVE) -> Path:

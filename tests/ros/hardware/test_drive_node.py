@@ -10,7 +10,7 @@ import pytest
 
 import surg_core
 from helpers.graph.ros import RosGraph
-from helpers.hardware.servo_bench import DRIVE, JAW, emulated_drive_cell
+from helpers.hardware.servo_bench import DRIVE, JAW, emulated_drive_cell, with_terminals
 from surg_emulators.drive.drive_emulator import DriveEmulator
 from surg_emulators.drive.servo_motor import TORQUE, Servo
 from surg_hardware.drive.drive_file import drive_of
@@ -29,6 +29,7 @@ def cell(tmp_path: Path) -> Path:
 @pytest.fixture
 def emulator(cell: Path) -> Iterator[DriveEmulator]:
     """One servo between its stops; its zero is 0."""
+    with_terminals()
     port = drive_of(surg_core.load_cell(cell), "PSM1").port
     emulator = DriveEmulator(port, [Servo(3, position=-0.1, stops=(-2.5, 0.3))])
     yield emulator

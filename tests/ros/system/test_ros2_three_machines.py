@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import yaml
 from PIL import Image
-from sensor_msgs.msg import CompressedImage
+from sensor_msgs.msg import CompressedImage, JointState
 
 from crtk_msgs.msg import OperatingState, StringStamped
 from helpers import endoscope_files
@@ -22,6 +24,7 @@ from helpers.graph.surg import argv, environment
 from helpers.machines.machines import Machines, on_a_switch
 from helpers.perception import recorded_pairs
 from helpers.ros2 import drawn_messages as drawn
+from helpers.ros2 import interfaces
 from surg_cli.graph.processes import wait_until
 from surg_cli.host import paths
 from surg_ros2.cdr import Codec
@@ -40,12 +43,12 @@ STATE, LINK, PICTURE = (
     "/PSM1/robot/measured_js",
     "/endoscope/left/image_raw",
 )
-HEAR = (
-    f"{STATE}!=crtk_msgs/OperatingState",
-    f"{LINK}=sensor_msgs/JointState",
-    f"{PICTURE}/compressed?=sensor_msgs/CompressedImage",
-)
-PEER = paths.ROOT / "tests" / "helpers" / "ros2" / "peer.py"
+TYPES = {STATE: OperatingState, LINK: JointState, f"{PICTURE}/compressed": CompressedImage}
+HEAR = {name: kind._type for name, kind in TYPES.items()}
+MARK = {STATE: "!", f"{PICTURE}/compressed": "?"}
+"""Latched; some may be lost."""
+COMMAND = "/PSM1/state_command"
+FOLDER = paths.ROOT / "tests" / "helpers" / "ros2"
 
 
 @pytest.fixture
@@ -94,19 +97,62 @@ def running(
         print(f"-- {machine}\n{log.read_text('utf-8', 'replace')[-2000:]}")
 
 
+Start = Callable[[Path, str], tuple[list[str], dict[str, str]]]
+Read = Callable[[str], tuple[str, Any]]
+
+
+def with_cyclone(folder: Path, interface: str) -> tuple[list[str], dict[str, str]]:
+    """The operator's program as a process of Cyclone's own binding, and its variables."""
+    command = drawn.cdr("crtk_msgs/StringStamped", StringStamped(string="enable")).hex()
+    say = ["operator", COMMAND, "crtk_msgs/StringStamped", "0.2", command]
+    hear = [f"{name}{MARK.get(name, '')}={kind}" for name, kind in HEAR.items()]
+    words = [sys.executable, str(FOLDER / "peer.py"), DOMAIN, *say, *hear]
+    return words, {"PEER_INTERFACE": interface}
+
+
+def with_rclpy(folder: Path, interface: str) -> tuple[list[str], dict[str, str]]:
+    """As a node of real rclpy on Fast DDS."""
+    python, env = interfaces.rclpy()
+    marks = {name: MARK.get(name, "") for name in HEAR}
+    hear = {name: [HEAR[name], mark == "!", mark != "?"] for name, mark in marks.items()}
+    header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
+    say = {COMMAND: ["crtk_msgs/StringStamped", {"header": header, "string": "enable"}]}
+    spec = folder / "spec.json"
+    spec.write_text(json.dumps({"node": "operator", "hear": hear, "say": say}))
+    return [str(python), str(FOLDER / "rclpy_script.py"), str(spec)], env
+
+
+def of_cyclone(line: str) -> tuple[str, Any]:
+    """Topic and message of a line that this program prints."""
+    topic, text = line.split()
+    made = TYPES[topic]()
+    return topic, made.deserialize(Codec(made._type, fields).to_ros1(bytes.fromhex(text)))
+
+
+def of_rclpy(line: str) -> tuple[str, Any]:
+    """As `of_cyclone`."""
+    topic, given = json.loads(line)
+    return topic, SimpleNamespace(**given)
+
+
+@pytest.mark.parametrize(
+    ("start", "read"),
+    [
+        pytest.param(with_cyclone, of_cyclone, id="cyclone"),
+        pytest.param(with_rclpy, of_rclpy, id="rclpy", marks=pytest.mark.oracle),
+    ],
+)
 def test_the_operator_sees_the_other_machines_and_enables_the_arm(
-    machines: Machines, cell: Path, tmp_path: Path
+    machines: Machines, cell: Path, tmp_path: Path, start: Start, read: Read
 ) -> None:
     """What the operator hears and says goes over DDS: its machine has no node of ROS 1."""
     logs = {name: tmp_path / f"{name}.log" for name in machines.names}
-    command = drawn.cdr("crtk_msgs/StringStamped", StringStamped(string="enable")).hex()
     interface = machines.interfaces
     up = ["--port", str(PORT), "--role"]
     robot = argv("up", cell, *up, "robot", "--ros2", interface["robot"], "--ros2-commands")
     scope = argv("up", cell, *up, "endoscope")
-    say = ["operator", "/PSM1/state_command", "crtk_msgs/StringStamped", "0.2", command]
-    hand = [sys.executable, str(PEER), DOMAIN, *say, *HEAR]
-    env = {**environment(), "ROS_DOMAIN_ID": DOMAIN, "PEER_INTERFACE": interface["operator"]}
+    env = {**environment(), "ROS_DOMAIN_ID": DOMAIN}
+    hand, more = start(tmp_path, interface["operator"])
     env.pop("ROS_MASTER_URI", None)
 
     def said(machine: str, text: str) -> bool:
@@ -116,30 +162,17 @@ def test_the_operator_sees_the_other_machines_and_enables_the_arm(
         assert wait_until(lambda: process.poll() is not None or said("robot", "is up:"), UP_S)
         with (
             running(machines, "endoscope", logs["endoscope"], scope, env),
-            running(machines, "operator", logs["operator"], hand, env),
+            running(machines, "operator", logs["operator"], hand, {**env, **more}),
         ):
-            found: dict[str, bytes] = {}
+            found: dict[str, Any] = {}
 
             def all_heard() -> bool:
-                found.update(heard(logs["operator"]))
-                state = message(OperatingState, found.get(STATE))
+                lines = logs["operator"].read_text("utf-8", "replace").splitlines()[:-1]
+                found.update(read(line) for line in lines if line.startswith(("/", "[")))
+                state = found.get(STATE)
                 return len(found) == len(HEAR) and state is not None and state.state == "ENABLED"
 
             assert wait_until(all_heard, WAIT_S), sorted(found)
             assert process.poll() is None
-    picture = message(CompressedImage, found[f"{PICTURE}/compressed"])
-    assert Image.open(io.BytesIO(picture.data)).size == SIZE
-
-
-def heard(log: Path) -> dict[str, bytes]:
-    """The newest whole sample of each topic."""
-    lines = log.read_text("utf-8", "replace").splitlines()[:-1]
-    pairs = [line.split() for line in lines if line.startswith("/")]
-    return {topic: bytes.fromhex(text) for topic, text in pairs}
-
-
-def message(kind: type, sample: bytes | None) -> Any:
-    """A sample as a message of ROS 1."""
-    if sample is None:
-        return None
-    return kind().deserialize(Codec(kind._type, fields).to_ros1(sample))
+    picture = bytes(found[f"{PICTURE}/compressed"].data)
+    assert Image.open(io.BytesIO(picture)).size == SIZE

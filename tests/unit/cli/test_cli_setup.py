@@ -1,6 +1,7 @@
 """Setting a machine up: what is missing, who may install it, and when nothing is to be done."""
 
 import os
+import shutil
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
@@ -174,6 +175,7 @@ def test_another_python_first_on_path_changes_nothing(tmp_path: Path) -> None:
     assert "foreign" not in done.stderr
 
 
+@pytest.mark.skipif(not shutil.which("git"), reason="missing: git")
 def test_what_the_build_writes_is_no_source() -> None:
     """Else the first command after the first build builds again."""
     listing = ["git", "-C", str(paths.ROOT), "check-ignore", "--stdin"]

@@ -17,7 +17,7 @@ from dynamixel_sdk import (
 from dynamixel_sdk.group_bulk_write import GroupBulkWrite
 from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
 
-from helpers.hardware.servo_bench import MemoryPort
+from helpers.hardware.servo_bench import MemoryPort, with_terminals
 from surg_emulators.drive import servo_motor
 from surg_emulators.drive.drive_emulator import DriveEmulator
 from surg_emulators.drive.servo_frames import HEADER, Frame, FrameParser, encode, status
@@ -229,6 +229,7 @@ def test_a_fault_that_is_none_is_refused(fault: str, said: str, line: ServoLine)
 
 
 def test_the_sdk_speaks_over_the_pseudo_terminal_until_it_is_unplugged(tmp_path: Path) -> None:
+    with_terminals()
     path = tmp_path / "servos"
     emulator = DriveEmulator(path, [Servo(1, position=1.0), Servo(2)])
     try:
