@@ -34,7 +34,7 @@ JUDGED = ("success", "failure", "discard")
 async def test_three_episodes_are_played_recorded_and_judged_by_keys(tmp_path: Path) -> None:
     shots = Path(os.environ.get("SURG_SHOTS", tmp_path))
     cell = load_cell(paths.ROOT / "cells" / "sim_two_arms")
-    async with phantom(tmp_path, "sim_two_arms") as made, Chromium() as browser:
+    async with phantom(tmp_path, "sim_two_arms", of=("task",)) as made, Chromium() as browser:
         tab = await browser.open(made.url)
         await tab.until("globalThis.surgConsole?.picture.drawn.length > 10", "pictures", 240.0)
         bar = "document.querySelector('#task').innerText"

@@ -36,7 +36,7 @@ FINE = 0.012
 """[m] from a place, from where on the person goes slowly."""
 THERE = 0.0015
 """[m] from a place."""
-GLANCE_S = 0.03
+GLANCE_S = 0.05
 """[s] between two looks at the page."""
 LONGEST_S = 120.0
 """[s] for any one step: the machine may be busy."""

@@ -90,6 +90,19 @@ def test_a_key_picture_is_decodable_by_itself() -> None:
     assert len(decode("h264", packets[12:])) == 8
 
 
+def test_one_of_so_many_pictures_is_encoded_and_a_key_picture_at_once() -> None:
+    stream, kept = PictureStream("left", "h264"), []
+    for count in range(24):
+        stream.take(3 if count < 12 else 1)
+        if count == 7:
+            stream.request_key()
+        packet = stream.encode((shot(count, 1000 * count),))
+        if packet is not None:
+            kept.append(packet)
+    assert [p.exposed_us // 1000 for p in kept] == [0, 3, 6, 7, 10, *range(12, 24)]
+    assert [p.seq for p in kept] == list(range(1, 18)) and len(decode("h264", kept)) == 17
+
+
 def test_another_size_begins_anew() -> None:
     stream = PictureStream("left", "h264")
     assert stream.encode((shot(0, 0),)).key
@@ -118,12 +131,14 @@ def test_images_that_do_not_add_up_are_named() -> None:
 
 
 def test_the_encoders_orders_are_read_strictly() -> None:
-    assert parse_line("want left:h264 stereo:jpeg") == (
+    assert parse_line("want left:h264:1 stereo:jpeg:2") == (
         "want",
-        frozenset({("left", "h264"), ("stereo", "jpeg")}),
+        {("left", "h264"): 1, ("stereo", "jpeg"): 2},
     )
-    assert parse_line("want") == ("want", frozenset())
-    for line in ("go left:h264", "want left", "want up:h264", "key left:vp8"):
+    assert parse_line("want") == ("want", {})
+    assert parse_line("key left:h264") == ("key", {("left", "h264"): 1})
+    strange = ("want left:h264:0", "want left:h264:-1", "want left:h264:x")
+    for line in ("go left:h264", "want left", "want up:h264", "key left:vp8", *strange):
         with pytest.raises(CodecError, match="allowed"):
             parse_line(line)
 

@@ -59,17 +59,26 @@ class PictureStream:
         self.layout, self.codec = layout, codec
         self._encoder: Codec | None = None
         self._key, self._seq = True, 0
+        self._every, self._left_out = 1, 0
 
     def request_key(self) -> None:
         """Make the next picture a key picture."""
         self._key = True
 
+    def take(self, every: int) -> None:
+        """Leave out all but one of so many pictures from now on."""
+        self._every = every
+
     def encode(self, frames: tuple[CameraFrame, ...]) -> Packet | None:
-        """Encode one picture; None: the codec has kept it back.
+        """Encode one picture; None: it is left out, or the codec has kept it back.
 
         Raises:
             CodecError: The frames differ in size.
         """
+        self._left_out += 1
+        if self._left_out < self._every and not self._key:
+            return None
+        self._left_out = 0
         pixels = tuple(f.pixels for f in frames)
         if self.layout.endswith("_half"):
             pixels = tuple(half_size(each) for each in pixels)
@@ -97,14 +106,20 @@ class PictureStream:
         )
 
 
-def parse_line(line: str) -> tuple[str, frozenset[tuple[str, str]]]:
+def parse_line(line: str) -> tuple[str, dict[tuple[str, str], int]]:
     """One command of the server: ``want`` or ``key``, and its layouts and codecs.
+
+    With each stands of how many pictures one is wanted (``key``: 1).
 
     Raises:
         CodecError: It is not a command.
     """
     word, *items = line.split()
-    pairs = frozenset((item.partition(":")[0], item.partition(":")[2]) for item in items)
-    if word not in ("want", "key") or any(a not in EYES or b not in CODECS for a, b in pairs):
+    streams = {}
+    for item in items:
+        layout, codec, every = (*item.split(":"), "1", "")[:3]
+        streams[layout, codec] = int(every) if every.isdecimal() else 0
+    known = all(a in EYES and b in CODECS and every for (a, b), every in streams.items())
+    if word not in ("want", "key") or not known:
         raise CodecError(f"{line!r}; allowed: want or key, with layouts and codecs")
-    return word, pairs
+    return word, streams

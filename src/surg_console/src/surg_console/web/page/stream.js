@@ -15,7 +15,7 @@ export class PictureStream {
   constructor(draw, tell) {
     this.draw = draw;
     this.tell = tell;
-    this.settings = null; // {url, token, layout, codec, shrink}
+    this.settings = null; // {url, token, layout, codec, every}
     this.socket = null;
     this.decoder = null;
     this.configured = "";
@@ -41,8 +41,8 @@ export class PictureStream {
 
   watch() {
     this.forget();
-    const { layout, codec } = this.settings;
-    this.say("watch", { layout, codec });
+    const { layout, codec, every } = this.settings;
+    this.say("watch", { layout, codec, every });
   }
 
   connect() {
