@@ -7,7 +7,6 @@ Parameters: `stereo_parameters.StereoSettings`.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable
 
@@ -24,6 +23,7 @@ from surg_perception.stereo.live_marks_node import LiveMarks
 from surg_perception.stereo.newest_pair_node import EYES, NewestPair
 from surg_perception.stereo.stereo_parameters import StereoSettings
 from surg_ros.params import ParamError, read
+from surg_ros.real_time import give_way
 
 LOOK_S = 0.5
 """Period at which the node looks whether somebody subscribes."""
@@ -174,7 +174,7 @@ def main() -> int:
     except (ParamError, ValueError) as error:
         print(f"surg_perception: {error}", file=sys.stderr, flush=True)
         return 2
-    os.nice(settings.niceness)
+    give_way(settings.niceness)
     cv2.setNumThreads(1)
     Eyes(settings, cell).run()
     return 0

@@ -11,12 +11,10 @@ runs without the status of a teleoperation node), ``~need_present`` (false), ``~
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import rospy
@@ -38,12 +36,10 @@ from surg_policy_client.keys import server_keys
 from surg_ros.camera_topic import camera_topic
 from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError, read
+from surg_ros.real_time import give_way
 
 NICE = 5
 """Niceness: control cycles go before messages, also while somebody floods the port."""
-AUTOGROUP = Path("/proc/self/autogroup")
-"""Linux schedules by session, and ./surg gives every node its own: among nodes only the niceness of
-the session counts."""
 
 
 class ModelServerNode:
@@ -169,9 +165,7 @@ def main() -> int:
     """Run the node; returns the exit code."""
     if not master_is_online("policy"):
         return 1
-    niceness = os.nice(NICE)
-    with contextlib.suppress(OSError):
-        AUTOGROUP.write_text(str(niceness), "ascii")
+    give_way(NICE)
     rospy.init_node("policy", disable_signals=True)
     try:
         settings = read(Settings, rospy.get_param("~", {}))

@@ -20,6 +20,7 @@ from surg_recording.episode.recovery import recover
 from surg_recording.nodes.recorder_state import RecorderState
 from surg_recording.nodes.ros_master_node import parameters
 from surg_recording.recording_errors import EpisodeError
+from surg_ros.real_time import give_way
 
 SETTLE_S = 0.3
 """Silence after which no message sent before the stop is expected [s]."""
@@ -185,12 +186,10 @@ def _start_sync_report(folder: Path) -> None:
     """Make sync.json in a process of low priority: it decodes the videos. Nobody waits for it."""
     argv = [sys.executable, "-m", "surg_recording.clock.sync_report", "--quiet", str(folder)]
     try:
-        subprocess.Popen(
-            ["nice", "-n", "10", *argv],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            start_new_session=True,
+        report = subprocess.Popen(
+            argv, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True
         )
+        give_way(10, report.pid)
     except OSError as problem:
         rospy.logwarn("no sync.json: %s", problem.strerror)
 
