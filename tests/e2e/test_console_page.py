@@ -225,7 +225,7 @@ async def test_a_page_that_is_late_with_its_inputs_takes_fewer_pictures_and_says
 
         async def all_again() -> bool:
             await drive(made, tab)
-            await tab.run("(surgConsole.pace.calm = 19.9, 0)")  # as after a while without a late one
+            await tab.run("(surgConsole.pace.calm = 19.9, 0)")  # as after a calm while
             return made.camera.wanted.get(stream) == 1
 
         await until(all_again, "all pictures", 60.0, 0.3)

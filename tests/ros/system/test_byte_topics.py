@@ -104,7 +104,7 @@ def test_who_pauses_takes_many_messages_at_once_and_misses_none(
             receipts += bool(heard)
         values += link.hear(link.first, 500 - len(values))
         assert values == list(range(500))
-        assert 3 <= receipts <= 40, "a second has 20 pauses; a busy machine has fewer, or cuts some"
+        assert 3 <= receipts <= 100, "a second has 20 pauses, with a message before each"
     finally:
         link.close()
 

@@ -62,8 +62,9 @@ class PicturePages:
             if not budget.spend(self._clock()):
                 return
             if isinstance(message, Watch):
-                viewer.stream, viewer.queue = (message.layout, message.codec), PictureQueue()
-                viewer.every = message.every
+                stream, viewer.every = (message.layout, message.codec), message.every
+                if stream != viewer.stream:
+                    viewer.stream, viewer.queue = stream, PictureQueue()
                 self._want_streams()
             elif isinstance(message, Shown):
                 viewer.queue.drawn(message.seq)

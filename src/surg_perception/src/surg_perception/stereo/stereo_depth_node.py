@@ -16,6 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 import surg_core
+from surg_core.host.niceness import give_way
 from surg_perception.depth.stereo_depth import StereoDepth
 from surg_perception.depth.stereo_matcher import find_matcher
 from surg_perception.stereo import stereo_messages_node as messages
@@ -23,7 +24,6 @@ from surg_perception.stereo.live_marks_node import LiveMarks
 from surg_perception.stereo.newest_pair_node import EYES, NewestPair
 from surg_perception.stereo.stereo_parameters import StereoSettings
 from surg_ros.params import ParamError, read
-from surg_ros.real_time import give_way
 
 LOOK_S = 0.5
 """Period at which the node looks whether somebody subscribes."""

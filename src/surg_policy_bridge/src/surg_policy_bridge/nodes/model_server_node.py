@@ -10,7 +10,6 @@ runs without the status of a teleoperation node), ``~need_present`` (false), ``~
 
 from __future__ import annotations
 
-import contextlib
 import signal
 import sys
 import time
@@ -25,6 +24,7 @@ from std_msgs.msg import Bool
 import surg_core
 from surg_core.contract import GRID
 from surg_core.force.observed_force import TOPICS
+from surg_core.host.niceness import give_way
 from surg_msgs.msg import Cycle, TaskState, TeleopStatus
 from surg_policy_bridge.nodes.free_run_node import FreeRun
 from surg_policy_bridge.nodes.lock_step_node import LockStep
@@ -36,7 +36,6 @@ from surg_policy_client.keys import server_keys
 from surg_ros.camera_topic import camera_topic
 from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError, read
-from surg_ros.real_time import give_way
 
 NICE = 5
 """Niceness: control cycles go before messages, also while somebody floods the port."""

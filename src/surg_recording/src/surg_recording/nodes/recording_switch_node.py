@@ -13,6 +13,7 @@ from typing import Any
 import rospy
 
 from surg_core.contract import TICK_NS
+from surg_core.host.niceness import give_way
 from surg_recording.episode import provenance
 from surg_recording.episode.episode_reader import PARTIAL
 from surg_recording.episode.episode_recorder import Recording
@@ -20,7 +21,6 @@ from surg_recording.episode.recovery import recover
 from surg_recording.nodes.recorder_state import RecorderState
 from surg_recording.nodes.ros_master_node import parameters
 from surg_recording.recording_errors import EpisodeError
-from surg_ros.real_time import give_way
 
 SETTLE_S = 0.3
 """Silence after which no message sent before the stop is expected [s]."""

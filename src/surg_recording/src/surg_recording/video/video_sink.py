@@ -17,10 +17,10 @@ import time
 from collections import deque
 from pathlib import Path
 
+from surg_core.host.niceness import give_way
 from surg_recording.file_io import write_all
 from surg_recording.video import video_encoder, video_file
 from surg_recording.video.image_frame import Frame
-from surg_ros.real_time import give_way
 
 QUEUE_LIMIT = 40
 """Frames that may wait for the encoder: 2 s at 20 fps."""
@@ -32,7 +32,7 @@ IN_FLIGHT = 16
 """Frames that the encoder may hold without an answer."""
 
 GIVES_WAY = 5
-"""Niceness of an encoder: frames can wait in the queue, control cycles and a person's hand cannot."""
+"""Niceness of an encoder: frames can wait in the queue, cycles and a person's hand cannot."""
 
 _LARGE_PIPE = 1 << 20
 
