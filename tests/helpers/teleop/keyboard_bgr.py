@@ -130,12 +130,12 @@ class Player:
         await asyncio.sleep(0.3)
 
     async def phase(self, *names: str) -> None:
-        """Wait for a phase of the task."""
+        """Wait for a phase of the task, or its success: on a busy machine the last ones may pass."""
 
         async def come() -> bool:
             await self.enable()
-            assert not self.seen["done"] or "done" in names, self.seen["reason"]
-            return self.seen["phase"] in names
+            assert not self.seen["done"] or self.seen["success"], self.seen["reason"]
+            return self.seen["phase"] in names or self.seen["done"]
 
         await until(come, f"the phase {names}", LONGEST_S, 0.05)
 
@@ -159,6 +159,8 @@ class Player:
                 break
             await self.press("KeyL", 1.0)
         await self.phase("retract", "still")
+        if self.seen["done"]:  # the assistant alone has made it taut
+            return
         await self.go(self.point("tip") + LIFT * UP)
         away = self.point("tip") - self.point("assistant_tip")
         away -= (away @ UP) * UP
