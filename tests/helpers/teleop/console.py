@@ -162,10 +162,10 @@ class FakeCamera:
             now_us = time.time_ns() // 1000
             seen = self.eyes or (self.picture(count),) * 2
             shots = tuple(CameraFrame(now_us, now_us, eye, "rgb8") for eye in seen)
-            for pair, every in self.wanted.items():
+            for pair, spacing in self.wanted.items():
                 if pair not in self._streams:
                     self._streams[pair] = PictureStream(*pair)
-                self._streams[pair].take(every)
+                self._streams[pair].space(spacing)
                 packet = self._streams[pair].encode(shots[: len(EYES[pair[0]])])
                 if packet is not None:
                     server.show(packet)

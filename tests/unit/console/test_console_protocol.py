@@ -50,8 +50,11 @@ def test_an_input_is_read_as_it_was_written() -> None:
         pytest.param('{"say": "scale", "value": 1' + "0" * 400 + "}", "value: 1000", id="no float"),
         ('{"say": "watch", "layout": "left", "codec": "vp8"}', "codec: 'vp8'"),
         *(
-            (f'{{"say": "watch", "layout": "left", "codec": "jpeg", "every": {n}}}', f"every: {n}")
-            for n in ("0", "5", "1.5")
+            (
+                f'{{"say": "watch", "layout": "left", "codec": "jpeg", "spacing": {n}}}',
+                f"spacing: {n}",
+            )
+            for n in ("-1", "201", "1.5")
         ),
         ('{"say": "hello", "token": "' + "x" * 300 + '"}', "token"),
         ('{"say": "hello", "tokens": ""}', "unknown key 'tokens'"),

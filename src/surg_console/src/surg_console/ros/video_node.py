@@ -108,7 +108,7 @@ class Encoder:
                 if pair not in self._streams:
                     self._streams[pair] = PictureStream(*pair)
                 stream = self._streams[pair]
-                stream.take(wanted[pair])
+                stream.space(wanted[pair])
                 if pair in keys:
                     stream.request_key()
                 frames = waiting.get(pair[0])

@@ -3,10 +3,10 @@
 The child (`video_node`) receives and encodes the pictures, so input and status never wait for them.
 It reads commands from standard input, one per line:
 
-    want left:h264:1 stereo:jpeg:2
+    want left:h264:0 stereo:jpeg:100
     key left:h264
 
-The number says that one of so many pictures is wanted.
+The number is the time between two pictures, at least [ms].
 It exits when its input ends, so also when the server is killed.
 """
 
@@ -45,11 +45,11 @@ class EncoderProcess:
         self._seen = time.monotonic()
 
     def want(self, wanted: Mapping[tuple[str, str], int]) -> None:
-        """Set the watched layouts and codecs, and of how many pictures one is wanted."""
+        """Set the watched layouts and codecs, each with the time between two pictures [ms]."""
         self._wanted = wanted
         self._seen = time.monotonic()
         items = sorted(wanted.items())
-        self._write("want", *(f"{layout}:{codec}:{every}" for (layout, codec), every in items))
+        self._write("want", *(f"{layout}:{codec}:{spacing}" for (layout, codec), spacing in items))
 
     def key(self, layout: str, codec: str) -> None:
         """Request a key picture."""

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from surg_console.web.picture_packet import CODECS, FEWEST, LAYOUTS
+from surg_console.web.picture_packet import CODECS, LAYOUTS, WIDEST
 
 LONGEST = 4096
 """[characters] Longest message."""
@@ -92,7 +92,7 @@ class Watch:
 
     layout: str
     codec: str
-    every: int = 1  # of so many pictures one is wanted
+    spacing: int = 0  # between two pictures, at least [ms]
 
 
 @dataclass(frozen=True)
@@ -159,9 +159,9 @@ class _Keys:
             raise ProtocolError(f"{key}: {_short(value)}; allowed: {low:g} to {high:g}")
         return float(value)
 
-    def whole(self, key: str, high: int, default: int | None = None, low: int = 0) -> int:
+    def whole(self, key: str, high: int, default: int | None = None) -> int:
         value = self._fields.pop(key, default)
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= high:
             raise ProtocolError(f"{key}: {_short(value)}; allowed: a whole number up to {high}")
         return value
 
@@ -247,7 +247,7 @@ _READERS: dict[str, Callable[[_Keys], PageMessage]] = {
     "watch": lambda keys: Watch(
         keys.word("layout", LAYOUTS),
         keys.word("codec", CODECS),
-        keys.whole("every", FEWEST, 1, low=1),
+        keys.whole("spacing", WIDEST, 0),
     ),
     "calibrate": lambda keys: CalibrationPress(keys.word("request", CALIBRATION_REQUESTS)),
     "shown": lambda keys: Shown(keys.whole("seq", 2**32)),

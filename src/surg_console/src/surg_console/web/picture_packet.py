@@ -15,8 +15,8 @@ LARGEST = 16 << 20
 """[bytes] Largest encoded picture."""
 LAYOUTS = ("left", "stereo", "left_half", "stereo_half")
 CODECS = ("h264", "jpeg")
-FEWEST = 4
-"""A page that cannot keep up gets one of at most so many pictures."""
+WIDEST = 200
+"""[ms] What a page that cannot keep up may ask for between two pictures."""
 
 
 class PacketError(ValueError):

@@ -11,7 +11,7 @@ from aiohttp import WSMsgType, web
 from surg_console.web.encoder_process import EncoderProcess
 from surg_console.web.page_connection import MessageBudget, Viewer
 from surg_console.web.page_protocol import ProtocolError, Shown, Watch, parse
-from surg_console.web.picture_packet import FEWEST, Packet
+from surg_console.web.picture_packet import WIDEST, Packet
 from surg_console.web.picture_queue import PictureQueue
 
 
@@ -62,7 +62,7 @@ class PicturePages:
             if not budget.spend(self._clock()):
                 return
             if isinstance(message, Watch):
-                stream, viewer.every = (message.layout, message.codec), message.every
+                stream, viewer.spacing = (message.layout, message.codec), message.spacing
                 if stream != viewer.stream:
                     viewer.stream, viewer.queue = stream, PictureQueue()
                 self._want_streams()
@@ -77,7 +77,7 @@ class PicturePages:
         wanted: dict[tuple[str, str], int] = {}
         for viewer in self._viewers:
             if viewer.stream is not None:
-                wanted[viewer.stream] = min(viewer.every, wanted.get(viewer.stream, FEWEST))
+                wanted[viewer.stream] = min(viewer.spacing, wanted.get(viewer.stream, WIDEST))
         self._pictures.want(wanted)
 
     async def _send(self, socket: web.WebSocketResponse, viewer: Viewer) -> None:

@@ -23,6 +23,8 @@ EYES = {
     "stereo_half": ("left", "right"),
 }
 """Cameras of each layout."""
+SLACK_US = 20_000
+"""[µs] So much sooner a picture may come: exposures are never quite even."""
 
 
 @dataclass(frozen=True)
@@ -59,15 +61,15 @@ class PictureStream:
         self.layout, self.codec = layout, codec
         self._encoder: Codec | None = None
         self._key, self._seq = True, 0
-        self._every, self._left_out = 1, 0
+        self._spacing_us, self._taken_us = 0, 0
 
     def request_key(self) -> None:
         """Make the next picture a key picture."""
         self._key = True
 
-    def take(self, every: int) -> None:
-        """Leave out all but one of so many pictures from now on."""
-        self._every = every
+    def space(self, spacing: int) -> None:
+        """Leave out what was exposed sooner than this after the last picture [ms]."""
+        self._spacing_us = 1000 * spacing - SLACK_US
 
     def encode(self, frames: tuple[CameraFrame, ...]) -> Packet | None:
         """Encode one picture; None: it is left out, or the codec has kept it back.
@@ -75,10 +77,9 @@ class PictureStream:
         Raises:
             CodecError: The frames differ in size.
         """
-        self._left_out += 1
-        if self._left_out < self._every and not self._key:
+        if 0 <= frames[0].stamp_us - self._taken_us < self._spacing_us and not self._key:
             return None
-        self._left_out = 0
+        self._taken_us = frames[0].stamp_us
         pixels = tuple(f.pixels for f in frames)
         if self.layout.endswith("_half"):
             pixels = tuple(half_size(each) for each in pixels)
@@ -109,7 +110,7 @@ class PictureStream:
 def parse_line(line: str) -> tuple[str, dict[tuple[str, str], int]]:
     """One command of the server: ``want`` or ``key``, and its layouts and codecs.
 
-    With each stands of how many pictures one is wanted (``key``: 1).
+    With each stands the time between two pictures [ms] (``key``: 0).
 
     Raises:
         CodecError: It is not a command.
@@ -117,9 +118,9 @@ def parse_line(line: str) -> tuple[str, dict[tuple[str, str], int]]:
     word, *items = line.split()
     streams = {}
     for item in items:
-        layout, codec, every = (*item.split(":"), "1", "")[:3]
-        streams[layout, codec] = int(every) if every.isdecimal() else 0
-    known = all(a in EYES and b in CODECS and every for (a, b), every in streams.items())
+        layout, codec, spacing = (*item.split(":"), "0", "")[:3]
+        streams[layout, codec] = int(spacing) if spacing.isdecimal() else -1
+    known = all(a in EYES and b in CODECS and ms >= 0 for (a, b), ms in streams.items())
     if word not in ("want", "key") or not known:
         raise CodecError(f"{line!r}; allowed: want or key, with layouts and codecs")
     return word, streams

@@ -81,7 +81,7 @@ function onStatus(message) {
 function show() {
   if (status && view) view.show(status, link);
   if (lastHand) showHand(lastHand);
-  if (shown % AGE_EVERY === 0) showAge(picture, link.offsetUs, pace.every);
+  if (shown % AGE_EVERY === 0) showAge(picture, link.offsetUs, pace.spacing);
   shown += 1;
 }
 setInterval(show, SHOW_MS);
@@ -274,7 +274,7 @@ worker.onmessage = ({ data }) => {
 
 function watch(change) {
   Object.assign(pictures, change);
-  worker.postMessage({ settings: { layout: layout(), every: pace.every } });
+  worker.postMessage({ settings: { layout: layout(), spacing: pace.spacing } });
   for (const button of element("eyes").children) sink(button, (button.dataset.layout === "stereo") === pictures.stereo);
   for (const button of element("size").children) sink(button, (button.dataset.size === "half") === pictures.half);
 }

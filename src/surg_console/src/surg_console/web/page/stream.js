@@ -15,7 +15,7 @@ export class PictureStream {
   constructor(draw, tell) {
     this.draw = draw;
     this.tell = tell;
-    this.settings = null; // {url, token, layout, codec, every}
+    this.settings = null; // {url, token, layout, codec, spacing}
     this.socket = null;
     this.decoder = null;
     this.configured = "";
@@ -43,8 +43,8 @@ export class PictureStream {
   /** Ask for pictures; where they are `the same`, more of them or fewer, each still builds on the last. */
   watch(theSame = false) {
     if (!theSame) this.forget();
-    const { layout, codec, every } = this.settings;
-    this.say("watch", { layout, codec, every });
+    const { layout, codec, spacing } = this.settings;
+    this.say("watch", { layout, codec, spacing });
   }
 
   connect() {
