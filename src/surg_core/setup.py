@@ -9,6 +9,7 @@ setup(
         "surg_core",
         "surg_core.force",
         "surg_core.hand",
+        "surg_core.host",
         "surg_core.pictures",
         "surg_core.reading",
     ],

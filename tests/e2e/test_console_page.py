@@ -188,11 +188,48 @@ async def test_the_page_drives_an_arm_by_keys_gamepad_and_mouse() -> None:
         await live(made, browser, tab)
         await tab.click('#eyes [data-layout="stereo"]')
         await tab.until("surgConsole.picture.drawn.at(-1).width === 640", "two eyes", 40.0)
-        assert made.camera.wanted == {("stereo", "h264")}
+        assert set(made.camera.wanted) == {("stereo", "h264")}
         other = await browser.open(made.url)
         await other.until("document.querySelector('#headline').innerText === 'Watching'", "it")
         assert await other.run("document.querySelector('#enable').disabled")
         assert not await other.run("document.querySelector('#stop').disabled")
+
+
+BUSY = """(() => {
+  globalThis.busy = setInterval(() => {
+    const until = performance.now() + 70;
+    while (performance.now() < until);
+  }, 90);
+})()"""
+
+
+@within(240.0)
+async def test_a_page_that_is_late_with_its_inputs_takes_fewer_pictures_and_says_so() -> None:
+    stream = ("left", "h264")
+    async with opened() as (made, _, tab):
+        rate = "document.querySelector('#rate').innerText"
+        assert made.camera.wanted == {stream: 0} and "fewer" not in await tab.run(rate)
+        await tab.run(BUSY)
+
+        async def fewest() -> bool:
+            await drive(made, tab)
+            return made.camera.wanted.get(stream) == 200
+
+        await until(fewest, "fewer pictures", 60.0)
+        await tab.run("clearInterval(globalThis.busy)")
+        await tab.until(f"{rate}.endsWith('fewer, inputs go first')", "the sentence")
+        began = await tab.run("surgConsole.picture.drawn.length")
+        await asyncio.sleep(3.0)
+        drawn = await tab.run("surgConsole.picture.drawn.length") - began
+        assert 3 <= drawn <= 25, "of the 60 that there were"
+
+        async def all_again() -> bool:
+            await drive(made, tab)
+            await tab.run("(surgConsole.pace.calm = 19.9, 0)")  # as after a calm while
+            return made.camera.wanted.get(stream) == 0
+
+        await until(all_again, "all pictures", 60.0, 0.3)
+        await tab.until(f"!{rate}.includes('fewer')", "the sentence's end")
 
 
 async def lose_the_focus(made: Console, tab: Tab) -> None:

@@ -20,6 +20,8 @@ import aiohttp
 PROGRAM = "/usr/bin/chromium"
 START_S = 120.0
 ANSWER_S = 30.0
+ASK_S = 0.05
+"""[s] Between two questions to a page: each takes it a millisecond, and its browser more."""
 FLAGS = (
     "--headless=new",
     "--remote-debugging-port=0",
@@ -89,7 +91,7 @@ class Tab:
             with contextlib.suppress(Navigated):
                 return await self.run(script)
 
-        return await until(value, f"{what}: {script}", seconds)
+        return await until(value, f"{what}: {script}", seconds, ASK_S)
 
     async def key(self, code: str, down: bool, key: str = "") -> None:
         """Press or release a key, as the browser's own input does."""

@@ -129,11 +129,11 @@ class FakeCamera:
         self.running = True
         self.eyes: tuple[np.ndarray, np.ndarray] | None = None
         self.keys: list[tuple[str, str]] = []
-        self.wanted: frozenset[tuple[str, str]] = frozenset()
+        self.wanted: Mapping[tuple[str, str], int] = {}
         self._streams: dict[tuple[str, str], PictureStream] = {}
         self._size, self._period = size, period
 
-    def want(self, wanted: frozenset[tuple[str, str]]) -> None:
+    def want(self, wanted: Mapping[tuple[str, str], int]) -> None:
         """See `server.Pictures`."""
         self.wanted = wanted
 
@@ -162,9 +162,10 @@ class FakeCamera:
             now_us = time.time_ns() // 1000
             seen = self.eyes or (self.picture(count),) * 2
             shots = tuple(CameraFrame(now_us, now_us, eye, "rgb8") for eye in seen)
-            for pair in self.wanted:
+            for pair, spacing in self.wanted.items():
                 if pair not in self._streams:
                     self._streams[pair] = PictureStream(*pair)
+                self._streams[pair].space(spacing)
                 packet = self._streams[pair].encode(shots[: len(EYES[pair[0]])])
                 if packet is not None:
                     server.show(packet)

@@ -39,6 +39,11 @@ class Phantom:
         self.tips: list[tuple[float, np.ndarray]] = []
         self.lens: list[tuple[float, np.ndarray]] = []
         self.task: list[dict[str, Any]] = []
+        self.heard: dict[str, tuple[list[Any], Callable[[bytes], Any]]] = {
+            "PSM1": (self.tips, _tip),
+            "ECM": (self.lens, _tip),
+            "task": (self.task, json.loads),
+        }
 
     @property
     def tip(self) -> np.ndarray:
@@ -55,8 +60,13 @@ class Phantom:
 
 
 @contextlib.asynccontextmanager
-async def phantom(folder: Path, cell: str, *more: object) -> AsyncIterator[Phantom]:
-    """`./surg teleop CELL` with further words, until the end of the context."""
+async def phantom(
+    folder: Path, cell: str, *more: object, of: tuple[str, ...] = ("PSM1", "ECM", "task")
+) -> AsyncIterator[Phantom]:
+    """`./surg teleop CELL` with further words, until the end of the context.
+
+    Of an arm or task that is not in `of` nothing is known: each that is takes 0.04 of a core.
+    """
     port, web = master.free_port(), master.free_port()
     log, out = folder / "teleop.log", folder / "out"
     words = ("teleop", cell, "--port", port, "--bind", f"127.0.0.1:{web}", "--out", out, *more)
@@ -65,10 +75,9 @@ async def phantom(folder: Path, cell: str, *more: object) -> AsyncIterator[Phant
         try:
             await when(lambda: "Open http" in log.read_text(), "the system", 120.0)
             made = Phantom(f"http://localhost:{web}/", out)
-            printers.append(await _printed("PSM1", port, made.tips, _tip))
-            if "two_arms" in cell:
-                printers.append(await _printed("ECM", port, made.lens, _tip))
-                printers.append(await _printed("task", port, made.task, json.loads))
+            there = of if "two_arms" in cell else ("PSM1",)
+            for name in there:
+                printers.append(await _printed(name, port, *made.heard[name]))
             yield made
             assert process.poll() is None, log.read_text()
         finally:

@@ -6,6 +6,7 @@ import io
 import itertools
 import socket
 import struct
+import time
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
@@ -28,10 +29,16 @@ def packed(value: float, padding: int = 0) -> bytes:
     return buffer.getvalue()
 
 
+def _value(data: bytes) -> float:
+    from surg_ros import link_messages
+
+    return float(link_messages.unpack_joint_state(data)[1][0])
+
+
 class Link:
     """A topic with a publisher of bytes and one subscriber, of as many as a test wants."""
 
-    def __init__(self, graph: RosGraph, blocking: bool) -> None:
+    def __init__(self, graph: RosGraph, blocking: bool, pause: float = 0.0) -> None:
         from sensor_msgs.msg import JointState
 
         from surg_ros.byte_topics import BytesPublisher
@@ -39,14 +46,14 @@ class Link:
         self.graph, self.kind = graph, JointState
         self.topic = f"/bytes_{next(_names)}"
         self.made: list[Any] = []
-        self.first = self.another()
+        self.first = self.another(pause)
         self.out = BytesPublisher(self.topic, JointState, blocking)
         self.wait(lambda: self.first.get_num_connections() == 1 and self.out.connections == 1)
 
-    def another(self) -> Any:
+    def another(self, pause: float = 0.0) -> Any:
         from surg_ros.byte_topics import BytesSubscriber
 
-        self.made.append(BytesSubscriber(self.topic, self.kind))
+        self.made.append(BytesSubscriber(self.topic, self.kind, pause))
         return self.made[-1]
 
     def wait(self, condition: Callable[[], bool]) -> None:
@@ -54,13 +61,10 @@ class Link:
 
     def hear(self, subscriber: Any, count: int) -> list[float]:
         """The values of the next messages, at least so many."""
-        from surg_ros import link_messages
-
         heard: list[float] = []
 
         def enough() -> bool:
-            found = [link_messages.unpack_joint_state(data) for data in subscriber.fetch()]
-            heard.extend(float(position[0]) for _, position, _ in found)
+            heard.extend(map(_value, subscriber.fetch()))
             return len(heard) >= count
 
         self.wait(enough)
@@ -84,6 +88,25 @@ def test_every_message_comes_once_in_order(link: Link) -> None:
         link.out.send(packed(k, padding=k % 37))
     assert link.hear(link.first, 300) == list(range(300))
     assert link.first.fetch() == []
+
+
+def test_who_pauses_takes_many_messages_at_once_and_misses_none(
+    rospy_node: str, ros_graph: RosGraph
+) -> None:
+    link = Link(ros_graph, False, pause=0.05)
+    try:
+        values, receipts = [], 0
+        for k in range(500):
+            link.out.send(packed(k))
+            time.sleep(0.002)
+            heard = link.first.fetch()
+            values += [_value(data) for data in heard]
+            receipts += bool(heard)
+        values += link.hear(link.first, 500 - len(values))
+        assert values == list(range(500))
+        assert 3 <= receipts <= 100, "a second has 20 pauses, with a message before each"
+    finally:
+        link.close()
 
 
 def test_the_names_at_both_ends_are_known(link: Link, rospy_node: str) -> None:

@@ -60,9 +60,7 @@ class Bench:
         self.state = pub("/PSM1/operating_state", OperatingState, True)
         self.cycle = pub("/PSM1/cycle", surg_msgs.Cycle)
         self.warning = pub("/PSM1/warning", String)
-        self.deviation = pub("/PSM1/rcm/error", surg_msgs.ScalarStamped)
         self.clearance = pub("/PSM1/clearance", surg_msgs.ScalarStamped)
-        self.joints = pub("/PSM1/measured_js", JointState)
         self.trocar = pub("/PSM1/trocar/measured_cf", WrenchStamped)
         self.tip = pub("/PSM1/tool/measured_cf", WrenchStamped)
         self.teleop = pub("/teleop/status", surg_msgs.TeleopStatus, True)
@@ -98,10 +96,9 @@ class Bench:
             state = OperatingState(state="ENABLED", is_homed=True)
             state.header.stamp = stamp
             self.state.publish(state)
-            scalar = surg_msgs.ScalarStamped(value=4e-4 if count % 10 == 0 else 1e-4)
-            self.deviation.publish(scalar)
+            deviation = 4e-4 if count % 10 == 0 else 1e-4
+            self.cycle.publish(surg_msgs.Cycle(homed=True, depth=0.123, rcm_error=deviation))
             self.clearance.publish(surg_msgs.ScalarStamped(value=0.031))
-            self.joints.publish(JointState(position=[0.1, 0.2, 0.123, 0.3]))
             force = WrenchStamped()
             force.wrench.force.x, force.wrench.force.z = 3.0, 4.0
             self.trocar.publish(force)
@@ -152,7 +149,7 @@ def test_a_page_is_a_leader_on_topics(ros_graph: RosGraph, rospy_node: str, tmp_
             # Each topic has a connection of its own.
             await when(lambda: found.status["gauges"]["rcm_peak"] == 4e-4, "the peak")
             await when(lambda: found.status["gauges"]["rcm"] in (1e-4, 4e-4), "the deviation")
-            await when(lambda: found.status["gauges"]["depth"] is not None, "the joints")
+            await when(lambda: found.status["gauges"]["depth"] is not None, "the depth")
             await when(lambda: found.status["gauges"]["clearance"] is not None, "the clearance")
             assert found.status["gauges"]["depth"] == pytest.approx(0.123)
             assert found.status["gauges"]["clearance"] == pytest.approx(0.031)

@@ -7,14 +7,13 @@ import math
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
-from sensor_msgs.msg import JointState
 
-from surg_console.ros.raw_gauges import depth, force
+from surg_console.ros.raw_gauges import depth_and_deviation, force
 from surg_console.ros.status_values_node import follower_of
-from surg_msgs.msg import HandStatus
+from surg_msgs.msg import Cycle, HandStatus
 
 
-def data(message: JointState | WrenchStamped) -> bytes:
+def data(message: Cycle | WrenchStamped) -> bytes:
     buffer = io.BytesIO()
     message.serialize(buffer)
     return buffer.getvalue()
@@ -23,15 +22,19 @@ def data(message: JointState | WrenchStamped) -> bytes:
 def test_they_are_what_the_messages_say() -> None:
     rng = np.random.default_rng(4)
     for _ in range(300):
-        joints = JointState(position=rng.normal(size=int(rng.integers(0, 7))).tolist())
-        joints.name = ["yaw", "pitch", "insertion", "roll"][: int(rng.integers(0, 5))]
-        joints.velocity = rng.normal(size=int(rng.integers(0, 5))).tolist()
+        q, qd, reason, source = (int(n) for n in rng.integers(0, 8, 4))
+        cycle = Cycle(q=rng.normal(size=q).tolist(), qd=rng.normal(size=qd).tolist())
+        cycle.reason, cycle.source = "stopped"[:reason], "/teleop"[:source]
+        cycle.depth, cycle.rcm_error, cycle.homed = *rng.normal(size=2).tolist(), q % 2 == 0
+        cycle.p_goal, cycle.q_br = rng.normal(size=3).tolist(), rng.normal(size=4).tolist()
         wrench = WrenchStamped()
         f = wrench.wrench.force
         f.x, f.y, f.z = rng.normal(size=3).tolist()
-        joints.header.frame_id = wrench.header.frame_id = "PSM1_base"[: int(rng.integers(0, 10))]
-        expected = joints.position[2] if len(joints.position) == 4 else None
-        assert depth(data(joints)) == expected
+        cycle.header.frame_id = wrench.header.frame_id = "PSM1_base"[: int(rng.integers(0, 10))]
+        cycle.reason_code = int(rng.choice([Cycle.REASON_NONE, Cycle.REASON_LINK_LOST]))
+        known = cycle.homed and cycle.reason_code == Cycle.REASON_NONE
+        expected = cycle.depth if known else None
+        assert depth_and_deviation(data(cycle)) == (expected, cycle.rcm_error)
         assert force(data(wrench)) == math.hypot(f.x, f.y, f.z)
     wrench.wrench.force.z = 1e300
     assert force(data(wrench)) == 1e300, "one that cannot be is a number too"
@@ -45,11 +48,11 @@ def test_a_scale_is_a_number_or_none() -> None:
 
 def test_what_is_no_such_message_says_nothing() -> None:
     rng = np.random.default_rng(5)
-    whole = data(JointState(name=["yaw"] * 4, position=[0.1, 0.2, 0.3, 0.4]))
-    known = [cut for cut in range(len(whole)) if depth(whole[:cut]) is not None]
-    assert known and min(known) > len(whole) - 12  # the positions are there, two lengths are not
-    assert depth(b"") is None and force(b"") is None
+    whole = data(Cycle(homed=True, q=[0.1] * 6, depth=0.1234, rcm_error=5e-5))
+    known = [cut for cut in range(len(whole)) if depth_and_deviation(whole[:cut])[1] is not None]
+    assert min(known) == whole.index(np.array([0.1234, 5e-5]).tobytes()) + 16
+    assert depth_and_deviation(b"") == (None, None) and force(b"") is None
     for _ in range(2000):
         junk = rng.integers(0, 256, int(rng.integers(0, 120)), dtype=np.uint8).tobytes()
-        depth(junk)
+        depth_and_deviation(junk)
         force(junk)

@@ -90,6 +90,22 @@ def test_a_key_picture_is_decodable_by_itself() -> None:
     assert len(decode("h264", packets[12:])) == 8
 
 
+def test_pictures_are_left_out_that_come_too_soon_and_a_key_picture_never_is() -> None:
+    stream, kept = PictureStream("left", "h264"), []
+    slow = [1300 + 150 * k for k in range(4)]  # [ms] a camera that is late is not thinned out
+    for count, ms in enumerate([*range(0, 1200, 50), *slow, *range(1800, 2400, 50)]):
+        stream.space(100 if ms < 1800 else 0)
+        if ms == 350:
+            stream.request_key()
+        packet = stream.encode((shot(count, 1000 * (ms + 7 * (count % 2))),))
+        if packet is not None:
+            kept.append(packet)
+    wanted = [0, 100, 200, 300, 350, *range(450, 1200, 100), *slow, *range(1800, 2400, 50)]
+    assert [p.exposed_us // 50_000 * 50 for p in kept] == wanted
+    assert [p.seq for p in kept] == list(range(1, len(wanted) + 1))
+    assert len(decode("h264", kept)) == len(wanted)
+
+
 def test_another_size_begins_anew() -> None:
     stream = PictureStream("left", "h264")
     assert stream.encode((shot(0, 0),)).key
@@ -118,12 +134,14 @@ def test_images_that_do_not_add_up_are_named() -> None:
 
 
 def test_the_encoders_orders_are_read_strictly() -> None:
-    assert parse_line("want left:h264 stereo:jpeg") == (
+    assert parse_line("want left:h264:0 stereo:jpeg:100") == (
         "want",
-        frozenset({("left", "h264"), ("stereo", "jpeg")}),
+        {("left", "h264"): 0, ("stereo", "jpeg"): 100},
     )
-    assert parse_line("want") == ("want", frozenset())
-    for line in ("go left:h264", "want left", "want up:h264", "key left:vp8"):
+    assert parse_line("want") == ("want", {})
+    assert parse_line("key left:h264") == ("key", {("left", "h264"): 0})
+    strange = ("want left:h264:-1", "want left:h264:x")
+    for line in ("go left:h264", "want left", "want up:h264", "key left:vp8", *strange):
         with pytest.raises(CodecError, match="allowed"):
             parse_line(line)
 

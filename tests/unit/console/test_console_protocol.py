@@ -49,6 +49,13 @@ def test_an_input_is_read_as_it_was_written() -> None:
         ('{"say": "scale", "value": 1e999}', "value: inf"),
         pytest.param('{"say": "scale", "value": 1' + "0" * 400 + "}", "value: 1000", id="no float"),
         ('{"say": "watch", "layout": "left", "codec": "vp8"}', "codec: 'vp8'"),
+        *(
+            (
+                f'{{"say": "watch", "layout": "left", "codec": "jpeg", "spacing": {n}}}',
+                f"spacing: {n}",
+            )
+            for n in ("-1", "201", "1.5")
+        ),
         ('{"say": "hello", "token": "' + "x" * 300 + '"}', "token"),
         ('{"say": "hello", "tokens": ""}', "unknown key 'tokens'"),
         (json.dumps({**INPUT, "q": [0, 0, 0, 1.01]}), "q: a quaternion of length 1.01; allowed: 1"),

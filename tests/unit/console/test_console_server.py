@@ -245,6 +245,28 @@ async def test_pictures_come_and_the_newest_wins() -> None:
 
 
 @within(60.0)
+async def test_who_wants_fewer_pictures_takes_none_from_another_page() -> None:
+    async with console() as made, aiohttp.ClientSession() as http:
+        origin = f"http://localhost:{made.port}"
+
+        async def viewer(spacing: int) -> aiohttp.ClientWebSocketResponse:
+            url = origin.replace("http", "ws") + "/pictures"
+            socket = await http.ws_connect(url, origin=origin)
+            await socket.send_str('{"say": "hello", "token": ""}')
+            watched = {"say": "watch", "layout": "left", "codec": "jpeg", "spacing": spacing}
+            await socket.send_str(json.dumps(watched))
+            return socket
+
+        slow = await viewer(200)
+        await when(lambda: made.camera.wanted == {("left", "jpeg"): 200}, "fewer")
+        quick = await viewer(0)
+        await when(lambda: made.camera.wanted == {("left", "jpeg"): 0}, "all")
+        await quick.close()
+        await when(lambda: made.camera.wanted == {("left", "jpeg"): 200}, "fewer again")
+        await slow.close()
+
+
+@within(60.0)
 async def test_over_tls(tmp_path: Path) -> None:
     cert, key = tmp_path / "cert.pem", tmp_path / "key.pem"
     made = subprocess.run(

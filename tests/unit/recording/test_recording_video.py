@@ -64,6 +64,15 @@ def test_every_frame_comes_back_with_its_number_and_stamp(tmp_path: Path) -> Non
     assert [number_of(image) for image in images] == list(range(60))
 
 
+@pytest.mark.skipif(not Path("/proc/self/autogroup").exists(), reason="no scheduling by session")
+def test_an_encoder_gives_way_to_other_sessions(tmp_path: Path) -> None:
+    sink = VideoSink(tmp_path, "cam", block=True)
+    session = Path(f"/proc/{sink.pid}/autogroup").read_text()
+    niceness = os.getpriority(os.PRIO_PROCESS, sink.pid)
+    sink.close()
+    assert int(session.split()[-1]) == niceness == min(19, os.nice(0) + 5)
+
+
 def test_uneven_rates_keep_their_microseconds(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     stamps = START_NS + np.cumsum(rng.integers(2_000_000, 120_000_000, 40))

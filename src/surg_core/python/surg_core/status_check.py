@@ -7,6 +7,7 @@ constants, types), so this module needs no ROS.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -54,7 +55,13 @@ def values(message: Any, field: str) -> dict[int, str]:
         message: A message or its class.
         field: Such as ``state``.
     """
-    prefix, kind = f"{field.upper()}_", message if isinstance(message, type) else type(message)
+    return _values(message if isinstance(message, type) else type(message), field)
+
+
+@functools.cache
+def _values(kind: type, field: str) -> dict[int, str]:
+    """See `values`. Looking through a class takes 0.1 ms; nodes would do so 100 times a second."""
+    prefix = f"{field.upper()}_"
     return {
         getattr(kind, name): name.removeprefix(prefix)
         for name in dir(kind)

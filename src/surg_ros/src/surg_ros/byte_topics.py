@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import socket
 import struct
+import time
 import warnings
 from collections import deque
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import rospy
 
 _QUEUE = 1000  # messages that wait for `BytesSubscriber.fetch`, the newest ones
+_TOGETHER = 0.001  # [s] messages of one receipt follow each other sooner
 _WAITING = 10  # messages that wait for a slow subscriber of a latched publisher
 
 
@@ -118,16 +120,20 @@ class BytesSubscriber:
     Args:
         topic: Its name.
         kind: Its message class.
+        pause: So long [s] what comes waits in the socket; then all of it is taken at once. A thread
+            that wakes for each of 500 messages a second costs 0.02 of a core.
     """
 
-    def __init__(self, topic: str, kind: type) -> None:
+    def __init__(self, topic: str, kind: type, pause: float = 0.0) -> None:
         self._queue: deque[bytes] = deque(maxlen=_QUEUE)
-        self.subscriber = rospy.Subscriber(
-            topic,
-            as_bytes(kind),
-            lambda message: self._queue.append(message.data),
-            tcp_nodelay=True,
-        )
+        self._pause, self._paused = pause, -_TOGETHER
+        self.subscriber = rospy.Subscriber(topic, as_bytes(kind), self._keep, tcp_nodelay=True)
+
+    def _keep(self, message: Any) -> None:
+        self._queue.append(message.data)
+        if self._pause and time.monotonic() - self._paused > _TOGETHER:
+            time.sleep(self._pause)  # in the connection's own thread
+            self._paused = time.monotonic()
 
     @property
     def impl(self) -> Any:

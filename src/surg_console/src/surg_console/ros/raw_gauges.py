@@ -11,7 +11,10 @@ import struct
 import surg_core
 from surg_core.contract import STATE_NAMES
 
+_BEFORE_GEOMETRY = ((1, 0), (8, 0), (8, 1), (1, 152))
+"""reason, q, qd, source: bytes of an element, and bytes of fixed length that follow."""
 REASONS = {int(reason): reason for reason in surg_core.Reason.__members__.values()}
+_BLIND = (surg_core.Reason.LINK_LOST, surg_core.Reason.STATE_NOT_FINITE)
 
 
 def state_and_reason(data: bytes) -> tuple[str, surg_core.Reason | None]:
@@ -31,19 +34,22 @@ def last_double(data: bytes) -> float | None:
     return float(struct.unpack_from("<d", data, len(data) - 8)[0])
 
 
-def depth(data: bytes) -> float | None:
-    """Insertion [m]: third of the virtual joints of a sensor_msgs/JointState; None: unknown."""
-    try:  # header with its frame, names, positions; each with its length in front
+def depth_and_deviation(data: bytes) -> tuple[float | None, float | None]:
+    """Insertion and RCM error [m] of a surg_msgs/Cycle; None: unknown.
+
+    There is no insertion before homing, nor while the robot's joints are unknown.
+    """
+    try:  # header with its frame; the strings and arrays before them have their lengths in front
         (frame,) = struct.unpack_from("<I", data, 12)
-        (names,) = struct.unpack_from("<I", data, 16 + frame)
-        at = 20 + frame
-        for _ in range(names):
-            (length,) = struct.unpack_from("<I", data, at)
-            at += 4 + length
-        (count,) = struct.unpack_from("<I", data, at)
-        return float(struct.unpack_from("<4d", data, at + 4)[2]) if count == 4 else None
-    except struct.error:
-        return None
+        homed, reason, at = data[25 + frame], data[27 + frame], 28 + frame
+        for size, skipped in _BEFORE_GEOMETRY:
+            (count,) = struct.unpack_from("<I", data, at)
+            at += 4 + size * count + skipped
+        depth, deviation = struct.unpack_from("<2d", data, at)
+    except (struct.error, IndexError):
+        return None, None
+    known = homed and REASONS.get(reason) not in _BLIND and math.isfinite(depth)
+    return depth if known else None, deviation
 
 
 def force(data: bytes) -> float | None:

@@ -21,7 +21,12 @@ from crtk_msgs.msg import OperatingState
 from surg_console.labelling import label_file
 from surg_console.ros.order_topics_node import OrderTopics
 from surg_console.ros.overlay_topics_node import OverlayTopics
-from surg_console.ros.raw_gauges import depth, force, last_double, state_and_reason
+from surg_console.ros.raw_gauges import (
+    depth_and_deviation,
+    force,
+    last_double,
+    state_and_reason,
+)
 from surg_console.ros.status_values_node import (
     calibration_of,
     fixture_of,
@@ -71,14 +76,10 @@ STATUSES = {
     "/policy/status": PolicyStatus,
     "/calibrate/status": CalibrationStatus,
 }
-FAST = {
-    "rcm": "rcm/error",
-    "joints": "measured_js",
-    "trocar": "trocar/measured_cf",
-    "tip": "tool/measured_cf",
-    "clearance": "clearance",
-}
-"""Topics of the driven arm with live values."""
+FAST = {"trocar": "trocar/measured_cf", "tip": "tool/measured_cf", "clearance": "clearance"}
+"""Topics of the driven arm with live values that its cycle has not."""
+PAUSE = 0.01
+"""[s] The cycles of a tick of the session are taken together: 500 a second wake nobody each."""
 
 
 class RosSystem:
@@ -106,11 +107,10 @@ class RosSystem:
             what: BytesSubscriber(f"/{arms[0]}/{topic}", rospy.AnyMsg)
             for what, topic in FAST.items()
         }
-        self._cycles = {arm: BytesSubscriber(f"/{arm}/cycle", Cycle) for arm in arms}
+        self._cycles = {arm: BytesSubscriber(f"/{arm}/cycle", Cycle, PAUSE) for arm in arms}
         keys: dict[str, Any] = {"queue_size": 10, "tcp_nodelay": True}
         self._driven = arms[0]
         self._regions: tuple[Fixture, ...] = ()
-        self._cycle = b""
         rospy.Subscriber(f"/{arms[0]}/fixtures", Fixtures, self._on_fixtures, **keys)
         for topic, kind in kinds.items():
             rospy.Subscriber(topic, kind, self._on_status, topic, **keys)
@@ -129,9 +129,6 @@ class RosSystem:
             messages = polled.fetch()
             if messages:
                 self._newest[what] = (now, messages[-1])
-            if what == "rcm":
-                values = (last_double(data) for data in messages)
-                self._peak = max([self._peak, *(value for value in values if value is not None)])
 
     def _on_state(self, message: OperatingState, arm: str) -> None:
         with self._lock:
@@ -151,10 +148,11 @@ class RosSystem:
 
     def _fixtures(self) -> FixtureView | None:
         """The driven arm's fixtures beside its newest pose; with the lock held."""
-        if not self._regions or not self._cycle:
+        _, data = self._newest.get("cycle", (0.0, b""))
+        if not self._regions or not data:
             return None
         cycle = Cycle()
-        cycle.deserialize(self._cycle)
+        cycle.deserialize(data)
         X_BR = np.eye(4)
         X_BR[:3, :3] = quaternion_xyzw_to_matrix(cycle.q_br)
         X_BR[:3, 3] = cycle.p_rcm
@@ -175,14 +173,16 @@ class RosSystem:
             if complaint := self._statuses[topic].complaint(now):
                 rospy.logwarn("console: %s", complaint)
 
-    def _hear_reasons(self) -> None:
-        """Store the reason of each arm's state; with the lock held."""
+    def _hear_cycles(self, now: float) -> None:
+        """Store the reason of each arm's state, and how the driven one is; with the lock held."""
         for name, polled in self._cycles.items():
             messages = polled.fetch()
             if not messages:
                 continue
             if name == self._driven:
-                self._cycle = messages[-1]
+                self._newest["cycle"] = (now, messages[-1])
+                errors = (depth_and_deviation(data)[1] for data in messages)
+                self._peak = max([self._peak, *(error for error in errors if error is not None)])
             state, reason = state_and_reason(messages[-1])
             if state == self._arms[name].state:
                 self._arms[name] = replace(self._arms[name], reason=reason)
@@ -192,10 +192,11 @@ class RosSystem:
         now = time.monotonic()
         with self._lock:
             self._hear_fast(now)
-            self._hear_reasons()
+            self._hear_cycles(now)
             newest = {
                 what: data for what, (heard, data) in self._newest.items() if now - heard < FRESH
             }
+            depth, deviation = depth_and_deviation(newest.get("cycle", b""))
             hands = self._hands(now)
             first, others = hands[0], hands[1:]
             own = [hand for hand in others if hand.leader == first.leader]
@@ -206,9 +207,9 @@ class RosSystem:
                 own[0] if own else Follower(),
                 tuple(hand for hand in others if hand.leader != first.leader),
                 Gauges(
-                    rcm=last_double(newest.get("rcm", b"")),
-                    rcm_peak=self._peak if "rcm" in newest else None,
-                    depth=depth(newest.get("joints", b"")),
+                    rcm=deviation,
+                    rcm_peak=None if deviation is None else self._peak,
+                    depth=depth,
                     trocar=force(newest.get("trocar", b"")),
                     tip=force(newest.get("tip", b"")),
                     clearance=last_double(newest.get("clearance", b"")),

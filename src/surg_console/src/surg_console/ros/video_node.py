@@ -35,7 +35,7 @@ class Encoder:
 
     def __init__(self, views: tuple[str, ...], out: int) -> None:
         self._out = out
-        self._wanted: frozenset[tuple[str, str]] = frozenset()
+        self._wanted: dict[tuple[str, str], int] = {}
         self._keys: set[tuple[str, str]] = set()
         self._arrived = threading.Condition()
         self._pairers = {
@@ -82,15 +82,15 @@ class Encoder:
             if not line.strip():
                 continue
             try:
-                word, pairs = parse_line(line)
+                word, streams = parse_line(line)
             except CodecError as error:
                 rospy.logwarn(f"console: {error}")
                 continue
             with self._arrived:
                 if word == "want":
-                    self._wanted = pairs
+                    self._wanted = streams
                 else:
-                    self._keys |= pairs
+                    self._keys |= streams.keys()
         rospy.signal_shutdown("the console has ended")
         with self._arrived:
             self._arrived.notify()
@@ -108,6 +108,7 @@ class Encoder:
                 if pair not in self._streams:
                     self._streams[pair] = PictureStream(*pair)
                 stream = self._streams[pair]
+                stream.space(wanted[pair])
                 if pair in keys:
                     stream.request_key()
                 frames = waiting.get(pair[0])

@@ -3,9 +3,10 @@
 The child (`video_node`) receives and encodes the pictures, so input and status never wait for them.
 It reads commands from standard input, one per line:
 
-    want left:h264 stereo:jpeg
+    want left:h264:0 stereo:jpeg:100
     key left:h264
 
+The number is the time between two pictures, at least [ms].
 It exits when its input ends, so also when the server is killed.
 """
 
@@ -14,7 +15,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from surg_console.web import picture_packet
 
@@ -39,15 +40,16 @@ class EncoderProcess:
         problem: Callable[[str], None],
     ) -> None:
         self._argv, self._show, self._problem = tuple(argv), show, problem
-        self._wanted: frozenset[tuple[str, str]] = frozenset()
+        self._wanted: Mapping[tuple[str, str], int] = {}
         self._child: asyncio.subprocess.Process | None = None
         self._seen = time.monotonic()
 
-    def want(self, wanted: frozenset[tuple[str, str]]) -> None:
-        """Set the watched layouts and codecs."""
+    def want(self, wanted: Mapping[tuple[str, str], int]) -> None:
+        """Set the watched layouts and codecs, each with the time between two pictures [ms]."""
         self._wanted = wanted
         self._seen = time.monotonic()
-        self._write("want", *(f"{layout}:{codec}" for layout, codec in sorted(wanted)))
+        items = sorted(wanted.items())
+        self._write("want", *(f"{layout}:{codec}:{spacing}" for (layout, codec), spacing in items))
 
     def key(self, layout: str, codec: str) -> None:
         """Request a key picture."""

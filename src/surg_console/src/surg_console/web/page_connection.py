@@ -62,4 +62,5 @@ class Viewer:
 
     queue: PictureQueue = field(default_factory=PictureQueue)
     stream: tuple[str, str] | None = None  # layout and codec that the page watches
+    spacing: int = 0  # that it wants between two pictures [ms]
     changed: asyncio.Event = field(default_factory=asyncio.Event)  # there may be one to send

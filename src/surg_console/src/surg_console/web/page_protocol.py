@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from surg_console.web.picture_packet import CODECS, LAYOUTS
+from surg_console.web.picture_packet import CODECS, LAYOUTS, WIDEST
 
 LONGEST = 4096
 """[characters] Longest message."""
@@ -92,6 +92,7 @@ class Watch:
 
     layout: str
     codec: str
+    spacing: int = 0  # between two pictures, at least [ms]
 
 
 @dataclass(frozen=True)
@@ -243,7 +244,11 @@ _READERS: dict[str, Callable[[_Keys], PageMessage]] = {
     "scale": lambda keys: Scale(keys.number("value", *SCALES)),
     "hidden": lambda keys: Hidden(keys.word("why", HIDDEN)),
     "ping": lambda keys: Ping(keys.number("at", 0.0, _CLOCK)),
-    "watch": lambda keys: Watch(keys.word("layout", LAYOUTS), keys.word("codec", CODECS)),
+    "watch": lambda keys: Watch(
+        keys.word("layout", LAYOUTS),
+        keys.word("codec", CODECS),
+        keys.whole("spacing", WIDEST, 0),
+    ),
     "calibrate": lambda keys: CalibrationPress(keys.word("request", CALIBRATION_REQUESTS)),
     "shown": lambda keys: Shown(keys.whole("seq", 2**32)),
 }

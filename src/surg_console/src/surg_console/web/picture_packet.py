@@ -15,6 +15,8 @@ LARGEST = 16 << 20
 """[bytes] Largest encoded picture."""
 LAYOUTS = ("left", "stereo", "left_half", "stereo_half")
 CODECS = ("h264", "jpeg")
+WIDEST = 200
+"""[ms] What a page that cannot keep up may ask for between two pictures."""
 
 
 class PacketError(ValueError):

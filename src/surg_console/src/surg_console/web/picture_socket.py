@@ -11,7 +11,7 @@ from aiohttp import WSMsgType, web
 from surg_console.web.encoder_process import EncoderProcess
 from surg_console.web.page_connection import MessageBudget, Viewer
 from surg_console.web.page_protocol import ProtocolError, Shown, Watch, parse
-from surg_console.web.picture_packet import Packet
+from surg_console.web.picture_packet import WIDEST, Packet
 from surg_console.web.picture_queue import PictureQueue
 
 
@@ -62,7 +62,9 @@ class PicturePages:
             if not budget.spend(self._clock()):
                 return
             if isinstance(message, Watch):
-                viewer.stream, viewer.queue = (message.layout, message.codec), PictureQueue()
+                stream, viewer.spacing = (message.layout, message.codec), message.spacing
+                if stream != viewer.stream:
+                    viewer.stream, viewer.queue = stream, PictureQueue()
                 self._want_streams()
             elif isinstance(message, Shown):
                 viewer.queue.drawn(message.seq)
@@ -71,8 +73,12 @@ class PicturePages:
                 return
 
     def _want_streams(self) -> None:
-        wanted = {viewer.stream for viewer in self._viewers if viewer.stream is not None}
-        self._pictures.want(frozenset(wanted))
+        """Who wants fewer pictures than another page of the same stream gets as many as that."""
+        wanted: dict[tuple[str, str], int] = {}
+        for viewer in self._viewers:
+            if viewer.stream is not None:
+                wanted[viewer.stream] = min(viewer.spacing, wanted.get(viewer.stream, WIDEST))
+        self._pictures.want(wanted)
 
     async def _send(self, socket: web.WebSocketResponse, viewer: Viewer) -> None:
         with contextlib.suppress(ConnectionError):

@@ -23,6 +23,8 @@ EYES = {
     "stereo_half": ("left", "right"),
 }
 """Cameras of each layout."""
+SLACK_US = 20_000
+"""[µs] So much sooner a picture may come: exposures are never quite even."""
 
 
 @dataclass(frozen=True)
@@ -59,17 +61,25 @@ class PictureStream:
         self.layout, self.codec = layout, codec
         self._encoder: Codec | None = None
         self._key, self._seq = True, 0
+        self._spacing_us, self._taken_us = 0, 0
 
     def request_key(self) -> None:
         """Make the next picture a key picture."""
         self._key = True
 
+    def space(self, spacing: int) -> None:
+        """Leave out what was exposed sooner than this after the last picture [ms]."""
+        self._spacing_us = 1000 * spacing - SLACK_US
+
     def encode(self, frames: tuple[CameraFrame, ...]) -> Packet | None:
-        """Encode one picture; None: the codec has kept it back.
+        """Encode one picture; None: it is left out, or the codec has kept it back.
 
         Raises:
             CodecError: The frames differ in size.
         """
+        if 0 <= frames[0].stamp_us - self._taken_us < self._spacing_us and not self._key:
+            return None
+        self._taken_us = frames[0].stamp_us
         pixels = tuple(f.pixels for f in frames)
         if self.layout.endswith("_half"):
             pixels = tuple(half_size(each) for each in pixels)
@@ -97,14 +107,20 @@ class PictureStream:
         )
 
 
-def parse_line(line: str) -> tuple[str, frozenset[tuple[str, str]]]:
+def parse_line(line: str) -> tuple[str, dict[tuple[str, str], int]]:
     """One command of the server: ``want`` or ``key``, and its layouts and codecs.
+
+    With each stands the time between two pictures [ms] (``key``: 0).
 
     Raises:
         CodecError: It is not a command.
     """
     word, *items = line.split()
-    pairs = frozenset((item.partition(":")[0], item.partition(":")[2]) for item in items)
-    if word not in ("want", "key") or any(a not in EYES or b not in CODECS for a, b in pairs):
+    streams = {}
+    for item in items:
+        layout, codec, spacing = (*item.split(":"), "0", "")[:3]
+        streams[layout, codec] = int(spacing) if spacing.isdecimal() else -1
+    known = all(a in EYES and b in CODECS and ms >= 0 for (a, b), ms in streams.items())
+    if word not in ("want", "key") or not known:
         raise CodecError(f"{line!r}; allowed: want or key, with layouts and codecs")
-    return word, pairs
+    return word, streams

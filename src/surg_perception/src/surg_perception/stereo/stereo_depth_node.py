@@ -7,7 +7,6 @@ Parameters: `stereo_parameters.StereoSettings`.
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable
 
@@ -17,6 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 import surg_core
+from surg_core.host.niceness import give_way
 from surg_perception.depth.stereo_depth import StereoDepth
 from surg_perception.depth.stereo_matcher import find_matcher
 from surg_perception.stereo import stereo_messages_node as messages
@@ -174,7 +174,7 @@ def main() -> int:
     except (ParamError, ValueError) as error:
         print(f"surg_perception: {error}", file=sys.stderr, flush=True)
         return 2
-    os.nice(settings.niceness)
+    give_way(settings.niceness)
     cv2.setNumThreads(1)
     Eyes(settings, cell).run()
     return 0

@@ -10,13 +10,10 @@ runs without the status of a teleoperation node), ``~need_present`` (false), ``~
 
 from __future__ import annotations
 
-import contextlib
-import os
 import signal
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import rospy
@@ -27,6 +24,7 @@ from std_msgs.msg import Bool
 import surg_core
 from surg_core.contract import GRID
 from surg_core.force.observed_force import TOPICS
+from surg_core.host.niceness import give_way
 from surg_msgs.msg import Cycle, TaskState, TeleopStatus
 from surg_policy_bridge.nodes.free_run_node import FreeRun
 from surg_policy_bridge.nodes.lock_step_node import LockStep
@@ -41,9 +39,6 @@ from surg_ros.params import ParamError, read
 
 NICE = 5
 """Niceness: control cycles go before messages, also while somebody floods the port."""
-AUTOGROUP = Path("/proc/self/autogroup")
-"""Linux schedules by session, and ./surg gives every node its own: among nodes only the niceness of
-the session counts."""
 
 
 class ModelServerNode:
@@ -169,9 +164,7 @@ def main() -> int:
     """Run the node; returns the exit code."""
     if not master_is_online("policy"):
         return 1
-    niceness = os.nice(NICE)
-    with contextlib.suppress(OSError):
-        AUTOGROUP.write_text(str(niceness), "ascii")
+    give_way(NICE)
     rospy.init_node("policy", disable_signals=True)
     try:
         settings = read(Settings, rospy.get_param("~", {}))

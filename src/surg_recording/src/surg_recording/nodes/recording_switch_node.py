@@ -13,6 +13,7 @@ from typing import Any
 import rospy
 
 from surg_core.contract import TICK_NS
+from surg_core.host.niceness import give_way
 from surg_recording.episode import provenance
 from surg_recording.episode.episode_reader import PARTIAL
 from surg_recording.episode.episode_recorder import Recording
@@ -185,12 +186,10 @@ def _start_sync_report(folder: Path) -> None:
     """Make sync.json in a process of low priority: it decodes the videos. Nobody waits for it."""
     argv = [sys.executable, "-m", "surg_recording.clock.sync_report", "--quiet", str(folder)]
     try:
-        subprocess.Popen(
-            ["nice", "-n", "10", *argv],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            start_new_session=True,
+        report = subprocess.Popen(
+            argv, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True
         )
+        give_way(10, report.pid)
     except OSError as problem:
         rospy.logwarn("no sync.json: %s", problem.strerror)
 

@@ -264,7 +264,6 @@ def main(arguments: list[str]) -> int:
     # Ctrl-C reaches the whole terminal group: the end of the input is the only stop.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    os.nice(5)  # frames can wait in the queue, control cycles cannot wait
     av.logging.set_level(av.logging.FATAL)
     try:
         encoder = Encoder(*arguments)

@@ -17,6 +17,7 @@ import time
 from collections import deque
 from pathlib import Path
 
+from surg_core.host.niceness import give_way
 from surg_recording.file_io import write_all
 from surg_recording.video import video_encoder, video_file
 from surg_recording.video.image_frame import Frame
@@ -29,6 +30,9 @@ STALL_S = 10.0
 
 IN_FLIGHT = 16
 """Frames that the encoder may hold without an answer."""
+
+GIVES_WAY = 5
+"""Niceness of an encoder: frames can wait in the queue, cycles and a person's hand cannot."""
 
 _LARGE_PIPE = 1 << 20
 
@@ -94,6 +98,7 @@ class VideoSink:
             start_new_session=True,
             bufsize=0,
         )
+        give_way(GIVES_WAY, process.pid)
         assert process.stdin is not None
         with contextlib.suppress(OSError):  # a small pipe is only slower
             fcntl.fcntl(process.stdin, fcntl.F_SETPIPE_SZ, _LARGE_PIPE)

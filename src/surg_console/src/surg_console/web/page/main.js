@@ -8,7 +8,8 @@ import { Hand } from "./hand.js";
 import { showHelp } from "./key_help.js";
 import { element, mark, remember, set, sink, streamOf, toast, write } from "./kit.js";
 import { Link, clock } from "./link.js";
-import { speakWhileTouched } from "./touch_frames.js";
+import { Pace } from "./inputs/pace.js";
+import { speakWhileTouched } from "./inputs/touch_frames.js";
 import { PadPage } from "./pads/pad_page.js";
 import { Pads } from "./pads/pads.js";
 import { View, showAge } from "./view.js";
@@ -26,6 +27,7 @@ let lastSample = clock();
 let shown = 0;
 let lastHand = null;
 const picture = { exposedUs: 0, drawn: [] };
+const pace = new Pace();
 
 const link = new Link(onMessage, lost);
 const pads = new Pads(() => null, () => link.say("hidden", { why: "gamepad" }));
@@ -45,7 +47,7 @@ const feel = new Feel(
   () => status?.phase === "driving" && mine(),
   () => softLimit,
 );
-Object.assign(globalThis.surgConsole, { marks, plan, scene, feel });
+Object.assign(globalThis.surgConsole, { marks, plan, scene, feel, pace });
 
 // --- messages of the console ---
 
@@ -79,7 +81,7 @@ function onStatus(message) {
 function show() {
   if (status && view) view.show(status, link);
   if (lastHand) showHand(lastHand);
-  if (shown % AGE_EVERY === 0) showAge(picture, link.offsetUs);
+  if (shown % AGE_EVERY === 0) showAge(picture, link.offsetUs, pace.spacing);
   shown += 1;
 }
 setInterval(show, SHOW_MS);
@@ -176,6 +178,8 @@ function press(button) {
 function speak() {
   const now = clock();
   if (now - lastSample < LEAST_S) return;
+  const driving = mine() && ["starting", "driving"].includes(status.phase);
+  if (driving && pace.input(now - lastSample, now)) watch({});
   const sample = hand.sample(Math.min(0.1, now - lastSample));
   lastSample = now;
   if (mine() && document.visibilityState === "visible") {
@@ -270,7 +274,7 @@ worker.onmessage = ({ data }) => {
 
 function watch(change) {
   Object.assign(pictures, change);
-  worker.postMessage({ settings: { layout: layout() } });
+  worker.postMessage({ settings: { layout: layout(), spacing: pace.spacing } });
   for (const button of element("eyes").children) sink(button, (button.dataset.layout === "stereo") === pictures.stereo);
   for (const button of element("size").children) sink(button, (button.dataset.size === "half") === pictures.half);
 }

@@ -15,7 +15,7 @@ export class PictureStream {
   constructor(draw, tell) {
     this.draw = draw;
     this.tell = tell;
-    this.settings = null; // {url, token, layout, codec, shrink}
+    this.settings = null; // {url, token, layout, codec, spacing}
     this.socket = null;
     this.decoder = null;
     this.configured = "";
@@ -24,9 +24,10 @@ export class PictureStream {
 
   /** Change what is watched; the first call connects. */
   update(settings) {
-    this.settings = { ...this.settings, ...settings };
+    const before = this.settings;
+    this.settings = { ...before, ...settings };
     if (this.settings.codec === "h264" && !("VideoDecoder" in self)) this.settings.codec = "jpeg";
-    if (this.socket) this.watch();
+    if (this.socket) this.watch(before.layout === this.settings.layout);
     else this.connect();
   }
 
@@ -39,10 +40,11 @@ export class PictureStream {
     this.say("shown", { seq: head.seq });
   }
 
-  watch() {
-    this.forget();
-    const { layout, codec } = this.settings;
-    this.say("watch", { layout, codec });
+  /** Ask for pictures; where they are `the same`, more of them or fewer, each still builds on the last. */
+  watch(theSame = false) {
+    if (!theSame) this.forget();
+    const { layout, codec, spacing } = this.settings;
+    this.say("watch", { layout, codec, spacing });
   }
 
   connect() {

@@ -1,6 +1,6 @@
 // Inputs under a finger: Chromium stops a page's timers for 100 ms when one comes down. Its frames go on.
 
-import { clock } from "./link.js";
+import { clock } from "../link.js";
 
 const AFTER_TOUCH_S = 0.3;
 
