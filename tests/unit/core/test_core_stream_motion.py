@@ -224,7 +224,7 @@ def test_a_tremor_is_halved_at_the_stated_lag(rate: int, lag: float) -> None:
         assert stream_gain(hertz, rate, Transport(), stream_table.UR5E, steady) <= 0.5
     row = stream_table.measure(rate, Transport(), steady, hands=HANDS)
     print(row.cells())
-    assert max(row.gains[:3]) <= 1.05
+    assert max(row.gains[:3]) <= 1.07
     assert abs(row.path) <= 3
     assert row.lag == pytest.approx(lag, abs=2)
     assert row.violations == 0
