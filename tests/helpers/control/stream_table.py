@@ -73,6 +73,35 @@ def measure(
     )
 
 
+SINES = (0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 9.0)
+"""[Hz] Of the gain table."""
+SHARES = (0.25, 0.5, 1.0)
+"""Peak acceleration of its sines, of what the tip may."""
+GAIN_RATES = (30, 60, 100, 500)
+
+
+def size_of(hertz: float, share: float, limits: _core.DofLimits = UR5E) -> float:
+    """Amplitude [m] of a sine with a share of the acceleration, or 0.8 of the velocity."""
+    omega = 2 * np.pi * hertz
+    return min(share * limits.acceleration / omega**2, 0.8 * limits.velocity / omega)
+
+
+@cache
+def sine_gain(rate: int, hertz: float, share: float) -> float:
+    """Gain of the set-point for such a sine."""
+    return gain(hertz, rate, Transport(), UR5E, size=size_of(hertz, share))
+
+
+def gain_table() -> str:
+    """Markdown of the gains by rate, size and frequency."""
+    lines = [f"| rate, acceleration | {' '.join(f'{f:g}' for f in SINES)} Hz |", "|---|---|"]
+    for rate in GAIN_RATES:
+        for share in SHARES:
+            gains = " ".join(f"{sine_gain(rate, f, share):.2f}" for f in SINES)
+            lines.append(f"| {rate} Hz, {share:.0%} | {gains} |")
+    return "\n".join(lines) + "\n"
+
+
 HEAD = "| rate | transport | lag [ms] | rms [mm] | path [%] | gain 1, 2, 3, 9 Hz |"
 
 

@@ -147,9 +147,10 @@ def gain(
     transport: Transport,
     limits: _core.DofLimits,
     option: Option = Option(),
+    size: float = 2e-5,
 ) -> float:
-    """Gain for a sine of 20 um, which no limit touches."""
-    size, seconds = 2e-5, 12.0
+    """Gain for a sine of so many metres; of 20 um, which no limit touches, if not said."""
+    seconds = 12.0
     taken = (np.arange(int(seconds * rate)) + 0.3) / rate
     x = size * np.sin(2 * np.pi * hertz * taken)[:, None]
     t, states, _ = run(x, taken, transport, limits, option, seed=7)

@@ -13,8 +13,8 @@ namespace {
 // the least lag for samples of 25 to 500 Hz.
 constexpr double kJerk = 1.1e12;             // [1/s^5] spectral density of the motion's jerk
 constexpr double kTremorVariance = 2.4e4;    // variance of the tremor
-constexpr double kDecay = 17.5;              // [1/s] with which an oscillation of the tremor fades
-constexpr double kLate = 0.0146;             // [s] that the slow motion is asked for late
+constexpr double kDecay = 14;                // [1/s] with which an oscillation of the tremor fades
+constexpr double kLate = 0.016;              // [s] that the slow motion is asked for late
 constexpr double kLatePeriods = 0.81;        // periods that it is asked for late besides
 constexpr double kFirstPosition = 1e10;      // variance of the position at the start
 constexpr double kFirstAcceleration = 1e10;  // [1/s^4] variance of the acceleration at the start

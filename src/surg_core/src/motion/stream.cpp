@@ -7,15 +7,18 @@
 namespace surg {
 namespace {
 
-// Gains of the three nested loops, tuned on a synthetic and a recorded hand motion
-// (docs/results/stream.md), and the share of acceleration and jerk that the square-root approach
-// counts on (the rest is left for the moving target). The gains are lower where ticks are long.
-constexpr double kPositionGain = 90;               // [1/s] position to velocity
+// Gains of the three nested loops, tuned on a synthetic and a recorded hand motion and on sines of
+// every size (docs/results/stream.md), and the share of acceleration and jerk that the square-root
+// approach counts on (the rest is left for the moving target: larger shares lock into swings from
+// limit to limit). The gains are lower where ticks are long.
+constexpr double kPositionGain = 45;               // [1/s] position to velocity
 constexpr double kVelocityGain = 200;              // [1/s] velocity to acceleration
-constexpr double kAccelerationGain = 600;          // [1/s] acceleration to jerk
+constexpr double kAccelerationGain = 800;          // [1/s] acceleration to jerk
 constexpr double kFastestGain = 0.4;               // of the velocity loop, per tick
-constexpr double kStreamAccelerationShare = 0.25;  // of the acceleration limit
-constexpr double kJerkShare = 0.4;                 // of the jerk limit
+constexpr double kFedForward = 0.75;               // of the target's acceleration
+constexpr double kJerkTime = 0.011;                // [s] of jerk that reaches what is fed forward
+constexpr double kStreamAccelerationShare = 0.1;  // of the acceleration limit
+constexpr double kJerkShare = 0.31;                 // of the jerk limit
 
 // After a late cycle, or where limits have slowed the clock.
 constexpr double kLongestTick = 0.02;  // [s] that the filter follows
@@ -112,7 +115,11 @@ void StreamFilter::step(const Kinematic& target, double T, double period, const 
     wish = wish * soon > 0 ? std::copysign(std::min(std::abs(wish), std::abs(soon)), wish) : 0.0;
   }
   const double vc = clamp_to(wish, V);
-  const double ac = clamp_to(approach(vc - v1, slower * kVelocityGain, kJerkShare * J), A);
+  double fed = 0;
+  if (known && std::isfinite(target.a)) {
+    fed = clamp_to(kFedForward * target.a, std::min(A, kJerkTime * J));
+  }
+  const double ac = clamp_to(fed + approach(vc - v1, slower * kVelocityGain, kJerkShare * J), A);
   const double gain = slower * kAccelerationGain;
   double j = gain * (ac - own.a) / (1 + 0.5 * gain * T);
 

@@ -74,7 +74,7 @@ TEST(ControllerLimits, F25TheTipsFollowUpYieldsInTheVelocityFormToo) {
 
 TEST(ControllerLimits, F25TheWayBackToThePathYieldsInTheExactFormToo) {
   RobotConfig weak = Bench::robot_with_lag(0);
-  weak.acceleration.setConstant(5);
+  weak.acceleration.setConstant(3);
   for (const double side : {-1.0, 1.0}) {  // the force stands against the way back, or helps
     Bench bench({}, 0, 0, 0, &weak);
     for (int i = 0; i < 650; ++i) {  // too fast for the joints: the tip leaves its path

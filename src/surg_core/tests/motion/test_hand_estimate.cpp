@@ -91,25 +91,6 @@ TEST(HandEstimate, ASineIsPredictedMuchBetterThanByOneModel) {
   }
 }
 
-TEST(HandEstimate, AFastStreamGetsThePlainModelToTheBit) {
-  Random random(5);
-  HandEstimate hand;
-  StreamEstimate plain;
-  hand.reset({});
-  plain.reset({});
-  for (int k = 0; k < 1000; ++k) {
-    const double spacing = random.uniform(0, 0.02);
-    StreamEstimate::Values x;
-    for (double& value : x) value = random.uniform(-0.01, 0.01);
-    hand.update(x, spacing, 0.02);
-    plain.update(x, spacing, 0.02);
-    for (int i = 0; i < HandEstimate::kDof; ++i) {
-      ASSERT_EQ(hand.predict(0.013)[i].x, plain.predict(0.013)[i].x);
-      ASSERT_EQ(hand.predict(0.013)[i].v, plain.predict(0.013)[i].v);
-    }
-  }
-}
-
 TEST(HandEstimate, AConstantVelocityIsFoundAndARestToo) {
   for (const double spacing : {0.022, kSlowPeriod, 0.04, 0.1}) {
     HandEstimate hand;

@@ -208,7 +208,7 @@ double stroke(double t) {
   return std::fmod(t, 2.4) < 1.2 ? up : 0.03 - up;
 }
 
-TEST(StreamLateness, AWeakArmOvershootsLessAndFollowsAGentleHandAtOnce) {
+TEST(StreamLateness, AWeakArmDoesNotOvershootAndFollowsAGentleHandAtOnce) {
   const DofLimits weak{0.25, 0.6, 100};
   const auto follow = [&](double delay, const std::function<double(double)>& hand) {
     const double T = 0.002;
@@ -230,8 +230,8 @@ TEST(StreamLateness, AWeakArmOvershootsLessAndFollowsAGentleHandAtOnce) {
   const auto fixed = follow(0, stroke), adaptive = follow(0.05, stroke);
   std::printf("[  figures ] overshoot %.2f mm at once, %.2f mm up to %.0f ms later\n", fixed.first,
               adaptive.first, adaptive.second);
-  EXPECT_GT(fixed.first, 2);
-  EXPECT_LT(adaptive.first, 0.7 * fixed.first);  // 9.8 mm if it does not look ahead
+  EXPECT_LT(fixed.first, 0.5);
+  EXPECT_LT(adaptive.first, 0.5);  // 9.8 mm if it does not look ahead
   EXPECT_NEAR(adaptive.second, 50, 1e-9);
   const auto gentle = [](double t) { return 0.015 + 0.01 * std::sin(3 * t); };
   EXPECT_NEAR(follow(0.05, gentle).second, 8, 1e-9);
@@ -275,15 +275,16 @@ TEST(TremorEstimate, TakesTheTremorAndDelaysTheRestByWhatIsStatedAtAnyRate) {
       EXPECT_NEAR(lag, TremorEstimate::late(1 / rate), within) << hertz << " of " << rate;
     }
   }
-  EXPECT_NEAR(TremorEstimate::late(0.002), 0.016, 5e-4);
-  EXPECT_NEAR(TremorEstimate::late(1 / 30.0), 0.042, 5e-4);
+  EXPECT_NEAR(TremorEstimate::late(0.002), 0.0176, 5e-4);
+  EXPECT_NEAR(TremorEstimate::late(1 / 30.0), 0.043, 5e-4);
   EXPECT_GT(gain_and_lag(9, 30, 0).first, 0.9);  // without it
   EXPECT_FALSE(TremorEstimate().works());
 }
 
-TEST(StreamInput, AtSlowRatesASineKeepsItsSize) {
-  for (const double rate : {25.0, 30.0, 40.0}) {
-    for (const double hertz : {0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 5.0}) {
+TEST(StreamInput, AtEveryRateASineKeepsItsSize) {
+  for (const double rate : {25.0, 30.0, 40.0, 60.0, 100.0, 500.0}) {
+    for (const double hertz : {0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.5, 5.0, 6.5, 7.0}) {
+      if (hertz > 5 && rate < 60) continue;
       const auto [gain, lag] = gain_and_lag(hertz, rate, 0);
       EXPECT_NEAR(gain, 1, 0.05) << hertz << " of " << rate;
       EXPECT_NEAR(lag, HandEstimate::late(1 / rate), 0.003) << hertz << " of " << rate;
