@@ -1,7 +1,8 @@
 """Writes data sets with the real lerobot, in an environment of its own; prints JSON lines.
 
 Usage: ``python lerobot_writer.py SPECIFICATIONS``, a JSON list of root, fps, names, cameras, dtype,
-codec and, per episode, the task of each frame. Picture k of episode n says so; the states are k.
+codec, the colours of dark and bright squares and, per episode, the task of each frame. Picture k of
+episode n says so; the states are k. Of each set it prints the colours that lerobot itself reads.
 """
 
 from __future__ import annotations
@@ -23,11 +24,12 @@ for _name in ("nms", "qnms"):
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
 
-from helpers.recording.picture_identity import HEIGHT, WIDTH, Identity, draw  # noqa: E402
+from helpers.recording.picture_identity import HEIGHT, WIDTH, Identity, draw, shades  # noqa: E402
 
 
 def write(what: dict[str, Any]) -> None:
     """One data set."""
+    dark, bright = (np.array(colour, np.uint8) for colour in what["colours"])
     state = {"dtype": "float32", "shape": (5,), "names": what["names"]}
     axes = ["height", "width", "channels"]
     image = {"dtype": what["dtype"], "shape": (HEIGHT, WIDTH, 3), "names": axes}
@@ -45,12 +47,23 @@ def write(what: dict[str, Any]) -> None:
         for k, task in enumerate(tasks):
             values = np.array([0.01, 0.001 * k, -0.1, 0.1, 0.2], np.float32)
             shown = {
-                f"observation.images.{name}": draw(Identity(number, place, k))
+                f"observation.images.{name}": np.where(
+                    draw(Identity(number, place, k)) > 128, bright, dark
+                )
                 for place, name in enumerate(what["cameras"])
             }
             made.add_frame({"observation.state": values, "action": values, "task": task, **shown})
         made.save_episode()
     made.finalize()
+    read = LeRobotDataset("local/foreign", root=what["root"])
+    seen = {
+        f"{int(item['episode_index'])} {int(item['frame_index'])} {place}": (
+            255 * shades(item[f"observation.images.{name}"].permute(1, 2, 0).numpy())[1]
+        ).tolist()
+        for item in (read[index] for index in range(len(read)))
+        for place, name in enumerate(what["cameras"])
+    }
+    print(json.dumps({"shades": seen}))
 
 
 print(json.dumps({"lerobot": metadata.version("lerobot")}))

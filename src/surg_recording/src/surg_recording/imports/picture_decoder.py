@@ -91,6 +91,8 @@ class PictureDecoder:
         frames = self._codec.decode(av.Packet(data))
         if not frames:
             raise ValueError(f"a packet of {codec} without a picture")
+        if any(frame.pict_type.name == "B" for frame in frames):
+            raise ValueError(f"{codec} with B-frames, which come late; allowed: without (-bf 0)")
         return image_message(self._colours(frames[-1]), rgb=True)
 
 
@@ -105,7 +107,7 @@ def _opened(data: bytes) -> Values:
 
 
 def image_message(values: Values, rgb: bool = False) -> SimpleNamespace:
-    """Pixels (height, width[, channels]) as an image message; colours are b, g, r unless ``rgb``."""
+    """Pixels (height, width[, channels]) as an image message; colours: b, g, r, or ``rgb``."""
     channels = 1 if values.ndim == 2 else values.shape[2]
     if values.dtype == np.uint16 and channels > 1:
         values = (values >> 8).astype(np.uint8)
