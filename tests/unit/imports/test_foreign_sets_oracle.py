@@ -50,7 +50,10 @@ def draw(seed: int, root: Path) -> dict[str, Any]:
 
 
 def test_sets_of_lerobot_come_back_as_they_were(tmp_path: Path, full: bool) -> None:
-    """Colours: those that lerobot reads from its own set, which its codec has changed before."""
+    """Colours: as near to what lerobot reads from its own set as lerobot's own videos would be.
+
+    FFmpeg turns 4:2:0 into r, g, b up to three levels off where lerobot reads it.
+    """
     drawn = [draw(seed, tmp_path) for seed in range(40 if full else 3)]
     (tmp_path / "drawn.json").write_text(json.dumps(drawn))
     versions, *own = run(VERSION, "lerobot_writer.py", tmp_path / "drawn.json", home=tmp_path)
@@ -72,7 +75,7 @@ def test_sets_of_lerobot_come_back_as_they_were(tmp_path: Path, full: bool) -> N
     _, *lines = run(VERSION, "lerobot_reader.py", *words, home=tmp_path)
     begins = [place for place, line in enumerate(lines) if "episodes" in line]
     pictures = 0
-    lost, off = np.zeros(len(drawn)), np.zeros(len(drawn))
+    lost, off = np.array([each["lost"] for each in own]), np.zeros(len(drawn))
     for seed, (what, read) in enumerate(zip(drawn, own, strict=True)):
         facts, *frames = lines[begins[seed] : [*begins, None][seed + 1]]
         assert (facts["fps"], facts["episodes"]) == (what["fps"], len(what["episodes"]))
@@ -85,12 +88,11 @@ def test_sets_of_lerobot_come_back_as_they_were(tmp_path: Path, full: bool) -> N
             np.testing.assert_allclose(frame["state"][1], 0.001 * k, atol=1e-6)
             for place, shades in enumerate(frame["shades"].values()):
                 theirs = np.array(read["shades"][f"{frame['episode']} {k} {place}"])
-                lost[seed] = max(lost[seed], np.abs(theirs - what["colours"]).max())
                 off[seed] = max(off[seed], np.abs(theirs - shades).max())
                 pictures += 1
         kind = f"{what['dtype']} {what['codec']}, {what['fps']} Hz"
         print(f"set {seed}: {kind}: {lost[seed]:.1f} theirs, {off[seed]:.1f} ours")
     found = f"0 of {pictures} pictures misplaced; rates, instructions and states right; colours"
-    found += f" at most {off.max():.1f} of 255 off; {lost.max():.1f} by lerobot's own writer"
+    found += f" at most {off.max():.1f} of 255 off, in lerobot's own videos {lost.max():.1f}"
     note(f"sets of lerobot {VERSION}: imported, exported, read again", len(drawn), found)
-    assert off.max() <= 3
+    assert (off <= np.maximum(3, lost)).all()
