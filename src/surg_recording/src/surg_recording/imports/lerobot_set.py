@@ -100,7 +100,8 @@ class LeRobotData:
         if schema.INSTRUCTION in table.column_names:
             return [str(text) for text in table.column(schema.INSTRUCTION).to_pylist()]
         if "task_index" not in table.column_names:
-            stated = self._rows[table.column("episode_index")[0].as_py()].get("tasks") or ()
+            row = self._rows[table.column("episode_index")[0].as_py()]
+            stated = list(row.get("tasks") or [])
             return [stated[0] if len(stated) == 1 else NOT_STATED] * table.num_rows
         return [self._tasks.get(i, NOT_STATED) for i in table.column("task_index").to_pylist()]
 
