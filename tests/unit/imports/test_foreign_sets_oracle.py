@@ -92,7 +92,7 @@ def test_sets_of_lerobot_come_back_as_they_were(tmp_path: Path, full: bool) -> N
                 pictures += 1
         kind = f"{what['dtype']} {what['codec']}, {what['fps']} Hz"
         print(f"set {seed}: {kind}: {lost[seed]:.1f} theirs, {off[seed]:.1f} ours")
-    found = f"0 of {pictures} pictures misplaced; rates, instructions and states right; colours"
-    found += f" at most {off.max():.1f} of 255 off, in lerobot's own videos {lost.max():.1f}"
+    found = f"{pictures} pictures, 0 misplaced; rates, instructions, states right; colours"
+    found += f" ≤ {off.max():.1f} of 255 off, in lerobot's own videos {lost.max():.1f}"
     note(f"sets of lerobot {VERSION}: imported, exported, read again", len(drawn), found)
     assert (off <= np.maximum(3, lost)).all()
