@@ -95,4 +95,4 @@ def test_sets_of_lerobot_come_back_as_they_were(tmp_path: Path, full: bool) -> N
     found = f"{pictures} pictures, 0 misplaced; rates, instructions, states right; colours"
     found += f" ≤ {off.max():.1f} of 255 off, in lerobot's own videos {lost.max():.1f}"
     note(f"sets of lerobot {VERSION}: imported, exported, read again", len(drawn), found)
-    assert (off <= np.maximum(3, lost)).all()
+    assert (off <= np.maximum(3, lost + 0.1)).all()
