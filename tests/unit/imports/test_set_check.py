@@ -249,7 +249,7 @@ def test_side_by_side_with_the_checkers_of_others(tmp_path: Path, full: bool) ->
         words = {name: {*each["error"], *each["warning"]} for name, each in heard.items()}
         missed = [fault for fault in faults if not words[fault] - words["before"]]
         errors, warned = (sum(bool(heard[n][k]) for n in clean) for k in ("error", "warning"))
-        found = f"{len(faults) - len(missed)} of {len(faults)} planted faults found"
+        found = f"{len(faults) - len(missed)} of {len(faults)} faults found"
         found += f"; of {len(clean)} clean sets {errors} get errors, {warned} warnings"
         print(program, missed)
         note(f"check: {' '.join([program, versions.get(program, '')]).strip()}", len(made), found)
