@@ -1,8 +1,8 @@
 """Reads a dataset with the real lerobot, in an environment of its own; prints JSON lines.
 
-Usage: ``python lerobot_reader.py DATASET FRAMES SEED``: the versions first, then per sampled frame
-what lerobot gives. Every ``FRAMES``-th part of the dataset is sampled in random order, because a
-training program reads so.
+Usage: ``python lerobot_reader.py DATASET[:DATASET…] FRAMES SEED``: the versions first, then per
+dataset its facts, and per sampled frame what lerobot gives. At most ``FRAMES`` of each are sampled,
+in random order, because a training program reads so.
 """
 
 from __future__ import annotations
@@ -38,9 +38,8 @@ def _stage(meta: Any, item: dict[str, Any]) -> str:
 
 
 def main(root: str, count: int, seed: int) -> None:
-    """Print versions, facts and frames."""
+    """Print facts and frames."""
     dataset = LeRobotDataset("local/export", root=root)
-    print(json.dumps({name: metadata.version(name) for name in VERSIONS}))
     meta = dataset.meta
     facts = {
         "frames": len(dataset),
@@ -72,9 +71,11 @@ def main(root: str, count: int, seed: int) -> None:
             "force": item.get("observation.force", torch.empty(0)).tolist(),
             "camera_pose": item.get("observation.camera_pose", torch.empty(0)).tolist(),
             "pictures": {},
+            "shades": {},
         }
         for key in meta.camera_keys:
             image = item[key].permute(1, 2, 0).numpy()
+            found["shades"][key] = (255 * picture_identity.shades(image)[1]).tolist()
             try:
                 shown = picture_identity.read(image)
                 found["pictures"][key] = [shown.recording, shown.camera, shown.frame]
@@ -84,4 +85,6 @@ def main(root: str, count: int, seed: int) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]))
+    print(json.dumps({name: metadata.version(name) for name in VERSIONS}))
+    for _root in sys.argv[1].split(":"):
+        main(_root, int(sys.argv[2]), int(sys.argv[3]))

@@ -1,7 +1,9 @@
 """Writes data sets with the real lerobot, in an environment of its own; prints JSON lines.
 
 Usage: ``python lerobot_writer.py SPECIFICATIONS``, a JSON list of root, fps, names, cameras, dtype,
-codec and, per episode, the task of each frame. Picture k of episode n says so; the states are k.
+codec, the colours of dark and bright squares and, per episode, the task of each frame. Picture k of
+episode n says so; the states are k. Of each set it prints the colours that lerobot itself reads,
+and what lerobot loses of them in its own videos of these pictures.
 """
 
 from __future__ import annotations
@@ -23,36 +25,50 @@ for _name in ("nms", "qnms"):
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
 
-from helpers.recording.picture_identity import HEIGHT, WIDTH, Identity, draw  # noqa: E402
+from helpers.recording.picture_identity import HEIGHT, WIDTH, Identity, draw, shades  # noqa: E402
 
 
-def write(what: dict[str, Any]) -> None:
-    """One data set."""
+def write(what: dict[str, Any], root: str, dtype: str) -> dict[str, Any]:
+    """One data set; the colours that lerobot reads from it, by episode, frame and camera."""
+    dark, bright = (np.array(colour, np.uint8) for colour in what["colours"])
     state = {"dtype": "float32", "shape": (5,), "names": what["names"]}
     axes = ["height", "width", "channels"]
-    image = {"dtype": what["dtype"], "shape": (HEIGHT, WIDTH, 3), "names": axes}
+    image = {"dtype": dtype, "shape": (HEIGHT, WIDTH, 3), "names": axes}
     features = {"observation.state": state, "action": state}
     features |= {f"observation.images.{camera}": image for camera in what["cameras"]}
     made = LeRobotDataset.create(
         "local/foreign",
         what["fps"],
         features,
-        root=what["root"],
-        use_videos=what["dtype"] == "video",
+        root=root,
+        use_videos=dtype == "video",
         vcodec=what["codec"],
     )
     for number, tasks in enumerate(what["episodes"]):
         for k, task in enumerate(tasks):
             values = np.array([0.01, 0.001 * k, -0.1, 0.1, 0.2], np.float32)
             shown = {
-                f"observation.images.{name}": draw(Identity(number, place, k))
+                f"observation.images.{name}": np.where(
+                    draw(Identity(number, place, k)) > 128, bright, dark
+                )
                 for place, name in enumerate(what["cameras"])
             }
             made.add_frame({"observation.state": values, "action": values, "task": task, **shown})
         made.save_episode()
     made.finalize()
+    read = LeRobotDataset("local/foreign", root=root)
+    return {
+        f"{int(item['episode_index'])} {int(item['frame_index'])} {place}": (
+            255 * shades(item[f"observation.images.{name}"].permute(1, 2, 0).numpy())[1]
+        ).tolist()
+        for item in (read[index] for index in range(len(read)))
+        for place, name in enumerate(what["cameras"])
+    }
 
 
 print(json.dumps({"lerobot": metadata.version("lerobot")}))
 for _what in json.loads(Path(sys.argv[1]).read_text("utf-8")):
-    write(_what)
+    _seen = write(_what, _what["root"], _what["dtype"])
+    _videos = _seen if _what["dtype"] == "video" else write(_what, _what["root"] + "_too", "video")
+    _lost = max(np.abs(np.array(each) - _what["colours"]).max() for each in _videos.values())
+    print(json.dumps({"shades": _seen, "lost": _lost}))

@@ -38,19 +38,29 @@ def draw(identity: Identity, width: int = WIDTH, height: int = HEIGHT) -> npt.ND
     return np.repeat(image.astype(np.uint8)[..., None], 3, axis=2)
 
 
+def shades(image: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Which squares (8, 6) are bright, and the mean colours (2, 3) of the dark and bright ones.
+
+    Of every square its middle: its edges are what compression blurs.
+    """
+    pixels = np.asarray(image, dtype=float)
+    high, wide = pixels.shape[0] // (2 * ROWS), pixels.shape[1] // COLUMNS
+    pixels = pixels[: high * 2 * ROWS, : wide * COLUMNS]
+    blocks = pixels.reshape(2 * ROWS, high, COLUMNS, wide, 3)
+    middle = blocks[:, high // 4 : max(high - high // 4, 1), :, wide // 4 : wide - wide // 4]
+    squares, grey = middle.mean(axis=(1, 3)), pixels.mean(axis=2)
+    bright = squares.mean(axis=2) > (grey.max() + grey.min()) / 2
+    return bright, np.stack([squares[bright == each].mean(axis=0) for each in (False, True)])
+
+
 def read(image: npt.NDArray[Any]) -> Identity:
     """What a picture (height, width, 3) of any range of values says.
 
     Raises:
         ValueError: it is no such picture, or two are mixed.
     """
-    grey = np.asarray(image, dtype=float).mean(axis=2)
-    high, wide = grey.shape[0] // (2 * ROWS), grey.shape[1] // COLUMNS
-    grey = grey[: high * 2 * ROWS, : wide * COLUMNS]
-    blocks = grey.reshape(2 * ROWS, high, COLUMNS, wide)
-    # The middle of every square: its edges are what compression blurs.
-    middle = blocks[:, high // 4 : max(high - high // 4, 1), :, wide // 4 : wide - wide // 4]
-    ones = (middle.mean(axis=(1, 3)) > (grey.max() + grey.min()) / 2).astype(int)
+    bright, _ = shades(image)
+    ones = bright.astype(int)
     if not np.array_equal(ones[:ROWS], 1 - ones[ROWS:]):
         raise ValueError("no picture of ours, or a mixture of two")
     number = int(sum(int(bit) << i for i, bit in enumerate(ones[:ROWS].ravel())))

@@ -8,7 +8,7 @@ COUNTED = (
     "grid times against exact fractions",
     "resampler against brute force, scipy, geometry",
     "pictures in their place, five formats",
-    "the same with all pictures stamped a frame late",
+    "the same, a frame late",
     "broken recordings",
     "recordings with a Dask worker killed on the way",
 )

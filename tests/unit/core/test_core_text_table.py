@@ -28,6 +28,7 @@ PLAIN = "t_s,x_m,note\n0.5,-1.25,a\n1.0,2e-3,b c\n"
         PLAIN.replace(",", "\t").replace(".", ",").encode("utf-8-sig"),
         b'"t_s","x_m","note"\n"0.5","-1.25","a"\n"1.0","2e-3","b c"\n',
         b'"t_s"; "x_m"; "note"\n"0,5"; "-1,25"; "a"\n"1,0"; "2e-3"; "b c"\n',
+        b'"t_s"\t"x_m"\t"note"\n"0,5"\t"-1,25"\t"a"\n"1,0"\t"2e-3"\t"b c"\n',
         b"# by hand\n" + PLAIN.encode() + b"# end\n,,\n",
         b"t_s x_m  note\n0.5 -1.25 a\n1.0   2e-3 b_c\n",
     ],

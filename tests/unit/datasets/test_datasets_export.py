@@ -117,7 +117,7 @@ def test_pictures_with_a_late_clock_are_noticed(
     assert export([shifted], tmp_path / "out", format_name).ok, "consistent in itself"
     wrong, total = dataset_readers.misplaced(tmp_path / "out", format_name, [1])
     assert wrong == total > 0
-    note("the same with all pictures stamped a frame late", total, "all found misplaced")
+    note("the same, a frame late", total, "all found misplaced")
 
 
 def test_a_jittering_camera_gives_the_newest_picture_that_is_not_later(

@@ -97,8 +97,6 @@ def test_lerobot_sees_that_pictures_are_late(
     assert datasets.load(VERSIONS[version]).write(late, tmp_path / "set", options).ok
     _, frames = read(version, tmp_path / "set", tmp_path)
     assert misplaced(frames) == 2 * len(frames) > 0
-    told = f"{2 * len(frames)} of {2 * len(frames)} pictures misplaced"
-    note(f"reader lerobot {version}, late", len(frames), told)
 
 
 # --- robomimic ------------------------------------------------------------------------------------
@@ -167,5 +165,3 @@ def test_robomimic_sees_that_pictures_are_late(recordings: list[Path], tmp_path:
     found = sequences(late, tmp_path)
     wrong = sum(wrong_in(sequence, "obs", 0) for sequence in found)
     assert wrong == 2 * LENGTH * len(found) > 0
-    told = f"{wrong} of {wrong} pictures misplaced"
-    note("reader robomimic 0.3.0, late", len(found), told)

@@ -95,7 +95,7 @@ def test_a_long_stereo_episode_goes_all_the_way(
     took = time.monotonic() - started
     assert not any("encoded anew" in text for text in report.warnings), report.warnings
     told = f"{took:.0f} s, {report.frames / took:.0f} frames/s; worker"
-    told = f"{told} {used.child:.0f} MiB, the export's own process {used.own:.0f} MiB"
+    told = f"{told} {used.child:.0f} MiB, export {used.own:.0f} MiB"
     note(f"exported as LeRobot 3.0, `--video {video}`", report.frames, told)
     assert used.child <= MOST_MIB
 
@@ -116,5 +116,5 @@ def test_a_long_stereo_episode_goes_all_the_way(
         assert frame["state"][:3] == pytest.approx(list(expected), abs=1e-7)
         forces = felt_forces.expected(frame["grid_ns"])
         assert frame["force"] == pytest.approx(forces, rel=1e-6, abs=1e-6)
-    told = "random frames, 20 pictures, all states and forces right"
+    told = "20 pictures, states, forces right"
     note(f"opened by lerobot 0.4.4, `--video {video}`", 10, told)

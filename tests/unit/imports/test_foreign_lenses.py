@@ -141,8 +141,9 @@ def test_a_rotation_with_few_decimals_is_made_one(decimals: int, tmp_path: Path)
         ("cam0: {intrinsics: [1, 2]}", "as Kalibr writes them"),
         ("%YAML:1.0\n---\nimage_width: 640\n", "distortion_coefficients is missing"),
         ("%YAML:1.0\n---\n[unclosed", "is not YAML"),
+        ('<?xml version="1.0"?>\n<opencv_storage>\n</opencv_storage>\n', "is XML; allowed: YAML"),
     ],
-    ids=[str(i) for i in range(14)],
+    ids=[str(i) for i in range(15)],
 )
 def test_what_cannot_be_used_names_the_cure(text: str, said: str, tmp_path: Path) -> None:
     (tmp_path / "lens.yaml").write_text(text)

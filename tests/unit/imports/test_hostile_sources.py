@@ -68,7 +68,13 @@ def bomb(root: Path) -> None:
             writer.write_table(table)
 
 
+def no_episodes(root: Path) -> None:
+    stating(total_episodes=0)(root)
+    (root / EPISODES).unlink()
+
+
 SETS: list[tuple[Callable[[Path], None], str]] = [
+    (no_episodes, "holds no episode; looked for meta/episodes.jsonl"),
     (pipe(INFO), "is a named pipe"),
     (pipe(DATA), "is a named pipe"),
     (pipe(VIDEO), "is a named pipe"),
@@ -91,42 +97,6 @@ def content(folder: Path) -> dict[str, bytes | int]:
         str(each): each.read_bytes() if each.is_file() else each.lstat().st_mode
         for each in folder.rglob("*")
     }
-
-
-def refused(kind: str, source: Path, out: Path, capfd: pytest.CaptureFixture[str]) -> str:
-    """What the command says of a source that it must refuse, and leave alone."""
-    parser = argparse.ArgumentParser()
-    import_recordings.add_arguments(parser, "import")
-    chart = out.with_name("map.yaml")
-    chart.write_text("arms: {PSM1: {measured: {x: 0, y: 1, z: 2}}}")
-    words = [kind, str(source), "--out", str(out), *(["--map", str(chart)] * (kind == "lerobot"))]
-    before, begun = content(source.parent), time.monotonic()
-    try:
-        assert import_recordings.main(parser.parse_args(words), "import") == 2
-        (told,) = json.loads((out / "import.json").read_text())["imports"]
-        said = str(told["refused"])
-        assert {each.name for each in out.iterdir()} == {"import.json", "import.html"}
-    except CliError as problem:
-        assert problem.code == 2 and not out.exists()
-        said = str(problem)
-    assert time.monotonic() - begun < 60
-    assert content(source.parent) == before
-    assert "Traceback" not in capfd.readouterr().err and "\n" not in said and len(said) < 600
-    return said
-
-
-@pytest.mark.parametrize(("change", "said"), SETS, ids=[said for _, said in SETS])
-def test_a_hostile_data_set_is_refused(
-    change: Callable[[Path], None],
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.setattr(file_io, "MOST_MEMORY", 700 * MIB)
-    root = write_set(tmp_path / "in/set", [Rows(20, 10)], "v3.0")
-    change(root)
-    assert said in refused("lerobot", root, tmp_path / "out", capfd)
 
 
 def inflated(path: Path) -> Path:
@@ -171,25 +141,65 @@ def garbled(path: Path) -> Path:
     return path
 
 
+def empty(path: Path) -> Path:
+    path.mkdir()
+    return path
+
+
 BAGS: list[tuple[Callable[[Path], Path], str]] = [
     (inflated, "copy or record it again (Failed to resize buffer)"),
     (whole, "File too large"),
     (waiting, "is a named pipe"),
     (never_ending, "is a device"),
     (garbled, "not a bag that can be read; copy or record it again"),
+    (empty, "holds no bag; looked for metadata.yaml and *.mcap, *.db3 of ROS 2"),
 ]
 
 
-@pytest.mark.parametrize(("make", "said"), BAGS, ids=[said for _, said in BAGS])
-def test_a_hostile_bag_is_refused(
+def damaged(change: Callable[[Path], None]) -> Callable[[Path], Path]:
+    """A data set that was whole before the change."""
+
+    def make(path: Path) -> Path:
+        change(write_set(path, [Rows(20, 10)], "v3.0"))
+        return path
+
+    return make
+
+
+SOURCES = [("lerobot", 700, damaged(change), said) for change, said in SETS]
+SOURCES += [("rosbag", 250, make, said) for make, said in BAGS]
+
+
+@pytest.mark.parametrize(
+    ("kind", "memory_mib", "make", "said"), SOURCES, ids=[f"{s[0]}: {s[3]}" for s in SOURCES]
+)
+def test_a_hostile_source_is_refused_and_left_alone(
+    kind: str,
+    memory_mib: int,
     make: Callable[[Path], Path],
     said: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(file_io, "MOST_MEMORY", 250 * MIB)
+    monkeypatch.setattr(file_io, "MOST_MEMORY", memory_mib * MIB)
     monkeypatch.setattr(bag_file, "SPARE", MIB)
     (tmp_path / "in").mkdir()
-    source = make(tmp_path / "in" / "bag.bag")
-    assert said in refused("rosbag", source, tmp_path / "out", capfd)
+    source, out, chart = make(tmp_path / "in/source"), tmp_path / "out", tmp_path / "map.yaml"
+    parser = argparse.ArgumentParser()
+    import_recordings.add_arguments(parser, "import")
+    chart.write_text("arms: {PSM1: {measured: {x: 0, y: 1, z: 2}}}")
+    words = [kind, str(source), "--out", str(out), *(["--map", str(chart)] * (kind == "lerobot"))]
+    before, begun = content(source.parent), time.monotonic()
+    try:
+        assert import_recordings.main(parser.parse_args(words), "import") == 2
+        (entry,) = json.loads((out / "import.json").read_text())["imports"]
+        told = str(entry["refused"])
+        assert {each.name for each in out.iterdir()} == {"import.json", "import.html"}
+    except CliError as problem:
+        assert problem.code == 2 and not out.exists()
+        told = str(problem)
+    assert time.monotonic() - begun < 60
+    assert content(source.parent) == before
+    assert said in told and "\n" not in told and len(told) < 600
+    assert "Traceback" not in capfd.readouterr().err

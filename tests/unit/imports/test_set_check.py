@@ -6,6 +6,7 @@ import argparse
 import dataclasses
 import hashlib
 import json
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from helpers.recording.foreign_sources import Rows, write_set, write_video
+from helpers.results.dataset_results import note
+from helpers.tree import oracle_venv
 from surg_cli.commands.episode import check_set
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
@@ -214,6 +217,43 @@ def test_a_planted_fault_is_found_where_it_is(fault: str, tmp_path: Path, full: 
     whose = {"leakage": 2, "counts": WHOLE}.get(fault, 1)
     assert (whose, kind) in {(each.episode, each.kind) for each in found}, found
     assert {each.episode for each in found} <= {whose}
+
+
+OTHERS = (("lerobot-doctor==0.2.0", "pyyaml"), ("--no-deps", "lerobot-lint==0.1.1"))
+CHECKERS = paths.ROOT / "tests/helpers/recording/set_checkers.py"
+
+
+@pytest.mark.oracle
+def test_side_by_side_with_the_checkers_of_others(tmp_path: Path, full: bool) -> None:
+    """A fault is found by words that the same set without it does not get."""
+    python = oracle_venv.python("set-checkers", OTHERS, ("lerobot_doctor", "lerobot_lint"))
+    faults, clean = list(FAULTS if full else ALWAYS), [f"clean {n}" for n in range(20)]
+    made = {name: draw(n) for n, name in enumerate(clean)} | {"before": draw(1, count=300)}
+    for fault in faults:
+        made[fault] = draw(1, count=300)
+        FAULTS[fault][1](made[fault])
+    for name, each in made.items():
+        each.write(tmp_path / "sets" / name)
+    argv = [str(python), str(CHECKERS), str(tmp_path / "sets")]
+    done = subprocess.run(argv, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    versions, *said = map(json.loads, done.stdout.splitlines())
+    told = {each.pop("set"): each for each in said}
+    assert told.keys() == made.keys()
+    ours = "`./surg episode check`"
+    for name in made:
+        kinds = [each.kind for each in set_check.check(tmp_path / "sets" / name)]
+        told[name][ours] = {"error": kinds, "warning": []}
+    for program in (ours, *versions):
+        heard = {name: each[program] for name, each in told.items()}
+        words = {name: {*each["error"], *each["warning"]} for name, each in heard.items()}
+        missed = [fault for fault in faults if not words[fault] - words["before"]]
+        errors, warned = (sum(bool(heard[n][k]) for n in clean) for k in ("error", "warning"))
+        found = f"{len(faults) - len(missed)} of {len(faults)} faults found"
+        found += f"; of {len(clean)} clean sets {errors} get errors, {warned} warnings"
+        print(program, missed)
+        note(f"check: {' '.join([program, versions.get(program, '')]).strip()}", len(made), found)
+        assert program != ours or (not missed and not errors)
 
 
 def run(*words: str) -> int:

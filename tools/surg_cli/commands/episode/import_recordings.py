@@ -97,7 +97,7 @@ def _sets(options: argparse.Namespace, stated: Any) -> Iterator[Job]:
 
     for root in options.sources:
         data = LeRobotData(root)
-        for episode in options.only or range(data.count):
+        for episode in options.only or data.numbers:
             name = f"{root.name}_{episode:06d}"
 
             def write(folder: Path, ledger: Any, data: Any = data, episode: int = episode) -> Path:

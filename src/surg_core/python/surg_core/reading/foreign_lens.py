@@ -21,12 +21,14 @@ def lens_document(path: PathLike) -> Document:
     """The document of a lens file in any of the forms.
 
     Raises:
-        ConfigError: It cannot be read, or describes several cameras.
+        ConfigError: It cannot be read, is XML, or describes several cameras.
     """
     try:
         text = Path(path).read_text("utf-8-sig")
     except (OSError, UnicodeDecodeError):
         return read_document(path)  # says why not
+    if text.lstrip().startswith("<"):
+        raise ConfigError(f"{path}: is XML; allowed: YAML, as OpenCV writes to a name with .yml")
     if _OPENCV.search(text):
         return Document(str(path), _of_opencv(path, _parsed(path, text)))
     if _KALIBR.search(text):

@@ -36,6 +36,11 @@ class BagFile:
         self.path = path.parent if path.suffix in STORAGES else path
         self.ros2 = self.path.is_dir()
         if self.ros2 and not (self.path / METADATA).exists():
+            if not any(file.suffix in STORAGES for file in self.path.iterdir()):
+                raise EpisodeError(
+                    f"{path}: holds no bag; looked for {METADATA} and *{', *'.join(STORAGES)} of"
+                    " ROS 2. Of ROS 1 name the files: *.bag"
+                )
             raise EpisodeError(
                 f"{path}: {METADATA} is missing beside it. 'ros2 bag reindex {self.path}' writes it"
             )

@@ -79,7 +79,7 @@ def _list(kinds: dict[str, str]) -> str:
 
 def _series(streams: BagStreams, arm: ArmTopics) -> ArmSeries:
     topic, ledger = arm.topics["measured_cp"], streams.ledger
-    poses = _oriented(streams.samples(topic, _pose), topic, ledger)
+    poses = _oriented(streams.samples(topic, _Poses(topic)), topic, ledger)
     joints = _Joints()
     of_key: Mapping[str, Values] = {"measured_js": joints, "jaw": _jaw, "goal_jaw": _jaw}
     found = {
@@ -148,7 +148,7 @@ def _far(samples: Samples, times: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_
 
 def _goal(streams: BagStreams, topic: str, poses: Samples) -> Array:
     """The commanded poses at the measured ones; before the first command the measured ones."""
-    goals = _oriented(streams.samples(topic, _pose), topic, streams.ledger)
+    goals = _oriented(streams.samples(topic, _Poses(topic)), topic, streams.ledger)
     if not len(goals.stamps):
         return poses.values
     newest = np.searchsorted(goals.stamps, poses.stamps, side="right") - 1
@@ -169,14 +169,33 @@ def _roll(R_RB: Array, pose: Array) -> Array:
     return np.unwrap(twists)
 
 
-def _pose(message: Any) -> list[float]:
-    """x, y, z and quaternion of a pose or a transform, stamped or not."""
-    if hasattr(message, "transform"):
-        p, q = message.transform.translation, message.transform.rotation
-    else:
-        pose = getattr(message, "pose", message)
-        p, q = pose.position, pose.orientation
-    return [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
+class _Poses:
+    """x, y, z and quaternion of a pose or a transform, stamped or not, all of one body."""
+
+    def __init__(self, topic: str) -> None:
+        self._topic = topic
+        self._frames: tuple[str, str] | None = None
+
+    def __call__(self, message: Any) -> list[float]:
+        frame = getattr(getattr(message, "header", None), "frame_id", "")
+        if frame:
+            self._check((str(frame), str(getattr(message, "child_frame_id", ""))))
+        if hasattr(message, "transform"):
+            p, q = message.transform.translation, message.transform.rotation
+        else:
+            pose = getattr(message, "pose", message)
+            pose = getattr(pose, "pose", pose)  # that of a PoseWithCovariance
+            p, q = pose.position, pose.orientation
+        return [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
+
+    def _check(self, frames: tuple[str, str]) -> None:
+        self._frames = self._frames or frames
+        if frames != self._frames:
+            first, then = (" to ".join(filter(None, each)) for each in (self._frames, frames))
+            raise EpisodeError(
+                f"{self._topic}: its frames are {first} first, then {then}; allowed: the same in"
+                " all messages. Write each pair to a topic of its own"
+            )
 
 
 class _Joints:
@@ -184,10 +203,20 @@ class _Joints:
 
     count = 0
     """Joints of the first message."""
+    _names: tuple[str, ...] | None = None
 
     def __call__(self, message: Any) -> list[float]:
+        """Nothing of a message whose joints are others than those of the first."""
+        names = tuple(map(str, message.name))
+        self._names = names if self._names is None else self._names
+        if set(names) != set(self._names):
+            return []
         self.count = self.count or len(message.position)
-        return [*message.position, *message.velocity]
+        numbers = [*message.position, *message.velocity]
+        if names == self._names or len(numbers) % len(names):
+            return numbers
+        order = [names.index(name) for name in self._names]
+        return [numbers[at + k] for at in range(0, len(numbers), len(names)) for k in order]
 
 
 def _jaw(message: Any) -> list[float]:

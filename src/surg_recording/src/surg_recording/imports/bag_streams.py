@@ -68,19 +68,24 @@ class BagStreams:
                 rows.append(values(message))
             except AttributeError:
                 kind = self._bag.kinds[topic]
-                raise EpisodeError(f"{topic}: messages of type {kind} cannot be used") from None
+                raise EpisodeError(
+                    f"{topic}: messages of type {kind} cannot be used; allowed: PoseStamped or"
+                    " TransformStamped for a pose, JointState for joints and jaw"
+                ) from None
             own.append(self._stamp(topic, message))
             received.append(time_ns)
         if not rows:
             raise EpisodeError(f"{topic}: holds no message")
         self.ledger.hold(topic, len(rows))
-        width = Counter(map(len, rows)).most_common(1)[0][0]
+        widths = Counter(map(len, filter(None, rows))) or Counter([0])
+        width = widths.most_common(1)[0][0]
         fits = np.array([len(row) == width for row in rows])
         blank = [np.nan] * width
         numbers = np.array([row if len(row) == width else blank for row in rows], np.float64)
         numbers = numbers.reshape(len(rows), width)
         good = np.ones(len(rows), bool)
-        good = self.ledger.sieve(topic, ~fits, f"without the {width} numbers of the others", good)
+        why = f"without the {width} numbers, or with other joints than the first"
+        good = self.ledger.sieve(topic, ~fits, why, good)
         broken = ~np.isfinite(numbers).all(axis=1)
         good = self.ledger.sieve(topic, broken, "with a value that is not a number", good)
         return self._ordered(topic, np.array(own), np.array(received), numbers, good)

@@ -94,8 +94,13 @@ def _index(data: LeRobotData, feature: str, stated: Any, where: str) -> int:
         return -1
     if isinstance(stated, int) and 0 <= stated < _width(data, feature):
         return stated
-    if stated in names:
+    if names.count(stated) == 1:
         return names.index(stated)
+    if stated in names:
+        raise EpisodeError(
+            f"--map, {where}: {names.count(stated)} columns of {feature} are named {stated!r};"
+            " give the number of one"
+        )
     raise EpisodeError(
         f"--map, {where}: {stated!r} is not in {feature}; there are {', '.join(names) or 'none'}"
     )

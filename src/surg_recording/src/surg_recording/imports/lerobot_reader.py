@@ -56,7 +56,8 @@ def import_episode(
     different = list(dict.fromkeys(texts))
     success = None
     if "next.success" in table.column_names:
-        success = bool(_numbers(table, "next.success")[-1, 0])
+        last = _numbers(table, "next.success")[-1, 0]
+        success = None if np.isnan(last) else bool(last)
     facts = {key: stated.get(key) for key in ("task", "operator") if stated.get(key)}
     instruction = stated.get("instruction") or "; ".join(different)
     run: dict[str, Any] = {

@@ -29,6 +29,8 @@ NOT_STATED = "not stated"
 CURE = "cannot be read; download it again"
 MOST_COLUMNS = 10_000
 """Of a table: hands with tactile skin have some hundred."""
+_TEXTS = ("task", "__index_level_0__")
+"""Columns of ``meta/tasks`` that hold the instruction where there are others too."""
 _PLACES = {"episode_index", "episode_chunk", "chunk_index", "file_index", "video_key"}
 _WIDTH = re.compile(r"(0?[0-9]d)?")
 """How a template may write a number."""
@@ -56,6 +58,12 @@ class LeRobotData:
                 f" {', '.join(VERSIONS)}"
             )
         self._rows = _episode_rows(root)
+        self.numbers = sorted(self._rows)
+        if not self._rows and not self.count:
+            raise EpisodeError(
+                f"{root}: holds no episode; looked for meta/episodes.jsonl and"
+                " meta/episodes/**/*.parquet"
+            )
         if len(self._rows) != self.count:
             raise EpisodeError(
                 f"{root}/meta/info.json: total_episodes is {self.count}, meta/episodes lists"
@@ -71,12 +79,15 @@ class LeRobotData:
         Raises:
             EpisodeError: They cannot be read, or are not as many as the data set says.
         """
+        if episode not in self._rows:
+            known = f"its {self.count} are numbered {self.numbers[0]} to {self.numbers[-1]}"
+            raise EpisodeError(f"{self.root}: there is no episode {episode}; {known}")
         path = self._path("data_path", episode, "data")
         with telling(path, CURE):
             _columns(path)
             table = pq.read_table(path, filters=[("episode_index", "=", episode)])
             table = table.sort_by("frame_index")
-        stated = self._rows.get(episode, {}).get("length", table.num_rows)
+        stated = self._rows[episode].get("length", table.num_rows)
         if not table.num_rows or table.num_rows != stated:
             raise EpisodeError(
                 f"{path}: holds {table.num_rows} rows of episode {episode}; meta/episodes says"
@@ -89,7 +100,9 @@ class LeRobotData:
         if schema.INSTRUCTION in table.column_names:
             return [str(text) for text in table.column(schema.INSTRUCTION).to_pylist()]
         if "task_index" not in table.column_names:
-            return [NOT_STATED] * table.num_rows
+            row = self._rows[table.column("episode_index")[0].as_py()]
+            stated = list(row.get("tasks") or [])
+            return [stated[0] if len(stated) == 1 else NOT_STATED] * table.num_rows
         return [self._tasks.get(i, NOT_STATED) for i in table.column("task_index").to_pylist()]
 
     def pictures(
@@ -105,8 +118,13 @@ class LeRobotData:
             ledger: Of the import.
         """
         path = self._path("video_path", episode, f"videos/{video}", video_key=video)
-        row = self._rows.get(episode, {})
-        wanted = times + float(row.get(f"videos/{video}/from_timestamp", 0.0))
+        begin = self._rows[episode].get(f"videos/{video}/from_timestamp")
+        if begin is None and self.version == VERSIONS[-1]:
+            raise EpisodeError(
+                f"{self.root}/meta/episodes: videos/{video}/from_timestamp of episode {episode} is"
+                " missing, so its place in the video is unknown. Download meta again"
+            )
+        wanted = times + float(begin or 0.0)
         near = float(1 / self.fps) / 4  # further off, the next picture could be meant
         at, unused, last = 0, 0, 0.0
         with telling(path, "cannot be decoded; download it again"):
@@ -122,6 +140,8 @@ class LeRobotData:
                     if at == len(wanted):
                         break
                     used = at
+                    if at == 0 and frame.format.components[0].bits > 8:
+                        ledger.converted[stream] = f"{frame.format.name} to 8 bits"
                     while at < len(wanted) and abs(wanted[at] - last) <= near:
                         yield at, colours(frame)
                         at += 1
@@ -137,7 +157,7 @@ class LeRobotData:
         parsed = list(string.Formatter().parse(str(template)))
         fields = {str(name) for _, name, *_ in parsed if name}
         plain = all(_WIDTH.fullmatch(width or "") for _, _, width, _ in parsed)
-        row = self._rows.get(episode, {})
+        row = self._rows[episode]
         places: dict[str, Any] = {
             "episode_index": episode,
             "episode_chunk": episode // self._chunk,
@@ -201,13 +221,13 @@ def _episode_rows(root: Path) -> dict[int, dict[str, Any]]:
 
 
 def _tasks(root: Path) -> dict[int, str]:
-    """Instructions by number; pandas calls their column ``__index_level_0__`` or ``task``."""
+    """Instructions by number; pandas calls their column ``__index_level_0__`` or its own name."""
     rows = _lines(root / "meta" / "tasks.jsonl")
     file = root / "meta" / "tasks.parquet"
     rows += _parquet([file] if file.is_file() else [])
     with telling(root / "meta" / "tasks", CURE):
         return {
-            int(row["task_index"]): next(str(v) for k, v in row.items() if k != "task_index")
+            int(row.pop("task_index")): str(next(row[k] for k in (*_TEXTS, *row) if k in row))
             for row in rows
         }
 

@@ -91,6 +91,8 @@ class PictureDecoder:
         frames = self._codec.decode(av.Packet(data))
         if not frames:
             raise ValueError(f"a packet of {codec} without a picture")
+        if any(frame.pict_type.name == "B" for frame in frames):
+            raise ValueError(f"{codec} with B-frames, which come late; allowed: without (-bf 0)")
         return image_message(self._colours(frames[-1]), rgb=True)
 
 
@@ -105,18 +107,13 @@ def _opened(data: bytes) -> Values:
 
 
 def image_message(values: Values, rgb: bool = False) -> SimpleNamespace:
-    """Pixels (height, width[, channels]) as an image message; colours are b, g, r unless ``rgb``.
-
-    The message's three are r, g, b: FFmpeg turns those into video to the level, b, g, r to three.
-    """
+    """Pixels (height, width[, channels]) as an image message; colours: b, g, r, or ``rgb``."""
     channels = 1 if values.ndim == 2 else values.shape[2]
     if values.dtype == np.uint16 and channels > 1:
         values = (values >> 8).astype(np.uint8)
-    if values.dtype == np.uint8 and channels == 3 and not rgb:
-        values = cv2.cvtColor(values, cv2.COLOR_BGR2RGB)
     kinds: dict[tuple[str, int], str] = {
         ("uint8", 1): "mono8",
-        ("uint8", 3): "rgb8",
+        ("uint8", 3): "rgb8" if rgb else "bgr8",
         ("uint8", 4): "rgba8" if rgb else "bgra8",
         ("uint16", 1): "16UC1",
         ("float32", 1): "32FC1",
@@ -138,8 +135,6 @@ def image_message(values: Values, rgb: bool = False) -> SimpleNamespace:
 def _raw(message: Any) -> Any:
     """An image message whose encoding the recorder knows."""
     encoding = str(message.encoding)
-    if encoding in ("bgr8", "8UC3"):
-        return image_message(_rows(message, message.height, 3, np.uint8))
     if encoding in ENCODINGS:
         return message
     if encoding in _YUV:

@@ -46,7 +46,7 @@ def check(root: Path, report: Report = lambda share, words: None) -> list[Findin
     data = LeRobotData(root)
     found: list[Finding] = []
     known: list[EpisodeRows] = []
-    for number in range(data.count):
+    for number in data.numbers:
         report(0.2 * number / max(data.count, 1), f"rows of episode {number}")
         try:
             known.append(rows_of(data, number))

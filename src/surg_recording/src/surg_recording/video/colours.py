@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,7 @@ def _graph(frame: av.VideoFrame) -> tuple[Any, Any, Any]:
     """
     graph = av.filter.Graph()
     kind = {"width": frame.width, "height": frame.height, "format": frame.format}
-    source = graph.add_buffer(**kind, time_base=frame.time_base)
+    source = graph.add_buffer(**kind, time_base=frame.time_base or Fraction(1, 1000))
     scale = graph.add("scale", "flags=bilinear+accurate_rnd+full_chroma_int")
     shape, sink = graph.add("format", "rgb24"), graph.add("buffersink")
     source.link_to(scale)

@@ -129,6 +129,8 @@ class Encoder:
         values, layout = self._values(image, pixels)
         cut = values[: self._stream.height, : self._stream.width]
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(cut), format=layout)
+        if layout == "bgr24":  # FFmpeg turns it into video by a short cut, four levels off
+            frame = frame.reformat(format="rgb24")
         frame.pts = pts
         frame.time_base = MICROSECONDS
         packets = self._stream.encode(frame)
