@@ -24,7 +24,7 @@ def rows_until_named(x: np.ndarray) -> int | None:
     """After how many rows of these x [mm] a swing is named; None: never."""
     watch = SwingWatch(["PSM1"])
     for k, value in enumerate(x):
-        watch.take(np.array([1e-3 * value, 0.0, 0.12, 0.0, 0.5]), k * STEP_NS)
+        watch.take(np.array([[1e-3 * value, 0.0, 0.12]]), k * STEP_NS)
         if watch.warning:
             assert "PSM1" in watch.warning and "along x" in watch.warning
             return k + 1
