@@ -99,11 +99,12 @@ class FakeArm:
         if command.claim and view.holder in ("", sender):
             view = replace(view, holder=sender)
         if command.servo_cp is not None and command.jaw is not None and view.holder == sender:
-            self.set(self._target(command.servo_cp, command.jaw))
+            self.set(self.target_of(command.servo_cp, command.jaw))
             return
         self.view = view
 
-    def _target(self, pose: TipPose, jaw: float) -> Target:
+    def target_of(self, pose: TipPose, jaw: float) -> Target:
+        """The target that a commanded pose is."""
         if self.view.wrist is None:
             return Target(pose.p, pose.roll, jaw)
         wrist = self.view.wrist.geometry

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import surg_core
 from helpers.control.lagging_arm import SOURCE, TICK, asked, view_of
+from helpers.policy.policy_bench import FakeArm
 from helpers.sim.wrist_follow import ARM, WristedArm, angles
 from helpers.teleop.hand import Hand
 from surg_cli.host import paths
@@ -324,7 +325,29 @@ def test_a_played_motion_beyond_the_wrist_keeps_the_place_of_the_tip(tmp_path: P
 
 
 def test_a_turn_that_no_wrist_can_make_is_told_by_its_line(tmp_path: Path) -> None:
-    player, _, _ = played(motion_file(tmp_path, (0.9, 1.2, 0.5)))
+    """Beyond a right angle the pitch would have to leap to its other side."""
+    t = np.linspace(0.0, 4.0, 401)
+    turn = Rotation.from_euler("y", 2.6 * np.exp(-(((t - 2.0) / 0.4) ** 2))).as_matrix()
+    rows = np.column_stack([t, 0.01 * np.sin(t), 0.0 * t, 0.0 * t, turn.reshape(-1, 9)])
+    head = ",".join(["t_s", "x_m", "y_m", "z_m", *(f"r{i}{k}" for i in "123" for k in "123")])
+    np.savetxt(tmp_path / "motion.csv", rows, delimiter=",", header=head, comments="")
+    cell = surg_core.load_cell(paths.ROOT / "cells/sim_ur5e_wrist").arms[ARM]
+    wrist, limits = cell.instrument.wrist, cell.limits
+    assert wrist is not None
+    workspace = Workspace(limits.depth_slow, limits.depth_max, limits.cone)
+    plan = make_plan(read_motion(tmp_path / "motion.csv"), workspace)
+    steps = StepLimits.of(limits, wrist.velocity)
+    player = MotionPlayer(plan, Mode.CARTESIAN, JawRange(0.0, 1.0), steps, wrist)
+    arm = FakeArm(wrist, turn=0.0)  # it is at once where it is told to be
+    ready = {"homed": True, "state": surg_core.State.ENABLED}
+    for tick in range(1, 5000):
+        view = replace(arm.view, stamp_ns=tick * 2_000_000, **ready)
+        commands = player.tick(view)
+        pose = commands.servo_cp or commands.move_cp
+        if player.done:
+            break
+        if pose is not None:
+            arm.set(arm.target_of(pose, 0.3))
     print(player.reason)
-    assert player.stage is PlayerStage.FAILED
+    assert player.stage is PlayerStage.FAILED and commands.hold
     assert "the wrist cannot turn" in player.reason and "motion.csv: line" in player.reason

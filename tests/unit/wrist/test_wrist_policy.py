@@ -50,7 +50,7 @@ def test_the_arm_gets_the_recorded_poses(
     start, policy = absolute[0], replay.load(exported[space])
     (turn,) = wristed_episode.recorded_at_the_end(recorded[0], "wrist_turn")
     bench, served = running(space, Bench(path=WRISTED, turn=turn))
-    bench.arm.set(bench.arm._target(wristed_episode.tip_pose(start), float(start[7])))
+    bench.arm.set(bench.arm.target_of(wristed_episode.tip_pose(start), float(start[7])))
     policy.reset("", 1)
     apart, turned = [], []
     for step in range(-1, STEPS):
@@ -77,7 +77,7 @@ def test_the_arm_gets_the_recorded_poses(
 def test_holding_keeps_place_and_orientation(space: str) -> None:
     bench, served = running(space)
     row = np.array([0.01, -0.02, 0.11, *TILTED.as_quat(), 0.4])
-    bench.arm.set(bench.arm._target(wristed_episode.tip_pose(row), 0.4))
+    bench.arm.set(bench.arm.target_of(wristed_episode.tip_pose(row), 0.4))
     before = pose(bench)
     bench.tick()
     bench.observe()
