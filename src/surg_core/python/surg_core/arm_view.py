@@ -195,7 +195,7 @@ class ArmView:
     @property
     def held_target(self) -> Array:
         """The set-point as a target of ``surg_core.action_space``."""
-        turns = () if self.wrist is None else self.wrist.set
+        turns = [] if self.wrist is None else self.wrist.set.tolist()
         return np.array([*self.p_end, self.roll_set, *turns, self.jaw_set])
 
     @cached_property
