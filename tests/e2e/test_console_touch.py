@@ -169,6 +169,7 @@ AXES: dict[str, tuple[str, int, int]] = {
     **dict.fromkeys(("R", "Page up"), ("v", 2, 1)),
     **dict.fromkeys(("Q", "Home"), ("roll_rate", 0, -1)),
     **dict.fromkeys(("E", "End"), ("roll_rate", 0, 1)),
+    "7": ("tilt", 1, -1), "8": ("tilt", 0, 1), "9": ("tilt", 0, -1), "0": ("tilt", 1, 1),
 }  # fmt: skip
 """Motion keys by the help's words: field of the sample, axis (x right, y down, z away), sign."""
 JAW = {"K": -1, "L": 1, "Delete": -1, "Insert": 1}
@@ -188,7 +189,7 @@ OF_THE_PAGE = {
 CODES = {
     "←": "ArrowLeft", "→": "ArrowRight", "↑": "ArrowUp", "↓": "ArrowDown", "Page up": "PageUp",
     "Page down": "PageDown", "−": "Minus", "=": "Equal", "[": "BracketLeft", "]": "BracketRight",
-    "Esc": "Escape", "Shift": "ShiftLeft",
+    "Esc": "Escape", "Shift": "ShiftLeft", **{digit: f"Digit{digit}" for digit in "7890"},
 }  # fmt: skip
 """Words of the help -> codes of the browser; a letter X is KeyX, others are as they are called."""
 

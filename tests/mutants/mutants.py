@@ -257,6 +257,22 @@ MUTANTS: tuple[Mutant, ...] = (
         "away_ = 0;",
         ("test_wrist",),
     ),
+    one(
+        "wrist_overshoots_its_end",
+        "the set-point passes the end of the drive, and arm and tip do not fit together",
+        "src/motion/wrist_motion.cpp",
+        "if (was_inside && dofs_[i].x != end) dofs_[i] = {end, 0, 0};",
+        "if (was_inside && false) dofs_[i] = {end, 0, 0};",
+        ("test_wrist",),
+    ),
+    one(
+        "wrist_end_takes_the_tip_along",
+        "a joint at its end moves the tip that should only turn",
+        "src/motion/command_handler.cpp",
+        "wrist_.allowed(rate.joints));",
+        "rate.joints);",
+        ("test_wrist",),
+    ),
     # -- the follower
     one(
         "late_states_trusted",

@@ -174,6 +174,27 @@ TEST(Messages, CycleCarriesTierAndEveryRefusal) {
   EXPECT_EQ(message.source, "");
 }
 
+TEST(Messages, CycleCarriesAWristUntilAStraightToolIsMounted) {
+  CycleRecord record;
+  record.out.wrist.exists = true;
+  record.out.wrist.geometry = {0.009, 0.010, 0.3};
+  record.out.wrist.q = {1, 2};
+  record.out.wrist.set = {3, 4};
+  record.out.wrist.goal = {5, 6};
+  record.q_RTool = Eigen::Quaterniond(0.1, 0.2, 0.3, 0.4);
+  surg_msgs::Cycle message;
+  encode_cycle(record, "PSM1_base", SourceTable(), message);
+  EXPECT_EQ(message.wrist_geometry, (std::vector<double>{0.009, 0.010, 0.3}));
+  EXPECT_EQ(message.wrist, (std::vector<double>{1, 2}));
+  EXPECT_EQ(message.wrist_set, (std::vector<double>{3, 4}));
+  EXPECT_EQ(message.wrist_goal, (std::vector<double>{5, 6}));
+  EXPECT_EQ(message.q_tip, (std::vector<double>{0.2, 0.3, 0.4, 0.1}));
+  record.out.wrist.exists = false;
+  encode_cycle(record, "PSM1_base", SourceTable(), message);
+  EXPECT_TRUE(message.wrist.empty());
+  EXPECT_TRUE(message.q_goal.empty());
+}
+
 TEST(Messages, RobotStateByName) {
   sensor_msgs::JointState message;
   message.name = {"a", "b"};

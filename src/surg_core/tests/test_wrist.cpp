@@ -418,6 +418,50 @@ TEST(Wrist, JointEndsAreRefusedOrSlidAlongNeverLeapt) {
   EXPECT_LT((sliding.tip().p - hand_at(0).p).norm(), 1e-4) << "the tip keeps its place";
 }
 
+TEST(Wrist, TheTipKeepsItsPlaceWhileAJointMeetsItsEnd) {
+  for (const double fast : {1.0, 2.5}) {  // [rad/s] of a hand that turns on to 2 rad and back
+    WristBench bench(0.04, 0.04);
+    double away = 0, most = 0;
+    for (int k = 0; k < 2500; ++k) {
+      const double t = k * kT, angle = std::min({fast * t, 2.0, 2.0 - fast * (t - 3)});
+      MotionCommand command;
+      command.motion = Motion::kServoCp;
+      command.slide = true;
+      command.p = hand_at(0).p;
+      command.rotation =
+          Eigen::Quaterniond(Eigen::AngleAxisd(std::max(0.0, angle), Vector3::UnitX()));
+      if (k % 5 > 0) bench.tick();
+      if (k % 5 == 0) ASSERT_EQ(bench.send(command), Reason::kNone) << k;
+      away = std::max(away, (bench.tip().p - hand_at(0).p).norm());
+      most = std::max(most, bench.out().wrist.set.cwiseAbs().maxCoeff());
+    }
+    std::cout << fast << " rad/s: tip " << 1e3 * away << " mm, joint " << most << " rad\n";
+    EXPECT_LE(most, 1.396 + 1e-12);
+    EXPECT_GT(most, 1.39) << "it met its end";
+    EXPECT_LT(away, 1e-3);
+  }
+}
+
+TEST(Wrist, AVelocityKeepsThePlaceOfTheTipWhereAJointEnds) {
+  for (int axis = 0; axis < 2; ++axis) {
+    WristBench bench(0.04, 0.04);
+    const TipFrame before = bench.tip();
+    MotionCommand command;
+    command.motion = Motion::kServoCv;
+    command.omega = 0.8 * Vector3::Unit(axis);
+    double away = 0, most = 0;
+    for (int k = 0; k < 2000; ++k) {  // it asks for 3.2 rad
+      ASSERT_EQ(bench.send(command), Reason::kNone) << k;
+      away = std::max(away, (bench.tip().p - before.p).norm());
+      most = std::max(most, bench.out().wrist.set.cwiseAbs().maxCoeff());
+    }
+    std::cout << "axis " << axis << ": tip " << 1e3 * away << " mm, joint " << most << " rad\n";
+    EXPECT_GT(most, 1.38) << "it met its end";
+    EXPECT_LE(most, 1.396 + 1e-12);
+    EXPECT_LT(away, 2e-3);
+  }
+}
+
 TEST(Wrist, AStreamNeverThrowsTheWrist) {
   TipFrame bent = hand_at(0);
   bent.R = Eigen::AngleAxisd(0.5, Vector3::UnitX()).toRotationMatrix();

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
-from surg_core.arm_view import ArmCommands, ArmState, ArmView, JawRange
+from surg_core.arm_view import ArmCommands, ArmState, ArmView, JawRange, WristView
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.playback.motion_file import read_motion
 from surg_teleop.playback.motion_plan import make_plan
@@ -127,7 +127,6 @@ def view_of(
     """What a sender sees of a cycle; ``names`` are the senders', by number."""
     R_BR = np.asarray(controller.X_BR)[:3, :3]
     holder = (names or {}).get(out.source, "")
-    wrist = out.wrist
     return ArmView(
         stamp_ns=tick * TICK_NS,
         state=ArmState(int(out.state)),
@@ -146,8 +145,8 @@ def view_of(
         stream=holder if out.motion == surg_core.Motion.SERVO_CP else "",
         R_WB=np.asarray(arm.X_WB)[:3, :3],
         received=tick * TICK,
-        q_RSet=None if wrist is None else surg_core.matrix_to_quaternion_xyzw(wrist.R_RSet),
-        wrist_turn=0.0 if wrist is None else wrist.turn,
+        depth=out.depth,
+        wrist=None if out.wrist is None else WristView.of(out.wrist),
     )
 
 

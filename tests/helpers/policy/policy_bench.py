@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,9 @@ from numpy.typing import NDArray
 
 import surg_core
 from surg_cli.host import paths
-from surg_core.arm_view import ArmCommands, ArmState, ArmView
+from surg_core.arm_view import ArmCommands, ArmState, ArmView, TipPose, WristView
 from surg_core.contract import SECOND_NS, STATE_KEY, STEP_NS
+from surg_core.wrist_joints import joints_of_tip, tip_of_joints
 from surg_policy_bridge.server import cell_spec
 from surg_policy_bridge.server.model_server import ModelServer, ServerSettings, ServerState
 from surg_policy_bridge.server.observer import Observation
@@ -32,6 +34,8 @@ Array = NDArray[np.float64]
 ARM = "PSM1"
 NODE = "/policy"
 CELL = paths.ROOT / "cells" / "sim_ur5e"
+WRISTED = paths.ROOT / "cells" / "sim_ur5e_wrist"
+ORIENTATIONS = ("q_RTip", "q_RSet", "q_RGoal")
 MS = 1_000_000
 """[ns]"""
 HOME = np.array([0.0, 0.0, 0.12])
@@ -39,25 +43,25 @@ HOME = np.array([0.0, 0.0, 0.12])
 
 
 @functools.cache
-def cell() -> surg_core.Cell:
+def cell(path: Path = CELL) -> surg_core.Cell:
     """The cell of the bench."""
-    return surg_core.load_cell(CELL)
+    return surg_core.load_cell(path)
 
 
-def spec() -> Spec:
+def spec(path: Path = CELL) -> Spec:
     """What the bench serves."""
-    return cell_spec.make(cell(), [ARM], "bench", {}, None)
+    return cell_spec.make(cell(path), [ARM], "bench", {}, None)
 
 
-def arm_limits() -> ArmLimits:
+def arm_limits(path: Path = CELL) -> ArmLimits:
     """Of the bench's arm."""
-    return ArmLimits.of(cell().arms[ARM])
+    return ArmLimits.of(cell(path).arms[ARM])
 
 
 class FakeArm:
     """An arm that does what a controller would: states, authority, a set-point that jumps."""
 
-    def __init__(self) -> None:
+    def __init__(self, wrist: surg_core.WristConfig | None = None, turn: float = 0.7) -> None:
         self.view = ArmView(
             stamp_ns=0,
             state=ArmState.DISABLED,
@@ -72,6 +76,12 @@ class FakeArm:
             R_BR=np.eye(3),
         )
         self.told: list[str] = []
+        if wrist is not None:
+            lengths = wrist.geometry
+            geometry = surg_core.WristGeometry(lengths.pitch_to_yaw, lengths.yaw_to_tip, turn)
+            straight, along = np.zeros(2), np.array([0.0, 0.0, 0.0, 1.0])
+            seen = WristView(geometry, straight, straight, straight, along, along, along)
+            self.view = replace(self.view, wrist=seen)
 
     def obey(self, command: ArmCommands, sender: str = NODE) -> None:
         """Take a command."""
@@ -89,16 +99,32 @@ class FakeArm:
         if command.claim and view.holder in ("", sender):
             view = replace(view, holder=sender)
         if command.servo_cp is not None and command.jaw is not None and view.holder == sender:
-            self.set(Target(command.servo_cp.p, command.servo_cp.roll, command.jaw))
+            self.set(self.target_of(command.servo_cp, command.jaw))
             return
         self.view = view
 
+    def target_of(self, pose: TipPose, jaw: float) -> Target:
+        """The target that a commanded pose is."""
+        if self.view.wrist is None:
+            return Target(pose.p, pose.roll, jaw)
+        wrist = self.view.wrist.geometry
+        joints = joints_of_tip(wrist, surg_core.make_pose(pose.p, pose.q), self.view.roll_set)
+        assert joints is not None
+        return Target.of(np.array([*joints, jaw]), wrist)
+
     def set(self, target: Target) -> None:
         """The set-point is there."""
+        tip = target.p
+        if target.wrist is not None and self.view.wrist is not None:
+            X_RTip = tip_of_joints(target.wrist, target.row)
+            tip, q = X_RTip[:3, 3], surg_core.matrix_to_quaternion_xyzw(X_RTip[:3, :3])
+            turns = dict.fromkeys(("measured", "set", "goal"), target.turns)
+            wrist = replace(self.view.wrist, **turns, **dict.fromkeys(ORIENTATIONS, q))
+            self.view = replace(self.view, wrist=wrist)
         self.view = replace(
             self.view,
-            p_BTip=target.p,
-            p_BSet=target.p,
+            p_BTip=tip,
+            p_BSet=tip,
             roll=target.roll,
             roll_set=target.roll,
             jaw=target.jaw,
@@ -115,17 +141,23 @@ class Bench:
         heard: Messages of the server to the policy.
     """
 
-    def __init__(self, clip: Sequence[str] = CLIPPED, **settings: Any) -> None:
+    def __init__(
+        self,
+        clip: Sequence[str] = CLIPPED,
+        path: Path = CELL,
+        turn: float = 0.7,
+        **settings: Any,
+    ) -> None:
         self.now = 1_000_000_000
-        self.arm = FakeArm()
+        self.arm = FakeArm(cell(path).arms[ARM].instrument.wrist, turn)
         self.sessions = iter(range(7001, 9000))
         self.server = ModelServer(
             ServerSettings(arms=(ARM,), node=NODE, instruction="do it", **settings),
-            SafetyController({ARM: arm_limits()}, clip),
+            SafetyController({ARM: arm_limits(path)}, clip),
             lambda: next(self.sessions),
         )
         self.endpoint = WireEndpoint(self.server)
-        self.server.serve(spec(), self.now)
+        self.server.serve(spec(path), self.now)
         self.sent: list[tuple[int, Target]] = []
         self.heard: list[Message] = []
         self.errors: list[tuple[bytes, str, str]] = []

@@ -136,6 +136,7 @@ def cycle(what: Synthetic, tick: int, command: int) -> SimpleNamespace:
         roll_set=0.0,
         jaw_set=0.1,
         jaw=0.1,
+        wrist=[],
         scale=0.5 if tick <= 50 + what.scaled_ticks and command else 1.0,
         limited_by="",
         tier=0,

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 import surg_core
 from helpers.sim.board_bench import BenchView, BoardBench, Pattern
 from surg_cli.host import paths
+from surg_core.transforms import rotation_of
 from surg_perception.calibration.board import Board
 from surg_perception.calibration.intrinsics import SeenCorners
-from surg_perception.calibration.small_motions import turn
 from surg_sim.appearance.lens import EndoscopeLens
 from surg_sim.physics.endoscope_rig import camera_poses
 
@@ -61,6 +61,6 @@ def moved_camera(rng: np.random.Generator, shift: float = 0.01, tilt_deg: float 
     X = np.array(camera_poses(scope_cell().arms["ECM"])[0])
     w, d = rng.normal(size=3), rng.normal(size=3)
     angle = np.radians(tilt_deg) * rng.uniform()
-    X[:3, :3] = turn(angle * w / np.linalg.norm(w)) @ X[:3, :3]
+    X[:3, :3] = rotation_of(angle * w / np.linalg.norm(w)) @ X[:3, :3]
     X[:3, 3] += shift * rng.uniform() * d / np.linalg.norm(d)
     return X

@@ -171,11 +171,18 @@ def test_a_page_is_a_leader_on_topics(ros_graph: RosGraph, rospy_node: str, tmp_
                 "the grip",
             )
 
-            found.hand = {"hand": "rate", "v": [0.01, 0, 0.02], "roll_rate": -0.5, "clutch": True}
+            found.hand = {
+                "hand": "rate",
+                "v": [0.01, 0, 0.02],
+                "roll_rate": -0.5,
+                "clutch": True,
+                "tilt_x": 0.3,
+            }
             await when(lambda: bench.hand["mapping"] == "rate", "the other mapping")
             await when(lambda: bench.of("/browser/measured_cv"), "the twist")
             twist = bench.of("/browser/measured_cv")[-1].twist
             assert (twist.linear.x, twist.linear.z, twist.angular.z) == (0.01, 0.02, -0.5)
+            assert (twist.angular.x, twist.angular.y) == (0.3, 0.0)
             await when(lambda: any(m.buttons[0] for m in bench.of("/console/clutch")), "the clutch")
 
             await found.say("scale", value=0.4)

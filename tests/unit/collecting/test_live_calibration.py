@@ -14,12 +14,13 @@ from helpers.endoscope_files import copied_cell
 from helpers.sim.board_bench import BenchView, BoardBench
 from helpers.sim.board_views import BARREL, BOARD, Array, bench, moved_camera
 from surg_core import standstill
+from surg_core.transforms import rotation_of
 from surg_perception.calibration import evidence
 from surg_perception.calibration.board import Corners
 from surg_perception.calibration.board_file import write_board
 from surg_perception.calibration.intrinsics import SeenCorners
 from surg_perception.calibration.result_files import Origin
-from surg_perception.calibration.small_motions import difference, turn
+from surg_perception.calibration.small_motions import difference
 from surg_perception.calibration.views import read_views
 from surg_perception.collecting import board_detection, collector
 from surg_perception.collecting.board_detection import (
@@ -102,13 +103,17 @@ def test_new_is_another_place_of_the_board_or_another_posture() -> None:
         away[:3, 3] += (np.exp(share * board_detection.NEW_DISTANCE) - 1) * first.X_VBoard[:3, 3]
         middle = BOARD.corners.mean(axis=0)
         p = leaned[:3, :3] @ middle + leaned[:3, 3]
-        leaned[:3, :3] = turn(np.array([share * board_detection.NEW_TURN, 0, 0])) @ leaned[:3, :3]
+        leaned[:3, :3] = (
+            rotation_of(np.array([share * board_detection.NEW_TURN, 0, 0])) @ leaned[:3, :3]
+        )
         leaned[:3, 3] = p - leaned[:3, :3] @ middle
         for X in (aside, away, leaned):
             assert is_new(look(of, replace(view, X_VBoard=X)), [first]) is new
         assert first.X_BF is not None
         X_BF = first.X_BF.copy()
-        X_BF[:3, :3] = turn(np.array([0, share * board_detection.NEW_POSTURE, 0])) @ X_BF[:3, :3]
+        X_BF[:3, :3] = (
+            rotation_of(np.array([0, share * board_detection.NEW_POSTURE, 0])) @ X_BF[:3, :3]
+        )
         assert is_new(replace(first, X_BF=X_BF), [first], by_posture=True) is new
 
 
@@ -174,7 +179,7 @@ def test_a_hand_eye_set_needs_turns_about_two_axes() -> None:
     assert X is not None
     for number in range(30):
         turned = X.copy()
-        turned[:3, :3] = X[:3, :3] @ turn(np.array([0, 0, np.radians(5.5) * number]))
+        turned[:3, :3] = X[:3, :3] @ rotation_of(np.array([0, 0, np.radians(5.5) * number]))
         for each in first:
             one.offer(replace(each, stamp=each.stamp + number, X_BF=turned))
     assert len(one.taken) >= collector.WANTED_HANDEYE and not one.complete

@@ -15,10 +15,10 @@ from helpers.sim.board_views import BARREL, BOARD, Array
 from helpers.sim.calibrated_chain import ORIGIN
 from helpers.sim.unknown_scene import UnknownScene
 from surg_core.pictures.lens_model import LensModel
+from surg_core.transforms import rotation_of, rotation_vector
 from surg_perception.calibration import base_steps, evidence, tip_views
 from surg_perception.calibration.board_file import write_board
 from surg_perception.calibration.result_files import save_handeye, save_stereo
-from surg_perception.calibration.small_motions import rotation_vector, turn
 from surg_perception.calibration.tip_finder import NotSeen, TipScene, find_tip
 from surg_perception.calibration.triangulation import Stereo
 from surg_perception.calibration.views import View, Views
@@ -103,7 +103,7 @@ def test_a_drawn_tip_is_found_although_its_direction_is_5_degrees_wrong(
 ) -> None:
     pairs, tips, s = drawn
     scene = TipScene.of([left for left, _ in pairs])
-    wrong = s @ turn(np.radians(5.0) * np.array([0.6, 0.0, 0.8])).T
+    wrong = s @ rotation_of(np.radians(5.0) * np.array([0.6, 0.0, 0.8])).T
     found = np.array([find_tip(scene, p, EYES, d) for p, d in zip(pairs, wrong, strict=True)])
     away = 1e3 * np.abs(found - tips)
     print(f"x, y, z off: mean {away.mean(axis=0).round(2)}, most {away.max(axis=0).round(2)} mm")
@@ -132,7 +132,7 @@ def test_a_tip_that_is_not_seen_is_refused_with_a_cure(
 def test_what_does_not_fit_the_other_rests_is_left_out() -> None:
     rng = np.random.default_rng(3)
     p_T = rng.uniform(-0.02, 0.02, (10, 3))
-    p_S = p_T @ turn(np.array([0.3, -0.2, 0.1])).T + rng.normal(scale=2e-4, size=(10, 3))
+    p_S = p_T @ rotation_of(np.array([0.3, -0.2, 0.1])).T + rng.normal(scale=2e-4, size=(10, 3))
     assert tip_views.fitting(p_S, p_T).all()
     for wrong in ([4], [2, 7]):
         ghosts = p_S.copy()
@@ -146,7 +146,7 @@ def test_a_moved_endoscope_and_too_few_rests_are_refused(tmp_path: Path) -> None
     for share, refused in ((0.9, False), (1.1, True)):
         moved, turned = X.copy(), X.copy()
         moved[3, 0, 3] = share * tip_views.MOST_SHIFT
-        turned[3, :3, :3] = turn(np.array([0.0, share * tip_views.MOST_TURN, 0.0]))
+        turned[3, :3, :3] = rotation_of(np.array([0.0, share * tip_views.MOST_TURN, 0.0]))
         for X_SF in (moved, turned):
             with pytest.raises(ValueError) as caught:  # without pictures it ends there
                 tip_views.seen_tips(views, EYES, X_SF, np.ones((9, 3)))

@@ -20,6 +20,7 @@ INPUT = {
     "roll": 0.5,
     "v": [0.01, 0, -0.02],
     "roll_rate": 1,
+    "tilt_x": -0.5,
     "grip": 0.25,
     "clutch": True,
     "camera": False,
@@ -31,6 +32,7 @@ def test_an_input_is_read_as_it_was_written() -> None:
     assert isinstance(said, page_protocol.Input)
     assert said.seq == 7 and said.picture_us == 1_795_262_692_265_404
     assert said.p == (0.1, -0.2, 0.3) and said.v == (0.01, 0.0, -0.02)
+    assert said.tilt == (-0.5, 0.0)
     assert said.grip == 0.25 and said.clutch and not said.camera
 
 
@@ -76,7 +78,13 @@ def test_nonsense_is_refused_with_what_is_allowed(text: str, said: str) -> None:
 def test_broken_inputs_never_get_through() -> None:
     """Every key of an input, replaced by what it must not be."""
     bad = [None, "x", [], {}, True, -1, 1e9, [1, 2], [1, 2, "3"], [1, 2, None], [0, 0, 1e3], 0.5]
-    allowed = {"grip": [None, 0.5], "roll": [-1, 0.5], "roll_rate": [-1, 0.5], "at": [1e9, 0.5]}
+    allowed = {
+        "grip": [None, 0.5],
+        "roll": [-1, 0.5],
+        "roll_rate": [-1, 0.5],
+        "tilt_x": [-1, 0.5],
+        "at": [1e9, 0.5],
+    }
     allowed |= {"clutch": [True], "camera": [True], "seq": [], "picture_us": []}
     refused = 0
     for key in set(INPUT) - {"say"}:

@@ -45,6 +45,7 @@ def test_times_agree_and_are_exact() -> None:
 def test_every_column_has_a_name_and_a_unit() -> None:
     for names, units in (
         (contract.ARM_STATE, contract.ARM_STATE_UNITS),
+        (contract.WRISTED_STATE, contract.WRISTED_STATE_UNITS),
         (contract.ARM_ACTION, contract.ARM_ACTION_UNITS),
     ):
         assert len(names) == len(set(names)) == len(units)
@@ -52,9 +53,16 @@ def test_every_column_has_a_name_and_a_unit() -> None:
 
 def test_the_policy_client_has_the_same_keys() -> None:
     assert observation.STATE == contract.STATE_KEY
-    assert tuple(observation._HELD) == contract.ARM_ACTION
-    assert set(observation._HELD.values()) < set(contract.ARM_STATE)
+    for spaces, state in (
+        (spec.ACTION_SPACES, contract.ARM_STATE),
+        (spec.WRISTED_ACTION_SPACES, contract.WRISTED_STATE),
+    ):
+        held = {
+            name: [form.format(name) for form in observation.HELD] for name in spaces["absolute"]
+        }
+        assert all(set(columns) & set(state) for columns in held.values())
     assert spec.ACTION_SPACES == contract.ACTION_SPACES
+    assert spec.WRISTED_ACTION_SPACES == contract.WRISTED_ACTION_SPACES
     assert contract.IMAGE_PREFIX in spec.HOW
     assert contract.TASK_STATE_KEY.startswith(tuple(spec.HOW))
 

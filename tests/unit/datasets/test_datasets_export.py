@@ -499,14 +499,14 @@ def test_what_stalls_or_is_too_short_is_refused(tmp_path: Path) -> None:
         datasets.sample(datasets.pipeline.inspection.inspect(short, slow), slow)
 
 
-def test_a_bent_instrument_is_not_exported_as_a_straight_one(tmp_path: Path) -> None:
+def test_a_wrist_whose_turn_was_not_recorded_is_not_exported_as_straight(tmp_path: Path) -> None:
     folder = datasets_synthetic.record(tmp_path / "bent", 9, 1.0, ())
     manifest = json.loads((folder / "manifest.json").read_text())
     arm = manifest["arms"][0]
     tool = {"name": "wristed_grasper", "wrist": {"lag": 0.04}}
     manifest["cell"] = {"arms": {arm: {"instrument": tool}}}
     (folder / "manifest.json").write_text(json.dumps(manifest))
-    with pytest.raises(ExportError, match=rf"bent: {arm}: .* wrist yet"):
+    with pytest.raises(ExportError, match=rf"bent: {arm}: .* does not hold the turn"):
         export([folder], tmp_path / "out")
 
 

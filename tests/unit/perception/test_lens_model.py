@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from surg_core.pictures.lens_model import LensModel
+from surg_core.transforms import rotation_of
 from surg_perception.calibration.board import Board
 from surg_perception.calibration.intrinsics import SeenCorners, choose_model
-from surg_perception.calibration.small_motions import transform, turn
+from surg_perception.calibration.small_motions import transform
 
 LENSES = {
     "plumb_bob": [-0.3, 0.1, 0.001, -0.002, 0.05],
@@ -67,7 +68,7 @@ def shown(made: LensModel, rng: np.random.Generator, views: int = 12) -> list[Se
     middle = np.append(np.array(board.size) / 2.0, 0.0)
     for number in range(views):
         X, angle = np.eye(4), np.pi * (0.25 + 0.5 * number)
-        X[:3, :3] = turn(rng.uniform(-0.4, 0.4, 3)) @ np.diag([1.0, -1.0, -1.0])
+        X[:3, :3] = rotation_of(rng.uniform(-0.4, 0.4, 3)) @ np.diag([1.0, -1.0, -1.0])
         z = rng.uniform(0.035, 0.06)
         beside = [0.6 * z * np.cos(angle), 0.45 * z * np.sin(angle), z]
         X[:3, 3] = beside - X[:3, :3] @ middle

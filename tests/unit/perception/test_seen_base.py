@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from helpers.endoscope_files import covariance, pose
-from surg_core.transforms import inverse_pose
+from surg_core.transforms import inverse_pose, rotation_of
 from surg_perception.calibration.bases import SeenBase, solve_base, turn_by_strain
-from surg_perception.calibration.small_motions import difference, moved, transform, turn
+from surg_perception.calibration.small_motions import difference, moved, transform
 
 
 def postures(rng: np.random.Generator, n: int) -> np.ndarray:
@@ -15,7 +15,7 @@ def postures(rng: np.random.Generator, n: int) -> np.ndarray:
     first = pose(rng)
     found = np.repeat(first[None], n, axis=0)
     for X in found:
-        X[:3, :3] = turn(rng.normal(scale=0.1, size=3)) @ X[:3, :3]
+        X[:3, :3] = rotation_of(rng.normal(scale=0.1, size=3)) @ X[:3, :3]
         X[:3, 3] += rng.normal(scale=0.01, size=3)
     return found
 

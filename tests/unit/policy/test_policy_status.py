@@ -65,7 +65,7 @@ def test_counters_beyond_32_bits_end_no_server() -> None:
     bench.server.counters.rejected = Counter(step=most, start=7)
     bench.server.counters.malformed = Counter(size=2**40)
     status = policy_status(bench.server, "", "")
-    plan = plan_message(bench.server, PolicyPlan(1, 1, 1, 1, np.zeros((1, 5))), ["x"])
+    plan = plan_message(bench.server, PolicyPlan(1, 1, 1, 1, np.zeros((1, 5))))
     for message in (status, plan):
         message.serialize(io.BytesIO())
         assert message.rejected == message.accepted == message.stale == most
@@ -80,7 +80,7 @@ def test_the_newest_refusal_is_of_this_episode() -> None:
     plan = PolicyPlan(1, 1, 1, 1, np.zeros((1, 5)))
 
     def shown() -> str:
-        return str(plan_message(bench.server, plan, ["x"]).rule)
+        return str(plan_message(bench.server, plan).rule)
 
     def start() -> None:
         assert bench.server.enable(True, bench.now) == ""
@@ -110,7 +110,7 @@ def test_refusals_do_not_pile_up_while_no_tick_comes(monkeypatch: pytest.MonkeyP
     bench = Bench()
     bench.hello()
     settings = SimpleNamespace(arms=["PSM1"], task="")
-    topics = PolicyTopics(["PSM1"], "")
+    topics = PolicyTopics("")
     node = SimpleNamespace(
         server=bench.server, settings=settings, topics=topics, ports={}, lock=None
     )

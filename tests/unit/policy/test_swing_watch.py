@@ -24,7 +24,7 @@ def rows_until_named(x: np.ndarray) -> int | None:
     """After how many rows of these x [mm] a swing is named; None: never."""
     watch = SwingWatch(["PSM1"])
     for k, value in enumerate(x):
-        watch.take(np.array([1e-3 * value, 0.0, 0.12, 0.0, 0.5]), k * STEP_NS)
+        watch.take(np.array([[1e-3 * value, 0.0, 0.12]]), k * STEP_NS)
         if watch.warning:
             assert "PSM1" in watch.warning and "along x" in watch.warning
             return k + 1
@@ -69,7 +69,7 @@ def test_a_motion_on_purpose_is_not(x: np.ndarray) -> None:
 def test_each_episode_begins_anew() -> None:
     watch = SwingWatch(["PSM1", "PSM2"])
     for k, value in enumerate(triangle(10, 2)):
-        watch.take(np.array([0, 0, 0.1, 0, 0, 0, 1e-3 * value, 0.1, 0, 0]), k * STEP_NS)
+        watch.take(np.array([[0, 0, 0.1], [0, 1e-3 * value, 0.1]]), k * STEP_NS)
     assert "PSM2" in watch.warning and "along y" in watch.warning
     watch.start()
     assert watch.warning == ""
@@ -121,7 +121,7 @@ def sharp_turns(rows: Rows) -> tuple[int, float]:
     most, named = 0, np.inf
     for k, (arms, row) in enumerate(rows):
         watch = watch or SwingWatch(arms)
-        watch.take(row, k * STEP_NS)
+        watch.take(row.reshape(len(arms), -1)[:, :3], k * STEP_NS)
         most = max(most, *(len(axis.turns) for axis in watch._axes.values()))
         if watch.warning:
             named = min(named, k * STEP_NS / SECOND_NS)

@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 import surg_core
 from helpers.control.lagging_arm import SOURCE, TICK, asked, view_of
+from helpers.policy.policy_bench import FakeArm
 from helpers.sim.wrist_follow import ARM, WristedArm, angles
 from helpers.teleop.hand import Hand
 from surg_cli.host import paths
-from surg_core.arm_view import ArmCommands
+from surg_core.arm_view import ArmCommands, JawRange
+from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.follow.teleop_setup import read_setup
 from surg_teleop.follow.teleop_types import CameraView, ControlMode, Reason, TeleopState
+from surg_teleop.playback.motion_file import read_motion
+from surg_teleop.playback.motion_plan import make_plan
+from surg_teleop.playback.motion_player import Mode, MotionPlayer, PlayerStage
+from surg_teleop.playback.workspace_fit import Workspace
 
 Array = NDArray[np.float64]
 NODE = "/teleop"
@@ -243,3 +250,105 @@ def test_a_locked_rotation_keeps_the_tool_and_a_jump_lets_go() -> None:
     assert Reason.HAND_JUMP in bench.said
     bench.run(0.3)
     assert bench.turned_since(held) < math.radians(0.1)
+
+
+def motion_file(folder: Path, size: tuple[float, float, float]) -> Path:
+    """A motion of 4 s with rotations of twice this size [rad] about the axes, at 100 Hz."""
+    file, t = folder / "motion.csv", np.linspace(0.0, 4.0, 401)
+    phases = np.outer(t, [1.1, 0.9, 0.7]) + np.arange(3)
+    wave = (1 - np.cos(np.pi * t / 2))[:, None] * np.sin(phases)
+    R = (Rotation.from_rotvec(np.array(size) * wave) * Rotation.random(random_state=1)).as_matrix()
+    rows = np.column_stack([t, 0.1 + 0.008 * wave, R.reshape(-1, 9)])
+    head = ",".join(["t_s", "x_m", "y_m", "z_m", *(f"r{i}{k}" for i in "123" for k in "123")])
+    np.savetxt(file, rows, delimiter=",", header=head, comments="")
+    return file
+
+
+def played(file: Path) -> tuple[MotionPlayer, Array, Array]:
+    """The player at its end; its clock [s] and the true tips (n, 4, 4) while it played."""
+    arm = WristedArm(surg_core.load_cell(paths.ROOT / "cells/sim_ur5e_wrist"))
+    limits, instrument = arm.arm.limits, arm.arm.instrument
+    assert instrument.wrist is not None
+    plan = make_plan(
+        read_motion(file), Workspace(limits.depth_slow, limits.depth_max, limits.cone), 1.0
+    )
+    steps = StepLimits.of(limits, instrument.wrist.velocity)
+    jaw = JawRange(instrument.jaw_min, instrument.jaw_max)
+    wrist = instrument.wrist
+    player = MotionPlayer(plan, Mode.CARTESIAN, jaw, steps, wrist, limits.roll_max)
+    commands, clock, tips = ArmCommands(), [], []
+    for tick in range(1, 6000):
+        out = arm.step(*asked(commands, arm.controller))
+        if player.done:
+            break
+        commands = player.tick(view_of(arm.arm, arm.controller, out, tick))
+        if player.stage is PlayerStage.PLAY:
+            clock.append(player.clock)
+            tips.append(arm.tip())
+    assert player.done
+    return player, np.array(clock), np.array(tips)
+
+
+def test_a_played_motion_turns_the_tool_as_the_file_says(tmp_path: Path) -> None:
+    file = motion_file(tmp_path, (0.35, 0.35, 0.35))
+    player, clock, tips = played(file)
+    assert player.stage is PlayerStage.DONE, player.reason
+    table = np.genfromtxt(file, delimiter=",", names=True)
+    R = np.stack([table[f"r{i}{k}"] for i in "123" for k in "123"], axis=1).reshape(-1, 3, 3)
+    told = Slerp(table["t_s"], Rotation.from_matrix(R))
+    first, last = player.plan.window
+    inside = np.flatnonzero((clock > first) & (clock < last))
+    begin = inside[100]
+    worst = []
+    for late in range(60):  # the arm's delay [ticks]
+        now, t = tips[inside[200:], :3, :3], clock[inside[200:] - late] - first
+        turned = Rotation.from_matrix(now @ tips[begin, :3, :3].T)
+        meant = told(t) * told(clock[begin - late] - first).inv()
+        worst.append(float((turned * meant.inv()).magnitude().max()))
+    print(f"{math.degrees(min(worst)):.2f} degrees, {player.refused} refused")
+    assert min(worst) < math.radians(1.0)
+    assert player.refused == 0
+
+
+def test_a_played_motion_beyond_the_wrist_keeps_the_place_of_the_tip(tmp_path: Path) -> None:
+    player, clock, tips = played(motion_file(tmp_path, (0.75, 0.0, 0.0)))
+    assert player.stage is PlayerStage.DONE, player.reason
+    places = np.array([player.plan.at(t)[0] for t in clock])
+    far = min(
+        float(
+            np.linalg.norm(tips[60:, :3, 3] - places[60 - late : len(places) - late], axis=1).max()
+        )
+        for late in range(60)
+    )
+    print(f"{1e3 * far:.2f} mm, {player.refused} refused, slowed {player.slowed_ns / 1e9:.2f} s")
+    assert player.refused == 0
+    assert far < 2e-3
+
+
+def test_a_turn_that_no_wrist_can_make_is_told_by_its_line(tmp_path: Path) -> None:
+    """Beyond a right angle the pitch would have to leap to its other side."""
+    t = np.linspace(0.0, 4.0, 401)
+    turn = Rotation.from_euler("y", 2.6 * np.exp(-(((t - 2.0) / 0.4) ** 2))).as_matrix()
+    rows = np.column_stack([t, 0.01 * np.sin(t), 0.0 * t, 0.0 * t, turn.reshape(-1, 9)])
+    head = ",".join(["t_s", "x_m", "y_m", "z_m", *(f"r{i}{k}" for i in "123" for k in "123")])
+    np.savetxt(tmp_path / "motion.csv", rows, delimiter=",", header=head, comments="")
+    cell = surg_core.load_cell(paths.ROOT / "cells/sim_ur5e_wrist").arms[ARM]
+    wrist, limits = cell.instrument.wrist, cell.limits
+    assert wrist is not None
+    workspace = Workspace(limits.depth_slow, limits.depth_max, limits.cone)
+    plan = make_plan(read_motion(tmp_path / "motion.csv"), workspace)
+    steps = StepLimits.of(limits, wrist.velocity)
+    player = MotionPlayer(plan, Mode.CARTESIAN, JawRange(0.0, 1.0), steps, wrist)
+    arm = FakeArm(wrist, turn=0.0)  # it is at once where it is told to be
+    ready = {"homed": True, "state": surg_core.State.ENABLED}
+    for tick in range(1, 5000):
+        view = replace(arm.view, stamp_ns=tick * 2_000_000, **ready)
+        commands = player.tick(view)
+        pose = commands.servo_cp or commands.move_cp
+        if player.done:
+            break
+        if pose is not None:
+            arm.set(arm.target_of(pose, 0.3))
+    print(player.reason)
+    assert player.stage is PlayerStage.FAILED and commands.hold
+    assert "the wrist cannot turn" in player.reason and "motion.csv: line" in player.reason

@@ -159,7 +159,7 @@ void RcmLoop::try_step() {
   robot_->send(LinkCommand::of(record));
   publishers_->publish_cycle(record);
   publishers_->publish_rest(record, now());
-  services_->set_frame(record.frame, record.out.wrist.turn);
+  services_->set_frame(record.frame, record.out.wrist.geometry.turn);
   update_at_rest();
 }
 
@@ -223,7 +223,7 @@ void RcmLoop::publisher_thread() {
     }
     publishers_->publish_cycle(record);
     publishers_->publish_rest(record, now());
-    services_->set_frame(record.frame, record.out.wrist.turn);
+    services_->set_frame(record.frame, record.out.wrist.geometry.turn);
     if (const std::uint32_t all = health_.records_lost; all != lost) {
       reporter_->warning("records_lost",
                          arm_ + ": " + std::to_string(all - lost) +

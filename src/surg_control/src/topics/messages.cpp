@@ -8,6 +8,34 @@ void copy3(const Source& source, Target& target) {
   for (int i = 0; i < 3; ++i) target[i] = source[i];
 }
 
+void assign(const surg::WristJoints& joints, std::vector<double>& to) {
+  to.assign(joints.data(), joints.data() + joints.size());
+}
+
+void assign(const Eigen::Quaterniond& q, std::vector<double>& to) {
+  to.assign({q.x(), q.y(), q.z(), q.w()});
+}
+
+/// Empty where there is no wrist: the tool may have been changed.
+void encode_wrist(const CycleRecord& record, surg_msgs::Cycle& message) {
+  const surg::WristOutputs& wrist = record.out.wrist;
+  if (!wrist.exists) {
+    for (auto* field : {&message.wrist_geometry, &message.wrist, &message.wrist_set,
+                        &message.wrist_goal, &message.q_tip, &message.q_set, &message.q_goal}) {
+      field->clear();
+    }
+    return;
+  }
+  const surg::WristGeometry& geometry = wrist.geometry;
+  message.wrist_geometry.assign({geometry.pitch_to_yaw, geometry.yaw_to_tip, geometry.turn});
+  assign(wrist.q, message.wrist);
+  assign(wrist.set, message.wrist_set);
+  assign(wrist.goal, message.wrist_goal);
+  assign(record.q_RTool, message.q_tip);
+  assign(record.q_RSet, message.q_set);
+  assign(record.q_RGoal, message.q_goal);
+}
+
 }  // namespace
 
 ros::Time to_time(std::uint64_t ns) {
@@ -72,9 +100,7 @@ void encode_cycle(const CycleRecord& record, const std::string& frame, const Sou
   copy3(out.p_set, message.p_set);
   copy3(out.v_set, message.v_set);
   message.roll_set = out.roll_set;
-  const Eigen::Quaterniond& q_RSet = record.q_RSet;
-  message.q_set = {q_RSet.x(), q_RSet.y(), q_RSet.z(), q_RSet.w()};
-  message.wrist_turn = out.wrist.turn;
+  encode_wrist(record, message);
   message.jaw_set = out.jaw_set;
   message.jaw = out.jaw;
   message.scale = out.scale;

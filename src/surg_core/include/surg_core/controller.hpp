@@ -63,7 +63,7 @@ struct Inputs : Readings {
 /// The wrist in one cycle. Rotations are in the rcm frame.
 struct WristOutputs {
   bool exists = false;
-  double turn = 0;  ///< [rad] of the pitch axis about the shaft, at home against y of the rcm frame
+  WristGeometry geometry;  ///< its turn is known from home on
   WristJoints q = WristJoints::Zero(), qd = WristJoints::Zero();  ///< measured
   WristJoints set = WristJoints::Zero(), goal = WristJoints::Zero();
   /// For the drive [rad], so that it is where the arm is; not finite: unknown, nothing is sent.

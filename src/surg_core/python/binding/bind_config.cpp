@@ -354,6 +354,9 @@ void bind_config(py::module_& m) {
         "Step test of a pose stream: Reason.NONE, STEP_TOO_LARGE or STREAM_START_TOO_FAR.\n"
         "Distances [m], [rad] from the last accepted pose, which is 'since' [s] ago, or from the\n"
         "set-point where a stream begins.");
+  m.def("check_wrist_step", &check_wrist_step, py::arg("limits"), py::arg("wrist"),
+        py::arg("begins"), py::arg("since"), py::arg("turned"),
+        "The same of a wrist's joints; turned [rad]: by the one that turns farther.");
 }
 
 }  // namespace surg::python

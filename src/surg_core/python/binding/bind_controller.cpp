@@ -143,8 +143,7 @@ void bind_readings(py::module_& m) {
 
 void bind_wrist_outputs(py::module_& m, py::class_<Outputs>& type) {
   py::class_<WristOutputs>(m, "WristOutputs", "The wrist in one cycle; joints are pitch and yaw.")
-      .def_readonly("turn", &WristOutputs::turn,
-                    "Of the pitch axis about the shaft, at home against y of the rcm frame [rad].")
+      .def_readonly("geometry", &WristOutputs::geometry, "Its turn is known from home on.")
       .def_property_readonly("q", array_of(&WristOutputs::q), "Measured (2,) [rad].")
       .def_property_readonly("qd", array_of(&WristOutputs::qd), "Measured (2,) [rad/s].")
       .def_property_readonly("set", array_of(&WristOutputs::set), "Set-point (2,) [rad].")

@@ -44,7 +44,8 @@ void bind_wrist(py::module_& m) {
            py::arg("pitch_to_yaw"), py::arg("yaw_to_tip"), py::arg("turn") = 0.0,
            "turn [rad]: of the pitch axis about the shaft, against y of the tool frame.")
       .def_readonly("pitch_to_yaw", &WristGeometry::pitch_to_yaw)
-      .def_readonly("yaw_to_tip", &WristGeometry::yaw_to_tip);
+      .def_readonly("yaw_to_tip", &WristGeometry::yaw_to_tip)
+      .def_readonly("turn", &WristGeometry::turn, "[rad]");
   m.def("tip_of_wrist", &tip, py::arg("wrist"), py::arg("X_RCentre"), py::arg("joints"),
         "Tip (4, 4) behind a wrist: X_RCentre (4, 4) is the rolled shaft at the pitch axis, joints "
         "(2,) pitch and yaw [rad].");

@@ -50,6 +50,7 @@ from surg_core._core import (
     WristOutputs as WristOutputs,
     chain_from_urdf as chain_from_urdf,
     check_step as check_step,
+    check_wrist_step as check_wrist_step,
     condition_sentence as condition_sentence,
     fixed_transform as fixed_transform,
     inside_workspace as inside_workspace,

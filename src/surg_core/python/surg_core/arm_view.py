@@ -18,9 +18,10 @@ from surg_core._core import State as ArmState
 from surg_core._core import reason_name
 from surg_core.contract import POSITION_STREAMS
 from surg_core.transforms import matrix_to_quaternion_xyzw, tip_quaternion, virtual_joints
+from surg_core.wrist_joints import wrist_centres
 
 if TYPE_CHECKING:
-    from surg_core._core import Outputs
+    from surg_core._core import Outputs, WristGeometry, WristOutputs
 
 Array = npt.NDArray[np.float64]
 
@@ -28,6 +29,40 @@ ROUNDING = 1e-6
 """[m] What the arithmetic of a sender may add to a step; float32 adds 1e-8 m."""
 MARGIN = 1e-9
 """[m] Distance that a shortened step keeps from its limit."""
+
+
+@dataclass(frozen=True)
+class WristView:
+    """The wrist in one cycle, bit for bit as in surg_msgs/Cycle.
+
+    Attributes:
+        geometry: Lengths, and the turn that is known from homing on.
+        measured: (2,) pitch and yaw [rad].
+        set: Their set-point.
+        goal: Those of the newest accepted target.
+        q_RTip: (4,) measured orientation x, y, z, w of the tool frame in the trocar frame.
+        q_RSet: Of the set-point.
+        q_RGoal: Of the newest accepted target.
+    """
+
+    geometry: WristGeometry
+    measured: Array
+    set: Array
+    goal: Array
+    q_RTip: Array
+    q_RSet: Array
+    q_RGoal: Array
+
+    @classmethod
+    def of(cls, out: WristOutputs) -> WristView:
+        """That of a controller in this process."""
+        rotations = (out.R_RTip, out.R_RSet, out.R_RGoal)
+        turns = (np.array(joints) for joints in (out.q, out.set, out.goal))
+        return cls(out.geometry, *turns, *map(matrix_to_quaternion_xyzw, rotations))
+
+    def centre(self, p_RTip: Array, q_RTip: Array, turns: Array) -> Array:
+        """(3,) the wrist's centre in R [m], of a tip with these joints (2,) [rad]."""
+        return wrist_centres(self.geometry, p_RTip[None], q_RTip[None], turns[None, 1])[0]
 
 
 @dataclass(frozen=True)
@@ -59,9 +94,8 @@ class ArmView:
         p_BSample: (3,) newest sample of the stream of poses that the arm obeys [m]; None: it obeys
             none.
         roll_sample: Its roll [rad].
-        q_RSet: (4,) orientation x, y, z, w of the tool frame's set-point in the trocar frame; None:
-            the source does not report it.
-        wrist_turn: Turn of the wrist's pitch axis about the shaft [rad]; see ``WristGeometry``.
+        depth: Insertion of the shaft's end [m].
+        wrist: None: the instrument is straight.
     """
 
     stamp_ns: int
@@ -87,13 +121,12 @@ class ArmView:
     received: float = 0.0
     p_BSample: Array | None = None
     roll_sample: float = 0.0
-    q_RSet: Array | None = None
-    wrist_turn: float = 0.0
+    depth: float = 0.0
+    wrist: WristView | None = None
 
     @classmethod
     def of(cls, out: Outputs, R_BR: Array | None = None) -> ArmView:
         """The view of a controller in this process, which does not report ``R_BR`` (3, 3)."""
-        wrist = out.wrist
         return cls(
             stamp_ns=0,
             state=out.state,
@@ -114,26 +147,28 @@ class ArmView:
             p_BSample=np.array(out.p_goal) if int(out.motion) in POSITION_STREAMS else None,
             roll_sample=out.roll_goal,
             R_BR=R_BR,
-            q_RSet=None if wrist is None else matrix_to_quaternion_xyzw(wrist.R_RSet),
-            wrist_turn=0.0 if wrist is None else wrist.turn,
+            depth=out.depth,
+            wrist=None if out.wrist is None else WristView.of(out.wrist),
         )
 
     @property
     def numbers(self) -> list[float]:
-        """The numbers of `contract.ARM_STATE`."""
+        """The numbers of `contract.ARM_STATE`; behind a wrist of `contract.WRISTED_STATE`."""
+        if self.wrist is not None:
+            return self._wristed_numbers(self.wrist)
         return [*self.p_tip, self.roll, self.jaw, *self.p_go_on, self.roll_go_on]
 
     def first_step(self, p: Array, slack: float) -> Array:
-        """A stream's first tip p (3,) in R [m], within ``slack`` [m] of the set-point.
+        """A stream's first shaft end p (3,) in R [m], within ``slack`` [m] of the set-point.
 
         Only a step that is too long by its arithmetic is shortened. A step of exactly the slack
         would otherwise be refused by chance.
         """
-        way = p - self.p_set
+        way = p - self.p_end
         length = float(np.linalg.norm(way))
         if not slack - MARGIN < length <= slack + ROUNDING:
             return p
-        return np.asarray(self.p_set + way * ((slack - MARGIN) / length))
+        return np.asarray(self.p_end + way * ((slack - MARGIN) / length))
 
     @property
     def ready(self) -> bool:
@@ -151,6 +186,19 @@ class ArmView:
         return self._in_rcm(self.p_BSet)
 
     @cached_property
+    def p_end(self) -> Array:
+        """(3,) set-point of the shaft's end in R [m]: the tip, or the wrist's centre."""
+        if self.wrist is None:
+            return self.p_set
+        return self.wrist.centre(self.p_set, self.wrist.q_RSet, self.wrist.set)
+
+    @property
+    def held_target(self) -> Array:
+        """The set-point as a target of ``surg_core.action_space``."""
+        turns = [] if self.wrist is None else self.wrist.set.tolist()
+        return np.array([*self.p_end, self.roll_set, *turns, self.jaw_set])
+
+    @cached_property
     def p_go_on(self) -> Array:
         """(3,) tip from which a sender goes on, see `contract.ARM_STATE`, in R [m]."""
         return self.p_set if self.p_BSample is None else self._in_rcm(self.p_BSample)
@@ -159,6 +207,17 @@ class ArmView:
     def roll_go_on(self) -> float:
         """The roll of `p_go_on` [rad]."""
         return self.roll_set if self.p_BSample is None else self.roll_sample
+
+    def _wristed_numbers(self, wrist: WristView) -> list[float]:
+        follows = self.p_BSample is not None
+        q, turns = (wrist.q_RGoal, wrist.goal) if follows else (wrist.q_RSet, wrist.set)
+        centre = wrist.centre(self.p_go_on, q, turns)
+        measured = virtual_joints(self._R_BR().T @ self.s_B, self.roll)
+        measured[2] = self.depth
+        return [
+            *(*self.p_tip, *wrist.q_RTip, *measured, *wrist.measured, self.jaw),
+            *(*self.p_go_on, *q, *virtual_joints(centre, self.roll_go_on), *turns),
+        ]
 
     @cached_property
     def R_WR(self) -> Array:

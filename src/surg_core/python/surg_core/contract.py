@@ -42,6 +42,46 @@ ACTION_SPACES = {
     "joint": {"yaw": "rad", "pitch": "rad", "insertion": "m", "roll": "rad", "jaw": "rad"},
 }
 """Columns and units of an arm's action, by action space (``surg_core.action_space``)."""
+WRISTED_ACTION_SPACES = {
+    "absolute": {
+        "x": "m",
+        "y": "m",
+        "z": "m",
+        "qx": "1",
+        "qy": "1",
+        "qz": "1",
+        "qw": "1",
+        "jaw": "rad",
+    },
+    "relative": {
+        "dx": "m",
+        "dy": "m",
+        "dz": "m",
+        "drx": "rad",
+        "dry": "rad",
+        "drz": "rad",
+        "jaw": "rad",
+    },
+    "velocity": {
+        "vx": "m/s",
+        "vy": "m/s",
+        "vz": "m/s",
+        "wx": "rad/s",
+        "wy": "rad/s",
+        "wz": "rad/s",
+        "jaw": "rad",
+    },
+    "joint": {
+        "yaw": "rad",
+        "pitch": "rad",
+        "insertion": "m",
+        "roll": "rad",
+        "wrist_pitch": "rad",
+        "wrist_yaw": "rad",
+        "jaw": "rad",
+    },
+}
+"""The same of an arm whose instrument has a wrist."""
 ARM_STATE = (
     *("tip_x", "tip_y", "tip_z", "roll", "jaw"),
     *("set_x", "set_y", "set_z", "roll_set"),
@@ -52,6 +92,27 @@ A sender goes on from the newest accepted sample of a stream of positions: the s
 of it, and steps from there would swing. Otherwise it goes on from the set-point.
 """
 ARM_STATE_UNITS = ("m", "m", "m", "rad", "rad", "m", "m", "m", "rad")
+WRISTED_STATE = (
+    *("tip_x", "tip_y", "tip_z", "tip_qx", "tip_qy", "tip_qz", "tip_qw"),
+    *("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw", "jaw"),
+    *("set_x", "set_y", "set_z", "set_qx", "set_qy", "set_qz", "set_qw"),
+    *("yaw_set", "pitch_set", "insertion_set", "roll_set", "wrist_pitch_set", "wrist_yaw_set"),
+)
+"""The same behind a wrist: pose of the tip and the six joints, measured and to go on from."""
+_POSE_AND_JOINTS = (
+    *("m", "m", "m", "1", "1", "1", "1"),
+    *("rad", "rad", "m", "rad", "rad", "rad"),
+)
+WRISTED_STATE_UNITS = (*_POSE_AND_JOINTS, "rad", *_POSE_AND_JOINTS)
+
+
+def arm_state(wristed: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units of an arm's state."""
+    if wristed:
+        return WRISTED_STATE, WRISTED_STATE_UNITS
+    return ARM_STATE, ARM_STATE_UNITS
+
+
 ARM_FORCE = (
     *("tip_x", "tip_y", "tip_z", "tip_known"),
     *("trocar_x", "trocar_y", "trocar_z", "trocar_known"),

@@ -75,6 +75,25 @@ def axis_angle_to_matrix(axis: npt.ArrayLike, angle: float) -> FloatArray:
     return np.eye(3) + math.sin(angle) * K + (1.0 - math.cos(angle)) * (K @ K)
 
 
+def rotation_of(w: FloatArray) -> FloatArray:
+    """Rotation (3, 3) of a rotation vector (3,) [rad]."""
+    angle = float(np.linalg.norm(w))
+    return np.eye(3) if angle < 1e-300 else axis_angle_to_matrix(w, angle)
+
+
+def rotation_vector(R: FloatArray) -> FloatArray:
+    """Rotation vector (3,) [rad] of a rotation (3, 3); its length is at most pi."""
+    sine = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    s, c = float(np.linalg.norm(sine)), 0.5 * (float(np.trace(R)) - 1.0)
+    angle = math.atan2(s, c)
+    if s > 1e-6:
+        return np.asarray(sine * (angle / s))
+    if c > 0.0:
+        return sine
+    values, vectors = np.linalg.eigh((R + R.T) / 2.0)  # half a turn: the axis, of either sign
+    return np.asarray(angle * vectors[:, int(np.argmax(values))])
+
+
 def quaternion_xyzw_to_matrix(quaternion: npt.ArrayLike) -> FloatArray:
     """Rotation matrix ``(3, 3)`` of a quaternion ``(x, y, z, w)``, which is normalised first.
 

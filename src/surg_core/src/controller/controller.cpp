@@ -186,7 +186,7 @@ void Controller::Impl::report_wrist(const Inputs& in) {
   const Vector3 s_R = R_RB * shaft().s, goal_R = handler.p_goal();
   WristOutputs& to = out.wrist;
   to.exists = true;
-  to.turn = wrist.geometry().turn;
+  to.geometry = wrist.geometry();
   to.q = in.wrist.allFinite() ? in.wrist : wrist.set();
   to.qd = in.wrist_rate.allFinite() ? in.wrist_rate : WristJoints(WristJoints::Zero());
   to.set = wrist.set();

@@ -1,5 +1,6 @@
 #include "surg_core/motion/command_handler.hpp"
 
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 
@@ -35,6 +36,21 @@ bool beyond_quarter_turn(const Vector4& joints) {
 
 double stream_age(const MotionCommand& command) {
   return command.age >= 0 ? std::min(command.age, kOldest) : 0.0;
+}
+
+/// Velocity of the wrist centre [m/s] that moves the tip at v_tip although the joints turn
+/// otherwise than wished: position first. The shaft turns with the centre about the trocar.
+Vector3 centre_velocity(const WristGeometry& wrist, const WristPose& pose, const Vector3& v_tip,
+                        double roll_rate, const WristJoints& joints) {
+  const double depth = std::max(pose.centre.p.norm(), wrist.length());
+  const Vector3 s = pose.centre.R.col(2);
+  const FrameRate turning = tip_rate(wrist, pose, {Vector3::Zero(), roll_rate * s}, joints);
+  Matrix3 J;
+  for (int i = 0; i < 3; ++i) {
+    const Vector3 v = Vector3::Unit(i);
+    J.col(i) = tip_rate(wrist, pose, {v, s.cross(v) / depth}, WristJoints::Zero()).v;
+  }
+  return J.inverse() * (v_tip - turning.v);
 }
 
 std::array<double, 4> to_array(const Vector4& v) { return {v[0], v[1], v[2], v[3]}; }
@@ -141,13 +157,15 @@ Reason CommandHandler::resolve_pose(MotionCommand& command) const {
   return Reason::kNone;
 }
 
-/// A velocity of the tip becomes one of the wrist centre, of roll and wrist, at the set-point.
+/// A velocity of the tip becomes one of the wrist centre, of roll and wrist, at the set-point. Near
+/// the end of a joint the tip keeps its own velocity, and its orientation gives way.
 void CommandHandler::resolve_twist(MotionCommand& command) const {
   if (command.motion != Motion::kServoCv) return;
   const WristPose pose{{setpoint_.p_RTip(), shaft_rotation(setpoint_.s_R(), setpoint_.roll())},
                        wrist_.set()};
   const WristRate rate = wrist_rates(wrist_.geometry(), pose, {command.p, command.omega});
-  command.p = rate.v_centre;
+  command.p = centre_velocity(wrist_.geometry(), pose, command.p, rate.roll_rate,
+                              wrist_.allowed(rate.joints));
   command.roll_rate = rate.roll_rate;
   command.wrist = rate.joints;
 }

@@ -160,15 +160,23 @@ void WristMotion::step(double dt) {
   }
 }
 
-void WristMotion::advance_velocity(double dt) {
-  const double fastest = rates_.cwiseAbs().maxCoeff();
+WristJoints WristMotion::allowed(const WristJoints& rates) const {
+  const double fastest = rates.cwiseAbs().maxCoeff();
   const double share = fastest > config_.velocity ? config_.velocity / fastest : 1.0;
+  WristJoints out;
   for (int i = 0; i < kJoints; ++i) {
-    const double end = rates_[i] > 0 ? config_.max[i] : config_.min[i];
+    const double end = rates[i] > 0 ? config_.max[i] : config_.min[i];
     const double most = kEndApproach * std::abs(end - dofs_[i].x);
-    const double rate = std::clamp(share * rates_[i], -most, most);
+    out[i] = std::clamp(share * rates[i], -most, most);
+  }
+  return out;
+}
+
+void WristMotion::advance_velocity(double dt) {
+  const WristJoints rates = allowed(rates_);
+  for (int i = 0; i < kJoints; ++i) {
     const Kinematic& now = dofs_[i];
-    filters_[i].step({now.x + now.v * dt + 0.5 * now.a * dt * dt, rate, 0}, dt);
+    filters_[i].step({now.x + now.v * dt + 0.5 * now.a * dt * dt, rates[i], 0}, dt);
     dofs_[i] = filters_[i].state();
   }
 }

@@ -418,7 +418,7 @@ void each_field(Outputs& out, Visit visit) {
   visit("jaw_set", out.jaw_set);
   visit("jaw", out.jaw);
   visit("wrist", out.wrist.exists);
-  visit("wrist_turn", out.wrist.turn);
+  visit("wrist_turn", out.wrist.geometry.turn);
   visit("wrist_q", out.wrist.q);
   visit("wrist_qd", out.wrist.qd);
   visit("wrist_set", out.wrist.set);

@@ -13,8 +13,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty
 
 from crtk_msgs.msg import StringStamped
-from surg_core import quaternion_xyzw_to_matrix
-from surg_core.arm_view import ArmCommands, ArmState, ArmView, Array, TipPose
+from surg_core import WristGeometry, quaternion_xyzw_to_matrix
+from surg_core.arm_view import ArmCommands, ArmState, ArmView, Array, TipPose, WristView
 from surg_core.contract import POSITION_STREAMS, SECOND_NS
 from surg_msgs.msg import Cycle
 
@@ -118,9 +118,15 @@ def arm_view(cycle: Cycle, R_WB: Array | None = None, received: float = 0.0) -> 
         received=received,
         p_BSample=np.array(cycle.p_goal) if cycle.command in POSITION_STREAMS else None,
         roll_sample=cycle.roll_goal,
-        q_RSet=np.array(cycle.q_set),
-        wrist_turn=cycle.wrist_turn,
+        depth=cycle.depth,
+        wrist=_wrist_view(cycle) if cycle.wrist else None,
     )
+
+
+def _wrist_view(cycle: Cycle) -> WristView:
+    names = ("wrist", "wrist_set", "wrist_goal", "q_tip", "q_set", "q_goal")
+    values = (np.array(getattr(cycle, name)) for name in names)
+    return WristView(WristGeometry(*cycle.wrist_geometry), *values)
 
 
 def pose_message(pose: TipPose) -> PoseStamped:

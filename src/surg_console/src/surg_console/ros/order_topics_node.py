@@ -87,4 +87,5 @@ def leader_sample(page: Input) -> LeaderSample:
         turned = rolled if page.q is None else quaternion_xyzw_to_matrix(page.q)
         pose = HandlePose(np.array(page.p), turned)
         return LeaderSample(page.at, pose=pose, grip=page.grip)
-    return LeaderSample(page.at, rate=HandRate(np.array(page.v), page.roll_rate), grip=page.grip)
+    rate = HandRate(np.array(page.v), page.roll_rate, tilt=np.array(page.tilt))
+    return LeaderSample(page.at, rate=rate, grip=page.grip)

@@ -66,6 +66,7 @@ class DeadMan:
             roll=0.0,
             v=(0.0, 0.0, 0.0),
             roll_rate=0.0,
+            tilt=(0.0, 0.0),
             grip=self._grip,
             clutch=sample.clutch or self._clutched,
             camera=self._camera,

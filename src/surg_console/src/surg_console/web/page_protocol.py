@@ -48,6 +48,7 @@ class Input:
     roll: float = 0.0  # of the handle about z [rad]
     v: tuple[float, float, float] = (0.0, 0.0, 0.0)  # (3,) velocity of the tip [m/s]
     roll_rate: float = 0.0  # [rad/s]
+    tilt: tuple[float, float] = (0.0, 0.0)  # rates of a wrist about x and y [rad/s]
     grip: float | None = None  # 0 closed to 1 open; None: never touched
     clutch: bool = False  # the clutch is held
     camera: bool = False  # the camera pedal is held
@@ -225,6 +226,10 @@ def _input(keys: _Keys) -> Input:
         roll=keys.number("roll", -ROLL_REACH, ROLL_REACH, 0.0),
         v=keys.vector("v", FASTEST),
         roll_rate=keys.number("roll_rate", -ROLL_FASTEST, ROLL_FASTEST, 0.0),
+        tilt=(
+            keys.number("tilt_x", -ROLL_FASTEST, ROLL_FASTEST, 0.0),
+            keys.number("tilt_y", -ROLL_FASTEST, ROLL_FASTEST, 0.0),
+        ),
         grip=keys.grip(),
         clutch=keys.flag("clutch"),
         camera=keys.flag("camera"),

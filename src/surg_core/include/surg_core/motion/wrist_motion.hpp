@@ -35,6 +35,8 @@ class WristMotion {
   /// A sample of a stream; see Setpoint::add_stream_sample.
   void stream(const WristJoints& target, double age, std::int64_t stamp_ns);
   void set_velocity(const WristJoints& rates);
+  /// The rates [rad/s] at which the joints go now if these are asked for: slower towards an end.
+  WristJoints allowed(const WristJoints& rates) const;
   void move_to(const WristJoints& target);
 
   /// Whether both joints are inside their ranges.

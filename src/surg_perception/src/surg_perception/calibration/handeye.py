@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from surg_core.transforms import FloatArray, inverse_pose
+from surg_core.transforms import FloatArray, inverse_pose, rotation_vector
 from surg_perception.calibration.adjustment import Adjusted, adjust
 from surg_perception.calibration.intrinsics import (
     PoseProblem,
@@ -23,7 +23,6 @@ from surg_perception.calibration.small_motions import (
     expected_error,
     mean_pose,
     moved,
-    rotation_vector,
     skew,
     transform,
 )

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from surg_core.transforms import FloatArray, axis_angle_to_matrix, inverse_pose
+from surg_core.transforms import FloatArray, inverse_pose, rotation_of, rotation_vector
 
 
 def skew(v: FloatArray) -> FloatArray:
@@ -20,29 +20,10 @@ def skew(v: FloatArray) -> FloatArray:
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
 
 
-def turn(w: FloatArray) -> FloatArray:
-    """Rotation (3, 3) of a rotation vector (3,) [rad]."""
-    angle = float(np.linalg.norm(w))
-    return np.eye(3) if angle < 1e-300 else axis_angle_to_matrix(w, angle)
-
-
-def rotation_vector(R: FloatArray) -> FloatArray:
-    """Rotation vector (3,) [rad] of a rotation (3, 3); its length is at most pi."""
-    sine = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    s, c = float(np.linalg.norm(sine)), 0.5 * (float(np.trace(R)) - 1.0)
-    angle = math.atan2(s, c)
-    if s > 1e-6:
-        return np.asarray(sine * (angle / s))
-    if c > 0.0:
-        return sine
-    values, vectors = np.linalg.eigh((R + R.T) / 2.0)  # half a turn: the axis, of either sign
-    return np.asarray(angle * vectors[:, int(np.argmax(values))])
-
-
 def moved(X_AB: FloatArray, step: FloatArray) -> FloatArray:
     """The pose (4, 4) after a step (6,)."""
     X = X_AB.copy()
-    X[:3, :3] = turn(step[:3]) @ X[:3, :3]
+    X[:3, :3] = rotation_of(step[:3]) @ X[:3, :3]
     X[:3, 3] += step[3:]
     return X
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
-from surg_core.transforms import FloatArray
+from surg_core.transforms import FloatArray, rotation_vector
 from surg_perception.calibration import evidence
-from surg_perception.calibration.small_motions import rotation_vector, transform
+from surg_perception.calibration.small_motions import transform
 from surg_perception.calibration.tip_finder import NotSeen, Picture, TipScene, find_tip
 from surg_perception.calibration.triangulation import Stereo, rigid_fit
 from surg_perception.calibration.views import EYES, View, Views, ViewsError

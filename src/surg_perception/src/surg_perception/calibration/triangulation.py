@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from surg_core.pictures.lens_model import LensModel
-from surg_core.transforms import FloatArray, inverse_pose
-from surg_perception.calibration.small_motions import moved, rotation_vector, transform, turn
+from surg_core.transforms import FloatArray, inverse_pose, rotation_of, rotation_vector
+from surg_perception.calibration.small_motions import moved, transform
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Rectified:
     @classmethod
     def of(cls, stereo: Stereo) -> Rectified:
         """Each eye turns by half the angle between them, then x follows the baseline."""
-        R_LM = turn(0.5 * rotation_vector(stereo.X_LR[:3, :3]))
+        R_LM = rotation_of(0.5 * rotation_vector(stereo.X_LR[:3, :3]))
         x = stereo.X_LR[:3, 3] / stereo.baseline
         y = np.cross(R_LM[:, 2], x)
         y /= np.linalg.norm(y)

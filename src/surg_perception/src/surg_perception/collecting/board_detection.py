@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from surg_core.pictures.lens_model import LensModel
-from surg_core.transforms import FloatArray
+from surg_core.transforms import FloatArray, rotation_vector
 from surg_perception.calibration.board import Board, Corners, Picture
 from surg_perception.calibration.intrinsics import SeenCorners, board_pose
-from surg_perception.calibration.small_motions import rotation_vector
 
 FOCAL_SHARE = 0.8
 """Assumed focal length over the width of the picture, while no lens is known."""

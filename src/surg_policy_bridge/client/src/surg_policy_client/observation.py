@@ -14,8 +14,8 @@ from surg_policy_client.wire import Message
 
 STATE = "observation.state"
 RCM = "observation.rcm_frame"
-_HELD = {"x": "set_x", "y": "set_y", "z": "set_z", "roll": "roll_set", "jaw": "jaw"}
-"""Column of the state that holds the present value of an action."""
+HELD = ("set_{}", "{}_set", "{}")
+"""Columns of the state, the first that there is, with the present value of an action's column."""
 
 
 @dataclass(frozen=True)
@@ -118,8 +118,10 @@ class Observation:
         """The value of an action's column that keeps an arm where it is."""
         if part in CHANGES:
             return 0.0
-        if part not in ("yaw", "pitch", "insertion"):
-            return self.named(arm + _HELD.get(part, part))
+        names = self.spec.observation[STATE].names or ()
+        known = [arm + form.format(part) for form in HELD if arm + form.format(part) in names]
+        if known or part not in ("yaw", "pitch", "insertion"):
+            return self.named(known[0] if known else arm + part)
         x, y, z = (self.named(f"{arm}set_{axis}") for axis in "xyz")
         insertion = math.sqrt(x * x + y * y + z * z)
         joints = {"yaw": math.atan2(x, z), "pitch": math.asin(y / insertion)}

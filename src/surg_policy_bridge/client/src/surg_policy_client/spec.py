@@ -24,7 +24,44 @@ ACTION_SPACES = {
     "joint": {"yaw": "rad", "pitch": "rad", "insertion": "m", "roll": "rad", "jaw": "rad"},
 }
 """Columns of an arm's action and their units, by action space (docs/reference/policies.md)."""
-CHANGES = frozenset((*ACTION_SPACES["relative"], *ACTION_SPACES["velocity"])) - {"jaw"}
+_PLACE = {"x": "m", "y": "m", "z": "m"}
+WRISTED_ACTION_SPACES = {
+    "absolute": {**_PLACE, "qx": "1", "qy": "1", "qz": "1", "qw": "1", "jaw": "rad"},
+    "relative": {
+        "dx": "m",
+        "dy": "m",
+        "dz": "m",
+        "drx": "rad",
+        "dry": "rad",
+        "drz": "rad",
+        "jaw": "rad",
+    },
+    "velocity": {
+        "vx": "m/s",
+        "vy": "m/s",
+        "vz": "m/s",
+        "wx": "rad/s",
+        "wy": "rad/s",
+        "wz": "rad/s",
+        "jaw": "rad",
+    },
+    "joint": {
+        "yaw": "rad",
+        "pitch": "rad",
+        "insertion": "m",
+        "roll": "rad",
+        "wrist_pitch": "rad",
+        "wrist_yaw": "rad",
+        "jaw": "rad",
+    },
+}
+"""The same of an arm whose instrument has a wrist."""
+CHANGES = frozenset(
+    name
+    for spaces in (ACTION_SPACES, WRISTED_ACTION_SPACES)
+    for space in ("relative", "velocity")
+    for name in spaces[space]
+) - {"jaw"}
 """Columns that hold a change: 0 keeps the target."""
 HOW = {
     "observation.images.": "pictures are served with ./surg run TASK --cameras, or ~cameras",
@@ -77,17 +114,36 @@ class ActionSpec:
     high: tuple[float, ...] | None = None
 
     @classmethod
-    def of_space(cls, space: str, arms: Sequence[str] = ("PSM1",)) -> ActionSpec:
-        """The actions of an action space, for arms in their order.
+    def of_space(
+        cls, space: str, arms: Sequence[str] = ("PSM1",), wristed: Sequence[str] = ()
+    ) -> ActionSpec:
+        """The actions of an action space, for arms in their order; ``wristed`` have a wrist.
 
         Raises:
             SpecError: There is no such space.
         """
         if space not in ACTION_SPACES:
             raise SpecError(f"action space {space!r}; allowed: {', '.join(ACTION_SPACES)}")
-        columns = ACTION_SPACES[space]
-        names = tuple(f"{arm}/{name}" for arm in arms for name in columns)
-        return cls(names, tuple(columns.values()) * len(arms))
+        columns = {
+            f"{arm}/{name}": unit
+            for arm in arms
+            for name, unit in (WRISTED_ACTION_SPACES if arm in wristed else ACTION_SPACES)[
+                space
+            ].items()
+        }
+        return cls(tuple(columns), tuple(columns.values()))
+
+    @classmethod
+    def among(cls, names: Sequence[str]) -> tuple[str, ActionSpec] | None:
+        """Action space and actions of which all columns are among these; None: there is none."""
+        arms = tuple(dict.fromkeys(name.rpartition("/")[0] for name in names if "/" in name))
+        for space, columns in WRISTED_ACTION_SPACES.items():
+            own = set(columns) - set(ACTION_SPACES[space])
+            wristed = [arm for arm in arms if {f"{arm}/{name}" for name in own} <= set(names)]
+            action = cls.of_space(space, arms, wristed)
+            if arms and set(action.names) <= set(names):
+                return space, action
+        return None
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import rospy
 from std_msgs.msg import Bool
 
-from surg_core.contract import ARM_ACTION, SECOND_NS, STEP
+from surg_core.contract import SECOND_NS, STEP
 from surg_msgs.msg import PolicyAction, PolicyPlan, PolicyStatus
 from surg_policy_bridge.nodes.policy_status_node import policy_status, saturate
 from surg_policy_bridge.server import policy_plan
@@ -20,11 +19,10 @@ STATUS_PERIOD = SECOND_NS // 2
 
 
 class PolicyTopics:
-    """Publishers of ``/policy``, for the arms of a policy and the server's address."""
+    """Publishers of ``/policy``; ``address`` is the server's."""
 
-    def __init__(self, arms: Sequence[str], address: str) -> None:
+    def __init__(self, address: str) -> None:
         out = rospy.Publisher
-        self._names = [f"{arm}/{name}" for arm in arms for name in ARM_ACTION]
         self._address = address
         self._action = out("/policy/action", PolicyAction, queue_size=0, tcp_nodelay=True)
         self._rejected = out("/policy/rejected", PolicyAction, queue_size=0, tcp_nodelay=True)
@@ -44,7 +42,7 @@ class PolicyTopics:
                 seq=step.seq,
                 step=step.step,
                 obs_age=step.obs_age / SECOND_NS,
-                names=self._names,
+                names=server.action_names,
                 values=step.values.tolist(),
                 rule=step.rule,
                 text=step.text,
@@ -61,7 +59,7 @@ class PolicyTopics:
             self._blind_session = plan.session
             rospy.logwarn("what the policy sees is not shown: %s", plan.unseen)
         if self._plan.get_num_connections():
-            self._plan.publish(plan_message(server, plan, self._names))
+            self._plan.publish(plan_message(server, plan))
 
     def publish_status(self, server: ModelServer, refused: str, now: int) -> None:
         """Publish the status on a change, and periodically; ``now`` is the steady clock [ns]."""
@@ -79,17 +77,15 @@ class PolicyTopics:
         self._last_time = -STATUS_PERIOD
 
 
-def plan_message(
-    server: ModelServer, plan: policy_plan.PolicyPlan, names: Sequence[str]
-) -> PolicyPlan:
-    """A plan (K, A) with these names of its columns, and the server's counters."""
+def plan_message(server: ModelServer, plan: policy_plan.PolicyPlan) -> PolicyPlan:
+    """A plan (K, A), and the server's counters."""
     counters, rejected = server.counters, server.steps.last_rejected
     message = PolicyPlan(
         session=plan.session,
         seq=plan.seq,
         step=plan.first,
         period=STEP,
-        names=list(names),
+        names=list(server.action_names),
         rows=len(plan.rows),
         values=plan.rows.ravel().tolist(),
         confidence=math.nan,

@@ -63,7 +63,7 @@ class ServerIO:
         self._teleop = LatestStatus("/teleop/status")
         self._presence = OperatorPresence()
         self.ports = {name: ArmPort(name, COMMANDS) for name in settings.arms}
-        self.topics = PolicyTopics(settings.arms, settings.bind)
+        self.topics = PolicyTopics(settings.bind)
 
     @property
     def over(self) -> bool:

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import surg_core
+from surg_core.action_space import ActionSpace, absolute_range, wrist_of_arm
 from surg_core.contract import (
-    ARM_ACTION,
-    ARM_ACTION_UNITS,
     ARM_FORCE,
     ARM_FORCE_UNITS,
-    ARM_STATE,
-    ARM_STATE_UNITS,
     FORCE_KEY,
     SECOND_NS,
     STATE_KEY,
     STEP_NS,
     TASK_STATE_KEY,
+    arm_state,
     image_key,
 )
 from surg_policy_client.observation import RCM as RCM_KEY
@@ -53,12 +50,14 @@ def make(
     ``cameras`` holds height and width [px] by name, ``numbers`` the names of the task's ground
     truth, None: it is not served. ``force``: whether forces at tip and trocar are served.
     """
+    wrists = {arm: wrist_of_arm(cell.arms[arm]) for arm in arms}
+    space = ActionSpace(wrists=tuple(wrists.values()))
     observation = {
-        STATE_KEY: _of_arms(arms, ARM_STATE, ARM_STATE_UNITS),
+        STATE_KEY: _of_arms({arm: arm_state(wrist is not None) for arm, wrist in wrists.items()}),
         RCM_KEY: Feature(dtype="f8", shape=(len(arms), 4, 4), unit="1,m", frame="world"),
     }
     if force:
-        observation[FORCE_KEY] = _of_arms(arms, ARM_FORCE, ARM_FORCE_UNITS)
+        observation[FORCE_KEY] = _of_arms(dict.fromkeys(arms, (ARM_FORCE, ARM_FORCE_UNITS)))
     for camera, (height, width) in cameras.items():
         observation[image_key(camera)] = Feature(dtype="u1", shape=(height, width, 3))
     if numbers is not None:
@@ -70,40 +69,28 @@ def make(
             names=tuple(numbers),
             privileged=True,
         )
-    low, high = _range(cell, arms)
+    ranges = [absolute_range(cell.arms[arm]) for arm in arms]
     return Spec(
         task=task or "none",
         period_s=STEP_NS / SECOND_NS,
         observation=observation,
         action=ActionSpec(
-            names=tuple(f"{arm}/{name}" for arm in arms for name in ARM_ACTION),
-            units=ARM_ACTION_UNITS * len(arms),
+            names=space.columns(arms),
+            units=space.units(arms),
             frame="rcm",
-            low=tuple(low),
-            high=tuple(high),
+            low=tuple(number for low, _ in ranges for number in low),
+            high=tuple(number for _, high in ranges for number in high),
         ),
     ).served()
 
 
-def _of_arms(arms: Sequence[str], names: Sequence[str], units: tuple[str, ...]) -> Feature:
-    """The same numbers of each arm, in its rcm frame."""
+def _of_arms(numbers: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]]) -> Feature:
+    """Names and units of each arm's numbers, in its rcm frame."""
+    names = tuple(f"{arm}/{name}" for arm, (own, _) in numbers.items() for name in own)
     return Feature(
         dtype="f4",
-        shape=(len(arms) * len(names),),
-        unit=",".join(units * len(arms)),
+        shape=(len(names),),
+        unit=",".join(unit for _, units in numbers.values() for unit in units),
         frame="rcm",
-        names=tuple(f"{arm}/{name}" for arm in arms for name in names),
+        names=names,
     )
-
-
-def _range(cell: surg_core.Cell, arms: Sequence[str]) -> tuple[list[float], list[float]]:
-    """Least and largest values that can be in the workspace."""
-    low: list[float] = []
-    high: list[float] = []
-    for name in arms:
-        arm = cell.arms[name]
-        far = float(arm.limits.depth_max)
-        wide = far * math.sin(min(float(arm.limits.cone), math.pi / 2))
-        low += [-wide, -wide, 0.0, -math.pi, float(arm.instrument.jaw_min)]
-        high += [wide, wide, far, math.pi, float(arm.instrument.jaw_max)]
-    return low, high

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from surg_core.arm_view import ArmCommands, ArmView
-from surg_core.contract import ARM_ACTION, SECOND_NS
+from surg_core.contract import SECOND_NS
 from surg_policy_bridge.server import server_replies
 from surg_policy_bridge.server.arm_authority import ArmAuthority, Phase
 from surg_policy_bridge.server.counters import Counters
@@ -452,17 +452,22 @@ class ModelServer:
         if message.unseen:
             self.counters.malformed["seen"] += 1
         # Of the queue, not of this chunk: one without rows may have any width.
-        width = len(self._settings.arms) * len(ARM_ACTION)
+        width = len(self.action_names)
         first, rows = self.steps.queue.ahead(shown_rows(width))
         self._plan = PolicyPlan(
             session=session.number,
             seq=message.head["seq"],
             stamp_ns=sent.stamp_ns,
             first=first,
-            rows=np.array(rows).reshape(len(rows), width),
+            rows=self.steps.shown_rows(np.array(rows)).reshape(len(rows), width),
             seen=message.seen,
             unseen=message.unseen,
         )
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the numbers of what is shown of steps."""
+        return self.steps.shown.columns(self._settings.arms)
 
     def take_plan(self) -> PolicyPlan | None:
         """What the policy plans and sees by its newest answer; once for each answer."""

@@ -30,7 +30,7 @@ class Piece:
     Args:
         start: First target.
         goal: Last target.
-        slope: At the start, per piece, (5,).
+        slope: At the start, per piece, (T,).
         beyond: The step after the goal, if known; it sets the slope at the end.
     """
 
@@ -45,7 +45,7 @@ class Piece:
 
     @property
     def slope(self) -> Array:
-        """Slope at the end, per piece, (5,)."""
+        """Slope at the end, per piece, (T,)."""
         return self._out
 
     def at(self, share: float) -> Target:
@@ -53,12 +53,11 @@ class Piece:
         u = min(max(share, 0.0), 1.0)
         rise = u * u * (3.0 - 2.0 * u)
         moved = rise * self._secant + u * (1 - u) * ((1 - u) * self._in - u * self._out)
-        start = self._from
-        return Target(start.p + moved[:3], start.roll + moved[3], start.jaw + moved[4])
+        return Target.of(self._from.row + moved, self._from.wrist)
 
 
 def _difference(start: Target, goal: Target) -> Array:
-    """From one target to another, (5,); the roll takes the shorter way."""
+    """From one target to another, (T,); the roll takes the shorter way."""
     difference = goal.row - start.row
     difference[3] = math.remainder(difference[3], math.tau)
     return difference

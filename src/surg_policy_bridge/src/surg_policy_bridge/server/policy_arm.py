@@ -6,12 +6,14 @@ Values only. Vectors are in the arm's trocar frame R (docs/reference/conventions
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_core.arm_view import ArmCommands, ArmView, TipPose
+from surg_core import WristGeometry
+from surg_core.action_space import commands_of
+from surg_core.arm_view import ArmCommands, ArmView
 
 Array = NDArray[np.float64]
 
@@ -23,23 +25,38 @@ def rcm_frame(view: ArmView, X_WB: Array) -> Array:
     return np.asarray(X_WB @ X_BR)
 
 
+def wrist_of(view: ArmView) -> WristGeometry | None:
+    """Of the arm's instrument; None: it is straight."""
+    return None if view.wrist is None else view.wrist.geometry
+
+
 @dataclass(frozen=True)
 class Target:
     """Target of one arm at a grid time."""
 
-    p: Array  # tip, (3,) [m]
+    p: Array
+    """Of the shaft's end, the tip or the wrist's centre, (3,) [m]."""
     roll: float  # [rad]
     jaw: float  # [rad]
+    turns: Array = field(default_factory=lambda: np.zeros(0))
+    """Pitch and yaw of the wrist (2,) [rad]; without numbers where there is none."""
+    wrist: WristGeometry | None = None
 
     @classmethod
-    def of(cls, row: Array) -> Target:
-        """The target that the five numbers of an action describe."""
-        return cls(np.array(row[:3], dtype=np.float64), float(row[3]), float(row[4]))
+    def of(cls, row: Array, wrist: WristGeometry | None = None) -> Target:
+        """From the numbers of a target of ``surg_core.action_space``."""
+        numbers = np.array(row, dtype=np.float64)
+        return cls(numbers[:3], float(numbers[3]), float(numbers[-1]), numbers[4:-1], wrist)
+
+    @classmethod
+    def held(cls, view: ArmView) -> Target:
+        """The set-point of an arm."""
+        return cls.of(view.held_target, wrist_of(view))
 
     @property
     def row(self) -> Array:
-        """The five numbers of the action."""
-        return np.array([*self.p, self.roll, self.jaw])
+        """The numbers of the target."""
+        return np.array([*self.p, self.roll, *self.turns, self.jaw])
 
     def toward(self, other: Target, share: float) -> Target:
         """Interpolate to another target, ``share`` from 0 to 1; the roll takes the shorter way."""
@@ -48,8 +65,10 @@ class Target:
             self.p + share * (other.p - self.p),
             self.roll + share * turn,
             self.jaw + share * (other.jaw - self.jaw),
+            self.turns + share * (other.turns - self.turns),
+            self.wrist,
         )
 
     def commands(self) -> ArmCommands:
         """Commands that stream this target."""
-        return ArmCommands(servo_cp=TipPose(self.p, self.roll), jaw=self.jaw)
+        return commands_of(self.wrist, self.row)

@@ -39,6 +39,7 @@ class ArmLimits:
     jaw_min: float
     jaw_max: float
     servo_timeout: int
+    wrist: surg_core.WristConfig | None = None
 
     @classmethod
     def of(cls, arm: surg_core.Arm) -> ArmLimits:
@@ -48,6 +49,7 @@ class ArmLimits:
             jaw_min=float(arm.instrument.jaw_min),
             jaw_max=float(arm.instrument.jaw_max),
             servo_timeout=round(arm.robot.tuning.servo_timeout * SECOND_NS),
+            wrist=arm.instrument.wrist,
         )
 
 
@@ -119,7 +121,7 @@ class ArmSafety:
         last = self._last
         if last is None:
             target = replace(target, p=view.first_step(target.p, self._own.limits.step_slack))
-        before = last.target if last else Target(view.p_set, view.roll_set, view.jaw_set)
+        before = last.target if last else Target.held(view)
         step = _Step(target, before, (at - last.at if last else STEP_NS) / SECOND_NS, view)
         violations: list[Violation] = []
         for rule, broken in self._rules.items():
@@ -157,12 +159,20 @@ class ArmSafety:
     def _workspace(self, step: _Step) -> str:
         limits, p = self._own.limits, step.target.p
         if surg_core.inside_workspace(limits, p):
-            return ""
+            return self._bent(step.target)
         where = ", ".join(f"{1e3 * float(v):.4g}" for v in p)
         return (
             f"({where}) mm is {1e3 * surg_core.outside_workspace(limits, p):.4g} mm outside the "
             "workspace; actions are in metres in the rcm frame"
         )
+
+    def _bent(self, target: Target) -> str:
+        """Why the wrist cannot be so."""
+        wrist = self._own.wrist
+        if wrist is None or ((wrist.min <= target.turns) & (target.turns <= wrist.max)).all():
+            return ""
+        low, high, asked = (_degrees(turns) for turns in (wrist.min, wrist.max, target.turns))
+        return f"the wrist's pitch and yaw of {asked} deg; allowed: {low} to {high} deg"
 
     def _start(self, step: _Step) -> str:
         if self._last is not None or self._near(step, begins=True):
@@ -187,8 +197,12 @@ class ArmSafety:
 
     def _near(self, step: _Step, begins: bool) -> bool:
         """The gate's test of a step."""
+        limits, wrist, since = self._own.limits, self._own.wrist, step.since
         distance, turn = _change(step)
-        reason = surg_core.check_step(self._own.limits, begins, step.since, distance, turn)
+        reason = surg_core.check_step(limits, begins, since, distance, turn)
+        if reason == surg_core.Reason.NONE and wrist is not None:
+            turned = float(np.abs(step.target.turns - step.before.turns).max())
+            reason = surg_core.check_wrist_step(limits, wrist, begins, since, turned)
         return bool(reason == surg_core.Reason.NONE)
 
     def _acceleration(self, step: _Step) -> str:
@@ -258,14 +272,20 @@ class ArmSafety:
 
 
 def _change(step: _Step) -> tuple[float, float]:
-    """Distance of the tip [m], and turn of the roll [rad] on the shorter way."""
+    """Distance of the shaft's end [m], and turn of the roll [rad] on the shorter way."""
     distance = float(np.linalg.norm(step.target.p - step.before.p))
     return distance, math.remainder(step.target.roll - step.before.roll, math.tau)
 
 
 def _distance(step: _Step) -> str:
     distance, turn = _change(step)
-    return f"{1e3 * distance:.4g} mm and {math.degrees(turn):.3g} deg"
+    turns = step.target.turns - step.before.turns
+    wrist = f" (wrist: {_degrees(turns)} deg)" if len(turns) else ""
+    return f"{1e3 * distance:.4g} mm and {math.degrees(turn):.3g} deg{wrist}"
+
+
+def _degrees(turns: np.ndarray) -> str:
+    return ", ".join(f"{angle:.3g}" for angle in np.degrees(turns))
 
 
 class SafetyController:

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from surg_core import action_space
+from surg_core import WristGeometry, action_space
 from surg_core.contract import SECOND_NS
 from surg_policy_bridge.server.timers import SILENCE, Timeout
 from surg_policy_client.spec import ActionSpec, Spec
@@ -107,7 +107,10 @@ class PolicySession:
 def in_space_of(head: Mapping[str, Any], served: Spec, arms: Sequence[str]) -> Spec:
     """The served specification, in the action space whose columns a HELLO wants."""
     action = Spec.from_map(head["wants"]).action if head["wants"] is not None else None
-    space = None if action is None else action_space.of_columns(action.names, arms)
+    # What an arm holds is what the served columns say; lengths do not matter for names.
+    known = served.action.names if served.action is not None else ()
+    wrists = tuple(WristGeometry(0.0, 0.0) if f"{arm}/qx" in known else None for arm in arms)
+    space = None if action is None else action_space.of_columns(action.names, arms, wrists)
     if space is None or served.action is None or served.action.names == space.columns(arms):
         return served
     names, units = space.columns(arms), space.units(arms)

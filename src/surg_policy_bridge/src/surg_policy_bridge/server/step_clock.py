@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from surg_core.arm_view import ArmView
-from surg_core.contract import ARM_ACTION, STEP_NS
+from surg_core.contract import STEP_NS
 from surg_policy_bridge.server.model_server import ModelServer, ServerState
 from surg_policy_bridge.server.playout import SEND, Piece
 from surg_policy_bridge.server.policy_arm import Target
@@ -93,6 +93,6 @@ class StepClock:
         self, view: ArmView, previous: Piece | None, goal: Target, beyond: Target | None
     ) -> Piece:
         if previous is None:
-            start = Target(view.p_set, view.roll_set, view.jaw_set)
-            return Piece(start, goal, np.zeros(len(ARM_ACTION)), beyond)
+            start = Target.held(view)
+            return Piece(start, goal, np.zeros_like(start.row), beyond)
         return Piece(previous.goal, goal, previous.slope, beyond)

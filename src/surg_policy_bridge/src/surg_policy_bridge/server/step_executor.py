@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from surg_core import action_space
 from surg_core.action_space import ActionSpace
 from surg_core.arm_view import ArmView
-from surg_core.contract import ARM_ACTION, STEP
+from surg_core.contract import STEP
 from surg_policy_bridge.server.chunk_queue import ActionStep, ChunkQueue
 from surg_policy_bridge.server.counters import Counters
-from surg_policy_bridge.server.policy_arm import Target
+from surg_policy_bridge.server.policy_arm import Target, wrist_of
 from surg_policy_bridge.server.safety_controller import SafetyController
 from surg_policy_bridge.server.server_replies import AckTally, rejected_step
 from surg_policy_bridge.server.sessions import PolicySession, SentObservation
@@ -66,6 +66,8 @@ class StepExecutor:
         self.judged: list[JudgedStep] = []
         self.last_rejected: JudgedStep | None = None
         self.rejected_in_a_row = 0
+        self.shown = ActionSpace()
+        """Names of the numbers of what is shown of steps; with the arms' wrists."""
         self._sent: dict[int, Array] = {}
 
     def start(self, at: int) -> None:
@@ -123,7 +125,7 @@ class StepExecutor:
         self._sent[step.number] = values
         if len(self._sent) > KEPT:  # by their count: not every number was sent
             del self._sent[min(self._sent)]
-        self.swings.take(values, at)
+        self.swings.take(np.array([target.p for target in passed.values()]), at)
         self._counters.accepted += 1
         self._counters.obs_age.add(at - step.seen)
         self._tally.accepted += 1
@@ -135,7 +137,7 @@ class StepExecutor:
                 seq=step.seq,
                 step=step.number,
                 obs_age=at - step.seen,
-                values=values,
+                values=self.shown_rows(values[None]).ravel(),
                 passed=True,
                 rule=",".join(violation.rule for violation in violations),
                 text="; ".join(violation.text for violation in violations),
@@ -156,7 +158,7 @@ class StepExecutor:
         """A rule refuses the step of a grid time; ``at`` is the time of the execution [ns]."""
         sent = session.sent.get(seq)
         age = at - sent.seen if sent is not None else 0
-        row = np.zeros(0) if values is None else values
+        row = np.zeros(0) if values is None else self.shown_rows(values[None]).ravel()
         self._counters.rejected[rule] += 1
         self.last_rejected = JudgedStep(session.number, seq, number, age, row, False, rule, text)
         self.judged.append(self.last_rejected)
@@ -183,19 +185,29 @@ class StepExecutor:
             self.reject(session, first, "shape", "; ".join(wrong), at, seq)
         elif len(rows):
             at_rest = not self._safety.streaming(at)
-            space = self._space(session)
-            if space != ActionSpace():
+            space = self._space(session, views)
+            if space is None:
+                changed = "another instrument has been mounted: connect the policy again"
+                self.reject(session, first, "shape", changed, at, seq)
+                return
+            if not space.is_target:
                 rows = space.decode(rows, self._before(first, views, at_rest), STEP)
             if not np.isfinite(rows).all():  # a sum of finite relative steps may be none
-                self.reject(session, first, "not_finite", "the steps add up to infinity", at, seq)
+                text = "the steps add up to infinity, or lead where no wrist can be"
+                self.reject(session, first, "not_finite", text, at, seq)
                 return
             late = self.queue.splice(first, rows, seq, sent.seen, at_rest)
             self._counters.late += late
             self._tally.late += late
 
-    def _space(self, session: PolicySession) -> ActionSpace:
-        names = session.spec.action.names if session.spec.action is not None else ()
-        return action_space.of_columns(names, self._arms) or ActionSpace()
+    def _space(self, session: PolicySession, views: Mapping[str, ArmView]) -> ActionSpace | None:
+        """That of the session; None: the arms hold other instruments than at its beginning."""
+        if all(arm in views for arm in self._arms):
+            self.shown = ActionSpace(wrists=tuple(wrist_of(views[arm]) for arm in self._arms))
+        action = session.spec.action
+        if action is None:
+            return self.shown
+        return action_space.of_columns(action.names, self._arms, self.shown.wrists)
 
     def _before(self, first: int, views: Mapping[str, ArmView], at_rest: bool) -> Array:
         """The target (A,) to which a relative step refers: that of the step before.
@@ -212,8 +224,7 @@ class StepExecutor:
 
     def _held(self, views: Mapping[str, ArmView]) -> Array:
         """The set-points of the arms, (A,)."""
-        held = [views[arm] for arm in self._arms]
-        return np.concatenate([Target(v.p_set, v.roll_set, v.jaw_set).row for v in held])
+        return np.concatenate([views[arm].held_target for arm in self._arms])
 
     def count_stale(self, steps: int) -> None:
         """So many steps answered an observation that was too old."""
@@ -231,5 +242,18 @@ class StepExecutor:
         return bool(self._tally.rejected)
 
     def _targets(self, row: Array) -> dict[str, Target]:
-        parts = row.reshape(-1, len(ARM_ACTION))
-        return {name: Target.of(part) for name, part in zip(self._arms, parts, strict=True)}
+        parts = self.shown.split(row)
+        wrists = self.shown.wrists or (None,) * len(self._arms)
+        named = zip(self._arms, parts, wrists, strict=True)
+        return {name: Target.of(part, wrist) for name, part, wrist in named}
+
+    def shown_rows(self, targets: Array) -> Array:
+        """Targets (K, T) as people and clients know them: absolute actions (K, A).
+
+        Without a row where a target is none.
+        """
+        if self.shown.is_target:
+            return targets
+        if not len(targets) or not np.isfinite(targets).all():
+            return np.zeros((0, len(self.shown.columns(self._arms))))
+        return self.shown.encode(targets, targets, STEP)

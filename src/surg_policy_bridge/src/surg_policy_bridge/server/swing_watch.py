@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_core.contract import ARM_ACTION, SECOND_NS, STEP_NS
+from surg_core.contract import SECOND_NS, STEP_NS
 
 TURN = 2e-3
 """[m] Way back along one axis that is a turn."""
@@ -59,7 +59,7 @@ class _Axis:
 
 
 class SwingWatch:
-    """Reads every row that is sent; ``arms`` are in the order of the action.
+    """Reads every step that is sent; ``arms`` are in the order of the action.
 
     Attributes:
         warning: What was found since `start`, for people; empty: nothing.
@@ -74,10 +74,9 @@ class SwingWatch:
         self.warning = ""
         self._axes = {(arm, axis): _Axis() for arm in self._arms for axis in "xyz"}
 
-    def take(self, row: NDArray[np.float64], at: int) -> None:
-        """A row (A,) was sent at a time [ns]."""
-        tips = row.reshape(-1, len(ARM_ACTION))[:, :3].ravel()
-        for ((arm, name), axis), x in zip(self._axes.items(), tips, strict=True):
+    def take(self, ends: NDArray[np.float64], at: int) -> None:
+        """The shafts' ends (arms, 3) [m] that were sent at a time [ns]."""
+        for ((arm, name), axis), x in zip(self._axes.items(), ends.ravel(), strict=True):
             axis.take(float(x), at)
             if len(axis.turns) >= TURNS and not self.warning:
                 self.warning = (

@@ -12,7 +12,7 @@ from surg_recording.calibration import calibration_record
 from surg_recording.datasets import pictures, schema
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.episode import table_columns
-from surg_recording.episode.checked.checked_reading import segment_of
+from surg_recording.episode.checked.checked_reading import WRIST, segment_of
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.video.video_encoder import ENCODINGS
@@ -74,12 +74,13 @@ def layout_of(recorded: Episode, options: ExportOptions) -> Layout:
         raise EpisodeError(f"{folder}: no arm was commanded: there is no action to export")
     described = mapping(mapping(manifest.get("cell")).get("arms"))
     parts = {arm: mapping(described.get(arm)) for arm in arms}
-    bent = [arm for arm in arms if mapping(parts[arm].get("instrument")).get("wrist")]
-    if bent:
-        raise EpisodeError(
-            f"{folder}: {', '.join(bent)}: a recording does not hold the turn of an instrument's "
-            "wrist yet, so its orientations would be wrong; record with a straight instrument"
-        )
+    for arm in commanded:
+        bent = mapping(parts[arm].get("instrument")).get("wrist")
+        if bent and WRIST[0] not in mapping(tables.get(f"cycle_{arm}")).get("columns", ()):
+            raise EpisodeError(
+                f"{folder}: {arm}: the recording does not hold the turn of its instrument's wrist, "
+                "so its orientations would be wrong; record it again"
+            )
     robot_of_run = mapping(manifest.get("run")).get("robot")
     task = mapping(tables.get("task_state"))
     labelled = bool(task.get("rows"))

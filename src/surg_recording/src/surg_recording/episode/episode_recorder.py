@@ -140,7 +140,10 @@ class Recording:
     def cycle(self, arm: str, message: Any, receive_ns: int) -> None:
         """Record a surg_msgs/Cycle."""
         name = f"cycle_{arm}"
-        table = self.tables.get(name) or self.tables.open(name, table_columns.cycle(len(message.q)))
+        table = self.tables.get(name)
+        if table is None:
+            columns = table_columns.cycle(len(message.q), wristed=len(message.wrist) > 0)
+            table = self.tables.open(name, columns)
         self.tables.put_fitting(table, table_rows.cycle(message, receive_ns), "number of joints")
 
     def ground_truth(self, message: Any, receive_ns: int) -> None:

@@ -126,6 +126,24 @@ CYCLE: Fields = (
     _scalar("overruns", kind=int),
 )
 
+
+def _turn(source: str, columns: tuple[str, str]) -> Field:
+    return Field(source, columns, unit="rad")
+
+
+WRIST: Fields = (
+    Field(
+        "wrist_geometry",
+        ("wrist_pitch_to_yaw", "wrist_yaw_to_tip", "wrist_turn"),
+        unit="m, m, rad",
+    ),
+    _turn("wrist", ("wrist_pitch", "wrist_yaw")),
+    _turn("wrist_set", ("wrist_pitch_set", "wrist_yaw_set")),
+    _turn("wrist_goal", ("wrist_pitch_goal", "wrist_yaw_goal")),
+    *(_array(name, axes="xyzw") for name in ("q_tip", "q_set", "q_goal")),
+)
+"""Further fields of surg_msgs/Cycle, of an arm whose instrument has a wrist."""
+
 ARM_TRUTH: Fields = (
     *_STAMPS,
     Field("", ("tick",), int),
@@ -169,20 +187,18 @@ CLOCK: Fields = (
     _scalar("problem", kind=str),
 )
 
-_VIRTUAL = ("yaw", "pitch", "insertion", "roll")
+_VIRTUAL = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
 COMMAND_FIELDS: dict[str, Fields] = {
     "_cp": (
         _point("pose.position", "xyz", "m"),
         Field("pose.orientation", ("qx", "qy", "qz", "qw"), members=("x", "y", "z", "w")),
     ),
-    "_jp": (Field("position", _VIRTUAL, unit="rad, rad, m, rad"),),
+    "_jp": (Field("position", _VIRTUAL, unit="rad; m"),),
     "_cv": (
         _point("twist.linear", ("vx", "vy", "vz"), "m/s"),
         _point("twist.angular", ("wx", "wy", "wz"), "rad/s"),
     ),
-    "_jv": (
-        Field("velocity", tuple(f"{name}_rate" for name in _VIRTUAL), unit="rad/s, m/s, rad/s"),
-    ),
+    "_jv": (Field("velocity", tuple(f"{name}_rate" for name in _VIRTUAL), unit="rad/s; m/s"),),
     "jaw/": (Field("position", ("jaw",), unit="rad", first=True),),
 }
 """Fields that a motion command fills, by the ending of its topic; the jaw's by its beginning."""
@@ -205,9 +221,9 @@ def _columns(fields: Fields, joints: int = 0) -> list[str]:
     return [name for each in fields for name in each.expanded(joints)]
 
 
-def cycle(joints: int) -> list[str]:
+def cycle(joints: int, wristed: bool = False) -> list[str]:
     """Columns of ``cycle_<arm>.csv`` for an arm with this many joints."""
-    return _columns(CYCLE, joints)
+    return _columns(CYCLE, joints) + (_columns(WRIST) if wristed else [])
 
 
 GROUND_TRUTH: list[str] = _columns(ARM_TRUTH)

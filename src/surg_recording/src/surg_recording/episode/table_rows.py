@@ -65,6 +65,7 @@ def _row(head: tuple[Any, ...], readers: tuple[Read, ...], message: Any) -> list
 
 
 _CYCLE = _readers(table_columns.CYCLE)
+_WRIST = _readers(table_columns.WRIST)
 _ARM_TRUTH = _readers(table_columns.ARM_TRUTH)
 _FORCE = _readers(table_columns.FORCE)
 _TASK_STATE = _readers(table_columns.TASK_STATE)
@@ -77,7 +78,8 @@ _COMMAND = {
 
 def cycle(message: Any, receive_ns: int) -> Row:
     """One surg_msgs/Cycle as a row of ``table_columns.cycle``."""
-    return tuple(_row((nanoseconds(message.header.stamp), receive_ns), _CYCLE, message))
+    row = _row((nanoseconds(message.header.stamp), receive_ns), _CYCLE, message)
+    return tuple(_row(tuple(row), _WRIST, message) if len(message.wrist) else row)
 
 
 def ground_truth(stamp_ns: int, tick: int, arm: Any, receive_ns: int) -> Row:

@@ -194,6 +194,7 @@ def _cycles(arm: ArmSeries) -> Iterator[SimpleNamespace]:
             roll_set=float(arm.roll_goal[row]),
             jaw_set=float(arm.jaw_goal[row]),
             jaw=float(arm.jaw[row]),
+            wrist=(),
             scale=1.0,
             limited_by="",
             tier=0,

@@ -40,6 +40,8 @@ def columns_of(data: LeRobotData, stated: Mapping[str, Any] | None) -> list[ArmC
             f"{data.root}: {STATE_KEY} has no columns such as PSM1/tip_x, but"
             f" {', '.join(names) or 'no names'}; --map FILE says which column is what"
         )
+    if bent := [arm for arm in arms if f"{arm}/wrist_pitch" in names]:
+        raise EpisodeError(f"{data.root}: an import would lose the wrist's turn of {bent[0]}")
     found = []
     for arm in arms:
         measured = tuple(names.index(f"{arm}/{name}") for name in _MEASURED)

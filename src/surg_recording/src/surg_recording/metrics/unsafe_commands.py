@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from surg_core.contract import ENABLED, POSITION_STREAMS, STREAMS
+from surg_recording.episode.checked.shaft_ends import shaft_ends
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.table import Table
 from surg_recording.recording_errors import EpisodeError
@@ -80,7 +81,7 @@ def examine(episode: Episode, arm: str) -> list[Rule]:
     rules.append(look.bound("joint position, from the middle", "rad", np.abs(q - middle), half))
     rules.append(_motion_while_stopped(look, cycle, qd))
     rules += _tip(look, cycle, dt, limits)
-    deviation = _distance(cycle.vector("p_rcm"), cycle.vector("p_tip"), cycle.vector("s"))
+    deviation = _distance(cycle.vector("p_rcm"), shaft_ends(cycle), cycle.vector("s"))
     homed = cycle["homed"] == 1
     deviation = np.where(homed, deviation, 0.0)
     rules.append(look.bound("RCM deviation", "m", deviation[:, None], limits["rcm_error_fault"]))
@@ -172,12 +173,12 @@ def _tip(look: _Look, cycle: Table, dt: Array, limits: _Limits) -> list[Rule]:
     R_BR = _matrices(cycle.vector("q_br", "xyzw"))
     to_R = np.transpose(R_BR, (0, 2, 1))
 
-    def in_R(prefix: str) -> Array:
-        p_R = to_R @ (cycle.vector(prefix) - cycle.vector("p_rcm"))[:, :, None]
+    def in_R(of: str) -> Array:
+        p_R = to_R @ (shaft_ends(cycle, of) - cycle.vector("p_rcm"))[:, :, None]
         return np.asarray(p_R[:, :, 0])
 
     servo = np.isin(cycle["command"], STREAMS) & (cycle["homed"] == 1)
-    p_set, goal = in_R("p_set"), in_R("p_goal")
+    p_set, goal = in_R("set"), in_R("goal")
     both = servo[1:] & servo[:-1]
     speed = np.where(both[:, None], np.abs(np.diff(p_set, axis=0)) / dt[:, None], 0.0)
     depth = np.linalg.norm(p_set, axis=1)

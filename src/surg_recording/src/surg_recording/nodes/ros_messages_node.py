@@ -116,10 +116,17 @@ def _motion(sampled: Sampled, arm: str) -> Iterator[Stamped]:
         p, q = ([pose[name][k] for name in names] for names in (schema.POSE[:3], schema.POSE[3:]))
         yield Stamped(time_ns, f"/{arm}/measured_cp", _pose(time_ns, f"{arm}_base", p, q))
         p_set = [state[f"set_{axis}"][k] for axis in "xyz"]
-        q_set = tip_quaternion(p_set, state["roll_set"][k])
+        q_set = _orientation(state, k, "set_q", p_set, "roll_set")
         yield Stamped(time_ns, f"/{arm}/setpoint_cp", _pose(time_ns, f"{arm}_rcm", p_set, q_set))
         jaw = _jaw(time_ns, state["jaw"][k])
         yield Stamped(time_ns, f"/{arm}/jaw/measured_js", jaw)
+
+
+def _orientation(values: dict[str, npt.NDArray[Any]], k: int, q: str, p: Any, roll: str) -> Any:
+    """Of a tool, x, y, z, w: as stated (columns such as ``qx``), or of a straight one at p."""
+    if f"{q}x" in values:
+        return [values[f"{q}{axis}"][k] for axis in "xyzw"]
+    return tip_quaternion(p, values[roll][k])
 
 
 def _forces(sampled: Sampled, arm: str) -> Iterator[Stamped]:
@@ -138,7 +145,7 @@ def _commands(sampled: Sampled, arm: str) -> Iterator[Stamped]:
     action = _columns(sampled, ACTION_KEY, arm)
     for k, time_ns in enumerate(map(int, sampled.grid.next_ns)):
         p = [action[axis][k] for axis in "xyz"]
-        pose = _pose(time_ns, f"{arm}_rcm", p, tip_quaternion(p, action["roll"][k]))
+        pose = _pose(time_ns, f"{arm}_rcm", p, _orientation(action, k, "q", p, "roll"))
         yield Stamped(time_ns, f"/{arm}/servo_cp", pose)
         yield Stamped(time_ns, f"/{arm}/jaw/servo_jp", _jaw(time_ns, action["jaw"][k]))
 

@@ -19,6 +19,7 @@ from surg_core.contract import STATE_NAMES
 from surg_core.transforms import rotate_back
 from surg_recording import metrics
 from surg_recording.episode import integrity, table_file
+from surg_recording.episode.checked.shaft_ends import COLUMNS, shaft_ends
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.table import Table
 from surg_recording.recording_errors import EpisodeError
@@ -91,7 +92,9 @@ def collect(
     tables: dict[str, Table] = {}
     for arm in episode.arms:
         say(f"reading {arm}")
-        table = _read(episode, f"cycle_{arm}", _CYCLE, missing)
+        stated = episode.manifest["tables"].get(f"cycle_{arm}", {}).get("columns", ())
+        wanted = [*_CYCLE, *(name for name in COLUMNS if name in stated)]
+        table = _read(episode, f"cycle_{arm}", wanted, missing)
         if table is not None:
             tables[arm] = table
     videos = _videos(episode, budget, say, missing)
@@ -136,7 +139,7 @@ def _arm(
 ) -> dict[str, Any]:
     """Path and curves of one arm, thinned out."""
     tip, pivot = cycle.vector("p_tip"), cycle.vector("p_rcm")
-    deviation = metrics.rcm_deviation(tip, cycle.vector("s"), pivot)
+    deviation = metrics.rcm_deviation(shaft_ends(cycle), cycle.vector("s"), pivot)
     in_rcm = rotate_back(cycle.vector("q_br", "xyzw"), tip - pivot)
     in_rcm[cycle["homed"] == 0] = np.nan  # there is no rcm frame before
     depth = cycle["depth"]

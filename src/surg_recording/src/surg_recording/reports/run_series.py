@@ -10,6 +10,7 @@ import numpy.typing as npt
 from surg_core.contract import SECOND_NS, STREAMS
 from surg_core.transforms import rotate, virtual_tip
 from surg_recording import metrics
+from surg_recording.episode.checked.shaft_ends import shaft_ends
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.table import Table
 from surg_recording.recording_errors import EpisodeError, NoMotionError
@@ -116,7 +117,7 @@ def load(episode: Episode, arm: str | None = None) -> Run:
         tip=tip,
         s=s,
         p_rcm=p_rcm,
-        rcm_kinematic=metrics.rcm_deviation(tip, s, p_rcm),
+        rcm_kinematic=metrics.rcm_deviation(shaft_ends(cycle), s, p_rcm),
         t_input=t_input,
         input=target,
         input_source=source,

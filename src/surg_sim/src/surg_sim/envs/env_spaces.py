@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
-from surg_core.arm_view import ArmCommands, ArmView, TipPose
-from surg_core.contract import ARM_ACTION, ARM_FORCE, ARM_STATE
+from surg_core.action_space import ActionSpace, absolute_range, commands_of, wrist_of_arm
+from surg_core.arm_view import ArmCommands, ArmView
+from surg_core.contract import ARM_FORCE, STEP, arm_state
 from surg_sim.arrays import Array
 from surg_sim.envs.cell_session import CellSession, Tick
 from surg_sim.tasks.scripted_sender import home_frame
@@ -39,25 +39,26 @@ class EnvSpaces:
             name: np.asarray(arm.X_WB)[:3, :3].T @ home_frame(arm)[:3, :3]
             for name, arm in session.cell.arms.items()
         }
-        self.state_names = [f"{arm}/{name}" for arm in session.world.arms for name in ARM_STATE]
+        wrists = {arm: wrist_of_arm(session.cell.arms[arm]) for arm in session.world.arms}
+        self.state_names = [
+            f"{arm}/{name}"
+            for arm, wrist in wrists.items()
+            for name in arm_state(wrist is not None)[0]
+        ]
         """Names of the numbers in ``state``, such as ``PSM1/tip_x``."""
         if session.task.assistant is not None:
             self.state_names += [f"assistant/{name}" for name in ASSISTANT_STATE]
         self.force_names = [f"{arm}/{name}" for arm in self.arms for name in ARM_FORCE]
         """Names of the numbers in ``force``, such as ``PSM1/tip_x``."""
-        self.action_names = [f"{arm}/{name}" for arm in self.arms for name in ARM_ACTION]
+        space = ActionSpace(wrists=tuple(wrists[arm] for arm in self.arms))
+        self.action_names = list(space.columns(self.arms))
         """Names of the numbers of an action, such as ``PSM1/x``."""
 
     def action(self) -> spaces.Box:
-        """Tip in the rcm frame [m], roll and jaw [rad] of every commanded arm."""
-        low, high = [], []
-        for name in self.arms:
-            arm = self._session.cell.arms[name]
-            far = float(arm.limits.depth_max)
-            wide = far * math.sin(min(float(arm.limits.cone), math.pi / 2))
-            low += [-wide, -wide, 0.0, -math.pi, float(arm.instrument.jaw_min)]
-            high += [wide, wide, far, math.pi, float(arm.instrument.jaw_max)]
-        return spaces.Box(np.array(low), np.array(high), dtype=np.float64)
+        """Absolute actions in the rcm frame of every commanded arm [m, rad]."""
+        ranges = [absolute_range(self._session.cell.arms[name]) for name in self.arms]
+        low, high = (np.concatenate(ends) for ends in zip(*ranges, strict=True))
+        return spaces.Box(low, high, dtype=np.float64)
 
     def observation(self) -> spaces.Dict:
         """``state``, ``privileged`` and, where they are asked for, ``force`` and ``images``."""
@@ -104,7 +105,8 @@ class EnvSpaces:
         """An action as commands by arm, after a tick.
 
         Raises:
-            ValueError: The action has the wrong length or is not finite.
+            ValueError: The action has the wrong length, is not finite, or is a pose that no wrist
+                can have.
         """
         values = np.asarray(action, dtype=np.float64)
         if values.shape != (len(self.action_names),) or not np.isfinite(values).all():
@@ -112,11 +114,17 @@ class EnvSpaces:
                 f"action {values.tolist()}: {len(self.action_names)} finite numbers are needed: "
                 f"{', '.join(self.action_names)}"
             )
+        views = {arm: self._view(arm, tick) for arm in self.arms}
+        wrists = [view.wrist.geometry if view.wrist else None for view in views.values()]
+        space = ActionSpace(wrists=tuple(wrists))
+        held = np.concatenate([view.held_target for view in views.values()])
+        targets = space.split(space.decode(values[None], held, STEP)[0])
         commands = {}
-        for arm, row in zip(self.arms, values.reshape(-1, len(ARM_ACTION)), strict=True):
-            view, p = self._view(arm, tick), row[:3]
+        for (arm, view), wrist, target in zip(views.items(), wrists, targets, strict=True):
+            if not np.isfinite(target).all():
+                raise ValueError(f"action {values.tolist()}: no wrist of {arm} can be there")
             if view.p_BSample is None:
-                p = view.first_step(p, self._session.cell.arms[arm].limits.step_slack)
-            roll, jaw = map(float, row[3:])
-            commands[arm] = ArmCommands(jaw=jaw, servo_cp=TipPose(np.array(p), roll))
+                slack = self._session.cell.arms[arm].limits.step_slack
+                target[:3] = view.first_step(target[:3], slack)
+            commands[arm] = commands_of(wrist, target)
         return commands

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 import surg_core
+from surg_core.arm_view import WristView
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_recording.episode import table_columns
 from surg_sim.envs.cell_session import Tick
@@ -69,12 +70,29 @@ def cycle_of(
         "period_us": 0.0,
         "overruns": 0,
     }
+    known |= wrist_of(out.wrist)
     for field in table_columns.CYCLE:
         if field.source and field.source not in known:
             known[field.source] = getattr(out, OUTPUTS.get(field.source, field.source))
     for name, value in known.items():
         known[name] = value.tolist() if isinstance(value, np.ndarray) else value
     return message_of(tick * TICK_NS, **known)
+
+
+def wrist_of(wrist: surg_core.WristOutputs | None) -> dict[str, Any]:
+    """Members of surg_msgs/Cycle about the wrist."""
+    if wrist is None:
+        return {"wrist": []}
+    view, geometry = WristView.of(wrist), wrist.geometry
+    return {
+        "wrist_geometry": [geometry.pitch_to_yaw, geometry.yaw_to_tip, geometry.turn],
+        "wrist": view.measured,
+        "wrist_set": view.set,
+        "wrist_goal": view.goal,
+        "q_tip": view.q_RTip,
+        "q_set": view.q_RSet,
+        "q_goal": view.q_RGoal,
+    }
 
 
 def truth_of(name: str, truth: ArmTruth) -> SimpleNamespace:

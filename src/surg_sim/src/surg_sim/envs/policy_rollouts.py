@@ -14,7 +14,6 @@ import numpy as np
 
 from surg_core.contract import (
     ARM_FORCE,
-    ARM_STATE,
     FORCE_KEY,
     STATE_KEY,
     TASK_STATE_KEY,
@@ -56,7 +55,7 @@ def names(env: SurgEnv) -> dict[str, list[str]]:
         for key, value in env.session.task.state().items()
         for place in np.ndindex(np.shape(value))
     ]
-    state = [f"{arm}/{name}" for arm in env.arms for name in ARM_STATE]
+    state = [name for name in env.state_names if name.partition("/")[0] in env.arms]
     force = [f"{arm}/{name}" for arm in env.arms for name in ARM_FORCE]
     return {STATE_KEY: state, FORCE_KEY: force, TASK_STATE_KEY: flat}
 

@@ -33,6 +33,7 @@ except ImportError as error:  # pragma: no cover - of an installation of surg_si
 if TYPE_CHECKING:
     from surg_sim.appearance.domain_randomization import DomainRandomization
     from surg_sim.appearance.endoscope_renderer import EndoscopeRenderer
+    from surg_sim.tasks import Task
     from surg_sim.tasks.scripted_sender import Expert
 
 
@@ -47,7 +48,7 @@ class RecordedSession(CellSession):
     def __init__(
         self,
         cell: Path,
-        task: str,
+        task: Task | str,
         setting: str = "phantom",
         seed: int = 0,
         cameras: Sequence[str] = (),

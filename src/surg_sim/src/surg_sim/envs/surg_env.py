@@ -53,11 +53,11 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
     with ``images``; left and right, (height, width, 3), rgb8), ``force`` (only with ``forces``; at
     tip and trocar of every commanded arm, ``contract.ARM_FORCE``, rcm frame), ``privileged`` (the
     task's ground truth, which no policy for a robot may read). Action: where set-point and jaw
-    shall be at the next grid time, ``ACTION`` of every commanded arm. A step that is too large is
-    refused by the controller, as on a robot, and counted in ``info["refused"]``. Reward: the
-    task's. Terminated: success or failure; truncated: time limit. ``info``: ``success``,
-    ``reason``, ``phase``, ``seed``, ``refused``, ``rcm_error`` (largest kinematic deviation of the
-    step, by arm [m]).
+    shall be at the next grid time, the absolute one of ``surg_core.action_space`` for every
+    commanded arm. A step that is too large is refused by the controller, as on a robot, and counted
+    in ``info["refused"]``. Reward: the task's. Terminated: success or failure; truncated: time
+    limit. ``info``: ``success``, ``reason``, ``phase``, ``seed``, ``refused``, ``rcm_error``
+    (largest kinematic deviation of the step, by arm [m]).
 
     Args:
         task: Of ``tasks.names()``, or the path of a task's file.
@@ -257,7 +257,9 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
                 raise RuntimeError(f"the expert has no motion for {arm}: {self._expert.reason}")
             assert out is not None
             jaw = commands.jaw if commands.jaw is not None else float(out.jaw_set)
-            action += [*commands.servo_cp.p, commands.servo_cp.roll, jaw]
+            pose = commands.servo_cp
+            turn = [pose.roll] if out.wrist is None else pose.q
+            action += [*pose.p, *turn, jaw]
         return np.array(action)
 
 

@@ -55,10 +55,9 @@ def engagement(
         return Notice(Reason.ARM_BUSY, f"{settings.arm} is busy")
     try:
         wrist = settings.wrist_of(arm)
-        end = arm.p_set if wrist is None else wrist.of_arm(arm).centre
     except ValueError as error:
         return Notice(Reason.ARM_NOT_READY, f"{settings.arm}: {error}")
-    depth = float(np.linalg.norm(end))
+    depth = float(np.linalg.norm(arm.p_end))
     least = settings.depth_inserted
     if depth < least - RESTS_ON_IT:
         return Notice(

@@ -130,10 +130,16 @@ class TeleopSettings:
     roll_max: float = math.inf  # end of a wristed instrument's roll [rad]
 
     def wrist_of(self, arm: ArmView) -> WristRange | None:
-        """Kinematics of the arm's wrist; None: the instrument is straight."""
+        """Kinematics of the arm's wrist; None: the instrument is straight.
+
+        Raises:
+            ValueError: The arm does not report its wrist.
+        """
         if self.wrist is None:
             return None
-        return WristRange(self.wrist, arm.wrist_turn, self.roll_max)
+        if arm.wrist is None:
+            raise ValueError("the arm does not report its wrist")
+        return WristRange(self.wrist, arm.wrist.geometry, self.roll_max)
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 
-from surg_core import axis_angle_to_matrix, quaternion_xyzw_to_matrix
 from surg_core.arm_view import ArmView, Array, TipPose
 from surg_core.hand.leader_sample import LeaderSample
+from surg_core.transforms import quaternion_xyzw_to_matrix, rotation_of, rotation_vector
 from surg_teleop.follow.target_pose import StepLimits, TargetPose
 from surg_teleop.follow.wristed_tip import WristedTip, WristRange
 from surg_teleop.playback.workspace_fit import Workspace
@@ -50,7 +50,7 @@ class WristedTarget(TargetPose):
             return
         before = self._before or pose
         since, self._stamp, self._before = sample.stamp - self._stamp, sample.stamp, pose
-        move, turn = pose.p_VH - before.p_VH, _rotation_vector(pose.R_VH @ before.R_VH.T)
+        move, turn = pose.p_VH - before.p_VH, rotation_vector(pose.R_VH @ before.R_VH.T)
         self._check_jump(move, float(np.linalg.norm(turn)), since)
         self._move(scale * (R_RV @ move) * moves, (R_RV @ turn) * rolls)
 
@@ -121,16 +121,6 @@ class WristedTarget(TargetPose):
 
     def _angle_to(self, arm: ArmView, turn: Array) -> float:
         """Angle between the arm's tool and the target, turned by a rotation vector (3,) [rad]."""
-        assert arm.q_RSet is not None
-        size = float(np.linalg.norm(turn))
-        R = axis_angle_to_matrix(turn, size) if size > 0.0 else np.eye(3)
-        R_RSet = quaternion_xyzw_to_matrix(arm.q_RSet)
-        return float(np.linalg.norm(_rotation_vector(R @ self._tool() @ R_RSet.T)))
-
-
-def _rotation_vector(R: Array) -> Array:
-    """(3,) [rad] of a rotation (3, 3), which single precision may have rounded."""
-    across = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    sine = float(np.linalg.norm(across))
-    angle = math.atan2(sine, 0.5 * (float(np.trace(R)) - 1.0))
-    return across * (angle / sine) if sine > 0.0 else across
+        assert arm.wrist is not None
+        R_RSet = quaternion_xyzw_to_matrix(arm.wrist.q_RSet)
+        return float(np.linalg.norm(rotation_vector(rotation_of(turn) @ self._tool() @ R_RSet.T)))

@@ -12,16 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surg_core import (
-    WristConfig,
-    WristGeometry,
-    axis_angle_to_matrix,
-    quaternion_xyzw_to_matrix,
-    tip_of_wrist,
-    wrists_of_tip,
-)
+from surg_core import WristConfig, WristGeometry
 from surg_core.arm_view import ArmView, Array, TipPose
-from surg_core.transforms import minimal_rotation, tip_quaternion, twist_angle
+from surg_core.transforms import rotation_of
+from surg_core.wrist_joints import joints_of_tip, tip_of_joints
 from surg_teleop.playback.workspace_fit import Workspace
 
 JOINTS = ("roll", "wrist pitch", "wrist yaw")
@@ -51,27 +45,17 @@ class WristedTip:
 class WristRange:
     """Kinematics and ends of one arm's wristed instrument."""
 
-    def __init__(self, config: WristConfig, turn: float, roll_max: float) -> None:
-        """``turn``: of the pitch axis about the shaft; ``roll_max``: end of the roll [rad]."""
-        lengths = config.geometry
-        self._geometry = WristGeometry(lengths.pitch_to_yaw, lengths.yaw_to_tip, turn)
+    def __init__(self, config: WristConfig, geometry: WristGeometry, roll_max: float) -> None:
+        """``geometry``: with its turn; ``roll_max``: end of the roll [rad]."""
+        self._geometry = geometry
         self._low = np.array([-roll_max, *config.min]) + END
         self._high = np.array([roll_max, *config.max]) - END
 
     def of_arm(self, arm: ArmView) -> WristedTip:
-        """The set-point of an arm; joints that came to rest beyond an end count as at the end.
-
-        Raises:
-            ValueError: The arm does not report its orientation, or it is singular.
-        """
-        if arm.q_RSet is None:
-            raise ValueError("the arm does not report the orientation of its tip (q_set)")
-        X_RTip = np.eye(4)
-        X_RTip[:3, :3], X_RTip[:3, 3] = quaternion_xyzw_to_matrix(arm.q_RSet), arm.p_set
-        found = self._joints(X_RTip, arm.roll_set)
-        if found is None:
-            raise ValueError("the wrist's yaw axis points to the trocar: straighten the wrist")
-        return WristedTip(found.centre, np.clip(found.turns, self._low, self._high))
+        """The set-point of an arm; joints that came to rest beyond an end count as at the end."""
+        assert arm.wrist is not None
+        turns = np.array([arm.roll_set, *arm.wrist.set])
+        return WristedTip(arm.p_end, np.clip(turns, self._low, self._high))
 
     def pose(self, joints: WristedTip) -> TipPose:
         """The tip of these joints."""
@@ -89,19 +73,23 @@ class WristRange:
         """
         whole, length = float(np.linalg.norm(turn)), float(np.linalg.norm(step))
         pieces = max(1, math.ceil(whole / FINE), math.ceil(length / FINE_STEP))
-        angle = whole / pieces
-        R = axis_angle_to_matrix(turn, angle) if angle > 0.0 else np.eye(3)
+        R = rotation_of(turn / pieces)
         wall = ""
         for _ in range(pieces):
             X_RTip = self._tip(joints)
             X_RTip[:3, :3] = R @ X_RTip[:3, :3]
             X_RTip[:3, 3] += step / pieces
-            joints, wall = self._nearest(X_RTip, joints, workspace.from_here(joints.centre))
+            joints, wall = self.nearest(X_RTip, joints, workspace.from_here(joints.centre))
         return joints, wall
 
-    def _nearest(
+    def nearest(
         self, X_RTip: Array, near: WristedTip, workspace: Workspace
     ) -> tuple[WristedTip, str]:
+        """The joints of a tip (4, 4), or the nearest that there are, and what limits them.
+
+        The tip keeps its place where only turning joints are at an end. ``near`` is where they come
+        from; ``X_RTip`` is changed.
+        """
         wall, held = "", near
         for _ in range(SLIDES):
             found = self._joints(X_RTip, float(near.turns[0]))
@@ -121,18 +109,8 @@ class WristRange:
 
     def _joints(self, X_RTip: Array, near_roll: float) -> WristedTip | None:
         """The joints of a tip; of equal rolls the one nearest to ``near_roll`` [rad]."""
-        found = wrists_of_tip(self._geometry, X_RTip)
-        if not found:
-            return None
-        X_RCentre, wrist = found[0]
-        centre = X_RCentre[:3, 3]
-        swing = minimal_rotation([0.0, 0.0, 1.0], centre / np.linalg.norm(centre))
-        roll = float(twist_angle(swing.T @ X_RCentre[:3, :3])[0])
-        roll = near_roll + math.remainder(roll - near_roll, math.tau)
-        return WristedTip(centre, np.array([roll, *wrist]))
+        found = joints_of_tip(self._geometry, X_RTip, near_roll)
+        return None if found is None else WristedTip(found[:3], found[3:])
 
     def _tip(self, joints: WristedTip) -> Array:
-        X_RCentre = np.eye(4)
-        q = tip_quaternion(joints.centre, float(joints.turns[0]))
-        X_RCentre[:3, :3], X_RCentre[:3, 3] = quaternion_xyzw_to_matrix(q), joints.centre
-        return np.array(tip_of_wrist(self._geometry, X_RCentre, joints.turns[1:]))
+        return tip_of_joints(self._geometry, np.array([*joints.centre, *joints.turns]))

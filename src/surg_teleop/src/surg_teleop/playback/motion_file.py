@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
 
 from surg_core.reading.text_table import read_table
 from surg_core.transforms import twist_angle
@@ -64,6 +65,8 @@ class Motion:
         gripper: (n,) gripper opening [rad] or None.
         lines: (n,) line of each sample in the file, for messages.
         ignored: Unused columns of the file.
+        turns: (n, 3, 3) rotation from the mean of all samples, in the axes of ``p``; None: the file
+            has none. Only a wristed instrument follows it.
     """
 
     file: str
@@ -73,6 +76,7 @@ class Motion:
     gripper: Array | None
     lines: NDArray[np.int64]
     ignored: tuple[str, ...] = ()
+    turns: Array | None = None
 
     @property
     def duration(self) -> float:
@@ -97,6 +101,7 @@ class Motion:
             roll=self.roll[:n],
             gripper=gripper,
             lines=self.lines[:n],
+            turns=None if self.turns is None else self.turns[:n],
         )
 
     def spline(self) -> CubicSpline:
@@ -122,11 +127,14 @@ def read_motion(path: Path) -> Motion:
     t, p = rows[:, column["t_s"]], rows[:, [column[name] for name in REQUIRED[1:]]]
     _check_time(path, t, lines)
     _check_jumps(path, t, p, lines)
+    turns = None
     if "roll_rad" in column:
         roll = np.unwrap(rows[:, column["roll_rad"]])
     elif "r11" in column:
         rotations = rows[:, [column[name] for name in ROTATION]].reshape(-1, 3, 3)
         roll = _handle_roll(path, rotations, lines)
+        turned = Rotation.from_matrix(rotations)
+        turns = (turned * turned.mean().inv()).as_matrix()
     else:
         roll = np.zeros(len(t))
     _check_roll_jumps(path, t, roll, lines)
@@ -138,6 +146,7 @@ def read_motion(path: Path) -> Motion:
         gripper=rows[:, column["gripper_rad"]] if "gripper_rad" in column else None,
         lines=np.array(lines, dtype=np.int64),
         ignored=tuple(name for name in header if name not in KNOWN),
+        turns=turns,
     )
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, Slerp
 
 from surg_teleop.follow.hand_mapping import Mapping
 from surg_teleop.playback.motion_file import Motion, MotionError
@@ -59,6 +60,7 @@ class MotionPlan:
     """
 
     motion: Motion
+    workspace: Workspace
     mapping: Mapping
     run_in: float
     played: float
@@ -71,6 +73,7 @@ class MotionPlan:
     _gripper_closed: float
     _knots: list[float]
     _pieces: list[Array]
+    _turns: Slerp | None
 
     @property
     def duration(self) -> float:
@@ -98,6 +101,20 @@ class MotionPlan:
                 piece = min(bisect.bisect_right(self._knots, local), len(self._knots) - 1) - 1
                 state = horner(self._pieces[piece], local - self._knots[piece])
         return self.mapping.position(state[:3]), self.mapping.roll(float(state[3]))
+
+    def turn(self, t: float) -> Array | None:
+        """Rotation (3, 3) of the tool at a time [s], in the rcm frame; None: the file has none.
+
+        Run-in and run-out do not turn.
+        """
+        if self._turns is None:
+            return None
+        phase = (
+            self._phase_at(t)
+            if t < self.window[1]
+            else _phase_of(self.motion, self.played, self.back)
+        )
+        return np.asarray(self._turns(phase).as_matrix())
 
     def path(self, t: Array) -> tuple[Array, Array]:
         """The same for times (n,): tips (n, 3) [m] and rolls (n,) [rad]."""
@@ -189,7 +206,7 @@ def make_plan(
             f"{motion.file}: the motion is constant: at scale {scale:g} its box is "
             f"{_mm(extent)} mm; allowed: at least {1e3 * MIN_EXTENT:.0f} mm in one axis"
         )
-    plan = _lay_out(motion, scale, played)
+    plan = _lay_out(motion, workspace, scale, played)
     _check_fit(plan, workspace, scale)
     return plan
 
@@ -201,7 +218,7 @@ def _shortest(motion: Motion, scale: float) -> float:
     return max(1.0, float(np.ceil(10.0 * motion.t[first]) / 10.0))
 
 
-def _lay_out(motion: Motion, scale: float, played: float) -> MotionPlan:
+def _lay_out(motion: Motion, workspace: Workspace, scale: float, played: float) -> MotionPlan:
     spline = motion.spline()
     zero = np.zeros(4)
 
@@ -214,7 +231,7 @@ def _lay_out(motion: Motion, scale: float, played: float) -> MotionPlan:
     if played > motion.duration:
         back = max(RETURN_MIN, distance / RETURN_SPEED, abs(float(last[0][3] - first[0][3])))
     way_back = Quintic.between(last, first, back or RETURN_MIN)
-    phase = math.fmod(played, motion.duration + back) if back else motion.duration
+    phase = _phase_of(motion, played, back)
     if phase <= motion.duration:
         stop = state(phase)
     else:  # the window ends within a return: differentiate its polynomial
@@ -237,6 +254,7 @@ def _lay_out(motion: Motion, scale: float, played: float) -> MotionPlan:
     )
     return MotionPlan(
         motion=motion,
+        workspace=workspace,
         mapping=mapping,
         run_in=run_in,
         played=played,
@@ -249,7 +267,24 @@ def _lay_out(motion: Motion, scale: float, played: float) -> MotionPlan:
         _gripper_closed=0.0 if motion.gripper is None else float(motion.gripper.min()),
         _knots=motion.t.tolist(),
         _pieces=list(spline.c[::-1].transpose(1, 0, 2)),
+        _turns=_turns_of(motion, back),
     )
+
+
+def _phase_of(motion: Motion, played: float, back: float) -> float:
+    """Time within one repetition [s] at which the played window ends."""
+    return math.fmod(played, motion.duration + back) if back else motion.duration
+
+
+def _turns_of(motion: Motion, back: float) -> Slerp | None:
+    """The tool's rotation over one repetition, with the return of a length [s] to its first."""
+    if motion.turns is None:
+        return None
+    knots, turns = motion.t, motion.turns
+    if back > 0.0:
+        knots = np.append(knots, motion.duration + back)
+        turns = np.concatenate([turns, turns[:1]])
+    return Slerp(knots, Rotation.from_matrix(turns))
 
 
 def _check_fit(plan: MotionPlan, workspace: Workspace, scale: float) -> None:

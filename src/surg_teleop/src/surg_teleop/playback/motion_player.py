@@ -12,14 +12,17 @@ for longer than the stream lives, the player rests, goes to the refused pose by 
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from surg_core.arm_view import ArmCommands, ArmState, ArmView, JawRange, TipPose
+from surg_core import WristConfig, make_pose
+from surg_core.arm_view import ArmCommands, ArmState, ArmView, Array, JawRange, TipPose
 from surg_core.bring_up import BringUp
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_teleop.follow.target_pose import StepLimits
+from surg_teleop.follow.wristed_tip import WristedTip, WristRange
 from surg_teleop.playback.motion_plan import MotionPlan
 
 MOVE_TIMEOUT = 15 * SECOND_NS
@@ -42,6 +45,10 @@ BISECTIONS = 20
 """Of the clock's step, where the motion is too fast."""
 RESTARTS = 3
 """Restarts of the stream without progress; then the motion is given up."""
+STUCK = SECOND_NS // 2
+"""[ns] Time for which a motion's clock may stand still before a turn that no wrist can make."""
+HARDLY = 1e-6
+"""[s] A clock that advances by less in a cycle stands still."""
 JAW_EVERY = 5
 """The jaw is commanded every fifth cycle, at 100 Hz."""
 
@@ -76,6 +83,8 @@ class MotionPlayer:
         reason: Why it has failed; empty otherwise.
         started_ns: Stamp of the start of the stream; 0 before.
         refused: Commands that the arm has refused during the stream.
+        wrist: The instrument's wrist, which follows the motion's rotations; None: it is straight.
+        roll_max: End of a wristed instrument's roll [rad].
         steps: Largest steps that the arm's gate accepts; None: the motion keeps its pace.
         first_refusal: Time in the plan [s] and cause of the first refused pose; None: none was.
         slowed_ns: By how much longer than planned the stream has become [ns].
@@ -85,6 +94,8 @@ class MotionPlayer:
     mode: Mode
     jaw: JawRange
     steps: StepLimits | None = None
+    wrist: WristConfig | None = None
+    roll_max: float = math.inf
     stage: PlayerStage = PlayerStage.CONNECT
     reason: str = ""
     started_ns: int = 0
@@ -99,8 +110,12 @@ class MotionPlayer:
     _t: float = field(default=0.0, repr=False)
     _last: ArmView | None = field(default=None, repr=False)
     _refused_since: int = field(default=0, repr=False)
+    _moved_at: int = field(default=0, repr=False)
     _restarts: int = field(default=0, repr=False)
     _restarted_at: float = field(default=-1.0, repr=False)
+    _range: WristRange | None = field(default=None, repr=False)
+    _joints: WristedTip | None = field(default=None, repr=False)
+    _joints_at: float = field(default=-1.0, repr=False)
 
     @property
     def done(self) -> bool:
@@ -173,13 +188,14 @@ class MotionPlayer:
 
     def _move(self, feedback: ArmView, commands: ArmCommands) -> None:
         now = feedback.stamp_ns
-        target, roll = self.plan.at(self._t)
-        away = float(np.linalg.norm(feedback.p_set - target))
+        self._take_wrist(feedback)
+        pose = self._pose(self._t)
+        away = float(np.linalg.norm(feedback.p_set - pose.p))
         if self._restarts and now - self._since < REST:
             pass
         elif self._sent < 0:
             self._sent = now
-            commands.move_cp = TipPose(target, roll)
+            commands.move_cp = pose
         elif now - self._sent < MOVE_MIN or feedback.busy:
             pass
         elif away <= START_TOLERANCE:
@@ -198,7 +214,7 @@ class MotionPlayer:
             if not self.started_ns:
                 self.started_ns = commands.stamp_ns
                 self._refused_before = feedback.refused
-            self._last = None
+            self._last, self._moved_at = None, feedback.stamp_ns
             self.slowed_ns = commands.stamp_ns - self.started_ns - round(self._t * SECOND_NS)
             self._play(feedback, commands)
 
@@ -211,7 +227,17 @@ class MotionPlayer:
                 return
         else:
             self._refused_since = feedback.stamp_ns
+            before = self._t
             self._advance(commands.stamp_ns)
+            if self._t > before + HARDLY:
+                self._moved_at = feedback.stamp_ns
+            elif self._range is not None and feedback.stamp_ns - self._moved_at > STUCK:
+                self._fail(
+                    f"the wrist cannot turn as the motion does at {self._t:.3f} s "
+                    f"({self.plan.place(self._t)}); turn less, or without r11 to r33"
+                )
+                commands.hold = True
+                return
         self.slowed_ns = commands.stamp_ns - self.started_ns - round(self._t * SECOND_NS)
         self._last = feedback
         self._stream(self._t, commands)
@@ -235,12 +261,13 @@ class MotionPlayer:
             return
         since = (stamp_ns - self._last.stamp_ns - TICK_NS) / SECOND_NS
         allowed, roll_allowed = self.steps.allowed(since)
-        p, roll = self.plan.at(self._t)
+        most = np.array([roll_allowed, *[self.steps.allowed_wrist(since)] * 2])
+        p, turns = self._end(self._t)
 
         def fits(t: float) -> bool:
-            p_next, roll_next = self.plan.at(t)
+            p_next, turns_next = self._end(t)
             near = float(np.linalg.norm(p_next - p)) <= allowed
-            return near and abs(roll_next - roll) <= roll_allowed
+            return near and bool((np.abs(turns_next - turns) <= most[: len(turns)]).all())
 
         low, high = self._t, wanted
         if not fits(high):
@@ -278,12 +305,43 @@ class MotionPlayer:
             self._enter(PlayerStage.DONE, feedback)
 
     def _stream(self, t: float, commands: ArmCommands) -> None:
-        p, roll = self.plan.at(t)
         if self.mode is Mode.CARTESIAN:
-            commands.servo_cp = TipPose(p, roll)
+            commands.servo_cp = self._pose(t)
         else:
-            commands.servo_jp = TipPose(p, roll).joints
+            commands.servo_jp = TipPose(*self.plan.at(t)).joints
         opening = self.plan.opening(t)
         if opening is not None and self._ticks % JAW_EVERY == 0:
             commands.jaw = min(self.jaw.min + opening, self.jaw.max)
         self._ticks += 1
+
+    def _take_wrist(self, feedback: ArmView) -> None:
+        """Begin at the arm's joints, if it has a wrist and the motion turns it."""
+        if self.wrist is None or feedback.wrist is None or self.mode is not Mode.CARTESIAN:
+            return
+        if self._range is None and self.plan.turn(0.0) is not None:
+            self._range = WristRange(self.wrist, feedback.wrist.geometry, self.roll_max)
+            self._joints = self._range.of_arm(feedback)
+
+    def _pose(self, t: float) -> TipPose:
+        """The pose at a time in the plan [s]."""
+        if self._range is None:
+            return TipPose(*self.plan.at(t))
+        return self._range.pose(self._reached(t))
+
+    def _end(self, t: float) -> tuple[Array, Array]:
+        """End of the shaft (3,) [m], and roll and joints of a wrist [rad], at a time [s]."""
+        if self._range is None:
+            p, roll = self.plan.at(t)
+            return p, np.array([roll])
+        joints = self._reached(t)
+        return joints.centre, joints.turns
+
+    def _reached(self, t: float) -> WristedTip:
+        """The joints at a time [s]; where the wrist is at an end, the tip keeps its place."""
+        assert self._range is not None and self._joints is not None
+        if t != self._joints_at:
+            X_RTip = make_pose(self.plan.at(t)[0], self.plan.turn(t))
+            workspace = self.plan.workspace.from_here(self._joints.centre)
+            self._joints, _ = self._range.nearest(X_RTip, self._joints, workspace)
+            self._joints_at = t
+        return self._joints

@@ -148,7 +148,9 @@ def load(parameters: dict[str, object]) -> tuple[MotionPlayer, str, bool]:
         plan,
         Mode(given.mode),
         JawRange(instrument.jaw_min, instrument.jaw_max),
-        StepLimits.of(limits),
+        StepLimits.of(limits, instrument.wrist.velocity if instrument.wrist else 0.0),
+        instrument.wrist,
+        limits.roll_max,
     )
     return operator, given.arm, given.lockstep
 

@@ -6,6 +6,7 @@ const METRES_PER_NOTCH = 0.004;
 const RADIANS_PER_PIXEL = 0.008;
 const SMOOTHING_S = 0.05; // of the mouse's steps
 const ROLL_RATE = 1.2; // [rad/s]
+const TILT_RATE = 0.8; // [rad/s] of a wrist
 const GRIP_RATE = 1.5; // [1/s] fully open to closed in two thirds of a second
 const SLOW = 0.25;
 
@@ -18,6 +19,7 @@ const MOTION_KEYS = {
   KeyR: ["z", 1], PageUp: ["z", 1],
   KeyF: ["z", -1], PageDown: ["z", -1],
   KeyQ: ["roll", -1], KeyE: ["roll", 1], Home: ["roll", -1], End: ["roll", 1],
+  Digit7: ["tilt_y", -1], Digit8: ["tilt_x", 1], Digit9: ["tilt_x", -1], Digit0: ["tilt_y", 1],
   KeyK: ["grip", -1], KeyL: ["grip", 1], Delete: ["grip", -1], Insert: ["grip", 1],
 };
 const HELD_KEYS = { Space: "clutch", KeyC: "camera" };
@@ -172,7 +174,7 @@ export class Hand {
 
   /** The wish of the gamepad, after pressing what went down. */
   readGamepad() {
-    const rest = { x: 0, y: 0, z: 0, roll: 0, grip: 0 };
+    const rest = { x: 0, y: 0, z: 0, roll: 0, tilt_x: 0, tilt_y: 0, grip: 0 };
     const read = this.pads?.read() ?? null;
     this.padHeld = read?.held ?? new Set();
     this.padName = read ? read.pad.id.replace(/\s*\(.*$/, "") || "Gamepad" : "";
@@ -181,7 +183,7 @@ export class Hand {
     for (const word of ["enable", "stop", "record"]) if (read.pressed.includes(word)) this.press(word);
     const { grip, ...motion } = read.wish;
     if (Object.values(motion).some(Boolean) && !this.use("rate")) return { ...rest, grip };
-    return read.wish;
+    return { ...rest, ...read.wish };
   }
 
   held(name) {
@@ -209,6 +211,8 @@ export class Hand {
       roll: this.now.roll,
       v,
       roll_rate: rate ? clamp(wish.roll, -1, 1) * ROLL_RATE * slow : 0,
+      tilt_x: rate ? clamp(wish.tilt_x, -1, 1) * TILT_RATE * slow : 0,
+      tilt_y: rate ? clamp(wish.tilt_y, -1, 1) * TILT_RATE * slow : 0,
       grip: this.grip,
       clutch: this.held("clutch"),
       camera: this.held("camera"),

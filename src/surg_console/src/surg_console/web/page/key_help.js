@@ -18,6 +18,7 @@ const KEYS = [
 const MORE_KEYS = [
   [["↑", "↓", "←", "→", "Page up", "Page down"], "for the right hand: in the picture, deeper, back"],
   [["Home", "End"], "for the right hand: roll"],
+  [["7", "8", "9", "0"], "tilt a wrist: left, up, down, right"],
   [["Delete", "Insert"], "for the right hand: close, open the jaw"],
   [["M"], "mouse, or keys and gamepad"],
   [["−", "="], "scale"],

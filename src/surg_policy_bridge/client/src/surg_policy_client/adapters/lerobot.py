@@ -172,9 +172,8 @@ def checked_action(checkpoint: Path, asked: ActionSpec | None) -> ActionSpec | N
             f"{checkpoint} was trained with actions {', '.join(names)} ({info}), asked for are "
             f"{', '.join(asked.names)}"
         )
-    arms = tuple(dict.fromkeys(name.rpartition("/")[0] for name in names))
-    spaces = [ActionSpec.of_space(space, arms) for space in ACTION_SPACES]
-    return next((space for space in spaces if space.names == names), asked)
+    found = ActionSpec.among(names)
+    return found[1] if found is not None and found[1].names == names else asked
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

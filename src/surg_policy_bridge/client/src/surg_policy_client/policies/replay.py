@@ -18,7 +18,7 @@ import numpy as np
 from surg_policy_client.errors import SpecMismatch
 from surg_policy_client.observation import STATE, Observation
 from surg_policy_client.policies.command_line import run
-from surg_policy_client.spec import ACTION_SPACES, CHANGES, ActionSpec, Feature, Spec
+from surg_policy_client.spec import CHANGES, ActionSpec, Feature, Spec
 
 ROWS = 10
 
@@ -102,11 +102,8 @@ def _of_dataset(root: Path, index: int) -> Replay:
 
 def _action(names: list[str]) -> ActionSpec | None:
     """The actions of the space of which the recording has all columns; None: none of them."""
-    arms = tuple(dict.fromkeys(name.rpartition("/")[0] for name in names if "/" in name))
-    for space in ACTION_SPACES:
-        if arms and set(names) >= set((action := ActionSpec.of_space(space, arms)).names):
-            return action if space != "absolute" else None
-    return None
+    found = ActionSpec.among(names)
+    return found[1] if found is not None and found[0] != "absolute" else None
 
 
 def _flat(names: Any) -> list[str]:

@@ -13,17 +13,25 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from surg_core import WristGeometry
+from surg_core.action_space import shaft_joints
 from surg_core.contract import POSITION_STREAMS
 from surg_core.transforms import multiply_quaternions, rotate_back, tip_quaternions
 from surg_recording.datasets.frames.resample import Grid, Stamps, around
+from surg_recording.episode import table_columns
 from surg_recording.episode.checked.checked_reading import TROCAR
 from surg_recording.episode.checked.long_table import LongTable
+from surg_recording.episode.checked.shaft_ends import GEOMETRY, shaft_ends, wrist_of
+from surg_recording.episode.table import Table
 from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
 
 POSE_COMMANDS = (1, 2, 5, 6, 9, 10, 11, 12)
 """Values of surg_msgs/Cycle.command whose goal is ``p_goal``; otherwise the set-point counts."""
+
+SAME_WRIST = 1e-6
+"""[m, rad] The wrist's lengths and turn do not differ by more during an episode."""
 
 _VECTORS = [f"{name}_{axis}" for name in ("p_tip", "s", "p_set", "p_goal") for axis in "xyz"]
 
@@ -41,15 +49,17 @@ class ArmMotion:
     qd: Array
     """(M, joints) [rad/s]."""
     state: Array
-    """(M, 9) ``contract.ARM_STATE``, rcm frame; without columns if the arm is not commanded."""
+    """(M, S) ``contract.arm_state``, rcm frame; without columns if the arm is not commanded."""
     goal: Array
-    """(M, 5) ``contract.ARM_ACTION``, rcm frame."""
+    """(M, T) targets as in ``surg_core.action_space``, rcm frame."""
     goal_since_ns: Stamps
     """(M,) stamp since which the goal of a row is in force."""
     p_BTip: Array
     q_BTool: Array
     q_BR: Array
     """(M, 4) orientation of the rcm frame in the base, x, y, z, w; without columns as ``state``."""
+    wrist: WristGeometry | None = None
+    """None: the instrument is straight, or the arm is not commanded."""
 
     def q_BR_at(self, times: Stamps) -> Array:
         """(K, 4) orientation of the rcm frame at the last of these rows before each time [ns]."""
@@ -91,6 +101,8 @@ class ArmCycles:
         rows = around(self.stamps, np.concatenate([grid.times_ns, grid.next_ns]))
         joints = [f"{p}{i}" for p in ("q", "qd") for i in range(self.table.joints)]
         columns = [*_VECTORS, *TROCAR, "jaw", "jaw_set"] if self.commanded else []
+        if self.commanded and self.table.wristed:
+            columns += ["depth", *(name for field in table_columns.WRIST for name in field.columns)]
         cycle = self.table.at(self.first + rows, [*joints, *columns])
         motion = ArmMotion(
             name=self.name,
@@ -121,19 +133,70 @@ class ArmCycles:
         streams = np.isin(self.command, POSITION_STREAMS)
         p_go_on = np.where(streams[rows][:, None], goal, p_set)
         roll_go_on = np.where(streams, self._index("roll_goal"), self._index("roll_set"))
+        roll_action, roll_go_on = unwrapped(goals, rows), unwrapped(roll_go_on, rows)
         s_R = rotate_back(q_BR, cycle.vector("s"))
-        return dataclasses.replace(
+        motion = dataclasses.replace(
             motion,
-            state=np.column_stack([tip, roll, cycle["jaw"], p_go_on, unwrapped(roll_go_on, rows)]),
-            goal=np.column_stack([p_action, unwrapped(goals, rows), cycle["jaw_set"]]),
+            state=np.column_stack([tip, roll, cycle["jaw"], p_go_on, roll_go_on]),
+            goal=np.column_stack([p_action, roll_action, cycle["jaw_set"]]),
             goal_since_ns=self.stamps[since],
             p_BTip=p_BTip,
             q_BR=q_BR,
             q_BTool=multiply_quaternions(q_BR, tip_quaternions(s_R, roll)),
         )
+        if not self.table.wristed:
+            return motion
+        return _behind_a_wrist(motion, cycle, s_R, posed[rows], streams[rows])
 
     def _index(self, column: str) -> npt.NDArray[Any]:
         return self.table.index[column][self.first :]
+
+
+def _behind_a_wrist(
+    motion: ArmMotion, cycle: Table, s_R: Array, posed: Array, streams: Array
+) -> ArmMotion:
+    """The same arm with the joints of its wrist and the orientation of its tip.
+
+    Args:
+        motion: As of a straight instrument.
+        cycle: The M rows.
+        s_R: (M, 3) shaft axes.
+        posed: (M,) whether the newest target is a pose.
+        streams: (M,) whether it is a sample of a stream.
+    """
+    wrist, lengths = wrist_of(cycle), np.column_stack([cycle[name] for name in GEOMETRY])
+    if np.ptp(lengths, axis=0).max() > SAME_WRIST:
+        raise EpisodeError(f"{motion.path}: {', '.join(GEOMETRY)} change: homed twice?")
+
+    def chosen(aimed: Array) -> tuple[Array, Array, Array]:
+        """End of the shaft, orientation of the tip, joints of the wrist: goal or set-point."""
+        told = []
+        for of in ("goal", "set"):
+            end = rotate_back(motion.q_BR, shaft_ends(cycle, of) - cycle.vector("p_rcm"))
+            turns = np.column_stack([cycle[f"wrist_{axis}_{of}"] for axis in ("pitch", "yaw")])
+            told.append((end, cycle.vector(f"q_{of}", "xyzw"), turns))
+        end, q, turns = (np.where(aimed[:, None], *pair) for pair in zip(*told, strict=True))
+        return end, q, turns
+
+    roll, jaw = motion.state[:, 3], motion.state[:, 4]
+    p_go_on, roll_go_on = motion.state[:, 5:8], motion.state[:, 8]
+    q_tip = cycle.vector("q_tip", "xyzw")
+    turned = np.column_stack([cycle["wrist_pitch"], cycle["wrist_yaw"]])
+    measured = shaft_joints(cycle["depth"][:, None] * s_R)
+    end_on, q_go_on, turns_on = chosen(streams)
+    end, _, turns = chosen(posed)
+    return dataclasses.replace(
+        motion,
+        wrist=wrist,
+        state=np.column_stack(
+            [
+                *(motion.state[:, :3], q_tip, measured, roll, turned, jaw),
+                *(p_go_on, q_go_on, shaft_joints(end_on), roll_go_on, turns_on),
+            ]
+        ),
+        goal=np.column_stack([end, motion.goal[:, 3], turns, motion.goal[:, 4]]),
+        q_BTool=multiply_quaternions(motion.q_BR, q_tip),
+    )
 
 
 def unwrapped(angles: Array, rows: Stamps) -> Array:

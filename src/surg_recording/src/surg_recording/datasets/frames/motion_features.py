@@ -11,11 +11,10 @@ from surg_core.contract import (
     ACTION_KEY,
     ARM_FORCE,
     ARM_FORCE_UNITS,
-    ARM_STATE,
-    ARM_STATE_UNITS,
     FORCE_KEY,
     FORCE_TIMEOUT_NS,
     STATE_KEY,
+    arm_state,
 )
 from surg_core.force.observed_force import PLACES
 from surg_core.transforms import rotate_back
@@ -31,22 +30,28 @@ from surg_recording.episode.checked.long_table import LongTable
 def observed_motion(made: Columns, commanded: list[ArmMotion], arms: list[ArmMotion]) -> None:
     """Measured values: joints of all arms, tips of those that are commanded and so homed."""
     grid, gap = made.grid, made.gap_ns
-    states, poses = [], []
+    states, poses, state_names, units = [], [], [], []
     for arm in commanded:
         both = np.column_stack([arm.state, arm.p_BTip])
         resampled, _ = linear(arm.stamps, both, grid.times_ns, arm.path, gap)
         quaternion, _ = slerp(arm.stamps, arm.q_BTool, grid.times_ns, arm.path, gap)
+        columns, of_columns = arm_state(arm.wrist is not None)
+        for at in (i for i, name in enumerate(columns) if name.endswith("_qx")):
+            turn = arm.state[:, at : at + 4]
+            resampled[:, at : at + 4] = slerp(arm.stamps, turn, grid.times_ns, arm.path, gap)[0]
         states.append(resampled[:, : arm.state.shape[1]])
         poses.append(np.column_stack([resampled[:, arm.state.shape[1] :], quaternion]))
+        state_names += [f"{arm.name}/{name}" for name in columns]
+        units += of_columns
     names = [arm.name for arm in commanded]
     made.vector(
         STATE_KEY,
         np.hstack(states),
-        arm_names(names, ARM_STATE),
-        ARM_STATE_UNITS * len(names),
+        tuple(state_names),
+        tuple(units),
         "rcm frame of each arm",
         LINEAR,
-        "measured tip, roll and jaw; set-point of tip and roll",
+        "measured tip, roll and jaw (and joints of a wrist); set-point of tip and roll",
     )
     made.vector(
         "observation.cartesian_state",
@@ -142,7 +147,8 @@ def actions(made: Columns, arms: list[ArmMotion]) -> None:
         before.append(arm.goal[previous(arm.stamps, grid.times_ns, what)])
         text = f"cycle that accepted the action of {arm.name}"
         made.timing(f"{arm.name}.action", arm.goal_since_ns, row, grid.next_ns, text)
-    names, space = [arm.name for arm in arms], ActionSpace(made.options.action_space)
+    names = [arm.name for arm in arms]
+    space = ActionSpace(made.options.action_space, tuple(arm.wrist for arm in arms))
     made.vector(
         ACTION_KEY,
         space.encode(np.hstack(goals), np.hstack(before), 1.0 / grid.fps),

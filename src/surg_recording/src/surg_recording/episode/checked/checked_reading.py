@@ -186,16 +186,28 @@ TROCAR = (*(f"p_rcm_{axis}" for axis in "xyz"), *(f"q_br_{axis}" for axis in "xy
 """Columns of the cycles that are known once the arm is homed."""
 
 
-def cycle_columns(joints: int) -> tuple[str, ...]:
+WRIST = ("wrist_pitch", "wrist_yaw", *(f"q_tip_{axis}" for axis in "xyzw"))
+"""The same, of an instrument with a wrist."""
+
+
+def cycle_columns(joints: int, wristed: bool) -> tuple[str, ...]:
     """The columns that ``check_cycle`` needs."""
-    return (*MEASURED, *TROCAR, "homed", *(f"{p}{i}" for p in ("q", "qd") for i in range(joints)))
+    wrist = WRIST if wristed else ()
+    return (
+        *MEASURED,
+        *wrist,
+        *TROCAR,
+        "homed",
+        *(f"{p}{i}" for p in ("q", "qd") for i in range(joints)),
+    )
 
 
 def check_cycle(path: Path, cycle: Table) -> None:
     """Raise an EpisodeError unless all measured values of control cycles are possible."""
     joints = table_columns.joint_count(cycle.columns)
     finite(path, cycle, [*MEASURED, *(f"{p}{i}" for p in ("q", "qd") for i in range(joints))])
-    finite(path, cycle.select(cycle["homed"] == 1), TROCAR)
+    wrist = WRIST if WRIST[0] in cycle else ()
+    finite(path, cycle.select(cycle["homed"] == 1), (*TROCAR, *wrist))
 
 
 def finite(path: Path, table: Table, columns: Sequence[str]) -> None:

@@ -37,6 +37,8 @@ class LongTable:
     """The columns of the first pass, every row. Of equal stamps the last row counts."""
     joints: int
     """Number of joints in its columns."""
+    wristed: bool
+    """It has the columns of a wrist."""
     _first: int
     _last: int
     _is_cycle: bool
@@ -55,7 +57,7 @@ class LongTable:
             EpisodeError: A column is missing, or a row of the recording holds an impossible value.
         """
         places = self.index[_ROW][rows] if _ROW in self.index else rows
-        checked = checked_reading.cycle_columns(self.joints) if self._is_cycle else ()
+        checked = checked_reading.cycle_columns(self.joints, self.wristed) if self._is_cycle else ()
         kept: list[Table] = []
         begin = 0
         for block in read_blocks(self.path, wanted={*columns, *checked, "stamp_ns"}, rows=BLOCK):
@@ -88,7 +90,9 @@ def _open(
     numbered = None if segment is None else _ROW
     table = checked_reading.checked_table(recorded, name, segment, columns, numbered)
     path = recorded.folder / f"{name}.csv"
-    joints = table_columns.joint_count(next(read_blocks(path, rows=1)).columns)
+    columns_of_file = next(read_blocks(path, rows=1)).columns
+    joints = table_columns.joint_count(columns_of_file)
+    wristed = checked_reading.WRIST[0] in columns_of_file
     first, last = 0, len(table) - 1
     if numbered is not None:
         first, last = int(table[_ROW][0]), int(table[_ROW][-1])
@@ -97,4 +101,4 @@ def _open(
     if not later.all():
         index = index if numbered else index.with_column(_ROW, np.arange(len(table)))
         index = index.select(np.flatnonzero(later))
-    return LongTable(path, index, joints, first, last, name.startswith("cycle_"))
+    return LongTable(path, index, joints, wristed, first, last, name.startswith("cycle_"))
