@@ -66,6 +66,5 @@ class SurgEnvConfig(EnvConfig):
 
 
 for _name in names():
-    _fields = [("task", str, _name)]
-    _kind = make_dataclass(f"Surg_{_name}", _fields, bases=(SurgEnvConfig,), module=__name__)
+    _kind = make_dataclass(f"Surg_{_name}", [("task", str, _name)], bases=(SurgEnvConfig,))
     EnvConfig.register_subclass(f"surg_{_name}")(_kind)

@@ -55,8 +55,7 @@ class AgentEnv(gymnasium.Wrapper[dict[str, Any], Array, dict[str, Any], Array]):
         steps: int | None = None,
         space: str = ABSOLUTE,
     ) -> None:
-        drawn = {"width": width, "height": height, "render_mode": "rgb_array"}
-        self._surg = SurgEnv(task, setting=setting, images=images, **drawn)
+        self._surg = SurgEnv(task, None, setting, images, width, height, "rgb_array")
         super().__init__(self._surg)
         played = self._surg.session.task
         self.task = task

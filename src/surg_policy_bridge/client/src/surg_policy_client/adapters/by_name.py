@@ -54,7 +54,7 @@ class ArmByName:
         self._numbers = [name + NUMBER for name in state.names]
         self.observation_features: dict[str, Any] = dict.fromkeys(self._numbers, float)
         self.observation_features.update(self.pictures)
-        self.action_features = {name + NUMBER: float for name in action.names}
+        self.action_features: dict[str, type] = {name + NUMBER: float for name in action.names}
         self.refused: list[dict[str, Any]] = []
         self._newest: Observation | None = None
         self._ack: Any = None
