@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from helpers.policy import pythons
 from helpers.tree import oracle_venv
 from surg_cli.host import paths
 
@@ -24,6 +25,13 @@ PLAIN = (
 )
 ROBOMIMIC = "robomimic==0.3.0"
 DATASETS = {"0.3.3": "datasets==3.6.0", "0.4.4": "datasets>=4,<5"}
+NEWER = {
+    "0.6.1": (
+        "lerobot[core_scripts,training,evaluation]==0.6.1",
+        *("mujoco>=4.0,<4.1", "matplotlib", "pyyaml", "pyzmq", "msgpack"),
+    )
+}
+"""Versions that need a newer Python, with all that they ask for and our plug-ins need."""
 # What lerobot's policies and its training import and reading its datasets does not need.
 POLICIES = (
     *("pyzmq", "msgpack", "diffusers", "importlib_metadata", "zipp", "regex", "pyserial"),
@@ -40,6 +48,11 @@ def python(version: str) -> Path:
     A torch for the processor alone is needed: its wheel (``torch==2.13.0+cpu``) must be in reach of
     pip, by its settings or ``PIP_FIND_LINKS``. Skips the test where the environment cannot be made.
     """
+    if version in NEWER:
+        newer = pythons.find("3.13")
+        if newer is None:
+            pytest.skip("missing: Python 3.13; `uv python install 3.13` or pyenv get it")
+        return oracle_venv.python(f"lerobot-{version}", (NEWER[version],), ("torch",), newer)
     installs = (
         (*PLAIN, DATASETS[version]),
         ("--no-deps", *TORCH, "accelerate", f"lerobot=={version}", ROBOMIMIC),

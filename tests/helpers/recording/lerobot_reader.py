@@ -14,18 +14,20 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import pandas
 import torch
 
 # The compiled part of torchvision is of another build than a CPU-only torch. lerobot needs its
 # transforms only, but torchvision does not import unless these operators are known.
-_OPERATORS = torch.library.Library("torchvision", "DEF")
-for _name in ("nms", "qnms"):
-    _OPERATORS.define(f"{_name}(Tensor a, Tensor b, float c) -> Tensor")
+if torch.__version__.endswith("+cpu"):
+    _OPERATORS = torch.library.Library("torchvision", "DEF")
+    for _name in ("nms", "qnms"):
+        _OPERATORS.define(f"{_name}(Tensor a, Tensor b, float c) -> Tensor")
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-from helpers.recording import picture_identity  # noqa: E402
+from helpers.recording import picture_identity
 
 VERSIONS = ("lerobot", "torch", "torchvision", "torchcodec", "datasets", "pyarrow", "numpy")
 
@@ -33,7 +35,11 @@ VERSIONS = ("lerobot", "torch", "torchvision", "torchcodec", "datasets", "pyarro
 def _stage(meta: Any, item: dict[str, Any]) -> str:
     """The stage in words: lerobot's own sub-task, or GR00T's place in the list of tasks."""
     if "subtask_index" in meta.features:
-        return str(item["subtask"])
+        if metadata.version("lerobot") < "0.6":
+            return str(item["subtask"])
+        # It no longer reads the table of sub-tasks, but the places in it.
+        texts = pandas.read_parquet(meta.root / "meta" / "subtasks.parquet")
+        return str(texts.index[int(item["subtask_index"])])
     return str(meta.tasks[int(item["annotation.human.action.subtask_description"])])
 
 

@@ -41,6 +41,7 @@ ALLOWED: dict[str, frozenset[str]] = {
     **dict.fromkeys(
         LEARNING, LIBRARIES - {"surg_ros"} | {"surg_sim", "surg_policy_bridge"}
     ),  # of the bridge: its client
+    "surg_lerobot": frozenset({"surg_core", "surg_sim"}),
 }
 TOOLS = frozenset({"surg_cli"})
 OURS = frozenset(ALLOWED) | TOOLS

@@ -11,13 +11,19 @@ import pytest
 from surg_cli.host import paths
 
 
-def python(name: str, installs: Sequence[Sequence[str]], modules: Sequence[str]) -> Path:
+def python(
+    name: str,
+    installs: Sequence[Sequence[str]],
+    modules: Sequence[str],
+    base: Path = paths.SYSTEM_PYTHON,
+) -> Path:
     """The interpreter of an environment; made when it is missing, else the test is skipped.
 
     Args:
         name: Of the environment, in its folder's name and in the reason of a skip.
         installs: Words for `pip install`, call by call.
         modules: That must be there afterwards.
+        base: The interpreter that it is made of.
     """
     folder = paths.ROOT / f".venv-oracle-{name}"
     interpreter, stamp = folder / "bin" / "python", folder / ".complete"
@@ -25,7 +31,7 @@ def python(name: str, installs: Sequence[Sequence[str]], modules: Sequence[str])
         return interpreter
     pip = [str(interpreter), "-m", "pip", "--disable-pip-version-check", "install", "-q"]
     steps = [
-        [str(paths.SYSTEM_PYTHON), "-m", "venv", str(folder)],
+        [str(base), "-m", "venv", str(folder)],
         *([*pip, *words] for words in installs),
         [str(interpreter), "-c", f"import {', '.join(modules)}"],
     ]

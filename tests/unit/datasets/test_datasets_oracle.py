@@ -1,4 +1,4 @@
-"""The programs that exports are for read them: lerobot 0.3.3 and 0.4.4, robomimic 0.3.0.
+"""The programs that exports are for read them: lerobot 0.3.3, 0.4.4 and 0.6.1, robomimic 0.3.0.
 
 Opt-in: `./surg test --tier oracle`. Each version has an environment of its own, made on first use
 (needs the internet): 1.6 GB each, some minutes. With `--full` what they found is written to
@@ -22,7 +22,7 @@ from surg_recording.datasets import ExportOptions
 
 pytestmark = pytest.mark.oracle
 
-VERSIONS = {"0.3.3": "lerobot_v21", "0.4.4": "lerobot_v30"}
+VERSIONS = {"0.3.3": "lerobot_v21", "0.4.4": "lerobot_v30", "0.6.1": "lerobot_v30"}
 IDENTITIES = [1, 2, 3]
 """Of the recordings, in the order of the dataset."""
 

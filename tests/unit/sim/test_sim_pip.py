@@ -29,7 +29,7 @@ found = [m.name for m in pkgutil.walk_packages(surg_sim.__path__, "surg_sim.")]
 for name in found:
     # Nodes need ROS, environments gymnasium, and what writes recordings surg_recording.
     if ".nodes." in name or name.endswith((
-        "_node", ".surg_env", ".env_spaces", ".policy_rollouts", ".recorded_episode",
+        "_node", ".surg_env", ".agent_env", ".env_spaces", ".policy_rollouts", ".recorded_episode",
         ".episode_messages", ".demonstrations",
     )):
         continue

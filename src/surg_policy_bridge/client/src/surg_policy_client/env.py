@@ -50,6 +50,8 @@ class RemoteEnv:
         try:
             if not self._link.wait_for_welcome(timeout_s):
                 raise self._link.no_server(timeout_s)
+            if (welcome := self._link.next(timeout_s)) is not None and welcome.kind == "WELCOME":
+                self.spec = Spec.from_map(welcome.head["spec"])
         except BaseException:
             self._link.close()
             raise
@@ -89,19 +91,34 @@ class RemoteEnv:
             server began another session or episode before the end of this one. The observation is
             then the last of this one, and `reset` returns the first of the other.
         """
-        if self._last is None or self._over is not None or self._broken_off:
-            raise RuntimeError("there is no episode; call reset() first")
-        self._link.send(as_message(action, self._last))
-        self._acted = self._last.session, self._last.episode
-        before, self._last = self._last, None
+        self.send(action)
+        return self.observe()
+
+    def send(self, action: Any) -> None:
+        """Answer the newest observation, without waiting for the next one."""
+        observation = self._present()
+        self._link.send(as_message(action, observation))
+        self._acted = observation.session, observation.episode
+
+    def observe(self) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Wait for the next observation; returns what `step` does."""
+        before, self._last = self._present(), None
         observation = self._wait(self._timeout)
         if observation is None and self._over is None:
             raise self._timeout_error("sent no observation")
-        if observation is not None and (observation.session, observation.episode) != self._acted:
+        if observation is not None and (
+            (observation.session, observation.episode) != (before.session, before.episode)
+        ):
             self._acted, self._broken_off = None, True  # without actions: `reset` uses it
             return before, 0.0, False, True, {**self._info(), "reason": BROKEN_OFF}
         self._last = observation or before
         return self._last, 0.0, self._over is not None, False, self._info()
+
+    def _present(self) -> Observation:
+        """The newest observation of an episode that is not over."""
+        if self._last is None or self._over is not None or self._broken_off:
+            raise RuntimeError("there is no episode; call reset() first")
+        return self._last
 
     def close(self) -> None:
         """Close the connection."""

@@ -1,0 +1,1 @@
+"""The newest lerobot with our plug-ins, and what its user has besides."""
