@@ -11,14 +11,14 @@ namespace {
 // every size (docs/results/stream.md), and the share of acceleration and jerk that the square-root
 // approach counts on (the rest is left for the moving target: larger shares lock into swings from
 // limit to limit). The gains are lower where ticks are long.
-constexpr double kPositionGain = 45;               // [1/s] position to velocity
-constexpr double kVelocityGain = 200;              // [1/s] velocity to acceleration
-constexpr double kAccelerationGain = 800;          // [1/s] acceleration to jerk
-constexpr double kFastestGain = 0.4;               // of the velocity loop, per tick
-constexpr double kFedForward = 0.75;               // of the target's acceleration
-constexpr double kJerkTime = 0.011;                // [s] of jerk that reaches what is fed forward
+constexpr double kPositionGain = 45;              // [1/s] position to velocity
+constexpr double kVelocityGain = 200;             // [1/s] velocity to acceleration
+constexpr double kAccelerationGain = 800;         // [1/s] acceleration to jerk
+constexpr double kFastestGain = 0.4;              // of the velocity loop, per tick
+constexpr double kFedForward = 0.75;              // of the target's acceleration
+constexpr double kJerkTime = 0.011;               // [s] of jerk that reaches what is fed forward
 constexpr double kStreamAccelerationShare = 0.1;  // of the acceleration limit
-constexpr double kJerkShare = 0.31;                 // of the jerk limit
+constexpr double kJerkShare = 0.31;               // of the jerk limit
 
 // After a late cycle, or where limits have slowed the clock.
 constexpr double kLongestTick = 0.02;  // [s] that the filter follows
