@@ -258,7 +258,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
             assert out is not None
             jaw = commands.jaw if commands.jaw is not None else float(out.jaw_set)
             pose = commands.servo_cp
-            turn = [pose.roll] if out.wrist is None else pose.q
+            turn = np.array([pose.roll]) if out.wrist is None else pose.q
             action += [*pose.p, *turn, jaw]
         return np.array(action)
 

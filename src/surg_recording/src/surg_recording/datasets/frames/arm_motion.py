@@ -26,6 +26,7 @@ from surg_recording.episode.table import Table
 from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
 
 POSE_COMMANDS = (1, 2, 5, 6, 9, 10, 11, 12)
 """Values of surg_msgs/Cycle.command whose goal is ``p_goal``; otherwise the set-point counts."""
@@ -153,7 +154,7 @@ class ArmCycles:
 
 
 def _behind_a_wrist(
-    motion: ArmMotion, cycle: Table, s_R: Array, posed: Array, streams: Array
+    motion: ArmMotion, cycle: Table, s_R: Array, posed: Flags, streams: Flags
 ) -> ArmMotion:
     """The same arm with the joints of its wrist and the orientation of its tip.
 
@@ -168,15 +169,20 @@ def _behind_a_wrist(
     if np.ptp(lengths, axis=0).max() > SAME_WRIST:
         raise EpisodeError(f"{motion.path}: {', '.join(GEOMETRY)} change: homed twice?")
 
-    def chosen(aimed: Array) -> tuple[Array, Array, Array]:
+    def chosen(aimed: Flags) -> tuple[Array, Array, Array]:
         """End of the shaft, orientation of the tip, joints of the wrist: goal or set-point."""
         told = []
         for of in ("goal", "set"):
             end = rotate_back(motion.q_BR, shaft_ends(cycle, of) - cycle.vector("p_rcm"))
             turns = np.column_stack([cycle[f"wrist_{axis}_{of}"] for axis in ("pitch", "yaw")])
             told.append((end, cycle.vector(f"q_{of}", "xyzw"), turns))
-        end, q, turns = (np.where(aimed[:, None], *pair) for pair in zip(*told, strict=True))
-        return end, q, turns
+        (end, q, turns), (end_set, q_set, turns_set) = told
+        rows = aimed[:, None]
+        return (
+            np.where(rows, end, end_set),
+            np.where(rows, q, q_set),
+            np.where(rows, turns, turns_set),
+        )
 
     roll, jaw = motion.state[:, 3], motion.state[:, 4]
     p_go_on, roll_go_on = motion.state[:, 5:8], motion.state[:, 8]

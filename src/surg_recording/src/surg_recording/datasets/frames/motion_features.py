@@ -30,7 +30,9 @@ from surg_recording.episode.checked.long_table import LongTable
 def observed_motion(made: Columns, commanded: list[ArmMotion], arms: list[ArmMotion]) -> None:
     """Measured values: joints of all arms, tips of those that are commanded and so homed."""
     grid, gap = made.grid, made.gap_ns
-    states, poses, state_names, units = [], [], [], []
+    states, poses = [], []
+    state_names: list[str] = []
+    units: list[str] = []
     for arm in commanded:
         both = np.column_stack([arm.state, arm.p_BTip])
         resampled, _ = linear(arm.stamps, both, grid.times_ns, arm.path, gap)
