@@ -94,11 +94,11 @@ def sine_gain(rate: int, hertz: float, share: float) -> float:
 
 def gain_table() -> str:
     """Markdown of the gains by rate, size and frequency."""
-    lines = [f"| rate, acceleration | {' '.join(f'{f:g}' for f in SINES)} Hz |", "|---|---|"]
+    shares = " | ".join(f"{share:.0%}" for share in SHARES)
+    lines = [f"| rate | {shares} |", "|---|---|---|---|"]
     for rate in GAIN_RATES:
-        for share in SHARES:
-            gains = " ".join(f"{sine_gain(rate, f, share):.2f}" for f in SINES)
-            lines.append(f"| {rate} Hz, {share:.0%} | {gains} |")
+        rows = [[f"{sine_gain(rate, f, share):.2f}" for f in SINES] for share in SHARES]
+        lines.append(f"| {rate} Hz | {' | '.join(map(' '.join, rows))} |")
     return "\n".join(lines) + "\n"
 
 

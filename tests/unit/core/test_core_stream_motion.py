@@ -77,7 +77,7 @@ control period. rms at that lag. Path: length below 3 Hz. Gain: for a sine of 20
 SIZES = """
 ## Sines of every size
 
-Gain of the set-point; acceleration: the sine's peak, of the tip's 2 m/s^2.
+Gain of the set-point at 0.5, 1, 2, 3, 5, 7, 9 Hz, by peak acceleration (100%: 2 m/s^2).
 
 """
 
