@@ -10,6 +10,8 @@ from surg_cli.host import paths
 
 PRODUCT = ("src", "tools", "examples", "benchmarks")
 FOLDERS = (*PRODUCT, "tests", "docs", "cells")
+MADE = (".pyc", ".pyi")
+"""Endings of what a build or a run leaves beside the sources."""
 
 
 def tracked() -> list[Path]:
@@ -22,7 +24,7 @@ def tracked() -> list[Path]:
         if files:
             return files
     found = [file for name in FOLDERS for file in (paths.ROOT / name).rglob("*")]
-    return [file for file in found if file.is_file()]
+    return [file for file in found if file.is_file() and file.suffix not in MADE]
 
 
 def product() -> list[Path]:

@@ -202,7 +202,7 @@ def test_a_crtk_leader_drives_both_arms_in_free_run(ros_graph: RosGraph, hand: C
 
     hand.press("camera", True)
     wait(lambda: hand.engaged("ECM"), 10.0, "the endoscope to follow")
-    assert hand.states["PSM1"] != "FOLLOWING"
+    wait(lambda: hand.states["PSM1"] != "FOLLOWING", 1.0, "the instrument to be clutched")
     wait(lambda: hand.rests("PSM1"), 5.0, "the instrument to rest")
     before = np.array(hand.cycles["PSM1"].p_set)
     assert hand.move(ros_graph, "ECM", 1)[1] > 0.9

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -362,7 +363,7 @@ def streamed(b_frames: int) -> list[bytes]:
     """Packets of H.264, as a camera's driver sends them."""
     coder = av.CodecContext.create("libx264", "w")
     coder.width, coder.height, coder.pix_fmt = 64, 48, "yuv420p"
-    coder.time_base = "1/20"
+    coder.time_base = Fraction(1, 20)
     coder.options = {"bf": str(b_frames), "crf": "4", "x264-params": "b-adapt=0:repeat-headers=1"}
     frames = (av.VideoFrame.from_ndarray(number_picture(k), "rgb24") for k in range(30))
     packets = [packet for frame in frames for packet in coder.encode(frame)]
