@@ -87,7 +87,7 @@ class PictureDecoder:
         if self._codec is None:
             self._codec = av.CodecContext.create(codec, "r")
             self._codec.thread_count = 1  # one packet in, one picture out
-            self._codec.flags |= av.codec.context.Flags.LOW_DELAY
+            self._codec.options = {"flags": "+low_delay"}
         frames = self._codec.decode(av.Packet(data))
         if not frames:
             raise ValueError(f"a packet of {codec} without a picture")
