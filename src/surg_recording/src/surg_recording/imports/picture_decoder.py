@@ -38,6 +38,8 @@ _YUV = {
 follow those of one byte."""
 _WIDE = {"rgb16": 3, "bgr16": 3, "16UC3": 3, "rgba16": 4, "bgra16": 4, "16UC4": 4}
 """Encoding → colours of 16 bits; red comes first where the name begins with it."""
+B_PICTURE = 3
+"""FFmpeg's number of a picture that needs a later one."""
 _STREAMS = ("h264", "hevc", "h265")
 _DEPTH_HEAD = struct.Struct("<iff")
 """Of compressed_depth_image_transport: kind, and the two numbers of its inverse depth."""
@@ -91,7 +93,7 @@ class PictureDecoder:
         frames = self._codec.decode(av.Packet(data))
         if not frames:
             raise ValueError(f"a packet of {codec} without a picture")
-        if any(frame.pict_type.name == "B" for frame in frames):
+        if any(int(frame.pict_type) == B_PICTURE for frame in frames):
             raise ValueError(f"{codec} with B-frames, which come late; allowed: without (-bf 0)")
         return image_message(self._colours(frames[-1]), rgb=True)
 
