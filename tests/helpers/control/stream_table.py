@@ -80,16 +80,12 @@ SHARES = (0.25, 0.5, 1.0)
 GAIN_RATES = (30, 60, 100, 500)
 
 
-def size_of(hertz: float, share: float, limits: _core.DofLimits = UR5E) -> float:
-    """Amplitude [m] of a sine with a share of the acceleration, or 0.8 of the velocity."""
-    omega = 2 * np.pi * hertz
-    return min(share * limits.acceleration / omega**2, 0.8 * limits.velocity / omega)
-
-
 @cache
 def sine_gain(rate: int, hertz: float, share: float) -> float:
-    """Gain of the set-point for such a sine."""
-    return gain(hertz, rate, Transport(), UR5E, size=size_of(hertz, share))
+    """Gain of the set-point for a sine with a share of the acceleration, or 0.8 of the velocity."""
+    omega = 2 * np.pi * hertz
+    size = min(share * UR5E.acceleration / omega**2, 0.8 * UR5E.velocity / omega)
+    return gain(hertz, rate, Transport(), UR5E, size=size)
 
 
 def gain_table() -> str:
