@@ -52,7 +52,8 @@ class ScriptedArm:
         )
         self.state, self.homed, self.busy = 0, False, 0
         self.p = np.array([0.0, 0.0, 0.12])
-        self.cycle = rospy.Publisher("/PSM1/cycle", Cycle, queue_size=0)
+        # Latched as the controller's: a publisher of rospy takes a reader up after telling it so.
+        self.cycle = rospy.Publisher("/PSM1/cycle", Cycle, queue_size=0, latch=self.lockstep)
         self.link = rospy.Publisher("/PSM1/robot/measured_js", JointState, queue_size=0)
         self.status = rospy.Publisher("/sim/status", SimStatus, queue_size=0, latch=True)
         self.subscribers = [

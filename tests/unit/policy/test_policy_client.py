@@ -239,6 +239,7 @@ def test_a_client_waits_for_a_server_that_comes_later(tmp_path: Path) -> None:
         client.end()
 
 
+@pytest.mark.timed  # a server that waits a second for a core is a lost one
 @pytest.mark.parametrize("how", ["killed", "silent", "restarted", "forgetful"])
 def test_a_lost_server_is_found_again(how: str, tmp_path: Path) -> None:
     """Whatever ends a session: a new one begins by itself, and the policy starts afresh."""
