@@ -104,10 +104,10 @@ class Player:
         self._J = np.array(columns).reshape(3, 2, 3).mean(axis=1).T
 
     async def go(self, place: np.ndarray, slowly: bool = False) -> None:
-        """Bring the tip to a place of the world [m], key by key."""
+        """Bring the tip to a place of the world [m], key by key, unless the task ends before."""
         began = time.monotonic()
         inverse = np.linalg.inv(self._J)
-        while np.linalg.norm(left := place - self.point("tip")) > THERE:
+        while np.linalg.norm(left := place - self.point("tip")) > THERE and not self.seen["done"]:
             assert time.monotonic() - began < LONGEST_S, (place, self.point("tip"), self.seen)
             await self.enable()
             wanted = inverse @ left
