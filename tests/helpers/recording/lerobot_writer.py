@@ -18,14 +18,24 @@ import numpy as np
 import torch
 
 # As in lerobot_reader: torchvision is of another build than a CPU-only torch.
-_OPERATORS = torch.library.Library("torchvision", "DEF")
-for _name in ("nms", "qnms"):
-    _OPERATORS.define(f"{_name}(Tensor a, Tensor b, float c) -> Tensor")
+if torch.__version__.endswith("+cpu"):
+    _OPERATORS = torch.library.Library("torchvision", "DEF")
+    for _name in ("nms", "qnms"):
+        _OPERATORS.define(f"{_name}(Tensor a, Tensor b, float c) -> Tensor")
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
 
 from helpers.recording.picture_identity import HEIGHT, WIDTH, Identity, draw, shades  # noqa: E402
+
+
+def coded(codec: str) -> dict[str, Any]:
+    """How a version is told of a codec."""
+    if metadata.version("lerobot") < "0.6":
+        return {"vcodec": codec}
+    from lerobot.configs.video import RGBEncoderConfig
+
+    return {"rgb_encoder": RGBEncoderConfig(vcodec=codec)}
 
 
 def write(what: dict[str, Any], root: str, dtype: str) -> dict[str, Any]:
@@ -42,7 +52,7 @@ def write(what: dict[str, Any], root: str, dtype: str) -> dict[str, Any]:
         features,
         root=root,
         use_videos=dtype == "video",
-        vcodec=what["codec"],
+        **coded(what["codec"]),
     )
     for number, tasks in enumerate(what["episodes"]):
         for k, task in enumerate(tasks):

@@ -15,6 +15,7 @@ import rosbag
 from sensor_msgs.msg import CompressedImage, Image, JointState
 from std_msgs.msg import Header
 
+from helpers.recording.foreign_pictures import BAYER, OTHERS, raw
 from helpers.recording.foreign_sources import (
     HZ,
     LATENCY_NS,
@@ -223,63 +224,6 @@ def quartered(height: int = 48, width: int = 64) -> np.ndarray[Any, Any]:
     return image
 
 
-def mosaic(image: np.ndarray[Any, Any], pattern: str) -> np.ndarray[Any, Any]:
-    """What a sensor with this pattern of colour filters sees."""
-    seen = np.zeros(image.shape[:2], np.uint8)
-    for place, colour in enumerate(pattern):
-        row, column = divmod(place, 2)
-        seen[row::2, column::2] = image[row::2, column::2, "rgb".index(colour)]
-    return seen
-
-
-def yuv(image: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Y, U, V by BT.601, limited range."""
-    r, g, b = (image[..., i].astype(float) for i in range(3))
-    y = 16 + (65.481 * r + 128.553 * g + 24.966 * b) / 255
-    u = 128 + (-37.797 * r - 74.203 * g + 112.0 * b) / 255
-    v = 128 + (112.0 * r - 93.786 * g - 18.214 * b) / 255
-    return np.stack([y, u, v], axis=-1).round().astype(np.uint8)
-
-
-def uyvy(image: np.ndarray[Any, Any], order: str) -> bytes:
-    planes, packed = yuv(image), np.zeros((*image.shape[:2], 2), np.uint8)
-    luma, chroma = (1, 0) if order == "uyvy" else (0, 1)
-    packed[..., luma] = planes[..., 0]
-    packed[:, 0::2, chroma], packed[:, 1::2, chroma] = planes[:, 0::2, 1], planes[:, 0::2, 2]
-    return packed.tobytes()
-
-
-def raw(encoding: str) -> Image | CompressedImage:
-    """``quartered`` in an encoding; with ``; png`` as image_transport compresses it."""
-    image, step = quartered(), 64
-    if encoding.endswith("; png"):
-        mosaicked = mosaic(image, encoding[6:10]).astype(
-            np.uint16 if "16" in encoding else np.uint8
-        )
-        content = cv2.imencode(".png", mosaicked * (257 if "16" in encoding else 1))[1].tobytes()
-        return CompressedImage(format=f"{encoding} compressed ", data=content)
-    if encoding.startswith("bayer"):
-        data = mosaic(image, encoding[6:10])
-        wide = encoding.endswith("16")
-        data, step = (data.astype("<u2") * 257, 128) if wide else (data, 64)
-        content = data.tobytes()
-    elif encoding in ("yuv422", "uyvy", "yuyv"):
-        content, step = uyvy(image, "yuyv" if encoding == "yuyv" else "uyvy"), 128
-    elif encoding == "rgb16":
-        content, step = (image.astype("<u2") * 257).tobytes(), 64 * 6
-    elif encoding == "bgr8":
-        content, step = image[..., ::-1].tobytes(), 64 * 3
-    elif encoding == "16UC3":
-        content, step = (image[..., ::-1].astype("<u2") * 257).tobytes(), 64 * 6
-    elif encoding == "nv12":
-        planes = yuv(image)
-        content = planes[..., 0].tobytes() + planes[::2, ::2, 1:].tobytes()
-    else:
-        blank = np.full((48, 64, 1), 255, np.uint8)
-        content, step = np.dstack([image[..., ::-1], blank]).tobytes(), 256
-    return Image(Header(), 48, 64, encoding, 0, step, content)
-
-
 def camera_bag(path: Path, messages: list[Any], topic: str = "/cam/image_raw") -> Path:
     def pictures(bag: rosbag.Bag) -> None:
         for n, message in enumerate(messages):
@@ -290,17 +234,10 @@ def camera_bag(path: Path, messages: list[Any], topic: str = "/cam/image_raw") -
     return write_bag(path, samples(COUNT), further=pictures)
 
 
-BAYER = [f"bayer_{p}{b}" for p in ("rggb", "bggr", "gbrg", "grbg") for b in ("8", "16")]
-
-
-OTHERS = ["bgr8", "yuv422", "uyvy", "yuyv", "nv12", "rgb16", "8UC4", "16UC3"]
-OTHERS += ["bayer_grbg8; png", "bayer_rggb16; png"]
-
-
 @pytest.mark.parametrize("encoding", [*BAYER, *OTHERS])
 def test_every_encoding_arrives_with_its_colours(encoding: str, tmp_path: Path) -> None:
     ledger = Ledger()
-    bag = camera_bag(tmp_path / "a.bag", [raw(encoding) for _ in range(4)])
+    bag = camera_bag(tmp_path / "a.bag", [raw(encoding, quartered()) for _ in range(4)])
     video = episode.read(import_bag(bag, tmp_path / "out", ledger=ledger)).video("cam")
     (shown,) = video_file.grab(video.path, [2])
     for (row, column), colour in zip(
@@ -328,7 +265,9 @@ def test_compressed_depth_keeps_its_numbers(tmp_path: Path) -> None:
 
 
 def test_pictures_that_cannot_be_decoded_refuse_the_import(tmp_path: Path) -> None:
-    messages = [raw("rgb16") for _ in range(3)] + [Image(Header(), 48, 64, "64FC2", 0, 1024, b"")]
+    messages = [raw("rgb16", quartered()) for _ in range(3)] + [
+        Image(Header(), 48, 64, "64FC2", 0, 1024, b"")
+    ]
     bag = camera_bag(tmp_path / "a.bag", messages)
     with pytest.raises(EpisodeError, match=r"cam: 1 of 4 would be lost .*encoding '64FC2'"):
         import_bag(bag, tmp_path / "out")

@@ -24,7 +24,8 @@ from surg_recording.imports.lerobot_set import LeRobotData
 
 pytestmark = pytest.mark.oracle
 
-VERSION = "0.4.4"
+VERSIONS = {"0.4.4": 40, "0.6.1": 20}
+"""Versions of lerobot, and how many sets are drawn of each with ``--full``."""
 TASKS = ("pick the needle", "pass it; wait", "“Knoten” knüpfen")
 SECOND = 1_000_000_000
 
@@ -49,15 +50,16 @@ def draw(seed: int, root: Path) -> dict[str, Any]:
     }
 
 
-def test_sets_of_lerobot_come_back_as_they_were(tmp_path: Path, full: bool) -> None:
+@pytest.mark.parametrize("version", VERSIONS)
+def test_sets_of_lerobot_come_back_as_they_were(version: str, tmp_path: Path, full: bool) -> None:
     """Colours: as near to what lerobot reads from its own set as lerobot's own videos would be.
 
     FFmpeg turns 4:2:0 into r, g, b up to three levels off where lerobot reads it.
     """
-    drawn = [draw(seed, tmp_path) for seed in range(40 if full else 3)]
+    drawn = [draw(seed, tmp_path) for seed in range(VERSIONS[version] if full else 3)]
     (tmp_path / "drawn.json").write_text(json.dumps(drawn))
-    versions, *own = run(VERSION, "lerobot_writer.py", tmp_path / "drawn.json", home=tmp_path)
-    assert versions == {"lerobot": VERSION}
+    versions, *own = run(version, "lerobot_writer.py", tmp_path / "drawn.json", home=tmp_path)
+    assert versions == {"lerobot": version}
     outs = []
     for seed, what in enumerate(drawn):
         data, folders = LeRobotData(Path(what["root"])), []
@@ -72,7 +74,7 @@ def test_sets_of_lerobot_come_back_as_they_were(tmp_path: Path, full: bool) -> N
         options = ExportOptions(executor="serial", splits={"train": 1.0}, fps=what["fps"])
         assert datasets.load("lerobot_v30").write(folders, outs[-1], options).ok
     words = (":".join(map(str, outs)), 10_000, 1)
-    _, *lines = run(VERSION, "lerobot_reader.py", *words, home=tmp_path)
+    _, *lines = run(version, "lerobot_reader.py", *words, home=tmp_path)
     begins = [place for place, line in enumerate(lines) if "episodes" in line]
     pictures = 0
     lost, off = np.array([each["lost"] for each in own]), np.zeros(len(drawn))
@@ -94,5 +96,5 @@ def test_sets_of_lerobot_come_back_as_they_were(tmp_path: Path, full: bool) -> N
         print(f"set {seed}: {kind}: {lost[seed]:.1f} theirs, {off[seed]:.1f} ours")
     found = f"{pictures} pictures, 0 misplaced; rates, instructions, states right; colours"
     found += f" ≤ {off.max():.1f} of 255 off, in lerobot's own videos {lost.max():.1f}"
-    note(f"sets of lerobot {VERSION}: imported, exported, read again", len(drawn), found)
+    note(f"sets of lerobot {version}: imported, exported, read again", len(drawn), found)
     assert (off <= np.maximum(3, lost + 0.1)).all()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +18,7 @@ from std_msgs.msg import Header
 from crtk_msgs.msg import OperatingState
 from helpers.recording import datasets_synthetic
 from helpers.recording.foreign_sources import PERIOD_NS, START_NS, samples, write_bag
+from helpers.recording.ros2_twin import twin
 from surg_recording import datasets, episode
 from surg_recording.datasets import ExportOptions
 from surg_recording.imports.bag_import import import_bag
@@ -53,15 +52,6 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
         each.received_ns += 4 * PERIOD_NS
     messages.sort(key=lambda each: each.received_ns)
     return write_bag(tmp_path_factory.mktemp("ros1") / "knot.bag", messages, further=further)
-
-
-def twin(bag: Path, folder: Path, storage: str, *words: str) -> Path:
-    """The same bag in ROS 2, by the library's own program."""
-    program = Path(sys.executable).with_name("rosbags-convert")
-    stored = ["--dst-storage", storage, *words]
-    argv = [program, "--src", bag, "--dst", folder / bag.stem, *stored]
-    subprocess.run(argv, check=True, capture_output=True)
-    return folder / bag.stem
 
 
 def hashes(folder: Path) -> dict[str, str]:

@@ -34,6 +34,8 @@ DEVIATION = "rcm_deviation"
 """In ``imported.not_measured``: the distance of the shaft from the trocar."""
 SERVO_CP = 1
 """surg_msgs/Cycle.command."""
+QUALITY = "15"
+"""x264's crf of the kept pictures: an export codes them once more, and both losses add up."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,6 +111,7 @@ def write(
         arms=[arm.name for arm in arms],
         cameras=cameras,
         manifest=facts,
+        video_quality=QUALITY,
     )
     try:
         _fill(recording, arms, pictures)
