@@ -218,6 +218,21 @@ def test_a_name_of_two_columns_is_refused(tmp_path: Path) -> None:
     import_episode(LeRobotData(root), 0, tmp_path / "out", stated)
 
 
+@pytest.mark.parametrize("place", ["info", "video_info"])
+def test_depth_maps_are_no_grey_pictures(place: str, tmp_path: Path) -> None:
+    """LeRobot keeps the logarithm of a depth in a video of grey."""
+    root = write_set(tmp_path / "set", [Rows(12, 10)])
+    stated = json.loads((root / "meta/info.json").read_text())
+    key = "is_depth_map" if place == "info" else "video.is_depth_map"
+    stated["features"]["observation.images.cam"][place] = {key: True}
+    (root / "meta/info.json").write_text(json.dumps(stated))
+    with pytest.raises(EpisodeError, match=r"cam: 12 of 12 would be lost .*depth maps, which are"):
+        import_episode(LeRobotData(root), 0, tmp_path / "out", MAP)
+    ledger = Ledger(allowed=1.0)
+    folder = import_episode(LeRobotData(root), 0, tmp_path / "out", MAP, ledger)
+    assert ledger.dropped["cam"] and not episode.read(folder).cameras
+
+
 def test_episodes_that_were_deleted_leave_a_gap_of_numbers(tmp_path: Path) -> None:
     root = write_set(tmp_path / "set", [Rows(12, 10) for _ in range(3)], camera=None)
     lines = (root / "meta/episodes.jsonl").read_text().splitlines()

@@ -50,8 +50,12 @@ def import_episode(
     arms = [
         _series(table, each, times, stated, ledger) for each in columns_of(data, stated.get("arms"))
     ]
-    ledger.check()
     cameras = _cameras(data.cameras)
+    for camera in [name for name, feature in cameras.items() if feature in data.depth_maps]:
+        del cameras[camera]  # since LeRobot 0.6; as a picture their logarithms would be wrong
+        ledger.hold(camera, len(times))
+        ledger.drop(camera, "depth maps, which are not imported", len(times))
+    ledger.check()
     texts = data.instructions(table)
     different = list(dict.fromkeys(texts))
     success = None

@@ -71,6 +71,9 @@ class LeRobotData:
             )
         kinds = {name: feature.get("dtype") for name, feature in self.features.items()}
         self.cameras = [name for name, kind in kinds.items() if kind in ("video", "image")]
+        said = {name: f.get("info") or f.get("video_info") or {} for name, f in self.features.items()}
+        keys = ("is_depth_map", "video.is_depth_map")
+        self.depth_maps = [n for n in self.cameras if any(said[n].get(key) for key in keys)]
         self._tasks = _tasks(root)
 
     def table(self, episode: int) -> Any:
