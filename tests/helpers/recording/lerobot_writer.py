@@ -24,9 +24,9 @@ if torch.__version__.endswith("+cpu"):
         _OPERATORS.define(f"{_name}(Tensor a, Tensor b, float c) -> Tensor")
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-from helpers.recording.picture_identity import HEIGHT, WIDTH, Identity, draw, shades  # noqa: E402
+from helpers.recording.picture_identity import HEIGHT, WIDTH, Identity, draw, shades
 
 
 def coded(codec: str) -> dict[str, Any]:

@@ -71,9 +71,7 @@ class LeRobotData:
             )
         kinds = {name: feature.get("dtype") for name, feature in self.features.items()}
         self.cameras = [name for name, kind in kinds.items() if kind in ("video", "image")]
-        said = {name: f.get("info") or f.get("video_info") or {} for name, f in self.features.items()}
-        keys = ("is_depth_map", "video.is_depth_map")
-        self.depth_maps = [n for n in self.cameras if any(said[n].get(key) for key in keys)]
+        self.depth_maps = [name for name in self.cameras if _is_depth_map(self.features[name])]
         self._tasks = _tasks(root)
 
     def table(self, episode: int) -> Any:
@@ -233,6 +231,11 @@ def _tasks(root: Path) -> dict[int, str]:
             int(row.pop("task_index")): str(next(row[k] for k in (*_TEXTS, *row) if k in row))
             for row in rows
         }
+
+
+def _is_depth_map(feature: Mapping[str, Any]) -> bool:
+    about = feature.get("info") or feature.get("video_info") or {}
+    return bool(about.get("is_depth_map") or about.get("video.is_depth_map"))
 
 
 def names_of(feature: Mapping[str, Any]) -> list[str]:
