@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -38,8 +39,9 @@ def coded(codec: str) -> dict[str, Any]:
     return {"rgb_encoder": RGBEncoderConfig(vcodec=codec)}
 
 
-def write(what: dict[str, Any], root: str, dtype: str) -> dict[str, Any]:
-    """One data set; the colours that lerobot reads from it, by episode, frame and camera."""
+def write(what: dict[str, Any], root: str, dtype: str) -> float:
+    """One data set; returns how long that took [s]."""
+    began = time.monotonic()
     dark, bright = (np.array(colour, np.uint8) for colour in what["colours"])
     state = {"dtype": "float32", "shape": (5,), "names": what["names"]}
     axes = ["height", "width", "channels"]
@@ -66,6 +68,11 @@ def write(what: dict[str, Any], root: str, dtype: str) -> dict[str, Any]:
             made.add_frame({"observation.state": values, "action": values, "task": task, **shown})
         made.save_episode()
     made.finalize()
+    return time.monotonic() - began
+
+
+def seen(what: dict[str, Any], root: str) -> dict[str, Any]:
+    """The colours that lerobot reads from a data set, by episode, frame and camera."""
     read = LeRobotDataset("local/foreign", root=root)
     return {
         f"{int(item['episode_index'])} {int(item['frame_index'])} {place}": (
@@ -78,7 +85,11 @@ def write(what: dict[str, Any], root: str, dtype: str) -> dict[str, Any]:
 
 print(json.dumps({"lerobot": metadata.version("lerobot")}))
 for _what in json.loads(Path(sys.argv[1]).read_text("utf-8")):
-    _seen = write(_what, _what["root"], _what["dtype"])
-    _videos = _seen if _what["dtype"] == "video" else write(_what, _what["root"] + "_too", "video")
+    _root, _video = _what["root"], _what["dtype"] == "video"
+    _seconds = write(_what, _root, _what["dtype"])
+    _seen = _videos = seen(_what, _root)
+    if not _video:
+        write(_what, f"{_root}_too", "video")
+        _videos = seen(_what, f"{_root}_too")
     _lost = max(np.abs(np.array(each) - _what["colours"]).max() for each in _videos.values())
-    print(json.dumps({"shades": _seen, "lost": _lost}))
+    print(json.dumps({"shades": _seen, "lost": _lost, "seconds": _seconds}))
