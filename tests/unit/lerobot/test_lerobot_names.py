@@ -138,6 +138,21 @@ def test_the_end_of_an_episode_is_said_and_no_observation(
         arm.observe()
 
 
+def test_an_episode_in_which_nothing_was_sent_may_begin_again(
+    server: PolicyServer, arm: ArmByName
+) -> None:
+    """As when a policy is enabled again that was late with its first step."""
+    begin(server, arm)
+    server.episode(0, "end", False)
+    for step in (0, 1):
+        threading.Timer(0.2 + 0.2 * step, server.observe, (step, 1)).start()
+    assert arm.observe()["PSM1/set_z.pos"] == 1.0
+    arm.send(HOLD)
+    threading.Timer(0.1, server.episode, (1, "end", False)).start()
+    with pytest.raises(Refused, match="the episode is over"):
+        arm.observe()
+
+
 def test_a_server_without_names_is_no_arm() -> None:
     full = spec()
     bare = {"observation.state": Feature(dtype="f4", shape=(9,))}

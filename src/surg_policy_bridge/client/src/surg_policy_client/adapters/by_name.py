@@ -58,6 +58,7 @@ class ArmByName:
         self.refused: list[dict[str, Any]] = []
         self._newest: Observation | None = None
         self._ack: Any = None
+        self._led = False  # something was sent in this episode
 
     def begin(self) -> None:
         """Wait for an episode: until the policy is enabled.
@@ -66,16 +67,21 @@ class ArmByName:
             NoServer: None begins in time.
         """
         self._newest, info = self.env.reset()
-        self._ack = info["acknowledged"]
+        self._ack, self._led = info["acknowledged"], False
 
     def observe(self) -> dict[str, Any]:
-        """Wait for the next observation.
+        """Wait for the next observation; an episode in which nothing was sent may begin again.
+
+        A program that still prepares itself when it is enabled is late; a person enables it again.
 
         Raises:
             Refused: The episode is over.
             NoServer: None comes; says why.
         """
         self._newest, _, over, broken_off, info = self.env.observe()
+        if (over or broken_off) and not self._led:
+            self.begin()
+            self._newest, _, over, broken_off, info = self.env.observe()
         if over or broken_off:
             raise Refused("over", f"the episode is over: {info['reason'] or 'without a reason'}")
         ack, before = info["acknowledged"], self._ack
@@ -96,6 +102,7 @@ class ArmByName:
                 f"an action with {', '.join(sorted(action)) or 'nothing'}; it must have exactly "
                 f"{', '.join(self.action_features)}"
             )
+        self._led = True
         row = np.array([action[name] for name in self.action_features], np.float64)
         self.env.send(np.stack([row, row]))
 
