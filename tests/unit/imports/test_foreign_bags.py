@@ -199,6 +199,10 @@ def test_bags_that_others_must_mend_first_name_the_cure(tmp_path: Path) -> None:
     active.write_bytes(bytes(data))
     with pytest.raises(EpisodeError, match=r"was not closed.*rosbag reindex"):
         import_bag(active, tmp_path / "out")
+    cut = tmp_path / "cut.bag"
+    cut.write_bytes(bag.read_bytes()[: bag.stat().st_size // 2])
+    with pytest.raises(EpisodeError, match=r"cut off or damaged.*rosbag reindex"):
+        import_bag(cut, tmp_path / "out")
     alone = tmp_path / "ros2/alone.mcap"
     alone.parent.mkdir()
     alone.touch()

@@ -151,7 +151,7 @@ BAGS: list[tuple[Callable[[Path], Path], str]] = [
     (whole, "File too large"),
     (waiting, "is a named pipe"),
     (never_ending, "is a device"),
-    (garbled, "not a bag that can be read; copy or record it again"),
+    (garbled, "cut off or damaged: its index cannot be read"),
     (empty, "holds no bag; looked for metadata.yaml and *.mcap, *.db3 of ROS 2"),
 ]
 

@@ -119,8 +119,12 @@ def _told(path: Path) -> Iterator[None]:
         with telling(path, "not a bag that can be read; copy or record it again"):
             yield
     except EpisodeError as problem:
-        if "not indexed" not in str(problem):
-            raise
-        raise EpisodeError(
-            f"{path}: was not closed, so it has no index; rosbag reindex {path} writes one"
-        ) from None
+        said = str(problem)
+        if "not indexed" in said:
+            said = f"{path}: was not closed, so it has no index; rosbag reindex {path} writes one"
+        elif "index looks damaged" in said:
+            said = (
+                f"{path}: cut off or damaged: its index cannot be read; copy it again, or keep its"
+                f" whole chunks by rosbag reindex {path}"
+            )
+        raise EpisodeError(said) from None
