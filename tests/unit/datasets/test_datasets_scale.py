@@ -153,7 +153,7 @@ def test_a_dask_worker_is_killed_on_the_way(tmp_path: Path, full: bool) -> None:
     """All recordings are converted, and a second run does nothing."""
     import distributed
 
-    count = 200 if full else 8
+    count = 1000 if full else 8
     folders, out = many(tmp_path, count), tmp_path / "set"
     with (
         distributed.LocalCluster(
