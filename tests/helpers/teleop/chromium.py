@@ -17,6 +17,8 @@ from typing import Any
 
 import aiohttp
 
+from surg_cli.graph import processes
+
 PROGRAM = "/usr/bin/chromium"
 START_S = 120.0
 ANSWER_S = 30.0
@@ -156,6 +158,8 @@ class Chromium:
             stderr=asyncio.subprocess.DEVNULL,
             start_new_session=True,
         )
+        # A person's browser has the priority of what else that person started.
+        processes.keep_niceness(self.process.pid)
         self._http = aiohttp.ClientSession()
         try:
             await self._connect()
