@@ -18,7 +18,7 @@ from surg_core._core import State as ArmState
 from surg_core._core import reason_name
 from surg_core.contract import POSITION_STREAMS
 from surg_core.transforms import matrix_to_quaternion_xyzw, tip_quaternion, virtual_joints
-from surg_core.wrist_view import WristView
+from surg_core.wrist_joints import WristView
 
 if TYPE_CHECKING:
     from surg_core._core import Outputs

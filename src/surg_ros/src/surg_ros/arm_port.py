@@ -16,7 +16,7 @@ from crtk_msgs.msg import StringStamped
 from surg_core import WristGeometry, quaternion_xyzw_to_matrix
 from surg_core.arm_view import ArmCommands, ArmState, ArmView, Array, TipPose
 from surg_core.contract import POSITION_STREAMS, SECOND_NS
-from surg_core.wrist_view import WristView
+from surg_core.wrist_joints import WristView
 from surg_msgs.msg import Cycle
 
 KINDS: dict[str, type] = {
