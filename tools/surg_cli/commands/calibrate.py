@@ -179,9 +179,9 @@ def read(source: Path, arm: Any) -> Any:
         CliError: It is another arm's.
         CalibrationError: It cannot be read.
     """
-    from surg_core import calibration
+    from surg_core.reading.calibration_recording import read_recording
 
-    recording = calibration.read_recording(source, arm.chain, arm.robot.joint_names)
+    recording = read_recording(source, arm.chain, arm.robot.joint_names)
     if arm.hardware is not None and recording.serial != arm.hardware.serial:
         found = f"is of {recording.serial!r}" if recording.serial else "has no column 'serial'"
         raise CliError(
