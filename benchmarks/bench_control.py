@@ -37,10 +37,9 @@ import bench_scene
 import control_page
 import libraries
 from machine import processor
-from publish import publish
 
 from surg_cli.host import paths
-from surg_cli.host.terminal import CliError, Progress, say, warn
+from surg_cli.host.terminal import CliError, Progress, say, table, warn
 
 SOURCE = Path(__file__).parent / "control"
 BUILD = paths.BUILD / "bench_control"
@@ -208,10 +207,15 @@ def main() -> None:
     except CliError as problem:
         warn(f"bench: {problem}")
         sys.exit(problem.code)
-    publish(result, control_page, options)
+    for heading, rows in control_page.tables(result):
+        say(f"\n{heading}\n{table(rows)}")
+    if options.json:
+        paths.write_text(options.json, json.dumps(result, indent=1) + "\n")
+        say(f"\nwritten: {options.json}")
     if options.page:
+        control_page.PAGE.write_text(control_page.markdown(result), "utf-8")
         control_page.draw(result, control_page.PICTURE)
-        say(f"written: {control_page.PICTURE}")
+        say(f"written: {control_page.PAGE}, {control_page.PICTURE}")
 
 
 if __name__ == "__main__":

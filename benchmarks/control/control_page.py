@@ -122,6 +122,16 @@ def head(result: dict[str, Any]) -> str:
     )
 
 
+def markdown(result: dict[str, Any]) -> str:
+    """The page; the first row of each table is its head."""
+    lines = [TEXT, head(result)]
+    for heading, rows in tables(result):
+        lines += ["", f"## {heading}", "", f"| {' | '.join(rows[0])} |"]
+        lines.append("|" + "---|" * len(rows[0]))
+        lines += [f"| {' | '.join(row)} |" for row in rows[1:]]
+    return "\n".join(lines) + "\n"
+
+
 def bars(axes: Any, names: list[str], values: list[float]) -> None:
     """One bar per law on a logarithmic axis, ours in colour, each with its figure behind it."""
     axes.barh(names, values, color=[COLOUR if name in OWN else "#b0b7bf" for name in names])

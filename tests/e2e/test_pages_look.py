@@ -69,11 +69,11 @@ async def judge(tab: Tab, page: str, where: str) -> None:
 
 
 async def each_look(tab: Tab, full: bool, check: Callable[[str], Awaitable[None]]) -> None:
-    """Call a check in every size and look; not in a full run, each size in one of the looks."""
-    for number, width in enumerate(SIZES):
-        for look in LOOKS if full else LOOKS[number % 2 :][:1]:
-            await resize(tab, width, look=look)
-            await check(f"{width} px, {look}")
+    """Call a check in every size and look; in a short run, in the narrowest and the widest."""
+    every = [(width, look) for width in SIZES for look in LOOKS]
+    for width, look in every if full else (every[0], every[-1]):
+        await resize(tab, width, look=look)
+        await check(f"{width} px, {look}")
 
 
 @within(400.0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from surg_cli.host import paths
 from surg_core import base_file, camera_file, lens_file, stereo_file
-from surg_core.checked_document import NO_HASH, Evidence, file_sha256
+from surg_core.reading.pose_evidence import NO_HASH, Evidence, file_sha256
 from surg_core.transforms import make_pose
 
 DATE = "2026-11-23"

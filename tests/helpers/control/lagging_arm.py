@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
-from surg_core.arm_view import ArmCommands, ArmState, ArmView, JawRange, WristView
+from surg_core.arm_view import ArmCommands, ArmState, ArmView, JawRange
+from surg_core.wrist_joints import WristView
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.playback.motion_file import read_motion
 from surg_teleop.playback.motion_plan import make_plan

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 import surg_core
 from surg_cli.host import paths
-from surg_core.arm_view import ArmCommands, ArmState, ArmView, TipPose, WristView
+from surg_core.arm_view import ArmCommands, ArmState, ArmView, TipPose
 from surg_core.contract import SECOND_NS, STATE_KEY, STEP_NS
-from surg_core.wrist_joints import joints_of_tip, tip_of_joints
+from surg_core.wrist_joints import WristView, joints_of_tip, tip_of_joints
 from surg_policy_bridge.server import cell_spec
 from surg_policy_bridge.server.model_server import ModelServer, ServerSettings, ServerState
 from surg_policy_bridge.server.observer import Observation

@@ -12,8 +12,9 @@ import numpy as np
 import zmq
 import zmq.auth.thread
 
+from surg_policy_client.action_spec import ActionSpec
 from surg_policy_client.keys import server_keys
-from surg_policy_client.spec import ActionSpec, Feature, Spec
+from surg_policy_client.spec import Feature, Spec
 from surg_policy_client.wire import MAX_PART, Message, WireError, decode, encode, receive
 
 ACTION = ("x", "y", "z", "roll", "jaw")

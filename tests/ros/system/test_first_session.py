@@ -24,7 +24,7 @@ import surg_core
 from helpers.graph import surg
 from surg_cli.graph import master, processes, running
 from surg_cli.host import paths
-from surg_core import calibration
+from surg_core.reading.calibration_recording import read_recording
 
 pytestmark = pytest.mark.ros
 
@@ -275,9 +275,7 @@ def test_the_page_is_done_line_by_line(session: Session) -> None:
     assert collector is not None
     said, _ = collector.communicate(timeout=20)
     assert collector.returncode == 0, said
-    recording = calibration.read_recording(
-        session.folder / "live.csv", after.chain, after.robot.joint_names
-    )
+    recording = read_recording(session.folder / "live.csv", after.chain, after.robot.joint_names)
     shafts = recording.poses["trocar"]
     assert shafts.shape == (3, 4, 4)
     states = surg_core.shaft_states(shafts, before.tool.s_F, before.tool.p_FTip, [0, 0, 0])

@@ -16,7 +16,7 @@ from surg_cli import __main__ as cli
 from surg_cli.commands import calibrate
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
-from surg_core import calibration
+from surg_core.reading import calibration_recording
 from surg_core.standstill import Standstill
 
 DATE = "2026-11-21"
@@ -40,7 +40,7 @@ def recording(path: Path, cell: Path, *, poses: bool = False, tip_mm: float = 1.
     p_FTip = p_FTip + 1e-3 * tip_mm * s_F
     X0 = arm.chain.forward(arm.robot.home)
     fixed = X0[:3, :3] @ p_FTip + X0[:3, 3]
-    columns = calibration.POSE if poses else tuple(arm.robot.joint_names)
+    columns = calibration_recording.POSE if poses else tuple(arm.robot.joint_names)
     lines = ["# a bench in the laboratory", ",".join(["motion", *columns])]
     for motion in ("tip", "roll", "trocar"):
         for k in range(8):

@@ -12,6 +12,7 @@ from helpers.control.miscalibration import run, taught_at_home, tool_of, wrong_t
 from helpers.results.results_page import ResultsPage
 from surg_cli.host import paths
 from surg_core import calibration
+from surg_core.reading.calibration_recording import read_recording
 from surg_sim.physics.calibration_bench import Bench
 from surg_sim.physics.trocar import shaft_in_flange
 
@@ -44,7 +45,7 @@ def test_the_routine_brings_the_true_deviation_below_300_um(
 
         recording_file = tmp_path / f"{seed}.csv"
         Bench(cell, seed).record(recording_file, ("tip", "roll", "trocar"))
-        recording = calibration.read_recording(recording_file, arm.chain, arm.robot.joint_names)
+        recording = read_recording(recording_file, arm.chain, arm.robot.joint_names)
         tool = calibration.solve_tool(recording, "2026-11-21").tool
         trocar = calibration.solve_trocar(recording, tool, "2026-11-21").trocar
         deviation = run(cell, tool, trocar.p_BRcm, seconds)
@@ -75,7 +76,7 @@ def test_the_routine_refuses_a_trocar_recorded_with_a_tool_that_is_far_off(
     arm = cell.arms["PSM1"]
     p_FTip, s_F = shaft_in_flange(arm)
     Bench(cell, 5).record(tmp_path / "r.csv", ("trocar",))
-    recording = calibration.read_recording(tmp_path / "r.csv", arm.chain, arm.robot.joint_names)
+    recording = read_recording(tmp_path / "r.csv", arm.chain, arm.robot.joint_names)
     leaning = s_F + np.array([0.035, 0.0, 0.0])
     wrong = tool_of(leaning / np.linalg.norm(leaning), p_FTip)
     with pytest.raises(surg_core.CalibrationError, match="tool is calibrated wrongly"):

@@ -20,7 +20,7 @@ from surg_core import ClearanceSetup, Motion, MotionCommand, OtherArm, Reason
 from surg_core._core import Document, parse_cell
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
-MOTIONS = 10_000 if FULL else 300
+MOTIONS = 10_000 if FULL else 200
 PARTS = range(10) if FULL else range(2)
 CELLS = ("sim_two_arms", "sim_two_arms_panda")
 MOVING = (Reason.NONE, Reason.UNREACHABLE)

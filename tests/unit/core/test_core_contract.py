@@ -8,7 +8,7 @@ import pytest
 
 from surg_cli.host import paths
 from surg_core import contract
-from surg_policy_client import observation, spec
+from surg_policy_client import action_spec, observation, spec
 
 MESSAGE = paths.ROOT / "src" / "surg_msgs" / "msg" / "Cycle.msg"
 CODE = sorted(
@@ -54,15 +54,15 @@ def test_every_column_has_a_name_and_a_unit() -> None:
 def test_the_policy_client_has_the_same_keys() -> None:
     assert observation.STATE == contract.STATE_KEY
     for spaces, state in (
-        (spec.ACTION_SPACES, contract.ARM_STATE),
-        (spec.WRISTED_ACTION_SPACES, contract.WRISTED_STATE),
+        (action_spec.ACTION_SPACES, contract.ARM_STATE),
+        (action_spec.WRISTED_ACTION_SPACES, contract.WRISTED_STATE),
     ):
         held = {
             name: [form.format(name) for form in observation.HELD] for name in spaces["absolute"]
         }
         assert all(set(columns) & set(state) for columns in held.values())
-    assert spec.ACTION_SPACES == contract.ACTION_SPACES
-    assert spec.WRISTED_ACTION_SPACES == contract.WRISTED_ACTION_SPACES
+    assert action_spec.ACTION_SPACES == contract.ACTION_SPACES
+    assert action_spec.WRISTED_ACTION_SPACES == contract.WRISTED_ACTION_SPACES
     assert contract.IMAGE_PREFIX in spec.HOW
     assert contract.TASK_STATE_KEY.startswith(tuple(spec.HOW))
 

@@ -29,9 +29,15 @@ dask_is_there = pytest.mark.skipif(
 )
 
 
-def many(tmp_path: Path, count: int) -> list[Path]:
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording, which no test changes."""
+    folder = tmp_path_factory.mktemp("recorded") / "r000"
+    return datasets_synthetic.record(folder, 1, 0.4, ("endoscope_left",))
+
+
+def many(first: Path, tmp_path: Path, count: int) -> list[Path]:
     """Recordings that differ in their seed."""
-    first = datasets_synthetic.record(tmp_path / "r000", 1, 0.4, ("endoscope_left",))
     others = [
         datasets_synthetic.copy(first, tmp_path / f"r{i:03d}", seed=100 + i)
         for i in range(1, count)
@@ -51,8 +57,8 @@ def content(out: Path) -> dict[str, str]:
     return {name: entry["sha256"] for name, entry in stated["files"].items()}
 
 
-def test_all_executors_make_the_same_files(tmp_path: Path) -> None:
-    folders, found = many(tmp_path, 3), []
+def test_all_executors_make_the_same_files(first: Path, tmp_path: Path) -> None:
+    folders, found = many(first, tmp_path, 3), []
     for executor in ("serial", "process"):
         out = tmp_path / executor / "set"
         out.parent.mkdir()
@@ -67,8 +73,8 @@ def test_all_executors_make_the_same_files(tmp_path: Path) -> None:
     assert found[0] == found[1]
 
 
-def test_shards_and_merge_give_the_same_dataset(tmp_path: Path) -> None:
-    folders = many(tmp_path, 5)
+def test_shards_and_merge_give_the_same_dataset(first: Path, tmp_path: Path) -> None:
+    folders = many(first, tmp_path, 5)
     whole, out = tmp_path / "whole" / "set", tmp_path / "merged" / "set"
     whole.parent.mkdir()
     out.parent.mkdir()
@@ -86,8 +92,10 @@ def test_shards_and_merge_give_the_same_dataset(tmp_path: Path) -> None:
     assert content(out) == content(whole)
 
 
-def test_work_that_was_cut_off_is_taken_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folders, out = many(tmp_path, 4), tmp_path / "set"
+def test_work_that_was_cut_off_is_taken_up(
+    first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folders, out = many(first, tmp_path, 4), tmp_path / "set"
     right, done = pipeline.convert, []
 
     def interrupted(job: ConversionJob) -> ConversionResult:
@@ -111,8 +119,8 @@ def test_work_that_was_cut_off_is_taken_up(tmp_path: Path, monkeypatch: pytest.M
     assert again.made == 0
 
 
-def test_kept_parts_make_a_larger_export_quick(tmp_path: Path) -> None:
-    folders, out = many(tmp_path, 4), tmp_path / "set"
+def test_kept_parts_make_a_larger_export_quick(first: Path, tmp_path: Path) -> None:
+    folders, out = many(first, tmp_path, 4), tmp_path / "set"
     options = dataclasses.replace(SERIAL, keep_parts=True, replace=True)
     assert export(folders[:3], out, options).made == 3
     report = export(folders, out, options)
@@ -137,8 +145,8 @@ class Deadly(Act):
 '''
 
 
-def test_a_recording_that_kills_its_process_costs_only_itself(tmp_path: Path) -> None:
-    folders = many(tmp_path, 4)
+def test_a_recording_that_kills_its_process_costs_only_itself(first: Path, tmp_path: Path) -> None:
+    folders = many(first, tmp_path, 4)
     file = tmp_path / "deadly.py"
     file.write_text(textwrap.dedent(DEADLY))
     options = ExportOptions(executor="process", workers=2)
@@ -149,12 +157,12 @@ def test_a_recording_that_kills_its_process_costs_only_itself(tmp_path: Path) ->
 
 
 @dask_is_there
-def test_a_dask_worker_is_killed_on_the_way(tmp_path: Path, full: bool) -> None:
+def test_a_dask_worker_is_killed_on_the_way(first: Path, tmp_path: Path, full: bool) -> None:
     """All recordings are converted, and a second run does nothing."""
     import distributed
 
-    count = 1000 if full else 8
-    folders, out = many(tmp_path, count), tmp_path / "set"
+    count = 1000 if full else 4
+    folders, out = many(first, tmp_path, count), tmp_path / "set"
     with (
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs="CRITICAL"
@@ -167,7 +175,7 @@ def test_a_dask_worker_is_killed_on_the_way(tmp_path: Path, full: bool) -> None:
         def kill() -> None:
             deadline = time.monotonic() + 120
             while time.monotonic() < deadline:
-                if len(list(tmp_path.glob("set.parts/*/1/part.json"))) >= count // 8:
+                if len(list(tmp_path.glob("set.parts/*/1/part.json"))) >= max(1, count // 8):
                     os.kill(victim, signal.SIGKILL)
                     killed.set()
                     return
@@ -194,20 +202,20 @@ def test_a_dask_worker_is_killed_on_the_way(tmp_path: Path, full: bool) -> None:
 
 @dask_is_there
 def test_a_scheduler_that_is_not_there_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(job_pool, "CONNECT_S", 1)
     options = ExportOptions(executor="dask", scheduler="tcp://127.0.0.1:1")
     with pytest.raises(ExportError, match="no Dask scheduler answers there"):
-        export(many(tmp_path, 1), tmp_path / "set", options)
+        export(many(first, tmp_path, 1), tmp_path / "set", options)
 
 
 def test_dask_that_is_not_installed_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ExportError, match="python3-distributed"):
-        export(many(tmp_path, 1), tmp_path / "set", ExportOptions(executor="dask"))
+        export(many(first, tmp_path, 1), tmp_path / "set", ExportOptions(executor="dask"))
 
 
 OUTSIDE = '''
@@ -247,9 +255,11 @@ class Table(Exporter):
 '''
 
 
-def test_an_exporter_from_outside_the_tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_exporter_from_outside_the_tree(
+    first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """By path, in other processes too, and by the entry point of an installed package."""
-    folders = many(tmp_path, 2)
+    folders = many(first, tmp_path, 2)
     file = tmp_path / "table_exporter.py"
     file.write_text(OUTSIDE)
     options = ExportOptions(executor="process", workers=1)
@@ -278,8 +288,8 @@ def test_an_exporter_from_outside_the_tree(tmp_path: Path, monkeypatch: pytest.M
         datasets.load(str(file))
 
 
-def test_an_exporter_that_fails_costs_one_recording(tmp_path: Path) -> None:
-    folders = many(tmp_path, 2)
+def test_an_exporter_that_fails_costs_one_recording(first: Path, tmp_path: Path) -> None:
+    folders = many(first, tmp_path, 2)
     file = tmp_path / "weak.py"
     weak = OUTSIDE.replace(
         "rows = zip", "1 / (sampled.candidate.about['seed'] - 101)\n        rows = zip"
@@ -291,9 +301,9 @@ def test_an_exporter_that_fails_costs_one_recording(tmp_path: Path) -> None:
     assert "ZeroDivisionError" in report.refused[str(folders[1])]
 
 
-def test_half_a_part_is_never_seen(tmp_path: Path) -> None:
+def test_half_a_part_is_never_seen(first: Path, tmp_path: Path) -> None:
     """Two processes at the same recording: one wins, both are content."""
-    folder = many(tmp_path, 1)[0]
+    folder = many(first, tmp_path, 1)[0]
     look = datasets.pipeline.inspection.inspect(folder, SERIAL)
     place = tmp_path / "parts"
     place.mkdir()

@@ -238,7 +238,13 @@ def camera_bag(path: Path, messages: list[Any], topic: str = "/cam/image_raw") -
     return write_bag(path, samples(COUNT), further=pictures)
 
 
-@pytest.mark.parametrize("encoding", [*BAYER, *OTHERS])
+QUICK = ("bayer_rggb8", "bayer_grbg16", "bayer_grbg8; png", "bgr8", "yuyv", "nv12", "rgb16", "8UC4")
+ENCODINGS = [
+    pytest.param(each, marks=[] if each in QUICK else pytest.mark.full) for each in BAYER + OTHERS
+]
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
 def test_every_encoding_arrives_with_its_colours(encoding: str, tmp_path: Path) -> None:
     ledger = Ledger()
     bag = camera_bag(tmp_path / "a.bag", [raw(encoding, quartered()) for _ in range(4)])

@@ -130,7 +130,13 @@ def recoded(video: Path, *words: str) -> None:
     subprocess.run(argv, check=True, capture_output=True)
 
 
-@pytest.mark.parametrize("kind", CODED)
+QUICK = ("B-frames, edit list", "AV1", "10 bits", "two cuts")
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(each, marks=[] if each in QUICK else pytest.mark.full) for each in CODED],
+)
 def test_every_row_has_its_picture_from_any_codec(kind: str, tmp_path: Path) -> None:
     root = write_set(tmp_path / "set", [Rows(20, 10), Rows(23, 10)], "v3.0")
     recoded(root / VIDEO / "file-000.mp4", *CODED[kind])

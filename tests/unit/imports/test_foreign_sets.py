@@ -45,9 +45,9 @@ def numbers_of(folder: Path) -> list[int]:
     ("stated", "hz"),
     [
         (29.97, Fraction(2997, 100)),
-        (30000 / 1001, Fraction(30000, 1001)),
+        pytest.param(30000 / 1001, Fraction(30000, 1001), marks=pytest.mark.full),
         (12.5, Fraction(25, 2)),
-        (30, Fraction(30)),
+        pytest.param(30, Fraction(30), marks=pytest.mark.full),
     ],
 )
 def test_rates_are_rational(stated: float, hz: Fraction, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from helpers.results.perception_results import PAGE
 from helpers.sim.board_views import scope_cell
 from helpers.sim.calibrated_chain import BOARD, ORIGIN, Chain
 from surg_core.camera_file import load_camera
-from surg_core.checked_document import file_sha256
+from surg_core.reading.pose_evidence import file_sha256
 from surg_perception.calibration import evidence
 from surg_perception.calibration.bases import SeenBase, solve_base
 from surg_perception.calibration.chain_steps import chain_error, check, measured_camera

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 import surg_core
 from helpers import endoscope_files
 from surg_core.base_file import write_base
-from surg_core.checked_document import file_sha256
 from surg_core.held_endoscope import from_description, held_endoscope, pose_numbers
+from surg_core.reading.pose_evidence import file_sha256
 from surg_sim.physics import endoscope_rig
 from surg_sim.physics.endoscope_projection import EndoscopeView
 from surg_sim.physics.world import World

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from helpers import endoscope_files
 from surg_core import ConfigError, base_file, camera_file, lens_file, stereo_file
 from surg_core._core import Document
-from surg_core.checked_document import NO_HASH, file_sha256
+from surg_core.reading.pose_evidence import NO_HASH, file_sha256
 from surg_perception.calibration import lens_covariance
 
 SEEDS = 400 if os.environ.get("SURG_TEST_FULL") == "1" else 40

@@ -155,37 +155,6 @@ def test_steps_without_a_phase_teach_the_gate_nothing() -> None:
     assert train_cloned.losses(answer, told, torch.full((3,), none))["gate"] == 0.0
 
 
-def test_the_latent_is_the_priors_mean_without_chunks_and_follows_them_with() -> None:
-    network = weights({"method": "act"}).network
-    numbers, told = torch.randn(2, 13), torch.randn(2, 30)
-    z, spread = network.style_of(numbers, None)
-    assert not z.any() and spread is None
-    network.eval()
-    torch.manual_seed(1)
-    z, spread = network.style_of(numbers, told)
-    mean, log = network.meant(
-        network.style(
-            torch.cat(
-                [
-                    torch.zeros(2, 1, 32),
-                    network.numbers(numbers)[:, None],
-                    network.told(told.reshape(2, 6, 5)),
-                ],
-                dim=1,
-            )
-            + network.begin
-        )[:, 0]
-    ).chunk(2, dim=1)
-    torch.manual_seed(1)
-    drawn = torch.distributions.Normal(mean, (0.5 * log).exp()).rsample()
-    torch.testing.assert_close(z, drawn)
-    prior = torch.distributions.Normal(torch.zeros(4), torch.ones(4))
-    wanted = torch.distributions.kl_divergence(
-        torch.distributions.Normal(mean, (0.5 * log).exp()), prior
-    )
-    torch.testing.assert_close(spread, wanted.sum(dim=1).mean())
-
-
 @pytest.mark.parametrize("method", METHODS)
 def test_one_seed_gives_the_same_weights_and_another_others(method: str) -> None:
     found = made.recorded(2)
@@ -293,16 +262,6 @@ def test_a_long_chunk_is_said_again_before_the_server_forgets_it(
 
 
 # --- looks --------------------------------------------------------------------------------------
-
-
-def test_both_eyes_of_an_observation_are_varied_alike() -> None:
-    views = torch.from_numpy(made.recorded(1).views[LEFT][:6]).permute(0, 3, 1, 2)
-    looks = picture_augmentation.Looks(grain=0.0)
-    inside = np.ones((120, 120), bool)
-    made_of = [train_cloned.Looked(torch, 120, looks, inside, 3, "cpu") for _ in range(2)]
-    left, right = (look(views) for look in made_of)
-    torch.testing.assert_close(left, right)
-    assert (left - views).abs().mean() > 5 and left.shape == (6, 3, 120, 120)
 
 
 def test_training_varies_both_eyes_alike_and_each_step_anew(

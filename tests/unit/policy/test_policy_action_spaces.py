@@ -14,9 +14,10 @@ from helpers.policy.policy_bench import ARM, Bench
 from helpers.recording import datasets_synthetic
 from surg_core.contract import ACTION_SPACES, ARM_ACTION, STATE_KEY
 from surg_policy_bridge.server.policy_arm import Target
+from surg_policy_client.action_spec import ActionSpec
 from surg_policy_client.observation import Observation
 from surg_policy_client.policies import replay
-from surg_policy_client.spec import ActionSpec, Spec
+from surg_policy_client.spec import Spec
 from surg_recording import datasets
 from surg_recording.datasets import ExportOptions
 

@@ -90,15 +90,6 @@ def test_points_that_do_not_determine_it_are_refused(
         solve_bases(first(p), second(p))
 
 
-def test_roll_pitch_yaw_come_back() -> None:
-    rng = np.random.default_rng(6)
-    for R in [rotation(rng) for _ in range(100)] + [
-        surg_core.rpy_to_matrix([0.3, sign * np.pi / 2, 0.7]) for sign in (-1, 1)
-    ]:
-        again = surg_core.rpy_to_matrix(surg_core.matrix_to_rpy(R))
-        np.testing.assert_allclose(again, R, atol=1e-9)
-
-
 def recording(path: Path, arm: surg_core.Arm, points: np.ndarray) -> Path:
     """Flange poses whose tips touch the points, each with another orientation."""
     rng = np.random.default_rng(9)

@@ -172,7 +172,6 @@ def test_seeds_of_training_tuning_and_test_have_nothing_in_common() -> None:
     ]
     assert len(set.union(*ranges)) == sum(map(len, ranges))
     assert list(episode_seeds.training_seeds(1)) == [episode_seeds.TRAINING[0]]
-    assert list(episode_seeds.tuning_seeds(1)) == [episode_seeds.TUNING[0]]
     assert list(episode_seeds.test_seeds(2)) == [episode_seeds.TEST[0], episode_seeds.TEST[1]]
     with pytest.raises(ValueError, match="1 to 1000"):
         episode_seeds.test_seeds(1001)

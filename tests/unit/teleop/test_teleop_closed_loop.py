@@ -1,5 +1,6 @@
 """The bundled motion through operator and core controller on every arm, with servo lag."""
 
+import itertools
 import os
 from pathlib import Path
 
@@ -39,8 +40,20 @@ def describe(run: Run) -> str:
     )
 
 
-@pytest.mark.parametrize("mode", list(Mode))
-@pytest.mark.parametrize("name", ["ur5e", "panda", "ur3e", "ur10e", "fr3", "xarm7", "third_arm"])
+ROBOTS = ("ur5e", "panda", "ur3e", "ur10e", "fr3", "xarm7", "third_arm")
+QUICK = (
+    *(("ur5e", mode) for mode in Mode),
+    *(("panda", mode) for mode in Mode),
+    ("third_arm", Mode.CARTESIAN),
+    ("xarm7", Mode.SPHERICAL),
+)
+RUNS = [
+    pytest.param(*each, marks=[] if each in QUICK else pytest.mark.full)
+    for each in itertools.product(ROBOTS, Mode)
+]
+
+
+@pytest.mark.parametrize(("name", "mode"), RUNS)
 def test_bundled_motion_meets_the_limits(name: str, mode: Mode, tmp_path: Path) -> None:
     run = play(cell_of(name, tmp_path), BUNDLED, mode, SECONDS)
     print(f"{name} {mode.value}: {describe(run)}")

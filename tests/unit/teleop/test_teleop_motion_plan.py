@@ -10,12 +10,8 @@ import pytest
 from surg_cli.host import paths
 from surg_teleop.follow.hand_mapping import Mapping
 from surg_teleop.playback.motion_file import Motion, MotionError, read_motion
-from surg_teleop.playback.motion_plan import (
-    CENTRE_DEPTH,
-    ConstantMotionError,
-    MotionPlan,
-    make_plan,
-)
+from surg_teleop.playback.motion_path import MotionPlan
+from surg_teleop.playback.motion_plan import CENTRE_DEPTH, ConstantMotionError, make_plan
 from surg_teleop.playback.workspace_fit import Workspace, box_centre, largest_scale
 
 BUNDLED = paths.ROOT / "src/surg_teleop/motions/bundled.csv"

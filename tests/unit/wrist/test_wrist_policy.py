@@ -13,9 +13,10 @@ from helpers.policy.policy_bench import ARM, WRISTED, Bench
 from helpers.recording import wristed_episode
 from helpers.recording.wristed_episode import Truth
 from surg_core.contract import ACTION_SPACES, WRISTED_ACTION_SPACES, WRISTED_STATE
+from surg_policy_client.action_spec import ActionSpec
 from surg_policy_client.observation import Observation
 from surg_policy_client.policies import replay
-from surg_policy_client.spec import ActionSpec, Spec
+from surg_policy_client.spec import Spec
 from surg_sim.envs.surg_env import SurgEnv
 
 Array = NDArray[np.float64]

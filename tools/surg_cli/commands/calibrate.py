@@ -179,9 +179,9 @@ def read(source: Path, arm: Any) -> Any:
         CliError: It is another arm's.
         CalibrationError: It cannot be read.
     """
-    from surg_core import calibration
+    from surg_core.reading.calibration_recording import read_recording
 
-    recording = calibration.read_recording(source, arm.chain, arm.robot.joint_names)
+    recording = read_recording(source, arm.chain, arm.robot.joint_names)
     if arm.hardware is not None and recording.serial != arm.hardware.serial:
         found = f"is of {recording.serial!r}" if recording.serial else "has no column 'serial'"
         raise CliError(
@@ -252,7 +252,7 @@ def _bases(folder: Path, cell: Any, options: argparse.Namespace) -> None:
 def _write_base(path: Path, cell: Any, fit: Any, when_and_how: tuple[str, str], note: str) -> None:
     """Write a fit against the cell's first arm as a surg_base/1 file."""
     from surg_core import base_calibration, base_file
-    from surg_core.checked_document import NO_HASH, Evidence
+    from surg_core.reading.pose_evidence import NO_HASH, Evidence
 
     first = next(iter(cell.arms.values()))
     stated = cell.config.arms[0]

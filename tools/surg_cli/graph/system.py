@@ -10,6 +10,7 @@ import contextlib
 import json
 import os
 import shlex
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -139,28 +140,19 @@ def gateways(plan: SystemPlan) -> list[Node]:
 
 def force_nodes(plan: SystemPlan) -> list[Node]:
     """Nodes that make forces of the sensors at the flanges; in lock-step the simulator does."""
-    return [
-        Node(
-            f"/{arm}/force",
-            "surg_hardware",
-            "force_node.py",
-            {"cell": str(plan.cell), "arm": arm},
-            prompt=True,
-        )
-        for arm in (() if plan.lockstep else plan.sensed)
-    ]
+    return _for_each(plan, () if plan.lockstep else plan.sensed, "force", prompt=True)
 
 
 def drive_nodes(plan: SystemPlan) -> list[Node]:
     """Nodes that turn the instruments of real and emulated arms."""
+    return _for_each(plan, plan.turned, "drive")
+
+
+def _for_each(plan: SystemPlan, arms: Iterable[str], what: str, prompt: bool = False) -> list[Node]:
+    made = ("surg_hardware", f"{what}_node.py")
     return [
-        Node(
-            f"/{arm}/drive",
-            "surg_hardware",
-            "drive_node.py",
-            {"cell": str(plan.cell), "arm": arm},
-        )
-        for arm in plan.turned
+        Node(f"/{arm}/{what}", *made, {"cell": str(plan.cell), "arm": arm}, prompt=prompt)
+        for arm in arms
     ]
 
 

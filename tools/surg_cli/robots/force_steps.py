@@ -58,11 +58,11 @@ def _solve(
     folder: Path, arm: Any, options: argparse.Namespace, evidence: tuple[str, str], path: Path
 ) -> Any:
     """The new calibration, with its figures printed."""
-    from surg_core.checked_document import file_sha256
     from surg_core.force import force_file, load_solver
     from surg_core.force.compensation import gravity_in_base
     from surg_core.force.force_recording import read_forces
     from surg_core.force.sensor_file import load_sensor
+    from surg_core.reading.pose_evidence import file_sha256
 
     sensor = load_sensor(arm.force_sensor)
     g_B = gravity_in_base(arm.X_WB[:3, :3])

@@ -82,7 +82,6 @@ from surg_core.transforms import (
     inverse_pose as inverse_pose,
     make_pose as make_pose,
     matrix_to_quaternion_xyzw as matrix_to_quaternion_xyzw,
-    matrix_to_rpy as matrix_to_rpy,
     quaternion_xyzw_to_matrix as quaternion_xyzw_to_matrix,
     rpy_to_matrix as rpy_to_matrix,
     tip_quaternion as tip_quaternion,

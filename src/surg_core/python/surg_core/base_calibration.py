@@ -36,7 +36,7 @@ class BasesFit:
         n: Number of points.
         condition: Largest over smallest spread of the points; 1 is best.
         covariance: (6, 6) of X_B1B2 in the first base's axes, rotation first; see
-            ``checked_document.Evidence``.
+            ``pose_evidence.Evidence``.
     """
 
     X_B1B2: FloatArray

@@ -10,13 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from surg_core._core import parse_base, read_document
-from surg_core.checked_document import (
-    Evidence,
-    check_measured_with,
-    evidence_text,
-    pose_text,
-)
 from surg_core.config import PathLike
+from surg_core.reading.pose_evidence import Evidence, check_measured_with, evidence_text, pose_text
 from surg_core.replace_file import exact_numbers, one_line, replace_file, yaml_text
 from surg_core.transforms import FloatArray
 

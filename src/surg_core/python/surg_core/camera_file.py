@@ -12,15 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from surg_core._core import ConfigError, Document, read_document
-from surg_core.checked_document import (
+from surg_core.checked_document import CheckedDocument
+from surg_core.config import PathLike
+from surg_core.reading.pose_evidence import (
     NO_HASH,
-    CheckedDocument,
     Evidence,
     check_measured_with,
     evidence_text,
     pose_text,
 )
-from surg_core.config import PathLike
 from surg_core.replace_file import exact_rows, one_line, replace_file
 from surg_core.transforms import FloatArray
 

@@ -5,15 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from surg_core.checked_document import (
-    CheckedDocument,
-    Evidence,
-    check_measured_with,
-    evidence_text,
-    pose_text,
-)
+from surg_core.checked_document import CheckedDocument
 from surg_core.config import PathLike
 from surg_core.lens_file import DISTORTION_MODELS
+from surg_core.reading.pose_evidence import Evidence, check_measured_with, evidence_text, pose_text
 from surg_core.replace_file import exact_number, exact_numbers, one_line, replace_file
 from surg_core.transforms import FloatArray
 

@@ -46,19 +46,6 @@ def rpy_to_matrix(rpy: npt.ArrayLike) -> FloatArray:
     )
 
 
-def matrix_to_rpy(R: npt.ArrayLike) -> FloatArray:
-    """Inverse of :func:`rpy_to_matrix`: ``(3,)`` [rad], pitch within a quarter turn.
-
-    Args:
-        R: ``(3, 3)`` rotation matrix.
-    """
-    m = np.asarray(R, dtype=np.float64)
-    pitch = math.atan2(-m[2, 0], math.hypot(m[0, 0], m[1, 0]))
-    if math.hypot(m[0, 0], m[1, 0]) < 1e-9:  # roll and yaw turn about one axis: all is yaw
-        return np.array([0.0, pitch, math.atan2(-m[0, 1], m[1, 1])])
-    return np.array([math.atan2(m[2, 1], m[2, 2]), pitch, math.atan2(m[1, 0], m[0, 0])])
-
-
 def axis_angle_to_matrix(axis: npt.ArrayLike, angle: float) -> FloatArray:
     """Rotation by ``angle`` [rad] about ``axis`` ``(3,)``, which need not be a unit vector.
 

@@ -7,13 +7,21 @@ arm's limits hold for these numbers, so whoever interpolates, clips or judges a 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from surg_core._core import WristGeometry, minimal_rotation, tip_of_wrist, wrists_of_tip
+from surg_core._core import (
+    WristGeometry,
+    WristOutputs,
+    minimal_rotation,
+    tip_of_wrist,
+    wrists_of_tip,
+)
 from surg_core.transforms import (
     FloatArray,
     make_pose,
+    matrix_to_quaternion_xyzw,
     rotate,
     tip_quaternion,
     twist_angle,
@@ -50,3 +58,37 @@ def wrist_centres(
     lever = wrist.pitch_to_yaw * np.stack(link, axis=-1)
     lever[:, 2] += wrist.yaw_to_tip
     return np.asarray(p_RTip - rotate(q_RTip, lever))
+
+
+@dataclass(frozen=True)
+class WristView:
+    """The wrist in one cycle, bit for bit as in surg_msgs/Cycle.
+
+    Attributes:
+        geometry: Lengths, and the turn that is known from homing on.
+        measured: (2,) pitch and yaw [rad].
+        set: Their set-point.
+        goal: Those of the newest accepted target.
+        q_RTip: (4,) measured orientation x, y, z, w of the tool frame in the trocar frame.
+        q_RSet: Of the set-point.
+        q_RGoal: Of the newest accepted target.
+    """
+
+    geometry: WristGeometry
+    measured: FloatArray
+    set: FloatArray
+    goal: FloatArray
+    q_RTip: FloatArray
+    q_RSet: FloatArray
+    q_RGoal: FloatArray
+
+    @classmethod
+    def of(cls, out: WristOutputs) -> WristView:
+        """That of a controller in this process."""
+        rotations = (out.R_RTip, out.R_RSet, out.R_RGoal)
+        turns = (np.array(joints) for joints in (out.q, out.set, out.goal))
+        return cls(out.geometry, *turns, *map(matrix_to_quaternion_xyzw, rotations))
+
+    def centre(self, p_RTip: FloatArray, q_RTip: FloatArray, turns: FloatArray) -> FloatArray:
+        """(3,) the wrist's centre in R [m], of a tip with these joints (2,) [rad]."""
+        return wrist_centres(self.geometry, p_RTip[None], q_RTip[None], turns[None, 1])[0]

@@ -14,8 +14,9 @@ from std_msgs.msg import Empty
 
 from crtk_msgs.msg import StringStamped
 from surg_core import WristGeometry, quaternion_xyzw_to_matrix
-from surg_core.arm_view import ArmCommands, ArmState, ArmView, Array, TipPose, WristView
+from surg_core.arm_view import ArmCommands, ArmState, ArmView, Array, TipPose
 from surg_core.contract import POSITION_STREAMS, SECOND_NS
+from surg_core.wrist_joints import WristView
 from surg_msgs.msg import Cycle
 
 KINDS: dict[str, type] = {

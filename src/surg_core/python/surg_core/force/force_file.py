@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from surg_core._core import Document, read_document
-from surg_core.checked_document import SOURCES, CheckedDocument, check_measured_with
+from surg_core.checked_document import CheckedDocument
 from surg_core.config import PathLike
 from surg_core.force.compensation import PARAMETERS, ToolLoad
 from surg_core.force.load_solver import LEAST_POSTURES
 from surg_core.force.sensor_file import FARTHEST
+from surg_core.reading.pose_evidence import SOURCES, check_measured_with
 from surg_core.replace_file import exact_number, exact_numbers, exact_rows, one_line, replace_file
 from surg_core.transforms import matrix_to_quaternion_xyzw
 

@@ -18,7 +18,8 @@ WEIGHTS = "SURG_BGR_WEIGHTS"
 
 def wanted(policy: ChunkPolicy) -> Any:
     """What the server has to serve, as a `surg_policy_client.Spec`; else it refuses the policy."""
-    from surg_policy_client.spec import ActionSpec, Feature, Spec
+    from surg_policy_client.action_spec import ActionSpec
+    from surg_policy_client.spec import Feature, Spec
 
     features = {
         key: Feature(

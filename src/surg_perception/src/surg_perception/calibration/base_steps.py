@@ -10,7 +10,7 @@ import numpy as np
 import surg_core
 from surg_core.base_calibration import in_axes
 from surg_core.base_file import BaseCalibration, write_base
-from surg_core.checked_document import Evidence, file_sha256
+from surg_core.reading.pose_evidence import Evidence, file_sha256
 from surg_core.transforms import FloatArray
 from surg_perception.calibration import evidence
 from surg_perception.calibration.bases import SeenBase, solve_base

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from surg_core import ConfigError
-from surg_core.checked_document import NO_HASH, CheckedDocument, check_measured_with
+from surg_core.checked_document import CheckedDocument
 from surg_core.lens_file import DISTORTION_MODELS
+from surg_core.reading.pose_evidence import NO_HASH, check_measured_with
 from surg_core.replace_file import exact_rows, one_line, replace_file
 from surg_core.transforms import FloatArray
 

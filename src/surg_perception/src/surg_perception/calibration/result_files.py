@@ -9,9 +9,9 @@ import numpy as np
 
 from surg_core import ConfigError
 from surg_core.camera_file import camera_calibration, write_camera
-from surg_core.checked_document import NO_HASH, Evidence, file_sha256
 from surg_core.lens_file import Lens, load_lens, write_lens
 from surg_core.pictures.lens_model import LensModel
+from surg_core.reading.pose_evidence import NO_HASH, Evidence, file_sha256
 from surg_core.stereo_file import (
     HELD_OUT_DISTANCES,
     StereoCalibration,

@@ -4,6 +4,7 @@
 Guide: docs/guide/policy_client.md. Protocol: docs/reference/protocol.md.
 """
 
+from surg_policy_client.action_spec import ActionSpec
 from surg_policy_client.attention import Attention, AttentionError, Keypoint
 from surg_policy_client.chunks import ChunkBlender, RecedingHorizon
 from surg_policy_client.env import RemoteEnv
@@ -18,7 +19,7 @@ from surg_policy_client.errors import (
 )
 from surg_policy_client.observation import Chunk, Observation
 from surg_policy_client.serving import Served, serve
-from surg_policy_client.spec import ActionSpec, Feature, Spec, SpecError
+from surg_policy_client.spec import Feature, Spec, SpecError
 from surg_policy_client.version import __version__
 
 __all__ = [

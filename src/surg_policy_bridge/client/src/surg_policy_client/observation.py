@@ -8,8 +8,9 @@ from typing import Any, Mapping
 
 import numpy as np
 
+from surg_policy_client.action_spec import CHANGES
 from surg_policy_client.errors import BadAction, SpecMismatch
-from surg_policy_client.spec import CHANGES, Spec
+from surg_policy_client.spec import Spec
 from surg_policy_client.wire import Message
 
 STATE = "observation.state"

@@ -17,8 +17,9 @@ from surg_core.contract import (
     arm_state,
     image_key,
 )
+from surg_policy_client.action_spec import ActionSpec
 from surg_policy_client.observation import RCM as RCM_KEY
-from surg_policy_client.spec import ActionSpec, Feature, Spec
+from surg_policy_client.spec import Feature, Spec
 from surg_policy_client.wire import MAX_PART
 from surg_recording.episode import table_columns
 

@@ -15,7 +15,8 @@ from typing import Any
 from surg_core import WristGeometry, action_space
 from surg_core.contract import SECOND_NS
 from surg_policy_bridge.server.timers import SILENCE, Timeout
-from surg_policy_client.spec import ActionSpec, Spec
+from surg_policy_client.action_spec import ActionSpec
+from surg_policy_client.spec import Spec
 
 RATE, BURST = 500, 200
 """Messages of a peer per second, and at once; more are dropped undecoded (F18)."""

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 import surg_core
-from surg_core.arm_view import WristView
 from surg_core.contract import SECOND_NS, TICK_NS
+from surg_core.wrist_joints import WristView
 from surg_recording.episode import table_columns
 from surg_sim.envs.cell_session import Tick
 from surg_sim.physics.ground_truth import ArmTruth

@@ -25,7 +25,5 @@ def _first(seeds: range, name: str, n: int) -> range:
 
 training_seeds = functools.partial(_first, TRAINING, "training")
 """The first n training seeds; a ValueError if there are not so many."""
-tuning_seeds = functools.partial(_first, TUNING, "tuning")
-"""The first n tuning seeds, likewise."""
 test_seeds = functools.partial(_first, TEST, "test")
 """The first n test seeds, likewise."""

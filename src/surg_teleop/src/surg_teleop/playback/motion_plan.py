@@ -9,18 +9,16 @@ that starts at rest does not move.
 
 from __future__ import annotations
 
-import bisect
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from surg_teleop.follow.hand_mapping import Mapping
 from surg_teleop.playback.motion_file import Motion, MotionError
-from surg_teleop.playback.quintic import Quintic, horner
+from surg_teleop.playback.motion_path import MotionPlan, end_phase
+from surg_teleop.playback.quintic import Quintic
 from surg_teleop.playback.workspace_fit import Workspace, box_centre, largest_scale
 
 Array = NDArray[np.float64]
@@ -45,127 +43,6 @@ MAX_DURATION = 24 * 3600.0
 
 class ConstantMotionError(MotionError):
     """A motion that does not move."""
-
-
-@dataclass(frozen=True)
-class MotionPlan:
-    """Path of an arm over time, in the rcm frame; made by :func:`make_plan`.
-
-    Attributes:
-        mapping: From the motion's own frame to the rcm frame.
-        run_in: Length of the run-in [s].
-        played: Length of the played window [s]: run_in to run_in + played is recorded motion.
-        run_out: Length of the run-out [s].
-        back: Length of the return between two repetitions [s].
-    """
-
-    motion: Motion
-    workspace: Workspace
-    mapping: Mapping
-    run_in: float
-    played: float
-    run_out: float
-    back: float
-    _spline: CubicSpline
-    _in: Quintic
-    _back: Quintic
-    _out: Quintic
-    _gripper_closed: float
-    _knots: list[float]
-    _pieces: list[Array]
-    _turns: Slerp | None
-
-    @property
-    def duration(self) -> float:
-        """Total length [s]."""
-        return self.run_in + self.played + self.run_out
-
-    @property
-    def window(self) -> tuple[float, float]:
-        """Start and end of the recorded motion within the plan [s]."""
-        return self.run_in, self.run_in + self.played
-
-    def at(self, t: float) -> tuple[Array, float]:
-        """Tip (3,) [m] and roll [rad] at a time [s] since the start; at rest beyond both ends."""
-        t = min(max(t, 0.0), self.duration)
-        start, end = self.window
-        if t < start:
-            state = horner(self._in.coefficients, t)
-        elif t >= end:
-            state = horner(self._out.coefficients, t - end)
-        else:
-            local = self._phase_at(t)
-            if local > self.motion.duration:
-                state = horner(self._back.coefficients, local - self.motion.duration)
-            else:
-                piece = min(bisect.bisect_right(self._knots, local), len(self._knots) - 1) - 1
-                state = horner(self._pieces[piece], local - self._knots[piece])
-        return self.mapping.position(state[:3]), self.mapping.roll(float(state[3]))
-
-    def turn(self, t: float) -> Array | None:
-        """Rotation (3, 3) of the tool at a time [s], in the rcm frame; None: the file has none.
-
-        Run-in and run-out do not turn.
-        """
-        if self._turns is None:
-            return None
-        phase = (
-            self._phase_at(t)
-            if t < self.window[1]
-            else _phase_of(self.motion, self.played, self.back)
-        )
-        return np.asarray(self._turns(phase).as_matrix())
-
-    def path(self, t: Array) -> tuple[Array, Array]:
-        """The same for times (n,): tips (n, 3) [m] and rolls (n,) [rad]."""
-        t = np.clip(t, 0.0, self.duration)
-        state = np.empty((len(t), 4))
-        first = t < self.run_in
-        last = t >= self.run_in + self.played
-        middle = ~(first | last)
-        state[first] = self._in.at(t[first])
-        state[last] = self._out.at(t[last] - self.run_in - self.played)
-        local = self._phase(t[middle])
-        recorded = local <= self.motion.duration
-        inside = np.empty((len(local), 4))
-        inside[recorded] = self._spline(local[recorded])
-        inside[~recorded] = self._back.at(local[~recorded] - self.motion.duration)
-        state[middle] = inside
-        p = self.mapping.position(state[:, :3])
-        roll = state[:, 3] - self.mapping.roll_leader_0 + self.mapping.roll_arm_0
-        return p, roll
-
-    def opening(self, t: float) -> float | None:
-        """Gripper opening [rad] at a time [s]; None without a gripper.
-
-        Relative to the most closed sample, because the zero of recordings is arbitrary.
-        """
-        local = self._phase_at(min(max(t, 0.0), self.duration))
-        value = self.motion.gripper_at(min(local, self.motion.duration))
-        return None if value is None else value - self._gripper_closed
-
-    def place(self, t: float) -> str:
-        """Where a time [s] since the start is in the recording, for messages."""
-        start, end = self.window
-        if t < start:
-            return "on the way in"
-        if t > end:
-            return "on the way out"
-        local = self._phase_at(t)
-        sample = int(np.argmin(np.abs(self.motion.t - local)))
-        return f"{self.motion.file}: line {self.motion.lines[sample]}"
-
-    def _phase(self, t: Array) -> Array:
-        """Time within one repetition [s] for times since the start of the plan."""
-        window = np.clip(t - self.run_in, 0.0, self.played)
-        period = self.motion.duration + self.back
-        phase: Array = window - period * np.floor(window / period)
-        return phase
-
-    def _phase_at(self, t: float) -> float:
-        window = min(max(t - self.run_in, 0.0), self.played)
-        period = self.motion.duration + self.back
-        return window - period * math.floor(window / period)
 
 
 def make_plan(
@@ -231,7 +108,7 @@ def _lay_out(motion: Motion, workspace: Workspace, scale: float, played: float) 
     if played > motion.duration:
         back = max(RETURN_MIN, distance / RETURN_SPEED, abs(float(last[0][3] - first[0][3])))
     way_back = Quintic.between(last, first, back or RETURN_MIN)
-    phase = _phase_of(motion, played, back)
+    phase = end_phase(motion, played, back)
     if phase <= motion.duration:
         stop = state(phase)
     else:  # the window ends within a return: differentiate its polynomial
@@ -271,11 +148,6 @@ def _lay_out(motion: Motion, workspace: Workspace, scale: float, played: float) 
     )
 
 
-def _phase_of(motion: Motion, played: float, back: float) -> float:
-    """Time within one repetition [s] at which the played window ends."""
-    return math.fmod(played, motion.duration + back) if back else motion.duration
-
-
 def _turns_of(motion: Motion, back: float) -> Slerp | None:
     """The tool's rotation over one repetition, with the return of a length [s] to its first."""
     if motion.turns is None:
@@ -309,23 +181,12 @@ def _check_fit(plan: MotionPlan, workspace: Workspace, scale: float) -> None:
     fits = math.floor(1000.0 * first.scale) / 1000.0
     box = _mm(scale * np.ptp(plan.motion.p, axis=0))
     raise MotionError(
-        f"{plan.motion.file}: {_where(plan, float(times[first.index]))}: at scale {scale:g} the "
+        f"{plan.place(float(times[first.index]))}: at scale {scale:g} the "
         f"motion (box {box} mm, centred {1e3 * CENTRE_DEPTH:.0f} mm deep) does not fit: the tip "
         f"would be {1e3 * depth:.1f} mm deep and {angle:.1f} degrees off the home axis; allowed: "
         f"{1e3 * workspace.depth_min:.0f} to {1e3 * workspace.depth_max:.0f} mm and "
         f"{math.degrees(workspace.cone):.0f} degrees. The largest scale that fits is {fits:.3f}"
     )
-
-
-def _where(plan: MotionPlan, t: float) -> str:
-    start, end = plan.window
-    if t < start:
-        return "on the way in"
-    if t > end:
-        return "on the way out"
-    motion = plan.motion
-    sample = int(np.argmin(np.abs(motion.t - (t - start))))
-    return f"line {motion.lines[sample]}, {t - start:.3f} s after the first sample"
 
 
 def _mm(extent: Array) -> str:

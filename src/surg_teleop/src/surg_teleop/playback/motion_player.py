@@ -17,13 +17,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from surg_core import WristConfig, make_pose
-from surg_core.arm_view import ArmCommands, ArmState, ArmView, Array, JawRange, TipPose
+from surg_core import WristConfig
+from surg_core.arm_view import ArmCommands, ArmState, ArmView, JawRange, TipPose
 from surg_core.bring_up import BringUp
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_teleop.follow.target_pose import StepLimits
-from surg_teleop.follow.wristed_tip import WristedTip, WristRange
-from surg_teleop.playback.motion_plan import MotionPlan
+from surg_teleop.playback.motion_path import MotionPlan
+from surg_teleop.playback.planned_tip import PlannedTip
 
 MOVE_TIMEOUT = 15 * SECOND_NS
 """[ns] Longest time to reach the start of the motion."""
@@ -41,8 +41,6 @@ REST = 6 * SECOND_NS // 10
 """[ns] Silence before that: longer than any ``servo_timeout``, so that a blocked stream is over."""
 PROGRESS = 0.1
 """[s] A restart that is further on in the motion than this counts as the first one."""
-BISECTIONS = 20
-"""Of the clock's step, where the motion is too fast."""
 RESTARTS = 3
 """Restarts of the stream without progress; then the motion is given up."""
 STUCK = SECOND_NS // 2
@@ -113,9 +111,12 @@ class MotionPlayer:
     _moved_at: int = field(default=0, repr=False)
     _restarts: int = field(default=0, repr=False)
     _restarted_at: float = field(default=-1.0, repr=False)
-    _range: WristRange | None = field(default=None, repr=False)
-    _joints: WristedTip | None = field(default=None, repr=False)
-    _joints_at: float = field(default=-1.0, repr=False)
+    _tip: PlannedTip = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """The wrist turns in the stream of poses only."""
+        wrist = self.wrist if self.mode is Mode.CARTESIAN else None
+        self._tip = PlannedTip(self.plan, wrist, self.roll_max)
 
     @property
     def done(self) -> bool:
@@ -169,10 +170,7 @@ class MotionPlayer:
             self._fail(f"the arm is in FAULT{why} (while: {self.stage.value})")
         elif feedback.state == ArmState.PAUSED:
             self._fail(f"the arm is PAUSED{why} (while: {self.stage.value}); send 'resume' first")
-        elif feedback.state == ArmState.DISABLED and self.stage not in (
-            PlayerStage.HOME,
-            PlayerStage.ENABLE,
-        ):
+        elif feedback.state == ArmState.DISABLED and not self._bring_up.active:
             self._fail(f"the arm was disabled{why} (while: {self.stage.value})")
         return not self.done
 
@@ -188,8 +186,8 @@ class MotionPlayer:
 
     def _move(self, feedback: ArmView, commands: ArmCommands) -> None:
         now = feedback.stamp_ns
-        self._take_wrist(feedback)
-        pose = self._pose(self._t)
+        self._tip.begin(feedback)
+        pose = self._tip.pose(self._t)
         away = float(np.linalg.norm(feedback.p_set - pose.p))
         if self._restarts and now - self._since < REST:
             pass
@@ -231,7 +229,7 @@ class MotionPlayer:
             self._advance(commands.stamp_ns)
             if self._t > before + HARDLY:
                 self._moved_at = feedback.stamp_ns
-            elif self._range is not None and feedback.stamp_ns - self._moved_at > STUCK:
+            elif self._tip.wristed and feedback.stamp_ns - self._moved_at > STUCK:
                 self._fail(
                     f"the wrist cannot turn as the motion does at {self._t:.3f} s "
                     f"({self.plan.place(self._t)}); turn less, or without r11 to r33"
@@ -261,21 +259,8 @@ class MotionPlayer:
             return
         since = (stamp_ns - self._last.stamp_ns - TICK_NS) / SECOND_NS
         allowed, roll_allowed = self.steps.allowed(since)
-        most = np.array([roll_allowed, *[self.steps.allowed_wrist(since)] * 2])
-        p, turns = self._end(self._t)
-
-        def fits(t: float) -> bool:
-            p_next, turns_next = self._end(t)
-            near = float(np.linalg.norm(p_next - p)) <= allowed
-            return near and bool((np.abs(turns_next - turns) <= most[: len(turns)]).all())
-
-        low, high = self._t, wanted
-        if not fits(high):
-            for _ in range(BISECTIONS):
-                middle = (low + high) / 2.0
-                low, high = (middle, high) if fits(middle) else (low, middle)
-            wanted = low
-        self._t = wanted
+        turns_allowed = (roll_allowed, self.steps.allowed_wrist(since))
+        self._t = self._tip.furthest(self._t, wanted, allowed, turns_allowed)
 
     def _note_refusal(self, feedback: ArmView) -> None:
         if self.first_refusal is None:
@@ -306,42 +291,10 @@ class MotionPlayer:
 
     def _stream(self, t: float, commands: ArmCommands) -> None:
         if self.mode is Mode.CARTESIAN:
-            commands.servo_cp = self._pose(t)
+            commands.servo_cp = self._tip.pose(t)
         else:
             commands.servo_jp = TipPose(*self.plan.at(t)).joints
         opening = self.plan.opening(t)
         if opening is not None and self._ticks % JAW_EVERY == 0:
             commands.jaw = min(self.jaw.min + opening, self.jaw.max)
         self._ticks += 1
-
-    def _take_wrist(self, feedback: ArmView) -> None:
-        """Begin at the arm's joints, if it has a wrist and the motion turns it."""
-        if self.wrist is None or feedback.wrist is None or self.mode is not Mode.CARTESIAN:
-            return
-        if self._range is None and self.plan.turn(0.0) is not None:
-            self._range = WristRange(self.wrist, feedback.wrist.geometry, self.roll_max)
-            self._joints = self._range.of_arm(feedback)
-
-    def _pose(self, t: float) -> TipPose:
-        """The pose at a time in the plan [s]."""
-        if self._range is None:
-            return TipPose(*self.plan.at(t))
-        return self._range.pose(self._reached(t))
-
-    def _end(self, t: float) -> tuple[Array, Array]:
-        """End of the shaft (3,) [m], and roll and joints of a wrist [rad], at a time [s]."""
-        if self._range is None:
-            p, roll = self.plan.at(t)
-            return p, np.array([roll])
-        joints = self._reached(t)
-        return joints.centre, joints.turns
-
-    def _reached(self, t: float) -> WristedTip:
-        """The joints at a time [s]; where the wrist is at an end, the tip keeps its place."""
-        assert self._range is not None and self._joints is not None
-        if t != self._joints_at:
-            X_RTip = make_pose(self.plan.at(t)[0], self.plan.turn(t))
-            workspace = self.plan.workspace.from_here(self._joints.centre)
-            self._joints, _ = self._range.nearest(X_RTip, self._joints, workspace)
-            self._joints_at = t
-        return self._joints

@@ -28,7 +28,8 @@ from surg_ros.participant import Participant, TickInputs
 from surg_ros.real_time import HIGHEST, prefer
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.playback.motion_file import MotionError, read_motion
-from surg_teleop.playback.motion_plan import ConstantMotionError, MotionPlan, make_plan
+from surg_teleop.playback.motion_path import MotionPlan
+from surg_teleop.playback.motion_plan import ConstantMotionError, make_plan
 from surg_teleop.playback.motion_player import Mode, MotionPlayer
 from surg_teleop.playback.workspace_fit import Workspace
 

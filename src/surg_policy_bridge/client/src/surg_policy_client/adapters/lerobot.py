@@ -15,11 +15,12 @@ from typing import Any, Callable, Sequence
 
 import numpy as np
 
+from surg_policy_client.action_spec import ACTION_SPACES, ActionSpec
 from surg_policy_client.adapters.scaled import scaled
 from surg_policy_client.chunks import RecedingHorizon
 from surg_policy_client.observation import Observation
 from surg_policy_client.policies.command_line import run
-from surg_policy_client.spec import ACTION_SPACES, ActionSpec, Feature, Spec
+from surg_policy_client.spec import Feature, Spec
 
 Step = Callable[[Any], Any]
 PICTURES = "observation.images."

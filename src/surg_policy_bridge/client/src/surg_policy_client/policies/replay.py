@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from surg_policy_client.action_spec import CHANGES, ActionSpec
 from surg_policy_client.errors import SpecMismatch
 from surg_policy_client.observation import STATE, Observation
 from surg_policy_client.policies.command_line import run
-from surg_policy_client.spec import CHANGES, ActionSpec, Feature, Spec
+from surg_policy_client.spec import Feature, Spec
 
 ROWS = 10
 
