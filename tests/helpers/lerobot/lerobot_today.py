@@ -32,13 +32,13 @@ class LeRobot:
         src = paths.ROOT / "src"
         ours = [src / "surg_core", src / "surg_sim", src / "surg_policy_bridge" / "client"]
         ours += [src / "surg_lerobot" / name for name in PLUGINS]
-        copies = [home / "packages" / each.name for each in ours]  # pip builds beside the source
-        for each, copy in zip(ours, copies, strict=True):
-            shutil.copytree(each, copy, ignore=shutil.ignore_patterns("build", "*.egg-info"))
         self.env = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
         pip = [str(self._python), "-m", "pip", "--disable-pip-version-check", "install", "-q"]
-        pip += ["--no-deps", "--target", str(site), *map(str, copies)]
+        pip += ["--no-deps", "--target", str(site), *map(str, ours)]
         done = subprocess.run(pip, env=self.env, capture_output=True, text=True, check=False)
+        for each in ours:  # pip builds beside the source
+            for made in (each / "build", *each.rglob("*.egg-info")):
+                shutil.rmtree(made, ignore_errors=True)
         if done.returncode != 0:
             pytest.skip(f"missing: our packages in {self._python}: {done.stderr.strip()[-300:]}")
         self.env.update(PYTHONPATH=f"{site}:{MADE_UP}", HF_HUB_OFFLINE="1")
