@@ -198,6 +198,17 @@ class ArmView:
         turns = [] if self.wrist is None else self.wrist.set.tolist()
         return np.array([*self.p_end, self.roll_set, *turns, self.jaw_set])
 
+    @property
+    def target_in_force(self) -> Array:
+        """The same of the newest sample of the stream that the arm obeys; else the set-point."""
+        if self.p_BSample is None:
+            return self.held_target
+        p, wrist = self.p_go_on, self.wrist
+        if wrist is None:
+            return np.array([*p, self.roll_go_on, self.jaw_set])
+        p = wrist.centre(p, wrist.q_RGoal, wrist.goal)
+        return np.array([*p, self.roll_go_on, *wrist.goal, self.jaw_set])
+
     @cached_property
     def p_go_on(self) -> Array:
         """(3,) tip from which a sender goes on, see `contract.ARM_STATE`, in R [m]."""
