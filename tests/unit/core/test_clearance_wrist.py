@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 POSES = 2000
 NEAR = 0.05
 """[m] from the tip: as far as the drawn points lie."""
-TIGHT = 0.005
+TIGHT = 0.006
 """[m] The guard's shape may reach no farther beyond the tip where the wrist is bent most."""
 
 

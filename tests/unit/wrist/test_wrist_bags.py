@@ -40,21 +40,28 @@ def test_a_bag_holds_joint_names_and_orientations(
     with (folder / f"cycle_{ARM}.csv").open(newline="") as table:
         cycles = {int(row["stamp_ns"]): row for row in csv.DictReader(table)}
     with (folder / f"command_{ARM}.csv").open(newline="") as table:
-        sent = {int(row["stamp_ns"]): row for row in csv.DictReader(table)}
+        rows = [row for row in csv.DictReader(table) if row["topic"].endswith("servo_cp")]
+    sent = {int(row["stamp_ns"]): row for row in rows}
     arm = surg_core.load_cell(CELL).arms[ARM]
     R_BR = Rotation.from_matrix(wristed_episode.rcm_frame(folder))
-    seen = dict.fromkeys(("measured_js", "measured_cp", "setpoint_cp", "servo_cp"), 0)
+    seen = dict.fromkeys(("measured_js", "tool/measured_js", "measured_cp", "servo_cp"), 0)
     for topic, message, time_ns in bag_messages.read(format_name, file):
         kind = topic.removeprefix(f"/{ARM}/")
-        seen[kind] = seen.get(kind, 0) + 1
         if kind == "measured_js":
-            assert list(message.name) == list(arm.robot.joint_names)
+            assert message.name == [f"q{i}" for i in range(arm.chain.dof)]
             q = [float(cycles[time_ns][f"q{i}"]) for i in range(arm.chain.dof)]
             np.testing.assert_allclose(message.position, q, atol=ROUNDED)
+        if kind == "tool/measured_js":
+            assert message.name == ["pitch", "yaw", "jaw"], "as in the graph"
+            told = [float(cycles[time_ns][name]) for name in ("wrist_pitch", "wrist_yaw", "jaw")]
+            np.testing.assert_allclose(message.position, told, atol=ROUNDED)
         if kind == "measured_cp":
             turned = pose(message)[1].inv() * R_BR * Rotation.from_matrix(truth.tip[time_ns][:3, :3])
             assert turned.magnitude() < TURN
-        if kind == "servo_cp" and time_ns in sent:
-            q = [float(sent[time_ns][f"q{axis}"]) for axis in "xyzw"]
+        if kind == "servo_cp":
+            in_force = sent[max(stamp for stamp in sent if stamp <= time_ns)]
+            q = [float(in_force[f"q{axis}"]) for axis in "xyzw"]
             assert (pose(message)[1].inv() * Rotation.from_quat(q)).magnitude() < ROUNDED
+        if kind in seen:
+            seen[kind] += 1
     assert min(seen.values()) > 100, seen
