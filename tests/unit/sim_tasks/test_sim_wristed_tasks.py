@@ -97,7 +97,7 @@ def test_a_wrist_turns_the_needle_through_its_arc(setting: str) -> None:
     leans = [np.mean([needle.lean for needle in needles]) for needles in (straight, wristed)]
     assert leans[1] < LEAN and leans[1] < 0.6 * leans[0]
     turned = [np.ptp(needle.wrist, axis=0).max() for needle in wristed]
-    assert np.median(turned) > 0.1, "the wrist turned while the needle was in the hole"
+    assert max(turned) > 0.15, "the wrist turned while the needle was in the hole"
     most = [max(needle.exit for needle in needles) for needles in (straight, wristed)]
     assert most[1] < most[0]
 
