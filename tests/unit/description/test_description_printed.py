@@ -114,9 +114,11 @@ def test_printed_parts_are_solid_and_lie_inside_the_guards_capsules(tmp_path: Pa
 
 def shoot(files: dict[str, Path], tmp_path: Path) -> None:
     """The parts as a picture: to look at, and for the guide."""
-    figure = Figure(figsize=(8, 4), dpi=90)
+    figure = Figure(figsize=(9, 4), dpi=90)
     light = np.array([0.3, -0.5, 0.8]) / np.linalg.norm([0.3, -0.5, 0.8])
-    for k, (part, file) in enumerate(files.items()):
+    offset, gear = stated("holder")["offset"], stated("coupling")["gear"]
+    titles = (f"holder.scad: offset {offset:g} mm", f"coupling.scad: gear {gear:g}")
+    for k, (title, file) in enumerate(zip(titles, files.values(), strict=True)):
         axes = figure.add_subplot(1, 2, k + 1, projection="3d", proj_type="ortho")
         faces = triangles(file) / MM
         normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
@@ -127,7 +129,7 @@ def shoot(files: dict[str, Path], tmp_path: Path) -> None:
         low, high = faces.min(axis=(0, 1)), faces.max(axis=(0, 1))
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
         axes.set_box_aspect(high - low, zoom=1.2)
-        axes.set(title=f"{part}.scad, mm", xticks=np.round([low[0], 0.0, high[0]], 1))
+        axes.set(title=title, xticks=np.round([low[0], 0.0, high[0]], 1))
         axes.set(yticks=np.round([low[1], high[1]], 1), zticks=np.round([low[2], high[2]], 1))
         axes.view_init(elev=35, azim=-60)
     picture = Path(os.environ.get("SURG_PARTS_SHOT", tmp_path / "parts.png"))

@@ -79,20 +79,22 @@ def driven(cell: str, setting: str) -> list[Needle]:
     return needles
 
 
+def figures(name: str, needles: list[Needle]) -> str:
+    """Mean and largest [N, degrees]."""
+    values = np.array([getattr(needle, name) for needle in needles])
+    if name == "lean":
+        return f"{np.degrees(values.mean()):.1f}/{np.degrees(values.max()):.1f}"
+    return f"{values.mean():.2f}/{values.max():.2f}"
+
+
 @pytest.mark.parametrize("setting", SETTINGS if FULL else ["phantom"])
 def test_a_wrist_turns_the_needle_through_its_arc(setting: str) -> None:
     found = {held: driven(cell, setting) for held, cell in CELLS.items()}
-    for held, needles in found.items():
-        entry, beyond, lean = (
-            np.array([getattr(needle, name) for needle in needles])
-            for name in ("entry", "exit", "lean")
-        )
-        PAGE.note(
-            f"{setting}, {held}",
-            len(needles),
-            f"{entry.mean():.2f}/{entry.max():.2f} | {beyond.mean():.2f}/{beyond.max():.2f} | "
-            f"{np.degrees(lean.mean()):.1f}/{np.degrees(lean.max()):.1f}",
-        )
+    cells = [
+        ", ".join(figures(name, needles) for needles in found.values())
+        for name in ("entry", "exit", "lean")
+    ]
+    PAGE.note(setting, None, " | ".join(cells))
     straight, wristed = found["straight"], found["wrist"]
     leans = [np.mean([needle.lean for needle in needles]) for needles in (straight, wristed)]
     assert leans[1] < LEAN and leans[1] < 0.6 * leans[0]
