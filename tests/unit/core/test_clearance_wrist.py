@@ -31,9 +31,7 @@ def points_to_capsules(p: Array, rows: Array) -> float:
 @pytest.mark.parametrize("name", ["sim_ur5e_wrist", "sim_panda_wrist"])
 def test_nothing_is_nearer_to_a_bent_wrist_than_the_guard_thinks(name: str) -> None:
     arm = surg_core.load_cell(paths.ROOT / "cells" / name).arms["PSM1"]
-    shape = surg_core.ArmShape(
-        arm.name, arm.chain, arm.X_WB, arm.robot, arm.instrument, arm.tool
-    )
+    shape = surg_core.ArmShape(arm.name, arm.chain, arm.X_WB, arm.robot, arm.instrument, arm.tool)
     assert [c.name for c in shape.capsules if c.shaft] == ["wrist", "shaft"]
     spec = mujoco.MjSpec()
     add_arm(spec, arm, ActuatorParameters())

@@ -1,4 +1,4 @@
-"""Bags of a recorded wristed episode, read by ROS's own messages, are the recording and the truth."""
+"""Bags of a recorded wristed episode, read by ROS's own messages, are recording and truth."""
 
 from __future__ import annotations
 
@@ -56,7 +56,9 @@ def test_a_bag_holds_joint_names_and_orientations(
             told = [float(cycles[time_ns][name]) for name in ("wrist_pitch", "wrist_yaw", "jaw")]
             np.testing.assert_allclose(message.position, told, atol=ROUNDED)
         if kind == "measured_cp":
-            turned = pose(message)[1].inv() * R_BR * Rotation.from_matrix(truth.tip[time_ns][:3, :3])
+            turned = (
+                pose(message)[1].inv() * R_BR * Rotation.from_matrix(truth.tip[time_ns][:3, :3])
+            )
             assert turned.magnitude() < TURN
         if kind == "servo_cp":
             in_force = sent[max(stamp for stamp in sent if stamp <= time_ns)]

@@ -193,6 +193,11 @@ class ArmView:
         return self.wrist.centre(self.p_set, self.wrist.q_RSet, self.wrist.set)
 
     @property
+    def wrist_geometry(self) -> WristGeometry | None:
+        """Lengths and turn of the wrist; None: the instrument is straight."""
+        return None if self.wrist is None else self.wrist.geometry
+
+    @property
     def held_target(self) -> Array:
         """The set-point as a target of ``surg_core.action_space``."""
         turns = [] if self.wrist is None else self.wrist.set.tolist()

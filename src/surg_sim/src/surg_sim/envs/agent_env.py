@@ -52,9 +52,7 @@ class AgentEnv(gymnasium.Wrapper[dict[str, Any], Array, dict[str, Any], Array]):
         steps: int | None = None,
         space: str = ABSOLUTE,
     ) -> None:
-        self._surg = SurgEnv(
-            task, None, setting, images, width, height, "rgb_array", space=space
-        )
+        self._surg = SurgEnv(task, None, setting, images, width, height, "rgb_array", space=space)
         super().__init__(self._surg)
         played = self._surg.session.task
         self.task = task

@@ -29,8 +29,8 @@ ASSISTANT_STATE = ("yaw", "pitch", "insertion", "roll", "jaw")
 class EnvSpaces:
     """Spaces of a session, with pictures of these views and of this size (width, height) [px].
 
-    ``forces``: the commanded arms' forces at tip and trocar are observed. ``space``: of the actions,
-    of ``contract.ACTION_SPACES``.
+    ``forces``: the commanded arms' forces at tip and trocar are observed. ``space``: that of the
+    actions, of ``contract.ACTION_SPACES``.
     """
 
     def __init__(
@@ -152,13 +152,12 @@ class EnvSpaces:
             said = commands.get(arm)
             if said is None or said.servo_cp is None:
                 raise RuntimeError(f"there is no motion for {arm}")
-            wrist = None if view.wrist is None else view.wrist.geometry
             jaw = view.jaw_set if said.jaw is None else said.jaw
-            targets.append(target_of(wrist, said.servo_cp, jaw, view.roll_go_on))
+            targets.append(target_of(view.wrist_geometry, said.servo_cp, jaw, view.roll_go_on))
         return space.encode(np.concatenate(targets)[None], before[None], STEP)[0]
 
     def _in_force(self, views: Mapping[str, ArmView]) -> tuple[ActionSpace, Array]:
         """The space with the wrists as they are mounted, and the targets in force."""
-        wrists = tuple(view.wrist.geometry if view.wrist else None for view in views.values())
+        wrists = tuple(view.wrist_geometry for view in views.values())
         before = np.concatenate([view.target_in_force for view in views.values()])
         return ActionSpace(self._space.name, wrists), before

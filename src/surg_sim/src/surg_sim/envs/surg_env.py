@@ -54,8 +54,9 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
     with ``images``; left and right, (height, width, 3), rgb8), ``force`` (only with ``forces``; at
     tip and trocar of every commanded arm, ``contract.ARM_FORCE``, rcm frame), ``privileged`` (the
     task's ground truth, which no policy for a robot may read). Action: where set-point and jaw
-    shall be at the next grid time, one of ``surg_core.action_space`` for every commanded arm. A step that is too large is refused by the controller, as on a robot, and counted
-    in ``info["refused"]``. Reward: the task's. Terminated: success or failure; truncated: time
+    shall be at the next grid time, one of ``surg_core.action_space`` for every commanded arm. A
+    step that is too large is refused by the controller, as on a robot, and counted in
+    ``info["refused"]``. Reward: the task's. Terminated: success or failure; truncated: time
     limit. ``info``: ``success``, ``reason``, ``phase``, ``seed``, ``refused``, ``rcm_error``
     (largest kinematic deviation of the step, by arm [m]).
 

@@ -1,8 +1,8 @@
 """The script of needle driving: look, place the point, drive along the arc, back out, try again.
 
 The needle is rigid in the jaws. The tip's place and the roll put a point of its arc into the hole
-with its tangent in the plane of the hole's axis. How far the tangent leans out of the needle's plane
-takes a wrist: behind one it leans the tool until the tangent is the axis, all through the arc.
+with its tangent in the plane of the hole's axis. What is left between tangent and axis takes a
+wrist: behind one the tool leans until there is nothing left, all through the arc.
 """
 
 from __future__ import annotations
