@@ -7,9 +7,11 @@ from collections.abc import Sequence
 from helpers.results.results_page import ResultsPage
 
 CELLS = ("sim_ur5e", "sim_panda")
+WRIST = "sim_ur5e_wrist"
+"""Six joints: the scripts that move joints go to more of them."""
 ROS2 = "ROS 2"
 """The scripts with rclpy, on the first cell."""
-PLACES = (*CELLS, ROS2)
+PLACES = (*CELLS, WRIST, ROS2)
 _PAGE = ResultsPage("public_scripts.md")
 _found: dict[str, dict[str, str]] = {}
 

@@ -1,7 +1,8 @@
-"""A page of the docs with one table of figures that several tests find."""
+"""A page of the docs with tables of figures that several tests find."""
 
 from __future__ import annotations
 
+import itertools
 import os
 from pathlib import Path
 
@@ -37,14 +38,18 @@ class ResultsPage:
         """
         print(f"{row}: {cases}: {result}")
         folder = os.environ.get("SURG_RESULTS_DIR")
-        page = Path(folder or FOLDER, self._name)
-        lines = (page if page.exists() else FOLDER / self._name).read_text("utf-8").splitlines()
-        end = 1 + next(place for place, line in enumerate(lines) if line.startswith("|---"))
-        rows = {line.split(" | ")[0].removeprefix("| "): line for line in lines[end:]}
+        page, stands = Path(folder or self._folder, self._name), self._folder / self._name
+        lines = (page if page.exists() else stands).read_text("utf-8").splitlines()
+        rows = {
+            line.split(" | ")[0].removeprefix("| "): place
+            for place, (line, below) in enumerate(itertools.zip_longest(lines, lines[1:]))
+            if line.startswith("| ") and not (below or "").startswith("|---")
+        }
         if row not in rows:
             raise KeyError(row)
         cells = [row, result] if cases is None else [row, str(cases), result]
         self._found[row] = f"| {' | '.join(cells)} |"
         if folder and (not self._whole or self._found.keys() == rows.keys()):
-            text = "\n".join([*lines[:end], *(rows | self._found).values()])
-            page.write_text(f"{text}\n", "utf-8")
+            for name, found in self._found.items():
+                lines[rows[name]] = found
+            page.write_text("\n".join(lines) + "\n", "utf-8")

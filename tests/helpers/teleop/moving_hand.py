@@ -18,6 +18,7 @@ class MovingHand:
     Attributes:
         p: (3,) where it is [m].
         v: (3,) how it moves [m/s].
+        q: (4,) how it is turned, x, y, z, w.
         speaks: Cleared: it is silent.
         enable: Switches the teleoperation on and off.
         inputs: Subscribers that end with it.
@@ -25,6 +26,7 @@ class MovingHand:
 
     def __init__(self) -> None:
         self.p, self.v = np.zeros(3), np.zeros(3)
+        self.q = np.array([0.0, 0.0, 0.0, 1.0])
         self.speaks = threading.Event()
         self.speaks.set()
         self.enable = rospy.Publisher("/console/teleop/enable", Bool, queue_size=1)
@@ -49,7 +51,8 @@ class MovingHand:
             pose = PoseStamped()
             pose.header.stamp = rospy.Time.now()
             pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = self.p
-            pose.pose.orientation.w = 1.0
+            turned = pose.pose.orientation
+            turned.x, turned.y, turned.z, turned.w = self.q
             self._pose.publish(pose)
             grip = JointState(name=["gripper"], position=[0.0])
             grip.header.stamp = pose.header.stamp

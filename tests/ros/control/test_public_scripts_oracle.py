@@ -22,6 +22,7 @@ import rospy
 from numpy.typing import NDArray
 from std_msgs.msg import String
 
+import surg_core
 from helpers.graph import public_scripts
 from helpers.graph.crtk_client import Arm, WallTime, shifted
 from helpers.graph.pivot_judge import vector
@@ -48,6 +49,8 @@ TRIES = 4
 ROS1 = (Path(sys.executable), dict[str, str]())
 ROS2 = pytest.param(page.ROS2, id="rclpy")
 """The scripts with rclpy, on the first cell."""
+PLACES = (*page.CELLS, page.ROS2)
+"""Where scripts are tried that move no arm, or two."""
 STILL_S, HUNG = 6.0, 10
 """[s] More than a script waits for its connections; tries of one that hangs with rclpy."""
 ENTER = "\n"
@@ -201,7 +204,7 @@ class Rig:
         self.note(script, ended.waits, said)
 
 
-@pytest.fixture(params=[*page.CELLS, ROS2])
+@pytest.fixture(params=[*page.CELLS, page.WRIST, ROS2])
 def rig(ros_graph: RosGraph, rospy_node: str, request: pytest.FixtureRequest) -> Iterator[Rig]:
     """One arm; the checkouts come first, as nothing is started without them."""
     public_scripts.folder()
@@ -338,7 +341,7 @@ def test_crtk_teleop_example(ros_graph: RosGraph, rospy_node: str, place: str) -
         for arm in arms.values():
             arm.check_connections(60.0)
             ros_graph.wait_for(lambda a=arm: a.enable(2.0) and a.home(2.0), 120.0, "home")
-        note = partial(page.note, place=place)
+        note = partial(page.note, place=place, places=PLACES)
         rig = Rig(ros_graph, two, plant, arms["PSM1"], side, note)
         time.sleep(0.5)
         running = rig.begin("crtk_teleop_example", "ECM", "PSM1")
@@ -388,11 +391,15 @@ def test_dvrk_psm_test(rig: Rig) -> None:
 
 
 def at_middle(rig: Rig) -> None:
-    """Yaw, pitch and roll are zero, and the tip is 120 mm deep."""
+    """All angles are zero, and the shaft is 120 mm deep: behind a wrist that is its centre."""
     time.sleep(0.3)
-    assert rig.plant.depth() == pytest.approx(0.12, abs=FOUND_HOME)
-    joints = rig.arm.get("measured_js", 1.0, 1.0).position
-    assert np.allclose(joints, (0.0, 0.0, 0.12, 0.0), atol=(0.006, 0.006, 6e-4, 0.012))
+    wrist = surg_core.load_cell(paths.ROOT / "cells" / rig.cell).arms["PSM1"].instrument.wrist
+    beyond = 0.0 if wrist is None else wrist.geometry.pitch_to_yaw + wrist.geometry.yaw_to_tip
+    assert rig.plant.depth() == pytest.approx(0.12 + beyond, abs=FOUND_HOME)
+    joints = np.array(rig.arm.get("measured_js", 1.0, 1.0).position)
+    assert len(joints) == (4 if wrist is None else 6)
+    assert joints[2] == pytest.approx(0.12, abs=6e-4)
+    assert np.abs(np.delete(joints, 2)).max() < 0.012 and np.abs(joints[:2]).max() < 0.006
 
 
 def test_dvrk_move_wait_test(rig: Rig) -> None:
@@ -440,7 +447,7 @@ def test_dvrk_console_test(tmp_path: Path, place: str, monkeypatch: pytest.Monke
             env = {**environment(), "ROS_MASTER_URI": f"http://localhost:{port}"}
             words = ("-c", "console")
             begin = lambda: Script("dvrk_console_test", words, {**env, **more}, python)  # noqa: E731
-            hung = partial(page.note, "dvrk_console_test", 0, place=place)
+            hung = partial(page.note, "dvrk_console_test", 0, place=place, places=PLACES)
             running = begun(place == page.ROS2, begin, hung)
             pause = lambda: time.sleep(1.0)  # noqa: E731
             running.talk([("press [enter]", pause, ENTER)] * 3)
@@ -452,7 +459,7 @@ def test_dvrk_console_test(tmp_path: Path, place: str, monkeypatch: pytest.Monke
     assert ended.code == 0, ended.text
     is_now, expected = ended.text.rsplit("scale is ", 1)[1].split(", expected ")
     assert float(is_now) == pytest.approx(float(expected))
-    page.note("dvrk_console_test", 0, f"scale {is_now}, as asked", place)
+    page.note("dvrk_console_test", 0, f"scale {is_now}, as asked", place, PLACES)
 
 
 def begun(ros2: bool, begin: Callable[[], Script], note: Callable[[str], None]) -> Script:

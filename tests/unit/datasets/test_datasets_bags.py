@@ -6,17 +6,15 @@ import json
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-import rosbag
-import roslib.message
 from mcap.reader import make_reader
 from std_msgs.msg import String
 
 from helpers.recording import datasets_synthetic, felt_forces, picture_identity
+from helpers.recording.bag_messages import FORMATS, read
 from helpers.recording.datasets_synthetic import FRAME_NS
 from helpers.recording.picture_identity import Identity
 from helpers.recording.recording_synthetic import Synthetic, path
@@ -39,20 +37,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return datasets_synthetic.record(folder, 3, SECONDS, felt=True)
 
 
-def read(format_name: str, file: Path) -> Iterator[tuple[str, Any, int]]:
-    """Topic, message and time of every message."""
-    if format_name == "rosbag":
-        with rosbag.Bag(str(file)) as bag:
-            for topic, message, time in bag.read_messages():
-                yield topic, message, time.to_nsec()
-        return
-    for time_ns, topic, kind, data in datasets.load(format_name).read_file(file):
-        message = roslib.message.get_message_class(kind)()
-        message.deserialize(data)
-        yield topic, message, time_ns
-
-
-@pytest.mark.parametrize("format_name", ["rosbag", "mcap", "rosbag2", "rosbag2_sqlite3"])
+@pytest.mark.parametrize("format_name", FORMATS)
 def test_every_message_says_what_was_recorded(
     format_name: str, recording: Path, tmp_path: Path
 ) -> None:

@@ -88,7 +88,7 @@ def note(row: str, runs: list[Followed]) -> tuple[Array, Array, float]:
     PAGE.note(
         row,
         len(runs),
-        f"{1e3 * rms[0]:.3f} / {1e3 * far.max():.2f} | {np.degrees(rms[1]):.2f} / "
+        f"{1e3 * rms[0]:.3f}/{1e3 * far.max():.2f} | {np.degrees(rms[1]):.2f}/"
         f"{np.degrees(turned.max()):.2f} | {1e3 * pivot:.3f}",
     )
     return far, turned, pivot

@@ -218,8 +218,8 @@ class Restless(NeedleExpert):
         self.jaw = self.jaw_closed
         while True:
             self._look()
-            p, roll = self._target(0.0)
-            self.roll.go(np.array([roll + self.rng.normal(scale=0.5)]))
+            p, turns = self._target(0.0)
+            self.roll.go(turns + self.rng.normal(scale=0.5))
             yield from self.move(p + self.rng.normal(scale=4e-3, size=3))
 
 

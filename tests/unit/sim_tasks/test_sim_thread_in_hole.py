@@ -227,7 +227,7 @@ class Restless(ThreadExpert):
         for _ in range(12):
             self._look()
             p, roll = self._target(-self.rng.uniform(0.0, 0.02))
-            self.roll.go(np.array([roll + self.rng.normal(scale=0.8)]))
+            self.roll.go(roll + self.rng.normal(scale=0.8))
             yield from self.move(p + self.rng.normal(scale=5e-3, size=3))
         yield from self.squeeze(0.4, 1.0)
 

@@ -153,3 +153,26 @@ def test_an_environment_takes_and_shows_the_whole_pose() -> None:
     assert (measured * part.inv()).magnitude() < 0.01
     assert np.abs(named(state, "tip_x", "tip_y", "tip_z") - start).max() < 5e-4
     env.close()
+
+
+@pytest.mark.parametrize("cell", ["sim_ur5e", "sim_ur5e_wrist"])
+def test_an_environment_takes_every_action_space(cell: str) -> None:
+    """The expert turns the needle the same way in all of them."""
+    seen = {}
+    for space in ACTION_SPACES:
+        env = SurgEnv("needle_driving", cell=cell, space=space)
+        known = WRISTED_ACTION_SPACES if cell.endswith("wrist") else ACTION_SPACES
+        assert env.action_names == [f"{ARM}/{name}" for name in known[space]]
+        observation, _ = env.reset(seed=20_000)
+        states = [observation["state"]]
+        for _ in range(STEPS):
+            action = env.expert_action()
+            assert env.action_space.contains(action)
+            observation, _, _, _, info = env.step(action)
+            states.append(observation["state"])
+        assert info["refused"] == 0
+        seen[space] = np.array(states)
+        env.close()
+    for space in ACTION_SPACES:
+        np.testing.assert_allclose(seen[space], seen["absolute"], atol=1e-6, err_msg=space)
+    assert np.ptp(seen["absolute"], axis=0).max() > 0.02, "it moved"

@@ -241,6 +241,17 @@ def commands_of(wrist: WristGeometry | None, target: Array) -> ArmCommands:
     return ArmCommands(servo_cp=TipPose(X_RTip[:3, 3], roll, X_RTip[:3, :3]), jaw=jaw)
 
 
+def target_of(wrist: WristGeometry | None, pose: TipPose, jaw: float, near_roll: float) -> Array:
+    """The target (5,), behind a wrist (7,), of a streamed pose; not numbers where no wrist is.
+
+    Of equal rolls of a wristed instrument it has the one nearest to ``near_roll`` [rad].
+    """
+    if wrist is None:
+        return np.array([*pose.p, pose.roll, jaw])
+    joints = joints_of_tip(wrist, make_pose(pose.p, pose.q), near_roll)
+    return np.full(WRISTED_TARGET, np.nan) if joints is None else np.append(joints, jaw)
+
+
 def of_columns(
     columns: Sequence[str], arms: Sequence[str], wrists: tuple[WristGeometry | None, ...] = ()
 ) -> ActionSpace | None:

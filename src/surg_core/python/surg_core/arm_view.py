@@ -159,10 +159,26 @@ class ArmView:
         return self.wrist.centre(self.p_set, self.wrist.q_RSet, self.wrist.set)
 
     @property
+    def wrist_geometry(self) -> WristGeometry | None:
+        """Lengths and turn of the wrist; None: the instrument is straight."""
+        return None if self.wrist is None else self.wrist.geometry
+
+    @property
     def held_target(self) -> Array:
         """The set-point as a target of ``surg_core.action_space``."""
         turns = [] if self.wrist is None else self.wrist.set.tolist()
         return np.array([*self.p_end, self.roll_set, *turns, self.jaw_set])
+
+    @property
+    def target_in_force(self) -> Array:
+        """The same of the newest sample of the stream that the arm obeys; else the set-point."""
+        if self.p_BSample is None:
+            return self.held_target
+        p, wrist = self.p_go_on, self.wrist
+        if wrist is None:
+            return np.array([*p, self.roll_go_on, self.jaw_set])
+        p = wrist.centre(p, wrist.q_RGoal, wrist.goal)
+        return np.array([*p, self.roll_go_on, *wrist.goal, self.jaw_set])
 
     @cached_property
     def p_go_on(self) -> Array:

@@ -32,16 +32,23 @@ ArmShape arm_shape(const std::string& name, const Chain& chain, const Pose& X_WB
 void mount(ArmShape& shape, const RobotConfig& robot, const InstrumentConfig& instrument,
            const ToolCalibration& tool) {
   shape.capsules.resize(robot.capsules.size());
-  for (LinkCapsule capsule : instrument.capsules) {
-    if (capsule.shaft) {
-      const double length = (capsule.shape.b - capsule.shape.a).norm();
-      capsule.shape.a = tool.p_FTip - length * tool.s_F;
-      capsule.shape.b = tool.p_FTip;
-    }
+  const auto put = [&](LinkCapsule capsule) {
     capsule.joint = shape.chain.dof() - 1;
     capsule.shape.a = shape.chain.X_LF() * capsule.shape.a;
     capsule.shape.b = shape.chain.X_LF() * capsule.shape.b;
     shape.capsules.push_back(capsule);
+  };
+  for (LinkCapsule capsule : instrument.capsules) {
+    if (capsule.shaft) {
+      const double length = (capsule.shape.b - capsule.shape.a).norm();
+      const double bent = instrument.wrist ? instrument.wrist->geometry.length() : 0.0;
+      capsule.shape.a = tool.p_FTip - length * tool.s_F;
+      capsule.shape.b = tool.p_FTip - bent * tool.s_F;
+      // The wrist may turn at any time, and another arm's guard does not know its joints.
+      const Capsule ball{capsule.shape.b, capsule.shape.b, bent + capsule.shape.radius};
+      if (instrument.wrist) put({"wrist", 0, ball, true});
+    }
+    put(capsule);
   }
 }
 

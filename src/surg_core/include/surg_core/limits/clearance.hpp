@@ -21,7 +21,7 @@
 namespace surg {
 
 constexpr int kMaxOtherArms = 3;      ///< other arms that one arm can be guarded against
-constexpr int kMaxLinkCapsules = 32;  ///< capsules of one arm with its instrument
+constexpr int kMaxLinkCapsules = 33;  ///< capsules of one arm, its instrument and its wrist
 
 /// One arm with its instrument, as capsules.
 struct ArmShape {
@@ -32,7 +32,8 @@ struct ArmShape {
 };
 
 /// Builds the shape of an arm. The shaft lies where its calibration says, the other capsules where
-/// the YAML files say. Throws ConfigError where the robot's YAML has no 'capsules'.
+/// the YAML files say. Round the centre of a wrist lies a ball that holds the tip however the wrist
+/// is bent. Throws ConfigError where the robot's YAML has no 'capsules'.
 ArmShape arm_shape(const std::string& name, const Chain& chain, const Pose& X_WB,
                    const RobotConfig& robot, const InstrumentConfig& instrument,
                    const ToolCalibration& tool);

@@ -25,11 +25,6 @@ def rcm_frame(view: ArmView, X_WB: Array) -> Array:
     return np.asarray(X_WB @ X_BR)
 
 
-def wrist_of(view: ArmView) -> WristGeometry | None:
-    """Of the arm's instrument; None: it is straight."""
-    return None if view.wrist is None else view.wrist.geometry
-
-
 @dataclass(frozen=True)
 class Target:
     """Target of one arm at a grid time."""
@@ -51,7 +46,7 @@ class Target:
     @classmethod
     def held(cls, view: ArmView) -> Target:
         """The set-point of an arm."""
-        return cls.of(view.held_target, wrist_of(view))
+        return cls.of(view.held_target, view.wrist_geometry)
 
     @property
     def row(self) -> Array:

@@ -14,7 +14,7 @@ from surg_core.arm_view import ArmView
 from surg_core.contract import STEP
 from surg_policy_bridge.server.chunk_queue import ActionStep, ChunkQueue
 from surg_policy_bridge.server.counters import Counters
-from surg_policy_bridge.server.policy_arm import Target, wrist_of
+from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_bridge.server.safety_controller import SafetyController
 from surg_policy_bridge.server.server_replies import AckTally, rejected_step
 from surg_policy_bridge.server.sessions import PolicySession, SentObservation
@@ -203,7 +203,7 @@ class StepExecutor:
     def _space(self, session: PolicySession, views: Mapping[str, ArmView]) -> ActionSpace | None:
         """That of the session; None: the arms hold other instruments than at its beginning."""
         if all(arm in views for arm in self._arms):
-            self.shown = ActionSpace(wrists=tuple(wrist_of(views[arm]) for arm in self._arms))
+            self.shown = ActionSpace(wrists=tuple(views[arm].wrist_geometry for arm in self._arms))
         action = session.spec.action
         if action is None:
             return self.shown

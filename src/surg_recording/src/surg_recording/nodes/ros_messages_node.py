@@ -109,7 +109,7 @@ def _joints(sampled: Sampled, arm: str) -> Iterator[Stamped]:
 
 
 def _motion(sampled: Sampled, arm: str) -> Iterator[Stamped]:
-    """Measured pose and jaw, and the set-point."""
+    """Measured pose and jaw, the set-point, and the drive of a wrist as in a graph."""
     pose = _columns(sampled, "observation.cartesian_state", arm)
     state = _columns(sampled, STATE_KEY, arm)
     for k, time_ns in enumerate(map(int, sampled.grid.times_ns)):
@@ -120,6 +120,10 @@ def _motion(sampled: Sampled, arm: str) -> Iterator[Stamped]:
         yield Stamped(time_ns, f"/{arm}/setpoint_cp", _pose(time_ns, f"{arm}_rcm", p_set, q_set))
         jaw = _jaw(time_ns, state["jaw"][k])
         yield Stamped(time_ns, f"/{arm}/jaw/measured_js", jaw)
+        if "wrist_pitch" in state:
+            tool = JointState(header=_header(time_ns, ""), name=["pitch", "yaw", "jaw"])
+            tool.position = [state[name][k] for name in ("wrist_pitch", "wrist_yaw", "jaw")]
+            yield Stamped(time_ns, f"/{arm}/tool/measured_js", tool)
 
 
 def _orientation(values: dict[str, npt.NDArray[Any]], k: int, q: str, p: Any, roll: str) -> Any:

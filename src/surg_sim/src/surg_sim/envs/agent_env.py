@@ -14,14 +14,11 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from surg_core.action_space import ABSOLUTE, ActionSpace
-from surg_core.contract import ARM_STATE, GRID_RATE, IMAGE_PREFIX, STATE_KEY, STEP, image_key
+from surg_core.action_space import ABSOLUTE
+from surg_core.contract import ARM_STATE, GRID_RATE, IMAGE_PREFIX, STATE_KEY, image_key
 from surg_sim.arrays import Array
 from surg_sim.envs.policy_rollouts import observe
 from surg_sim.envs.surg_env import SurgEnv
-
-_HELD = [ARM_STATE.index(name) for name in ("set_x", "set_y", "set_z", "roll_set", "jaw")]
-"""Columns of an arm's state with the command in force, in the order of an action."""
 
 
 def camera(view: str) -> str:
@@ -55,17 +52,13 @@ class AgentEnv(gymnasium.Wrapper[dict[str, Any], Array, dict[str, Any], Array]):
         steps: int | None = None,
         space: str = ABSOLUTE,
     ) -> None:
-        self._surg = SurgEnv(task, None, setting, images, width, height, "rgb_array")
+        self._surg = SurgEnv(task, None, setting, images, width, height, "rgb_array", space=space)
         super().__init__(self._surg)
         played = self._surg.session.task
         self.task = task
         self.task_description = played.instruction or played.title
         # LeRobot's rollout reads it.
         self._max_episode_steps = steps or math.ceil(played.time_limit * GRID_RATE) + 1
-        self._space, self._held = ActionSpace(space), np.zeros(0)
-        if space != ABSOLUTE:
-            shape = self._surg.action_space.shape
-            self.action_space = spaces.Box(-np.inf, np.inf, shape, np.float64)
         numbers = (len(ARM_STATE) * len(self._surg.arms),)
         picture = spaces.Box(0, 255, (height, width, 3), np.uint8)
         self.observation_space = spaces.Dict(
@@ -84,13 +77,11 @@ class AgentEnv(gymnasium.Wrapper[dict[str, Any], Array, dict[str, Any], Array]):
 
     def step(self, action: Array) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Send one action and let 25 ticks pass; see `SurgEnv.step`."""
-        target = self._space.decode(np.asarray(action)[np.newaxis], self._held, STEP)[0]
-        observation, reward, ended, late, info = self._surg.step(target)
+        observation, reward, ended, late, info = self._surg.step(action)
         return self._seen(observation), reward, ended, late, {**info, "is_success": info["success"]}
 
     def _seen(self, observation: dict[str, Any]) -> dict[str, Any]:
         seen = observe(self._surg, observation)
-        self._held = seen[STATE_KEY].reshape(-1, len(ARM_STATE))[:, _HELD].ravel()
         pixels = {
             key.removeprefix(IMAGE_PREFIX): picture
             for key, picture in seen.items()

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
-from surg_core.action_space import ActionSpace, absolute_range, commands_of, wrist_of_arm
+from surg_core.action_space import (
+    ABSOLUTE,
+    ActionSpace,
+    absolute_range,
+    commands_of,
+    target_of,
+    wrist_of_arm,
+)
 from surg_core.arm_view import ArmCommands, ArmView
 from surg_core.contract import ARM_FORCE, STEP, arm_state
 from surg_sim.arrays import Array
@@ -22,7 +29,8 @@ ASSISTANT_STATE = ("yaw", "pitch", "insertion", "roll", "jaw")
 class EnvSpaces:
     """Spaces of a session, with pictures of these views and of this size (width, height) [px].
 
-    ``forces``: the commanded arms' forces at tip and trocar are observed.
+    ``forces``: the commanded arms' forces at tip and trocar are observed. ``space``: that of the
+    actions, of ``contract.ACTION_SPACES``.
     """
 
     def __init__(
@@ -31,6 +39,7 @@ class EnvSpaces:
         images: Sequence[str],
         size: tuple[int, int],
         forces: bool = False,
+        space: str = ABSOLUTE,
     ) -> None:
         self._session, self._images, self._size, self._forces = session, images, size, forces
         self.arms = session.task.commanded
@@ -50,12 +59,14 @@ class EnvSpaces:
             self.state_names += [f"assistant/{name}" for name in ASSISTANT_STATE]
         self.force_names = [f"{arm}/{name}" for arm in self.arms for name in ARM_FORCE]
         """Names of the numbers in ``force``, such as ``PSM1/tip_x``."""
-        space = ActionSpace(wrists=tuple(wrists[arm] for arm in self.arms))
-        self.action_names = list(space.columns(self.arms))
+        self._space = ActionSpace(space, tuple(wrists[arm] for arm in self.arms))
+        self.action_names = list(self._space.columns(self.arms))
         """Names of the numbers of an action, such as ``PSM1/x``."""
 
     def action(self) -> spaces.Box:
-        """Absolute actions in the rcm frame of every commanded arm [m, rad]."""
+        """Of every commanded arm, rcm frame; bounds are those of absolute actions [m, rad]."""
+        if self._space.name != ABSOLUTE:
+            return spaces.Box(-np.inf, np.inf, (len(self.action_names),), np.float64)
         ranges = [absolute_range(self._session.cell.arms[name]) for name in self.arms]
         low, high = (np.concatenate(ends) for ends in zip(*ranges, strict=True))
         return spaces.Box(low, high, dtype=np.float64)
@@ -115,10 +126,9 @@ class EnvSpaces:
                 f"{', '.join(self.action_names)}"
             )
         views = {arm: self._view(arm, tick) for arm in self.arms}
-        wrists = [view.wrist.geometry if view.wrist else None for view in views.values()]
-        space = ActionSpace(wrists=tuple(wrists))
-        held = np.concatenate([view.held_target for view in views.values()])
-        targets = space.split(space.decode(values[None], held, STEP)[0])
+        space, before = self._in_force(views)
+        targets = space.split(space.decode(values[None], before, STEP)[0])
+        wrists = space.wrists or (None,) * len(views)
         commands = {}
         for (arm, view), wrist, target in zip(views.items(), wrists, targets, strict=True):
             if not np.isfinite(target).all():
@@ -128,3 +138,26 @@ class EnvSpaces:
                 target[:3] = view.first_step(target[:3], slack)
             commands[arm] = commands_of(wrist, target)
         return commands
+
+    def action_of(self, commands: Mapping[str, ArmCommands], tick: Tick) -> Array:
+        """The action that a sender's commands are after a tick, the inverse of ``commands``.
+
+        Raises:
+            RuntimeError: An arm is told no pose.
+        """
+        views = {arm: self._view(arm, tick) for arm in self.arms}
+        space, before = self._in_force(views)
+        targets = []
+        for arm, view in views.items():
+            said = commands.get(arm)
+            if said is None or said.servo_cp is None:
+                raise RuntimeError(f"there is no motion for {arm}")
+            jaw = view.jaw_set if said.jaw is None else said.jaw
+            targets.append(target_of(view.wrist_geometry, said.servo_cp, jaw, view.roll_go_on))
+        return space.encode(np.concatenate(targets)[None], before[None], STEP)[0]
+
+    def _in_force(self, views: Mapping[str, ArmView]) -> tuple[ActionSpace, Array]:
+        """The space with the wrists as they are mounted, and the targets in force."""
+        wrists = tuple(view.wrist_geometry for view in views.values())
+        before = np.concatenate([view.target_in_force for view in views.values()])
+        return ActionSpace(self._space.name, wrists), before

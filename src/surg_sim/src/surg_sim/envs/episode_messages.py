@@ -70,7 +70,7 @@ def cycle_of(
         "period_us": 0.0,
         "overruns": 0,
     }
-    known |= wrist_of(out.wrist)
+    known |= wrist_members(out.wrist)
     for field in table_columns.CYCLE:
         if field.source and field.source not in known:
             known[field.source] = getattr(out, OUTPUTS.get(field.source, field.source))
@@ -79,7 +79,7 @@ def cycle_of(
     return message_of(tick * TICK_NS, **known)
 
 
-def wrist_of(wrist: surg_core.WristOutputs | None) -> dict[str, Any]:
+def wrist_members(wrist: surg_core.WristOutputs | None) -> dict[str, Any]:
     """Members of surg_msgs/Cycle about the wrist."""
     if wrist is None:
         return {"wrist": []}

@@ -26,6 +26,7 @@ except ImportError as error:  # pragma: no cover - of an installation without th
         "the environments need gymnasium: pip install 'surg_sim[gym]' or pip install gymnasium"
     ) from error
 
+from surg_core.action_space import ABSOLUTE
 from surg_core.arm_view import ArmCommands, ArmView
 from surg_core.bring_up import BringUp
 from surg_core.contract import GRID, GRID_RATE, TICK_NS
@@ -53,9 +54,9 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
     with ``images``; left and right, (height, width, 3), rgb8), ``force`` (only with ``forces``; at
     tip and trocar of every commanded arm, ``contract.ARM_FORCE``, rcm frame), ``privileged`` (the
     task's ground truth, which no policy for a robot may read). Action: where set-point and jaw
-    shall be at the next grid time, the absolute one of ``surg_core.action_space`` for every
-    commanded arm. A step that is too large is refused by the controller, as on a robot, and counted
-    in ``info["refused"]``. Reward: the task's. Terminated: success or failure; truncated: time
+    shall be at the next grid time, one of ``surg_core.action_space`` for every commanded arm. A
+    step that is too large is refused by the controller, as on a robot, and counted in
+    ``info["refused"]``. Reward: the task's. Terminated: success or failure; truncated: time
     limit. ``info``: ``success``, ``reason``, ``phase``, ``seed``, ``refused``, ``rcm_error``
     (largest kinematic deviation of the step, by arm [m]).
 
@@ -70,6 +71,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         law: Of ``cell_session.LAWS``.
         seed_look: Draws the look of the tissue, once for the environment.
         forces: Observe the forces at tip and trocar.
+        space: Of the actions, of ``contract.ACTION_SPACES``.
         randomization: Ranges, or their file, from which each episode's seed draws its appearance;
             ``info["look"]`` of ``reset`` tells the drawn one. None: all look as built. Physics and
             ground truth are the same with and without.
@@ -89,6 +91,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         law: str = "ours",
         seed_look: int = 0,
         forces: bool = False,
+        space: str = ABSOLUTE,
         randomization: DomainRandomization | Path | str | None = None,
     ) -> None:
         strange = [name for name in images if name not in CAMERAS]
@@ -115,7 +118,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         self._renderers: dict[tuple[str, ...], Any] = {}
         self._qpos = self.session.world.data.qpos.copy()
         """Joint positions of the observed state, for pictures."""
-        self._spaces = EnvSpaces(self.session, self._images, self._size, forces)
+        self._spaces = EnvSpaces(self.session, self._images, self._size, forces, space)
         self.arms, self.state_names = self._spaces.arms, self._spaces.state_names
         self.action_names = self._spaces.action_names
         self._expert: Expert | None = None
@@ -249,18 +252,9 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         if self._expert is None:
             self._expert = self.session.task.experts(self.session.cell, self.seed)[POLICY]
         scripted = self._expert.tick(self._observed)
-        action: list[float] = []
-        for arm in self.arms:
-            commands = scripted.arms.get(arm)
-            out = self._tick.outputs[arm] if self._tick else None
-            if commands is None or commands.servo_cp is None:
-                raise RuntimeError(f"the expert has no motion for {arm}: {self._expert.reason}")
-            assert out is not None
-            jaw = commands.jaw if commands.jaw is not None else float(out.jaw_set)
-            pose = commands.servo_cp
-            turn = np.array([pose.roll]) if out.wrist is None else pose.q
-            action += [*pose.p, *turn, jaw]
-        return np.array(action)
+        if self._expert.reason or self._tick is None:
+            raise RuntimeError(f"the expert has no motion: {self._expert.reason}")
+        return self._spaces.action_of(scripted.arms, self._tick)
 
 
 def register() -> None:

@@ -12,12 +12,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+import surg_core
 from surg_sim.appearance.drawing import add_seen
 from surg_sim.appearance.patient import draw_cannula, wall_height
 from surg_sim.arrays import Array
 from surg_sim.physics.patient_site import Site
 from surg_sim.physics.spec_parts import add_position_servo, quaternion, state_mass
-from surg_sim.physics.tool_drive import ARMATURE, STIFFNESS
+from surg_sim.physics.tool_drive import ARMATURE, STIFFNESS, WRIST_JOINTS
 
 NAME = "assistant"
 """Prefix of everything of the assistant in a scene, and its name on the wire."""
@@ -85,8 +86,11 @@ def add_assistant(spec: mujoco.MjSpec, site: Site, instrument: Path, visuals: bo
     grasper = mujoco.MjSpec.from_string(instrument.read_text("utf-8"))
     if any(grasper.joint(name) is None for name in JAWS):
         raise ValueError(f"{instrument}: needs the joints {' and '.join(JAWS)} of a grasper")
+    for name in WRIST_JOINTS:  # a hand at a handle: its wrist stays straight
+        if grasper.joint(name) is not None:
+            grasper.delete(grasper.joint(name))
     shaft = grasper.body("shaft")  # parallel to the mount, as is its tip: no rotation to undo
-    to_tip = np.array(grasper.body(TIP).pos)
+    to_tip = np.asarray(surg_core.fixed_transform(instrument, "shaft", TIP))[:3, 3]
     offset = -(np.asarray(shaft.pos) + to_tip)
     body.add_frame(pos=offset.tolist()).attach_body(shaft, f"{NAME}_", "")
     for name in JAWS:

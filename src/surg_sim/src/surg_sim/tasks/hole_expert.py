@@ -39,8 +39,8 @@ class HoleExpert(ArmExpert):
         """See the hole, and how the thing lies in the jaws."""
 
     @abstractmethod
-    def _target(self, ahead: float) -> tuple[Array, float]:
-        """Place of the tip [m] and roll [rad] with the thing's end ``ahead`` of the hole [m]."""
+    def _target(self, ahead: float) -> tuple[Array, Array]:
+        """Place of the tip [m] and its turns with the thing's end ``ahead`` of the hole [m]."""
 
     @abstractmethod
     def _clear_way(self) -> Array:
@@ -66,8 +66,8 @@ class HoleExpert(ArmExpert):
     def _approach(self) -> Iterator[None]:
         """Turn far away, go past the hole, and only then towards it: the thing is large."""
         self._look()
-        p, roll = self._target(self.far)
-        self.roll.go(np.array([roll]))
+        p, turns = self._target(self.far)
+        self.roll.go(turns)
         while not self.roll.arrived:
             yield
         way = self._clear_way()
@@ -77,16 +77,16 @@ class HoleExpert(ArmExpert):
     def _go(self, ahead: float, seconds: float) -> Iterator[None]:
         """Appearance, and bring the thing to a distance before the hole [m]."""
         self._look()
-        p, roll = self._target(ahead)
-        self.roll.go(np.array([roll]), seconds)
+        p, turns = self._target(ahead)
+        self.roll.go(turns, seconds)
         yield from self.move(p, seconds)
         while not self.roll.arrived:
             yield
 
-    def _put(self, p: Array, roll: float) -> None:
-        """The next set-point: tip in the world [m], roll [rad]."""
+    def _put(self, p: Array, turns: Array) -> None:
+        """The next set-point: tip in the world [m], and its turns."""
         self.path.stay(self.local(p))
-        self.roll.stay(np.array([roll]))
+        self.roll.stay(turns)
 
 
 def turn_onto(axis: Array, d: Array, s: Array) -> float:

@@ -13,7 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from surg_core.arm_view import TipPose
 from surg_core.contract import STEP
 from surg_sim.tasks.scripted_arm import ArmExpert
 from surg_sim.tasks.scripted_sender import Action, Expert, Observation
@@ -54,5 +53,5 @@ class PerturbedExpert(Expert):
                 path = self._expert.path
                 left = float(np.linalg.norm(path.goal - path.at))
                 p = pose.p + min(left / NEAR, 1.0) * self._offset
-                arms[name] = replace(commands, servo_cp=TipPose(p, pose.roll))
+                arms[name] = replace(commands, servo_cp=replace(pose, p=p))
         return Action(arms=arms, assistant=action.assistant)

@@ -13,7 +13,7 @@ import surg_core
 from surg_core.arm_view import ArmCommands, ArmState, ArmView, TipPose
 from surg_core.bring_up import BringUp
 from surg_core.contract import STEP, TICK_NS
-from surg_core.transforms import minimal_rotation
+from surg_core.transforms import minimal_rotation, quaternion_xyzw_to_matrix, rotation_of
 from surg_sim.arrays import Array
 from surg_sim.tasks.scripted_sender import (
     Action,
@@ -51,6 +51,9 @@ class ArmExpert(ScriptedExpert):
         """The script has ended; the last pose is held."""
         self.expert_noise = 1.0
         """Factor of the error that the seed draws for the hand; large, and a grasp misses."""
+        self.lean = np.zeros(0)
+        """How a wrist leans the tool out of the shaft's line at first, see ``tool_pose``; (0,) for
+        ever or (3,)."""
         self._script: Iterator[None] | None = None
         self._bring_up = BringUp()
         self._bring_up.start(0)
@@ -80,7 +83,7 @@ class ArmExpert(ScriptedExpert):
     def _act(self, commands: ArmCommands) -> None:
         if self._script is None:
             self.path.stay(self.p_set)
-            self.roll.stay(np.array([self.me.roll_set]))
+            self.roll.stay(np.append(self.me.roll_set, self.lean))
             self._script = self.script()
         if not self.done:
             try:
@@ -88,7 +91,11 @@ class ArmExpert(ScriptedExpert):
             except StopIteration:
                 self.done = True
         p = self.path.advance(STEP)
-        commands.servo_cp = TipPose(p, float(self.roll.advance(STEP)[0]))
+        turns = self.roll.advance(STEP)
+        commands.servo_cp = TipPose(p, float(turns[0]))
+        if len(turns) > 1:
+            R_WTool = self.tool_pose(out_of(self.X_WR, p), turns)[:3, :3]
+            commands.servo_cp = TipPose(p, float(turns[0]), self.X_WR[:3, :3].T @ R_WTool)
         commands.jaw = self.jaw
 
     @property
@@ -96,11 +103,24 @@ class ArmExpert(ScriptedExpert):
         """Set-point of the tip, rcm frame [m], (3,)."""
         return into(self.X_WR, out_of(self.X_WB, self.me.p_BSet))
 
-    def tool_pose(self, p_W: Array, roll: float) -> Array:
-        """Pose of the tool for a place of its tip (3,) [m] and a roll [rad], world, (4, 4)."""
+    def measured_tool(self, p_W: Array) -> Array:
+        """Measured pose of the tool whose tip is at p_W (3,) [m], world, (4, 4)."""
+        X = self.tool_pose(p_W, np.array([self.me.roll]))
+        if self.me.wrist is not None:
+            X[:3, :3] = self.X_WR[:3, :3] @ quaternion_xyzw_to_matrix(self.me.wrist.q_RTip)
+        return X
+
+    def tool_pose(self, p_W: Array, turns: Array) -> Array:
+        """Pose of the tool for a place of its tip (3,) [m] and its turns, world, (4, 4).
+
+        They are the roll [rad], (1,), and behind a wrist also the rotation vector in the rcm frame
+        [rad] that leans the tool out of the line from trocar to tip, (4,).
+        """
         p = self.local(p_W)
         swing = self.X_WR[:3, :3] @ minimal_rotation(np.eye(3)[2], p / np.linalg.norm(p))
-        c, s = np.cos(roll), np.sin(roll)
+        if len(turns) > 1:
+            swing = self.X_WR[:3, :3] @ rotation_of(turns[1:]) @ self.X_WR[:3, :3].T @ swing
+        c, s = np.cos(turns[0]), np.sin(turns[0])
         X = np.eye(4)
         X[:3, :3] = swing @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         X[:3, 3] = p_W

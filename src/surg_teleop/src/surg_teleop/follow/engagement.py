@@ -7,6 +7,7 @@ import math
 from surg_core.arm_view import ArmCommands, ArmView, TipPose
 from surg_core.hand.leader_sample import LeaderSample
 from surg_teleop.follow.jaw_follower import JawFollower
+from surg_teleop.follow.straight_target import StraightTarget
 from surg_teleop.follow.target_pose import HandJumpError, TargetPose
 from surg_teleop.follow.teleop_types import (
     DEFAULT_SCALE,
@@ -131,5 +132,5 @@ class Engagement:
 def _target(settings: TeleopSettings, now: float, sample: LeaderSample, arm: ArmView) -> TargetPose:
     wrist = settings.wrist_of(arm)
     if wrist is None:
-        return TargetPose(settings.workspace, settings.step, arm, sample, now)
+        return StraightTarget(settings.workspace, settings.step, arm, sample, now)
     return WristedTarget(settings.workspace, settings.step, arm, sample, now, wrist)

@@ -9,6 +9,7 @@ shallower than the workspace: from there the target only goes deeper.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,8 +19,6 @@ from surg_core.arm_view import ArmView, Array, TipPose
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_core.hand.leader_sample import HandRate, LeaderSample
 from surg_core.transforms import virtual_tip
-from surg_teleop.follow.hand_mapping import Mapping
-from surg_teleop.leaders.handle_roll import Handle
 from surg_teleop.playback.motion_file import (
     JUMP_SLACK,
     JUMP_SPEED,
@@ -81,7 +80,7 @@ class StepLimits:
         return max(0.0, min(since, self.longest) - 2.0 * TICK_NS / SECOND_NS)
 
 
-class TargetPose:
+class TargetPose(ABC):
     """The target of the hand and the command on the way to it; starts at the arm's set-point."""
 
     def __init__(
@@ -93,10 +92,7 @@ class TargetPose:
         now: float,
     ) -> None:
         self._workspace, self._limits = workspace, limits
-        self._handle = Handle(sample.pose) if sample.pose is not None else None
-        self._stamp = sample.stamp
-        self._sent, self._sent_roll, self._sent_at = arm.p_set, arm.roll_set, now
-        self._new = False
+        self._stamp, self._sent_at, self._new = sample.stamp, now, False
         self.wanted: Array = arm.p_set
         """(3,) target of the tip, in the rcm frame [m]."""
         self.roll = arm.roll_set
@@ -104,6 +100,7 @@ class TargetPose:
         self.wall = ""
         """The wall of the workspace that limits the target; empty: none."""
 
+    @abstractmethod
     def follow_hand(
         self, sample: LeaderSample, scale: float, R_RV: Array, *, moves: bool, rolls: bool
     ) -> None:
@@ -112,22 +109,8 @@ class TargetPose:
         Raises:
             HandJumpError: The hand has jumped; the target is unchanged.
         """
-        pose = sample.pose
-        if pose is None or not sample.stamp > self._stamp:
-            return
-        if self._handle is None:
-            self._handle = Handle(pose)
-        p_before, roll_before = self._handle.p, self._handle.roll
-        self._handle.move(pose)
-        since, self._stamp = sample.stamp - self._stamp, sample.stamp
-        self._check_jump(self._handle.p - p_before, self._handle.roll - roll_before, since)
-        mapping = Mapping(scale, p_before, roll_before, self.wanted, self.roll, R_RV)
-        if moves:
-            self._set_target(mapping.position(self._handle.p))
-        if rolls:
-            self.roll = mapping.roll(self._handle.roll)
-        self._new = True
 
+    @abstractmethod
     def follow_rate(
         self,
         sample: LeaderSample,
@@ -140,18 +123,10 @@ class TargetPose:
         rolls: bool,
     ) -> None:
         """Rate control: integrate over dt [s], inside the workspace and close to the arm."""
-        rate = sample.rate
-        if rate is None:
-            return
-        before, roll_before = self.wanted, self.roll
-        if moves:
-            step = self._rate_step(rate, factor, dt, R_RV)
-            if self._stays_near(arm, step):
-                self._set_target(self.wanted + step)
-        if rolls:
-            turn = self._limits.roll_velocity * dt
-            self.roll += min(max(factor * rate.roll * dt, -turn), turn)
-        self._new = self._new or self.roll != roll_before or bool((self.wanted != before).any())
+
+    @abstractmethod
+    def command(self, now: float) -> TipPose:
+        """The next command, as near to the target as one step may go."""
 
     def behind(self, arm: ArmView) -> tuple[float, float]:
         """How far the arm is behind the target: its tip [m], and the turn of its tool [rad]."""
@@ -160,24 +135,6 @@ class TargetPose:
     def due(self, now: float) -> bool:
         """Whether a command is due."""
         return self._new or now - self._sent_at >= KEEP_ALIVE
-
-    def command(self, now: float) -> TipPose:
-        """The next command, as near to the target as one step may go."""
-        step, turn = self._limits.allowed(now - self._sent_at)
-        left, left_roll = self.wanted - self._sent, self.roll - self._sent_roll
-        length = float(np.linalg.norm(left))
-        if length > step:
-            # Near the trocar the straight line between two points may leave the workspace.
-            within = self._workspace.from_here(self._sent)
-            self._sent, _ = within.nearest(self._sent + left * (step / length))
-        else:
-            self._sent = self.wanted
-        self._sent_roll += min(max(left_roll, -turn), turn)
-        self._sent_at, self._new = now, False
-        return TipPose(self._sent, self._sent_roll)
-
-    def _set_target(self, p: Array) -> None:
-        self.wanted, self.wall = self._workspace.from_here(self.wanted).nearest(p)
 
     def _rate_step(self, rate: HandRate, factor: float, dt: float, R_RV: Array) -> Array:
         """Step (3,) in the rcm frame [m] for a time [s], no faster than the arm's limit."""

@@ -42,7 +42,7 @@ class ThreadExpert(HoleExpert):
         look = self.observation
         self._hole = look.point("hole") + self._error
         self._axis = look.point("axis")
-        X_WT = self.tool_pose(look.point("tip"), self.me.roll)
+        X_WT = self.measured_tool(look.point("tip"))
         self._nodes_T = (look.point("nodes") - X_WT[:3, 3]) @ X_WT[:3, :3]
 
     def _thread(self, ahead: float) -> tuple[Array, Array]:
@@ -56,17 +56,17 @@ class ThreadExpert(HoleExpert):
         d = (near - far) / np.linalg.norm(near - far)
         return near + (max(ahead, 0.0) - (back - i) * PIECE) * d, d
 
-    def _target(self, ahead: float) -> tuple[Array, float]:
-        """Place of the tip [m] and roll [rad] with the thread's end ``ahead`` of the hole [m].
+    def _target(self, ahead: float) -> tuple[Array, Array]:
+        """Place of the tip [m] and roll [rad] (1,) with the thread's end ``ahead`` of the hole [m].
 
         Solved by fixed point: the shaft's direction hardly depends on the tip's place.
         """
         p_T, d_T = self._thread(ahead)
-        p, roll = self.observation.point("tip"), self.me.roll
+        p, roll = self.observation.point("tip"), np.array([self.me.roll])
         for _ in range(12):
             R = self.tool_pose(p, roll)[:3, :3]
             d, s = R @ d_T, R[:, 2]
-            roll += turn_onto(self._axis, d, s)
+            roll = roll + turn_onto(self._axis, d, s)
             p = self._hole - self.tool_pose(p, roll)[:3, :3] @ p_T
         return p, roll
 
