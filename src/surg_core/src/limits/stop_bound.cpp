@@ -1,0 +1,345 @@
+#include "surg_core/limits/stop_bound.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+namespace surg {
+namespace {
+
+constexpr int kDelays = 3;          // delays that are tried: none, half of the most, the most
+constexpr int kNewest = 9;          // commands on their way that are tried as the last one
+constexpr int kBlock = 4;           // [periods] commands that have arrived are taken together
+constexpr double kNoise = 1e-3;     // [rad/s] of a measured velocity
+constexpr double kUnsettled = 0.1;  // of the commands' range: measured beside a command that stands
+
+using Columns = Eigen::Matrix<double, 3, kMaxJoints>;
+using Square = Eigen::Matrix<double, kMaxJoints, kMaxJoints>;
+
+/// One interval per joint.
+struct Box {
+  Joints low, high;
+  Joints middle() const { return 0.5 * (low + high); }
+  Joints half() const { return 0.5 * (high - low); }
+  Joints most() const { return low.cwiseAbs().cwiseMax(high.cwiseAbs()); }
+  void hold(const Joints& value) {
+    low = low.cwiseMin(value);
+    high = high.cwiseMax(value);
+  }
+  /// With the values a share of the way to those of another.
+  Box towards(const Box& other, double share) const {
+    return {low.cwiseMin(low + share * (other.low - low)),
+            high.cwiseMax(high + share * (other.high - high))};
+  }
+};
+
+/// Where a point gets by joint travels c + x: offset + J x, and at most bend(x) beside it.
+struct Point {
+  Vector3 offset;
+  Columns J;
+  Square bend;  // half of the second derivatives' norms [m/rad^2]
+
+  double beside(const Joints& x) const { return x.dot(bend * x) * (1 + 0.5 * x.sum()); }
+};
+
+/// The farthest that the tip gets by joint travels in boxes round some middles.
+class FarthestTip {
+ public:
+  explicit FarthestTip(const Point& point) : point_(point) {}
+
+  void take(const Joints& half) {
+    rough_ = point_.J.colwise().norm().dot(half);
+    half_ = half;
+    radius_ = -1;
+  }
+  void reach(const Joints& middle) {
+    const double centre = (point_.offset + point_.J * middle).norm();
+    const double beside = point_.beside(middle.cwiseAbs() + half_);
+    if (centre + rough_ + beside <= farthest) return;
+    if (radius_ < 0) radius_ = radius();
+    farthest = std::max(farthest, centre + radius_ + beside);
+  }
+
+  double farthest = 0;
+
+ private:
+  /// Of the box: the largest |J x| over its corners, walked along its edges.
+  double radius() const {
+    Vector3 at = Vector3::Zero();
+    Columns edge;
+    int n = 0;
+    for (int i = 0; i < kMaxJoints; ++i) {
+      if (!(half_[i] > 0)) continue;
+      edge.col(n) = 2 * half_[i] * point_.J.col(i);
+      at += 0.5 * edge.col(n++);
+    }
+    double most = at.squaredNorm();
+    for (unsigned corner = 1; n > 0 && corner < 1U << (n - 1); ++corner) {
+      int flipped = 0;
+      while (!(corner >> flipped & 1U)) ++flipped;
+      const bool down = ((corner >> flipped >> 1U) & 1U) == 0;  // Gray code
+      if (down) {
+        at -= edge.col(flipped);
+      } else {
+        at += edge.col(flipped);
+      }
+      most = std::max(most, at.squaredNorm());
+    }
+    return std::sqrt(most);
+  }
+
+  Point point_;
+  Joints half_;
+  double rough_ = 0, radius_ = 0;
+};
+
+/// The same for the shaft across itself, exactly: the box is a polygon there.
+class FarthestShaft {
+ public:
+  FarthestShaft(const Point& point, const Vector3& s) : point_(point) {
+    across_.row(0) = s.unitOrthogonal();
+    across_.row(1) = s.cross(Vector3(across_.row(0)));
+    J_ = across_ * point.J;
+    offset_ = across_ * point.offset;
+  }
+
+  void take(const Joints& half) {
+    half_ = half;
+    std::array<Plane, kMaxJoints> edge;
+    n_ = 0;
+    corner_[0].setZero();
+    for (int i = 0; i < kMaxJoints; ++i) {
+      Plane along = half[i] * J_.col(i);
+      if (along.isZero(0)) continue;
+      if (along.y() < 0 || (along.y() == 0 && along.x() < 0)) along = -along;
+      corner_[0] -= along;
+      int at = n_++;
+      for (; at > 0 && turns_back(edge[at - 1], along); --at) edge[at] = edge[at - 1];
+      edge[at] = along;
+    }
+    for (int i = 0; i < n_; ++i) corner_[i + 1] = corner_[i] + 2 * edge[i];
+  }
+  void reach(const Joints& middle) {
+    const Plane centre = offset_ + J_ * middle;
+    double most = 0;
+    for (int i = 0; i <= n_; ++i) {
+      const Plane& corner = corner_[i];  // half of them; the others are opposite
+      most = std::max(most, centre.squaredNorm() + corner.squaredNorm() +
+                                2 * std::abs(centre.dot(corner)));
+    }
+    farthest =
+        std::max(farthest, std::sqrt(most) + point_.beside(middle.cwiseAbs() + half_));
+  }
+
+  double farthest = 0;
+
+ private:
+  using Plane = Eigen::Vector2d;
+  static bool turns_back(const Plane& a, const Plane& b) { return a.x() * b.y() < a.y() * b.x(); }
+
+  Point point_;
+  Eigen::Matrix<double, 2, 3> across_;
+  Eigen::Matrix<double, 2, kMaxJoints> J_;
+  Plane offset_;
+  Joints half_;
+  std::array<Plane, kMaxJoints + 1> corner_;
+  int n_ = 0;
+};
+
+/// The arm at one posture: columns of the flange's Jacobian.
+struct Posture {
+  Posture(const Chain& chain, const Joints& q, const StopEstimator::Now& now) {
+    Pose X_BF;
+    Jacobian J;
+    chain.forward(JointVector(q.head(chain.dof())), X_BF, J);
+    p_BF = X_BF.translation();
+    p_BTip = X_BF * now.tool.p_FTip;
+    s = X_BF.linear() * now.tool.s_F;
+    v.setZero();
+    axis.setZero();
+    v.leftCols(J.cols()) = J.topRows<3>();
+    axis.leftCols(J.cols()) = J.bottomRows<3>();
+  }
+  Columns at(const Vector3& p) const {
+    Columns moved;
+    for (int i = 0; i < kMaxJoints; ++i) moved.col(i) = v.col(i) + cross(i, p - p_BF);
+    return moved;
+  }
+  Vector3 cross(int joint, const Vector3& p) const {
+    return Vector3(axis.col(joint)).cross(p);
+  }
+
+  Vector3 p_BF, p_BTip, s;
+  Columns v, axis;
+};
+
+Point tip_point(const Posture& arm, const Vector3& from) {
+  Point point;
+  point.offset = arm.p_BTip - from;
+  point.J = arm.at(arm.p_BTip);
+  for (int j = 0; j < kMaxJoints; ++j) {
+    for (int i = 0; i <= j; ++i) {
+      point.bend(i, j) = point.bend(j, i) = 0.5 * arm.cross(i, point.J.col(j)).norm();
+    }
+  }
+  return point;
+}
+
+/// The point of the shaft's line that is nearest to the trocar, from there.
+Point shaft_point(const Posture& arm, const Vector3& p_BRcm) {
+  const Vector3& s = arm.s;
+  Point point;
+  point.offset = arm.p_BTip - p_BRcm;
+  const Vector3 near = arm.p_BTip - s.dot(point.offset) * s;
+  point.offset = near - p_BRcm;
+  const Columns moved = arm.at(near);
+  point.J = moved - s * (s.transpose() * moved);
+  for (int j = 0; j < kMaxJoints; ++j) {
+    for (int i = 0; i <= j; ++i) {
+      const Vector3 turn_i = arm.cross(i, s), turn_j = arm.cross(j, s);
+      const Vector3 second = arm.cross(i, moved.col(j));
+      const Vector3 along = s * (s.dot(second) + turn_i.dot(moved.col(j)) + turn_j.dot(moved.col(i)));
+      const Vector3 bend =
+          second - turn_i * s.dot(moved.col(j)) - turn_j * s.dot(moved.col(i)) - along;
+      point.bend(i, j) = point.bend(j, i) = 0.5 * bend.norm();
+    }
+  }
+  return point;
+}
+
+/// Middle and half width of the way on which the joints come to rest from velocities v [rad]: each
+/// with a deceleration of its own, or along their path, no slower than its slowest joint.
+std::pair<Joints, Joints> stopping(const Box& v, const Joints& least, const Joints& most,
+                                   double lead, bool apart) {
+  if (!apart) {
+    const Joints fast = v.most();
+    const double time = std::max(fast.cwiseQuotient(least).maxCoeff(), fast.maxCoeff() / lead);
+    return {0.5 * time * v.middle(), 0.5 * time * v.half()};
+  }
+  Box way;
+  for (int i = 0; i < kMaxJoints; ++i) {
+    const double low = v.low[i] * std::abs(v.low[i]), high = v.high[i] * std::abs(v.high[i]);
+    way.low[i] = 0.5 * low / (low > 0 ? most[i] : least[i]);
+    way.high[i] = 0.5 * high / (high > 0 ? least[i] : most[i]);
+  }
+  return {way.middle(), way.half()};
+}
+
+/// Tip and shaft as functions of the joints' travel, linear about one of its values.
+struct View {
+  View(const Chain& chain, const StopEstimator::Now& now, const Joints& about,
+       const Vector3& p_BTip)
+      : View(Posture(chain, padded(now.q) + about, now), now, about, p_BTip) {}
+
+  void take(const Joints& half) {
+    tip.take(half);
+    shaft.take(half);
+  }
+  void reach(const Joints& travel) {
+    tip.reach(travel - origin);
+    shaft.reach(travel - origin);
+  }
+
+  Joints origin;
+  FarthestTip tip;
+  FarthestShaft shaft;
+
+ private:
+  View(const Posture& arm, const StopEstimator::Now& now, const Joints& about,
+       const Vector3& p_BTip)
+      : origin(about),
+        tip(tip_point(arm, p_BTip)),
+        shaft(shaft_point(arm, now.p_BRcm), arm.s) {}
+};
+
+}  // namespace
+
+void StopEstimator::add(const JointVector& qd_command) {
+  commands_.newest = (commands_.newest + 1) % Commands::kMost;
+  commands_.sent[commands_.newest] = padded(qd_command);
+}
+
+StopBound StopEstimator::bound(const Chain& chain, const Now& now) const {
+  const Joints qd = padded(now.qd);
+  const auto ago = [this](int periods) -> const Joints& { return commands_.ago(periods); };
+  const double held = ranges_.dead_man + T_;
+  const int delay = std::min(static_cast<int>(std::ceil((now.lag + now.age) / T_)), Commands::kMost / 2);
+  const int oldest =
+      std::min(delay + static_cast<int>(std::ceil(held / T_)), Commands::kMost - kBlock);
+  Joints least = Joints::Ones(), most = Joints::Ones();
+  least.head(now.q.size()) = ranges_.least;
+  most.head(now.q.size()) = ranges_.most;
+
+  // What the commands of the last 'delay' periods add up to, and the range of all.
+  std::array<Joints, Commands::kMost / 2 + 1> sum;
+  sum[0].setZero();
+  Box all{qd, qd};
+  for (int i = 0; i <= oldest; ++i) {
+    if (i < delay) sum[i + 1] = sum[i] + T_ * ago(i + 1);
+    all.hold(ago(i));
+  }
+  const std::array<Joints, kDelays> waiting{sum[0], sum[delay / 2], sum[delay]};
+
+  // Linear about the ends of four ways: held or at once, and each joint by itself or together.
+  const Vector3 p_BTip = Posture(chain, padded(now.q), now).p_BTip;
+  const Box newest{ago(0), ago(0)}, measured{qd, qd};
+  const Joints hold = held * ago(0) + sum[delay] + 0.5 * now.lag * (qd - ago(0));
+  const auto about = [&](const Joints& travel, const Box& v, bool apart) {
+    const auto [middle, half] = stopping(v, least, most, ranges_.deceleration, apart);
+    return View(chain, now, travel + middle, p_BTip);
+  };
+  const Joints still = Joints::Zero();
+  std::array<View, 2> held_views{about(hold, newest, true), about(hold, newest, false)};
+  std::array<View, 2> views{about(still, measured, true), about(still, measured, false)};
+
+  // One way: travel until the stop begins, whose uncertainty is 'lag', and the velocity then.
+  const auto visit = [&](std::array<View, 2>& to, const Joints& travel, const Joints& lag,
+                         const Box& v, int delays) {
+    for (const bool apart : {true, false}) {
+      const auto [middle, half] = stopping(v, least, most, ranges_.deceleration, apart);
+      View& view = to[apart ? 0 : 1];
+      view.take(half + lag);
+      for (int i = 0; i < delays; ++i) view.reach(travel + middle + waiting[kDelays - 1 - i]);
+    }
+  };
+
+  // The last command to arrive is still on its way: held until the link stops the arm, or the robot
+  // stops as it arrives.
+  const int stride = std::max(delay / (kNewest - 1), 1);
+  for (int j = 0; j <= delay; j += stride) {
+    const Joints& u = ago(j);
+    const Joints behind = now.lag * (qd - u);
+    Box v{u, u};
+    Box pending{qd.cwiseMin(u), qd.cwiseMax(u)};
+    for (int i = j; i <= delay; ++i) pending.hold(ago(i));
+    const double left = std::exp(-held / std::max(now.lag, 1e-6));
+    visit(held_views, held * u - sum[j] + 0.5 * behind, 0.5 * behind.cwiseAbs(), v.towards(pending, left),
+          kDelays);
+    const Box sudden{qd.cwiseMin(u), qd.cwiseMax(u)};
+    visit(views, -sum[j], Joints::Zero(), sudden, kDelays);
+  }
+  // It has arrived, and the link has been silent since. The arm's velocity tells which it can be.
+  for (int first = delay + 1; first <= oldest; first += kBlock) {
+    Box u{ago(first), ago(first)};
+    for (int i = 1; i < kBlock; ++i) u.hold(ago(first + i));
+    const double since = (first - delay) * T_, rest = std::max(held - since, 0.0);
+    const double seen = std::exp(-since / std::max(now.lag, 1e-6)) + kUnsettled;
+    const Joints apart = seen * (all.high - all.low) + Joints::Constant(kNoise);
+    const Box v{u.low.cwiseMax(qd - apart), u.high.cwiseMin(qd + apart)};
+    if (!(v.low.array() <= v.high.array()).all()) continue;
+    const Joints behind = std::min(now.lag, rest) * (qd - v.middle());
+    const double left = std::exp(-rest / std::max(now.lag, 1e-6));
+    visit(held_views, rest * v.middle() + 0.5 * behind - waiting[kDelays - 1],
+          rest * v.half() + 0.5 * behind.cwiseAbs(), v.towards({qd, qd}, left), 1);
+  }
+  StopBound bound{0, 0};
+  for (const std::array<View, 2>* both : {&held_views, &views}) {
+    for (const View& view : *both) {
+      bound.tip = std::max(bound.tip, view.tip.farthest);
+      bound.pivot = std::max(bound.pivot, view.shaft.farthest);
+    }
+  }
+  return bound;
+}
+
+}  // namespace surg
