@@ -85,17 +85,15 @@ def _corners(rng: np.random.Generator, low: Array, high: Array, k: int) -> Array
     return low + np.where(rng.random((k, 1)) < 0.67, np.round(share), share) * (high - low)
 
 
-def _worst_brakes(arm: surg_core.Arm, state: Stopping, ranges: Ranges, k: int) -> Array:
-    """(k, n) decelerations that drive shaft or tip apart in k directions."""
+def _worst_brakes(
+    rng: np.random.Generator, arm: surg_core.Arm, state: Stopping, ranges: Ranges, k: int
+) -> Array:
+    """(k, n) decelerations that drive shaft or tip as far as they can in k drawn directions."""
     n, h = len(state.q), 1e-6
     tip, s = tip_and_shaft(arm, np.vstack([state.q, state.q + h * np.eye(n)]))
     near = tip - np.sum((tip - state.p_BRcm) * s, axis=1)[:, None] * s
-    near[:, :] += 0.0
-    angle = np.linspace(0, 2 * np.pi, k, endpoint=False)
-    x = np.cross(s[0], [0.3, 0.5, 0.8])
-    x /= np.linalg.norm(x)
-    across = np.outer(np.cos(angle), x) + np.outer(np.sin(angle), np.cross(s[0], x))
-    pull = across @ ((near[1:] - near[0]) / h).T * state.sent[0]
+    moved = np.where(rng.random((k, 1, 1)) < 0.5, (tip[1:] - tip[0]) / h, (near[1:] - near[0]) / h)
+    pull = np.einsum("kni,ki->kn", moved, rng.normal(size=(k, 3))) * state.sent[0]
     return np.where(pull > 0, ranges.least, ranges.most)
 
 
@@ -115,8 +113,8 @@ def worst(
     by_itself = rng.random(k) < 0.5
     begin = np.where(by_itself, np.clip(rng.uniform(-0.2, 1.2, k), 0, 1) * silent, silent)
     brakes = _corners(rng, ranges.least, ranges.most, k)
-    aimed = k // 3
-    brakes[:aimed] = _worst_brakes(arm, state, ranges, aimed)
+    aimed = k // 2
+    brakes[:aimed] = _worst_brakes(rng, arm, state, ranges, aimed)
     begin[:aimed] = np.where(rng.random(aimed) < 0.7, silent[:aimed], begin[:aimed])
     together = rng.random(k) < 0.3
     together[:aimed] = False

@@ -9,7 +9,7 @@ namespace {
 
 constexpr int kDelays = 3;          // delays that are tried: none, half of the most, the most
 constexpr int kNewest = 9;          // commands on their way that are tried as the last one
-constexpr int kBlock = 4;           // [periods] commands that have arrived are taken together
+constexpr int kApart = 2;           // [periods] between commands that have arrived and are tried
 constexpr double kNoise = 1e-3;     // [rad/s] of a measured velocity
 constexpr double kUnsettled = 0.1;  // of the commands' range: measured beside a command that stands
 
@@ -262,10 +262,10 @@ void StopEstimator::add(const JointVector& qd_command) {
 StopBound StopEstimator::bound(const Chain& chain, const Now& now) const {
   const Joints qd = padded(now.qd);
   const auto ago = [this](int periods) -> const Joints& { return commands_.ago(periods); };
-  const double held = ranges_.dead_man + T_;
+  const double held = ranges_.dead_man + T_, lag = std::max(now.lag, 1e-6);
   const int delay = std::min(static_cast<int>(std::ceil((now.lag + now.age) / T_)), Commands::kMost / 2);
   const int oldest =
-      std::min(delay + static_cast<int>(std::ceil(held / T_)), Commands::kMost - kBlock);
+      std::min(delay + static_cast<int>(std::ceil(held / T_)), Commands::kMost - 1);
   Joints least = Joints::Ones(), most = Joints::Ones();
   least.head(now.q.size()) = ranges_.least;
   most.head(now.q.size()) = ranges_.most;
@@ -309,28 +309,23 @@ StopBound StopEstimator::bound(const Chain& chain, const Now& now) const {
   for (int j = 0; j <= delay; j += stride) {
     const Joints& u = ago(j);
     const Joints behind = now.lag * (qd - u);
-    Box v{u, u};
     Box pending{qd.cwiseMin(u), qd.cwiseMax(u)};
     for (int i = j; i <= delay; ++i) pending.hold(ago(i));
-    const double left = std::exp(-held / std::max(now.lag, 1e-6));
-    visit(held_views, held * u - sum[j] + 0.5 * behind, 0.5 * behind.cwiseAbs(), v.towards(pending, left),
-          kDelays);
+    visit(held_views, held * u - sum[j] + 0.5 * behind, 0.5 * behind.cwiseAbs(),
+          Box{u, u}.towards(pending, std::exp(-held / lag)), kDelays);
     const Box sudden{qd.cwiseMin(u), qd.cwiseMax(u)};
     visit(views, -sum[j], Joints::Zero(), sudden, kDelays);
   }
   // It has arrived, and the link has been silent since. The arm's velocity tells which it can be.
-  for (int first = delay + 1; first <= oldest; first += kBlock) {
-    Box u{ago(first), ago(first)};
-    for (int i = 1; i < kBlock; ++i) u.hold(ago(first + i));
-    const double since = (first - delay) * T_, rest = std::max(held - since, 0.0);
-    const double seen = std::exp(-since / std::max(now.lag, 1e-6)) + kUnsettled;
+  for (int j = delay + 1; j <= oldest; j += kApart) {
+    const Joints& u = ago(j);
+    const double since = (j - delay) * T_, rest = std::max(held - since, 0.0);
+    const double seen = std::exp(-since / lag) + kUnsettled;
     const Joints apart = seen * (all.high - all.low) + Joints::Constant(kNoise);
-    const Box v{u.low.cwiseMax(qd - apart), u.high.cwiseMin(qd + apart)};
-    if (!(v.low.array() <= v.high.array()).all()) continue;
-    const Joints behind = std::min(now.lag, rest) * (qd - v.middle());
-    const double left = std::exp(-rest / std::max(now.lag, 1e-6));
-    visit(held_views, rest * v.middle() + 0.5 * behind - waiting[kDelays - 1],
-          rest * v.half() + 0.5 * behind.cwiseAbs(), v.towards({qd, qd}, left), 1);
+    if (((u - qd).cwiseAbs().array() > apart.array()).any()) continue;
+    const Joints behind = std::min(now.lag, rest) * (qd - u);
+    visit(held_views, rest * u + 0.5 * behind - waiting[kDelays - 1], 0.5 * behind.cwiseAbs(),
+          Box{u, u}.towards({qd, qd}, std::exp(-rest / lag)), 1);
   }
   StopBound bound{0, 0};
   for (const std::array<View, 2>* both : {&held_views, &views}) {
