@@ -8,8 +8,9 @@ namespace surg {
 namespace {
 
 constexpr int kDelays = 3;          // delays that are tried: none, half of the most, the most
-constexpr int kNewest = 9;          // commands on their way that are tried as the last one
-constexpr int kApart = 2;           // [periods] between commands that have arrived and are tried
+constexpr int kNewest = 4;          // commands on their way that are tried as the last one
+constexpr int kApart = 4;           // [periods] between commands that have arrived and are tried
+constexpr double kPart = 0.5;       // of the time for which a command that has arrived is held
 constexpr double kNoise = 1e-3;     // [rad/s] of a measured velocity
 constexpr double kUnsettled = 0.1;  // of the commands' range: measured beside a command that stands
 
@@ -270,17 +271,14 @@ StopBound StopEstimator::bound(const Chain& chain, const Now& now) const {
   least.head(now.q.size()) = ranges_.least;
   most.head(now.q.size()) = ranges_.most;
 
-  // What the commands of the last 'delay' periods add up to, and the range of all.
+  // What the commands of the last 'delay' periods add up to [rad].
   std::array<Joints, Commands::kMost / 2 + 1> sum;
   sum[0].setZero();
-  Box all{qd, qd};
-  for (int i = 0; i <= oldest; ++i) {
-    if (i < delay) sum[i + 1] = sum[i] + T_ * ago(i + 1);
-    all.hold(ago(i));
-  }
+  for (int i = 0; i < delay; ++i) sum[i + 1] = sum[i] + T_ * ago(i + 1);
   const std::array<Joints, kDelays> waiting{sum[0], sum[delay / 2], sum[delay]};
 
-  // Linear about the ends of four ways: held or at once, and each joint by itself or together.
+  // Linear about the ends of six ways: the newest command held to the end, a part of it, or not at
+  // all, then each joint by itself or together.
   const Vector3 p_BTip = Posture(chain, padded(now.q), now).p_BTip;
   const Box newest{ago(0), ago(0)}, measured{qd, qd};
   const Joints hold = held * ago(0) + sum[delay] + 0.5 * now.lag * (qd - ago(0));
@@ -289,8 +287,9 @@ StopBound StopEstimator::bound(const Chain& chain, const Now& now) const {
     return View(chain, now, travel + middle, p_BTip);
   };
   const Joints still = Joints::Zero();
-  std::array<View, 2> held_views{about(hold, newest, true), about(hold, newest, false)};
-  std::array<View, 2> views{about(still, measured, true), about(still, measured, false)};
+  std::array<View, 2> to_the_end{about(hold, newest, true), about(hold, newest, false)};
+  std::array<View, 2> a_part{about(kPart * hold, newest, true), about(kPart * hold, newest, false)};
+  std::array<View, 2> at_once{about(still, measured, true), about(still, measured, false)};
 
   // One way: travel until the stop begins, whose uncertainty is 'lag', and the velocity then.
   const auto visit = [&](std::array<View, 2>& to, const Joints& travel, const Joints& lag,
@@ -311,24 +310,26 @@ StopBound StopEstimator::bound(const Chain& chain, const Now& now) const {
     const Joints behind = now.lag * (qd - u);
     Box pending{qd.cwiseMin(u), qd.cwiseMax(u)};
     for (int i = j; i <= delay; ++i) pending.hold(ago(i));
-    visit(held_views, held * u - sum[j] + 0.5 * behind, 0.5 * behind.cwiseAbs(),
+    visit(to_the_end, held * u - sum[j] + 0.5 * behind, 0.5 * behind.cwiseAbs(),
           Box{u, u}.towards(pending, std::exp(-held / lag)), kDelays);
     const Box sudden{qd.cwiseMin(u), qd.cwiseMax(u)};
-    visit(views, -sum[j], Joints::Zero(), sudden, kDelays);
+    visit(at_once, -sum[j], Joints::Zero(), sudden, kDelays);
   }
   // It has arrived, and the link has been silent since. The arm's velocity tells which it can be.
   for (int j = delay + 1; j <= oldest; j += kApart) {
     const Joints& u = ago(j);
     const double since = (j - delay) * T_, rest = std::max(held - since, 0.0);
     const double seen = std::exp(-since / lag) + kUnsettled;
-    const Joints apart = seen * (all.high - all.low) + Joints::Constant(kNoise);
+    Box before{u, u};
+    for (int i = j; i <= std::min(j + 2 * delay, oldest); ++i) before.hold(ago(i));
+    const Joints apart = seen * (before.high - before.low) + Joints::Constant(kNoise);
     if (((u - qd).cwiseAbs().array() > apart.array()).any()) continue;
     const Joints behind = std::min(now.lag, rest) * (qd - u);
-    visit(held_views, rest * u + 0.5 * behind - waiting[kDelays - 1], 0.5 * behind.cwiseAbs(),
+    visit(a_part, rest * u + 0.5 * behind - waiting[kDelays - 1], 0.5 * behind.cwiseAbs(),
           Box{u, u}.towards({qd, qd}, std::exp(-rest / lag)), 1);
   }
   StopBound bound{0, 0};
-  for (const std::array<View, 2>* both : {&held_views, &views}) {
+  for (const std::array<View, 2>* both : {&to_the_end, &a_part, &at_once}) {
     for (const View& view : *both) {
       bound.tip = std::max(bound.tip, view.tip.farthest);
       bound.pivot = std::max(bound.pivot, view.shaft.farthest);

@@ -5,6 +5,7 @@
 #include <array>
 #include <limits>
 
+#include "surg_core/config.hpp"
 #include "surg_core/kinematics/kinematics.hpp"
 #include "surg_core/law/rcm.hpp"
 #include "surg_core/types.hpp"
@@ -15,6 +16,19 @@ namespace surg {
 struct StopBound {
   double tip = std::numeric_limits<double>::quiet_NaN();    ///< [m] from where it is measured
   double pivot = std::numeric_limits<double>::quiet_NaN();  ///< [m] of the shaft from the trocar
+};
+
+/// [s] Longest time for which a link goes on with a command. T [s]: control period, within which it
+/// notices the silence.
+inline double held_at_most(const Tuning& tuning, double T) {
+  return tuning.link_lag + tuning.dead_man + T;
+}
+
+/// The way straight ahead of an arm that is stopped by nobody at its controller: it goes on, then
+/// brakes.
+struct WayToRest {
+  double held = 0;     ///< [s] longest time for which the link goes on
+  double braking = 1;  ///< least deceleration, as a share of the joints' acceleration
 };
 
 /// What may happen to an arm until it is at rest: the stated ranges.
