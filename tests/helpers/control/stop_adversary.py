@@ -1,6 +1,7 @@
 """Everything that may stop an arm, drawn within the stated ranges: a plant with its own kinematics.
 
-It shares no code with the controller. All drawn stops of one state run at once.
+It shares no code with the controller. All drawn stops of one state run at once. Half of them are
+aimed: their joints brake so that tip or shaft go as far as they can in a drawn direction.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from helpers.control import dh
 Array = NDArray[np.float64]
 STEP = 0.001
 """Time of one step of the plant [s]."""
+T = 0.002
+"""Time from one command to the next [s]."""
 EVERY = 4
 """Steps from one look at tip and shaft to the next."""
 
@@ -97,68 +100,78 @@ def _worst_brakes(
     return np.where(pull > 0, ranges.least, ranges.most)
 
 
+@dataclass
+class _Draw:
+    """What happens in k stops."""
+
+    delay: Array  # (k,) [s]
+    lags: Array  # (k, n) [s]
+    last: Array  # (k,) periods ago: the last command that arrives
+    begin: Array  # (k,) [s] when link or robot begin to brake
+    brakes: Array  # (k, n) [rad/s^2] of the joints that brake by themselves
+    together: Array  # (k,) whether they brake along their path instead
+    softness: Array  # (k,) 0: as hard as stated, 1: as softly
+
+
+def _draw(
+    arm: surg_core.Arm, state: Stopping, ranges: Ranges, k: int, rng: np.random.Generator
+) -> _Draw:
+    n, aimed = len(state.q), k // 2
+    delay = ranges.lag * np.clip(rng.uniform(-0.5, 1.5, k), 0, 1)
+    lags = _corners(rng, np.full(n, 1e-4), np.full(n, ranges.lag), k)
+    lags = np.where(rng.random((k, 1)) < 0.3, lags[:, :1], lags)
+    last = np.where(rng.random(k) < 0.6, 0, np.floor(rng.random(k) * (delay / T + 1e-9)))
+    silent = delay - last * T + ranges.dead_man
+    sooner = np.clip(rng.uniform(-0.2, 1.2, k), 0, 1) * silent
+    begin = np.where(rng.random(k) < 0.5, sooner, silent)
+    begin[:aimed] = np.where(rng.random(aimed) < 0.7, silent[:aimed], begin[:aimed])
+    brakes = _corners(rng, ranges.least, ranges.most, k)
+    brakes[:aimed] = _worst_brakes(rng, arm, state, ranges, aimed)
+    together = rng.random(k) < 0.3
+    together[:aimed] = False
+    softness = np.clip(1.5 * rng.random(k), 0, 1)
+    return _Draw(delay, lags, last, begin, brakes, together, softness)
+
+
+def _along_the_path(qd: Array, ranges: Ranges, softness: Array) -> Array:
+    """(k, n) decelerations with which all joints of an arm come to rest at one time."""
+    fast = np.abs(qd)
+    slowest = np.maximum((fast / ranges.least).max(1), fast.max(1) / ranges.lead)
+    quickest = (fast / ranges.most).max(1)
+    time = quickest + softness * (slowest - quickest)
+    return np.asarray(fast / np.maximum(time, 1e-9)[:, None])
+
+
 def worst(
     arm: surg_core.Arm, state: Stopping, ranges: Ranges, k: int, rng: np.random.Generator
 ) -> tuple[float, float]:
     """The farthest that the tip went, and the shaft from the trocar [m], in k drawn stops."""
-    n, T = len(state.q), 0.002
-    delay = ranges.lag * np.clip(rng.uniform(-0.5, 1.5, k), 0, 1)
-    equal = rng.random((k, 1)) < 0.3
-    lags = _corners(rng, np.full(n, 1e-4), np.full(n, ranges.lag), k)
-    lags = np.where(equal, lags[:, :1], lags)
-    # The last command that arrives, and when the link stops the arm.
-    last = np.where(rng.random(k) < 0.6, 0, np.floor(rng.random(k) * (delay / T + 1e-9)))
-    silent = delay - last * T + ranges.dead_man
-    # Or the robot stops by itself, before that.
-    by_itself = rng.random(k) < 0.5
-    begin = np.where(by_itself, np.clip(rng.uniform(-0.2, 1.2, k), 0, 1) * silent, silent)
-    brakes = _corners(rng, ranges.least, ranges.most, k)
-    aimed = k // 2
-    brakes[:aimed] = _worst_brakes(rng, arm, state, ranges, aimed)
-    begin[:aimed] = np.where(rng.random(aimed) < 0.7, silent[:aimed], begin[:aimed])
-    together = rng.random(k) < 0.3
-    together[:aimed] = False
-    softness = rng.random(k)
-    share = np.full(k, np.nan)  # [1/s] of a stop along the path
-
+    draw = _draw(arm, state, ranges, k, rng)
     q, qd = np.tile(state.q, (k, 1)), np.tile(state.qd, (k, 1))
-    tip0, _ = tip_and_shaft(arm, state.q[None])
-    most_tip = most_shaft = 0.0
-    most_commands = len(state.sent) - 1
+    (tip0,), _ = tip_and_shaft(arm, state.q[None])
+    most = np.zeros(2)
+    own, brakes_now = draw.brakes.copy(), np.zeros(k, dtype=bool)
+    keep = np.exp(-STEP / draw.lags)
     for step in range(4000):
         t = step * STEP
-        coming = np.ceil((delay - t) / T - 1e-9)
-        index = np.clip(np.maximum(coming, last), 0, most_commands).astype(int)
-        u = state.sent[index]
-        keep = np.exp(-STEP / lags)
-        free = u + (qd - u) * keep
-        moved = STEP * u + (qd - u) * lags * (1 - keep)
-        stops = t >= begin
-        new = np.isnan(share) & stops
-        if new.any():
-            fast = np.abs(qd)
-            slowest = np.maximum((fast / ranges.least).max(1), fast.max(1) / ranges.lead)
-            quickest = (fast / ranges.most).max(1)
-            time = quickest + np.clip(1.5 * softness, 0, 1) * (slowest - quickest)
-            share = np.where(new, 1 / np.maximum(time, 1e-9), share)
-            began = fast if step == 0 else np.where(new[:, None], fast, began)
-        if stops.any():
-            own = np.where(together[:, None], began * share[:, None], brakes)
-            left = np.minimum(np.abs(qd) / np.maximum(own, 1e-12), STEP)
-            slower = np.sign(qd) * np.maximum(np.abs(qd) - own * STEP, 0.0)
-            braked = np.sign(qd) * (np.abs(qd) * left - 0.5 * own * left**2)
-            q = q + np.where(stops[:, None], braked, moved)
-            qd = np.where(stops[:, None], slower, free)
-        else:
-            began = np.abs(qd)
-            q, qd = q + moved, free
-        rests = bool(stops.all() and np.abs(qd).max() == 0.0)
+        begins = (t >= draw.begin) & ~brakes_now
+        if begins.any():
+            path = begins & draw.together
+            own[path] = _along_the_path(qd[path], ranges, draw.softness[path])
+            brakes_now |= begins
+        index = np.maximum(np.ceil((draw.delay - t) / T - 1e-9), draw.last)
+        u = state.sent[np.clip(index, 0, len(state.sent) - 1).astype(int)]
+        free, way = u + (qd - u) * keep, STEP * u + (qd - u) * draw.lags * (1 - keep)
+        left = np.minimum(np.abs(qd) / np.maximum(own, 1e-12), STEP)
+        slower = np.sign(qd) * np.maximum(np.abs(qd) - own * STEP, 0.0)
+        braked = np.sign(qd) * (np.abs(qd) * left - 0.5 * own * left**2)
+        q = q + np.where(brakes_now[:, None], braked, way)
+        qd = np.where(brakes_now[:, None], slower, free)
+        rests = bool(brakes_now.all()) and not np.any(qd)
         if step % EVERY == EVERY - 1 or rests:
             tip, s = tip_and_shaft(arm, q)
-            most_tip = max(most_tip, float(np.linalg.norm(tip - tip0, axis=1).max()))
-            most_shaft = max(most_shaft, float(off_pivot(tip, s, state.p_BRcm).max()))
+            far = np.linalg.norm(tip - tip0, axis=1).max(), off_pivot(tip, s, state.p_BRcm).max()
+            most = np.maximum(most, far)
         if rests:
-            break
-    else:
-        raise AssertionError("an arm that never comes to rest")
-    return most_tip, most_shaft
+            return float(most[0]), float(most[1])
+    raise AssertionError("an arm that never comes to rest")

@@ -51,47 +51,52 @@ class FarthestTip {
   void take(const Joints& half) {
     rough_ = point_.J.colwise().norm().dot(half);
     half_ = half;
-    radius_ = -1;
+    n_ = 0;
   }
   void reach(const Joints& middle) {
-    const double centre = (point_.offset + point_.J * middle).norm();
+    const Vector3 centre = point_.offset + point_.J * middle;
     const double beside = point_.beside(middle.cwiseAbs() + half_);
-    if (centre + rough_ + beside <= farthest) return;
-    if (radius_ < 0) radius_ = radius();
-    farthest = std::max(farthest, centre + radius_ + beside);
+    if (centre.norm() + rough_ + beside <= farthest) return;
+    if (n_ == 0) find_corners();
+    double most = 0;
+    for (int i = 0; i < n_; ++i) {  // half of them; the others are opposite
+      most = std::max(most, size_[i] + 2 * std::abs(centre.dot(corner_[i])));
+    }
+    farthest = std::max(farthest, std::sqrt(centre.squaredNorm() + most) + beside);
   }
 
   double farthest = 0;
 
  private:
-  /// Of the box: the largest |J x| over its corners, walked along its edges.
-  double radius() const {
+  /// Of the box, seen as J x: walked along its edges, so that one joint changes at a time.
+  void find_corners() {
+    std::array<Vector3, kMaxJoints> edge;
     Vector3 at = Vector3::Zero();
-    Columns edge;
-    int n = 0;
+    int edges = 0;
     for (int i = 0; i < kMaxJoints; ++i) {
       if (!(half_[i] > 0)) continue;
-      edge.col(n) = 2 * half_[i] * point_.J.col(i);
-      at += 0.5 * edge.col(n++);
+      edge[edges] = 2 * half_[i] * point_.J.col(i);
+      at += 0.5 * edge[edges++];
     }
-    double most = at.squaredNorm();
-    for (unsigned corner = 1; n > 0 && corner < 1U << (n - 1); ++corner) {
-      int flipped = 0;
-      while (!(corner >> flipped & 1U)) ++flipped;
-      const bool down = ((corner >> flipped >> 1U) & 1U) == 0;  // Gray code
-      if (down) {
-        at -= edge.col(flipped);
-      } else {
-        at += edge.col(flipped);
+    n_ = edges > 0 ? 1 << (edges - 1) : 1;
+    for (int i = 0; i < n_; ++i) {
+      if (i > 0) {
+        int flipped = 0;
+        while (!(i >> flipped & 1)) ++flipped;
+        const bool back = (i >> flipped >> 1 & 1) != 0;  // Gray code
+        at += back ? edge[flipped] : Vector3(-edge[flipped]);
       }
-      most = std::max(most, at.squaredNorm());
+      corner_[i] = at;
+      size_[i] = at.squaredNorm();
     }
-    return std::sqrt(most);
   }
 
   Point point_;
   Joints half_;
-  double rough_ = 0, radius_ = 0;
+  double rough_ = 0;
+  int n_ = 0;
+  std::array<Vector3, 1 << (kMaxJoints - 1)> corner_;
+  std::array<double, 1 << (kMaxJoints - 1)> size_;
 };
 
 /// The same for the shaft across itself, exactly: the box is a polygon there.
