@@ -133,8 +133,10 @@ class FarthestShaft {
       most = std::max(most, centre.squaredNorm() + corner.squaredNorm() +
                                 2 * std::abs(centre.dot(corner)));
     }
+    const Joints x = middle.cwiseAbs() + half_;
+    const double tilt = x.sum();  // of the shaft, at most: it is seen along its middle
     farthest =
-        std::max(farthest, std::sqrt(most) + point_.beside(middle.cwiseAbs() + half_));
+        std::max(farthest, (std::sqrt(most) + point_.beside(x)) * (1 + 0.5 * tilt * tilt));
   }
 
   double farthest = 0;
@@ -204,9 +206,8 @@ Point shaft_point(const Posture& arm, const Vector3& p_BRcm) {
     for (int i = 0; i <= j; ++i) {
       const Vector3 turn_i = arm.cross(i, s), turn_j = arm.cross(j, s);
       const Vector3 second = arm.cross(i, moved.col(j));
-      const Vector3 along = s * (s.dot(second) + turn_i.dot(moved.col(j)) + turn_j.dot(moved.col(i)));
-      const Vector3 bend =
-          second - turn_i * s.dot(moved.col(j)) - turn_j * s.dot(moved.col(i)) - along;
+      const Vector3 bend = second - s * s.dot(second) - turn_i * s.dot(moved.col(j)) -
+                           turn_j * s.dot(moved.col(i));
       point.bend(i, j) = point.bend(j, i) = 0.5 * bend.norm();
     }
   }
