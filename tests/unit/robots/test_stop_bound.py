@@ -22,6 +22,10 @@ SMALL = 5e-4
 """Of the worst that was seen, below it no ratio is judged [m]: the commands' own changes count."""
 
 
+def bound_of(arm: JointPlant) -> tuple[float, float]:
+    return arm.out.stop_bound_tip, arm.out.stop_bound_pivot
+
+
 def states(cell: str, seed: int, count: int) -> tuple[surg_core.Arm, list[Stopping]]:
     """States of an arm whose tip follows a drawn figure, from slow to as fast as it may be."""
     rng = np.random.default_rng(seed)
@@ -39,7 +43,7 @@ def states(cell: str, seed: int, count: int) -> tuple[surg_core.Arm, list[Stoppi
         sent = [np.array(out.qd_command), *sent[: KEPT - 1]]
         if k % 60 == 59:
             place = np.asarray(out.p_BRcm)
-            found.append(Stopping(q, qd, np.array(sent), place, out.stop_bound))
+            found.append(Stopping(q, qd, np.array(sent), place, bound_of(arm)))
     assert arm.out.state == surg_core.State.ENABLED
     return arm.arm, found
 
@@ -95,7 +99,7 @@ def test_it_holds_in_every_cycle_while_the_arm_stops(cell: str, way: str, full: 
                 arm.brakes = rng.uniform(ranges.least, ranges.most)
             path.append(arm.q)
             arm.step(sideways(0.1, arm.time - begun))
-            bounds.append(arm.out.stop_bound)
+            bounds.append(bound_of(arm))
         assert np.abs(arm.qd).max() == 0.0
         tip, s = tip_and_shaft(arm.arm, np.array(path))
         off = off_pivot(tip, s, np.asarray(arm.out.p_BRcm))
@@ -114,7 +118,7 @@ def test_an_arm_at_rest_goes_nowhere(cell: str) -> None:
     arm.start()
     for _ in range(100):
         arm.step()
-    tip, pivot = arm.out.stop_bound
+    tip, pivot = bound_of(arm)
     assert tip < 1e-6 and pivot == pytest.approx(arm.out.rcm_error, abs=1e-6)
 
 
@@ -122,4 +126,4 @@ def test_without_a_state_nothing_is_known() -> None:
     arm = JointPlant()
     arm.start()
     arm.step(state_valid=False)
-    assert np.isnan(arm.out.stop_bound).all()
+    assert np.isnan(bound_of(arm)).all()

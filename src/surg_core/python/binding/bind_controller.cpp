@@ -216,10 +216,11 @@ void bind_outputs(py::module_& m) {
          "Smallest distance to other arms and obstacles [m]; infinite without a guard.");
   number("tier", &Outputs::tier, "0: on the path; 1: off it, on the pivot; 2: braking.");
   type.def_property_readonly(
-      "stop_bound",
-      [](const Outputs& self) { return std::pair(self.stop_bound.tip, self.stop_bound.pivot); },
-      "Most that the tip can still go from where it is measured, and most of the shaft from the\n"
-      "trocar, until rest, whatever stops the arm [m]; not a number without a joint state.");
+      "stop_bound_tip", [](const Outputs& self) { return self.stop_bound.tip; },
+      "Most that the tip still moves until rest, whatever stops the arm [m]; NaN: unknown.");
+  type.def_property_readonly(
+      "stop_bound_pivot", [](const Outputs& self) { return self.stop_bound.pivot; },
+      "Largest distance of the shaft from the trocar until then [m]; NaN: unknown.");
   number("late_share", &Outputs::late_share, "Share of late cycles in the recent window.");
   number("withheld", &Outputs::withheld,
          "Whether the link shall get no command, so that it stops the arm by itself.");

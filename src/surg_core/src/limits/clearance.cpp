@@ -191,8 +191,7 @@ class ClearanceGuard::Approach {
     if (!back.isZero(0)) waiting_.emplace(own_.axis, own_.origin, qd0 - back);
     for (Eigen::Index i = 0; i < qd1.size(); ++i) {
       const double speed = std::max(std::abs(qd1[i]), 1e-9);
-      const double least = std::min(kPlanAcceleration, guard.stop_.braking) * acceleration[i];
-      braking_ = std::min(braking_, least / speed);
+      braking_ = std::min(braking_, kPlanAcceleration * acceleration[i] / speed);
     }
     const ClearanceSetup& setup = guard.setup_;
     for (std::size_t i = 0; i < setup.own.capsules.size(); ++i) {
