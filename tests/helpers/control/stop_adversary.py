@@ -35,6 +35,7 @@ class Ranges:
 
     @classmethod
     def of(cls, robot: surg_core.RobotConfig) -> Ranges:
+        """As robot and link state them."""
         t, a = robot.tuning, np.asarray(robot.acceleration)
         lead = t.stop_deceleration
         return cls(t.link_lag, t.dead_man, lead, t.braking_least * a, t.braking_most * a)

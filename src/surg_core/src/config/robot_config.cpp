@@ -179,9 +179,10 @@ void read_braking(Reader& reader, Tuning& tuning) {
   const bool good = range.size() == 2 && range[0] >= kBrakingRange[0] && range[0] <= range[1] &&
                     range[1] <= kBrakingRange[1];
   if (!good) {
-    reader.fail("joints.braking", "is not a range; needed are the least and the greatest share of "
-                                  "'acceleration' with which a joint brakes, within " +
-                                      number(kBrakingRange[0]) + " to " + number(kBrakingRange[1]));
+    reader.fail("joints.braking",
+                "is not a range; needed are the least and the greatest share of "
+                "'acceleration' with which a joint brakes, within " +
+                    number(kBrakingRange[0]) + " to " + number(kBrakingRange[1]));
   }
   tuning.braking_least = range[0];
   tuning.braking_most = range[1];

@@ -130,13 +130,12 @@ class FarthestShaft {
     double most = 0;
     for (int i = 0; i <= n_; ++i) {
       const Plane& corner = corner_[i];  // half of them; the others are opposite
-      most = std::max(most, centre.squaredNorm() + corner.squaredNorm() +
-                                2 * std::abs(centre.dot(corner)));
+      most = std::max(
+          most, centre.squaredNorm() + corner.squaredNorm() + 2 * std::abs(centre.dot(corner)));
     }
     const Joints x = middle.cwiseAbs() + half_;
     const double tilt = x.sum();  // of the shaft, at most: it is seen along its middle
-    farthest =
-        std::max(farthest, (std::sqrt(most) + point_.beside(x)) * (1 + 0.5 * tilt * tilt));
+    farthest = std::max(farthest, (std::sqrt(most) + point_.beside(x)) * (1 + 0.5 * tilt * tilt));
   }
 
   double farthest = 0;
@@ -173,9 +172,7 @@ struct Posture {
     for (int i = 0; i < kMaxJoints; ++i) moved.col(i) = v.col(i) + cross(i, p - p_BF);
     return moved;
   }
-  Vector3 cross(int joint, const Vector3& p) const {
-    return Vector3(axis.col(joint)).cross(p);
-  }
+  Vector3 cross(int joint, const Vector3& p) const { return Vector3(axis.col(joint)).cross(p); }
 
   Vector3 p_BF, p_BTip, s;
   Columns v, axis;
@@ -206,8 +203,8 @@ Point shaft_point(const Posture& arm, const Vector3& p_BRcm) {
     for (int i = 0; i <= j; ++i) {
       const Vector3 turn_i = arm.cross(i, s), turn_j = arm.cross(j, s);
       const Vector3 second = arm.cross(i, moved.col(j));
-      const Vector3 bend = second - s * s.dot(second) - turn_i * s.dot(moved.col(j)) -
-                           turn_j * s.dot(moved.col(i));
+      const Vector3 bend =
+          second - s * s.dot(second) - turn_i * s.dot(moved.col(j)) - turn_j * s.dot(moved.col(i));
       point.bend(i, j) = point.bend(j, i) = 0.5 * bend.norm();
     }
   }
@@ -254,9 +251,7 @@ struct View {
  private:
   View(const Posture& arm, const StopEstimator::Now& now, const Joints& about,
        const Vector3& p_BTip)
-      : origin(about),
-        tip(tip_point(arm, p_BTip)),
-        shaft(shaft_point(arm, now.p_BRcm), arm.s) {}
+      : origin(about), tip(tip_point(arm, p_BTip)), shaft(shaft_point(arm, now.p_BRcm), arm.s) {}
 };
 
 }  // namespace
@@ -270,9 +265,9 @@ StopBound StopEstimator::bound(const Chain& chain, const Now& now) const {
   const Joints qd = padded(now.qd);
   const auto ago = [this](int periods) -> const Joints& { return commands_.ago(periods); };
   const double held = ranges_.dead_man + T_, lag = std::max(now.lag, 1e-6);
-  const int delay = std::min(static_cast<int>(std::ceil((now.lag + now.age) / T_)), Commands::kMost / 2);
-  const int oldest =
-      std::min(delay + static_cast<int>(std::ceil(held / T_)), Commands::kMost - 1);
+  const int delay =
+      std::min(static_cast<int>(std::ceil((now.lag + now.age) / T_)), Commands::kMost / 2);
+  const int oldest = std::min(delay + static_cast<int>(std::ceil(held / T_)), Commands::kMost - 1);
   Joints least = Joints::Ones(), most = Joints::Ones();
   least.head(now.q.size()) = ranges_.least;
   most.head(now.q.size()) = ranges_.most;

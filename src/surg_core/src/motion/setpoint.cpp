@@ -337,8 +337,12 @@ void Setpoint::shift(const Vector3& by_R) {
 
 Slide Setpoint::slide(const Fixtures& fixtures) const {
   const double brake = std::max(limits_.stop_deceleration, limits_.tip_acceleration);
-  return {fixtures, p_RTip(), fixtures.empty() ? Vector3::Zero() : v_RTip(),
-          kFixtureBraking * limits_.tip_acceleration, brake, held_};
+  return {fixtures,
+          p_RTip(),
+          fixtures.empty() ? Vector3::Zero() : v_RTip(),
+          kFixtureBraking * limits_.tip_acceleration,
+          brake,
+          held_};
 }
 
 /// Takes what leads into a fixture out of the last step, and out of the velocity and acceleration
