@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <utility>
 
 namespace surg {
@@ -211,24 +212,6 @@ Point shaft_point(const Posture& arm, const Vector3& p_BRcm) {
   return point;
 }
 
-/// Middle and half width of the way on which the joints come to rest from velocities v [rad]: each
-/// with a deceleration of its own, or along their path, no slower than its slowest joint.
-std::pair<Joints, Joints> stopping(const Box& v, const Joints& least, const Joints& most,
-                                   double lead, bool apart) {
-  if (!apart) {
-    const Joints fast = v.most();
-    const double time = std::max(fast.cwiseQuotient(least).maxCoeff(), fast.maxCoeff() / lead);
-    return {0.5 * time * v.middle(), 0.5 * time * v.half()};
-  }
-  Box way;
-  for (int i = 0; i < kMaxJoints; ++i) {
-    const double low = v.low[i] * std::abs(v.low[i]), high = v.high[i] * std::abs(v.high[i]);
-    way.low[i] = 0.5 * low / (low > 0 ? most[i] : least[i]);
-    way.high[i] = 0.5 * high / (high > 0 ? least[i] : most[i]);
-  }
-  return {way.middle(), way.half()};
-}
-
 /// Tip and shaft as functions of the joints' travel, linear about one of its values.
 struct View {
   View(const Chain& chain, const StopEstimator::Now& now, const Joints& about,
@@ -254,6 +237,124 @@ struct View {
       : origin(about), tip(tip_point(arm, p_BTip)), shaft(shaft_point(arm, now.p_BRcm), arm.s) {}
 };
 
+/// All ways to rest of an arm in one state.
+class Ways {
+ public:
+  using Commands = StopEstimator::Commands;
+
+  Ways(const Chain& chain, const StopRanges& ranges, const Commands& sent,
+       const StopEstimator::Now& now, double T)
+      : sent_(sent),
+        T_(T),
+        held_(ranges.dead_man + T),
+        lag_(std::max(now.lag, 1e-6)),
+        lead_(ranges.deceleration),
+        delay_(std::min(static_cast<int>(std::ceil((now.lag + now.age) / T)), kLongest)),
+        oldest_(std::min(delay_ + static_cast<int>(std::ceil(held_ / T)), Commands::kMost - 1)),
+        qd_(padded(now.qd)),
+        least_(Joints::Ones()),
+        most_(Joints::Ones()) {
+    least_.head(now.q.size()) = ranges.least;
+    most_.head(now.q.size()) = ranges.most;
+    sum_[0].setZero();
+    for (int i = 0; i < delay_; ++i) sum_[i + 1] = sum_[i] + T * sent.ago(i + 1);
+    waiting_ = {sum_[delay_], sum_[delay_ / 2], sum_[0]};
+    const Vector3 p_BTip = Posture(chain, padded(now.q), now).p_BTip;
+    const Joints& u = sent.ago(0);
+    const Joints hold = held_ * u + sum_[delay_] + 0.5 * lag_ * (qd_ - u);
+    for (const bool apart : {true, false}) {
+      const int i = apart ? 0 : 1;
+      const Joints stop = stopping({u, u}, apart).first;
+      to_the_end_[i].emplace(chain, now, hold + stop, p_BTip);
+      a_part_[i].emplace(chain, now, kPart * hold + stop, p_BTip);
+      at_once_[i].emplace(chain, now, stopping({qd_, qd_}, apart).first, p_BTip);
+    }
+  }
+
+  /// The last command to arrive is still on its way: held until the link stops the arm, or the
+  /// robot stops as it arrives.
+  void go_with_those_on_their_way() {
+    const int stride = std::max(delay_ / (kNewest - 1), 1);
+    for (int j = 0; j <= delay_; j += stride) {
+      const Joints& u = sent_.ago(j);
+      const Joints behind = lag_ * (qd_ - u);
+      Box pending{qd_.cwiseMin(u), qd_.cwiseMax(u)};
+      for (int i = j; i <= delay_; ++i) pending.hold(sent_.ago(i));
+      visit(to_the_end_, held_ * u - sum_[j] + 0.5 * behind, 0.5 * behind.cwiseAbs(),
+            Box{u, u}.towards(pending, std::exp(-held_ / lag_)), kDelays);
+      const Box sudden{qd_.cwiseMin(u), qd_.cwiseMax(u)};
+      visit(at_once_, -sum_[j], Joints::Zero(), sudden, kDelays);
+    }
+  }
+
+  /// It has arrived, and the link has been silent since. The arm's velocity tells which it can be.
+  void go_with_one_that_has_arrived() {
+    for (int j = delay_ + 1; j <= oldest_; j += kApart) {
+      const Joints& u = sent_.ago(j);
+      const double since = (j - delay_) * T_, rest = std::max(held_ - since, 0.0);
+      const double seen = std::exp(-since / lag_) + kUnsettled;
+      Box before{u, u};
+      for (int i = j; i <= std::min(j + 2 * delay_, oldest_); ++i) before.hold(sent_.ago(i));
+      const Joints apart = seen * (before.high - before.low) + Joints::Constant(kNoise);
+      if (((u - qd_).cwiseAbs().array() > apart.array()).any()) continue;
+      const Joints behind = std::min(lag_, rest) * (qd_ - u);
+      visit(a_part_, rest * u + 0.5 * behind - waiting_[0], 0.5 * behind.cwiseAbs(),
+            Box{u, u}.towards({qd_, qd_}, std::exp(-rest / lag_)), 1);
+    }
+  }
+
+  StopBound farthest() const {
+    StopBound bound{0, 0};
+    for (const Views* both : {&to_the_end_, &a_part_, &at_once_}) {
+      for (const std::optional<View>& view : *both) {
+        bound.tip = std::max(bound.tip, view->tip.farthest);
+        bound.pivot = std::max(bound.pivot, view->shaft.farthest);
+      }
+    }
+    return bound;
+  }
+
+ private:
+  static constexpr int kLongest = Commands::kMost / 2;  // [periods] of delay
+  using Views = std::array<std::optional<View>, 2>;     // joints by themselves, or together
+
+  /// One way: travel until the stop begins, with 'lag' either way, and the velocity then.
+  void visit(Views& to, const Joints& travel, const Joints& lag, const Box& v, int delays) {
+    for (const bool apart : {true, false}) {
+      const auto [middle, half] = stopping(v, apart);
+      View& view = *to[apart ? 0 : 1];
+      view.take(half + lag);
+      for (int i = 0; i < delays; ++i) view.reach(travel + middle + waiting_[i]);
+    }
+  }
+
+  /// Middle and half width of the way on which the joints come to rest from velocities v [rad]:
+  /// each with a deceleration of its own, or together, no later than the slowest joint.
+  std::pair<Joints, Joints> stopping(const Box& v, bool apart) const {
+    if (!apart) {
+      const Joints fast = v.most();
+      const double time = std::max(fast.cwiseQuotient(least_).maxCoeff(), fast.maxCoeff() / lead_);
+      return {0.5 * time * v.middle(), 0.5 * time * v.half()};
+    }
+    Box way;
+    for (int i = 0; i < kMaxJoints; ++i) {
+      const double low = v.low[i] * std::abs(v.low[i]), high = v.high[i] * std::abs(v.high[i]);
+      way.low[i] = 0.5 * low / (low > 0 ? most_[i] : least_[i]);
+      way.high[i] = 0.5 * high / (high > 0 ? least_[i] : most_[i]);
+    }
+    return {way.middle(), way.half()};
+  }
+
+  const Commands& sent_;
+  double T_, held_, lag_, lead_;
+  int delay_, oldest_;  // [periods] of the link at most; of the commands that count
+  Joints qd_, least_, most_;
+  std::array<Joints, kLongest + 1> sum_;  // [rad] of the commands before the newest
+  std::array<Joints, kDelays> waiting_;   // [rad] of those that a delay has kept back
+  // Linear about the ends of likely ways: the newest command held to the end, a part of it, or not.
+  Views to_the_end_, a_part_, at_once_;
+};
+
 }  // namespace
 
 void StopEstimator::add(const JointVector& qd_command) {
@@ -262,81 +363,10 @@ void StopEstimator::add(const JointVector& qd_command) {
 }
 
 StopBound StopEstimator::bound(const Chain& chain, const Now& now) const {
-  const Joints qd = padded(now.qd);
-  const auto ago = [this](int periods) -> const Joints& { return commands_.ago(periods); };
-  const double held = ranges_.dead_man + T_, lag = std::max(now.lag, 1e-6);
-  const int delay =
-      std::min(static_cast<int>(std::ceil((now.lag + now.age) / T_)), Commands::kMost / 2);
-  const int oldest = std::min(delay + static_cast<int>(std::ceil(held / T_)), Commands::kMost - 1);
-  Joints least = Joints::Ones(), most = Joints::Ones();
-  least.head(now.q.size()) = ranges_.least;
-  most.head(now.q.size()) = ranges_.most;
-
-  // What the commands of the last 'delay' periods add up to [rad].
-  std::array<Joints, Commands::kMost / 2 + 1> sum;
-  sum[0].setZero();
-  for (int i = 0; i < delay; ++i) sum[i + 1] = sum[i] + T_ * ago(i + 1);
-  const std::array<Joints, kDelays> waiting{sum[0], sum[delay / 2], sum[delay]};
-
-  // Linear about the ends of six ways: the newest command held to the end, a part of it, or not at
-  // all, then each joint by itself or together.
-  const Vector3 p_BTip = Posture(chain, padded(now.q), now).p_BTip;
-  const Box newest{ago(0), ago(0)}, measured{qd, qd};
-  const Joints hold = held * ago(0) + sum[delay] + 0.5 * now.lag * (qd - ago(0));
-  const auto about = [&](const Joints& travel, const Box& v, bool apart) {
-    const auto [middle, half] = stopping(v, least, most, ranges_.deceleration, apart);
-    return View(chain, now, travel + middle, p_BTip);
-  };
-  const Joints still = Joints::Zero();
-  std::array<View, 2> to_the_end{about(hold, newest, true), about(hold, newest, false)};
-  std::array<View, 2> a_part{about(kPart * hold, newest, true), about(kPart * hold, newest, false)};
-  std::array<View, 2> at_once{about(still, measured, true), about(still, measured, false)};
-
-  // One way: travel until the stop begins, whose uncertainty is 'lag', and the velocity then.
-  const auto visit = [&](std::array<View, 2>& to, const Joints& travel, const Joints& lag,
-                         const Box& v, int delays) {
-    for (const bool apart : {true, false}) {
-      const auto [middle, half] = stopping(v, least, most, ranges_.deceleration, apart);
-      View& view = to[apart ? 0 : 1];
-      view.take(half + lag);
-      for (int i = 0; i < delays; ++i) view.reach(travel + middle + waiting[kDelays - 1 - i]);
-    }
-  };
-
-  // The last command to arrive is still on its way: held until the link stops the arm, or the robot
-  // stops as it arrives.
-  const int stride = std::max(delay / (kNewest - 1), 1);
-  for (int j = 0; j <= delay; j += stride) {
-    const Joints& u = ago(j);
-    const Joints behind = now.lag * (qd - u);
-    Box pending{qd.cwiseMin(u), qd.cwiseMax(u)};
-    for (int i = j; i <= delay; ++i) pending.hold(ago(i));
-    visit(to_the_end, held * u - sum[j] + 0.5 * behind, 0.5 * behind.cwiseAbs(),
-          Box{u, u}.towards(pending, std::exp(-held / lag)), kDelays);
-    const Box sudden{qd.cwiseMin(u), qd.cwiseMax(u)};
-    visit(at_once, -sum[j], Joints::Zero(), sudden, kDelays);
-  }
-  // It has arrived, and the link has been silent since. The arm's velocity tells which it can be.
-  for (int j = delay + 1; j <= oldest; j += kApart) {
-    const Joints& u = ago(j);
-    const double since = (j - delay) * T_, rest = std::max(held - since, 0.0);
-    const double seen = std::exp(-since / lag) + kUnsettled;
-    Box before{u, u};
-    for (int i = j; i <= std::min(j + 2 * delay, oldest); ++i) before.hold(ago(i));
-    const Joints apart = seen * (before.high - before.low) + Joints::Constant(kNoise);
-    if (((u - qd).cwiseAbs().array() > apart.array()).any()) continue;
-    const Joints behind = std::min(now.lag, rest) * (qd - u);
-    visit(a_part, rest * u + 0.5 * behind - waiting[kDelays - 1], 0.5 * behind.cwiseAbs(),
-          Box{u, u}.towards({qd, qd}, std::exp(-rest / lag)), 1);
-  }
-  StopBound bound{0, 0};
-  for (const std::array<View, 2>* both : {&to_the_end, &a_part, &at_once}) {
-    for (const View& view : *both) {
-      bound.tip = std::max(bound.tip, view.tip.farthest);
-      bound.pivot = std::max(bound.pivot, view.shaft.farthest);
-    }
-  }
-  return bound;
+  Ways ways(chain, ranges_, commands_, now, T_);
+  ways.go_with_those_on_their_way();
+  ways.go_with_one_that_has_arrived();
+  return ways.farthest();
 }
 
 }  // namespace surg

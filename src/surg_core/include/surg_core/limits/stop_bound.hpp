@@ -62,7 +62,7 @@ class StopEstimator {
 
   /// The commands of the last periods [rad/s].
   struct Commands {
-    static constexpr int kMost = 128;
+    static constexpr int kMost = 128;  // [periods] that are remembered
     Commands() { sent.fill(Joints::Zero()); }
     const Joints& ago(int periods) const { return sent[(newest - periods) & (kMost - 1)]; }
     int newest = 0;
