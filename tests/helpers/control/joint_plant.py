@@ -49,6 +49,11 @@ class JointPlant:
         self.lags = np.broadcast_to(lags, self.q.shape)
         self.waiting: collections.deque[tuple[float, np.ndarray]] = collections.deque()
         self.obeyed, self.time, self.delay = self.qd, 0.0, delay
+        self.silent = False
+        """Whether the link loses every command from now on."""
+        self.heard = 0.0
+        self.brakes: np.ndarray | None = None
+        """Deceleration of each joint (n,) [rad/s^2] with which the robot stops by itself."""
         self.window = [self.qd] * (round(T / STEP) + 1)
         self.worst = 0.0
         """Largest acceleration of a joint, over its limit."""
@@ -74,14 +79,22 @@ class JointPlant:
         self.out = self.controller.step(
             self.measured() if q is None else q, qd, list(commands), **state
         )
-        self.waiting.append((self.time + self.delay, np.array(self.out.qd_command)))
+        if not self.silent:
+            self.waiting.append((self.time + self.delay, np.array(self.out.qd_command)))
         for _ in range(round(dt / STEP)):
             self._move()
         return self.out
 
     def _move(self) -> None:
         while self.waiting and self.waiting[0][0] <= self.time + 1e-9:
-            self.obeyed = self.waiting.popleft()[1]
+            self.obeyed, self.heard = self.waiting.popleft()[1], self.time
+        if self.brakes is None and self.time - self.heard > self.arm.robot.tuning.dead_man:
+            lead = self.arm.robot.tuning.stop_deceleration  # the link stops it along its path
+            fast = np.abs(self.qd)
+            self.brakes = fast * lead / max(fast.max(), 1e-9)
+        if self.brakes is not None:
+            self._brake()
+            return
         keep = np.exp(-STEP / self.lags)
         away = self.qd - self.obeyed
         self.q = self.q + STEP * self.obeyed + away * self.lags * (1 - keep)
@@ -90,6 +103,12 @@ class JointPlant:
         self.window = [*self.window[1:], self.qd]
         change = np.abs(self.qd - self.window[0]) / (STEP * (len(self.window) - 1))
         self.worst = max(self.worst, float((change / self.most).max()))
+
+    def _brake(self) -> None:
+        assert self.brakes is not None
+        slower = np.sign(self.qd) * np.maximum(np.abs(self.qd) - STEP * self.brakes, 0.0)
+        self.q, self.qd = self.q + 0.5 * STEP * (self.qd + slower), slower
+        self.time += STEP
 
     def tip(self) -> np.ndarray:
         """The tip in the rcm frame (3,) [m], by the true joints."""

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 
-from surg_console.ros.raw_gauges import depth_and_deviation, force
+from surg_console.ros.raw_gauges import cycle_gauges, force
 from surg_console.ros.status_values_node import follower_of
 from surg_msgs.msg import Cycle, HandStatus
 
@@ -25,7 +25,9 @@ def test_they_are_what_the_messages_say() -> None:
         q, qd, reason, source = (int(n) for n in rng.integers(0, 8, 4))
         cycle = Cycle(q=rng.normal(size=q).tolist(), qd=rng.normal(size=qd).tolist())
         cycle.reason, cycle.source = "stopped"[:reason], "/teleop"[:source]
-        cycle.depth, cycle.rcm_error, cycle.homed = *rng.normal(size=2).tolist(), q % 2 == 0
+        lengths = rng.normal(size=4).tolist()
+        cycle.depth, cycle.rcm_error, cycle.stop_bound_tip, cycle.stop_bound_pivot = lengths
+        cycle.homed = q % 2 == 0
         cycle.p_goal, cycle.q_br = rng.normal(size=3).tolist(), rng.normal(size=4).tolist()
         wrench = WrenchStamped()
         f = wrench.wrench.force
@@ -34,7 +36,7 @@ def test_they_are_what_the_messages_say() -> None:
         cycle.reason_code = int(rng.choice([Cycle.REASON_NONE, Cycle.REASON_LINK_LOST]))
         known = cycle.homed and cycle.reason_code == Cycle.REASON_NONE
         expected = cycle.depth if known else None
-        assert depth_and_deviation(data(cycle)) == (expected, cycle.rcm_error)
+        assert cycle_gauges(data(cycle)) == (expected, *lengths[1:])
         assert force(data(wrench)) == math.hypot(f.x, f.y, f.z)
     wrench.wrench.force.z = 1e300
     assert force(data(wrench)) == 1e300, "one that cannot be is a number too"
@@ -48,11 +50,11 @@ def test_a_scale_is_a_number_or_none() -> None:
 
 def test_what_is_no_such_message_says_nothing() -> None:
     rng = np.random.default_rng(5)
-    whole = data(Cycle(homed=True, q=[0.1] * 6, depth=0.1234, rcm_error=5e-5))
-    known = [cut for cut in range(len(whole)) if depth_and_deviation(whole[:cut])[1] is not None]
-    assert min(known) == whole.index(np.array([0.1234, 5e-5]).tobytes()) + 16
-    assert depth_and_deviation(b"") == (None, None) and force(b"") is None
+    whole = data(Cycle(homed=True, q=[0.1] * 6, depth=0.1234, stop_bound_pivot=5e-5))
+    known = [cut for cut in range(len(whole)) if cycle_gauges(whole[:cut]).deviation is not None]
+    assert min(known) == whole.index(np.array([0.1234, 0.0, 0.0, 5e-5]).tobytes()) + 32
+    assert cycle_gauges(b"") == (None,) * 4 and force(b"") is None
     for _ in range(2000):
         junk = rng.integers(0, 256, int(rng.integers(0, 120)), dtype=np.uint8).tobytes()
-        depth_and_deviation(junk)
+        cycle_gauges(junk)
         force(junk)

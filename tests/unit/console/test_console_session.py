@@ -712,6 +712,8 @@ def test_the_report_is_json_in_words(bench: Bench) -> None:
         "trocar": None,
         "tip": None,
         "clearance": None,
+        "stop_tip": None,
+        "stop_pivot": None,
     }
     assert said["headline"] == "Following" and "follows your hand" in text
     bench.session.hide("a", "hidden")

@@ -97,6 +97,8 @@ void encode_cycle(const CycleRecord& record, const std::string& frame, const Sou
   message.roll = out.roll;
   message.depth = out.depth;
   message.rcm_error = out.rcm_error;
+  message.stop_bound_tip = out.stop_bound.tip;
+  message.stop_bound_pivot = out.stop_bound.pivot;
   copy3(out.p_set, message.p_set);
   copy3(out.v_set, message.v_set);
   message.roll_set = out.roll_set;

@@ -78,11 +78,15 @@ struct Tuning {
   double tremor;             ///< [Hz] centre of a hand's tremor to take out; 0: off
   double servo_timeout;      ///< [s] F03
   double link_timeout;       ///< [s] F10, free-run; of the link, see LinkConfig
-  double link_lag;       ///< [s] from a velocity command to the motion it causes, of the slowest
-                         ///< joint; 0: unknown
-  double track_noise;    ///< [m] rms per axis of a position on rcm/track
-  double track_jerk;     ///< [m/s^3] that a breathing trocar reaches
-  double track_timeout;  ///< [s] without a usable sample on rcm/track; then PAUSED
+  double link_lag;  ///< [s] from a velocity command to the motion it causes, of the slowest
+                    ///< joint; 0: unknown
+  double dead_man;  ///< [s] of the link, see LinkConfig
+  double stop_deceleration;  ///< [rad/s^2] of the link, see LinkConfig
+  double braking_least;      ///< of 'acceleration': what a joint brakes with when the robot stops
+  double braking_most;       ///< by itself, at least and at most; `joints.braking`
+  double track_noise;        ///< [m] rms per axis of a position on rcm/track
+  double track_jerk;         ///< [m/s^3] that a breathing trocar reaches
+  double track_timeout;      ///< [s] without a usable sample on rcm/track; then PAUSED
 };
 
 /// The command interface of a robot link.

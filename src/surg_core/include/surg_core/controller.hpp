@@ -14,6 +14,7 @@
 #include "surg_core/law/rcm.hpp"
 #include "surg_core/limits/clearance.hpp"
 #include "surg_core/limits/fixtures.hpp"
+#include "surg_core/limits/stop_bound.hpp"
 #include "surg_core/motion/command.hpp"
 #include "surg_core/state/force_guard.hpp"
 #include "surg_core/state/operating_state.hpp"
@@ -113,6 +114,7 @@ struct Outputs {
   std::uint8_t tier = 0;        ///< 0: on the path, 1: off it, on the pivot; 2: braking
   /// [m] smallest distance to the other arms and the obstacles; infinite without a guard
   double clearance = std::numeric_limits<double>::infinity();
+  StopBound stop_bound;   ///< not a number without a joint state
   double late_share = 0;  ///< of the last 128 cycles, how many were late
   /// The link shall get no command: it stops the arm by itself, sooner than rare commands would.
   bool withheld = false;

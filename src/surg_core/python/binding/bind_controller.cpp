@@ -173,6 +173,15 @@ void bind_elbow(py::class_<Outputs>& type) {
       "-1: nothing.");
 }
 
+void bind_stop_bound(py::class_<Outputs>& type) {
+  type.def_property_readonly(
+      "stop_bound_tip", [](const Outputs& self) { return self.stop_bound.tip; },
+      "Most that the tip still moves until rest, whatever stops the arm [m]; NaN: unknown.");
+  type.def_property_readonly(
+      "stop_bound_pivot", [](const Outputs& self) { return self.stop_bound.pivot; },
+      "Largest distance of the shaft from the trocar until then [m]; NaN: unknown.");
+}
+
 void bind_lag(py::class_<Outputs>& type) {
   type.def_readonly("link_lag", &Outputs::link_lag,
                     "Measured lag of the link [s]; not a number until known.");
@@ -211,6 +220,7 @@ void bind_outputs(py::module_& m) {
   bind_elbow(type);
   bind_wrist_outputs(m, type);
   bind_lag(type);
+  bind_stop_bound(type);
   number("scale", &Outputs::scale, "Uniform factor alpha.");
   number("clearance", &Outputs::clearance,
          "Smallest distance to other arms and obstacles [m]; infinite without a guard.");

@@ -71,6 +71,9 @@ constexpr double kLinkTimeout[] = {0.03, 0.2}, kLinkAcceleration[] = {0.05, 1.0}
 /// A dead-man may not wait longer than a controller's own time-out, and a stop not take longer than
 /// 0.8 s from the fastest joint.
 constexpr double kDeadMan[] = {0.01, 0.1}, kStopDeceleration[] = {4.0, 40.0};
+/// `joints.braking` where a robot does not state it, and what it may state, in shares of its
+/// acceleration.
+constexpr double kBraking[] = {0.25, 2.0}, kBrakingRange[] = {0.05, 20.0};
 
 // Together what clearance.hpp has room for.
 constexpr double kWristMost = 1.5;    // [rad] of a wrist joint: a quarter turn is singular
@@ -168,6 +171,25 @@ std::string config::not_a_limit() {
   return "is not a limit; known are " + list;
 }
 
+namespace {
+
+void read_braking(Reader& reader, Tuning& tuning) {
+  std::vector<double> range(std::begin(kBraking), std::end(kBraking));
+  if (reader.has("joints.braking")) range = reader.numbers("joints.braking");
+  const bool good = range.size() == 2 && range[0] >= kBrakingRange[0] && range[0] <= range[1] &&
+                    range[1] <= kBrakingRange[1];
+  if (!good) {
+    reader.fail("joints.braking",
+                "is not a range; needed are the least and the greatest share of "
+                "'acceleration' with which a joint brakes, within " +
+                    number(kBrakingRange[0]) + " to " + number(kBrakingRange[1]));
+  }
+  tuning.braking_least = range[0];
+  tuning.braking_most = range[1];
+}
+
+}  // namespace
+
 RobotConfig parse_robot(const Document& document) {
   Reader reader(document, "surg_robot/1");
   RobotConfig robot;
@@ -215,6 +237,7 @@ RobotConfig parse_robot(const Document& document) {
     robot.tuning.*key.member =
         reader.real(std::string("tuning.") + key.name, key.lowest, key.highest, key.unit);
   }
+  read_braking(reader, robot.tuning);
   if (reader.has("tuning.link_lag") || reader.has("tuning.link_timeout")) {
     reader.fail(reader.has("tuning.link_lag") ? "tuning.link_lag" : "tuning.link_timeout",
                 "belongs to the robot's link, not to the robot: delete it here; the simulator has "
@@ -260,6 +283,8 @@ RobotConfig with_link(const RobotConfig& robot, const LinkConfig& link) {
   RobotConfig result = robot;
   result.tuning.link_timeout = link.link_timeout;
   result.tuning.link_lag = link.link_lag;
+  result.tuning.dead_man = link.dead_man;
+  result.tuning.stop_deceleration = link.stop_deceleration;
   result.joint_lag = link.joint_lag;
   result.acceleration *= link.acceleration;
   return result;

@@ -55,6 +55,12 @@ ExactFollower::Options follower_options(const RobotConfig& robot, const Limits& 
   return out;
 }
 
+StopRanges stop_ranges(const RobotConfig& robot) {
+  const Tuning& tuning = robot.tuning;
+  return {tuning.dead_man, tuning.stop_deceleration, tuning.braking_least * robot.acceleration,
+          tuning.braking_most * robot.acceleration};
+}
+
 }  // namespace
 
 Tool shaft_of(const InstrumentConfig& instrument, const ToolCalibration& tool) {
@@ -123,11 +129,13 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
       force(limits_in),
       limited(chain, shaft_of(instrument, tool), step_limits(robot_in, limits_in, options.law),
               options.dt),
-      clearance(clearance_in, robot_in.tuning.link_lag, options.dt),
+      clearance(clearance_in, robot_in.tuning.link_lag, options.dt,
+                {held_at_most(robot_in.tuning, options.dt), robot_in.tuning.braking_least}),
       follower(chain.dof(), follower_options(robot_in, limits_in, gains.rcm,
                                              compensates_lag(options), options.dt)),
       lag_meter(stated_lag(robot_in)),
       elbow(chain, step_limits(robot_in, limits_in, options.law), robot_in.elbow, options.dt),
+      stops(stop_ranges(robot_in), options.dt),
       standstill(robot_in.tuning.link_timeout),
       state_check(chain, robot_in.home, robot_in.acceleration),
       trocar_before(trocar),
@@ -171,6 +179,20 @@ void Controller::Impl::report(const Inputs& in) {
   out.joint_lag = lag_meter.joint_lag();
   report_virtual_joints();
   if (handler.wrist().exists()) report_wrist(in);
+  report_stop_bound(in);
+}
+
+void Controller::Impl::report_stop_bound(const Inputs& in) {
+  out.stop_bound = {};
+  if (!state_known) return;
+  const Tool tool{arm.tool().s_F, out.X_BF.inverse() * out.p_BTip};
+  const double lag = std::max(lag_meter.link().slowest(), robot.tuning.link_lag);
+  out.stop_bound = stops.bound(arm.chain(), {q, qd, in.state_age, lag, tool, trocar.p_B()});
+  if (!out.wrist.exists) return;
+  // The wrist's own drive goes on to the newest angles that it was given.
+  const WristJoints left = (out.wrist.command - out.wrist.q).cwiseAbs();
+  const WristGeometry& wrist = out.wrist.geometry;
+  out.stop_bound.tip += left[0] * wrist.length() + left[1] * wrist.yaw_to_tip;
 }
 
 TipFrame Controller::Impl::tip_behind_wrist(const Vector3& p_RCentre, const Vector3& s_R,

@@ -36,6 +36,7 @@ void Controller::Impl::catch_up() {
     handler.setpoint().elapse(T, false);
     handler.wrist().elapse(T, false, handler.setpoint().stream_delay());
     arm.record_command(qd_last);
+    stops.add(qd_last);
     JointVector unused = qd_last;
     // Behind a longer gap the arm takes up nothing where it was left, see guard_lateness.
     Reason progress = Reason::kNone;

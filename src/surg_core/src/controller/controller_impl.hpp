@@ -10,6 +10,7 @@
 #include "surg_core/law/exact_follower.hpp"
 #include "surg_core/law/twist_law.hpp"
 #include "surg_core/limits/limited_step.hpp"
+#include "surg_core/limits/stop_bound.hpp"
 #include "surg_core/motion/command_handler.hpp"
 #include "surg_core/motion/elbow_motion.hpp"
 #include "surg_core/motion/jaw.hpp"
@@ -47,6 +48,8 @@ struct IsPlain<StandstillGuard> : std::true_type {};
 template <>
 struct IsPlain<StateCheck> : std::true_type {};
 template <>
+struct IsPlain<StopEstimator::Commands> : std::true_type {};
+template <>
 struct IsPlain<Fixtures> : std::true_type {};
 
 /// Shaft axis and end: the tip of a straight instrument, the wrist centre of another.
@@ -77,6 +80,7 @@ struct Controller::Impl {
   LagMeter lag_meter;
   ElbowMotion elbow;
   JointTrace trace;  // the way back
+  StopEstimator stops;
   StandstillGuard standstill;
   StateCheck state_check;
 
@@ -242,6 +246,7 @@ struct Controller::Impl {
   // Report and snapshot.
   void report(const Inputs& in);
   void report_virtual_joints();
+  void report_stop_bound(const Inputs& in);
   void report_wrist(const Inputs& in);
   /// Serializes every member that a step reads before writing it; a test finds a missing one.
   template <typename Archive>
@@ -252,6 +257,7 @@ struct Controller::Impl {
     follower.serialize(archive);
     elbow.serialize(archive);
     clearance.serialize(archive);
+    archive(stops.commands());
     archive(trace, retraced, retrace_active, retrace_settling, pivot_offset, pivot_offset_rate,
             fixtures, X_BR, state_delay, state_known, state_reason, robot_reason, track_reason,
             inserted, tool_lost, fading, home_busy, unexplained, qd_last, out.accepted, out.refused,

@@ -126,6 +126,7 @@ void Controller::Impl::output_command(JointVector qd, bool moving) {
   qd_last = qd;
   arm.record_command(qd);
   commanded.add(qd);
+  stops.add(qd);
   out.qd_command = qd;
   out.twist_command = twist;
 }

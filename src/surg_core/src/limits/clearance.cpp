@@ -148,8 +148,9 @@ void ClearanceGuard::each_pair(Visit visit) const {
 
 // --- the guard -----------------------------------------------------------------------------------
 
-ClearanceGuard::ClearanceGuard(const ClearanceSetup& setup, double lag, double T)
-    : active_(setup.active()), lag_(lag), T_(T), setup_(setup) {
+ClearanceGuard::ClearanceGuard(const ClearanceSetup& setup, double lag, double T,
+                               const WayToRest& stop)
+    : active_(setup.active()), lag_(lag), T_(T), stop_(stop), setup_(setup) {
   if (setup.others.size() > kMaxOtherArms) {
     throw ConfigError("clearance: at most " + std::to_string(kMaxOtherArms + 1) +
                       " arms of a cell can be guarded against each other");
@@ -218,7 +219,7 @@ class ClearanceGuard::Approach {
     const Capsule& capsule = own_.capsules[i];
     // Farther away than it takes to stop from the present speed, no pair limits anything.
     const double far = std::max(speed_[i] * speed_[i] / kClosing, speed_[i] / braking_) +
-                       speed_[i] * guard_.T_ + kReserve + target.required;
+                       speed_[i] * held_ + kReserve + target.required;
     if (target.arm >= 0) {
       keep_clear_of_arm(joint, capsule, far, target);
     } else if (target.obstacle->half_space) {
@@ -260,7 +261,8 @@ class ClearanceGuard::Approach {
     // 'back' may be taken or wait: where it leads away, nothing is gained by it.
     double already = -gap.away.dot(still_.at(joint, gap.p));
     if (waiting_) already = std::max(already, -gap.away.dot(waiting_->at(joint, gap.p)));
-    const double fastest = approach_speed(left, a, 0, guard_.T_);
+    // From here the arm comes to rest before the gap is used up, whatever stops it.
+    const double fastest = approach_speed(left, a, 0, held_);
     alpha_ = std::min(alpha_, std::max((fastest - already) / closing, 0.0));
   }
 
@@ -280,6 +282,7 @@ class ClearanceGuard::Approach {
   const ClearanceGuard& guard_;
   Placed own_;
   Twists still_, moving_;
+  double held_ = std::max(guard_.T_, guard_.stop_.held);
   std::optional<Twists> waiting_;  // without 'back', where there is any
   double braking_ = INFINITY;      // [1/s^2] of the clock: what the joints can do all together
   double alpha_ = INFINITY;

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "limits/joint_box.hpp"
+
 namespace surg {
 namespace {
 
@@ -14,13 +16,6 @@ constexpr int kTargetPasses = 8;         // of projection onto one wall after th
 
 using Walls = std::array<Wall, Fixtures::kMost>;
 using Spaces = std::array<Constraint, Fixtures::kMost>;
-
-/// Speed at which a wall may be approached from a distance: one from which 'a' still stops there.
-double approach_speed(double distance, double a) {
-  if (!(distance > 0)) return 0;
-  const double near = a / (kWallGain * kWallGain);
-  return distance <= near ? kWallGain * distance : std::sqrt(2 * a * (distance - near / 2));
-}
 
 bool holds(const Constraint& space, const Vector3& x) {
   return space.n.dot(x) >= space.least - kInside;
@@ -71,15 +66,25 @@ bool nearest_in(const Constraint* spaces, int count, const Vector3& x0, Vector3&
 }
 
 Slide::Slide(const Fixtures& fixtures, const Vector3& p_Tip, const Vector3& v, double approach,
-             double brake)
-    : fixtures_(fixtures), p_(p_Tip), v_(v), approach_(approach), brake_(brake) {
+             double brake, double held)
+    : fixtures_(fixtures), p_(p_Tip), v_(v), approach_(approach), brake_(brake), held_(held) {
   for (int i = 0; i < fixtures.size(); ++i) here_[i] = wall_at(fixtures[i], p_Tip);
+}
+
+/// Speed at which a wall may be approached from a distance: one from which 'approach_' still stops
+/// there, also after 'held_'.
+double Slide::approach_speed(double distance) const {
+  if (!(distance > 0)) return 0;
+  const double a = approach_, near = a / (kWallGain * kWallGain);
+  const double led =
+      distance <= near ? kWallGain * distance : std::sqrt(2 * a * (distance - near / 2));
+  return held_ > 0 ? std::min(led, surg::approach_speed(distance, a, 0, held_)) : led;
 }
 
 /// Speed towards a wall that is allowed after dt: never less than hard braking leaves of it.
 double Slide::fastest(const Wall& wall, double dt) const {
   const double now = -wall.lever * wall.away.dot(v_);
-  return std::max(approach_speed(wall.distance, approach_), now - brake_ * dt);
+  return std::max(approach_speed(wall.distance), now - brake_ * dt);
 }
 
 /// Along a hollow wall the tip must turn with it, so it goes no faster than the deceleration can
@@ -153,7 +158,7 @@ Vector3 Slide::acceleration(const Vector3& wished, const Vector3& step, const Ve
   for (const Fixture& fixture : fixtures_) {
     const Wall wall = wall_at(fixture, p_ + step);
     const double in = -wall.lever * wall.away.dot(v);
-    const bool held = in >= approach_speed(wall.distance, approach_) - 1e-9;
+    const bool held = in >= approach_speed(wall.distance) - 1e-9;
     if (held) a -= std::min(wall.away.dot(a), 0.0) * wall.away;
   }
   return a;

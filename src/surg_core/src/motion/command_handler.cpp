@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "surg_core/law/rcm.hpp"
+#include "surg_core/limits/stop_bound.hpp"
 #include "surg_core/limits/workspace.hpp"
 #include "surg_core/state/gate.hpp"
 
@@ -63,7 +64,8 @@ CommandHandler::CommandHandler(const Limits& limits, const Tuning& tuning,
       tuning_(tuning),
       timeout_(tuning.servo_timeout),
       dt_(dt),
-      setpoint_(limits, {tuning.profiler_duration, paper, tuning.stream_delay, tuning.tremor}),
+      setpoint_(limits, {tuning.profiler_duration, paper, tuning.stream_delay, tuning.tremor,
+                         held_at_most(tuning, dt)}),
       wrist_(wrist, tuning) {}
 
 void CommandHandler::start(const TipPose& at) {

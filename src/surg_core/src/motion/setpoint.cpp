@@ -62,6 +62,7 @@ Setpoint::Setpoint(const Limits& limits, const Options& options)
     : limits_(limits),
       paper_(options.paper),
       base_duration_(options.profiler_duration),
+      held_(options.held),
       input_(options.stream_delay, options.tremor) {
   profiler_ = Profiler(dof_limits(Space::kCartesian), base_duration_);
 }
@@ -336,8 +337,12 @@ void Setpoint::shift(const Vector3& by_R) {
 
 Slide Setpoint::slide(const Fixtures& fixtures) const {
   const double brake = std::max(limits_.stop_deceleration, limits_.tip_acceleration);
-  return {fixtures, p_RTip(), fixtures.empty() ? Vector3::Zero() : v_RTip(),
-          kFixtureBraking * limits_.tip_acceleration, brake};
+  return {fixtures,
+          p_RTip(),
+          fixtures.empty() ? Vector3::Zero() : v_RTip(),
+          kFixtureBraking * limits_.tip_acceleration,
+          brake,
+          held_};
 }
 
 /// Takes what leads into a fixture out of the last step, and out of the velocity and acceleration

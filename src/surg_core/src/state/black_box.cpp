@@ -435,6 +435,8 @@ void each_field(Outputs& out, Visit visit) {
   visit("tier", out.tier);
   visit("late_share", out.late_share);
   visit("clearance", out.clearance);
+  visit("stop_bound.tip", out.stop_bound.tip);
+  visit("stop_bound.pivot", out.stop_bound.pivot);
   visit("qd_command", out.qd_command);
   visit("twist_command", out.twist_command);
 }

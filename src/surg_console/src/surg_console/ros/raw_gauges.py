@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import struct
+from typing import NamedTuple
 
 import surg_core
 from surg_core.contract import STATE_NAMES
@@ -34,22 +35,30 @@ def last_double(data: bytes) -> float | None:
     return float(struct.unpack_from("<d", data, len(data) - 8)[0])
 
 
-def depth_and_deviation(data: bytes) -> tuple[float | None, float | None]:
-    """Insertion and RCM error [m] of a surg_msgs/Cycle; None: unknown.
+class CycleGauges(NamedTuple):
+    """Lengths of a surg_msgs/Cycle [m]; None: unknown."""
 
-    There is no insertion before homing, nor while the robot's joints are unknown.
-    """
+    depth: float | None = None  # unknown before homing, and while the robot's joints are
+    deviation: float | None = None
+    stop_tip: float | None = (
+        None  # how far tip and shaft can get until rest, whatever stops the arm
+    )
+    stop_pivot: float | None = None
+
+
+def cycle_gauges(data: bytes) -> CycleGauges:
+    """What a serialized surg_msgs/Cycle says of the arm."""
     try:  # header with its frame; the strings and arrays before them have their lengths in front
         (frame,) = struct.unpack_from("<I", data, 12)
         homed, reason, at = data[25 + frame], data[27 + frame], 28 + frame
         for size, skipped in _BEFORE_GEOMETRY:
             (count,) = struct.unpack_from("<I", data, at)
             at += 4 + size * count + skipped
-        depth, deviation = struct.unpack_from("<2d", data, at)
+        depth, *others = struct.unpack_from("<4d", data, at)
     except (struct.error, IndexError):
-        return None, None
+        return CycleGauges()
     known = homed and REASONS.get(reason) not in _BLIND and math.isfinite(depth)
-    return depth if known else None, deviation
+    return CycleGauges(depth if known else None, *others)
 
 
 def force(data: bytes) -> float | None:

@@ -22,7 +22,7 @@ from surg_console.labelling import label_file
 from surg_console.ros.order_topics_node import OrderTopics
 from surg_console.ros.overlay_topics_node import OverlayTopics
 from surg_console.ros.raw_gauges import (
-    depth_and_deviation,
+    cycle_gauges,
     force,
     last_double,
     state_and_reason,
@@ -181,7 +181,7 @@ class RosSystem:
                 continue
             if name == self._driven:
                 self._newest["cycle"] = (now, messages[-1])
-                errors = (depth_and_deviation(data)[1] for data in messages)
+                errors = (cycle_gauges(data).deviation for data in messages)
                 self._peak = max([self._peak, *(error for error in errors if error is not None)])
             state, reason = state_and_reason(messages[-1])
             if state == self._arms[name].state:
@@ -196,7 +196,7 @@ class RosSystem:
             newest = {
                 what: data for what, (heard, data) in self._newest.items() if now - heard < FRESH
             }
-            depth, deviation = depth_and_deviation(newest.get("cycle", b""))
+            cycle = cycle_gauges(newest.get("cycle", b""))
             hands = self._hands(now)
             first, others = hands[0], hands[1:]
             own = [hand for hand in others if hand.leader == first.leader]
@@ -207,12 +207,14 @@ class RosSystem:
                 own[0] if own else Follower(),
                 tuple(hand for hand in others if hand.leader != first.leader),
                 Gauges(
-                    rcm=deviation,
-                    rcm_peak=None if deviation is None else self._peak,
-                    depth=depth,
+                    rcm=cycle.deviation,
+                    rcm_peak=None if cycle.deviation is None else self._peak,
+                    depth=cycle.depth,
                     trocar=force(newest.get("trocar", b"")),
                     tip=force(newest.get("tip", b"")),
                     clearance=last_double(newest.get("clearance", b"")),
+                    stop_tip=cycle.stop_tip,
+                    stop_pivot=cycle.stop_pivot,
                 ),
                 fixtures=self._fixtures(),
                 recorder=recorder_of(record) if record else Recorder(),

@@ -48,6 +48,8 @@ class Gauges:
     trocar: float | None = None  # force of the shaft on the trocar [N]
     tip: float | None = None  # force at the tip [N]
     clearance: float | None = None  # to other arms and obstacles [m]; None: no guard
+    stop_tip: float | None = None  # most that the tip still moves, whatever stops the arm [m]
+    stop_pivot: float | None = None  # most deviation from the trocar point until then [m]
 
 
 @dataclass(frozen=True)

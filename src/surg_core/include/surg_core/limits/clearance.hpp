@@ -16,6 +16,7 @@
 #include "surg_core/config.hpp"
 #include "surg_core/kinematics/kinematics.hpp"
 #include "surg_core/limits/capsule.hpp"
+#include "surg_core/limits/stop_bound.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {
@@ -73,9 +74,9 @@ struct Clearance {
 class ClearanceGuard {
  public:
   ClearanceGuard() = default;
-  /// lag [s]: from a command of this arm to its motion. T [s]: control period. Throws ConfigError
-  /// for too many arms or capsules.
-  ClearanceGuard(const ClearanceSetup& setup, double lag, double T);
+  /// lag [s]: from a command of this arm to its motion. T [s]: control period. stop: the way that
+  /// the arm takes whatever stops it. Throws ConfigError for too many arms or capsules.
+  ClearanceGuard(const ClearanceSetup& setup, double lag, double T, const WayToRest& stop = {});
 
   bool active() const { return active_; }
   /// Another instrument on this arm.
@@ -126,6 +127,7 @@ class ClearanceGuard {
 
   bool active_ = false;
   double lag_ = 0, T_ = 0;
+  WayToRest stop_;
   ClearanceSetup setup_;        // obstacles in B
   std::vector<Pose> X_BOther_;  // bases of the other arms in B
   OtherArms others_;

@@ -23,9 +23,10 @@ bool nearest_in(const Constraint* spaces, int count, const Vector3& x0, Vector3&
 class Slide {
  public:
   /// approach [m/s^2]: deceleration before a wall; brake [m/s^2]: of a tip that comes too fast
-  /// because the wall is new. v: velocity at p_Tip.
+  /// because the wall is new. v: velocity at p_Tip. held [s]: time for which an arm goes on that
+  /// nobody stops; a wall counts from where it then comes to rest.
   Slide(const Fixtures& fixtures, const Vector3& p_Tip, const Vector3& v, double approach,
-        double brake);
+        double brake, double held = 0);
 
   /// The part of a step of the tip in dt [s] that the walls allow.
   Vector3 step(const Vector3& wished, double dt) const;
@@ -43,13 +44,14 @@ class Slide {
   double clearance(const Vector3& p) const;
 
  private:
+  double approach_speed(double distance) const;
   double fastest(const Wall& wall, double dt) const;
   Vector3 slowed_on_curves(const std::array<Wall, Fixtures::kMost>& walls, const Vector3& wished,
                            double dt) const;
 
   const Fixtures& fixtures_;
   Vector3 p_, v_;
-  double approach_, brake_;
+  double approach_, brake_, held_;
   std::array<Wall, Fixtures::kMost> here_;
 };
 

@@ -36,6 +36,7 @@ class Setpoint {
     bool paper = false;
     double stream_delay = 0;  ///< [s] see StreamDelay
     double tremor = 0;        ///< [Hz] see TremorEstimate; 0: off
+    double held = 0;          ///< [s] see Slide
   };
 
   Setpoint() = default;
@@ -159,6 +160,7 @@ class Setpoint {
   Limits limits_{};
   bool paper_ = false;
   double base_duration_ = 0.5;
+  double held_ = 0;
   StreamInput input_;
   Mode mode_ = Mode::kRest;
   Space space_ = Space::kCartesian;

@@ -111,6 +111,8 @@ CYCLE: Fields = (
     _scalar("roll", "rad"),
     _scalar("depth", "m"),
     _scalar("rcm_error", "m"),
+    _scalar("stop_bound_tip", "m"),
+    _scalar("stop_bound_pivot", "m"),
     _array("p_set", "m"),
     _array("v_set", "m/s"),
     _scalar("roll_set", "rad"),

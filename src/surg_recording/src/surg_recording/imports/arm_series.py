@@ -192,6 +192,8 @@ def _cycles(arm: ArmSeries) -> Iterator[SimpleNamespace]:
             roll=float(arm.roll[row]),
             depth=float(depth[row]),
             rcm_error=nan,
+            stop_bound_tip=nan,
+            stop_bound_pivot=nan,
             p_set=arm.p_BGoal[row].tolist(),
             v_set=[nan] * 3,
             roll_set=float(arm.roll_goal[row]),

@@ -7,6 +7,7 @@ import { wallUs } from "./link.js";
 const OLD_PICTURE_MS = 150; // three of the endoscope's periods
 const ALARMS = ["Held", "Fault"]; // headlines that are announced at once
 const TONES = { success: "good", "not judged": "" };
+const STOP_FULL = 0.05; // [m] of the bars that say how far the arm still goes: at the flange's full speed
 const TREND_S = 30;
 const TREND_STEP_S = 0.25; // between two points, each the largest value of its interval
 
@@ -95,6 +96,8 @@ export class View {
       rcm: new Gauge("rcm", { unit: 1e3, digits: 3, full: limits.rcm_error_fault, warn: limits.rcm_error_warn, bad: limits.rcm_error_fault }),
       trocar: new Gauge("trocar", { unit: 1, digits: 1, full: limits.trocar_force_fault, warn: limits.trocar_force_warn, bad: limits.trocar_force_fault }),
       tip: new Gauge("tip", { unit: 1, digits: 1, full: limits.tip_force_hard, warn: limits.tip_force_soft, bad: limits.tip_force_hard }),
+      stop_tip: new Gauge("stop-tip", { unit: 1e3, digits: 1, full: STOP_FULL, warn: null, bad: null }),
+      stop_pivot: new Gauge("stop-pivot", { unit: 1e3, digits: 1, full: STOP_FULL, warn: null, bad: null }),
       depth: new Gauge("depth", { unit: 1e3, digits: 1, full: limits.depth_max, warn: null, bad: null }),
     };
     if (limits.clearance !== undefined) {
