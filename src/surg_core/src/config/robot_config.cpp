@@ -173,7 +173,11 @@ std::string config::not_a_limit() {
 
 namespace {
 
-void read_braking(Reader& reader, Tuning& tuning) {
+void read_tuning(Reader& reader, Tuning& tuning) {
+  for (const auto& key : kTuningKeys) {
+    tuning.*key.member =
+        reader.real(std::string("tuning.") + key.name, key.lowest, key.highest, key.unit);
+  }
   std::vector<double> range(std::begin(kBraking), std::end(kBraking));
   if (reader.has("joints.braking")) range = reader.numbers("joints.braking");
   const bool good = range.size() == 2 && range[0] >= kBrakingRange[0] && range[0] <= range[1] &&
@@ -233,11 +237,7 @@ RobotConfig parse_robot(const Document& document) {
     robot.limits.*key.member =
         reader.real(std::string("limits.") + key.name, key.lowest, key.highest, key.unit);
   }
-  for (const auto& key : kTuningKeys) {
-    robot.tuning.*key.member =
-        reader.real(std::string("tuning.") + key.name, key.lowest, key.highest, key.unit);
-  }
-  read_braking(reader, robot.tuning);
+  read_tuning(reader, robot.tuning);
   if (reader.has("tuning.link_lag") || reader.has("tuning.link_timeout")) {
     reader.fail(reader.has("tuning.link_lag") ? "tuning.link_lag" : "tuning.link_timeout",
                 "belongs to the robot's link, not to the robot: delete it here; the simulator has "

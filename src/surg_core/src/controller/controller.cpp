@@ -130,7 +130,7 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
       limited(chain, shaft_of(instrument, tool), step_limits(robot_in, limits_in, options.law),
               options.dt),
       clearance(clearance_in, robot_in.tuning.link_lag, options.dt,
-                {held_at_most(robot_in.tuning, options.dt), robot_in.tuning.braking_least}),
+                held_at_most(robot_in.tuning, options.dt)),
       follower(chain.dof(), follower_options(robot_in, limits_in, gains.rcm,
                                              compensates_lag(options), options.dt)),
       lag_meter(stated_lag(robot_in)),

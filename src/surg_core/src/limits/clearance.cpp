@@ -148,9 +148,8 @@ void ClearanceGuard::each_pair(Visit visit) const {
 
 // --- the guard -----------------------------------------------------------------------------------
 
-ClearanceGuard::ClearanceGuard(const ClearanceSetup& setup, double lag, double T,
-                               const WayToRest& stop)
-    : active_(setup.active()), lag_(lag), T_(T), stop_(stop), setup_(setup) {
+ClearanceGuard::ClearanceGuard(const ClearanceSetup& setup, double lag, double T, double held)
+    : active_(setup.active()), lag_(lag), T_(T), held_(held), setup_(setup) {
   if (setup.others.size() > kMaxOtherArms) {
     throw ConfigError("clearance: at most " + std::to_string(kMaxOtherArms + 1) +
                       " arms of a cell can be guarded against each other");
@@ -282,7 +281,7 @@ class ClearanceGuard::Approach {
   const ClearanceGuard& guard_;
   Placed own_;
   Twists still_, moving_;
-  double held_ = std::max(guard_.T_, guard_.stop_.held);
+  double held_ = std::max(guard_.T_, guard_.held_);
   std::optional<Twists> waiting_;  // without 'back', where there is any
   double braking_ = INFINITY;      // [1/s^2] of the clock: what the joints can do all together
   double alpha_ = INFINITY;

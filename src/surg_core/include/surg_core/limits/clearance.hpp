@@ -16,7 +16,6 @@
 #include "surg_core/config.hpp"
 #include "surg_core/kinematics/kinematics.hpp"
 #include "surg_core/limits/capsule.hpp"
-#include "surg_core/limits/stop_bound.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {
@@ -74,9 +73,9 @@ struct Clearance {
 class ClearanceGuard {
  public:
   ClearanceGuard() = default;
-  /// lag [s]: from a command of this arm to its motion. T [s]: control period. stop: the way that
-  /// the arm takes whatever stops it. Throws ConfigError for too many arms or capsules.
-  ClearanceGuard(const ClearanceSetup& setup, double lag, double T, const WayToRest& stop = {});
+  /// lag [s]: from a command of this arm to its motion. T [s]: control period. held [s]: longest
+  /// time for which its link goes on. Throws ConfigError for too many arms or capsules.
+  ClearanceGuard(const ClearanceSetup& setup, double lag, double T, double held = 0);
 
   bool active() const { return active_; }
   /// Another instrument on this arm.
@@ -126,8 +125,7 @@ class ClearanceGuard {
   void each_pair(Visit visit) const;
 
   bool active_ = false;
-  double lag_ = 0, T_ = 0;
-  WayToRest stop_;
+  double lag_ = 0, T_ = 0, held_ = 0;
   ClearanceSetup setup_;        // obstacles in B
   std::vector<Pose> X_BOther_;  // bases of the other arms in B
   OtherArms others_;

@@ -24,13 +24,6 @@ inline double held_at_most(const Tuning& tuning, double T) {
   return tuning.link_lag + tuning.dead_man + T;
 }
 
-/// The way straight ahead of an arm that is stopped by nobody at its controller: it goes on, then
-/// brakes.
-struct WayToRest {
-  double held = 0;     ///< [s] longest time for which the link goes on
-  double braking = 1;  ///< least deceleration, as a share of the joints' acceleration
-};
-
 /// What may happen to an arm until it is at rest: the stated ranges.
 struct StopRanges {
   double dead_man = 0;      ///< [s] without a command, after which the link stops the arm
