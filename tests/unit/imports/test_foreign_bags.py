@@ -15,8 +15,8 @@ import rosbag
 from sensor_msgs.msg import CompressedImage, Image, JointState
 from std_msgs.msg import Header
 
-from helpers.recording.foreign_pictures import BAYER, OTHERS, raw
-from helpers.recording.foreign_sources import (
+from helpers.foreign.foreign_pictures import BAYER, OTHERS, raw
+from helpers.foreign.foreign_sources import (
     HZ,
     LATENCY_NS,
     PERIOD_NS,

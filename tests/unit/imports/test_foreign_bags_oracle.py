@@ -15,11 +15,18 @@ import pytest
 import rosbag
 from std_msgs.msg import Header
 
+from helpers.foreign.foreign_pictures import BAYER, OTHERS, raw
+from helpers.foreign.foreign_sources import (
+    HZ,
+    START_NS,
+    BagMessage,
+    samples,
+    tip,
+    twin,
+    write_bag,
+)
 from helpers.recording import picture_identity
-from helpers.recording.foreign_pictures import BAYER, OTHERS, raw
-from helpers.recording.foreign_sources import HZ, START_NS, BagMessage, samples, tip, write_bag
 from helpers.recording.oracle_reading import run
-from helpers.recording.ros2_twin import twin
 from helpers.results.dataset_results import note
 from surg_recording import datasets
 from surg_recording.datasets import ExportOptions

@@ -33,7 +33,7 @@ from sensor_msgs.msg import CompressedImage, Image, JointState
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from helpers.recording.foreign_sources import (
+from helpers.foreign.foreign_sources import (
     MAP,
     PERIOD_NS,
     START_NS,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.recording.foreign_sources import (
+from helpers.foreign.foreign_sources import (
     MAP,
     NAMES,
     Rows,

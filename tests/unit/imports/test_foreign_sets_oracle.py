@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.recording.foreign_sources import MAP, NAMES
+from helpers.foreign.foreign_sources import MAP, NAMES
 from helpers.recording.oracle_reading import run
 from helpers.results.dataset_results import note
 from surg_recording import datasets, episode

@@ -16,7 +16,7 @@ import pytest
 import rosbag
 from std_msgs.msg import String
 
-from helpers.recording.foreign_sources import START_NS, Rows, samples, write_bag, write_set
+from helpers.foreign.foreign_sources import START_NS, Rows, samples, write_bag, write_set
 from surg_cli.commands.episode import import_recordings
 from surg_cli.host.terminal import CliError
 from surg_recording import file_io

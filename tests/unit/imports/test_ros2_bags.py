@@ -16,9 +16,8 @@ from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 
 from crtk_msgs.msg import OperatingState
+from helpers.foreign.foreign_sources import PERIOD_NS, START_NS, samples, twin, write_bag
 from helpers.recording import datasets_synthetic
-from helpers.recording.foreign_sources import PERIOD_NS, START_NS, samples, write_bag
-from helpers.recording.ros2_twin import twin
 from surg_recording import datasets, episode
 from surg_recording.datasets import ExportOptions
 from surg_recording.imports.bag_import import import_bag

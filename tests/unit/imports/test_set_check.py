@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from helpers.recording.foreign_sources import Rows, write_set, write_video
+from helpers.foreign.foreign_sources import Rows, write_set, write_video
 from helpers.results.dataset_results import note
 from helpers.tree import oracle_venv
 from surg_cli.commands.episode import check_set

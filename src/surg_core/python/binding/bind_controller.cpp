@@ -174,6 +174,8 @@ void bind_elbow(py::class_<Outputs>& type) {
 }
 
 void bind_stop_bound(py::class_<Outputs>& type) {
+  type.def_readonly("clearance", &Outputs::clearance,
+                    "Smallest distance to other arms and obstacles [m]; infinite without a guard.");
   type.def_property_readonly(
       "stop_bound_tip", [](const Outputs& self) { return self.stop_bound.tip; },
       "Most that the tip still moves until rest, whatever stops the arm [m]; NaN: unknown.");
@@ -222,8 +224,6 @@ void bind_outputs(py::module_& m) {
   bind_lag(type);
   bind_stop_bound(type);
   number("scale", &Outputs::scale, "Uniform factor alpha.");
-  number("clearance", &Outputs::clearance,
-         "Smallest distance to other arms and obstacles [m]; infinite without a guard.");
   number("tier", &Outputs::tier, "0: on the path; 1: off it, on the pivot; 2: braking.");
   number("late_share", &Outputs::late_share, "Share of late cycles in the recent window.");
   number("withheld", &Outputs::withheld,

@@ -7,6 +7,7 @@ import itertools
 import json
 import math
 import subprocess
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -70,6 +71,15 @@ def write_bag(
                 bag.write("/PSM1/measured_js", state, received)
         further(bag)
     return path
+
+
+def twin(bag: Path, folder: Path, storage: str, *words: str) -> Path:
+    """The same bag in ROS 2, by the library's own program."""
+    program = Path(sys.executable).with_name("rosbags-convert")
+    stored = ["--dst-storage", storage, *words]
+    argv = [program, "--src", bag, "--dst", folder / bag.stem, *stored]
+    subprocess.run(argv, check=True, capture_output=True)
+    return folder / bag.stem
 
 
 # --- LeRobot --------------------------------------------------------------------------------------

@@ -1,0 +1,1 @@
+"""Bags, data sets and pictures as the programs of others write them."""
