@@ -140,6 +140,8 @@ def cycle(what: Synthetic, tick: int, command: int) -> SimpleNamespace:
         scale=0.5 if tick <= 50 + what.scaled_ticks and command else 1.0,
         limited_by="",
         tier=0,
+        stop_bound_tip=0.002,
+        stop_bound_pivot=0.0005,
         qd_command=list(v),
         twist_command=[0.0] * 6,
         compute_us=what.compute_us,

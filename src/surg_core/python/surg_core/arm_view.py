@@ -21,7 +21,7 @@ from surg_core.transforms import matrix_to_quaternion_xyzw, tip_quaternion, virt
 from surg_core.wrist_joints import WristView
 
 if TYPE_CHECKING:
-    from surg_core._core import Outputs
+    from surg_core._core import Outputs, WristGeometry
 
 Array = npt.NDArray[np.float64]
 
