@@ -24,6 +24,7 @@ from helpers.graph.ros import RosGraph
 from helpers.results.ros2_results import note
 from helpers.ros2 import drawn_messages as drawn
 from helpers.ros2 import interfaces
+from helpers.ros2.plain_values import values
 from helpers.tree import oracle_venv
 from surg_cli.graph import topic_contract
 from surg_cli.graph.processes import Child
@@ -71,27 +72,6 @@ def of(direction: str) -> dict[str, topic_contract.Entry]:
         if entry.direction == direction and entry.type.startswith(HAVE) and not closed:
             found[name] = entry
     return found
-
-
-def values(message: Any) -> Any:
-    """A ROS 1 message as the plain values that rclpy's script prints."""
-    if hasattr(message, "secs"):
-        return {"sec": message.secs, "nanosec": message.nsecs}
-    if hasattr(message, "__slots__"):
-        names = [n for n in message.__slots__ if (n, message._type) != ("seq", "std_msgs/Header")]
-        level = {"level"} if message._type == "diagnostic_msgs/DiagnosticStatus" else set()
-        return {
-            n.lower(): getattr(message, n) % 256 if n in level else values(getattr(message, n))
-            for n in names
-        }
-    return (
-        [values(each) for each in message] if isinstance(message, list | tuple) else plain(message)
-    )
-
-
-def plain(value: Any) -> Any:
-    """Bytes as numbers."""
-    return list(value) if isinstance(value, bytes) else value
 
 
 @pytest.fixture(params=IMPLEMENTATIONS)
