@@ -41,6 +41,23 @@ surg::BlackBoxRecording incident(const surg_control_test::SmallCell& cell) {
   return box.recording({"PSM1", cell.cell(), "2026-01-01T00:00:00Z", "0.1.0"});
 }
 
+TEST(BlackBoxFile, ComesBackWholeAndRunsAgain) {
+  const surg_control_test::SmallCell cell;
+  const surg::BlackBoxRecording written = incident(cell);
+  const fs::path folder = fs::path(testing::TempDir()) / "black_box_file";
+  fs::create_directories(folder);
+  const std::string path = (folder / "a.blackbox").string();
+  write_black_box(path, written);
+  write_black_box(path, written);  // over an older one
+  EXPECT_EQ(std::distance(fs::directory_iterator(folder), fs::directory_iterator()), 1);
+  const surg::BlackBoxRecording read = read_black_box(path);
+  EXPECT_EQ(read.label.cell, cell.cell());
+  EXPECT_EQ(read.steps.size(), written.steps.size());
+  EXPECT_EQ(read.steps.back().out.reason, surg::Reason::kStateNotFinite);
+  EXPECT_FALSE(surg::replay(read));
+  fs::remove_all(folder);
+}
+
 TEST(BlackBoxFile, SaysWhatIsWrong) {
   const surg_control_test::SmallCell cell;
   const surg::BlackBoxRecording recording = incident(cell);

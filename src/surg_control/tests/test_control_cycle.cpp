@@ -35,6 +35,15 @@ TEST(ControlCycle, F33ALinkThatNeverSaidItsConditionOrNoLongerDoesIsLost) {
   EXPECT_EQ(k, std::lround((arm.link_timeout() + kTwoPeriodsOfTheStatus) / kTick) + 1);
 }
 
+TEST(ControlCycle, F33AConditionFaultsInItsOwnCycle) {
+  IdealArm arm;
+  arm.enable();
+  arm.link.condition = surg::RobotCondition::kEstop;
+  const CycleRecord& record = arm.step();
+  EXPECT_EQ(record.out.state, surg::State::kFault);
+  EXPECT_EQ(record.out.reason, surg::Reason::kRobot);
+}
+
 TEST(ControlCycle, F25AnArmThatRequiresAForcePausesWhileItIsNotKnown) {
   IdealArm arm;
   arm.cycle->require_force_below(0.03);
@@ -75,6 +84,25 @@ TEST(ControlCycle, F25AForceThatIsNotKnownStopsNoArmThatDoesNotRequireIt) {
   }
 }
 
+TEST(ControlCycle, ATargetInTheUsersFrameIsTheSameTarget) {
+  IdealArm plain, user;
+  plain.enable();
+  user.step({IdealArm::frame("camera", some_frame())});
+  user.enable();
+  ToolPose target = plain.tip();
+  target.p += surg::Vector3(0.02, -0.01, 0.01);
+  const CycleRecord& a = plain.step({IdealArm::pose(surg::Motion::kMoveCp, target)});
+  const CycleRecord& b = user.step(
+      {IdealArm::pose(surg::Motion::kMoveCp, pose_from_rcm(some_frame(), target), "camera")});
+  EXPECT_EQ(a.out.verdicts[0].reason, surg::Reason::kNone);
+  EXPECT_EQ(b.out.verdicts[0].reason, surg::Reason::kNone);
+  EXPECT_LT((a.out.p_goal - b.out.p_goal).norm(), 1e-12);
+  EXPECT_NEAR(a.out.roll_goal, b.out.roll_goal, 1e-12);
+  for (int k = 0; k < 600; ++k) plain.step(), user.step();
+  EXPECT_LT((plain.tip().p - user.tip().p).norm(), 1e-9);
+  EXPECT_LT((plain.tip().p - target.p).norm(), 5e-4);
+}
+
 TEST(ControlCycle, AVelocityInTheUsersFrameIsTheSameVelocity) {
   IdealArm plain, user;
   plain.enable();
@@ -110,6 +138,28 @@ TEST(ControlCycle, FrameChangesOnlyWhileNotEnabled) {
       arm.step({IdealArm::state(surg::StateCommand::kResume), IdealArm::frame("c", some_frame())});
   EXPECT_EQ(resumed.answers[1].reason, surg::Reason::kFrameWhileEnabled);
   EXPECT_STREQ(resumed.frame.name.c_str(), "b");
+}
+
+TEST(ControlCycle, OnlyTheExpectedFrameIsTaken) {
+  IdealArm arm;
+  arm.enable();
+  const ToolPose here = arm.tip();
+  const CycleRecord& wrong = arm.step({IdealArm::pose(surg::Motion::kServoCp, here, "world")});
+  EXPECT_EQ(wrong.answers[0].reason, surg::Reason::kWrongFrame);
+  EXPECT_EQ(wrong.answers[0].motion, surg::Motion::kServoCp);
+  EXPECT_STREQ(wrong.wrong_frame.c_str(), "world");
+  EXPECT_EQ(wrong.refused_by_cycle, 1U);
+  EXPECT_EQ(wrong.out.n_verdicts, 0);
+  for (const std::string name : {"PSM1_rcm", ""}) {
+    const CycleRecord& taken = arm.step({IdealArm::pose(surg::Motion::kServoCp, here, name)});
+    EXPECT_EQ(taken.n_answers, 0);
+    EXPECT_EQ(taken.out.verdicts[0].reason, surg::Reason::kNone);
+  }
+  arm.step({IdealArm::state(surg::StateCommand::kDisable)});
+  arm.step({IdealArm::frame("camera", some_frame())});
+  arm.step({IdealArm::state(surg::StateCommand::kEnable)});
+  EXPECT_EQ(arm.step({IdealArm::pose(surg::Motion::kServoCp, here, "PSM1_rcm")}).answers[0].reason,
+            surg::Reason::kWrongFrame);
 }
 
 TEST(ControlCycle, NotFiniteSurvivesTheFrame) {
@@ -209,6 +259,27 @@ TEST(ControlCycle, AClaimKeepsOthersOut) {
   arm.step({IdealArm::state(surg::StateCommand::kResume)});
   const CycleRecord& after = arm.step({IdealArm::pose(surg::Motion::kServoCp, arm.tip())});
   EXPECT_EQ(after.out.verdicts[0].reason, surg::Reason::kNone);
+}
+
+TEST(ControlCycle, AToolIsNamedFromTheCycleInWhichItIsMounted) {
+  IdealArm arm;
+  arm.enable();
+  surg::MountedTool next = surg::load_arm(std::string(SURG_CELLS) + "/sim_ur5e", "").mounted;
+  next.tool.p_FTip.z() += 0.01;
+  CommandItem mount;
+  mount.kind = CommandItem::Kind::kTool;
+  mount.source = 7;
+  mount.tool = &next;
+  EXPECT_EQ(arm.step({mount}).answers[0].reason, surg::Reason::kToolWhileEnabled);
+  EXPECT_EQ(arm.cycle->record().tool, nullptr);
+  const double depth = arm.cycle->record().out.depth;
+  arm.step({IdealArm::state(surg::StateCommand::kDisable)});
+  const CycleRecord& changed = arm.step({mount});
+  EXPECT_EQ(changed.answers[0].reason, surg::Reason::kNone);
+  EXPECT_EQ(changed.tool, &next);
+  EXPECT_NEAR(changed.out.depth, depth + 0.01, 1e-6);
+  EXPECT_FALSE(changed.out.homed);
+  EXPECT_EQ(LinkCommand::of(changed).tool, &next);
 }
 
 TEST(ControlCycle, ASenderMaySlideAlongTheWallAndOthersAreRefused) {

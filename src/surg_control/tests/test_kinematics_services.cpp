@@ -45,6 +45,18 @@ TEST(KinematicsServices, ForwardAndInverseAgree) {
   EXPECT_LT(worst, 1e-9);
 }
 
+TEST(KinematicsServices, TipIsWhereTheConventionsSay) {
+  crtk_msgs::QueryForwardKinematics::Request request;
+  request.jp = {0.3, -0.2, 0.1, 0.4};
+  const auto answer = answer_forward(request, surg::Pose::Identity());
+  EXPECT_NEAR(answer.cp.position.x, 0.1 * std::sin(0.3) * std::cos(-0.2), 1e-15);
+  EXPECT_NEAR(answer.cp.position.y, 0.1 * std::sin(-0.2), 1e-15);
+  EXPECT_NEAR(answer.cp.position.z, 0.1 * std::cos(0.3) * std::cos(-0.2), 1e-15);
+  request.jp = {0, 0, 0.1, 0.4};  // on the home axis the rotation is the roll
+  const auto home = answer_forward(request, surg::Pose::Identity());
+  EXPECT_NEAR(2 * std::atan2(home.cp.orientation.z, home.cp.orientation.w), 0.4, 1e-15);
+}
+
 TEST(KinematicsServices, TiltOfAPoseIsTheAngleToItsShaft) {
   for (const double tilt : {0.0, 0.01, 0.4, 2.0, M_PI}) {
     const ToolPose pose{{0, 0, 0.1},

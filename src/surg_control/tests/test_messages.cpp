@@ -48,6 +48,34 @@ TEST(Messages, QuaternionMustBeUnit) {
   }
 }
 
+TEST(Messages, NotFinitePassesToTheController) {
+  for (const double bad : {kNan, HUGE_VAL, -HUGE_VAL}) {
+    geometry_msgs::PoseStamped message = pose();
+    message.pose.position.x = bad;
+    Decoded decoded = decode_pose(message, surg::Motion::kServoCp);
+    EXPECT_EQ(decoded.reason, surg::Reason::kNone);
+    EXPECT_FALSE(decoded.item.motion.p.allFinite());
+
+    message = pose();
+    message.pose.orientation.y = bad;
+    decoded = decode_pose(message, surg::Motion::kServoCp);
+    EXPECT_EQ(decoded.reason, surg::Reason::kNone);
+    EXPECT_FALSE(decoded.item.motion.p.allFinite());
+
+    sensor_msgs::JointState joints;
+    joints.position = {0, bad, 0.1, 0};
+    decoded = decode_joints(joints, surg::Motion::kServoJp);
+    EXPECT_EQ(decoded.reason, surg::Reason::kNone);
+    EXPECT_FALSE(decoded.item.motion.joints.allFinite());
+
+    geometry_msgs::TwistStamped twist;
+    twist.twist.angular.z = bad;
+    decoded = decode_twist(twist);
+    EXPECT_EQ(decoded.reason, surg::Reason::kNone);
+    EXPECT_FALSE(decoded.item.angular.allFinite());
+  }
+}
+
 TEST(Messages, SizesAndNames) {
   sensor_msgs::JointState joints;
   joints.position = {1, 2, 3};

@@ -3,6 +3,7 @@
 
 #include "surg_control/monitor/clock_watch.hpp"
 #include "surg_control/monitor/master_probe.hpp"
+#include "surg_control/monitor/parameter_watch.hpp"
 
 namespace surg_control {
 namespace {
@@ -50,6 +51,29 @@ TEST(MasterWatch, F07TwoFailuresAreALoss) {
   EXPECT_TRUE(watch.lost());
   EXPECT_EQ(watch.look(42), Change::kFound);  // it had only been frozen
   EXPECT_FALSE(watch.lost());
+}
+
+TEST(ParameterWatch, F16SaysWhatChangedOnce) {
+  XmlRpc::XmlRpcValue start;
+  start["law"] = "ours";
+  start["realtime"] = false;
+  ParameterWatch watch(start);
+  EXPECT_TRUE(watch.look(start).empty());
+  XmlRpc::XmlRpcValue now;
+  now["law"] = "paper";
+  now["new"] = 3;
+  const std::vector<std::string> said = watch.look(now);
+  ASSERT_EQ(said.size(), 3U);
+  EXPECT_EQ(said[0], "parameter ~law is 'paper' now and was 'ours' at the start");
+  EXPECT_EQ(said[1], "parameter ~new is '3' now and was not set at the start");
+  EXPECT_EQ(said[2], "parameter ~realtime is not set now and was '0' at the start");
+  EXPECT_EQ(watch.changed(), 3U);
+  EXPECT_TRUE(watch.look(now).empty());
+  EXPECT_TRUE(watch.look(start).empty());
+  EXPECT_EQ(watch.changed(), 0U);
+  EXPECT_EQ(watch.look(now).size(), 3U);  // changed again: said again
+  ParameterWatch none((XmlRpc::XmlRpcValue()));
+  EXPECT_EQ(none.look(now).size(), 2U);
 }
 
 }  // namespace

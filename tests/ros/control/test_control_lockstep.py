@@ -108,6 +108,19 @@ def test_waits_until_all_announced_messages_are_there(ros_graph: RosGraph, rig: 
     assert cycle.refused == 1
 
 
+def test_wrong_frame_is_refused_with_a_warning(ros_graph: RosGraph, rig: Rig) -> None:
+    start(ros_graph, rig)
+    p = tip_in_rcm(rig.enable())
+    rig.pose(p, frame="PSM1_base")
+    cycle = rig.step()
+    assert cycle.refused == 1
+    assert cycle.state == Cycle.ENABLED
+    text = rig.wait_text("warning", "PSM1_base")
+    assert "PSM1_rcm" in text and "servo_cp" in text
+    rig.pose(p, frame="")
+    assert rig.step().refused == 1
+
+
 def test_wrong_size_is_refused_with_a_warning(ros_graph: RosGraph, rig: Rig) -> None:
     start(ros_graph, rig)
     rig.enable()

@@ -26,7 +26,7 @@ from std_msgs.msg import Empty
 from tf2_msgs.msg import TFMessage
 
 from crtk_msgs.msg import StringStamped
-from crtk_msgs.srv import QueryForwardKinematics
+from crtk_msgs.srv import QueryForwardKinematics, QueryInverseKinematics
 from helpers.graph.control_rig import ANSWER_S, CELL, Rig, real_time, start, tip_in_rcm
 from helpers.graph.ros import RosGraph, find_executable
 from surg_cli.graph import master
@@ -142,6 +142,22 @@ def test_base_frame_is_spoken_in_both_directions(
         jp=virtual_joints(cycle)
     )
     assert np.allclose([getattr(answer.cp.position, axis) for axis in "xyz"], [p.x, p.y, p.z])
+
+
+def test_kinematics_queries(ros_graph: RosGraph, rig: Rig) -> None:
+    start(ros_graph, rig)
+    joints = [0.1, -0.2, 0.12, 0.4]
+    forward = rospy.ServiceProxy("/PSM1/local/forward_kinematics", QueryForwardKinematics)
+    inverse = rospy.ServiceProxy("/PSM1/inverse_kinematics", QueryInverseKinematics)
+    pose = forward(jp=joints)
+    assert pose.result, pose.message
+    back = inverse(cp=pose.cp, jp=[])
+    assert back.result, back.message
+    assert np.allclose(back.jp, joints, atol=1e-12)
+    assert not forward(jp=[0.0]).result
+    pose.cp.position.z = 1.0
+    refused = inverse(cp=pose.cp, jp=[])
+    assert not refused.result and "allowed" in refused.message
 
 
 def test_words_are_said_once_for_what_cannot_be_followed(
