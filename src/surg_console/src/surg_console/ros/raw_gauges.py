@@ -40,9 +40,7 @@ class CycleGauges(NamedTuple):
 
     depth: float | None = None  # unknown before homing, and while the robot's joints are
     deviation: float | None = None
-    stop_tip: float | None = (
-        None  # how far tip and shaft can get until rest, whatever stops the arm
-    )
+    stop_tip: float | None = None  # how far it can get until rest, whatever stops the arm
     stop_pivot: float | None = None
 
 
