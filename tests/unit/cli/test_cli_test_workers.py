@@ -121,6 +121,7 @@ def test_every_test_runs_once_and_real_time_in_one_worker(
 ) -> None:
     write_tests(tmp_path)
     monkeypatch.setattr(pytest_run.workspace, "jobs", lambda: 8)
+    monkeypatch.setattr(pytest_run, "MAX_REPEATED", FILES // 2 - 1)
     status, counts = run_tests(tmp_path)
     assert status == 1
     assert (counts["passed"], counts["failed"]) == (FILES * EACH - FILES // 2, FILES // 2)
@@ -212,11 +213,11 @@ def test_one_core_has_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         ("ros", "ordinary", 1, (0, 2, 0)),
         ("ros", "ordinary", 2, (1, 1, 1)),
-        pytest.param("ros", "untimed", 1, (0, 2, 0), marks=pytest.mark.full),
-        ("unit", "ordinary", 1, (1, 1, 1)),
+        ("unit", "ordinary", 1, (0, 2, 0)),
+        pytest.param("unit", "ordinary", 2, (1, 1, 1), marks=pytest.mark.full),
     ],
 )
-def test_a_failed_test_of_graphs_is_repeated_once_alone(
+def test_a_failed_test_is_repeated_once_alone(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     folder: str,
@@ -235,16 +236,16 @@ def test_a_failed_test_of_graphs_is_repeated_once_alone(
     assert (status, counts["passed"], counts["failed"]) == expected
     assert not counts["errors"]
     tried = (tmp_path / folder / "tried").read_text()
-    assert len(tried) == (2 if folder == "ros" else 1)
+    assert len(tried) == 2
 
 
-def test_only_failures_of_graphs_are_repeated() -> None:
-    late = "FAILED tests/ros/test_a.py::test_b[x y]@real-time - assert 0\n"
-    assert pytest_run.failed_for_a_core(late) == ["tests/ros/test_a.py::test_b[x y]"]
-    assert pytest_run.failed_for_a_core(f"ERROR {late[7:]}") == [late[7:].split("@")[0]]
-    other = "FAILED tests/ros/test_e.py::test_f@graph-test_e - TimeoutExpired\n"
-    assert len(pytest_run.failed_for_a_core(late + other)) == 2
-    assert not pytest_run.failed_for_a_core(late + "FAILED tests/unit/test_c.py::test_d@test_c\n")
+def test_failed_tests_are_found_by_their_ids() -> None:
+    late = "tests/ros/test_a.py::test_b[x y]@real-time - assert '@' == 'a - b'\n"
+    both = f"FAILED {late}ERROR {late}"  # the test and its fixture's end
+    assert pytest_run.failed_tests(both) == ["tests/ros/test_a.py::test_b[x y]"]
+    other = "FAILED tests/ros/test_e.py::test_f[tcp://@:1]@graph-test_e\n"
+    assert pytest_run.failed_tests(other) == ["tests/ros/test_e.py::test_f[tcp://@:1]"]
+    assert not pytest_run.failed_tests(f"worker 'gw1' crashed while running x\nFAILED {late}")
 
 
 def test_a_whole_run_that_skips_everything_has_failed(

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from surg_cli.host import paths, workspace
 from surg_cli.host.terminal import say
 
-GROUP = re.compile("@(?:real-time|graph-)")
-"""What pytest-xdist appends to the ids of the tests that wait for other processes."""
+GROUP = re.compile(r"@[\w-]+(?: - .*)?$")
+"""What pytest-xdist appends to a test's id: its group; then pytest's reason."""
 MAX_WORKERS = 3
 """One that drives graphs in real time, and those that run the other tests."""
 MAX_REPEATED = 8
@@ -31,8 +31,8 @@ def run(
 ) -> tuple[int, Counter[str]]:
     """Run pytest with its output shown, and count.
 
-    Beside other tests, those that wait for processes can miss a core. If only such tests fail, they
-    run once more, alone, and that run decides.
+    Beside other tests, whatever waits for a process or a thread can miss a core. If a few tests
+    fail, they run once more, alone, and that run decides. The output has both reports.
 
     Args:
         argv: The command line without the tests.
@@ -51,14 +51,14 @@ def run(
         status, tail = _run([*argv, *tests], env)
         return status, parse_counts(tail)
     groups = ["-n", str(workers), "--dist", "loadgroup"]
-    groups += ["--timeout", str(HANGS_S)]
     groups += ["--max-worker-restart", "0"]  # a new worker would repeat the test that crashed
-    status, tail = _run([*argv, *tests, *groups], {**env, **ONE_THREAD})
+    ends = ["--timeout", str(HANGS_S)]
+    status, tail = _run([*argv, *tests, *groups, *ends], {**env, **ONE_THREAD})
     counts = parse_counts(tail)
-    failed = failed_for_a_core(tail)
+    failed = failed_tests(tail)
     if status == 1 and 0 < len(failed) <= MAX_REPEATED:
-        say(f"{len(failed)} tests of running graphs failed beside others; once more, alone:")
-        status, tail = _run([*argv, *failed], env)
+        say(f"{len(failed)} tests failed beside others; once more, alone:")
+        status, tail = _run([*argv, *failed, *ends], env)
         again = parse_counts(tail)
         counts.update(again)
         counts["failed"], counts["error"], counts["errors"] = (
@@ -81,11 +81,12 @@ def _run(argv: Sequence[str], env: Mapping[str, str]) -> tuple[int, str]:
     return process.wait(), tail.decode(errors="replace")
 
 
-def failed_for_a_core(tail: str) -> list[str]:
-    """Ids of the failed tests; none unless all of them wait for other processes."""
+def failed_tests(tail: str) -> list[str]:
+    """Ids of the failed tests, without their groups; none if a worker crashed."""
+    if re.search("worker '.*' crashed", tail):
+        return []
     lines = re.findall(r"^(?:FAILED|ERROR) (.+)$", tail, re.MULTILINE)
-    ids = [GROUP.split(line)[0] for line in lines if GROUP.search(line)]
-    return ids if len(ids) == len(lines) else []
+    return list(dict.fromkeys(GROUP.sub("", line) for line in lines))
 
 
 def parse_counts(tail: str) -> Counter[str]:
