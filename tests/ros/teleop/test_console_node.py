@@ -201,6 +201,8 @@ def test_a_page_is_a_leader_on_topics(ros_graph: RosGraph, rospy_node: str, tmp_
             await when(lambda: bench.of("/PSM1/state_command"), "the stop")
             assert bench.of("/PSM1/state_command")[-1].string == "pause"
             await when(lambda: not bench.of("/console/teleop/enable")[-1].data, "the hold")
+            await when(lambda: "no message" in found.status["record"]["problem"], "the silence")
+            assert found.status["record"]["on"], "a silent recorder may still be recording"
             present = "/console/operator_present"
         await when(lambda: bench.of(present)[-1].buttons[0] == 0, "the operator's absence")
 

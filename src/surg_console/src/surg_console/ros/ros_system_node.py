@@ -45,7 +45,6 @@ from surg_console.session.system_state import (
     Follower,
     Gauges,
     PolicyServer,
-    Recorder,
     Robot,
     SimTask,
 )
@@ -200,7 +199,8 @@ class RosSystem:
             hands = self._hands(now)
             first, others = hands[0], hands[1:]
             own = [hand for hand in others if hand.leader == first.leader]
-            record, sim, policy, calibration = (self._statuses[topic].at(now) for topic in STATUSES)
+            recorder, *acted_on = (self._statuses[topic] for topic in STATUSES)
+            sim, policy, calibration = (status.at(now) for status in acted_on)
             return Robot(
                 tuple(self._arms.values()),
                 first,
@@ -217,7 +217,7 @@ class RosSystem:
                     stop_pivot=cycle.stop_pivot,
                 ),
                 fixtures=self._fixtures(),
-                recorder=recorder_of(record) if record else Recorder(),
+                recorder=recorder_of(recorder, now),
                 simulated=sim is not None,
                 task=task_of(sim) if sim else SimTask(),
                 policy=policy_of(policy) if policy else PolicyServer(),

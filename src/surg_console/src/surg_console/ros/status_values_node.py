@@ -15,7 +15,7 @@ from surg_console.session.system_state import (
     SimTask,
 )
 from surg_core import Fixture
-from surg_core.status_check import value_name
+from surg_core.status_check import LatestStatus, value_name
 from surg_msgs.msg import CalibrationStatus, HandStatus, PolicyStatus, RecordStatus, SimStatus
 
 
@@ -44,9 +44,13 @@ def follower_of(hand: HandStatus) -> Follower:
     )
 
 
-def recorder_of(status: RecordStatus) -> Recorder:
-    """The recorder."""
-    return Recorder(value_name(status, "state"), status.detail, status.finished)
+def recorder_of(latest: LatestStatus, now: float) -> Recorder:
+    """The recorder; one that has fallen silent may still be recording, and `problem` says so."""
+    status: RecordStatus | None = latest.valid
+    if status is None:
+        return Recorder()
+    problem = latest.problem(now) or status.detail
+    return Recorder(value_name(status, "state"), problem, status.finished)
 
 
 def task_of(status: SimStatus) -> SimTask:
