@@ -29,6 +29,7 @@ _CAMERAS = {
 _LOSSLESS = {"--video-lossless": "--video-crf lossless"}
 _OPTIONS = {
     "demo": {
+        "--feedback-gain": "--law open-loop",
         "--task": "./surg run TASK",
         "--full": "./surg learn TASK",
         "--cell": "--robot CELL",

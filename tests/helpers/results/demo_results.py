@@ -8,7 +8,7 @@ from helpers.results.results_page import ResultsPage
 
 BUNDLED = "ur5e, cartesian, bundled"
 THIRD_ARM = "third arm, cartesian, bundled"
-PAPER, OPEN_LOOP = f"{BUNDLED}, `--law paper`", f"{BUNDLED}, `--law velocity --feedback-gain 0`"
+PAPER, OPEN_LOOP = f"{BUNDLED}, `--law paper`", f"{BUNDLED}, `--law open-loop`"
 LONG = f"{BUNDLED} repeated for 600 s, free-run"
 _PAGE = ResultsPage("main_job.md")
 

@@ -253,12 +253,6 @@ def test_only_positive_numbers(text: str) -> None:
         option_types.positive(text)
 
 
-@pytest.mark.parametrize("text", ["-1", "101", "nan"])
-def test_gain_range(text: str) -> None:
-    with pytest.raises(argparse.ArgumentTypeError):
-        option_types.feedback_gain(text)
-
-
 def test_an_out_folder_with_content_is_refused(tmp_path: Path) -> None:
     (tmp_path / "old").write_text("")
     with pytest.raises(CliError, match="not an empty folder"):

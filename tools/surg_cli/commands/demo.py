@@ -14,10 +14,12 @@ from typing import Any
 from surg_cli.graph import episode_film, motion_run
 from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import cells, link_environments, paths, preflight
-from surg_cli.host.option_types import feedback_gain, positive
+from surg_cli.host.option_types import positive
 from surg_cli.host.terminal import CliError, Progress, say, table, warn
 from surg_cli.robots import emulated_arms
 
+OPEN_LOOP = "open-loop"
+"""The velocity law without lateral feedback."""
 BUNDLED_MOTION = paths.ROOT / "src" / "surg_teleop" / "motions" / "bundled.csv"
 
 
@@ -38,8 +40,12 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--duration", type=positive, metavar="S", help="only the first S seconds of the motion")
     add("--mode", choices=("cartesian", "spherical"), default="cartesian", help="command space")
     add("--link", choices=("joint", "twist"), help="command of the robot link (default: its YAML)")
-    add("--law", choices=("ours", "velocity", "paper"), default="ours", help="the control law")
-    add("--feedback-gain", type=feedback_gain, metavar="K", help="lateral feedback [1/s], 0 to 100")
+    add(
+        "--law",
+        choices=("ours", "velocity", "paper", OPEN_LOOP),
+        default="ours",
+        help="the control law",
+    )
     add("--seed", type=int, default=0, metavar="N", help="seed of the simulator")
     add("--out", type=Path, metavar="DIR", help="folder of the run (default runs/<UTC time>)")
     add("--free-run", action="store_true", help="in real time instead of lock-step")
@@ -182,6 +188,8 @@ def _plan(
     }
     if options.duration is not None:
         operator["duration"] = float(options.duration)
+    open_loop = options.law == OPEN_LOOP
+    law = "velocity" if open_loop else options.law
     info = {
         "task": "motion file",
         "operator": "recorded motion",
@@ -190,9 +198,9 @@ def _plan(
         "scale": options.scale,
         "duration": options.duration,
         "mode": options.mode,
-        "law": options.law,
+        "law": law,
         "link": options.link or ("twist" if by_twist else "joint"),
-        "feedback_gain": options.feedback_gain,
+        "feedback_gain": 0.0 if open_loop else None,
         "seed": options.seed,
         "full_motion": motion.whole,
         "timing": "freerun" if options.free_run else "lockstep",
@@ -205,9 +213,9 @@ def _plan(
         driven=(arm,) if driven else (),
         turned=(arm,) if driven and loaded.hardware.tool_link == "drive" else (),
         cameras=() if options.no_video else ("left",),
-        law=options.law,
+        law=law,
         link=options.link,
-        feedback_gain=options.feedback_gain,
+        feedback_gain=0.0 if open_loop else None,
         seed=options.seed,
         out=out,
         operator=operator,

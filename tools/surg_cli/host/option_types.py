@@ -66,11 +66,6 @@ def positive(text: str) -> float:
     return _number_between(text, math.ulp(0.0), 1e6, "a positive number")
 
 
-def feedback_gain(text: str) -> float:
-    """A lateral feedback gain [1/s]."""
-    return _number_between(text, 0.0, 100.0, "0 to 100 (1/s)")
-
-
 def tcp_port(text: str) -> int:
     """A TCP port that needs no root."""
     return int(_number_between(text, 1024, 65535, "a port from 1024 to 65535"))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from surg_cli.host.terminal import CliError, say
+from surg_cli.host.terminal import CliError, Progress, say
 
-STEPS = ("board", "camera", "stereo", "handeye", "check")
+STEPS = ("board", "camera", "stereo", "handeye", "check", "drift")
 """Steps of the endoscope; `bases --by` is one too."""
 LIVE = ("stereo", "camera", "handeye")
 """Steps that take views from a running system."""
@@ -36,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="board: what its ruler of 100 mm measures",
     )
     add("--lens-state", default="", metavar="TEXT", help="stereo: focus and zoom, in words")
+    add("--accept", action="store_true", help="drift: correct the calibration by what was seen")
 
 
 def _board_size(text: str) -> tuple[int, int, float]:
@@ -82,12 +83,13 @@ def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
     if what == "board":
         _board(cell, options)
         return
+    if options.accept and what != "drift":
+        raise CliError(f"calibrate {what}: --accept goes with drift", 2)
     if what != "check" and options.source is None:
-        raise CliError(
-            f"calibrate {what}: --from FOLDER (of views) is missing"
-            + (", or --live" if what != "check" else ""),
-            2,
+        missing = (
+            "EPISODE is missing" if what == "drift" else "FOLDER (of views) is missing, or --live"
         )
+        raise CliError(f"calibrate {what}: --from {missing}", 2)
     from surg_perception.calibration.result_files import Origin
 
     # A path of this machine does not belong into the cell's files.
@@ -95,14 +97,16 @@ def run(cell: Any, options: argparse.Namespace, source: str, date: str) -> None:
     if options.source is not None:
         words.append(f"--from {' '.join(options.source.name.split())}")
     origin = Origin(f"./surg calibrate {cell.folder.name} {' '.join(words)}", date, source)
-    write = not options.dry_run
+    write = (not options.dry_run) if what != "drift" else options.accept
     try:
         lines = _solve(cell, options, origin, write)
     except (ValueError, OSError) as error:
         raise CliError(f"calibrate {what}: {error}; nothing is written", 1) from error
     for line in lines:
         say(line)
-    if what != "check":
+    if what == "drift" and not write:
+        say("the calibration is unchanged; --accept corrects it")
+    elif what != "check":
         say("restart the system" if write else "nothing written (--dry-run)")
 
 
@@ -113,6 +117,8 @@ def _solve(cell: Any, options: argparse.Namespace, origin: Any, write: bool) -> 
     what, source, folder = options.what, options.source, cell.folder / "calibration"
     if what == "check":
         return list(chain_steps.check(cell, origin.note if write else ""))
+    if what == "drift":
+        return _drift(cell, source, origin, write)
     if what == "bases":
         return list(base_steps.bases(cell, source, options.by, origin, write)[2])
     if what == "camera":
@@ -120,6 +126,18 @@ def _solve(cell: Any, options: argparse.Namespace, origin: Any, write: bool) -> 
     if what == "stereo":
         return list(steps.stereo(folder, source, origin, options.lens_state, write)[1])
     return list(steps.handeye(cell, source, origin, write)[1])
+
+
+def _drift(cell: Any, episode: Any, origin: Any, write: bool) -> list[str]:
+    """Watch an episode for parts that moved."""
+    from surg_perception.drift import drift_step
+    from surg_recording.recording_errors import EpisodeError
+
+    try:
+        with Progress("pictures") as progress:
+            return list(drift_step.drift(cell, episode, origin, write, progress.update))
+    except EpisodeError as error:
+        raise CliError(f"calibrate drift: {error}", 2) from error
 
 
 def _board(cell: Any, options: argparse.Namespace) -> None:

@@ -1,0 +1,1 @@
+"""Whether the endoscope still looks where its calibration says."""

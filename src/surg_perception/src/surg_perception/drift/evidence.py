@@ -1,0 +1,211 @@
+"""Which part of the chain moved, from what is seen beside the place where joints put it.
+
+Each sighting gives residuals ``r = A x + e``: x has the steps of all parts. The calibration states
+their covariance at first; older sightings narrow it. If one part moved since, its covariance is
+large. All is linear and normal, so the probability of the newest residuals under each of these
+hypotheses is a closed form (C. Bishop, "Pattern recognition and machine learning", 2006, section
+3.5), and so is the estimate of x with its covariance. What nobody can tell apart, such as a moved
+camera and a moved base while the endoscope rests, comes out with equal probabilities.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from surg_core.transforms import FloatArray
+from surg_perception.drift.parts import Part
+
+NOTHING = "nothing"
+PRIOR = 1e-3
+"""Probability that something moved, before anything is seen; each part has an equal share."""
+BIAS = 0.4
+"""[px] One sigma of what a sighting's edges are off together: shade, blur, a bent shaft."""
+WINDOWS = (8, 16, 32)
+"""Newest sightings that are judged together: a part may have moved among older ones."""
+STABLE = 0.1
+"""What may change while nothing moves, as a share of the calibration's sigmas: warmth, bending."""
+SCALES = (0.1, 0.3, 1.0)
+"""How much of what it may a part moved by, each as probable: a bump is small or large."""
+STILL_LIKELY = 0.5
+"""Probability of no motion above which older sightings count as those of a chain at rest."""
+OUTLIER = 3.0
+"""[sigma] Beyond this a residual of the freest hypothesis counts less: it is another shaft's."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """What one pair of pictures says of one instrument.
+
+    Attributes:
+        stamp: When [s].
+        A: (m, P) derivatives of the residuals by all steps.
+        r: (m,) residuals [px].
+        sd: (m,) of their noise [px].
+        across: (2, P) how far the instrument's end then lies across the sight of the left eye,
+            beside the place that joints give it [m].
+    """
+
+    stamp: float
+    A: FloatArray
+    r: FloatArray
+    sd: FloatArray
+    across: FloatArray
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Of one window of sightings.
+
+    Attributes:
+        probabilities: Of `NOTHING` and of each part's name; their sum is 1.
+        best: The most probable part.
+        x: (P,) steps of all parts, if the best one moved.
+        covariance: (P, P) of x.
+        beside: How far instruments are seen beside their place [m].
+        beside_sd: One sigma of it [m].
+        misfit: Typical residual that the best part leaves, in sigmas: about 1 if it explains all.
+        since: Stamp of the window's first sighting [s].
+        sightings: How many there are.
+    """
+
+    probabilities: dict[str, float]
+    best: Part
+    x: FloatArray
+    covariance: FloatArray
+    beside: float
+    beside_sd: float
+    misfit: float
+    since: float
+    sightings: int
+
+    @property
+    def nothing(self) -> float:
+        """Probability that nothing moved."""
+        return self.probabilities[NOTHING]
+
+
+class DriftEvidence:
+    """Sightings in order, and what they say.
+
+    Args:
+        parts: All parts.
+    """
+
+    def __init__(self, parts: Sequence[Part]) -> None:
+        self.parts = list(parts)
+        still = _covariance(self.parts)
+        self._x, self._still = np.zeros(len(still)), still
+        self._window: deque[Sighting] = deque()
+
+    def add(self, sighting: Sighting) -> Verdict | None:
+        """Take in the newest sighting.
+
+        The oldest of a full window narrows what is known of a chain at rest, unless it moved: then
+        what was known before stays the measure.
+
+        Returns:
+            Of the window whose evidence that something moved is strongest; None: too few.
+        """
+        self._window.append(sighting)
+        newest = list(self._window)
+        windows = [newest[-n:] for n in WINDOWS if n <= len(newest)]
+        verdicts = [self._verdict(window) for window in windows]
+        found = min(verdicts, key=lambda each: each.nothing, default=None)
+        if len(newest) == WINDOWS[-1]:
+            old = self._window.popleft()
+            if found is not None and found.nothing > STILL_LIKELY:
+                self._narrow(old)
+        return found
+
+    def _narrow(self, old: Sighting) -> None:
+        r = old.r - old.A @ self._x
+        weight = _weights(old.A, r, np.hypot(old.sd, BIAS), self._free())
+        information = (old.A * weight[:, None]).T @ old.A
+        _, step, self._still = _posterior(information, old.A.T @ (weight * r), self._still)
+        self._x = self._x + step
+
+    def _verdict(self, window: Sequence[Sighting]) -> Verdict:
+        A = np.concatenate([each.A for each in window])
+        r = np.concatenate([each.r for each in window]) - A @ self._x
+        sd = np.hypot(np.concatenate([each.sd for each in window]), BIAS)
+        weight = _weights(A, r, sd, self._free())
+        information, pull = (A * weight[:, None]).T @ A, A.T @ (weight * r)
+        still = self._still + _covariance(self.parts, STABLE)
+        found = {NOTHING: _posterior(information, pull, still)}
+        for part in self.parts:
+            moved = [_with(still, part, scale) for scale in SCALES]
+            found[part.name] = _mixed([_posterior(information, pull, P) for P in moved])
+        share = np.log(PRIOR / len(self.parts))
+        logs = np.array([log + share * (name != NOTHING) for name, (log, *_) in found.items()])
+        p = np.exp(logs - logs.max())
+        probabilities = dict(zip(found, (p / p.sum()).tolist(), strict=True))
+        best = max(self.parts, key=lambda part: probabilities[part.name])
+        _, x, covariance = found[best.name]
+        misfit = float(np.median(np.abs(r - A @ x) / sd)) / 0.6745  # a normal one's median
+        x = self._x + x
+        across = np.mean([each.across for each in window], axis=0)
+        beside = float(np.linalg.norm(across @ x))
+        way = (across @ x) / max(beside, 1e-12)
+        across_sd = float(np.sqrt(way @ across @ covariance @ across.T @ way))
+        stamp, count = window[0].stamp, len(window)
+        return Verdict(probabilities, best, x, covariance, beside, across_sd, misfit, stamp, count)
+
+    def _free(self) -> FloatArray:
+        """(P, P) covariance if everything moved."""
+        free = self._still.copy()
+        for part in self.parts:
+            free[part.at, part.at] += part.moved
+        return free
+
+
+def _covariance(parts: Sequence[Part], share: float = 1.0) -> FloatArray:
+    """(P, P) covariance of all steps while nothing moved, or a share of their sigmas."""
+    P = np.zeros((parts[-1].at.stop,) * 2)
+    for part in parts:
+        P[part.at, part.at] = share**2 * part.still
+    return P
+
+
+def _with(still: FloatArray, part: Part, scale: float) -> FloatArray:
+    """(P, P) covariance of all steps if one part moved by so much of what it may."""
+    moved = still.copy()
+    moved[part.at, part.at] += scale**2 * part.moved
+    return moved
+
+
+def _mixed(
+    found: Sequence[tuple[float, FloatArray, FloatArray]],
+) -> tuple[float, FloatArray, FloatArray]:
+    """The mean of the evidence, and the most probable mean and covariance."""
+    logs = np.array([log for log, *_ in found])
+    _, x, covariance = found[int(logs.argmax())]
+    return float(np.logaddexp.reduce(logs) - np.log(len(logs))), x, covariance
+
+
+def _posterior(
+    information: FloatArray, pull: FloatArray, prior: FloatArray
+) -> tuple[float, FloatArray, FloatArray]:
+    """Logarithm of the evidence up to a constant, mean (P,), covariance (P, P)."""
+    half = np.linalg.cholesky(prior + 1e-24 * np.eye(len(prior)))
+    S = np.eye(len(prior)) + half.T @ information @ half
+    covariance = half @ np.linalg.solve(S, half.T)
+    x = covariance @ pull
+    return 0.5 * float(pull @ x - np.linalg.slogdet(S)[1]), x, covariance
+
+
+def _weights(A: FloatArray, r: FloatArray, sd: FloatArray, prior: FloatArray) -> FloatArray:
+    """Weights (m,) [1/px^2]; outliers of the freest hypothesis have less.
+
+    The same weights serve all hypotheses, else one that fits nothing would have the fewest
+    residuals to explain.
+    """
+    weight = sd**-2
+    for _ in range(5):
+        _, x, _ = _posterior((A * weight[:, None]).T @ A, A.T @ (weight * r), prior)
+        off = np.abs(r - A @ x) / sd
+        weight = sd**-2 * np.minimum(1.0, OUTLIER / np.maximum(off, 1e-9))
+    return weight

@@ -1,0 +1,67 @@
+"""The watch over a recorded episode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from surg_core.config import Cell
+from surg_core.transforms import FloatArray
+from surg_perception.depth.recorded_eyes import RecordedEyes, RecordedPair
+from surg_perception.drift.state import DriftState, state_of
+from surg_perception.drift.stated import stated_parts
+from surg_perception.drift.watch import DriftWatch, Joints
+from surg_recording.episode.episode_reader import Episode
+
+NS = 1e-9
+LONGEST_GAP = 0.1
+"""[s] Farthest that a joint state may lie from a picture."""
+
+
+def watched(
+    cell: Cell, episode: Episode, progress: Callable[[float], None] = lambda share: None
+) -> Iterator[tuple[DriftWatch, RecordedPair, DriftState]]:
+    """The watch behind each pair of pictures that said something, with its state.
+
+    Args:
+        cell: As it is calibrated now.
+        episode: Of a stereo endoscope.
+        progress: Takes the share that is done.
+
+    Raises:
+        ConfigError: The cell is not calibrated.
+        EpisodeError: Pictures or joints are missing or broken.
+    """
+    watch = DriftWatch(cell, (eyes := RecordedEyes(episode)).lenses, stated_parts(cell))
+    joints, begin = recorded_joints(cell, episode), int(eyes.stamps[0])
+    for number, pair in enumerate(eyes.pairs()):
+        progress(number / len(eyes.stamps))
+        stamp = NS * (pair.stamp_ns - begin)
+        if watch.look(stamp, (pair.left, pair.right), lambda arm, at: joints(arm, at + NS * begin)):
+            yield watch, pair, state_of(watch.verdict, watch.unseen)
+
+
+def recorded_joints(cell: Cell, episode: Episode) -> Joints:
+    """Measured joints of every arm of a cell, by stamp [s].
+
+    Raises:
+        EpisodeError: An arm of the cell was not recorded.
+    """
+    tables: dict[str, tuple[FloatArray, FloatArray]] = {}
+    for name, arm in cell.arms.items():
+        columns = [f"q{i}" for i in range(len(arm.chain.joints))]
+        table = episode.columns(f"cycle_{name}", columns)
+        q = np.stack([table[column] for column in columns], axis=1)
+        tables[name] = NS * np.asarray(table["stamp_ns"], dtype=np.float64), q
+
+    def at(arm: str, stamp: float) -> FloatArray | None:
+        stamps, q = tables[arm]
+        behind = int(np.clip(np.searchsorted(stamps, stamp), 1, len(stamps) - 1))
+        pair = stamps[behind - 1 : behind + 1]
+        if np.abs(pair - stamp).max() > LONGEST_GAP:
+            return None
+        share = (stamp - pair[0]) / max(pair[1] - pair[0], 1e-9)
+        return np.asarray(q[behind - 1] + share * (q[behind] - q[behind - 1]))
+
+    return at

@@ -1,0 +1,89 @@
+"""A verdict in words: steady, moved, or why nobody can tell."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+from surg_perception.drift.evidence import NOTHING, Verdict
+
+STEADY, MOVED, UNKNOWN = "steady", "moved", "cannot tell"
+SURE = 1e-3
+"""Probability of no motion below which something moved."""
+LIKELY = 0.5
+"""Probability of no motion above which the chain is steady."""
+NAMED = 0.9
+"""Probability of one part, of those that could have moved, from which it is named alone."""
+MISFIT = 3.0
+"""[sigma] Typical residual from which no part that moved explains what is seen."""
+INTERVAL = 1.96
+"""Sigmas of an interval that holds the truth in 95 of 100 cases."""
+
+
+@dataclass(frozen=True)
+class DriftState:
+    """What is known now.
+
+    Attributes:
+        word: `STEADY`, `MOVED` or `UNKNOWN`.
+        reason: Why nobody can tell, or which parts could have moved; empty: steady.
+        cause: Name of the part that moved; empty: nothing did, or it is one of several.
+        beside: Least, expected and largest distance between where instruments are seen and where
+            joints put them [m], 95 %; zeros: unknown.
+        since: Stamp from which on it holds [s].
+    """
+
+    word: str
+    reason: str = ""
+    cause: str = ""
+    beside: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    since: float = 0.0
+
+    def sentence(self) -> str:
+        """For people."""
+        if self.word == UNKNOWN:
+            return f"{UNKNOWN}: {self.reason}"
+        low, expected, high = (f"{1e3 * value:.1f}" for value in self.beside)
+        seen = f"instruments are seen {expected} mm beside their place (95 %: {low} to {high} mm)"
+        if self.word == STEADY:
+            return f"{STEADY}: {seen}"
+        return f"{MOVED}: {seen}; cause: {self.cause or self.reason}"
+
+
+def state_of(verdict: Verdict | None, unseen: Counter[str]) -> DriftState:
+    """The state of a verdict.
+
+    Args:
+        verdict: Of the newest sightings; None: there are too few.
+        unseen: Why instruments were not seen, and how often.
+    """
+    if verdict is None:
+        why = unseen.most_common(1)
+        seen = f"too few sightings ({why[0][0]})" if why else "no instrument has moved in view yet"
+        return DriftState(UNKNOWN, seen)
+    reach = INTERVAL * verdict.beside_sd
+    low, high = max(0.0, verdict.beside - reach), verdict.beside + reach
+    word = MOVED if verdict.nothing < SURE else STEADY if verdict.nothing > LIKELY else UNKNOWN
+    reason, cause = "", ""
+    if word != STEADY and verdict.misfit > MISFIT:
+        word, reason = UNKNOWN, "what is seen does not move as the joints say"
+    elif word == UNKNOWN:
+        reason = "the newest sightings disagree with older ones, too few to be sure"
+    elif word == MOVED:
+        cause, reason = _cause(verdict)
+    return DriftState(word, reason, cause, (low, verdict.beside, high), verdict.since)
+
+
+def _cause(verdict: Verdict) -> tuple[str, str]:
+    """The part that moved, or which could have, most probable first."""
+    moved = {name: p for name, p in verdict.probabilities.items() if name != NOTHING}
+    total = sum(moved.values())
+    names, held = list[str](), 0.0
+    for name, p in sorted(moved.items(), key=lambda item: -item[1]):
+        names.append(name)
+        held += p / total
+        if held >= NAMED:
+            break
+    if len(names) == 1:
+        return names[0], ""
+    return "", f"{' or '.join(names)}; turn the endoscope to tell them apart"

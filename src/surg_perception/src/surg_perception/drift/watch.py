@@ -1,0 +1,202 @@
+"""Watches whether instruments are seen where their joints put them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from surg_core import ConfigError, inverse_pose
+from surg_core.config import Cell
+from surg_core.held_endoscope import HeldEndoscope, held_endoscope
+from surg_core.lens_file import Lens
+from surg_core.pictures.eye_projection import EyeProjection
+from surg_core.transforms import FloatArray
+from surg_perception.depth.rectification import Picture
+from surg_perception.drift.evidence import DriftEvidence, Sighting, Verdict
+from surg_perception.drift.parts import EYES, Part, SeenPoint, derivatives
+from surg_perception.drift.shaft_finder import Grey, Mask, NotSeen, find_shaft, lit_part
+
+SHAFT = (0.018, 0.075)
+"""[m] Part of the shaft that is looked for, up from the tip: behind the jaws."""
+POINTS = 28
+"""Points of it: rows of the unrolled picture."""
+STEP = 0.002
+"""[m] Way of the shaft before the eye between two sightings: a resting one says nothing new."""
+PAUSE = 0.1
+"""[s] Least time between two sightings of one instrument; bounds the cost."""
+THINNED = 8
+"""Every so many pixels are compared: equal ones show a picture that stands still."""
+MOMENT = 0.005
+"""[s] Joints are taken so long before and behind a picture, for the speed."""
+
+RADIUS = 0.003
+"""[m] Of a shaft that no capsule states."""
+
+Joints = Callable[[str, float], FloatArray | None]
+"""Joints (n,) of an arm [rad] at a time [s]; None: not known."""
+
+
+@dataclass(frozen=True)
+class _Axis:
+    """A piece of shaft as joints put it.
+
+    Attributes:
+        arm: Whose.
+        p_TipP_F: (n, 3) points from the tip, in the flange's axes [m].
+        p_W: (n, 3) in the world.
+        p_V: (n, 3) before the left eye.
+        R_WF: (3, 3).
+        R_VW: (3, 3).
+        v_V: (n, 3) speed before the left eye [m/s].
+    """
+
+    arm: str
+    p_TipP_F: FloatArray
+    p_W: FloatArray
+    p_V: FloatArray
+    R_WF: FloatArray
+    R_VW: FloatArray
+    v_V: FloatArray
+
+
+class DriftWatch:
+    """The chain of one cell.
+
+    Args:
+        cell: As everybody but the simulator believes it.
+        lenses: Of the left eye, or of both, for the pictures' size.
+        parts: As `stated.stated_parts` reads them.
+
+    Raises:
+        ConfigError: No arm holds the endoscope.
+    """
+
+    def __init__(self, cell: Cell, lenses: Sequence[Lens], parts: Sequence[Part]) -> None:
+        held = held_endoscope(cell)
+        if held is None:
+            raise ConfigError(
+                f"{cell.config.file}: no arm holds the endoscope, so nothing says where it looks"
+            )
+        self.held: HeldEndoscope = held
+        self.parts = list(parts)
+        self._arms = {name: arm for name, arm in cell.arms.items() if name != held.arm}
+        self._origins = {name: np.asarray(arm.X_WB)[:3, 3] for name, arm in cell.arms.items()}
+        poses = [np.eye(4), held.X_LR]
+        self._eyes = [EyeProjection(lens, X) for lens, X in zip(lenses, poses, strict=False)]
+        self._focal = float(lenses[0].K[0, 0])
+        self._last: dict[str, tuple[float, FloatArray]] = {}
+        self._newest: dict[str, _Axis] = {}
+        self._evidence = DriftEvidence(self.parts)
+        self._before: list[Picture] | None = None
+        self.unseen: Counter[str] = Counter()
+        """Why shafts were not found, and how often."""
+        self.verdict: Verdict | None = None
+        """What moved, by the newest sightings; None: there are too few."""
+
+    def look(self, stamp: float, pictures: Sequence[Picture], joints: Joints) -> bool:
+        """Take in the pictures (h, w, 3) of one moment [s]; returns whether they said something."""
+        q_scope = joints(self.held.arm, stamp)
+        if q_scope is None:
+            self.unseen[f"no joints of {self.held.arm} at the pictures' time"] += 1
+            return False
+        small = [picture[::THINNED, ::THINNED].copy() for picture in pictures]
+        before, self._before = self._before, small
+        still = before is not None and all(map(np.array_equal, before, small))
+        moving = [name for name in self._arms if self._moved(name, stamp, joints)]
+        if still and moving:
+            self.unseen["the pictures stand still while joints move"] += 1
+        if still or not moving:
+            return False
+        greys = [cv2.cvtColor(each, cv2.COLOR_RGB2GRAY).astype(np.float32) for each in pictures]
+        seen = [(grey, lit_part(grey)) for grey in greys]
+        found = [self._see(name, stamp, seen) for name in moving]
+        return any(found)
+
+    def axes(self, eye: int) -> list[tuple[FloatArray, FloatArray]]:
+        """Pixels (n, 2) of each shaft when last looked at: by the joints, and by the verdict."""
+        found, projection = [], self._eyes[eye]
+        for axis in self._newest.values():
+            pixels = projection.pixels(axis.p_V)
+            moved = pixels.copy()
+            if self.verdict is not None:
+                for at in range(POINTS):
+                    moved[at] += self._derivatives(axis, eye, at) @ self.verdict.x
+            found.append((pixels, moved))
+        return found
+
+    def _axis(self, name: str, joints: Joints, stamp: float) -> _Axis | None:
+        arm = self._arms[name]
+        q, q_scope = joints(arm.name, stamp), joints(self.held.arm, stamp)
+        if q is None or q_scope is None:
+            return None
+        X_WF = np.asarray(arm.X_WB @ np.asarray(arm.chain.forward(q)))
+        X_VW = inverse_pose(self.held.poses(q_scope[None])[0])
+        up = np.linspace(*SHAFT, POINTS)[:, None]
+        p_F = np.asarray(arm.tool.p_FTip) - up * np.asarray(arm.tool.s_F)
+        p_W = p_F @ X_WF[:3, :3].T + X_WF[:3, 3]
+        p_V = p_W @ X_VW[:3, :3].T + X_VW[:3, 3]
+        p_TipP_F = p_F - np.asarray(arm.tool.p_FTip)
+        rest = np.zeros_like(p_V)
+        return _Axis(name, p_TipP_F, p_W, p_V, X_WF[:3, :3], X_VW[:3, :3], rest)
+
+    def _moved(self, name: str, stamp: float, joints: Joints) -> bool:
+        """Whether an instrument has moved enough for another sighting; keeps where it is."""
+        last = self._last.get(name)
+        if last is not None and 0.0 <= stamp - last[0] < PAUSE:
+            return False
+        now = self._axis(name, joints, stamp)
+        if now is None:
+            return False
+        ends = now.p_V[[0, -1]]
+        if last is not None and np.linalg.norm(ends - last[1], axis=1).max() < STEP:
+            return False
+        past, future = (self._axis(name, joints, stamp + step) for step in (-MOMENT, MOMENT))
+        if past is None or future is None:
+            return False
+        self._last[name] = stamp, ends
+        self._newest[name] = replace(now, v_V=(future.p_V - past.p_V) / (2.0 * MOMENT))
+        return True
+
+    def _see(self, name: str, stamp: float, greys: Sequence[tuple[Grey, Mask]]) -> bool:
+        """Whether one instrument is seen in either eye; takes in what that says."""
+        axis = self._newest[name]
+        half = self._focal * self._radius(name) / axis.p_V[:, 2]
+        rows, residuals, noise = [], [], []
+        for eye, (grey, lit) in enumerate(greys):
+            try:
+                seen = find_shaft(grey, lit, self._eyes[eye].pixels(axis.p_V), half)
+            except NotSeen as why:
+                self.unseen[str(why)] += 1
+                continue
+            for at, normal in zip(np.round(seen.at).astype(int), seen.normals, strict=True):
+                rows.append(normal @ self._derivatives(axis, eye, int(at)))
+            residuals.extend(seen.offsets)
+            noise.extend([seen.sd] * 2)
+        if rows:
+            across = self._derivatives(axis, 0, 0) * axis.p_V[0, 2] / self._focal
+            sighting = Sighting(stamp, *map(np.array, (rows, residuals, noise)), across)
+            self.verdict = self._evidence.add(sighting)
+        return bool(rows)
+
+    def _derivatives(self, axis: _Axis, eye: int, at: int) -> FloatArray:
+        """(2, P) of the pixel of one point of a shaft by all steps."""
+        point = SeenPoint(
+            arm=axis.arm,
+            eye=EYES[eye],
+            p_V=axis.p_V[at],
+            v_V=axis.v_V[at],
+            p_W=axis.p_W[at],
+            p_TipP_F=axis.p_TipP_F[at],
+            R_VW=axis.R_VW,
+            R_WF=axis.R_WF,
+            by_point=self._eyes[eye].derivative(axis.p_V[at]),
+        )
+        return derivatives(point, self.parts, self.held.arm, self._origins)
+
+    def _radius(self, name: str) -> float:
+        capsules = self._arms[name].instrument.capsules
+        return next((float(each.radius) for each in capsules if each.name == "shaft"), RADIUS)

@@ -1,0 +1,311 @@
+"""Whether a moved part of the chain from joints to pixels is noticed, named and corrected."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import surg_core
+from helpers.perception.drift_bench import (
+    SCOPE,
+    TOOL,
+    DriftBench,
+    Motion,
+    Moved,
+    look_without_pictures,
+)
+from surg_cli.host.terminal import CliError
+from surg_core.camera_file import load_camera
+from surg_core.lens_file import load_lens
+from surg_perception.calibration.result_files import LEFT, RIGHT
+from surg_perception.drift.shaft_finder import NotSeen, find_shaft, lit_part
+from surg_perception.drift.state import MOVED, STEADY, UNKNOWN, DriftState, state_of
+from surg_perception.drift.stated import stated_parts
+from surg_perception.drift.watch import DriftWatch
+
+CALIBRATIONS = 2
+SINCE, SECONDS = 12.0, 20.0
+"""When a part moves, and when the motion ends [s]."""
+
+
+@pytest.fixture(scope="module")
+def benches(tmp_path_factory: pytest.TempPathFactory) -> list[DriftBench]:
+    """Cells of several calibrations."""
+    return [DriftBench(tmp_path_factory.mktemp("cell"), 30 + k) for k in range(CALIBRATIONS)]
+
+
+def watch_of(cell: surg_core.Cell) -> DriftWatch:
+    folder = cell.folder / "calibration"
+    return DriftWatch(cell, [load_lens(folder / e) for e in (LEFT, RIGHT)], stated_parts(cell))
+
+
+def played(
+    bench: DriftBench, seed: int, moved: Moved, scope: bool = True, seconds: float = SECONDS
+) -> list[tuple[float, DriftState]]:
+    """States during a motion in which something moves after `SINCE`."""
+    motion, rng = Motion(bench.chain, seed, seconds, scope), np.random.default_rng(seed)
+    watch, states = watch_of(bench.cell), []
+    for at in motion.t:
+        now = moved if at >= SINCE else Moved()
+        if look_without_pictures(watch, bench, motion, float(at), now, rng):
+            states.append((float(at), state_of(watch.verdict, watch.unseen)))
+    return states
+
+
+def drawn(rng: np.random.Generator, size: float) -> np.ndarray:
+    way = rng.normal(size=3)
+    return np.asarray(size * way / np.linalg.norm(way))
+
+
+BUMPS: dict[str, tuple[str, Callable[[np.random.Generator], Moved]]] = {
+    "camera, 1 mm": (
+        "camera",
+        lambda rng: Moved(camera=np.r_[np.zeros(3), drawn(rng, 0.001)]),
+    ),
+    "camera, 0.5 deg": (
+        "camera",
+        lambda rng: Moved(camera=np.r_[drawn(rng, np.radians(0.5)), np.zeros(3)]),
+    ),
+    "camera, 3 mm and 2 deg": (
+        "camera",
+        lambda rng: Moved(camera=np.r_[drawn(rng, np.radians(2.0)), drawn(rng, 0.003)]),
+    ),
+    "camera, 20 mm and 10 deg": (
+        "camera",
+        lambda rng: Moved(camera=np.r_[drawn(rng, np.radians(10.0)), drawn(rng, 0.02)]),
+    ),
+    "base of PSM1, 3 mm": (
+        f"base of {TOOL}",
+        lambda rng: Moved(base={TOOL: np.r_[np.zeros(3), drawn(rng, 0.003)]}),
+    ),
+    "base of ECM, 3 mm": (
+        f"base of {SCOPE}",
+        lambda rng: Moved(base={SCOPE: np.r_[np.zeros(3), drawn(rng, 0.003)]}),
+    ),
+    "lens, 6 px": (
+        "lens of left",
+        lambda rng: Moved(lens={0: drawn(rng, 6.0)[:2] + np.array([3.0, 3.0])}),
+    ),
+    "tool, 3 mm and 1 deg": (
+        f"tool of {TOOL}",
+        lambda rng: Moved(tool=np.r_[drawn(rng, np.radians(1.0)), drawn(rng, 0.003)]),
+    ),
+    "lag, 50 ms": ("lag", lambda rng: Moved(lag=0.05)),
+}
+
+
+@pytest.mark.parametrize("name", BUMPS)
+def test_a_bump_is_noticed_and_named(name: str, benches: list[DriftBench], full: bool) -> None:
+    cause, made = BUMPS[name]
+    count = 20 if full else 1
+    soon = right = wrong = before = 0
+    for seed in range(count):
+        moved = made(np.random.default_rng(1000 + seed))
+        states = played(benches[seed % CALIBRATIONS], seed, moved)
+        before += any(state.word == MOVED for at, state in states if at < SINCE)
+        soon += any(state.word == MOVED for at, state in states if SINCE <= at < SINCE + 8.0)
+        last = states[-1][1]
+        right += last.cause == cause
+        wrong += last.word == MOVED and cause not in (last.cause or last.reason)
+    print(
+        f"{name}: noticed {soon} of {count}, named {right}, another named {wrong}, early {before}"
+    )
+    assert before == 0
+    assert soon >= 0.95 * count
+    assert wrong <= 0.1 * count
+
+
+def test_while_nothing_moves_nothing_is_said(benches: list[DriftBench], full: bool) -> None:
+    for seed in range(20 if full else 2):
+        for scope in (False, True):
+            states = played(benches[seed % CALIBRATIONS], 500 + seed, Moved(), scope)
+            assert len(states) > 3 * SECONDS
+            assert not any(state.word == MOVED for _, state in states)
+            assert Counter(state.word for _, state in states).most_common(1)[0][0] == STEADY
+
+
+def test_a_still_endoscope_does_not_tell_a_camera_from_a_base(benches: list[DriftBench]) -> None:
+    moved = Moved(camera=np.array([0.0, 0.0, 0.0, 0.002, 0.001, 0.0]))
+    last = played(benches[0], 4, moved, scope=False)[-1][1]
+    assert (last.word, last.cause) == (MOVED, "")
+    assert "turn the endoscope" in last.reason and "base of ECM" in last.reason
+
+
+# --- pictures -------------------------------------------------------------------------------------
+
+
+def bar(offset: float, turn: float, shade: int, half: float = 9.0) -> np.ndarray:
+    """A picture (240, 320) with a straight bar, `offset` px beside a line and turned [deg]."""
+    rng = np.random.default_rng(int(10 * abs(offset)) + shade)
+    wall = cv2.GaussianBlur(rng.uniform(80, 160, (240, 320)).astype(np.float32), (0, 0), 3.0)
+    big = cv2.resize(wall, None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)
+    way = np.array([np.cos(np.radians(turn)), np.sin(np.radians(turn))])
+    across = np.array([-way[1], way[0]])
+    middle = np.array([160.0, 120.0 + offset])
+    ends = [middle - 260 * way, middle + 260 * way]
+    rim = np.array([ends[0] - half * across, ends[1] - half * across, ends[1] + half * across,
+                    ends[0] + half * across])  # fmt: skip
+    cv2.fillPoly(
+        big, [np.round(((rim + 0.5) * 4 - 0.5) * 16).astype(np.int32)], shade, cv2.LINE_AA, 4
+    )
+    small = cv2.resize(big, (320, 240), interpolation=cv2.INTER_AREA)
+    return (small + rng.normal(scale=2.0, size=small.shape)).astype(np.float32)
+
+
+AXIS = np.column_stack([np.linspace(60, 260, 28), np.full(28, 120.0)])
+HALF = np.full(28, 11.0)
+
+
+@pytest.mark.parametrize("shade", [30, 230])
+@pytest.mark.parametrize(("offset", "turn"), [(0.0, 0.0), (7.3, -3.0), (-31.6, 6.0), (44.2, 9.0)])
+def test_a_bar_is_found_to_a_fraction_of_a_pixel(offset: float, turn: float, shade: int) -> None:
+    picture = bar(offset, turn, shade)
+    seen = find_shaft(picture, np.ones(picture.shape, dtype=bool), AXIS, HALF)
+    x = np.interp(seen.at, np.arange(28), AXIS[:, 0])
+    true = offset + np.tan(np.radians(turn)) * (x - 160.0)
+    np.testing.assert_allclose(seen.offsets * seen.normals[:, 1], true, atol=0.35)
+    assert seen.sd < 0.2
+
+
+def test_what_is_no_shaft_is_not_found() -> None:
+    lit = np.ones((240, 320), dtype=bool)
+    wall = bar(1000.0, 0.0, 30)
+    two = np.minimum(bar(-40.0, 0.0, 30), bar(40.0, 0.0, 30))
+    cases = {
+        "no shaft stands out": (wall, lit, AXIS),
+        "two shafts": (two, lit, AXIS),
+        "not before the eye": (wall, lit, np.full((28, 2), np.nan)),
+        "no shaft": (bar(0.0, 0.0, 30), ~lit, AXIS),
+    }
+    for said, (picture, seen, axis) in cases.items():
+        with pytest.raises(NotSeen, match=said):
+            find_shaft(picture, seen, axis, HALF)
+
+
+def test_the_round_picture_is_found_although_a_dark_shaft_crosses_it() -> None:
+    y, x = np.mgrid[:240, :320]
+    inside = np.hypot(x - 160, y - 120) < 110
+    lit = lit_part(np.where(inside, bar(0.0, 0.0, 5), 0.0).astype(np.float32))
+    assert not (lit & ~inside).any()
+    assert lit[np.hypot(x - 160, y - 120) < 90].all()
+
+
+def looked(bench: DriftBench, motion: Motion, pictures: Callable[[float], tuple]) -> DriftState:
+    watch = watch_of(bench.cell)
+    for at in motion.t[::3]:
+        watch.look(float(at), pictures(float(at)), motion.joints)
+    return state_of(watch.verdict, watch.unseen)
+
+
+def test_what_shows_nothing_is_no_alarm(benches: list[DriftBench]) -> None:
+    bench, rng = benches[0], np.random.default_rng(2)
+    motion, other = (Motion(bench.chain, seed, 4.0, False) for seed in (3, 77))
+    first = bench.pair(motion, 0.0, Moved())
+    black = tuple(np.zeros_like(each) for each in first)
+    away = bench.pair(motion, 0.0, Moved(camera=np.array([0.0, 0.0, 0.0, 0.5, 0.0, 0.0])))
+
+    def noisy(at: float) -> tuple:
+        return tuple(each + rng.integers(0, 3, each.shape).astype(np.uint8) for each in away)
+
+    cases: dict[str, Callable[[float], tuple]] = {
+        "stand still": lambda at: first if at else away,
+        "no shaft stands out": noisy,
+        "pictures stand still": lambda at: black,
+    }
+    for said, pictures in cases.items():
+        state = looked(bench, motion, pictures)
+        assert state.word == UNKNOWN and said in state.sentence(), state
+    # An instrument that the joints do not drive moves otherwise than they say.
+    state = looked(bench, motion, lambda at: bench.pair(other, at, Moved()))
+    assert state.word != MOVED, state
+    watch = watch_of(bench.cell)
+    watch.look(0.0, first, lambda arm, at: None)
+    assert "no joints of ECM" in state_of(watch.verdict, watch.unseen).sentence()
+
+
+def test_a_cell_that_nobody_calibrated_is_refused(
+    benches: list[DriftBench], tmp_path: Path
+) -> None:
+    import shutil
+
+    folder = tmp_path / "cell"
+    shutil.copytree(benches[0].folder, folder)
+    for name, said in (("base_PSM1", "bases --by touch"), ("camera_ECM", "handeye")):
+        cell = surg_core.load_cell(folder)
+        stated_parts(cell)
+        files = [*folder.glob(f"calibration/{name}.yaml"), *folder.glob("calibration/base_*.yaml")]
+        files[0].unlink()
+        with pytest.raises(surg_core.ConfigError, match=said):
+            stated_parts(surg_core.load_cell(folder))
+        shutil.rmtree(folder)
+        shutil.copytree(benches[0].folder, folder)
+
+
+# --- the command ----------------------------------------------------------------------------------
+
+
+def test_a_recorded_bump_is_said_and_accepted(
+    surg: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "cell").mkdir()
+    bench = DriftBench(tmp_path / "cell", 33)
+    motion = Motion(bench.chain, 5, 6.0, True)
+    moved = Moved(camera=np.r_[np.radians([1.0, -1.5, 1.0]), 0.003, -0.002, 0.002])
+    episode = bench.record(tmp_path / "episode", motion, moved)
+    file = bench.folder / "calibration" / "camera_ECM.yaml"
+    words = ("calibrate", bench.folder, "drift", "--from", episode)
+    before = file.read_bytes()
+
+    def at_the_end() -> str:
+        (said,) = (x for x in capsys.readouterr().out.splitlines() if x.startswith("at the end"))
+        return said
+
+    assert surg(*words) == 0
+    said = at_the_end()
+    assert "moved: instruments are seen" in said and "camera" in said
+    assert file.read_bytes() == before
+    page = bench.folder / "calibration" / "views" / "drift.html"
+    assert "data:image" in page.read_text() and page.stat().st_size > 20_000
+
+    true = bench.chain.bench.X_FV @ surg_core.make_pose(moved.camera[3:])
+    true[:3, :3] = (
+        bench.chain.bench.X_FV[:3, :3] @ Rotation.from_rotvec(moved.camera[:3]).as_matrix()
+    )
+
+    def off(stated: Path) -> float:
+        """How far a point 80 mm before the eye lies beside its place [mm]."""
+        p = np.array([0.0, 0.0, 0.08, 1.0])
+        believed = np.linalg.inv(true) @ load_camera(stated).X_FV @ p - p
+        return 1e3 * float(np.linalg.norm(believed))
+
+    first = off(file)
+    assert surg(*words, "--accept") == 0
+    assert file.with_name("camera_ECM.yaml.previous").read_bytes() == before
+    capsys.readouterr()
+    surg_core.load_cell(bench.folder)  # nothing is stale
+    assert surg(*words) == 0
+    assert "at the end: steady" in at_the_end()
+    print(f"80 mm before the eye: {first:.2f} mm off, then {off(file):.2f} mm")
+    assert first > 3.0 and off(file) < 1.0
+    with pytest.raises(CliError, match="nothing to accept"):
+        surg(*words, "--accept")
+
+
+def test_a_step_that_accepts_nothing_and_a_missing_episode_are_refused(
+    surg: Callable[..., int], benches: list[DriftBench], tmp_path: Path
+) -> None:
+    folder = benches[0].folder
+    for words, said in (
+        (("drift",), "--from EPISODE is missing"),
+        (("check", "--accept"), "--accept goes with drift"),
+        (("drift", "--from", tmp_path / "none"), "none"),
+    ):
+        with pytest.raises(CliError, match=said) as refused:
+            surg("calibrate", folder, *words)
+        assert refused.value.code in (1, 2)
