@@ -195,7 +195,7 @@ def _refined(strip: _Strip, line: FloatArray, half: float) -> ShaftSeen:
     mean, spread = float(s.mean()), float(s.std())
     places = mean + spread * np.array([-1.0, 1.0])
     order = np.arange(len(strip.s))
-    at = np.interp(places, strip.s, order)
+    at: FloatArray = np.interp(places, strip.s, order).astype(np.float64)
     nearest = np.round(at).astype(int)
     return ShaftSeen(
         strip.first + at,

@@ -39,8 +39,9 @@ def stated_parts(cell: Cell) -> list[Part]:
 
 
 def _tool(arm: Arm) -> FloatArray:
-    shift = float(arm.tool.residual) ** 2 / 3.0
-    return np.diag([shift / SHAFT_ARM**2] * 3 + [shift] * 3) + EXACT
+    shift = float(arm.tool.residual) / np.sqrt(3.0)
+    sd = np.repeat([shift / SHAFT_ARM, shift], 3)
+    return np.asarray(np.diag(sd**2) + EXACT)
 
 
 def _base(cell: Cell, name: str) -> FloatArray:

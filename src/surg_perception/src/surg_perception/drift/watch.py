@@ -85,7 +85,7 @@ class DriftWatch:
         self.parts = list(parts)
         self._arms = {name: arm for name, arm in cell.arms.items() if name != held.arm}
         self._origins = {name: np.asarray(arm.X_WB)[:3, 3] for name, arm in cell.arms.items()}
-        poses = [np.eye(4), held.X_LR]
+        poses = [np.eye(4)] if held.X_LR is None else [np.eye(4), held.X_LR]
         self._eyes = [EyeProjection(lens, X) for lens, X in zip(lenses, poses, strict=False)]
         self._focal = float(lenses[0].K[0, 0])
         self._last: dict[str, tuple[float, FloatArray]] = {}
@@ -139,7 +139,7 @@ class DriftWatch:
         p_F = np.asarray(arm.tool.p_FTip) - up * np.asarray(arm.tool.s_F)
         p_W = p_F @ X_WF[:3, :3].T + X_WF[:3, 3]
         p_V = p_W @ X_VW[:3, :3].T + X_VW[:3, 3]
-        p_TipP_F = p_F - np.asarray(arm.tool.p_FTip)
+        p_TipP_F: FloatArray = p_F - np.asarray(arm.tool.p_FTip)
         rest = np.zeros_like(p_V)
         return _Axis(name, p_TipP_F, p_W, p_V, X_WF[:3, :3], X_VW[:3, :3], rest)
 
@@ -165,7 +165,9 @@ class DriftWatch:
         """Whether one instrument is seen in either eye; takes in what that says."""
         axis = self._newest[name]
         half = self._focal * self._radius(name) / axis.p_V[:, 2]
-        rows, residuals, noise = [], [], []
+        rows: list[FloatArray] = []
+        residuals: list[float] = []
+        noise: list[float] = []
         for eye, (grey, lit) in enumerate(greys):
             try:
                 seen = find_shaft(grey, lit, self._eyes[eye].pixels(axis.p_V), half)
@@ -178,8 +180,8 @@ class DriftWatch:
             noise.extend([seen.sd] * 2)
         if rows:
             across = self._derivatives(axis, 0, 0) * axis.p_V[0, 2] / self._focal
-            sighting = Sighting(stamp, *map(np.array, (rows, residuals, noise)), across)
-            self.verdict = self._evidence.add(sighting)
+            found = Sighting(stamp, np.array(rows), np.array(residuals), np.array(noise), across)
+            self.verdict = self._evidence.add(found)
         return bool(rows)
 
     def _derivatives(self, axis: _Axis, eye: int, at: int) -> FloatArray:
