@@ -11,11 +11,11 @@ from surg_core import ConfigError
 from surg_core.config import Cell
 from surg_perception.calibration.result_files import Origin, save_page
 from surg_perception.depth.recorded_eyes import RecordedPair
-from surg_perception.drift.corrected import accept
-from surg_perception.drift.evidence import NOTHING
+from surg_perception.drift.accepted_drift import accept
+from surg_perception.drift.drift_evidence import NOTHING
+from surg_perception.drift.drift_state import UNKNOWN, DriftState
+from surg_perception.drift.drift_watch import DriftWatch
 from surg_perception.drift.recorded_drift import watched
-from surg_perception.drift.state import UNKNOWN, DriftState
-from surg_perception.drift.watch import DriftWatch
 from surg_recording.episode import episode_reader
 from surg_recording.reports.figure_style import encoded
 from surg_recording.reports.html_page import document, facts, picture, section

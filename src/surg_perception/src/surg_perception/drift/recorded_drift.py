@@ -9,9 +9,9 @@ import numpy as np
 from surg_core.config import Cell
 from surg_core.transforms import FloatArray
 from surg_perception.depth.recorded_eyes import RecordedEyes, RecordedPair
-from surg_perception.drift.state import DriftState, state_of
-from surg_perception.drift.stated import stated_parts
-from surg_perception.drift.watch import DriftWatch, Joints
+from surg_perception.drift.drift_state import DriftState, state_of
+from surg_perception.drift.drift_watch import DriftWatch, Joints
+from surg_perception.drift.stated_parts import stated_parts
 from surg_recording.episode.episode_reader import Episode
 
 NS = 1e-9

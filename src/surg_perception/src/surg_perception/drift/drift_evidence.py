@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surg_core.transforms import FloatArray
-from surg_perception.drift.parts import Part
+from surg_perception.drift.moving_parts import Part
 
 NOTHING = "nothing"
 PRIOR = 1e-3

@@ -10,7 +10,7 @@ from surg_core.config import Arm, Cell
 from surg_core.transforms import FloatArray
 from surg_perception.calibration.chain_steps import measured_camera
 from surg_perception.calibration.steps import scope_arm
-from surg_perception.drift.parts import Part, parts_of
+from surg_perception.drift.moving_parts import Part, parts_of
 
 SHAFT_ARM = 0.1
 """[m] Length over which a tool's residual bends the shaft: that of the tip's motions about it."""

@@ -16,8 +16,8 @@ from surg_core.lens_file import Lens
 from surg_core.pictures.eye_projection import EyeProjection
 from surg_core.transforms import FloatArray
 from surg_perception.depth.rectification import Picture
-from surg_perception.drift.evidence import DriftEvidence, Sighting, Verdict
-from surg_perception.drift.parts import EYES, Part, SeenPoint, derivatives
+from surg_perception.drift.drift_evidence import DriftEvidence, Sighting, Verdict
+from surg_perception.drift.moving_parts import EYES, Part, SeenPoint, derivatives
 from surg_perception.drift.shaft_finder import Grey, Mask, NotSeen, find_shaft, lit_part
 
 SHAFT = (0.018, 0.075)
@@ -69,7 +69,7 @@ class DriftWatch:
     Args:
         cell: As everybody but the simulator believes it.
         lenses: Of the left eye, or of both, for the pictures' size.
-        parts: As `stated.stated_parts` reads them.
+        parts: As `stated_parts.stated_parts` reads them.
 
     Raises:
         ConfigError: No arm holds the endoscope.

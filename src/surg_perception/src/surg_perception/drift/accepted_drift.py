@@ -16,9 +16,9 @@ from surg_core.transforms import FloatArray, rotation_of
 from surg_perception.calibration.result_files import Origin
 from surg_perception.calibration.small_motions import moved
 from surg_perception.calibration.steps import scope_arm
-from surg_perception.drift.evidence import Verdict
-from surg_perception.drift.parts import BASE, CAMERA
-from surg_perception.drift.state import DriftState
+from surg_perception.drift.drift_evidence import Verdict
+from surg_perception.drift.drift_state import DriftState
+from surg_perception.drift.moving_parts import BASE, CAMERA
 
 CURES = {
     "lens": "./surg calibrate CELL stereo: measure the lenses again",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
-from surg_perception.drift.evidence import NOTHING, Verdict
+from surg_perception.drift.drift_evidence import NOTHING, Verdict
 
 STEADY, MOVED, UNKNOWN = "steady", "moved", "cannot tell"
 SURE = 1e-3
