@@ -472,6 +472,22 @@ TEST(Wrist, AStreamNeverThrowsTheWrist) {
   EXPECT_EQ(bench.servo_cp(bent), Reason::kStepTooLarge);
 }
 
+/// Its centre and the roll stay, so that no other check sees it.
+TEST(Wrist, AStreamNeverThrowsAWristThatTurnsInItsPlace) {
+  for (int joint = 0; joint < 2; ++joint) {
+    WristBench bench(0.04, 0.04);
+    MotionCommand still;
+    still.motion = Motion::kServoJp;
+    still.joints[2] = bench.out().depth;
+    MotionCommand turned = still;
+    turned.wrist[joint] = 0.5;
+    EXPECT_EQ(bench.send(turned), Reason::kStreamStartTooFar);
+    for (int k = 0; k < 100; ++k) bench.tick();  // the stream falls silent
+    for (int k = 0; k < 5; ++k) ASSERT_EQ(bench.send(still), Reason::kNone);
+    EXPECT_EQ(bench.send(turned), Reason::kStepTooLarge);
+  }
+}
+
 TEST(Wrist, AHeldStreamStaysHeldWhileItAsksForWhatIsOutOfRange) {
   WristBench bench(0.04, 0.04);
   bench.servo_cp(hand_at(0));
