@@ -38,7 +38,7 @@ def row(results: Sequence[str]) -> str:
     first, cells = results[0].partition("; pivot")[0], [results[0]]
     for result in results[1:]:
         if result == results[0]:
-            cells.append("the same")
+            cells.append("=")
         else:
-            cells.append(result.removeprefix(f"{first}; "))
+            cells.append(result.removeprefix(f"{first}; pivot "))
     return " | ".join(cells)

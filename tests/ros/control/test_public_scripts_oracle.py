@@ -462,7 +462,7 @@ def test_dvrk_bag_replay(rig: Rig, mode: str, tmp_path: Path) -> None:
     bent, far = taught(rig, tmp_path / "taught.bag"), rig.plant.way()[0]
     words = ("-a", "PSM1", "-b", str(tmp_path / "taught.bag"), "-m", mode, "-j")
     steps = (('Press "Enter"', None, ENTER),) * (2 + (mode == "servo_cp"))
-    row = f"dvrk_bag_replay -m {mode} -j"
+    row = f"dvrk_bag_replay: {mode}"
     ended = rig.run("dvrk_bag_replay", *words, steps=steps, ends="ral.shutdown() has been called")
     assert rig.plant.way() == pytest.approx((far, 0.0), abs=FOUND_HOME)
     assert np.ptp(rig.plant.jaws) == pytest.approx(0.5, abs=0.05)
@@ -470,7 +470,7 @@ def test_dvrk_bag_replay(rig: Rig, mode: str, tmp_path: Path) -> None:
     assert (bent > 0.3).all() and len(bent) == (2 if rig.cell == page.WRIST else 0)
     angles = ", ".join(f"{angle:.1f}°" for angle in np.degrees(bent))
     what = f", wrist {angles}" if angles else ""
-    rig.keep(row, ended, f"tip {1e3 * far:.1f} mm away and back{what}")
+    rig.keep(row, ended, f"tip {1e3 * far:.1f} mm away{what}")
 
 
 def test_dvrk_system_test(rig: Rig) -> None:
@@ -573,8 +573,7 @@ def test_crtk_rate_example(rig: Rig) -> None:
     ended = rig.begin("crtk_rate_example").end()
     assert ended.code == 0 and "Completed in" in ended.text, ended.text
     assert rig.plant.way()[0] < 1e-4
-    said = ended.text.rsplit("Completed in ", 1)[1].splitlines()[0]
-    rig.note("crtk_rate_example", 0, f"{said}; speaks to no arm")
+    rig.note("crtk_rate_example", 0, "speaks to no arm")
 
 
 def test_dvrk_mtm_test_wants_a_master(rig: Rig) -> None:
