@@ -30,7 +30,7 @@ def note(script: str, waits: int, result: str, place: str, places: Sequence[str]
     found = _found.setdefault(script, {})
     found[place] = result
     if len(found) == len(places):
-        _PAGE.note(script, waits, row([found.get(each, "–") for each in PLACES]))
+        _PAGE.note(script, None, row([found.get(each, "–") for each in PLACES]))
 
 
 def row(results: Sequence[str]) -> str:
