@@ -7,16 +7,23 @@ import os
 import time
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from helpers.async_tests import within
 from helpers.results.console_results import BY_FINGERS, BY_GAMEPAD, keeps, note
 from helpers.teleop import chromium, steering, touch_drive
 from helpers.teleop.chromium import GAMEPAD, Chromium, Tab, until
+from helpers.teleop.keyboard_bgr import Player
 from helpers.teleop.phantom import STILL, Phantom, phantom
 from surg_cli.host import paths
+from surg_core import load_cell
 from surg_recording.episode import episode_reader
+from surg_sim.physics.scene import ENDOSCOPE
+from surg_sim.physics.world import World
+from surg_sim.tasks.scripted_sender import home_frame
 
 pytestmark = [
     pytest.mark.ros,
@@ -27,6 +34,8 @@ pytestmark = [
 TARGETS = 10
 TOUCHED = 0.002
 """[m] from the tip to a target."""
+TILTED = np.radians(10.0)
+"""[rad] of the tool by a key."""
 
 
 async def drive(tab: Tab) -> None:
@@ -192,6 +201,39 @@ async def moved(
         await asyncio.sleep(0.05)
     await push(tab, np.zeros(3), held)
     await asyncio.sleep(0.3)
+
+
+@within(400.0)
+async def test_keys_tilt_a_wrist_as_the_picture_shows(tmp_path: Path) -> None:
+    """8 up, 9 down, 7 left, 0 right, by the simulator's camera; the tip stays in its place."""
+    cell = load_cell(paths.ROOT / "cells" / "sim_ur5e_wrist")
+    world = World(cell, visuals=False)
+    mujoco.mj_forward(world.model, world.data)
+    R_WC = world.data.camera(ENDOSCOPE).xmat.reshape(3, 3)  # x right, y up, z to the viewer
+    R_CR = R_WC.T @ home_frame(cell.arms["PSM1"])[:3, :3]
+    async with phantom(tmp_path, "sim_ur5e_wrist") as made, Chromium() as browser:
+        tab = await browser.open(made.url)
+        await tab.until("globalThis.surgConsole?.picture.drawn.length > 10", "pictures", 120.0)
+        await tab.tap("KeyM")
+        player = Player(made, tab, cell)
+        ways = {"Digit8": (1, 0), "Digit9": (-1, 0), "Digit7": (0, 1), "Digit0": (0, -1)}
+        for code, way in ways.items():
+            await player.enable()
+            place, begun = made.tip, Rotation.from_quat(made.q).inv()
+
+            async def turned(begun: Rotation = begun, code: str = code) -> list[float]:
+                await player.enable()
+                await player.hold(code)
+                turn = R_CR @ (Rotation.from_quat(made.q) * begun).as_rotvec()
+                return list(turn) if np.linalg.norm(turn) > TILTED else []
+
+            turn = np.array(await until(turned, f"{code} to turn the tool", 60.0))
+            await player.hold()
+            await asyncio.sleep(0.3)
+            print(f"{code}: {np.degrees(turn)} degrees, {made.tip - place} m")
+            assert turn @ np.array([*way, 0]) > 0.98 * np.linalg.norm(turn)
+            assert np.linalg.norm(made.tip - place) < TOUCHED
+        assert browser.errors == []
 
 
 @pytest.mark.parametrize("what", ["hidden", "frozen", "closed"])

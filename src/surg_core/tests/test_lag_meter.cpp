@@ -140,7 +140,7 @@ TEST(LagMeter, ALinkThatIsLateForAMomentTeachesNothing) {
     wrong = std::max(wrong, servo.maxCoeff() - servo.minCoeff());
   }
   std::printf("servos apart by %.2f ms\n", 1e3 * wrong);
-  EXPECT_LT(wrong, 0.001);
+  EXPECT_LT(wrong, 4e-4) << "0.56 ms where all motion counts alike";
 }
 
 TEST(LagMeter, TheAgeOfTheStateIsNoLag) {

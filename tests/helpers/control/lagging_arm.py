@@ -219,7 +219,9 @@ def asked(
         if pose is not None:
             found.append(command(kind, source, p=pose.p, rotation=pose.q))
     if commands.servo_jp is not None:
-        found.append(command(motion.SERVO_JP, source, joints=commands.servo_jp))
+        joints, wrist = np.split(commands.servo_jp, [4])
+        turned = wrist if len(wrist) else None
+        found.append(command(motion.SERVO_JP, source, joints=joints, wrist=turned))
     if commands.jaw is not None:
         found.append(command(motion.JAW_SERVO_JP, source, jaw=commands.jaw))
     if commands.hold:

@@ -1,6 +1,7 @@
 """Prints lines about a running system: `python tip_printer.py PSM1|task`.
 
-Of an arm its tip in its rcm frame [m], fifty times a second; of the task every state, as JSON.
+Of an arm its tip in its rcm frame [m] and its orientation x, y, z, w, fifty times a second; of the
+task every state, as JSON.
 A process of its own, because a test's own node belongs to another ROS master.
 """
 
@@ -19,9 +20,10 @@ from surg_sim.nodes.bridge_messages import task_state
 
 
 def tip(message: PoseStamped) -> str:
-    """The tip, with the steady clock [s]."""
-    p = message.pose.position
-    return f"{time.monotonic():.4f} {p.x:.6f} {p.y:.6f} {p.z:.6f}"
+    """The tip, behind the steady clock [s]."""
+    p, q = message.pose.position, message.pose.orientation
+    place, turn = f"{p.x:.6f} {p.y:.6f} {p.z:.6f}", f"{q.x:.6f} {q.y:.6f} {q.z:.6f} {q.w:.6f}"
+    return f"{time.monotonic():.4f} {place} {turn}"
 
 
 def task(message: TaskState) -> str:

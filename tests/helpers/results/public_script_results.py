@@ -30,7 +30,7 @@ def note(script: str, waits: int, result: str, place: str, places: Sequence[str]
     found = _found.setdefault(script, {})
     found[place] = result
     if len(found) == len(places):
-        _PAGE.note(script, waits, row([found.get(each, "–") for each in PLACES]))
+        _PAGE.note(script, None, row([found.get(each, "–") for each in PLACES]))
 
 
 def row(results: Sequence[str]) -> str:
@@ -38,7 +38,7 @@ def row(results: Sequence[str]) -> str:
     first, cells = results[0].partition("; pivot")[0], [results[0]]
     for result in results[1:]:
         if result == results[0]:
-            cells.append("the same")
+            cells.append("=")
         else:
-            cells.append(result.removeprefix(f"{first}; "))
+            cells.append(result.removeprefix(f"{first}; pivot "))
     return " | ".join(cells)

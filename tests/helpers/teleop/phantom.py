@@ -30,6 +30,7 @@ class Phantom:
         url: Of the page.
         out: Folder of the episodes.
         tips: Steady clock [s] and the instrument's tip in its rcm frame [m], as it came.
+        q: Its orientation x, y, z, w there.
         lens: The same of the endoscope's, where an arm holds it.
         task: States of the task as `tip_printer` says them, where it plays one.
     """
@@ -37,13 +38,18 @@ class Phantom:
     def __init__(self, url: str, out: Path) -> None:
         self.url, self.out = url, out
         self.tips: list[tuple[float, np.ndarray]] = []
+        self.q = np.array([0.0, 0.0, 0.0, 1.0])
         self.lens: list[tuple[float, np.ndarray]] = []
         self.task: list[dict[str, Any]] = []
         self.heard: dict[str, tuple[list[Any], Callable[[bytes], Any]]] = {
-            "PSM1": (self.tips, _tip),
-            "ECM": (self.lens, _tip),
+            "PSM1": (self.tips, self._tip),
+            "ECM": (self.lens, lambda line: _pose(line)[:2]),
             "task": (self.task, json.loads),
         }
+
+    def _tip(self, line: bytes) -> tuple[float, np.ndarray]:
+        at, p, self.q = _pose(line)
+        return at, p
 
     @property
     def tip(self) -> np.ndarray:
@@ -111,6 +117,6 @@ async def _read(lines: asyncio.StreamReader, into: list[Any], read: Callable[[by
         into.append(read(line))
 
 
-def _tip(line: bytes) -> tuple[float, np.ndarray]:
-    at, *tip = map(float, line.split())
-    return at, np.array(tip)
+def _pose(line: bytes) -> tuple[float, np.ndarray, np.ndarray]:
+    at, *pose = map(float, line.split())
+    return at, np.array(pose[:3]), np.array(pose[3:])

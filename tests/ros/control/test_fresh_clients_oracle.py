@@ -59,6 +59,6 @@ def test_no_first_command_is_lost(
         if said["done"] is not True or said["off"] > FOUND or obeyed != SAMPLES[kind]:
             wrong.append((k, said, obeyed, cycles[0].refused))
     ear.unregister()
-    name = f"fresh clients, recorder running: first {kind}_cp"
+    name = f"fresh clients: {kind}_cp"
     page.note(name, CLIENTS, f"{CLIENTS - len(wrong)} of {CLIENTS} executed", cell, page.CELLS)
     assert not wrong

@@ -264,7 +264,7 @@ def motion_file(folder: Path, size: tuple[float, float, float]) -> Path:
     return file
 
 
-def played(file: Path) -> tuple[MotionPlayer, Array, Array]:
+def played(file: Path, mode: Mode = Mode.CARTESIAN) -> tuple[MotionPlayer, Array, Array]:
     """The player at its end; its clock [s] and the true tips (n, 4, 4) while it played."""
     arm = WristedArm(surg_core.load_cell(paths.ROOT / "cells/sim_ur5e_wrist"))
     limits, instrument = arm.arm.limits, arm.arm.instrument
@@ -275,7 +275,7 @@ def played(file: Path) -> tuple[MotionPlayer, Array, Array]:
     steps = StepLimits.of(limits, instrument.wrist.velocity)
     jaw = JawRange(instrument.jaw_min, instrument.jaw_max)
     wrist = instrument.wrist
-    player = MotionPlayer(plan, Mode.CARTESIAN, jaw, steps, wrist, limits.roll_max)
+    player = MotionPlayer(plan, mode, jaw, steps, wrist, limits.roll_max)
     commands, clock, tips = ArmCommands(), [], []
     for tick in range(1, 6000):
         out = arm.step(*asked(commands, arm.controller))
@@ -289,9 +289,17 @@ def played(file: Path) -> tuple[MotionPlayer, Array, Array]:
     return player, np.array(clock), np.array(tips)
 
 
-def test_a_played_motion_turns_the_tool_as_the_file_says(tmp_path: Path) -> None:
+def off_its_place(player: MotionPlayer, clock: Array, tips: Array) -> float:
+    """Largest distance [m] of the true tips from the plan, less the arm's delay."""
+    places = np.array([player.plan.at(t)[0] for t in clock])
+    ways = [tips[60:, :3, 3] - places[60 - late : len(places) - late] for late in range(60)]
+    return min(float(np.linalg.norm(way, axis=1).max()) for way in ways)
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_a_played_motion_turns_the_tool_as_the_file_says(tmp_path: Path, mode: Mode) -> None:
     file = motion_file(tmp_path, (0.35, 0.35, 0.35))
-    player, clock, tips = played(file)
+    player, clock, tips = played(file, mode)
     assert player.stage is PlayerStage.DONE, player.reason
     table = np.genfromtxt(file, delimiter=",", names=True)
     R = np.stack([table[f"r{i}{k}"] for i in "123" for k in "123"], axis=1).reshape(-1, 3, 3)
@@ -305,21 +313,34 @@ def test_a_played_motion_turns_the_tool_as_the_file_says(tmp_path: Path) -> None
         turned = Rotation.from_matrix(now @ tips[begin, :3, :3].T)
         meant = told(t) * told(clock[begin - late] - first).inv()
         worst.append(float((turned * meant.inv()).magnitude().max()))
-    print(f"{math.degrees(min(worst)):.2f} degrees, {player.refused} refused")
-    assert min(worst) < math.radians(1.0)
+    far = off_its_place(player, clock, tips)
+    print(f"{math.degrees(min(worst)):.2f} degrees, {1e3 * far:.2f} mm, {player.refused} refused")
+    assert min(worst) < math.radians(1.0) and far < 5e-4
     assert player.refused == 0
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_a_played_motion_without_rotations_keeps_the_wrist_straight(
+    tmp_path: Path, mode: Mode
+) -> None:
+    t = np.linspace(0.0, 3.0, 301)
+    wave = 0.01 * (1 - np.cos(np.pi * t / 1.5))
+    rows = np.column_stack([t, wave, wave, 0.0 * t, 50.0 * wave])
+    head = "t_s,x_m,y_m,z_m,roll_rad"
+    np.savetxt(tmp_path / "motion.csv", rows, delimiter=",", header=head, comments="")
+    player, clock, tips = played(tmp_path / "motion.csv", mode)
+    assert player.stage is PlayerStage.DONE, player.reason
+    along = tips[:, :3, 3] / np.linalg.norm(tips[:, :3, 3], axis=1, keepdims=True)
+    bent = float(np.linalg.norm(tips[:, :3, 2] - along, axis=1).max())
+    far = off_its_place(player, clock, tips)
+    print(f"bent {bent:.4f} rad, {1e3 * far:.2f} mm")
+    assert bent < 0.01 and far < 5e-4 and player.refused == 0
 
 
 def test_a_played_motion_beyond_the_wrist_keeps_the_place_of_the_tip(tmp_path: Path) -> None:
     player, clock, tips = played(motion_file(tmp_path, (0.75, 0.0, 0.0)))
     assert player.stage is PlayerStage.DONE, player.reason
-    places = np.array([player.plan.at(t)[0] for t in clock])
-    far = min(
-        float(
-            np.linalg.norm(tips[60:, :3, 3] - places[60 - late : len(places) - late], axis=1).max()
-        )
-        for late in range(60)
-    )
+    far = off_its_place(player, clock, tips)
     print(f"{1e3 * far:.2f} mm, {player.refused} refused, slowed {player.slowed_ns / 1e9:.2f} s")
     assert player.refused == 0
     assert far < 2e-3

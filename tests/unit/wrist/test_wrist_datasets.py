@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import surg_core
 from helpers.recording import wristed_episode
+from helpers.recording.restated import restate
 from helpers.recording.wristed_episode import ARM, OPTIONS, Truth
 from surg_core.contract import ACTION_SPACES, TICK_NS, WRISTED_ACTION_SPACES
 from surg_recording import datasets, episode
@@ -105,6 +107,34 @@ def test_a_bent_wrist_is_no_deviation_of_the_pivot(recorded: tuple[Path, Truth])
     assert [rule.name for rule in rules if rule.cycles] == []
     (deviation,) = (rule.worst for rule in rules if rule.name == "RCM deviation")
     assert deviation is not None and deviation < 1e-4
+
+
+def test_a_report_knows_the_tip_of_commanded_joints(
+    recorded: tuple[Path, Truth], tmp_path: Path
+) -> None:
+    """The measured joints as if they had been commanded: the tips are the simulator's."""
+    shutil.copytree(recorded[0], tmp_path / "episode")
+    file = tmp_path / "episode" / f"command_{ARM}.csv"
+    with file.open(newline="") as table:
+        rows = list(csv.DictReader(table))
+    names, true = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw"), []
+    sent = [row for row in rows if row["topic"] == "servo_cp"]
+    for row in sent:
+        stamp = int(row["stamp_ns"])
+        joints = recorded[1].measured_js[stamp].tolist()
+        row |= {"topic": "servo_jp"} | dict(zip(names, joints, strict=True))
+        true.append(recorded[1].tip[stamp][:3, 3])
+    sent[0]["insertion"] = "nan"  # such a command ends in a FAULT, and its report is wanted
+    with file.open("w", newline="") as table:
+        writer = csv.DictWriter(table, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    restate(tmp_path / "episode")
+    run = run_series.load(episode.read(tmp_path / "episode"))
+    R_BR = wristed_episode.rcm_frame(recorded[0])
+    assert run.input_source == "servo_jp" and len(run.input) == len(true[1:]) > 100
+    tips = (run.input - run.p_rcm[-1]) @ R_BR
+    assert np.linalg.norm(tips - np.array(true[1:]), axis=1).max() < 3e-4
 
 
 @pytest.mark.parametrize("space", ACTION_SPACES)

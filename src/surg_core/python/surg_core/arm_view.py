@@ -257,7 +257,8 @@ class ArmCommands:
         move_cp: Pose to move to.
         jaw: Jaw angle [rad].
         servo_cp: Pose of the stream.
-        servo_jp: (4,) yaw, pitch [rad], insertion [m], roll [rad] of the stream.
+        servo_jp: (4,) yaw, pitch [rad], insertion [m], roll [rad] of the stream, and behind a wrist
+            (6,) its pitch and yaw [rad].
     """
 
     stamp_ns: int = 0

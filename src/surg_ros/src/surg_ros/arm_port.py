@@ -49,6 +49,7 @@ MOTION = tuple(name for name in KINDS if name != "authority/claim")
 SERVO_INSTRUMENT = ("servo_jp", "jaw/servo_jp")
 """Topics of an instrument without a controller: the assistant's."""
 VIRTUAL_JOINTS = ("yaw", "pitch", "insertion", "roll")
+WRISTED_JOINTS = (*VIRTUAL_JOINTS, "wrist_pitch", "wrist_yaw")
 
 
 class ArmPort:
@@ -80,7 +81,8 @@ class ArmPort:
         if commands.servo_cp is not None:
             self._send("servo_cp", pose_message(commands.servo_cp), stamp)
         if commands.servo_jp is not None:
-            self._send("servo_jp", _joints(VIRTUAL_JOINTS, commands.servo_jp.tolist()), stamp)
+            names = WRISTED_JOINTS[: len(commands.servo_jp)]
+            self._send("servo_jp", _joints(names, commands.servo_jp.tolist()), stamp)
 
     def _send(self, name: str, message: Any, stamp: rospy.Time | None = None) -> None:
         if stamp is not None:

@@ -7,10 +7,12 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
+from surg_core import WristGeometry
 from surg_core.contract import SECOND_NS, STREAMS
 from surg_core.transforms import rotate, virtual_tip
+from surg_core.wrist_joints import tip_of_joints
 from surg_recording import metrics
-from surg_recording.episode.checked.shaft_ends import shaft_ends
+from surg_recording.episode.checked.shaft_ends import shaft_ends, wrist_of
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.table import Table
 from surg_recording.recording_errors import EpisodeError, NoMotionError
@@ -163,7 +165,7 @@ def _targets(table: Table, cycle: Table, start: int) -> tuple[Array, Array, str]
     if topic == "servo_cp":
         position = rows.vector("", "xyz")
     else:
-        position = virtual_tip(rows["yaw"], rows["pitch"], rows["insertion"])
+        position = _tips(rows, wrist_of(cycle))
     # Some samples outside the window, so that interpolation reaches its ends.
     first, last = cycle["stamp_ns"][0] - SECOND_NS, cycle["stamp_ns"][-1] + SECOND_NS
     good = np.isfinite(position).all(axis=1) & (stamp >= first) & (stamp <= last)
@@ -171,6 +173,18 @@ def _targets(table: Table, cycle: Table, start: int) -> tuple[Array, Array, str]
     stamp, position = stamp[order], position[order]
     newest = np.append(np.diff(stamp) > 0, True) if len(stamp) else np.zeros(0, dtype=bool)
     return _seconds(stamp[newest], start), position[newest], topic
+
+
+def _tips(rows: Table, wrist: WristGeometry | None) -> Array:
+    """Tips (N, 3) of commanded joints in the rcm frame [m]; NaN where a joint is not known."""
+    ends = virtual_tip(rows["yaw"], rows["pitch"], rows["insertion"])
+    if wrist is None:
+        return ends
+    turns = [rows[name] for name in ("roll", "wrist_pitch", "wrist_yaw")]
+    joints, tips = np.column_stack([ends, *turns]), np.full(ends.shape, np.nan)
+    for row in np.flatnonzero(np.isfinite(joints).all(axis=1)):
+        tips[row] = tip_of_joints(wrist, joints[row])[:3, 3]
+    return tips
 
 
 @dataclasses.dataclass(frozen=True)

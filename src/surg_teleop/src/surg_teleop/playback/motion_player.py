@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from surg_core import WristConfig
-from surg_core.arm_view import ArmCommands, ArmState, ArmView, JawRange, TipPose
+from surg_core.arm_view import ArmCommands, ArmState, ArmView, JawRange
 from surg_core.bring_up import BringUp
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_teleop.follow.target_pose import StepLimits
@@ -114,9 +114,8 @@ class MotionPlayer:
     _tip: PlannedTip = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """The wrist turns in the stream of poses only."""
-        wrist = self.wrist if self.mode is Mode.CARTESIAN else None
-        self._tip = PlannedTip(self.plan, wrist, self.roll_max)
+        """Where the tip goes."""
+        self._tip = PlannedTip(self.plan, self.wrist, self.roll_max)
 
     @property
     def done(self) -> bool:
@@ -293,7 +292,7 @@ class MotionPlayer:
         if self.mode is Mode.CARTESIAN:
             commands.servo_cp = self._tip.pose(t)
         else:
-            commands.servo_jp = TipPose(*self.plan.at(t)).joints
+            commands.servo_jp = self._tip.joints(t)
         opening = self.plan.opening(t)
         if opening is not None and self._ticks % JAW_EVERY == 0:
             commands.jaw = min(self.jaw.min + opening, self.jaw.max)

@@ -8,6 +8,7 @@ import numpy as np
 
 from surg_core import WristConfig, make_pose
 from surg_core.arm_view import ArmView, Array, TipPose
+from surg_core.transforms import virtual_joints
 from surg_teleop.follow.wristed_tip import WristedTip, WristRange
 from surg_teleop.playback.motion_path import MotionPlan
 
@@ -20,7 +21,8 @@ class PlannedTip:
     """Poses of a plan; a wrist goes through them in the order of the calls.
 
     Attributes:
-        wrist: The instrument's wrist, which follows the motion's rotations; None: it is straight.
+        wrist: The instrument's wrist, which follows the motion's rotations, and is straight without
+            them; None: it has none.
         roll_max: End of a wristed instrument's roll [rad].
     """
 
@@ -33,22 +35,26 @@ class PlannedTip:
 
     @property
     def wristed(self) -> bool:
-        """Whether a wrist follows the motion's rotations, from :meth:`begin` on."""
+        """Whether there is a wrist, from :meth:`begin` on."""
         return self._range is not None
 
     def begin(self, arm: ArmView) -> None:
-        """Begin at the arm's joints, if it has a wrist and the motion turns it."""
+        """Begin at the arm's joints, if it has a wrist."""
         if self.wrist is None or arm.wrist is None or self.wristed:
             return
-        if self.plan.turn(0.0) is not None:
-            self._range = WristRange(self.wrist, arm.wrist.geometry, self.roll_max)
-            self._joints = self._range.of_arm(arm)
+        self._range = WristRange(self.wrist, arm.wrist.geometry, self.roll_max)
+        self._joints = self._range.of_arm(arm)
 
     def pose(self, t: float) -> TipPose:
         """The pose at a time in the plan [s]."""
         if self._range is None:
             return TipPose(*self.plan.at(t))
         return self._range.pose(self._reached(t))
+
+    def joints(self, t: float) -> Array:
+        """The same as yaw, pitch [rad], insertion [m], roll [rad] (4,), or with the wrist (6,)."""
+        end, turns = self._end(t)
+        return np.append(virtual_joints(end, float(turns[0])), turns[1:])
 
     def _end(self, t: float) -> tuple[Array, Array]:
         """End of the shaft (3,) [m], and roll and joints of a wrist [rad], at a time [s]."""
@@ -86,7 +92,8 @@ class PlannedTip:
         """The joints at a time [s]; where the wrist is at an end, the tip keeps its place."""
         assert self._range is not None and self._joints is not None
         if t != self._joints_at:
-            X_RTip = make_pose(self.plan.at(t)[0], self.plan.turn(t))
+            pose = TipPose(*self.plan.at(t), self.plan.turn(t))
+            X_RTip = make_pose(pose.p, pose.q)
             workspace = self.plan.workspace.from_here(self._joints.centre)
             self._joints, _ = self._range.nearest(X_RTip, self._joints, workspace)
             self._joints_at = t
