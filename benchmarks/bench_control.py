@@ -126,6 +126,21 @@ def ratios(cycle_us: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def binding(told: dict[str, Any]) -> dict[str, Any]:
+    """Where the limits bind: how often, and times the QP with the same box (median, p99)."""
+    laws = told["laws"]
+    if "qp_eiquadprog" not in laws:
+        return {}
+    qp = laws["qp_eiquadprog"]
+    return {
+        "share": laws["limited"]["failures"] / told["cycles"],
+        **{
+            form: {key: laws[form][key] / qp[key] for key in ("median", "p99")}
+            for form in ("limited", "limited_preview")
+        },
+    }
+
+
 def whole_cycles(cell: Path) -> dict[str, dict[str, float]] | None:
     """Time of whole cycles [us], called back to back, without and with `tremor`."""
     if not (BUILD / "bench_cycle").exists():
@@ -170,12 +185,17 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             folder = Path(scratch) / robot
             arm = bench_scene.load_arm(paths.CELLS / f"sim_{robot}")
             bench_scene.write(arm, options.seconds, folder)
-            told = call("laws", str(folder / "arm.txt"), str(folder / "tip.path"), title=robot)
+            files = (str(folder / "arm.txt"), str(folder / "tip.path"))
+            told = call("laws", *files, title=robot)
             per_robot[robot] = regroup(told["laws"])
+            bench_scene.write(arm, options.seconds, folder, bench_scene.BINDING)
+            bound = call("laws", *files, title=f"{robot}, limits bind")
+            per_robot[robot]["binding"] = binding(bound)
             result["machine"]["cycles"] = told["cycles"]
         result.update(per_robot["ur5e"])
         result["panda"] = per_robot["panda"]
         result["ratio"] = {robot: ratios(per_robot[robot]["cycle_us"]) for robot in ROBOTS}
+        result["binding"] = {robot: per_robot[robot].pop("binding") for robot in ROBOTS}
     if (whole := whole_cycles(paths.CELLS / "sim_ur5e")) is not None:
         result["whole_cycle_us"] = whole
     result["machine"]["load_after"] = [round(x, 2) for x in os.getloadavg()]

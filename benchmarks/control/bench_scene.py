@@ -16,6 +16,7 @@ PERIOD = 0.002  # control period [s]
 AMPLITUDE = (0.035, 0.035, 0.025)  # [m], in the axes of the trocar frame
 FREQUENCY = (0.2, 0.15, 0.1)  # [Hz]
 RUN_IN = 1.0  # [s] from rest to the full motion
+BINDING = 0.1  # share of the joints' limits that binds this motion
 TAIL = 250  # samples behind the last cycle, for those who look ahead (kTail in src/main.cpp)
 
 
@@ -48,7 +49,7 @@ def lissajous(arm: Arm, seconds: float) -> FloatArray:
     return np.asarray(home + offset @ X_BR[:3, :3].T)
 
 
-def write_arm(arm: Arm, file: Path) -> None:
+def write_arm(arm: Arm, file: Path, share: float) -> None:
     """The arm as words and numbers, in the order that ``src/arm.cpp`` reads."""
 
     def numbers(values: object) -> str:
@@ -63,8 +64,8 @@ def write_arm(arm: Arm, file: Path) -> None:
         f"home {numbers(robot.home)}",
         f"position_min {numbers(robot.position_min)}",
         f"position_max {numbers(robot.position_max)}",
-        f"velocity {numbers(robot.velocity)}",
-        f"acceleration {numbers(robot.acceleration)}",
+        f"velocity {numbers(share * robot.velocity)}",
+        f"acceleration {numbers(share * robot.acceleration)}",
         f"flange_velocity {arm.limits.flange_velocity!r}",
         f"shaft_axis {numbers(arm.tool.s_F)}",
         f"tip {numbers(arm.tool.p_FTip)}",
@@ -73,8 +74,15 @@ def write_arm(arm: Arm, file: Path) -> None:
     file.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def write(arm: Arm, seconds: float, folder: Path) -> None:
-    """Both files of one arm: `arm.txt` and `tip.path` (raw doubles)."""
+def write(arm: Arm, seconds: float, folder: Path, share: float = 1.0) -> None:
+    """Both files of one arm: `arm.txt` and `tip.path` (raw doubles).
+
+    Args:
+        arm: The arm.
+        seconds: Length of the motion [s].
+        folder: Where they go.
+        share: Of the arm's joint velocities and accelerations.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    write_arm(arm, folder / "arm.txt")
+    write_arm(arm, folder / "arm.txt", share)
     lissajous(arm, seconds).tofile(folder / "tip.path")

@@ -13,7 +13,8 @@ TEXT = """# The controller beside other ways to do the same
 
 `./surg dev bench control --page`: one tip motion (±35, ±35, ±25 mm, 500 Hz) by our forms of the
 law, QPs with the velocity form's wish and KDL, on an ideal plant. RCM and tip: largest
-deviations, at samples and between. Two figures: median / p99.
+deviations, at samples and between. Two figures: median / p99. Where limits bind, joints may have a
+tenth of their velocity and acceleration; the QP (eiquadprog) has the same box.
 
 ![Time of one cycle and largest pivot deviation of every law](../pictures/benchmark_control.png)
 """
@@ -85,7 +86,18 @@ def summary(result: dict[str, Any]) -> Rows:
         if "limited_eiquadprog" in ratio:
             what = f"{robot}: limited, times faster than qp_eiquadprog"
             rows.append([what, f"{ratio['limited_eiquadprog']:.2f}", "stated"])
-    return rows + cycle_summary(result)
+    return rows + binding(result) + cycle_summary(result)
+
+
+def binding(result: dict[str, Any]) -> Rows:
+    """Limited steps whose limits bind, by the time of the QP with the same box."""
+    rows = []
+    for robot, of in result["binding"].items():
+        for form, goal in (("limited", 1.5), ("limited_preview", 4)) if of else ():
+            what = f"{robot}, limits bind in {of['share']:.0%} of the cycles: {form}, times the QP"
+            figures = f"{of[form]['median']:.2f} / {of[form]['p99']:.2f}"
+            rows.append([what, figures, f"≤ {goal} / {goal}"])
+    return rows
 
 
 def cycle_summary(result: dict[str, Any]) -> Rows:

@@ -73,8 +73,7 @@ struct Limited : Law {
   }
   JointVector step(const JointVector& q, const JointVector& qd_last, const Goal& goal) override {
     const Scene& scene = *goal.scene;
-    const double now = static_cast<double>(goal.k) * T;
-    const auto path = [&](double t) { return goal_at(scene, scene.tip(now + t)); };
+    const auto path = [&](double t) { return goal_at(scene, scene.tip((clock + t / T) * T)); };
     surg::StepRequest request;
     request.path = surg::PathView(path);
     request.horizon = horizon;
@@ -82,10 +81,12 @@ struct Limited : Law {
     if (q.size() > 6) request.posture = kPostureGain * (scene.q_home - q);
     const surg::Step result = limited.exact(q, qd_last, scene.home, request);
     if (result.alpha < 1) ++failures;
+    clock += result.alpha;
     return result.qd;
   }
   surg::LimitedStep limited;
   double horizon;
+  double clock = 0;  // [cycles] of the path: limits slow it down
 };
 
 }  // namespace

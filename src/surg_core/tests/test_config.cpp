@@ -398,6 +398,12 @@ TEST(Config, HashSeesEveryLimit) {
   RobotConfig later = robot;
   later.tuning.stream_delay += 1e-3;
   EXPECT_NE(before, limits_hash(later, robot.limits));
+  RobotConfig weaker = robot;
+  weaker.tuning.braking_least *= 0.5;
+  EXPECT_NE(before, limits_hash(weaker, robot.limits));
+  RobotConfig harder = robot;
+  harder.tuning.braking_most *= 2;
+  EXPECT_NE(before, limits_hash(harder, robot.limits));
 }
 
 }  // namespace

@@ -190,6 +190,20 @@ MUTANTS: list[tuple[str, tuple[str, str], list[str]]] = [
     (ROBOT, ("velocity: [3,", "velocity: [3.0001,"), ["joints.velocity", "j0"]),
     (ROBOT, ("position_max: [3,", "position_max: [3.0001,"), ["joints.position_max", "j0"]),
     (ROBOT, ("position_min: [-3,", "position_min: [-3.1,"), ["joints.position_min", "j0"]),
+    *[
+        (ROBOT, ("limits:", f"  braking: {value}\nlimits:"), ["joints.braking", word])
+        for value, word in (
+            ("[2, 0.25]", "range"),
+            ("[0.25]", "range"),
+            ("[0.25, 1, 2]", "range"),
+            ("[0.04, 2]", "0.05"),
+            ("[0.25, 21]", "20"),
+            ("[-1, 2]", "range"),
+            ("[0.25, .nan]", "range"),
+            ("0.25", "list"),
+            ("[a, b]", "list"),
+        )
+    ],
     (ROBOT, ("tip_velocity: 0.25", "tip_velocity: 25"), ["limits.tip_velocity", "25 m/s", ":15:"]),
     (ROBOT, ("tip_velocity: 0.25", "tip_velocity: -.inf"), ["limits.tip_velocity", "-inf"]),
     (ROBOT, ("tip_velocity: 0.25", "tip_velocity: fast"), ["limits.tip_velocity", "'fast'"]),

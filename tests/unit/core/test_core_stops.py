@@ -5,14 +5,26 @@ Judged by the motion of a plant with joints of its own (`joint_plant`).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
+import surg_core
+from helpers.control.fault_bench import shipped
 from helpers.control.joint_plant import ROBOTS, JointPlant, T, pose, sideways
-from surg_core import ForceSample, Motion, Readings, Reason, State, StateCommand
+from surg_core import (
+    Controller,
+    ForceSample,
+    Motion,
+    MotionCommand,
+    Readings,
+    Reason,
+    State,
+    StateCommand,
+)
 
 SPEEDS = (0.02, 0.06, 0.1, 0.15)
 """Of the tip as the stop begins [m/s]."""
@@ -130,6 +142,37 @@ def test_a_start_outside_the_joint_limits_is_refused(turns: int) -> None:
     arm.q[5] += turns * 2 * np.pi
     assert arm.start() == Reason.JOINT_OUTSIDE
     assert arm.out.state == State.DISABLED
+
+
+def between(q: np.ndarray, room: np.ndarray, cell: str) -> surg_core.RobotConfig:
+    """The robot of a cell whose joints may only go so far (n,) [rad] from q (n,)."""
+    document = surg_core.read_document(shipped(cell).robot.file)
+    values = dict(document.values)
+    values["joints.position_min"] = list(q - room)
+    values["joints.position_max"] = list(q + room)
+    return surg_core._core.parse_robot(surg_core._core.Document(document.file, values))
+
+
+@pytest.mark.parametrize("cell", ROBOTS)
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_shaking_hand_that_presses_on_a_joint_limit_has_one_reason(cell: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    arm = JointPlant(cell)
+    a, joints = arm.arm, len(arm.q)
+    robot = between(arm.q, rng.uniform(0.05, 0.2, joints), cell)
+    arm.controller = Controller(a.chain, robot, a.limits, a.instrument, a.tool)
+    arm.controller.set_rcm(np.asarray(a.trocar.p_BRcm))
+    assert arm.start() == Reason.NONE
+    rest, goal = np.array([0, 0, 0.12, 0]), np.array([0.6, -0.5, 0.06, 1.0]) * rng.choice([-1, 1])
+    goal[2] = 0.06
+    tremor, hz = np.array([2e-3, 2e-3, 2e-4, 0.01]), rng.uniform(4, 12)
+    reasons = []
+    for k in range(2000):
+        way = min(k / 750, 1.0)
+        hand = rest + way * (goal - rest) + way * tremor * np.sin(2 * np.pi * hz * k * T)
+        reasons.append(arm.step(MotionCommand(Motion.SERVO_JP, 1, joints=hand)).reason)
+    assert set(reasons) == {Reason.NONE, Reason.UNREACHABLE}
+    assert sum(a != b for a, b in itertools.pairwise(reasons)) <= 3
 
 
 # --- time, not calls ----------------------------------------------------------------------------

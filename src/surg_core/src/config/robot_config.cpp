@@ -413,6 +413,8 @@ std::string limits_hash(const RobotConfig& robot, const Limits& limits) {
   for (const auto& key : kTuningKeys) mix(robot.tuning.*key.member);
   mix(robot.tuning.link_timeout);
   mix(robot.tuning.link_lag);
+  mix(robot.tuning.braking_least);
+  mix(robot.tuning.braking_most);
   for (const JointVector* values : {&robot.home, &robot.position_min, &robot.position_max,
                                     &robot.velocity, &robot.acceleration, &robot.joint_lag}) {
     for (int i = 0; i < values->size(); ++i) mix((*values)[i]);

@@ -10,7 +10,6 @@ namespace surg {
 namespace {
 
 constexpr double kPositionReserve = 0.01;  // [rad] to position limits: a lagging joint overshoots
-constexpr double kFlangeReserve = 0.97;    // of the flange's speed; the rest is for the correction
 
 /// An open loop does not compensate the link's lag.
 bool compensates_lag(const Controller::Options& options) {
@@ -37,7 +36,7 @@ JointLimits step_limits(const RobotConfig& robot, const Limits& limits, Law law)
     out.velocity *= ExactFollower::kReferenceVelocity;
     out.acceleration *= ExactFollower::kReferenceAcceleration;
   }
-  out.flange_velocity *= kFlangeReserve;
+  out.flange_velocity *= ExactFollower::kReferenceVelocity;
   out.position_min.array() += kPositionReserve;
   out.position_max.array() -= kPositionReserve;
   return out;

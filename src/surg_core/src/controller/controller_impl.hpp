@@ -99,8 +99,9 @@ struct Controller::Impl {
   bool fading = false;       // the last command fades without feedback until the next start
   bool catching_up = false;  // inside a period that has passed without a cycle
   int home_busy = 0;
-  int unexplained = 0;  // [cycles] in a row
-  JointVector q, qd;    // the joint state in use; meaningless unless state_known
+  double unreachable = 0;  // [s] for which the last hold is still named
+  int unexplained = 0;     // [cycles] in a row
+  JointVector q, qd;       // the joint state in use; meaningless unless state_known
   JointVector qd_last;
   double retraced = 0;          // [rad] of the trace
   bool retrace_active = false;  // in the last step; a retrace first waits for rest
@@ -260,8 +261,8 @@ struct Controller::Impl {
     archive(stops.commands());
     archive(trace, retraced, retrace_active, retrace_settling, pivot_offset, pivot_offset_rate,
             fixtures, X_BR, state_delay, state_known, state_reason, robot_reason, track_reason,
-            inserted, tool_lost, fading, home_busy, unexplained, qd_last, out.accepted, out.refused,
-            out.clearance);
+            inserted, tool_lost, fading, home_busy, unreachable, unexplained, qd_last, out.accepted,
+            out.refused, out.clearance);
   }
 };
 

@@ -9,6 +9,8 @@ namespace surg {
 namespace {
 
 constexpr double kStandstillScale = 0.05;  // alpha below it counts as stopped by a limit
+constexpr double kHoldNamed =
+    0.1;  // [s] behind a cycle that was held: the clock restarts meanwhile
 constexpr double kMaxFlangeLead = 0.5;  // of the flange's speed, so that the reference still moves
 constexpr double kPivotOffsetPole = 8;  // [1/s] pole of the convergence to the pivot after a start
 constexpr double kHorizon = 0.45;       // [s] of look-ahead on the set-point's clock
@@ -46,7 +48,8 @@ void Controller::Impl::move() {
     out.scale = step.alpha;
     out.limited_by = step.limited_by;
     out.tier = step.tier;
-    if (step.held && enabled()) out.reason = Reason::kUnreachable;
+    unreachable = step.held ? kHoldNamed : std::max(0.0, unreachable - T);
+    if (unreachable > 0 && enabled()) out.reason = Reason::kUnreachable;
     if (step.alpha < 1 && clearance.other_lost()) out.reason = Reason::kOtherArmLost;
     if (setpoint.at_wall() && step.alpha == 1) out.limited_by = "workspace";
     if (handler.at_fixture() && step.alpha == 1) out.limited_by = "fixture";

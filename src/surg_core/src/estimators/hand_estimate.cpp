@@ -15,10 +15,9 @@ constexpr SwingModel kTremor{2500, 44, 0.17, 0, 1800, 2};
 constexpr double kTremorHertz[] = {8, 9, 10, 11, 12};
 constexpr SwingModel kSwing{2500, 44, 0.17, 0, 1e9, 0.75};
 constexpr double kSwingHertz[] = {3, 3.5, 4.1, 4.8, 5.7, 6.8};
-// Weights before any sample is known.
+// Weights before any sample is known, beside that of a motion that comes back.
 constexpr double kPlain = 2;               // weight of the plain model, at the rate that follows
 constexpr double kPlainPeriod = 1 / 30.0;  // [s] at shorter ones it grows with their square
-constexpr double kReturningPrior = 1;      // weight of a motion that comes back
 constexpr double kTremorPrior = 0.19;      // weight of each tremor
 constexpr double kSwingPrior = 0.2;        // weight of each swing
 constexpr double kMemory = 0.4;            // [s] over which innovations are compared
@@ -29,9 +28,7 @@ constexpr double kSpacing = 0.0079;  // [s] between the samples that the swings 
 constexpr double kLateBy = 0.03;     // of a period: a smoother path
 
 double prior(std::size_t swing) {
-  return swing == 0                         ? kReturningPrior
-         : swing <= std::size(kTremorHertz) ? kTremorPrior
-                                            : kSwingPrior;
+  return swing == 0 ? 1.0 : swing <= std::size(kTremorHertz) ? kTremorPrior : kSwingPrior;
 }
 
 }  // namespace

@@ -6,10 +6,9 @@
 namespace surg {
 namespace {
 
-constexpr double kPositionGuard = 1e-9;   // [rad] kept from position limits: rounding
-constexpr double kMostRoom = 0.5;         // of a joint's acceleration, for the correction
-constexpr double kApproachGain = 5.0;     // [1/s] speed over distance left, inside the margin
-constexpr double kApproachBraking = 0.8;  // of the acceleration, on the way into the margin
+constexpr double kPositionGuard = 1e-9;  // [rad] kept from position limits: rounding
+constexpr double kMostRoom = 0.5;        // of a joint's acceleration, for the correction
+constexpr double kApproachGain = 5.0;    // [1/s] speed over distance left, inside the margin
 
 /// Fastest speed towards a limit at 'distance' from which braking by 'a' in steps of T still stops
 /// before it: T v + v^2 / (2 a) <= distance, which the next cycle's v - a T fulfils again.
@@ -25,7 +24,7 @@ double approach_speed(double distance, double a, double margin, double T) {
   const double hardest = braking_speed(distance, a, T);
   if (!(margin > 0)) return hardest;
   const double gentle = kApproachGain * std::clamp(distance, 0.0, margin);
-  const double before = braking_speed(distance - margin, kApproachBraking * a, T);
+  const double before = braking_speed(distance - margin, kPlanAcceleration * a, T);
   return std::min(hardest, std::hypot(gentle, before));
 }
 
@@ -126,12 +125,8 @@ AlphaRange LimitedStep::Box::shares(const Joints& qd0, const Joints& back,
 /// Convex in alpha: ternary search.
 double LimitedStep::Box::least_beyond(const Joints& qd0, const Joints& qd1, double highest) const {
   const auto excess = [&](double alpha) {
-    double worst = 0;
-    for (Eigen::Index i = 0; i < n_; ++i) {
-      const double v = qd0[i] + alpha * qd1[i];
-      worst = std::max({worst, low_[i] - v, v - high_[i]});
-    }
-    return worst;
+    const Joints v = qd0 + alpha * qd1;
+    return std::max(0.0, (low_ - v).cwiseMax(v - high_).maxCoeff());
   };
   double from = 0, to = highest;
   for (int i = 0; i < 40; ++i) {

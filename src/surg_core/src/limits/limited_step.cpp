@@ -17,7 +17,6 @@ constexpr double kPivotReached = 1e-12;  // [m]
 constexpr double kRowsKept = 1e-9;       // [m] more than this off the pivot counts as leaving it
 constexpr double kRoomUsed = 0.9;        // of the way back that the linear picture has room for
 constexpr double kStill = 1e-4;          // share of a joint's velocity limit that is no motion
-constexpr double kHeld = 0.02;           // alpha below which a still arm counts as held
 constexpr double kSagitta = 0.42e-6;     // [m] off the pivot between two samples
 constexpr double kSlightBend = 0.25;     // of the bend that caps alpha: less needs no node
 constexpr double kLongSecant = 0.9;      // of the cycle: a secant as long shows the path's bend
@@ -108,12 +107,8 @@ Step LimitedStep::run_with_room(const Law& law, const Here& here) const {
   const bool found = on_path(law, affine, box, most, step);
   // On the path the joints may not be able to brake as hard as the flange needs it.
   const bool too_fast = found && flange_speed(here.J, padded(step.qd)) > here.flange_velocity;
-  if (found && !too_fast) {
-    step.held = affine.moves && step.alpha < kHeld && is_still(step.qd);
-  } else {
-    off_path(law, here, affine, box, most, too_fast, step);
-    step.held = affine.moves && is_still(step.qd);
-  }
+  if (!found || too_fast) off_path(law, here, affine, box, most, too_fast, step);
+  step.held = affine.moves && step.alpha < 1 && is_still(step.qd);
   return step;
 }
 
