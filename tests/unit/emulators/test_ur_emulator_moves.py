@@ -195,6 +195,27 @@ def test_a_program_reads_and_sends_integers(peer: socket.socket) -> None:
     assert controller.outputs["int"][:3] == [0, 2, 11]
 
 
+def test_a_flood_of_integers_is_read_and_is_no_infinite_loop(peer: socket.socket) -> None:
+    controller = UrController()
+    assert controller.run_script(
+        f"""def test():
+          socket_open("127.0.0.1", {peer.getsockname()[1]}, "s")
+          sum = 0
+          while sum < 4000:
+            sum = sum + socket_read_binary_integer(1, "s", 0)[1]
+          end
+          write_output_integer_register(0, sum)
+        end
+        """
+    )
+    cycle(controller)
+    client, _ = peer.accept()
+    with client:
+        client.sendall(struct.pack(">i", 1) * 5000)
+        settle(controller, 1.0)
+    assert controller.outputs["int"][0] == 4000, controller.messages
+
+
 def test_where_nobody_listens_a_socket_stays_closed(peer: socket.socket) -> None:
     port = peer.getsockname()[1]
     peer.close()

@@ -164,7 +164,7 @@ def _contact(c: UrController) -> dict[str, Builtin]:
             if force < CONTACT:
                 break
             steps += 1
-        return steps
+        return min(steps, len(c.past) - 1)
 
     def history(steps: Any = 0) -> list[float]:
         place = number(steps, "get_actual_joint_positions_history: steps", 0, len(c.past) - 1)
