@@ -135,14 +135,14 @@ class Trial:
             self.document["limits"]["tip_acceleration"] = float(advised[1])  # type: ignore[index]
         return ""
 
-    def shortcomings(self) -> str:
+    def shortcomings(self) -> list[str]:
         """What `./surg robot check` finds wanting; empty: the arm is ready."""
         done = surg("robot", "check", self.write(), timeout_s=600.0)
         assert done.returncode in (0, 1), done.stderr
         found = [line.removeprefix("surg: ") for line in done.stderr.splitlines()]
         wanting = [line for line in found if not line.startswith("./surg")]
         assert bool(wanting) == bool(done.returncode), done.stderr
-        return "; ".join(wanting)
+        return wanting
 
 
 def folder() -> Path:
