@@ -123,7 +123,9 @@ class PrimarySession:
             "power on": c.power_on,
             "power off": c.power_off,
             "set robotmode run": c.release_brakes,
-            "set unlock protective stop": lambda: c.unlock(after=0.0),  # the maker's tests say so
+            "set unlock protective stop": lambda: c.unlock(
+                at_once=True
+            ),  # the maker's tests say so
         }
         if not c.remote:
             c.say("a script was ignored: the robot is in local control")

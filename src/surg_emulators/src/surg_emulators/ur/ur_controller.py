@@ -374,11 +374,11 @@ class UrController:
             code, level = robot_messages.PROTECTIVE_STOP, robot_messages.WARNING
             self.announce(robot_messages.error_code(code, why[:500], level))
 
-    def unlock(self, after: float = UNLOCK_AFTER) -> bool:
-        """Unlock a protective stop, `after` so many seconds; False: too early."""
+    def unlock(self, at_once: bool = False) -> bool:
+        """Unlock a protective stop; False: too early."""
         if self.safety_mode != SafetyMode.PROTECTIVE_STOP:
             return True
-        if self.cycles * DT - self._stopped_at < after:
+        if not at_once and self.cycles * DT - self._stopped_at < UNLOCK_AFTER:
             return False
         self._normal()
         return True
