@@ -125,7 +125,7 @@ class PrimarySession:
             "set robotmode run": c.release_brakes,
             "set unlock protective stop": lambda: c.unlock(
                 at_once=True
-            ),  # the maker's tests say so
+            ),  # as its tests say
         }
         if not c.remote:
             c.say("a script was ignored: the robot is in local control")
