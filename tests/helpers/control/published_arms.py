@@ -84,7 +84,7 @@ ARMS = {
     "gp8": Published("Yaskawa", f"{_RI}/motoman", "base_link", "tool0"),
     "kr6r900sixx": Published("KUKA", f"{_RI}/kuka_experimental", "base_link", "tool0"),
     "irb2400": Published("ABB", f"{_RI}/abb", "base_link", "tool0"),
-    "rx160": Published("Stäubli", f"{_RI}/staubli", "base_link", "tool0"),
+    "rx160": Published("Stäubli", f"{_RI}/staubli", "base_link", "tool0", bent=1.57),
 }
 """By the name of the URDF, without its place."""
 
@@ -122,7 +122,7 @@ class Trial:
 
         Returns why there is none; empty: there is one.
         """
-        for _ in range(2):
+        for _ in range(4):  # each home is one for the acceleration that it was asked for
             done = surg("robot", "home", self.write(), timeout_s=600.0)
             said = done.stdout + done.stderr
             found = re.search(r"^home: (\[.*?\])", said, re.MULTILINE)
@@ -135,14 +135,14 @@ class Trial:
             self.document["limits"]["tip_acceleration"] = float(advised[1])  # type: ignore[index]
         return ""
 
-    def shortcomings(self) -> str:
+    def shortcomings(self) -> list[str]:
         """What `./surg robot check` finds wanting; empty: the arm is ready."""
         done = surg("robot", "check", self.write(), timeout_s=600.0)
         assert done.returncode in (0, 1), done.stderr
         found = [line.removeprefix("surg: ") for line in done.stderr.splitlines()]
         wanting = [line for line in found if not line.startswith("./surg")]
         assert bool(wanting) == bool(done.returncode), done.stderr
-        return "; ".join(wanting)
+        return wanting
 
 
 def folder() -> Path:

@@ -86,7 +86,7 @@ def _beside(link: str, kind: str, more: str = "") -> Callable[[str, str], str]:
     )
 
 
-def _standing(root: str, kind: str, origin: str) -> Callable[[str, str], str]:
+def standing(root: str, kind: str, origin: str) -> Callable[[str, str], str]:
     """Put a link above the base, and a camera's mast on it."""
     links = f'<link name="{root}"/><link name="mast"/>'
     below = f'<parent link="{root}"/><axis xyz="0 0 1"/>'
@@ -155,11 +155,11 @@ CHANGES = {
     "an instrument's link name": Change("tree", True, _beside("tip", "fixed")),
     "a floating body": Change("tree", True, _beside("ball", "floating")),
     "other programs' elements": Change("tree", True, _inside(OTHERS)),
-    "a pedestal": Change("root", True, _standing("pedestal", "fixed", UP)),
-    "a ceiling in the world": Change("root", True, _standing("world", "fixed", DOWN)),
-    "a cart's column": Change("root", True, _standing("cart", "prismatic", UP)),
-    "a turntable": Change("root", True, _standing("table", "revolute", DOWN)),
-    "a joint of no kind": Change("root", False, _standing("cart", "welded", UP)),
+    "a pedestal": Change("root", True, standing("pedestal", "fixed", UP)),
+    "a ceiling in the world": Change("root", True, standing("world", "fixed", DOWN)),
+    "a cart's column": Change("root", True, standing("cart", "prismatic", UP)),
+    "a turntable": Change("root", True, standing("table", "revolute", DOWN)),
+    "a joint of no kind": Change("root", False, standing("cart", "welded", UP)),
     "shapes that overlap": Change("visual", True, _colliding),
     "the instrument's link names": Change(
         "root", True, lambda text, _: text, links=("mount", "tip")

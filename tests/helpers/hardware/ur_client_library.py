@@ -1,7 +1,8 @@
 """The maker's own client library for UR arms, built from its public source outside the checkout.
 
 ``SURG_URCL`` names the folder of its source, with what CMake has built in `build`:
-github.com/UniversalRobots/Universal_Robots_Client_Library, ``cmake -B build && make -C build``.
+github.com/UniversalRobots/Universal_Robots_Client_Library, ``cmake -B build && make -C build``. Its
+tests for a simulator are built where ``BUILDING_TESTS`` and ``INTEGRATION_TESTS`` are on.
 """
 
 from __future__ import annotations
@@ -21,13 +22,30 @@ def example(name: str, address: str, *words: str, timeout: float = 120.0) -> str
     Raises:
         AssertionError: It fails.
     """
-    source = Path(os.environ.get(VARIABLE, ""))
-    program = source / "build" / "examples" / name
+    return _run(Path("examples", name), [address, *words], ".", timeout)
+
+
+def its_tests(name: str, address: str, leave_out: tuple[str, ...], timeout: float) -> str:
+    """Run one of its programs of tests against an arm; what it says.
+
+    Raises:
+        AssertionError: One of them fails.
+    """
+    words = ["--robot_ip", address, "--headless", "true"]
+    return _run(
+        Path("tests", name), [*words, f"--gtest_filter=-{':'.join(leave_out)}"], "tests", timeout
+    )
+
+
+def _run(program: Path, words: list[str], folder: str, timeout: float) -> str:
+    name, source = program.name, Path(os.environ.get(VARIABLE, ""))
+    program = source / "build" / program
     if not os.environ.get(VARIABLE) or not program.is_file():
-        pytest.skip(f"missing: {VARIABLE}: folder of the UR client library, with build/examples")
+        pytest.skip(f"missing: {VARIABLE}: folder of the UR client library, with {program}")
     done = subprocess.run(
-        [str(program), address, *words],
-        cwd=source,
+        [str(program), *words],
+        cwd=source / folder,
+        env=os.environ | {"ROBOT_MODEL": "ur5e"},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

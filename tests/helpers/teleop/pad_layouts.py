@@ -5,7 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-AXIS, BUTTON = "axis", "button"
+AXIS, BUTTON, HAT = "axis", "button", "hat"
+RIGHT, DOWN, LEFT, UP = -3 / 7, 1 / 7, 5 / 7, -1.0
+"""What the one axis of a hat says."""
+NOWHERE = 9 / 7
+"""What it says untouched."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,10 @@ class Layout:
 
 def _sticks(x: int, y: int, z: int, roll: int) -> dict[str, tuple[str, int, float]]:
     return {"x": (AXIS, x, 1), "y": (AXIS, y, 1), "z": (AXIS, z, -1), "roll": (AXIS, roll, 1)}
+
+
+def _hat(hat: int, z: int, roll: int) -> dict[str, tuple[str, int, float]]:
+    return _sticks(0, 0, z, roll) | {"x": (HAT, hat, RIGHT), "y": (HAT, hat, DOWN)}
 
 
 def _buttons(*names: str, first: int = 0) -> dict[str, tuple[str, int, float]]:
@@ -71,8 +79,20 @@ LAYOUTS = {
     ),
     "wheel": Layout((0, 1, 1, 1), 24, {"x": (AXIS, 0, 1), "z": (AXIS, 2, -1)} | _buttons(*ALL)),
     "hat of two axes": Layout((0, 0, 0, 0, 0, 0), 12, _sticks(4, 5, 1, 0) | _buttons(*JAW, *ALL)),
-    "hat of one number": Layout(
-        (0, 0, 0, 0, 0, 0, 0, 0, 0, 1.2857), 14, _sticks(0, 1, 5, 2) | _buttons(*JAW, *ALL)
+    "hat of one number": Layout((0, 0, 0, 0, NOWHERE), 14, _hat(4, 0, 1) | _buttons(*JAW, *ALL)),
+    "hat of one number that says 0 at first": Layout(
+        (0, 0, 0, 0, NOWHERE), 14, _hat(4, 0, 1) | _buttons(*JAW, *ALL), first={4: 0.0}
+    ),
+    "hat of one number that rests at 0": Layout(
+        (0, 0, 0, 0, 0), 14, _hat(4, 0, 1) | _buttons(*JAW, *ALL)
+    ),
+    "hat of one number for the jaw and two buttons": Layout(
+        (0, 0, 0, 0, NOWHERE),
+        14,
+        _sticks(0, 1, 3, 2)
+        | {"close": (HAT, 4, UP), "open": (HAT, 4, DOWN)}
+        | {"camera": (HAT, 4, LEFT), "clutch": (HAT, 4, RIGHT)}
+        | _buttons("hold", "enable", "stop", "record"),
     ),
     "trackball": Layout((0.04, -0.03), 3, _buttons("clutch", "enable", "stop")),
     "an axis that is no number": Layout((0, 0, 0, 0, 0), 8, _sticks(0, 1, 3, 2), nan=4),
@@ -92,7 +112,8 @@ TRIAL = """
   navigator.getGamepads = () => [pad];
   const pads = new Pads(() => mapping, () => { lost += 1; });
   const put = ([kind, i, end], part) => {
-    if (kind === "axis") pad.axes[i] = layout.rest[i] + part * (end - layout.rest[i]);
+    if (kind === "hat") pad.axes[i] = part > 0.5 ? end : layout.rest[i];
+    else if (kind === "axis") pad.axes[i] = layout.rest[i] + part * (end - layout.rest[i]);
     else pad.buttons[i] = { pressed: part > 0.5, value: part };
   };
   const said = () => {

@@ -179,6 +179,19 @@ def test_a_home_hangs_as_the_cell_mounts_the_arm(
     assert run("check", make_cell_of(tmp_path / "found", {"PSM1": plan}).parent) == 0
 
 
+def test_a_search_goes_on_where_it_has_found_no_good_home_yet(tmp_path: Path) -> None:
+    document = yaml.safe_load((DESCRIPTION / "robots" / "ur3e.yaml").read_text())
+    shutil.copy((DESCRIPTION / "robots" / document["urdf"]).resolve(), tmp_path / "ur3e.urdf")
+    document["urdf"] = "ur3e.urdf"
+    document["limits"]["tip_acceleration"] = 1.4
+    (tmp_path / "ur3e.yaml").write_text(yaml.safe_dump(document))
+    arm = load(tmp_path / "ur3e.yaml", tmp_path)
+    found = home_search.search(arm, draws=40, rounds=4)
+    assert found.score >= 1.0, "0.96 after the first round of changes"
+    margin = np.minimum(found.q - arm.robot.position_min, arm.robot.position_max - found.q).min()
+    assert margin > 0.3
+
+
 def test_angles_are_those_of_each_joint_s_own_range(tmp_path: Path) -> None:
     """A joint from 0 to 2 pi, as some makers count."""
     arm = load(DESCRIPTION / "robots" / "ur5e.yaml", tmp_path)

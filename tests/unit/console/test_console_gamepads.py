@@ -46,6 +46,56 @@ async def test_every_layout_rests_and_moves_as_it_was_mapped() -> None:
         assert browser.errors == []
 
 
+EIGHT = {-1: (0, -1), -5 / 7: (1, -1), -3 / 7: (1, 0), -1 / 7: (1, 1)} | {
+    1 / 7: (0, 1),
+    3 / 7: (-1, 1),
+    5 / 7: (-1, 0),
+    1: (-1, -1),
+}
+"""What a hat's one axis says, clockwise from up -> right and down, as a person pushed it."""
+HELD_HAT = """
+(async (rest, values) => {
+  const { Lesson } = await import("/page/pads/lesson.js");
+  const { Pads } = await import("/page/pads/pads.js");
+  const pad = { id: "hat", index: 5, connected: true, mapping: "", axes: [rest], buttons: [] };
+  const real = navigator.getGamepads;
+  navigator.getGamepads = () => [pad];
+  const lesson = new Lesson("hat");
+  let now = 0;
+  const wait = (value) => {
+    pad.axes[0] = value;
+    for (const end = now + 0.6; now < end;) lesson.feed(pad, (now += 0.02));
+  };
+  // Right and down, each by way of diagonals, as a thumb does.
+  for (const value of [rest, -5 / 7, -3 / 7, -1 / 7, rest, 3 / 7, 1 / 7, rest]) wait(value);
+  const pads = new Pads(() => lesson.mapping, () => {});
+  pads.read();
+  const wishes = values.map((value) => {
+    pad.axes[0] = value;
+    const { x, y } = pads.read().wish;
+    return [x, y];
+  });
+  navigator.getGamepads = real;
+  return wishes;
+})
+"""
+
+
+@within(60.0)
+async def test_a_hat_of_one_number_points_where_it_is_pushed() -> None:
+    async with console() as made, Chromium() as browser:
+        tab = await browser.open(made.url, GAMEPAD)
+        await tab.until("document.querySelector('#pad-map') !== null", "the page")
+        for rest in (9 / 7, 23 / 7, -9 / 7, 0.0):
+            values = [*EIGHT, rest]
+            wishes = await tab.run(f"({HELD_HAT})({rest}, {values})")
+            for value, (x, y) in zip(values, wishes, strict=True):
+                right, down = EIGHT.get(value, (0, 0))
+                assert (round(x, 9) > 0) - (round(x, 9) < 0) == right, (rest, value, x)
+                assert (round(y, 9) > 0) - (round(y, 9) < 0) == down, (rest, value, y)
+                assert abs(x) == pytest.approx(abs(y)) or not right or not down
+
+
 async def put(tab: Tab, axes: list[float], button: int = 99) -> None:
     await tab.run(f"plug({axes}, {{{button}: 1}}); window.pad.mapping = ''; 0")
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import random
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+import yaml
+
 import surg_core
 from helpers.control import urdf_variants
-from helpers.control.urdf_variants import Variant, write_cell
+from helpers.control.urdf_variants import CHANGES, DESCRIPTION, Variant, write_cell
 from surg_cli import command_table
 from surg_cli.host.terminal import CliError
 from surg_core.config import load_arm
+from surg_description.make_cell import make_cell
 from surg_sim.placement.chain_check import compare
 
 COUNT, SEED = 60, 49
@@ -81,3 +86,69 @@ def test_every_variant_has_one_verdict(tmp_path: Path) -> None:
     assert not wrong
     assert len(set(usable.values())) == 1
     assert 16 <= usable["pip"] <= 44
+
+
+KINDS = ("fixed", "revolute", "continuous", "prismatic")
+
+
+@pytest.mark.parametrize("number", range(12))
+def test_whatever_stands_below_the_base_is_the_simulators_too(number: int, tmp_path: Path) -> None:
+    draws, kind = random.Random(number), KINDS[number % len(KINDS)]
+    place = " ".join(f"{draws.uniform(-1.5, 1.5):.3f}" for _ in range(3))
+    turn = " ".join(f"{draws.uniform(-3.1, 3.1):.3f}" for _ in range(3))
+    name, robot = f"below {number}", draws.choice(["ur5e", "panda", "xarm7"])
+    make = urdf_variants.standing("stand", kind, f'<origin xyz="{place}" rpy="{turn}"/>')
+    document = yaml.safe_load((DESCRIPTION / "robots" / f"{robot}.yaml").read_text("utf-8"))
+    text = (DESCRIPTION / "robots" / document["urdf"]).resolve().read_text("utf-8")
+    text = make(text.replace(f'"{document["base_link"]}"', '"base_link"'), "")
+    (tmp_path / f"{name}.urdf").write_text(text)
+    document |= {"urdf": f"{name}.urdf", "base_link": "base_link"}
+    (tmp_path / f"{name}.yaml").write_text(yaml.safe_dump(document))
+    instrument = DESCRIPTION / "instruments" / "grasper.yaml"
+    cell = make_cell(tmp_path / f"{name}.yaml", tmp_path / "cell", instrument)
+    found = compare(surg_core.load_cell(cell).arms["PSM1"], postures=50)
+    assert found.position < 1e-9 and found.angle < 1e-9, (kind, place, turn)
+
+
+IN_THE_CHAIN = ("root", "mujoco")
+OF_ARMS = [
+    "no range",
+    "no speed",
+    "no limits",
+    "speed 0",
+    "YAML",
+    "endless",
+    "slides",
+    "an instrument's",
+]
+"""Changes that mean nothing to an instrument, by their part or words of theirs."""
+OF_INSTRUMENTS = [
+    name
+    for name, change in CHANGES.items()
+    if change.part not in IN_THE_CHAIN and not any(word in name for word in OF_ARMS)
+]
+
+
+@pytest.mark.parametrize("name", OF_INSTRUMENTS)
+def test_an_instrument_is_read_as_a_robot_is_and_blamed_for_itself(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bundled = DESCRIPTION / "instruments" / "grasper.yaml"
+    document = yaml.safe_load(bundled.read_text("utf-8"))
+    text = (bundled.parent / document["urdf"]).resolve().read_text("utf-8")
+    changed = CHANGES[name].make(text.replace('"mount"', '"base_link"'), "jaw")
+    assert changed != text or name == "byte order mark"
+    document |= {"urdf": "g.urdf", "mount_link": "base_link"}
+    (tmp_path / "g.urdf").write_bytes(changed.encode(CHANGES[name].encoding))
+    (tmp_path / "g.yaml").write_text(yaml.safe_dump(document))
+    words = ["robot", "check", "ur5e", "--instrument", str(tmp_path / "g.yaml")]
+    options, main = command_table.parse(*command_table.find(words))
+    if CHANGES[name].usable:
+        assert main(options, "check") == 0
+        assert "ready" in capsys.readouterr().out
+        return
+    with pytest.raises(CliError) as refused:
+        main(options, "check")
+    said = str(refused.value)
+    assert refused.value.code == 2 and "\n" not in said
+    assert str(tmp_path / "g.urdf") in said and "ur5e.urdf" not in said, said

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from helpers.hardware.emulated_ur import cycle, settle
 from surg_emulators.ur.joint_motion import DT, MAX_ACCELERATION
@@ -73,6 +74,87 @@ def test_a_movel_goes_straight(how: str) -> None:
         assert DT * len(way) == pytest.approx(1.5, abs=0.02)
 
 
+@pytest.mark.parametrize("mode", [0, 1])
+def test_a_movec_goes_by_its_middle_point_along_a_circle(mode: int) -> None:
+    via, goal = np.array([0.05, 0.05, 0.0]), np.array([0.1, 0.0, 0.02])  # from the start [m]
+    start = "start = get_target_tcp_pose()"
+    points = ", ".join(f"pose_add(start, p{[*each, 0, 0, 0]})" for each in (via, goal))
+    controller, way = run(f"{start}\nmovec({points}, v=0.1, mode={mode})")
+    tool = np.array([controller.tcp_pose(q) for q in way[::5]])
+    went = tool[:, :3] - tool[0, :3]
+    # Of the sphere through the start, whose points p have p.p = 2 c.p, within the plane.
+    plane = np.cross(via, goal)
+    centre = np.linalg.solve([2 * via, 2 * goal, plane], [via @ via, goal @ goal, 0.0])
+    radius = np.linalg.norm(centre)
+    off = np.abs(np.linalg.norm(went - centre, axis=1) - radius).max()
+    print(f"{1e6 * off:.1f} um off the circle of {1e3 * radius:.0f} mm")
+    assert off < 1e-4 and np.abs(went @ plane).max() / np.linalg.norm(plane) < 1e-4
+    assert np.linalg.norm(went - via, axis=1).min() < 2e-3
+    assert went[-1] == pytest.approx(goal, abs=1e-4)
+    turned = Rotation.from_rotvec(tool[-1, 3:]) * Rotation.from_rotvec(tool[0, 3:]).inv()
+    arc = np.arccos(np.clip(-centre @ (goal - centre) / radius**2, -1, 1))
+    arc = arc if np.linalg.norm(via - goal / 2) < radius else 2 * np.pi - arc
+    assert turned.magnitude() == pytest.approx(arc if mode else 0.0, abs=0.02)
+
+
+def test_three_points_on_a_line_make_no_circle() -> None:
+    controller = UrController()
+    points = ", ".join(
+        f"pose_add(get_target_tcp_pose(), p[0, {y}, 0, 0, 0, 0])" for y in (0.1, 0.2)
+    )
+    assert controller.run_script(f"def test():\nmovec({points})\nend\n")
+    cycle(controller)
+    assert controller.program is None
+    assert "on a line" in controller.messages[-1]
+
+
+def test_a_line_out_of_reach_is_a_protective_stop() -> None:
+    controller = UrController()
+    assert controller.run_script("def test():\nmovel(p[10, 0, 0, 0, 0, 0])\nend\n")
+    cycle(controller)
+    assert controller.safety_mode == SafetyMode.PROTECTIVE_STOP
+
+
+def test_a_contact_ends_a_motion_and_the_arm_goes_back_to_where_it_began() -> None:
+    controller = UrController()
+    down = [0.0, 0.0, -0.05, 0.0, 0.0, 0.0]
+    assert controller.run_script(
+        f"""def test():
+  thread go():
+    while True:
+      speedl({down}, 1.2, 0.002)
+    end
+  end
+  going = run go()
+  back = 0
+  while back == 0:
+    sync()
+    back = tool_contact(get_actual_tcp_speed())
+  end
+  q = get_actual_joint_positions_history(back)
+  kill going
+  stopl(3)
+  textmsg("back ", back)
+  movel(q)
+end
+"""
+    )
+    for _ in range(300):
+        cycle(controller)
+    assert controller.program is not None, controller.messages
+    controller.wrench[0] = 40.0  # from the side
+    cycle(controller)
+    assert controller.program is not None and not controller.motion.at_rest
+    before = controller.tcp_pose(controller.motion.actual_q)
+    controller.wrench[2] = 40.0
+    while controller.program is not None:
+        cycle(controller)
+        assert controller.cycles < 5000
+    after = controller.tcp_pose(controller.motion.actual_q)
+    assert controller.messages[-1].startswith("back ")
+    assert after == pytest.approx(before, abs=5e-4)
+
+
 @pytest.fixture
 def peer() -> Iterator[socket.socket]:
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -111,6 +193,27 @@ def test_a_program_reads_and_sends_integers(peer: socket.socket) -> None:
         assert client.recv(1) == b"", "the end of the program closes the socket"
     assert controller.outputs["bit"][0] is True
     assert controller.outputs["int"][:3] == [0, 2, 11]
+
+
+def test_a_flood_of_integers_is_read_and_is_no_infinite_loop(peer: socket.socket) -> None:
+    controller = UrController()
+    assert controller.run_script(
+        f"""def test():
+          socket_open("127.0.0.1", {peer.getsockname()[1]}, "s")
+          sum = 0
+          while sum < 4000:
+            sum = sum + socket_read_binary_integer(1, "s", 0)[1]
+          end
+          write_output_integer_register(0, sum)
+        end
+        """
+    )
+    cycle(controller)
+    client, _ = peer.accept()
+    with client:
+        client.sendall(struct.pack(">i", 1) * 5000)
+        settle(controller, 1.0)
+    assert controller.outputs["int"][0] == 4000, controller.messages
 
 
 def test_where_nobody_listens_a_socket_stays_closed(peer: socket.socket) -> None:
@@ -152,8 +255,14 @@ def test_primary_clients_hear_start_end_and_failure_of_a_program() -> None:
     session.receive(b"def bad():\n  sync()\n  x = y\nend\n")
     failed = [body for kind, body in messages(session, controller) if kind == 10]
     assert [struct.unpack_from(">i", body)[0] for body in failed] == [3]
+    session.receive(b"def bad():\n  unheard()\nend\n")
+    failed = [body for kind, body in messages(session, controller) if kind == 10]
+    word = b"compile_error_name_not_found:unheard:"  # the maker's, at line and column
+    assert failed == [struct.pack(">2i", 2, 3) + word]
     controller.protective_stop("test")
-    assert (5, 3) in [(kind, body[8]) for kind, body in messages(session, controller)]
+    heard = messages(session, controller)
+    assert (5, 3) in [(kind, body[8]) for kind, body in heard]
+    assert [struct.unpack_from(">3i", body)[2] for kind, body in heard if kind == 6] == [2]
     controller.remote = False
     session.receive(b"def good():\n  sync()\nend\n")
     codes = [body for kind, body in messages(session, controller) if kind == 6]
@@ -170,7 +279,8 @@ def test_the_primary_interface_powers_and_unlocks() -> None:
     settle(controller, 1.1)
     assert controller.robot_mode == RobotMode.RUNNING
     controller.protective_stop("test")
-    settle(controller, 5.1)
+    settle(controller, 0.1)
+    assert not controller.unlock(), "the dashboard is refused for 5 s"
     session.receive(b"set unlock protective stop\n")
     assert controller.safety_mode == SafetyMode.NORMAL
     session.receive(b"power off\n")

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 TEXT, VERSION, SAFETY_MODE, ERROR_CODE, KEY, RUNTIME_EXCEPTION = 0, 3, 5, 6, 7, 10
 READ_ONLY = 210
 """Error code of a script that came while the robot is in local control."""
-_ERROR = 3
-"""Report level of an error."""
+PROTECTIVE_STOP = 153
+"""Error code of a protective stop; which of the maker's many it is, is assumed."""
+WARNING, VIOLATION = 2, 3
+"""Report levels."""
 
 
 @dataclass(frozen=True)
@@ -31,14 +33,14 @@ def key(title: str, name: str) -> RobotMessage:
     return RobotMessage(KEY, body)
 
 
-def runtime_exception(line: int, said: str) -> RobotMessage:
-    """A program has failed in a line."""
-    return RobotMessage(RUNTIME_EXCEPTION, struct.pack(">ii", line, 0) + said.encode())
+def runtime_exception(line: int, column: int, said: str) -> RobotMessage:
+    """A program has failed at a place; both count from 1, and 0 is unknown."""
+    return RobotMessage(RUNTIME_EXCEPTION, struct.pack(">ii", line, column) + said.encode())
 
 
-def error_code(code: int, said: str) -> RobotMessage:
-    """An error by its number."""
-    return RobotMessage(ERROR_CODE, struct.pack(">iiiII", code, 0, _ERROR, 0, 0) + said.encode())
+def error_code(code: int, said: str, level: int = VIOLATION) -> RobotMessage:
+    """An error by its number and report level."""
+    return RobotMessage(ERROR_CODE, struct.pack(">iiiII", code, 0, level, 0, 0) + said.encode())
 
 
 def safety_mode(mode: int) -> RobotMessage:

@@ -23,7 +23,7 @@ from surg_emulators.ur.rtde_fields import REGISTERS
 from surg_emulators.ur.urscript_functions import functions
 from surg_emulators.ur.urscript_machine import Machine
 from surg_emulators.ur.urscript_sockets import ScriptSockets
-from surg_emulators.ur.urscript_syntax import ScriptError
+from surg_emulators.ur.urscript_syntax import ScriptError, UnknownName
 
 HOME = (0.0, -1.5708, -1.5708, -1.5708, 1.5708, 0.0)
 UNLOCK_AFTER = 5.0
@@ -34,6 +34,8 @@ POWER_TIME = 1.0
 """From power off to idle, and from idle to running [s]. Shorter than an arm's, to save time."""
 BOOT_TIME = 4.0
 """From the controller's start to power off [s]. An arm takes half a minute."""
+PAST = 1000
+"""Cycles that a program may look back; how many an arm keeps is not documented."""
 MESSAGES = 200
 """Text messages kept for clients and people."""
 VERSIONS = {"5": (5, 12, 0, 1101319), "x": (10, 14, 0, 1)}
@@ -147,6 +149,8 @@ class UrController:
         self._interrupted: Command | None = None  # by a stop for safety; `play` goes on with it
         self._stopped_at = -math.inf
         self._braking = False
+        # What pushed at the tool [N, Nm], and joint positions [rad].
+        self.past: deque[tuple[list[float], list[float]]] = deque(maxlen=PAST)
         self.reduced = False
         self._power_goal = RobotMode.POWER_OFF
         self._power_at = BOOT_TIME
@@ -224,12 +228,13 @@ class UrController:
         for name, value in self._arrived.items():
             self._set_input(name, value, self._arrived)
         self._check_watchdog(self._arrived)
+        self.past.append((list(self.wrench), list(self.motion.actual_q)))
         if self.program is None or self.runtime != Runtime.PLAYING or self._braking:
             return
         try:
             self.program.cycle()
         except ScriptError as error:
-            self._fail(f"{self.program.name}: {error}")
+            self._fail(f"{self.program.name}: ", error)
             self.stop()
             return
         self.program_line = self.program.threads[0].line
@@ -284,7 +289,7 @@ class UrController:
         try:
             program = Machine(script, self._builtins)
         except ScriptError as error:
-            self._fail(f"the program was refused: {error}")
+            self._fail("the program was refused: ", error)
             return False
         self.stop()
         self.guided = False
@@ -298,7 +303,7 @@ class UrController:
         try:
             Machine(script, self._builtins).cycle()
         except ScriptError as error:
-            self._fail(f"the program was refused: {error}")
+            self._fail("the program was refused: ", error)
             return False
         return True
 
@@ -366,12 +371,14 @@ class UrController:
             self.safety_mode = SafetyMode.PROTECTIVE_STOP
             self._stopped_at = self.cycles * DT
             self._halt_for_safety(why)
+            code, level = robot_messages.PROTECTIVE_STOP, robot_messages.WARNING
+            self.announce(robot_messages.error_code(code, why[:500], level))
 
-    def unlock(self) -> bool:
+    def unlock(self, at_once: bool = False) -> bool:
         """Unlock a protective stop; False: too early."""
         if self.safety_mode != SafetyMode.PROTECTIVE_STOP:
             return True
-        if self.cycles * DT - self._stopped_at < UNLOCK_AFTER:
+        if not at_once and self.cycles * DT - self._stopped_at < UNLOCK_AFTER:
             return False
         self._normal()
         return True
@@ -491,12 +498,15 @@ class UrController:
         self.announced.append(message)
         self.announcements += 1
 
-    def _fail(self, text: str) -> None:
+    def _fail(self, what: str, error: ScriptError) -> None:
         """A program was refused or has failed: people and primary clients are told."""
-        self.say(text)
-        line = re.search(r"line (\d+)", text)
+        self.say(f"{what}{error}")
+        line = re.search(r"line (\d+)", str(error))
+        column, text = (
+            (error.column, error.code) if isinstance(error, UnknownName) else (0, str(error))
+        )
         number = int(line[1]) if line else 0
-        self.announce(robot_messages.runtime_exception(number, text[:500]))
+        self.announce(robot_messages.runtime_exception(number, column, text[:500]))
 
     def set_payload(self, mass: float, cog: Sequence[float]) -> None:
         """Payload: mass [kg] and centre of gravity in the flange's frame [m]."""

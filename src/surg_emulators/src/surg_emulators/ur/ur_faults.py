@@ -73,6 +73,12 @@ def _people(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
             raise FaultError(f"freedrive: {len(rates)} velocities; six are needed [rad/s]")
         c.guide(switch(on), rates)
 
+    def push(*force: str) -> None:
+        forces = [number(word, "push", -500.0, 500.0) for word in force]
+        if len(forces) != 3:
+            raise FaultError("push: three numbers are needed: the force at the tool in base [N]")
+        c.wrench = [*forces, 0.0, 0.0, 0.0]
+
     def done(worked: bool) -> str | None:
         return None if worked else "error: not possible now"
 
@@ -91,6 +97,7 @@ def _people(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
         "local": Kind(lambda: control(False), "", "local control: scripts and orders are refused"),
         "remote": Kind(lambda: control(True), "", "remote control"),
         "freedrive": Kind(freedrive, "[on|off] [QD1 ... QD6]", "a hand guides the arm [rad/s]"),
+        "push": Kind(push, "FX FY FZ", "something pushes at the tool, in base [N]"),
         "load": Kind(load, "FILE", "load a URScript file for play"),
         "play": Kind(lambda: done(c.play()), "", "a person presses play"),
         "pause": Kind(lambda: done(c.pause()), "", "a person presses pause"),

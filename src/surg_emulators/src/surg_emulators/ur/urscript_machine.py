@@ -9,7 +9,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from surg_emulators.ur.urscript_syntax import Function, Node, ScriptError, called, constant, parse
+from surg_emulators.ur.urscript_syntax import (
+    Function,
+    Node,
+    ScriptError,
+    UnknownName,
+    called,
+    constant,
+    parse,
+)
 from surg_emulators.ur.urscript_threads import Builtin, Leave, Scope, Steps, Thread, Wait
 from surg_emulators.ur.urscript_values import MOST_ELEMENTS, Pose, binary, copy, list_place
 
@@ -35,9 +43,9 @@ class Machine:
 
     def __init__(self, script: str, builtins: Mapping[str, Builtin]) -> None:
         main = parse(script)
-        for name, line in called(main).items():
+        for name, place in called(main).items():
             if name not in builtins:
-                raise ScriptError(f"line {line}: function {name!r} is not known")
+                raise UnknownName(name, *place)
         self.name = main.name
         self._builtins = builtins
         self._root = self._scope(main, None, {})

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from surg_emulators.ur import dh_kinematics as dh
 from surg_emulators.ur.joint_motion import Move, Servo, leading, timed
-from surg_emulators.ur.line_motion import Line, extent
+from surg_emulators.ur.line_motion import Arc, Line, circle
 from surg_emulators.ur.urscript_arguments import close, cycles, matrix, number, six
 from surg_emulators.ur.urscript_syntax import ScriptError
 from surg_emulators.ur.urscript_threads import Builtin, Wait
@@ -31,14 +32,23 @@ def positions(c: UrController) -> dict[str, Builtin]:
         c.motion.command = Move(goal, a, v, not c.motion.at_rest)
         return _until(c, goal, t, r)
 
-    def movel(pose: Any, a: Any = 1.2, v: Any = 0.25, t: Any = 0, r: Any = 0) -> Wait:
-        X_FTcp = dh.pose_matrix(c.tcp_offset)
-        goal = _joints(c, pose)
-        X = matrix(pose) if isinstance(pose, Pose) else dh.frames(goal, c.table)[-1] @ X_FTcp
-        line = Line(X, 1.0, 1.0, c.table, X_FTcp)
-        a, v = _pace("movel", a, v, t, extent(line.way(c.motion.q)))
-        c.motion.command = Line(X, a, v, c.table, X_FTcp, not c.motion.at_rest)
+    def along(goal: Any, a: Any, v: Any, t: Any, r: Any, kind: type[Line], **of: Any) -> Wait:
+        X_BTcp, X_FTcp = _tool(c, goal), dh.pose_matrix(c.tcp_offset)
+        if dh.inverse(X_BTcp, c.motion.q, c.table, X_FTcp) is None:
+            c.protective_stop("the way of the tool leads out of reach")
+            return Wait(1)
+        line = kind(X_BTcp, 1.0, 1.0, c.table, X_FTcp, **of)
+        a, v = _pace("a move of the tool", a, v, t, line.extent(line.way(c.motion.q)))
+        c.motion.command = replace(line, a=a, v=v, turns=not c.motion.at_rest)
         return _until(c, None, t, r)
+
+    def movel(pose: Any, a: Any = 1.2, v: Any = 0.25, t: Any = 0, r: Any = 0) -> Wait:
+        return along(pose, a, v, t, r, Line)
+
+    def movec(via: Any, pose: Any, a: Any = 1.2, v: Any = 0.25, r: Any = 0, mode: Any = 0) -> Wait:
+        start = np.array(c.tcp_pose(c.motion.q)[:3])
+        of = circle(start, _tool(c, via)[:3, 3], _tool(c, pose)[:3, 3])
+        return along(pose, a, v, 0, r, Arc, **of, fixed=bool(mode))
 
     def movep(pose: Any, a: Any = 1.2, v: Any = 0.25, r: Any = 0) -> Wait:
         return movel(pose, a, v, 0, r)
@@ -60,6 +70,7 @@ def positions(c: UrController) -> dict[str, Builtin]:
     return {
         "movej": movej,
         "movel": movel,
+        "movec": movec,
         "movep": movep,
         "servoj": servoj,
         "freedrive_mode": freedrive(True),
@@ -82,6 +93,13 @@ def _joints(c: UrController, goal: Any) -> list[float]:
     if solved is None:
         raise ScriptError("no joint positions for this pose")
     return solved
+
+
+def _tool(c: UrController, goal: Any) -> dh.Matrix:
+    """The tool's pose in `base` at a goal, which may be joint positions, (4, 4)."""
+    if isinstance(goal, Pose):
+        return matrix(goal)
+    return matrix(c.tcp_pose(six(goal, "a move: q")))
 
 
 def _pace(name: str, a: Any, v: Any, t: Any, distance: float) -> tuple[float, float]:

@@ -87,6 +87,14 @@ class ScriptError(Exception):
     """A script that the controller refuses or stops; states line and reason."""
 
 
+class UnknownName(ScriptError):
+    """A script that calls what nobody defines; `code` is the maker's own word for it."""
+
+    def __init__(self, name: str, line: int, column: int) -> None:
+        super().__init__(f"line {line}: function {name!r} is not known")
+        self.column, self.code = column, f"compile_error_name_not_found:{name}:"
+
+
 @dataclass
 class Function:
     """A function or thread of a program.
@@ -98,7 +106,7 @@ class Function:
         defaults: Parameter -> value, for those that may be left out.
         inner: Functions defined in it, by name.
         outer: Function in which it is defined.
-        calls: Names that it calls -> the first line.
+        calls: Names that it calls -> line and column of the first call.
     """
 
     name: str
@@ -107,7 +115,7 @@ class Function:
     defaults: dict[str, Any] = field(default_factory=dict)
     inner: dict[str, Function] = field(default_factory=dict)
     outer: Function | None = None
-    calls: dict[str, int] = field(default_factory=dict)
+    calls: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def find(self, name: str) -> Function | None:
         """The function that a name means here."""
@@ -141,9 +149,9 @@ def parse(script: str) -> Function:
     return next(iter(root.inner.values()))
 
 
-def called(function: Function) -> dict[str, int]:
-    """Names that a function and those in it call, and the script does not define -> first line."""
-    found = {n: line for n, line in function.calls.items() if function.find(n) is None}
+def called(function: Function) -> dict[str, tuple[int, int]]:
+    """Names that a function and those in it call, and the script does not define -> first place."""
+    found = {n: place for n, place in function.calls.items() if function.find(n) is None}
     for each in function.inner.values():
         found = called(each) | found
     return found
@@ -189,7 +197,8 @@ def _enter(function: Function, tree: Node, looped: bool, depth: int) -> None:
         if each.data in ("break_loop", "continue_loop") and not looped:
             raise ScriptError(f"line {each.meta.line}: break and continue need a loop around them")
         if each.data in ("call", "start_thread"):
-            function.calls.setdefault(str(each.children[0]), each.meta.line)
+            place = (each.meta.line, each.meta.column)
+            function.calls.setdefault(str(each.children[0]), place)
             named = [part.data == "named" for part in each.children[1:]]
             if named != sorted(named):
                 raise ScriptError(f"line {each.meta.line}: expected a named argument")

@@ -30,6 +30,7 @@ _UPRIGHT = 0.5  # cosine of a base's tilt up to which the arm works above its mo
 
 _JUDGED = 30  # of the candidates, the least singular ones
 _IMPROVED = 3
+_PATIENCE = 4  # times as many changes where the best home is not good enough
 
 
 @dataclass(frozen=True)
@@ -133,9 +134,13 @@ def search(arm: surg_core.Arm, seed: int = 0, draws: int = 400, rounds: int = 40
             f"limit in {seen['limit']}, the shaft too flat in {seen['tilt']}, the forearm too low "
             f"in {seen['elbow']}; {len(candidates)} leave no room for the tip"
         )
-    homes.sort(key=lambda home: -home.score)
-    improved = [_improve(arm, home, rng, rounds) for home in homes[:_IMPROVED]]
-    return max(improved, key=lambda home: home.score)
+    homes = sorted(homes, key=lambda home: -home.score)[:_IMPROVED]
+    for _ in range(_PATIENCE):
+        homes = [_improve(arm, home, rng, rounds) for home in homes]
+        best = max(homes, key=lambda home: home.score)
+        if best.score >= 1.0:
+            break
+    return best
 
 
 def _improve(arm: surg_core.Arm, home: Home, rng: np.random.Generator, rounds: int) -> Home:

@@ -7,7 +7,8 @@ export const MOTIONS = ["x", "y", "z", "roll"];
 const HELD_CONTROLS = ["hold", "clutch", "camera", "enable", "stop", "record"];
 const CONTROLS = [...MOTIONS, "close", "open", ...HELD_CONTROLS];
 
-// A control has sources: the axis or button, its value at rest, and that at the end of the way.
+// A control has sources: the axis or button, its value at rest, and that at the end of the way; or
+// the axis of a hat and the direction in which it is pushed.
 const axis = (index, end = 1) => ({ axis: index, rest: 0, end });
 const button = (index) => ({ button: index, rest: 0, end: 1 });
 export const STANDARD = {
@@ -84,10 +85,28 @@ export class Pads {
 }
 
 /** How far a source is from its rest to its end, -1 … 1; what is no number is at rest. */
-function share(pad, { axis, button, rest, end }) {
+function share(pad, { axis, button, hat, rest, end }) {
   const value = axis === undefined ? pad.buttons[button]?.value : pad.axes[axis];
+  if (hat !== undefined) return likeness({ axis, hat: direction(value) }, { axis, hat });
   const part = (value - rest) / (end - rest);
   return Number.isFinite(part) ? Math.max(-1, Math.min(1, part)) : 0;
+}
+
+/**
+ * A hat of one number says -1 … 1 clockwise from up, in eighths of a turn, and anything else at
+ * rest: 0 … 7, or null.
+ */
+export function direction(value) {
+  const eighths = ((value + 1) * 7) / 2;
+  const whole = Math.round(eighths);
+  return whole >= 0 && whole <= 7 && Math.abs(eighths - whole) < 0.05 ? whole : null;
+}
+
+/** Of two sources: 1 for the same way of the same control, -1 for the other way, 0 for others. */
+export function likeness(a, b) {
+  if (a.axis !== b.axis || a.button !== b.button) return 0;
+  if (a.hat === undefined || b.hat === undefined) return Math.sign((a.end - a.rest) * (b.end - b.rest));
+  return a.hat === null ? 0 : Math.cos(((a.hat - b.hat) * Math.PI) / 4);
 }
 
 /** A stick's deflection beyond a dead zone, squared for fine small motions. */
