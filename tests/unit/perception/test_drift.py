@@ -137,7 +137,7 @@ def test_while_nothing_moves_nothing_is_said(benches: list[DriftBench], full: bo
             assert not any(state.word == MOVED for _, state in states)
             assert Counter(state.word for _, state in states).most_common(1)[0][0] == STEADY
             shown += len(states)
-    PAGE.note("drift, sightings: nothing moves", shown, "no alarm")
+    PAGE.note("drift: nothing moves", shown, "no alarm")
 
 
 def test_a_still_endoscope_does_not_tell_a_camera_from_a_base(benches: list[DriftBench]) -> None:
@@ -321,7 +321,7 @@ def test_a_bump_in_the_simulators_pictures(setting: str, tmp_path: Path) -> None
     made.scene.renderer.close()
     assert not any(state.word == MOVED for _, state in nothing)
     said = "; ".join(found) + "; else no alarm"
-    PAGE.note(f"drift, rendered: camera, {setting}", len(nothing), said)
+    PAGE.note(f"drift, rendered, {setting}", len(nothing), said)
 
 
 # --- the command ----------------------------------------------------------------------------------
