@@ -207,5 +207,5 @@ def _weights(A: FloatArray, r: FloatArray, sd: FloatArray, prior: FloatArray) ->
     for _ in range(5):
         _, x, _ = _posterior((A * weight[:, None]).T @ A, A.T @ (weight * r), prior)
         off = np.abs(r - A @ x) / sd
-        weight = sd**-2 * np.minimum(1.0, OUTLIER / np.maximum(off, 1e-9))
+        weight = sd**-2 / (1.0 + (off / OUTLIER) ** 2) ** 2  # Geman and McClure, 1987
     return weight

@@ -20,9 +20,9 @@ from surg_perception.drift.drift_evidence import DriftEvidence, Sighting, Verdic
 from surg_perception.drift.moving_parts import EYES, Part, SeenPoint, derivatives
 from surg_perception.drift.shaft_finder import Grey, Mask, NotSeen, find_shaft, lit_part
 
-SHAFT = (0.018, 0.075)
+SHAFT = (0.022, 0.07)
 """[m] Part of the shaft that is looked for, up from the tip: behind the jaws."""
-POINTS = 28
+POINTS = 40
 """Points of it: rows of the unrolled picture."""
 STEP = 0.002
 """[m] Way of the shaft before the eye between two sightings: a resting one says nothing new."""

@@ -29,12 +29,14 @@ LIT = 12.0
 """[grey levels] Darker pixels lie outside the round picture, unless lit ones surround them."""
 COARSE = 0.25
 """Size of the picture in which the round edge is looked for, relative."""
-CONTRAST = 8.0
+CONTRAST = 5.0
 """[grey levels] Least difference between the shaft and both its sides."""
-EDGE = 4.0
+EDGE = 2.0
 """[grey levels/px] Least slope of an edge."""
-LEAST_ROWS = 8
+LEAST_ROWS = 14
 """Rows in which both edges must be seen."""
+STRAIGHT = 0.8
+"""[px] Largest scatter of the rows of a shaft; what is behind it scatters more."""
 RIVAL = 0.85
 """Another bar with this share of the best one's contrast: which of them is the shaft?"""
 BLUR = 0.15
@@ -172,7 +174,7 @@ def _contrast(sums: FloatArray, half: int) -> FloatArray:
     inside = mean(1 - half, half - 1)
     left = mean(-half - beside, -half - 1) - inside
     right = mean(half + 1, half + beside) - inside
-    least = np.minimum(np.minimum(np.abs(left), np.abs(right)), 6.0 * CONTRAST)
+    least = np.minimum(np.minimum(np.abs(left), np.abs(right)), 10.0 * CONTRAST)
     return np.where(left * right > 0.0, np.sign(left) * least, 0.0)
 
 
@@ -229,6 +231,6 @@ def _robust(X: FloatArray, y: FloatArray, good: Mask) -> tuple[FloatArray, float
         scatter = 1.4826 * float(np.median(off[good])) + BLUR
         weight = good * np.minimum(1.0, 1.5 * scatter / np.maximum(off, 1e-9))
     kept = good & (off < 3.0 * scatter)
-    if kept.sum() < LEAST_ROWS:
+    if kept.sum() < LEAST_ROWS or scatter > STRAIGHT:
         raise NotSeen("the shaft's edges are not straight")
     return np.asarray(fit), scatter, kept
