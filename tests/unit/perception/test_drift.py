@@ -97,7 +97,7 @@ BUMPS: dict[str, tuple[str, Callable[[np.random.Generator], Moved]]] = {
     ),
     "lens, 6 px": (
         "lens of left",
-        lambda rng: Moved(lens={0: drawn(rng, 6.0)[:2] + np.array([3.0, 3.0])}),
+        lambda rng: Moved(lens={0: 6.0 * np.array([np.cos(w := rng.uniform(0, 6.3)), np.sin(w)])}),
     ),
     "tool, 3 mm and 1 deg": (
         f"tool of {TOOL}",
@@ -263,6 +263,7 @@ class RenderedDrift:
     def __init__(self, folder: Path, name: str, seed: int) -> None:
         setting = replace(
             SETTINGS[name],
+            tool_error=None,  # else the tool's file is wrong from the start, and the watch says so
             base_error=PoseError(0.008, np.radians(3.0), seed=seed + 1),
             camera_error=PoseError(0.003, np.radians(2.0), seed=seed + 50),
             lens=BARREL,
@@ -300,7 +301,7 @@ class RenderedDrift:
 @pytest.mark.full
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_a_bump_in_the_simulators_pictures(setting: str, tmp_path: Path) -> None:
-    made, seed = None, 0
+    made, seed = None, 100 * list(SETTINGS).index(setting)
     while made is None:
         (tmp_path / str(seed)).mkdir()
         try:

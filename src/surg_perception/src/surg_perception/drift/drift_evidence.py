@@ -32,6 +32,8 @@ SCALES = (0.1, 0.3, 1.0)
 """How much of what it may a part moved by, each as probable: a bump is small or large."""
 STILL_LIKELY = 0.5
 """Probability of no motion above which older sightings count as those of a chain at rest."""
+EXPLAINED = 2.0
+"""[sigma] Typical residual up to which a part that moved explains what is seen."""
 OUTLIER = 3.0
 """[sigma] Beyond this a residual of the freest hypothesis counts less: it is another shaft's."""
 
@@ -45,15 +47,14 @@ class Sighting:
         A: (m, P) derivatives of the residuals by all steps.
         r: (m,) residuals [px].
         sd: (m,) of their noise [px].
-        across: (2, P) how far the instrument's end then lies across the sight of the left eye,
-            beside the place that joints give it [m].
+        place: (3, P) how far the shaft's end then lies beside the place that joints give it [m].
     """
 
     stamp: float
     A: FloatArray
     r: FloatArray
     sd: FloatArray
-    across: FloatArray
+    place: FloatArray
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ class Verdict:
 
     Attributes:
         probabilities: Of `NOTHING` and of each part's name; their sum is 1.
+        odds: Logarithm of how much more probable the best part's motion is than none.
         best: The most probable part.
         x: (P,) steps of all parts, if the best one moved.
         covariance: (P, P) of x.
@@ -73,6 +75,7 @@ class Verdict:
     """
 
     probabilities: dict[str, float]
+    odds: float
     best: Part
     x: FloatArray
     covariance: FloatArray
@@ -113,8 +116,9 @@ class DriftEvidence:
         self._window.append(sighting)
         newest = list(self._window)
         windows = [newest[-n:] for n in WINDOWS if n <= len(newest)]
-        verdicts = [self._verdict(window) for window in windows]
-        found = min(verdicts, key=lambda each: each.nothing, default=None)
+        verdicts = [self._doubted(window) for window in windows]
+        explained = [each for each in verdicts if each.misfit < EXPLAINED] or verdicts
+        found = max(explained, key=lambda each: each.odds, default=None)
         if len(newest) == WINDOWS[-1]:
             old = self._window.popleft()
             if found is not None and found.nothing > STILL_LIKELY:
@@ -127,6 +131,16 @@ class DriftEvidence:
         information = (old.A * weight[:, None]).T @ old.A
         _, step, self._still = _posterior(information, old.A.T @ (weight * r), self._still)
         self._x = self._x + step
+
+    def _doubted(self, window: Sequence[Sighting]) -> Verdict:
+        """Of a window without the sighting that says most that something moved: it may be wrong."""
+        found = self._verdict(window)
+        if found.nothing > STILL_LIKELY:
+            return found
+        off = [np.max(np.abs(each.r - each.A @ self._x) / BIAS) for each in window]
+        worst = int(np.argmax(off))
+        rest = [each for k, each in enumerate(window) if k != worst]
+        return min(found, self._verdict(rest), key=lambda each: each.odds)
 
     def _verdict(self, window: Sequence[Sighting]) -> Verdict:
         A = np.concatenate([each.A for each in window])
@@ -147,12 +161,12 @@ class DriftEvidence:
         _, x, covariance = found[best.name]
         misfit = float(np.median(np.abs(r - A @ x) / sd)) / 0.6745  # a normal one's median
         x = self._x + x
-        across = np.mean([each.across for each in window], axis=0)
-        beside = float(np.linalg.norm(across @ x))
-        way = (across @ x) / max(beside, 1e-12)
-        across_sd = float(np.sqrt(way @ across @ covariance @ across.T @ way))
+        beside, beside_sd = _beside(np.concatenate([each.place for each in window]), x, covariance)
         stamp, count = window[0].stamp, len(window)
-        return Verdict(probabilities, best, x, covariance, beside, across_sd, misfit, stamp, count)
+        odds = float(logs[1:].max() - logs[0])
+        return Verdict(
+            probabilities, odds, best, x, covariance, beside, beside_sd, misfit, stamp, count
+        )
 
     def _free(self) -> FloatArray:
         """(P, P) covariance if everything moved."""
@@ -160,6 +174,14 @@ class DriftEvidence:
         for part in self.parts:
             free[part.at, part.at] += part.moved
         return free
+
+
+def _beside(place: FloatArray, x: FloatArray, covariance: FloatArray) -> tuple[float, float]:
+    """Root mean square of the shifts (3n, P) x of n places [m], and one sigma of it."""
+    shift, n = place @ x, len(place) / 3.0
+    rms = float(np.sqrt(shift @ shift / n))
+    slope = place.T @ shift / (n * max(rms, 1e-12))
+    return rms, float(np.sqrt(slope @ covariance @ slope))
 
 
 def _covariance(parts: Sequence[Part], share: float = 1.0) -> FloatArray:

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
-from surg_perception.drift.drift_evidence import NOTHING, Verdict
+from surg_perception.drift.drift_evidence import EXPLAINED, NOTHING, Verdict
 
 STEADY, MOVED, UNKNOWN = "steady", "moved", "cannot tell"
 SURE = 1e-3
 """Probability of no motion below which something moved."""
+LEAST = 0.0003
+"""[m] A smaller shift is none that a hand or a policy notices, however sure it is."""
 LIKELY = 0.5
 """Probability of no motion above which the chain is steady."""
 NAMED = 0.9
 """Probability of one part, of those that could have moved, from which it is named alone."""
-MISFIT = 3.0
-"""[sigma] Typical residual from which no part that moved explains what is seen."""
 INTERVAL = 1.96
 """Sigmas of an interval that holds the truth in 95 of 100 cases."""
 
@@ -63,9 +63,11 @@ def state_of(verdict: Verdict | None, unseen: Counter[str]) -> DriftState:
         return DriftState(UNKNOWN, seen)
     reach = INTERVAL * verdict.beside_sd
     low, high = max(0.0, verdict.beside - reach), verdict.beside + reach
-    word = MOVED if verdict.nothing < SURE else STEADY if verdict.nothing > LIKELY else UNKNOWN
+    word = MOVED if verdict.nothing < SURE else UNKNOWN
+    if verdict.nothing > LIKELY or (word == MOVED and low < LEAST):
+        word = STEADY
     reason, cause = "", ""
-    if word != STEADY and verdict.misfit > MISFIT:
+    if word != STEADY and verdict.misfit > EXPLAINED:
         word, reason = UNKNOWN, "what is seen does not move as the joints say"
     elif word == UNKNOWN:
         reason = "the newest sightings disagree with older ones, too few to be sure"

@@ -179,13 +179,14 @@ class DriftWatch:
             residuals.extend(seen.offsets)
             noise.extend([seen.sd] * 2)
         if rows:
-            across = self._derivatives(axis, 0, 0) * axis.p_V[0, 2] / self._focal
-            found = Sighting(stamp, np.array(rows), np.array(residuals), np.array(noise), across)
+            place = self._derivatives(axis, 0, 0, metres=True)
+            found = Sighting(stamp, np.array(rows), np.array(residuals), np.array(noise), place)
             self.verdict = self._evidence.add(found)
         return bool(rows)
 
-    def _derivatives(self, axis: _Axis, eye: int, at: int) -> FloatArray:
-        """(2, P) of the pixel of one point of a shaft by all steps."""
+    def _derivatives(self, axis: _Axis, eye: int, at: int, metres: bool = False) -> FloatArray:
+        """(2, P) of the pixel of one point of a shaft by all steps, or (3, P) of its place."""
+        by_point = np.eye(3) if metres else self._eyes[eye].derivative(axis.p_V[at])
         point = SeenPoint(
             arm=axis.arm,
             eye=EYES[eye],
@@ -195,7 +196,8 @@ class DriftWatch:
             p_TipP_F=axis.p_TipP_F[at],
             R_VW=axis.R_VW,
             R_WF=axis.R_WF,
-            by_point=self._eyes[eye].derivative(axis.p_V[at]),
+            by_point=by_point,
+            per_pixel=axis.p_V[at, 2] / self._focal if metres else 1.0,
         )
         return derivatives(point, self.parts, self.held.arm, self._origins)
 

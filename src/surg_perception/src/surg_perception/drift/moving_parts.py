@@ -106,7 +106,8 @@ class SeenPoint:
         p_TipP_F: (3,) from the tip, in the flange's axes [m].
         R_VW: (3, 3).
         R_WF: (3, 3) of the flange that carries it.
-        by_point: (2, 3) derivative of the pixel by p_V [px/m].
+        by_point: (m, 3) derivative by p_V of the pixel [px/m], or of the place itself: (3, 3).
+        per_pixel: What one pixel is in the same unit, across the view.
     """
 
     arm: str
@@ -118,12 +119,13 @@ class SeenPoint:
     R_VW: FloatArray
     R_WF: FloatArray
     by_point: FloatArray
+    per_pixel: float = 1.0
 
 
 def derivatives(
     point: SeenPoint, parts: list[Part], scope: str, origins: dict[str, FloatArray]
 ) -> FloatArray:
-    """(2, P) of the pixel by the steps of all parts.
+    """(m, P) of what `by_point` is the derivative of, by the steps of all parts.
 
     Args:
         point: The point.
@@ -131,7 +133,7 @@ def derivatives(
         scope: Name of the arm that holds the endoscope.
         origins: (3,) of each arm's base in the world [m].
     """
-    rows = np.zeros((2, parts[-1].at.stop))
+    rows = np.zeros((len(point.by_point), parts[-1].at.stop))
     by_world = point.by_point @ point.R_VW
     for part in parts:
         if part.kind == CAMERA:
@@ -140,7 +142,7 @@ def derivatives(
             carried = np.hstack([-skew(point.p_W - origins[part.of])[0], np.eye(3)])
             rows[:, part.at] = by_world @ carried * (-1.0 if part.of == scope else 1.0)
         elif part.kind == LENS and part.of == point.eye:
-            rows[:, part.at] = np.eye(2)
+            rows[:2, part.at] = point.per_pixel * np.eye(2)
         elif part.kind == TOOL and part.of == point.arm:
             carried = np.hstack([-skew(point.p_TipP_F)[0], np.eye(3)])
             rows[:, part.at] = by_world @ point.R_WF @ carried
