@@ -316,12 +316,12 @@ def test_a_bump_in_the_simulators_pictures(setting: str, tmp_path: Path) -> None
         assert not any(state.word == MOVED for at, state in states if at < SINCE)
         late = [at - SINCE for at, state in states if at >= SINCE and state.word == MOVED]
         last = states[-1][1]
-        found.append(f"{1e3 * size:g} mm, {turn:g}° after {min(late):.1f} s ({last.cause or '-'})")
+        found.append(f"{1e3 * size:g} mm, {turn:g}°: {min(late):.1f} s")
         assert min(late) <= 8.0
         assert "camera" in (last.cause or last.reason)
     made.scene.renderer.close()
     assert not any(state.word == MOVED for _, state in nothing)
-    said = "; ".join(found) + "; else no alarm"
+    said = "camera by " + "; ".join(found)
     PAGE.note(f"drift, rendered, {setting}", len(nothing), said)
 
 
