@@ -14,7 +14,7 @@ from surg_perception.drift.moving_parts import Part, parts_of
 
 SHAFT_ARM = 0.1
 """[m] Length over which a tool's residual bends the shaft: that of the tip's motions about it."""
-EXACT = np.diag([1e-5] * 3 + [1e-5] * 3) ** 2
+EXACT = 1e-10 * np.eye(6)
 """Covariance of the base that the others are stated in [rad^2, m^2]: of joints and encoders."""
 
 
