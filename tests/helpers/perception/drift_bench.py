@@ -233,7 +233,7 @@ def look_without_pictures(
         if not np.abs(ways).max() < 150.0:
             raise NotSeen("far away")
         ways = ways + rng.normal(scale=0.15, size=2) + rng.normal(scale=0.25)
-        return ShaftSeen(np.array(places, dtype=float), normals, ways, 0.15)
+        return ShaftSeen(np.array(places, dtype=float), normals, ways, 0.15, 0.8)
 
     grey = rng.integers(0, 255, (48, 64, 3)).astype(np.uint8)  # never twice the same
     with patch.object(drift_watch, "find_shaft", find):

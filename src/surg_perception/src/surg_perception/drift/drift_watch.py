@@ -30,6 +30,8 @@ PAUSE = 0.1
 """[s] Least time between two sightings of one instrument; bounds the cost."""
 THINNED = 8
 """Every so many pixels are compared: equal ones show a picture that stands still."""
+WIDER = 0.15
+"""A shaft is at most so much wider or narrower than it mostly was, relative."""
 MOMENT = 0.005
 """[s] Joints are taken so long before and behind a picture, for the speed."""
 
@@ -90,6 +92,7 @@ class DriftWatch:
         self._focal = float(lenses[0].K[0, 0])
         self._last: dict[str, tuple[float, FloatArray]] = {}
         self._newest: dict[str, _Axis] = {}
+        self._widths: dict[str, list[float]] = {}
         self._evidence = DriftEvidence(self.parts)
         self._before: list[Picture] | None = None
         self.unseen: Counter[str] = Counter()
@@ -174,6 +177,9 @@ class DriftWatch:
             except NotSeen as why:
                 self.unseen[str(why)] += 1
                 continue
+            if not self._as_wide_as_ever(axis.arm, seen.width):
+                self.unseen["a shaft of another width is seen"] += 1
+                continue
             for at, normal in zip(np.round(seen.at).astype(int), seen.normals, strict=True):
                 rows.append(normal @ self._derivatives(axis, eye, int(at)))
             residuals.extend(seen.offsets)
@@ -200,6 +206,12 @@ class DriftWatch:
             per_pixel=axis.p_V[at, 2] / self._focal if metres else 1.0,
         )
         return derivatives(point, self.parts, self.held.arm, self._origins)
+
+    def _as_wide_as_ever(self, arm: str, width: float) -> bool:
+        """Whether a width is that of this shaft: a streak of light along it is narrower."""
+        widths = self._widths.setdefault(arm, [])
+        widths.append(width)
+        return abs(width / float(np.median(widths)) - 1.0) < WIDER
 
     def _radius(self, name: str) -> float:
         capsules = self._arms[name].instrument.capsules

@@ -19,7 +19,7 @@ from surg_core.transforms import FloatArray
 Grey = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-REACH = 150
+REACH = 120
 """[px] Farthest offset that is searched, in a picture of 640 pixels."""
 SLANTS = np.tan(np.radians(np.arange(-12.0, 12.1, 4.0)))
 """Slants of the seen axis against the predicted one that are tried."""
@@ -56,12 +56,14 @@ class ShaftSeen:
         normals: (2, 2) directions across the axis in the picture.
         offsets: (2,) along the normals [px]; their errors are independent.
         sd: One sigma of either offset [px], of the rows' scatter alone.
+        width: Of the shaft, as a share of the predicted one.
     """
 
     at: FloatArray
     normals: FloatArray
     offsets: FloatArray
     sd: float
+    width: float
 
 
 @dataclass(frozen=True)
@@ -175,7 +177,10 @@ def _contrast(sums: FloatArray, half: int) -> FloatArray:
     left = mean(-half - beside, -half - 1) - inside
     right = mean(half + 1, half + beside) - inside
     least = np.minimum(np.minimum(np.abs(left), np.abs(right)), 10.0 * CONTRAST)
-    return np.where(left * right > 0.0, np.sign(left) * least, 0.0)
+    alike = np.where(left * right > 0.0, np.sign(left) * least, 0.0)
+    edge = half + beside  # nearer to the strip's end nothing is known of one side
+    alike[:, :edge] = alike[:, m - edge :] = 0.0
+    return alike
 
 
 def _refined(strip: _Strip, line: FloatArray, half: float) -> ShaftSeen:
@@ -204,6 +209,7 @@ def _refined(strip: _Strip, line: FloatArray, half: float) -> ShaftSeen:
         strip.normals[nearest],
         fit[0] + fit[1] * places,
         scatter * np.sqrt(2.0 / len(s)),
+        half / strip.half,
     )
 
 
