@@ -23,8 +23,9 @@ from helpers.recording.stereo_recording import EYES, FRAME_NS, camera_info, imag
 from helpers.sim.calibrated_chain import Chain
 from surg_core.lens_file import load_lens
 from surg_perception.calibration.result_files import LEFT, RIGHT
+from surg_perception.calibration.tip_finder import NotSeen
 from surg_perception.drift import drift_watch
-from surg_perception.drift.shaft_finder import NotSeen, ShaftSeen
+from surg_perception.drift.shaft_finder import ShaftSeen
 from surg_recording.episode.episode_recorder import Recording
 
 Array = NDArray[np.float64]

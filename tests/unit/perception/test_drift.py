@@ -29,9 +29,10 @@ from surg_cli.host.terminal import CliError
 from surg_core.camera_file import load_camera
 from surg_core.lens_file import load_lens
 from surg_perception.calibration.result_files import LEFT, RIGHT
+from surg_perception.calibration.tip_finder import NotSeen
 from surg_perception.drift.drift_state import MOVED, STEADY, UNKNOWN, DriftState, state_of
 from surg_perception.drift.drift_watch import DriftWatch
-from surg_perception.drift.shaft_finder import NotSeen, find_shaft, lit_part
+from surg_perception.drift.shaft_finder import find_shaft, lit_part
 from surg_perception.drift.stated_parts import stated_parts
 from surg_sim.physics.patient_settings import SETTINGS
 from surg_sim.physics.pose_error import PoseError

@@ -170,9 +170,9 @@ class DriftEvidence:
 
     def _free(self) -> FloatArray:
         """(P, P) covariance if everything moved."""
-        free = self._still.copy()
+        free = self._still
         for part in self.parts:
-            free[part.at, part.at] += part.moved
+            free = _with(free, part, 1.0)
         return free
 
 

@@ -15,10 +15,11 @@ from surg_core.held_endoscope import HeldEndoscope, held_endoscope
 from surg_core.lens_file import Lens
 from surg_core.pictures.eye_projection import EyeProjection
 from surg_core.transforms import FloatArray
+from surg_perception.calibration.tip_finder import Mask, NotSeen
 from surg_perception.depth.rectification import Picture
 from surg_perception.drift.drift_evidence import DriftEvidence, Sighting, Verdict
 from surg_perception.drift.moving_parts import EYES, Part, SeenPoint, derivatives
-from surg_perception.drift.shaft_finder import Grey, Mask, NotSeen, find_shaft, lit_part
+from surg_perception.drift.shaft_finder import Grey, find_shaft, lit_part
 
 SHAFT = (0.022, 0.07)
 """[m] Part of the shaft that is looked for, up from the tip: behind the jaws."""

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surg_core.transforms import FloatArray
+from surg_perception.calibration.tip_finder import LIT, Mask, NotSeen
 
 Grey = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 REACH = 120
 """[px] Farthest offset that is searched, in a picture of 640 pixels."""
@@ -25,8 +25,6 @@ SLANTS = np.tan(np.radians(np.arange(-12.0, 12.1, 4.0)))
 """Slants of the seen axis against the predicted one that are tried."""
 WIDTHS = (0.55, 0.7, 0.85, 1.0)
 """Half widths that are tried, as shares of the predicted one: a capsule holds the jaw too."""
-LIT = 12.0
-"""[grey levels] Darker pixels lie outside the round picture, unless lit ones surround them."""
 COARSE = 0.25
 """Size of the picture in which the round edge is looked for, relative."""
 CONTRAST = 5.0
@@ -41,10 +39,6 @@ RIVAL = 0.85
 """Another bar with this share of the best one's contrast: which of them is the shaft?"""
 BLUR = 0.15
 """[px] Least scatter of a row's axis: an edge is no better than that."""
-
-
-class NotSeen(ValueError):
-    """The shaft is not found; the message says why."""
 
 
 @dataclass(frozen=True)
