@@ -122,8 +122,8 @@ def test_a_bump_is_said_while_the_arm_moves(player: Player, ros_graph: RosGraph)
     ros_graph.wait_for(player.heard, 20.0, "the node listens")
     player.play()
     bumped = player.begun + BUMP_S
-    ros_graph.wait_for(lambda: any(m.refused for _, m in told), SECONDS + 5.0, "a refusal")
-    at, first = next((at, message) for at, message in told if message.refused)
+    ros_graph.wait_for(lambda: any(m.refusal for _, m in told), SECONDS + 5.0, "a refusal")
+    at, first = next((at, message) for at, message in told if message.refusal)
     print(f"refused {at - bumped:.1f} s after the bump: {first.detail}")
     before = [message for at, message in told if at < bumped]
     assert before and {m.state for m in before[-2:]} == {DriftStatus.STATE_STEADY}
@@ -135,5 +135,5 @@ def test_a_bump_is_said_while_the_arm_moves(player: Player, ros_graph: RosGraph)
     assert any(m.marks for t, m in marks if t < bumped)
     player.close()
     assert not [t for t, m in marks if t > at + 0.5], "no mark where the picture is not trusted"
-    assert told[-1][1].refused, "once refused, always"
+    assert told[-1][1].refusal, "once refused, always"
     assert node.exit_code is None

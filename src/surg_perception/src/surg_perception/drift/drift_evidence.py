@@ -179,7 +179,7 @@ class DriftEvidence:
 
 
 def _since(window: Sequence[Sighting], gain: FloatArray) -> float:
-    """When it moved: from there on the motion gains most over rest, by each residual's gain (m,)."""
+    """When it moved: motion gains most over rest from there on, by each residual's gain (m,)."""
     first = np.cumsum([0, *(len(each.r) for each in window[:-1])])
     after = np.cumsum(np.add.reduceat(gain, first)[::-1])[::-1]
     return window[int(np.argmax(after))].stamp

@@ -84,7 +84,6 @@ class LiveDrift:
             state=WORDS[state.word],
             cause=state.cause,
             detail=state.sentence(),
-            refused=bool(self.refusal),
             since=self._since,
             refusal=self.refusal,
         )

@@ -110,7 +110,7 @@ class ServerIO:
 
     def on_drift(self, message: DriftStatus) -> None:
         """Whether the pictures are what was calibrated; once they are not, they stay so."""
-        if message.refused and not fault(message):
+        if message.refusal and not fault(message):
             with self.lock:
                 self._moved = message.refusal
                 self.rouse()

@@ -16,7 +16,7 @@ from std_msgs.msg import Bool, String
 
 from crtk_msgs.msg import OperatingState, StringStamped
 from surg_core.force.observed_force import TOPICS
-from surg_core.status_check import LatestStatus, fault, value_name
+from surg_core.status_check import LatestStatus, fault
 from surg_msgs.msg import (
     ClockSync,
     Cycle,
@@ -218,13 +218,13 @@ class RecorderTopics:
 
     def _on_drift(self, message: DriftStatus) -> None:
         """The watch over the picture: changes are events; what it refuses is in the manifest."""
-        text = f"{value_name(message, 'state')}: {message.detail}"
-        changed = (message.state, message.cause) != self._drift
-        self._drift = message.state, message.cause
-        if changed and self._is_new(DRIFT_TOPIC, message) and not fault(message):
+        if fault(message):
+            return
+        before, self._drift = self._drift, (message.state, message.cause)
+        if self._drift != before and self._is_new(DRIFT_TOPIC, message):
             stamp = table_rows.nanoseconds(message.header.stamp)
-            self._state.event(DRIFT_TOPIC, sender(message), text, stamp)
-        if message.refused:
+            self._state.event(DRIFT_TOPIC, sender(message), message.detail, stamp)
+        if message.refusal:
             since = table_rows.nanoseconds(message.since)
             self._state.drift = {"since_ns": since, "cause": message.cause, "text": message.refusal}
 

@@ -116,7 +116,7 @@ class TeleopNode:
             self._picture.picture(time.monotonic(), stamp, zlib.crc32(data[16 + frame :]))
 
     def _on_drift(self, message: DriftStatus) -> None:
-        if message.refused and not fault(message):  # for good: it needs another calibration
+        if message.refusal and not fault(message):  # for good: it needs another calibration
             with self._lock:
                 self._moved = message.refusal
 
