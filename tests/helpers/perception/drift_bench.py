@@ -75,21 +75,33 @@ class Motion:
     """
 
     def __init__(self, chain: Chain, seed: int, seconds: float, scope: bool) -> None:
-        rng, bench = np.random.default_rng(seed), chain.bench
         self.t = np.arange(int(seconds * RATE)) / RATE
+        for size in (1.0, 0.7, 0.5, 0.3):
+            try:
+                self._q = self._joints(chain, np.random.default_rng(seed), scope, size)
+            except RuntimeError:  # an arm does not reach that far
+                continue
+            return
+        raise RuntimeError(f"motion {seed}: out of reach")
+
+    def _joints(
+        self, chain: Chain, rng: np.random.Generator, scope: bool, size: float
+    ) -> dict[str, Array]:
+        """(n, 6) of both arms; `size` scales the ways."""
+        bench = chain.bench
         x, y, z = (self._smooth(rng, 0.25) for _ in range(3))
-        p_V = np.column_stack([0.012 * x, 0.012 * y, 0.085 + 0.007 * z])
+        p_V = np.column_stack([0.012 * size * x, 0.012 * size * y, 0.085 + 0.007 * size * z])
         scope_arm = bench.cell.arms[SCOPE]
         q_scope = np.tile(np.array(scope_arm.robot.home), (len(self.t), 1))
         if scope:
-            ways = 0.01 * np.column_stack([self._smooth(rng, 0.08) for _ in range(3)])
+            ways = 0.01 * size * np.column_stack([self._smooth(rng, 0.08) for _ in range(3)])
             places = bench.scope.tip_home + ways - ways[0]
             q_scope = np.array([bench._touching(bench.scope, place) for place in places])
         X_TS = surg_core.inverse_pose(bench.tool.arm.X_WB_stated) @ chain.X_W_ECM
         X_TV = X_TS @ np.asarray(scope_arm.chain.forward_batch(q_scope)) @ bench.X_FV
         places = np.einsum("nij,nj->ni", X_TV[:, :3, :3], p_V) + X_TV[:, :3, 3]
         q_tool = np.array([bench._touching(bench.tool, place) for place in places])
-        self._q = {TOOL: q_tool, SCOPE: q_scope}
+        return {TOOL: q_tool, SCOPE: q_scope}
 
     def _smooth(self, rng: np.random.Generator, highest: float) -> Array:
         """Slow noise (n,) of unit variance, up to a frequency [Hz]."""

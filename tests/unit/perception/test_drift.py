@@ -163,7 +163,7 @@ def test_the_interval_holds_the_truth(benches: list[DriftBench], full: bool) -> 
     for seed in range(count):
         rng = np.random.default_rng(7000 + seed)
         bench, moved = benches[seed % CALIBRATIONS], any_bump(rng)
-        motion, watch = Motion(bench.chain, seed % 6, 8.0, True), watch_of(bench.cell)
+        motion, watch = Motion(bench.chain, seed, 8.0, True), watch_of(bench.cell)
         ways: list[float] = []
         for at in motion.t:
             if look_without_pictures(watch, bench, motion, float(at), moved, rng):

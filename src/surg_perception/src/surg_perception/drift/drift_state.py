@@ -71,7 +71,7 @@ def state_of(verdict: Verdict | None, unseen: Counter[str]) -> DriftState:
     reach = INTERVAL * verdict.beside_sd
     low, high = max(0.0, verdict.beside - reach), verdict.beside + reach
     word = MOVED if verdict.nothing < SURE else UNKNOWN
-    if verdict.nothing > LIKELY or (word == MOVED and low < LEAST):
+    if verdict.nothing > LIKELY or (word == MOVED and verdict.beside < LEAST):
         word = STEADY
     reason, cause = "", ""
     if word != STEADY and verdict.misfit > EXPLAINED:
