@@ -12,6 +12,7 @@ import pytest
 from helpers.graph.surg import environment, start, surg
 from surg_cli.graph import master, processes, running
 from surg_cli.host import paths
+from surg_ros.arm_port import MOTION_COMMANDS, OTHER_COMMANDS
 
 pytestmark = pytest.mark.ros
 
@@ -43,6 +44,9 @@ def test_up_status_stop_down(tmp_path: Path) -> None:
         assert json.loads(system.file.read_text())["command"] == "up", "the list is plain JSON"
         assert {"/sim", "/PSM1/controller", "/recorder"} <= set(system.nodes)
         assert processes.wait_until(lambda: "is up" in log.read_text(), START_S, 0.1)
+        subscribers = dict(master.call(system.master_uri, "getSystemState")[1])
+        for name in {*MOTION_COMMANDS, *OTHER_COMMANDS} - {"rcm/track"}:  # no trocar moves
+            assert subscribers[f"/PSM1/{name}"] == ["/PSM1/controller"]
         status = surg("status", "--port", port)
         assert status.returncode == 0, status.stdout + status.stderr
         for word in ("/PSM1/controller", "/PSM1/cycle", " Hz", "last errors", "running"):
