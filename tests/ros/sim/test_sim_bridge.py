@@ -192,28 +192,6 @@ def test_a_stranger_is_not_taken_for_the_controller(ros_graph: RosGraph, rospy_n
     assert "the controller does not subscribe /PSM1/tool/measured_js" in log
 
 
-@pytest.mark.untimed
-@pytest.mark.parametrize(
-    ("params", "words"),
-    [
-        ({"mode": "fast"}, "~mode"),
-        ({"cell": "/nowhere"}, "/nowhere"),
-        ({"observers": ["spectator"]}, "spectator"),
-        ({"arms": ["PSM9"]}, "PSM9"),
-        ({"seed": -1}, "~seed"),
-        ({"faults": '{"fault": "gremlin"}'}, "not_finite, freeze"),
-        ({"faults": '{"fault": "not_finite", "joint": 6}'}, "0 to 5"),
-    ],
-)
-def test_broken_configuration_ends_with_2(
-    ros_graph: RosGraph, rospy_node: str, params: dict, words: str
-) -> None:
-    child = ros_graph.node("surg_sim", "bridge_node.py", "/sim", {"cell": str(CELL), **params})
-    ros_graph.wait_for(lambda: child.exit_code is not None, 60.0, "the bridge to refuse")
-    assert child.exit_code == 2
-    assert words in child.log_tail(20)
-
-
 def test_free_run_keeps_its_rate_and_its_dead_man(ros_graph: RosGraph, rospy_node: str) -> None:
     controller = Controller(0.05, 10_000)
     with running(ros_graph, controller, mode="freerun"):

@@ -400,11 +400,3 @@ def test_lockstep_is_the_same_under_jitter(ros_graph: RosGraph, rospy_node: str)
     nervous, _ = lockstep_run(ros_graph, 1)
     assert calm == nervous
     assert states[-2:] == ["WAITING", "FOLLOWING"]
-
-
-def test_what_must_not_be_used_ends_with_2(ros_graph: RosGraph, rospy_node: str) -> None:
-    params = {"cell": TWO_ARMS, "leader": "crtk", "scale": 5.0}
-    child = ros_graph.node("surg_teleop", "teleop_node", "/teleop", params)
-    ros_graph.wait_for(lambda: child.exit_code is not None, 20.0, "the node to refuse")
-    assert child.exit_code == 2
-    assert "teleop: parameter ~scale is 5.0; allowed: a number from 0.01 to 1" in child.log_tail(20)
