@@ -108,25 +108,27 @@ def test_waits_until_all_announced_messages_are_there(ros_graph: RosGraph, rig: 
     assert cycle.refused == 1
 
 
-def test_wrong_frame_is_refused_with_a_warning(ros_graph: RosGraph, rig: Rig) -> None:
+def test_what_is_refused_is_said_with_the_cure(ros_graph: RosGraph, rig: Rig) -> None:
+    """A motion before enable; then a frame and a size that are none."""
     start(ros_graph, rig)
+    rig.step()
+    rig.pose(np.array([0.0, 0.0, 0.12]))
+    cycle = rig.step()
+    assert cycle.refused == 1
+    assert not np.any(cycle.qd_command)
+    rig.wait_text("warning", "state_command first")
     p = tip_in_rcm(rig.enable())
     rig.pose(p, frame="PSM1_base")
     cycle = rig.step()
-    assert cycle.refused == 1
+    assert cycle.refused == 2
     assert cycle.state == Cycle.ENABLED
     text = rig.wait_text("warning", "PSM1_base")
     assert "PSM1_rcm" in text and "servo_cp" in text
     rig.pose(p, frame="")
-    assert rig.step().refused == 1
-
-
-def test_wrong_size_is_refused_with_a_warning(ros_graph: RosGraph, rig: Rig) -> None:
-    start(ros_graph, rig)
-    rig.enable()
+    assert rig.step().refused == 2
     rig.servo_jp.publish(JointState(position=[0.0, 0.0, 0.1]))
     rig.sent += 1
-    assert rig.step().refused == 1
+    assert rig.step().refused == 3
     assert "yaw, pitch, insertion, roll" in rig.wait_text("warning", "servo_jp")
 
 
@@ -144,16 +146,6 @@ def test_f01_not_finite_is_a_fault_and_output_stays_finite(
     for _ in range(20):
         rig.pose(p)
         assert rig.step().state == Cycle.FAULT
-
-
-def test_motion_before_enable_is_refused_with_the_cure(ros_graph: RosGraph, rig: Rig) -> None:
-    start(ros_graph, rig)
-    rig.step()
-    rig.pose(np.array([0.0, 0.0, 0.12]))
-    cycle = rig.step()
-    assert cycle.refused == 1
-    assert not np.any(cycle.qd_command)
-    rig.wait_text("warning", "state_command first")
 
 
 def test_undeclared_sender_is_obeyed_and_reported(ros_graph: RosGraph, rig: Rig) -> None:
