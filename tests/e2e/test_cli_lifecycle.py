@@ -100,6 +100,7 @@ def test_a_dying_node_ends_the_system_and_is_named(tmp_path: Path) -> None:
     assert processes.wait_until(lambda: all_gone(list(system.nodes.values())), 5.0)
 
 
+@pytest.mark.untimed
 @pytest.mark.parametrize(
     "number",
     [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.full), signal.SIGKILL],
@@ -116,6 +117,7 @@ def test_demo_leaves_nothing_behind(number: signal.Signals, tmp_path: Path) -> N
     assert processes.wait_until(lambda: not master.port_in_use(system.port), 5.0)
 
 
+@pytest.mark.untimed
 def test_a_dying_node_fails_the_demo_and_is_named(tmp_path: Path) -> None:
     log, out = tmp_path / "demo.log", tmp_path / "run"
     with start(log, "demo", "--no-video", "--out", out) as process:
@@ -132,6 +134,7 @@ def test_a_dying_node_fails_the_demo_and_is_named(tmp_path: Path) -> None:
     assert processes.wait_until(lambda: all_gone(list(system.nodes.values())), 5.0)
 
 
+@pytest.mark.untimed
 def test_a_broken_cell_is_refused_by_up(tmp_path: Path) -> None:
     (tmp_path / "cell.yaml").write_text("format: surg_cell/1\nname: x\nnetwork: internet\n")
     done = surg("up", tmp_path)
@@ -139,6 +142,7 @@ def test_a_broken_cell_is_refused_by_up(tmp_path: Path) -> None:
     assert "network" in done.stderr
 
 
+@pytest.mark.untimed
 def test_status_without_a_system_says_how_to_start_one() -> None:
     port = master.free_port()
     done = surg("status", "--port", port)
@@ -146,6 +150,7 @@ def test_status_without_a_system_says_how_to_start_one() -> None:
     assert "./surg up CELL" in done.stderr
 
 
+@pytest.mark.untimed
 def test_print_gives_every_rosrun_line() -> None:
     done = surg("up", "sim_panda", "--print")
     assert done.returncode == 0
@@ -154,6 +159,7 @@ def test_print_gives_every_rosrun_line() -> None:
     assert sum(line.startswith("rosrun ") for line in lines) == 5
 
 
+@pytest.mark.untimed
 def test_stop_without_a_system_says_so() -> None:
     done = surg("stop", "--port", master.free_port())
     assert done.returncode == 1

@@ -170,6 +170,7 @@ def test_two_controllers_do_not_drive_one_robot(arm: Rig, tmp_path: Path) -> Non
     assert arm.condition() is Condition.ACTIVE or busy_machine, arm.state.status
 
 
+@pytest.mark.untimed
 def test_a_field_that_the_robot_does_not_know_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     known = {name: kind for name, kind in rtde_server.OUTPUTS.items() if name != "payload_cog"}
     monkeypatch.setattr(rtde_server, "OUTPUTS", known)
@@ -178,6 +179,7 @@ def test_a_field_that_the_robot_does_not_know_is_named(monkeypatch: pytest.Monke
     assert "payload_cog" in said and "NOT_FOUND" in said
 
 
+@pytest.mark.untimed
 def test_an_old_controller_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(ur_controller.VERSIONS, "5", (5, 5, 1, 82186))
     with emulated_ur.in_process(UrController()) as emulator:
@@ -185,6 +187,7 @@ def test_an_old_controller_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "5.5.1.82186" in said and "PolyScope 5.6" in said
 
 
+@pytest.mark.untimed
 @pytest.mark.parametrize(
     ("answers", "said"), [(b"", "refused"), (b"SSH-2.0\n", "something else than a UR")]
 )

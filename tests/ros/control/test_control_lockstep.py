@@ -36,7 +36,7 @@ from helpers.graph.ros import RosGraph
 from surg_cli.graph import master
 from surg_msgs.msg import Cycle, LinkStatus
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
 
 def test_every_tick_is_answered_and_the_arm_follows(ros_graph: RosGraph, rig: Rig) -> None:
@@ -55,7 +55,6 @@ def test_every_tick_is_answered_and_the_arm_follows(ros_graph: RosGraph, rig: Ri
     assert np.allclose(p_tip, cycles[-1].p_tip, atol=1e-12)
 
 
-@pytest.mark.untimed
 def test_same_commands_give_the_same_answers(ros_graph: RosGraph, rospy_node: str) -> None:
     runs = []
     for jitter in (0.0, 3.0):
@@ -268,6 +267,7 @@ def test_sigterm_commands_zero_and_exits_cleanly(ros_graph: RosGraph, rig: Rig) 
     assert child.process.wait(10) == 0
 
 
+@pytest.mark.timed
 def test_free_run_keeps_500_hz(ros_graph: RosGraph, rig: Rig) -> None:
     rig.says["lockstep"] = False
     start(ros_graph, rig, mode="freerun", participants=[])
@@ -328,7 +328,6 @@ BROKEN = [
 ]
 
 
-@pytest.mark.untimed
 @pytest.mark.parametrize(("change", "part"), BROKEN)
 def test_f15_broken_parameters_exit_with_2(
     ros_graph: RosGraph, change: dict[str, object], part: str

@@ -32,7 +32,7 @@ from helpers.graph.ros import RosGraph, find_executable
 from surg_cli.graph import master
 from surg_msgs.msg import Cycle, PointVelocityStamped
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
 
 class Voice:
@@ -295,6 +295,7 @@ class Relay:
         self._listener.close()
 
 
+@pytest.mark.timed
 @pytest.mark.parametrize("how", ["dead", "frozen"])
 def test_f07_a_lost_master_is_noticed_and_the_loop_goes_on(
     ros_graph: RosGraph, rig: Rig, how: str
@@ -325,6 +326,7 @@ def test_f07_a_lost_master_is_noticed_and_the_loop_goes_on(
         relay.cut()
 
 
+@pytest.mark.timed
 def test_f07_a_lost_master_refuses_enable_in_real_time(ros_graph: RosGraph, rig: Rig) -> None:
     relay = Relay(ros_graph.uri)
     env = {"ROS_MASTER_URI": relay.uri}
@@ -345,6 +347,7 @@ def test_f07_a_lost_master_refuses_enable_in_real_time(ros_graph: RosGraph, rig:
         relay.cut()
 
 
+@pytest.mark.timed
 def test_f09_stamps_of_the_future_are_counted_and_decide_nothing(
     ros_graph: RosGraph, rig: Rig, voice: Voice
 ) -> None:
@@ -358,6 +361,7 @@ def test_f09_stamps_of_the_future_are_counted_and_decide_nothing(
         )
 
 
+@pytest.mark.timed
 def test_f09_a_halted_sim_clock_does_not_stop_the_watchdog(ros_graph: RosGraph, rig: Rig) -> None:
     master.call(ros_graph.uri, "setParam", "/use_sim_time", True)
     start(ros_graph, rig, mode="freerun", participants=[])
@@ -396,6 +400,7 @@ def stream(
     assert not check or np.abs(sent[-1]).max() > 0.01, "the arm does not move"
 
 
+@pytest.mark.timed
 @pytest.mark.parametrize(
     ("nodelet", "how"),
     [(False, signal.SIGTERM), (True, signal.SIGTERM), (True, signal.SIGINT), (True, None)],

@@ -24,7 +24,7 @@ from surg_ros2.cdr import Codec
 from surg_ros2.message_types_node import fields
 
 pytest.importorskip("cyclonedds", reason="missing: ./surg dev setup --all installs cyclonedds")
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
 NUDGE = ROOT / "tests" / "helpers" / "sim" / "nudge_task.py"
 WAIT_S = 120.0
