@@ -33,6 +33,7 @@ from surg_console.session.console_orders import (
 )
 from surg_console.session.console_session import Phase
 from surg_console.session.fixture_view import FixtureView
+from surg_console.session.system_state import Drift
 from surg_core import Fixture
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
@@ -322,6 +323,19 @@ async def test_the_page_shows_clearance_and_virtual_fixtures() -> None:
             shown = f"{node}.querySelector('b').innerText === '{clearance * 1e3:.0f}'"
             await tab.until(shown, tone, 20.0)
             assert await tab.run(f"{node}.dataset.tone") == tone
+        drift = "document.querySelector('#drift')"
+        assert await tab.run(f"{drift}.hidden")
+        moved = Drift("moved", 0.0021, 0.0034, 0.0047, "it moved")
+        watched = (
+            (Drift("steady", 0.0001, 0.0004, 0.0007), "good", "0.4mm0.1to0.7,95%"),
+            (Drift("cannot tell: dark", None), "good", "–mmcannottell:dark"),
+            (moved, "bad", "3.4mm2.1to4.7,95%itmoved"),
+        )
+        for said, tone, words in watched:
+            made.system.now = replace(made.system.now, drift=said)
+            shown = f"{drift}.textContent.replace(/\\s/g, '').includes('{words}')"
+            await tab.until(shown, words, 20.0)
+            assert await tab.run(f"{drift}.dataset.tone") == tone
         rows = await tab.run("document.querySelector('#fixtures-list').innerText")
         assert "floor" in rows and "stay in: 4.0 mm" in rows
         away = np.hypot(0.03, 0.016) - 0.01

@@ -12,6 +12,7 @@ import pytest
 
 import surg_core
 from helpers.graph.ros import RosGraph
+from helpers.perception.live_eyes import camera_info
 from helpers.perception.plane_pair import PlanePair
 from surg_cli.host import paths
 from surg_core.lens_file import Lens
@@ -58,7 +59,7 @@ class Sender:
             for image, info, picture, lens in zip(
                 self._images, self._infos, self.pictures, self.lenses, strict=True
             ):
-                info.publish(_camera_info(lens, now))
+                info.publish(camera_info(lens, now))
                 height, width, _ = picture.shape
                 message = Image(height=height, width=width, step=3 * width, encoding="rgb8")
                 message.header.stamp, message.header.frame_id = now, lens.camera_name
@@ -68,16 +69,6 @@ class Sender:
     def close(self) -> None:
         self._stop.set()
         self._thread.join()
-
-
-def _camera_info(lens: Lens, stamp: Any) -> Any:
-    from sensor_msgs.msg import CameraInfo
-
-    info = CameraInfo(width=lens.width, height=lens.height, distortion_model=lens.distortion_model)
-    info.header.stamp, info.header.frame_id = stamp, lens.camera_name
-    info.D, info.K = lens.D.tolist(), lens.K.ravel().tolist()
-    info.R, info.P = lens.R.ravel().tolist(), lens.P.ravel().tolist()
-    return info
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from helpers.graph.ros import RosGraph
+from helpers.graph.statuses import complete
 from helpers.graph.surg import surg
 from helpers.graph.twin_publisher import TwinPublisher
 from helpers.machines.set_clock import SetClock
@@ -47,9 +48,10 @@ class Bench:
         self.record = pub("/record/record", Bool)
         self.tag = pub("/record/tag", String)
         self.info = pub("/record/info", String)
+        self.drift = pub("/endoscope/drift", surg_msgs.DriftStatus)
         self.publishers = [
             *(self.cycle, self.joints, self.number, self.pose),
-            *(self.record, self.tag, self.info),
+            *(self.record, self.tag, self.info, self.drift),
         ]
         self.recording: bool | None = None
         self.status = surg_msgs.RecordStatus()
@@ -140,6 +142,9 @@ def test_any_topic_tags_and_facts_are_recorded(bench: Bench, tmp_path: Path) -> 
         if k == 30:
             bench.tag.publish('{"stage": "approach"}')
         time.sleep(0.001)
+    told = complete("DriftStatus", {"state": 3, "refusal": "it moved", "detail": "moved: by 3 mm"})
+    for _ in range(3):
+        bench.drift.publish(told)
     bench.tag.publish("{broken")
     bench.tag.publish("slipped")
     bench.tag.publish('{"success": true}')
@@ -163,6 +168,10 @@ def test_any_topic_tags_and_facts_are_recorded(bench: Bench, tmp_path: Path) -> 
     assert manifest["result"] == {"success": True, "reason": "", "by": rospy.get_name()}
     assert (manifest["operator"], manifest["setting"]) == ("B", "ex_vivo")
     assert manifest["task"] == "bgr"
+    assert manifest["drift"] == {"since_ns": 7 * 10**9, "cause": "text", "text": "it moved"}
+    events = recorded.table("events")
+    said = zip(events["topic"], events["text"], strict=True)
+    assert [text for topic, text in said if "drift" in topic] == ["moved: by 3 mm"], "once"
     assert manifest["parameters"]["recorder"]["mode"] == "freerun"
     silent = [text.partition(":")[0] for text in recorded.warnings]
     assert silent == ["/tool/pose", "/never", "/nobody/*"]

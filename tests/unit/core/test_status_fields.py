@@ -29,8 +29,11 @@ from surg_console.session.system_state import Arm, Robot
 from surg_console.web import calibration_socket
 from surg_core.status_check import values
 from surg_msgs import msg
+from surg_policy_bridge.nodes.server_io_node import ServerIO
 from surg_policy_bridge.server import operator_first
+from surg_policy_bridge.server.stop_reason import StopReason
 from surg_recording.nodes.recorder_topics_node import RecorderTopics
+from surg_teleop.follow.teleop_node import TeleopNode
 from surg_teleop.playback.operator_node import OperatorNode
 
 TIME = time.monotonic
@@ -149,6 +152,32 @@ def sender_has_given_up(status: Any) -> bool:
     return "expert" in heard_by_watch({"/expert/status": status}).gave_up
 
 
+# --- DriftStatus -----------------------------------------------------------------------------
+
+
+def hand_is_refused(status: Any) -> bool:
+    teleop = TeleopNode.__new__(TeleopNode)
+    teleop.__dict__.update(_lock=threading.Lock(), _moved="")
+    teleop._on_drift(status)
+    return bool(teleop._moved)
+
+
+def policy_is_refused(status: Any) -> bool:
+    server = ServerIO.__new__(ServerIO)
+    server.__dict__.update(lock=threading.Lock(), _moved="", rouse=lambda: None)
+    server.on_drift(status)
+    refused = operator_first.refusal([], newest("/", None), TIME(), False, moved=server._moved)
+    return refused[0] is StopReason.CAMERA_MOVED
+
+
+def manifest_says_it(status: Any) -> bool:
+    topics = RecorderTopics.__new__(RecorderTopics)
+    topics._drift = (status.state, status.cause)
+    topics._state = SimpleNamespace(drift={})
+    topics._on_drift(status)
+    return bool(topics._state.drift)
+
+
 # --- what the deciders need --------------------------------------------------------------------
 
 
@@ -166,6 +195,7 @@ def console_state(status: Any) -> Robot:
         "RecordStatus": "/record/status",
         "SimStatus": "/sim/status",
         "CalibrationStatus": "/calibrate/status",
+        "DriftStatus": "/endoscope/drift",
     }
     made = RosSystem.__new__(RosSystem)
     heard = {topic: newest(topic, None) for topic in topics.values()}
@@ -270,6 +300,12 @@ DECIDERS: dict[str, list[Decider]] = {
     "CalibrationStatus": [
         Decider(console_may_ask_the_collector, ("state", "step"), {}),
     ],
+    # A watch that says nothing refuses nothing: it is no part of what keeps an arm safe.
+    "DriftStatus": [
+        Decider(hand_is_refused, ("state", "refusal"), {}),
+        Decider(policy_is_refused, ("state", "refusal"), {}),
+        Decider(manifest_says_it, ("state", "refusal"), {}),
+    ],
     "SenderStatus": [
         Decider(sender_has_given_up, ("stage",), {"stage": msg.SenderStatus.STAGE_FAILED}),
     ],
@@ -312,6 +348,10 @@ NOBODY: dict[str, dict[str, str]] = {
         **dict.fromkeys(("hint", "missing", "result", "folder"), SHOWN),
         **dict.fromkeys(("views", "wanted", "progress", "residual"), RESULT),
         **dict.fromkeys(("columns", "rows", "fields", "needed", "corners"), "drawn on the picture"),
+    },
+    "DriftStatus": {
+        **dict.fromkeys(("cause", "detail"), SHOWN),
+        **dict.fromkeys(("least", "expected", "most", "since"), RESULT),
     },
     "SenderStatus": {
         **dict.fromkeys(("detail", "motion", "mode"), SHOWN),

@@ -97,6 +97,7 @@ def test_nobody_present_gives_nothing_away() -> None:
         "SimStatus",
         "SenderStatus",
         "CalibrationStatus",
+        "DriftStatus",
     ],
 )
 def test_every_status_declares_version_stamp_and_enumerations_without_zero(kind: str) -> None:

@@ -56,7 +56,7 @@ def test_joints_that_are_no_numbers_or_come_late_are_ignored() -> None:
     [
         ({"rate": 0.0}, "parameter ~rate is 0.0"),
         ({"near": 0.3, "far": 0.1}, "less than ~far"),
-        ({"marks": True}, "the folder of the cell, where ~marks is true"),
+        ({"marks": True}, "the folder of the cell, with ~marks or ~drift"),
         ({"niceness": -5}, "parameter ~niceness"),
         ({"speed": 1}, "parameter ~speed is unknown"),
     ],

@@ -35,6 +35,7 @@ class Bench:
     arm: GateArm = field(default_factory=GateArm)
     R_WV: np.ndarray = field(default_factory=lambda: R_WV)
     camera_at: float | None = None  # None: the camera is always fresh
+    moved: str = ""
     log: list[TeleopOutput] = field(default_factory=list)
 
     def tick(self, n: int = 1, step: np.ndarray | None = None) -> TeleopOutput:
@@ -43,7 +44,8 @@ class Bench:
             if step is not None:
                 self.hand.move(step)
             now = self.now
-            camera = CameraView(self.R_WV, now if self.camera_at is None else self.camera_at)
+            heard = now if self.camera_at is None else self.camera_at
+            camera = CameraView(self.R_WV, heard, self.moved)
             out = self.teleop.tick(now, self.hand.sample(now), self.arm.view(), camera)
             self.log.append(out)
             self.arm.step(out.commands)
@@ -554,6 +556,18 @@ def test_a_camera_arm_that_is_silent_ends_following() -> None:
     out = bench.tick(round(SILENCE / TICK) + 2)
     assert out.state is TeleopState.WAITING
     assert out.reason is Reason.CAMERA_SILENT
+
+
+def test_in_a_view_that_moved_no_hand_begins_but_one_goes_on() -> None:
+    bench = Bench().engaged()
+    bench.moved = "the picture is not what was calibrated"
+    assert bench.tick(50).state is TeleopState.FOLLOWING, "never in the middle of a motion"
+    bench.hand.buttons = {"clutch"}
+    bench.tick(50)
+    bench.hand.buttons = set()
+    out = bench.tick(50)
+    assert (out.state, out.reason) == (TeleopState.CLUTCHED, Reason.CAMERA_MOVED)
+    assert out.message == bench.moved
 
 
 def test_a_tip_near_the_trocar_is_inserted_first() -> None:

@@ -19,6 +19,7 @@ def test_the_camera_pedal_hands_the_leader_over_and_back() -> None:
         Teleop(settings(), scale=1.0), Teleop(settings(arm="ECM", jaw=None), scale=1.0)
     )
     pedals = PedalMonitor()
+    moved = ""
     seat.enable()
 
     def run(n: int, step: float) -> dict[str, TeleopState]:
@@ -27,7 +28,7 @@ def test_the_camera_pedal_hands_the_leader_over_and_back() -> None:
             hand.move(np.array([step, 0.0, 0.0]))
             sample = pedals.merge(hand.sample(now), now)
             views = {"PSM1": psm.view(), "ECM": ecm.view()}
-            outputs = seat.tick(now, sample, views, CameraView(np.eye(3)))
+            outputs = seat.tick(now, sample, views, CameraView(np.eye(3), moved=moved))
             psm.step(outputs["PSM1"].commands)
             ecm.step(outputs["ECM"].commands)
         return {arm: out.state for arm, out in outputs.items()}
@@ -43,6 +44,11 @@ def test_the_camera_pedal_hands_the_leader_over_and_back() -> None:
     assert run(10, 0.0)["ECM"] is TeleopState.FOLLOWING  # the other foot is still down
     pedals.press("/footpedals", "camera", False, psm.tick * TICK)
     assert run(100, 0.0) == {"PSM1": TeleopState.FOLLOWING, "ECM": TeleopState.CLUTCHED}
+    moved = "the picture is not what was calibrated"
+    pedals.press("/console", "camera", True, psm.tick * TICK)
+    assert run(100, 0.0)["ECM"] is TeleopState.FOLLOWING, "its motion shows what moved"
+    pedals.press("/console", "camera", False, psm.tick * TICK)
+    assert run(100, 0.0)["PSM1"] is TeleopState.CLUTCHED
     assert psm.refusals == ecm.refusals == []
 
 

@@ -208,7 +208,7 @@ def _plan(options: argparse.Namespace) -> SystemPlan:
         lockstep=False,
         cameras=scope.views,
         capture=scope.capture,
-        eyes=endoscope.eyes_of(options.cameras, scope, cell),
+        eyes=endoscope.eyes_of(options.cameras, scope, loaded),
         record_quality=video_quality(options),
         seed=options.seed,
         out=paths.run_folder(options.out),

@@ -109,7 +109,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         lockstep=lock_step,
         cameras=scope.views,
         capture=scope.capture,
-        eyes=endoscope.eyes_of(options.cameras, scope, cell),
+        eyes=endoscope.eyes_of(options.cameras, scope, loaded),
         view=options.view,
         law=options.law,
         out=paths.RUNS / now,

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from surg_cli.host.terminal import CliError
@@ -102,18 +101,39 @@ def add_cameras(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def eyes_of(asked: Pictures, scope: Endoscope, cell: Path) -> dict[str, object] | None:
-    """Parameters of the node ``/eyes``; None: nobody asked for it.
+def eyes_of(asked: Pictures, scope: Endoscope, cell: Any) -> dict[str, object] | None:
+    """Parameters of the node ``/eyes``; None: nobody needs it.
+
+    Both eyes of a calibrated cell are watched for drift.
+
+    Args:
+        asked: By `--cameras`.
+        scope: The endoscope.
+        cell: A loaded cell.
 
     Raises:
         CliError: There are no two eyes.
     """
-    if not (asked.depth or asked.marks):
+    drift = len(scope.views) == len(EYES) and _states_its_errors(cell)
+    if not (asked.depth or asked.marks or drift):
         return None
     if len(scope.views) < 2:
         why = "there are no pictures" if not scope.views else "the endoscope has one eye"
         raise CliError(
             f"{asked.asked}: {why}; allowed: a stereo endoscope, such as that of sim_two_arms", 2
         )
-    params: dict[str, object] = {"depth": asked.depth, "marks": asked.marks}
-    return {**params, "cell": str(cell)} if asked.marks else params
+    params: dict[str, object] = {"depth": asked.depth, "marks": asked.marks, "drift": drift}
+    return {**params, "cell": str(cell.folder)} if asked.marks or drift else params
+
+
+def _states_its_errors(cell: Any) -> bool:
+    """Whether camera and bases of a cell are measured."""
+    if not any(cell.folder.glob("calibration/camera_*.yaml")):
+        return False
+    from surg_core import ConfigError
+    from surg_perception.drift.stated_parts import stated_parts
+
+    try:
+        return bool(stated_parts(cell))
+    except ConfigError:
+        return False

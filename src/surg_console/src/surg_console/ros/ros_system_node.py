@@ -29,6 +29,7 @@ from surg_console.ros.raw_gauges import (
 )
 from surg_console.ros.status_values_node import (
     calibration_of,
+    drift_of,
     fixture_of,
     follower_of,
     policy_of,
@@ -56,6 +57,7 @@ from surg_core.transforms import quaternion_xyzw_to_matrix
 from surg_msgs.msg import (
     CalibrationStatus,
     Cycle,
+    DriftStatus,
     Fixtures,
     PolicyStatus,
     RecordStatus,
@@ -74,6 +76,7 @@ STATUSES = {
     "/sim/status": SimStatus,
     "/policy/status": PolicyStatus,
     "/calibrate/status": CalibrationStatus,
+    "/endoscope/drift": DriftStatus,
 }
 FAST = {"trocar": "trocar/measured_cf", "tip": "tool/measured_cf", "clearance": "clearance"}
 """Topics of the driven arm with live values that its cycle has not."""
@@ -200,7 +203,7 @@ class RosSystem:
             first, others = hands[0], hands[1:]
             own = [hand for hand in others if hand.leader == first.leader]
             recorder, *acted_on = (self._statuses[topic] for topic in STATUSES)
-            sim, policy, calibration = (status.at(now) for status in acted_on)
+            sim, policy, calibration, drift = (status.at(now) for status in acted_on)
             return Robot(
                 tuple(self._arms.values()),
                 first,
@@ -222,6 +225,7 @@ class RosSystem:
                 task=task_of(sim) if sim else SimTask(),
                 policy=policy_of(policy) if policy else PolicyServer(),
                 calibration=calibration_of(calibration) if calibration else None,
+                drift=drift_of(drift) if drift else None,
             )
 
     def _hands(self, now: float) -> list[Follower]:

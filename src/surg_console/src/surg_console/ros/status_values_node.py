@@ -9,6 +9,7 @@ from surg_console.session.fixture_view import region_of
 from surg_console.session.page_status import finite
 from surg_console.session.system_state import (
     Calibration,
+    Drift,
     Follower,
     PolicyServer,
     Recorder,
@@ -16,7 +17,14 @@ from surg_console.session.system_state import (
 )
 from surg_core import Fixture
 from surg_core.status_check import LatestStatus, value_name
-from surg_msgs.msg import CalibrationStatus, HandStatus, PolicyStatus, RecordStatus, SimStatus
+from surg_msgs.msg import (
+    CalibrationStatus,
+    DriftStatus,
+    HandStatus,
+    PolicyStatus,
+    RecordStatus,
+    SimStatus,
+)
 
 
 def fixture_of(message: Any) -> Fixture:
@@ -73,3 +81,11 @@ def policy_of(status: PolicyStatus) -> PolicyServer:
     """The model server."""
     state = value_name(status, "state")
     return PolicyServer(state, status.policy, status.detail, status.refused)
+
+
+def drift_of(status: DriftStatus) -> Drift:
+    """The watch over the picture."""
+    if status.state == DriftStatus.STATE_UNKNOWN:
+        return Drift(status.detail, refusal=status.refusal)
+    least, expected, most = map(finite, (status.least, status.expected, status.most))
+    return Drift(status.detail, least, expected, most, status.refusal)

@@ -42,6 +42,7 @@ def report(
             for hand in robot.helpers
         ],
         "gauges": {name: finite(value) for name, value in vars(robot.gauges).items()},
+        "drift": None if robot.drift is None else vars(robot.drift),
         "fixtures": None if robot.fixtures is None else robot.fixtures.as_json(),
         "limits": dict(limits),
         "scale": finite(robot.follower.scale),

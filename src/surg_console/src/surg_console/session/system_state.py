@@ -98,6 +98,17 @@ class PolicyServer:
 
 
 @dataclass(frozen=True)
+class Drift:
+    """How far instruments are seen beside the place where joints put them; None: unknown."""
+
+    sentence: str  # for people
+    least: float | None = None  # [m], 95 % interval
+    expected: float | None = None  # [m]
+    most: float | None = None  # [m]
+    refusal: str = ""  # why nothing that trusts the picture may begin
+
+
+@dataclass(frozen=True)
 class Calibration:
     """State of the collector of calibration views; see surg_msgs/CalibrationStatus."""
 
@@ -133,6 +144,7 @@ class Robot:
     task: SimTask = SimTask()
     policy: PolicyServer = PolicyServer()
     calibration: Calibration | None = None  # None: no collector of views runs
+    drift: Drift | None = None  # None: nobody watches the picture
 
     @property
     def ready(self) -> bool:

@@ -70,7 +70,7 @@ class Verdict:
         beside: How far instruments are seen beside their place [m].
         beside_sd: One sigma of it [m].
         misfit: Typical residual that the best part leaves, in sigmas: about 1 if it explains all.
-        since: Stamp of the window's first sighting [s].
+        since: Stamp of the first sighting that the motion explains better than rest does [s].
         sightings: How many there are.
     """
 
@@ -149,23 +149,25 @@ class DriftEvidence:
         weight = _weights(A, r, sd, self._free())
         information, pull = (A * weight[:, None]).T @ A, A.T @ (weight * r)
         still = self._still + _covariance(self.parts, STABLE)
-        found = {NOTHING: _posterior(information, pull, still)}
-        for part in self.parts:
-            moved = [_with(still, part, scale) for scale in SCALES]
-            found[part.name] = _mixed([_posterior(information, pull, P) for P in moved])
-        share = np.log(PRIOR / len(self.parts))
-        logs = np.array([log + share * (name != NOTHING) for name, (log, *_) in found.items()])
+        nothing, x, C = _posterior(information, pull, still)
+        left, pulled = information - information @ C @ information, pull - information @ x
+        gains = [_gains(left[part.at, part.at], pulled[part.at], part) for part in self.parts]
+        share = np.log(PRIOR / len(self.parts)) - np.log(len(SCALES))
+        moved = [nothing + share + np.logaddexp.reduce(each) for each in gains]
+        logs = np.array([nothing, *moved])
         p = np.exp(logs - logs.max())
-        probabilities = dict(zip(found, (p / p.sum()).tolist(), strict=True))
-        best = max(self.parts, key=lambda part: probabilities[part.name])
-        _, x, covariance = found[best.name]
+        names = (NOTHING, *(part.name for part in self.parts))
+        probabilities = dict(zip(names, (p / p.sum()).tolist(), strict=True))
+        number = int(np.argmax(moved))
+        best, scale = self.parts[number], SCALES[int(np.argmax(gains[number]))]
+        _, x, covariance = _posterior(information, pull, _with(still, best, scale))
         misfit = float(np.median(np.abs(r - A @ x) / sd)) / 0.6745  # a normal one's median
+        since = _since(window, weight * (r**2 - (r - A @ x) ** 2))
         x = self._x + x
         beside, beside_sd = _beside(np.concatenate([each.place for each in window]), x, covariance)
-        stamp, count = window[0].stamp, len(window)
-        odds = float(logs[1:].max() - logs[0])
+        odds, count = float(logs[1:].max() - logs[0]), len(window)
         return Verdict(
-            probabilities, odds, best, x, covariance, beside, beside_sd, misfit, stamp, count
+            probabilities, odds, best, x, covariance, beside, beside_sd, misfit, since, count
         )
 
     def _free(self) -> FloatArray:
@@ -174,6 +176,13 @@ class DriftEvidence:
         for part in self.parts:
             free = _with(free, part, 1.0)
         return free
+
+
+def _since(window: Sequence[Sighting], gain: FloatArray) -> float:
+    """When it moved: motion gains most over rest from there on, by each residual's gain (m,)."""
+    first = np.cumsum([0, *(len(each.r) for each in window[:-1])])
+    after = np.cumsum(np.add.reduceat(gain, first)[::-1])[::-1]
+    return window[int(np.argmax(after))].stamp
 
 
 def _beside(place: FloatArray, x: FloatArray, covariance: FloatArray) -> tuple[float, float]:
@@ -199,13 +208,20 @@ def _with(still: FloatArray, part: Part, scale: float) -> FloatArray:
     return moved
 
 
-def _mixed(
-    found: Sequence[tuple[float, FloatArray, FloatArray]],
-) -> tuple[float, FloatArray, FloatArray]:
-    """The mean of the evidence, and the most probable mean and covariance."""
-    logs = np.array([log for log, *_ in found])
-    _, x, covariance = found[int(logs.argmax())]
-    return float(np.logaddexp.reduce(logs) - np.log(len(logs))), x, covariance
+def _gains(left: FloatArray, pulled: FloatArray, part: Part) -> list[float]:
+    """How much likelier the residuals become if one part moved, by `SCALES`; logarithms.
+
+    Args:
+        left: (k, k) information on the part's steps that a chain at rest leaves.
+        pulled: (k,) what it leaves of the pull on them.
+        part: The part.
+    """
+    found = []
+    for scale in SCALES:
+        half = scale * np.sqrt(part.moved)  # diagonal
+        S, b = np.eye(len(half)) + half @ left @ half, half @ pulled
+        found.append(0.5 * float(b @ np.linalg.solve(S, b) - np.linalg.slogdet(S)[1]))
+    return found
 
 
 def _posterior(

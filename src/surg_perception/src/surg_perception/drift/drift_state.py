@@ -12,6 +12,8 @@ SURE = 1e-3
 """Probability of no motion below which something moved."""
 LEAST = 0.0003
 """[m] A smaller shift is none that a hand or a policy notices, however sure it is."""
+FAR = 0.001
+"""[m] Surely this far beside their place, nothing that trusts the picture may begin."""
 LIKELY = 0.5
 """Probability of no motion above which the chain is steady."""
 NAMED = 0.9
@@ -38,6 +40,11 @@ class DriftState:
     cause: str = ""
     beside: tuple[float, float, float] = (0.0, 0.0, 0.0)
     since: float = 0.0
+
+    @property
+    def far(self) -> bool:
+        """Whether the picture is not to be trusted any more."""
+        return self.word == MOVED and self.beside[0] > FAR
 
     def sentence(self) -> str:
         """For people."""

@@ -135,17 +135,18 @@ def _bar(strip: _Strip) -> tuple[float, float, float]:
     sums = np.pad(np.cumsum(strip.grey, axis=1, dtype=np.float64), ((0, 0), (1, 0)))
     columns = np.arange(m)
     sheared = [
-        np.clip(columns + np.round(slant * strip.s)[:, None].astype(int), 0, m - 1)
+        m * np.arange(n)[:, None]
+        + np.clip(columns + np.round(slant * strip.s)[:, None].astype(int), 0, m - 1)
         for slant in SLANTS
     ]
+    rows = [np.take(strip.lit, index).sum(axis=0) for index in sheared]
     scores = []
     for share in WIDTHS:
         alike = _contrast(sums, max(2, round(share * strip.half))) * strip.lit
-        for index in sheared:
-            rows = np.take_along_axis(strip.lit, index, 1).sum(axis=0)
-            total = np.abs(np.take_along_axis(alike, index, 1).sum(axis=0))
+        for index, lit in zip(sheared, rows, strict=True):
+            total = np.abs(np.take(alike, index).sum(axis=0))
             # A bar of few rows counts less: a short one is found anywhere.
-            scores.append(np.where(rows >= LEAST_ROWS, total / np.maximum(rows, 0.5 * n), 0.0))
+            scores.append(np.where(lit >= LEAST_ROWS, total / np.maximum(lit, 0.5 * n), 0.0))
     table = np.array(scores)
     best, column = np.unravel_index(int(table.argmax()), table.shape)
     if table[best, column] < CONTRAST:

@@ -12,12 +12,15 @@ KEPT_NS = 1_000_000_000
 MOST_GAP_NS = 100_000_000
 """Farthest that a joint state may lie from a picture's stamp."""
 
+State = tuple[int, FloatArray]
+"""Stamp [ns] and values (n,)."""
+
 
 class JointHistory:
     """Joint states by stamp."""
 
     def __init__(self) -> None:
-        self._states: deque[tuple[int, FloatArray]] = deque()
+        self._states: deque[State] = deque()
 
     def add(self, stamp_ns: int, values: FloatArray) -> None:
         """Keep a state (n,); one that is not finite or not later than the last is ignored."""
@@ -33,20 +36,28 @@ class JointHistory:
             states.popleft()
 
     def at(self, stamp_ns: int) -> FloatArray | None:
-        """The values (n,) at a time, between the two states around it; None: not known."""
-        before = after = None
-        for state in self._states:
-            if state[0] <= stamp_ns:
-                before = state
-            else:
-                after = state
-                break
-        if before is None or after is None:
-            nearest = before or after
-            if nearest is None or abs(stamp_ns - nearest[0]) > MOST_GAP_NS:
-                return None
-            return nearest[1]
-        if after[0] - before[0] > MOST_GAP_NS:
+        """The values (n,) at a time, or of the nearest state; None: not known."""
+        before, after = self._around(stamp_ns)
+        nearest = before or after
+        if before is not None and after is not None:
+            return self.between(stamp_ns)
+        if nearest is None or abs(stamp_ns - nearest[0]) > MOST_GAP_NS:
+            return None
+        return nearest[1]
+
+    def between(self, stamp_ns: int) -> FloatArray | None:
+        """The values (n,) at a time, by the two states around it; None: one is missing, or far."""
+        before, after = self._around(stamp_ns)
+        if before is None or after is None or after[0] - before[0] > MOST_GAP_NS:
             return None
         share = (stamp_ns - before[0]) / (after[0] - before[0])
         return np.asarray(before[1] + share * (after[1] - before[1]))
+
+    def _around(self, stamp_ns: int) -> tuple[State | None, State | None]:
+        """The last state that is not later, and the first that is."""
+        before = None
+        for state in self._states:
+            if state[0] > stamp_ns:
+                return before, state
+            before = state
+        return before, None

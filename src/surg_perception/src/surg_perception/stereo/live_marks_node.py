@@ -12,6 +12,7 @@ from sensor_msgs.msg import CameraInfo, JointState
 
 import surg_core
 from surg_core.lens_file import Lens
+from surg_core.transforms import FloatArray
 from surg_msgs.msg import PictureMark as MarkMessage
 from surg_msgs.msg import PictureMarks
 from surg_perception.marks.mark_projection import MarkProjection, PictureMark
@@ -56,17 +57,26 @@ class Joints:
             q, jaw = self._of[arm].at(stamp_ns), self._jaw[arm].at(stamp_ns)
         return q, float("nan") if jaw is None else float(jaw[0])
 
+    def between(self, arm: str, stamp_ns: int) -> FloatArray | None:
+        """Joints (n,) [rad] at a time with a state on both sides of it; None: not known."""
+        with self._lock:
+            return self._of[arm].between(stamp_ns)
+
 
 class LiveMarks:
     """Where joints and calibration put all instruments. Any thread may call it.
 
     Publishes them for each stamp of the left eye's camera_info, which comes with every picture.
+
+    Attributes:
+        withheld: Why there are none: the calibration puts them beside their place.
     """
 
-    def __init__(self, cell: surg_core.Cell) -> None:
-        self._cell, self._joints = cell, Joints(cell)
+    def __init__(self, cell: surg_core.Cell, joints: Joints) -> None:
+        self._cell, self._joints = cell, joints
         self._lock = threading.Lock()
         self._projection: MarkProjection | None = None
+        self.withheld = ""
         self._topic = rospy.Publisher(TOPIC, PictureMarks, queue_size=1, tcp_nodelay=True)
 
     @property
@@ -88,8 +98,10 @@ class LiveMarks:
         """Marks in each eye at a time.
 
         Raises:
-            ValueError: No lens is known, or nobody says where the endoscope was.
+            ValueError: No lens is known, nobody says where the endoscope was, or `withheld`.
         """
+        if self.withheld:
+            raise ValueError(self.withheld)
         with self._lock:
             projection = self._projection
         if projection is None:

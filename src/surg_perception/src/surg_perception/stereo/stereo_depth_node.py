@@ -1,7 +1,8 @@
-"""The node ``/eyes``: rectified pictures, depth and points, and marks.
+"""The node ``/eyes``: rectified pictures, depth and points, marks, and whether anything moved.
 
 It works for what is subscribed only, takes the newest pair, at most ``~rate`` a second, on one
-thread with a niceness, and moves nothing. Marks need no pixels and come with every picture.
+thread with a niceness, and moves nothing. Marks need no pixels and come with every picture. The
+watch for drift (`live_drift_node`) looks at every pair.
 Parameters: `stereo_parameters.StereoSettings`.
 """
 
@@ -20,7 +21,8 @@ from surg_core.host.niceness import give_way
 from surg_perception.depth.stereo_depth import StereoDepth
 from surg_perception.depth.stereo_matcher import find_matcher
 from surg_perception.stereo import stereo_messages_node as messages
-from surg_perception.stereo.live_marks_node import LiveMarks
+from surg_perception.stereo.live_drift_node import LiveDrift
+from surg_perception.stereo.live_marks_node import Joints, LiveMarks
 from surg_perception.stereo.newest_pair_node import EYES, NewestPair
 from surg_perception.stereo.stereo_parameters import StereoSettings
 from surg_ros.params import ParamError, read
@@ -39,7 +41,12 @@ class Eyes:
         self._depth: StereoDepth | None = None
         self._problem, self._done, self._spent = "no pictures yet", 0, 0.0
         self._pairs = NewestPair()
-        self._marks = LiveMarks(cell) if settings.marks and cell is not None else None
+        self._marks: LiveMarks | None = None
+        self._drift: LiveDrift | None = None
+        if cell is not None and (settings.marks or settings.drift):
+            joints = Joints(cell)
+            self._marks = LiveMarks(cell, joints) if settings.marks else None
+            self._drift = LiveDrift(cell, joints) if settings.drift else None
 
         def topic(name: str, kind: type) -> rospy.Publisher:
             return rospy.Publisher(f"/endoscope/{name}", kind, queue_size=1, tcp_nodelay=True)
@@ -66,7 +73,7 @@ class Eyes:
         period, told = 1.0 / self._settings.rate, 0.0
         next_at = 0.0
         while not rospy.is_shutdown():
-            wanted = any(each.get_num_connections() for each in (*self._rect, *self._of_depth))
+            wanted = self._drift is not None or self._depth_wanted
             self._pairs.listen(wanted)
             now = rospy.get_time()
             if now - told >= 1.0:
@@ -84,6 +91,11 @@ class Eyes:
             begun = rospy.get_time()
             self._attempt(self._look, *pair)
             self._spent = rospy.get_time() - begun
+
+    @property
+    def _depth_wanted(self) -> bool:
+        """Whether somebody listens to what is made of pixels."""
+        return any(each.get_num_connections() for each in (*self._rect, *self._of_depth))
 
     def _attempt(self, step: Callable[..., None], *inputs: Image) -> None:
         """Do it; what cannot be used becomes the node's problem."""
@@ -109,8 +121,9 @@ class Eyes:
         ):
             return
         self._models = ()
-        if self._marks is not None:
-            self._marks.use(None)
+        views = [each for each in (self._marks, self._drift) if each is not None]
+        for view in views:
+            view.use(None)
         left, right = (
             messages.lens_of_message(f"endoscope_{eye}", info)
             for eye, info in zip(EYES, infos, strict=True)
@@ -121,16 +134,19 @@ class Eyes:
             self._depth = StereoDepth(
                 left, right, None, settings.method, settings.near, settings.far
             )
-        if self._marks is not None:
-            self._marks.use((left, right))
+        for view in views:
+            view.use((left, right))
         self._models = infos
 
     def _look(self, left: Image, right: Image) -> None:
         self._prepare()
         pictures = [messages.picture_of(each) for each in (left, right)]
         headers = [left.header, right.header]
-        outputs = [*self._rect, *self._of_depth]
-        if self._depth is not None and any(each.get_num_connections() for each in outputs):
+        if self._drift is not None:
+            self._drift.look((pictures[0], pictures[1]), left.header.stamp.to_nsec())
+            if self._marks is not None:
+                self._marks.withheld = self._drift.refusal
+        if self._depth is not None and self._depth_wanted:
             if any(each.get_num_connections() for each in self._of_depth):
                 found = self._depth.look(pictures[0], pictures[1])
                 straight = (found.left, found.right)

@@ -12,9 +12,10 @@ from surg_ros.params import ParamError, flag, real, text, whole
 class StereoSettings:
     """Parameters of the node ``/eyes``."""
 
-    cell: str = text("", empty=True)  # for marks: the cell's folder
+    cell: str = text("", empty=True)  # for marks and drift: the cell's folder
     depth: bool = flag(True)  # rectified pictures, depth, points
     marks: bool = flag(False)  # tips, shafts, jaws and trocars
+    drift: bool = flag(False)  # whether instruments are seen where joints put them
     rate: float = real(0.1, 30.0, 8.0)  # [1/s] most pairs
     method: str = text("sgbm")  # as for ./surg episode depth
     near: float = real(0.005, 10.0, NEAR)  # [m]
@@ -30,5 +31,5 @@ class StereoSettings:
         """
         if not self.near < self.far:
             raise ParamError("near", self.near, f"less than ~far, {self.far:g} m")
-        if self.marks and not self.cell:
-            raise ParamError("cell", "", "the folder of the cell, where ~marks is true")
+        if (self.marks or self.drift) and not self.cell:
+            raise ParamError("cell", "", "the folder of the cell, with ~marks or ~drift")

@@ -25,7 +25,7 @@ import surg_core
 from surg_core.contract import GRID
 from surg_core.force.observed_force import TOPICS
 from surg_core.host.niceness import give_way
-from surg_msgs.msg import Cycle, TaskState, TeleopStatus
+from surg_msgs.msg import Cycle, DriftStatus, TaskState, TeleopStatus
 from surg_policy_bridge.nodes.free_run_node import FreeRun
 from surg_policy_bridge.nodes.lock_step_node import LockStep
 from surg_policy_bridge.nodes.server_io_node import ServerIO
@@ -68,6 +68,8 @@ class ModelServerNode:
             inputs.append(listen(topic, Image, self._on_image, camera, **keys))
         if settings.forces:
             inputs += self._listen_to_forces(listen)
+        if settings.cameras:
+            listen("/endoscope/drift", DriftStatus, self._io.on_drift)
         listen("/policy/enable", Bool, self._on_enable)
         listen("/teleop/status", TeleopStatus, self._io.on_teleop)
         if settings.need_present:

@@ -13,8 +13,8 @@ from sensor_msgs.msg import Joy
 import surg_core
 from surg_core.arm_view import ArmCommands, ArmView
 from surg_core.contract import SECOND_NS, TICK_NS
-from surg_core.status_check import LatestStatus
-from surg_msgs.msg import Cycle, TeleopStatus
+from surg_core.status_check import LatestStatus, fault
+from surg_msgs.msg import Cycle, DriftStatus, TeleopStatus
 from surg_policy_bridge.nodes.observation_sources_node import ObservationSources
 from surg_policy_bridge.nodes.policy_topics_node import PolicyTopics
 from surg_policy_bridge.nodes.router_node import Router
@@ -62,6 +62,7 @@ class ServerIO:
         self._poller.register(self._wake, zmq.POLLIN)
         self._teleop = LatestStatus("/teleop/status")
         self._presence = OperatorPresence()
+        self._moved = ""
         self.ports = {name: ArmPort(name, COMMANDS) for name in settings.arms}
         self.topics = PolicyTopics(settings.bind)
 
@@ -107,6 +108,13 @@ class ServerIO:
             self._teleop.take(message, time.monotonic())
             self.rouse()
 
+    def on_drift(self, message: DriftStatus) -> None:
+        """Whether the pictures are what was calibrated; once they are not, they stay so."""
+        if message.refusal and not fault(message):
+            with self.lock:
+                self._moved = message.refusal
+                self.rouse()
+
     def on_present(self, message: Joy, source: str) -> None:
         """A pedal or page reports whether the operator is there."""
         with self.lock:
@@ -119,7 +127,7 @@ class ServerIO:
         settings, now = self.settings, time.monotonic()
         present = not settings.need_present or self._presence.detected(time.monotonic_ns())
         refusal = operator_first.refusal(
-            settings.arms, self._teleop, now, settings.need_teleop, present
+            settings.arms, self._teleop, now, settings.need_teleop, present, self._moved
         )
         if refusal[0] is StopReason.TELEOP_STATUS and (complaint := self._teleop.complaint(now)):
             rospy.logwarn("no arm is given to a policy: %s", complaint)

@@ -24,6 +24,7 @@ def refusal(
     now: float,
     need_teleop: bool = True,
     present: bool = True,
+    moved: str = "",
 ) -> Refusal:
     """Why the policy may not have the arms that it commands, or `MAY`.
 
@@ -33,6 +34,7 @@ def refusal(
         now: The receiver's steady clock [s].
         need_teleop: Whether the system has a teleoperation node.
         present: Whether somebody is at the controls, or nobody has to be.
+        moved: Why the pictures that a policy is served are not what was calibrated.
     """
     if need_teleop or teleop.heard:
         status = teleop.at(now)
@@ -45,4 +47,6 @@ def refusal(
                 return StopReason.OPERATOR, f"the operator wants {hand.arm} ({hand.leader})"
     if not present:
         return StopReason.NOT_PRESENT, "nobody is at the controls (operator_present)"
+    if moved:
+        return StopReason.CAMERA_MOVED, moved
     return MAY

@@ -29,6 +29,7 @@ class RecorderState:
         run_info: Facts about the run received on /record/info.
         sim_outcome: The manifest's entry about the simulator; empty until it has reported.
         operating_states: Last operating state of each arm, as recorded.
+        drift: Since when the picture is not what was calibrated, and why; empty: it is.
         camera_models: Content of ``camera_info`` of each camera that has said it.
         mounted: Instrument and calibration of each arm, as on ``tool/mounted``.
         last_row: Steady time of the last tick that arrived [s].
@@ -51,6 +52,7 @@ class RecorderState:
         self.sim_outcome: dict[str, Any] = {}
         self.operating_states: dict[str, str] = {}
         self.mounted: dict[str, str] = {}
+        self.drift: dict[str, Any] = {}
         self.camera_models: dict[str, dict[str, Any]] = {}
         self.last_row = time.monotonic()
         self.clock = SteppedClock(self._on_clock_step)

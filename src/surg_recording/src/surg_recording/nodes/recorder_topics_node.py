@@ -16,8 +16,16 @@ from std_msgs.msg import Bool, String
 
 from crtk_msgs.msg import OperatingState, StringStamped
 from surg_core.force.observed_force import TOPICS
-from surg_core.status_check import LatestStatus
-from surg_msgs.msg import ClockSync, Cycle, GroundTruth, ReceivedCommand, SimStatus, TaskState
+from surg_core.status_check import LatestStatus, fault
+from surg_msgs.msg import (
+    ClockSync,
+    Cycle,
+    DriftStatus,
+    GroundTruth,
+    ReceivedCommand,
+    SimStatus,
+    TaskState,
+)
 from surg_recording.calibration.endoscope_record import camera_info_topic, camera_model
 from surg_recording.episode import table_rows
 from surg_recording.episode.annotations import parse_info, parse_tag
@@ -36,6 +44,7 @@ TEXTS = ("error", "warning", "status")
 """Text topics of an arm that go to ``events.csv``."""
 TRUTH_TOPIC = "/sim/ground_truth/state"
 TASK_TOPIC = "/sim/task_state"
+DRIFT_TOPIC = "/endoscope/drift"
 CLOCK_TOPIC = "/clock_sync/status"
 ASSISTANT_TOPIC = f"/{ASSISTANT}/received"
 
@@ -54,7 +63,7 @@ def own_topics(arms: Sequence[str]) -> list[str]:
     return [
         *(f"/{arm}/{name}" for arm in arms for name in names),
         *(f"/{ASSISTANT}/{name}" for name in ("servo_jp", "jaw/servo_jp")),
-        *(TRUTH_TOPIC, TASK_TOPIC, ASSISTANT_TOPIC, "/sim/status", CLOCK_TOPIC),
+        *(TRUTH_TOPIC, TASK_TOPIC, ASSISTANT_TOPIC, "/sim/status", CLOCK_TOPIC, DRIFT_TOPIC),
         *("/record/record", "/record/tag", "/record/info"),
     ]
 
@@ -66,6 +75,7 @@ class RecorderTopics:
         self._state, self._switch = state, switch
         self._clock = state.clock
         self._sim = LatestStatus("/sim/status")
+        self._drift: tuple[int, str] | None = None
         self.subscribers: dict[str, rospy.Subscriber] = {}
         for arm in state.settings.arms:
             self._subscribe_arm(arm)
@@ -74,6 +84,7 @@ class RecorderTopics:
         self._subscribe(TRUTH_TOPIC, GroundTruth, self._on_truth)
         self._subscribe(TASK_TOPIC, TaskState, self._on_task_state)
         self._subscribe("/sim/status", SimStatus, self._on_sim_status)
+        self._subscribe(DRIFT_TOPIC, DriftStatus, self._on_drift)
         for camera, topic in state.settings.camera_topics.items():
             self._subscribe(topic, rospy.AnyMsg, self._on_image, camera)
             model = camera_info_topic(topic)
@@ -204,6 +215,18 @@ class RecorderTopics:
         ended = message.state != SimStatus.STATE_RUNNING
         if ended and not (before.get("done") or before.get("aborted")):
             self._state.event("/sim/status", sender(message), json.dumps(outcome))
+
+    def _on_drift(self, message: DriftStatus) -> None:
+        """The watch over the picture: changes are events; what it refuses is in the manifest."""
+        if fault(message):
+            return
+        before, self._drift = self._drift, (message.state, message.cause)
+        if self._drift != before and self._is_new(DRIFT_TOPIC, message):
+            stamp = table_rows.nanoseconds(message.header.stamp)
+            self._state.event(DRIFT_TOPIC, sender(message), message.detail, stamp)
+        if message.refusal:
+            since = table_rows.nanoseconds(message.since)
+            self._state.drift = {"since_ns": since, "cause": message.cause, "text": message.refusal}
 
     # --- topics of any type -------------------------------------------------------------------
 

@@ -138,6 +138,7 @@ class RecordingSwitch:
             "stopped_ns": stopped_ns,
             "repeats": duplicates,
             "camera_info": dict(state.camera_models),
+            **({"drift": state.drift} if state.drift else {}),
         }
         folder = recording.close(
             known,

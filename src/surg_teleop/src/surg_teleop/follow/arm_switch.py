@@ -56,13 +56,19 @@ class ArmSwitch:
         views: Mapping[str, ArmView],
         camera: CameraView | None,
     ) -> dict[str, TeleopOutput]:
-        """Evaluate both arms once; arguments as of :meth:`Teleop.tick`, arms by name."""
+        """Evaluate both arms once; arguments as of :meth:`Teleop.tick`, arms by name.
+
+        The endoscope may be driven after the camera has moved: its motion shows what moved.
+        """
         pedal = sample is not None and "camera" in sample.buttons
         outputs = {}
         for name, teleop in self.arms.items():
             driven = pedal if teleop is self.endoscope else not pedal
             arm_sample = sample if driven else _clutched(sample)
-            outputs[name] = teleop.tick(now, arm_sample, views.get(name), camera)
+            view = camera
+            if camera is not None and teleop is self.endoscope:
+                view = replace(camera, moved="")
+            outputs[name] = teleop.tick(now, arm_sample, views.get(name), view)
         return outputs
 
 

@@ -43,6 +43,7 @@ def following(
 def engagement(
     sample: LeaderSample,
     arm: ArmView,
+    camera: CameraView,
     settings: TeleopSettings,
     mode: ControlMode,
     since_hold: float,
@@ -53,6 +54,8 @@ def engagement(
     """
     if arm.busy:
         return Notice(Reason.ARM_BUSY, f"{settings.arm} is busy")
+    if camera.moved:
+        return Notice(Reason.CAMERA_MOVED, camera.moved)
     try:
         wrist = settings.wrist_of(arm)
     except ValueError as error:

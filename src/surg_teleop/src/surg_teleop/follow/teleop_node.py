@@ -19,6 +19,7 @@ import sys
 import threading
 import time
 import zlib
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,8 @@ from surg_core.arm_view import ArmView
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_core.hand.message_lateness import Arrivals
 from surg_core.held_endoscope import HeldEndoscope
-from surg_msgs.msg import Cycle
+from surg_core.status_check import fault
+from surg_msgs.msg import Cycle, DriftStatus
 from surg_ros.arm_port import KINDS, SERVO_INSTRUMENT, ArmPort, arm_view
 from surg_ros.byte_topics import BytesSubscriber
 from surg_ros.master_check import master_is_online
@@ -72,6 +74,7 @@ class TeleopNode:
         self._cycles: dict[str, tuple[float, Cycle]] = {}
         self._arrivals = {arm: Arrivals() for arm in setup.heard}
         self._picture = PictureWatch(setup.picture)
+        self._moved = ""
         self._ports = {name: ArmPort(name, tuple(KINDS)) for name in setup.bases}
         if setup.assistant is not None:
             self._ports[ASSISTANT] = ArmPort(ASSISTANT, SERVO_INSTRUMENT)
@@ -92,6 +95,7 @@ class TeleopNode:
             listen(f"/{ASSISTANT}/jaw/measured_js", JointState, self._on_jaw, setup.assistant)
         if setup.picture:
             listen(setup.picture, rospy.AnyMsg, self._on_picture)
+        listen("/endoscope/drift", DriftStatus, self._on_drift)
 
     def _on_joints(self, message: JointState, assistant: ServoInstrument) -> None:
         with self._lock:
@@ -110,6 +114,11 @@ class TeleopNode:
         stamp = seconds * SECOND_NS + nanoseconds
         with self._lock:
             self._picture.picture(time.monotonic(), stamp, zlib.crc32(data[16 + frame :]))
+
+    def _on_drift(self, message: DriftStatus) -> None:
+        if message.refusal and not fault(message):  # for good: it needs another calibration
+            with self._lock:
+                self._moved = message.refusal
 
     def run(self) -> None:
         """Free-run: tick on every leader message and every period, until ``finished``."""
@@ -154,6 +163,8 @@ class TeleopNode:
         if setup.assistant is not None and (view := setup.assistant.view()) is not None:
             views[ASSISTANT] = view
         camera = self._camera()
+        if camera is not None and self._moved:
+            camera = replace(camera, moved=self._moved)
         for hand in setup.hands:
             self._move(hand, now, views, camera)
         picture = "" if setup.lockstep else self._picture.problem(time.monotonic())

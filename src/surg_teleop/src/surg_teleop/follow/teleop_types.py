@@ -84,6 +84,7 @@ class Reason(enum.Enum):
     NOT_PRESENT = "not_present"
     CAMERA_SILENT = "camera_silent"
     CAMERA_INVALID = "camera_invalid"
+    CAMERA_MOVED = "camera_moved"
     NODE_STALLED = "node_stalled"
     NOT_REQUESTED = "not_requested"
     TOO_SHALLOW = "too_shallow"
@@ -108,6 +109,7 @@ class CameraView:
 
     R_WV: Array  # (3, 3) the view frame V, the left eye's optical axes, in the world of the cell
     received: float = math.inf  # receipt on the steady clock [s]; infinite for a fixed camera
+    moved: str = ""  # why no hand may begin to follow in this view; empty: nothing has moved
 
 
 @dataclass(frozen=True)

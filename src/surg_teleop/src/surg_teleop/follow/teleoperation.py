@@ -185,7 +185,7 @@ class Teleop:
         elif self.state is TeleopState.FOLLOWING:
             self._follow(inputs, sample, arm, camera, commands)
         elif self.state is not TeleopState.FAULT:
-            self._begin(inputs.now, sample, arm, commands)
+            self._begin(inputs.now, sample, arm, camera, commands)
 
     def _wait(self, now: float, notice: Notice, arm: ArmView | None, commands: ArmCommands) -> None:
         """A condition is not met: let go, then bring the arm up or release it."""
@@ -204,7 +204,14 @@ class Teleop:
         elif commands.state is None:
             commands.state = self._bring_up.tick(arm, _ns(now)).state
 
-    def _begin(self, now: float, sample: LeaderSample, arm: ArmView, commands: ArmCommands) -> None:
+    def _begin(
+        self,
+        now: float,
+        sample: LeaderSample,
+        arm: ArmView,
+        camera: CameraView,
+        commands: ArmCommands,
+    ) -> None:
         """WAITING or CLUTCHED, and all conditions are met."""
         since_hold = now - self._history.held
         if "clutch" in sample.buttons:
@@ -212,7 +219,9 @@ class Teleop:
         elif now - self._history.requested > REQUEST_LIFETIME:
             if self.state is TeleopState.WAITING or not self._notice.text:
                 self._notice = Notice(Reason.NOT_REQUESTED, f"ready; {AGAIN}")
-        elif notice := interlocks.engagement(sample, arm, self.settings, self.mode, since_hold):
+        elif notice := interlocks.engagement(
+            sample, arm, camera, self.settings, self.mode, since_hold
+        ):
             self._notice = notice
         else:
             self._engage(now, sample, arm, commands)

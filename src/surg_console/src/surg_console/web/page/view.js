@@ -8,6 +8,8 @@ const OLD_PICTURE_MS = 150; // three of the endoscope's periods
 const ALARMS = ["Held", "Fault"]; // headlines that are announced at once
 const TONES = { success: "good", "not judged": "" };
 const STOP_FULL = 0.05; // [m] of the bars that say how far the arm still goes: at the flange's full speed
+const DRIFT_FULL = 0.005; // [m] of the bar that says how far instruments are seen beside their place
+const DRIFT_BAD = 0.001; // [m] surely beyond this nothing that trusts the picture begins
 const TREND_S = 30;
 const TREND_STEP_S = 0.25; // between two points, each the largest value of its interval
 
@@ -98,6 +100,7 @@ export class View {
       tip: new Gauge("tip", { unit: 1, digits: 1, full: limits.tip_force_hard, warn: limits.tip_force_soft, bad: limits.tip_force_hard }),
       stop_tip: new Gauge("stop-tip", { unit: 1e3, digits: 1, full: STOP_FULL, warn: null, bad: null }),
       stop_pivot: new Gauge("stop-pivot", { unit: 1e3, digits: 1, full: STOP_FULL, warn: null, bad: null }),
+      drift: new Gauge("drift", { unit: 1e3, digits: 1, full: DRIFT_FULL, warn: null, bad: DRIFT_BAD }),
       depth: new Gauge("depth", { unit: 1e3, digits: 1, full: limits.depth_max, warn: null, bad: null }),
     };
     if (limits.clearance !== undefined) {
@@ -134,11 +137,12 @@ export class View {
     write(element("headline"), mine ? status.headline : "Watching");
     const watching = status.holder ? `${status.holder} has control. Stop works from here too.` : status.sentence;
     write(element("sentence"), status.picture_problem || (mine ? status.sentence : watching));
-    const values = { ...status.gauges, rcm: this.largest };
+    const values = { ...status.gauges, rcm: this.largest, drift: status.drift?.expected };
     for (const name in this.gauges) this.gauges[name].show(values[name]);
     this.largest = status.gauges.rcm;
     this.trend.draw();
     this.controls(status, mine);
+    this.drift(status.drift);
     this.arms(status.arms, status.helpers);
     showFixtures(status.fixtures);
     this.task(status, mine);
@@ -216,6 +220,16 @@ export class View {
     write(element("control"), `${capital(this.page)}: no control`);
     mark(element("control"), "tone", "");
     for (const name in this.gauges) this.gauges[name].show(null);
+  }
+
+  /** How far instruments are seen beside their place, and what nobody may trust any more. */
+  drift(drift) {
+    set(element("drift"), "hidden", !drift);
+    if (!drift) return;
+    const known = drift.expected !== null;
+    const mm = (value) => (1e3 * value).toFixed(1);
+    write(element("drift-interval"), known ? `${mm(drift.least)} to ${mm(drift.most)}, 95 %` : "");
+    write(element("drift-sentence"), drift.refusal || (known ? "" : drift.sentence));
   }
 
   arms(arms, helpers) {
