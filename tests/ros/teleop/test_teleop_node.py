@@ -172,7 +172,7 @@ def test_a_crtk_leader_drives_both_arms_in_free_run(ros_graph: RosGraph, hand: C
     wait = ros_graph.wait_for
     wait(hand.connected, 40.0, "both arms and the teleoperation")
     assert hand.states == {"PSM1": "DISABLED", "ECM": "DISABLED"}
-    others = ("/PSM1/", "/ECM/", "/record/", "/sim/", PICTURE)
+    others = ("/PSM1/", "/ECM/", "/record/", "/sim/", "/endoscope/drift", PICTURE)
     arms = ("PSM1", "ECM")
     assert contract.found(ros_graph, "/teleop", others) == contract.promised("teleop", "hand", arms)
     freeze_the_picture(ros_graph, hand)
