@@ -63,7 +63,9 @@ def test_one_arm_has_no_task_and_a_camera_that_stands() -> None:
     assert plan.task == "" and "endless" not in teleop._phantom(plan)[0].params
     hands, page = teleop._operator_nodes(chosen, plan, {}, [])
     assert hands.params["leader"] == "gamepad" and "settings" not in hands.params
-    assert page.params["leader"] == ""  # the page shows and enables, the gamepad moves
+    # The page shows and enables, the gamepad moves; the nodes themselves read it so.
+    assert Settings(page.params).leader == "" == page.params["leader"]
+    assert read_setup(hands.params, "/teleop").hands[0].leader.name == "gamepad"
     view = np.array(hands.params["view"])
     assert np.linalg.norm(view) == pytest.approx(1.0)
     R_WV = Rotation.from_quat(view).as_matrix()

@@ -46,7 +46,7 @@ class Parameters:
     cell: str = text(allowed="the folder of the cell")
     arm: str = text("", empty=True)
     arms: tuple[str, ...] = names(())
-    leader: str = text("browser")
+    leader: str = text("browser", empty=True)
     teleop: str = text("teleop")
     views: tuple[str, ...] = names(("left",))
     episodes: Path | None = path(None)

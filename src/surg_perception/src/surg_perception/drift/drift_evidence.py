@@ -32,6 +32,8 @@ SCALES = (0.1, 0.3, 1.0)
 """How much of what it may a part moved by, each as probable: a bump is small or large."""
 STILL_LIKELY = 0.5
 """Probability of no motion above which older sightings count as those of a chain at rest."""
+UNLIKELY = 1e-3
+"""Probability of a part's motion below which it does not count in what is expected."""
 EXPLAINED = 2.0
 """[sigma] Typical residual up to which a part that moved explains what is seen."""
 OUTLIER = 3.0
@@ -47,7 +49,9 @@ class Sighting:
         A: (m, P) derivatives of the residuals by all steps.
         r: (m,) residuals [px].
         sd: (m,) of their noise [px].
-        place: (3, P) how far the shaft's end then lies beside the place that joints give it [m].
+        place: (3, P) how far the shaft's end then lies beside the place that joints give it, across
+            the shaft [m].
+        away: How far it is before the eye [m].
     """
 
     stamp: float
@@ -55,6 +59,7 @@ class Sighting:
     r: FloatArray
     sd: FloatArray
     place: FloatArray
+    away: float
 
 
 @dataclass(frozen=True)
@@ -158,13 +163,20 @@ class DriftEvidence:
         p = np.exp(logs - logs.max())
         names = (NOTHING, *(part.name for part in self.parts))
         probabilities = dict(zip(names, (p / p.sum()).tolist(), strict=True))
+        shifts = [(p[0], *_beside(window, self._x + x, C))]
         number = int(np.argmax(moved))
-        best, scale = self.parts[number], SCALES[int(np.argmax(gains[number]))]
+        best, covariance = self.parts[number], C
+        for part, gain in zip(self.parts, gains, strict=True):
+            for scale, each in zip(SCALES, gain, strict=True):
+                if (here := np.exp(nothing + share + each - logs.max())) > UNLIKELY * p.sum():
+                    _, x_part, C_part = _posterior(information, pull, _with(still, part, scale))
+                    shifts.append((here, *_beside(window, self._x + x_part, C_part)))
+        scale = SCALES[int(np.argmax(gains[number]))]
         _, x, covariance = _posterior(information, pull, _with(still, best, scale))
         misfit = float(np.median(np.abs(r - A @ x) / sd)) / 0.6745  # a normal one's median
         since = _since(window, weight * (r**2 - (r - A @ x) ** 2))
         x = self._x + x
-        beside, beside_sd = _beside(np.concatenate([each.place for each in window]), x, covariance)
+        beside, beside_sd = _averaged(shifts)
         odds, count = float(logs[1:].max() - logs[0]), len(window)
         return Verdict(
             probabilities, odds, best, x, covariance, beside, beside_sd, misfit, since, count
@@ -178,6 +190,14 @@ class DriftEvidence:
         return free
 
 
+def _averaged(shifts: Sequence[tuple[float, float, float]]) -> tuple[float, float]:
+    """Mean and one sigma over hypotheses, of each one's probability, mean and sigma."""
+    p, mean, sd = np.array(shifts).T
+    p = p / p.sum()
+    middle = float(p @ mean)
+    return middle, float(np.sqrt(p @ (sd**2 + (mean - middle) ** 2)))
+
+
 def _since(window: Sequence[Sighting], gain: FloatArray) -> float:
     """When it moved: motion gains most over rest from there on, by each residual's gain (m,)."""
     first = np.cumsum([0, *(len(each.r) for each in window[:-1])])
@@ -185,12 +205,20 @@ def _since(window: Sequence[Sighting], gain: FloatArray) -> float:
     return window[int(np.argmax(after))].stamp
 
 
-def _beside(place: FloatArray, x: FloatArray, covariance: FloatArray) -> tuple[float, float]:
-    """Root mean square of the shifts (3n, P) x of n places [m], and one sigma of it."""
-    shift, n = place @ x, len(place) / 3.0
+def _beside(
+    window: Sequence[Sighting], x: FloatArray, covariance: FloatArray
+) -> tuple[float, float]:
+    """Root mean square of the places' shifts [m], and one sigma of it.
+
+    Derivatives leave out what is of second order: turned by an angle a, a place at a distance d
+    shifts by d a, and by d a^2 / 2 more.
+    """
+    place = np.concatenate([each.place for each in window])
+    shift, n = place @ x, len(window)
     rms = float(np.sqrt(shift @ shift / n))
     slope = place.T @ shift / (n * max(rms, 1e-12))
-    return rms, float(np.sqrt(slope @ covariance @ slope))
+    second = rms**2 / (2.0 * float(np.mean([each.away for each in window])))
+    return rms, float(np.sqrt(slope @ covariance @ slope + second**2))
 
 
 def _covariance(parts: Sequence[Part], share: float = 1.0) -> FloatArray:

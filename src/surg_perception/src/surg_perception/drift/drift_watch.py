@@ -186,8 +186,14 @@ class DriftWatch:
             residuals.extend(seen.offsets)
             noise.extend([seen.sd] * 2)
         if rows:
-            place = self._derivatives(axis, 0, 0, metres=True)
-            found = Sighting(stamp, np.array(rows), np.array(residuals), np.array(noise), place)
+            # Along the shaft nothing is seen: what it is beside its place is across.
+            s_V = (axis.p_V[-1] - axis.p_V[0]) / np.linalg.norm(axis.p_V[-1] - axis.p_V[0])
+            across = np.eye(3) - np.outer(s_V, s_V)
+            place = across @ self._derivatives(axis, 0, 0, metres=True)
+            away = float(axis.p_V[0, 2])
+            found = Sighting(
+                stamp, np.array(rows), np.array(residuals), np.array(noise), place, away
+            )
             self.verdict = self._evidence.add(found)
         return bool(rows)
 
