@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -110,5 +111,7 @@ def ros_graph(ros_session: Supervisor, tmp_path: Path) -> Iterator[RosGraph]:
             master.call(uri, "deleteParam", name)
     with Supervisor(dict(ros_session.env), tmp_path / "logs") as supervisor:
         yield RosGraph(uri, supervisor.env, tmp_path, supervisor)
+        for child in supervisor.children:
+            child.send(signal.SIGKILL)  # how a node ends by itself is for a test to ask
     close_own_topics()
     forget_dead_nodes()

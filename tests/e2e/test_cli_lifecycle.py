@@ -12,6 +12,7 @@ import pytest
 from helpers.graph.surg import environment, start, surg
 from surg_cli.graph import master, processes, running
 from surg_cli.host import paths
+from surg_ros.arm_port import MOTION_COMMANDS, OTHER_COMMANDS
 
 pytestmark = pytest.mark.ros
 
@@ -43,6 +44,9 @@ def test_up_status_stop_down(tmp_path: Path) -> None:
         assert json.loads(system.file.read_text())["command"] == "up", "the list is plain JSON"
         assert {"/sim", "/PSM1/controller", "/recorder"} <= set(system.nodes)
         assert processes.wait_until(lambda: "is up" in log.read_text(), START_S, 0.1)
+        subscribers = dict(master.call(system.master_uri, "getSystemState")[1])
+        for name in {*MOTION_COMMANDS, *OTHER_COMMANDS} - {"rcm/track"}:  # no trocar moves
+            assert subscribers[f"/PSM1/{name}"] == ["/PSM1/controller"]
         status = surg("status", "--port", port)
         assert status.returncode == 0, status.stdout + status.stderr
         for word in ("/PSM1/controller", "/PSM1/cycle", " Hz", "last errors", "running"):
@@ -96,6 +100,7 @@ def test_a_dying_node_ends_the_system_and_is_named(tmp_path: Path) -> None:
     assert processes.wait_until(lambda: all_gone(list(system.nodes.values())), 5.0)
 
 
+@pytest.mark.untimed
 @pytest.mark.parametrize(
     "number",
     [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.full), signal.SIGKILL],
@@ -112,6 +117,7 @@ def test_demo_leaves_nothing_behind(number: signal.Signals, tmp_path: Path) -> N
     assert processes.wait_until(lambda: not master.port_in_use(system.port), 5.0)
 
 
+@pytest.mark.untimed
 def test_a_dying_node_fails_the_demo_and_is_named(tmp_path: Path) -> None:
     log, out = tmp_path / "demo.log", tmp_path / "run"
     with start(log, "demo", "--no-video", "--out", out) as process:
@@ -128,6 +134,7 @@ def test_a_dying_node_fails_the_demo_and_is_named(tmp_path: Path) -> None:
     assert processes.wait_until(lambda: all_gone(list(system.nodes.values())), 5.0)
 
 
+@pytest.mark.untimed
 def test_a_broken_cell_is_refused_by_up(tmp_path: Path) -> None:
     (tmp_path / "cell.yaml").write_text("format: surg_cell/1\nname: x\nnetwork: internet\n")
     done = surg("up", tmp_path)
@@ -135,6 +142,7 @@ def test_a_broken_cell_is_refused_by_up(tmp_path: Path) -> None:
     assert "network" in done.stderr
 
 
+@pytest.mark.untimed
 def test_status_without_a_system_says_how_to_start_one() -> None:
     port = master.free_port()
     done = surg("status", "--port", port)
@@ -142,6 +150,7 @@ def test_status_without_a_system_says_how_to_start_one() -> None:
     assert "./surg up CELL" in done.stderr
 
 
+@pytest.mark.untimed
 def test_print_gives_every_rosrun_line() -> None:
     done = surg("up", "sim_panda", "--print")
     assert done.returncode == 0
@@ -150,6 +159,7 @@ def test_print_gives_every_rosrun_line() -> None:
     assert sum(line.startswith("rosrun ") for line in lines) == 5
 
 
+@pytest.mark.untimed
 def test_stop_without_a_system_says_so() -> None:
     done = surg("stop", "--port", master.free_port())
     assert done.returncode == 1

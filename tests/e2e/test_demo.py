@@ -24,8 +24,8 @@ from surg_cli.host.paths import ROOT
 
 pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
-SECONDS = None if FULL else 2.0
 SHORT_S = 2.0
+SECONDS = None if FULL else SHORT_S
 DEMO_TIMEOUT_S = 900
 MOTIONS = {"bundled": None}
 if os.environ.get("SURG_TEST_MOTION"):
@@ -48,12 +48,6 @@ def demo(
     summary: dict[str, Any] = json.loads(Path(last).read_text())
     summary["exit"] = done.returncode
     return summary
-
-
-@pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """The UR5e's short motion; reduced, one run serves two tests."""
-    return demo(tmp_path_factory.mktemp("plain") / "run", "--duration", SHORT_S)
 
 
 def assert_within_limits(summary: dict[str, Any]) -> None:
@@ -82,15 +76,10 @@ COMBINATIONS = [
 
 
 @pytest.mark.parametrize(("robot", "mode", "motion"), COMBINATIONS)
-def test_the_shaft_stays_in_the_trocar(
-    robot: str, mode: str, motion: str, tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
-    if not FULL and (robot, mode, motion) == ("ur5e", "cartesian", "bundled"):
-        summary = request.getfixturevalue("plain")
-    else:
-        file = MOTIONS[motion]
-        options = ["--motion", file] if file else []
-        summary = demo(tmp_path / "run", "--robot", robot, "--mode", mode, *options)
+def test_the_shaft_stays_in_the_trocar(robot: str, mode: str, motion: str, tmp_path: Path) -> None:
+    file = MOTIONS[motion]
+    options = ["--motion", file] if file else []
+    summary = demo(tmp_path / "run", "--robot", robot, "--mode", mode, *options)
     note(f"{robot}, {mode}, {motion}", summary)
     assert_within_limits(summary)
 
@@ -126,11 +115,10 @@ def test_the_papers_law_and_no_feedback_drift(tmp_path: Path) -> None:
     assert open_loop["rcm_kinematic_mm"]["max"] >= 1 or faulted
 
 
-def test_one_seed_one_hash_whatever_the_scheduler_does(
-    tmp_path: Path, plain: dict[str, Any]
-) -> None:
-    # A tick takes about a millisecond: half of it already shuffles everybody's messages.
-    jitter_ms = 20.0 if FULL else 0.5
+@pytest.mark.full  # in every run `test_run_hash` compares a graph under jitter with one process
+def test_one_seed_one_hash_whatever_the_scheduler_does(tmp_path: Path) -> None:
+    jitter_ms = 20.0
+    plain = demo(tmp_path / "plain", "--duration", SHORT_S)
     shaken = demo(
         tmp_path / "shaken", "--duration", SHORT_S, env=socket_jitter.environment(jitter_ms)
     )

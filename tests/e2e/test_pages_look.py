@@ -33,9 +33,12 @@ from surg_console.session.system_state import Recorder, SimTask
 from surg_recording.episode import episode_reader
 from surg_recording.reports import episode_view, evaluation, evaluation_report
 
-pytestmark = pytest.mark.skipif(
-    bool(chromium.missing() or axe.missing()), reason=chromium.missing() or axe.missing()
-)
+pytestmark = [
+    pytest.mark.untimed,
+    pytest.mark.skipif(
+        bool(chromium.missing() or axe.missing()), reason=chromium.missing() or axe.missing()
+    ),
+]
 
 BUSY = Entry("episode_2", 2.0, 34.2, "complete", "failure", "lost", "task")
 """A recording that nobody has judged yet."""

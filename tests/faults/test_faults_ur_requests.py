@@ -27,8 +27,7 @@ from surg_hardware.driver_datagrams import (
     StateDatagram,
     decode_from_driver,
 )
-from surg_hardware.ur import dashboard
-from surg_hardware.ur.ur_driver import UrDriver
+from surg_hardware.ur import dashboard, ur_driver
 
 OTHER = "def other():\n  while True:\n    sync()\n  end\nend\n"
 
@@ -136,7 +135,7 @@ def test_states_go_on_while_the_dashboard_takes_its_time(
 
     with emulated_ur.in_process(UrController()) as emulator, ours, theirs:
         settings = DriverSettings(emulator.address, 0, (1.0,) * 6, (40.0,) * 6, 0.04, 20.0)
-        made = UrDriver(settings, theirs)
+        made = ur_driver.UrDriver(settings, theirs)
         running = threading.Thread(target=made.run, daemon=True)
         running.start()
         while not asked.is_set():
@@ -171,6 +170,7 @@ def test_two_controllers_do_not_drive_one_robot(arm: Rig, tmp_path: Path) -> Non
     assert arm.condition() is Condition.ACTIVE or busy_machine, arm.state.status
 
 
+@pytest.mark.untimed
 def test_a_field_that_the_robot_does_not_know_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     known = {name: kind for name, kind in rtde_server.OUTPUTS.items() if name != "payload_cog"}
     monkeypatch.setattr(rtde_server, "OUTPUTS", known)
@@ -179,6 +179,7 @@ def test_a_field_that_the_robot_does_not_know_is_named(monkeypatch: pytest.Monke
     assert "payload_cog" in said and "NOT_FOUND" in said
 
 
+@pytest.mark.untimed
 def test_an_old_controller_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(ur_controller.VERSIONS, "5", (5, 5, 1, 82186))
     with emulated_ur.in_process(UrController()) as emulator:
@@ -186,22 +187,34 @@ def test_an_old_controller_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "5.5.1.82186" in said and "PolyScope 5.6" in said
 
 
-def test_an_address_where_nobody_answers_is_refused() -> None:
-    assert "hardware.address" in refused(emulated_ur.free_address())
-
-
-def test_an_address_where_somebody_else_answers_is_refused() -> None:
+@pytest.mark.untimed
+@pytest.mark.parametrize(
+    ("answers", "said"), [(b"", "refused"), (b"SSH-2.0\n", "something else than a UR")]
+)
+def test_an_address_where_no_ur_answers_is_refused(
+    answers: bytes, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What ends a driver with exit code 2 here, too."""
+    monkeypatch.setattr(ur_driver, "FIRST_CONNECTION", 0.1)
     address = emulated_ur.free_address()
-    with socket.create_server((address, dashboard.DASHBOARD_PORT)) as server:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs, contextlib.ExitStack() as peers:
+        if answers:
+            server = socket.create_server((address, dashboard.DASHBOARD_PORT))
+            peers.enter_context(server)
+            threading.Thread(target=greet, args=(server, answers), daemon=True).start()
+            peers.callback(server.shutdown, socket.SHUT_RDWR)
+        made = ur_driver.UrDriver(
+            DriverSettings(address, 0, (1.0,) * 6, (40.0,) * 6, 0.04, 20.0), theirs
+        )
+        with pytest.raises(TimeoutError, match=rf"hardware\.address: .*{said}"):
+            made.run()
 
-        def answer() -> None:
-            with contextlib.suppress(OSError):
-                while True:
-                    peer, _ = server.accept()
-                    with peer:
-                        peer.sendall(b"SSH-2.0\n")
 
-        threading.Thread(target=answer, daemon=True).start()
-        said = refused(address)
-        server.shutdown(socket.SHUT_RDWR)
-    assert "hardware.address" in said and "something else than a UR" in said
+def greet(server: socket.socket, words: bytes) -> None:
+    """Say the same to everybody."""
+    with contextlib.suppress(OSError):
+        while True:
+            peer, _ = server.accept()
+            with peer:
+                peer.sendall(words)

@@ -36,7 +36,7 @@ from helpers.graph.ros import RosGraph
 from surg_cli.graph import master
 from surg_msgs.msg import Cycle, LinkStatus
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
 
 def test_every_tick_is_answered_and_the_arm_follows(ros_graph: RosGraph, rig: Rig) -> None:
@@ -55,7 +55,6 @@ def test_every_tick_is_answered_and_the_arm_follows(ros_graph: RosGraph, rig: Ri
     assert np.allclose(p_tip, cycles[-1].p_tip, atol=1e-12)
 
 
-@pytest.mark.untimed
 def test_same_commands_give_the_same_answers(ros_graph: RosGraph, rospy_node: str) -> None:
     runs = []
     for jitter in (0.0, 3.0):
@@ -108,25 +107,27 @@ def test_waits_until_all_announced_messages_are_there(ros_graph: RosGraph, rig: 
     assert cycle.refused == 1
 
 
-def test_wrong_frame_is_refused_with_a_warning(ros_graph: RosGraph, rig: Rig) -> None:
+def test_what_is_refused_is_said_with_the_cure(ros_graph: RosGraph, rig: Rig) -> None:
+    """A motion before enable; then a frame and a size that are none."""
     start(ros_graph, rig)
+    rig.step()
+    rig.pose(np.array([0.0, 0.0, 0.12]))
+    cycle = rig.step()
+    assert cycle.refused == 1
+    assert not np.any(cycle.qd_command)
+    rig.wait_text("warning", "state_command first")
     p = tip_in_rcm(rig.enable())
     rig.pose(p, frame="PSM1_base")
     cycle = rig.step()
-    assert cycle.refused == 1
+    assert cycle.refused == 2
     assert cycle.state == Cycle.ENABLED
     text = rig.wait_text("warning", "PSM1_base")
     assert "PSM1_rcm" in text and "servo_cp" in text
     rig.pose(p, frame="")
-    assert rig.step().refused == 1
-
-
-def test_wrong_size_is_refused_with_a_warning(ros_graph: RosGraph, rig: Rig) -> None:
-    start(ros_graph, rig)
-    rig.enable()
+    assert rig.step().refused == 2
     rig.servo_jp.publish(JointState(position=[0.0, 0.0, 0.1]))
     rig.sent += 1
-    assert rig.step().refused == 1
+    assert rig.step().refused == 3
     assert "yaw, pitch, insertion, roll" in rig.wait_text("warning", "servo_jp")
 
 
@@ -144,16 +145,6 @@ def test_f01_not_finite_is_a_fault_and_output_stays_finite(
     for _ in range(20):
         rig.pose(p)
         assert rig.step().state == Cycle.FAULT
-
-
-def test_motion_before_enable_is_refused_with_the_cure(ros_graph: RosGraph, rig: Rig) -> None:
-    start(ros_graph, rig)
-    rig.step()
-    rig.pose(np.array([0.0, 0.0, 0.12]))
-    cycle = rig.step()
-    assert cycle.refused == 1
-    assert not np.any(cycle.qd_command)
-    rig.wait_text("warning", "state_command first")
 
 
 def test_undeclared_sender_is_obeyed_and_reported(ros_graph: RosGraph, rig: Rig) -> None:
@@ -276,6 +267,7 @@ def test_sigterm_commands_zero_and_exits_cleanly(ros_graph: RosGraph, rig: Rig) 
     assert child.process.wait(10) == 0
 
 
+@pytest.mark.timed
 def test_free_run_keeps_500_hz(ros_graph: RosGraph, rig: Rig) -> None:
     rig.says["lockstep"] = False
     start(ros_graph, rig, mode="freerun", participants=[])
@@ -336,7 +328,6 @@ BROKEN = [
 ]
 
 
-@pytest.mark.untimed
 @pytest.mark.parametrize(("change", "part"), BROKEN)
 def test_f15_broken_parameters_exit_with_2(
     ros_graph: RosGraph, change: dict[str, object], part: str

@@ -32,7 +32,7 @@ from helpers.graph.ros import RosGraph, find_executable
 from surg_cli.graph import master
 from surg_msgs.msg import Cycle, PointVelocityStamped
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
 
 class Voice:
@@ -89,28 +89,33 @@ def virtual_joints(cycle: Cycle) -> np.ndarray:
     return np.array([math.atan2(p[0], p[2]), math.asin(p[1] / depth), depth, cycle.roll])
 
 
-@pytest.mark.parametrize("topic", ["move_jp", "move_jr", "interpolate_jp", "servo_jr"])
-def test_joint_commands_arrive(ros_graph: RosGraph, rig: Rig, voice: Voice, topic: str) -> None:
+def test_joint_commands_arrive(ros_graph: RosGraph, rig: Rig, voice: Voice) -> None:
+    """One after the other, there and back."""
     start(ros_graph, rig)
-    send = voice.speak(topic, JointState)
-    begin = virtual_joints(rig.enable())
-    change = np.array([0.05, -0.04, 0.01, 0.2])
+    topics = ("move_jp", "move_jr", "interpolate_jp", "servo_jr")
+    send = {topic: voice.speak(topic, JointState) for topic in topics}
+    rig.enable()
     for _ in range(10):  # the edge of is_busy that belongs to home
         cycle = rig.step()
-    if topic == "servo_jr":  # a stream of small changes
-        for k in range(250):  # its end is at rest, or the tip would stop a little beyond
-            part = change / 200 if k < 200 else 0 * change
-            send(JointState(position=part.tolist()))
+    change = np.array([0.05, -0.04, 0.01, 0.2])
+    for topic in topics:
+        begin = virtual_joints(cycle)
+        if topic == "servo_jr":  # a stream of small changes
+            for k in range(250):  # its end is at rest, or the tip would stop a little beyond
+                part = change / 200 if k < 200 else 0 * change
+                send[topic](JointState(position=part.tolist()))
+                cycle = rig.step()
+        else:
+            there = change if topic == "move_jr" else begin + change
+            send[topic](JointState(position=there.tolist()))
             cycle = rig.step()
-    else:
-        send(JointState(position=(change if topic == "move_jr" else begin + change).tolist()))
-        cycle = rig.step()
-        assert cycle.busy == topic.startswith("move")
-    for _ in range(700):
-        cycle = rig.step()
-    assert cycle.refused == 0, rig.texts
-    assert not cycle.busy
-    assert np.allclose(virtual_joints(cycle) - begin, change, atol=1e-3)
+            assert cycle.busy == topic.startswith("move")
+        for _ in range(700):
+            cycle = rig.step()
+        assert cycle.refused == 0, rig.texts
+        assert not cycle.busy
+        assert np.allclose(virtual_joints(cycle) - begin, change, atol=1e-3), topic
+        change = -change
 
 
 def test_base_frame_is_spoken_in_both_directions(
@@ -151,6 +156,8 @@ def test_kinematics_queries(ros_graph: RosGraph, rig: Rig) -> None:
     inverse = rospy.ServiceProxy("/PSM1/inverse_kinematics", QueryInverseKinematics)
     pose = forward(jp=joints)
     assert pose.result, pose.message
+    anywhere = rospy.ServiceProxy("/PSM1/forward_kinematics", QueryForwardKinematics)
+    assert anywhere(jp=joints).cp == pose.cp  # the base frame is the rcm frame
     back = inverse(cp=pose.cp, jp=[])
     assert back.result, back.message
     assert np.allclose(back.jp, joints, atol=1e-12)
@@ -288,6 +295,7 @@ class Relay:
         self._listener.close()
 
 
+@pytest.mark.timed
 @pytest.mark.parametrize("how", ["dead", "frozen"])
 def test_f07_a_lost_master_is_noticed_and_the_loop_goes_on(
     ros_graph: RosGraph, rig: Rig, how: str
@@ -318,6 +326,7 @@ def test_f07_a_lost_master_is_noticed_and_the_loop_goes_on(
         relay.cut()
 
 
+@pytest.mark.timed
 def test_f07_a_lost_master_refuses_enable_in_real_time(ros_graph: RosGraph, rig: Rig) -> None:
     relay = Relay(ros_graph.uri)
     env = {"ROS_MASTER_URI": relay.uri}
@@ -338,6 +347,7 @@ def test_f07_a_lost_master_refuses_enable_in_real_time(ros_graph: RosGraph, rig:
         relay.cut()
 
 
+@pytest.mark.timed
 def test_f09_stamps_of_the_future_are_counted_and_decide_nothing(
     ros_graph: RosGraph, rig: Rig, voice: Voice
 ) -> None:
@@ -351,6 +361,7 @@ def test_f09_stamps_of_the_future_are_counted_and_decide_nothing(
         )
 
 
+@pytest.mark.timed
 def test_f09_a_halted_sim_clock_does_not_stop_the_watchdog(ros_graph: RosGraph, rig: Rig) -> None:
     master.call(ros_graph.uri, "setParam", "/use_sim_time", True)
     start(ros_graph, rig, mode="freerun", participants=[])
@@ -389,6 +400,7 @@ def stream(
     assert not check or np.abs(sent[-1]).max() > 0.01, "the arm does not move"
 
 
+@pytest.mark.timed
 @pytest.mark.parametrize(
     ("nodelet", "how"),
     [(False, signal.SIGTERM), (True, signal.SIGTERM), (True, signal.SIGINT), (True, None)],

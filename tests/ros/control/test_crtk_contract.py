@@ -10,7 +10,6 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
 import pytest
 import roslib.message
 import rospy
@@ -143,13 +142,11 @@ def test_the_graph_is_the_contract(
         assert 0.5 * entry.hz[1] < rate < fastest * entry.hz[1], f"{entry.name}: {rate:.1f} Hz"
         print(f"{entry.name:28s} {rate:6.1f} Hz")
         assert abs(stamps[-1] / 1e9 - time.time()) < 5.0, "stamps are wall time"
+    every_command_connects_with_its_md5(ros_graph, contract)
 
 
-def test_every_command_connects_with_its_md5(
-    ros_graph: RosGraph, rospy_node: str, contract: Contract
-) -> None:
+def every_command_connects_with_its_md5(ros_graph: RosGraph, contract: Contract) -> None:
     """A roscpp subscriber refuses a publisher of another md5: who connects has the same one."""
-    start(ros_graph, "freerun", rospy_node)
     inputs = [
         e
         for e in contract.entries
@@ -246,42 +243,6 @@ def arm_word(word: str) -> Any:
     from crtk_msgs.msg import StringStamped
 
     return StringStamped(string=word)
-
-
-def test_services_answer_for_the_virtual_joints(
-    ros_graph: RosGraph, rospy_node: str, contract: Contract, rng: Any
-) -> None:
-    """Forward and inverse agree, and are the convention: tip = insertion times shaft direction."""
-    from crtk_msgs.srv import QueryForwardKinematics, QueryInverseKinematics
-
-    start(ros_graph, "freerun", rospy_node)
-    for name in ("forward_kinematics", "local/forward_kinematics", "inverse_kinematics"):
-        rospy.wait_for_service(f"/{ARM}/{name}", 20.0)
-    forward = rospy.ServiceProxy(f"/{ARM}/forward_kinematics", QueryForwardKinematics)
-    local = rospy.ServiceProxy(f"/{ARM}/local/forward_kinematics", QueryForwardKinematics)
-    inverse = rospy.ServiceProxy(f"/{ARM}/inverse_kinematics", QueryInverseKinematics)
-    for _ in range(50):
-        jp = [rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5), rng.uniform(0.04, 0.2),
-              rng.uniform(-2.5, 2.5)]  # fmt: skip
-        there = forward(jp=jp)
-        assert there.result, there.message
-        yaw, pitch, depth, _ = jp
-        s = np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
-        p = there.cp.position
-        assert np.allclose([p.x, p.y, p.z], depth * s, atol=1e-12)
-        assert local(jp=jp).cp == there.cp  # the base frame is the rcm frame
-        back = inverse(cp=there.cp, jp=jp)
-        assert back.result, back.message
-        assert np.allclose(back.jp, jp, atol=1e-9)
-    assert not forward(jp=[0.0, 0.0, 0.1]).result
-    refused = inverse(cp=forward(jp=[0.0, 0.0, 0.5, 0.0]).cp, jp=[])
-    assert not refused.result and "mm" in refused.message
-
-
-def test_the_dvrk_node_wants_to_know_the_arms(ros_graph: RosGraph, rospy_node: str) -> None:
-    child = ros_graph.node("surg_dvrk_compat", "dvrk_compat_node.py", "/dvrk_compat", {"arms": 3})
-    ros_graph.wait_for(lambda: child.exit_code is not None, 10.0, "the node to refuse")
-    assert child.exit_code == 2 and "_arms:=PSM1" in child.log_tail(5)
 
 
 def test_the_page_names_every_reason() -> None:

@@ -17,7 +17,7 @@ from helpers.graph.ros import RosGraph
 from surg_cli.host import paths
 from surg_msgs.msg import Cycle, Fixture, Fixtures
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
 
 class Regions:

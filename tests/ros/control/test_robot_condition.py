@@ -9,7 +9,7 @@ from helpers.graph.control_rig import Rig, follow, start
 from helpers.graph.ros import RosGraph
 from surg_msgs.msg import Cycle, LinkStatus
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
 SENTENCE = "protective stop on joint 3: unlock it on the pendant"
 

@@ -1,4 +1,7 @@
-"""The node /<arm>/force on a graph: both forces of a pressed tip, and every input that is bad."""
+"""The node /<arm>/force on a graph: both forces of a pressed tip, and that none is known.
+
+What input is bad, and why, is in `test_force_watch.py`.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,6 @@ class Robot:
         self.q = np.array(self.arm.robot.home)
         self.free, self.pressed = bench.reading(self.q), bench.reading(self.q, PUSH)
         self.reading: np.ndarray | None = self.free
-        self.joints = True
 
         def out(topic: str, kind: Any) -> Any:
             return rospy.Publisher(f"/PSM1/{topic}", kind, queue_size=5, tcp_nodelay=True)
@@ -58,11 +60,10 @@ class Robot:
 
         while not self._stop.wait(0.003):
             stamp = rospy.Time.now()
-            if self.joints:
-                names = list(self.arm.robot.joint_names)
-                message = JointState(name=names, position=self.q.tolist(), velocity=[0.0] * 6)
-                message.header.stamp = stamp
-                self._js.publish(message)
+            names = list(self.arm.robot.joint_names)
+            message = JointState(name=names, position=self.q.tolist(), velocity=[0.0] * 6)
+            message.header.stamp = stamp
+            self._js.publish(message)
             if self.reading is not None:
                 told = WrenchStamped()
                 told.header.stamp = stamp
@@ -76,7 +77,7 @@ class Robot:
         self._thread.join()
 
 
-def test_both_forces_arrive_and_bad_input_is_said_with_stamp_0(
+def test_both_forces_arrive_and_what_is_not_known_has_stamp_0(
     ros_graph: RosGraph, rospy_node: str, tmp_path: Path
 ) -> None:
     import rospy
@@ -117,14 +118,6 @@ def test_both_forces_arrive_and_bad_input_is_said_with_stamp_0(
             ros_graph.wait_for(lambda n=name, b=before: len(heard[n]) > b + 5, 10.0, name)
             assert all(m.header.stamp.is_zero() for m in heard[name][before:])
 
-    def warns(words: str, after: int) -> None:
-        told = lambda: any(words in m.data for m in heard["warning"][after:])  # noqa: E731
-        ros_graph.wait_for(told, 10.0, f"a warning '{words}'")
-
-    def good() -> None:
-        robot.reading, robot.joints = robot.free, True
-        status("ok")
-
     try:
         status("ok")
         # Each topic has a connection of its own: the status may arrive before either force, and
@@ -140,20 +133,14 @@ def test_both_forces_arrive_and_bad_input_is_said_with_stamp_0(
         assert not heard["tool"][-1].header.stamp.is_zero()
         assert heard["tool"][-1].header.frame_id == "PSM1_base"
 
-        saturated, broken = robot.free.copy(), robot.free.copy()
-        saturated[1], broken[3] = -200.0, np.nan
-        for bad, words in ((saturated, "saturated"), (broken, "gives no number"), (None, "silent")):
-            good()
-            warned = len(heard["warning"])
-            robot.reading = bad
-            status(words)
-            unknown()
-            warns(words, warned)
-        good()
-        robot.joints = False
-        status("joint state is silent")
+        warned = len(heard["warning"])
+        robot.reading = None
+        status("silent")
         unknown()
-        good()
+        told = lambda: any("silent" in m.data for m in heard["warning"][warned:])  # noqa: E731
+        ros_graph.wait_for(told, 10.0, "a warning")
+        robot.reading = robot.free
+        status("ok")
         other = folder / "calibration" / "tool_long.yaml"
         other.write_text("another tool\n", encoding="utf-8")
         robot.mounted.publish(StringStamped(string="grasper calibration/tool_long.yaml"))

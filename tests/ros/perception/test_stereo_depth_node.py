@@ -154,11 +154,3 @@ def test_marks_come_with_every_picture_and_need_none(sender: Sender, ros_graph: 
     before = len(marks.messages)
     time.sleep(0.5)
     assert len(marks.messages) == before
-
-
-def test_a_broken_parameter_ends_the_node_with_a_reason(ros_graph: RosGraph) -> None:
-    params: dict[str, object] = {"method": "census"}
-    node = ros_graph.node("surg_perception", "stereo_depth_node.py", "/eyes", params)
-    ros_graph.wait_for(lambda: node.exit_code is not None, 20.0, "the end")
-    assert node.exit_code == 2
-    assert "census: there is no such stereo method" in node.log_tail(3)

@@ -108,6 +108,8 @@ class Bench:
         arm = surg_msgs.ArmTruth(arm="PSM1", jaw=k / 13.0)
         truth.arms = [arm]
         self.truth.publish(truth)
+        if k % 100 == 0:  # as the bridge does where somebody does not answer in time
+            self.truth.publish(truth)
         if image and k % 25 == 0:
             self.send_image(k)
 
@@ -314,25 +316,6 @@ def test_sigterm_finishes_and_kill_is_recovered(
     assert "killed" in recovered.manifest["reason"]
     assert list(recovered.cycle("PSM1")["tick"]) == list(range(1, 601))  # Ready said: written
     assert len(recovered.video("endoscope_left").frames) >= 24 - 10
-
-
-@pytest.mark.untimed
-@pytest.mark.parametrize(
-    ("params", "said"),
-    [
-        ({"mode": "fast"}, "~mode"),
-        ({"out": ""}, "~out"),
-        ({"arms": []}, "~arms"),
-        ({"run_info": "{"}, "~run_info"),
-    ],
-)
-def test_broken_parameters_end_with_code_2(
-    ros_graph: RosGraph, rospy_node: str, tmp_path: Path, params: dict[str, Any], said: str
-) -> None:
-    child = _start(ros_graph, tmp_path, **params)
-    _until(lambda: child.exit_code is not None, "its end")
-    assert child.exit_code == 2
-    assert said in child.log_tail(8)
 
 
 def test_a_disk_without_room_is_said_and_the_node_lives(

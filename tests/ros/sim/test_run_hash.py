@@ -32,7 +32,6 @@ SHORT = str(HELPERS / "short_bgr.py")
 THREAD = str(HELPERS / "short_thread.py")
 NUDGE = str(HELPERS / "nudge_task.py")
 PUSHED = str(HELPERS / "pushed_bgr.py")
-SLOW = str(HELPERS / "slow_pick.py")
 
 
 def in_process(cell: Path, task: str, setting: str, seed: int, law: str = "ours") -> EpisodeReport:
@@ -112,17 +111,6 @@ def assert_recorded_alike(graph: recorded.Episode, folder: Path) -> None:
                 np.testing.assert_array_equal(a, b, err_msg=f"{name}.{column}")
             values += len(one)
     print(f"{len(names)} tables, {values} values, the same in both ways")
-
-
-def test_a_state_that_is_published_again_is_recorded_once(tmp_path: Path) -> None:
-    """A sender keeps silent for longer than the bridge waits before it asks again."""
-    through_the_graph(tmp_path, cells.find("sim_two_arms"), SLOW, "phantom", 10_001)
-    found = recorded.read(tmp_path / "episode")
-    last = found.manifest["sim"]["tick"]
-    for name in ("ground_truth_PSM1", "ground_truth_ECM", "cycle_PSM1", "cycle_ECM"):
-        assert found.table(name)["tick"].tolist() == list(range(1, last + 1)), name
-    looks = found.table("task_state")["tick"].tolist()
-    assert looks[:-1] == list(range(25, looks[-2] + 1, 25))
 
 
 @pytest.mark.full

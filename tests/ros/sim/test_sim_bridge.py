@@ -130,18 +130,6 @@ def point_of(message: object) -> tuple[float, float, float]:
     return message.x, message.y, message.z
 
 
-@pytest.mark.full  # `test_run_hash` compares hashes
-def test_two_runs_have_one_hash(ros_graph: RosGraph, rospy_node: str) -> None:
-    began = time.monotonic()
-    first = lockstep(ros_graph, 0.05, 500)
-    second = lockstep(ros_graph, 0.05, 500)
-    other = lockstep(ros_graph, 0.0, 500)
-    print(f"3 x 500 ticks in {time.monotonic() - began:.1f} s")
-    assert first.tick == 500
-    assert first.deterministic is True and first.state == first.STATE_DONE
-    assert first.state_hash == second.state_hash != other.state_hash
-
-
 @pytest.mark.untimed
 def test_jitter_changes_nothing(ros_graph: RosGraph, rospy_node: str) -> None:
     calm = lockstep(ros_graph, 0.05, 50)
@@ -190,28 +178,6 @@ def test_a_stranger_is_not_taken_for_the_controller(ros_graph: RosGraph, rospy_n
         log = child.log_tail(20)
     assert child.exit_code == 1 and not controller.stamps
     assert "the controller does not subscribe /PSM1/tool/measured_js" in log
-
-
-@pytest.mark.untimed
-@pytest.mark.parametrize(
-    ("params", "words"),
-    [
-        ({"mode": "fast"}, "~mode"),
-        ({"cell": "/nowhere"}, "/nowhere"),
-        ({"observers": ["spectator"]}, "spectator"),
-        ({"arms": ["PSM9"]}, "PSM9"),
-        ({"seed": -1}, "~seed"),
-        ({"faults": '{"fault": "gremlin"}'}, "not_finite, freeze"),
-        ({"faults": '{"fault": "not_finite", "joint": 6}'}, "0 to 5"),
-    ],
-)
-def test_broken_configuration_ends_with_2(
-    ros_graph: RosGraph, rospy_node: str, params: dict, words: str
-) -> None:
-    child = ros_graph.node("surg_sim", "bridge_node.py", "/sim", {"cell": str(CELL), **params})
-    ros_graph.wait_for(lambda: child.exit_code is not None, 60.0, "the bridge to refuse")
-    assert child.exit_code == 2
-    assert words in child.log_tail(20)
 
 
 def test_free_run_keeps_its_rate_and_its_dead_man(ros_graph: RosGraph, rospy_node: str) -> None:

@@ -162,21 +162,3 @@ def test_people_who_try_again_have_no_time_limit(ros_graph: RosGraph, rospy_node
         target = bridge_messages.task_state(states[0].names, drawn(states, seed)[0].values)
         assert target["target"] == alone.task.target
         assert np.abs(target["nodes"] - alone.task.bowel.nodes).max() < 2e-3, seed
-
-
-@pytest.mark.parametrize(
-    ("params", "words"),
-    [
-        ({"task": "dance"}, "bgr"),
-        ({"task": str(SHORT), "setting": "space"}, "phantom"),
-        ({"task": 7}, "~task"),
-    ],
-)
-def test_an_unknown_task_or_setting_ends_with_2(
-    ros_graph: RosGraph, rospy_node: str, params: dict[str, object], words: str
-) -> None:
-    settings = {"cell": str(CELL), **params}
-    child = ros_graph.node("surg_sim", "bridge_node.py", "/sim", settings)
-    ros_graph.wait_for(lambda: child.exit_code is not None, 15.0, "the bridge to refuse")
-    assert child.exit_code == 2
-    assert words in child.log_tail(20)

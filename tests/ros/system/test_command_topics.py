@@ -41,16 +41,12 @@ def listeners(uri: str) -> dict[str, list[str]]:
     return dict(subscriptions)
 
 
+@pytest.mark.full  # in every run `test_cli_lifecycle` does this with one arm
 @pytest.mark.parametrize(
     ("words", "cell", "servants"),
     [
-        pytest.param(
-            ("up", "--cameras", "none", "--record-topics", "/*", "--"),
-            "sim_two_arms",
-            (),
-            marks=pytest.mark.full,
-        ),
-        pytest.param(("teleop",), "sim_ur5e", (), marks=pytest.mark.full),
+        (("up", "--cameras", "none", "--record-topics", "/*", "--"), "sim_two_arms", ()),
+        (("teleop",), "sim_ur5e", ()),
         (("run",), "bgr", ("/assistant/servo_jp", "/assistant/jaw/servo_jp")),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,7 +24,7 @@ from surg_ros2.cdr import Codec
 from surg_ros2.message_types_node import fields
 
 pytest.importorskip("cyclonedds", reason="missing: ./surg dev setup --all installs cyclonedds")
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
 NUDGE = ROOT / "tests" / "helpers" / "sim" / "nudge_task.py"
 WAIT_S = 120.0
@@ -52,33 +53,32 @@ def running_command(folder: Path, said: str, *words: object) -> Iterator[tuple[S
         assert process.wait(WAIT_S) == 130
 
 
-def sockets_of_up(folder: Path, *words: str) -> list[str]:
-    """The UDP sockets of what `./surg up` has started; those of ROS 1 in C++ are its UDPROS."""
-    with running_command(folder, "is up:", "up", "sim_ur5e", *words) as (process, port, _):
-        (system,) = running.systems(port)
-        leaders = [process.pid, *(pid for name, pid in system.nodes.items() if name not in CPP)]
-        pids = {pid for leader in leaders for pid in session_members(leader)}
-        return [each for pid in pids for each in udp_sockets(pid)]
+def sockets_of(process: Started, port: int) -> list[str]:
+    """The UDP sockets of what a command has started; those of ROS 1 in C++ are its UDPROS."""
+    (system,) = running.systems(port)
+    leaders = [process.pid, *(pid for name, pid in system.nodes.items() if name not in CPP)]
+    pids = {pid for leader in leaders for pid in session_members(leader)}
+    return [each for pid in pids for each in udp_sockets(pid)]
 
 
 def test_without_the_option_nothing_is_opened(tmp_path: Path) -> None:
-    assert sockets_of_up(tmp_path) == []
+    with running_command(tmp_path, "is up:", "up", "sim_ur5e") as (process, port, _):
+        assert sockets_of(process, port) == []
 
 
-def test_with_it_sockets_are_on_loopback(dds: Dds, tmp_path: Path) -> None:
-    found = sockets_of_up(tmp_path, "--ros2")
-    assert len(found) > 2
-    assert [each for each in found if not each.startswith(("127.", "0.0.0.0%lo:"))] == []
-
-
-def test_a_second_gateway_ends_and_its_system_runs_on(
-    ros_graph: RosGraph, rospy_node: str, dds: Dds, tmp_path: Path
+def test_a_system_is_seen_over_the_loopback_and_outlives_its_gateway(
+    dds: Dds, tmp_path: Path
 ) -> None:
-    dds.gateway()
-    ros_graph.wait_for(lambda: "/ros2" in master.nodes(ros_graph.uri), WAIT_S, "the first one")
-    said = "/ros2 ended (2), the rest runs on: ros2: another gateway runs in this ROS 2 domain: end"
+    peer = listener(dds)
     words = ("up", "sim_ur5e", "--ros2")
-    with running_command(tmp_path, "is up:", *words) as (_, _, log):
+    with running_command(tmp_path, "is up:", *words) as (process, port, log):
+        found = sockets_of(process, port)
+        assert len(found) > 2
+        assert [each for each in found if not each.startswith(("127.", "0.0.0.0%lo:"))] == []
+        assert wait_until(lambda: STATUS in peer.log_tail(1), WAIT_S)
+        (system,) = running.systems(port)
+        os.kill(system.nodes["/ros2"], signal.SIGKILL)
+        said = "/ros2 ended (-9), the rest runs on"
         assert wait_until(lambda: said in log.read_text(), WAIT_S), log.read_text()
 
 
@@ -87,6 +87,7 @@ def listener(dds: Dds) -> Child:
     return dds.peer("looks", "", f"{STATUS}=surg_msgs/SimStatus")
 
 
+@pytest.mark.full
 def test_ros_2_sees_a_teleoperation(dds: Dds, tmp_path: Path) -> None:
     peer = listener(dds)
     page = ("--bind", f"127.0.0.1:{master.free_port()}", "--out", tmp_path / "out")
@@ -94,6 +95,7 @@ def test_ros_2_sees_a_teleoperation(dds: Dds, tmp_path: Path) -> None:
         assert wait_until(lambda: STATUS in peer.log_tail(1), WAIT_S)
 
 
+@pytest.mark.full
 def test_ros_2_sees_every_episode_of_a_run(dds: Dds, tmp_path: Path) -> None:
     peer = listener(dds)
     words = ["run", NUDGE, "--robot", write_two_arms(tmp_path / "cell"), "--episodes", 2]
@@ -106,6 +108,7 @@ def test_ros_2_sees_every_episode_of_a_run(dds: Dds, tmp_path: Path) -> None:
     assert sum(b < a for a, b in itertools.pairwise(ticks)) == 1, "two episodes"
 
 
+@pytest.mark.full
 def test_a_run_whose_gateway_ends_goes_on_and_says_so(
     ros_graph: RosGraph, rospy_node: str, dds: Dds, tmp_path: Path
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,17 +17,21 @@ from crtk_msgs.srv import QueryInverseKinematicsRequest as Request
 from crtk_msgs.srv import QueryInverseKinematicsResponse as Response
 from helpers.graph.ros import RosGraph
 from helpers.ros2 import drawn_messages as drawn
+from helpers.ros2 import keystore
 from helpers.ros2.dds_peers import POSE, Dds, udp_sockets
 from surg_cli.graph import master
 from surg_cli.host import paths
 
 pytest.importorskip("cyclonedds", reason="missing: ./surg dev setup --all installs cyclonedds")
-pytestmark = [pytest.mark.ros]
+pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
 CLIENT = paths.ROOT / "tests" / "helpers" / "ros2" / "cyclone_client.py"
 SERVICE = "/PSM1/inverse_kinematics"
 WAIT_S = 90.0
 JUNK = "00010000ffffffff"
+TWIST = "geometry_msgs/TwistStamped"
+MORE = bytes(8).hex()
+"""A field behind those that we know."""
 
 
 @pytest.fixture
@@ -92,16 +97,28 @@ def test_both_ways_with_an_authority_of_its_own_for_each_process(
     assert node.exit_code is None
 
 
-def test_junk_and_wrong_types_do_no_harm_and_a_second_gateway_gives_way(
+def test_what_is_foreign_is_named_and_reaches_nobody_and_a_second_gateway_gives_way(
     ros_graph: RosGraph,
     rospy_node: str,
     dds: Dds,
     rng: random.Random,
 ) -> None:
-    graph, command = Graph(rng), drawn.draw(POSE, rng)
+    """Junk, another type, another definition and another domain, beside a good command."""
+    graph = Graph(rng)
+    pose, twist = (drawn.cdr(kind, drawn.draw(kind, rng)).hex() for kind in (POSE, TWIST))
     node = dds.gateway()
     dds.peer("junk", JUNK)
-    dds.peer("", drawn.cdr(POSE, command).hex(), label="good")
+    dds.peer("type", twist, kind=TWIST)
+    dds.peer("definition", pose + MORE)
+    away = dds.peer("away", pose, domain=dds.domain + 1)
+    ros_graph.wait_for(lambda: "ready" in away.log_tail(), WAIT_S, "the one that is away")
+    for said in (
+        "from ros2_junk: geometry_msgs/PoseStamped: 8 bytes do not fit",
+        f"a ROS 2 node sends geometry_msgs::msg::dds_::TwistStamped_; expected {POSE}",
+        "its package has another definition: build it from this workspace's",
+    ):
+        ros_graph.wait_for(lambda s=said: s in node.log_tail(100), WAIT_S, said)
+    dds.peer("", pose, label="good")
     ros_graph.wait_for(lambda: bool(graph.heard), WAIT_S, "a good command")
     (name,) = graph.heard
     assert name.startswith("/ros2_peer_")
@@ -109,8 +126,6 @@ def test_junk_and_wrong_types_do_no_harm_and_a_second_gateway_gives_way(
     ros_graph.wait_for(lambda: other.exit_code is not None, WAIT_S, "the second gateway's end")
     assert other.exit_code == 2
     assert "another gateway runs in this ROS 2 domain" in other.log_tail()
-    said = "from ros2_junk: geometry_msgs/PoseStamped: 8 bytes do not fit"
-    ros_graph.wait_for(lambda: said in node.log_tail(100), WAIT_S, "the junk's refusal")
     assert node.exit_code is None
 
 
@@ -138,3 +153,39 @@ def test_a_service_is_asked_as_rmw_cyclonedds_frames_it(
 def padded(data: bytes) -> bytes:
     """As DDS sends it: a multiple of four bytes."""
     return data + bytes(-len(data) % 4)
+
+
+@pytest.mark.parametrize(
+    ("params", "missing", "said"),
+    [
+        ({"interface": "nope"}, "", "no network interface 'nope'; there are lo"),
+        ({}, "cyclonedds", "cyclonedds"),
+    ],
+)
+def test_a_gateway_that_cannot_run_says_why(
+    ros_graph: RosGraph,
+    dds: Dds,
+    tmp_path: Path,
+    params: dict[str, object],
+    missing: str,
+    said: str,
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text(f"import sys\nsys.modules[{missing!r}] = None\n")
+    env = {"PYTHONPATH": f"{tmp_path}:{ros_graph.env.get('PYTHONPATH', '')}"}
+    node = dds.gateway(env=env, **params)
+    ros_graph.wait_for(lambda: node.exit_code is not None, WAIT_S, "its end")
+    cure = "./surg up CELL --ros2 installs it" if missing else ""
+    last = node.log_tail(1)
+    assert (node.exit_code, said in last, cure in last) == (2, True, True), node.log_tail()
+
+
+def test_without_the_means_of_dds_security_it_ends(
+    ros_graph: RosGraph, dds: Dds, tmp_path: Path
+) -> None:
+    """The libddsc of PyPI has none, and no plug-ins are there for another one."""
+    enclave = keystore.enclave(keystore.authority(tmp_path / "keys"), "/gateway")
+    node = dds.gateway(enclave=enclave)
+    ros_graph.wait_for(lambda: node.exit_code is not None, WAIT_S, "its end")
+    assert node.exit_code == 2
+    assert "DDS Security needs a libddsc with it (PyPI's has none)" in node.log_tail(1)
+    assert "libdds_security_auth.so" in node.log_tail(1)

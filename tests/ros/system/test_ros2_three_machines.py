@@ -31,7 +31,7 @@ from surg_ros2.cdr import Codec
 from surg_ros2.message_types_node import fields
 
 pytest.importorskip("cyclonedds", reason="missing: ./surg dev setup --all installs cyclonedds")
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.full]
 
 PORT = 11378  # namespaces have ports of their own
 DOMAIN = "7"

@@ -306,14 +306,6 @@ def test_parameters_that_must_not_be_used_are_named(params: dict[str, object], s
     assert said in str(caught.value)
 
 
-def test_a_broken_parameter_ends_it_with_code_2(ros_graph: RosGraph) -> None:
-    given = {"cell": paths.CELLS / "sim_ur5e", "bind": "192.168.1.1"}
-    child = ros_graph.node("surg_console", "console_node.py", "/console", given)
-    ros_graph.wait_for(lambda: child.exit_code is not None, 40, "its end")
-    assert child.exit_code == 2
-    assert "TLS and a token" in child.log_tail(8)
-
-
 def test_the_command_refuses_before_anything_starts() -> None:
     done = surg("teleop", "sim_ur5e", "--bind", "0.0.0.0")
     assert done.returncode == 2

@@ -279,6 +279,7 @@ def test_a_device_that_moves_by_itself_may_be_forbidden(bench: Bench) -> None:
     assert "i" not in lambda7.calls(bench.state)
 
 
+@pytest.mark.untimed
 def test_a_missing_library_names_every_place_and_the_cure(bench: Bench, tmp_path: Path) -> None:
     other = tmp_path / "sdk/lib/release/lin-x86_64-gcc"
     other.mkdir(parents=True)
@@ -295,6 +296,7 @@ def test_a_missing_library_names_every_place_and_the_cure(bench: Bench, tmp_path
     assert "set FDSDK" in text
 
 
+@pytest.mark.untimed
 def test_it_is_found_in_the_sdks_folder_by_its_version(bench: Bench, tmp_path: Path) -> None:
     folder = tmp_path / "sdk/lib/release/lin-x86_64-gcc"
     folder.mkdir(parents=True)
@@ -304,6 +306,7 @@ def test_it_is_found_in_the_sdks_folder_by_its_version(bench: Bench, tmp_path: P
     assert f"Lambda.7, by {folder}/libdrd.so.3.17.0" in child.log_tail(5)
 
 
+@pytest.mark.untimed
 def test_a_library_without_a_function_is_named(bench: Bench, tmp_path: Path) -> None:
     library = lambda7.build(tmp_path, "-DdhdIsLeftHanded=somethingElse")
     child = bench.start(env={"FORCEDIM_LIBRARY": str(library), "HOME": "/hearth"})
@@ -311,6 +314,7 @@ def test_a_library_without_a_function_is_named(bench: Bench, tmp_path: Path) -> 
     assert f"{library}: has no function dhdIsLeftHanded" in child.log_tail(30)
 
 
+@pytest.mark.untimed
 @pytest.mark.parametrize(
     ("params", "said"),
     [

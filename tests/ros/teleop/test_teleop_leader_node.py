@@ -164,21 +164,6 @@ def test_pedals_on_topics_fail_to_pressed(ears: Ears) -> None:
 
 
 @pytest.mark.parametrize(
-    ("params", "code", "said"),
-    [
-        ({"leader": "teapot"}, 2, "there is no such leader"),
-    ],
-)
-def test_a_wrong_start_says_why(
-    params: dict[str, object], code: int, said: str, ears: Ears
-) -> None:
-    child = ears.graph.node("surg_teleop", "leader_node", "/leader", params)
-    ears.until(lambda: child.exit_code is not None, "the end")
-    assert child.exit_code == code
-    assert said in child.log_tail(5)
-
-
-@pytest.mark.parametrize(
     ("params", "said"),
     [
         ({"leader": "gamepad", "colour": "red"}, "~leader, ~settings, ~rate, ~pedals"),

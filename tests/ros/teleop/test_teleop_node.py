@@ -1,18 +1,17 @@
-"""The teleoperation node on the simulator and the controllers: free-run and lock-step."""
+"""The teleoperation node on the simulator and the controllers."""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import surg_core
-from helpers.graph import contract, socket_jitter
+from helpers.graph import contract
 from helpers.graph.ros import RosGraph
 from helpers.teleop.moving_hand import MovingHand
 from surg_cli.graph import master, system
@@ -24,9 +23,7 @@ from surg_core.held_endoscope import held_endoscope
 pytestmark = pytest.mark.ros
 
 TWO_ARMS = paths.ROOT / "cells" / "sim_two_arms"
-ONE_ARM = paths.ROOT / "cells" / "sim_ur5e"
 PICTURE = "/test/image_raw"
-STANDING_VIEW = [0.907, 0.0, 0.0, 0.421]  # any: an endoscope that nobody holds
 
 
 class CrtkHand(MovingHand):
@@ -144,23 +141,12 @@ class CrtkHand(MovingHand):
         return bool(np.linalg.norm(np.array(self.cycles[arm].p_set) - before) < 1e-5)
 
 
-def start(graph: RosGraph, cell: Path, arms: tuple[str, ...], lockstep: bool) -> None:
-    plan = SystemPlan(
-        cell=cell,
-        arms=arms,
-        lockstep=lockstep,
-        cameras=(),
-        out=graph.folder,
-        record=False,
-        extra_participants=("teleop",) if lockstep else (),
-    )
-    for node in system.nodes(plan):
-        graph.node(node.package, node.executable, node.name, node.params, arguments=node.arguments)
-
-
 @pytest.fixture
 def hand(ros_graph: RosGraph, rospy_node: str) -> Iterator[CrtkHand]:
-    start(ros_graph, TWO_ARMS, ("PSM1", "ECM"), lockstep=False)
+    plan = SystemPlan(TWO_ARMS, ("PSM1", "ECM"), False, (), ros_graph.folder, record=False)
+    for node in system.nodes(plan):
+        words = {"arguments": node.arguments}
+        ros_graph.node(node.package, node.executable, node.name, node.params, **words)
     params = {
         "cell": TWO_ARMS,
         "leader": "crtk",
@@ -186,7 +172,7 @@ def test_a_crtk_leader_drives_both_arms_in_free_run(ros_graph: RosGraph, hand: C
     wait = ros_graph.wait_for
     wait(hand.connected, 40.0, "both arms and the teleoperation")
     assert hand.states == {"PSM1": "DISABLED", "ECM": "DISABLED"}
-    others = ("/PSM1/", "/ECM/", "/record/", "/sim/", PICTURE)
+    others = ("/PSM1/", "/ECM/", "/record/", "/sim/", "/endoscope/drift", PICTURE)
     arms = ("PSM1", "ECM")
     assert contract.found(ros_graph, "/teleop", others) == contract.promised("teleop", "hand", arms)
     freeze_the_picture(ros_graph, hand)
@@ -341,70 +327,3 @@ def kill_the_pedals(graph: RosGraph, hand: CrtkHand) -> None:
     )
     assert hand.rests("PSM1")
     assert hand.states["PSM1"] == "WAITING"
-
-
-def motion_file(folder: Path) -> Path:
-    t = np.arange(151) * 0.02
-    rows = np.column_stack(
-        (t, 0.03 * np.sin(t), 0.02 * (1 - np.cos(2 * t)), 0.01 * t, 0.2 * t, 0.1 * t)
-    )
-    path = folder / "motion.csv"
-    header = "t_s,x_m,y_m,z_m,roll_rad,gripper_rad"
-    np.savetxt(path, rows, delimiter=",", header=header, comments="")
-    return path
-
-
-def lockstep_run(graph: RosGraph, jitter_ms: int) -> tuple[str, list[str]]:
-    """State hash of a run in which a motion file is the hand; and the states that were said."""
-    import rospy
-    from std_msgs.msg import String
-
-    from surg_msgs.msg import SimStatus
-
-    statuses: list[SimStatus] = []
-    states: list[str] = []
-    topics = [
-        rospy.Subscriber("/sim/status", SimStatus, statuses.append),
-        rospy.Subscriber("/motion_PSM1/current_state", String, lambda m: states.append(m.data)),
-    ]
-    start(graph, ONE_ARM, ("PSM1",), lockstep=True)
-    params = {
-        "cell": ONE_ARM,
-        "leader": "motion",
-        "settings": {"file": str(motion_file(graph.folder)), "rate": 30.0, "delay": 0.1},
-        "scale": 1.0,
-        "view": STANDING_VIEW,
-        "lockstep": True,
-        "enabled": True,
-        "duration": 0.6,
-        "picture": "",
-    }
-    env = socket_jitter.environment(jitter_ms)
-    child = graph.node("surg_teleop", "teleop_node", "/teleop", params, env)
-    graph.wait_for(
-        lambda: bool(statuses) and statuses[-1].state == SimStatus.STATE_DONE,
-        60.0,
-        "the end of the run",
-    )
-    assert child.process.wait(60) == 0
-    for topic in topics:
-        topic.unregister()
-    assert statuses[-1].deterministic is True
-    return statuses[-1].state_hash, states
-
-
-@pytest.mark.full
-@pytest.mark.untimed
-def test_lockstep_is_the_same_under_jitter(ros_graph: RosGraph, rospy_node: str) -> None:
-    calm, states = lockstep_run(ros_graph, 0)
-    nervous, _ = lockstep_run(ros_graph, 1)
-    assert calm == nervous
-    assert states[-2:] == ["WAITING", "FOLLOWING"]
-
-
-def test_what_must_not_be_used_ends_with_2(ros_graph: RosGraph, rospy_node: str) -> None:
-    params = {"cell": TWO_ARMS, "leader": "crtk", "scale": 5.0}
-    child = ros_graph.node("surg_teleop", "teleop_node", "/teleop", params)
-    ros_graph.wait_for(lambda: child.exit_code is not None, 20.0, "the node to refuse")
-    assert child.exit_code == 2
-    assert "teleop: parameter ~scale is 5.0; allowed: a number from 0.01 to 1" in child.log_tail(20)

@@ -24,6 +24,7 @@ from surg_cli.host.terminal import CliError
 from surg_cli.learning import rollouts
 from surg_learn import learn_stages, recipes
 from surg_learn.learn_terminal import LearnError
+from surg_recording.reports import learning_report
 
 ROS = {"rospy", "rosgraph", "genpy", "surg_ros", "surg_msgs", "crtk_msgs", "std_msgs"}
 TRAINED = {
@@ -84,6 +85,7 @@ def done(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     monkeypatch.setattr(learn_stages, "train", fake("train", TRAINED))
     monkeypatch.setattr(learn_stages, "measure", fake("measure", [entry(1)]))
     monkeypatch.setattr(rollouts, "Player", FakePlayer)
+    monkeypatch.setattr(learning_report, "save_all", lambda *_: [])  # a second of each run
     monkeypatch.setattr(FakePlayer, "success", True)
     FakePlayer.broken.clear()
     FakePlayer.played.clear()

@@ -70,10 +70,6 @@ def test_it(number, made):
 FAILS = """
 from pathlib import Path
 
-import pytest
-
-pytestmark = [pytest.mark.{mark}]
-
 
 def test_it():
     tried = Path(__file__).parent / "tried"
@@ -209,19 +205,12 @@ def test_one_core_has_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("folder", "mark", "failures", "expected"),
-    [
-        ("ros", "ordinary", 1, (0, 2, 0)),
-        ("ros", "ordinary", 2, (1, 1, 1)),
-        ("unit", "ordinary", 1, (0, 2, 0)),
-        pytest.param("unit", "ordinary", 2, (1, 1, 1), marks=pytest.mark.full),
-    ],
+    ("folder", "failures", "expected"), [("ros", 1, (0, 2, 0)), ("unit", 2, (1, 1, 1))]
 )
 def test_a_failed_test_is_repeated_once_alone(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     folder: str,
-    mark: str,
     failures: int,
     expected: tuple[int, int, int],
 ) -> None:
@@ -231,7 +220,7 @@ def test_a_failed_test_is_repeated_once_alone(
     (tmp_path / folder).mkdir()
     (tmp_path / "conftest.py").write_text(CONFTEST)
     (tmp_path / "test_other.py").write_text("def test_other():\n    pass\n")
-    (tmp_path / folder / "test_it.py").write_text(FAILS.format(mark=mark, failures=failures))
+    (tmp_path / folder / "test_it.py").write_text(FAILS.format(failures=failures))
     status, counts = run_tests(tmp_path)
     assert (status, counts["passed"], counts["failed"]) == expected
     assert not counts["errors"]

@@ -394,7 +394,7 @@ def test_a_rotation_without_evidence_is_refused(key: str, value: object) -> None
 
 def test_a_file_of_the_first_version_states_the_rotation_only() -> None:
     found = rotation_only()
-    assert (found.residual, found.n, found.day.isoformat()) == (0.004, 15, "2026-11-21")
+    assert (found.residual, found.n, found.date) == (0.004, 15, "2026-11-21")
     assert pytest.approx(Rotation.from_quat([0, 0, 0.6, 0.8]).as_matrix()) == found.R_FV
     assert found.X_FV is None
     with pytest.raises(ConfigError, match="position: is missing"):

@@ -1,7 +1,6 @@
 """What does not fit a policy that looks ends in one error, before anything is trained or moved.
 
-By the command lines of trainer and policy. What their functions refuse stands in
-`test_learn_pictures.py`, what `./surg learn` refuses in `test_cli_learn.py`.
+By the command lines of trainer and policy; what `./surg learn` refuses is in `test_cli_learn.py`.
 """
 
 from __future__ import annotations

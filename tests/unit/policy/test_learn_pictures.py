@@ -26,10 +26,7 @@ from helpers.policy.bgr_pictures import (
 )
 from helpers.policy.bgr_synthetic import STATE, TASK
 from helpers.policy.example_program import said_alone
-from helpers.policy.policy_bench import cell
-from surg_learn.bgr import chunk_policy, observed_features, serve_policy, state_policy
-from surg_policy_bridge.server import cell_spec
-from surg_policy_client.spec import Spec
+from surg_learn.bgr import chunk_policy, observed_features
 
 FEW_EYE = keypoint_training.EyeOptions(steps=4, batch=4, channels=(4, 4, 4, 4, 4, 4), hidden=8)
 FEW = train_images.Options(steps=8, hidden=(16, 16), batch=8, chunk=4, eye=FEW_EYE)
@@ -451,77 +448,12 @@ def test_numpy_alone_gives_what_the_trainer_had(
     np.testing.assert_allclose(np.load(tmp_path / "out.npy"), here, rtol=0, atol=1e-5)
 
 
-def test_weights_of_another_policy_are_refused(
-    policy: image_policy.ImagePolicy, tmp_path: Path
-) -> None:
-    policy.save(tmp_path / "looking.npz")
-    with pytest.raises(ValueError, match="surg_bgr_policy/1"):
-        state_policy.Policy.load(tmp_path / "looking.npz")
-
-
 # --- what does not fit ------------------------------------------------------------------------
 
 
-def test_a_server_without_cameras_is_told_with_what_to_do() -> None:
-    wanted = Spec.of_keys(list(image_policy.ImagePolicy.wants))
-    (said,) = wanted.mismatches(Spec.of_keys(["observation.state"]))
-    print(said)
-    assert image_policy.PICTURE in said and "--cameras" in said
-
-
-def test_a_dataset_without_pictures_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "meta").mkdir()
-    (tmp_path / "meta" / "info.json").write_text('{"features": {"observation.state": {}}}')
-    out = tmp_path / "w.npz"
-    assert train_images.main([str(tmp_path), "--out", str(out)]) == 2
-    said = capsys.readouterr().err
-    assert "observation.camera_pose, observation.images.endoscope.left" in said
-    assert not out.exists()
+def test_a_dataset_without_a_share_for_training_is_named() -> None:
     with pytest.raises(ValueError, match="'train'"):
         train_images.train(made.dataset(0, 1), FEW)
-
-
-@pytest.mark.parametrize(
-    ("shape", "height", "info", "said"),
-    [
-        ([250, 320, 3], 250, {}, r"\[250, 320, 3\].*120, 240, 360"),
-        ([240, 320, 3], 480, {}, r"\[240, 320, 3\].*model is for a height of 480"),
-        ([480, 640, 3], 480, {"action_space": "relative"}, "'relative'.*allowed: 'absolute'"),
-    ],
-    ids=["resolution", "calibration", "action space"],
-)
-def test_a_dataset_that_does_not_fit_is_refused_before_a_row_is_read(
-    shape: list[int], height: int, info: dict[str, object], said: str, tmp_path: Path
-) -> None:
-    """One that fits gets as far as its rows."""
-    with pytest.raises(ValueError, match=said) as problem:
-        picture_dataset.read(made.dataset_folder(tmp_path / "bad", shape, [height], **info))
-    assert str(tmp_path) in str(problem.value)
-    with pytest.raises(FileNotFoundError, match="no_such"):
-        good = {"data_path": "no_such", "chunks_size": 1000}
-        picture_dataset.read(made.dataset_folder(tmp_path / "good", **good))
-
-
-def test_weights_that_do_not_fit_are_refused_before_anything_moves(
-    policy: image_policy.ImagePolicy, tmp_path: Path
-) -> None:
-    """Of another action space when they are loaded, of other pictures by the server."""
-    file = tmp_path / "weights.npz"
-    names = {**policy.names, "action": ["PSM1/dx", "PSM1/dy", "PSM1/dz", "PSM1/droll", "PSM1/jaw"]}
-    about = {**policy.about, "dataset": {"picture": [240, 320, 3]}}
-    kind = image_policy.ImagePolicy
-    kind(policy.network, policy.scales, names, policy.chunk, about).save(file)
-    with pytest.raises(ValueError, match=r"PSM1/dx.*allowed: PSM1/x"):
-        kind.load(file)
-    other = kind(policy.network, policy.scales, policy.names, policy.chunk, about)
-    wants = serve_policy.wanted(other)
-    served = cell_spec.make(cell(), ["PSM1"], "bgr", {"endoscope_left": (480, 640)}, None)
-    (said,) = wants.mismatches(served)
-    assert "(240, 320, 3)" in said and "(480, 640, 3)" in said
-    about["dataset"]["picture"] = [480, 640, 3]
-    assert serve_policy.wanted(other).mismatches(served) == []
 
 
 def stub_torch(gpu: bool, built: str | None) -> SimpleNamespace:

@@ -14,6 +14,7 @@ import pytest
 from helpers.policy import policy_messages
 from helpers.policy.policy_bench import Bench
 from helpers.policy.policy_server import spec
+from surg_policy_bridge.nodes.policy_topics_node import plan_message
 from surg_policy_client import (
     Attention,
     AttentionError,
@@ -247,6 +248,16 @@ def test_the_server_knows_the_plan_and_what_was_seen(bench: Bench) -> None:
     assert (plan.session, plan.seq, plan.stamp_ns) == (bench.session, 1, bench.now)
     assert plan.first == bench.step + 1
     np.testing.assert_allclose(plan.rows, rows)
+    message = plan_message(bench.server, plan)
+    assert message.names == [f"PSM1/{name}" for name in ("x", "y", "z", "roll", "jaw")]
+    assert (message.step, message.period, message.rows) == (plan.first, 0.05, 5)
+    np.testing.assert_array_equal(message.values, rows.ravel())
+    assert (message.rejected, message.rule, message.phase) == (0, "", "pulling")
+    assert (message.picture, message.confidence, message.area) == (LEFT, 0.75, list(GOOD.area))
+    points = zip(message.keypoints, message.x, message.y, message.certainty, strict=True)
+    assert tuple(Keypoint(*point) for point in points) == GOOD.keypoints
+    assert (message.map_rows, message.map_columns) == (3, 4)
+    assert message.attention == bytes(range(12))
     assert bench.server.take_plan() is None, "once for each answer"
 
 

@@ -45,8 +45,6 @@ def test_a_system_is_read_from_parameters() -> None:
         ({"leader": "crtk", "speed": 1}, "speed", "~second_leader"),
         ({"leader": "crtk", "mapping": "both"}, "mapping", "position, rate"),
         ({"leader": "crtk", "settings": 3}, "settings", "dictionary"),
-        ({"leader": "crtk", "lockstep": True}, "lockstep", "false"),
-        ({"leader": "crtk", "enabled": True}, "enabled", "~lockstep"),
         ({"leader": "crtk", "arm": "assistant"}, "assistant_frame", "4 numbers"),
         ({"leader": "crtk", "cell": paths.ROOT / "cells/sim_ur5e"}, "view", "x, y, z, w"),
         (

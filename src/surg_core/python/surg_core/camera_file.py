@@ -7,7 +7,6 @@ hand moves the tip, so a file without evidence is not used.
 
 from __future__ import annotations
 
-import datetime
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -69,11 +68,6 @@ class CameraCalibration:
         """
         stated = None if self.evidence is None else self.evidence.covariance
         return stated if self.of_views is None else self.of_views
-
-    @property
-    def day(self) -> datetime.date:
-        """When it was measured."""
-        return datetime.date.fromisoformat(self.date)
 
 
 def camera_calibration(

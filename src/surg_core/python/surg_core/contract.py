@@ -32,6 +32,10 @@ PRESENCE_TIMEOUT = 0.25
 
 # --- states and actions (docs/reference/tasks.md) ------------------------------------------------
 
+VIRTUAL_JOINTS = ("yaw", "pitch", "insertion", "roll")
+"""Joints of an arm on its trocar, as every topic and file orders them [rad, rad, m, rad]."""
+WRISTED_JOINTS = (*VIRTUAL_JOINTS, "wrist_pitch", "wrist_yaw")
+"""The same of an arm whose instrument has a wrist; what it adds is in rad."""
 ARM_ACTION = ("x", "y", "z", "roll", "jaw")
 """Action of each commanded arm: tip, roll and jaw at the next grid time, in the rcm frame."""
 ARM_ACTION_UNITS = ("m", "m", "m", "rad", "rad")
@@ -44,40 +48,22 @@ ACTION_SPACES = {
 """Columns and units of an arm's action, by action space (``surg_core.action_space``)."""
 WRISTED_ACTION_SPACES = {
     "absolute": {
-        "x": "m",
-        "y": "m",
-        "z": "m",
-        "qx": "1",
-        "qy": "1",
-        "qz": "1",
-        "qw": "1",
+        **dict.fromkeys(("x", "y", "z"), "m"),
+        **dict.fromkeys(("qx", "qy", "qz", "qw"), "1"),
         "jaw": "rad",
     },
     "relative": {
-        "dx": "m",
-        "dy": "m",
-        "dz": "m",
-        "drx": "rad",
-        "dry": "rad",
-        "drz": "rad",
-        "jaw": "rad",
+        **dict.fromkeys(("dx", "dy", "dz"), "m"),
+        **dict.fromkeys(("drx", "dry", "drz", "jaw"), "rad"),
     },
     "velocity": {
-        "vx": "m/s",
-        "vy": "m/s",
-        "vz": "m/s",
-        "wx": "rad/s",
-        "wy": "rad/s",
-        "wz": "rad/s",
+        **dict.fromkeys(("vx", "vy", "vz"), "m/s"),
+        **dict.fromkeys(("wx", "wy", "wz"), "rad/s"),
         "jaw": "rad",
     },
     "joint": {
-        "yaw": "rad",
-        "pitch": "rad",
+        **dict.fromkeys(WRISTED_JOINTS, "rad"),
         "insertion": "m",
-        "roll": "rad",
-        "wrist_pitch": "rad",
-        "wrist_yaw": "rad",
         "jaw": "rad",
     },
 }
@@ -94,9 +80,9 @@ of it, and steps from there would swing. Otherwise it goes on from the set-point
 ARM_STATE_UNITS = ("m", "m", "m", "rad", "rad", "m", "m", "m", "rad")
 WRISTED_STATE = (
     *("tip_x", "tip_y", "tip_z", "tip_qx", "tip_qy", "tip_qz", "tip_qw"),
-    *("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw", "jaw"),
+    *(*WRISTED_JOINTS, "jaw"),
     *("set_x", "set_y", "set_z", "set_qx", "set_qy", "set_qz", "set_qw"),
-    *("yaw_set", "pitch_set", "insertion_set", "roll_set", "wrist_pitch_set", "wrist_yaw_set"),
+    *(f"{name}_set" for name in WRISTED_JOINTS),
 )
 """The same behind a wrist: pose of the tip and the six joints, measured and to go on from."""
 _POSE_AND_JOINTS = (

@@ -15,7 +15,7 @@ from std_msgs.msg import Empty
 from crtk_msgs.msg import StringStamped
 from surg_core import WristGeometry, quaternion_xyzw_to_matrix
 from surg_core.arm_view import ArmCommands, ArmState, ArmView, Array, TipPose
-from surg_core.contract import POSITION_STREAMS, SECOND_NS
+from surg_core.contract import POSITION_STREAMS, SECOND_NS, WRISTED_JOINTS
 from surg_core.wrist_joints import WristView
 from surg_msgs.msg import Cycle
 
@@ -48,8 +48,6 @@ MOTION = tuple(name for name in KINDS if name != "authority/claim")
 """What a sender needs that claims no arm."""
 SERVO_INSTRUMENT = ("servo_jp", "jaw/servo_jp")
 """Topics of an instrument without a controller: the assistant's."""
-VIRTUAL_JOINTS = ("yaw", "pitch", "insertion", "roll")
-WRISTED_JOINTS = (*VIRTUAL_JOINTS, "wrist_pitch", "wrist_yaw")
 
 
 class ArmPort:

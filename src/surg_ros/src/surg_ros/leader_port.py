@@ -10,9 +10,8 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from sensor_msgs.msg import JointState, Joy
 
 from surg_core import matrix_to_quaternion_xyzw
-from surg_core.contract import SECOND_NS
+from surg_core.contract import SECOND_NS, VIRTUAL_JOINTS
 from surg_core.hand.leader_sample import HandlePose, HandRate, LeaderSample
-from surg_ros.arm_port import VIRTUAL_JOINTS
 
 KINDS = {
     "measured_cp": PoseStamped,

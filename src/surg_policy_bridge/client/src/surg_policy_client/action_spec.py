@@ -16,33 +16,21 @@ ACTION_SPACES = {
 }
 """Columns of an arm's action and their units, by action space (docs/reference/policies.md)."""
 _PLACE = {"x": "m", "y": "m", "z": "m"}
+_JOINTS = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
 WRISTED_ACTION_SPACES = {
     "absolute": {**_PLACE, "qx": "1", "qy": "1", "qz": "1", "qw": "1", "jaw": "rad"},
     "relative": {
-        "dx": "m",
-        "dy": "m",
-        "dz": "m",
-        "drx": "rad",
-        "dry": "rad",
-        "drz": "rad",
-        "jaw": "rad",
+        **dict.fromkeys(("dx", "dy", "dz"), "m"),
+        **dict.fromkeys(("drx", "dry", "drz", "jaw"), "rad"),
     },
     "velocity": {
-        "vx": "m/s",
-        "vy": "m/s",
-        "vz": "m/s",
-        "wx": "rad/s",
-        "wy": "rad/s",
-        "wz": "rad/s",
+        **dict.fromkeys(("vx", "vy", "vz"), "m/s"),
+        **dict.fromkeys(("wx", "wy", "wz"), "rad/s"),
         "jaw": "rad",
     },
     "joint": {
-        "yaw": "rad",
-        "pitch": "rad",
+        **dict.fromkeys(_JOINTS, "rad"),
         "insertion": "m",
-        "roll": "rad",
-        "wrist_pitch": "rad",
-        "wrist_yaw": "rad",
         "jaw": "rad",
     },
 }

@@ -13,6 +13,8 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from surg_core.contract import WRISTED_JOINTS
+
 
 @dataclass(frozen=True)
 class Field:
@@ -189,18 +191,19 @@ CLOCK: Fields = (
     _scalar("problem", kind=str),
 )
 
-_VIRTUAL = ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw")
 COMMAND_FIELDS: dict[str, Fields] = {
     "_cp": (
         _point("pose.position", "xyz", "m"),
         Field("pose.orientation", ("qx", "qy", "qz", "qw"), members=("x", "y", "z", "w")),
     ),
-    "_jp": (Field("position", _VIRTUAL, unit="rad; m"),),
+    "_jp": (Field("position", WRISTED_JOINTS, unit="rad; m"),),
     "_cv": (
         _point("twist.linear", ("vx", "vy", "vz"), "m/s"),
         _point("twist.angular", ("wx", "wy", "wz"), "rad/s"),
     ),
-    "_jv": (Field("velocity", tuple(f"{name}_rate" for name in _VIRTUAL), unit="rad/s; m/s"),),
+    "_jv": (
+        Field("velocity", tuple(f"{name}_rate" for name in WRISTED_JOINTS), unit="rad/s; m/s"),
+    ),
     "jaw/": (Field("position", ("jaw",), unit="rad", first=True),),
 }
 """Fields that a motion command fills, by the ending of its topic; the jaw's by its beginning."""

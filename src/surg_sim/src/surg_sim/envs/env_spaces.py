@@ -17,12 +17,12 @@ from surg_core.action_space import (
     wrist_of_arm,
 )
 from surg_core.arm_view import ArmCommands, ArmView
-from surg_core.contract import ARM_FORCE, STEP, arm_state
+from surg_core.contract import ARM_FORCE, STEP, VIRTUAL_JOINTS, arm_state
 from surg_sim.arrays import Array
 from surg_sim.envs.cell_session import CellSession, Tick
 from surg_sim.tasks.scripted_sender import home_frame
 
-ASSISTANT_STATE = ("yaw", "pitch", "insertion", "roll", "jaw")
+ASSISTANT_STATE = (*VIRTUAL_JOINTS, "jaw")
 """Of the assistant's instrument in ``state`` [rad, rad, m, rad, rad], where there is one."""
 
 

@@ -12,13 +12,12 @@ import rospy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from surg_core.contract import SECOND_NS
+from surg_core.contract import SECOND_NS, VIRTUAL_JOINTS
 from surg_msgs.msg import ReceivedCommand
 from surg_ros import link_messages
 from surg_ros.byte_topics import BytesPublisher, as_bytes
 from surg_sim.nodes.command_echo import CommandEcho
 from surg_sim.physics.assistant_arm import AssistantCommand
-from surg_sim.physics.assistant_scene import JOINTS
 
 if TYPE_CHECKING:
     from surg_sim.nodes.sim_bridge_node import Bridge
@@ -38,7 +37,7 @@ class AssistantTopics:
         self._waiting: deque[tuple[int, str, str, Any]] = deque()
         self._state = BytesPublisher("/assistant/measured_js", JointState, bridge.lockstep)
         self._jaw = BytesPublisher("/assistant/jaw/measured_js", JointState, bridge.lockstep)
-        self._layout = link_messages.JointStateLayout(JOINTS)
+        self._layout = link_messages.JointStateLayout(VIRTUAL_JOINTS)
         self._jaw_layout = link_messages.JointStateLayout(["jaw"])
         self._command_echo = CommandEcho()
         self._received = rospy.Publisher(

@@ -14,9 +14,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_core.contract import TICK
+from surg_core.contract import TICK, VIRTUAL_JOINTS
 from surg_sim.arrays import Array
-from surg_sim.physics.assistant_scene import JAWS, JOINTS, NAME, TIP
+from surg_sim.physics.assistant_scene import JAWS, NAME, TIP
 
 LOWER = np.array([-1.2, -1.2, 0.02, -2 * np.pi])
 UPPER = np.array([1.2, 1.2, 0.24, 2 * np.pi])
@@ -68,7 +68,7 @@ class Assistant:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self._data = data
-        self._qpos, self._ctrl = _addresses(model, JOINTS)
+        self._qpos, self._ctrl = _addresses(model, VIRTUAL_JOINTS)
         self._jaw_qpos, self._jaw_ctrl = _addresses(model, JAWS)
         self._tip = int(model.body(f"{NAME}_{TIP}").id)
         pivot = model.body(f"{NAME}_pivot")

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 import surg_core
+from surg_core.contract import VIRTUAL_JOINTS
 from surg_sim.appearance.drawing import add_seen
 from surg_sim.appearance.patient import draw_cannula, wall_height
 from surg_sim.arrays import Array
@@ -22,8 +23,6 @@ from surg_sim.physics.tool_drive import ARMATURE, STIFFNESS, WRIST_JOINTS
 
 NAME = "assistant"
 """Prefix of everything of the assistant in a scene, and its name on the wire."""
-JOINTS = ("yaw", "pitch", "insertion", "roll")
-"""Virtual joints in their order [rad, rad, m, rad]."""
 JAWS = ("jaw", "jaw_mirror")
 TIP = "tip"
 
@@ -76,7 +75,7 @@ def add_assistant(spec: mujoco.MjSpec, site: Site, instrument: Path, visuals: bo
     slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
     kinds, axes = (hinge, hinge, slide, hinge), ([0, 1, 0], [-1, 0, 0], [0, 0, 1], [0, 0, 1])
     for name, kind, axis, stiffness, armature in zip(
-        JOINTS, kinds, axes, _STIFFNESS, _ARMATURE, strict=True
+        VIRTUAL_JOINTS, kinds, axes, _STIFFNESS, _ARMATURE, strict=True
     ):
         body = body.add_body(name=f"{NAME}_{name}")
         state_mass(body, 0.02, [1e-5] * 3)

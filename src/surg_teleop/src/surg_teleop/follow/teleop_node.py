@@ -5,9 +5,8 @@ Parameters: ``~cell`` (folder or cell.yaml); ``~leader`` (a bundled leader, an e
 ``~mapping`` (position | rate), ``~scale`` (0.2), ``~need_present`` (false); the same with the
 prefix ``second_`` for a second leader, whose arm may be ``assistant``, with ``~assistant_frame``
 (x, y, z, w of its trocar frame in the world); ``~view`` (x, y, z, w of the view in the world, for a
-fixed endoscope); ``~picture`` (/endoscope/left/image_raw; empty: not supervised); ``~lockstep``
-(false), and with it ``~enabled`` (false: the operator enables) and ``~duration`` [s]. Exit code 1:
-a connection is missing, or the shutdown hung; 2: invalid file or parameter.
+fixed endoscope); ``~picture`` (/endoscope/left/image_raw; empty: not supervised). Exit code 1: a
+connection is missing, or the shutdown hung; 2: invalid file or parameter.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from sensor_msgs.msg import JointState
 
 from surg_core import ConfigError
 from surg_core.arm_view import ArmView
-from surg_core.contract import SECOND_NS, TICK_NS
+from surg_core.contract import SECOND_NS
 from surg_core.hand.message_lateness import Arrivals
 from surg_core.held_endoscope import HeldEndoscope
 from surg_core.status_check import fault
@@ -38,7 +37,6 @@ from surg_ros.arm_port import KINDS, SERVO_INSTRUMENT, ArmPort, arm_view
 from surg_ros.byte_topics import BytesSubscriber
 from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError
-from surg_ros.participant import Participant, TickInputs
 from surg_teleop.follow.force_feedback_node import ForceFeedbackTopics
 from surg_teleop.follow.operator_topics_node import OperatorTopics, listen
 from surg_teleop.follow.picture_watch import PictureWatch
@@ -54,8 +52,6 @@ POLLED_PERIOD = 0.004
 """[s] Period of leaders that are polled."""
 TOPIC_PERIOD = 0.010
 """[s] Longest period of leaders on topics; their messages start a tick at once."""
-CONNECT_TIMEOUT = 30.0
-"""[s] Longest wait for all connections in lock-step, wall clock."""
 END = 2.0
 """[s] Longest shutdown, whatever hangs."""
 FLUSH = 0.2
@@ -79,12 +75,8 @@ class TeleopNode:
         if setup.assistant is not None:
             self._ports[ASSISTANT] = ArmPort(ASSISTANT, SERVO_INSTRUMENT)
         self._status = TeleopStatusPublisher(setup.hands)
-        # Free-run ticks are less frequent than cycles, so each reads the newest cycle only.
-        self._polled: dict[str, BytesSubscriber] = {}
-        if setup.lockstep:
-            self.participant = Participant(self._ports, self._on_tick, setup.heard, lock=self._lock)
-        else:
-            self._polled = {arm: BytesSubscriber(f"/{arm}/cycle", Cycle) for arm in setup.heard}
+        # Ticks are less frequent than cycles, so each reads the newest cycle only.
+        self._polled = {arm: BytesSubscriber(f"/{arm}/cycle", Cycle) for arm in setup.heard}
         for hand in setup.hands:
             if isinstance(hand.leader, CrtkLeader):
                 CrtkTopics(hand.leader, self._lock, self._wake)
@@ -121,7 +113,7 @@ class TeleopNode:
                 self._moved = message.refusal
 
     def run(self) -> None:
-        """Free-run: tick on every leader message and every period, until ``finished``."""
+        """Tick on every leader message and every period, until ``finished``."""
         on_topics = all(isinstance(hand.leader, CrtkLeader) for hand in self._setup.hands)
         period = TOPIC_PERIOD if on_topics else POLLED_PERIOD
         while not self.finished.is_set() and not rospy.is_shutdown():
@@ -133,24 +125,11 @@ class TeleopNode:
     def stop(self) -> None:
         """Disable all arms and close the leaders; no exit leaves an arm moving."""
         with self._lock:
-            if not self._setup.lockstep:
-                for hand in self._setup.hands:
-                    hand.switch.disable()
-                self._act(time.monotonic())
+            for hand in self._setup.hands:
+                hand.switch.disable()
+            self._act(time.monotonic())
             for hand in self._setup.hands:
                 hand.leader.close()
-
-    def _on_tick(self, seen: TickInputs) -> bool | None:
-        """Lock-step: the cycles of all arms have arrived; with the lock held."""
-        if self.finished.is_set():
-            return None
-        now = seen.tick * TICK_NS / SECOND_NS
-        self._cycles = {name: (now, cycle) for name, cycle in seen.cycles.items()}
-        self._act(now)
-        done = 0.0 < self._setup.duration <= now
-        if done:
-            self.finished.set()
-        return done
 
     def _act(self, now: float) -> None:
         setup = self._setup
@@ -167,11 +146,10 @@ class TeleopNode:
             camera = replace(camera, moved=self._moved)
         for hand in setup.hands:
             self._move(hand, now, views, camera)
-        picture = "" if setup.lockstep else self._picture.problem(time.monotonic())
-        self._status.status(now, picture)
+        self._status.status(now, self._picture.problem(time.monotonic()))
 
     def _fetch_cycles(self) -> None:
-        """Free-run: keep the newest cycle of every arm; one that the network delayed is older."""
+        """Keep the newest cycle of every arm; one that the network delayed is older."""
         for arm, polled in self._polled.items():
             if messages := polled.fetch():
                 try:
@@ -231,12 +209,7 @@ def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, end)
     try:
-        if setup.lockstep:
-            node.participant.connect(CONNECT_TIMEOUT)
-            while not node.finished.wait(0.1) and not rospy.is_shutdown():
-                pass
-        else:
-            node.run()
+        node.run()
     except OSError as error:
         print(f"teleop: {error}", file=sys.stderr)
         return 1

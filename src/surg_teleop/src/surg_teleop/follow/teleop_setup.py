@@ -24,7 +24,6 @@ from surg_teleop.follow.teleop_types import (
 )
 from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders import leader as leaders
-from surg_teleop.leaders.bundled.crtk import CrtkLeader
 from surg_teleop.leaders.leader import Leader, LeaderError
 from surg_teleop.playback.workspace_fit import Workspace
 
@@ -44,9 +43,6 @@ class Parameters:
     cell: str = text()
     view: tuple[float, ...] | None = vector(4, None, meaning="x, y, z, w")
     picture: str = text("/endoscope/left/image_raw", empty=True)
-    lockstep: bool = flag(False)
-    enabled: bool = flag(False)
-    duration: float = real(default=0.0)
     haptics: bool = flag(False)
     assistant_frame: tuple[float, ...] | None = vector(4, None, meaning="x, y, z, w")
     leader: str = text()
@@ -61,10 +57,6 @@ class Parameters:
     second_mapping: str = one_of(MODES, "")
     second_scale: float | None = real(MIN_SCALE, MAX_SCALE, None)
     second_need_present: bool = flag(False)
-
-    def __post_init__(self) -> None:
-        if self.enabled and not self.lockstep:
-            raise ParamError("enabled", True, "true with ~lockstep: true only")
 
     def of(self, prefix: str, name: str) -> Any:
         """A parameter of one hand."""
@@ -115,8 +107,6 @@ class TeleopSetup:
     camera: HeldEndoscope | CameraView  # an endoscope held by an arm, or a fixed view
     assistant: ServoInstrument | None  # the assistant's instrument, if a leader drives it
     picture: str  # topic of the supervised picture; empty: none
-    lockstep: bool
-    duration: float  # of a lock-step run [s]; 0: no end
     haptics: bool = False  # the forces at the tips go to the leaders
 
     @property
@@ -142,17 +132,11 @@ def read_setup(parameters: dict[str, Any], node: str) -> TeleopSetup:
         camera=held_endoscope(cell) or _fixed_view(given, cell),
         assistant=None,
         picture=given.picture,
-        lockstep=given.lockstep,
-        duration=given.duration,
         haptics=given.haptics,
     )
     for prefix in ("", "second_"):
         if given.of(prefix, "leader"):
             _add_hand(setup, given, prefix, cell, node)
-    if setup.lockstep and any(isinstance(hand.leader, CrtkLeader) for hand in setup.hands):
-        raise ParamError("lockstep", True, "false with a leader on topics")
-    for hand in setup.hands if given.enabled else ():
-        hand.switch.enable()
     return setup
 
 

@@ -13,8 +13,8 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from sensor_msgs.msg import JointState
 
 from crtk_msgs.msg import OperatingState
+from surg_core.contract import VIRTUAL_JOINTS
 from surg_core.hand.message_lateness import Arrivals
-from surg_ros.arm_port import VIRTUAL_JOINTS
 from surg_teleop.leaders.bundled.crtk import FRESH, CrtkLeader
 
 

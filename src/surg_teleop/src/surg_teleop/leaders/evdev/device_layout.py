@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 from evdev import ecodes
 
+from surg_core.contract import VIRTUAL_JOINTS
 from surg_core.hand.leader_sample import BUTTONS
 from surg_teleop.leaders.evdev.device_state import Description
 from surg_teleop.leaders.leader import LeaderError
@@ -24,7 +25,6 @@ ELSEWHERE = "elsewhere"
 """Value of ``dead_man``: a pedal or the console reports the operator's presence."""
 
 VIEW = ("x", "y", "z", "roll", "tilt_x", "tilt_y")
-SPHERICAL = ("yaw", "pitch", "insertion", "roll")
 MAX_FULL = {"x": 0.2, "y": 0.2, "z": 0.2, "insertion": 0.2, "yaw": 1.5, "pitch": 1.5, "roll": 3.0}
 MAX_FULL |= {"tilt_x": 3.0, "tilt_y": 3.0}
 """Largest speed at full deflection [m/s, rad/s]; guards against typing errors. The arm's own limits
@@ -77,7 +77,7 @@ class Layout:
     autorepeat: float  # rate of Joy while nothing changes [Hz]
     axes: tuple[Axis, ...]  # in the order of Joy.axes
     buttons: tuple[Button, ...]  # in the order of Joy.buttons
-    hand: dict[str, tuple[str, float]]  # axis and full speed by name of VIEW or SPHERICAL
+    hand: dict[str, tuple[str, float]]  # axis and full speed by name of VIEW or VIRTUAL_JOINTS
     grip: Grip | None
     dead_man: str | None  # button that must be held to move; None: reported elsewhere
     actions: dict[str, str]  # button by action, of BUTTONS
@@ -85,8 +85,8 @@ class Layout:
 
     @property
     def spherical(self) -> bool:
-        """Whether the hand turns the shaft about the trocar: the names are those of SPHERICAL."""
-        return not self.hand.keys().isdisjoint(SPHERICAL[:3])
+        """Whether the hand turns the shaft about the trocar, by the names of `VIRTUAL_JOINTS`."""
+        return not self.hand.keys().isdisjoint(VIRTUAL_JOINTS[:3])
 
     def lacks(self, device: Description) -> list[str]:
         """Missing axes and buttons of a device, such as ``ABS_RX (right_x)``; empty: it fits."""
@@ -203,7 +203,7 @@ class _Reader:
 
     def hand(self, top: dict[str, Any], axes: list[str]) -> dict[str, tuple[str, float]]:
         given = dict(self.named(top, "hand"))
-        allowed = VIEW if given.keys().isdisjoint(SPHERICAL[:3]) else SPHERICAL
+        allowed = VIEW if given.keys().isdisjoint(VIRTUAL_JOINTS[:3]) else VIRTUAL_JOINTS
         hand = {}
         for name, spec in given.items():
             key = f"hand.{name}"
