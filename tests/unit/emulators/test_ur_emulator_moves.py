@@ -166,6 +166,14 @@ def test_what_force_mode_is_not_here_is_refused_by_name(then: str, said: str) ->
     assert controller.program is None and said in controller.messages[-1]
 
 
+def test_joints_out_of_range_end_the_program_before_anything_moves() -> None:
+    controller = UrController()
+    assert controller.run_script("def far():\n movej([-123, 0, 0, 0, 0, 0])\nend\n")
+    settle(controller, 0.1)
+    assert controller.program is None and "-123" in controller.messages[-1]
+    assert controller.motion.q == list(HOME) and controller.safety_mode == SafetyMode.NORMAL
+
+
 def test_a_line_out_of_reach_is_a_protective_stop() -> None:
     controller = UrController()
     assert controller.run_script("def test():\nmovel(p[10, 0, 0, 0, 0, 0])\nend\n")

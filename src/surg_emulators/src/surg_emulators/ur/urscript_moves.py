@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from surg_emulators.ur import dh_kinematics as dh
-from surg_emulators.ur.joint_motion import JointMotion, Move, Servo, leading, timed
+from surg_emulators.ur.joint_motion import MAX_POSITION, JointMotion, Move, Servo, leading, timed
 from surg_emulators.ur.line_motion import Arc, Line, circle
 from surg_emulators.ur.urscript_arguments import close, cycles, matrix, number, six
 from surg_emulators.ur.urscript_syntax import ScriptError
@@ -102,7 +102,7 @@ def _joints(c: UrController, goal: Any) -> list[float]:
         ScriptError: There are none.
     """
     if not isinstance(goal, Pose):
-        return six(goal, "a move: q")
+        return [number(q, "a move: q", -MAX_POSITION, MAX_POSITION) for q in six(goal, "q")]
     solved = dh.inverse(matrix(goal), c.motion.q, c.table, dh.pose_matrix(c.tcp_offset))
     if solved is None:
         raise ScriptError("no joint positions for this pose")
