@@ -48,7 +48,7 @@ def policy_row(which: str, robot: str) -> str:
 
 def urcl(program: str) -> str:
     """Name of a row of the maker's client library: a program of its tests, or its examples."""
-    return f"maker's library: {program}"
+    return f"urcl: {program}"
 
 
 _PAGE = ResultsPage("hardware.md")

@@ -53,7 +53,7 @@ class RobotApiSession:
             ("/robotstate/v1/state", "POWER_ON"): lambda: self._power_on(),
             ("/robotstate/v1/state", "POWER_OFF"): lambda: self._power_off(),
             ("/robotstate/v1/state", "BRAKE_RELEASE"): lambda: self._release_brakes(),
-            ("/robotstate/v1/state", "UNLOCK_PROTECTIVE_STOP"): lambda: c.unlock(at_once=True),
+            ("/robotstate/v1/state", "UNLOCK_PROTECTIVE_STOP"): c.unlock,
             ("/robotstate/v1/state", "RESTART_SAFETY"): lambda: self._restart_safety(),
             ("/program/v1/state", "play"): c.play,
             ("/program/v1/state", "pause"): lambda: c.pause() and self._is(Runtime.PAUSED),
