@@ -48,8 +48,8 @@ MOVING = (
 )
 REPORTS = "report files"
 FILES = "program files"
-OWN = "a server of its own"
-EARLY = "an unlock within 5 s"
+OWN = "their own server"
+EARLY = "early unlocking"
 TESTS: dict[str, dict[str, dict[str, str]]] = {
     "driver": {
         "ur_driver_tests_headless": {},
@@ -84,7 +84,7 @@ TESTS: dict[str, dict[str, dict[str, str]]] = {
             "upload_program_from_file": FILES,
             "upload_and_update_program_from_file": FILES,
             "download_program": FILES,
-            "microsecond_receive_timeout_makes_connect_fail": "an answer after 1 us",
+            "microsecond_receive_timeout_makes_connect_fail": "slower answers",
         }
     },
 }
@@ -135,7 +135,7 @@ def test_its_own_tests_pass(row: str, tmp_path: Path) -> None:
     count = skipped = 0
     left: list[str] = []
     with emulated_ur.program(tmp_path / "emulator.log", *words) as address:
-        for name, test in tests_of(row):
+        for name, test in its_row(row):
             count += 1
             wants = {part: TESTS[row][name].get(part) for part in test.split(".")}
             if why := next(filter(None, wants.values()), None):
@@ -148,12 +148,13 @@ def test_its_own_tests_pass(row: str, tmp_path: Path) -> None:
     good = count - skipped - len(left)
     assert good
     said = ["pass" if good == count else f"{good} pass"]
-    said += [f"{skipped} skip themselves"] if skipped else []
-    said += [f"{n} want {what}" for what, n in Counter(left).items()]
+    said += [f"{skipped} skipped"] if skipped else []
+    wanted = [f"{what} ({n})" for what, n in Counter(left).items()]
+    said += [f"wanted: {', '.join(wanted)}"] if wanted else []
     note(urcl(row), count, "; ".join(said))
 
 
-def tests_of(row: str) -> list[tuple[str, str]]:
+def its_row(row: str) -> list[tuple[str, str]]:
     """Programs of a row and their tests."""
     return [(name, test) for name in TESTS[row] for test in ur_client_library.its_tests(name)]
 
