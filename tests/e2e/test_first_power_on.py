@@ -101,9 +101,9 @@ class Lab:
 
 
 @pytest.fixture
-def lab(tmp_path: Path) -> Iterator[Lab]:
+def lab(tmp_path: Path, polyscope: str) -> Iterator[Lab]:
     at = [f"{angle:.6f}" for angle in HOME]
-    options = ("--q", *at, "--serial", SERIAL, "--off")
+    options = ("--q", *at, "--serial", SERIAL, "--off", *emulated_ur.with_polyscope(polyscope))
     with emulated_ur.program(tmp_path / "emulator.log", *options) as address:
         made = Lab(tmp_path, address)
         try:
@@ -113,6 +113,7 @@ def lab(tmp_path: Path) -> Iterator[Lab]:
 
 
 @pytest.mark.skipif(not FULL, reason="minutes; SURG_TEST_FULL=1 runs it")
+@emulated_ur.OF_BOTH
 def test_every_line_of_the_page_works(lab: Lab) -> None:
     for line in lines():
         command = line.replace("CELL", str(lab.cell))

@@ -14,6 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from surg_cli.host import paths
 from surg_emulators.ur.rtde_fields import COUNT, PACKING
 from surg_emulators.ur.rtde_server import RtdeSession
@@ -141,6 +143,18 @@ _numbers = iter(range(1, 250))
 def free_address() -> str:
     """A loopback address that no other test of this machine uses."""
     return f"127.{64 + os.getpid() % 64}.{os.getpid() // 64 % 250}.{next(_numbers)}"
+
+
+OF_BOTH = pytest.mark.parametrize("polyscope", ["5", "x"])
+"""PolyScope 5 and PolyScope X."""
+
+
+def with_polyscope(version: str) -> list[str]:
+    """Options of a controller with PolyScope 5 or X; a skip where X's port 80 is not to be had."""
+    lowest = int(Path("/proc/sys/net/ipv4/ip_unprivileged_port_start").read_text("ascii"))
+    if version == "x" and os.geteuid() and lowest > 80:
+        pytest.skip("PolyScope X has its orders on port 80, which only root may open here")
+    return ["--polyscope", version]
 
 
 @contextmanager

@@ -2,7 +2,8 @@
 
 ``SURG_URCL`` names the folder of its source, with what CMake has built in `build`:
 github.com/UniversalRobots/Universal_Robots_Client_Library, ``cmake -B build && make -C build``. Its
-tests for a simulator are built where ``BUILDING_TESTS`` and ``INTEGRATION_TESTS`` are on.
+tests for a simulator are built where ``BUILDING_TESTS``, ``INTEGRATION_TESTS`` and
+``POLYSCOPE_X_TESTS_WITH_REMOTE_CONTROL`` are on.
 """
 
 from __future__ import annotations
@@ -25,16 +26,26 @@ def example(name: str, address: str, *words: str, timeout: float = 120.0) -> str
     return _run(Path("examples", name), [address, *words], ".", timeout)
 
 
-def its_tests(name: str, address: str, leave_out: tuple[str, ...], timeout: float) -> str:
-    """Run one of its programs of tests against an arm; what it says.
+def its_tests(name: str) -> list[str]:
+    """Names of the tests of one of its programs."""
+    found, case = [], ""
+    for line in _run(Path("tests", name), ["--gtest_list_tests"], "tests", 60.0).splitlines():
+        if line.startswith("  "):
+            found.append(case + line.split()[0])
+        elif line.endswith("."):
+            case = line
+    return found
+
+
+def its_test(name: str, test: str, address: str, timeout: float) -> bool:
+    """Run one test alone, as its CTest does; False: it skips itself.
 
     Raises:
-        AssertionError: One of them fails.
+        AssertionError: It fails.
+        TimeoutExpired: It does not end.
     """
-    words = ["--robot_ip", address, "--headless", "true"]
-    return _run(
-        Path("tests", name), [*words, f"--gtest_filter=-{':'.join(leave_out)}"], "tests", timeout
-    )
+    words = ["--robot_ip", address, "--headless", "true", f"--gtest_filter={test}"]
+    return "[  SKIPPED ]" not in _run(Path("tests", name), words, "tests", timeout)
 
 
 def _run(program: Path, words: list[str], folder: str, timeout: float) -> str:

@@ -46,6 +46,11 @@ def policy_row(which: str, robot: str) -> str:
     return f"policy: {which}, {robot}"
 
 
+def urcl(program: str) -> str:
+    """Name of a row of the maker's client library: a program of its tests, or its examples."""
+    return f"urcl: {program}"
+
+
 _PAGE = ResultsPage("hardware.md")
 note = _PAGE.note
 _stops: dict[str, dict[float, tuple[float | None, float]]] = {}

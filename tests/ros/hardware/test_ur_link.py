@@ -24,8 +24,6 @@ MACHINE_S = 0.05
 """What a shared machine may add."""
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 VICTIMS = ["driver", "controller", "node", "driver frozen"]
-OF_BOTH = pytest.mark.parametrize("polyscope", ["5", "x"])
-"""PolyScope 5 and PolyScope X."""
 
 
 class Rig(ArmGraph):
@@ -51,11 +49,8 @@ def polyscope() -> str:
 def rig(
     ros_graph: RosGraph, rospy_node: str, tmp_path: Path, record: Path, polyscope: str
 ) -> Iterator[Rig]:
-    lowest = int(Path("/proc/sys/net/ipv4/ip_unprivileged_port_start").read_text("ascii"))
-    if polyscope == "x" and os.geteuid() and lowest > 80:
-        pytest.skip("PolyScope X has its orders on port 80, which only root may open here")
     words = ["--q", *(f"{angle:.6f}" for angle in HOME), "--record", str(record)]
-    words += ["--polyscope", polyscope]
+    words += emulated_ur.with_polyscope(polyscope)
     with emulated_ur.program(tmp_path / "emulator.log", *words) as address:
         yield Rig(ros_graph, tmp_path, address)
         ros_graph.supervisor.stop()
@@ -74,7 +69,7 @@ def test_the_bundled_motion_keeps_the_pivot(rig: Rig, record: Path) -> None:
     assert deviation.max() < (0.15 if REAL_TIME else 0.5)
 
 
-@OF_BOTH
+@emulated_ur.OF_BOTH
 def test_a_protective_stop_ends_the_motion(rig: Rig, record: Path) -> None:
     rig.start()
     operator = rig.operator(duration=20.0)
@@ -97,7 +92,7 @@ def test_a_robot_that_is_not_started_never_plays_a_motion_to_its_end(rig: Rig) -
     assert operator.exit_code == 1
 
 
-@OF_BOTH
+@emulated_ur.OF_BOTH
 @pytest.mark.parametrize("victim", VICTIMS if FULL else VICTIMS[:1])
 def test_a_process_that_dies_leaves_the_arm_at_rest_and_latched(
     rig: Rig, record: Path, victim: str

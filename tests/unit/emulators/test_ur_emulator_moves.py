@@ -46,6 +46,28 @@ def test_a_movej_takes_its_time(seconds: float) -> None:
     assert np.abs(np.diff(way[:, 0])).max() / DT == pytest.approx(1.5 * mean, rel=0.02)
 
 
+@pytest.mark.parametrize("move", [f"movej({GOAL}, t=0.02)", "movel(pose, t=0.05)"])
+def test_a_move_in_too_short_a_time_takes_longer_and_arrives(move: str) -> None:
+    body = f"q = {GOAL}\nq[1] = -1.2\npose = get_forward_kin(q)\n{move}\nstopj(5)"
+    controller, way = run(body)
+    assert np.abs(np.diff(way, 2, axis=0)).max() / DT**2 < MAX_ACCELERATION
+    assert DT * len(way) > 0.1
+    assert controller.motion.q[0] == pytest.approx(0.2, abs=2e-3)
+
+
+@pytest.mark.parametrize("slider", [1.0, 0.25])
+def test_speedj_goes_as_far_in_its_time_at_any_slider(slider: float) -> None:
+    """So the maker's splines arrive: they add up the times of their speedj's."""
+    controller = UrController()
+    controller.slider = slider
+    speed = "speedj([0.1, 0, 0, 0, 0, 0], 10, 0.002)"
+    loop = f"n = 0\nwhile n < 500:\n{speed}\nn = n + 1\nend\nspeedj([0, 0, 0, 0, 0, 0], 0, 0.002)"
+    assert controller.run_script(f"def far():\n{loop}\nsync()\nend\n")
+    settle(controller, 1.1 / slider)
+    assert controller.program is None, controller.messages
+    assert controller.motion.q[0] == pytest.approx(0.1, abs=2e-3)
+
+
 def test_a_blend_does_not_stop_and_ends_at_the_last_goal() -> None:
     via = "[0.1, -1.3, -1.5708, -1.5708, 1.5708, 0.0]"
     controller, way = run(f"movej({via}, r=0.05)\nmovej({GOAL})")
@@ -106,6 +128,50 @@ def test_three_points_on_a_line_make_no_circle() -> None:
     cycle(controller)
     assert controller.program is None
     assert "on a line" in controller.messages[-1]
+
+
+FORCE = (
+    "force_mode(p[0, 0, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0], "
+    "[0, 0, {}, 0, 0, 0], 2, [{}, {}, {}, 1, 1, 1])"
+)
+
+
+@pytest.mark.parametrize(
+    ("push", "fastest", "way"), [(0.0, 0.1, -0.02), (2.0, 0.1, 0.0), (12.0, 0.05, 0.05)]
+)
+def test_force_mode_presses_yields_to_a_push_and_rests_along_the_other_axes(
+    push: float, fastest: float, way: float
+) -> None:
+    controller = UrController()
+    controller.wrench[2] = push
+    start = controller.tcp_pose(controller.motion.q)
+    mode = FORCE.format(-2, *[fastest] * 3)
+    assert controller.run_script(f"def press():\n{mode}\nsleep(1.0)\nend_force_mode()\nend\n")
+    settle(controller, 1.5)
+    assert controller.program is None and controller.motion.at_rest, controller.messages
+    moved = np.subtract(controller.tcp_pose(controller.motion.q), start)
+    assert moved[2] == pytest.approx(way, abs=1e-3)
+    assert np.abs(np.delete(moved, 2)).max() < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("then", "said"),
+    [(f"movej({GOAL})", "movej in force mode"), (FORCE.replace(" 2,", " 1,"), "type 1")],
+)
+def test_what_force_mode_is_not_here_is_refused_by_name(then: str, said: str) -> None:
+    controller = UrController()
+    script = f"def press():\n{FORCE}\n{then}\nend\n".replace("{}", "1")
+    assert controller.run_script(script)
+    cycle(controller)
+    assert controller.program is None and said in controller.messages[-1]
+
+
+def test_joints_out_of_range_end_the_program_before_anything_moves() -> None:
+    controller = UrController()
+    assert controller.run_script("def far():\n movej([-123, 0, 0, 0, 0, 0])\nend\n")
+    settle(controller, 0.1)
+    assert controller.program is None and "-123" in controller.messages[-1]
+    assert controller.motion.q == list(HOME) and controller.safety_mode == SafetyMode.NORMAL
 
 
 def test_a_line_out_of_reach_is_a_protective_stop() -> None:
@@ -263,6 +329,10 @@ def test_primary_clients_hear_start_end_and_failure_of_a_program() -> None:
     heard = messages(session, controller)
     assert (5, 3) in [(kind, body[8]) for kind, body in heard]
     assert [struct.unpack_from(">3i", body)[2] for kind, body in heard if kind == 6] == [2]
+    controller.unlock(at_once=True)
+    session.receive(b"sec stop():\n protective_stop()\nend\n")
+    codes = [body for kind, body in messages(session, controller) if kind == 6]
+    assert [struct.unpack_from(">2i", body) for body in codes] == [(209, 0)]
     controller.remote = False
     session.receive(b"def good():\n  sync()\nend\n")
     codes = [body for kind, body in messages(session, controller) if kind == 6]

@@ -92,6 +92,8 @@ def test_a_loaded_program_is_played_paused_and_stopped() -> None:
     assert said[:2] == ["Loading program: loop.urp", "Starting program"]
     assert said[2:] == ["Program running: true", "Pausing program", "PAUSED loop.urp"]
     assert ask(controller, "play", "stop") == ["Starting program", "Stopped"]
+    assert ask(controller, "load /programs/loop.urp") == ["Loading program: /programs/loop.urp"]
+    assert ask(controller, "load /tmp/loop.urp") == ["File not found: /tmp/loop.urp"]
 
 
 def sub_packages(data: bytes) -> Iterator[tuple[int, int, bytes]]:

@@ -12,6 +12,8 @@ from surg_emulators.ur.ur_controller import UrController
 
 GREETING = b"Connected: Universal Robots Dashboard Server\n"
 LONGEST_LINE = 4096
+FOLDERS = ("/programs/", "/ursim/programs/")
+"""Where programs lie."""
 LOCAL = (
     "Command is not allowed due to safety reasons, please switch robot to Remote Control mode "
     "and reconnect to port 29999"
@@ -64,7 +66,7 @@ class DashboardSession:
             "stop": lambda rest: self._stop(),
             "load installation": lambda rest: f"Loading installation: {rest}",
             "load": lambda rest: (
-                f"Loading program: {rest}" if c.load(rest) else f"File not found: {rest}"
+                f"Loading program: {rest}" if self._load(rest) else f"File not found: {rest}"
             ),
             "unlock protective stop": lambda rest: self._unlock(),
             "restart safety": lambda rest: self._restart_safety(),
@@ -102,6 +104,11 @@ class DashboardSession:
     def _program_state(self) -> str:
         names = {Runtime.PLAYING: "PLAYING", Runtime.PAUSED: "PAUSED", Runtime.PAUSING: "PAUSED"}
         return names.get(self._controller.runtime, "STOPPED")
+
+    def _load(self, path: str) -> bool:
+        """Load a program by its name, or by its path on an arm or on the maker's simulator."""
+        folder = next((each for each in FOLDERS if path.startswith(each)), "")
+        return self._controller.load(path.removeprefix(folder))
 
     def _log(self, text: str) -> str:
         if not text:

@@ -25,6 +25,8 @@ BRAKING = 10.0
 """Deceleration of the leading axis in every stop that no program commands [rad/s^2]. Assumed."""
 SOFT = 0.85
 """Share of its acceleration with which a move brakes."""
+FASTEST, SHARPEST = 3.1, 20.0
+"""A move to a goal keeps its joints to this speed [rad/s] and acceleration [rad/s^2]. Assumed."""
 TURNING = 20.0
 """Acceleration of the leading axis between two moves with a blend [rad/s^2]. Assumed."""
 AT_REST = 1e-4
@@ -114,7 +116,8 @@ class Move:
         distance = leading(way)
         if distance < 1e-9:
             return [0.0] * 6
-        speed = approach(distance, leading(qd), self.a, self.v, dt)
+        a, v = min(self.a, SHARPEST), min(self.v, FASTEST)
+        speed = approach(distance, leading(qd), a, v, dt)
         wanted = [speed * each / distance for each in way]
         return turned(wanted, qd, dt) if self.turns else wanted
 

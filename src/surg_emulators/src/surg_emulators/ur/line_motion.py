@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surg_emulators.ur import dh_kinematics as dh
-from surg_emulators.ur.joint_motion import Vector, approach, turned
+from surg_emulators.ur.joint_motion import FASTEST, SHARPEST, Vector, approach, turned
 
 DAMPING = 1e-8
 """Keeps a singularity finite; elsewhere it is not seen."""
@@ -54,10 +54,11 @@ class Line:
         if distance < 1e-9:
             return [0.0] * 6
         J = dh.jacobian(q, self.table, self.X_FTcp)
-        speed = approach(distance, self.extent(J @ np.array(qd)), self.a, self.v, dt)
-        wanted = way * (speed / distance)
-        found = J.T @ np.linalg.solve(J @ J.T + DAMPING * np.eye(6), wanted)
-        rates = [float(rate) for rate in found]
+        found = J.T @ np.linalg.solve(J @ J.T + DAMPING * np.eye(6), way / distance)
+        most = float(np.abs(found).max())  # of a joint, at 1 m/s or rad/s of the tool
+        a, v = min(self.a, SHARPEST / most), min(self.v, FASTEST / most)
+        speed = approach(distance, self.extent(J @ np.array(qd)), a, v, dt)
+        rates = [float(rate) for rate in speed * found]
         return turned(rates, qd, dt) if self.turns else rates
 
 

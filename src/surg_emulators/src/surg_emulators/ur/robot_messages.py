@@ -8,8 +8,8 @@ from dataclasses import dataclass
 TEXT, VERSION, SAFETY_MODE, ERROR_CODE, KEY, RUNTIME_EXCEPTION = 0, 3, 5, 6, 7, 10
 READ_ONLY = 210
 """Error code of a script that came while the robot is in local control."""
-PROTECTIVE_STOP = 153
-"""Error code of a protective stop; which of the maker's many it is, is assumed."""
+PROTECTIVE_STOP = 209
+"""Error code of a protective stop that a program asks for; here of every one."""
 WARNING, VIOLATION = 2, 3
 """Report levels."""
 

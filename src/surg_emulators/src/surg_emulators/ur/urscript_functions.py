@@ -15,7 +15,8 @@ from surg_emulators.ur import dh_kinematics as dh
 from surg_emulators.ur.joint_motion import DT, Speed
 from surg_emulators.ur.rtde_fields import REGISTERS
 from surg_emulators.ur.urscript_arguments import close, cycles, matrix, number, six
-from surg_emulators.ur.urscript_moves import positions
+from surg_emulators.ur.urscript_forces import MOTIONS, alone, forces
+from surg_emulators.ur.urscript_moves import during, positions
 from surg_emulators.ur.urscript_syntax import ScriptError
 from surg_emulators.ur.urscript_threads import Builtin, Wait
 from surg_emulators.ur.urscript_values import Pose
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from surg_emulators.ur.ur_controller import UrController
 
 _REFUSED = (
-    "servoc force_mode end_force_mode direct_torque get_mass_matrix get_jacobian "
+    "servoc direct_torque get_mass_matrix get_jacobian "
     "get_jacobian_time_derivative get_coriolis_and_centrifugal_torques "
     "socket_read_ascii_float socket_send_string "
     "socket_set_var socket_get_var path_offset_enable conveyor_pulse_decode "
@@ -48,8 +49,9 @@ def functions(controller: UrController) -> dict[str, Builtin]:
     """Name -> function, for programs of one controller."""
     found: dict[str, Builtin] = {name: _not_emulated(name) for name in NOT_EMULATED}
     found |= {name: lambda *a, **k: None for name in WITHOUT_EFFECT}
-    for part in (_state, _contact, _velocities, positions, _inputs):
+    for part in (_state, _contact, _velocities, positions, forces, _inputs):
         found |= part(controller)
+    found |= {name: alone(controller, name, found[name]) for name in MOTIONS}
     return found | controller.sockets.functions() | _mathematics()
 
 
@@ -178,10 +180,10 @@ def _velocities(c: UrController) -> dict[str, Builtin]:
 
     def speedj(qd: Any, a: Any = 1.4, t: Any = None) -> Wait:
         wanted = six(qd, "speedj: qd")
-        c.motion.command = Speed(wanted, number(a, "speedj: a", 1e-6))
+        c.motion.command = Speed(wanted, number(a, "speedj: a", 0.0))
         if t is None:
             return Wait(2, lambda: close(c.motion.qd, wanted, c.motion.scale), motion=True)
-        return Wait(cycles(t), motion=True)
+        return during(c.motion, t)
 
     def speedl(xd: Any, a: Any = 1.2, t: Any = None, **named: Any) -> Wait:
         J = dh.jacobian(c.motion.q, c.table, dh.pose_matrix(c.tcp_offset))
@@ -191,7 +193,7 @@ def _velocities(c: UrController) -> dict[str, Builtin]:
             raise ScriptError("speedl: the arm is in a singularity") from error
         # `a` is the tool's; the leading joint may use the most that a client can ask for.
         c.motion.command = Speed([float(each) for each in qd], 40.0)
-        return Wait(1 if t is None else cycles(t), motion=True)
+        return during(c.motion, DT if t is None else t)
 
     def stop(a: Any = 2.0, *rest: Any, **named: Any) -> Wait:
         c.motion.command = Speed([0.0] * 6, number(a, "stop: a", 1e-6))

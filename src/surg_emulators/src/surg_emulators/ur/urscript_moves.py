@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from surg_emulators.ur import dh_kinematics as dh
-from surg_emulators.ur.joint_motion import Move, Servo, leading, timed
+from surg_emulators.ur.joint_motion import MAX_POSITION, JointMotion, Move, Servo, leading, timed
 from surg_emulators.ur.line_motion import Arc, Line, circle
 from surg_emulators.ur.urscript_arguments import close, cycles, matrix, number, six
 from surg_emulators.ur.urscript_syntax import ScriptError
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 LONGEST = 1e6
 """Longest time of a move [s], and largest blend radius [m]."""
+ARRIVED = 1e-5
+"""Distance of the tool from the goal at which a move with a time ends [m]."""
 
 
 def positions(c: UrController) -> dict[str, Builtin]:
@@ -81,6 +83,18 @@ def positions(c: UrController) -> dict[str, Builtin]:
     }
 
 
+def during(motion: JointMotion, t: Any) -> Wait:
+    """A time [s] of motion: it lasts the longer, the more the motion is slowed down."""
+    left = float(cycles(t))
+
+    def over() -> bool:
+        nonlocal left
+        left -= motion.scale
+        return left < 1e-6
+
+    return Wait(1, over, motion=True)
+
+
 def _joints(c: UrController, goal: Any) -> list[float]:
     """Joint positions of a goal, which may be a pose.
 
@@ -88,7 +102,7 @@ def _joints(c: UrController, goal: Any) -> list[float]:
         ScriptError: There are none.
     """
     if not isinstance(goal, Pose):
-        return six(goal, "a move: q")
+        return [number(q, "a move: q", -MAX_POSITION, MAX_POSITION) for q in six(goal, "q")]
     solved = dh.inverse(matrix(goal), c.motion.q, c.table, dh.pose_matrix(c.tcp_offset))
     if solved is None:
         raise ScriptError("no joint positions for this pose")
@@ -116,7 +130,7 @@ def _until(c: UrController, goal: list[float] | None, t: Any, r: Any) -> Wait:
     if radius > 0.0:
         return Wait(2, lambda: _away(c, goal) < radius, motion=True)
     if t > 0:
-        return Wait(cycles(t), motion=True)
+        return Wait(cycles(t), lambda: _away(c, goal) < ARRIVED, motion=True)
 
     def there() -> bool:
         return c.motion.at_rest and (goal is None or close(c.motion.q, goal, 1.0))

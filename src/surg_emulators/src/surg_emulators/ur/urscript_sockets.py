@@ -17,6 +17,8 @@ from surg_emulators.ur.urscript_threads import Builtin, Wait
 
 CONNECT = 1.0
 """Longest wait for a connection [s]; a peer on this machine answers at once."""
+OPENING = 10
+"""Cycles that it takes to connect. Assumed: the peer has accepted one before the next comes."""
 MOST_SOCKETS, MOST_INTEGERS = 10, 255
 CHUNK = 1 << 16
 BURST = 10
@@ -41,8 +43,12 @@ class ScriptSockets:
             "socket_send_int": self.send_integer,
         }
 
-    def open(self, address: Any, port: Any, name: Any = DEFAULT) -> bool:
-        """Connect; whether somebody listens there."""
+    def open(self, address: Any, port: Any, name: Any = DEFAULT) -> Wait:
+        """Connect; the answer is whether somebody listens there."""
+        connected = self._connect(address, port, name)
+        return Wait(OPENING, answer=lambda: connected)
+
+    def _connect(self, address: Any, port: Any, name: Any) -> bool:
         if not ipaddress.ip_address(str(address)).is_loopback:
             raise ScriptError(f"socket_open: {address}: only loopback is reached here")
         self.close(name)
