@@ -178,7 +178,7 @@ def test_the_interval_holds_the_truth(benches: list[DriftBench], full: bool) -> 
         judged += 1
         held += state.beside[0] <= true_way <= state.beside[2]
     print(f"the interval holds the truth in {held} of {judged}; {count - judged} not judged")
-    PAGE.note("drift: interval, bumps of 0.5 to 20 mm and 0.5 to 10 deg", judged, f"{held} hold")
+    PAGE.note("drift: interval, 0.5 to 20 mm", judged, f"{held} hold")
     assert held >= (0.85 if full else 0.7) * judged and judged >= 0.75 * count
 
 
