@@ -451,6 +451,27 @@ TEST(Wrist, TheArmsOwnRollIsPartOfTheSum) {
   EXPECT_NEAR(bench.in().wrist[2], 0.7, 2e-3);
   EXPECT_NEAR(bench.out().roll, 1.0, 2e-3);
   EXPECT_NEAR(bench.out().roll_set, 1.0, 1e-3);
+  command.joints = {0, 0, 0.1, 0.6};
+  ASSERT_EQ(bench.send(command), Reason::kNone);
+  for (int k = 0; k < 800; ++k) bench.tick();
+  EXPECT_NEAR(bench.out().roll, 0.6, 1e-3);
+  EXPECT_NEAR(bench.in().wrist[2], 0.3, 2e-3);
+}
+
+TEST(Wrist, TheToolKeepsItsPlaceWhereTheDrivesRollEnds) {
+  WristBench bench(0.04, 0.04, WristBench::Drive::kSecond, true);
+  MotionCommand command;
+  command.motion = Motion::kServoCp;
+  command.p = hand_at(0).p;
+  for (int k = 0; k < 1600; ++k) {  // it turns on to 3 rad
+    command.slide = k < 1500;
+    command.rotation =
+        Eigen::Quaterniond(Eigen::AngleAxisd(std::min(3.0, k * 0.0025), Vector3::UnitZ()));
+    ASSERT_EQ(bench.send(command) == Reason::kNone, command.slide) << k;
+    EXPECT_LE(bench.in().wrist[2], 2.5 + 1e-9);
+  }
+  EXPECT_NEAR(bench.out().roll, 2.5, 1e-3);
+  EXPECT_LT((bench.tip().p - command.p).norm(), 1e-4);
 }
 
 TEST(Wrist, AMoveEndsAtThePoseThatWasAsked) {
