@@ -123,7 +123,6 @@ def test_a_straight_instrument_cannot_follow_the_orientation() -> None:
     [
         *itertools.product(["ur5e", "panda"], [0.02, 0.04, 0.06], [True]),
         ("ur5e", 0.04, False),
-        ("panda", 0.04, False),
     ],
 )
 def test_a_recorded_surgeon_is_followed(
