@@ -97,8 +97,8 @@ TEST(KinematicsServices, WhatHasNoAnswerIsSaidWithValueAndAllowed) {
 TEST(KinematicsServices, AWristHasSixJointsBothWays) {
   std::optional<surg::WristConfig> wrist(surg::WristConfig{});
   wrist->geometry = {0.0091, 0.0102, 0.3};
-  wrist->min = {-1.396, -1.396};
-  wrist->max = {1.396, 1.396};
+  wrist->min = {-1.396, -1.396, 0};
+  wrist->max = {1.396, 1.396, 0};
   const surg::Pose X_UR = surg::Pose::Identity();
   crtk_msgs::QueryForwardKinematics::Request there;
   there.jp = {0.1, -0.2, 0.1, 0.4, 0.7, -0.6};

@@ -216,7 +216,7 @@ TEST(Messages, AWristTakesSixJoints) {
   joints.position = {1, 2, 3, 4, 5, 6};
   const Decoded decoded = decode_joints(joints, surg::Motion::kServoJp, true);
   EXPECT_EQ(decoded.item.motion.joints, surg::Vector4(1, 2, 3, 4));
-  EXPECT_EQ(decoded.item.motion.wrist, surg::WristJoints(5, 6));
+  EXPECT_EQ(decoded.item.motion.wrist, surg::DriveJoints(5, 6, 0));
   EXPECT_EQ(decode_joints(joints, surg::Motion::kServoJp).reason, surg::Reason::kWrongSize);
   joints.position.resize(4);
   EXPECT_NE(decode_joints(joints, surg::Motion::kServoJp, true).detail.find("wrist_yaw"),

@@ -11,6 +11,7 @@
 #include "support/test_support.hpp"
 #include "surg_core/controller.hpp"
 #include "surg_core/kinematics/wrist.hpp"
+#include "surg_core/law/exact.hpp"
 
 namespace surg {
 namespace {
@@ -165,13 +166,16 @@ class WristBench {
   /// Of the drive: a lag of first order, of second order (critically damped), or a dead time.
   enum class Drive { kFirst, kSecond, kDeadTime };
 
-  explicit WristBench(double drive_lag, double stated_lag, Drive drive = Drive::kSecond)
+  /// rolls: the drive turns the shaft, too.
+  explicit WristBench(double drive_lag, double stated_lag, Drive drive = Drive::kSecond,
+                      bool rolls = false)
       : robot_(test::robot_behind(test::good_robot(), kArmLag)),
         chain_(test::ur5e_chain()),
-        controller_(chain_, robot_, robot_.limits, instrument(stated_lag), test::offset_tool(), {}),
+        controller_(chain_, robot_, with_roll_of(instrument(stated_lag, rolls), robot_.limits),
+                    instrument(stated_lag, rolls), test::offset_tool(), {}),
         drive_lag_(drive_lag),
         drive_(drive),
-        on_the_way_(std::lround(drive_lag / kT), WristJoints::Zero()) {
+        on_the_way_(std::lround(drive_lag / kT), DriveJoints::Zero()) {
     in_.state_valid = true;
     in_.q = robot_.home;
     in_.qd = JointVector::Zero(6);
@@ -215,8 +219,9 @@ class WristBench {
     const Vector3 s = X_RF.linear() * tool.s_F;
     WristPose pose;
     pose.centre.p = X_RF * tool.p_FTip - kGeometry.length() * s;
-    pose.centre.R = X_RF.linear() * R_FShaft();
-    pose.joints = in_.wrist;
+    pose.centre.R = X_RF.linear() * R_FShaft() *
+                    Eigen::AngleAxisd(in_.wrist[2], Vector3::UnitZ()).toRotationMatrix();
+    pose.joints = in_.wrist.head<2>();
     return tip_of_wrist(mounted(), pose);
   }
   double pivot() const {
@@ -238,14 +243,23 @@ class WristBench {
   }
 
   void hold_drive() { held_ = true; }
+  /// Turns the arm about the shaft's axis through the trocar [rad].
+  void turn_by_hand(double arm) {
+    const Pose X_BF = chain_.forward(in_.q);
+    const Vector3 s = X_BF.linear() * test::offset_tool().s_F, p = controller_.X_BR().translation();
+    Pose goal = X_BF;
+    goal.linear() = Eigen::AngleAxisd(arm, s) * X_BF.linear();
+    goal.translation() = p + Eigen::AngleAxisd(arm, s) * (X_BF.translation() - p);
+    for (int i = 0; i < 20; ++i) in_.q += exact_step(chain_, in_.q, goal, JointVector::Zero(6)).dq;
+  }
   const Outputs& out() const { return *out_; }
   Inputs& in() { return in_; }
   Controller& controller() { return controller_; }
 
  private:
   static constexpr double kArmLag = 0.012;
-  void move_drive(const WristJoints& told) {
-    const WristJoints before = in_.wrist;
+  void move_drive(const DriveJoints& told) {
+    const DriveJoints before = in_.wrist;
     if (drive_ == Drive::kFirst) in_.wrist += (1 - std::exp(-kT / drive_lag_)) * (told - before);
     if (drive_ == Drive::kSecond) {
       const double w = 2 / drive_lag_;
@@ -262,14 +276,14 @@ class WristBench {
     }
     in_.wrist_rate = (in_.wrist - before) / kT;
   }
-  static InstrumentConfig instrument(double drive_lag) {
+  static InstrumentConfig instrument(double drive_lag, bool rolls) {
     InstrumentConfig out = test::instrument();
     WristConfig wrist;
     wrist.geometry.pitch_to_yaw = kGeometry.pitch_to_yaw;
     wrist.geometry.yaw_to_tip = kGeometry.yaw_to_tip;
     wrist.pitch_axis_F = pitch_axis_F();
-    wrist.min = {-1.396, -1.396};
-    wrist.max = {1.396, 1.396};
+    wrist.min = {-1.396, -1.396, rolls ? -2.5 : 0.0};
+    wrist.max = {1.396, 1.396, rolls ? 2.5 : 0.0};
     wrist.velocity = 8;
     wrist.acceleration = 120;
     wrist.drive_lag = drive_lag;
@@ -286,8 +300,8 @@ class WristBench {
   Controller controller_;
   double drive_lag_;
   Drive drive_;
-  std::deque<WristJoints> on_the_way_;
-  WristJoints rate_ = WristJoints::Zero();
+  std::deque<DriveJoints> on_the_way_;
+  DriveJoints rate_ = DriveJoints::Zero();
   bool held_ = false;
   Inputs in_;
   const Outputs* out_ = nullptr;
@@ -310,9 +324,18 @@ struct PathError {
   double tip = 0, angle = 0, pivot = 0;  // [m], [rad], [m]
 };
 
+/// The same, and it rolls as quickly as a surgeon who ties a knot: 3.5 rad/s, 35 rad/s^2.
+TipFrame quick_hand_at(double t) {
+  TipFrame hand = hand_at(t);
+  const double grow = 0.5 - 0.5 * std::cos(M_PI * std::min(1.0, t));
+  hand.R = hand.R * Eigen::AngleAxisd(0.35 * grow * std::sin(10 * t), Vector3::UnitZ());
+  return hand;
+}
+
 /// Largest distances of the tip from the hand's path of before, over a run behind a drive.
-PathError follow_hand(double drive_lag, double stated_lag, WristBench::Drive drive) {
-  WristBench bench(drive_lag, stated_lag, drive);
+PathError follow_hand(double drive_lag, double stated_lag, WristBench::Drive drive,
+                      bool rolls = false, TipFrame (*hand_at)(double) = hand_at) {
+  WristBench bench(drive_lag, stated_lag, drive, rolls);
   constexpr int kTicks = 3000;
   std::vector<TipFrame> tips;
   PathError worst;
@@ -353,10 +376,108 @@ TEST(Wrist, TheTipKeepsItsPathBehindADriveThatLagsOtherwise) {
     }
 }
 
+/// The arm's roll has 2 rad/s and 25 rad/s^2, which a surgeon's hand exceeds.
+TEST(Wrist, ARollThatNoArmHasIsTheDrives) {
+  const auto second = WristBench::Drive::kSecond;
+  for (const double lag : {0.02, 0.04, 0.06}) {
+    const PathError error = follow_hand(lag, lag, second, true, quick_hand_at);
+    std::cout << lag << " s: tip " << 1e3 * error.tip << " mm, " << error.angle * 180 / M_PI
+              << " degrees, pivot " << 1e6 * error.pivot << " um\n";
+    EXPECT_LT(error.tip, 3e-4) << lag;
+    EXPECT_LT(error.angle, 0.0175) << lag;
+    EXPECT_LT(error.pivot, 1e-4) << lag;
+  }
+  EXPECT_GT(follow_hand(0.04, 0.04, second, false, quick_hand_at).angle, 0.05);
+}
+
+/// Roll commands name the sum; the arm keeps its part.
+TEST(Wrist, JointCommandsNameTheWholeRoll) {
+  WristBench bench(0.04, 0.04, WristBench::Drive::kSecond, true);
+  MotionCommand command;
+  command.motion = Motion::kMoveJp;
+  command.joints = {0.1, -0.1, 0.1, 1.5};
+  command.wrist = {0.3, -0.4, 0};
+  const auto arrive = [&] {
+    ASSERT_EQ(bench.send(command), Reason::kNone);
+    while (bench.tick().busy) {
+    }
+    for (int k = 0; k < 250; ++k) bench.tick();
+  };
+  arrive();
+  EXPECT_NEAR(bench.out().virtual_q[3], 1.5, 1e-3);
+  EXPECT_NEAR(bench.out().virtual_set[3], 1.5, 1e-12);
+  EXPECT_NEAR(bench.in().wrist[2], 1.5, 1e-3);
+  EXPECT_LT((bench.out().wrist.R_RTip - bench.tip().R).norm(), 1e-6);
+  command.motion = Motion::kMoveJr;
+  command.joints = {0, 0, 0, -0.5};
+  command.wrist.setZero();
+  arrive();
+  EXPECT_NEAR(bench.out().roll, 1.0, 1e-3);
+  EXPECT_NEAR(bench.out().roll_goal, 1.0, 1e-12);
+  command.motion = Motion::kServoJv;
+  for (int k = 0; k < 250; ++k) ASSERT_EQ(bench.send(command), Reason::kNone);
+  EXPECT_NEAR(bench.out().roll_set, 0.75, 0.02);
+  EXPECT_NEAR(bench.out().virtual_qd[3], -0.5, 1e-3);
+  command.motion = Motion::kMoveJr;
+  ASSERT_EQ(bench.send(command), Reason::kNone);
+  EXPECT_NEAR(bench.out().roll_goal, bench.out().roll_set - 0.5, 0.01) << "from where it is now";
+  command.motion = Motion::kMoveJp;
+  command.joints = {0, 0, 0.1, 2.6};
+  EXPECT_EQ(bench.send(command), Reason::kOutsideWorkspace) << "the drive ends at 2.5 rad";
+}
+
+TEST(Wrist, TheArmsOwnRollIsPartOfTheSum) {
+  WristBench bench(0.04, 0.04, WristBench::Drive::kSecond, true);
+  MotionCommand command;
+  command.motion = Motion::kMoveJp;
+  command.joints = {0, 0, 0.1, 0.2};
+  ASSERT_EQ(bench.send(command), Reason::kNone);
+  for (int k = 0; k < 800; ++k) bench.tick();
+  ASSERT_EQ(bench.controller().request(StateCommand::kPause), Reason::kNone);
+  bench.tick();
+  bench.turn_by_hand(0.3);
+  for (int k = 0; k < 50; ++k) bench.tick();
+  ASSERT_EQ(bench.controller().request(StateCommand::kResume), Reason::kNone);
+  bench.tick();
+  EXPECT_NEAR(bench.out().roll, 0.5, 1e-3);
+  EXPECT_NEAR(bench.out().roll_set, 0.5, 1e-3);
+  const TipFrame tip = bench.tip();
+  for (int k = 0; k < 500; ++k) {
+    const Eigen::AngleAxisd turn(0.001 * k, Vector3::UnitZ());
+    ASSERT_EQ(bench.servo_cp({tip.p, tip.R * turn}), Reason::kNone) << k;
+  }
+  for (int k = 0; k < 40; ++k)
+    bench.servo_cp({tip.p, tip.R * Eigen::AngleAxisd(0.5, Vector3::UnitZ())});
+  EXPECT_NEAR(bench.in().wrist[2], 0.7, 2e-3);
+  EXPECT_NEAR(bench.out().roll, 1.0, 2e-3);
+  EXPECT_NEAR(bench.out().roll_set, 1.0, 1e-3);
+  command.joints = {0, 0, 0.1, 0.6};
+  ASSERT_EQ(bench.send(command), Reason::kNone);
+  for (int k = 0; k < 800; ++k) bench.tick();
+  EXPECT_NEAR(bench.out().roll, 0.6, 1e-3);
+  EXPECT_NEAR(bench.in().wrist[2], 0.3, 2e-3);
+}
+
+TEST(Wrist, TheToolKeepsItsPlaceWhereTheDrivesRollEnds) {
+  WristBench bench(0.04, 0.04, WristBench::Drive::kSecond, true);
+  MotionCommand command;
+  command.motion = Motion::kServoCp;
+  command.p = hand_at(0).p;
+  for (int k = 0; k < 1600; ++k) {  // it turns on to 3 rad
+    command.slide = k < 1500;
+    command.rotation =
+        Eigen::Quaterniond(Eigen::AngleAxisd(std::min(3.0, k * 0.0025), Vector3::UnitZ()));
+    ASSERT_EQ(bench.send(command) == Reason::kNone, command.slide) << k;
+    EXPECT_LE(bench.in().wrist[2], 2.5 + 1e-9);
+  }
+  EXPECT_NEAR(bench.out().roll, 2.5, 1e-3);
+  EXPECT_LT((bench.tip().p - command.p).norm(), 1e-4);
+}
+
 TEST(Wrist, AMoveEndsAtThePoseThatWasAsked) {
   std::mt19937 draws(4);
   for (int i = 0; i < 20; ++i) {
-    WristBench bench(0.04, 0.04);
+    WristBench bench(0.04, 0.04, WristBench::Drive::kSecond, i % 2 == 1);
     WristPose pose = any_wrist(draws, 1.2);
     pose.centre.p = 0.1 * Vector3(0.2, -0.1, 1 + 0.01 * i).normalized();
     pose.centre.R = shaft_rotation(pose.centre.p.normalized(), 0.05 * i - 0.5);
@@ -380,8 +501,9 @@ TEST(Wrist, AMoveEndsAtThePoseThatWasAsked) {
 }
 
 TEST(Wrist, AVelocityOfTheTipIsFollowedInAllSixDirections) {
-  for (int axis = 0; axis < 6; ++axis) {
-    WristBench bench(0.02, 0.02);
+  for (int i = 0; i < 12; ++i) {
+    const int axis = i % 6;
+    WristBench bench(0.02, 0.02, WristBench::Drive::kSecond, i >= 6);
     const TipFrame before = bench.tip();
     MotionCommand command;
     command.motion = Motion::kServoCv;
@@ -403,13 +525,13 @@ TEST(Wrist, AVelocityOfTheTipIsFollowedInAllSixDirections) {
 
 TEST(Wrist, JointEndsAreRefusedOrSlidAlongNeverLeapt) {
   WristBench bench(0.04, 0.04);
-  WristJoints last = WristJoints::Zero();
+  DriveJoints last = DriveJoints::Zero();
   bool refused = false;
   for (int k = 0; k < 1500; ++k) {  // the hand turns on to 2 rad
     TipFrame hand = hand_at(0);
     hand.R = Eigen::AngleAxisd(std::min(2.0, k * 0.002), Vector3::UnitX()).toRotationMatrix();
     refused = bench.servo_cp(hand) != Reason::kNone || refused;
-    const WristJoints now = bench.out().wrist.command;
+    const DriveJoints now = bench.out().wrist.command;
     EXPECT_LT((now - last).cwiseAbs().maxCoeff(), 8 * kT + 1e-3) << k;
     EXPECT_LE(now.cwiseAbs().maxCoeff(), 1.396 + 1e-9);
     last = now;
@@ -529,9 +651,9 @@ TEST(Wrist, EveryStopBringsTheDriveToRestWithinItsAcceleration) {
   enum class Stop { kHold, kSilence, kStateLost, kToolLost, kPause, kFault };
   for (const Stop stop : {Stop::kHold, Stop::kSilence, Stop::kStateLost, Stop::kToolLost,
                           Stop::kPause, Stop::kFault}) {
-    WristBench bench(0.04, 0.04);
+    WristBench bench(0.04, 0.04, WristBench::Drive::kSecond, true);
     for (int k = 0; k < 700; ++k) bench.servo_cp(hand_at(k * kT));
-    const WristJoints at = bench.out().wrist.command;
+    const DriveJoints at = bench.out().wrist.command;
     if (stop == Stop::kHold) {
       MotionCommand command;
       command.motion = Motion::kHold;
@@ -544,7 +666,7 @@ TEST(Wrist, EveryStopBringsTheDriveToRestWithinItsAcceleration) {
       if (stop == Stop::kToolLost) bench.in().jaw_age = 1;
       bench.tick();
     }
-    const WristJoints rest = bench.out().wrist.command;
+    const DriveJoints rest = bench.out().wrist.command;
     for (int k = 0; k < 100; ++k) bench.tick();
     EXPECT_EQ(bench.out().wrist.command, rest) << static_cast<int>(stop);
     EXPECT_LT((rest - at).cwiseAbs().maxCoeff(), stop == Stop::kSilence ? 0.4 : 0.15)

@@ -1,10 +1,10 @@
 // Holder of the instrument: a plate on the robot's flange, a beam to the side and a tube that clamps
-// the shaft. Frame: the flange's, z outwards; x points to the shaft. Lengths in mm. Print it plate
-// down, without supports.
+// the shaft, or in which it turns. Frame: the flange's, z outwards; x points to the shaft. Lengths in
+// mm. Print it plate down, without supports.
 //
 // The offset is measured, not trusted: with a straight rod of the shaft's diameter in the tube,
 // measure from the flat on the plate's back to the far side of the rod. What is missing to
-// 'reading' is missing in the offset: state it in the URDF, joint mount_to_shaft.
+// 'reading' is missing in the offset: state it in the URDF, joint wrist_roll.
 
 offset = 60;         // from the flange's axis to the shaft's
 shaft = 8;           // diameter

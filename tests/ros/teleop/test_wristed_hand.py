@@ -59,7 +59,7 @@ class Mujoco:
 
     def _on_tool(self, message: Any) -> None:
         said = dict(zip(message.name, message.position, strict=True))
-        self.q |= {f"{ARM}_wrist_{name}": said[name] for name in ("pitch", "yaw")}
+        self.q |= {f"{ARM}_wrist_{name}": said[name] for name in ("pitch", "yaw", "roll")}
 
     def tip(self) -> tuple[np.ndarray, Rotation]:
         """Place [m] and orientation."""

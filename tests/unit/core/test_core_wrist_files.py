@@ -26,7 +26,7 @@ def test_the_bundled_wrist_is_read(tmp_path: Path) -> None:
     wrist = load(tmp_path, YAML).wrist
     assert wrist is not None
     assert (wrist.geometry.pitch_to_yaw, wrist.geometry.yaw_to_tip) == (0.0091, 0.0102)
-    assert list(wrist.max) == [1.396, 1.396]
+    assert (list(wrist.max), wrist.rolls) == ([1.396, 1.396, 4.5], True)
     straight = surg_core.load_instrument(DESCRIBED / "instruments" / "grasper.yaml")
     assert straight.wrist is None
 
@@ -38,6 +38,14 @@ def test_the_bundled_wrist_is_read(tmp_path: Path) -> None:
         ("yaw_to_tip: 0.0102", "yaw_to_tip: 0.3", ["wrist.yaw_to_tip", "0.3", "0.05"]),
         ("yaw_to_tip: 0.0102", "yaw_to_tip: 0.02", ["wrist.yaw_to_tip", "draws 0.0102", "equal"]),
         ("max: 1.396}  # rad; 80", "max: 1.57}  # rad; 80", ["wrist.pitch.max", "1.57", "1.5 rad"]),
+        (
+            "roll: {min: -4.5, max: 4.5}",
+            "roll: {min: -4.5, max: 7}",
+            ["wrist.roll.max", "6.28"],
+        ),
+        ("roll: {min: -4.5, max: 4.5}", "roll: {min: 0.0, max: 0.0}", ["wrist.roll.min", "below"]),
+        ("roll: {min: -4.5, max: 4.5}", "roll: {max: 4.5}", ["wrist.roll.min"]),
+        ("  roll: {min: -4.5, max: 4.5}", "", ["draws wrist_roll: state wrist.roll"]),
         ("velocity: 8.0", "velocity: .nan", ["wrist.velocity"]),
         ("drive_lag: 0.04", "drive_lag: 0.5", ["wrist.drive_lag", "0.5", "0.1 s"]),
         ("drive_lag: 0.04", "drive_lags: 0.04", ["wrist.drive_lag"]),
@@ -61,6 +69,13 @@ def test_a_wrong_wrist_is_refused_by_key(
         ('<axis xyz="0 1 0"/>', '<axis xyz="0 0 1"/>', ["wrist_pitch (axis 0 1 0)"]),
         ('name="wrist_yaw" type="revolute"', 'name="wrist_yaw" type="fixed"', ["wrist_yaw"]),
         ('name="wrist_pitch"', 'name="pitch"', ["'pitch'", "must be fixed"]),
+        (
+            'name="wrist_roll" type="revolute"',
+            'name="wrist_roll" type="fixed"',
+            ["wrist_roll"],
+        ),
+        ('<axis xyz="0 0 1"/>', '<axis xyz="0 1 0"/>', ["wrist_roll (axis 0 0 1"]),
+        ('<origin xyz="0 0 0.2807"', '<origin xyz="0.001 0 0.2807"', ["along the shaft"]),
     ],
 )
 def test_a_drawing_that_shows_another_wrist_is_refused(
@@ -71,6 +86,15 @@ def test_a_drawing_that_shows_another_wrist_is_refused(
         load(tmp_path, YAML, URDF.replace(old, new))
     for word in words:
         assert word in str(refused.value)
+
+
+def test_where_the_drive_rolls_its_limits_take_the_place_of_the_arms(tmp_path: Path) -> None:
+    load(tmp_path, YAML)
+    limits = surg_core.load_cell(tmp_path / "cell").arms["PSM1"].limits
+    assert (limits.roll_velocity, limits.roll_acceleration, limits.roll_max) == (8.0, 120.0, 4.5)
+    still = URDF.replace('name="wrist_roll" type="revolute"', 'name="wrist_roll" type="fixed"')
+    load(tmp_path, YAML.replace("  roll: {min: -4.5, max: 4.5}", ""), still)
+    assert surg_core.load_cell(tmp_path / "cell").arms["PSM1"].limits.roll_velocity == 2.0
 
 
 def test_a_drawn_wrist_that_the_file_does_not_state_is_refused(tmp_path: Path) -> None:

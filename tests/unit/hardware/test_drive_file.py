@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -108,6 +109,22 @@ def test_the_drive_must_reach_the_instruments_jaws(tmp_path: Path) -> None:
         drive_of(cell, "PSM1")
     (cell.folder / "drive_PSM1.yaml").unlink()
     with pytest.raises(surg_core.ConfigError, match=r"drive_PSM1\.yaml"):
+        drive_of(cell, "PSM1")
+
+
+def test_the_drive_must_have_the_motors_of_the_instruments_wrist(tmp_path: Path) -> None:
+    file = "drive_PSM1.yaml"
+    folder = tmp_path / "cells" / "wristed"
+    shutil.copytree(paths.CELLS / "emulated_ur5e_wrist", folder)
+    (tmp_path / "src").symlink_to(paths.ROOT / "src")
+    cell = surg_core.load_cell(folder)
+    assert drive_of(cell, "PSM1").joints == ("pitch", "yaw", "jaw", "roll")
+    text = (folder / file).read_text("utf-8")
+    (folder / file).write_text(text.replace("[-4.5, 4.5]", "[-3.0, 4.5]"), "utf-8")
+    with pytest.raises(surg_core.ConfigError, match=r"motors\.roll\.limits.*\[-4\.5, 4\.5\] rad"):
+        drive_of(cell, "PSM1")
+    drive_file(folder)  # three motors
+    with pytest.raises(surg_core.ConfigError, match=r"motors: pitch, yaw, jaw; .*yaw, jaw, roll"):
         drive_of(cell, "PSM1")
 
 

@@ -231,13 +231,17 @@ void RcmLoop::on_tool_state(const sensor_msgs::JointState& message) {
     link_.jaw_received_ns = 0;
     latest_link_.put(link_);
   }
-  const bool wristed = setup_.mounted.instrument.wrist.has_value();
-  if (message.header.stamp.isZero() || message.position.size() != (wristed ? 3 : 1)) return;
-  link_.jaw = message.position.back();
-  if (wristed) {
-    link_.wrist = {message.position[0], message.position[1]};
+  const std::optional<surg::WristConfig>& wrist = setup_.mounted.instrument.wrist;
+  const std::size_t joints = !wrist ? 1 : wrist->rolls() ? 4 : 3;
+  if (message.header.stamp.isZero() || message.position.size() != joints) return;
+  link_.jaw = message.position[wrist ? 2 : 0];
+  const auto driven = [](const std::vector<double>& of) {
+    return surg::DriveJoints(of[0], of[1], of.size() > 3 ? of[3] : 0);
+  };
+  if (wrist) {
+    link_.wrist = driven(message.position);
     link_.wrist_rate.setZero();
-    if (message.velocity.size() == 3) link_.wrist_rate = {message.velocity[0], message.velocity[1]};
+    if (message.velocity.size() == joints) link_.wrist_rate = driven(message.velocity);
   }
   if (!options_.lockstep) {
     note_stamp(message.header.stamp);

@@ -144,7 +144,7 @@ Decoded decode_joints(const sensor_msgs::JointState& message, surg::Motion motio
   }
   Decoded decoded = motion_of(motion);
   decoded.item.motion.joints = surg::Vector4(values[0], values[1], values[2], values[3]);
-  if (wristed) decoded.item.motion.wrist = {values[4], values[5]};
+  if (wristed) decoded.item.motion.wrist = {values[4], values[5], 0};
   return decoded;
 }
 

@@ -22,9 +22,10 @@ RobotCommand::RobotCommand(ros::NodeHandle& node, const surg::ArmSetup& setup, b
   tool_ = node.advertise<sensor_msgs::JointState>(prefix + "tool/servo_jp", queue);
   joint_command_.name = setup.robot.joint_names;
   twist_command_.header.frame_id = setup.arm.name + "_base";
-  const bool wristed = setup.mounted.instrument.wrist.has_value();
+  const std::optional<surg::WristConfig>& wrist = setup.mounted.instrument.wrist;
   tool_command_.name =
-      wristed ? std::vector<std::string>{"pitch", "yaw", "jaw"} : std::vector<std::string>{"jaw"};
+      wrist ? std::vector<std::string>{"pitch", "yaw", "jaw"} : std::vector<std::string>{"jaw"};
+  if (wrist && wrist->rolls()) tool_command_.name.push_back("roll");
 }
 
 void RobotCommand::send(const LinkCommand& command) {
@@ -51,6 +52,7 @@ void RobotCommand::send(const LinkCommand& command) {
   if (mounted.wrist) {
     if (!command.wrist.allFinite()) return;
     tool_command_.position = {command.wrist[0], command.wrist[1], command.jaw};
+    if (mounted.wrist->rolls()) tool_command_.position.push_back(command.wrist[2]);
   }
   tool_.publish(tool_command_);
 }

@@ -144,10 +144,14 @@ struct WristConfig {
   /// Unit pitch axis in the flange frame, of the drawing (load_tool); only its turn about the shaft
   /// counts.
   Vector3 pitch_axis_F = Vector3::UnitY();
-  WristJoints min, max;     ///< [rad]
-  double velocity = 0;      ///< [rad/s] of each joint
-  double acceleration = 0;  ///< [rad/s^2]
-  double drive_lag = 0;     ///< [s] from a command to the motion that it causes
+  DriveJoints min = DriveJoints::Zero(), max = DriveJoints::Zero();  ///< [rad]
+  double velocity = 0;                                               ///< [rad/s] of each joint
+  double acceleration = 0;                                           ///< [rad/s^2]
+  double drive_lag = 0;  ///< [s] from a command to the motion that it causes
+  /// Whether the drive has a motor for the roll; the arm keeps its own roll then.
+  bool rolls() const { return min[2] < max[2]; }
+  /// [rad/s^3] full acceleration in 20 ms: of a servo's current loop, assumed
+  double jerk() const { return acceleration / 0.02; }
 };
 
 /// One instrument: its YAML. Jaw angles [rad]; 'closed' is jaw_min.
@@ -159,6 +163,10 @@ struct InstrumentConfig {
   std::vector<LinkCapsule> capsules = {};  ///< in the mount's frame; 'shaft' enters the patient
   std::optional<WristConfig> wrist = {};   ///< none: the tip stands on the shaft's axis
 };
+
+/// The limits where the instrument's drive may turn the shaft: the arm's roll limits give way to
+/// the drive's.
+Limits with_roll_of(const InstrumentConfig& instrument, Limits limits);
 
 /// Calibrated tool: shaft axis and tip in the flange frame F, with the quality of the fit.
 struct ToolCalibration {

@@ -43,8 +43,8 @@ struct Readings {
   double condition_age = 0;  ///< [s] since it was received (0 in lock-step)
   double jaw = 0;            ///< measured jaw [rad]
   double jaw_age = 0;        ///< [s] since it was received (0 in lock-step)
-  /// Measured joints of the wrist [rad] and their rates [rad/s], of the jaw's age.
-  WristJoints wrist = WristJoints::Zero(), wrist_rate = WristJoints::Zero();
+  /// Measured joints of the wrist's drive [rad] and their rates [rad/s], of the jaw's age.
+  DriveJoints wrist = DriveJoints::Zero(), wrist_rate = DriveJoints::Zero();
   ForceSample tip_force;     ///< F25, where a sensor exists
   ForceSample trocar_force;  ///< load of the trocar
   // rcm/track, where Options::track_rcm is set:
@@ -68,7 +68,7 @@ struct WristOutputs {
   WristJoints q = WristJoints::Zero(), qd = WristJoints::Zero();  ///< measured
   WristJoints set = WristJoints::Zero(), goal = WristJoints::Zero();
   /// For the drive [rad], so that it is where the arm is; not finite: unknown, nothing is sent.
-  WristJoints command = WristJoints::Zero();
+  DriveJoints command = DriveJoints::Zero();
   Matrix3 R_RTip = Matrix3::Identity(), R_RSet = Matrix3::Identity();
   Matrix3 R_RGoal = Matrix3::Identity();
   Vector3 omega_B = Vector3::Zero();  ///< measured, of the tip [rad/s]

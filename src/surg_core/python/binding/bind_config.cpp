@@ -183,8 +183,10 @@ void bind_calibrations(py::module_& m) {
 
   py::class_<WristConfig>(m, "WristConfig", "A wrist: pitch about y, then yaw about x.")
       .def_readonly("geometry", &WristConfig::geometry)
-      .def_property_readonly("min", array_of(&WristConfig::min), "Pitch and yaw (2,) [rad].")
-      .def_property_readonly("max", array_of(&WristConfig::max), "Pitch and yaw (2,) [rad].")
+      .def_property_readonly("min", array_of(&WristConfig::min),
+                             "Pitch, yaw and drive's roll (3,) [rad].")
+      .def_property_readonly("max", array_of(&WristConfig::max), "The same (3,) [rad].")
+      .def_property_readonly("rolls", &WristConfig::rolls, "Whether the drive turns the shaft.")
       .def_readonly("velocity", &WristConfig::velocity, "[rad/s]")
       .def_readonly("acceleration", &WristConfig::acceleration, "[rad/s^2]")
       .def_readonly("drive_lag", &WristConfig::drive_lag, "From a command to its motion [s].");

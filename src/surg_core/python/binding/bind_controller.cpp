@@ -56,7 +56,7 @@ void bind_command(py::module_& m) {
             command.slide = slide;
             command.elbow = elbow;
             if (omega) command.omega = to_vector3(*omega, "omega");
-            if (wrist) command.wrist = to_vector2(*wrist, "wrist");
+            if (wrist) command.wrist.head<2>() = to_vector2(*wrist, "wrist");
             return command;
           }),
           py::arg("motion"), py::arg("source") = 0, py::arg("p") = py::none(),
@@ -107,38 +107,39 @@ void bind_readings(py::module_& m) {
 
   py::class_<Readings>(m, "Readings",
                        "What robot, tool and sensors said beside the joints; for Controller.step.")
-      .def(py::init([](RobotCondition condition, double condition_age, double jaw_age,
-                       const ForceSample& tip_force, const ForceSample& trocar_force,
-                       const std::optional<Array>& p_BTrack, const std::optional<Array>& v_BTrack,
-                       double track_age, const std::optional<Array>& wrist,
-                       const std::optional<Array>& wrist_rate) {
-             Readings readings;
-             readings.condition = condition;
-             readings.condition_age = condition_age;
-             readings.jaw_age = jaw_age;
-             readings.tip_force = tip_force;
-             readings.trocar_force = trocar_force;
-             if (wrist) readings.wrist = to_vector2(*wrist, "wrist");
-             if (wrist_rate) readings.wrist_rate = to_vector2(*wrist_rate, "wrist_rate");
-             readings.track_valid = p_BTrack.has_value();
-             readings.track_age = track_age;
-             if (p_BTrack) readings.p_BTrack = to_vector3(*p_BTrack, "p_BTrack");
-             if (v_BTrack) readings.v_BTrack = to_vector3(*v_BTrack, "v_BTrack");
-             return readings;
-           }),
-           py::kw_only(), py::arg_v("condition", RobotCondition::kActive, "RobotCondition.ACTIVE"),
-           py::arg("condition_age") = 0.0, py::arg("jaw_age") = 0.0,
-           py::arg_v("tip_force", ForceSample{}, "ForceSample()"),
-           py::arg_v("trocar_force", ForceSample{}, "ForceSample()"),
-           py::arg("p_BTrack") = py::none(), py::arg("v_BTrack") = py::none(),
-           py::arg("track_age") = 0.0, py::arg("wrist") = py::none(),
-           py::arg("wrist_rate") = py::none(),
-           "condition of the robot, condition_age [s]; jaw_age [s]; forces; p_BTrack (3,) [m] and "
-           "v_BTrack (3,) [m/s]: where a moving trocar "
-           "was\n"
-           "track_age [s] ago (Controller(track_rcm=True)); None: not tracked; "
-           "wrist and wrist_rate (2,): measured pitch and yaw [rad] and their rates, of the jaw's "
-           "age.");
+      .def(
+          py::init([](RobotCondition condition, double condition_age, double jaw_age,
+                      const ForceSample& tip_force, const ForceSample& trocar_force,
+                      const std::optional<Array>& p_BTrack, const std::optional<Array>& v_BTrack,
+                      double track_age, const std::optional<Array>& wrist,
+                      const std::optional<Array>& wrist_rate) {
+            Readings readings;
+            readings.condition = condition;
+            readings.condition_age = condition_age;
+            readings.jaw_age = jaw_age;
+            readings.tip_force = tip_force;
+            readings.trocar_force = trocar_force;
+            if (wrist) readings.wrist = to_drive(*wrist, "wrist");
+            if (wrist_rate) readings.wrist_rate = to_drive(*wrist_rate, "wrist_rate");
+            readings.track_valid = p_BTrack.has_value();
+            readings.track_age = track_age;
+            if (p_BTrack) readings.p_BTrack = to_vector3(*p_BTrack, "p_BTrack");
+            if (v_BTrack) readings.v_BTrack = to_vector3(*v_BTrack, "v_BTrack");
+            return readings;
+          }),
+          py::kw_only(), py::arg_v("condition", RobotCondition::kActive, "RobotCondition.ACTIVE"),
+          py::arg("condition_age") = 0.0, py::arg("jaw_age") = 0.0,
+          py::arg_v("tip_force", ForceSample{}, "ForceSample()"),
+          py::arg_v("trocar_force", ForceSample{}, "ForceSample()"),
+          py::arg("p_BTrack") = py::none(), py::arg("v_BTrack") = py::none(),
+          py::arg("track_age") = 0.0, py::arg("wrist") = py::none(),
+          py::arg("wrist_rate") = py::none(),
+          "condition of the robot, condition_age [s]; jaw_age [s]; forces; p_BTrack (3,) [m] and "
+          "v_BTrack (3,) [m/s]: where a moving trocar "
+          "was\n"
+          "track_age [s] ago (Controller(track_rcm=True)); None: not tracked; "
+          "wrist and wrist_rate (2,) or (3,): measured pitch, yaw and drive's roll [rad] and their "
+          "rates, of the jaw's age.");
 }
 
 void bind_wrist_outputs(py::module_& m, py::class_<Outputs>& type) {
@@ -149,7 +150,8 @@ void bind_wrist_outputs(py::module_& m, py::class_<Outputs>& type) {
       .def_property_readonly("set", array_of(&WristOutputs::set), "Set-point (2,) [rad].")
       .def_property_readonly("goal", array_of(&WristOutputs::goal), "(2,) [rad]")
       .def_property_readonly("command", array_of(&WristOutputs::command),
-                             "For the drive (2,) [rad]; not a number: nothing is sent.")
+                             "For the drive (3,) [rad]: pitch, yaw, roll; not a number: nothing is "
+                             "sent.")
       .def_property_readonly("R_RTip", array_of(&WristOutputs::R_RTip), "Measured (3, 3).")
       .def_property_readonly("R_RSet", array_of(&WristOutputs::R_RSet), "Set-point (3, 3).")
       .def_property_readonly("R_RGoal", array_of(&WristOutputs::R_RGoal), "Goal (3, 3).")

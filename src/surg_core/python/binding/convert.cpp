@@ -39,6 +39,10 @@ Eigen::Vector2d to_vector2(const Array& array, const char* name) {
   return to_vector<2>(array, name);
 }
 Vector3 to_vector3(const Array& array, const char* name) { return to_vector<3>(array, name); }
+Vector3 to_drive(const Array& array, const char* name) {
+  if (array.size() == 3) return to_vector3(array, name);
+  return (Vector3() << to_vector2(array, name), 0).finished();
+}
 Vector4 to_vector4(const Array& array, const char* name) { return to_vector<4>(array, name); }
 
 Eigen::Quaterniond to_unit_quaternion(const Array& array, const char* name) {

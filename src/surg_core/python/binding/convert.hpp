@@ -25,6 +25,8 @@ void check_shape(const Array& array, std::initializer_list<py::ssize_t> shape, c
 
 Eigen::Vector2d to_vector2(const Array& array, const char* name);
 Vector3 to_vector3(const Array& array, const char* name);
+/// (3,), or (2,) of a drive without a roll.
+Vector3 to_drive(const Array& array, const char* name);
 Vector4 to_vector4(const Array& array, const char* name);
 /// Of x, y, z, w. Raises ValueError for a norm other than 1, as the controller node refuses it.
 Eigen::Quaterniond to_unit_quaternion(const Array& array, const char* name);

@@ -76,11 +76,12 @@ constexpr double kDeadMan[] = {0.01, 0.1}, kStopDeceleration[] = {4.0, 40.0};
 constexpr double kBraking[] = {0.25, 2.0}, kBrakingRange[] = {0.05, 20.0};
 
 // Together what clearance.hpp has room for.
-constexpr double kWristMost = 1.5;    // [rad] of a wrist joint: a quarter turn is singular
-constexpr int kMostArmCapsules = 24;  // `capsules` of a robot
-constexpr int kMostToolCapsules = 8;  // `capsules` of an instrument
-constexpr double kSlowTip = 0.02;     // [m/s] of an arm that is being commissioned
-constexpr double kSlowFlange = 0.05;  // [m/s] of an arm that is being commissioned
+constexpr double kWristMost = 1.5;  // [rad] of pitch and yaw: at a quarter turn the roll is free
+constexpr double kRollMost = 2 * M_PI;  // [rad] of the drive's roll: cables run along the shaft
+constexpr int kMostArmCapsules = 24;    // `capsules` of a robot
+constexpr int kMostToolCapsules = 8;    // `capsules` of an instrument
+constexpr double kSlowTip = 0.02;       // [m/s] of an arm that is being commissioned
+constexpr double kSlowFlange = 0.05;    // [m/s] of an arm that is being commissioned
 
 /// Limits that must increase, whoever set them.
 struct IncreasingLimits {
@@ -292,10 +293,11 @@ RobotConfig with_link(const RobotConfig& robot, const LinkConfig& link) {
 
 namespace {
 
-/// [rad] range of one wrist joint. Both ends keep away from a quarter turn, where the roll is free.
-void read_wrist_range(Reader& reader, const std::string& joint, double& least, double& most) {
-  least = reader.real("wrist." + joint + ".min", -kWristMost, 0.0, "rad");
-  most = reader.real("wrist." + joint + ".max", 0.0, kWristMost, "rad");
+/// [rad] range of one joint of a wrist's drive, with zero in it and no end beyond 'bound'.
+void read_wrist_range(Reader& reader, const std::string& joint, double bound, double& least,
+                      double& most) {
+  least = reader.real("wrist." + joint + ".min", -bound, 0.0, "rad");
+  most = reader.real("wrist." + joint + ".max", 0.0, bound, "rad");
   if (!(least < most)) {
     reader.fail("wrist." + joint + ".min", number(least) + " rad is not below wrist." + joint +
                                                ".max " + number(most) + " rad");
@@ -306,8 +308,11 @@ WristConfig read_wrist(Reader& reader) {
   WristConfig wrist;
   wrist.geometry.pitch_to_yaw = reader.real("wrist.pitch_to_yaw", 0.0, 0.03, "m");
   wrist.geometry.yaw_to_tip = reader.real("wrist.yaw_to_tip", 0.002, 0.05, "m");
-  read_wrist_range(reader, "pitch", wrist.min[0], wrist.max[0]);
-  read_wrist_range(reader, "yaw", wrist.min[1], wrist.max[1]);
+  read_wrist_range(reader, "pitch", kWristMost, wrist.min[0], wrist.max[0]);
+  read_wrist_range(reader, "yaw", kWristMost, wrist.min[1], wrist.max[1]);
+  if (reader.has("wrist.roll")) {
+    read_wrist_range(reader, "roll", kRollMost, wrist.min[2], wrist.max[2]);
+  }
   wrist.velocity = reader.real("wrist.velocity", 0.2, 20.0, "rad/s");
   wrist.acceleration = reader.real("wrist.acceleration", 2.0, 400.0, "rad/s^2");
   wrist.drive_lag = reader.real("wrist.drive_lag", 0.0, 0.1, "s");
@@ -315,6 +320,16 @@ WristConfig read_wrist(Reader& reader) {
 }
 
 }  // namespace
+
+Limits with_roll_of(const InstrumentConfig& instrument, Limits limits) {
+  if (!instrument.wrist || !instrument.wrist->rolls()) return limits;
+  const WristConfig& drive = *instrument.wrist;
+  limits.roll_velocity = drive.velocity;
+  limits.roll_acceleration = drive.acceleration;
+  limits.roll_jerk = drive.jerk();
+  limits.roll_max = std::min(-drive.min[2], drive.max[2]);
+  return limits;
+}
 
 InstrumentConfig parse_instrument(const Document& document) {
   Reader reader(document, "surg_instrument/1");

@@ -189,9 +189,9 @@ void Controller::Impl::report_stop_bound(const Inputs& in) {
   out.stop_bound = stops.bound(arm.chain(), {q, qd, in.state_age, lag, tool, trocar.p_B()});
   if (!out.wrist.exists) return;
   // The wrist's own drive goes on to the newest angles that it was given.
-  const WristJoints left = (out.wrist.command - out.wrist.q).cwiseAbs();
+  const DriveJoints left = (out.wrist.command - driven(in)).cwiseAbs();
   const WristGeometry& wrist = out.wrist.geometry;
-  out.stop_bound.tip += left[0] * wrist.length() + left[1] * wrist.yaw_to_tip;
+  out.stop_bound.tip += (left[0] + left[2]) * wrist.length() + left[1] * wrist.yaw_to_tip;
 }
 
 TipFrame Controller::Impl::tip_behind_wrist(const Vector3& p_RCentre, const Vector3& s_R,
@@ -199,7 +199,11 @@ TipFrame Controller::Impl::tip_behind_wrist(const Vector3& p_RCentre, const Vect
   return tip_of_wrist(handler.wrist().geometry(), {{p_RCentre, shaft_rotation(s_R, roll)}, joints});
 }
 
-/// So far the report has the wrist centre where it says tip.
+DriveJoints Controller::Impl::driven(const Inputs& in) const {
+  return in.wrist.allFinite() ? in.wrist : handler.wrist().set();
+}
+
+/// So far the report has the wrist centre where it says tip, and the arm's roll where it says roll.
 void Controller::Impl::report_wrist(const Inputs& in) {
   const WristMotion& wrist = handler.wrist();
   const Setpoint& setpoint = handler.setpoint();
@@ -208,10 +212,18 @@ void Controller::Impl::report_wrist(const Inputs& in) {
   WristOutputs& to = out.wrist;
   to.exists = true;
   to.geometry = wrist.geometry();
-  to.q = in.wrist.allFinite() ? in.wrist : wrist.set();
-  to.qd = in.wrist_rate.allFinite() ? in.wrist_rate : WristJoints(WristJoints::Zero());
-  to.set = wrist.set();
-  to.goal = wrist.goal();
+  const DriveJoints q = driven(in), set_to = wrist.set(), bound_for = wrist.goal();
+  const DriveJoints qd = in.wrist_rate.allFinite() ? in.wrist_rate : DriveJoints::Zero().eval();
+  to.q = q.head<2>();
+  to.qd = qd.head<2>();
+  to.set = set_to.head<2>();
+  to.goal = bound_for.head<2>();
+  out.roll += q[2];
+  out.roll_set += set_to[2];
+  out.roll_goal += bound_for[2];
+  out.virtual_q[3] += q[2];
+  out.virtual_qd[3] += qd[2];
+  out.virtual_set[3] += set_to[2];
   to.command = wrist.command(law == Law::kExact ? follower.delay() : robot.tuning.link_lag);
 
   const Vector3 centre_R = X_BR.inverse() * shaft().p_BTip;
@@ -220,10 +232,10 @@ void Controller::Impl::report_wrist(const Inputs& in) {
   const FrameRate rate =
       tip_rate(wrist.geometry(), measured, {R_RB * arm.v_BTip(), turning}, to.qd);
   const TipFrame tip = tip_of_wrist(wrist.geometry(), measured);
-  const TipFrame set = tip_behind_wrist(setpoint.p_RTip(), setpoint.s_R(), setpoint.roll(), to.set);
+  const TipFrame set = tip_behind_wrist(setpoint.p_RTip(), setpoint.s_R(), out.roll_set, to.set);
   const double far = goal_R.norm();
-  const TipFrame goal = tip_behind_wrist(goal_R, far > 1e-6 ? Vector3(goal_R / far) : s_R,
-                                         handler.roll_goal(), to.goal);
+  const TipFrame goal =
+      tip_behind_wrist(goal_R, far > 1e-6 ? Vector3(goal_R / far) : s_R, out.roll_goal, to.goal);
   to.R_RTip = tip.R;
   to.R_RSet = set.R;
   to.R_RGoal = goal.R;

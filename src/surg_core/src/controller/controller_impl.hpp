@@ -249,6 +249,8 @@ struct Controller::Impl {
   void report_virtual_joints();
   void report_stop_bound(const Inputs& in);
   void report_wrist(const Inputs& in);
+  /// The drive's joints: measured, or else where they are set.
+  DriveJoints driven(const Inputs& in) const;
   /// Serializes every member that a step reads before writing it; a test finds a missing one.
   template <typename Archive>
   void serialize(Archive& archive) {

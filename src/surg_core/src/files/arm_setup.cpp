@@ -128,6 +128,14 @@ Vector3 drawn_tip(const InstrumentConfig& instrument, const std::string& urdf) {
   }
 }
 
+/// Whether a roll joint turns about z of its frame, on which the pitch axis stands.
+bool along_shaft(const Pose& X_MRoll, const Vector3& axis, const Pose& X_MPitch) {
+  const Pose X_RollPitch = X_MRoll.inverse() * X_MPitch;
+  return axis.isApprox(Vector3::UnitZ(), kAxisOff) &&
+         X_RollPitch.translation().head<2>().norm() <= kLengthOff &&
+         X_RollPitch.linear().col(2).isApprox(Vector3::UnitZ(), kAxisOff);
+}
+
 /// Refuses a wrist that the drawing shows otherwise: the simulator and the pictures have that one.
 /// Takes its pitch axis from the drawing.
 void check_wrist(InstrumentConfig& instrument, const std::string& urdf) {
@@ -151,19 +159,25 @@ void check_wrist(InstrumentConfig& instrument, const std::string& urdf) {
            "wrist: none is stated, but " + urdf + " has joint '" + turning.front() +
                "' on the way to the tip: state the wrist, or make the joint fixed");
   }
-  const std::vector<std::string> needed(kWristJoints.begin(), kWristJoints.end());
-  const bool shaped = turning == needed && axes[0].isApprox(Vector3::UnitY(), kAxisOff) &&
-                      axes[1].isApprox(Vector3::UnitX(), kAxisOff);
+  const std::size_t pitch = instrument.wrist->rolls() ? 1 : 0;
+  const std::vector<std::string> needed(kWristJoints.end() - 2 - pitch, kWristJoints.end());
+  const bool shaped = turning == needed && axes[pitch].isApprox(Vector3::UnitY(), kAxisOff) &&
+                      axes[pitch + 1].isApprox(Vector3::UnitX(), kAxisOff) &&
+                      (pitch == 0 || along_shaft(X_MountJoint[0], axes[0], X_MountJoint[1]));
   if (!shaped) {
     refuse(instrument.file, 0,
-           "wrist: " + urdf +
-               " needs the joints wrist_pitch (axis 0 1 0) and wrist_yaw (axis "
-               "1 0 0), in this order, on the way from '" +
-               instrument.mount_link + "' to '" + instrument.tip_link + "'");
+           "wrist: " + urdf + " needs the joints " +
+               (pitch == 0 ? "" : "wrist_roll (axis 0 0 1, along the shaft), ") +
+               "wrist_pitch (axis 0 1 0) and wrist_yaw (axis 1 0 0), in this order, on the way "
+               "from '" +
+               instrument.mount_link + "' to '" + instrument.tip_link + "'" +
+               (turning.empty() || turning[0] != kWristJoints[0] || pitch == 1
+                    ? ""
+                    : "; it draws wrist_roll: state wrist.roll"));
   }
   const WristGeometry& stated = instrument.wrist->geometry;
-  const Vector3 link = X_MountJoint[0].inverse() * X_MountJoint[1].translation();
-  const Vector3 tip = X_MountJoint[1].inverse() * X.translation();
+  const Vector3 link = X_MountJoint[pitch].inverse() * X_MountJoint[pitch + 1].translation();
+  const Vector3 tip = X_MountJoint[pitch + 1].inverse() * X.translation();
   const auto compare = [&](const char* key, double says, const Vector3& drawn) {
     if ((drawn - says * Vector3::UnitZ()).norm() <= kLengthOff) return;
     refuse(instrument.file, 0,
@@ -173,7 +187,7 @@ void check_wrist(InstrumentConfig& instrument, const std::string& urdf) {
   };
   compare("pitch_to_yaw", stated.pitch_to_yaw, link);
   compare("yaw_to_tip", stated.yaw_to_tip, tip);
-  instrument.wrist->pitch_axis_F = X_MountJoint[0].linear() * axes[0];
+  instrument.wrist->pitch_axis_F = X_MountJoint[pitch].linear() * axes[pitch];
 }
 
 /// Refuses a real arm whose tool was calibrated with another instrument.
@@ -206,6 +220,12 @@ void check_change(const ArmSetup& setup, const InstrumentConfig& next) {
            "wrist: the arm started with an instrument " +
                std::string(first.instrument.wrist ? "that has one" : "without one") +
                ", and its commands have as many joints: start it again");
+  }
+  if (next.wrist && next.wrist->rolls() != first.instrument.wrist->rolls()) {
+    refuse(next.file, 0,
+           "wrist.roll: the arm started with an instrument whose drive has " +
+               std::string(next.wrist->rolls() ? "none" : "one") +
+               ", and its limits are made for it: start it again");
   }
   const bool guarded = setup.arms_in_cell.size() > 1 || !setup.clearance.obstacles.empty();
   if (guarded && next.file != first.instrument.file) {
@@ -244,6 +264,7 @@ ArmSetup load_arm(const std::string& cell, const std::string& arm_name) {
   setup.model = load_model(setup.robot);
   setup.limits = tighten(setup.robot.limits, arm, setup.cell_file);
   setup.mounted = load_tool(setup, "");
+  setup.limits = with_roll_of(setup.mounted.instrument, setup.limits);
   setup.trocar = parse_trocar(load_document(calibration_file(setup, "trocar")));
   check_hardware(arm, setup.robot, setup.mounted.instrument, setup.mounted.tool, setup.trocar,
                  setup.cell_file, today());

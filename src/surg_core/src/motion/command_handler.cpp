@@ -28,6 +28,13 @@ constexpr double kNotInsertedSlack = 1e-3;  // [m] a tip that rests on depth_min
 /// Angle of the twist about z in a rotation (swing-twist about the shaft at its target).
 double twist_about_z(const Eigen::Quaterniond& q) { return 2 * std::atan2(q.z(), q.w()); }
 
+/// Absolute roll of a tool orientation in R, of equal ones the nearest.
+double roll_near(double near, const Vector3& p_RTip, const Eigen::Quaterniond& rotation) {
+  const Matrix3 swing = minimal_rotation(Vector3::UnitZ(), p_RTip.normalized());
+  const double requested = twist_about_z(Eigen::Quaterniond(Matrix3(swing.transpose())) * rotation);
+  return near + wrapped(requested - near);
+}
+
 Vector3 tip_of(const Vector4& joints) { return joints[2] * shaft_direction(joints[0], joints[1]); }
 
 /// 'shaft_direction' maps angles beyond a quarter turn to smaller ones, so they are refused here.
@@ -137,6 +144,7 @@ Reason CommandHandler::resolve_pose(MotionCommand& command) const {
   const bool joints = command.motion == Motion::kServoJp || command.motion == Motion::kMoveJp ||
                       command.motion == Motion::kInterpolateJp;
   const bool relative = command.motion == Motion::kServoJr || command.motion == Motion::kMoveJr;
+  give_roll_to_drive(command);
   if (relative) command.wrist += present_wrist();
   if (joints || relative) {
     return wrist_.reaches(command.wrist) ? Reason::kNone : Reason::kOutsideWorkspace;
@@ -148,14 +156,18 @@ Reason CommandHandler::resolve_pose(MotionCommand& command) const {
     const auto found = wrists_of_tip(wrist_.geometry(), tip);
     if (!found) return Reason::kOutsideWorkspace;
     wrist = (*found)[0];
-    if (wrist_.reaches(wrist.joints)) break;
+    command.wrist << wrist.joints, drive_roll(wrist.centre);
+    if (wrist_.reaches(command.wrist)) break;
     if (!(stream && command.slide)) return Reason::kOutsideWorkspace;
-    wrist.joints = wrist_.nearest(wrist.joints);
+    const DriveJoints end = wrist_.nearest(command.wrist);
+    wrist.joints = end.head<2>();
+    wrist.centre.R =
+        wrist.centre.R * Eigen::AngleAxisd(end[2] - command.wrist[2], Vector3::UnitZ());
+    command.wrist = end;
     tip.R = tip_of_wrist(wrist_.geometry(), wrist).R;
   }
   command.p = wrist.centre.p;
   command.rotation = Eigen::Quaterniond(wrist.centre.R);
-  command.wrist = wrist.joints;
   return Reason::kNone;
 }
 
@@ -163,13 +175,26 @@ Reason CommandHandler::resolve_pose(MotionCommand& command) const {
 /// the end of a joint the tip keeps its own velocity, and its orientation gives way.
 void CommandHandler::resolve_twist(MotionCommand& command) const {
   if (command.motion != Motion::kServoCv) return;
-  const WristPose pose{{setpoint_.p_RTip(), shaft_rotation(setpoint_.s_R(), setpoint_.roll())},
-                       wrist_.set()};
+  const DriveJoints now = wrist_.set();
+  const WristPose pose{
+      {setpoint_.p_RTip(), shaft_rotation(setpoint_.s_R(), setpoint_.roll() + now[2])},
+      now.head<2>()};
   const WristRate rate = wrist_rates(wrist_.geometry(), pose, {command.p, command.omega});
-  command.p = centre_velocity(wrist_.geometry(), pose, command.p, rate.roll_rate,
-                              wrist_.allowed(rate.joints));
-  command.roll_rate = rate.roll_rate;
-  command.wrist = rate.joints;
+  command.roll_rate = wrist_.rolls() ? 0 : rate.roll_rate;
+  command.wrist << rate.joints, wrist_.rolls() ? rate.roll_rate : 0;
+  const DriveJoints turns = wrist_.allowed(command.wrist);
+  command.p = centre_velocity(wrist_.geometry(), pose, command.p, command.roll_rate + turns[2],
+                              turns.head<2>());
+}
+
+/// Where the drive rolls, it gets what joint commands ask of the roll beyond the arm's own.
+void CommandHandler::give_roll_to_drive(MotionCommand& command) const {
+  if (!wrist_.rolls()) return;
+  const bool absolute = command.motion == Motion::kServoJp || command.motion == Motion::kMoveJp ||
+                        command.motion == Motion::kInterpolateJp;
+  const double arm = absolute ? setpoint_.roll() : 0;
+  command.wrist[2] = command.joints[3] - arm;
+  command.joints[3] = arm;
 }
 
 void CommandHandler::move_wrist(const MotionCommand& command) {
@@ -305,18 +330,28 @@ bool CommandHandler::roll_reachable(double roll) const {
   return std::abs(roll) <= std::max(limits_.roll_max, std::abs(setpoint_.roll()));
 }
 
-/// Absolute roll that a tool orientation in R asks for, continued from the present roll.
+/// Absolute roll of the arm that a tool orientation in R asks for, continued from the present roll.
 double CommandHandler::requested_roll(const Vector3& p_RTip,
                                       const Eigen::Quaterniond& rotation) const {
-  const Matrix3 swing = minimal_rotation(Vector3::UnitZ(), p_RTip.normalized());
-  const double requested = twist_about_z(Eigen::Quaterniond(Matrix3(swing.transpose())) * rotation);
-  const double near = setpoint_.mode() == Setpoint::Mode::kStream ? roll_goal_ : setpoint_.roll();
-  return near + wrapped(requested - near);
+  if (wrist_.rolls()) return setpoint_.roll();
+  return roll_near(setpoint_.mode() == Setpoint::Mode::kStream ? roll_goal_ : setpoint_.roll(),
+                   p_RTip, rotation);
+}
+
+/// What the drive adds to the arm's roll, continued from what it was given.
+double CommandHandler::drive_roll(const TipFrame& centre) const {
+  if (!wrist_.rolls()) return 0;
+  const double arm = setpoint_.roll();
+  const bool streams = setpoint_.mode() == Setpoint::Mode::kStream;
+  const double near = arm + (streams ? wrist_.goal() : wrist_.set())[2];
+  return roll_near(near, centre.p, Eigen::Quaterniond(centre.R)) - arm;
 }
 
 /// The same of the wrist.
-WristJoints CommandHandler::present_wrist() const {
-  return wrist_.at_rest() ? wrist_.set() : wrist_.goal();
+DriveJoints CommandHandler::present_wrist() const {
+  const Setpoint::Mode mode = setpoint_.mode();
+  const bool free = mode == Setpoint::Mode::kVelocity || mode == Setpoint::Mode::kStopping;
+  return free || wrist_.at_rest() ? wrist_.set() : wrist_.goal();
 }
 
 /// Reference of relative commands: the goal of a joint motion in progress, else the set-point.

@@ -7,9 +7,8 @@
 namespace surg {
 namespace {
 
-constexpr double kJerkTime = 0.02;  // [s] to full acceleration; of a servo's current loop: assumed
-constexpr double kTurned = 0.05;    // [rad] off the set-point at a start: turned by hand
-constexpr double kAway = 0.3;       // [rad] off the place of a drive that lags as stated: blocked
+constexpr double kTurned = 0.05;  // [rad] off the set-point at a start: turned by hand
+constexpr double kAway = 0.3;     // [rad] off the place of a drive that lags as stated: blocked
 constexpr double kEndApproach = 10.0;  // [1/s] speed of a joint over what is left of its range
 // A critically damped servo of second order with lag L answers y + L y' + L^2 y'' / 4 with y. A
 // first order has no term of y'', a dead time one of twice the size. y is x one arm lag ago.
@@ -26,10 +25,10 @@ WristMotion::WristMotion(const std::optional<WristConfig>& wrist, const Tuning& 
 }
 
 DofLimits WristMotion::limits() const {
-  return {config_.velocity, config_.acceleration, config_.acceleration / kJerkTime};
+  return {config_.velocity, config_.acceleration, config_.jerk()};
 }
 
-void WristMotion::sense(const WristJoints& measured, double elapsed) {
+void WristMotion::sense(const DriveJoints& measured, double elapsed) {
   if (!exists_ || !measured.allFinite()) return;
   measured_ = measured;
   if (!known_) {
@@ -55,7 +54,7 @@ void WristMotion::start() {
 }
 
 void WristMotion::stop() {
-  const bool moves = dofs_[0].v != 0 || dofs_[1].v != 0;
+  const bool moves = dofs_[0].v != 0 || dofs_[1].v != 0 || dofs_[2].v != 0;
   mode_ = moves ? Mode::kStopping : Mode::kRest;
 }
 
@@ -66,9 +65,9 @@ void WristMotion::restart_filters() {
   }
 }
 
-void WristMotion::stream(const WristJoints& target, double age, std::int64_t stamp_ns) {
+void WristMotion::stream(const DriveJoints& target, double age, std::int64_t stamp_ns) {
   goal_ = target;
-  const Values x{target[0], target[1], 0, 0};
+  const Values x{target[0], target[1], target[2], 0};
   if (mode_ == Mode::kStream) {
     input_.add(x, age, stamp_ns);
     return;
@@ -76,31 +75,31 @@ void WristMotion::stream(const WristJoints& target, double age, std::int64_t sta
   mode_ = Mode::kStream;
   restart_filters();
   const double most = config_.acceleration;
-  input_.begin(x, {dofs_[0], dofs_[1], Kinematic{}, Kinematic{}}, {most, most, 0, 0}, age,
+  input_.begin(x, {dofs_[0], dofs_[1], dofs_[2], Kinematic{}}, {most, most, most, 0}, age,
                stamp_ns);
 }
 
-void WristMotion::set_velocity(const WristJoints& rates) {
+void WristMotion::set_velocity(const DriveJoints& rates) {
   if (mode_ != Mode::kVelocity) restart_filters();
   mode_ = Mode::kVelocity;
   rates_ = rates;
 }
 
-void WristMotion::move_to(const WristJoints& target) {
+void WristMotion::move_to(const DriveJoints& target) {
   goal_ = target;
   const DofLimits joint = limits();
   profiler_ = Profiler({joint, joint, joint, joint}, duration_);
-  profiler_.reset({dofs_[0], dofs_[1], Kinematic{}, Kinematic{}});
-  profiler_.plan({target[0], target[1], 0, 0});
+  profiler_.reset({dofs_[0], dofs_[1], dofs_[2], Kinematic{}});
+  profiler_.plan({target[0], target[1], target[2], 0});
   mode_ = Mode::kProfile;
 }
 
-bool WristMotion::reaches(const WristJoints& joints) const {
+bool WristMotion::reaches(const DriveJoints& joints) const {
   return (joints.array() >= config_.min.array()).all() &&
          (joints.array() <= config_.max.array()).all();
 }
 
-WristJoints WristMotion::nearest(const WristJoints& joints) const {
+DriveJoints WristMotion::nearest(const DriveJoints& joints) const {
   return joints.cwiseMax(config_.min).cwiseMin(config_.max);
 }
 
@@ -108,7 +107,7 @@ void WristMotion::elapse(double T, bool heard, double delay) {
   if (!exists_) return;
   input_.elapse(T, heard, delay);
   const double share = T / (std::max(config_.drive_lag, T));
-  const WristJoints told = command(0);
+  const DriveJoints told = command(0);
   if (known_) expected_ += share * (told - expected_);
 }
 
@@ -119,7 +118,7 @@ void WristMotion::begin_cycle(double period, double rest) {
 
 void WristMotion::advance(double dt) {
   if (!exists_ || !(dt > 0)) return;
-  const WristJoints before = set();
+  const DriveJoints before = set();
   step(dt);
   // A filter overshoots and a stop takes its way: the drive stays at its end, so the set-point
   // does.
@@ -160,10 +159,10 @@ void WristMotion::step(double dt) {
   }
 }
 
-WristJoints WristMotion::allowed(const WristJoints& rates) const {
+DriveJoints WristMotion::allowed(const DriveJoints& rates) const {
   const double fastest = rates.cwiseAbs().maxCoeff();
   const double share = fastest > config_.velocity ? config_.velocity / fastest : 1.0;
-  WristJoints out;
+  DriveJoints out;
   for (int i = 0; i < kJoints; ++i) {
     const double end = rates[i] > 0 ? config_.max[i] : config_.min[i];
     const double most = kEndApproach * std::abs(end - dofs_[i].x);
@@ -173,7 +172,7 @@ WristJoints WristMotion::allowed(const WristJoints& rates) const {
 }
 
 void WristMotion::advance_velocity(double dt) {
-  const WristJoints rates = allowed(rates_);
+  const DriveJoints rates = allowed(rates_);
   for (int i = 0; i < kJoints; ++i) {
     const Kinematic& now = dofs_[i];
     filters_[i].step({now.x + now.v * dt + 0.5 * now.a * dt * dt, rates[i], 0}, dt);
@@ -192,11 +191,11 @@ void WristMotion::advance_stopping(double dt) {
   if (rests) mode_ = Mode::kRest;
 }
 
-WristJoints WristMotion::command(double arm_lag) const {
-  if (!known_) return WristJoints::Constant(kUnknown);
+DriveJoints WristMotion::command(double arm_lag) const {
+  if (!known_) return DriveJoints::Constant(kUnknown);
   const double lag = config_.drive_lag;
   const double bend = kServoOrder * lag * lag - lag * arm_lag + 0.5 * arm_lag * arm_lag;
-  WristJoints ahead;
+  DriveJoints ahead;
   for (int i = 0; i < kJoints; ++i) {
     ahead[i] = dofs_[i].x + (lag - arm_lag) * dofs_[i].v + bend * dofs_[i].a;
   }

@@ -199,7 +199,7 @@ BlackBoxRecording BlackBox::recording(const BlackBoxLabel& label) const {
 namespace {
 
 constexpr char kMagic[] = "SURGBBX";  // eight bytes with its end
-constexpr std::uint32_t kVersion = 6;
+constexpr std::uint32_t kVersion = 7;
 constexpr std::size_t kHead = sizeof kMagic + sizeof kVersion + sizeof(std::uint64_t);
 
 static_assert(sizeof kMagic == 8 && sizeof(double) == 8);

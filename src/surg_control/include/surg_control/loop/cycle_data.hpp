@@ -70,9 +70,9 @@ struct LinkState {
   std::int64_t condition_received_ns = 0;                 ///< when the link last said it; 0: never
   double jaw = std::numeric_limits<double>::quiet_NaN();  ///< until the tool link has spoken
   std::int64_t jaw_received_ns = 0;                       ///< when jaw came; 0: never
-  surg::WristJoints wrist =
-      surg::WristJoints::Constant(std::numeric_limits<double>::quiet_NaN());  ///< with the jaw
-  surg::WristJoints wrist_rate = surg::WristJoints::Zero();
+  surg::DriveJoints wrist =
+      surg::DriveJoints::Constant(std::numeric_limits<double>::quiet_NaN());  ///< with the jaw
+  surg::DriveJoints wrist_rate = surg::DriveJoints::Zero();
   MeasuredForce tip, trocar;                           ///< F25
   std::array<OtherState, surg::kMaxOtherArms> others;  ///< in the order of the clearance setup
 };
@@ -129,7 +129,7 @@ struct LinkCommand {
   surg::JointVector qd;                                 ///< [rad/s]
   surg::Vector6 twist = surg::Vector6::Zero();          ///< of the flange
   double jaw = 0;                                       ///< [rad]; not finite: unknown
-  surg::WristJoints wrist = surg::WristJoints::Zero();  ///< [rad]; likewise
+  surg::DriveJoints wrist = surg::DriveJoints::Zero();  ///< [rad]; likewise
   const surg::MountedTool* tool = nullptr;              ///< as in CycleRecord
 
   static LinkCommand of(const CycleRecord& record) {

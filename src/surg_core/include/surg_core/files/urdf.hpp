@@ -65,8 +65,9 @@ std::vector<UrdfJoint> joints_between(const Urdf& urdf, const std::string& start
 Chain chain_of(const Urdf& urdf, const std::string& base, const std::string& flange,
                const std::vector<std::string>& joint_names);
 
-/// Names of a wrist's joints in an instrument's URDF: pitch about y, then yaw about x.
-constexpr std::array<const char*, 2> kWristJoints{"wrist_pitch", "wrist_yaw"};
+/// Names of a wrist's joints in an instrument's URDF: roll about z where the drive has a motor for
+/// it, pitch about y, then yaw about x.
+constexpr std::array<const char*, 3> kWristJoints{"wrist_roll", "wrist_pitch", "wrist_yaw"};
 
 /// Pose of 'child' in 'parent', which only fixed joints may separate, and those of a wrist, which
 /// stand at zero. Throws ConfigError.

@@ -16,6 +16,9 @@ namespace surg {
 
 /// Pitch and yaw [rad] or their rates.
 using WristJoints = Eigen::Vector2d;
+/// What the instrument's drive turns: pitch, yaw, and the shaft against its holder, 0 where it
+/// cannot. The roll of a pose is the arm's and this one together.
+using DriveJoints = Eigen::Vector3d;
 
 /// Lengths of the wrist [m].
 struct WristGeometry {

@@ -40,7 +40,7 @@ struct MotionCommand {
   double roll_rate = 0;                     ///< cv: about the shaft [rad/s]
   Vector3 omega = Vector3::Zero();          ///< cv: of the tip of a wrist [rad/s], in the rcm frame
   Vector4 joints = Vector4::Zero();         ///< jp / jv: yaw, pitch, insertion, roll
-  WristJoints wrist = WristJoints::Zero();  ///< jp / jv: pitch and yaw of the wrist
+  DriveJoints wrist = DriveJoints::Zero();  ///< jp / jv: pitch and yaw; the handler sets the roll
   double jaw = 0;                           ///< jaw angle [rad]
   double elbow = 0;                         ///< swivel angle [rad]
   std::int64_t stamp_ns = 0;                ///< when it was made, on the sender's clock; 0: unknown

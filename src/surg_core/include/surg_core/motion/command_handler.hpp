@@ -68,6 +68,7 @@ class CommandHandler {
   Reason take(const MotionCommand& command);
   Reason resolve_pose(MotionCommand& command) const;
   void resolve_twist(MotionCommand& command) const;
+  void give_roll_to_drive(MotionCommand& command) const;
   void move_wrist(const MotionCommand& command);
   Reason stream(const MotionCommand& command);
   Reason move_to(Space space, const std::array<double, 4>& target);
@@ -76,8 +77,9 @@ class CommandHandler {
   bool roll_reachable(double roll) const;
   Vector3 nearest_reachable(const Vector3& p_RTip) const;
   double requested_roll(const Vector3& p_RTip, const Eigen::Quaterniond& rotation) const;
+  double drive_roll(const TipFrame& centre) const;
   Vector4 present_goal() const;
-  WristJoints present_wrist() const;
+  DriveJoints present_wrist() const;
   void set_goal(const Vector3& p_RTip, double roll);
 
   Limits limits_;
@@ -92,7 +94,7 @@ class CommandHandler {
   struct Pose4 {
     Vector3 p = Vector3::Zero();
     double roll = 0;
-    WristJoints wrist = WristJoints::Zero();
+    DriveJoints wrist = DriveJoints::Zero();
   };
   Pose4 newest_;                // accepted stream pose, before it slides along the wall
   bool newest_counts_ = false;  // it was accepted in this cycle

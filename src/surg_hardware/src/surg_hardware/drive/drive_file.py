@@ -165,7 +165,7 @@ def load_drive(path: Path) -> DriveFile:
 
 
 def drive_of(cell: Cell, arm: str) -> DriveFile:
-    """The drive of an arm of a cell, whose limits contain the range of the instrument's jaws.
+    """The drive of an arm of a cell, whose limits contain the ranges of the instrument's joints.
 
     Raises:
         ConfigError: The arm has none, or its file must not be used.
@@ -177,12 +177,22 @@ def drive_of(cell: Cell, arm: str) -> DriveFile:
             f"drive, with drive_{arm}.yaml beside the cell"
         )
     drive = load_drive(cell.folder / f"drive_{arm}.yaml")
-    jaw = drive.motors[drive.joints.index("jaw")]
-    if instrument.jaw_min < jaw.lower or instrument.jaw_max > jaw.upper:
-        raise ConfigError(
-            f"{drive.file}: motors.jaw.limits: [{jaw.lower:g}, {jaw.upper:g}] rad; allowed: limits "
-            f"that contain the instrument's, [{instrument.jaw_min:g}, {instrument.jaw_max:g}] rad"
-        )
+    ranges = {"jaw": (instrument.jaw_min, instrument.jaw_max)}
+    if (wrist := instrument.wrist) is not None:
+        turned = zip(("pitch", "yaw", "roll"), zip(wrist.min, wrist.max, strict=True), strict=True)
+        ranges |= {joint: ends for joint, ends in turned if joint != "roll" or wrist.rolls}
+        if set(drive.joints) != set(ranges):
+            raise ConfigError(
+                f"{drive.file}: motors: {', '.join(drive.joints)}; allowed: those that "
+                f"{instrument.file} has: {', '.join(joint for joint in JOINTS if joint in ranges)}"
+            )
+    for motor in drive.motors:
+        low, high = ranges.get(motor.joint, (0.0, 0.0))
+        if low < motor.lower or high > motor.upper:
+            raise ConfigError(
+                f"{drive.file}: motors.{motor.joint}.limits: [{motor.lower:g}, {motor.upper:g}] "
+                f"rad; allowed: limits that contain the instrument's, [{low:g}, {high:g}] rad"
+            )
     return drive
 
 

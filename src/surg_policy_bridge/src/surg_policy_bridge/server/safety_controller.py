@@ -169,9 +169,12 @@ class ArmSafety:
     def _bent(self, target: Target) -> str:
         """Why the wrist cannot be so."""
         wrist = self._own.wrist
-        if wrist is None or ((wrist.min <= target.turns) & (target.turns <= wrist.max)).all():
+        if wrist is None:
             return ""
-        low, high, asked = (_degrees(turns) for turns in (wrist.min, wrist.max, target.turns))
+        least, most = wrist.min[:2], wrist.max[:2]
+        if ((least <= target.turns) & (target.turns <= most)).all():
+            return ""
+        low, high, asked = (_degrees(turns) for turns in (least, most, target.turns))
         return f"the wrist's pitch and yaw of {asked} deg; allowed: {low} to {high} deg"
 
     def _start(self, step: _Step) -> str:

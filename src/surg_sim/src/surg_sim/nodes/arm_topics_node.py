@@ -6,6 +6,7 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import rospy
 from geometry_msgs.msg import TwistStamped
 from sensor_msgs.msg import JointState
@@ -50,10 +51,12 @@ class ArmTopics:
         self.status = BytesPublisher(f"{root}/robot/status", LinkStatus, lockstep)
         self.tool = BytesPublisher(f"{root}/tool/measured_js", JointState, lockstep)
         has_jaw = arm.instrument.jaw_min < arm.instrument.jaw_max
-        wristed = arm.instrument.wrist is not None
-        self.tool_joints = ["pitch", "yaw", "jaw"] if wristed else ["jaw"]
+        wrist = arm.instrument.wrist
+        self.tool_joints = ["pitch", "yaw", "jaw", "roll"] if wrist else ["jaw"]
+        if wrist and not wrist.rolls:
+            self.tool_joints.pop()
         self.tool_layout = link_messages.JointStateLayout(self.tool_joints)
-        self.tool_ticks = 1 if lockstep or has_jaw or wristed else _JAWLESS_TICKS
+        self.tool_ticks = 1 if lockstep or has_jaw or wrist else _JAWLESS_TICKS
         # The track is advertised only if it is published.
         self.stale = round(track_stale * SECOND_NS / TICK_NS)
         self.frame = link_messages.text(f"{arm.name}_base")
@@ -115,8 +118,10 @@ class ArmTopics:
         joints = None if tool is None else tool[1]
         if joints is None:
             return self.last_command_ns, ArmCommand(velocity, twist)
-        wrist = joints[:2] if len(joints) == len(self.tool_joints) == 3 else None
-        return self.last_command_ns, ArmCommand(velocity, twist, float(joints[-1]), wrist)
+        if len(joints) != len(self.tool_joints) or len(joints) == 1:
+            return self.last_command_ns, ArmCommand(velocity, twist, float(joints[-1]))
+        jaw, wrist = float(joints[2]), np.delete(joints, 2)
+        return self.last_command_ns, ArmCommand(velocity, twist, jaw, wrist)
 
     @property
     def controllers(self) -> set[str]:

@@ -188,13 +188,13 @@ class Injector:
     def tool(self, arm: str) -> tuple[Array, Array] | None:
         """Joints [rad] and rates [rad/s] that leave the tool link; None: nothing does.
 
-        They are the jaw's, behind pitch and yaw where there is a wrist.
+        They are the jaw's, behind a wrist's pitch and yaw and before its drive's roll.
         """
         state = self._measured(arm)
         joints, rates = np.array([state.jaw]), np.array([state.jaw_velocity])
         if state.wrist is not None and state.wrist_velocity is not None:
-            joints = np.append(state.wrist, joints)
-            rates = np.append(state.wrist_velocity, rates)
+            joints = np.insert(state.wrist, 2, joints)
+            rates = np.insert(state.wrist_velocity, 2, rates)
         if self._active(ToolLost, arm) is None:
             return joints, rates
         return (np.full_like(joints, np.nan), np.zeros_like(rates)) if self._lockstep else None

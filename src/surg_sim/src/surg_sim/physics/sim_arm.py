@@ -86,7 +86,7 @@ class ArmCommand:
     # most one of velocity and twist is given.
     twist: Array | None = None
     jaw: float | None = None  # jaw angle [rad], or None
-    wrist: Array | None = None  # (2,) pitch and yaw of a wrist [rad], or None
+    wrist: Array | None = None  # (n,) of the wrist's drive [rad], or None
 
 
 @dataclass(frozen=True)

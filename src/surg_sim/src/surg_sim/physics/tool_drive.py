@@ -25,8 +25,8 @@ STIFFNESS, ARMATURE = 5.0, 1e-3
 """[N m/rad], [kg m^2]; assumed: strong against a finger of a few grams, the drive's rotor."""
 
 
-WRIST_JOINTS = ("wrist_pitch", "wrist_yaw")
-"""Names of a wrist's joints in an instrument's URDF."""
+WRIST_JOINTS = ("wrist_pitch", "wrist_yaw", "wrist_roll")
+"""Names of a wrist's joints in an instrument's URDF; the last where the drive turns the shaft."""
 _WRIST_STIFFNESS, _WRIST_ARMATURE = (
     20.0,
     1e-4,
@@ -52,7 +52,8 @@ def jaw_joints(urdf_path: Path) -> list[tuple[str, float, float]]:
 
 def wrist_joints(arm: surg_core.Arm) -> tuple[str, ...]:
     """Names of the wrist's joints; none for a straight instrument."""
-    return () if arm.instrument.wrist is None else WRIST_JOINTS
+    wrist = arm.instrument.wrist
+    return () if wrist is None else WRIST_JOINTS[: 2 + wrist.rolls]
 
 
 def add_tool_drive(spec: mujoco.MjSpec, arm: surg_core.Arm) -> None:
@@ -104,7 +105,7 @@ class ToolDrive:
 
 
 class WristDrive:
-    """The wrist of one arm in a compiled scene; joints are pitch and yaw."""
+    """The wrist of one arm in a compiled scene; its n joints are those of `wrist_joints`."""
 
     def __init__(
         self,
@@ -114,10 +115,11 @@ class WristDrive:
         wrist: surg_core.WristConfig,
     ) -> None:
         self._data = data
-        self._range = np.asarray(wrist.min), np.asarray(wrist.max)
         servo_lag = max(float(wrist.drive_lag) - _JOINT_LAG, _LEAST_LAG)
         self._bandwidth = 2.0 / servo_lag  # [rad/s]
-        names = [f"{arm.name}_{name}" for name in WRIST_JOINTS]
+        names = [f"{arm.name}_{name}" for name in wrist_joints(arm)]
+        self._n = len(names)
+        self._range = np.asarray(wrist.min)[: self._n], np.asarray(wrist.max)[: self._n]
         self._qpos = np.array([int(model.joint(name).qposadr[0]) for name in names])
         self._qvel = np.array([int(model.joint(name).dofadr[0]) for name in names])
         self._ctrl = np.array([int(model.actuator(f"{name}_servo").id) for name in names])
@@ -125,24 +127,26 @@ class WristDrive:
 
     def reset(self) -> None:
         """Straight and at rest."""
-        self._goal = np.zeros(2)
-        self._servo, self._rate = np.zeros(2), np.zeros(2)
+        self._goal, self._servo, self._rate = np.zeros((3, self._n))
         self._data.qpos[self._qpos] = self._data.ctrl[self._ctrl] = 0.0
 
     @property
     def angles(self) -> Array:
-        """Measured (2,) [rad]."""
+        """Measured (n,) [rad]."""
         return np.array(self._data.qpos[self._qpos])
 
     @property
     def rates(self) -> Array:
-        """Measured (2,) [rad/s]."""
+        """Measured (n,) [rad/s]."""
         return np.array(self._data.qvel[self._qvel])
 
     def accept(self, joints: Array | None) -> None:
-        """Take this tick's command (2,) [rad], None: none; one that is not finite is ignored."""
+        """Take this tick's command (n,) [rad], or (3,) of which the rest is not there.
+
+        None: none; one that is not finite is ignored.
+        """
         if joints is not None and np.all(np.isfinite(joints)):
-            self._goal = np.clip(joints, *self._range)
+            self._goal = np.clip(joints[: self._n], *self._range)
         w, step = self._bandwidth, TICK / _STEPS
         for _ in range(_STEPS):
             self._rate += step * (w * w * (self._goal - self._servo) - 2.0 * w * self._rate)

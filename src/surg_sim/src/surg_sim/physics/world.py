@@ -41,8 +41,8 @@ class ArmState:
     qd: Array  # (n,) joint velocities [rad/s]
     jaw: float  # jaw angle [rad]
     jaw_velocity: float  # [rad/s]
-    wrist: Array | None = None  # (2,) pitch and yaw [rad]; None: has no wrist
-    wrist_velocity: Array | None = None  # (2,) [rad/s]
+    wrist: Array | None = None  # (n,) see `wrist_joints` [rad]; None: has no wrist
+    wrist_velocity: Array | None = None  # (n,) [rad/s]
 
 
 @dataclass

@@ -48,8 +48,8 @@ class WristRange:
     def __init__(self, config: WristConfig, geometry: WristGeometry, roll_max: float) -> None:
         """``geometry``: with its turn; ``roll_max``: end of the roll [rad]."""
         self._geometry = geometry
-        self._low = np.array([-roll_max, *config.min]) + END
-        self._high = np.array([roll_max, *config.max]) - END
+        self._low = np.array([-roll_max, *config.min[:2]]) + END
+        self._high = np.array([roll_max, *config.max[:2]]) - END
 
     def of_arm(self, arm: ArmView) -> WristedTip:
         """The set-point of an arm; joints that came to rest beyond an end count as at the end."""
