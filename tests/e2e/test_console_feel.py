@@ -55,6 +55,7 @@ async def opened() -> AsyncIterator[tuple[Console, Tab]]:
         tab = await browser.open(made.url, GAMEPAD + SOUND)
         await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
         await tab.run("(window.plug([0, 0, 0, 0], {}), 0)")
+        await tab.until("surgConsole.hand.padName", "the pad", 20.0)
         yield made, tab
         assert browser.errors == []
 

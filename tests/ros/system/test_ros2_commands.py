@@ -72,10 +72,10 @@ def test_a_system_is_seen_over_the_loopback_and_outlives_its_gateway(
     peer = listener(dds)
     words = ("up", "sim_ur5e", "--ros2")
     with running_command(tmp_path, "is up:", *words) as (process, port, log):
+        assert wait_until(lambda: STATUS in peer.log_tail(1), WAIT_S)
         found = sockets_of(process, port)
         assert len(found) > 2
         assert [each for each in found if not each.startswith(("127.", "0.0.0.0%lo:"))] == []
-        assert wait_until(lambda: STATUS in peer.log_tail(1), WAIT_S)
         (system,) = running.systems(port)
         os.kill(system.nodes["/ros2"], signal.SIGKILL)
         said = "/ros2 ended (-9), the rest runs on"

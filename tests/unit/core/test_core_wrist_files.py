@@ -97,6 +97,25 @@ def test_where_the_drive_rolls_its_limits_take_the_place_of_the_arms(tmp_path: P
     assert surg_core.load_cell(tmp_path / "cell").arms["PSM1"].limits.roll_velocity == 2.0
 
 
+def test_a_cell_tightens_the_roll_of_a_drive_and_never_loosens_it(tmp_path: Path) -> None:
+    load(tmp_path, YAML)
+    file = tmp_path / "cell" / "cell.yaml"
+    bare = file.read_text("utf-8")
+
+    def limited(limits: str) -> surg_core.Arm:
+        assert "limits: {}" in bare
+        file.write_text(bare.replace("limits: {}", f"limits: {limits}"), "utf-8")
+        return surg_core.load_cell(tmp_path / "cell").arms["PSM1"]
+
+    arm = limited("{roll_velocity: 3.0, roll_acceleration: 20.0, roll_max: 1.0}")
+    wrist = arm.instrument.wrist
+    assert wrist is not None
+    assert (wrist.velocity, wrist.acceleration) == (3.0, 20.0) and arm.limits.roll_max == 1.0
+    assert (wrist.min[2], wrist.max[2]) == (-1.0, 1.0) and list(wrist.max[:2]) == [1.396, 1.396]
+    with pytest.raises(surg_core.ConfigError, match="would loosen"):
+        limited("{roll_velocity: 9.0}")
+
+
 def test_a_drawn_wrist_that_the_file_does_not_state_is_refused(tmp_path: Path) -> None:
     start, end = YAML.index("wrist:  "), YAML.index("jaw:\n")
     with pytest.raises(surg_core.ConfigError, match="wrist: none is stated"):

@@ -168,6 +168,9 @@ struct InstrumentConfig {
 /// the drive's.
 Limits with_roll_of(const InstrumentConfig& instrument, Limits limits);
 
+/// Slows a drive that rolls, and narrows its roll, to limits that a cell has tightened.
+void keep_roll_within(const Limits& limits, InstrumentConfig& instrument);
+
 /// Calibrated tool: shaft axis and tip in the flange frame F, with the quality of the fit.
 struct ToolCalibration {
   Vector3 s_F, p_FTip;

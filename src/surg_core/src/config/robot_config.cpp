@@ -331,6 +331,16 @@ Limits with_roll_of(const InstrumentConfig& instrument, Limits limits) {
   return limits;
 }
 
+void keep_roll_within(const Limits& limits, InstrumentConfig& instrument) {
+  if (!instrument.wrist || !instrument.wrist->rolls()) return;
+  WristConfig& drive = *instrument.wrist;
+  drive.velocity = std::min(drive.velocity, limits.roll_velocity);
+  drive.acceleration = std::min(drive.acceleration, limits.roll_acceleration);
+  if (limits.roll_max >= std::min(-drive.min[2], drive.max[2])) return;
+  drive.min[2] = -limits.roll_max;
+  drive.max[2] = limits.roll_max;
+}
+
 InstrumentConfig parse_instrument(const Document& document) {
   Reader reader(document, "surg_instrument/1");
   InstrumentConfig instrument;

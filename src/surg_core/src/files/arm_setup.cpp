@@ -262,9 +262,10 @@ ArmSetup load_arm(const std::string& cell, const std::string& arm_name) {
   setup.robot = with_link(setup.robot, setup.link);
   setup.robot_urdf = urdf_of(setup.robot);
   setup.model = load_model(setup.robot);
-  setup.limits = tighten(setup.robot.limits, arm, setup.cell_file);
+  const std::string instrument_file = beside(setup.cell_file, arm.instrument);
+  const InstrumentConfig instrument = parse_instrument(load_document(instrument_file));
+  setup.limits = tighten(with_roll_of(instrument, setup.robot.limits), arm, setup.cell_file);
   setup.mounted = load_tool(setup, "");
-  setup.limits = with_roll_of(setup.mounted.instrument, setup.limits);
   setup.trocar = parse_trocar(load_document(calibration_file(setup, "trocar")));
   check_hardware(arm, setup.robot, setup.mounted.instrument, setup.mounted.tool, setup.trocar,
                  setup.cell_file, today());
@@ -293,6 +294,7 @@ MountedTool load_tool(const ArmSetup& setup, const std::string& words) {
   tool.calibration_file = files.size() == 2 ? files[1] : of_cell;
   tool.instrument = parse_instrument(load_document(instrument_file));
   check_change(setup, tool.instrument);
+  keep_roll_within(setup.limits, tool.instrument);
   const std::string tool_file = beside(cell_file, tool.calibration_file);
   tool.tool = parse_tool(load_document(tool_file));
   check_tool(tool.tool, setup.limits, tool_file);
