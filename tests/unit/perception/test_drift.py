@@ -25,6 +25,8 @@ from helpers.perception.drift_bench import (
 from helpers.results.perception_results import PAGE
 from helpers.sim.board_views import BARREL
 from helpers.sim.unknown_scene import UnknownScene
+from surg_cli.graph import endoscope
+from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
 from surg_core.camera_file import load_camera
 from surg_core.lens_file import load_lens
@@ -297,6 +299,15 @@ def test_a_cell_that_nobody_calibrated_is_refused(
             stated_parts(surg_core.load_cell(folder))
         shutil.rmtree(folder)
         shutil.copytree(benches[0].folder, folder)
+
+
+def test_a_calibrated_cell_with_both_eyes_is_watched(benches: list[DriftBench]) -> None:
+    asked, both = endoscope.Pictures(2), endoscope.Endoscope(("left", "right"))
+    watched = {"depth": False, "marks": False, "drift": True, "cell": str(benches[0].folder)}
+    assert endoscope.eyes_of(asked, both, benches[0].cell) == watched
+    assert endoscope.eyes_of(asked, endoscope.Endoscope(("left",)), benches[0].cell) is None
+    bare = surg_core.load_cell(paths.CELLS / "sim_two_arms")
+    assert endoscope.eyes_of(asked, both, bare) is None
 
 
 class RenderedDrift:

@@ -187,12 +187,13 @@ def main() -> int:
         settings = read(StereoSettings, rospy.get_param("~", {}))
         cell = surg_core.load_cell(settings.cell) if settings.cell else None
         _check_method(settings)
+        eyes = Eyes(settings, cell)
     except (ParamError, ValueError) as error:
         print(f"surg_perception: {error}", file=sys.stderr, flush=True)
         return 2
     give_way(settings.niceness)
     cv2.setNumThreads(1)
-    Eyes(settings, cell).run()
+    eyes.run()
     return 0
 
 
