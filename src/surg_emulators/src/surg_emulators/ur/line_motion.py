@@ -55,7 +55,8 @@ class Line:
             return [0.0] * 6
         J = dh.jacobian(q, self.table, self.X_FTcp)
         found = J.T @ np.linalg.solve(J @ J.T + DAMPING * np.eye(6), way / distance)
-        most = float(np.abs(found).max())  # of a joint, at 1 m/s or rad/s of the tool
+        # Of a joint, at 1 m/s or rad/s of the tool.
+        most = max(1e-9, float(np.abs(found).max()))
         a, v = min(self.a, SHARPEST / most), min(self.v, FASTEST / most)
         speed = approach(distance, self.extent(J @ np.array(qd)), a, v, dt)
         rates = [float(rate) for rate in speed * found]
