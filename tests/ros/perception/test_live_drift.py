@@ -13,7 +13,7 @@ import pytest
 
 from helpers.graph.ros import RosGraph
 from helpers.perception.drift_bench import SCOPE, TOOL, DriftBench, Motion, Moved
-from helpers.perception.live_eyes import camera_info
+from helpers.perception.live_eyes import camera_info, image
 from surg_core.lens_file import load_lens
 from surg_perception.calibration.result_files import LEFT, RIGHT
 
@@ -45,8 +45,8 @@ class Player:
         for eye, lens in zip(("left", "right"), lenses, strict=True):
             root = f"/endoscope/{eye}"
             info = rospy.Publisher(f"{root}/camera_info", CameraInfo, queue_size=2, latch=True)
-            image = rospy.Publisher(f"{root}/image_raw", Image, queue_size=2)
-            self._eyes.append((image, info, lens))
+            pictures = rospy.Publisher(f"{root}/image_raw", Image, queue_size=2)
+            self._eyes.append((pictures, info, lens))
         self._joints = {
             arm: rospy.Publisher(f"/{arm}/robot/measured_js", JointState, queue_size=10)
             for arm in (TOOL, SCOPE)
@@ -56,7 +56,7 @@ class Player:
 
     def heard(self) -> bool:
         """Whether somebody listens to pictures and joints."""
-        topics = [*self._joints.values(), *(image for image, *_ in self._eyes)]
+        topics = [*self._joints.values(), *(eye for eye, *_ in self._eyes)]
         return all(each.get_num_connections() for each in topics)
 
     def play(self) -> None:
@@ -65,7 +65,7 @@ class Player:
 
     def _play(self) -> None:
         import rospy
-        from sensor_msgs.msg import Image, JointState
+        from sensor_msgs.msg import JointState
 
         number, at = 0, 0.0
         while at < self.motion.t[-1] and not rospy.is_shutdown():
@@ -82,15 +82,9 @@ class Player:
             # A picture takes 50 ms from its exposure to its reader.
             if number < len(self._times) and at >= self._times[number] + 0.05:
                 stamp = rospy.Time.from_sec(self.begun + self._times[number])
-                for (image, info, lens), picture in zip(
-                    self._eyes, self._pairs[number], strict=True
-                ):
-                    height, width, _ = picture.shape
-                    known = camera_info(lens, stamp)
-                    info.publish(known)
-                    message = Image(height=height, width=width, step=3 * width, encoding="rgb8")
-                    message.header.stamp, message.data = stamp, picture.tobytes()
-                    image.publish(message)
+                for (eye, info, lens), picture in zip(self._eyes, self._pairs[number], strict=True):
+                    info.publish(camera_info(lens, stamp))
+                    eye.publish(image(picture, stamp, lens.camera_name))
                 number += 1
 
     def close(self) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 import surg_core
 from helpers.graph.ros import RosGraph
-from helpers.perception.live_eyes import camera_info
+from helpers.perception.live_eyes import camera_info, image
 from helpers.perception.plane_pair import PlanePair
 from surg_cli.host import paths
 from surg_core.lens_file import Lens
@@ -49,22 +49,17 @@ class Sender:
 
     def _run(self) -> None:
         import rospy
-        from sensor_msgs.msg import Image
 
         while not self._stop.wait(0.05):
             now = rospy.Time.now()
             for publisher, state in self._joints if self.moving else ():
                 state.header.stamp = now
                 publisher.publish(state)
-            for image, info, picture, lens in zip(
+            for eye, info, picture, lens in zip(
                 self._images, self._infos, self.pictures, self.lenses, strict=True
             ):
                 info.publish(camera_info(lens, now))
-                height, width, _ = picture.shape
-                message = Image(height=height, width=width, step=3 * width, encoding="rgb8")
-                message.header.stamp, message.header.frame_id = now, lens.camera_name
-                message.data = picture.tobytes()
-                image.publish(message)
+                eye.publish(image(picture, now, lens.camera_name))
 
     def close(self) -> None:
         self._stop.set()

@@ -157,22 +157,27 @@ class DriftEvidence:
         nothing, x, C = _posterior(information, pull, still)
         left, pulled = information - information @ C @ information, pull - information @ x
         gains = [_gains(left[part.at, part.at], pulled[part.at], part) for part in self.parts]
-        share = np.log(PRIOR / len(self.parts)) - np.log(len(SCALES))
-        moved = [nothing + share + np.logaddexp.reduce(each) for each in gains]
-        logs = np.array([nothing, *moved])
-        p = np.exp(logs - logs.max())
+        prior = np.log(PRIOR / len(self.parts)) - np.log(len(SCALES))
+        by_scale = nothing + prior + np.array(gains)
+        logs = np.array([nothing, *np.logaddexp.reduce(by_scale, axis=1)])
+        p, by_scale = np.exp(logs - logs.max()), np.exp(by_scale - logs.max())
         names = (NOTHING, *(part.name for part in self.parts))
         probabilities = dict(zip(names, (p / p.sum()).tolist(), strict=True))
-        shifts = [(p[0], *_beside(window, self._x + x, C))]
-        number = int(np.argmax(moved))
-        best, covariance = self.parts[number], C
-        for part, gain in zip(self.parts, gains, strict=True):
-            for scale, each in zip(SCALES, gain, strict=True):
-                if (here := np.exp(nothing + share + each - logs.max())) > UNLIKELY * p.sum():
-                    _, x_part, C_part = _posterior(information, pull, _with(still, part, scale))
-                    shifts.append((here, *_beside(window, self._x + x_part, C_part)))
-        scale = SCALES[int(np.argmax(gains[number]))]
-        _, x, covariance = _posterior(information, pull, _with(still, best, scale))
+
+        def moved_by(number: int, scale: int) -> tuple[FloatArray, FloatArray]:
+            P = _with(still, self.parts[number], SCALES[scale])
+            return _posterior(information, pull, P)[1:]
+
+        place = np.concatenate([each.place for each in window])
+        away = float(np.mean([each.away for each in window]))
+        shifts = [(p[0], *_beside(place, away, self._x + x, C))]
+        for number, scale in np.argwhere(by_scale > UNLIKELY * p.sum()):
+            x_part, C_part = moved_by(number, scale)
+            shift = _beside(place, away, self._x + x_part, C_part)
+            shifts.append((by_scale[number, scale], *shift))
+        most = int(np.argmax(p[1:]))
+        best = self.parts[most]
+        x, covariance = moved_by(most, int(np.argmax(by_scale[most])))
         misfit = float(np.median(np.abs(r - A @ x) / sd)) / 0.6745  # a normal one's median
         since = _since(window, weight * (r**2 - (r - A @ x) ** 2))
         x = self._x + x
@@ -206,18 +211,17 @@ def _since(window: Sequence[Sighting], gain: FloatArray) -> float:
 
 
 def _beside(
-    window: Sequence[Sighting], x: FloatArray, covariance: FloatArray
+    place: FloatArray, away: float, x: FloatArray, covariance: FloatArray
 ) -> tuple[float, float]:
-    """Root mean square of the places' shifts [m], and one sigma of it.
+    """Root mean square of the shifts (3n, P) x of n places [m], and one sigma of it.
 
-    Derivatives leave out what is of second order: turned by an angle a, a place at a distance d
-    shifts by d a, and by d a^2 / 2 more.
+    Derivatives leave out what is of second order: turned by an angle a, a place `away` [m] from the
+    eye shifts by away a, and by away a^2 / 2 more.
     """
-    place = np.concatenate([each.place for each in window])
-    shift, n = place @ x, len(window)
+    shift, n = place @ x, len(place) / 3.0
     rms = float(np.sqrt(shift @ shift / n))
     slope = place.T @ shift / (n * max(rms, 1e-12))
-    second = rms**2 / (2.0 * float(np.mean([each.away for each in window])))
+    second = rms**2 / (2.0 * away)
     return rms, float(np.sqrt(slope @ covariance @ slope + second**2))
 
 

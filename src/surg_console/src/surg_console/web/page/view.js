@@ -9,7 +9,6 @@ const ALARMS = ["Held", "Fault"]; // headlines that are announced at once
 const TONES = { success: "good", "not judged": "" };
 const STOP_FULL = 0.05; // [m] of the bars that say how far the arm still goes: at the flange's full speed
 const DRIFT_FULL = 0.005; // [m] of the bar that says how far instruments are seen beside their place
-const DRIFT_BAD = 0.001; // [m] surely beyond this nothing that trusts the picture begins
 const TREND_S = 30;
 const TREND_STEP_S = 0.25; // between two points, each the largest value of its interval
 
@@ -100,7 +99,7 @@ export class View {
       tip: new Gauge("tip", { unit: 1, digits: 1, full: limits.tip_force_hard, warn: limits.tip_force_soft, bad: limits.tip_force_hard }),
       stop_tip: new Gauge("stop-tip", { unit: 1e3, digits: 1, full: STOP_FULL, warn: null, bad: null }),
       stop_pivot: new Gauge("stop-pivot", { unit: 1e3, digits: 1, full: STOP_FULL, warn: null, bad: null }),
-      drift: new Gauge("drift", { unit: 1e3, digits: 1, full: DRIFT_FULL, warn: null, bad: DRIFT_BAD }),
+      drift: new Gauge("drift", { unit: 1e3, digits: 1, full: DRIFT_FULL, warn: null, bad: null }),
       depth: new Gauge("depth", { unit: 1e3, digits: 1, full: limits.depth_max, warn: null, bad: null }),
     };
     if (limits.clearance !== undefined) {
@@ -226,6 +225,7 @@ export class View {
   drift(drift) {
     set(element("drift"), "hidden", !drift);
     if (!drift) return;
+    mark(element("drift"), "tone", drift.refusal ? "bad" : "good");
     const known = drift.expected !== null;
     const mm = (value) => (1e3 * value).toFixed(1);
     write(element("drift-interval"), known ? `${mm(drift.least)} to ${mm(drift.most)}, 95 %` : "");
