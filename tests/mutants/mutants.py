@@ -745,6 +745,14 @@ MUTANTS: tuple[Mutant, ...] = (
         ("test_quintic",),
     ),
     one(
+        "a_plan_is_predicted",
+        "a policy's arm runs ahead of its rows and past the last one",
+        "src/motion/stream_input.cpp",
+        "if (clock_.period() > kSlow) return way(ahead);",
+        "",
+        ("test_stream_input",),
+    ),
+    one(
         "filter_forgets_its_acceleration_limit",
         "a stream accelerates the tip beyond the limit",
         "src/motion/stream.cpp",

@@ -1,7 +1,6 @@
 """A first policy, counting its steps from held_action(): in Gymnasium and over the wire.
 
-Steps of 2 mm, 20 times a second, command 40 mm/s. The arm catches up with them faster and passes
-their end. The skeleton's steps of 0.5 mm command 10 mm/s.
+Steps of 2 mm, 20 times a second, command 40 mm/s; the skeleton's steps of 0.5 mm 10 mm/s.
 """
 
 from __future__ import annotations
@@ -137,11 +136,7 @@ def test_steps_of_2_mm_from_the_held_action_arrive(way: str, found: Any, full: b
         tips, _ = WAYS[way](policy, seed)
         assert policy.goal is not None
         beyond, left, speed = measured(tips, policy.goal)
-        assert (beyond < 3.0, left < 0.1, speed < 100.0) == (True, True, True), (
-            beyond,
-            left,
-            speed,
-        )
+        assert beyond < 1.0 and left < 0.1 and speed < 70.0, (beyond, left, speed)
         found["natural"].setdefault(way, []).append((beyond, left, speed))
 
 

@@ -9,6 +9,7 @@ namespace {
 constexpr int kDof = StreamEstimate::kDof;
 constexpr double kShortestGap = 0.004;    // [s] a gap that is always bridged
 constexpr double kLongestSpacing = 0.06;  // [s] the longest one: 1.5 times a burst every 40 ms
+constexpr double kSlow = 0.045;           // [s] spacing of samples that no hand sends: a plan's
 constexpr double kShortest = 0.008;       // [s] delay of a gentle hand, where there is any
 constexpr double kGentle = 0.8;           // of the arm's acceleration: demands no more delay
 constexpr double kHard = 1.5;             // of the arm's acceleration: demands the largest delay
@@ -39,7 +40,7 @@ void StreamInput::begin(const Values& x, const State& from, const Values& accele
     delays_[i].reset(from[i]);
   }
   acceleration_ = acceleration;
-  last_ = x;
+  last_ = before_ = x;
   arrival_ = now_ + rest_ - age;
   unheard_ = 0;
   cycles_ = 0;
@@ -49,8 +50,11 @@ void StreamInput::begin(const Values& x, const State& from, const Values& accele
 }
 
 void StreamInput::add(const Values& x, double age, std::int64_t stamp_ns) {
+  const double arrival = std::max(arrival_, now_ + rest_ - age);
+  const State there = way(arrival - now_);
+  for (int i = 0; i < kDof; ++i) before_[i] = there[i].x;
   last_ = x;
-  arrival_ = std::max(arrival_, now_ + rest_ - age);
+  arrival_ = arrival;
   unheard_ = 0;
   const double elapsed = clock_.advance({arrival_, stamp_ns, now_ + rest_, cycles_});
   cycles_ = 0;
@@ -97,6 +101,7 @@ StreamInput::State StreamInput::target(double ahead) const {
 }
 
 StreamInput::State StreamInput::estimate(double ahead) const {
+  if (clock_.period() > kSlow) return way(ahead);
   if (overdue()) {
     State rest{};
     for (int i = 0; i < kDof; ++i) rest[i].x = last_[i];
@@ -108,6 +113,20 @@ StreamInput::State StreamInput::estimate(double ahead) const {
   }
   const double late = HandEstimate::late(clock_.period());
   return estimate_.predict(now_ + ahead - late - clock_.time());
+}
+
+/// The straight way to the last sample, in one spacing of samples: such a sample says where to be
+/// when the next one is due.
+StreamInput::State StreamInput::way(double ahead) const {
+  const double spacing = clock_.period(), since = now_ + ahead - arrival_;
+  State out{};
+  for (int i = 0; i < kDof; ++i) {
+    out[i].x = last_[i];
+    if (since >= spacing) continue;
+    out[i].v = (last_[i] - before_[i]) / spacing;
+    out[i].x -= (spacing - since) * out[i].v;
+  }
+  return out;
 }
 
 bool StreamInput::overdue() const {

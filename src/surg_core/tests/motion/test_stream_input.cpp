@@ -168,6 +168,30 @@ TEST(StreamInput, ASilentStreamEndsAtItsLastSample) {
   }
 }
 
+TEST(StreamInput, APlanIsPlayedToItsTimesAndNoFurther) {
+  Random random(7);
+  for (const int every : {25, 50, 80}) {  // ticks of 2 ms: 20, 10 and 6 Hz
+    for (const double age : {0.0, 0.001}) {
+      StreamInput input;
+      double before = 0, last = 0;
+      input.begin({0}, {}, {}, age, 0);
+      for (int k = 1; k <= 40 * every; ++k) {
+        input.elapse(0.002);
+        const auto target = input.target(-age)[0];
+        if (k > 3 * every) {
+          const double share = static_cast<double>((k - 1) % every + 1) / every;
+          ASSERT_NEAR(target.x, before + share * (last - before), 1e-9) << every << " " << k;
+          ASSERT_EQ(input.target(0.002 * every)[0].x, last);
+          ASSERT_EQ(input.target(0.002 * every)[0].v, 0);
+        }
+        if (k % every != 0) continue;
+        before = last;
+        input.add({last = random.uniform(-0.01, 0.01)}, age, 0);
+      }
+    }
+  }
+}
+
 // --- a delay that grows with what the hand asks for ----------------------------------------------
 
 TEST(StreamLateness, GrowsWhileTheHandIsHardAndShrinksSlowly) {

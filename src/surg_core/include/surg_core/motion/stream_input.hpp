@@ -31,7 +31,8 @@ class StreamLateness {
 
 /// Samples of four degrees of freedom in, the target of the stream filters out. The target is late
 /// by the mean transport delay and at slow rates by up to 5 ms more; by TremorEstimate::late
-/// instead where a tremor is taken out; by the delay where there is one.
+/// instead where a tremor is taken out; by the delay where there is one. Samples of a plan, 45 ms
+/// apart or more, are not predicted: each is reached when the next one is due.
 class StreamInput {
  public:
   using Values = StreamEstimate::Values;
@@ -65,6 +66,7 @@ class StreamInput {
 
  private:
   bool overdue() const;
+  State way(double ahead) const;
   double demand(const State& stream) const;
 
   StreamClock clock_;
@@ -74,6 +76,7 @@ class StreamInput {
   StreamLateness lateness_;
   Values acceleration_{};
   Values last_{};
+  Values before_{};  ///< where the way to the last sample began
   double now_ = 0;      ///< [s] real time from an arbitrary origin
   double arrival_ = 0;  ///< [s] of the last sample
   double unheard_ = 0;  ///< [s] since the last sample in which none could arrive

@@ -1,10 +1,10 @@
 """Free-run: interpolates between two steps of a chunk.
 
-From a 20 Hz stream the controller's filter would estimate velocities over 50 ms and overshoot at
-the end of a motion. The coming steps are known here, so the path between them is sent at 125 Hz as
-cubic Hermite pieces. Their slopes are limited as by Fritsch and Carlson (SIAM J. Numer. Anal. 17,
-1980), so no component leaves the range between the two steps. Lock-step sends nothing between
-steps, so a roll-out equals that of an environment in one process.
+Of a 20 Hz stream the controller knows one step at a time and goes straight to it. The coming steps
+are known here, so the path between them is sent at 125 Hz as cubic Hermite pieces. Their slopes are
+limited as by Fritsch and Carlson (SIAM J. Numer. Anal. 17, 1980), so no component leaves the range
+between the two steps. Lock-step sends nothing between steps, so a roll-out equals that of an
+environment in one process.
 """
 
 from __future__ import annotations
