@@ -76,7 +76,7 @@ class StreamInput {
   StreamLateness lateness_;
   Values acceleration_{};
   Values last_{};
-  Values before_{};  ///< where the way to the last sample began
+  Values before_{};     ///< where the way to the last sample began
   double now_ = 0;      ///< [s] real time from an arbitrary origin
   double arrival_ = 0;  ///< [s] of the last sample
   double unheard_ = 0;  ///< [s] since the last sample in which none could arrive
