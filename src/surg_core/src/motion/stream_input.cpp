@@ -116,15 +116,15 @@ StreamInput::State StreamInput::estimate(double ahead) const {
 }
 
 /// The straight way to the last sample, in one spacing of samples: such a sample says where to be
-/// when the next one is due.
+/// when the next one is due. One tick later, if there is none, the arm is to rest.
 StreamInput::State StreamInput::way(double ahead) const {
   const double spacing = clock_.period(), since = now_ + ahead - arrival_;
   State out{};
   for (int i = 0; i < kDof; ++i) {
     out[i].x = last_[i];
-    if (since >= spacing) continue;
+    if (since > spacing + tick_) continue;
     out[i].v = (last_[i] - before_[i]) / spacing;
-    out[i].x -= (spacing - since) * out[i].v;
+    out[i].x -= std::max(spacing - since, 0.0) * out[i].v;
   }
   return out;
 }

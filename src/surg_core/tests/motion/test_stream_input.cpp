@@ -182,13 +182,26 @@ TEST(StreamInput, APlanIsPlayedToItsTimesAndNoFurther) {
           const double share = static_cast<double>((k - 1) % every + 1) / every;
           ASSERT_NEAR(target.x, before + share * (last - before), 1e-9) << every << " " << k;
           ASSERT_EQ(input.target(0.002 * every)[0].x, last);
-          ASSERT_EQ(input.target(0.002 * every)[0].v, 0);
+          ASSERT_EQ(input.target(0.002 * every + 0.004)[0].v, 0);
         }
         if (k % every != 0) continue;
         before = last;
         input.add({last = random.uniform(-0.01, 0.01)}, age, 0);
       }
     }
+  }
+}
+
+TEST(StreamInput, ThePlanOfASteadySpeedIsThatSpeed) {
+  StreamInput input;
+  input.begin({0}, {}, {}, 0, 0);
+  for (int k = 1; k <= 500; ++k) {
+    input.elapse(0.002);
+    if (k > 100) {
+      ASSERT_NEAR(input.target(0)[0].x, 0.04 * (0.002 * k - 0.05), 1e-9) << k;
+      ASSERT_NEAR(input.target(0)[0].v, 0.04, 1e-9) << k;
+    }
+    if (k % 25 == 0) input.add({0.04 * 0.002 * k}, 0, 0);
   }
 }
 
