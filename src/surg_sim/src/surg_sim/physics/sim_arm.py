@@ -1,7 +1,7 @@
 """A velocity-commanded industrial arm in MuJoCo: the simulated half of the robot-link contract.
 
 The joint drive is an integrator position servo (stiffness kp, critically damped) behind a
-first-order lag and a command delay of whole ticks; the arm's weight is compensated. The link
+first-order lag of its own and a command delay of whole ticks; the arm's weight is compensated. The link
 converts a flange twist to joint velocities itself and has its own dead-man, counted in ticks.
 """
 
@@ -51,9 +51,9 @@ class ActuatorParameters:
     # Damping of the servo relative to critical at the home posture; assumed.
     damping_ratio: float = 1.0
     armature: float = 0.3  # reflected rotor inertia of a large joint [kg m^2]; assumed
-    # Time constant of the velocity servo [s]; assumed, of the order reported for velocity
-    # interfaces of collaborative arms.
-    lag: float = 0.008
+    # Time constants of the joints' velocity servos [s]: least and greatest, drawn once for all
+    # episodes; assumed, of the order reported for velocity interfaces of collaborative arms.
+    lag: tuple[float, float] = (0.004, 0.012)
     # Ticks between receipt and execution of a command; assumed (one for the network, one for the
     # robot's own cycle).
     delay: int = 2
@@ -70,6 +70,10 @@ class ActuatorParameters:
     def armatures(self, dof: int) -> Array:
         """Armature per joint [kg m^2], (dof,)."""
         return self.armature * self._sizes(dof)
+
+    def lags(self, dof: int) -> Array:
+        """Time constant per joint [s], (dof,)."""
+        return np.random.default_rng(0).uniform(*self.lag, dof)
 
     def _sizes(self, dof: int) -> Array:
         sizes = np.ones(dof)
@@ -240,7 +244,7 @@ class ArmLink:
         self._damper_ctrl = evenly([d.id for d in dampers])
         self._flange = model.body(robot_part(arm, arm.robot.flange_link)).id
         self._R_BW = np.asarray(arm.X_WB_stated[:3, :3], dtype=np.float64).T
-        self._filter = 1.0 - np.exp(-TICK / SUBSTEPS / parameters.lag)
+        self._filter = 1.0 - np.exp(-TICK / SUBSTEPS / parameters.lags(self.dof))
         self._jacobian = np.empty((2, 3, model.nv))
         self._standstill = ArmCommand(velocity=np.zeros(self.dof))
         self._tune()
