@@ -22,7 +22,7 @@ VALUES: dict[str, Callable[[PatientSetting], float]] = {
     "share of it at the bed": lambda c: c.breathing.bed_share,
     "calibration error, tip, mm": lambda c: 1e3 * _error(c).tip,
     "calibration error, axis, °": lambda c: degrees(_error(c).axis),
-    "drive lag, ms": lambda c: 1e3 * c.actuators.lag,
+    "greatest drive lag, ms": lambda c: 1e3 * c.actuators.lag[1],
     "command delay, ticks": lambda c: c.actuators.delay,
     "servo stiffness, N m/rad": lambda c: c.actuators.stiffness,
     "encoder step, µrad": lambda c: 1e6 * c.encoder,
