@@ -18,7 +18,7 @@ from surg_core.transforms import FloatArray
 from surg_perception.calibration.result_files import Origin
 from surg_perception.calibration.steps import scope_arm
 from surg_perception.drift.drift_state import DriftState
-from surg_perception.drift.moving_parts import BASE, CAMERA
+from surg_perception.drift.moving_parts import BASE, CAMERA, Part
 from surg_perception.drift.stated_parts import stated_parts
 from surg_perception.drift.whole_recording import Found, Look, find
 
@@ -46,7 +46,7 @@ def accept(
             recorded; nothing is written.
     """
     parts = stated_parts(cell)
-    part = next((each for each in parts if each.name == state.cause), None)
+    part = _named(cell, parts, state.cause)
     if part is None:
         raise ConfigError(f"{state.sentence()}. There is nothing to accept")
     if part.kind not in (CAMERA, BASE) or part.of == next(iter(cell.arms)):
@@ -63,6 +63,18 @@ def accept(
     new = _evidence(base.evidence, found.covariance, found, origin)
     write_base(file, replace(base, X_WB=found.pose, evidence=new), origin.note)
     return [file]
+
+
+def _named(cell: Cell, parts: Sequence[Part], cause: str) -> Part | None:
+    """The part that a cause names; None: none, or one of several.
+
+    Of two arms nobody knows more than how one base stands to the other: the second's file says it.
+    """
+    names = cause.split(" or ")
+    named = [part for part in parts if part.name in names]
+    if len(cell.arms) == 2 and {part.kind for part in named} == {BASE}:
+        return next(part for part in parts if part.name == f"{BASE} of {list(cell.arms)[1]}")
+    return named[0] if len(named) == len(names) == 1 else None
 
 
 def _camera(folder: Path, scope: str, found: Found, origin: Origin) -> list[Path]:
