@@ -14,6 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import surg_core
+from helpers.perception import drift_bench
 from helpers.perception.drift_bench import (
     SCOPE,
     TOOL,
@@ -22,6 +23,7 @@ from helpers.perception.drift_bench import (
     Moved,
     look_without_pictures,
 )
+from helpers.recording.stereo_recording import record_pairs
 from surg_cli.host.terminal import CliError
 from surg_core.base_file import load_base
 from surg_core.camera_file import load_camera
@@ -278,26 +280,31 @@ def test_a_recording_that_cannot_tell_corrects_nothing(
 ) -> None:
     (tmp_path / "cell").mkdir()
     bench = DriftBench(tmp_path / "cell", 33)
-    motion, file = Motion(bench.chain, 5, 2.0, True), bench.folder / "calibration/camera_ECM.yaml"
-    said, cameras = "cannot tell: no instrument of the cell is seen while it moves", drift_bench.EYES
+    motion, file = Motion(bench.chain, 5, 0.5, True), bench.folder / "calibration/camera_ECM.yaml"
     if lacks == "joints":  # what moves in the pictures is driven by nobody
-        pairs = [bench.pair(motion, float(at), Moved()) for at in motion.t]
-        shown = iter(pairs)
-        monkeypatch.setattr(bench, "pair", lambda *_: next(shown))
+        said = "cannot tell: no instrument has moved in view yet"
+        pairs = iter([bench.pair(motion, float(at), Moved()) for at in motion.t])
+        monkeypatch.setattr(bench, "pair", lambda *_: next(pairs))
         for q in motion._q.values():
             q[:] = q[0]
     elif lacks == "stamps":
         said = "no stamp in common"
-        count = iter(range(10**6))
-        monkeypatch.setattr(drift_bench, "image", lambda ns, picture: image(next(count), picture))
+        numbers, image = iter(range(1000)), drift_bench.image
+        monkeypatch.setattr(drift_bench, "image", lambda _, each: image(next(numbers), each))
     elif lacks == "an eye":
-        said, cameras = "has no video endoscope_right", drift_bench.EYES[:1]
-        monkeypatch.setattr(drift_bench, "EYES", cameras)
+        said, one = "has no video endoscope_right", drift_bench.EYES[:1]
+        pairs = iter([bench.pair(motion, 0.0, Moved())[:1]] * 2)
+        record_pairs(tmp_path / "episode", pairs, {}, cameras=one)
     else:
         said = "states a rotation only"
-        turn = " ".join(map(str, rotation_vector_of(file)))
-        file.write_text(turn)
-    episode = bench.record(tmp_path / "episode", motion, bump(3))
+        (bench.folder / "calibration/base_ECM.yaml").unlink()
+        file.write_text(
+            "format: surg_camera/1\nquaternion: [0, 0, 0.6, 0.8]\nresidual: 0.004\nn: 15\n"
+            "date: 2026-11-30\n"
+        )
+    episode = tmp_path / "episode"
+    if not episode.exists():
+        bench.record(episode, motion, bump(3))
     before = {p: p.read_bytes() for p in bench.folder.rglob("*.yaml")}
     with pytest.raises(CliError, match=said):
         surg("calibrate", bench.folder, "drift", "--from", episode, "--accept")

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 
-from helpers.perception.drift_bench import SCALE, SCOPE, TOOL, DriftBench, Moved
+from helpers.perception.drift_bench import SCALE, DriftBench, Moved
 from helpers.perception.walk_recording import Rest, record_walk
 from helpers.sim.board_bench import BenchView
 from helpers.sim.board_views import BOARD
