@@ -1,4 +1,4 @@
-"""A calibration walk as a recording: at each rest a pair of pictures, and the joints of all arms."""
+"""A calibration walk as a recording: at each rest a pair of pictures, and all arms' joints."""
 
 from __future__ import annotations
 

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,116 +18,13 @@ from helpers.perception.drift_bench import (
     DriftBench,
     Motion,
     Moved,
-    look_without_pictures,
 )
+from helpers.perception.drift_recovery import Recovery, bump
 from helpers.recording.stereo_recording import record_pairs
 from surg_cli.host.terminal import CliError
 from surg_core.base_file import load_base
 from surg_core.camera_file import load_camera
-from surg_core.lens_file import load_lens
-from surg_perception.calibration.result_files import LEFT, RIGHT, Origin
 from surg_perception.drift import whole_recording
-from surg_perception.drift.accepted_drift import accept
-from surg_perception.drift.drift_state import MOVED, DriftState
-from surg_perception.drift.drift_watch import DriftWatch
-
-ORIGIN = Origin("seen in a recording", "2026-11-30", "simulated")
-SECONDS = 60.0
-LOOKED_AT = np.array([[x, y, 0.08, 1.0] for x in (-0.015, 0, 0.015) for y in (-0.015, 0, 0.015)]).T
-"""Points 80 mm before the eye [m]."""
-
-
-def drawn(rng: np.random.Generator, low: float, high: float) -> np.ndarray:
-    """A vector of any direction, small and large as often."""
-    way, size = rng.normal(size=3), np.exp(rng.uniform(np.log(low), np.log(high)))
-    return np.asarray(size * way / np.linalg.norm(way))
-
-
-@dataclass
-class Recovery:
-    """A cell whose part moves, and a recording of it without pictures."""
-
-    folder: Path
-    seed: int
-    moved: Moved
-    cause: str = "camera"
-    seconds: float = SECONDS
-    outliers: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Calibrate the cell."""
-        self.folder.mkdir()
-        self.bench = DriftBench(self.folder, 60 + self.seed)
-
-    @property
-    def camera(self) -> Path:
-        return self.bench.folder / "calibration" / "camera_ECM.yaml"
-
-    @property
-    def base(self) -> Path:
-        return self.bench.folder / "calibration" / "base_ECM.yaml"
-
-    @cached_property
-    def motion(self) -> Motion:
-        return Motion(self.bench.chain, self.seed, self.seconds, True)
-
-    def accept(self) -> list[Path]:
-        calibration = self.bench.folder / "calibration"
-        lenses = [load_lens(calibration / eye) for eye in (LEFT, RIGHT)]
-        state = DriftState(MOVED, cause=self.cause)
-        return accept(self.bench.cell, state, lenses, self._look, ORIGIN)
-
-    def _look(self, watch: DriftWatch) -> None:
-        rng = np.random.default_rng(self.seed)
-        elsewhere = Moved(lens={0: np.array([40.0, -30.0]), 1: np.array([-30.0, 50.0])})
-        for at in self.motion.t:
-            now = elsewhere if rng.uniform() < self.outliers else self.moved
-            look_without_pictures(watch, self.bench, self.motion, float(at), now, rng)
-
-    def off(self, moved: Moved) -> tuple[float, float, float]:
-        """How far a tip 80 mm before the eye goes wrong [mm], and a command in its axes [deg].
-
-        The third is how far joints and picture then disagree, seen through the lenses [mm].
-        """
-        chain, cell = copy(self.bench.chain), surg_core.load_cell(self.bench.folder)
-        chain.bench, chain.rng = copy(chain.bench), np.random.default_rng(7)
-        X_VV = surg_core.make_pose(moved.camera[3:])
-        X_VV[:3, :3] = Rotation.from_rotvec(moved.camera[:3]).as_matrix()
-        chain.bench.X_FV = chain.bench.X_FV @ X_VV
-        chain.X_W_ECM = stepped(chain.X_W_ECM, moved.base.get(SCOPE))
-        # How the one base stands to the other is all that counts: a moved tool moves the scope.
-        X_WT = np.array(chain.cell.arms[TOOL].X_WB_stated)
-        chain.X_W_ECM = X_WT @ np.linalg.inv(stepped(X_WT, moved.base.get(TOOL))) @ chain.X_W_ECM
-        q = np.array(cell.arms[SCOPE].robot.home)
-        X_BF = np.asarray(chain.cell.arms[SCOPE].chain.forward(q))
-        X_FV = load_camera(self.camera).X_FV
-        assert X_FV is not None
-        believed = cell.arms[SCOPE].X_WB @ X_BF @ X_FV
-        E = np.linalg.inv(believed) @ chain.X_W_ECM @ X_BF @ chain.bench.X_FV
-        shift = np.linalg.norm((E @ LOOKED_AT - LOOKED_AT)[:3], axis=0)
-        turn = Rotation.from_matrix(E[:3, :3]).magnitude()
-        seen = np.median([chain.disagreement(cell, X_FV) for _ in range(25)])
-        return 1e3 * float(np.sqrt(np.mean(shift**2))), float(np.degrees(turn)), 1e3 * float(seen)
-
-
-def stepped(X: np.ndarray, step: np.ndarray | None) -> np.ndarray:
-    """A base (4, 4) after a step (6,) in the world's axes."""
-    moved = X.copy()
-    if step is not None:
-        moved[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix() @ X[:3, :3]
-        moved[:3, 3] += step[3:]
-    return moved
-
-
-def bump(seed: int, part: str = "camera") -> Moved:
-    rng = np.random.default_rng(9000 + seed)
-    step = np.r_[drawn(rng, np.radians(1.0), np.radians(10.0)), drawn(rng, 0.0015, 0.02)]
-    if part == "camera":
-        return Moved(camera=step)
-    return Moved(
-        base={part[-len(SCOPE) :] if SCOPE in part else TOOL: step / ([5.0] * 3 + [1.0] * 3)}
-    )
-
 
 PARTS = {"camera": 24, f"base of {SCOPE}": 20, f"base of {SCOPE} or base of {TOOL}": 20}
 
@@ -168,19 +62,13 @@ def test_an_accepted_bump_leaves_what_a_fresh_calibration_leaves(
     assert after[0] < 0.15 and after[1] < 0.15 and bumped[0] > 1.0
 
 
-def poses(made: Recovery) -> tuple[np.ndarray, np.ndarray]:
-    X_FV = load_camera(made.camera).X_FV
-    assert X_FV is not None
-    return X_FV, load_base(made.base).X_WB
-
-
 def test_what_is_not_named_keeps_its_pose(tmp_path: Path) -> None:
     made = Recovery(tmp_path / "camera", 3, bump(3))
-    (X_FV, X_WB), n = poses(made), load_base(made.base).evidence.n
+    X_FV, base = made.X_FV, load_base(made.base)
     made.accept()
-    after = poses(made)
-    np.testing.assert_array_equal(after[1], X_WB)
-    assert load_base(made.base).evidence.n == n and not np.allclose(after[0], X_FV, atol=1e-3)
+    after = load_base(made.base)
+    np.testing.assert_allclose(after.X_WB, base.X_WB, atol=1e-12)
+    assert after.evidence.n == base.evidence.n and not np.allclose(made.X_FV, X_FV, atol=1e-3)
     surg_core.load_cell(made.bench.folder)
     made = Recovery(tmp_path / "base", 3, bump(3, f"base of {SCOPE}"), f"base of {SCOPE}")
     before = made.camera.read_bytes()
