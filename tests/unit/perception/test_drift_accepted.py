@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,12 +20,13 @@ from helpers.perception.drift_bench import (
     Motion,
     Moved,
 )
-from helpers.perception.drift_recovery import Recovery, bump
+from helpers.perception.drift_recovery import ORIGIN, Recovery, bump
 from helpers.recording.stereo_recording import record_pairs
 from surg_cli.host.terminal import CliError
 from surg_core.base_file import load_base
 from surg_core.camera_file import load_camera
-from surg_perception.drift import whole_recording
+from surg_perception.drift import drift_step, whole_recording
+from surg_perception.drift.drift_state import MOVED, STEADY, UNKNOWN, DriftState
 
 PARTS = {"camera": 24, f"base of {SCOPE}": 20, f"base of {SCOPE} or base of {TOOL}": 20}
 
@@ -101,6 +103,38 @@ def test_what_cannot_be_accepted_is_refused_and_nothing_is_written(
     with pytest.raises(surg_core.ConfigError, match=said):
         made.accept()
     assert {p: p.read_bytes() for p in made.bench.folder.rglob("*.yaml")} == before
+
+
+def test_another_part_than_the_one_that_moved_is_not_corrected(tmp_path: Path) -> None:
+    made = Recovery(tmp_path / "cell", 3, bump(3), f"base of {SCOPE}")
+    before = made.base.read_bytes()
+    with pytest.raises(surg_core.ConfigError, match=r"does not explain .*: camera would"):
+        made.accept()
+    assert made.base.read_bytes() == before
+
+
+def test_a_correction_begins_with_the_last_motion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = [(STEADY, 0.0), (MOVED, 3.0), (STEADY, 6.0), (MOVED, 8.0), (UNKNOWN, 8.5), (MOVED, 9.0)]
+    states = [DriftState(word, since=at) for word, at in said]
+    watch, pair = SimpleNamespace(verdict=None), SimpleNamespace()
+    shown: list[float] = []
+
+    def show(cell: Any, eyes: Any, every: Any, since: float, progress: Any) -> list[Any]:
+        shown.append(since)
+        return []
+
+    monkeypatch.setattr(drift_step, "watched", lambda *_: [(watch, pair, s) for s in states])
+    monkeypatch.setattr(drift_step, "RecordedEyes", lambda _: SimpleNamespace(lenses=()))
+    monkeypatch.setattr(drift_step, "show", show)
+    monkeypatch.setattr(drift_step.episode_reader, "read", lambda _: None)
+    monkeypatch.setattr(drift_step, "_page", lambda *_: "")
+    monkeypatch.setattr(drift_step, "accept", lambda c, s, lenses, look, origin: look(watch) or [])
+    (tmp_path / "calibration" / "views").mkdir(parents=True)
+    cell: Any = SimpleNamespace(folder=tmp_path)
+    drift_step.drift(cell, tmp_path, ORIGIN, True)
+    assert shown == [8.0]
 
 
 # --- the command ----------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from surg_core.lens_file import Lens
 from surg_core.transforms import FloatArray, rotation_of
 from surg_perception.calibration.small_motions import moved
 from surg_perception.drift.drift_evidence import BIAS, EXPLAINED, OUTLIER, DriftEvidence, Sighting
+from surg_perception.drift.drift_state import SURE
 from surg_perception.drift.drift_watch import DriftWatch
 from surg_perception.drift.moving_parts import CAMERA, Part
 
@@ -109,12 +110,23 @@ def find(
 
 @dataclass(frozen=True)
 class _Fit:
-    """Steps (P,) with covariance; how far they shift what is seen [m]; residual in sigmas."""
+    """One look.
+
+    Attributes:
+        x: (P,) steps of all parts.
+        covariance: (P, P) of x.
+        shift: How far the part's step shifts what is seen [m].
+        misfit: Typical residual, in sigmas.
+        rival: Another part that had to move besides.
+        gain: How much likelier the residuals are if it did, logarithm.
+    """
 
     x: FloatArray
     covariance: FloatArray
     shift: float
     misfit: float
+    rival: str
+    gain: float
 
 
 def _fit(sightings: Sequence[Sighting], part: Part, parts: Sequence[Part]) -> _Fit:
@@ -123,17 +135,35 @@ def _fit(sightings: Sequence[Sighting], part: Part, parts: Sequence[Part]) -> _F
     prior = np.zeros((A.shape[1],) * 2)
     for each in parts:
         prior[each.at, each.at] = each.still + (each.moved if each is part else 0.0)
-    known = np.linalg.inv(prior)
     weight, off = sd**-2, np.zeros(len(r))
     for sharp in (False,) * 10 + (True,) * 10:  # first convex, so that no outlier is the beginning
-        covariance = np.linalg.inv(known + (A * weight[:, None]).T @ A)
-        x = covariance @ (A.T @ (weight * r))
+        information, pull = (A * weight[:, None]).T @ A, A.T @ (weight * r)
+        evidence, x, covariance = _posterior(information, pull, prior)
         off = np.abs(r - A @ x) / sd
         less = (1.0 + (off / OUTLIER) ** 2) ** 2 if sharp else np.maximum(1.0, off)
         weight = sd**-2 / less
+    gains = {}
+    for each in parts:
+        if each is not part:
+            both = prior.copy()
+            both[each.at, each.at] += each.moved
+            gains[each.name] = _posterior(information, pull, both)[0] - evidence
+    rival = max(gains, key=gains.__getitem__)
     place = np.array([each.place[:, part.at] for each in sightings])
     shift = float(np.sqrt(np.mean(np.sum((place @ x[part.at]) ** 2, axis=1))))
-    return _Fit(x, covariance, shift, float(np.median(off)) / 0.6745)
+    misfit = float(np.median(off)) / 0.6745  # a normal one's median
+    return _Fit(x, covariance, shift, misfit, rival, gains[rival])
+
+
+def _posterior(
+    information: FloatArray, pull: FloatArray, prior: FloatArray
+) -> tuple[float, FloatArray, FloatArray]:
+    """Logarithm of the evidence up to a constant, mean (P,), covariance (P, P)."""
+    half = np.linalg.cholesky(prior)
+    S = np.eye(len(prior)) + half.T @ information @ half
+    covariance = half @ np.linalg.solve(S, half.T)
+    x = covariance @ pull
+    return 0.5 * float(pull @ x - np.linalg.slogdet(S)[1]), x, covariance
 
 
 def _rows(sightings: Sequence[Sighting]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -159,6 +189,11 @@ def _check(fit: _Fit, part: Part, sightings: Sequence[Sighting]) -> None:
         raise ConfigError(
             f"{part.name}: no single step explains all that was seen since (typical residual "
             f"{fit.misfit:.1f} sigma; allowed: {EXPLAINED:g}). Record anew with everything clamped"
+        )
+    if fit.gain > np.log(1.0 / SURE):
+        raise ConfigError(
+            f"{part.name} alone does not explain all that was seen since: {fit.rival} would. "
+            "Turn the endoscope, and record anew"
         )
     C = fit.covariance
     place = np.array([each.place for each in sightings])
