@@ -5,6 +5,7 @@ The truth is the bench's: which pose a camera and a base really have.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -89,6 +90,16 @@ class Recovery:
         lenses = [load_lens(calibration / eye) for eye in (LEFT, RIGHT)]
         state = DriftState(MOVED, cause=self.cause)
         return accept(self.bench.cell, state, lenses, self._look, ORIGIN)
+
+    def accept_at_last(self) -> None:
+        """As a person who records for longer when that is asked for."""
+        for seconds in (60.0, 120.0, 240.0):
+            self.seconds = seconds
+            self.__dict__.pop("motion", None)
+            with suppress(surg_core.ConfigError):
+                self.accept()
+                return
+        raise AssertionError(f"seed {self.seed}: nothing is accepted")
 
     def _look(self, watch: DriftWatch) -> None:
         rng = np.random.default_rng(self.seed)

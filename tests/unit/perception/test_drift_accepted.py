@@ -22,6 +22,7 @@ from helpers.perception.drift_bench import (
 )
 from helpers.perception.drift_recovery import ORIGIN, Recovery, bump
 from helpers.recording.stereo_recording import record_pairs
+from helpers.results.perception_results import PAGE
 from surg_cli.host.terminal import CliError
 from surg_core.base_file import load_base
 from surg_core.camera_file import load_camera
@@ -29,38 +30,36 @@ from surg_perception.drift import drift_step, whole_recording
 from surg_perception.drift.drift_state import MOVED, STEADY, UNKNOWN, DriftState
 
 PARTS = {"camera": 24, f"base of {SCOPE}": 20, f"base of {SCOPE} or base of {TOOL}": 20}
+"""What is named, and how many cells it is tried in."""
 
 
-@pytest.mark.parametrize("cause", PARTS)
 def test_an_accepted_bump_leaves_what_a_fresh_calibration_leaves(
-    cause: str, tmp_path: Path, full: bool
+    tmp_path: Path, full: bool
 ) -> None:
-    count, rows = PARTS[cause] if full else 1, []
-    for seed in range(3, 3 + count):
-        part = f"base of {TOOL}" if TOOL in cause else cause
-        made = Recovery(tmp_path / str(seed), seed, bump(seed, part), cause)
-        fresh, bumped = made.off(Moved()), made.off(made.moved)
-        try:
-            written = made.accept()
-        except surg_core.ConfigError as why:
-            print(seed, why)
-            assert "Record" in str(why)
-            continue
-        rows.append([fresh, bumped, made.off(made.moved)])
-        print(seed, np.round(rows[-1], 3).tolist())
-        assert written[0] == (made.camera if cause == "camera" else made.base)
-    columns = np.array(rows).transpose(1, 0, 2)
-    names = ("fresh", "bumped", "after")
-    said = [
-        f"{name} {x[0]:.3f} mm, {x[1]:.3f}°, {x[2]:.3f} mm"
-        for q in (50, 95)
-        for name, x in zip(names, np.percentile(columns, q, axis=1), strict=True)
-    ]
-    print(f"{cause}: {len(rows)} of {count}: {'; '.join(said)}")
-    fresh, bumped, after = np.median(columns, axis=1)
+    rows, count = [], 0
+    for cause, cells in PARTS.items():
+        for seed in range(3, 3 + (cells if full else 1)):
+            part = f"base of {TOOL}" if TOOL in cause else cause
+            made = Recovery(tmp_path / f"{part}{seed}", seed, bump(seed, part), cause)
+            fresh, bumped = made.off(Moved()), made.off(made.moved)
+            count += 1
+            try:
+                written = made.accept()
+            except surg_core.ConfigError as why:
+                print(cause, seed, why)
+                assert "Record" in str(why)
+                continue
+            assert written[0] == (made.camera if cause == "camera" else made.base)
+            rows.append([fresh, bumped, made.off(made.moved)])
+            print(cause, seed, np.round(rows[-1], 3).tolist())
+    fresh, bumped, after = np.median(rows, axis=0)
+    print(f"{len(rows)} of {count}, median: {fresh}, {bumped}, {after}")
+    print("95 %:", *np.percentile(rows, 95, axis=0))
+    said = f"{fresh[0]:.3f} mm, {fresh[1]:.3f}° fresh, {after[0]:.3f} mm, {after[1]:.3f}° after"
+    PAGE.note("drift accepted after 60 s", count, f"{len(rows)}: {said}")
     if full:
-        assert len(rows) >= 0.75 * count
-        assert (after[1:] <= 1.2 * fresh[1:]).all()
+        assert len(rows) >= 0.9 * count
+        assert (after[1:] <= 1.2 * fresh[1:]).all() and after[0] <= 1.5 * fresh[0]
     assert after[0] < 0.15 and after[1] < 0.15 and bumped[0] > 1.0
 
 
