@@ -17,13 +17,16 @@ from surg_core.held_endoscope import HeldEndoscope
 from surg_core.lens_file import Lens
 from surg_core.transforms import FloatArray, rotation_of
 from surg_perception.calibration.small_motions import moved
-from surg_perception.drift.drift_evidence import BIAS, EXPLAINED, OUTLIER, DriftEvidence, Sighting
+from surg_perception.drift.drift_evidence import DriftEvidence, Sighting
 from surg_perception.drift.drift_state import SURE
 from surg_perception.drift.drift_watch import DriftWatch
 from surg_perception.drift.moving_parts import CAMERA, Part
 
-SLOPE = 0.1
-"""[px] One sigma of half the difference of a sighting's two offsets, beside its rows' scatter."""
+ASIDE, SLOPE = 0.4, 0.1
+"""[px] One sigma of what a shaft is seen aside, and of half the difference between both its places,
+beside its rows' scatter: shade and blur do not turn it."""
+OUTLIER, MISFIT = 3.0, 2.0
+"""[sigma] Beyond this a residual counts less; largest typical one that is accepted."""
 LOOKS = 4
 """Most often that a recording is looked at."""
 SETTLED = 2e-5
@@ -180,15 +183,15 @@ def _rows(sightings: Sequence[Sighting]) -> tuple[FloatArray, FloatArray, FloatA
     return (
         np.concatenate([pairs.mean(axis=1), (half * pairs).sum(axis=1)]),
         np.concatenate([offsets.mean(axis=1), (offsets @ half)[:, 0]]),
-        np.concatenate([np.hypot(sd, BIAS), np.hypot(sd, SLOPE)]),
+        np.concatenate([np.hypot(sd, ASIDE), np.hypot(sd, SLOPE)]),
     )
 
 
 def _check(fit: _Fit, part: Part, sightings: Sequence[Sighting]) -> None:
-    if fit.misfit > EXPLAINED:
+    if fit.misfit > MISFIT:
         raise ConfigError(
             f"{part.name}: no single step explains all that was seen since (typical residual "
-            f"{fit.misfit:.1f} sigma; allowed: {EXPLAINED:g}). Record anew with everything clamped"
+            f"{fit.misfit:.1f} sigma; allowed: {MISFIT:g}). Record anew with everything clamped"
         )
     if fit.gain > np.log(1.0 / SURE):
         raise ConfigError(
