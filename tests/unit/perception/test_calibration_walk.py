@@ -12,6 +12,7 @@ import pytest
 
 import surg_core
 from helpers.endoscope_files import copied_cell
+from helpers.perception.walk_recording import record_walk, rests_of
 from helpers.results.perception_results import PAGE
 from helpers.sim import board_bench
 from surg_cli import command_table
@@ -139,6 +140,11 @@ def test_the_page_calibrates_a_cell_with_unknown_errors(
     assert surg("calibrate", cell, "handeye", "--from", "scope", "--dry-run") == 0
     assert files(cell) == before
     judge(cell)
+    calibrated = surg_core.load_cell(cell)
+    rests = [rest for folder in ("scope", "tip") for rest in rests_of(Path(folder), calibrated)]
+    walked = record_walk(tmp_path / "walk", calibrated, rests)
+    assert surg("calibrate", cell, "drift", "--from", walked) == 0
+    assert "moved: " not in capsys.readouterr().out
 
 
 def judge(cell: Path) -> None:

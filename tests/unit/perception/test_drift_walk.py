@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -37,14 +36,9 @@ def test_the_recorded_walk_of_the_guide_is_no_alarm(tmp_path: Path, full: bool) 
         (tmp_path / f"cell{seed}").mkdir()
         bench = DriftBench(tmp_path / f"cell{seed}", 33 + seed)
         of = bench.chain.bench
-
-        def rests(of: object = of, bench: DriftBench = bench) -> Iterator[Rest]:
-            for view in bench.chain.bench.moved_scope(15):
-                yield drawn(bench, view)
-            for view in bench.chain.bench.touches(BOARD.corners, TOUCHED):
-                yield drawn(bench, view)
-
-        episode = record_walk(tmp_path / f"walk{seed}", bench.cell, rests())
+        views = [*of.moved_scope(15), *of.touches(BOARD.corners, TOUCHED)]
+        rests = (drawn(bench, view) for view in views)
+        episode = record_walk(tmp_path / f"walk{seed}", bench.cell, rests)
         lines = drift(bench.cell, episode, Origin("walk", "2026-11-30", "simulated"), False)
         print(*lines, sep="\n")
         assert not any(": moved: " in line for line in lines)
