@@ -233,7 +233,7 @@ def judge(cell: Path, live: LiveBench) -> None:
     apart = 1e3 * disagreement(believed, live)
     stated = 1e3 * chain_error(believed).two_sigma
     PAGE.note(
-        "calibrated from a running system, 20 views, 15 postures, 32 touches",
+        "calibrated from a running system",
         1,
         f"baseline {off:+.4f} mm, hand-eye {shift:.3f} mm, {turn:.3f}° off, base {base_turn:.3f}° "
         f"off; true tip and its place by joints {apart:.2f} mm apart, stated {stated:.2f} mm",

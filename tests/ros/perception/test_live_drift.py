@@ -131,3 +131,49 @@ def test_a_bump_is_said_while_the_arm_moves(player: Player, ros_graph: RosGraph)
     assert not [t for t, m in marks if t > at + 0.5], "no mark where the picture is not trusted"
     assert told[-1][1].refusal, "once refused, always"
     assert node.exit_code is None
+
+
+def test_what_nobody_can_tell_is_no_alarm(
+    ros_graph: RosGraph, rospy_node: str, tmp_path: Path
+) -> None:
+    import rospy
+    from sensor_msgs.msg import CameraInfo, Image
+
+    from surg_msgs.msg import DriftStatus
+
+    told, bench = heard("/endoscope/drift", DriftStatus), DriftBench(tmp_path, 33)
+    params = {"depth": False, "marks": False, "drift": True, "cell": str(bench.folder)}
+    node = ros_graph.node("surg_perception", "stereo_depth_node.py", "/eyes", params)
+
+    def said(words: str) -> None:
+        ros_graph.wait_for(lambda: words in (told[-1][1].detail if told else ""), 30.0, words)
+
+    said("no pictures of both eyes with one stamp")
+    motion, eyes = Motion(bench.chain, 5, 1.0, True), []
+    for eye in ("left", "right"):
+        pictures = rospy.Publisher(f"/endoscope/{eye}/image_raw", Image, queue_size=2)
+        info = rospy.Publisher(
+            f"/endoscope/{eye}/camera_info", CameraInfo, queue_size=2, latch=True
+        )
+        eyes.append((pictures, info))
+
+    def show(count: int, stamps: list[Any]) -> None:
+        pair = bench.pair(motion, 0.05 * count, Moved())
+        names = zip(eyes, stamps, pair, (LEFT, RIGHT), strict=False)
+        for (pictures, info), stamp, picture, name in names:
+            info.publish(camera_info(load_lens(bench.folder / "calibration" / name), stamp))
+            pictures.publish(image(picture, stamp, "eye"))
+        time.sleep(0.1)
+
+    ros_graph.wait_for(lambda: all(p.get_num_connections() for p, _ in eyes), 20.0, "the node")
+    for count in range(25):  # one eye alone
+        show(count % 15, [rospy.Time.now()])
+    assert "no pictures of both eyes" in told[-1][1].detail
+    for count in range(10):
+        show(count, [rospy.Time(), rospy.Time()])
+    said("the pictures have no stamp")
+    for count in range(10):
+        show(count, [now := rospy.Time.now(), now])
+    said("no joints of ECM at the pictures' time")
+    assert {message.state for _, message in told} == {DriftStatus.STATE_UNKNOWN}
+    assert not any(message.refusal for _, message in told) and node.exit_code is None

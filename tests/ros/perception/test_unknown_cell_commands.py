@@ -60,8 +60,7 @@ def test_check_frames_before_and_after_the_chain(tmp_path: Path) -> None:
     PAGE.note(
         "./surg check-frames, base 2°, camera 4° and lens unknown",
         1,
-        f"before {angles[0]}, after the chain {angles[1]}, endoscope then turned by 12° in its "
-        f"clamp {angles[2]}",
+        f"before {angles[0]}, after the chain {angles[1]}, then turned by 12° {angles[2]}",
     )
     assert passed == 0 and after["outcome"] == "pass"
     assert failed == 1 and turned["outcome"] == "fail"

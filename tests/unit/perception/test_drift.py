@@ -28,7 +28,6 @@ from helpers.sim.unknown_scene import UnknownScene
 from surg_cli.graph import endoscope
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
-from surg_core.camera_file import load_camera
 from surg_core.lens_file import load_lens
 from surg_perception.calibration.result_files import LEFT, RIGHT
 from surg_perception.calibration.tip_finder import NotSeen
@@ -371,53 +370,6 @@ def test_a_bump_in_the_simulators_pictures(tmp_path: Path) -> None:
 
 
 # --- the command ----------------------------------------------------------------------------------
-
-
-def test_a_recorded_bump_is_said_and_accepted(
-    surg: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "cell").mkdir()
-    bench = DriftBench(tmp_path / "cell", 33)
-    motion = Motion(bench.chain, 5, 6.0, True)
-    moved = Moved(camera=np.r_[np.radians([1.0, -1.5, 1.0]), 0.003, -0.002, 0.002])
-    episode = bench.record(tmp_path / "episode", motion, moved)
-    file = bench.folder / "calibration" / "camera_ECM.yaml"
-    words = ("calibrate", bench.folder, "drift", "--from", episode)
-    before = file.read_bytes()
-
-    def at_the_end() -> str:
-        (said,) = (x for x in capsys.readouterr().out.splitlines() if x.startswith("at the end"))
-        return said
-
-    assert surg(*words) == 0
-    said = at_the_end()
-    assert "moved: instruments are seen" in said and "camera" in said
-    assert file.read_bytes() == before
-    page = bench.folder / "calibration" / "views" / "drift.html"
-    assert "data:image" in page.read_text() and page.stat().st_size > 20_000
-
-    true = bench.chain.bench.X_FV @ surg_core.make_pose(moved.camera[3:])
-    true[:3, :3] = (
-        bench.chain.bench.X_FV[:3, :3] @ Rotation.from_rotvec(moved.camera[:3]).as_matrix()
-    )
-
-    def off(stated: Path) -> float:
-        """How far a point 80 mm before the eye lies beside its place [mm]."""
-        p = np.array([0.0, 0.0, 0.08, 1.0])
-        believed = np.linalg.inv(true) @ load_camera(stated).X_FV @ p - p
-        return 1e3 * float(np.linalg.norm(believed))
-
-    first = off(file)
-    assert surg(*words, "--accept") == 0
-    assert file.with_name("camera_ECM.yaml.previous").read_bytes() == before
-    capsys.readouterr()
-    surg_core.load_cell(bench.folder)  # nothing is stale
-    assert surg(*words) == 0
-    assert "at the end: steady" in at_the_end()
-    print(f"80 mm before the eye: {first:.2f} mm off, then {off(file):.2f} mm")
-    assert first > 3.0 and off(file) < 1.0
-    with pytest.raises(CliError, match="nothing to accept"):
-        surg(*words, "--accept")
 
 
 def test_a_step_that_accepts_nothing_and_a_missing_episode_are_refused(

@@ -100,9 +100,9 @@ def test_twenty_views_give_the_figures(
     check(result, stand, views)
     name = "barrel" if lens == BARREL else "pinhole"
     PAGE.note(
-        f"stereo, 20 boards, {size[0]} x {size[1]}, {name}",
+        f"stereo, 20 boards, {size[0]}x{size[1]}, {name}",
         1,
-        f"baseline {1e3 * (result.stereo.baseline - 0.004):+.4f} mm, held out "
+        f"baseline {1e3 * (result.stereo.baseline - 0.004):+.4f} mm, held-out "
         f"{result.held_out:.3f} px, {1e3 * np.median(result.errors):.3f} mm, rows "
         f"{result.rows:.3f} px",
     )

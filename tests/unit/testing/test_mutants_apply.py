@@ -6,6 +6,7 @@ import pytest
 
 from mutants import (
     console_mutants,
+    drift_mutants,
     drive_mutants,
     hardware_mutants,
     mutants,
@@ -27,6 +28,7 @@ from surg_cli.host import paths
         ("surg_perception/src/surg_perception", perception_mutants.MUTANTS),
         ("surg_core/python/surg_core", picture_mutants.MUTANTS),
         ("surg_console/src/surg_console", console_mutants.MUTANTS),
+        ("", drift_mutants.MUTANTS),
     ],
 )
 def test_every_mutant_finds_its_text_exactly_once(folder: str, chosen: tuple[Mutant, ...]) -> None:
@@ -54,7 +56,8 @@ def test_the_tests_that_mutants_name_are_there() -> None:
         *perception_mutants.MUTANTS,
         *picture_mutants.MUTANTS,
         *console_mutants.MUTANTS,
+        *drift_mutants.MUTANTS,
     )
     named = {name for mutant in python for name in mutant.first}
-    files = {file.stem for file in (paths.ROOT / "tests" / "unit").rglob("test_*.py")}
+    files = {file.stem for file in (paths.ROOT / "tests").rglob("test_*.py")}
     assert named <= files, named - files

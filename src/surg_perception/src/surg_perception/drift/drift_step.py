@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from surg_core import ConfigError
 from surg_core.config import Cell
 from surg_perception.calibration.result_files import Origin, save_page
-from surg_perception.depth.recorded_eyes import RecordedPair
+from surg_perception.depth.recorded_eyes import RecordedEyes, RecordedPair
 from surg_perception.drift.accepted_drift import accept
 from surg_perception.drift.drift_evidence import NOTHING
-from surg_perception.drift.drift_state import UNKNOWN, DriftState
+from surg_perception.drift.drift_state import MOVED, UNKNOWN, DriftState
 from surg_perception.drift.drift_watch import DriftWatch
-from surg_perception.drift.recorded_drift import watched
+from surg_perception.drift.recorded_drift import show, watched
 from surg_recording.episode import episode_reader
 from surg_recording.reports.figure_style import encoded
 from surg_recording.reports.html_page import document, facts, picture, section
@@ -43,8 +44,11 @@ def drift(
     """
     begun: list[tuple[float, DriftState]] = []
     newest: tuple[DriftWatch, RecordedPair, DriftState] | None = None
-    for newest in watched(cell, episode_reader.read(folder), progress):
+    episode, since = episode_reader.read(folder), np.inf
+    for newest in watched(cell, episode, progress):
         state = newest[2]
+        if state.word != UNKNOWN:
+            since = min(since, state.since) if state.word == MOVED else np.inf
         if not begun or (begun[-1][1].word, begun[-1][1].cause) != (state.word, state.cause):
             begun.append((state.since, state))
     if newest is None:
@@ -55,7 +59,13 @@ def drift(
     page = save_page(cell.folder / "calibration", "drift", _page(watch, pair, state, origin.note))
     lines.append(f"written: {page}: the shafts before and after the correction")
     if write:
-        paths = accept(cell, state, watch.verdict, origin)
+        eyes = RecordedEyes(episode)
+
+        def look(every: DriftWatch) -> None:
+            for _ in show(cell, eyes, every, since, progress):
+                pass
+
+        paths = accept(cell, state, eyes.lenses, look, origin)
         lines += [f"written: {path}; the old one is {path.name}.previous" for path in paths]
     return lines
 

@@ -33,13 +33,32 @@ def watched(
         ConfigError: The cell is not calibrated.
         EpisodeError: Pictures or joints are missing or broken.
     """
-    watch = DriftWatch(cell, (eyes := RecordedEyes(episode)).lenses, stated_parts(cell))
-    joints, begin = recorded_joints(cell, episode), int(eyes.stamps[0])
+    eyes = RecordedEyes(episode)
+    watch = DriftWatch(cell, eyes.lenses, stated_parts(cell))
+    for pair in show(cell, eyes, watch, progress=progress):
+        yield watch, pair, state_of(watch.verdict, watch.unseen)
+
+
+def show(
+    cell: Cell,
+    eyes: RecordedEyes,
+    watch: DriftWatch,
+    since: float = 0.0,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Iterator[RecordedPair]:
+    """Show a watch the pictures from a time on [s], of a recording that begins at 0.
+
+    Yields:
+        Those that said something.
+    """
+    joints, begin = recorded_joints(cell, eyes.episode), int(eyes.stamps[0])
     for number, pair in enumerate(eyes.pairs()):
         progress(number / len(eyes.stamps))
-        stamp = NS * (pair.stamp_ns - begin)
-        if watch.look(stamp, (pair.left, pair.right), lambda arm, at: joints(arm, at + NS * begin)):
-            yield watch, pair, state_of(watch.verdict, watch.unseen)
+        stamp, pictures = NS * (pair.stamp_ns - begin), (pair.left, pair.right)
+        if stamp >= since and watch.look(
+            stamp, pictures, lambda arm, at: joints(arm, at + NS * begin)
+        ):
+            yield pair
 
 
 def recorded_joints(cell: Cell, episode: Episode) -> Joints:

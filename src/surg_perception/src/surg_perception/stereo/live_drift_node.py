@@ -25,6 +25,8 @@ WORDS = {
 }
 PERIOD_S = 1.0
 """[s] Longest time between two messages."""
+SILENT_S = 2.0
+"""[s] Without a pair of pictures for so long, nobody can tell any more."""
 CURE = "look with ./surg calibrate CELL drift --from EPISODE, correct with --accept, then restart"
 
 
@@ -45,6 +47,7 @@ class LiveDrift:
         self._told: tuple[DriftState, float] | None = None
         self._since, self.refusal = rospy.Time(), ""
         self._begin: int | None = None
+        self._looked = time.monotonic()
         self._topic = rospy.Publisher(TOPIC, DriftStatus, queue_size=2, latch=True)
 
     def use(self, lenses: tuple[Lens, Lens] | None) -> None:
@@ -53,7 +56,10 @@ class LiveDrift:
 
     def look(self, pictures: tuple[Picture, Picture], stamp_ns: int) -> None:
         """Take in the pictures of one moment."""
-        if self._watch is None:
+        self._looked = time.monotonic()
+        if not stamp_ns:
+            self.blind("the pictures have no stamp")
+        if self._watch is None or not stamp_ns:
             return
         begin = self._begin = stamp_ns if self._begin is None else self._begin
 
@@ -69,6 +75,15 @@ class LiveDrift:
             self.refusal = f"the picture is not what was calibrated, {off}; {CURE}"
             rospy.logwarn("eyes: %s", self.refusal)
         self._tell(state)
+
+    def idle(self) -> None:
+        """No pair of pictures has arrived."""
+        if time.monotonic() - self._looked > SILENT_S:
+            self.blind("no pictures of both eyes with one stamp")
+
+    def blind(self, why: str) -> None:
+        """Nobody can tell now; what was refused before stays refused."""
+        self._tell(DriftState(UNKNOWN, why))
 
     def _tell(self, state: DriftState) -> None:
         """Publish a state that is another one, and each of them periodically."""

@@ -86,6 +86,8 @@ class Eyes:
                 continue
             pair = self._pairs.take(LOOK_S)
             if pair is None:
+                if self._drift is not None:
+                    self._drift.idle()
                 continue
             next_at = max(next_at + period, rospy.get_time() + 0.5 * period)
             begun = rospy.get_time()
@@ -106,6 +108,8 @@ class Eyes:
             problem = str(error)
         if problem and problem != self._problem:
             rospy.logwarn(f"eyes: {problem}")
+        if problem and self._drift is not None:
+            self._drift.blind(problem)
         self._problem = problem
 
     def _prepare(self) -> None:
