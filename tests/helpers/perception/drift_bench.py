@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 import surg_core
 from helpers.endoscope_files import copied_cell
+from helpers.perception.drift_settings import Flaws
 from helpers.recording.recording_synthetic import Synthetic, cycle, header
 from helpers.recording.stereo_recording import EYES, FRAME_NS, camera_info, image
 from helpers.sim.calibrated_chain import Chain
@@ -25,7 +26,7 @@ from surg_core.lens_file import load_lens
 from surg_perception.calibration.result_files import LEFT, RIGHT
 from surg_perception.calibration.tip_finder import NotSeen
 from surg_perception.drift import drift_watch
-from surg_perception.drift.shaft_finder import ShaftSeen
+from surg_perception.drift.shaft_finder import REACH, SLANTS, ShaftSeen
 from surg_recording.episode.episode_recorder import Recording
 
 Array = NDArray[np.float64]
@@ -72,10 +73,13 @@ class Motion:
         seed: Of the motion.
         seconds: How long.
         scope: Whether the endoscope moves too.
+        rate: Pictures a second.
     """
 
-    def __init__(self, chain: Chain, seed: int, seconds: float, scope: bool) -> None:
-        self.t = np.arange(int(seconds * RATE)) / RATE
+    def __init__(
+        self, chain: Chain, seed: int, seconds: float, scope: bool, rate: float = RATE
+    ) -> None:
+        self.t = np.arange(int(seconds * rate)) / rate
         for size in (1.0, 0.7, 0.5, 0.3):
             try:
                 self._q = self._joints(chain, np.random.default_rng(seed), scope, size)
@@ -122,12 +126,15 @@ class DriftBench:
     Args:
         folder: A new folder for the cell.
         seed: Of its unknown errors.
+        residual: Of the calibration of its instrument [m].
     """
 
-    def __init__(self, folder: Path, seed: int) -> None:
+    def __init__(self, folder: Path, seed: int, residual: float = 0.0) -> None:
         self.chain = Chain(seed, surg_core.load_cell(copied_cell(folder)))
         self.folder = self.chain.cell.folder
         self.chain.write(self.folder / "calibration")
+        tool = self.folder / "calibration" / f"tool_{TOOL}.yaml"
+        tool.write_text(tool.read_text().replace("residual: 0.0", f"residual: {residual}"))
         self.cell = surg_core.load_cell(self.folder)
         self.rng = np.random.default_rng(seed)
 
@@ -228,10 +235,15 @@ def look_without_pictures(
     at: float,
     moved: Moved,
     rng: np.random.Generator,
+    flaws: Flaws | None = None,
 ) -> bool:
-    """The watch looks, and finds the shaft where it truly is, with noise in place of pictures."""
-    up = np.linspace(0.005, 0.1, 60)
+    """The watch looks, and finds the shaft where it truly is, with noise in place of pictures.
+
+    With the flaws of a setting, `moved.tool` already holds those of the instrument.
+    """
+    up = np.linspace(0.005, 0.1, 40)
     eyes = iter((0, 1))
+    true_V = bench.shaft(motion, at, moved, up)
 
     def find(grey: Array, lit: Array, axis: Array, half: Array) -> ShaftSeen:
         eye = next(eyes)
@@ -240,13 +252,19 @@ def look_without_pictures(
         inside = np.flatnonzero(np.isfinite(axis).all(axis=1) & (away < 0.5 * height))
         if len(inside) < 8:
             raise NotSeen("outside")
+        if flaws and flaws.hidden(at, eye):
+            raise NotSeen("no shaft stands out from what is behind it")
         places = [int(inside[len(inside) // 5]), int(inside[-1 - len(inside) // 5])]
-        true = bench.pixels(bench.shaft(motion, at, moved, up), eye, moved)
-        normals, ways = beside(axis, true, places)
-        if not np.abs(ways).max() < 150.0:
+        normals, ways = beside(axis, bench.pixels(true_V, eye, moved), places)
+        slant = (ways[1] - ways[0]) / np.linalg.norm(axis[places[1]] - axis[places[0]])
+        if not (np.abs(ways.mean()) < REACH and abs(slant) < SLANTS[-1]):
             raise NotSeen("far away")
-        ways = ways + rng.normal(scale=0.15, size=2) + rng.normal(scale=0.25)
-        return ShaftSeen(np.array(places, dtype=float), normals, ways, 0.15, 0.8)
+        if flaws:
+            seen = axis[places] + ways[:, None] * normals
+            ways = ways + flaws.offsets(at, eye, list(seen))
+        else:
+            ways = ways + rng.normal(scale=0.15, size=2) + rng.normal(scale=0.25)
+        return ShaftSeen(np.array(places, dtype=float), normals, ways, 0.07 if flaws else 0.15, 0.8)
 
     grey = rng.integers(0, 255, (48, 64, 3)).astype(np.uint8)  # never twice the same
     with patch.object(drift_watch, "find_shaft", find):

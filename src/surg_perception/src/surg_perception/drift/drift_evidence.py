@@ -1,43 +1,53 @@
-"""Which part of the chain moved, from what is seen beside the place where joints put it.
+"""Which part of the chain moved, and when, from what is seen beside the place where joints put it.
 
 Each sighting gives residuals ``r = A x + e``: x has the steps of all parts. The calibration states
-their covariance at first; older sightings narrow it. If one part moved since, its covariance is
-large. All is linear and normal, so the probability of the newest residuals under each of these
-hypotheses is a closed form (C. Bishop, "Pattern recognition and machine learning", 2006, section
-3.5), and so is the estimate of x with its covariance. What nobody can tell apart, such as a moved
-camera and a moved base while the endoscope rests, comes out with equal probabilities.
+their covariance at first; sightings narrow it. If one part moved at some time, its covariance is
+large from then on. A hypothesis is such a part with such a time; its probability takes in every
+kept sighting, those before under rest and those since under the motion (C. Bishop, "Pattern
+recognition and machine learning", 2006, section 3.5, at the best fit). A sighting that a hypothesis
+does not explain costs it no more than `drift_fits.WRONG`: it may be of something else. What nobody
+can tell apart, such as a moved camera and a moved base while the endoscope rests, comes out with
+like probabilities.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from surg_core.transforms import FloatArray
-from surg_perception.drift.moving_parts import Part
+from surg_perception.drift.drift_fits import Fits, Sums, fits_of
+from surg_perception.drift.moving_parts import LENS, Part
 
 NOTHING = "nothing"
 PRIOR = 1e-3
-"""Probability that something moved, before anything is seen; each part has an equal share."""
-BIAS = 0.4
-"""[px] One sigma of what a sighting's edges are off together: shade, blur, a bent shaft."""
-WINDOWS = (8, 16, 32)
-"""Newest sightings that are judged together: a part may have moved among older ones."""
-STABLE = 0.1
+"""Probability that something moved, before anything is seen; every kind has an equal share."""
+BIAS = 0.5
+"""[px] Least sigma of what a sighting is off beside its noise, and of what all of an eye's are off
+together since a time: shade, blur, a bent shaft."""
+ALIKE = 3.0
+"""Variance beside it, of what sightings scatter by at rest: neighbours are alike in part."""
+ROUGH = 1.5
+"""[px] Largest scatter that is taken for noise."""
+LENGTHS = (8, 16, 32, 64, 128)
+"""A part may have moved so many sightings ago."""
+EVERY = 4
+"""So many new sightings bring a new judgement; bounds the cost."""
+STABLE = 0.3
 """What may change while nothing moves, as a share of the calibration's sigmas: warmth, bending."""
 SCALES = (0.1, 0.3, 1.0)
 """How much of what it may a part moved by, each as probable: a bump is small or large."""
-STILL_LIKELY = 0.5
-"""Probability of no motion above which older sightings count as those of a chain at rest."""
+NEWEST = LENGTHS[0]
+"""Sightings for which it is stated how far instruments are beside their place."""
+DRAWS = 200
+"""Draws of the steps for its interval."""
 UNLIKELY = 1e-3
-"""Probability of a part's motion below which it does not count in what is expected."""
-EXPLAINED = 2.0
-"""[sigma] Typical residual up to which a part that moved explains what is seen."""
-OUTLIER = 3.0
-"""[sigma] Beyond this a residual of the freest hypothesis counts less: it is another shaft's."""
+"""Probability of a hypothesis below which it does not count there."""
+STILL_LIKELY = 0.5
+"""Probability of no motion above which the oldest sightings count as those of a chain at rest."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +61,8 @@ class Sighting:
         sd: (m,) of their noise [px].
         place: (3, P) how far the shaft's end then lies beside the place that joints give it, across
             the shaft [m].
-        away: How far it is before the eye [m].
+        pixel: What one pixel is there [m].
+        again: The same with derivatives that hold for these steps (P,).
     """
 
     stamp: float
@@ -59,34 +70,32 @@ class Sighting:
     r: FloatArray
     sd: FloatArray
     place: FloatArray
-    away: float
+    pixel: float
+    again: Callable[[FloatArray], Sighting]
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Of one window of sightings.
+    """Of all kept sightings.
 
     Attributes:
         probabilities: Of `NOTHING` and of each part's name; their sum is 1.
-        odds: Logarithm of how much more probable the best part's motion is than none.
         best: The most probable part.
         x: (P,) steps of all parts, if the best one moved.
         covariance: (P, P) of x.
-        beside: How far instruments are seen beside their place [m].
-        beside_sd: One sigma of it [m].
-        misfit: Typical residual that the best part leaves, in sigmas: about 1 if it explains all.
-        since: Stamp of the first sighting that the motion explains better than rest does [s].
-        sightings: How many there are.
+        beside: How far the newest instruments are seen beside their place [m]: least, expected,
+            largest, 95 %.
+        right: Share of the sightings that the best hypothesis explains.
+        since: Stamp of the first sighting after the best part moved [s].
+        sightings: How many there are since.
     """
 
     probabilities: dict[str, float]
-    odds: float
     best: Part
     x: FloatArray
     covariance: FloatArray
-    beside: float
-    beside_sd: float
-    misfit: float
+    beside: tuple[float, float, float]
+    right: float
     since: float
     sightings: int
 
@@ -99,183 +108,155 @@ class Verdict:
 class DriftEvidence:
     """Sightings in order, and what they say.
 
+    Steps are counted here in units of what a part may move by.
+
     Args:
         parts: All parts.
     """
 
     def __init__(self, parts: Sequence[Part]) -> None:
         self.parts = list(parts)
-        still = _covariance(self.parts)
-        self._x, self._still = np.zeros(len(still)), still
-        self._window: deque[Sighting] = deque()
+        size = parts[-1].at.stop
+        self._unit, still = np.zeros(size), np.zeros((size, size))
+        shapes = []
+        for part in self.parts:
+            self._unit[part.at] = np.sqrt(np.diag(part.moved))
+            still[part.at, part.at] = part.still
+            shape = np.zeros((size, size))
+            shape[part.at, part.at] = np.eye(part.at.stop - part.at.start)
+            shapes += [scale**2 * shape for scale in SCALES]
+        alike = Counter(part.kind for part in self.parts)
+        shares = [alike[part.kind] for part in self.parts for _ in SCALES]
+        self._prior = np.log(PRIOR / len(alike) / len(SCALES) / np.array(shares))
+        self._still = still / np.outer(self._unit, self._unit)
+        bias = [BIAS**2 * (part.kind == LENS) for part in self.parts for _ in range(size)[part.at]]
+        self._wander = np.array([np.zeros((size, size)), *shapes])
+        self._wander += STABLE**2 * self._still + np.diag(bias / self._unit**2)
+        self._mean = np.zeros(size)
+        self._kept: list[Sighting] = []
+        self._sums = Sums(np.zeros((0, size * size)), np.zeros((0, size)), np.zeros(0))
+        self._variances = np.zeros(0)
+        self._noise = BIAS**2 + ALIKE * BIAS**2
+        self._unjudged, self._renewed = EVERY, -1
+        self._verdict: Verdict | None = None
+        self._draws = np.random.default_rng(0).normal(size=(DRAWS, 3 * NEWEST + 1))
 
     def add(self, sighting: Sighting) -> Verdict | None:
-        """Take in the newest sighting.
+        """Take in the newest sighting; returns the newest judgement, None: too few sightings."""
+        self._kept.append(sighting)
+        told = zip(self._sums, self._told(sighting), strict=True)
+        self._sums = Sums(*(np.concatenate([old, new[None]]) for old, new in told))
+        self._variances = np.append(self._variances, self._noise)
+        self._unjudged += 1
+        if len(self._kept) >= LENGTHS[0] and self._unjudged >= EVERY:
+            self._verdict, self._unjudged = self._judged(), 0
+            self._renew()
+            self._forget()
+        return self._verdict
 
-        The oldest of a full window narrows what is known of a chain at rest, unless it moved: then
-        what was known before stays the measure.
+    def _moved(self) -> bool:
+        return self._verdict is not None and self._verdict.nothing < STILL_LIKELY
 
-        Returns:
-            Of the window whose evidence that something moved is strongest; None: too few.
-        """
-        self._window.append(sighting)
-        newest = list(self._window)
-        windows = [newest[-n:] for n in WINDOWS if n <= len(newest)]
-        verdicts = [self._doubted(window) for window in windows]
-        explained = [each for each in verdicts if each.misfit < EXPLAINED] or verdicts
-        found = max(explained, key=lambda each: each.odds, default=None)
-        if len(newest) == WINDOWS[-1]:
-            old = self._window.popleft()
-            if found is not None and found.nothing > STILL_LIKELY:
-                self._narrow(old)
-        return found
+    def _told(self, sighting: Sighting) -> Sums:
+        """Of one sighting."""
+        A, weight = sighting.A * self._unit, 1.0 / (sighting.sd**2 + self._noise)
+        pulled = A.T * weight
+        square = np.asarray(weight @ sighting.r**2)
+        return Sums((pulled @ A).ravel(), pulled @ sighting.r, square)
 
-    def _narrow(self, old: Sighting) -> None:
-        r = old.r - old.A @ self._x
-        weight = _weights(old.A, r, np.hypot(old.sd, BIAS), self._free())
-        information = (old.A * weight[:, None]).T @ old.A
-        _, step, self._still = _posterior(information, old.A.T @ (weight * r), self._still)
-        self._x = self._x + step
+    def _renew(self) -> None:
+        """Take some sightings since the motion again, where its steps by now put the shaft."""
+        verdict, count = self._verdict, len(self._kept)
+        assert verdict is not None
+        if not self._moved():
+            return
+        for _ in range(2 * EVERY):
+            following = (self._renewed + 1) % count
+            self._renewed = max(following, count - verdict.sightings)
+            self._kept[self._renewed] = self._kept[self._renewed].again(verdict.x)
+            told = self._told(self._kept[self._renewed])
+            for sums, each in zip(self._sums, told, strict=True):
+                sums[self._renewed] = each
 
-    def _doubted(self, window: Sequence[Sighting]) -> Verdict:
-        """Of a window without the sighting that says most that something moved: it may be wrong."""
-        found = self._verdict(window)
-        if found.nothing > STILL_LIKELY:
-            return found
-        off = [np.max(np.abs(each.r - each.A @ self._x) / BIAS) for each in window]
-        worst = int(np.argmax(off))
-        rest = [each for k, each in enumerate(window) if k != worst]
-        return min(found, self._verdict(rest), key=lambda each: each.odds)
+    def _forget(self) -> None:
+        """Let the oldest sightings go; of a chain at rest they narrow what is known of it."""
+        old = len(self._kept) - LENGTHS[-1]
+        if old < NEWEST:
+            return
+        assert self._verdict is not None
+        if not self._moved():
+            mask = (np.arange(len(self._kept)) < old)[None].astype(float)
+            fits = fits_of(self._sums, mask, self._mean[None], self._still[None])
+            self._mean, self._still = fits.x[0], fits.covariance[0]
+        del self._kept[:old]
+        self._sums = Sums(*(each[old:] for each in self._sums))
+        self._variances = self._variances[old:]
 
-    def _verdict(self, window: Sequence[Sighting]) -> Verdict:
-        A = np.concatenate([each.A for each in window])
-        r = np.concatenate([each.r for each in window]) - A @ self._x
-        sd = np.hypot(np.concatenate([each.sd for each in window]), BIAS)
-        weight = _weights(A, r, sd, self._free())
-        information, pull = (A * weight[:, None]).T @ A, A.T @ (weight * r)
-        still = self._still + _covariance(self.parts, STABLE)
-        nothing, x, C = _posterior(information, pull, still)
-        left, pulled = information - information @ C @ information, pull - information @ x
-        gains = [_gains(left[part.at, part.at], pulled[part.at], part) for part in self.parts]
-        prior = np.log(PRIOR / len(self.parts)) - np.log(len(SCALES))
-        by_scale = nothing + prior + np.array(gains)
-        logs = np.array([nothing, *np.logaddexp.reduce(by_scale, axis=1)])
-        p, by_scale = np.exp(logs - logs.max()), np.exp(by_scale - logs.max())
+    def _judged(self) -> Verdict:
+        count = len(self._kept)
+        since = np.inf if self._verdict is None else self._verdict.since
+        moved = sum(each.stamp >= since for each in self._kept)
+        lengths = np.array(sorted({n for n in (*LENGTHS, moved) if LENGTHS[0] <= n <= count}))
+        times, kinds, size = len(lengths), len(self._wander), len(self._unit)
+        before = (np.arange(count) < (count - lengths)[:, None]).astype(float)
+        rest = fits_of(
+            self._sums, before, np.tile(self._mean, (times, 1)), np.tile(self._still, (times, 1, 1))
+        )
+        prior = rest.covariance[:, None] + self._wander
+        fits = fits_of(
+            self._sums,
+            np.repeat(1.0 - before, kinds, axis=0),
+            np.repeat(rest.x, kinds, axis=0),
+            prior.reshape(-1, size, size),
+        )
+        log = fits.log.reshape(times, kinds) + rest.log[:, None] - np.log(times)
+        log[:, 1:] += self._prior
+        p = np.exp(log - log.max())
+        p /= p.sum()
+        by_part = p[:, 1:].sum(axis=0).reshape(len(self.parts), -1).sum(axis=1)
         names = (NOTHING, *(part.name for part in self.parts))
-        probabilities = dict(zip(names, (p / p.sum()).tolist(), strict=True))
-
-        def moved_by(number: int, scale: int) -> tuple[FloatArray, FloatArray]:
-            P = _with(still, self.parts[number], SCALES[scale])
-            return _posterior(information, pull, P)[1:]
-
-        place = np.concatenate([each.place for each in window])
-        away = float(np.mean([each.away for each in window]))
-        shifts = [(p[0], *_beside(place, away, self._x + x, C))]
-        for number, scale in np.argwhere(by_scale > UNLIKELY * p.sum()):
-            x_part, C_part = moved_by(number, scale)
-            shift = _beside(place, away, self._x + x_part, C_part)
-            shifts.append((by_scale[number, scale], *shift))
-        most = int(np.argmax(p[1:]))
-        best = self.parts[most]
-        x, covariance = moved_by(most, int(np.argmax(by_scale[most])))
-        misfit = float(np.median(np.abs(r - A @ x) / sd)) / 0.6745  # a normal one's median
-        since = _since(window, weight * (r**2 - (r - A @ x) ** 2))
-        x = self._x + x
-        beside, beside_sd = _averaged(shifts)
-        odds, count = float(logs[1:].max() - logs[0]), len(window)
+        probabilities = dict(zip(names, (p[:, 0].sum(), *by_part), strict=True))
+        most = int(np.argmax(by_part))
+        of_part = np.zeros(kinds, dtype=bool)
+        of_part[1 + most * len(SCALES) : 1 + (most + 1) * len(SCALES)] = True
+        best = int(np.argmax(np.where(of_part, p, -1.0)))
+        held = int(np.argmax(p))
+        length = int(lengths[best // kinds])
+        if probabilities[NOTHING] > STILL_LIKELY:
+            self._listen(fits.chi[(times - 1) * kinds, -lengths[-1] :])
         return Verdict(
-            probabilities, odds, best, x, covariance, beside, beside_sd, misfit, since, count
+            {name: float(value) for name, value in probabilities.items()},
+            self.parts[most],
+            fits.x[best] * self._unit,
+            fits.covariance[best] * np.outer(self._unit, self._unit),
+            self._beside(p.ravel(), fits),
+            float(fits.right[held]),
+            self._kept[-length].stamp,
+            length,
         )
 
-    def _free(self) -> FloatArray:
-        """(P, P) covariance if everything moved."""
-        free = self._still
-        for part in self.parts:
-            free = _with(free, part, 1.0)
-        return free
+    def _listen(self, chi: FloatArray) -> None:
+        """Take the noise of sightings from what the newest scatter by at rest (n,)."""
+        newest = self._kept[-len(chi) :]
+        rows = np.array([len(each.r) for each in newest])
+        scatter = np.median(chi * self._variances[-len(chi) :] / rows) / 0.8  # of 2 or 4 rows
+        self._noise = BIAS**2 + ALIKE * min(float(scatter), ROUGH**2)
 
-
-def _averaged(shifts: Sequence[tuple[float, float, float]]) -> tuple[float, float]:
-    """Mean and one sigma over hypotheses, of each one's probability, mean and sigma."""
-    p, mean, sd = np.array(shifts).T
-    p = p / p.sum()
-    middle = float(p @ mean)
-    return middle, float(np.sqrt(p @ (sd**2 + (mean - middle) ** 2)))
-
-
-def _since(window: Sequence[Sighting], gain: FloatArray) -> float:
-    """When it moved: motion gains most over rest from there on, by each residual's gain (m,)."""
-    first = np.cumsum([0, *(len(each.r) for each in window[:-1])])
-    after = np.cumsum(np.add.reduceat(gain, first)[::-1])[::-1]
-    return window[int(np.argmax(after))].stamp
-
-
-def _beside(
-    place: FloatArray, away: float, x: FloatArray, covariance: FloatArray
-) -> tuple[float, float]:
-    """Root mean square of the shifts (3n, P) x of n places [m], and one sigma of it.
-
-    Derivatives leave out what is of second order: turned by an angle a, a place `away` [m] from the
-    eye shifts by away a, and by away a^2 / 2 more.
-    """
-    shift, n = place @ x, len(place) / 3.0
-    rms = float(np.sqrt(shift @ shift / n))
-    slope = place.T @ shift / (n * max(rms, 1e-12))
-    second = rms**2 / (2.0 * away)
-    return rms, float(np.sqrt(slope @ covariance @ slope + second**2))
-
-
-def _covariance(parts: Sequence[Part], share: float = 1.0) -> FloatArray:
-    """(P, P) covariance of all steps while nothing moved, or a share of their sigmas."""
-    P = np.zeros((parts[-1].at.stop,) * 2)
-    for part in parts:
-        P[part.at, part.at] = share**2 * part.still
-    return P
-
-
-def _with(still: FloatArray, part: Part, scale: float) -> FloatArray:
-    """(P, P) covariance of all steps if one part moved by so much of what it may."""
-    moved = still.copy()
-    moved[part.at, part.at] += scale**2 * part.moved
-    return moved
-
-
-def _gains(left: FloatArray, pulled: FloatArray, part: Part) -> list[float]:
-    """How much likelier the residuals become if one part moved, by `SCALES`; logarithms.
-
-    Args:
-        left: (k, k) information on the part's steps that a chain at rest leaves.
-        pulled: (k,) what it leaves of the pull on them.
-        part: The part.
-    """
-    found = []
-    for scale in SCALES:
-        half = scale * np.sqrt(part.moved)  # diagonal
-        S, b = np.eye(len(half)) + half @ left @ half, half @ pulled
-        found.append(0.5 * float(b @ np.linalg.solve(S, b) - np.linalg.slogdet(S)[1]))
-    return found
-
-
-def _posterior(
-    information: FloatArray, pull: FloatArray, prior: FloatArray
-) -> tuple[float, FloatArray, FloatArray]:
-    """Logarithm of the evidence up to a constant, mean (P,), covariance (P, P)."""
-    half = np.linalg.cholesky(prior + 1e-24 * np.eye(len(prior)))
-    S = np.eye(len(prior)) + half.T @ information @ half
-    covariance = half @ np.linalg.solve(S, half.T)
-    x = covariance @ pull
-    return 0.5 * float(pull @ x - np.linalg.slogdet(S)[1]), x, covariance
-
-
-def _weights(A: FloatArray, r: FloatArray, sd: FloatArray, prior: FloatArray) -> FloatArray:
-    """Weights (m,) [1/px^2]; outliers of the freest hypothesis have less.
-
-    The same weights serve all hypotheses, else one that fits nothing would have the fewest
-    residuals to explain.
-    """
-    weight = sd**-2
-    for _ in range(5):
-        _, x, _ = _posterior((A * weight[:, None]).T @ A, A.T @ (weight * r), prior)
-        off = np.abs(r - A @ x) / sd
-        weight = sd**-2 / (1.0 + (off / OUTLIER) ** 2) ** 2  # Geman and McClure, 1987
-    return weight
+    def _beside(self, p: FloatArray, fits: Fits) -> tuple[float, float, float]:
+        """Quantiles of the root mean square of the newest shifts, over all hypotheses [m]."""
+        newest = self._kept[-NEWEST:]
+        places = np.concatenate([each.place for each in newest]) * self._unit
+        place: FloatArray = np.linalg.qr(places / np.sqrt(len(newest)))[1]
+        bias = np.sqrt(self._noise) * newest[-1].pixel * self._draws[:, -1]
+        drawn, weights = [], []
+        for number in np.flatnonzero(p > UNLIKELY):
+            spread, axes = np.linalg.eigh(place @ fits.covariance[number] @ place.T)
+            half = axes * np.sqrt(np.maximum(spread, 0.0))
+            shift = place @ fits.x[number] + self._draws[:, : len(half)] @ half.T
+            drawn.append(np.abs(np.linalg.norm(shift, axis=1) + bias))
+            weights.append(np.full(DRAWS, p[number]))
+        values, weight = np.concatenate(drawn), np.concatenate(weights)
+        order = np.argsort(values)
+        held = np.cumsum(weight[order]) / weight.sum()
+        low, middle, high = values[order][np.searchsorted(held, [0.025, 0.5, 0.975])]
+        return float(low), float(middle), float(high)

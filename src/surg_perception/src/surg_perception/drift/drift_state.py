@@ -5,21 +5,19 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
-from surg_perception.drift.drift_evidence import EXPLAINED, NOTHING, Verdict
+from surg_perception.drift.drift_evidence import NOTHING, Verdict
 
 STEADY, MOVED, UNKNOWN = "steady", "moved", "cannot tell"
 SURE = 1e-3
 """Probability of no motion below which something moved."""
-LEAST = 0.0003
-"""[m] A smaller shift is none that a hand or a policy notices, however sure it is."""
 FAR = 0.001
 """[m] Surely this far beside their place, nothing that trusts the picture may begin."""
 LIKELY = 0.5
 """Probability of no motion above which the chain is steady."""
-NAMED = 0.9
-"""Probability of one part, of those that could have moved, from which it is named alone."""
-INTERVAL = 1.96
-"""Sigmas of an interval that holds the truth in 95 of 100 cases."""
+NAMED = 0.95
+"""Probability of one kind of part, of those that could have moved, from which it is named."""
+EXPLAINED = 0.5
+"""Least share of sightings that the best hypothesis explains, so that anybody can tell."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +27,8 @@ class DriftState:
     Attributes:
         word: `STEADY`, `MOVED` or `UNKNOWN`.
         reason: Why nobody can tell, or which parts could have moved; empty: steady.
-        cause: Name of the part that moved; empty: nothing did, or it is one of several.
+        cause: Name of the part that moved, or of those of one kind that nobody can tell apart, as
+            in ``base of PSM1 or base of ECM``; empty: nothing did, or which kind is open.
         beside: Least, expected and largest distance between where instruments are seen and where
             joints put them [m], 95 %; zeros: unknown.
         since: Stamp from which on it holds [s].
@@ -68,23 +67,21 @@ def state_of(verdict: Verdict | None, unseen: Counter[str]) -> DriftState:
         why = unseen.most_common(1)
         seen = f"too few sightings ({why[0][0]})" if why else "no instrument has moved in view yet"
         return DriftState(UNKNOWN, seen)
-    reach = INTERVAL * verdict.beside_sd
-    low, high = max(0.0, verdict.beside - reach), verdict.beside + reach
     word = MOVED if verdict.nothing < SURE else UNKNOWN
-    if verdict.nothing > LIKELY or (word == MOVED and verdict.beside < LEAST):
+    if verdict.nothing > LIKELY:
         word = STEADY
     reason, cause = "", ""
-    if word != STEADY and verdict.misfit > EXPLAINED:
+    if verdict.right < EXPLAINED:
         word, reason = UNKNOWN, "what is seen does not move as the joints say"
     elif word == UNKNOWN:
         reason = "the newest sightings disagree with older ones, too few to be sure"
     elif word == MOVED:
         cause, reason = _cause(verdict)
-    return DriftState(word, reason, cause, (low, verdict.beside, high), verdict.since)
+    return DriftState(word, reason, cause, verdict.beside, verdict.since)
 
 
 def _cause(verdict: Verdict) -> tuple[str, str]:
-    """The part that moved, or which could have, most probable first."""
+    """What moved, if it is of one kind; else which parts could have, most probable first."""
     moved = {name: p for name, p in verdict.probabilities.items() if name != NOTHING}
     total = sum(moved.values())
     names, held = list[str](), 0.0
@@ -93,6 +90,6 @@ def _cause(verdict: Verdict) -> tuple[str, str]:
         held += p / total
         if held >= NAMED:
             break
-    if len(names) == 1:
-        return names[0], ""
+    if len({name.split()[0] for name in names}) == 1:
+        return " or ".join(names), ""
     return "", f"{' or '.join(names)}; turn the endoscope to tell them apart"

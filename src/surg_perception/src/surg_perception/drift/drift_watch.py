@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -36,11 +37,19 @@ WIDER = 0.15
 MOMENT = 0.005
 """[s] Joints are taken so long before and behind a picture, for the speed."""
 
+HALF = 0.5
+"""Probability of no motion below which derivatives are taken where the step puts the shaft."""
+LOST = 10.0
+"""[s] Without a sighting for so long while an instrument moves, nobody can tell any more."""
 RADIUS = 0.003
 """[m] Of a shaft that no capsule states."""
 
 Joints = Callable[[str, float], FloatArray | None]
 """Joints (n,) of an arm [rad] at a time [s]; None: not known."""
+
+
+_Found = tuple[int, int, FloatArray]
+"""Eye, number of the point, and normal (2,) of the line that is seen beside it."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +105,7 @@ class DriftWatch:
         self._widths: dict[str, list[float]] = {}
         self._evidence = DriftEvidence(self.parts)
         self._before: list[Picture] | None = None
+        self._seen_at = 0.0
         self.unseen: Counter[str] = Counter()
         """Why shafts were not found, and how often."""
         self.verdict: Verdict | None = None
@@ -118,7 +128,12 @@ class DriftWatch:
         greys = [cv2.cvtColor(each, cv2.COLOR_RGB2GRAY).astype(np.float32) for each in pictures]
         seen = [(grey, lit_part(grey)) for grey in greys]
         found = [self._see(name, stamp, seen) for name in moving]
-        return any(found)
+        if any(found):
+            self._seen_at = stamp
+            return True
+        if self.verdict is not None and self.verdict.nothing > HALF:
+            self.verdict = self.verdict if stamp - self._seen_at < LOST else None
+        return False
 
     def axes(self, eye: int) -> list[tuple[FloatArray, FloatArray]]:
         """Pixels (n, 2) of each shaft when last looked at: by the joints, and by the verdict."""
@@ -169,33 +184,63 @@ class DriftWatch:
         """Whether one instrument is seen in either eye; takes in what that says."""
         axis = self._newest[name]
         half = self._focal * self._radius(name) / axis.p_V[:, 2]
-        rows: list[FloatArray] = []
+        found: list[_Found] = []
         residuals: list[float] = []
         noise: list[float] = []
         for eye, (grey, lit) in enumerate(greys):
+            pixels = self._eyes[eye].pixels(axis.p_V)
             try:
-                seen = find_shaft(grey, lit, self._eyes[eye].pixels(axis.p_V), half)
+                seen = find_shaft(grey, lit, pixels, half)
             except NotSeen as why:
                 self.unseen[str(why)] += 1
                 continue
             if not self._as_wide_as_ever(axis.arm, seen.width):
                 self.unseen["a shaft of another width is seen"] += 1
                 continue
-            for at, normal in zip(np.round(seen.at).astype(int), seen.normals, strict=True):
-                rows.append(normal @ self._derivatives(axis, eye, int(at)))
+            at = np.round(seen.at).astype(int)
+            line = np.diff(pixels[at] + seen.offsets[:, None] * seen.normals, axis=0)[0]
+            normal = np.array([-line[1], line[0]]) / np.linalg.norm(line)
+            normal *= np.sign(normal @ seen.normals[0])
+            found += [(eye, int(place), normal) for place in at]
             residuals.extend(seen.offsets)
             noise.extend([seen.sd] * 2)
-        if rows:
-            # Along the shaft nothing is seen: what it is beside its place is across.
-            s_V = (axis.p_V[-1] - axis.p_V[0]) / np.linalg.norm(axis.p_V[-1] - axis.p_V[0])
-            across = np.eye(3) - np.outer(s_V, s_V)
-            place = across @ self._derivatives(axis, 0, 0, metres=True)
-            away = float(axis.p_V[0, 2])
-            found = Sighting(
-                stamp, np.array(rows), np.array(residuals), np.array(noise), place, away
-            )
-            self.verdict = self._evidence.add(found)
-        return bool(rows)
+        if found:
+            told = stamp, axis, found, np.array(residuals), np.array(noise)
+            known = self.verdict is not None and self.verdict.nothing < HALF
+            x = self.verdict.x if self.verdict is not None and known else None
+            self.verdict = self._evidence.add(self._sighting(*told, x))
+        return bool(found)
+
+    def _sighting(
+        self,
+        stamp: float,
+        axis: _Axis,
+        found: Sequence[_Found],
+        r: FloatArray,
+        sd: FloatArray,
+        x: FloatArray | None,
+    ) -> Sighting:
+        """With derivatives half way to where the steps x (P,) put the shaft.
+
+        There a derivative times a step is exact to second order, whichever part made the step.
+        """
+        between = axis
+        if x is not None:
+            p_V = axis.p_V.copy()
+            for at in {0, *(at for _, at, _ in found)}:
+                p_V[at] += self._derivatives(axis, 0, at, metres=True) @ x / 2.0
+            between = replace(axis, p_V=p_V)
+        # Along the shaft nothing is seen: what it is beside its place is across.
+        s_V = (axis.p_V[-1] - axis.p_V[0]) / np.linalg.norm(axis.p_V[-1] - axis.p_V[0])
+        across = np.eye(3) - np.outer(s_V, s_V)
+        place = across @ self._derivatives(between, 0, 0, metres=True)
+        pixel = float(axis.p_V[0, 2] / self._focal)
+        again = partial(self._sighting, stamp, axis, found, r, sd)
+        return Sighting(stamp, self._rows(between, found), r, sd, place, pixel, again)
+
+    def _rows(self, axis: _Axis, found: Sequence[_Found]) -> FloatArray:
+        """(m, P) derivatives of what is seen, across the seen line."""
+        return np.array([n @ self._derivatives(axis, eye, at) for eye, at, n in found])
 
     def _derivatives(self, axis: _Axis, eye: int, at: int, metres: bool = False) -> FloatArray:
         """(2, P) of the pixel of one point of a shaft by all steps, or (3, P) of its place."""

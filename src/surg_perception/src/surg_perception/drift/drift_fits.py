@@ -1,0 +1,81 @@
+"""Best fits of many hypotheses to the same sightings, of which some may be wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from surg_core.transforms import FloatArray
+
+WRONG = 6.0
+"""Logarithm of how improbable a sighting becomes at worst; also where it begins to count less."""
+SOFTENED = (256.0, 64.0, 16.0, 4.0, 1.0)
+"""A fit begins with `WRONG` so many times as large, so that no wrong sighting leads it astray: H.
+Yang et al., "Graduated non-convexity", IEEE RA-L 2020."""
+
+
+class Sums(NamedTuple):
+    """What N sightings say of P steps, each residual in sigmas.
+
+    Attributes:
+        information: (N, P P) derivatives by derivatives.
+        pull: (N, P) derivatives by residuals.
+        square: (N,) of the residuals.
+    """
+
+    information: FloatArray
+    pull: FloatArray
+    square: FloatArray
+
+
+@dataclass(frozen=True)
+class Fits:
+    """Best fits of H hypotheses.
+
+    Attributes:
+        x: (H, P) steps.
+        covariance: (H, P, P) of them.
+        log: (H,) logarithms of their evidence.
+        right: (H,) share of each one's sightings that it explains.
+        chi: (H, N) squared residuals of all sightings.
+    """
+
+    x: FloatArray
+    covariance: FloatArray
+    log: FloatArray
+    right: FloatArray
+    chi: FloatArray
+
+
+def fits_of(sums: Sums, mask: FloatArray, mean: FloatArray, prior: FloatArray) -> Fits:
+    """Fit H hypotheses.
+
+    A sighting's cost is that of S. Geman and D. McClure, 1987, so that each hypothesis has
+    outliers of its own and yet all can be compared.
+
+    Args:
+        sums: Of all sightings.
+        mask: (H, N) 1 for those that a hypothesis is about, else 0.
+        mean: (H, P) of the steps, before.
+        prior: (H, P, P) covariance, before.
+    """
+    weight, shape = mask, prior.shape
+    for soft in (*SOFTENED, None):
+        L = (weight @ sums.information).reshape(shape)
+        v = weight @ sums.pull - (L @ mean[..., None])[..., 0]
+        system = np.eye(shape[-1]) + prior @ L
+        step = np.linalg.solve(system, prior @ v[..., None])[..., 0]
+        x = mean + step
+        outer = (x[:, :, None] * x[:, None, :]).reshape(len(x), -1)
+        chi = np.maximum(sums.square - 2.0 * x @ sums.pull.T + outer @ sums.information.T, 0.0)
+        if soft is not None:
+            weight = mask / (1.0 + chi / (2.0 * WRONG * soft)) ** 2
+    cost = (mask * 0.5 * chi / (1.0 + chi / (2.0 * WRONG))).sum(axis=1)
+    bent = np.sum(step * (v - (L @ step[..., None])[..., 0]), axis=1)
+    log = -cost - 0.5 * bent - 0.5 * np.linalg.slogdet(system)[1]
+    covariance = np.linalg.solve(system, prior)
+    covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+    right = (mask * (chi < 2.0 * WRONG)).sum(axis=1) / np.maximum(mask.sum(axis=1), 1.0)
+    return Fits(x, covariance, log, right, chi)
