@@ -193,12 +193,9 @@ class ClearanceGuard::Approach {
       : guard_(guard),
         own_(guard.setup_.own, Pose::Identity(), q),
         still_(own_.axis, own_.origin, qd0),
-        moving_(own_.axis, own_.origin, qd1) {
+        moving_(own_.axis, own_.origin, qd1),
+        braking_(clock_braking(qd1, acceleration)) {
     if (!back.isZero(0)) waiting_.emplace(own_.axis, own_.origin, qd0 - back);
-    for (Eigen::Index i = 0; i < qd1.size(); ++i) {
-      const double speed = std::max(std::abs(qd1[i]), 1e-9);
-      braking_ = std::min(braking_, kPlanAcceleration * acceleration[i] / speed);
-    }
     const ClearanceSetup& setup = guard.setup_;
     for (std::size_t i = 0; i < setup.own.capsules.size(); ++i) {
       const int joint = setup.own.capsules[i].joint;
@@ -283,7 +280,7 @@ class ClearanceGuard::Approach {
   Twists still_, moving_;
   double held_ = std::max(guard_.T_, guard_.held_);
   std::optional<Twists> waiting_;  // without 'back', where there is any
-  double braking_ = INFINITY;      // [1/s^2] of the clock: what the joints can do all together
+  double braking_;                 // [1/s] of the clock: what the joints can do all together
   double alpha_ = INFINITY;
   std::array<double, kMaxLinkCapsules> speed_;  // of the fastest point of each capsule
   /// [m] from where a lost arm was last seen: its distance may not become smaller.

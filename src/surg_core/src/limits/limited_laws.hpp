@@ -14,6 +14,16 @@ constexpr double kTwistSpacing = 1e-4;     ///< [s] of the clock, for a path's d
 constexpr double kPlanAcceleration = 0.8;  ///< of the limits: the step keeps reserves to follow
 
 inline double largest(const Joints& v) { return v.cwiseAbs().maxCoeff(); }
+/// [1/s] hardest braking of the clock that a plan has, where its full rate moves the joints by qd.
+template <typename Velocities>
+double clock_braking(const Velocities& qd, const JointVector& acceleration) {
+  double braking = INFINITY;
+  for (Eigen::Index i = 0; i < acceleration.size(); ++i) {
+    const double speed = std::max(std::abs(qd[i]), 1e-9);
+    braking = std::min(braking, kPlanAcceleration * acceleration[i] / speed);
+  }
+  return braking;
+}
 
 /// Where the arm is at the beginning of the cycle.
 struct LimitedStep::Here {

@@ -192,11 +192,7 @@ void LimitedStep::cap_approach(const Here& here, const Affine& affine, Cap& cap)
 void LimitedStep::cap_unseen(const Law& law, const Here& here, const Affine& affine,
                              Cap& cap) const {
   const Eigen::Index n = here.n;
-  double deceleration = INFINITY;  // of the clock
-  for (Eigen::Index i = 0; i < n; ++i) {
-    const double speed = std::max(std::abs(affine.qd1[i]), 1e-9);
-    deceleration = std::min(deceleration, kPlanAcceleration * limits_.acceleration[i] / speed);
-  }
+  const double deceleration = clock_braking(affine.qd1, limits_.acceleration);
   for (Eigen::Index i = 0; i < n; ++i) {
     const double speed = std::abs(affine.qd1[i]);
     if (speed < 1e-9) continue;

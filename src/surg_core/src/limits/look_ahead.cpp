@@ -10,7 +10,6 @@ namespace {
 
 // The plan takes less than the limits, so that the step has reserves to follow it.
 constexpr double kPlanVelocity = 0.995;  // of each joint's velocity limit
-constexpr double kFirstSpacing = 0.002;  // [s] of the clock to the first node
 constexpr double kSpacingGrowth = 1.4;   // of the spacing from node to node
 constexpr double kFirstArc = 0.002;      // [rad] of joint motion to the first node at most
 constexpr double kSmallestArc = 1e-5;    // [rad] a path that cannot be followed this far ends here
@@ -67,36 +66,28 @@ LimitedStep::LookAhead::LookAhead(const LimitedStep& self, const Law& law, const
       n_(here.n),
       horizon_(law.horizon()),
       flange_velocity_(here.flange_velocity),
-      spacing_(kFirstSpacing),
+      spacing_(self.T_),
       arc_(kFirstArc) {
   at_[0] = here.q;
   direction_[0] = affine.tangent;
   flange_[0] = flange_twist(here.J, affine.tangent).head<3>().norm();
   measures_ = affine.measures;
   most_[0] = fastest(0);
-  double enough = stopping_time();
-  while (last_ < kNodes && evaluations_ < 2 * kNodes && t_[last_] < horizon_) {
-    if (!advance(law, here)) {
-      if (by_[0] == 'p') by_ = "unreachable";
-      break;
+  // [s] of the clock to a stop, if the joints stayed as fast as here.
+  const double enough = most_[0] / (2 * clock_braking(affine.tangent, self.limits_.acceleration));
+  for (bool more = true; more;) {
+    more = advance(law, here);
+    if (more) {
+      most_[last_] = fastest(last_);
+      more = last_ < kNodes && evaluations_ < 2 * kNodes && t_[last_] < horizon_;
+      if (more && t_[last_] < enough) continue;
+    } else if (by_[0] == 'p') {
+      by_ = "unreachable";
     }
-    most_[last_] = fastest(last_);
-    if (t_[last_] < enough || most_[0] < 1 || most_[1] < 1) continue;
     plan();
-    if (alpha() == 1) return;  // stops in time already: what lies behind only adds room
-    enough = 2 * t_[last_];
+    // As fast here as it may be, and stops in time: what lies behind only adds room.
+    if (square_[0] == most_[0] && square_[1] == most_[1] && !(t_[1] < self_.T_)) return;
   }
-  plan();
-}
-
-/// Of the clock, from full speed, if the joints stayed as fast as here [s].
-double LimitedStep::LookAhead::stopping_time() const {
-  double longest = 0;
-  for (Eigen::Index j = 0; j < n_; ++j) {
-    const double deceleration = kPlanAcceleration * self_.limits_.acceleration[j];
-    longest = std::max(longest, std::abs(direction_[0][j]) / (2 * deceleration));
-  }
-  return longest;
 }
 
 /// One node more, at first as far as the spacing allows; false where there is none.
@@ -174,20 +165,22 @@ double LimitedStep::LookAhead::fastest(int i) const {
 /// From standstill at the last node backwards to here: q_ddot = u q'' + u' q' / 2 with u the
 /// squared clock speed, in the middle of each interval, within the joints' accelerations.
 void LimitedStep::LookAhead::plan() {
-  const JointVector& acceleration = self_.limits_.acceleration;
+  const Joints most = kPlanAcceleration * padded(self_.limits_.acceleration);
   square_[last_] = 0;
   for (int i = last_ - 1; i >= 0; --i) {
     const double dt = t_[i + 1] - t_[i];
+    const Joints bend = (direction_[i + 1] - direction_[i]) / dt;
+    const Joints along = 0.5 * (direction_[i + 1] + direction_[i]) / dt;
+    const Joints A = 0.5 * (bend - along), B = 0.5 * (bend + along);
+    square_[i] = most_[i];
+    const Joints needed = A.cwiseAbs() * most_[i] + B.cwiseAbs() * square_[i + 1];
+    if ((needed.array() <= most.array()).all()) continue;
     Rows rows;
     int n = 0;
     for (Eigen::Index j = 0; j < n_; ++j) {
-      const double bend = (direction_[i + 1][j] - direction_[i][j]) / dt;
-      const double along = 0.5 * (direction_[i + 1][j] + direction_[i][j]) / dt;
-      const double a = kPlanAcceleration * acceleration[j];
-      const double A = 0.5 * (bend - along), B = 0.5 * (bend + along);
-      if (std::abs(A) + std::abs(B) < 1e-12) continue;
-      rows[n++] = {A, B, a};
-      rows[n++] = {-A, -B, a};
+      if (std::abs(A[j]) + std::abs(B[j]) < 1e-12) continue;
+      rows[n++] = {A[j], B[j], most[j]};
+      rows[n++] = {-A[j], -B[j], most[j]};
     }
     square_[i] = largest_x(rows, n, most_[i], square_[i + 1]);
   }

@@ -24,7 +24,6 @@ class LimitedStep::LookAhead {
   double alpha() const;
   bool advance(const Law& law, const Here& here);
   double fastest(int i) const;
-  double stopping_time() const;
   void plan();
   bool passes(const SingularityMeasures& to) const;
   bool inside_positions(const Joints& q, const Joints& from) const;
