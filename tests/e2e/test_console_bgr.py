@@ -80,8 +80,13 @@ async def test_three_episodes_are_played_recorded_and_judged_by_keys(tmp_path: P
             if seed + 1 < SEEDS:
                 await press(tab, "KeyG", f"{bar}.includes('Now: ')", "a new episode")
                 await asyncio.sleep(0.2)
+        first, second, third = (made.out / name for name in ("episode", "episode_2", "episode_3"))
+
+        async def discarded() -> bool:
+            return (third / "discarded.json").is_file()
+
+        await until(discarded, "the discarded episode", 30.0)
         assert browser.errors == []
-    first, second, third = (made.out / name for name in ("episode", "episode_2", "episode_3"))
     for folder, word in zip((first, second), JUDGED[:2], strict=True):
         recorded = episode_reader.read(folder)
         assert recorded.complete, recorded.manifest["reason"]
@@ -91,4 +96,3 @@ async def test_three_episodes_are_played_recorded_and_judged_by_keys(tmp_path: P
         )
     assert [episode_reader.read(f).manifest["run"]["seed"] for f in (first, second)] == [0, 1]
     assert episode_reader.below(made.out) == [first, second]
-    assert (third / "discarded.json").is_file()
