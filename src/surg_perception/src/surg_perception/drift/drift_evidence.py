@@ -44,6 +44,8 @@ NEWEST = LENGTHS[0]
 """Sightings for which it is stated how far instruments are beside their place."""
 DRAWS = 200
 """Draws of the steps for its interval."""
+CURVED = 0.05
+"""One sigma of what derivatives leave out of a shift, as a share of it."""
 UNLIKELY = 1e-3
 """Probability of a hypothesis below which it does not count there."""
 STILL_LIKELY = 0.5
@@ -139,7 +141,7 @@ class DriftEvidence:
         self._noise = BIAS**2 + ALIKE * BIAS**2
         self._unjudged, self._renewed = EVERY, -1
         self._verdict: Verdict | None = None
-        self._draws = np.random.default_rng(0).normal(size=(DRAWS, 3 * NEWEST + 1))
+        self._draws = np.random.default_rng(0).normal(size=(DRAWS, 3 * NEWEST + 2))
 
     def add(self, sighting: Sighting) -> Verdict | None:
         """Take in the newest sighting; returns the newest judgement, None: too few sightings."""
@@ -248,12 +250,14 @@ class DriftEvidence:
         places = np.concatenate([each.place for each in newest]) * self._unit
         place: FloatArray = np.linalg.qr(places / np.sqrt(len(newest)))[1]
         bias = np.sqrt(self._noise) * newest[-1].pixel * self._draws[:, -1]
+        curved = 1.0 + CURVED * self._draws[:, -2]
         drawn, weights = [], []
         for number in np.flatnonzero(p > UNLIKELY):
             spread, axes = np.linalg.eigh(place @ fits.covariance[number] @ place.T)
             half = axes * np.sqrt(np.maximum(spread, 0.0))
             shift = place @ fits.x[number] + self._draws[:, : len(half)] @ half.T
-            drawn.append(np.abs(np.linalg.norm(shift, axis=1) + bias))
+            rms = np.linalg.norm(shift, axis=1) * curved
+            drawn.append(np.abs(rms + bias))
             weights.append(np.full(DRAWS, p[number]))
         values, weight = np.concatenate(drawn), np.concatenate(weights)
         order = np.argsort(values)
