@@ -100,7 +100,7 @@ def test_a_movel_goes_straight(how: str) -> None:
 def test_a_movec_goes_by_its_middle_point_along_a_circle(mode: int) -> None:
     via, goal = np.array([0.05, 0.05, 0.0]), np.array([0.1, 0.0, 0.02])  # from the start [m]
     start = "start = get_target_tcp_pose()"
-    points = ", ".join(f"pose_add(start, p{[*each, 0, 0, 0]})" for each in (via, goal))
+    points = ", ".join(f"pose_add(start, p{[*each.tolist(), 0, 0, 0]})" for each in (via, goal))
     controller, way = run(f"{start}\nmovec({points}, v=0.1, mode={mode})")
     tool = np.array([controller.tcp_pose(q) for q in way[::5]])
     went = tool[:, :3] - tool[0, :3]
