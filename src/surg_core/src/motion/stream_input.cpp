@@ -17,9 +17,6 @@ constexpr double kUnseen = 30;            // [1/s] per period, of a demand that 
 constexpr double kGrowth = 0.5;           // [s/s] rate at which the delay grows
 constexpr double kRelease = 0.02;         // [s/s] rate at which the delay shrinks
 
-/// [s] Between two samples. The first one of a stream is taken for one of a plan: a gentle start.
-double spacing_of(const StreamClock& clock) { return clock.period() > 0 ? clock.period() : kSlow; }
-
 }  // namespace
 
 StreamLateness::StreamLateness(double most) : most_(most) { reset(); }
@@ -43,8 +40,7 @@ void StreamInput::begin(const Values& x, const State& from, const Values& accele
     delays_[i].reset(from[i]);
   }
   acceleration_ = acceleration;
-  last_ = x;
-  for (int i = 0; i < kDof; ++i) before_[i] = from[i].x;
+  last_ = before_ = x;
   arrival_ = now_ + rest_ - age;
   unheard_ = 0;
   cycles_ = 0;
@@ -105,7 +101,7 @@ StreamInput::State StreamInput::target(double ahead) const {
 }
 
 StreamInput::State StreamInput::estimate(double ahead) const {
-  if (spacing_of(clock_) >= kSlow) return way(ahead);
+  if (clock_.period() > kSlow) return way(ahead);
   if (overdue()) {
     State rest{};
     for (int i = 0; i < kDof; ++i) rest[i].x = last_[i];
@@ -122,7 +118,7 @@ StreamInput::State StreamInput::estimate(double ahead) const {
 /// The straight way to the last sample, in one spacing of samples: such a sample says where to be
 /// when the next one is due. One tick later, if there is none, the arm is to rest.
 StreamInput::State StreamInput::way(double ahead) const {
-  const double spacing = spacing_of(clock_), since = now_ + ahead - arrival_;
+  const double spacing = clock_.period(), since = now_ + ahead - arrival_;
   State out{};
   for (int i = 0; i < kDof; ++i) {
     out[i].x = last_[i];

@@ -192,20 +192,6 @@ TEST(StreamInput, APlanIsPlayedToItsTimesAndNoFurther) {
   }
 }
 
-TEST(StreamInput, TheFirstSampleIsApproachedAndNotJumpedTo) {
-  StreamInput input;
-  input.begin({0.002}, {}, {}, 0, 0);
-  double before = 0;
-  for (int k = 1; k <= 30; ++k) {
-    input.elapse(0.002);
-    const double x = input.target(0)[0].x;
-    ASSERT_GE(x, before) << k;
-    ASSERT_LE(x - before, 1e-4) << k;
-    before = x;
-  }
-  EXPECT_EQ(before, 0.002);
-}
-
 TEST(StreamInput, ThePlanOfASteadySpeedIsThatSpeed) {
   StreamInput input;
   input.begin({0}, {}, {}, 0, 0);
