@@ -131,9 +131,10 @@ def test_every_test_runs_once_and_real_time_in_one_worker(
     timed.add(f"unit/test_{TIMED:02d}.py")
     (first,) = {worker for file in timed for worker in workers[file]}
     assert len({worker for each in workers.values() for worker in each}) > 1
-    # The worker for real time has priority, whichever it is.
+    # The worker for real time has priority, whichever it is; the others have this process's.
     niceness = {worker: int(nice) for worker, nice, _ in ran}
-    assert all(niceness[first] < nice for worker, nice in niceness.items() if worker != first)
+    others = [nice for worker, nice in niceness.items() if worker != first]
+    assert niceness[first] < min(others) or os.nice(0) <= worker_groups.PREFERRED
     if os.geteuid() == 0:
         assert niceness[first] == worker_groups.PREFERRED
     # A module's fixture ends once, behind its last test.
