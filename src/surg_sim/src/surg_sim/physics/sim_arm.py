@@ -1,8 +1,8 @@
 """A velocity-commanded industrial arm in MuJoCo: the simulated half of the robot-link contract.
 
 The joint drive is an integrator position servo (stiffness kp, critically damped) behind a
-first-order lag of its own and a command delay of whole ticks; the arm's weight is compensated. The link
-converts a flange twist to joint velocities itself and has its own dead-man, counted in ticks.
+first-order lag of its own and a command delay of whole ticks; the arm's weight is compensated. The
+link converts a flange twist to joint velocities itself and has its own dead-man, counted in ticks.
 """
 
 from __future__ import annotations
