@@ -122,7 +122,7 @@ StreamInput::State StreamInput::way(double ahead) const {
   State out{};
   for (int i = 0; i < kDof; ++i) {
     out[i].x = last_[i];
-    if (since > spacing + tick_) continue;
+    if (!(spacing > 0) || since > spacing + tick_) continue;
     out[i].v = (last_[i] - before_[i]) / spacing;
     out[i].x -= std::max(spacing - since, 0.0) * out[i].v;
   }
