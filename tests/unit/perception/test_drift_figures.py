@@ -114,7 +114,7 @@ CHANGED = [
     (drift_fits, "SOFTENED", ((1.0,), (16.0, 4.0, 1.0))),
     (drift_state, "SURE", (1e-4, 1e-2)),
     (drift_state, "NAMED", (0.9, 0.99)),
-    (drift_watch, "HALF", (0.0, 0.9)),
+    (drift_watch, "STILL_LIKELY", (0.0, 0.9)),
     (drift_watch, "STEP", (0.001, 0.004)),
     (drift_watch, "PAUSE", (0.05, 0.2)),
 ]

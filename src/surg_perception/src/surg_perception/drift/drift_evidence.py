@@ -49,7 +49,7 @@ CURVED = 0.05
 UNLIKELY = 1e-3
 """Probability of a hypothesis below which it does not count there."""
 STILL_LIKELY = 0.5
-"""Probability of no motion above which the oldest sightings count as those of a chain at rest."""
+"""Probability of no motion above which the chain counts as one at rest."""
 
 
 @dataclass(frozen=True)

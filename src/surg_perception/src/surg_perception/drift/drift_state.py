@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
-from surg_perception.drift.drift_evidence import NOTHING, Verdict
+from surg_perception.drift.drift_evidence import NOTHING, STILL_LIKELY, Verdict
 
 STEADY, MOVED, UNKNOWN = "steady", "moved", "cannot tell"
 SURE = 1e-3
 """Probability of no motion below which something moved."""
 FAR = 0.001
 """[m] Surely this far beside their place, nothing that trusts the picture may begin."""
-LIKELY = 0.5
-"""Probability of no motion above which the chain is steady."""
 NAMED = 0.95
 """Probability of one kind of part, of those that could have moved, from which it is named."""
 EXPLAINED = 0.5
@@ -68,7 +66,7 @@ def state_of(verdict: Verdict | None, unseen: Counter[str]) -> DriftState:
         seen = f"too few sightings ({why[0][0]})" if why else "no instrument has moved in view yet"
         return DriftState(UNKNOWN, seen)
     word = MOVED if verdict.nothing < SURE else UNKNOWN
-    if verdict.nothing > LIKELY:
+    if verdict.nothing > STILL_LIKELY:
         word = STEADY
     reason, cause = "", ""
     if verdict.right < EXPLAINED:

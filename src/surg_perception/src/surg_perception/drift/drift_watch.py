@@ -18,7 +18,12 @@ from surg_core.pictures.eye_projection import EyeProjection
 from surg_core.transforms import FloatArray
 from surg_perception.calibration.tip_finder import Mask, NotSeen
 from surg_perception.depth.rectification import Picture
-from surg_perception.drift.drift_evidence import DriftEvidence, Sighting, Verdict
+from surg_perception.drift.drift_evidence import (
+    STILL_LIKELY,
+    DriftEvidence,
+    Sighting,
+    Verdict,
+)
 from surg_perception.drift.moving_parts import EYES, Part, SeenPoint, derivatives
 from surg_perception.drift.shaft_finder import Grey, find_shaft, lit_part
 
@@ -37,8 +42,6 @@ WIDER = 0.15
 MOMENT = 0.005
 """[s] Joints are taken so long before and behind a picture, for the speed."""
 
-HALF = 0.5
-"""Probability of no motion below which derivatives are taken where the step puts the shaft."""
 LOST = 10.0
 """[s] Without a sighting for so long while an instrument moves, nobody can tell any more."""
 RADIUS = 0.003
@@ -131,7 +134,7 @@ class DriftWatch:
         if any(found):
             self._seen_at = stamp
             return True
-        if self.verdict is not None and self.verdict.nothing > HALF:
+        if self.verdict is not None and self.verdict.nothing > STILL_LIKELY:
             self.verdict = self.verdict if stamp - self._seen_at < LOST else None
         return False
 
@@ -206,7 +209,7 @@ class DriftWatch:
             noise.extend([seen.sd] * 2)
         if found:
             told = stamp, axis, found, np.array(residuals), np.array(noise)
-            known = self.verdict is not None and self.verdict.nothing < HALF
+            known = self.verdict is not None and self.verdict.nothing < STILL_LIKELY
             x = self.verdict.x if self.verdict is not None and known else None
             self.verdict = self._evidence.add(self._sighting(*told, x))
         return bool(found)
