@@ -101,6 +101,7 @@ class Participant:
         """The tick that was seen last."""
         self._cycles: dict[str, tuple[int, Cycle]] = {}
         self._state: tuple[int, TaskState] = (0, TaskState())
+        self._on_grid = threading.Condition()  # a state of the task has come
         if lockstep:
             self._ready = BytesPublisher("/sim/ready", Ready, blocking=True, latch=True)
         self.inputs: list[Any] = []
@@ -169,12 +170,19 @@ class Participant:
         """A control cycle has come."""
         tick = message.tick
         if tick % self._period:
+            self._gather(tick)
             return
         with self._lock:
             if tick > self._cycles.get(arm, (0, None))[0]:
                 self._cycles[arm] = (tick, message)
                 if self._lockstep or arm == self._arms[0]:
                     self._advance()
+
+    def _gather(self, tick: int) -> None:
+        """Leave cycles in their socket up to the next tick of the grid: its state comes before."""
+        with self._on_grid:
+            while self._task and self._state[0] < tick and not rospy.is_shutdown():
+                self._on_grid.wait(1.0)
 
     def on_task(self, message: TaskState) -> None:
         """A state of the task has come."""
@@ -183,7 +191,9 @@ class Participant:
             # One off the grid ends the episode. It may overtake a cycle: a controller's answer can
             # lead to it before that controller's cycle has come. No participant acts on it.
             if tick > self._state[0] and tick % GRID == 0:
-                self._state = (tick, message)
+                with self._on_grid:
+                    self._state = (tick, message)
+                    self._on_grid.notify_all()
                 self._advance()
 
     def _advance(self) -> None:

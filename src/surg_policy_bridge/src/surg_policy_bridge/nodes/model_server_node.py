@@ -99,12 +99,12 @@ class ModelServerNode:
                 self._io.rouse()
 
     def _on_cycle(self, message: Cycle, arm: str) -> None:
-        if self._io.settings.lockstep and message.tick % GRID:
-            return
-        with self._io.lock:
-            self._io.cycles[arm] = (time.monotonic_ns(), message)
-            if self._loop.participant is not None:
-                self._loop.participant.on_cycle(message, arm)
+        participant = self._loop.participant
+        if participant is None or message.tick % GRID == 0:
+            with self._io.lock:
+                self._io.cycles[arm] = (time.monotonic_ns(), message)
+        if participant is not None:
+            participant.on_cycle(message, arm)
 
     def _on_task_state(self, message: TaskState) -> None:
         with self._io.lock:
