@@ -42,7 +42,9 @@ def as_bytes(kind: type) -> type:
         self.data = data
         return self
 
-    return type(f"{kind.__name__}Bytes", (kind,), {"data": b"", "deserialize": deserialize})
+    # Without `kind`'s own __init__, which would make members that are never filled.
+    members = {"__init__": lambda self: None, "data": b"", "deserialize": deserialize}
+    return type(f"{kind.__name__}Bytes", (kind,), members)
 
 
 @functools.cache
