@@ -59,6 +59,18 @@ TEST(LockstepGate, WaitsForReadyAndForEveryMessage) {
   EXPECT_TRUE(gate.due(2));
 }
 
+TEST(LockstepGate, AReadyCountsFromTheOneBefore) {
+  LockstepGate gate({"policy"});
+  gate.ready("policy", 25, 1);
+  EXPECT_FALSE(gate.due(1));  // its message has not come
+  gate.received("policy");
+  EXPECT_TRUE(gate.due(1) && gate.due(25) && !gate.due(26));
+  gate.ready("policy", 50, 1);
+  gate.ready("policy", 50, 1);
+  EXPECT_TRUE(gate.due(26) && gate.due(50));
+  EXPECT_FALSE(gate.due(25));  // what it sends for 26 must not be taken earlier
+}
+
 TEST(LockstepGate, OneOrderForEveryArrival) {
   struct Sent {
     std::string sender, topic;

@@ -168,7 +168,7 @@ class Connection:
 class Ears:
     """Subscribers' ends of a publisher that has no graph."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, count: int, blocking: bool = False) -> None:
         from sensor_msgs.msg import JointState
 
         from surg_ros import byte_topics
@@ -188,7 +188,7 @@ class Ears:
         )
         made = SimpleNamespace(impl=self.impl)
         monkeypatch.setattr(byte_topics.rospy, "Publisher", lambda *_, **__: made)
-        self.out = byte_topics.BytesPublisher("/t", JointState, blocking=False)
+        self.out = byte_topics.BytesPublisher("/t", JointState, blocking)
 
     def read(self, which: int, most: int = 1 << 20) -> None:
         try:
@@ -227,8 +227,9 @@ def test_a_slow_subscriber_misses_whole_messages_and_delays_nobody(
     assert kept == sorted(set(kept)) and 20 < len(kept) < 400
 
 
-def test_one_that_has_gone_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    ears = Ears(monkeypatch, 2)
+@pytest.mark.parametrize("blocking", [False, True])
+def test_one_that_has_gone_is_forgotten(monkeypatch: pytest.MonkeyPatch, blocking: bool) -> None:
+    ears = Ears(monkeypatch, 2, blocking)
     ears.far[1].close()
     for k in range(3):
         ears.out.send(bytes([k]))

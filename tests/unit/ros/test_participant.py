@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import io
+import threading
+import time
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,6 +16,7 @@ rospy = pytest.importorskip("rospy")
 from surg_core.contract import GRID  # noqa: E402
 from surg_msgs.msg import Cycle, Ready, TaskState  # noqa: E402
 from surg_ros import participant as module  # noqa: E402
+from surg_ros.byte_topics import on_grid  # noqa: E402
 from surg_ros.participant import Participant, TickInputs  # noqa: E402
 
 ARMS = ("PSM1", "PSM2")
@@ -93,6 +97,33 @@ def test_without_arms_it_acts_on_the_grid() -> None:
     for tick in (GRID, GRID + 3, 2 * GRID):
         node.on_task(TaskState(tick=tick))
     assert [each.tick for each in seen] == [GRID, 2 * GRID]
+    assert [m.tick for m in node._ready.said] == [2 * GRID, 3 * GRID]
+
+
+def test_on_the_grid_it_reads_and_answers_that_alone() -> None:
+    """Meanwhile cycles wait in their sockets; Ready reaches up to the next tick of the grid."""
+    seen: list[TickInputs] = []
+    node, kind = make(seen, task=True, grid=True), on_grid(Cycle)
+    taken = dict.fromkeys(ARMS, 0)
+
+    def feed(arm: str) -> None:
+        for tick in range(1, 2 * GRID + 1):
+            data = io.BytesIO()
+            Cycle(tick=tick, q=[0.5], source="me").serialize(data)
+            node.on_cycle(kind().deserialize(data.getvalue()), arm)
+            taken[arm] = tick
+
+    threads = [threading.Thread(target=feed, args=(arm,), daemon=True) for arm in ARMS]
+    for thread in threads:
+        thread.start()
+    for tick in (GRID, 2 * GRID):
+        time.sleep(0.05)
+        assert set(taken.values()) == {tick - GRID} and len(seen) == tick // GRID - 1
+        node.on_task(TaskState(tick=tick))
+    for thread in threads:
+        thread.join(10.0)
+    assert [each.tick for each in seen] == [GRID, 2 * GRID]
+    assert [(c.tick, c.q, c.source) for c in seen[0].cycles.values()] == 2 * [(GRID, (0.5,), "me")]
     assert [m.tick for m in node._ready.said] == [2 * GRID, 3 * GRID]
 
 

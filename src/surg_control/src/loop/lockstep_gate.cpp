@@ -28,13 +28,14 @@ bool LockstepGate::push(const std::string& sender, const std::string& topic,
 void LockstepGate::ready(const std::string& participant, std::uint64_t tick, std::uint64_t sent) {
   const auto found = participants_.find(participant);
   if (found == participants_.end() || tick < found->second.ready_tick) return;
+  if (tick > found->second.ready_tick) found->second.ready_before = found->second.ready_tick;
   found->second.ready_tick = tick;
   found->second.sent = sent;
 }
 
 bool LockstepGate::due(std::uint64_t tick) const {
   return std::all_of(participants_.begin(), participants_.end(), [tick](const auto& entry) {
-    return entry.second.ready_tick == tick && entry.second.received >= entry.second.sent;
+    return entry.second.ready_for(tick) && entry.second.received >= entry.second.sent;
   });
 }
 
@@ -42,7 +43,7 @@ std::string LockstepGate::missing(std::uint64_t tick) const {
   std::string text;
   for (const auto& [name, participant] : participants_) {
     std::string why;
-    if (participant.ready_tick != tick) {
+    if (!participant.ready_for(tick)) {
       why = "is not ready for tick " + std::to_string(tick) +
             " (its last: " + std::to_string(participant.ready_tick) + ")";
     } else if (participant.received < participant.sent) {

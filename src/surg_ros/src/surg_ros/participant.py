@@ -20,7 +20,7 @@ from surg_core.arm_view import ArmView, Array
 from surg_core.contract import GRID, TICK_NS
 from surg_msgs.msg import Cycle, Ready, TaskState
 from surg_ros.arm_port import ArmPort, arm_view
-from surg_ros.byte_topics import BytesPublisher
+from surg_ros.byte_topics import BytesPublisher, on_grid
 from surg_ros.peers import publishers, subscribers
 
 ASSISTANT = "assistant"
@@ -69,9 +69,10 @@ class Participant:
         ports: The ports of the arms that it commands, by name.
         act: Called once per tick, with the lock held. Returns True: done, nothing more will be
             sent; False: not done; None: the answer follows by :meth:`ready`.
-        arms: Arms whose cycles it needs. With none it needs the task's state only, acts on the
-            grid, and says Ready from one grid tick to the next.
+        arms: Arms whose cycles it needs; with none it needs the task's state only.
         task: Whether it needs the task's state on the grid too.
+        grid: Whether it acts on the grid only, and says Ready from one grid tick to the next; so
+            does one without arms.
         lockstep: False: no Ready; ``act`` is called for every cycle of the first arm, after
             :meth:`connect` and once all arms have been heard.
         listen: False: the node subscribes itself, and calls :meth:`on_cycle` and :meth:`on_task`.
@@ -84,12 +85,14 @@ class Participant:
         act: Callable[[TickInputs], bool | None],
         arms: Sequence[str],
         task: bool = False,
+        grid: bool = False,
         lockstep: bool = True,
         listen: bool = True,
         lock: Any = None,
     ) -> None:
         self._ports, self._act, self._arms = dict(ports), act, tuple(arms)
         self._task, self._lockstep = task, lockstep
+        self._period = GRID if grid or not arms else 1  # [ticks] from one answer to the next
         self._lock = lock or threading.RLock()
         self._done = False
         # In lock-step no tick follows before this node's first Ready.
@@ -98,14 +101,16 @@ class Participant:
         """The tick that was seen last."""
         self._cycles: dict[str, tuple[int, Cycle]] = {}
         self._state: tuple[int, TaskState] = (0, TaskState())
+        self._on_grid = threading.Condition()  # a state of the task has come
         if lockstep:
             self._ready = BytesPublisher("/sim/ready", Ready, blocking=True, latch=True)
         self.inputs: list[Any] = []
         """Subscribers that must be connected before the first tick."""
         if listen:
             keys: dict[str, Any] = {"queue_size": None, "tcp_nodelay": True}
+            kind = on_grid(Cycle) if grid else Cycle
             self.inputs += [
-                rospy.Subscriber(f"/{arm}/cycle", Cycle, self.on_cycle, arm, **keys) for arm in arms
+                rospy.Subscriber(f"/{arm}/cycle", kind, self.on_cycle, arm, **keys) for arm in arms
             ]
             if task:
                 self.inputs.append(
@@ -135,7 +140,7 @@ class Participant:
         with self._lock:
             self._connected = True
             if self._lockstep and self.tick == 0:
-                self._say_ready(1 if self._arms else GRID)
+                self._say_ready(self._period)
 
     def _missing(self) -> str:
         """Who is not connected yet; what is sent before would be lost."""
@@ -163,12 +168,21 @@ class Participant:
 
     def on_cycle(self, message: Cycle, arm: str) -> None:
         """A control cycle has come."""
+        tick = message.tick
+        if tick % self._period:
+            self._gather(tick)
+            return
         with self._lock:
-            tick = message.tick
             if tick > self._cycles.get(arm, (0, None))[0]:
                 self._cycles[arm] = (tick, message)
                 if self._lockstep or arm == self._arms[0]:
                     self._advance()
+
+    def _gather(self, tick: int) -> None:
+        """Leave cycles in their socket up to the next tick of the grid: its state comes before."""
+        with self._on_grid:
+            while self._task and self._state[0] < tick and not rospy.is_shutdown():
+                self._on_grid.wait(1.0)
 
     def on_task(self, message: TaskState) -> None:
         """A state of the task has come."""
@@ -177,7 +191,9 @@ class Participant:
             # One off the grid ends the episode. It may overtake a cycle: a controller's answer can
             # lead to it before that controller's cycle has come. No participant acts on it.
             if tick > self._state[0] and tick % GRID == 0:
-                self._state = (tick, message)
+                with self._on_grid:
+                    self._state = (tick, message)
+                    self._on_grid.notify_all()
                 self._advance()
 
     def _advance(self) -> None:
@@ -205,7 +221,7 @@ class Participant:
         """All commands of the present tick are sent; with the lock held."""
         self._done = done
         if self._lockstep:
-            self._say_ready(self.tick + (1 if self._arms else GRID))
+            self._say_ready(self.tick + self._period)
 
     def _say_ready(self, tick: int) -> None:
         message = Ready(

@@ -31,8 +31,8 @@ class LockstepGate {
   /// same sender and topic are pending. All commands of a tick arrive before it is taken, so a
   /// participant's drops are the same in every run.
   bool push(const std::string& sender, const std::string& topic, const CommandItem& item);
-  /// A participant's message: for this tick it has sent 'sent' messages to this arm since its
-  /// start. Senders that are not declared are not waited for.
+  /// A participant's message: for the ticks since its last one and up to this it has sent 'sent'
+  /// messages to this arm since its start. Senders that are not declared are not waited for.
   void ready(const std::string& participant, std::uint64_t tick, std::uint64_t sent);
 
   /// Whether every participant is ready for the tick and all its messages have arrived.
@@ -49,8 +49,10 @@ class LockstepGate {
  private:
   struct Participant {
     std::uint64_t received = 0;
-    std::uint64_t ready_tick = 0;
+    std::uint64_t ready_before = 0, ready_tick = 0;
     std::uint64_t sent = 0;
+
+    bool ready_for(std::uint64_t tick) const { return ready_before < tick && tick <= ready_tick; }
   };
   struct PendingCommand {
     bool declared;

@@ -36,6 +36,7 @@ class LockStep:
             self._on_tick,
             io.settings.arms,
             task=bool(io.settings.task),
+            grid=True,
             listen=False,  # the node needs the same messages
             lock=io.lock,
         )
@@ -117,9 +118,7 @@ class LockStep:
         return ""
 
     def _on_tick(self, seen: TickInputs) -> bool | None:
-        """All cycles of a tick are here; a tick of the grid is answered by `turn`."""
-        if seen.tick % GRID:
-            return False
+        """All cycles of a tick of the grid are here; `turn` answers it."""
         self._due = seen.tick
         self._io.rouse()
         return None

@@ -33,6 +33,7 @@ from surg_policy_bridge.server.listen_address import BindError
 from surg_policy_bridge.server.server_parameters import Settings
 from surg_policy_client.errors import BadKeys
 from surg_policy_client.keys import server_keys
+from surg_ros.byte_topics import on_grid
 from surg_ros.camera_topic import camera_topic
 from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError, read
@@ -60,7 +61,8 @@ class ModelServerNode:
             keys = {"queue_size": None, "tcp_nodelay": True, **keys}
             return rospy.Subscriber(topic, kind, callback, *about, **keys)
 
-        inputs = [listen(f"/{arm}/cycle", Cycle, self._on_cycle, arm) for arm in settings.arms]
+        kind = on_grid(Cycle) if settings.lockstep else Cycle
+        inputs = [listen(f"/{arm}/cycle", kind, self._on_cycle, arm) for arm in settings.arms]
         if settings.task or settings.privileged:
             inputs.append(listen("/sim/task_state", TaskState, self._on_task_state))
         for camera in settings.cameras:
@@ -97,10 +99,12 @@ class ModelServerNode:
                 self._io.rouse()
 
     def _on_cycle(self, message: Cycle, arm: str) -> None:
-        with self._io.lock:
-            self._io.cycles[arm] = (time.monotonic_ns(), message)
-            if self._loop.participant is not None:
-                self._loop.participant.on_cycle(message, arm)
+        participant = self._loop.participant
+        if participant is None or message.tick % GRID == 0:
+            with self._io.lock:
+                self._io.cycles[arm] = (time.monotonic_ns(), message)
+        if participant is not None:
+            participant.on_cycle(message, arm)
 
     def _on_task_state(self, message: TaskState) -> None:
         with self._io.lock:

@@ -37,11 +37,14 @@ from surg_recording.nodes.recorder_state import RecorderState
 from surg_recording.nodes.recording_switch_node import RecordingSwitch
 from surg_recording.nodes.status_messages_node import simulation_outcome
 from surg_ros.arm_port import MOTION_COMMANDS, OTHER_COMMANDS
+from surg_ros.byte_topics import Pause
 
 ASSISTANT = "assistant"
 HOLD = "hold"
 TEXTS = ("error", "warning", "status")
 """Text topics of an arm that go to ``events.csv``."""
+GATHER_S = 0.02
+"""[s] Lock-step: so long messages of a tick may wait for the recorder, which may be late there."""
 TRUTH_TOPIC = "/sim/ground_truth/state"
 TASK_TOPIC = "/sim/task_state"
 DRIFT_TOPIC = "/endoscope/drift"
@@ -114,10 +117,18 @@ class RecorderTopics:
             self._subscribe(f"/{arm}/{name}", String, self._on_text, f"/{arm}/{name}")
 
     def _subscribe(self, topic: str, kind: type, call: Callable[..., None], *args: Any) -> None:
+        take = functools.partial(call, *args)
+        frequent = call in (self._on_cycle, self._on_truth, self._on_force)
+        pause = Pause(GATHER_S if frequent and self._state.lockstep else 0.0)
+
+        def receive(message: Any) -> None:
+            take(message)
+            pause()
+
         self.subscribers[topic] = rospy.Subscriber(
             topic,
             kind,
-            functools.partial(call, *args),
+            receive,
             queue_size=None,
             buff_size=1 << 20 if call == self._on_image else 1 << 16,
             tcp_nodelay=True,

@@ -53,7 +53,7 @@ class ExpertNode:
             rospy.Subscriber(f"/{arm}/operating_state", OperatingState, self._on_state, arm)
             for arm in after
         ]
-        self._participant = Participant(self._ports, self._act, expert.arms, task=True)
+        self._participant = Participant(self._ports, self._act, expert.arms, task=True, grid=True)
         self.connect: Callable[[], None] = self._participant.connect
 
     def _on_state(self, message: OperatingState, arm: str) -> None:

@@ -115,10 +115,12 @@ class StatePublisher:
             fault=surg_core.condition_sentence(condition) or link.fault,
             speed_scaling=scaling,
         )
-        unchanged = replace(says, last_command_ns=0)
-        if self._lockstep or tick % _STATUS_TICKS == 0 or unchanged != arm.said:
+        if not self._lockstep:
+            unchanged = replace(says, last_command_ns=0)
+            if tick % _STATUS_TICKS != 0 and unchanged == arm.said:
+                return
             arm.said = unchanged
-            arm.status.send(says.pack(stamp_ns, tick))
+        arm.status.send(says.pack(stamp_ns, tick))
 
     def unconnected(
         self, observers: Sequence[str], ready: set[str], controllers: Mapping[str, set[str]]
