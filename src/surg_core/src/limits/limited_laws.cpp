@@ -22,10 +22,9 @@ constexpr double kReturnAtOnce = 2e-8;  // [m] per cycle, always taken back: no 
 constexpr double kRollLever = 0.05;     // [m/rad] weighs roll against length
 
 // How an arm returns to its recorded trace, in joint space.
-constexpr double kRetraceReturn = 1.0;    // [rad/s^2] of the return
-constexpr double kRetraceAtOnce = 1e-7;   // [rad] per cycle, always taken back
-constexpr double kRetraceHorizon = 0.45;  // [s] of look-ahead along the trace
-constexpr double kTraceSpacing = 1e-3;    // [s] for the trace's direction
+constexpr double kRetraceReturn = 1.0;   // [rad/s^2] of the return
+constexpr double kRetraceAtOnce = 1e-7;  // [rad] per cycle, always taken back
+constexpr double kTraceSpacing = 1e-3;   // [s] for the trace's direction
 
 /// Share of a displacement that is left after a cycle of T: taken back gently, and at once where
 /// nobody could see it.
@@ -269,8 +268,6 @@ LimitedStep::RetraceLaw::RetraceLaw(const LimitedStep& self, const Here& here,
   off_ = here.q - at_0_;
   keep_ = kept(largest(off_), kRetraceReturn, kRetraceAtOnce, self.T_);
 }
-
-double LimitedStep::RetraceLaw::horizon() const { return kRetraceHorizon; }
 
 LimitedStep::Affine LimitedStep::RetraceLaw::affine() const {
   const double T = self_.T_;

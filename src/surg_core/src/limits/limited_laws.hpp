@@ -172,7 +172,7 @@ class LimitedStep::RetraceLaw : public Law {
   Joints finish(const Affine&, double alpha, double beta, const Joints&) const override;
   RcmRows rows(const Joints& qd) const override { return rows_after(qd, p_BRcm_); }
   Vector3 p_BRcm() const override { return p_BRcm_; }
-  double horizon() const override;
+  double horizon() const override { return kHorizon; }
   bool node(double t, const Joints&, double, Node& node) const override;
   bool has_barrier() const override { return false; }
 
