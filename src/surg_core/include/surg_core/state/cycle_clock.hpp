@@ -16,6 +16,7 @@ class CycleClock {
   static constexpr double kShare = 0.5;  ///< of late cycles; a larger one is an overrun
   static constexpr int kCatchUp = 25;    ///< [periods] a longer gap, or gaps in a row that
                                          ///< together are longer, are not made up for
+  static constexpr double kMemory = 0.5;  ///< [s] over which recent cycles and states are judged
   static constexpr int kMostPeriods = 500;  ///< that one cycle counts at most
 
   /// period [s] of control.
