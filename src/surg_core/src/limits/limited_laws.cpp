@@ -156,7 +156,7 @@ Joints LimitedStep::ExactLaw::finish(const Affine& affine, double alpha, double 
                                      const Joints& qd) const {
   const double T = self_.T_;
   const double keep = 1 - beta * (1 - keep_);
-  Joints q = here_.q + T * (qd - 0.5 * T * alpha * alpha * affine.qdd);
+  Joints q = here_.q + T * qd;
   Pose X;
   Jacobian J;
   self_.chain_.forward(q, X, J);
