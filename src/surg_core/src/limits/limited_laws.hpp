@@ -43,7 +43,7 @@ struct LimitedStep::Affine {
   Joints back;
   Vector6 twist;  ///< of the flange, by qd1
   Vector6 bias;   ///< flange's acceleration at constant joint velocities qd1 (J_dot qd1)
-  Joints qdd = Joints::Zero();  ///< J^-1 bias, exact form only; zero next to a singularity
+  Joints qdd = Joints::Zero();   ///< J^-1 bias, exact form only; zero next to a singularity
   SingularityMeasures measures;  ///< here, where the barrier applies
   Pose end;  ///< exact form only: where the path is at 'end_at' [s] of the clock
   double end_at = 0;

@@ -82,9 +82,7 @@ LimitedStep::LookAhead::LookAhead(const LimitedStep& self, const Law& law, const
     } else if (by_[0] == 'p') {
       by_ = "unreachable";
     }
-    plan();
-    // As fast here as it may be, and stops in time: what lies behind only adds room.
-    if (square_[0] == most_[0] && square_[1] == most_[1] && !(t_[1] < self_.T_)) return;
+    if (plan()) return;
   }
 }
 
@@ -165,18 +163,22 @@ double LimitedStep::LookAhead::fastest() const {
 
 /// From standstill at the last node backwards to here: q_ddot = u q'' + u' q' / 2 with u the
 /// squared clock speed, in the middle of each interval, within the joints' accelerations. Where a
-/// node's speed is what a shorter plan found, so is that of all before it.
-void LimitedStep::LookAhead::plan() {
+/// node's speed is what a shorter plan found, so is that of all before it. Returns whether a node
+/// beyond this cycle may be passed as fast as it allows: what lies behind only adds room.
+bool LimitedStep::LookAhead::plan() {
   const Joints most = kPlanAcceleration * padded(self_.limits_.acceleration);
   square_[last_] = 0;
   const int known = std::exchange(planned_, last_);
+  bool settled = false;
   for (int i = last_ - 1; i >= 0; --i) {
     const Joints &A = from_[i], &B = to_[i];
     const double before = std::exchange(square_[i], most_[i]);
     const Joints needed = A.cwiseAbs() * most_[i] + B.cwiseAbs() * square_[i + 1];
     if (!(needed.array() <= most.array()).all()) square_[i] = fastest_before(i, most);
-    if (i < known && square_[i] == before) return;
+    settled |= i > 0 && !(t_[i] < self_.T_) && square_[i] == most_[i];
+    if (i < known && square_[i] == before) break;
   }
+  return settled;
 }
 
 /// What the joints can brake from, or speed up from, in the interval before the node after i.

@@ -24,7 +24,7 @@ class LimitedStep::LookAhead {
   double alpha() const;
   bool advance(const Law& law, const Here& here);
   double fastest() const;
-  void plan();
+  bool plan();
   double fastest_before(int i, const Joints& most) const;
   bool passes(const SingularityMeasures& to) const;
   bool inside_positions(const Joints& q, const Joints& from) const;
