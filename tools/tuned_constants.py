@@ -20,6 +20,8 @@ NO_TUNING = {
     *("kOnPivot", "kRowsKept", "kPositionGuard", "kDof", "kMaxJoints", "kHistory", "kVersion"),
     *("kBlocks", "kBlockEvents", "kPlaces", "kSamples", "kTerms"),
     *("kWallRounding", "kPeriodRounding", "kOnAxis", "kPivotReached"),
+    *("kMaxCommands", "kMaxOtherArms", "kMaxLinkCapsules", "kCapacity", "kJoints", "kUrJoints"),
+    *("kNobody", "kAny"),
 }
 """Rounding, sizes of arrays and marks such as infinity."""
 _STATED = re.compile(

@@ -907,7 +907,7 @@ class Run {
       double rate = 1e3;
       for (int i = 0; i < before_.qd_command.size(); ++i) {
         const double qd = std::max(std::abs(before_.qd_command[i]), 1e-6);
-        rate = std::min(rate, ExactFollower::kReferenceAcceleration * robot_.acceleration[i] / qd);
+        rate = std::min(rate, ExactFollower::kReferenceShare * robot_.acceleration[i] / qd);
       }
       const double braking =
           std::max(speed * speed / (2 * robot_.limits.stop_deceleration), speed / (2 * rate));

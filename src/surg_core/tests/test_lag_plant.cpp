@@ -322,8 +322,8 @@ TEST(LagPlant, TheCommandKeepsTheJointLimitsWhileThePivotHolds) {
       JointLimits limits;
       limits.position_min = JointVector::Constant(n, -7);
       limits.position_max = JointVector::Constant(n, 7);
-      limits.velocity = ExactFollower::kReferenceVelocity * scene.velocity;
-      limits.acceleration = ExactFollower::kReferenceAcceleration * scene.acceleration;
+      limits.velocity = ExactFollower::kReferenceShare * scene.velocity;
+      limits.acceleration = ExactFollower::kReferenceShare * scene.acceleration;
       const LimitedStep limited(scene.chain, scene.tool, limits, kT);
       MeasuredFollower follower(
           n, {JointVector::Constant(n, kLinkLag), 50, kT, scene.velocity, scene.acceleration});

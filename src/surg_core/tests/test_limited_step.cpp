@@ -361,6 +361,19 @@ TEST(Limited, PandaUnderLimits) {
   EXPECT_GE(tally.finished, 0.5 * n);
 }
 
+/// A joint at its velocity limit slows the path down; it does not push the tip off it.
+TEST(Limited, AVelocityLimitSlowsThePathAndKeepsIt) {
+  JointLimits limits = test::slow_joints(7);
+  limits.velocity.setConstant(0.2);
+  DriveOptions unseen;
+  unseen.horizon = 0;
+  for (unsigned seed = 9000; seed < 9003; ++seed) {
+    const Course course = test::drive(panda_scene(seed), limits, JointVector::Zero(7), unseen);
+    ASSERT_GT(course.velocity, 0.99) << "path " << seed << ": no limit binds";
+    EXPECT_LT(course.off_max, 1e-8) << "path " << seed;
+  }
+}
+
 /// Targets that jump: a velocity of the tip that changes at random instants without any profile.
 /// The path is what a stream filter would have ruled out; the promises hold all the same.
 TEST(Limited, JumpingTargetsKeepEveryLimitAndThePivot) {

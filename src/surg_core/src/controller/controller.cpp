@@ -33,10 +33,10 @@ JointVector look_ahead_lag(const RobotConfig& robot, const Controller::Options& 
 JointLimits step_limits(const RobotConfig& robot, const Limits& limits, Law law) {
   JointLimits out = joint_limits(robot, limits);
   if (law == Law::kExact) {
-    out.velocity *= ExactFollower::kReferenceVelocity;
-    out.acceleration *= ExactFollower::kReferenceAcceleration;
+    out.velocity *= ExactFollower::kReferenceShare;
+    out.acceleration *= ExactFollower::kReferenceShare;
   }
-  out.flange_velocity *= ExactFollower::kReferenceVelocity;
+  out.flange_velocity *= ExactFollower::kReferenceShare;
   out.position_min.array() += kPositionReserve;
   out.position_max.array() -= kPositionReserve;
   return out;

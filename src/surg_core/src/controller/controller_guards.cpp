@@ -9,7 +9,6 @@ namespace {
 constexpr double kFollowDistance =
     0.01;                                // [m] expected to measured tip; beyond it the arm is stuck
 constexpr double kToolTimeout = 0.2;     // [s] without a jaw state (F31)
-constexpr double kDelayDecay = 0.5;      // [s] time constant of the recent state age
 constexpr double kDampedLoop = 0.7;      // gain times delay of a loop that is well damped
 constexpr double kVelocitySlack = 0.05;  // [rad/s] noise of measured velocities
 constexpr int kUnexplained = 5;          // [cycles] of a motion that no command explains
@@ -73,7 +72,7 @@ void Controller::Impl::sense(const Inputs& in) {
     return;
   }
   state_known = true;
-  const double kept = std::max(1 - clock.periods() * T / kDelayDecay, 0.0);
+  const double kept = std::max(1 - clock.periods() * T / CycleClock::kMemory, 0.0);
   state_delay = std::max(in.state_age - T, state_delay * kept);
   if (track_rcm) trocar_before = trocar;
   if (!stopping_off_pivot()) update_trocar(in);

@@ -13,7 +13,6 @@ constexpr double kHoldNamed =
     0.1;  // [s] behind a cycle that was held: the clock restarts meanwhile
 constexpr double kMaxFlangeLead = 0.5;  // of the flange's speed, so that the reference still moves
 constexpr double kPivotOffsetPole = 8;  // [1/s] pole of the convergence to the pivot after a start
-constexpr double kHorizon = 0.45;       // [s] of look-ahead on the set-point's clock
 constexpr double kRetraceRate = 0.15;   // [rad/s] of the fastest joint of `rcm/retrace`
 constexpr double kOffPath = 1e-6;       // [m] of the reference's tip beside its set-point
 constexpr double kNegligible = 1e-3;    // [rad, rad/s] a retrace has arrived
@@ -273,7 +272,7 @@ ShaftGoal Controller::Impl::goal_at(const Setpoint& next, double t) const {
 }
 
 double Controller::Impl::horizon() const {
-  return handler.setpoint().mode() == Setpoint::Mode::kStream ? 0.0 : kHorizon;
+  return handler.setpoint().mode() == Setpoint::Mode::kStream ? 0.0 : LimitedStep::kHorizon;
 }
 
 JointVector Controller::Impl::posture_at(const JointVector& q) const {

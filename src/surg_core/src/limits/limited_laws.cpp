@@ -22,10 +22,9 @@ constexpr double kReturnAtOnce = 2e-8;  // [m] per cycle, always taken back: no 
 constexpr double kRollLever = 0.05;     // [m/rad] weighs roll against length
 
 // How an arm returns to its recorded trace, in joint space.
-constexpr double kRetraceReturn = 1.0;    // [rad/s^2] of the return
-constexpr double kRetraceAtOnce = 1e-7;   // [rad] per cycle, always taken back
-constexpr double kRetraceHorizon = 0.45;  // [s] of look-ahead along the trace
-constexpr double kTraceSpacing = 1e-3;    // [s] for the trace's direction
+constexpr double kRetraceReturn = 1.0;   // [rad/s^2] of the return
+constexpr double kRetraceAtOnce = 1e-7;  // [rad] per cycle, always taken back
+constexpr double kTraceSpacing = 1e-3;   // [s] for the trace's direction
 
 /// Share of a displacement that is left after a cycle of T: taken back gently, and at once where
 /// nobody could see it.
@@ -157,7 +156,7 @@ Joints LimitedStep::ExactLaw::finish(const Affine& affine, double alpha, double 
                                      const Joints& qd) const {
   const double T = self_.T_;
   const double keep = 1 - beta * (1 - keep_);
-  Joints q = here_.q + T * (qd - 0.5 * T * alpha * alpha * affine.qdd);
+  Joints q = here_.q + T * qd;
   Pose X;
   Jacobian J;
   self_.chain_.forward(q, X, J);
@@ -269,8 +268,6 @@ LimitedStep::RetraceLaw::RetraceLaw(const LimitedStep& self, const Here& here,
   off_ = here.q - at_0_;
   keep_ = kept(largest(off_), kRetraceReturn, kRetraceAtOnce, self.T_);
 }
-
-double LimitedStep::RetraceLaw::horizon() const { return kRetraceHorizon; }
 
 LimitedStep::Affine LimitedStep::RetraceLaw::affine() const {
   const double T = self_.T_;

@@ -43,7 +43,7 @@ struct LimitedStep::Affine {
   Joints back;
   Vector6 twist;  ///< of the flange, by qd1
   Vector6 bias;   ///< flange's acceleration at constant joint velocities qd1 (J_dot qd1)
-  Joints qdd;     ///< J^-1 bias, exact form only; zero next to a singularity
+  Joints qdd = Joints::Zero();   ///< J^-1 bias, exact form only; zero next to a singularity
   SingularityMeasures measures;  ///< here, where the barrier applies
   Pose end;  ///< exact form only: where the path is at 'end_at' [s] of the clock
   double end_at = 0;
@@ -172,7 +172,7 @@ class LimitedStep::RetraceLaw : public Law {
   Joints finish(const Affine&, double alpha, double beta, const Joints&) const override;
   RcmRows rows(const Joints& qd) const override { return rows_after(qd, p_BRcm_); }
   Vector3 p_BRcm() const override { return p_BRcm_; }
-  double horizon() const override;
+  double horizon() const override { return kHorizon; }
   bool node(double t, const Joints&, double, Node& node) const override;
   bool has_barrier() const override { return false; }
 

@@ -16,6 +16,7 @@ constexpr int kRowPasses = 4;            // of the pivot's rows off the path
 constexpr double kPivotReached = 1e-12;  // [m]
 constexpr double kRowsKept = 1e-9;       // [m] more than this off the pivot counts as leaving it
 constexpr double kRoomUsed = 0.9;        // of the way back that the linear picture has room for
+constexpr double kInside = 1e-3;         // of alpha's interval, kept from its upper end: rounding
 constexpr double kStill = 1e-4;          // share of a joint's velocity limit that is no motion
 constexpr double kSagitta = 0.42e-6;     // [m] off the pivot between two samples
 constexpr double kSlightBend = 0.25;     // of the bend that caps alpha: less needs no node
@@ -241,25 +242,31 @@ bool LimitedStep::on_path(const Law& law, const Affine& affine, const Box& box, 
 }
 
 /// With a share 'beta' of the way back: alpha from the linear picture, the step without it, what
-/// was missed into the picture, and again.
+/// was missed into the picture, and again. The picture knows how the arm itself bends, at the alpha
+/// before.
 bool LimitedStep::on_path(const Law& law, const Affine& affine, const Box& box, const Cap& cap,
                           double beta, Step& step) const {
+  Joints back = Joints::Zero();
+  if (beta < 1 && affine.returning) back = (1 - beta) * affine.back;
+  const AlphaRange straight = box.alphas(affine.qd0 - back, affine.qd1);
+  if (straight.empty()) return false;
+  double alpha = std::clamp(cap.alpha, straight.low, straight.high);
+  const auto bend = [&]() -> Joints { return 0.5 * T_ * alpha * alpha * affine.qdd; };
   Joints missed = Joints::Zero();
-  double alpha = 0;
   bool found = false;
   for (int pass = 0; pass < kPasses; ++pass) {
-    Joints qd0 = affine.qd0 + missed;
-    if (beta < 1 && affine.returning) qd0 -= (1 - beta) * affine.back;
-    const AlphaRange range = box.alphas(qd0, affine.qd1);
+    const Joints qd0 = affine.qd0 + missed - back;
+    const AlphaRange range = box.alphas(qd0 - bend(), affine.qd1);
     const bool bent = range.empty();  // the linear picture is worthless: go back by halves
-    if (bent && (pass == 0 || found)) break;
+    if (bent && found) break;
+    const double inside = range.high < 1 ? kInside * (range.high - range.low) : 0.0;
     double next = bent ? (pass + 1 < kPasses ? 0.3 * alpha : 0.0)
-                       : std::clamp(cap.alpha, range.low, range.high);
+                       : std::clamp(cap.alpha, range.low, range.high - inside);
     // A little inside the edge, or rounding would throw the harder braking away.
     if (found) next += 0.1 * std::max(alpha - next, 0.0);
     if (found && !(next < alpha)) break;
     alpha = next;
-    const Joints linear = qd0 + alpha * affine.qd1;
+    const Joints linear = qd0 + alpha * affine.qd1 - bend();
     const Joints qd = law.finish(affine, alpha, beta, box.clamped(linear));
     const bool holds = box.holds(qd);
     if (holds) {

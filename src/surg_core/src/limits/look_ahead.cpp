@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "limits/joint_box.hpp"
 
@@ -68,31 +69,26 @@ LimitedStep::LookAhead::LookAhead(const LimitedStep& self, const Law& law, const
       flange_velocity_(here.flange_velocity),
       spacing_(self.T_),
       arc_(kFirstArc) {
-  at_[0] = here.q;
-  direction_[0] = affine.tangent;
-  flange_[0] = flange_twist(here.J, affine.tangent).head<3>().norm();
-  measures_ = affine.measures;
-  most_[0] = fastest(0);
+  node_ = {here.q, affine.tangent, affine.measures,
+           flange_twist(here.J, affine.tangent).head<3>().norm()};
+  most_[0] = fastest();
   // [s] of the clock to a stop, if the joints stayed as fast as here.
   const double enough = most_[0] / (2 * clock_braking(affine.tangent, self.limits_.acceleration));
   for (bool more = true; more;) {
     more = advance(law, here);
     if (more) {
-      most_[last_] = fastest(last_);
       more = last_ < kNodes && evaluations_ < 2 * kNodes && t_[last_] < horizon_;
       if (more && t_[last_] < enough) continue;
     } else if (by_[0] == 'p') {
       by_ = "unreachable";
     }
-    plan();
-    // As fast here as it may be, and stops in time: what lies behind only adds room.
-    if (square_[0] == most_[0] && square_[1] == most_[1] && !(t_[1] < self_.T_)) return;
+    if (plan()) return;
   }
 }
 
 /// One node more, at first as far as the spacing allows; false where there is none.
 bool LimitedStep::LookAhead::advance(const Law& law, const Here& here) {
-  const double speed = largest(direction_[last_]);
+  const double speed = largest(node_.direction);
   double dt = std::min(spacing_, horizon_ - t_[last_]);
   if (speed * dt > arc_) dt = arc_ / speed;
   for (; evaluations_ < 2 * kNodes; dt *= kShorter) {
@@ -100,7 +96,7 @@ bool LimitedStep::LookAhead::advance(const Law& law, const Here& here) {
     ++evaluations_;
     const double t = t_[last_] + dt;
     Node node;
-    if (!law.node(t, at_[last_] + dt * direction_[last_], speed * dt, node)) continue;
+    if (!law.node(t, node_.q + dt * node_.direction, speed * dt, node)) continue;
     if (!passes(node.measures)) {
       by_ = "singularity";
       continue;
@@ -109,12 +105,14 @@ bool LimitedStep::LookAhead::advance(const Law& law, const Here& here) {
       by_ = "joint_limit";
       continue;
     }
-    ++last_;
-    t_[last_] = t;
-    direction_[last_] = node.direction;
-    flange_[last_] = node.flange;
-    at_[last_] = node.q;
-    measures_ = node.measures;
+    const double way = t - t_[last_];
+    const Joints bend = (node.direction - node_.direction) / way;
+    const Joints along = 0.5 * (node.direction + node_.direction) / way;
+    from_[last_] = 0.5 * (bend - along);
+    to_[last_] = 0.5 * (bend + along);
+    node_ = node;
+    t_[++last_] = t;
+    most_[last_] = fastest();
     spacing_ = std::min(spacing_, 2 * dt) * kSpacingGrowth;
     arc_ *= kSpacingGrowth;
     return true;
@@ -126,9 +124,10 @@ bool LimitedStep::LookAhead::advance(const Law& law, const Here& here) {
 /// closer than the barrier allows.
 bool LimitedStep::LookAhead::passes(const SingularityMeasures& to) const {
   const double phi_min = self_.barrier_.phi_min();
-  for (int i = 0; i < std::min(measures_.n, to.n); ++i) {
-    const double before = std::abs(measures_.phi[i]), after = std::abs(to.phi[i]);
-    if (to.phi[i] * measures_.phi[i] <= 0) return false;
+  const SingularityMeasures& from = node_.measures;
+  for (int i = 0; i < std::min(from.n, to.n); ++i) {
+    const double before = std::abs(from.phi[i]), after = std::abs(to.phi[i]);
+    if (to.phi[i] * from.phi[i] <= 0) return false;
     if (after < phi_min && after < before) return false;
   }
   return true;
@@ -144,16 +143,16 @@ bool LimitedStep::LookAhead::inside_positions(const Joints& q, const Joints& fro
   return true;
 }
 
-/// The clock's squared speed at a node that flange and joints allow there, in the margin before a
-/// position limit as well.
-double LimitedStep::LookAhead::fastest(int i) const {
+/// The clock's squared speed at the last node that flange and joints allow there, in the margin
+/// before a position limit as well.
+double LimitedStep::LookAhead::fastest() const {
   const JointLimits& limits = self_.limits_;
-  const double top = kPlanVelocity * flange_velocity_ / std::max(flange_[i], 1e-9);
+  const double top = kPlanVelocity * flange_velocity_ / std::max(node_.flange, 1e-9);
   double most = std::min(1.0, top * top);
   for (Eigen::Index j = 0; j < n_; ++j) {
-    const double speed = direction_[i][j];
+    const double speed = node_.direction[j];
     const double left =
-        speed > 0 ? limits.position_max[j] - at_[i][j] : at_[i][j] - limits.position_min[j];
+        speed > 0 ? limits.position_max[j] - node_.q[j] : node_.q[j] - limits.position_min[j];
     const double v = approach_speed(limits.velocity[j], left, limits.acceleration[j],
                                     limits.position_margin, self_.T_) *
                      (kPlanVelocity / std::max(std::abs(speed), 1e-9));
@@ -163,27 +162,36 @@ double LimitedStep::LookAhead::fastest(int i) const {
 }
 
 /// From standstill at the last node backwards to here: q_ddot = u q'' + u' q' / 2 with u the
-/// squared clock speed, in the middle of each interval, within the joints' accelerations.
-void LimitedStep::LookAhead::plan() {
+/// squared clock speed, in the middle of each interval, within the joints' accelerations. Where a
+/// node's speed is what a shorter plan found, so is that of all before it. Returns whether a node
+/// beyond this cycle may be passed as fast as it allows: what lies behind only adds room.
+bool LimitedStep::LookAhead::plan() {
   const Joints most = kPlanAcceleration * padded(self_.limits_.acceleration);
   square_[last_] = 0;
+  const int known = std::exchange(planned_, last_);
+  bool settled = false;
   for (int i = last_ - 1; i >= 0; --i) {
-    const double dt = t_[i + 1] - t_[i];
-    const Joints bend = (direction_[i + 1] - direction_[i]) / dt;
-    const Joints along = 0.5 * (direction_[i + 1] + direction_[i]) / dt;
-    const Joints A = 0.5 * (bend - along), B = 0.5 * (bend + along);
-    square_[i] = most_[i];
+    const Joints &A = from_[i], &B = to_[i];
+    const double before = std::exchange(square_[i], most_[i]);
     const Joints needed = A.cwiseAbs() * most_[i] + B.cwiseAbs() * square_[i + 1];
-    if ((needed.array() <= most.array()).all()) continue;
-    Rows rows;
-    int n = 0;
-    for (Eigen::Index j = 0; j < n_; ++j) {
-      if (std::abs(A[j]) + std::abs(B[j]) < 1e-12) continue;
-      rows[n++] = {A[j], B[j], most[j]};
-      rows[n++] = {-A[j], -B[j], most[j]};
-    }
-    square_[i] = largest_x(rows, n, most_[i], square_[i + 1]);
+    if (!(needed.array() <= most.array()).all()) square_[i] = fastest_before(i, most);
+    settled |= i > 0 && !(t_[i] < self_.T_) && square_[i] == most_[i];
+    if (i < known && square_[i] == before) break;
   }
+  return settled;
+}
+
+/// What the joints can brake from, or speed up from, in the interval before the node after i.
+double LimitedStep::LookAhead::fastest_before(int i, const Joints& most) const {
+  const Joints &A = from_[i], &B = to_[i];
+  Rows rows;
+  int n = 0;
+  for (Eigen::Index j = 0; j < n_; ++j) {
+    if (std::abs(A[j]) + std::abs(B[j]) < 1e-12) continue;
+    rows[n++] = {A[j], B[j], most[j]};
+    rows[n++] = {-A[j], -B[j], most[j]};
+  }
+  return largest_x(rows, n, most_[i], square_[i + 1]);
 }
 
 /// alpha^2 below the curve here and after alpha T.

@@ -23,23 +23,22 @@ class LimitedStep::LookAhead {
 
   double alpha() const;
   bool advance(const Law& law, const Here& here);
-  double fastest(int i) const;
-  void plan();
+  double fastest() const;
+  bool plan();
+  double fastest_before(int i, const Joints& most) const;
   bool passes(const SingularityMeasures& to) const;
   bool inside_positions(const Joints& q, const Joints& from) const;
 
   const LimitedStep& self_;
   const Eigen::Index n_;  ///< joints
   double horizon_;
-  int last_ = 0;                                   ///< index of the last node; 0 is here
+  int last_ = 0, planned_ = 0;                     ///< index of the last node; 0 is here
   std::array<double, kNodes + 1> t_{}, square_{};  ///< [s] of the clock; its largest squared speed
   std::array<double, kNodes + 1> most_{};          ///< what flange and joints allow of it there
-  std::array<Joints, kNodes + 1> direction_;       ///< d q / d clock
-  std::array<Joints, kNodes + 1> at_;              ///< q
-  std::array<double, kNodes + 1> flange_{};        ///< [m/s] at full clock
-  double flange_velocity_;                         ///< [m/s] what there is of the limit
-  // Of the last node, and of the way to the next.
-  SingularityMeasures measures_;
+  /// Joint accelerations between two nodes by the squared speeds at the first and the second.
+  std::array<Joints, kNodes> from_, to_;
+  double flange_velocity_;  ///< [m/s] what there is of the limit
+  Node node_;               ///< the last
   double spacing_, arc_;
   int evaluations_ = 0;
   const char* by_ = "preview";

@@ -20,10 +20,9 @@ constexpr double kHeldDistance = 1e-4;     // [m] of the set-point that is no pr
 constexpr double kHeldRoll = 1e-3;         // [rad] of the set-point that is no progress
 constexpr double kAxialSpeed = 0.02;       // [m/s] of insert and withdraw
 constexpr double kClearance = 0.01;        // [m] of the tip above the trocar after withdraw
-constexpr double kWallMargin = 1e-3;       // [m] inside the workspace slides a stream
+constexpr double kMargin = 1e-3;           // [m] to a wall: slides inside; outside, is inserted
 constexpr double kOldest = 0.2;            // [s] no sample waits longer for its cycle
 constexpr int kSlideTurns = 4;  // of the search for the tip's place at the end of the wrist
-constexpr double kNotInsertedSlack = 1e-3;  // [m] a tip that rests on depth_min is still inserted
 
 /// Angle of the twist about z in a rotation (swing-twist about the shaft at its target).
 double twist_about_z(const Eigen::Quaterniond& q) { return 2 * std::atan2(q.z(), q.w()); }
@@ -227,7 +226,7 @@ Reason CommandHandler::take(const MotionCommand& command) {
     return Reason::kHeld;
   }
   const bool along_shaft = motion == Motion::kInsert || motion == Motion::kWithdraw;
-  const bool out = setpoint_.joints()[2] < limits_.depth_min - kNotInsertedSlack;
+  const bool out = setpoint_.joints()[2] < limits_.depth_min - kMargin;
   if (out && !along_shaft && motion != Motion::kRetrace) return Reason::kNotInserted;
   const Reason reason = along_shaft ? move_along_shaft(motion) : apply(command);
   if (reason == Reason::kStreamStartTooFar) {
@@ -407,7 +406,7 @@ Reason CommandHandler::stream(const MotionCommand& command) {
 
 /// The reachable target nearest to p, a little inside the workspace.
 Vector3 CommandHandler::nearest_reachable(const Vector3& p_RTip) const {
-  const Vector3 p = nearest_inside(limits_, p_RTip, kWallMargin);
+  const Vector3 p = nearest_inside(limits_, p_RTip, kMargin);
   return targets_reachable(p) ? p : Vector3(p.normalized() * limits_.depth_slow);
 }
 

@@ -16,7 +16,6 @@ constexpr double kStill = 2e-3;             // [rad/s] slower than that the elbo
 constexpr double kFullTurn = 0.3;           // [rad/rad] of the elbow; below it slower
 constexpr double kSlowest = 0.05;           // share of the speed at the least turn
 constexpr double kWalk = 0.03;              // [rad] of the elbow between two postures of the check
-constexpr int kMostWalk = 220;              // postures; two half turns
 
 }  // namespace
 
@@ -61,7 +60,7 @@ Reason ElbowMotion::go_to(double angle, const JointVector& q, int& by) {
   Here here = at(q);
   const Pose X_BFGoal = here.X_BF;
   const double way = here.turn.regular ? wrapped(angle - here.turn.angle) : 0.0;
-  for (int i = 0; i < kMostWalk && here.turn.regular; ++i) {
+  for (int i = 0; i * kWalk < 2 * M_PI && here.turn.regular; ++i) {
     const double left = i == 0 ? way : wrapped(angle - here.turn.angle);
     const bool there = std::abs(left) < 0.5 * kTolerance || left * way < 0;
     const Range allowed = range(here, 1.0);

@@ -6,12 +6,11 @@
 namespace surg {
 namespace {
 
-constexpr double kRateMemory = 1.0;   // [s] over which offset, phase and period are averaged
+constexpr double kMemory = 1.0;       // [s] over which stamps and arrivals are judged
 constexpr double kStart = 0.2;        // [s] until the rate of arrivals counts as a period
 constexpr double kPause = 0.5;        // [s] without a sample; the stream starts anew
 constexpr double kFarOff = 0.15;      // [s] no transport delays one sample by so much more
 constexpr double kMaxBias = 0.01;     // [s] reached by clocks that differ by 1 % in rate
-constexpr double kProbation = 1.0;    // [s] of good stamps before they are used again
 constexpr double kRoughness = 0.001;  // [s] by which good stamps may be rougher than the arrivals
 constexpr double kRoughest = 0.05;    // [s] a single jump counts for no more
 constexpr double kMissing = 0.6;      // of a period: a sample is missing
@@ -20,7 +19,7 @@ constexpr double kAlone = 0.9;        // of the samples: each was the only one o
 constexpr double kUneven = 1e-4;      // [s] by which cycles differ that are no period
 constexpr double kKeepsTo = 0.5;      // of kUneven: a sample that answers a cycle keeps to it
 
-double share_of(double time) { return std::min(time / kRateMemory, 1.0); }
+double share_of(double time) { return std::min(time / kMemory, 1.0); }
 
 }  // namespace
 
@@ -70,7 +69,7 @@ bool StreamClock::judge(double ran, double since) {
   if (credible) {
     stamp_count_ += 1;
     stamp_time_ += std::max(1 / (stamp_count_ + 1), share_of(ran)) * late;
-    if (span_ > kRateMemory) bias_ += share_of(ran) * (late - bias_);
+    if (span_ > kMemory) bias_ += share_of(ran) * (late - bias_);
   } else {
     stamp_time_ = arrival_;
     stamp_count_ = 0;
@@ -78,7 +77,7 @@ bool StreamClock::judge(double ran, double since) {
   const bool usable =
       credible && std::abs(bias_) < kMaxBias && rough_stamps_ < rough_arrivals_ + kRoughness;
   clean_ = usable ? clean_ + since : 0.0;
-  failed_ = !usable || (failed_ && clean_ < kProbation);
+  failed_ = !usable || (failed_ && clean_ < kMemory);
   return !failed_;
 }
 
@@ -118,7 +117,7 @@ double StreamClock::follow_arrivals(double since) {
     late = arrival_ - time_ - ran;
   }
   // A second-order loop, critically damped.
-  const double gain = std::min(period_ / std::min(span_, kRateMemory), 0.5);
+  const double gain = std::min(period_ / std::min(span_, kMemory), 0.5);
   jitter_ += gain * (std::abs(late) - jitter_);
   time_ += ran + 2 * gain * late;
   period_ += answer ? gain * (ran - period_) : gain * gain * late;

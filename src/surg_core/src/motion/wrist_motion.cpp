@@ -10,9 +10,6 @@ namespace {
 constexpr double kTurned = 0.05;  // [rad] off the set-point at a start: turned by hand
 constexpr double kAway = 0.3;     // [rad] off the place of a drive that lags as stated: blocked
 constexpr double kEndApproach = 10.0;  // [1/s] speed of a joint over what is left of its range
-// A critically damped servo of second order with lag L answers y + L y' + L^2 y'' / 4 with y. A
-// first order has no term of y'', a dead time one of twice the size. y is x one arm lag ago.
-constexpr double kServoOrder = 0.25;  // of L^2
 constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 
 }  // namespace
@@ -191,10 +188,12 @@ void WristMotion::advance_stopping(double dt) {
   if (rests) mode_ = Mode::kRest;
 }
 
+/// A critically damped servo of second order with lag L answers y + L y' + L^2 y'' / 4 with y. A
+/// first order has no term of y'', a dead time one of twice the size. y is x one arm lag ago.
 DriveJoints WristMotion::command(double arm_lag) const {
   if (!known_) return DriveJoints::Constant(kUnknown);
   const double lag = config_.drive_lag;
-  const double bend = kServoOrder * lag * lag - lag * arm_lag + 0.5 * arm_lag * arm_lag;
+  const double bend = 0.25 * lag * lag - lag * arm_lag + 0.5 * arm_lag * arm_lag;
   DriveJoints ahead;
   for (int i = 0; i < kJoints; ++i) {
     ahead[i] = dofs_[i].x + (lag - arm_lag) * dofs_[i].v + bend * dofs_[i].a;

@@ -6,7 +6,6 @@
 namespace surg {
 namespace {
 
-constexpr double kExcessTime = 0.5;       // [s] time constant of the average
 constexpr double kPeriodRounding = 1e-9;  // [periods]
 constexpr double kEarly = 0.5;            // [periods] a cycle that comes earlier is none
 
@@ -31,7 +30,7 @@ void CycleClock::advance(double elapsed) {
   late_[at_] = late;
   at_ = (at_ + 1) % kWindow;
   gaps_ = length > kLong + kPeriodRounding ? gaps_ + elapsed_ : 0;
-  const double share = std::min(elapsed_ / kExcessTime, 1.0);
+  const double share = std::min(elapsed_ / kMemory, 1.0);
   excess_ += share * (elapsed_ - period_ - excess_);
 }
 

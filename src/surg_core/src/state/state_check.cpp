@@ -12,9 +12,8 @@ StateCheck::StateCheck(const Chain& chain, const JointVector& home, const JointV
 }
 
 void StateCheck::unwrap(JointVector& q) const {
-  constexpr double kTurn = 2 * M_PI;  // [rad] by which a driver wraps
   for (Eigen::Index i = 0; i < q.size(); ++i) {
-    if (continuous_[i]) q[i] += kTurn * std::round((q_[i] - q[i]) / kTurn);
+    if (continuous_[i]) q[i] += 2 * M_PI * std::round((q_[i] - q[i]) / (2 * M_PI));
   }
 }
 

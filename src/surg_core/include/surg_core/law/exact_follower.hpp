@@ -36,9 +36,9 @@ namespace surg {
 /// withheld of it, the next step of the reference leaves room for (wanted_room).
 class ExactFollower {
  public:
-  // What the reference may use; the rest is for the correction.
-  static constexpr double kReferenceVelocity = 0.97;      ///< of each joint's velocity limit
-  static constexpr double kReferenceAcceleration = 0.97;  ///< of each joint's acceleration limit
+  /// Of each joint's limits of velocity and acceleration, that the reference may use; the rest is
+  /// for the correction.
+  static constexpr double kReferenceShare = 0.97;  ///< of a limit
 
   struct Options {
     JointVector servo;  ///< [s] stated lag of each joint, taken for a servo's; empty: none

@@ -89,6 +89,8 @@ struct Step {
 /// The limited step of one arm. Construct once; the methods are pure and allocate nothing.
 class LimitedStep {
  public:
+  static constexpr double kHorizon = 0.45;  ///< [s] of the clock that a preview looks ahead
+
   LimitedStep(const Chain& chain, const Tool& tool, const JointLimits& limits, double T);
   /// Keeps the distances of 'guard', which must outlive the step.
   void keep_clear(const ClearanceGuard& guard) { clearance_ = &guard; }

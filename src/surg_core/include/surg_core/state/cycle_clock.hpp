@@ -10,12 +10,13 @@ namespace surg {
 /// carried to the next cycle, so that the periods add up to real time.
 class CycleClock {
  public:
-  static constexpr double kLate = 2;     ///< [periods] a longer cycle is late
-  static constexpr double kLong = 5;     ///< [periods] a longer one is a gap: was the arm stopped?
-  static constexpr int kWindow = 128;    ///< [cycles] for the share of late ones
-  static constexpr double kShare = 0.5;  ///< of late cycles; a larger one is an overrun
-  static constexpr int kCatchUp = 25;    ///< [periods] a longer gap, or gaps in a row that
-                                         ///< together are longer, are not made up for
+  static constexpr double kLate = 2;      ///< [periods] a longer cycle is late
+  static constexpr double kLong = 5;      ///< [periods] a longer one is a gap: was the arm stopped?
+  static constexpr int kWindow = 128;     ///< [cycles] for the share of late ones
+  static constexpr double kShare = 0.5;   ///< of late cycles; a larger one is an overrun
+  static constexpr int kCatchUp = 25;     ///< [periods] a longer gap, or gaps in a row that
+                                          ///< together are longer, are not made up for
+  static constexpr double kMemory = 0.5;  ///< [s] in which cycles and states count as recent
   static constexpr int kMostPeriods = 500;  ///< that one cycle counts at most
 
   /// period [s] of control.
