@@ -34,8 +34,8 @@ ROUGH = 1.5
 """[px] Largest scatter that is taken for noise."""
 LENGTHS = (8, 16, 32, 64, 128)
 """A part may have moved so many sightings ago."""
-EVERY = 4
-"""So many new sightings bring a new judgement; bounds the cost."""
+PERIOD = 0.5
+"""[s] Least time between two judgements; bounds the cost, whatever the pictures' rate."""
 STABLE = 0.3
 """What may change while nothing moves, as a share of the calibration's sigmas: warmth, bending."""
 SCALES = (0.1, 0.3, 1.0)
@@ -136,10 +136,11 @@ class DriftEvidence:
         self._wander += STABLE**2 * self._still + np.diag(bias / self._unit**2)
         self._mean = np.zeros(size)
         self._kept: list[Sighting] = []
-        self._sums = Sums(np.zeros((0, size * size)), np.zeros((0, size)), np.zeros(0))
+        shapes = ((4, size), (4,), (size * size,), (size,))
+        self._sums = Sums(*(np.zeros((0, *shape)) for shape in shapes))
         self._variances = np.zeros(0)
         self._noise = BIAS**2 + ALIKE * BIAS**2
-        self._unjudged, self._renewed = EVERY, -1
+        self._judged_at, self._renewed = -np.inf, -1
         self._verdict: Verdict | None = None
         self._draws = np.random.default_rng(0).normal(size=(DRAWS, 3 * NEWEST + 2))
 
@@ -149,9 +150,9 @@ class DriftEvidence:
         told = zip(self._sums, self._told(sighting), strict=True)
         self._sums = Sums(*(np.concatenate([old, new[None]]) for old, new in told))
         self._variances = np.append(self._variances, self._noise)
-        self._unjudged += 1
-        if len(self._kept) >= LENGTHS[0] and self._unjudged >= EVERY:
-            self._verdict, self._unjudged = self._judged(), 0
+        since = abs(sighting.stamp - self._judged_at)
+        if len(self._kept) >= LENGTHS[0] and since >= PERIOD:
+            self._verdict, self._judged_at = self._judged(), sighting.stamp
             self._renew()
             self._forget()
         return self._verdict
@@ -161,10 +162,11 @@ class DriftEvidence:
 
     def _told(self, sighting: Sighting) -> Sums:
         """Of one sighting."""
-        A, weight = sighting.A * self._unit, 1.0 / (sighting.sd**2 + self._noise)
-        pulled = A.T * weight
-        square = np.asarray(weight @ sighting.r**2)
-        return Sums((pulled @ A).ravel(), pulled @ sighting.r, square)
+        sd = np.sqrt(sighting.sd**2 + self._noise)
+        A, r = np.zeros((4, len(self._unit))), np.zeros(4)
+        A[: len(sd)] = sighting.A * self._unit / sd[:, None]
+        r[: len(sd)] = sighting.r / sd
+        return Sums(A, r, (A.T @ A).ravel(), A.T @ r)
 
     def _renew(self) -> None:
         """Take some sightings since the motion again, where its steps by now put the shaft."""
@@ -172,7 +174,7 @@ class DriftEvidence:
         assert verdict is not None
         if not self._moved():
             return
-        for _ in range(2 * EVERY):
+        for _ in range(NEWEST):
             following = (self._renewed + 1) % count
             self._renewed = max(following, count - verdict.sightings)
             self._kept[self._renewed] = self._kept[self._renewed].again(verdict.x)
