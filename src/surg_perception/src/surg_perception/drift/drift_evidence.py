@@ -20,7 +20,8 @@ import numpy as np
 
 from surg_core.transforms import FloatArray
 from surg_perception.drift.drift_fits import Fits, Sums, fits_of
-from surg_perception.drift.moving_parts import LENS, Part
+from surg_perception.drift.moving_parts import LENS, TOOL, Part
+from surg_perception.drift.shaft_breath import BEND, ShaftBreath
 
 NOTHING = "nothing"
 PRIOR = 1e-3
@@ -118,8 +119,10 @@ class DriftEvidence:
 
     def __init__(self, parts: Sequence[Part]) -> None:
         self.parts = list(parts)
-        size = parts[-1].at.stop
-        self._unit, still = np.zeros(size), np.zeros((size, size))
+        self._steps = parts[-1].at.stop
+        self._breath = ShaftBreath([part.at for part in self.parts if part.kind == TOOL])
+        size = self._steps + self._breath.size
+        self._unit, still = np.full(size, BEND), BEND**2 * np.eye(size)
         shapes = []
         for part in self.parts:
             self._unit[part.at] = np.sqrt(np.diag(part.moved))
@@ -131,7 +134,9 @@ class DriftEvidence:
         shares = [alike[part.kind] for part in self.parts for _ in SCALES]
         self._prior = np.log(PRIOR / len(alike) / len(SCALES) / np.array(shares))
         self._still = still / np.outer(self._unit, self._unit)
-        bias = [BIAS**2 * (part.kind == LENS) for part in self.parts for _ in range(size)[part.at]]
+        bias = np.zeros(size)
+        for part in self.parts:
+            bias[part.at] = BIAS**2 * (part.kind == LENS)
         self._wander = np.array([np.zeros((size, size)), *shapes])
         self._wander += STABLE**2 * self._still + np.diag(bias / self._unit**2)
         self._mean = np.zeros(size)
@@ -164,9 +169,22 @@ class DriftEvidence:
         """Of one sighting."""
         sd = np.sqrt(sighting.sd**2 + self._noise)
         A, r = np.zeros((4, len(self._unit))), np.zeros(4)
-        A[: len(sd)] = sighting.A * self._unit / sd[:, None]
+        A[: len(sd)] = self._derivatives(sighting.A, sighting.stamp) / sd[:, None]
         r[: len(sd)] = sighting.r / sd
         return Sums(A, r, (A.T @ A).ravel(), A.T @ r)
+
+    def _derivatives(self, A: FloatArray, stamp: float) -> FloatArray:
+        """(m, P) by all steps and bends, of those (m, k) by all steps in SI."""
+        return np.hstack([A, self._breath.bends(A, stamp)]) * self._unit
+
+    def _breathe(self, x: FloatArray) -> None:
+        """Take the rate of breathing from what is seen at rest, beside the steps x (P,)."""
+        sums, steps = self._sums, self._steps
+        off = sums.r - sums.A[:, :, :steps] @ x[:steps]
+        stamps = np.array([each.stamp for each in self._kept])
+        if self._breath.heard(sums.A[:, :, :steps] / self._unit[:steps], off, stamps):
+            told = [self._told(each) for each in self._kept]
+            self._sums = Sums(*(np.array(each) for each in zip(*told, strict=True)))
 
     def _renew(self) -> None:
         """Take some sightings since the motion again, where its steps by now put the shaft."""
@@ -192,6 +210,9 @@ class DriftEvidence:
             mask = (np.arange(len(self._kept)) < old)[None].astype(float)
             fits = fits_of(self._sums, mask, self._mean[None], self._still[None])
             self._mean, self._still = fits.x[0], fits.covariance[0]
+            steps = self._steps
+            self._mean[steps:] = self._still[steps:, :] = self._still[:, steps:] = 0.0
+            self._still[steps:, steps:] = np.eye(len(self._mean) - steps)
         del self._kept[:old]
         self._sums = Sums(*(each[old:] for each in self._sums))
         self._variances = self._variances[old:]
@@ -226,14 +247,18 @@ class DriftEvidence:
         best = int(np.argmax(np.where(of_part, p, -1.0)))
         held = int(np.argmax(p))
         length = int(lengths[best // kinds])
+        beside = self._beside(p.ravel(), fits)
         if probabilities[NOTHING] > STILL_LIKELY:
             self._listen(fits.chi[(times - 1) * kinds, -lengths[-1] :])
+            self._breathe(fits.x[(times - 1) * kinds])
         return Verdict(
             {name: float(value) for name, value in probabilities.items()},
             self.parts[most],
-            fits.x[best] * self._unit,
-            fits.covariance[best] * np.outer(self._unit, self._unit),
-            self._beside(p.ravel(), fits),
+            (fits.x[best] * self._unit)[: self._steps],
+            (fits.covariance[best] * np.outer(self._unit, self._unit))[
+                : self._steps, : self._steps
+            ],
+            beside,
             float(fits.right[held]),
             self._kept[-length].stamp,
             length,
@@ -249,7 +274,7 @@ class DriftEvidence:
     def _beside(self, p: FloatArray, fits: Fits) -> tuple[float, float, float]:
         """Quantiles of the root mean square of the newest shifts, over all hypotheses [m]."""
         newest = self._kept[-NEWEST:]
-        places = np.concatenate([each.place for each in newest]) * self._unit
+        places = np.concatenate([self._derivatives(each.place, each.stamp) for each in newest])
         place: FloatArray = np.linalg.qr(places / np.sqrt(len(newest)))[1]
         bias = np.sqrt(self._noise) * newest[-1].pixel * self._draws[:, -1]
         curved = 1.0 + CURVED * self._draws[:, -2]

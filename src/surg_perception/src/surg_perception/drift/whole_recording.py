@@ -17,8 +17,7 @@ from surg_core.held_endoscope import HeldEndoscope
 from surg_core.lens_file import Lens
 from surg_core.transforms import FloatArray, rotation_of
 from surg_perception.calibration.small_motions import moved
-from surg_perception.drift.drift_evidence import DriftEvidence, Sighting
-from surg_perception.drift.drift_state import SURE
+from surg_perception.drift.drift_evidence import PRIOR, Sighting
 from surg_perception.drift.drift_watch import DriftWatch
 from surg_perception.drift.moving_parts import CAMERA, Part
 
@@ -27,42 +26,17 @@ ASIDE, SLOPE = 0.4, 0.1
 beside its rows' scatter: shade and blur do not turn it."""
 OUTLIER, MISFIT = 3.0, 2.0
 """[sigma] Beyond this a residual counts less; largest typical one that is accepted."""
-LOOKS = 4
-"""Most often that a recording is looked at."""
-SETTLED = 2e-5
-"""[m] Another look is not needed once the last one shifted what is seen by less."""
+LOOKS = 2
+"""So often a recording is looked at: from where the part is found, what was out of reach is seen,
+and derivatives hold."""
 SHIFT, TURN = 1.2e-4, np.radians(0.1)
 """[m], [rad] Expected error, one sigma, up to which a correction is written: that of a fresh
 calibration (docs/results/perception.md)."""
 LONGEST = 300.0
 """[s] Who would have to record longer must move more instead."""
 
-Look = Callable[["EverySighting"], None]
+Look = Callable[[DriftWatch], None]
 """Shows a watch all pictures since the motion."""
-
-
-class EverySighting(DriftWatch):
-    """Keeps all sightings, and judges none.
-
-    Args:
-        cell: See `DriftWatch`.
-        lenses: See `DriftWatch`.
-        parts: See `DriftWatch`.
-    """
-
-    def __init__(self, cell: Cell, lenses: Sequence[Lens], parts: Sequence[Part]) -> None:
-        super().__init__(cell, lenses, parts)
-        self._evidence = kept = _Kept(self.parts)
-        self.sightings = kept.sightings
-
-
-class _Kept(DriftEvidence):
-    def __init__(self, parts: Sequence[Part]) -> None:
-        super().__init__(parts)
-        self.sightings: list[Sighting] = []
-
-    def add(self, sighting: Sighting) -> None:
-        self.sightings.append(sighting)
 
 
 @dataclass(frozen=True)
@@ -90,12 +64,15 @@ def find(
     """
     held: HeldEndoscope | None = None
     for _ in range(LOOKS):
-        watch = EverySighting(cell, lenses, parts)
+        sightings: list[Sighting] = []
+        watch = DriftWatch(cell, lenses, parts, sightings.append)
         watch.held = held = watch.held if held is None else replace(watch.held, X_FV=held.X_FV)
         look(watch)
-        if len(watch.sightings) < 2:
+        if len(sightings) < 2:
             raise ConfigError("nothing is seen since it moved. There is nothing to accept")
-        fit = _fit(watch.sightings, part, parts)
+        first = _fit(sightings, part, parts)
+        sightings = [each.again(first.x) for each in sightings]
+        fit = _fit(sightings, part, parts)
         step = fit.x[part.at]
         if part.kind == CAMERA:
             assert held.X_FV is not None
@@ -105,10 +82,8 @@ def find(
             arm = cell.arms[part.of]
             pose = moved(arm.X_WB, step)
             cell = replace(cell, arms={**cell.arms, part.of: replace(arm, X_WB=pose)})
-        if fit.shift < SETTLED:
-            break
-    _check(fit, part, watch.sightings)
-    return Found(pose, fit.covariance[part.at, part.at], len(watch.sightings))
+    _check(fit, part, sightings)
+    return Found(pose, fit.covariance[part.at, part.at], len(sightings))
 
 
 @dataclass(frozen=True)
@@ -118,7 +93,6 @@ class _Fit:
     Attributes:
         x: (P,) steps of all parts.
         covariance: (P, P) of x.
-        shift: How far the part's step shifts what is seen [m].
         misfit: Typical residual, in sigmas.
         rival: Another part that had to move besides.
         gain: How much likelier the residuals are if it did, logarithm.
@@ -126,7 +100,6 @@ class _Fit:
 
     x: FloatArray
     covariance: FloatArray
-    shift: float
     misfit: float
     rival: str
     gain: float
@@ -152,10 +125,8 @@ def _fit(sightings: Sequence[Sighting], part: Part, parts: Sequence[Part]) -> _F
             both[each.at, each.at] += each.moved
             gains[each.name] = _posterior(information, pull, both)[0] - evidence
     rival = max(gains, key=gains.__getitem__)
-    place = np.array([each.place[:, part.at] for each in sightings])
-    shift = float(np.sqrt(np.mean(np.sum((place @ x[part.at]) ** 2, axis=1))))
     misfit = float(np.median(off)) / 0.6745  # a normal one's median
-    return _Fit(x, covariance, shift, misfit, rival, gains[rival])
+    return _Fit(x, covariance, misfit, rival, gains[rival])
 
 
 def _posterior(
@@ -193,7 +164,7 @@ def _check(fit: _Fit, part: Part, sightings: Sequence[Sighting]) -> None:
             f"{part.name}: no single step explains all that was seen since (typical residual "
             f"{fit.misfit:.1f} sigma; allowed: {MISFIT:g}). Record anew with everything clamped"
         )
-    if fit.gain > np.log(1.0 / SURE):
+    if fit.gain > np.log(1.0 / PRIOR):
         raise ConfigError(
             f"{part.name} alone does not explain all that was seen since: {fit.rival} would. "
             "Turn the endoscope, and record anew"
