@@ -30,13 +30,13 @@ class ShaftBreath:
 
     def __init__(self, tools: Sequence[slice]) -> None:
         self._tools, self.size = list(tools), 6 * len(tools)
-        self.rate = float(RATES[0])
-        """[Hz] The likeliest."""
+        self.rate = 0.0
+        """[Hz] The likeliest; 0: that nothing breathes is likelier than all rates together."""
 
     def bends(self, A: FloatArray, stamp: float) -> FloatArray:
         """Derivatives (m, 6 for each tool) by all bends, of those (m, P) by all steps."""
         angle = 2.0 * np.pi * self.rate * stamp
-        waves = np.array([np.sin(angle), np.cos(angle)])
+        waves = np.array([np.sin(angle), np.cos(angle)]) * (self.rate > 0.0)
         return np.hstack([np.kron(waves, A[:, tool][:, 3:]) for tool in self._tools])
 
     def heard(self, A: FloatArray, off: FloatArray, stamps: FloatArray) -> bool:
@@ -60,5 +60,6 @@ class ShaftBreath:
             S = np.eye(6) + L.reshape(-1, 6, 6)
             log += 0.5 * np.sum(v * np.linalg.solve(S, v[..., None])[..., 0], axis=1)
             log -= 0.5 * np.linalg.slogdet(S)[1]
-        before, self.rate = self.rate, float(RATES[int(np.argmax(log))])
+        breathes = np.logaddexp.reduce(log) > np.log(len(RATES))
+        before, self.rate = self.rate, float(RATES[int(np.argmax(log))]) if breathes else 0.0
         return self.rate != before
