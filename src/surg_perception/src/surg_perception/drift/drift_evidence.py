@@ -141,8 +141,8 @@ class DriftEvidence:
         self._wander += STABLE**2 * self._still + np.diag(bias / self._unit**2)
         self._mean = np.zeros(size)
         self._kept: list[Sighting] = []
-        shapes = ((4, size), (4,), (size * size,), (size,))
-        self._sums = Sums(*(np.zeros((0, *shape)) for shape in shapes))
+        empty = ((4, size), (4,), (size * size,), (size,))
+        self._sums = Sums(*(np.zeros((0, *shape)) for shape in empty))
         self._variances = np.zeros(0)
         self._noise = BIAS**2 + ALIKE * BIAS**2
         self._judged_at, self._renewed = -np.inf, -1
