@@ -83,8 +83,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "one_look_is_enough",
         "after 10 degrees derivatives no longer hold",
         DRIFT + "whole_recording.py",
-        "LOOKS = 2",
-        "LOOKS = 1",
+        "SETTLED = 2e-5",
+        "SETTLED = 2.0",
         ACCEPTED,
     ),
     one(

@@ -26,9 +26,10 @@ ASIDE, SLOPE = 0.4, 0.1
 beside its rows' scatter: shade and blur do not turn it."""
 OUTLIER, MISFIT = 3.0, 2.0
 """[sigma] Beyond this a residual counts less; largest typical one that is accepted."""
-LOOKS = 2
-"""So often a recording is looked at: from where the part is found, what was out of reach is seen,
-and derivatives hold."""
+LOOKS = 4
+"""Most often that a recording is looked at."""
+SETTLED = 2e-5
+"""[m] Another look is not needed once the last one shifted what is seen by less."""
 SHIFT, TURN = 1.2e-4, np.radians(0.1)
 """[m], [rad] Expected error, one sigma, up to which a correction is written: that of a fresh
 calibration (docs/results/perception.md)."""
@@ -70,8 +71,6 @@ def find(
         look(watch)
         if len(sightings) < 2:
             raise ConfigError("nothing is seen since it moved. There is nothing to accept")
-        first = _fit(sightings, part, parts)
-        sightings = [each.again(first.x) for each in sightings]
         fit = _fit(sightings, part, parts)
         step = fit.x[part.at]
         if part.kind == CAMERA:
@@ -82,6 +81,8 @@ def find(
             arm = cell.arms[part.of]
             pose = moved(arm.X_WB, step)
             cell = replace(cell, arms={**cell.arms, part.of: replace(arm, X_WB=pose)})
+        if fit.shift < SETTLED:
+            break
     _check(fit, part, sightings)
     return Found(pose, fit.covariance[part.at, part.at], len(sightings))
 
@@ -93,6 +94,7 @@ class _Fit:
     Attributes:
         x: (P,) steps of all parts.
         covariance: (P, P) of x.
+        shift: How far the part's step shifts what is seen [m].
         misfit: Typical residual, in sigmas.
         rival: Another part that had to move besides.
         gain: How much likelier the residuals are if it did, logarithm.
@@ -100,6 +102,7 @@ class _Fit:
 
     x: FloatArray
     covariance: FloatArray
+    shift: float
     misfit: float
     rival: str
     gain: float
@@ -125,8 +128,10 @@ def _fit(sightings: Sequence[Sighting], part: Part, parts: Sequence[Part]) -> _F
             both[each.at, each.at] += each.moved
             gains[each.name] = _posterior(information, pull, both)[0] - evidence
     rival = max(gains, key=gains.__getitem__)
+    place = np.array([each.place[:, part.at] for each in sightings])
+    shift = float(np.sqrt(np.mean(np.sum((place @ x[part.at]) ** 2, axis=1))))
     misfit = float(np.median(off)) / 0.6745  # a normal one's median
-    return _Fit(x, covariance, misfit, rival, gains[rival])
+    return _Fit(x, covariance, shift, misfit, rival, gains[rival])
 
 
 def _posterior(
