@@ -1,8 +1,8 @@
 """Which part of the chain moved, and when, from what is seen beside the place where joints put it.
 
-Each sighting gives residuals ``r = A x + e``: x has the steps of all parts, and how shafts bend with
-the breath (`shaft_breath`), which else would be most of e in vivo. The calibration states
-their covariance at first; sightings narrow it. If one part moved at some time, its covariance is
+Each sighting gives residuals ``r = A x + e``: x has the steps of all parts, and how shafts bend
+with the breath (`shaft_breath`). The calibration states the covariance of the steps at first;
+sightings narrow it. If one part moved at some time, its covariance is
 large from then on. A hypothesis is such a part with such a time; its probability takes in every
 kept sighting, those before under rest and those since under the motion (C. Bishop, "Pattern
 recognition and machine learning", 2006, section 3.5, at the best fit). A sighting that a hypothesis
