@@ -33,7 +33,7 @@ SOON = 10.0
 PIXELS, SECOND = 5.4, 0.05
 """[px], [s] A lens or a lag that moves so much counts as 1 mm, as a shaft 85 mm away is shown."""
 SHOWN = 2.0
-"""[px] Bumps that shift what is seen by less hardly show."""
+"""[px] Bumps that shift by less what is seen, while it is seen, hardly show."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Said:
         found: How long after the bump [s]; None: not within `SOON`.
         early: Whether it said so before.
         sightings: How many there were within `SOON`.
-        shift: Root mean square of what the bump shifts of what is seen then [px].
+        shift: Root mean square of what the bump shifts in those [px].
         last: The last state.
         held: Of each judgement after the bump: whether the interval holds the truth.
     """
@@ -107,10 +107,8 @@ def watched(bench: DriftBench, watch: DriftWatch, setting: Setting, bump: Moved,
     rng = np.random.default_rng([seed, 1])
     flaws, motion = Flaws(setting, rng), Motion(bench.chain, seed, SECONDS, True, RATE)
     said, truth, shifts, judged = Said(), list[float](), list[float](), None
-    for number, at in enumerate(map(float, motion.t)):
+    for at in map(float, motion.t):
         moved = flawed(bump if at >= SINCE else Moved(), flaws, at)
-        if SINCE <= at < SINCE + SOON and number % 9 == 0:
-            shifts.append(_shift(bench, motion, at, bump))
         if not look_without_pictures(watch, bench, motion, at, moved, rng, flaws):
             continue
         truth.append(0.0 if at < SINCE else true_way(bench, watch, motion, at, moved))
@@ -120,13 +118,16 @@ def watched(bench: DriftBench, watch: DriftWatch, setting: Setting, bump: Moved,
             continue
         soon = at < SINCE + SOON
         said.sightings += soon
+        if soon:
+            eyes = [eye for eye in (0, 1) if not flaws.hidden(at, eye)]
+            shifts.append(_shift(bench, motion, at, bump, eyes))
         if state.word == MOVED and said.found is None and soon:
             said.found = at - SINCE
         if watch.verdict is not judged and state.word != UNKNOWN and all(truth[-NEWEST:]):
             rms = float(np.sqrt(np.mean(np.square(truth[-NEWEST:]))))
             said.held.append(state.beside[0] <= rms <= state.beside[2])
         judged = watch.verdict
-    said.shift = float(np.sqrt(np.mean(np.square(shifts))))
+    said.shift = float(np.sqrt(np.mean(np.square(shifts)))) if shifts else 0.0
     return said
 
 
@@ -146,12 +147,12 @@ def true_way(
     return float(np.linalg.norm(np.cross(true - p_V[0], along)))
 
 
-def _shift(bench: DriftBench, motion: Motion, at: float, bump: Moved) -> float:
-    """How far a bump shifts the shaft across itself in the pictures [px], at most of both eyes."""
+def _shift(bench: DriftBench, motion: Motion, at: float, bump: Moved, eyes: list[int]) -> float:
+    """How far a bump shifts the shaft across itself in the pictures [px], at most of these eyes."""
     up = np.linspace(0.005, 0.1, 30)
     before, after = (bench.shaft(motion, at, each, up) for each in (Moved(), bump))
     ways = [
         beside(bench.pixels(before, eye, Moved()), bench.pixels(after, eye, bump), [6, 20])[1]
-        for eye in (0, 1)
+        for eye in eyes
     ]
     return float(np.sqrt(np.mean(np.square(ways), axis=1)).max())

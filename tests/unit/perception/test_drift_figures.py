@@ -17,12 +17,18 @@ from helpers.perception.drift_settings import SEEN_IN, Flaws
 from helpers.results.perception_results import PAGE
 from surg_core.lens_file import load_lens
 from surg_perception.calibration.result_files import LEFT, RIGHT
-from surg_perception.drift import drift_evidence, drift_fits, drift_state, drift_watch
+from surg_perception.drift import (
+    drift_evidence,
+    drift_fits,
+    drift_state,
+    drift_watch,
+    shaft_breath,
+)
 from surg_perception.drift.drift_state import MOVED, state_of
 from surg_perception.drift.drift_watch import DriftWatch
 from surg_perception.drift.stated_parts import stated_parts
 
-CELLS, FIRST, ABLATED = 4, 90_000, 20
+CELLS, HOURS, FIRST, ABLATED = 4, 1, 90_000, 20
 
 
 def benches_of(folder: Path, setting: str, count: int) -> list[DriftBench]:
@@ -85,19 +91,19 @@ def test_bumps_are_found_and_named(setting: str, tmp_path: Path, full: bool) -> 
 
 @pytest.mark.full
 def test_without_a_bump_there_is_no_alarm(tmp_path: Path) -> None:
-    minutes, alarms = 0, 0
+    hours, alarms = 0, 0
     for setting in SEEN_IN:
-        (bench,) = benches_of(tmp_path, setting, 1)
-        rng = np.random.default_rng(FIRST)
-        motion = Motion(bench.chain, FIRST + 1000, 600.0, True, RATE)
-        flaws, watch, alarm = Flaws(SEEN_IN[setting], rng), watch_of(bench), False
-        for at in map(float, motion.t):
-            moved = flawed(Moved(), flaws, at)
-            if look_without_pictures(watch, bench, motion, at, moved, rng, flaws):
-                alarm |= state_of(watch.verdict, watch.unseen).word == MOVED
-        minutes, alarms = minutes + 10, alarms + alarm
-        print(f"{setting}: {minutes} min, {alarms} alarms", flush=True)
-    PAGE.note("drift: minutes without a bump", minutes, f"{alarms} alarms")
+        for bench in benches_of(tmp_path, setting, HOURS):
+            rng = np.random.default_rng(FIRST + hours)
+            motion = Motion(bench.chain, FIRST + 1000 + hours, 3600.0, True, RATE)
+            flaws, watch, alarm = Flaws(SEEN_IN[setting], rng), watch_of(bench), False
+            for at in map(float, motion.t):
+                moved = flawed(Moved(), flaws, at)
+                if look_without_pictures(watch, bench, motion, at, moved, rng, flaws):
+                    alarm |= state_of(watch.verdict, watch.unseen).word == MOVED
+            hours, alarms = hours + 1, alarms + alarm
+            print(f"{setting}: {hours} h, {alarms} with an alarm", flush=True)
+    PAGE.note("drift: hours without a bump", hours, f"{alarms} with an alarm")
     assert alarms == 0
 
 
@@ -107,13 +113,13 @@ CHANGED = [
     (drift_evidence, "ALIKE", (0.0, 6.0)),
     (drift_evidence, "ROUGH", (0.75, 3.0)),
     (drift_evidence, "LENGTHS", ((8, 16, 32), (8, 32, 128))),
-    (drift_evidence, "EVERY", (2, 8)),
+    (drift_evidence, "PERIOD", (0.25, 1.0)),
     (drift_evidence, "STABLE", (0.0, 1.0)),
     (drift_evidence, "SCALES", ((1.0,), (0.1, 1.0))),
     (drift_fits, "WRONG", (3.0, 12.0)),
     (drift_fits, "SOFTENED", ((1.0,), (16.0, 4.0, 1.0))),
-    (drift_state, "SURE", (1e-4, 1e-2)),
-    (drift_state, "NAMED", (0.9, 0.99)),
+    (drift_state, "SURE", (0.9, 0.999)),
+    (shaft_breath, "RATES", (np.array([0.05]), np.arange(0.15, 0.5, 0.05))),
     (drift_watch, "STILL_LIKELY", (0.0, 0.9)),
     (drift_watch, "STEP", (0.001, 0.004)),
     (drift_watch, "PAUSE", (0.05, 0.2)),

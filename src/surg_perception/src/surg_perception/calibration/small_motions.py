@@ -15,9 +15,11 @@ from surg_core.transforms import FloatArray, inverse_pose, rotation_of, rotation
 
 def skew(v: FloatArray) -> FloatArray:
     """Matrices (n, 3, 3) of the cross product with each row of v (n, 3)."""
-    x, y, z = np.atleast_2d(v).T
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
+    v = np.atleast_2d(v)
+    S = np.zeros((len(v), 3, 3))
+    S[:, (2, 0, 1), (1, 2, 0)] = v
+    S[:, (1, 2, 0), (2, 0, 1)] = -v
+    return S
 
 
 def moved(X_AB: FloatArray, step: FloatArray) -> FloatArray:

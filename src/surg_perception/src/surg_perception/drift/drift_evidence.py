@@ -1,7 +1,8 @@
 """Which part of the chain moved, and when, from what is seen beside the place where joints put it.
 
-Each sighting gives residuals ``r = A x + e``: x has the steps of all parts. The calibration states
-their covariance at first; sightings narrow it. If one part moved at some time, its covariance is
+Each sighting gives residuals ``r = A x + e``: x has the steps of all parts, and how shafts bend
+with the breath (`shaft_breath`). The calibration states the covariance of the steps at first;
+sightings narrow it. If one part moved at some time, its covariance is
 large from then on. A hypothesis is such a part with such a time; its probability takes in every
 kept sighting, those before under rest and those since under the motion (C. Bishop, "Pattern
 recognition and machine learning", 2006, section 3.5, at the best fit). A sighting that a hypothesis
@@ -20,7 +21,8 @@ import numpy as np
 
 from surg_core.transforms import FloatArray
 from surg_perception.drift.drift_fits import Fits, Sums, fits_of
-from surg_perception.drift.moving_parts import LENS, Part
+from surg_perception.drift.moving_parts import LENS, TOOL, Part
+from surg_perception.drift.shaft_breath import BEND, ShaftBreath
 
 NOTHING = "nothing"
 PRIOR = 1e-3
@@ -34,8 +36,8 @@ ROUGH = 1.5
 """[px] Largest scatter that is taken for noise."""
 LENGTHS = (8, 16, 32, 64, 128)
 """A part may have moved so many sightings ago."""
-EVERY = 4
-"""So many new sightings bring a new judgement; bounds the cost."""
+PERIOD = 0.5
+"""[s] Least time between two judgements; bounds the cost, whatever the pictures' rate."""
 STABLE = 0.3
 """What may change while nothing moves, as a share of the calibration's sigmas: warmth, bending."""
 SCALES = (0.1, 0.3, 1.0)
@@ -118,8 +120,10 @@ class DriftEvidence:
 
     def __init__(self, parts: Sequence[Part]) -> None:
         self.parts = list(parts)
-        size = parts[-1].at.stop
-        self._unit, still = np.zeros(size), np.zeros((size, size))
+        self._steps = parts[-1].at.stop
+        self._breath = ShaftBreath([part.at for part in self.parts if part.kind == TOOL])
+        size = self._steps + self._breath.size
+        self._unit, still = np.full(size, BEND), BEND**2 * np.eye(size)
         shapes = []
         for part in self.parts:
             self._unit[part.at] = np.sqrt(np.diag(part.moved))
@@ -131,15 +135,18 @@ class DriftEvidence:
         shares = [alike[part.kind] for part in self.parts for _ in SCALES]
         self._prior = np.log(PRIOR / len(alike) / len(SCALES) / np.array(shares))
         self._still = still / np.outer(self._unit, self._unit)
-        bias = [BIAS**2 * (part.kind == LENS) for part in self.parts for _ in range(size)[part.at]]
+        bias = np.zeros(size)
+        for part in self.parts:
+            bias[part.at] = BIAS**2 * (part.kind == LENS)
         self._wander = np.array([np.zeros((size, size)), *shapes])
         self._wander += STABLE**2 * self._still + np.diag(bias / self._unit**2)
         self._mean = np.zeros(size)
         self._kept: list[Sighting] = []
-        self._sums = Sums(np.zeros((0, size * size)), np.zeros((0, size)), np.zeros(0))
+        empty = ((4, size), (4,), (size * size,), (size,))
+        self._sums = Sums(*(np.zeros((0, *shape)) for shape in empty))
         self._variances = np.zeros(0)
         self._noise = BIAS**2 + ALIKE * BIAS**2
-        self._unjudged, self._renewed = EVERY, -1
+        self._judged_at, self._renewed = -np.inf, -1
         self._verdict: Verdict | None = None
         self._draws = np.random.default_rng(0).normal(size=(DRAWS, 3 * NEWEST + 2))
 
@@ -149,9 +156,9 @@ class DriftEvidence:
         told = zip(self._sums, self._told(sighting), strict=True)
         self._sums = Sums(*(np.concatenate([old, new[None]]) for old, new in told))
         self._variances = np.append(self._variances, self._noise)
-        self._unjudged += 1
-        if len(self._kept) >= LENGTHS[0] and self._unjudged >= EVERY:
-            self._verdict, self._unjudged = self._judged(), 0
+        since = abs(sighting.stamp - self._judged_at)
+        if len(self._kept) >= LENGTHS[0] and since >= PERIOD:
+            self._verdict, self._judged_at = self._judged(), sighting.stamp
             self._renew()
             self._forget()
         return self._verdict
@@ -161,10 +168,24 @@ class DriftEvidence:
 
     def _told(self, sighting: Sighting) -> Sums:
         """Of one sighting."""
-        A, weight = sighting.A * self._unit, 1.0 / (sighting.sd**2 + self._noise)
-        pulled = A.T * weight
-        square = np.asarray(weight @ sighting.r**2)
-        return Sums((pulled @ A).ravel(), pulled @ sighting.r, square)
+        sd = np.sqrt(sighting.sd**2 + self._noise)
+        A, r = np.zeros((4, len(self._unit))), np.zeros(4)
+        A[: len(sd)] = self._derivatives(sighting.A, sighting.stamp) / sd[:, None]
+        r[: len(sd)] = sighting.r / sd
+        return Sums(A, r, (A.T @ A).ravel(), A.T @ r)
+
+    def _derivatives(self, A: FloatArray, stamp: float) -> FloatArray:
+        """(m, P) by all steps and bends, of those (m, k) by all steps in SI."""
+        return np.hstack([A, self._breath.bends(A, stamp)]) * self._unit
+
+    def _breathe(self, x: FloatArray) -> None:
+        """Take the rate of breathing from what is seen at rest, beside the steps x (P,)."""
+        sums, steps = self._sums, self._steps
+        off = sums.r - sums.A[:, :, :steps] @ x[:steps]
+        stamps = np.array([each.stamp for each in self._kept])
+        if self._breath.heard(sums.A[:, :, :steps] / self._unit[:steps], off, stamps):
+            told = [self._told(each) for each in self._kept]
+            self._sums = Sums(*(np.array(each) for each in zip(*told, strict=True)))
 
     def _renew(self) -> None:
         """Take some sightings since the motion again, where its steps by now put the shaft."""
@@ -172,7 +193,7 @@ class DriftEvidence:
         assert verdict is not None
         if not self._moved():
             return
-        for _ in range(2 * EVERY):
+        for _ in range(NEWEST):
             following = (self._renewed + 1) % count
             self._renewed = max(following, count - verdict.sightings)
             self._kept[self._renewed] = self._kept[self._renewed].again(verdict.x)
@@ -190,6 +211,9 @@ class DriftEvidence:
             mask = (np.arange(len(self._kept)) < old)[None].astype(float)
             fits = fits_of(self._sums, mask, self._mean[None], self._still[None])
             self._mean, self._still = fits.x[0], fits.covariance[0]
+            steps = self._steps
+            self._mean[steps:] = self._still[steps:, :] = self._still[:, steps:] = 0.0
+            self._still[steps:, steps:] = np.eye(len(self._mean) - steps)
         del self._kept[:old]
         self._sums = Sums(*(each[old:] for each in self._sums))
         self._variances = self._variances[old:]
@@ -224,14 +248,18 @@ class DriftEvidence:
         best = int(np.argmax(np.where(of_part, p, -1.0)))
         held = int(np.argmax(p))
         length = int(lengths[best // kinds])
+        beside = self._beside(p.ravel(), fits)
         if probabilities[NOTHING] > STILL_LIKELY:
             self._listen(fits.chi[(times - 1) * kinds, -lengths[-1] :])
+            self._breathe(fits.x[(times - 1) * kinds])
         return Verdict(
             {name: float(value) for name, value in probabilities.items()},
             self.parts[most],
-            fits.x[best] * self._unit,
-            fits.covariance[best] * np.outer(self._unit, self._unit),
-            self._beside(p.ravel(), fits),
+            (fits.x[best] * self._unit)[: self._steps],
+            (fits.covariance[best] * np.outer(self._unit, self._unit))[
+                : self._steps, : self._steps
+            ],
+            beside,
             float(fits.right[held]),
             self._kept[-length].stamp,
             length,
@@ -247,7 +275,7 @@ class DriftEvidence:
     def _beside(self, p: FloatArray, fits: Fits) -> tuple[float, float, float]:
         """Quantiles of the root mean square of the newest shifts, over all hypotheses [m]."""
         newest = self._kept[-NEWEST:]
-        places = np.concatenate([each.place for each in newest]) * self._unit
+        places = np.concatenate([self._derivatives(each.place, each.stamp) for each in newest])
         place: FloatArray = np.linalg.qr(places / np.sqrt(len(newest)))[1]
         bias = np.sqrt(self._noise) * newest[-1].pixel * self._draws[:, -1]
         curved = 1.0 + CURVED * self._draws[:, -2]

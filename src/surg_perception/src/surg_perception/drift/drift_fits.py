@@ -17,17 +17,19 @@ Yang et al., "Graduated non-convexity", IEEE RA-L 2020."""
 
 
 class Sums(NamedTuple):
-    """What N sightings say of P steps, each residual in sigmas.
+    """What N sightings say of P steps, in sigmas; a sighting of one eye has two empty rows of four.
 
     Attributes:
+        A: (N, 4, P) derivatives of the residuals.
+        r: (N, 4) residuals.
         information: (N, P P) derivatives by derivatives.
         pull: (N, P) derivatives by residuals.
-        square: (N,) of the residuals.
     """
 
+    A: FloatArray
+    r: FloatArray
     information: FloatArray
     pull: FloatArray
-    square: FloatArray
 
 
 @dataclass(frozen=True)
@@ -61,15 +63,15 @@ def fits_of(sums: Sums, mask: FloatArray, mean: FloatArray, prior: FloatArray) -
         mean: (H, P) of the steps, before.
         prior: (H, P, P) covariance, before.
     """
-    weight, shape = mask, prior.shape
+    weight, shape, rows = mask, prior.shape, sums.A.reshape(-1, prior.shape[-1])
     for soft in (*SOFTENED, None):
         L = (weight @ sums.information).reshape(shape)
         v = weight @ sums.pull - (L @ mean[..., None])[..., 0]
         system = np.eye(shape[-1]) + prior @ L
         step = np.linalg.solve(system, prior @ v[..., None])[..., 0]
         x = mean + step
-        outer = (x[:, :, None] * x[:, None, :]).reshape(len(x), -1)
-        chi = np.maximum(sums.square - 2.0 * x @ sums.pull.T + outer @ sums.information.T, 0.0)
+        off = (x @ rows.T).reshape(len(x), *sums.r.shape) - sums.r
+        chi = np.einsum("hnr,hnr->hn", off, off)
         if soft is not None:
             weight = mask / (1.0 + chi / (2.0 * WRONG * soft)) ** 2
     cost = (mask * 0.5 * chi / (1.0 + chi / (2.0 * WRONG))).sum(axis=1)

@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from surg_perception.drift.drift_evidence import NOTHING, STILL_LIKELY, Verdict
 
 STEADY, MOVED, UNKNOWN = "steady", "moved", "cannot tell"
-SURE = 1e-3
-"""Probability of no motion below which something moved."""
+SURE = 0.95
+"""Probability from which it is said that something moved, and a kind of part is named."""
 FAR = 0.001
 """[m] Surely this far beside their place, nothing that trusts the picture may begin."""
-NAMED = 0.95
-"""Probability of one kind of part, of those that could have moved, from which it is named."""
 EXPLAINED = 0.5
 """Least share of sightings that the best hypothesis explains, so that anybody can tell."""
 
@@ -65,7 +63,7 @@ def state_of(verdict: Verdict | None, unseen: Counter[str]) -> DriftState:
         why = unseen.most_common(1)
         seen = f"too few sightings ({why[0][0]})" if why else "no instrument has moved in view yet"
         return DriftState(UNKNOWN, seen)
-    word = MOVED if verdict.nothing < SURE else UNKNOWN
+    word = MOVED if verdict.nothing < 1.0 - SURE else UNKNOWN
     if verdict.nothing > STILL_LIKELY:
         word = STEADY
     reason, cause = "", ""
@@ -86,7 +84,7 @@ def _cause(verdict: Verdict) -> tuple[str, str]:
     for name, p in sorted(moved.items(), key=lambda item: -item[1]):
         names.append(name)
         held += p / total
-        if held >= NAMED:
+        if held >= SURE:
             break
     if len({name.split()[0] for name in names}) == 1:
         return " or ".join(names), ""

@@ -85,12 +85,19 @@ class DriftWatch:
         cell: As everybody but the simulator believes it.
         lenses: Of the left eye, or of both, for the pictures' size.
         parts: As `stated_parts.stated_parts` reads them.
+        take: Takes in each sighting, and judges; None: as `DriftEvidence` does.
 
     Raises:
         ConfigError: No arm holds the endoscope.
     """
 
-    def __init__(self, cell: Cell, lenses: Sequence[Lens], parts: Sequence[Part]) -> None:
+    def __init__(
+        self,
+        cell: Cell,
+        lenses: Sequence[Lens],
+        parts: Sequence[Part],
+        take: Callable[[Sighting], Verdict | None] | None = None,
+    ) -> None:
         held = held_endoscope(cell)
         if held is None:
             raise ConfigError(
@@ -106,7 +113,7 @@ class DriftWatch:
         self._last: dict[str, tuple[float, FloatArray]] = {}
         self._newest: dict[str, _Axis] = {}
         self._widths: dict[str, list[float]] = {}
-        self._evidence = DriftEvidence(self.parts)
+        self._take = take or DriftEvidence(self.parts).add
         self._before: list[Picture] | None = None
         self._seen_at = 0.0
         self.unseen: Counter[str] = Counter()
@@ -211,7 +218,7 @@ class DriftWatch:
             told = stamp, axis, found, np.array(residuals), np.array(noise)
             known = self.verdict is not None and self.verdict.nothing < STILL_LIKELY
             x = self.verdict.x if self.verdict is not None and known else None
-            self.verdict = self._evidence.add(self._sighting(*told, x))
+            self.verdict = self._take(self._sighting(*told, x))
         return bool(found)
 
     def _sighting(

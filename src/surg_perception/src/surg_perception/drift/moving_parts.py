@@ -28,16 +28,12 @@ from surg_perception.calibration.small_motions import skew
 EYES = ("left", "right")
 CAMERA, BASE, LENS, TOOL, LAG = "camera", "base", "lens", "tool", "lag"
 
-MOVED = {
-    CAMERA: (np.radians(3.0), 0.010),
-    BASE: (np.radians(1.0), 0.010),
-    LENS: (15.0,),
-    TOOL: (np.radians(2.0), 0.002),
-    LAG: (0.05,),
-}
-"""What a part that moved may have moved by, one sigma: rotation [rad] and shift [m]; px; s."""
+POSE = np.radians(3.0), 0.010
+"""[rad], [m] What a pose that moved may have moved by, one sigma: of one kind as of another."""
+MOVED = {CAMERA: POSE, BASE: POSE, TOOL: POSE, LENS: (15.0,), LAG: (0.05,)}
+"""The same of each kind: of a lens [px], of the lag [s]."""
 STILL = {LENS: (0.3,), LAG: (0.003,)}
-"""The same of a part that did not, where no calibration states it: a lens's mount, a clock."""
+"""The same of a part that did not move, where no calibration states it: a lens's mount, a clock."""
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -12,11 +13,10 @@ from surg_perception.depth.recorded_eyes import RecordedEyes, RecordedPair
 from surg_perception.drift.drift_state import DriftState, state_of
 from surg_perception.drift.drift_watch import DriftWatch, Joints
 from surg_perception.drift.stated_parts import stated_parts
+from surg_perception.stereo.joint_history import between
 from surg_recording.episode.episode_reader import Episode
 
 NS = 1e-9
-LONGEST_GAP = 0.1
-"""[s] Farthest that a joint state may lie from a picture."""
 
 
 def watched(
@@ -51,36 +51,35 @@ def show(
     Yields:
         Those that said something.
     """
-    joints, begin = recorded_joints(cell, eyes.episode), int(eyes.stamps[0])
+    begin = int(eyes.stamps[0])
+    joints = recorded_joints(cell, eyes.episode, begin)
     for number, pair in enumerate(eyes.pairs()):
         progress(number / len(eyes.stamps))
         stamp, pictures = NS * (pair.stamp_ns - begin), (pair.left, pair.right)
-        if stamp >= since and watch.look(
-            stamp, pictures, lambda arm, at: joints(arm, at + NS * begin)
-        ):
+        if stamp >= since and watch.look(stamp, pictures, joints):
             yield pair
 
 
-def recorded_joints(cell: Cell, episode: Episode) -> Joints:
-    """Measured joints of every arm of a cell, by stamp [s].
+def recorded_joints(cell: Cell, episode: Episode, begin: int) -> Joints:
+    """Measured joints of every arm of a cell, by time since a stamp [ns].
 
     Raises:
         EpisodeError: An arm of the cell was not recorded.
     """
-    tables: dict[str, tuple[FloatArray, FloatArray]] = {}
+    tables: dict[str, tuple[list[int], FloatArray]] = {}
     for name, arm in cell.arms.items():
         columns = [f"q{i}" for i in range(len(arm.chain.joints))]
         table = episode.columns(f"cycle_{name}", columns)
         q = np.stack([table[column] for column in columns], axis=1)
-        tables[name] = NS * np.asarray(table["stamp_ns"], dtype=np.float64), q
+        tables[name] = np.asarray(table["stamp_ns"]).tolist(), q
 
     def at(arm: str, stamp: float) -> FloatArray | None:
         stamps, q = tables[arm]
-        behind = int(np.clip(np.searchsorted(stamps, stamp), 1, len(stamps) - 1))
-        pair = stamps[behind - 1 : behind + 1]
-        if np.abs(pair - stamp).max() > LONGEST_GAP:
+        stamp_ns = begin + round(stamp / NS)
+        after = bisect_right(stamps, stamp_ns)
+        if not 0 < after < len(stamps):
             return None
-        share = (stamp - pair[0]) / max(pair[1] - pair[0], 1e-9)
-        return np.asarray(q[behind - 1] + share * (q[behind] - q[behind - 1]))
+        states = ((stamps[each], q[each]) for each in (after - 1, after))
+        return between(*states, stamp_ns)
 
     return at

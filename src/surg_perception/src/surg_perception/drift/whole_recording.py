@@ -17,8 +17,7 @@ from surg_core.held_endoscope import HeldEndoscope
 from surg_core.lens_file import Lens
 from surg_core.transforms import FloatArray, rotation_of
 from surg_perception.calibration.small_motions import moved
-from surg_perception.drift.drift_evidence import DriftEvidence, Sighting
-from surg_perception.drift.drift_state import SURE
+from surg_perception.drift.drift_evidence import PRIOR, Sighting
 from surg_perception.drift.drift_watch import DriftWatch
 from surg_perception.drift.moving_parts import CAMERA, Part
 
@@ -37,32 +36,8 @@ calibration (docs/results/perception.md)."""
 LONGEST = 300.0
 """[s] Who would have to record longer must move more instead."""
 
-Look = Callable[["EverySighting"], None]
+Look = Callable[[DriftWatch], None]
 """Shows a watch all pictures since the motion."""
-
-
-class EverySighting(DriftWatch):
-    """Keeps all sightings, and judges none.
-
-    Args:
-        cell: See `DriftWatch`.
-        lenses: See `DriftWatch`.
-        parts: See `DriftWatch`.
-    """
-
-    def __init__(self, cell: Cell, lenses: Sequence[Lens], parts: Sequence[Part]) -> None:
-        super().__init__(cell, lenses, parts)
-        self._evidence = kept = _Kept(self.parts)
-        self.sightings = kept.sightings
-
-
-class _Kept(DriftEvidence):
-    def __init__(self, parts: Sequence[Part]) -> None:
-        super().__init__(parts)
-        self.sightings: list[Sighting] = []
-
-    def add(self, sighting: Sighting) -> None:
-        self.sightings.append(sighting)
 
 
 @dataclass(frozen=True)
@@ -90,12 +65,13 @@ def find(
     """
     held: HeldEndoscope | None = None
     for _ in range(LOOKS):
-        watch = EverySighting(cell, lenses, parts)
+        sightings: list[Sighting] = []
+        watch = DriftWatch(cell, lenses, parts, sightings.append)
         watch.held = held = watch.held if held is None else replace(watch.held, X_FV=held.X_FV)
         look(watch)
-        if len(watch.sightings) < 2:
+        if len(sightings) < 2:
             raise ConfigError("nothing is seen since it moved. There is nothing to accept")
-        fit = _fit(watch.sightings, part, parts)
+        fit = _fit(sightings, part, parts)
         step = fit.x[part.at]
         if part.kind == CAMERA:
             assert held.X_FV is not None
@@ -107,8 +83,8 @@ def find(
             cell = replace(cell, arms={**cell.arms, part.of: replace(arm, X_WB=pose)})
         if fit.shift < SETTLED:
             break
-    _check(fit, part, watch.sightings)
-    return Found(pose, fit.covariance[part.at, part.at], len(watch.sightings))
+    _check(fit, part, sightings)
+    return Found(pose, fit.covariance[part.at, part.at], len(sightings))
 
 
 @dataclass(frozen=True)
@@ -193,7 +169,7 @@ def _check(fit: _Fit, part: Part, sightings: Sequence[Sighting]) -> None:
             f"{part.name}: no single step explains all that was seen since (typical residual "
             f"{fit.misfit:.1f} sigma; allowed: {MISFIT:g}). Record anew with everything clamped"
         )
-    if fit.gain > np.log(1.0 / SURE):
+    if fit.gain > np.log(1.0 / PRIOR):
         raise ConfigError(
             f"{part.name} alone does not explain all that was seen since: {fit.rival} would. "
             "Turn the endoscope, and record anew"

@@ -16,6 +16,14 @@ State = tuple[int, FloatArray]
 """Stamp [ns] and values (n,)."""
 
 
+def between(before: State, after: State, stamp_ns: int) -> FloatArray | None:
+    """The values (n,) at a time between two states; None: they lie too far apart."""
+    if after[0] - before[0] > MOST_GAP_NS:
+        return None
+    share = (stamp_ns - before[0]) / (after[0] - before[0])
+    return np.asarray(before[1] + share * (after[1] - before[1]))
+
+
 class JointHistory:
     """Joint states by stamp."""
 
@@ -48,10 +56,7 @@ class JointHistory:
     def between(self, stamp_ns: int) -> FloatArray | None:
         """The values (n,) at a time, by the two states around it; None: one is missing, or far."""
         before, after = self._around(stamp_ns)
-        if before is None or after is None or after[0] - before[0] > MOST_GAP_NS:
-            return None
-        share = (stamp_ns - before[0]) / (after[0] - before[0])
-        return np.asarray(before[1] + share * (after[1] - before[1]))
+        return None if before is None or after is None else between(before, after, stamp_ns)
 
     def _around(self, stamp_ns: int) -> tuple[State | None, State | None]:
         """The last state that is not later, and the first that is."""
