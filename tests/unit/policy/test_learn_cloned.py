@@ -26,7 +26,7 @@ from helpers.policy.bgr_cloned import (
 )
 from helpers.policy.bgr_pictures import keypoint_network, picture_augmentation
 from helpers.policy.bgr_synthetic import STATE
-from surg_learn.bgr import observed_features, serve_policy
+from surg_learn.cloning import arm_columns, serve_policy
 
 SMALL = {
     "width": 8, "places": 8, "model": 32, "heads": 2, "feed": 64, "layers": 1, "latent": 4,
@@ -86,7 +86,7 @@ def weights(sizes: dict[str, Any], **head: Any) -> Policy:
         "jaw_range": np.array([0.0, 0.7]),
     }
     about = {"pictures": [LEFT, RIGHT][: whole.eyes], "play": 1, **head}
-    names = {"observation.state": STATE, "action": observed_features.ACTIONS}
+    names = {"observation.state": STATE, "action": arm_columns.actions_of("PSM1")}
     return Policy(cloned_networks.network_of(whole), scales, names, whole, about)
 
 

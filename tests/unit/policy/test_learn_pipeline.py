@@ -19,7 +19,8 @@ from surg_cli.graph import task_episode as cli_episode
 from surg_cli.host import paths
 from surg_cli.learning import rollouts as cli_rollouts
 from surg_core.contract import STATE_KEY, TASK_STATE_KEY
-from surg_learn.bgr import observed_features, state_policy
+from surg_learn.bgr import state_policy
+from surg_learn.cloning import arm_columns
 from surg_recording import datasets
 from surg_recording.episode import episode_reader
 from surg_recording.metrics import unsafe_commands
@@ -88,8 +89,8 @@ def test_an_action_is_what_the_expert_said_at_that_look(exported: Path) -> None:
     shown = dataset.episodes["train"][0]
     env = SurgEnv(SHORT)
     names = policy_rollouts.names(env)
-    assert dataset.names[observed_features.STATE] == names[STATE_KEY]
-    assert dataset.names[observed_features.TASK] == names[TASK_STATE_KEY]
+    assert dataset.names[arm_columns.STATE] == names[STATE_KEY]
+    assert dataset.names[arm_columns.TASK] == names[TASK_STATE_KEY]
     observation, _ = env.reset(seed=SEEDS[0])
     compared = 0
     for step in range(len(shown.state)):
@@ -215,13 +216,13 @@ def test_a_hidden_tension_changes_no_action() -> None:
     made = bgr_synthetic.dataset()
     rng = np.random.default_rng(2)
     for episode in (each for part in made.episodes.values() for each in part):
-        episode.task[:, made.names[observed_features.TASK].index("tension")] = rng.random(
+        episode.task[:, made.names[arm_columns.TASK].index("tension")] = rng.random(
             len(episode.task)
         )
     shown = made.episodes["val"][0]
-    told = {observed_features.STATE: shown.state[-1], observed_features.TASK: shown.task[-1].copy()}
-    pulled = {**told, observed_features.TASK: told[observed_features.TASK].copy()}
-    pulled[observed_features.TASK][made.names[observed_features.TASK].index("tension")] += 3.0
+    told = {arm_columns.STATE: shown.state[-1], arm_columns.TASK: shown.task[-1].copy()}
+    pulled = {**told, arm_columns.TASK: told[arm_columns.TASK].copy()}
+    pulled[arm_columns.TASK][made.names[arm_columns.TASK].index("tension")] += 3.0
     for tension in (True, False):
         policy = train_state.train(made, train_state.Options(steps=20, tension=tension))
         actions = []

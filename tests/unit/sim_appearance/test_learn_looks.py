@@ -43,7 +43,7 @@ def test_looks_are_part_of_what_demonstrations_depend_on(file: Path) -> None:
     assert built_in is not None and built_in.tissue_colour == DomainRandomization().tissue_colour
     assert built_in.camera_shift_mm == built_in.camera_turn_deg == (0.0, 0.0)
     resumed = learn.command_line(own, Path("runs/L"))
-    assert f"--cameras --domain-randomization {file} --out" in resumed
+    assert f"--cameras moe_act --domain-randomization {file} --out" in resumed
 
 
 def test_looks_that_cannot_be_trained_with_are_refused(file: Path) -> None:

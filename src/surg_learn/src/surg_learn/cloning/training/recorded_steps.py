@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from surg_learn.bgr.observed_features import ACTION, SET, STATE, state_columns
-from surg_learn.bgr.training.lerobot_dataset import (
-    Array,
+from surg_learn.cloning.arm_columns import ACTION, SET, STATE, Array, arm_of, state_columns
+from surg_learn.cloning.small_pictures import check_size, views_of
+from surg_learn.cloning.training.lerobot_dataset import (
     Progress,
     facts,
     file_of,
@@ -22,7 +22,6 @@ from surg_learn.bgr.training.lerobot_dataset import (
     table,
     targets_of,
 )
-from surg_learn.bgr.training.picture_dataset import check_size, missed, views_of
 
 LEFT, RIGHT = (f"observation.images.endoscope.{side}" for side in ("left", "right"))
 PHASE = "annotation.human.action.subtask_description"
@@ -31,6 +30,8 @@ task's own, or what a person marked with `./surg episode label`."""
 WHOLE = "annotation.human.action.task_description"
 """The same of the whole task; it stands where no phase is."""
 NO_PHASE = -1
+SHUT = 0.1
+"""Commanded jaws less open than this close on something [rad]."""
 
 
 @dataclass
@@ -86,7 +87,7 @@ class Steps:
     @classmethod
     def of(cls, found: Recorded, split: str, chunk: int) -> Steps:
         """Those of a split, but for those that lead to a miss."""
-        columns = state_columns(found.names[STATE])
+        columns = state_columns(found.names[STATE], arm_of(found.names[ACTION]))
         parts = []
         for episode in found.episodes(split):
             state, action = found.state[episode][:, columns], found.action[episode]
@@ -174,3 +175,21 @@ def numbered(places: Array, whole: Array, said: dict[int, str]) -> tuple[Array, 
     order = {place: n for n, place in enumerate(dict.fromkeys(known))}
     phase = [order[int(p)] if p != w else NO_PHASE for p, w in zip(places, whole, strict=True)]
     return np.array(phase), [said.get(place, str(place)) for place in order]
+
+
+def missed(jaw: Array) -> Array:
+    """Steps that lead to a grasp that holds nothing, (T,): from open jaws to the closing.
+
+    Jaws that close and open again have held nothing. How to aim is not learned from these steps.
+
+    Args:
+        jaw: (T,) commanded jaw angles [rad].
+    """
+    shut = jaw < SHUT
+    closes = np.flatnonzero(shut[1:] & ~shut[:-1]) + 1
+    found = np.zeros(len(jaw), bool)
+    for begin, end in zip(closes, [*closes[1:], len(jaw)], strict=True):
+        if not shut[begin:end].all():
+            before = np.flatnonzero(shut[:begin])
+            found[(before[-1] + 1 if len(before) else 0) : begin + 1] = True
+    return found
