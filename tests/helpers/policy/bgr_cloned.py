@@ -49,8 +49,7 @@ def written(folder: Path, found: recorded_steps.Recorded, **info: Any) -> Path:
     from surg_recording.datasets import ExportOptions, pictures
 
     column = {
-        "observation.state": {"names": STATE},
-        "action": {"names": ACTION},
+        **{key: {"names": names} for key, names in found.names.items()},
         recorded_steps.PHASE: {"names": None},
         recorded_steps.WHOLE: {"names": None},
     }

@@ -19,7 +19,6 @@ from surg_learn.recipes import (
     DEVICES,
     LOOKS,
     METHODS,
-    OF_TASK,
     STATE,
     Request,
     recipe_of,
@@ -165,9 +164,8 @@ def _info(
 
 def check(options: argparse.Namespace) -> Request:
     """Check all options before anything starts."""
-    from surg_sim.tasks import episode_seeds
-
     from surg_sim import tasks
+    from surg_sim.tasks import episode_seeds
 
     try:
         home = tasks.load(options.task).home_cell

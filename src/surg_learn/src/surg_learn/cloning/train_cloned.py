@@ -55,6 +55,8 @@ class Options:
     """None: of `CHUNKS`."""
     eyes: int = 1
     """1: the left one; 2: both."""
+    arm: str = "PSM1"
+    """That the policy commands."""
     steps: int = 4000
     """Optimiser steps."""
     batch: int = 32
@@ -252,6 +254,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--method", choices=METHODS, default=METHODS[0])
     made.add_argument("--device", choices=DEVICES, default=DEVICES[0], help="where it trains")
     made.add_argument("--eyes", type=int, choices=(1, 2), default=1, help="left, or left + right")
+    made.add_argument("--arm", help="that it commands (PSM1)", default=argparse.SUPPRESS)
     for name, kind, about in (
         ("batch", int, "observations of a step"),
         ("play", int, "steps that are played before the next chunk is asked for (all but 4)"),
@@ -280,7 +283,7 @@ def main(words: Sequence[str] | None = None) -> int:
         options = chosen(Options, given, **looks)
         if options.device != "auto":
             device_for(options.device)  # before minutes of reading
-        found = read(given.dataset, eyes_of(options.eyes), show)
+        found = read(given.dataset, eyes_of(options.eyes), options.arm, show)
         return train(found, options, show)
 
     return trained("train_cloned", given, make, brief_of)

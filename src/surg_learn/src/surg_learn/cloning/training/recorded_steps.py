@@ -10,7 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from surg_learn.cloning.arm_columns import ACTION, SET, STATE, Array, arm_of, state_columns
+from surg_learn.cloning.arm_columns import (
+    ACTION,
+    SET,
+    STATE,
+    Array,
+    arm_of,
+    columns_of,
+    state_columns,
+)
 from surg_learn.cloning.small_pictures import check_size, views_of
 from surg_learn.cloning.training.lerobot_dataset import (
     Progress,
@@ -105,12 +113,18 @@ def eyes_of(eyes: int) -> tuple[str, ...]:
 
 
 def read(
-    folder: Path, pictures: Sequence[str], progress: Progress = lambda part, note: None
+    folder: Path, pictures: Sequence[str], arm: str, progress: Progress = lambda part, note: None
 ) -> Recorded:
     """Read a dataset, with its videos.
 
+    Args:
+        folder: Of the dataset.
+        pictures: Their keys.
+        arm: Whose columns of state and action are read: other arms may be driven, too.
+        progress: Is told how far it is.
+
     Raises:
-        ValueError: The folder is no dataset, or lacks a feature or a picture.
+        ValueError: The folder is no dataset, or lacks a feature, a picture or the arm.
     """
     info = facts(folder, (STATE, ACTION, *pictures))
     for key in pictures:
@@ -136,14 +150,24 @@ def read(
     if named:
         phase, phases = numbered(columns[2].ravel(), columns[3].ravel(), sentences(folder))
     shape = info["features"][pictures[0]]["shape"]
+    names = {key: flat_names(info["features"][key]["names"]) for key in (STATE, ACTION)}
+    own = {
+        key: [name for name in each if name.startswith(f"{arm}/")] for key, each in names.items()
+    }
+    if not own[ACTION]:
+        raise ValueError(f"{folder}: no action of {arm}; it has {', '.join(names[ACTION])[:200]}")
+    state, action = (
+        values[:, columns_of(key, names[key], own[key])]
+        for key, values in zip((STATE, ACTION), columns, strict=False)
+    )
     return Recorded(
-        columns[0],
-        columns[1],
+        state,
+        action,
         phase,
         np.cumsum([0, *(len(part[0]) for part in tables)]),
         [split for split, _ in found],
         {key: np.concatenate(part) for key, part in views.items()},
-        {key: flat_names(info["features"][key]["names"]) for key in (STATE, ACTION)},
+        own,
         phases,
         {"fps": info["fps"], "robot": info["robot_type"], "picture": shape},
     )
