@@ -134,7 +134,7 @@ def test_roll_outs_of_another_program_with_the_same_weights_lie_elsewhere(
 
 @pytest.mark.parametrize(("played", "least"), [(1, 1), (3, 3), (20, 17), (50, 43), (1000, 850)])
 def test_at_least_the_share_that_was_said_succeeds(played: int, least: int) -> None:
-    assert recipes.recipe_of("bgr", "state").least(played) == least
+    assert recipes.recipe_of("bgr", recipes.STATE).least(played) == least
     assert recipes.recipe_of("bgr", "moe_act").least(played) == 0
 
 

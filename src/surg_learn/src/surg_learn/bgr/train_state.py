@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surg_learn.bgr.observed_features import DISTANCE, TENSION, Columns, features, world_of
+from surg_learn.bgr.observed_features import DISTANCE, ROBOT, TENSION, Columns, features, world_of
 from surg_learn.bgr.state_policy import Policy
 from surg_learn.bgr.training.action_head import HandOptions, Samples, fit_hand, may_move
 from surg_learn.bgr.training.perceptron import mean_error, size_of
@@ -72,7 +72,7 @@ def read(folder: Path, forces: bool = False) -> Dataset[Episode]:
     for split, index in split_episodes(info):
         columns = table(folder, info, index, needed)
         if forces:
-            columns[3] = columns[3][:, force_columns(names[FORCE])]
+            columns[3] = columns[3][:, force_columns(names[FORCE], ROBOT)]
         episodes.setdefault(split, []).append(Episode(*columns))
     return Dataset(episodes, names, {"fps": info["fps"], "robot": info["robot_type"]})
 
