@@ -21,15 +21,19 @@ from surg_cli.learning import rollouts as cli_rollouts
 from surg_core.contract import STATE_KEY, TASK_STATE_KEY
 from surg_learn.bgr import state_policy
 from surg_learn.cloning import arm_columns
+from surg_learn.recipes import PUSH_M
 from surg_recording import datasets
 from surg_recording.episode import episode_reader
 from surg_recording.metrics import unsafe_commands
 from surg_sim.envs import demonstrations, policy_rollouts
+from surg_sim.envs.cell_session import CellSession
+from surg_sim.envs.episode_runner import run_episode
 from surg_sim.envs.recorded_episode import RecordedSession
 from surg_sim.envs.surg_env import SurgEnv
 from surg_sim.physics import cell_files
 from surg_sim.tasks.bgr import bgr_definition as defined
 from surg_sim.tasks.perturbed_sender import PerturbedExpert
+from surg_sim.tasks.pick_and_place.pick_and_place_task import PickAndPlace
 from surg_sim.tasks.scripted_arm import ArmExpert
 
 SHORT = str(paths.ROOT / "tests" / "helpers" / "sim" / "short_bgr.py")
@@ -65,6 +69,19 @@ def exported(recorded: Path) -> Path:
     report = datasets.load("lerobot").write([recorded], out, options)
     assert report.ok and report.recordings == 2
     return out
+
+
+def test_a_disturbed_hand_begins_where_the_arm_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A first pose far from it is refused; these seeds had drawn one, and nothing moved."""
+    monkeypatch.setattr(PickAndPlace, "time_limit", 3.0)
+    session = CellSession(cell_files.find("sim_ur5e"), "pick_and_place")
+    refused: list[int] = []
+    for seed in (10_021, 10_061, 10_077):
+        hand = session.task.experts(session.cell, seed)["expert"]
+        assert isinstance(hand, ArmExpert)
+        hands = {"expert": PerturbedExpert(hand, seed, PUSH_M)}
+        run_episode(session, seed, hands, lambda tick: refused.append(tick.outputs["PSM1"].refused))
+        assert refused[-1] == 0
 
 
 def test_the_phases_of_a_real_task_are_stages_in_words(recorded: Path) -> None:

@@ -140,6 +140,7 @@ def export(out: Path, terminal: Terminal) -> dict[str, Any]:
     options = datasets.ExportOptions(
         fps=GRID_RATE,
         splits={"train": 0.95, "val": 0.05},
+        where="success",
         workers=_jobs(),
         keep_parts=True,
         replace=True,
