@@ -26,6 +26,7 @@ class Recipe:
     train: str
     serve: str  # the policy's client
     cameras: tuple[str, ...] = ()  # views of the endoscope that are recorded and served
+    still_camera: bool = False  # its labels are of the stated camera
     words: tuple[str, ...] = ()  # further words of the trainer's command line
     packages: tuple[str, ...] = ()  # sets of the package list that the trainer needs
     devices: str = ""  # program that says where a `--device` trains; empty: on the processor only
@@ -77,7 +78,10 @@ OF_TASK = {
     "bgr": {
         STATE: Recipe("surg_learn.bgr.train_state", "surg_learn.bgr.state_policy", target=0.85),
         "keypoints": replace(
-            LOOKS, train="surg_learn.bgr.train_images", serve="surg_learn.bgr.image_policy"
+            LOOKS,
+            train="surg_learn.bgr.train_images",
+            serve="surg_learn.bgr.image_policy",
+            still_camera=True,
         ),
     }
 }
@@ -134,18 +138,20 @@ class Request:
 
         Raises:
             ConfigError: The file is missing or invalid.
-            ValueError: The camera would move; labels are computed for the stated one.
+            ValueError: The camera would move, and the labels are of the stated one.
         """
         from surg_sim.appearance.domain_randomization import DomainRandomization
 
         if not self.looks:
             return None
         still = {"camera_shift_mm": (0.0, 0.0), "camera_turn_deg": (0.0, 0.0)}
+        if not self.recipe.still_camera:
+            still = {}
         if self.looks == BUILT_IN:
             return replace(DomainRandomization(), **still)
         ranges = DomainRandomization.read(self.looks)
-        for name in still:
-            if getattr(ranges, name) != (0.0, 0.0):
+        for name, none in still.items():
+            if getattr(ranges, name) != none:
                 raise ValueError(
                     f"{self.looks}: {name}: the trainer's labels are of the stated camera; leave "
                     "it out: in training each picture is shifted, turned and scaled with its labels"
