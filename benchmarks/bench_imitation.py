@@ -2,7 +2,7 @@
 
 In process (`surg_sim.envs.policy_rollouts`), on test seeds, each condition of `policy/sights.py`.
 Several at a time: `--executor processes`, `dask` (a cluster of its own) or `dask:ADDRESS`.
-`--weights` are those of `./surg learn bgr --cameras`, or of `surg_learn.bgr.train_cloned`;
+`--weights` are those of `./surg learn bgr --cameras keypoints`, or of `train_cloned`;
 several are compared on the same seeds. Every finished roll-out is kept in `--keep`; the same
 command goes on there. Another version of the programs needs another folder. `--json FILE` writes
 (Wilson's 95 % interval):
@@ -101,7 +101,7 @@ def options_of() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="bench imitation", description=(__doc__ or "").split("\n")[0]
     )
-    about = "of learn bgr --cameras, or of train_cloned.py; several are compared"
+    about = "of learn bgr --cameras keypoints, or of train_cloned.py; several are compared"
     parser.add_argument("--weights", type=Path, nargs="+", required=True, metavar="W", help=about)
     parser.add_argument("--keep", type=Path, required=True, metavar="DIR", help="go on there")
     parser.add_argument("--json", type=Path, metavar="FILE")

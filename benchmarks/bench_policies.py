@@ -107,6 +107,7 @@ def options_of(words: Sequence[str] | None) -> argparse.Namespace:
     add("--keep", type=Path, required=True, metavar="DIR", help="go on there")
     add("--full", action="store_true", help="also delays, and shifts of picture, place and look")
     add("--rollouts", type=int, metavar="N", help="of each cell (default: 3; with --full 20)")
+    add("--phrase", metavar="WORDS", help="draws held-out seeds; who publishes it spends it")
     add("--only", nargs="*", default=[], metavar="WORD", help="tasks or conditions with it")
     add("--jobs", type=int, help="at a time (default: the machine's cores)")
     add("--executor", type=executor_of, default=Executor(), metavar="processes|dask[:ADDRESS]")
@@ -209,6 +210,20 @@ def wanted(
     return chosen
 
 
+def seeds_of(phrase: str | None, count: int) -> Sequence[int]:
+    """Public test seeds, or those of a phrase.
+
+    Raises:
+        ValueError: There are not so many, or the phrase is empty.
+    """
+    seeds = episode_seeds.test_seeds(count)
+    if phrase is None:
+        return seeds
+    if not phrase.strip():
+        raise ValueError("--phrase: it has no words; anybody could draw its seeds")
+    return episode_seeds.held_out_seeds(phrase, count)
+
+
 def platform() -> dict[str, Any]:
     """What a card depends on beside its policy."""
     known = provenance.versions()
@@ -237,7 +252,7 @@ def main(words: Sequence[str] | None = None) -> int:
     before, kind = os.getloadavg()[0], "full" if options.full else "quick"
     started = time.monotonic()
     try:
-        seeds = episode_seeds.test_seeds(options.rollouts or EPISODES[kind])
+        seeds = seeds_of(options.phrase, options.rollouts or EPISODES[kind])
         sent = [Path(word) for word in options.policies if word.endswith(".json")]
         others = [file_io.read_json(file) for file in sent]
         for file, card in zip(sent, others, strict=True):

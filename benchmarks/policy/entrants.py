@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 SHIPPED = "shipped"
-"""Method of the policy of `./surg learn bgr --cameras`."""
+"""Method of the policy of `./surg learn bgr --cameras keypoints`."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,13 @@ def policy_of(weights: Path) -> Any:
         said = head["format"]
     except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{weights}: no weights of a policy ({error})") from None
-    if not said.startswith("surg_bgr_cloned_policy/"):
+    if not said.startswith("surg_cloned_policy/"):
         return ImagePolicy.load(weights)
     try:
         import torch
     except ImportError:
         raise ValueError(f"{weights}: PyTorch runs it: apt install python3-torch") from None
-    from surg_learn.bgr.cloned_policy import ClonedPolicy
+    from surg_learn.cloning.cloned_policy import ClonedPolicy
 
     torch.set_num_threads(1)
     return ClonedPolicy.load(weights)

@@ -2,7 +2,7 @@
 
 The task is bowel grasping and retraction; the commands pass the controller's own gate. The policy
 is the task's expert, which sees what a policy sees, and the learned one whose weights
-SURG_BGR_WEIGHTS names.
+SURG_WEIGHTS names.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from surg_sim.envs.surg_env import SurgEnv
 
 pytestmark = [pytest.mark.untimed, pytest.mark.full]
 
-WEIGHTS = os.environ.get("SURG_BGR_WEIGHTS")
+WEIGHTS = os.environ.get("SURG_WEIGHTS")
 SEED = 3
 STEP = 0.05
 """[s] Between two actions."""

@@ -12,10 +12,10 @@ from pyarrow import parquet
 
 from helpers.policy import bgr_pictures as made
 from helpers.policy.bgr_synthetic import ACTION, STATE
-from surg_learn.bgr import cloned_networks as cloned_networks
-from surg_learn.bgr import cloned_policy as cloned_policy
-from surg_learn.bgr import train_cloned as train_cloned
-from surg_learn.bgr.training import recorded_steps
+from surg_learn.cloning import cloned_networks as cloned_networks
+from surg_learn.cloning import cloned_policy as cloned_policy
+from surg_learn.cloning import train_cloned as train_cloned
+from surg_learn.cloning.training import recorded_steps
 
 LEFT, RIGHT = recorded_steps.LEFT, recorded_steps.RIGHT
 WHOLE, APPROACH, CLOSE = "Grasp the spot.", "Go to the spot.", "Close the jaws."
@@ -49,8 +49,7 @@ def written(folder: Path, found: recorded_steps.Recorded, **info: Any) -> Path:
     from surg_recording.datasets import ExportOptions, pictures
 
     column = {
-        "observation.state": {"names": STATE},
-        "action": {"names": ACTION},
+        **{key: {"names": names} for key, names in found.names.items()},
         recorded_steps.PHASE: {"names": None},
         recorded_steps.WHOLE: {"names": None},
     }

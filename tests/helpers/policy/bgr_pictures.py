@@ -15,10 +15,10 @@ from surg_learn.bgr import image_policy, keypoint_network, train_images
 from surg_learn.bgr import picture_memory as picture_memory
 from surg_learn.bgr.training import keypoint_labels as keypoint_labels
 from surg_learn.bgr.training import keypoint_training as keypoint_training
-from surg_learn.bgr.training import picture_augmentation as picture_augmentation
 from surg_learn.bgr.training import picture_dataset as picture_dataset
+from surg_learn.cloning.small_pictures import SIDE as SIDE
+from surg_learn.cloning.training import picture_augmentation as picture_augmentation
 
-SIDE = keypoint_network.SIDE
 REACH = 0.03
 """From the middle of the picture to its edge [m]."""
 DISTANCE = 0.1

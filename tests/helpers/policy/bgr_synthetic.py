@@ -6,8 +6,9 @@ import numpy as np
 
 from surg_learn.bgr import observed_features, train_state
 from surg_learn.bgr.training import action_head as action_head
-from surg_learn.bgr.training import lerobot_dataset as lerobot_dataset
 from surg_learn.bgr.training import perceptron as perceptron
+from surg_learn.cloning import arm_columns
+from surg_learn.cloning.training import lerobot_dataset as lerobot_dataset
 
 NODES = observed_features.NODES
 STATE = [
@@ -60,9 +61,9 @@ def dataset(train: int = 6, val: int = 1, names: list[str] | None = None) -> tra
     return train_state.Dataset(
         {"train": found[:train], "val": found[train:]},
         {
-            observed_features.STATE: STATE,
-            observed_features.TASK: names or TASK,
-            observed_features.ACTION: ACTION,
+            arm_columns.STATE: STATE,
+            arm_columns.TASK: names or TASK,
+            arm_columns.ACTION: ACTION,
         },
         {"fps": 20, "robot": "made up"},
     )

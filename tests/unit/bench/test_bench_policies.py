@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 import json
 import re
 import socket
@@ -26,6 +27,7 @@ from policy.card_cell import CellJob
 from policy.card_conditions import BY_NAME, Eye
 
 from surg_recording.cards import score_card
+from surg_sim.tasks import episode_seeds
 
 TASK, SEEDS = "endoscope_guidance", (20000, 20001)
 SCRIPT = """
@@ -236,6 +238,20 @@ def test_a_card_goes_on_where_it_was_cut_off_and_is_the_same(
         score_card.check("card.json", card)
         assert {c["condition"] for c in card["cells"]} == {c.name for c in card_conditions.QUICK}
         assert len(card["cells"]) == 5 * len(card_conditions.QUICK)
+
+
+def test_a_phrase_draws_seeds_that_nobody_else_knows() -> None:
+    """By SHA-256, so that two machines draw the same: the first of "a phrase" by hand."""
+    first = int(hashlib.sha256(b"0 a phrase").hexdigest()[:16], 16) % (2**31 - 2**20) + 2**20
+    seeds = list(bench_policies.seeds_of("a phrase", 200))
+    assert seeds[0] == first and len(set(seeds)) == 200
+    assert list(bench_policies.seeds_of("a phrase", 3)) == seeds[:3]
+    assert not {*seeds} & {*bench_policies.seeds_of("A phrase", 200)}
+    public = (episode_seeds.TRAINING, episode_seeds.TUNING, episode_seeds.TEST)
+    assert not any(seed in each for seed in seeds for each in public)
+    assert list(bench_policies.seeds_of(None, 3)) == [20000, 20001, 20002]
+    with pytest.raises(ValueError, match="it has no words"):
+        bench_policies.seeds_of(" ", 3)
 
 
 def test_words_that_are_no_policy_are_refused(tmp_path: Path) -> None:

@@ -134,8 +134,8 @@ def test_roll_outs_of_another_program_with_the_same_weights_lie_elsewhere(
 
 @pytest.mark.parametrize(("played", "least"), [(1, 1), (3, 3), (20, 17), (50, 43), (1000, 850)])
 def test_at_least_the_share_that_was_said_succeeds(played: int, least: int) -> None:
-    assert recipes.STATE_RECIPES["bgr"].least(played) == least
-    assert recipes.CAMERA_RECIPES["bgr"].least(played) == 0
+    assert recipes.recipe_of("bgr", recipes.STATE).least(played) == least
+    assert recipes.recipe_of("bgr", "moe_act").least(played) == 0
 
 
 def test_a_roll_out_that_did_not_come_to_its_end_is_played_again(
@@ -190,14 +190,24 @@ def test_a_stage_that_breaks_is_named_with_the_line_to_go_on(
         learn.main(options(*words), "learn")
     text = str(said.value)
     assert "stage 'training'" in text and "out of memory" in text
-    line = "--setting phantom --robot ur5e --seed 0 --episodes 8 --rollouts 3"
+    line = "--setting phantom --robot sim_two_arms --seed 0 --episodes 8 --rollouts 3"
     assert f"./surg learn bgr {line} --out {out}" in text
     monkeypatch.setattr(learn_stages, "train", good)
     assert learn.main(options(*words), "learn") == 0
     assert done == ["demonstrate", "measure", "export", "train"]
 
 
+@pytest.mark.parametrize(
+    ("method", "trainer", "client"),
+    [
+        ("moe_act", "cloning.train_cloned", "cloned_policy"),
+        ("keypoints", "bgr.train_images", "image_policy"),
+    ],
+)
 def test_cameras_make_a_policy_that_looks(
+    method: str,
+    trainer: str,
+    client: str,
     tmp_path: Path,
     done: list[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -215,17 +225,17 @@ def test_cameras_make_a_policy_that_looks(
     )
     monkeypatch.setattr(FakePlayer, "success", False)
     out = tmp_path / "run"
-    words = ("--cameras", "--episodes", "8", "--rollouts", "2", "--out", str(out))
+    words = ("--cameras", method, "--episodes", "8", "--rollouts", "2", "--out", str(out))
     assert learn.main(options("bgr", *words), "learn") == 0
     (player,) = FakePlayer.made
-    assert [player[4].name, *player[6:]] == ["image_policy.py", False, ("left",), False]
-    assert trainers == ["surg_learn.bgr.train_images"] and installed == [("torch",)]
-    assert recipes.Request("bgr", "phantom", "ur5e", 0, 8, 2, True).demonstrations["cameras"]
+    assert [player[4].name, *player[6:]] == [f"{client}.py", False, ("left",), False]
+    assert trainers == [f"surg_learn.{trainer}"] and installed == [("torch",)]
+    assert recipes.Request("bgr", "phantom", "ur5e", 0, 8, 2, method).demonstrations["cameras"]
     summary = json.loads((out / "summary.json").read_text("utf-8"))
     assert summary["ok"] and summary["privileged"] == []
     # The folder of a run that looks is no folder of one that does not.
     with pytest.raises(CliError, match="--cameras True"):
-        learn.main(options("bgr", *words[1:]), "learn")
+        learn.main(options("bgr", *words[2:]), "learn")
 
 
 def test_a_file_of_looks_may_move_but_not_change(
@@ -254,14 +264,17 @@ def test_what_goes_on_with_cameras_says_so(
         raise LearnError("out of memory")
 
     monkeypatch.setattr(learn_stages, "export", no_memory)
-    with pytest.raises(CliError, match=r"--episodes 60 --rollouts 20 --cameras --out"):
+    with pytest.raises(CliError, match=r"--episodes 60 --rollouts 20 --cameras moe_act --out"):
         learn.main(options("bgr", "--cameras", "--out", str(tmp_path / "run")), "learn")
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("pick_and_place",), "trainer for bgr only"),
+        (("pick_and_place",), "no policy for it reads the simulator's truth; --cameras"),
+        (("pick_and_place", "--cameras", "keypoints"), "there are moe_act, act, bc$"),
+        (("bgr", "--cameras", "state"), "--cameras state: for bgr there are .*, keypoints$"),
+        (("bgrr",), "bgrr"),
         (("bgr", "--episodes", "0"), "--episodes 0: 1 to 700"),
         (("bgr", "--episodes", "701"), "1 to 700"),
         (("bgr", "--rollouts", "1001"), "--rollouts 1001: 1 to 1000"),

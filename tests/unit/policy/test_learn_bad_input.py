@@ -17,7 +17,7 @@ import pytest
 
 from helpers.policy.bgr_pictures import dataset_folder, image_policy, train_images
 from helpers.policy.policy_server import PolicyServer, spec
-from surg_learn.bgr import observed_features, serve_policy
+from surg_learn.cloning import arm_columns, serve_policy
 
 PICTURE = image_policy.PICTURE
 Said = Callable[[], str]
@@ -96,8 +96,9 @@ def test_a_server_that_does_not_fit_is_sent_no_action(
         raise AssertionError("it was asked")
 
     policy = SimpleNamespace(
-        wants=(observed_features.STATE, PICTURE),
+        wants=(arm_columns.STATE, PICTURE),
         names={},
+        arm="PSM1",
         shape_of=lambda key: (240, 320, 3) if key == PICTURE else None,
         act=act,
     )

@@ -26,7 +26,7 @@ from helpers.policy.bgr_cloned import (
 )
 from helpers.policy.bgr_pictures import keypoint_network, picture_augmentation
 from helpers.policy.bgr_synthetic import STATE
-from surg_learn.bgr import observed_features, serve_policy
+from surg_learn.cloning import arm_columns, serve_policy
 
 SMALL = {
     "width": 8, "places": 8, "model": 32, "heads": 2, "feed": 64, "layers": 1, "latent": 4,
@@ -86,7 +86,7 @@ def weights(sizes: dict[str, Any], **head: Any) -> Policy:
         "jaw_range": np.array([0.0, 0.7]),
     }
     about = {"pictures": [LEFT, RIGHT][: whole.eyes], "play": 1, **head}
-    names = {"observation.state": STATE, "action": observed_features.ACTIONS}
+    names = {"observation.state": STATE, "action": arm_columns.actions_of("PSM1")}
     return Policy(cloned_networks.network_of(whole), scales, names, whole, about)
 
 
@@ -291,7 +291,7 @@ def test_training_varies_both_eyes_alike_and_each_step_anew(
 def test_a_dataset_is_read_and_trained_with(tmp_path: Path) -> None:
     found = made.recorded(2, 0, eyes=2)
     folder = made.written(tmp_path / "set", found)
-    read = recorded_steps.read(folder, (LEFT, RIGHT))
+    read = recorded_steps.read(folder, (LEFT, RIGHT), "PSM1")
     np.testing.assert_allclose(read.state, found.state, atol=1e-6)
     np.testing.assert_array_equal(read.begins, found.begins)
     phase = found.phase.copy()
@@ -305,6 +305,28 @@ def test_a_dataset_is_read_and_trained_with(tmp_path: Path) -> None:
     assert train_cloned.main([*words, "--batch", "2", "--device", "cpu"]) == 0
     head = np.load(tmp_path / "w.npz", allow_pickle=False)["head"].tobytes()
     assert json.loads(head)["about"]["frames"] == len(found.state)
+
+
+def test_one_of_several_arms_is_learned(tmp_path: Path) -> None:
+    """The other one's columns stand before its own, and are neither read nor commanded."""
+    found = made.recorded(2, 0)
+    names = {
+        key: [name.replace("PSM1", "ECM") for name in each] for key, each in found.names.items()
+    }
+    both = dataclasses.replace(
+        found,
+        state=np.hstack([np.full_like(found.state, 7.0), found.state]),
+        action=np.hstack([np.full_like(found.action, 7.0), found.action]),
+        names={key: [*found.names[key], *each] for key, each in names.items()},
+    )
+    folder = made.written(tmp_path / "set", both)
+    read = recorded_steps.read(folder, (LEFT,), "ECM")
+    np.testing.assert_allclose(read.action, found.action, atol=1e-6)
+    policy = trained(read, steps=1)
+    assert policy.arm == "ECM" and policy.names == read.names == names
+    assert serve_policy.wanted(policy).action.names == tuple(arm_columns.actions_of("ECM"))
+    with pytest.raises(ValueError, match=r"no action of PSM2; it has PSM1/x"):
+        recorded_steps.read(folder, (LEFT,), "PSM2")
 
 
 def test_steps_that_lead_to_a_miss_are_left_out() -> None:

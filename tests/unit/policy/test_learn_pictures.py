@@ -26,7 +26,9 @@ from helpers.policy.bgr_pictures import (
 )
 from helpers.policy.bgr_synthetic import STATE, TASK
 from helpers.policy.example_program import said_alone
-from surg_learn.bgr import chunk_policy, observed_features
+from surg_learn.bgr import observed_features
+from surg_learn.cloning import arm_columns, chunk_policy, small_pictures
+from surg_learn.cloning.training import recorded_steps, torch_device
 
 FEW_EYE = keypoint_training.EyeOptions(steps=4, batch=4, channels=(4, 4, 4, 4, 4, 4), hidden=8)
 FEW = train_images.Options(steps=8, hidden=(16, 16), batch=8, chunk=4, eye=FEW_EYE)
@@ -58,7 +60,7 @@ def policy() -> image_policy.ImagePolicy:
 def test_a_view_is_the_rounded_mean_of_blocks_of_the_middle_square(shape: tuple[int, int]) -> None:
     height, width = shape
     whole = np.random.default_rng(height).integers(0, 256, (height, width, 3), np.uint8)
-    view = keypoint_network.small(whole)
+    view = small_pictures.small(whole)
     assert view.shape == (120, 120, 3) and view.dtype == np.uint8
     block, left = height // 120, (width - height) // 2
     rng = np.random.default_rng(0)
@@ -66,7 +68,7 @@ def test_a_view_is_the_rounded_mean_of_blocks_of_the_middle_square(shape: tuple[
         part = whole[i * block : (i + 1) * block, left + k * block : left + (k + 1) * block]
         mean = part.reshape(-1, 3).astype(float).mean(axis=0)
         np.testing.assert_array_equal(view[i, k], np.floor(mean + 0.5))
-    np.testing.assert_array_equal(view, keypoint_network.small(whole[:, :, ::-1])[:, :, ::-1])
+    np.testing.assert_array_equal(view, small_pictures.small(whole[:, :, ::-1])[:, :, ::-1])
 
 
 @pytest.mark.parametrize(
@@ -74,7 +76,7 @@ def test_a_view_is_the_rounded_mean_of_blocks_of_the_middle_square(shape: tuple[
 )
 def test_a_picture_that_does_not_divide_is_refused_in_words(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match="120, 240, 360") as said:
-        keypoint_network.small(np.zeros(shape, np.uint8))
+        small_pictures.small(np.zeros(shape, np.uint8))
     assert str(shape) in str(said.value)
 
 
@@ -96,8 +98,8 @@ def test_what_the_codec_leaves_of_a_view(tmp_path: Path) -> None:
     file = tmp_path / "video.mp4"
     frames = (av.VideoFrame.from_ndarray(picture, format="rgb24") for picture in shown)
     pictures.encode(frames, file, ExportOptions())
-    seen = picture_dataset.views_of(file).astype(int)
-    off = np.abs(seen - np.stack([keypoint_network.small(picture) for picture in shown]))
+    seen = small_pictures.views_of(file).astype(int)
+    off = np.abs(seen - np.stack([small_pictures.small(picture) for picture in shown]))
     print(f"mean {off.mean():.2f}, 99 % {np.percentile(off, 99):.0f} of 255")
     assert len(seen) == 6 and off.mean() < 2.0
 
@@ -288,9 +290,9 @@ def test_one_seed_one_policy(policy: image_policy.ImagePolicy) -> None:
 def test_how_to_miss_is_not_learned() -> None:
     """Jaws that close and open again have missed: the steps up to the closing are left out."""
     jaw = np.array([0, 0, 0.7, 0.7, 0.7, 0, 0, 0, 0.7, 0.7, 0, 0, 0, 0], float)
-    out = np.flatnonzero(picture_dataset.missed(jaw))
+    out = np.flatnonzero(recorded_steps.missed(jaw))
     np.testing.assert_array_equal(out, [2, 3, 4, 5])
-    assert not picture_dataset.missed(jaw[8:]).any()
+    assert not recorded_steps.missed(jaw[8:]).any()
 
 
 def test_a_command_that_is_moved_aside_is_led_back(policy: image_policy.ImagePolicy) -> None:
@@ -318,19 +320,19 @@ def test_a_command_that_is_moved_aside_is_led_back(policy: image_policy.ImagePol
 def test_acting_step_by_step_is_what_was_trained(policy: image_policy.ImagePolicy) -> None:
     """The memory included: chunks one by one are those of the whole episode."""
     shown = made.episode(99)
-    columns = observed_features.state_columns(STATE)
+    columns = arm_columns.state_columns(STATE, "PSM1")
     for _ in range(2):  # the second time after a reset
         policy.reset("", None)
         said: list[np.ndarray] = []
-        last = before = shown.state[0, observed_features.SET]
+        last = before = shown.state[0, arm_columns.SET]
         chunks, moved = [], []
         for state, view in zip(shown.state, shown.views, strict=True):
             if np.linalg.norm(last[:3] - state[5:8]) > chunk_policy.REACH:
-                last = before = state[observed_features.SET]  # it begins anew: nothing has moved
+                last = before = state[arm_columns.SET]  # it begins anew: nothing has moved
             said.append(last)
             moved.append(last - before)
             before = last
-            seen = {observed_features.STATE: state, image_policy.PICTURE: view}
+            seen = {arm_columns.STATE: state, image_policy.PICTURE: view}
             chunks.append(policy.act(seen))
             assert chunks[-1].shape == (4, 5) and chunks[-1].dtype == np.float64
             last = chunks[-1][0, :4]
@@ -353,8 +355,8 @@ class At:
 def test_it_goes_on_from_what_it_was_last_told_to_do(policy: image_policy.ImagePolicy) -> None:
     """In real time it misses observations; after a refusal the arm has not gone anywhere."""
     shown = made.episode(7)
-    arrays = {observed_features.STATE: shown.state[0], image_policy.PICTURE: shown.views[0]}
-    held = shown.state[0, observed_features.SET]
+    arrays = {arm_columns.STATE: shown.state[0], image_policy.PICTURE: shown.views[0]}
+    held = shown.state[0, arm_columns.SET]
     policy.reset()
     chunk = policy.act(At(10, arrays))
     for step, row in ((11, 0), (13, 2), (90, 3)):
@@ -369,14 +371,14 @@ def test_it_goes_on_from_what_it_was_last_told_to_do(policy: image_policy.ImageP
 def test_how_fast_it_moves_it_knows_from_its_commands(policy: image_policy.ImagePolicy) -> None:
     """Whatever the arm's delay is, and over steps that it missed; nothing where it begins anew."""
     shown = made.episode(7)
-    arrays = {observed_features.STATE: shown.state[0], image_policy.PICTURE: shown.views[0]}
-    rows = shown.state[0, observed_features.SET] + np.arange(1.0, 5.0)[:, None] * [1e-3, 0, 0, 0.01]
+    arrays = {arm_columns.STATE: shown.state[0], image_policy.PICTURE: shown.views[0]}
+    rows = shown.state[0, arm_columns.SET] + np.arange(1.0, 5.0)[:, None] * [1e-3, 0, 0, 0.01]
 
     def moved(step: int, behind: float) -> np.ndarray:
         """Of the next observation, of an arm so far behind its set-point [m]."""
         state = shown.state[0].copy()
         state[:3] -= behind
-        policy.act(At(step, {**arrays, observed_features.STATE: state}))
+        policy.act(At(step, {**arrays, arm_columns.STATE: state}))
         policy._said = np.column_stack([rows, np.zeros(4)])
         return policy._past[-1][3]
 
@@ -395,7 +397,7 @@ def test_a_hand_that_hesitates_keeps_to_a_chunk(
 ) -> None:
     """It says at every step that it closes its jaws three steps later, and never gets there."""
     shown = made.episode(7)
-    arrays = {observed_features.STATE: shown.state[0], image_policy.PICTURE: shown.views[0]}
+    arrays = {arm_columns.STATE: shown.state[0], image_policy.PICTURE: shown.views[0]}
     jaws = np.array([0.6, 0.6, 0.3, 0.0])
 
     def soon(inputs: np.ndarray, last: np.ndarray) -> np.ndarray:
@@ -441,7 +443,7 @@ def test_numpy_alone_gives_what_the_trainer_had(
     assert said_alone(program) == policy.hash
     policy.reset()
     here = [
-        policy.act({observed_features.STATE: state, image_policy.PICTURE: view})
+        policy.act({arm_columns.STATE: state, image_policy.PICTURE: view})
         for state, view in zip(shown.state, shown.views, strict=True)
     ]
     # Another number of threads sums in another order.
@@ -480,18 +482,18 @@ def stub_torch(gpu: bool, built: str | None) -> SimpleNamespace:
 def test_where_it_trains_and_a_gpu_that_is_not_there(
     wanted: str, gpu: bool, built: str | None, found: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(keypoint_training, "pytorch", lambda: stub_torch(gpu, built))
-    if found in keypoint_training.DEVICES:
-        assert keypoint_training.device_for(wanted) == found
+    monkeypatch.setattr(torch_device, "pytorch", lambda: stub_torch(gpu, built))
+    if found in torch_device.DEVICES:
+        assert torch_device.device_for(wanted) == found
         return
     with pytest.raises(ValueError, match=found):
-        keypoint_training.device_for(wanted)
+        torch_device.device_for(wanted)
 
 
 def test_a_gpu_that_is_not_there_is_said_before_a_file_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(keypoint_training, "pytorch", lambda: stub_torch(False, None))
+    monkeypatch.setattr(torch_device, "pytorch", lambda: stub_torch(False, None))
     monkeypatch.setattr(train_images, "read", lambda *a: pytest.fail("read"))
     words = [str(tmp_path), "--out", str(tmp_path / "w.npz"), "--device", "cuda"]
     assert train_images.main(words) == 2
@@ -517,7 +519,7 @@ def test_what_it_says_it_sees_lies_where_it_is_in_the_picture(
     seen = policy.seen()
     to_wire(seen)
     tip, assistant, requested = seen.keypoints
-    answer = policy.network.eye(keypoint_network.small(whole)[None])[0]
+    answer = policy.network.eye(small_pictures.small(whole)[None])[0]
     places = (answer[keypoint_network.TIP], answer[keypoint_network.PLACE])
     for point, (down, right) in zip((tip, assistant), places, strict=True):
         # The middle square is 480 pixels wide; its left edge is the 80th.

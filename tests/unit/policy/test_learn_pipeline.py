@@ -19,16 +19,21 @@ from surg_cli.graph import task_episode as cli_episode
 from surg_cli.host import paths
 from surg_cli.learning import rollouts as cli_rollouts
 from surg_core.contract import STATE_KEY, TASK_STATE_KEY
-from surg_learn.bgr import observed_features, state_policy
+from surg_learn.bgr import state_policy
+from surg_learn.cloning import arm_columns
+from surg_learn.recipes import PUSH_M
 from surg_recording import datasets
 from surg_recording.episode import episode_reader
 from surg_recording.metrics import unsafe_commands
 from surg_sim.envs import demonstrations, policy_rollouts
+from surg_sim.envs.cell_session import CellSession
+from surg_sim.envs.episode_runner import run_episode
 from surg_sim.envs.recorded_episode import RecordedSession
 from surg_sim.envs.surg_env import SurgEnv
 from surg_sim.physics import cell_files
 from surg_sim.tasks.bgr import bgr_definition as defined
 from surg_sim.tasks.perturbed_sender import PerturbedExpert
+from surg_sim.tasks.pick_and_place.pick_and_place_task import PickAndPlace
 from surg_sim.tasks.scripted_arm import ArmExpert
 
 SHORT = str(paths.ROOT / "tests" / "helpers" / "sim" / "short_bgr.py")
@@ -66,6 +71,19 @@ def exported(recorded: Path) -> Path:
     return out
 
 
+def test_a_disturbed_hand_begins_where_the_arm_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A first pose far from it is refused; these seeds had drawn one, and nothing moved."""
+    monkeypatch.setattr(PickAndPlace, "time_limit", 3.0)
+    session = CellSession(cell_files.find("sim_ur5e"), "pick_and_place")
+    refused: list[int] = []
+    for seed in (10_021, 10_061, 10_077):
+        hand = session.task.experts(session.cell, seed)["expert"]
+        assert isinstance(hand, ArmExpert)
+        hands = {"expert": PerturbedExpert(hand, seed, PUSH_M)}
+        run_episode(session, seed, hands, lambda tick: refused.append(tick.outputs["PSM1"].refused))
+        assert refused[-1] == 0
+
+
 def test_the_phases_of_a_real_task_are_stages_in_words(recorded: Path) -> None:
     found = episode_reader.read(recorded / str(SEEDS[0]))
     assert found.manifest["run"]["instruction"] == defined.INSTRUCTION
@@ -88,8 +106,8 @@ def test_an_action_is_what_the_expert_said_at_that_look(exported: Path) -> None:
     shown = dataset.episodes["train"][0]
     env = SurgEnv(SHORT)
     names = policy_rollouts.names(env)
-    assert dataset.names[observed_features.STATE] == names[STATE_KEY]
-    assert dataset.names[observed_features.TASK] == names[TASK_STATE_KEY]
+    assert dataset.names[arm_columns.STATE] == names[STATE_KEY]
+    assert dataset.names[arm_columns.TASK] == names[TASK_STATE_KEY]
     observation, _ = env.reset(seed=SEEDS[0])
     compared = 0
     for step in range(len(shown.state)):
@@ -215,13 +233,13 @@ def test_a_hidden_tension_changes_no_action() -> None:
     made = bgr_synthetic.dataset()
     rng = np.random.default_rng(2)
     for episode in (each for part in made.episodes.values() for each in part):
-        episode.task[:, made.names[observed_features.TASK].index("tension")] = rng.random(
+        episode.task[:, made.names[arm_columns.TASK].index("tension")] = rng.random(
             len(episode.task)
         )
     shown = made.episodes["val"][0]
-    told = {observed_features.STATE: shown.state[-1], observed_features.TASK: shown.task[-1].copy()}
-    pulled = {**told, observed_features.TASK: told[observed_features.TASK].copy()}
-    pulled[observed_features.TASK][made.names[observed_features.TASK].index("tension")] += 3.0
+    told = {arm_columns.STATE: shown.state[-1], arm_columns.TASK: shown.task[-1].copy()}
+    pulled = {**told, arm_columns.TASK: told[arm_columns.TASK].copy()}
+    pulled[arm_columns.TASK][made.names[arm_columns.TASK].index("tension")] += 3.0
     for tension in (True, False):
         policy = train_state.train(made, train_state.Options(steps=20, tension=tension))
         actions = []

@@ -20,7 +20,8 @@ from helpers.policy.bgr_synthetic import (
     train_state,
 )
 from helpers.policy.example_program import said_alone
-from surg_learn.bgr import chunk_policy, observed_features, state_policy
+from surg_learn.bgr import observed_features, state_policy
+from surg_learn.cloning import arm_columns, chunk_policy
 
 FEW = train_state.Options(steps=60, hidden=(32, 32), batch=64, chunk=8)
 
@@ -76,7 +77,7 @@ def test_what_is_seen_may_be_behind_what_was_said() -> None:
     (shown,) = made.dataset(train=1).episodes["train"]
     n, S = len(shown.state), columns.state
     known = train_state.samples([shown], columns, np.eye(4), 8, behind=2)
-    last = lerobot_dataset.last_commands(shown.state, shown.action, S[observed_features.SET])
+    last = lerobot_dataset.last_commands(shown.state, shown.action, S[arm_columns.SET])
     for steps in range(3):
         part = slice(steps * n, (steps + 1) * n)
         seen = shown.state[np.maximum(np.arange(n) - steps, 0)]
@@ -132,15 +133,15 @@ def test_acting_step_by_step_is_what_was_trained(policy: state_policy.Policy) ->
     said = []
     for _ in range(2):  # the second time after a reset
         policy.reset("", None)
-        last = shown.state[0, observed_features.SET]
+        last = shown.state[0, arm_columns.SET]
         said.clear()
         for step in range(len(shown.state)):
             if np.linalg.norm(last[:3] - shown.state[step, 5:8]) > chunk_policy.REACH:
-                last = shown.state[step, observed_features.SET]
+                last = shown.state[step, arm_columns.SET]
             said.append(last)
             observation = {
-                observed_features.STATE: shown.state[step],
-                observed_features.TASK: shown.task[step],
+                arm_columns.STATE: shown.state[step],
+                arm_columns.TASK: shown.task[step],
             }
             chunk = policy.act(observation)
             assert chunk.shape == (8, 5) and chunk.dtype == np.float64
@@ -164,7 +165,7 @@ def test_numpy_alone_gives_what_the_trainer_had(
     file = tmp_path / "weights.npz"
     policy.save(file)
     shown = made.episode(5)
-    last = lerobot_dataset.last_commands(shown.state, shown.action, observed_features.SET)
+    last = lerobot_dataset.last_commands(shown.state, shown.action, arm_columns.SET)
     np.savez(tmp_path / "episode.npz", state=shown.state, task=shown.task, last=last)
     program = (
         "import sys, numpy as np\n"
@@ -197,7 +198,7 @@ def test_weights_hold_no_code(policy: state_policy.Policy, tmp_path: Path) -> No
                 _, _, dtype = np.lib.format.read_array_header_1_0(member)
                 assert dtype.hasobject is False, name
     again = state_policy.Policy.load(file)
-    assert again.hash == policy.hash and again.about["privileged"] == [observed_features.TASK]
+    assert again.hash == policy.hash and again.about["privileged"] == [arm_columns.TASK]
     assert again.about == json.loads(json.dumps(policy.about))
 
 
@@ -216,7 +217,7 @@ def test_the_place_of_a_number_is_found_by_its_name(policy: state_policy.Policy)
     rng = np.random.default_rng(1)
     order = rng.permutation(len(made.TASK))
     shown = made.episode(7)
-    last = lerobot_dataset.last_commands(shown.state, shown.action, observed_features.SET)
+    last = lerobot_dataset.last_commands(shown.state, shown.action, arm_columns.SET)
     columns = observed_features.Columns(made.STATE, made.TASK)
     shuffled = observed_features.Columns(made.STATE, [made.TASK[i] for i in order])
     np.testing.assert_array_equal(

@@ -39,11 +39,12 @@ def test_looks_are_part_of_what_demonstrations_depend_on(file: Path) -> None:
     varied = replace(DomainRandomization.none(), light_strength=(0.4, 1.6))
     assert own.look_ranges == varied
     assert own.demonstrations == {**plain.demonstrations, "looks": asdict(varied)}
-    built_in = asked("--cameras", "--domain-randomization").look_ranges
-    assert built_in is not None and built_in.tissue_colour == DomainRandomization().tissue_colour
-    assert built_in.camera_shift_mm == built_in.camera_turn_deg == (0.0, 0.0)
+    assert asked("--cameras", "--domain-randomization").look_ranges == DomainRandomization()
+    labelled = asked("--cameras", "keypoints", "--domain-randomization").look_ranges
+    still = {"camera_shift_mm": (0.0, 0.0), "camera_turn_deg": (0.0, 0.0)}
+    assert labelled == replace(DomainRandomization(), **still)
     resumed = learn.command_line(own, Path("runs/L"))
-    assert f"--cameras --domain-randomization {file} --out" in resumed
+    assert f"--cameras moe_act --domain-randomization {file} --out" in resumed
 
 
 def test_looks_that_cannot_be_trained_with_are_refused(file: Path) -> None:
@@ -53,7 +54,9 @@ def test_looks_that_cannot_be_trained_with_are_refused(file: Path) -> None:
         asked("--cameras", "--domain-randomization", str(file.with_name("no.yaml")))
     file.write_text("format: surg_looks/1\ncamera_turn_deg: [0, 3]\n")
     with pytest.raises(CliError, match="labels are of the stated camera"):
-        asked("--cameras", "--domain-randomization", str(file))
+        asked("--cameras", "keypoints", "--domain-randomization", str(file))
+    turned = asked("--cameras", "--domain-randomization", str(file)).look_ranges
+    assert turned is not None and turned.camera_turn_deg == (0.0, 3.0)
 
 
 def test_a_recording_with_another_look_is_played_again(

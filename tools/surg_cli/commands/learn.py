@@ -16,10 +16,12 @@ from surg_learn import learn_stages
 from surg_learn.learn_terminal import LearnError
 from surg_learn.recipes import (
     BUILT_IN,
-    CAMERA_RECIPES,
     DEVICES,
-    STATE_RECIPES,
+    LOOKS,
+    METHODS,
+    STATE,
     Request,
+    recipe_of,
 )
 from surg_learn.stage_ledger import Ledger
 
@@ -30,12 +32,12 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
     parser.epilog = "To resume an interrupted run, name its --out again. docs/guide/learning.md"
     add = parser.add_argument
-    add("task", metavar="TASK", help=", ".join(STATE_RECIPES))
+    add("task", metavar="TASK", help="any with --cameras; bgr without, too")
     add("--setting", default="phantom", metavar="W", help="phantom, ex_vivo or in_vivo")
-    add("--robot", default="ur5e", metavar="R", help="ur5e, panda, or a cell with two arms")
+    add("--robot", metavar="R", help="ur5e, panda, or a cell (default: the task's home_cell)")
     add("--seed", type=int, default=0, metavar="S", help="of the training (default 0)")
     add("--out", type=Path, metavar="DIR", help="folder of the run (default runs/<UTC time>)")
-    state, camera = STATE_RECIPES["bgr"].episodes, CAMERA_RECIPES["bgr"].episodes
+    state, camera = recipe_of("bgr", STATE).episodes, LOOKS.episodes
     add(
         "--episodes",
         type=int,
@@ -45,8 +47,13 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--rollouts", type=int, default=20, metavar="N", help="of the policy (default 20)")
     add(
         "--cameras",
-        action="store_true",
-        help="a policy that observes camera images and joint states, not the simulator's truth",
+        dest="method",
+        nargs="?",
+        const=next(iter(METHODS)),
+        default=STATE,
+        metavar="METHOD",
+        help="a policy that observes camera images and joint states, not the simulator's truth: "
+        f"{', '.join(METHODS)}; for bgr keypoints, too (default {next(iter(METHODS))})",
     )
     add(
         RANDOMIZATION,
@@ -76,7 +83,7 @@ def _main(request: Request, wanted: Path | None) -> int:
     learn_stages.check_device(request)
     out = folder_of(wanted, request)
     say(
-        f"learn: {request.task}{', from camera images' if request.cameras else ''}, "
+        f"learn: {request.task}{f', {request.method} from images' if request.cameras else ''}, "
         f"{request.setting}, {request.episodes} demonstrations, {request.rollouts} roll-outs "
         f"-> {out}"
     )
@@ -157,12 +164,14 @@ def _info(
 
 def check(options: argparse.Namespace) -> Request:
     """Check all options before anything starts."""
+    from surg_sim import tasks
     from surg_sim.tasks import episode_seeds
 
-    if options.task not in STATE_RECIPES:
-        known = ", ".join(STATE_RECIPES)
-        raise CliError(f"learn {options.task}: there is a trainer for {known} only", 2)
-    recipe = (CAMERA_RECIPES if options.cameras else STATE_RECIPES)[options.task]
+    try:
+        home = tasks.load(options.task).home_cell
+        recipe = recipe_of(options.task, options.method)
+    except ValueError as problem:
+        raise CliError(str(problem), 2) from problem
     episodes = recipe.episodes if options.episodes is None else options.episodes
     numbers = (
         ("episodes", episodes, episode_seeds.TRAINING),
@@ -178,11 +187,11 @@ def check(options: argparse.Namespace) -> Request:
     request = Request(
         options.task,
         options.setting,
-        options.robot,
+        options.robot or home,
         options.seed,
         episodes,
         options.rollouts,
-        options.cameras,
+        options.method,
         options.device,
         looks_of(options.looks),
     )
@@ -209,12 +218,13 @@ def folder_of(wanted: Path | None, request: Request) -> Path:
         except ValueError as error:
             raise CliError(f"--out {wanted}: wanted.json is not valid JSON ({error})", 2) from error
         now = asdict(request)
-        before = {"cameras": False, "device": "auto", "looks": "", **before}
+        before = {"method": STATE, "device": "auto", "looks": "", **before}
         if before.get("look_ranges"):  # the file may have moved, or changed where it is
             same = before["look_ranges"] == ranges
             before["looks"] = now["looks"] if same else f"{before['looks']} as it was"
+        before["cameras"], now["cameras"] = before["method"] != STATE, request.cameras
         # The same demonstrations serve other numbers of roll-outs and other trainings.
-        fixed = [name for name in now if name not in ("rollouts", "seed", "device")]
+        fixed = [name for name in now if name not in ("rollouts", "seed", "device", "method")]
         names = {"looks": RANDOMIZATION}
         other = [
             f"{names.get(n, f'--{n}')} {before.get(n)}" for n in fixed if before.get(n) != now[n]
@@ -244,9 +254,9 @@ def command_line(request: Request, out: Path) -> str:
     """The command line that goes on with the same request."""
     given = asdict(request)
     words = [
-        f"--{n} {v}" for n, v in given.items() if n not in ("task", "cameras", "device", "looks")
+        f"--{n} {v}" for n, v in given.items() if n not in ("task", "method", "device", "looks")
     ]
-    words += ["--cameras"] if request.cameras else []
+    words += [f"--cameras {request.method}"] if request.cameras else []
     looks = RANDOMIZATION if request.looks == BUILT_IN else f"{RANDOMIZATION} {request.looks}"
     words += [looks] if request.looks else []
     words += [f"--device {request.device}"] if request.device != "auto" else []

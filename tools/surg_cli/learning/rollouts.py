@@ -22,7 +22,7 @@ from surg_cli.host.terminal import CliError, Progress
 from surg_learn.learn_terminal import LearnError
 
 RESULT = "result.json"
-WEIGHTS = "SURG_BGR_WEIGHTS"
+WEIGHTS = "SURG_WEIGHTS"
 """Environment variable that tells a policy's script where its weights are."""
 
 

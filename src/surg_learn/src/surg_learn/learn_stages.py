@@ -53,7 +53,7 @@ def prepare(
         "dataset": ledger.stage("dataset", {}, lambda: export(out, terminal)),
         "training": ledger.stage(
             "training",
-            {"seed": request.seed, "by": request.recipe.digest},
+            {"seed": request.seed, "method": request.method, "by": request.recipe.digest},
             lambda: train(request, out, terminal),
         ),
     }
@@ -140,6 +140,7 @@ def export(out: Path, terminal: Terminal) -> dict[str, Any]:
     options = datasets.ExportOptions(
         fps=GRID_RATE,
         splits={"train": 0.95, "val": 0.05},
+        where="success",
         workers=_jobs(),
         keep_parts=True,
         replace=True,
@@ -179,7 +180,11 @@ def check_device(request: Request) -> None:
 def train(request: Request, out: Path, terminal: Terminal) -> dict[str, Any]:
     """Train with the program that a person would start, in a process of its own."""
     program = request.recipe.train
-    argv = [sys.executable, "-m", program, str(out / "dataset"), "--json"]
+    argv = [sys.executable, "-m", program, str(out / "dataset"), "--json", *request.recipe.words]
+    if request.recipe.words:  # a program for any task
+        from surg_sim import tasks
+
+        argv += ["--arm", *tasks.load(request.task).commanded]
     argv += ["--out", str(out / "weights.npz"), "--seed", str(request.seed)]
     if request.recipe.devices:
         argv += ["--device", request.device]

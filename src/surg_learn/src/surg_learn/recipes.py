@@ -26,12 +26,13 @@ class Recipe:
     train: str
     serve: str  # the policy's client
     cameras: tuple[str, ...] = ()  # views of the endoscope that are recorded and served
+    still_camera: bool = False  # its labels are of the stated camera
+    words: tuple[str, ...] = ()  # further words of the trainer's command line
     packages: tuple[str, ...] = ()  # sets of the package list that the trainer needs
     devices: str = ""  # program that says where a `--device` trains; empty: on the processor only
     episodes: int = 80  # default number of demonstrations
     expert_noise: float = 1.0  # of every fourth demonstration, see surg_sim.envs.demonstrations
-    target: float = 0.85  # share of the roll-outs that must succeed
-    """The paper's 17 of 20."""
+    target: float = 0.0  # share of the roll-outs that must succeed; 0: it is only reported
 
     @property
     def script(self) -> Path:
@@ -41,7 +42,7 @@ class Recipe:
     @property
     def digest(self) -> str:
         """Hash of the sources that train and run it."""
-        return source_digest(self.script.parent)
+        return source_digest(Path(__file__).parent)
 
     def folder(self, weights: str) -> str:
         """Name of the folder for roll-outs of these weights by these very programs."""
@@ -52,21 +53,55 @@ class Recipe:
         return math.ceil(self.target * rollouts - 1e-9)  # a float product can be a hair above
 
 
-STATE_RECIPES = {"bgr": Recipe("surg_learn.bgr.train_state", "surg_learn.bgr.state_policy")}
-"""By task: policies that observe the simulator's truth."""
-CAMERA_RECIPES = {
-    "bgr": Recipe(
-        "surg_learn.bgr.train_images",
-        "surg_learn.bgr.image_policy",
-        packages=("torch",),
-        devices="surg_learn.bgr.training.keypoint_training",
-        cameras=("left",),
-        episodes=60,
-        expert_noise=EXPERT_NOISE,
-        target=0.0,  # the success rate is reported, whatever it is
-    )
+LOOKS = Recipe(
+    "",
+    "",
+    packages=("torch",),
+    devices="surg_learn.cloning.training.torch_device",
+    cameras=("left",),
+    episodes=60,
+    expert_noise=EXPERT_NOISE,
+)
+"""What policies that observe camera images have in common."""
+CLONED = replace(
+    LOOKS, train="surg_learn.cloning.train_cloned", serve="surg_learn.cloning.cloned_policy"
+)
+METHODS = {
+    "moe_act": replace(CLONED, words=("--method", "moe_act")),
+    "act": replace(CLONED, words=("--method", "act")),
+    "bc": replace(CLONED, words=("--method", "bc")),
 }
-"""By task: policies that observe camera images, with ``--cameras``."""
+"""Methods of ``--cameras`` for every task, the default first."""
+STATE = ""
+"""The method without ``--cameras``, which observes the simulator's truth."""
+OF_TASK = {
+    "bgr": {
+        STATE: Recipe("surg_learn.bgr.train_state", "surg_learn.bgr.state_policy", target=0.85),
+        "keypoints": replace(
+            LOOKS,
+            train="surg_learn.bgr.train_images",
+            serve="surg_learn.bgr.image_policy",
+            still_camera=True,
+        ),
+    }
+}
+"""Methods that were made for one task; 85 % is the paper's 17 of 20."""
+
+
+def recipe_of(task: str, method: str) -> Recipe:
+    """The programs of a method.
+
+    Raises:
+        ValueError: There is none of this name for the task.
+    """
+    known = {**METHODS, **OF_TASK.get(task, {})}
+    if method in known:
+        return known[method]
+    others = ", ".join(name for name in known if name != STATE)
+    if method == STATE:
+        raise ValueError(f"learn {task}: no policy for it reads the simulator's truth; --cameras")
+    raise ValueError(f"--cameras {method}: for {task} there are {others}")
+
 
 DEVICES = ("auto", "cpu", "cuda")
 BUILT_IN = "built-in"
@@ -83,14 +118,19 @@ class Request:
     seed: int
     episodes: int
     rollouts: int
-    cameras: bool = False
+    method: str = STATE  # of `recipe_of`
     device: str = "auto"  # where it is trained
     looks: str = ""  # file of the demonstrations' ranges of looks, or BUILT_IN; empty: none
 
     @property
     def recipe(self) -> Recipe:
         """The programs for it."""
-        return (CAMERA_RECIPES if self.cameras else STATE_RECIPES)[self.task]
+        return recipe_of(self.task, self.method)
+
+    @property
+    def cameras(self) -> bool:
+        """Whether pictures are recorded."""
+        return bool(self.recipe.cameras)
 
     @property
     def look_ranges(self) -> DomainRandomization | None:
@@ -98,18 +138,20 @@ class Request:
 
         Raises:
             ConfigError: The file is missing or invalid.
-            ValueError: The camera would move; labels are computed for the stated one.
+            ValueError: The camera would move, and the labels are of the stated one.
         """
         from surg_sim.appearance.domain_randomization import DomainRandomization
 
         if not self.looks:
             return None
         still = {"camera_shift_mm": (0.0, 0.0), "camera_turn_deg": (0.0, 0.0)}
+        if not self.recipe.still_camera:
+            still = {}
         if self.looks == BUILT_IN:
             return replace(DomainRandomization(), **still)
         ranges = DomainRandomization.read(self.looks)
-        for name in still:
-            if getattr(ranges, name) != (0.0, 0.0):
+        for name, none in still.items():
+            if getattr(ranges, name) != none:
                 raise ValueError(
                     f"{self.looks}: {name}: the trainer's labels are of the stated camera; leave "
                     "it out: in training each picture is shifted, turned and scaled with its labels"
@@ -124,7 +166,7 @@ class Request:
             {"cameras": recipe.cameras, "expert_noise": recipe.expert_noise} if self.cameras else {}
         )
         fixed = {"rollouts": 0, "seed": 0, "shake": PUSH_M}
-        asked = {k: v for k, v in asdict(self).items() if k not in ("cameras", "device", "looks")}
+        asked = {k: v for k, v in asdict(self).items() if k not in ("method", "device", "looks")}
         ranges = self.look_ranges
         looks = {} if ranges is None else {"looks": asdict(ranges)}
         return {**asked, **fixed, **views, **looks}

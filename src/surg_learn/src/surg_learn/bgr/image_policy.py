@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from surg_learn.bgr.chunk_policy import ChunkPolicy, Network
 from surg_learn.bgr.keypoint_network import (
     CONVOLUTIONS,
     HELD,
@@ -31,11 +30,13 @@ from surg_learn.bgr.keypoint_network import (
     TENSION,
     TIP,
     Eye,
-    small,
 )
-from surg_learn.bgr.observed_features import LAGS, SET, STATE
+from surg_learn.bgr.observed_features import LAGS
 from surg_learn.bgr.picture_memory import Memory, View
-from surg_learn.bgr.serve_policy import serve
+from surg_learn.cloning.arm_columns import SET, STATE
+from surg_learn.cloning.chunk_policy import ChunkPolicy, Network
+from surg_learn.cloning.serve_policy import serve
+from surg_learn.cloning.small_pictures import small
 
 PICTURE = "observation.images.endoscope.left"
 EYE_LAYERS = len(CONVOLUTIONS) + 4
@@ -162,6 +163,7 @@ class ImagePolicy(ChunkPolicy):
 
     format = "surg_bgr_image_policy/4"
     trainer = "train_images.py"
+    past = max(LAGS) + 1
     wants = (STATE, PICTURE)
     pictures = (PICTURE,)
 

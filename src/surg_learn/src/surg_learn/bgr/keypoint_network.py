@@ -10,10 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from surg_learn.cloning.small_pictures import SIDE
+
 Array = np.ndarray
 
-SIDE = 120
-"""Side of the input picture [px]."""
 CELLS = SIDE // 4
 """Side of a heat map."""
 MAPS = ("helper", "tip")
@@ -36,33 +36,6 @@ OFF = 0.1
 tube [half picture heights]."""
 CLEAR = 0.08
 """Largest share of a cell in the map of a tip that is clearly seen."""
-
-
-def small(picture: Array) -> Array:
-    """The middle square of a picture, scaled down: each pixel is the mean of a block.
-
-    Training and acting use the same function.
-
-    Args:
-        picture: (height, width, 3), uint8; height a multiple of `SIDE`, width at least the height.
-
-    Returns:
-        (SIDE, SIDE, 3), uint8.
-
-    Raises:
-        ValueError: It has another shape.
-    """
-    shape = np.shape(picture)
-    if len(shape) != 3 or shape[2] != 3 or shape[0] % SIDE or not 0 < shape[0] <= shape[1]:
-        raise ValueError(
-            f"a picture of shape {shape}: a height of {SIDE}, {2 * SIDE}, {3 * SIDE}, ... pixels"
-            " is needed, at least as much width, and three colours"
-        )
-    height, block, left = shape[0], shape[0] // SIDE, (shape[1] - shape[0]) // 2
-    middle = picture[:, left : left + height]
-    rows = middle.reshape(SIDE, block, 3 * height).sum(axis=1, dtype=np.uint32)
-    sums = rows.reshape(SIDE, SIDE, block, 3).sum(axis=2, dtype=np.uint32)
-    return ((sums + block**2 // 2) // block**2).astype(np.uint8)
 
 
 def scaled(views: Array) -> Array:

@@ -6,15 +6,12 @@ Numpy only. All features are in the rcm frame, as the actions are.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
-Array = np.ndarray
-STATE, TASK, ACTION = "observation.state", "privileged.task_state", "action"
-ACTIONS = [f"PSM1/{name}" for name in ("x", "y", "z", "roll", "jaw")]
-"""Columns of the actions: absolute targets."""
-FORCE = "observation.force"
-"""Forces at tip and trocar; a policy that was trained with `--forces` reads them, too."""
+from surg_learn.cloning.arm_columns import SET, TASK, Array, columns_of, state_columns
+
 BESIDE = 8
 """Distance in nodes from the requested one to a resting one, which shows how far it was lifted."""
 LAGS = (0, 4, 8, 16)
@@ -22,8 +19,6 @@ LAGS = (0, 4, 8, 16)
 ROBOT = "PSM1"
 NODES = 36
 """Nodes of the bowel."""
-SET = slice(5, 9)
-"""Set-point of tip and roll in `observation.state`."""
 PLACES, DISTANCE, HERE = slice(0, 9), 9, slice(-3, None)
 """Columns of the features: vectors from the last command to the requested node, the assistant and a
 resting node; the length of the first; the last command."""
@@ -43,46 +38,15 @@ class Columns:
     """
 
     def __init__(self, state: Sequence[str], task: Sequence[str]) -> None:
-        self.state = state_columns(state)
+        self.state = state_columns(state, ROBOT)
         self.task = {
-            name: _find(TASK, task, [name])[0]
+            name: columns_of(TASK, task, [name])[0]
             for name in ("target", "held", "assistant_held", "assistant_jaw", "tension", "visible")
         }
         for name in ("tip", "assistant_tip"):
-            self.task[name] = _find(TASK, task, [f"{name}_{i}" for i in range(3)])
+            self.task[name] = columns_of(TASK, task, [f"{name}_{i}" for i in range(3)])
         flat = [f"nodes_{i}_{k}" for i in range(NODES) for k in range(3)]
-        self.task["nodes"] = _find(TASK, task, flat)
-
-
-def state_columns(names: Sequence[str]) -> np.ndarray:
-    """Columns of tip, roll, jaw and set-point (`SET`) of the robot, (9,).
-
-    Args:
-        names: Of the numbers of `observation.state`.
-
-    Raises:
-        ValueError: One is missing.
-    """
-    wanted = [f"{ROBOT}/{n}" for n in ("tip_x", "tip_y", "tip_z", "roll", "jaw")]
-    wanted += [f"{ROBOT}/{n}" for n in ("set_x", "set_y", "set_z", "roll_set")]
-    return _find(STATE, names, wanted)
-
-
-def force_columns(names: Sequence[str]) -> np.ndarray:
-    """Columns of the robot's forces at tip and trocar, each with whether it is known, (8,).
-
-    Raises:
-        ValueError: One is missing.
-    """
-    wanted = [f"{ROBOT}/{p}_{n}" for p in ("tip", "trocar") for n in ("x", "y", "z", "known")]
-    return _find(FORCE, names, wanted)
-
-
-def _find(key: str, names: Sequence[str], wanted: Sequence[str]) -> np.ndarray:
-    missing = [name for name in wanted if name not in names]
-    if missing:
-        raise ValueError(f"{key} has no {', '.join(missing)}; it has {', '.join(names)[:200]}")
-    return np.array([list(names).index(name) for name in wanted])
+        self.task["nodes"] = columns_of(TASK, task, flat)
 
 
 def features(
@@ -163,3 +127,17 @@ def world_in_rcm(p_R: np.ndarray, p_W: np.ndarray) -> np.ndarray:
     X = np.eye(4)
     X[:3, :3], X[:3, 3] = R, middle_R - R @ middle_W
     return X
+
+
+class Told(Protocol):
+    """An episode of T steps with the simulator's truth."""
+
+    state: Array
+    task: Array
+
+
+def world_of(episodes: Sequence[Told], columns: Columns) -> Array:
+    """X_RW (4, 4) from the tips of all episodes, see `world_in_rcm`."""
+    tips = [episode.state[:, columns.state[:3]] for episode in episodes]
+    tips_W = [episode.task[:, columns.task["tip"]] for episode in episodes]
+    return world_in_rcm(np.concatenate(tips), np.concatenate(tips_W))

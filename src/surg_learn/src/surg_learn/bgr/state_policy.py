@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from surg_learn.bgr.chunk_policy import ChunkPolicy
-from surg_learn.bgr.observed_features import FORCE, SET, STATE, TASK, Columns, features
-from surg_learn.bgr.serve_policy import serve
+from surg_learn.bgr.observed_features import LAGS, Columns, features
+from surg_learn.cloning.arm_columns import FORCE, SET, STATE, TASK
+from surg_learn.cloning.chunk_policy import ChunkPolicy
+from surg_learn.cloning.serve_policy import serve
 
 
 class Policy(ChunkPolicy):
@@ -25,6 +26,7 @@ class Policy(ChunkPolicy):
 
     format = "surg_bgr_policy/1"
     trainer = "train_state.py"
+    past = max(LAGS) + 1
     wants = (STATE, TASK)
 
     def _find_columns(self) -> Any:

@@ -25,18 +25,14 @@ from surg_learn.bgr.image_policy import (
     remembered,
 )
 from surg_learn.bgr.keypoint_network import Eye
-from surg_learn.bgr.observed_features import SET, STATE, TASK, Columns
+from surg_learn.bgr.observed_features import Columns, world_of
 from surg_learn.bgr.training.action_head import HandOptions, Samples, fit_hand, may_move
 from surg_learn.bgr.training.keypoint_labels import Labels, labels, lens_of, plane_of
-from surg_learn.bgr.training.keypoint_training import (
-    DEVICES,
-    EyeOptions,
-    device_for,
-    errors,
-    train_eye,
-)
-from surg_learn.bgr.training.lerobot_dataset import (
-    Array,
+from surg_learn.bgr.training.keypoint_training import EyeOptions, errors, train_eye
+from surg_learn.bgr.training.perceptron import mean_error, size_of
+from surg_learn.bgr.training.picture_dataset import Episode, read
+from surg_learn.cloning.arm_columns import SET, STATE, TASK, Array
+from surg_learn.cloning.training.lerobot_dataset import (
     Dataset,
     Progress,
     jaw_range,
@@ -44,11 +40,10 @@ from surg_learn.bgr.training.lerobot_dataset import (
     normalised,
     scales_of,
     targets_of,
-    world_of,
 )
-from surg_learn.bgr.training.perceptron import mean_error, size_of
-from surg_learn.bgr.training.picture_dataset import Episode, missed, read
-from surg_learn.bgr.training.trainer_options import brief_of, chosen, parser_of, trained
+from surg_learn.cloning.training.recorded_steps import missed
+from surg_learn.cloning.training.torch_device import DEVICES, device_for
+from surg_learn.cloning.training.trainer_options import brief_of, chosen, parser_of, trained
 
 
 @dataclass(frozen=True)

@@ -17,22 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
-from surg_learn.bgr.observed_features import (
-    ACTION,
-    DISTANCE,
-    FORCE,
-    SET,
-    STATE,
-    TASK,
-    TENSION,
-    Columns,
-    features,
-    force_columns,
-)
+from surg_learn.bgr.observed_features import DISTANCE, ROBOT, TENSION, Columns, features, world_of
 from surg_learn.bgr.state_policy import Policy
 from surg_learn.bgr.training.action_head import HandOptions, Samples, fit_hand, may_move
-from surg_learn.bgr.training.lerobot_dataset import (
-    Array,
+from surg_learn.bgr.training.perceptron import mean_error, size_of
+from surg_learn.cloning.arm_columns import ACTION, FORCE, SET, STATE, TASK, Array, force_columns
+from surg_learn.cloning.training.lerobot_dataset import (
     Dataset,
     Progress,
     facts,
@@ -44,10 +34,8 @@ from surg_learn.bgr.training.lerobot_dataset import (
     split_episodes,
     table,
     targets_of,
-    world_of,
 )
-from surg_learn.bgr.training.perceptron import mean_error, size_of
-from surg_learn.bgr.training.trainer_options import brief_of, chosen, parser_of, trained
+from surg_learn.cloning.training.trainer_options import brief_of, chosen, parser_of, trained
 
 
 @dataclass(frozen=True)
@@ -84,7 +72,7 @@ def read(folder: Path, forces: bool = False) -> Dataset[Episode]:
     for split, index in split_episodes(info):
         columns = table(folder, info, index, needed)
         if forces:
-            columns[3] = columns[3][:, force_columns(names[FORCE])]
+            columns[3] = columns[3][:, force_columns(names[FORCE], ROBOT)]
         episodes.setdefault(split, []).append(Episode(*columns))
     return Dataset(episodes, names, {"fps": info["fps"], "robot": info["robot_type"]})
 

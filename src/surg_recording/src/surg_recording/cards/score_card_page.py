@@ -97,7 +97,7 @@ def _policies(cards: Sequence[Entry]) -> Markup:
             ("SHA-256 of its files", policy["sha256"]),
             ("It was served", ", ".join(keys) or "nothing"),
             ("Isolation", alone),
-            ("Card", f"{card['kind']}, seeds {card['seeds'][0]} to {card['seeds'][-1]}"),
+            ("Card", f"{card['kind']}, seeds {', '.join(map(str, card['seeds']))}"),
             ("SHA-256 of the card", card["sha256"]),
         ]
         parts.append(facts(rows))

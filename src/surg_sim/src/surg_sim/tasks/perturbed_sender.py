@@ -38,6 +38,7 @@ class PerturbedExpert(Expert):
         a = self._keep
         self._gain = spread * math.sqrt((1 - a * a) ** 3 / ((1 - a) ** 4 * (1 + a * a)))
         self._slow, self._offset = np.zeros(3), np.zeros(3)
+        self._begun = False
 
     def act(self, observation: Observation) -> Action:
         """See :class:`Expert`."""
@@ -47,6 +48,9 @@ class PerturbedExpert(Expert):
         self._slow = a * self._slow + (1 - a) * self._gain * self._rng.standard_normal(3)
         self._offset = a * self._offset + (1 - a) * self._slow
         arms = dict(action.arms)
+        if not self._begun and any(commands.servo_cp for commands in arms.values()):
+            # A first pose far from the arm would be refused, and all that follow it.
+            self._begun, self._slow, self._offset = True, np.zeros(3), np.zeros(3)
         for name, commands in arms.items():
             pose = commands.servo_cp
             if pose is not None:

@@ -11,16 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surg_learn.bgr.chunk_policy import Network
 from surg_learn.bgr.observed_features import HERE
-from surg_learn.bgr.training.lerobot_dataset import Progress, normalised
-from surg_learn.bgr.training.perceptron import (
-    Adam,
-    flat_layers,
-    gradient_of,
-    half_cosine,
-    initialise,
-)
+from surg_learn.bgr.training.perceptron import Adam, flat_layers, gradient_of, initialise
+from surg_learn.cloning.chunk_policy import Network
+from surg_learn.cloning.training.lerobot_dataset import Progress, normalised
+from surg_learn.cloning.training.trainer_options import half_cosine
 
 Array = np.ndarray
 OPEN, NEAR = 0.6, 0.03

@@ -14,7 +14,8 @@ import numpy as np
 
 from surg_learn.bgr.keypoint_network import CELLS, grid, square
 from surg_learn.bgr.observed_features import NODES
-from surg_learn.bgr.training.lerobot_dataset import RATE, Array
+from surg_learn.cloning.arm_columns import Array
+from surg_learn.cloning.training.lerobot_dataset import RATE
 
 HEAT = 1.0
 """Standard deviation of a heat map's target [cells]."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,17 +18,17 @@ from surg_learn.bgr.keypoint_network import (
     OTHER_HELD,
     OTHER_JAW,
     PLACE,
-    SIDE,
     TENSION,
     Eye,
     grid,
 )
 from surg_learn.bgr.training.keypoint_labels import Labels, heats, pointed_of, tubes
-from surg_learn.bgr.training.lerobot_dataset import Array
-from surg_learn.bgr.training.perceptron import half_cosine
-from surg_learn.bgr.training.picture_augmentation import Looks, Varied, inside_of
+from surg_learn.cloning.arm_columns import Array
+from surg_learn.cloning.small_pictures import SIDE
+from surg_learn.cloning.training.picture_augmentation import Looks, Varied, inside_of
+from surg_learn.cloning.training.torch_device import pytorch
+from surg_learn.cloning.training.trainer_options import half_cosine
 
-DEVICES = ("auto", "cpu", "cuda")
 SHARES = (1.0, 5.0, 2.0, 10.0)
 """Weights of the losses of heat maps, tube, who holds, and jaw and tension."""
 
@@ -140,45 +139,6 @@ class Trained:
         return found
 
 
-def pytorch() -> Any:
-    """The module.
-
-    Raises:
-        ValueError: It is not installed.
-    """
-    try:
-        import torch
-    except ImportError:
-        raise ValueError("PyTorch trains the eye: apt install python3-torch") from None
-    return torch
-
-
-def device_for(wanted: str) -> str:
-    """Where PyTorch trains: ``cpu`` or ``cuda``.
-
-    Args:
-        wanted: One of `DEVICES`; ``auto``: a GPU where PyTorch finds one.
-
-    Raises:
-        ValueError: It is none of them, PyTorch finds no GPU, or PyTorch is not installed.
-    """
-    if wanted not in DEVICES:
-        raise ValueError(f"--device {wanted}: allowed are {', '.join(DEVICES)}")
-    if wanted == "cpu":
-        return "cpu"
-    torch = pytorch()
-    if torch.cuda.is_available():
-        return "cuda"
-    if wanted == "auto":
-        return "cpu"
-    built = torch.version.cuda
-    why = "finds no GPU" if built else "was built without CUDA"
-    raise ValueError(
-        f"--device {wanted}: PyTorch {torch.__version__} {why}; --device cpu trains on the "
-        "processor, --device auto on a GPU where there is one"
-    )
-
-
 def train_eye(
     views: Array,
     labels: Labels,
@@ -245,17 +205,3 @@ def errors(seen: Array, labels: Labels) -> dict[str, Any]:
 
 
 assert SIDE == 4 * CELLS
-
-
-def main(words: Sequence[str]) -> int:
-    """Say where `--device WORD` trains; returns 0, or 2 where it cannot."""
-    try:
-        print(device_for(*words))
-    except ValueError as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from surg_learn.bgr.chunk_policy import Network
+from surg_learn.cloning.chunk_policy import Network
 
 Array = np.ndarray
 
@@ -86,11 +86,6 @@ def initialise(layers: Sequence[tuple[Array, Array]], rng: np.random.Generator) 
     for weight, _ in layers:
         weight[:] = rng.standard_normal(weight.shape) * np.sqrt(2.0 / len(weight))
     layers[-1][0][:] *= 0.1
-
-
-def half_cosine(part: float) -> float:
-    """Factor of the learning rate after a share of the training: from 1 to 0."""
-    return 0.5 * (1 + np.cos(np.pi * part))
 
 
 def mean_error(network: Network, x: Array, y: Array) -> float:

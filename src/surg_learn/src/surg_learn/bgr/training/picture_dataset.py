@@ -13,10 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from surg_learn.bgr.image_policy import PICTURE
-from surg_learn.bgr.keypoint_network import small
-from surg_learn.bgr.observed_features import ACTION, STATE, TASK
-from surg_learn.bgr.training.lerobot_dataset import (
-    Array,
+from surg_learn.cloning.arm_columns import ACTION, STATE, TASK, Array
+from surg_learn.cloning.small_pictures import check_size, views_of
+from surg_learn.cloning.training.lerobot_dataset import (
     Dataset,
     Progress,
     facts,
@@ -28,8 +27,6 @@ from surg_learn.bgr.training.lerobot_dataset import (
 
 CAMERA = "observation.camera_pose"
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-SHUT = 0.1
-"""Commanded jaws less open than this close on something [rad]."""
 
 
 @dataclass
@@ -78,24 +75,6 @@ def read(folder: Path, progress: Progress = lambda part, note: None) -> Dataset[
     return Dataset(episodes, names, about)
 
 
-def check_size(folder: Path, key: str, shape: Sequence[int]) -> None:
-    """Refuse pictures that the eye cannot take.
-
-    Args:
-        folder: Of the dataset.
-        key: Of the pictures.
-        shape: Height, width, 3 [px].
-
-    Raises:
-        ValueError: They do not fit.
-    """
-    try:
-        small(np.zeros(shape, np.uint8))
-    except ValueError as problem:
-        where = f"{folder}: {key} has the shape {list(shape)} (meta/info.json)"
-        raise ValueError(f"{where}; {problem}") from None
-
-
 def intrinsics(folder: Path) -> list[float]:
     """Focal length, principal point right and down, and height of the left camera's pictures [px].
 
@@ -114,24 +93,6 @@ def intrinsics(folder: Path) -> list[float]:
     return found[0]
 
 
-def views_of(file: Path) -> Array:
-    """All pictures of a video, scaled by `small`.
-
-    Raises:
-        ValueError: The video cannot be read.
-    """
-    try:
-        import av
-    except ImportError:
-        raise ValueError("PyAV reads the videos: apt install python3-av") from None
-    try:
-        with av.open(str(file)) as container:
-            shown = container.decode(video=0)
-            return np.stack([small(frame.to_ndarray(format="rgb24")) for frame in shown])
-    except (av.error.FFmpegError, IndexError) as problem:
-        raise ValueError(f"{file}: no readable video ({problem})") from None
-
-
 def matrices(poses: Array, names: Sequence[str]) -> Array:
     """Poses (T, 7) with columns x, y, z, qx, qy, qz, qw in the order of ``names``, as (T, 4, 4)."""
     order = [[name.rpartition("/")[2] for name in names].index(n) for n in POSE]
@@ -147,22 +108,4 @@ def matrices(poses: Array, names: Sequence[str]) -> Array:
     found[:, 2, :3] = np.column_stack(
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]
     )
-    return found
-
-
-def missed(jaw: Array) -> Array:
-    """Steps that lead to a grasp that holds nothing, (T,): from open jaws to the closing.
-
-    Jaws that close and open again have held nothing. How to aim is not learned from these steps.
-
-    Args:
-        jaw: (T,) commanded jaw angles [rad].
-    """
-    shut = jaw < SHUT
-    closes = np.flatnonzero(shut[1:] & ~shut[:-1]) + 1
-    found = np.zeros(len(jaw), bool)
-    for begin, end in zip(closes, [*closes[1:], len(jaw)], strict=True):
-        if not shut[begin:end].all():
-            before = np.flatnonzero(shut[:begin])
-            found[(before[-1] + 1 if len(before) else 0) : begin + 1] = True
     return found

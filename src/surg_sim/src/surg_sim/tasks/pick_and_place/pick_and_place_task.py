@@ -18,7 +18,7 @@ from surg_core.contract import TICK
 from surg_sim.arrays import Array
 from surg_sim.physics.patient_site import Site
 from surg_sim.physics.rigid_grasp import PAD_BIT, RigidGrasp, add_rigid_grasp
-from surg_sim.physics.spec_parts import quaternion
+from surg_sim.physics.spec_parts import add_sprung_joint, quaternion
 from surg_sim.tasks.pick_and_place.pick_and_place_expert import PegTransferExpert
 from surg_sim.tasks.task import State, Task, Verdict
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from surg_sim.tasks.scripted_sender import Expert
 
 ARM = "PSM1"
-RING = "ring"
+RING, MARK = "ring", "goal_mark"
 RING_RADIUS, TUBE_RADIUS = 0.009, 0.002
 """Of the ring's middle line and of its tube [m]."""
 PEG_RADIUS, PEG_HEIGHT = 0.0015, 0.014
@@ -60,10 +60,10 @@ class PickAndPlace(Task):
 
     name = "pick_and_place"
     title = "Peg transfer"
-    instruction = "Move the ring from its peg to the goal peg on the other board."
+    instruction = "Move the ring from its peg to the green peg on the other board."
     stages: ClassVar[Mapping[str, str]] = {
         "grasp": "Grasp the ring on its peg.",
-        "carry": "Carry the ring to the goal peg and lower it over the peg.",
+        "carry": "Carry the ring to the green peg and lower it over the peg.",
         "release": "Open the jaws and let the ring rest on the peg.",
     }
     time_limit = 30.0
@@ -101,6 +101,7 @@ class PickAndPlace(Task):
                 rgba=[0.62, 0.64, 0.66, 1],
                 **fixed,
             )
+        _add_mark(boards)
         ring = spec.worldbody.add_body(name=RING, pos=site.place(_resting(PEGS[0])).tolist())
         ring.add_freejoint(name=RING)
         ring.mass, ring.inertia, ring.explicitinertial = 0.003, [2e-7, 2e-7, 3e-7], True
@@ -128,6 +129,8 @@ class PickAndPlace(Task):
         joint = world.model.joint(RING)
         self._qpos = slice(int(joint.qposadr[0]), int(joint.qposadr[0]) + 7)
         self._dofs = slice(int(joint.dofadr[0]), int(joint.dofadr[0]) + 6)
+        self._mark = [int(world.model.joint(f"{MARK}_{axis}").qposadr[0]) for axis in "xy"]
+        self._springs = world.model.qpos_spring
         self._tip_body = int(world.model.body(f"{ARM}_{self._tip}").id)
         self.grasp = RigidGrasp(world.model, world.data, ARM, self._tip, [RING])
 
@@ -137,6 +140,7 @@ class PickAndPlace(Task):
         boards = [0, 3] if rng.random() < 0.5 else [3, 0]
         first, last = (int(board + rng.integers(3)) for board in boards)
         self.start, self.goal = self._pegs[first], self._pegs[last]
+        self._data.qpos[self._mark] = self._springs[self._mark] = PEGS[last, :2]
         angle, off = rng.uniform(0.0, 2.0 * np.pi), 0.003 * np.sqrt(rng.random())
         turn = rng.uniform(0.0, 2.0 * np.pi)
         place = _resting(self.start) + off * np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -220,6 +224,26 @@ def _add_tray(boards: mujoco.MjsBody) -> None:
             rgba=[0.08, 0.11, 0.15, 1],
             **seen,
         )
+
+
+def _add_mark(boards: mujoco.MjsBody) -> None:
+    """A green tip that slides to the goal's peg: a picture needs the joint positions alone."""
+    mark = boards.add_body(name=MARK, gravcomp=1.0)
+    mark.mass, mark.inertia, mark.explicitinertial = 0.01, [1e-6] * 3, True
+    mark.ipos = [0.0, 0.0, 0.0]
+    for axis in "xy":
+        name = f"{MARK}_{axis}"
+        add_sprung_joint(mark, name, mujoco.mjtJoint.mjJNT_SLIDE, "xyz".index(axis), 2e4, 0.5)
+    top = BOARD + PEG_HEIGHT - PEG_RADIUS
+    mark.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        fromto=[0, 0, top - 0.006, 0, 0, top],
+        size=[PEG_RADIUS + 0.0004, 0, 0],
+        rgba=[0.10, 0.80, 0.25, 1],
+        contype=0,
+        conaffinity=0,
+        mass=0.0,
+    )
 
 
 def _resting(foot: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import time
 from collections.abc import Callable
@@ -11,8 +12,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
-from surg_learn.bgr.chunk_policy import ChunkPolicy
-from surg_learn.bgr.training.lerobot_dataset import Progress
+from surg_learn.cloning.chunk_policy import ChunkPolicy
+from surg_learn.cloning.training.lerobot_dataset import Progress
 
 Options = TypeVar("Options")
 
@@ -95,3 +96,8 @@ def brief_of(known: dict[str, Any]) -> str:
         f"chunks of {known['chunk']}, {known.get('network', 'multilayer perceptron')}, "
         f"{known['parameters']} parameters, {known['frames']} frames, loss {losses}"
     )
+
+
+def half_cosine(part: float) -> float:
+    """Factor of the learning rate after a share of the training: from 1 to 0."""
+    return 0.5 * (1 + math.cos(math.pi * part))

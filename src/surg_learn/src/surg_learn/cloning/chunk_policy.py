@@ -1,4 +1,4 @@
-"""What all policies for bowel grasping and retraction are: weights on disk, and chunks of actions.
+"""What all learned policies are: weights on disk, and chunks of actions of one arm.
 
 Numpy only: no platform, no torch.
 """
@@ -15,13 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from surg_learn.bgr.observed_features import (
+from surg_learn.cloning.arm_columns import (
     ACTION,
-    ACTIONS,
     FORCE,
-    LAGS,
     STATE,
     Array,
+    arm_of,
     force_columns,
     state_columns,
 )
@@ -58,12 +57,10 @@ def weights_of(file: Path, form: str) -> tuple[dict[str, Any], dict[str, Array]]
         raise ValueError(f"{file}: no weights of this policy ({error})") from None
     if not isinstance(head, dict) or head.get("format") != form:
         raise ValueError(f"{file}: its format is not {form}")
-    said = head["names"].get(ACTION, ACTIONS)
-    if said != ACTIONS:
-        raise ValueError(
-            f"{file}: trained on the actions {', '.join(said)}; allowed: {', '.join(ACTIONS)} "
-            "(a dataset with absolute actions)"
-        )
+    try:
+        arm_of(head["names"][ACTION])
+    except ValueError as error:
+        raise ValueError(f"{file}: trained on {error}") from None
     return head, arrays
 
 
@@ -86,12 +83,15 @@ class ChunkPolicy:
         pictures: Those of the keys that are pictures.
         chunk: Actions per answer, K.
         about: Dataset, options and losses of the training.
+        arm: That it commands.
+        past: Observations that it remembers.
     """
 
     format: str
     trainer: str
     wants: tuple[str, ...]
     pictures: tuple[str, ...] = ()
+    past = 1
 
     def __init__(
         self,
@@ -104,9 +104,10 @@ class ChunkPolicy:
         self.network, self.scales, self.chunk = network, dict(scales), chunk
         self.names = {key: list(value) for key, value in names.items()}
         self.about = dict(about)
+        self.arm = arm_of(self.names[ACTION])
         self._checked = False
         self._columns = self._find_columns()
-        self._forces = force_columns(self.names[FORCE]) if FORCE in self.names else None
+        self._forces = force_columns(self.names[FORCE], self.arm) if FORCE in self.names else None
         if self._forces is not None:
             self.wants = (*type(self).wants, FORCE)
         self.reset()
@@ -122,7 +123,7 @@ class ChunkPolicy:
         Raises:
             ValueError: A required column is missing.
         """
-        return state_columns(self.names[STATE])
+        return state_columns(self.names[STATE], self.arm)
 
     # --- weights on disk ----------------------------------------------------------------------
 
@@ -179,7 +180,7 @@ class ChunkPolicy:
         self._said: np.ndarray | None = None
         self._said_at: int | None = None
         self._count = self._asked = self._kept = 0
-        self._past: deque[tuple[np.ndarray, ...]] = deque(maxlen=max(LAGS) + 1)
+        self._past: deque[tuple[np.ndarray, ...]] = deque(maxlen=self.past)
 
     def act(self, observation: Any) -> np.ndarray | None:
         """The next actions, (K, 5); None: those of before go on."""

@@ -6,11 +6,9 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
-
-from surg_learn.bgr.observed_features import Columns, world_in_rcm
 
 Array = np.ndarray
 Progress = Callable[[float, str], None]
@@ -106,20 +104,6 @@ def table(folder: Path, info: dict[str, Any], index: int, names: Sequence[str]) 
 def flat_names(names: Any) -> list[str]:
     """Column names of a feature; the format allows a list, or a dictionary with one."""
     return list(next(iter(names.values()))) if isinstance(names, dict) else list(names)
-
-
-class Told(Protocol):
-    """An episode of T steps with the simulator's truth."""
-
-    state: Array
-    task: Array
-
-
-def world_of(episodes: Sequence[Told], columns: Columns) -> Array:
-    """X_RW (4, 4) from the tips of all episodes, see `world_in_rcm`."""
-    tips = [episode.state[:, columns.state[:3]] for episode in episodes]
-    tips_W = [episode.task[:, columns.task["tip"]] for episode in episodes]
-    return world_in_rcm(np.concatenate(tips), np.concatenate(tips_W))
 
 
 def last_commands(state: Array, action: Array, held: Any) -> Array:

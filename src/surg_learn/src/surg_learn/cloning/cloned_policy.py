@@ -1,6 +1,6 @@
 """A policy cloned from demonstrations by BC, ACT or MoE-ACT, from endoscope pictures; PyTorch.
 
-    python3 -m surg_learn.bgr.cloned_policy --weights act.npz --server tcp://127.0.0.1:5555
+    python3 -m surg_learn.cloning.cloned_policy --weights act.npz --server tcp://127.0.0.1:5555
 
 `train_cloned.py` writes the weights, which name their method. The policy reads
 `observation.state` and the endoscope's picture or pictures: **what a robot can measure, and nothing
@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from surg_learn.bgr.chunk_policy import ChunkPolicy, weights_of, write_weights
-from surg_learn.bgr.cloned_networks import Answer, Sizes, network_of
-from surg_learn.bgr.keypoint_network import small
-from surg_learn.bgr.observed_features import SET, STATE
-from surg_learn.bgr.serve_policy import serve
+from surg_learn.cloning.arm_columns import SET, STATE
+from surg_learn.cloning.chunk_policy import ChunkPolicy, weights_of, write_weights
+from surg_learn.cloning.cloned_networks import Answer, Sizes, network_of
+from surg_learn.cloning.serve_policy import serve
+from surg_learn.cloning.small_pictures import small
 
 Array = np.ndarray
 AGAIN = 8
@@ -58,7 +58,7 @@ class ClonedPolicy(ChunkPolicy):
         pictures: Keys of the eyes.
     """
 
-    format = "surg_bgr_cloned_policy/4"
+    format = "surg_cloned_policy/5"
     trainer = "train_cloned.py"
 
     def __init__(

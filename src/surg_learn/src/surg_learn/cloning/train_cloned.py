@@ -1,6 +1,6 @@
-"""Trains what the image policy is compared with: BC, ACT or MoE-ACT, from pictures; PyTorch.
+"""Trains a policy of any task from pictures: MoE-ACT, ACT or BC; PyTorch.
 
-    python3 -m surg_learn.bgr.train_cloned datasets/bgr --method act --seed 0 --out act_0.npz
+    python3 -m surg_learn.cloning.train_cloned datasets/bgr --method act --seed 0 --out act_0.npz
 
 It reads a LeRobot dataset (v2.1), and the same for all methods: pictures, what a robot measures,
 and the demonstrator's commands, varied by `picture_augmentation`. MoE-ACT's gate learns the phases
@@ -19,22 +19,22 @@ from typing import Any
 import numpy as np
 import torch
 
-from surg_learn.bgr.cloned_networks import METHODS, Answer, Sizes, network_of
-from surg_learn.bgr.cloned_policy import ClonedPolicy, numbers_of, scaled
-from surg_learn.bgr.keypoint_network import SIDE
-from surg_learn.bgr.observed_features import ACTION, ACTIONS, STATE
-from surg_learn.bgr.training.keypoint_training import DEVICES, device_for
-from surg_learn.bgr.training.lerobot_dataset import (
-    Array,
-    Progress,
-    jaw_range,
-    normalised,
-    scales_of,
+from surg_learn.cloning.arm_columns import ACTION, STATE, Array, arm_of
+from surg_learn.cloning.cloned_networks import METHODS, Answer, Sizes, network_of
+from surg_learn.cloning.cloned_policy import ClonedPolicy, numbers_of, scaled
+from surg_learn.cloning.small_pictures import SIDE
+from surg_learn.cloning.training.lerobot_dataset import Progress, jaw_range, normalised, scales_of
+from surg_learn.cloning.training.picture_augmentation import Looked, Looks, inside_of
+from surg_learn.cloning.training.recorded_steps import (
+    NO_PHASE,
+    PHASE,
+    Recorded,
+    Steps,
+    eyes_of,
+    read,
 )
-from surg_learn.bgr.training.perceptron import half_cosine
-from surg_learn.bgr.training.picture_augmentation import Looked, Looks, inside_of
-from surg_learn.bgr.training.recorded_steps import NO_PHASE, PHASE, Recorded, Steps, eyes_of, read
-from surg_learn.bgr.training.trainer_options import chosen, parser_of, trained
+from surg_learn.cloning.training.torch_device import DEVICES, device_for
+from surg_learn.cloning.training.trainer_options import chosen, half_cosine, parser_of, trained
 
 CHUNKS = {"bc": 16, "act": 40, "moe_act": 40}
 """Actions predicted at once: those of the image policy; 2 s, as in ACT's paper."""
@@ -50,11 +50,13 @@ class Options:
     `play` and `looks.moved` were chosen on tuning seeds, with ACT; no other was tuned.
     """
 
-    method: str = "bc"
+    method: str = METHODS[0]
     chunk: int | None = None
     """None: of `CHUNKS`."""
     eyes: int = 1
     """1: the left one; 2: both."""
+    arm: str = "PSM1"
+    """That the policy commands."""
     steps: int = 4000
     """Optimiser steps."""
     batch: int = 32
@@ -152,11 +154,7 @@ def check(found: Recorded, options: Options) -> None:
         raise ValueError(f"--play {options.play}: allowed are 1 to {chunk}, the steps of a chunk")
     if "train" not in found.split:
         raise ValueError("the dataset has no episode in its split 'train'")
-    if found.names[ACTION] != ACTIONS:
-        raise ValueError(
-            f"the dataset's actions are {', '.join(found.names[ACTION])}; "
-            f"needed: {', '.join(ACTIONS)}"
-        )
+    arm_of(found.names[ACTION])
     if options.method == "moe_act" and len(found.phases) < 2:
         raise ValueError(
             f"moe_act needs the phases of the recordings ({PHASE}), the dataset states "
@@ -253,9 +251,10 @@ def errors(policy: ClonedPolicy, found: Recorded, steps: Steps) -> dict[str, flo
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = parser_of("train_cloned", (__doc__ or "").split("\n")[0])
-    made.add_argument("--method", choices=METHODS, required=True)
+    made.add_argument("--method", choices=METHODS, default=METHODS[0])
     made.add_argument("--device", choices=DEVICES, default=DEVICES[0], help="where it trains")
     made.add_argument("--eyes", type=int, choices=(1, 2), default=1, help="left, or left + right")
+    made.add_argument("--arm", help="that it commands (PSM1)", default=argparse.SUPPRESS)
     for name, kind, about in (
         ("batch", int, "observations of a step"),
         ("play", int, "steps that are played before the next chunk is asked for (all but 4)"),
@@ -284,7 +283,7 @@ def main(words: Sequence[str] | None = None) -> int:
         options = chosen(Options, given, **looks)
         if options.device != "auto":
             device_for(options.device)  # before minutes of reading
-        found = read(given.dataset, eyes_of(options.eyes), show)
+        found = read(given.dataset, eyes_of(options.eyes), options.arm, show)
         return train(found, options, show)
 
     return trained("train_cloned", given, make, brief_of)

@@ -1,4 +1,4 @@
-"""The networks of the field that the image policy is compared with: BC, ACT, MoE-ACT; PyTorch.
+"""The networks of the field: BC, ACT, MoE-ACT; PyTorch.
 
 All three look through the same encoder, which is trained from random numbers, and answer with the
 same chunks. They differ in what lies between:
@@ -19,10 +19,10 @@ from typing import Any
 import torch
 from torch import nn
 
-from surg_learn.bgr.observed_features import ACTIONS
+from surg_learn.cloning.arm_columns import MOTION
 
-METHODS = ("bc", "act", "moe_act")
-ACTION_SIZE = len(ACTIONS)
+METHODS = ("moe_act", "act", "bc")
+ACTION_SIZE = len(MOTION)
 """Tip, roll, jaw."""
 CELLS = 8
 """Side of the encoder's coarse map, whose cells are the transformers' tokens."""

@@ -9,10 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from surg_learn.bgr.chunk_policy import ChunkPolicy
-from surg_learn.bgr.observed_features import ROBOT
+from surg_learn.cloning.chunk_policy import ChunkPolicy
 
-WEIGHTS = "SURG_BGR_WEIGHTS"
+WEIGHTS = "SURG_WEIGHTS"
 """Environment variable with the path of the weights, if the command line has none."""
 
 
@@ -28,7 +27,7 @@ def wanted(policy: ChunkPolicy) -> Any:
         )
         for key in policy.wants
     }
-    return Spec(observation=features, action=ActionSpec.of_space("absolute", [ROBOT]))
+    return Spec(observation=features, action=ActionSpec.of_space("absolute", [policy.arm]))
 
 
 def serve(kind: type[ChunkPolicy], about: str, words: Sequence[str] | None = None) -> int:

@@ -10,9 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from surg_learn.bgr.observed_features import ACTION, SET, STATE, state_columns
-from surg_learn.bgr.training.lerobot_dataset import (
+from surg_learn.cloning.arm_columns import (
+    ACTION,
+    SET,
+    STATE,
     Array,
+    arm_of,
+    columns_of,
+    state_columns,
+)
+from surg_learn.cloning.small_pictures import check_size, views_of
+from surg_learn.cloning.training.lerobot_dataset import (
     Progress,
     facts,
     file_of,
@@ -22,7 +30,6 @@ from surg_learn.bgr.training.lerobot_dataset import (
     table,
     targets_of,
 )
-from surg_learn.bgr.training.picture_dataset import check_size, missed, views_of
 
 LEFT, RIGHT = (f"observation.images.endoscope.{side}" for side in ("left", "right"))
 PHASE = "annotation.human.action.subtask_description"
@@ -31,6 +38,8 @@ task's own, or what a person marked with `./surg episode label`."""
 WHOLE = "annotation.human.action.task_description"
 """The same of the whole task; it stands where no phase is."""
 NO_PHASE = -1
+SHUT = 0.1
+"""Commanded jaws less open than this close on something [rad]."""
 
 
 @dataclass
@@ -86,7 +95,7 @@ class Steps:
     @classmethod
     def of(cls, found: Recorded, split: str, chunk: int) -> Steps:
         """Those of a split, but for those that lead to a miss."""
-        columns = state_columns(found.names[STATE])
+        columns = state_columns(found.names[STATE], arm_of(found.names[ACTION]))
         parts = []
         for episode in found.episodes(split):
             state, action = found.state[episode][:, columns], found.action[episode]
@@ -104,12 +113,18 @@ def eyes_of(eyes: int) -> tuple[str, ...]:
 
 
 def read(
-    folder: Path, pictures: Sequence[str], progress: Progress = lambda part, note: None
+    folder: Path, pictures: Sequence[str], arm: str, progress: Progress = lambda part, note: None
 ) -> Recorded:
     """Read a dataset, with its videos.
 
+    Args:
+        folder: Of the dataset.
+        pictures: Their keys.
+        arm: Whose columns of state and action are read: other arms may be driven, too.
+        progress: Is told how far it is.
+
     Raises:
-        ValueError: The folder is no dataset, or lacks a feature or a picture.
+        ValueError: The folder is no dataset, or lacks a feature, a picture or the arm.
     """
     info = facts(folder, (STATE, ACTION, *pictures))
     for key in pictures:
@@ -135,14 +150,24 @@ def read(
     if named:
         phase, phases = numbered(columns[2].ravel(), columns[3].ravel(), sentences(folder))
     shape = info["features"][pictures[0]]["shape"]
+    names = {key: flat_names(info["features"][key]["names"]) for key in (STATE, ACTION)}
+    own = {
+        key: [name for name in each if name.startswith(f"{arm}/")] for key, each in names.items()
+    }
+    if not own[ACTION]:
+        raise ValueError(f"{folder}: no action of {arm}; it has {', '.join(names[ACTION])[:200]}")
+    state, action = (
+        values[:, columns_of(key, names[key], own[key])]
+        for key, values in zip((STATE, ACTION), columns, strict=False)
+    )
     return Recorded(
-        columns[0],
-        columns[1],
+        state,
+        action,
         phase,
         np.cumsum([0, *(len(part[0]) for part in tables)]),
         [split for split, _ in found],
         {key: np.concatenate(part) for key, part in views.items()},
-        {key: flat_names(info["features"][key]["names"]) for key in (STATE, ACTION)},
+        own,
         phases,
         {"fps": info["fps"], "robot": info["robot_type"], "picture": shape},
     )
@@ -174,3 +199,21 @@ def numbered(places: Array, whole: Array, said: dict[int, str]) -> tuple[Array, 
     order = {place: n for n, place in enumerate(dict.fromkeys(known))}
     phase = [order[int(p)] if p != w else NO_PHASE for p, w in zip(places, whole, strict=True)]
     return np.array(phase), [said.get(place, str(place)) for place in order]
+
+
+def missed(jaw: Array) -> Array:
+    """Steps that lead to a grasp that holds nothing, (T,): from open jaws to the closing.
+
+    Jaws that close and open again have held nothing. How to aim is not learned from these steps.
+
+    Args:
+        jaw: (T,) commanded jaw angles [rad].
+    """
+    shut = jaw < SHUT
+    closes = np.flatnonzero(shut[1:] & ~shut[:-1]) + 1
+    found = np.zeros(len(jaw), bool)
+    for begin, end in zip(closes, [*closes[1:], len(jaw)], strict=True):
+        if not shut[begin:end].all():
+            before = np.flatnonzero(shut[:begin])
+            found[(before[-1] + 1 if len(before) else 0) : begin + 1] = True
+    return found
