@@ -9,7 +9,7 @@ from surg_perception.drift.drift_evidence import NOTHING, STILL_LIKELY, Verdict
 
 STEADY, MOVED, UNKNOWN = "steady", "moved", "cannot tell"
 SURE = 0.999
-"""Probability from which it is said that something moved: an alarm an hour would be switched off."""
+"""Probability from which it is said that something moved."""
 NAMED = 0.95
 """Of those parts that could have moved, from which a kind is named."""
 FAR = 0.001

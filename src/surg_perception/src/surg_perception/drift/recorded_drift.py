@@ -79,7 +79,7 @@ def recorded_joints(cell: Cell, episode: Episode, begin: int) -> Joints:
         after = bisect_right(stamps, stamp_ns)
         if not 0 < after < len(stamps):
             return None
-        states = ((stamps[each], q[each]) for each in (after - 1, after))
-        return between(*states, stamp_ns)
+        before = after - 1
+        return between((stamps[before], q[before]), (stamps[after], q[after]), stamp_ns)
 
     return at
