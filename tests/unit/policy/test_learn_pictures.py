@@ -288,11 +288,16 @@ def test_one_seed_one_policy(policy: image_policy.ImagePolicy) -> None:
 
 
 def test_how_to_miss_is_not_learned() -> None:
-    """Jaws that close and open again have missed: the steps up to the closing are left out."""
+    """Jaws that soon open again have missed: the steps up to the closing are left out.
+
+    Who carries something for longer and lets it go has not.
+    """
     jaw = np.array([0, 0, 0.7, 0.7, 0.7, 0, 0, 0, 0.7, 0.7, 0, 0, 0, 0], float)
     out = np.flatnonzero(recorded_steps.missed(jaw))
     np.testing.assert_array_equal(out, [2, 3, 4, 5])
     assert not recorded_steps.missed(jaw[8:]).any()
+    carried = np.concatenate([np.full(10, 0.3), np.zeros(25), np.full(5, 0.3)])
+    assert not recorded_steps.missed(carried).any()
 
 
 def test_a_command_that_is_moved_aside_is_led_back(policy: image_policy.ImagePolicy) -> None:

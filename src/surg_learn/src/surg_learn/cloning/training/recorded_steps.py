@@ -21,6 +21,7 @@ from surg_learn.cloning.arm_columns import (
 )
 from surg_learn.cloning.small_pictures import check_size, views_of
 from surg_learn.cloning.training.lerobot_dataset import (
+    RATE,
     Progress,
     facts,
     file_of,
@@ -40,6 +41,8 @@ WHOLE = "annotation.human.action.task_description"
 NO_PHASE = -1
 SHUT = 0.1
 """Commanded jaws less open than this close on something [rad]."""
+HOLDS = RATE
+"""Steps after which closed jaws hold something: who sees that they do not opens them within 1 s."""
 
 
 @dataclass
@@ -204,7 +207,7 @@ def numbered(places: Array, whole: Array, said: dict[int, str]) -> tuple[Array, 
 def missed(jaw: Array) -> Array:
     """Steps that lead to a grasp that holds nothing, (T,): from open jaws to the closing.
 
-    Jaws that close and open again have held nothing. How to aim is not learned from these steps.
+    Jaws that soon open again have held nothing. How to aim is not learned from these steps.
 
     Args:
         jaw: (T,) commanded jaw angles [rad].
@@ -213,7 +216,7 @@ def missed(jaw: Array) -> Array:
     closes = np.flatnonzero(shut[1:] & ~shut[:-1]) + 1
     found = np.zeros(len(jaw), bool)
     for begin, end in zip(closes, [*closes[1:], len(jaw)], strict=True):
-        if not shut[begin:end].all():
+        if not shut[begin : min(begin + HOLDS, end)].all():
             before = np.flatnonzero(shut[:begin])
             found[(before[-1] + 1 if len(before) else 0) : begin + 1] = True
     return found
