@@ -26,7 +26,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "the_first_guess_is_the_cause",
         "a camera is corrected where a base may have moved",
         DRIFT + "drift_state.py",
-        "held >= NAMED",
+        "held >= SURE",
         "held >= 0.0",
         WATCH,
     ),

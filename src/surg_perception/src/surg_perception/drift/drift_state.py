@@ -8,10 +8,8 @@ from dataclasses import dataclass
 from surg_perception.drift.drift_evidence import NOTHING, STILL_LIKELY, Verdict
 
 STEADY, MOVED, UNKNOWN = "steady", "moved", "cannot tell"
-SURE = 0.999
-"""Probability from which it is said that something moved."""
-NAMED = 0.95
-"""Of those parts that could have moved, from which a kind is named."""
+SURE = 0.95
+"""Probability from which it is said that something moved, and a kind of part is named."""
 FAR = 0.001
 """[m] Surely this far beside their place, nothing that trusts the picture may begin."""
 EXPLAINED = 0.5
@@ -86,7 +84,7 @@ def _cause(verdict: Verdict) -> tuple[str, str]:
     for name, p in sorted(moved.items(), key=lambda item: -item[1]):
         names.append(name)
         held += p / total
-        if held >= NAMED:
+        if held >= SURE:
             break
     if len({name.split()[0] for name in names}) == 1:
         return " or ".join(names), ""
