@@ -218,7 +218,9 @@ def folder_of(wanted: Path | None, request: Request) -> Path:
         except ValueError as error:
             raise CliError(f"--out {wanted}: wanted.json is not valid JSON ({error})", 2) from error
         now = asdict(request)
-        before = {"method": STATE, "device": "auto", "looks": "", **before}
+        # Of a version with one method for pictures: it had a place of its own for that.
+        method = "keypoints" if before.get("cameras") else STATE
+        before = {"method": method, "device": "auto", "looks": "", **before}
         if before.get("look_ranges"):  # the file may have moved, or changed where it is
             same = before["look_ranges"] == ranges
             before["looks"] = now["looks"] if same else f"{before['looks']} as it was"
