@@ -13,10 +13,10 @@ from surg_cli.host import cells, paths, preflight, provision, terminal
 from surg_cli.host.terminal import CliError, say, table, warn
 from surg_cli.learning import rollouts
 from surg_learn import learn_stages
+from surg_learn.cloning.training.torch_device import DEVICES
 from surg_learn.learn_terminal import LearnError
 from surg_learn.recipes import (
     BUILT_IN,
-    DEVICES,
     LOOKS,
     METHODS,
     STATE,

@@ -180,11 +180,11 @@ def check_device(request: Request) -> None:
 def train(request: Request, out: Path, terminal: Terminal) -> dict[str, Any]:
     """Train with the program that a person would start, in a process of its own."""
     program = request.recipe.train
-    argv = [sys.executable, "-m", program, str(out / "dataset"), "--json", *request.recipe.words]
-    if request.recipe.words:  # a program for any task
+    argv = [sys.executable, "-m", program, str(out / "dataset"), "--json"]
+    if method := request.recipe.method:
         from surg_sim import tasks
 
-        argv += ["--arm", *tasks.load(request.task).commanded]
+        argv += ["--method", method, "--arm", *tasks.load(request.task).commanded]
     argv += ["--out", str(out / "weights.npz"), "--seed", str(request.seed)]
     if request.recipe.devices:
         argv += ["--device", request.device]

@@ -27,7 +27,7 @@ class Recipe:
     serve: str  # the policy's client
     cameras: tuple[str, ...] = ()  # views of the endoscope that are recorded and served
     still_camera: bool = False  # its labels are of the stated camera
-    words: tuple[str, ...] = ()  # further words of the trainer's command line
+    method: str = ""  # of a trainer for any task
     packages: tuple[str, ...] = ()  # sets of the package list that the trainer needs
     devices: str = ""  # program that says where a `--device` trains; empty: on the processor only
     episodes: int = 80  # default number of demonstrations
@@ -63,13 +63,14 @@ LOOKS = Recipe(
     expert_noise=EXPERT_NOISE,
 )
 """What policies that observe camera images have in common."""
-CLONED = replace(
-    LOOKS, train="surg_learn.cloning.train_cloned", serve="surg_learn.cloning.cloned_policy"
-)
 METHODS = {
-    "moe_act": replace(CLONED, words=("--method", "moe_act")),
-    "act": replace(CLONED, words=("--method", "act")),
-    "bc": replace(CLONED, words=("--method", "bc")),
+    method: replace(
+        LOOKS,
+        train="surg_learn.cloning.train_cloned",
+        serve="surg_learn.cloning.cloned_policy",
+        method=method,
+    )
+    for method in ("moe_act", "act", "bc")
 }
 """Methods of ``--cameras`` for every task, the default first."""
 STATE = ""
@@ -103,7 +104,6 @@ def recipe_of(task: str, method: str) -> Recipe:
     raise ValueError(f"--cameras {method}: for {task} there are {others}")
 
 
-DEVICES = ("auto", "cpu", "cuda")
 BUILT_IN = "built-in"
 """The ranges of looks that need no file."""
 

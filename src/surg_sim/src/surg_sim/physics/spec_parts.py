@@ -51,6 +51,20 @@ def add_sprung_joint(
     joint.stiffness, joint.damping = [k, 0.0, 0.0], [damping, 0.0, 0.0]
 
 
+def add_mark(parent: mujoco.MjsBody, name: str, axes: str) -> mujoco.MjsBody:
+    """A body that slides along axes to what is asked, by joints ``<name>_<axis>``; only seen.
+
+    A picture needs the joint positions alone, so all episodes share one compiled scene.
+    """
+    mark = parent.add_body(name=name, gravcomp=1.0)
+    mark.mass, mark.inertia, mark.explicitinertial = 0.01, [1e-6] * 3, True
+    mark.ipos = [0.0, 0.0, 0.0]
+    for axis in axes:
+        slide = mujoco.mjtJoint.mjJNT_SLIDE
+        add_sprung_joint(mark, f"{name}_{axis}", slide, "xyz".index(axis), 2e4, 0.5)
+    return mark
+
+
 def add_pad(
     spec: mujoco.MjSpec,
     name: str,

@@ -15,7 +15,7 @@ import numpy as np
 
 from surg_sim.arrays import Array
 from surg_sim.physics.patient_site import Site
-from surg_sim.physics.spec_parts import add_sprung_joint, quaternion
+from surg_sim.physics.spec_parts import add_mark, add_sprung_joint, quaternion
 from surg_sim.tasks.holed_disc import add_holed_disc, add_rims
 
 HOLES = 4
@@ -140,10 +140,7 @@ def _add_springs(body: mujoco.MjsBody, name: str, axes: str) -> None:
 
 def _add_mark(plate: mujoco.MjsBody) -> None:
     """A green frame that slides to the window of the asked hole."""
-    mark = plate.add_body(name="asked_hole", gravcomp=1.0)
-    mark.mass, mark.inertia, mark.explicitinertial = 0.01, [1e-6] * 3, True
-    mark.ipos = [0.0, 0.0, 0.0]
-    add_sprung_joint(mark, "asked_hole", mujoco.mjtJoint.mjJNT_SLIDE, 1, _STIFFNESS, _MASS)
+    mark = add_mark(plate, "asked_hole", "y")
     out, half = _WINDOW + 0.0002, 0.0005
     for side in (-1, 1):
         for pos, size in (([side * out, 0, 0], [half, out + half, 0.0010]),
@@ -185,7 +182,7 @@ class NeedleBoard:
         self._rest = R_WRest.reshape(3, 3)
         first = int(model.joint("needle_board_at_x").dofadr[0])
         self._dofs = slice(first, first + 6)
-        self._mark = int(model.joint("asked_hole").qposadr[0])
+        self._mark = int(model.joint("asked_hole_y").qposadr[0])
 
     def reset(self, rng: np.random.Generator) -> int:
         """Draw places and tilts of the holes, and the asked one, which is marked; returns it."""

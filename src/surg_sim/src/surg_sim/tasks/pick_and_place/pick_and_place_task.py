@@ -18,7 +18,7 @@ from surg_core.contract import TICK
 from surg_sim.arrays import Array
 from surg_sim.physics.patient_site import Site
 from surg_sim.physics.rigid_grasp import PAD_BIT, RigidGrasp, add_rigid_grasp
-from surg_sim.physics.spec_parts import add_sprung_joint, quaternion
+from surg_sim.physics.spec_parts import add_mark, quaternion
 from surg_sim.tasks.pick_and_place.pick_and_place_expert import PegTransferExpert
 from surg_sim.tasks.task import State, Task, Verdict
 
@@ -227,13 +227,8 @@ def _add_tray(boards: mujoco.MjsBody) -> None:
 
 
 def _add_mark(boards: mujoco.MjsBody) -> None:
-    """A green tip that slides to the goal's peg: a picture needs the joint positions alone."""
-    mark = boards.add_body(name=MARK, gravcomp=1.0)
-    mark.mass, mark.inertia, mark.explicitinertial = 0.01, [1e-6] * 3, True
-    mark.ipos = [0.0, 0.0, 0.0]
-    for axis in "xy":
-        name = f"{MARK}_{axis}"
-        add_sprung_joint(mark, name, mujoco.mjtJoint.mjJNT_SLIDE, "xyz".index(axis), 2e4, 0.5)
+    """A green tip on the goal's peg."""
+    mark = add_mark(boards, MARK, "xy")
     top = BOARD + PEG_HEIGHT - PEG_RADIUS
     mark.add_geom(
         type=mujoco.mjtGeom.mjGEOM_CAPSULE,
