@@ -9,10 +9,15 @@ from surg_perception.drift.drift_evidence import NOTHING, STILL_LIKELY, Verdict
 
 STEADY, MOVED, UNKNOWN = "steady", "moved", "cannot tell"
 SURE = 0.95
-"""Probability from which it is said that something moved, and a kind of part is named."""
+"""Probability from which it is said that something moved."""
+LIKELY = 0.8
+"""Probability from which a kind of part is named as the cause."""
 FAR = 0.001
 """[m] Surely this far beside their place, nothing that trusts the picture may begin."""
-EXPLAINED = 0.5
+LASTING = 12
+"""Sightings for which a motion must explain what is seen: what joints do not drive looks for some as
+if a part had moved."""
+EXPLAINED = 0.65
 """Least share of sightings that the best hypothesis explains, so that anybody can tell."""
 
 
@@ -25,6 +30,7 @@ class DriftState:
         reason: Why nobody can tell, or which parts could have moved; empty: steady.
         cause: Name of the part that moved, or of those of one kind that nobody can tell apart, as
             in ``base of PSM1 or base of ECM``; empty: nothing did, or which kind is open.
+        likely: Probability of the cause's kind.
         beside: Least, expected and largest distance between where instruments are seen and where
             joints put them [m], 95 %; zeros: unknown.
         since: Stamp from which on it holds [s].
@@ -33,6 +39,7 @@ class DriftState:
     word: str
     reason: str = ""
     cause: str = ""
+    likely: float = 0.0
     beside: tuple[float, float, float] = (0.0, 0.0, 0.0)
     since: float = 0.0
 
@@ -49,7 +56,8 @@ class DriftState:
         seen = f"instruments are seen {expected} mm beside their place (95 %: {low} to {high} mm)"
         if self.word == STEADY:
             return f"{STEADY}: {seen}"
-        return f"{MOVED}: {seen}; cause: {self.cause or self.reason}"
+        cause = f"{self.cause} ({100 * self.likely:.0f} %)" if self.cause else self.reason
+        return f"{MOVED}: {seen}; cause: {cause}"
 
 
 def state_of(verdict: Verdict | None, unseen: Counter[str]) -> DriftState:
@@ -63,29 +71,34 @@ def state_of(verdict: Verdict | None, unseen: Counter[str]) -> DriftState:
         why = unseen.most_common(1)
         seen = f"too few sightings ({why[0][0]})" if why else "no instrument has moved in view yet"
         return DriftState(UNKNOWN, seen)
-    word = MOVED if verdict.nothing < 1.0 - SURE else UNKNOWN
+    lasting = verdict.sightings >= LASTING
+    word = MOVED if verdict.nothing < 1.0 - SURE and lasting else UNKNOWN
     if verdict.nothing > STILL_LIKELY:
         word = STEADY
-    reason, cause = "", ""
+    reason, cause, likely = "", "", 0.0
     if verdict.right < EXPLAINED:
         word, reason = UNKNOWN, "what is seen does not move as the joints say"
     elif word == UNKNOWN:
         reason = "the newest sightings disagree with older ones, too few to be sure"
     elif word == MOVED:
-        cause, reason = _cause(verdict)
-    return DriftState(word, reason, cause, verdict.beside, verdict.since)
+        moved = Counter({name: p for name, p in verdict.probabilities.items() if name != NOTHING})
+        kinds = Counter[str]()
+        for name, p in moved.items():
+            kinds[name.split()[0]] += p / moved.total()
+        kind, likely = kinds.most_common(1)[0]
+        if likely < LIKELY:
+            reason = f"{_most_of(moved)}; turn the endoscope to tell them apart"
+        else:
+            cause = _most_of(Counter({n: p for n, p in moved.items() if n.split()[0] == kind}))
+    return DriftState(word, reason, cause, likely, verdict.beside, verdict.since)
 
 
-def _cause(verdict: Verdict) -> tuple[str, str]:
-    """What moved, if it is of one kind; else which parts could have, most probable first."""
-    moved = {name: p for name, p in verdict.probabilities.items() if name != NOTHING}
-    total = sum(moved.values())
+def _most_of(probabilities: Counter[str]) -> str:
+    """Names of the most probable parts, so many that one of them is it, surely."""
     names, held = list[str](), 0.0
-    for name, p in sorted(moved.items(), key=lambda item: -item[1]):
+    for name, p in probabilities.most_common():
         names.append(name)
-        held += p / total
-        if held >= SURE:
+        held += p
+        if held >= SURE * probabilities.total():
             break
-    if len({name.split()[0] for name in names}) == 1:
-        return " or ".join(names), ""
-    return "", f"{' or '.join(names)}; turn the endoscope to tell them apart"
+    return " or ".join(names)

@@ -24,7 +24,7 @@ from surg_perception.drift.drift_evidence import (
     Sighting,
     Verdict,
 )
-from surg_perception.drift.moving_parts import EYES, Part, SeenPoint, derivatives
+from surg_perception.drift.moving_parts import EYES, LENS, Part, SeenPoint, derivatives
 from surg_perception.drift.shaft_finder import Grey, find_shaft, lit_part
 
 SHAFT = (0.022, 0.07)
@@ -52,7 +52,8 @@ Joints = Callable[[str, float], FloatArray | None]
 
 
 _Found = tuple[int, int, FloatArray]
-"""Eye, number of the point, and normal (2,) of the line that is seen beside it."""
+"""Eye, number of the point, and normal (2,) of the line that is seen beside it, so long that it
+gives offsets along the expected axis's normal."""
 
 
 @dataclass(frozen=True)
@@ -209,9 +210,12 @@ class DriftWatch:
                 continue
             at = np.round(seen.at).astype(int)
             line = np.diff(pixels[at] + seen.offsets[:, None] * seen.normals, axis=0)[0]
-            normal = np.array([-line[1], line[0]]) / np.linalg.norm(line)
-            normal *= np.sign(normal @ seen.normals[0])
-            found += [(eye, int(place), normal) for place in at]
+            across = np.array([-line[1], line[0]])
+            # An offset is seen along the normal of the expected axis, which may cut the line aslant.
+            found += [
+                (eye, int(place), across / (across @ normal))
+                for place, normal in zip(at, seen.normals, strict=True)
+            ]
             residuals.extend(seen.offsets)
             noise.extend([seen.sd] * 2)
         if found:
@@ -234,23 +238,46 @@ class DriftWatch:
 
         There a derivative times a step is exact to second order, whichever part made the step.
         """
-        between = axis
-        if x is not None:
-            p_V = axis.p_V.copy()
-            for at in {0, *(at for _, at, _ in found)}:
-                p_V[at] += self._derivatives(axis, 0, at, metres=True) @ x / 2.0
-            between = replace(axis, p_V=p_V)
+        between = axis if x is None else self._half_way(axis, x, {0, *(at for _, at, _ in found)})
         # Along the shaft nothing is seen: what it is beside its place is across.
         s_V = (axis.p_V[-1] - axis.p_V[0]) / np.linalg.norm(axis.p_V[-1] - axis.p_V[0])
         across = np.eye(3) - np.outer(s_V, s_V)
         place = across @ self._derivatives(between, 0, 0, metres=True)
         pixel = float(axis.p_V[0, 2] / self._focal)
         again = partial(self._sighting, stamp, axis, found, r, sd)
-        return Sighting(stamp, self._rows(between, found), r, sd, place, pixel, again)
+        A = np.array([n @ self._derivatives(between, eye, at) for eye, at, n in found])
+        if x is not None:
+            r = r + self._beyond(axis, between, found, A, x)
+        return Sighting(stamp, A, r, sd, place, pixel, again)
 
-    def _rows(self, axis: _Axis, found: Sequence[_Found]) -> FloatArray:
-        """(m, P) derivatives of what is seen, across the seen line."""
-        return np.array([n @ self._derivatives(axis, eye, at) for eye, at, n in found])
+    def _half_way(self, axis: _Axis, x: FloatArray, points: set[int]) -> _Axis:
+        """A shaft with these of its points half way to where the steps x (P,) put it."""
+        half_V = np.zeros_like(axis.p_V)
+        for at in points | {POINTS - 1}:
+            half_V[at] = self._derivatives(axis, 0, at, metres=True) @ x / 2.0
+        p_F = axis.p_TipP_F
+        turned_V = (half_V[-1] - half_V[0]) / np.linalg.norm(p_F[-1] - p_F[0])
+        turned_F = turned_V @ axis.R_VW @ axis.R_WF
+        return replace(
+            axis,
+            p_V=axis.p_V + half_V,
+            p_W=axis.p_W + half_V @ axis.R_VW,
+            p_TipP_F=p_F + np.linalg.norm(p_F, axis=1)[:, None] * turned_F,
+        )
+
+    def _beyond(
+        self, axis: _Axis, between: _Axis, found: Sequence[_Found], A: FloatArray, x: FloatArray
+    ) -> FloatArray:
+        """(m,) how much more derivatives A (m, P) say of large steps than perspective shows [px]."""
+        through_points = x.copy()
+        for part in self.parts:
+            through_points[part.at] *= part.kind != LENS
+        beyond = A @ through_points
+        for row, (eye, at, n) in enumerate(found):
+            way = self._derivatives(between, 0, at, metres=True) @ through_points
+            before, after = self._eyes[eye].pixels(axis.p_V[at] + np.array([0.0 * way, way]))
+            beyond[row] -= n @ (after - before)
+        return np.where(np.isfinite(beyond), beyond, 0.0)  # not: behind the eye
 
     def _derivatives(self, axis: _Axis, eye: int, at: int, metres: bool = False) -> FloatArray:
         """(2, P) of the pixel of one point of a shaft by all steps, or (3, P) of its place."""
