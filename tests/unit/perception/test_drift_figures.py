@@ -119,6 +119,8 @@ CHANGED = [
     (drift_fits, "WRONG", (3.0, 12.0)),
     (drift_fits, "SOFTENED", ((1.0,), (16.0, 4.0, 1.0))),
     (drift_state, "SURE", (0.9, 0.999)),
+    (drift_state, "LIKELY", (0.6, 0.95)),
+    (drift_state, "EXPLAINED", (0.5, 0.8)),
     (shaft_breath, "RATES", (np.array([0.05]), np.arange(0.15, 0.5, 0.05))),
     (drift_watch, "STILL_LIKELY", (0.0, 0.9)),
     (drift_watch, "STEP", (0.001, 0.004)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
-from surg_perception.drift.drift_evidence import NOTHING, STILL_LIKELY, Verdict
+from surg_perception.drift.drift_evidence import NEWEST, NOTHING, STILL_LIKELY, Verdict
 
 STEADY, MOVED, UNKNOWN = "steady", "moved", "cannot tell"
 SURE = 0.95
@@ -14,9 +14,6 @@ LIKELY = 0.8
 """Probability from which a kind of part is named as the cause."""
 FAR = 0.001
 """[m] Surely this far beside their place, nothing that trusts the picture may begin."""
-LASTING = 12
-"""Sightings for which a motion must explain what is seen: what joints do not drive looks for some as
-if a part had moved."""
 EXPLAINED = 0.65
 """Least share of sightings that the best hypothesis explains, so that anybody can tell."""
 
@@ -71,7 +68,8 @@ def state_of(verdict: Verdict | None, unseen: Counter[str]) -> DriftState:
         why = unseen.most_common(1)
         seen = f"too few sightings ({why[0][0]})" if why else "no instrument has moved in view yet"
         return DriftState(UNKNOWN, seen)
-    lasting = verdict.sightings >= LASTING
+    # What joints do not drive looks for the least number of sightings as if a part had moved.
+    lasting = verdict.sightings > NEWEST
     word = MOVED if verdict.nothing < 1.0 - SURE and lasting else UNKNOWN
     if verdict.nothing > STILL_LIKELY:
         word = STEADY
