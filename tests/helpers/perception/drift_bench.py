@@ -236,14 +236,16 @@ def look_without_pictures(
     moved: Moved,
     rng: np.random.Generator,
     flaws: Flaws | None = None,
+    shown: Motion | None = None,
 ) -> bool:
     """The watch looks, and finds the shaft where it truly is, with noise in place of pictures.
 
-    With the flaws of a setting, `moved.tool` already holds those of the instrument.
+    With the flaws of a setting, `moved.tool` already holds those of the instrument. `shown` moves
+    what is seen in place of the joints.
     """
     up = np.linspace(0.005, 0.1, 40)
     eyes = iter((0, 1))
-    true_V = bench.shaft(motion, at, moved, up)
+    true_V = bench.shaft(shown or motion, at, moved, up)
 
     def find(grey: Array, lit: Array, axis: Array, half: Array) -> ShaftSeen:
         eye = next(eyes)

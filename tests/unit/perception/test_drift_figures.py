@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.perception.drawn_bumps import RATE, Said, any_bump, flawed, watched
+from helpers.perception.drawn_bumps import RATE, SECONDS, SINCE, Said, any_bump, flawed, watched
 from helpers.perception.drift_bench import DriftBench, Motion, Moved, look_without_pictures
 from helpers.perception.drift_settings import SEEN_IN, Flaws
 from helpers.results.perception_results import PAGE
@@ -26,6 +26,7 @@ from surg_perception.drift import (
 )
 from surg_perception.drift.drift_state import MOVED, state_of
 from surg_perception.drift.drift_watch import DriftWatch
+from surg_perception.drift.moving_parts import BASE
 from surg_perception.drift.stated_parts import stated_parts
 
 CELLS, HOURS, FIRST, ABLATED = 4, 1, 90_000, 20
@@ -105,6 +106,31 @@ def test_without_a_bump_there_is_no_alarm(tmp_path: Path) -> None:
             print(f"{setting}: {hours} h, {alarms} with an alarm", flush=True)
     PAGE.note("drift: hours without a bump", hours, f"{alarms} with an alarm")
     assert alarms == 0
+
+
+def test_a_bump_of_some_centimetres_is_explained_and_named(tmp_path: Path) -> None:
+    seed, bench = 55_016, DriftBench(tmp_path, 30, SEEN_IN["in vivo"].tip)
+    bump = any_bump(np.random.default_rng(seed))  # 9 degrees at 0.46 m: 100 px
+    watch = watch_of(bench)
+    said = watched(bench, watch, SEEN_IN["in vivo"], bump.moved, seed)
+    assert said.last is not None and said.last.cause.startswith(BASE), said.last
+    assert watch.verdict is not None and watch.verdict.right > 0.75
+
+
+def test_what_the_joints_do_not_drive_is_no_bump(tmp_path: Path, full: bool) -> None:
+    bench = DriftBench(tmp_path, 30, SEEN_IN["in vivo"].tip)
+    alarms = set[int]()
+    for seed in range(20) if full else (1, 8):
+        rng = np.random.default_rng(seed)
+        flaws, watch = Flaws(SEEN_IN["in vivo"], rng), watch_of(bench)
+        joints, other = (Motion(bench.chain, 800 + seed + k, SECONDS, True, RATE) for k in (0, 500))
+        for at in map(float, joints.t):
+            shown, moved = other if at >= SINCE else joints, flawed(Moved(), flaws, at)
+            if look_without_pictures(watch, bench, joints, at, moved, rng, flaws, shown):
+                if state_of(watch.verdict, watch.unseen).word == MOVED:
+                    alarms.add(seed)
+    # Two motions may differ by one step for some seconds: then nobody can tell.
+    assert len(alarms) <= (1 if full else 0), alarms
 
 
 CHANGED = [

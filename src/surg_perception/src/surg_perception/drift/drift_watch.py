@@ -211,7 +211,7 @@ class DriftWatch:
             at = np.round(seen.at).astype(int)
             line = np.diff(pixels[at] + seen.offsets[:, None] * seen.normals, axis=0)[0]
             across = np.array([-line[1], line[0]])
-            # An offset is seen along the normal of the expected axis, which may cut the line aslant.
+            # Offsets are seen along the expected axis's normal, which may cut the line aslant.
             found += [
                 (eye, int(place), across / (across @ normal))
                 for place, normal in zip(at, seen.normals, strict=True)
@@ -268,7 +268,7 @@ class DriftWatch:
     def _beyond(
         self, axis: _Axis, between: _Axis, found: Sequence[_Found], A: FloatArray, x: FloatArray
     ) -> FloatArray:
-        """(m,) how much more derivatives A (m, P) say of large steps than perspective shows [px]."""
+        """(m,) what derivatives A (m, P) say of large steps beyond the projection [px]."""
         through_points = x.copy()
         for part in self.parts:
             through_points[part.at] *= part.kind != LENS
