@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from operator import itemgetter
 
 from surg_perception.drift.drift_evidence import NEWEST, NOTHING, STILL_LIKELY, Verdict
 
@@ -79,24 +80,24 @@ def state_of(verdict: Verdict | None, unseen: Counter[str]) -> DriftState:
     elif word == UNKNOWN:
         reason = "the newest sightings disagree with older ones, too few to be sure"
     elif word == MOVED:
-        moved = Counter({name: p for name, p in verdict.probabilities.items() if name != NOTHING})
-        kinds = Counter[str]()
+        moved = {name: p for name, p in verdict.probabilities.items() if name != NOTHING}
+        kinds = dict[str, float]()
         for name, p in moved.items():
-            kinds[name.split()[0]] += p / moved.total()
-        kind, likely = kinds.most_common(1)[0]
+            kinds[name.split()[0]] = kinds.get(name.split()[0], 0.0) + p / sum(moved.values())
+        kind, likely = max(kinds.items(), key=itemgetter(1))
         if likely < LIKELY:
             reason = f"{_most_of(moved)}; turn the endoscope to tell them apart"
         else:
-            cause = _most_of(Counter({n: p for n, p in moved.items() if n.split()[0] == kind}))
+            cause = _most_of({name: p for name, p in moved.items() if name.split()[0] == kind})
     return DriftState(word, reason, cause, likely, verdict.beside, verdict.since)
 
 
-def _most_of(probabilities: Counter[str]) -> str:
+def _most_of(probabilities: dict[str, float]) -> str:
     """Names of the most probable parts, so many that one of them is it, surely."""
     names, held = list[str](), 0.0
-    for name, p in probabilities.most_common():
+    for name, p in sorted(probabilities.items(), key=itemgetter(1), reverse=True):
         names.append(name)
         held += p
-        if held >= SURE * probabilities.total():
+        if held >= SURE * sum(probabilities.values()):
             break
     return " or ".join(names)
