@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from surg_perception.capture.device_process import Settings, messages
+from surg_perception.capture.capture_parameters import CaptureSettings
+from surg_perception.capture.device_process import messages
 from surg_perception.capture.frame_pipe import DeviceState, Pictures
 from surg_perception.capture.picture_source import SourceError, SourceUri, Wanted
 
@@ -66,7 +67,9 @@ def control(name: str, number: int, value: int | str) -> None:
 
 def delivered() -> Iterator[Pictures | DeviceState]:
     """What the process of the device delivers."""
-    settings = Settings(f"v4l2:{LINK}", "mono", 1, SIZE, rate=RATE)
+    settings = CaptureSettings(
+        source=f"v4l2:{LINK}", layout="mono", eyes=1, width=SIZE[0], height=SIZE[1], rate=RATE
+    )
     return messages(settings, Wanted(time.time_ns, time.sleep, SIZE, RATE))
 
 

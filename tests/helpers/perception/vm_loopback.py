@@ -17,7 +17,7 @@ import av
 import numpy as np
 
 from helpers.perception.vm_capture import say
-from surg_perception.capture.device_process import Settings
+from surg_perception.capture.capture_parameters import CaptureSettings
 from surg_perception.capture.device_reader import DeviceReader
 from surg_perception.capture.frame_pipe import DeviceState, Pictures
 
@@ -82,7 +82,7 @@ def main() -> int:
     writer = new(target=feed, args=(DEVICE,), daemon=True)
     writer.start()
     heard = Heard()
-    settings = Settings(f"v4l2:{DEVICE}", "sbs", 2, SIZE)
+    settings = CaptureSettings(source=f"v4l2:{DEVICE}", layout="sbs", width=SIZE[0], height=SIZE[1])
     reader = DeviceReader(settings, heard.messages.put)
     shown = heard.pictures(10)
     found["eyes"] = [list(eye.shape) for eye in shown[0].eyes] if shown else []

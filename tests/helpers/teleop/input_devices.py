@@ -1,4 +1,4 @@
-"""Input devices made of pipes: a gamepad, pedals, a SpaceMouse that a test presses and unplugs."""
+"""Input devices in the hands of a test: a gamepad, pedals, a SpaceMouse, pressed and unplugged."""
 
 from __future__ import annotations
 
@@ -6,30 +6,19 @@ import errno
 import os
 from dataclasses import dataclass, field, replace
 
-from evdev import ecodes
+from evdev import InputEvent, ecodes
 
-from surg_teleop.leaders.evdev.device_host import Device, read_bytes
+from surg_teleop.leaders.evdev.device_host import Device
 from surg_teleop.leaders.evdev.device_state import AxisRange, Description, Snapshot
-from surg_teleop.leaders.evdev.input_events import (
-    EV_ABS,
-    EV_KEY,
-    EV_REL,
-    EV_SYN,
-    EVENT,
-    SYN_DROPPED,
-    SYN_REPORT,
-    Event,
-)
-
-REPORT = Event(EV_SYN, SYN_REPORT, 0)
-DROPPED = Event(EV_SYN, SYN_DROPPED, 0)
 
 
-def to_bytes(event: Event) -> bytes:
-    """As the kernel writes it, at time 0."""
-    return EVENT.pack(0, 0, event.kind, event.code, event.value)
+def event(kind: int, code: int, value: int = 0) -> InputEvent:
+    """What the kernel says at time 0."""
+    return InputEvent(0, 0, kind, code, value)
 
 
+REPORT = event(ecodes.EV_SYN, ecodes.SYN_REPORT)
+DROPPED = event(ecodes.EV_SYN, ecodes.SYN_DROPPED)
 STICK = AxisRange(-32768, 32767)
 TRIGGER = AxisRange(0, 255)
 CAP = AxisRange(-350, 350)
@@ -85,8 +74,8 @@ class Plugged:
     readings: dict[int, int] = field(default_factory=dict)
     grabbed: bool = False
     busy: bool = False
-    _pipes: list[tuple[int, int]] = field(default_factory=list)
-    _there: bool = True
+    there: bool = True
+    readers: list[OpenDevice] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         for axis, span in self.description.axes.items():
@@ -108,55 +97,40 @@ class Plugged:
         whole = span.maximum - span.minimum
         share = part if span.minimum == 0 else (part + 1.0) / 2.0
         self.readings[axis] = round(span.minimum + whole * share)
-        self.send(Event(EV_ABS, axis, self.readings[axis]), REPORT)
+        self.send(event(ecodes.EV_ABS, axis, self.readings[axis]), REPORT)
 
     def shove(self, name: str, reading: int) -> None:
         """Reports a relative axis."""
-        self.send(Event(EV_REL, code(name), reading), REPORT)
+        self.send(event(ecodes.EV_REL, code(name), reading), REPORT)
 
-    def lose(self, *events: Event) -> None:
+    def lose(self, *events: InputEvent) -> None:
         """The kernel's buffer runs over: what happened meanwhile is not told."""
         self.send(DROPPED, *events, REPORT)
 
     def unplug(self) -> None:
         """Takes it away: what reads it gets ENODEV."""
-        self._there = False
-        for _, write in self._pipes:
-            if write >= 0:
-                os.close(write)
-        self._pipes = [(read, -1) for read, _ in self._pipes]
+        self.there = False
 
-    def send(self, *events: Event) -> None:
-        """Writes events to whoever has opened it."""
-        for _, write in self._pipes:
-            os.write(write, b"".join(to_bytes(event) for event in events))
+    def send(self, *events: InputEvent) -> None:
+        """Sends events to whoever has opened it."""
+        for reader in self.readers:
+            reader.events.extend(events)
 
     def _keys(self, value: int, names: tuple[str, ...]) -> None:
         codes = [code(name) for name in names]
         (self.down.update if value else self.down.difference_update)(codes)
-        self.send(*(Event(EV_KEY, key, value) for key in codes), REPORT)
-
-    def opened(self) -> PipeDevice:
-        """What opening its node gives."""
-        read, write = os.pipe()
-        os.set_blocking(read, False)
-        self._pipes.append((read, write))
-        return PipeDevice(self, read, write)
-
-    def closed(self, pair: tuple[int, int]) -> None:
-        """One of those who read it has closed it."""
-        self._pipes = [one for one in self._pipes if one[0] != pair[0]]
-        self.grabbed = False
+        self.send(*(event(ecodes.EV_KEY, key, value) for key in codes), REPORT)
 
 
-@dataclass
-class PipeDevice:
-    """A Device whose bytes come through a pipe."""
+@dataclass(eq=False)
+class OpenDevice:
+    """A Device that a test presses."""
 
     plugged: Plugged
-    read_end: int
-    write_end: int
-    open: bool = True
+    events: list[InputEvent] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.plugged.readers.append(self)
 
     @property
     def description(self) -> Description:
@@ -165,8 +139,7 @@ class PipeDevice:
 
     def snapshot(self) -> Snapshot:
         """Its whole state."""
-        if not self.plugged._there:
-            raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+        self._ask()
         return Snapshot(frozenset(self.plugged.down), dict(self.plugged.readings))
 
     def grab(self) -> None:
@@ -175,18 +148,21 @@ class PipeDevice:
             raise OSError(errno.EBUSY, os.strerror(errno.EBUSY))
         self.plugged.grabbed = True
 
-    def read(self) -> bytes:
+    def read(self) -> list[InputEvent]:
         """What has come since."""
-        return read_bytes(self.read_end)
+        self._ask()
+        events, self.events = self.events, []
+        return events
 
     def close(self) -> None:
-        """Closes both ends."""
-        if self.open:
-            self.open = False
-            os.close(self.read_end)
-            if self.plugged._there:
-                os.close(self.write_end)
-            self.plugged.closed((self.read_end, self.write_end))
+        """Lets it go."""
+        if self in self.plugged.readers:
+            self.plugged.readers.remove(self)
+        self.plugged.grabbed = False
+
+    def _ask(self) -> None:
+        if not self.plugged.there:
+            raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
 
 
 @dataclass
@@ -216,5 +192,5 @@ class Machine:
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
         for one in self.plugged:
             if one.description.path == path:
-                return one.opened()
+                return OpenDevice(one)
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))

@@ -5,15 +5,19 @@ from __future__ import annotations
 import json
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import surg_core
 from helpers.graph.ros import RosGraph
 from helpers.graph.surg import surg
+from helpers.teleop.drawn_endoscope import DrawnEndoscope
 from surg_cli.graph import processes, system
 from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import paths
@@ -86,66 +90,58 @@ WIRINGS: dict[str, Callable[[Picture, Picture], tuple[Picture, Picture]]] = {
 }
 
 
-@pytest.mark.parametrize("cause", list(WIRINGS) if FULL else ["none"])
-def test_the_wiring_is_judged_on_the_topics(
-    cause: str, ros_graph: RosGraph, rospy_node: str, tmp_path: Path
-) -> None:
-    """A drawn endoscope stands in for the rendered one: an arm, two controllers, real topics."""
-    import surg_core
-    from helpers.teleop.drawn_endoscope import DrawnEndoscope
+@dataclass
+class Bench:
+    """The graph before a drawn endoscope: an arm, two controllers, real topics."""
 
-    endoscope = DrawnEndoscope(surg_core.load_cell(CELL), WIRINGS[cause])
-    out = tmp_path / "verdict.json"
-    try:
-        child = start(ros_graph, out, enable=True)["/check_frames"]
-        ros_graph.wait_for(lambda: child.exit_code is not None, 240.0, "the verdict")
-    finally:
+    graph: RosGraph
+    out: Path
+    made: list[DrawnEndoscope] = field(default_factory=list)
+
+    def start(self, cause: str = "none", **how: bool) -> dict[str, processes.Child]:
+        self.made.append(DrawnEndoscope(surg_core.load_cell(CELL), WIRINGS[cause]))
+        return start(self.graph, self.out, **how)
+
+    def verdict(self, child: processes.Child, seconds: float) -> dict[str, Any]:
+        """What the check has written, when it has ended."""
+        self.graph.wait_for(lambda: child.exit_code is not None, seconds, "the verdict")
+        assert self.out.is_file(), child.log_tail()
+        found: dict[str, Any] = json.loads(self.out.read_text("utf-8"))
+        print(found["text"])
+        return found
+
+
+@pytest.fixture
+def bench(ros_graph: RosGraph, rospy_node: str, tmp_path: Path) -> Iterator[Bench]:
+    made = Bench(ros_graph, tmp_path / "verdict.json")
+    yield made
+    for endoscope in made.made:
         endoscope.close()
-    assert out.is_file(), child.log_tail()
-    found = json.loads(out.read_text("utf-8"))
-    print(found["text"])
+
+
+@pytest.mark.parametrize("cause", list(WIRINGS) if FULL else ["none"])
+def test_the_wiring_is_judged_on_the_topics(cause: str, bench: Bench) -> None:
+    child = bench.start(cause, enable=True)["/check_frames"]
+    found = bench.verdict(child, 240.0)
     assert found["cause"] == cause, found["text"]
     assert child.exit_code == (0 if cause == "none" else 1)
 
 
 @pytest.mark.skipif(not FULL, reason="ten seconds: SURG_TEST_FULL=1 runs it")
-def test_an_arm_that_is_not_enabled_is_left_alone(
-    ros_graph: RosGraph, rospy_node: str, tmp_path: Path
-) -> None:
-    import surg_core
-    from helpers.teleop.drawn_endoscope import DrawnEndoscope
-
-    endoscope = DrawnEndoscope(surg_core.load_cell(CELL), WIRINGS["none"])
-    out = tmp_path / "verdict.json"
-    try:
-        child = start(ros_graph, out, enable=False)["/check_frames"]
-        ros_graph.wait_for(lambda: child.exit_code is not None, 90.0, "the refusal")
-    finally:
-        endoscope.close()
-    found = json.loads(out.read_text("utf-8"))
+def test_an_arm_that_is_not_enabled_is_left_alone(bench: Bench) -> None:
+    child = bench.start(enable=False)["/check_frames"]
+    found = bench.verdict(child, 90.0)
     assert child.exit_code == 1
     assert found["outcome"] == "cannot_tell"
     assert "is DISABLED; enable it first" in found["text"]
 
 
 @pytest.mark.parametrize("arm", ["PSM1", "ECM"] if FULL else ["PSM1"])
-def test_a_controller_that_dies_ends_the_check(
-    arm: str, ros_graph: RosGraph, rospy_node: str, tmp_path: Path
-) -> None:
-    import surg_core
-    from helpers.teleop.drawn_endoscope import DrawnEndoscope
-
-    endoscope = DrawnEndoscope(surg_core.load_cell(CELL), WIRINGS["none"])
-    out = tmp_path / "verdict.json"
-    try:
-        children = start(ros_graph, out, enable=True, lockstep=False)
-        child = children["/check_frames"]
-        going = "the tip must now go"
-        ros_graph.wait_for(lambda: going in child.log_tail(), 90.0, "the check")
-        children[f"/{arm}/controller"].send(signal.SIGKILL)
-        ros_graph.wait_for(lambda: child.exit_code is not None, 20.0, "the end of the check")
-    finally:
-        endoscope.close()
+def test_a_controller_that_dies_ends_the_check(arm: str, bench: Bench) -> None:
+    children = bench.start(enable=True, lockstep=False)
+    child = children["/check_frames"]
+    bench.graph.wait_for(lambda: "the tip must now go" in child.log_tail(), 90.0, "the check")
+    children[f"/{arm}/controller"].send(signal.SIGKILL)
+    found = bench.verdict(child, 20.0)
     assert child.exit_code == 1
-    found = json.loads(out.read_text("utf-8"))
     assert f"{arm} is silent" in found["text"]

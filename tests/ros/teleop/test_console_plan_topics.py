@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 import rospy
 from rospy.topics import get_topic_manager
-from sensor_msgs.msg import CameraInfo, JointState
+from sensor_msgs.msg import JointState
 
 import surg_core
 from crtk_msgs.msg import OperatingState
 from helpers.endoscope_files import lens
 from helpers.graph.ros import RosGraph
+from helpers.perception.live_eyes import camera_info
 from surg_cli.host import paths
 from surg_console.ros.plan_topics_node import FRESH
 from surg_console.ros.ros_system_node import RosSystem
@@ -29,13 +30,6 @@ HOLDER = "ECM"
 CYCLE, JOINTS = "/PSM1/cycle", f"/{HOLDER}/robot/measured_js"
 SEEN = np.array([[-0.01, 0.002, 0.08], [0.012, -0.004, 0.1]])
 """[m] Planned tips before the left eye."""
-
-
-def camera_info() -> CameraInfo:
-    info = CameraInfo(width=640, height=480, distortion_model="plumb_bob")
-    for key in ("D", "K", "R", "P"):
-        setattr(info, key, np.ravel(getattr(LENS, key)).tolist())
-    return info
 
 
 def messages() -> dict[str, Any]:
@@ -56,7 +50,7 @@ def messages() -> dict[str, Any]:
     return {
         CYCLE: Cycle(q_br=[0.5, 0.5, 0.5, 0.5], p_rcm=X_BR[:3, 3].tolist()),
         JOINTS: JointState(name=[j.name for j in held.chain.joints], position=q.tolist()),
-        "/endoscope/left/camera_info": camera_info(),
+        "/endoscope/left/camera_info": camera_info(LENS, rospy.Time()),
         "/policy/plan": plan,
     }
 

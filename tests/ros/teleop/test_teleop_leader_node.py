@@ -1,9 +1,5 @@
 """Leaders as processes of their own: on topics, and from outside the tree."""
 
-import json
-import os
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -252,26 +248,3 @@ def test_a_leader_from_outside_the_tree_by_its_path(ears: Ears, tmp_path: Path) 
     ears.until(lambda: len(poses) > 3, "poses")
     p = poses[-1].pose.position
     assert p.x**2 + p.y**2 == pytest.approx(0.02**2)
-
-
-def test_a_leader_from_outside_the_tree_by_its_entry_point(tmp_path: Path) -> None:
-    """As `pip install` of a package with such an entry point would leave it."""
-    (tmp_path / "circle_package.py").write_text(OUTSIDE)
-    info = tmp_path / "circle_package-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: circle-package\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(
-        "[surg_teleop.leaders]\ncircle = circle_package:Circle\n"
-    )
-    code = (
-        "import json\n"
-        "from surg_teleop.leaders.leader import load, names\n"
-        "leader = load('circle', {'radius': 0.03})\n"
-        "p = leader.read(0.0).pose.p_VH.tolist()\n"
-        "print(json.dumps([leader.name, p, 'circle' in names()]))\n"
-    )
-    env = dict(os.environ, PYTHONPATH=f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}")
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True
-    )
-    assert json.loads(done.stdout) == ["circle", [0.03, 0.0, 0.0], True]

@@ -16,7 +16,8 @@ from surg_console.session.console_orders import EnableTeleop, Move, SetOperatorP
 from surg_console.session.console_session import FROZEN, ConsoleSession, Phase
 from surg_console.session.system_state import Arm, Follower, Robot
 from surg_console.web.page_protocol import Input
-from surg_perception.capture.device_process import Settings, messages
+from surg_perception.capture.capture_parameters import CaptureSettings
+from surg_perception.capture.device_process import messages
 from surg_perception.capture.frame_pipe import DeviceState, Pictures
 from surg_perception.capture.picture_source import Grabbed, PictureSource, SourceError, Wanted
 
@@ -83,7 +84,7 @@ def test_nothing_moves_until_the_operator_enables_again(monkeypatch: pytest.Monk
     monkeypatch.setattr(metadata, "entry_points", lambda group: [point])
     hand, told = Hand(), []
     wanted = Wanted(lambda: 0, hand.live)  # while the process waits, the hand goes on
-    for message in messages(Settings("plugged:0", "mono", 1), wanted):
+    for message in messages(CaptureSettings(source="plugged:0", layout="mono", eyes=1), wanted):
         if isinstance(message, DeviceState):
             told.append((message.code, hand.now))
         elif isinstance(message, Pictures):

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
 import surg_core
-from helpers.endoscope_files import copied_cell, lens, write_endoscope
+from helpers.endoscope_files import copied_cell, write_endoscope
 from helpers.results.depth_results import PAGE
 from helpers.sim.board_views import scope_cell
 from helpers.sim.calibrated_chain import Chain
 from surg_core import ConfigError
 from surg_core.lens_file import Lens, load_lens
-from surg_core.pictures.eye_projection import EyeProjection
 from surg_perception.calibration.small_motions import transform
 from surg_perception.marks.mark_projection import MarkProjection, PictureMark
 from surg_sim.physics.endoscope_rig import camera_poses
@@ -92,13 +90,6 @@ def test_shaft_jaws_and_trocar_hang_together() -> None:
     np.testing.assert_allclose(fingers[0][0], fingers[1][0], atol=1e-12)
     assert np.linalg.norm(ends[0] - ends[1]) > 20.0
     assert not [m for m in projection.marks("PSM1", q, np.nan, HOME)[0] if m.name == "jaw"]
-
-
-def test_what_lies_behind_or_far_outside_has_no_pixel() -> None:
-    eye = EyeProjection(lens("left"), np.eye(4))
-    points = np.array([[0, 0, -0.05], [0, 0, 0.001], [0.5, 0, 0.05], [0.01, 0, 0.08]])
-    known = np.isfinite(eye.pixels(points)).all(axis=1)
-    assert known.tolist() == [False, False, False, True]
 
 
 @pytest.fixture(scope="module")
@@ -187,12 +178,3 @@ def test_a_stale_or_half_calibration_is_refused_or_gives_no_ellipse(tmp_path: Pa
     file.write_text(file.read_text().replace("made up", "changed"))
     with pytest.raises(ConfigError, match=r"endoscope_stereo\.yaml"):
         MarkProjection(surg_core.load_cell(folder), (eyes[0], eyes[1]))
-
-
-def test_marks_agree_with_opencv() -> None:
-    """An oracle for the lens: OpenCV's own projection of the same points."""
-    left = lens("left")
-    points = np.random.default_rng(3).uniform([-0.02, -0.02, 0.06], [0.02, 0.02, 0.1], (50, 3))
-    found = EyeProjection(left, np.eye(4)).pixels(points)
-    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), left.K, left.D)
-    np.testing.assert_allclose(found, expected[:, 0], atol=1e-6)

@@ -75,17 +75,13 @@ def test_a_smaller_rectified_picture_gives_the_same_depth() -> None:
 def test_points_project_onto_their_pixels() -> None:
     pair = PlanePair()
     depth = StereoDepth(*pair.lenses())
-    points = depth.geometry.points(pair.depth().astype(np.float32), step=4)
+    g, (u, v) = depth.geometry, (44, 28)
+    points = g.points(pair.depth().astype(np.float32), step=4)
     assert points.shape == (60, 80, 3)
-    for eye in ("left", "right"):
-        P = depth.geometry.P(eye)
-        p = points.reshape(-1, 3).astype(float) @ P[:, :3].T + P[:, 3]
-        pixels = (p[:, :2] / p[:, 2:]).reshape(60, 80, 2)
-        if eye == "left":
-            np.testing.assert_allclose(pixels[7, 11], [44, 28], atol=1e-3)
-        else:
-            shift = 44 - pixels[7, 11, 0]
-            assert depth.geometry.depth(shift) == pytest.approx(points[7, 11, 2], rel=1e-5)
+    x, y, z = points[v // 4, u // 4].astype(float)
+    assert (g.f * x / z + g.cx, g.fy * y / z + g.cy) == pytest.approx((u, v), abs=1e-3)
+    right = g.f * (x - g.baseline) / z + g.cx - g.shift
+    assert g.depth(u - right) == pytest.approx(z, rel=1e-5)
 
 
 def test_what_is_not_lit_and_what_is_out_of_range_is_unknown() -> None:

@@ -15,7 +15,6 @@ from helpers.endoscope_files import copied_cell
 from helpers.perception.walk_recording import record_walk, rests_of
 from helpers.results.perception_results import PAGE
 from helpers.sim import board_bench
-from surg_cli import command_table
 from surg_cli.host import paths
 from surg_core.camera_file import load_camera
 from surg_perception.calibration.chain_steps import chain_error
@@ -51,26 +50,6 @@ def commands() -> list[list[str]]:
         line for first, line in lines if not first
     ]
     return [shlex.split(line, comments=True) for line in ordered]
-
-
-def test_every_line_of_the_page_is_a_command_that_exists() -> None:
-    lines = commands()
-    assert len(lines) >= 12 and sum(words[0] == "python3" for words in lines) == 3
-    for words in lines:
-        if words[0] == "./surg":
-            command_table.parse(*command_table.find(words[1:]))
-        elif words[0] == "python3":
-            assert words[1] == "tests/helpers/sim/board_bench.py", words
-        else:
-            assert words == ["cp", "-r", "cells/sim_two_arms", "cells/my_cell"]
-
-
-def test_every_option_on_the_page_exists() -> None:
-    parsers = [command_table.parser(name)[0] for name in ("calibrate", "teleop")]
-    known = {word for parser in parsers for a in parser._actions for word in a.option_strings}
-    text = re.sub(r"(?m)^python3 .*$", "", GUIDE.read_text("utf-8"))
-    options = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", text))
-    assert len(options) >= 8 and options <= known, options - known
 
 
 def test_settings_on_the_page_exist_and_the_clamp_is_turned_by_what_it_states() -> None:

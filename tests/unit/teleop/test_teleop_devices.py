@@ -1,4 +1,4 @@
-"""A device on an arm: from the pipe through the teleoperation to the gate; unplugged, plugged in.
+"""A device on an arm: from the device through the teleoperation to the gate; unplugged, plugged in.
 
 One tick is 2 ms of the arm's clock.
 """

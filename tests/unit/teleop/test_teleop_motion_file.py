@@ -1,18 +1,12 @@
 """Motion files: what is read, what is refused and in which words."""
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
-from surg_cli.host import paths
-from surg_teleop.playback.motion_file import JUMP_SPEED, Motion, MotionError, read_motion
-
-BUNDLED = paths.ROOT / "src/surg_teleop/motions/bundled.csv"
-FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
+from surg_teleop.playback.motion_file import JUMP_SPEED, MotionError, read_motion
 
 
 def table(n: int = 50, **columns: object) -> dict[str, list[object]]:
@@ -220,52 +214,3 @@ def test_cut_keeps_the_first_seconds(tmp_path: Path) -> None:
     assert short.gripper is not None
     assert len(short.gripper) == len(short.lines) == 26
     assert motion.cut(99.0) is motion
-
-
-def bundled() -> Motion:
-    return read_motion(BUNDLED)
-
-
-def test_bundled_motion_is_worth_playing() -> None:
-    motion = bundled()
-    assert motion.duration == 60.0
-    assert np.diff(motion.t) == pytest.approx(0.01)
-    extent = np.ptp(motion.p, axis=0)
-    spline = motion.spline()
-    fine = np.arange(0.0, motion.duration, 0.002)
-    v, a, j = (spline(fine, order)[:, :3] for order in (1, 2, 3))
-    speed = np.linalg.norm(v, axis=1)
-    print(
-        f"box {1e3 * extent} mm, peak {speed.max():.3f} m/s, {np.abs(a).max():.2f} m/s^2, "
-        f"{np.abs(j).max():.1f} m/s^3, path {speed.sum() * 0.002:.2f} m"
-    )
-    assert extent.min() >= 0.050
-    assert 0.10 <= speed.max() <= 0.20
-    assert np.abs(a).max() < 2.0
-    assert np.abs(j).max() < 40.0
-    assert motion.gripper is not None
-    assert np.ptp(motion.gripper) > 0.4
-    assert np.ptp(motion.roll) > 0.8
-
-
-def test_bundled_motion_trembles_like_a_hand() -> None:
-    motion = bundled()
-    band = butter(4, (8.0, 12.0), "bandpass", fs=100.0, output="sos")
-    trembling = sosfiltfilt(band, motion.p, axis=0)[100:-100]
-    per_axis = trembling.std(axis=0)
-    print(f"tremor rms per axis {1e3 * per_axis} mm")
-    assert (per_axis >= 0.045e-3).all()
-    assert (per_axis <= 0.1e-3).all()
-    total = np.sqrt((trembling**2).sum(axis=1).mean())
-    assert 0.05e-3 <= total <= 0.1e-3
-    below = sosfiltfilt(butter(4, (5.0, 7.0), "bandpass", fs=100.0, output="sos"), motion.p, axis=0)
-    assert below[100:-100].std() < 0.3 * per_axis.mean()
-
-
-def test_bundled_motion_starts_and_ends_at_rest_in_one_place() -> None:
-    motion = bundled()
-    spline = motion.spline()
-    for t in (0.0, motion.duration):
-        assert np.abs(spline(t, 1)).max() < 1e-3
-    assert np.linalg.norm(motion.p[0] - motion.p[-1]) < 1e-6
-    assert motion.roll[-1] == 0.0

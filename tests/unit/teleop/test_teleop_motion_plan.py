@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from surg_cli.host import paths
-from surg_teleop.follow.hand_mapping import Mapping
 from surg_teleop.playback.motion_file import Motion, MotionError, read_motion
 from surg_teleop.playback.motion_path import MotionPlan
 from surg_teleop.playback.motion_plan import CENTRE_DEPTH, ConstantMotionError, make_plan
@@ -223,14 +222,6 @@ def test_gripper_is_relative_to_its_most_closed() -> None:
     assert max(o for o in openings if o is not None) == pytest.approx(2.0, abs=1e-3)
     still = make_plan(moving(lissajous().p), WORKSPACE)
     assert still.opening(1.0) is None
-
-
-def test_mapping_is_relative_to_the_engagement() -> None:
-    mapping = Mapping(0.2, np.array([1.0, 2.0, 3.0]), 0.5, np.array([0.0, 0.0, 0.12]), -0.1)
-    assert np.allclose(mapping.position(np.array([1.0, 2.0, 3.0])), [0, 0, 0.12])
-    assert np.allclose(mapping.position(np.array([1.1, 2.0, 2.9])), [0.02, 0, 0.10])
-    assert mapping.roll(0.5) == pytest.approx(-0.1)
-    assert mapping.roll(0.8) == pytest.approx(0.2)  # roll is not scaled
 
 
 def test_a_run_in_that_does_not_fit_says_so(tmp_path: Path) -> None:

@@ -77,23 +77,14 @@ def test_storms_on_the_real_controller(kind: ControlMode) -> None:
     made = settings(
         mode=kind,
         workspace=Workspace(limits.depth_slow, limits.depth_max, limits.cone),
-        step=StepLimits(
-            limits.tip_velocity,
-            limits.step_slack,
-            limits.roll_velocity,
-            limits.step_roll_slack,
-            limits.step_dt_max,
-        ),
+        step=StepLimits.of(limits),
     )
     joints = arm.robot
     engagements, fastest, swiftest, hardest = 0, 0.0, 0.0, 0.0
     for seed in range(REAL):
         rng = np.random.default_rng(1000 + seed)
-        plant, hand, teleop = (
-            LaggingArm(arm),
-            Hand(),
-            Teleop(made, scale=float(rng.uniform(0.2, 1))),
-        )
+        plant, hand = LaggingArm(arm), Hand()
+        teleop = Teleop(made, scale=float(rng.uniform(0.2, 1)))
         plant.step(ArmCommands())
         commands = ArmCommands(state="home")
         teleop.enable()

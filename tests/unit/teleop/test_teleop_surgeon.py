@@ -91,14 +91,7 @@ def run(file: Path, seconds: float) -> Chain:
             break
 
     workspace = Workspace(limits.depth_slow, limits.depth_max, limits.cone)
-    step = StepLimits(
-        limits.tip_velocity,
-        limits.step_slack,
-        limits.roll_velocity,
-        limits.step_roll_slack,
-        limits.step_dt_max,
-    )
-    teleop = Teleop(settings(workspace=workspace, step=step), scale=1.0)
+    teleop = Teleop(settings(workspace=workspace, step=StepLimits.of(limits)), scale=1.0)
     teleop.enable()
     leader = MotionLeader(str(file), rate=RATE, delay=1.0)
     leader.open()

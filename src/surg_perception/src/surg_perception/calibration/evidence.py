@@ -92,11 +92,7 @@ def _coverage_reasons(seen: Sequence[SeenCorners], size: tuple[int, int], eye: s
 
 
 def check_lens(result: LensFit, size: tuple[int, int]) -> None:
-    """Refuse the lens of a single eye without enough evidence.
-
-    Raises:
-        Refused: With each limit that is not met.
-    """
+    """Raise `Refused` for the lens of a single eye without enough evidence."""
     seen = result.fit.solution.seen
     reasons = _lens_reasons(len(seen), result.held_out) + _coverage_reasons(seen, size, "left")
     if reasons:
@@ -104,11 +100,7 @@ def check_lens(result: LensFit, size: tuple[int, int]) -> None:
 
 
 def check_stereo(result: StereoFit, size: tuple[int, int]) -> None:
-    """Refuse a pair of lenses without enough evidence.
-
-    Raises:
-        Refused: With each limit that is not met.
-    """
+    """Raise `Refused` for a pair of lenses without enough evidence."""
     seen = result.fit.solution.seen
     reasons = _lens_reasons(len(seen), result.held_out)
     for eye, name in enumerate(("left", "right")):
@@ -132,11 +124,7 @@ def check_stereo(result: StereoFit, size: tuple[int, int]) -> None:
 
 
 def check_handeye(result: HandEyeFit) -> None:
-    """Refuse a hand-eye pose without enough evidence.
-
-    Raises:
-        Refused: With each limit that is not met.
-    """
+    """Raise `Refused` for a hand-eye pose without enough evidence."""
     reasons = []
     n = len(result.fit.residuals)
     if n < LEAST_POSTURES:
@@ -173,11 +161,7 @@ def check_handeye(result: HandEyeFit) -> None:
 
 
 def check_touch(result: SeenBase) -> None:
-    """Refuse a base by touch without enough evidence.
-
-    Raises:
-        Refused: With each limit that is not met.
-    """
+    """Raise `Refused` for a base by touch without enough evidence."""
     reasons = []
     turn, shift = result.error
     if result.n < LEAST_TOUCHES:
@@ -204,11 +188,7 @@ def check_touch(result: SeenBase) -> None:
 
 
 def check_tip(result: SeenBase, p_S: FloatArray) -> None:
-    """Refuse a turn by tip without enough evidence; p_S (n, 3) are the places of the tip.
-
-    Raises:
-        Refused: With each limit that is not met.
-    """
+    """Raise `Refused` for a turn by tip without enough evidence; p_S (n, 3): of the tip."""
     reasons = []
     if result.n < LEAST_RESTS:
         reasons.append(f"rests: {result.n}; at least {LEAST_RESTS}: take more")

@@ -14,17 +14,13 @@ import numpy as np
 
 from surg_core.transforms import FloatArray, inverse_pose, rotation_vector
 from surg_perception.calibration.adjustment import Adjusted, adjust
-from surg_perception.calibration.intrinsics import (
-    PoseProblem,
-    SeenCorners,
-    board_pose,
-)
+from surg_perception.calibration.intrinsics import PoseProblem, SeenCorners, board_pose, look
 from surg_perception.calibration.small_motions import (
     expected_error,
     mean_pose,
     moved,
+    nearest_rotation,
     skew,
-    transform,
 )
 from surg_perception.calibration.stereo import PairProblem
 from surg_perception.calibration.triangulation import Stereo
@@ -62,28 +58,26 @@ class HandEyeProblem:
 
     def linearise(self, view: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """As ``adjustment.Problem``."""
-        X_RL = inverse_pose(self.stereo.X_LR)
-        R_VF, size = self.X_FV[:3, :3].T, np.exp(self.factors[1])
-        X_FB = inverse_pose(self.X_BF[view])
-        eyes = ((self.stereo.left, np.eye(4)), (self.stereo.right, X_RL))
+        X_FBoard = inverse_pose(self.X_BF[view]) @ self.X_BBoard
+        X_VBoard, R_VF = inverse_pose(self.X_FV) @ X_FBoard, self.X_FV[:3, :3].T
+        by_poses = np.zeros((6, 12))  # A step of the board before the eye, by steps of both poses.
+        by_poses[:3, :3] = by_poses[3:, 3:6] = -R_VF
+        by_poses[3:, :3] = R_VF @ skew(X_FBoard[:3, 3] - self.X_FV[:3, 3])[0]
+        by_poses[:3, 6:9] = by_poses[3:, 9:] = R_VF @ self.X_BF[view][:3, :3].T
+        zoom, size = np.exp(self.factors)
         residuals, slopes = [], []
-        for (lens, X_EV), seen in zip(eyes, self.seen[view], strict=True):
-            zoomed = replace(lens, values=lens.values * _zoom(len(lens.values), self.factors[0]))
-            p_B = transform(self.X_BBoard, size * seen.p_Board)
-            away = transform(X_FB, p_B) - self.X_FV[:3, 3]
-            found, by_point, by_values = zoomed.derivatives(transform(X_EV, away @ R_VF.T))
-            in_flange = by_point @ (X_EV[:3, :3] @ R_VF)
-            in_base = in_flange @ X_FB[:3, :3]
-            on_board = p_B - self.X_BBoard[:3, 3]
-            slope = np.zeros((*found.shape, 14))
-            slope[..., :3] = in_flange @ skew(away)
-            slope[..., 3:6] = -in_flange
-            slope[..., 6:9] = -in_base @ skew(on_board)
-            slope[..., 9:12] = in_base
-            slope[..., 12] = by_values[..., :2] @ zoomed.values[:2]
-            slope[..., 13] = (in_base @ on_board[..., None])[..., 0]
-            residuals.append((found - seen.pixels).ravel())
-            slopes.append(slope.reshape(-1, 14)[:, : 14 if self.free else 12])
+        for (lens, X_VE), seen in zip(self.stereo.eyes, self.seen[view], strict=True):
+            zoomed = lens.moved(np.pad((zoom - 1.0) * lens.values[:2], (0, len(lens.values) - 2)))
+            sized = replace(seen, p_Board=size * seen.p_Board)
+            r, by_board, _, by_values = look(zoomed, X_VE, X_VBoard, sized)
+            slope = by_board @ by_poses
+            if self.free:
+                by_zoom = by_values[:, :2] @ zoomed.values[:2]
+                grown = np.repeat(sized.p_Board @ X_VBoard[:3, :3].T, 2, axis=0)
+                by_size = np.sum(by_board[:, 3:] * grown, axis=1)
+                slope = np.column_stack([slope, by_zoom, by_size])
+            residuals.append(r)
+            slopes.append(slope)
         r = np.concatenate(residuals)
         return r, np.concatenate(slopes), np.zeros((len(r), 0))
 
@@ -183,8 +177,8 @@ def _lens_share(fit: Adjusted[HandEyeProblem], lenses: FloatArray) -> FloatArray
 
 def pair_pose(stereo: Stereo, pair: tuple[SeenCorners, SeenCorners]) -> FloatArray:
     """Pose (4, 4) of the board before the left eye, from both eyes."""
-    eyes = [(stereo.left, np.eye(4), pair[0]), (stereo.right, inverse_pose(stereo.X_LR), pair[1])]
-    return adjust(PoseProblem(board_pose(stereo.left, pair[0]), eyes)).solution.X_LBoard
+    start = board_pose(stereo.left, pair[0])
+    return adjust(PoseProblem(start, stereo.eyes, pair)).solution.X_LBoard
 
 
 def park(X_BF: FloatArray, X_VBoard: FloatArray) -> FloatArray:
@@ -200,8 +194,7 @@ def park(X_BF: FloatArray, X_VBoard: FloatArray) -> FloatArray:
         np.zeros((3, 3)),
     )
     # R that turns each motion of the eye, seen in the eye, into that of the flange.
-    U, _, Vt = np.linalg.svd(M)
-    R = Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T
+    R = nearest_rotation(M.T)
     left = np.concatenate([A[:3, :3] - np.eye(3) for A, _ in motions])
     right = np.concatenate([R @ B[:3, 3] - A[:3, 3] for A, B in motions])
     X = np.eye(4)
@@ -222,8 +215,3 @@ def turns_between(X_BF: FloatArray) -> FloatArray:
     axis = turns[np.argmax(lengths)] / max(float(lengths.max()), 1e-12)
     across = turns - np.outer(turns @ axis, axis)
     return np.array([lengths.max(), np.linalg.norm(across, axis=1).max()])
-
-
-def _zoom(n: int, factor: float) -> FloatArray:
-    """Factors (n,) of a lens's values when its focal lengths change."""
-    return np.concatenate([np.exp([factor, factor]), np.ones(n - 2)])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ from surg_core.lens_file import DISTORTION_MODELS
 from surg_core.pictures.lens_model import MODELS, LensModel
 from surg_core.transforms import FloatArray
 from surg_perception.calibration.adjustment import Adjusted, adjust
-from surg_perception.calibration.small_motions import moved, skew, transform
+from surg_perception.calibration.small_motions import moved, skew
 
 GOOD_ENOUGH = 1.05
 """A simpler model wins when its held-out error is at most this many times the best one's."""
@@ -29,6 +30,39 @@ class SeenCorners:
 
     p_Board: FloatArray
     pixels: FloatArray
+
+
+class Look(NamedTuple):
+    """Residuals (2n,) of one view in one eye [px], and their derivatives.
+
+    Attributes:
+        r: Found less seen.
+        by_board: ``(2n, 6)`` by a step of the board's pose before the left eye.
+        by_eye: ``(2n, 6)`` by a step of this eye's pose in the left one.
+        by_values: ``(2n, v)`` by the values of the lens.
+    """
+
+    r: FloatArray
+    by_board: FloatArray
+    by_eye: FloatArray
+    by_values: FloatArray
+
+
+def look(lens: LensModel, X_LE: FloatArray, X_LBoard: FloatArray, seen: SeenCorners) -> Look:
+    """What an eye at X_LE (4, 4) should see of a board at X_LBoard (4, 4), against what it sees."""
+    R_EL, turned = X_LE[:3, :3].T, seen.p_Board @ X_LBoard[:3, :3].T
+    away = turned + X_LBoard[:3, 3] - X_LE[:3, 3]
+    found, by_point, by_values = lens.derivatives(away @ R_EL.T)
+    by_shift = by_point @ R_EL
+    by_board = np.concatenate([-by_shift @ skew(turned), by_shift], axis=2)
+    by_eye = np.concatenate([by_shift @ skew(away), -by_shift], axis=2)
+    rows = found.size
+    return Look(
+        (found - seen.pixels).ravel(),
+        by_board.reshape(rows, 6),
+        by_eye.reshape(rows, 6),
+        by_values.reshape(rows, len(lens.values)),
+    )
 
 
 @dataclass(frozen=True)
@@ -52,14 +86,8 @@ class LensProblem:
 
     def linearise(self, view: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """As ``adjustment.Problem``."""
-        seen, X = self.seen[view], self.X_CBoard[view]
-        found, by_point, by_values = self.lens.derivatives(transform(X, seen.p_Board))
-        own = by_point @ by_pose(X, seen.p_Board)
-        return (
-            (found - seen.pixels).ravel(),
-            by_values.reshape(-1, by_values.shape[2]),
-            own.reshape(-1, 6),
-        )
+        each = look(self.lens, np.eye(4), self.X_CBoard[view], self.seen[view])
+        return each.r, each.by_values, each.by_board
 
     def moved(self, shared: FloatArray, own: list[FloatArray]) -> LensProblem:
         """As ``adjustment.Problem``."""
@@ -73,36 +101,26 @@ class PoseProblem:
 
     Attributes:
         X_LBoard: Pose (4, 4) of the board before the left eye.
-        eyes: Of each eye: lens, pose of the left eye in it (4, 4), what it sees.
+        eyes: Of each eye: lens, its pose in the left one (4, 4).
+        seen: What each eye sees.
     """
 
     X_LBoard: FloatArray
-    eyes: Sequence[tuple[LensModel, FloatArray, SeenCorners]]
+    eyes: Sequence[tuple[LensModel, FloatArray]]
+    seen: Sequence[SeenCorners]
     views: int = 1
 
     def linearise(self, view: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """As ``adjustment.Problem``."""
-        residuals, slopes = [], []
-        for lens, X_EL, seen in self.eyes:
-            p_L = transform(self.X_LBoard, seen.p_Board)
-            found, by_point, _ = lens.derivatives(transform(X_EL, p_L))
-            by_step = by_point @ (X_EL[:3, :3] @ by_pose(self.X_LBoard, seen.p_Board))
-            residuals.append((found - seen.pixels).ravel())
-            slopes.append(by_step.reshape(-1, 6))
-        r = np.concatenate(residuals)
-        return r, np.concatenate(slopes), np.zeros((len(r), 0))
+        looks = [
+            look(*eye, self.X_LBoard, seen) for eye, seen in zip(self.eyes, self.seen, strict=True)
+        ]
+        r = np.concatenate([each.r for each in looks])
+        return r, np.concatenate([each.by_board for each in looks]), np.zeros((len(r), 0))
 
     def moved(self, shared: FloatArray, own: list[FloatArray]) -> PoseProblem:
         """As ``adjustment.Problem``."""
         return replace(self, X_LBoard=moved(self.X_LBoard, shared))
-
-
-def by_pose(X_AB: FloatArray, p_B: FloatArray) -> FloatArray:
-    """Derivatives (n, 3, 6) of points of B in A by a step of X_AB."""
-    slope = np.zeros((len(p_B), 3, 6))
-    slope[:, :, :3] = -skew(p_B @ X_AB[:3, :3].T)
-    slope[:, :, 3:] = np.eye(3)
-    return slope
 
 
 def board_pose(lens: LensModel, seen: SeenCorners) -> FloatArray:
@@ -148,8 +166,9 @@ def held_out_error(fit: Adjusted[LensProblem]) -> float:
     problem = fit.solution
     errors = []
     for view, step in enumerate(fit.without()):
-        eye = (problem.lens.moved(step), np.eye(4), problem.seen[view])
-        errors.append(adjust(PoseProblem(problem.X_CBoard[view], [eye])).rms)
+        eye = (problem.lens.moved(step), np.eye(4))
+        alone = PoseProblem(problem.X_CBoard[view], [eye], [problem.seen[view]])
+        errors.append(adjust(alone).rms)
     return float(np.sqrt(np.mean(np.square(errors))))
 
 

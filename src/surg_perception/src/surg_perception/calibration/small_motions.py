@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from surg_core.transforms import FloatArray, inverse_pose, rotation_of, rotation_vector
+from surg_core.transforms import FloatArray, rotation_of, rotation_vector
 
 
 def skew(v: FloatArray) -> FloatArray:
@@ -59,17 +59,15 @@ def expected_error(covariance: FloatArray) -> tuple[float, float]:
 
 def mean_pose(poses: FloatArray) -> FloatArray:
     """The mean (4, 4) of poses (n, 4, 4): mean position, nearest rotation to the mean matrix."""
-    mean = poses.mean(axis=0)
-    U, _, Vt = np.linalg.svd(mean[:3, :3])
-    X = np.eye(4)
-    X[:3, :3] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    X[:3, 3] = mean[:3, 3]
-    return X
+    X = poses.mean(axis=0)
+    X[:3, :3] = nearest_rotation(X[:3, :3])
+    return np.asarray(X)
 
 
-def relative(X_AB: FloatArray, X_AC: FloatArray) -> FloatArray:
-    """X_BC (4, 4) of X_AB and X_AC."""
-    return np.asarray(inverse_pose(X_AB) @ X_AC)
+def nearest_rotation(M: FloatArray) -> FloatArray:
+    """The rotation (3, 3) nearest to a matrix."""
+    U, _, Vt = np.linalg.svd(M)
+    return np.asarray(U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt)
 
 
 def shift_at(covariance: FloatArray, lever: FloatArray) -> float:

@@ -12,16 +12,14 @@ from surg_perception.calibration.adjustment import Adjusted, adjust
 from surg_perception.calibration.intrinsics import (
     PoseProblem,
     SeenCorners,
-    by_pose,
     choose_model,
     fit_lens,
+    look,
 )
 from surg_perception.calibration.small_motions import (
     expected_error,
     mean_pose,
     moved,
-    relative,
-    skew,
     transform,
 )
 from surg_perception.calibration.triangulation import Rectified, Stereo, rigid_fit
@@ -51,28 +49,16 @@ class PairProblem:
 
     def linearise(self, view: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """As ``adjustment.Problem``; shared: values of the left and the right lens, X_LR."""
-        left, right = self.seen[view]
-        X, R_RL = self.X_LBoard[view], self.stereo.X_LR[:3, :3].T
-        p_L = transform(X, right.p_Board)
-        away = p_L - self.stereo.X_LR[:3, 3]
-        n = len(self.stereo.left.values)
-        found, by_point, by_values = self.stereo.left.derivatives(transform(X, left.p_Board))
-        found_r, by_point_r, by_values_r = self.stereo.right.derivatives(away @ R_RL.T)
-        in_left = by_point_r @ R_RL
-        r = np.concatenate([(found - left.pixels).ravel(), (found_r - right.pixels).ravel()])
-        m = found.size
-        shared = np.zeros((len(r), 2 * n + 6))
-        shared[:m, :n] = by_values.reshape(-1, n)
-        shared[m:, n : 2 * n] = by_values_r.reshape(-1, n)
-        shared[m:, 2 * n : 2 * n + 3] = (in_left @ skew(away)).reshape(-1, 3)
-        shared[m:, 2 * n + 3 :] = -in_left.reshape(-1, 3)
-        own = np.concatenate(
-            [
-                (by_point @ by_pose(X, left.p_Board)).reshape(-1, 6),
-                (in_left @ by_pose(X, right.p_Board)).reshape(-1, 6),
-            ]
+        X, n = self.X_LBoard[view], len(self.stereo.left.values)
+        left, right = (
+            look(*eye, X, seen) for eye, seen in zip(self.stereo.eyes, self.seen[view], strict=True)
         )
-        return r, shared, own
+        m = len(left.r)
+        shared = np.zeros((m + len(right.r), 2 * n + 6))
+        shared[:m, :n] = left.by_values
+        shared[m:, n:] = np.hstack([right.by_values, right.by_eye])
+        own = np.concatenate([left.by_board, right.by_board])
+        return np.concatenate([left.r, right.r]), shared, own
 
     def moved(self, shared: FloatArray, own: list[FloatArray]) -> PairProblem:
         """As ``adjustment.Problem``."""
@@ -147,10 +133,7 @@ def solve_stereo(
     if not model:
         model, errors = choose_model(eyes, size)
     left, right = (fit_lens(eye, size, model).solution for eye in eyes)
-    poses = [
-        relative(inverse_pose(L), inverse_pose(R))
-        for L, R in zip(left.X_CBoard, right.X_CBoard, strict=True)
-    ]
+    poses = [L @ inverse_pose(R) for L, R in zip(left.X_CBoard, right.X_CBoard, strict=True)]
     stereo = Stereo(left.lens, right.lens, mean_pose(np.array(poses)))
     fit = adjust(PairProblem(stereo, left.X_CBoard, seen))
     kept, left_out = _without_outliers(fit)
@@ -186,11 +169,9 @@ def _held_out(fit: Adjusted[PairProblem]) -> tuple[float, float, FloatArray, Flo
     pixels, rows, errors, distances = [], [], [], []
     for view, step in enumerate(fit.without()):
         stereo = problem.stereo.moved(step)
-        left, right = problem.seen[view]
-        X_RL = inverse_pose(stereo.X_LR)
-        eyes = [(stereo.left, np.eye(4), left), (stereo.right, X_RL, right)]
-        pixels.append(adjust(PoseProblem(problem.X_LBoard[view], eyes)).rms)
-        both, at_left, at_right = common(left, right)
+        pair = problem.seen[view]
+        pixels.append(adjust(PoseProblem(problem.X_LBoard[view], stereo.eyes, pair)).rms)
+        both, at_left, at_right = common(*pair)
         rectified = Rectified.of(stereo)
         rows.append(rectified.rows(at_left, at_right))
         p_L = stereo.triangulate(at_left, at_right)

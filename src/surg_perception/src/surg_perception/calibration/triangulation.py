@@ -8,7 +8,7 @@ import numpy as np
 
 from surg_core.pictures.lens_model import LensModel
 from surg_core.transforms import FloatArray, inverse_pose, rotation_of, rotation_vector
-from surg_perception.calibration.small_motions import moved, transform
+from surg_perception.calibration.small_motions import moved, nearest_rotation, transform
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,11 @@ class Stereo:
             self.right.moved(step[n : 2 * n]),
             moved(self.X_LR, step[2 * n :]),
         )
+
+    @property
+    def eyes(self) -> tuple[tuple[LensModel, FloatArray], tuple[LensModel, FloatArray]]:
+        """The lens of the left and of the right eye, and its pose (4, 4) in the left one."""
+        return (self.left, np.eye(4)), (self.right, self.X_LR)
 
     @property
     def baseline(self) -> float:
@@ -111,8 +116,7 @@ class Rectified:
 def rigid_fit(p_B: FloatArray, p_A: FloatArray) -> FloatArray:
     """X_AB (4, 4) with p_A = X_AB p_B in the least-squares sense (Arun et al., 1987)."""
     a, b = p_A.mean(axis=0), p_B.mean(axis=0)
-    U, _, Vt = np.linalg.svd((p_B - b).T @ (p_A - a))
-    R = Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T
+    R = nearest_rotation((p_A - a).T @ (p_B - b))
     X = np.eye(4)
     X[:3, :3], X[:3, 3] = R, a - R @ b
     return X

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from surg_perception.capture.device_process import Settings
 from surg_perception.capture.eye_layout import FLIPS, LAYOUTS, eyes_of
 from surg_perception.capture.picture_source import SourceError, SourceUri
 from surg_ros.params import ParamError, flag, one_of, real, text, whole
@@ -27,6 +26,7 @@ class CaptureSettings:
     swap: bool = flag(False)  # the left eye comes where the layout has the right one
     flip: str = one_of(FLIPS, "none")
     latency: float = real(0.0, 1.0, 0.0)  # [s] from glass to stamp
+    eyes: int = field(default=2, kw_only=True)  # of one device; `devices` states it
 
     def __post_init__(self) -> None:
         """Checks the source against the layout.
@@ -44,25 +44,17 @@ class CaptureSettings:
             allowed = "two devices with layout two, one with every other"
             raise ParamError("source", self.source, allowed)
 
-    def devices(self) -> tuple[Settings, ...]:
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of a grabbed picture [px]; 0, 0: as the device has it."""
+        return self.width, self.height
+
+    def devices(self) -> tuple[CaptureSettings, ...]:
         """Settings of each device's process; the left eye's first."""
         found = SourceUri.parse(self.source).devices()
         uris = found[::-1] if self.swap and len(found) == 2 else found
-        return tuple(
-            Settings(
-                source=str(uri),
-                layout=self.layout,
-                eyes=len(eyes_of(self.layout)) // len(uris),
-                size=(self.width, self.height),
-                publish=(self.publish_width, self.publish_height),
-                rate=self.rate,
-                swap=self.swap,
-                flip=self.flip,
-                latency_ns=round(1e9 * self.latency),
-                folder=self.cell or ".",
-            )
-            for uri in uris
-        )
+        eyes = len(eyes_of(self.layout)) // len(uris)
+        return tuple(replace(self, source=str(uri), eyes=eyes) for uri in uris)
 
     @property
     def calibration(self) -> Path | None:

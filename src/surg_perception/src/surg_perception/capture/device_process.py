@@ -1,7 +1,7 @@
 """The process of one device: opens it, judges and divides its pictures, writes them to a pipe.
 
 A driver that hangs or crashes takes this process along and nothing else. It opens a device that has
-gone again, once a second, by its persistent name. Arguments: the settings as JSON (`Settings`).
+gone again, once a second, by its persistent name. Argument: the `CaptureSettings` as JSON.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from surg_perception.capture import eye_layout, frame_pipe
+from surg_perception.capture.capture_parameters import CaptureSettings
 from surg_perception.capture.frame_pipe import DeviceState, Pictures
 from surg_perception.capture.picture_source import (
     Grabbed,
@@ -30,52 +30,11 @@ from surg_perception.capture.signal_watch import CURES, Signal, SignalWatch
 REOPEN_S = 1.0
 
 
-@dataclass(frozen=True)
-class Settings:
-    """Of one device.
-
-    Attributes:
-        source: URI of one device.
-        layout: One of ``eye_layout.LAYOUTS``.
-        eyes: How many eyes this device delivers.
-        size: Grabbed [px]; 0, 0: as the device has it.
-        publish: Largest size of an eye [px].
-        rate: [1/s]; 0: as the device has it.
-        swap: Exchange the eyes.
-        flip: One of ``eye_layout.FLIPS``.
-        latency_ns: Subtracted from every stamp.
-        folder: Relative paths begin here.
-    """
-
-    source: str
-    layout: str
-    eyes: int = 2
-    size: tuple[int, int] = (0, 0)
-    publish: tuple[int, int] = (960, 540)
-    rate: float = 0.0
-    swap: bool = False
-    flip: str = "none"
-    latency_ns: int = 0
-    folder: str = "."
-
-    def text(self) -> str:
-        """As JSON."""
-        return json.dumps(asdict(self))
-
-    @classmethod
-    def parse(cls, text: str) -> Settings:
-        """From JSON."""
-        values: dict[str, Any] = json.loads(text)
-        for key in ("size", "publish"):
-            values[key] = tuple(values[key])
-        return cls(**values)
-
-
 class EyeSplitter:
     """From what a source grabs to the eyes, or the reason why there are none."""
 
-    def __init__(self, settings: Settings, live: bool) -> None:
-        self._settings = settings
+    def __init__(self, settings: CaptureSettings, live: bool) -> None:
+        self._settings, self._latency_ns = settings, round(1e9 * settings.latency)
         rows = settings.layout == "rows"
         self._watches = [SignalWatch(settings.size, not live, rows) for _ in range(2)]
 
@@ -99,7 +58,7 @@ class EyeSplitter:
                 "each eye, such as v4l2:/dev/video0+/dev/video2",
             )
         jpegs = grabbed.jpegs if len(grabbed.jpegs) == len(eyes) and self._untouched else ()
-        return Pictures(stamp - settings.latency_ns, grabbed.received_ns, eyes, jpegs)
+        return Pictures(stamp - self._latency_ns, grabbed.received_ns, eyes, jpegs)
 
     @property
     def _untouched(self) -> bool:
@@ -113,7 +72,8 @@ class EyeSplitter:
             eyes = eyes[::-1] if settings.swap else eyes
         else:
             eyes = eye_layout.split(pictures[0], settings.layout, settings.swap, settings.flip)
-        return tuple(eye_layout.fitted(eye, settings.publish) for eye in eyes)
+        most = (settings.publish_width, settings.publish_height)
+        return tuple(eye_layout.fitted(eye, most) for eye in eyes)
 
     def _why(self, signal: Signal, picture: eye_layout.Image) -> str:
         text = CURES[signal]
@@ -123,7 +83,7 @@ class EyeSplitter:
         return f"endoscope.source: {self._settings.source}: {text}"
 
 
-def messages(settings: Settings, wanted: Wanted) -> Iterator[Pictures | DeviceState]:
+def messages(settings: CaptureSettings, wanted: Wanted) -> Iterator[Pictures | DeviceState]:
     """What a device delivers, without end; a state only when it changes.
 
     The iterator ends with the recording where the source is one.
@@ -160,12 +120,11 @@ def messages(settings: Settings, wanted: Wanted) -> Iterator[Pictures | DeviceSt
         wanted.sleep(REOPEN_S)
 
 
-def run(settings: Settings, out: BinaryIO, now: Callable[[], int] = time.time_ns) -> None:
+def run(settings: CaptureSettings, out: BinaryIO) -> None:
     """Write the messages of a device to a pipe until the recording ends."""
     coded = settings.layout in ("two", "mono")
-    wanted = Wanted(
-        now, time.sleep, settings.size, settings.rate, Path(settings.folder), coded=coded
-    )
+    folder = Path(settings.cell or ".")
+    wanted = Wanted(time.time_ns, time.sleep, settings.size, settings.rate, folder, coded=coded)
     for message in messages(settings, wanted):
         frame_pipe.write(out, message)
 
@@ -182,7 +141,7 @@ def main() -> int:
     os.dup2(2, 1)  # what libraries print does not go into the pipe
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
     try:
-        run(Settings.parse(sys.argv[1]), out)
+        run(CaptureSettings(**json.loads(sys.argv[1])), out)
     except (BrokenPipeError, KeyboardInterrupt):
         return 0
     threading.Event().wait()  # the recording has ended: silence, until the parent ends

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import json
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 
 from surg_perception.capture import frame_pipe
-from surg_perception.capture.device_process import Settings
+from surg_perception.capture.capture_parameters import CaptureSettings
 from surg_perception.capture.frame_pipe import DeviceState, Pictures
 
 PIPE_BYTES = 1 << 20
@@ -33,7 +35,7 @@ class DeviceReader:
 
     def __init__(
         self,
-        settings: Settings,
+        settings: CaptureSettings,
         take: Callable[[Pictures | DeviceState], None],
         watch_hung: bool = True,
     ) -> None:
@@ -66,7 +68,9 @@ class DeviceReader:
         """Run the process until it ends; returns its exit status."""
         argv = [sys.executable, "-m", "surg_perception.capture.device_process"]
         child = subprocess.Popen(
-            [*argv, self._settings.text()], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+            [*argv, json.dumps(asdict(self._settings))],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
         )
         self._child = child
         assert child.stdout is not None

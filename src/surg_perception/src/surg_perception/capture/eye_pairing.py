@@ -49,8 +49,6 @@ class EyePairer:
         self._intervals: tuple[deque[int], ...] = (deque(maxlen=30), deque(maxlen=30))
         self._offsets: list[int] = []
         self._alone = [0, 0]
-        self.dropped = 0
-        """Pictures that found no partner."""
 
     @property
     def period_ns(self) -> float:
@@ -75,15 +73,11 @@ class EyePairer:
         nearest = min(others, key=lambda other: abs(other[0] - stamp_ns), default=None)
         period = self.period_ns
         if nearest is None or not period or abs(nearest[0] - stamp_ns) > 0.5 * period:
-            self.dropped += len(mine) == KEPT
             self._alone[eye] += 1
             mine.append((stamp_ns, picture))
             return None
-        while others:  # older ones find no partner any more
-            if others.popleft()[0] == nearest[0]:
-                break
-            self.dropped += 1
-        self.dropped += len(mine)
+        while others.popleft()[0] != nearest[0]:
+            pass  # older ones find no partner any more
         mine.clear()
         self._alone = [0, 0]
         left, right = ((stamp_ns, picture), nearest)[:: 1 if eye == 0 else -1]

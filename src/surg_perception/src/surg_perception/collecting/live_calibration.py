@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -74,7 +75,7 @@ class LiveCalibration:
     write: bool = True
     left_only: bool = False
     eyes: int = field(default=2, init=False)
-    status: Status = field(default_factory=Status, init=False)
+    status: Status = field(default=Status(hint="Choose a step."), init=False)
 
     def __post_init__(self) -> None:
         """Nothing is collected yet."""
@@ -82,19 +83,13 @@ class LiveCalibration:
         self._collector: Collector | None = None
         self._folder: ViewsFolder | None = None
         self._board: Board | None = None
-        self._step: CalibrationStep | None = None
-        self._state, self._hint = CalibrationState.IDLE, "Choose a step."
-        self._result: tuple[str, ...] = ()
-        self._residual = math.nan
-        self._corners: tuple[float, ...] = ()
         self._K: FloatArray | None = None
         self._asked = False
-        self._publish()
 
     @property
     def arm(self) -> surg_core.Arm | None:
         """The arm whose joints the views hold; None: they hold none."""
-        return steps.scope_arm(self.cell) if self._step is CalibrationStep.HANDEYE else None
+        return steps.scope_arm(self.cell) if self.status.step is CalibrationStep.HANDEYE else None
 
     def start(self, step: CalibrationStep) -> None:
         """Begin a step with a new folder.
@@ -112,11 +107,9 @@ class LiveCalibration:
             if step is CalibrationStep.HANDEYE:
                 joints = [f"{arm.name}/{joint}" for joint in arm.robot.joint_names]
             self._folder, self._board = ViewsFolder(folder, board, joints), board
-            self._step, self._state, self._collector = step, CalibrationState.COLLECTING, None
-            self._result, self._residual, self._corners = (), math.nan, ()
-            self._asked = False
-            self._hint = f"Waiting for pictures of {'both eyes' if eyes > 1 else 'the eye'}."
-            self._publish()
+            self._collector, self._asked = None, False
+            hint = f"Waiting for pictures of {'both eyes' if eyes > 1 else 'the eye'}."
+            self.status = Status(CalibrationState.COLLECTING, step, hint=hint, folder=str(folder))
 
     def _eyes_of(self, step: CalibrationStep, arm: surg_core.Arm, calibration: Path) -> int:
         """How many eyes a step looks at: what was measured before, or what the instrument has."""
@@ -136,31 +129,28 @@ class LiveCalibration:
     def undo(self) -> None:
         """Delete the last view."""
         with self._lock:
-            if self._state is not CalibrationState.COLLECTING or self._collector is None:
-                self._hint = "There is no view to delete."
+            if not self._collecting or self._collector is None:
+                self._publish(hint="There is no view to delete.")
             elif self._collector.undo():
                 assert self._folder is not None
                 self._folder.undo()
-                self._hint = "The last view is deleted."
-            self._publish()
+                self._publish(hint="The last view is deleted.")
 
     def ask_to_solve(self) -> None:
         """Solve with the views so far, at the next opportunity of `step_on`."""
         with self._lock:
-            self._asked = self._state is CalibrationState.COLLECTING
+            self._asked = self._collecting
 
     def refuse(self, why: str) -> None:
         """State why a step was not started."""
         with self._lock:
-            self._result, self._hint = (why,), f"Not started: {why}."
-            self._publish()
+            self._publish(result=(why,), hint=f"Not started: {why}.")
 
     def say(self, hint: str) -> None:
         """State what is wrong with the running system."""
         with self._lock:
-            if self._state is CalibrationState.COLLECTING:
-                self._hint, self._corners = hint, ()
-                self._publish()
+            if self._collecting:
+                self._publish(hint=hint, corners=())
 
     def see(
         self,
@@ -176,14 +166,14 @@ class LiveCalibration:
             q: Joint positions (n,) of `arm` in rest at the exposure [rad]; None: it moves.
         """
         with self._lock:
-            if self._state is not CalibrationState.COLLECTING or self._folder is None:
+            if not self._collecting or self._folder is None:
                 return
             size = (pair[0].shape[1], pair[0].shape[0])
             if self._collector is None:
-                assert self._step is not None and self._board is not None
-                self._collector = Collector(self._step, self._board, size)
-            self._hint = self._judge(self._collector, self._folder, stamp, pair, q)
-            self._publish()
+                assert self.status.step is not None and self._board is not None
+                self._collector = Collector(self.status.step, self._board, size)
+            hint = self._judge(self._collector, self._folder, stamp, pair, q)
+            self._publish(hint=hint)
 
     def _judge(
         self,
@@ -200,10 +190,10 @@ class LiveCalibration:
         look = look_at(collecting.board, pair, rough_lens(size, self._K), stamp)
         if isinstance(look, str):
             collecting.lose()
-            self._corners = ()
+            self._publish(corners=())
             return f"Show the board: {look}."
         share = (look.corners[0].pixels + 0.5) / np.array(size)
-        self._corners = tuple(float(value) for value in share.ravel())
+        self._publish(corners=tuple(share.ravel().tolist()))
         arm = self.arm
         if arm is not None and q is not None:
             look = replace(look, X_BF=np.array(arm.chain.forward(q)), q=q)
@@ -223,29 +213,24 @@ class LiveCalibration:
         It takes seconds. `status` says SOLVING meanwhile, and ``before`` is called first.
         """
         with self._lock:
-            collecting, folder, step = self._collector, self._folder, self._step
+            collecting, folder, step = self._collector, self._folder, self.status.step
             due = collecting is not None and (self._asked or collecting.complete)
-            if self._state is not CalibrationState.COLLECTING or not due:
+            if not self._collecting or not due:
                 return False
-            self._state, self._asked, self._hint = CalibrationState.SOLVING, False, "Solving."
-            self._publish()
+            self._asked = False
+            self._publish(state=CalibrationState.SOLVING, hint="Solving.")
         assert collecting is not None and folder is not None and step is not None
         before()
         solved, residual, lines = self._solve(step, folder.path)
         with self._lock:
-            self._result, self._residual = tuple(lines), residual
             if solved:
-                self._state = CalibrationState.DONE
-                self._hint = f"The step {step.value} is done."
-                if self.write:
-                    self._hint += " Restart the system."
+                state, hint = CalibrationState.DONE, f"The step {step.value} is done."
+                hint += " Restart the system." if self.write else ""
             else:
-                self._state = CalibrationState.COLLECTING
+                state, hint = CalibrationState.COLLECTING, "Not accepted yet; see the reasons. "
                 collecting.more()
-                self._hint = "Not accepted yet; see the reasons. " + collector.hint(
-                    collecting.missing
-                ).removeprefix("View taken. ")
-            self._publish()
+                hint += collector.hint(collecting.missing).removeprefix("View taken. ")
+            self._publish(state=state, hint=hint, result=tuple(lines), residual=residual)
         return solved
 
     def _solve(self, step: CalibrationStep, path: Path) -> tuple[bool, float, Sequence[str]]:
@@ -265,23 +250,19 @@ class LiveCalibration:
         except (ValueError, OSError, np.linalg.LinAlgError) as error:
             return False, math.nan, [str(error)]
 
-    def _publish(self) -> None:
+    @property
+    def _collecting(self) -> bool:
+        return self.status.state is CalibrationState.COLLECTING
+
+    def _publish(self, **changes: Any) -> None:
         """Make the status anew; with the lock held."""
-        collecting = self._collector
-        self.status = Status(
-            self._state,
-            self._step,
-            views=0 if collecting is None else len(collecting.taken),
-            wanted=0 if collecting is None else collecting.wanted,
-            progress=0.0 if collecting is None else collecting.progress,
-            hint=self._hint,
-            missing=() if collecting is None else tuple(collecting.missing),
-            fields=() if collecting is None else tuple(int(n) for n in collecting.fields),
-            needed=()
-            if collecting is None
-            else tuple(bool(n) for n in collector.needed_fields(collecting.size)),
-            corners=self._corners,
-            residual=self._residual,
-            result=self._result,
-            folder="" if self._folder is None else str(self._folder.path),
-        )
+        if (collecting := self._collector) is not None:
+            changes |= {
+                "views": len(collecting.taken),
+                "wanted": collecting.wanted,
+                "progress": collecting.progress,
+                "missing": tuple(collecting.missing),
+                "fields": tuple(collecting.fields.tolist()),
+                "needed": tuple(collector.needed_fields(collecting.size).tolist()),
+            }
+        self.status = replace(self.status, **changes)

@@ -69,14 +69,6 @@ class PairGeometry:
         y = (np.arange(0, depth.shape[0], step, dtype=np.float32) - np.float32(self.cy)) / self.fy
         return np.stack([x[None, :] * z, y[:, None] * z, z], axis=-1).astype(np.float32)
 
-    def P(self, eye: str) -> FloatArray:
-        """Projection (3, 4) of ``left`` or ``right`` from points in the left eye [m] to px."""
-        right = eye == "right"
-        cx = self.cx - self.shift if right else self.cx
-        step = -self.f * self.baseline if right else 0.0
-        rows = [[self.f, 0.0, cx, step], [0.0, self.fy, self.cy, 0.0], [0.0, 0.0, 1.0, 0.0]]
-        return np.array(rows)
-
 
 class StereoRectifier:
     """Takes the lenses of a calibrated pair out of its pictures.

@@ -6,7 +6,6 @@ import numpy as np
 
 from surg_core.arm_view import ArmView, Array, TipPose
 from surg_core.hand.leader_sample import LeaderSample
-from surg_teleop.follow.hand_mapping import Mapping
 from surg_teleop.follow.target_pose import StepLimits, TargetPose
 from surg_teleop.leaders.handle_roll import Handle
 from surg_teleop.playback.workspace_fit import Workspace
@@ -40,11 +39,10 @@ class StraightTarget(TargetPose):
         self._handle.move(pose)
         since, self._stamp = sample.stamp - self._stamp, sample.stamp
         self._check_jump(self._handle.p - p_before, self._handle.roll - roll_before, since)
-        mapping = Mapping(scale, p_before, roll_before, self.wanted, self.roll, R_RV)
         if moves:
-            self._set_target(mapping.position(self._handle.p))
-        if rolls:
-            self.roll = mapping.roll(self._handle.roll)
+            self._set_target(self.wanted + scale * ((self._handle.p - p_before) @ R_RV.T))
+        if rolls:  # not scaled: a turn of the hand is a turn of the instrument
+            self.roll += self._handle.roll - roll_before
         self._new = True
 
     def follow_rate(

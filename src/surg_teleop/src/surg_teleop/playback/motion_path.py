@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Slerp
 
-from surg_teleop.follow.hand_mapping import Mapping
 from surg_teleop.playback.motion_file import Motion
 from surg_teleop.playback.quintic import Quintic, horner
 from surg_teleop.playback.workspace_fit import Workspace
@@ -24,7 +23,9 @@ class MotionPlan:
     """Path of an arm over time, in the rcm frame; made by :func:`motion_plan.make_plan`.
 
     Attributes:
-        mapping: From the motion's own frame to the rcm frame.
+        scale: Arm metres per metre of the motion.
+        p_0: (3,) of the motion [m], which lies at p_R0 (3,) in the rcm frame [m].
+        roll_0: Roll of the motion that is roll 0 of the arm [rad].
         run_in: Length of the run-in [s].
         played: Length of the played window [s]: run_in to run_in + played is recorded motion.
         run_out: Length of the run-out [s].
@@ -33,7 +34,10 @@ class MotionPlan:
 
     motion: Motion
     workspace: Workspace
-    mapping: Mapping
+    scale: float
+    p_0: Array
+    p_R0: Array
+    roll_0: float
     run_in: float
     played: float
     run_out: float
@@ -72,7 +76,7 @@ class MotionPlan:
             else:
                 piece = min(bisect.bisect_right(self._knots, local), len(self._knots) - 1) - 1
                 state = horner(self._pieces[piece], local - self._knots[piece])
-        return self.mapping.position(state[:3]), self.mapping.roll(float(state[3]))
+        return self._placed(state[:3]), float(state[3]) - self.roll_0
 
     def turn(self, t: float) -> Array | None:
         """Rotation (3, 3) of the tool at a time [s], in the rcm frame; None: the file has none.
@@ -103,9 +107,7 @@ class MotionPlan:
         inside[recorded] = self._spline(local[recorded])
         inside[~recorded] = self._back.at(local[~recorded] - self.motion.duration)
         state[middle] = inside
-        p = self.mapping.position(state[:, :3])
-        roll = state[:, 3] - self.mapping.roll_leader_0 + self.mapping.roll_arm_0
-        return p, roll
+        return self._placed(state[:, :3]), state[:, 3] - self.roll_0
 
     def opening(self, t: float) -> float | None:
         """Gripper opening [rad] at a time [s]; None without a gripper.
@@ -123,6 +125,10 @@ class MotionPlan:
             sample = int(np.argmin(np.abs(self.motion.t - self._phase_at(t))))
             return f"{self.motion.file}: line {self.motion.lines[sample]}"
         return f"{self.motion.file}: on the way {'in' if t < start else 'out'}"
+
+    def _placed(self, p: Array) -> Array:
+        """Positions (..., 3) of the motion in the rcm frame [m]."""
+        return self.p_R0 + self.scale * (p - self.p_0)
 
     def _phase(self, t: Array) -> Array:
         """Time within one repetition [s] for times since the start of the plan."""

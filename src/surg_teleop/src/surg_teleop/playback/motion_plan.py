@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from surg_teleop.follow.hand_mapping import Mapping
 from surg_teleop.playback.motion_file import Motion, MotionError
 from surg_teleop.playback.motion_path import MotionPlan, end_phase
 from surg_teleop.playback.quintic import Quintic
@@ -122,17 +121,13 @@ def _lay_out(motion: Motion, workspace: Workspace, scale: float, played: float) 
     start = (first[0] - first[1] * run_in / 2.0, zero, zero)
     end = (stop[0] + stop[1] * run_out / 2.0, zero, zero)
     centre = box_centre(motion.p)
-    mapping = Mapping(
-        scale=scale,
-        p_leader_0=start[0][:3],
-        roll_leader_0=float(motion.roll[0]),
-        p_arm_0=np.array([0.0, 0.0, CENTRE_DEPTH]) + scale * (start[0][:3] - centre),
-        roll_arm_0=0.0,
-    )
     return MotionPlan(
         motion=motion,
         workspace=workspace,
-        mapping=mapping,
+        scale=scale,
+        p_0=start[0][:3],
+        p_R0=np.array([0.0, 0.0, CENTRE_DEPTH]) + scale * (start[0][:3] - centre),
+        roll_0=float(motion.roll[0]),
         run_in=run_in,
         played=played,
         run_out=run_out,

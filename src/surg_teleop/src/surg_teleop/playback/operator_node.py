@@ -93,7 +93,7 @@ class OperatorNode:
             detail=operator.reason,
             refused=operator.refused,
             motion=str(operator.plan.motion.file),
-            scale=operator.plan.mapping.scale,
+            scale=operator.plan.scale,
             mode=operator.mode.value,
             duration=operator.plan.played,
         )

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from evdev import InputEvent
 
 from surg_core.hand.leader_sample import HandRate, LeaderSample
 from surg_teleop.leaders.evdev.device_layout import Axis, Layout
@@ -19,7 +20,6 @@ from surg_teleop.leaders.evdev.device_state import (
     Snapshot,
     without_dead_zone,
 )
-from surg_teleop.leaders.evdev.input_events import Event
 
 WIRELESS_QUIET = 2.0
 """[s] A stick held by a hand trembles, so it sends changes. A wireless device that is deflected and
@@ -57,7 +57,7 @@ class Hand:
         self._now = now
         self._note_released()
 
-    def apply(self, group: Iterable[Event], now: float) -> None:
+    def apply(self, group: Iterable[InputEvent], now: float) -> None:
         """Apply one group of events, received now [s]."""
         self._state.apply(group, now)
         self._note_released()

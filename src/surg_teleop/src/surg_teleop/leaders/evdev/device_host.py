@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
-import os
 from pathlib import Path
 
 import evdev
@@ -25,7 +23,6 @@ class Device:
     def __init__(self, path: str) -> None:
         self._device = evdev.InputDevice(path)
         try:
-            os.set_blocking(self._device.fd, False)
             able = self._device.capabilities(absinfo=True)
             self.description = Description(
                 path=path,
@@ -50,9 +47,13 @@ class Device:
             {code: self._device.absinfo(code).value for code in self.description.axes},
         )
 
-    def read(self) -> bytes:
-        """New bytes; there may be none."""
-        return read_bytes(self._device.fd)
+    def read(self) -> list[evdev.InputEvent]:
+        """New events; there may be none."""
+        events: list[evdev.InputEvent] = []
+        with contextlib.suppress(BlockingIOError):  # there are no more
+            while True:
+                events.extend(self._device.read())
+        return events
 
     def close(self) -> None:
         """Close it; never fails."""
@@ -71,26 +72,3 @@ class Host:
     def open(self, path: str) -> Device:
         """Open one."""
         return Device(path)
-
-
-def read_bytes(fd: int) -> bytes:
-    """Read all available bytes of a non-blocking descriptor; there may be none.
-
-    Raises:
-        OSError: ENODEV if the device, or the other end of the pipe, is gone.
-    """
-    data = b""
-    while True:
-        try:
-            part = os.read(fd, 4096)
-        except BlockingIOError:
-            return data
-        except OSError:
-            if data:  # its last bytes; the next call raises
-                return data
-            raise
-        if not part:
-            if data:
-                return data
-            raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
-        data += part

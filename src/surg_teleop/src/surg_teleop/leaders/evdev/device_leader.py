@@ -10,7 +10,7 @@ from surg_teleop.leaders.evdev.device_hand import Hand, Joy
 from surg_teleop.leaders.evdev.device_host import Device, Host
 from surg_teleop.leaders.evdev.device_layout import read_layout
 from surg_teleop.leaders.evdev.device_search import find
-from surg_teleop.leaders.evdev.input_events import Decoder
+from surg_teleop.leaders.evdev.input_events import Groups
 from surg_teleop.leaders.leader import LeaderError
 
 LOOK_EVERY = 0.5
@@ -50,7 +50,7 @@ class InputLeader:
         self._host = host or Host()
         self._device: Device | None = None
         self._hand: Hand | None = None
-        self._decoder = Decoder()
+        self._groups = Groups()
         self._grip: float | None = None
         self._loss: tuple[LeaderError, list[str] | None] | None = None
         self._nodes: list[str] = []
@@ -95,15 +95,15 @@ class InputLeader:
             self._device.close()
         if self._hand is not None:
             self._grip = self._hand.grip
-        self._device, self._hand, self._decoder = None, None, Decoder()
+        self._device, self._hand, self._groups = None, None, Groups()
 
     def _update(self, device: Device, now: float) -> None:
         if self._hand is None:
             device.read()  # older than the snapshot
-            self._decoder = Decoder()
+            self._groups = Groups()
             snapshot = device.snapshot()
             self._hand = Hand(self.layout, device.description, snapshot, now, self._grip)
-        for group in self._decoder.feed(device.read()):
+        for group in self._groups.feed(device.read()):
             if group is None:
                 self._hand.restart(device.snapshot(), now)
             else:

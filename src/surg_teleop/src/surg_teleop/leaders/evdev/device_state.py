@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from surg_teleop.leaders.evdev.input_events import EV_ABS, EV_KEY, EV_REL, Event
+from evdev import InputEvent, ecodes
 
 BUS_BLUETOOTH = 0x05
 
@@ -73,14 +73,14 @@ class InputState:
         self._relative.clear()
         self.changed = now
 
-    def apply(self, group: Iterable[Event], now: float) -> None:
+    def apply(self, group: Iterable[InputEvent], now: float) -> None:
         """Apply one group of events, received now [s]."""
         for event in group:
-            if event.kind == EV_KEY:
+            if event.type == ecodes.EV_KEY:
                 (self._keys.add if event.value else self._keys.discard)(event.code)
-            elif event.kind == EV_ABS:
+            elif event.type == ecodes.EV_ABS:
                 self._axes[event.code] = event.value
-            elif event.kind == EV_REL:
+            elif event.type == ecodes.EV_REL:
                 self._relative[event.code] = (event.value, now)
         self.changed = now
 
