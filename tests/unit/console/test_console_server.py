@@ -25,7 +25,6 @@ from surg_console.session.console_orders import (
     SetOperatorPresent,
     StateCommand,
 )
-from surg_console.session.system_state import Calibration
 from surg_console.web import picture_packet
 from surg_console.web.admission import CLOSE_HELLO
 from surg_console.web.control_socket import MAX_ERRORS
@@ -108,7 +107,7 @@ async def test_without_the_token_nothing_is_said() -> None:
 @within(60.0)
 async def test_no_message_of_the_session_is_heard_on_the_socket_of_calibration() -> None:
     async with console() as made, aiohttp.ClientSession() as http:
-        made.system.now = replace(made.system.now, calibration=Calibration("DONE", "STEREO"))
+        made.system.now = replace(made.system.now, calibration={"state": "DONE"})
         origin = f"http://localhost:{made.port}"
 
         async def said(text: str) -> list[aiohttp.WSMsgType]:
