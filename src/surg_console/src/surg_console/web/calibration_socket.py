@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-from collections.abc import Callable
+import time
 from typing import Any
 
 from aiohttp import WSMsgType, web
@@ -40,13 +40,10 @@ class CalibrationPages:
     Args:
         system: The running system.
         facts: The name of the cell and the eyes that are shown.
-        clock: A steady clock [s].
     """
 
-    def __init__(
-        self, system: RunningSystem, facts: dict[str, Any], clock: Callable[[], float]
-    ) -> None:
-        self._system, self._facts, self._clock = system, facts, clock
+    def __init__(self, system: RunningSystem, facts: dict[str, Any]) -> None:
+        self._system, self._facts = system, facts
         self.open = 0
 
     async def serve(self, socket: web.WebSocketResponse) -> None:
@@ -62,11 +59,11 @@ class CalibrationPages:
             await socket.close(**ENDED)
 
     async def _receive(self, socket: web.WebSocketResponse) -> None:
-        budget = MessageBudget(self._clock())
+        budget = MessageBudget(time.monotonic())
         async for frame in socket:
             await asyncio.sleep(0)
             message = parse(frame.data) if frame.type is WSMsgType.TEXT else None
-            if not budget.spend(self._clock()) or not isinstance(message, CalibrationPress):
+            if not budget.spend(time.monotonic()) or not isinstance(message, CalibrationPress):
                 return
             why = refusal(self._system.robot().calibration, self._facts["cell"])
             if why:
