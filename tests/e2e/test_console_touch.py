@@ -148,7 +148,7 @@ OF_THE_PAGE = {
 CODES = {
     "←": "ArrowLeft", "→": "ArrowRight", "↑": "ArrowUp", "↓": "ArrowDown", "Page up": "PageUp",
     "Page down": "PageDown", "−": "Minus", "=": "Equal", "[": "BracketLeft", "]": "BracketRight",
-    "Esc": "Escape", "Shift": "ShiftLeft", **{digit: f"Digit{digit}" for digit in "7890"},
+    "Esc": "Escape", "Shift": "ShiftLeft", **{digit: f"Digit{digit}" for digit in "1237890"},
 }  # fmt: skip
 """Words of the help -> codes of the browser; a letter X is KeyX, others are as they are called."""
 
@@ -248,9 +248,11 @@ async def session_keys(made: Console, tab: Tab, keys: Keyboard) -> None:
         await when(lambda v=scale: SetScale(v) in given(SetScale), label, 10.0)
     await keys.tap("V")
     await when(lambda: Record(True) in given(Record), "the recorder", 10.0)
-    await refused("H")  # no arm is in FAULT
-    await refused("P")  # no policy is connected
-    assert given(GuideHome) == [] and given(Policy) == []
+    for label in ("G", "1", "2", "3", "H"):  # no task, no recording, no arm in FAULT
+        await refused(label)
+    assert given(GuideHome) == []
+    await keys.tap("P")
+    await when(lambda: Policy(True) in given(Policy), "the policy", 10.0)
     made.session.release(made.session.holder)
     await keys.tap("T")
     await when(lambda: made.session.holder, "control", 10.0)
