@@ -15,8 +15,7 @@ import pytest
 from helpers.async_tests import within
 from helpers.teleop import chromium
 from helpers.teleop.chromium import GAMEPAD, Tab
-from helpers.teleop.console import Console
-from helpers.teleop.console_browser import drive, opened
+from helpers.teleop.console import Console, drive, opened
 from surg_console.session.tip_force_feedback import tip_force_feedback
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())

@@ -15,8 +15,7 @@ import surg_core
 from helpers.async_tests import within
 from helpers.teleop import chromium
 from helpers.teleop.chromium import Tab, until
-from helpers.teleop.console import Console
-from helpers.teleop.console_browser import opened
+from helpers.teleop.console import Console, opened
 from helpers.teleop.console_page import when
 from surg_cli.host import paths
 from surg_console.session.scene_view import SceneView

@@ -14,8 +14,7 @@ from helpers.async_tests import within
 from helpers.results.console_results import keeps, note
 from helpers.teleop import chromium
 from helpers.teleop.chromium import GAMEPAD, Chromium, Tab, until
-from helpers.teleop.console import Console, console
-from helpers.teleop.console_browser import drive, opened
+from helpers.teleop.console import Console, console, drive, opened
 from helpers.teleop.console_page import when
 from surg_console.session import operator_messages
 from surg_console.session.console_orders import (

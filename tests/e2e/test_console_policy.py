@@ -9,8 +9,7 @@ import pytest
 
 from helpers.async_tests import within
 from helpers.teleop import chromium
-from helpers.teleop.console import Console
-from helpers.teleop.console_browser import opened
+from helpers.teleop.console import Console, opened
 from helpers.teleop.console_page import when
 from surg_console.session.console_orders import EnableTeleop, Policy
 from surg_console.session.system_state import PolicyServer

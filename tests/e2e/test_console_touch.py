@@ -17,8 +17,7 @@ import pytest
 from helpers.async_tests import within
 from helpers.teleop import chromium
 from helpers.teleop.chromium import Tab, until
-from helpers.teleop.console import Console
-from helpers.teleop.console_browser import drive, opened
+from helpers.teleop.console import Console, drive, opened
 from helpers.teleop.console_page import when
 from surg_console.session import operator_messages
 from surg_console.session.console_orders import (

@@ -25,8 +25,7 @@ from helpers.teleop.axe import (
     visible,
 )
 from helpers.teleop.chromium import Chromium, Tab
-from helpers.teleop.console import Console, console
-from helpers.teleop.console_browser import opened
+from helpers.teleop.console import Console, console, opened
 from surg_console.labelling.label_pages import LabelPages
 from surg_console.labelling.label_server import LabelServer
 from surg_console.session.episode_list import Entry

@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.teleop import console_browser
 from helpers.teleop.chromium import Chromium, Tab, until
 from helpers.teleop.console import Console, console
+from helpers.teleop.console import drive as drive_page
 from helpers.teleop.console_page import when
 from helpers.teleop.headset import FAKE_XR
 from surg_console.session.console_orders import Camera, Clutch, Move, Record
@@ -55,7 +55,7 @@ async def drive(made: Console, tab: Tab) -> None:
             await hold(tab, "right", A, value)
             await asyncio.sleep(0.1)
 
-    await console_browser.drive(made, tab, enable)
+    await drive_page(made, tab, enable)
 
 
 async def squeezed(made: Console, tab: Tab, hand: str = "right") -> None:

@@ -90,14 +90,14 @@ def main(options: argparse.Namespace, command: str) -> int:
         return 0
     arm = choose_arm(cell, options.arm)
     if options.what == "collect":
+        from surg_cli.graph.collect import collect
+
         if options.to is None or options.motion is None:
             raise CliError(
                 f"calibrate collect: MOTION ({', '.join(MOTIONS)}) and --to FILE are missing", 2
             )
         if options.count < 1:
             raise CliError(f"calibrate collect: --count {options.count}: 1 or more is allowed", 2)
-        from surg_cli.graph.collect import collect
-
         if options.motion == "force":
             from surg_cli.robots.collect_force import collect_forces
 
