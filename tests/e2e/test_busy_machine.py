@@ -10,9 +10,6 @@ import asyncio
 import contextlib
 import json
 import os
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -22,11 +19,11 @@ import numpy as np
 import pytest
 
 from helpers.graph import busy_machine
-from helpers.graph.surg import environment, start
+from helpers.graph.surg import environment
 from helpers.results.busy_results import note, note_stops
 from helpers.teleop.console_attack import attack
 from helpers.teleop.console_page import Page, page, when
-from surg_cli.graph import master
+from helpers.teleop.phantom import phantom, printed
 from surg_cli.host import paths
 
 pytestmark = [pytest.mark.ros, pytest.mark.untimed]
@@ -45,41 +42,20 @@ class Judged:
     def __init__(self) -> None:
         self.seen: dict[str, Any] = {}
 
-    async def read(self, lines: asyncio.StreamReader) -> None:
-        async for line in lines:
-            self.seen = json.loads(line)
+    def hear(self, line: bytes) -> None:
+        self.seen = json.loads(line)
 
 
 @contextlib.asynccontextmanager
 async def system(folder: Path, cell: str, arm: str) -> AsyncIterator[tuple[int, Judged]]:
     """A running `./surg teleop` with its console's port, and the judge of one arm."""
-    port, web = master.free_port(), master.free_port()
-    log, judged = folder / "teleop.log", Judged()
-    words = ("teleop", cell, "--port", port, "--bind", f"127.0.0.1:{web}", "--out", folder / "out")
-    with start(log, *words) as process:
-        judge = None
-        try:
-            await when(lambda: "Open http" in log.read_text(), "the system", 120.0)
-            judge = await asyncio.create_subprocess_exec(
-                sys.executable,
-                str(paths.ROOT / "tests" / "helpers" / "graph" / "pivot_judge.py"),
-                arm,
-                env={**environment(), "ROS_MASTER_URI": f"http://localhost:{port}"},
-                stdout=asyncio.subprocess.PIPE,
-            )
-            assert judge.stdout is not None
-            reading = asyncio.create_task(judged.read(judge.stdout))
-            await when(lambda: judged.seen.get("cycles"), "the arm's cycles", 60.0)
-            yield web, judged
-            assert process.poll() is None, log.read_text()
-            reading.cancel()
-        finally:
-            if judge is not None:
-                judge.kill()
-                await judge.wait()
-            process.send_signal(signal.SIGINT)
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(90)
+    judged = Judged()
+    async with (
+        phantom(folder, cell, of=()) as made,
+        printed("pivot_judge.py", arm, made.port, judged.hear),
+    ):
+        await when(lambda: judged.seen.get("cycles"), "the arm's cycles", 60.0)
+        yield made.web, judged
 
 
 async def drive(found: Page) -> None:

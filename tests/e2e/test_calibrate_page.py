@@ -16,8 +16,9 @@ from helpers.teleop import chromium
 from helpers.teleop.chromium import Chromium
 from helpers.teleop.console import Console, console
 from helpers.teleop.console_page import when
+from surg_console.ros.status_values_node import calibration_of
 from surg_console.session.console_orders import Calibrate
-from surg_console.session.system_state import Calibration
+from surg_msgs.msg import CalibrationStatus
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
 
@@ -37,29 +38,30 @@ def held_board() -> tuple[np.ndarray, tuple[float, ...]]:
     return np.repeat(left[..., None], 3, axis=2), tuple(map(float, inside.ravel()))
 
 
-COLLECTING = Calibration(
-    "COLLECTING",
-    "STEREO",
-    views=9,
-    wanted=20,
-    progress=0.61,
-    hint="View taken. Next: the board in the bottom, right of the picture.",
-    missing=(
+COLLECTING: dict[str, Any] = {
+    "state": CalibrationStatus.STATE_COLLECTING,
+    "step": CalibrationStatus.STEP_STEREO,
+    "views": 9,
+    "wanted": 20,
+    "progress": 0.61,
+    "hint": "View taken. Next: the board in the bottom, right of the picture.",
+    "missing": [
         "the board in the bottom, right of the picture",
         "a board nearer than 70 mm (2 of 3 views)",
         "a board tilted to the left or right (1 of 3 views)",
         "11 more views",
-    ),
-    columns=COLUMNS,
-    rows=ROWS,
-    fields=(0, 1, 2, 2, 0, 1, 4, 5, 3, 1, 1, 3, 4, 2, 0, 0, 1, 1, 0, 0),
-    needed=NEEDED,
-    folder="runs/2026-11-23T13-00-00Z/views/stereo",
-)
+    ],
+    "columns": COLUMNS,
+    "rows": ROWS,
+    "fields": [0, 1, 2, 2, 0, 1, 4, 5, 3, 1, 1, 3, 4, 2, 0, 0, 1, 1, 0, 0],
+    "needed": NEEDED,
+    "folder": "runs/2026-11-23T13-00-00Z/views/stereo",
+}
 
 
-def set_calibration(made: Console, now: Calibration | None) -> None:
-    made.system.now = replace(made.system.now, calibration=now)
+def set_calibration(made: Console, **changes: object) -> None:
+    now = CalibrationStatus(**{**COLLECTING, **changes})
+    made.system.now = replace(made.system.now, calibration=calibration_of(now))
 
 
 @within(120.0)
@@ -74,11 +76,11 @@ async def test_the_page_shows_what_is_covered_and_passes_requests_on(tmp_path: P
         await tab.until(f"{hint}.includes('./surg calibrate test_cell live')", "how to start one")
         assert await tab.run("document.querySelector('#stereo').disabled")
         await tab.tap("Digit1")  # nothing to ask
-        set_calibration(made, replace(COLLECTING, corners=corners))
+        set_calibration(made, corners=corners)
         await tab.until("surgCalibrate.status().views === 9", "the status")
-        assert await tab.run(hint) == COLLECTING.hint
+        assert await tab.run(hint) == COLLECTING["hint"]
         texts = "[...document.querySelectorAll('#missing li')].map((li) => li.textContent)"
-        assert await tab.run(texts) == list(COLLECTING.missing)
+        assert await tab.run(texts) == COLLECTING["missing"]
         for keys, request in (
             ("Digit1", "START_STEREO"), ("Digit2", "START_HANDEYE"), ("KeyU", "UNDO"),
             ("KeyS", "SOLVE"),
@@ -92,8 +94,8 @@ async def test_the_page_shows_what_is_covered_and_passes_requests_on(tmp_path: P
         assert covered[3] > 20 and empty[3] == 0, "a covered field is filled"
         await shoot(tab, tmp_path)
         for state, residual in (("SOLVING", np.nan), ("DONE", 0.069)):
-            now = replace(COLLECTING, state=state, views=20, residual=residual, missing=())
-            set_calibration(made, now)
+            number = getattr(CalibrationStatus, f"STATE_{state}")
+            set_calibration(made, state=number, views=20, residual=residual, missing=[])
             await tab.until(f"surgCalibrate.status().state === '{state}'", state)
         assert await tab.run("surgCalibrate.solutions[0].residual") == pytest.approx(0.069)
         await tab.until(

@@ -14,8 +14,8 @@ import pytest
 
 from helpers.async_tests import within
 from helpers.teleop import chromium
-from helpers.teleop.chromium import GAMEPAD, Chromium, Tab
-from helpers.teleop.console import Console, console
+from helpers.teleop.chromium import GAMEPAD, Tab
+from helpers.teleop.console import Console, drive, opened
 from surg_console.session.tip_force_feedback import tip_force_feedback
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
@@ -50,14 +50,12 @@ SOFT = 5.0
 
 
 @contextlib.asynccontextmanager
-async def opened() -> AsyncIterator[tuple[Console, Tab]]:
-    async with console() as made, Chromium() as browser:
-        tab = await browser.open(made.url, GAMEPAD + SOUND)
-        await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
+async def plugged() -> AsyncIterator[tuple[Console, Tab]]:
+    """The page with a gamepad."""
+    async with opened(GAMEPAD + SOUND) as (made, _, tab):
         await tab.run("(window.plug([0, 0, 0, 0], {}), 0)")
         await tab.until("surgConsole.hand.padName", "the pad", 20.0)
         yield made, tab
-        assert browser.errors == []
 
 
 def push(made: Console, tip: float | None) -> None:
@@ -67,32 +65,19 @@ def push(made: Console, tip: float | None) -> None:
 DRIVING = "surgConsole.status()?.phase === 'driving'"
 
 
-async def drive(tab: Tab) -> None:
-    """Enable until the tip follows: on a busy machine a gap may let go at once."""
-
-    async def engaged() -> bool:
-        if await tab.run(DRIVING):
-            return True
-        await tab.tap("Enter")
-        await asyncio.sleep(0.5)
-        return False
-
-    await chromium.until(engaged, "driving", 60.0)
-
-
 async def recent(tab: Tab) -> None:
     """Forget what was heard, and hear for a while."""
     await tab.run("(window.heard.length = 0, window.rumbled.length = 0, 0)")
     await asyncio.sleep(0.5)
 
 
-async def heard(tab: Tab, volume: float) -> None:
+async def heard(made: Console, tab: Tab, volume: float) -> None:
     """Drive until the loudest of a while is a volume, and keep what was heard in that while."""
     near = f"Math.abs(({LOUDEST}) - {volume}) < 1e-6"
     forget = "(window.heard.length = 0, window.rumbled.length = 0, false)"
 
     async def found() -> bool:
-        await drive(tab)
+        await drive(made, tab)
         return bool(await tab.run(f"({near}) || {forget}"))
 
     await chromium.until(found, f"a volume of {volume}", 20.0, period=0.5)
@@ -100,13 +85,13 @@ async def heard(tab: Tab, volume: float) -> None:
 
 @within(120.0)
 async def test_a_force_is_heard_and_rumbles_while_the_hand_moves_the_tip() -> None:
-    async with opened() as (made, tab):
+    async with plugged() as (made, tab):
         push(made, 2.5)
-        await drive(tab)
+        await drive(made, tab)
         await recent(tab)
         assert await tab.run("window.heard.length + window.rumbled.length") == 0, "off"
         await tab.tap("KeyY")
-        await heard(tab, 0.2 * 2.5 / SOFT)
+        await heard(made, tab, 0.2 * 2.5 / SOFT)
         kind, effect = await tab.run("window.rumbled.at(-1)")
         assert kind == "dual-rumble" and effect["strongMagnitude"] == 2.5 / SOFT
         # Every piece ends by itself: a console that falls silent is not heard on.
@@ -114,10 +99,10 @@ async def test_a_force_is_heard_and_rumbles_while_the_hand_moves_the_tip() -> No
         gains = await tab.run("window.heard.filter(([n]) => n === 'gain')")
         assert gains[-1][1] == 0 and gains[-1][2] <= 0.05
         push(made, 50.0)
-        await heard(tab, 0.2)  # at most
+        await heard(made, tab, 0.2)  # at most
         for quiet in (None, 0.1):
             push(made, quiet)
-            await heard(tab, 0.0)
+            await heard(made, tab, 0.0)
             assert await tab.run("window.rumbled.at(-1)[0]") == "reset"
         push(made, 2.5)
         await tab.tap("Escape")
@@ -139,7 +124,7 @@ def last_heard(gains: list[list[float]]) -> float:
 @within(120.0)
 async def test_silence_is_felt_within_50_ms_of_a_forces_age() -> None:
     """On a made-up clock: ages and gaps drawn; the sound card plays on while the page is silent."""
-    async with opened() as (made, tab):
+    async with plugged() as (made, tab):
         made.system.shown["feel"] = json.dumps({"say": "feel", "tip": None, "age": None})
         await tab.tap("KeyY")
         await tab.until("window.rumbled.length > 0", "the first word", 20.0)

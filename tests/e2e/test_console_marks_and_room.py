@@ -14,8 +14,8 @@ import pytest
 import surg_core
 from helpers.async_tests import within
 from helpers.teleop import chromium
-from helpers.teleop.chromium import Chromium, Tab, until
-from helpers.teleop.console import Console, console
+from helpers.teleop.chromium import Tab, until
+from helpers.teleop.console import Console, opened
 from helpers.teleop.console_page import when
 from surg_cli.host import paths
 from surg_console.session.scene_view import SceneView
@@ -72,9 +72,7 @@ async def painted(tab: Tab) -> list[list[int]]:
 
 @within(120.0)
 async def test_marks_stand_on_their_own_picture_in_both_eyes_and_only_when_asked() -> None:
-    async with console() as made, Chromium() as browser:
-        tab = await browser.open(made.url)
-        await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
+    async with opened() as (made, _, tab):
         marked(made)
         await asyncio.sleep(0.3)
         assert made.system.watched == frozenset(), "off by default"
@@ -101,14 +99,12 @@ async def test_marks_stand_on_their_own_picture_in_both_eyes_and_only_when_asked
         assert await tab.run("surgConsole.marks.drawn === null")
         await tab.tap("KeyN")
         await when(lambda: not made.system.watched, "the end", 10.0)
-        assert browser.errors == [] and made.system.orders == []
+        assert made.system.orders == []
 
 
 @within(90.0)
 async def test_who_sends_no_marks_is_said_with_the_cure() -> None:
-    async with console() as made, Chromium() as browser:
-        tab = await browser.open(made.url)
-        await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
+    async with opened() as (_, _, tab):
         await tab.tap("KeyN")
         said = "!document.querySelector('#toast').hidden"
         said += " && document.querySelector('#toast').textContent.includes('--cameras marks')"
@@ -121,9 +117,7 @@ async def test_the_room_shows_the_arms_turns_and_moves_nothing(tmp_path: Path) -
     cell = surg_core.load_cell(paths.CELLS / "sim_two_arms")
     joints = {name: np.array(arm.robot.home) for name, arm in cell.arms.items()}
     view = SceneView(cell)
-    async with console() as made, Chromium() as browser:
-        tab = await browser.open(made.url)
-        await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
+    async with opened() as (made, _, tab):
         assert made.system.watched == frozenset()
         wide = await tab.run("document.querySelector('#view').clientWidth")
         made.system.shown["scene"] = json.dumps(view.as_json(joints))
@@ -135,8 +129,7 @@ async def test_the_room_shows_the_arms_turns_and_moves_nothing(tmp_path: Path) -
         await asyncio.sleep(0.6)
         assert await tab.run("surgConsole.scene.drawn") == drawn
         # A drag in the room turns it, and is no motion of the hand.
-        box = "document.querySelector('#room').getBoundingClientRect()"
-        x, y = await tab.run(f"[{box}.x + 100, {box}.y + 100]")
+        x, y = await tab.middle("#room")
         await tab.mouse("mousePressed", x, y, button="left", buttons=1)
         await tab.mouse("mouseMoved", x + 50, y, button="left", buttons=1)
         await tab.mouse("mouseReleased", x + 50, y, button="left")
@@ -147,9 +140,7 @@ async def test_the_room_shows_the_arms_turns_and_moves_nothing(tmp_path: Path) -
         note = "document.querySelector('#scene-note').textContent"
         await tab.until(f"{note} === 'PSM1: no joints'", "the silent arm", 10.0)
         for width, height, touch in SIZES:
-            keys = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": touch}
-            await tab.call("Emulation.setDeviceMetricsOverride", **keys)
-            await tab.call("Emulation.setTouchEmulationEnabled", enabled=touch)
+            await tab.resize(width, height, touch)
             await asyncio.sleep(0.4)
             for part in ("#view", "#scene", "#stop", "#enable"):
                 seen = f"""(() => {{ const b = document.querySelector('{part}')
@@ -159,4 +150,4 @@ async def test_the_room_shows_the_arms_turns_and_moves_nothing(tmp_path: Path) -
             await tab.screenshot(folder / f"room_{width}.png")
         await tab.tap("KeyO")
         await when(lambda: not made.system.watched, "the end", 10.0)
-        assert browser.errors == [] and made.system.orders == []
+        assert made.system.orders == []

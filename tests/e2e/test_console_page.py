@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-import base64
-import contextlib
-import io
 import time
-from collections.abc import AsyncIterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from helpers.async_tests import within
 from helpers.results.console_results import keeps, note
 from helpers.teleop import chromium
 from helpers.teleop.chromium import GAMEPAD, Chromium, Tab, until
-from helpers.teleop.console import Console, console
+from helpers.teleop.console import Console, console, drive, opened
 from helpers.teleop.console_page import when
 from surg_console.session import operator_messages
 from surg_console.session.console_orders import (
@@ -41,28 +36,6 @@ pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missin
 ROUNDS = 20
 LATEST = 0.3
 """[s] between the last input that went out and the order to hold."""
-
-
-@contextlib.asynccontextmanager
-async def opened(query: str = "") -> AsyncIterator[tuple[Console, Chromium, Tab]]:
-    async with console() as made, Chromium() as browser:
-        tab = await browser.open(made.url + query, GAMEPAD)
-        await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
-        yield made, browser, tab
-        assert browser.errors == []
-
-
-async def drive(made: Console, tab: Tab) -> None:
-    """Enable until the tip follows: on a busy machine a gap may let go at once."""
-
-    async def engaged() -> bool:
-        if made.session.phase is Phase.DRIVING:
-            return True
-        await tab.tap("Enter")
-        await asyncio.sleep(0.5)
-        return made.session.phase is Phase.DRIVING
-
-    await until(engaged, "driving", 60.0)
 
 
 async def moved(made: Console, tab: Tab, what: str, wanted: Any, key: str = "") -> Move:
@@ -89,18 +62,8 @@ async def moved(made: Console, tab: Tab, what: str, wanted: Any, key: str = "") 
 
 async def picture(tab: Tab) -> np.ndarray:
     """The pixels in the middle of the picture, as they are on the screen."""
-    box = await tab.run(
-        "(() => { const b = document.querySelector('#picture').getBoundingClientRect();"
-        " return [b.x + b.width / 2 - 150, b.y + b.height / 2 - 60, 300, 120] })()"
-    )
-    x, y, width, height = box
-    shot = await tab.call(
-        "Page.captureScreenshot",
-        format="png",
-        clip={"x": x, "y": y, "width": width, "height": height, "scale": 1},
-    )
-    data = io.BytesIO(base64.b64decode(shot["data"]))
-    return np.asarray(Image.open(data).convert("RGB"))
+    x, y = map(round, await tab.middle("#picture"))
+    return (await tab.pixels())[y - 60 : y + 60, x - 150 : x + 150]
 
 
 async def live(made: Console, browser: Chromium, tab: Tab) -> None:
@@ -185,7 +148,7 @@ async def live(made: Console, browser: Chromium, tab: Tab) -> None:
 
 @within(240.0)
 async def test_the_page_drives_an_arm_by_keys_gamepad_and_mouse() -> None:
-    async with opened() as (made, browser, tab):
+    async with opened(GAMEPAD) as (made, browser, tab):
         await live(made, browser, tab)
         await tab.click('#eyes [data-layout="stereo"]')
         await tab.until("surgConsole.picture.drawn.at(-1).width === 640", "two eyes", 40.0)
@@ -207,7 +170,7 @@ BUSY = """(() => {
 @within(240.0)
 async def test_a_page_that_is_late_with_its_inputs_takes_fewer_pictures_and_says_so() -> None:
     stream = ("left", "h264")
-    async with opened() as (made, _, tab):
+    async with opened(GAMEPAD) as (made, _, tab):
         rate = "document.querySelector('#rate').innerText"
         assert made.camera.wanted == {stream: 0} and "fewer" not in await tab.run(rate)
         await tab.run(BUSY)
@@ -245,7 +208,7 @@ async def lose_the_focus(made: Console, tab: Tab) -> None:
 
 @within(240.0)
 async def test_a_lost_focus_holds_the_arm_and_engages_nothing() -> None:
-    async with opened() as (made, _, tab):
+    async with opened(GAMEPAD) as (made, _, tab):
         for code in ("Space", "KeyC"):
             await drive(made, tab)
             await tab.key(code, True)
@@ -270,7 +233,7 @@ async def test_a_lost_focus_holds_the_arm_and_engages_nothing() -> None:
 
 @within(240.0)
 async def test_a_lost_connection_lets_latched_buttons_go() -> None:
-    async with opened() as (made, _, tab):
+    async with opened(GAMEPAD) as (made, _, tab):
         await drive(made, tab)
         await tab.click("#camera")
         await when(lambda: Camera(True) in made.system.given(Camera), "the camera", 20.0)
@@ -313,7 +276,7 @@ async def test_the_page_shows_clearance_and_virtual_fixtures() -> None:
     vessel = Fixture("vessel", "sphere", "keep_out", "tip", np.array([0.03, 0, 0.02]), up, 0.01)
     X_BR = np.diag([1.0, -1.0, -1.0, 1.0])
     X_BR[2, 3] = 0.1
-    async with opened() as (made, _, tab):
+    async with opened(GAMEPAD) as (made, _, tab):
         assert await tab.run("document.querySelector('#fixtures-card').hidden")
         fixtures = FixtureView((floor, vessel), np.array([0.0, 0.0, 0.004]), X_BR)
         for clearance, tone in ((0.1, "good"), (0.03, "warn"), (0.015, "bad")):

@@ -278,11 +278,7 @@ async def test_the_arm_rests_when_the_tab_goes(what: str, tmp_path: Path) -> Non
 @within(580.0)
 async def test_ten_targets_are_touched_by_fingers(tmp_path: Path) -> None:
     async with phantom(tmp_path, "sim_two_arms") as made, Chromium() as browser:
-        tab = await browser.open("about:blank")
-        size = {"width": 1024, "height": 768, "deviceScaleFactor": 1, "mobile": True}
-        await tab.call("Emulation.setDeviceMetricsOverride", **size)
-        await tab.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=5)
-        await tab.call("Page.navigate", url=made.url)
+        tab = await browser.open(made.url, screen=(1024, 768, True))
         await tab.until("globalThis.surgConsole?.picture.drawn.length > 10", "pictures", 120.0)
 
         async def move(by: np.ndarray) -> None:
@@ -299,9 +295,7 @@ async def test_ten_targets_are_touched_by_fingers(tmp_path: Path) -> None:
             )
             print(f"target {len(took)}: {took[-1]:.1f} s")
         note(BY_FINGERS, TARGETS, took)
-        box = "document.querySelector('#stop').getBoundingClientRect()"
-        at = np.array(await tab.run(f"[{box}.x + 20, {box}.y + 20]"))
-        await touch_drive.fingers(tab, "touchStart", at)
-        await touch_drive.fingers(tab, "touchEnd")
+        await tab.fingers("touchStart", await tab.middle("#stop"))
+        await tab.fingers("touchEnd")
         await tab.until("document.body.dataset.phase === 'held'", "the stop", 20.0)
         assert browser.errors == []

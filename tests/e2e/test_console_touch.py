@@ -16,8 +16,8 @@ import pytest
 
 from helpers.async_tests import within
 from helpers.teleop import chromium
-from helpers.teleop.chromium import Chromium, Tab, until
-from helpers.teleop.console import Console, console
+from helpers.teleop.chromium import Tab, until
+from helpers.teleop.console import Console, drive, opened
 from helpers.teleop.console_page import when
 from surg_console.session import operator_messages
 from surg_console.session.console_orders import (
@@ -39,38 +39,7 @@ pytestmark = [
 
 SIZES = ((1366, 768, False), (1024, 768, True), (390, 844, True))
 """Screens: width, height [px], and whether they are touched."""
-
-
-async def resize(tab: Tab, width: int, height: int, touch: bool) -> None:
-    keys = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": touch}
-    await tab.call("Emulation.setDeviceMetricsOverride", **keys)
-    await tab.call("Emulation.setTouchEmulationEnabled", enabled=touch, maxTouchPoints=5)
-
-
-@contextlib.asynccontextmanager
-async def opened(touch: bool) -> AsyncIterator[tuple[Console, Tab]]:
-    async with console() as made, Chromium() as browser:
-        tab = await browser.open("about:blank")
-        await resize(tab, 1024, 768, touch)
-        await tab.call("Page.navigate", url=made.url)
-        await tab.until("globalThis.surgConsole?.picture.drawn.length > 3", "pictures", 60.0)
-        yield made, tab
-        assert browser.errors == []
-
-
-async def drive(made: Console, tab: Tab) -> None:
-    async def engaged() -> bool:
-        if made.session.phase is not Phase.DRIVING:
-            await tab.tap("Enter")
-            await asyncio.sleep(0.5)
-        return made.session.phase is Phase.DRIVING
-
-    await until(engaged, "driving", 60.0)
-
-
-async def fingers(tab: Tab, kind: str, *places: tuple[float, float]) -> None:
-    points = [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(places)]
-    await tab.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+TABLET = SIZES[1]
 
 
 async def hand(tab: Tab) -> np.ndarray:
@@ -80,78 +49,67 @@ async def hand(tab: Tab) -> np.ndarray:
     return np.array(await tab.run("Object.values(surgConsole.hand.goal)"))
 
 
-async def middle(tab: Tab, selector: str) -> tuple[float, float]:
-    box = f"document.querySelector('{selector}').getBoundingClientRect()"
-    x, y, w, h = await tab.run(
-        f"(() => {{const b = {box}; return [b.x, b.y, b.width, b.height]}})()"
-    )
-    return x + w / 2, y + h / 2
-
-
 @within(240.0)
 async def test_one_finger_moves_in_the_picture_and_two_along_and_about_it() -> None:
-    async with opened(touch=True) as (made, tab):
+    async with opened(screen=TABLET) as (made, _, tab):
         before = await hand(tab)
-        await fingers(tab, "touchStart", (300, 400))
+        await tab.fingers("touchStart", (300, 400))
         for step in range(1, 6):
-            await fingers(tab, "touchMove", (300 + 10 * step, 400 - 6 * step))
+            await tab.fingers("touchMove", (300 + 10 * step, 400 - 6 * step))
         after = await hand(tab)
         assert after - before == pytest.approx([0.025, -0.015, 0, 0], abs=1e-3)
         # A second finger: both up is deeper.
-        await fingers(tab, "touchStart", (350, 370), (450, 370))
+        await tab.fingers("touchStart", (350, 370), (450, 370))
         for step in range(1, 6):
-            await fingers(tab, "touchMove", (350, 370 - 8 * step), (450, 370 - 8 * step))
+            await tab.fingers("touchMove", (350, 370 - 8 * step), (450, 370 - 8 * step))
         deeper = await hand(tab)
         assert deeper - after == pytest.approx([0, 0, 0.02, 0], abs=1e-3)
         # Turned clockwise about their middle: roll about the view's z, which points away.
         for step in range(1, 11):
             c, s = (50 * f(0.05 * step) for f in (math.cos, math.sin))
-            await fingers(tab, "touchMove", (400 - c, 330 - s), (400 + c, 330 + s))
+            await tab.fingers("touchMove", (400 - c, 330 - s), (400 + c, 330 + s))
         turned = await hand(tab)
         assert turned[3] - deeper[3] == pytest.approx(0.5, abs=0.03)
         assert turned[:3] == pytest.approx(deeper[:3], abs=1e-3)
         # One is lifted: what the other does until it is lifted too moves nothing.
-        await tab.call(
-            "Input.dispatchTouchEvent", type="touchEnd",
-            touchPoints=[{"x": 400, "y": 330, "id": 0}],
-        )  # fmt: skip
-        await fingers(tab, "touchMove", (300, 300))
+        await tab.fingers("touchEnd", (400, 330))
+        await tab.fingers("touchMove", (300, 300))
         assert await hand(tab) == pytest.approx(turned, abs=1e-4)
         assert made.system.orders == []
         await drive(made, tab)
-        await tab.call("Input.dispatchTouchEvent", type="touchCancel", touchPoints=[])
+        await tab.fingers("touchCancel")
         reason = operator_messages.HIDDEN["pointer"]
         await when(lambda: made.session.reason == reason, "the hold", 10.0)
 
 
 @within(240.0)
 async def test_buttons_are_held_by_a_finger_while_another_moves() -> None:
-    async with opened(touch=True) as (made, tab):
+    async with opened(screen=TABLET) as (made, _, tab):
         for selector, order in (("#clutch", Clutch), ("#camera", Camera)):
-            at = await middle(tab, selector)
+            at = await tab.middle(selector)
 
             async def down(o: Any = order, at: Any = at, selector: str = selector) -> bool:
                 await drive(made, tab)  # a busy machine may let go in between
                 await tab.until(f"!document.querySelector('{selector}').disabled", selector)
-                await fingers(tab, "touchStart", at)
+                await tab.fingers("touchStart", at)
                 await asyncio.sleep(0.3)
                 if made.system.last(o)[1] == o(True):
                     return True
-                await fingers(tab, "touchEnd")
+                await tab.fingers("touchEnd")
                 return False
 
             await until(down, selector, 40.0)
-            await fingers(tab, "touchStart", at, (300, 400))
+            await tab.fingers("touchStart", at, (300, 400))
             before = (await hand(tab))[0]
-            await fingers(tab, "touchMove", at, (380, 400))
+            await tab.fingers("touchMove", at, (380, 400))
             assert (await hand(tab))[0] == pytest.approx(before + 0.04, abs=1e-3), selector
-            await fingers(tab, "touchEnd")
+            await tab.fingers("touchEnd")
             await tab.until("!Object.values(surgConsole.hand.latched).includes(true)", "up")
         await drive(made, tab)
-        await fingers(tab, "touchStart", await middle(tab, ".jaw"))
+        await tab.fingers("touchStart", await tab.middle(".jaw"))
         grip = lambda: made.system.last(Move)[1].sample.grip  # noqa: E731
         await when(lambda: (grip() or 1) < 0.8, "a closing jaw", 10.0)
-        await fingers(tab, "touchEnd")
+        await tab.fingers("touchEnd")
 
 
 def drawn_wide(width: int) -> str:
@@ -189,7 +147,7 @@ OF_THE_PAGE = {
 CODES = {
     "←": "ArrowLeft", "→": "ArrowRight", "↑": "ArrowUp", "↓": "ArrowDown", "Page up": "PageUp",
     "Page down": "PageDown", "−": "Minus", "=": "Equal", "[": "BracketLeft", "]": "BracketRight",
-    "Esc": "Escape", "Shift": "ShiftLeft", **{digit: f"Digit{digit}" for digit in "7890"},
+    "Esc": "Escape", "Shift": "ShiftLeft", **{digit: f"Digit{digit}" for digit in "1237890"},
 }  # fmt: skip
 """Words of the help -> codes of the browser; a letter X is KeyX, others are as they are called."""
 
@@ -219,7 +177,7 @@ class Keyboard:
 
 @within(240.0)
 async def test_every_key_of_the_help_does_what_it_says() -> None:
-    async with opened(touch=False) as (made, tab):
+    async with opened(screen=SIZES[0]) as (made, _, tab):
         keys = Keyboard(tab)
         made.system.now = replace(made.system.now, policy=PolicyServer("READY"))  # for I and P
         await tab.until("!document.querySelector('#policy').hidden", "a model server", 10.0)
@@ -237,7 +195,7 @@ async def own_keys(tab: Tab, keys: Keyboard) -> None:
         assert not await tab.run(true), label
         await keys.tap(label)
         await tab.until(true, label, 30.0)
-    panel, view = await middle(tab, "aside"), await middle(tab, "#view")
+    panel, view = await tab.middle("aside"), await tab.middle("#view")
     assert panel[0] < view[0]
     for hidden in ("!", ""):
         await keys.tap("?")
@@ -289,9 +247,11 @@ async def session_keys(made: Console, tab: Tab, keys: Keyboard) -> None:
         await when(lambda v=scale: SetScale(v) in given(SetScale), label, 10.0)
     await keys.tap("V")
     await when(lambda: Record(True) in given(Record), "the recorder", 10.0)
-    await refused("H")  # no arm is in FAULT
-    await refused("P")  # no policy is connected
-    assert given(GuideHome) == [] and given(Policy) == []
+    for label in ("G", "1", "2", "3", "H"):  # no task, no recording, no arm in FAULT
+        await refused(label)
+    assert given(GuideHome) == []
+    await keys.tap("P")
+    await when(lambda: Policy(True) in given(Policy), "the policy", 10.0)
     made.session.release(made.session.holder)
     await keys.tap("T")
     await when(lambda: made.session.holder, "control", 10.0)
@@ -318,9 +278,9 @@ async def test_the_page_fits_every_screen(tmp_path: Path) -> None:
         small: small.map((b) => b.id || b.textContent),
         wide: document.documentElement.scrollWidth - innerWidth };
     })()"""
-    async with opened(touch=False) as (made, tab):
+    async with opened(screen=SIZES[0]) as (made, _, tab):
         for width, height, touch in SIZES:
-            await resize(tab, width, height, touch)
+            await tab.resize(width, height, touch)
             for side in ("left", "right"):
                 await tab.tap("KeyJ")
                 await asyncio.sleep(0.4)

@@ -14,7 +14,7 @@ from helpers.async_tests import within
 from helpers.results.screen_results import note_age, note_targets
 from helpers.teleop import chromium, steering
 from helpers.teleop.chromium import Chromium, Tab
-from helpers.teleop.console_page import when
+from helpers.teleop.console_page import socket_of, when
 from helpers.teleop.headset import FAKE_XR
 from helpers.teleop.headset_drive import HEADLINE, squeezed
 from helpers.teleop.headset_page import SQUEEZE, B, hold
@@ -100,11 +100,10 @@ class TipInPicture:
         self.newest: dict[str, tuple[float, float]] = {}
         self.exposed_us = 0
 
-    async def read(self, url: str) -> None:
+    async def read(self, port: int) -> None:
         """Until cancelled."""
         async with aiohttp.ClientSession() as http:
-            socket = await http.ws_connect(f"{url}marks", origin=url.rstrip("/"))
-            await socket.send_str('{"say": "hello", "token": ""}')
+            socket = await socket_of(http, port, "marks")
             async for message in socket:
                 said = message.json()
                 self.exposed_us = said["exposed_us"]
@@ -143,7 +142,7 @@ async def test_the_instrument_goes_where_the_picture_says_and_touches_three_targ
         await squeezed(tab, "right", "Following")
         await when(lambda: made.tips, "a first place of the tip", 60.0)
         tip = TipInPicture()
-        reading = asyncio.create_task(tip.read(made.url))
+        reading = asyncio.create_task(tip.read(made.web))
         await when(lambda: len(tip.newest) == 2, "marks of both eyes", 60.0)
         for axis, sign in enumerate((1.0, 1.0, -1.0)):  # right, down, away: less disparity
             before, stood = await tip.seen(), made.tip

@@ -27,8 +27,6 @@ pytestmark = [
 
 EPISODES = 20 if FULL else 3
 BADGE = "document.getElementById('judged').textContent"
-KEY_S = float(os.environ.get("SURG_TEST_KEY_S", "0"))
-"""Time between two keys [s]; 0: as fast as the page takes them."""
 
 
 @contextlib.asynccontextmanager
@@ -41,16 +39,6 @@ async def opened(folders: Sequence[Path]) -> AsyncIterator[tuple[Chromium, Tab]]
     finally:
         serving.cancel()
         await asyncio.wait([serving])
-
-
-async def press(tab: Tab, keys: str) -> None:
-    """Press keys, by their names, separated by blanks."""
-    for name in keys.split():
-        text = name if len(name) == 1 else "\r" if name == "Enter" else ""
-        for kind in ("keyDown", "keyUp"):
-            said = {"text": text} if text and kind == "keyDown" else {}
-            await tab.call("Input.dispatchKeyEvent", type=kind, key=name, **said)
-        await asyncio.sleep(KEY_S)
 
 
 async def ready(tab: Tab, number: int, count: int) -> None:
@@ -69,17 +57,17 @@ def test_the_keyboard_alone_labels_episodes(tmp_path: Path) -> None:
         async with opened(folders) as (browser, tab):
             await ready(tab, 1, EPISODES)
             begun = time.monotonic()
-            await press(tab, "f Home ArrowRight ArrowRight 1 ArrowRight ArrowRight 2")
-            await press(tab, "ArrowRight [ ArrowRight ArrowRight ArrowRight ] n a b Escape")
+            await tab.type("f Home ArrowRight ArrowRight 1 ArrowRight ArrowRight 2")
+            await tab.type("ArrowRight [ ArrowRight ArrowRight ArrowRight ] n a b Escape")
             await tab.until("document.getElementById('saved').textContent === 'saved'", "saving")
             await tab.until(f"{BADGE} === 'failure, verdicts disagree'", "the new verdict")
             if file := os.environ.get("SURG_TEST_PICTURES"):
                 await tab.screenshot(Path(file) / "label.png")
             for number in range(2, EPISODES + 1):
-                await press(tab, "Enter")
+                await tab.type("Enter")
                 await ready(tab, number, EPISODES)
                 assert await tab.run(BADGE) == "success"
-                await press(tab, "s Home ArrowRight 1 0 Backspace 2 9")
+                await tab.type("s Home ArrowRight 1 0 Backspace 2 9")
             await tab.until("document.getElementById('saved').textContent === 'saved'", "saving")
             print(f"{EPISODES} episodes in {time.monotonic() - begun:.1f} s")
             assert not browser.errors

@@ -60,13 +60,8 @@ def labelling(episodes: Path, log: Path) -> Iterator[str]:
 
 
 async def press(tab: Tab, keys: str) -> None:
-    """Press keys, by their names, separated by blanks; `_` is the space bar."""
-    for name in keys.split():
-        key = " " if name == "_" else name
-        text = key if len(key) == 1 else "\r" if key == "Enter" else ""
-        for kind in ("keyDown", "keyUp"):
-            said = {"text": text} if text and kind == "keyDown" else {}
-            await tab.call("Input.dispatchKeyEvent", type=kind, key=key, **said)
+    """Press keys until what they said is saved."""
+    await tab.type(keys)
     await tab.until("document.getElementById('saved').textContent === 'saved'", "saving")
 
 
@@ -82,7 +77,7 @@ async def label(url: str) -> None:
         await press(tab, f"f n {note} Escape")
         if folder := os.environ.get("SURG_TEST_PICTURES"):
             await tab.screenshot(Path(folder) / "label_of_a_run.png")
-        await tab.call("Input.dispatchKeyEvent", type="keyDown", key="Enter", text="\r")
+        await tab.type("Enter")
         await tab.until(place.format(2), "the second page", 60.0)
         await press(tab, "s Home 1")
         assert not browser.errors

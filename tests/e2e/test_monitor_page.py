@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import base64
-import io
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from helpers.async_tests import within
 from helpers.results.screen_results import FORMATS, note_times
@@ -68,20 +65,10 @@ def flat(form: str) -> np.ndarray:
     return off_x & off_y & (y > TEXT * tall)
 
 
-async def screen(tab: Tab) -> np.ndarray:
-    """What is on the screen (h, w, 3)."""
-    shot = await tab.call("Page.captureScreenshot", format="png")
-    data = io.BytesIO(base64.b64decode(shot["data"]))
-    return np.asarray(Image.open(data).convert("RGB")).astype(int)
-
-
 async def opened(made: Console, browser: Chromium, query: str = "") -> Tab:
     """The page on a screen of WIDTH x HEIGHT, with pictures."""
     made.camera.eyes = (quarters(LEFT, 320, 180), quarters(RIGHT, 320, 180))
-    tab = await browser.open("about:blank")
-    keys = {"width": WIDTH, "height": HEIGHT, "deviceScaleFactor": 1, "mobile": False}
-    await tab.call("Emulation.setDeviceMetricsOverride", **keys)
-    await tab.call("Page.navigate", url=f"{made.url}monitor?shift=0{query}")
+    tab = await browser.open(f"{made.url}monitor?shift=0{query}", screen=(WIDTH, HEIGHT))
     await tab.until("globalThis.surgMonitor?.picture.drawn.length > 2", "pictures", 60.0)
     await tab.run("document.querySelector('#stop').hidden = true")  # it would stay over the picture
     return tab
@@ -99,7 +86,7 @@ async def test_every_format_gives_each_eye_its_pixels() -> None:
                 wanted, compared = expected(form, swap), flat(form)
 
                 async def right(w: np.ndarray = wanted, c: np.ndarray = compared) -> bool:
-                    found = await screen(tab)
+                    found = await tab.pixels()
                     return bool((np.abs(found - w).max(axis=2)[c] < 16).all())
 
                 await until(right, f"{form}, swapped: {swap}", 10.0, 0.1)
@@ -119,7 +106,7 @@ async def test_the_scene_is_pushed_back_and_a_test_picture_tells_the_eyes_apart(
 
         async def border() -> float:
             await tab.run("document.body.dataset.idle = 'true', 0")
-            return float(np.argmax((await screen(tab))[row, :, 0] < 125))
+            return float(np.argmax((await tab.pixels())[row, :, 0] < 125))
 
         async def at(place: float) -> bool:
             return abs(await border() - place) < 5
@@ -135,7 +122,7 @@ async def test_the_scene_is_pushed_back_and_a_test_picture_tells_the_eyes_apart(
         await tab.tap("KeyT")
         await tab.until("surgMonitor.settings.test", "the test picture")
         await asyncio.sleep(0.5)
-        blue = (await screen(tab))[row, WIDTH // 4]
+        blue = (await tab.pixels())[row, WIDTH // 4]
         assert blue[2] > 2 * blue[0], blue
         await tab.screenshot(Path(os.environ.get("SURG_MONITOR_SHOT", tmp_path / "monitor.png")))
         assert browser.errors == []

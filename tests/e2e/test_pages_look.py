@@ -25,7 +25,7 @@ from helpers.teleop.axe import (
     visible,
 )
 from helpers.teleop.chromium import Chromium, Tab
-from helpers.teleop.console import Console, console
+from helpers.teleop.console import Console, console, opened
 from surg_console.labelling.label_pages import LabelPages
 from surg_console.labelling.label_server import LabelServer
 from surg_console.session.episode_list import Entry
@@ -175,9 +175,7 @@ async def test_each_tab_knows_its_number_and_the_help_gives_the_focus_back(full:
 
 @within(240.0)
 async def test_what_is_drawn_keeps_its_shape_and_the_key_bar_wraps() -> None:
-    async with console() as made, Chromium() as browser:
-        tab = await browser.open(made.url)
-        await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
+    async with opened() as (_, _, tab):
         for width in (820, 1366):
             await resize(tab, width)
             trend = "document.querySelector('#trend')"

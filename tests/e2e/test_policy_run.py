@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 import shutil
@@ -13,10 +12,9 @@ import numpy as np
 import pytest
 
 from helpers.examples.course import EXAMPLES, ROS_STEP, play
-from helpers.graph.surg import surg
+from helpers.graph.surg import called, surg
 from helpers.policy.nudge_policy import begin, row
 from helpers.results.policy_results import note
-from surg_cli.commands import run
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
 from surg_core.contract import ARM_STATE
@@ -150,11 +148,8 @@ def test_an_episode_without_its_policy_ends(tmp_path: Path, more: list[str], how
     ],
 )
 def test_what_cannot_be_a_policy_is_said(tmp_path: Path, words: list[str], said: str) -> None:
-    parser = argparse.ArgumentParser()
-    run.add_arguments(parser, "run")
-    options = parser.parse_args([str(TASK), *words, "--out", str(tmp_path / "run")])
     with pytest.raises(CliError) as problem:
-        run.main(options, "run")
+        called("run", TASK, *words, "--out", tmp_path / "run")
     assert problem.value.code == 2 and said in str(problem.value)
     assert not (tmp_path / "run").exists()
 

@@ -89,35 +89,6 @@ def test_a_broken_link_is_noticed(link: str, good: bool, tmp_path: Path) -> None
     assert (markdown.broken_links(tmp_path / "page.md", text) == []) is good
 
 
-@pytest.mark.parametrize(
-    ("line", "good"),
-    [
-        ("./surg demo --duration 5  # short", True),
-        ("MUJOCO_GL=osmesa ./surg demo", True),
-        ("./surg run bgr \\\n  --episodes 3", True),
-        ("./surg help", True),
-        ("./surg episode --help", True),
-        ("./surg episode dance", False),
-        ("./surg view runs/1", False),
-        ("./surg demo --task bgr", False),
-        ("./surg demo --dance", False),
-        ("./surg demo --scale -1", False),
-        ("./surg dance", False),
-        ("./surg run", False),
-    ],
-)
-def test_a_wrong_command_line_is_noticed(line: str, good: bool) -> None:
-    (words,) = markdown.surg_lines(f"Type:\n```sh\n{line}\n```\n")
-    assert (mistake(words) == "") is good
-
-
-def test_sentences_are_counted() -> None:
-    text = "# Heading\n\nOne two three. Four five\nsix: seven `e i`.\n\n- Nine ten.\n\n| a | b |\n"
-    assert markdown.mean_sentence_length(text) == pytest.approx((3 + 5 + 2) / 3)
-    assert markdown.mean_sentence_length(" ".join(["word"] * 18) + ".") > MOST_WORDS
-    assert markdown.mean_sentence_length("```sh\na b c d\n```\n") == 0.0
-
-
 if __name__ == "__main__":
     for each in pages():
         print(f"{markdown.mean_sentence_length(each.read_text('utf-8')):5.1f}  {name(each)}")

@@ -67,12 +67,3 @@ def test_every_covered_row_names_a_test() -> None:
         whole = set(re.findall(r"\b(\w+\.(?:py|cpp))\b", line))
         assert whole, f"{name} names no test"
         assert whole <= files, f"{name} names {sorted(whole - files)}"
-
-
-def test_a_name_that_is_wrong_would_be_seen() -> None:
-    cell = "`test_a`, `test_b` (test_x.py), `InCpp` (test_y.cpp)"
-    assert named(cell) == [
-        ("test_a", "test_x.py"),
-        ("test_b", "test_x.py"),
-        ("InCpp", "test_y.cpp"),
-    ]

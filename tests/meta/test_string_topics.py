@@ -146,17 +146,3 @@ def test_no_node_reads_or_writes_json_on_a_topic() -> None:
 )
 def test_json_on_a_topic_is_noticed(line: str) -> None:
     assert len(json_on_topics(line)) == 1
-
-
-@pytest.mark.parametrize(
-    "name, line",
-    [
-        ("a.py", 'rospy.Subscriber("/teleop/status", String, heard)'),
-        ("a.py", 'kinds = {"status": String}'),
-        ("a.py", 'kinds = [("status", String, True)]'),
-        ("a.cpp", 'node.subscribe<std_msgs::String>(prefix + "/status", 1, heard);'),
-        ("a.cpp", 'node.advertise<std_msgs::String>("/" + arm + "/status", 1);'),
-    ],
-)
-def test_a_string_topic_is_noticed(name: str, line: str) -> None:
-    assert topics_of(name, line) == {"status"}

@@ -66,16 +66,6 @@ def test_no_function_is_long() -> None:
     assert len(files) > 400
 
 
-def test_a_crowded_folder_and_a_repeated_name_are_noticed() -> None:
-    folder = paths.ROOT / "src" / "surg_sim" / "src"
-    many = [folder / f"file_{n}.py" for n in range(MOST_FILES + 1)]
-    assert crowded(many) == {"src/surg_sim/src": MOST_FILES + 1}
-    assert crowded(many[1:]) == {}
-    pair = [folder / "a" / "arm.py", folder / "b" / "arm.py"]
-    assert repeated([*pair, folder / "scripts" / "arm.py"]) == ["arm.py"]
-    assert repeated([pair[0], folder / "scripts" / "arm.py", folder / "__init__.py"]) == []
-
-
 @pytest.mark.parametrize("lines", [MOST_LINES, MOST_LINES + 1])
 def test_a_long_function_is_noticed(lines: int) -> None:
     python = "class A:\n    def f(self):\n" + "        x = 1\n" * (lines - 1)

@@ -38,7 +38,7 @@ TICK = 0.002
 
 
 class Time(Protocol):
-    """What passes while a client waits."""
+    """What passes while clients wait."""
 
     changed: threading.Condition
 
@@ -48,8 +48,8 @@ class Time(Protocol):
     def until(self, met: Callable[[], bool], timeout: float) -> bool:
         """Let time pass until a condition holds; False when it does not within the time-out."""
 
-    def count(self) -> None:
-        """A command has gone to the arm."""
+    def count(self, arm: str) -> None:
+        """A command has gone to an arm."""
 
 
 class WallTime:
@@ -67,36 +67,38 @@ class WallTime:
         with self.changed:
             return self.changed.wait_for(met, timeout)
 
-    def count(self) -> None:
+    def count(self, arm: str) -> None:
         """Nobody counts in real time."""
 
 
 class LockstepTime:
-    """Simulated time: passes tick by tick, only while the client waits.
+    """Simulated time: passes tick by tick, only while a client waits.
 
     Args:
-        participant: The name under which controller and simulator wait for this node.
-        arm: The arm it commands.
+        participant: The name under which controllers and simulator wait for this node.
+        arms: Those that it commands.
     """
 
-    def __init__(self, participant: str, arm: str) -> None:
+    def __init__(self, participant: str, *arms: str) -> None:
         self.changed = threading.Condition()
-        self.tick = self.sent = 0
-        self._name, self._arm, self._done = participant.lstrip("/"), arm, 0
+        self.tick = 0
+        self._sent, self._done = dict.fromkeys(arms, 0), dict.fromkeys(arms, 0)
+        self._name = participant.lstrip("/")
         self._ready = rospy.Publisher("/sim/ready", Ready, queue_size=0, tcp_nodelay=True)
-        self._cycle = rospy.Subscriber(
-            f"/{arm}/cycle", Cycle, self._on_cycle, queue_size=None, tcp_nodelay=True
-        )
+        keys: dict[str, Any] = {"queue_size": None, "tcp_nodelay": True}
+        self._cycles = [
+            rospy.Subscriber(f"/{arm}/cycle", Cycle, self._on_cycle, arm, **keys) for arm in arms
+        ]
 
     def connected(self) -> bool:
-        """Whether simulator and controller hear it, and it hears the controller."""
+        """Whether simulator and controllers hear it, and it hears the controllers."""
         names = listeners(self._ready)  # one listener can be connected twice
-        heard = f"/{self._arm}/controller" in names and len(names) >= 2
-        return heard and self._cycle.get_num_connections() >= 1
+        heard = {f"/{arm}/controller" for arm in self._done} < names
+        return heard and all(cycle.get_num_connections() for cycle in self._cycles)
 
-    def _on_cycle(self, message: Cycle) -> None:
+    def _on_cycle(self, message: Cycle, arm: str) -> None:
         with self.changed:
-            self._done = message.tick
+            self._done[arm] = message.tick
             self.changed.notify_all()
 
     def now(self) -> float:
@@ -106,15 +108,14 @@ class LockstepTime:
     def step(self) -> None:
         """One tick."""
         self.tick += 1
-        self._ready.publish(
-            Ready(tick=self.tick, participant=self._name, arms=[self._arm], sent=[self.sent])
-        )
-        give_up = time.monotonic() + 15.0
+        arms, sent = list(self._sent), list(self._sent.values())
+        self._ready.publish(Ready(tick=self.tick, participant=self._name, arms=arms, sent=sent))
+        give_up = time.monotonic() + 60.0
         with self.changed:
-            while not self.changed.wait_for(lambda: self._done >= self.tick, 0.2):
+            while not self.changed.wait_for(lambda: min(self._done.values()) >= self.tick, 0.2):
                 if rospy.is_shutdown():
                     raise rospy.ROSInterruptException(f"shut down in tick {self.tick}")
-                assert time.monotonic() < give_up, f"tick {self.tick}: no cycle of {self._arm}"
+                assert time.monotonic() < give_up, f"tick {self.tick}: cycles at {self._done}"
 
     def until(self, met: Callable[[], bool], timeout: float) -> bool:
         """Step while the condition does not hold."""
@@ -124,14 +125,14 @@ class LockstepTime:
             self.step()
         return met()
 
-    def count(self) -> None:
+    def count(self, arm: str) -> None:
         """The controller waits for what has been announced."""
-        self.sent += 1
+        self._sent[arm] += 1
 
     def close(self) -> None:
         """Leave the graph."""
-        self._ready.unregister()
-        self._cycle.unregister()
+        for topic in (self._ready, *self._cycles):
+            topic.unregister()
 
 
 class Handle:
@@ -177,7 +178,7 @@ class Group:
         def send(message: Any) -> None:
             publisher.publish(message)
             if counts:
-                self.time.count()
+                self.time.count(self.name.partition("/")[0])
 
         return send
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from surg_cli.graph import master
+from surg_cli.graph import master, system
 from surg_cli.graph.processes import Child, Supervisor, wait_until
 from surg_cli.host import paths
 
@@ -67,15 +67,7 @@ class RosGraph:
 
     def wait_for(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
         """Wait for a condition; fail naming it, the dead child and its last words."""
-        ended: list[Child] = []
-
-        def met() -> bool:
-            dead = self.supervisor.first_dead()
-            if dead is not None and not ended:
-                ended.append(dead)
-            return condition()
-
-        if wait_until(met, timeout_s):
+        if wait_until(condition, timeout_s):
             return
         text = f"waited {timeout_s} s for {what}"
         for child in self.supervisor.children:
@@ -85,26 +77,9 @@ class RosGraph:
 
 
 def find_executable(package: str, executable: str) -> Path:
-    """Find what `rosrun PACKAGE EXECUTABLE` would start.
-
-    Args:
-        package: ROS package.
-        executable: With or without `.py`.
-
-    Returns:
-        Its path in the devel space or the system.
-    """
-    prefixes = [Path(p) for p in os.environ.get("CMAKE_PREFIX_PATH", "").split(":") if p]
-    prefixes += [paths.DEVEL, Path("/usr")]
-    for prefix in prefixes:
-        for name in (executable, f"{executable}.py"):
-            candidate = prefix / "lib" / package / name
-            if os.access(candidate, os.X_OK) and candidate.is_file():
-                return candidate
-    raise FileNotFoundError(
-        f"no executable {executable!r} of package {package!r} in {[str(p) for p in prefixes]}; "
-        "build the workspace (./surg dev build) and run tests by ./surg test"
-    )
+    """What `rosrun PACKAGE EXECUTABLE` would start; `.py` may be left out."""
+    script = paths.DEVEL / "lib" / package / f"{executable}.py"
+    return script if script.is_file() else system.executable(package, executable)
 
 
 @contextlib.contextmanager

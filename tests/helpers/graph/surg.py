@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import signal
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from surg_cli import command_table
 from surg_cli.host import paths
 
 STOPS_S = 30.0
@@ -19,6 +23,23 @@ def environment() -> dict[str, str]:
     env = {**os.environ, "SURG_READY": "1"}
     env["PYTHONPATH"] = f"{paths.ROOT / 'tools'}:{env.get('PYTHONPATH', '')}".rstrip(":")
     return env
+
+
+def parsed(name: str, *words: object) -> argparse.Namespace:
+    """The options of a command."""
+    return command_table.parse(name, list(map(str, words)))[0]
+
+
+def called(name: str, *words: object) -> int:
+    """A command in this process; its exit status."""
+    options, main = command_table.parse(name, list(map(str, words)))
+    return main(options, name.split()[-1])
+
+
+def printed(capsys: pytest.CaptureFixture[str], *words: object) -> list[str]:
+    """The lines of `./surg up WORDS --print`, one for each node."""
+    assert called("up", *words, "--print") == 0
+    return capsys.readouterr().out.splitlines()
 
 
 def argv(*words: object) -> list[str]:

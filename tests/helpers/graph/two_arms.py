@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import yaml
-
 from surg_cli.host import paths
-from surg_description.make_cell import make_cell
+from surg_description.make_cell import ArmPlan, make_cell_of
 
 ARMS = ("PSM1", "ECM")
 _DESCRIPTION = paths.ROOT / "src" / "surg_description"
@@ -29,18 +27,15 @@ def write_two_arms(
     Returns:
         The folder.
     """
-    arms = {}
-    for i, (arm, robot) in enumerate(zip(ARMS, robots, strict=True)):
-        cell = make_cell(
+    grasper = _DESCRIPTION / "instruments" / "grasper.yaml"
+    tightened = {"PSM1": {name: (value, "") for name, value in (limits or {}).items()}}
+    plans = {
+        arm: ArmPlan(
             _DESCRIPTION / "robots" / f"{robot}.yaml",
-            folder,
-            _DESCRIPTION / "instruments" / "grasper.yaml",
-            arm=arm,
+            grasper,
+            base_xyz=(0.0, 3.0 * i, 0.0),
+            limits=tightened.get(arm, {}),
         )
-        content = yaml.safe_load(cell.read_text("utf-8"))
-        content["arms"][arm]["base"]["xyz"] = [0.0, 3.0 * i, 0.0]
-        arms.update(content["arms"])
-    arms["PSM1"]["limits"] = dict(limits or {})
-    content["arms"] = arms
-    cell.write_text(yaml.safe_dump(content, sort_keys=False), "utf-8")
-    return folder
+        for i, (arm, robot) in enumerate(zip(ARMS, robots, strict=True))
+    }
+    return make_cell_of(folder, plans).parent

@@ -10,6 +10,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import yaml
+
+from helpers.endoscope_files import copied_cell
+
 RELAY = Path(__file__).with_name("wire_relay.py")
 
 
@@ -58,12 +62,9 @@ class Machines:
 
 
 @contextlib.contextmanager
-def _wired(machines: Sequence[str]) -> Iterator[tuple[Machines, str, list[str]]]:
-    """Namespaces of machines, that of what lies between them, and the ends of their wires there.
-
-    Nothing of them reaches any other network.
-    """
-    pid, between = os.getpid(), f"surg{os.getpid()}c"
+def _namespaces(machines: Sequence[str], *more: str) -> Iterator[Machines]:
+    """A namespace for each machine, and others by name; nothing of them reaches a network."""
+    pid = os.getpid()
     found = Machines(
         {machine: f"surg{pid}{machine[0]}" for machine in machines},
         {machine: f"10.77.0.{k + 1}" for k, machine in enumerate(machines)},
@@ -71,24 +72,52 @@ def _wired(machines: Sequence[str]) -> Iterator[tuple[Machines, str, list[str]]]
     )
     made: list[str] = []
     try:
-        for name in (between, *found.names.values()):
+        for name in (*more, *found.names.values()):
             ip("netns", "add", name)
             made.append(name)
             ip("-n", name, "link", "set", "lo", "up")
-        ends = []
-        for machine, inner in found.interfaces.items():
-            ends.append(outer := f"c{pid}{machine[0]}")
-            name, address = found.names[machine], found.addresses[machine]
-            ip("-n", between, "link", "add", outer, "type", "veth", "peer", "name", inner)
-            ip("-n", between, "link", "set", inner, "netns", name)
-            ip("-n", name, "addr", "add", f"{address}/24", "dev", inner)
-            ip("-n", name, "link", "set", inner, "up")
-            ip("-n", between, "link", "set", outer, "up")
-        yield found, between, ends
+        yield found
     finally:
         for name in made:
             with contextlib.suppress(PermissionError):
                 ip("netns", "del", name)
+
+
+def _connect(found: Machines) -> None:
+    """Give each machine's end of a wire its address."""
+    for machine, interface in found.interfaces.items():
+        inside = ("-n", found.names[machine])
+        ip(*inside, "addr", "add", f"{found.addresses[machine]}/24", "dev", interface)
+        ip(*inside, "link", "set", interface, "up")
+
+
+@contextlib.contextmanager
+def _wired(machines: Sequence[str]) -> Iterator[tuple[Machines, str, list[str]]]:
+    """Namespaces of machines, that of what lies between them, and the ends of their wires there."""
+    between, ends = f"surg{os.getpid()}c", []
+    with _namespaces(machines, between) as found:
+        for machine, inner in found.interfaces.items():
+            ends.append(outer := f"c{os.getpid()}{machine[0]}")
+            ip("-n", between, "link", "add", outer, "type", "veth", "peer", "name", inner)
+            ip("-n", between, "link", "set", inner, "netns", found.names[machine])
+            ip("-n", between, "link", "set", outer, "up")
+        _connect(found)
+        yield found, between, ends
+
+
+@contextlib.contextmanager
+def on_one_wire(*machines: str) -> Iterator[Machines]:
+    """Two machines with nothing between them.
+
+    Raises:
+        PermissionError: Namespaces are not permitted here.
+    """
+    with _namespaces(machines) as found:
+        (a, first), (b, second) = found.interfaces.items()
+        wire = ("link", "add", first, "netns", found.names[a], "type", "veth")
+        ip(*wire, "peer", "name", second, "netns", found.names[b])
+        _connect(found)
+        yield found
 
 
 @contextlib.contextmanager
@@ -128,3 +157,12 @@ def on_a_switch(*machines: str) -> Iterator[Machines]:
         for end in ends:
             ip("-n", between, "link", "set", end, "master", "switch")
         yield found
+
+
+def isolated_cell(machines: Machines, folder: Path, **more: object) -> Path:
+    """A copy of the simulated UR5e's cell on these machines; ``more`` of its cell.yaml."""
+    cell = copied_cell(folder, "sim_ur5e")
+    content = yaml.safe_load((cell / "cell.yaml").read_text("utf-8"))
+    content.update(network="isolated", machines=dict(machines.addresses), **more)
+    (cell / "cell.yaml").write_text(yaml.safe_dump(content, sort_keys=False), "utf-8")
+    return cell

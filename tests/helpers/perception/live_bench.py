@@ -18,8 +18,7 @@ import rospy
 from sensor_msgs.msg import CameraInfo, Image, JointState
 
 import surg_core
-from helpers.graph.crtk_client import TICK, Arm, shifted
-from helpers.graph.lockstep_arms import ArmTime, Ticks
+from helpers.graph.crtk_client import TICK, Arm, LockstepTime, shifted
 from helpers.sim.board_bench import BenchView, BoardBench
 from surg_msgs.msg import CalibrationStatus, GroundTruth
 from surg_sim.arrays import Array, Picture
@@ -42,8 +41,8 @@ class LiveBench:
 
     def __init__(self, bench: BoardBench, node: str) -> None:
         self.bench = bench
-        self.ticks = Ticks(node, ARMS)
-        self.arms = {name: Arm(name, ArmTime(self.ticks, name)) for name in ARMS}
+        self.clock = LockstepTime(node, *ARMS)
+        self.arms = {name: Arm(name, self.clock) for name in ARMS}
         self.joints: dict[str, Array] = {}
         self.true_tip = np.zeros(3)
         self.status: CalibrationStatus | None = None
@@ -92,7 +91,7 @@ class LiveBench:
 
     def connected(self) -> bool:
         """Whether simulator and controllers are there."""
-        return self.ticks.connected() and not any(
+        return self.clock.connected() and not any(
             group.unconnected() for arm in self.arms.values() for group in arm.groups
         )
 
@@ -114,13 +113,17 @@ class LiveBench:
         X_BF = self.bench.scope.arm.chain.forward(self.joints["ECM"])
         return np.asarray(surg_core.inverse_pose(X_BF @ self.bench.X_FV) @ X_BBoard)
 
+    def sleep(self, seconds: float) -> None:
+        """Let time pass."""
+        self.arms["PSM1"].sleep(seconds)
+
     def hold(self, view: BenchView, collector: subprocess.Popen[bytes]) -> None:
         """Show a view until the collector has looked at it, or has ended."""
         pair = self.bench.pictures(view)
         for _ in range(LOOKS):
             self.publish(pair)
             self._looked(collector)
-            self.ticks.sleep(BETWEEN * TICK)
+            self.sleep(BETWEEN * TICK)
 
     def publish(self, pair: tuple[Picture, Picture]) -> None:
         """Both pictures with one stamp."""
@@ -130,7 +133,7 @@ class LiveBench:
                 height=height, width=width, step=width, encoding="mono8", data=picture.tobytes()
             )
             message.header.frame_id = f"endoscope_{eye}"
-            message.header.stamp = rospy.Time.from_sec(max(1, self.ticks.tick - BEFORE) * TICK)
+            message.header.stamp = rospy.Time.from_sec(max(1, self.clock.tick - BEFORE) * TICK)
             publisher.publish(message)
 
     def _looked(self, collector: subprocess.Popen[bytes]) -> None:
@@ -144,7 +147,7 @@ class LiveBench:
     def go(self, arm: str, joints: Array) -> None:
         """Move by yaw, pitch, insertion and roll, and come to rest."""
         self.arms[arm].move_jp(joints).wait(timeout=8.0)
-        self.ticks.sleep(0.6)
+        self.sleep(0.6)
 
     def touch(self, place: Array) -> None:
         """Bring the true tip of PSM1 to a place (3,) of its base, as an eye guides a hand."""
@@ -153,8 +156,8 @@ class LiveBench:
         for _ in range(3):
             away = R_BRcm.T @ (place - self.true_tip)
             arm.move_cp(shifted(arm.setpoint_cp(), away)).wait(timeout=6.0)
-            self.ticks.sleep(0.1)
-        self.ticks.sleep(0.5)
+            self.sleep(0.1)
+        self.sleep(0.5)
         missed = float(np.linalg.norm(place - self.true_tip))
         assert missed < 1e-3, f"{1e3 * missed:.2f} mm from the corner"
 
@@ -167,12 +170,12 @@ class LiveBench:
             looked = time.monotonic() + 0.5
             while time.monotonic() < looked and not until():
                 time.sleep(0.01)
-            self.ticks.sleep(TICK)
+            self.sleep(TICK)
 
     def close(self) -> None:
         """Leave the graph."""
         for arm in self.arms.values():
             arm.close()
-        self.ticks.close()
+        self.clock.close()
         for topic in (*self._images, self._info, *self._ears):
             topic.unregister()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import random
 import re
 import struct
@@ -10,6 +9,8 @@ from typing import Any
 
 import genpy
 import roslib.message
+
+from surg_ros2.message_types_node import packed as packed
 
 FORMATS = {
     "bool": "?", "byte": "b", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H",
@@ -59,13 +60,6 @@ def without_seq(message: Any) -> Any:
     if isinstance(message, message_class("Header")):
         message.seq = 0
     return message
-
-
-def packed(message: Any) -> bytes:
-    """Bytes of a message in ROS 1."""
-    file = io.BytesIO()
-    message.serialize(file)
-    return file.getvalue()
 
 
 def cdr(kind: str, message: Any) -> bytes:

@@ -5,17 +5,20 @@ from __future__ import annotations
 import asyncio
 import base64
 import contextlib
+import io
 import json
 import os
 import shutil
 import signal
 import tempfile
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import aiohttp
+import numpy as np
+from PIL import Image
 
 from surg_cli.graph import processes
 
@@ -109,20 +112,49 @@ class Tab:
         """A mouse event at a place of the page [px]."""
         await self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
 
+    async def type(self, keys: str) -> None:
+        """Press keys by their names, separated by blanks; `_` is the space bar."""
+        for name in keys.split():
+            key = " " if name == "_" else name
+            text = key if len(key) == 1 else "\r" if key == "Enter" else ""
+            await self.call("Input.dispatchKeyEvent", type="keyDown", key=key, text=text)
+            await self.call("Input.dispatchKeyEvent", type="keyUp", key=key)
+
+    async def middle(self, selector: str) -> tuple[float, float]:
+        """The middle of an element [px]."""
+        box = f"document.querySelector({json.dumps(selector)}).getBoundingClientRect()"
+        x, y = await self.run(
+            f"(() => {{const b = {box}; return [b.x + b.width / 2, b.y + b.height / 2]}})()"
+        )
+        return x, y
+
     async def click(self, selector: str) -> None:
         """Click in the middle of an element."""
-        box = f"document.querySelector({json.dumps(selector)}).getBoundingClientRect()"
-        x, y, w, h = await self.run(
-            f"(() => {{const b = {box}; return [b.x, b.y, b.width, b.height]}})()"
-        )
-        at = (x + w / 2, y + h / 2)
+        at = await self.middle(selector)
         for kind in ("mousePressed", "mouseReleased"):
             await self.mouse(kind, *at, button="left", clickCount=1)
 
+    async def fingers(self, kind: str, *places: Sequence[float]) -> None:
+        """A touch event of this kind, with one finger at each place (2,) [px]."""
+        points = [{"x": float(x), "y": float(y), "id": i} for i, (x, y) in enumerate(places)]
+        await self.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+
+    async def resize(self, width: int, height: int, touch: bool = False) -> None:
+        """Give the page a screen [px], which is touched or not."""
+        size = {"width": width, "height": height, "deviceScaleFactor": 1}
+        await self.call("Emulation.setDeviceMetricsOverride", mobile=touch, **size)
+        await self.call("Emulation.setTouchEmulationEnabled", enabled=touch, maxTouchPoints=5)
+
+    async def _png(self) -> bytes:
+        return base64.b64decode((await self.call("Page.captureScreenshot", format="png"))["data"])
+
     async def screenshot(self, file: Path) -> None:
         """The page as a PNG file."""
-        shot = await self.call("Page.captureScreenshot", format="png")
-        file.write_bytes(base64.b64decode(shot["data"]))
+        file.write_bytes(await self._png())
+
+    async def pixels(self) -> np.ndarray:
+        """What is on the screen (h, w, 3)."""
+        return np.asarray(Image.open(io.BytesIO(await self._png())).convert("RGB")).astype(int)
 
     async def close(self) -> None:
         """Close the tab, as a person does."""
@@ -233,13 +265,16 @@ class Chromium:
             raise (Navigated if gone else AssertionError)(f"{method}: {said['error']}")
         return dict(said["result"])
 
-    async def open(self, url: str, before: str = "", ready: bool = True) -> Tab:
+    async def open(
+        self, url: str, before: str = "", ready: bool = True, screen: tuple[int, ...] = ()
+    ) -> Tab:
         """Open a page in a new tab.
 
         Args:
             url: Its address.
             before: JavaScript that runs before the page's own.
             ready: Wait until it has loaded.
+            screen: Of `Tab.resize`; empty: the browser's window.
         """
         target = (await self.call("Target.createTarget", url="about:blank"))["targetId"]
         answer = await self.call("Target.attachToTarget", targetId=target, flatten=True)
@@ -248,6 +283,8 @@ class Chromium:
             await tab.call(f"{domain}.enable")
         if before:
             await tab.call("Page.addScriptToEvaluateOnNewDocument", source=before)
+        if screen:
+            await tab.resize(*screen)
         await tab.call("Page.navigate", url=url)
         if ready:
             await tab.until("document.readyState === 'complete'", "the page to load", START_S)

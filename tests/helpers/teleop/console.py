@@ -6,15 +6,16 @@ import asyncio
 import contextlib
 import json
 import time
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from helpers.teleop.chromium import Chromium, Tab, until
 from surg_cli.graph import master
 from surg_console.session.console_orders import EnableTeleop, Order
-from surg_console.session.console_session import ConsoleSession
+from surg_console.session.console_session import ConsoleSession, Phase
 from surg_console.session.episode_list import Entry
 from surg_console.session.system_state import Arm, Follower, Gauges, Robot
 from surg_console.session.task_view import TaskView
@@ -216,3 +217,29 @@ async def console(
         made.stop.set()
         filming.cancel()
         await serving
+
+
+@contextlib.asynccontextmanager
+async def opened(
+    before: str = "", screen: tuple[int, ...] = ()
+) -> AsyncIterator[tuple[Console, Chromium, Tab]]:
+    """The page with pictures; its browser must not have logged an error at the end."""
+    async with console() as made, Chromium() as browser:
+        tab = await browser.open(made.url, before, screen=screen)
+        await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
+        yield made, browser, tab
+        assert browser.errors == []
+
+
+async def drive(
+    made: Console, tab: Tab, enable: Callable[[], Awaitable[None]] | None = None
+) -> None:
+    """Enable, by Enter, until the tip follows: on a busy machine a gap may let go at once."""
+
+    async def engaged() -> bool:
+        if made.session.phase is not Phase.DRIVING:
+            await (enable() if enable else tab.tap("Enter"))
+            await asyncio.sleep(0.5)
+        return made.session.phase is Phase.DRIVING
+
+    await until(engaged, "driving", 60.0)

@@ -90,6 +90,16 @@ class Page:
         raise AssertionError(self.status)
 
 
+async def socket_of(
+    http: aiohttp.ClientSession, port: int, path: str, token: str = ""
+) -> aiohttp.ClientWebSocketResponse:
+    """A socket of the console on this port of the loopback, as `control`; it has said hello."""
+    origin = f"http://localhost:{port}"
+    socket = await http.ws_connect(f"{origin}/{path}", origin=origin)
+    await socket.send_str(json.dumps({"say": "hello", "token": token}))
+    return socket
+
+
 @contextlib.asynccontextmanager
 async def page(port: int, token: str = "") -> AsyncIterator[Page]:
     """A page of the console on this port of the loopback, once it has been told how things are.
@@ -98,10 +108,8 @@ async def page(port: int, token: str = "") -> AsyncIterator[Page]:
         aiohttp.ClientError: The console has closed it again.
     """
     async with aiohttp.ClientSession() as http:
-        url = f"ws://localhost:{port}/control"
-        socket = await http.ws_connect(url, origin=f"http://localhost:{port}")
+        socket = await socket_of(http, port, "control", token)
         found = Page(socket)
-        await found.say("hello", token=token)
         await when(lambda: found.status or socket.closed, "a status")
         if not found.status:
             raise aiohttp.ClientError(f"closed with {socket.close_code}")

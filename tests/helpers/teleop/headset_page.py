@@ -12,6 +12,7 @@ import pytest
 
 from helpers.teleop.chromium import Chromium, Tab, until
 from helpers.teleop.console import Console, console
+from helpers.teleop.console import drive as drive_page
 from helpers.teleop.console_page import when
 from helpers.teleop.headset import FAKE_XR
 from surg_console.session.console_orders import Camera, Clutch, Move, Record
@@ -47,17 +48,14 @@ async def entered(head: str = "", before: str = FAKE_XR) -> AsyncIterator[tuple[
 
 
 async def drive(made: Console, tab: Tab) -> None:
-    """A is pressed until the session drives: on a busy machine a gap may let go at once."""
+    """A is pressed until the session drives."""
 
-    async def engaged() -> bool:
-        if made.session.phase is not Phase.DRIVING:
-            for value in (1, 0):
-                await hold(tab, "right", A, value)
-                await asyncio.sleep(0.1)
-            await asyncio.sleep(0.4)
-        return made.session.phase is Phase.DRIVING
+    async def enable() -> None:
+        for value in (1, 0):
+            await hold(tab, "right", A, value)
+            await asyncio.sleep(0.1)
 
-    await until(engaged, "driving", 60.0)
+    await drive_page(made, tab, enable)
 
 
 async def squeezed(made: Console, tab: Tab, hand: str = "right") -> None:

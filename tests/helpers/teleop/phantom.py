@@ -27,6 +27,7 @@ class Phantom:
     """A running `./surg teleop`.
 
     Attributes:
+        web, port: Of the page, and of the ROS master.
         url: Of the page.
         out: Folder of the episodes.
         tips: Steady clock [s] and the instrument's tip in its rcm frame [m], as it came.
@@ -35,21 +36,22 @@ class Phantom:
         task: States of the task as `tip_printer` says them, where it plays one.
     """
 
-    def __init__(self, url: str, out: Path) -> None:
-        self.url, self.out = url, out
+    def __init__(self, web: int, port: int, out: Path) -> None:
+        self.web, self.port, self.out = web, port, out
+        self.url = f"http://localhost:{web}/"
         self.tips: list[tuple[float, np.ndarray]] = []
         self.q = np.array([0.0, 0.0, 0.0, 1.0])
         self.lens: list[tuple[float, np.ndarray]] = []
         self.task: list[dict[str, Any]] = []
-        self.heard: dict[str, tuple[list[Any], Callable[[bytes], Any]]] = {
-            "PSM1": (self.tips, self._tip),
-            "ECM": (self.lens, lambda line: _pose(line)[:2]),
-            "task": (self.task, json.loads),
+        self.hear: dict[str, Callable[[bytes], None]] = {
+            "PSM1": self._tip,
+            "ECM": lambda line: self.lens.append(_pose(line)[:2]),
+            "task": lambda line: self.task.append(json.loads(line)),
         }
 
-    def _tip(self, line: bytes) -> tuple[float, np.ndarray]:
+    def _tip(self, line: bytes) -> None:
         at, p, self.q = _pose(line)
-        return at, p
+        self.tips.append((at, p))
 
     @property
     def tip(self) -> np.ndarray:
@@ -77,44 +79,50 @@ async def phantom(
     log, out = folder / "teleop.log", folder / "out"
     words = ("teleop", cell, "--port", port, "--bind", f"127.0.0.1:{web}", "--out", out, *more)
     with start(log, *words) as process:
-        printers: list[tuple[asyncio.subprocess.Process, asyncio.Task[None]]] = []
         try:
             await when(lambda: "Open http" in log.read_text(), "the system", 120.0)
-            made = Phantom(f"http://localhost:{web}/", out)
-            there = of if "two_arms" in cell else ("PSM1",)
-            for name in there:
-                printers.append(await _printed(name, port, *made.heard[name]))
-            yield made
+            made = Phantom(web, port, out)
+            async with contextlib.AsyncExitStack() as stack:
+                for name in of if "two_arms" in cell else of[:1]:
+                    program = printed("tip_printer.py", name, port, made.hear[name])
+                    await stack.enter_async_context(program)
+                yield made
             assert process.poll() is None, log.read_text()
         finally:
-            for printer, reading in printers:
-                reading.cancel()
-                with contextlib.suppress(ProcessLookupError):
-                    printer.kill()
-                await printer.wait()
             process.send_signal(signal.SIGINT)
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(60)
+                process.wait(90)
 
 
-async def _printed(
-    of: str, port: int, into: list[Any], read: Callable[[bytes], Any]
-) -> tuple[asyncio.subprocess.Process, asyncio.Task[None]]:
-    """A process that says what a test needs to know, and the task that reads its lines."""
+@contextlib.asynccontextmanager
+async def printed(
+    program: str, of: str, port: int, hear: Callable[[bytes], None]
+) -> AsyncIterator[None]:
+    """A program of `helpers.graph` that prints lines of what a test needs to know, and its hearer.
+
+    It is a process of its own, because a test's own node belongs to another ROS master.
+    """
     printer = await asyncio.create_subprocess_exec(
         sys.executable,
-        str(paths.ROOT / "tests" / "helpers" / "graph" / "tip_printer.py"),
+        str(paths.ROOT / "tests" / "helpers" / "graph" / program),
         of,
         env={**environment(), "ROS_MASTER_URI": f"http://localhost:{port}"},
         stdout=asyncio.subprocess.PIPE,
     )
     assert printer.stdout is not None
-    return printer, asyncio.create_task(_read(printer.stdout, into, read))
+    reading = asyncio.create_task(_read(printer.stdout, hear))
+    try:
+        yield
+    finally:
+        reading.cancel()
+        with contextlib.suppress(ProcessLookupError):
+            printer.kill()
+        await printer.wait()
 
 
-async def _read(lines: asyncio.StreamReader, into: list[Any], read: Callable[[bytes], Any]) -> None:
+async def _read(lines: asyncio.StreamReader, hear: Callable[[bytes], None]) -> None:
     async for line in lines:
-        into.append(read(line))
+        hear(line)
 
 
 def _pose(line: bytes) -> tuple[float, np.ndarray, np.ndarray]:

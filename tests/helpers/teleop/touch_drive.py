@@ -19,22 +19,16 @@ APART = np.array([60.0, 0.0])
 STEPS = 10
 
 
-async def fingers(tab: Tab, kind: str, *places: np.ndarray) -> None:
-    """A touch event of the browser, of `kind`, with one finger at each place (2,) [px]."""
-    points = [{"x": float(x), "y": float(y), "id": i} for i, (x, y) in enumerate(places)]
-    await tab.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
-
-
 async def drag(tab: Tab, by: np.ndarray, *hold: np.ndarray) -> None:
     """Put fingers down beside the middle, draw them over the screen by (2,) [px], lift them."""
     start = MIDDLE - by / 2
-    await fingers(tab, "touchStart", *(start + each for each in hold))
+    await tab.fingers("touchStart", *(start + each for each in hold))
     for step in range(1, STEPS + 1):
         at = start + by * step / STEPS
-        await fingers(tab, "touchMove", *(at + each for each in hold))
+        await tab.fingers("touchMove", *(at + each for each in hold))
         await asyncio.sleep(0.02)
     await asyncio.sleep(0.15)
-    await fingers(tab, "touchEnd")
+    await tab.fingers("touchEnd")
 
 
 async def drive(tab: Tab) -> None:
@@ -43,10 +37,8 @@ async def drive(tab: Tab) -> None:
     async def follows() -> bool:
         if await tab.run("surgConsole.status()?.headline") == "Following":
             return True
-        box = "document.querySelector('#enable').getBoundingClientRect()"
-        at = np.array(await tab.run(f"[{box}.x + {box}.width / 2, {box}.y + {box}.height / 2]"))
-        await fingers(tab, "touchStart", at)
-        await fingers(tab, "touchEnd")
+        await tab.fingers("touchStart", await tab.middle("#enable"))
+        await tab.fingers("touchEnd")
         await asyncio.sleep(1.5)
         return False
 

@@ -76,7 +76,7 @@ def live(cell: Path, ros_graph: RosGraph, rospy_node: str, tmp_path: Path) -> It
     made = LiveBench(of_setting(cell, pattern, SETTING, 0), rospy_node)
     try:
         ros_graph.wait_for(made.connected, 120.0, "simulator and controllers")
-        made.ticks.sleep(0.1)
+        made.sleep(0.1)
         yield made
     finally:
         made.close()
@@ -138,7 +138,7 @@ def test_a_person_calibrates_a_running_cell(
     console = {"cell": cell, "port": page, "views": ["left", "right"]}
     ros_graph.node("surg_console", "console_node.py", "/console", console)
     ros_graph.wait_for(lambda: master.port_in_use(page), 60.0, "the console")
-    live.ticks.sleep(0.1)
+    live.sleep(0.1)
     before = {arm: live.joints[arm].copy() for arm in ARMS}
 
     def hold_board(collector: subprocess.Popen[bytes]) -> None:

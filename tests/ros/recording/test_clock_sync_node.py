@@ -17,7 +17,7 @@ import pytest
 
 from helpers.graph.ros import RosGraph
 from helpers.graph.surg import argv_with, environment
-from helpers.machines import network_pair
+from helpers.machines.machines import on_one_wire
 from helpers.results import sync_results
 
 rospy = pytest.importorskip("rospy")
@@ -124,16 +124,16 @@ def daemons(tmp_path: Path, asymmetry_ns: int) -> Iterator[Path]:
     slave = tmp_path / "slave"
     slave.mkdir(parents=True)
     with (
-        network_pair.joined() as ends,
+        on_one_wire("master", "slave") as wire,
         Supervisor(environment(), tmp_path / "logs") as supervisor,
     ):
-        words = ("ptp", "master", ends.interfaces[0])
+        words = ("ptp", "master", wire.interfaces["master"])
         master = argv_with("surg_cli.commands.ptp", "FOLDER", tmp_path / "m", *words)
-        supervisor.start("master", [*ends.inside(0), *master])
-        text = ptp.configuration("slave", ends.interfaces[1], slave / "ptp4l", True)
+        supervisor.start("master", wire.on("master", *master))
+        text = ptp.configuration("slave", wire.interfaces["slave"], slave / "ptp4l", True)
         (slave / "conf").write_text(text + f"delayAsymmetry {asymmetry_ns}\n")
         daemon = [str(pmc.program("ptp4l")), "-f", str(slave / "conf"), "-m"]
-        supervisor.start("slave", [*ends.inside(1), *daemon])
+        supervisor.start("slave", wire.on("slave", *daemon))
         began = time.monotonic()
         assert wait_until(lambda: not math.isnan(pmc.ask(slave / "ptp4l").offset), 60, 0.2), (
             "no offset was measured: " + pmc.ask(slave / "ptp4l").fault()
@@ -172,9 +172,9 @@ def possible() -> str:
     if shutil.which("setpriv") is None:
         return "setpriv is missing"
     try:
-        with network_pair.joined():
+        with on_one_wire("master", "slave"):
             return ""
-    except OSError as problem:
+    except PermissionError as problem:
         return f"network namespaces are not permitted here: {problem}"
 
 

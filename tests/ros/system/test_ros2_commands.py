@@ -88,14 +88,6 @@ def listener(dds: Dds) -> Child:
 
 
 @pytest.mark.full
-def test_ros_2_sees_a_teleoperation(dds: Dds, tmp_path: Path) -> None:
-    peer = listener(dds)
-    page = ("--bind", f"127.0.0.1:{master.free_port()}", "--out", tmp_path / "out")
-    with running_command(tmp_path, "Open http", "teleop", "sim_ur5e", "--ros2", *page):
-        assert wait_until(lambda: STATUS in peer.log_tail(1), WAIT_S)
-
-
-@pytest.mark.full
 def test_ros_2_sees_every_episode_of_a_run(dds: Dds, tmp_path: Path) -> None:
     peer = listener(dds)
     words = ["run", NUDGE, "--robot", write_two_arms(tmp_path / "cell"), "--episodes", 2]

@@ -14,14 +14,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-import yaml
 from PIL import Image
 from sensor_msgs.msg import CompressedImage, JointState
 
 from crtk_msgs.msg import OperatingState, StringStamped
-from helpers import endoscope_files
 from helpers.graph.surg import argv, environment
-from helpers.machines.machines import Machines, on_a_switch
+from helpers.machines.machines import Machines, isolated_cell, on_a_switch
 from helpers.perception import recorded_pairs
 from helpers.ros2 import drawn_messages as drawn
 from helpers.ros2 import interfaces
@@ -63,12 +61,9 @@ def machines() -> Iterator[Machines]:
 @pytest.fixture
 def cell(machines: Machines, tmp_path: Path) -> Path:
     """A simulated arm, and an endoscope that plays a file on a machine of its own."""
-    folder = endoscope_files.copied_cell(tmp_path, "sim_ur5e")
+    endoscope = {"source": "file:pairs.mp4?loop", "layout": "sbs"}
+    folder = isolated_cell(machines, tmp_path, endoscope=endoscope)
     recorded_pairs.side_by_side(folder / "pairs.mp4", 60, *SIZE)
-    content = yaml.safe_load((folder / "cell.yaml").read_text("utf-8"))
-    content.update(network="isolated", machines=dict(machines.addresses))
-    content["endoscope"] = {"source": "file:pairs.mp4?loop", "layout": "sbs"}
-    (folder / "cell.yaml").write_text(yaml.safe_dump(content, sort_keys=False), "utf-8")
     return folder
 
 

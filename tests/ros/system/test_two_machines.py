@@ -19,11 +19,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from numpy.typing import NDArray
 
 from helpers.graph.surg import argv, environment
-from helpers.machines.machines import Machines, two_machines
+from helpers.machines.machines import Machines, isolated_cell, two_machines
 from helpers.results.teleoperation_results import MENDED, PULLED, note
 from surg_cli.graph import network, processes, roles
 from surg_cli.host import paths
@@ -52,18 +51,7 @@ def machines() -> Iterator[Machines]:
 
 @pytest.fixture(scope="module")
 def cell(machines: Machines, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("cell") / "two_machines"
-    bundled = paths.CELLS / "sim_ur5e"
-    content = yaml.safe_load((bundled / "cell.yaml").read_text("utf-8"))
-    for arm in content["arms"].values():
-        for key in ("robot", "instrument"):
-            arm[key] = str((bundled / arm[key]).resolve())
-    content.update(name="two_machines", network="isolated", machines=dict(machines.addresses))
-    (folder / "calibration").mkdir(parents=True)
-    for file in (bundled / "calibration").iterdir():
-        (folder / "calibration" / file.name).write_bytes(file.read_bytes())
-    (folder / "cell.yaml").write_text(yaml.safe_dump(content, sort_keys=False), "utf-8")
-    return folder
+    return isolated_cell(machines, tmp_path_factory.mktemp("cell"))
 
 
 def up(machines: Machines, log: Path, machine: str, *words: object) -> subprocess.Popen[bytes]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +11,9 @@ import pytest
 
 import surg_core
 import surg_core.calibration
+from helpers.endoscope_files import copied_cell
 from surg_cli import __main__ as cli
 from surg_cli.commands import calibrate
-from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
 from surg_core.reading import calibration_recording
 from surg_core.standstill import Standstill
@@ -24,12 +23,7 @@ DATE = "2026-11-21"
 
 @pytest.fixture
 def cell(tmp_path: Path) -> Path:
-    """A copy of the bundled cell that still finds robot and instrument."""
-    folder = tmp_path / "cells" / "lab"
-    shutil.copytree(paths.ROOT / "cells" / "sim_ur5e", folder)
-    text = (folder / "cell.yaml").read_text()
-    (folder / "cell.yaml").write_text(text.replace("../../src", str(paths.ROOT / "src")))
-    return folder
+    return copied_cell(tmp_path / "cells", "sim_ur5e")
 
 
 def recording(path: Path, cell: Path, *, poses: bool = False, tip_mm: float = 1.0) -> Path:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from helpers.graph.surg import called, printed
 from surg_cli import __main__ as cli
 from surg_cli import command_table, moved
 from surg_cli.commands import up
@@ -115,8 +116,9 @@ def test_an_old_command_answers_with_the_new_one(old: str, new: str) -> None:
 
 def test_there_are_few_commands_and_options() -> None:
     assert len({name.split()[0] for name in command_table.COMMANDS}) <= MOST_FIRST_WORDS
-    names = {command: name for name, command in command_table.COMMANDS.items()}  # test: once
-    options = [f"{name} {o}" for name in names.values() for o in command_table.options_of(name)]
+    options = [
+        f"{name} {o}" for name in command_table.COMMANDS for o in command_table.options_of(name)
+    ]
     print(f"{len(options)} options")
     assert len(options) <= MOST_OPTIONS
 
@@ -191,21 +193,16 @@ def test_rosrun_lines_name_node_and_params(tmp_path: Path) -> None:
     assert "_observers:=recorder,endoscope" in line
 
 
-def up_prints(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """What `./surg up` prints of the recorder with `--print`."""
-    parser = argparse.ArgumentParser()
-    up.add_arguments(parser, "up")
-    up.main(parser.parse_args([*words, "--print"]), "up")
-    (line,) = [text for text in capsys.readouterr().out.splitlines() if "recorder_node" in text]
-    return line
-
-
 def test_up_records_what_it_is_told_besides(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["sim_ur5e", "--record-topics", "/tf", "/PSM1/measured_*", "--record-topics", "/tf"]
-    line = up_prints([*words, "--record-cameras", "/scope/image_raw/compressed"], capsys)
+    def recorder(*words: str) -> str:
+        (line,) = [each for each in printed(capsys, "sim_ur5e", *words) if "recorder_node" in each]
+        return line
+
+    words = ["--record-topics", "/tf", "/PSM1/measured_*", "--record-topics", "/tf"]
+    line = recorder(*words, "--record-cameras", "/scope/image_raw/compressed")
     assert "'_topics:=/tf,/PSM1/measured_*'" in line
     assert "_cameras:=endoscope_left,/scope/image_raw/compressed" in line
-    assert "_topics" not in up_prints(["sim_ur5e"], capsys)
+    assert "_topics" not in recorder()
 
 
 @pytest.mark.parametrize(
@@ -217,10 +214,8 @@ def test_up_records_what_it_is_told_besides(capsys: pytest.CaptureFixture[str]) 
     ],
 )
 def test_what_is_no_topic_is_not_recorded(words: list[str], said: str) -> None:
-    parser = argparse.ArgumentParser()
-    up.add_arguments(parser, "up")
     with pytest.raises(CliError, match=said) as caught:
-        up.main(parser.parse_args(["sim_ur5e", *words, "--print"]), "up")
+        called("up", "sim_ur5e", *words, "--print")
     assert caught.value.code == 2
 
 

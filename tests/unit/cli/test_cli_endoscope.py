@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import pytest
 
 from helpers.endoscope_files import copied_cell
-from surg_cli.commands import up
+from helpers.graph.surg import printed
 from surg_cli.host import provision
 from surg_cli.host.terminal import CliError
 
 SECTION = "endoscope: {source: 'v4l2:/dev/video0', layout: LAYOUT, size: [1920, 1080], rate: 30}\n"
-
-
-def printed(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
-    parser = argparse.ArgumentParser()
-    up.add_arguments(parser, "up")
-    up.main(parser.parse_args([*words, "--print"]), "up")
-    return capsys.readouterr().out.splitlines()
 
 
 @pytest.fixture

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
+import functools
 import json
 from pathlib import Path
 
 import pytest
 
+from helpers.graph.surg import called
 from helpers.recording import jigsaws_synthetic
 from helpers.recording.evaluated import DONE, episode
 from surg_cli.commands.episode import evaluate
@@ -16,11 +17,7 @@ from surg_cli.host.terminal import CliError
 from surg_recording import metrics
 from surg_recording.metrics import reference_sets
 
-
-def run(*words: object) -> int:
-    parser = argparse.ArgumentParser()
-    evaluate.add_arguments(parser, "evaluate")
-    return evaluate.main(parser.parse_args([str(word) for word in words]), "evaluate")
+run = functools.partial(called, "episode evaluate")
 
 
 @pytest.fixture(scope="module")

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import argparse
+import functools
 import json
 from pathlib import Path
 
 import pytest
 
+from helpers.graph.surg import called
 from helpers.recording import datasets_synthetic
-from surg_cli.commands.episode import export
 from surg_cli.host.terminal import CliError
 
-
-def surg_export(*words: str | Path) -> int:
-    parser = argparse.ArgumentParser()
-    export.add_arguments(parser, "export")
-    return export.main(parser.parse_args([str(word) for word in words]), "export")
+surg_export = functools.partial(called, "episode export")
 
 
 @pytest.fixture(scope="module")

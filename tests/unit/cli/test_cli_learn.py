@@ -5,7 +5,7 @@ The stages themselves are fakes here: each has tests of its own.
 
 from __future__ import annotations
 
-import argparse
+import functools
 import json
 import os
 import subprocess
@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from helpers.graph.surg import parsed
 from helpers.recording.rollouts_synthetic import entry, rollout
 from surg_cli import without_ros
 from surg_cli.commands import learn
@@ -35,10 +36,7 @@ TRAINED = {
 }
 
 
-def options(*words: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    learn.add_arguments(parser, "learn")
-    return parser.parse_args(words)
+options = functools.partial(parsed, "learn")
 
 
 class FakePlayer:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import surg_core
+from helpers.graph.surg import printed
 from surg_cli.commands import up
 from surg_cli.graph import system
 from surg_cli.graph.system_plan import SystemPlan
@@ -41,16 +42,11 @@ def test_the_simulator_starts_only_for_the_arms_that_it_drives(cell: Path) -> No
 def test_up_prints_no_simulator_for_such_a_cell(
     cell: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import argparse
-
-    parser = argparse.ArgumentParser()
-    up.add_arguments(parser, "up")
-    assert up.main(parser.parse_args([str(cell), "--print"]), "up") == 0
-    lines = capsys.readouterr().out
+    lines = "\n".join(printed(capsys, cell))
     assert "surg_control/RcmNodelet" in lines
     assert "bridge_node.py" not in lines and "endoscope" not in lines
     with pytest.raises(CliError, match="--lock-step"):
-        up.main(parser.parse_args([str(cell), "--lock-step", "--print"]), "up")
+        printed(capsys, cell, "--lock-step")
 
 
 def test_the_links_own_parameters_are_in_force(cell: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
+import functools
 import math
 import os
 import re
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from helpers.graph.surg import parsed
 from surg_cli.commands import ptp
 from surg_cli.host.terminal import CliError
 from surg_recording.clock import pmc
@@ -30,10 +31,7 @@ def network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     yield folder
 
 
-def options(*words: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    ptp.add_arguments(parser, "ptp")
-    return parser.parse_args(words)
+options = functools.partial(parsed, "ptp")
 
 
 def refusal(*words: str) -> str:

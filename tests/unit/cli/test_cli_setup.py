@@ -33,7 +33,7 @@ def test_packages_of_tests_and_exports_wait_for_their_commands(tmp_path: Path) -
     assert {"chromium", "clang-tidy", "python3-opencv", "python3-pytest", "python3-torch"} <= later
     assert {"cmake", "python3-rospy", "libegl1"} <= first
     waiting = {name for name, each in command_table.COMMANDS.items() if each.everything}
-    assert waiting == {"test", "dev test", "episode export", "dev bench"}
+    assert waiting == {"test", "episode export", "dev bench"}
     seeing = {name for name, each in command_table.COMMANDS.items() if "opencv" in each.packages}
     assert seeing == {"calibrate", "check-frames", "episode depth", "episode import"}
 
@@ -132,13 +132,7 @@ def test_a_log_is_continued_or_replaced_and_progress_sees_every_line(tmp_path: P
     assert text.index("three") < text.index("four")
 
 
-def test_progress_is_read_from_apt_and_make() -> None:
-    fraction = provision._apt_fraction()
-    lines = ["Reading package lists..."]
-    assert fraction(lines) is None
-    lines.append("0 upgraded, 2 newly installed, 0 to remove and 0 not upgraded.")
-    assert fraction(lines) == pytest.approx(2 / 12)
-    assert fraction([*lines, *20 * ["Setting up"]]) == 1.0
+def test_progress_is_read_from_make() -> None:
     assert workspace.make_fraction(["-- Configuring"]) is None
     assert workspace.make_fraction(["[  5%] a", "[ 42%] Building", "a warning"]) == 0.42
 
@@ -289,7 +283,7 @@ def test_what_another_system_has_built_is_built_anew(
     (build / "built-on").write_text(other)
     (build / "CMakeCache.txt").write_text("")
     assert not provision.python_is_current()
-    monkeypatch.setattr(provision, "_pip_install", lambda *_: None)
+    monkeypatch.setattr(provision, "pip_install", lambda *_: None)
     assert provision.install_python(tmp_path / "log") and workspace.build(tmp_path / "log")
     assert not (venv / "of_the_other").exists() and not (build / "of_the_other").exists()
     assert capsys.readouterr().out.count(other) == 2

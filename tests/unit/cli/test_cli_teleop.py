@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
+import functools
 import json
 import socket
 from pathlib import Path
@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import surg_core
+from helpers.graph.surg import parsed
 from helpers.sim.assistant_pose import forward
 from surg_cli.commands import teleop
 from surg_cli.graph import master
@@ -26,11 +27,7 @@ from surg_sim.physics.world import World
 from surg_teleop.follow.teleop_setup import read_setup
 from surg_teleop.follow.teleop_types import CameraView
 
-
-def options(*words: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    teleop.add_arguments(parser, "teleop")
-    return parser.parse_args(words)
+options = functools.partial(parsed, "teleop")
 
 
 def test_two_arms_have_a_task_that_does_not_end() -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import shlex
-import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -77,15 +75,6 @@ def test_it():
         stream.write("x")
     assert tried.stat().st_size > {failures}
 """
-NOTES_PRIORITY = """
-import os
-from pathlib import Path
-
-def test_it():
-    session = Path("/proc/self/autogroup").read_text().split()[-1]
-    with (Path(__file__).parent.parent / "priority").open("a") as stream:
-        stream.write(f"{Path(__file__).parent.name} {os.nice(0)} {session}\\n")
-"""
 TESTS, TOOLS = paths.ROOT / "tests", paths.ROOT / "tools"
 
 
@@ -141,32 +130,6 @@ def test_every_test_runs_once_and_real_time_in_one_worker(
     assert len((tmp_path / "ended").read_text().splitlines()) == FILES
 
 
-@pytest.mark.skipif(not Path("/proc/self/autogroup").exists(), reason="no scheduling by session")
-@pytest.mark.skipif(os.geteuid() != 0, reason="a higher priority is root's")
-def test_without_workers_the_session_is_preferred_while_a_test_in_real_time_runs(
-    tmp_path: Path,
-) -> None:
-    (tmp_path / "conftest.py").write_text(CONFTEST)
-    for folder in ("ros", "unit"):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / "test_it.py").write_text(NOTES_PRIORITY)
-    argv, env = command(tmp_path)
-    line = f"{shlex.join([*argv, str(tmp_path)])} > log; cat /proc/self/autogroup"
-    ended = subprocess.run(
-        ["/bin/sh", "-c", line],
-        env=env,
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        check=True,
-    )
-    noted = (tmp_path / "priority").read_text().splitlines()
-    high = worker_groups.PREFERRED
-    assert noted == [f"ros {high} {high}", f"unit {os.nice(0)} 0"], (tmp_path / "log").read_text()
-    assert ended.stdout.split()[-1] == "0"
-
-
 def test_a_crashed_worker_is_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "unit").mkdir()
     (tmp_path / "conftest.py").write_text(CONFTEST)
@@ -176,26 +139,6 @@ def test_a_crashed_worker_is_a_failure(tmp_path: Path, monkeypatch: pytest.Monke
     status, counts = run_tests(tmp_path)
     assert status == 1
     assert (counts["passed"], counts["failed"]) == (0, 1)
-
-
-def test_a_test_that_hangs_fails_and_the_run_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "unit").mkdir()
-    (tmp_path / "conftest.py").write_text(CONFTEST)
-    source = (
-        "import subprocess\n\n"
-        "def test_hangs():\n"
-        "    with subprocess.Popen(['sleep', '60']):\n"
-        "        assert False\n\n"
-        "def test_next(): pass\n"
-    )
-    (tmp_path / "unit" / "test_hang.py").write_text(source)
-    monkeypatch.setattr(pytest_run.workspace, "jobs", lambda: 2)
-    monkeypatch.setattr(pytest_run, "HANGS_S", 1)
-    status, counts = run_tests(tmp_path)
-    assert status == 1
-    assert (counts["passed"], counts["failed"]) == (1, 1)
 
 
 def test_one_core_has_one_process(monkeypatch: pytest.MonkeyPatch) -> None:

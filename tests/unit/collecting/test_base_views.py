@@ -129,11 +129,9 @@ def at_terminal(
 ) -> Callable[[], int]:  # fmt: skip
     """`./surg calibrate CELL bases --by touch --live` with these words typed."""
     listening = SimpleNamespace(next=lambda: next(moments), close=lambda: None)
-    monkeypatch.setattr(live_bases, "join_graph", lambda port: None)
     monkeypatch.setattr(
         "surg_perception.collecting.base_moments_node.BaseMoments", lambda *_: listening
     )
-    monkeypatch.setattr("rospy.signal_shutdown", lambda reason: None)
     monkeypatch.setattr("sys.stdin", io.StringIO(words))
     options = SimpleNamespace(by="touch", to=to, port=11311, dry_run=False)
     return lambda: live_bases.calibrate(person.cell, options, "simulated", "2026-11-24")

@@ -8,7 +8,7 @@ import aiohttp
 
 from helpers.async_tests import within
 from helpers.teleop.console import console
-from helpers.teleop.console_page import when
+from helpers.teleop.console_page import socket_of, when
 from surg_console.session.console_orders import EnableTeleop, SetOperatorPresent, StateCommand
 
 TOKEN = "0123456789abcdef0123"
@@ -17,12 +17,9 @@ TOKEN = "0123456789abcdef0123"
 @within(30.0)
 async def test_a_monitor_watches_and_stops_and_can_do_nothing_else() -> None:
     async with console(token=TOKEN) as made, aiohttp.ClientSession() as http:
-        url, origin = f"ws://localhost:{made.port}/status", f"http://localhost:{made.port}"
-        refused = await http.ws_connect(url, origin=origin)
-        await refused.send_str(json.dumps({"say": "hello", "token": "x" * 20}))
+        refused = await socket_of(http, made.port, "status", "x" * 20)
         assert (await refused.receive()).data == 4401
-        socket = await http.ws_connect(url, origin=origin)
-        await socket.send_str(json.dumps({"say": "hello", "token": TOKEN}))
+        socket = await socket_of(http, made.port, "status", TOKEN)
         assert (await socket.receive_json())["say"] == "welcome"
         assert (await socket.receive_json())["say"] in ("status", "episodes")
         assert made.session.pages == 0 and made.session.holder == ""

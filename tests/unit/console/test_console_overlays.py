@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import aiohttp
 import numpy as np
@@ -14,8 +13,8 @@ import pytest
 import surg_core
 from helpers.async_tests import within
 from helpers.endoscope_files import copied_cell
-from helpers.teleop.console import Console, console
-from helpers.teleop.console_page import when
+from helpers.teleop.console import console
+from helpers.teleop.console_page import socket_of, when
 from surg_cli.host import paths
 from surg_console.ros.overlay_topics_node import marks_as_json
 from surg_console.session.console_orders import Order
@@ -24,20 +23,13 @@ from surg_console.session.scene_view import SceneView
 CELL = paths.CELLS / "sim_two_arms"
 
 
-async def socket_of(made: Console, http: aiohttp.ClientSession, what: str) -> Any:
-    origin = f"http://localhost:{made.port}"
-    socket = await http.ws_connect(f"{origin}/{what}", origin=origin)
-    await socket.send_str('{"say": "hello", "token": ""}')
-    return socket
-
-
 @pytest.mark.parametrize("what", ["marks", "plan", "scene", "feel"])
 @within(30.0)
 async def test_nothing_is_collected_until_a_page_asks_and_nothing_comes_in(what: str) -> None:
     async with console(pictures=False) as made, aiohttp.ClientSession() as http:
         assert made.system.watched == frozenset()
         made.system.shown[what] = '{"say": "first"}'
-        sockets = [await socket_of(made, http, what) for _ in range(2)]
+        sockets = [await socket_of(http, made.port, what) for _ in range(2)]
         for socket in sockets:
             assert (await socket.receive_json())["say"] == "first"
         assert made.system.watched == {what}

@@ -16,7 +16,7 @@ import pytest
 
 from helpers.async_tests import within
 from helpers.teleop.console import console
-from helpers.teleop.console_page import Page, page, when
+from helpers.teleop.console_page import Page, page, socket_of, when
 from surg_cli.graph import master
 from surg_console.session.console_orders import (
     EnableTeleop,
@@ -25,7 +25,6 @@ from surg_console.session.console_orders import (
     SetOperatorPresent,
     StateCommand,
 )
-from surg_console.session.system_state import Calibration
 from surg_console.web import picture_packet
 from surg_console.web.admission import CLOSE_HELLO
 from surg_console.web.control_socket import MAX_ERRORS
@@ -108,13 +107,10 @@ async def test_without_the_token_nothing_is_said() -> None:
 @within(60.0)
 async def test_no_message_of_the_session_is_heard_on_the_socket_of_calibration() -> None:
     async with console() as made, aiohttp.ClientSession() as http:
-        made.system.now = replace(made.system.now, calibration=Calibration("DONE", "STEREO"))
-        origin = f"http://localhost:{made.port}"
+        made.system.now = replace(made.system.now, calibration={"state": "DONE"})
 
         async def said(text: str) -> list[aiohttp.WSMsgType]:
-            url = f"ws://localhost:{made.port}/calibration"
-            socket = await http.ws_connect(url, origin=origin)
-            await socket.send_str('{"say": "hello", "token": ""}')
+            socket = await socket_of(http, made.port, "calibration")
             await socket.send_str(text)
             return [message.type async for message in socket]
 
@@ -222,10 +218,7 @@ def test_the_allowance_is_that_of_a_page_and_no_more() -> None:
 @within(60.0)
 async def test_pictures_come_and_the_newest_wins() -> None:
     async with console() as made, aiohttp.ClientSession() as http:
-        origin = f"http://localhost:{made.port}"
-        url = origin.replace("http", "ws") + "/pictures"
-        socket = await http.ws_connect(url, origin=origin)
-        await socket.send_str('{"say": "hello", "token": ""}')
+        socket = await socket_of(http, made.port, "pictures")
         for codec, layout in (("h264", "left"), ("jpeg", "stereo")):
             await socket.send_str(json.dumps({"say": "watch", "layout": layout, "codec": codec}))
             packets: list[picture_packet.Packet] = []
@@ -247,12 +240,9 @@ async def test_pictures_come_and_the_newest_wins() -> None:
 @within(60.0)
 async def test_who_wants_fewer_pictures_takes_none_from_another_page() -> None:
     async with console() as made, aiohttp.ClientSession() as http:
-        origin = f"http://localhost:{made.port}"
 
         async def viewer(spacing: int) -> aiohttp.ClientWebSocketResponse:
-            url = origin.replace("http", "ws") + "/pictures"
-            socket = await http.ws_connect(url, origin=origin)
-            await socket.send_str('{"say": "hello", "token": ""}')
+            socket = await socket_of(http, made.port, "pictures")
             watched = {"say": "watch", "layout": "left", "codec": "jpeg", "spacing": spacing}
             await socket.send_str(json.dumps(watched))
             return socket
@@ -319,9 +309,7 @@ async def test_a_console_that_ends_enables_nothing_and_waits_for_no_stuck_page()
         made.server._admission._sockets.add(Stuck())  # type: ignore[arg-type]
         made.stop.set()
         await when(lambda: made.system.given(EnableTeleop), "the end")
-        root = f"localhost:{made.port}"
-        late = Page(await http.ws_connect(f"ws://{root}/control", origin=f"http://{root}"))
-        await late.say("hello", token="")
+        late = Page(await socket_of(http, made.port, "control"))
         await late.input()
         await late.press("enable")
         await when(lambda: not master.port_in_use(made.port), "a free port", 5.0)

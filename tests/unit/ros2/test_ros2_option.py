@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
-from surg_cli.commands import run, teleop, up
+from helpers.graph import surg
+from surg_cli.commands import run, teleop
 from surg_cli.graph import ros2_gateway, running, system
 from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import paths, provision
@@ -30,10 +29,7 @@ def nothing_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def printed(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
     """The lines of the gateway that `./surg up --print` prints."""
-    parser = argparse.ArgumentParser()
-    up.add_arguments(parser, "up")
-    up.main(parser.parse_args(["sim_ur5e", *words, "--print"]), "up")
-    return [line for line in capsys.readouterr().out.splitlines() if "surg_ros2" in line]
+    return [line for line in surg.printed(capsys, "sim_ur5e", *words) if "surg_ros2" in line]
 
 
 def test_without_the_option_there_is_no_gateway(capsys: pytest.CaptureFixture[str]) -> None:
@@ -117,14 +113,8 @@ def test_a_package_that_cannot_be_had_is_named(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(provision, "need_dds", fail)
     with pytest.raises(CliError, match="--ros2: pip failed") as caught:
-        ros2_gateway.parameters(parsed(up, "sim_ur5e", "--ros2"))
+        ros2_gateway.parameters(surg.parsed("up", "sim_ur5e", "--ros2"))
     assert caught.value.code == 2
-
-
-def parsed(command: ModuleType, *words: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser, "")
-    return parser.parse_args(words)
 
 
 def gateway(plan: SystemPlan) -> system.Node | None:
@@ -132,8 +122,8 @@ def gateway(plan: SystemPlan) -> system.Node | None:
 
 
 def test_a_teleoperation_has_a_gateway() -> None:
-    assert gateway(teleop._plan(parsed(teleop, "sim_ur5e"))) is None
-    node = gateway(teleop._plan(parsed(teleop, "sim_ur5e", "--ros2-commands")))
+    assert gateway(teleop._plan(surg.parsed("teleop", "sim_ur5e"))) is None
+    node = gateway(teleop._plan(surg.parsed("teleop", "sim_ur5e", "--ros2-commands")))
     assert node is not None and not node.essential
     assert (node.params["commands"], node.params["mode"]) == (True, "freerun")
 
@@ -144,7 +134,7 @@ def test_a_system_that_runs_gets_none_from_a_teleoperation(monkeypatch: pytest.M
     for word in ("--ros2", "--ros2-commands"):
         said = rf"start that system with it: \./surg up CELL {word}$"
         with pytest.raises(CliError, match=said) as caught:
-            teleop.main(parsed(teleop, "sim_ur5e", word), "teleop")
+            teleop.main(surg.parsed("teleop", "sim_ur5e", word), "teleop")
         assert caught.value.code == 2
 
 
@@ -160,8 +150,8 @@ def test_every_episode_of_a_run_has_a_gateway_that_looks_on(
     monkeypatch.setattr(run, "_play_all", play)
     for words, mode in ((["--ros2"], "lockstep"), ([], "")):
         with pytest.raises(Played) as caught:
-            run.main(parsed(run, "bgr", "--out", str(tmp_path / f"o{mode}"), *words), "run")
+            run.main(surg.parsed("run", "bgr", "--out", str(tmp_path / f"o{mode}"), *words), "run")
         (node,) = caught.value.args
         assert (node.params["mode"], node.params["commands"]) == (mode, False) if mode else not node
-    with pytest.raises(SystemExit):
-        parsed(run, "bgr", "--ros2-commands")
+    with pytest.raises(CliError, match="run has no option --ros2-commands"):
+        surg.parsed("run", "bgr", "--ros2-commands")

@@ -12,7 +12,7 @@ from typing import Any
 
 from surg_cli.host import cells
 from surg_cli.host.option_types import tcp_port
-from surg_cli.host.terminal import CliError, say
+from surg_cli.host.terminal import CliError, say, say_written
 from surg_cli.robots import endoscope_steps, force_steps
 
 MOTIONS = ("tip", "roll", "second", "trocar", "touch", "force")
@@ -73,12 +73,14 @@ def main(options: argparse.Namespace, command: str) -> int:
     cell = cells.load(folder)
     if options.what == "live" or options.live:
         from surg_cli.graph import live_views
+        from surg_cli.graph.collect import system_at
         from surg_cli.robots import live_bases
 
         endoscope_steps.check_live(options, cell)
         origin = max(origin_of(arm) for arm in cell.arms.values())
         collecting = live_bases if options.what == "bases" else live_views
-        return collecting.calibrate(cell, options, origin, today())
+        with system_at(options.port, "calibrate", anonymous=False):
+            return collecting.calibrate(cell, options, origin, today())
     if options.what in endoscope_steps.STEPS or options.by is not None:
         origin = max(origin_of(arm) for arm in cell.arms.values())  # simulated, if one of them is
         endoscope_steps.run(cell, options, origin, today())
@@ -169,7 +171,7 @@ def solve(folder: Path, arm: Any, what: str, source: Path, date: str, dry_run: b
                 calibration.write_trocar(path, point.trocar, note, origin, serial)
     except (calibration.CalibrationError, OSError) as error:
         raise CliError(f"calibrate {what}: {error}; {path} is unchanged", 1) from error
-    say("nothing written (--dry-run)" if dry_run else f"written: {path}; restart the system")
+    say_written(path, dry_run)
 
 
 def read(source: Path, arm: Any) -> Any:
@@ -182,13 +184,7 @@ def read(source: Path, arm: Any) -> Any:
     from surg_core.reading.calibration_recording import read_recording
 
     recording = read_recording(source, arm.chain, arm.robot.joint_names)
-    if arm.hardware is not None and recording.serial != arm.hardware.serial:
-        found = f"is of {recording.serial!r}" if recording.serial else "has no column 'serial'"
-        raise CliError(
-            f"{source}: serial: the recording {found}, the cell's {arm.name} is "
-            f"{arm.hardware.serial!r}: record it with this arm, ./surg calibrate CELL collect",
-            2,
-        )
+    force_steps.check_serial(source, recording, arm)
     return recording
 
 
@@ -244,9 +240,7 @@ def _bases(folder: Path, cell: Any, options: argparse.Namespace) -> None:
             _write_base(path, cell, fit, (date, source), note)
     except (calibration.CalibrationError, surg_core.ConfigError, OSError) as error:
         raise CliError(f"calibrate bases: {error}; {path} is unchanged", 1) from error
-    say(
-        "nothing written (--dry-run)" if options.dry_run else f"written: {path}; restart the system"
-    )
+    say_written(path, options.dry_run)
 
 
 def _write_base(path: Path, cell: Any, fit: Any, when_and_how: tuple[str, str], note: str) -> None:

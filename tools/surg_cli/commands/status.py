@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import threading
 import time
 from collections import defaultdict
@@ -61,7 +60,6 @@ def _nodes(system: running.System | None, registered: list[str], uri: str) -> bo
 
 def _topics(uri: str) -> None:
     """Count the messages of every topic for two seconds and print the rates."""
-    os.environ["ROS_MASTER_URI"] = uri
     import rospy
 
     from surg_msgs.msg import ReceivedCommand
@@ -79,24 +77,23 @@ def _topics(uri: str) -> None:
             if isinstance(message, ReceivedCommand):
                 counts[f"{topic[: -len(RECEIVED)]}/{message.topic}"] += 1
 
-    rospy.init_node("surg_status", anonymous=True, disable_signals=True)
-    for topic in publications.keys() - commands:
-        # AnyMsg: counted without decoding. A command is heard of from the controller alone.
-        kind = ReceivedCommand if topic.endswith(RECEIVED) else rospy.AnyMsg
-        rospy.Subscriber(topic, kind, count, topic, queue_size=None, tcp_nodelay=True)
-    time.sleep(0.5)  # connections and latched messages
-    with lock:
-        before = dict(counts)
-    time.sleep(LISTEN_S)
-    with lock:
-        after = dict(counts)
+    with master.joined(uri, "surg_status"):
+        for topic in publications.keys() - commands:
+            # AnyMsg: counted without decoding. A command is heard of from the controller alone.
+            kind = ReceivedCommand if topic.endswith(RECEIVED) else rospy.AnyMsg
+            rospy.Subscriber(topic, kind, count, topic, queue_size=None, tcp_nodelay=True)
+        time.sleep(0.5)  # connections and latched messages
+        with lock:
+            before = dict(counts)
+        time.sleep(LISTEN_S)
+        with lock:
+            after = dict(counts)
     rows = []
     for topic in sorted(publications):
         rate = (after.get(topic, 0) - before.get(topic, 0)) / LISTEN_S
         shown = f"{rate:7.1f} Hz" if rate else ("  latched" if after.get(topic) else "   silent")
         rows.append([topic, shown, ", ".join(publications[topic])])
     say(f"topics:\n{table(rows)}")
-    rospy.signal_shutdown("done")
 
 
 def _errors(system: running.System) -> None:

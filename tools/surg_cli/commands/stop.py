@@ -54,7 +54,6 @@ def main(options: argparse.Namespace, command: str) -> int:
 
 def _confirm(uri: str) -> int:
     """Wait until no arm is ENABLED; tell those that still are."""
-    os.environ["ROS_MASTER_URI"] = uri
     arms = sorted(
         topic.split("/")[1]
         for topic, kind in master.call(uri, "getTopicTypes")
@@ -66,23 +65,23 @@ def _confirm(uri: str) -> int:
 
     from crtk_msgs.msg import OperatingState
 
-    rospy.init_node("surg_stop", anonymous=True, disable_signals=True)
     states: dict[str, str] = {}
 
     def heard(message: Any, arm: str) -> None:
         states[arm] = message.state
 
-    for arm in arms:
-        rospy.Subscriber(f"/{arm}/operating_state", OperatingState, heard, arm, tcp_nodelay=True)
-    began, told = time.monotonic(), False
-    while (moving := _moving(arms, states)) and time.monotonic() - began < TIMEOUT_S:
-        if not told and time.monotonic() - began > PATIENCE_S:
-            pause_arms(moving)
-            told = True
-        time.sleep(LOOK_S)
+    with master.joined(uri, "surg_stop"):
+        keys: dict[str, Any] = {"tcp_nodelay": True}
+        for arm in arms:
+            rospy.Subscriber(f"/{arm}/operating_state", OperatingState, heard, arm, **keys)
+        began, told = time.monotonic(), False
+        while (moving := _moving(arms, states)) and time.monotonic() - began < TIMEOUT_S:
+            if not told and time.monotonic() - began > PATIENCE_S:
+                pause_arms(moving)
+                told = True
+            time.sleep(LOOK_S)
     for arm in arms:
         say(f"{arm} {states.get(arm, 'silent')}")
-    rospy.signal_shutdown("stopped")
     if moving := _moving(arms, states):
         raise CliError(f"{', '.join(moving)} did not pause: press the robot's emergency stop")
     return 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import os
+import contextlib
 import queue
 from collections.abc import Iterator
 from pathlib import Path
@@ -33,29 +33,28 @@ def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Names
     serial = [] if arm.hardware is None else [arm.hardware.serial]
     header = ",".join(["motion", *(["serial"] if serial else []), *names])
     check_columns(to, header)
-    join_graph(options.port)
-    say(f"{count} poses of '{motion}' -> {to}; hold the arm still for 0.5 s in each")
-    for q in rests(arm, to, count, TIMEOUT_S):
-        append(to, header, ",".join([motion, *serial, *(f"{value:.9f}" for value in q)]))
+    with system_at(options.port):
+        say(f"{count} poses of '{motion}' -> {to}; hold the arm still for 0.5 s in each")
+        for q in rests(arm, to, count, TIMEOUT_S):
+            append(to, header, ",".join([motion, *serial, *(f"{value:.9f}" for value in q)]))
     return 0
 
 
-def join_graph(port: int) -> None:
-    """Make this process a node of the running system on this port.
+@contextlib.contextmanager
+def system_at(port: int, name: str = "surg_calibrate", anonymous: bool = True) -> Iterator[None]:
+    """Be a node of the running system on this port while the context lasts.
 
     Raises:
         CliError: No system runs.
     """
     uri = f"http://localhost:{port}"
     master.nodes(uri)
-    os.environ["ROS_MASTER_URI"] = uri
-    import rospy
-
-    rospy.init_node("surg_calibrate", anonymous=True, disable_signals=True)
+    with master.joined(uri, name, anonymous):
+        yield
 
 
 def rests(arm: Any, to: Path, count: int, timeout: float) -> Iterator[np.ndarray]:
-    """Joint angles [rad] of an arm each time that it has come to rest anew; then leaves the graph.
+    """Joint angles [rad] of an arm each time that it has come to rest anew.
 
     Raises:
         CliError: No rest within ``timeout`` [s]; says how many rows ``to`` has got.
@@ -91,7 +90,6 @@ def rests(arm: Any, to: Path, count: int, timeout: float) -> Iterator[np.ndarray
             say(f"  {done + 1} of {count}")
     finally:
         listener.unregister()
-        rospy.signal_shutdown("done")
 
 
 def append(to: Path, header: str, line: str) -> None:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from pathlib import Path
 from typing import Any
 
-from surg_cli.graph import master
 from surg_cli.graph.collect import TIMEOUT_S
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError, say
@@ -31,13 +29,8 @@ def calibrate(cell: Any, options: argparse.Namespace, source: str, date: str) ->
         The exit code.
 
     Raises:
-        CliError: No system runs, the step cannot begin, or no view was taken within the timeout.
+        CliError: The step cannot begin, or no view was taken within the timeout.
     """
-    uri = f"http://localhost:{options.port}"
-    master.nodes(uri)
-    os.environ["ROS_MASTER_URI"] = uri
-    import rospy
-
     from surg_perception.calibration.result_files import Origin
     from surg_perception.collecting.collect_views_node import CollectViews
     from surg_perception.collecting.collector import CalibrationStep
@@ -54,7 +47,6 @@ def calibrate(cell: Any, options: argparse.Namespace, source: str, date: str) ->
     def origin(step: CalibrationStep, folder: Path) -> Origin:
         return Origin(f"./surg calibrate {cell.folder.name} {name_of(step)} --live", date, source)
 
-    rospy.init_node("calibrate", disable_signals=True)
     write, left_only = not options.dry_run, options.what == "camera"
     live = LiveCalibration(cell, new_folder, origin, options.lens_state, write, left_only)
     node = CollectViews(live)
@@ -69,7 +61,6 @@ def calibrate(cell: Any, options: argparse.Namespace, source: str, date: str) ->
         raise CliError(f"calibrate {options.what}: {error}; nothing is written", 1) from error
     finally:
         node.close()
-        rospy.signal_shutdown("done")
 
 
 def _follow(node: Any, options: argparse.Namespace) -> int:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import socket
 import xmlrpc.client
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from surg_cli.graph.processes import Child, Supervisor, wait_until
@@ -99,6 +101,22 @@ def start(supervisor: Supervisor, port: int, host: str = "localhost") -> Child:
     if child.exit_code is not None:
         raise CliError(f"the ROS master ended at once:\n{child.log_tail()}")
     return child
+
+
+@contextlib.contextmanager
+def joined(uri: str, name: str, anonymous: bool = True) -> Iterator[None]:
+    """Be a node of the graph at ``uri`` while the context lasts; a process can be one once.
+
+    One that is not anonymous ends another node of its name.
+    """
+    os.environ["ROS_MASTER_URI"] = uri
+    import rospy
+
+    rospy.init_node(name, anonymous=anonymous, disable_signals=True)
+    try:
+        yield
+    finally:
+        rospy.signal_shutdown("done")
 
 
 def nodes(uri: str) -> list[str]:

@@ -153,7 +153,7 @@ def gtests(argv: Sequence[str], name: str, env: Mapping[str, str]) -> tuple[int,
     status = 0
     with Progress(name.replace("_", " ")) as progress:
         try:
-            logged.run(argv, log, progress, anew=True, fraction=_tests_fraction, env=env)
+            logged.run(argv, log, progress, anew=True, env=env)
         except CliError:
             status = 1
     text = log.read_text(errors="replace")
@@ -165,15 +165,3 @@ def gtests(argv: Sequence[str], name: str, env: Mapping[str, str]) -> tuple[int,
     if passed + failed == 0:
         raise CliError(f"no C++ tests: {' '.join(argv)} ran none (log: {name}.log)")
     return passed, failed
-
-
-def _tests_fraction(lines: Sequence[str]) -> float | None:
-    """How far ctest or one gtest program is."""
-    done = (re.match(r"\s*(\d+)/(\d+) Test ", line) for line in reversed(lines))
-    if found := next((match for match in done if match), None):
-        return int(found[1]) / int(found[2])
-    total = next(
-        (m for line in lines if (m := re.match(r"\[=+\] Running (\d+) tests", line))), None
-    )
-    passed = sum("[       OK ]" in line or "[  FAILED  ]" in line for line in lines)
-    return passed / int(total[1]) if total else None

@@ -6,10 +6,8 @@ first start, and again when the file has changed.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import surg_core
-from surg_cli.host import logged, paths
+from surg_cli.host import logged, paths, provision
 from surg_cli.host.terminal import CliError, Progress, say
 from surg_hardware import link_programs
 
@@ -33,17 +31,9 @@ def make_ready(arm: surg_core.Arm) -> None:
     say(f"Environment of the link '{arm.link}': {folder} (log: {LOG})")
     try:
         with Progress("environment") as progress:
-            for argv in _steps(folder, lock):
-                logged.run(argv, LOG, progress)
+            venv = [str(paths.SYSTEM_PYTHON), "-m", "venv", "--clear", str(folder)]
+            logged.run(venv, LOG, progress)
+            provision.pip_install(folder / "bin" / "python", lock, LOG, progress)
     except CliError as problem:
         raise CliError(f"{lock}: its packages cannot be installed: {problem}") from problem
     paths.write_text(stamp, wanted)
-
-
-def _steps(folder: Path, lock: Path) -> tuple[list[str], list[str]]:
-    pip = [str(folder / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install"]
-    strict = ["--no-deps", "--require-hashes", "--only-binary", ":all:"]
-    return (
-        [str(paths.SYSTEM_PYTHON), "-m", "venv", "--clear", str(folder)],
-        [*pip, *strict, "-r", str(lock)],
-    )

@@ -7,10 +7,9 @@ Nothing is done that is done already: `dpkg-query` is asked for the listed packa
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from surg_cli.host import distribution, logged, paths, preflight, workspace
@@ -19,8 +18,6 @@ from surg_cli.host.terminal import CliError, Progress, say
 VENV_STAMP = paths.VENV / ".surg-lock"
 DDS_STAMP = paths.VENV / ".surg-dds-lock"
 APT_OPTIONS = ("-o", "DPkg::Lock::Timeout=600", "-y", "--no-install-recommends")
-# apt-get prints: Get, Selecting, Preparing, Unpacking, Setting up.
-APT_LINES_PER_PACKAGE = 5
 LATER = ("opencv", "torch", "later")
 """Sets of the package list (lines `# == NAME`) that wait for a command that needs them."""
 OPTIONAL = ("gstreamer",)
@@ -105,7 +102,7 @@ def install_packages(log: Path, everything: bool = False, optional: Sequence[str
     base = [*prefix, "/usr/bin/env", "DEBIAN_FRONTEND=noninteractive", "apt-get", *APT_OPTIONS]
     with Progress("apt-get") as progress:
         logged.run([*base, "update"], log, progress, anew=True)
-        logged.run([*base, "install", *missing], log, progress, fraction=_apt_fraction())
+        logged.run([*base, "install", *missing], log, progress)
     still = missing_packages(missing)
     if still:
         raise CliError(f"apt-get ended well but {', '.join(still)} is still missing; see {log}")
@@ -166,7 +163,8 @@ def install_python(log: Path) -> bool:
             shutil.rmtree(paths.VENV, ignore_errors=True)  # Ctrl-C ended its making
             make = [str(paths.SYSTEM_PYTHON), "-m", "venv", "--system-site-packages"]
             logged.run([*make, str(paths.VENV)], log, progress, anew=True)
-        _pip_install(paths.LOCK_FILE, VENV_STAMP, log, progress)
+        pip_install(paths.VENV_PYTHON, paths.LOCK_FILE, log, progress)
+    paths.write_text(VENV_STAMP, _filled(paths.LOCK_FILE))
     return True
 
 
@@ -175,15 +173,17 @@ def need_dds() -> bool:
     if _is_filled(paths.DDS_LOCK, DDS_STAMP):
         return False
     with Progress("DDS, for ROS 2 (59 MB)") as progress:
-        _pip_install(paths.DDS_LOCK, DDS_STAMP, paths.STATE / "logs" / "pip-dds.log", progress)
+        log = paths.STATE / "logs" / "pip-dds.log"
+        pip_install(paths.VENV_PYTHON, paths.DDS_LOCK, log, progress)
+    paths.write_text(DDS_STAMP, _filled(paths.DDS_LOCK))
     return True
 
 
-def _pip_install(lock: Path, stamp: Path, log: Path, progress: Progress) -> None:
-    pip = [str(paths.VENV_PYTHON), "-m", "pip", "--disable-pip-version-check", "install"]
+def pip_install(python: Path, lock: Path, log: Path, progress: Progress) -> None:
+    """Install what a lock file lists, and nothing else, for the Python of an environment."""
+    pip = [str(python), "-m", "pip", "--disable-pip-version-check", "install"]
     strict = ["--no-deps", "--require-hashes", "--only-binary", ":all:"]
     logged.run([*pip, *strict, "-r", str(lock)], log, progress)
-    paths.write_text(stamp, _filled(lock))
 
 
 def _has_pip() -> bool:
@@ -208,17 +208,3 @@ def _root_prefix() -> list[str] | None:
         [sudo, "-n", "true"], capture_output=True, stdin=subprocess.DEVNULL, check=False
     )
     return [sudo, "-n"] if allowed.returncode == 0 else None
-
-
-def _apt_fraction() -> Callable[[Sequence[str]], float | None]:
-    """How far apt-get is: it says at first how many packages it will install."""
-    total = 0
-
-    def fraction(lines: Sequence[str]) -> float | None:
-        nonlocal total
-        announced = re.search(r"(\d+) newly installed", lines[-1])
-        if announced:
-            total = len(lines) + APT_LINES_PER_PACKAGE * int(announced.group(1))
-        return min(len(lines) / total, 1.0) if total else None
-
-    return fraction

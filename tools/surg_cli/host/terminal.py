@@ -6,7 +6,9 @@ import os
 import shutil
 import sys
 import time
+import webbrowser
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 
@@ -34,6 +36,17 @@ def say(text: str) -> None:
 def warn(text: str) -> None:
     """Print one line on standard error at once."""
     print(text, file=sys.stderr, flush=True)
+
+
+def show_page(address: str) -> bool:
+    """Open a page in the person's browser; False: there is no display, or no browser."""
+    display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    return bool(display) and webbrowser.open(address)
+
+
+def say_written(file: Path, dry_run: bool) -> None:
+    """Print where a calibration is written now, or that it is not."""
+    say("nothing written (--dry-run)" if dry_run else f"written: {file}; restart the system")
 
 
 def confirm(question: str) -> None:

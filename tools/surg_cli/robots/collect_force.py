@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from surg_cli.graph.collect import TIMEOUT_S, append, check_columns, join_graph, rests
+from surg_cli.graph.collect import TIMEOUT_S, append, check_columns, rests, system_at
 from surg_cli.host.terminal import CliError, say
 from surg_core.force import force_recording
 from surg_core.force.sensor_file import ForceSensor, load_sensor
@@ -31,7 +31,6 @@ def collect_forces(arm: Any, to: Path, count: int, options: argparse.Namespace) 
     serial = "" if arm.hardware is None else arm.hardware.serial
     header = force_recording.header(names, serial)
     sensor = _check(arm, to, header)
-    join_graph(options.port)
     import rospy
     from geometry_msgs.msg import WrenchStamped
 
@@ -42,13 +41,15 @@ def collect_forces(arm: Any, to: Path, count: int, options: argparse.Namespace) 
         newest.append([f.x, f.y, f.z, t.x, t.y, t.z])
 
     topic = f"/{arm.name}/flange/measured_cf"
-    rospy.Subscriber(topic, WrenchStamped, feel, queue_size=1000)
-    say(f"{count} postures -> {to}; the tool hangs free and still for 0.5 s in each")
-    for q in rests(arm, to, count, TIMEOUT_S):
-        readings = np.array(newest)
-        newest.clear()  # a sensor that falls silent leaves nothing for the next posture
-        _check_readings(readings, SECONDS * sensor.rate, topic)
-        append(to, header, force_recording.row(q, readings.mean(axis=0), len(readings), serial))
+    with system_at(options.port):
+        rospy.Subscriber(topic, WrenchStamped, feel, queue_size=1000)
+        say(f"{count} postures -> {to}; the tool hangs free and still for 0.5 s in each")
+        for q in rests(arm, to, count, TIMEOUT_S):
+            readings = np.array(newest)
+            newest.clear()  # a sensor that falls silent leaves nothing for the next posture
+            _check_readings(readings, SECONDS * sensor.rate, topic)
+            mean = readings.mean(axis=0)
+            append(to, header, force_recording.row(q, mean, len(readings), serial))
     return 0
 
 

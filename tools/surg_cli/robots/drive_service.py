@@ -6,13 +6,12 @@ Nothing turns before that person has typed yes.
 from __future__ import annotations
 
 import json
-import os
 import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surg_cli.graph import running
+from surg_cli.graph import master, running
 from surg_cli.graph.processes import wait_until
 from surg_cli.host import cells
 from surg_cli.host.terminal import CliError, Progress, confirm, say, table
@@ -116,12 +115,8 @@ class DriveRequest:
 
 
 def _home_running(uri: str, arm: str) -> None:
-    os.environ["ROS_MASTER_URI"] = uri
-    import rospy
-
-    rospy.init_node("surg_drive", anonymous=True, disable_signals=True)
-    why = DriveRequest(arm).home()
-    rospy.signal_shutdown("done")
+    with master.joined(uri, "surg_drive"):
+        why = DriveRequest(arm).home()
     if why:
         raise CliError(f"{arm}: {why}")
     say(f"{arm}: homed")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from surg_cli.graph.processes import Supervisor
 from surg_cli.host import cells, paths
 from surg_cli.host.terminal import CliError
 from surg_cli.robots import drive_service
-from surg_cli.robots.robot_request import condition_name
+from surg_cli.robots.robot_request import RobotRequests
 from surg_emulators.emulator_ports import CONTROL
 from surg_emulators.ur import ur_emulator
 from surg_hardware.drive.drive_file import drive_of
@@ -67,7 +67,8 @@ class EmulatedArms:
     def __init__(self, cell: Path, arms: Mapping[str, Any]) -> None:
         self._cell = cell
         self._arms = {name: arm for name, arm in arms.items() if arm.hardware is not None}
-        self._starter: _Starter | None = None
+        self._links: RobotRequests | None = None
+        self._asked = 0.0  # steady clock [s]
 
     def start(self, supervisor: Supervisor) -> None:
         """Start the emulators and wait until they answer.
@@ -97,8 +98,8 @@ class EmulatedArms:
             CliError: One does not within the time of a system's start.
         """
         if self._arms:
-            self._starter = _Starter(tuple(self._arms))
-            follow.wait_for(self._starter.ask, supervisor, update)
+            self._links, self._asked = RobotRequests(tuple(self._arms)), time.monotonic()
+            follow.wait_for(self._ask, supervisor, update)
             self._home_drives()
 
     def _home_drives(self) -> None:
@@ -118,8 +119,19 @@ class EmulatedArms:
 
     def ask_again(self) -> None:
         """Ask those that have stopped obeying since; only as long as no arm was homed."""
-        if self._starter is not None:
-            self._starter.ask()
+        if self._links is not None:
+            self._ask()
+
+    def _ask(self) -> list[str]:
+        """Ask those that do not obey, not too often; returns which, and what they say."""
+        assert self._links is not None
+        conditions = {arm: self._links.condition(arm) for arm in self._arms}
+        waiting = [arm for arm, condition in conditions.items() if condition != "ACTIVE"]
+        if time.monotonic() - self._asked > ASK_AGAIN_S:
+            self._asked = time.monotonic()
+            for arm in waiting:
+                self._links.send(arm, "start")
+        return [f"the robot of {arm} ({conditions[arm] or 'silent'})" for arm in waiting]
 
 
 def _answers(address: str) -> bool:
@@ -128,35 +140,3 @@ def _answers(address: str) -> bool:
     except OSError:
         return False
     return True
-
-
-class _Starter:
-    """Asks robots to start that do not obey."""
-
-    def __init__(self, arms: Sequence[str]) -> None:
-        import rospy
-
-        from crtk_msgs.msg import StringStamped
-        from surg_msgs.msg import LinkStatus
-
-        self._said: dict[str, str] = {}
-        self._asked = time.monotonic()
-        self._start = StringStamped(string="start")
-        for arm in arms:
-            rospy.Subscriber(f"/{arm}/robot/status", LinkStatus, self._hear, arm)
-        self._publishers = {
-            arm: rospy.Publisher(f"/{arm}/robot/request", StringStamped, queue_size=1)
-            for arm in arms
-        }
-
-    def _hear(self, message: Any, arm: str) -> None:
-        self._said[arm] = condition_name(message)
-
-    def ask(self) -> list[str]:
-        """Ask those that do not obey, not too often; returns which, and what they say."""
-        waiting = [arm for arm in self._publishers if self._said.get(arm) != "ACTIVE"]
-        if time.monotonic() - self._asked > ASK_AGAIN_S:
-            self._asked = time.monotonic()
-            for arm in waiting:
-                self._publishers[arm].publish(self._start)
-        return [f"the robot of {arm} ({self._said.get(arm, 'silent')})" for arm in waiting]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from surg_cli.host.terminal import CliError, say
+from surg_cli.host.terminal import CliError, say, say_written
 
 STEPS = ("force", "zero")
 
@@ -49,9 +49,22 @@ def run(folder: Path, arm: Any, options: argparse.Namespace, origin: str, date: 
             write_force(path, found, f"Measured: {command}")
     except (CalibrationError, ConfigError, OSError) as error:
         raise CliError(f"calibrate {what}: {error}; {path} is unchanged", 1) from error
-    say(
-        "nothing written (--dry-run)" if options.dry_run else f"written: {path}; restart the system"
-    )
+    say_written(path, options.dry_run)
+
+
+def check_serial(source: Path, recording: Any, arm: Any) -> None:
+    """Refuse a recording of another arm.
+
+    Raises:
+        CliError: With both serials.
+    """
+    if arm.hardware is not None and recording.serial != arm.hardware.serial:
+        found = f"is of {recording.serial!r}" if recording.serial else "has no column 'serial'"
+        raise CliError(
+            f"{source}: serial: the recording {found}, the cell's {arm.name} is "
+            f"{arm.hardware.serial!r}: record it with this arm, ./surg calibrate CELL collect",
+            2,
+        )
 
 
 def _solve(
@@ -68,12 +81,7 @@ def _solve(
     g_B = gravity_in_base(arm.X_WB[:3, :3])
     names = arm.robot.joint_names
     recording = read_forces(options.source, arm.chain, names, g_B, sensor.sign)
-    if arm.hardware is not None and recording.serial != arm.hardware.serial:
-        raise CliError(
-            f"{options.source}: serial: the recording is of {recording.serial!r}, the cell's "
-            f"{arm.name} is {arm.hardware.serial!r}: record it with this arm",
-            2,
-        )
+    check_serial(options.source, recording, arm)
     tool_file = folder / "calibration" / f"tool_{arm.name}.yaml"
     now = datetime.datetime.now(datetime.UTC)
     zeroed = now.strftime("%Y-%m-%dT%H:%M:%S")

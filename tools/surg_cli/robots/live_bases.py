@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from surg_cli.graph.collect import join_graph
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError, say
 
@@ -27,11 +26,8 @@ def calibrate(cell: Any, options: argparse.Namespace, source: str, date: str) ->
         The exit code.
 
     Raises:
-        CliError: No system runs, the step cannot begin, or nobody is at the terminal.
+        CliError: The step cannot begin, or nobody is at the terminal.
     """
-    join_graph(options.port)
-    import rospy
-
     from surg_perception.calibration.result_files import Origin
     from surg_perception.collecting.base_moments_node import BaseMoments
     from surg_perception.collecting.base_views import BaseViews
@@ -61,7 +57,6 @@ def calibrate(cell: Any, options: argparse.Namespace, source: str, date: str) ->
     finally:
         if moments is not None:
             moments.close()
-        rospy.signal_shutdown("done")
 
 
 def _word(views: Any) -> str:

@@ -11,11 +11,11 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
-from surg_cli.graph import processes
+from surg_cli.graph import master, processes
 from surg_cli.graph.running import System
 from surg_cli.host.terminal import CliError, say
 from surg_cli.robots import rehearsal
@@ -86,10 +86,9 @@ class Record:
 
 
 class Listener:
-    """What link and controller of one arm say; a context manager."""
+    """What link and controller of one arm say; rospy has been initialised."""
 
-    def __init__(self, system: System, arm: Any) -> None:
-        os.environ["ROS_MASTER_URI"] = system.master_uri
+    def __init__(self, arm: Any) -> None:
         import rospy
         from sensor_msgs.msg import JointState
 
@@ -100,21 +99,12 @@ class Listener:
         self.status: Any = None
         self.cycle: Any = None
         self.fault = ""  # the controller's first FAULT
-        rospy.init_node("surg_rehearse", anonymous=True, disable_signals=True)
         name, keys = arm.name, {"queue_size": 1000, "tcp_nodelay": True}
         self._word = StringStamped
         self._out = rospy.Publisher(f"/{name}/state_command", StringStamped, queue_size=1)
         rospy.Subscriber(f"/{name}/robot/measured_js", JointState, self._on_state, **keys)
         rospy.Subscriber(f"/{name}/robot/status", LinkStatus, self._on_status, **keys)
         rospy.Subscriber(f"/{name}/cycle", Cycle, self._on_cycle, **keys)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        import rospy
-
-        rospy.signal_shutdown("done")
 
     def _on_state(self, message: Any) -> None:
         self.record.state(message.header.stamp.to_sec(), message.position, message.velocity)
@@ -179,7 +169,8 @@ def perform(system: System, arm: Any, folder: Path, step: RehearsalStep) -> Rehe
     Raises:
         CliError: The arm does not move, or nobody acts.
     """
-    with Listener(system, arm) as listener:
+    with master.joined(system.master_uri, "surg_rehearse"):
+        listener = Listener(arm)
         listener.leave_fault()
         operator = _operator(system, arm, folder)
         try:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import threading
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Any
+
+from surg_cli.graph.processes import wait_until
 
 CONNECT_S, ANSWER_S = 3.0, 15.0
 """[s] For the links to be heard; for a robot to do what was asked: its server may take 10."""
-LOOK_S = 0.02
 
 
 @dataclass
@@ -42,17 +41,15 @@ def reached(word: str, condition: str) -> bool:
 
 
 class RobotRequests:
-    """Speaks with the links of some arms; a context manager, while a master answers."""
+    """Speaks with the links of some arms; rospy has been initialised."""
 
-    def __init__(self, uri: str, arms: Sequence[str]) -> None:
-        os.environ["ROS_MASTER_URI"] = uri
+    def __init__(self, arms: Sequence[str]) -> None:
         import rospy
         from std_msgs.msg import String
 
         from crtk_msgs.msg import StringStamped
         from surg_msgs.msg import LinkStatus
 
-        rospy.init_node("surg_robot", anonymous=True, disable_signals=True)
         self._lock = threading.Lock()
         self._heard = {arm: Heard() for arm in arms}
         self._message = StringStamped
@@ -64,47 +61,43 @@ class RobotRequests:
             rospy.Subscriber(f"/{arm}/robot/status", LinkStatus, self._on_status, arm)
             rospy.Subscriber(f"/{arm}/warning", String, self._on_warning, arm)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        import rospy
-
-        rospy.signal_shutdown("done")
-
     def statuses(self) -> Mapping[str, Any]:
         """Arm -> its newest status; None: its link is not heard."""
-        self._wait(lambda: all(heard.status is not None for heard in self._heard.values()))
+        wait_until(lambda: None not in self._statuses().values(), CONNECT_S)
+        return self._statuses()
+
+    def _statuses(self) -> Mapping[str, Any]:
         with self._lock:
             return {arm: heard.status for arm, heard in self._heard.items()}
+
+    def condition(self, arm: str) -> str:
+        """The condition of an arm's robot now; empty: its link is not heard."""
+        status = self._statuses()[arm]
+        return "" if status is None else condition_name(status)
+
+    def send(self, arm: str, word: str) -> None:
+        """Send a request, and wait for nothing."""
+        self._out[arm].publish(self._message(string=word))
 
     def ask(self, arm: str, word: str) -> str:
         """Send a request and wait until the robot does it; returns why not, or nothing."""
         if self.statuses()[arm] is None:
             return "its link says nothing"
-        if not self._wait(lambda: self._out[arm].get_num_connections() > 0):
+        if not wait_until(lambda: self._out[arm].get_num_connections() > 0, CONNECT_S):
             return "its link takes no requests: it was started by hand"
         with self._lock:
             self._heard[arm].said.clear()
-        self._out[arm].publish(self._message(string=word))
+        self.send(arm, word)
         heard = self._heard[arm]
 
         def done() -> bool:
             return reached(word, condition_name(heard.status))
 
-        self._wait(lambda: done() or any(f": {word}: " in each for each in heard.said), ANSWER_S)
+        wait_until(lambda: done() or any(f": {word}: " in each for each in heard.said), ANSWER_S)
         if done():
             return ""
         with self._lock:
             return "; ".join(heard.said) or heard.status.fault or "the robot did not do it"
-
-    def _wait(self, condition: Any, timeout_s: float = CONNECT_S) -> bool:
-        end = time.monotonic() + timeout_s
-        while not condition():
-            if time.monotonic() > end:
-                return False
-            time.sleep(LOOK_S)
-        return True
 
     def _on_status(self, message: Any, arm: str) -> None:
         with self._lock:

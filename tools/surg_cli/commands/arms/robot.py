@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import threading
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli.graph import running
+from surg_cli.graph import master, running
 from surg_cli.host import cells
 from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import CliError, Progress, confirm, report_findings, say, table, warn
@@ -163,7 +162,8 @@ def _rehearse(system: running.System, arm: Any, folder: Path) -> int:
 def _ask(uri: str, arms: list[str], word: str) -> int:
     """Ask each robot for something, and print what it is doing then."""
     failed = False
-    with RobotRequests(uri, arms) as links:
+    with master.joined(uri, "surg_robot"):
+        links = RobotRequests(arms)
         for arm in arms if word != "status" else ():
             if refusal := links.ask(arm, word):
                 warn(f"surg: {arm}: {refusal}")
@@ -244,7 +244,6 @@ def _numbers(text: str) -> tuple[float, ...]:
 
 def _measure(uri: str, arms: list[str], timeout_s: float) -> dict[str, Lag]:
     """Listen until every arm's lag is known, of its joints if they move, or time is up."""
-    os.environ["ROS_MASTER_URI"] = uri
     import rospy
     from diagnostic_msgs.msg import DiagnosticArray
 
@@ -265,16 +264,14 @@ def _measure(uri: str, arms: list[str], timeout_s: float) -> dict[str, Lag]:
         with lock:
             return any(lags[arm].unmoved for arm in arms)
 
-    rospy.init_node("surg_robot", anonymous=True, disable_signals=True)
-    rospy.Subscriber("/diagnostics", DiagnosticArray, heard)
     end = time.monotonic() + timeout_s
-    with Progress("robot lag") as progress:
+    with master.joined(uri, "surg_robot"), Progress("robot lag") as progress:
+        rospy.Subscriber("/diagnostics", DiagnosticArray, heard)
         while (still := missing()) and (left := end - time.monotonic()) > 0:
             progress.update(1 - left / timeout_s, f"move {' and '.join(still)}")
             time.sleep(LOOK_S)
         end = min(end, time.monotonic() + JOINTS_S)
         while not still and unmoved() and time.monotonic() < end:
             time.sleep(LOOK_S)
-    rospy.signal_shutdown("measured")
     with lock:
         return dict(lags)

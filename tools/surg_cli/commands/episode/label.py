@@ -6,12 +6,10 @@ import argparse
 import asyncio
 import contextlib
 import getpass
-import os
-import webbrowser
 from pathlib import Path
 
 from surg_cli.host import option_types, paths
-from surg_cli.host.terminal import CliError, say, warn
+from surg_cli.host.terminal import CliError, say, show_page, warn
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -33,9 +31,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     server = LabelServer(pages)
     say(f"label: {len(folders)} episodes; Ctrl-C ends. Labels are kept in {labels.LABELS}.")
     say(server.url)
-    can_show = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-    if can_show:
-        webbrowser.open(server.url)
+    show_page(server.url)
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(server.serve())
     done = sum((folder / labels.LABELS).exists() for folder in folders)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 import os
-import webbrowser
 from pathlib import Path
 
 from surg_cli.host import option_types
-from surg_cli.host.terminal import CliError, Progress, say
+from surg_cli.host.terminal import CliError, Progress, say, show_page
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -37,8 +36,7 @@ def main(options: argparse.Namespace, command: str) -> int:
             episode_view.write(recorded, out, lambda words: progress.update(None, words))
     except EpisodeError as problem:
         raise CliError(str(problem), 2) from problem
-    can_show = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-    if not (can_show and webbrowser.open(out.absolute().as_uri())):
+    if not show_page(out.absolute().as_uri()):
         say("view: no display; open this file in a browser")
     say(str(out))
     return 0

@@ -33,15 +33,11 @@ class LabelServer:
 
     Args:
         pages: The episodes.
-        port: TCP port; 0: a free one.
-
-    Raises:
-        OSError: The port is taken.
     """
 
-    def __init__(self, pages: LabelPages, port: int = 0) -> None:
+    def __init__(self, pages: LabelPages) -> None:
         self._pages = pages
-        self._listening = listen(BIND, port)
+        self._listening = listen(BIND, 0)
         self.port = int(self._listening[0].getsockname()[1])
         routes = [
             web.get("/", self._first),

@@ -18,6 +18,7 @@ from surg_console.session.scene_view import SceneView
 from surg_core.transforms import FloatArray
 from surg_msgs.msg import PictureMarks
 from surg_ros.byte_topics import BytesSubscriber
+from surg_ros.joint_order import positions_of
 
 MARKS = "/endoscope/marks"
 FRESH = 1.0
@@ -78,12 +79,9 @@ class OverlayTopics:
         for name, polled in self._joints.items():
             messages = polled.fetch()
             if messages:
-                state = JointState()
-                state.deserialize(messages[-1])
-                where = dict(zip(state.name, state.position, strict=False))
                 wanted = self._scene.joints[name]
-                if set(wanted) <= set(where):
-                    q = np.array([where[each] for each in wanted])
+                q = np.array(positions_of(JointState().deserialize(messages[-1]), wanted))
+                if len(q) == len(wanted):
                     self._newest[name] = (time.monotonic(), q)
         now = time.monotonic()
         fresh = {name: q for name, (heard, q) in self._newest.items() if now - heard < FRESH}

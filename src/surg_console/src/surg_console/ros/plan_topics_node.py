@@ -20,6 +20,7 @@ from surg_core.pictures.plan_projection import rcm_in_world
 from surg_core.transforms import FloatArray
 from surg_msgs.msg import Cycle, PolicyPlan
 from surg_ros.byte_topics import BytesSubscriber
+from surg_ros.joint_order import positions_of
 
 PLAN, LENS = "/policy/plan", "/endoscope/left/camera_info"
 FRESH = 1.0
@@ -83,8 +84,7 @@ class PlanTopics:
         frames = {}
         for name in planned_tips(plan):
             if name in fresh and name in self._cell.arms:
-                cycle = Cycle()
-                cycle.deserialize(fresh[name])
+                cycle = Cycle().deserialize(fresh[name])
                 X_WB = np.asarray(self._cell.arms[name].X_WB)
                 frames[name] = rcm_in_world(X_WB, cycle.q_br, cycle.p_rcm)
         return frames
@@ -94,11 +94,9 @@ class PlanTopics:
         held = self._view.held
         if held is None or SCOPE not in fresh:
             return None
-        state = JointState()
-        state.deserialize(fresh[SCOPE])
-        where = dict(zip(state.name, state.position, strict=False))
         wanted = [joint.name for joint in held.chain.joints]
-        return np.array([where[n] for n in wanted]) if set(wanted) <= set(where) else None
+        q = np.array(positions_of(JointState().deserialize(fresh[SCOPE]), wanted))
+        return q if len(q) == len(wanted) else None
 
     def _on_plan(self, message: PolicyPlan) -> None:
         with self._lock:

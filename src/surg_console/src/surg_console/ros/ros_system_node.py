@@ -1,6 +1,6 @@
 """The robot's side of the console: collects the state of the system from topics.
 
-Messages of fast topics are kept as bytes and decoded only when the page needs a value.
+Messages of fast topics wait as bytes and are decoded only when the page needs a value.
 """
 
 from __future__ import annotations
@@ -15,23 +15,21 @@ from typing import Any
 
 import numpy as np
 import rospy
+from geometry_msgs.msg import WrenchStamped
 from std_msgs.msg import String
 
 from crtk_msgs.msg import OperatingState
 from surg_console.labelling import label_file
 from surg_console.ros.order_topics_node import OrderTopics
 from surg_console.ros.overlay_topics_node import OverlayTopics
-from surg_console.ros.raw_gauges import (
-    cycle_gauges,
-    force,
-    last_double,
-    state_and_reason,
-)
 from surg_console.ros.status_values_node import (
+    REASONS,
     calibration_of,
     drift_of,
     fixture_of,
     follower_of,
+    force_of,
+    lengths_of,
     policy_of,
     recorder_of,
     task_of,
@@ -52,6 +50,7 @@ from surg_console.session.system_state import (
 from surg_console.session.tip_force_feedback import tip_force_feedback
 from surg_core import Fixture
 from surg_core.config import Cell
+from surg_core.contract import STATE_NAMES
 from surg_core.status_check import LatestStatus
 from surg_core.transforms import quaternion_xyzw_to_matrix
 from surg_msgs.msg import (
@@ -61,6 +60,7 @@ from surg_msgs.msg import (
     Fixtures,
     PolicyStatus,
     RecordStatus,
+    ScalarStamped,
     SimStatus,
     TeleopStatus,
 )
@@ -69,6 +69,7 @@ from surg_ros.byte_topics import BytesSubscriber
 
 JUDGE = "console"
 """Who has judged, in the labels: the page does not know the person's name."""
+STATES = dict(enumerate(STATE_NAMES))
 FRESH = 1.0
 """[s] Timeout of a live value."""
 STATUSES = {
@@ -78,7 +79,11 @@ STATUSES = {
     "/calibrate/status": CalibrationStatus,
     "/endoscope/drift": DriftStatus,
 }
-FAST = {"trocar": "trocar/measured_cf", "tip": "tool/measured_cf", "clearance": "clearance"}
+FAST = {
+    "trocar": ("trocar/measured_cf", WrenchStamped),
+    "tip": ("tool/measured_cf", WrenchStamped),
+    "clearance": ("clearance", ScalarStamped),
+}
 """Topics of the driven arm with live values that its cycle has not."""
 PAUSE = 0.01
 """[s] The cycles of a tick of the session are taken together: 500 a second wake nobody each."""
@@ -101,13 +106,13 @@ class RosSystem:
         self._teleop = f"/{teleop}/status"
         kinds = STATUSES | {self._teleop: TeleopStatus}
         self._statuses = {topic: LatestStatus(topic) for topic in kinds}
-        self._newest: dict[str, tuple[float, bytes]] = {}
+        self._newest: dict[str, tuple[float, Any]] = {}
         self._peak = 0.0
         self._episodes = None if episodes is None else Episodes(episodes)
         self._orders = OrderTopics(arms, leader)
         self._fast = {
-            what: BytesSubscriber(f"/{arms[0]}/{topic}", rospy.AnyMsg)
-            for what, topic in FAST.items()
+            what: BytesSubscriber(f"/{arms[0]}/{topic}", kind)
+            for what, (topic, kind) in FAST.items()
         }
         self._cycles = {arm: BytesSubscriber(f"/{arm}/cycle", Cycle, PAUSE) for arm in arms}
         keys: dict[str, Any] = {"queue_size": 10, "tcp_nodelay": True}
@@ -130,7 +135,7 @@ class RosSystem:
         for what, polled in self._fast.items():
             messages = polled.fetch()
             if messages:
-                self._newest[what] = (now, messages[-1])
+                self._newest[what] = (now, FAST[what][1]().deserialize(messages[-1]))
 
     def _on_state(self, message: OperatingState, arm: str) -> None:
         with self._lock:
@@ -150,11 +155,9 @@ class RosSystem:
 
     def _fixtures(self) -> FixtureView | None:
         """The driven arm's fixtures beside its newest pose; with the lock held."""
-        _, data = self._newest.get("cycle", (0.0, b""))
-        if not self._regions or not data:
+        _, cycle = self._newest.get("cycle", (0.0, None))
+        if not self._regions or cycle is None:
             return None
-        cycle = Cycle()
-        cycle.deserialize(data)
         X_BR = np.eye(4)
         X_BR[:3, :3] = quaternion_xyzw_to_matrix(cycle.q_br)
         X_BR[:3, 3] = cycle.p_rcm
@@ -181,12 +184,13 @@ class RosSystem:
             messages = polled.fetch()
             if not messages:
                 continue
+            newest = Cycle().deserialize(messages[-1])
             if name == self._driven:
-                self._newest["cycle"] = (now, messages[-1])
-                errors = (cycle_gauges(data).deviation for data in messages)
-                self._peak = max([self._peak, *(error for error in errors if error is not None)])
-            state, reason = state_and_reason(messages[-1])
-            if state == self._arms[name].state:
+                self._newest["cycle"] = (now, newest)
+                errors = (Cycle().deserialize(data).rcm_error for data in messages)
+                self._peak = max(self._peak, *errors)
+            if STATES.get(newest.state) == self._arms[name].state:
+                reason = REASONS.get(newest.reason_code)
                 self._arms[name] = replace(self._arms[name], reason=reason)
 
     def robot(self) -> Robot:
@@ -195,10 +199,6 @@ class RosSystem:
         with self._lock:
             self._hear_fast(now)
             self._hear_cycles(now)
-            newest = {
-                what: data for what, (heard, data) in self._newest.items() if now - heard < FRESH
-            }
-            cycle = cycle_gauges(newest.get("cycle", b""))
             hands = self._hands(now)
             first, others = hands[0], hands[1:]
             own = [hand for hand in others if hand.leader == first.leader]
@@ -209,16 +209,7 @@ class RosSystem:
                 first,
                 own[0] if own else Follower(),
                 tuple(hand for hand in others if hand.leader != first.leader),
-                Gauges(
-                    rcm=cycle.deviation,
-                    rcm_peak=None if cycle.deviation is None else self._peak,
-                    depth=cycle.depth,
-                    trocar=force(newest.get("trocar", b"")),
-                    tip=force(newest.get("tip", b"")),
-                    clearance=last_double(newest.get("clearance", b"")),
-                    stop_tip=cycle.stop_tip,
-                    stop_pivot=cycle.stop_pivot,
-                ),
+                self._gauges(now),
                 fixtures=self._fixtures(),
                 recorder=recorder_of(recorder, now),
                 simulated=sim is not None,
@@ -227,6 +218,19 @@ class RosSystem:
                 calibration=calibration_of(calibration) if calibration else None,
                 drift=drift_of(drift) if drift else None,
             )
+
+    def _gauges(self, now: float) -> Gauges:
+        """Live values of the driven arm; with the lock held."""
+        newest = {what: said for what, (heard, said) in self._newest.items() if now - heard < FRESH}
+        found = Gauges()
+        if "cycle" in newest:
+            found = replace(lengths_of(newest["cycle"]), rcm_peak=self._peak)
+        return replace(
+            found,
+            trocar=force_of(newest.get("trocar")),
+            tip=force_of(newest.get("tip")),
+            clearance=newest["clearance"].value if "clearance" in newest else None,
+        )
 
     def _hands(self, now: float) -> list[Follower]:
         """State of every leader from the teleoperation; one empty value: unknown."""
@@ -277,9 +281,9 @@ class RosSystem:
         now = time.monotonic()
         with self._lock:
             self._hear_fast(now)
-            heard, data = self._newest.get("tip", (-math.inf, b""))
+            heard, wrench = self._newest.get("tip", (-math.inf, None))
             following = self._hands(now)[0].state == "FOLLOWING"
-        felt = tip_force_feedback(finite(force(data)), heard, now, following)
+        felt = tip_force_feedback(finite(force_of(wrench)), heard, now, following)
         return json.dumps({**felt, "age": finite(felt["age"])}, allow_nan=False)
 
     def keep_alive(self) -> None:

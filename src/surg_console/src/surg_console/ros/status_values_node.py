@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
+import math
 from typing import Any
 
+from geometry_msgs.msg import WrenchStamped
+
+import surg_core
 from surg_console.session.fixture_view import region_of
 from surg_console.session.page_status import finite
 from surg_console.session.system_state import (
-    Calibration,
     Drift,
     Follower,
+    Gauges,
     PolicyServer,
     Recorder,
     SimTask,
@@ -19,12 +22,35 @@ from surg_core import Fixture
 from surg_core.status_check import LatestStatus, value_name
 from surg_msgs.msg import (
     CalibrationStatus,
+    Cycle,
     DriftStatus,
     HandStatus,
     PolicyStatus,
     RecordStatus,
     SimStatus,
 )
+
+REASONS = {int(reason): reason for reason in surg_core.Reason.__members__.values()}
+_BLIND = (Cycle.REASON_LINK_LOST, Cycle.REASON_STATE_NOT_FINITE)
+
+
+def lengths_of(cycle: Cycle) -> Gauges:
+    """Lengths of the driven arm; its depth is unknown before homing, and while its joints are."""
+    known = cycle.homed and cycle.reason_code not in _BLIND and math.isfinite(cycle.depth)
+    return Gauges(
+        rcm=cycle.rcm_error,
+        depth=cycle.depth if known else None,
+        stop_tip=cycle.stop_bound_tip,
+        stop_pivot=cycle.stop_bound_pivot,
+    )
+
+
+def force_of(message: WrenchStamped | None) -> float | None:
+    """Magnitude of the force [N]; None: unknown."""
+    if message is None:
+        return None
+    f = message.wrench.force
+    return math.hypot(f.x, f.y, f.z)
 
 
 def fixture_of(message: Any) -> Fixture:
@@ -67,14 +93,11 @@ def task_of(status: SimStatus) -> SimTask:
     return SimTask(value_name(task, "state"), task.name, task.phase, task.detail, task.seed)
 
 
-def calibration_of(status: CalibrationStatus) -> Calibration:
-    """The collector of calibration views."""
-    content = {each.name: getattr(status, each.name) for each in dataclasses.fields(Calibration)}
-    content = {
-        k: tuple(v) if isinstance(v, list | tuple | bytes) else v for k, v in content.items()
-    }
-    names = {"state": value_name(status, "state"), "step": value_name(status, "step")}
-    return Calibration(**{**content, **names})
+def calibration_of(status: CalibrationStatus) -> dict[str, Any]:
+    """The collector of calibration views, by the names of its message."""
+    said = {name: getattr(status, name) for name in status.__slots__[2:]}  # header, version
+    names = {name: value_name(status, name) for name in ("state", "step")}
+    return {**said, **names, "residual": finite(status.residual)}
 
 
 def policy_of(status: PolicyStatus) -> PolicyServer:

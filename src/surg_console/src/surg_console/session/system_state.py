@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from typing import Any
 
 from surg_console.session.fixture_view import FixtureView
 from surg_core import Reason
@@ -109,27 +109,6 @@ class Drift:
 
 
 @dataclass(frozen=True)
-class Calibration:
-    """State of the collector of calibration views; see surg_msgs/CalibrationStatus."""
-
-    state: str  # IDLE, COLLECTING, SOLVING, DONE
-    step: str  # STEREO, HANDEYE, NONE
-    views: int = 0
-    wanted: int = 0
-    progress: float = 0.0
-    hint: str = ""
-    missing: tuple[str, ...] = ()
-    columns: int = 0
-    rows: int = 0
-    fields: tuple[int, ...] = ()
-    needed: tuple[bool, ...] = ()
-    corners: tuple[float, ...] = ()
-    residual: float = math.nan  # of the last solution [px]
-    result: tuple[str, ...] = ()
-    folder: str = ""
-
-
-@dataclass(frozen=True)
 class Robot:
     """Everything at one moment. What has no valid, fresh status has its default value."""
 
@@ -143,7 +122,7 @@ class Robot:
     simulated: bool = False  # whether a simulator moves the arms
     task: SimTask = SimTask()
     policy: PolicyServer = PolicyServer()
-    calibration: Calibration | None = None  # None: no collector of views runs
+    calibration: dict[str, Any] | None = None  # see CalibrationStatus; None: no collector runs
     drift: Drift | None = None  # None: nobody watches the picture
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import time
 from collections import defaultdict
 from collections.abc import Callable
 from typing import Any
@@ -29,10 +30,8 @@ CLOSE_HELLO, CLOSE_FULL = 4401, 4429
 class Admission:
     """The open sockets, and the pages that wait for room."""
 
-    def __init__(
-        self, access: Access, keep: Callable[[web.Request], None], clock: Callable[[], float]
-    ) -> None:
-        self._access, self._keep, self._clock = access, keep, clock
+    def __init__(self, access: Access, keep: Callable[[web.Request], None]) -> None:
+        self._access, self._keep = access, keep
         self._sockets: set[web.WebSocketResponse] = set()
         # By path of the socket: turns of new pages, the longest wait first.
         self._waiting: defaultdict[str, list[object]] = defaultdict(list)
@@ -75,10 +74,10 @@ class Admission:
         """Wait for room, in the order of arrival: who left must not come back before others."""
         turn, waiting = object(), self._waiting[path]
         waiting.append(turn)
-        deadline = self._clock() + ROOM_WAIT
+        deadline = time.monotonic() + ROOM_WAIT
         try:
             while waiting[0] is not turn or open_pages() >= MAX_PAGES:
-                if self._clock() >= deadline:
+                if time.monotonic() >= deadline:
                     return False
                 await asyncio.sleep(ROOM_PERIOD)
             return True

@@ -8,14 +8,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import math
-from collections.abc import Callable
+import time
 from typing import Any
 
 from aiohttp import WSMsgType, web
 
 from surg_console.session.console_orders import Calibrate
-from surg_console.session.system_state import Calibration
 from surg_console.web.admission import ENDED
 from surg_console.web.page_connection import MessageBudget
 from surg_console.web.page_protocol import CalibrationPress, ProtocolError, parse
@@ -27,11 +25,11 @@ NOT_RUNNING = "No collector runs. Type: ./surg calibrate {} live"
 """With the name of the cell."""
 
 
-def refusal(now: Calibration | None, cell: str = "CELL") -> str:
+def refusal(now: dict[str, Any] | None, cell: str = "CELL") -> str:
     """Why a request is not passed on; empty: it is."""
     if now is None:
         return NOT_RUNNING.format(cell)
-    if now.state == "SOLVING":
+    if now["state"] == "SOLVING":
         return "The step is being solved. Wait for its result."
     return ""
 
@@ -42,13 +40,10 @@ class CalibrationPages:
     Args:
         system: The running system.
         facts: The name of the cell and the eyes that are shown.
-        clock: A steady clock [s].
     """
 
-    def __init__(
-        self, system: RunningSystem, facts: dict[str, Any], clock: Callable[[], float]
-    ) -> None:
-        self._system, self._facts, self._clock = system, facts, clock
+    def __init__(self, system: RunningSystem, facts: dict[str, Any]) -> None:
+        self._system, self._facts = system, facts
         self.open = 0
 
     async def serve(self, socket: web.WebSocketResponse) -> None:
@@ -64,11 +59,11 @@ class CalibrationPages:
             await socket.close(**ENDED)
 
     async def _receive(self, socket: web.WebSocketResponse) -> None:
-        budget = MessageBudget(self._clock())
+        budget = MessageBudget(time.monotonic())
         async for frame in socket:
             await asyncio.sleep(0)
             message = parse(frame.data) if frame.type is WSMsgType.TEXT else None
-            if not budget.spend(self._clock()) or not isinstance(message, CalibrationPress):
+            if not budget.spend(time.monotonic()) or not isinstance(message, CalibrationPress):
                 return
             why = refusal(self._system.robot().calibration, self._facts["cell"])
             if why:
@@ -90,10 +85,8 @@ class CalibrationPages:
                 await asyncio.sleep(PERIOD)
 
 
-def report(now: Calibration | None, cell: str) -> dict[str, Any]:
+def report(now: dict[str, Any] | None, cell: str) -> dict[str, Any]:
     """The status of a page; without a collector: how to start one."""
     if now is None:
         return {"say": "calibration", "running": False, "hint": NOT_RUNNING.format(cell)}
-    content = dict(vars(now))
-    content["residual"] = now.residual if math.isfinite(now.residual) else None
-    return {"say": "calibration", "running": True, **content}
+    return {"say": "calibration", "running": True, **now}

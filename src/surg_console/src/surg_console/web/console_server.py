@@ -14,6 +14,7 @@ import asyncio
 import json
 import time
 from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
 from typing import Any
 
 from aiohttp import web
@@ -69,34 +70,31 @@ class ConsoleServer:
         facts: Mapping[str, Any],
         limits: Mapping[str, float],
         task: TaskView,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._session, self._access, self._system = session, access, system
-        self._limits, self._clock = limits, clock
+        self._limits = limits
         self._picture_problem, self._task = "", task
-        self._control = ControlPages(session, system, facts, clock)
-        self._pictures = PicturePages(pictures, clock)
-        self._calibrators = CalibrationPages(system, {"cell": facts["cell"]}, clock)
+        self._control = ControlPages(session, system, facts)
+        self._pictures = PicturePages(pictures)
+        self._calibrators = CalibrationPages(system, {"cell": facts["cell"]})
         self._overlays = OverlayPages(system)
         self._server = PageServer(access, PAGES, self._routes(), LONGEST)
-        self._admission = Admission(access, self._server.keep, clock)
+        self._admission = Admission(access, self._server.keep)
 
     def _routes(self) -> list[web.RouteDef]:
         """The sockets."""
         control, pictures, calibrators = self._control, self._pictures, self._calibrators
+        serve = self._overlays.serve
         return [
             self._socket("/control", control.serve, lambda: self._session.pages),
             self._socket("/status", control.serve_monitor, lambda: control.monitors),
             self._socket("/pictures", pictures.serve, lambda: pictures.open),
             self._socket("/calibration", calibrators.serve, lambda: calibrators.open),
-            *(self._overlay_socket(what) for what in PERIODS),
+            *(
+                self._socket(f"/{what}", partial(serve, what), partial(self._overlays.open, what))
+                for what in PERIODS
+            ),
         ]
-
-    def _overlay_socket(self, what: str) -> web.RouteDef:
-        async def serve(socket: web.WebSocketResponse) -> None:
-            await self._overlays.serve(socket, what)
-
-        return self._socket(f"/{what}", serve, lambda: self._overlays.open(what))
 
     def _socket(self, path: str, serve: Serve, open_pages: Callable[[], int]) -> web.RouteDef:
         async def handle(request: web.Request) -> web.StreamResponse:
@@ -142,7 +140,7 @@ class ConsoleServer:
 
     async def _session_loop(self) -> None:
         while True:
-            self._session.tick(self._system.robot(), self._clock())
+            self._session.tick(self._system.robot(), time.monotonic())
             self._control.send_orders()
             self._system.keep_alive()
             self._pictures.request_keys()
@@ -150,7 +148,7 @@ class ConsoleServer:
 
     async def _status_loop(self) -> None:
         while True:
-            robot, now = self._system.robot(), self._clock()
+            robot, now = self._system.robot(), time.monotonic()
             status = report(self._session, robot, self._limits, now)
             status["task"] = self._task.report(robot, now)
             status["picture_problem"] = self._picture_problem

@@ -40,14 +40,9 @@ class ControlPages:
     """
 
     def __init__(
-        self,
-        session: ConsoleSession,
-        system: RunningSystem,
-        facts: Mapping[str, Any],
-        clock: Callable[[], float],
+        self, session: ConsoleSession, system: RunningSystem, facts: Mapping[str, Any]
     ) -> None:
-        self._session, self._system = session, system
-        self._facts, self._clock = facts, clock
+        self._session, self._system, self._facts = session, system, facts
         self._outboxes: dict[str, Outbox] = {}
         self._newest: dict[str, str] = {}
         self._pages_so_far = 0
@@ -70,10 +65,10 @@ class ControlPages:
         """A page of the session, until it disconnects or breaks the protocol."""
         self._pages_so_far += 1
         page = f"page {self._pages_so_far}"
-        self._session.join(page, self._clock())
+        self._session.join(page, time.monotonic())
 
         def leave() -> None:
-            self._session.leave(page, self._clock())
+            self._session.leave(page, time.monotonic())
             self.send_orders()
 
         await self._converse(socket, page, self._handle, leave)
@@ -116,10 +111,10 @@ class ControlPages:
         self, socket: web.WebSocketResponse, page: str, outbox: Outbox, handle: Handler
     ) -> bytes:
         """Handle a page's messages until it disconnects or breaks the protocol; returns how."""
-        budget, errors = MessageBudget(self._clock()), 0
+        budget, errors = MessageBudget(time.monotonic()), 0
         async for frame in socket:
             await asyncio.sleep(0)  # messages that wait in the buffer must not hold up the others
-            now = self._clock()
+            now = time.monotonic()
             if not budget.spend(now):
                 return b"too many messages"
             try:

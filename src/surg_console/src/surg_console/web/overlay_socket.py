@@ -29,7 +29,7 @@ class OverlayPages:
         """Number of open sockets of a kind."""
         return self._open[what]
 
-    async def serve(self, socket: web.WebSocketResponse, what: str) -> None:
+    async def serve(self, what: str, socket: web.WebSocketResponse) -> None:
         """Serve one page until it disconnects or says anything."""
         self._open[what] += 1
         if self._open[what] == 1:

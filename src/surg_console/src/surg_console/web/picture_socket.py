@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable
+import time
 
 from aiohttp import WSMsgType, web
 
@@ -18,8 +18,8 @@ from surg_console.web.picture_queue import PictureQueue
 class PicturePages:
     """The pages that watch pictures."""
 
-    def __init__(self, pictures: EncoderProcess, clock: Callable[[], float]) -> None:
-        self._pictures, self._clock = pictures, clock
+    def __init__(self, pictures: EncoderProcess) -> None:
+        self._pictures = pictures
         self._viewers: set[Viewer] = set()
 
     @property
@@ -37,7 +37,7 @@ class PicturePages:
     def request_keys(self) -> None:
         """Ask for key frames for those who have missed a picture; called all the time."""
         for viewer in self._viewers:
-            if viewer.stream and viewer.queue.wants_key(self._clock()):
+            if viewer.stream and viewer.queue.wants_key(time.monotonic()):
                 self._pictures.key(*viewer.stream)
 
     async def serve(self, socket: web.WebSocketResponse) -> None:
@@ -55,11 +55,11 @@ class PicturePages:
             await socket.close()
 
     async def _receive(self, socket: web.WebSocketResponse, viewer: Viewer) -> None:
-        budget = MessageBudget(self._clock())
+        budget = MessageBudget(time.monotonic())
         async for frame in socket:
             await asyncio.sleep(0)
             message = parse(frame.data) if frame.type is WSMsgType.TEXT else None
-            if not budget.spend(self._clock()):
+            if not budget.spend(time.monotonic()):
                 return
             if isinstance(message, Watch):
                 stream, viewer.spacing = (message.layout, message.codec), message.spacing
@@ -85,6 +85,6 @@ class PicturePages:
             while True:
                 await viewer.changed.wait()
                 viewer.changed.clear()
-                packet = viewer.queue.take(self._clock())
+                packet = viewer.queue.take(time.monotonic())
                 if packet is not None:
                     await socket.send_bytes(packet.pack())
