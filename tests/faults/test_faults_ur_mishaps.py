@@ -36,7 +36,7 @@ def away(chain: Chain, lasting: int = 600) -> None:
     chain.ur.reboot(lasting)
 
 
-def faked(name: str, value: object) -> Callable[[Chain], object]:
+def faked(name: str, value: float) -> Callable[[Chain], object]:
     return lambda chain: chain.robot.faked.update({name: value})
 
 
@@ -47,7 +47,7 @@ MISHAPS: dict[str, tuple[Callable[[Chain], object], str]] = {
         lambda c: setattr(c.robot, "tcp_offset", [0, 0, 0.2, 0, 0, 0]),
         "tool centre point was",
     ),
-    "not numbers": (faked("actual_q", [math.nan] * 6), "not numbers"),
+    "not numbers": (faked("q", math.nan), "not numbers"),
     "paused in local control": (local_pause, "a program is paused"),
     "slider": (lambda c: setattr(c.robot, "slider", 0.5), "slider is at"),
     "limiter": (faked("speed_scaling", 0.4), "limits its speed to 40 %"),

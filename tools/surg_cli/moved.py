@@ -111,9 +111,10 @@ _OPTIONS = {
         "--model": "./surg emulate ur3e, ur5e or ur10e",
         "--seconds": "timeout S before ./surg",
         **dict.fromkeys(
-            ("--ports", "--record", "--serial", "--q", "--off", "--lock-step"),
+            ("--ports", "--record", "--serial", "--q", "--off"),
             "that of python3 -m surg_emulators.ur.ur_emulator or …franka.franka_emulator",
         ),
+        "--lock-step": "none: its cycles follow the clock",
     },
     "ptp": {
         "--interface": "./surg ptp master|slave INTERFACE",

@@ -316,23 +316,6 @@ def test_a_command_that_came_while_the_emulator_was_late_counts(emulator: Franka
 
 
 @BOTH
-def test_in_lock_step_a_cycle_waits_for_its_command(robot: FrankaRobot) -> None:
-    emulator = FrankaEmulator(FrankaController(robot), free_address(), lock_step=True)
-    try:
-        peer = connected(emulator)
-        peer.move()
-        emulator.cycle()
-        assert not emulator._all_answered()
-        peer.take()
-        peer.answer()
-        emulator.poll(0.1)
-        assert emulator._all_answered()
-        peer.close()
-    finally:
-        emulator.close()
-
-
-@BOTH
 def test_fuzzed_messages_and_datagrams_leave_the_emulator_alive(
     emulator: FrankaEmulator,
 ) -> None:

@@ -76,23 +76,6 @@ class UrController:
         version: Of its software: major, minor, bugfix, build.
     """
 
-    cycles: int
-    robot_mode: RobotMode
-    safety_mode: SafetyMode
-    runtime: Runtime
-    motion: JointMotion
-    remote: bool
-    guided: bool
-    slider: float
-    payload: float
-    payload_cog: list[float]
-    tcp_offset: list[float]
-    wrench: list[float]
-    digital_outputs: int
-    inputs: dict[str, list[Any]]
-    outputs: dict[str, list[Any]]
-    program_line: int
-
     def __init__(
         self,
         model: str = "UR5e",
@@ -122,7 +105,7 @@ class UrController:
         self.announcements = 0
         self.programs: dict[str, str] = {}
         self.loaded = ""
-        self.faked: dict[str, Any] = {}
+        self.faked: dict[str, float] = {}
         self.sockets = ScriptSockets()
         self._builtins = functions(self)
         self.boot()
@@ -160,7 +143,7 @@ class UrController:
     @property
     def timestamp(self) -> float:
         """Time since the controller's start, by its own clock [s]."""
-        return self.cycles * DT + float(self.faked.get("timestamp", 0.0))
+        return self.cycles * DT - self.faked.get("back", 0.0)
 
     @property
     def powered(self) -> bool:
@@ -175,13 +158,12 @@ class UrController:
     @property
     def shown_mode(self) -> int:
         """The robot mode that clients read: a fault can replace it."""
-        return int(self.faked.get("robot_mode", self.robot_mode))
+        return int(self.faked.get("mode", self.robot_mode))
 
     @property
     def shown_q(self) -> Sequence[float]:
         """The joint positions that clients read [rad]: a fault can replace them."""
-        q: Sequence[float] = self.faked.get("actual_q", self.motion.actual_q)
-        return q
+        return [self.faked["q"]] * 6 if "q" in self.faked else self.motion.actual_q
 
     def tcp_pose(self, q: Sequence[float]) -> list[float]:
         """Tool centre point in `base`: position [m] and rotation vector [rad]."""

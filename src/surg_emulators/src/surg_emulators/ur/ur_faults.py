@@ -18,14 +18,13 @@ SCRIPT_BYTES = 1 << 20
 
 
 def kinds(emulator: UrEmulator) -> dict[str, Kind]:
-    """All faults of an emulator."""
+    """The faults that only this arm has."""
     c = emulator.controller
     return {
         **_safety(c),
-        **_people(c, emulator),
+        **_people(c),
         **_settings(c),
         **_network(emulator),
-        **_wrong_states(c, emulator),
     }
 
 
@@ -54,7 +53,7 @@ def _safety(c: UrController) -> dict[str, Kind]:
     }
 
 
-def _people(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
+def _people(c: UrController) -> dict[str, Kind]:
     def power(on: str) -> None:
         c.power_on() if switch(on) else c.power_off()
 
@@ -63,6 +62,9 @@ def _people(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
 
     def slider(percent: str) -> None:
         c.slider = number(percent, "slider", 0.0, 100.0) / 100.0
+
+    def limiter(percent: str) -> None:
+        c.faked["speed_scaling"] = number(percent, "limiter", 0.0, 100.0) / 100.0
 
     def control(remote: bool) -> None:
         c.remote = remote
@@ -94,6 +96,7 @@ def _people(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
         "power": Kind(power, "on|off", "power of the motors"),
         "brakes": Kind(brakes, "release|engage", "brakes of the joints"),
         "slider": Kind(slider, "PERCENT", "speed slider"),
+        "limiter": Kind(limiter, "PERCENT", "states hold this speed scaling of the robot's own"),
         "local": Kind(lambda: control(False), "", "local control: scripts and orders are refused"),
         "remote": Kind(lambda: control(True), "", "remote control"),
         "freedrive": Kind(freedrive, "[on|off] [QD1 ... QD6]", "a hand guides the arm [rad/s]"),
@@ -102,8 +105,6 @@ def _people(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
         "play": Kind(lambda: done(c.play()), "", "a person presses play"),
         "pause": Kind(lambda: done(c.pause()), "", "a person presses pause"),
         "stop": Kind(c.stop, "", "a person presses stop"),
-        "status": Kind(emulator.status, "", "answers with mode, safety, program and slider"),
-        "help": Kind(emulator.fault_help, "", "answers with all faults"),
     }
 
 
@@ -139,50 +140,10 @@ def _settings(c: UrController) -> dict[str, Kind]:
 
 def _network(emulator: UrEmulator) -> dict[str, Kind]:
     return {
-        "stall": Kind(
-            lambda seconds: emulator.stall(number(seconds, "stall", 0.0, 60.0)),
-            "SECONDS",
-            "the network delivers nothing, then everything at once",
-        ),
-        "drift": Kind(
-            lambda share: emulator.drift(number(share, "drift", -0.05, 0.05)),
-            "SHARE",
-            "the robot's clock runs this much faster",
-        ),
-        "reset": Kind(emulator.reset_connections, "", "all connections are reset"),
         "reboot": Kind(emulator.reboot, "", "the controller starts again; RTDE starts twice"),
         "size0": Kind(lambda: emulator.send_raw(b"\x00\x00\x00"), "", "an RTDE packet with size 0"),
         "half": Kind(emulator.send_half, "", "half of an RTDE packet, then a reset"),
         "garbage": Kind(
             lambda: emulator.send_raw(packet(DATA, b"\x07" * 40)), "", "a state of no known recipe"
-        ),
-    }
-
-
-def _wrong_states(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
-    def fake(name: str, value: object) -> None:
-        if value is None:
-            c.faked.pop(name, None)
-        else:
-            c.faked[name] = value
-
-    def mode(word: str) -> None:
-        fake("robot_mode", None if word == "off" else int(number(word, "mode", -128, 127)))
-
-    def limiter(percent: str) -> None:
-        fake("speed_scaling", number(percent, "limiter", 0.0, 100.0) / 100.0)
-
-    return {
-        "limiter": Kind(limiter, "PERCENT", "states hold this speed scaling of the robot's own"),
-        "nan": Kind(
-            lambda on="on": fake("actual_q", [math.nan] * 6 if switch(on) else None),
-            "[on|off]",
-            "the joint positions are not numbers",
-        ),
-        "mode": Kind(mode, "NUMBER|off", "states hold this robot mode, such as 99"),
-        "clock_back": Kind(
-            lambda seconds: fake("timestamp", -number(seconds, "clock_back", 0.0, 1e6)),
-            "SECONDS",
-            "timestamps jump back",
         ),
     }
