@@ -221,7 +221,7 @@ def test_our_flange_is_the_makers(monkeypatch: pytest.MonkeyPatch) -> None:
     chain.ask("stop")
     chain.run(700)
     assert chain.identity is not None
-    rows = np.array(chain.identity.flange).reshape(3, 4)
+    rows = np.array(chain.identity.said.flange).reshape(3, 4)
     ours = chain.arm.chain.forward(np.array(chain.identity.q))
     assert np.abs(rows - ours[:3]).max() < 1e-9
 

@@ -206,8 +206,9 @@ def test_states_come_every_second_cycle_with_the_robots_wrench(rig: Rig) -> None
 
 def test_it_says_who_it_is(rig: Rig) -> None:
     rig.cycles(10)
-    found = rig.heard.identity
-    assert found is not None and found.serial is None
+    assert rig.heard.identity is not None
+    found = rig.heard.identity.said
+    assert found.serial is None
     assert found.model == rig.driver._settings.driver
     assert (found.mass, found.cog) == (0.7, (0.0, 0.01, 0.03))
     assert found.flange == pytest.approx((0, -1, 0, 0.3, 1, 0, 0, 0.4, 0, 0, 1, 0.4))

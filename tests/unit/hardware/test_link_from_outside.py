@@ -145,7 +145,7 @@ def test_an_arm_from_outside_is_driven_like_the_others(running: Running) -> None
     end = time.monotonic() + 2.1
     while time.monotonic() < end:
         running.turn(0.0)
-    assert running.identity is not None and running.identity.serial == "17"
+    assert running.identity is not None and running.identity.said.serial == "17"
     running.ask("start")
     running.until(Condition.ACTIVE, 0.0)
     assert running.state is not None

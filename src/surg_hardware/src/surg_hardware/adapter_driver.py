@@ -190,12 +190,7 @@ class AdapterDriver(ArmDriver):
         return self._at_rest(enabled) or self._adapter.recover()
 
     def _say_identity(self, arm: ArmState) -> None:
-        found = self._adapter.identity()
-        self._say(
-            IdentityDatagram(
-                arm.q, found.flange, found.mass, found.cog, found.serial, found.model
-            ).pack()
-        )
+        self._say(IdentityDatagram(arm.q, self._adapter.identity()).pack())
 
 
 def made(settings: DriverSettings, node: socket.socket) -> AdapterDriver:

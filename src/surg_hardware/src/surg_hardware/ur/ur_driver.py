@@ -24,13 +24,12 @@ from surg_hardware.arm_driver import (
 )
 from surg_hardware.conditions import OFFLINE, Condition, Reading
 from surg_hardware.driver_datagrams import IdentityDatagram
-from surg_hardware.identity import ur_flange
 from surg_hardware.robot_link import CommandPhase
 from surg_hardware.ur import primary, urscript
 from surg_hardware.ur.orders import ANSWER, LOCAL, Order
 from surg_hardware.ur.rtde import Rtde, RtdeError, RtdeRefused, Values
 from surg_hardware.ur.ur_connection import Connected, connect
-from surg_hardware.ur.ur_states import SetValues, robot_state, says_guiding
+from surg_hardware.ur.ur_states import SetValues, arm_identity, robot_state, says_guiding
 
 CYCLE = 0.002
 """[s] Of an e-Series."""
@@ -271,18 +270,8 @@ class UrDriver(ArmDriver):
     def _say_identity(self, values: Values) -> None:
         assert self._robot is not None
         self._set.know(values)
-        x, y, z = values["payload_cog"]
-        flange = ur_flange(values["actual_TCP_pose"], values["tcp_offset"])
-        self._say(
-            IdentityDatagram(
-                values["actual_q"],
-                tuple(flange[:3].ravel().tolist()),
-                values["payload"][0],
-                (x, y, z),
-                self._robot.serial,
-                self._robot.model,
-            ).pack()
-        )
+        found = arm_identity(values, self._robot.serial, self._robot.model)
+        self._say(IdentityDatagram(values["actual_q"], found).pack())
 
 
 if __name__ == "__main__":
