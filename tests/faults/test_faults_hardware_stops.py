@@ -40,8 +40,17 @@ CREEP, AGAIN = 5e-4, 5e-6
 
 @dataclass(frozen=True)
 class Fault:
-    """What happens; ``lasting`` 0: until the end of the test [s]; ``said``: words of the link;
-    ``rest``: longest time to rest [ms], 0: `TO_REST`."""
+    """What happens.
+
+    Attributes:
+        begin: Lets it happen.
+        end: Ends it.
+        lasting: How long it lasts [s]; 0: until the end of the test.
+        off: Largest deviation from the pivot [mm].
+        latched: Whether the motion ends by it.
+        said: Words of the link.
+        rest: Longest time to rest [ms]; 0: `TO_REST`.
+    """
 
     begin: Callable[[Chain], object]
     end: Callable[[Chain], object] = lambda chain: None

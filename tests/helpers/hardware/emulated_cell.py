@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import os
 import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import yaml
 
 import surg_core
 from surg_cli.host import paths
-from surg_emulators.ur.dh_kinematics import TABLES, frames
+from surg_emulators.ur.dh_kinematics import TABLES, Table, frames
 
 BUNDLED = paths.CELLS / "emulated_ur5e"
 SERIAL = "20225500001"
@@ -43,6 +44,24 @@ def emulated_cell(folder: Path, address: str, name: str = "ur5e", **hardware: ob
     return cell
 
 
+def ur_flange(q: Sequence[float], table: Table = TABLES["UR5e"]) -> np.ndarray:
+    """Pose of a UR's flange in our base (4, 4), by its joints [rad] and its maker's table."""
+    return np.array(TURN @ frames(q, table)[-1])
+
+
+def tip_of(arm: surg_core.Arm, X_BF: np.ndarray) -> np.ndarray:
+    """Positions of the tip in the base [m], (..., 3), by poses of the flange (..., 4, 4)."""
+    return np.array(X_BF[..., :3, :3] @ arm.tool.p_FTip + X_BF[..., :3, 3])
+
+
+def deviation(arm: surg_core.Arm, X_BF: np.ndarray) -> np.ndarray:
+    """Of the shaft from the trocar [m], (...), by poses of the flange (..., 4, 4)."""
+    away = arm.trocar.p_BRcm - tip_of(arm, X_BF)
+    s = X_BF[..., :3, :3] @ arm.tool.s_F
+    along = np.sum(away * s, axis=-1, keepdims=True)
+    return np.asarray(np.linalg.norm(away - along * s, axis=-1))
+
+
 @dataclass(frozen=True)
 class Recorded:
     """What an emulated arm did, one row per cycle: steady clock [s], true joints and velocities."""
@@ -65,13 +84,7 @@ class Recorded:
     def deviations(self) -> np.ndarray:
         """Of the shaft from the trocar [m] in every fifth cycle, by the maker's table."""
         arm = surg_core.load_cell(BUNDLED).arms["PSM1"]
-        found = []
-        for q in self.q[::5]:
-            X = TURN @ frames(q, TABLES["UR5e"])[-1]
-            away = arm.trocar.p_BRcm - X[:3, :3] @ arm.tool.p_FTip - X[:3, 3]
-            s = X[:3, :3] @ arm.tool.s_F
-            found.append(float(np.linalg.norm(away - (away @ s) * s)))
-        return np.array(found)
+        return deviation(arm, np.array([ur_flange(q) for q in self.q[::5]]))
 
     def rest_after(self, moment: float, least: float = 1e-3) -> float:
         """Time from a moment of the steady clock until no joint moves any more [s]."""
