@@ -34,8 +34,6 @@ POWER_TIME = 1.0
 """From power off to idle, and from idle to running [s]. Shorter than an arm's, to save time."""
 BOOT_TIME = 4.0
 """From the controller's start to power off [s]. An arm takes half a minute."""
-PAST = 1000
-"""Cycles that a program may look back; how many an arm keeps is not documented."""
 MESSAGES = 200
 """Text messages kept for clients and people."""
 VERSIONS = {"5": (5, 12, 0, 1101319), "x": (10, 14, 0, 1)}
@@ -132,8 +130,6 @@ class UrController:
         self._interrupted: Command | None = None  # by a stop for safety; `play` goes on with it
         self._stopped_at = -math.inf
         self._braking = False
-        # What pushed at the tool [N, Nm], and joint positions [rad].
-        self.past: deque[tuple[list[float], list[float]]] = deque(maxlen=PAST)
         self.reduced = False
         self._power_goal = RobotMode.POWER_OFF
         self._power_at = BOOT_TIME
@@ -210,7 +206,6 @@ class UrController:
         for name, value in self._arrived.items():
             self._set_input(name, value, self._arrived)
         self._check_watchdog(self._arrived)
-        self.past.append((list(self.wrench), list(self.motion.actual_q)))
         if self.program is None or self.runtime != Runtime.PLAYING or self._braking:
             return
         try:
