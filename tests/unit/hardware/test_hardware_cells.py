@@ -19,11 +19,9 @@ from surg_cli.commands import up
 from surg_cli.graph import system
 from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import paths
-from surg_emulators.ur.dh_kinematics import TABLES, frames, pose_vector
 from surg_hardware import link_node
 from surg_hardware.franka.franka_adapter import FrankaAdapter
 from surg_hardware.franka.joint_limits import FR3, PANDA
-from surg_hardware.identity import flange_mismatch, ur_flange
 
 BUNDLED = paths.CELLS / "emulated_ur5e"
 Edit = Callable[[dict[str, Any]], object]
@@ -86,18 +84,6 @@ def test_up_starts_the_link_and_no_simulator() -> None:
 def test_up_says_that_the_arm_is_emulated(capsys: pytest.CaptureFixture[str]) -> None:
     up.describe_arms(surg_core.load_cell(BUNDLED).arms)
     assert "emulated, at 127.0.0.1" in capsys.readouterr().out
-
-
-def test_our_kinematics_are_those_of_the_data_sheet() -> None:
-    """The URDF's flange against the DH table of the emulated arm, 200 postures."""
-    arm = surg_core.load_cell(BUNDLED).arms["PSM1"]
-    rng = np.random.default_rng(1)
-    for _ in range(200):
-        q = rng.uniform(-np.pi, np.pi, 6)
-        theirs = ur_flange(pose_vector(frames(q, TABLES["UR5e"])[-1]), [0.0] * 6)
-        assert flange_mismatch(arm.chain.forward(q), theirs) is None
-        other = ur_flange(pose_vector(frames(q, TABLES["UR10e"])[-1]), [0.0] * 6)
-        assert flange_mismatch(arm.chain.forward(q), other)
 
 
 def hardware(**changed: object) -> Edit:
