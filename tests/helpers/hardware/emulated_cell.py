@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -23,13 +24,20 @@ TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 HOME = surg_core.load_cell(BUNDLED).arms["PSM1"].robot.home
 
 
-def emulated_cell(folder: Path, address: str, name: str = "ur5e", **hardware: object) -> Path:
+def emulated_cell(
+    folder: Path,
+    address: str = "127.0.0.1",
+    name: str = "ur5e",
+    edit: Callable[[dict[str, Any]], object] = lambda arm: None,
+    **hardware: object,
+) -> Path:
     """A copy of a bundled cell at another address; returns its folder.
 
     Args:
         folder: Where `cell` is made.
         address: Of the emulated arm.
         name: Of the cell `emulated_<name>`.
+        edit: Changes what the cell says of its arm, at last.
         hardware: Other keys of `hardware:`.
     """
     bundled = paths.CELLS / f"emulated_{name}"
@@ -40,6 +48,7 @@ def emulated_cell(folder: Path, address: str, name: str = "ur5e", **hardware: ob
     arm["hardware"].update(hardware, address=address)
     for key in ("robot", "instrument"):
         arm[key] = os.path.normpath(bundled / arm[key])
+    edit(arm)
     (cell / "cell.yaml").write_text(yaml.safe_dump(document), "utf-8")
     return cell
 

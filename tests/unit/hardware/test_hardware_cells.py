@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime
 import math
 import re
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ import pytest
 import yaml
 
 import surg_core
+from helpers.hardware.emulated_cell import emulated_cell
 from surg_cli.commands import up
 from surg_cli.graph import system
 from surg_cli.graph.system_plan import SystemPlan
@@ -29,15 +29,7 @@ Edit = Callable[[dict[str, Any]], object]
 
 def written(folder: Path, edit: Edit) -> Path:
     """A copy of the bundled cell with its arm PSM1 edited; returns its cell.yaml."""
-    cell = folder / "cells" / "mine"
-    shutil.copytree(BUNDLED, cell)
-    (folder / "src").mkdir()
-    (folder / "src" / "surg_description").symlink_to(paths.ROOT / "src" / "surg_description")
-    file = cell / "cell.yaml"
-    document = yaml.safe_load(file.read_text("utf-8"))
-    edit(document["arms"]["PSM1"])
-    file.write_text(yaml.safe_dump(document), "utf-8")
-    return file
+    return emulated_cell(folder, edit=edit) / "cell.yaml"
 
 
 def test_the_driver_gets_what_cell_and_link_state() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import socket
 import subprocess
 import time
@@ -16,8 +15,8 @@ import pytest
 import yaml
 
 import surg_core
+from helpers.hardware.emulated_cell import emulated_cell
 from helpers.hardware.emulated_ur import SOURCES
-from surg_cli.host import paths
 from surg_hardware import adapter_driver, link_node, link_programs
 from surg_hardware import driver_datagrams as wire
 from surg_hardware.arm_driver import DriverSettings, RobotRefused
@@ -70,7 +69,6 @@ LINK = {
     "acceleration": 0.9, "dead_man": 0.04, "stop_deceleration": 10.0, "driver": "my_driver",
     "settings": {"joints": 6},
 }  # fmt: skip
-BUNDLED = paths.CELLS / "emulated_ur5e"
 
 
 @pytest.fixture
@@ -79,16 +77,8 @@ def cell(tmp_path: Path) -> Path:
     (tmp_path / "my_driver").mkdir()
     (tmp_path / "my_driver" / "driver.py").write_text(DRIVER, "utf-8")
     (tmp_path / "my_link.yaml").write_text(yaml.safe_dump(LINK), "utf-8")
-    folder = tmp_path / "cell"
-    shutil.copytree(BUNDLED, folder)
-    document = yaml.safe_load((folder / "cell.yaml").read_text("utf-8"))
-    arm = document["arms"]["PSM1"]
-    arm["link"] = "../my_link.yaml"
-    arm["hardware"]["address"] = "127.31.7.7"
-    for key in ("robot", "instrument"):
-        arm[key] = os.path.normpath(BUNDLED / arm[key])
-    (folder / "cell.yaml").write_text(yaml.safe_dump(document), "utf-8")
-    return folder / "cell.yaml"
+    edit = {"link": "../my_link.yaml"}
+    return emulated_cell(tmp_path, "127.31.7.7", edit=lambda arm: arm.update(edit)) / "cell.yaml"
 
 
 class Running:
