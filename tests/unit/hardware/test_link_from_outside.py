@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import os
 import socket
-import subprocess
 import time
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -16,11 +12,11 @@ import yaml
 
 import surg_core
 from helpers.hardware.emulated_cell import emulated_cell
-from helpers.hardware.emulated_ur import SOURCES
 from surg_hardware import adapter_driver, link_node, link_programs
 from surg_hardware import driver_datagrams as wire
 from surg_hardware.arm_driver import DriverSettings, RobotRefused
 from surg_hardware.conditions import Condition
+from surg_hardware.driver_start import start_driver
 
 DRIVER = '''"""An arm that follows its commands exactly; it lives in this process."""
 
@@ -85,16 +81,8 @@ class Running:
     """The driver's process, and the node's side of its socket."""
 
     def __init__(self, arm: surg_core.Arm) -> None:
-        self._node, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.process, self._node = start_driver(arm)
         self._node.settimeout(0.5)
-        settings = json.dumps(asdict(link_node.driver_settings(arm)))
-        words = link_programs.driver_words(arm.link, arm.driver)
-        self.process = subprocess.Popen(
-            [*words, settings, str(theirs.fileno())],
-            pass_fds=(theirs.fileno(),),
-            env=os.environ | {"PYTHONPATH": str(SOURCES)},
-        )
-        theirs.close()
         self.state: wire.StateDatagram | None = None
         self.identity: wire.IdentityDatagram | None = None
 

@@ -24,14 +24,10 @@ from surg_hardware.arm_driver import (
 )
 from surg_hardware.conditions import OFFLINE
 from surg_hardware.driver_datagrams import IdentityDatagram
+from surg_hardware.link_programs import ADAPTERS
 from surg_hardware.robot_adapter import AdapterError, ArmState, RobotAdapter
 from surg_hardware.robot_link import RobotState
 
-ADAPTERS = {
-    "fr3": "surg_hardware.franka.fr3_adapter",
-    "panda": "surg_hardware.franka.panda_adapter",
-}
-"""Links of the platform -> module of their adapter."""
 FILE = "driver.py"
 
 
