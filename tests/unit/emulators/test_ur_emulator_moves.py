@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from helpers.hardware.emulated_ur import cycle, settle
+from helpers.hardware.emulated_ur import cycle, primary_parts, settle
 from surg_emulators.ur.joint_motion import DT, MAX_ACCELERATION
 from surg_emulators.ur.primary_server import (
     CONFIGURATION_DATA,
@@ -223,13 +223,7 @@ def messages(session: PrimarySession, controller: UrController) -> list[tuple[in
     for _ in range(50):
         cycle(controller)
         data += session.output()
-    found = []
-    while data:
-        size, kind = struct.unpack_from(">IB", data)
-        if kind == 20:
-            found.append((data[14], data[15:size]))
-        data = data[size:]
-    return found
+    return [(part, body) for kind, part, body in primary_parts(data) if kind == 20]
 
 
 def test_primary_clients_hear_start_end_and_failure_of_a_program() -> None:
@@ -282,10 +276,8 @@ def test_the_primary_interface_powers_and_unlocks() -> None:
 
 
 def test_the_state_tells_configuration_and_calibration() -> None:
-    data, parts = PrimarySession(UrController(model="UR10e"), "primary").state()[5:], {}
-    while data:
-        size, kind = struct.unpack_from(">IB", data)
-        parts[kind], data = data[5:size], data[size:]
+    state = PrimarySession(UrController(model="UR10e"), "primary").state()
+    parts = {part: body for _, part, body in primary_parts(state)}
     configuration = struct.unpack(">53d4i", parts[CONFIGURATION_DATA])
     assert configuration[29:35] == pytest.approx([0, -0.6127, -0.57155, 0, 0, 0])
     assert configuration[-2] == 2, "a UR10"
