@@ -45,13 +45,12 @@ def call(requirement: str, address: str, *words: str) -> subprocess.CompletedPro
         text=True,
         timeout=120,
         env={},
-        cwd=CLIENTS,
     )
 
 
 def figures(requirement: str, address: str, client: str, *words: str) -> dict[str, Any]:
     """What one of the clients beside this file prints of an emulated arm."""
-    done = call(requirement, address, client, address, *words)
+    done = call(requirement, address, str(CLIENTS / client), address, *words)
     assert done.returncode == 0, done.stderr
     found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     print(json.dumps(found, indent=1))

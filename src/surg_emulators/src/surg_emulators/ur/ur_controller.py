@@ -152,6 +152,12 @@ class UrController:
         return self.program is not None
 
     @property
+    def program_state(self) -> str:
+        """Of the program, in the words of dashboard and robot API."""
+        paused = self.runtime in (Runtime.PAUSED, Runtime.PAUSING)
+        return "PAUSED" if paused else "PLAYING" if self.runtime == Runtime.PLAYING else "STOPPED"
+
+    @property
     def shown_mode(self) -> int:
         """The robot mode that clients read: a fault can replace it."""
         return int(self.faked.get("mode", self.robot_mode))
@@ -376,10 +382,16 @@ class UrController:
         if self.robot_mode != RobotMode.RUNNING:
             self._power_down()
 
-    def release(self) -> None:
-        """Release the emergency stop, or restart the safety system; the power stays off."""
-        if self.safety_mode in DEAD:
+    def release(self) -> bool:
+        """Release the emergency stop, or restart the safety system; the power stays off.
+
+        Returns:
+            Whether there was something to release.
+        """
+        dead = self.safety_mode in DEAD
+        if dead:
             self._normal()
+        return dead
 
     def reduce(self, on: bool) -> None:
         """Reduced mode: other safety limits, which the emulator does not know, are in force."""

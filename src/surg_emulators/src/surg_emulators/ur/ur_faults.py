@@ -39,12 +39,15 @@ def _safety(c: UrController) -> dict[str, Kind]:
     def unlock() -> str | None:
         return None if c.unlock() else "error: too early, 5 s must have passed"
 
+    def release() -> None:
+        c.release()
+
     return {
         "protective_stop": Kind(lambda: c.protective_stop("fault"), "", "as after a collision"),
         "unlock": Kind(unlock, "", "a person unlocks it on the pendant, 5 s later at the earliest"),
         "safeguard": Kind(lambda on="on": c.safeguard(switch(on)), "[on|off]", "safeguard stop"),
         "estop": Kind(estop, "[robot|system]", "emergency stop; cuts the power"),
-        "release": Kind(c.release, "", "release the emergency stop, restart the safety system"),
+        "release": Kind(release, "", "release the emergency stop, restart the safety system"),
         "violation": Kind(
             lambda: c.fall_to(SafetyMode.VIOLATION, "fault"), "", "a safety limit was broken"
         ),
