@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from surg_emulators.ur import robot_states
 from surg_emulators.ur.robot_states import RobotMode
-
-if TYPE_CHECKING:
-    from surg_emulators.ur.ur_controller import UrController
 
 PACKING = {
     "BOOL": "?",
@@ -28,7 +25,8 @@ COUNT = {name: int(code[0]) if code[0].isdigit() else 1 for name, code in PACKIN
 REGISTERS = {"bit": (128, "BOOL"), "int": (48, "INT32"), "double": (48, "DOUBLE")}
 """Kind of register -> how many there are of it, and their type."""
 
-Get = Callable[["UrController"], Any]
+Get = Callable[[Any], Any]
+"""Gives a field's value, of the controller."""
 
 
 OUTPUTS: dict[str, tuple[str, Get]] = {
@@ -80,7 +78,7 @@ OUTPUTS: dict[str, tuple[str, Get]] = {
 }
 """What a client may ask for: name -> type, value."""
 
-_CONSTANT = {
+_CONSTANT: dict[tuple[str, float | tuple[float, ...]], str] = {
     ("DOUBLE", 0.0): "actual_momentum standard_analog_input0 standard_analog_input1 io_current "
     "standard_analog_output0 standard_analog_output1 tool_analog_input0 tool_analog_input1 "
     "tool_output_current joint_position_deviation_ratio collision_detection_ratio "

@@ -48,15 +48,6 @@ class UrEmulator(PortedEmulator):
         controller: The controller.
         address: Loopback address to listen on.
         ports: Service -> port; 0 takes a free one. A service that is missing has its usual port.
-
-    Attributes:
-        controller: The controller.
-        ports: Service -> port that it listens on.
-        stopped: Set it to True to end `run`.
-
-    Raises:
-        ValueError: The address is not loopback.
-        OSError: A port is taken.
     """
 
     def __init__(
