@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from surg_emulators.fault_lines import FaultError, Kind, choice, number, switch
+from surg_emulators.fault_lines import Kind, choice, number, numbers, switch
 from surg_emulators.franka.franka_errors import Error
 
 if TYPE_CHECKING:
@@ -26,14 +26,14 @@ def _people(c: FrankaController) -> dict[str, Kind]:
         c.reflex(choice(name, {error.name: error for error in Error}, "reflex"), "fault")
 
     def push(*wrench: str) -> None:
-        c.push(_numbers(wrench, 6, "push", 1000.0))
+        c.push(numbers(wrench, 6, "push", 1000.0))
 
     def guide(on: str = "on", *dq: str) -> str | None:
-        worked = c.guide(switch(on), _numbers(dq, 7, "guide", 2.0))
+        worked = c.guide(switch(on), numbers(dq, 7, "guide", 2.0))
         return None if worked else "error: only an idle arm can be guided, or one beyond its limits"
 
     def load(mass: str, *centre: str) -> None:
-        place = _numbers(centre, 3, "load", 1.0)
+        place = numbers(centre, 3, "load", 1.0)
         c.load = [number(mass, "load: mass", 0.0, 20.0), *place, *[0.0] * 9]
 
     def brakes(how: str) -> None:
@@ -79,10 +79,3 @@ _SHARES = {
 
 def _direction(word: str) -> str:
     return choice(word, {each: each for each in ("states", "commands", "both")}, "direction")
-
-
-def _numbers(words: tuple[str, ...], count: int, what: str, most: float) -> list[float]:
-    values = [number(word, what, -most, most) for word in words] or [0.0] * count
-    if len(values) != count:
-        raise FaultError(f"{what}: {len(values)} numbers; {count} are needed")
-    return values

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from surg_emulators.fault_lines import FaultError, Kind, choice, number, switch
+from surg_emulators.fault_lines import FaultError, Kind, choice, number, numbers, switch
 from surg_emulators.ur.robot_states import SafetyMode
 from surg_emulators.ur.rtde_server import DATA, packet
 
@@ -73,16 +73,10 @@ def _people(c: UrController) -> dict[str, Kind]:
         c.remote = remote
 
     def freedrive(on: str = "on", *qd: str) -> None:
-        rates = [number(word, "freedrive", -3.0, 3.0) for word in qd] or [0.0] * 6
-        if len(rates) != 6:
-            raise FaultError(f"freedrive: {len(rates)} velocities; six are needed [rad/s]")
-        c.guide(switch(on), rates)
+        c.guide(switch(on), numbers(qd, 6, "freedrive", 3.0))
 
     def push(*force: str) -> None:
-        forces = [number(word, "push", -500.0, 500.0) for word in force]
-        if len(forces) != 3:
-            raise FaultError("push: three numbers are needed: the force at the tool in base [N]")
-        c.wrench = [*forces, 0.0, 0.0, 0.0]
+        c.wrench = [*numbers(force, 3, "push", 500.0), 0.0, 0.0, 0.0]
 
     def done(worked: bool) -> str | None:
         return None if worked else "error: not possible now"
@@ -103,7 +97,7 @@ def _people(c: UrController) -> dict[str, Kind]:
         "local": Kind(lambda: control(False), "", "local control: scripts and orders are refused"),
         "remote": Kind(lambda: control(True), "", "remote control"),
         "freedrive": Kind(freedrive, "[on|off] [QD1 ... QD6]", "a hand guides the arm [rad/s]"),
-        "push": Kind(push, "FX FY FZ", "something pushes at the tool, in base [N]"),
+        "push": Kind(push, "[FX FY FZ]", "something pushes at the tool, in base [N]"),
         "load": Kind(load, "FILE", "load a URScript file for play"),
         "play": Kind(lambda: done(c.play()), "", "a person presses play"),
         "pause": Kind(lambda: done(c.pause()), "", "a person presses pause"),
@@ -113,15 +107,11 @@ def _people(c: UrController) -> dict[str, Kind]:
 
 def _settings(c: UrController) -> dict[str, Kind]:
     def payload(mass: str, *cog: str) -> None:
-        place = [number(word, "payload: centre", -1.0, 1.0) for word in cog] or [0.0] * 3
-        if len(place) != 3:
-            raise FaultError("payload: the centre of gravity has three numbers [m]")
+        place = numbers(cog, 3, "payload: centre", 1.0)
         c.set_payload(number(mass, "payload: mass", 0.0, 20.0), place)
 
     def tcp(*pose: str) -> None:
-        if len(pose) != 6:
-            raise FaultError("tcp: six numbers are needed: position [m] and rotation vector [rad]")
-        c.tcp_offset = [number(word, "tcp", -math.tau, math.tau) for word in pose]
+        c.tcp_offset = numbers(pose, 6, "tcp", math.tau)
 
     def serial(value: str) -> None:
         c.serial = value
@@ -133,7 +123,7 @@ def _settings(c: UrController) -> dict[str, Kind]:
 
     return {
         "payload": Kind(payload, "MASS [X Y Z]", "payload that is set [kg, m]"),
-        "tcp": Kind(tcp, "X Y Z RX RY RZ", "tool centre point that is set [m, rad]"),
+        "tcp": Kind(tcp, "[X Y Z RX RY RZ]", "tool centre point that is set [m, rad]"),
         "serial": Kind(serial, "TEXT", "serial number"),
         "second_client": Kind(
             second_client, "[FIELD ...]", "another client holds these inputs (IN_USE); none: frees"
