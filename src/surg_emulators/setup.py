@@ -11,5 +11,5 @@ setuptools.setup(
     packages=setuptools.find_packages("src"),
     package_dir={"": "src"},
     package_data={"surg_emulators": ["py.typed"]},
-    install_requires=["lark>=1.1.5", "numpy>=1.24"],
+    install_requires=["lark>=1.1.5", "numpy>=1.24", "scipy>=1.10"],
 )

@@ -151,18 +151,6 @@ def test_after_a_stop_and_a_start_nothing_moves_until_a_person_enables(
     reactions.add("F33", name, "tip after enable", after, 0.1, "mm")
 
 
-def test_start_is_refused_under_a_moving_command_and_while_enabled() -> None:
-    chain = Chain()
-    chain.stream(0.012)
-    assert "already" in chain.start()
-    chain.link.end("asked")
-    chain.run(5)
-    assert chain.out.state == State.FAULT  # the link said so in the same cycle
-    chain = Chain(enabled=False)
-    assert chain.link.start(True, chain.clock.known_for, chain.now) != ""
-    assert not chain.link.active
-
-
 @pytest.mark.parametrize("scale", SPEEDS)
 def test_an_arm_that_stands_still_while_its_link_says_active_is_noticed(
     reactions: Reactions, scale: str

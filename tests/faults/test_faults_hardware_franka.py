@@ -20,6 +20,7 @@ from surg_core import Motion, MotionCommand, Reason, State, StateCommand
 from surg_emulators.franka.franka_controller import FrankaController, RobotMode
 from surg_emulators.franka.franka_errors import Error
 from surg_hardware.conditions import Condition
+from surg_hardware.shaper import Shaper
 from surg_teleop.playback.motion_player import PlayerStage
 
 pytestmark = pytest.mark.untimed
@@ -36,7 +37,7 @@ RUNS = [("panda", 0.0), ("panda", 0.002), ("fr3", 0.0), ("fr3", 0.002)]
 def bundled(name: str, patch: pytest.MonkeyPatch, loss: float) -> tuple[Chain, Played]:
     """The bundled motion, or its beginning, on an arm that loses commands."""
     chain = Chain(name, patch)
-    chain.adapter.loss = loss
+    chain.robot.loss = loss
     return chain, play(chain, BUNDLED, duration=SECONDS)
 
 
@@ -58,7 +59,7 @@ def test_an_acceleration_that_is_reported_late_keeps_the_pivot_too(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     chain = Chain("fr3", monkeypatch)
-    chain.adapter.sluggish = 0.95
+    chain.robot.sluggish = 0.95
     played = play(chain, BUNDLED, duration=SECONDS)
     assert played.stage is PlayerStage.DONE, (played.reason, list(chain.core.messages))
     assert 1e3 * played.deviation.max() <= OFF
@@ -66,7 +67,7 @@ def test_an_acceleration_that_is_reported_late_keeps_the_pivot_too(
 
 def test_without_the_shaper_the_arm_stops_by_a_reflex(monkeypatch: pytest.MonkeyPatch) -> None:
     chain = Chain("panda", monkeypatch)
-    chain.adapter.raw = True
+    monkeypatch.setattr(Shaper, "shape", lambda self, wanted, q, dq_d, ddq_d: tuple(wanted))
     played = play(chain, BUNDLED, duration=10.0)
     assert played.stage is PlayerStage.FAILED and "robot" in played.reason
     assert chain.core.mode is RobotMode.REFLEX
@@ -221,7 +222,7 @@ def test_our_flange_is_the_makers(monkeypatch: pytest.MonkeyPatch) -> None:
     chain.ask("stop")
     chain.run(700)
     assert chain.identity is not None
-    rows = np.array(chain.identity.flange).reshape(3, 4)
+    rows = np.array(chain.identity.said.flange).reshape(3, 4)
     ours = chain.arm.chain.forward(np.array(chain.identity.q))
     assert np.abs(rows - ours[:3]).max() < 1e-9
 

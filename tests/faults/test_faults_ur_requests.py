@@ -14,19 +14,12 @@ from pathlib import Path
 import pytest
 
 from helpers.hardware import emulated_ur
-from helpers.hardware.ur_driver_rig import Rig, driver, rig
+from helpers.hardware.ur_driver_rig import DriverThread, Rig, driver, rig, settings_of
 from surg_cli.graph.processes import wait_until
 from surg_emulators.ur import rtde_server, ur_controller
 from surg_emulators.ur.ur_controller import HOME, UrController
 from surg_hardware import robot_link
-from surg_hardware.arm_driver import DriverSettings
 from surg_hardware.conditions import Condition
-from surg_hardware.driver_datagrams import (
-    LONGEST,
-    RequestDatagram,
-    StateDatagram,
-    decode_from_driver,
-)
 from surg_hardware.ur import dashboard, ur_driver
 
 OTHER = "def other():\n  while True:\n    sync()\n  end\nend\n"
@@ -124,30 +117,14 @@ def test_states_go_on_while_the_dashboard_takes_its_time(
 
     monkeypatch.setattr(dashboard, "ask", late)
     monkeypatch.setattr(robot_link, "SETTLED", 0.1)
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    ours.settimeout(60.0)
-
-    def heard(wanted: Condition) -> None:
-        while True:
-            message = decode_from_driver(ours.recv(LONGEST))
-            if isinstance(message, StateDatagram) and message.status.condition is wanted:
-                return
-
-    with emulated_ur.in_process(UrController()) as emulator, ours, theirs:
-        settings = DriverSettings(emulator.address, 0, (1.0,) * 6, (40.0,) * 6, 0.04, 20.0)
-        made = ur_driver.UrDriver(settings, theirs)
-        running = threading.Thread(target=made.run, daemon=True)
-        running.start()
-        while not asked.is_set():
-            heard(Condition.READY)
-            ours.send(RequestDatagram("start", False).pack())
-        for _ in range(200):
-            heard(Condition.READY)
+    with emulated_ur.in_process(UrController()) as emulator:
+        made = DriverThread(emulator.address)
+        made.until(lambda _: asked.is_set(), "start")
+        states = iter(range(200))
+        made.until(lambda found: found is Condition.READY and next(states, None) is None)
         go_on.set()
-        heard(Condition.ACTIVE)
-        made.end("the test is over")
-        running.join(60.0)
-    assert not running.is_alive()
+        made.until(lambda condition: condition is Condition.ACTIVE)
+        made.end()
 
 
 def refused(address: str, **env: str) -> str:
@@ -204,9 +181,7 @@ def test_an_address_where_no_ur_answers_is_refused(
             peers.enter_context(server)
             threading.Thread(target=greet, args=(server, answers), daemon=True).start()
             peers.callback(server.shutdown, socket.SHUT_RDWR)
-        made = ur_driver.UrDriver(
-            DriverSettings(address, 0, (1.0,) * 6, (40.0,) * 6, 0.04, 20.0), theirs
-        )
+        made = ur_driver.UrDriver(settings_of(address), theirs)
         with pytest.raises(TimeoutError, match=rf"hardware\.address: .*{said}"):
             made.run()
 

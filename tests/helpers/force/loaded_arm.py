@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +28,10 @@ TICK = 0.002
 STALE = 10
 """Ticks by which a tracker of the trocar is late."""
 SOURCE = 1
+BREATHING = 0.003
+"""[m] Amplitude of the trocar."""
+INSIDE = 5.991
+"""95 % of chi-squared with the two degrees of freedom across the shaft."""
 
 
 def sensing_cell(name: str = "sim_ur5e") -> surg_core.Cell:
@@ -47,6 +52,21 @@ def calibrated(cell: surg_core.Cell, folder: Path, seed: int = 1) -> load_solver
     g_B = gravity_in_base(arm.X_WB[:3, :3])
     recording = read_forces(file, arm.chain, arm.robot.joint_names, g_B, sensor.sign)
     return load_solver.solve_load(recording.postures, sensor)
+
+
+def inside(estimates: Sequence[ForceEstimate], errors: Sequence[Array], which: slice) -> float:
+    """Share of errors (3,) that lie within 95 % of their estimates' covariance."""
+    held = []
+    for estimate, e in zip(estimates, errors, strict=True):
+        assert estimate.covariance is not None
+        C = estimate.covariance[which, which]
+        held.append(e @ np.linalg.pinv(C, rcond=1e-6) @ e <= INSIDE)
+    return float(np.mean(held))
+
+
+def rms(errors: Sequence[Array]) -> float:
+    """Root of the mean square of vectors."""
+    return float(np.sqrt(np.mean([e @ e for e in errors])))
 
 
 class RandomLoad:
@@ -82,7 +102,6 @@ class Row:
     depth: float
     estimate: ForceEstimate
     tip: Array  # lateral, now
-    tip_then: Array  # lateral, at the estimate's stamp
     trocar: Array  # of the surroundings on the shaft, lateral, now
     axial_tip: float
     age: float  # [s] of the estimate, from its stamp to now
@@ -92,18 +111,16 @@ class LoadedArm:
     """The first arm of a cell with its controller, in this process; see the module."""
 
     def __init__(
-        self, cell: surg_core.Cell, fit: load_solver.LoadFit, seed: int, depth: float,
-        most: float = 5.0, breathing: float = 0.003, window: float | None = None,
-    ) -> None:  # fmt: skip
+        self, cell: surg_core.Cell, fit: load_solver.LoadFit, seed: int, depth: float
+    ) -> None:
         self.cell, self.arm = cell, next(iter(cell.arms.values()))
         self.rng = np.random.default_rng(seed)
         # The tool is calibrated as wrongly as that of the setting in vivo.
         setting = PatientSetting("test", tool_error=SETTINGS["in_vivo"].tool_error)
         self.world = World(cell, seed, arms=[self.arm.name], setting=setting)
         axis = self.rng.normal(size=3)
-        if breathing:
-            motion = Sinusoid(breathing, 0.25, (axis[0], axis[1], axis[2]))
-            self.world.trocar(self.arm.name).point.move(motion)
+        motion = Sinusoid(BREATHING, 0.25, (axis[0], axis[1], axis[2]))
+        self.world.trocar(self.arm.name).point.move(motion)
         arm = self.arm
         self.controller = surg_core.Controller(
             arm.chain, arm.robot, arm.limits, arm.instrument, arm.tool, track_rcm=True
@@ -112,12 +129,9 @@ class LoadedArm:
         sensor = load_sensor(SENSOR)
         g_B = gravity_in_base(arm.X_WB[:3, :3])
         self.estimator = ForceEstimator(fit.load, sensor, arm.tool.s_F, arm.tool.p_FTip, g_B)
-        if window is not None:
-            self.estimator = dataclasses.replace(self.estimator, window=window)
-        self.load = RandomLoad(self.rng, most)
+        self.load = RandomLoad(self.rng)
         self.depth = depth
         self.tip_id = self.world.model.body(f"{arm.name}_{arm.instrument.tip_link}").id
-        self._truths: list[Array] = []
         self._begun = False
         self.state, self.warned = surg_core.State.DISABLED, False
         self.told: list[Array] = []
@@ -146,15 +160,13 @@ class LoadedArm:
         self.estimator.add(t, reading, X_BF, twist, out.p_BRcm)
         s = X_BF[:3, :3] @ arm.tool.s_F
         across = np.eye(3) - np.outer(s, s)
-        self._truths.append(across @ force)
         if world.tick % 5 or not pull:
             return None
         estimate = self.estimator.estimate()
-        age = round((t - estimate.stamp) / TICK) if estimate.forces is not None else 0
         trocar = -world.trocar(arm.name).force
         return Row(
-            float(out.depth), estimate, self._truths[-1], self._truths[-1 - age], across @ trocar,
-            float(s @ force), t - estimate.stamp,
+            float(out.depth), estimate, across @ force, across @ trocar, float(s @ force),
+            t - estimate.stamp,
         )  # fmt: skip
 
     def _control(self, t: float, state: object, force_guard: bool) -> surg_core.Outputs:

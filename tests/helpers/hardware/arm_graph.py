@@ -14,6 +14,7 @@ from sensor_msgs.msg import JointState
 import surg_core
 from crtk_msgs.msg import StringStamped
 from helpers.graph.ros import RosGraph
+from helpers.hardware.emulated_cell import deviation
 from surg_cli.commands.arms.robot import lags_of
 from surg_cli.graph import system
 from surg_cli.graph.processes import Child, wait_until
@@ -124,9 +125,4 @@ class ArmGraph:
 
     def deviations(self) -> np.ndarray:
         """Of a Franka's shaft from the trocar [m] at every state, by the maker's table."""
-        X = franka_kinematics.flange(np.array(self.joints))
-        R, p = X[:, :3, :3], X[:, :3, 3]
-        away = self.arm.trocar.p_BRcm - R @ self.arm.tool.p_FTip - p
-        s = R @ self.arm.tool.s_F
-        along = np.sum(away * s, axis=1, keepdims=True)
-        return np.asarray(np.linalg.norm(away - along * s, axis=1))
+        return deviation(self.arm, franka_kinematics.flange(np.array(self.joints)))

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
 from pathlib import Path
+from typing import Any
 
 from helpers.tree import oracle_venv
 
+CLIENTS = Path(__file__).parent
 MODULES = {
     "ur_rtde==1.6.5": ("rtde_control", "rtde_receive", "dashboard_client"),
     "urx==0.11.0": ("urx",),
@@ -31,3 +35,23 @@ def python(requirement: str) -> Path:
     """
     words = (requirement, *BESIDE.get(requirement, ()))
     return oracle_venv.python(requirement.replace("==", "-"), [words], MODULES[requirement])
+
+
+def call(requirement: str, address: str, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run a client's program against an emulated arm, whose address goes in for `ADDRESS`."""
+    return subprocess.run(
+        [str(python(requirement)), *(word.replace("ADDRESS", address) for word in words)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={},
+    )
+
+
+def figures(requirement: str, address: str, client: str, *words: str) -> dict[str, Any]:
+    """What one of the clients beside this file prints of an emulated arm."""
+    done = call(requirement, address, str(CLIENTS / client), address, *words)
+    assert done.returncode == 0, done.stderr
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    print(json.dumps(found, indent=1))
+    return found

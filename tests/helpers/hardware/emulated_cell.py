@@ -5,15 +5,17 @@ from __future__ import annotations
 import csv
 import os
 import shutil
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
 
 import surg_core
 from surg_cli.host import paths
-from surg_emulators.ur.dh_kinematics import TABLES, frames
+from surg_emulators.ur.dh_kinematics import TABLES, Table, frames
 
 BUNDLED = paths.CELLS / "emulated_ur5e"
 SERIAL = "20225500001"
@@ -22,13 +24,20 @@ TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 HOME = surg_core.load_cell(BUNDLED).arms["PSM1"].robot.home
 
 
-def emulated_cell(folder: Path, address: str, name: str = "ur5e", **hardware: object) -> Path:
+def emulated_cell(
+    folder: Path,
+    address: str = "127.0.0.1",
+    name: str = "ur5e",
+    edit: Callable[[dict[str, Any]], object] = lambda arm: None,
+    **hardware: object,
+) -> Path:
     """A copy of a bundled cell at another address; returns its folder.
 
     Args:
         folder: Where `cell` is made.
         address: Of the emulated arm.
         name: Of the cell `emulated_<name>`.
+        edit: Changes what the cell says of its arm, at last.
         hardware: Other keys of `hardware:`.
     """
     bundled = paths.CELLS / f"emulated_{name}"
@@ -39,8 +48,27 @@ def emulated_cell(folder: Path, address: str, name: str = "ur5e", **hardware: ob
     arm["hardware"].update(hardware, address=address)
     for key in ("robot", "instrument"):
         arm[key] = os.path.normpath(bundled / arm[key])
+    edit(arm)
     (cell / "cell.yaml").write_text(yaml.safe_dump(document), "utf-8")
     return cell
+
+
+def ur_flange(q: Sequence[float], table: Table = TABLES["UR5e"]) -> np.ndarray:
+    """Pose of a UR's flange in our base (4, 4), by its joints [rad] and its maker's table."""
+    return np.array(TURN @ frames(q, table)[-1])
+
+
+def tip_of(arm: surg_core.Arm, X_BF: np.ndarray) -> np.ndarray:
+    """Positions of the tip in the base [m], (..., 3), by poses of the flange (..., 4, 4)."""
+    return np.array(X_BF[..., :3, :3] @ arm.tool.p_FTip + X_BF[..., :3, 3])
+
+
+def deviation(arm: surg_core.Arm, X_BF: np.ndarray) -> np.ndarray:
+    """Of the shaft from the trocar [m], (...), by poses of the flange (..., 4, 4)."""
+    away = arm.trocar.p_BRcm - tip_of(arm, X_BF)
+    s = X_BF[..., :3, :3] @ arm.tool.s_F
+    along = np.sum(away * s, axis=-1, keepdims=True)
+    return np.asarray(np.linalg.norm(away - along * s, axis=-1))
 
 
 @dataclass(frozen=True)
@@ -65,13 +93,7 @@ class Recorded:
     def deviations(self) -> np.ndarray:
         """Of the shaft from the trocar [m] in every fifth cycle, by the maker's table."""
         arm = surg_core.load_cell(BUNDLED).arms["PSM1"]
-        found = []
-        for q in self.q[::5]:
-            X = TURN @ frames(q, TABLES["UR5e"])[-1]
-            away = arm.trocar.p_BRcm - X[:3, :3] @ arm.tool.p_FTip - X[:3, 3]
-            s = X[:3, :3] @ arm.tool.s_F
-            found.append(float(np.linalg.norm(away - (away @ s) * s)))
-        return np.array(found)
+        return deviation(arm, np.array([ur_flange(q) for q in self.q[::5]]))
 
     def rest_after(self, moment: float, least: float = 1e-3) -> float:
         """Time from a moment of the steady clock until no joint moves any more [s]."""

@@ -9,6 +9,7 @@ import numpy as np
 
 import surg_core
 from helpers.hardware import ur_chain
+from helpers.hardware.emulated_cell import deviation, tip_of, ur_flange
 from surg_cli.host import paths
 from surg_core import (
     Law,
@@ -20,14 +21,11 @@ from surg_core import (
     State,
     StateCommand,
 )
-from surg_emulators.ur.dh_kinematics import Table, frames
 from surg_emulators.ur.joint_motion import LAGS
 from surg_emulators.ur.ur_controller import UrController
 from surg_hardware import link_node
 from surg_hardware.robot_link import Settings, Status
 
-TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
-"""From ROS's base to UR's own."""
 T = 0.002
 
 
@@ -37,12 +35,13 @@ def link_settings(arm: surg_core.Arm) -> Settings:
     return Settings(given.velocity, given.acceleration, given.dead_man, given.stop_deceleration)
 
 
-def pivot_deviation(arm: surg_core.Arm, q: Sequence[float], table: Table) -> float:
-    """Of the shaft from the trocar [m], by a robot's joints [rad] and its maker's table."""
-    X = TURN @ frames(q, table)[-1]
-    away = arm.trocar.p_BRcm - X[:3, :3] @ arm.tool.p_FTip - X[:3, 3]
-    s = X[:3, :3] @ arm.tool.s_F
-    return float(np.linalg.norm(away - (away @ s) * s))
+def controller_of(arm: surg_core.Arm, law: Law = Law.EXACT) -> surg_core.Controller:
+    """A controller of an arm, with its trocar."""
+    controller = surg_core.Controller(
+        arm.chain, arm.robot, arm.limits, arm.instrument, arm.tool, law=law
+    )
+    controller.set_rcm(arm.trocar.p_BRcm)
+    return controller
 
 
 class Chain:
@@ -64,15 +63,7 @@ class Chain:
         self.link, self.clock, self.law = self.ur.link, self.ur.clock, law
         self.obeys_commands = True  # False: the controller's commands are lost on their way
         self.moves = True  # False: the controller sees an arm that stands still
-        self.controller = surg_core.Controller(
-            self.arm.chain,
-            self.arm.robot,
-            self.arm.limits,
-            self.arm.instrument,
-            self.arm.tool,
-            law=law,
-        )
-        self.controller.set_rcm(self.arm.trocar.p_BRcm)
+        self.controller = controller_of(self.arm, law)
         self.x, self.depth = 0.0, 0.0
         self.out = self.run(1100)
         if enabled:
@@ -136,16 +127,15 @@ class Chain:
 
     @property
     def flange(self) -> np.ndarray:
-        """Of the emulated arm's own joints and its maker's table, in our base (4, 4)."""
-        return np.array(TURN @ frames(self.robot.motion.actual_q, self.robot.table)[-1])
+        """By the emulated arm's own joints and its maker's table, in our base (4, 4)."""
+        return ur_flange(self.robot.motion.actual_q, self.robot.table)
 
     @property
     def tip(self) -> np.ndarray:
         """Position in the base [m]."""
-        X = self.flange
-        return np.array(X[:3, :3] @ self.arm.tool.p_FTip + X[:3, 3])
+        return tip_of(self.arm, self.flange)
 
     @property
     def deviation(self) -> float:
         """Of the shaft from the trocar [m]."""
-        return pivot_deviation(self.arm, self.robot.motion.actual_q, self.robot.table)
+        return float(deviation(self.arm, self.flange))

@@ -123,6 +123,20 @@ def packets(data: bytes) -> Iterator[tuple[str, bytes]]:
         data = data[size:]
 
 
+def primary_parts(data: bytes) -> Iterator[tuple[int, int, bytes]]:
+    """Message type, sub-package type and payload of a primary stream."""
+    while data:
+        size, kind = struct.unpack(">IB", data[:5])
+        body, data = data[5:size], data[size:]
+        if kind != 16:
+            yield kind, body[9], body[10:]
+            continue
+        while body:
+            length, part = struct.unpack(">IB", body[:5])
+            yield kind, part, body[5:length]
+            body = body[length:]
+
+
 def cycle(controller: UrController, client: Client | None = None) -> dict[str, Any]:
     """One cycle; the state that the client gets in it."""
     controller.advance()

@@ -11,7 +11,8 @@ import numpy as np
 
 import surg_core
 from helpers.hardware import ur_chain
-from helpers.hardware.emulated_chain import T, link_settings, pivot_deviation
+from helpers.hardware.emulated_cell import deviation, ur_flange
+from helpers.hardware.emulated_chain import T, link_settings
 from surg_cli.host import paths
 from surg_emulators.ur.ur_controller import UrController
 from surg_sim.envs.cell_session import LAWS, CellSession
@@ -64,7 +65,8 @@ class EmulatedLink(ArmLink):
         assert self.chain.status is not None
         self.condition = surg_core.RobotCondition(int(self.chain.status.condition))
         q = self.chain.controller.motion.actual_q
-        self.deviations.append(pivot_deviation(self._arm, q, self.chain.controller.table))
+        flange = ur_flange(q, self.chain.controller.table)
+        self.deviations.append(float(deviation(self._arm, flange)))
 
     def substep(self) -> None:
         """Move the simulated joints to the emulated ones within one step of the physics."""

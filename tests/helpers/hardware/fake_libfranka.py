@@ -1,30 +1,23 @@
-"""Modules in the place of pylibfranka and panda_py, around one made-up arm on a made-up clock.
+"""Modules in the place of pylibfranka and panda_py, around an emulated arm on a made-up clock.
 
-Each state that is read is one millisecond. The arm follows velocities exactly, extrapolates what it
-misses, and stops by a reflex at a jump in acceleration, as the maker documents it.
+Each state that is read is one millisecond of the emulator's core.
 """
 
 from __future__ import annotations
 
+import random
+import struct
 import types
 from collections.abc import Callable, Sequence
-from enum import Enum
 from typing import Any
 
-from surg_hardware.shaper import JointLimits
+import numpy as np
 
-T = 0.001
-
-
-class RobotMode(Enum):
-    """libfranka's, by pylibfranka's names."""
-
-    Other = 0
-    Idle = 1
-    Move = 2
-    Guiding = 3
-    Reflex = 4
-    UserStopped = 5
+from helpers.hardware.emulated_franka import Client
+from surg_emulators.franka.franka_controller import FrankaController, RobotMode
+from surg_emulators.franka.franka_kinematics import flange, from_columns, to_columns
+from surg_emulators.franka.franka_robots import FrankaRobot
+from surg_emulators.franka.generator_motion import DT
 
 
 class FrankaException(Exception):
@@ -61,82 +54,85 @@ class Arm:
         ended: Speed at which the last motion was finished [rad/s].
         sluggish: Share of its last value in the acceleration that the arm reports; a real arm
             reports the newest one alone.
+        lose: Commands that will be lost.
+        loss: Share of the commands that are lost.
+        rate: Share of the commands in time that the arm reports; None: the true one.
     """
 
-    def __init__(self, limits: Sequence[JointLimits], q: Sequence[float]) -> None:
-        self.limits = limits
-        self.count = 0
-        self.mode = RobotMode.Idle
-        self.errors = types.SimpleNamespace()
-        self.q, n = list(q), len(limits)
-        self.dq_d, self.ddq_d = [0.0] * n, [0.0] * n
+    def __init__(self, robot: FrankaRobot, q: Sequence[float]) -> None:
+        self.core = FrankaController(robot, q=q)
+        self.client = Client(self.core)
+        assert self.client.connect() == "success"
         self.excess = [0.0, 0.0]
         self.ended: float | None = None
         self.collision: tuple[Any, ...] = ()
-        self.sluggish, self._reported = 0.0, [0.0] * n
-        self.lose = 0  # commands that will be lost
-        self.rate = 1.0
-        self.on_cycle: Callable[[], None] = lambda: None
+        self.sluggish, self._reported = 0.0, np.zeros(7)
+        self.lose, self.loss, self._random = 0, 0.0, random.Random(1)
+        self.rate: float | None = None
+        self._read = 0  # number of the state that was read last
+
+    @property
+    def count(self) -> int:
+        """Milliseconds so far."""
+        return self.core.number
+
+    @property
+    def dq_d(self) -> list[float]:
+        """Of the set-point [rad/s]."""
+        return self.core.motion.dq_d
 
     def state(self) -> Any:
         """The next state, one millisecond later."""
-        self.count += 1
-        self.on_cycle()
-        old, pairs = self.sluggish, zip(self._reported, self.ddq_d, strict=True)
-        self._reported = [old * a + (1.0 - old) * b for a, b in pairs]
-        return types.SimpleNamespace(
-            time=Duration(T * self.count),
-            robot_mode=self.mode,
-            current_errors=self.errors,
-            last_motion_errors=types.SimpleNamespace(),
-            q=list(self.q),
-            q_d=list(self.q),
-            dq=list(self.dq_d),
-            dq_d=list(self.dq_d),
-            ddq_d=list(self._reported),
-            O_F_ext_hat_K=[1.0, 2.0, 3.0, 0.1, 0.2, 0.3],
-            O_T_EE=[0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 0.3, 0.4, 0.5, 1],
-            F_T_EE=[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.0, 0.0, 0.1, 1],
-            m_total=0.7,
-            F_x_Ctotal=[0.0, 0.01, 0.03],
-            control_command_success_rate=self.rate,
+        self.client.wait(1)
+        core, motion = self.core, self.core.motion
+        self._read = core.number
+        self._reported += (1.0 - self.sluggish) * (np.array(motion.ddq_d) - self._reported)
+        errors = types.SimpleNamespace(
+            **{error.name: True for error in core.errors | core.reflex_reason}
         )
+        F_T_EE = from_columns(core.NE_T_EE)
+        return types.SimpleNamespace(
+            time=Duration(DT * core.number),
+            robot_mode=types.SimpleNamespace(name=core.mode.name.title().replace("_", "")),
+            current_errors=errors,
+            last_motion_errors=errors,
+            q=list(motion.q),
+            q_d=list(motion.q_d),
+            dq=list(motion.dq),
+            dq_d=list(motion.dq_d),
+            ddq_d=self._reported.tolist(),
+            O_F_ext_hat_K=list(core.wrench),
+            O_T_EE=to_columns(flange(motion.q) @ F_T_EE),
+            F_T_EE=list(core.NE_T_EE),
+            m_total=core.load[0],
+            F_x_Ctotal=core.load[1:4],
+            control_command_success_rate=core.success_rate if self.rate is None else self.rate,
+        )
+
+    def move(self) -> bool:
+        """Begin a motion by velocities; whether the arm does."""
+        return self.client.move() == "started"
 
     def take(self, command: JointVelocities) -> None:
         """A command of the motion."""
-        if self.mode is not RobotMode.Move:
+        motion, robot = self.core.motion, self.core.robot
+        if self.core.mode is not RobotMode.MOVE:
             raise ControlException("libfranka: motion aborted")
-        if self.lose > 0:
-            self.lose -= 1
-            self._move([v + a * T for v, a in zip(self.dq_d, self.ddq_d, strict=True)])
+        if self.lose > 0 or self._random.random() < self.loss:
+            self.lose = max(0, self.lose - 1)
             return
-        for limit, v, before, a_before in zip(
-            self.limits, command.dq, self.dq_d, self.ddq_d, strict=True
-        ):
-            a = (v - before) / T
-            self.excess[0] = max(self.excess[0], abs(a) / limit.acceleration)
-            self.excess[1] = max(self.excess[1], abs(a - a_before) / T / limit.jerk)
-        if max(self.excess) > 1.0:
-            self.reflex("joint_motion_generator_acceleration_discontinuity")
-            raise ControlException("libfranka: motion aborted by reflex")
-        self.ddq_d = [(v - b) / T for v, b in zip(command.dq, self.dq_d, strict=True)]
-        self._move(command.dq)
+        ddq = (np.array(command.dq) - motion.dq_d) / DT
+        jerk = (ddq - motion.ddq_d) / DT
+        shares = np.abs(ddq) / robot.acceleration, np.abs(jerk) / robot.jerk
+        self.excess = [max(a, float(b.max())) for a, b in zip(self.excess, shares, strict=True)]
         if command.motion_finished:
-            self.ended = max(map(abs, self.dq_d))
-            self.mode = RobotMode.Idle
-
-    def reflex(self, error: str) -> None:
-        """The robot stops by itself."""
-        self.mode, self.errors = RobotMode.Reflex, types.SimpleNamespace(**{error: True})
-        self.dq_d = self.ddq_d = [0.0] * len(self.limits)
+            self.ended = max(map(abs, command.dq))
+        answer = self.client.datagram(command.dq, last=command.motion_finished)
+        self.core.receive(struct.pack("<Q", self._read) + answer[8:])
 
     def recover(self) -> None:
-        """As a person asks for it."""
-        self.mode, self.errors = RobotMode.Idle, types.SimpleNamespace()
-
-    def _move(self, velocities: Sequence[float]) -> None:
-        self.q = [q + T * v for q, v in zip(self.q, velocities, strict=True)]
-        self.dq_d = list(velocities)
+        """As a person asks for it; it takes its time."""
+        self.client.ask("automatic_error_recovery")
 
 
 def pylibfranka(arm: Arm) -> types.ModuleType:
@@ -144,9 +140,10 @@ def pylibfranka(arm: Arm) -> types.ModuleType:
 
     class Control:
         def readOnce(self) -> tuple[Any, Duration]:
-            if arm.mode is not RobotMode.Move:
+            state = arm.state()
+            if arm.core.mode is not RobotMode.MOVE:
                 raise ControlException("libfranka: motion aborted")
-            return arm.state(), Duration(T)
+            return state, Duration(DT)
 
         def writeOnce(self, command: JointVelocities) -> None:
             arm.take(command)
@@ -165,9 +162,8 @@ def pylibfranka(arm: Arm) -> types.ModuleType:
             arm.recover()
 
         def start_joint_velocity_control(self, mode: object) -> Control:
-            if arm.mode is not RobotMode.Idle:
-                raise FrankaException(f"libfranka: Move command rejected in {arm.mode.name}")
-            arm.mode = RobotMode.Move
+            if not arm.move():
+                raise FrankaException(f"libfranka: Move command rejected in {arm.core.mode.name}")
             return Control()
 
     module = types.ModuleType("pylibfranka")
@@ -202,12 +198,12 @@ def panda_py(arm: Arm) -> types.ModuleType:
             self, answer: Callable[[Any, Any], JointVelocities], *options: object
         ) -> None:
             assert options[1:] == (False, 1000.0), "the library's own limits and filter are off"
-            arm.mode = RobotMode.Move
+            if not arm.move():
+                raise RuntimeError(f"libfranka: Move command rejected in {arm.core.mode.name}")
+            arm.ended = None
             try:
-                while arm.mode is RobotMode.Move:
-                    arm.take(answer(arm.state(), Duration(T)))
-                if arm.ended is None:
-                    raise ControlException("libfranka: motion aborted")
+                while arm.ended is None:
+                    arm.take(answer(arm.state(), Duration(DT)))
             except ControlException as error:
                 raise RuntimeError(str(error)) from error
 

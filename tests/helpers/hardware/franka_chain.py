@@ -1,111 +1,48 @@
 """Controller, driver and emulated Franka arm in one thread on a made-up clock.
 
-All of ours but the library is in it: the driver with its datagrams, the adapter, the shaper.
-The same figures on any machine.
+All of ours is in it: the driver with its datagrams, the adapter, the shaper. The same figures on
+any machine.
 """
 
 from __future__ import annotations
 
-import functools
-import random
+import importlib
 import socket
+import sys
 import types
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
 
 import surg_core
-from helpers.hardware.emulated_franka import Client
+from helpers.hardware import fake_libfranka
+from helpers.hardware.emulated_cell import deviation, tip_of
+from helpers.hardware.emulated_chain import controller_of
+from helpers.hardware.fake_libfranka import Arm
 from surg_cli.host import paths
-from surg_core import Law, MotionCommand, Readings, RobotCondition
+from surg_core import MotionCommand, Readings, RobotCondition
 from surg_emulators.franka import franka_kinematics
-from surg_emulators.franka.franka_controller import FrankaController, RobotMode
 from surg_emulators.franka.franka_robots import FER, FR3
 from surg_emulators.franka.generator_motion import DT
 from surg_hardware import adapter_driver, arm_driver, link_node, robot_link
 from surg_hardware import driver_datagrams as wire
 from surg_hardware.driver_checkup import Heard
 from surg_hardware.franka import joint_limits
-from surg_hardware.franka.franka_adapter import FrankaAdapter, MotionEnded
-from surg_hardware.robot_adapter import AdapterError
+from surg_hardware.franka.franka_adapter import FrankaAdapter
 
 ROBOTS = {"panda": FER, "fr3": FR3}
 LIMITS = {"panda": joint_limits.PANDA, "fr3": joint_limits.FR3}
 
 
-class CoreAdapter(FrankaAdapter):
-    """The adapter on the emulator's core.
-
-    Attributes:
-        loss: Share of the commands that are lost.
-        raw: Whether commands pass without the shaper.
-        sluggish: Share of its last value in the acceleration that the robot reports; a real arm
-            reports the newest one alone.
-    """
-
-    def __init__(self, name: str, core: FrankaController, options: Any) -> None:
-        self.model, self.limits = name, LIMITS[name]
-        super().__init__("127.0.0.1", options)
-        self.core, self.client = core, Client(core)
-        assert self.client.connect() == "success"
-        self.loss, self.raw, self._random = 0.0, False, random.Random(1)
-        self.sluggish, self._reported = 0.0, np.zeros(7)
-
-    def connect(self) -> None:
-        """Connected from the beginning."""
-
-    def close(self) -> None:
-        """It stays."""
-
-    def _read(self) -> Any:
-        self.client.wait(1)
-        core, motion = self.core, self.core.motion
-        if self._moving and core.mode is not RobotMode.MOVE:
-            raise MotionEnded
-        share = 1.0 - self.sluggish
-        self._reported = self.sluggish * self._reported + share * np.array(motion.ddq_d)
-        names = {error.name: True for error in core.errors | core.reflex_reason}
-        errors = types.SimpleNamespace(**names)
-        return types.SimpleNamespace(
-            time=types.SimpleNamespace(to_sec=functools.partial(float, DT * core.number)),
-            robot_mode=types.SimpleNamespace(name=core.mode.name.title().replace("_", "")),
-            current_errors=errors,
-            last_motion_errors=errors,
-            q=list(motion.q),
-            q_d=list(motion.q_d),
-            dq=list(motion.dq),
-            dq_d=list(motion.dq_d),
-            ddq_d=self._reported.tolist(),
-            O_F_ext_hat_K=list(core.wrench),
-            O_T_EE=list(franka_kinematics.flange(motion.q).T.ravel()),
-            F_T_EE=list(np.eye(4).ravel()),
-            m_total=0.0,
-            F_x_Ctotal=[0.0] * 3,
-            control_command_success_rate=core.success_rate,
-        )
-
-    def recover(self) -> str:
-        """The answer comes later."""
-        self.client.ask("automatic_error_recovery")
-        return ""
-
-    def _begin(self) -> None:
-        if self.client.move() != "started":
-            raise AdapterError(f"the robot does not move in the mode {self.core.mode.name}")
-
-    def _write(self, velocities: Sequence[float], finished: bool) -> None:
-        if self._random.random() >= self.loss:
-            self.core.receive(self.client.datagram(list(velocities), last=finished))
-
-    def send(self, qd: Sequence[float]) -> None:
-        """As the controller commands it, where the shaper is off."""
-        if self.raw and self._moving:
-            self._answered = True
-            self._write(qd, False)
-        else:
-            super().send(qd)
+def adapter(name: str, robot: Arm, options: Any, patch: pytest.MonkeyPatch) -> FrankaAdapter:
+    """The FR3's adapter, for a Panda with its limits, on an emulated arm."""
+    patch.setitem(sys.modules, "pylibfranka", fake_libfranka.pylibfranka(robot))
+    patch.delitem(sys.modules, "surg_hardware.franka.fr3_adapter", raising=False)
+    fr3 = importlib.import_module("surg_hardware.franka.fr3_adapter").Driver
+    kind = type("Driver", (fr3,), {"model": name, "limits": LIMITS[name]})
+    made: FrankaAdapter = kind("127.0.0.1", options)
+    return made
 
 
 class Chain:
@@ -118,8 +55,9 @@ class Chain:
 
     def __init__(self, name: str, patch: pytest.MonkeyPatch) -> None:
         self.arm = surg_core.load_cell(paths.CELLS / f"emulated_{name}").arms["PSM1"]
-        self.core = FrankaController(ROBOTS[name], q=self.arm.robot.home.tolist())
-        self.adapter = CoreAdapter(name, self.core, dict(self.arm.link_settings))
+        self.robot = Arm(ROBOTS[name], self.arm.robot.home.tolist())
+        self.core = self.robot.core
+        options = dict(self.arm.link_settings)
         self._cycles = self._held = self._paused = self._silent = 0
         clock = types.SimpleNamespace(
             monotonic=lambda: DT * self._cycles,
@@ -132,13 +70,10 @@ class Chain:
         self._node, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._node.setblocking(False)
         settings = link_node.driver_settings(self.arm)
-        self.driver = adapter_driver.AdapterDriver(settings, theirs, self.adapter)
+        made = adapter(name, self.robot, options, patch)
+        self.driver = adapter_driver.AdapterDriver(settings, theirs, made)
         self.driver._connect_first()
-        arm = self.arm
-        self.controller = surg_core.Controller(
-            arm.chain, arm.robot, arm.limits, arm.instrument, arm.tool, law=Law.EXACT
-        )
-        self.controller.set_rcm(arm.trocar.p_BRcm)
+        self.controller = controller_of(self.arm)
         self._heard = Heard()
         self.run(600)  # longer than no motion must have been commanded
         self.ask("start")
@@ -167,7 +102,7 @@ class Chain:
             elif self._held > 0:
                 self._held -= 1
                 self._silent += 1
-                self.adapter.client.wait(1)
+                self.robot.client.wait(1)
             else:
                 self._silent = 0
                 self.driver._turn()
@@ -221,12 +156,9 @@ class Chain:
     @property
     def tip(self) -> np.ndarray:
         """Position in the base [m]."""
-        X = self.flange
-        return np.array(X[:3, :3] @ self.arm.tool.p_FTip + X[:3, 3])
+        return tip_of(self.arm, self.flange)
 
     @property
     def deviation(self) -> float:
         """Of the shaft from the trocar [m]."""
-        away = self.arm.trocar.p_BRcm - self.tip
-        s = self.flange[:3, :3] @ self.arm.tool.s_F
-        return float(np.linalg.norm(away - (away @ s) * s))
+        return float(deviation(self.arm, self.flange))

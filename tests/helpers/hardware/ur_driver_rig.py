@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -28,6 +28,7 @@ from surg_hardware.driver_datagrams import (
     StateDatagram,
     decode_from_driver,
 )
+from surg_hardware.ur.ur_driver import UrDriver
 
 DEAD_MAN, STOP = 0.04, 20.0
 SENDING = 50
@@ -157,3 +158,44 @@ def rig(folder: Path) -> Iterator[Rig]:
             yield made
         finally:
             made.close()
+
+
+def settings_of(address: str) -> DriverSettings:
+    """Of a driver in this process, which must not take a priority."""
+    return DriverSettings(address, 0, (1.0,) * 6, (40.0,) * 6, DEAD_MAN, STOP)
+
+
+class DriverThread:
+    """A driver in a thread of this process; decided by what it says, never by the clock.
+
+    Attributes:
+        notices: The driver's sentences.
+    """
+
+    def __init__(self, address: str) -> None:
+        self._ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._ours.settimeout(60.0)
+        self.notices: list[str] = []
+        self._driver = UrDriver(settings_of(address), theirs)
+        self._thread = threading.Thread(target=self._driver.run, daemon=True)
+        self._thread.start()
+
+    def until(self, wanted: Callable[[Condition], bool], word: str = "") -> None:
+        """Hear states until one is wanted, with a request now and then."""
+        count = 0
+        while True:
+            message = decode_from_driver(self._ours.recv(LONGEST))
+            if isinstance(message, NoticeDatagram):
+                self.notices.append(message.text)
+            elif isinstance(message, StateDatagram):
+                if wanted(message.status.condition):
+                    return
+                count += 1
+                if word and count % 50 == 1:
+                    self._ours.send(RequestDatagram(word, False).pack())
+
+    def end(self) -> None:
+        """End the driver, which must not hang."""
+        self._driver.end("the test is over")
+        self._thread.join(60.0)
+        assert not self._thread.is_alive()

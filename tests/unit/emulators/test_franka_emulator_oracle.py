@@ -5,8 +5,6 @@ PyPI's `panda-python` brings libfranka 0.9.2 for the FER, `pylibfranka` 0.21.3 f
 
 from __future__ import annotations
 
-import json
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -14,37 +12,19 @@ import numpy as np
 import pytest
 
 from helpers.hardware import client_venvs, emulated_franka
-from surg_cli.host import paths
 from surg_emulators.franka.franka_errors import Error
 from surg_emulators.franka.franka_kinematics import flange, from_columns
 from surg_emulators.franka.franka_robots import HOME
 
 pytestmark = pytest.mark.oracle
-CLIENTS = paths.ROOT / "tests" / "helpers" / "hardware"
 PANDA, PYLIBFRANKA = "panda-python==1.1.1", "pylibfranka==0.21.3"
 NAMES = [error.name for error in Error]
 
 
-def call(kind: str, requirement: str, log: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """A client's program against an emulated arm; its address goes in for `ADDRESS`."""
-    python = client_venvs.python(requirement)
-    with emulated_franka.program(kind, log) as address:
-        return subprocess.run(
-            [str(python), *(word.replace("ADDRESS", address) for word in words)],
-            capture_output=True,
-            text=True,
-            timeout=120,
-            env={},
-        )
-
-
 def figures(kind: str, requirement: str, client: str, log: Path) -> dict[str, Any]:
     """What a client prints of an emulated arm."""
-    done = call(kind, requirement, log, str(CLIENTS / client), "ADDRESS", *NAMES)
-    assert done.returncode == 0, done.stderr
-    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    print(json.dumps(found, indent=1))
-    return found
+    with emulated_franka.program(kind, log) as address:
+        return client_venvs.figures(requirement, address, client, *NAMES)
 
 
 def check(found: dict[str, Any], accuracy: float) -> None:
@@ -108,7 +88,8 @@ def test_libfranka_021_drives_the_emulated_fr3(tmp_path: Path) -> None:
 def test_the_library_of_the_other_arm_is_told_the_version(
     kind: str, requirement: str, program: str, tmp_path: Path
 ) -> None:
-    done = call(kind, requirement, tmp_path / "emulator.log", "-c", program)
+    with emulated_franka.program(kind, tmp_path / "emulator.log") as address:
+        done = client_venvs.call(requirement, address, "-c", program)
     assert done.returncode != 0
     said = done.stderr.splitlines()[-1].lower()
     print(said)

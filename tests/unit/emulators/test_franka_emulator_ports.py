@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import random
-import resource
 import socket
 import struct
 import time
@@ -25,7 +22,6 @@ from surg_emulators.franka.franka_emulator import DOWN, FrankaEmulator
 from surg_emulators.franka.franka_robots import FER, ROBOTS, FrankaRobot
 from surg_emulators.franka.generator_motion import DT
 
-PACKETS = 500_000 if os.environ.get("SURG_TEST_FULL") == "1" else 3_000
 BOTH = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS.keys())
 LOST = ["communication_constraints_violation"]
 
@@ -313,71 +309,6 @@ def test_a_command_that_came_while_the_emulator_was_late_counts(emulator: Franka
     assert emulator.controller.active is not None
     assert emulator.controller.active.lost == 0
     peer.close()
-
-
-@BOTH
-def test_in_lock_step_a_cycle_waits_for_its_command(robot: FrankaRobot) -> None:
-    emulator = FrankaEmulator(FrankaController(robot), free_address(), lock_step=True)
-    try:
-        peer = connected(emulator)
-        peer.move()
-        emulator.cycle()
-        assert not emulator._all_answered()
-        peer.take()
-        peer.answer()
-        emulator.poll(0.1)
-        assert emulator._all_answered()
-        peer.close()
-    finally:
-        emulator.close()
-
-
-@BOTH
-def test_fuzzed_messages_and_datagrams_leave_the_emulator_alive(
-    emulator: FrankaEmulator,
-) -> None:
-    """Random bytes, true messages cut and changed, by TCP and UDP; memory stays flat."""
-    rng = random.Random(6)
-    controller, protocol = emulator.controller, emulator.controller.protocol
-    peer, before = connected(emulator), 0
-    for k in range(PACKETS):
-        if k == PACKETS // 10:
-            before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        if rng.random() < 0.95:
-            number = controller.number + rng.choice((0, 0, 0, 1, -1, 10**15))
-            data = bytearray(struct.pack("<Q", number % 2**64).ljust(protocol.command.size, b"\0"))
-            for _ in range(rng.randrange(4)):
-                data[rng.randrange(len(data))] = rng.randrange(256)
-            cut = len(data) if rng.random() < 0.9 else rng.randrange(len(data) + 40)
-            for each in emulator.channels("commands")[0].pass_on(bytes(data[:cut])):
-                controller.receive(each)
-        else:
-            size = rng.choice((12, 14, 16, 68, 125, 428, rng.randrange(2000)))
-            head = HEADER.pack(rng.randrange(16), k % 2**32, size)
-            body = rng.randbytes(max(0, rng.choice((size - 12, rng.randrange(500)))))
-            try:
-                peer.tcp.sendall((head if rng.random() < 0.9 else b"") + body)
-                emulator.poll()
-                peer.answers()
-                peer.take()
-            except OSError:
-                pass
-        if rng.random() < 0.5:
-            emulator.cycle()
-        if rng.random() < 0.02:
-            emulator.fault(rng.choice(("user_stop on", "user_stop off", "collision", "reorder 1")))
-            emulator.fault("reorder 0")
-            controller.recover()
-        if rng.random() < 0.02 or not any(c.service == "command" for c in emulator._connections):
-            peer.close()
-            peer.states.clear()
-            emulator.poll(0.001)
-            peer = connected(emulator)
-            peer.ask(1, struct.pack("<II", 0, 1).ljust(MOVE_SIZE[protocol.version], b"\0"))
-    assert all(abs(value) < 10.0 for value in controller.motion.q_d)
-    assert len(controller.answers) < 5 and len(controller.messages) <= 200
-    peer.close()
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 20_000
 
 
 def test_a_wrong_option_ends_with_2_and_is_named(capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import random
 from pathlib import Path
-from typing import Any
 
 import pytest
 from dynamixel_sdk import (
     COMM_RX_TIMEOUT,
     COMM_SUCCESS,
-    GroupBulkRead,
     GroupSyncRead,
     GroupSyncWrite,
 )
-from dynamixel_sdk.group_bulk_write import GroupBulkWrite
 from dynamixel_sdk.protocol2_packet_handler import Protocol2PacketHandler
 
 from helpers.hardware.servo_bench import MemoryPort, with_terminals
@@ -129,10 +126,6 @@ def test_ping_read_and_write(line: ServoLine, port: MemoryPort) -> None:
     assert SDK.write2ByteTxRx(port, 1, 102, 1194)[1] == 6, "above the limit of the current"
     assert SDK.write2ByteTxRx(port, 1, 144, 0)[1] == 7, "read-only"
     assert SDK.readTxRx(port, 1, 140, 100)[2] == 5
-    assert SDK.regWriteTxRx(port, 7, 116, 4, [0, 4, 0, 0]) == (COMM_SUCCESS, 0)
-    assert line.servos[2].get("goal_position") == 0
-    SDK.action(port, 254)
-    assert line.servos[2].get("goal_position") == 1024
     assert SDK.factoryReset(port, 2, 0xFF)[1] == 2, "not emulated: an instruction error"
 
 
@@ -144,20 +137,12 @@ def test_the_status_return_level_is_kept(port: MemoryPort) -> None:
 
 
 def test_groups_are_written_and_read(port: MemoryPort) -> None:
-    def write(group: Any, add: Any) -> None:
-        assert all(add(i, list((i * 100).to_bytes(4, "little"))) for i in (1, 2, 7))
-        assert group.txPacket() == COMM_SUCCESS
-
-    sync, bulk = GroupSyncWrite(port, SDK, 116, 4), GroupBulkWrite(port, SDK)
-    read_sync, read_bulk = GroupSyncRead(port, SDK, 116, 4), GroupBulkRead(port, SDK)
-    write(sync, sync.addParam)
-    assert all(read_sync.addParam(i) for i in (1, 2, 7))
-    assert read_sync.txRxPacket() == COMM_SUCCESS
-    assert [read_sync.getData(i, 116, 4) for i in (1, 2, 7)] == [100, 200, 700]
-    write(bulk, lambda i, data: bulk.addParam(i, 108, 4, data))
-    assert all(read_bulk.addParam(i, 108, 4) for i in (1, 2, 7))
-    assert read_bulk.txRxPacket() == COMM_SUCCESS
-    assert [read_bulk.getData(i, 108, 4) for i in (1, 2, 7)] == [100, 200, 700]
+    written, read = GroupSyncWrite(port, SDK, 116, 4), GroupSyncRead(port, SDK, 116, 4)
+    assert all(written.addParam(i, list((i * 100).to_bytes(4, "little"))) for i in (1, 2, 7))
+    assert written.txPacket() == COMM_SUCCESS
+    assert all(read.addParam(i) for i in (1, 2, 7))
+    assert read.txRxPacket() == COMM_SUCCESS
+    assert [read.getData(i, 116, 4) for i in (1, 2, 7)] == [100, 200, 700]
 
 
 @pytest.mark.parametrize("lag", [0.02, 0.06])

@@ -19,7 +19,6 @@ EXAMPLES = {
     "trajectory_streaming_example": (),
     "spline_example": (),
     "freedrive_example": ("2",),
-    "force_mode_example": ("2",),
     "direct_torque_control_example": ("2",),
     "script_command_interface_example": ("2",),
     "script_sender_example": ("2",),
@@ -29,7 +28,6 @@ EXAMPLES = {
     "rtde_client_example": ("2",),
     "external_fts_through_rtde": ("2",),
     "dashboard_example": (),
-    "tool_contact_example": ("2",),
     "instruction_executor": (),
 }
 """Example -> its words. direct_torque_control skips itself on this version, as the `optimove`s of
@@ -42,8 +40,6 @@ MOVING = (
     "driver_example",
     "trajectory_point_interface_example",
     "spline_example",
-    "force_mode_example",
-    "tool_contact_example",
     "instruction_executor",
 )
 REPORTS = "report files"
@@ -114,16 +110,6 @@ def test_an_example_of_the_maker_passes(name: str, tmp_path: Path) -> None:
     passed.add(name)
     if len(passed) == len(EXAMPLES):
         note(urcl("examples"), len(passed), "exit 0; direct_torque_control skips itself")
-
-
-def test_a_push_is_a_contact(tmp_path: Path) -> None:
-    program = tmp_path / "wait_program.urp"
-    program.write_text(WAIT)
-    with emulated_ur.program(tmp_path / "emulator.log") as address:
-        assert emulated_ur.fault(address, f"load {program}") == "ok"
-        assert emulated_ur.fault(address, "push 0 0 40") == "ok"
-        said = ur_client_library.example("tool_contact_example", address, "5")
-    assert "Tool contact result: 0" in said
 
 
 @pytest.mark.parametrize("row", TESTS)

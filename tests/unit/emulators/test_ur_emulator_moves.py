@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from helpers.hardware.emulated_ur import cycle, settle
+from helpers.hardware.emulated_ur import cycle, primary_parts, settle
 from surg_emulators.ur.joint_motion import DT, MAX_ACCELERATION
 from surg_emulators.ur.primary_server import (
     CONFIGURATION_DATA,
@@ -130,42 +130,6 @@ def test_three_points_on_a_line_make_no_circle() -> None:
     assert "on a line" in controller.messages[-1]
 
 
-FORCE = (
-    "force_mode(p[0, 0, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0], "
-    "[0, 0, {}, 0, 0, 0], 2, [{}, {}, {}, 1, 1, 1])"
-)
-
-
-@pytest.mark.parametrize(
-    ("push", "fastest", "way"), [(0.0, 0.1, -0.02), (2.0, 0.1, 0.0), (12.0, 0.05, 0.05)]
-)
-def test_force_mode_presses_yields_to_a_push_and_rests_along_the_other_axes(
-    push: float, fastest: float, way: float
-) -> None:
-    controller = UrController()
-    controller.wrench[2] = push
-    start = controller.tcp_pose(controller.motion.q)
-    mode = FORCE.format(-2, *[fastest] * 3)
-    assert controller.run_script(f"def press():\n{mode}\nsleep(1.0)\nend_force_mode()\nend\n")
-    settle(controller, 1.5)
-    assert controller.program is None and controller.motion.at_rest, controller.messages
-    moved = np.subtract(controller.tcp_pose(controller.motion.q), start)
-    assert moved[2] == pytest.approx(way, abs=1e-3)
-    assert np.abs(np.delete(moved, 2)).max() < 1e-4
-
-
-@pytest.mark.parametrize(
-    ("then", "said"),
-    [(f"movej({GOAL})", "movej in force mode"), (FORCE.replace(" 2,", " 1,"), "type 1")],
-)
-def test_what_force_mode_is_not_here_is_refused_by_name(then: str, said: str) -> None:
-    controller = UrController()
-    script = f"def press():\n{FORCE}\n{then}\nend\n".replace("{}", "1")
-    assert controller.run_script(script)
-    cycle(controller)
-    assert controller.program is None and said in controller.messages[-1]
-
-
 def test_joints_out_of_range_end_the_program_before_anything_moves() -> None:
     controller = UrController()
     assert controller.run_script("def far():\n movej([-123, 0, 0, 0, 0, 0])\nend\n")
@@ -179,46 +143,6 @@ def test_a_line_out_of_reach_is_a_protective_stop() -> None:
     assert controller.run_script("def test():\nmovel(p[10, 0, 0, 0, 0, 0])\nend\n")
     cycle(controller)
     assert controller.safety_mode == SafetyMode.PROTECTIVE_STOP
-
-
-def test_a_contact_ends_a_motion_and_the_arm_goes_back_to_where_it_began() -> None:
-    controller = UrController()
-    down = [0.0, 0.0, -0.05, 0.0, 0.0, 0.0]
-    assert controller.run_script(
-        f"""def test():
-  thread go():
-    while True:
-      speedl({down}, 1.2, 0.002)
-    end
-  end
-  going = run go()
-  back = 0
-  while back == 0:
-    sync()
-    back = tool_contact(get_actual_tcp_speed())
-  end
-  q = get_actual_joint_positions_history(back)
-  kill going
-  stopl(3)
-  textmsg("back ", back)
-  movel(q)
-end
-"""
-    )
-    for _ in range(300):
-        cycle(controller)
-    assert controller.program is not None, controller.messages
-    controller.wrench[0] = 40.0  # from the side
-    cycle(controller)
-    assert controller.program is not None and not controller.motion.at_rest
-    before = controller.tcp_pose(controller.motion.actual_q)
-    controller.wrench[2] = 40.0
-    while controller.program is not None:
-        cycle(controller)
-        assert controller.cycles < 5000
-    after = controller.tcp_pose(controller.motion.actual_q)
-    assert controller.messages[-1].startswith("back ")
-    assert after == pytest.approx(before, abs=5e-4)
 
 
 @pytest.fixture
@@ -299,13 +223,7 @@ def messages(session: PrimarySession, controller: UrController) -> list[tuple[in
     for _ in range(50):
         cycle(controller)
         data += session.output()
-    found = []
-    while data:
-        size, kind = struct.unpack_from(">IB", data)
-        if kind == 20:
-            found.append((data[14], data[15:size]))
-        data = data[size:]
-    return found
+    return [(part, body) for kind, part, body in primary_parts(data) if kind == 20]
 
 
 def test_primary_clients_hear_start_end_and_failure_of_a_program() -> None:
@@ -358,10 +276,8 @@ def test_the_primary_interface_powers_and_unlocks() -> None:
 
 
 def test_the_state_tells_configuration_and_calibration() -> None:
-    data, parts = PrimarySession(UrController(model="UR10e"), "primary").state()[5:], {}
-    while data:
-        size, kind = struct.unpack_from(">IB", data)
-        parts[kind], data = data[5:size], data[size:]
+    state = PrimarySession(UrController(model="UR10e"), "primary").state()
+    parts = {part: body for _, part, body in primary_parts(state)}
     configuration = struct.unpack(">53d4i", parts[CONFIGURATION_DATA])
     assert configuration[29:35] == pytest.approx([0, -0.6127, -0.57155, 0, 0, 0])
     assert configuration[-2] == 2, "a UR10"

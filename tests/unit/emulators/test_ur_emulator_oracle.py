@@ -3,42 +3,20 @@
 `ur_rtde` speaks RTDE, dashboard and scripts, `urx` the secondary interface.
 """
 
-import json
-import subprocess
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from helpers.hardware import client_venvs, emulated_ur
-from surg_cli.host import paths
 
 pytestmark = pytest.mark.oracle
-CLIENTS = paths.ROOT / "tests" / "helpers" / "hardware"
 HOME_POSE = [0.4919, -0.1333, 0.4879]
 """The flange of a UR5e at q = (0, -pi/2, -pi/2, -pi/2, pi/2, 0), in UR's base [m]."""
 
 
-def figures(requirement: str, client: str, log: Path, *words: str) -> dict[str, Any]:
-    """What a client prints of an emulated arm."""
-    python = client_venvs.python(requirement)
-    with emulated_ur.program(log) as address:
-        done = subprocess.run(
-            [str(python), str(CLIENTS / client), address, *words],
-            capture_output=True,
-            text=True,
-            timeout=120,
-            env={},
-        )
-    assert done.returncode == 0, done.stderr
-    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    print(json.dumps(found, indent=1))
-    return found
-
-
 def test_ur_rtde_drives_the_emulated_arm(tmp_path: Path) -> None:
-    log = tmp_path / "emulator.log"
-    found = figures("ur_rtde==1.6.5", "ur_rtde_client.py", log, "29990")
+    with emulated_ur.program(tmp_path / "emulator.log") as address:
+        found = client_venvs.figures("ur_rtde==1.6.5", address, "ur_rtde_client.py", "29990")
     assert found["robot"] == "Robotmode: RUNNING"
     assert (found["model"], found["serial"]) == ("UR5", "20225500001")
     assert found["remote"] is True
@@ -59,7 +37,8 @@ def test_ur_rtde_drives_the_emulated_arm(tmp_path: Path) -> None:
 
 
 def test_urx_drives_the_emulated_arm_by_the_secondary_interface(tmp_path: Path) -> None:
-    found = figures("urx==0.11.0", "urx_client.py", tmp_path / "emulator.log")
+    with emulated_ur.program(tmp_path / "emulator.log") as address:
+        found = client_venvs.figures("urx==0.11.0", address, "urx_client.py")
     assert found["joints"] == pytest.approx([0.0, -1.5708, -1.5708, -1.5708, 1.5708, 0.0])
     assert found["place"] == pytest.approx(HOME_POSE, abs=1e-4)
     assert found["move_error"] < 1e-6

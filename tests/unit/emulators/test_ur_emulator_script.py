@@ -189,6 +189,7 @@ def test_a_critical_section_lets_other_threads_run_where_it_waits() -> None:
         ("def a():\n  speedj([0, 0, 0, 0, 0, 1 / 1e-400], 1, 0.1)\nend", "line 2"),
         ("def a():\n  servoj([0, 0, 0, 0, 0, 0], lookahead_time=0.01)\nend", "from 0.03 to 0.2"),
         ("def a():\n  servoc(p[0, 0, 0, 0, 0, 0])\nend", "servoc is not emulated"),
+        ("def a():\n  x = tool_contact()\nend", "tool_contact is not emulated"),
         ("def a():\n  movej(p[9, 0, 0, 0, 0, 0])\nend", "no joint positions"),
         ("def a():\n  x = [1, 2] * [1, 2]\nend", "'*' of"),
         ("def a():\n  x = 1 / [1, 2]\nend", "'/' of"),

@@ -1,11 +1,10 @@
 """Dashboard, primary interface and faults of the emulated controller, without sockets."""
 
 import struct
-from collections.abc import Iterator
 
 import pytest
 
-from helpers.hardware.emulated_ur import settle
+from helpers.hardware.emulated_ur import primary_parts, settle
 from surg_emulators.fault_lines import FaultError, Kind, Schedule, parse
 from surg_emulators.ur import dh_kinematics as dh
 from surg_emulators.ur.dashboard_server import LOCAL, DashboardSession
@@ -96,24 +95,10 @@ def test_a_loaded_program_is_played_paused_and_stopped() -> None:
     assert ask(controller, "load /tmp/loop.urp") == ["File not found: /tmp/loop.urp"]
 
 
-def sub_packages(data: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """Message type, sub-package type and payload of a primary stream."""
-    while data:
-        size, kind = struct.unpack(">IB", data[:5])
-        body, data = data[5:size], data[size:]
-        if kind != 16:
-            yield kind, body[9], body[10:]
-            continue
-        while body:
-            length, part = struct.unpack(">IB", body[:5])
-            yield kind, part, body[5:length]
-            body = body[length:]
-
-
 def test_the_primary_interface_tells_version_state_and_kinematics() -> None:
     controller = UrController(dh_errors=[(0.001, 0.0, 0.0), *[(0.0, 0.0, 0.0)] * 5])
     session = PrimarySession(controller, "primary")
-    parts = {(kind, part): body for kind, part, body in sub_packages(session.greeting())}
+    parts = {(kind, part): body for kind, part, body in primary_parts(session.greeting())}
     assert parts[20, 3][1:10] == b"URControl"
     assert tuple(parts[20, 3][10:12]) == (5, 12)
     mode = struct.unpack(">Q7?bB3d", parts[16, 0][:-1])

@@ -15,7 +15,9 @@ from helpers.force.loaded_arm import (
     TICK,
     RandomLoad,
     calibrated,
+    inside,
     pull_at_tip,
+    rms,
     sensing_cell,
 )
 from helpers.force.statics import Array
@@ -28,8 +30,6 @@ from surg_sim.envs.cell_session import CellSession, Tick
 from surg_sim.envs.episode_runner import run_episode
 
 ARM = "PSM1"
-INSIDE = 5.991
-"""95 % of chi-squared with the two degrees of freedom across the shaft."""
 SHORT = str(paths.ROOT / "tests" / "helpers" / "sim" / "short_bgr.py")
 SEEDS = range(20_000, 20_006)
 """Six episodes last longer than 60 s."""
@@ -88,22 +88,6 @@ def fit(cell: surg_core.Cell, tmp_path_factory: pytest.TempPathFactory) -> LoadF
     return calibrated(cell, folder)
 
 
-def inside(rows: list[tuple[float, ForceEstimate, Array, Array]], tip: bool) -> float:
-    held = []
-    which = slice(0, 3) if tip else slice(3, 6)
-    for _, estimate, *truth in rows:
-        assert estimate.covariance is not None and estimate.forces is not None
-        said = estimate.forces.tip if tip else estimate.forces.trocar
-        e = said - truth[0 if tip else 1]
-        C = estimate.covariance[which, which]
-        held.append(e @ np.linalg.pinv(C, rcond=1e-6) @ e <= INSIDE)
-    return float(np.mean(held))
-
-
-def rms(errors: list[Array]) -> float:
-    return float(np.sqrt(np.mean([e @ e for e in errors])))
-
-
 @pytest.mark.parametrize("most", [0.0, 5.0])
 def test_the_tips_force_while_bowel_is_retracted(
     cell: surg_core.Cell, fit: LoadFit, full: bool, most: float
@@ -117,7 +101,8 @@ def test_the_tips_force_while_bowel_is_retracted(
     rows = [row for row in watcher.rows if row[0] >= 0.06]
     tip = [e.forces.tip - truth for _, e, truth, _ in rows if e.forces]
     trocar = [e.forces.trocar - truth for _, e, _, truth in rows if e.forces]
-    held, kept = inside(rows, True), inside(rows, False)
+    said = [e for _, e, *_ in rows]
+    held, kept = inside(said, tip, slice(0, 3)), inside(said, trocar, slice(3, 6))
     print(
         f"pull of up to {most:g} N: {done} successes, {len(rows)} estimates of {watcher.count} at "
         f"{1e3 * min(r[0] for r in rows):.0f} to {1e3 * max(r[0] for r in rows):.0f} mm: tip "

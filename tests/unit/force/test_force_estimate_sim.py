@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 
 import surg_core
-from helpers.force.loaded_arm import TICK, LoadedArm, Row, calibrated, sensing_cell
-from helpers.force.statics import Array
+from helpers.force.loaded_arm import TICK, LoadedArm, Row, calibrated, inside, rms, sensing_cell
 from surg_core.force.load_solver import LoadFit
-
-INSIDE = 5.991
-"""95 % of chi-squared with the two degrees of freedom across the shaft."""
 
 
 @pytest.fixture(scope="module")
@@ -23,19 +19,6 @@ def cell() -> surg_core.Cell:
 def fit(cell: surg_core.Cell, tmp_path_factory: pytest.TempPathFactory) -> LoadFit:
     folder: Path = tmp_path_factory.mktemp("bench")
     return calibrated(cell, folder)
-
-
-def rms(errors: list[Array]) -> float:
-    return float(np.sqrt(np.mean([e @ e for e in errors])))
-
-
-def inside(rows: list[Row], errors: list[Array], which: slice) -> float:
-    held = []
-    for row, e in zip(rows, errors, strict=True):
-        assert row.estimate.covariance is not None
-        C = row.estimate.covariance[which, which]
-        held.append(e @ np.linalg.pinv(C, rcond=1e-6) @ e <= INSIDE)
-    return float(np.mean(held))
 
 
 def played(cell: surg_core.Cell, fit: LoadFit, depth: float, seconds: float) -> list[Row]:
@@ -57,7 +40,8 @@ def test_the_tips_force_under_random_loads_and_a_breathing_trocar(
     trocar = [r.estimate.forces.trocar - r.trocar for r in good if r.estimate.forces]
     axial = [r.estimate.forces.axial - r.axial_tip for r in good if r.estimate.forces]
     ages = [(len(r.estimate.reason), r.age) for r in good]
-    held, kept = inside(good, tip, slice(0, 3)), inside(good, trocar, slice(3, 6))
+    said = [r.estimate for r in good]
+    held, kept = inside(said, tip, slice(0, 3)), inside(said, trocar, slice(3, 6))
     shallow = 1e3 * min(r.depth for r in good)
     print(
         f"depth {shallow:.1f} to {1e3 * max(r.depth for r in good):.1f} mm, {len(good)} estimates: "

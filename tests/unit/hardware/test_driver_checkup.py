@@ -11,6 +11,7 @@ from surg_hardware.checkup import Finding
 from surg_hardware.conditions import OFFLINE, Condition, Reading, franka_reading
 from surg_hardware.driver_checkup import Heard
 from surg_hardware.driver_datagrams import IdentityDatagram, NoticeDatagram, StateDatagram
+from surg_hardware.robot_adapter import ArmIdentity
 from surg_hardware.robot_link import Status
 
 ARM = surg_core.load_cell(paths.CELLS / "emulated_fr3").arms["PSM1"]
@@ -31,9 +32,8 @@ def identity(model: str = "fr3", mass: float = 0.0, shift: float = 0.0) -> Ident
     home = ARM.robot.home
     flange = ARM.chain.forward(home)[:3].copy()
     flange[0, 3] += shift
-    return IdentityDatagram(
-        tuple(home.tolist()), tuple(flange.ravel().tolist()), mass, (0.0,) * 3, None, model
-    )
+    said = ArmIdentity(model, tuple(flange.ravel().tolist()), mass=mass)
+    return IdentityDatagram(tuple(home.tolist()), said)
 
 
 def bad(*words: object, refusal: str = "") -> list[Finding]:

@@ -14,7 +14,13 @@ from typing import Any
 import pytest
 
 from helpers.hardware import fake_libfranka
-from helpers.hardware.fake_libfranka import Arm, RobotMode
+from helpers.hardware.fake_libfranka import Arm
+from surg_emulators.franka.franka_controller import RECOVERY_CYCLES, RobotMode
+from surg_emulators.franka.franka_errors import Error
+from surg_emulators.franka.franka_kinematics import flange
+from surg_emulators.franka.franka_robots import FER
+from surg_emulators.franka.franka_robots import FR3 as FR3_ARM
+from surg_emulators.franka.generator_motion import DT
 from surg_hardware import adapter_driver, arm_driver, robot_link
 from surg_hardware import driver_datagrams as wire
 from surg_hardware.arm_driver import DriverSettings, RobotRefused
@@ -28,6 +34,7 @@ LIBRARIES: dict[str, Callable[[Arm], dict[str, types.ModuleType]]] = {
     "panda": lambda arm: {"panda_py": fake_libfranka.panda_py(arm)},
 }
 LIMITS = {"fr3": FR3, "panda": PANDA}
+ARMS = {"fr3": FR3_ARM, "panda": FER}
 OPTIONS: dict[str, object] = {
     "collision_torque": [20.0] * 7,
     "collision_force": [25.0] * 6,
@@ -41,13 +48,13 @@ class Rig:
 
     def __init__(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
         middle = [0.5 * (joint.lower + joint.upper) for joint in LIMITS[name]]
-        self.arm = Arm(LIMITS[name], middle)
+        self.arm = Arm(ARMS[name], middle)
         for module, made in LIBRARIES[name](self.arm).items():
             monkeypatch.setitem(sys.modules, module, made)
         monkeypatch.delitem(sys.modules, f"surg_hardware.franka.{name}_adapter", raising=False)
         clock = types.SimpleNamespace(
-            monotonic=lambda: fake_libfranka.T * self.arm.count,
-            time_ns=lambda: round(1e9 * fake_libfranka.T * self.arm.count),
+            monotonic=lambda: DT * self.arm.count,
+            time_ns=lambda: round(1e9 * DT * self.arm.count),
             sleep=lambda seconds: None,
         )
         monkeypatch.setattr(arm_driver, "time", clock)
@@ -123,7 +130,7 @@ def test_it_moves_as_commanded_and_ends_at_rest(rig: Rig) -> None:
     rig.cycles(100)
     rig.ask("stop")
     rig.cycles(100)
-    assert rig.arm.mode is RobotMode.Idle and rig.arm.ended is not None
+    assert rig.arm.core.mode is RobotMode.IDLE and rig.arm.ended is not None
     assert rig.arm.ended < 1e-3
     assert rig.condition is Condition.READY and "start" in rig.newest.status.fault
     assert max(rig.arm.excess) <= 0.951
@@ -133,7 +140,7 @@ def test_a_stop_from_motion_is_no_step(rig: Rig) -> None:
     rig.started().cycles(300, SPEED)
     rig.ask("stop")
     rig.cycles(200, SPEED)
-    assert rig.arm.mode is RobotMode.Idle
+    assert rig.arm.core.mode is RobotMode.IDLE
     assert rig.arm.ended is not None and rig.arm.ended < 1e-3
     assert max(rig.arm.excess) <= 0.951
 
@@ -141,7 +148,7 @@ def test_a_stop_from_motion_is_no_step(rig: Rig) -> None:
 def test_a_silent_controller_ends_the_motion_within_20_ms_and_it_latches(rig: Rig) -> None:
     rig.started().cycles(300, SPEED)
     before = rig.arm.count
-    while rig.arm.mode is RobotMode.Move:
+    while rig.arm.core.mode is RobotMode.MOVE:
         rig.cycles(1, None)
     stopped = rig.arm.count - before
     print(f"at rest after {stopped} ms")
@@ -164,7 +171,7 @@ def test_lost_commands_do_not_end_in_a_reflex(rig: Rig) -> None:
     for k in range(20):
         rig.arm.lose = k % 5
         rig.cycles(37, SPEED if k % 2 else tuple(-v for v in SPEED))
-    assert rig.arm.mode is RobotMode.Move and max(rig.arm.excess) <= 0.96
+    assert rig.arm.core.mode is RobotMode.MOVE and max(rig.arm.excess) <= 0.96
 
 
 def test_an_acceleration_that_is_reported_late_changes_nothing(rig: Rig) -> None:
@@ -176,12 +183,12 @@ def test_an_acceleration_that_is_reported_late_changes_nothing(rig: Rig) -> None
         fastest = max(fastest, abs(rig.arm.dq_d[6]))
     assert fastest <= SPEED[6] + 1e-3, "it overshoots"
     assert rig.arm.dq_d == pytest.approx(SPEED, abs=1e-3)
-    assert rig.arm.mode is RobotMode.Move and max(rig.arm.excess) <= 0.951
+    assert rig.arm.core.mode is RobotMode.MOVE and max(rig.arm.excess) <= 0.951
 
 
 def test_a_reflex_is_named_latches_and_is_recovered(rig: Rig) -> None:
     rig.started().cycles(100, SPEED)
-    rig.arm.reflex("joint_reflex")
+    rig.arm.core.reflex(Error.joint_reflex, "a test")
     rig.cycles(4, SPEED)
     assert rig.condition is Condition.STOPPED
     assert "joint_reflex" in rig.newest.status.fault
@@ -191,7 +198,7 @@ def test_a_reflex_is_named_latches_and_is_recovered(rig: Rig) -> None:
     rig.ask("recover", enabled=True)
     assert rig.condition is Condition.STOPPED, "a controller that is ENABLED keeps it stopped"
     rig.ask("recover")
-    rig.cycles(10)
+    rig.cycles(RECOVERY_CYCLES + 10)
     assert rig.condition is Condition.READY
     rig.ask("start")
     rig.cycles(20)
@@ -199,18 +206,23 @@ def test_a_reflex_is_named_latches_and_is_recovered(rig: Rig) -> None:
 
 
 def test_states_come_every_second_cycle_with_the_robots_wrench(rig: Rig) -> None:
+    rig.arm.core.push([1.0, 2.0, 3.0, 0.1, 0.2, 0.3])
     rig.cycles(1000)
     assert 480 < len(rig.heard.states) < 520
     assert rig.newest.wrench == (1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
 
 
 def test_it_says_who_it_is(rig: Rig) -> None:
+    core = rig.arm.core
+    core.load[:4] = 0.7, 0.0, 0.01, 0.03
+    core.NE_T_EE = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.0, 0.0, 0.1, 1]
     rig.cycles(10)
-    found = rig.heard.identity
-    assert found is not None and found.serial is None
+    assert rig.heard.identity is not None
+    found = rig.heard.identity.said
+    assert found.serial is None
     assert found.model == rig.driver._settings.driver
     assert (found.mass, found.cog) == (0.7, (0.0, 0.01, 0.03))
-    assert found.flange == pytest.approx((0, -1, 0, 0.3, 1, 0, 0, 0.4, 0, 0, 1, 0.4))
+    assert found.flange == pytest.approx(flange(core.motion.q)[:3].ravel(), abs=1e-9)
 
 
 def test_collision_thresholds_are_set_at_the_start(rig: Rig) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime
 import math
 import re
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,15 +14,14 @@ import pytest
 import yaml
 
 import surg_core
+from helpers.hardware.emulated_cell import emulated_cell
 from surg_cli.commands import up
 from surg_cli.graph import system
 from surg_cli.graph.system_plan import SystemPlan
 from surg_cli.host import paths
-from surg_emulators.ur.dh_kinematics import TABLES, frames, pose_vector
 from surg_hardware import link_node
 from surg_hardware.franka.franka_adapter import FrankaAdapter
 from surg_hardware.franka.joint_limits import FR3, PANDA
-from surg_hardware.identity import flange_mismatch, ur_flange
 
 BUNDLED = paths.CELLS / "emulated_ur5e"
 Edit = Callable[[dict[str, Any]], object]
@@ -31,15 +29,7 @@ Edit = Callable[[dict[str, Any]], object]
 
 def written(folder: Path, edit: Edit) -> Path:
     """A copy of the bundled cell with its arm PSM1 edited; returns its cell.yaml."""
-    cell = folder / "cells" / "mine"
-    shutil.copytree(BUNDLED, cell)
-    (folder / "src").mkdir()
-    (folder / "src" / "surg_description").symlink_to(paths.ROOT / "src" / "surg_description")
-    file = cell / "cell.yaml"
-    document = yaml.safe_load(file.read_text("utf-8"))
-    edit(document["arms"]["PSM1"])
-    file.write_text(yaml.safe_dump(document), "utf-8")
-    return file
+    return emulated_cell(folder, edit=edit) / "cell.yaml"
 
 
 def test_the_driver_gets_what_cell_and_link_state() -> None:
@@ -86,18 +76,6 @@ def test_up_starts_the_link_and_no_simulator() -> None:
 def test_up_says_that_the_arm_is_emulated(capsys: pytest.CaptureFixture[str]) -> None:
     up.describe_arms(surg_core.load_cell(BUNDLED).arms)
     assert "emulated, at 127.0.0.1" in capsys.readouterr().out
-
-
-def test_our_kinematics_are_those_of_the_data_sheet() -> None:
-    """The URDF's flange against the DH table of the emulated arm, 200 postures."""
-    arm = surg_core.load_cell(BUNDLED).arms["PSM1"]
-    rng = np.random.default_rng(1)
-    for _ in range(200):
-        q = rng.uniform(-np.pi, np.pi, 6)
-        theirs = ur_flange(pose_vector(frames(q, TABLES["UR5e"])[-1]), [0.0] * 6)
-        assert flange_mismatch(arm.chain.forward(q), theirs) is None
-        other = ur_flange(pose_vector(frames(q, TABLES["UR10e"])[-1]), [0.0] * 6)
-        assert flange_mismatch(arm.chain.forward(q), other)
 
 
 def hardware(**changed: object) -> Edit:

@@ -14,6 +14,7 @@ import pytest
 from helpers.results.hardware_results import FUZZ_DATAGRAMS, FUZZ_STATES, note
 from surg_hardware import driver_datagrams as wire
 from surg_hardware.conditions import Condition
+from surg_hardware.robot_adapter import ArmIdentity
 from surg_hardware.robot_link import Status
 from surg_hardware.ur import rtde
 from surg_hardware.ur.rtde import Decoder, Recipe, Rtde, RtdeError, RtdeRefused
@@ -128,8 +129,8 @@ UPWARDS = (
     wire.StateDatagram(12, 34, (0.1,) * 6, (-0.2,) * 6, STATUS),
     wire.StateDatagram(0, 0, (), (), STATUS),
     wire.StateDatagram(12, 34, (0.1,) * 7, (-0.2,) * 7, STATUS, (1.0, -2.0, 3.0, 0.1, 0.2, 0.3)),
-    wire.IdentityDatagram((0.3,) * 7, (0.1,) * 12, 0.85, (0, 0.02, 0.11), "12", "UR5"),
-    wire.IdentityDatagram((0.3,) * 7, (0.1,) * 12, 0.85, (0, 0.02, 0.11), None, "fr3"),
+    wire.IdentityDatagram((0.3,) * 7, ArmIdentity("UR5", (0.1,) * 12, "12", 0.85, (0, 0.02, 0.11))),
+    wire.IdentityDatagram((0.3,) * 7, ArmIdentity("fr3", (0.1,) * 12)),
     wire.NoticeDatagram("start: it is not in remote control"),
 )
 DOWNWARDS = (wire.CommandDatagram(5, (0.1, -3.0)), wire.RequestDatagram("start", True))

@@ -1,24 +1,20 @@
 """Which arm is at the address: serial, model, payload, and the flange by an independent formula."""
 
 import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from surg_hardware import identity
-from surg_hardware.identity import Identity
+from surg_hardware.robot_adapter import ArmIdentity
 
-CELL = Identity("20225500123", "ur5e", 0.85, (0.0, 0.02, 0.11))
+CELL = ArmIdentity("ur5e", (), "20225500123", 0.85, (0.0, 0.02, 0.11))
 
 
-def found(**changed: object) -> Identity:
-    values: dict[str, object] = {
-        "serial": "20225500123",
-        "model": "UR5",
-        "mass": 0.85,
-        "cog": (0.0, 0.02, 0.11),
-    }
-    return Identity(**{**values, **changed})  # type: ignore[arg-type]
+def found(**changed: Any) -> ArmIdentity:
+    return replace(CELL, **{"model": "UR5", **changed})
 
 
 def test_the_arm_of_the_cell_is_accepted() -> None:
@@ -38,9 +34,9 @@ def test_the_arm_of_the_cell_is_accepted() -> None:
         ({"cog": (0.0, 0.02, 0.131)}, "hardware.payload.cog"),
     ],
 )
-def test_another_arm_is_refused_by_the_cells_key(changed: dict[str, object], key: str) -> None:
+def test_another_arm_is_refused_by_the_cells_key(changed: dict[str, Any], key: str) -> None:
     (mismatch,) = identity.mismatches(CELL, found(**changed))
-    assert mismatch.key == key and mismatch.cure
+    assert mismatch.what == key and mismatch.cure
 
 
 def rotation(axis: int, angle: float) -> np.ndarray:

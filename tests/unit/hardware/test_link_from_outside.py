@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import json
-import os
-import shutil
 import socket
-import subprocess
 import time
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 import yaml
 
 import surg_core
-from helpers.hardware.emulated_ur import SOURCES
-from surg_cli.host import paths
+from helpers.hardware.emulated_cell import emulated_cell
 from surg_hardware import adapter_driver, link_node, link_programs
 from surg_hardware import driver_datagrams as wire
 from surg_hardware.arm_driver import DriverSettings, RobotRefused
 from surg_hardware.conditions import Condition
+from surg_hardware.driver_start import start_driver
 
 DRIVER = '''"""An arm that follows its commands exactly; it lives in this process."""
 
@@ -70,7 +65,6 @@ LINK = {
     "acceleration": 0.9, "dead_man": 0.04, "stop_deceleration": 10.0, "driver": "my_driver",
     "settings": {"joints": 6},
 }  # fmt: skip
-BUNDLED = paths.CELLS / "emulated_ur5e"
 
 
 @pytest.fixture
@@ -79,32 +73,16 @@ def cell(tmp_path: Path) -> Path:
     (tmp_path / "my_driver").mkdir()
     (tmp_path / "my_driver" / "driver.py").write_text(DRIVER, "utf-8")
     (tmp_path / "my_link.yaml").write_text(yaml.safe_dump(LINK), "utf-8")
-    folder = tmp_path / "cell"
-    shutil.copytree(BUNDLED, folder)
-    document = yaml.safe_load((folder / "cell.yaml").read_text("utf-8"))
-    arm = document["arms"]["PSM1"]
-    arm["link"] = "../my_link.yaml"
-    arm["hardware"]["address"] = "127.31.7.7"
-    for key in ("robot", "instrument"):
-        arm[key] = os.path.normpath(BUNDLED / arm[key])
-    (folder / "cell.yaml").write_text(yaml.safe_dump(document), "utf-8")
-    return folder / "cell.yaml"
+    edit = {"link": "../my_link.yaml"}
+    return emulated_cell(tmp_path, "127.31.7.7", edit=lambda arm: arm.update(edit)) / "cell.yaml"
 
 
 class Running:
     """The driver's process, and the node's side of its socket."""
 
     def __init__(self, arm: surg_core.Arm) -> None:
-        self._node, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.process, self._node = start_driver(arm)
         self._node.settimeout(0.5)
-        settings = json.dumps(asdict(link_node.driver_settings(arm)))
-        words = link_programs.driver_words(arm.link, arm.driver)
-        self.process = subprocess.Popen(
-            [*words, settings, str(theirs.fileno())],
-            pass_fds=(theirs.fileno(),),
-            env=os.environ | {"PYTHONPATH": str(SOURCES)},
-        )
-        theirs.close()
         self.state: wire.StateDatagram | None = None
         self.identity: wire.IdentityDatagram | None = None
 
@@ -145,7 +123,7 @@ def test_an_arm_from_outside_is_driven_like_the_others(running: Running) -> None
     end = time.monotonic() + 2.1
     while time.monotonic() < end:
         running.turn(0.0)
-    assert running.identity is not None and running.identity.serial == "17"
+    assert running.identity is not None and running.identity.said.serial == "17"
     running.ask("start")
     running.until(Condition.ACTIVE, 0.0)
     assert running.state is not None

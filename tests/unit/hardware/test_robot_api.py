@@ -9,7 +9,6 @@ import http.client
 import io
 import json
 import socket
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -17,6 +16,7 @@ import pytest
 
 from helpers.hardware import emulated_ur
 from helpers.hardware.emulated_cell import HOME, SERIAL, emulated_cell
+from helpers.hardware.ur_driver_rig import DriverThread
 from surg_cli.host.terminal import CliError
 from surg_cli.robots import robot_doctor
 from surg_emulators.ur import ur_controller
@@ -24,19 +24,10 @@ from surg_emulators.ur.robot_api_server import ROOT, RobotApiSession
 from surg_emulators.ur.robot_states import RobotMode, SafetyMode
 from surg_emulators.ur.ur_controller import UrController
 from surg_emulators.ur.ur_emulator import UrEmulator
-from surg_hardware.arm_driver import DriverSettings
 from surg_hardware.conditions import Condition
-from surg_hardware.driver_datagrams import (
-    LONGEST,
-    NoticeDatagram,
-    RequestDatagram,
-    StateDatagram,
-    decode_from_driver,
-)
 from surg_hardware.ur import orders, robot_api
 from surg_hardware.ur.orders import Order
 from surg_hardware.ur.robot_api import RobotApi
-from surg_hardware.ur.ur_driver import UrDriver
 
 
 @pytest.fixture
@@ -112,42 +103,17 @@ def test_the_doctor_reads_the_same_lines(emulator: UrEmulator, tmp_path: Path) -
 
 
 def test_the_driver_starts_stops_and_is_refused_through_the_robot_api(
-    emulator: UrEmulator, monkeypatch: pytest.MonkeyPatch
+    emulator: UrEmulator,
 ) -> None:
-    """Decided by what the driver says, never by the clock."""
     emulator.controller.robot_mode = RobotMode.RUNNING
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    ours.settimeout(60.0)
-    said: list[str] = []
-
-    def heard(wanted: Callable[[StateDatagram], bool], word: str = "") -> StateDatagram:
-        """States until one is wanted, with a request now and then."""
-        count = 0
-        while True:
-            message = decode_from_driver(ours.recv(LONGEST))
-            if isinstance(message, NoticeDatagram):
-                said.append(message.text)
-            elif isinstance(message, StateDatagram):
-                if wanted(message):
-                    return message
-                count += 1
-                if word and count % 50 == 1:
-                    ours.send(RequestDatagram(word, False).pack())
-
-    with ours, theirs:
-        settings = DriverSettings(emulator.address, 0, (1.0,) * 6, (40.0,) * 6, 0.04, 20.0)
-        made = UrDriver(settings, theirs)
-        running = threading.Thread(target=made.run, daemon=True)
-        running.start()
-        heard(lambda state: state.status.condition is Condition.READY)
-        heard(lambda state: state.status.condition is Condition.GUIDED, "guide")
-        heard(lambda state: state.status.condition is Condition.READY, "stop")
-        assert emulator.controller.program is None
-        emulator.controller.remote = False
-        heard(lambda state: any("local control" in text for text in said), "start")
-        made.end("the test is over")
-        running.join(60.0)
-    assert not running.is_alive()
+    driver = DriverThread(emulator.address)
+    driver.until(lambda condition: condition is Condition.READY)
+    driver.until(lambda condition: condition is Condition.GUIDED, "guide")
+    driver.until(lambda condition: condition is Condition.READY, "stop")
+    assert emulator.controller.program is None
+    emulator.controller.remote = False
+    driver.until(lambda _: any("local control" in text for text in driver.notices), "start")
+    driver.end()
 
 
 @pytest.mark.parametrize("order", Order)

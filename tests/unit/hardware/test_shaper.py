@@ -12,13 +12,15 @@ import random
 
 import pytest
 
+from surg_emulators.franka import franka_robots
 from surg_hardware.franka.joint_limits import FR3, PANDA
-from surg_hardware.shaper import JointLimits, Shaper
+from surg_hardware.shaper import Shaper
 
 T = 0.001
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 COMMANDS = 1_000_000 if FULL else 4000
 ARMS = {"fr3": FR3, "panda": PANDA}
+ROBOTS = {"fr3": franka_robots.FR3, "panda": franka_robots.FER}
 ROUNDING = 1e-9
 
 
@@ -29,8 +31,9 @@ class Robot:
         excess: Largest velocity, acceleration and jerk so far, each as a share of its limit.
     """
 
-    def __init__(self, limits: tuple[JointLimits, ...]) -> None:
-        self.limits = limits
+    def __init__(self, name: str) -> None:
+        self.limits, self.arm = ARMS[name], ROBOTS[name]
+        limits = self.limits
         self.q = [0.5 * (joint.lower + joint.upper) for joint in limits]
         self.dq_d = [0.0] * len(limits)
         self.ddq_d = [0.0] * len(limits)
@@ -41,7 +44,7 @@ class Robot:
         for i, (joint, v) in enumerate(zip(self.limits, velocities, strict=True)):
             a = (v - self.dq_d[i]) / T
             jerk = (a - self.ddq_d[i]) / T
-            limit = joint.velocity_at(joint.upper - self.q[i] if v > 0 else self.q[i] - joint.lower)
+            limit = abs(self.arm.velocity_range(i, self.q[i])[v > 0])
             shares = abs(v) / max(limit, 1e-3), abs(a) / joint.acceleration, abs(jerk) / joint.jerk
             self.excess = [max(pair) for pair in zip(self.excess, shares, strict=True)]
             self.dq_d[i], self.ddq_d[i] = v, a
@@ -57,7 +60,7 @@ class Robot:
 def play(name: str, commands: int, loss: float, seed: int) -> Robot:
     """Random commands, some of them absurd, each for a random time."""
     rng = random.Random(seed)
-    robot = Robot(ARMS[name])
+    robot = Robot(name)
     shaper = Shaper(robot.limits)
     left = commands
     while left > 0:
@@ -89,7 +92,7 @@ def test_after_lost_commands_acceleration_and_jerk_stay_within_the_limits(name: 
 
 
 def test_a_command_is_reached_soon_and_without_overshoot() -> None:
-    robot = Robot(PANDA)
+    robot = Robot("panda")
     shaper = Shaper(PANDA)
     wanted = [0.1, -0.05, 0.02, 0.1, -0.1, 0.2, 0.3]
     for cycle in range(60):
@@ -101,7 +104,7 @@ def test_a_command_is_reached_soon_and_without_overshoot() -> None:
 
 def test_a_gentle_motion_passes_two_milliseconds_late_at_most() -> None:
     """Where nothing bites, the shaper only interpolates."""
-    robot, shaper, late = Robot(PANDA), Shaper(PANDA), []
+    robot, shaper, late = Robot("panda"), Shaper(PANDA), []
     for cycle in range(2000):
         t = T * (cycle - cycle % 2)
         wanted = [0.05 * math.sin(2.0 * t)] * 7
@@ -112,8 +115,8 @@ def test_a_gentle_motion_passes_two_milliseconds_late_at_most() -> None:
 
 
 def test_a_joint_stops_before_the_end_of_its_range() -> None:
-    for limits in ARMS.values():
-        robot, shaper = Robot(limits), Shaper(limits)
+    for name, limits in ARMS.items():
+        robot, shaper = Robot(name), Shaper(limits)
         for _ in range(6000):
             wanted = [joint.velocity for joint in limits]
             robot.take(shaper.shape(wanted, robot.q, robot.dq_d, robot.ddq_d))

@@ -1,12 +1,12 @@
 """An emulated controller behind ports: connections, faults and the clock that every emulator has.
 
-Only loopback addresses are served. In free-run the cycles follow the machine's clock; in lock-step
-each cycle waits for the commands that answer the last state.
+Only loopback addresses are served. The cycles follow the machine's clock.
 """
 
 from __future__ import annotations
 
 import ipaddress
+import math
 import select
 import socket
 import struct
@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, TextIO
 
-from surg_emulators.fault_lines import Kind, Schedule
+from surg_emulators.fault_lines import Kind, Schedule, number, switch
 
 MOST_CLIENTS = 10
 """Connections per service; an arm refuses further ones too."""
@@ -54,10 +54,15 @@ class Connection:
 
 
 class Controller(Protocol):
-    """What every emulated controller has: messages for people."""
+    """What every emulated controller has: messages for people, and what its states fake.
+
+    ``faked`` are values in place of the truth: ``q`` of every joint [rad], ``mode``, and by how
+    much its clock is ``back`` [s].
+    """
 
     messages: deque[str]
     said: int
+    faked: dict[str, float]
 
     def say(self, text: str) -> None:
         """A message."""
@@ -87,7 +92,6 @@ class PortedEmulator:
         period: Of one cycle [s].
         address: Loopback address to listen on.
         ports: Service -> port; 0 takes a free one.
-        lock_step: Whether `run` waits for the commands of every cycle.
         shortest: Share of the period that a late cycle leaves its clients at least.
 
     Attributes:
@@ -106,14 +110,13 @@ class PortedEmulator:
         period: float,
         address: str,
         ports: Mapping[str, int],
-        lock_step: bool = False,
         shortest: float = 0.0,
     ) -> None:
         if not ipaddress.ip_address(address).is_loopback:
             raise ValueError(f"address {address}: only loopback (127.0.0.0/8) is allowed")
         self._device, self._dt = controller, period
         self.stopped = False
-        self.address, self._lock_step = address, lock_step
+        self.address = address
         self._now = 0.0  # emulated time [s]; goes on through a reboot
         self._period, self._shortest = period, shortest
         self._stalled_until = -1.0
@@ -128,7 +131,7 @@ class PortedEmulator:
         except OSError:
             self.close()
             raise
-        self._schedule = Schedule(self._kinds())
+        self._schedule = Schedule({**self._kinds(), **self._common_kinds()})
 
     # What a kind of arm adds -----------------------------------------------------------------
 
@@ -154,7 +157,7 @@ class PortedEmulator:
         raise NotImplementedError
 
     def _kinds(self) -> dict[str, Kind]:
-        """All faults."""
+        """Faults that only this arm has."""
         raise NotImplementedError
 
     def _session(self, service: str) -> EmulatorSession:
@@ -169,10 +172,6 @@ class PortedEmulator:
 
     def _receive_datagram(self, receiver: socket.socket) -> None:
         """A datagram waits."""
-
-    def _all_answered(self) -> bool:
-        """Whether every client that commands has answered the last state."""
-        return True
 
     # Clock --------------------------------------------------------------------------------
 
@@ -213,10 +212,6 @@ class PortedEmulator:
 
     def _wait(self, wake: float) -> float:
         """Serve clients until the next cycle; returns when that one is due."""
-        if self._lock_step:
-            while not self.stopped and not self._all_answered():
-                self.poll(0.1)
-            return wake
         now = time.monotonic()
         wake += self._period
         if wake < now - LATE:
@@ -245,13 +240,38 @@ class PortedEmulator:
         """All faults, one per line."""
         return self._schedule.help()
 
-    def stall(self, seconds: float) -> None:
-        """Let the network deliver nothing for some seconds, then everything."""
-        self._stalled_until = self._now + seconds
+    def _common_kinds(self) -> dict[str, Kind]:
+        """Of people, network and clock, and states that are wrong."""
+        device = self._device  # what it fakes is another dictionary after a reboot
 
-    def drift(self, share: float) -> None:
-        """Let the robot's clock run faster by a share."""
-        self._period = self._dt / (1.0 + share)
+        def stall(seconds: str) -> None:
+            self._stalled_until = self._now + number(seconds, "stall", 0.0, 60.0)
+
+        def drift(share: str) -> None:
+            self._period = self._dt / (1.0 + number(share, "drift", -0.05, 0.05))
+
+        def nan(on: str = "on") -> None:
+            device.faked.update(q=math.nan) if switch(on) else device.faked.pop("q", None)
+
+        def mode(word: str) -> None:
+            if word == "off":
+                device.faked.pop("mode", None)
+            else:
+                device.faked["mode"] = number(word, "mode", 0, 127)
+
+        def clock_back(seconds: str) -> None:
+            device.faked["back"] = number(seconds, "clock_back", 0.0, 1e6)
+
+        return {
+            "status": Kind(self.status, "", "answers with mode, joints and more"),
+            "help": Kind(self.fault_help, "", "answers with all faults"),
+            "stall": Kind(stall, "SECONDS", "the network delivers nothing, then all at once"),
+            "drift": Kind(drift, "SHARE", "the robot's clock runs this much faster"),
+            "reset": Kind(self.reset_connections, "", "all connections are reset"),
+            "nan": Kind(nan, "[on|off]", "the joint positions are not numbers"),
+            "mode": Kind(mode, "NUMBER|off", "states hold this robot mode, such as 99"),
+            "clock_back": Kind(clock_back, "SECONDS", "the clock of the states jumps back"),
+        }
 
     def reset_connections(self, services: Sequence[str] = ()) -> None:
         """Reset the connections of some services; without names: of all but the control port."""

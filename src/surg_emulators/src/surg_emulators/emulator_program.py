@@ -36,7 +36,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--serial", help="serial number")
     add("--q", type=float, nargs="+", metavar="RAD", help="joint angles at the start")
     add("--off", action="store_true", help="begin with the power off (ur) or the brakes closed")
-    add("--lock-step", action="store_true", help="each cycle waits for the client's commands")
 
 
 def parse_ports(text: str, known: Mapping[str, int]) -> dict[str, int]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -81,6 +81,18 @@ def number(word: str, what: str, least: float, most: float) -> float:
     if not least <= value <= most:
         raise FaultError(f"{what} {word!r}: must be a number from {least:g} to {most:g}")
     return value
+
+
+def numbers(words: Sequence[str], count: int, what: str, most: float) -> list[float]:
+    """So many numbers of at most a magnitude; no words are zeros.
+
+    Raises:
+        FaultError: They are not.
+    """
+    values = [number(word, what, -most, most) for word in words] or [0.0] * count
+    if len(values) != count:
+        raise FaultError(f"{what}: {len(values)} numbers; {count} are needed")
+    return values
 
 
 def choice(word: str, choices: Mapping[str, Value], what: str) -> Value:

@@ -24,14 +24,10 @@ from surg_hardware.arm_driver import (
 )
 from surg_hardware.conditions import OFFLINE
 from surg_hardware.driver_datagrams import IdentityDatagram
+from surg_hardware.link_programs import ADAPTERS
 from surg_hardware.robot_adapter import AdapterError, ArmState, RobotAdapter
 from surg_hardware.robot_link import RobotState
 
-ADAPTERS = {
-    "fr3": "surg_hardware.franka.fr3_adapter",
-    "panda": "surg_hardware.franka.panda_adapter",
-}
-"""Links of the platform -> module of their adapter."""
 FILE = "driver.py"
 
 
@@ -190,12 +186,7 @@ class AdapterDriver(ArmDriver):
         return self._at_rest(enabled) or self._adapter.recover()
 
     def _say_identity(self, arm: ArmState) -> None:
-        found = self._adapter.identity()
-        self._say(
-            IdentityDatagram(
-                arm.q, found.flange, found.mass, found.cog, found.serial, found.model
-            ).pack()
-        )
+        self._say(IdentityDatagram(arm.q, self._adapter.identity()).pack())
 
 
 def made(settings: DriverSettings, node: socket.socket) -> AdapterDriver:

@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-
-from surg_hardware import identity
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     import surg_core
+
+Array = NDArray[np.float64]
 
 LATE = 0.004
 """[s] A state that reaches a real arm's driver later than this, one in a hundred, is bad."""
@@ -32,39 +33,8 @@ class Finding:
     good: bool | None = True
     cure: str = ""
 
-
-def identity_findings(
-    arm: surg_core.Arm, said: identity.Identity, q: Sequence[float], theirs: identity.Array
-) -> list[Finding]:
-    """Whether this is the arm that the cell means: serial, model, payload, forward kinematics.
-
-    Args:
-        arm: Of the cell.
-        said: What the robot says of itself.
-        q: Its joint positions [rad].
-        theirs: Its own flange pose (4, 4) in the robot's base at these positions.
-    """
-    expected = identity.of_cell(arm)
-    wrong = {each.key: each for each in identity.mismatches(expected, said)}
-    x, y, z = said.cog
-    lines = {
-        "hardware.serial": said.serial or "unknown: the robot tells none",
-        "robot": said.model,
-        "hardware.payload.mass": f"{said.mass:g} kg",
-        "hardware.payload.cog": f"[{x:g}, {y:g}, {z:g}] m",
-    }
-    found = [
-        Finding(key, text) if key not in wrong else _bad(wrong[key]) for key, text in lines.items()
-    ]
-    ours = arm.chain.forward(np.array(q))
-    flange = identity.flange_mismatch(ours, theirs)
-    distance, angle = identity.flange_difference(ours, theirs)
-    text = f"our flange differs by {1e3 * distance:.3f} mm, {math.degrees(angle):.3f} deg"
-    return [*found, Finding("forward kinematics", text) if flange is None else _bad(flange)]
-
-
-def _bad(wrong: identity.Mismatch) -> Finding:
-    return Finding(wrong.key, wrong.text, False, wrong.cure)
+    def __str__(self) -> str:
+        return f"{self.what}: {self.text}: {self.cure}"
 
 
 @dataclass(frozen=True)
@@ -81,7 +51,7 @@ class Exchange:
     rate: float
     drift: float
     drift_error: float
-    late: identity.Array
+    late: Array
 
     @staticmethod
     def of(stamps: Sequence[float], arrivals: Sequence[float]) -> Exchange:
@@ -122,13 +92,13 @@ def round_trip_finding(trips: Sequence[float]) -> Finding:
     return Finding("round trip", f"{_spread(np.array(trips))}, {len(trips)} questions", None)
 
 
-def _spread(times: identity.Array) -> str:
+def _spread(times: Array) -> str:
     """Percentiles of times [s] in words."""
     values = " / ".join(f"{1e3 * value:.2f}" for value in _percentiles(times))
     return f"{values} ms (p50 / p99 / max)"
 
 
-def _percentiles(values: identity.Array) -> tuple[float, float, float]:
+def _percentiles(values: Array) -> tuple[float, float, float]:
     median, most_of_them = np.percentile(values, (50, 99))
     return float(median), float(most_of_them), float(values.max())
 

@@ -120,13 +120,7 @@ def findings(arm: surg_core.Arm, heard: Heard) -> list[Finding]:
     for text in dict.fromkeys(heard.notices):
         found.append(Finding("notice", text, False, "see the page of this link"))
     if heard.identity is not None:
-        said = heard.identity
-        found += checkup.identity_findings(
-            arm,
-            identity.Identity(said.serial, said.model, said.mass, said.cog),
-            said.q,
-            identity.rigid(said.flange),
-        )
+        found += identity.findings(arm, heard.identity.q, heard.identity.said)
     if len(heard.states) > 2:
         stamps = [1e-9 * state.stamp_ns for _, state in heard.states]
         exchange = checkup.Exchange.of(stamps, [arrival for arrival, _ in heard.states])

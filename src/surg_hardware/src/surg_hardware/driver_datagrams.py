@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from surg_hardware.conditions import Condition
+from surg_hardware.robot_adapter import ArmIdentity
 from surg_hardware.robot_link import Status
 
 MOST_JOINTS = 8
@@ -68,31 +69,24 @@ class StateDatagram:
 
 @dataclass(frozen=True)
 class IdentityDatagram:
-    """What the robot says of itself, at rest.
-
-    ``flange`` is the upper three rows of its pose in the robot's base as ROS has it; ``serial`` is
-    None for a robot that tells none.
-    """
+    """What the robot says of itself, at rest, and its angles then [rad]."""
 
     q: tuple[float, ...]
-    flange: tuple[float, ...]  # (12,) row by row
-    mass: float
-    cog: tuple[float, float, float]
-    serial: str | None
-    model: str
+    said: ArmIdentity
 
     def pack(self) -> bytes:
         """As bytes."""
+        said = self.said
         return _IDENTITY_LAYOUT.pack(
             _IDENTITY,
             *_padded(self.q),
             len(self.q),
-            *self.flange,
-            self.mass,
-            *self.cog,
-            self.serial is not None,
-            (self.serial or "").encode()[:32],
-            self.model.encode()[:32],
+            *said.flange,
+            said.mass,
+            *said.cog,
+            said.serial is not None,
+            (said.serial or "").encode()[:32],
+            said.model.encode()[:32],
         )
 
 
@@ -160,14 +154,14 @@ def decode_from_driver(data: bytes) -> FromDriver:
         n = values[9]
         if n > MOST_JOINTS:
             raise DatagramError(f"{n} joints")
-        return IdentityDatagram(
-            values[1 : 1 + n],
-            values[10:22],
-            values[22],
-            (values[23], values[24], values[25]),
-            _text(values[27]) if values[26] else None,
-            _text(values[28]),
+        said = ArmIdentity(
+            model=_text(values[28]),
+            flange=values[10:22],
+            serial=_text(values[27]) if values[26] else None,
+            mass=values[22],
+            cog=(values[23], values[24], values[25]),
         )
+        return IdentityDatagram(values[1 : 1 + n], said)
     if kind == _NOTICE and len(data) <= 1 + MOST_TEXT:
         return NoticeDatagram(data[1:].decode("utf-8", "replace"))
     raise DatagramError(f"kind {kind} with {len(data)} bytes")

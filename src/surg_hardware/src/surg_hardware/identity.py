@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from surg_hardware.checkup import Array, Finding
+from surg_hardware.robot_adapter import ArmIdentity
 
 if TYPE_CHECKING:
     import surg_core
 
-Array = NDArray[np.float64]
-
+FLANGE = "forward kinematics"
 FLANGE_DISTANCE = 0.0005
 """[m] Between our flange and the robot's own: its factory kinematics differ by millimetres."""
 FLANGE_ANGLE = math.radians(0.1)
@@ -24,46 +24,21 @@ MASS, COG = 0.1, 0.02
 KINEMATICS = "check the model; then read the arm's own kinematics: ./surg robot CELL kinematics"
 
 
-@dataclass(frozen=True)
-class Identity:
-    """What the cell, or the robot, says of an arm: payload mass [kg] and its centre [m] (3,).
-
-    A robot's ``serial`` and ``model`` are empty where unknown; its serial is None if it tells none.
-    """
-
-    serial: str | None
-    model: str
-    mass: float
-    cog: tuple[float, float, float]
-
-
-def of_cell(arm: surg_core.Arm) -> Identity:
-    """What the cell says of a real or emulated arm."""
+def of_cell(arm: surg_core.Arm) -> ArmIdentity:
+    """What the cell says of a real or emulated arm; of its flange nothing."""
     hardware = arm.hardware
     if hardware is None:
         raise ValueError(f"{arm.name} has no 'hardware' in its cell")
     x, y, z = hardware.payload_cog.tolist()
-    return Identity(hardware.serial, arm.robot.name, hardware.payload_mass, (x, y, z))
+    return ArmIdentity(arm.robot.name, (), hardware.serial, hardware.payload_mass, (x, y, z))
 
 
-@dataclass(frozen=True)
-class Mismatch:
-    """One difference: the cell's key, what cell and robot say, and what to do."""
-
-    key: str
-    text: str
-    cure: str
-
-    def __str__(self) -> str:
-        return f"{self.key}: {self.text}: {self.cure}"
-
-
-def mismatches(expected: Identity, found: Identity) -> list[Mismatch]:
-    """Where the robot is not the one that the cell means; empty: it is."""
+def mismatches(expected: ArmIdentity, found: ArmIdentity) -> list[Finding]:
+    """Where the robot is not the one that the cell means, by the cell's keys; empty: it is."""
     wrong = []
     if found.serial is not None and found.serial != expected.serial:
         wrong.append(
-            Mismatch(
+            _bad(
                 "hardware.serial",
                 f"the cell says {expected.serial!r}, the robot is {found.serial!r}",
                 "check address and serial; this is another arm",
@@ -71,7 +46,7 @@ def mismatches(expected: Identity, found: Identity) -> list[Mismatch]:
         )
     if not same_model(expected.model, found.model):
         wrong.append(
-            Mismatch(
+            _bad(
                 "robot",
                 f"the cell says {expected.model!r}, the robot is a {found.model!r}",
                 "name the YAML of this model",
@@ -79,7 +54,7 @@ def mismatches(expected: Identity, found: Identity) -> list[Mismatch]:
         )
     if not abs(found.mass - expected.mass) <= MASS:
         wrong.append(
-            Mismatch(
+            _bad(
                 "hardware.payload.mass",
                 f"the cell says {expected.mass:g} kg, the robot has {found.mass:g} kg set; "
                 f"allowed is a difference of {MASS:g} kg",
@@ -89,7 +64,7 @@ def mismatches(expected: Identity, found: Identity) -> list[Mismatch]:
     away = math.dist(expected.cog, found.cog)
     if not away <= COG:
         wrong.append(
-            Mismatch(
+            _bad(
                 "hardware.payload.cog",
                 f"the cell and the robot differ by {1e3 * away:.0f} mm; allowed is "
                 f"{1e3 * COG:.0f} mm",
@@ -97,6 +72,37 @@ def mismatches(expected: Identity, found: Identity) -> list[Mismatch]:
             )
         )
     return wrong
+
+
+def all_mismatches(arm: surg_core.Arm, q: Sequence[float], found: ArmIdentity) -> list[Finding]:
+    """As `mismatches` of a cell's arm, and of its flange at these joint positions [rad]."""
+    flange = flange_mismatch(arm.chain.forward(np.array(q)), rigid(found.flange))
+    return mismatches(of_cell(arm), found) + ([flange] if flange is not None else [])
+
+
+def findings(arm: surg_core.Arm, q: Sequence[float], found: ArmIdentity) -> list[Finding]:
+    """Serial, model, payload and forward kinematics of a cell's arm, line by line.
+
+    Args:
+        arm: Of the cell.
+        q: Joint positions [rad].
+        found: What the robot says of itself there.
+    """
+    distance, angle = flange_difference(arm.chain.forward(np.array(q)), rigid(found.flange))
+    x, y, z = found.cog
+    lines = {
+        "hardware.serial": found.serial or "unknown: the robot tells none",
+        "robot": found.model,
+        "hardware.payload.mass": f"{found.mass:g} kg",
+        "hardware.payload.cog": f"[{x:g}, {y:g}, {z:g}] m",
+        FLANGE: f"our flange differs by {1e3 * distance:.3f} mm, {math.degrees(angle):.3f} deg",
+    }
+    wrong = {each.what: each for each in all_mismatches(arm, q, found)}
+    return [wrong.get(key, Finding(key, text)) for key, text in lines.items()]
+
+
+def _bad(key: str, text: str, cure: str) -> Finding:
+    return Finding(key, text, False, cure)
 
 
 def same_model(ours: str, theirs: str) -> bool:
@@ -113,13 +119,13 @@ def flange_difference(ours: Array, theirs: Array) -> tuple[float, float]:
     return distance, math.atan2(float(np.linalg.norm(twice_sine)), float(np.trace(R)) - 1)
 
 
-def flange_mismatch(ours: Array, theirs: Array) -> Mismatch | None:
+def flange_mismatch(ours: Array, theirs: Array) -> Finding | None:
     """The difference of two flange poses (4, 4) in the robot's base, if it is too large."""
     distance, angle = flange_difference(ours, theirs)
     if distance <= FLANGE_DISTANCE and angle <= FLANGE_ANGLE:
         return None
-    return Mismatch(
-        "forward kinematics",
+    return _bad(
+        FLANGE,
         f"our flange is {1e3 * distance:.2f} mm and {math.degrees(angle):.2f} degrees from the "
         f"robot's own; allowed are {1e3 * FLANGE_DISTANCE:g} mm and "
         f"{math.degrees(FLANGE_ANGLE):g} degrees",

@@ -186,13 +186,8 @@ class LinkNode:
 
     def _check_identity(self, found: IdentityDatagram) -> None:
         """Whether this is the arm that the cell means; another one is refused for good."""
-        self._serial = found.serial or ""
-        said = identity.Identity(found.serial, found.model, found.mass, found.cog)
-        wrong = identity.mismatches(identity.of_cell(self._arm), said)
-        ours = self._arm.chain.forward(np.array(found.q))
-        theirs = identity.rigid(found.flange)
-        if (flange := identity.flange_mismatch(ours, theirs)) is not None:
-            wrong.append(flange)
+        self._serial = found.said.serial or ""
+        wrong = identity.all_mismatches(self._arm, found.q, found.said)
         if wrong:
             sentences = "; ".join(map(str, wrong)).replace("robot CELL", f"robot {self._cell}")
             self.refusal = f"{self._arm.name}: {sentences}"

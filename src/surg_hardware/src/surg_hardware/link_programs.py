@@ -5,16 +5,16 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-MODULES = {
-    "ur": "surg_hardware.ur.ur_driver",
-    "fr3": "surg_hardware.adapter_driver",
-    "panda": "surg_hardware.adapter_driver",
+UR, UR_DRIVER = "ur", "surg_hardware.ur.ur_driver"
+"""The link that has a driver of its own, and its module."""
+ADAPTERS = {
+    "fr3": "surg_hardware.franka.fr3_adapter",
+    "panda": "surg_hardware.franka.panda_adapter",
 }
-"""Links of the platform -> module of their driver."""
+"""The other links of the platform -> module of their adapter, which `adapter_driver` runs."""
 REQUIREMENTS = "packages.lock"
 """Packages of a driver's own environment, pinned with hashes; beside the driver."""
 _PACKAGE = Path(__file__).resolve().parent
-_FOLDERS = {"fr3": _PACKAGE / "franka", "panda": _PACKAGE / "franka"}
 
 
 class NoProgram(ValueError):
@@ -28,10 +28,10 @@ def requirements(link: str, driver: Path | None) -> Path | None:
         link: The link, as the cell names it.
         driver: Folder of a driver from elsewhere.
     """
-    folder = driver or _FOLDERS.get(link)
-    if folder is None or not (folder / REQUIREMENTS).is_file():
-        return None
-    return folder / REQUIREMENTS
+    if driver is None and link in ADAPTERS:
+        driver = _PACKAGE.parent.joinpath(*ADAPTERS[link].split(".")).parent
+    lock = driver and driver / REQUIREMENTS
+    return lock if lock is not None and lock.is_file() else None
 
 
 def environment(lock: Path) -> Path:
@@ -45,7 +45,7 @@ def driver_name(link: str, driver: Path | None) -> str:
     Raises:
         NoProgram: Nothing does.
     """
-    if driver is None and link not in MODULES:
+    if driver is None and link not in (UR, *ADAPTERS):
         raise NoProgram(
             f"link: {link!r} has a section hardware, and its YAML names no driver: "
             "add 'driver: FOLDER' to it, or remove hardware and start the link by hand"
@@ -65,8 +65,8 @@ def driver_words(link: str, driver: Path | None) -> list[str]:
         python = str(environment(lock) / "bin" / "python")
         if not Path(python).is_file():
             raise NoProgram(f"{lock}: its environment {python} is missing: ./surg up makes it")
-    module = "surg_hardware.adapter_driver" if driver is not None else MODULES[link]
-    return [python, "-s", "-m", module]
+    of_ur = driver is None and link == UR
+    return [python, "-s", "-m", UR_DRIVER if of_ur else "surg_hardware.adapter_driver"]
 
 
 def search_path() -> str:

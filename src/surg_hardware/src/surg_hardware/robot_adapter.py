@@ -38,15 +38,15 @@ class ArmIdentity:
     """What the robot says of itself, for the comparison with the cell.
 
     ``serial`` is None where it cannot be asked; ``flange`` is the upper three rows of the flange's
-    pose in the robot's base, row by row (12,), at the joints of the newest state. The payload is
-    what the robot reckons with.
+    pose in the robot's base as ROS has it, row by row (12,), at the joints of the newest state. The
+    payload is what the robot reckons with.
     """
 
     model: str
     flange: tuple[float, ...]
     serial: str | None = None
-    mass: float = 0.0
-    cog: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mass: float = 0.0  # [kg]
+    cog: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m]
 
 
 class RobotAdapter(ABC):

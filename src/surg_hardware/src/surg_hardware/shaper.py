@@ -39,17 +39,6 @@ class JointLimits:
     offset: float = 0.0  # [rad/s]
     slope: float = 0.0  # [rad/s^2]
 
-    def velocity_at(self, distance: float) -> float:
-        """The published limit of the velocity towards an end of the range [rad/s].
-
-        Args:
-            distance: To that end [rad].
-        """
-        if not self.slope:
-            return self.velocity
-        root = math.sqrt(max(0.0, self.slope * distance))
-        return min(self.velocity, max(0.0, root - self.offset))
-
 
 class _JointShaper:
     """One joint. A and J are the acceleration and jerk that it uses."""

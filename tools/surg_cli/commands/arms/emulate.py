@@ -24,8 +24,8 @@ ROBOTS = {robot: (kind, model) for kind, of in MODELS.items() for robot, model i
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
     parser.epilog = (
-        "Ports, serial number, joint angles, a start without power, a record of every cycle and "
-        "lock-step are options of the programs surg_emulators.ur.ur_emulator and "
+        "Ports, serial number, joint angles, a start without power and a record of every cycle "
+        "are options of the programs surg_emulators.ur.ur_emulator and "
         "surg_emulators.franka.franka_emulator."
     )
     add = parser.add_argument

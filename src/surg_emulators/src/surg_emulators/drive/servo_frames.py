@@ -57,15 +57,10 @@ def status(servo_id: int, error: int, parameters: bytes = b"") -> bytes:
 
 
 class FrameParser:
-    """Finds frames in a stream of bytes.
-
-    Attributes:
-        damaged: Number of frames whose CRC was wrong.
-    """
+    """Finds frames in a stream of bytes."""
 
     def __init__(self) -> None:
         self._held = b""
-        self.damaged = 0
 
     def feed(self, data: bytes) -> list[Frame]:
         """Take bytes; returns the frames that they complete."""
@@ -101,5 +96,4 @@ class FrameParser:
                     self._held = self._held[len(whole) :]
                     body = whole[_HEAD:-2].replace(_STUFFED, _MARK)
                     return Frame(whole[4], body[0], body[1:])
-                self.damaged += 1
             self._held = self._held[1:]

@@ -11,7 +11,6 @@ from surg_emulators.drive.servo_motor import (
     LEVEL,
     OVERHEAT,
     OVERLOAD,
-    SIZE,
     UNDERVOLTAGE,
     Servo,
 )
@@ -46,7 +45,6 @@ class ServoLine:
         self._fed = 0.0
         self._random = random.Random(seed)
         self._damage = self._noise = self._loss = 0.0  # share of answers
-        self._waiting: dict[int, tuple[int, bytes]] = {}  # registered writes, by id(servo)
         self.schedule = Schedule(self._kinds())
 
     def step(self, now: float) -> None:
@@ -85,7 +83,7 @@ class ServoLine:
             named = [servo for servo in heard if servo.id == servo_id]
             told = [self._obey(servo, instruction, parameters) for servo in named]
             answers = [answer for answer in told if answer]
-            if answers and (frame.id != EVERYBODY or frame.instruction in (0x01, 0x82, 0x92)):
+            if answers and (frame.id != EVERYBODY or frame.instruction in (0x01, 0x82)):
                 found.append((named, _together(answers)))
         return found
 
@@ -103,10 +101,6 @@ class ServoLine:
         servo_id = servo.id  # as it answers, also where it gets another one
         if instruction == 0x03:
             error = servo.write(address, content)
-        elif instruction == 0x04:
-            self._waiting[id(servo)] = (address, content)
-        elif instruction == 0x05:
-            error = servo.write(*self._waiting.pop(id(servo), (SIZE, b"")))
         elif instruction == 0x08:
             servo.reboot(self.now)
         else:
@@ -179,20 +173,11 @@ def _parts(frame: Frame, ids: Sequence[int]) -> list[tuple[int, int, bytes]]:
     p = frame.parameters
     if frame.instruction == 0x82:  # sync read
         return [(servo_id, 0x02, p[:4]) for servo_id in p[4:]]
-    if frame.instruction == 0x92:  # bulk read
-        return [(p[i], 0x02, p[i + 1 : i + 5]) for i in range(0, len(p) - 4, 5)]
     if frame.instruction == 0x83:  # sync write
         size = _words(p)[1]
         return [
             (p[i], 0x03, p[:2] + p[i + 1 : i + 1 + size]) for i in range(4, len(p) - size, size + 1)
         ]
-    if frame.instruction == 0x93:  # bulk write
-        found = []
-        while len(p) > 5:
-            size = _words(p[1:])[1]
-            found.append((p[0], 0x03, p[1:3] + p[5 : 5 + size]))
-            p = p[5 + size :]
-        return found
     to = sorted(set(ids)) if frame.id == EVERYBODY else [frame.id]
     return [(servo_id, frame.instruction, p) for servo_id in to]
 

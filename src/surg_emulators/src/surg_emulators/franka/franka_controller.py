@@ -18,7 +18,7 @@ from surg_emulators.franka import franka_kinematics as kinematics
 from surg_emulators.franka.fci_messages import MotionCommand
 from surg_emulators.franka.franka_errors import FLAGS, Error, Violation
 from surg_emulators.franka.franka_robots import HOME, FrankaRobot
-from surg_emulators.franka.generator_motion import GeneratorMotion
+from surg_emulators.franka.generator_motion import DT, GeneratorMotion
 
 MOST_LOST = 20
 """More lost packets in a row than these end a motion (Franka's documentation)."""
@@ -84,7 +84,7 @@ class FrankaController:
         number: Of the newest state.
         answers: Answers to earlier commands that are due now: command and status.
         sent_late: Commands that answered an older state.
-        faked: What states hold in place of the truth: `q`, `mode`, `back` [ms].
+        faked: What states hold in place of the truth, as in `emulator_ports.Controller`.
     """
 
     def __init__(
@@ -408,7 +408,7 @@ class FrankaController:
         modes = (*self._generator_modes(), int(self.faked.get("mode", self.mode)))
         return fci.pack_state(
             protocol,
-            max(0, self.number - int(self.faked.get("back", 0))),
+            max(0, self.number - round(self.faked.get("back", 0.0) / DT)),
             values,
             modes,
             _flags(self.errors),

@@ -42,7 +42,6 @@ class FrankaEmulator(PortedEmulator):
         controller: The controller.
         address: Loopback address to listen on.
         ports: Service -> port; 0 takes a free one. A service that is missing has its usual port.
-        lock_step: Whether each cycle of a motion waits for its command.
     """
 
     def __init__(
@@ -50,15 +49,13 @@ class FrankaEmulator(PortedEmulator):
         controller: FrankaController,
         address: str = "127.0.0.1",
         ports: dict[str, int] | None = None,
-        lock_step: bool = False,
     ) -> None:
         self.controller = controller
         self._states, self._commands = DatagramChannel(1), DatagramChannel(2)
         self._udp: socket.socket | None = None
         self._client = ""
-        self._expects = False  # the last state has gone out, no datagram has come back
         self._booted_at = -1.0
-        super().__init__(controller, DT, address, PORTS | (ports or {}), lock_step, SHORTEST)
+        super().__init__(controller, DT, address, PORTS | (ports or {}), SHORTEST)
 
     def cycle(self) -> None:
         """One cycle of the controller: command, answers, next state."""
@@ -84,9 +81,7 @@ class FrankaEmulator(PortedEmulator):
 
     def _send_state(self, state: bytes, port: int) -> None:
         self._states.stalled = self._stalled
-        passed = self._states.pass_on(state)
-        self._expects = bool(passed)
-        for data in passed:
+        for data in self._states.pass_on(state):
             self._send_datagram(data, port)
 
     def _send_datagram(self, data: bytes, port: int) -> None:
@@ -104,7 +99,6 @@ class FrankaEmulator(PortedEmulator):
                 data = receiver.recv(LARGEST)
             except OSError:
                 return
-            self._expects = False
             for each in self._commands.pass_on(data):
                 self.controller.receive(each)
 
@@ -113,15 +107,6 @@ class FrankaEmulator(PortedEmulator):
         for each in self._connections:
             if isinstance(each.session, FciSession) and each.session.udp_port:
                 self._send_datagram(b"\x07" * 40, each.session.udp_port)
-
-    def _all_answered(self) -> bool:
-        """Whether a command came for the last state, if that reached a client that commands."""
-        active = self.controller.active
-        if active is None or not active.started or active.finishing:
-            self.poll(DT)
-            return True
-        self.poll(0.0)
-        return not self._expects
 
     # Connections ---------------------------------------------------------------------------------
 
@@ -209,7 +194,7 @@ def start(kind: str, options: argparse.Namespace) -> FrankaEmulator:
         raise ValueError(f"--q: {len(q)} joint angles; a Franka arm has 7")
     controller = FrankaController(ROBOTS[kind], options.serial or SERIAL, q, ready=not options.off)
     ports = parse_ports(options.ports, PORTS)
-    emulator = FrankaEmulator(controller, options.address, ports, options.lock_step)
+    emulator = FrankaEmulator(controller, options.address, ports)
     prepare(emulator, options)
     return emulator
 

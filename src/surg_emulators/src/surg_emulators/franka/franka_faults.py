@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
-from surg_emulators.fault_lines import FaultError, Kind, choice, number, switch
+from surg_emulators.fault_lines import Kind, choice, number, numbers, switch
 from surg_emulators.franka.franka_errors import Error
 
 if TYPE_CHECKING:
@@ -14,12 +13,11 @@ if TYPE_CHECKING:
 
 
 def kinds(emulator: FrankaEmulator) -> dict[str, Kind]:
-    """All faults of an emulator."""
-    c = emulator.controller
-    return {**_people(c, emulator), **_network(emulator), **_wrong_states(c)}
+    """The faults that only this arm has."""
+    return {**_people(emulator.controller), **_network(emulator)}
 
 
-def _people(c: FrankaController, emulator: FrankaEmulator) -> dict[str, Kind]:
+def _people(c: FrankaController) -> dict[str, Kind]:
     def collision(joint: str = "1") -> None:
         which = number(joint, "collision", 1, 7)
         c.reflex(Error.joint_reflex, f"joint {which:.0f} met something")
@@ -28,14 +26,14 @@ def _people(c: FrankaController, emulator: FrankaEmulator) -> dict[str, Kind]:
         c.reflex(choice(name, {error.name: error for error in Error}, "reflex"), "fault")
 
     def push(*wrench: str) -> None:
-        c.push(_numbers(wrench, 6, "push", 1000.0))
+        c.push(numbers(wrench, 6, "push", 1000.0))
 
     def guide(on: str = "on", *dq: str) -> str | None:
-        worked = c.guide(switch(on), _numbers(dq, 7, "guide", 2.0))
+        worked = c.guide(switch(on), numbers(dq, 7, "guide", 2.0))
         return None if worked else "error: only an idle arm can be guided, or one beyond its limits"
 
     def load(mass: str, *centre: str) -> None:
-        place = _numbers(centre, 3, "load", 1.0)
+        place = numbers(centre, 3, "load", 1.0)
         c.load = [number(mass, "load: mass", 0.0, 20.0), *place, *[0.0] * 9]
 
     def brakes(how: str) -> None:
@@ -49,8 +47,6 @@ def _people(c: FrankaController, emulator: FrankaEmulator) -> dict[str, Kind]:
         "collision": Kind(collision, "[JOINT]", "a joint meets something: joint_reflex"),
         "push": Kind(push, "[FX FY FZ TX TY TZ]", "a wrench at the end effector [N, Nm]"),
         "reflex": Kind(reflex, "NAME", "any other error, by libfranka's name"),
-        "status": Kind(emulator.status, "", "answers with mode, errors and joints"),
-        "help": Kind(emulator.fault_help, "", "answers with all faults"),
     }
 
 
@@ -69,44 +65,8 @@ def _network(emulator: FrankaEmulator) -> dict[str, Kind]:
     return {
         **{name: share(name) for name in _SHARES},
         "burst": Kind(burst, "COUNT [states|commands|both]", "so many datagrams in a row are lost"),
-        "stall": Kind(
-            lambda seconds: emulator.stall(number(seconds, "stall", 0.0, 60.0)),
-            "SECONDS",
-            "the network delivers nothing, then everything at once",
-        ),
-        "drift": Kind(
-            lambda part: emulator.drift(number(part, "drift", -0.05, 0.05)),
-            "SHARE",
-            "the robot's clock runs this much faster",
-        ),
-        "reset": Kind(emulator.reset_connections, "", "the connection is reset"),
         "reboot": Kind(emulator.reboot, "", "the controller starts again, with its brakes closed"),
         "garbage": Kind(emulator.send_garbage, "", "a datagram that is no state"),
-    }
-
-
-def _wrong_states(c: FrankaController) -> dict[str, Kind]:
-    def fake(name: str, value: float | None) -> None:
-        if value is None:
-            c.faked.pop(name, None)
-        else:
-            c.faked[name] = value
-
-    def mode(word: str) -> None:
-        fake("mode", None if word == "off" else int(number(word, "mode", 0, 255)))
-
-    return {
-        "nan": Kind(
-            lambda on="on": fake("q", math.nan if switch(on) else None),
-            "[on|off]",
-            "the joint positions are not numbers",
-        ),
-        "mode": Kind(mode, "NUMBER|off", "states hold this robot mode, such as 99"),
-        "clock_back": Kind(
-            lambda seconds: fake("back", 1000.0 * number(seconds, "clock_back", 0.0, 1e6)),
-            "SECONDS",
-            "numbers of the states jump back",
-        ),
     }
 
 
@@ -119,10 +79,3 @@ _SHARES = {
 
 def _direction(word: str) -> str:
     return choice(word, {each: each for each in ("states", "commands", "both")}, "direction")
-
-
-def _numbers(words: tuple[str, ...], count: int, what: str, most: float) -> list[float]:
-    values = [number(word, what, -most, most) for word in words] or [0.0] * count
-    if len(values) != count:
-        raise FaultError(f"{what}: {len(values)} numbers; {count} are needed")
-    return values

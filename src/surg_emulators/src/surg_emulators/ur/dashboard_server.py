@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from surg_emulators.ur.robot_states import DEAD, RobotMode, Runtime
+from surg_emulators.ur.robot_states import RobotMode, Runtime
 from surg_emulators.ur.ur_controller import UrController
 
 GREETING = b"Connected: Universal Robots Dashboard Server\n"
@@ -40,7 +40,7 @@ class DashboardSession:
             "safetymode": lambda rest: f"Safetymode: {c.safety_mode.name}",
             "safetystatus": lambda rest: f"Safetystatus: {c.safety_mode.name}",
             "running": lambda rest: f"Program running: {_truth(c.runtime == Runtime.PLAYING)}",
-            "programstate": lambda rest: f"{self._program_state()} {c.loaded or '<unnamed>'}",
+            "programstate": lambda rest: f"{c.program_state} {c.loaded or '<unnamed>'}",
             "get loaded program": lambda rest: (
                 f"Loaded program: /programs/{c.loaded}" if c.loaded else "No program loaded"
             ),
@@ -63,13 +63,13 @@ class DashboardSession:
             "brake release": lambda rest: _after(c.release_brakes, "Brake releasing"),
             "play": lambda rest: "Starting program" if c.play() else "Failed to execute: play",
             "pause": lambda rest: "Pausing program" if c.pause() else "Failed to execute: pause",
-            "stop": lambda rest: self._stop(),
+            "stop": lambda rest: _after(c.stop, "Stopped"),
             "load installation": lambda rest: f"Loading installation: {rest}",
             "load": lambda rest: (
                 f"Loading program: {rest}" if self._load(rest) else f"File not found: {rest}"
             ),
             "unlock protective stop": lambda rest: self._unlock(),
-            "restart safety": lambda rest: self._restart_safety(),
+            "restart safety": lambda rest: _after(c.release, "Restarting safety"),
             "close safety popup": lambda rest: "closing safety popup",
             "clear operational mode": lambda rest: "operational mode is no longer controlled",
             "set operational mode": lambda rest: f"Operational mode '{rest}' is set",
@@ -101,10 +101,6 @@ class DashboardSession:
     def _version(self) -> str:
         return ".".join(str(part) for part in self._controller.version)
 
-    def _program_state(self) -> str:
-        names = {Runtime.PLAYING: "PLAYING", Runtime.PAUSED: "PAUSED", Runtime.PAUSING: "PAUSED"}
-        return names.get(self._controller.runtime, "STOPPED")
-
     def _load(self, path: str) -> bool:
         """Load a program by its name, or by its path on an arm or on the maker's simulator."""
         folder = next((each for each in FOLDERS if path.startswith(each)), "")
@@ -120,10 +116,6 @@ class DashboardSession:
         self.closed = True
         return "Disconnected"
 
-    def _stop(self) -> str:
-        self._controller.stop()
-        return "Stopped"
-
     def _unlock(self) -> str:
         if self._controller.unlock():
             return "Protective stop releasing"
@@ -132,16 +124,11 @@ class DashboardSession:
             "Always inspect cause of protective stop before unlocking"
         )
 
-    def _restart_safety(self) -> str:
-        if self._controller.safety_mode in DEAD:
-            self._controller.release()
-        return "Restarting safety"
-
 
 def _truth(value: bool) -> str:
     return "true" if value else "false"
 
 
-def _after(action: Callable[[], None], said: str) -> str:
+def _after(action: Callable[[], object], said: str) -> str:
     action()
     return said

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 Matrix = NDArray[np.float64]
 Table = Sequence[tuple[float, float, float]]
@@ -98,27 +99,12 @@ def inverse(
 
 def rotation_vector(R: Matrix) -> Matrix:
     """Rotation vector [rad] of a rotation matrix, (3,); its length is at most pi."""
-    axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    sine, cosine = float(np.linalg.norm(axis)) / 2.0, (float(np.trace(R)) - 1.0) / 2.0
-    angle = math.atan2(sine, cosine)
-    if sine > 1e-6:
-        return axis * (angle / (2.0 * sine))
-    if cosine > 0.0:
-        return axis / 2.0
-    # Half a turn: R + I is twice the outer product of the axis.
-    column = (R + np.eye(3))[:, int(np.argmax(np.diag(R)))]
-    return column * (angle / float(np.linalg.norm(column)))
+    return np.asarray(Rotation.from_matrix(R).as_rotvec())
 
 
 def rotation_matrix(vector: Sequence[float]) -> Matrix:
     """Rotation matrix of a rotation vector [rad], (3, 3)."""
-    v = np.asarray(vector, dtype=np.float64)
-    angle = float(np.linalg.norm(v))
-    if angle < 1e-12:
-        return np.eye(3)
-    x, y, z = v / angle
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + math.sin(angle) * K + (1.0 - math.cos(angle)) * K @ K
+    return np.asarray(Rotation.from_rotvec(vector).as_matrix())
 
 
 def pose_vector(X: Matrix) -> list[float]:

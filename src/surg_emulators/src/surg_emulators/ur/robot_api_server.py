@@ -12,7 +12,7 @@ from http import HTTPStatus
 from typing import Any
 
 from surg_emulators.ur.joint_motion import DT
-from surg_emulators.ur.robot_states import DEAD, EMERGENCY, RobotMode, Runtime
+from surg_emulators.ur.robot_states import EMERGENCY, RobotMode, Runtime
 from surg_emulators.ur.ur_controller import UrController
 
 ROOT = "/universal-robots/robot-api"
@@ -45,7 +45,7 @@ class RobotApiSession:
             "/system/v1/operationalmode": lambda: {"mode": "AUTOMATIC" if c.remote else "MANUAL"},
             "/robotstate/v1/robotmode": lambda: {"mode": RobotMode(c.robot_mode).name},
             "/robotstate/v1/safetymode": lambda: {"mode": self._safety()},
-            "/program/v1/state": lambda: {"state": self._program()},
+            "/program/v1/state": lambda: {"state": c.program_state},
             "/program/v1/loaded": lambda: {"name": c.loaded or "Default program"},
             "/programs/v1": lambda: {"programs": []},
         }
@@ -54,7 +54,7 @@ class RobotApiSession:
             ("/robotstate/v1/state", "POWER_OFF"): lambda: self._power_off(),
             ("/robotstate/v1/state", "BRAKE_RELEASE"): lambda: self._release_brakes(),
             ("/robotstate/v1/state", "UNLOCK_PROTECTIVE_STOP"): c.unlock,
-            ("/robotstate/v1/state", "RESTART_SAFETY"): lambda: self._restart_safety(),
+            ("/robotstate/v1/state", "RESTART_SAFETY"): c.release,
             ("/program/v1/state", "play"): c.play,
             ("/program/v1/state", "pause"): lambda: c.pause() and self._is(Runtime.PAUSED),
             ("/program/v1/state", "resume"): lambda: c.program is not None and c.play(),
@@ -143,10 +143,6 @@ class RobotApiSession:
         mode = self._controller.safety_mode
         return "EMERGENCY_STOP" if mode in EMERGENCY else mode.name
 
-    def _program(self) -> str:
-        names = {Runtime.PLAYING: "PLAYING", Runtime.PAUSED: "PAUSED", Runtime.PAUSING: "PAUSED"}
-        return names.get(self._controller.runtime, "STOPPED")
-
     def _is(self, runtime: Runtime) -> Done:
         return lambda: self._controller.runtime == runtime
 
@@ -161,12 +157,6 @@ class RobotApiSession:
     def _release_brakes(self) -> Done:
         self._controller.release_brakes()
         return lambda: self._controller.robot_mode == RobotMode.RUNNING
-
-    def _restart_safety(self) -> bool:
-        if self._controller.safety_mode not in DEAD:
-            return False
-        self._controller.release()
-        return True
 
     def _stop(self) -> bool:
         self._controller.stop()

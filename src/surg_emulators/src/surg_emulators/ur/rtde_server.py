@@ -1,4 +1,4 @@
-"""RTDE of an emulated UR controller, protocol versions 1 and 2: bytes in, bytes out, no sockets.
+"""RTDE of an emulated UR controller, protocol version 2: bytes in, bytes out, no sockets.
 
 A packet is a size of 2 bytes (which counts itself), a type of 1 byte and the payload; numbers are
 big-endian. Source: UR's RTDE guide.
@@ -66,17 +66,14 @@ class RtdeSession:
     Attributes:
         closed: The client broke the protocol: the connection must be closed.
         started: Whether it gets states.
-        answered: Whether it has sent inputs since the last state, or none was sent yet.
         inputs: Its input recipes by number.
     """
 
     def __init__(self, controller: UrController) -> None:
         self.closed = self.started = False
-        self.answered = True
         self.inputs: dict[int, Recipe] = {}
         self._controller = controller
         self._buffer = bytearray()
-        self._version = 1
         self._output: Recipe | None = None
         self._get: list[tuple[Get, bool]] = []
         self._divider = 1
@@ -124,8 +121,7 @@ class RtdeSession:
             else:
                 values.append(value)
         body = self._output.body.pack(*values)
-        self.answered = False
-        return packet(DATA, b"\x01" + body if self._version == 2 else body)
+        return packet(DATA, b"\x01" + body)
 
     def leave(self) -> None:
         """Free the client's registers."""
@@ -135,25 +131,17 @@ class RtdeSession:
         self.closed, self.started = True, False
 
     def _text(self, message: str, level: int = ERROR) -> bytes:
-        said = message.encode("utf-8", "replace")[:255]
-        if self._version == 1:
-            return packet(TEXT, bytes([level]) + said)
-        source = b"RTDE"
+        said, source = message.encode("utf-8", "replace")[:255], b"RTDE"
         return packet(
             TEXT, bytes([len(said)]) + said + bytes([len(source)]) + source + bytes([level])
         )
 
     def _request_version(self, body: bytes) -> bytes:
         wanted = int.from_bytes(body, "big") if len(body) == 2 else 0
-        accepted = wanted in (1, 2) and not self.started
-        if accepted:
-            self._version = wanted
-        return packet(VERSION_REQUEST, bytes([accepted]))
+        return packet(VERSION_REQUEST, bytes([wanted == 2 and not self.started]))
 
     def _set_up_outputs(self, body: bytes) -> bytes:
-        rate = float(RATE) / 4.0
-        if self._version == 2:
-            rate, body = (struct.unpack(">d", body[:8])[0] if len(body) >= 8 else 0.0), body[8:]
+        rate, body = (struct.unpack(">d", body[:8])[0] if len(body) >= 8 else 0.0), body[8:]
         names = _names(body)
         if self.started or names is None or not (math.isfinite(rate) and 0.0 < rate <= RATE):
             why = f"rate {rate}, {len(body)} bytes of names, while started: {self.started}"
@@ -187,9 +175,7 @@ class RtdeSession:
         return self._recipe_answer(SETUP_INPUTS, number, types)
 
     def _recipe_answer(self, kind: int, number: int, types: list[str]) -> bytes:
-        said = ",".join(types).encode()
-        numbered = self._version == 2 or kind == SETUP_INPUTS
-        return packet(kind, bytes([number]) + said if numbered else said)
+        return packet(kind, bytes([number]) + ",".join(types).encode())
 
     def _start(self, body: bytes) -> bytes:
         self.started = self._output is not None or bool(self.inputs)
@@ -207,7 +193,6 @@ class RtdeSession:
             return self._text(
                 f"input recipe {body[0]} has {recipe.body.size} bytes, not {len(body) - 1}"
             )
-        self.answered = True
         self._controller.stage(recipe.unpack(body[1:]))
         return b""
 

@@ -34,8 +34,6 @@ POWER_TIME = 1.0
 """From power off to idle, and from idle to running [s]. Shorter than an arm's, to save time."""
 BOOT_TIME = 4.0
 """From the controller's start to power off [s]. An arm takes half a minute."""
-PAST = 1000
-"""Cycles that a program may look back; how many an arm keeps is not documented."""
 MESSAGES = 200
 """Text messages kept for clients and people."""
 VERSIONS = {"5": (5, 12, 0, 1101319), "x": (10, 14, 0, 1)}
@@ -76,23 +74,6 @@ class UrController:
         version: Of its software: major, minor, bugfix, build.
     """
 
-    cycles: int
-    robot_mode: RobotMode
-    safety_mode: SafetyMode
-    runtime: Runtime
-    motion: JointMotion
-    remote: bool
-    guided: bool
-    slider: float
-    payload: float
-    payload_cog: list[float]
-    tcp_offset: list[float]
-    wrench: list[float]
-    digital_outputs: int
-    inputs: dict[str, list[Any]]
-    outputs: dict[str, list[Any]]
-    program_line: int
-
     def __init__(
         self,
         model: str = "UR5e",
@@ -122,7 +103,7 @@ class UrController:
         self.announcements = 0
         self.programs: dict[str, str] = {}
         self.loaded = ""
-        self.faked: dict[str, Any] = {}
+        self.faked: dict[str, float] = {}
         self.sockets = ScriptSockets()
         self._builtins = functions(self)
         self.boot()
@@ -149,8 +130,6 @@ class UrController:
         self._interrupted: Command | None = None  # by a stop for safety; `play` goes on with it
         self._stopped_at = -math.inf
         self._braking = False
-        # What pushed at the tool [N, Nm], and joint positions [rad].
-        self.past: deque[tuple[list[float], list[float]]] = deque(maxlen=PAST)
         self.reduced = False
         self._power_goal = RobotMode.POWER_OFF
         self._power_at = BOOT_TIME
@@ -160,7 +139,7 @@ class UrController:
     @property
     def timestamp(self) -> float:
         """Time since the controller's start, by its own clock [s]."""
-        return self.cycles * DT + float(self.faked.get("timestamp", 0.0))
+        return self.cycles * DT - self.faked.get("back", 0.0)
 
     @property
     def powered(self) -> bool:
@@ -173,15 +152,20 @@ class UrController:
         return self.program is not None
 
     @property
+    def program_state(self) -> str:
+        """Of the program, in the words of dashboard and robot API."""
+        paused = self.runtime in (Runtime.PAUSED, Runtime.PAUSING)
+        return "PAUSED" if paused else "PLAYING" if self.runtime == Runtime.PLAYING else "STOPPED"
+
+    @property
     def shown_mode(self) -> int:
         """The robot mode that clients read: a fault can replace it."""
-        return int(self.faked.get("robot_mode", self.robot_mode))
+        return int(self.faked.get("mode", self.robot_mode))
 
     @property
     def shown_q(self) -> Sequence[float]:
         """The joint positions that clients read [rad]: a fault can replace them."""
-        q: Sequence[float] = self.faked.get("actual_q", self.motion.actual_q)
-        return q
+        return [self.faked["q"]] * 6 if "q" in self.faked else self.motion.actual_q
 
     def tcp_pose(self, q: Sequence[float]) -> list[float]:
         """Tool centre point in `base`: position [m] and rotation vector [rad]."""
@@ -228,7 +212,6 @@ class UrController:
         for name, value in self._arrived.items():
             self._set_input(name, value, self._arrived)
         self._check_watchdog(self._arrived)
-        self.past.append((list(self.wrench), list(self.motion.actual_q)))
         if self.program is None or self.runtime != Runtime.PLAYING or self._braking:
             return
         try:
@@ -399,10 +382,16 @@ class UrController:
         if self.robot_mode != RobotMode.RUNNING:
             self._power_down()
 
-    def release(self) -> None:
-        """Release the emergency stop, or restart the safety system; the power stays off."""
-        if self.safety_mode in DEAD:
+    def release(self) -> bool:
+        """Release the emergency stop, or restart the safety system; the power stays off.
+
+        Returns:
+            Whether there was something to release.
+        """
+        dead = self.safety_mode in DEAD
+        if dead:
             self._normal()
+        return dead
 
     def reduce(self, on: bool) -> None:
         """Reduced mode: other safety limits, which the emulator does not know, are in force."""

@@ -1,7 +1,6 @@
 """The controller of a UR arm as a program: the emulated controller behind its TCP ports.
 
-Two faces: in free-run the controller's cycle follows the machine's clock; in lock-step each cycle
-waits for the commands that answer the last state. Only loopback addresses are served.
+Its cycle follows the machine's clock. Only loopback addresses are served.
 """
 
 from __future__ import annotations
@@ -49,16 +48,6 @@ class UrEmulator(PortedEmulator):
         controller: The controller.
         address: Loopback address to listen on.
         ports: Service -> port; 0 takes a free one. A service that is missing has its usual port.
-        lock_step: Whether `run` waits for the commands of every cycle.
-
-    Attributes:
-        controller: The controller.
-        ports: Service -> port that it listens on.
-        stopped: Set it to True to end `run`.
-
-    Raises:
-        ValueError: The address is not loopback.
-        OSError: A port is taken.
     """
 
     def __init__(
@@ -66,12 +55,11 @@ class UrEmulator(PortedEmulator):
         controller: UrController,
         address: str = "127.0.0.1",
         ports: dict[str, int] | None = None,
-        lock_step: bool = False,
     ) -> None:
         self.controller = controller
         self._booted_at = -1.0
         known = PORTS_X if controller.version[:1] == VERSIONS["x"][:1] else PORTS
-        super().__init__(controller, DT, address, known | (ports or {}), lock_step)
+        super().__init__(controller, DT, address, known | (ports or {}))
 
     # One cycle -------------------------------------------------------------------------------
 
@@ -95,15 +83,6 @@ class UrEmulator(PortedEmulator):
         modes = (c.robot_mode, c.safety_mode, c.runtime)
         joints = (*c.motion.actual_q, *c.motion.qd)
         return (*(str(int(mode)) for mode in modes), *(f"{value:.9f}" for value in joints))
-
-    def _all_answered(self) -> bool:
-        """Whether every client that commands has answered the last state."""
-        self.poll(0.0)
-        sessions = [
-            each.session for each in self._connections if isinstance(each.session, RtdeSession)
-        ]
-        commanding = [each for each in sessions if each.started and each.inputs]
-        return bool(commanding) and all(each.answered for each in commanding)
 
     # For people ------------------------------------------------------------------------------
 
@@ -219,7 +198,7 @@ def start(options: argparse.Namespace) -> UrEmulator:
         polyscope=options.polyscope,
     )
     ports = parse_ports(options.ports, PORTS_X if options.polyscope == "x" else PORTS)
-    emulator = UrEmulator(controller, options.address, ports, options.lock_step)
+    emulator = UrEmulator(controller, options.address, ports)
     prepare(emulator, options)
     return emulator
 

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from surg_emulators.fault_lines import FaultError, Kind, choice, number, switch
+from surg_emulators.fault_lines import FaultError, Kind, choice, number, numbers, switch
 from surg_emulators.ur.robot_states import SafetyMode
 from surg_emulators.ur.rtde_server import DATA, packet
 
@@ -18,14 +18,13 @@ SCRIPT_BYTES = 1 << 20
 
 
 def kinds(emulator: UrEmulator) -> dict[str, Kind]:
-    """All faults of an emulator."""
+    """The faults that only this arm has."""
     c = emulator.controller
     return {
         **_safety(c),
-        **_people(c, emulator),
+        **_people(c),
         **_settings(c),
         **_network(emulator),
-        **_wrong_states(c, emulator),
     }
 
 
@@ -40,12 +39,15 @@ def _safety(c: UrController) -> dict[str, Kind]:
     def unlock() -> str | None:
         return None if c.unlock() else "error: too early, 5 s must have passed"
 
+    def release() -> None:
+        c.release()
+
     return {
         "protective_stop": Kind(lambda: c.protective_stop("fault"), "", "as after a collision"),
         "unlock": Kind(unlock, "", "a person unlocks it on the pendant, 5 s later at the earliest"),
         "safeguard": Kind(lambda on="on": c.safeguard(switch(on)), "[on|off]", "safeguard stop"),
         "estop": Kind(estop, "[robot|system]", "emergency stop; cuts the power"),
-        "release": Kind(c.release, "", "release the emergency stop, restart the safety system"),
+        "release": Kind(release, "", "release the emergency stop, restart the safety system"),
         "violation": Kind(
             lambda: c.fall_to(SafetyMode.VIOLATION, "fault"), "", "a safety limit was broken"
         ),
@@ -54,7 +56,7 @@ def _safety(c: UrController) -> dict[str, Kind]:
     }
 
 
-def _people(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
+def _people(c: UrController) -> dict[str, Kind]:
     def power(on: str) -> None:
         c.power_on() if switch(on) else c.power_off()
 
@@ -64,20 +66,17 @@ def _people(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
     def slider(percent: str) -> None:
         c.slider = number(percent, "slider", 0.0, 100.0) / 100.0
 
+    def limiter(percent: str) -> None:
+        c.faked["speed_scaling"] = number(percent, "limiter", 0.0, 100.0) / 100.0
+
     def control(remote: bool) -> None:
         c.remote = remote
 
     def freedrive(on: str = "on", *qd: str) -> None:
-        rates = [number(word, "freedrive", -3.0, 3.0) for word in qd] or [0.0] * 6
-        if len(rates) != 6:
-            raise FaultError(f"freedrive: {len(rates)} velocities; six are needed [rad/s]")
-        c.guide(switch(on), rates)
+        c.guide(switch(on), numbers(qd, 6, "freedrive", 3.0))
 
     def push(*force: str) -> None:
-        forces = [number(word, "push", -500.0, 500.0) for word in force]
-        if len(forces) != 3:
-            raise FaultError("push: three numbers are needed: the force at the tool in base [N]")
-        c.wrench = [*forces, 0.0, 0.0, 0.0]
+        c.wrench = [*numbers(force, 3, "push", 500.0), 0.0, 0.0, 0.0]
 
     def done(worked: bool) -> str | None:
         return None if worked else "error: not possible now"
@@ -94,30 +93,25 @@ def _people(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
         "power": Kind(power, "on|off", "power of the motors"),
         "brakes": Kind(brakes, "release|engage", "brakes of the joints"),
         "slider": Kind(slider, "PERCENT", "speed slider"),
+        "limiter": Kind(limiter, "PERCENT", "states hold this speed scaling of the robot's own"),
         "local": Kind(lambda: control(False), "", "local control: scripts and orders are refused"),
         "remote": Kind(lambda: control(True), "", "remote control"),
         "freedrive": Kind(freedrive, "[on|off] [QD1 ... QD6]", "a hand guides the arm [rad/s]"),
-        "push": Kind(push, "FX FY FZ", "something pushes at the tool, in base [N]"),
+        "push": Kind(push, "[FX FY FZ]", "something pushes at the tool, in base [N]"),
         "load": Kind(load, "FILE", "load a URScript file for play"),
         "play": Kind(lambda: done(c.play()), "", "a person presses play"),
         "pause": Kind(lambda: done(c.pause()), "", "a person presses pause"),
         "stop": Kind(c.stop, "", "a person presses stop"),
-        "status": Kind(emulator.status, "", "answers with mode, safety, program and slider"),
-        "help": Kind(emulator.fault_help, "", "answers with all faults"),
     }
 
 
 def _settings(c: UrController) -> dict[str, Kind]:
     def payload(mass: str, *cog: str) -> None:
-        place = [number(word, "payload: centre", -1.0, 1.0) for word in cog] or [0.0] * 3
-        if len(place) != 3:
-            raise FaultError("payload: the centre of gravity has three numbers [m]")
+        place = numbers(cog, 3, "payload: centre", 1.0)
         c.set_payload(number(mass, "payload: mass", 0.0, 20.0), place)
 
     def tcp(*pose: str) -> None:
-        if len(pose) != 6:
-            raise FaultError("tcp: six numbers are needed: position [m] and rotation vector [rad]")
-        c.tcp_offset = [number(word, "tcp", -math.tau, math.tau) for word in pose]
+        c.tcp_offset = numbers(pose, 6, "tcp", math.tau)
 
     def serial(value: str) -> None:
         c.serial = value
@@ -129,7 +123,7 @@ def _settings(c: UrController) -> dict[str, Kind]:
 
     return {
         "payload": Kind(payload, "MASS [X Y Z]", "payload that is set [kg, m]"),
-        "tcp": Kind(tcp, "X Y Z RX RY RZ", "tool centre point that is set [m, rad]"),
+        "tcp": Kind(tcp, "[X Y Z RX RY RZ]", "tool centre point that is set [m, rad]"),
         "serial": Kind(serial, "TEXT", "serial number"),
         "second_client": Kind(
             second_client, "[FIELD ...]", "another client holds these inputs (IN_USE); none: frees"
@@ -139,50 +133,10 @@ def _settings(c: UrController) -> dict[str, Kind]:
 
 def _network(emulator: UrEmulator) -> dict[str, Kind]:
     return {
-        "stall": Kind(
-            lambda seconds: emulator.stall(number(seconds, "stall", 0.0, 60.0)),
-            "SECONDS",
-            "the network delivers nothing, then everything at once",
-        ),
-        "drift": Kind(
-            lambda share: emulator.drift(number(share, "drift", -0.05, 0.05)),
-            "SHARE",
-            "the robot's clock runs this much faster",
-        ),
-        "reset": Kind(emulator.reset_connections, "", "all connections are reset"),
         "reboot": Kind(emulator.reboot, "", "the controller starts again; RTDE starts twice"),
         "size0": Kind(lambda: emulator.send_raw(b"\x00\x00\x00"), "", "an RTDE packet with size 0"),
         "half": Kind(emulator.send_half, "", "half of an RTDE packet, then a reset"),
         "garbage": Kind(
             lambda: emulator.send_raw(packet(DATA, b"\x07" * 40)), "", "a state of no known recipe"
-        ),
-    }
-
-
-def _wrong_states(c: UrController, emulator: UrEmulator) -> dict[str, Kind]:
-    def fake(name: str, value: object) -> None:
-        if value is None:
-            c.faked.pop(name, None)
-        else:
-            c.faked[name] = value
-
-    def mode(word: str) -> None:
-        fake("robot_mode", None if word == "off" else int(number(word, "mode", -128, 127)))
-
-    def limiter(percent: str) -> None:
-        fake("speed_scaling", number(percent, "limiter", 0.0, 100.0) / 100.0)
-
-    return {
-        "limiter": Kind(limiter, "PERCENT", "states hold this speed scaling of the robot's own"),
-        "nan": Kind(
-            lambda on="on": fake("actual_q", [math.nan] * 6 if switch(on) else None),
-            "[on|off]",
-            "the joint positions are not numbers",
-        ),
-        "mode": Kind(mode, "NUMBER|off", "states hold this robot mode, such as 99"),
-        "clock_back": Kind(
-            lambda seconds: fake("timestamp", -number(seconds, "clock_back", 0.0, 1e6)),
-            "SECONDS",
-            "timestamps jump back",
         ),
     }

@@ -15,7 +15,6 @@ from surg_emulators.ur import dh_kinematics as dh
 from surg_emulators.ur.joint_motion import DT, Speed
 from surg_emulators.ur.rtde_fields import REGISTERS
 from surg_emulators.ur.urscript_arguments import close, cycles, matrix, number, six
-from surg_emulators.ur.urscript_forces import MOTIONS, alone, forces
 from surg_emulators.ur.urscript_moves import during, positions
 from surg_emulators.ur.urscript_syntax import ScriptError
 from surg_emulators.ur.urscript_threads import Builtin, Wait
@@ -25,7 +24,8 @@ if TYPE_CHECKING:
     from surg_emulators.ur.ur_controller import UrController
 
 _REFUSED = (
-    "servoc direct_torque get_mass_matrix get_jacobian "
+    "servoc direct_torque get_mass_matrix get_jacobian force_mode end_force_mode "
+    "tool_contact get_actual_joint_positions_history "
     "get_jacobian_time_derivative get_coriolis_and_centrifugal_torques "
     "socket_read_ascii_float socket_send_string "
     "socket_set_var socket_get_var path_offset_enable conveyor_pulse_decode "
@@ -40,8 +40,6 @@ _IGNORED = (
 )
 WITHOUT_EFFECT = frozenset(_IGNORED.split())
 """Real functions of URScript that change nothing here."""
-CONTACT = 5.0
-"""Force against the tool's motion that counts as a contact [N]. Assumed."""
 _MATHEMATICS = "sin cos tan asin acos atan atan2 sqrt pow floor ceil log"
 
 
@@ -49,9 +47,8 @@ def functions(controller: UrController) -> dict[str, Builtin]:
     """Name -> function, for programs of one controller."""
     found: dict[str, Builtin] = {name: _not_emulated(name) for name in NOT_EMULATED}
     found |= {name: lambda *a, **k: None for name in WITHOUT_EFFECT}
-    for part in (_state, _contact, _velocities, positions, forces, _inputs):
+    for part in (_state, _velocities, positions, _inputs):
         found |= part(controller)
-    found |= {name: alone(controller, name, found[name]) for name in MOTIONS}
     return found | controller.sockets.functions() | _mathematics()
 
 
@@ -149,30 +146,6 @@ def _state(c: UrController) -> dict[str, Builtin]:
         "is_within_safety_limits": lambda value: True,
         "get_freedrive_status": lambda: 0 if c.guided else 1,
     }
-
-
-def _contact(c: UrController) -> dict[str, Builtin]:
-    """Functions about the cycles before this one."""
-
-    def tool_contact(direction: Any = None) -> int:
-        """Cycles since something began to push against the direction; 0: nothing does."""
-        way = six(direction, "tool_contact: direction") if direction else [0.0] * 6
-        along = np.array(way[:3]) / max(float(np.linalg.norm(way[:3])), 1e-9)
-        steps = 0
-        for wrench, _ in reversed(c.past):
-            force = (
-                -float(along @ wrench[:3]) if any(way[:3]) else float(np.linalg.norm(wrench[:3]))
-            )
-            if force < CONTACT:
-                break
-            steps += 1
-        return min(steps, len(c.past) - 1)
-
-    def history(steps: Any = 0) -> list[float]:
-        place = number(steps, "get_actual_joint_positions_history: steps", 0, len(c.past) - 1)
-        return list(c.past[-1 - int(place)][1])
-
-    return {"tool_contact": tool_contact, "get_actual_joint_positions_history": history}
 
 
 def _velocities(c: UrController) -> dict[str, Builtin]:

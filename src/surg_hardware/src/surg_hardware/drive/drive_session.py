@@ -50,7 +50,7 @@ class DriveSession:
             self.bus = DynamixelBus(self._drive, self._open())
             found = drive_checkup.motor_findings(self._drive, self.bus)
             if wrong := [each for each in found if each.good is False]:
-                self.core.disconnected("; ".join(f"{w.what}: {w.text}: {w.cure}" for w in wrong))
+                self.core.disconnected("; ".join(map(str, wrong)))
                 self.close()
                 return
             self.bus.prepare()

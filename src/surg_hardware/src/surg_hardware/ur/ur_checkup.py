@@ -13,7 +13,7 @@ from surg_hardware.driver_process import finite, is_emulated
 from surg_hardware.ur import orders
 from surg_hardware.ur.controller_version import round_trips
 from surg_hardware.ur.rtde import Rtde, RtdeRefused, Values
-from surg_hardware.ur.ur_states import robot_state
+from surg_hardware.ur.ur_states import arm_identity, robot_state
 
 if TYPE_CHECKING:
     import surg_core
@@ -58,13 +58,7 @@ def examine(arm: surg_core.Arm, seconds: float) -> list[Finding]:
     found += [_condition(values), _speed(values)]
     if not finite(values["actual_q"]):
         return [*found, Finding("joints", "are not numbers", False, "restart the robot")]
-    x, y, z = values["payload_cog"]
-    found += checkup.identity_findings(
-        arm,
-        identity.Identity(serial, model, values["payload"][0], (x, y, z)),
-        values["actual_q"],
-        identity.ur_flange(values["actual_TCP_pose"], values["tcp_offset"]),
-    )
+    found += identity.findings(arm, values["actual_q"], arm_identity(values, serial, model))
     found += checkup.exchange_findings(exchange, is_emulated(address))
     found.append(checkup.round_trip_finding(trips))
     return found

@@ -12,6 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from surg_hardware.arm_driver import (
     AGAIN,
@@ -24,13 +25,11 @@ from surg_hardware.arm_driver import (
 )
 from surg_hardware.conditions import OFFLINE, Condition, Reading
 from surg_hardware.driver_datagrams import IdentityDatagram
-from surg_hardware.identity import ur_flange
 from surg_hardware.robot_link import CommandPhase
-from surg_hardware.ur import primary, urscript
-from surg_hardware.ur.orders import ANSWER, LOCAL, Order
+from surg_hardware.ur import orders, primary, urscript
+from surg_hardware.ur.orders import ANSWER, LOCAL, Order, Orders
 from surg_hardware.ur.rtde import Rtde, RtdeError, RtdeRefused, Values
-from surg_hardware.ur.ur_connection import Connected, connect
-from surg_hardware.ur.ur_states import SetValues, robot_state, says_guiding
+from surg_hardware.ur.ur_states import SetValues, arm_identity, robot_state, says_guiding
 
 CYCLE = 0.002
 """[s] Of an e-Series."""
@@ -41,6 +40,28 @@ SILENCE = 1.0
 START = ANSWER + 2.0
 """[s] For the robot to obey after a start: it may take its time to answer."""
 ASKING = "the robot has not answered the last request yet: wait"
+
+
+@dataclass(frozen=True)
+class Connected:
+    """What one connection has found; ``rtde`` is open, and its reader closes it."""
+
+    rtde: Rtde
+    orders: Orders
+    serial: str
+    model: str
+
+
+def connect(address: str) -> Connected:
+    """Connect; may take seconds.
+
+    Raises:
+        OSError: The robot does not answer.
+        RtdeRefused: It cannot be driven: its version, a missing field, another client.
+    """
+    robot = orders.of(address)
+    serial, model = robot.identity()
+    return Connected(Rtde(address), robot, serial, model)
 
 
 class UrDriver(ArmDriver):
@@ -271,18 +292,8 @@ class UrDriver(ArmDriver):
     def _say_identity(self, values: Values) -> None:
         assert self._robot is not None
         self._set.know(values)
-        x, y, z = values["payload_cog"]
-        flange = ur_flange(values["actual_TCP_pose"], values["tcp_offset"])
-        self._say(
-            IdentityDatagram(
-                values["actual_q"],
-                tuple(flange[:3].ravel().tolist()),
-                values["payload"][0],
-                (x, y, z),
-                self._robot.serial,
-                self._robot.model,
-            ).pack()
-        )
+        found = arm_identity(values, self._robot.serial, self._robot.model)
+        self._say(IdentityDatagram(values["actual_q"], found).pack())
 
 
 if __name__ == "__main__":

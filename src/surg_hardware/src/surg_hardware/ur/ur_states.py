@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from surg_hardware.conditions import ur_reading
-from surg_hardware.identity import ur_wrench
+from surg_hardware.identity import ur_flange, ur_wrench
+from surg_hardware.robot_adapter import ArmIdentity
 from surg_hardware.robot_link import RobotState
 from surg_hardware.ur import urscript
 from surg_hardware.ur.rtde import Values
@@ -42,6 +43,14 @@ def robot_state(values: Values, starting: bool = False) -> RobotState:
         ahead=tuple(b - a for a, b in zip(values["actual_q"], values["target_q"], strict=True)),
         wrench=ur_wrench(values["actual_TCP_force"]),
     )
+
+
+def arm_identity(values: Values, serial: str, model: str) -> ArmIdentity:
+    """What the robot says of itself, with what its orders' server tells."""
+    flange = ur_flange(values["actual_TCP_pose"], values["tcp_offset"])
+    x, y, z = values["payload_cog"]
+    rows = tuple(flange[:3].ravel().tolist())
+    return ArmIdentity(model, rows, serial, values["payload"][0], (x, y, z))
 
 
 def says_guiding(values: Values) -> bool:
