@@ -223,6 +223,8 @@ def parse(name: str, words: Sequence[str]) -> tuple[argparse.Namespace, Callable
     own, main = parser(name)
     mine = options_of(name)
     for word in words:  # before argparse, which could take the value behind it for an argument
+        if cure := moved.ARGUMENTS.get((name, word), ""):
+            raise CliError(f"{name} {word} is now {cure}", 2)
         option = word.partition("=")[0]
         if option not in mine and (cure := moved.OPTIONS.get((name, option), "")):
             raise CliError(f"{name} has no option {option}; use {cure}", 2)
