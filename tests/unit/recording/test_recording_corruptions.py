@@ -177,10 +177,7 @@ def _kept(name: str, data: bytes, after: dict[str, bytes]) -> bool:
     now, aside = after.get(name, b""), after.get(f"{name}.damaged", b"")
     if data in (now, aside, now + aside) or (now + aside).rstrip(b"\0") == data.rstrip(b"\0"):
         return True
-    if name == "manifest.json":
-        return _is_supplemented(data, now)
-    # The header of a box, written anew.
-    return name.endswith(".mp4") and len(now + aside) == len(data) and (now + aside)[8:] == data[8:]
+    return name == "manifest.json" and _is_supplemented(data, now)
 
 
 def _is_supplemented(data: bytes, now: bytes) -> bool:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from surg_recording.episode import damaged, table_columns
 from surg_recording.recording_errors import EpisodeError
-from surg_recording.video import mp4_boxes, mp4_headers
+from surg_recording.video import mp4_boxes
 
 Image = npt.NDArray[np.uint8]
 
@@ -79,17 +79,13 @@ def grab(path: Path, indices: Sequence[int]) -> list[Image]:
 def mend(path: Path, sidecar: Path, notes: list[str] | None = None) -> int:
     """Make a video and its sidecar agree, in place; returns the number of frames kept.
 
-    Overwritten headers of its boxes are written anew. A truncated fragment at the end and sidecar
-    lines without a frame are removed. A video with more frames than the sidecar has lines loses the
-    fragments behind the last stamp. A file in which nothing is readable is left as it is, with an
-    empty sidecar.
+    A truncated fragment at the end and sidecar lines without a frame are removed. A video with more
+    frames than the sidecar has lines loses the fragments behind the last stamp. A file in which
+    nothing is readable is left as it is, with an empty sidecar.
 
     ``notes`` receives a sentence about every change, and what is cut then goes into files of its
     own (``damaged``). None: of a live recording, whose frames go into the next part.
     """
-    repaired = mp4_headers.repair(path)
-    if notes is not None:
-        notes += repaired
     lines = _sidecar_lines(sidecar)
     whole = mp4_boxes.fragments(path)
     frames, end, total = 0, 0, 0
