@@ -12,11 +12,11 @@ import dataclasses
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-import av
 import numpy as np
 import numpy.typing as npt
 
 from surg_recording.recording_errors import EpisodeError
+from surg_recording.video import video_file
 
 Array = npt.NDArray[np.float64]
 
@@ -70,19 +70,14 @@ def _small_frames(
 ) -> Iterable[tuple[npt.NDArray[np.uint8], bool]]:
     count = 0
     try:
-        with av.open(str(path)) as container:
-            container.streams.video[0].thread_type = "NONE"
-            for frame in container.decode(video=0):
-                small = frame.reformat(
-                    width=WIDTH, height=HEIGHT, format="gray", interpolation="AREA"
-                )
-                yield small.to_ndarray(), bool(frame.key_frame)
-                count += 1
-                if progress is not None and count % 100 == 0:
-                    progress(count)
-    except (av.error.FFmpegError, IndexError) as problem:
+        for count, frame in enumerate(video_file.frames(path), start=1):
+            small = frame.reformat(width=WIDTH, height=HEIGHT, format="gray", interpolation="AREA")
+            yield small.to_ndarray(), bool(frame.key_frame)
+            if progress is not None and count % 100 == 0:
+                progress(count)
+    except EpisodeError:
         if not count:
-            raise EpisodeError(f"{path}: no readable video ({problem})") from problem
+            raise
 
 
 def _without_light(picture: npt.NDArray[np.uint8]) -> Array:
