@@ -46,7 +46,6 @@ def write(summary: Mapping[str, Any], folder: Path) -> None:
     if summary["episodes"]:
         groups = trial_figures.grouped(summary)
         drawn = save_all(trial_figures.FIGURES, folder / "figures", groups, summary)
-        drawn = trial_figures.captioned(drawn, groups)
     title = f"{named(summary.get('title') or summary['task'])}: {named(summary['robot'])}"
     sections = [
         film_section(
