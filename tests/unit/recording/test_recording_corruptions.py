@@ -249,17 +249,3 @@ def test_an_intact_recording_is_right_everywhere(place: Place, tmp_path: Path) -
     intact = Corruption("none", lambda folder: None, "")
     found = [cell(intact, command, place, tmp_path / command / "episode") for command in COMMANDS]
     assert [result for result, _ in found] == ["right", "right", "right", "recovered"]
-
-
-def test_a_loss_and_a_hang_are_noticed(
-    place: Place, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert lost({"a": b"1", "e": b""}, {}) == ["a"]
-    assert lost({"a": b"12"}, {"a": b"1", "a.damaged": b"2"}) == []
-    assert lost({"a": b"12"}, {"a": b"1", "a.damaged": b"3"}) == ["a"]
-    monkeypatch.setitem(globals(), "LIMIT_S", 0.3)
-    monkeypatch.setitem(globals(), "view", lambda folder, place: time.sleep(5))
-    assert "hangs" in run("view", tmp_path, place)[1]
-    monkeypatch.setitem(globals(), "view", lambda folder, place: {}["nothing"])
-    monkeypatch.setitem(globals(), "LIMIT_S", 10.0)
-    assert "KeyError" in run("view", tmp_path, place)[1]

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.video import video_file
@@ -83,18 +84,7 @@ def _small_frames(
 def _without_light(picture: npt.NDArray[np.uint8]) -> Array:
     """Logarithm of the picture minus its local mean; + 8 keeps the noise of dark places small."""
     logarithm = np.log(picture.astype(np.float64) + 8.0)
-    return logarithm - _box(_box(logarithm, 0), 1)
-
-
-def _box(values: Array, axis: int) -> Array:
-    """Running mean over 2 RADIUS + 1 pixels along one axis; the edge is repeated."""
-    pad = [(0, 0), (0, 0)]
-    pad[axis] = (RADIUS + 1, RADIUS)
-    sums = np.cumsum(np.pad(values, pad, mode="edge"), axis=axis)
-    size = 2 * RADIUS + 1
-    upper = np.take(sums, range(size, sums.shape[axis]), axis=axis)
-    lower = np.take(sums, range(sums.shape[axis] - size), axis=axis)
-    return np.asarray((upper - lower) / size)
+    return logarithm - ndimage.uniform_filter(logarithm, 2 * RADIUS + 1, mode="nearest")
 
 
 def _by_cell(change: Array) -> Array:
