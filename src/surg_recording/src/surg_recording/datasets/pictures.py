@@ -77,7 +77,8 @@ def watch(
     size: tuple[int, int] | None = None,
 ) -> Iterator[av.VideoFrame]:
     """Pass on ``count`` frames; note thumbnails of all, and colours of evenly spaced ones."""
-    chosen = set(np.unique(np.linspace(0, max(count - 1, 0), num=_sampled(count)).astype(int)))
+    counted = min(count, max(100, int(count**0.75)))  # of their colours
+    chosen = set(np.unique(np.linspace(0, max(count - 1, 0), num=counted).astype(int)))
     for number, frame in enumerate(frames):
         frame = _scaled(frame, size)
         statistics.prints.append(thumbnail(frame))
@@ -85,11 +86,6 @@ def watch(
             statistics.histogram += colours(frame.to_ndarray(format="rgb24"))
             statistics.sampled += 1
         yield frame
-
-
-def _sampled(count: int) -> int:
-    """Number of frames whose colours are counted: at least 100, then growing as count^0.75."""
-    return min(count, max(100, int(count**0.75)))
 
 
 def encode(frames: Iterable[av.VideoFrame], path: Path, how: ExportOptions) -> int:
