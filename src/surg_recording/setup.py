@@ -33,18 +33,4 @@ setuptools.setup(
         "zarr": ["zarr>=2.13,<3"],
         "dask": ["distributed>=2022.12"],
     },
-    entry_points={
-        "surg_recording.exporters": [
-            "lerobot = surg_recording.datasets.formats.lerobot_v21:LeRobotV21",
-            "lerobot_v21 = surg_recording.datasets.formats.lerobot_v21:LeRobotV21",
-            "lerobot_v30 = surg_recording.datasets.formats.lerobot_v30:LeRobotV30",
-            "robomimic = surg_recording.datasets.formats.robomimic:Robomimic",
-            "act = surg_recording.datasets.formats.act:Act",
-            "diffusion_policy = surg_recording.datasets.formats.diffusion_policy:DiffusionPolicy",
-            "mcap = surg_recording.nodes.mcap_exporter_node:Mcap",
-            "rosbag = surg_recording.nodes.rosbag_exporter_node:Rosbag",
-            "rosbag2 = surg_recording.nodes.rosbag2_exporter_node:Rosbag2",
-            "rosbag2_sqlite3 = surg_recording.nodes.rosbag2_sqlite3_exporter_node:Rosbag2Sqlite3",
-        ]
-    },
 )

@@ -1,17 +1,19 @@
-"""A recording of one camera and nothing else, and waiting for what its encoder does."""
+"""A recording of one camera unless told otherwise, and waiting for what its encoder does."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from surg_recording.episode.episode_recorder import Recording
 
 
-def start(folder: Path, mode: str = "freerun") -> Recording:
-    """Begin it; the camera is called "cam"."""
-    return Recording(folder, mode=mode, arms=[], cameras=["cam"], manifest={}, min_free_bytes=0)
+def start(
+    folder: Path, mode: str = "freerun", arms: Sequence[str] = (), cameras: Sequence[str] = ("cam",)
+) -> Recording:
+    """Begin it, on a disk as full as it may be."""
+    return Recording(folder, mode=mode, arms=arms, cameras=cameras, manifest={}, min_free_bytes=0)
 
 
 def until(condition: Callable[[], bool]) -> None:

@@ -7,16 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from helpers.recording import datasets_synthetic
+from helpers.recording import camera_recording, datasets_synthetic
 from surg_recording.episode import episode_reader, recovery
 from surg_recording.episode.annotations import Annotations, parse_info, parse_tag
-from surg_recording.episode.episode_recorder import Recording
 
 
 def test_stages_follow_one_another_and_end_with_the_episode(tmp_path: Path) -> None:
-    recording = Recording(
-        tmp_path / "e", mode="freerun", arms=[], cameras=[], manifest={}, min_free_bytes=0
-    )
+    recording = camera_recording.start(tmp_path / "e", cameras=())
     said = [
         (10, '{"stage": "approach"}'),
         (20, "slipped, once"),

@@ -204,7 +204,3 @@ def test_every_mutant_is_noticed(name: str, tmp_path: Path) -> None:
         del sys.modules[file.stem]
     print(f"{name}: {failed}")
     assert failed is not None
-
-
-def test_the_module_as_it_is_is_content(tmp_path: Path) -> None:
-    assert noticed(mp4_boxes, tmp_path) is None

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.recording import camera_recording
 from helpers.recording import recording_synthetic as synthetic
 from helpers.recording.camera_recording import start, until
 from helpers.results.recording_results import note
 from surg_recording.episode import episode_reader
-from surg_recording.episode.episode_recorder import Recording
 from surg_recording.video import camera_sink, video_file
 
 PERIOD_NS = 50_000_000
@@ -132,9 +132,7 @@ PIXELS = {
 
 
 def test_more_encodings_of_ros_images_and_frozen_pictures_are_counted(tmp_path: Path) -> None:
-    recording = Recording(
-        tmp_path / "e", mode="freerun", arms=[], cameras=list(PIXELS), manifest={}, min_free_bytes=0
-    )
+    recording = camera_recording.start(tmp_path / "e", cameras=PIXELS)
     for encoding, pixel in PIXELS.items():
         for k in range(1, 4):
             image = synthetic.image(k * PERIOD_NS, k)

@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
+from helpers.recording import camera_recording
 from helpers.recording import recording_synthetic as synthetic
 from surg_recording.clock.clock_steps import STEP_NS, SteppedClock
 from surg_recording.episode import episode_reader
-from surg_recording.episode.episode_recorder import Recording
 
 HOUR = 3_600_000_000_000
 
@@ -108,9 +108,7 @@ def test_f09_being_preempted_between_the_readings_is_no_step(
 
 
 def test_f09_a_step_begins_a_segment_and_future_stamps_are_counted(tmp_path: Path) -> None:
-    recording = Recording(
-        tmp_path / "e", mode="freerun", arms=["PSM1"], cameras=[], manifest={}, min_free_bytes=0
-    )
+    recording = camera_recording.start(tmp_path / "e", arms=["PSM1"], cameras=())
     what, start = synthetic.Synthetic(), 1_732_000_000_000_000_000
     for tick in range(1, 101):
         message = synthetic.cycle(what, tick, 0)
@@ -137,9 +135,7 @@ def test_f09_a_step_begins_a_segment_and_future_stamps_are_counted(tmp_path: Pat
 
 def test_f09_rows_before_a_step_are_counted_while_others_are_written(tmp_path: Path) -> None:
     """The step is noticed in the middle of the writer's work: a row is in its queue and counted."""
-    recording = Recording(
-        tmp_path / "e", mode="freerun", arms=["PSM1"], cameras=[], manifest={}, min_free_bytes=0
-    )
+    recording = camera_recording.start(tmp_path / "e", arms=["PSM1"], cameras=())
     steps: list[int] = []
 
     class Watched(deque[Any]):
@@ -163,8 +159,6 @@ def test_f09_rows_before_a_step_are_counted_while_others_are_written(tmp_path: P
 
 
 def test_f09_stamps_of_the_simulator_are_of_no_future(tmp_path: Path) -> None:
-    recording = Recording(
-        tmp_path / "e", mode="lockstep", arms=["PSM1"], cameras=[], manifest={}, min_free_bytes=0
-    )
+    recording = camera_recording.start(tmp_path / "e", "lockstep", arms=["PSM1"], cameras=())
     recording.cycle("PSM1", synthetic.cycle(synthetic.Synthetic(), 90_000, 0), 7)
     assert episode_reader.read(recording.close({})).manifest["future_stamps"] == {}

@@ -16,10 +16,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from helpers.recording import camera_recording
 from helpers.recording import recording_synthetic as synthetic
 from helpers.results.recording_results import note
 from surg_recording.episode import episode_reader, finishing, provenance, table_columns
-from surg_recording.episode.episode_recorder import Recording
 from surg_recording.episode.episode_writer import EpisodeWriter
 from surg_recording.episode.recovery import recover
 from surg_recording.recording_errors import EpisodeError
@@ -54,10 +54,7 @@ def test_what_goes_in_comes_out(tmp_path: Path) -> None:
 
 
 def test_a_task_and_its_assistant_are_recorded(tmp_path: Path) -> None:
-    recording = Recording(
-        tmp_path / "episode", mode="lockstep", arms=["PSM1"], cameras=[], manifest={},
-        min_free_bytes=0,
-    )  # fmt: skip
+    recording = camera_recording.start(tmp_path / "episode", "lockstep", arms=["PSM1"], cameras=())
     names = ["state", "tip[3]", "nodes[2,3]"]
     for tick in (25, 50):
         values = [tick / 3.0, *(tick / np.arange(1, 10))]
@@ -90,9 +87,7 @@ def test_a_task_and_its_assistant_are_recorded(tmp_path: Path) -> None:
 def test_a_task_state_that_fits_no_table_makes_it_incomplete(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"nodes\[\]"):
         table_columns.task(["nodes[]"])
-    recording = Recording(
-        tmp_path / "episode", mode="lockstep", arms=[], cameras=[], manifest={}, min_free_bytes=0
-    )
+    recording = camera_recording.start(tmp_path / "episode", "lockstep", cameras=())
     head = synthetic.header(50)
     for values in ([1.0], [1.0, 2.0]):
         recording.task_state(
@@ -136,9 +131,7 @@ def test_what_is_no_episode_is_refused(tmp_path: Path, manifest: str | None, sai
 
 
 def test_an_unfinished_folder_is_refused_with_the_cure(tmp_path: Path) -> None:
-    recording = Recording(
-        tmp_path / "e", mode="lockstep", arms=[], cameras=[], manifest={}, min_free_bytes=0
-    )
+    recording = camera_recording.start(tmp_path / "e", "lockstep", cameras=())
     with pytest.raises(EpisodeError, match=r"never finished.*recover"):
         episode_reader.read(recording.folder)
     recording.close({})
@@ -184,14 +177,7 @@ def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
 
 def test_missing_ticks_drops_and_absent_streams_make_it_incomplete(tmp_path: Path) -> None:
     what = synthetic.Synthetic()
-    recording = Recording(
-        tmp_path / "e",
-        mode="freerun",
-        arms=["PSM1", "PSM2"],
-        cameras=["cam"],
-        manifest={},
-        min_free_bytes=0,
-    )
+    recording = camera_recording.start(tmp_path / "e", arms=["PSM1", "PSM2"])
     for tick in (1, 2, 5):
         recording.cycle("PSM1", synthetic.cycle(what, tick, 1), tick)
     other = synthetic.Synthetic(joints=7)
@@ -205,14 +191,7 @@ def test_missing_ticks_drops_and_absent_streams_make_it_incomplete(tmp_path: Pat
 
 def test_a_full_disk_ends_the_recording_and_keeps_what_was_there(tmp_path: Path) -> None:
     what = synthetic.Synthetic()
-    recording = Recording(
-        tmp_path / "e",
-        mode="freerun",
-        arms=["PSM1"],
-        cameras=[],
-        manifest={},
-        min_free_bytes=0,
-    )
+    recording = camera_recording.start(tmp_path / "e", arms=["PSM1"], cameras=())
     for tick in range(1, 101):
         recording.cycle("PSM1", synthetic.cycle(what, tick, 1), tick)
     recording.tables.writer.flush(2.0)

@@ -26,10 +26,6 @@ found = [m.name for m in pkgutil.walk_packages(surg_recording.__path__, "surg_re
 for name in found:
     if not (name.endswith("_node") or ".nodes." in name):
         importlib.import_module(name)
-from importlib import metadata
-from surg_recording import datasets
-points = metadata.entry_points(group=datasets.GROUP)
-assert {p.name for p in points} == set(datasets.names()), points
 print(surg_recording.__file__, len(found))
 """
 

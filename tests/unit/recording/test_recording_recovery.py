@@ -17,7 +17,7 @@ from surg_recording.clock import clock_segments
 from surg_recording.episode import episode_reader, finishing, recovery, table_file
 from surg_recording.episode.episode_writer import LOCK, EpisodeWriter
 from surg_recording.recording_errors import EpisodeError
-from surg_recording.video import mp4_boxes, mp4_headers, video_file
+from surg_recording.video import mp4_boxes, video_file
 from surg_recording.video.image_frame import frame_of
 from surg_recording.video.video_sink import VideoSink
 
@@ -190,58 +190,6 @@ def test_a_hand_edited_table_and_a_missing_sidecar_are_named(tmp_path: Path, vid
     assert "events: a line's stamp is no integer" in recorded.manifest["reason"]
     assert (recorded.folder / "cam.mp4").exists(), "nothing recorded is thrown away"
     assert recorded.cameras == []
-
-
-def overwritten(path: Path, place: int, data: bytes) -> None:
-    with open(path, "rb+") as file:
-        file.seek(place)
-        file.write(data)
-
-
-@pytest.mark.parametrize(
-    "junk", [b"\xff\xff\xff\xff", b"junk", bytes(4), b"\0\0\0\x09", b"12345678"]
-)
-def test_a_video_with_overwritten_first_bytes_keeps_its_frames(
-    tmp_path: Path, video: Path, junk: bytes
-) -> None:
-    folder = unfinished(tmp_path / "e", video)
-    for name in ("cam.mp4", "cam.csv"):
-        shutil.copy(video / name, folder / name)
-    overwritten(folder / "cam.mp4", 0, junk)
-    recorded = episode_reader.read(recovery.recover_one(folder))
-    found = recorded.video("cam")
-    assert len(found.frames) == 60
-    assert video_file.presentation_times(found.path) == found.frames["pts"].tolist()
-    assert len(video_file.grab(found.path, list(range(60)))) == 60
-    assert (
-        "cam.mp4: the header of box ftyp at byte 0 was " + junk[:4].hex()
-        in (recorded.manifest["reason"])
-    )
-    assert (found.path).read_bytes() == (video / "cam.mp4").read_bytes()
-
-
-def test_any_overwritten_header_is_written_anew(
-    tmp_path: Path, video: Path, rng: random.Random, full: bool
-) -> None:
-    """Of every box but the last one, size, kind or both."""
-    whole = (video / "cam.mp4").read_bytes()
-    path, places = tmp_path / "cam.mp4", []
-    place = 0
-    while place < len(whole):
-        places.append(place)
-        place += int.from_bytes(whole[place : place + 4], "big")
-    for number in range(400 if full else 100):
-        path.write_bytes(whole)
-        place = rng.choice(places[:-1])
-        first, count = rng.choice([(0, 4), (4, 4), (0, 8)])
-        overwritten(path, place + first, rng.randbytes(count))
-        if path.read_bytes() == whole:
-            continue
-        (said,) = mp4_headers.repair(path)
-        assert f"at byte {place} " in said, number
-        assert path.read_bytes() == whole, (number, place, first, count)
-    path.write_bytes(whole)
-    assert mp4_headers.repair(path) == [], "an intact file stays as it is"
 
 
 def test_nothing_that_was_recorded_is_deleted(tmp_path: Path, video: Path) -> None:

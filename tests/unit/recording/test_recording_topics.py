@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
+from helpers.recording import camera_recording
 from surg_recording.episode import episode_reader
-from surg_recording.episode.episode_recorder import Recording
 from surg_recording.episode.message_fields import MAX_ITEMS, Flat, file_name
 from surg_recording.episode.topic_selection import TopicChoice
 from surg_recording.recording_errors import EpisodeError
@@ -39,9 +39,7 @@ def joints(stamp_ns: int, position: list[float], names: list[str]) -> Any:
 
 
 def record(tmp_path: Path, sent: list[tuple[str, str, Any]], **more: Any) -> episode_reader.Episode:
-    recording = Recording(
-        tmp_path / "e", mode="freerun", arms=[], cameras=[], manifest={}, min_free_bytes=0
-    )
+    recording = camera_recording.start(tmp_path / "e", cameras=())
     for number, (topic, kind, content) in enumerate(sent):
         recording.topic(topic, kind, Flat(content), "/sender", 2 * 10**18 + number)
     return episode_reader.read(recording.close({}, **more))

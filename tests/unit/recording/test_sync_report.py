@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.recording import camera_recording
 from helpers.recording import recording_synthetic as synthetic
 from helpers.recording.moving_pictures import Scene
 from surg_recording.clock import clock_agreement, stream_skew, sync_page, sync_report
 from surg_recording.episode import csv_sink, table_columns, table_rows
 from surg_recording.episode import episode_reader as episodes
-from surg_recording.episode.episode_recorder import Recording
 
 TICK_NS = synthetic.TICK_NS
 START_NS = 1_700_000_000_000_000_000
@@ -224,10 +224,9 @@ def test_the_nearest_stamp_is_found_in_exact_integers() -> None:
 def film(folder: Path, delay_s: float, still: bool = False, seconds: float = 14.0) -> Path:
     """An episode with an H.264 video whose frames bear stamps that are too late by ``delay_s``."""
     what = synthetic.Synthetic(seconds=seconds, constant=still, lag_s=0.0)
-    recording = Recording(
-        folder, mode="lockstep", arms=["PSM1"], cameras=["endoscope_left"], manifest={},
-        min_free_bytes=0,
-    )  # fmt: skip
+    recording = camera_recording.start(
+        folder, "lockstep", arms=["PSM1"], cameras=["endoscope_left"]
+    )
     ticks = round(seconds / 0.002)
     rng = np.random.default_rng(5)
     # A motion with features: the made-up path at a varying pace.
@@ -306,9 +305,7 @@ def test_the_section_of_the_report_says_it(tmp_path: Path) -> None:
 
 
 def test_the_recorder_writes_what_the_monitors_say(tmp_path: Path) -> None:
-    recording = Recording(
-        tmp_path / "e", mode="freerun", arms=["PSM1"], cameras=[], manifest={}, min_free_bytes=0
-    )
+    recording = camera_recording.start(tmp_path / "e", arms=["PSM1"], cameras=())
     for message in every_second(3.0, port_state="LISTENING", offset=math.nan):
         recording.clock_sync(message, START_NS)
     table = episodes.read(recording.close({})).table("clock_sync")

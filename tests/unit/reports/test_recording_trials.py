@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from markupsafe import escape
 from matplotlib.lines import Line2D
 
@@ -139,17 +138,6 @@ def test_the_page_names_every_failure_and_escapes_it(tmp_path: Path) -> None:
     assert {f.name for f in (tmp_path / "figures").iterdir()} == {
         f"{name}.png" for name in trial_figures.FIGURES
     }
-
-
-@pytest.mark.parametrize(("count", "boxes"), [(1, False), (2, False), (3, True)])
-def test_the_caption_explains_boxes_only_where_there_are_some(
-    count: int, boxes: bool, tmp_path: Path
-) -> None:
-    episodes = [entry(s) for s in range(count)]
-    trial_report.write(trials.summarise(episodes, INFO), tmp_path)
-    page = (tmp_path / "report.html").read_text("utf-8")
-    assert "One dot per episode" in page
-    assert ("quartiles" in page) is boxes
 
 
 def test_a_run_without_any_measurement_has_a_page(tmp_path: Path) -> None:

@@ -109,11 +109,11 @@ def _find(wanted: list[Path], alone: bool) -> list[Path]:
 
     ``alone``: a reference set may be evaluated without any episode.
     """
+    from surg_recording.episode import episode_reader
     from surg_recording.recording_errors import EpisodeError
-    from surg_recording.reports import evaluation
 
     try:
-        return evaluation.find(wanted or [paths.RUNS])
+        return episode_reader.find(wanted or [paths.RUNS])
     except EpisodeError as problem:
         if wanted:
             raise CliError(str(problem), 2) from problem

@@ -48,10 +48,9 @@ def _chosen(options: argparse.Namespace) -> list[Path]:
     from surg_recording.episode import episode_reader
     from surg_recording.episode.selection import Selection, SelectionError
     from surg_recording.recording_errors import EpisodeError
-    from surg_recording.reports import evaluation
 
     try:
-        folders = evaluation.find(options.episodes or [paths.RUNS])
+        folders = episode_reader.find(options.episodes or [paths.RUNS])
         if options.where is None:
             return folders
         selection, chosen = Selection(options.where), []

@@ -9,14 +9,13 @@ from surg_recording.datasets.dataset import Dataset, Part
 from surg_recording.datasets.export_manifest import check
 from surg_recording.datasets.export_report import ExportError, Report
 from surg_recording.datasets.exporter import Exporter
-from surg_recording.datasets.exporter_plugins import GROUP, load, names
+from surg_recording.datasets.exporter_plugins import load, names
 from surg_recording.datasets.frames.sampling import Sampled, sample
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.pipeline import dry_run
 from surg_recording.datasets.schema import Feature
 
 __all__ = [
-    "GROUP",
     "Dataset",
     "ExportError",
     "ExportOptions",

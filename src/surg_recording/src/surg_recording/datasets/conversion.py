@@ -20,7 +20,7 @@ import surg_recording
 from surg_core.force.observed_force import PLACES
 from surg_recording.datasets import exporter_plugins, inspection, schema
 from surg_recording.datasets.dataset import Part
-from surg_recording.datasets.dataset_format import DatasetFormat
+from surg_recording.datasets.exporter import Exporter
 from surg_recording.datasets.frames.sampling import sample
 from surg_recording.datasets.layout import Layout
 from surg_recording.datasets.options import ExportOptions
@@ -55,9 +55,7 @@ class ConversionResult:
     made: bool = False
 
 
-def input_hash(
-    folder: Path, layout: Layout, options: ExportOptions, exporter: DatasetFormat
-) -> str:
+def input_hash(folder: Path, layout: Layout, options: ExportOptions, exporter: Exporter) -> str:
     """SHA-256 of all inputs of a conversion; an EpisodeError if a file is missing."""
     names = ["manifest.json", inspection.SYNC_REPORT, LABELS]
     names += [f"cycle_{arm}.csv" for arm in layout.arms]

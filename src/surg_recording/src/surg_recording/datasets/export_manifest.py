@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from surg_recording.datasets.dataset import Dataset
-from surg_recording.datasets.dataset_format import DatasetFormat
 from surg_recording.datasets.export_report import ExportError, Report
+from surg_recording.datasets.exporter import Exporter
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.file_io import file_hash
 
@@ -20,7 +20,7 @@ MANIFEST = "surg_export.json"
 FORMAT = "surg_export/1"
 
 
-def check(out: Path, exporter: DatasetFormat) -> Report:
+def check(out: Path, exporter: Exporter) -> Report:
     """Validate a finished export and its checksums; an ExportError if it is no such export."""
     stated = read_manifest(out)
     if stated["exporter"] != exporter.name:
@@ -51,7 +51,7 @@ def read_manifest(out: Path) -> dict[str, Any]:
 
 
 def is_up_to_date(
-    out: Path, exporter: DatasetFormat, keys: Sequence[str], options: ExportOptions, report: Report
+    out: Path, exporter: Exporter, keys: Sequence[str], options: ExportOptions, report: Report
 ) -> bool:
     """Whether this export is there already; an ExportError if the folder holds something else."""
     if not out.is_dir() or (any(out.iterdir()) and not (out / MANIFEST).exists()):
@@ -92,7 +92,7 @@ def _arranged(options: ExportOptions) -> dict[str, Any]:
     }
 
 
-def write_manifest(exporter: DatasetFormat, dataset: Dataset, out: Path, report: Report) -> None:
+def write_manifest(exporter: Exporter, dataset: Dataset, out: Path, report: Report) -> None:
     """Write ``surg_export.json`` into a finished export."""
     files = {
         str(path.relative_to(out)): {"bytes": path.stat().st_size, "sha256": file_hash(path)}

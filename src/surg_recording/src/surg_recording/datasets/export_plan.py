@@ -8,8 +8,8 @@ from pathlib import Path
 
 from surg_recording.datasets import inspection
 from surg_recording.datasets.conversion import input_hash
-from surg_recording.datasets.dataset_format import DatasetFormat
 from surg_recording.datasets.export_report import ExportError, Progress
+from surg_recording.datasets.exporter import Exporter
 from surg_recording.datasets.inspection import Candidate
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.episode import episode_reader
@@ -30,20 +30,16 @@ class ExportPlan:
 
 
 def make(
-    exporter: DatasetFormat, episodes: Sequence[Path], options: ExportOptions, progress: Progress
+    exporter: Exporter, episodes: Sequence[Path], options: ExportOptions, progress: Progress
 ) -> ExportPlan:
     """Find the recordings and judge each by its manifest; an ExportError if there is none.
 
     The first good one decides what the export holds; those that hold something else are refused.
     """
     try:
-        found = {path: episode_reader.below(path) for path in episodes}
+        folders = episode_reader.find(episodes)
     except EpisodeError as problem:
         raise ExportError(f"{problem}; name folders of recordings") from None
-    if not any(found.values()):
-        raise ExportError(f"no recording in {', '.join(map(str, episodes))}")
-    below = [folder for path, here in found.items() for folder in here or [path]]
-    folders = list({folder.resolve(): folder for folder in reversed(below)}.values())[::-1]
     refused: dict[str, str] = {}
     candidates: list[Candidate] = []
     keys: list[str] = []

@@ -11,9 +11,6 @@ from typing import Any
 from surg_core.plugins import PluginError, PluginKind
 from surg_recording.datasets.export_report import ExportError
 
-GROUP = "surg_recording.exporters"
-"""Entry points of other packages."""
-
 _BUNDLED = {
     "lerobot": "lerobot_v21",
     "lerobot_v21": "lerobot_v21",
@@ -27,7 +24,7 @@ _WITH_ROS = ("mcap", "rosbag", "rosbag2", "rosbag2_sqlite3")
 """Formats of ROS messages, each in a module of its name."""
 _KIND = PluginKind(
     noun="exporter",
-    group=GROUP,
+    group="surg_recording.exporters",
     bundled={
         **{name: f"surg_recording.datasets.formats.{module}" for name, module in _BUNDLED.items()},
         **{name: f"surg_recording.nodes.{name}_exporter_node" for name in _WITH_ROS},

@@ -1,4 +1,4 @@
-"""Pictures of an export: recorded frames in the grid's order, encoding, joining, reading back.
+"""Pictures of an export: encoding, joining, reading back.
 
 A video of an export has a constant rate: frame n is shown at n / fps exactly. Key frames are close
 (training reads in random order) and there are no B-frames, so that packets can be joined without
@@ -8,7 +8,6 @@ encoding again.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from fractions import Fraction
@@ -46,57 +45,6 @@ class PictureStatistics:
     """Frames that went into the histogram."""
 
 
-def recorded_frames(path: Path, indices: Sequence[int]) -> Iterator[av.VideoFrame]:
-    """Decode a recorded video's frames by never decreasing indices; equal indices repeat a frame.
-
-    Raises:
-        EpisodeError: The video cannot be read, or ends before an index.
-    """
-    wanted = iter(indices)
-    due = next(wanted, None)
-    number = -1
-    try:
-        first = _key_frame(path, due or 0)
-        with av.open(str(path)) as container:
-            for number, frame in enumerate(_decoded(container, first), start=first):
-                while due == number:
-                    yield frame
-                    due = next(wanted, None)
-                if due is None:
-                    return
-    except (av.error.FFmpegError, IndexError) as problem:
-        raise EpisodeError(f"{path}: cannot be decoded behind frame {number} ({problem})") from None
-    if due is not None:
-        raise EpisodeError(f"{path}: ends after {number + 1} frames, frame {due} is needed")
-
-
-def _key_frame(path: Path, number: int) -> int:
-    """The last key frame not later than a frame, so that a piece of a long video is found fast."""
-    if number == 0:
-        return 0
-    with av.open(str(path)) as container:
-        if container.streams.video[0].codec_context.has_b_frames:
-            return 0  # packets and frames are in different order
-        packets = itertools.islice(video_file.packets(container), number + 1)
-        return max((n for n, packet in enumerate(packets) if packet.is_keyframe), default=0)
-
-
-def _decoded(container: av.container.InputContainer, first: int = 0) -> Iterator[av.VideoFrame]:
-    """Frames of a video from the key frame ``first`` on, decoded in this thread.
-
-    Recordings are converted in parallel, so threads would gain nothing; and a decoder thread that
-    logs while its container is being closed waits for the interpreter forever.
-    """
-    context = container.streams.video[0].codec_context
-    context.thread_type, context.thread_count = "NONE", 1
-    if not first:
-        yield from container.decode(video=0)
-        return
-    for packet in itertools.islice(video_file.packets(container), first, None):
-        yield from packet.decode()
-    yield from context.decode(None)
-
-
 def _scaled(frame: av.VideoFrame, size: tuple[int, int] | None) -> av.VideoFrame:
     if size is None or (frame.width, frame.height) == size:
         return frame
@@ -129,7 +77,8 @@ def watch(
     size: tuple[int, int] | None = None,
 ) -> Iterator[av.VideoFrame]:
     """Pass on ``count`` frames; note thumbnails of all, and colours of evenly spaced ones."""
-    chosen = set(np.unique(np.linspace(0, max(count - 1, 0), num=_sampled(count)).astype(int)))
+    counted = min(count, max(100, int(count**0.75)))  # of their colours
+    chosen = set(np.unique(np.linspace(0, max(count - 1, 0), num=counted).astype(int)))
     for number, frame in enumerate(frames):
         frame = _scaled(frame, size)
         statistics.prints.append(thumbnail(frame))
@@ -137,11 +86,6 @@ def watch(
             statistics.histogram += colours(frame.to_ndarray(format="rgb24"))
             statistics.sampled += 1
         yield frame
-
-
-def _sampled(count: int) -> int:
-    """Number of frames whose colours are counted: at least 100, then growing as count^0.75."""
-    return min(count, max(100, int(count**0.75)))
 
 
 def encode(frames: Iterable[av.VideoFrame], path: Path, how: ExportOptions) -> int:
@@ -208,12 +152,9 @@ def header_of(path: Path) -> bytes:
 def size_of(path: Path) -> tuple[int, int]:
     """Width and height of a video [px]; an EpisodeError if it cannot be read."""
     regular_file(path)
-    try:
-        with av.open(str(path)) as container:
-            context = container.streams.video[0].codec_context
-            return (int(context.width), int(context.height))
-    except (av.error.FFmpegError, IndexError, OSError) as problem:
-        raise EpisodeError(f"{path}: cannot be read ({problem})") from None
+    with video_file.opened(path) as container:
+        context = container.streams.video[0].codec_context
+        return (int(context.width), int(context.height))
 
 
 def check_video(path: Path, how: ExportOptions, expected: Sequence[Print]) -> None:
@@ -222,7 +163,7 @@ def check_video(path: Path, how: ExportOptions, expected: Sequence[Print]) -> No
     number = -1
     try:
         with av.open(str(path)) as container:
-            for number, frame in enumerate(_decoded(container)):
+            for number, frame in enumerate(video_file.decoded(container)):
                 if number >= len(expected):
                     raise EpisodeError(f"{path}: more than the {len(expected)} frames given to it")
                 shown = Fraction(frame.pts) * frame.time_base

@@ -23,9 +23,9 @@ from surg_recording.datasets.conversion import (
     remove_unfinished,
 )
 from surg_recording.datasets.dataset import Dataset, Part
-from surg_recording.datasets.dataset_format import DatasetFormat
 from surg_recording.datasets.export_manifest import is_up_to_date, write_manifest
 from surg_recording.datasets.export_report import ExportError, Progress, Report
+from surg_recording.datasets.exporter import Exporter
 from surg_recording.datasets.frames.sampling import sample
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.schema import Feature
@@ -37,7 +37,7 @@ UNFINISHED = ".unfinished"
 
 
 def export(
-    exporter: DatasetFormat,
+    exporter: Exporter,
     episodes: Sequence[Path],
     out: Path,
     options: ExportOptions,
@@ -89,7 +89,7 @@ def export(
 
 
 def dry_run(
-    exporter: DatasetFormat, episodes: Sequence[Path], options: ExportOptions, progress: Progress
+    exporter: Exporter, episodes: Sequence[Path], options: ExportOptions, progress: Progress
 ) -> Report:
     """Check everything but pictures, and report; an ExportError if nothing can be exported."""
     exporter.require()
@@ -161,7 +161,7 @@ def _convert(
 
 
 def _assemble(
-    exporter: DatasetFormat, dataset: Dataset, out: Path, options: ExportOptions, report: Report
+    exporter: Exporter, dataset: Dataset, out: Path, options: ExportOptions, report: Report
 ) -> None:
     """Assemble under a temporary name, validate, and rename."""
     staging = out.with_name(out.name + UNFINISHED)
@@ -215,7 +215,7 @@ def _told(source: str, notes: Mapping[str, Any]) -> list[str]:
     return told + [f"{source}: {remark}" for remark in notes.get("remarks", ())]
 
 
-def split_words(source: Path, pieces: int, exporter: DatasetFormat) -> str:
+def split_words(source: Path, pieces: int, exporter: Exporter) -> str:
     """What the report says of a long recording."""
     return (
         f"{source}: longer than the {exporter.longest_s:g} s that one episode of {exporter.title}"

@@ -24,12 +24,9 @@ def key_frames(path: Path) -> list[int]:
     Raises:
         EpisodeError: The video cannot be read.
     """
-    try:
-        with av.open(str(path)) as container:
-            packets = enumerate(video_file.packets(container))
-            return [number for number, packet in packets if packet.is_keyframe]
-    except (av.error.FFmpegError, IndexError) as problem:
-        raise EpisodeError(f"{path}: cannot be read ({problem})") from None
+    with video_file.opened(path) as container:
+        packets = enumerate(video_file.packets(container))
+        return [number for number, packet in packets if packet.is_keyframe]
 
 
 def obstacle(path: Path, indices: Sequence[int], how: ExportOptions) -> str | None:
@@ -41,18 +38,15 @@ def obstacle(path: Path, indices: Sequence[int], how: ExportOptions) -> str | No
     first = indices[0]
     if list(indices) != list(range(first, first + len(indices))):
         return f"{how.fps} frames per second are not its own frames one by one"
-    try:
-        with av.open(str(path)) as container:
-            context = container.streams.video[0].codec_context
-            size = (context.width, context.height)
-            codec, pixels = video_file.codec_of(container.streams.video[0])
-            if (codec, pixels) != ("h264", "yuv420p") or context.has_b_frames:
-                return f"it is {codec}, {pixels}; H.264, yuv420p is written"
-            if how.size not in (None, size):
-                return f"it has {size[0]}x{size[1]} pixels"
-            packet = next(itertools.islice(video_file.packets(container), first, None), None)
-    except (av.error.FFmpegError, IndexError) as problem:
-        raise EpisodeError(f"{path}: cannot be read ({problem})") from None
+    with video_file.opened(path) as container:
+        context = container.streams.video[0].codec_context
+        size = (context.width, context.height)
+        codec, pixels = video_file.codec_of(container.streams.video[0])
+        if (codec, pixels) != ("h264", "yuv420p") or context.has_b_frames:
+            return f"it is {codec}, {pixels}; H.264, yuv420p is written"
+        if how.size not in (None, size):
+            return f"it has {size[0]}x{size[1]} pixels"
+        packet = next(itertools.islice(video_file.packets(container), first, None), None)
     if packet is None or not packet.is_keyframe:
         return f"frame {first}, the first, is no key frame"
     return None

@@ -7,7 +7,7 @@ is versioned; a reader for every published version stays here (docs/reference/re
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -207,6 +207,23 @@ def read(folder: Path | str) -> Episode:
             " A newer format needs a newer surg_recording"
         )
     return _READERS[name](folder, manifest)
+
+
+def find(paths: Sequence[Path]) -> list[Path]:
+    """Episode folders at or below the paths, each once; a path without any beside others too.
+
+    Raises:
+        EpisodeError: There is no such path, or no episode at all.
+    """
+    found = {path: below(path) for path in paths}
+    if not any(found.values()):
+        words = ", ".join(map(str, paths))
+        raise EpisodeError(f"{words}: no episode (a folder with {MANIFEST}) in it")
+    folders = [folder for path, here in found.items() for folder in here or [path]]
+    unique: dict[Path, Path] = {}
+    for folder in folders:
+        unique.setdefault(folder.resolve(), folder)
+    return list(unique.values())
 
 
 def below(path: Path) -> list[Path]:

@@ -24,7 +24,7 @@ from surg_recording.episode.episode_reader import MANIFEST, TOPICS
 from surg_recording.episode.integrity import HASH, VIDEO_HASH
 from surg_recording.file_io import file_hash, read_json
 from surg_recording.recording_errors import EpisodeError
-from surg_recording.video import mp4_headers, video_file
+from surg_recording.video import video_file
 
 _TICKED = ("cycle_", "ground_truth_")
 """Tables that have a row for every tick."""
@@ -84,7 +84,6 @@ def _videos(folder: Path, drops: Mapping[str, int], reasons: list[str]) -> dict[
         if not damaged.is_regular(sidecar):
             reasons.append(f"{sidecar.name}: is no file, so its frames have no stamps")
             continue
-        reasons += mp4_headers.repair(path)
         readable = video_file.has_frames(path)
         frames = video_file.mend(path, sidecar, reasons) if readable else 0
         if not frames:

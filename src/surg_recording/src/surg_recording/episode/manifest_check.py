@@ -8,106 +8,84 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from surg_recording.recording_errors import EpisodeError
 
-Check = Callable[[Any], bool]
+
+class Kind(NamedTuple):
+    """What a key may hold."""
+
+    words: str
+    """For the message."""
+    fits: Callable[[Any], bool]
 
 
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str)
+def _are(*kinds: type) -> Callable[[Any], bool]:
+    """Whether a value is a list of these."""
+    return lambda value: isinstance(value, list) and all(isinstance(x, kinds) for x in value)
 
 
 def _is_integer(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and -(2**63) <= value < 2**63
 
 
-def _is_count(value: Any) -> bool:
-    return _is_integer(value) and value >= 0
-
-
-def _is_scalar(value: Any) -> bool:
-    return isinstance(value, str | int | float)
-
-
-def _is_object(value: Any) -> bool:
-    return isinstance(value, dict)
-
-
-def _is_objects(value: Any) -> bool:
-    return isinstance(value, list) and all(map(_is_object, value))
-
-
 def _is_texts_by_name(value: Any) -> bool:
-    return isinstance(value, dict) and all(map(_is_text, value.values()))
+    return isinstance(value, dict) and all(isinstance(text, str) for text in value.values())
 
 
-def _is_texts(value: Any) -> bool:
-    return isinstance(value, list) and all(map(_is_text, value))
+_TEXT = Kind("a text", lambda value: isinstance(value, str))
+_INTEGER = Kind("a 64-bit integer", _is_integer)
+_COUNT = Kind("a count", lambda value: _is_integer(value) and value >= 0)
+_SCALAR = Kind("a text or a number", lambda value: isinstance(value, str | int | float))
+_OBJECT = Kind("an object", lambda value: isinstance(value, dict))
+_OBJECTS = Kind("a list of objects", _are(dict))
+_TEXTS = Kind("a list of texts", _are(str))
+_TEXTS_BY_NAME = Kind("an object of texts", _is_texts_by_name)
+_TAGS = Kind("a list of texts or objects", _are(str, dict))
+_TRUTH = Kind("true, false or null", lambda value: isinstance(value, bool))
 
-
-def _is_tags(value: Any) -> bool:
-    return isinstance(value, list) and all(isinstance(tag, str | dict) for tag in value)
-
-
-def _is_truth(value: Any) -> bool:
-    return isinstance(value, bool)
-
-
-_WORDS: dict[Check, str] = {
-    _is_text: "a text",
-    _is_integer: "a 64-bit integer",
-    _is_count: "a count",
-    _is_scalar: "a text or a number",
-    _is_object: "an object",
-    _is_objects: "a list of objects",
-    _is_texts: "a list of texts",
-    _is_texts_by_name: "an object of texts",
-    _is_tags: "a list of texts or objects",
-    _is_truth: "true, false or null",
+_TOP: dict[str, Kind] = {
+    **dict.fromkeys(("created", "outcome", "reason", "mode", "clock"), _TEXT),
+    **dict.fromkeys(("arms", "cameras", "warnings"), _TEXTS),
+    **dict.fromkeys(("run", "sim", "result", "cell", "versions", "topics"), _OBJECT),
+    "camera_info": _OBJECT,
+    **dict.fromkeys(("stages", "segments", "amendments"), _OBJECTS),
+    **dict.fromkeys(("task", "setting", "operator", "seed"), _SCALAR),
+    "tags": _TAGS,
 }
-_TOP: dict[str, Check] = {
-    **dict.fromkeys(("created", "outcome", "reason", "mode", "clock"), _is_text),
-    **dict.fromkeys(("arms", "cameras", "warnings"), _is_texts),
-    **dict.fromkeys(("run", "sim", "result", "cell", "versions", "topics"), _is_object),
-    "camera_info": _is_object,
-    **dict.fromkeys(("stages", "segments", "amendments"), _is_objects),
-    **dict.fromkeys(("task", "setting", "operator", "seed"), _is_scalar),
-    "tags": _is_tags,
-}
-_WITHIN: dict[str, dict[str, Check]] = {
+_WITHIN: dict[str, dict[str, Kind]] = {
     "run": {
-        **dict.fromkeys(("robot", "motion", "mode", "law", "link", "setting"), _is_scalar),
-        **dict.fromkeys(("task", "title", "operator", "seed", "scale", "instruction"), _is_scalar),
-        "stages": _is_texts_by_name,
+        **dict.fromkeys(("robot", "motion", "mode", "law", "link", "setting"), _SCALAR),
+        **dict.fromkeys(("task", "title", "operator", "seed", "scale", "instruction"), _SCALAR),
+        "stages": _TEXTS_BY_NAME,
     },
-    "sim": {"task": _is_object, "state_hash": _is_text},
-    "result": {"success": _is_truth, "reason": _is_text, "by": _is_text},
+    "sim": {"task": _OBJECT, "state_hash": _TEXT},
+    "result": {"success": _TRUTH, "reason": _TEXT, "by": _TEXT},
     "cell": {
-        **dict.fromkeys(("arms", "endoscope"), _is_object),
-        **dict.fromkeys(("calibration", "files"), _is_texts_by_name),
-        "name": _is_scalar,
+        **dict.fromkeys(("arms", "endoscope"), _OBJECT),
+        **dict.fromkeys(("calibration", "files"), _TEXTS_BY_NAME),
+        "name": _SCALAR,
     },
 }
-_ITEMS: dict[str, dict[str, Check]] = {
+_ITEMS: dict[str, dict[str, Kind]] = {
     "stages": {
-        **dict.fromkeys(("name", "text", "by"), _is_text),
-        **dict.fromkeys(("begin_ns", "end_ns"), _is_integer),
+        **dict.fromkeys(("name", "text", "by"), _TEXT),
+        **dict.fromkeys(("begin_ns", "end_ns"), _INTEGER),
     },
     "segments": {
-        **dict.fromkeys(("begin_ns", "step_ns"), _is_integer),
-        **dict.fromkeys(("rows", "frames"), _is_object),
+        **dict.fromkeys(("begin_ns", "step_ns"), _INTEGER),
+        **dict.fromkeys(("rows", "frames"), _OBJECT),
     },
-    "amendments": {"files": _is_object},
+    "amendments": {"files": _OBJECT},
 }
 """Keys of the objects in a list."""
-_FILE: dict[str, Check] = {
-    **dict.fromkeys(("rows", "frames", "dropped"), _is_count),
-    **dict.fromkeys(("first_stamp_ns", "last_stamp_ns", "missing_ticks"), _is_integer),
-    **dict.fromkeys(("sha256", "video_sha256", "part_of"), _is_text),
-    "columns": _is_texts,
-    "kinds": _is_object,
+_FILE: dict[str, Kind] = {
+    **dict.fromkeys(("rows", "frames", "dropped"), _COUNT),
+    **dict.fromkeys(("first_stamp_ns", "last_stamp_ns", "missing_ticks"), _INTEGER),
+    **dict.fromkeys(("sha256", "video_sha256", "part_of"), _TEXT),
+    "columns": _TEXTS,
+    "kinds": _OBJECT,
 }
 """Keys of the entries of ``tables`` and ``videos``."""
 
@@ -122,8 +100,8 @@ def check(place: object, manifest: Mapping[str, Any]) -> None:
         for name, entry in manifest[key].items():
             where = f"{key}.{name}"
             _check_name(place, where, name, folders=key == "tables")
-            if not _is_object(entry):
-                _refuse(place, where, entry, _is_object)
+            if not _OBJECT.fits(entry):
+                _refuse(place, where, entry, _OBJECT)
             _check_keys(place, where, entry, _FILE)
             part_of = entry.get("part_of")
             if part_of and ((match := _PART.fullmatch(name)) is None or match[1] != part_of):
@@ -135,9 +113,9 @@ def check(place: object, manifest: Mapping[str, Any]) -> None:
         for number, item in enumerate(manifest.get(key) or []):
             _check_keys(place, f"{key}[{number}]", item, checks)
     for arm, entry in ((manifest.get("cell") or {}).get("arms") or {}).items():
-        parts = dict.fromkeys(("robot", "instrument"), _is_object)
-        if not _is_object(entry):
-            _refuse(place, f"cell.arms.{arm}", entry, _is_object)
+        parts = dict.fromkeys(("robot", "instrument"), _OBJECT)
+        if not _OBJECT.fits(entry):
+            _refuse(place, f"cell.arms.{arm}", entry, _OBJECT)
         _check_keys(place, f"cell.arms.{arm}", entry, parts)
 
 
@@ -149,16 +127,16 @@ def _check_name(place: object, where: str, name: str, folders: bool) -> None:
 
 
 def _check_keys(
-    place: object, within: str, entry: Mapping[str, Any], checks: Mapping[str, Check]
+    place: object, within: str, entry: Mapping[str, Any], checks: Mapping[str, Kind]
 ) -> None:
     """Check the keys that are there; null means "not stated"."""
-    for key, fits in checks.items():
+    for key, kind in checks.items():
         value = entry.get(key)
-        if value is not None and not fits(value):
-            _refuse(place, f"{within}.{key}" if within else key, value, fits)
+        if value is not None and not kind.fits(value):
+            _refuse(place, f"{within}.{key}" if within else key, value, kind)
 
 
-def _refuse(place: object, key: str, value: Any, fits: Check) -> None:
+def _refuse(place: object, key: str, value: Any, kind: Kind) -> None:
     shown = repr(value)
     shown = shown if len(shown) <= 60 else shown[:60] + "…"
-    raise EpisodeError(f"{place}: key {key!r} is {shown}, {_WORDS[fits]} is needed")
+    raise EpisodeError(f"{place}: key {key!r} is {shown}, {kind.words} is needed")

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from surg_core.transforms import quaternion_xyzw_to_matrix, rpy_to_matrix, twist_angle
+from surg_recording.clock.stream_skew import nearest_ns
 from surg_recording.imports import bag_map
 from surg_recording.imports.arm_series import ArmSeries, write
 from surg_recording.imports.bag_file import BagFile
@@ -55,7 +56,8 @@ def import_bag(
             wanted = {t for arm in chosen.arms for t in arm.topics.values()}
             missing = sorted((wanted | set(chosen.cameras.values())) - set(kinds))
             if missing:
-                raise EpisodeError(f"no topic {', '.join(missing)}; there are {_list(kinds)}")
+                there = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(kinds.items()))
+                raise EpisodeError(f"no topic {', '.join(missing)}; there are {there}")
             streams = BagStreams(bag, ledger, own_stamps)
             arms = [_series(streams, arm) for arm in chosen.arms]
             pictures = streams.pictures(chosen.cameras)
@@ -71,10 +73,6 @@ def import_bag(
             return write(folder, arms, list(chosen.cameras), pictures, manifest, ledger)
     except EpisodeError as problem:
         raise EpisodeError(words_of(problem, path)) from None
-
-
-def _list(kinds: dict[str, str]) -> str:
-    return ", ".join(f"{topic} ({kind})" for topic, kind in sorted(kinds.items()))
 
 
 def _series(streams: BagStreams, arm: ArmTopics) -> ArmSeries:
@@ -140,10 +138,7 @@ def _far(samples: Samples, times: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_
     if not len(known):
         return np.ones(len(times), bool)
     period = int(np.median(np.diff(known))) if len(known) > 1 else 0
-    after = np.searchsorted(known, times).clip(0, len(known) - 1)
-    before = (after - 1).clip(0)
-    nearest = np.minimum(np.abs(known[after] - times), np.abs(known[before] - times))
-    return np.asarray(nearest > max(APART_NS, 3 * period))
+    return np.asarray(nearest_ns(times, known) > max(APART_NS, 3 * period))
 
 
 def _goal(streams: BagStreams, topic: str, poses: Samples) -> Array:

@@ -40,13 +40,10 @@ def write_account(out: Path, accounts: Sequence[Account]) -> Path:
     (out / JSON).write_text(json.dumps({"imports": entries}, indent=1) + "\n", "utf-8")
     page = out / PAGE
     sections = [_section(entry) for entry in entries]
-    page.write_text(html_page.document("Import", sections, _words(entries)), "utf-8")
-    return page
-
-
-def _words(entries: Sequence[dict[str, Any]]) -> str:
     refused = sum(entry["refused"] is not None for entry in entries)
-    return f"{len(entries) - refused} episodes, {refused} refused"
+    about = f"{len(entries) - refused} episodes, {refused} refused"
+    page.write_text(html_page.document("Import", sections, about), "utf-8")
+    return page
 
 
 def _section(entry: dict[str, Any]) -> str:

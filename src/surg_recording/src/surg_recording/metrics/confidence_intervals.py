@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from surg_core.wilson import wilson_interval
 
@@ -22,32 +22,16 @@ def success_rate(successes: Sequence[bool | None]) -> dict[str, float | int]:
     return {"n": n, "k": k, "low": low, "high": high}
 
 
-def median_interval(
-    numbers: Sequence[float], confidence: float = 0.95
-) -> tuple[float, float] | None:
-    """Interval that holds the distribution's median with at least this confidence.
+def median_interval(numbers: Sequence[float]) -> tuple[float, float] | None:
+    """Interval that holds the distribution's median with at least 95 %; None of fewer than 6.
 
     The ends are two of the numbers, so nothing is assumed about the distribution: with X_(r) the
     r-th smallest of n, P(X_(r) ≤ median ≤ X_(n+1−r)) ≥ 1 − 2 P(B ≤ r − 1) with B binomial(n, ½).
-    The largest r is taken that keeps this at or above ``confidence``.
-
-    Args:
-        numbers: Independent and finite.
-        confidence: Between 0 and 1, else a ValueError.
-
-    Returns:
-        The ends; None for too few numbers (fewer than 6 at 95 %).
+    The largest r is taken that keeps this at or above 95 %.
     """
-    if not 0.0 < confidence < 1.0:
-        raise ValueError(f"median_interval: confidence is {confidence}, must be between 0 and 1")
     ordered, n = sorted(numbers), len(numbers)
-    rank, below = 0, 0
-    while rank < n // 2:
-        below += math.comb(n, rank)
-        if 2 * below > (1.0 - confidence) * 2**n:
-            break
-        rank += 1
-    return (ordered[rank - 1], ordered[n - rank]) if rank else None
+    rank = int(stats.binom.ppf(0.025, n, 0.5))
+    return (ordered[rank - 1], ordered[n - rank]) if rank > 0 else None
 
 
 def spread(numbers: Sequence[float]) -> dict[str, Any]:

@@ -26,54 +26,46 @@ def path_length(position: ArrayLike, fs: float | None = None, cutoff: float | No
     return float(np.sum(np.linalg.norm(np.diff(p, axis=0), axis=1)))
 
 
+IDLE_BELOW = 1e-3
+"""Speed below which a tip counts as still [m/s]."""
+IDLE_AT_LEAST = 0.5
+"""A shorter pause is a turning point, not idle time [s]."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Idle:
-    """Idle time of a tip, and the definition of idle used."""
+    """Idle time of a tip."""
 
     seconds: float
     share: float
     """Fraction of the whole duration."""
     pauses: int
-    below: float
-    """Speed [m/s]."""
-    at_least: float
-    """Shortest pause that counts [s]."""
-    cutoff: float
-    """Cut-off of the low-pass before differentiating [Hz]."""
 
 
-def idle(
-    position: ArrayLike,
-    fs: float,
-    *,
-    below: float = 1e-3,
-    at_least: float = 0.5,
-    cutoff: float = 3.0,
-) -> Idle:
+def idle(position: ArrayLike, fs: float, cutoff: float) -> Idle:
     """Time in which the tip stands still: pauses in which its speed stays below a bound.
 
     Args:
         position: (N, 3) tip positions on a uniform grid [m].
         fs: Its rate [Hz].
-        below: Speed below which the tip counts as still [m/s].
-        at_least: A shorter pause is a turning point, not idle time [s].
         cutoff: Zero-phase low-pass before differentiating [Hz]; tremor in place counts as still.
 
     Raises:
         ValueError: A wrong shape, a non-finite value, or a parameter that is not positive.
     """
     p = finite(rows3(position, "idle: position"), "idle: position")
-    for value, name in ((fs, "fs"), (below, "below"), (at_least, "at_least"), (cutoff, "cutoff")):
+    for value, name in ((fs, "fs"), (cutoff, "cutoff")):
         positive(value, f"idle: {name}")
     if len(p) < 2:
-        return Idle(0.0, 0.0, 0, below, at_least, cutoff)
+        return Idle(0.0, 0.0, 0)
     # Speeds of the N - 1 steps, so that the pauses and the motion add up to the duration.
     step = np.linalg.norm(np.diff(low_pass(p, fs, cutoff), axis=0), axis=1) * fs
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], step < below, [False]]).astype(int)))
+    still = np.concatenate([[False], step < IDLE_BELOW, [False]])
+    edges = np.flatnonzero(np.diff(still.astype(int)))
     lengths = (edges[1::2] - edges[::2]) / fs
-    counted = lengths[lengths >= at_least - 0.5 / fs]
+    counted = lengths[lengths >= IDLE_AT_LEAST - 0.5 / fs]
     seconds = float(np.sum(counted))
-    return Idle(seconds, seconds * fs / (len(p) - 1), len(counted), below, at_least, cutoff)
+    return Idle(seconds, seconds * fs / (len(p) - 1), len(counted))
 
 
 def shaft_sweep(s_B: ArrayLike) -> float:

@@ -48,7 +48,7 @@ def measure(motion: Motion, presets: Sequence[str] = tuple(metrics.PRESETS)) -> 
         "path_length_mm": {
             "executed": metrics.path_length(motion.p, motion.fs, PATH_CUTOFF_HZ) * 1e3
         },
-        "idle": {"s": metrics.idle(motion.p, motion.fs, cutoff=PATH_CUTOFF_HZ).seconds},
+        "idle": {"s": metrics.idle(motion.p, motion.fs, PATH_CUTOFF_HZ).seconds},
         "smoothness": {
             "presets": {name: {"sparc": s.sparc, "ldlj": s.ldlj} for name, s in smoothness.items()}
         },

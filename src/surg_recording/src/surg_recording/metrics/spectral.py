@@ -21,7 +21,6 @@ def sparc(
     fc: float | None = None,
     amplitude_threshold: float = 0.05,
     padlevel: int = 4,
-    mirrored: bool = False,
 ) -> float:
     """Spectral arc length of a speed profile: 0 at best, more negative when less smooth.
 
@@ -35,8 +34,6 @@ def sparc(
             only a mirror image that would be counted twice.
         amplitude_threshold: Of the normalised spectrum.
         padlevel: Zero padding to 2^(ceil(log2 N) + padlevel) samples.
-        mirrored: Keep that mirror image, as the published reference code does when fc > fs/2. Only
-            to reproduce its numbers.
 
     Returns:
         The arc length (≤ 0); NaN without motion or with fewer than 2 samples.
@@ -50,9 +47,7 @@ def sparc(
     positive(fs, "sparc: fs")
     if padlevel < 0:
         raise ValueError(f"sparc: padlevel is {padlevel}, must be ≥ 0")
-    cutoff = 10.0 if fc is None else positive(fc, "sparc: fc")
-    if not mirrored:
-        cutoff = min(cutoff, fs / 2)
+    cutoff = min(10.0 if fc is None else positive(fc, "sparc: fc"), fs / 2)
     if v.size < 2 or not np.any(v):
         return math.nan
     n = 2 ** (math.ceil(math.log2(v.size)) + padlevel)

@@ -85,23 +85,6 @@ class LeftOut:
     reason: str
 
 
-def find(paths: Sequence[Path]) -> list[Path]:
-    """Episode folders at or below the paths, each once; a path without any beside others too.
-
-    Raises:
-        EpisodeError: There is no such path, or no episode at all.
-    """
-    found = {path: episodes.below(path) for path in paths}
-    if not any(found.values()):
-        words = ", ".join(map(str, paths))
-        raise EpisodeError(f"{words}: no episode (a folder with {episodes.MANIFEST}) in it")
-    folders = [folder for path, here in found.items() for folder in here or [path]]
-    unique: dict[Path, Path] = {}
-    for folder in folders:
-        unique.setdefault(folder.resolve(), folder)
-    return list(unique.values())
-
-
 def measure(recorded: Episode, arm: str | None = None) -> dict[str, Any]:
     """The entry of an episode, of the first arm by default.
 

@@ -124,7 +124,6 @@ def save_figures(summary: Mapping[str, Any], folder: Path) -> list[Drawn]:
     """Draw the figures as PNG and SVG files; without episodes only that of the reference set."""
     figures = FIGURES if summary["conditions"] else {"smoothness": FIGURES["smoothness"]}
     drawn = save_all(figures, folder, summary, formats=("png", "svg"))
-    drawn = trial_figures.captioned(drawn, _groups(summary))
     return [dataclasses.replace(d, caption=f"{d.caption} {origin(summary)}.") for d in drawn]
 
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from surg_core.contract import SECOND_NS
@@ -138,9 +137,6 @@ def _name_phases(panels: npt.NDArray[Any], recorded: Episode, start: int, end: f
         for axes in panels:
             axes.axvline(t[i], color=FAINT, lw=0.8, ls=":")
         if t[i] - named > NEAR * end:
-            _above(panels[0], str(phases[i]), float(t[i]))
+            at = panels[0].get_xaxis_transform()
+            panels[0].text(t[i], 1.02, str(phases[i]), transform=at, fontsize=8, color=FAINT)
             named = t[i]
-
-
-def _above(axes: Axes, words: str, t: float) -> None:
-    axes.text(t, 1.02, words, transform=axes.get_xaxis_transform(), fontsize=8, color=FAINT)

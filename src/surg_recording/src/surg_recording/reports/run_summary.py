@@ -17,6 +17,7 @@ from surg_core.contract import ENABLED, FAULT
 from surg_recording import metrics
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.table import Table
+from surg_recording.metrics.path import IDLE_AT_LEAST, IDLE_BELOW
 from surg_recording.recording_errors import NoMotionError
 from surg_recording.reports.run_limits import stated_limits
 from surg_recording.reports.run_series import (
@@ -117,7 +118,7 @@ def _measure(run: Run, lockstep: bool) -> dict[str, Any]:
         p50, p99, worst = metrics.percentiles(periods, 50, 99, 100)
         period = {"p50": p50, "p99": p99, "max": worst}
     overruns = cycle["overruns"]
-    idle = metrics.idle(path_out, fs, cutoff=PATH_CUTOFF_HZ)
+    idle = metrics.idle(path_out, fs, PATH_CUTOFF_HZ)
     return {
         "duration_s": float(run.t[-1]),
         "rcm_kinematic_mm": _statistics(run.rcm_kinematic * 1e3),
@@ -134,9 +135,9 @@ def _measure(run: Run, lockstep: bool) -> dict[str, Any]:
             "s": idle.seconds,
             "share": idle.share,
             "pauses": idle.pauses,
-            "below_mm_per_s": idle.below * 1e3,
-            "at_least_s": idle.at_least,
-            "cutoff_hz": idle.cutoff,
+            "below_mm_per_s": IDLE_BELOW * 1e3,
+            "at_least_s": IDLE_AT_LEAST,
+            "cutoff_hz": PATH_CUTOFF_HZ,
         },
         "shaft_sweep_deg": math.degrees(metrics.shaft_sweep(run.shaft)),
         "enabled_fraction": float(np.mean(cycle["state"] == ENABLED)),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -19,7 +18,6 @@ from surg_recording.reports.figure_style import (
     LIMIT,
     TRUE,
     TRUE_FAINT,
-    Drawn,
     Figures,
     blank,
 )
@@ -115,7 +113,7 @@ def smoothness(groups: Groups, summary: Mapping[str, Any]) -> Figure | None:
     return figure
 
 
-BOXES = "Box: quartiles, line: median, whiskers: 1.5 times the box. "
+BOXES = "Box (of three or more): quartiles, line: median, whiskers: 1.5 times the box. "
 
 FIGURES: Figures = {
     "rcm_deviation": (
@@ -130,13 +128,6 @@ FIGURES: Figures = {
         smoothness,
     ),
 }
-
-
-def captioned(drawn: Sequence[Drawn], groups: Groups) -> list[Drawn]:
-    """The figures, with boxes explained only where a group has enough episodes for one."""
-    if any(len(entries) >= FEWEST for _, entries in groups):
-        return list(drawn)
-    return [dataclasses.replace(d, caption=d.caption.replace(BOXES, "")) for d in drawn]
 
 
 def grouped(summary: Mapping[str, Any]) -> Groups:

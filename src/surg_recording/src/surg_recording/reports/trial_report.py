@@ -46,7 +46,6 @@ def write(summary: Mapping[str, Any], folder: Path) -> None:
     if summary["episodes"]:
         groups = trial_figures.grouped(summary)
         drawn = save_all(trial_figures.FIGURES, folder / "figures", groups, summary)
-        drawn = trial_figures.captioned(drawn, groups)
     title = f"{named(summary.get('title') or summary['task'])}: {named(summary['robot'])}"
     sections = [
         film_section(
@@ -123,10 +122,6 @@ def _bound(bound: Mapping[str, Any]) -> Markup:
     return Markup("{} &lt; {:g}: {}").format(bound["metric"], bound["value"], mark)
 
 
-def _link(address: str, words: Any) -> Markup:
-    return Markup("<a href='{}'>{}</a>").format(address, words)
-
-
 def _median_max(spread: Mapping[str, Any]) -> str:
     return f"{number(spread['median'])} / {number(spread['max'])}"
 
@@ -139,7 +134,7 @@ def _episodes(episodes: Sequence[Mapping[str, Any]]) -> Markup:
         kinematic, true = e["rcm_kinematic_mm"] or {}, e["rcm_true_mm"] or {}
         rows.append(
             (
-                _link(f"{folder}/report.html", i) if folder else i,
+                Markup("<a href='{}/report.html'>{}</a>").format(folder, i) if folder else i,
                 *(e["seed"], e["setting"], e["law"]),
                 SUCCESS if e["success"] else f"{e['outcome']}: {e['failure_reason']}",
                 *(e["duration_s"], kinematic.get("mean"), kinematic.get("max"), true.get("max")),

@@ -39,29 +39,15 @@ def read(path: Path, indices: Sequence[int] | None = None) -> Iterator[Values]:
     Raises:
         EpisodeError: The video cannot be read, holds colours, or ends before an index.
     """
-    wanted = None if indices is None else list(indices)
-    number = -1
-    try:
-        with av.open(str(path)) as container:
-            video = container.streams.video[0]
-            if not is_exact(video):
-                kind = ", ".join(video_file.codec_of(video))
-                raise EpisodeError(
-                    f"{path}: holds no measured values ({kind}); those of mono16, 16UC1 and 32FC1 "
-                    "cameras can be read"
-                )
-            for number, frame in enumerate(container.decode(video=0)):
-                if wanted is None:
-                    yield values(frame)
-                elif not wanted:
-                    return
-                elif number == wanted[0]:
-                    wanted.pop(0)
-                    yield values(frame)
-    except (av.error.FFmpegError, IndexError) as problem:
-        raise EpisodeError(f"{path}: no readable video ({problem})") from problem
-    if wanted:
-        raise EpisodeError(f"{path}: frame {wanted[0]} is needed, it has {number + 1}")
+    with video_file.opened(path) as container:
+        video = container.streams.video[0]
+        if not is_exact(video):
+            kind = ", ".join(video_file.codec_of(video))
+            raise EpisodeError(
+                f"{path}: holds no measured values ({kind}); those of mono16, 16UC1 and 32FC1 "
+                "cameras can be read"
+            )
+    yield from map(values, video_file.frames(path, indices))
 
 
 def values(frame: av.VideoFrame) -> Values:

@@ -12,6 +12,7 @@ from PIL import Image as PilImage
 
 from surg_recording.episode.table import Video
 from surg_recording.recording_errors import EpisodeError
+from surg_recording.video import video_file
 
 Image = npt.NDArray[np.uint8]
 
@@ -38,21 +39,8 @@ def frames_at(video: Video, times_ns: Sequence[int], size: tuple[int, int]) -> I
     """
     stamps = video.frames["stamp_ns"]
     wanted = np.maximum(np.searchsorted(stamps, times_ns, side="right") - 1, 0)
-    with av.open(str(video.path)) as container:
-        shown, number = None, -1
-        decoded = container.decode(video=0)
-        for place in wanted:
-            while number < place:
-                frame = next(decoded, None)
-                if frame is None:
-                    break
-                number += 1
-                if number == place:
-                    small = frame.reformat(width=size[0], height=size[1], format="rgb24")
-                    shown = small.to_ndarray()
-            if shown is None:
-                raise EpisodeError(f"{video.path}: no frame can be read")
-            yield shown
+    for frame in video_file.frames(video.path, wanted.tolist()):
+        yield frame.reformat(width=size[0], height=size[1], format="rgb24").to_ndarray()
 
 
 def beside(*streams: Iterable[Image]) -> Iterator[Image]:

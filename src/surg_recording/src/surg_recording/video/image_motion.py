@@ -12,11 +12,12 @@ import dataclasses
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-import av
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
 from surg_recording.recording_errors import EpisodeError
+from surg_recording.video import video_file
 
 Array = npt.NDArray[np.float64]
 
@@ -70,36 +71,20 @@ def _small_frames(
 ) -> Iterable[tuple[npt.NDArray[np.uint8], bool]]:
     count = 0
     try:
-        with av.open(str(path)) as container:
-            container.streams.video[0].thread_type = "NONE"
-            for frame in container.decode(video=0):
-                small = frame.reformat(
-                    width=WIDTH, height=HEIGHT, format="gray", interpolation="AREA"
-                )
-                yield small.to_ndarray(), bool(frame.key_frame)
-                count += 1
-                if progress is not None and count % 100 == 0:
-                    progress(count)
-    except (av.error.FFmpegError, IndexError) as problem:
+        for count, frame in enumerate(video_file.frames(path), start=1):
+            small = frame.reformat(width=WIDTH, height=HEIGHT, format="gray", interpolation="AREA")
+            yield small.to_ndarray(), bool(frame.key_frame)
+            if progress is not None and count % 100 == 0:
+                progress(count)
+    except EpisodeError:
         if not count:
-            raise EpisodeError(f"{path}: no readable video ({problem})") from problem
+            raise
 
 
 def _without_light(picture: npt.NDArray[np.uint8]) -> Array:
     """Logarithm of the picture minus its local mean; + 8 keeps the noise of dark places small."""
     logarithm = np.log(picture.astype(np.float64) + 8.0)
-    return logarithm - _box(_box(logarithm, 0), 1)
-
-
-def _box(values: Array, axis: int) -> Array:
-    """Running mean over 2 RADIUS + 1 pixels along one axis; the edge is repeated."""
-    pad = [(0, 0), (0, 0)]
-    pad[axis] = (RADIUS + 1, RADIUS)
-    sums = np.cumsum(np.pad(values, pad, mode="edge"), axis=axis)
-    size = 2 * RADIUS + 1
-    upper = np.take(sums, range(size, sums.shape[axis]), axis=axis)
-    lower = np.take(sums, range(sums.shape[axis] - size), axis=axis)
-    return np.asarray((upper - lower) / size)
+    return logarithm - ndimage.uniform_filter(logarithm, 2 * RADIUS + 1, mode="nearest")
 
 
 def _by_cell(change: Array) -> Array:

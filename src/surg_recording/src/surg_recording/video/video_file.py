@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import itertools
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import av
@@ -14,7 +16,7 @@ import numpy.typing as npt
 
 from surg_recording.episode import damaged, table_columns
 from surg_recording.recording_errors import EpisodeError
-from surg_recording.video import mp4_boxes, mp4_headers
+from surg_recording.video import mp4_boxes
 
 Image = npt.NDArray[np.uint8]
 
@@ -27,6 +29,16 @@ def codec_of(video: av.VideoStream) -> tuple[str, str]:
         return str(video.codec_context.name), str(video.codec_context.pix_fmt)
     except AttributeError:  # PyAV has no codec then, and asks it for its name
         return "unknown", ""
+
+
+@contextlib.contextmanager
+def opened(path: Path) -> Iterator[av.container.InputContainer]:
+    """A video to read; an EpisodeError says what does not work with it."""
+    try:
+        with av.open(str(path)) as container:
+            yield container
+    except (av.error.FFmpegError, IndexError) as problem:
+        raise EpisodeError(f"{path}: no readable video ({problem})") from problem
 
 
 def packets(container: av.container.InputContainer) -> Iterator[av.Packet]:
@@ -59,37 +71,83 @@ def presentation_times(path: Path) -> list[int]:
     return times
 
 
-def grab(path: Path, indices: Sequence[int]) -> list[Image]:
-    """Decode frames by increasing index as (H, W, 3) RGB; missing ones are left out."""
-    wanted, images = list(indices), []
+def frames(path: Path, indices: Iterable[int] | None = None) -> Iterator[av.VideoFrame]:
+    """Decode frames of a video by never decreasing indices; equal indices repeat a frame.
+
+    Without indices all of them.
+
+    Raises:
+        EpisodeError: The video cannot be read, or ends before an index.
+    """
+    wanted = itertools.count() if indices is None else iter(indices)
+    due = next(wanted, None)
+    number = -1
     try:
+        first = _key_frame(path, due or 0)
         with av.open(str(path)) as container:
-            for number, frame in enumerate(container.decode(video=0)):
-                if not wanted:
-                    break
-                if number == wanted[0]:
-                    wanted.pop(0)
-                    images.append(frame.to_ndarray(format="rgb24"))
+            for number, frame in enumerate(decoded(container, first), start=first):
+                while due == number:
+                    yield frame
+                    due = next(wanted, None)
+                if due is None:
+                    return
     except (av.error.FFmpegError, IndexError) as problem:
-        if not images:
+        if number < 0:
             raise EpisodeError(f"{path}: no readable video ({problem})") from problem
+        raise EpisodeError(f"{path}: cannot be decoded behind frame {number} ({problem})") from None
+    if due is not None and indices is not None:
+        raise EpisodeError(f"{path}: ends after {number + 1} frames, frame {due} is needed")
+
+
+def _key_frame(path: Path, number: int) -> int:
+    """The last key frame not later than a frame, so that a piece of a long video is found fast."""
+    if number == 0:
+        return 0
+    with av.open(str(path)) as container:
+        if container.streams.video[0].codec_context.has_b_frames:
+            return 0  # packets and frames are in different order
+        head = itertools.islice(packets(container), number + 1)
+        return max((n for n, packet in enumerate(head) if packet.is_keyframe), default=0)
+
+
+def decoded(container: av.container.InputContainer, first: int = 0) -> Iterator[av.VideoFrame]:
+    """Frames of a video from the key frame ``first`` on, decoded in this thread.
+
+    Recordings are converted in parallel, so threads would gain nothing; and a decoder thread that
+    logs while its container is being closed waits for the interpreter forever.
+    """
+    context = container.streams.video[0].codec_context
+    context.thread_type, context.thread_count = "NONE", 1
+    if not first:
+        yield from container.decode(video=0)
+        return
+    for packet in itertools.islice(packets(container), first, None):
+        yield from packet.decode()
+    yield from context.decode(None)
+
+
+def grab(path: Path, indices: Sequence[int]) -> list[Image]:
+    """Frames by increasing index as (H, W, 3) RGB; of a truncated video as far as it goes."""
+    images: list[Image] = []
+    try:
+        for frame in frames(path, indices):
+            images.append(frame.to_ndarray(format="rgb24"))
+    except EpisodeError:
+        if not images:
+            raise
     return images
 
 
 def mend(path: Path, sidecar: Path, notes: list[str] | None = None) -> int:
     """Make a video and its sidecar agree, in place; returns the number of frames kept.
 
-    Overwritten headers of its boxes are written anew. A truncated fragment at the end and sidecar
-    lines without a frame are removed. A video with more frames than the sidecar has lines loses the
-    fragments behind the last stamp. A file in which nothing is readable is left as it is, with an
-    empty sidecar.
+    A truncated fragment at the end and sidecar lines without a frame are removed. A video with more
+    frames than the sidecar has lines loses the fragments behind the last stamp. A file in which
+    nothing is readable is left as it is, with an empty sidecar.
 
     ``notes`` receives a sentence about every change, and what is cut then goes into files of its
     own (``damaged``). None: of a live recording, whose frames go into the next part.
     """
-    repaired = mp4_headers.repair(path)
-    if notes is not None:
-        notes += repaired
     lines = _sidecar_lines(sidecar)
     whole = mp4_boxes.fragments(path)
     frames, end, total = 0, 0, 0

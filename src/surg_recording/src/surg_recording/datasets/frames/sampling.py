@@ -29,6 +29,7 @@ from surg_recording.datasets.schema import Feature
 from surg_recording.episode.checked.checked_episode import CheckedEpisode
 from surg_recording.episode.checked.checked_reading import bridged_ns
 from surg_recording.recording_errors import EpisodeError
+from surg_recording.video import video_file
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +71,7 @@ class Sampled:
     def frames(self, feature: str) -> Iterator[av.VideoFrame]:
         """The pictures of a video feature in the grid's order."""
         shown = self.pictures[feature]
-        return pictures.recorded_frames(shown.video.path, [int(i) for i in shown.index])
+        return video_file.frames(shown.video.path, [int(i) for i in shown.index])
 
 
 def sample(candidate: Candidate, options: ExportOptions) -> Sampled:

@@ -13,6 +13,7 @@ from PIL import Image
 from surg_recording.datasets import pictures, schema
 from surg_recording.datasets.dataset import Dataset, Part
 from surg_recording.datasets.pages.readme import TEMPLATES, data_type
+from surg_recording.video import video_file
 
 PICTURE = "preview.jpg"
 
@@ -82,7 +83,7 @@ def _write_picture(dataset: Dataset, path: Path) -> bool:
     images = []
     for feature in schema.videos_of(dataset.features):
         video = part.folder / f"{feature.name}.mp4"
-        frame = next(pictures.recorded_frames(video, [part.frames // 2]))
+        frame = next(video_file.frames(video, [part.frames // 2]))
         images.append(pictures.rgb(frame))
     if not images:
         return False
