@@ -45,13 +45,11 @@ class EndoscopeView:
         depth = np.where(p[:, 2] > 1e-3, p[:, 2], np.nan)
         return np.asarray(self.f * p[:, :2] / depth[:, None])
 
-    def sees(self, points: Array, width: float = 4.0 / 3.0, margin: float = 0.03) -> bool:
-        """Whether all points of the world, (n, 3) [m], are in the round picture.
-
-        Width of the picture and of a margin that does not count are in picture heights.
-        """
+    def sees(self, points: Array) -> bool:
+        """Whether all points of the world, (n, 3) [m], are in the round picture of 4 : 3."""
+        margin = 0.03  # [picture heights] at the edge, which does not count
         uv = self.project(points)
         inside = np.hypot(uv[:, 0], uv[:, 1]) < CIRCLE - margin
-        inside &= np.abs(uv[:, 0]) < width / 2.0 - margin
+        inside &= np.abs(uv[:, 0]) < 2.0 / 3.0 - margin
         inside &= np.abs(uv[:, 1]) < 0.5 - margin
         return bool(inside.all())
