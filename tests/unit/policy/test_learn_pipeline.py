@@ -187,7 +187,7 @@ def test_with_pictures_each_episode_has_the_look_of_its_seed(
         plan = demonstrations.DemonstrationPlan(tmp_path, tmp_path, SHORT, cameras=cameras)
         for seed in (5, 6, 7):
             with contextlib.suppress(AttributeError):  # of a task that is not there
-                demonstrations._play_one(plan, seed, False)
+                demonstrations._play_one((plan, seed, 0))
         assert looks == wanted
 
 
