@@ -119,8 +119,7 @@ def test_at_home_nothing_moves_or_touches(cell: surg_core.Cell) -> None:
 def placements(cell: surg_core.Cell) -> list[Placement]:
     """The cell's arms as the search would have placed them."""
     site = scene.site_of(list(cell.arms.values()))
-    X_WP = np.eye(4)
-    X_WP[:3, :3], X_WP[:3, 3] = site.R, site.work
+    X_WP = surg_core.make_pose(site.work, site.R)
     found = []
     for name, arm in cell.arms.items():
         X = np.linalg.inv(X_WP) @ arm.X_WB

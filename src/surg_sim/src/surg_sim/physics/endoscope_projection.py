@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from surg_core.transforms import make_pose
 from surg_sim.arrays import Array
 from surg_sim.physics.endoscope_rig import LEFT
 
@@ -30,10 +31,8 @@ class EndoscopeView:
     def pose(self) -> Array:
         """Pose of the optical frame (x right, y down, z away) in the world, (4, 4)."""
         R = self._data.xmat[self._mount].reshape(3, 3)
-        X = np.eye(4)
-        X[:3, :3] = R @ self._turn @ np.diag([1.0, -1.0, -1.0])
-        X[:3, 3] = self._data.xpos[self._mount] + R @ self._place
-        return X
+        p = self._data.xpos[self._mount] + R @ self._place
+        return make_pose(p, R @ self._turn @ np.diag([1.0, -1.0, -1.0]))
 
     def project(self, points: Array) -> Array:
         """Places of points (n, 3) [m] of the world, in picture heights from the picture's centre.

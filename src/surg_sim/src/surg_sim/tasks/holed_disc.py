@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from surg_core.transforms import make_pose
 from surg_sim.arrays import Array
 from surg_sim.physics.patient_site import Site
 from surg_sim.physics.spec_parts import add_wire
@@ -87,7 +88,4 @@ def facing_pose(site: Site, across: float, ahead: float) -> Array:
         z = z / np.linalg.norm(z)
         x = np.cross(s, z)
         place = site.work + across * x + ahead * z
-    X = np.eye(4)
-    X[:3, :3] = np.column_stack([x, s, z])
-    X[:3, 3] = place
-    return X
+    return make_pose(place, np.column_stack([x, s, z]))

@@ -13,6 +13,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from surg_core.transforms import make_pose
 from surg_sim.arrays import Array
 from surg_sim.physics.patient_site import Site
 from surg_sim.physics.spec_parts import add_mark, add_part, add_sprung_joint, quaternion
@@ -199,7 +200,4 @@ class NeedleBoard:
         return [self._pose(body) for body in self._bodies]
 
     def _pose(self, body: int) -> Array:
-        X = np.eye(4)
-        X[:3, :3] = self._data.xmat[body].reshape(3, 3)
-        X[:3, 3] = self._data.xpos[body]
-        return X
+        return make_pose(self._data.xpos[body], self._data.xmat[body].reshape(3, 3))

@@ -130,14 +130,12 @@ class NeedleDriving(Task):
 
     def state(self) -> State:
         """World frame, SI: see docs/reference/tasks.md."""
-        X = np.eye(4)
-        X[:3, :3] = self._data.xmat[self._needle].reshape(3, 3)
-        X[:3, 3] = self._data.xpos[self._needle]
+        R_WNeedle = self._data.xmat[self._needle].reshape(3, 3)
         poses = self.board.poses
         return {
             "tip": self.tip,
             "point": self.point,
-            "X_WNeedle": X,
+            "X_WNeedle": surg_core.make_pose(self._data.xpos[self._needle], R_WNeedle),
             "needle_velocity": np.array(self._data.qvel[self._free][:3]),
             "asked": float(self.asked),
             "holes": np.array([pose[:3, 3] for pose in poses]),
