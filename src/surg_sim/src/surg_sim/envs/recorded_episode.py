@@ -139,19 +139,9 @@ class RecordedSession(CellSession):
         """The key ``camera_info`` of the manifest, as in a graph."""
         if self._renderer is None:
             return {}
-        K, baseline = self._renderer.intrinsics, self._renderer.baseline
+        lenses = map(self._renderer.lens, self._views)
         return {
-            FRAMES[view]: {
-                "width": K.width,
-                "height": K.height,
-                "distortion_model": "plumb_bob",
-                "D": [0.0] * 5,
-                "K": K.K.ravel().tolist(),
-                "R": np.eye(3).ravel().tolist(),
-                "P": K.P(baseline if view == "right" else 0.0).ravel().tolist(),
-                "frame_id": FRAMES[view],
-            }
-            for view in self._views
+            lens.camera_name: {**lens.camera_info, "frame_id": lens.camera_name} for lens in lenses
         }
 
     def _outcome(self, report: EpisodeReport, ticks: int) -> dict[str, Any]:
