@@ -28,7 +28,7 @@ from surg_policy_bridge.server import cell_spec
 from surg_policy_bridge.server.model_server import ServerSettings, ServerState
 from surg_policy_bridge.server.observer import Observation
 from surg_policy_bridge.server.policy_arm import rcm_frame
-from surg_policy_bridge.server.safety_controller import ArmLimits, SafetyController
+from surg_policy_bridge.server.safety_controller import SafetyController
 from surg_policy_client.observation import RCM as RCM_KEY
 from surg_policy_client.spec import Spec
 from surg_sim.envs.cell_session import CellSession
@@ -102,7 +102,7 @@ class WirePolicy(Expert):
         self._session, self._wire, self._shown = session, wire, shown
         self._views, self._pictures = tuple(views), pictures
         self._holders: dict[str, str] = {}
-        limits = {name: ArmLimits.of(session.cell.arms[name]) for name in self.arms}
+        arms = {name: session.cell.arms[name] for name in self.arms}
         settings = ServerSettings(
             arms=tuple(self.arms),
             node=NODE,
@@ -110,7 +110,7 @@ class WirePolicy(Expert):
             autostart=True,
             silence=round(wire.answer_s * SECOND_NS),
         )
-        self.server = DelayedServer(self._spec, delay, settings, SafetyController(limits))
+        self.server = DelayedServer(self._spec, delay, settings, SafetyController(arms))
         self._line = Line(wire.address, self.server)
         self.served: Spec | None = None
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
-from surg_sim.physics.sim_arm import ActuatorParameters, add_arm, robot_part
+from surg_sim.physics.sim_arm import add_arm, robot_part
 
 Array = NDArray[np.float64]
 FAR = 0.5  # [m] beyond which nobody looks
@@ -34,7 +34,7 @@ class CapsuleScene:
         owner: list[tuple[int, bool, bool]] = []  # of a capsule: arm, it moves, it is the shaft
         names: list[str] = []
         for index, arm in enumerate(arms):
-            add_arm(spec, arm, ActuatorParameters())
+            add_arm(spec, arm)
             joints = [robot_part(arm, name) for name in arm.robot.joint_names]
             links = {i: spec.joint(name).parent for i, name in enumerate(joints)}
             links[-1] = spec.body(robot_part(arm, arm.robot.base_link))

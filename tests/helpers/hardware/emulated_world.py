@@ -16,7 +16,7 @@ from helpers.hardware.emulated_chain import T, link_settings
 from surg_cli.host import paths
 from surg_emulators.ur.ur_controller import UrController
 from surg_sim.envs.cell_session import LAWS, CellSession
-from surg_sim.physics.sim_arm import SUBSTEPS, ActuatorParameters, ArmCommand, ArmLink
+from surg_sim.physics.sim_arm import SUBSTEPS, ArmCommand, ArmLink
 from surg_sim.physics.world import World
 
 NAME = "PSM1"
@@ -31,7 +31,7 @@ class EmulatedLink(ArmLink):
     def __init__(self, world: World, arm: surg_core.Arm, settings: surg_core.Arm) -> None:
         self._arm, self._settings = arm, settings
         self.deviations: list[float] = []
-        super().__init__(world.model, world.data, arm, ActuatorParameters())
+        super().__init__(world.model, world.data, arm)
 
     def reset(self) -> None:
         """The robot at home, started; nothing has moved."""

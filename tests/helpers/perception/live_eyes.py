@@ -24,8 +24,6 @@ def camera_info(lens: Lens, stamp: Any) -> Any:
     """The camera_info of a lens."""
     from sensor_msgs.msg import CameraInfo
 
-    info = CameraInfo(width=lens.width, height=lens.height, distortion_model=lens.distortion_model)
+    info = CameraInfo(**lens.camera_info)
     info.header.stamp, info.header.frame_id = stamp, lens.camera_name
-    info.D, info.K = lens.D.tolist(), lens.K.ravel().tolist()
-    info.R, info.P = lens.R.ravel().tolist(), lens.P.ravel().tolist()
     return info

@@ -23,7 +23,7 @@ from surg_policy_bridge.server import cell_spec
 from surg_policy_bridge.server.model_server import ModelServer, ServerSettings, ServerState
 from surg_policy_bridge.server.observer import Observation
 from surg_policy_bridge.server.policy_arm import Target
-from surg_policy_bridge.server.safety_controller import CLIPPED, ArmLimits, SafetyController
+from surg_policy_bridge.server.safety_controller import CLIPPED, SafetyController
 from surg_policy_bridge.server.wire_endpoint import WireEndpoint
 from surg_policy_client import wire
 from surg_policy_client.observation import RCM
@@ -53,9 +53,9 @@ def spec(path: Path = CELL) -> Spec:
     return cell_spec.make(cell(path), [ARM], "bench", {}, None)
 
 
-def arm_limits(path: Path = CELL) -> ArmLimits:
-    """Of the bench's arm."""
-    return ArmLimits.of(cell(path).arms[ARM])
+def arm_of(path: Path = CELL) -> surg_core.Arm:
+    """The bench's arm."""
+    return cell(path).arms[ARM]
 
 
 class FakeArm:
@@ -153,7 +153,7 @@ class Bench:
         self.sessions = iter(range(7001, 9000))
         self.server = ModelServer(
             ServerSettings(arms=(ARM,), node=NODE, instruction="do it", **settings),
-            SafetyController({ARM: arm_limits(path)}, clip),
+            SafetyController({ARM: arm_of(path)}, clip),
             lambda: next(self.sessions),
         )
         self.endpoint = WireEndpoint(self.server)
@@ -198,17 +198,25 @@ class Bench:
         """What the server has said of this kind."""
         return [message for message in self.heard if message.kind == kind]
 
-    def act(self, rows: Any, first: int | None = None, **changes: Any) -> None:
-        """Answer the newest observation."""
-        seen = self.of("OBS")[-1].head
+    def frames(
+        self, rows: Any, first: int | None = None, seen: Any = None, **changes: Any
+    ) -> list[bytes]:
+        """Of an answer to the newest observation."""
+        asked = self.of("OBS")[-1].head
         head = {
             "session": self.session,
-            "seq": seen["seq"],
-            "stamp_ns": seen["stamp_ns"],
-            "step0": seen["step"] + 1 if first is None else first,
+            "seq": asked["seq"],
+            "stamp_ns": asked["stamp_ns"],
+            "step0": asked["step"] + 1 if first is None else first,
         }
         chunk = np.atleast_2d(np.asarray(rows, dtype=np.float64))
-        self.say("ACT", arrays={"chunk": chunk}, **{**head, **changes})
+        answer = Message("ACT", {**head, **changes}, {"chunk": chunk}, seen)
+        return [bytes(part) for part in wire.encode(answer)]
+
+    def act(self, rows: Any, peer: bytes = b"a", **changes: Any) -> None:
+        """Answer the newest observation."""
+        self.endpoint.receive(peer, self.frames(rows, **changes), self.now)
+        self._hear()
 
     def _hear(self) -> None:
         for peer, parts in self.endpoint.take_frames():
@@ -256,9 +264,9 @@ class Bench:
         self.step += 1
         return done
 
-    def start(self) -> None:
+    def start(self, peer: bytes = b"a", **changes: Any) -> None:
         """Connect, enable, and wait until it runs."""
-        self.hello()
+        self.hello(peer, **changes)
         self.tick()
         assert self.server.enable(True, self.now) == ""
         for _ in range(3):

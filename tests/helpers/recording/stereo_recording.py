@@ -19,16 +19,7 @@ FRAME_NS = 50_000_000
 
 def camera_info(lens: Lens) -> dict[str, Any]:
     """A lens as a manifest states it."""
-    return {
-        "width": lens.width,
-        "height": lens.height,
-        "distortion_model": lens.distortion_model,
-        "D": lens.D.tolist(),
-        "K": lens.K.ravel().tolist(),
-        "R": lens.R.ravel().tolist(),
-        "P": lens.P.ravel().tolist(),
-        "frame_id": lens.camera_name,
-    }
+    return {**lens.camera_info, "frame_id": lens.camera_name}
 
 
 def image(ns: int, picture: np.ndarray) -> SimpleNamespace:

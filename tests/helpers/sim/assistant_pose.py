@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_core.transforms import minimal_rotation, virtual_joints
+from surg_core.transforms import make_pose, minimal_rotation, virtual_joints
 from surg_sim.physics.assistant_arm import Assistant
 
 Array = NDArray[np.float64]
@@ -17,10 +17,8 @@ def forward(joints: Array) -> Array:
     s = np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
     c, s_roll = np.cos(roll), np.sin(roll)
     swing = minimal_rotation([0.0, 0.0, 1.0], s)
-    X = np.eye(4)
-    X[:3, :3] = swing @ np.array([[c, -s_roll, 0], [s_roll, c, 0], [0, 0, 1]])
-    X[:3, 3] = insertion * X[:3, 2]
-    return X
+    R = swing @ np.array([[c, -s_roll, 0], [s_roll, c, 0], [0, 0, 1]])
+    return make_pose(insertion * R[:, 2], R)
 
 
 def joints_for(assistant: Assistant, p_WTip: Array, roll: float = 0.0) -> Array:

@@ -179,9 +179,7 @@ class BoardBench:
         R = np.diag([1.0, -1.0, -1.0])
         if np.any(turn):
             R = axis_angle_to_matrix(turn, float(np.linalg.norm(turn))) @ R
-        X = np.eye(4)
-        X[:3, :3] = R
-        X[:3, 3] = -R @ [wide / 2, high / 2, 0.0] + [0.0, 0.0, distance]
+        X = surg_core.make_pose(-R @ [wide / 2, high / 2, 0.0] + [0.0, 0.0, distance], R)
         if beside is not None:
             X[:2, 3] += beside * distance
         return X
@@ -238,9 +236,7 @@ class BoardBench:
         s = place - tool.arm.trocar.p_BRcm
         s = s / np.linalg.norm(s)
         R = minimal_rotation(tool.s_home, s) @ tool.X_home[:3, :3]
-        X = np.eye(4)
-        X[:3, :3], X[:3, 3] = R, place - R @ tool.p_FTip
-        q = tool._inverse(X)
+        q = tool._inverse(surg_core.make_pose(place - R @ tool.p_FTip, R))
         if q is None:
             raise RuntimeError(f"the instrument cannot reach {np.round(place, 3).tolist()}")
         return q
@@ -252,9 +248,7 @@ class BoardBench:
         R = tilt @ axis_angle_to_matrix(scope.s_home, rng.uniform(-0.9, 0.9)) @ scope.X_home[:3, :3]
         depth = float((scope.tip_home - scope.arm.trocar.p_BRcm) @ scope.s_home)
         tip = scope.arm.trocar.p_BRcm + (depth + rng.uniform(-0.025, 0.025)) * (R @ scope.s_F)
-        X = np.eye(4)
-        X[:3, :3], X[:3, 3] = R, tip - R @ scope.p_FTip
-        return X
+        return surg_core.make_pose(tip - R @ scope.p_FTip, R)
 
     def _sees(self, X_VBoard: Array) -> bool:
         """Whether both eyes see the middle of the board and its face."""

@@ -71,13 +71,7 @@ class DepthScene:
 
     def lenses(self) -> tuple[Lens, Lens]:
         """The pinholes that are rendered."""
-        true = self.eyes.intrinsics
-        width, height = self.size
-        made = [
-            Lens(width, height, name, true.K, "plumb_bob", np.zeros(5), np.eye(3), true.P(b))
-            for name, b in (("endoscope_left", 0.0), ("endoscope_right", self.eyes.baseline))
-        ]
-        return made[0], made[1]
+        return self.eyes.lens("left"), self.eyes.lens("right")
 
     def views(self) -> Iterator[DepthView]:
         """One for each of `PLACES`."""

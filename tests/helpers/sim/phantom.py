@@ -17,7 +17,7 @@ from surg_sim.physics import scene
 from surg_sim.physics.assistant_arm import Assistant, AssistantCommand
 from surg_sim.physics.assistant_scene import add_assistant
 from surg_sim.physics.bowel import Bowel
-from surg_sim.physics.sim_arm import SUBSTEPS, ActuatorParameters, ArmLink
+from surg_sim.physics.sim_arm import SUBSTEPS, ArmLink
 from surg_sim.physics.tissue import TissueParameters, add_bowel
 from surg_sim.physics.tissue_grasp import GRIP_DEPTH, Grasp, add_grasp
 
@@ -70,7 +70,7 @@ class Phantom:
         self.model = copy.copy(compiled(cell, parameters, visuals))
         self.data = mujoco.MjData(self.model)
         self.site = scene.site_of([arm])
-        self.link = ArmLink(self.model, self.data, arm, ActuatorParameters())
+        self.link = ArmLink(self.model, self.data, arm)
         self.bowel = Bowel(self.model, self.data, self.site, parameters)
         self.assistant = Assistant(self.model, self.data)
         self.grasp = Grasp(self.model, self.data, "assistant", self.bowel)

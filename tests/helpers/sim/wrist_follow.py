@@ -80,9 +80,8 @@ class WristedArm:
         return X_RTool
 
     def _body(self) -> Array:
-        X_WTip = np.eye(4)
-        X_WTip[:3, :3] = self.world.data.xmat[self._tip].reshape(3, 3)
-        X_WTip[:3, 3] = self.world.data.xpos[self._tip]
+        data, tip = self.world.data, self._tip
+        X_WTip = surg_core.make_pose(data.xpos[tip], data.xmat[tip].reshape(3, 3))
         X_WR = np.asarray(self.arm.X_WB_stated) @ np.asarray(self.controller.X_BR)
         return np.asarray(np.linalg.inv(X_WR) @ X_WTip)
 
@@ -98,9 +97,8 @@ class WristedArm:
         hands, tips, deviations, refused = [], [], [], 0
         for tick in range(round(seconds / TICK)):
             moved = hand(tick * TICK)
-            wanted = np.eye(4)
-            wanted[:3, :3] = moved[:3, :3] @ start[:3, :3]
-            wanted[:3, 3] = start[:3, 3] + moved[:3, 3]
+            p, R = start[:3, 3] + moved[:3, 3], moved[:3, :3] @ start[:3, :3]
+            wanted = surg_core.make_pose(p, R)
             commands = []
             if tick % period == 0:
                 q = surg_core.matrix_to_quaternion_xyzw(wanted[:3, :3])

@@ -189,10 +189,3 @@ def test_gymnasium_ends_at_the_same_hash(task: str, cell: str, setting: str) -> 
 @pytest.mark.parametrize("law", ["velocity", "paper"])
 def test_the_other_laws(tmp_path: Path, law: str) -> None:
     assert_same(tmp_path, cells.find("sim_two_arms"), SHORT, "phantom", 10_003, law)
-
-
-@pytest.mark.full
-def test_another_seed_is_another_hash() -> None:
-    cell = cells.find("sim_two_arms")
-    hashes = {in_process(cell, SHORT, "phantom", seed).hash for seed in (10_001, 10_002)}
-    assert len(hashes) == 2

@@ -21,7 +21,7 @@ from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
 from surg_description.make_cell import ArmPlan, make_cell, make_cell_of
 from surg_sim.physics import scene
-from surg_sim.physics.sim_arm import ActuatorParameters, add_arm, robot_part, tip_in_flange
+from surg_sim.physics.sim_arm import add_arm, robot_part, tip_in_flange
 from surg_sim.placement import chain_check, home_search
 from surg_sim.placement.placement_search import in_range
 
@@ -60,7 +60,7 @@ def load(robot: Path, folder: Path) -> surg_core.Arm:
 
 def compiled(arm: surg_core.Arm) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
-    add_arm(spec, arm, ActuatorParameters())
+    add_arm(spec, arm)
     return spec.compile()
 
 

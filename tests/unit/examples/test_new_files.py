@@ -13,6 +13,7 @@ from surg_cli import __main__ as cli
 from surg_cli.commands.policy import new_file
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
+from surg_core import make_pose
 from surg_policy_client import ActionSpec, Feature, Observation, Spec
 from surg_sim.tasks import load
 
@@ -40,9 +41,7 @@ def test_the_policy_reaches_a_place_in_the_world(folder: Path) -> None:
     """10 mm up in the world, in a frame that is turned and moved; the rows are steps of 1 mm."""
     assert new("policy", "mine") == 0
     policy = runpy.run_path(str(folder / "mine.py"))["Policy"]()
-    X_WR = np.eye(4)
-    X_WR[:3, :3] = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
-    X_WR[:3, 3] = [0.3, -0.2, 0.1]
+    X_WR = make_pose([0.3, -0.2, 0.1], [[0, 0, 1], [1, 0, 0], [0, 1, 0]])
     spec = Spec(
         observation={"observation.state": Feature(names=tuple(f"PSM1/{n}" for n in STATE))},
         action=ActionSpec.of_space("absolute"),

@@ -12,7 +12,7 @@ import pytest
 
 from helpers.policy.policy_bench import ARM, Bench
 from helpers.recording import datasets_synthetic
-from surg_core.contract import ACTION_SPACES, ARM_ACTION, STATE_KEY
+from surg_core.contract import ACTION_SPACES
 from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_client.action_spec import ActionSpec
 from surg_policy_client.observation import Observation
@@ -36,6 +36,13 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {space: root / space for space in ACTION_SPACES}
 
 
+def bench_in(space: str, **settings: Any) -> Bench:
+    """A policy that runs in an action space; ``settings`` are those of `Bench`."""
+    bench = Bench(**settings)
+    bench.start(wants=Spec(action=ActionSpec.of_space(space, [ARM])).to_map())
+    return bench
+
+
 def rows(folder: Path) -> np.ndarray:
     """(frames, 5) actions of a data set."""
     policy = replay.load(folder)
@@ -46,13 +53,8 @@ def replayed(folder: Path, start: np.ndarray) -> np.ndarray:
     """(STEPS, 5) targets that the arm got, from its set-point ``start``."""
     bench, policy = Bench(), replay.load(folder)
     bench.arm.set(Target.of(start))
-    bench.hello(wants=policy.wants.to_map())
-    assert not bench.errors, bench.errors
+    bench.start(wants=policy.wants.to_map())
     served = Spec.from_map(bench.of("WELCOME")[-1].head["spec"])
-    bench.tick()
-    assert bench.server.enable(True, bench.now) == ""
-    for _ in range(3):
-        bench.tick()
     policy.reset("do it", 1)
     for step in range(-1, STEPS):
         bench.ping()
@@ -92,12 +94,7 @@ def test_a_data_set_names_its_action_space(exported: dict[str, Path], space: str
 
 @pytest.mark.parametrize("space", ACTION_SPACES)
 def test_holding_keeps_the_set_point_in_every_space(space: str) -> None:
-    bench = Bench()
-    bench.hello(wants=Spec(action=ActionSpec.of_space(space, [ARM])).to_map())
-    bench.tick()
-    bench.server.enable(True, bench.now)
-    for _ in range(3):
-        bench.tick()
+    bench = bench_in(space)
     bench.arm.set(Target(np.array([0.01, -0.02, 0.11]), 0.3, 0.4))
     bench.tick()
     bench.observe()
@@ -108,22 +105,8 @@ def test_holding_keeps_the_set_point_in_every_space(space: str) -> None:
     np.testing.assert_allclose(target.row, [0.01, -0.02, 0.11, 0.3, 0.4], atol=1e-7)
 
 
-def test_a_policy_of_another_space_is_refused_by_name() -> None:
-    bench = Bench()
-    wants = Spec.of_keys([STATE_KEY])
-    action = ActionSpec(tuple(f"PSM2/{name}" for name in ARM_ACTION), ("m",) * 3 + ("rad",) * 2)
-    bench.hello(wants=dataclasses.replace(wants, action=action).to_map())
-    ((_, code, text),) = bench.errors
-    assert code == "spec" and "PSM2/x" in text and "PSM1/x" in text
-
-
 def test_a_clipped_step_is_what_the_next_change_refers_to() -> None:
-    bench = Bench(clip=("step", "jaw"))
-    bench.hello(wants=Spec(action=ActionSpec.of_space("relative", [ARM])).to_map())
-    bench.tick()
-    bench.server.enable(True, bench.now)
-    for _ in range(3):
-        bench.tick()
+    bench = bench_in("relative", clip=("step", "jaw"))
     jaw = bench.arm.view.jaw_set
     at = []
     for change in (0.001, 0.006, 0.012, 0.030, 0.012):
@@ -135,26 +118,15 @@ def test_a_clipped_step_is_what_the_next_change_refers_to() -> None:
     assert at[4] == pytest.approx(at[3] + 0.012)
 
 
-def relative_bench(**settings: Any) -> Bench:
-    """A policy that runs in the space ``relative``; ``settings`` are those of `Bench`."""
-    bench = Bench(**settings)
-    bench.hello(wants=Spec(action=ActionSpec.of_space("relative", [ARM])).to_map())
-    bench.tick()
-    bench.server.enable(True, bench.now)
-    for _ in range(3):
-        bench.tick()
-    return bench
-
-
 def test_changes_that_add_up_to_infinity_are_refused_at_once() -> None:
-    bench = relative_bench(clip=("step",))
+    bench = bench_in("relative", clip=("step",))
     assert bench.period([[0, 0, 0, 1.7e308, bench.arm.view.jaw_set]] * 3) is None
     (told,) = bench.of("ACK")[-1].head["rejected"]
     assert told["rule"] == "not_finite" and bench.server.state.value == "RUNNING"
 
 
 def test_a_change_refers_to_the_step_before_it_even_if_that_is_still_queued() -> None:
-    bench = relative_bench()
+    bench = bench_in("relative")
     jaw = bench.arm.view.jaw_set
     bench.tick()
     bench.observe()
@@ -177,7 +149,7 @@ def test_a_change_refers_to_the_step_before_it_even_if_that_is_still_queued() ->
 
 def test_after_a_gap_a_change_refers_to_the_set_point_as_at_the_start() -> None:
     """The controller stops the arm of a silent stream; it need not be where it was sent."""
-    bench = relative_bench()
+    bench = bench_in("relative")
     jaw = bench.arm.view.jaw_set
     change = [0.001, 0, 0, 0, jaw]
     for _ in range(3):

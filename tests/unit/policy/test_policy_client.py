@@ -20,7 +20,6 @@ from surg_policy_client import (
     Refused,
     RemoteEnv,
     Served,
-    Spec,
     SpecMismatch,
     VersionMismatch,
     keys,
@@ -320,15 +319,6 @@ def test_a_connection_that_breaks_inside_is_no_silence(monkeypatch: pytest.Monke
         monkeypatch.setattr(Link, "_listen", broken)
         with pytest.raises(OSError, match="no buffer space"):
             client.end()
-
-
-def test_a_spec_that_does_not_fit_names_both_sides() -> None:
-    with PolicyServer() as server:
-        client = Client(Policy(), server.address, wants=Spec(task="pick_and_place"))
-        with pytest.raises(SpecMismatch) as caught:
-            client.end()
-    text = str(caught.value)
-    assert all(word in text for word in ("'pick_and_place'", "'bgr'", server.address)), text
 
 
 def test_another_version_is_said_with_what_to_do() -> None:

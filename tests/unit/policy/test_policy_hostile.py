@@ -57,11 +57,7 @@ def test_f17_a_storm_of_bad_frames_and_a_good_one(full: bool) -> None:
         bench.ping()
         bench.tick()
         bench.observe()
-        seen = bench.of("OBS")[-1].head
-        head = {"session": bench.session, "seq": seen["seq"], "stamp_ns": seen["stamp_ns"]}
-        chunk = {"chunk": np.array([bench.here(1.0)])}  # a metre: no mutant may be obeyed
-        template = wire.encode(Message("ACT", {**head, "step0": seen["step"] + 1}, chunk))
-        parts = [bytes(part) for part in template]
+        parts = bench.frames(bench.here(1.0))  # a metre: no mutant may be obeyed
         for n in range(100):
             # Of strangers: what a mutant of a real action says might otherwise be one.
             peer = b"stranger" + bytes([n % 4])
@@ -94,12 +90,9 @@ def test_f17_what_the_policy_in_session_sends_is_told_and_moves_nothing() -> Non
         bench.start()
         bench.ping()
         bench.observe()
-        seen = bench.of("OBS")[-1].head
-        head = {"session": bench.session, "seq": seen["seq"], "stamp_ns": seen["stamp_ns"]}
-        chunk = {"chunk": np.array([bench.here(1.0)])}
-        template = wire.encode(Message("ACT", {**head, "step0": seen["step"] + 1}, chunk))
+        parts = bench.frames(bench.here(1.0))
         for _ in range(20):
-            bench.endpoint.receive(b"a", mutated([bytes(p) for p in template], rng), bench.now)
+            bench.endpoint.receive(b"a", mutated(parts, rng), bench.now)
             bench._hear()
             bench.execute()
         assert not [t for _, t in bench.sent if np.abs(t.p - [0, 0, 0.12]).max() > 2.1e-3]
@@ -129,16 +122,9 @@ def test_f18_a_thousand_chunks_a_second_of_the_policy_in_session(jump: float, st
     assert counters.flooded + counters.stale + len(bench.sent or "abc") == 1000
     bench.now += SILENCE + 1
     bench.tick()
-    bench.hello(b"b")
-    bench.tick()
-    assert server.enable(True, bench.now) == ""
-    for _ in range(3):
-        bench.tick()
+    bench.start(b"b")
     bench.observe()
-    seen = bench.of("OBS")[-1].head
-    head = {"session": bench.session, "seq": seen["seq"], "stamp_ns": seen["stamp_ns"]}
-    good = {"chunk": np.array([bench.here(1e-3)])}
-    bench.say("ACT", b"b", good, **head, step0=seen["step"] + 1)
+    bench.act(bench.here(1e-3), peer=b"b")
     assert bench.execute() is not None
 
 
@@ -159,12 +145,7 @@ def test_f17_numbers_that_are_none_count_as_refusals() -> None:
     bench = Bench()
     bench.start()
     bench.observe()
-    seen = bench.of("OBS")[-1].head
-    head = {"session": bench.session, "seq": seen["seq"], "stamp_ns": seen["stamp_ns"]}
-    good = {"chunk": np.array([bench.here(1e-3)])}
-    parts = [
-        bytes(p) for p in wire.encode(Message("ACT", {**head, "step0": seen["step"] + 1}, good))
-    ]
+    parts = bench.frames(bench.here(1e-3))
     parts[1] = np.array([np.nan] * 5).tobytes()
     for n in range(3):
         assert bench.server.state.value == "RUNNING", n

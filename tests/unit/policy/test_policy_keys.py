@@ -4,8 +4,6 @@ import os
 from pathlib import Path
 
 import pytest
-import zmq
-import zmq.auth
 
 from surg_policy_client import BadKeys, keys
 
@@ -31,16 +29,6 @@ def test_both_sides_get_what_they_need_and_nothing_else(tmp_path: Path) -> None:
     assert keys.server_keys(root / "server") == server
     assert client.secret.decode() not in repr(client)
     assert server.secret.decode() not in repr(server)
-
-
-def test_zeromq_reads_them(tmp_path: Path) -> None:
-    keys.make(tmp_path)
-    server = keys.server_keys(tmp_path)
-    assert zmq.auth.load_certificate(str(tmp_path / "server" / "server.key_secret")) == (
-        server.public,
-        server.secret,
-    )
-    assert zmq.curve_public(server.secret) == server.public
 
 
 def test_a_second_policy_joins_and_nothing_is_overwritten(tmp_path: Path) -> None:

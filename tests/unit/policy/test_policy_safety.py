@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.policy.policy_bench import ARM, HOME, Bench, arm_limits, cell
+from helpers.policy.policy_bench import ARM, HOME, Bench, arm_of, cell
 from helpers.results.policy_results import note
 from surg_core.arm_view import ArmState, ArmView
 from surg_core.contract import SECOND_NS, STEP_NS
@@ -55,7 +55,7 @@ def view(p: np.ndarray = HOME, roll: float = 0.0, jaw: float = 0.3, rcm: float =
 
 def safety(clip: tuple[str, ...] = ()) -> ArmSafety:
     """Of the bench's arm."""
-    return ArmSafety(ARM, arm_limits(), clip)
+    return ArmSafety(ARM, arm_of(), clip)
 
 
 def allowed(target: np.ndarray, last: np.ndarray | None, v_last: np.ndarray, jaw: tuple) -> bool:
@@ -80,7 +80,7 @@ def allowed(target: np.ndarray, last: np.ndarray | None, v_last: np.ndarray, jaw
 def test_every_verdict_against_an_oracle(full: bool) -> None:
     """Random walks, calm and wild; a step is taken exactly when the oracle allows it."""
     rng = np.random.default_rng(11)
-    jaw = (arm_limits().jaw_min, arm_limits().jaw_max)
+    jaw = (arm_of().instrument.jaw_min, arm_of().instrument.jaw_max)
     taken = refused = 0
     for _ in range(400 if full else 60):
         guard, last, v_last, at = safety(), None, np.zeros(3), 0
@@ -175,7 +175,7 @@ def test_what_may_be_clipped_lies_on_the_way_and_is_allowed() -> None:
 def test_an_arm_follows_a_late_policy_at_the_allowed_pace(full: bool) -> None:
     """Whatever is asked for inside the workspace, what is sent passes the oracle's rules."""
     rng = np.random.default_rng(5)
-    jaw = (arm_limits().jaw_min, arm_limits().jaw_max)
+    jaw = (arm_of().instrument.jaw_min, arm_of().instrument.jaw_max)
     changed = kept = 0
     for _ in range(300 if full else 40):
         guard, last, v_last = safety(PACED), None, np.zeros(3)
@@ -211,7 +211,7 @@ def test_a_paced_arm_arrives() -> None:
 
 
 def test_a_jaw_is_clipped_into_its_range_and_never_from_afar() -> None:
-    high = arm_limits().jaw_max
+    high = arm_of().instrument.jaw_max
     guard = safety(("jaw",))
     verdict = guard.judge(Target(HOME, 0.0, high + 0.01), view(), 0)
     assert verdict.target is not None and verdict.target.jaw == high
@@ -225,7 +225,7 @@ def test_a_rule_that_cannot_clip_is_said() -> None:
 
 
 def test_two_arms_move_both_or_not_at_all() -> None:
-    both = SafetyController({"A": arm_limits(), "B": arm_limits()}, ())
+    both = SafetyController({"A": arm_of(), "B": arm_of()}, ())
     views = {"A": view(), "B": view()}
     good = Target(HOME + np.array([1e-3, 0, 0]), 0.0, 0.3)
     bad = Target(HOME + np.array([5e-2, 0, 0]), 0.0, 0.3)
@@ -236,7 +236,7 @@ def test_two_arms_move_both_or_not_at_all() -> None:
 
 
 def test_a_stream_that_ended_begins_anew() -> None:
-    timeout = arm_limits().servo_timeout
+    timeout = round(arm_of().robot.tuning.servo_timeout * SECOND_NS)
     for since, good in ((timeout, True), (timeout + 1, False)):
         guard = safety()
         guard.take(guard.judge(Target(HOME, 0, 0.3), view(), 0), 0)

@@ -113,10 +113,7 @@ def test_f29_a_former_session_is_not_obeyed() -> None:
     assert bench.session != old
     sent = len(bench.sent)
     for peer in (b"a", b"b"):  # a replay on the same connection, and on another
-        seen = bench.of("OBS")[-1].head
-        head = {"seq": seen["seq"], "stamp_ns": seen["stamp_ns"], "step0": seen["step"] + 1}
-        chunk = {"chunk": np.array([bench.here(0.002)])}
-        bench.say("ACT", peer, chunk, session=old, **head)
+        bench.act(bench.here(0.002), peer, session=old)
         assert bench.errors[-1][:2] == (peer, "session")
     assert bench.server.counters.strangers == 2
     assert bench.execute() is None and len(bench.sent) == sent

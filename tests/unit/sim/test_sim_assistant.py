@@ -32,24 +32,6 @@ def random_joints(rng: np.random.Generator) -> np.ndarray:
     return rng.uniform([-1.1, -1.1, 0.03, -3.0], [1.1, 1.1, 0.2, 3.0])
 
 
-def test_forward_is_what_the_conventions_say(full: bool) -> None:
-    """Shaft axis, tip and the smallest rotation, here by Rodrigues' formula."""
-    rng = np.random.default_rng(1)
-    for _ in range(1000 if full else 100):
-        yaw, pitch, insertion, roll = joints = random_joints(rng)
-        s = np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
-        axis = np.cross([0, 0, 1], s)
-        angle = np.arctan2(np.linalg.norm(axis), s[2])
-        k = axis / np.linalg.norm(axis)
-        K = np.array([[0, -k[2], k[1]], [k[2], 0, -k[0]], [-k[1], k[0], 0]])
-        swing = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
-        Z = np.array([[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]])
-        X = forward(joints)
-        assert np.abs(X[:3, :3] - swing @ Z).max() < 1e-12
-        assert np.abs(X[:3, 3] - insertion * s).max() < 1e-12
-        assert np.abs(virtual_joints(X[:3, 3], roll) - joints).max() < 1e-12
-
-
 @pytest.mark.parametrize("cell", ["sim_ur5e", "sim_panda"])
 def test_the_simulated_tip_is_where_forward_says(cell: str, full: bool) -> None:
     phantom = Phantom(cell)

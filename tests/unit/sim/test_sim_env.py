@@ -119,20 +119,6 @@ def test_policies_score_as_they_should(task: str) -> None:
         assert not FULL or policy is not expert or interval[0] >= 0.9
 
 
-def test_environments_run_side_by_side() -> None:
-    import surg_sim.envs.surg_env
-
-    surg_sim.envs.surg_env.register()
-    vector = gymnasium.make_vec("surg_sim/pick_and_place-v0", num_envs=2, vectorization_mode="sync")
-    observation, _ = vector.reset(seed=[3, 4])
-    assert observation["state"].shape == (2, len(ARM_STATE))
-    assert observation["privileged"]["ring"].shape == (2, 3)
-    action = np.column_stack([observation["state"][:, 5:9], observation["state"][:, 4]])
-    _, reward, terminated, truncated, _ = vector.step(action)
-    assert reward.shape == terminated.shape == truncated.shape == (2,)
-    vector.close()
-
-
 def test_an_arm_that_does_not_come_up_is_no_observation(
     pegs: SurgEnv, monkeypatch: pytest.MonkeyPatch
 ) -> None:

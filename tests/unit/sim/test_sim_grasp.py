@@ -11,7 +11,7 @@ from helpers.sim.assistant_pose import joints_for
 from helpers.sim.phantom import OPEN, SHUT, Phantom
 from surg_sim.physics.scene import Site
 from surg_sim.physics.tissue import TissueParameters, add_bowel
-from surg_sim.physics.tissue_grasp import GraspParameters, add_grasp
+from surg_sim.physics.tissue_grasp import SLIDES, add_grasp
 
 LIFT = np.array([0.0, 0.0, 1.0])
 
@@ -119,7 +119,7 @@ def test_a_pull_beyond_the_slip_force_slips_and_then_loses(phantom: Phantom, ful
         print(f"seed {seed}: held {held}, strongest pull {strongest:.2f} N of {limit} N")
         slides = [i for i in held if i is not None]
         assert held[-1] is None and None not in held[:-1]
-        assert len(slides) == 1 + GraspParameters().slides
+        assert len(slides) == 1 + SLIDES
         assert np.abs(np.diff(slides)).max() == 1
         assert phantom.grasp.slips == len(slides)
         assert phantom.grasp.losses == 1
@@ -169,7 +169,7 @@ def test_a_jerk_takes_the_tissue_out_at_once(phantom: Phantom) -> None:
     phantom.run(40)
     assert phantom.grasp.held is None
     assert phantom.grasp.losses == 1
-    assert phantom.grasp.slips <= GraspParameters().slides  # no time to slide as far as a slow pull
+    assert phantom.grasp.slips <= SLIDES  # no time to slide as far as a slow pull
 
 
 def test_the_force_on_the_jaws_is_what_statics_demands(phantom: Phantom) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from surg_cli.host import paths
 from surg_sim.physics.patient_settings import SETTINGS, PatientSetting, find_setting
-from surg_sim.physics.sim_arm import ToolError
+from surg_sim.physics.sim_arm import DRIVES, ToolError
 
 VALUES: dict[str, Callable[[PatientSetting], float]] = {
     "wall stiffness, N/m": lambda c: c.trocar.stiffness,
@@ -22,9 +22,9 @@ VALUES: dict[str, Callable[[PatientSetting], float]] = {
     "share of it at the bed": lambda c: c.breathing.bed_share,
     "calibration error, tip, mm": lambda c: 1e3 * _error(c).tip,
     "calibration error, axis, °": lambda c: degrees(_error(c).axis),
-    "greatest drive lag, ms": lambda c: 1e3 * c.actuators.lag[1],
-    "command delay, ticks": lambda c: c.actuators.delay,
-    "servo stiffness, N m/rad": lambda c: c.actuators.stiffness,
+    "greatest drive lag, ms": lambda _: 1e3 * DRIVES.lag[1],
+    "command delay, ticks": lambda _: DRIVES.delay,
+    "servo stiffness, N m/rad": lambda _: DRIVES.stiffness,
     "encoder step, µrad": lambda c: 1e6 * c.encoder,
     "tissue stretch stiffness, N": lambda c: c.tissue.stretch,
     "mesentery, N/m per node": lambda c: c.tissue.mesentery,

@@ -35,7 +35,7 @@ for name in found:
         continue
     importlib.import_module(name)
 print(surg_sim.__file__, len(found))
-runpy.run_module("surg_sim.envs.task_demo", run_name="__main__", alter_sys=True)
+runpy.run_module("surg_sim.demo", run_name="__main__", alter_sys=True)
 """
 
 

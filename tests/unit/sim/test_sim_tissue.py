@@ -10,7 +10,7 @@ from helpers.results.tissue_results import note
 from helpers.sim.phantom import Phantom, arm_of
 from surg_sim.physics import scene
 from surg_sim.physics.patient_settings import SETTINGS
-from surg_sim.physics.sim_arm import ActuatorParameters, ArmCommand, ArmLink
+from surg_sim.physics.sim_arm import ArmCommand, ArmLink
 from surg_sim.physics.tissue import TissueParameters, add_bowel, rest_shape
 from surg_sim.physics.trocar_motion import Sinusoid
 
@@ -251,7 +251,7 @@ def test_the_robot_does_not_feel_a_bowel_that_it_does_not_touch() -> None:
     for add in (None, lambda spec, site: add_bowel(spec, site, parameters)):
         model = scene.build([arm], add=add)
         data = mujoco.MjData(model)
-        link = ArmLink(model, data, arm, ActuatorParameters())
+        link = ArmLink(model, data, arm)
         mujoco.mj_step1(model, data)
         for tick in range(300):
             link.accept(ArmCommand(velocity=0.2 * np.sin(0.02 * tick + np.arange(6))))

@@ -282,9 +282,7 @@ def test_seal_friction_pulls_along_the_shaft(ur5e: surg_core.Cell) -> None:
 def test_truth_is_in_the_base_frame(ur5e: surg_core.Cell) -> None:
     """The same motion of an arm that stands elsewhere reads the same."""
     arm = ur5e.arms["PSM1"]
-    X_WB = np.eye(4)
-    X_WB[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
-    X_WB[:3, 3] = [1.0, -2.0, 0.3]
+    X_WB = surg_core.make_pose([1.0, -2.0, 0.3], [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
     moved = replace(ur5e, arms={"PSM1": replace(arm, X_WB=X_WB, X_WB_stated=X_WB)})
     here, there = World(ur5e), World(moved)
     velocity = np.array([0.05, 0.02, -0.03, 0.04, 0.01, 0.1])

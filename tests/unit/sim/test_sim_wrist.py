@@ -57,9 +57,7 @@ def drawn(seed: int) -> Callable[[float], Array]:
     def hand(t: float) -> Array:
         grow = 0.5 - 0.5 * np.cos(np.pi * min(t, 1.0))
         x = grow * size * (np.sin(2 * np.pi * frequency * t + phase) - np.sin(phase))
-        X = np.eye(4)
-        X[:3, :3], X[:3, 3] = surg_core.rpy_to_matrix(x[3:]), x[:3]
-        return X
+        return surg_core.make_pose(x[:3], x[3:])
 
     return hand
 
@@ -77,11 +75,9 @@ def recorded(file: Path, scale: float) -> tuple[Callable[[float], Array], float]
 
     def hand(now: float) -> Array:
         begin = min(now, 1.0)  # the first second turns from the arm's own orientation
-        X = np.eye(4)
         to = turn(min(max(now - 1.0, 0.0), t[-1]))
-        X[:3, :3] = Rotation.from_rotvec((3 - 2 * begin) * begin**2 * to.as_rotvec()).as_matrix()
-        X[:3, 3] = place(min(max(now - 1.0, 0.0), t[-1]))
-        return X
+        R = Rotation.from_rotvec((3 - 2 * begin) * begin**2 * to.as_rotvec()).as_matrix()
+        return surg_core.make_pose(place(min(max(now - 1.0, 0.0), t[-1])), R)
 
     return hand, float(t[-1]) + 1.0
 
@@ -163,8 +159,7 @@ def test_what_the_controller_reports_is_where_the_tip_is() -> None:
 def test_the_wrist_closed_form_is_there_for_python() -> None:
     wrist = cell("sim_ur5e_wrist").arms[ARM].instrument.wrist
     assert wrist is not None
-    X_RCentre = np.eye(4)
-    X_RCentre[2, 3] = 0.1
+    X_RCentre = surg_core.make_pose([0.0, 0.0, 0.1])
     X_RTip = surg_core.tip_of_wrist(wrist.geometry, X_RCentre, [0.4, -0.7])
     (centre, joints), (_, second) = surg_core.wrists_of_tip(wrist.geometry, X_RTip)
     assert centre == pytest.approx(X_RCentre, abs=1e-12)

@@ -11,7 +11,6 @@ import pytest
 from conftest import FULL
 from surg_sim.envs.cell_session import CellSession, merge
 from surg_sim.envs.episode_runner import run_episode
-from surg_sim.envs.surg_env import SurgEnv
 from surg_sim.physics import cell_files
 from surg_sim.physics.stability import trouble
 from surg_sim.tasks import episode_seeds
@@ -46,7 +45,6 @@ def fails(session: CellSession, expert: type[NeedleExpert], seed: int = SEED) ->
 
 
 def test_the_needle_goes_through_the_asked_hole(session: CellSession) -> None:
-    """And the Gymnasium environment ends at the same hash as the session."""
     task, report = task_of(session), run_episode(session, SEED)
     assert report.success, report.reason
     # From the front along the hole's axis, through the hole, and out behind it by 4 mm or more.
@@ -60,21 +58,6 @@ def test_the_needle_goes_through_the_asked_hole(session: CellSession) -> None:
     assert crossing.any()
     assert np.hypot(*inside[crossing, :2].T).max() < needle_board.HOLE_RADIUS
     assert report.arms["PSM1"].kinematic.max < 0.3e-3
-
-    env = SurgEnv("needle_driving", cell="sim_ur5e", setting="in_vivo")
-    env.reset(seed=SEED)
-    ended = False
-    while not ended:
-        _, _, ended, _, info = env.step(env.expert_action())
-    assert info["success"] and env.session.hash == report.hash
-
-
-def test_nobody_acts_and_it_is_too_late(
-    session: CellSession, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(session.task, "time_limit", 1.5, raising=False)
-    report = run_episode(session, SEED, experts={})
-    assert (report.success, report.reason) == (False, "time limit of 1.5 s in phase 'place'")
 
 
 @pytest.mark.full
@@ -199,8 +182,8 @@ def test_seeds_draw_holes_and_grasp_within_their_limits(session: CellSession) ->
         session.reset(seed)
         normal = task.board.normal
         tilts = [float(np.arccos(X[:3, 2] @ normal)) for X in task.board.poses]
-        R_WT = session.world.data.xmat[task._tip_body].reshape(3, 3)
-        grip = R_WT.T @ (task.grip.place - session.world.data.xpos[task._tip_body])
+        R_WT = session.world.data.body(f"PSM1_{task.tip_link}").xmat.reshape(3, 3)
+        grip = R_WT.T @ (task.grip.place - task.tip)
         poses.append([*tilts, task.asked])
         tips.append([grip[2], task.grip._angle])
     drawn, grasped = np.array(poses), np.array(tips)

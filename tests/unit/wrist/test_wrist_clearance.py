@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 import surg_core
 from surg_cli.host import paths
-from surg_sim.physics.sim_arm import ActuatorParameters, add_arm, robot_part
+from surg_sim.physics.sim_arm import add_arm, robot_part
 from surg_sim.physics.tool_drive import WRIST_JOINTS
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ def test_nothing_is_nearer_to_a_bent_wrist_than_the_guard_thinks(name: str) -> N
     shape = surg_core.ArmShape(arm.name, arm.chain, arm.X_WB, arm.robot, arm.instrument, arm.tool)
     assert [c.name for c in shape.capsules if c.shaft] == ["wrist", "shaft"]
     spec = mujoco.MjSpec()
-    add_arm(spec, arm, ActuatorParameters())
+    add_arm(spec, arm)
     probe = spec.worldbody.add_body(name="probe", mocap=True)
     probe.add_geom(name="probe", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[1e-4, 0.0, 0.0])
     model = spec.compile()

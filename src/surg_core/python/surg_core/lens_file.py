@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -69,6 +70,19 @@ class Lens:
     def baseline(self) -> float:
         """From the left eye to this one along the rows [m]; 0 for the left eye."""
         return float(-self.P[0, 3] / self.P[0, 0])
+
+    @property
+    def camera_info(self) -> dict[str, Any]:
+        """The members of ``sensor_msgs/CameraInfo`` that state it; matrices row by row."""
+        return {
+            "width": self.width,
+            "height": self.height,
+            "distortion_model": self.distortion_model,
+            "D": self.D.tolist(),
+            "K": self.K.ravel().tolist(),
+            "R": self.R.ravel().tolist(),
+            "P": self.P.ravel().tolist(),
+        }
 
     def resized(self, width: int, height: int) -> Lens:
         """The same lens for a picture of another size and the same aspect.

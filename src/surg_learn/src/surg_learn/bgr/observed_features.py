@@ -22,8 +22,6 @@ NODES = 36
 PLACES, DISTANCE, HERE = slice(0, 9), 9, slice(-3, None)
 """Columns of the features: vectors from the last command to the requested node, the assistant and a
 resting node; the length of the first; the last command."""
-TENSION = 24
-"""Column of the tissue's tension: an infinite scale hides it from a policy, see `train_state`."""
 
 
 class Columns:
@@ -49,14 +47,7 @@ class Columns:
         self.task["nodes"] = columns_of(TASK, task, flat)
 
 
-def features(
-    columns: Columns,
-    state: Array,
-    task: Array,
-    last: Array,
-    X_RW: Array,
-    force: Array | None = None,
-) -> Array:
+def features(columns: Columns, state: Array, task: Array, last: Array, X_RW: Array) -> Array:
     """Inputs of the network at each of T successive steps of one episode.
 
     All are in the rcm frame: vectors from the last command to points, grasps as numbers, the slow
@@ -69,7 +60,6 @@ def features(
         task: (T, 148) `privileged.task_state`.
         last: (T, 4) tip and roll of the last command; at the first step, the set-point.
         X_RW: (4, 4) pose of the world in the rcm frame, see `world_in_rcm`.
-        force: (T, 8) of `force_columns`; None: a policy without forces.
 
     Returns:
         (T, F). `PLACES` are vectors from the last command, the first one `DISTANCE` long; `HERE` is
@@ -107,8 +97,7 @@ def features(
         z["visible"],
     ]
     slow = np.column_stack([held, assistant_held, pointing])
-    felt = [] if force is None else [force]
-    return np.column_stack([*now, *(slow[np.maximum(row - lag, 0)] for lag in LAGS), *felt, here])
+    return np.column_stack([*now, *(slow[np.maximum(row - lag, 0)] for lag in LAGS), here])
 
 
 def world_in_rcm(p_R: np.ndarray, p_W: np.ndarray) -> np.ndarray:

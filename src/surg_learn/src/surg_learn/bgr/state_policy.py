@@ -4,8 +4,8 @@
 
 `train_state.py` writes the weights. The policy reads `observation.state`, which a robot measures,
 and `privileged.task_state`, the simulator's ground truth: **no robot can measure that**, so this
-policy works in the phantom only. Trained with `--forces`, it reads `observation.force`, too. It
-answers each observation with a chunk of actions for the next steps.
+policy works in the phantom only. It answers each observation with a chunk of actions for the next
+steps.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from surg_learn.bgr.observed_features import LAGS, Columns, features
-from surg_learn.cloning.arm_columns import FORCE, SET, STATE, TASK
+from surg_learn.cloning.arm_columns import SET, STATE, TASK
 from surg_learn.cloning.chunk_policy import ChunkPolicy
 from surg_learn.cloning.serve_policy import serve
 
@@ -41,13 +41,9 @@ class Policy(ChunkPolicy):
         arrays = self.see(observation)
         state, task = (np.asarray(arrays[key], np.float64).ravel() for key in (STATE, TASK))
         last = self.last_command(state[self._columns.state][SET], observation)
-        felt = (
-            () if self._forces is None else (np.asarray(arrays[FORCE], np.float64)[self._forces],)
-        )
-        self._past.append((state, task, last, *felt))
-        parts = [np.array([step[i] for step in self._past]) for i in range(3 + len(felt))]
-        parts.insert(3, self.scales["X_RW"])
-        inputs = features(self._columns, *parts)[-1:]
+        self._past.append((state, task, last))
+        parts = [np.array(part) for part in zip(*self._past, strict=True)]
+        inputs = features(self._columns, *parts, self.scales["X_RW"])[-1:]
         return self.say(self.predict(inputs, last[None])[0], observation)
 
 

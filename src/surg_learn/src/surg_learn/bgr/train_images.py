@@ -12,7 +12,8 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
 
 import numpy as np
 
@@ -26,21 +27,13 @@ from surg_learn.bgr.image_policy import (
 )
 from surg_learn.bgr.keypoint_network import Eye
 from surg_learn.bgr.observed_features import Columns, world_of
-from surg_learn.bgr.training.action_head import HandOptions, Samples, fit_hand, may_move
+from surg_learn.bgr.training.action_head import HandOptions, Samples, hand_of
 from surg_learn.bgr.training.keypoint_labels import Labels, labels, lens_of, plane_of
 from surg_learn.bgr.training.keypoint_training import EyeOptions, errors, train_eye
-from surg_learn.bgr.training.perceptron import mean_error, size_of
+from surg_learn.bgr.training.perceptron import size_of
 from surg_learn.bgr.training.picture_dataset import Episode, read
-from surg_learn.cloning.arm_columns import SET, STATE, TASK, Array
-from surg_learn.cloning.training.lerobot_dataset import (
-    Dataset,
-    Progress,
-    jaw_range,
-    last_commands,
-    normalised,
-    scales_of,
-    targets_of,
-)
+from surg_learn.cloning.arm_columns import STATE, TASK, Array
+from surg_learn.cloning.training.lerobot_dataset import Dataset, Progress
 from surg_learn.cloning.training.recorded_steps import missed
 from surg_learn.cloning.training.torch_device import DEVICES, device_for
 from surg_learn.cloning.training.trainer_options import brief_of, chosen, parser_of, trained
@@ -66,30 +59,25 @@ def samples(
     chunk: int,
     behind: int = 0,
 ) -> Samples:
-    """The steps of all episodes, in order, but for those that lead to a miss.
+    """The steps of all episodes but for those that lead to a miss, see `Samples.of`.
 
     Args:
         episodes: Of the dataset.
         seen: (T, n) of `remembered`, for each episode.
         columns: Of the observations.
         chunk: Actions ahead.
-        behind: Each step appears with its own observation and with each of the ``behind`` earlier
-            ones. Last command and target are those of the step itself.
+        behind: Of the observations.
     """
-    parts = []
-    for episode, view in zip(episodes, seen, strict=True):
-        last = last_commands(episode.state, episode.action, columns.state[SET])
+
+    def inputs(state: Array, view: Array, row: Array, last: Array) -> Array:
         moved = np.diff(last, axis=0, prepend=last[:1])
-        targets = targets_of(episode.action, last, chunk)
-        good = ~missed(episode.action[:, 4])
-        for steps in range(behind + 1):
-            row = np.maximum(np.arange(len(last)) - steps, 0)
-            state, task = episode.state[row], episode.task[row]
-            inputs = features(columns.state, state, view[row], last, moved)
-            jaw, held = state[:, columns.state[4]], task[:, columns.task["held"]].ravel()
-            free = may_move(held, jaw, inputs[:, DISTANCE])
-            parts.append((inputs[good], targets[good], free[good], jaw[good]))
-    return Samples.joined(parts, places=DISTANCE)
+        return features(columns.state, state[row], view[row], last, moved)
+
+    steps = [
+        (episode, partial(inputs, episode.state, view), ~missed(episode.action[:, 4]))
+        for episode, view in zip(episodes, seen, strict=True)
+    ]
+    return Samples.of(steps, columns, chunk, behind, DISTANCE)
 
 
 def train(
@@ -157,32 +145,16 @@ def train_hand(
         split: samples(episodes, seen[split], columns, options.chunk, options.behind)
         for split, episodes in dataset.episodes.items()
     }
-    known = parts["train"]
-    scales = {
-        **scales_of(known.inputs, known.targets),
-        "jaw_range": jaw_range(known.targets),
-        "plane": plane,
-        "lens": lens,
-        "pointed": eye.pointed,
-    }
 
     def show(part: float, note: str) -> None:
         progress(0.85 + 0.15 * part, f"hand, {note}")
 
-    hand = fit_hand(known, scales, options, dataset.about["fps"], show)
-    losses = {
-        split: mean_error(hand, *normalised(scales, part.inputs, part.targets))
-        for split, part in parts.items()
-    }
+    hand, scales, about = hand_of(parts, dataset, options, show)
+    scales |= {"plane": plane, "lens": lens, "pointed": eye.pointed}
     network = EyeAndHand([*eye.layers, *hand.layers], eye.pointed)
-    about = {
-        "options": asdict(options),
-        "dataset": dataset.about,
-        "episodes": {split: len(found) for split, found in dataset.episodes.items()},
-        "frames": sum(len(episode.state) for episode in dataset.episodes["train"]),
+    about |= {
         "parameters": size_of(network),
         "network": "an eye of convolutions and a hand of a multilayer perceptron",
-        "loss": losses,
         "eye": {
             split: errors(np.concatenate(found), marked[split]) for split, found in seen.items()
         },

@@ -8,8 +8,6 @@ import numpy as np
 
 Array = np.ndarray
 STATE, TASK, ACTION = "observation.state", "privileged.task_state", "action"
-FORCE = "observation.force"
-"""Forces at tip and trocar; a policy that was trained with `--forces` reads them, too."""
 MOTION = ("x", "y", "z", "roll", "jaw")
 """Columns of the actions of an arm: absolute targets of tip [m], roll and jaw [rad]."""
 SET = slice(5, 9)
@@ -49,16 +47,6 @@ def state_columns(names: Sequence[str], arm: str) -> Array:
     wanted = [f"{arm}/{n}" for n in ("tip_x", "tip_y", "tip_z", "roll", "jaw")]
     wanted += [f"{arm}/{n}" for n in ("set_x", "set_y", "set_z", "roll_set")]
     return columns_of(STATE, names, wanted)
-
-
-def force_columns(names: Sequence[str], arm: str) -> Array:
-    """Columns of an arm's forces at tip and trocar, each with whether it is known, (8,).
-
-    Raises:
-        ValueError: One is missing.
-    """
-    wanted = [f"{arm}/{p}_{n}" for p in ("tip", "trocar") for n in ("x", "y", "z", "known")]
-    return columns_of(FORCE, names, wanted)
 
 
 def columns_of(key: str, names: Sequence[str], wanted: Sequence[str]) -> Array:

@@ -15,15 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from surg_learn.cloning.arm_columns import (
-    ACTION,
-    FORCE,
-    STATE,
-    Array,
-    arm_of,
-    force_columns,
-    state_columns,
-)
+from surg_learn.cloning.arm_columns import ACTION, STATE, Array, arm_of, state_columns
 
 REACH = 0.02
 """The arm cannot be following a command farther than this from the set-point [m]."""
@@ -107,9 +99,6 @@ class ChunkPolicy:
         self.arm = arm_of(self.names[ACTION])
         self._checked = False
         self._columns = self._find_columns()
-        self._forces = force_columns(self.names[FORCE], self.arm) if FORCE in self.names else None
-        if self._forces is not None:
-            self.wants = (*type(self).wants, FORCE)
         self.reset()
 
     def shape_of(self, key: str) -> tuple[int, ...] | None:

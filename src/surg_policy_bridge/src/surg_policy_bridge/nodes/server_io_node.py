@@ -20,7 +20,7 @@ from surg_policy_bridge.nodes.policy_topics_node import PolicyTopics
 from surg_policy_bridge.nodes.router_node import Router
 from surg_policy_bridge.server import operator_first
 from surg_policy_bridge.server.model_server import ModelServer, ServerSettings
-from surg_policy_bridge.server.safety_controller import ArmLimits, SafetyController
+from surg_policy_bridge.server.safety_controller import SafetyController
 from surg_policy_bridge.server.server_parameters import Settings
 from surg_policy_bridge.server.sessions import new_number
 from surg_policy_bridge.server.stop_reason import StopReason
@@ -139,7 +139,7 @@ class ServerIO:
 
 
 def _model_server(settings: Settings, cell: surg_core.Cell) -> ModelServer:
-    limits = {name: ArmLimits.of(cell.arms[name]) for name in settings.arms}
+    arms = {name: cell.arms[name] for name in settings.arms}
     answer = round(settings.answer_timeout * SECOND_NS)
     return ModelServer(
         ServerSettings(
@@ -149,6 +149,6 @@ def _model_server(settings: Settings, cell: surg_core.Cell) -> ModelServer:
             autostart=settings.autostart,
             silence=answer if settings.lockstep else SILENCE,
         ),
-        SafetyController(limits, settings.clip),
+        SafetyController(arms, settings.clip),
         new_number,
     )

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_core import WristGeometry
+from surg_core import WristGeometry, make_pose
 from surg_core.action_space import commands_of
 from surg_core.arm_view import ArmCommands, ArmView
 
@@ -20,9 +20,7 @@ Array = NDArray[np.float64]
 
 def rcm_frame(view: ArmView, X_WB: Array) -> Array:
     """X_WR (4, 4) of one arm, for ``observation.rcm_frame``; ``X_WB`` is the pose of its base."""
-    X_BR = np.eye(4)
-    X_BR[:3, :3], X_BR[:3, 3] = view.R_BR, view.p_BRcm
-    return np.asarray(X_WB @ X_BR)
+    return np.asarray(X_WB @ make_pose(view.p_BRcm, view.R_BR))
 
 
 @dataclass(frozen=True)

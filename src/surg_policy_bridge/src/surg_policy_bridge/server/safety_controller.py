@@ -32,28 +32,6 @@ HALVINGS = 40
 
 
 @dataclass(frozen=True)
-class ArmLimits:
-    """Limits of one arm: of the cell, of the jaw [rad], and the timeout of a stream [ns]."""
-
-    limits: surg_core.Limits
-    jaw_min: float
-    jaw_max: float
-    servo_timeout: int
-    wrist: surg_core.WristConfig | None = None
-
-    @classmethod
-    def of(cls, arm: surg_core.Arm) -> ArmLimits:
-        """Limits of an arm of a cell."""
-        return cls(
-            limits=arm.limits,
-            jaw_min=float(arm.instrument.jaw_min),
-            jaw_max=float(arm.instrument.jaw_max),
-            servo_timeout=round(arm.robot.tuning.servo_timeout * SECOND_NS),
-            wrist=arm.instrument.wrist,
-        )
-
-
-@dataclass(frozen=True)
 class Violation:
     """A rule of `RULES` that a step breaks: what was requested and what is allowed."""
 
@@ -88,14 +66,15 @@ class _Step:
 
 
 class ArmSafety:
-    """Judges the steps of one arm, whose name is for messages.
+    """Judges the steps of one arm of a cell, whose name is for messages.
 
     Raises:
         ValueError: ``clip`` names a rule that cannot clip.
     """
 
-    def __init__(self, name: str, limits: ArmLimits, clip: Iterable[str] = CLIPPED) -> None:
-        self._name, self._own = name, limits
+    def __init__(self, name: str, arm: surg_core.Arm, clip: Iterable[str] = CLIPPED) -> None:
+        self._name, self._limits, self._instrument = name, arm.limits, arm.instrument
+        self._servo_timeout = round(arm.robot.tuning.servo_timeout * SECOND_NS)
         self._clip = frozenset(clip)
         if unknown := self._clip - set(CLIPPABLE):
             raise ValueError(
@@ -112,7 +91,7 @@ class ArmSafety:
 
     def streaming(self, at: int) -> bool:
         """Whether a step was sent so short a time before [ns] that the arm is not at rest yet."""
-        return self._last is not None and at - self._last.at <= self._own.servo_timeout
+        return self._last is not None and at - self._last.at <= self._servo_timeout
 
     def judge(self, target: Target, view: ArmView, at: int) -> Verdict:
         """Judge one step from the arm's newest cycle, sent at [ns]; `take` records it."""
@@ -120,7 +99,7 @@ class ArmSafety:
             self._last = None
         last = self._last
         if last is None:
-            target = replace(target, p=view.first_step(target.p, self._own.limits.step_slack))
+            target = replace(target, p=view.first_step(target.p, self._limits.step_slack))
         before = last.target if last else Target.held(view)
         step = _Step(target, before, (at - last.at if last else STEP_NS) / SECOND_NS, view)
         violations: list[Violation] = []
@@ -149,7 +128,7 @@ class ArmSafety:
         return "" if np.isfinite(row).all() else f"{row.tolist()} is not finite"
 
     def _rcm_error(self, step: _Step) -> str:
-        error, limit = step.view.rcm_error, self._own.limits.rcm_error_warn
+        error, limit = step.view.rcm_error, self._limits.rcm_error_warn
         if error <= limit:
             return ""
         return (
@@ -157,7 +136,7 @@ class ArmSafety:
         )
 
     def _workspace(self, step: _Step) -> str:
-        limits, p = self._own.limits, step.target.p
+        limits, p = self._limits, step.target.p
         if surg_core.inside_workspace(limits, p):
             return self._bent(step.target)
         where = ", ".join(f"{1e3 * float(v):.4g}" for v in p)
@@ -168,7 +147,7 @@ class ArmSafety:
 
     def _bent(self, target: Target) -> str:
         """Why the wrist cannot be so."""
-        wrist = self._own.wrist
+        wrist = self._instrument.wrist
         if wrist is None:
             return ""
         least, most = wrist.min[:2], wrist.max[:2]
@@ -180,7 +159,7 @@ class ArmSafety:
     def _start(self, step: _Step) -> str:
         if self._last is not None or self._near(step, begins=True):
             return ""
-        limits = self._own.limits
+        limits = self._limits
         return (
             f"the first step is {_distance(step)} from the set-point; allowed: "
             f"{1e3 * limits.step_slack:g} mm and {math.degrees(limits.step_roll_slack):.2g} deg"
@@ -189,7 +168,7 @@ class ArmSafety:
     def _step(self, step: _Step) -> str:
         if self._last is None or self._near(step, begins=False):
             return ""
-        limits = self._own.limits
+        limits = self._limits
         dt = min(step.since, limits.step_dt_max)
         far = limits.tip_velocity * dt + limits.step_slack
         turn = limits.roll_velocity * dt + limits.step_roll_slack
@@ -200,7 +179,7 @@ class ArmSafety:
 
     def _near(self, step: _Step, begins: bool) -> bool:
         """The gate's test of a step."""
-        limits, wrist, since = self._own.limits, self._own.wrist, step.since
+        limits, wrist, since = self._limits, self._instrument.wrist, step.since
         distance, turn = _change(step)
         reason = surg_core.check_step(limits, begins, since, distance, turn)
         if reason == surg_core.Reason.NONE and wrist is not None:
@@ -223,14 +202,14 @@ class ArmSafety:
     def _change_of_velocity(self, step: _Step) -> tuple[np.ndarray, float]:
         """Of the tip since the last step, (3,), and what is allowed on each axis [m/s]."""
         assert self._last is not None
-        limits, since = self._own.limits, step.since
+        limits, since = self._limits, step.since
         velocity = (step.target.p - step.before.p) / since
         # The tip's limit over this time, plus the slack of a step.
         allowed = limits.tip_acceleration * since + limits.step_slack / since
         return velocity - self._last.velocity, float(allowed)
 
     def _jaw(self, step: _Step) -> str:
-        low, high, jaw = self._own.jaw_min, self._own.jaw_max, step.target.jaw
+        low, high, jaw = self._instrument.jaw_min, self._instrument.jaw_max, step.target.jaw
         return "" if low <= jaw <= high else f"jaw {jaw:.4g} rad; allowed: {low:g} to {high:g} rad"
 
     # --- clipping ---------------------------------------------------------------------------------
@@ -268,7 +247,7 @@ class ArmSafety:
 
     def _clipped_jaw(self, target: Target) -> Target | None:
         """Clip to the range, unless the value is off by more than the width of the range."""
-        low, high = self._own.jaw_min, self._own.jaw_max
+        low, high = self._instrument.jaw_min, self._instrument.jaw_max
         if not low - (high - low) <= target.jaw <= high + (high - low):
             return None
         return replace(target, jaw=min(max(target.jaw, low), high))
@@ -297,9 +276,9 @@ class SafetyController:
     ``arms`` are in the order of the action; rules of ``clip`` clip, the others reject.
     """
 
-    def __init__(self, arms: Mapping[str, ArmLimits], clip: Iterable[str] = CLIPPED) -> None:
+    def __init__(self, arms: Mapping[str, surg_core.Arm], clip: Iterable[str] = CLIPPED) -> None:
         clip = tuple(clip)
-        self._arms = {name: ArmSafety(name, limits, clip) for name, limits in arms.items()}
+        self._arms = {name: ArmSafety(name, arm, clip) for name, arm in arms.items()}
 
     def forget(self) -> None:
         """The stream has ended; the next step starts a new one."""

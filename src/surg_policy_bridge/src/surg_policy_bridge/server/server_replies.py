@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping
 from typing import Any
 
 from surg_core.contract import SECOND_NS
@@ -11,20 +11,6 @@ from surg_policy_client.wire import MAX_SENTENCE, Message
 
 PING = 50_000_000
 """[ns] Ping interval that the server asks for."""
-
-
-@dataclass
-class AckTally:
-    """What has happened to steps since the last ACK.
-
-    As in `Counters`; ``rejected`` holds step, rule and text of every refusal.
-    """
-
-    accepted: int = 0
-    clipped: int = 0
-    late: int = 0
-    stale: int = 0
-    rejected: list[dict[str, Any]] = field(default_factory=list)
 
 
 def welcome(session: PolicySession, max_obs_age: int, silence: int) -> Message:
@@ -42,17 +28,11 @@ def welcome(session: PolicySession, max_obs_age: int, silence: int) -> Message:
     )
 
 
-def acknowledgement(session: PolicySession, seq: int, tally: AckTally, queued: int) -> Message:
+def acknowledgement(
+    session: PolicySession, seq: int, tally: Mapping[str, Any], queued: int
+) -> Message:
     """What has become of the steps that answer observation ``seq``, and of earlier ones."""
-    return Message(
-        "ACK",
-        {
-            "session": session.number,
-            "seq": seq,
-            "queue": queued,
-            **asdict(tally),
-        },
-    )
+    return Message("ACK", {"session": session.number, "seq": seq, "queue": queued, **tally})
 
 
 def rejected_step(step: int, rule: str, text: str) -> dict[str, Any]:

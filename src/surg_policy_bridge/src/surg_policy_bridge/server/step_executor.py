@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +17,15 @@ from surg_policy_bridge.server.chunk_queue import ActionStep, ChunkQueue
 from surg_policy_bridge.server.counters import Counters
 from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_bridge.server.safety_controller import SafetyController
-from surg_policy_bridge.server.server_replies import AckTally, rejected_step
+from surg_policy_bridge.server.server_replies import rejected_step
 from surg_policy_bridge.server.sessions import PolicySession, SentObservation
 from surg_policy_bridge.server.swing_watch import SwingWatch
 from surg_policy_bridge.server.timers import Timeout
 
 Array = NDArray[np.float64]
 
+TOLD = ("accepted", "clipped", "late", "stale")
+"""Counts of steps that an ACK states, since the one before."""
 KEPT = 64
 """Targets sent that a relative step may refer to."""
 
@@ -60,7 +63,8 @@ class StepExecutor:
         self._arms, self._safety, self._counters = arms, safety, counters
         self._max_obs_age = max_obs_age
         self._empty = Timeout(empty)
-        self._tally = AckTally()
+        self._told = dict.fromkeys(TOLD, 0)
+        self._refused: list[dict[str, Any]] = []
         self.queue = ChunkQueue()
         self.swings = SwingWatch(arms)
         self.judged: list[JudgedStep] = []
@@ -128,8 +132,6 @@ class StepExecutor:
         self.swings.take(np.array([target.p for target in passed.values()]), at)
         self._counters.accepted += 1
         self._counters.obs_age.add(at - step.seen)
-        self._tally.accepted += 1
-        self._tally.clipped += bool(violations)
         self._counters.clipped += bool(violations)
         self.judged.append(
             JudgedStep(
@@ -162,7 +164,7 @@ class StepExecutor:
         self._counters.rejected[rule] += 1
         self.last_rejected = JudgedStep(session.number, seq, number, age, row, False, rule, text)
         self.judged.append(self.last_rejected)
-        self._tally.rejected.append(rejected_step(number, rule, text))
+        self._refused.append(rejected_step(number, rule, text))
         self.rejected_in_a_row += 1
 
     def splice(
@@ -196,9 +198,7 @@ class StepExecutor:
                 text = "the steps add up to infinity, or lead where no wrist can be"
                 self.reject(session, first, "not_finite", text, at, seq)
                 return
-            late = self.queue.splice(first, rows, seq, sent.seen, at_rest)
-            self._counters.late += late
-            self._tally.late += late
+            self._counters.late += self.queue.splice(first, rows, seq, sent.seen, at_rest)
 
     def _space(self, session: PolicySession, views: Mapping[str, ArmView]) -> ActionSpace | None:
         """That of the session; None: the arms hold other instruments than at its beginning."""
@@ -229,17 +229,18 @@ class StepExecutor:
     def count_stale(self, steps: int) -> None:
         """So many steps answered an observation that was too old."""
         self._counters.stale += steps
-        self._tally.stale += steps
 
-    def take_tally(self) -> AckTally:
+    def take_tally(self) -> dict[str, Any]:
         """What the next ACK reports; the count starts again."""
-        tally, self._tally = self._tally, AckTally()
-        return tally
+        counts = {name: getattr(self._counters, name) for name in TOLD}
+        tally = {name: count - self._told[name] for name, count in counts.items()}
+        self._told, refused, self._refused = counts, self._refused, []
+        return {**tally, "rejected": refused}
 
     @property
     def has_unreported_rejections(self) -> bool:
         """Whether the next ACK reports a rejection."""
-        return bool(self._tally.rejected)
+        return bool(self._refused)
 
     def _targets(self, row: Array) -> dict[str, Target]:
         parts = self.shown.split(row)

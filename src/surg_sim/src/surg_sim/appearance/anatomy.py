@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from surg_sim.arrays import Array
 
+TEXTURE_LENGTH = 0.12
+"""Length of a tube after which its texture repeats [m]."""
+
 
 @dataclass(frozen=True)
 class Mesh:
@@ -58,13 +61,11 @@ def tube(
     centre: Array,
     radius: Array,
     segments: int = 24,
-    texture_length: float = 0.12,
     texture_start: tuple[float, float] = (0.0, 0.0),
 ) -> Mesh:
     """A tube about a curve with a parallel-transported frame, so that it never twists.
 
-    Centre line (n, 3) [m], radius at each of its points (n,) [m]; the texture repeats after
-    ``texture_length`` [m] along the tube.
+    Centre line (n, 3) [m], radius at each of its points (n,) [m].
     """
     tangent = np.gradient(centre, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -84,7 +85,7 @@ def tube(
     vertices = centre[:, None] + radius[:, None, None] * ring
     length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(centre, axis=0), axis=1))])
     uv = np.empty((len(centre), segments + 1, 2))
-    uv[..., 0] = texture_start[0] + (length / texture_length)[:, None]
+    uv[..., 0] = texture_start[0] + (length / TEXTURE_LENGTH)[:, None]
     uv[..., 1] = texture_start[1] + np.linspace(0, 1, segments + 1)[None, :]
     faces = grid_faces(len(centre), segments + 1)
     return Mesh(vertices.reshape(-1, 3), faces, uv.reshape(-1, 2))
@@ -123,13 +124,12 @@ def disc(
     half_length: float,
     half_width: float,
     texture_size: float,
-    rings: int = 26,
-    segments: int = 48,
 ) -> Mesh:
     """The surface z = height(x, y) over an ellipse with these half axes [m], seen from above.
 
     The height takes two equally shaped arrays; the texture repeats after ``texture_size`` [m].
     """
+    rings, segments = 26, 48
     r, angle = np.meshgrid(
         np.linspace(0, 1, rings), np.linspace(0, 2 * np.pi, segments + 1), indexing="ij"
     )

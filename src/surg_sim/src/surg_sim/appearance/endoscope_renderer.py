@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from surg_core.lens_file import Lens
 from surg_sim.appearance.domain_randomization import Appearance
 from surg_sim.appearance.drawing import OUTSIDE
 from surg_sim.appearance.lens import LensRemap, TrueEye
@@ -66,6 +67,10 @@ class EndoscopeRenderer:
         self._dyed = dyed
         size = self.intrinsics.width, self.intrinsics.height
         self._finish = None if look is None else Finish(look, *size)
+
+    def lens(self, view: str) -> Lens:
+        """The pinhole of a view, as its lens file would state it."""
+        return self.intrinsics.lens(FRAMES[view], self.baseline if view == "right" else 0.0)
 
     def render(self, qpos: Array) -> dict[str, Picture]:
         """Picture of each view at joint positions qpos, (height, width, 3), rgb8."""

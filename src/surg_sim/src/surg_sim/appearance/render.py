@@ -9,6 +9,8 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
+from surg_core.lens_file import Lens
+from surg_core.transforms import make_pose
 from surg_sim.appearance.drawing import OUTSIDE
 from surg_sim.appearance.opengl import choose_backend, context
 from surg_sim.arrays import Array, Picture
@@ -39,15 +41,14 @@ class Intrinsics:
         """Camera matrix, (3, 3)."""
         return np.array([[self.f, 0, self.cx], [0, self.f, self.cy], [0, 0, 1]])
 
-    def P(self, baseline: float = 0.0) -> Array:
-        """Projection matrix, (3, 4), of a camera this far [m] to the right of the left one.
+    def lens(self, name: str, baseline: float = 0.0) -> Lens:
+        """The lens of a camera this far [m] to the right of the left one.
 
-        A point in the left optical frame gives the picture of this camera: P[0, 3] = -f baseline,
-        as in sensor_msgs/CameraInfo.
+        A point in the left optical frame gives the picture of this camera: P[0, 3] = -f baseline.
         """
         P = np.hstack([self.K, np.zeros((3, 1))])
         P[0, 3] = -self.f * baseline
-        return P
+        return Lens(self.width, self.height, name, self.K, "plumb_bob", np.zeros(5), np.eye(3), P)
 
     def project(self, point: Array) -> Array:
         """Pixel (x, y) of a point in the optical frame (x right, y down, z away) [m], (2,)."""
@@ -195,11 +196,9 @@ class Renderer:
 
     def camera_pose(self) -> Array:
         """Pose of the first optical frame (x right, y down, z away) in the world, (4, 4)."""
-        pose, camera = np.eye(4), self._cameras[0].fixedcamid
+        camera = self._cameras[0].fixedcamid
         R = self._data.cam_xmat[camera].reshape(3, 3)
-        pose[:3, :3] = R @ np.diag([1.0, -1.0, -1.0])
-        pose[:3, 3] = self._data.cam_xpos[camera]
-        return pose
+        return make_pose(self._data.cam_xpos[camera], R @ np.diag([1.0, -1.0, -1.0]))
 
     def close(self) -> None:
         """Give the context back; once is enough."""

@@ -11,7 +11,7 @@ import copy
 import mujoco
 import numpy as np
 
-from surg_core.transforms import axis_angle_to_matrix
+from surg_core.transforms import axis_angle_to_matrix, make_pose
 from surg_sim.appearance.domain_randomization import TISSUES, Appearance, TissueAppearance
 from surg_sim.appearance.lens import EndoscopeLens
 from surg_sim.arrays import Array, Picture
@@ -72,9 +72,7 @@ def _move(model: mujoco.MjModel, look: Appearance) -> None:
     mujoco.mj_kinematics(model, data)
     mujoco.mj_camlight(model, data)
     X_WV = EndoscopeView(model, data).pose
-    D = np.eye(4)
-    D[:3, :3] = turn(look.camera_turn_deg)
-    D[:3, 3] = np.array(look.camera_shift_mm) / 1000.0
+    D = make_pose(np.array(look.camera_shift_mm) / 1000.0, turn(look.camera_turn_deg))
     M = X_WV @ D @ np.linalg.inv(X_WV)
     for name in FRAMES.values():
         camera = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, name)

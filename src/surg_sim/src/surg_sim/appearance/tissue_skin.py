@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.appearance.anatomy import grid_faces
+from surg_sim.appearance.anatomy import TEXTURE_LENGTH, grid_faces
 from surg_sim.appearance.drawing import add_material
 from surg_sim.arrays import Array
 from surg_sim.physics.patient_site import Site
@@ -25,7 +25,6 @@ TUBE, SHEET = f"{NAME}_tube", f"{NAME}_sheet"
 _FINE = 3  # rings per node
 _ROUND = 28  # vertices round the tube, the seam's twice
 _ROWS = 9  # of the mesentery, from the tube to its root
-_TEXTURE_LENGTH = 0.12  # [m] along the tube
 _CLOSED, _OPEN = 0.20, 0.40  # [rad] jaw angles between which a pinch grows
 _NEAR, _FAR = 0.003, 0.0075  # [m] distances of grip and centre line between which it fades
 _WIDTH = 0.009  # [m] length of tube that is drawn into the jaws
@@ -62,7 +61,7 @@ def add_skin(spec: mujoco.MjSpec, site: Site, parameters: TissueParameters) -> N
     # The tube's material is ``bowel``, which every scene with visuals has.
     add_material(spec, "mesentery", np.random.default_rng(5), specular=0.45, shininess=0.7)
     rings = (parameters.nodes - 1) * _FINE + 1
-    along = np.linspace(0, (parameters.nodes - 1) * parameters.spacing, rings) / _TEXTURE_LENGTH
+    along = np.linspace(0, (parameters.nodes - 1) * parameters.spacing, rings) / TEXTURE_LENGTH
     tube_uv = np.stack(np.meshgrid(along, np.linspace(0, 1, _ROUND), indexing="ij"), -1)
     _add(spec, TUBE, "bowel", grid_faces(rings, _ROUND), tube_uv, site.place([0, 0, 0]))
 
@@ -106,11 +105,9 @@ def _normals(grid: Array, closed: bool) -> Array:
 
 
 class BowelSkin:
-    """Draws the bowel of a scene with visuals: a ``Skin`` whose swellings the seed draws."""
+    """Draws the bowel of a scene with visuals: a ``Skin``."""
 
-    def __init__(
-        self, model: mujoco.MjModel, site: Site, parameters: TissueParameters, seed: int = 0
-    ) -> None:
+    def __init__(self, model: mujoco.MjModel, site: Site, parameters: TissueParameters) -> None:
         n = parameters.nodes
         self._site, self._parameters = site, parameters
         self._base = rest_shape(site, parameters)
@@ -128,7 +125,7 @@ class BowelSkin:
         ]
         angle = np.linspace(0, 2 * np.pi, _ROUND)
         self._cos, self._sin = np.cos(angle), np.sin(angle)
-        self._radius = self._swelling(np.random.default_rng(seed))
+        self._radius = self._swelling(np.random.default_rng(0))
 
     def _swelling(self, rng: np.random.Generator) -> Array:
         """Radius of every vertex [m], (rings, round): swells, folds, and closes at the ends."""

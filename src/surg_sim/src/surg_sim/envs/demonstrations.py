@@ -7,13 +7,11 @@ from __future__ import annotations
 
 import json
 import shutil
-import signal
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from multiprocessing import active_children, get_context
 from pathlib import Path
 
+from surg_recording import job_pool
 from surg_recording.episode import episode_reader
 from surg_recording.recording_errors import EpisodeError
 from surg_sim.appearance.domain_randomization import DomainRandomization
@@ -95,38 +93,29 @@ def play(
         return []
     plan.out.mkdir(parents=True, exist_ok=True)
     made: list[Demonstration] = []
-    # Forked: a spawned process takes this one's sys.path, in which catkin has put source folders
-    # before those of compiled modules.
-    context = get_context("fork")
-    pool = ProcessPoolExecutor(min(workers, len(todo)), context, _leave_signals_to_the_parent)
-    try:
-        waiting = [pool.submit(_play_one, plan, seed, seeds.index(seed)) for seed in todo]
-        for future in as_completed(waiting):
-            made.append(future.result())
-            progress(len(made), made[-1])
-    except BaseException:
-        for child in active_children():
-            child.terminate()
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
-    pool.shutdown()
+
+    def done(_: str, demonstration: Demonstration) -> None:
+        made.append(demonstration)
+        progress(len(made), demonstration)
+
+    def lost(seed: str, why: str) -> None:
+        raise EpisodeError(f"demonstration {seed}: {why}")
+
+    jobs = {str(seed): (plan, seed, seeds.index(seed)) for seed in todo}
+    place = job_pool.Executor(workers=workers)
+    job_pool.run(_play_one, jobs, place, job_pool.JobCallbacks(done, lost))
     return sorted(made, key=lambda demonstration: demonstration.seed)
-
-
-def _leave_signals_to_the_parent() -> None:
-    """Ctrl-C reaches the whole terminal group: the parent ends its workers itself."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the parent may turn it into an exception
 
 
 _sessions: dict[DemonstrationPlan, RecordedSession] = {}
 
 
-def _play_one(plan: DemonstrationPlan, seed: int, index: int) -> Demonstration:
-    """In a process of the pool, which compiles the scene once.
+def _play_one(job: tuple[DemonstrationPlan, int, int]) -> Demonstration:
+    """One of a plan with this seed and place among all, in a process that compiles the scene once.
 
     With pictures, once for each episode: the seed draws the look of the tissue, as in a graph.
     """
+    plan, seed, index = job
     if plan.cameras and plan in _sessions:
         _sessions.pop(plan).close()
     if plan not in _sessions:

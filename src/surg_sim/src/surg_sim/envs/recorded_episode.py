@@ -73,7 +73,6 @@ class RecordedSession(CellSession):
         folder: Path,
         seed: int,
         experts: Mapping[str, Expert] | None = None,
-        operator: str = "scripted expert",
         **run: Any,
     ) -> EpisodeReport:
         """Play an episode to its end and record it.
@@ -82,7 +81,6 @@ class RecordedSession(CellSession):
             folder: The episode folder; when its name is taken, a number is appended.
             seed: Of the episode.
             experts: Senders by node name; None: those of the task.
-            operator: Who commands the robot.
             **run: What else the recording shall say of its run.
 
         Raises:
@@ -92,7 +90,7 @@ class RecordedSession(CellSession):
             look = self._randomization.draw(seed)
             self._renderer.set_appearance(look)
             run["look"] = look.described()
-        self._recording = self._open(folder, self._describe_run(seed, operator, run))
+        self._recording = self._open(folder, self._describe_run(seed, run))
         try:
             report = run_episode(self, seed, experts)
         except BaseException:
@@ -105,12 +103,12 @@ class RecordedSession(CellSession):
         recording.close({"sim": self._outcome(report, ticks)}, end_stamp_ns=ticks * TICK_NS)
         return report
 
-    def _describe_run(self, seed: int, operator: str, run: Mapping[str, Any]) -> dict[str, Any]:
+    def _describe_run(self, seed: int, run: Mapping[str, Any]) -> dict[str, Any]:
         """The key ``run`` of the manifest."""
         return {
             "task": self.task.name,
             **self.task.language(),
-            "operator": operator,
+            "operator": "scripted expert",
             "robot": self.cell.arms[self.world.arms[0]].robot.name,
             "mode": "cartesian",
             "timing": "lockstep",
@@ -141,19 +139,9 @@ class RecordedSession(CellSession):
         """The key ``camera_info`` of the manifest, as in a graph."""
         if self._renderer is None:
             return {}
-        K, baseline = self._renderer.intrinsics, self._renderer.baseline
+        lenses = map(self._renderer.lens, self._views)
         return {
-            FRAMES[view]: {
-                "width": K.width,
-                "height": K.height,
-                "distortion_model": "plumb_bob",
-                "D": [0.0] * 5,
-                "K": K.K.ravel().tolist(),
-                "R": np.eye(3).ravel().tolist(),
-                "P": K.P(baseline if view == "right" else 0.0).ravel().tolist(),
-                "frame_id": FRAMES[view],
-            }
-            for view in self._views
+            lens.camera_name: {**lens.camera_info, "frame_id": lens.camera_name} for lens in lenses
         }
 
     def _outcome(self, report: EpisodeReport, ticks: int) -> dict[str, Any]:

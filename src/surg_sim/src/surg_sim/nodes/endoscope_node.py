@@ -19,7 +19,6 @@ from surg_ros.params import read
 from surg_sim import tasks
 from surg_sim.appearance.endoscope_renderer import EndoscopeRenderer
 from surg_sim.appearance.opengl import NoOpenGL
-from surg_sim.appearance.render import Intrinsics
 from surg_sim.arrays import Picture
 from surg_sim.nodes.exposure_schedule import RENDERER
 from surg_sim.nodes.sim_parameters import EndoscopeSettings
@@ -36,31 +35,6 @@ def measured_lens(cell: surg_core.Cell, view: str, size: tuple[int, int]) -> Len
     """
     file = cell.folder / "calibration" / f"{FRAMES[view]}.yaml"
     return load_lens(file).resized(*size) if file.is_file() else None
-
-
-def camera_info(
-    intrinsics: Intrinsics, frame: str, baseline: float = 0.0, lens: Lens | None = None
-) -> CameraInfo:
-    """The camera's model as a message without a stamp: what is believed, not what is rendered.
-
-    Its optical frame lies ``baseline`` to the right of the first camera's [m]. A measured lens
-    replaces the pinhole of the instrument's file.
-    """
-    info = CameraInfo(
-        width=intrinsics.width,
-        height=intrinsics.height,
-        distortion_model="plumb_bob",
-        D=[0.0] * 5,
-        K=intrinsics.K.ravel().tolist(),
-        R=np.eye(3).ravel().tolist(),
-        P=intrinsics.P(baseline).ravel().tolist(),
-    )
-    if lens is not None:
-        info.distortion_model = lens.distortion_model
-        info.D, info.K = lens.D.tolist(), lens.K.ravel().tolist()
-        info.R, info.P = lens.R.ravel().tolist(), lens.P.ravel().tolist()
-    info.header.frame_id = frame
-    return info
 
 
 class CameraTopics:
@@ -109,8 +83,9 @@ class Endoscope:
         self._arrived = threading.Condition()
         self._cameras = {}
         for view in renderer.views:
-            baseline = renderer.baseline if view == "right" else 0.0
-            info = camera_info(renderer.intrinsics, FRAMES[view], baseline, lenses[view])
+            # What is believed, not what is rendered.
+            info = CameraInfo(**(lenses[view] or renderer.lens(view)).camera_info)
+            info.header.frame_id = FRAMES[view]
             self._cameras[view] = CameraTopics(view, info, 0 if keep_all else 2)
         self._ready = rospy.Publisher("/sim/ready", Ready, queue_size=0, tcp_nodelay=True)
         rospy.Subscriber("/sim/snapshot", SimSnapshot, self._on_snapshot, tcp_nodelay=True)

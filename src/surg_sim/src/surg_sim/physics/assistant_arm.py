@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surg_core.contract import TICK, VIRTUAL_JOINTS
+from surg_core.transforms import make_pose
 from surg_sim.arrays import Array
 from surg_sim.physics.assistant_scene import JAWS, NAME, TIP
 
@@ -72,11 +73,10 @@ class Assistant:
         self._jaw_qpos, self._jaw_ctrl = _addresses(model, JAWS)
         self._tip = int(model.body(f"{NAME}_{TIP}").id)
         pivot = model.body(f"{NAME}_pivot")
-        self.X_WRcm: Array = np.eye(4)
-        """Pose of its trocar frame in the world, (4, 4)."""
         R = np.empty(9)
         mujoco.mju_quat2Mat(R, pivot.quat)
-        self.X_WRcm[:3, :3], self.X_WRcm[:3, 3] = R.reshape(3, 3), pivot.pos
+        self.X_WRcm: Array = make_pose(pivot.pos, R.reshape(3, 3))
+        """Pose of its trocar frame in the world, (4, 4)."""
         closed, opened = model.joint(f"{NAME}_{JAWS[0]}").range
         self._jaw_range = float(closed), float(opened)
         self.home = np.array([0.0, 0.0, DEPTH, 0.0])

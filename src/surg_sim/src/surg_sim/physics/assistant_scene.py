@@ -52,10 +52,7 @@ def port_frame(site: Site) -> Array:
     z /= np.linalg.norm(z)
     x = site.R[:, 0] - (site.R[:, 0] @ z) * z
     x /= np.linalg.norm(x)
-    X = np.eye(4)
-    X[:3, :3] = np.column_stack([x, np.cross(z, x), z])
-    X[:3, 3] = p_WRcm
-    return X
+    return surg_core.make_pose(p_WRcm, np.column_stack([x, np.cross(z, x), z]))
 
 
 def add_assistant(spec: mujoco.MjSpec, site: Site, instrument: Path, visuals: bool = False) -> None:

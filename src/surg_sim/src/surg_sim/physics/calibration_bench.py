@@ -96,9 +96,7 @@ class Bench:
                 s = R @ self.s_F
                 play = rng.normal(scale=TROCAR_PLAY, size=3)
                 tip = self.arm.trocar.p_BRcm + rng.uniform(0.06, 0.16) * s + play
-        X = np.eye(4)
-        X[:3, :3], X[:3, 3] = R, tip - R @ self.p_FTip
-        return X
+        return surg_core.make_pose(tip - R @ self.p_FTip, R)
 
     def _inverse(self, X: Array) -> Array | None:
         """Joints (n,) for a flange pose (4, 4), from home; None: out of reach."""

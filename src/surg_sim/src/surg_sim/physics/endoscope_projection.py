@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from surg_core.transforms import make_pose
 from surg_sim.arrays import Array
 from surg_sim.physics.endoscope_rig import LEFT
 
@@ -30,10 +31,8 @@ class EndoscopeView:
     def pose(self) -> Array:
         """Pose of the optical frame (x right, y down, z away) in the world, (4, 4)."""
         R = self._data.xmat[self._mount].reshape(3, 3)
-        X = np.eye(4)
-        X[:3, :3] = R @ self._turn @ np.diag([1.0, -1.0, -1.0])
-        X[:3, 3] = self._data.xpos[self._mount] + R @ self._place
-        return X
+        p = self._data.xpos[self._mount] + R @ self._place
+        return make_pose(p, R @ self._turn @ np.diag([1.0, -1.0, -1.0]))
 
     def project(self, points: Array) -> Array:
         """Places of points (n, 3) [m] of the world, in picture heights from the picture's centre.
@@ -45,13 +44,11 @@ class EndoscopeView:
         depth = np.where(p[:, 2] > 1e-3, p[:, 2], np.nan)
         return np.asarray(self.f * p[:, :2] / depth[:, None])
 
-    def sees(self, points: Array, width: float = 4.0 / 3.0, margin: float = 0.03) -> bool:
-        """Whether all points of the world, (n, 3) [m], are in the round picture.
-
-        Width of the picture and of a margin that does not count are in picture heights.
-        """
+    def sees(self, points: Array) -> bool:
+        """Whether all points of the world, (n, 3) [m], are in the round picture of 4 : 3."""
+        margin = 0.03  # [picture heights] at the edge, which does not count
         uv = self.project(points)
         inside = np.hypot(uv[:, 0], uv[:, 1]) < CIRCLE - margin
-        inside &= np.abs(uv[:, 0]) < width / 2.0 - margin
+        inside &= np.abs(uv[:, 0]) < 2.0 / 3.0 - margin
         inside &= np.abs(uv[:, 1]) < 0.5 - margin
         return bool(inside.all())

@@ -18,7 +18,7 @@ import numpy as np
 from surg_sim.appearance.lens import EndoscopeLens
 from surg_sim.arrays import Array
 from surg_sim.physics.pose_error import PoseError
-from surg_sim.physics.sim_arm import ActuatorParameters, ToolError
+from surg_sim.physics.sim_arm import ToolError
 from surg_sim.physics.tissue import TissueParameters
 from surg_sim.physics.trocar import TrocarParameters
 from surg_sim.physics.trocar_motion import Sinusoid
@@ -53,7 +53,6 @@ class PatientSetting:
     """One setting."""
 
     name: str
-    actuators: ActuatorParameters = field(default_factory=ActuatorParameters)
     trocar: TrocarParameters = field(default_factory=TrocarParameters)
     breathing: Breathing = field(default_factory=Breathing)
     tool_error: ToolError | None = None  # how wrong the instrument's calibration is; None: exact

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import surg_core
-from surg_core.transforms import axis_angle_to_matrix
+from surg_core.transforms import axis_angle_to_matrix, make_pose
 from surg_sim.arrays import Array
 
 
@@ -22,10 +22,8 @@ class PoseError:
     def motion(self) -> Array:
         """The motion D (4, 4) with ``X_true = X_stated D``."""
         towards, about = np.random.default_rng(self.seed).normal(size=(2, 3))
-        D = np.eye(4)
-        D[:3, :3] = axis_angle_to_matrix(about / np.linalg.norm(about), self.turn)
-        D[:3, 3] = self.shift * towards / np.linalg.norm(towards)
-        return D
+        R = axis_angle_to_matrix(about / np.linalg.norm(about), self.turn)
+        return make_pose(self.shift * towards / np.linalg.norm(towards), R)
 
 
 def with_base_error(cell: surg_core.Cell, error: PoseError | None) -> surg_core.Cell:

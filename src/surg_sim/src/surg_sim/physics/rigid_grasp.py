@@ -12,13 +12,12 @@ import mujoco
 import numpy as np
 
 from surg_sim.physics.spec_parts import add_pad
+from surg_sim.physics.tissue_grasp import CLOSE, OPEN
 
 PAD_BIT = 1 << 16
 """Contact bit of the pads."""
 GRIP_DEPTH = 0.002
 """Where an object is best held: this far behind the tip on the shaft axis [m]."""
-CLOSE, OPEN = 0.25, 0.32
-"""Jaw angles below which the jaws hold and above which they let go [rad]; assumed."""
 
 _JAWS = ("jaw", "jaw_mirror")
 _PAD = (0.0016, 0.0008, 0.0070)  # [m] half sizes across, thick, along the finger

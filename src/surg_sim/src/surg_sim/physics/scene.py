@@ -21,7 +21,7 @@ from surg_sim.arrays import Array
 from surg_sim.physics import endoscope_rig
 from surg_sim.physics.patient_site import Site
 from surg_sim.physics.pose_error import PoseError
-from surg_sim.physics.sim_arm import ActuatorParameters, ToolError, add_arm, robot_part
+from surg_sim.physics.sim_arm import ToolError, add_arm, robot_part
 from surg_sim.physics.tool_drive import add_tool_drive
 from surg_sim.physics.trocar import TrocarParameters, add_trocar, shaft_in_flange, wall_frame
 
@@ -156,7 +156,6 @@ def build(
     arms: list[surg_core.Arm],
     seed: int = 0,
     visuals: bool = False,
-    actuators: ActuatorParameters | None = None,
     trocar: TrocarParameters | None = None,
     tool_errors: Mapping[str, ToolError] | None = None,
     camera_error: PoseError | None = None,
@@ -176,7 +175,7 @@ def build(
     empty = Path(__file__).with_name("assets") / "scene.xml"
     spec = mujoco.MjSpec.from_string(empty.read_text("utf-8"))
     for arm in arms:
-        add_arm(spec, arm, actuators or ActuatorParameters(), errors.get(arm.name))
+        add_arm(spec, arm, errors.get(arm.name))
         add_tool_drive(spec, arm)
     scope = endoscope_rig.holder(arms)
     if scope is not None:

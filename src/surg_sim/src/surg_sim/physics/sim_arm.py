@@ -81,6 +81,10 @@ class ActuatorParameters:
         return sizes
 
 
+DRIVES = ActuatorParameters()
+"""Of every simulated arm."""
+
+
 @dataclass(frozen=True)
 class ArmCommand:
     """What arrives at the links of one arm in one tick; ``None`` means nothing did."""
@@ -121,12 +125,7 @@ class ToolError:
         return D
 
 
-def add_arm(
-    spec: mujoco.MjSpec,
-    arm: surg_core.Arm,
-    parameters: ActuatorParameters,
-    error: ToolError | None = None,
-) -> None:
+def add_arm(spec: mujoco.MjSpec, arm: surg_core.Arm, error: ToolError | None = None) -> None:
     """Put a robot and its instrument, both from URDF, into the scene.
 
     Names in the scene are `robot_part`'s, and those of the instrument carry the prefix ``<arm>_``.
@@ -145,7 +144,7 @@ def add_arm(
         body.gravcomp = 1.0
 
     dof = len(robot.joint_names)
-    stiffness, armature = parameters.stiffnesses(dof), parameters.armatures(dof)
+    stiffness, armature = DRIVES.stiffnesses(dof), DRIVES.armatures(dof)
     for i, name in enumerate(robot.joint_names):
         joint = spec.joint(robot_part(arm, name))
         joint.armature = armature[i]
@@ -217,16 +216,10 @@ def evenly(indices: Sequence[int] | NDArray[np.int_]) -> slice | NDArray[np.int_
 
 
 class ArmLink:
-    """One arm of a compiled scene, with the drives that it was added with."""
+    """One arm of a compiled scene."""
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        data: mujoco.MjData,
-        arm: surg_core.Arm,
-        parameters: ActuatorParameters,
-    ) -> None:
-        self._model, self._data, self._parameters = model, data, parameters
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, arm: surg_core.Arm) -> None:
+        self._model, self._data = model, data
         self.name: str = arm.name
         self._home = np.asarray(arm.robot.home, dtype=np.float64)
         self._velocity_limit = np.asarray(arm.robot.velocity, dtype=np.float64)
@@ -244,7 +237,7 @@ class ArmLink:
         self._damper_ctrl = evenly([d.id for d in dampers])
         self._flange = model.body(robot_part(arm, arm.robot.flange_link)).id
         self._R_BW = np.asarray(arm.X_WB_stated[:3, :3], dtype=np.float64).T
-        self._filter = 1.0 - np.exp(-TICK / SUBSTEPS / parameters.lags(self.dof))
+        self._filter = 1.0 - np.exp(-TICK / SUBSTEPS / DRIVES.lags(self.dof))
         self._jacobian = np.empty((2, 3, model.nv))
         self._standstill = ArmCommand(velocity=np.zeros(self.dof))
         self._tune()
@@ -257,11 +250,11 @@ class ArmLink:
         mass = np.empty((self._model.nv, self._model.nv))
         mujoco.mj_fullM(self._model, self._data, mass)
         inertia = np.diag(mass)[self._qvel]
-        least = self._parameters.bandwidth**2 * inertia
-        stiffness = np.maximum(self._parameters.stiffnesses(self.dof), least)
+        least = DRIVES.bandwidth**2 * inertia
+        stiffness = np.maximum(DRIVES.stiffnesses(self.dof), least)
         self._model.actuator_gainprm[self._spring_ctrl, 0] = stiffness
         self._model.actuator_biasprm[self._spring_ctrl, 1] = -stiffness
-        damping = 2 * self._parameters.damping_ratio * np.sqrt(stiffness * inertia)
+        damping = 2 * DRIVES.damping_ratio * np.sqrt(stiffness * inertia)
         self._model.actuator_gainprm[self._damper_ctrl, 0] = damping
         self._model.actuator_biasprm[self._damper_ctrl, 2] = -damping
 
@@ -272,7 +265,7 @@ class ArmLink:
         self._data.act[self._act] = self._home
         self._target = np.zeros(self.dof)
         self._filtered = np.zeros(self.dof)
-        self._pending: deque[ArmCommand] = deque([self._standstill] * self._parameters.delay)
+        self._pending: deque[ArmCommand] = deque([self._standstill] * DRIVES.delay)
         self._latest = self._standstill
         self._silent = 0
         self._heard = False
@@ -306,11 +299,11 @@ class ArmLink:
             self.dead_man, self.fault = False, ""
         else:
             self._silent += 1
-            if self._heard and self._silent > self._parameters.dead_man:
+            if self._heard and self._silent > DRIVES.dead_man:
                 self.dead_man, self._latest = True, self._standstill
         if not self.obeys:  # nothing of before is executed later
             self._latest = self._standstill
-            self._pending = deque([self._standstill] * self._parameters.delay)
+            self._pending = deque([self._standstill] * DRIVES.delay)
         self._pending.append(self._latest)
         due = self._pending.popleft()
         if self.dead_man or not self.obeys:
@@ -363,7 +356,7 @@ class ArmLink:
         J = np.vstack([self._R_BW @ linear[:, columns], self._R_BW @ angular[:, columns]])
         posture = np.zeros(self.dof)
         if self.dof > 6:
-            posture = self._parameters.posture_gain * (self._home - self.q)
+            posture = DRIVES.posture_gain * (self._home - self.q)
         try:
             return posture + J.T @ np.linalg.solve(J @ J.T, twist - J @ posture)
         except np.linalg.LinAlgError:

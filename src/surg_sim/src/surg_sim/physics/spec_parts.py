@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Sequence
 
 import mujoco
 import numpy as np
@@ -20,6 +21,28 @@ def quaternion(R: Array) -> Array:
 def state_mass(body: mujoco.MjsBody, mass: float, inertia: Sequence[float]) -> None:
     """State mass [kg] and principal inertia (3,) [kg m^2]; the weight is compensated."""
     body.mass, body.inertia, body.explicitinertial, body.gravcomp = mass, inertia, True, 1.0
+
+
+def add_part(
+    parent: mujoco.MjsBody, name: str, mass: float, inertia: Sequence[float], **keys: object
+) -> mujoco.MjsBody:
+    """Add a body with a stated mass [kg] and principal inertia (3,) [kg m^2] about its origin."""
+    body = parent.add_body(name=name, **keys)
+    body.mass, body.inertia, body.explicitinertial = mass, inertia, True
+    body.ipos = [0.0, 0.0, 0.0]  # not stated, the compiler takes the place of the body for it
+    return body
+
+
+def add_wire(body: mujoco.MjsBody, places: Iterable[Array], radius: float, **keys: object) -> None:
+    """Add capsules of a radius [m] from place to place (3,) [m]."""
+    for start, end in itertools.pairwise(places):
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=[*start, *end],
+            size=[radius, 0, 0],
+            mass=0.0,
+            **keys,
+        )
 
 
 def add_position_servo(spec: mujoco.MjSpec, joint: str, stiffness: float, armature: float) -> None:
@@ -56,9 +79,7 @@ def add_mark(parent: mujoco.MjsBody, name: str, axes: str) -> mujoco.MjsBody:
 
     A picture needs the joint positions alone, so all episodes share one compiled scene.
     """
-    mark = parent.add_body(name=name, gravcomp=1.0)
-    mark.mass, mark.inertia, mark.explicitinertial = 0.01, [1e-6] * 3, True
-    mark.ipos = [0.0, 0.0, 0.0]
+    mark = add_part(parent, name, 0.01, [1e-6] * 3, gravcomp=1.0)
     for axis in axes:
         slide = mujoco.mjtJoint.mjJNT_SLIDE
         add_sprung_joint(mark, f"{name}_{axis}", slide, "xyz".index(axis), 2e4, 0.5)

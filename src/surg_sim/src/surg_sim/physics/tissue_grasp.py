@@ -8,8 +8,6 @@ close on nothing, touch with one pad only, or were closed before contact hold no
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 
@@ -24,26 +22,24 @@ GRIP_DEPTH = 0.005
 
 _PAD = (0.0018, 0.0009, 0.0075)  # [m] half sizes across, thick, along the finger
 _PAD_START = 0.003  # [m] from the pivot to the near end of a pad
+CLOSE, OPEN = 0.25, 0.32
+"""Jaw angles below which the jaws hold and above which they let go [rad]; assumed, as what follows,
+and fixed before any evaluation."""
+ATTEMPT = 0.15
+"""Time after passing `CLOSE` in which both pads must touch [s]; closed before, they miss."""
+REACH = 0.012
+"""Largest distance of the grip to the tissue's axis [m]: the jaws must be round it."""
+SLIDES = 2
+"""How often held tissue slides to a neighbouring place before it is lost."""
+REST = 0.10
+"""Time after a slide in which the pull is not judged again [s]."""
+TEAR = 3.0
+"""Pull, as a multiple of the slip force, that takes the tissue out at once."""
+SMOOTHING = 0.010
+"""Time constant with which the pull is judged [s]."""
+
 _FIRST_BIT = 9
 _MOST_TOOLS = 4
-
-
-@dataclass(frozen=True)
-class GraspParameters:
-    """Conditions of a grasp; assumed, and fixed before any evaluation."""
-
-    close: float = 0.25  # jaw angle below which the jaws hold what is between the pads [rad]
-    open: float = 0.32  # jaw angle above which they release it [rad]
-    # Time after passing ``close`` in which both pads must touch [s]; jaws that were closed before
-    # they met the tissue hold nothing.
-    attempt: float = 0.15
-    # Largest distance of the grip to the axis of the tissue [m]: the jaws must be round it, not
-    # only on it.
-    reach: float = 0.012
-    slides: int = 2  # how often held tissue slides to a neighbouring place before it is lost
-    rest: float = 0.10  # time after a slide in which the pull is not judged again [s]
-    tear: float = 3.0  # pull, as a multiple of the slip force, that takes the tissue out at once
-    smoothing: float = 0.010  # time constant with which the pull is judged [s]
 
 
 def add_grasp(spec: mujoco.MjSpec, name: str, tip: str = "tip") -> None:
@@ -89,16 +85,8 @@ def add_grasp(spec: mujoco.MjSpec, name: str, tip: str = "tip") -> None:
 class Grasp:
     """Grasp of one tool on the bowel in a compiled scene."""
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        data: mujoco.MjData,
-        name: str,
-        bowel: Bowel,
-        parameters: GraspParameters | None = None,
-    ) -> None:
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str, bowel: Bowel) -> None:
         self._model, self._data, self._bowel = model, data, bowel
-        self._parameters = parameters or GraspParameters()
         self._jaw = int(model.joint(f"{name}_jaw").qposadr[0])
         self._pads = [int(model.geom(f"{name}_{s}_pad").id) for s in ("jaw", "jaw_mirror")]
         self._bit = int(model.geom_contype[self._pads[0]])
@@ -158,14 +146,14 @@ class Grasp:
 
     def advance(self) -> None:
         """Update the grasp; call it before the physics of each tick."""
-        jaw, p = self.jaw, self._parameters
+        jaw = self.jaw
         if self.held is not None:
-            if jaw > p.open:
+            if jaw > OPEN:
                 self._release()
             else:
                 self._keep()
-        elif jaw > p.close:
-            self._attempt = p.attempt
+        elif jaw > CLOSE:
+            self._attempt = ATTEMPT
         elif self._attempt > 0.0:
             self._attempt -= TICK
             node = self._between()
@@ -185,7 +173,7 @@ class Grasp:
             return None
         distance = np.linalg.norm(self._bowel.nodes[near] - self.place, axis=1)
         best = int(np.argmin(distance))
-        return near[best] if distance[best] <= self._parameters.reach else None
+        return near[best] if distance[best] <= REACH else None
 
     def _hold(self, node: int) -> None:
         self.held = node
@@ -193,7 +181,7 @@ class Grasp:
         self._model.eq_obj2id[self._equality] = self._bowel.sites[node]
         self._data.eq_active[self._equality] = 1
         self._smooth = np.zeros(3)
-        self._rest = self._parameters.rest
+        self._rest = REST
 
     def _release(self) -> None:
         assert self.held is not None
@@ -203,16 +191,16 @@ class Grasp:
 
     def _keep(self) -> None:
         """Hold, slide or lose the tissue, depending on the pull."""
-        p, limit = self._parameters, self._bowel.parameters.slip_force
-        self._smooth += (1.0 - np.exp(-TICK / p.smoothing)) * (self.pull - self._smooth)
+        limit = self._bowel.parameters.slip_force
+        self._smooth += (1.0 - np.exp(-TICK / SMOOTHING)) * (self.pull - self._smooth)
         strength = float(np.linalg.norm(self._smooth))
         self._rest = max(0.0, self._rest - TICK)
-        if strength <= limit or (self._rest > 0.0 and strength <= p.tear * limit):
+        if strength <= limit or (self._rest > 0.0 and strength <= TEAR * limit):
             return
         self.slips += 1
         node = self._slack_side()
         self._release()
-        if node is None or self._slides >= p.slides or strength > p.tear * limit:
+        if node is None or self._slides >= SLIDES or strength > TEAR * limit:
             self.losses += 1
             return
         self._slides += 1

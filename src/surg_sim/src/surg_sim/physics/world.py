@@ -20,7 +20,7 @@ from surg_sim.physics import scene
 from surg_sim.physics.ground_truth import ArmTruth, TruthReader
 from surg_sim.physics.patient_settings import PatientSetting
 from surg_sim.physics.pose_error import with_base_error
-from surg_sim.physics.sim_arm import SUBSTEPS, ActuatorParameters, ArmCommand, ArmLink, ToolError
+from surg_sim.physics.sim_arm import SUBSTEPS, ArmCommand, ArmLink, ToolError
 from surg_sim.physics.tool_drive import ToolDrive, WristDrive
 from surg_sim.physics.trocar import Trocar, TrocarParameters
 from surg_sim.sensing.flange_sensor import FlangeSensor, sensor_of
@@ -64,7 +64,6 @@ class World:
         seed: Seed of the look of the tissue and of the first episode.
         visuals: Add patient and room for pictures; the physics is the same.
         arms: Names of the arms to simulate; None: all of the cell.
-        actuators: Drives; None: the setting's.
         trocar: Wall; None: the setting's.
         tool_errors: Calibration error by arm name; None: the setting's.
         setting: Physical parameters; None: the defaults, without breathing.
@@ -80,17 +79,16 @@ class World:
         seed: int = 0,
         visuals: bool = False,
         arms: Iterable[str] | None = None,
-        actuators: ActuatorParameters | None = None,
         trocar: TrocarParameters | None = None,
         tool_errors: Mapping[str, ToolError] | None = None,
         setting: PatientSetting | None = None,
         task: Task | None = None,
     ) -> None:
         if setting is not None:
-            actuators, trocar = actuators or setting.actuators, trocar or setting.trocar
+            trocar = trocar or setting.trocar
             if tool_errors is None and setting.tool_error is not None:
                 tool_errors = dict.fromkeys(cell.arms, setting.tool_error)
-        actuators, trocar = actuators or ActuatorParameters(), trocar or TrocarParameters()
+        trocar = trocar or TrocarParameters()
         self._setting = setting
         if task is not None:
             task.prepare(cell, setting or PatientSetting(name="default"))
@@ -103,9 +101,7 @@ class World:
                 task.add(spec, site, visuals)
 
         camera_error = None if setting is None else setting.camera_error
-        self.model = scene.build(
-            chosen, seed, visuals, actuators, trocar, tool_errors, camera_error, add
-        )
+        self.model = scene.build(chosen, seed, visuals, trocar, tool_errors, camera_error, add)
         self.data = mujoco.MjData(self.model)
         self._R_WB = {arm.name: np.asarray(arm.X_WB_stated)[:3, :3] for arm in chosen}
         self._members: dict[str, _Member] = {}
@@ -113,7 +109,7 @@ class World:
             wrist = arm.instrument.wrist
             sleeve = Trocar(self.model, self.data, arm, trocar)
             self._members[arm.name] = _Member(
-                link=ArmLink(self.model, self.data, arm, actuators),
+                link=ArmLink(self.model, self.data, arm),
                 jaw=ToolDrive(self.model, self.data, arm),
                 wrist=WristDrive(self.model, self.data, arm, wrist) if wrist else None,
                 trocar=sleeve,

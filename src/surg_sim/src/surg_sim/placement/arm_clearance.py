@@ -11,27 +11,25 @@ import numpy as np
 
 import surg_core
 from surg_sim.arrays import Array
-from surg_sim.physics.sim_arm import ActuatorParameters, add_arm, robot_part
+from surg_sim.physics.sim_arm import add_arm, robot_part
 
+_TABLE = -0.136  # [m] of the table's top above the work point
 _PATIENT = np.array([0.18, 0.27, 0.19])  # [m] half axes of the dome that no link may touch
 
 
 class ClearanceModel:
     """Two arms, table and patient in one MuJoCo scene, to measure clearances.
 
-    Poses of the bases in the patient's frame, (4, 4); height of the table's top above the work
-    point [m].
+    Poses of the bases in the patient's frame, (4, 4).
     """
 
-    def __init__(
-        self, arms: Sequence[surg_core.Arm], bases: Sequence[Array], bed: float = -0.136
-    ) -> None:
+    def __init__(self, arms: Sequence[surg_core.Arm], bases: Sequence[Array]) -> None:
         spec = mujoco.MjSpec()
         for arm, X_PB in zip(arms, bases, strict=True):
-            add_arm(spec, replace(arm, X_WB_stated=X_PB), ActuatorParameters())
+            add_arm(spec, replace(arm, X_WB_stated=X_PB))
         fixed = spec.worldbody
         fixed.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.30, 0.62, 0.05],
-                       pos=[0.0, 0.0, bed - 0.05])  # fmt: skip
+                       pos=[0.0, 0.0, _TABLE - 0.05])  # fmt: skip
         fixed.add_geom(name="patient", type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
                        size=_PATIENT.tolist(), pos=[0.0, 0.0, -0.056])  # fmt: skip
         self.model = spec.compile()
@@ -52,8 +50,7 @@ class ClearanceModel:
         """Smallest distance of a robot to the other arm, the table and the patient [m].
 
         At joint positions of the two arms, (n,) [rad] each. The two shafts inside the patient may
-        come
-        arbitrarily close to each other.
+        come arbitrarily close to each other.
         """
         for qpos, q in zip(self._qpos, (first, second), strict=True):
             self.data.qpos[qpos] = q

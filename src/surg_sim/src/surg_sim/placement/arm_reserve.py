@@ -93,8 +93,7 @@ def reserve(arm: surg_core.Arm, q_home: Array, workspace: Workspace) -> Reserve 
                 p = (1 - share) * depth * s + share * corner
                 axis = p / np.linalg.norm(p)
                 R = minimal_rotation(s, axis) @ axis_angle_to_matrix(s, share * roll) @ R_home
-                X = np.eye(4)
-                X[:3, :3], X[:3, 3] = R, p_Rcm + p - R @ p_FTip
+                X = surg_core.make_pose(p_Rcm + p - R @ p_FTip, R)
                 reached = inverse(arm.chain, q, X, 20)
                 if reached is None:
                     return None

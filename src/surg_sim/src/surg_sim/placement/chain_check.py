@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 import surg_core
-from surg_sim.physics.sim_arm import ActuatorParameters, add_arm, robot_part
+from surg_sim.physics.sim_arm import add_arm, robot_part
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ def compare(arm: surg_core.Arm, postures: int = 200, seed: int = 0) -> Differenc
         ValueError: MuJoCo refuses the URDF.
     """
     spec = mujoco.MjSpec()
-    add_arm(spec, arm, ActuatorParameters())
+    add_arm(spec, arm)
     model = spec.compile()
     data = mujoco.MjData(model)
     robot = arm.robot

@@ -53,17 +53,13 @@ def scope_pose(work: Array, outwards: Array) -> Array:
     """
     right = np.cross(-outwards, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
-    X = np.eye(4)
-    X[:3, :3] = np.column_stack([right, np.cross(-outwards, right), -outwards])
-    X[:3, 3] = work + VIEW * outwards
-    return X
+    R = np.column_stack([right, np.cross(-outwards, right), -outwards])
+    return surg_core.make_pose(work + VIEW * outwards, R)
 
 
 def upright(p: Array, yaw: float) -> Array:
     """Pose (4, 4) at p (3,) [m], turned by yaw [rad] about the vertical."""
-    X = np.eye(4)
-    X[:3, :3], X[:3, 3] = axis_angle_to_matrix([0.0, 0.0, 1.0], yaw), p
-    return X
+    return surg_core.make_pose(p, axis_angle_to_matrix([0.0, 0.0, 1.0], yaw))
 
 
 @dataclass(frozen=True)
@@ -186,13 +182,11 @@ def place_instrument(arm: surg_core.Arm, rng: np.random.Generator) -> Placement:
     ]
     for azimuth in np.radians([-10.0, 0.0]):
         u = np.array([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.cos(tilt)])
-        tips = []
-        for roll in np.arange(8) * np.pi / 4:
-            X = np.eye(4)
-            X[:3, :3] = axis_angle_to_matrix(-u, roll) @ minimal_rotation(
-                np.array([0.0, 0.0, 1.0]), -u
-            )
-            tips.append(X)
+        R = minimal_rotation(np.array([0.0, 0.0, 1.0]), -u)
+        tips = [
+            surg_core.make_pose(rotation=axis_angle_to_matrix(-u, roll) @ R)
+            for roll in np.arange(8) * np.pi / 4
+        ]
         best_of_azimuth += find_placements(arm, tips, bases, workspace, rng)[:1]
     if not best_of_azimuth:
         raise RuntimeError(

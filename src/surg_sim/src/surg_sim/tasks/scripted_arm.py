@@ -13,7 +13,12 @@ import surg_core
 from surg_core.arm_view import ArmCommands, ArmState, ArmView, TipPose
 from surg_core.bring_up import BringUp
 from surg_core.contract import STEP, TICK_NS
-from surg_core.transforms import minimal_rotation, quaternion_xyzw_to_matrix, rotation_of
+from surg_core.transforms import (
+    make_pose,
+    minimal_rotation,
+    quaternion_xyzw_to_matrix,
+    rotation_of,
+)
 from surg_sim.arrays import Array
 from surg_sim.tasks.scripted_sender import (
     Action,
@@ -121,7 +126,4 @@ class ArmExpert(ScriptedExpert):
         if len(turns) > 1:
             swing = self.X_WR[:3, :3] @ rotation_of(turns[1:]) @ self.X_WR[:3, :3].T @ swing
         c, s = np.cos(turns[0]), np.sin(turns[0])
-        X = np.eye(4)
-        X[:3, :3] = swing @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        X[:3, 3] = p_W
-        return X
+        return make_pose(p_W, swing @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))

@@ -84,6 +84,7 @@ class Task(ABC):
         time_limit: Longest episode [s].
         home_cell: Bundled cell used if none is given.
         fitting_cells: Bundled cells that fit, for error messages.
+        jaws: Arm whose instrument must have jaws; empty: none. Its tip is ``tip``.
         commanded: Arms that the task's policy commands, by CRTK name; all others hold still.
         plotted: State values shown in the figure of an episode, with their units.
         tick: Ticks since the episode began.
@@ -100,6 +101,7 @@ class Task(ABC):
     fitting_cells: ClassVar[tuple[str, ...]] = (
         *("sim_two_arms", "sim_two_arms_panda", "sim_ur5e", "sim_panda"),
     )
+    jaws: ClassVar[str] = ""
     commanded: ClassVar[tuple[str, ...]] = ("PSM1",)
     plotted: ClassVar[Mapping[str, str]] = {}
 
@@ -127,6 +129,9 @@ class Task(ABC):
         missing = [name for name in self.commanded if name not in cell.arms]
         if missing:
             raise self.misfit(cell, f"needs the arms {', '.join(self.commanded)}")
+        if self.jaws:
+            self.need_jaws(cell, self.jaws)
+            self.tip_link: str = cell.arms[self.jaws].instrument.tip_link
 
     def misfit(self, cell: surg_core.Cell, needs: str) -> TaskError:
         """Error about a cell: what the task needs, what the cell has, which cells fit."""
@@ -152,7 +157,16 @@ class Task(ABC):
 
     @abstractmethod
     def bind(self, world: World) -> None:
-        """Appearance the task's objects up in the compiled scene."""
+        """Look the task's objects up in the compiled scene."""
+
+    def find_tip(self, world: World) -> None:
+        """Look up the tip of the arm ``jaws``, for ``tip``."""
+        self._p_WTip = world.data.xpos[world.model.body(f"{self.jaws}_{self.tip_link}").id]
+
+    @property
+    def tip(self) -> Array:
+        """Tip of the arm ``jaws`` in the world [m], (3,)."""
+        return np.array(self._p_WTip)
 
     @abstractmethod
     def reset(self, rng: np.random.Generator) -> None:

@@ -6,15 +6,31 @@ Used by `train_state.py` and `train_images.py`.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
-from surg_learn.bgr.observed_features import HERE
-from surg_learn.bgr.training.perceptron import Adam, flat_layers, gradient_of, initialise
+from surg_learn.bgr.observed_features import HERE, Columns
+from surg_learn.bgr.training.perceptron import (
+    Adam,
+    flat_layers,
+    gradient_of,
+    initialise,
+    mean_error,
+)
+from surg_learn.cloning.arm_columns import SET
 from surg_learn.cloning.chunk_policy import Network
-from surg_learn.cloning.training.lerobot_dataset import Progress, normalised
+from surg_learn.cloning.training.lerobot_dataset import (
+    Dataset,
+    Progress,
+    jaw_range,
+    last_commands,
+    normalised,
+    scales_of,
+    targets_of,
+)
 from surg_learn.cloning.training.trainer_options import half_cosine
 
 Array = np.ndarray
@@ -51,6 +67,18 @@ class HandOptions:
     seed: int = 0
 
 
+Inputs = Callable[[Array, Array], Array]
+"""Of rows (T,) of an episode and the last commands (T, 4) at its steps: the features (T, F)."""
+
+
+class Recording(Protocol):
+    """One recording of T steps."""
+
+    state: Array
+    task: Array
+    action: Array
+
+
 @dataclass
 class Samples:
     """N training steps; SI.
@@ -71,10 +99,36 @@ class Samples:
     places: int
 
     @classmethod
-    def joined(cls, parts: Iterable[tuple[Array, Array, Array, Array]], places: int) -> Samples:
-        """Those of all parts, in order."""
-        inputs, targets, free, jaw = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return cls(inputs, targets, free, jaw, places)
+    def of(
+        cls,
+        episodes: Iterable[tuple[Recording, Inputs, Array]],
+        columns: Columns,
+        chunk: int,
+        behind: int,
+        places: int,
+    ) -> Samples:
+        """The steps of all episodes, in order.
+
+        Args:
+            episodes: Each with its inputs and with the steps (T,) that are taken.
+            columns: Of the observations.
+            chunk: Actions ahead.
+            behind: Each step appears with its own observation and with each of the ``behind``
+                earlier ones. Last command and target are those of the step itself.
+            places: See the class.
+        """
+        parts = []
+        for episode, inputs, good in episodes:
+            last = last_commands(episode.state, episode.action, columns.state[SET])
+            targets = targets_of(episode.action, last, chunk)
+            for steps in range(behind + 1):
+                row = np.maximum(np.arange(len(last)) - steps, 0)
+                x = inputs(row, last)
+                jaw = episode.state[row, columns.state[4]]
+                held = episode.task[row][:, columns.task["held"]].ravel()
+                free = may_move(held, jaw, x[:, places])
+                parts.append((x[good], targets[good], free[good], jaw[good]))
+        return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)), places)
 
     def pushed(self, rows: Array, push: Array, left: Array) -> tuple[Array, Array]:
         """Steps with the arm displaced, and the chunk that returns.
@@ -149,3 +203,33 @@ def fit_hand(
         if step % 50 == 0:
             progress(step / options.steps, f"step {step} of {options.steps}, loss {loss:.4f}")
     return network
+
+
+def hand_of(
+    parts: Mapping[str, Samples],
+    dataset: Dataset[Any],
+    options: HandOptions,
+    progress: Progress = lambda part, note: None,
+) -> tuple[Network, dict[str, Array], dict[str, Any]]:
+    """Train a hand on the split ``train``; also returns its scales, and what is told of it.
+
+    Args:
+        parts: Samples of each split.
+        dataset: That they are of.
+        options: How.
+        progress: Is told how far it is.
+    """
+    known = parts["train"]
+    scales = {**scales_of(known.inputs, known.targets), "jaw_range": jaw_range(known.targets)}
+    hand = fit_hand(known, scales, options, dataset.about["fps"], progress)
+    about = {
+        "options": asdict(options),
+        "dataset": dataset.about,
+        "episodes": {split: len(found) for split, found in dataset.episodes.items()},
+        "frames": sum(len(episode.state) for episode in dataset.episodes["train"]),
+        "loss": {
+            split: mean_error(hand, *normalised(scales, part.inputs, part.targets))
+            for split, part in parts.items()
+        },
+    }
+    return hand, scales, about

@@ -1,7 +1,4 @@
-"""A LeRobot dataset (v2.1) with the left endoscope's pictures, for the trainers that look.
-
-It reads the videos with PyAV, small as the networks take them.
-"""
+"""A LeRobot dataset (v2.1) with the left endoscope's pictures, for the trainers that look."""
 
 from __future__ import annotations
 
@@ -14,15 +11,12 @@ import numpy as np
 
 from surg_learn.bgr.image_policy import PICTURE
 from surg_learn.cloning.arm_columns import ACTION, STATE, TASK, Array
-from surg_learn.cloning.small_pictures import check_size, views_of
 from surg_learn.cloning.training.lerobot_dataset import (
     Dataset,
     Progress,
     facts,
-    file_of,
-    flat_names,
-    split_episodes,
-    table,
+    names_of,
+    recordings,
 )
 
 CAMERA = "observation.camera_pose"
@@ -50,9 +44,7 @@ def read(folder: Path, progress: Progress = lambda part, note: None) -> Dataset[
     """
     needed = (STATE, TASK, ACTION, CAMERA)
     info = facts(folder, (*needed, PICTURE))
-    names = {name: flat_names(info["features"][name]["names"]) for name in needed}
     shape, K = info["features"][PICTURE]["shape"], intrinsics(folder)
-    check_size(folder, PICTURE, shape)
     if shape[0] != K[3]:
         raise ValueError(
             f"{folder}: {PICTURE} has the shape {list(shape)} (meta/info.json), but the camera's "
@@ -60,17 +52,14 @@ def read(folder: Path, progress: Progress = lambda part, note: None) -> Dataset[
             "recordings again, which scales both alike"
         )
     episodes: dict[str, list[Episode]] = {}
-    found = list(split_episodes(info))
-    for n, (split, index) in enumerate(found):
-        progress(0.1 * n / len(found), f"pictures of episode {n + 1} of {len(found)}")
-        state, task, action, camera = table(folder, info, index, needed)
-        views = views_of(file_of(folder, info, "video_path", index, video_key=PICTURE))
-        if len(views) != len(state):
-            raise ValueError(
-                f"{folder}: episode {index} has {len(views)} pictures and {len(state)} rows"
-            )
-        poses = matrices(camera, names[CAMERA])
-        episodes.setdefault(split, []).append(Episode(state, task, action, poses, views))
+    names = names_of(info, needed)
+
+    def show(part: float, note: str) -> None:
+        progress(0.1 * part, f"pictures of {note}")
+
+    for split, found in recordings(folder, info, needed, (PICTURE,), show):
+        found[CAMERA] = matrices(found[CAMERA], names[CAMERA])
+        episodes.setdefault(split, []).append(Episode(*found.values()))
     about = {"fps": info["fps"], "robot": info["robot_type"], "picture": shape, "K": K}
     return Dataset(episodes, names, about)
 

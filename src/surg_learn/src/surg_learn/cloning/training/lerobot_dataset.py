@@ -1,4 +1,7 @@
-"""A LeRobot dataset (v2.1) of `./surg episode export` for the trainers: tables, targets, scales."""
+"""A LeRobot dataset (v2.1) of `./surg episode export` for the trainers: episodes, targets, scales.
+
+PyAV reads its videos, small as the networks take them.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,8 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
+
+from surg_learn.cloning.small_pictures import check_size, views_of
 
 Array = np.ndarray
 Progress = Callable[[float, str], None]
@@ -69,36 +74,56 @@ def facts(folder: Path, needed: Sequence[str]) -> dict[str, Any]:
     return info
 
 
-def split_episodes(info: dict[str, Any]) -> Iterator[tuple[str, int]]:
-    """Split and index of every episode."""
-    for split, ends in info["splits"].items():
-        first, last = (int(number) for number in ends.split(":"))
-        for index in range(first, last):
-            yield split, index
-
-
-def file_of(folder: Path, info: dict[str, Any], path: str, index: int, **more: str) -> Path:
-    """A file of an episode.
+def recordings(
+    folder: Path,
+    info: dict[str, Any],
+    names: Sequence[str],
+    pictures: Sequence[str] = (),
+    progress: Progress = lambda part, note: None,
+) -> Iterator[tuple[str, dict[str, Array]]]:
+    """Split and arrays of every episode: features (T, n), then pictures (T, SIDE, SIDE, 3), uint8.
 
     Args:
         folder: Of the dataset.
         info: Of `facts`.
-        path: Key of the path pattern, such as ``data_path``.
-        index: Of the episode.
-        **more: Further fields of the pattern.
+        names: Of the features.
+        pictures: Keys of the pictures.
+        progress: Is told how far it is.
+
+    Raises:
+        ValueError: The pictures do not fit a network, or the rows.
     """
+    import pyarrow.parquet
+
+    for key in pictures:
+        check_size(folder, key, info["features"][key]["shape"])
+    ends = [(split, map(int, ends.split(":"))) for split, ends in info["splits"].items()]
+    found = [(split, index) for split, (first, last) in ends for index in range(first, last)]
+    for n, (split, index) in enumerate(found):
+        progress(n / len(found), f"episode {n + 1} of {len(found)}")
+        file = _file_of(folder, info, "data_path", index)
+        table = pyarrow.parquet.read_table(file, columns=list(names))
+        arrays = {name: np.stack(table[name].to_numpy()).astype(np.float64) for name in names}
+        for key in pictures:
+            arrays[key] = views_of(_file_of(folder, info, "video_path", index, video_key=key))
+            if len(arrays[key]) != table.num_rows:
+                raise ValueError(
+                    f"{folder}: episode {index} has {len(arrays[key])} pictures of {key} and "
+                    f"{table.num_rows} rows"
+                )
+        yield split, arrays
+
+
+def _file_of(folder: Path, info: dict[str, Any], path: str, index: int, **more: str) -> Path:
+    """A file of an episode, by the key of its path pattern, such as ``data_path``."""
     chunk = index // info["chunks_size"]
     name: str = info[path].format(episode_chunk=chunk, episode_index=index, **more)
     return folder / name
 
 
-def table(folder: Path, info: dict[str, Any], index: int, names: Sequence[str]) -> list[Array]:
-    """Arrays of an episode by feature, each (T, n)."""
-    import pyarrow.parquet
-
-    file = file_of(folder, info, "data_path", index)
-    found = pyarrow.parquet.read_table(file, columns=list(names))
-    return [np.stack(found[name].to_numpy()).astype(np.float64) for name in names]
+def names_of(info: dict[str, Any], features: Sequence[str]) -> dict[str, list[str]]:
+    """Column names of features."""
+    return {name: flat_names(info["features"][name]["names"]) for name in features}
 
 
 def flat_names(names: Any) -> list[str]:

@@ -19,16 +19,13 @@ from surg_learn.cloning.arm_columns import (
     columns_of,
     state_columns,
 )
-from surg_learn.cloning.small_pictures import check_size, views_of
 from surg_learn.cloning.training.lerobot_dataset import (
     RATE,
     Progress,
     facts,
-    file_of,
-    flat_names,
     last_commands,
-    split_episodes,
-    table,
+    names_of,
+    recordings,
     targets_of,
 )
 
@@ -130,46 +127,29 @@ def read(
         ValueError: The folder is no dataset, or lacks a feature, a picture or the arm.
     """
     info = facts(folder, (STATE, ACTION, *pictures))
-    for key in pictures:
-        check_size(folder, key, info["features"][key]["shape"])
     named = [PHASE, WHOLE] if {PHASE, WHOLE} <= set(info["features"]) else []
-    found = list(split_episodes(info))
-    tables: list[list[Array]] = []
-    views: dict[str, list[Array]] = {key: [] for key in pictures}
-    for n, (_, index) in enumerate(found):
-        progress(n / len(found), f"pictures of episode {n + 1} of {len(found)}")
-        tables.append(table(folder, info, index, (STATE, ACTION, *named)))
-        for key in pictures:
-            views[key].append(views_of(file_of(folder, info, "video_path", index, video_key=key)))
-            if len(views[key][-1]) != len(tables[-1][0]):
-                raise ValueError(
-                    f"{folder}: episode {index} has {len(views[key][-1])} pictures of {key} and "
-                    f"{len(tables[-1][0])} rows"
-                )
+    found = list(recordings(folder, info, (STATE, ACTION, *named), pictures, progress))
     if not found:
         raise ValueError(f"{folder}: the dataset has no episode")
-    columns = [np.concatenate(part) for part in zip(*tables, strict=True)]
-    phase, phases = np.full(len(columns[0]), NO_PHASE), list[str]()
+    whole = {key: np.concatenate([each[key] for _, each in found]) for key in found[0][1]}
+    phase, phases = np.full(len(whole[STATE]), NO_PHASE), list[str]()
     if named:
-        phase, phases = numbered(columns[2].ravel(), columns[3].ravel(), sentences(folder))
+        phase, phases = numbered(whole[PHASE].ravel(), whole[WHOLE].ravel(), sentences(folder))
     shape = info["features"][pictures[0]]["shape"]
-    names = {key: flat_names(info["features"][key]["names"]) for key in (STATE, ACTION)}
+    names = names_of(info, (STATE, ACTION))
     own = {
         key: [name for name in each if name.startswith(f"{arm}/")] for key, each in names.items()
     }
     if not own[ACTION]:
         raise ValueError(f"{folder}: no action of {arm}; it has {', '.join(names[ACTION])[:200]}")
-    state, action = (
-        values[:, columns_of(key, names[key], own[key])]
-        for key, values in zip((STATE, ACTION), columns, strict=False)
-    )
+    state, action = (whole[k][:, columns_of(k, names[k], own[k])] for k in (STATE, ACTION))
     return Recorded(
         state,
         action,
         phase,
-        np.cumsum([0, *(len(part[0]) for part in tables)]),
+        np.cumsum([0, *(len(each[STATE]) for _, each in found)]),
         [split for split, _ in found],
-        {key: np.concatenate(part) for key, part in views.items()},
+        {key: whole[key] for key in pictures},
         own,
         phases,
         {"fps": info["fps"], "robot": info["robot_type"], "picture": shape},

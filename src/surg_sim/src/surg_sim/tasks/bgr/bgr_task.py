@@ -43,15 +43,14 @@ class Bgr(Task):
     instruction = defined.INSTRUCTION
     stages: ClassVar[Mapping[str, str]] = defined.STAGES
     time_limit = 45.0
+    jaws = ROBOT
     plotted: ClassVar[Mapping[str, str]] = {"tension": "N", "still": "s"}
 
     def prepare(self, cell: surg_core.Cell, setting: PatientSetting) -> None:
-        """The robot's instrument must have jaws; any endoscope will do, also one that stands."""
+        """Any endoscope will do, also one that stands."""
         super().prepare(cell, setting)
-        self.need_jaws(cell, ROBOT)
         self._tissue, self._breathing = setting.tissue, setting.breathing
-        arm = cell.arms[ROBOT]
-        self._urdf, self._tip = arm.instrument_urdf, arm.instrument.tip_link
+        self._urdf = cell.arms[ROBOT].instrument_urdf
 
     def add(self, spec: mujoco.MjSpec, site: Site, visuals: bool) -> None:
         """Bowel, the assistant's instrument, both holds."""
@@ -60,7 +59,7 @@ class Bgr(Task):
         if visuals:
             add_skin(spec, site, self._tissue)
         add_assistant(spec, site, self._urdf, visuals)
-        add_grasp(spec, ROBOT, self._tip)
+        add_grasp(spec, ROBOT, self.tip_link)
         add_grasp(spec, ASSISTANT)
 
     def bind(self, world: World) -> None:
@@ -73,7 +72,7 @@ class Bgr(Task):
         self.view = EndoscopeView(model, data)
         if self._visuals:
             self.skins = [BowelSkin(model, self._site, self._tissue)]
-        self._tip_body = int(model.body(f"{ROBOT}_{self._tip}").id)
+        self.find_tip(world)
 
     def reset(self, rng: np.random.Generator) -> None:
         """A new shape of the bowel, a new place in it; the bed breathes as the setting says."""
@@ -93,11 +92,6 @@ class Bgr(Task):
     def experts(self, cell: surg_core.Cell, seed: int) -> Mapping[str, Expert]:
         """Two: at the robot, and at the assistant's instrument."""
         return {"assistant": AssistantExpert(seed), "expert": RobotExpert(cell, seed)}
-
-    @property
-    def tip(self) -> Array:
-        """The robot's tip in the world [m], (3,)."""
-        return np.array(self._data.xpos[self._tip_body])
 
     def jaw_force(self, arm: str) -> Array | None:
         """Of the tissue on the robot's jaws."""

@@ -7,12 +7,11 @@ drives the needle point first.
 
 from __future__ import annotations
 
-import itertools
-
 import mujoco
 import numpy as np
 
 from surg_sim.arrays import Array
+from surg_sim.physics.spec_parts import add_part, add_wire
 from surg_sim.tasks.needle_driving.needle_board import BOARD_BIT, NEEDLE_BIT
 
 NEEDLE = "needle"
@@ -35,23 +34,20 @@ def tangent(angle: float) -> Array:
 
 def add_needle(spec: mujoco.MjSpec, p_W: Array) -> None:
     """Put a free needle into the scene, its centre at p_W (3,) [m]."""
-    body = spec.worldbody.add_body(name=NEEDLE, pos=p_W.tolist())
-    body.add_freejoint(name=NEEDLE)
     inertia = MASS * RADIUS**2
-    body.mass, body.inertia, body.explicitinertial = MASS, [inertia / 2, inertia / 2, inertia], True
-    body.ipos = [0.0, 0.0, 0.0]
+    about = [inertia / 2, inertia / 2, inertia]
+    body = add_part(spec.worldbody, NEEDLE, MASS, about, pos=p_W.tolist())
+    body.add_freejoint(name=NEEDLE)
     places = [arc(angle) for angle in np.linspace(0.0, np.pi, _PIECES + 1)]
-    for start, end in itertools.pairwise(places):
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            fromto=[*start, *end],
-            size=[WIRE_RADIUS, 0, 0],
-            rgba=[0.86, 0.88, 0.92, 1],
-            mass=0.0,
-            contype=NEEDLE_BIT,
-            conaffinity=BOARD_BIT,
-            condim=3,
-            friction=[0.3, 0.001, 0.0001],
-            solref=[0.003, 1.0],
-            solimp=[0.9, 0.99, 0.0002, 0.5, 2.0],
-        )
+    add_wire(
+        body,
+        places,
+        WIRE_RADIUS,
+        rgba=[0.86, 0.88, 0.92, 1],
+        contype=NEEDLE_BIT,
+        conaffinity=BOARD_BIT,
+        condim=3,
+        friction=[0.3, 0.001, 0.0001],
+        solref=[0.003, 1.0],
+        solimp=[0.9, 0.99, 0.0002, 0.5, 2.0],
+    )

@@ -13,10 +13,11 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from surg_core.transforms import make_pose
 from surg_sim.arrays import Array
 from surg_sim.physics.patient_site import Site
-from surg_sim.physics.spec_parts import add_mark, add_sprung_joint, quaternion
-from surg_sim.tasks.holed_disc import add_holed_disc, add_rims
+from surg_sim.physics.spec_parts import add_mark, add_part, add_sprung_joint, quaternion
+from surg_sim.tasks.holed_disc import add_floor, add_holed_disc, add_rims, facing_pose
 
 HOLES = 4
 """Number of holes, one below the other."""
@@ -32,7 +33,6 @@ NEEDLE_BIT, BOARD_BIT = 1 << 19, 1 << 20
 _PITCH = 0.012  # [m] from window to window
 _WINDOW, _HALF_WIDTH, _HALF_THICK = 0.0055, 0.009, 0.00075  # [m] half sizes; half the plate's
 _DISC_RADIUS, _WALLS = 0.0035, 12  # [m]; flat walls round a hole
-_FLOOR = -0.052  # [m] of the floor about the work point
 _CENTRE = (-0.006, 0.022)  # [m] of the board from the work point: across, and in drive direction
 _JAWS = (0.011, 0.012)  # [m] the same of the jaws while they drive
 # Plate and discs give way like printed parts: 2 N move them by 0.1 mm; assumed.
@@ -58,18 +58,8 @@ def board_pose(site: Site) -> Array:
     x points to the side where the jaws are, y along the shaft, z is the plate's normal, along which
     the needle is driven.
     """
-    ahead = site.R[:, 1]
-    place = site.work
-    for _ in range(5):
-        s = place - site.trocar
-        s = s / np.linalg.norm(s)
-        z = ahead - (ahead @ s) * s
-        z = z / np.linalg.norm(z)
-        x = np.cross(s, z)
-        place = site.work + _JAWS[0] * x + _JAWS[1] * z
-    X = np.eye(4)
-    X[:3, :3] = np.column_stack([x, s, z])
-    X[:3, 3] = site.work + _CENTRE[0] * x + _CENTRE[1] * z
+    X = facing_pose(site, *_JAWS)
+    X[:3, 3] = site.work + _CENTRE[0] * X[:3, 0] + _CENTRE[1] * X[:3, 2]
     return X
 
 
@@ -81,11 +71,8 @@ def _along(hole: int) -> float:
 def add_board(spec: mujoco.MjSpec, site: Site, visuals: bool) -> None:
     """Put the board and a floor below it into the scene; with ``visuals`` also the board's foot."""
     X = board_pose(site)
-    plate = spec.worldbody.add_body(
-        name="needle_board", pos=X[:3, 3].tolist(), quat=quaternion(X[:3, :3]).tolist()
-    )
-    plate.mass, plate.inertia, plate.explicitinertial = 0.02, [1e-5] * 3, True
-    plate.ipos, plate.gravcomp = [0.0, 0.0, 0.0], 1.0
+    place = {"pos": X[:3, 3].tolist(), "quat": quaternion(X[:3, :3]).tolist(), "gravcomp": 1.0}
+    plate = add_part(spec.worldbody, "needle_board", 0.02, [1e-5] * 3, **place)
     _add_springs(plate, "needle_board", "xyz")
     end = HOLES / 2 * _PITCH + 0.003
     rail = (_HALF_WIDTH - _WINDOW) / 2
@@ -99,14 +86,7 @@ def add_board(spec: mujoco.MjSpec, site: Site, visuals: bool) -> None:
     for hole in range(HOLES):
         _add_disc(plate, hole)
     _add_mark(plate)
-    floor = site.place([0.0, 0.0, _FLOOR])
-    spec.worldbody.add_geom(  # where a dropped needle comes to rest
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        pos=floor.tolist(),
-        size=[0.5, 0.5, 0.1],
-        group=4,
-        **_SURFACE,
-    )
+    floor = add_floor(spec, site, _SURFACE)
     if visuals:
         _add_foot(spec, X, end, float(floor[2]))
 
@@ -117,9 +97,8 @@ def _box(body: mujoco.MjsBody, pos: list[float], size: list[float], rgba: list[f
 
 def _add_disc(plate: mujoco.MjsBody, hole: int) -> None:
     """A disc on two slides and two hinges; flat walls, each tangent to the hole, make it up."""
-    disc = plate.add_body(name=f"hole_{hole}", pos=[0.0, _along(hole), 0.0], gravcomp=1.0)
-    disc.mass, disc.inertia, disc.explicitinertial = 0.01, [1e-6] * 3, True
-    disc.ipos = [0.0, 0.0, 0.0]
+    place = {"pos": [0.0, _along(hole), 0.0], "gravcomp": 1.0}
+    disc = add_part(plate, f"hole_{hole}", 0.01, [1e-6] * 3, **place)
     _add_springs(disc, f"hole_{hole}", "xy")
     add_holed_disc(disc, HOLE_RADIUS, _DISC_RADIUS, THICKNESS, _WALLS, _DISC, _SURFACE)
     for side in (-1, 1):  # pins on which it tilts, seen only
@@ -221,7 +200,4 @@ class NeedleBoard:
         return [self._pose(body) for body in self._bodies]
 
     def _pose(self, body: int) -> Array:
-        X = np.eye(4)
-        X[:3, :3] = self._data.xmat[body].reshape(3, 3)
-        X[:3, 3] = self._data.xpos[body]
-        return X
+        return make_pose(self._data.xpos[body], self._data.xmat[body].reshape(3, 3))

@@ -32,7 +32,6 @@ from surg_sim.tasks.needle_driving.needle_grip import NeedleGrip
 from surg_sim.tasks.task import State, Task, Verdict
 
 if TYPE_CHECKING:
-    from surg_sim.physics.patient_settings import PatientSetting
     from surg_sim.physics.world import World
     from surg_sim.tasks.scripted_sender import Expert
 
@@ -60,19 +59,14 @@ class NeedleDriving(Task):
     }
     time_limit = 60.0
     home_cell = "sim_ur5e"
+    jaws = ARM
     plotted: ClassVar[Mapping[str, str]] = {"depth": "m", "rim_force": "N"}
-
-    def prepare(self, cell: surg_core.Cell, setting: PatientSetting) -> None:
-        """The arm must be there and have jaws."""
-        super().prepare(cell, setting)
-        self.need_jaws(cell, ARM)
-        self._tip = cell.arms[ARM].instrument.tip_link
 
     def add(self, spec: mujoco.MjSpec, site: Site, visuals: bool) -> None:
         """The board, the needle, and the jaws' hold on it."""
         add_board(spec, site, visuals)
         add_needle(spec, site.work)
-        add_jaw_weld(spec, ARM, self._tip, NEEDLE)
+        add_jaw_weld(spec, ARM, self.tip_link, NEEDLE)
 
     def bind(self, world: World) -> None:
         """Find needle, board and tip."""
@@ -81,9 +75,9 @@ class NeedleDriving(Task):
         self._needle = int(model.body(NEEDLE).id)
         first = int(model.joint(NEEDLE).dofadr[0])
         self._free = slice(first, first + 6)
-        self._tip_body = int(model.body(f"{ARM}_{self._tip}").id)
+        self.find_tip(world)
         self.board = NeedleBoard(model, world.data)
-        self.grip = NeedleGrip(model, world.data, ARM, self._tip)
+        self.grip = NeedleGrip(model, world.data, ARM, self.tip_link)
         self._keep = math.exp(-TICK / FORCE_FILTER)
 
     def reset(self, rng: np.random.Generator) -> None:
@@ -136,14 +130,12 @@ class NeedleDriving(Task):
 
     def state(self) -> State:
         """World frame, SI: see docs/reference/tasks.md."""
-        X = np.eye(4)
-        X[:3, :3] = self._data.xmat[self._needle].reshape(3, 3)
-        X[:3, 3] = self._data.xpos[self._needle]
+        R_WNeedle = self._data.xmat[self._needle].reshape(3, 3)
         poses = self.board.poses
         return {
-            "tip": np.array(self._data.xpos[self._tip_body]),
+            "tip": self.tip,
             "point": self.point,
-            "X_WNeedle": X,
+            "X_WNeedle": surg_core.make_pose(self._data.xpos[self._needle], R_WNeedle),
             "needle_velocity": np.array(self._data.qvel[self._free][:3]),
             "asked": float(self.asked),
             "holes": np.array([pose[:3, 3] for pose in poses]),

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from surg_sim.arrays import Array
-from surg_sim.tasks.jaw_weld import OPEN, between, rotation, times
+from surg_sim.tasks.jaw_weld import JawWeld, between, rotation, times
 from surg_sim.tasks.needle_driving.curved_needle import NEEDLE, arc
 
 GRIP_ANGLE = np.radians(60.0)
@@ -26,24 +26,14 @@ SHIFT, TURN = 0.0005, np.radians(5.0)
 """Largest error of the drawn grasp: along the needle and the shaft [m]; about both [rad]."""
 
 
-class NeedleGrip:
-    """The hold of one jawed tool on the needle in a compiled scene.
-
-    Attributes:
-        held: Whether the jaws hold the needle.
-    """
+class NeedleGrip(JawWeld):
+    """The hold of one jawed tool on the needle in a compiled scene."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, arm: str, tip: str) -> None:
-        self._model, self._data = model, data
-        self._tip, self._needle = (int(model.body(n).id) for n in (f"{arm}_{tip}", NEEDLE))
-        self._jaw = int(model.joint(f"{arm}_jaw").qposadr[0])
-        self._weld = int(model.equality(f"{arm}_holds_{NEEDLE}").id)
-        self._free = int(model.joint(NEEDLE).qposadr[0])
-        self.held = False
+        super().__init__(model, data, arm, tip, NEEDLE)
 
     def reset(self, rng: np.random.Generator) -> None:
         """Take the needle as drawn; the arms' kinematics are up to date."""
-        data = self._data
         along, deep = rng.uniform(-SHIFT, SHIFT, 2)
         about_shaft, about_needle = rng.uniform(-TURN, TURN, 2)
         self._angle = float(GRIP_ANGLE + along / np.linalg.norm(arc(0.0)))
@@ -52,26 +42,13 @@ class NeedleGrip:
         self._rest = times(rotation(np.array([about_needle, 0.0, 0.0])), nominal)
         self._at = np.array([0.0, 0.0, -GRIP_DEPTH + deep])
         self._first = self._rest.copy(), self._at.copy()
-        self.held = True
-        self._write()
-        data.eq_active[self._weld] = 1
-        R_WT = data.xmat[self._tip].reshape(3, 3)
-        quat = times(data.xquat[self._tip], self._rest)
-        R_WN = np.empty(9)
-        mujoco.mju_quat2Mat(R_WN, quat)
-        grip = data.xpos[self._tip] + R_WT @ self._at
-        data.qpos[self._free : self._free + 3] = grip - R_WN.reshape(3, 3) @ arc(self._angle)
-        data.qpos[self._free + 3 : self._free + 7] = quat
-
-    def _write(self) -> None:
-        # Point of the needle, its place in the tip's frame, pose of the needle in it, torque scale.
-        self._model.eq_data[self._weld, :11] = [*arc(self._angle), *self._at, *self._rest, 1.0]
+        self.take(arc(self._angle), self._at, self._rest)
 
     @property
     def place(self) -> Array:
         """Point of the needle that the jaws hold, world [m], (3,)."""
-        R = self._data.xmat[self._needle].reshape(3, 3)
-        return np.asarray(self._data.xpos[self._needle] + R @ arc(self._angle))
+        R = self._data.xmat[self._body].reshape(3, 3)
+        return np.asarray(self._data.xpos[self._body] + R @ arc(self._angle))
 
     @property
     def slid(self) -> float:
@@ -90,13 +67,8 @@ class NeedleGrip:
         """
         if not self.held:
             return
-        if (
-            float(self._data.qpos[self._jaw]) > OPEN
-            or self.slid > LARGEST_SLIDE
-            or self.turned > LARGEST_TURN
-        ):
-            self.held = False
-            self._data.eq_active[self._weld] = 0
+        if self.open or self.slid > LARGEST_SLIDE or self.turned > LARGEST_TURN:
+            self.let_go()
             return
         slides = 1.0 - SLIDE_FORCE / max(float(np.linalg.norm(force)), SLIDE_FORCE)
         turns = 1.0 - TURN_TORQUE / max(float(np.linalg.norm(torque)), TURN_TORQUE)
@@ -107,7 +79,7 @@ class NeedleGrip:
         if turns > 0.0:
             back = np.empty(4)
             mujoco.mju_negQuat(back, self._data.xquat[self._tip])
-            now = times(back, self._data.xquat[self._needle])
+            now = times(back, self._data.xquat[self._body])
             self._rest = times(rotation(turns * between(now, self._rest)), self._rest)
         if slides > 0.0 or turns > 0.0:
-            self._write()
+            self.pose(arc(self._angle), self._at, self._rest)

@@ -18,12 +18,11 @@ from surg_core.contract import TICK
 from surg_sim.arrays import Array
 from surg_sim.physics.patient_site import Site
 from surg_sim.physics.rigid_grasp import PAD_BIT, RigidGrasp, add_rigid_grasp
-from surg_sim.physics.spec_parts import add_mark, quaternion
+from surg_sim.physics.spec_parts import add_mark, add_part, add_wire, quaternion
 from surg_sim.tasks.pick_and_place.pick_and_place_expert import PegTransferExpert
 from surg_sim.tasks.task import State, Task, Verdict
 
 if TYPE_CHECKING:
-    from surg_sim.physics.patient_settings import PatientSetting
     from surg_sim.physics.world import World
     from surg_sim.tasks.scripted_sender import Expert
 
@@ -68,13 +67,8 @@ class PickAndPlace(Task):
     }
     time_limit = 30.0
     home_cell = "sim_ur5e"
+    jaws = ARM
     plotted: ClassVar[Mapping[str, str]] = {"held": "0 or 1"}
-
-    def prepare(self, cell: surg_core.Cell, setting: PatientSetting) -> None:
-        """The arm must be there and have jaws."""
-        super().prepare(cell, setting)
-        self.need_jaws(cell, ARM)
-        self._tip = cell.arms[ARM].instrument.tip_link
 
     def add(self, spec: mujoco.MjSpec, site: Site, visuals: bool) -> None:
         """Two boards with pegs, the ring, the pads; what the boards stand on is only seen."""
@@ -102,25 +96,21 @@ class PickAndPlace(Task):
                 **fixed,
             )
         _add_mark(boards)
-        ring = spec.worldbody.add_body(name=RING, pos=site.place(_resting(PEGS[0])).tolist())
+        start = site.place(_resting(PEGS[0])).tolist()
+        ring = add_part(spec.worldbody, RING, 0.003, [2e-7, 2e-7, 3e-7], pos=start)
         ring.add_freejoint(name=RING)
-        ring.mass, ring.inertia, ring.explicitinertial = 0.003, [2e-7, 2e-7, 3e-7], True
-        ring.ipos = [0.0, 0.0, 0.0]  # not stated, the compiler takes the place of the body for it
         angles = np.linspace(0.0, 2.0 * np.pi, _SEGMENTS + 1)
-        places = RING_RADIUS * np.column_stack([np.cos(angles), np.sin(angles), 0.0 * angles])
-        for start, end in itertools.pairwise(places):
-            ring.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-                fromto=[*start, *end],
-                size=[TUBE_RADIUS, 0, 0],
-                rgba=[0.92, 0.45, 0.10, 1],
-                mass=0.0,
-                contype=_RING_BIT,
-                conaffinity=_FIXED_BIT | PAD_BIT,
-                condim=3,
-                friction=[0.4, 0.005, 0.0001],
-            )
-        add_rigid_grasp(spec, ARM, self._tip, [RING])
+        add_wire(
+            ring,
+            RING_RADIUS * np.column_stack([np.cos(angles), np.sin(angles), 0.0 * angles]),
+            TUBE_RADIUS,
+            rgba=[0.92, 0.45, 0.10, 1],
+            contype=_RING_BIT,
+            conaffinity=_FIXED_BIT | PAD_BIT,
+            condim=3,
+            friction=[0.4, 0.005, 0.0001],
+        )
+        add_rigid_grasp(spec, ARM, self.tip_link, [RING])
 
     def bind(self, world: World) -> None:
         """Find ring and tip."""
@@ -131,8 +121,8 @@ class PickAndPlace(Task):
         self._dofs = slice(int(joint.dofadr[0]), int(joint.dofadr[0]) + 6)
         self._mark = [int(world.model.joint(f"{MARK}_{axis}").qposadr[0]) for axis in "xy"]
         self._springs = world.model.qpos_spring
-        self._tip_body = int(world.model.body(f"{ARM}_{self._tip}").id)
-        self.grasp = RigidGrasp(world.model, world.data, ARM, self._tip, [RING])
+        self.find_tip(world)
+        self.grasp = RigidGrasp(world.model, world.data, ARM, self.tip_link, [RING])
 
     def reset(self, rng: np.random.Generator) -> None:
         """The ring on a peg of one board, a little off its axis; the goal on the other board."""
@@ -175,7 +165,7 @@ class PickAndPlace(Task):
     def state(self) -> State:
         """Points in the world [m]; ``held`` 0 or 1."""
         return {
-            "tip": np.array(self._data.xpos[self._tip_body]),
+            "tip": self.tip,
             "ring": self.ring,
             "ring_velocity": np.array(self._data.qvel[self._dofs][:3]),
             "start": self.start.copy(),

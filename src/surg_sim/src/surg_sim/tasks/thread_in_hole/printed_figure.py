@@ -11,8 +11,8 @@ import numpy as np
 
 from surg_sim.arrays import Array
 from surg_sim.physics.patient_site import Site
-from surg_sim.physics.spec_parts import add_sprung_joint, quaternion
-from surg_sim.tasks.holed_disc import add_holed_disc, add_rims
+from surg_sim.physics.spec_parts import add_part, add_sprung_joint, quaternion
+from surg_sim.tasks.holed_disc import add_floor, add_holed_disc, add_rims, facing_pose
 from surg_sim.tasks.thread_in_hole.surgical_thread import FIGURE_BIT, FRONT, THREAD_BIT
 
 HOLE_RADIUS, THICKNESS = 0.002, 0.002
@@ -25,7 +25,6 @@ SHIFT = np.array([0.006, 0.006, 0.004])
 _HEAD, _WALLS = 0.007, 16  # [m] radius; flat walls round the hole
 _AHEAD = FRONT + 0.016  # [m] of the hole from the work point
 _POST, _POST_LENGTH = 0.0016, 0.034  # [m] radius and length
-_FLOOR = -0.052  # [m] of the floor about the work point
 _STIFFNESS, _MASS = 2e4, 0.5  # [N/m], [kg] armature: a printed part; assumed
 _TURN_STIFFNESS, _INERTIA = 5.0, 1.25e-4  # [N m/rad], [kg m^2] armature
 _SURFACE = {
@@ -41,27 +40,14 @@ _FOOT = [0.20, 0.25, 0.31, 1]
 
 def figure_pose(site: Site) -> Array:
     """Pose of an undrawn hole in the world, (4, 4): y along the shaft, z ahead through the hole."""
-    place = site.work
-    for _ in range(5):
-        s = place - site.trocar
-        s = s / np.linalg.norm(s)
-        z = site.R[:, 1] - (site.R[:, 1] @ s) * s
-        z = z / np.linalg.norm(z)
-        place = site.work + _AHEAD * z
-    X = np.eye(4)
-    X[:3, :3] = np.column_stack([np.cross(s, z), s, z])
-    X[:3, 3] = place
-    return X
+    return facing_pose(site, 0.0, _AHEAD)
 
 
 def add_figure(spec: mujoco.MjSpec, site: Site, visuals: bool) -> None:
     """Put the figure and a floor below it into the scene; with ``visuals`` also the foot."""
     X = figure_pose(site)
-    figure = spec.worldbody.add_body(
-        name="figure", pos=X[:3, 3].tolist(), quat=quaternion(X[:3, :3]).tolist(), gravcomp=1.0
-    )
-    figure.mass, figure.inertia, figure.explicitinertial = 0.02, [1e-5] * 3, True
-    figure.ipos = [0.0, 0.0, 0.0]
+    place = {"pos": X[:3, 3].tolist(), "quat": quaternion(X[:3, :3]).tolist(), "gravcomp": 1.0}
+    figure = add_part(spec.worldbody, "figure", 0.02, [1e-5] * 3, **place)
     for axis in range(3):
         name = f"figure_at_{'xyz'[axis]}"
         add_sprung_joint(figure, name, mujoco.mjtJoint.mjJNT_SLIDE, axis, _STIFFNESS, _MASS)
@@ -80,18 +66,13 @@ def add_figure(spec: mujoco.MjSpec, site: Site, visuals: bool) -> None:
             type=mujoco.mjtGeom.mjGEOM_CYLINDER, fromto=[*foot, *(foot - 0.004 * upright)],
             size=[0.012, 0, 0], rgba=_FOOT, **_SEEN,
         )  # fmt: skip
-    head = figure.add_body(name="figure_head", gravcomp=1.0)
-    head.mass, head.inertia, head.explicitinertial = 0.01, [1e-6] * 3, True
-    head.ipos = [0.0, 0.0, 0.0]
+    head = add_part(figure, "figure_head", 0.01, [1e-6] * 3, gravcomp=1.0)
     for axis in range(2):
         name = f"figure_tilt_{'xyz'[axis]}"
         add_sprung_joint(head, name, mujoco.mjtJoint.mjJNT_HINGE, axis, _TURN_STIFFNESS, _INERTIA)
     add_holed_disc(head, HOLE_RADIUS, _HEAD, THICKNESS, _WALLS, _PRINT, _SURFACE)
     add_rims(head, HOLE_RADIUS + 0.0005, THICKNESS / 2, 0.0004, _RIM)
-    spec.worldbody.add_geom(  # where a dropped thread comes to rest
-        type=mujoco.mjtGeom.mjGEOM_PLANE, pos=site.place([0.0, 0.0, _FLOOR]).tolist(),
-        size=[0.5, 0.5, 0.1], group=4, **_SURFACE,
-    )  # fmt: skip
+    add_floor(spec, site, _SURFACE)
 
 
 class PrintedFigure:

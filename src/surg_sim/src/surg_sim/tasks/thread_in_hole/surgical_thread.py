@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from surg_sim.arrays import Array
-from surg_sim.physics.spec_parts import quaternion
+from surg_sim.physics.spec_parts import add_part, quaternion
 
 THREAD = "thread"
 LENGTH, PIECES = 0.060, 30
@@ -42,18 +42,15 @@ _STIFFNESS = BENDING / PIECE  # [N m/rad] of a hinge
 _FASTEST = 500.0  # [rad/s] of any mode: steps of 1 ms resolve it
 _ARMATURE = _STIFFNESS / _FASTEST**2  # [kg m^2]
 _DAMPING = 1.5e-6  # [N m s/rad]: a third of critical at the front's own 90 rad/s
-_BODY = {"gravcomp": 0.0, "explicitinertial": True}
 _COLOUR = [0.30, 0.16, 0.62, 1]
 _END_COLOUR = [0.95, 0.55, 0.10, 1]
 
 
 def add_thread(spec: mujoco.MjSpec, p_W: Array) -> None:
     """Put a free thread into the scene, its root at p_W (3,) [m]."""
-    root = spec.worldbody.add_body(name=THREAD, pos=p_W.tolist())
-    root.add_freejoint(name=THREAD)
     # The root is what the jaws pinch: enough inertia for a stiff hold.
-    root.mass, root.inertia, root.explicitinertial = 1e-5, [2e-8] * 3, True
-    root.ipos = [0.0, 0.0, 0.0]
+    root = add_part(spec.worldbody, THREAD, 1e-5, [2e-8] * 3, pos=p_W.tolist())
+    root.add_freejoint(name=THREAD)
     _add_branch(root, "front", GRIP, 0.0, _END_COLOUR)
     _add_branch(root, "tail", PIECES - GRIP, np.pi, _COLOUR)
 

@@ -29,7 +29,6 @@ from surg_sim.tasks.thread_in_hole.thread_grip import ThreadGrip
 from surg_sim.tasks.thread_in_hole.thread_in_hole_expert import ThreadExpert
 
 if TYPE_CHECKING:
-    from surg_sim.physics.patient_settings import PatientSetting
     from surg_sim.physics.world import World
     from surg_sim.tasks.scripted_sender import Expert
 
@@ -53,27 +52,22 @@ class ThreadInHole(Task):
     }
     time_limit = 60.0
     home_cell = "sim_ur5e"
+    jaws = ARM
     plotted: ClassVar[Mapping[str, str]] = {"depth": "m"}
-
-    def prepare(self, cell: surg_core.Cell, setting: PatientSetting) -> None:
-        """The arm must be there and have jaws."""
-        super().prepare(cell, setting)
-        self.need_jaws(cell, ARM)
-        self._tip = cell.arms[ARM].instrument.tip_link
 
     def add(self, spec: mujoco.MjSpec, site: Site, visuals: bool) -> None:
         """The figure, the thread, and the jaws' hold on it."""
         add_figure(spec, site, visuals)
         add_thread(spec, site.work)
-        add_jaw_weld(spec, ARM, self._tip, THREAD)
+        add_jaw_weld(spec, ARM, self.tip_link, THREAD)
 
     def bind(self, world: World) -> None:
         """Find thread, figure and tip."""
         self._model, self._data = world.model, world.data
-        self._tip_body = int(world.model.body(f"{ARM}_{self._tip}").id)
+        self.find_tip(world)
         self.figure = PrintedFigure(world.model, world.data)
         self.thread = SurgicalThread(world.model, world.data)
-        self.grip = ThreadGrip(world.model, world.data, ARM, self._tip)
+        self.grip = ThreadGrip(world.model, world.data, ARM, self.tip_link)
 
     def reset(self, rng: np.random.Generator) -> None:
         """Draw the figure, the thread's curl and the grasp."""
@@ -113,7 +107,7 @@ class ThreadInHole(Task):
     def state(self) -> State:
         """World frame, SI: see docs/reference/tasks.md."""
         return {
-            "tip": np.array(self._data.xpos[self._tip_body]),
+            "tip": self.tip,
             "end": self.thread.end,
             "direction": self.thread.direction,
             "hole": self.figure.hole,
