@@ -58,19 +58,14 @@ class Standstill:
             self._window.clear()
             return None
         self._window.append((time, q))
-        while time - self._window[0][0] > REST_S:
-            # Keep one sample at least as old as REST_S, so that the window spans it.
-            if len(self._window) > 1 and time - self._window[1][0] >= REST_S:
-                self._window.popleft()
-            else:
-                break
-        if time - self._window[0][0] < REST_S:
-            return None
-        states = np.array([state for _, state in self._window])
-        if np.max(np.ptp(states, axis=0)) > STILL_RAD:
-            return None
-        mean: FloatArray = states.mean(axis=0)
-        if self._last is not None and np.max(np.abs(mean - self._last)) < MOVED_RAD:
+        # One state at least as old as REST_S stays, so that the window spans it.
+        while len(self._window) > 1 and self._window[1][0] <= time - REST_S:
+            self._window.popleft()
+        mean = resting(self._window, time)
+        moved = mean is not None and (
+            self._last is None or np.max(np.abs(mean - self._last)) >= MOVED_RAD
+        )
+        if not moved:
             return None
         self._last = mean
         return mean

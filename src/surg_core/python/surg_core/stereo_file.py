@@ -9,7 +9,7 @@ from surg_core.checked_document import CheckedDocument
 from surg_core.config import PathLike
 from surg_core.lens_file import DISTORTION_MODELS
 from surg_core.reading.pose_evidence import Evidence, check_measured_with, evidence_text, pose_text
-from surg_core.replace_file import exact_number, exact_numbers, one_line, replace_file
+from surg_core.replace_file import exact_number, exact_numbers, one_line, replace_file, yaml_text
 from surg_core.transforms import FloatArray
 
 FORMAT = "surg_stereo/1"
@@ -113,8 +113,8 @@ def write_stereo(path: PathLike, stereo: StereoCalibration, note: str) -> None:
         f"right_sd: {exact_numbers(stereo.right_sd)}\n"
         f"held_out_px: {exact_number(stereo.held_out_px)}  # rms\n"
         f"held_out: {exact_numbers(stereo.held_out)}  # m, median at 0.06, 0.08, 0.10 m\n"
-        f"lens_state: {_quoted(stereo.lens_state)}\n"
-        f"board: {_quoted(stereo.board)}\n"
+        f"lens_state: {yaml_text(one_line(stereo.lens_state))}\n"
+        f"board: {yaml_text(one_line(stereo.board))}\n"
         f'left_sha256: "{one_line(stereo.left_sha256)}"\n'
         f'right_sha256: "{one_line(stereo.right_sha256)}"\n'
     )
@@ -145,8 +145,3 @@ def _deviations(doc: CheckedDocument, key: str) -> FloatArray:
     if not (sd >= 0.0).all():
         raise doc.refusal(key, f"holds {sd.min():g}", "standard deviations, 0 or more")
     return sd
-
-
-def _quoted(text: str) -> str:
-    escaped = one_line(text).replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'

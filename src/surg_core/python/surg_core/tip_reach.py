@@ -13,7 +13,7 @@ import numpy as np
 from surg_core._core import OtherArm, rcm_frame
 from surg_core.clearance import clearance_setup
 from surg_core.config import Arm, Cell
-from surg_core.transforms import FloatArray
+from surg_core.transforms import FloatArray, axis_angle_to_matrix, skew
 
 HOME_MISS = 0.01
 """Largest distance of the shaft from its trocar at home [m]."""
@@ -153,10 +153,7 @@ class _Home:
         X = np.zeros((len(turns), len(depths), 4, 4))
         for j, turn in enumerate(turns):
             axis = self.R_BRcm @ np.array([-np.sin(turn), np.cos(turn), 0.0])
-            K = np.array(
-                [[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]]
-            )
-            swing = np.eye(3) + np.sin(tilt) * K + (1.0 - np.cos(tilt)) * K @ K
+            swing = axis_angle_to_matrix(axis, tilt)
             R = swing @ self.R
             X[j, :, :3, :3] = R
             X[j, :, :3, 3] = self.p_BRcm + np.outer(depths, swing @ self.s) - R @ self.p_FTip
@@ -215,15 +212,8 @@ def _reserve(
     J = np.asarray(arm.chain.jacobian_batch(q.reshape(-1, q.shape[-1])))
     s = X[..., :3, :3] @ np.asarray(arm.tool.s_F)
     # Flange twist for a tip velocity v with the shaft through the trocar (control_law.md).
-    S = np.zeros((*s.shape[:2], 3, 3))
-    S[..., 0, 1], S[..., 0, 2], S[..., 1, 2] = -s[..., 2], s[..., 1], -s[..., 0]
-    S -= S.swapaxes(-1, -2)
-    omega = S / depths[None, :, None, None]  # omega = s x v / L
-    arm_of = X[..., :3, 3] - home.p_BRcm
-    P = np.zeros_like(S)
-    P[..., 0, 1], P[..., 0, 2], P[..., 1, 2] = -arm_of[..., 2], arm_of[..., 1], -arm_of[..., 0]
-    P -= P.swapaxes(-1, -2)
-    linear = s[..., :, None] * s[..., None, :] - P @ omega
+    omega = skew(s) / depths[None, :, None, None]  # omega = s x v / L
+    linear = s[..., :, None] * s[..., None, :] - skew(X[..., :3, 3] - home.p_BRcm) @ omega
     twist = np.concatenate([linear, omega], axis=-2).reshape(-1, 6, 3)
     rates = np.linalg.pinv(J) @ twist
     fastest = np.asarray(robot.velocity) / np.maximum(np.linalg.norm(rates, axis=-1), 1e-9)

@@ -62,6 +62,14 @@ def axis_angle_to_matrix(axis: npt.ArrayLike, angle: float) -> FloatArray:
     return np.eye(3) + math.sin(angle) * K + (1.0 - math.cos(angle)) * (K @ K)
 
 
+def skew(v: FloatArray) -> FloatArray:
+    """Matrices ``(…, 3, 3)`` [v] with [v] x = v cross x; v is ``(…, 3)``."""
+    matrix = np.zeros((*v.shape, 3))
+    matrix[..., (2, 0, 1), (1, 2, 0)] = v
+    matrix[..., (1, 2, 0), (2, 0, 1)] = -v
+    return matrix
+
+
 def rotation_of(w: FloatArray) -> FloatArray:
     """Rotation (3, 3) of a rotation vector (3,) [rad]."""
     angle = float(np.linalg.norm(w))

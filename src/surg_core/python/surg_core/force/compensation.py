@@ -10,18 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surg_core.transforms import FloatArray
+from surg_core.transforms import FloatArray, skew
 
 GRAVITY = 9.80665
 """[m/s^2] Standard gravity; it differs by at most 0.3 % between places."""
 PARAMETERS = 13
 """Of a load: mass, centre (3), bias force (3), bias moment (3), turn of the frame (3)."""
-
-
-def skew(v: FloatArray) -> FloatArray:
-    """(3, 3) matrix [v] with [v] x = v cross x."""
-    x, y, z = float(v[0]), float(v[1]), float(v[2])
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:

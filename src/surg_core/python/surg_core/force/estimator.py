@@ -18,11 +18,10 @@ from surg_core.force.compensation import (
     external_jacobian,
     external_wrench,
     moved,
-    skew,
 )
 from surg_core.force.sensor_file import ForceSensor
 from surg_core.force.split import ShaftForces, pivot_jacobian, split, split_matrix
-from surg_core.transforms import FloatArray
+from surg_core.transforms import FloatArray, skew
 
 OK = "ok"
 FILLING = "filling"

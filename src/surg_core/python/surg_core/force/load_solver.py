@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from surg_core._core import CalibrationError
-from surg_core.force.compensation import PARAMETERS, ToolLoad, skew
+from surg_core.force.compensation import PARAMETERS, ToolLoad
 from surg_core.force.sensor_file import ForceSensor
-from surg_core.transforms import FloatArray, axis_angle_to_matrix
+from surg_core.transforms import FloatArray, rotation_of, skew
 
 LEAST_POSTURES = 12
 LEAST_TO_ZERO = 3
@@ -89,7 +89,7 @@ def solve_load(postures: Sequence[Posture], sensor: ForceSensor) -> LoadFit:
         J, e = _linearised(postures, sensor, x, R_FS)
         step = np.linalg.solve(J.T @ J, J.T @ e)
         x = x + step[:10]
-        R_FS = R_FS @ _rotation(step[10:])
+        R_FS = R_FS @ rotation_of(step[10:])
         if np.abs(step).max() < 1e-9:
             break
     J, e = _linearised(postures, sensor, x, R_FS)
@@ -206,7 +206,7 @@ def _linearised(
 
 def _by_turn(g: FloatArray, m: float, c: FloatArray) -> FloatArray:
     """(n, 6, 3) derivative of the weight's reading by a turn of the sensor; g (n, 3) in S."""
-    turned = m * np.array([skew(each) for each in g])
+    turned = m * skew(g)
     return np.concatenate([turned, skew(c) @ turned], axis=1)
 
 
@@ -235,8 +235,3 @@ def _weight(load: ToolLoad, posture: Posture) -> FloatArray:
 def _rms(postures: Sequence[Posture], load: ToolLoad) -> tuple[float, float]:
     off = np.array([p.reading - load.bias - _weight(load, p) for p in postures])
     return float(np.sqrt(np.mean(off[:, :3] ** 2))), float(np.sqrt(np.mean(off[:, 3:] ** 2)))
-
-
-def _rotation(v: FloatArray) -> FloatArray:
-    angle = float(np.linalg.norm(v))
-    return axis_angle_to_matrix(v / angle, angle) if angle > 0.0 else np.eye(3)

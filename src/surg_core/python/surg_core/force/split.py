@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surg_core.force.compensation import cross, skew
-from surg_core.transforms import FloatArray
+from surg_core.force.compensation import cross
+from surg_core.transforms import FloatArray, skew
 
 
 @dataclass(frozen=True, eq=False)
