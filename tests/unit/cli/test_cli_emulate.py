@@ -69,6 +69,13 @@ def test_wrong_options_end_with_2(words: tuple[str, ...], surg: Callable[..., in
     assert any(word in str(problem.value) for word in words[1:] or words)
 
 
+@pytest.mark.parametrize(("old", "new"), [("ur", "ur5e"), ("fer", "panda")])
+def test_an_old_name_answers_with_the_new_one(old: str, new: str, surg: Callable[..., int]) -> None:
+    with pytest.raises(CliError, match=f"emulate {old} is now {new}") as problem:
+        surg("emulate", old)
+    assert problem.value.code == 2
+
+
 @pytest.mark.parametrize(
     ("cell", "module"),
     [
