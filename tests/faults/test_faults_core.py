@@ -226,8 +226,8 @@ def test_f11_lost_doubled_and_swapped_states_do_not_disturb(
             newest = (0, bench.q, np.zeros_like(bench.q))
             way = []
             for k in range(1, 300):
-                qd = (bench.q - bench._before) / TICK
-                newest = max([newest, *channel.transmit((k, bench.q, qd))], key=lambda x: x[0])
+                sent = channel.transmit((k, bench.q, bench.qd))
+                newest = max([newest, *sent], key=lambda x: x[0])
                 _, q, qd = newest
                 out = bench.step(stream(), q=q, qd=qd, state_age=(k - newest[0]) * TICK)
                 assert out.state == State.ENABLED, out.reason

@@ -51,7 +51,7 @@ RobotConfig shipped(const Scene& scene, bool panda) {
 }
 
 ToolCalibration tool_of(const Scene& scene) {
-  return {scene.tool.s_F, scene.tool.p_FTip, 0, 1, 1, "2026-01-01"};
+  return {{0, 1, 1, "2026-01-01"}, scene.tool.s_F, scene.tool.p_FTip};
 }
 
 /// How late the link is, now and then: for 30 to 500 ms by 12 to 18 ms more than stated.

@@ -1,12 +1,11 @@
 """The shipped controller on an arm that lags, for faults with exact deadlines: no ROS, no clock.
 
-The arm is what ``lagging_arm`` has: two ticks of delay and a first-order lag of 8 ms, and it goes
-on with the last command it got. ``Bench`` counts cycles and looks at every command that leaves.
+The arm is ``lagging_arm``'s, which goes on with the last command it got. ``Bench`` counts cycles
+and looks at every command that leaves.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
-from helpers.control.lagging_arm import DELAY, LAG, SOURCE, TICK
+from helpers.control.lagging_arm import SOURCE, TICK, LagPlant
 from surg_cli.host import paths
 from surg_core import Motion, MotionCommand, Reason, State, StateCommand
 
@@ -30,7 +29,7 @@ def shipped(cell: str) -> surg_core.Arm:
     return surg_core.load_cell(paths.ROOT / "cells" / cell).arms["PSM1"]
 
 
-class Bench:
+class Bench(LagPlant):
     """A controller, an arm that lags, and an operator.
 
     Args:
@@ -62,10 +61,8 @@ class Bench:
         self.controller = surg_core.Controller(
             arm.chain, self.robot, arm.limits, arm.instrument, arm.tool, **options
         )
-        self.q = np.array(self.robot.home if home is None else home, dtype=float)
-        self._servo, self._before = self.q.copy(), self.q.copy()
-        self._qd = np.zeros_like(self.q)
-        self._pending = deque([self._qd] * DELAY)
+        super().__init__(self.robot.home if home is None else home)
+        self._command = np.zeros_like(self.q)
         self.cycles = 0
         self.jerked = 0.0
         self.jaw = 0.4
@@ -85,16 +82,15 @@ class Bench:
             faulty: What the controller is given in place of the truth, by the name of an argument
                 of ``Controller.step``.
         """
-        qd = (self.q - self._before) / TICK
-        told: dict[str, Any] = {"q": self.q, "qd": qd, "jaw": self.jaw, **faulty}
+        told: dict[str, Any] = {"q": self.q, "qd": self.qd, "jaw": self.jaw, **faulty}
         self.out = self.controller.step(commands=list(commands), **told)
         command = np.array(self.out.qd_command)
         assert np.all(np.isfinite(command)) and np.all(np.isfinite(self.out.twist_command))
         # Behind a gap the arm may have been stopped: what counts is what was measured.
-        before = told["qd"] if faulty.get("elapsed", 0) > 5 * TICK else self._qd
+        before = told["qd"] if faulty.get("elapsed", 0) > 5 * TICK else self._command
         change = np.abs(command - before) / (np.array(self.robot.acceleration) * TICK)
         self.jerked = max(self.jerked, float(change.max()))
-        self._qd = command
+        self._command = command
         self.jaw += float(np.clip(self.out.jaw_set - self.jaw, -0.01, 0.01))
         self.freeze(1)
         self.cycles += 1
@@ -103,10 +99,7 @@ class Bench:
     def freeze(self, ticks: int) -> None:
         """Time passes and the controller does nothing: the arm goes on as it was told last."""
         for _ in range(ticks):
-            self._pending.append(self._qd)
-            self._servo = self._servo + self._pending.popleft() * TICK
-            self._before = self.q
-            self.q = self.q + (self._servo - self.q) * (1.0 - np.exp(-TICK / LAG))
+            self.obey(self._command)
 
     # --- an operator ------------------------------------------------------------------------
 
@@ -187,8 +180,8 @@ class Bench:
 
     def flange_speed(self) -> float:
         """Of the arm in the last cycle [m/s]."""
-        now, before = self.arm.chain.forward(self.q), self.arm.chain.forward(self._before)
-        return float(np.linalg.norm(now[:3, 3] - before[:3, 3])) / TICK
+        before = self.arm.chain.forward(self.q - self.qd * TICK)
+        return float(np.linalg.norm(self.arm.chain.forward(self.q)[:3, 3] - before[:3, 3])) / TICK
 
     def commanded_flange_speed(self) -> float:
         """That the last command asks for, by the twist that goes with it [m/s]."""

@@ -64,6 +64,27 @@ class Run:
     first_refusal: tuple[float, str] | None
 
 
+class LagPlant:
+    """Joints with two ticks of delay and a first-order lag of 8 ms.
+
+    Attributes:
+        q: (n,) positions [rad].
+        qd: (n,) mean velocities over the last tick [rad/s].
+    """
+
+    def __init__(self, q: NDArray[np.float64]) -> None:
+        self.q = np.array(q, dtype=float)
+        self.qd = np.zeros_like(self.q)
+        self._servo, self._pending = self.q, deque([self.qd] * DELAY)
+
+    def obey(self, command: NDArray[np.float64]) -> None:
+        """One tick with joint velocities (n,) [rad/s]."""
+        self._pending.append(np.array(command))
+        self._servo = self._servo + self._pending.popleft() * TICK
+        before, self.q = self.q, self.q + (self._servo - self.q) * (1.0 - np.exp(-TICK / LAG))
+        self.qd = (self.q - before) / TICK
+
+
 class LaggingArm:
     """The core controller and what it drives, tick by tick.
 
@@ -95,18 +116,14 @@ class LaggingArm:
             feedback_gain=feedback_gain,
         )
         self.controller.set_rcm(arm.trocar.p_BRcm)
-        self._servo = np.array(arm.robot.home, dtype=float)
-        self._q, self._q_before = self._servo.copy(), self._servo.copy()
-        self._pending = deque([np.zeros_like(self._q)] * DELAY)
+        self._plant = LagPlant(arm.robot.home)
 
     def step(self, commands: ArmCommands, source: int = SOURCE) -> surg_core.Outputs:
         """One cycle with the commands of one sender, then one tick of the plant."""
-        q, self.tick = self._q, self.tick + 1
+        self.tick += 1
         orders = asked(commands, self.controller, source)
-        self.out = self.controller.step(q, (q - self._q_before) / TICK, orders)
-        self._pending.append(np.array(self.out.qd_command))
-        self._servo = self._servo + self._pending.popleft() * TICK
-        self._q_before, self._q = q, q + (self._servo - q) * (1.0 - np.exp(-TICK / LAG))
+        self.out = self.controller.step(self._plant.q, self._plant.qd, orders)
+        self._plant.obey(self.out.qd_command)
         return self.out
 
     def view(self, names: dict[int, str] | None = None) -> ArmView:

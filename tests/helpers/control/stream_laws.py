@@ -1,8 +1,8 @@
 """Ways to follow a stream of positions, side by side on a recorded motion, and how they are judged.
 
 A law is a function ``law(t, samples, n)``: samples (m, 3) with their stamps t (m,), increasing from
-0; it returns the position at the end of each of n ticks of ``TICK`` seconds, (n, 3), or (n, 3, 3)
-with velocity and acceleration. At tick k it may look at the samples with a stamp up to k TICK.
+0; it returns position, velocity and acceleration at the end of each of n ticks of ``TICK`` seconds,
+(n, 3, 3). At tick k it may look at the samples with a stamp up to k TICK.
 """
 
 from __future__ import annotations
@@ -43,25 +43,19 @@ class Verdict:
     Attributes:
         lag: Shift of least rms [s].
         rms: Of the distance to the truth, without shift [m].
-        p95: 95th percentile of it [m].
         max: Largest distance [m].
         aligned_rms: At the shift of least rms [m].
         violations: Ticks and axes beyond the limits of (velocity, acceleration, jerk).
         ldlj: Log dimensionless jerk against the truth's, preset "reference" (5 Hz);
             below 0 is rougher.
-        ldlj_full: The same of all frequencies, from the velocity at the tick rate.
-        path: Length of the path below 3 Hz against the truth's, minus 1.
     """
 
     lag: float
     rms: float
-    p95: float
     max: float
     aligned_rms: float
     violations: tuple[int, int, int]
     ldlj: float
-    ldlj_full: float
-    path: float
 
 
 def truth(t: Array, p: Array) -> CubicSpline:
@@ -79,8 +73,7 @@ def play(law: Law, motion: CubicSpline, rate: float) -> Array:
 
 def judge(out: Array, motion: CubicSpline, limits: _core.DofLimits) -> Verdict:
     """Compare what a law made with the truth."""
-    states = out if out.ndim == 3 else None
-    p = out[:, :, 0] if states is not None else out
+    p = out[:, :, 0]
     t = np.arange(1, len(p) + 1) * TICK
     wanted = motion(t)
     distance = np.linalg.norm(p - wanted, axis=1)
@@ -93,18 +86,13 @@ def judge(out: Array, motion: CubicSpline, limits: _core.DofLimits) -> Verdict:
     start = grid[int(np.argmin([mean_square(lag) for lag in grid]))]
     best = minimize_scalar(mean_square, bounds=(start - 0.005, start + 0.005), method="bounded")
     fs = 1 / TICK
-    length = metrics.path_length(p, fs, PATH_CUTOFF_HZ)
     return Verdict(
         lag=float(best.x),
         rms=float(np.sqrt(np.mean(distance**2))),
-        p95=float(np.percentile(distance, 95)),
         max=float(distance.max()),
         aligned_rms=float(np.sqrt(best.fun)),
-        violations=_violations(p, states, limits),
+        violations=violations(out, limits),
         ldlj=metrics.smoothness(p, fs).ldlj - metrics.smoothness(wanted, fs).ldlj,
-        ldlj_full=metrics.ldlj(np.diff(p, axis=0) * fs, fs)
-        - metrics.ldlj(np.diff(wanted, axis=0) * fs, fs),
-        path=length / metrics.path_length(wanted, fs, PATH_CUTOFF_HZ) - 1,
     )
 
 
@@ -121,18 +109,6 @@ def violations(states: Array, limits: _core.DofLimits) -> tuple[int, int, int]:
         peak = before[:, :, 1] - 0.5 * before[:, :, 2] ** 2 / j
     inside = (turn > 0) & (turn < TICK)
     v = np.maximum(np.abs(after[:, :, 1]), np.where(inside, np.abs(peak), 0.0))
-    return _count(v, a, j, limits)
-
-
-def _violations(p: Array, states: Array | None, limits: _core.DofLimits) -> tuple[int, int, int]:
-    """The same, from differences of the positions where there are no states."""
-    if states is not None:
-        return violations(states, limits)
-    v, a, j = (np.diff(p, order, axis=0) / TICK**order for order in (1, 2, 3))
-    return _count(v, a, j, limits)
-
-
-def _count(v: Array, a: Array, j: Array, limits: _core.DofLimits) -> tuple[int, int, int]:
     counts = [
         int(np.count_nonzero(np.abs(x) > limit * ROUNDING))
         for x, limit in ((v, limits.velocity), (a, limits.acceleration), (j, limits.jerk))

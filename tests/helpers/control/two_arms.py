@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
+from helpers.control.lagging_arm import LagPlant
 from surg_core import Motion, MotionCommand, StateCommand
 
 Array = NDArray[np.float64]
-TICK = 0.002
-LAG = 0.008
-DELAY = 2
 
 
-class GuardedArm:
-    """One arm with its controller; the plant has two ticks of delay and a lag of 8 ms.
+class GuardedArm(LagPlant):
+    """One arm with its controller.
 
     Args:
         arm: Of a cell; its robot's own limits are used, not the cell's tighter ones.
@@ -31,15 +27,12 @@ class GuardedArm:
         clearance: surg_core.ClearanceSetup | None,
         q: Array | None = None,
     ) -> None:
+        super().__init__(arm.robot.home if q is None else q)
         self.arm = arm
         self.controller = surg_core.Controller(
             arm.chain, arm.robot, arm.robot.limits, arm.instrument, arm.tool, clearance=clearance
         )
         assert self.controller.set_rcm(arm.trocar.p_BRcm) == surg_core.Reason.NONE
-        self.q = np.array(arm.robot.home if q is None else q, dtype=float)
-        self.qd = np.zeros_like(self.q)
-        self._servo = self.q.copy()
-        self._pending = deque([self.qd] * DELAY)
 
     def start(self, others: list[surg_core.OtherArm]) -> None:
         """Home and enable."""
@@ -54,13 +47,6 @@ class GuardedArm:
     def step(self, commands: list[MotionCommand], others: list[surg_core.OtherArm]) -> None:
         """One cycle of the controller."""
         self.out = self.controller.step(self.q, self.qd, commands, others=others)
-
-    def move(self) -> None:
-        """One tick of the plant."""
-        self._pending.append(np.array(self.out.qd_command))
-        self._servo = self._servo + self._pending.popleft() * TICK
-        before, self.q = self.q, self.q + (self._servo - self.q) * (1.0 - np.exp(-TICK / LAG))
-        self.qd = (self.q - before) / TICK
 
 
 def started(
@@ -79,7 +65,7 @@ def tick(pair: list[GuardedArm], commands: list[list[MotionCommand]], guarded: b
     for i, arm in enumerate(pair):
         arm.step(commands[i], [states[1 - i]] if guarded else [])
     for arm in pair:
-        arm.move()
+        arm.obey(arm.out.qd_command)
 
 
 class RandomMotion:

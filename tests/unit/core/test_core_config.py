@@ -181,6 +181,7 @@ MUTANTS: list[tuple[str, tuple[str, str], list[str]]] = [
     (ROBOT, ("joint_velocity", "torque"), ["command", "torque", "joint_velocity"]),
     (ROBOT, ("[j0, j1,", "[j1, j0,"), ["joints.names", "j1, j0"]),
     (ROBOT, ("[j0, j1,", "[j0, j0,"), ["joints.names", "twice"]),
+    (ROBOT, ("[j0, j1, j2, j3, j4, j5]", "[j0, j1]"), ["joints.names", "2 joints", "6 to 8"]),
     (ROBOT, ("[j0, j1,", "[j0, 1,"), ["joints.names", "one kind", ":8:"]),
     (ROBOT, ("[j0, j1,", "[j0, [j1],"), ["joints.names", "list"]),
     (ROBOT, ("home: [0.1,", "home: [0.1, 0.1,"), ["joints.home", "7 values", ":9:"]),
@@ -190,6 +191,7 @@ MUTANTS: list[tuple[str, tuple[str, str], list[str]]] = [
     (ROBOT, ("velocity: [3,", "velocity: [3.0001,"), ["joints.velocity", "j0"]),
     (ROBOT, ("position_max: [3,", "position_max: [3.0001,"), ["joints.position_max", "j0"]),
     (ROBOT, ("position_min: [-3,", "position_min: [-3.1,"), ["joints.position_min", "j0"]),
+    (ROBOT, ("position_min: [-3,", "position_min: [3,"), ["joints.position_min", "j0", "below"]),
     *[
         (ROBOT, ("limits:", f"  braking: {value}\nlimits:"), ["joints.braking", word])
         for value, word in (

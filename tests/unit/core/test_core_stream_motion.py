@@ -150,25 +150,6 @@ def test_at_the_shipped_limits(motion: tuple[str, CubicSpline], rate: int, robot
     assert v.ldlj >= -ROUGHER
 
 
-def test_the_judge_sees_lag_noise_and_violations() -> None:
-    t = np.arange(0, 8, 0.01)
-    p = np.column_stack([0.03 * np.sin(1.3 * t + i) for i in range(3)])
-    motion = truth(t, p)
-    ticks = np.arange(1, 3500) * 0.002
-    late = motion(np.maximum(ticks - 0.02, 0))
-    v = judge(late, motion, DESIGN)
-    assert v.lag == pytest.approx(0.02, abs=2e-4)
-    assert v.aligned_rms < 0.1 * v.rms
-    shaken = motion(ticks) + 1e-4 * np.sin(300 * ticks)[:, None]
-    v = judge(shaken, motion, DESIGN)
-    assert v.rms == pytest.approx(1e-4 * np.sqrt(3 / 2), rel=0.01)
-    assert v.violations[1] > 0
-    assert v.ldlj_full < -1
-    clean = judge(motion(ticks), motion, DESIGN)
-    assert clean.violations == (0, 0, 0)
-    assert clean.rms == 0
-
-
 @pytest.mark.parametrize(
     ("t", "samples", "word"),
     [

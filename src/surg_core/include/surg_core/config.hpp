@@ -171,35 +171,31 @@ Limits with_roll_of(const InstrumentConfig& instrument, Limits limits);
 /// Slows a drive that rolls, and narrows its roll, to limits that a cell has tightened.
 void keep_roll_within(const Limits& limits, InstrumentConfig& instrument);
 
-/// Calibrated tool: shaft axis and tip in the flange frame F, with the quality of the fit.
-struct ToolCalibration {
-  Vector3 s_F, p_FTip;
+/// How good a calibration is, and where it is from.
+struct Evidence {
   double residual, condition;
   int n;
   std::string date;
   std::string source = {};  ///< "measured", "simulated" or "computed"
   std::string serial = {};  ///< of the arm that it was measured with; empty: not stated
+};
+
+/// Calibrated tool: shaft axis and tip in the flange frame F.
+struct ToolCalibration : Evidence {
+  Vector3 s_F, p_FTip;
 };
 
 /// Taught trocar point in the robot base frame B.
-struct TrocarCalibration {
+struct TrocarCalibration : Evidence {
   Vector3 p_BRcm;
-  double residual, condition;
-  int n;
-  std::string date;
-  std::string source = {};  ///< "measured", "simulated" or "computed"
-  std::string serial = {};  ///< of the arm that it was measured with; empty: not stated
 };
 
-/// Where an arm's base was measured in the world.
-struct BaseCalibration {
+/// Where an arm's base was measured in the world; of no serial.
+struct BaseCalibration : Evidence {
   Pose X_WB = Pose::Identity();
   /// Rotation first [rad^2, rad m, m^2]: of (theta, d) with R_true = exp([theta]) R and
   /// p_true = p + d, in the world's axes.
   Eigen::Matrix<double, 6, 6> covariance;
-  double residual, condition;
-  int n;
-  std::string date, source;              ///< source: "measured" or "simulated"
   std::string method;                    ///< "touch", "tip" or "points"
   std::string reference;                 ///< the cell's first arm, whose base is the stated one
   Vector3 reference_xyz, reference_rpy;  ///< that base, as the cell stated it then

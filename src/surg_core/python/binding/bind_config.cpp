@@ -3,7 +3,7 @@
 #include <optional>
 
 #include "convert.hpp"
-#include "surg_core/config.hpp"
+#include "surg_core/config_keys.hpp"
 #include "surg_core/limits/workspace.hpp"
 #include "surg_core/state/gate.hpp"
 
@@ -50,87 +50,60 @@ Document to_document(const std::string& file, const py::dict& values,
   return document;
 }
 
-template <typename T, typename Member>
-struct Field {
-  const char* name;
-  Member T::*member;
-};
+template <typename T>
+using Fields = std::vector<std::pair<const char*, double T::*>>;
 
-constexpr Field<Limits, double> kLimits[] = {
-    {"tip_velocity", &Limits::tip_velocity},
-    {"tip_acceleration", &Limits::tip_acceleration},
-    {"tip_jerk", &Limits::tip_jerk},
-    {"pivot_velocity", &Limits::pivot_velocity},
-    {"pivot_acceleration", &Limits::pivot_acceleration},
-    {"pivot_jerk", &Limits::pivot_jerk},
-    {"roll_velocity", &Limits::roll_velocity},
-    {"roll_acceleration", &Limits::roll_acceleration},
-    {"roll_jerk", &Limits::roll_jerk},
-    {"roll_max", &Limits::roll_max},
-    {"flange_velocity", &Limits::flange_velocity},
-    {"cone", &Limits::cone},
-    {"depth_min", &Limits::depth_min},
-    {"depth_slow", &Limits::depth_slow},
-    {"depth_max", &Limits::depth_max},
-    {"stop_deceleration", &Limits::stop_deceleration},
-    {"step_slack", &Limits::step_slack},
-    {"step_roll_slack", &Limits::step_roll_slack},
-    {"step_dt_max", &Limits::step_dt_max},
-    {"rcm_error_warn", &Limits::rcm_error_warn},
-    {"rcm_error_fault", &Limits::rcm_error_fault},
-    {"tip_force_soft", &Limits::tip_force_soft},
-    {"tip_force_hard", &Limits::tip_force_hard},
-    {"trocar_force_warn", &Limits::trocar_force_warn},
-    {"trocar_force_fault", &Limits::trocar_force_fault},
-    {"joint_margin", &Limits::joint_margin},
-};
-// A limit added to the struct must appear here too.
-static_assert(sizeof(Limits) == sizeof(kLimits) / sizeof(kLimits[0]) * sizeof(double));
+template <typename T>
+Fields<T> fields_of(const std::vector<config::Key<T>>& keys) {
+  Fields<T> fields;
+  for (const auto& key : keys) fields.emplace_back(key.name, key.member);
+  return fields;
+}
 
-constexpr Field<Tuning, double> kTuning[] = {
-    {"rcm_gain", &Tuning::rcm_gain},
-    {"tip_gain", &Tuning::tip_gain},
-    {"roll_gain", &Tuning::roll_gain},
-    {"posture_gain", &Tuning::posture_gain},
-    {"profiler_duration", &Tuning::profiler_duration},
-    {"stream_delay", &Tuning::stream_delay},
-    {"tremor", &Tuning::tremor},
-    {"servo_timeout", &Tuning::servo_timeout},
-    {"link_timeout", &Tuning::link_timeout},
-    {"link_lag", &Tuning::link_lag},
-    {"dead_man", &Tuning::dead_man},
-    {"stop_deceleration", &Tuning::stop_deceleration},
-    {"braking_least", &Tuning::braking_least},
-    {"braking_most", &Tuning::braking_most},
-    {"track_noise", &Tuning::track_noise},
-    {"track_jerk", &Tuning::track_jerk},
-    {"track_timeout", &Tuning::track_timeout},
-};
-static_assert(sizeof(Tuning) == sizeof(kTuning) / sizeof(kTuning[0]) * sizeof(double));
+/// What a robot's file states, then what its link and its joints say.
+Fields<Tuning> tuning_fields() {
+  Fields<Tuning> fields = fields_of(config::tuning_keys());
+  fields.insert(fields.end(), {{"link_timeout", &Tuning::link_timeout},
+                               {"link_lag", &Tuning::link_lag},
+                               {"dead_man", &Tuning::dead_man},
+                               {"stop_deceleration", &Tuning::stop_deceleration},
+                               {"braking_least", &Tuning::braking_least},
+                               {"braking_most", &Tuning::braking_most}});
+  return fields;
+}
 
-template <typename T, std::size_t n>
-py::class_<T> bind_numbers(py::module_& m, const char* name, const char* text,
-                           const Field<T, double> (&fields)[n]) {
+template <typename T>
+void bind_numbers(py::module_& m, const char* name, const char* text, const Fields<T>& fields) {
   py::class_<T> type(m, name, text);
-  for (const auto& field : fields) type.def_readonly(field.name, field.member);
-  const Field<T, double>* first = fields;  // static storage
+  for (const auto& [key, member] : fields) type.def_readonly(key, member);
   type.def(
       "as_dict",
-      [first](const T& self) {
+      [fields](const T& self) {
         py::dict values;
-        for (std::size_t i = 0; i < n; ++i) values[first[i].name] = self.*first[i].member;
+        for (const auto& [key, member] : fields) values[key] = self.*member;
         return values;
       },
       "Name -> value, SI.");
-  type.def("__repr__", [name, first](const T& self) {
-    std::string text = std::string(name) + "(";
-    for (std::size_t i = 0; i < n; ++i) {
-      text += (i ? ", " : "") + std::string(first[i].name) + "=" +
-              py::repr(py::float_(self.*first[i].member)).cast<std::string>();
+  type.def("__repr__", [name, fields](const T& self) {
+    std::string text;
+    for (const auto& [key, member] : fields) {
+      text += (text.empty() ? "" : ", ") + std::string(key) + "=" +
+              py::repr(py::float_(self.*member)).cast<std::string>();
     }
-    return text + ")";
+    return std::string(name) + "(" + text + ")";
   });
-  return type;
+}
+
+/// What every calibration has beside its value.
+template <typename T>
+py::class_<T> bind_calibration_of(py::module_& m, const char* name, const char* text) {
+  return py::class_<T>(m, name, text)
+      .def_readonly("residual", &T::residual, "[m]")
+      .def_readonly("condition", &T::condition)
+      .def_readonly("n", &T::n)
+      .def_readonly("date", &T::date)
+      .def_readonly("source", &T::source, "measured, simulated or computed.")
+      .def_readonly("serial", &T::serial, "Of the arm; empty: not stated.");
 }
 
 void bind_robot(py::module_& m) {
@@ -211,36 +184,21 @@ void bind_calibrations(py::module_& m) {
       .def_readonly("wrist", &InstrumentConfig::wrist, "None: a straight instrument.")
       .def_property_readonly("capsules", tuple_of(&InstrumentConfig::capsules));
 
-  py::class_<ToolCalibration>(m, "ToolCalibration", "Shaft axis and tip in the flange frame.")
+  bind_calibration_of<ToolCalibration>(m, "ToolCalibration",
+                                       "Shaft axis and tip in the flange frame.")
       .def_property_readonly("s_F", array_of(&ToolCalibration::s_F), "Unit, (3,).")
-      .def_property_readonly("p_FTip", array_of(&ToolCalibration::p_FTip), "[m] (3,)")
-      .def_readonly("residual", &ToolCalibration::residual, "[m]")
-      .def_readonly("condition", &ToolCalibration::condition)
-      .def_readonly("n", &ToolCalibration::n)
-      .def_readonly("date", &ToolCalibration::date)
-      .def_readonly("source", &ToolCalibration::source, "measured, simulated or computed.")
-      .def_readonly("serial", &ToolCalibration::serial, "Of the arm; empty: not stated.");
+      .def_property_readonly("p_FTip", array_of(&ToolCalibration::p_FTip), "[m] (3,)");
 
-  py::class_<TrocarCalibration>(m, "TrocarCalibration", "Taught trocar point in the robot base.")
-      .def_property_readonly("p_BRcm", array_of(&TrocarCalibration::p_BRcm), "[m] (3,)")
-      .def_readonly("residual", &TrocarCalibration::residual, "[m]")
-      .def_readonly("condition", &TrocarCalibration::condition)
-      .def_readonly("n", &TrocarCalibration::n)
-      .def_readonly("date", &TrocarCalibration::date)
-      .def_readonly("source", &TrocarCalibration::source, "measured, simulated or computed.")
-      .def_readonly("serial", &TrocarCalibration::serial, "Of the arm; empty: not stated.");
+  bind_calibration_of<TrocarCalibration>(m, "TrocarCalibration",
+                                         "Taught trocar point in the robot base.")
+      .def_property_readonly("p_BRcm", array_of(&TrocarCalibration::p_BRcm), "[m] (3,)");
 }
 
 void bind_base(py::module_& m) {
-  py::class_<BaseCalibration>(m, "BaseCalibration", "A measured robot base; surg_base/1.")
+  bind_calibration_of<BaseCalibration>(m, "BaseCalibration", "A measured robot base; surg_base/1.")
       .def_property_readonly("X_WB", array_of(&BaseCalibration::X_WB), "(4, 4) [m]")
       .def_property_readonly("covariance", array_of(&BaseCalibration::covariance),
                              "(6, 6) rotation first.")
-      .def_readonly("residual", &BaseCalibration::residual, "[m]")
-      .def_readonly("condition", &BaseCalibration::condition)
-      .def_readonly("n", &BaseCalibration::n)
-      .def_readonly("date", &BaseCalibration::date)
-      .def_readonly("source", &BaseCalibration::source, "measured or simulated.")
       .def_readonly("method", &BaseCalibration::method, "touch, tip or points.")
       .def_readonly("reference", &BaseCalibration::reference, "The cell's first arm.")
       .def_property_readonly("reference_xyz", array_of(&BaseCalibration::reference_xyz), "[m] (3,)")
@@ -324,8 +282,8 @@ void bind_config(py::module_& m) {
       .def_readonly("values", &Document::values)
       .def_readonly("lines", &Document::lines);
 
-  bind_numbers(m, "Limits", "Every limit of an arm, SI.", kLimits);
-  bind_numbers(m, "Tuning", "Gains [1/s] and times [s] of the controller.", kTuning);
+  bind_numbers(m, "Limits", "Every limit of an arm, SI.", fields_of(config::limit_keys()));
+  bind_numbers(m, "Tuning", "Gains [1/s] and times [s] of the controller.", tuning_fields());
   bind_robot(m);
   bind_calibrations(m);
   bind_base(m);

@@ -1,33 +1,36 @@
-#include <map>
 #include <string>
 
 #include "convert.hpp"
-#include "surg_core/limits/fixtures.hpp"
+#include "surg_core/config_keys.hpp"
 
 namespace surg::python {
 namespace {
 
-constexpr const char* kShapes[] = {"plane", "sphere", "capsule"};
-constexpr const char* kSides[] = {"keep_out", "stay_in"};
-constexpr const char* kParts[] = {"tip", "shaft"};
+using config::kParts;
+using config::kShapes;
+using config::kSides;
 
-template <typename Word, std::size_t n>
-Word word_of(const std::string& text, const char* const (&words)[n], const char* key) {
+template <typename Enum, std::size_t n>
+void choose(const std::string& text, const std::array<const char*, n>& words, const char* key,
+            Enum& value) {
   std::string allowed;
-  for (std::size_t i = 0; i < n; ++i) {
-    if (text == words[i]) return static_cast<Word>(i);
-    allowed += (i ? ", '" : "'") + std::string(words[i]) + "'";
+  for (const char* word : words)
+    allowed += (allowed.empty() ? "'" : ", '") + std::string(word) + "'";
+  const auto found = config::word_to<Enum>(text, words);
+  if (found) {
+    value = *found;
+  } else {
+    throw py::value_error(std::string(key) + ": '" + text + "' is not known; allowed: " + allowed);
   }
-  throw py::value_error(std::string(key) + ": '" + text + "' is not known; allowed: " + allowed);
 }
 
 Fixture make_fixture(const std::string& name, const std::string& shape, const std::string& side,
                      const std::string& of, const Array& point, const Array& axis, double radius) {
   Fixture f;
   f.set_name(name);
-  f.shape = word_of<Fixture::Shape>(shape, kShapes, "shape");
-  f.side = word_of<Fixture::Side>(side, kSides, "side");
-  f.of = word_of<Fixture::Of>(of, kParts, "of");
+  choose(shape, kShapes, "shape", f.shape);
+  choose(side, kSides, "side", f.side);
+  choose(of, kParts, "of", f.of);
   f.point = to_vector3(point, "point");
   f.axis = to_vector3(axis, "axis");
   f.radius = radius;
@@ -47,12 +50,11 @@ void bind_fixtures(py::module_& m) {
           "'shaft'; axis (3,): a plane's unit normal into the region, or the way [m] from 'point'\n"
           "to a capsule's other end. Raises ValueError.")
       .def_property_readonly("name", [](const Fixture& f) { return std::string(f.title()); })
-      .def_property_readonly(
-          "shape", [](const Fixture& f) { return std::string(kShapes[static_cast<int>(f.shape)]); })
-      .def_property_readonly(
-          "side", [](const Fixture& f) { return std::string(kSides[static_cast<int>(f.side)]); })
-      .def_property_readonly(
-          "of", [](const Fixture& f) { return std::string(kParts[static_cast<int>(f.of)]); })
+      .def_property_readonly("shape",
+                             [](const Fixture& f) { return config::word_of(f.shape, kShapes); })
+      .def_property_readonly("side",
+                             [](const Fixture& f) { return config::word_of(f.side, kSides); })
+      .def_property_readonly("of", [](const Fixture& f) { return config::word_of(f.of, kParts); })
       .def_readonly("of_cell", &Fixture::of_cell, "Stated by the cell.")
       .def_property_readonly("point", array_of(&Fixture::point), "[m] (3,)")
       .def_property_readonly("axis", array_of(&Fixture::axis), "(3,)")

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "surg_core/kinematics/kinematics.hpp"
+
 namespace surg::python {
 namespace {
 
@@ -66,10 +68,7 @@ JointVector to_joints(const Array& array, int size, const char* name) {
 namespace {
 
 Pose checked_pose(const Eigen::Matrix4d& M, const std::string& name) {
-  const Matrix3 R = M.topLeftCorner<3, 3>();
-  // Written so that a NaN fails as well.
-  const bool rotation =
-      (R * R.transpose() - Matrix3::Identity()).cwiseAbs().maxCoeff() < 1e-6 && R.determinant() > 0;
+  const bool rotation = is_rotation(M.topLeftCorner<3, 3>());
   if (!M.allFinite() || !rotation || M.row(3) != Eigen::RowVector4d(0, 0, 0, 1)) {
     throw py::value_error(name +
                           ": not a pose; a finite (4, 4) array with a rotation matrix in its upper "

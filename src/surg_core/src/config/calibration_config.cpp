@@ -10,22 +10,8 @@ using namespace config;
 
 namespace {
 
-constexpr int kUrJoints = 6;  // joints of a UR
-// A measured base; the same bounds as in base_file.py and checked_document.py.
-constexpr double kFarthestBase = 10.0;         // [m] largest coordinate
-constexpr double kLargestBaseResidual = 0.02;  // [m] largest `residual`
-constexpr int kLeastBasePoints = 6;            // least `n` of points
-constexpr double kLargestTurnSd = 0.35;        // [rad] largest standard deviation, each axis
-constexpr double kLargestShiftSd = 0.1;        // [m] largest standard deviation, each axis
-constexpr double kLeastEigenvalue = 1e-9;      // of the correlations
-constexpr double kUnit = 1e-6;                 // from the length of a unit quaternion
-constexpr double kSameBase = 1e-9;             // [m, rad] change of the first arm's stated base
-
-struct Evidence {
-  double residual, condition;
-  int n;
-  std::string date, source, serial;
-};
+constexpr int kUrJoints = 6;    // joints of a UR
+constexpr double kUnit = 1e-6;  // from the length of a unit vector or quaternion
 
 /// What every calibration file carries beside its value. A bad calibration is refused here.
 Evidence read_evidence(Reader& reader) {
@@ -69,7 +55,7 @@ Eigen::Quaterniond read_quaternion(Reader& reader, const std::string& key) {
   return Eigen::Quaterniond(q[3], q[0], q[1], q[2]).normalized();
 }
 
-/// The rules of surg_core.checked_document: symmetric, positive definite, of a believable size.
+/// The rules and bounds of checked_document.py: symmetric, positive definite, of a believable size.
 Eigen::Matrix<double, 6, 6> read_covariance(Reader& reader, const std::string& key) {
   const Eigen::Matrix<double, 36, 1> list = read_numbers<36>(reader, key, 1.0);
   const Eigen::Matrix<double, 6, 6> C =
@@ -86,12 +72,12 @@ Eigen::Matrix<double, 6, 6> read_covariance(Reader& reader, const std::string& k
       sd.cwiseInverse().asDiagonal() * C * sd.cwiseInverse().asDiagonal();
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix<double, 6, 6>> solver(scaled,
                                                                           Eigen::EigenvaluesOnly);
-  if (!(solver.eigenvalues()[0] > kLeastEigenvalue)) {
+  if (!(solver.eigenvalues()[0] > 1e-9)) {
     reader.fail(key, "has the eigenvalue " + number(solver.eigenvalues()[0]) +
                          " (scaled); allowed: a positive definite matrix");
   }
   for (const int at : {0, 3}) {
-    const double most = at == 0 ? kLargestTurnSd : kLargestShiftSd;
+    const double most = at == 0 ? 0.35 : 0.1;
     const double found = sd.segment<3>(at).maxCoeff();
     const char* unit = at == 0 ? " rad" : " m";
     if (!(found <= most)) {
@@ -108,7 +94,7 @@ ToolCalibration parse_tool(const Document& document) {
   Reader reader(document, "surg_tool/1");
   ToolCalibration tool;
   tool.s_F = reader.vector("shaft_axis", 1.0 + 1e-9, "");
-  if (!(std::abs(tool.s_F.norm() - 1.0) < 1e-6)) {
+  if (!(std::abs(tool.s_F.norm() - 1.0) < kUnit)) {
     reader.fail("shaft_axis",
                 "has length " + number(tool.s_F.norm()) + "; a unit vector is needed");
   }
@@ -119,13 +105,7 @@ ToolCalibration parse_tool(const Document& document) {
     reader.fail("shaft_axis", "points away from the tip, which is " + number(along) +
                                   " m along it; it must point from the flange to the tip");
   }
-  const Evidence evidence = read_evidence(reader);
-  tool.residual = evidence.residual;
-  tool.condition = evidence.condition;
-  tool.n = evidence.n;
-  tool.date = evidence.date;
-  tool.source = evidence.source;
-  tool.serial = evidence.serial;
+  static_cast<Evidence&>(tool) = read_evidence(reader);
   reader.finish();
   return tool;
 }
@@ -134,13 +114,7 @@ TrocarCalibration parse_trocar(const Document& document) {
   Reader reader(document, "surg_trocar/1");
   TrocarCalibration trocar;
   trocar.p_BRcm = reader.vector("point", 2.0, "m");
-  const Evidence evidence = read_evidence(reader);
-  trocar.residual = evidence.residual;
-  trocar.condition = evidence.condition;
-  trocar.n = evidence.n;
-  trocar.date = evidence.date;
-  trocar.source = evidence.source;
-  trocar.serial = evidence.serial;
+  static_cast<Evidence&>(trocar) = read_evidence(reader);
   reader.finish();
   return trocar;
 }
@@ -164,20 +138,20 @@ BaseCalibration parse_base(const Document& document) {
   Reader reader(document, "surg_base/1");
   BaseCalibration base;
   base.file = document.file;
-  base.X_WB.translation() = reader.vector("position", kFarthestBase, "m");
+  base.X_WB.translation() = reader.vector("position", 10.0, "m");
   base.X_WB.linear() = read_quaternion(reader, "quaternion").toRotationMatrix();
   base.covariance = read_covariance(reader, "covariance");
   base.method = reader.choice("method", {"touch", "tip", "points"});
-  base.residual = reader.real("residual", 0.0, kLargestBaseResidual, "m");
+  base.residual = reader.real("residual", 0.0, 0.02, "m");
   base.condition = reader.real("condition", 1.0, 1e6, "");
-  const double n = reader.real("n", kLeastBasePoints, 1e6, "points");
+  const double n = reader.real("n", 6, 1e6, "points");
   if (std::floor(n) != n) reader.fail("n", number(n) + "; allowed: a whole number");
   base.n = static_cast<int>(n);
   base.date = reader.word("date");
   if (!day_of(base.date)) reader.fail("date", "'" + base.date + "'; allowed: \"2026-11-23\"");
   base.source = reader.choice("source", {"measured", "simulated"});
   base.reference = reader.word("reference");
-  base.reference_xyz = reader.vector("reference_xyz", kFarthestBase, "m");
+  base.reference_xyz = reader.vector("reference_xyz", 10.0, "m");
   base.reference_rpy = reader.vector("reference_rpy", 6.3, "rad");
   base.camera_sha256 = reader.word("camera_sha256");
   const bool hex = base.camera_sha256.size() == 64 &&
@@ -226,7 +200,7 @@ void check_base(const BaseCalibration& base, const CellArm& arm, const CellConfi
   }
   const double moved = std::max((base.reference_xyz - first.base_xyz).cwiseAbs().maxCoeff(),
                                 (base.reference_rpy - first.base_rpy).cwiseAbs().maxCoeff());
-  if (!(moved <= kSameBase)) {
+  if (!(moved <= 1e-9)) {
     throw ConfigError(base.file + ": reference_xyz, reference_rpy: differ from arms." + first.name +
                       ".base in " + cell.file + " by up to " + number(moved) +
                       "; allowed is the same: the first arm was moved after this measurement" +

@@ -7,7 +7,7 @@
 #include <limits>
 
 #include "document_reader.hpp"
-#include "limit_keys.hpp"
+#include "surg_core/config_keys.hpp"
 
 namespace surg {
 
@@ -16,11 +16,6 @@ using namespace config;
 namespace {
 
 constexpr double kInf = std::numeric_limits<double>::infinity();
-// What a cell may state of a real arm.
-constexpr double kHeaviestPayload = 20.0;  // [kg] largest `hardware.payload.mass`
-constexpr double kFarthestPayload = 0.5;   // [m] largest coordinate of `hardware.payload.cog`
-constexpr int kPriorities[] = {
-    2, 78};  // of SCHED_FIFO; the controller has 79 and 80, the node one less
 /// The arms that a link drives: their number of joints, and the robot's name if it is one model.
 struct DrivenArms {
   const char* link;
@@ -28,11 +23,6 @@ struct DrivenArms {
   const char* robot;
 };
 constexpr DrivenArms kDrivenArms[] = {{"ur", 6, ""}, {"fr3", 7, "fr3"}, {"panda", 7, "panda"}};
-constexpr double kOldestCalibration = 366;  // [d] largest `calibration_days`
-
-// Distances that a cell may keep. The guard itself needs the least one (clearance.cpp).
-constexpr double kClosest = 0.005;  // [m] least `clearance.distance`
-constexpr double kFarthest = 0.2;   // [m] largest `clearance.distance` and `clearance.shafts`
 
 /// The four numbers of an IPv4 address in its one canonical form, or none.
 std::optional<std::array<int, 4>> ipv4(const std::string& text) {
@@ -66,21 +56,18 @@ Fixture read_fixture(Reader& reader, const std::string& key, const std::string& 
   }
   f.set_name(name);
   f.of_cell = true;
-  const std::string shape = reader.choice(key + ".shape", {"plane", "sphere", "capsule"});
-  const bool stay_in = reader.choice(key + ".side", {"keep_out", "stay_in"}) == "stay_in";
-  f.side = stay_in ? Fixture::Side::kStayIn : Fixture::Side::kKeepOut;
-  const bool shaft = reader.choice(key + ".of", {"tip", "shaft"}) == "shaft";
-  f.of = shaft ? Fixture::Of::kShaft : Fixture::Of::kTip;
+  reader.choose(key + ".shape", kShapes, f.shape);
+  reader.choose(key + ".side", kSides, f.side);
+  reader.choose(key + ".of", kParts, f.of);
   f.point = reader.vector(key + ".point", Fixture::kFarthest, "m");
-  if (shape == "plane") {
-    f.shape = Fixture::Shape::kPlane;
+  if (f.shape == Fixture::Shape::kPlane) {
     f.axis = reader.vector(key + ".normal", 1.001, "");
   } else {
-    f.shape = shape == "sphere" ? Fixture::Shape::kSphere : Fixture::Shape::kCapsule;
-    const double least = stay_in ? Fixture::kLeastHollow : Fixture::kLeastRadius;
+    const bool hollow = f.side == Fixture::Side::kStayIn;
+    const double least = hollow ? Fixture::kLeastHollow : Fixture::kLeastRadius;
     f.radius = reader.real(key + ".radius", least, Fixture::kGreatestRadius, "m");
     f.axis.setZero();
-    if (shape == "capsule") {
+    if (f.shape == Fixture::Shape::kCapsule) {
       f.axis = reader.vector(key + ".end", Fixture::kFarthest, "m") - f.point;
     }
   }
@@ -119,14 +106,14 @@ std::optional<CellHardware> read_hardware(Reader& reader, const CellArm& arm) {
                     "emulator");
   }
   hardware.serial = reader.word(prefix + "serial");
-  hardware.payload_mass = reader.real(prefix + "payload.mass", 0.0, kHeaviestPayload, "kg");
-  hardware.payload_cog = reader.vector(prefix + "payload.cog", kFarthestPayload, "m");
+  hardware.payload_mass = reader.real(prefix + "payload.mass", 0.0, 20.0, "kg");
+  hardware.payload_cog = reader.vector(prefix + "payload.cog", 0.5, "m");
   hardware.tool_link = reader.choice(prefix + "tool_link", {"passive", "drive", "none"});
-  hardware.realtime = static_cast<int>(
-      reader.real(prefix + "realtime", kPriorities[0], kPriorities[1], "(SCHED_FIFO)"));
+  // The controller has 79 and 80, the node one less.
+  hardware.realtime = static_cast<int>(reader.real(prefix + "realtime", 2, 78, "(SCHED_FIFO)"));
   if (reader.has(prefix + "calibration_days")) {
     hardware.calibration_days =
-        static_cast<int>(reader.real(prefix + "calibration_days", 1, kOldestCalibration, "days"));
+        static_cast<int>(reader.real(prefix + "calibration_days", 1, 366, "days"));
   }
   if (reader.has(prefix + "link_lag")) {
     const StatedLag lag = read_lag(reader, prefix + "link_lag");
@@ -189,10 +176,6 @@ std::map<std::string, std::string> read_machines(Reader& reader, const std::stri
   return machines;
 }
 
-constexpr double kPictureSize[] = {16, 7680};  // [px]
-constexpr double kPictureRate[] = {1, 240};    // [1/s]
-constexpr double kMostLatency = 1.0;           // [s] largest `endoscope.latency`
-
 /// The section 'endoscope'; a cell without one has the simulator's.
 std::optional<CellEndoscope> read_endoscope(Reader& reader) {
   const std::string prefix = "endoscope.";
@@ -209,21 +192,21 @@ std::optional<CellEndoscope> read_endoscope(Reader& reader) {
   endoscope.layout =
       reader.choice(prefix + "layout", {"two", "sbs", "sbs_half", "top_bottom", "rows", "mono"});
   if (reader.has(prefix + "size")) {
+    constexpr double kLeast = 16, kMost = 7680;  // [px]
     const std::vector<double> size = reader.numbers(prefix + "size");
     const bool good = size.size() == 2 && std::all_of(size.begin(), size.end(), [](double pixels) {
-                        return pixels == std::floor(pixels) && pixels >= kPictureSize[0] &&
-                               pixels <= kPictureSize[1];
+                        return pixels == std::floor(pixels) && pixels >= kLeast && pixels <= kMost;
                       });
     if (!good) {
       reader.fail(prefix + "size",
                   "must be [width, height] of a grabbed picture in whole px; allowed is " +
-                      number(kPictureSize[0]) + " to " + number(kPictureSize[1]));
+                      number(kLeast) + " to " + number(kMost));
     }
     endoscope.width = static_cast<int>(size[0]);
     endoscope.height = static_cast<int>(size[1]);
   }
   if (reader.has(prefix + "rate")) {
-    endoscope.rate = reader.real(prefix + "rate", kPictureRate[0], kPictureRate[1], "1/s");
+    endoscope.rate = reader.real(prefix + "rate", 1, 240, "1/s");
   }
   if (reader.has(prefix + "swap")) endoscope.swap = reader.flag(prefix + "swap");
   if (reader.has(prefix + "flip")) {
@@ -231,7 +214,7 @@ std::optional<CellEndoscope> read_endoscope(Reader& reader) {
         reader.choice(prefix + "flip", {"none", "horizontal", "vertical", "rotate_180"});
   }
   if (reader.has(prefix + "latency")) {
-    endoscope.latency = reader.real(prefix + "latency", 0.0, kMostLatency, "s");
+    endoscope.latency = reader.real(prefix + "latency", 0.0, 1.0, "s");
   }
   return endoscope;
 }
@@ -260,11 +243,12 @@ CellClearance read_clearance(Reader& reader, const Document& document) {
   if (!reader.has("clearance")) return clearance;
   const auto line = document.lines.find("clearance");
   clearance.line = line == document.lines.end() ? 1 : line->second;
+  // The guard itself needs the least distance (clearance.cpp).
   if (reader.has("clearance.distance")) {
-    clearance.distance = reader.real("clearance.distance", kClosest, kFarthest, "m");
+    clearance.distance = reader.real("clearance.distance", 0.005, 0.2, "m");
   }
   if (reader.has("clearance.shafts")) {
-    clearance.shafts = reader.real("clearance.shafts", 0.0, kFarthest, "m");
+    clearance.shafts = reader.real("clearance.shafts", 0.0, 0.2, "m");
   }
   for (const std::string& name : names_in(document, "clearance.obstacles.")) {
     clearance.obstacles.push_back(read_obstacle(reader, name));

@@ -73,18 +73,15 @@ std::optional<int> day_of(const std::string& date) {
   return static_cast<int>(seconds / 86400);
 }
 
-/// 'prefix': "capsules.NAME." or an obstacle's.
 StatedLag read_lag(Reader& reader, const std::string& key) {
-  constexpr double kLinkLag[] = {0.0, 0.05};  // [s]
-  if (!reader.is_list(key)) {
-    return {reader.real(key, kLinkLag[0], kLinkLag[1], "s"), {}};
-  }
+  constexpr double kMost = 0.05;  // [s]
+  if (!reader.is_list(key)) return {reader.real(key, 0, kMost, "s"), {}};
   const std::size_t n = reader.numbers(key).size();
   if (n < 1 || n > static_cast<std::size_t>(kMaxJoints)) {
     reader.fail(key,
                 "has " + std::to_string(n) + " values; allowed is one number, or one per joint");
   }
-  const JointVector joints = reader.joints(key, n, kLinkLag[0], kLinkLag[1], "s");
+  const JointVector joints = reader.joints(key, n, 0, kMost, "s");
   return {joints.maxCoeff(), joints};
 }
 

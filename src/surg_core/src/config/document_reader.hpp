@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <initializer_list>
 #include <map>
 #include <optional>
@@ -54,13 +55,13 @@ class Reader {
   bool flag(const std::string& key) { return get<bool>(key, "true or false"); }
 
   std::string choice(const std::string& key, std::initializer_list<const char*> allowed) {
-    const std::string value = get<std::string>(key, "a text");
-    std::string list;
-    for (const char* item : allowed) {
-      if (value == item) return value;
-      list += (list.empty() ? "'" : ", '") + std::string(item) + "'";
-    }
-    fail(key, "'" + value + "' is not known; allowed: " + list);
+    return allowed.begin()[choose(key, allowed.begin(), allowed.size())];
+  }
+
+  /// The enumerator of one of the words, which are in the enumeration's order.
+  template <typename Enum, std::size_t n>
+  void choose(const std::string& key, const std::array<const char*, n>& words, Enum& value) {
+    value = static_cast<Enum>(choose(key, words.data(), n));
   }
 
   JointVector joints(const std::string& key, std::size_t n, double lowest, double highest,
@@ -138,6 +139,16 @@ class Reader {
   }
 
  private:
+  std::size_t choose(const std::string& key, const char* const* allowed, std::size_t n) {
+    const std::string value = get<std::string>(key, "a text");
+    std::string list;
+    for (std::size_t i = 0; i < n; ++i) {
+      if (value == allowed[i]) return i;
+      list += (list.empty() ? "'" : ", '") + std::string(allowed[i]) + "'";
+    }
+    fail(key, "'" + value + "' is not known; allowed: " + list);
+  }
+
   static std::string section(const std::string& key) { return key.substr(0, key.rfind('.') + 1); }
 
   template <typename T>

@@ -5,83 +5,67 @@
 #include <cstring>
 
 #include "document_reader.hpp"
-#include "limit_keys.hpp"
+#include "surg_core/config_keys.hpp"
 
 namespace surg {
 
 using namespace config;
 
+const std::vector<Key<Limits>>& config::limit_keys() {
+  static constexpr Key<Limits> kKeys[]{
+      {"tip_velocity", &Limits::tip_velocity, 1e-3, 0.5, "m/s"},
+      {"tip_acceleration", &Limits::tip_acceleration, 1e-2, 10.0, "m/s^2"},
+      {"tip_jerk", &Limits::tip_jerk, 0.1, 400.0, "m/s^3"},
+      {"pivot_velocity", &Limits::pivot_velocity, 1e-2, 3.0, "rad/s"},
+      {"pivot_acceleration", &Limits::pivot_acceleration, 0.1, 80.0, "rad/s^2"},
+      {"pivot_jerk", &Limits::pivot_jerk, 1.0, 3000.0, "rad/s^3"},
+      {"roll_velocity", &Limits::roll_velocity, 1e-2, 6.0, "rad/s"},
+      {"roll_acceleration", &Limits::roll_acceleration, 0.1, 100.0, "rad/s^2"},
+      {"roll_jerk", &Limits::roll_jerk, 1.0, 5000.0, "rad/s^3"},
+      {"roll_max", &Limits::roll_max, 0.5, 6.3, "rad"},
+      {"flange_velocity", &Limits::flange_velocity, 1e-3, 0.5, "m/s"},
+      {"cone", &Limits::cone, 0.05, 1.3, "rad"},
+      {"depth_min", &Limits::depth_min, 0.01, 0.1, "m", Tighter::kLarger},
+      {"depth_slow", &Limits::depth_slow, 0.015, 0.15, "m", Tighter::kLarger},
+      {"depth_max", &Limits::depth_max, 0.05, 0.4, "m"},
+      {"stop_deceleration", &Limits::stop_deceleration, 0.5, 20.0, "m/s^2", Tighter::kLarger},
+      {"step_slack", &Limits::step_slack, 1e-4, 0.005, "m"},
+      {"step_roll_slack", &Limits::step_roll_slack, 1e-3, 0.1, "rad"},
+      {"step_dt_max", &Limits::step_dt_max, 0.002, 0.2, "s"},
+      {"rcm_error_warn", &Limits::rcm_error_warn, 1e-5, 0.002, "m"},
+      {"rcm_error_fault", &Limits::rcm_error_fault, 1e-4, 0.005, "m"},
+      {"tip_force_soft", &Limits::tip_force_soft, 0.1, 10.0, "N"},
+      {"tip_force_hard", &Limits::tip_force_hard, 0.2, 15.0, "N"},
+      {"trocar_force_warn", &Limits::trocar_force_warn, 0.1, 20.0, "N"},
+      {"trocar_force_fault", &Limits::trocar_force_fault, 0.2, 30.0, "N"},
+      {"joint_margin", &Limits::joint_margin, 0.01, 0.5, "rad", Tighter::kLarger},
+  };
+  static_assert(sizeof kKeys / sizeof *kKeys * sizeof(double) == sizeof(Limits), "all of them");
+  static const std::vector<Key<Limits>> kAll(std::begin(kKeys), std::end(kKeys));
+  return kAll;
+}
+
+const std::vector<Key<Tuning>>& config::tuning_keys() {
+  static const std::vector<Key<Tuning>> kKeys{
+      // 150 /s diverged against 10 ms of delay; the ceiling leaves a factor of two.
+      {"rcm_gain", &Tuning::rcm_gain, 1.0, 75.0, "1/s"},
+      {"tip_gain", &Tuning::tip_gain, 0.0, 50.0, "1/s"},
+      {"roll_gain", &Tuning::roll_gain, 0.0, 50.0, "1/s"},
+      {"posture_gain", &Tuning::posture_gain, 0.0, 10.0, "1/s"},
+      {"profiler_duration", &Tuning::profiler_duration, 0.05, 5.0, "s"},
+      {"stream_delay", &Tuning::stream_delay, 0.0, 0.1, "s"},
+      {"tremor", &Tuning::tremor, 0.0, 20.0, "Hz"},
+      {"servo_timeout", &Tuning::servo_timeout, 0.02, 0.5, "s"},
+      {"track_noise", &Tuning::track_noise, 1e-5, 0.001, "m"},
+      {"track_jerk", &Tuning::track_jerk, 0.001, 1.0, "m/s^3"},
+      {"track_timeout", &Tuning::track_timeout, 0.05, 0.5, "s"},
+  };
+  return kKeys;
+}
+
 namespace {
 
 constexpr double kMostTurned = 8 * M_PI;  // [rad] four turns of a joint
-
-constexpr LimitKey kLimitKeys[] = {
-    {"tip_velocity", &Limits::tip_velocity, 1e-3, 0.5, "m/s"},
-    {"tip_acceleration", &Limits::tip_acceleration, 1e-2, 10.0, "m/s^2"},
-    {"tip_jerk", &Limits::tip_jerk, 0.1, 400.0, "m/s^3"},
-    {"pivot_velocity", &Limits::pivot_velocity, 1e-2, 3.0, "rad/s"},
-    {"pivot_acceleration", &Limits::pivot_acceleration, 0.1, 80.0, "rad/s^2"},
-    {"pivot_jerk", &Limits::pivot_jerk, 1.0, 3000.0, "rad/s^3"},
-    {"roll_velocity", &Limits::roll_velocity, 1e-2, 6.0, "rad/s"},
-    {"roll_acceleration", &Limits::roll_acceleration, 0.1, 100.0, "rad/s^2"},
-    {"roll_jerk", &Limits::roll_jerk, 1.0, 5000.0, "rad/s^3"},
-    {"roll_max", &Limits::roll_max, 0.5, 6.3, "rad"},
-    {"flange_velocity", &Limits::flange_velocity, 1e-3, 0.5, "m/s"},
-    {"cone", &Limits::cone, 0.05, 1.3, "rad"},
-    {"depth_min", &Limits::depth_min, 0.01, 0.1, "m", Tighter::kLarger},
-    {"depth_slow", &Limits::depth_slow, 0.015, 0.15, "m", Tighter::kLarger},
-    {"depth_max", &Limits::depth_max, 0.05, 0.4, "m"},
-    {"stop_deceleration", &Limits::stop_deceleration, 0.5, 20.0, "m/s^2", Tighter::kLarger},
-    {"step_slack", &Limits::step_slack, 1e-4, 0.005, "m"},
-    {"step_roll_slack", &Limits::step_roll_slack, 1e-3, 0.1, "rad"},
-    {"step_dt_max", &Limits::step_dt_max, 0.002, 0.2, "s"},
-    {"rcm_error_warn", &Limits::rcm_error_warn, 1e-5, 0.002, "m"},
-    {"rcm_error_fault", &Limits::rcm_error_fault, 1e-4, 0.005, "m"},
-    {"tip_force_soft", &Limits::tip_force_soft, 0.1, 10.0, "N"},
-    {"tip_force_hard", &Limits::tip_force_hard, 0.2, 15.0, "N"},
-    {"trocar_force_warn", &Limits::trocar_force_warn, 0.1, 20.0, "N"},
-    {"trocar_force_fault", &Limits::trocar_force_fault, 0.2, 30.0, "N"},
-    {"joint_margin", &Limits::joint_margin, 0.01, 0.5, "rad", Tighter::kLarger},
-};
-
-struct TuningKey {
-  const char* name;
-  double Tuning::*member;
-  double lowest, highest;
-  const char* unit;
-};
-
-constexpr TuningKey kTuningKeys[] = {
-    // 150 /s diverged against 10 ms of delay; the ceiling leaves a factor of two.
-    {"rcm_gain", &Tuning::rcm_gain, 1.0, 75.0, "1/s"},
-    {"tip_gain", &Tuning::tip_gain, 0.0, 50.0, "1/s"},
-    {"roll_gain", &Tuning::roll_gain, 0.0, 50.0, "1/s"},
-    {"posture_gain", &Tuning::posture_gain, 0.0, 10.0, "1/s"},
-    {"profiler_duration", &Tuning::profiler_duration, 0.05, 5.0, "s"},
-    {"stream_delay", &Tuning::stream_delay, 0.0, 0.1, "s"},
-    {"tremor", &Tuning::tremor, 0.0, 20.0, "Hz"},
-    {"servo_timeout", &Tuning::servo_timeout, 0.02, 0.5, "s"},
-    {"track_noise", &Tuning::track_noise, 1e-5, 0.001, "m"},
-    {"track_jerk", &Tuning::track_jerk, 0.001, 1.0, "m/s^3"},
-    {"track_timeout", &Tuning::track_timeout, 0.05, 0.5, "s"},
-};
-
-/// Keys of a link's YAML. A status comes at 50 Hz: a shorter time-out would miss it.
-constexpr double kLinkTimeout[] = {0.03, 0.2}, kLinkAcceleration[] = {0.05, 1.0};
-/// A dead-man may not wait longer than a controller's own time-out, and a stop not take longer than
-/// 0.8 s from the fastest joint.
-constexpr double kDeadMan[] = {0.01, 0.1}, kStopDeceleration[] = {4.0, 40.0};
-/// `joints.braking` where a robot does not state it, and what it may state, in shares of its
-/// acceleration.
-constexpr double kBraking[] = {0.25, 2.0}, kBrakingRange[] = {0.05, 20.0};
-
-// Together what clearance.hpp has room for.
-constexpr double kWristMost = 1.5;  // [rad] of pitch and yaw: at a quarter turn the roll is free
-constexpr double kRollMost = 2 * M_PI;  // [rad] of the drive's roll: cables run along the shaft
-constexpr int kMostArmCapsules = 24;    // `capsules` of a robot
-constexpr int kMostToolCapsules = 8;    // `capsules` of an instrument
-constexpr double kSlowTip = 0.02;       // [m/s] of an arm that is being commissioned
-constexpr double kSlowFlange = 0.05;    // [m/s] of an arm that is being commissioned
 
 /// Limits that must increase, whoever set them.
 struct IncreasingLimits {
@@ -99,7 +83,7 @@ constexpr IncreasingLimits kIncreasingLimits[] = {
 void check_limits(const Limits& limits,
                   const std::function<std::string(const std::string&)>& where) {
   for (const auto& [lower, upper] : kIncreasingLimits) {
-    const LimitKey &low = *find_limit(lower), &high = *find_limit(upper);
+    const Key<Limits>&low = *find_limit(lower), &high = *find_limit(upper);
     const double least = limits.*low.member, most = limits.*high.member;
     if (least < most) continue;
     const std::string below = where(lower), above = where(upper);
@@ -147,7 +131,7 @@ std::vector<LinkCapsule> read_capsules(Reader& reader, const Document& document,
     }
     capsules.push_back(capsule);
   }
-  const int most = joints.empty() ? kMostToolCapsules : kMostArmCapsules;
+  const int most = joints.empty() ? 8 : 24;  // together what clearance.hpp has room for
   if (static_cast<int>(capsules.size()) > most) {
     reader.fail("capsules",
                 "has " + std::to_string(capsules.size()) + "; allowed are " + std::to_string(most));
@@ -157,8 +141,8 @@ std::vector<LinkCapsule> read_capsules(Reader& reader, const Document& document,
 
 }  // namespace
 
-const LimitKey* config::find_limit(const std::string& name) {
-  for (const auto& key : kLimitKeys) {
+const Key<Limits>* config::find_limit(const std::string& name) {
+  for (const auto& key : limit_keys()) {
     if (name == key.name) return &key;
   }
   return nullptr;
@@ -166,7 +150,7 @@ const LimitKey* config::find_limit(const std::string& name) {
 
 std::string config::not_a_limit() {
   std::string list;
-  for (const auto& key : kLimitKeys) {
+  for (const auto& key : limit_keys()) {
     list += (list.empty() ? "" : ", ") + std::string(key.name);
   }
   return "is not a limit; known are " + list;
@@ -175,19 +159,20 @@ std::string config::not_a_limit() {
 namespace {
 
 void read_tuning(Reader& reader, Tuning& tuning) {
-  for (const auto& key : kTuningKeys) {
+  for (const auto& key : tuning_keys()) {
     tuning.*key.member =
         reader.real(std::string("tuning.") + key.name, key.lowest, key.highest, key.unit);
   }
-  std::vector<double> range(std::begin(kBraking), std::end(kBraking));
+  constexpr double kLeast = 0.05, kMost = 20;  // shares of 'acceleration'
+  std::vector<double> range{0.25, 2.0};
   if (reader.has("joints.braking")) range = reader.numbers("joints.braking");
-  const bool good = range.size() == 2 && range[0] >= kBrakingRange[0] && range[0] <= range[1] &&
-                    range[1] <= kBrakingRange[1];
+  const bool good =
+      range.size() == 2 && range[0] >= kLeast && range[0] <= range[1] && range[1] <= kMost;
   if (!good) {
     reader.fail("joints.braking",
                 "is not a range; needed are the least and the greatest share of "
                 "'acceleration' with which a joint brakes, within " +
-                    number(kBrakingRange[0]) + " to " + number(kBrakingRange[1]));
+                    number(kLeast) + " to " + number(kMost));
   }
   tuning.braking_least = range[0];
   tuning.braking_most = range[1];
@@ -234,7 +219,7 @@ RobotConfig parse_robot(const Document& document) {
                                      " to " + number(robot.position_max[i]) + " rad");
     }
   }
-  for (const auto& key : kLimitKeys) {
+  for (const auto& key : limit_keys()) {
     robot.limits.*key.member =
         reader.real(std::string("limits.") + key.name, key.lowest, key.highest, key.unit);
   }
@@ -257,18 +242,17 @@ LinkConfig parse_link(const Document& document) {
   Reader reader(document, "surg_link/1");
   LinkConfig link;
   link.name = reader.word("name");
-  link.link_timeout = reader.real("link_timeout", kLinkTimeout[0], kLinkTimeout[1], "s");
+  // A status comes at 50 Hz: a shorter time-out would miss it.
+  link.link_timeout = reader.real("link_timeout", 0.03, 0.2, "s");
   const StatedLag lag = read_lag(reader, "link_lag");
   link.link_lag = lag.slowest;
   link.joint_lag = lag.joints;
-  link.acceleration =
-      reader.real("acceleration", kLinkAcceleration[0], kLinkAcceleration[1], "of the robot's");
-  if (reader.has("dead_man")) {
-    link.dead_man = reader.real("dead_man", kDeadMan[0], kDeadMan[1], "s");
-  }
+  link.acceleration = reader.real("acceleration", 0.05, 1.0, "of the robot's");
+  // A dead-man may not wait longer than a controller's own time-out, and a stop not take longer
+  // than 0.8 s from the fastest joint.
+  if (reader.has("dead_man")) link.dead_man = reader.real("dead_man", 0.01, 0.1, "s");
   if (reader.has("stop_deceleration")) {
-    link.stop_deceleration =
-        reader.real("stop_deceleration", kStopDeceleration[0], kStopDeceleration[1], "rad/s^2");
+    link.stop_deceleration = reader.real("stop_deceleration", 4.0, 40.0, "rad/s^2");
   }
   if (reader.has("driver")) link.driver = reader.word("driver");
   reader.leave("settings");  // of the robot's maker; the driver checks them
@@ -308,10 +292,11 @@ WristConfig read_wrist(Reader& reader) {
   WristConfig wrist;
   wrist.geometry.pitch_to_yaw = reader.real("wrist.pitch_to_yaw", 0.0, 0.03, "m");
   wrist.geometry.yaw_to_tip = reader.real("wrist.yaw_to_tip", 0.002, 0.05, "m");
-  read_wrist_range(reader, "pitch", kWristMost, wrist.min[0], wrist.max[0]);
-  read_wrist_range(reader, "yaw", kWristMost, wrist.min[1], wrist.max[1]);
+  // At a quarter turn of pitch the roll is free; cables run along the shaft and bound the roll.
+  read_wrist_range(reader, "pitch", 1.5, wrist.min[0], wrist.max[0]);
+  read_wrist_range(reader, "yaw", 1.5, wrist.min[1], wrist.max[1]);
   if (reader.has("wrist.roll")) {
-    read_wrist_range(reader, "roll", kRollMost, wrist.min[2], wrist.max[2]);
+    read_wrist_range(reader, "roll", 2 * M_PI, wrist.min[2], wrist.max[2]);
   }
   wrist.velocity = reader.real("wrist.velocity", 0.2, 20.0, "rad/s");
   wrist.acceleration = reader.real("wrist.acceleration", 2.0, 400.0, "rad/s^2");
@@ -377,7 +362,7 @@ Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell
   Limits result = limits;
   for (const auto& [limit, value] : arm.limits) {
     const std::string where = place(arm, "limits." + limit, cell_file) + ": ";
-    const LimitKey* key = find_limit(limit);
+    const Key<Limits>* key = find_limit(limit);
     if (!key) throw ConfigError(where + not_a_limit());
     const double present = limits.*key->member;
     const bool smaller = key->tighter == Tighter::kSmaller;
@@ -392,8 +377,8 @@ Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell
     result.*key->member = value;
   }
   if (arm.hardware && arm.hardware->commissioning) {
-    result.tip_velocity = std::min(result.tip_velocity, kSlowTip);
-    result.flange_velocity = std::min(result.flange_velocity, kSlowFlange);
+    result.tip_velocity = std::min(result.tip_velocity, 0.02);        // [m/s]
+    result.flange_velocity = std::min(result.flange_velocity, 0.05);  // [m/s]
   }
   check_limits(result, [&](const std::string& limit) {
     return arm.limits.count(limit) ? place(arm, "limits." + limit, cell_file) : std::string();
@@ -434,8 +419,8 @@ std::string limits_hash(const RobotConfig& robot, const Limits& limits) {
     std::memcpy(bytes, &value, sizeof value);
     for (unsigned char byte : bytes) hash = (hash ^ byte) * 1099511628211ULL;
   };
-  for (const auto& key : kLimitKeys) mix(limits.*key.member);
-  for (const auto& key : kTuningKeys) mix(robot.tuning.*key.member);
+  for (const auto& key : limit_keys()) mix(limits.*key.member);
+  for (const auto& key : tuning_keys()) mix(robot.tuning.*key.member);
   mix(robot.tuning.link_timeout);
   mix(robot.tuning.link_lag);
   mix(robot.tuning.braking_least);

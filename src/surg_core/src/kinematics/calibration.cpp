@@ -30,11 +30,7 @@ void check_count(const char* what, std::size_t n, const char* unit,
 
 void check_poses(const char* what, const std::vector<Pose>& X_BF) {
   for (std::size_t i = 0; i < X_BF.size(); ++i) {
-    const Matrix3 R = X_BF[i].linear();
-    // Written so that a NaN fails as well.
-    const bool rotation = (R * R.transpose() - Matrix3::Identity()).cwiseAbs().maxCoeff() < 1e-6 &&
-                          R.determinant() > 0;
-    if (!rotation || !X_BF[i].translation().allFinite()) {
+    if (!is_rotation(X_BF[i].linear()) || !X_BF[i].translation().allFinite()) {
       throw CalibrationError(std::string(what) + ": pose " + std::to_string(i + 1) +
                              " is not a pose; every number must be finite and its rotation proper");
     }
@@ -245,17 +241,14 @@ PointFit calibrate_trocar(const std::vector<Line>& shafts, const CalibrationLimi
 
 ToolCalibration tool_calibration(const TipFit& tip, const AxisFit& axis, const std::string& date) {
   const double length = axis.s_F.dot(tip.p_FTip);
-  return {axis.s_F,
-          tip.p_FTip,
-          std::max(tip.fit.rms, axis.fit.rms * std::abs(length)),
-          std::max(tip.fit.condition, axis.fit.condition),
-          tip.fit.n + axis.fit.n,
-          date,
-          "measured"};
+  const Evidence evidence{std::max(tip.fit.rms, axis.fit.rms * std::abs(length)),
+                          std::max(tip.fit.condition, axis.fit.condition), tip.fit.n + axis.fit.n,
+                          date, "measured"};
+  return {evidence, axis.s_F, tip.p_FTip};
 }
 
 TrocarCalibration trocar_calibration(const PointFit& point, const std::string& date) {
-  return {point.p_BRcm, point.fit.rms, point.fit.condition, point.fit.n, date, "measured"};
+  return {{point.fit.rms, point.fit.condition, point.fit.n, date, "measured"}, point.p_BRcm};
 }
 
 }  // namespace surg

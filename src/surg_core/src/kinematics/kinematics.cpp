@@ -8,12 +8,13 @@
 #include "kinematics/sines.hpp"
 
 namespace surg {
-namespace {
 
 bool is_rotation(const Matrix3& R) {
   return (R * R.transpose() - Matrix3::Identity()).cwiseAbs().maxCoeff() < 1e-6 &&
          R.determinant() > 0;
 }
+
+namespace {
 
 void check_pose(const Pose& X, const std::string& what) {
   if (!X.matrix().allFinite()) throw std::invalid_argument(what + ": the pose is not finite");

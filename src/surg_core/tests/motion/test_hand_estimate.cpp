@@ -1,6 +1,5 @@
 // Estimate of slow streams by several models.
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <functional>
 
@@ -136,38 +135,6 @@ TEST(HandEstimate, StaysFiniteWhateverComes) {
     ASSERT_TRUE(std::isfinite(now[0].v) && std::isfinite(now[2].a)) << k;
   }
   test::report("samples", count);
-}
-
-TEST(HandEstimate, LeavesTheHeapAlone) {
-  if (!SURG_HEAP_IS_WATCHED) GTEST_SKIP() << "the heap cannot be watched in this build";
-  HandEstimate hand;
-  test::HeapWatch heap;
-  hand.reset({});
-  for (int k = 1; k < 100; ++k) {
-    hand.update({1e-4 * k}, kSlowPeriod, kSlowPeriod);
-    hand.predict(0.01);
-  }
-  EXPECT_EQ(heap.calls(), 0);
-}
-
-TEST(HandEstimate, CostsLittle) {
-  HandEstimate hand;
-  hand.reset({});
-  const auto begin = std::chrono::steady_clock::now();
-  const int count = 20000;
-  double sum = 0;
-  for (int k = 1; k <= count; ++k) {
-    hand.update({1e-4 * std::sin(0.2 * k)}, kSlowPeriod, kSlowPeriod);
-  }
-  const auto middle = std::chrono::steady_clock::now();
-  for (int k = 1; k <= count; ++k) sum += hand.predict(1e-6 * k)[0].x;
-  const auto end = std::chrono::steady_clock::now();
-  const auto each = [](auto time) {
-    return 1e6 * std::chrono::duration<double>(time).count() / count;
-  };
-  std::printf("[  figures ] %.1f us per sample, %.1f us per prediction (%g)\n",
-              each(middle - begin), each(end - middle), sum);
-  EXPECT_LT(each(end - begin), 500);
 }
 
 }  // namespace

@@ -114,7 +114,7 @@ inline JointVector panda_acceleration() {
 inline InstrumentConfig instrument() { return {"", "grasper", "", "", "", 0.0, 1.0, 3.0}; }
 
 inline ToolCalibration offset_tool() {
-  return {Vector3::UnitZ(), Vector3(0.06, 0, 0.3), 0, 1, 1, "2026-01-01"};
+  return {{0, 1, 1, "2026-01-01"}, Vector3::UnitZ(), Vector3(0.06, 0, 0.3)};
 }
 
 }  // namespace surg::test

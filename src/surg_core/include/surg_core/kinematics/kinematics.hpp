@@ -9,6 +9,9 @@
 
 namespace surg {
 
+/// Whether a matrix is a rotation, to 1e-6; false for NaN.
+bool is_rotation(const Matrix3& R);
+
 /// A revolute joint: pose of the joint frame in the previous one at q = 0, and its unit axis.
 struct Joint {
   std::string name;
