@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from surg_recording.episode import episode_reader
 from surg_recording.metrics.confidence_intervals import success_rate
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.reports import evaluation
@@ -25,7 +26,7 @@ def main() -> None:
     parser.add_argument("episodes", type=Path, nargs="?", default=Path("runs/course/episodes"))
     options = parser.parse_args()
     try:
-        folders = evaluation.find([options.episodes])
+        folders = episode_reader.find([options.episodes])
     except EpisodeError as error:
         raise SystemExit(f"{error}; run examples/05_recording.py first") from None
     entries, left_out = evaluation.measure_all(folders, "PSM1", False, lambda part, note: None)

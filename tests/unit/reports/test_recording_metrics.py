@@ -336,7 +336,7 @@ def test_short_motions_are_nan_or_a_number_never_an_accident(preset: str, count:
         assert math.isnan(found.ldlj)
     if found.samples < 2:
         assert math.isnan(found.sparc)
-    assert metrics.idle(p, 500.0, 3.0).seconds <= count / 500
+    assert metrics.idle(p, 500.0).seconds <= count / 500
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -346,7 +346,7 @@ def test_a_gap_in_the_numbers_is_refused_with_its_place(bad: float) -> None:
     for call in (
         lambda: metrics.smoothness(p, 500.0),
         lambda: metrics.smoothness(p, 500.0, "paper"),
-        lambda: metrics.idle(p, 500.0, 3.0),
+        lambda: metrics.idle(p, 500.0),
         lambda: ldlj(p, 500.0),
         lambda: metrics.ldlj_displacement(p, 500.0),
     ):
@@ -374,13 +374,13 @@ def test_idle_time_counts_pauses_and_not_turning_points() -> None:
     x = np.cumsum(np.concatenate([np.full(round(t * fs), v / fs) for t, v in speeds]))
     tremor = 0.05e-3 * np.sin(2 * np.pi * 10 * np.arange(len(x)) / fs)
     p = np.stack([x, tremor, 0 * x], axis=1)
-    found = metrics.idle(p, fs, 3.0)
+    found = metrics.idle(p, fs)
     print(found)
     # Two pauses count. The filter blurs each of their three inner ends by about 0.2 s.
     assert found.pauses == 2
     assert 5.5 - 3 * 0.25 < found.seconds < 5.5
     assert found.share == pytest.approx(found.seconds / 12.8, rel=1e-3)
-    still = metrics.idle(np.ones((1001, 3)), fs, 3.0)
+    still = metrics.idle(np.ones((1001, 3)), fs)
     assert (still.seconds, still.share, still.pauses) == (2.0, 1.0, 1)
 
 
@@ -395,13 +395,13 @@ def test_idle_time_is_that_of_the_definition(full: bool) -> None:
             len(list(run)) for still, run in itertools.groupby(v < 1e-3 for v in speed) if still
         ]
         counted = [run / fs for run in runs if run / fs >= 0.5 - 0.5 / fs]
-        found = metrics.idle(p, fs, 3.0)
+        found = metrics.idle(p, fs)
         assert (found.seconds, found.pauses) == (pytest.approx(sum(counted)), len(counted))
     print(f"{cases} motions")
 
 
 @pytest.mark.parametrize("name", ["fs", "cutoff"])
 def test_idle_time_refuses_nonsense(name: str) -> None:
-    given = {"fs": 500.0, "cutoff": 3.0, name: 0.0}
+    given = {"fs": 500.0, name: 0.0}
     with pytest.raises(ValueError, match=f"idle: {name} is 0"):
         metrics.idle(np.zeros((10, 3)), **given)

@@ -42,7 +42,7 @@ class Idle:
     pauses: int
 
 
-def idle(position: ArrayLike, fs: float, cutoff: float) -> Idle:
+def idle(position: ArrayLike, fs: float, cutoff: float = 3.0) -> Idle:
     """Time in which the tip stands still: pauses in which its speed stays below a bound.
 
     Args:

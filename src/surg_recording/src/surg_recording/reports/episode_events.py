@@ -34,8 +34,12 @@ def collect(
                 events.append({"t": t - origin, "kind": kind, "text": text, "exact": exact})
     except EpisodeError as problem:
         missing.append(str(problem))
-    if "task_state" in episode.tables:
-        events += _phases(episode, origin, missing)
+    try:
+        for stamp, name in phases(episode):
+            text = f"phase: {name}"
+            events.append({"t": stamp - origin, "kind": "phase", "text": text, "exact": True})
+    except EpisodeError as problem:
+        missing.append(str(problem))
     events.sort(key=lambda event: event["t"])
     if not events:
         missing.append("no events were recorded")
@@ -75,26 +79,19 @@ def _event(topic: str, content: str) -> tuple[str, str]:
     return kind, f"{arm}: {text}" if arm else text
 
 
-def _phases(episode: Episode, origin: int, missing: list[str]) -> list[dict[str, Any]]:
-    """Changes of the task's phase."""
-    try:
-        table = table_file.read_table(
-            episode.folder / "task_state.csv", wanted=("stamp_ns", "phase")
-        )
-        stamps, phases = table["stamp_ns"], table["phase"]
-    except EpisodeError as problem:
-        missing.append(str(problem))
+def phases(episode: Episode) -> list[tuple[int, str]]:
+    """Stamp [ns] and name of each phase of the task as it begins; none without a task.
+
+    Raises:
+        EpisodeError: Its table cannot be read.
+    """
+    if "task_state" not in episode.tables:
         return []
-    changes = [i for i in range(len(table)) if i == 0 or phases[i] != phases[i - 1]]
-    return [
-        {
-            "t": int(stamps[i]) - origin,
-            "kind": "phase",
-            "text": f"phase: {phases[i]}",
-            "exact": True,
-        }
-        for i in changes
-    ]
+    file = episode.folder / "task_state.csv"
+    table = table_file.read_table(file, wanted=("stamp_ns", "phase"))
+    names = table["phase"]
+    changes = [i for i in range(len(table)) if i == 0 or names[i] != names[i - 1]]
+    return [(int(table["stamp_ns"][i]), str(names[i])) for i in changes]
 
 
 def at_or_before(stamps: Sequence[int] | Stamps, t: int) -> int:

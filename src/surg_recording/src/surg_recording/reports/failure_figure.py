@@ -16,6 +16,7 @@ from surg_recording.episode import episode_reader, table_file
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.table import Table
 from surg_recording.recording_errors import EpisodeError
+from surg_recording.reports import episode_events
 from surg_recording.reports.episode_view_data import kept_rows
 from surg_recording.reports.figure_style import (
     EXECUTED,
@@ -127,16 +128,12 @@ def _mark_refusals(panels: npt.NDArray[Any], times: Array) -> None:
 
 def _name_phases(panels: npt.NDArray[Any], recorded: Episode, start: int, end: float) -> None:
     """Lines where the task's phase changes, and its name above."""
-    if "task_state" not in recorded.tables:
-        return
-    file = recorded.folder / "task_state.csv"
-    table = table_file.read_table(file, wanted=("stamp_ns", "phase"))
-    phases, t = table["phase"], _seconds(table["stamp_ns"], start)
     named = -np.inf
-    for i in [i for i in range(len(table)) if i == 0 or phases[i] != phases[i - 1]]:
+    for stamp, name in episode_events.phases(recorded):
+        t = (stamp - start) / SECOND_NS
         for axes in panels:
-            axes.axvline(t[i], color=FAINT, lw=0.8, ls=":")
-        if t[i] - named > NEAR * end:
+            axes.axvline(t, color=FAINT, lw=0.8, ls=":")
+        if t - named > NEAR * end:
             at = panels[0].get_xaxis_transform()
-            panels[0].text(t[i], 1.02, str(phases[i]), transform=at, fontsize=8, color=FAINT)
-            named = t[i]
+            panels[0].text(t, 1.02, name, transform=at, fontsize=8, color=FAINT)
+            named = t

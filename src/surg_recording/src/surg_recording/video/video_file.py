@@ -79,7 +79,7 @@ def frames(path: Path, indices: Iterable[int] | None = None) -> Iterator[av.Vide
     Raises:
         EpisodeError: The video cannot be read, or ends before an index.
     """
-    wanted = itertools.count() if indices is None else iter(indices)
+    wanted = iter(itertools.count() if indices is None else indices)
     due = next(wanted, None)
     number = -1
     try:
