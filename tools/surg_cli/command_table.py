@@ -40,6 +40,7 @@ class Command:
     urgent: bool = False  # acts at once by its module's `at_once`, and never builds
 
 
+_TEST = Command("develop", "dev.run_tests", "build and run the tests", everything=True)
 COMMANDS = {
     "demo": Command("run", "demo", "play a recorded motion through a trocar and report the errors"),
     "run": Command("run", "run", "play episodes of a task, by scripted senders or by a policy"),
@@ -114,13 +115,14 @@ COMMANDS = {
     ),
     "emulate": Command("robot", "arms.emulate", "emulate a real arm's controller", draws=False),
     "ptp": Command("robot", "ptp", "synchronise the clocks of two machines", needs_workspace=False),
-    "test": Command("develop", "dev.run_tests", "build and run the tests", everything=True),
+    "test": _TEST,
     "dev setup": Command(
         "develop", "dev.setup", "install packages and .venv", needs_workspace=False
     ),
     "dev build": Command(
         "develop", "dev.setup", "set up and build the workspace", needs_workspace=False
     ),
+    "dev test": _TEST,
     "dev bench": Command("develop", "dev.bench", "run a benchmark", everything=True),
     "dev shell": Command("develop", "dev.shell", "open a shell with the workspace sourced"),
     "dev doctor": Command(

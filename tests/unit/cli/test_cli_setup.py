@@ -33,7 +33,7 @@ def test_packages_of_tests_and_exports_wait_for_their_commands(tmp_path: Path) -
     assert {"chromium", "clang-tidy", "python3-opencv", "python3-pytest", "python3-torch"} <= later
     assert {"cmake", "python3-rospy", "libegl1"} <= first
     waiting = {name for name, each in command_table.COMMANDS.items() if each.everything}
-    assert waiting == {"test", "episode export", "dev bench"}
+    assert waiting == {"test", "dev test", "episode export", "dev bench"}
     seeing = {name for name, each in command_table.COMMANDS.items() if "opencv" in each.packages}
     assert seeing == {"calibrate", "check-frames", "episode depth", "episode import"}
 
