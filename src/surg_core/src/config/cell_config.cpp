@@ -192,7 +192,8 @@ std::optional<CellEndoscope> read_endoscope(Reader& reader) {
   endoscope.layout =
       reader.choice(prefix + "layout", {"two", "sbs", "sbs_half", "top_bottom", "rows", "mono"});
   if (reader.has(prefix + "size")) {
-    constexpr double kLeast = 16, kMost = 7680;  // [px]
+    constexpr double kLeast = 16;   // [px] of a side of a picture
+    constexpr double kMost = 7680;  // [px] of a side of a picture
     const std::vector<double> size = reader.numbers(prefix + "size");
     const bool good = size.size() == 2 && std::all_of(size.begin(), size.end(), [](double pixels) {
                         return pixels == std::floor(pixels) && pixels >= kLeast && pixels <= kMost;

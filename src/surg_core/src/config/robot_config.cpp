@@ -163,7 +163,8 @@ void read_tuning(Reader& reader, Tuning& tuning) {
     tuning.*key.member =
         reader.real(std::string("tuning.") + key.name, key.lowest, key.highest, key.unit);
   }
-  constexpr double kLeast = 0.05, kMost = 20;  // shares of 'acceleration'
+  constexpr double kLeast = 0.05;  // least share of 'acceleration'
+  constexpr double kMost = 20;     // largest share of 'acceleration'
   std::vector<double> range{0.25, 2.0};
   if (reader.has("joints.braking")) range = reader.numbers("joints.braking");
   const bool good =
