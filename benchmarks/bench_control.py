@@ -4,7 +4,7 @@
 
     format          "surg_bench_control/1"
     machine         {processor, cores, load_before, load_after, date, compiler, seconds, cycles}
-    cycle_us        {exact|exact_closed|velocity|limited|limited_preview|paper|qp_<name>|
+    cycle_us        {exact|velocity|limited|limited_preview|paper|qp_<name>|
                     kdl_<name>: {median, p99}}: one cycle, from joint positions to joint
                     velocities, UR5e
     rcm_deviation_um {<law>: {mean, max_at_samples, max_between}}

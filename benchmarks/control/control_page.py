@@ -181,4 +181,4 @@ def draw(result: dict[str, Any], file: Path) -> None:
 
 
 COLOUR = "#2a6f97"
-OWN = ("exact", "exact_closed", "velocity", "limited", "limited_preview", "paper")
+OWN = ("exact", "velocity", "limited", "limited_preview", "paper")

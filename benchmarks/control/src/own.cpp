@@ -11,24 +11,37 @@ surg::ShaftGoal goal_at(const Scene& scene, const Vector3& p_BTip) {
   return surg::tip_goal(scene.p_BRcm, p_BTip, 0.0, scene.home.s_B);
 }
 
-/// Two stages, a prediction and a correction, or the closed form where the arm's geometry has one:
-/// surg_core/exact.hpp.
+/// One step of Newton's method to a pose a few milliradians away [rad].
+JointVector newton(const Scene& scene, const JointVector& q, const surg::Pose& X_goal,
+                   const JointVector& posture) {
+  surg::Pose X_BF;
+  surg::Jacobian J;
+  scene.chain.forward(q, X_BF, J);
+  Vector3 turn = Vector3::Zero();  // twice the sine of the angle
+  for (int i = 0; i < 3; ++i) {
+    turn += Vector3(X_BF.linear().col(i)).cross(Vector3(X_goal.linear().col(i)));
+  }
+  surg::Vector6 twist;
+  twist << X_goal.translation() - X_BF.translation(), 0.5 * turn;
+  return surg::inverse_velocity(J, twist, posture).qd;
+}
+
+/// The exact form without limits, a prediction and a correction: surg_core/law/exact.hpp.
 struct Exact : Law {
-  explicit Exact(const surg::NextPose& next) : next(next) {
-    name = next.closed_form() ? "exact_closed" : "exact";
-    what = next.closed_form()
-               ? "surg_core, exact form: next pose on the constraint, closed form of the UR family"
-               : "surg_core, exact form: next pose on the constraint, two Newton stages";
+  Exact() {
+    name = "exact";
+    what = "surg_core, exact form: next pose on the constraint, two Newton stages";
   }
   JointVector step(const JointVector& q, const JointVector&, const Goal& goal) override {
     const Scene& scene = *goal.scene;
     const surg::Pose X_BF =
         surg::pose_on_pivot(scene.home, scene.tool, goal_at(scene, goal.p_next));
-    JointVector posture = JointVector::Zero(q.size());
+    const JointVector none = JointVector::Zero(q.size());
+    JointVector posture = none;
     if (q.size() > 6) posture = kPostureGain * T * (scene.q_home - q);
-    return next.step(q, X_BF, posture).dq / T;
+    const JointVector dq = newton(scene, q, X_BF, posture);
+    return (dq + newton(scene, q + dq, X_BF, none)) / T;
   }
-  surg::NextPose next;
 };
 
 /// Flange twist with lateral feedback, then the inverse: surg_core/rcm.hpp.
@@ -92,10 +105,7 @@ struct Limited : Law {
 }  // namespace
 
 void add_own(Laws& laws, const Scene& scene) {
-  laws.push_back(std::make_unique<Exact>(surg::NextPose(scene.chain, false)));
-  if (surg::NextPose closed(scene.chain); closed.closed_form()) {
-    laws.push_back(std::make_unique<Exact>(closed));
-  }
+  laws.push_back(std::make_unique<Exact>());
   laws.push_back(std::make_unique<Velocity>());
   laws.push_back(std::make_unique<Paper>());
   laws.push_back(std::make_unique<Limited>(scene, 0.0));

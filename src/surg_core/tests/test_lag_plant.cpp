@@ -107,18 +107,16 @@ Maker paper() {
 /// Exact form on a virtual reference, the arm made to follow it.
 Maker exact_follower(double lag, double gain, bool measures) {
   return [=](const Scene& scene, const Path& path) -> Command {
-    const NextPose next(scene.chain);
     const int n = scene.chain.dof();
     const ExactFollower::Options options{JointVector::Constant(n, lag), gain, kT, scene.velocity,
                                          scene.acceleration};
     MeasuredFollower follower(n, options, measures);
     follower.reset(scene.q_home);
     return [=, &scene](const JointVector& q, double t) mutable -> JointVector {
-      const Pose X_goal = pose_on_pivot(scene.home, scene.tool, path(t + kT));
       const JointVector& q_ref = follower.reference();
       const JointVector posture = kT * kPosture * (scene.q_home - q_ref);
       const RcmRows pivot = scene.pivot(q, path(t).p_BRcm);
-      return follower.advance(next.step(q_ref, X_goal, posture).dq, q, &pivot);
+      return follower.advance(scene.next(q_ref, path(t + kT), posture) - q_ref, q, &pivot);
     };
   };
 }
@@ -126,10 +124,8 @@ Maker exact_follower(double lag, double gain, bool measures) {
 /// Exact form from the measured joints to the next pose, every cycle: deadbeat.
 Maker exact_deadbeat() {
   return [](const Scene& scene, const Path& path) -> Command {
-    const NextPose next(scene.chain);
     return [=, &scene](const JointVector& q, double t) -> JointVector {
-      const Pose X_goal = pose_on_pivot(scene.home, scene.tool, path(t + kT));
-      return next.step(q, X_goal, kT * kPosture * (scene.q_home - q)).dq / kT;
+      return (scene.next(q, path(t + kT), kT * kPosture * (scene.q_home - q)) - q) / kT;
     };
   };
 }
@@ -272,13 +268,11 @@ TEST(LagPlant, JointsOfUnequalLagsKeepThePivot) {
       MeasuredFollower follower(scene.chain.dof(),
                                 {lags, 50, kT, scene.velocity, scene.acceleration});
       follower.reset(scene.q_home);
-      const NextPose next(scene.chain);
       for (long i = 0; i < std::lround(seconds / kT); ++i) {
-        const Pose X_goal = pose_on_pivot(scene.home, scene.tool, path((i + 1) * kT));
         const JointVector& q_ref = follower.reference();
-        const JointVector rest = JointVector::Zero(q_ref.size());
+        const JointVector dq = scene.next(q_ref, path((i + 1) * kT)) - q_ref;
         const RcmRows pivot = scene.pivot(arm.measured(), scene.p_BRcm());
-        arm.obey(follower.advance(next.step(q_ref, X_goal, rest).dq, arm.measured(), &pivot));
+        arm.obey(follower.advance(dq, arm.measured(), &pivot));
         rcm.add(scene.shaft(arm.truth()).e.norm());
       }
     }
@@ -393,7 +387,6 @@ TEST(LagPlant, ATrocarThatMovesIsFollowed) {
       {"arm", "law", "samples", "RCM mean µm", "RCM max µm"});
   const Scene scene(false, true);
   const Breathing wall{scene.p_BRcm(), Vector3(1, 1, 0.5).normalized()};
-  const NextPose next(scene.chain);
   for (const bool lagging : {false, true}) {
     for (const Aware aware : {Aware::kNo, Aware::kPosition, Aware::kVelocity}) {
       for (const long spacing : {1L, 10L}) {
@@ -418,12 +411,10 @@ TEST(LagPlant, ATrocarThatMovesIsFollowed) {
           const Vector3 p_BTip = scene.X_BR * test::lissajous(paced(t + kT, 1));
           const double then = t + kT + follower.delay();
           const ShaftGoal goal = tip_goal(believed(t, then), p_BTip, 0, scene.home.s_B);
-          const Pose X_goal = pose_on_pivot(scene.home, scene.tool, goal);
-          const JointStep step =
-              next.step(follower.reference(), X_goal, JointVector::Zero(q.size()));
+          const JointVector dq = scene.next(follower.reference(), goal) - follower.reference();
           const JointVector measured = lagging ? arm.measured() : q;
           const RcmRows pivot = scene.pivot(measured, believed(t, t));
-          const JointVector qd = follower.advance(step.dq, measured, &pivot);
+          const JointVector qd = follower.advance(dq, measured, &pivot);
           arm.obey(qd);
           q = lagging ? arm.truth() : JointVector(q + kT * qd);
           if (t < 2) continue;  // the wall moves from the start, the arm has to catch up
@@ -453,7 +444,6 @@ TEST(LagPlant, KinematicAndTrueDeviationAreTwoFigures) {
   const double seconds = test::family(20, 60);
   const int n = test::family(4, 40);
   const Scene scene(false, true);
-  const NextPose next(scene.chain);
   Random random(11);
   Series kinematic, physical, tip;
   for (int k = 0; k < n; ++k) {
@@ -470,8 +460,7 @@ TEST(LagPlant, KinematicAndTrueDeviationAreTwoFigures) {
       const double t = (i + 1) * kT;
       const Vector3 p_BTip = scene.X_BR * test::lissajous(paced(t, 1));
       const ShaftGoal goal = tip_goal(scene.p_BRcm(), p_BTip, 0, scene.home.s_B);
-      const Pose X_goal = pose_on_pivot(scene.home, scene.tool, goal);
-      q += next.step(q, X_goal, JointVector::Zero(6)).dq;
+      q = scene.next(q, goal);
       const Pose X_BF = scene.chain.forward(q);
       const ShaftState real = shaft_state(X_BF, truth, scene.p_BRcm());
       kinematic.add(shaft_state(X_BF, scene.tool, scene.p_BRcm()).e.norm());

@@ -41,13 +41,11 @@ JointVector pull(const Scene& scene, const JointVector& q, double gain) {
   return gain * (scene.q_home - q);
 }
 
-Step exact_law(const Scene& scene, bool closed_form, double posture) {
-  const NextPose next(scene.chain, closed_form);
-  return [&scene, next, posture](const JointVector& q, double t) -> JointVector {
+Step exact_law(const Scene& scene, double posture) {
+  return [&scene, posture](const JointVector& q, double t) -> JointVector {
     const Vector3 p_BTip = scene.X_BR * test::lissajous(t + kT);
     const ShaftGoal goal = tip_goal(scene.p_BRcm(), p_BTip, 0, scene.home.s_B);
-    const Pose X_goal = pose_on_pivot(scene.home, scene.tool, goal);
-    return q + next.step(q, X_goal, kT * pull(scene, q, posture)).dq;
+    return scene.next(q, goal, kT * pull(scene, q, posture));
   };
 }
 
@@ -154,9 +152,8 @@ TEST(Law, ExactFormKeepsPivotTipRollAndPostureOnAnIdealArm) {
     for (const bool tilted : {false, true}) {
       const Scene scene(panda, tilted);
       std::vector<Named> laws;
-      if (!panda) laws.push_back({"exact, closed form", exact_law(scene, true, kPosture)});
-      laws.push_back({"exact, two stages", exact_law(scene, false, kPosture)});
-      if (panda) laws.push_back({"exact, no posture", exact_law(scene, false, 0)});
+      laws.push_back({"exact", exact_law(scene, kPosture)});
+      if (panda) laws.push_back({"exact, no posture", exact_law(scene, 0)});
       laws.push_back({"velocity form", velocity_law(scene)});
       laws.push_back({"paper", paper_law(scene)});
       laws.push_back({"swapped", swapped_law(scene)});
@@ -202,11 +199,9 @@ Vector4 virtual_joints(double t) {
 /// base's x and y that these angles mean.
 std::vector<Named> spherical_laws(const Scene& scene,
                                   const std::function<Vector4(double)>& joints) {
-  const NextPose next(scene.chain);
-  const auto exact = [&scene, next, joints](const JointVector& q, double t) -> JointVector {
+  const auto exact = [&scene, joints](const JointVector& q, double t) -> JointVector {
     const ShaftGoal goal = spherical_goal(scene.X_BR, joints(t + kT));
-    const Pose X_goal = pose_on_pivot(scene.home, scene.tool, goal);
-    return q + next.step(q, X_goal, kT * pull(scene, q, kPosture)).dq;
+    return scene.next(q, goal, kT * pull(scene, q, kPosture));
   };
   const auto velocity = [&scene, joints](const JointVector& q, double t) -> JointVector {
     Pose X_BF;

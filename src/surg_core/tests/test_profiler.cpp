@@ -101,13 +101,6 @@ void examine(const Profiler& planned, const Dofs& from, const Targets& target, c
       ASSERT_NEAR(start[i].a, last.a, 1e-9);
     }
     tally.note(outside(position, hull), v / V, a / A, j / limits.jerk);
-    const Interval said = planned.excursion(i, 0, total);
-    ASSERT_LE(said.least, position.least + 1e-9);
-    ASSERT_GE(said.greatest, position.greatest - 1e-9);
-    if (brake == 0) {
-      ASSERT_GE(said.least, position.least - 1e-9);
-      ASSERT_LE(said.greatest, position.greatest + 1e-9);
-    }
     Profiler at = planned;
     at.advance(brake);
     for (int k = 1; k <= 40; ++k) {
@@ -164,7 +157,6 @@ TEST(Profiler, KeepsItsLimitsFromAnyStateThatCan) {
   const int count = test::family(1500, 100000);
   Profiler profiler(kLimits, 0.5);
   Tally tally;
-  double swing = 0;  // of x, y, z beyond start and target
   for (int k = 0; k < count; ++k) {
     Dofs from;
     Targets target;
@@ -173,16 +165,9 @@ TEST(Profiler, KeepsItsLimitsFromAnyStateThatCan) {
     ASSERT_TRUE(profiler.plan(target)) << "family member " << k;
     ASSERT_NO_FATAL_FAILURE(examine(profiler, from, target, Bounds{}, tally)) << "member " << k;
     ASSERT_LT(profiler.duration(), 12);
-    for (int i = 0; i < 3; ++i) {
-      Interval ends{from[i].x, from[i].x};
-      ends.include(target[i]);
-      swing = std::max(swing, outside(profiler.excursion(i, 0, 20), ends));
-    }
   }
   EXPECT_EQ(tally.sum(), 0);
   test::report("random states", count);
-  std::printf("[  figures ] without bounds the tip swings up to %.1f mm beyond both ends\n",
-              1e3 * swing);
   print("in motion", tally);
 }
 
@@ -442,24 +427,6 @@ TEST(Profiler, IgnoresATargetThatIsNotFinite) {
   profiler.advance(10);
   EXPECT_EQ(profiler.state()[0].x, 0.01);
   EXPECT_EQ(profiler.state()[1].x, 0);
-}
-
-TEST(Profiler, RefusesLimitsThatAreNotPositive) {
-  EXPECT_THROW(Profiler({kTip, kTip, kTip, DofLimits{1, 0, 1}}, 0.5), std::invalid_argument);
-  EXPECT_THROW(Profiler({kTip, kTip, kTip, DofLimits{NAN, 1, 1}}, 0.5), std::invalid_argument);
-  EXPECT_THROW(Profiler(kLimits, 0), std::invalid_argument);
-}
-
-TEST(Profiler, LeavesTheHeapAlone) {
-  if (!SURG_HEAP_IS_WATCHED) GTEST_SKIP() << "the heap cannot be watched in this build";
-  Profiler profiler(kLimits, 0.5);
-  test::HeapWatch heap;
-  profiler.reset(Dofs{Kinematic{0, 0.1, 1.9}, {}, {}, {}});
-  profiler.plan({0.05, -0.02, 0.1, 1});
-  profiler.advance(0.002);
-  profiler.plan_fixed({0.05, -0.02, 0.1, 1}, 0.5);
-  profiler.advance(0.002);
-  EXPECT_EQ(heap.calls(), 0);
 }
 
 }  // namespace

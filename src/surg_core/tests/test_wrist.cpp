@@ -7,6 +7,7 @@
 #include <iostream>
 #include <random>
 
+#include "support/next_joints.hpp"
 #include "support/test_arm.hpp"
 #include "support/test_support.hpp"
 #include "surg_core/controller.hpp"
@@ -250,7 +251,8 @@ class WristBench {
     Pose goal = X_BF;
     goal.linear() = Eigen::AngleAxisd(arm, s) * X_BF.linear();
     goal.translation() = p + Eigen::AngleAxisd(arm, s) * (X_BF.translation() - p);
-    for (int i = 0; i < 20; ++i) in_.q += exact_step(chain_, in_.q, goal, JointVector::Zero(6)).dq;
+    const JointVector free = JointVector::Zero(6);
+    for (int i = 0; i < 10; ++i) in_.q = test::next_joints(chain_, in_.q, goal, free);
   }
   const Outputs& out() const { return *out_; }
   Inputs& in() { return in_; }

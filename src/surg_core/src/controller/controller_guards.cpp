@@ -11,7 +11,6 @@ constexpr double kFollowDistance =
 constexpr double kToolTimeout = 0.2;     // [s] without a jaw state (F31)
 constexpr double kDampedLoop = 0.7;      // gain times delay of a loop that is well damped
 constexpr double kVelocitySlack = 0.05;  // [rad/s] noise of measured velocities
-constexpr int kUnexplained = 5;          // [cycles] of a motion that no command explains
 constexpr double kSofter = 4;  // times the excess of the cycles: streams are followed as softly
 constexpr double kStatusPeriods = 0.04;  // [s] two periods of robot/status: joint states end first
 constexpr double kOutside = 0.02;        // [rad] a lagging joint may be beyond its limit
@@ -201,7 +200,7 @@ bool Controller::Impl::joints_are_unexplained() {
   const bool moves = (qd_last.array().abs() > slack.array()).any();
   const bool explained = !fresh || !moves || commanded.explains(qd, slack, 0);
   unexplained = explained ? 0 : unexplained + 1;
-  if (unexplained < kUnexplained) return false;
+  if (unexplained < StateCheck::kLost) return false;
   unexplained = 0;
   return true;
 }

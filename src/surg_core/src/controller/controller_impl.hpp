@@ -31,27 +31,6 @@ bool finite(const Eigen::MatrixBase<Derived>& v) {
   return (v.array().abs() < kHuge).all();
 }
 
-template <>
-struct IsPlain<CommandHistory> : std::true_type {};
-template <>
-struct IsPlain<Trocar> : std::true_type {};
-template <>
-struct IsPlain<CommandHandler> : std::true_type {};
-template <>
-struct IsPlain<JointTrace> : std::true_type {};
-template <>
-struct IsPlain<ForceGuard> : std::true_type {};
-template <>
-struct IsPlain<LagMeter> : std::true_type {};
-template <>
-struct IsPlain<StandstillGuard> : std::true_type {};
-template <>
-struct IsPlain<StateCheck> : std::true_type {};
-template <>
-struct IsPlain<StopEstimator::Commands> : std::true_type {};
-template <>
-struct IsPlain<Fixtures> : std::true_type {};
-
 /// Shaft axis and end: the tip of a straight instrument, the wrist centre of another.
 Tool shaft_of(const InstrumentConfig& instrument, const ToolCalibration& tool);
 

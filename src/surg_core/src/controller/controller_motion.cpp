@@ -11,13 +11,10 @@ namespace {
 constexpr double kStandstillScale = 0.05;  // alpha below it counts as stopped by a limit
 constexpr double kHoldNamed =
     0.1;  // [s] behind a cycle that was held: the clock restarts meanwhile
-constexpr double kMaxFlangeLead = 0.5;  // of the flange's speed, so that the reference still moves
 constexpr double kPivotOffsetPole = 8;  // [1/s] pole of the convergence to the pivot after a start
 constexpr double kRetraceRate = 0.15;   // [rad/s] of the fastest joint of `rcm/retrace`
 constexpr double kOffPath = 1e-6;       // [m] of the reference's tip beside its set-point
 constexpr double kNegligible = 1e-3;    // [rad, rad/s] a retrace has arrived
-constexpr double kRetraceSettles =
-    1.0;  // [s] at the trace's beginning; a moving trocar never rests
 
 }  // namespace
 
@@ -238,8 +235,8 @@ Step Controller::Impl::retrace_step(JointVector& qd) {
                            X_BR.linear().transpose() * s_B, roll + wrapped(turn - roll));
   const bool at_end = retraced >= trace.length();
   retrace_settling = at_end ? retrace_settling + T : 0;
-  const bool arrived =
-      at_end && (step.qd.cwiseAbs().maxCoeff() < kNegligible || retrace_settling > kRetraceSettles);
+  const bool arrived = at_end && (step.qd.cwiseAbs().maxCoeff() < kNegligible ||
+                                  retrace_settling > CommandHandler::kArriveWithin);
   if (trace.empty() || arrived) {
     if (retraced < kNegligible) out.reason = Reason::kNoTrace;
     handler.end_retrace();
@@ -308,7 +305,7 @@ double Controller::Impl::flange_lead() const {
   const Jacobian& J = arm.measured().J;
   const double lead = (J * qd_last).head<3>().norm() - (J * follower.velocity()).head<3>().norm();
   const double slower = (1 - follower.flange_share()) * limits.flange_velocity;
-  return std::clamp(lead + slower, 0.0, kMaxFlangeLead * limits.flange_velocity);
+  return std::clamp(lead + slower, 0.0, LimitedStep::kMostLead * limits.flange_velocity);
 }
 
 double Controller::Impl::time_to_rest(const JointVector& of) const {

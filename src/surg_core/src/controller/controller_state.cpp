@@ -9,7 +9,6 @@ namespace {
 constexpr double kMaxHeight = 0.15;     // [m] of a tip above its trocar before 'insert'
 constexpr double kRestVelocity = 5e-3;  // [rad/s] at rest; small enough to drop in one cycle
 constexpr double kSamePosture = 0.02;   // [rad] an arm that moved less was not led by hand
-constexpr int kHomeBusyCycles = 5;      // cycles of `is_busy` after `home`: a client sees an edge
 
 }  // namespace
 
@@ -62,7 +61,7 @@ Reason Controller::Impl::request(StateCommand command) {
   const Reason reason = operating.request(command, conditions());
   if (reason != Reason::kNone) return reason;
   if (command == StateCommand::kHome) {
-    home_busy = kHomeBusyCycles;
+    home_busy = static_cast<int>(std::lround(Jaw::kEdge / T));
     if (!keep_home) set_home();
   }
   if (before == State::kEnabled && !enabled()) stop_motion();

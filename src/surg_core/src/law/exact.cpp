@@ -1,10 +1,6 @@
 #include "surg_core/law/exact.hpp"
 
-#include <Eigen/LU>
-#include <algorithm>
 #include <cmath>
-
-#include "kinematics/jacobian_inverse.hpp"
 
 namespace surg {
 namespace {
@@ -39,40 +35,6 @@ Pose pose_on_pivot(const Home& home, const Tool& tool, const ShaftGoal& goal) {
   X_BF.linear() = twist * (swing * home.R_BF);
   X_BF.translation() = goal.p_BTip() - X_BF.linear() * tool.p_FTip;
   return X_BF;
-}
-
-JointStep newton_step(const Pose& X_BF, const Jacobian& J, const Pose& X_BFGoal,
-                      const JointVector& posture) {
-  const InverseVelocity inverse = inverse_velocity(J, displacement(X_BF, X_BFGoal), posture);
-  return {inverse.qd, inverse.conditioning};
-}
-
-JointStep exact_step(const Chain& chain, const JointVector& q, const Pose& X_BFGoal,
-                     const JointVector& posture) {
-  Pose X_BF;
-  Jacobian J;
-  chain.forward(q, X_BF, J);
-  const JointStep predicted = newton_step(X_BF, J, X_BFGoal, posture);
-  if (predicted.conditioning <= 0) return predicted;
-  chain.forward(q + predicted.dq, X_BF, J);
-  // Without the posture: what is left is to be put right by the least motion.
-  const JointStep rest = newton_step(X_BF, J, X_BFGoal, JointVector::Zero(q.size()));
-  if (rest.conditioning <= 0) return {JointVector::Zero(q.size()), 0.0};
-  return {predicted.dq + rest.dq, std::min(predicted.conditioning, rest.conditioning)};
-}
-
-NextPose::NextPose(const Chain& chain, bool closed_form) : chain_(chain) {
-  if (closed_form) ur_ = UrInverse::of(chain);
-}
-
-JointStep NextPose::step(const JointVector& q, const Pose& X_BFGoal,
-                         const JointVector& posture) const {
-  if (!ur_) return exact_step(chain_, q, X_BFGoal, posture);
-  const UrSolution solution = ur_->solve(X_BFGoal, ur_->branch(q), q);
-  if (solution.unreachable != nullptr) return {JointVector::Zero(q.size()), 0.0};
-  const double conditioning =
-      std::min({std::abs(solution.shoulder), std::abs(solution.elbow), std::abs(solution.wrist)});
-  return {solution.q - q, conditioning};
 }
 
 RcmRows rcm_rows(const Jacobian& J, const ShaftState& shaft) {

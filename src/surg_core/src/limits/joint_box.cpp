@@ -3,12 +3,12 @@
 #include <algorithm>
 #include <cmath>
 
+#include "surg_core/limits/workspace.hpp"
+
 namespace surg {
 namespace {
 
 constexpr double kPositionGuard = 1e-9;  // [rad] kept from position limits: rounding
-constexpr double kMostRoom = 0.5;        // of a joint's acceleration, for the correction
-constexpr double kApproachGain = 5.0;    // [1/s] speed over distance left, inside the margin
 
 /// Fastest speed towards a limit at 'distance' from which braking by 'a' in steps of T still stops
 /// before it: T v + v^2 / (2 a) <= distance, which the next cycle's v - a T fulfils again.
@@ -64,7 +64,7 @@ LimitedStep::Box::Box(const JointLimits& limits, double T, const Here& here) : n
     high_[i] = std::clamp(high, slowest, fastest);
     low_[i] = std::clamp(low, slowest, fastest);
     // Position limits come before the correction's room.
-    const double room = std::clamp(here.room[i], -kMostRoom * change, kMostRoom * change);
+    const double room = std::clamp(here.room[i], -kMostLead * change, kMostLead * change);
     if (room > 0) high_[i] = std::max(low_[i], std::min(high_[i], fastest - room));
     if (room < 0) low_[i] = std::min(high_[i], std::max(low_[i], slowest - room));
     high_by_[i] =

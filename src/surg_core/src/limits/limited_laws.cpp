@@ -13,7 +13,6 @@ constexpr double kNearlyFull = 0.98;    // of the clock's rate: the whole cycle'
 constexpr double kBent = 0.1;           // of a step, that the arm's own bending may be
 constexpr double kPivotTurns = 0.005;   // [m] deeper than that, a moving trocar turns the shaft
 constexpr double kPostureShare = 0.05;  // of the velocity limits, at most, for the null space
-constexpr double kArcReserve = 2e-3;    // [rad] that a node may always be beside its guess
 
 // How a displaced tip returns to its path.
 constexpr double kReturnGain = 15;           // [1/s] speed over distance
@@ -56,7 +55,7 @@ bool LimitedStep::Law::pose_node(const Joints& guess, const Pose& pose, const Po
   twists.col(1) = (displacement(X, later) - twists.col(0)) / kTwistSpacing;
   const Steps<2> steps = least_steps<2>(J, twists);
   const Joints &rest = steps.dq[0], &direction = steps.dq[1];
-  if (!(steps.pivots.ratio() > 0) || largest(rest) > 0.35 * arc + kArcReserve) return false;
+  if (!(steps.pivots.ratio() > 0) || largest(rest) > 0.35 * arc + kFirstArc) return false;
   node.q = guess + rest;
   node.direction = direction;
   node.measures = self_.barrier_.measures(X, J, steps.pivots);

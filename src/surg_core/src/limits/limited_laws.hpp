@@ -12,6 +12,7 @@ namespace surg {
 
 constexpr double kTwistSpacing = 1e-4;     ///< [s] of the clock, for a path's direction
 constexpr double kPlanAcceleration = 0.8;  ///< of the limits: the step keeps reserves to follow
+constexpr double kFirstArc = 0.002;        ///< [rad] to the first node, and beside a guess, at most
 
 inline double largest(const Joints& v) { return v.cwiseAbs().maxCoeff(); }
 /// [1/s] hardest braking of the clock that a plan has, where its full rate moves the joints by qd.

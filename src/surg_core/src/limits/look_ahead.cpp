@@ -12,7 +12,6 @@ namespace {
 // The plan takes less than the limits, so that the step has reserves to follow it.
 constexpr double kPlanVelocity = 0.995;  // of each joint's velocity limit
 constexpr double kSpacingGrowth = 1.4;   // of the spacing from node to node
-constexpr double kFirstArc = 0.002;      // [rad] of joint motion to the first node at most
 constexpr double kSmallestArc = 1e-5;    // [rad] a path that cannot be followed this far ends here
 constexpr double kShorter = 0.4;         // of the way to a node that could not be reached
 

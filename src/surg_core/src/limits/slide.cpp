@@ -10,7 +10,7 @@ namespace {
 
 constexpr double kWallGain = 30;         // [1/s] speed towards a wall over the distance left
 constexpr double kShortestLever = 0.02;  // below it no motion of the tip takes the shaft away
-constexpr double kInside = 1e-12;        // [m, m/s] beyond a wall: rounding
+constexpr double kRounding = 1e-12;      // [m, m/s] beyond a wall
 constexpr int kLinearisations = 3;       // of linearisation on curved walls
 constexpr int kTargetPasses = 8;         // of projection onto one wall after the other
 
@@ -18,7 +18,7 @@ using Walls = std::array<Wall, Fixtures::kMost>;
 using Spaces = std::array<Constraint, Fixtures::kMost>;
 
 bool holds(const Constraint& space, const Vector3& x) {
-  return space.n.dot(x) >= space.least - kInside;
+  return space.n.dot(x) >= space.least - kRounding;
 }
 
 /// On the line in which two planes meet, inside the half-spaces before them.
@@ -33,14 +33,14 @@ bool nearest_on_line(const Constraint* spaces, int i, int j, const Vector3& x0, 
   for (int k = 0; k < j; ++k) {
     const double rate = spaces[k].n.dot(u), rest = spaces[k].least - spaces[k].n.dot(on);
     if (std::abs(rate) < 1e-9) {
-      if (rest > kInside) return false;
+      if (rest > kRounding) return false;
     } else if (rate > 0) {
       from = std::max(from, rest / rate);
     } else {
       to = std::min(to, rest / rate);
     }
   }
-  if (!(from <= to + kInside)) return false;
+  if (!(from <= to + kRounding)) return false;
   x = on + std::clamp(0.0, std::min(from, to), to) * u;
   return true;
 }
@@ -171,7 +171,7 @@ Slide::Target Slide::target(const Target& wished) const {
     for (int i = 0; i < fixtures_.size(); ++i) {
       const Wall &tip = here_[i], there = wall_at(fixtures_[i], out.p);
       const double level = std::min(tip.distance, 0.0);
-      if (there.distance >= level - kInside) continue;
+      if (there.distance >= level - kRounding) continue;
       // A hollow wall takes the target back to its nearest point. Any other wall is flat as the tip
       // sees it: the nearest point could be on its far side.
       const bool convex = std::isfinite(there.hollow);

@@ -249,7 +249,7 @@ class Ways {
         held_(ranges.dead_man + T),
         lag_(std::max(now.lag, 1e-6)),
         lead_(ranges.deceleration),
-        delay_(std::min(static_cast<int>(std::ceil((now.lag + now.age) / T)), kLongest)),
+        delay_(std::min(static_cast<int>(std::ceil((now.lag + now.age) / T)), kMost)),
         oldest_(std::min(delay_ + static_cast<int>(std::ceil(held_ / T)), Commands::kMost - 1)),
         qd_(padded(now.qd)),
         least_(Joints::Ones()),
@@ -315,8 +315,8 @@ class Ways {
   }
 
  private:
-  static constexpr int kLongest = Commands::kMost / 2;  // [periods] of delay
-  using Views = std::array<std::optional<View>, 2>;     // joints by themselves, or together
+  static constexpr int kMost = Commands::kMost / 2;  // [periods] of delay
+  using Views = std::array<std::optional<View>, 2>;  // joints by themselves, or together
 
   /// One way: travel until the stop begins, with 'lag' either way, and the velocity then.
   void visit(Views& to, const Joints& travel, const Joints& lag, const Box& v, int delays) {
@@ -349,8 +349,8 @@ class Ways {
   double T_, held_, lag_, lead_;
   int delay_, oldest_;  // [periods] of the link at most; of the commands that count
   Joints qd_, least_, most_;
-  std::array<Joints, kLongest + 1> sum_;  // [rad] of the commands before the newest
-  std::array<Joints, kDelays> waiting_;   // [rad] of those that a delay has kept back
+  std::array<Joints, kMost + 1> sum_;    // [rad] of the commands before the newest
+  std::array<Joints, kDelays> waiting_;  // [rad] of those that a delay has kept back
   // Linear about the ends of likely ways: the newest command held to the end, a part of it, or not.
   Views to_the_end_, a_part_, at_once_;
 };

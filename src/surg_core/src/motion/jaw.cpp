@@ -10,7 +10,6 @@ namespace {
 constexpr double kArrived = 0.02;  // [rad] from the target: the jaw has arrived
 // A jaw that holds tissue, or is unseen, never gets there.
 constexpr double kJawArriveWithin = 0.5;  // [s] of a move, then it is given up
-constexpr double kEdge = 0.01;            // [s] 'busy' lasts, so that a client can see it
 constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 
 }  // namespace

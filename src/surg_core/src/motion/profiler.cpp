@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <stdexcept>
 
 namespace surg {
 namespace {
@@ -56,14 +55,7 @@ bool can_keep(const Kinematic& state, const DofLimits& limits) {
 }  // namespace
 
 Profiler::Profiler(const std::array<DofLimits, kDof>& limits, double base_duration)
-    : limits_(limits), base_duration_(base_duration) {
-  for (const DofLimits& limit : limits) {
-    if (!(limit.velocity > 0 && limit.acceleration > 0 && limit.jerk > 0)) {
-      throw std::invalid_argument("profiler: velocity, acceleration and jerk limits must be > 0");
-    }
-  }
-  if (!(base_duration > 0)) throw std::invalid_argument("profiler: the base duration must be > 0");
-}
+    : limits_(limits), base_duration_(base_duration) {}
 
 void Profiler::reset(const std::array<double, kDof>& x) {
   std::array<Kinematic, kDof> state;
@@ -198,17 +190,5 @@ std::array<double, Profiler::kDof> Profiler::position_after(double dt) const {
 bool Profiler::done() const { return t_ >= duration(); }
 
 double Profiler::duration() const { return brake_duration_ + q_[0].duration(); }
-
-Interval Profiler::excursion(int dof, double t0, double t1) const {
-  const Quintic& q = q_[dof];
-  if (t0 >= brake_duration_) return q.range(t0 - brake_duration_, t1 - brake_duration_);
-  Interval range = brake_[dof].range(t0, std::min(t1, brake_duration_));
-  if (t1 > brake_duration_) {
-    const Interval rest = q.range(0, t1 - brake_duration_);
-    range.include(rest.least);
-    range.include(rest.greatest);
-  }
-  return range;
-}
 
 }  // namespace surg

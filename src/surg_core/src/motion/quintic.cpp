@@ -110,12 +110,6 @@ double Quintic::position(double t) const {
   return t >= d_ ? to_.x : evaluate(c_, 5, std::max(t, 0.0) / d_);
 }
 
-double Quintic::jerk(double t) const {
-  if (d_ == 0) return 0;
-  const double s = std::clamp(t / d_, 0.0, 1.0);
-  return (6 * c_[3] + s * (24 * c_[4] + s * 60 * c_[5])) / (d_ * d_ * d_);
-}
-
 double Quintic::max_velocity() const {
   if (d_ == 0) return std::abs(to_.v);
   double v[5];
@@ -134,10 +128,6 @@ double Quintic::max_jerk() const {
   const double j[3] = {6 * c_[3], 24 * c_[4], 60 * c_[5]};
   return largest_magnitude(j, 2) / (d_ * d_ * d_);
 }
-
-double Quintic::min_position() const { return extremes(c_, 5).least; }
-
-double Quintic::max_position() const { return extremes(c_, 5).greatest; }
 
 Interval Quintic::range(double t0, double t1) const {
   if (d_ == 0) return {to_.x, to_.x};

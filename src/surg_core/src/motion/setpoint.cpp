@@ -9,7 +9,6 @@
 namespace surg {
 namespace {
 
-constexpr double kRollApproach = 5.0;    // [1/s] speed of a roll over what is left of its range
 constexpr double kFixtureBraking = 0.5;  // of the tip's acceleration, before a fixture
 constexpr double kOnWall = 1e-5;         // [m] a profile that begins on a wall may run along it
 constexpr double kWallRounding = 1e-9;   // [m]
@@ -235,13 +234,7 @@ void Setpoint::restart_from_rest(const Fixtures& fixtures) {
 
 void Setpoint::resync(const Vector3& p_RTip, const Vector3& v_RTip) {
   if (!has_no_path() || axial_) return;
-  Dofs there = space_ == Space::kCartesian ? dofs_ : to_cartesian(dofs_);
-  for (int i = 0; i < 3; ++i) there[i] = {p_RTip[i], v_RTip[i], 0};
-  if (space_ == Space::kSpherical) there = to_spherical(there);
-  for (int i = 0; i < 3; ++i) {
-    dofs_[i] = there[i];
-    filters_[i].reset(dofs_[i]);
-  }
+  place(p_RTip, v_RTip, Vector3::Zero());
 }
 
 void Setpoint::coast(double dt, const Fixtures& fixtures) {
@@ -473,7 +466,7 @@ void Setpoint::advance_velocity(double dt, const Fixtures& fixtures) {
     rate[0] = rate[1] = rate[2] = 0;
   }
   const double roll_room = limits_.roll_max - std::copysign(dofs_[3].x, dofs_[3].x * rate[3]);
-  const double roll_rate = std::min(std::abs(rate[3]), kRollApproach * std::max(roll_room, 0.0));
+  const double roll_rate = std::min(std::abs(rate[3]), kApproachGain * std::max(roll_room, 0.0));
   at_wall_ |= roll_rate < std::abs(rate[3]);
   rate[3] = std::copysign(roll_rate, rate[3]);
   for (int i = 0; i < 4; ++i) {

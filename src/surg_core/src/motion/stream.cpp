@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <stdexcept>
 
 namespace surg {
 namespace {
@@ -85,13 +84,6 @@ void StreamDelay::step(double x, double T) {
 Kinematic StreamDelay::predict(double ahead) const {
   return {state_.x + ahead * (state_.v + 0.5 * ahead * state_.a), state_.v + ahead * state_.a,
           state_.a};
-}
-
-StreamFilter::StreamFilter(const DofLimits& limits) : limits_(limits) {
-  if (!(limits.velocity > 0 && limits.acceleration > 0 && limits.jerk > 0)) {
-    throw std::invalid_argument(
-        "stream filter: velocity, acceleration and jerk limits must be > 0");
-  }
 }
 
 void StreamFilter::reset(const Kinematic& state) { state_ = state; }

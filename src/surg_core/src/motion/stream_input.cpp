@@ -7,7 +7,6 @@ namespace surg {
 namespace {
 
 constexpr int kDof = StreamEstimate::kDof;
-constexpr double kShortestGap = 0.004;    // [s] a gap that is always bridged
 constexpr double kLongestSpacing = 0.06;  // [s] the longest one: 1.5 times a burst every 40 ms
 constexpr double kSlow = 0.045;           // [s] spacing of samples that no hand sends: a plan's
 constexpr double kShortest = 0.008;       // [s] delay of a gentle hand, where there is any
@@ -131,7 +130,8 @@ StreamInput::State StreamInput::way(double ahead) const {
 
 bool StreamInput::overdue() const {
   const double gap = 1.5 * std::max(clock_.wait(), clock_.period());
-  return now_ - arrival_ - unheard_ > std::clamp(gap, kShortestGap, kLongestSpacing);
+  // A gap of two ticks is always bridged.
+  return now_ - arrival_ - unheard_ > std::clamp(gap, 2 * tick_, kLongestSpacing);
 }
 
 }  // namespace surg

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "surg_core/state/cycle_clock.hpp"
+
 namespace surg {
 
 StateCheck::StateCheck(const Chain& chain, const JointVector& home, const JointVector& acceleration)
@@ -39,7 +41,7 @@ StateCheck::Verdict StateCheck::judge(JointVector& q, JointVector& qd, double ag
   // The time that has passed at the robot, as all joints say together.
   const double square = v.squaredNorm();
   const double passed = std::clamp(square > 0 ? moved.dot(v) / square : span, 0.0, span + kJitter);
-  const double keep = std::exp(-span / kMemory);
+  const double keep = std::exp(-span / CycleClock::kMemory);
   const JointVector drift = keep * drift_ + moved - passed * v;
   const double longest = std::max(span, passed);
   const JointVector uncertain =

@@ -80,18 +80,5 @@ TEST(ControllerReports, ABlockedArmIsPausedWhenItsSetPointIsTenMillimetresAhead)
   }
 }
 
-/// 'unhome' would leave a moving arm without its frame.
-TEST(ControllerReports, UnhomeIsRefusedWhileEnabled) {
-  Bench bench;
-  EXPECT_EQ(bench.controller().request(StateCommand::kUnhome), Reason::kRefusedTransition);
-  EXPECT_TRUE(bench.tick().homed);
-  bench.servo_cp(bench.tip_in_R());
-  EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
-  EXPECT_EQ(bench.controller().request(StateCommand::kDisable), Reason::kNone);
-  for (int i = 0; i < 50; ++i) bench.tick();
-  EXPECT_EQ(bench.controller().request(StateCommand::kUnhome), Reason::kNone);
-  EXPECT_FALSE(bench.tick().homed);
-}
-
 }  // namespace
 }  // namespace surg

@@ -131,14 +131,5 @@ TEST(Braking, AtRestNeedsNothing) {
   EXPECT_EQ(Braking().at(3).x, 0);
 }
 
-TEST(Braking, LeavesTheHeapAlone) {
-  if (!SURG_HEAP_IS_WATCHED) GTEST_SKIP() << "the heap cannot be watched in this build";
-  test::HeapWatch heap;
-  const Braking stop = Braking::stop({0, 0.1, 0.3}, kTip);
-  const double sum = stop.at(0.01).x + stop.range(0, 1).greatest + stop.duration();
-  EXPECT_EQ(heap.calls(), 0);
-  EXPECT_GT(sum, 0);
-}
-
 }  // namespace
 }  // namespace surg

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <string>
 
+#include "next_joints.hpp"
 #include "surg_core/law/exact.hpp"
 #include "test_arm.hpp"
 
@@ -39,6 +40,13 @@ struct Scene {
   const Vector3 p_BRcm() const { return X_BR.translation(); }
   ShaftState shaft(const JointVector& q) const {
     return shaft_state(chain.forward(q), tool, p_BRcm());
+  }
+  /// The joints for a goal some milliradians from q; posture [rad]: wish for the null space.
+  JointVector next(const JointVector& q, const ShaftGoal& goal, const JointVector& posture) const {
+    return next_joints(chain, q, pose_on_pivot(home, tool, goal), posture);
+  }
+  JointVector next(const JointVector& q, const ShaftGoal& goal) const {
+    return next(q, goal, JointVector::Zero(q.size()));
   }
   RcmRows pivot(const JointVector& q, const Vector3& p_B) const {
     Pose X_BF;

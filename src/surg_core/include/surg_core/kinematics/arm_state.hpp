@@ -5,7 +5,6 @@
 #include "surg_core/kinematics/kinematics.hpp"
 #include "surg_core/kinematics/trocar.hpp"
 #include "surg_core/law/rcm.hpp"
-#include "surg_core/state/snapshot.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {
@@ -19,9 +18,6 @@ struct InstrumentState {
   ShaftState shaft{};
   double roll = 0;  ///< absolute, continuous [rad]; 0 until homed
 };
-
-template <>
-struct IsPlain<InstrumentState> : std::true_type {};
 
 class ArmState {
  public:

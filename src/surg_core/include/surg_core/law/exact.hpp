@@ -1,12 +1,7 @@
 // Exact form of the law, for links that take joint velocities (docs/design/control_law.md).
-// The next flange pose satisfies the constraint by construction; a prediction and one Newton
-// correction give its joints. Constant cost: no iteration, no allocation.
+// The next flange pose satisfies the constraint by construction; limited_step.hpp finds its joints.
 #pragma once
 
-#include <optional>
-
-#include "surg_core/kinematics/kinematics.hpp"
-#include "surg_core/kinematics/ur_inverse.hpp"
 #include "surg_core/law/rcm.hpp"
 #include "surg_core/types.hpp"
 
@@ -40,39 +35,10 @@ ShaftGoal spherical_goal(const Pose& X_BR, const Vector4& virtual_joints);
 /// and the origin from the tip. The roll cannot drift, whatever path the tip takes.
 Pose pose_on_pivot(const Home& home, const Tool& tool, const ShaftGoal& goal);
 
-/// A displacement of the joints. 'conditioning' as in InverseVelocity; 0: singular, dq is zero.
+/// A displacement of the joints. 'conditioning': 0 where singular, and dq is zero.
 struct JointStep {
   JointVector dq;  ///< [rad]
   double conditioning = 0;
-};
-
-/// One Newton step towards a pose from a flange pose and its Jacobian: the inverse for six joints;
-/// for more the pseudo-inverse, plus 'posture' [rad] projected into the null space.
-JointStep newton_step(const Pose& X_BF, const Jacobian& J, const Pose& X_BFGoal,
-                      const JointVector& posture);
-
-/// Joints for the next pose: a Newton step from q, and a second one from there. 'posture' [rad] is
-/// the displacement preferred in the null space. For steps of a control cycle (some mrad) the pose
-/// error is below 1e-13 m. dq is q' - q; the link receives dq / T. 'conditioning' is the smaller of
-/// both steps.
-JointStep exact_step(const Chain& chain, const JointVector& q, const Pose& X_BFGoal,
-                     const JointVector& posture);
-
-/// Joints for the next pose: in closed form for arms of the UR family (twice as fast, exact to
-/// rounding), by 'exact_step' for all others.
-class NextPose {
- public:
-  /// 'closed_form' false: 'exact_step' for every arm.
-  explicit NextPose(const Chain& chain, bool closed_form = true);
-
-  bool closed_form() const { return ur_.has_value(); }
-  /// As 'exact_step'. The closed form stays on the branch of q; its 'conditioning' is the smallest
-  /// of the three measures, 0 also where that branch does not reach the pose.
-  JointStep step(const JointVector& q, const Pose& X_BFGoal, const JointVector& posture) const;
-
- private:
-  Chain chain_;
-  std::optional<UrInverse> ur_;
 };
 
 /// The two rows of the pivot constraint.

@@ -90,6 +90,8 @@ struct Step {
 class LimitedStep {
  public:
   static constexpr double kHorizon = 0.45;  ///< [s] of the clock that a preview looks ahead
+  /// Of the flange's speed and of a joint's acceleration:
+  static constexpr double kMostLead = 0.5;  ///< left to the follower's correction at most
 
   LimitedStep(const Chain& chain, const Tool& tool, const JointLimits& limits, double T);
   /// Keeps the distances of 'guard', which must outlive the step.
@@ -115,8 +117,6 @@ class LimitedStep {
                double back, double rate, const Vector3& p_BRcm, double flange_lead = 0) const;
 
   void mount(const Tool& tool) { tool_ = tool; }
-  const JointLimits& limits() const { return limits_; }
-  const Barrier& barrier() const { return barrier_; }
 
  private:
   struct Here;

@@ -7,6 +7,8 @@
 
 namespace surg {
 
+constexpr double kApproachGain = 5.0;  ///< [1/s] speed towards an end over the distance left
+
 /// How far [m] a tip position in the rcm frame lies outside depth_min..depth_max and the cone;
 /// negative: inside.
 double outside_workspace(const Limits& limits, const Vector3& p_RTip);

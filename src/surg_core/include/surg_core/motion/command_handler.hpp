@@ -21,6 +21,9 @@ struct TipPose {
 
 class CommandHandler {
  public:
+  /// Behind a moving trocar no arm ever rests.
+  static constexpr double kArriveWithin = 1.0;  ///< [s] after a way's end; then it is given up
+
   /// dt: control period [s]. paper: streams follow the paper's quintic.
   CommandHandler(const Limits& limits, const Tuning& tuning,
                  const std::optional<WristConfig>& wrist, double dt, bool paper);

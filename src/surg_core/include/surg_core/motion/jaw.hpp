@@ -7,6 +7,8 @@ namespace surg {
 
 class Jaw {
  public:
+  static constexpr double kEdge = 0.01;  ///< [s] 'busy' lasts, so that a client can see it
+
   /// dt: control period [s].
   Jaw(const InstrumentConfig& instrument, double dt);
 

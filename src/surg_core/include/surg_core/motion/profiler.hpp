@@ -17,6 +17,7 @@ class Profiler {
   using Bounds = std::array<Interval, kDof>;
 
   Profiler() = default;
+  /// All of them are positive.
   Profiler(const std::array<DofLimits, kDof>& limits, double base_duration);
 
   /// Resets to rest at x.
@@ -51,9 +52,6 @@ class Profiler {
   double duration() const;                                   ///< of the present profile [s]
   const Quintic& quintic(int dof) const { return q_[dof]; }  ///< the part after the braking, if any
   double brake_duration() const { return brake_duration_; }  ///< [s] before the quintics
-  /// Least and greatest position of a degree of freedom between two times since the plan was made,
-  /// exact, braking included.
-  Interval excursion(int dof, double t0, double t1) const;
 
  private:
   using Brake = Braking (*)(const Kinematic&, const DofLimits&);

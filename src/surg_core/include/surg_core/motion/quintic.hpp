@@ -35,12 +35,9 @@ class Quintic {
   double duration() const { return d_; }
   Kinematic at(double t) const;     ///< clamped to [0, d]; from d on exactly the end state
   double position(double t) const;  ///< at(t).x
-  double jerk(double t) const;
   double max_velocity() const;      ///< max |v| on [0, d], exact
   double max_acceleration() const;  ///< max |a|, exact
   double max_jerk() const;          ///< max |j|, exact
-  double min_position() const;      ///< min x, exact; may lie outside the two ends
-  double max_position() const;      ///< max x, exact
   /// Least and greatest x between two times, exact. Times are clamped to [0, d].
   Interval range(double t0, double t1) const;
 

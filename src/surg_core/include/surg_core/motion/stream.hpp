@@ -33,7 +33,8 @@ class StreamDelay {
 class StreamFilter {
  public:
   StreamFilter() = default;
-  explicit StreamFilter(const DofLimits& limits);
+  /// All limits are positive.
+  explicit StreamFilter(const DofLimits& limits) : limits_(limits) {}
   void reset(const Kinematic& state);
   /// One tick of T seconds towards a target predicted one tick ahead. Never exceeds the velocity,
   /// acceleration and jerk limits. Comes to rest if the target is not finite. period [s]: at which

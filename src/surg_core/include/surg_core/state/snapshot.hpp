@@ -11,16 +11,10 @@
 
 namespace surg {
 
-/// Whether an object consists of its bytes alone. Specialise it for classes with Eigen members of
-/// fixed or bounded size: these are stored inline, but their constructors make them not trivially
-/// copyable.
+/// Whether an object consists of its bytes alone: what has nothing to release holds no heap.
+/// Eigen's matrices of fixed or bounded size are such, though not trivially copyable.
 template <typename T>
-struct IsPlain : std::is_trivially_copyable<T> {};
-template <typename Scalar, int Rows, int Cols, int Options, int MaxRows, int MaxCols>
-struct IsPlain<Eigen::Matrix<Scalar, Rows, Cols, Options, MaxRows, MaxCols>>
-    : std::bool_constant<MaxRows != Eigen::Dynamic && MaxCols != Eigen::Dynamic> {};
-template <>
-struct IsPlain<Pose> : std::true_type {};
+constexpr bool kIsPlain = std::is_trivially_destructible_v<T> && !std::is_pointer_v<T>;
 
 /// Writes members one after the other, starting at 'begin'. Beyond 'room' it only counts.
 class SnapshotWriter {
@@ -37,7 +31,7 @@ class SnapshotWriter {
  private:
   template <typename T>
   void copy(T& member) {
-    static_assert(IsPlain<T>::value && !std::is_pointer_v<T>, "not a plain value");
+    static_assert(kIsPlain<T>, "not a plain value");
     if (size_ + sizeof member <= room_) {
       std::memcpy(to_ + size_, static_cast<const void*>(&member), sizeof member);
     }
@@ -62,7 +56,7 @@ class SnapshotReader {
  private:
   template <typename T>
   void copy(T& member) {
-    static_assert(IsPlain<T>::value && !std::is_pointer_v<T>, "not a plain value");
+    static_assert(kIsPlain<T>, "not a plain value");
     std::memcpy(static_cast<void*>(&member), from_, sizeof member);
     from_ += sizeof member;
   }

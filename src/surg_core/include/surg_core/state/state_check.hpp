@@ -20,9 +20,8 @@ class StateCheck {
   static constexpr double kSlack = 0.01;    ///< [rad] noise of positions
   static constexpr double kFilter = 0.004;  ///< [s] by which velocities may be filtered
   static constexpr double kJitter = 0.05;   ///< [s] by which a state may have come late
-  static constexpr double kMemory = 0.5;    ///< [s] over which positions and velocities must agree
   static constexpr double kGap = 0.01;      ///< [s] without a state; the comparison begins anew
-  static constexpr int kLost = 5;           ///< [cycles] of implausible states in a row
+  static constexpr int kLost = 5;           ///< [cycles] in a row of what cannot be
 
   /// home [rad]: a continuous joint starts within half a turn of it. acceleration [rad/s^2]: of
   /// each joint.
