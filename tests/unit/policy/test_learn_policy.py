@@ -23,7 +23,7 @@ from helpers.policy.example_program import said_alone
 from surg_learn.bgr import observed_features, state_policy
 from surg_learn.cloning import arm_columns, chunk_policy
 
-FEW = train_state.Options(steps=60, hidden=(32, 32), batch=64, chunk=8)
+FEW = action_head.HandOptions(steps=60, hidden=(32, 32), batch=64, chunk=8)
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def policy() -> state_policy.Policy:
 
 def test_one_seed_one_policy(policy: state_policy.Policy) -> None:
     again = train_state.train(made.dataset(), FEW)
-    other = train_state.train(made.dataset(), train_state.Options(**{**vars(FEW), "seed": 1}))
+    other = train_state.train(made.dataset(), action_head.HandOptions(**{**vars(FEW), "seed": 1}))
     assert again.hash == policy.hash != other.hash
     less = train_state.train(made.dataset(train=5), FEW)
     assert less.hash != policy.hash
@@ -119,8 +119,8 @@ def test_an_arm_that_is_moved_aside_comes_back_and_closes_no_jaw_before() -> Non
 
 
 def test_it_learns_what_is_there_to_learn() -> None:
-    before = train_state.train(made.dataset(12), train_state.Options(steps=1, hidden=(64, 64)))
-    after = train_state.train(made.dataset(12), train_state.Options(steps=400, hidden=(64, 64)))
+    before = train_state.train(made.dataset(12), action_head.HandOptions(steps=1, hidden=(64, 64)))
+    after = train_state.train(made.dataset(12), action_head.HandOptions(steps=400, hidden=(64, 64)))
     print(f"loss on val {before.about['loss']['val']:.3f} -> {after.about['loss']['val']:.3f}")
     assert after.about["loss"]["val"] < 0.5 * before.about["loss"]["val"]
 

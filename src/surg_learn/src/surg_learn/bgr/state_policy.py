@@ -42,8 +42,8 @@ class Policy(ChunkPolicy):
         state, task = (np.asarray(arrays[key], np.float64).ravel() for key in (STATE, TASK))
         last = self.last_command(state[self._columns.state][SET], observation)
         self._past.append((state, task, last))
-        parts = [np.array(part) for part in zip(*self._past, strict=True)]
-        inputs = features(self._columns, *parts, self.scales["X_RW"])[-1:]
+        states, tasks, lasts = (np.array(part) for part in zip(*self._past, strict=True))
+        inputs = features(self._columns, states, tasks, lasts, self.scales["X_RW"])[-1:]
         return self.say(self.predict(inputs, last[None])[0], observation)
 
 

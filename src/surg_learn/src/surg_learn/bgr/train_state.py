@@ -32,7 +32,6 @@ from surg_learn.cloning.training.lerobot_dataset import (
 from surg_learn.cloning.training.trainer_options import brief_of, chosen, parser_of, trained
 
 NEEDED = (STATE, TASK, ACTION)
-Options = HandOptions
 
 
 @dataclass

@@ -128,7 +128,8 @@ class Samples:
                 held = episode.task[row][:, columns.task["held"]].ravel()
                 free = may_move(held, jaw, x[:, places])
                 parts.append((x[good], targets[good], free[good], jaw[good]))
-        return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)), places)
+        x, targets, free, jaw = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return cls(x, targets, free, jaw, places)
 
     def pushed(self, rows: Array, push: Array, left: Array) -> tuple[Array, Array]:
         """Steps with the arm displaced, and the chunk that returns.
