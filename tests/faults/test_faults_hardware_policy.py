@@ -78,7 +78,7 @@ def test_one_policy_drives_the_simulated_and_the_emulated_arm(
 ) -> None:
     for robot in page.ROBOTS:
         if "emulated" in robot:
-            monkeypatch.setattr(surg_env, "Session", EmulatedSession)
+            monkeypatch.setattr(surg_env, "CellSession", EmulatedSession)
         env = Watched(cell="sim_ur5e")
         rollout = roll_out(env, learned(env) if which == "learned" else Scripted(env), SEED)
         off = rollout.rcm_max

@@ -2,7 +2,7 @@
 
 Everything is placed by the instrument arm's trocar point and home shaft axis, so that any robot in
 any pose finds its patient under its instrument; an arm that holds the endoscope turns the patient
-so that it visuals along the patient's y axis. URDF is the single source of truth for the arms.
+so that it looks along the patient's y axis. URDF is the single source of truth for the arms.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ WORK_DEPTH = 0.120
 ENDOSCOPE = endoscope_rig.LEFT
 """Name of the (left) endoscope camera, and of its optical frame on the wire."""
 OVERVIEW = room.OVERVIEW
-"""Name of the camera that visuals at the room."""
+"""Name of the camera that looks at the room."""
 PATIENT = 0.35
 """Largest distance of the endoscope's trocar from the instrument's [m]."""
 VIEW_NEAR = 0.02
@@ -51,7 +51,7 @@ def site_of(arms: list[surg_core.Arm]) -> Site:
     if scope is not None:
         view = wall_frame(scope)[1]
         across = np.cross(view, [0.0, 0.0, 1.0])
-        if np.linalg.norm(across) > 0.05:  # else it visuals straight down: any way round will do
+        if np.linalg.norm(across) > 0.05:  # else it looks straight down: any way round will do
             x = across / np.linalg.norm(across)
     y = np.cross([0.0, 0.0, 1.0], x)
     ordered = [arm, *(other for other in arms if other is not arm)]

@@ -75,7 +75,7 @@ class HoleExpert(ArmExpert):
         yield from self._go(self.far, 1.0)
 
     def _go(self, ahead: float, seconds: float) -> Iterator[None]:
-        """Appearance, and bring the thing to a distance before the hole [m]."""
+        """Look, and bring the thing to a distance before the hole [m]."""
         self._look()
         p, turns = self._target(ahead)
         self.roll.go(turns, seconds)
