@@ -82,18 +82,6 @@ def test_the_box_is_centred_at_120_mm_and_scaled_only_by_scale(scale: float) -> 
     assert np.abs(roll - motion.roll).max() < 1e-12
 
 
-def test_bundled_motion_fits_and_swings_the_shaft() -> None:
-    plan = make_plan(read_motion(BUNDLED), WORKSPACE)
-    p, _ = plan.path(np.arange(0, plan.duration, 0.05))
-    s = p / np.linalg.norm(p, axis=1)[:, None]
-    sweep = np.degrees(np.arccos(np.clip(s @ s.T, -1, 1).min()))
-    print(
-        f"shaft sweep {sweep:.1f} degrees, depth {np.linalg.norm(p, axis=1).min():.3f} m and more"
-    )
-    assert sweep >= 20.0
-    assert np.linalg.norm(p, axis=1).min() >= 0.090
-
-
 def test_a_path_that_does_not_fit_is_refused_with_the_largest_scale_that_does() -> None:
     motion = read_motion(BUNDLED)
     with pytest.raises(MotionError) as caught:

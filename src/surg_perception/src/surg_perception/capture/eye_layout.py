@@ -9,9 +9,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
+from surg_perception.capture.picture_source import Image
 
 LAYOUTS = ("two", "sbs", "sbs_half", "top_bottom", "rows", "mono")
 """``two``: a device, or a file, for each eye. ``sbs``: side by side. ``sbs_half``: the same, each

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from typing import BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
+from surg_perception.capture.picture_source import Image
 
 LONGEST_HEADER = 65536
 OPEN = "open"

@@ -10,9 +10,8 @@ import enum
 import zlib
 
 import numpy as np
-from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
+from surg_perception.capture.picture_source import Image
 
 DARK = 24
 """A picture without any brighter pixel is black; sensors read out noise of 1 to 5, and studio

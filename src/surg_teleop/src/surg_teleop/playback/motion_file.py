@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from surg_core.arm_view import Array
 from surg_core.reading.text_table import read_table
 from surg_core.transforms import twist_angle
 from surg_teleop.leaders.handle_roll import MIN_TWIST
-
-Array = NDArray[np.float64]
 
 REQUIRED = ("t_s", "x_m", "y_m", "z_m")
 ROTATION = tuple(f"r{row}{column}" for row in "123" for column in "123")

@@ -7,15 +7,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Slerp
 
+from surg_core.arm_view import Array
 from surg_teleop.playback.motion_file import Motion
 from surg_teleop.playback.quintic import Quintic, horner
 from surg_teleop.playback.workspace_fit import Workspace
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

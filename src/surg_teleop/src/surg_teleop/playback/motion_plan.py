@@ -12,15 +12,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from surg_core.arm_view import Array
 from surg_teleop.playback.motion_file import Motion, MotionError
 from surg_teleop.playback.motion_path import MotionPlan, end_phase
 from surg_teleop.playback.quintic import Quintic
 from surg_teleop.playback.workspace_fit import Workspace, box_centre, largest_scale
-
-Array = NDArray[np.float64]
 
 CENTRE_DEPTH = 0.120
 """[m] Depth of the centre of a motion's box, on the home shaft axis."""

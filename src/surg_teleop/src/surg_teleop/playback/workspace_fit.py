@@ -11,9 +11,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from surg_core.arm_view import Array
 
 WALL_MARGIN, WALL_ANGLE = 1e-4, 1e-3
 """[m], [rad] A limited target stays this far inside a wall."""
