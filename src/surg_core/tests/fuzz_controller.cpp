@@ -1,5 +1,5 @@
 // Random life against a simple plant, judged by oracles that do not use the code they judge:
-//   fuzz_controller [--seed N] [--runs N] [--cycles N] [--first N]
+//   fuzz_controller [--seed N] [--runs N] [--cycles N]
 // Every run is an arm, a tool, a plant and a law drawn from its seed, and 'cycles' control cycles
 // of commands of every kind, finite or not, with faults in between. On a failure it prints the seed
 // and the command line that shows the same again. SURG_TEST_FULL=1: 1.2 million cycles.
@@ -11,7 +11,6 @@
 #include <cstring>
 #include <deque>
 #include <limits>
-#include <map>
 #include <random>
 #include <string>
 
@@ -129,8 +128,7 @@ constexpr double kStopDelay[] = {0.01, 0.04, 0.04}, kStopSlack = 1e-3;
 
 struct Figures {
   long cycles = 0, enabled = 0, moving = 0, tip_checked = 0, accepted = 0, refused = 0, faults = 0;
-  long stops = 0, stated_acceleration = 0, unstated_acceleration = 0;
-  double worst_acceleration = 0;  // ratio to the limit
+  long stops = 0;
   long late = 0, gaps = 0, dead_man = 0, ramps = 0, measured = 0;
   double worst_measured = 0;  // of the arm, ratio to the limit
   double worst_flange = 0;    // [m/s] commanded
@@ -439,7 +437,7 @@ class Run {
     if (faded_late_for_ > 0) return {};
     ++figures_.measured;
     figures_.worst_measured = std::max(figures_.worst_measured, hardest);
-    if (hardest <= 1 + 1e-6 || !strict_acceleration) return {};
+    if (hardest <= 1 + 1e-6) return {};
     return {"measured acceleration", text("%.4g times the limit, %d periods", hardest, elapsed_)};
   }
 
@@ -709,15 +707,9 @@ class Run {
     }
     const bool fades_late = faded_late_for_ > 0 || ((blind_ || force_halt_) && timing_ != kOnTime);
     if (!fades_late && excess > 1 + 1e-6) {
-      figures_.worst_acceleration = std::max(figures_.worst_acceleration, excess);
-      const bool stated = out.limited_by[0] != '\0' && out.scale < 1;
-      ++(stated ? figures_.stated_acceleration : figures_.unstated_acceleration);
-      if (strict_acceleration) {
-        return {"joint acceleration", text("%.4g times the limit, limited_by '%s', scale %.4g",
-                                           excess, out.limited_by, out.scale)};
-      }
+      return {"joint acceleration", text("%.4g times the limit, limited_by '%s', scale %.4g",
+                                         excess, out.limited_by, out.scale)};
     }
-    (void)in;
     return {};
   }
 
@@ -954,7 +946,6 @@ class Run {
   }
 
  public:
-  static inline bool strict_acceleration = true;
   long k() const { return k_; }
   /// Law, tool, plant and the last cycle, for the message of a failure.
   std::string description() const {
@@ -1014,7 +1005,6 @@ class Run {
 
 struct Arguments {
   long seed = 1, runs = 0, cycles = 4000;
-  bool keep_going = false;
 };
 
 Arguments parse(int argc, char** argv) {
@@ -1023,20 +1013,14 @@ Arguments parse(int argc, char** argv) {
   arguments.runs = full && std::strcmp(full, "1") == 0 ? 300 : 30;
   for (int i = 1; i < argc; ++i) {
     const std::string word = argv[i];
-    if (word == "--loose-acceleration") {
-      Run::strict_acceleration = false;
-    } else if (word == "--keep-going") {
-      arguments.keep_going = true;
-    } else if (i + 1 < argc && word == "--seed") {
+    if (i + 1 < argc && word == "--seed") {
       arguments.seed = std::atol(argv[++i]);
     } else if (i + 1 < argc && word == "--runs") {
       arguments.runs = std::atol(argv[++i]);
     } else if (i + 1 < argc && word == "--cycles") {
       arguments.cycles = std::atol(argv[++i]);
     } else {
-      std::fprintf(stderr,
-                   "usage: fuzz_controller [--seed N] [--runs N] [--cycles N] "
-                   "[--loose-acceleration] [--keep-going]\n");
+      std::fprintf(stderr, "usage: fuzz_controller [--seed N] [--runs N] [--cycles N]\n");
       std::exit(2);
     }
   }
@@ -1085,10 +1069,6 @@ void write_results(const Figures& f) {
     results.row({std::string("stop distance / allowed, ") + kPlants[plant],
                  test::cell("%.2f", f.worst_stop[plant]), "1"});
   }
-  results.row({"joint acceleration beyond its limit",
-               test::cell("%.3g in %ld cycles, %ld with a limit named", f.worst_acceleration,
-                          f.stated_acceleration + f.unstated_acceleration, f.stated_acceleration),
-               Run::strict_acceleration ? "1" : "reported only"});
   results.row({"share of the measured acceleration",
                test::cell("%.3g in %ld cycles", f.worst_measured, f.measured), "1"});
   results.text(happened +
@@ -1098,25 +1078,21 @@ void write_results(const Figures& f) {
 
 int fuzz(const Arguments& arguments) {
   Figures figures;
-  std::map<std::string, int> failures;
   for (long i = 0; i < arguments.runs; ++i) {
     const long seed = arguments.seed + i;
     Run run(static_cast<std::uint64_t>(seed), figures);
     for (long k = 0; k < arguments.cycles; ++k) {
       const Failure failure = run.cycle();
       if (failure.oracle.empty()) continue;
-      ++failures[failure.oracle];
       std::printf(
           "FAILED %s, seed %ld, cycle %ld: %s\n  (%s)\n  again: fuzz_controller --seed %ld --runs "
           "1\n",
           failure.oracle.c_str(), seed, run.k(), failure.text.c_str(), run.description().c_str(),
           seed);
-      if (!arguments.keep_going) return 1;
-      break;
+      return 1;
     }
   }
   write_results(figures);
-  for (const auto& [oracle, n] : failures) std::printf("FAILED %s: %d runs\n", oracle.c_str(), n);
   // A fuzz that nothing happens in proves nothing.
   const bool lively = figures.enabled > figures.cycles / 3 && figures.moving > figures.cycles / 8 &&
                       figures.tip_checked > figures.cycles / 40;
@@ -1124,7 +1100,6 @@ int fuzz(const Arguments& arguments) {
     std::printf("FAILED: too little happens\n");
     return 1;
   }
-  if (!failures.empty()) return 1;
   std::printf("[  PASSED  ] 1 test.\n");  // counted like a test program's
   return 0;
 }

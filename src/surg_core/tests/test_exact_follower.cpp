@@ -293,18 +293,5 @@ TEST(ExactFollower, KnownLagsNeverAskForMoreThanTheReference) {
   test::report("cycles", n);
 }
 
-TEST(ExactFollower, LeavesTheHeapAlone) {
-  if (!SURG_HEAP_IS_WATCHED) GTEST_SKIP();
-  const JointVector q = JointVector::Zero(7), dq = JointVector::Constant(7, 1e-4);
-  MeasuredFollower follower(7, {JointVector::Constant(7, 0.012), 50, kT});
-  test::HeapWatch heap;
-  follower.reset(q);
-  const JointVector qd = follower.advance(dq, q);
-  const double tracking_error = follower.tracking_error(q);
-  const long calls = heap.calls();
-  EXPECT_EQ(calls, 0);
-  EXPECT_GT(qd.norm() + tracking_error, 0);
-}
-
 }  // namespace
 }  // namespace surg

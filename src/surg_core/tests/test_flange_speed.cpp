@@ -129,9 +129,7 @@ TEST(Flange, EveryCommandKeepsItsSpeedAndTheJointsAccelerationWhoeverAnswers) {
       long at_limit = 0;
       double worst_pivot = 0;
       for (int run = 0; run < runs; ++run) {
-        Controller::Options options;
-        options.law = law;
-        Bench bench(options, plant.delay, plant.tau, plant.link_lag);
+        Bench bench({law}, plant.delay, plant.tau, plant.link_lag);
         const double limit = bench.robot().limits.flange_velocity;
         MotionCommand command;
         command.source = kMe;
@@ -195,9 +193,7 @@ TEST(Flange, F24DrivenToTheTrocarTheCommandKeepsIt) {
     const double limit = bench.robot().limits.flange_velocity;
     const double around = random.uniform(0, 2 * M_PI), up = random.uniform(0.06, 0.25),
                  aside = random.uniform(0, 0.1);
-    MotionCommand command;
-    command.motion = Motion::kServoCv;
-    command.source = kMe;
+    MotionCommand command = test::command(Motion::kServoCv);
     for (int k = 0; k < 1200; ++k) {
       const Vector3 s = bench.tip_in_R().normalized();
       const Vector3 u(std::cos(around), std::sin(around), 0);
@@ -230,9 +226,7 @@ TEST(Flange, TheWayBackStaysInsideItBehindAnArmOfUnknownLag) {
   for (const Law law : {Law::kVelocity, Law::kExact}) {
     double fastest = 0, worst_pivot = 0;
     for (int run = 0; run < runs; ++run) {
-      Controller::Options options;
-      options.law = law;
-      Bench bench(options, 2, 0.008);
+      Bench bench({law}, 2, 0.008);
       MotionCommand command;
       command.source = kMe;
       for (int k = 0; k < 1500; ++k) {
@@ -280,9 +274,7 @@ TEST(Flange, TheLookAheadKnowsTheMarginBeforeAJointLimit) {
       RobotConfig robot = Bench::robot_with_lag(0);
       (upper ? robot.position_max : robot.position_min)[joint] =
           robot.home[joint] + (upper ? room : -room);
-      Controller::Options options;
-      options.law = law;
-      Bench bench(options, 0, 0, 0, &robot);
+      Bench bench({law}, 0, 0, 0, &robot);
       MotionCommand command;
       command.source = kMe;
       command.motion = Motion::kMoveJp;

@@ -182,9 +182,7 @@ TEST(LagMeter, NeedsMotionAndSurvivesInterruptions) {
 TEST(LagMeter, TheControllerReportsTheLagWhateverItIsTold) {
   for (const Law law : {Law::kExact, Law::kVelocity}) {
     for (const double told : {0.0, 0.012, 0.03}) {
-      Controller::Options options;
-      options.law = law;
-      test::Bench bench(options, 2, 0.008, told);
+      test::Bench bench({law}, 2, 0.008, told);
       EXPECT_TRUE(std::isnan(bench.out().link_lag));
       const Vector3 p0 = bench.tip_in_R();
       for (int k = 0; k < 3000; ++k) {

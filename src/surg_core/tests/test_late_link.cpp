@@ -23,7 +23,6 @@ using test::Scene;
 
 constexpr double kStated = 0.012;  // [s]
 constexpr double kLatest = 0.018;  // [s] more than stated
-constexpr std::uint32_t kHolder = 7;
 
 std::vector<double> list(const JointVector& v) { return {v.data(), v.data() + v.size()}; }
 
@@ -112,7 +111,7 @@ class Arm {
       : scene_(panda, true),
         robot_(shipped(scene_, panda)),
         controller_(scene_.chain, robot_, robot_.limits, test::instrument(), tool_of(scene_),
-                    options(law)),
+                    {law}),
         link_(scene_.q_home, kStated, kind),
         starvation_(random),
         depth_(random.uniform(0.05, 0.12)) {
@@ -130,12 +129,9 @@ class Arm {
   /// A pose of a stream at 100 Hz.
   void follow(const Vector3& p) {
     if (++sent_ % 5 != 0) return;
-    MotionCommand& command = send(Motion::kServoCp);
-    command.p = p;
-    command.rotation =
-        controller_.tool_orientation(controller_.X_BR().linear() * p.normalized(), 0);
+    send(Motion::kServoCp) = test::pose(controller_, Motion::kServoCp, p);
   }
-  MotionCommand& send(Motion motion) { return test::next_command(in_, motion, kHolder); }
+  MotionCommand& send(Motion motion) { return test::next_command(in_, motion); }
 
   Controller& controller() { return controller_; }
   const Outputs& out() const { return *out_; }
@@ -147,11 +143,6 @@ class Arm {
   Vector3 tip() const { return shaft().p_BTip; }
 
  private:
-  static Controller::Options options(Law law) {
-    Controller::Options options;
-    options.law = law;
-    return options;
-  }
   ShaftState shaft() const {
     return shaft_state(scene_.chain.forward(link_.truth()), scene_.tool, p_BRcm_);
   }

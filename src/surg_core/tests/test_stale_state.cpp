@@ -21,7 +21,7 @@ class StarvedLink {
   StarvedLink(Law law, Random& random, int longest)
       : robot_(robot()),
         chain_(ur5e_chain()),
-        controller_(chain_, robot_, robot_.limits, instrument(), offset_tool(), options(law)),
+        controller_(chain_, robot_, robot_.limits, instrument(), offset_tool(), {law}),
         random_(random),
         arm_(robot_.home, random),
         longest_(longest) {
@@ -57,31 +57,17 @@ class StarvedLink {
   }
 
   void servo_cp(const Vector3& p_RTip) {
-    MotionCommand& command = test::next_command(in_, Motion::kServoCp, kMe);
-    command.p = p_RTip;
-    const Vector3 s_B = controller_.X_BR().linear() * p_RTip.normalized();
-    command.rotation = controller_.tool_orientation(s_B, 0);
+    next_command(in_, Motion::kServoCp) = pose(controller_, Motion::kServoCp, p_RTip);
   }
 
   /// Distance of the true shaft from the pivot [m].
-  double deviation() const {
-    const Pose X_BF = chain_.forward(arm_.truth());
-    const ToolCalibration tool = offset_tool();
-    const Vector3 s = X_BF.linear() * tool.s_F;
-    const Vector3 r = p_BRcm_ - X_BF * tool.p_FTip;
-    return (r - s * s.dot(r)).norm();
-  }
+  double deviation() const { return off_shaft(chain_, arm_.truth(), offset_tool(), p_BRcm_); }
 
  private:
   static RobotConfig robot() {
     Document document = good_robot();
     document.values["tuning.rcm_gain"] = 50.0;  // as shipped
     return robot_behind(document, 0.012);
-  }
-  static Controller::Options options(Law law) {
-    Controller::Options out;
-    out.law = law;
-    return out;
   }
 
   RobotConfig robot_;

@@ -28,9 +28,7 @@ Drive drive(Bench& bench, double seconds, double size, bool spherical = false) {
   for (int i = 0; i < static_cast<int>(seconds / kT); ++i) {
     const Vector3 p = lissajous(i * kT, size);
     if (spherical) {
-      MotionCommand command;
-      command.motion = Motion::kServoJp;
-      command.source = kMe;
+      MotionCommand command = test::command(Motion::kServoJp);
       const Eigen::Vector2d angles = shaft_angles(p.normalized());
       command.joints = Vector4(angles[0], angles[1], p.norm(), 0.3 * std::sin(i * kT));
       bench.send(command);
@@ -164,9 +162,7 @@ TEST(Controller, AJointLimitHoldsTheArmAndLetsItGoAgain) {
             robot.home[joint] + side * 0.03;
         Bench bench({}, 0, 0, 0, &robot);
         const auto push = [&](double x) {
-          MotionCommand command;
-          command.motion = Motion::kServoCv;
-          command.source = kMe;
+          MotionCommand command = test::command(Motion::kServoCv);
           command.p = Vector3(x, x, 0);
           bench.send(command);
           bench.tick();
@@ -214,9 +210,7 @@ TEST(Controller, AStreamDoesNotTalkOverAHold) {
       if (motion == Motion::kServoCp) {
         bench.servo_cp(Vector3(0.02 * i * kT, 0, 0.12));
       } else {
-        MotionCommand command;
-        command.motion = motion;
-        command.source = kMe;
+        MotionCommand command = test::command(motion);
         command.p = Vector3(0.02, 0, 0);
         bench.send(command);
       }
@@ -270,9 +264,7 @@ TEST(Controller, NotANumberInACommandFaultsInTheSameCycleAndNeverReachesTheWire)
   for (int i = 0; i < n; ++i) {
     Bench bench;
     drive(bench, 0.1, 0.03);
-    MotionCommand bad;
-    bad.motion = static_cast<Motion>(random.integer(1, 6));
-    bad.source = kMe;
+    MotionCommand bad = test::command(static_cast<Motion>(random.integer(1, 6)));
     const double poison[] = {NAN, INFINITY, -INFINITY};
     const double x = poison[random.integer(0, 2)];
     switch (random.integer(0, 2)) {
@@ -416,9 +408,7 @@ TEST(Controller, BusyHasAnEdgeEvenForAMoveOfZeroLength) {
   Bench bench;
   for (int i = 0; i < 10; ++i) bench.tick();
   EXPECT_FALSE(bench.out().busy);
-  MotionCommand move;
-  move.motion = Motion::kMoveCp;
-  move.source = kMe;
+  MotionCommand move = test::command(Motion::kMoveCp);
   move.p = bench.tip_in_R();
   bench.send(move);
   EXPECT_TRUE(bench.tick().busy);
@@ -451,9 +441,7 @@ TEST(Controller, VelocityCommandsMoveTheTipAsAsked) {
 
 TEST(Controller, JawMovesAtItsRateAndNeverOnAStop) {
   Bench bench;
-  MotionCommand jaw;
-  jaw.motion = Motion::kJawServoJp;
-  jaw.source = kMe;
+  MotionCommand jaw = test::command(Motion::kJawServoJp);
   jaw.jaw = 0.9;
   bench.send(jaw);
   for (int i = 0; i < 50; ++i) bench.tick();

@@ -9,13 +9,6 @@ namespace {
 
 using namespace test;
 
-MotionCommand command(Motion motion, std::uint32_t source = kMe) {
-  MotionCommand out;
-  out.motion = motion;
-  out.source = source;
-  return out;
-}
-
 MotionCommand joints(Motion motion, const Vector4& values) {
   MotionCommand out = command(motion);
   out.joints = values;
@@ -79,11 +72,7 @@ TEST(Surface, AWayThatLeavesTheWorkspaceIsRefusedThoughItsEndsAreInside) {
   bench.tick();
   wait(bench);
   // The straight line between two shallow points on opposite sides passes above depth_min.
-  MotionCommand across = command(Motion::kMoveCp);
-  across.p = 0.035 * shaft_direction(-1.0, 0);
-  across.rotation =
-      bench.controller().tool_orientation(bench.controller().X_BR().linear() * across.p, 0);
-  bench.send(across);
+  bench.send(bench.pose(Motion::kMoveCp, 0.035 * shaft_direction(-1.0, 0)));
   EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kOutsideWorkspace);
   bench.send(joints(Motion::kMoveJp, Vector4(-1.0, 0, 0.035, 0)));  // round it there is a way
   EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
@@ -168,12 +157,9 @@ TEST(Surface, TheWayBackAlongTheTraceKeepsThePivotAndEndsWhereItBegan) {
     for (int i = 0; i < 10; ++i) bench.tick();
     const JointVector home = bench.in().q;
     for (int move = 0; move < 3; ++move) {
-      MotionCommand to = command(Motion::kMoveCp);
-      to.p = Vector3(random.uniform(-0.03, 0.03), random.uniform(-0.03, 0.03),
-                     random.uniform(0.09, 0.15));
-      to.rotation = bench.controller().tool_orientation(
-          bench.controller().X_BR().linear() * to.p.normalized(), random.uniform(-1, 1));
-      bench.send(to);
+      const Vector3 to(random.uniform(-0.03, 0.03), random.uniform(-0.03, 0.03),
+                       random.uniform(0.09, 0.15));
+      bench.send(bench.pose(Motion::kMoveCp, to, random.uniform(-1, 1)));
       bench.tick();
       wait(bench);
     }
@@ -227,9 +213,7 @@ TEST(Surface, TheWayBackOutlivesPausesAndFaults) {
   for (const Law law : {Law::kExact, Law::kVelocity}) {
     for (const Stop stop : {Stop::kPausedOnTheWayBack, Stop::kPausedInMotion,
                             Stop::kLinkLostOnTheWayBack, Stop::kHeld}) {
-      Controller::Options options;
-      options.law = law;
-      Bench bench(options);
+      Bench bench({law});
       for (int i = 0; i < 10; ++i) bench.tick();
       const JointVector home = bench.in().q;
       for (const Vector3& p : {Vector3(0.03, 0.02, 0.14), Vector3(-0.03, 0.02, 0.1)}) {

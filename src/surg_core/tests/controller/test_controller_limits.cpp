@@ -173,9 +173,7 @@ TEST(ControllerLimits, AVelocityStopsBeforeTheWallAsTheJointsCan) {
       RobotConfig robot = Bench::robot_with_lag(0);
       robot.velocity.setConstant(6);
       for (int i = 0; i < 6; ++i) robot.home[i] += random.uniform(-0.2, 0.2);
-      Controller::Options options;
-      options.law = law;
-      Bench bench(options, 0, 0, 0, &robot);
+      Bench bench({law}, 0, 0, 0, &robot);
       MotionCommand command;
       command.source = test::kMe;
       command.motion = Motion::kServoJv;

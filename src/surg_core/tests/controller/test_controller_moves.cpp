@@ -8,28 +8,13 @@ namespace {
 
 using namespace test;
 
-MotionCommand command(Motion motion) {
-  MotionCommand out;
-  out.motion = motion;
-  out.source = kMe;
-  return out;
-}
-
-MotionCommand move_cp(const Bench& bench, const Vector3& p, double roll = 0) {
-  MotionCommand out = command(Motion::kMoveCp);
-  out.p = p;
-  out.rotation = bench.controller().tool_orientation(
-      bench.controller().X_BR().linear() * p.normalized(), roll);
-  return out;
-}
-
 void finish(Bench& bench) {
   for (int i = 0; i < 30000 && bench.out().busy; ++i) bench.tick();
   EXPECT_FALSE(bench.out().busy);
 }
 
 Reason send_move(Bench& bench, const Vector3& p, double roll = 0) {
-  bench.send(move_cp(bench, p, roll));
+  bench.send(bench.pose(Motion::kMoveCp, p, roll));
   return bench.tick().verdicts[0].reason;
 }
 
@@ -110,7 +95,7 @@ TEST(ControllerMoves, AMoveThatAForceStoppedIsNotArrived) {
 /// would tell, is wrong, and it has turned too far to have stood still.
 TEST(ControllerMoves, AMoveWhoseRollIsMissingIsNotArrived) {
   Bench bench;
-  bench.send(move_cp(bench, bench.tip_in_R(), 1.0));
+  bench.send(bench.pose(Motion::kMoveCp, bench.tip_in_R(), 1.0));
   Reason said = Reason::kNone;
   do {
     const JointVector before = bench.in().q;
@@ -205,9 +190,7 @@ TEST(ControllerMoves, AResumeAtAnyTimeOfTheRampKeepsTheJointsAcceleration) {
   for (const Law law : {Law::kExact, Law::kVelocity}) {
     double worst = 0;
     for (const int after : {-30, -10, 0, 1, 2, 3}) {  // cycles after the arm counts as at rest
-      Controller::Options options;
-      options.law = law;
-      Bench bench(options, 0, 0, 0, &robot);
+      Bench bench({law}, 0, 0, 0, &robot);
       MotionCommand aside = command(Motion::kServoCv);
       aside.p = Vector3(0.03, 0, 0);
       for (int i = 0; i < 400; ++i) {

@@ -42,9 +42,7 @@ const RobotCondition kStopping[] = {RobotCondition::kOff,     RobotCondition::kB
 TEST(Robot, F33AConditionThatIsNotActiveFaultsAndCommandsZeroInTheSameCycle) {
   for (const Law law : {Law::kExact, Law::kVelocity}) {
     for (const RobotCondition condition : kStopping) {
-      Controller::Options options;
-      options.law = law;
-      RobotBench bench(options);
+      RobotBench bench({law});
       for (int i = 0; i < 200; ++i) bench.stream(0.012);
       ASSERT_GT(bench.out().qd_command.norm(), 1e-3);
       bench.in().condition = condition;
@@ -195,9 +193,7 @@ TEST(Robot, APassiveInstrumentNeedsNoToolLink) {
 TEST(Robot, AnArmThatNeverMovesIsNoticedUnderEveryLawAtEverySpeed) {
   for (const Law law : {Law::kExact, Law::kVelocity, Law::kPaper}) {
     for (const double speed : {0.0012, 0.012, 0.05}) {
-      Controller::Options options;
-      options.law = law;
-      Bench bench(options);
+      Bench bench({law});
       const JointVector stuck = bench.in().q;
       int noticed = 0;
       for (int i = 1; i <= 2000 && noticed == 0; ++i) {

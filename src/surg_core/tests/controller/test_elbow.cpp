@@ -19,7 +19,6 @@ using namespace test;
 
 constexpr double kT = 0.002;
 constexpr double kRounding = 1 + 1e-6;
-constexpr std::uint32_t kMe = 7, kOther = 8;
 
 // --- an independent angle -----------------------------------------------------------------------
 
@@ -143,7 +142,7 @@ class PandaBench {
  public:
   explicit PandaBench(Law law = Law::kExact, double preferred = NAN)
       : robot_(panda_robot(preferred)),
-        setup_{panda_chain(), robot_, robot_.limits, instrument(), offset_tool(), options(law)},
+        setup_{panda_chain(), robot_, robot_.limits, instrument(), offset_tool(), {law}},
         controller_(setup_.chain, robot_, robot_.limits, setup_.instrument, setup_.tool,
                     setup_.options),
         box_(controller_, setup_) {
@@ -182,10 +181,7 @@ class PandaBench {
     return out.verdicts[0].reason;
   }
   void servo_cp(const Vector3& p_RTip) {
-    MotionCommand& command = send(Motion::kServoCp);
-    command.p = p_RTip;
-    command.rotation =
-        controller_.tool_orientation(controller_.X_BR().linear() * p_RTip.normalized(), 0);
+    send(Motion::kServoCp) = pose(controller_, Motion::kServoCp, p_RTip);
   }
   /// Runs until the turn has ended, at most 'seconds'; whether it has.
   bool ends(double seconds) {
@@ -198,7 +194,7 @@ class PandaBench {
   Vector3 tip() const { return setup_.chain.forward(in_.q) * setup_.tool.p_FTip; }
   Vector3 shaft() const { return setup_.chain.forward(in_.q).linear() * setup_.tool.s_F; }
   /// Distance of the shaft's line from the trocar [m].
-  double deviation() const { return shaft().cross(Vector3(p_BRcm_ - tip())).norm(); }
+  double deviation() const { return off_shaft(setup_.chain, in_.q, setup_.tool, p_BRcm_); }
   double angle() const { return swivel_oracle(in_.q); }
   void forget() { worst_acceleration_ = worst_pivot_ = 0; }
 
@@ -212,12 +208,6 @@ class PandaBench {
   double room() const { return room_; }
 
  private:
-  static Controller::Options options(Law law) {
-    Controller::Options options;
-    options.law = law;
-    return options;
-  }
-
   RobotConfig robot_;
   ControllerSetup setup_;
   Controller controller_;

@@ -35,9 +35,7 @@ TEST(ToolChange, RefusedUnlessDisabledAndAtRest) {
   EXPECT_EQ(change(), Reason::kToolWhileEnabled);
   controller.request(StateCommand::kEnable);
   for (int i = 0; i < 200; ++i) {
-    MotionCommand command;
-    command.motion = Motion::kServoCv;
-    command.source = kMe;
+    MotionCommand command = test::command(Motion::kServoCv);
     command.p = {0.1, 0, 0};
     bench.send(command);
     bench.tick();
@@ -77,14 +75,10 @@ TEST(ToolChange, NewToolIsTheOneThatMovesOnThePivot) {
   EXPECT_EQ(bench.tick().qd_command.norm(), 0) << "not before home";
   ASSERT_EQ(controller.request(StateCommand::kHome), Reason::kNone);
   const Vector3 trocar = bench.out().p_BRcm;
-  MotionCommand move;
-  move.motion = Motion::kMoveJp;
-  move.source = kMe;
+  MotionCommand move = test::command(Motion::kMoveJp);
   move.joints = {0.2, -0.15, 0.13, 0.5};
   bench.send(move);
-  MotionCommand jaw;
-  jaw.motion = Motion::kJawMoveJp;
-  jaw.source = kMe;
+  MotionCommand jaw = test::command(Motion::kJawMoveJp);
   jaw.jaw = 2.0;
   bench.send(jaw);
   double worst = 0;
@@ -105,9 +99,7 @@ TEST(ToolChange, NewToolIsTheOneThatMovesOnThePivot) {
 TEST(ToolChange, OldWayBackAndTargetsAreGone) {
   Bench bench;
   Controller& controller = bench.controller();
-  MotionCommand aside;
-  aside.motion = Motion::kMoveJp;
-  aside.source = kMe;
+  MotionCommand aside = test::command(Motion::kMoveJp);
   aside.joints = {0.1, 0, 0.12, 0};
   bench.send(aside);
   for (int i = 0; i < 1500; ++i) bench.tick();
@@ -120,9 +112,7 @@ TEST(ToolChange, OldWayBackAndTargetsAreGone) {
   ASSERT_EQ(controller.request(StateCommand::kEnable), Reason::kNone);
   ASSERT_EQ(controller.request(StateCommand::kHome), Reason::kNone);
   const JointVector q = bench.in().q;
-  MotionCommand back;
-  back.motion = Motion::kRetrace;
-  back.source = kMe;
+  MotionCommand back = test::command(Motion::kRetrace);
   bench.send(back);
   bool no_trace = false;
   for (int i = 0; i < 500; ++i) no_trace = bench.tick().reason == Reason::kNoTrace || no_trace;

@@ -10,24 +10,9 @@ namespace {
 
 using namespace test;
 
-MotionCommand command(Motion motion, std::uint32_t source = kMe) {
-  MotionCommand out;
-  out.motion = motion;
-  out.source = source;
-  return out;
-}
-
-MotionCommand move_cp(const Bench& bench, const Vector3& p, double roll) {
-  MotionCommand out = command(Motion::kMoveCp);
-  out.p = p;
-  out.rotation = bench.controller().tool_orientation(
-      bench.controller().X_BR().linear() * p.normalized(), roll);
-  return out;
-}
-
 /// Moves to a place some way off, so that there is a trace.
 void go_somewhere(Bench& bench) {
-  bench.send(move_cp(bench, Vector3(0.03, -0.02, 0.15), 0.5));
+  bench.send(bench.pose(Motion::kMoveCp, Vector3(0.03, -0.02, 0.15), 0.5));
   do bench.tick();
   while (bench.out().busy);
 }
@@ -72,7 +57,7 @@ TEST(MotionEnds, F26TheHolderKeepsTheArmWhileItsJawMoves) {
 
 TEST(MotionEnds, F26HalfASecondOfRestCountsFromTheEndOfAMove) {
   Bench bench;
-  bench.send(move_cp(bench, Vector3(0.05, 0, 0.12), 0));
+  bench.send(bench.pose(Motion::kMoveCp, Vector3(0.05, 0, 0.12), 0));
   bench.tick();
   EXPECT_GT(expect_held_until_rested(bench, command(Motion::kRetrace, kOther)), 0.5);
 }
@@ -125,7 +110,7 @@ TEST(MotionEnds, F20AMoveIntoAJointLimitEndsWithAReasonWithinTwoSeconds) {
     Bench bench(options, 0, lag, lag, &robot);
     const Vector3 p(random.uniform(-0.08, 0.08), random.uniform(-0.08, 0.08),
                     random.uniform(0.08, 0.19));
-    MotionCommand to = move_cp(bench, p, random.uniform(-2, 2));
+    MotionCommand to = bench.pose(Motion::kMoveCp, p, random.uniform(-2, 2));
     const Motion kinds[] = {Motion::kMoveCp, Motion::kInterpolateCp, Motion::kMoveJp};
     to.motion = kinds[random.integer(0, 2)];
     to.joints =
@@ -168,7 +153,7 @@ TEST(MotionEnds, ASlowMoveThatNothingLimitsIsNotGivenUp) {
   robot.tuning.profiler_duration = 5;
   Bench bench({}, 0, 0, 0, &robot);
   const Vector3 to = bench.tip_in_R() + Vector3(0.001, 0, 0);
-  bench.send(move_cp(bench, to, 0));
+  bench.send(bench.pose(Motion::kMoveCp, to, 0));
   bench.tick();
   const Ending end = end_of(bench);
   EXPECT_TRUE(end.over);
@@ -191,7 +176,7 @@ TEST(MotionEnds, ARetraceBehindAMovingTrocarEnds) {
     bench.in().v_BTrack = r * w * (R_BR * Vector3(std::cos(w * t), std::sin(w * t), 0));
     bench.tick();
   };
-  bench.send(move_cp(bench, Vector3(0.03, -0.02, 0.15), 0.5));
+  bench.send(bench.pose(Motion::kMoveCp, Vector3(0.03, -0.02, 0.15), 0.5));
   do tick();
   while (bench.out().busy && t < 20);
   bench.send(command(Motion::kRetrace));

@@ -332,20 +332,11 @@ TEST(StreamInput, AtEveryRateASineKeepsItsSize) {
   }
 }
 
-MotionCommand at(const Bench& bench, const Vector3& p_RTip) {
-  MotionCommand command;
-  command.motion = Motion::kServoCp;
-  command.source = 1;
-  command.p = p_RTip;
-  command.rotation = bench.controller().tool_orientation(
-      bench.controller().X_BR().linear() * p_RTip.normalized(), 0);
-  return command;
-}
-
 TEST(StepGate, ManySmallStepsInOneCycleAreOneLargeStep) {
   Bench bench;
   const Vector3 from = bench.tip_in_R();
-  for (int k = 1; k <= 30; ++k) bench.send(at(bench, from + Vector3(0.0019 * k, 0, 0)));
+  for (int k = 1; k <= 30; ++k)
+    bench.send(bench.pose(Motion::kServoCp, from + Vector3(0.0019 * k, 0, 0)));
   bench.tick();
   EXPECT_EQ(bench.out().accepted, 1u);
   for (int k = 1; k < 30; ++k) {
@@ -368,7 +359,7 @@ TEST(StepGate, ABurstMayMoveWhatTheTimeSinceTheLastOneAllows) {
       }
     }
     const std::size_t n = std::min<std::size_t>(waiting.size(), kMaxCommands);
-    for (std::size_t k = 0; k < n; ++k) bench.send(at(bench, waiting[k]));
+    for (std::size_t k = 0; k < n; ++k) bench.send(bench.pose(Motion::kServoCp, waiting[k]));
     waiting.erase(waiting.begin(), waiting.begin() + static_cast<long>(n));
     bench.tick();
     EXPECT_EQ(bench.out().refused, 0u) << tick;
@@ -393,7 +384,7 @@ TEST(Wall, AStreamOutsideIsRefusedUnlessItsSenderSlides) {
     double farthest = -1, worst_end = 0;
     for (int k = 0; k < 4200; ++k) {
       const Vector3 hand = excursion(limits, 0.01, 0.002 * k);
-      MotionCommand command = at(bench, hand);
+      MotionCommand command = bench.pose(Motion::kServoCp, hand);
       command.slide = slide;
       bench.send(command);
       bench.tick();

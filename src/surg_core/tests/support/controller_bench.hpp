@@ -5,13 +5,13 @@
 
 #include <deque>
 
+#include "next_command.hpp"
 #include "surg_core/controller.hpp"
 #include "test_arm.hpp"
 
 namespace surg::test {
 
 constexpr double kT = 0.002;
-constexpr std::uint32_t kMe = 7, kOther = 8;
 
 /// A controller, its arm and a fake clock. The plant integrates the commanded joint velocities
 /// after 'delay' ticks through a first-order lag of 'tau' seconds (0: at once).
@@ -58,13 +58,12 @@ class Bench {
   void send(const MotionCommand& command) { in_.commands[in_.n_commands++] = command; }
 
   void servo_cp(const Vector3& p_RTip, double roll = 0, std::uint32_t source = kMe) {
-    MotionCommand command;
-    command.motion = Motion::kServoCp;
-    command.source = source;
-    command.p = p_RTip;
-    command.rotation =
-        controller_.tool_orientation(controller_.X_BR().linear() * p_RTip.normalized(), roll);
-    send(command);
+    send(pose(Motion::kServoCp, p_RTip, roll));
+    in_.commands[in_.n_commands - 1].source = source;
+  }
+
+  MotionCommand pose(Motion motion, const Vector3& p_RTip, double roll = 0) const {
+    return test::pose(controller_, motion, p_RTip, roll);
   }
 
   static RobotConfig robot_with_lag(double link_lag) {

@@ -92,9 +92,7 @@ class FixtureBench {
     last_ = out_->qd_command;
     const Vector3 before = tip();
     arm_.obey(out_->qd_command);
-    const Pose X_BF = chain_.forward(arm_.truth());
-    const Vector3 s = X_BF.linear() * Vector3::UnitZ(), r = p_BRcm_ - tip();
-    off_pivot = std::max(off_pivot, (r - s * s.dot(r)).norm());
+    off_pivot = std::max(off_pivot, off_shaft(chain_, arm_.truth(), offset_tool(), p_BRcm_));
     for (const Fixture& f : controller_.fixtures()) {
       deepest = std::max(deepest, -allowed_by(f, tip(), p_BRcm_));
       deepest_set = std::max(deepest_set, -allowed_by(f, out_->p_set, p_BRcm_));
@@ -104,13 +102,10 @@ class FixtureBench {
     return *out_;
   }
 
-  MotionCommand& send(Motion motion) { return next_command(in_, motion, kMe); }
+  MotionCommand& send(Motion motion) { return next_command(in_, motion); }
   void servo_cp(const Vector3& p_R) { pose(Motion::kServoCp, p_R); }
   void pose(Motion motion, const Vector3& p_R) {
-    MotionCommand& command = send(motion);
-    command.p = p_R;
-    command.rotation =
-        controller_.tool_orientation(controller_.X_BR().linear() * p_R.normalized(), 0);
+    send(motion) = test::pose(controller_, motion, p_R);
   }
   void servo_cv(const Vector3& v_R) { send(Motion::kServoCv).p = v_R; }
 

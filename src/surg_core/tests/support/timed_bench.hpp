@@ -85,7 +85,7 @@ class TimedBench {
                       double acceleration = 15, double off_shaft = 0)
       : robot_(robot_with(link_lag, acceleration)),
         chain_(ur5e_chain()),
-        controller_(chain_, robot_, robot_.limits, instrument(), offset_tool(), options(law)),
+        controller_(chain_, robot_, robot_.limits, instrument(), offset_tool(), {law}),
         arm_(plant, robot_.home, robot_.acceleration) {
     const ToolCalibration tool = offset_tool();
     const Pose X_BF = chain_.forward(arm_.q());
@@ -119,14 +119,10 @@ class TimedBench {
     return *out_;
   }
 
-  MotionCommand& send(Motion motion) { return next_command(in_, motion, kMe); }
+  MotionCommand& send(Motion motion) { return next_command(in_, motion); }
   void servo_cv(const Vector3& v) { send(Motion::kServoCv).p = v; }
   MotionCommand& servo_cp(const Vector3& p_RTip) {
-    MotionCommand& command = send(Motion::kServoCp);
-    command.p = p_RTip;
-    const Vector3 s_B = controller_.X_BR().linear() * p_RTip.normalized();
-    command.rotation = controller_.tool_orientation(s_B, 0);
-    return command;
+    return send(Motion::kServoCp) = pose(controller_, Motion::kServoCp, p_RTip);
   }
   /// From now on states take that many cycles to arrive.
   void delay_states(std::size_t cycles) { states_late_ = cycles; }
@@ -139,13 +135,7 @@ class TimedBench {
   }
 
   /// Distance of the true shaft from the trocar [m].
-  double deviation() const {
-    const Pose X_BF = chain_.forward(arm_.q());
-    const ToolCalibration tool = offset_tool();
-    const Vector3 s = X_BF.linear() * tool.s_F;
-    const Vector3 r = p_BRcm_ - X_BF * tool.p_FTip;
-    return (r - s * s.dot(r)).norm();
-  }
+  double deviation() const { return off_shaft(chain_, arm_.q(), offset_tool(), p_BRcm_); }
   double worst_pivot() const { return worst_pivot_; }
   double time() const { return time_; }
   void forget() {
@@ -166,11 +156,6 @@ class TimedBench {
     document.values["tuning.rcm_gain"] = 50.0;  // as shipped
     document.values["joints.acceleration"] = std::vector<double>(6, acceleration);
     return robot_behind(document, link_lag);
-  }
-  static Controller::Options options(Law law) {
-    Controller::Options out;
-    out.law = law;
-    return out;
   }
 
   RobotConfig robot_;
