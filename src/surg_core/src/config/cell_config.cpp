@@ -192,16 +192,14 @@ std::optional<CellEndoscope> read_endoscope(Reader& reader) {
   endoscope.layout =
       reader.choice(prefix + "layout", {"two", "sbs", "sbs_half", "top_bottom", "rows", "mono"});
   if (reader.has(prefix + "size")) {
-    constexpr double kLeast = 16;   // [px] of a side of a picture
-    constexpr double kMost = 7680;  // [px] of a side of a picture
     const std::vector<double> size = reader.numbers(prefix + "size");
     const bool good = size.size() == 2 && std::all_of(size.begin(), size.end(), [](double pixels) {
-                        return pixels == std::floor(pixels) && pixels >= kLeast && pixels <= kMost;
+                        return pixels == std::floor(pixels) && pixels >= 16 && pixels <= 7680;
                       });
     if (!good) {
-      reader.fail(prefix + "size",
-                  "must be [width, height] of a grabbed picture in whole px; allowed is " +
-                      number(kLeast) + " to " + number(kMost));
+      reader.fail(
+          prefix + "size",
+          "must be [width, height] of a grabbed picture in whole px; allowed is 16 to 7680");
     }
     endoscope.width = static_cast<int>(size[0]);
     endoscope.height = static_cast<int>(size[1]);

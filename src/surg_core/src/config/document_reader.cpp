@@ -74,7 +74,7 @@ std::optional<int> day_of(const std::string& date) {
 }
 
 StatedLag read_lag(Reader& reader, const std::string& key) {
-  constexpr double kMost = 0.05;  // [s] largest lag of a servo
+  constexpr double kMost = 0.05;  // [s] longest lag of a link
   if (!reader.is_list(key)) return {reader.real(key, 0, kMost, "s"), {}};
   const std::size_t n = reader.numbers(key).size();
   if (n < 1 || n > static_cast<std::size_t>(kMaxJoints)) {

@@ -163,17 +163,13 @@ void read_tuning(Reader& reader, Tuning& tuning) {
     tuning.*key.member =
         reader.real(std::string("tuning.") + key.name, key.lowest, key.highest, key.unit);
   }
-  constexpr double kLeast = 0.05;  // least share of 'acceleration'
-  constexpr double kMost = 20;     // largest share of 'acceleration'
   std::vector<double> range{0.25, 2.0};
   if (reader.has("joints.braking")) range = reader.numbers("joints.braking");
-  const bool good =
-      range.size() == 2 && range[0] >= kLeast && range[0] <= range[1] && range[1] <= kMost;
+  const bool good = range.size() == 2 && range[0] >= 0.05 && range[0] <= range[1] && range[1] <= 20;
   if (!good) {
     reader.fail("joints.braking",
                 "is not a range; needed are the least and the greatest share of "
-                "'acceleration' with which a joint brakes, within " +
-                    number(kLeast) + " to " + number(kMost));
+                "'acceleration' with which a joint brakes, within 0.05 to 20");
   }
   tuning.braking_least = range[0];
   tuning.braking_most = range[1];
