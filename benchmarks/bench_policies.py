@@ -27,7 +27,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from bench_imitation import executor_of
 from machine import this_machine
 from policy import card_cell, card_conditions, shut_in
 from policy.card_cell import EXPERT, CellJob
@@ -112,6 +111,16 @@ def options_of(words: Sequence[str] | None) -> argparse.Namespace:
     add("--jobs", type=int, help="at a time (default: the machine's cores)")
     add("--executor", type=executor_of, default=Executor(), metavar="processes|dask[:ADDRESS]")
     return parser.parse_args(words)
+
+
+def executor_of(words: str) -> Executor:
+    """Where cells are played, as ``--executor`` names it."""
+    kind, _, address = words.partition(":")
+    if kind == "dask":
+        return Executor("dask", scheduler=address or None)
+    if words not in ("process", "processes"):
+        raise argparse.ArgumentTypeError(f"{words!r}: allowed are processes and dask[:ADDRESS]")
+    return Executor()
 
 
 class Book:

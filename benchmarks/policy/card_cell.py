@@ -13,7 +13,6 @@ import numpy as np
 from policy import shut_in
 from policy.card_conditions import BY_NAME, CardCondition, Eye
 from policy.card_measures import Measures
-from policy.judge import move_camera
 from policy.wire_policy import (
     ANSWER_S,
     PICTURE,
@@ -22,8 +21,9 @@ from policy.wire_policy import (
     Wire,
     WirePolicy,
 )
+from scipy.spatial.transform import Rotation
 
-from surg_core.contract import GRID
+from surg_core.contract import GRID, image_key
 from surg_policy_bridge.server.model_server import ServerState
 from surg_sim.envs.cell_session import CellSession, Tick
 from surg_sim.envs.episode_runner import run_episode
@@ -34,6 +34,8 @@ from surg_sim.tasks.bgr import bgr_definition
 
 EXPERT = "expert"
 """Name of the scripted sender: the one that a policy replaces, and the entrant."""
+OTHER = 500
+"""The pictures of another episode are those of the seed from so much further on."""
 _TARGETS = bgr_definition.TARGETS
 
 
@@ -62,7 +64,7 @@ def play(job: CellJob) -> dict[str, Any]:
     A policy that is lost is not asked again: the seeds that are left fail for the same reason.
     """
     condition = BY_NAME[job.condition]
-    bgr_definition.TARGETS = condition.sight.targets or _TARGETS
+    bgr_definition.TARGETS = condition.targets or _TARGETS
     scene = Scene(job, condition)
     lost = ""
     episodes: list[dict[str, Any]] = []
@@ -117,11 +119,13 @@ class Scene:
         self._job, self._condition = job, condition
         self._drawn = job.policy != EXPERT
         cell = cell_files.find(load(job.task).home_cell)
-        self._session = SeenSession(cell, job.task, seed=job.seeds[0], visuals=self._drawn)
+        self._session = SeenSession(
+            cell, job.task, condition.setting, job.seeds[0], visuals=self._drawn
+        )
         model = self._session.world.model
         there = {model.camera(i).name for i in range(model.ncam)}
         self._views = tuple(v for v, frame in FRAMES.items() if frame in there and self._drawn)
-        move_camera(model, condition.sight, self._views)
+        move_camera(model, condition, self._views)
         self._renderers: dict[tuple[str, ...], Any] = {}
         self.served: list[dict[str, Any]] = []
         self.round_trips: list[float] = []
@@ -150,7 +154,7 @@ class Scene:
         if isinstance(given, shut_in.Program):
             wire = Wire(f"ipc://{folder / 'socket'}")
         wire = replace(wire, answer_s=self._job.answer_s, ended=lambda: _end_of(program, folder))
-        eye = Eye(self._condition, seed)
+        eye = Eye(self._condition, seed, self._others(seed + OTHER))
         policy = WirePolicy(
             self._session, wire, self._views, self._pictures(seed), eye, self._condition.delay
         )
@@ -181,6 +185,21 @@ class Scene:
         }
         return {**told, **measures.values, **counts, **self._ended(measures, reason), "lost": lost}
 
+    def _others(self, seed: int) -> dict[str, list[np.ndarray]]:
+        """Pictures of the expert's episode by key, where they are shown in place of one's own."""
+        shown: dict[str, list[np.ndarray]] = {image_key(f"endoscope_{v}"): [] for v in self._views}
+        if self._condition.eye is not None:
+            return {}
+        draw = self._pictures(seed)
+
+        def keep(tick: Tick) -> None:
+            if tick.tick % GRID == 0:
+                for view, picture in draw(self._views).items():
+                    shown[image_key(f"endoscope_{view}")].append(picture.copy())
+
+        run_episode(self._session, seed, watch=keep)
+        return shown
+
     def _ended(self, measures: Measures, reason: str) -> dict[str, Any]:
         """How an episode ended that has begun; with nothing of it, it never did."""
         tick = measures.last
@@ -203,7 +222,7 @@ class Scene:
                 world, (height, width) = self._session.world, PICTURE
                 self._renderers[chosen] = EndoscopeRenderer(world, chosen, width, height)
             renderer = self._renderers[chosen]
-            if (ranges := self._condition.sight.randomization) is not None and seed not in dressed:
+            if (ranges := self._condition.randomization) is not None and seed not in dressed:
                 renderer.set_appearance(ranges.draw(seed))
                 dressed.append(seed)
             return renderer.render(self._session.seen)
@@ -215,6 +234,16 @@ class Scene:
         """Release the OpenGL contexts."""
         for renderer in self._renderers.values():
             renderer.close()
+
+
+def move_camera(model: Any, condition: CardCondition, views: Sequence[str]) -> None:
+    """Put the cameras of these views where a condition has them."""
+    for view in views:
+        camera = model.camera(FRAMES[view])
+        stated = Rotation.from_quat(np.roll(camera.quat, -1))  # MuJoCo has w first
+        turn = Rotation.from_euler("x", condition.turn, degrees=True)
+        camera.pos[:] += stated.apply([condition.aside, 0.0, 0.0])
+        camera.quat[:] = np.roll((stated * turn).as_quat(), 1)
 
 
 def _end_of(program: subprocess.Popen[bytes] | None, folder: Path) -> str:

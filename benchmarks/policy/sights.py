@@ -1,18 +1,15 @@
 """What happens to the pictures that a policy gets: proof that it looks, and how robust it is.
 
-Each condition is drawn from the episode's seed, so a roll-out repeats.
+Each filter is drawn from the episode's seed, so a roll-out repeats.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from scipy import ndimage
-
-from surg_sim.appearance.domain_randomization import DomainRandomization
 
 Picture = np.ndarray
 """(height, width, 3), uint8."""
@@ -136,53 +133,3 @@ class Replayed:
         shown = self._pictures[min(self._next, len(self._pictures) - 1)]
         self._next += 1
         return shown
-
-
-@dataclass(frozen=True)
-class Condition:
-    """One row of the table."""
-
-    name: str
-    eye: Callable[[np.random.Generator], Filter] | None = as_taken
-    """None: the pictures of another episode."""
-    view: str = "left"
-    """Of the endoscope's two eyes; the policy takes it for the left one."""
-    setting: str = "phantom"
-    aside: float = 0.0
-    """The camera is moved so far along the picture's rows [m]."""
-    turn: float = 0.0
-    """The camera is turned up so far [deg]."""
-    targets: tuple[int, int] | None = None
-    """First and last node that the assistant may point at; None: those of training."""
-    randomization: DomainRandomization | None = None
-    """Ranges of the light, tissue, lens and pose of each episode; None: as built."""
-    blind: bool = field(default=False)
-    """What is shown says nothing about this episode."""
-
-
-_STILL = replace(DomainRandomization(), camera_shift_mm=(0.0, 0.0), camera_turn_deg=(0.0, 0.0))
-
-CONDITIONS = (
-    Condition("as trained"),
-    Condition("first picture frozen", frozen, blind=True),
-    Condition("black", black, blind=True),
-    Condition("another episode's pictures", None, blind=True),
-    Condition("the right eye's pictures", view="right"),
-    Condition("light 60 %", light(0.6)),
-    Condition("light 30 %", light(0.3)),
-    Condition("blur, 4 px", blur(4.0)),
-    Condition("smoke, up to 50 %", smoke(0.5)),
-    Condition("a smudge on the lens", smudge),
-    Condition("a third instrument in front", instrument),
-    Condition("camera moved 10 mm", aside=0.010),
-    Condition("camera moved 20 mm", aside=0.020),
-    Condition("camera turned 10°", turn=10.0),
-    Condition("drawn appearance, camera where it was", randomization=_STILL),
-    Condition(
-        "drawn appearance, camera up to 4 mm and 2° off", randomization=DomainRandomization()
-    ),
-    Condition("nodes 14 to 16", targets=(14, 16)),
-    Condition("nodes 23 to 25", targets=(23, 25)),
-    Condition("setting ex_vivo", setting="ex_vivo"),
-    Condition("setting in_vivo", setting="in_vivo"),
-)

@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bench_imitation import Job, Result
 
 from surg_sim.envs.policy_rollouts import roll_out
 from surg_sim.envs.surg_env import SurgEnv
 
 LIMIT = 4.0
 """[s] simulated that an episode takes: the policy does not solve it."""
+
+
+Job = tuple[int, Path]
+"""Seed, and the folder of who has begun."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """Of a roll-out."""
+
+    seed: int
+    success: bool
+    hash: str
 
 
 class Circling:
@@ -32,12 +45,12 @@ class Circling:
 
 
 def play(job: Job) -> Result:
-    """A roll-out that notes in the folder (in the place of weights) that it began, and where."""
-    name, seed, folder = job
+    """A roll-out that notes in the folder that it began, and where."""
+    seed, folder = job
     begun = len(list(folder.glob(f"{seed}.*")))
     Path(folder, f"{seed}.{begun}").write_text(f"{os.getpid()}\n")
     env = SurgEnv("pick_and_place")
     env.session.task.time_limit = LIMIT  # type: ignore[misc]
     done = roll_out(env, Circling(), seed)
     env.close()
-    return Result(name, seed, done.success, done.hash, done.refused, done.rcm_max)
+    return Result(seed, done.success, done.hash)

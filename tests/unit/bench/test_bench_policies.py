@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import functools
 import hashlib
 import json
@@ -27,6 +28,7 @@ from policy.card_cell import CellJob
 from policy.card_conditions import BY_NAME, Eye
 
 from surg_recording.cards import score_card
+from surg_recording.job_pool import Executor
 from surg_sim.tasks import episode_seeds
 
 TASK, SEEDS = "endoscope_guidance", (20000, 20001)
@@ -46,7 +48,8 @@ sys.exit(run(lambda options: Policy(), "a policy"))
 """
 
 
-_compiled = functools.cache(card_cell.SeenSession)
+_SEEN = card_cell.SeenSession
+_compiled = functools.cache(_SEEN)
 
 
 def _in_the_open(program: shut_in.Program, folder: Path) -> subprocess.Popen[bytes]:
@@ -189,13 +192,45 @@ def test_blind_controls_show_nothing_of_the_scene() -> None:
         {key: rng.integers(1, 255, (4, 6, 3), np.uint8), "observation.state": rng.random(9)}
         for _ in range(2)
     ]
-    zeroed = Eye(BY_NAME["zeroed observations"], 0)(seen[0])
+    zeroed = Eye(BY_NAME["zeroed observations"], 0, {})(seen[0])
     assert not any(array.any() for array in zeroed.values())
     for name in ("black pictures", "frozen pictures"):
-        eye = Eye(BY_NAME[name], 0)
+        eye = Eye(BY_NAME[name], 0, {})
         first, second = eye(seen[0]), eye(seen[1])
         np.testing.assert_array_equal(first[key], second[key])
         np.testing.assert_array_equal(second["observation.state"], seen[1]["observation.state"])
+    others = {key: [each[key] for each in seen[::-1]]}
+    foreign = Eye(BY_NAME["another episode's pictures"], 0, others)
+    for n in (1, 0, 0):  # the last one stays
+        np.testing.assert_array_equal(foreign(seen[0])[key], seen[n][key])
+
+
+def test_pictures_of_another_episode_and_settings_are_served(
+    play: Callable[..., dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a policy that says what it sees: the brightness of each picture, as its reason to end."""
+    body = "if observation.step > 20: raise RuntimeError(str(self.seen))"
+    body += "\nself.seen = getattr(self, 'seen', []) + [float(observation[KEY].mean())]"
+    body += "\nreturn observation.held_action()"
+    extra = "KEY = 'observation.images.endoscope.left'\nPolicy.wants = ('observation.state', KEY)"
+    said = {}
+    for name in ("as served", "another episode's pictures", "setting in_vivo"):
+        monkeypatch.setattr(card_cell, "BY_NAME", {"as served": BY_NAME[name]})
+        monkeypatch.setattr(card_cell, "SeenSession", _SEEN)
+        said[name] = play(body, extra, seeds=(20000,))["episodes"][0]
+    reasons = {re.search(r"\[.*\]", each["reason"]).group() for each in said.values()}
+    assert len(reasons) == 3, reasons
+    hashes = {name: each["state_hash"] for name, each in said.items()}
+    assert hashes["as served"] == hashes["another episode's pictures"] != hashes["setting in_vivo"]
+
+
+def test_executors_by_name() -> None:
+    assert bench_policies.executor_of("processes") == Executor()
+    assert bench_policies.executor_of("dask") == Executor("dask")
+    found = bench_policies.executor_of("dask:tcp://10.0.0.1:8786")
+    assert found == Executor("dask", scheduler="tcp://10.0.0.1:8786")
+    with pytest.raises(argparse.ArgumentTypeError, match=r"are processes and dask\[:ADDRESS\]"):
+        bench_policies.executor_of("threads")
 
 
 def test_a_card_goes_on_where_it_was_cut_off_and_is_the_same(

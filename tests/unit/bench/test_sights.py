@@ -1,10 +1,8 @@
-"""What `./surg dev bench imitation` shows to a policy."""
+"""What becomes of the pictures that a policy gets in a score card."""
 
 from __future__ import annotations
 
 import sys
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +11,9 @@ from surg_cli.host import paths
 
 sys.path.insert(0, str(paths.ROOT / "benchmarks"))
 
-import bench_imitation
-from policy import judge, sights
+from policy import sights
+from policy.card_conditions import FULL, CardCondition
 
-LEFT, RIGHT = (f"observation.images.endoscope.{side}" for side in ("left", "right"))
 PICTURE = np.random.default_rng(0).integers(20, 230, (48, 64, 3), np.uint8)
 
 
@@ -27,7 +24,7 @@ def pictures(count: int) -> list[np.ndarray]:
 
 
 def test_pictures_that_say_nothing_do_not_depend_on_the_scene() -> None:
-    shown = [condition for condition in sights.CONDITIONS if condition.blind and condition.eye]
+    shown = [each for each in FULL if each.blind and each.eye not in (None, sights.as_taken)]
     assert len(shown) == 2
     for condition in shown:
         assert condition.eye is not None
@@ -41,8 +38,8 @@ def test_pictures_that_say_nothing_do_not_depend_on_the_scene() -> None:
     np.testing.assert_array_equal(found, [*pictures(3), pictures(3)[2], pictures(3)[2]])
 
 
-@pytest.mark.parametrize("condition", sights.CONDITIONS, ids=lambda each: each.name)
-def test_a_condition_repeats_and_leaves_the_picture_alone(condition: sights.Condition) -> None:
+@pytest.mark.parametrize("condition", FULL, ids=lambda each: each.name)
+def test_a_condition_repeats_and_leaves_the_picture_alone(condition: CardCondition) -> None:
     if condition.eye is None:
         return
     kept = PICTURE.copy()
@@ -51,7 +48,7 @@ def test_a_condition_repeats_and_leaves_the_picture_alone(condition: sights.Cond
     np.testing.assert_array_equal(a, b)
     np.testing.assert_array_equal(PICTURE, kept)
     assert a.shape == PICTURE.shape and a.dtype == np.uint8
-    plain = condition.eye is sights.as_taken or condition.name == "first picture frozen"
+    plain = condition.eye is sights.as_taken or condition.eye is sights.frozen
     assert plain == np.array_equal(a, PICTURE)
 
 
@@ -62,29 +59,3 @@ def test_less_light_is_a_share_and_a_smudge_hides_its_place_only() -> None:
     changed = (sights.smudge(np.random.default_rng(0))(large) != large).any(axis=2)
     off = np.abs(sights.smudge(np.random.default_rng(0))(large).astype(int) - large).max(axis=2)
     assert changed.any() and 0.03 < (off > 20).mean() < 0.12
-
-
-def test_the_right_eye_is_shown_as_the_left_one() -> None:
-    left, right = pictures(2)
-    shown: list[np.ndarray] = []
-    policy = SimpleNamespace(acknowledged=None, act=lambda seen: shown.append(seen[LEFT]))
-    through = judge.Through(policy, {LEFT: (lambda picture: picture, "right")})
-    through.act({LEFT: left, RIGHT: right})
-    np.testing.assert_array_equal(shown, [right])
-
-
-def test_a_wrong_word_names_the_conditions(monkeypatch: pytest.MonkeyPatch) -> None:
-    words = ["bench", "--weights", "w.npz", "--keep", "k", "--only", "no such"]
-    monkeypatch.setattr(sys, "argv", words)
-    with pytest.raises(SystemExit, match="as trained; first picture frozen"):
-        bench_imitation.main()
-
-
-def test_weights_that_are_none_are_named_before_anything_runs(
-    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    words = ["bench", "--weights", str(tmp_path / "w.npz"), "--keep", str(tmp_path / "k")]
-    monkeypatch.setattr(sys, "argv", words)
-    with pytest.raises(SystemExit, match=r"w\.npz"):
-        bench_imitation.main()
-    assert not (tmp_path / "k").exists()
